@@ -1,0 +1,134 @@
+r"""Physical simulation of light-field cameras through triangle-mesh lenses.
+
+    import lfmesh as lf
+
+    scene = lf.load("scene.toml")
+    print("\n".join(lf.first_order(scene).lines()))
+    image = lf.render(scene)
+    lf.save(image, "run/")
+
+Names are imported when first used, so that ``import lfmesh`` does not wait for numba, Embree or OpenEXR.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from lfmesh.errors import FileError, GlassError, LfmeshError, MeshError, SceneError
+    from lfmesh.files.run import open_run, save
+    from lfmesh.scene import (
+        ArrayForm,
+        Box,
+        Camera,
+        Cylinder,
+        DirectionalLight,
+        Disk,
+        DiskLight,
+        FirstOrder,
+        Lens,
+        Material,
+        MicrolensArray,
+        Plane,
+        PointLight,
+        Pose,
+        Scene,
+        Sensor,
+        Sphere,
+        Surface,
+        Target,
+        Transport,
+        first_order,
+        load,
+        loads,
+        solved,
+    )
+    from lfmesh.transport.image import Image
+    from lfmesh.transport.ledger import Ledger
+    from lfmesh.transport.progress import Progress
+    from lfmesh.transport.render import render
+    from lfmesh.transport.trace import Paths, Status, trace
+    from lfmesh.transport.world import build
+
+__all__ = [
+    "ArrayForm",
+    "Box",
+    "Camera",
+    "Cylinder",
+    "DirectionalLight",
+    "Disk",
+    "DiskLight",
+    "FileError",
+    "FirstOrder",
+    "GlassError",
+    "Image",
+    "Ledger",
+    "Lens",
+    "LfmeshError",
+    "Material",
+    "MeshError",
+    "MicrolensArray",
+    "Paths",
+    "Plane",
+    "PointLight",
+    "Pose",
+    "Progress",
+    "Scene",
+    "SceneError",
+    "Sensor",
+    "Sphere",
+    "Status",
+    "Surface",
+    "Target",
+    "Transport",
+    "__version__",
+    "build",
+    "first_order",
+    "load",
+    "loads",
+    "open_run",
+    "render",
+    "save",
+    "solved",
+    "trace",
+]
+
+_HOMES = {
+    "lfmesh.errors": ["FileError", "GlassError", "LfmeshError", "MeshError", "SceneError"],
+    "lfmesh.files.run": ["open_run", "save"],
+    "lfmesh.scene": [
+        *["Scene", "Camera", "Lens", "Surface", "MicrolensArray", "ArrayForm", "Sensor", "Pose", "Target"],
+        *["Material", "Plane", "Disk", "Sphere", "Box", "Cylinder", "PointLight", "DirectionalLight"],
+        *["DiskLight", "Transport", "FirstOrder", "first_order", "load", "loads", "solved"],
+    ],
+    "lfmesh.transport.image": ["Image"],
+    "lfmesh.transport.ledger": ["Ledger"],
+    "lfmesh.transport.progress": ["Progress"],
+    "lfmesh.transport.render": ["render"],
+    "lfmesh.transport.trace": ["Paths", "Status", "trace"],
+    "lfmesh.transport.world": ["build"],
+}
+_HOME = {name: module for module, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        value: Any = _version()
+    elif name in _HOME:
+        value = getattr(import_module(_HOME[name]), name)
+    else:
+        raise AttributeError(f"module 'lfmesh' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("lfmesh")
+    except PackageNotFoundError:  # a checkout on the path that was never installed
+        return "0+uninstalled"

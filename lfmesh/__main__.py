@@ -1,0 +1,6 @@
+"""``python -m lfmesh``: the same as the command ``lfmesh``."""
+
+from lfmesh.cli import main
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,317 @@
+"""The command line: parses, calls, prints. Everything heavy is imported inside the commands."""
+
+import json
+import os
+import re
+import sys
+import textwrap
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import cyclopts
+from cyclopts import App, Parameter
+
+import lfmesh
+from lfmesh.errors import LfmeshError, SceneError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from lfmesh.scene import Scene
+    from lfmesh.transport.image import Image
+    from lfmesh.transport.progress import Progress
+
+WRONG_INPUT = 2
+INTERRUPTED = 130
+"""128 + SIGINT, what a shell expects after Ctrl-C."""
+BROKEN_PIPE = 141
+"""128 + SIGPIPE."""
+
+COLUMNS = 80
+"""Width of what is printed, on a terminal or not."""
+
+app = App(
+    name="lfmesh",
+    help="Simulate light-field cameras physically: glass as triangle meshes, raw images with error bars.",
+    help_epilogue="""\
+Examples:
+
+    lfmesh demo                          render the scene that comes with lfmesh
+    lfmesh check scene.toml              first-order optics and warnings
+    lfmesh render scene.toml -o run/     raw image, previews and report in run/
+    lfmesh schema > scene.schema.json    for completion in an editor
+""",
+    help_format="plaintext",
+    version=lambda: lfmesh.__version__,
+    result_action="return_value",
+    suppress_keyboard_interrupt=False,
+)
+
+
+def _whole(_: object, tokens: Sequence[cyclopts.Token]) -> int:
+    """Read a whole number; cyclopts by itself would cut 4.5 down to 4."""
+    try:
+        return int(tokens[0].value)
+    except ValueError:
+        raise ValueError(f'"{tokens[0].value}" is no whole number') from None
+
+
+Whole = Annotated[int, Parameter(converter=_whole, n_tokens=1)]
+
+
+@Parameter(name="*")
+@dataclass
+class Overrides:
+    """Settings that replace those of the scene's [transport] table."""
+
+    samples: Annotated[Whole | None, Parameter(help="Samples per pixel, in all; 4 times as many halve the noise.")] = (
+        None
+    )
+    method: Annotated[
+        Literal["adjoint", "forward"] | None,
+        Parameter(help="adjoint: from the sensor to the light; forward: from the light to the sensor."),
+    ] = None
+    engine: Annotated[
+        Literal["auto", "mesh", "sequential"] | None,
+        Parameter(help="mesh: Embree, everything; sequential: the image path only; auto: the least that will do."),
+    ] = None
+    surface: Annotated[
+        Literal["exact", "flat", "smooth", "patch"] | None,
+        Parameter(help="What a facet of a lens stands for."),
+    ] = None
+    split: Annotated[
+        Literal["both", "roulette", "transmit"] | None,
+        Parameter(help="At an interface: follow both children, one by chance, or the refracted one."),
+    ] = None
+    replicates: Annotated[
+        Whole | None, Parameter(help="Independent parts of the samples; their spread is the standard error.")
+    ] = None
+    seed: Annotated[Whole | None, Parameter(help="Of the random numbers.")] = None
+    threads: Annotated[Whole | None, Parameter(help="0: all cores; the result is the same for any number.")] = None
+    wavelengths_nm: Annotated[
+        list[float] | None, Parameter(help="One or more, nm.", consume_multiple=True, negative=())
+    ] = None
+
+    def given(self) -> dict[str, Any]:
+        """Return what the user set."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in values.items() if value is not None}
+
+
+SceneFile = Annotated[Path, Parameter(name="scene", help="Scene file (TOML).")]
+
+
+@app.command(help_epilogue="")
+def demo(
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"], help="Run folder to write.")] = Path("lfmesh-demo"),
+    overrides: Overrides | None = None,
+) -> int:
+    """Render the scene that comes with lfmesh: a bracket in front of a chart."""
+    from lfmesh.assets import asset_path
+
+    return _render(asset_path("scenes/first_light.toml"), out, overrides)
+
+
+@app.command(help_epilogue="")
+def check(scene: SceneFile, /) -> int:
+    """Check a scene file and print its first-order optics, with warnings in plain words.
+
+    Exits with 0 if the scene can be rendered, whatever the warnings, and with 2 if it cannot.
+    """
+    from lfmesh.scene import first_order, load
+
+    print("\n".join(first_order(load(scene)).lines()))
+    return 0
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh render scene.toml -o run/
+    lfmesh render scene.toml -o run/ --samples 256 --threads 4
+    lfmesh render scene.toml -o run/ --wavelengths-nm 486.1 587.6 656.3
+"""
+)
+def render(
+    scene: SceneFile,
+    /,
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"], help="Run folder to write: new, empty or an older run.")],
+    overrides: Overrides | None = None,
+) -> int:
+    """Render a scene into a run folder: raw.exr with its standard error, previews, report.json.
+
+    Ctrl-C keeps the replicates that are finished as a valid run, marked as incomplete.
+    """
+    return _render(scene, out, overrides)
+
+
+@app.command(help_epilogue="")
+def schema() -> int:
+    """Print the JSON Schema of scene files."""
+    from lfmesh.scene import Scene
+
+    print(json.dumps(Scene.model_json_schema(), indent=2))
+    return 0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Those of the process if omitted.
+
+    Returns
+    -------
+    int
+        The exit code: 0, 2 for wrong input (one message on standard error), 130 after Ctrl-C.
+    """
+    try:
+        code = app(arguments, exit_on_error=False, print_error=False)
+        sys.stdout.flush()
+        return code if isinstance(code, int) else 0
+    except cyclopts.CycloptsError as error:
+        return _complain(f"{_one_paragraph(str(error))}\nSee: lfmesh --help")
+    except LfmeshError as error:
+        return _complain(str(error))
+    except KeyboardInterrupt:
+        print("\nStopped before anything was finished; nothing was written.", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # Our reader went away, as in `lfmesh schema | head`; Python must not flush into it at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+
+
+def _complain(message: str) -> int:
+    print(f"lfmesh: {message}", file=sys.stderr)
+    return WRONG_INPUT
+
+
+def _one_paragraph(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _render(scene_file: Path, folder: Path, overrides: Overrides | None) -> int:
+    from lfmesh.scene import first_order, load
+
+    scene = _overridden(load(scene_file), overrides.given() if overrides else {})
+    warnings = first_order(scene).warnings
+
+    # Whatever can be wrong with the folder is said before the seconds that importing the tracer takes.
+    from lfmesh.files import run, words
+
+    run.prepare(folder)
+    for warning in warnings:
+        print(textwrap.fill(f"Note: {warning}", COLUMNS, subsequent_indent="  "), file=sys.stderr)
+
+    from lfmesh.transport.render import render as trace_image
+
+    with _progress() as report:
+        image = trace_image(scene, progress=report)
+    run.save(image, folder)
+    for line in words.summary(image):
+        print(textwrap.fill(line, COLUMNS, subsequent_indent="  "))
+    print(_whereabouts(image, folder))
+    return 0 if image.complete else INTERRUPTED
+
+
+def _overridden(scene: "Scene", changes: dict[str, Any]) -> "Scene":
+    """Return the scene with other transport settings, checked as those of a file are."""
+    try:
+        return scene.changed({f"transport.{name}": value for name, value in changes.items()})
+    except SceneError as error:
+        raise SceneError(_as_options(str(error))) from None
+
+
+def _as_options(message: str) -> str:
+    """Name the options of the command line where a message names the fields that they set."""
+    return re.sub(
+        r"^Scene\.transport\.(\w+)",
+        lambda field: "--" + field[1].replace("_", "-"),
+        message,
+        flags=re.MULTILINE,
+    )
+
+
+def _whereabouts(image: "Image", folder: Path) -> str:
+    from lfmesh.files import run
+
+    pictures = [(run.PREVIEW, "the raw image, upright"), (run.RAW, "power and standard error, W a pixel")]
+    if image.scene.camera.mla is not None:
+        pictures.insert(0, (run.VIEW, "the picture that the camera saw"))
+    pictures.append((run.REPORT, "all the numbers"))
+    width = max(len(str(folder / name)) for name, _ in pictures)
+    return "\n".join(f"  {folder / name!s:<{width}}  {what}" for name, what in pictures)
+
+
+@contextmanager
+def _progress() -> "Iterator[Callable[[Progress], None]]":
+    """Yield what shows progress on standard error: a bar on a terminal, now and then a line elsewhere."""
+    if sys.stderr.isatty():
+        with _bar() as report:
+            yield report
+    else:
+        yield _Lines()
+
+
+@contextmanager
+def _bar() -> "Iterator[Callable[[Progress], None]]":
+    from rich import progress as bars
+    from rich.console import Console
+
+    from lfmesh.files.words import count, duration
+
+    columns = (
+        bars.TextColumn("{task.description}"),
+        bars.BarColumn(bar_width=None),
+        bars.TaskProgressColumn(),
+        bars.TextColumn("{task.fields[rate]}"),
+        bars.TextColumn("{task.fields[left]}"),
+    )
+    with bars.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("starting", total=None, rate="", left="")
+
+        def report(now: "Progress") -> None:
+            left = now.seconds_left
+            replicate = min(now.replicate + 1, now.replicates)
+            bar.update(
+                task,
+                description=f"{now.stage} (replicate {replicate}/{now.replicates})",
+                completed=now.done,
+                total=now.total or None,
+                rate=f"{count(now.rate)} packets/s" if now.rate else "",
+                left=f"{duration(left)} left" if left is not None else "",
+            )
+
+        yield report
+
+
+class _Lines:
+    """Progress as plain lines, at most one every tenth of the work and every two seconds."""
+
+    STEPS = 10
+    SECONDS = 2.0
+
+    def __init__(self) -> None:
+        self._step = 0
+        self._printed_at = 0.0
+
+    def __call__(self, now: "Progress") -> None:
+        from lfmesh.files.words import count, duration
+
+        step = self.STEPS * now.done // now.total if now.total else 0
+        if step <= self._step or (now.seconds - self._printed_at < self.SECONDS and now.done < now.total):
+            return
+        self._step, self._printed_at = step, now.seconds
+        line = f"{now.stage}: {100 * now.done // now.total} %, {count(now.rate)} packets/s"
+        if now.seconds_left:
+            line += f", {duration(now.seconds_left)} left"
+        print(line, file=sys.stderr, flush=True)

@@ -1,0 +1,64 @@
+"""From wavelength samples to a picture for the eye: grey, or linear sRGB where the samples span colours."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+_XYZ_TO_SRGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
+"""IEC 61966-2-1."""
+
+
+def cie_1931(wavelength_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the colour-matching functions of the CIE 1931 2° observer.
+
+    Sums of Gaussians of two widths: C. Wyman, P.-P. Sloan, P. Shirley, "Simple Analytic Approximations to the
+    CIE XYZ Color Matching Functions", JCGT 2(2), 2013.
+
+    Parameters
+    ----------
+    wavelength_nm : (n,) float64, nm
+
+    Returns
+    -------
+    (3, n) float64
+        x, y and z.
+    """
+
+    def lobe(height: float, centre: float, left: float, right: float) -> NDArray[np.float64]:
+        width = np.where(wavelength_nm < centre, left, right)
+        return height * np.exp(-0.5 * ((wavelength_nm - centre) / width) ** 2)
+
+    x = lobe(1.056, 599.8, 37.9, 31.0) + lobe(0.362, 442.0, 16.0, 26.7) + lobe(-0.065, 501.1, 20.4, 26.2)
+    y = lobe(0.821, 568.8, 46.9, 40.5) + lobe(0.286, 530.9, 16.3, 31.1)
+    z = lobe(1.217, 437.0, 11.8, 36.0) + lobe(0.681, 459.0, 26.0, 13.8)
+    return np.stack([x, y, z])
+
+
+def srgb_weights(wavelengths_nm: tuple[float, ...]) -> NDArray[np.float64] | None:
+    """Return the (3, n) weights that turn n wavelength samples into linear sRGB, or None for a grey picture.
+
+    Equal power in every sample comes out white: few samples say nothing of the illuminant, and a picture
+    that is tinted by their choice would mislead. Grey: fewer than three samples, or samples that leave a
+    primary empty, as infrared ones do.
+    """
+    if len(wavelengths_nm) < 3:
+        return None
+    rgb = _XYZ_TO_SRGB @ cie_1931(np.asarray(wavelengths_nm, dtype=np.float64))
+    white = rgb.sum(axis=1)
+    if white.min() < 0.05:
+        return None
+    return np.asarray(rgb / white[:, None])
+
+
+def to_display(power: NDArray[np.float64], wavelengths_nm: tuple[float, ...]) -> NDArray[np.float64]:
+    """Turn (H, W, wavelengths) power into (H, W) grey or (H, W, 3) linear sRGB in the same unit."""
+    weights = srgb_weights(wavelengths_nm)
+    if weights is None:
+        return np.asarray(power.mean(axis=2))
+    return np.clip(power @ weights.T, 0.0, None)
+
+
+def srgb_encode(linear: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Encode linear light, 0 to 1 (clipped), as 8-bit sRGB (IEC 61966-2-1)."""
+    light = np.clip(linear, 0.0, 1.0)
+    encoded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
+    return np.rint(255.0 * encoded).astype(np.uint8)

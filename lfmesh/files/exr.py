@@ -1,0 +1,127 @@
+"""Spectral images in OpenEXR: several parts, one channel a wavelength, exact metadata as JSON."""
+
+import io
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+from lfmesh.errors import FileError
+
+METADATA = "lfmesh"
+"""Attribute of the first part that holds the metadata as JSON: EXR floats are float32, its lists get lost."""
+
+
+@dataclass(frozen=True)
+class SpectralImage:
+    """What an EXR file holds.
+
+    Attributes
+    ----------
+    parts : dict of (H, W, wavelengths) float32 arrays
+    wavelengths_nm : tuple of float
+        One a channel of every part.
+    metadata : dict
+        Plain JSON values.
+    """
+
+    parts: dict[str, NDArray[np.float32]]
+    wavelengths_nm: tuple[float, ...]
+    metadata: dict[str, Any]
+
+
+def channel_name(wavelength_nm: float) -> str:
+    """Name of the channel of one wavelength, e.g. ``S0.550,0nm``.
+
+    S0 is the first Stokes component, the comma the decimal sign (a dot would open a new layer): A. Fichet,
+    R. Pacanowski, A. Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10(3), 2021.
+    """
+    return f"S0.{float(wavelength_nm)!r}nm".replace(".", ",").replace(",", ".", 1)
+
+
+def write(path: Path, image: SpectralImage) -> None:
+    """Write losslessly (ZIP, float32).
+
+    Raises
+    ------
+    FileError
+        The file cannot be written, or two wavelengths are equal.
+    """
+    names = [channel_name(wavelength) for wavelength in image.wavelengths_nm]
+    if len(set(names)) != len(names):
+        raise FileError(f"{path}: every wavelength must differ from the others, got {list(image.wavelengths_nm)}")
+    metadata = {**image.metadata, "wavelengths_nm": list(image.wavelengths_nm)}
+    parts = []
+    for number, (name, pixels) in enumerate(image.parts.items()):
+        header: dict[str, Any] = {
+            "compression": OpenEXR.ZIP_COMPRESSION,
+            "type": OpenEXR.scanlineimage,
+            "spectralLayoutVersion": "1.0",
+        }
+        if number == 0:
+            header[METADATA] = json.dumps(metadata, allow_nan=False, ensure_ascii=True)
+        # OpenEXR takes no float64 and writes strided arrays wrong without a word.
+        channels = {channel: np.ascontiguousarray(pixels[:, :, c], dtype=np.float32) for c, channel in enumerate(names)}
+        parts.append(OpenEXR.Part(header, channels, name))
+    try:
+        OpenEXR.File(parts).write(str(path))
+    except (RuntimeError, OSError) as error:
+        raise FileError(f"{path} cannot be written: {error}") from None
+
+
+def read(path: Path, part_names: Sequence[str]) -> SpectralImage:
+    """Read a file that `write` made.
+
+    Parameters
+    ----------
+    path : Path
+    part_names : sequence of str
+        The parts that must be there, the first of which carries the metadata.
+
+    Raises
+    ------
+    FileError
+        The file is missing, no EXR, not lfmesh's, or truncated.
+    """
+    if not path.is_file():
+        raise FileError(f"{path} does not exist")
+    try:
+        # OpenEXR reports a truncated part on standard output and then leaves it out.
+        with redirect_stdout(io.StringIO()), OpenEXR.File(str(path), separate_channels=True) as file:
+            pixels = {
+                part.name(): {name: channel.pixels.copy() for name, channel in part.channels.items()}
+                for part in file.parts
+            }
+            headers = {part.name(): dict(part.header) for part in file.parts}
+    except (RuntimeError, OSError):
+        raise FileError(f"{path} is not a readable OpenEXR file: it is truncated, damaged or something else") from None
+    missing = [name for name in part_names if name not in pixels]
+    if missing:
+        raise FileError(f"{path} is truncated or damaged: part {missing[0]!r} cannot be read")
+    text = headers[part_names[0]].get(METADATA)
+    if not isinstance(text, str):
+        raise FileError(f"{path} was not written by lfmesh: its part {part_names[0]!r} has no attribute {METADATA!r}")
+    metadata = _parse(path, text)
+    wavelengths_nm = tuple(metadata.pop("wavelengths_nm"))
+    channels = [channel_name(wavelength) for wavelength in wavelengths_nm]
+    if any(set(pixels[name]) != set(channels) for name in part_names):
+        raise FileError(f"{path} is damaged: its channels must be {', '.join(channels)}")
+    return SpectralImage(
+        parts={name: np.stack([pixels[name][channel] for channel in channels], axis=2) for name in part_names},
+        wavelengths_nm=wavelengths_nm,
+        metadata=metadata,
+    )
+
+
+def _parse(path: Path, text: str) -> dict[str, Any]:
+    try:
+        metadata: Mapping[str, Any] = json.loads(text)
+        return {"wavelengths_nm": metadata["wavelengths_nm"], **metadata}
+    except (ValueError, KeyError, TypeError):
+        raise FileError(f"{path} is damaged: its attribute {METADATA!r} is not the JSON that lfmesh writes") from None

@@ -1,0 +1,96 @@
+"""The picture a plenoptic camera saw: the light of every lenslet as one value, drawn as a smooth image."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.lattice import Lattice, cell_of, centre, is_inside
+from lfmesh.kernel import kernel
+
+Array = NDArray[np.float64]
+
+BLUR = 0.5
+"""Standard deviation of the Gaussian that joins lenslets to a picture, in pitches."""
+
+
+def lenslet_means(power: Array, micro_images: Lattice) -> Array:
+    """Average the pixels of every micro-image.
+
+    The mean rather than the sum: micro-images hold a pixel row more or less where the pitch is no whole
+    number, and a sum would show that as a pattern of bars.
+
+    Parameters
+    ----------
+    power : (H, W, wavelengths) float64
+    micro_images : Lattice
+        The nominal lattice as it falls on the sensor, its pitch in pixels.
+
+    Returns
+    -------
+    (rows, columns, wavelengths) float64
+        0 for lenslets that have no pixel.
+    """
+    sums = np.zeros((micro_images.rows, micro_images.columns, power.shape[2]))
+    pixels = np.zeros(sums.shape[:2])
+    _add_to_lenslets(np.ascontiguousarray(power, dtype=np.float64), micro_images, sums, pixels)
+    return np.asarray(sums / np.maximum(pixels, 1.0)[:, :, None])
+
+
+def paint(means: Array, micro_images: Lattice, longest_px: int = 640) -> Array:
+    """Draw one value a lenslet as a smooth picture, in the orientation of the sensor.
+
+    Every point of the picture is the Gaussian-weighted mean of the lenslets around it, which serves square
+    and hexagonal arrays alike.
+
+    Parameters
+    ----------
+    means : (rows, columns, wavelengths) float64
+    micro_images : Lattice
+    longest_px : int
+        Length of the picture's longer side.
+
+    Returns
+    -------
+    (H, W, wavelengths) float64
+    """
+    half_width, half_height = micro_images.half_extent
+    step = 2.0 * max(half_width, half_height) / longest_px
+    height, width = (max(1, round(2.0 * half / step)) for half in (half_height, half_width))
+    picture = np.zeros((height, width, means.shape[2]))
+    _blend(np.ascontiguousarray(means, dtype=np.float64), micro_images, step, picture)
+    return picture
+
+
+@kernel
+def _add_to_lenslets(power: Array, lattice: Lattice, sums: Array, pixels: Array) -> None:
+    """Add every pixel to the lenslet whose micro-image it lies in, and count it there."""
+    height, width, channels = power.shape
+    for r in range(height):
+        for c in range(width):
+            column, row = cell_of(lattice, c - 0.5 * (width - 1), r - 0.5 * (height - 1))
+            if is_inside(lattice, column, row):
+                pixels[row, column] += 1.0
+                for channel in range(channels):
+                    sums[row, column, channel] += power[r, c, channel]
+
+
+@kernel
+def _blend(means: Array, lattice: Lattice, step: float, picture: Array) -> None:
+    """Fill the picture, whose points lie `step` apart, with weighted means of the lenslets around each."""
+    height, width, channels = picture.shape
+    for r in range(height):
+        for c in range(width):
+            x, y = (c - 0.5 * (width - 1)) * step, (r - 0.5 * (height - 1)) * step
+            near_column, near_row = cell_of(lattice, x, y)
+            total = 0.0
+            # Two columns to either side: the rows of a hexagonal lattice are shifted against each other.
+            for row in range(near_row - 1, near_row + 2):
+                for column in range(near_column - 2, near_column + 3):
+                    if is_inside(lattice, column, row):
+                        centre_x, centre_y = centre(lattice, column, row)
+                        distance2 = (x - centre_x) ** 2 + (y - centre_y) ** 2
+                        weight = np.exp(-0.5 * distance2 / (BLUR * lattice.pitch) ** 2)
+                        total += weight
+                        for channel in range(channels):
+                            picture[r, c, channel] += weight * means[row, column, channel]
+            for channel in range(channels):
+                picture[r, c, channel] /= max(total, 1e-300)

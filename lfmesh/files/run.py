@@ -1,0 +1,322 @@
+"""The run folder: a rendered image with everything that is needed to judge and to repeat it."""
+
+import hashlib
+import json
+import math
+import os
+import re
+import shutil
+import tempfile
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import lfmesh
+from lfmesh.errors import FileError
+from lfmesh.files import exr, words
+from lfmesh.files.lenslets import lenslet_means, paint
+from lfmesh.files.preview import write_linear16, write_preview
+from lfmesh.geometry.lattice import Lattice
+from lfmesh.scene import Scene, first_order
+from lfmesh.transport.image import Image
+from lfmesh.transport.ledger import Ledger
+
+FORMAT = 1
+"""Of the run folder; a reader refuses any other."""
+
+RAW, REPORT, SCENE = "raw.exr", "report.json", "scene.toml"
+PREVIEW, VIEW = "preview.png", "preview_view.png"
+PARTS = ("raw", "stderr")
+
+_STAGING = ".lfmesh-"
+_OURS = re.compile(r"raw\.exr|report\.json|scene\.toml|preview(_view)?\.png|linear16[\w.]*\.png")
+
+
+def prepare(folder: str | os.PathLike[str]) -> Path:
+    """Check, before any work is done, that a run can be saved into a folder; leave nothing behind.
+
+    Parameters
+    ----------
+    folder : path
+        May be missing, empty, or hold an older run.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    FileError
+        It is no folder, holds something that is not a run, or cannot be written.
+    """
+    path = Path(folder)
+    with _writable(path) as made:
+        for made_folder in reversed(made):
+            made_folder.rmdir()
+    return path
+
+
+def save(image: Image, folder: str | os.PathLike[str]) -> Path:
+    """Write a run folder.
+
+    ``raw.exr`` holds the mean and its standard error as float32 and, as JSON, everything else that `open_run`
+    needs; ``report.json`` the numbers; ``scene.toml`` the scene as rendered; ``preview.png`` the raw image
+    and, for a light-field camera, ``preview_view.png`` the picture it saw, both upright; ``linear16.png``
+    linear counts. The files are written beside their places and moved there when all are complete, so that a
+    failure or Ctrl-C leaves the folder as it was. An older run is replaced; other files stay.
+
+    Parameters
+    ----------
+    image : Image
+    folder : path
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    FileError
+        As `prepare`, or the disk is full.
+    """
+    path = Path(folder)
+    with _writable(path):
+        staging = Path(tempfile.mkdtemp(prefix=_STAGING, dir=path))
+        try:
+            names = _write_all(image, staging, path)
+            for stale in set(_listed_files(path)) - set(names):
+                (path / stale).unlink(missing_ok=True)
+            for name in names:
+                (staging / name).replace(path / name)
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+    return path
+
+
+def open_run(folder: str | os.PathLike[str]) -> Image:
+    """Read a run folder back.
+
+    Parameters
+    ----------
+    folder : path
+
+    Returns
+    -------
+    Image
+        With the pixels as saved, that is rounded to float32.
+
+    Raises
+    ------
+    FileError
+        There is no run, it is incomplete or damaged, or another version of lfmesh wrote it.
+    """
+    path = Path(folder)
+    if not path.is_dir():
+        raise FileError(f"{path} is no run folder: {'it is a file' if path.exists() else 'it does not exist'}")
+    missing = [name for name in (RAW, REPORT) if not (path / name).is_file()]
+    if missing:
+        raise FileError(f"{path} is no complete run: {' and '.join(missing)} missing; render it again")
+    report = _read_report(path)
+    if report is None:
+        raise FileError(f"{path / REPORT} is damaged or not a report of lfmesh; render the scene again")
+    if report["format"] != FORMAT:
+        raise FileError(
+            f"{path} has run format {report['format']}, written by lfmesh {report['lfmesh_version']};"
+            f" this lfmesh {lfmesh.__version__} reads format {FORMAT}"
+        )
+    spectral = exr.read(path / RAW, PARTS)
+    metadata = spectral.metadata
+    if metadata.get("pixels_sha256") != _digest(*(spectral.parts[name] for name in PARTS)):
+        raise FileError(f"{path / RAW} is damaged: its pixels are not those that were saved")
+    if metadata["pixels_sha256"] != report.get("pixels_sha256"):
+        raise FileError(f"{path} mixes two runs, {RAW} and {REPORT} do not belong together; render it again")
+    return Image(
+        mean=spectral.parts["raw"].astype(np.float64),
+        stderr=spectral.parts["stderr"].astype(np.float64),
+        scene=_scene_from(metadata, path),
+        ledger=Ledger(**{field.name: metadata["ledger"][field.name] for field in fields(Ledger)}),
+        seconds=metadata["seconds"],
+        replicates=metadata["replicates_finished"],
+        samples=metadata["samples_per_pixel"],
+        engine=metadata["engine"],
+    )
+
+
+@contextmanager
+def _writable(path: Path) -> Iterator[list[Path]]:
+    """Make a run folder, yield those folders that were missing, outermost first; remove them on failure.
+
+    Every OSError, here or in the body, is the user's: a full disk, a missing right.
+    """
+    _refuse_foreign(path)
+    made: list[Path] = []
+    try:
+        for ancestor in reversed([path, *path.parents]):
+            if not ancestor.exists():
+                ancestor.mkdir()
+                made.append(ancestor)
+        with tempfile.TemporaryFile(dir=path):
+            pass
+        yield made
+    except BaseException as error:
+        for folder in reversed(made):
+            with suppress(OSError):
+                folder.rmdir()
+        if isinstance(error, OSError):
+            raise _cannot_write(path, error) from None
+        raise
+
+
+def _refuse_foreign(path: Path) -> None:
+    """Refuse a place that holds something that is not ours to replace."""
+    try:
+        if path.exists() and not path.is_dir():
+            raise FileError(f"{path} is a file; a run is written into a folder")
+        entries = [entry.name for entry in path.iterdir()] if path.exists() else []
+    except OSError as error:
+        raise _cannot_write(path, error) from None
+    foreign = sorted(name for name in entries if not name.startswith(_STAGING))
+    if foreign and _read_report(path) is None:
+        what = foreign[0] if len(foreign) == 1 else f"{len(foreign)} files or folders ({foreign[0]}, ...)"
+        raise FileError(f"{path} holds {what} and no run of lfmesh: choose an empty or a new folder")
+
+
+def _cannot_write(path: Path, error: OSError) -> FileError:
+    return FileError(f"{path} cannot be written: {error.strerror or error}")
+
+
+def _read_report(path: Path) -> dict[str, Any] | None:
+    """Return report.json of a run folder, None where there is none that lfmesh wrote."""
+    try:
+        report = json.loads((path / REPORT).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    ours = isinstance(report, dict) and "lfmesh_version" in report and isinstance(report.get("format"), int)
+    return report if ours else None
+
+
+def _listed_files(path: Path) -> list[str]:
+    """Files of the run that a folder holds; only such as lfmesh writes, whatever its report says."""
+    files = (_read_report(path) or {}).get("files", [])
+    return [name for name in files if isinstance(name, str) and _OURS.fullmatch(name)]
+
+
+def _write_all(image: Image, folder: Path, home: Path) -> list[str]:
+    """Write every file of a run that will live in `home`; return their names, the report last."""
+    mean, stderr = (np.asarray(pixels, dtype=np.float32) for pixels in (image.mean, image.stderr))
+    metadata = _metadata(image, _digest(mean, stderr), home)
+    exr.write(
+        folder / RAW,
+        exr.SpectralImage({"raw": mean, "stderr": stderr}, image.wavelengths_nm, metadata),
+    )
+    (folder / SCENE).write_text(_moved(image.scene, home).dump_toml(), encoding="utf-8")
+    white = write_preview(folder / PREVIEW, image.mean, image.wavelengths_nm)
+    pictures: dict[str, Any] = {PREVIEW: {"orientation": "upright", "encoding": "sRGB", "white_w": white}}
+    grid = _micro_images(image.scene)
+    if grid is not None:
+        view = paint(lenslet_means(image.mean, grid), grid)
+        white = write_preview(folder / VIEW, view, image.wavelengths_nm)
+        pictures[VIEW] = {"orientation": "upright", "encoding": "sRGB", "white_w": white}
+    linear_names, watts_per_count = write_linear16(folder, image.mean, image.wavelengths_nm)
+    for name in linear_names:
+        pictures[name] = {
+            "orientation": "as on the sensor",
+            "encoding": "linear",
+            "watts_per_count": watts_per_count,
+        }
+    names = [RAW, SCENE, *pictures, REPORT]
+    report = {
+        **{key: value for key, value in metadata.items() if key != "scene_toml"},
+        "noise": asdict(words.noise(image)),
+        "summary": words.summary(image),
+        "pictures": pictures,
+        "files": names,
+    }
+    text = json.dumps(_finite(report), indent=2, allow_nan=False, ensure_ascii=False)
+    (folder / REPORT).write_text(text + "\n", encoding="utf-8")
+    return names
+
+
+def _metadata(image: Image, pixels_sha256: str, home: Path) -> dict[str, Any]:
+    transport = image.scene.transport
+    metadata = {
+        "format": FORMAT,
+        "lfmesh_version": lfmesh.__version__,
+        "name": image.scene.name,
+        "unit": "W per pixel",
+        "wavelengths_nm": list(image.wavelengths_nm),
+        "scene_digest": image.scene.digest,
+        "scene_toml": image.scene.dump_toml(),
+        "scene_folder": _relative(image.scene.folder, home),
+        "seed": transport.seed,
+        "method": transport.method,
+        "engine": image.engine,
+        "complete": image.complete,
+        "replicates": transport.replicates,
+        "replicates_finished": image.replicates,
+        "samples_per_pixel": image.samples,
+        "seconds": image.seconds,
+        "ledger": image.ledger.as_dict(),
+        "pixels_sha256": pixels_sha256,
+    }
+    finite: dict[str, Any] = _finite(metadata)
+    return finite
+
+
+def _digest(mean: NDArray[np.float32], stderr: NDArray[np.float32]) -> str:
+    """Hash of the pixels as stored; equal for two runs only if they agree in every bit."""
+    digest = hashlib.sha256()
+    for pixels in (mean, stderr):
+        digest.update(np.ascontiguousarray(pixels, dtype="<f4").tobytes())
+    return digest.hexdigest()
+
+
+def _finite(value: Any) -> Any:
+    """Return plain JSON values: JSON has no NaN, no infinity and no numpy."""
+    if isinstance(value, dict):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    if isinstance(value, np.generic):
+        return _finite(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _scene_from(metadata: dict[str, Any], folder: Path) -> Scene:
+    """Return the scene as rendered, without asking whether its meshes and textures still exist."""
+    return Scene(**tomllib.loads(metadata["scene_toml"])).in_folder(folder / metadata["scene_folder"])
+
+
+def _moved(scene: Scene, folder: Path) -> Scene:
+    """Return the scene with its relative paths starting from another folder."""
+    paths: dict[str, Any] = {}
+    for number, target in enumerate(scene.targets):
+        for key, path in (("file", target.file), ("material.texture", target.material.texture)):
+            if path is not None and not Path(path).is_absolute():
+                paths[f"targets[{number}].{key}"] = _relative(scene.resolve(path), folder)
+    return scene.changed(paths).in_folder(folder)
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """Return a path relative to a folder, so that a project moves as a whole; absolute on another drive."""
+    try:
+        return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+    except ValueError:
+        return path.resolve().as_posix()
+
+
+def _micro_images(scene: Scene) -> Lattice | None:
+    """Return the nominal lattice of micro-images in pixels; None for a camera without array."""
+    mla, pitch_px = scene.camera.mla, first_order(scene).micro_image_pitch_px
+    if mla is None or pitch_px is None:
+        return None
+    return Lattice(mla.layout == "hexagonal", pitch_px, columns=mla.count[0], rows=mla.count[1])

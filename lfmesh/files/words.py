@@ -1,0 +1,176 @@
+"""The end of a run in words: how noisy the picture is, and where the light went when it is dark."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lfmesh.transport.image import Image
+from lfmesh.transport.ledger import Ledger
+
+LIT_SHARE_OF_BRIGHT = 0.05
+"""A pixel counts as lit above this share of the 99th percentile."""
+
+DARK_SHARE = 0.1
+"""A picture is called dark when fewer pixels than this share got any light."""
+
+LOST_LIMIT = 1e-7
+"""Share of the energy that the tracer may lose to rounding."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """How well the pixels are known.
+
+    Attributes
+    ----------
+    received_share : float
+        Share of the pixels that got any light.
+    lit_share : float
+        Share of the pixels that are lit: above 5 % of the bright ones (99th percentile of those with light).
+    relative_stderr : float or None
+        Median over the lit pixels of standard error / mean; None without light or with one replicate only.
+    """
+
+    received_share: float
+    lit_share: float
+    relative_stderr: float | None
+
+
+def noise(image: Image) -> Noise:
+    """Measure the noise of an image over pixels and wavelengths."""
+    received = image.mean > 0.0
+    if not received.any():
+        return Noise(0.0, 0.0, None)
+    bright = float(np.percentile(image.mean[received], 99.0))
+    lit = image.mean > LIT_SHARE_OF_BRIGHT * bright
+    relative = image.stderr[lit] / image.mean[lit]
+    known = relative[np.isfinite(relative)]
+    return Noise(
+        received_share=float(received.mean()),
+        lit_share=float(lit.mean()),
+        relative_stderr=float(np.median(known)) if known.size else None,
+    )
+
+
+def summary(image: Image) -> list[str]:
+    """Say what a run gave, one plain sentence a line: work done, noise, and whatever is amiss."""
+    measured = noise(image)
+    lines = [_work(image), *_noise_lines(image, measured)]
+    if measured.received_share < DARK_SHARE:
+        lines += where_the_light_went(image)
+    return lines + _book_keeping(image.ledger)
+
+
+def where_the_light_went(image: Image) -> list[str]:
+    """Tell from the ledger where the packets ended that did not make the picture."""
+    ledger = image.ledger
+    adjoint = image.scene.transport.method == "adjoint"
+    traced = "the paths traced back from the sensor" if adjoint else "the light"
+    ends = _ends(image)
+    total = sum(share for _, share in ends)
+    if total <= 0.0:
+        return ["No path left the sensor." if adjoint else "Nothing emits: the lights and targets have no power."]
+    parts = [f"{percent(share / total)} {words}" for words, share in ends if share >= 0.001 * total][:4]
+    lines = [f"Of {traced}, {', '.join(parts)}."]
+    if adjoint and ledger.emitted > 0.0:
+        lines.append(_reached(ledger))
+    return lines
+
+
+def percent(share: float) -> str:
+    """Write a share to three digits, but never all or nothing when it is not."""
+    if 0.0 < share < 1e-6:
+        return "less than 0.0001 %"
+    if 0.9995 <= share < 1.0:
+        return "more than 99.9 %"
+    return f"{100.0 * share:.3g} %"
+
+
+def duration(seconds: float) -> str:
+    """Write a time as one reads it from a clock."""
+    if seconds < 10.0:
+        return f"{seconds:.1f} s"
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 120:
+        return f"{minutes} min {rest:02d} s"
+    return f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def count(number: float) -> str:
+    """Write a large number to three digits: ``4.10 million``."""
+    for size, word in ((1e12, "trillion"), (1e9, "billion"), (1e6, "million")):
+        if number >= size:
+            return f"{number / size:.3g} {word}"
+    return f"{number:,.0f}"
+
+
+def _work(image: Image) -> str:
+    ledger = image.ledger
+    line = f"Traced {count(ledger.packets)} packets and {count(ledger.events)} ray-surface events"
+    line += f" in {duration(image.seconds)}"
+    if image.seconds > 0.0:
+        line += f" ({count(ledger.events / image.seconds)} events a second)"
+    return f"{line}; {image.engine}." if image.engine else f"{line}."
+
+
+def _noise_lines(image: Image, measured: Noise) -> list[str]:
+    transport = image.scene.transport
+    lines = []
+    if not image.complete:
+        lines.append(
+            f"Interrupted: {image.replicates} of {transport.replicates} replicates were finished,"
+            f" {image.samples:g} samples a pixel."
+        )
+    if measured.received_share == 0.0:
+        return [*lines, "The picture is black: no light reached the sensor."]
+    if measured.received_share < DARK_SHARE:
+        lines.append(f"The picture is dark: only {percent(measured.received_share)} of the pixels got any light.")
+    if measured.relative_stderr is None:
+        return [*lines, "How noisy it is cannot be told: that takes at least 2 finished replicates."]
+    if measured.relative_stderr == 0.0:
+        return [*lines, "Noise: none; every replicate gave the same picture."]
+    lines.append(
+        f"Noise: half of the lit pixels are known to {percent(measured.relative_stderr)} or better"
+        " (one standard error);"
+        f" 4 times the samples, {4 * image.samples:g} a pixel, would halve that."
+    )
+    return lines
+
+
+def _ends(image: Image) -> list[tuple[str, float]]:
+    """Where packets end physically, largest first; what roulette and aimed sampling booked are no places."""
+    ledger = image.ledger
+    ends = [(f"ended on {_body(name)}", share) for name, share in ledger.absorbed.items()]
+    ends += [
+        ("reached the sensor", ledger.sensor),
+        ("left the scene", ledger.escaped),
+        (f"was cut after {image.scene.transport.max_events} events (max_events)", ledger.depth),
+        ("was lost to rounding", sum(ledger.lost.values())),
+    ]
+    return sorted(ends, key=lambda end: -end[1])
+
+
+def _body(name: str) -> str:
+    """``stop`` takes an article, ``targets[0]`` does not."""
+    return name if name.startswith("targets[") else f"the {name}"
+
+
+def _reached(ledger: Ledger) -> str:
+    if ledger.reached_target <= 0.0:
+        return "None of them reached a target."
+    reached = f"{percent(ledger.reached_target / ledger.emitted)} of the paths reached a target"
+    if ledger.lit <= 0.0:
+        return f"{reached}, but no light reaches it there, and it does not emit."
+    return f"{reached}; {percent(ledger.lit / ledger.reached_target)} of those arrived where there is light."
+
+
+def _book_keeping(ledger: Ledger) -> list[str]:
+    lines = []
+    if ledger.lost_share > LOST_LIMIT:
+        reasons = ", ".join(f"{reason}: {value:.3g} {ledger.unit}" for reason, value in ledger.lost.items() if value)
+        lines.append(f"Warning: {percent(ledger.lost_share)} of the energy was lost by the tracer ({reasons}).")
+    if abs(ledger.imbalance) > 1e-9:
+        lines.append(f"Warning: the energy does not close; {ledger.imbalance:.1e} of what was emitted is missing.")
+    return lines

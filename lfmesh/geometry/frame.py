@@ -1,0 +1,73 @@
+"""Rigid frames: where a body's own coordinates stand in another's.
+
+A frame is a (3, 4) float64 array [A | b] that takes a point p of the body to A p + b. A is orthogonal; it may be a
+reflection (the array's frame looks from the curved face into the glass, whichever way that is), since no law of
+geometrical optics tells left from right.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfmesh.kernel import kernel
+
+Frame = NDArray[np.float64]
+
+IDENTITY: Frame = np.hstack([np.eye(3), np.zeros((3, 1))])
+
+
+def rotation(tilt_deg: ArrayLike) -> NDArray[np.float64]:
+    """Return the (3, 3) rotation by three angles, about x first, then y, then z (axes that stay fixed)."""
+    x, y, z = np.deg2rad(np.asarray(tilt_deg, dtype=np.float64))
+    about_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
+    about_y = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
+    about_z = np.array([[np.cos(z), -np.sin(z), 0], [np.sin(z), np.cos(z), 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x
+
+
+def frame(tilt_deg: ArrayLike = (0, 0, 0), origin_mm: ArrayLike = (0, 0, 0)) -> Frame:
+    """Return the frame of a body turned by `tilt_deg` about its own origin, which lies at `origin_mm`."""
+    return np.column_stack([rotation(tilt_deg), np.asarray(origin_mm, dtype=np.float64)])
+
+
+def compose(outer: Frame, inner: Frame) -> Frame:
+    """Return the frame that applies `inner` first, then `outer`."""
+    return np.column_stack([outer[:, :3] @ inner[:, :3], outer[:, :3] @ inner[:, 3] + outer[:, 3]])
+
+
+def inverse(of: Frame) -> Frame:
+    """Return the frame that undoes `of`."""
+    return np.column_stack([of[:, :3].T, -of[:, :3].T @ of[:, 3]])
+
+
+def points(through: Frame, p: ArrayLike) -> NDArray[np.float64]:
+    """Return the (n, 3) points `p` seen through a frame."""
+    return np.asarray(p, dtype=np.float64) @ through[:, :3].T + through[:, 3]
+
+
+def directions(through: Frame, d: ArrayLike) -> NDArray[np.float64]:
+    """Return the (n, 3) directions `d` seen through a frame."""
+    return np.asarray(d, dtype=np.float64) @ through[:, :3].T
+
+
+@kernel
+def move_point(
+    f: NDArray[np.float64], here: int, there: int, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Return a point moved from frame `here` into frame `there` of a (n, n, 3, 4) table of frames."""
+    return (
+        f[here, there, 0, 0] * x + f[here, there, 0, 1] * y + f[here, there, 0, 2] * z + f[here, there, 0, 3],
+        f[here, there, 1, 0] * x + f[here, there, 1, 1] * y + f[here, there, 1, 2] * z + f[here, there, 1, 3],
+        f[here, there, 2, 0] * x + f[here, there, 2, 1] * y + f[here, there, 2, 2] * z + f[here, there, 2, 3],
+    )
+
+
+@kernel
+def move_direction(
+    f: NDArray[np.float64], here: int, there: int, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Return a direction moved from frame `here` into frame `there` of a (n, n, 3, 4) table of frames."""
+    return (
+        f[here, there, 0, 0] * x + f[here, there, 0, 1] * y + f[here, there, 0, 2] * z,
+        f[here, there, 1, 0] * x + f[here, there, 1, 1] * y + f[here, there, 1, 2] * z,
+        f[here, there, 2, 0] * x + f[here, there, 2, 1] * y + f[here, there, 2, 2] * z,
+    )

@@ -1,0 +1,150 @@
+"""The lattice of a microlens array: which cell a point lies in, where a ray leaves its cell, and into which one.
+
+Square cells, or hexagonal ones with two sides parallel to y whose odd rows are shifted by half a pitch towards +x.
+Both are Voronoi cells of their centres. The lattice is centred on the origin of the array's frame.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernel import kernel
+
+ROW_SPACING = np.sqrt(0.75)
+"""Distance of neighbouring rows of a hexagonal lattice over its pitch."""
+
+
+class Lattice(NamedTuple):
+    """Layout and size; `pitch` in mm is the distance of neighbouring centres."""
+
+    hexagonal: bool
+    pitch: float
+    columns: int
+    rows: int
+
+    @property
+    def cell_area(self) -> float:
+        """Area of a cell in mm²."""
+        return self.pitch**2 * (ROW_SPACING if self.hexagonal else 1.0)
+
+    @property
+    def circumradius(self) -> float:
+        """Distance from a cell's centre to its corners, mm."""
+        return self.pitch / np.sqrt(3.0) if self.hexagonal else self.pitch / np.sqrt(2.0)
+
+    @property
+    def half_extent(self) -> tuple[float, float]:
+        """Half width and half height of the box round all cells, mm."""
+        if not self.hexagonal:
+            return 0.5 * self.columns * self.pitch, 0.5 * self.rows * self.pitch
+        width = 0.5 * self.columns * self.pitch + (0.25 * self.pitch if self.rows > 1 else 0.0)
+        return width, (0.5 * (self.rows - 1) * ROW_SPACING + 1.0 / np.sqrt(3.0)) * self.pitch
+
+    def corners(self) -> NDArray[np.float64]:
+        """Return the (4 or 6, 2) corners of the cell at the origin, counter-clockwise, mm."""
+        turn = np.deg2rad(np.arange(30, 390, 60) if self.hexagonal else np.arange(45, 405, 90))
+        return np.asarray(self.circumradius * np.column_stack([np.cos(turn), np.sin(turn)]))
+
+    def centres(self) -> NDArray[np.float64]:
+        """Return the (rows, columns, 2) centres in mm."""
+        row, column = np.indices((self.rows, self.columns))
+        if not self.hexagonal:
+            x, y = column - 0.5 * (self.columns - 1), row - 0.5 * (self.rows - 1)
+        else:
+            x = column - 0.5 * (self.columns - 1) + 0.5 * (row % 2) - (0.25 if self.rows > 1 else 0.0)
+            y = (row - 0.5 * (self.rows - 1)) * ROW_SPACING
+        return np.stack([x, y], axis=-1) * self.pitch
+
+
+@kernel
+def centre(lattice: Lattice, column: int, row: int) -> tuple[float, float]:
+    """Return the centre of a cell, which may lie outside the array."""
+    p = lattice.pitch
+    if not lattice.hexagonal:
+        return (column - 0.5 * (lattice.columns - 1)) * p, (row - 0.5 * (lattice.rows - 1)) * p
+    shift = 0.5 * (row & 1) - (0.25 if lattice.rows > 1 else 0.0)
+    return (column - 0.5 * (lattice.columns - 1) + shift) * p, (row - 0.5 * (lattice.rows - 1)) * (ROW_SPACING * p)
+
+
+@kernel
+def cell_of(lattice: Lattice, x: float, y: float) -> tuple[int, int]:
+    """Return (column, row) of the cell a point lies in; it may lie outside the array."""
+    u, v = x / lattice.pitch, y / lattice.pitch
+    if not lattice.hexagonal:
+        column = int(np.floor(u + 0.5 * lattice.columns))
+        return column, int(np.floor(v + 0.5 * lattice.rows))
+    middle = int(np.floor(v / ROW_SPACING + 0.5 * lattice.rows))
+    best = np.inf
+    found_column, found_row = 0, middle
+    for row in range(middle - 1, middle + 2):
+        shift = 0.5 * (row & 1) - (0.25 if lattice.rows > 1 else 0.0)
+        column = int(np.floor(u - shift + 0.5 * lattice.columns))
+        a = u - (column - 0.5 * (lattice.columns - 1) + shift)
+        b = v - (row - 0.5 * (lattice.rows - 1)) * ROW_SPACING
+        if a * a + b * b < best:
+            best = a * a + b * b
+            found_column, found_row = column, row
+    return found_column, found_row
+
+
+@kernel
+def is_inside(lattice: Lattice, column: int, row: int) -> bool:
+    """Tell whether the array has this cell."""
+    return 0 <= column < lattice.columns and 0 <= row < lattice.rows
+
+
+@kernel
+def leaves_at(lattice: Lattice, x: float, y: float, dx: float, dy: float) -> tuple[float, int]:
+    """Return the distance at which a ray leaves the cell at the origin, and through which side.
+
+    Sides are numbered counter-clockwise from the one that faces +x. A ray that starts a rounding error outside gets a
+    distance just below zero. inf where the ray runs along the axis.
+    """
+    half = 0.5 * lattice.pitch
+    nearest, side = np.inf, -1
+    if not lattice.hexagonal:
+        if dx != 0.0:
+            nearest = (np.copysign(half, dx) - x) / dx
+            side = 0 if dx > 0.0 else 2
+        if dy != 0.0:
+            t = (np.copysign(half, dy) - y) / dy
+            if t < nearest:
+                nearest = t
+                side = 1 if dy > 0.0 else 3
+        return nearest, side
+    for s in range(3):
+        nx = 1.0 if s == 0 else (0.5 if s == 1 else -0.5)
+        ny = 0.0 if s == 0 else ROW_SPACING
+        along = nx * dx + ny * dy
+        if along != 0.0:
+            t = (np.copysign(half, along) - (nx * x + ny * y)) / along
+            if t < nearest:
+                nearest = t
+                side = s if along > 0.0 else s + 3
+    return nearest, side
+
+
+@kernel
+def neighbour(lattice: Lattice, column: int, row: int, side: int) -> tuple[int, int]:
+    """Return the cell behind a side."""
+    if not lattice.hexagonal:
+        if side == 0:
+            return column + 1, row
+        if side == 1:
+            return column, row + 1
+        if side == 2:
+            return column - 1, row
+        return column, row - 1
+    odd = row & 1
+    if side == 0:
+        return column + 1, row
+    if side == 1:
+        return column + odd, row + 1
+    if side == 2:
+        return column - 1 + odd, row + 1
+    if side == 3:
+        return column - 1, row
+    if side == 4:
+        return column - 1 + odd, row - 1
+    return column + odd, row - 1

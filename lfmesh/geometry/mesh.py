@@ -1,0 +1,102 @@
+"""Triangle meshes in float64, and the facet table that the kernels read.
+
+`Mesh` is deliberately thin: trimesh objects are made from it for export and checks, the float32 copy for Embree is
+made from it, and the facets' planes, edges and corner normals are tabulated from it without a rounding in between.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+FACET = np.dtype(
+    [
+        ("normal", "f8", (3,)),  # unit, from the winding
+        ("offset", "f8"),  # normal · any point of the plane
+        ("size", "f8"),  # longest edge
+        ("body", "i8"),  # what the facet belongs to; the table's owner says what the number means
+        ("corners", "f8", (3, 3)),
+        ("corner_normals", "f8", (3, 3)),
+    ]
+)
+
+
+@dataclass
+class Mesh:
+    """Vertices (n, 3) float64 mm and faces (m, 3); corner_normals (m, 3, 3) where the exact surface is known."""
+
+    vertices: Array
+    faces: Index
+    corner_normals: Array | None = field(default=None)
+
+    def moved(self, through: Array) -> "Mesh":
+        """Return the mesh seen through a frame; a reflecting frame turns the winding, so outward stays outward."""
+        linear = through[:, :3]
+        faces, normals = self.faces, self.corner_normals
+        if normals is not None:
+            normals = normals @ linear.T
+        if np.linalg.det(linear) < 0:
+            faces = faces[:, ::-1]
+            normals = normals[:, ::-1] if normals is not None else None
+        return Mesh(self.vertices @ linear.T + through[:, 3], faces, normals)
+
+    def flipped(self) -> "Mesh":
+        """Return the mesh with every face looking the other way."""
+        normals = -self.corner_normals[:, ::-1] if self.corner_normals is not None else None
+        return Mesh(self.vertices, self.faces[:, ::-1], normals)
+
+    def solid(self) -> trimesh.Trimesh:
+        """Return a trimesh object with coincident vertices merged, so that shared rims close."""
+        return trimesh.Trimesh(self.vertices, self.faces, process=True, validate=False)
+
+
+def joined(meshes: Iterable[Mesh]) -> Mesh:
+    """Return all meshes as one; facet numbers follow the order given."""
+    parts = list(meshes)
+    starts = np.cumsum([0, *(len(m.vertices) for m in parts)])
+    with_normals = [m.corner_normals for m in parts]
+    return Mesh(
+        np.concatenate([m.vertices for m in parts]) if parts else np.zeros((0, 3)),
+        np.concatenate([m.faces + s for m, s in zip(parts, starts, strict=False)])
+        if parts
+        else np.zeros((0, 3), np.int64),
+        np.concatenate(
+            [n if n is not None else facet_corner_normals(m) for m, n in zip(parts, with_normals, strict=True)]
+        )
+        if parts and any(n is not None for n in with_normals)
+        else None,
+    )
+
+
+def facet_normals(mesh: Mesh) -> tuple[Array, Array]:
+    """Return (m, 3) unit normals and (m,) areas in mm²; a facet without area has a zero normal."""
+    corner = mesh.vertices[mesh.faces]
+    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    length = np.linalg.norm(cross, axis=1)
+    normals = np.divide(cross, length[:, None], out=np.zeros_like(cross), where=length[:, None] > 0)
+    return normals, 0.5 * length
+
+
+def facet_corner_normals(mesh: Mesh) -> Array:
+    """Return (m, 3, 3) corner normals of a faceted body: its facets' own."""
+    return np.repeat(facet_normals(mesh)[0][:, None, :], 3, axis=1)
+
+
+def facet_table(mesh: Mesh, bodies: NDArray[np.int64]) -> NDArray[np.void]:
+    """Return the (m,) `FACET` table of a mesh whose facets belong to `bodies` (m,)."""
+    table = np.zeros(len(mesh.faces), FACET)
+    corner = mesh.vertices[mesh.faces]
+    table["normal"] = facet_normals(mesh)[0]
+    # The corner nearest the plane's foot would be as good; the mean of the three halves the rounding.
+    table["offset"] = np.einsum("ij,ikj->ik", table["normal"], corner).mean(axis=1)
+    edges = corner - np.roll(corner, 1, axis=1)
+    table["size"] = np.linalg.norm(edges, axis=2).max(axis=1, initial=0.0)
+    table["body"] = bodies
+    table["corners"] = corner
+    table["corner_normals"] = facet_corner_normals(mesh) if mesh.corner_normals is None else mesh.corner_normals
+    return table

@@ -1,0 +1,196 @@
+"""Target meshes from files: STL, OBJ, PLY, OFF, GLB, glTF and 3MF, in mm, with their colours.
+
+trimesh reads all but 3MF. It passes over some broken files in silence (an STL of garbage is an empty scene to
+it, an OFF that is cut short a smaller mesh), so what it returns is held against what the file says.
+"""
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from lfmesh.errors import MeshError
+from lfmesh.geometry.mesh import Array, Mesh
+from lfmesh.geometry.texture import Texture, linear_light
+from lfmesh.geometry.threemf import read_3mf
+
+MM_PER_UNIT = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3, "inch": 25.4, "foot": 304.8}
+"""Units of length a target may name."""
+
+UNIT_OF_FORMAT = {".glb": "m", ".gltf": "m"}
+"""glTF 2.0, section 3.4: all linear distances are metres."""
+
+ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".3mf")
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A part of a mesh file with one material.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        In the file's frame, mm.
+    uv : (m, 3, 2) float64 or None
+        Place in the picture of each facet's corners; (0, 0) is its bottom left, repeats lie outside 0..1.
+    picture : (h, w, 3) float32 or None
+        Base colour texture, linear light.
+    factor : (3,) float64
+        Base colour, linear, that multiplies the picture.
+    """
+
+    mesh: Mesh
+    uv: Array | None = None
+    picture: Texture | None = None
+    factor: Array = field(default_factory=lambda: np.ones(3))
+
+
+def load_mesh(path: Path, units: str | None = None) -> list[Piece]:
+    """Read a mesh file.
+
+    Parameters
+    ----------
+    path : Path
+        STL, OBJ (with MTL), PLY, OFF, GLB, glTF or 3MF.
+    units : str, optional
+        Unit of length, a key of `MM_PER_UNIT`. Needed for STL, OBJ, PLY and OFF. The other formats fix their
+        unit, and naming a different one is an error: a mesh is not rescaled against its own file.
+
+    Returns
+    -------
+    list of Piece
+        One a material and instance, transforms of the file's scene applied, at least one facet in all.
+
+    Raises
+    ------
+    MeshError
+        The file is missing, of an unknown kind, broken or empty, holds a coordinate that is no number, or its
+        unit is unknown or contradicted.
+    """
+    path = Path(path)
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
+        raise MeshError(f"{path}: not a kind of mesh file that can be read; valid are {', '.join(ENDINGS)}")
+    if not path.is_file():
+        found = "is a folder" if path.is_dir() else "does not exist"
+        raise MeshError(f"{path}: the mesh file {found}")
+    pieces = _read_3mf(path, units) if ending == ".3mf" else _read(path, ending, units)
+    facets = sum(len(piece.mesh.faces) for piece in pieces)
+    if facets == 0:
+        raise MeshError(f"{path}: holds no facets: empty, cut short, or not a {ending[1:].upper()} file")
+    for piece in pieces:
+        bad = int((~np.isfinite(piece.mesh.vertices[piece.mesh.faces])).any(axis=(1, 2)).sum())
+        if bad:
+            raise MeshError(f"{path}: {bad} of {facets} facets have a corner that is no finite number")
+    return pieces
+
+
+def _read_3mf(path: Path, units: str | None) -> list[Piece]:
+    parts, own = read_3mf(path)
+    scale = MM_PER_UNIT[_agreed(path, own, units)]
+    return [Piece(Mesh(part.vertices * scale, part.faces)) for part in parts]
+
+
+def _read(path: Path, ending: str, units: str | None) -> list[Piece]:
+    unit = _agreed(path, UNIT_OF_FORMAT.get(ending), units)
+    if ending == ".obj":
+        _check_obj(path)
+    try:
+        scene = trimesh.load_scene(path, process=False)
+        # By the identity of trimesh's image, so that geometries that share a picture keep sharing it.
+        pictures: dict[int, Texture] = {}
+        pieces = [
+            _piece(scene.geometry[name], transform, MM_PER_UNIT[unit], pictures)
+            for transform, name in (scene.graph[node] for node in scene.graph.nodes_geometry)
+            if isinstance(scene.geometry[name], trimesh.Trimesh)
+        ]
+    except Exception as error:  # a broken file may raise anything inside trimesh's parsers
+        reason = f"{type(error).__name__}: {error}".splitlines()[0]
+        raise MeshError(f"{path}: broken, or not a {ending[1:].upper()} file ({reason})") from None
+    if ending == ".off":
+        _check_off_count(path, sum(len(piece.mesh.faces) for piece in pieces))
+    return pieces
+
+
+def _agreed(path: Path, own: str | None, units: str | None) -> str:
+    """Return the unit that the file and the user agree on."""
+    valid = ", ".join(MM_PER_UNIT)
+    if units is not None and units not in MM_PER_UNIT:
+        raise MeshError(f"{path}: units = {units!r} is not known; valid are {valid}")
+    if own is None:
+        if units is None:
+            raise MeshError(f"{path}: the format carries no unit; give units, one of {valid}")
+        return units
+    if units not in (None, own):
+        raise MeshError(f"{path}: units = {units!r} contradicts the file, which is in {own}; leave units out")
+    return own
+
+
+def _piece(geometry: Any, transform: Array, scale: float, pictures: dict[int, Texture]) -> Piece:
+    """Return one geometry of trimesh's scene, transformed and in mm."""
+    vertices = np.asarray(geometry.vertices, dtype=np.float64)
+    faces = np.asarray(geometry.faces, dtype=np.int64)
+    # Coordinate by coordinate: a matrix product may round equal vertices differently and open their seam.
+    with np.errstate(invalid="ignore"):
+        moved = transform[:3, 3] + sum(vertices[:, [k]] * transform[:3, k] for k in range(3))
+    mirrored = np.linalg.det(transform[:3, :3]) < 0.0
+    uv = getattr(geometry.visual, "uv", None)
+    corners = np.asarray(uv, dtype=np.float64)[faces][:, :, :2] if uv is not None and len(uv) else None
+    if mirrored:
+        faces = faces[:, ::-1]
+        corners = corners[:, ::-1] if corners is not None else None
+    picture, factor = _colour(getattr(geometry.visual, "material", None), pictures)
+    return Piece(Mesh(moved * scale, faces), corners, picture, factor)
+
+
+def _colour(material: Any, pictures: dict[int, Texture]) -> tuple[Texture | None, Array]:
+    """Return the base colour picture and factor, both linear, of a material as trimesh holds it."""
+    if isinstance(material, trimesh.visual.material.PBRMaterial):
+        image, factor = material.baseColorTexture, material.baseColorFactor
+        # trimesh keeps the factor as bytes.
+        colour = np.ones(3) if factor is None else np.asarray(factor, dtype=np.float64)[:3] / 255.0
+    elif isinstance(material, trimesh.visual.material.SimpleMaterial):
+        # Its diffuse colour is 0.4 where the MTL gives none; what the file says stands under its own key.
+        image = material.image
+        colour = np.asarray(material.kwargs.get("kd", np.ones(3)), dtype=np.float64)
+    else:
+        return None, np.ones(3)
+    if image is None:
+        return None, colour
+    if id(image) not in pictures:
+        pictures[id(image)] = linear_light(image)
+    return pictures[id(image)], colour
+
+
+_FACET_OF_VERTEX_ZERO = re.compile(r"^[ \t]*f[ \t](?:.*[ \t])?0(?:[/ \t].*)?$", re.MULTILINE)
+_MATERIAL_FILE = re.compile(r"^[ \t]*mtllib[ \t]+(.+?)\s*$", re.MULTILINE)
+_PICTURE_FILE = re.compile(r"^[ \t]*map_Kd[ \t]+(.+?)\s*$", re.MULTILINE)
+
+
+def _check_obj(path: Path) -> None:
+    """Raise what trimesh passes over: a corner numbered 0, a material file or picture that is not there."""
+    text = path.read_text(encoding="utf-8", errors="replace")
+    if zero := _FACET_OF_VERTEX_ZERO.search(text):
+        line = text.count("\n", 0, zero.start()) + 1
+        raise MeshError(f"{path}: line {line}: a facet names vertex 0; OBJ counts from 1 (or back from -1)")
+    for name in _MATERIAL_FILE.findall(text):
+        library = path.parent / name
+        if not library.is_file():
+            raise MeshError(f"{path}: its material file {name} is not there; add it or delete the mtllib line")
+        for value in _PICTURE_FILE.findall(library.read_text(encoding="utf-8", errors="replace")):
+            # Options such as -s 1 1 1 stand before the name.
+            picture = value.split()[-1] if value.startswith("-") else value
+            if not (library.parent / picture).is_file():
+                raise MeshError(f"{library}: its picture {picture} is not there; add it or delete the map_Kd line")
+
+
+def _check_off_count(path: Path, facets: int) -> None:
+    """Raise if fewer facets were read than the file's header counts."""
+    lines = (line.split("#")[0] for line in path.read_text(errors="replace").splitlines())
+    numbers = [word for line in lines for word in line.split() if not word.upper().endswith("OFF")]
+    promised = int(numbers[1])
+    if facets < promised:
+        raise MeshError(f"{path}: cut short: its header counts {promised} facets, {facets} could be read")

@@ -1,0 +1,144 @@
+"""Meshes of the primitive targets, and where in a picture their corners lie.
+
+A picture lies on a face so that it appears upright in views and previews: its columns run along +x and its
+rows along +y where the face looks along +z, towards the camera (the raw image, turned by 180°, has +x to its
+right and +y down). On every other face the columns, the rows and the outward normal make a right-handed
+frame, as they do there.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lfmesh.geometry.mesh import Array, Index, Mesh
+from lfmesh.geometry.tessellation import disk_pattern, revolved
+from lfmesh.geometry.weld import welded
+from lfmesh.scene.targets import Box, Cylinder, Disk, Plane, Shape, Sphere
+
+RINGS = 20
+"""Of triangles, in a disk. Its 120 chords leave 3.4e-4 of the radius, a sphere's facets of 3° 6.9e-4."""
+
+AZIMUTHS = 6 * RINGS
+
+
+class Primitive(NamedTuple):
+    """A mesh in its own frame, mm, and the place (m, 3, 2) of every facet's corners in a picture."""
+
+    mesh: Mesh
+    uv: Array
+
+
+def primitive(shape: Shape) -> Primitive:
+    """Return the mesh of a shape in its own frame."""
+    return _MAKERS[type(shape)](shape)
+
+
+def plane(shape: Plane) -> Primitive:
+    """Return a rectangle that faces +z, of two facets."""
+    corners = _SQUARE * [0.5 * shape.width_mm, 0.5 * shape.height_mm]
+    return Primitive(Mesh(_at_height(corners, 0.0), _TWO_FACETS), _uv(_SQUARE)[_TWO_FACETS])
+
+
+def disk(shape: Disk) -> Primitive:
+    """Return a disk that faces +z; its bounding square spans the picture."""
+    points, faces = _unit_disk()
+    return Primitive(Mesh(_at_height(points * shape.radius_mm, 0.0), faces), _uv(points)[faces])
+
+
+def box(shape: Box) -> Primitive:
+    """Return a box of twelve facets; every face carries the whole picture."""
+    half = 0.5 * np.array(shape.size_mm)
+    vertices = np.concatenate(
+        [(_SQUARE @ np.array([column, row]) + np.cross(column, row)) * half for column, row in _BOX_FACES]
+    )
+    faces = np.concatenate([_TWO_FACETS + 4 * k for k in range(len(_BOX_FACES))])
+    uv = np.tile(_uv(_SQUARE)[_TWO_FACETS], (len(_BOX_FACES), 1, 1))
+    return Primitive(welded(Mesh(vertices, faces)), uv)
+
+
+def sphere(shape: Sphere) -> Primitive:
+    """Return a sphere; its picture is an equirectangular map: centre towards +z, poles on the y axis."""
+    meridians, parallels = AZIMUTHS, AZIMUTHS // 2
+    u, v = np.arange(meridians + 1) / meridians, np.arange(parallels + 1) / parallels
+    longitude, latitude = np.pi * (2.0 * u - 1.0), np.pi * (v - 0.5)
+    # The seam and the poles close exactly.
+    longitude[-1] = longitude[0]
+    around = np.cos(latitude)
+    around[[0, -1]] = 0.0
+    unit = np.stack(
+        [
+            np.outer(around, np.sin(longitude)),
+            np.outer(np.sin(latitude), np.ones(meridians + 1)),
+            np.outer(around, np.cos(longitude)),
+        ],
+        axis=-1,
+    )
+    number = np.arange(unit[..., 0].size).reshape(unit.shape[:2])
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
+    # At a pole a cell has one facet instead of two.
+    lower, upper = np.stack([a, b, c], axis=-1)[1:], np.stack([a, c, d], axis=-1)[:-1]
+    faces = np.concatenate([lower.reshape(-1, 3), upper.reshape(-1, 3)])
+    places = np.stack(np.broadcast_arrays(u, 1.0 - v[:, None]), axis=-1).reshape(-1, 2)
+    return Primitive(welded(Mesh(shape.radius_mm * unit.reshape(-1, 3), faces)), places[faces])
+
+
+def cylinder(shape: Cylinder) -> Primitive:
+    """Return a closed cylinder along z.
+
+    Its ends carry the picture as a disk does; the wall carries it once round, columns counter-clockwise about
+    +z, rows along +z.
+    """
+    points, faces = _unit_disk()
+    half = 0.5 * shape.height_mm
+    rim = shape.radius_mm
+    # The polyline runs towards -z, so that the wall faces away from the axis.
+    wall = revolved(np.array([[rim, half], [rim, -half]]), AZIMUTHS)
+    front, back = _at_height(points * rim, half), _at_height(points * rim, -half)
+    uv_disk = _uv(points)
+    # Seen from behind, x is turned round: the picture's columns run along -x there.
+    uv_back = _uv(points * [-1.0, 1.0])
+    # `revolved` lays the circle at +z first. Where a facet closes the round, u is 1, not 0.
+    turn = wall.faces % AZIMUTHS / AZIMUTHS
+    turn = np.where((turn == 0.0) & (turn.max(axis=1, keepdims=True) > 0.5), 1.0, turn)
+    uv_wall = np.stack([turn, wall.faces >= AZIMUTHS], axis=-1).astype(np.float64)
+    vertices = np.concatenate([front, back, wall.vertices])
+    joint = np.concatenate([faces, faces[:, ::-1] + len(points), wall.faces + 2 * len(points)])
+    uv = np.concatenate([uv_disk[faces], uv_back[faces[:, ::-1]], uv_wall])
+    return Primitive(welded(Mesh(vertices, joint)), uv)
+
+
+_SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+_TWO_FACETS = np.array([[0, 1, 2], [0, 2, 3]])
+
+_BOX_FACES = (
+    ((1, 0, 0), (0, 1, 0)),
+    ((-1, 0, 0), (0, 1, 0)),
+    ((0, 0, -1), (0, 1, 0)),
+    ((0, 0, 1), (0, 1, 0)),
+    ((1, 0, 0), (0, 0, -1)),
+    ((1, 0, 0), (0, 0, 1)),
+)
+"""Directions of a picture's columns and rows on the faces that look along +z, -z, +x, -x, +y, -y."""
+
+_MAKERS: dict[type, Callable[[Any], Primitive]] = {
+    Plane: plane,
+    Disk: disk,
+    Box: box,
+    Sphere: sphere,
+    Cylinder: cylinder,
+}
+
+
+def _uv(points: Array) -> Array:
+    """Place points of the square from -1 to 1 (columns, rows) in a picture whose row 0 is at v = 1."""
+    return np.stack([0.5 + 0.5 * points[..., 0], 0.5 - 0.5 * points[..., 1]], axis=-1)
+
+
+def _at_height(points: Array, z: float) -> Array:
+    return np.column_stack([points, np.full(len(points), z)])
+
+
+def _unit_disk() -> tuple[Array, Index]:
+    ring, azimuth, faces = disk_pattern(RINGS)
+    return (ring / RINGS)[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)]), faces

@@ -1,0 +1,235 @@
+"""Exact surfaces of revolution: plane, conic, even asphere. Sag, normal and where a ray meets them.
+
+A surface is one record of `SURFACE`; its coordinates have the origin at the vertex and z along the axis, so a table
+of them (one a refracting surface) is what the kernels read. The sag is
+
+    z(r) = c r² / (1 + sqrt(1 − (1 + k) c² r²)) + a₄ r⁴ + a₆ r⁶ + ...
+
+with curvature c = 1 / radius and conic constant k (ISO 10110-12).
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfmesh.kernel import inlined, kernel
+
+MAX_ASPHERE_TERMS = 10
+
+SURFACE = np.dtype(
+    [
+        ("curvature", "f8"),
+        ("conic", "f8"),
+        ("asphere", "f8", (MAX_ASPHERE_TERMS,)),
+        ("terms", "i8"),
+        ("vertex_z", "f8"),
+        ("aperture", "f8"),  # semi-diameter of the clear aperture
+        ("stop", "i8"),  # 1: outside the aperture is the stop, 0: the mount
+    ]
+)
+
+NEWTON_STEPS = 12
+
+
+def surface(
+    radius_mm: float,
+    conic: float = 0.0,
+    asphere_mm: ArrayLike = (),
+    *,
+    vertex_z: float = 0.0,
+    aperture: float = np.inf,
+    stop: bool = False,
+) -> np.void:
+    """Return one `SURFACE` record. `asphere_mm` holds the coefficients of r⁴, r⁶, ..."""
+    record = np.zeros(1, SURFACE)[0]
+    record["curvature"] = 0.0 if np.isinf(radius_mm) else 1.0 / radius_mm
+    record["conic"] = conic
+    coefficients = np.trim_zeros(np.asarray(asphere_mm, dtype=np.float64), "b")
+    record["terms"] = len(coefficients)
+    record["asphere"][: len(coefficients)] = coefficients
+    record["vertex_z"] = vertex_z
+    record["aperture"] = aperture
+    record["stop"] = stop
+    return record
+
+
+def sag(of: Any, r: ArrayLike) -> NDArray[np.float64]:
+    """Return the sag in mm at the radii `r` (any shape, mm); NaN where the surface does not reach."""
+    r2 = np.square(np.asarray(r, dtype=np.float64))
+    c, k = of["curvature"], of["conic"]
+    with np.errstate(invalid="ignore"):
+        z = c * r2 / (1.0 + np.sqrt(1.0 - (1.0 + k) * c * c * r2))
+    power = r2
+    for a in of["asphere"][: of["terms"]]:
+        power = power * r2
+        z = z + a * power
+    return z
+
+
+def slope(of: Any, r: ArrayLike) -> NDArray[np.float64]:
+    """Return dz/dr at the radii `r`."""
+    r = np.asarray(r, dtype=np.float64)
+    r2 = r * r
+    c, k = of["curvature"], of["conic"]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        result = c * r / np.sqrt(1.0 - (1.0 + k) * c * c * r2)
+    power = r
+    for term, a in enumerate(of["asphere"][: of["terms"]]):
+        power = power * r2
+        result = result + (2 * term + 4) * a * power
+    return result
+
+
+def normals(of: Any, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+    """Return (n, 3) unit normals, towards +z, at the points (x, y) of the surface."""
+    x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    r = np.hypot(x, y)
+    tilt = slope(of, r)
+    radial = np.divide(tilt, r, out=np.zeros_like(r), where=r > 0)
+    n = np.stack([-radial * x, -radial * y, np.ones_like(x)], axis=-1)
+    return np.asarray(n / np.linalg.norm(n, axis=-1, keepdims=True))
+
+
+def reach(of: Any) -> float:
+    """Return the largest radius at which the surface exists, mm; inf when it has no rim of its own."""
+    c, k = of["curvature"], of["conic"]
+    return float(1.0 / (abs(c) * np.sqrt(1.0 + k))) if c != 0.0 and k > -1.0 else np.inf
+
+
+@kernel
+def sag_at(s: Any, r2: float) -> float:
+    """Return the sag at squared radius r² (scalar; NaN where the surface does not reach)."""
+    c = s.curvature
+    z = c * r2 / (1.0 + np.sqrt(1.0 - (1.0 + s.conic) * c * c * r2))
+    power = r2
+    for i in range(s.terms):
+        power *= r2
+        z += s.asphere[i] * power
+    return z
+
+
+@kernel
+def half_slope_at(s: Any, r2: float) -> float:
+    """Return dz/d(r²), which the axis does not trouble: the gradient of the sag is twice this times (x, y)."""
+    c = s.curvature
+    slope = 0.5 * c / np.sqrt(1.0 - (1.0 + s.conic) * c * c * r2)
+    power = r2
+    for i in range(s.terms):
+        slope += (i + 2) * s.asphere[i] * power
+        power *= r2
+    return slope
+
+
+@inlined
+def normal_at(s: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return the unit normal, towards +z on the sheet of the vertex, at a point of the surface."""
+    if s.terms == 0:
+        c = s.curvature
+        nx, ny, nz = -c * x, -c * y, 1.0 - c * (1.0 + s.conic) * z
+        if s.conic == 0.0:
+            # A sphere's is of unit length as it stands, to the rounding of the point.
+            return nx, ny, nz
+    else:
+        g = 2.0 * half_slope_at(s, x * x + y * y)
+        nx, ny, nz = -g * x, -g * y, 1.0
+    scale = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz)
+    return nx * scale, ny * scale, nz * scale
+
+
+@inlined
+def conic_distance(
+    c: float, k: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
+) -> tuple[bool, float]:
+    """Return whether, and at which distance t along the ray, it crosses a conic in a given sense.
+
+    Of the quadratic's two roots, one crosses along the normal (towards +z on the vertex's sheet), the other against
+    it, and a caller that knows the medium it is in knows which it wants. The caller starts from a point close to the
+    surface (where the ray crosses the facet that Embree found), so t is a small correction, of either sign, and its
+    rounding error is that of the facet's size, not of the ray's length.
+
+    Parameters
+    ----------
+    sense : float
+        1 to cross along the normal, −1 against it.
+    """
+    q = 1.0 + k
+    a = c * (dx * dx + dy * dy + q * dz * dz)
+    b = c * (x * dx + y * dy + q * z * dz) - dz
+    g = c * (x * x + y * y + q * z * z) - 2.0 * z
+    root = b * b - a * g
+    if not root >= 0.0:
+        return False, 0.0
+    # Normal · direction is sense · sqrt(root) at t = (−b − sense √) / a = g / (−b + sense √): take the form in which
+    # nothing cancels.
+    signed = np.copysign(np.sqrt(root), sense)
+    above, below = g, signed - b
+    if signed * b > 0.0:
+        above, below = -b - signed, a
+    if below == 0.0:
+        return False, 0.0
+    return True, above / below
+
+
+@inlined
+def distance_to(
+    s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
+) -> tuple[bool, float]:
+    """Return whether and where a ray that starts close to a surface crosses it; see `conic_distance`."""
+    meets, t = conic_distance(s.curvature, s.conic, x, y, z, dx, dy, dz, sense)
+    if s.terms > 0:
+        meets, t = _asphere_distance(s, x, y, z, dx, dy, dz, t)
+    return meets, t
+
+
+@kernel
+def _height(s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, t: float) -> float:
+    """Return how far the ray's point at t stands above the surface, along z."""
+    px, py = x + t * dx, y + t * dy
+    return z + t * dz - sag_at(s, px * px + py * py)
+
+
+@kernel
+def _asphere_distance(
+    s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, start: float
+) -> tuple[bool, float]:
+    """Solve height(t) = 0 by Newton's method from `start`, and by bisection where Newton does not settle."""
+    t = start
+    scale = abs(x) + abs(y) + abs(z) + abs(start)
+    for _ in range(NEWTON_STEPS):
+        px, py = x + t * dx, y + t * dy
+        r2 = px * px + py * py
+        rate = dz - 2.0 * half_slope_at(s, r2) * (px * dx + py * dy)
+        step = (z + t * dz - sag_at(s, r2)) / rate
+        if not abs(step) < np.inf:
+            break
+        t -= step
+        if abs(step) <= 4e-16 * (scale + abs(t)):
+            return True, t
+    return _bracketed_distance(s, x, y, z, dx, dy, dz, start)
+
+
+@kernel
+def _bracketed_distance(
+    s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, start: float
+) -> tuple[bool, float]:
+    """Bracket the root nearest to `start` by doubling steps to both sides, then bisect."""
+    reach = 1e-6 * (1.0 + abs(start))
+    here = _height(s, x, y, z, dx, dy, dz, start)
+    for _ in range(40):
+        for side in (1.0, -1.0):
+            far = start + side * reach
+            there = _height(s, x, y, z, dx, dy, dz, far)
+            if here * there <= 0.0:
+                low, high = start, far
+                for _ in range(200):
+                    middle = 0.5 * (low + high)
+                    if middle in (low, high):
+                        break
+                    if here * _height(s, x, y, z, dx, dy, dz, middle) > 0.0:
+                        low = middle
+                    else:
+                        high = middle
+                return True, 0.5 * (low + high)
+        reach *= 2.0
+    return False, 0.0

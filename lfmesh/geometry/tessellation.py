@@ -1,0 +1,162 @@
+"""From exact surfaces of revolution to meshes: caps, the rings that close the space between two caps, solids.
+
+All caps of one lens have the same number of rings of triangles, so that the rims of neighbouring surfaces have the
+same number of vertices at the same azimuths and a ring joins them without a gap.
+"""
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import SceneError
+from lfmesh.geometry.mesh import Array, Index, Mesh, joined
+from lfmesh.geometry.surface import normals, reach, sag, slope
+
+OVERREACH = 0.02
+"""How far a mesh reaches beyond its clear aperture, relative; the aperture itself is cut in float64."""
+
+MAX_RINGS = 120
+
+ANNULUS_LEAN = 0.05
+"""Rise of a ring's annulus over the length of its cylinder."""
+
+
+def disk_pattern(rings: int) -> tuple[Index, Array, Index]:
+    """Return the topology of a disk: (v,) ring of each vertex, (v,) azimuth in rad, (f, 3) faces facing +z.
+
+    Ring i has 6 i vertices, so that triangles stay near equilateral: 6 rings² faces in all.
+    """
+    ring = np.repeat(np.arange(rings + 1), [1, *(6 * i for i in range(1, rings + 1))])
+    azimuth = np.concatenate([[0.0], *(2 * np.pi * np.arange(6 * i) / (6 * i) for i in range(1, rings + 1))])
+    first = np.concatenate([[0], 1 + 3 * np.arange(rings) * (np.arange(rings) + 1)])
+    faces = []
+    for i in range(1, rings + 1):
+        inner, outer = max(6 * (i - 1), 1), 6 * i
+        for sector in range(6):
+            for step in range(i):
+                a = first[i] + (sector * i + step) % outer
+                b = first[i] + (sector * i + step + 1) % outer
+                c = first[i - 1] + (sector * (i - 1) + step) % inner
+                faces.append((a, b, c))
+                if step < i - 1:
+                    faces.append((b, first[i - 1] + (sector * (i - 1) + step + 1) % inner, c))
+    return ring.astype(np.int64), azimuth, np.array(faces, dtype=np.int64)
+
+
+def rim_radius(of: Any, rings: int, overreach: float = OVERREACH) -> float:
+    """Return the radius of the mesh's rim: its edges, chords of that circle, stay outside the clear aperture."""
+    wished = of["aperture"] * (1.0 + overreach) / np.cos(np.pi / (6 * rings))
+    return float(min(wished, reach(of) * (1.0 - 1e-12)))
+
+
+def ring_radii(of: Any, rings: int, rim: float) -> Array:
+    """Return (rings + 1,) radii equally spaced along the meridian's arc, so that steep rims get their share."""
+    # Sampled in the angle of a quarter turn, whose points crowd at the rim, where a hemisphere's slope runs away.
+    fine = rim * np.sin(np.linspace(0.0, 0.5 * np.pi, 2049))
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(fine), np.diff(sag(of, fine))))])
+    radii = np.interp(np.linspace(0.0, arc[-1], rings + 1), arc, fine)
+    radii[-1] = rim
+    return radii
+
+
+def cap(of: Any, rings: int, rim: float) -> Mesh:
+    """Return the mesh of a surface out to `rim`, facing +z, in the frame of the lens, with exact corner normals."""
+    ring, azimuth, faces = disk_pattern(rings)
+    r = ring_radii(of, rings, rim)[ring]
+    x, y = r * np.cos(azimuth), r * np.sin(azimuth)
+    vertices = np.column_stack([x, y, sag(of, r) + of["vertex_z"]])
+    return Mesh(vertices, faces, normals(of, x, y)[faces])
+
+
+def revolved(profile: Array, azimuths: int) -> Mesh:
+    """Return the mesh of a meridional polyline (n, 2) of (r, z) turned about the axis.
+
+    It faces the axis where the polyline runs towards +z. The azimuths are those of a cap's rim: the ends meet it.
+    """
+    phi = 2 * np.pi * np.arange(azimuths) / azimuths
+    r, z = profile[:, :1], profile[:, 1:]
+    vertices = np.stack([r * np.cos(phi), r * np.sin(phi), np.broadcast_to(z, (len(z), azimuths))], axis=-1)
+    here = np.arange(azimuths)
+    there = (here + 1) % azimuths
+    faces = []
+    for k in range(len(profile) - 1):
+        low, high = k * azimuths, (k + 1) * azimuths
+        faces.append(np.column_stack([low + here, high + here, low + there]))
+        faces.append(np.column_stack([low + there, high + here, high + there]))
+    return Mesh(vertices.reshape(-1, 3), np.concatenate(faces).astype(np.int64))
+
+
+def ring_profile(front: Any, front_rim: float, back: Any, back_rim: float) -> Array:
+    """Return the meridional polyline, front rim to back rim, that closes the space between two surfaces.
+
+    A cylinder at the larger radius with a flat annulus to the smaller rim, as lenses are made, unless that would cut
+    one of the surfaces; then a cone.
+    """
+    a = np.array([front_rim, front["vertex_z"] + sag(front, front_rim)])
+    b = np.array([back_rim, back["vertex_z"] + sag(back, back_rim)])
+    narrow, wide = (a, b) if a[0] < b[0] else (b, a)
+    # The annulus leans into its own space: in one plane with the neighbour's, neither would be the first to be met.
+    corner = np.array([wide[0], narrow[1] + ANNULUS_LEAN * (wide[1] - narrow[1])])
+    turned = np.stack([a, corner, b]) if a[0] != b[0] else np.stack([a, b])
+    for profile in (turned, np.stack([a, b])):
+        if b[1] >= a[1] - abs(b[0] - a[0]) and _clears(profile, front, front_rim, back, back_rim):
+            return profile
+    raise SceneError(
+        f"the rims of two neighbouring surfaces cross: one reaches z = {a[1]:.6g} mm at radius {a[0]:.6g} mm, the next "
+        f"z = {b[1]:.6g} mm at {b[0]:.6g} mm; give more thickness or smaller semi-diameters"
+    )
+
+
+def _clears(profile: Array, front: Any, front_rim: float, back: Any, back_rim: float) -> bool:
+    """Tell whether a profile stays behind the front surface and before the back one."""
+    share = np.linspace(0.0, 1.0, 129)[1:-1, None]
+    points = np.concatenate([p + share * (q - p) for p, q in pairwise(profile)])
+    r, z = points[:, 0], points[:, 1]
+    before = (r < front_rim) & (z < front["vertex_z"] + sag(front, np.minimum(r, front_rim)))
+    behind = (r < back_rim) & (z > back["vertex_z"] + sag(back, np.minimum(r, back_rim)))
+    return not bool(np.any(before | behind))
+
+
+def chord_error(of: Any, rings: int, rim: float) -> float:
+    """Return a bound of the distance along z between the surface and its mesh, mm: along meridian and parallel."""
+    r = ring_radii(of, rings, rim)
+    middle = 0.5 * (r[1:] + r[:-1])
+    z = sag(of, r)
+    radial = np.abs(sag(of, middle) - 0.5 * (z[1:] + z[:-1])).max()
+    # A chord of ring i lies inside the circle by r (1 − cos(π/6i)), which the slope turns into sag.
+    i = np.arange(1, rings + 1)
+    around = (np.abs(slope(of, np.minimum(r[1:], 0.999 * reach(of)))) * r[1:] * (1 - np.cos(np.pi / (6 * i)))).max()
+    return float(radial + around)
+
+
+def rings_for(surfaces: NDArray[np.void], least: int, tolerance_mm: float = np.inf) -> int:
+    """Return how many rings keep every mesh clear of its neighbours and within a sag tolerance.
+
+    Two neighbouring meshes must not cross: the errors of both together stay below half of the smallest gap between
+    their surfaces inside the smaller rim.
+    """
+    rings = least
+    while rings < MAX_RINGS:
+        rims = [rim_radius(s, rings) for s in surfaces]
+        errors = [chord_error(s, rings, rim) for s, rim in zip(surfaces, rims, strict=True)]
+        fits = max(errors, default=0.0) <= tolerance_mm
+        for k in range(len(surfaces) - 1):
+            gap = smallest_gap(surfaces[k], surfaces[k + 1], min(rims[k], rims[k + 1]))
+            fits = fits and errors[k] + errors[k + 1] <= 0.5 * gap
+        if fits:
+            break
+        rings = max(rings + 1, int(rings * 1.2))
+    return min(rings, MAX_RINGS)
+
+
+def smallest_gap(front: Any, back: Any, radius: float) -> float:
+    """Return the smallest distance along z between two surfaces out to a radius, mm."""
+    r = np.linspace(0.0, min(radius, reach(front), reach(back)), 257)
+    return float((back["vertex_z"] + sag(back, r) - front["vertex_z"] - sag(front, r)).min())
+
+
+def element(front: Mesh, ring: Mesh, back: Mesh) -> Mesh:
+    """Return the closed solid between two caps (facing +z) and the ring (facing the axis), outward-oriented."""
+    return joined([front.flipped(), ring.flipped(), back])

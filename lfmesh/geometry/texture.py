@@ -1,0 +1,83 @@
+"""Pictures on targets: files to linear light, and what an RGB value means at a wavelength."""
+
+from pathlib import Path
+
+import numpy as np
+import PIL
+import PIL.Image
+import PIL.ImageOps
+from numpy.typing import NDArray
+
+from lfmesh.errors import FileError
+from lfmesh.geometry.png16 import is_deep_png, read_deep_png
+
+Texture = NDArray[np.float32]
+"""(h, w, 3) linear light, 0 to 1; row 0 is the top of the picture."""
+
+BLUE_NM, GREEN_NM, RED_NM = 450.0, 550.0, 610.0
+"""Wavelengths at which one channel alone counts."""
+
+
+def load_texture(path: Path) -> Texture:
+    """Read a picture as linear light.
+
+    Parameters
+    ----------
+    path : Path
+        PNG (8 or 16 bit), JPEG, or what else Pillow reads; grey or RGB, sRGB-coded. Transparency is ignored,
+        a photograph is turned upright by its own record.
+
+    Returns
+    -------
+    (h, w, 3) float32
+        Linear light, 0 to 1.
+
+    Raises
+    ------
+    FileError
+        The file is not there or is no picture.
+    """
+    path = Path(path)
+    if not path.is_file():
+        found = "is a folder" if path.is_dir() else "does not exist"
+        raise FileError(f"{path}: the texture {found}; give a picture (PNG or JPEG)")
+    try:
+        if is_deep_png(path):
+            return srgb_to_linear(read_deep_png(path))
+        with PIL.Image.open(path) as picture:
+            return linear_light(PIL.ImageOps.exif_transpose(picture))
+    except FileError:
+        raise
+    except (OSError, SyntaxError, ValueError, PIL.Image.DecompressionBombError) as error:
+        unknown = isinstance(error, PIL.UnidentifiedImageError)
+        reason = "not a picture" if unknown else f"a broken picture ({error})"
+        raise FileError(f"{path}: {reason}; a texture is a PNG or JPEG") from None
+
+
+def linear_light(picture: PIL.Image.Image) -> Texture:
+    """Return a Pillow image as (h, w, 3) linear light.
+
+    16-bit grey is taken as it is; every other mode as 8-bit RGB, without its transparency.
+    """
+    if picture.mode.startswith("I;16"):
+        coded = np.asarray(picture, dtype=np.float64) / 65535.0
+        return srgb_to_linear(np.repeat(coded[:, :, None], 3, axis=2))
+    linear_of_byte = srgb_to_linear(np.arange(256) / 255.0)
+    return np.take(linear_of_byte, np.asarray(picture.convert("RGB")))
+
+
+def srgb_to_linear(coded: NDArray[np.float64]) -> Texture:
+    """Undo the sRGB transfer function (IEC 61966-2-1) of values from 0 to 1."""
+    linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
+    return np.asarray(linear, dtype=np.float32)
+
+
+def wavelength_weights(wavelength_nm: float) -> NDArray[np.float64]:
+    """Return the (3,) weights of red, green and blue at a wavelength.
+
+    Hat functions between 450, 550 and 610 nm, constant beyond the ends. They sum to one, so grey is grey at
+    every wavelength.
+    """
+    centres = (BLUE_NM, GREEN_NM, RED_NM)
+    blue, green, red = (np.interp(wavelength_nm, centres, unit) for unit in np.eye(3))
+    return np.array([red, green, blue])

@@ -1,0 +1,36 @@
+"""Lambertian scattering and emission: directions with a density of cos θ / π, and frames to put them in."""
+
+import numpy as np
+
+from lfmesh.kernel import kernel
+
+
+@kernel
+def tangents(nx: float, ny: float, nz: float) -> tuple[float, float, float, float, float, float]:
+    """Return two unit vectors square to a unit normal and to each other (Duff et al., JCGT 6(1), 2017)."""
+    sign = np.copysign(1.0, nz)
+    a = -1.0 / (sign + nz)
+    b = nx * ny * a
+    return 1.0 + sign * nx * nx * a, sign * b, -sign * nx, b, sign + ny * ny * a, -ny
+
+
+@kernel
+def about(nx: float, ny: float, nz: float, cos_theta: float, phi: float) -> tuple[float, float, float]:
+    """Return the unit direction at polar angle θ and azimuth φ about a unit axis."""
+    ux, uy, uz, vx, vy, vz = tangents(nx, ny, nz)
+    sin_theta = np.sqrt(max(0.0, (1.0 - cos_theta) * (1.0 + cos_theta)))
+    a, b = sin_theta * np.cos(phi), sin_theta * np.sin(phi)
+    return (
+        a * ux + b * vx + cos_theta * nx,
+        a * uy + b * vy + cos_theta * ny,
+        a * uz + b * vz + cos_theta * nz,
+    )
+
+
+@kernel
+def lambertian(nx: float, ny: float, nz: float, u: float, v: float) -> tuple[float, float, float]:
+    """Return a direction about the normal with density cos θ / π, from two uniform numbers.
+
+    The zenith angle of the paper's equation 1: cos 2θ = 1 − 2u.
+    """
+    return about(nx, ny, nz, np.sqrt(1.0 - u), 2.0 * np.pi * v)

@@ -1,0 +1,46 @@
+"""What the user writes: the scene's models, its file, and its first-order optics."""
+
+from lfmesh.scene.array import ArrayForm, MicrolensArray
+from lfmesh.scene.camera import Camera
+from lfmesh.scene.files import load, load_lens, loads
+from lfmesh.scene.lens import Lens, Surface
+from lfmesh.scene.lights import DirectionalLight, DiskLight, Light, PointLight
+from lfmesh.scene.paraxial import Paraxial
+from lfmesh.scene.pose import Pose
+from lfmesh.scene.report import FirstOrder, first_order
+from lfmesh.scene.scene import Scene
+from lfmesh.scene.sensor import Sensor
+from lfmesh.scene.solve import solved
+from lfmesh.scene.targets import Box, Cylinder, Disk, Material, Plane, Shape, Sphere, Target
+from lfmesh.scene.transport import Transport
+
+__all__ = [
+    "ArrayForm",
+    "Box",
+    "Camera",
+    "Cylinder",
+    "DirectionalLight",
+    "Disk",
+    "DiskLight",
+    "FirstOrder",
+    "Lens",
+    "Light",
+    "Material",
+    "MicrolensArray",
+    "Paraxial",
+    "Plane",
+    "PointLight",
+    "Pose",
+    "Scene",
+    "Sensor",
+    "Shape",
+    "Sphere",
+    "Surface",
+    "Target",
+    "Transport",
+    "first_order",
+    "load",
+    "load_lens",
+    "loads",
+    "solved",
+]

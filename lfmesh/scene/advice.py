@@ -1,0 +1,175 @@
+"""Warnings in plain words: what is allowed, but likely to disappoint."""
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from lfmesh.scene.paraxial import Paraxial
+from lfmesh.scene.scene import Scene
+from lfmesh.scene.solve import image_plane_mm
+from lfmesh.scene.targets import Box, Cylinder, Disk, Plane, Sphere, Target
+
+if TYPE_CHECKING:
+    from lfmesh.scene.report import FirstOrder
+
+# Differences below these shares are ordinary tolerances of a design, not worth a word.
+_F_NUMBER_TOLERANCE = 0.1
+_TOUCHING_TOLERANCE = 0.02
+
+
+def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
+    """Return the warnings of a solved scene, given its first-order facts."""
+    return (
+        *_focus(scene, facts),
+        *_apertures(scene),
+        *_micro_images(scene, facts),
+        *_coverage(scene),
+        *_targets(scene, facts),
+        *_light(scene),
+    )
+
+
+def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
+    focus, distance = scene.camera.focus_mm, facts.object_distance_mm
+    plane = "array" if scene.camera.mla is not None else "sensor"
+    if facts.efl_mm < 0:
+        yield f"the lens diverges (focal length {facts.efl_mm:.4g} mm): it forms no real image of an object"
+    elif distance < 0:
+        inside = facts.rear_principal_plane_z_mm + facts.efl_mm - facts.image_z_mm
+        yield (
+            f"the {plane} stands {inside:.4g} mm inside the focal length: the camera is focused beyond "
+            "infinity, and no object is sharp"
+        )
+    elif focus is not None and focus <= -facts.ffl_mm:
+        yield (
+            f"focus_mm = {focus:g} is inside the focal length: the front focal point lies "
+            f"{-facts.ffl_mm:.4g} mm before the lens"
+        )
+    elif focus is not None and abs(focus - distance) > 1e-3 * focus:
+        yield (
+            f"focus_mm = {focus:g}, but the distances given focus on {distance:.6g} mm; omit "
+            f"{'mla' if scene.camera.mla is not None else 'sensor'}.distance_mm to have it solved"
+        )
+
+
+def _apertures(scene: Scene) -> Iterator[str]:
+    """Compare the axial beam that the stop lets through with every clear aperture."""
+    camera, wavelength = scene.camera, scene.transport.primary_nm
+    surfaces = camera.lens.surfaces
+    lens = Paraxial.of(camera.lens, wavelength)
+    stop = surfaces[lens.stop]
+    radius = stop.semi_diameter_mm or math.nan
+    marginal = lens.marginal_ray(lens.object_mm(image_plane_mm(camera, wavelength)), radius)
+    for number, height in enumerate(lens.heights_mm(marginal)):
+        clear = surfaces[number].semi_diameter_mm or math.inf
+        if number != lens.stop and abs(height) > clear * (1 + 1e-6):
+            yield (
+                f"the stop is larger than a clear aperture: its axial beam is {2 * abs(height):.4g} mm wide "
+                f"on surfaces[{number}], whose clear aperture is {2 * clear:.4g} mm; that surface limits the "
+                "light, not the stop"
+            )
+
+
+def _micro_images(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
+    diameter, pitch, microlens = (
+        facts.micro_image_diameter_px,
+        facts.micro_image_pitch_px,
+        facts.microlens_f_number,
+    )
+    mla = scene.camera.mla
+    if mla is None or diameter is None or pitch is None or microlens is None:
+        return
+    if abs(facts.working_f_number / microlens - 1) > _F_NUMBER_TOLERANCE:
+        yield (
+            f"the f-numbers do not match: the lens works at f/{facts.working_f_number:.3g}, the "
+            f"microlenses at f/{microlens:.3g}"
+        )
+    if diameter > pitch * (1 + _TOUCHING_TOLERANCE):
+        yield (
+            f"micro-images overlap: they are {diameter:.4g} pixels wide and {pitch:.4g} apart; stop the lens "
+            f"down to f/{facts.working_f_number * diameter / pitch:.3g}"
+        )
+    elif diameter < pitch * (1 - _F_NUMBER_TOLERANCE):
+        cell = mla.row_pitch_mm / mla.pitch_mm * pitch**2
+        yield (
+            f"micro-images leave gaps: they are {diameter:.4g} pixels wide and {pitch:.4g} apart; "
+            f"{1 - math.pi / 4 * diameter**2 / cell:.0%} of the pixels stay dark"
+        )
+    if pitch < 2:
+        yield f"micro-images are {pitch:.3g} pixels apart: too few to tell directions"
+
+
+def _coverage(scene: Scene) -> Iterator[str]:
+    mla, sensor = scene.camera.mla, scene.camera.sensor
+    if mla is None:
+        return
+    for side, lenslets, pixels in zip(("wide", "high"), mla.size_mm, sensor.size_mm, strict=True):
+        if pixels < 0.9 * lenslets:
+            yield f"the sensor is {pixels:.4g} mm {side}, the array {lenslets:.4g} mm: outer ones go unseen"
+        elif lenslets < 0.9 * pixels:
+            yield f"the array is {lenslets:.4g} mm {side}, the sensor {pixels:.4g} mm: outer pixels stay dark"
+
+
+def _targets(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
+    """Judge targets by their place and size, for a camera that stands in the world frame."""
+    if any(scene.camera.pose.shift_mm) or any(scene.camera.pose.tilt_deg):
+        return
+    for number, target in enumerate(scene.targets):
+        name = f"targets[{number}]" + (f" ({target.name})" if target.name else "")
+        x, y, z = target.position_mm
+        reach = _reach_mm(target)
+        if reach is None:
+            continue
+        if z - reach > 0:
+            yield f"{name} is out of the field: z = {z:g} mm is behind the first vertex; objects have z < 0"
+        elif _outside(x, y, z, reach, facts):
+            yield (
+                f"{name} is out of the field: at z = {z:g} mm the camera sees "
+                f"{' × '.join(f'{2 * half:.4g}' for half in _half_field(z, facts))} mm round the axis"
+            )
+        elif not facts.near_mm <= -z + reach or not -z - reach <= facts.far_mm:
+            kind = "can be refocused" if facts.microlens_f_number is not None else "is sharp"
+            far = f"{facts.far_mm:.4g} mm" if math.isfinite(facts.far_mm) else "infinity"
+            yield f"{name} stands at {-z:g} mm, out of the range that {kind}: {facts.near_mm:.4g} mm to {far}"
+
+
+def _reach_mm(target: Target) -> float | None:
+    """Return the radius of a ball that holds the target's shape; None for a mesh, whose size is not known."""
+    match target.shape:
+        case Plane(width_mm=w, height_mm=h):
+            return math.hypot(w, h) / 2
+        case Disk(radius_mm=r) | Sphere(radius_mm=r):
+            return r
+        case Box(size_mm=size):
+            return math.hypot(*size) / 2
+        case Cylinder(radius_mm=r, height_mm=h):
+            return math.hypot(r, h / 2)
+        case _:
+            return None
+
+
+def _half_field(z_mm: float, facts: "FirstOrder") -> tuple[float, float]:
+    """Half width and height seen at a plane, by the chief rays through the middle of the entrance pupil."""
+    focus_z, pupil_z = -facts.object_distance_mm, facts.entrance_pupil_z_mm
+    if not math.isfinite(focus_z):
+        scale = abs(z_mm - pupil_z) / abs(facts.efl_mm)
+        width, height = (size * scale for size in facts.field_of_view_mm)
+    else:
+        scale = abs((z_mm - pupil_z) / (focus_z - pupil_z)) if math.isfinite(pupil_z) else 1.0
+        width, height = (size * scale for size in facts.field_of_view_mm)
+    # The pupil is not a point: off the plane in focus, the edge of the field is as soft as the beam is wide
+    # there.
+    blur = facts.entrance_pupil_diameter_mm * abs(1 - scale) if math.isfinite(scale) else 0.0
+    return (width + blur) / 2, (height + blur) / 2
+
+
+def _outside(x: float, y: float, z: float, reach: float, facts: "FirstOrder") -> bool:
+    half_width, half_height = _half_field(z, facts)
+    return abs(x) - reach > half_width or abs(y) - reach > half_height
+
+
+def _light(scene: Scene) -> Iterator[str]:
+    if not scene.targets:
+        yield "there are no targets: the image will be black"
+    elif not scene.lights and not any(target.material.radiance_w_m2_sr for target in scene.targets):
+        yield "nothing shines: no lights, and no target with radiance_w_m2_sr; the image will be black"

@@ -1,0 +1,28 @@
+"""The camera: lens, microlens array (or none), sensor, and where they stand."""
+
+from pydantic import Field
+
+from lfmesh.scene.array import MicrolensArray
+from lfmesh.scene.lens import Lens
+from lfmesh.scene.model import Model
+from lfmesh.scene.pose import Pose
+from lfmesh.scene.quantities import Positive
+from lfmesh.scene.sensor import Sensor
+
+
+class Camera(Model):
+    """Everything between the objects and the raw image.
+
+    The camera frame is right-handed with its origin at the first vertex of the lens and z towards the sensor.
+    """
+
+    focus_mm: Positive | None = None
+    """Distance of the object plane in front of the first vertex, in mm; solves the omitted distances."""
+    lens: Lens
+    """The main lens."""
+    mla: MicrolensArray | None = None
+    """The microlens array; omitted in a conventional camera."""
+    sensor: Sensor
+    """The sensor."""
+    pose: Pose = Field(default_factory=Pose)
+    """Where the camera stands in the world; omitted, the world frame is the camera frame."""

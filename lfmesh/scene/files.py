@@ -1,0 +1,122 @@
+"""Reading scene files, with every fault of a file in one error."""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from lfmesh.errors import SceneError
+from lfmesh.scene.lens import Lens
+from lfmesh.scene.model import fault_lines
+from lfmesh.scene.scene import Scene
+
+_LENS = "camera.lens"
+
+
+def load(path: str | Path) -> Scene:
+    """Read a scene file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file; the relative paths in it start from its folder.
+
+    Raises
+    ------
+    SceneError
+        The file cannot be read, is no TOML (with line and column), or is no valid scene: one line a fault,
+        with its path in the file, the value, and what is valid. Missing meshes, textures and lens files are
+        among them.
+    """
+    path = Path(path)
+    return _scene(_read(path), path.resolve().parent, str(path))
+
+
+def loads(text: str, folder: str | Path = ".") -> Scene:
+    """Read a scene from TOML text, with relative paths starting from `folder`; errors as in `load`."""
+    return _scene(_parse(text, "scene"), Path(folder).resolve(), "scene")
+
+
+def load_lens(path: str | Path) -> Lens:
+    """Read a lens file: the keys of `[camera.lens]` at its top level; errors as in `load`."""
+    path = Path(path)
+    data = _read(path)
+    try:
+        return Lens.model_validate(data)
+    except ValidationError as error:
+        raise _refused(str(path), fault_lines(error, data)) from None
+
+
+def with_lens_file(lens: Lens, folder: Path) -> Lens:
+    """Return a lens whose `file` is replaced by what it holds; stop size and names given beside it win."""
+    if lens.file is None:
+        return lens
+    held = load_lens(folder / lens.file)
+    beside = {key: value for key in ("name", "source") if (value := getattr(lens, key)) is not None}
+    if lens.stop_semi_diameter_mm is not None or lens.f_number is not None:
+        beside |= {"stop_semi_diameter_mm": lens.stop_semi_diameter_mm, "f_number": lens.f_number}
+    return Lens(**{**held.model_dump(), **beside})
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return _parse(path.read_bytes().decode("utf-8"), str(path))
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{path}: byte {error.start} is no UTF-8; a scene file is UTF-8 text") from None
+
+
+def _parse(text: str, name: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"{name}: not valid TOML: {error}") from None
+
+
+def _scene(data: dict[str, Any], folder: Path, name: str) -> Scene:
+    lens_faults, origin = _inline_lens(data, folder)
+    try:
+        scene = Scene.model_validate(data, context={"folder": folder})
+    except ValidationError as error:
+        faults = fault_lines(error, data, origin=origin)
+        if lens_faults:
+            faults = lens_faults + [line for line in faults if not line.startswith(f"{_LENS}.surfaces: missing")]
+        raise _refused(name, faults) from None
+    if lens_faults:
+        raise _refused(name, lens_faults)
+    return scene.in_folder(folder)
+
+
+def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[str, str]]:
+    """Put the contents of a lens file into the scene's tables, before these are checked.
+
+    Returns
+    -------
+    faults : list of str
+        Why the file could not be read.
+    origin : dict
+        Which paths of the scene now come from which file.
+    """
+    camera = data.get("camera")
+    lens = camera.get("lens") if isinstance(camera, dict) else None
+    if not isinstance(lens, dict) or not isinstance(lens.get("file"), str) or "surfaces" in lens:
+        return [], {}
+    file = lens.pop("file")
+    try:
+        held = _read(folder / file)
+    except SceneError as error:
+        return [f'{_LENS}.file = "{file}": {error}'], {}
+    if "file" in held:
+        return [f'{_LENS}.file = "{file}": a lens file holds surfaces itself and may not name another'], {}
+    if "stop_semi_diameter_mm" in lens or "f_number" in lens:
+        held = {key: value for key, value in held.items() if key not in ("stop_semi_diameter_mm", "f_number")}
+    camera["lens"] = {**held, **lens}  # type: ignore[index]
+    return [], {f"{_LENS}.surfaces": file}
+
+
+def _refused(name: str, faults: list[str]) -> SceneError:
+    if len(faults) == 1:
+        return SceneError(f"{name}: {faults[0]}")
+    return SceneError("\n".join([f"{name}: {len(faults)} faults", *(f"  {line}" for line in faults)]))

@@ -1,0 +1,183 @@
+"""The main lens: a list of rotationally symmetric surfaces, from the object to the sensor."""
+
+import math
+from collections.abc import Iterator
+
+from lfmesh.optics.glass import AIR
+from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.quantities import Flag, GlassName, Index, NonNegative, Number, Positive, Radius, Text
+
+# Sags of neighbouring surfaces are compared at this many heights.
+_HEIGHTS = 256
+
+
+class Surface(Model):
+    """An interface, and what follows it; without curvature and without glass on either side, a pure stop."""
+
+    radius_mm: Radius = math.inf
+    """Radius of curvature at the vertex, in mm: positive when the centre lies towards the sensor; inf is
+    flat."""
+    thickness_mm: NonNegative | None = None
+    """Distance from this vertex to the next, in mm. Omit it at the last surface only."""
+    index: Index | None = None
+    """Refractive index of what follows the surface. Neither `index` nor `glass`: air."""
+    glass: GlassName | None = None
+    """Catalogue glass that follows the surface, like "SCHOTT/N-BK7"."""
+    semi_diameter_mm: Positive | None = None
+    """Radius of the clear aperture, in mm. Only a stop whose size `stop_semi_diameter_mm` or `f_number` sets
+    may omit it."""
+    stop: Flag = False
+    """Whether this surface's aperture is the aperture stop of the lens."""
+    conic: Number = 0.0
+    """Conic constant: 0 sphere, −1 paraboloid, below −1 hyperboloid, above −1 ellipsoid."""
+    asphere_mm: tuple[Number, ...] = ()
+    """Even aspheric coefficients of r⁴, r⁶, r⁸, ..., in mm⁻³, mm⁻⁵, mm⁻⁷, ..., so that the sag is in mm."""
+
+    @property
+    def medium(self) -> float | str | None:
+        """What follows the surface: an index, the name of a glass, or None for air."""
+        if self.index is not None:
+            return None if self.index == AIR else self.index
+        return self.glass
+
+    @property
+    def curvature_per_mm(self) -> float:
+        """1/radius; 0 for a flat surface."""
+        return 0.0 if math.isinf(self.radius_mm) else 1.0 / self.radius_mm
+
+    @property
+    def reach_mm(self) -> float:
+        """Height at which the conic turns back and ends; inf where it never does."""
+        return abs(self.radius_mm) / math.sqrt(1 + self.conic) if self.conic > -1 else math.inf
+
+    def sag_mm(self, height_mm: float) -> float:
+        """Return z of the surface above its vertex plane, at a height from the axis, both in mm.
+
+        The standard form of ISO 10110-12: c r² / (1 + √(1 − (1 + k) c² r²)) + Σ A_j r^(2j+4).
+        """
+        c, r2 = self.curvature_per_mm, height_mm * height_mm
+        root = math.sqrt(max(0.0, 1 - (1 + self.conic) * c * c * r2))
+        terms = (a * r2 ** (j + 2) for j, a in enumerate(self.asphere_mm))
+        return c * r2 / (1 + root) + sum(terms)
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong with this surface by itself."""
+        if self.semi_diameter_mm is not None and self.semi_diameter_mm > self.reach_mm * (1 + 1e-12):
+            yield Fault(
+                ("semi_diameter_mm",),
+                self.semi_diameter_mm,
+                f"with radius_mm = {self.radius_mm:g} and conic = {self.conic:g} the surface ends "
+                f"{self.reach_mm:.6g} mm from the axis; give that at most",
+            )
+        if self.index is not None and self.glass is not None:
+            yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
+
+
+class Lens(Model):
+    """The main lens as its prescription, or the file that holds it."""
+
+    file: Text | None = None
+    """A TOML file with the keys of this table (name, source, surfaces, ...), relative to the scene file; it
+    is read in place of `surfaces`."""
+    name: Text | None = None
+    """What the lens is called."""
+    source: Text | None = None
+    """Where the prescription was published."""
+    surfaces: tuple[Surface, ...] = ()
+    """The surfaces, from the object to the sensor; the first vertex is the origin of the camera frame."""
+    stop_semi_diameter_mm: Positive | None = None
+    """Radius of the aperture stop, in mm, in place of the one in the prescription."""
+    f_number: Positive | None = None
+    """Sets the radius of the stop so that focal length / entrance pupil diameter is this number (no unit)."""
+
+    @property
+    def stop_index(self) -> int | None:
+        """Which surface is the stop; None where none is marked."""
+        return next((i for i, surface in enumerate(self.surfaces) if surface.stop), None)
+
+    @property
+    def vertices_mm(self) -> tuple[float, ...]:
+        """Z of every surface's vertex in the camera frame, in mm."""
+        z = [0.0]
+        for surface in self.surfaces[:-1]:
+            z.append(z[-1] + (surface.thickness_mm or 0.0))
+        return tuple(z)
+
+    def is_pure_stop(self, number: int) -> bool:
+        """Return whether surface `number` only stops light: marked, flat, the same medium on both sides."""
+        surface = self.surfaces[number]
+        before = self.surfaces[number - 1].medium if number else None
+        bare = surface.curvature_per_mm == 0 and not any(surface.asphere_mm)
+        return surface.stop and bare and before == surface.medium
+
+    def aperture_mm(self, number: int) -> float | None:
+        """Return the clear radius of surface `number`, in mm; None where `f_number` decides it."""
+        surface = self.surfaces[number]
+        if surface.stop and self.stop_semi_diameter_mm is not None:
+            return self.stop_semi_diameter_mm
+        return None if surface.stop and self.f_number is not None else surface.semi_diameter_mm
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between surfaces."""
+        if self.file is not None:
+            if self.surfaces:
+                yield Fault(("file",), self.file, "surfaces are given too; give one of them")
+            return
+        if not self.surfaces:
+            yield Fault(("surfaces",), None, 'missing: give the prescription, or file = "..." with one')
+            return
+        yield from self._stop_faults()
+        yield from self._spacing_faults()
+        last = len(self.surfaces) - 1
+        if self.surfaces[last].medium is not None:
+            key = "glass" if self.surfaces[last].glass is not None else "index"
+            yield Fault(("surfaces", last, key), self.surfaces[last].medium, "the lens must end in air: omit this")
+
+    def _stop_faults(self) -> Iterator[Fault]:
+        stops = [i for i, surface in enumerate(self.surfaces) if surface.stop]
+        if len(stops) > 1:
+            yield Fault(("surfaces", stops[1], "stop"), True, f"surfaces[{stops[0]}] is the stop already; keep one")
+        if self.f_number is not None and self.stop_semi_diameter_mm is not None:
+            yield Fault(
+                ("f_number",),
+                self.f_number,
+                f"stop_semi_diameter_mm = {self.stop_semi_diameter_mm:g} is given too; give one of them",
+            )
+        for i, surface in enumerate(self.surfaces):
+            sized = surface.stop and (self.stop_semi_diameter_mm is not None or self.f_number is not None)
+            if surface.semi_diameter_mm is None and not sized:
+                yield Fault(("surfaces", i, "semi_diameter_mm"), None, "missing: the radius of the clear aperture")
+
+    def _spacing_faults(self) -> Iterator[Fault]:
+        last = len(self.surfaces) - 1
+        for i, surface in enumerate(self.surfaces[:-1]):
+            if surface.thickness_mm is None:
+                yield Fault(("surfaces", i, "thickness_mm"), None, "missing: the distance to the next vertex")
+            else:
+                yield from self._crossing(i)
+        if self.surfaces[last].thickness_mm:
+            yield Fault(
+                ("surfaces", last, "thickness_mm"),
+                self.surfaces[last].thickness_mm,
+                "omit it at the last surface: mla.distance_mm or sensor.distance_mm gives what follows",
+            )
+
+    def _crossing(self, number: int) -> Iterator[Fault]:
+        """Compare the sags of a surface and the next over the aperture they share."""
+        front, back = self.surfaces[number], self.surfaces[number + 1]
+        apertures = [a for a in (self.aperture_mm(number), self.aperture_mm(number + 1)) if a is not None]
+        if not apertures:
+            return
+        radius = min(*apertures, front.reach_mm, back.reach_mm)
+        heights = [radius * k / _HEIGHTS for k in range(_HEIGHTS + 1)]
+        needed, height = max((front.sag_mm(h) - back.sag_mm(h), h) for h in heights)
+        given = front.thickness_mm or 0.0
+        # Elements may touch; what rounding makes of that is no crossing.
+        if needed > given + 1e-9 * (1 + given):
+            yield Fault(
+                ("surfaces", number, "thickness_mm"),
+                given,
+                f"surfaces {number} and {number + 1} cross inside their clear aperture, by "
+                f"{needed - given:.4g} mm at {height:.4g} mm from the axis; give {needed:.6g} or more, or "
+                "smaller semi-diameters",
+            )

@@ -1,0 +1,55 @@
+"""What lights the targets, besides those that emit themselves. All are in the world frame."""
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.quantities import Positive, Vector
+
+
+class PointLight(Model):
+    """A point that shines alike in every direction."""
+
+    kind: Literal["point"] = "point"
+    """Which light this is."""
+    position_mm: Vector
+    """Where it stands, in mm."""
+    power_w: Positive
+    """Power into all directions together, in W per wavelength sample."""
+
+
+class _Directed(Model):
+    direction: Vector
+    """Where the light goes; of any length but 0."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a direction without direction."""
+        if not any(self.direction):
+            yield Fault(("direction",), list(self.direction), "must not be the zero vector")
+
+
+class DirectionalLight(_Directed):
+    """Parallel light from far away."""
+
+    kind: Literal["directional"] = "directional"
+    """Which light this is."""
+    irradiance_w_m2: Positive
+    """On a plane square to the direction, in W/m² per wavelength sample."""
+
+
+class DiskLight(_Directed):
+    """A disk that shines to one side by Lambert's law."""
+
+    kind: Literal["disk"] = "disk"
+    """Which light this is."""
+    position_mm: Vector
+    """Its centre, in mm."""
+    radius_mm: Positive
+    """Its radius, in mm."""
+    power_w: Positive
+    """Power into its half space, in W per wavelength sample."""
+
+
+Light = Annotated[PointLight | DirectionalLight | DiskLight, Field(discriminator="kind")]

@@ -1,0 +1,217 @@
+"""The base of every scene model: strict, frozen, and reporting all faults of a file at once.
+
+Each model says what pydantic cannot know about it in `faults`. Those and pydantic's own findings travel
+upwards as one list, so that the outermost caller can name the whole path of each:
+`camera.lens.surfaces[3].radius_mm`.
+"""
+
+import difflib
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
+
+from lfmesh.errors import SceneError
+from lfmesh.scene.literals import literal
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:
+    ModelMetaclass = type(BaseModel)
+
+Location = tuple[str | int, ...]
+
+
+class Fault(NamedTuple):
+    """One thing wrong with a model: where in the model, the value found, and what would be valid."""
+
+    where: Location
+    value: Any
+    valid: str
+
+
+class _ModelClass(ModelMetaclass):
+    """Makes a call from Python end in a `SceneError`, as a file does, without touching nested validation."""
+
+    def __call__(cls, *args: Any, **values: Any) -> Any:  # noqa: N805
+        try:
+            return super().__call__(*args, **values)
+        except ValidationError as error:
+            raise SceneError("\n".join(fault_lines(error, values, prefix=cls.__name__))) from None
+
+
+class Model(BaseModel, metaclass=_ModelClass):
+    """A part of the scene: immutable, no unknown keys, no NaN, no infinity unless a field allows it."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        allow_inf_nan=False,
+        use_attribute_docstrings=True,
+        ser_json_inf_nan="constants",
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between fields that are right by themselves."""
+        return iter(())
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _collect_faults(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        if isinstance(data, cls):
+            return data
+        try:
+            model = handler(_plain(data))
+        except ValidationError as error:
+            raise _as_error(cls, [_restated(detail, cls) for detail in error.errors()]) from None
+        faults = list(model.faults())
+        if faults:
+            raise _as_error(cls, faults)
+        return model
+
+
+def fault_lines(
+    error: ValidationError, data: Any, prefix: str = "", origin: Mapping[str, str] | None = None
+) -> list[str]:
+    """Return one line a fault: its path, the value, what is valid.
+
+    Parameters
+    ----------
+    error : ValidationError
+    data : object
+        What was validated; tells the keys of the file from the tags that pydantic puts into a union's
+        location.
+    prefix : str
+        What the paths start with.
+    origin : mapping of path to file, optional
+        Names the file that everything under a path was read from.
+    """
+    lines = []
+    for detail in error.errors():
+        path = format_path(_without_tags(detail["loc"], data), prefix)
+        source = next((f" ({file})" for start, file in (origin or {}).items() if path.startswith(start)), "")
+        lines.append(f"{path or 'scene'}{source}{detail['msg']}")
+    return lines
+
+
+def format_path(location: Iterable[str | int], prefix: str = "") -> str:
+    """Write a location the way a reader of the file would: `targets[0].shape.radius_mm`."""
+    path = prefix
+    for step in location:
+        path += f"[{step}]" if isinstance(step, int) else f".{step}" if path else step
+    return path
+
+
+def nearest(name: str, valid: Iterable[str]) -> str:
+    """Return " (did you mean 'x'?)" if a valid name is close to `name`, else nothing."""
+    close = difflib.get_close_matches(name, list(valid), n=1, cutoff=0.6)
+    return f" (did you mean {close[0]!r}?)" if close else ""
+
+
+def _plain(data: Any) -> Any:
+    """Turn NumPy scalars and arrays into numbers and lists, so that scripts may pass either."""
+    if isinstance(data, Mapping):
+        return {key: value.tolist() if hasattr(value, "tolist") else value for key, value in data.items()}
+    return data
+
+
+def _as_error(cls: type[Model], faults: Iterable[Fault]) -> ValidationError:
+    details = [
+        InitErrorDetails(
+            type=PydanticCustomError("fault", "{text}", {"text": _sentence(fault)}),
+            loc=fault.where,
+            input=fault.value,
+        )
+        for fault in faults
+    ]
+    return ValidationError.from_exception_data(cls.__name__, details)
+
+
+class _Worded(str):
+    """The text of a fault that already carries its value, from a model further inside."""
+
+    __slots__ = ()
+
+
+def _sentence(fault: Fault) -> str:
+    if isinstance(fault.valid, _Worded):
+        return fault.valid
+    return f"{_shown(fault.value)}: {fault.valid}"
+
+
+def _shown(value: Any) -> str:
+    """Return " = 3.0" for a value worth printing, nothing for a missing one or a whole table."""
+    if value is None or isinstance(value, Mapping | BaseModel):
+        return ""
+    text = literal(value)
+    return f" = {text}" if len(text) <= 60 else f" = {text[:57]}..."
+
+
+def _short(limit: Any) -> str:
+    return f"{limit:g}" if isinstance(limit, int | float) else str(limit)
+
+
+def _restated(detail: ErrorDetails, cls: type[Model]) -> Fault:
+    """Say in the scene's terms what pydantic found, or pass on what a nested model has said already."""
+    where, value, kind, limits = detail["loc"], detail["input"], detail["type"], detail.get("ctx", {})
+    if kind == "fault":
+        return Fault(where, value, _Worded(detail["msg"]))
+    if kind == "extra_forbidden":
+        key = str(where[-1])
+        keys = list(cls.model_fields)
+        return Fault(where, None, f"unknown key{nearest(key, keys)}; valid here: {', '.join(keys)}")
+    if kind == "missing":
+        field = cls.model_fields.get(str(where[0]))
+        meaning = f": {field.description.split('.')[0]}" if len(where) == 1 and field and field.description else ""
+        return Fault(where, None, f"missing{meaning}")
+    if kind == "union_tag_not_found":
+        return Fault(where, value, "needs a key `kind` that says what it is")
+    if kind == "union_tag_invalid":
+        tags = [tag.strip(" '") for tag in str(limits["expected_tags"]).split(",")]
+        tag = str(limits["tag"])
+        return Fault((*where, "kind"), tag, f"valid kinds are {', '.join(tags)}{nearest(tag, tags)}")
+    if kind == "literal_error":
+        expected = str(limits["expected"])
+        names = [name.strip(" '") for name in expected.replace(" or ", ",").split(",")]
+        near = nearest(value, names) if isinstance(value, str) else ""
+        return Fault(where, value, f"must be {expected}{near}")
+    message = detail["msg"].removeprefix("Input should be ")
+    valid = {
+        "float_type": "must be a number",
+        "int_type": "must be a whole number, without quotes or a decimal point",
+        "string_type": "must be text in quotes",
+        "bool_type": "must be true or false",
+        "tuple_type": "must be a list",
+        "model_type": "must be a table",
+        "model_attributes_type": "must be a table",
+        "finite_number": "must be a finite number",
+        "greater_than": f"must be above {_short(limits.get('gt'))}",
+        "greater_than_equal": f"must be {_short(limits.get('ge'))} or more",
+        "less_than": f"must be below {_short(limits.get('lt'))}",
+        "less_than_equal": f"must be {_short(limits.get('le'))} or less",
+        "too_short": "must not be empty",
+        "too_long": f"may have {limits.get('max_length')} entries at most",
+        "value_error": str(limits.get("error")),
+    }.get(kind, f"must be {message}")
+    return Fault(where, value, valid)
+
+
+def _without_tags(location: Location, data: Any) -> Location:
+    """Drop the tags of discriminated unions, which are no keys of the file."""
+    kept: list[str | int] = []
+    for step in location:
+        if isinstance(data, Mapping) and step not in data and data.get("kind") == step:
+            continue
+        kept.append(step)
+        try:
+            data = data[step]
+        except (KeyError, IndexError, TypeError):
+            data = None
+    return tuple(kept)

@@ -1,0 +1,228 @@
+"""The first-order report of a camera: cardinal points, pupils, micro-images, sampling, refocus range."""
+
+import math
+from dataclasses import dataclass, fields, replace
+
+from lfmesh.scene.advice import warnings
+from lfmesh.scene.camera import Camera
+from lfmesh.scene.paraxial import Paraxial
+from lfmesh.scene.scene import Scene
+from lfmesh.scene.solve import air_thickness_mm, image_plane_mm, solved
+
+
+@dataclass(frozen=True)
+class FirstOrder:
+    """Paraxial properties of a camera at its primary wavelength.
+
+    All z are in the camera frame, where the first lens vertex is the origin. Pupils at infinity (a
+    telecentric lens) and objects at infinity are inf. What only a microlens array has is None without one.
+    """
+
+    wavelength_nm: float
+    """The primary wavelength."""
+    efl_mm: float
+    """Effective focal length."""
+    bfl_mm: float
+    """From the last vertex to the rear focal point."""
+    ffl_mm: float
+    """From the first vertex to the front focal point; negative where that lies before the lens."""
+    front_principal_plane_z_mm: float
+    rear_principal_plane_z_mm: float
+    entrance_pupil_z_mm: float
+    entrance_pupil_diameter_mm: float
+    exit_pupil_z_mm: float
+    exit_pupil_diameter_mm: float
+    object_distance_mm: float
+    """The plane in focus, before the first vertex: what the apexes of the array (or the sensor) are the image
+    of."""
+    image_z_mm: float
+    """The plane the lens focuses on: the apexes, seen through the plate where its flat face looks at the
+    lens, or the sensor of a conventional camera."""
+    magnification: float
+    """Transverse, between these two planes; negative for an inverted image."""
+    working_f_number: float
+    """On the image side, at the actual focus: 1 / (2 u') of the paraxial marginal ray."""
+    microlens_f_number: float | None
+    """Distance from the lenslet to the sensor, reduced to air, over the pitch: f/p in the microlens focal
+    plane."""
+    micro_image_pitch_px: float | None
+    """Distance of neighbouring micro-images on the sensor, in pixels."""
+    micro_image_diameter_px: float | None
+    """Diameter of a micro-image, the image of the exit pupil, in pixels."""
+    object_sampling_mm: float
+    """Size of a lenslet, or of a pixel in a conventional camera, on the plane in focus."""
+    field_of_view_mm: tuple[float, float]
+    """Width and height that array and sensor see of the plane in focus."""
+    near_mm: float
+    """Nearest object distance that can be refocused sharply; conventional: the near end of the depth of
+    field."""
+    far_mm: float
+    """The farthest one; inf where it reaches infinity."""
+    warnings: tuple[str, ...] = ()
+    """What is likely to disappoint, in plain words."""
+
+    def lines(self) -> list[str]:
+        """Return the report, a line a property, warnings last."""
+        array = self.microlens_f_number is not None
+        width, height = self.field_of_view_mm
+        rows = [
+            ("wavelength", f"{self.wavelength_nm:g} nm"),
+            ("effective focal length", _mm(self.efl_mm)),
+            ("back focal length", f"{_mm(self.bfl_mm)} behind the last vertex"),
+            ("front focal length", f"{_mm(self.ffl_mm)} from the first vertex"),
+            (
+                "principal planes",
+                f"z = {_mm(self.front_principal_plane_z_mm)}, z = {_mm(self.rear_principal_plane_z_mm)}",
+            ),
+            ("entrance pupil", _pupil(self.entrance_pupil_z_mm, self.entrance_pupil_diameter_mm)),
+            ("exit pupil", _pupil(self.exit_pupil_z_mm, self.exit_pupil_diameter_mm)),
+            ("plane in focus", f"{_mm(self.object_distance_mm)} before the first vertex"),
+            ("image plane", f"z = {_mm(self.image_z_mm)}"),
+            ("magnification", f"{self.magnification:.6g}"),
+            ("working f-number", f"{self.working_f_number:.4g}"),
+        ]
+        if array:
+            rows += [
+                ("microlens f-number", f"{self.microlens_f_number:.4g}"),
+                ("micro-image pitch", f"{self.micro_image_pitch_px:.6g} pixels"),
+                ("micro-image diameter", f"{self.micro_image_diameter_px:.4g} pixels"),
+            ]
+        rows += [
+            ("object sampling", f"{_mm(self.object_sampling_mm)} a {'lenslet' if array else 'pixel'}"),
+            ("field of view", f"{_mm(width)} × {_mm(height)}"),
+            ("refocus range" if array else "depth of field", f"{_mm(self.near_mm)} to {_mm(self.far_mm)}"),
+        ]
+        return [f"{name:<23}{value}" for name, value in rows] + [f"warning: {text}" for text in self.warnings]
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def as_dict(self) -> dict[str, float | tuple[float, float] | tuple[str, ...] | None]:
+        """Return the fields by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+def first_order(scene: Scene) -> FirstOrder:
+    """Compute the first-order report of a scene, which is solved first.
+
+    The micro-image pitch follows from the chief rays: a ray from the middle of the exit pupil through a
+    lenslet's principal points, which lie `D` behind the pupil and (reduced to air) `d` before the sensor,
+    lands (D + d)/D times the lenslet's offset from the axis. The front principal point of a plano-convex
+    lenslet is its apex when the curved face looks at the lens; else it is the apex seen from air through the
+    plate.
+
+    The refocus range ends where the shift between neighbouring views is one lenslet. Views a pixel apart are
+    δu = pixel · D/d apart on the exit pupil; an image point a distance ε behind the array shifts by
+    δu · ε/(D + ε) between them. Setting that to ± one pitch p gives ε = ± (p d / pixel) / (1 ∓ p/δu). For a
+    distant pupil this is what R. Ng et al. found ("Light field photography with a hand-held plenoptic
+    camera", Stanford CTSR 2005-02): P × P pixels a lenslet refocus exactly within the depth of field of an
+    f-number P times higher.
+
+    Raises
+    ------
+    SceneError
+        As `solved`.
+    """
+    scene = solved(scene)
+    camera, wavelength = scene.camera, scene.transport.primary_nm
+    lens = Paraxial.of(camera.lens, wavelength)
+    stop_radius = camera.lens.surfaces[lens.stop].semi_diameter_mm or math.nan
+    image = image_plane_mm(camera, wavelength)
+    distance = lens.object_mm(image)
+    magnification = lens.magnification(distance)
+    entrance_z, entrance_diameter = lens.entrance_pupil(stop_radius)
+    exit_z, exit_diameter = lens.exit_pupil(stop_radius)
+    pupil_to_image = lens.length_mm + image - exit_z if math.isfinite(exit_z) else math.inf
+    angle = lens.whole(lens.marginal_ray(distance, stop_radius)).angle
+    f_number = 1 / (2 * abs(angle)) if angle else math.inf
+    micro = _micro_image(camera, wavelength, pupil_to_image, f_number)
+    blur = camera.mla.pitch_mm if camera.mla is not None else camera.sensor.pixel_mm
+    near, far = _refocus_range(camera, lens, wavelength, pupil_to_image, f_number)
+    facts = FirstOrder(
+        wavelength_nm=wavelength,
+        efl_mm=lens.efl_mm,
+        bfl_mm=lens.bfl_mm,
+        ffl_mm=lens.ffl_mm,
+        front_principal_plane_z_mm=lens.ffl_mm + lens.efl_mm,
+        rear_principal_plane_z_mm=lens.length_mm + lens.bfl_mm - lens.efl_mm,
+        entrance_pupil_z_mm=entrance_z,
+        entrance_pupil_diameter_mm=entrance_diameter,
+        exit_pupil_z_mm=exit_z,
+        exit_pupil_diameter_mm=exit_diameter,
+        object_distance_mm=distance,
+        image_z_mm=lens.length_mm + image,
+        magnification=magnification,
+        working_f_number=f_number,
+        microlens_f_number=micro[0] if micro else None,
+        micro_image_pitch_px=micro[1] if micro else None,
+        micro_image_diameter_px=micro[2] if micro else None,
+        object_sampling_mm=_on_object(blur, magnification),
+        field_of_view_mm=_field_of_view_mm(camera, magnification),
+        near_mm=near,
+        far_mm=far,
+    )
+    return replace(facts, warnings=warnings(scene, facts))
+
+
+def lenslet_to_sensor_mm(camera: Camera, wavelength_nm: float) -> float:
+    """Return the distance from a lenslet's rear principal plane to the sensor of a solved camera, in mm.
+
+    The rear principal plane of a plano-convex lenslet lies t/n inside its flat face when light leaves there,
+    and at the apex when it leaves through the curved face.
+    """
+    if camera.mla is None or camera.sensor.distance_mm is None:
+        return math.nan
+    inside = air_thickness_mm(camera.mla, wavelength_nm) if camera.mla.curved_side == "lens" else 0.0
+    return camera.sensor.distance_mm + inside
+
+
+def _micro_image(
+    camera: Camera, wavelength_nm: float, pupil_to_image_mm: float, f_number: float
+) -> tuple[float, float, float] | None:
+    """Return microlens f-number, and pitch and diameter of the micro-images in pixels."""
+    if camera.mla is None:
+        return None
+    pitch, pixel = camera.mla.pitch_mm, camera.sensor.pixel_mm
+    to_sensor = lenslet_to_sensor_mm(camera, wavelength_nm)
+    return (
+        to_sensor / pitch,
+        pitch / pixel * (1 + to_sensor / pupil_to_image_mm),
+        to_sensor / f_number / pixel,
+    )
+
+
+def _refocus_range(
+    camera: Camera, lens: Paraxial, wavelength_nm: float, pupil_to_image_mm: float, f_number: float
+) -> tuple[float, float]:
+    """Return the nearest and farthest object distance that `first_order` calls in range, in mm."""
+    pixel = camera.sensor.pixel_mm
+    if camera.mla is None:
+        # A blur of one pixel: the pupil's diameter takes the place of the view spacing.
+        depth = pixel * f_number
+    else:
+        depth = camera.mla.pitch_mm * lenslet_to_sensor_mm(camera, wavelength_nm) / pixel
+    share = depth / pupil_to_image_mm
+    image = image_plane_mm(camera, wavelength_nm)
+    near = lens.object_mm(image + depth / (1 - share)) if share < 1 else -lens.ffl_mm
+    far = lens.object_mm(image - depth / (1 + share))
+    # Past infinity the conjugates come round as virtual objects, with negative distances.
+    return near if near > 0 else math.inf, far if far > near > 0 else math.inf
+
+
+def _on_object(size_mm: float, magnification: float) -> float:
+    return size_mm / abs(magnification) if magnification else math.inf
+
+
+def _field_of_view_mm(camera: Camera, magnification: float) -> tuple[float, float]:
+    width, height = camera.sensor.size_mm
+    if camera.mla is not None:
+        width, height = min(width, camera.mla.size_mm[0]), min(height, camera.mla.size_mm[1])
+    return _on_object(width, magnification), _on_object(height, magnification)
+
+
+def _mm(length: float) -> str:
+    return f"{length:.6g} mm" if math.isfinite(length) else "infinity"
+
+
+def _pupil(z: float, diameter: float) -> str:
+    return f"z = {_mm(z)}, diameter {_mm(diameter)}" if math.isfinite(z) else "at infinity (telecentric)"

@@ -1,0 +1,178 @@
+"""The whole scene: what a scene file holds, and what a script builds."""
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, PrivateAttr
+
+from lfmesh.errors import GlassError
+from lfmesh.optics.glass import refractive_index
+from lfmesh.scene import toml
+from lfmesh.scene.camera import Camera
+from lfmesh.scene.lights import Light
+from lfmesh.scene.model import Fault, Location, Model
+from lfmesh.scene.quantities import Text
+from lfmesh.scene.targets import Target
+from lfmesh.scene.transport import Transport
+
+# Mean, squared deviation and the replicate under way, in float64, with what merging and writing need on top.
+FILM_BYTES = 40
+LENSLET_BYTES = 32
+
+
+class Scene(Model):
+    """A camera, what stands in front of it, and how to trace it.
+
+    Two scenes are equal when all their fields are; the folder that relative paths start from does not count.
+    """
+
+    schema_version: Literal[1] = 1
+    """Version of this format."""
+    name: Text = ""
+    """What the scene is called."""
+    camera: Camera
+    """Lens, microlens array and sensor."""
+    targets: tuple[Target, ...] = ()
+    """The bodies in front of the camera."""
+    lights: tuple[Light, ...] = ()
+    """What lights them."""
+    transport: Transport = Field(default_factory=Transport)
+    """How to trace the light."""
+
+    _folder: Path = PrivateAttr(default_factory=Path.cwd)
+
+    @property
+    def folder(self) -> Path:
+        """Where relative paths start: the scene file's folder; for a scripted scene the current one."""
+        return self._folder
+
+    def resolve(self, path: str | Path) -> Path:
+        """Return the path of a texture or mesh of this scene as one that can be opened."""
+        return self._folder / path
+
+    def in_folder(self, folder: str | Path) -> "Scene":
+        """Return the same scene with its relative paths starting from `folder`."""
+        copy = self.model_copy()
+        copy._folder = Path(folder).resolve()
+        return copy
+
+    def changed(self, values: dict[str, Any]) -> "Scene":
+        """Return a copy with some values replaced, checked like a file.
+
+        Parameters
+        ----------
+        values : dict
+            New value by path, such as {"camera.mla.pitch_mm": 0.1, "targets[0].position_mm": [0, 0, -400]};
+            None takes an optional value out.
+
+        Raises
+        ------
+        SceneError
+            The changed scene is not valid.
+        """
+        data = self.model_dump()
+        for path, value in values.items():
+            *parents, last = (int(s) if s.isdigit() else s for s in path.replace("]", "").replace("[", ".").split("."))
+            place: Any = data
+            for step in parents:
+                if isinstance(place, dict) and place.get(step) is None:
+                    place[step] = {}
+                elif isinstance(place, dict) and isinstance(place[step], tuple):
+                    place[step] = list(place[step])
+                place = place[step]
+            place[last] = value
+        return Scene(**data).in_folder(self._folder)
+
+    def dump_toml(self) -> str:
+        """Return the scene as TOML that loads to an equal scene; defaults are left out."""
+        return toml.dump(self)
+
+    def to_json(self) -> str:
+        """Return the scene as JSON, with the keys and values of the TOML file."""
+        return json.dumps(toml.table(self), ensure_ascii=False)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all fields, defaults included, as canonical JSON; the contents of files do not enter."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        return self.__dict__ == other.__dict__ if isinstance(other, Scene) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what only the whole scene shows: glasses at its wavelengths, lenslet radii, memory."""
+        glasses = list(self._glass_faults())
+        yield from glasses
+        if not glasses:
+            yield from self._lenslet_faults()
+        yield from self._memory_faults()
+
+    def _glass_faults(self) -> Iterator[Fault]:
+        media: list[tuple[Location, float | str | None]] = [
+            (("camera", "lens", "surfaces", i, "glass"), surface.medium)
+            for i, surface in enumerate(self.camera.lens.surfaces)
+        ]
+        if self.camera.mla is not None:
+            media.append((("camera", "mla", "glass"), self.camera.mla.medium))
+        for where, medium in media:
+            for wavelength in self.transport.wavelengths_nm:
+                try:
+                    refractive_index(medium, wavelength)
+                except GlassError as error:
+                    yield Fault(where, None, str(error))
+                    break
+
+    def _lenslet_faults(self) -> Iterator[Fault]:
+        mla = self.camera.mla
+        if mla is None:
+            return
+        n = refractive_index(mla.medium, self.transport.primary_nm)
+        for focal_length in mla.focal_length_mm or ():
+            radius = focal_length * (n - 1)
+            if why := mla.cap_fault(radius):
+                yield Fault(
+                    ("camera", "mla", "focal_length_mm"),
+                    focal_length,
+                    f"makes radius_mm = {radius:.6g} with index {n:.6g}; {why}",
+                )
+
+    def _memory_faults(self) -> Iterator[Fault]:
+        sensor, mla = self.camera.sensor, self.camera.mla
+        channels = len(self.transport.wavelengths_nm)
+        film = FILM_BYTES * sensor.pixels[0] * sensor.pixels[1] * channels
+        if film > _physical_memory():
+            yield Fault(
+                ("camera", "sensor", "pixels"),
+                list(sensor.pixels),
+                f"at {channels} wavelength{'s' if channels > 1 else ''} the film takes {_gigabytes(film)} of "
+                f"memory, and this machine has {_gigabytes(_physical_memory())}",
+            )
+        lenslets = LENSLET_BYTES * mla.count[0] * mla.count[1] if mla is not None else 0
+        if mla is not None and lenslets > _physical_memory():
+            yield Fault(
+                ("camera", "mla", "count"),
+                list(mla.count),
+                f"the lenslets take {_gigabytes(lenslets)} of memory, and this machine has "
+                f"{_gigabytes(_physical_memory())}",
+            )
+
+
+def _physical_memory() -> int:
+    """Bytes of memory in this machine."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        # Windows has no sysconf: refuse only what no machine holds.
+        return 2**44
+
+
+def _gigabytes(size: float) -> str:
+    return f"{size / 1e9:.3g} GB"

@@ -1,0 +1,27 @@
+"""The sensor: pixels and their place."""
+
+from pydantic import Field
+
+from lfmesh.scene.model import Model
+from lfmesh.scene.pose import Pose
+from lfmesh.scene.quantities import Pair, Positive
+
+
+class Sensor(Model):
+    """A flat grid of square pixels that absorb all that meets them."""
+
+    pixels: Pair
+    """Number of pixels: columns, rows."""
+    pixel_mm: Positive
+    """Width of a pixel, which is also the distance to the next, in mm."""
+    distance_mm: Positive | None = None
+    """From the microlens array's face nearest the sensor, or from the last lens vertex in a conventional
+    camera, to the sensor, in mm. Omitted: the microlens focal plane; in a conventional camera the image of
+    `focus_mm`."""
+    pose: Pose = Field(default_factory=Pose)
+    """Installation error, about the sensor's centre."""
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """Width and height, in mm."""
+        return self.pixels[0] * self.pixel_mm, self.pixels[1] * self.pixel_mm

@@ -1,0 +1,175 @@
+"""Making a scene explicit: lens file inlined, stop sized, lenslet radii and distances solved."""
+
+import math
+from typing import Any, TypeVar
+
+from lfmesh.errors import SceneError
+from lfmesh.optics.glass import refractive_index
+from lfmesh.scene.array import MicrolensArray
+from lfmesh.scene.camera import Camera
+from lfmesh.scene.files import with_lens_file
+from lfmesh.scene.lens import Lens
+from lfmesh.scene.model import Model
+from lfmesh.scene.paraxial import Paraxial
+from lfmesh.scene.scene import Scene
+
+M = TypeVar("M", bound=Model)
+
+
+def solved(scene: Scene) -> Scene:
+    """Return a copy of a scene with nothing left to solve.
+
+    The lens file is inlined; exactly one surface is the stop and has its semi-diameter; `f_number` and
+    `stop_semi_diameter_mm` are used up; the array has radii instead of focal lengths; the array and the
+    sensor have their distances. All of it is paraxial, at the primary wavelength. A solved scene comes back
+    as it is.
+
+    Raises
+    ------
+    SceneError
+        A distance is neither given nor to be had from `focus_mm`, or what follows from the file is
+        impossible.
+    """
+    primary = scene.transport.primary_nm
+    camera = scene.camera
+    lens = with_lens_file(camera.lens, scene.folder)
+    if lens is not camera.lens:
+        # The lens came after the scene was checked: check the two together.
+        scene = scene.changed({"camera.lens": lens.model_dump()})
+    mla = _with_radii(camera.mla, primary) if camera.mla is not None else None
+    camera = _changed(camera, lens=lens, mla=mla)
+    camera = _with_distances(camera, primary)
+    camera = _changed(camera, lens=_with_stop(camera, primary))
+    if camera == scene.camera:
+        return scene
+    # Checked again: a stop made larger, or a radius from a focal length, may make surfaces cross.
+    return scene.changed({"camera": camera.model_dump()})
+
+
+def air_thickness_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
+    """Return how thick the array's plate looks from air, t/n, in mm."""
+    return mla.thickness_mm / refractive_index(mla.medium, wavelength_nm)
+
+
+def lenslet_focal_length_mm(mla: MicrolensArray, wavelength_nm: float) -> tuple[float, ...]:
+    """Return the focal lengths of the lenslet types of a solved array, R / (n − 1), in mm."""
+    n = refractive_index(mla.medium, wavelength_nm)
+    return tuple(radius / (n - 1) for radius in mla.radius_mm or ())
+
+
+def image_plane_mm(camera: Camera, wavelength_nm: float) -> float:
+    """Return the distance from the last vertex to the plane that the lens focuses on, in mm of air.
+
+    With an array it is the plane of the apexes; where the flat face looks at the lens, these are seen through
+    the plate, t/n behind that face.
+    """
+    if camera.mla is None:
+        return camera.sensor.distance_mm or math.nan
+    seen = air_thickness_mm(camera.mla, wavelength_nm) if camera.mla.curved_side == "sensor" else 0.0
+    return (camera.mla.distance_mm or math.nan) + seen
+
+
+def _with_radii(mla: MicrolensArray, wavelength_nm: float) -> MicrolensArray:
+    if mla.focal_length_mm is None:
+        return mla
+    n = refractive_index(mla.medium, wavelength_nm)
+    return _changed(mla, radius_mm=tuple(f * (n - 1) for f in mla.focal_length_mm), focal_length_mm=None)
+
+
+def _with_distances(camera: Camera, wavelength_nm: float) -> Camera:
+    mla, sensor = camera.mla, camera.sensor
+    if mla is None:
+        if sensor.distance_mm is None:
+            distance = _focused_image_mm(camera, "camera.sensor.distance_mm", wavelength_nm)
+            sensor = _changed(sensor, distance_mm=distance)
+        return _changed(camera, sensor=sensor)
+    if mla.distance_mm is None:
+        distance = _focused_image_mm(camera, "camera.mla.distance_mm", wavelength_nm)
+        if mla.curved_side == "sensor":
+            distance -= air_thickness_mm(mla, wavelength_nm)
+        if distance <= 0:
+            raise SceneError(
+                f"camera.focus_mm = {camera.focus_mm:g}: the image would lie inside the lens; focus nearer "
+                "or give camera.mla.distance_mm"
+            )
+        mla = _changed(mla, distance_mm=distance)
+    if sensor.distance_mm is None:
+        sensor = _changed(sensor, distance_mm=_focal_plane_mm(mla, wavelength_nm))
+    return _changed(camera, mla=mla, sensor=sensor)
+
+
+def _focused_image_mm(camera: Camera, omitted: str, wavelength_nm: float) -> float:
+    """Return the image distance of `focus_mm`, which must be real."""
+    if camera.focus_mm is None:
+        raise SceneError(f"{omitted}: missing; give it, or camera.focus_mm to solve it from")
+    lens = Paraxial.of(camera.lens, wavelength_nm)
+    image = lens.image_mm(camera.focus_mm)
+    if math.isinf(image) or image <= 0:
+        nearest = -lens.ffl_mm
+        wish = (
+            f"give more than {nearest:.6g}, where the front focal point lies"
+            if lens.efl_mm > 0 and math.isfinite(nearest)
+            else f"the lens has a focal length of {lens.efl_mm:.6g} mm; a camera needs a converging one"
+        )
+        raise SceneError(f"camera.focus_mm = {camera.focus_mm:g}: no real image behind the lens; {wish}")
+    return image
+
+
+def _focal_plane_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
+    """Return the distance from the array's rear face to the focal plane of the first lenslet type."""
+    focal_length = lenslet_focal_length_mm(mla, wavelength_nm)[0]
+    air = air_thickness_mm(mla, wavelength_nm) if mla.curved_side == "lens" else 0.0
+    if focal_length - air <= 0:
+        why = (
+            "the first lenslet type diverges"
+            if focal_length < 0
+            else f"the lenslets' focal length of {focal_length:.6g} mm ends inside their plate; with "
+            f"thickness_mm below {mla.thickness_mm * focal_length / air:.6g} it would not"
+        )
+        raise SceneError(f"camera.sensor.distance_mm: missing, and there is no focal plane to put it in: {why}")
+    return focal_length - air
+
+
+def _with_stop(camera: Camera, wavelength_nm: float) -> Lens:
+    """Mark the stop, if none is, and give it its size."""
+    lens = camera.lens
+    number = lens.stop_index
+    if number is None:
+        number = _limiting_surface(camera, wavelength_nm)
+    radius = lens.surfaces[number].semi_diameter_mm
+    if lens.stop_semi_diameter_mm is not None:
+        radius = lens.stop_semi_diameter_mm
+    elif lens.f_number is not None:
+        surfaces = _with_surface(lens, number, stop=True)
+        paraxial = Paraxial.of(_changed(lens, surfaces=surfaces), wavelength_nm)
+        # The collimated marginal ray enters at half the entrance pupil's diameter.
+        radius = abs(paraxial.to_stop.a) * abs(paraxial.efl_mm) / (2 * lens.f_number)
+        if not 0 < radius < math.inf:
+            raise SceneError(
+                f"camera.lens.f_number = {lens.f_number:g}: an afocal or telecentric lens has none; give "
+                "stop_semi_diameter_mm"
+            )
+    surfaces = _with_surface(lens, number, stop=True, semi_diameter_mm=radius)
+    return _changed(lens, surfaces=surfaces, stop_semi_diameter_mm=None, f_number=None)
+
+
+def _limiting_surface(camera: Camera, wavelength_nm: float) -> int:
+    """Return the surface that is first filled by the growing axial beam of the focused object."""
+    paraxial = Paraxial.of(camera.lens, wavelength_nm)
+    object_mm = paraxial.object_mm(image_plane_mm(camera, wavelength_nm))
+    heights = paraxial.heights_mm(paraxial.axial_ray(object_mm))
+    filling = [
+        abs(height) / (surface.semi_diameter_mm or math.inf)
+        for height, surface in zip(heights, camera.lens.surfaces, strict=True)
+    ]
+    return filling.index(max(filling))
+
+
+def _with_surface(lens: Lens, number: int, **values: Any) -> tuple[Any, ...]:
+    surfaces = list(lens.surfaces)
+    surfaces[number] = surfaces[number].model_copy(update=values)
+    return tuple(surfaces)
+
+
+def _changed(model: M, **values: Any) -> M:
+    return model.model_copy(update=values)

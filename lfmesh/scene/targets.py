@@ -1,0 +1,118 @@
+"""What the camera looks at: primitive shapes and mesh files, with their material."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from lfmesh.scene.model import Fault, Model, nearest
+from lfmesh.scene.quantities import FilePath, FractionOfOne, NonNegative, Positive, Text, Vector
+
+UNITS_IN_FILE = (".glb", ".gltf", ".3mf", ".step", ".stp")
+"""Formats whose files say, or whose standard fixes, the unit of length."""
+UNITS_MISSING = (".stl", ".obj", ".ply", ".off")
+"""Formats that carry no unit."""
+
+
+class Plane(Model):
+    """A rectangle in its own xy plane, facing +z: towards the camera where it is not rotated."""
+
+    kind: Literal["plane"] = "plane"
+    """Which shape this is."""
+    width_mm: Positive
+    """Extent along x, in mm."""
+    height_mm: Positive
+    """Extent along y, in mm."""
+
+
+class Disk(Model):
+    """A disk in its own xy plane, facing +z."""
+
+    kind: Literal["disk"] = "disk"
+    """Which shape this is."""
+    radius_mm: Positive
+    """Radius, in mm."""
+
+
+class Sphere(Model):
+    """A sphere."""
+
+    kind: Literal["sphere"] = "sphere"
+    """Which shape this is."""
+    radius_mm: Positive
+    """Radius, in mm."""
+
+
+class Box(Model):
+    """A box, centred, with its edges along x, y and z."""
+
+    kind: Literal["box"] = "box"
+    """Which shape this is."""
+    size_mm: tuple[Positive, Positive, Positive]
+    """Lengths of the edges along x, y, z, in mm."""
+
+
+class Cylinder(Model):
+    """A closed cylinder, centred, with its axis along z."""
+
+    kind: Literal["cylinder"] = "cylinder"
+    """Which shape this is."""
+    radius_mm: Positive
+    """Radius, in mm."""
+    height_mm: Positive
+    """Length along z, in mm."""
+
+
+Shape = Annotated[Plane | Disk | Sphere | Box | Cylinder, Field(discriminator="kind")]
+
+
+class Material(Model):
+    """What a target's surface does with light: Lambertian reflection and emission."""
+
+    reflectance: FractionOfOne = 0.8
+    """Share of the light that is scattered, by Lambert's law, 0..1."""
+    radiance_w_m2_sr: NonNegative = 0.0
+    """The surface's own emission, in W/(m² sr), the same in every direction and at every wavelength."""
+    texture: FilePath | None = None
+    """A picture, relative to the scene file; its linearised values multiply the reflectance and the
+    emission."""
+
+
+class Target(Model):
+    """A body in front of the camera: a shape or a mesh file, in the world frame."""
+
+    name: Text | None = None
+    """What the target is called in reports."""
+    shape: Shape | None = None
+    """A primitive shape. Or give `file`."""
+    file: FilePath | None = None
+    """A mesh file (STL, OBJ, PLY, OFF, GLB, ...), relative to the scene file."""
+    units: Literal["um", "mm", "cm", "m", "inch", "foot"] | None = None
+    """Unit of length of the mesh file; required where the format carries none."""
+    position_mm: Vector = (0.0, 0.0, 0.0)
+    """Where the target's own origin lies, in mm."""
+    rotation_deg: Vector = (0.0, 0.0, 0.0)
+    """Rotations about x, then y, then z, in degrees."""
+    material: Material = Field(default_factory=Material)
+    """Of the whole surface."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        if self.shape is not None and self.file is not None:
+            yield Fault(("file",), self.file, "a shape is given too; give one of them")
+        elif self.file is None:
+            if self.shape is None:
+                yield Fault(("shape",), None, 'missing: give shape = { kind = ... } or file = "..."')
+            elif self.units is not None:
+                yield Fault(("units",), self.units, "only for a mesh file; the sizes of a shape are in mm")
+        else:
+            yield from self._file_faults(self.file)
+
+    def _file_faults(self, file: str) -> Iterator[Fault]:
+        ending = Path(file).suffix.lower()
+        known = (*UNITS_MISSING, *UNITS_IN_FILE)
+        if ending not in known:
+            yield Fault(("file",), file, f"must end in one of {', '.join(known)}{nearest(ending, known)}")
+        elif self.units is None and ending in UNITS_MISSING:
+            yield Fault(("units",), None, f'missing: {ending[1:].upper()} files carry no unit; give units = "mm", say')

@@ -1,0 +1,58 @@
+"""How the light is traced: method, accuracy and effort."""
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.quantities import Count, Positive, Whole
+
+
+class Transport(Model):
+    """The settings of a render."""
+
+    method: Literal["adjoint", "forward"] = "adjoint"
+    """"adjoint" follows importance from the sensor to the lights, "forward" light from the lights to the
+    sensor."""
+    engine: Literal["auto", "mesh", "sequential"] = "auto"
+    """"mesh": Embree, everything; "sequential": the image path only; "auto": the least that models the
+    scene."""
+    surface: Literal["flat", "smooth", "patch", "exact"] = "exact"
+    """What a facet stands for: itself, itself with smooth normals, a curved patch, or the analytic
+    surface."""
+    split: Literal["both", "roulette", "transmit"] = "both"
+    """At an interface follow both children, one by chance, or the refracted one alone."""
+    samples: Count = 64
+    """Adjoint: per pixel, in all replicates; forward: packets in all = samples · pixels."""
+    replicates: Count = 8
+    """Independent randomisations that share the samples; their spread is the standard error."""
+    max_events: Count = 64
+    """Surfaces a packet may meet before it is cut."""
+    weight_cutoff: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.1
+    """Share of its starting weight below which a child plays Russian roulette (no unit)."""
+    wavelengths_nm: tuple[Annotated[Positive, Field(ge=100, le=20000)], ...] = Field(default=(587.6,), min_length=1)
+    """Wavelength samples, in nm; the middle one is the primary."""
+    seed: Whole = 0
+    """Of the random numbers."""
+    threads: Whole = 0
+    """0: all there are; the result is the same for any number."""
+
+    @property
+    def primary_nm(self) -> float:
+        """The wavelength of first-order optics: the middle one of `wavelengths_nm`, in nm."""
+        return sorted(self.wavelengths_nm)[len(self.wavelengths_nm) // 2]
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield samples that the replicates cannot share, and wavelengths given twice."""
+        if self.samples % self.replicates:
+            above = -(-self.samples // self.replicates) * self.replicates
+            below = above - self.replicates
+            valid = f"{below} or {above}" if below else f"{above}"
+            yield Fault(
+                ("samples",),
+                self.samples,
+                f"must be a multiple of replicates = {self.replicates}: give {valid}",
+            )
+        if len(set(self.wavelengths_nm)) < len(self.wavelengths_nm):
+            yield Fault(("wavelengths_nm",), list(self.wavelengths_nm), "must not hold a wavelength twice")

@@ -1,0 +1,1 @@
+"""Rays through a built scene: random numbers, Embree, the engine, both methods, the ledger."""

@@ -1,0 +1,189 @@
+"""The adjoint method's start: from a pixel through the lenslets that show it the exit pupil.
+
+A pixel's power is the integral of radiance over its area and the directions it sees, W = ∫∫ L cos θ dω dA. The packet
+carries the importance cos θ dA / density, in m² sr. Radiance over n² is what interfaces conserve up to T, so carried
+importance would gain (n_i/n_t)² at every crossing; pixel and target both lie in air, the factors cancel, and are left
+out throughout.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.frame import move_direction, move_point
+from lfmesh.geometry.lattice import cell_of, centre, is_inside
+from lfmesh.geometry.lenslets import type_of
+from lfmesh.kernel import kernel
+from lfmesh.optics.scattering import lambertian
+from lfmesh.transport.aiming import WIDE_SHARE, aimed
+from lfmesh.transport.object_region import MM2
+from lfmesh.transport.packet import (
+    ARRAY_FRAME,
+    CAMERA,
+    CAMERA_FRAME,
+    EMITTED,
+    LENS,
+    NO_SURFACE,
+    PLATE,
+    SENSOR_FRAME,
+    Flow,
+    put,
+)
+from lfmesh.transport.random import derived, uniform
+from lfmesh.transport.tables import Aim, ArrayTables, SensorTables
+
+Array = NDArray[np.float64]
+
+START_DIMENSION = -64
+"""A packet's starting numbers have dimensions of their own, before those of any event."""
+
+DISCRETE, PIXEL_U, PIXEL_V, CELL_U, CELL_V, WHICH_CELL = 0, 1, 2, 3, 4, 5
+
+
+@kernel
+def start(key: np.uint64, dimension: int) -> float:
+    """Return one of a packet's starting numbers."""
+    return uniform(key, START_DIMENSION + dimension)
+
+
+@kernel
+def launch_adjoint(
+    first_pixel: int, pixels: int, samples: int, replicate_key: np.uint64, wave: int,
+    sensor: SensorTables, array: ArrayTables, aim: Aim, frames: Array, lens_surfaces: int,
+    flow: Flow, template: NDArray[np.void],
+) -> None:  # fmt: skip
+    """Start `samples` packets from each of a run of pixels.
+
+    Parameters
+    ----------
+    template : (1,) PACKET
+        Working memory.
+    """
+    packet = template[0]
+    packet.wave = wave
+    packet.last = NO_SURFACE
+    packet.facet = NO_SURFACE
+    packet.kind = CAMERA
+    packet.events = 0
+    packet.space = lens_surfaces
+    area = sensor.pixel * sensor.pixel * MM2 / samples
+    station = PLATE if array.present else LENS
+    for pixel in range(first_pixel, first_pixel + pixels):
+        row, column = pixel // sensor.columns, pixel % sensor.columns
+        packet.source = pixel
+        pixel_key = derived(replicate_key, pixel)
+        for sample in range(samples):
+            key = derived(pixel_key, sample)
+            x = (column - 0.5 * sensor.columns + start(key, PIXEL_U)) * sensor.pixel
+            y = (row - 0.5 * sensor.rows + start(key, PIXEL_V)) * sensor.pixel
+            if array.present:
+                px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
+                dx, dy, dz, importance = _through_a_lenslet(array, aim, frames, key, px, py, pz)
+                ux, uy, uz = move_direction(frames, ARRAY_FRAME, SENSOR_FRAME, dx, dy, dz)
+            else:
+                # The pupil disks are square to the axis of the lens, whichever way the sensor is tilted.
+                px, py, pz = move_point(frames, SENSOR_FRAME, CAMERA_FRAME, x, y, 0.0)
+                dx, dy, dz, density = aimed(
+                    px, py, pz, aim.exit_z, aim.exit_radius, aim.back_z, aim.back_radius,
+                    start(key, DISCRETE), start(key, CELL_U), start(key, CELL_V),
+                )  # fmt: skip
+                ux, uy, uz = move_direction(frames, CAMERA_FRAME, SENSOR_FRAME, dx, dy, dz)
+                importance = -uz / density if density > 0.0 else 0.0
+            if importance <= 0.0:
+                continue
+            weight = area * importance
+            packet.start = weight
+            flow.book[EMITTED] += weight
+            put(flow.stacks, flow.tops, station, packet, SENSOR_FRAME, x, y, 0.0, ux, uy, uz, weight, key, 0.0)
+
+
+@kernel
+def _shows_pupil(array: ArrayTables, aim: Aim, column: int, row: int, x: float, y: float, distance: float) -> bool:
+    """Tell whether a lenslet shows (part of) the exit pupil to a point of the sensor, paraxially.
+
+    A ray from x through the lenslet's point c + u leaves it with slope (c + u − x)/d − φ u and meets the pupil plane,
+    1/κ away, at a slope κ (c + u − pupil) + (c − x)/d + (1/d − φ) u off the pupil's middle.
+    """
+    lenslets = array.lenslets
+    cx, cy = centre(lenslets.lattice, column, row)
+    kappa, over = aim.pupil_vergence, 1.0 / distance
+    a = kappa * (cx - aim.pupil_x) + (cx - x) * over
+    b = kappa * (cy - aim.pupil_y) + (cy - y) * over
+    lattice = lenslets.lattice
+    corner = lattice.pitch * (0.5773502691896258 if lattice.hexagonal else 0.7071067811865476)
+    spread = abs(kappa + over - aim.lenslet_power[type_of(lenslets, column, row)]) * corner
+    limit = aim.pupil_slope + spread
+    return a * a + b * b <= limit * limit
+
+
+@kernel
+def _through_a_lenslet(
+    array: ArrayTables, aim: Aim, frames: Array, key: np.uint64, x: float, y: float, z: float
+) -> tuple[float, float, float, float]:
+    """Return a direction (array frame) from a point of the sensor, and cos θ over its density.
+
+    Uniform over the cells that show the pupil to the point, mixed with a few directions from the whole hemisphere, for
+    ghosts, stray light and the pupil's aberrations. The cells are aimed at where the sensor sees them, through the
+    plate.
+    """
+    lattice = array.lenslets.lattice
+    # The sensor's normal towards the array.
+    nx, ny, nz = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, -1.0)
+    distance = abs(z - aim.lenslet_z)
+    toward = -1.0 if array.curved_to_lens else 1.0
+    shrink = 1.0 / (1.0 + aim.pupil_vergence * distance)
+    column, row = cell_of(lattice, aim.pupil_x + (x - aim.pupil_x) * shrink, aim.pupil_y + (y - aim.pupil_y) * shrink)
+    count = 0
+    for r in range(row - aim.search, row + aim.search + 1):
+        for c in range(column - aim.search, column + aim.search + 1):
+            if is_inside(lattice, c, r) and _shows_pupil(array, aim, c, r, x, y, distance):
+                count += 1
+    wide = 1.0 if count == 0 else WIDE_SHARE
+    if start(key, DISCRETE) < wide:
+        dx, dy, dz = lambertian(nx, ny, nz, start(key, CELL_U), start(key, CELL_V))
+        t = distance / (dz * toward)
+        c, r = cell_of(lattice, x + t * dx, y + t * dy)
+        # Only cells that were candidates have a share of the other density.
+        drawn = (
+            count > 0
+            and t > 0.0
+            and abs(r - row) <= aim.search
+            and abs(c - column) <= aim.search
+            and is_inside(lattice, c, r)
+            and _shows_pupil(array, aim, c, r, x, y, distance)
+        )
+    else:
+        wanted = min(int(start(key, WHICH_CELL) * count), count - 1)
+        chosen_column, chosen_row = column, row
+        for r in range(row - aim.search, row + aim.search + 1):
+            for c in range(column - aim.search, column + aim.search + 1):
+                if is_inside(lattice, c, r) and _shows_pupil(array, aim, c, r, x, y, distance):
+                    if wanted == 0:
+                        chosen_column, chosen_row = c, r
+                    wanted -= 1
+        u, v = _point_of_cell(lattice.hexagonal, start(key, CELL_U), start(key, CELL_V))
+        cx, cy = centre(lattice, chosen_column, chosen_row)
+        dx, dy, dz = cx + u * lattice.pitch - x, cy + v * lattice.pitch - y, toward * distance
+        scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
+        dx, dy, dz = dx * scale, dy * scale, dz * scale
+        drawn = True
+    cos_theta = nx * dx + ny * dy + nz * dz
+    density = wide * cos_theta / np.pi
+    if drawn:
+        cell = lattice.pitch * lattice.pitch * (0.8660254037844386 if lattice.hexagonal else 1.0)
+        cos_array = abs(dz)
+        density += (1.0 - wide) * distance * distance / (count * cell * cos_array * cos_array * cos_array)
+    return dx, dy, dz, cos_theta / density
+
+
+@kernel
+def _point_of_cell(hexagonal: bool, u: float, v: float) -> tuple[float, float]:
+    """Return a uniform point of the cell at the origin, in pitches."""
+    if not hexagonal:
+        return u - 0.5, v - 0.5
+    # Three rhombi make the hexagon, each spanned by two radii to corners.
+    third = int(3.0 * u)
+    u = 3.0 * u - third
+    turn = 2.0943951023931953 * third + 0.5235987755982988
+    ax, ay = np.cos(turn), np.sin(turn)
+    bx, by = np.cos(turn + 2.0943951023931953), np.sin(turn + 2.0943951023931953)
+    return (u * ax + v * bx) * 0.5773502691896258, (u * ay + v * by) * 0.5773502691896258

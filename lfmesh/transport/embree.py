@@ -1,0 +1,42 @@
+"""Embree, asked for one thing only: which facet a ray meets first. The only module that imports embreex."""
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from numpy.typing import NDArray
+
+from lfmesh.geometry.mesh import Mesh
+
+
+class Finder:
+    """The facets of one region, in its own frame, rounded to float32.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        All facets of the region; what `find` returns are its face numbers.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self._scene = EmbreeScene()
+        self._empty = len(mesh.faces) == 0
+        if not self._empty:
+            TriangleMesh(
+                self._scene,
+                np.ascontiguousarray(mesh.vertices, np.float32),
+                np.ascontiguousarray(mesh.faces, np.int32),
+            )
+            # The scene commits inside its first query, which must not happen in two threads at once.
+            self._scene.run(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))
+
+    def find(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.int32]:
+        """Return the (n,) number of the facet each ray meets first, −1 for none. Releases the GIL.
+
+        Parameters
+        ----------
+        origins, directions : (n, 3) float32, contiguous
+        """
+        if self._empty:
+            return np.full(len(origins), -1, np.int32)
+        found: NDArray[np.int32] = self._scene.run(origins, directions)
+        return found

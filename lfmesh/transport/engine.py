@@ -1,0 +1,138 @@
+"""The mesh engine: one chunk of packets, wave by wave, until none is left.
+
+A wave is the packets that wait at one station. Where the station asks Embree, they are admitted (moved into its frame,
+their rays written in float32), Embree names a facet for each, and the station's kernel decides in float64 and puts the
+children on the stacks of the stations they travel to. The station with the most packets goes next, from the top of its
+stack, so a chunk's memory stays bounded however often packets split.
+"""
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.transport.array_region import admit_to_cells, shade_cells, through_plate
+from lfmesh.transport.lens_region import admit_to_lens, shade_lens
+from lfmesh.transport.object_region import admit_to_objects, shade_objects
+from lfmesh.transport.packet import (
+    CELLS,
+    DEPOSIT,
+    DEPOSITS,
+    END,
+    ENDED,
+    LENS,
+    NODE,
+    NODES,
+    OBJECTS,
+    PACKET,
+    PLATE,
+    STATIONS,
+    TOPS,
+    Flow,
+    Options,
+)
+from lfmesh.transport.sensor_region import onto_sensor
+from lfmesh.transport.tables import Tables
+from lfmesh.transport.world import World
+
+CHUNK = 16_384
+"""Packets a chunk starts with and a wave holds at most: they fit the cache, and hide the cost of a call."""
+
+
+class Workspace:
+    """The stacks and tables that one thread works in, kept from chunk to chunk."""
+
+    def __init__(self, world: World, options: Options, chunk: int = CHUNK, tables: Tables | None = None) -> None:
+        self.world = world
+        self.tables = tables or world.tables
+        self.options = options
+        self.chunk = chunk
+        self.stacks = np.zeros((STATIONS, 2 * chunk), PACKET)
+        self.tops = np.zeros(TOPS, np.int64)
+        self.wave = np.zeros(chunk, PACKET)
+        self.origins = np.zeros((chunk, 3), np.float32)
+        self.directions = np.zeros((chunk, 3), np.float32)
+        self.deposits = np.zeros(0, DEPOSIT)
+        self.ended = np.zeros(0, END)
+        self.nodes = np.zeros(0, NODE)
+        self.template = np.zeros(1, PACKET)
+        self.book = np.zeros(len(world.slots))
+        self.counts = np.zeros(2, np.int64)
+        self.film = np.zeros((0, 1))
+        self.embree_seconds = 0.0
+        self.queries = 0
+
+    def begin(self, film: NDArray[np.float64], first_source: int = 0) -> None:
+        """Clear the books for the next chunk, which adds to `film` (sources, wavelengths)."""
+        self.tops[:] = 0
+        self.book[:] = 0.0
+        self.counts[:] = 0
+        self.film = film
+        self.options = self.options._replace(first_source=first_source)
+        self.embree_seconds = 0.0
+        self.queries = 0
+        self._reserve(self.chunk)
+
+    def flow(self) -> Flow:
+        """Return what the kernels write, as they take it."""
+        return Flow(self.stacks, self.tops, self.book, self.counts, self.film, self.deposits, self.ended, self.nodes)
+
+    def run(self) -> None:
+        """Trace until every stack is empty."""
+        tables, options = self.tables, self.options
+        frames, lens, array = tables.frames, tables.lens, tables.array
+        lens_surfaces = len(lens.surfaces)
+        wave, origins, directions = self.wave, self.origins, self.directions
+        while self.tops[:STATIONS].any():
+            station = int(np.argmax(self.tops[:STATIONS]))
+            count = min(int(self.tops[station]), self.chunk)
+            self._reserve(count)
+            flow = self.flow()
+            if station == LENS:
+                count = admit_to_lens(count, flow, wave, origins, directions, lens, array.present, frames, options)
+                found = self._find(LENS, count)
+                shade_lens(wave[:count], found, lens, array.present, frames, options, flow)
+            elif station == CELLS:
+                admit_to_cells(count, flow, wave, origins, directions, array)
+                found = self._find(CELLS, count)
+                shade_cells(wave[:count], found, array, frames, lens_surfaces, options, flow)
+            elif station == OBJECTS:
+                admit_to_objects(count, flow, wave, origins, directions, frames)
+                found = self._find(OBJECTS, count)
+                shade_objects(wave[:count], found, tables.objects, lens, tables.aim, frames, options, flow)
+            elif station == PLATE:
+                through_plate(count, array, frames, lens_surfaces, options, flow)
+            else:
+                onto_sensor(count, tables.sensor, frames, options, flow)
+
+    def _find(self, station: int, count: int) -> NDArray[np.int32]:
+        began = time.perf_counter()
+        found = self.world.finders[station].find(self.origins[:count], self.directions[:count])
+        self.embree_seconds += time.perf_counter() - began
+        self.queries += count
+        return found
+
+    def _reserve(self, packets: int) -> None:
+        """Make room for what a wave of packets may leave: children, deposits, ends, vertices."""
+        # A packet has two children at an interface; at a target one for each light, an aimed and a scattered one.
+        children = max(2, len(self.world.tables.objects.lights) + 2)
+        need = int(self.tops[:STATIONS].max()) + children * packets
+        if need > self.stacks.shape[1]:
+            larger = np.zeros((STATIONS, max(need, 2 * self.stacks.shape[1])), PACKET)
+            larger[:, : self.stacks.shape[1]] = self.stacks
+            self.stacks = larger
+        if not self.options.adjoint and not self.options.tracing:
+            self.deposits = _grown(self.deposits, int(self.tops[DEPOSITS]) + packets)
+        if self.options.tracing:
+            self.ended = _grown(self.ended, int(self.tops[ENDED]) + 2 * packets)
+        if self.options.record:
+            self.nodes = _grown(self.nodes, int(self.tops[NODES]) + 4 * packets)
+
+
+def _grown(table: NDArray[np.void], need: int) -> NDArray[np.void]:
+    """Return the table, or a larger copy of it when it is shorter than needed."""
+    if need <= len(table):
+        return table
+    larger = np.zeros(max(need, 2 * len(table)), table.dtype)
+    larger[: len(table)] = table
+    return larger

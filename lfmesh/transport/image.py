@@ -1,0 +1,54 @@
+"""What a render returns: the mean and standard error of every pixel, with the ledger that goes with it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.scene import Scene
+from lfmesh.transport.ledger import Ledger
+
+
+@dataclass
+class Image:
+    """A raw sensor image in W per pixel.
+
+    Attributes
+    ----------
+    mean : (H, W, wavelengths) float64, W
+    stderr : (H, W, wavelengths) float64, W
+        Standard error of `mean` from the independent replicates; NaN where fewer than two were finished.
+    scene : Scene
+        As rendered: every distance solved, files inlined.
+    ledger : Ledger
+    seconds : float
+        Wall-clock time of tracing.
+    replicates : int
+        Replicates finished, of `scene.transport.replicates`.
+    samples : float
+        Samples per pixel in the finished replicates.
+    engine : str
+        Which engine ran and why, in words.
+    timings : dict
+        Seconds by part, and counts that go with them.
+    """
+
+    mean: NDArray[np.float64]
+    stderr: NDArray[np.float64]
+    scene: Scene
+    ledger: Ledger
+    seconds: float
+    replicates: int
+    samples: float
+    engine: str
+    timings: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def complete(self) -> bool:
+        """False when the run was interrupted before its last replicate."""
+        return self.replicates == self.scene.transport.replicates
+
+    @property
+    def wavelengths_nm(self) -> tuple[float, ...]:
+        """One a channel of `mean`."""
+        return tuple(self.scene.transport.wavelengths_nm)

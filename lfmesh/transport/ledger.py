@@ -1,0 +1,81 @@
+"""The energy ledger: where every watt of a run (or, in adjoint, every unit of importance) ended."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass
+class Ledger:
+    """Sums over all packets of a run.
+
+    `unit` is "W" in the forward method; in the adjoint one the packets carry importance, W per unit radiance
+    (m² sr), and the ledger accounts for that instead.
+
+    The parts close: emitted + roulette_added + sampling_added
+    = sensor + sum(absorbed) + escaped + roulette_removed + sampling_removed + depth + sum(lost), to rounding.
+    """
+
+    unit: str = "W"
+    emitted: float = 0.0
+    sensor: float = 0.0
+    absorbed: dict[str, float] = field(default_factory=dict)
+    """By body: "stop", "lens[0] edge", "mount", "mla edge", "housing", "targets[0]", ..."""
+    escaped: float = 0.0
+    roulette_added: float = 0.0
+    roulette_removed: float = 0.0
+    sampling_added: float = 0.0
+    """What aimed sampling drew: scattering aims a child at the pupil with its share of the energy ..."""
+    sampling_removed: float = 0.0
+    """... and a scattered packet that runs into the lens by itself is taken out, so that nothing counts twice."""
+    depth: float = 0.0
+    """Cut by `max_events`."""
+    lost: dict[str, float] = field(default_factory=dict)
+    """By reason; see `lfmesh.transport.engine`."""
+    packets: int = 0
+    """Packets started."""
+    events: int = 0
+    """Ray-surface events shaded."""
+    requeries: int = 0
+    """Hits that float64 refused and that were queried again."""
+    reached_target: float = 0.0
+    """Adjoint: importance that arrived at a target (before it is absorbed or scattered there)."""
+    lit: float = 0.0
+    """Adjoint: the part of `reached_target` at points that a light reaches or that emit."""
+
+    @property
+    def total_in(self) -> float:
+        """Everything that entered the books."""
+        return self.emitted + self.roulette_added + self.sampling_added
+
+    @property
+    def total_out(self) -> float:
+        """Everything that left them."""
+        return (
+            self.sensor
+            + sum(self.absorbed.values())
+            + self.escaped
+            + self.roulette_removed
+            + self.sampling_removed
+            + self.depth
+            + sum(self.lost.values())
+        )
+
+    @property
+    def imbalance(self) -> float:
+        """(in − out) / emitted; rounding only, or the tracer has a leak."""
+        return (self.total_in - self.total_out) / self.emitted if self.emitted else 0.0
+
+    @property
+    def lost_share(self) -> float:
+        """Lost energy over emitted."""
+        return sum(self.lost.values()) / self.emitted if self.emitted else 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain numbers for JSON, the derived ones included."""
+        return {
+            **vars(self),
+            "total_in": self.total_in,
+            "total_out": self.total_out,
+            "imbalance": self.imbalance,
+            "lost_share": self.lost_share,
+        }

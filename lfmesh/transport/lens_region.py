@@ -1,0 +1,303 @@
+"""Through the main lens: Embree names a facet, float64 decides where the ray meets the surface and what follows.
+
+Camera frame. A packet in space s lies between surface s − 1 and surface s (see `LensTables`).
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.surface import distance_to, normal_at
+from lfmesh.kernel import kernel
+from lfmesh.optics.fresnel import fresnel
+from lfmesh.transport.crossing import (
+    ask_again,
+    behind,
+    clear_of,
+    end,
+    end_here,
+    facet_normal,
+    move_packet,
+    record,
+    reflected,
+    refracted,
+    split_shares,
+    too_deep,
+    write_query,
+)
+from lfmesh.transport.packet import (
+    CAMERA_FRAME,
+    E_REFLECTED,
+    E_TRANSMITTED,
+    EVENTS,
+    EXACT,
+    HOUSING,
+    LEFT_LENS,
+    LENS,
+    NO_SURFACE,
+    OBJECTS,
+    PLATE,
+    S_ABSORBED,
+    SENSOR,
+    STOP,
+    Flow,
+    Options,
+    put,
+)
+from lfmesh.transport.random import derived
+from lfmesh.transport.tables import LensTables
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def box_entry(low: Array, high: Array, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> float:
+    """Return the distance at which a ray enters a box: 0 from inside, inf where it never does."""
+    near, far = 0.0, np.inf
+    for axis in range(3):
+        p = x if axis == 0 else (y if axis == 1 else z)
+        d = dx if axis == 0 else (dy if axis == 1 else dz)
+        if d == 0.0:
+            if p < low[axis] or p > high[axis]:
+                return np.inf
+        else:
+            a, b = (low[axis] - p) / d, (high[axis] - p) / d
+            near, far = max(near, min(a, b)), min(far, max(a, b))
+    return near if near <= far else np.inf
+
+
+@kernel
+def admit_to_lens(
+    count: int, flow: Flow, wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32],
+    lens: LensTables, has_array: bool, frames: Array, options: Options,
+) -> int:  # fmt: skip
+    """Take `count` packets off the stack, those from outside where they enter the box; return how many remain."""
+    low, high = lens.box_low, lens.box_high
+    top = flow.tops[LENS]
+    flow.tops[LENS] = top - count
+    kept = 0
+    for j in range(top - count, top):
+        wave[kept] = flow.stacks[LENS, j]
+        packet = wave[kept]
+        if packet.frame != CAMERA_FRAME:
+            move_packet(frames, packet, CAMERA_FRAME)
+            t = box_entry(low, high, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz)
+            if t == np.inf:
+                end_here(options, flow, frames, packet, HOUSING, S_ABSORBED)
+                continue
+            packet.last = NO_SURFACE
+            packet.query_from = packet.limit = t
+        write_query(origins, directions, kept, packet, 0.0, 0.0)
+        kept += 1
+    return kept
+
+
+@kernel
+def stop_cuts(lens: LensTables, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> bool:
+    """Tell whether the line of a ray passes the plane of the stop outside its aperture."""
+    if dz == 0.0:
+        return True
+    t = (lens.stop_z - z) / dz
+    px, py = x + t * dx, y + t * dy
+    return not px * px + py * py <= lens.stop_radius * lens.stop_radius
+
+
+@kernel
+def leave_lens(
+    options: Options, flow: Flow, frames: Array, lens: LensTables, has_array: bool, packet: Any,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64, space: int,
+) -> None:  # fmt: skip
+    """Hand a packet outside the lens on: to object space, to the array, or without one to the sensor."""
+    if lens.stop_space == space and stop_cuts(lens, x, y, z, dx, dy, dz):
+        t = (lens.stop_z - z) / dz if dz != 0.0 else 0.0
+        end(
+            options, flow, frames, packet, CAMERA_FRAME, x + t * dx, y + t * dy, z + t * dz, dx, dy, dz,
+            weight, STOP, S_ABSORBED,
+        )  # fmt: skip
+        return
+    station = OBJECTS if space == 0 else (PLATE if has_array else SENSOR)
+    child = put(flow.stacks, flow.tops, station, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
+    child.last = LEFT_LENS
+    child.facet = NO_SURFACE
+
+
+@kernel
+def shade_lens(
+    wave: NDArray[np.void], found: NDArray[np.int32],
+    lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
+) -> None:  # fmt: skip
+    """Shade a wave of packets that Embree was asked about: refuse, absorb, or split each at its surface."""
+    facets, surfaces, indices, book = lens.facets, lens.surfaces, lens.indices, flow.book
+    last_space = len(surfaces)
+    events = 0
+    for i in range(len(wave)):
+        packet = wave[i]
+        if packet.events >= options.max_events and packet.tries == 0:
+            too_deep(options, flow, frames, packet)
+            continue
+        prim = found[i]
+        if prim < 0:
+            _meets_nothing(options, flow, frames, lens, has_array, packet)
+            continue
+        x, y, z = packet.x, packet.y, packet.z
+        dx, dy, dz = packet.dx, packet.dy, packet.dz
+        space = packet.space
+        facet = facets[prim]
+        normal = facet.normal
+        along = normal[0] * dx + normal[1] * dy + normal[2] * dz
+        height = normal[0] * x + normal[1] * y + normal[2] * z - facet.offset
+        at_facet = -height / along if along != 0.0 else packet.query_from
+        k = facet.body
+        if k < 0:
+            if -1 - k == space and at_facet > 0.0:
+                _meets_ring(options, flow, frames, lens, packet, at_facet)
+            else:
+                ask_again(options, flow, frames, LENS, packet, behind(facet, packet, at_facet), False)
+            continue
+        # A packet in front of a surface crosses its facets along their normals, one behind it against them.
+        forward = k == space
+        met = (forward and along > 0.0) or (k == space - 1 and along < 0.0)
+        surface = surfaces[k if met else 0]
+        t = at_facet
+        px, py, pz = x + t * dx, y + t * dy, z + t * dz - surface.vertex_z
+        nx, ny, nz = normal[0], normal[1], normal[2]
+        if met and options.surface == EXACT:
+            met, more = distance_to(surface, px, py, pz, dx, dy, dz, 1.0 if forward else -1.0)
+            t += more
+            px, py, pz = px + more * dx, py + more * dy, pz + more * dz
+            nx, ny, nz = normal_at(surface, px, py, pz)
+            met = met and t > 0.0
+        elif met:
+            met = t > 0.25 * packet.query_from
+            if met:
+                nx, ny, nz = facet_normal(options.surface, facet, px, py, pz + surface.vertex_z)
+        cos_i = nx * dx + ny * dy + nz * dz
+        if met and (cos_i > 0.0) != forward:
+            # An interpolated normal may look away from a grazing ray, and its facet then decides; an exact one may not.
+            met = options.surface != EXACT
+            nx, ny, nz, cos_i = normal[0], normal[1], normal[2], along
+        if not met:
+            ask_again(options, flow, frames, LENS, packet, behind(facet, packet, at_facet), False)
+            continue
+        z = pz + surface.vertex_z
+        if lens.stop_space == space and packet.last != k and stop_cuts(lens, px, py, z, dx, dy, dz):
+            at = (lens.stop_z - z) / dz if dz != 0.0 else 0.0
+            end(
+                options, flow, frames, packet, CAMERA_FRAME, px + at * dx, py + at * dy, z + at * dz, dx, dy, dz,
+                packet.weight, STOP, S_ABSORBED,
+            )  # fmt: skip
+            continue
+        if px * px + py * py > surface.aperture * surface.aperture:
+            slot = lens.mount_slot[k]
+            end(
+                options,
+                flow,
+                frames,
+                packet,
+                CAMERA_FRAME,
+                px,
+                py,
+                z,
+                dx,
+                dy,
+                dz,
+                packet.weight,
+                slot,
+                S_ABSORBED,
+            )
+            continue
+        if not forward:
+            nx, ny, nz, cos_i = -nx, -ny, -nz, -cos_i
+        cos_i = min(cos_i, 1.0)
+        events += 1
+        other = k + 1 if forward else k
+        n_i, n_t = indices[space, packet.wave], indices[other, packet.wave]
+        reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
+        to_reflected, to_refracted = split_shares(options, book, packet, reflectance, transmittance)
+        packet.events += 1
+        packet.last = k
+        parent, key = packet.node, packet.key
+        for child in range(2):
+            refracts = child == 1
+            weight = to_refracted if refracts else to_reflected
+            if weight <= 0.0:
+                continue
+            if refracts:
+                ux, uy, uz = refracted(dx, dy, dz, nx, ny, nz, n_i / n_t, cos_i, cos_t)
+            else:
+                ux, uy, uz = reflected(dx, dy, dz, nx, ny, nz)
+            into = other if refracts else space
+            if options.record:
+                event = E_TRANSMITTED if refracts else E_REFLECTED
+                packet.node = record(flow, frames, CAMERA_FRAME, px, py, z, weight, k, event, parent)
+            child_key = key if refracts else derived(key, packet.events)
+            packet.space = into
+            if (into == 0 and lens.convex_front) or (into == last_space and lens.convex_back):
+                leave_lens(
+                    options,
+                    flow,
+                    frames,
+                    lens,
+                    has_array,
+                    packet,
+                    px,
+                    py,
+                    z,
+                    ux,
+                    uy,
+                    uz,
+                    weight,
+                    child_key,
+                    into,
+                )
+            else:
+                clear = clear_of(facet, px, py, z, ux, uy, uz)
+                put(
+                    flow.stacks,
+                    flow.tops,
+                    LENS,
+                    packet,
+                    CAMERA_FRAME,
+                    px,
+                    py,
+                    z,
+                    ux,
+                    uy,
+                    uz,
+                    weight,
+                    child_key,
+                    clear,
+                )
+    flow.counts[EVENTS] += events
+
+
+@kernel
+def _meets_ring(options: Options, flow: Flow, frames: Array, lens: LensTables, packet: Any, t: float) -> None:
+    """Absorb a packet at the rim of its space: at the stop, if that stood before it, else at the edge or mount."""
+    slot = lens.ring_slot[packet.space]
+    x, y, z = packet.x, packet.y, packet.z
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    if lens.stop_space == packet.space and dz != 0.0 and stop_cuts(lens, x, y, z, dx, dy, dz):
+        at = (lens.stop_z - z) / dz
+        if 0.0 < at < t:
+            slot, t = STOP, at
+    end(
+        options, flow, frames, packet, CAMERA_FRAME, x + t * dx, y + t * dy, z + t * dz, dx, dy, dz,
+        packet.weight, slot, S_ABSORBED,
+    )  # fmt: skip
+
+
+@kernel
+def _meets_nothing(options: Options, flow: Flow, frames: Array, lens: LensTables, has_array: bool, packet: Any) -> None:
+    """Let a packet out of the lens; inside it, nothing to meet is impossible, and it is looked for again."""
+    last_space = len(lens.surfaces)
+    if packet.space == 0 or (packet.space == last_space and packet.dz > 0.0):
+        leave_lens(
+            options, flow, frames, lens, has_array, packet, packet.x, packet.y, packet.z,
+            packet.dx, packet.dy, packet.dz, packet.weight, packet.key, packet.space,
+        )  # fmt: skip
+    elif packet.space == last_space:
+        end_here(options, flow, frames, packet, HOUSING, S_ABSORBED)
+    else:
+        ask_again(options, flow, frames, LENS, packet, packet.query_from, True)

@@ -1,0 +1,341 @@
+"""Object space: targets that scatter and emit, lights, shadows, and the way into the lens.
+
+Object frame. The same kernel serves both methods: in adjoint a packet that reaches a target gathers what leaves the
+point towards it (own emission, and light by next-event estimation); in forward it scatters a child that is aimed at
+the entrance pupil. In both it may go on to other targets.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.frame import move_direction, move_point
+from lfmesh.kernel import kernel
+from lfmesh.optics.scattering import lambertian, tangents
+from lfmesh.transport.aiming import aimed
+from lfmesh.transport.crossing import (
+    AIM_DISK,
+    AIM_U,
+    AIM_V,
+    BOUNCE_U,
+    BOUNCE_V,
+    KEEP_BOUNCE,
+    LIGHT_U,
+    LIGHT_V,
+    ask_again,
+    barycentric,
+    behind,
+    clear_of,
+    deposit,
+    draw,
+    end,
+    end_here,
+    move_packet,
+    record,
+    too_deep,
+    windowed,
+    write_query,
+)
+from lfmesh.transport.lens_region import box_entry
+from lfmesh.transport.packet import (
+    CAMERA,
+    CAMERA_FRAME,
+    E_SCATTERED,
+    ESCAPED,
+    EVENTS,
+    HOUSING,
+    LAMP,
+    LEFT_LENS,
+    LENS,
+    LENS_FRONT,
+    LIT,
+    NO_SURFACE,
+    OBJECT_FRAME,
+    OBJECTS,
+    ON_TARGET,
+    REACHED,
+    S_ABSORBED,
+    S_ESCAPED,
+    S_TARGET,
+    SAMPLING_ADDED,
+    SAMPLING_REMOVED,
+    SCATTERED,
+    SHADOW,
+    Flow,
+    Options,
+    put,
+)
+from lfmesh.transport.random import DIMENSIONS_PER_EVENT, derived, uniform
+from lfmesh.transport.tables import DIRECTIONAL, DISK, Aim, LensTables, ObjectTables
+
+Array = NDArray[np.float64]
+
+MM2 = 1e-6
+"""m² in a mm²."""
+
+AIMED_CHILD = 1 << 20
+"""Number of the aimed child among a packet's children, out of the way of its events."""
+
+
+LIGHT_DIMENSIONS = 1 << 12
+"""Each light's random numbers start this many dimensions after the last one's."""
+
+
+@kernel
+def admit_to_objects(
+    count: int, flow: Flow, wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32],
+    frames: Array,
+) -> int:  # fmt: skip
+    """Take `count` packets off the stack and write their rays."""
+    top = flow.tops[OBJECTS]
+    flow.tops[OBJECTS] = top - count
+    for i in range(count):
+        wave[i] = flow.stacks[OBJECTS, top - count + i]
+        move_packet(frames, wave[i], OBJECT_FRAME)
+        write_query(origins, directions, i, wave[i], 0.0, 0.0)
+    return count
+
+
+@kernel
+def shade_objects(
+    wave: NDArray[np.void], found: NDArray[np.int32],
+    objects: ObjectTables, lens: LensTables, aim: Aim, frames: Array, options: Options, flow: Flow,
+) -> None:  # fmt: skip
+    """Shade a wave of packets in object space."""
+    facets = objects.facets
+    for i in range(len(wave)):
+        packet = wave[i]
+        x, y, z = packet.x, packet.y, packet.z
+        dx, dy, dz = packet.dx, packet.dy, packet.dz
+        prim = found[i]
+        t, along = np.inf, 0.0
+        facet = facets[max(prim, 0)]
+        if prim >= 0:
+            normal = facet.normal
+            along = normal[0] * dx + normal[1] * dy + normal[2] * dz
+            height = normal[0] * x + normal[1] * y + normal[2] * z - facet.offset
+            t = -height / along if along != 0.0 else -np.inf
+            # Nearer than the query's start: the facet that the packet left, or a neighbour in its plane.
+            if prim == packet.facet or t <= 0.25 * packet.query_from or t <= 0.0:
+                again = behind(facet, packet, t if t > 0.0 else 0.0)
+                ask_again(options, flow, frames, OBJECTS, packet, again, False)
+                continue
+        if packet.kind == SHADOW:
+            if t >= packet.limit:
+                deposit(options, flow, packet.source, packet.wave, packet.weight)
+            continue
+        if packet.last != LEFT_LENS:
+            px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
+            ex, ey, ez = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, dx, dy, dz)
+            if box_entry(lens.box_low, lens.box_high, px, py, pz, ex, ey, ez) < t:
+                if options.adjoint or packet.kind == CAMERA:
+                    child = put(
+                        flow.stacks,
+                        flow.tops,
+                        LENS,
+                        packet,
+                        OBJECT_FRAME,
+                        x,
+                        y,
+                        z,
+                        dx,
+                        dy,
+                        dz,
+                        packet.weight,
+                        packet.key,
+                        0.0,
+                    )
+                    child.kind = CAMERA
+                    child.space = 0
+                else:
+                    # Scattered light goes into the lens by aimed children only; a lamp's own light is not followed.
+                    flow.book[LENS_FRONT if packet.kind == LAMP else SAMPLING_REMOVED] += packet.weight
+                continue
+            if options.bounce and not options.adjoint and packet.kind == CAMERA:
+                # It was aimed at the lens and is not going there: what else is in that direction, scattered light
+                # that was not aimed brings there already.
+                flow.book[SAMPLING_REMOVED] += packet.weight
+                continue
+        if prim < 0:
+            end_here(options, flow, frames, packet, ESCAPED, S_ESCAPED)
+            continue
+        x, y, z = x + t * dx, y + t * dy, z + t * dz
+        body = facet.body
+        weight = packet.weight
+        slot = HOUSING if body < 0 else objects.target_slot[body]
+        if body < 0 or options.tracing:
+            status = S_ABSORBED if body < 0 else S_TARGET
+            end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, status)
+            continue
+        if too_deep(options, flow, frames, packet):
+            continue
+        flow.counts[EVENTS] += 1
+        if objects.closed[body] and along > 0.0:
+            flow.book[slot] += weight
+            continue
+        side = -1.0 if along > 0.0 else 1.0
+        texel = texture_at(objects, prim, packet.wave, x, y, z)
+        albedo = objects.reflectance[body, packet.wave] * texel
+        if options.adjoint:
+            flow.book[REACHED] += weight
+            radiance = objects.radiance[body, packet.wave] * texel
+            if radiance > 0.0:
+                deposit(options, flow, packet.source, packet.wave, weight * radiance)
+            lit = radiance > 0.0
+            if albedo > 0.0:
+                lit = _ask_lights(objects, flow, packet, prim, x, y, z, side, albedo) or lit
+            if lit:
+                flow.book[LIT] += weight
+        scattered = weight * albedo
+        flow.book[slot] += weight - scattered
+        packet.events += 1
+        scatter(options, flow, frames, objects, aim, packet, prim, x, y, z, side, scattered)
+
+
+@kernel
+def texture_at(objects: ObjectTables, prim: int, wave: int, x: float, y: float, z: float) -> float:
+    """Return the texture's value (linear light, bilinear, clamped) at a point of a facet; 1 without."""
+    body = objects.facets[prim].body
+    height = objects.texture[body, 1]
+    if height == 0:
+        return 1.0
+    first, width = objects.texture[body, 0], objects.texture[body, 2]
+    b, c = barycentric(objects.facets[prim], x, y, z)
+    uv = objects.uv[prim]
+    a = 1.0 - b - c
+    u = a * uv[0, 0] + b * uv[1, 0] + c * uv[2, 0]
+    v = a * uv[0, 1] + b * uv[1, 1] + c * uv[2, 1]
+    column = u * width - 0.5
+    row = (1.0 - v) * height - 0.5
+    left, low = int(np.floor(column)), int(np.floor(row))
+    right_share, low_share = column - left, row - low
+    value = 0.0
+    for j in range(2):
+        for k in range(2):
+            r = min(max(low + j, 0), height - 1)
+            s = min(max(left + k, 0), width - 1)
+            share = (low_share if j else 1.0 - low_share) * (right_share if k else 1.0 - right_share)
+            value += share * objects.texels[first + r * width + s, wave]
+    return value
+
+
+@kernel
+def _ask_lights(
+    objects: ObjectTables, flow: Flow, packet: Any, prim: int,
+    x: float, y: float, z: float, side: float, albedo: float,
+) -> bool:  # fmt: skip
+    """Send a shadow packet to every light that faces the point (next-event estimation); tell whether any does."""
+    facet = objects.facets[prim]
+    nx, ny, nz = side * facet.normal[0], side * facet.normal[1], side * facet.normal[2]
+    any_light = False
+    for number in range(len(objects.lights)):
+        light = objects.lights[number]
+        lx, ly, lz = light.position[0], light.position[1], light.position[2]
+        ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
+        reach = np.inf
+        if light.kind == DIRECTIONAL:
+            ux, uy, uz = -ax, -ay, -az
+            irradiance = light.power
+        else:
+            if light.kind == DISK:
+                dimension = packet.events * DIMENSIONS_PER_EVENT + LIGHT_U + LIGHT_DIMENSIONS * number
+                r = light.radius * np.sqrt(uniform(packet.key, dimension))
+                phi = 2.0 * np.pi * uniform(packet.key, dimension + LIGHT_V - LIGHT_U)
+                px, py, pz, qx, qy, qz = tangents(ax, ay, az)
+                a, b = r * np.cos(phi), r * np.sin(phi)
+                lx, ly, lz = lx + a * px + b * qx, ly + a * py + b * qy, lz + a * pz + b * qz
+            ux, uy, uz = lx - x, ly - y, lz - z
+            distance2 = ux * ux + uy * uy + uz * uz
+            reach = np.sqrt(distance2)
+            ux, uy, uz = ux / reach, uy / reach, uz / reach
+            if light.kind == DISK:
+                cos_light = -(ux * ax + uy * ay + uz * az)
+                irradiance = max(0.0, cos_light) * light.power / (np.pi * MM2 * distance2)
+            else:
+                irradiance = light.power / (4.0 * np.pi * MM2 * distance2)
+        cos_surface = nx * ux + ny * uy + nz * uz
+        if cos_surface <= 0.0 or irradiance <= 0.0:
+            continue
+        any_light = True
+        shadow = put(
+            flow.stacks, flow.tops, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz,
+            packet.weight * albedo / np.pi * irradiance * cos_surface, packet.key,
+            clear_of(facet, x, y, z, ux, uy, uz),
+        )  # fmt: skip
+        shadow.kind = SHADOW
+        shadow.facet = prim
+        shadow.limit = reach
+    return any_light
+
+
+@kernel
+def scatter(
+    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: Aim, packet: Any, prim: int,
+    x: float, y: float, z: float, side: float, weight: float,
+) -> None:  # fmt: skip
+    """Scatter (or emit) a weight from a point of a facet, Lambertian: towards the camera, and to other targets."""
+    if weight <= 0.0:
+        return
+    facet = objects.facets[prim]
+    normal = facet.normal
+    nx, ny, nz = side * normal[0], side * normal[1], side * normal[2]
+    packet.facet = prim
+    packet.last = NO_SURFACE
+    if options.record:
+        packet.node = record(flow, frames, OBJECT_FRAME, x, y, z, weight, ON_TARGET, E_SCATTERED, packet.node)
+    to_camera = 0.0
+    if not options.adjoint:
+        to_camera = _aim_at_camera(flow, frames, aim, facet, packet, x, y, z, nx, ny, nz, weight)
+    if not options.bounce:
+        # Nothing else is there to be met: what does not go to the camera escapes.
+        flow.book[ESCAPED] += weight - to_camera
+        return
+    flow.book[SAMPLING_ADDED] += to_camera
+    dimension = packet.events * DIMENSIONS_PER_EVENT + KEEP_BOUNCE
+    weight = windowed(flow.book, weight, options.cutoff * packet.start, packet.key, dimension)
+    if weight > 0.0:
+        dx, dy, dz = lambertian(nx, ny, nz, draw(packet, BOUNCE_U), draw(packet, BOUNCE_V))
+        clear = clear_of(facet, x, y, z, dx, dy, dz)
+        child = put(
+            flow.stacks,
+            flow.tops,
+            OBJECTS,
+            packet,
+            OBJECT_FRAME,
+            x,
+            y,
+            z,
+            dx,
+            dy,
+            dz,
+            weight,
+            packet.key,
+            clear,
+        )
+        child.kind = SCATTERED
+
+
+@kernel
+def _aim_at_camera(
+    flow: Flow, frames: Array, aim: Aim, facet: Any, packet: Any,
+    x: float, y: float, z: float, nx: float, ny: float, nz: float, weight: float,
+) -> float:  # fmt: skip
+    """Queue the child that is aimed at the entrance pupil: BRDF · cos · dω of the weight. Return its weight."""
+    px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
+    ax, ay, az, density = aimed(
+        px, py, pz, aim.entrance_z, aim.entrance_radius, aim.front_z, aim.front_radius,
+        draw(packet, AIM_DISK), draw(packet, AIM_U), draw(packet, AIM_V),
+    )  # fmt: skip
+    dx, dy, dz = move_direction(frames, CAMERA_FRAME, OBJECT_FRAME, ax, ay, az)
+    cos_theta = nx * dx + ny * dy + nz * dz
+    if cos_theta <= 0.0 or density <= 0.0:
+        return 0.0
+    weight *= cos_theta / (np.pi * density)
+    child = put(
+        flow.stacks, flow.tops, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight,
+        derived(packet.key, AIMED_CHILD + packet.events), clear_of(facet, x, y, z, dx, dy, dz),
+    )  # fmt: skip
+    child.kind = CAMERA
+    child.start = weight
+    return weight

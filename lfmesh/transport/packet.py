@@ -1,0 +1,183 @@
+"""Packets, the stacks they wait in, and everything a kernel writes: the state of one chunk.
+
+A packet is one record, two cache lines, so that it moves as a whole.
+"""
+
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernel import inlined
+
+# Stations: what a packet waits for. Embree is asked at the first three.
+LENS = 0  # a surface of the main lens
+CELLS = 1  # the curved face of the array, in its cell
+OBJECTS = 2  # a target, or the way into the lens
+PLATE = 3  # the array from outside its layer of curved faces: entry, or the flat face
+SENSOR = 4  # a pixel
+STATIONS = 5
+
+# Frames. A waiting packet says in which frame it is given; its station moves it into its own.
+CAMERA_FRAME, ARRAY_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME = 0, 1, 2, 3, 4
+
+# Kinds of packet.
+CAMERA = 0  # on the camera's path: leaves the sensor (adjoint), or was aimed at the lens (forward)
+LAMP = 1  # straight from a light
+SCATTERED = 2  # left a target in a random direction
+SHADOW = 3  # asks whether a light reaches a point; carries what it adds to the pixel if so
+
+# Slots of the book; bodies follow after the last.
+EMITTED, ON_SENSOR, ESCAPED, ROULETTE_ADDED, ROULETTE_REMOVED = 0, 1, 2, 3, 4
+SAMPLING_ADDED, SAMPLING_REMOVED, DEPTH, LOST_MISS, LOST_CONTRADICTION = 5, 6, 7, 8, 9
+UNFOLLOWED, REACHED, LIT, BESIDE_SENSOR, HOUSING, STOP, MOUNT, ARRAY_MOUNT, ARRAY_EDGE, ARRAY_WALL, LENS_FRONT = (
+    10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20,
+)  # fmt: skip
+FIRST_BODY = 21
+
+# Counters.
+EVENTS, REQUERIES = 0, 1
+
+# Tops: how many entries of each growing table are in use; the first are the stations' stacks.
+DEPOSITS, ENDED, NODES = STATIONS, STATIONS + 1, STATIONS + 2
+TOPS = STATIONS + 3
+
+
+class Status(IntEnum):
+    """How a packet ended."""
+
+    SENSOR = 0
+    ABSORBED = 1
+    ESCAPED = 2
+    TARGET = 3
+    DEPTH = 4
+    LOST = 5
+    ROULETTE = 6
+
+
+class Event(IntEnum):
+    """What happened at a recorded vertex."""
+
+    START = 0
+    TRANSMITTED = 1
+    REFLECTED = 2
+    SCATTERED = 3
+    SENSOR = 4
+    ABSORBED = 5
+    ESCAPED = 6
+    TARGET = 7
+    DEPTH = 8
+    LOST = 9
+
+
+# Plain integers: numba reads module constants, not the members of an enumeration.
+E_START, E_TRANSMITTED, E_REFLECTED, E_SCATTERED = 0, 1, 2, 3
+S_SENSOR, S_ABSORBED, S_ESCAPED, S_TARGET, S_DEPTH, S_LOST = 0, 1, 2, 3, 4, 5
+EVENT_OF_STATUS = np.array([4, 5, 6, 7, 8, 9, 5])
+
+# Numbers in a recorded vertex's `surface`: below 1000 a refracting surface of the lens.
+CURVED_FACE, FLAT_FACE, ON_TARGET, ENDS_AT = 1000, 1001, 1002, 2000  # ENDS_AT + slot: where a packet ended
+
+NO_SURFACE = -1
+LEFT_LENS = -2
+"""`last` of a packet in object space that left the lens: a straight line does not come back to it."""
+
+PACKET = np.dtype(
+    [
+        ("x", "f8"), ("y", "f8"), ("z", "f8"),  # mm, in `frame`
+        ("dx", "f8"), ("dy", "f8"), ("dz", "f8"),
+        ("weight", "f8"),  # W (forward) or m² sr (adjoint)
+        ("start", "f8"),  # the weight that the weight window refers to
+        ("query_from", "f8"),  # distance along the ray at which Embree starts to look
+        ("limit", "f8"),  # SHADOW: distance of the light; else the first query_from, to start afresh
+        ("aside", "f8"),  # how far the query origin is moved aside, mm: 0, but for a ray that slipped between facets
+        ("key", "u8"),
+        ("source", "i8"),  # pixel (adjoint), packet (forward) or ray (trace) it descends from
+        ("node", "i8"),  # its last recorded vertex
+        ("column", "i4"), ("row", "i4"),  # cell of the array
+        ("facet", "i4"),  # target facet it left
+        ("last", "i2"),  # lens surface it left
+        ("wave", "i2"),  # wavelength
+        ("space", "i2"),  # space between two surfaces it travels in
+        ("events", "i2"),
+        ("tries", "i2"),  # queries of this ray that were refused
+        ("kind", "i2"),
+        ("frame", "i2"),
+    ],
+    align=True,
+)  # fmt: skip
+
+DEPOSIT = np.dtype([("pixel", "i8"), ("wave", "i8"), ("weight", "f8")])
+
+END = np.dtype(
+    [
+        ("position", "f8", (3,)),
+        ("direction", "f8", (3,)),
+        ("weight", "f8"),
+        ("source", "i8"),
+        ("status", "i8"),
+        ("events", "i8"),
+        ("node", "i8"),
+        ("body", "i8"),
+        ("wave", "i8"),
+    ]
+)
+
+NODE = np.dtype([("parent", "i8"), ("position", "f8", (3,)), ("weight", "f8"), ("surface", "i8"), ("event", "i8")])
+
+
+class Flow(NamedTuple):
+    """Everything that the kernels of one chunk write."""
+
+    stacks: NDArray[np.void]  # (stations, capacity) PACKET
+    tops: NDArray[np.int64]
+    book: NDArray[np.float64]
+    counts: NDArray[np.int64]
+    film: NDArray[np.float64]  # (sources of the chunk, wavelengths): what adjoint paths gather
+    deposits: NDArray[np.void]  # forward: what fell on which pixel
+    ended: NDArray[np.void]  # trace: how every packet ended
+    nodes: NDArray[np.void]  # trace with record: every vertex
+
+
+class Options(NamedTuple):
+    """What of the transport settings the kernels need, as numbers."""
+
+    surface: int
+    split: int
+    max_events: int
+    cutoff: float
+    adjoint: bool
+    tracing: bool  # packets that end are kept, and a target ends them
+    record: bool
+    bounce: bool  # light may go from target to target
+    first_source: int  # film row 0
+
+
+# Options.surface
+FLAT, SMOOTH, EXACT = 0, 1, 2
+# Options.split
+BOTH, ROULETTE, TRANSMIT = 0, 1, 2
+
+
+@inlined
+def put(
+    stacks: NDArray[np.void], tops: NDArray[np.int64], station: int, parent: Any, frame: int,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float,
+    weight: float, key: np.uint64, query_from: float,
+) -> Any:  # fmt: skip
+    """Queue a packet at a station, given in a frame; it inherits all else from `parent`. Return its record."""
+    top = tops[station]
+    stacks[station, top] = parent
+    packet = stacks[station, top]
+    packet.frame = frame
+    packet.x, packet.y, packet.z = x, y, z
+    packet.dx, packet.dy, packet.dz = dx, dy, dz
+    packet.weight = weight
+    packet.key = key
+    packet.query_from = query_from
+    packet.limit = query_from
+    packet.aside = 0.0
+    packet.tries = 0
+    tops[station] = top + 1
+    return packet

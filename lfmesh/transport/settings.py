@@ -1,0 +1,85 @@
+"""Between the user's settings and the kernels' numbers: options going in, the book coming out."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.transport.ledger import Ledger
+from lfmesh.transport.packet import (
+    BOTH,
+    DEPTH,
+    EMITTED,
+    ESCAPED,
+    EVENTS,
+    EXACT,
+    FLAT,
+    LIT,
+    LOST_CONTRADICTION,
+    LOST_MISS,
+    ON_SENSOR,
+    REACHED,
+    REQUERIES,
+    ROULETTE,
+    ROULETTE_ADDED,
+    ROULETTE_REMOVED,
+    SAMPLING_ADDED,
+    SAMPLING_REMOVED,
+    SMOOTH,
+    TRANSMIT,
+    Options,
+)
+from lfmesh.transport.world import World
+
+SURFACE_LEVEL = {"flat": FLAT, "smooth": SMOOTH, "exact": EXACT}
+SPLIT_MODE = {"both": BOTH, "roulette": ROULETTE, "transmit": TRANSMIT}
+
+
+def options_of(world: World, *, tracing: bool = False, record: bool = False, **override: Any) -> Options:
+    """Return a scene's transport settings as the kernels take them; `override` replaces single ones."""
+    transport = world.scene.transport
+    tables = world.tables
+    options = Options(
+        SURFACE_LEVEL[transport.surface],
+        SPLIT_MODE[transport.split],
+        transport.max_events,
+        transport.weight_cutoff,
+        transport.method == "adjoint" and not tracing,
+        tracing,
+        record,
+        # Light goes from target to target, unless there is but one flat sheet.
+        len(tables.objects.closed) > 1 or bool((tables.objects.facets["body"] >= 0).sum() > 2),
+        0,
+    )
+    return options._replace(**override)
+
+
+def ledger_of(book: NDArray[np.float64], counts: NDArray[np.int64], world: World, packets: int, unit: str) -> Ledger:
+    """Return a book with its slots as a ledger."""
+    named = {name: float(book[slot]) for slot, name in enumerate(world.slots)}
+    known = {
+        EMITTED, ON_SENSOR, ESCAPED, ROULETTE_ADDED, ROULETTE_REMOVED, SAMPLING_ADDED, SAMPLING_REMOVED, DEPTH,
+        LOST_MISS, LOST_CONTRADICTION, REACHED, LIT,
+    }  # fmt: skip
+    absorbed: dict[str, float] = {}
+    for slot, name in enumerate(world.slots):
+        if slot not in known and named[name] != 0.0:
+            absorbed[name] = float(book[slot])
+    return Ledger(
+        unit=unit,
+        emitted=float(book[EMITTED]),
+        sensor=float(book[ON_SENSOR]),
+        absorbed=absorbed,
+        escaped=float(book[ESCAPED]),
+        roulette_added=float(book[ROULETTE_ADDED]),
+        roulette_removed=float(book[ROULETTE_REMOVED]),
+        sampling_added=float(book[SAMPLING_ADDED]),
+        sampling_removed=float(book[SAMPLING_REMOVED]),
+        depth=float(book[DEPTH]),
+        lost={"miss": float(book[LOST_MISS]), "contradiction": float(book[LOST_CONTRADICTION])},
+        packets=packets,
+        events=int(counts[EVENTS]),
+        requeries=int(counts[REQUERIES]),
+        reached_target=float(book[REACHED]),
+        lit=float(book[LIT]),
+    )

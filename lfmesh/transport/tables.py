@@ -1,0 +1,127 @@
+"""The built scene as the kernels read it: flat tables of surfaces, facets, media, frames, materials and lights."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.lenslets import Lenslets
+
+Array = NDArray[np.float64]
+Records = NDArray[np.void]
+
+
+class LensTables(NamedTuple):
+    """The main lens in the camera frame.
+
+    Refracting surface k separates space k (towards the object) from space k + 1. A ring joins the rims of two
+    surfaces, so that every space inside the lens is closed: a packet in it meets its own two surfaces, its own ring,
+    or nothing. What Embree reports beyond that is a contradiction, to be queried again.
+    """
+
+    surfaces: Records  # (K,) SURFACE
+    facets: Records  # (m,) FACET; body: surface k ≥ 0, or −1 − s for the ring of space s
+    indices: Array  # (K + 1, wavelengths)
+    ring_slot: NDArray[np.int64]  # (K + 1,) book slot of each space's ring
+    mount_slot: NDArray[np.int64]  # (K,) book slot of what lies outside each surface's clear aperture
+    stop_space: int  # −1: the stop is a refracting surface
+    stop_z: float
+    stop_radius: float
+    box_low: Array  # (3,) bounds of all caps
+    box_high: Array
+    convex_front: bool  # a ray that leaves the first surface towards the object cannot meet the lens again
+    convex_back: bool
+
+
+class ArrayTables(NamedTuple):
+    """The microlens array in its own frame (z from the curved face into the glass), folded into one cell a type."""
+
+    present: bool
+    lenslets: Lenslets
+    facets: Records  # (m,) FACET of the cells of all types, side by side
+    type_shift: float  # x distance of two types' cells in the Embree scene
+    indices: Array  # (wavelengths,) of the glass
+    curved_to_lens: bool
+
+
+class SensorTables(NamedTuple):
+    """The pixels, in the sensor's frame: z = 0, light arrives with dz > 0."""
+
+    columns: int
+    rows: int
+    pixel: float  # mm
+
+
+class ObjectTables(NamedTuple):
+    """Targets, lights and the camera's housing in the object frame: world axes about the targets' middle."""
+
+    facets: Records  # (m,) FACET; body: target t ≥ 0, or −1 for the housing
+    uv: Array  # (m, 3, 2)
+    closed: NDArray[np.bool_]  # (targets,) scatters and emits outside only
+    reflectance: Array  # (targets, wavelengths)
+    radiance: Array  # (targets, wavelengths) W/(m² sr)
+    texture: NDArray[np.int64]  # (targets, 3): first value, height, width; height 0: none
+    texels: NDArray[np.float32]  # (values, wavelengths)
+    target_slot: NDArray[np.int64]  # (targets,)
+    lights: Records  # LIGHT
+    sources: Records  # SOURCE: what the forward method starts from
+    middle: Array  # (3,) centre and
+    radius: float  # radius of the targets' bounding sphere
+
+
+class Aim(NamedTuple):
+    """Where rays are aimed. Disks are square to the axis and centred on it, in the camera frame.
+
+    The pupil disk holds the image path with a margin; the wide disk every ray that can reach the lens at all.
+    """
+
+    entrance_z: float  # entrance pupil, as seen from the targets
+    entrance_radius: float
+    front_z: float
+    front_radius: float
+    exit_z: float  # exit pupil, as seen from the sensor
+    exit_radius: float
+    back_z: float
+    back_radius: float
+    # The array: paraxial quantities that tell which lenslets show the exit pupil to a pixel.
+    lenslet_z: float  # the curved face as the sensor sees it, array frame
+    pupil_x: float  # middle of the exit pupil, array frame
+    pupil_y: float
+    pupil_vergence: float  # 1 / reduced distance from the curved face to the exit pupil, 1/mm; 0: telecentric
+    pupil_slope: float  # radius of the exit pupil over that distance
+    lenslet_power: Array  # (types,) 1/mm
+    search: int  # cells to each side that may show the pupil
+
+
+class Tables(NamedTuple):
+    """All of it."""
+
+    lens: LensTables
+    array: ArrayTables
+    sensor: SensorTables
+    objects: ObjectTables
+    frames: Array  # (5, 5, 3, 4): frames[a, b] moves from frame a into frame b
+    aim: Aim
+
+
+LIGHT = np.dtype(
+    [
+        ("kind", "i8"),
+        ("position", "f8", (3,)),
+        ("direction", "f8", (3,)),  # unit, the way the light goes
+        ("radius", "f8"),
+        ("power", "f8"),  # W; directional: irradiance in W/m²
+    ]
+)
+
+POINT, DIRECTIONAL, DISK = 0, 1, 2
+
+SOURCE = np.dtype(
+    [
+        ("light", "i8"),  # number of the light, or −1
+        ("facet", "i8"),  # number of the emitting facet, or −1
+        ("until", "f8"),  # cumulative share of the power
+        ("share", "f8"),
+        ("power", "f8"),  # W at full texture, all sides (facets); directional: over the targets' disk
+    ]
+)

@@ -1,0 +1,338 @@
+"""Rays of the user's own through a built scene, with every vertex recorded if wished."""
+
+import os
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.surface import sag
+from lfmesh.kernel import kernel
+from lfmesh.optics.glass import refractive_index
+from lfmesh.transport.engine import CHUNK, Workspace
+from lfmesh.transport.ledger import Ledger
+from lfmesh.transport.packet import (
+    ARRAY_FRAME,
+    CAMERA,
+    CAMERA_FRAME,
+    EMITTED,
+    END,
+    ENDED,
+    LENS,
+    NO_SURFACE,
+    NODE,
+    NODES,
+    OBJECTS,
+    PLATE,
+    SENSOR,
+    SENSOR_FRAME,
+    WORLD_FRAME,
+    Event,
+    Flow,
+    Status,
+    put,
+)
+from lfmesh.transport.packet import E_START as STARTED
+from lfmesh.transport.random import derived
+from lfmesh.transport.settings import SPLIT_MODE, SURFACE_LEVEL, ledger_of, options_of
+from lfmesh.transport.tables import Tables
+from lfmesh.transport.world import World
+
+
+@dataclass(frozen=True)
+class Vertex:
+    """One recorded point of a path."""
+
+    position: NDArray[np.float64]
+    """(3,) mm, world frame."""
+    surface: str
+    """What the packet met there: "lens surface 3", "mla curved face", "stop", ..."""
+    event: Event
+    weight: float
+    """What the packet went on with."""
+
+
+@dataclass(frozen=True)
+class Paths:
+    """How every packet of a trace ended; one row a packet, in the order of the rays they descend from.
+
+    Attributes
+    ----------
+    position : (n, 3) float64, mm, world frame
+    direction : (n, 3) float64, unit
+    weight : (n,) float64
+        Share of the ray's power that the packet holds.
+    status : (n,) int64
+        `Status` of each.
+    source : (n,) int64
+        Index of the input ray.
+    events : (n,) int64
+        Number of interfaces met.
+    body : list of str
+        What each ended on.
+    ledger : Ledger
+    """
+
+    position: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    status: NDArray[np.int64]
+    source: NDArray[np.int64]
+    events: NDArray[np.int64]
+    body: list[str]
+    ledger: Ledger
+    _node: NDArray[np.int64]
+    _nodes: NDArray[np.void]
+    _world: World
+
+    def __len__(self) -> int:
+        return len(self.weight)
+
+    def vertices(self, packet: int) -> list[Vertex]:
+        """Return the recorded path of a packet, from its ray's start to its end.
+
+        Raises
+        ------
+        LfmeshError
+            The trace was made without `record`.
+        """
+        if not len(self._nodes):
+            raise LfmeshError("nothing was recorded; call trace(..., record=True)")
+        path = []
+        node = int(self._node[packet])
+        while node >= 0:
+            row = self._nodes[node]
+            name = self._world.surface_name(int(row["surface"]))
+            path.append(Vertex(row["position"].copy(), name, Event(int(row["event"])), float(row["weight"])))
+            node = int(row["parent"])
+        return path[::-1]
+
+
+def trace(
+    world: World,
+    origins: ArrayLike,
+    directions: ArrayLike,
+    wavelength_nm: float = 587.6,
+    split: str = "both",
+    record: bool = False,
+    *,
+    surface: str | None = None,
+    max_events: int | None = None,
+    weight_cutoff: float | None = None,
+    seed: int = 0,
+    threads: int = 0,
+) -> Paths:
+    """Trace rays until every packet has ended; targets and the sensor end them.
+
+    Parameters
+    ----------
+    world : World
+        From `build`.
+    origins : (n, 3) float64, mm, world frame
+        In object space, in the lens, between lens, array and sensor; not inside the array.
+    directions : (n, 3) float64
+        Any length but zero.
+    wavelength_nm : float
+    split : {"both", "roulette", "transmit"}
+        Follow both children at an interface, one by chance, or the refracted one with weight T.
+    record : bool
+        Keep every vertex, see `Paths.vertices`.
+    surface, max_events, weight_cutoff : optional
+        In place of the scene's transport settings.
+    seed : int
+        Of the roulette.
+    threads : int
+        0: all. The result does not depend on it.
+
+    Raises
+    ------
+    LfmeshError
+        Rays of the wrong shape, without direction, not finite, or that start inside the array.
+    """
+    p, d = _rays(origins, directions)
+    level = surface or world.scene.transport.surface
+    if split not in SPLIT_MODE:
+        raise LfmeshError(f"split = {split!r}: use one of {', '.join(SPLIT_MODE)}")
+    if level not in SURFACE_LEVEL:
+        raise LfmeshError(f"surface = {level!r}: use one of {', '.join(SURFACE_LEVEL)}")
+    options = options_of(world, tracing=True, record=record, split=SPLIT_MODE[split], surface=SURFACE_LEVEL[level])
+    if max_events is not None:
+        options = options._replace(max_events=max_events)
+    if weight_cutoff is not None:
+        options = options._replace(cutoff=weight_cutoff)
+    tables = _at_wavelength(world, wavelength_nm)
+    station, space, p, d = _located(world, p, d)
+    local = threading.local()
+    key = derived(np.uint64(0x7472616365), seed)
+
+    def run(first: int) -> tuple[NDArray[np.void], NDArray[np.void], NDArray[np.float64], NDArray[np.int64]]:
+        if not hasattr(local, "workspace"):
+            local.workspace = Workspace(world, options, tables=tables)
+        work: Workspace = local.workspace
+        work.begin(np.zeros((0, 1)))
+        part = slice(first, first + CHUNK)
+        _launch_rays(
+            first,
+            p[part],
+            d[part],
+            station[part],
+            space[part],
+            key,
+            tables.frames,
+            record,
+            work.flow(),
+            work.template,
+        )
+        work.run()
+        tops = work.tops
+        return (
+            work.ended[: tops[ENDED]].copy(),
+            work.nodes[: tops[NODES]].copy(),
+            work.book.copy(),
+            work.counts.copy(),
+        )
+
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        parts = list(pool.map(run, range(0, len(p), CHUNK)))
+    return _paths(world, parts, len(p))
+
+
+def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    p = np.atleast_2d(np.asarray(origins, dtype=np.float64))
+    d = np.atleast_2d(np.asarray(directions, dtype=np.float64))
+    if p.ndim != 2 or p.shape[1] != 3 or p.shape != d.shape:
+        raise LfmeshError(f"origins {p.shape} and directions {d.shape}: both must be (n, 3)")
+    length = np.linalg.norm(d, axis=1, keepdims=True)
+    bad = ~(np.isfinite(p).all(axis=1) & np.isfinite(length[:, 0]) & (length[:, 0] > 0.0))
+    if bad.any():
+        i = int(np.flatnonzero(bad)[0])
+        raise LfmeshError(
+            f"ray {i}: origin {p[i].tolist()}, direction {d[i].tolist()}: must be finite, with a direction"
+        )
+    d = d / length
+    # Once more: one division leaves a rounding error that a second one takes away.
+    return np.ascontiguousarray(p), np.ascontiguousarray(d / np.linalg.norm(d, axis=1, keepdims=True))
+
+
+def _at_wavelength(world: World, wavelength_nm: float) -> Tables:
+    """Return the tables with the media at one wavelength."""
+    tables = world.tables
+    mla = world.scene.camera.mla
+    index = np.array([[refractive_index(medium, wavelength_nm)] for medium in world.lens_shape.media])
+    glass = np.array([refractive_index(mla.medium, wavelength_nm) if mla is not None else 1.0])
+    return tables._replace(lens=tables.lens._replace(indices=index), array=tables.array._replace(indices=glass))
+
+
+def _located(
+    world: World, p: NDArray[np.float64], d: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the station and the space in which each ray starts, and the rays in the camera frame."""
+    tables, shape = world.tables, world.lens_shape
+    to_camera = tables.frames[WORLD_FRAME, CAMERA_FRAME]
+    p, d = frames.points(to_camera, p), frames.directions(to_camera, d)
+    r = np.hypot(p[:, 0], p[:, 1])
+    # A point is behind a surface, or its rim's plane where the surface has ended.
+    behind = np.zeros(len(p), np.int64)
+    for s, rim in zip(shape.surfaces, shape.rims, strict=True):
+        behind += p[:, 2] > s["vertex_z"] + sag(s, np.minimum(r, rim))
+    count = len(shape.surfaces)
+    inside = (behind > 0) & (behind < count) & (r <= max(shape.rims))
+    station = np.full(len(p), OBJECTS)
+    space = behind.copy()
+    station[inside] = LENS
+    outline = np.hypot(world.housing.vertices[:, 0], world.housing.vertices[:, 1]).max()
+    after = (behind == count) & (p[:, 2] < world.housing.vertices[:, 2].max()) & (r < outline)
+    if tables.array.present:
+        q = frames.points(tables.frames[CAMERA_FRAME, ARRAY_FRAME], p)
+        e = frames.directions(tables.frames[CAMERA_FRAME, ARRAY_FRAME], d)
+        lenslets = tables.array.lenslets
+        within = after & (q[:, 2] > lenslets.top) & (q[:, 2] < lenslets.thickness)
+        if within.any():
+            raise LfmeshError(
+                f"ray {int(np.flatnonzero(within)[0])} starts inside the microlens array; start it before or behind"
+            )
+        towards = (q[:, 2] <= lenslets.top) == (e[:, 2] > 0.0)
+        lens_side = (q[:, 2] <= lenslets.top) == tables.array.curved_to_lens
+        station[after] = np.where(towards, PLATE, np.where(lens_side, LENS, SENSOR))[after]
+    else:
+        forward = frames.directions(tables.frames[CAMERA_FRAME, SENSOR_FRAME], d)[:, 2] > 0.0
+        station[after] = np.where(forward, SENSOR, LENS)[after]
+    space[after] = count
+    return station, space, p, d
+
+
+@kernel
+def _launch_rays(
+    first: int, p: NDArray[np.float64], d: NDArray[np.float64], station: NDArray[np.int64], space: NDArray[np.int64],
+    key: np.uint64, frames: NDArray[np.float64], record: bool, flow: Flow, template: NDArray[np.void],
+) -> None:  # fmt: skip
+    """Put rays given in the camera frame on the stacks of their stations, with a weight of one."""
+    packet = template[0]
+    packet.wave = 0
+    packet.kind = CAMERA
+    packet.facet = NO_SURFACE
+    packet.last = NO_SURFACE
+    packet.start = 1.0
+    packet.events = 0
+    for i in range(len(p)):
+        packet.source = first + i
+        packet.space = space[i]
+        packet.node = NO_SURFACE
+        flow.book[EMITTED] += 1.0
+        if record:
+            top = flow.tops[NODES]
+            node = flow.nodes[top]
+            world = frames[CAMERA_FRAME, WORLD_FRAME]
+            for axis in range(3):
+                node.position[axis] = (
+                    world[axis, 0] * p[i, 0] + world[axis, 1] * p[i, 1] + world[axis, 2] * p[i, 2] + world[axis, 3]
+                )
+            node.parent = NO_SURFACE
+            node.weight = 1.0
+            node.surface = NO_SURFACE
+            node.event = STARTED
+            flow.tops[NODES] = top + 1
+            packet.node = top
+        put(
+            flow.stacks, flow.tops, station[i], packet, CAMERA_FRAME,
+            p[i, 0], p[i, 1], p[i, 2], d[i, 0], d[i, 1], d[i, 2], 1.0, derived(key, first + i), 0.0,
+        )  # fmt: skip
+
+
+def _paths(
+    world: World,
+    parts: list[tuple[NDArray[np.void], NDArray[np.void], NDArray[np.float64], NDArray[np.int64]]],
+    rays: int,
+) -> Paths:
+    shift = 0
+    all_ended, all_nodes = [np.zeros(0, END)], [np.zeros(0, NODE)]
+    for ended, nodes, _, _ in parts:
+        ended["node"] += np.where(ended["node"] >= 0, shift, 0)
+        nodes["parent"] += np.where(nodes["parent"] >= 0, shift, 0)
+        shift += len(nodes)
+        all_ended.append(ended)
+        all_nodes.append(nodes)
+    ended = np.concatenate(all_ended)
+    ended = ended[np.argsort(ended["source"], kind="stable")]
+    book = np.sum([part[2] for part in parts], axis=0) if parts else np.zeros(len(world.slots))
+    counts = np.sum([part[3] for part in parts], axis=0) if parts else np.zeros(2, np.int64)
+    return Paths(
+        ended["position"].copy(),
+        ended["direction"].copy(),
+        ended["weight"].copy(),
+        ended["status"].copy(),
+        ended["source"].copy(),
+        ended["events"].copy(),
+        [world.slots[slot] for slot in ended["body"]],
+        ledger_of(book, counts, world, rays, "of the rays' power"),
+        ended["node"].copy(),
+        np.concatenate(all_nodes),
+        world,
+    )
+
+
+__all__ = ["Event", "Paths", "Status", "Vertex", "trace"]

@@ -1,0 +1,43 @@
+"""Markers: `long` tests run only with --long; `drawing` tests need GL libraries, under CI without excuse."""
+
+import functools
+import os
+import subprocess
+import sys
+
+import pytest
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--long", action="store_true", help="also run the tests that take minutes")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.getoption("--long"):
+        return
+    long = [item for item in items if item.get_closest_marker("long")]
+    if long:
+        config.hook.pytest_deselected(items=long)
+        items[:] = [item for item in items if item not in long]
+
+
+@functools.cache
+def drawing_fault() -> str | None:
+    """Why nothing can be drawn off screen, or None. VTK crashes without GL, so a child process tries."""
+    attempt = (
+        "import pyvista\n"
+        "plotter = pyvista.Plotter(off_screen=True, window_size=(16, 16))\n"
+        "plotter.add_mesh(pyvista.Sphere())\n"
+        "assert plotter.screenshot(return_img=True).any()\n"
+    )
+    child = subprocess.run([sys.executable, "-c", attempt], capture_output=True, text=True, timeout=300)
+    if child.returncode == 0:
+        return None
+    return "drawing off screen does not work; install the packages libegl1 and libgl1-mesa-dri"
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    if item.get_closest_marker("drawing") and (fault := drawing_fault()):
+        if os.environ.get("CI") == "true":
+            pytest.fail(f"{fault} (CI must be able to draw)", pytrace=False)
+        pytest.skip(fault)

@@ -1,0 +1,233 @@
+"""Run folders: whole or not at all, and what is read back is what was saved."""
+
+import json
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import PIL.Image
+import pytest
+
+from lfmesh.errors import FileError
+from lfmesh.files import run
+from lfmesh.scene import Scene, load
+from lfmesh.transport.image import Image
+
+Build = Callable[..., Image]
+
+
+def snapshot(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_round_trip(image_of: Build, tmp_path: Path) -> None:
+    image = image_of()
+    run.save(image, tmp_path / "a" / "run")
+    back = run.open_run(tmp_path / "a" / "run")
+    np.testing.assert_array_equal(back.mean, image.mean.astype(np.float32))
+    np.testing.assert_array_equal(back.stderr, image.stderr.astype(np.float32))
+    assert back.mean.dtype == np.float64
+    assert back.scene == image.scene
+    assert back.scene.digest == image.scene.digest
+    assert back.ledger == image.ledger
+    assert (back.seconds, back.replicates, back.samples, back.engine) == (7.0, 8, 64.0, "mesh engine")
+    assert back.complete
+
+
+def test_a_run_holds_all_its_files_and_nothing_else(image_of: Build, tmp_path: Path) -> None:
+    run.save(image_of(), tmp_path / "run")
+    files = {"raw.exr", "preview.png", "preview_view.png", "linear16.png", "report.json", "scene.toml"}
+    assert {path.name for path in (tmp_path / "run").iterdir()} == files
+    assert set(json.loads((tmp_path / "run/report.json").read_text())["files"]) == files
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def test_a_conventional_camera_has_no_view_of_lenslets(image_of: Build, scene: Scene, tmp_path: Path) -> None:
+    camera = scene.camera.model_copy(update={"mla": None})
+    run.save(image_of(scene.model_copy(update={"camera": camera})), tmp_path / "run")
+    assert not (tmp_path / "run/preview_view.png").exists()
+
+
+def test_others_read_the_raw_image_in_physical_orientation(image_of: Build, tmp_path: Path) -> None:
+    image = image_of()
+    image.mean[3, 5] = 9e-12
+    run.save(image, tmp_path)
+    with OpenEXR.File(str(tmp_path / "raw.exr"), separate_channels=True) as file:
+        pixels = file.parts[0].channels["S0.587,6nm"].pixels.copy()
+        metadata = json.loads(file.parts[0].header["lfmesh"])
+    assert np.unravel_index(pixels.argmax(), pixels.shape) == (3, 5)
+    assert metadata["scene_digest"] == image.scene.digest
+    assert metadata["ledger"]["absorbed"] == {"stop": 1.25, "targets[0]": 0.5}
+    assert metadata["seed"] == 0
+    assert metadata["complete"] is True
+    with PIL.Image.open(tmp_path / "linear16.png") as picture:
+        counts = np.array(picture)
+    scale = json.loads((tmp_path / "report.json").read_text())["pictures"]["linear16.png"]["watts_per_count"]
+    np.testing.assert_allclose(counts * scale, image.mean[:, :, 0], atol=0.5001 * scale)
+
+
+def test_the_view_is_upright(image_of: Build, tmp_path: Path) -> None:
+    """Light on the lenslets at +x, +y of the sensor (last row, last column) belongs top left."""
+    image = image_of()
+    image.mean[:] = 1e-15
+    image.mean[40:, 60:] = 1e-12
+    run.save(image, tmp_path)
+    with PIL.Image.open(tmp_path / "preview_view.png") as picture:
+        view = np.array(picture, dtype=float)
+    assert max(view.shape) == 640
+    quarters = (
+        view[:320, :320].mean(),
+        view[:320, 320:].mean(),
+        view[320:, :320].mean(),
+        view[320:, 320:].mean(),
+    )
+    assert np.argmax(quarters) == 0
+
+
+def test_the_saved_scene_renders_again_from_the_run_folder(image_of: Build, scene: Scene, tmp_path: Path) -> None:
+    (tmp_path / "project").mkdir()
+    PIL.Image.new("L", (4, 4)).save(tmp_path / "project/chart.png")
+    textured = scene.changed({"targets[0].material.texture": "chart.png"}).in_folder(tmp_path / "project")
+    run.save(image_of(textured), tmp_path / "runs/first")
+    again = load(tmp_path / "runs/first/scene.toml")
+    texture = again.targets[0].material.texture
+    assert texture is not None
+    assert again.resolve(texture).samefile(tmp_path / "project/chart.png")
+    back = run.open_run(tmp_path / "runs/first").scene
+    assert back == textured
+    assert back.folder == tmp_path / "project"
+
+
+def test_a_run_opens_without_its_meshes_and_textures(image_of: Build, scene: Scene, tmp_path: Path) -> None:
+    run.save(image_of(scene.changed({"targets[0].material.texture": "gone.png"})), tmp_path)
+    assert run.open_run(tmp_path).scene.targets[0].material.texture == "gone.png"
+
+
+def test_an_interrupted_run_is_valid_and_marked(image_of: Build, tmp_path: Path) -> None:
+    image = image_of(replicates=1, samples=8.0)
+    image.stderr[:] = math.nan
+    run.save(image, tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["complete"] is False
+    assert (report["replicates_finished"], report["replicates"]) == (1, 8)
+    assert report["noise"]["relative_stderr"] is None
+    back = run.open_run(tmp_path)
+    assert not back.complete
+    assert np.isnan(back.stderr).all()
+
+
+def test_a_new_run_replaces_the_old_one_and_leaves_other_files(image_of: Build, scene: Scene, tmp_path: Path) -> None:
+    run.save(image_of(scene.changed({"transport.wavelengths_nm": [486.1, 587.6, 656.3]})), tmp_path)
+    assert (tmp_path / "linear16_486.1nm.png").exists()
+    (tmp_path / "notes.txt").write_text("mine")
+    run.save(image_of(seconds=9.0), tmp_path)
+    assert run.open_run(tmp_path).seconds == 9.0
+    assert not (tmp_path / "linear16_486.1nm.png").exists()
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_a_report_cannot_make_save_delete_outside_its_folder(image_of: Build, tmp_path: Path) -> None:
+    run.save(image_of(), tmp_path / "run")
+    (tmp_path / "precious.txt").write_text("keep")
+    report = json.loads((tmp_path / "run/report.json").read_text())
+    report["files"] += ["../precious.txt", str(tmp_path / "precious.txt"), ".."]
+    (tmp_path / "run/report.json").write_text(json.dumps(report))
+    run.save(image_of(), tmp_path / "run")
+    assert (tmp_path / "precious.txt").read_text() == "keep"
+
+
+def test_a_folder_with_other_things_is_refused_and_untouched(image_of: Build, tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    before = snapshot(tmp_path)
+    for act in (lambda: run.prepare(tmp_path), lambda: run.save(image_of(), tmp_path)):
+        with pytest.raises(FileError, match=r"holds thesis\.tex and no run"):
+            act()
+    assert snapshot(tmp_path) == before
+
+
+def test_prepare_leaves_nothing_behind(tmp_path: Path) -> None:
+    run.prepare(tmp_path / "a" / "b" / "c")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unwritable_places_are_refused(image_of: Build, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for place, message in (
+        (tmp_path / "file", "is a file"),
+        (tmp_path / "file" / "run", "cannot be written"),
+    ):
+        with pytest.raises(FileError, match=message):
+            run.prepare(place)
+        with pytest.raises(FileError, match=message):
+            run.save(image_of(), place)
+    if os.geteuid() != 0:
+        (tmp_path / "locked").mkdir(mode=0o500)
+        with pytest.raises(FileError, match="cannot be written: Permission denied"):
+            run.prepare(tmp_path / "locked" / "run")
+
+
+@pytest.mark.parametrize(
+    "error", [KeyboardInterrupt, OSError(28, "No space left on device")], ids=["ctrl-c", "disk full"]
+)
+@pytest.mark.parametrize("old", [False, True], ids=["new folder", "over an old run"])
+def test_a_failure_while_saving_leaves_everything_as_it_was(
+    image_of: Build,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    error: type[BaseException] | OSError,
+    old: bool,
+) -> None:
+    if old:
+        run.save(image_of(), tmp_path / "deep/run")
+    before = snapshot(tmp_path)
+
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(run, "write_linear16", fail)
+    with pytest.raises(FileError if isinstance(error, OSError) else KeyboardInterrupt):
+        run.save(image_of(seconds=1.0), tmp_path / "deep/run")
+    assert snapshot(tmp_path) == before
+    assert old or list(tmp_path.iterdir()) == []
+
+
+def test_damage_is_noticed(image_of: Build, tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="does not exist"):
+        run.open_run(tmp_path / "none")
+    with pytest.raises(FileError, match=r"raw\.exr and report\.json missing"):
+        run.open_run(tmp_path)
+    run.save(image_of(), tmp_path)
+    raw, report = (tmp_path / "raw.exr").read_bytes(), (tmp_path / "report.json").read_text()
+
+    (tmp_path / "raw.exr").write_bytes(raw[: len(raw) // 2])
+    with pytest.raises(FileError, match=r"raw\.exr is truncated or damaged"):
+        run.open_run(tmp_path)
+    (tmp_path / "raw.exr").write_bytes(raw)
+
+    (tmp_path / "report.json").write_text(report[:100])
+    with pytest.raises(FileError, match=r"report\.json is damaged"):
+        run.open_run(tmp_path)
+
+    (tmp_path / "report.json").write_text(report.replace('"format": 1', '"format": 7'))
+    with pytest.raises(FileError, match=r"run format 7.* reads format 1"):
+        run.open_run(tmp_path)
+
+    other = image_of()
+    other.mean *= 2.0
+    run.save(other, tmp_path / "other")
+    (tmp_path / "report.json").write_text((tmp_path / "other/report.json").read_text())
+    with pytest.raises(FileError, match="mixes two runs"):
+        run.open_run(tmp_path)
+
+
+def test_pixels_changed_by_another_program_are_noticed(image_of: Build, tmp_path: Path) -> None:
+    run.save(image_of(), tmp_path)
+    with OpenEXR.File(str(tmp_path / "raw.exr"), separate_channels=True) as file:
+        file.parts[0].channels["S0.587,6nm"].pixels[0, 0] *= 1.001
+        file.write(str(tmp_path / "changed.exr"))
+    (tmp_path / "changed.exr").replace(tmp_path / "raw.exr")
+    with pytest.raises(FileError, match="pixels are not those that were saved"):
+        run.open_run(tmp_path)

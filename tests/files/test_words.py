@@ -1,0 +1,127 @@
+"""What the end of a run says: true numbers, in sentences a user can act on."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from lfmesh.files import words
+from lfmesh.scene import Scene
+from lfmesh.transport.image import Image
+from lfmesh.transport.ledger import Ledger
+
+Build = Callable[..., Image]
+
+
+def text(image: Image) -> str:
+    return "\n".join(words.summary(image))
+
+
+def test_noise_is_the_median_over_lit_pixels(image_of: Build) -> None:
+    image = image_of()
+    image.mean[:] = 1e-18
+    image.stderr[:] = 1e-18
+    image.mean[:20] = 1e-12
+    image.stderr[:20] = 0.03e-12
+    measured = words.noise(image)
+    assert measured.relative_stderr == pytest.approx(0.03)
+    assert measured.lit_share == pytest.approx(20 / 60)
+    assert measured.received_share == 1.0
+
+
+def test_the_stated_noise_is_the_true_error_and_four_times_the_samples_halve_it(image_of: Build) -> None:
+    """Against pictures whose truth is known: the stated standard error is the scatter of the error."""
+    rng = np.random.default_rng(11)
+    truth = rng.uniform(1.0, 2.0, (60, 80, 1))
+    stated = []
+    for samples in (64, 256):
+        replicates = rng.poisson(truth * samples / 8, (8, *truth.shape)) / (samples / 8)
+        stderr = replicates.std(axis=0, ddof=1) / np.sqrt(8)
+        measured = words.noise(image_of(mean=replicates.mean(axis=0), stderr=stderr)).relative_stderr
+        assert measured is not None
+        scatter = np.std(replicates.mean(axis=0) / truth - 1.0)
+        assert measured == pytest.approx(scatter, rel=0.1)
+        stated.append(measured)
+    assert stated[0] / stated[1] == pytest.approx(2.0, rel=0.1)
+
+
+def test_the_summary_says_noise_and_the_samples_that_halve_it(image_of: Build) -> None:
+    lines = text(image_of())
+    assert "known to 10 % or better" in lines
+    assert "256 a pixel, would halve that" in lines
+    assert "4.1 million packets" in lines
+    assert "10 million events a second" in lines
+
+
+def test_a_black_picture_says_that_the_light_ended_on_the_stop(image_of: Build, scene: Scene) -> None:
+    image = image_of(
+        scene.changed({"transport.method": "forward"}),
+        mean=np.zeros((60, 80, 1)),
+        stderr=np.zeros((60, 80, 1)),
+        ledger=Ledger(emitted=1.0, absorbed={"stop": 0.997, "mount": 0.002}, escaped=0.001),
+    )
+    lines = text(image)
+    assert "The picture is black" in lines
+    assert "Of the light, 99.7 % ended on the stop, 0.2 % ended on the mount, 0.1 % left the scene." in lines
+
+
+def test_a_black_adjoint_picture_says_that_no_light_reaches_the_target(image_of: Build) -> None:
+    black = np.zeros((60, 80, 1))
+    ledger = Ledger(emitted=4.0, absorbed={"stop": 3.0, "targets[0]": 1.0}, reached_target=1.0, lit=0.0)
+    lines = text(image_of(mean=black, stderr=black, ledger=ledger))
+    assert "75 % ended on the stop, 25 % ended on targets[0]" in lines
+    assert "25 % of the paths reached a target, but no light reaches it there" in lines
+    nowhere = Ledger(emitted=4.0, escaped=4.0)
+    assert "None of them reached a target" in text(image_of(mean=black, stderr=black, ledger=nowhere))
+
+
+def test_a_well_lit_picture_does_not_speak_of_losses(image_of: Build) -> None:
+    assert "ended on" not in text(image_of())
+
+
+def test_roulette_is_no_place_where_light_goes(image_of: Build) -> None:
+    black = np.zeros((60, 80, 1))
+    ledger = Ledger(emitted=1.0, absorbed={"stop": 1.0}, roulette_added=5.0, roulette_removed=5.0)
+    assert "100 % ended on the stop" in text(image_of(mean=black, stderr=black, ledger=ledger))
+
+
+def test_no_light_at_all_is_said(image_of: Build, scene: Scene) -> None:
+    black = np.zeros((60, 80, 1))
+    forward = scene.changed({"transport.method": "forward"})
+    assert "have no power" in text(image_of(forward, mean=black, stderr=black, ledger=Ledger()))
+
+
+def test_an_interrupted_run_says_how_far_it_came(image_of: Build) -> None:
+    image = image_of(replicates=1, samples=8.0)
+    image.stderr[:] = np.nan
+    lines = text(image)
+    assert "1 of 8 replicates" in lines
+    assert "at least 2 finished replicates" in lines
+
+
+def test_leaks_are_reported(image_of: Build) -> None:
+    ledger = Ledger(emitted=1.0, absorbed={"stop": 0.9}, lost={"too many queries": 1e-3})
+    lines = text(image_of(ledger=ledger))
+    assert "0.1 % of the energy was lost by the tracer (too many queries: 0.001 W)" in lines
+    assert "the energy does not close" in lines
+
+
+@pytest.mark.parametrize(
+    ("share", "shown"),
+    [
+        (0.0, "0 %"),
+        (1.0, "100 %"),
+        (0.99999, "more than 99.9 %"),
+        (1e-9, "less than 0.0001 %"),
+        (0.1234, "12.3 %"),
+    ],
+)
+def test_shares_are_never_rounded_to_all_or_nothing(share: float, shown: str) -> None:
+    assert words.percent(share) == shown
+
+
+@pytest.mark.parametrize(
+    ("seconds", "shown"), [(0.0, "0.0 s"), (59.6, "60 s"), (125.0, "2 min 05 s"), (7500.0, "2 h 05 min")]
+)
+def test_durations(seconds: float, shown: str) -> None:
+    assert words.duration(seconds) == shown

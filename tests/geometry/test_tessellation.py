@@ -1,0 +1,154 @@
+"""Caps and solids: closed, outward, of the right volume, converging with the square of the facet size."""
+
+import numpy as np
+import pytest
+
+from lfmesh.errors import SceneError
+from lfmesh.geometry.mesh import facet_normals
+from lfmesh.geometry.surface import normals, sag, surface
+from lfmesh.geometry.tessellation import (
+    cap,
+    chord_error,
+    disk_pattern,
+    element,
+    revolved,
+    rim_radius,
+    ring_profile,
+    ring_radii,
+    rings_for,
+    smallest_gap,
+)
+
+CURVED = {
+    "sphere": surface(30.0, aperture=12.0),
+    "hyperboloid": surface(-35.0, -2.3, aperture=12.0),
+    "asphere": surface(45.0, -1.2, (3e-6, -2e-9), aperture=12.0),
+    "hemisphere": surface(10.0, aperture=10.0),
+}
+
+
+def sampled_chord_error(of, mesh):
+    """Largest distance along z between surface and mesh over a grid of points in every facet."""
+    grid = np.array([(i, j, 8 - i - j) for i in range(9) for j in range(9 - i)]) / 8.0
+    p = np.einsum("gk,fkj->fgj", grid, mesh.vertices[mesh.faces]).reshape(-1, 3)
+    return np.abs(p[:, 2] - of["vertex_z"] - sag(of, np.hypot(p[:, 0], p[:, 1]))).max()
+
+
+@pytest.mark.parametrize("rings", [1, 2, 5])
+def test_disk_pattern_is_a_disk_that_faces_plus_z(rings):
+    ring, azimuth, faces = disk_pattern(rings)
+    assert len(faces) == 6 * rings**2
+    edges = {frozenset(edge) for f in faces for edge in (f[:2], f[1:], f[[2, 0]])}
+    assert len(ring) - len(edges) + len(faces) == 1  # Euler
+    x, y = ring * np.cos(azimuth), ring * np.sin(azimuth)
+    a, b, c = faces.T
+    assert ((x[b] - x[a]) * (y[c] - y[a]) > (x[c] - x[a]) * (y[b] - y[a])).all()
+
+
+@pytest.mark.parametrize("of", CURVED.values(), ids=CURVED)
+def test_cap_lies_on_the_surface_with_its_normals(of):
+    mesh = cap(of, 6, rim_radius(of, 6))
+    x, y, z = mesh.vertices.T
+    np.testing.assert_allclose(z, sag(of, np.hypot(x, y)), rtol=0, atol=1e-6 if of["aperture"] == 10.0 else 1e-14)
+    np.testing.assert_allclose(np.linalg.norm(mesh.corner_normals, axis=2), 1.0, atol=1e-15)
+    np.testing.assert_array_equal(mesh.corner_normals, normals(of, x, y)[mesh.faces])
+    assert (facet_normals(mesh)[0][:, 2] > 0).all()
+
+
+@pytest.mark.parametrize("rings", [1, 3, 12])
+def test_the_rims_chords_stay_outside_the_clear_aperture(rings):
+    of = CURVED["sphere"]
+    rim = rim_radius(of, rings)
+    assert rim * np.cos(np.pi / (6 * rings)) > of["aperture"]
+
+
+def test_the_mesh_ends_where_the_surface_does():
+    of = CURVED["hemisphere"]
+    assert of["aperture"] * (1 - 1e-9) < rim_radius(of, 8) < of["aperture"]
+    assert np.isfinite(cap(of, 8, rim_radius(of, 8)).vertices).all()
+
+
+def test_rings_are_equally_spaced_along_the_meridian_of_a_hemisphere():
+    of = CURVED["hemisphere"]
+    angle = np.arcsin(ring_radii(of, 9, rim_radius(of, 9)) / 10.0)
+    np.testing.assert_allclose(np.diff(angle), np.pi / 18, rtol=2e-3)
+
+
+@pytest.mark.parametrize("name", ["sphere", "hyperboloid", "asphere"])
+def test_chord_error_falls_with_the_square_of_the_facet_size_and_is_bounded(name):
+    of = CURVED[name]
+    errors = []
+    for rings in (8, 16, 32):
+        mesh = cap(of, rings, 12.0)
+        errors.append(sampled_chord_error(of, mesh))
+        assert errors[-1] <= chord_error(of, rings, 12.0) < 3.0 * errors[-1]
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    np.testing.assert_allclose(orders, 2.0, atol=0.15)
+
+
+def biconvex(rings):
+    front = surface(50.0, aperture=10.0)
+    back = surface(-40.0, vertex_z=6.0, aperture=8.0)
+    profile = ring_profile(front, 10.0, back, 8.0)
+    ring = revolved(profile, 6 * rings)
+    return element(cap(front, rings, 10.0), ring, cap(back, rings, 8.0)).solid()
+
+
+def cap_volume(radius, rim):
+    height = radius - np.sqrt(radius**2 - rim**2)
+    return np.pi * height**2 * (3 * radius - height) / 3
+
+
+def test_a_lens_is_a_closed_outward_solid_whose_volume_converges_to_the_closed_form():
+    edge = 6.0 - (40.0 - np.sqrt(40.0**2 - 8.0**2)) - (50.0 - np.sqrt(50.0**2 - 10.0**2))
+    truth = cap_volume(50.0, 10.0) + cap_volume(40.0, 8.0) + np.pi * 10.0**2 * edge
+    errors = []
+    for rings in (6, 12, 24):
+        solid = biconvex(rings)
+        assert solid.is_watertight
+        assert solid.is_winding_consistent
+        assert solid.is_volume
+        errors.append(truth - solid.volume)
+    assert min(errors) > 0  # chords lie inside
+    assert errors[-1] < 1e-3 * truth
+    np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), 2.0, atol=0.1)
+
+
+def test_edges_are_turned_cylinders_with_a_flat_annulus():
+    front, back = surface(50.0, aperture=10.0), surface(-40.0, vertex_z=6.0, aperture=8.0)
+    profile = ring_profile(front, 10.0, back, 8.0)
+    z_front, z_back = sag(front, 10.0), 6.0 + sag(back, 8.0)
+    np.testing.assert_allclose(profile, [(10.0, z_front), (10.0, z_back), (8.0, z_back)])
+    same = ring_profile(front, 8.0, back, 8.0)
+    np.testing.assert_allclose(same, [(8.0, sag(front, 8.0)), (8.0, z_back)])
+
+
+def test_an_annulus_that_would_cut_a_surface_becomes_a_cone():
+    # A thin meniscus: the flat annulus at the smaller back rim's height would cross the front surface.
+    front, back = surface(20.0, aperture=12.0), surface(18.0, vertex_z=2.0, aperture=8.0)
+    profile = ring_profile(front, 12.0, back, 8.0)
+    np.testing.assert_allclose(profile, [(12.0, sag(front, 12.0)), (8.0, 2.0 + sag(back, 8.0))])
+
+
+def test_rims_that_cross_are_refused_with_their_places():
+    front, back = surface(20.0, aperture=10.0), surface(-20.0, vertex_z=1.0, aperture=10.0)
+    with pytest.raises(SceneError, match="rims of two neighbouring surfaces cross"):
+        ring_profile(front, 10.0, back, 10.0)
+
+
+def test_rings_keep_neighbouring_meshes_apart():
+    pair = np.array([surface(50.0, aperture=10.0), surface(49.0, vertex_z=0.03, aperture=10.0)])
+    gap = smallest_gap(*pair, 10.0)
+    assert gap < 0.03 + 1e-12
+    coarse = sum(chord_error(s, 4, rim_radius(s, 4)) for s in pair)
+    assert coarse > gap  # else the test asks nothing
+    rings = rings_for(pair, 4)
+    errors = [sampled_chord_error(s, cap(s, rings, rim_radius(s, rings))) for s in pair]
+    assert sum(errors) < gap
+
+
+def test_rings_hold_a_sag_tolerance():
+    one = np.array([CURVED["asphere"]])
+    rings = rings_for(one, 4, tolerance_mm=1e-3)
+    assert sampled_chord_error(one[0], cap(one[0], rings, rim_radius(one[0], rings))) < 1e-3
+    assert rings_for(one, 4) == 4

@@ -1,0 +1,75 @@
+"""Glasses against their makers' data sheets, and what is said of names that are none."""
+
+import pytest
+
+from lfmesh.errors import GlassError
+from lfmesh.optics.glass import find_glass, refractive_index
+
+# Indices at the helium d line, 587.5618 nm, as printed in the makers' data sheets (relative to air).
+DATA_SHEETS = [
+    ("SCHOTT/N-BK7", 1.51680),
+    ("SCHOTT/F2", 1.62004),
+    ("SCHOTT/N-SF11", 1.78472),
+    ("HIKARI/SK16", 1.62041),
+    ("OHARA/S-BSL7", 1.51633),
+    ("CDGM/H-K9L", 1.51680),
+]
+
+
+@pytest.mark.parametrize(("name", "nd"), DATA_SHEETS)
+def test_index_is_that_of_the_data_sheet(name: str, nd: float) -> None:
+    assert refractive_index(name, 587.5618) == pytest.approx(nd, abs=1e-5)
+
+
+def test_abbe_number_of_bk7() -> None:
+    d, f, c = (refractive_index("SCHOTT/N-BK7", line) for line in (587.5618, 486.1327, 656.2725))
+    assert (d - 1) / (f - c) == pytest.approx(64.17, abs=0.01)
+
+
+def test_air_and_plain_indices_do_not_disperse() -> None:
+    assert refractive_index(None, 300.0) == refractive_index(None, 900.0) == 1.0
+    assert refractive_index(1.67, 300.0) == refractive_index(1.67, 900.0) == 1.67
+
+
+def test_a_bare_name_works_where_one_maker_has_it() -> None:
+    assert find_glass("n-bk7") == find_glass("SCHOTT/N-BK7") == ("specs", "SCHOTT-optical", "N-BK7")
+
+
+def test_a_bare_name_of_several_makers_is_refused_with_the_choices() -> None:
+    with pytest.raises(GlassError, match=r"'F2'.*SCHOTT/F2.*HIKARI/F2"):
+        find_glass("F2")
+
+
+def test_the_rest_of_the_catalogue_is_reached_by_shelf_book_and_page() -> None:
+    # Fused silica, three-term Sellmeier formula of Malitson, J. Opt. Soc. Am. 55, 1205 (1965).
+    terms = [(0.6961663, 0.0684043), (0.4079426, 0.1162414), (0.8974794, 9.896161)]
+    n2 = 1 + sum(b * 0.55**2 / (0.55**2 - c**2) for b, c in terms)
+    assert refractive_index("main/SiO2/Malitson", 550.0) == pytest.approx(n2**0.5, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("slip", "meant"),
+    [("SCHOTT/N-BK77", "SCHOTT/N-BK7"), ("SCHOT/N-BK7", "SCHOTT/N-BK7"), ("OHARA/N-BK7", "SCHOTT/N-BK7")],
+)
+def test_an_unknown_glass_names_close_ones(slip: str, meant: str) -> None:
+    with pytest.raises(GlassError, match=rf"{slip}.*{meant}\b"):
+        refractive_index(slip, 587.6)
+
+
+def test_a_name_like_none_says_how_names_are_written() -> None:
+    with pytest.raises(GlassError, match="SCHOTT/N-BK7"):
+        refractive_index("???", 587.6)
+
+
+def test_a_wavelength_outside_the_data_gives_their_range() -> None:
+    with pytest.raises(GlassError, match=r"200 nm.*from 300 to 2500 nm"):
+        refractive_index("SCHOTT/N-BK7", 200.0)
+
+
+def test_the_ends_of_the_range_are_inside() -> None:
+    assert refractive_index("SCHOTT/N-BK7", 300.0) > refractive_index("SCHOTT/N-BK7", 2500.0) > 1.4
+
+
+def test_a_metal_is_no_glass() -> None:
+    with pytest.raises(GlassError, match="index 0"):
+        refractive_index("main/Ag/Johnson", 587.6)

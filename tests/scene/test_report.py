@@ -1,0 +1,206 @@
+"""The first-order report, each figure by a second way, and its warnings."""
+
+import math
+
+import pytest
+
+from lfmesh.scene import FirstOrder, Plane, Scene, Surface, Target, first_order, solved
+from lfmesh.scene.paraxial import Paraxial
+
+
+def lenslet_ray(scene: Scene, pupil_z: float, pupil_height: float, axis: float, apex_height: float) -> float:
+    """Follow a ray from the exit pupil through a lenslet, face by face, to the sensor.
+
+    The lenslet's axis lies at `axis`; `apex_height` is where the ray meets the plane of the curved face.
+    """
+    camera = scene.camera
+    mla, z_last = camera.mla, camera.lens.vertices_mm[-1]
+    assert mla is not None
+    n, t, power = 1.5, mla.thickness_mm, 0.5 / mla.radius_mm[0]
+    front = z_last + mla.distance_mm - pupil_z
+    if mla.curved_side == "lens":
+        angle = (apex_height - pupil_height) / front
+        inside = (angle - (apex_height - axis) * power) / n
+        return apex_height + inside * t + n * inside * camera.sensor.distance_mm
+    angle = (apex_height - pupil_height) / (front + t / n)
+    return apex_height + (angle - (apex_height - axis) * power) * camera.sensor.distance_mm
+
+
+@pytest.mark.parametrize("side", ["lens", "sensor"])
+def test_micro_image_pitch_and_diameter_are_where_rays_land(scene: Scene, side: str) -> None:
+    ready = solved(scene.changed({"camera.mla.curved_side": side}))
+    facts = first_order(ready)
+    pixel, pitch = ready.camera.sensor.pixel_mm, ready.camera.mla.pitch_mm
+
+    def landing(pupil_height: float, lenslet: int, inside: float = 0.0) -> float:
+        axis = lenslet * pitch
+        return lenslet_ray(ready, facts.exit_pupil_z_mm, pupil_height, axis, axis + inside) / pixel
+
+    chief = landing(0.0, 8) - landing(0.0, 7)
+    assert facts.micro_image_pitch_px == pytest.approx(chief, rel=1e-12)
+    assert facts.micro_image_pitch_px > pitch / pixel
+
+    radius = facts.exit_pupil_diameter_mm / 2
+    width = landing(-radius, 3) - landing(radius, 3)
+    assert facts.micro_image_diameter_px == pytest.approx(width, rel=1e-12)
+
+
+def test_pupils_are_images_of_the_stop(scene: Scene) -> None:
+    """A stop 2 mm before a singlet is its own entrance pupil; the lens images it into the exit pupil."""
+    facts = first_order(scene)
+    assert facts.entrance_pupil_z_mm == pytest.approx(0.0, abs=1e-14)
+    assert facts.entrance_pupil_diameter_mm == pytest.approx(12.0)
+    lens = Paraxial.of(solved(scene).camera.lens, 587.6)
+    distance = lens.image_mm(0.0)
+    assert facts.exit_pupil_z_mm == pytest.approx(lens.length_mm + distance, rel=1e-12)
+    assert facts.exit_pupil_diameter_mm == pytest.approx(12.0 * lens.magnification(0.0), rel=1e-12)
+    # The virtual image of a stop inside the focal length is upright, larger and on the stop's side.
+    assert distance < 0
+    assert facts.exit_pupil_diameter_mm > 12.0
+
+
+def test_a_ray_aimed_at_the_entrance_pupil_meets_the_stop_in_proportion(scene: Scene) -> None:
+    """With the stop 5 mm behind the singlet: the pupil's centre goes to the stop's, its edge to the edge."""
+    front, back = scene.camera.lens.surfaces[1:]
+    surfaces = (
+        front,
+        back.model_copy(update={"thickness_mm": 5.0}),
+        Surface(stop=True, semi_diameter_mm=6.0),
+    )
+    facts = first_order(scene.changed({"camera.lens.surfaces": surfaces}))
+    for aim, stop in ((0.0, 0.0), (facts.entrance_pupil_diameter_mm / 2, 6.0)):
+        for angle in (0.0, 0.02):
+            height = aim - angle * facts.entrance_pupil_z_mm
+            inside = (angle - height * 0.5 / 60.0) / 1.5
+            height += inside * 4.0
+            behind = 1.5 * inside - height * -0.5 / -60.0
+            assert height + behind * 5.0 == pytest.approx(stop, abs=1e-12)
+
+
+def test_working_f_number_is_exit_pupil_over_distance(scene: Scene) -> None:
+    facts = first_order(scene)
+    expected = (facts.image_z_mm - facts.exit_pupil_z_mm) / facts.exit_pupil_diameter_mm
+    assert facts.working_f_number == pytest.approx(expected, rel=1e-12)
+
+
+def test_sampling_and_field_are_the_array_seen_on_the_object(scene: Scene) -> None:
+    facts = first_order(scene)
+    image = facts.image_z_mm - facts.rear_principal_plane_z_mm
+    away = facts.object_distance_mm + facts.front_principal_plane_z_mm
+    assert facts.magnification == pytest.approx(-image / away, rel=1e-12)
+    assert facts.object_sampling_mm == pytest.approx(0.12 * away / image, rel=1e-12)
+    assert facts.field_of_view_mm == pytest.approx((32 * 0.12 * away / image, 24 * 0.12 * away / image))
+    assert facts.object_distance_mm == pytest.approx(400.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("side", ["lens", "sensor"])
+def test_views_a_pixel_apart_shift_by_a_lenslet_at_the_ends_of_the_range(scene: Scene, side: str) -> None:
+    ready = solved(scene.changed({"camera.mla.curved_side": side}))
+    facts = first_order(ready)
+    lens, pixel = Paraxial.of(ready.camera.lens, 587.6), ready.camera.sensor.pixel_mm
+    width = facts.exit_pupil_diameter_mm
+    pixels = facts.micro_image_diameter_px
+    step = width / pixels
+    for distance in (facts.near_mm, facts.far_mm):
+        image_z = lens.length_mm + lens.image_mm(distance)
+        # Lines from two pupil points, a view apart, to the image point, where they cross the array.
+        reach = image_z - facts.exit_pupil_z_mm
+        crossings = [u * (image_z - facts.image_z_mm) / reach for u in (0.0, step)]
+        assert abs(crossings[1] - crossings[0]) == pytest.approx(0.12, rel=1e-9)
+    assert facts.near_mm < 400.0 < facts.far_mm
+    assert pixel * pixels == pytest.approx(width / (facts.image_z_mm - facts.exit_pupil_z_mm) * 0.7, rel=1e-12)
+
+
+def test_a_conventional_camera_samples_by_pixels(scene: Scene) -> None:
+    facts = first_order(scene.changed({"camera.mla": None}))
+    assert facts.micro_image_pitch_px is None
+    assert facts.object_sampling_mm == pytest.approx(0.012 / abs(facts.magnification))
+    # At the ends of the depth of field the blur is one pixel.
+    lens = Paraxial.of(scene.camera.lens, 587.6)
+    for distance in (facts.near_mm, facts.far_mm):
+        image_z = lens.length_mm + lens.image_mm(distance)
+        away = abs(image_z - facts.image_z_mm) / (image_z - facts.exit_pupil_z_mm)
+        assert away * facts.exit_pupil_diameter_mm == pytest.approx(0.012, rel=1e-9)
+
+
+@pytest.fixture
+def telecentric(scene: Scene) -> Scene:
+    """The camera with its stop in the front focal plane, so that the exit pupil is at infinity."""
+    gap = 2.0 - Paraxial.of(scene.camera.lens, 587.6).ffl_mm
+    return scene.changed({"camera.lens.surfaces[0].thickness_mm": gap, "camera.focus_mm": 300.0})
+
+
+def test_micro_images_of_a_telecentric_lens_are_a_pitch_apart(telecentric: Scene) -> None:
+    facts = first_order(telecentric)
+    assert facts.exit_pupil_diameter_mm == math.inf
+    assert facts.micro_image_pitch_px == pytest.approx(10.0, rel=1e-12)
+    assert math.isfinite(facts.working_f_number)
+    assert "telecentric" in str(facts)
+
+
+def test_refocus_range_is_the_depth_of_field_of_an_f_number_p_times_higher(telecentric: Scene) -> None:
+    """Ng et al. 2005, where the pupil is far away: a blur of one pitch at f-number N · P."""
+    facts = first_order(telecentric)
+    lens = Paraxial.of(telecentric.camera.lens, 587.6)
+    depth = 0.12 * facts.working_f_number * facts.micro_image_diameter_px
+    image = facts.image_z_mm - lens.length_mm
+    assert facts.near_mm == pytest.approx(lens.object_mm(image + depth), rel=1e-9)
+    assert facts.far_mm == pytest.approx(lens.object_mm(image - depth), rel=1e-9)
+
+
+def matched(scene: Scene) -> Scene:
+    """The camera with its lens stopped down to the microlenses' f-number."""
+    facts = first_order(scene)
+    radius = 6.0 * facts.working_f_number / facts.microlens_f_number
+    return scene.changed({"camera.lens.stop_semi_diameter_mm": 0.99 * radius})
+
+
+def test_a_good_camera_has_no_warnings(scene: Scene) -> None:
+    assert first_order(matched(scene)).warnings == ()
+
+
+WARNED = [
+    ({"camera.lens.stop_semi_diameter_mm": 8.0}, "f-numbers do not match: the lens works at f/"),
+    ({"camera.lens.stop_semi_diameter_mm": 8.0}, "micro-images overlap"),
+    ({"camera.lens.stop_semi_diameter_mm": 3.0}, "micro-images leave gaps"),
+    ({"camera.lens.stop_semi_diameter_mm": 10.5}, "stop is larger than a clear aperture"),
+    ({"camera.mla.distance_mm": 50.0}, "inside the focal length: the camera is focused beyond infinity"),
+    ({"camera.focus_mm": 50.0, "camera.mla.distance_mm": 70.0}, "focus_mm = 50 is inside the focal length"),
+    ({"camera.mla.distance_mm": 70.0}, "focus_mm = 400, but the distances given focus on"),
+    ({"targets[0].position_mm": (40.0, 0.0, -400.0)}, "targets[0] is out of the field: at z = -400 mm"),
+    ({"targets[0].position_mm": (0.0, 0.0, 400.0)}, "targets[0] is out of the field: z = 400 mm is behind"),
+    ({"targets[0].position_mm": (0.0, 0.0, -4000.0)}, "targets[0] stands at 4000 mm, out of the range"),
+    ({"camera.sensor.pixels": (100, 240)}, "outer ones go unseen"),
+    ({"camera.sensor.pixels": (320, 480)}, "outer pixels stay dark"),
+    ({"camera.sensor.pixel_mm": 0.08, "camera.sensor.pixels": (48, 36)}, "too few to tell directions"),
+    ({"targets": ()}, "no targets"),
+    ({"lights": ()}, "nothing shines"),
+]
+
+
+@pytest.mark.parametrize(("values", "words"), WARNED)
+def test_warnings_say_what_is_likely_to_disappoint(scene: Scene, values: dict[str, object], words: str) -> None:
+    facts = first_order(matched(scene).changed(values))
+    assert any(words in warning for warning in facts.warnings), facts.warnings
+    assert f"warning: {facts.warnings[0]}" in str(facts)
+
+
+def test_an_emitting_target_needs_no_lamp(scene: Scene) -> None:
+    target = Target(shape=Plane(width_mm=1.0, height_mm=1.0), material={"radiance_w_m2_sr": 1.0})
+    facts = first_order(scene.changed({"lights": (), "targets": (target,)}))
+    assert not any("shines" in warning for warning in facts.warnings)
+
+
+def test_the_report_has_a_line_for_every_figure(scene: Scene) -> None:
+    lines = first_order(matched(scene)).lines()
+    # Principal planes, pupils (two figures each) and the refocus range share lines.
+    assert len(lines) == len(FirstOrder.__dataclass_fields__) - 5
+    assert any(line.startswith("effective focal length 60.67") for line in lines)
+
+
+def test_flat_glass_has_no_focal_length(scene: Scene) -> None:
+    flat = (
+        Surface(thickness_mm=3.0, index=1.5, semi_diameter_mm=5.0, stop=True),
+        Surface(semi_diameter_mm=5.0),
+    )
+    assert Paraxial.of(scene.camera.lens.model_copy(update={"surfaces": flat}), 587.6).efl_mm == -math.inf

@@ -1,0 +1,154 @@
+"""Solving: what is omitted follows from first-order optics, checked by paraxial rays traced one by one."""
+
+import math
+
+import pytest
+
+from lfmesh.errors import SceneError
+from lfmesh.scene import Pose, Scene, solved
+
+
+def trace(scene: Scene, height: float, angle: float) -> tuple[float, float]:
+    """Follow a paraxial ray with a given height at the first vertex to just behind the last one."""
+    before = 1.0
+    for surface in scene.camera.lens.surfaces:
+        after = surface.index or 1.0
+        bend = 0.0 if math.isinf(surface.radius_mm) else height * (after - before) / surface.radius_mm
+        angle = (before * angle - bend) / after
+        height += angle * (surface.thickness_mm or 0.0)
+        before = after
+    return height, angle
+
+
+def apex_height(scene: Scene, height: float, angle: float) -> float:
+    """Height at which a ray, given at the first vertex, meets the plane of the lenslets' apexes."""
+    mla = scene.camera.mla
+    assert mla is not None
+    assert mla.distance_mm is not None
+    height, angle = trace(scene, height, angle)
+    height += angle * mla.distance_mm
+    if mla.curved_side == "sensor":
+        height += angle / mla.index * mla.thickness_mm
+    return height
+
+
+@pytest.mark.parametrize("side", ["lens", "sensor"])
+def test_the_object_plane_is_imaged_on_the_apexes(scene: Scene, side: str) -> None:
+    ready = solved(scene.changed({"camera.mla.curved_side": side}))
+    steep, flat = apex_height(ready, 400.0 * 0.01, 0.01), apex_height(ready, 400.0 * 0.002, 0.002)
+    assert steep == pytest.approx(0.0, abs=1e-12)
+    assert flat == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("side", ["lens", "sensor"])
+def test_parallel_light_meets_on_the_sensor_behind_a_lenslet(scene: Scene, side: str) -> None:
+    ready = solved(scene.changed({"camera.mla.curved_side": side, "camera.mla.focal_length_mm": (0.7, 0.9)}))
+    mla, sensor = ready.camera.mla, ready.camera.sensor
+    assert mla is not None
+    assert sensor.distance_mm is not None
+    n, t, power = 1.5, mla.thickness_mm, 0.5 / mla.radius_mm[0]
+    height = 0.01
+    if side == "lens":
+        height += -height * power / n * t
+        angle = -0.01 * power
+    else:
+        angle = -height * power
+    assert height + angle * sensor.distance_mm == pytest.approx(0.0, abs=1e-15)
+
+
+def test_a_conventional_camera_focuses_on_its_sensor(scene: Scene) -> None:
+    ready = solved(scene.changed({"camera.mla": None}))
+    height, angle = trace(ready, 4.0, 0.01)
+    assert height + angle * ready.camera.sensor.distance_mm == pytest.approx(0.0, abs=1e-12)
+
+
+def test_radius_follows_from_focal_length_at_the_primary_wavelength(scene: Scene) -> None:
+    ready = solved(scene.changed({"camera.mla.focal_length_mm": (0.7, -0.9)}))
+    assert ready.camera.mla.radius_mm == pytest.approx((0.35, -0.45))
+    assert ready.camera.mla.focal_length_mm is None
+
+    glass = scene.changed(
+        {
+            "camera.mla.index": None,
+            "camera.mla.glass": "N-BK7",
+            "transport.wavelengths_nm": (700.0, 587.5618, 450.0),
+        }
+    )
+    assert solved(glass).camera.mla.radius_mm[0] == pytest.approx(0.7 * 0.51680, rel=1e-5)
+
+
+def test_f_number_sets_the_entrance_pupil(scene: Scene) -> None:
+    """The collimated ray at half the pupil's height meets the edge of a stop that lies behind the lens."""
+    surfaces = scene.camera.lens.surfaces
+    behind = (
+        surfaces[1],
+        surfaces[2].model_copy(update={"thickness_mm": 5.0}),
+        surfaces[0].model_copy(update={"thickness_mm": None, "semi_diameter_mm": None}),
+    )
+    ready = solved(scene.changed({"camera.lens": {"surfaces": behind, "f_number": 8.0}}))
+    _, angle = trace(ready, 1.0, 0.0)
+    pupil = -1.0 / angle / 8.0
+    edge, _ = trace(ready, pupil / 2, 0.0)
+    assert ready.camera.lens.surfaces[2].semi_diameter_mm == pytest.approx(edge, rel=1e-12)
+    assert ready.camera.lens.f_number is None
+
+
+def test_stop_size_overrides_the_prescription(scene: Scene) -> None:
+    lens = solved(scene.changed({"camera.lens.stop_semi_diameter_mm": 2.5})).camera.lens
+    assert lens.surfaces[0].semi_diameter_mm == 2.5
+    assert lens.stop_semi_diameter_mm is None
+
+
+@pytest.mark.parametrize(("front", "rear", "stop"), [(6.0, 9.0, 0), (9.0, 6.0, 1)])
+def test_without_a_stop_the_surface_that_limits_the_axial_beam_is_it(
+    scene: Scene, front: float, rear: float, stop: int
+) -> None:
+    surfaces = scene.camera.lens.surfaces[1:]
+    unmarked = (
+        surfaces[0].model_copy(update={"semi_diameter_mm": front}),
+        surfaces[1].model_copy(update={"semi_diameter_mm": rear}),
+    )
+    lens = solved(scene.changed({"camera.lens.surfaces": unmarked})).camera.lens
+    assert [surface.stop for surface in lens.surfaces] == [number == stop for number in range(2)]
+
+
+def test_a_refracting_stop_keeps_its_curvature(scene: Scene) -> None:
+    surfaces = tuple(s.model_copy(update={"stop": i == 1}) for i, s in enumerate(scene.camera.lens.surfaces))
+    lens = solved(
+        scene.changed({"camera.lens.surfaces": surfaces, "camera.lens.stop_semi_diameter_mm": 3.0})
+    ).camera.lens
+    assert lens.surfaces[1].semi_diameter_mm == 3.0
+    assert lens.surfaces[1].radius_mm == 60.0
+    assert not lens.is_pure_stop(1)
+    assert solved(scene).camera.lens.is_pure_stop(0)
+
+
+def test_solving_twice_changes_nothing(scene: Scene) -> None:
+    once = solved(scene.changed({"camera.lens.f_number": 6.0, "camera.mla.pose": Pose(tilt_deg=(1.0, 0.0, 0.0))}))
+    assert solved(once) is once
+
+
+def test_given_distances_stay(scene: Scene) -> None:
+    ready = solved(scene.changed({"camera.mla.distance_mm": 70.0, "camera.sensor.distance_mm": 0.45}))
+    assert ready.camera.mla.distance_mm == 70.0
+    assert ready.camera.sensor.distance_mm == 0.45
+
+
+IMPOSSIBLE = [
+    ({"camera.focus_mm": None}, r"camera\.mla\.distance_mm: missing; give it, or camera\.focus_mm"),
+    ({"camera.focus_mm": None, "camera.mla": None}, r"camera\.sensor\.distance_mm: missing; give it, or"),
+    ({"camera.focus_mm": 40.0}, r"focus_mm = 40: no real image.*give more than 57\.3258"),
+    (
+        {"camera.lens.surfaces[1].radius_mm": -60.0, "camera.lens.surfaces[2].radius_mm": 60.0},
+        "converging one",
+    ),
+    ({"camera.mla.focal_length_mm": -0.7}, r"sensor\.distance_mm: missing.*diverges"),
+    ({"camera.mla.thickness_mm": 2.0}, r"ends inside their plate; with thickness_mm below 1\.05 it"),
+    ({"camera.lens": {"file": "none.toml"}}, r"none\.toml: cannot be read"),
+]
+
+
+@pytest.mark.parametrize(("values", "message"), IMPOSSIBLE)
+def test_what_cannot_be_solved_says_what_to_give(scene: Scene, values: dict[str, object], message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        solved(scene.changed(values))

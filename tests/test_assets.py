@@ -1,0 +1,161 @@
+"""What lies in assets/: scenes are in order, lenses meet their published figures, files are sound."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from lfmesh.optics.glass import refractive_index
+from lfmesh.scene import FirstOrder, Scene, Surface, first_order, load, loads, solved
+
+ASSETS = Path(__file__).resolve().parents[1] / "assets"
+SCENES = sorted((ASSETS / "scenes").glob("*.toml"))
+LENSES = sorted((ASSETS / "lenses").glob("*.toml"))
+
+PUBLISHED = {
+    # lens: wavelength in nm; EFL, BFL (None: not published) and the agreement to be expected, in mm
+    "achromat_100mm": (587.6, 100.1, 97.1, 0.1),
+    "asphere_100mm": (1310.0, 100.0, None, 0.05),
+    "ball_10mm": (587.6, 7.5, 2.5, 1e-12),
+    "cooke_triplet_50mm": (550.0, 49.999783, 42.414858, 5e-7),
+    "double_gauss_50mm": (587.6, 50.0, None, 0.5),
+    "plano_convex_25mm": (587.6, 25.4, 21.48, 0.005),
+}
+
+
+def names(paths: list[Path]) -> list[str]:
+    return [path.stem for path in paths]
+
+
+def camera_with(lens: str, wavelength_nm: float) -> Scene:
+    """Return the simplest scene with a lens: a conventional camera focused at 3 m."""
+    text = f"""
+        schema_version = 1
+        [camera]
+        focus_mm = 3000.0
+        [camera.lens]
+        file = "lenses/{lens}.toml"
+        [camera.sensor]
+        pixels = [64, 64]
+        pixel_mm = 0.01
+        [transport]
+        wavelengths_nm = [{wavelength_nm}]
+    """
+    return solved(loads(text, folder=ASSETS))
+
+
+def report_of(lens: str) -> FirstOrder:
+    return first_order(camera_with(lens, PUBLISHED[lens][0]))
+
+
+@pytest.mark.parametrize("path", SCENES, ids=names(SCENES))
+def test_scene_loads_and_has_no_fault_of_layout(path: Path) -> None:
+    warnings = first_order(load(path)).warnings
+    if path.stem == "conventional":
+        # Its point: what the light field camera can refocus, this one leaves out of focus.
+        warnings = tuple(warning for warning in warnings if "out of the range that is sharp" not in warning)
+    assert warnings == ()
+
+
+def test_the_promised_scenes_are_there() -> None:
+    assert {"first_light", "conventional", "hexagonal", "emitting_plane"} <= set(names(SCENES))
+
+
+@pytest.mark.parametrize("name", ["first_light", "emitting_plane", "hexagonal"])
+def test_micro_images_fill_their_pitch_and_do_not_overlap(name: str) -> None:
+    report = first_order(load(ASSETS / "scenes" / f"{name}.toml"))
+    assert 0.97 < report.micro_image_diameter_px / report.micro_image_pitch_px <= 1.0
+
+
+def test_bracket_and_chart_lie_on_either_side_of_the_plane_of_focus() -> None:
+    scene = load(ASSETS / "scenes" / "first_light.toml")
+    bracket, chart = (-target.position_mm[2] for target in scene.targets)
+    report = first_order(scene)
+    assert report.near_mm < bracket < report.object_distance_mm < chart < report.far_mm
+
+
+def test_chart_fills_the_field_of_view() -> None:
+    scene = load(ASSETS / "scenes" / "first_light.toml")
+    report, chart = first_order(scene), scene.targets[1]
+    growth = (report.entrance_pupil_z_mm - chart.position_mm[2]) / (
+        report.entrance_pupil_z_mm + report.object_distance_mm
+    )
+    assert chart.shape.width_mm >= growth * report.field_of_view_mm[0]
+    assert chart.shape.height_mm >= growth * report.field_of_view_mm[1]
+
+
+def test_every_lens_has_a_published_figure() -> None:
+    assert set(names(LENSES)) == set(PUBLISHED)
+
+
+@pytest.mark.parametrize("lens", PUBLISHED)
+def test_lens_names_its_source(lens: str) -> None:
+    assert camera_with(lens, PUBLISHED[lens][0]).camera.lens.source
+
+
+@pytest.mark.parametrize("lens", PUBLISHED)
+def test_focal_lengths_are_the_published_ones(lens: str) -> None:
+    _, efl_mm, bfl_mm, tolerance_mm = PUBLISHED[lens]
+    report = report_of(lens)
+    assert report.efl_mm == pytest.approx(efl_mm, abs=tolerance_mm)
+    if bfl_mm is not None:
+        assert report.bfl_mm == pytest.approx(bfl_mm, abs=tolerance_mm)
+
+
+def test_triplet_works_at_its_published_aperture() -> None:
+    """f/5: an entrance pupil of 10 mm."""
+    assert report_of("cooke_triplet_50mm").entrance_pupil_diameter_mm == pytest.approx(10.0, abs=1e-5)
+
+
+def test_double_gauss_works_at_its_published_aperture() -> None:
+    """f/2 in the book, to the digit it gives."""
+    report = report_of("double_gauss_50mm")
+    assert report.efl_mm / report.entrance_pupil_diameter_mm == pytest.approx(2.0, abs=0.05)
+
+
+def axis_crossing_mm(front: Surface, index: float, height_mm: float) -> float:
+    """Return where a ray parallel to the axis crosses it behind the rear face of a plano-convex singlet."""
+    root = math.sqrt(1 - (1 + front.conic) * height_mm**2 / front.radius_mm**2)
+    sag = height_mm**2 / (front.radius_mm * (1 + root))
+    slope = height_mm / (front.radius_mm * root)
+    for power, coefficient in zip((4, 6, 8), front.asphere_mm, strict=True):
+        sag += coefficient * height_mm**power
+        slope += power * coefficient * height_mm ** (power - 1)
+    incidence = math.atan(slope)
+    inside = incidence - math.asin(math.sin(incidence) / index)
+    height_at_rear = height_mm - (front.thickness_mm - sag) * math.tan(inside)
+    return height_at_rear / math.tan(math.asin(index * math.sin(inside)))
+
+
+def test_asphere_is_free_of_spherical_aberration_at_its_design_wavelength() -> None:
+    """Rays of every height cross the axis within 0.1 µm of the paraxial focus, or a coefficient is wrong."""
+    front = camera_with("asphere_100mm", 1310.0).camera.lens.surfaces[0]
+    index = refractive_index(front.medium, 1310.0)
+    focus_mm = report_of("asphere_100mm").bfl_mm
+    errors = [axis_crossing_mm(front, index, h) - focus_mm for h in np.linspace(0.5, front.semi_diameter_mm, 23)]
+    assert np.abs(errors).max() < 1e-4
+
+
+def test_bracket_is_a_closed_solid_of_the_size_its_scene_expects() -> None:
+    bracket = trimesh.load_mesh(ASSETS / "meshes" / "bracket.stl")
+    assert bracket.is_watertight
+    assert bracket.is_winding_consistent
+    assert bracket.is_volume
+    assert bracket.extents == pytest.approx([36.0, 34.0, 46.0], abs=0.1)
+    assert np.abs(bracket.bounds.sum(axis=0)).max() < 1e-3, "not centred on its origin"
+    # Two screw holes, two slots and the eye go through; each raises the genus by one.
+    assert 1 - bracket.euler_number / 2 == 5
+
+
+@pytest.mark.parametrize("name", ["chart", "siemens"])
+def test_chart_opens_as_a_contrasty_8_bit_picture(name: str) -> None:
+    path = ASSETS / "charts" / f"{name}.png"
+    assert path.stat().st_size < 500_000
+    with Image.open(path) as picture:
+        grey = np.asarray(picture.convert("L"))
+    assert grey.shape[0] == grey.shape[1] >= 1024
+    assert grey.min() < 30
+    assert grey.max() > 220

@@ -1,0 +1,354 @@
+"""The command line: exit codes, one clear message for a mistake, nothing half-done, fitting progress."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+import types
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lfmesh
+from lfmesh.cli import main
+from lfmesh.scene import Scene, solved
+from lfmesh.transport.image import Image
+from lfmesh.transport.ledger import Ledger
+from lfmesh.transport.progress import Progress
+
+SCENE = """
+schema_version = 1
+[camera]
+focus_mm = 500.0
+[camera.lens]
+surfaces = [
+  { stop = true, thickness_mm = 1.0, semi_diameter_mm = 5.0 },
+  { radius_mm = 50.0, thickness_mm = 4.0, index = 1.5, semi_diameter_mm = 8.0 },
+  { radius_mm = -50.0, thickness_mm = 0.0, semi_diameter_mm = 8.0 },
+]
+[camera.mla]
+count = [4, 4]
+pitch_mm = 0.125
+focal_length_mm = 0.7
+index = 1.5
+thickness_mm = 0.3
+[camera.sensor]
+pixels = [40, 40]
+pixel_mm = 0.0125
+[[targets]]
+shape = { kind = "plane", width_mm = 100.0, height_mm = 100.0 }
+position_mm = [0.0, 0.0, -500.0]
+[[lights]]
+kind = "point"
+position_mm = [100.0, -100.0, -50.0]
+power_w = 1.0
+"""
+
+MISMATCHED = SCENE.replace("focal_length_mm = 0.7", "focal_length_mm = 2.0")
+"""Microlenses of f/16 behind a lens of f/5.6."""
+
+Report = Callable[[Progress], None]
+
+
+class Renderer:
+    """Stands in for the tracer: reports progress, and stops when told to."""
+
+    def __init__(self) -> None:
+        self.scene: Scene | None = None
+        self.replicates_until_ctrl_c = math.inf
+        self.seconds = 100.0
+
+    def __call__(self, scene: Scene, progress: Report | None = None) -> Image:
+        self.scene = scene = solved(scene)
+        transport = scene.transport
+        for replicate in range(transport.replicates):
+            if replicate == self.replicates_until_ctrl_c:
+                break
+            for part in range(100):
+                done = replicate * 100 + part + 1
+                seconds = self.seconds * done / (100 * transport.replicates)
+                if progress is not None:
+                    total = 100_000 * transport.replicates
+                    progress(Progress(1000 * done, total, seconds, replicate, transport.replicates, "tracing"))
+        finished = int(min(self.replicates_until_ctrl_c, transport.replicates))
+        if finished == 0:
+            raise KeyboardInterrupt
+        shape = (*reversed(scene.camera.sensor.pixels), len(transport.wavelengths_nm))
+        mean = np.random.default_rng(0).uniform(1e-12, 2e-12, shape)
+        ledger = Ledger(unit="m² sr", emitted=1.0, absorbed={"stop": 1.0}, packets=1, events=1)
+        samples = transport.samples * finished / transport.replicates
+        return Image(mean, 0.1 * mean, scene, ledger, self.seconds, finished, samples, "mesh engine")
+
+
+@pytest.fixture
+def renderer(monkeypatch: pytest.MonkeyPatch) -> Renderer:
+    fake = Renderer()
+    module = types.ModuleType("lfmesh.transport.render")
+    module.render = fake  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "lfmesh.transport.render", module)
+    return fake
+
+
+@pytest.fixture
+def scene_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.toml").write_text(SCENE)
+    return Path("scene.toml")
+
+
+def shell(
+    *arguments: str, cwd: Path | None = None, stdout: int = subprocess.PIPE
+) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [sys.executable, "-m", "lfmesh", *arguments],
+        cwd=cwd,
+        stdout=stdout,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=120,
+        env={**os.environ, "PYTHONPATH": str(Path(lfmesh.__file__).parents[1])},
+    )
+
+
+def test_render_writes_a_run_and_says_where(
+    renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["render", "scene.toml", "-o", "run"]) == 0
+    out = capsys.readouterr().out
+    assert "known to 10 % or better" in out
+    for name in ("preview_view.png", "preview.png", "raw.exr", "report.json"):
+        assert str(Path("run") / name) in out
+        assert (Path("run") / name).is_file()
+    assert lfmesh.open_run("run").complete
+    assert max(len(line) for line in out.splitlines()) <= 80
+
+
+def test_options_override_the_transport_table(renderer: Renderer, scene_file: Path) -> None:
+    options = "--samples 32 --method forward --engine mesh --surface flat --split roulette --seed 5 --threads 2"
+    more = "--replicates 4 --wavelengths-nm 486.1 587.6 656.3"
+    assert main(["render", "scene.toml", "-o", "run", *options.split(), *more.split()]) == 0
+    assert renderer.scene is not None
+    transport = renderer.scene.transport
+    assert (transport.samples, transport.method, transport.engine) == (32, "forward", "mesh")
+    assert (transport.surface, transport.split, transport.seed) == ("flat", "roulette", 5)
+    assert (transport.threads, transport.replicates) == (2, 4)
+    assert transport.wavelengths_nm == (486.1, 587.6, 656.3)
+    assert lfmesh.open_run("run").mean.shape == (40, 40, 3)
+
+
+WRONG_ARGUMENTS = {
+    "unknown command": ("rendr scene.toml", 'Unknown command "rendr"'),
+    "unknown option": ("render scene.toml -o run --sample 3", "--sample"),
+    "missing scene": ("render -o run", "scene"),
+    "missing folder": ("render scene.toml", "--out"),
+    "too many": ("render scene.toml more.toml -o run", "more.toml"),
+    "bad choice": ("render scene.toml -o run --method fw", '"adjoint", "forward"'),
+    "fraction": ("render scene.toml -o run --samples 4.5", '"4.5" is no whole number'),
+    "negative": ("render scene.toml -o run --samples -8", "--samples = -8"),
+    "zero replicates": ("render scene.toml -o run --replicates 0", "--replicates = 0"),
+    "uneven replicates": ("render scene.toml -o run --samples 12", "must be a multiple of replicates = 8"),
+    "no wavelength": ("render scene.toml -o run --wavelengths-nm green", '"green"'),
+    "nan": ("render scene.toml -o run --wavelengths-nm nan", "--wavelengths-nm"),
+    "missing file": ("render none.toml -o run", "none.toml"),
+    "folder as file": ("render . -o run", "cannot be read"),
+    "check of nothing": ("check none.toml", "none.toml"),
+    "file as folder": ("render scene.toml -o scene.toml", "scene.toml is a file"),
+    "below a file": ("render scene.toml -o scene.toml/run", "cannot be written"),
+    "foreign folder": ("render scene.toml -o .", "holds scene.toml and no run"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "message"), WRONG_ARGUMENTS.values(), ids=WRONG_ARGUMENTS.keys())
+def test_a_wrong_command_line_exits_with_2_and_says_why(
+    renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str], arguments: str, message: str
+) -> None:
+    assert main(arguments.split()) == 2
+    captured = capsys.readouterr()
+    assert [line.startswith("lfmesh: ") for line in captured.err.splitlines()].count(True) == 1
+    assert message in captured.err
+    assert captured.out == ""
+    assert renderer.scene is None, "nothing may be rendered before the mistake is found"
+    assert [path.name for path in Path().iterdir()] == ["scene.toml"]
+
+
+WRONG_SCENES = {
+    "no toml": ("focus_mm = 500.0", "focus_mm = = 500.0", "not valid TOML"),
+    "unknown key": ("pitch_mm", "pich_mm", "did you mean 'pitch_mm'?"),
+    "nan": ("focus_mm = 500.0", "focus_mm = nan", "camera.focus_mm"),
+    "negative thickness": (
+        "thickness_mm = 4.0",
+        "thickness_mm = -4.0",
+        "camera.lens.surfaces[1].thickness_mm = -4",
+    ),
+    "crossing surfaces": ("thickness_mm = 4.0", "thickness_mm = 0.1", "cross"),
+    "unknown glass": ("index = 1.5, semi", 'glass = "SCHOTT/N-BK77", semi', "N-BK77"),
+    "missing mesh": (
+        'shape = { kind = "plane", width_mm = 100.0, height_mm = 100.0 }',
+        'file = "b.glb"',
+        "b.glb",
+    ),
+    "absurd sensor": ("pixels = [40, 40]", "pixels = [4000000, 4000000]", "GB"),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "message"), WRONG_SCENES.values(), ids=WRONG_SCENES.keys())
+@pytest.mark.parametrize("command", ["check scene.toml", "render scene.toml -o run"])
+def test_a_wrong_scene_exits_with_2_and_names_the_fault(
+    renderer: Renderer,
+    scene_file: Path,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+    old: str,
+    new: str,
+    message: str,
+) -> None:
+    assert old in SCENE
+    scene_file.write_text(SCENE.replace(old, new, 1))
+    assert main(command.split()) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith("lfmesh: scene.toml")
+    assert message in captured.err
+    assert captured.out == ""
+    assert not Path("run").exists()
+
+
+def test_a_mistake_shows_no_traceback(scene_file: Path) -> None:
+    for arguments in (["render", "none.toml", "-o", "run"], ["render", "scene.toml"], ["check", "."]):
+        done = shell(*arguments)
+        assert done.returncode == 2
+        assert "Traceback" not in done.stderr
+        assert done.stdout == ""
+
+
+def test_ctrl_c_keeps_the_finished_replicates(
+    renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    renderer.replicates_until_ctrl_c = 3
+    assert main(["render", "scene.toml", "-o", "run"]) == 130
+    assert "3 of 8 replicates were finished" in capsys.readouterr().out
+    image = lfmesh.open_run("run")
+    assert (image.complete, image.replicates, image.samples) == (False, 3, 24.0)
+    assert json.loads(Path("run/report.json").read_text())["complete"] is False
+
+
+def test_ctrl_c_with_nothing_finished_writes_nothing(
+    renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    renderer.replicates_until_ctrl_c = 0
+    assert main(["render", "scene.toml", "-o", "run"]) == 130
+    assert "nothing was written" in capsys.readouterr().err
+    assert not Path("run").exists()
+
+
+def test_progress_without_a_terminal_is_a_few_plain_lines(
+    renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main(["render", "scene.toml", "-o", "run"])
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("tracing")]
+    assert 5 <= len(lines) <= 20
+    assert lines[0] == "tracing: 10 %, 8,000 packets/s, 90 s left"
+    assert lines[-1].startswith("tracing: 100 %")
+    assert not any("\x1b" in line or "\r" in line for line in lines)
+
+
+def test_a_short_render_says_hardly_anything(
+    renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    renderer.seconds = 1.0
+    main(["render", "scene.toml", "-o", "run"])
+    assert capsys.readouterr().err.count("tracing") == 1
+
+
+def test_progress_on_a_terminal_has_rate_and_time_left(
+    renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "xterm")
+    assert main(["render", "scene.toml", "-o", "run"]) == 0
+    err = capsys.readouterr().err
+    assert "8,000 packets/s" in err
+    assert " left" in err
+    assert "%" in err
+
+
+def test_demo_renders_the_scene_that_comes_along(
+    renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["demo", "--samples", "8"]) == 0
+    assert str(Path("lfmesh-demo") / "preview_view.png") in capsys.readouterr().out
+    assert lfmesh.open_run("lfmesh-demo").scene.camera.mla is not None
+
+
+def test_check_prints_the_first_order_report_and_warnings_are_no_error(
+    scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A biconvex lens, R = ±50 mm, n = 1.5, 4 mm thick: f = n R / ((n−1)(2n − (n−1) t/R)) = 50.6757 mm."""
+    scene_file.write_text(MISMATCHED)
+    assert main(["check", "scene.toml"]) == 0
+    out = capsys.readouterr().out
+    assert "50.67" in out
+    warnings = lfmesh.first_order(lfmesh.load("scene.toml")).warnings
+    assert warnings
+    assert all(warning in " ".join(out.split()) for warning in warnings)
+    assert max(len(line) for line in out.splitlines()) <= 110
+
+
+def test_warnings_are_said_before_rendering(
+    renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene_file.write_text(MISMATCHED)
+    main(["render", "scene.toml", "-o", "run"])
+    err = capsys.readouterr().err
+    warnings = lfmesh.first_order(lfmesh.load("scene.toml")).warnings
+    assert warnings
+    assert all(f"Note: {warning}" in " ".join(err.split()) for warning in warnings)
+    assert err.index("Note: ") < err.index("tracing")
+
+
+def test_schema_is_the_scenes_json_schema(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["schema"]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    assert {"camera", "targets", "lights", "transport"} <= set(schema["properties"])
+
+
+@pytest.mark.parametrize("command", ["", "demo", "check", "render", "schema"])
+def test_help_fits_80_columns(
+    command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main([*command.split(), "--help"]) == 0
+    out = capsys.readouterr().out
+    assert "Usage: lfmesh" in out
+    assert max(len(line) for line in out.splitlines()) <= 80
+
+
+def test_a_reader_that_goes_away_is_no_error() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        done = shell("schema", stdout=writer)
+    finally:
+        os.close(writer)
+    assert done.stderr == ""
+    assert done.returncode == 141
+
+
+def test_importing_lfmesh_and_its_command_line_is_light() -> None:
+    heavy = {"numba", "vtkmodules", "pyvista", "embreex", "OpenEXR", "matplotlib", "trimesh", "PIL", "scipy"}
+    code = "import sys, lfmesh, lfmesh.cli, lfmesh.scene; print(*{name.split('.')[0] for name in sys.modules})"
+    environment = {**os.environ, "PYTHONPATH": str(Path(lfmesh.__file__).parents[1])}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert "lfmesh" in done.stdout.split()
+    assert not heavy & set(done.stdout.split())
+
+
+def test_every_public_name_can_be_had() -> None:
+    for name in lfmesh.__all__:
+        assert getattr(lfmesh, name) is not None
+    assert set(lfmesh.__all__) <= set(dir(lfmesh))
+    with pytest.raises(AttributeError, match="no attribute 'lens_cap'"):
+        lfmesh.lens_cap  # noqa: B018

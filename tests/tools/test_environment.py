@@ -1,0 +1,214 @@
+"""The laws of tools/run and tools/test, with a stand-in for Python that only writes down what it is asked."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+SYSTEM_TOOLS = (
+    *("bash", "env", "cat", "cksum", "cp", "chmod", "dirname", "flock", "grep", "head", "ls"),
+    *("mkdir", "mv", "rm", "sleep", "tail", "touch"),
+)
+
+# Called as `python -c` (is it new enough?), `-m venv`, `-m pip` and `-m pytest`, like the real one.
+PYTHON = """#!/usr/bin/env bash
+case "$1 ${2-} ${3-}" in
+'-m venv '*)
+    echo "venv" >>"$LOG"
+    mkdir -p "$3/bin"
+    cp "$0" "$3/bin/python" ;;
+'-m pip --version') ;;
+'-m pip install')
+    echo "pip ${!#}" >>"$LOG"
+    sleep "${PIP_SECONDS:-0}"
+    [ ! -e "$LOG.fail" ] || exit 1
+    printf '#!/usr/bin/env bash\\necho "in $PWD:"\\nprintf "<%%s>" "$@"\\nexit 7\\n' >"$(dirname "$0")/lfmesh"
+    chmod +x "$(dirname "$0")/lfmesh" ;;
+'-m pytest '*)
+    shift 2
+    echo "pytest in $PWD:"
+    printf "<%s>" "$@" ;;
+esac
+"""
+
+
+class Machine:
+    """A checkout in a folder with a space in its name, on a machine with nothing but the given commands."""
+
+    def __init__(self, folder: Path) -> None:
+        self.root = folder / "a check out"
+        self.elsewhere = folder / "else where"
+        self.bin = folder / "bin"
+        self.log = folder / "log"
+        shutil.copytree(ROOT / "tools", self.root / "tools", ignore=shutil.ignore_patterns("__pycache__"))
+        (self.root / "pyproject.toml").write_text("[project]\n")
+        self.elsewhere.mkdir()
+        self.bin.mkdir()
+        self.log.touch()
+        for name in SYSTEM_TOOLS:
+            if found := shutil.which(name):
+                (self.bin / name).symlink_to(found)
+        self.command("python3.12", PYTHON)
+        self.command("uname", "echo Linux")
+        self.command("id", "echo 1000")
+        self.command("dpkg-query", "printf 'install ok installed'")
+        self.command("apt-get", 'echo "apt-get $*" >>"$LOG"')
+
+    def command(self, name: str, script: str) -> None:
+        path = self.bin / name
+        path.write_text(script if script.startswith("#!") else f"#!/usr/bin/env bash\n{script}\n")
+        path.chmod(0o755)
+
+    def start(self, tool: str, *arguments: str, **variables: str) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [self.root / "tools" / tool, *arguments],
+            cwd=self.elsewhere,
+            env={"PATH": str(self.bin), "LOG": str(self.log), **variables},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def run(self, tool: str, *arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
+        process = self.start(tool, *arguments, **variables)
+        out, err = process.communicate(timeout=60)
+        return subprocess.CompletedProcess(process.args, process.returncode, out, err)
+
+    @property
+    def done(self) -> list[str]:
+        return self.log.read_text().splitlines()
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Machine:
+    if os.name != "posix":
+        pytest.skip("the tools are shell scripts")
+    return Machine(tmp_path)
+
+
+def test_arguments_folder_and_exit_code_pass_through(machine: Machine) -> None:
+    result = machine.run("run", "render", "my scene.toml", "")
+    assert result.returncode == 7
+    assert result.stdout == f"in {machine.elsewhere}:\n<render><my scene.toml><>"
+
+
+def test_only_the_command_writes_to_standard_output(machine: Machine) -> None:
+    result = machine.run("run", "schema")
+    assert "making .venv" in result.stderr
+    assert "lfmesh:" not in result.stdout
+
+
+def test_environment_is_made_once_and_reused(machine: Machine) -> None:
+    machine.run("run")
+    second = machine.run("run")
+    assert machine.done == ["venv", "pip ."]
+    assert second.stderr == ""
+
+
+def test_a_changed_pyproject_installs_again_into_the_same_environment(machine: Machine) -> None:
+    machine.run("run")
+    (machine.root / "pyproject.toml").write_text('[project]\nname = "other"\n')
+    machine.run("run")
+    machine.run("run")
+    assert machine.done == ["venv", "pip .", "pip ."]
+
+
+def test_the_development_tools_are_added_once_and_kept(machine: Machine) -> None:
+    machine.run("run")
+    machine.run("test")
+    machine.run("run")
+    (machine.root / "pyproject.toml").write_text('[project]\nname = "other"\n')
+    machine.run("run")
+    machine.run("test")
+    assert machine.done == ["venv", "pip .", "pip .[dev]", "pip .[dev]"]
+
+
+def test_tests_run_in_the_project_folder(machine: Machine) -> None:
+    result = machine.run("test", "--long", "-k", "a or b")
+    assert result.stdout == f"pytest in {machine.root}:\n<--long><-k><a or b>"
+
+
+def test_a_failed_installation_is_done_again(machine: Machine) -> None:
+    failure = machine.log.with_name("log.fail")
+    failure.touch()
+    broken = machine.run("run")
+    assert broken.returncode == 1
+    assert "installation failed" in broken.stderr
+    failure.unlink()
+    assert machine.run("run").returncode == 7
+    assert machine.done == ["venv", "pip .", "pip ."]
+
+
+def test_a_killed_installation_is_done_again(machine: Machine) -> None:
+    killed = machine.start("run", PIP_SECONDS="1")
+    while "pip ." not in machine.done:
+        assert killed.poll() is None, "ended before it installed"
+    killed.kill()
+    killed.communicate(timeout=60)
+    assert machine.run("run").returncode == 7
+    assert machine.done == ["venv", "pip .", "pip ."]
+
+
+@pytest.mark.skipif(shutil.which("flock") is None, reason="without flock the tools do not lock")
+def test_two_commands_at_once_install_once(machine: Machine) -> None:
+    both = [machine.start("run", PIP_SECONDS="1") for _ in range(2)]
+    said = [process.communicate(timeout=60)[1] for process in both]
+    assert [process.returncode for process in both] == [7, 7]
+    assert machine.done == ["venv", "pip ."]
+    assert sum("waiting for another command" in text for text in said) == 1
+
+
+def test_a_copied_checkout_does_not_use_the_installation_of_the_original(machine: Machine) -> None:
+    machine.run("run")
+    machine.root.rename(machine.root.with_name("moved"))
+    machine.root = machine.root.with_name("moved")
+    machine.run("run")
+    assert machine.done == ["venv", "pip .", "pip ."]
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [("exit 1", "needs Python 3.11 or newer"), ('[[ "$*" != *ensurepip* ]]', "python3.12-venv")],
+    ids=["too old", "without venv"],
+)
+def test_an_unfit_python_is_named(machine: Machine, script: str, said: str) -> None:
+    machine.command("python3.12", script)
+    result = machine.run("run")
+    assert result.returncode == 1
+    assert said in result.stderr
+    assert not (machine.root / ".venv").exists()
+
+
+def test_an_older_python_is_passed_over(machine: Machine) -> None:
+    machine.command("python3.13", "exit 127")
+    assert machine.run("run").returncode == 7
+
+
+def test_missing_drawing_libraries_are_installed_for_root(machine: Machine) -> None:
+    machine.command("dpkg-query", '[ "${!#}" != libegl1 ] && printf "install ok installed"')
+    machine.command("id", "echo 0")
+    assert machine.run("run").returncode == 7
+    assert [line.split()[2] for line in machine.done if line.startswith("apt-get")] == ["update", "install"]
+    (installed,) = [line for line in machine.done if " install " in line]
+    assert installed.split()[-1] == "libegl1", "only what is missing"
+
+
+def test_missing_drawing_libraries_are_named_to_a_user(machine: Machine) -> None:
+    machine.command("dpkg-query", "exit 1")
+    result = machine.run("run")
+    assert result.returncode == 7
+    assert "sudo apt-get install libegl1 libgl1-mesa-dri" in result.stderr
+    assert machine.done == ["venv", "pip ."]
+
+
+def test_a_failing_apt_get_stops_nothing(machine: Machine) -> None:
+    machine.command("dpkg-query", "exit 1")
+    machine.command("id", "echo 0")
+    machine.command("apt-get", "exit 100")
+    result = machine.run("run")
+    assert result.returncode == 7
+    assert "everything but drawing works" in result.stderr

@@ -1,0 +1,120 @@
+# The project's own Python environment, .venv: made at first use, brought up to date when pyproject.toml changes.
+# Sourced by the other scripts of this folder.
+#
+#   prepare_environment run    what `lfmesh` needs
+#   prepare_environment dev    that and what the tests and checks need
+#
+# Afterwards $root is the project's folder and $environment its .venv. Everything said here goes to stderr, so that
+# the output of a command can be redirected.
+
+root=$(CDPATH='' cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)
+environment=$root/.venv
+
+# Says which pyproject.toml was installed for which folder and purpose. It is removed before an installation and
+# written after it, so an interrupted one is done again.
+stamp=$environment/lfmesh-installed
+
+say() {
+    printf 'lfmesh: %s\n' "$*" >&2
+}
+
+# Prints the newest suitable Python. A shim of a version manager may be on the PATH and still not run.
+find_python() {
+    local candidate found=''
+    for candidate in python3.13 python3.12 python3.11 python3; do
+        "$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null </dev/null || continue
+        found=$candidate
+        if "$candidate" -c 'import ensurepip, venv' 2>/dev/null </dev/null; then
+            command -v "$candidate"
+            return
+        fi
+    done
+    if [ -n "$found" ]; then
+        say "$found cannot make virtual environments: install its venv module (Debian: apt-get install $found-venv)."
+    else
+        say "needs Python 3.11 or newer; looked for python3.13, python3.12, python3.11 and python3 on the PATH."
+    fi
+    return 1
+}
+
+# Off-screen drawing needs two system libraries; everything else works without them.
+install_drawing_libraries() {
+    [ "$(uname -s)" = Linux ] || return 0
+    local missing=''
+    if command -v dpkg-query >/dev/null && command -v apt-get >/dev/null; then
+        local package
+        for package in libegl1 libgl1-mesa-dri; do
+            case $(dpkg-query -W -f='${Status}' "$package" 2>/dev/null || true) in
+                *' installed') ;;
+                *) missing="$missing $package" ;;
+            esac
+        done
+    elif ! ldconfig -p 2>/dev/null | grep 'libEGL\.so\.1' >/dev/null; then
+        say "drawing needs the EGL and Mesa DRI libraries (Debian: libegl1 libgl1-mesa-dri): install your system's."
+        return 0
+    fi
+    [ -n "$missing" ] || return 0
+    if [ "$(id -u)" -ne 0 ]; then
+        say "drawing needs system libraries; install them with: sudo apt-get install$missing"
+        return 0
+    fi
+    say "installing the drawing libraries$missing"
+    # $missing is a list of words on purpose.
+    # shellcheck disable=SC2086
+    if ! { apt-get -qq update && DEBIAN_FRONTEND=noninteractive \
+        apt-get -qq install --yes --no-install-recommends $missing; } </dev/null >/dev/null; then
+        say "apt-get could not install$missing; everything but drawing works without."
+    fi
+}
+
+wanted_stamp() {
+    printf '%s\n%s\n' "$root" "$(cksum <"$root/pyproject.toml")"
+}
+
+# Whether the installation on disk serves the purpose $1.
+up_to_date() {
+    [ -x "$environment/bin/python" ] && [ -f "$stamp" ] || return 1
+    [ "$(head -n 2 "$stamp")" = "$(wanted_stamp)" ] || return 1
+    [ "$1" = run ] || [ "$(tail -n 1 "$stamp")" = dev ]
+}
+
+install_project() {
+    local purpose=$1
+    if [ -f "$stamp" ] && [ "$(tail -n 1 "$stamp")" = dev ]; then
+        purpose=dev
+    fi
+    if ! "$environment/bin/python" -m pip --version >/dev/null 2>&1; then
+        local python
+        python=$(find_python) || return 1
+        say "making .venv with $python"
+        rm -rf -- "$environment"
+        "$python" -m venv "$environment" >&2 || return 1
+    fi
+    rm -f -- "$stamp"
+    say "installing lfmesh and what it needs into .venv; this takes a minute or two"
+    local extras=''
+    [ "$purpose" = run ] || extras='[dev]'
+    (cd -- "$root" && "$environment/bin/python" -m pip install --quiet --disable-pip-version-check \
+        --editable ".$extras") </dev/null >&2 || {
+        say "the installation failed; the lines above say why. Run the command again to resume."
+        return 1
+    }
+    { wanted_stamp && printf '%s\n' "$purpose"; } >"$stamp.new" && mv -f -- "$stamp.new" "$stamp"
+}
+
+prepare_environment() {
+    if up_to_date "$1"; then
+        [ "$1" = run ] || install_drawing_libraries
+        return
+    fi
+    # Two commands started at once must not install over each other: lock the project's folder itself.
+    if command -v flock >/dev/null; then
+        exec 9<"$root"
+        flock --nonblock 9 || {
+            say "waiting for another command that is installing"
+            flock 9
+        }
+    fi
+    up_to_date "$1" || { install_drawing_libraries && install_project "$1"; } || exit 1
+    exec 9<&-
+}

@@ -3,8 +3,10 @@
 import json
 import os
 import re
+import signal
 import sys
 import textwrap
+import threading
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
@@ -206,13 +208,15 @@ def _render(scene_file: Path, folder: Path, overrides: Overrides | None) -> int:
     warnings = first_order(scene).warnings
 
     # Whatever can be wrong with the folder is said before the seconds that importing the tracer takes.
-    from lfmesh.files import run, words
+    with _undivided():
+        from lfmesh.files import run, words
 
     run.prepare(folder)
     for warning in warnings:
         print(textwrap.fill(f"Note: {warning}", COLUMNS, subsequent_indent="  "), file=sys.stderr)
 
-    from lfmesh.transport.render import render as trace_image
+    with _undivided():
+        from lfmesh.transport.render import render as trace_image
 
     with _progress() as report:
         image = trace_image(scene, progress=report)
@@ -221,6 +225,23 @@ def _render(scene_file: Path, folder: Path, overrides: Overrides | None) -> int:
         print(textwrap.fill(line, COLUMNS, subsequent_indent="  "))
     print(_whereabouts(image, folder))
     return 0 if image.complete else INTERRUPTED
+
+
+@contextmanager
+def _undivided() -> "Iterator[None]":
+    """Hold Ctrl-C back until the body is done: libraries that catch everything while they are imported would eat it."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is not signal.default_int_handler or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    pressed: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if pressed:
+        raise KeyboardInterrupt
 
 
 def _overridden(scene: "Scene", changes: dict[str, Any]) -> "Scene":

@@ -9,21 +9,32 @@ from numpy.typing import NDArray
 from lfmesh.files.colour import srgb_encode, to_display
 
 WHITE_PERCENTILE = 99.5
-"""Of the pixels that got light: a few fireflies or glints must not darken the whole picture."""
+"""Of the pixels that got light: a few glints must not darken the whole picture."""
+
+KNOWN = 0.5
+"""A pixel whose relative standard error is larger does not set the exposure: one rare heavy sample may have made it."""
 
 COUNTS = 65535
 
 
-def white_point(light: NDArray[np.float64]) -> float:
+def white_point(light: NDArray[np.float64], known: NDArray[np.bool_] | None = None) -> float:
     """Return the value that a preview shows as white; 0 for a black image.
 
-    A percentile over the pixels that got any light, so that a small object in the dark is not burnt out.
+    A percentile over the pixels that got any light, so that a small object in the dark is not burnt out; over the
+    `known` ones (H, W) among them, if there are any.
     """
+    if known is not None and light[known].any():
+        light = light[known]
     lit = light[light > 0.0]
     return float(np.percentile(lit, WHITE_PERCENTILE)) if lit.size else 0.0
 
 
-def write_preview(path: Path, power: NDArray[np.float64], wavelengths_nm: tuple[float, ...]) -> float:
+def write_preview(
+    path: Path,
+    power: NDArray[np.float64],
+    wavelengths_nm: tuple[float, ...],
+    stderr: NDArray[np.float64] | None = None,
+) -> float:
     """Write an upright 8-bit sRGB PNG that exposes itself.
 
     Parameters
@@ -32,6 +43,8 @@ def write_preview(path: Path, power: NDArray[np.float64], wavelengths_nm: tuple[
     power : (H, W, wavelengths) float64, W
         In physical orientation; the lens inverts, so the picture is turned by 180°.
     wavelengths_nm : tuple of float
+    stderr : (H, W, wavelengths) float64, W, optional
+        Of `power`; pixels that are hardly known do not set the exposure.
 
     Returns
     -------
@@ -39,7 +52,8 @@ def write_preview(path: Path, power: NDArray[np.float64], wavelengths_nm: tuple[
         The power shown as white, W (mean over the wavelengths for a grey picture); 0 if the picture is black.
     """
     light = to_display(power, wavelengths_nm)
-    white = white_point(light)
+    known = None if stderr is None else np.asarray((stderr <= KNOWN * power).all(axis=2))
+    white = white_point(light, known)
     exposed = light / white if white > 0.0 else np.zeros_like(light)
     PIL.Image.fromarray(srgb_encode(upright(exposed))).save(path, format="PNG")
     return white

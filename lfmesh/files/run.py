@@ -217,7 +217,7 @@ def _write_all(image: Image, folder: Path, home: Path) -> list[str]:
         exr.SpectralImage({"raw": mean, "stderr": stderr}, image.wavelengths_nm, metadata),
     )
     (folder / SCENE).write_text(_moved(image.scene, home).dump_toml(), encoding="utf-8")
-    white = write_preview(folder / PREVIEW, image.mean, image.wavelengths_nm)
+    white = write_preview(folder / PREVIEW, image.mean, image.wavelengths_nm, image.stderr)
     pictures: dict[str, Any] = {PREVIEW: {"orientation": "upright", "encoding": "sRGB", "white_w": white}}
     grid = _micro_images(image.scene)
     if grid is not None:

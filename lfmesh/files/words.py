@@ -142,7 +142,7 @@ def _noise_lines(image: Image, measured: Noise) -> list[str]:
 def _ends(image: Image) -> list[tuple[str, float]]:
     """Where packets end physically, largest first; what roulette and aimed sampling booked are no places."""
     ledger = image.ledger
-    ends = [(f"ended on {_body(name)}", share) for name, share in ledger.absorbed.items()]
+    ends = [(_ended(name), share) for name, share in ledger.absorbed.items()]
     ends += [
         ("reached the sensor", ledger.sensor),
         ("left the scene", ledger.escaped),
@@ -152,14 +152,20 @@ def _ends(image: Image) -> list[tuple[str, float]]:
     return sorted(ends, key=lambda end: -end[1])
 
 
-def _body(name: str) -> str:
-    """``stop`` takes an article, ``targets[0]`` does not."""
-    return name if name.startswith("targets[") else f"the {name}"
+def _ended(name: str) -> str:
+    """``stop`` takes an article, ``targets[0]`` does not; light beside the sensor ended on nothing that has a name."""
+    if name == "beside the sensor":
+        return "fell beside the sensor"
+    return f"ended on {name}" if name.startswith("targets[") else f"ended on the {name}"
 
 
 def _reached(ledger: Ledger) -> str:
     if ledger.reached_target <= 0.0:
-        return "None of them reached a target."
+        if ledger.escaped <= 0.0:
+            return "None of them reached a target, none even got out of the lens."
+        return (
+            f"None of them reached a target; {percent(ledger.escaped / ledger.emitted)} left the lens and met nothing."
+        )
     reached = f"{percent(ledger.reached_target / ledger.emitted)} of the paths reached a target"
     if ledger.lit <= 0.0:
         return f"{reached}, but no light reaches it there, and it does not emit."

@@ -148,3 +148,24 @@ def neighbour(lattice: Lattice, column: int, row: int, side: int) -> tuple[int, 
     if side == 4:
         return column - 1 + odd, row - 1
     return column + odd, row - 1
+
+
+@kernel
+def stays_inside(lattice: Lattice, x: float, y: float, to_x: float, to_y: float) -> bool:
+    """Tell whether the line from a point over the array to another one passes over its cells only."""
+    to_column, to_row = cell_of(lattice, to_x, to_y)
+    if not is_inside(lattice, to_column, to_row):
+        return False
+    if not lattice.hexagonal:
+        return True
+    # The outline is a zigzag, which a line can leave and enter again.
+    column, row = cell_of(lattice, x, y)
+    while column != to_column or row != to_row:
+        cx, cy = centre(lattice, column, row)
+        t, side = leaves_at(lattice, x - cx, y - cy, to_x - x, to_y - y)
+        if t >= 1.0:
+            break
+        column, row = neighbour(lattice, column, row, side)
+        if not is_inside(lattice, column, row):
+            return False
+    return True

@@ -136,6 +136,29 @@ def cap_sag(curvature: float, r2: float) -> float:
     return curvature * r2 / (1.0 + np.sqrt(1.0 - curvature * curvature * r2))
 
 
+@kernel
+def border_sag(lattice: Lattice, curvature: float, x: float, y: float, side: int) -> float:
+    """Return the z of a cell's mesh at a point of one of its sides: on the chord between two vertices of the border.
+
+    The side is numbered as in `leaves_at`, by either of the cells that share it.
+    """
+    segments = border_segments(lattice.hexagonal)
+    angle = side * np.pi / (3.0 if lattice.hexagonal else 2.0)
+    step = lattice.pitch / (np.sqrt(3.0) if lattice.hexagonal else 1.0) / segments
+    along = (np.cos(angle) * y - np.sin(angle) * x) / step + 0.5 * segments
+    low = np.floor(along)
+    apothem2 = 0.25 * lattice.pitch**2
+    z_low = cap_sag(curvature, apothem2 + ((low - 0.5 * segments) * step) ** 2)
+    z_high = cap_sag(curvature, apothem2 + ((low + 1.0 - 0.5 * segments) * step) ** 2)
+    return z_low + (along - low) * (z_high - z_low)
+
+
+@kernel
+def border_segments(hexagonal: bool, subdivisions: int = SUBDIVISIONS) -> int:
+    """Return how many edges of `cell_pattern` make one side of a cell."""
+    return subdivisions if hexagonal else (subdivisions + 1) // 2
+
+
 def cell_pattern(lattice: Lattice, subdivisions: int = SUBDIVISIONS) -> tuple[Array, Index]:
     """Return the (v, 2) points, mm, and (f, 3) triangles (facing +z) that tile the cell at the origin.
 
@@ -144,7 +167,7 @@ def cell_pattern(lattice: Lattice, subdivisions: int = SUBDIVISIONS) -> tuple[Ar
     corners = lattice.corners()
     points: list[Array] = []
     faces: list[Index] = []
-    n = subdivisions if lattice.hexagonal else (subdivisions + 1) // 2
+    n = border_segments(lattice.hexagonal, subdivisions)
     count = 0
     # One fan of triangles a side, each refined n-fold.
     index = {(i, j): i * (i + 1) // 2 + j for i in range(n + 1) for j in range(i + 1)}

@@ -1,6 +1,6 @@
-"""Target meshes from files: STL, OBJ, PLY, OFF, GLB, glTF and 3MF, in mm, with their colours.
+"""Target meshes from files: STL, OBJ, PLY, OFF, GLB and glTF, in mm, with their colours.
 
-trimesh reads all but 3MF. It passes over some broken files in silence (an STL of garbage is an empty scene to
+trimesh reads them. It passes over some broken files in silence (an STL of garbage is an empty scene to
 it, an OFF that is cut short a smaller mesh), so what it returns is held against what the file says.
 """
 
@@ -15,7 +15,6 @@ import trimesh
 from lfmesh.errors import MeshError
 from lfmesh.geometry.mesh import Array, Mesh
 from lfmesh.geometry.texture import Texture, linear_light
-from lfmesh.geometry.threemf import read_3mf
 
 MM_PER_UNIT = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3, "inch": 25.4, "foot": 304.8}
 """Units of length a target may name."""
@@ -23,7 +22,7 @@ MM_PER_UNIT = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3, "inch": 25.4, "foot"
 UNIT_OF_FORMAT = {".glb": "m", ".gltf": "m"}
 """glTF 2.0, section 3.4: all linear distances are metres."""
 
-ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".3mf")
+ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf")
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ def load_mesh(path: Path, units: str | None = None) -> list[Piece]:
     Parameters
     ----------
     path : Path
-        STL, OBJ (with MTL), PLY, OFF, GLB, glTF or 3MF.
+        STL, OBJ (with MTL), PLY, OFF, GLB or glTF.
     units : str, optional
         Unit of length, a key of `MM_PER_UNIT`. Needed for STL, OBJ, PLY and OFF. The other formats fix their
         unit, and naming a different one is an error: a mesh is not rescaled against its own file.
@@ -77,7 +76,7 @@ def load_mesh(path: Path, units: str | None = None) -> list[Piece]:
     if not path.is_file():
         found = "is a folder" if path.is_dir() else "does not exist"
         raise MeshError(f"{path}: the mesh file {found}")
-    pieces = _read_3mf(path, units) if ending == ".3mf" else _read(path, ending, units)
+    pieces = _read(path, ending, units)
     facets = sum(len(piece.mesh.faces) for piece in pieces)
     if facets == 0:
         raise MeshError(f"{path}: holds no facets: empty, cut short, or not a {ending[1:].upper()} file")
@@ -86,12 +85,6 @@ def load_mesh(path: Path, units: str | None = None) -> list[Piece]:
         if bad:
             raise MeshError(f"{path}: {bad} of {facets} facets have a corner that is no finite number")
     return pieces
-
-
-def _read_3mf(path: Path, units: str | None) -> list[Piece]:
-    parts, own = read_3mf(path)
-    scale = MM_PER_UNIT[_agreed(path, own, units)]
-    return [Piece(Mesh(part.vertices * scale, part.faces)) for part in parts]
 
 
 def _read(path: Path, ending: str, units: str | None) -> list[Piece]:

@@ -9,7 +9,6 @@ import PIL.ImageOps
 from numpy.typing import NDArray
 
 from lfmesh.errors import FileError
-from lfmesh.geometry.png16 import is_deep_png, read_deep_png
 
 Texture = NDArray[np.float32]
 """(h, w, 3) linear light, 0 to 1; row 0 is the top of the picture."""
@@ -24,8 +23,8 @@ def load_texture(path: Path) -> Texture:
     Parameters
     ----------
     path : Path
-        PNG (8 or 16 bit), JPEG, or what else Pillow reads; grey or RGB, sRGB-coded. Transparency is ignored,
-        a photograph is turned upright by its own record.
+        PNG, JPEG, or what else Pillow reads; grey or RGB, sRGB-coded. 16-bit grey keeps its depth, 16-bit colour is
+        read with 8. Transparency is ignored, a photograph is turned upright by its own record.
 
     Returns
     -------
@@ -42,12 +41,8 @@ def load_texture(path: Path) -> Texture:
         found = "is a folder" if path.is_dir() else "does not exist"
         raise FileError(f"{path}: the texture {found}; give a picture (PNG or JPEG)")
     try:
-        if is_deep_png(path):
-            return srgb_to_linear(read_deep_png(path))
         with PIL.Image.open(path) as picture:
             return linear_light(PIL.ImageOps.exif_transpose(picture))
-    except FileError:
-        raise
     except (OSError, SyntaxError, ValueError, PIL.Image.DecompressionBombError) as error:
         unknown = isinstance(error, PIL.UnidentifiedImageError)
         reason = "not a picture" if unknown else f"a broken picture ({error})"

@@ -9,8 +9,8 @@ from pydantic import Field
 from lfmesh.scene.model import Fault, Model, nearest
 from lfmesh.scene.quantities import FilePath, FractionOfOne, NonNegative, Positive, Text, Vector
 
-UNITS_IN_FILE = (".glb", ".gltf", ".3mf", ".step", ".stp")
-"""Formats whose files say, or whose standard fixes, the unit of length."""
+UNITS_IN_FILE = (".glb", ".gltf")
+"""Formats whose standard fixes the unit of length."""
 UNITS_MISSING = (".stl", ".obj", ".ply", ".off")
 """Formats that carry no unit."""
 
@@ -87,7 +87,7 @@ class Target(Model):
     shape: Shape | None = None
     """A primitive shape. Or give `file`."""
     file: FilePath | None = None
-    """A mesh file (STL, OBJ, PLY, OFF, GLB, ...), relative to the scene file."""
+    """A mesh file (STL, OBJ, PLY, OFF, GLB, glTF), relative to the scene file."""
     units: Literal["um", "mm", "cm", "m", "inch", "foot"] | None = None
     """Unit of length of the mesh file; required where the format carries none."""
     position_mm: Vector = (0.0, 0.0, 0.0)

@@ -29,11 +29,11 @@ class Transport(Model):
     """Independent randomisations that share the samples; their spread is the standard error."""
     max_events: Count = 64
     """Surfaces a packet may meet before it is cut."""
-    weight_cutoff: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.1
+    weight_cutoff: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.3
     """Share of its starting weight below which a child plays Russian roulette (no unit)."""
     wavelengths_nm: tuple[Annotated[Positive, Field(ge=100, le=20000)], ...] = Field(default=(587.6,), min_length=1)
     """Wavelength samples, in nm; the middle one is the primary."""
-    seed: Whole = 0
+    seed: Annotated[Whole, Field(lt=2**63)] = 0
     """Of the random numbers."""
     threads: Whole = 0
     """0: all there are; the result is the same for any number."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
-from lfmesh.geometry.lattice import cell_of, centre, is_inside
+from lfmesh.geometry.lattice import Lattice, cell_of, centre, is_inside
 from lfmesh.geometry.lenslets import type_of
 from lfmesh.kernel import kernel
 from lfmesh.optics.scattering import lambertian
@@ -122,8 +122,8 @@ def _through_a_lenslet(
     """Return a direction (array frame) from a point of the sensor, and cos θ over its density.
 
     Uniform over the cells that show the pupil to the point, mixed with a few directions from the whole hemisphere, for
-    ghosts, stray light and the pupil's aberrations. The cells are aimed at where the sensor sees them, through the
-    plate.
+    ghosts, stray light and the pupil's aberrations. The cells are aimed at where the sensor sees their apexes, through
+    the plate; their faces lie deeper at the border, so the aimed cells are a margin larger.
     """
     lattice = array.lenslets.lattice
     # The sensor's normal towards the array.
@@ -140,17 +140,6 @@ def _through_a_lenslet(
     wide = 1.0 if count == 0 else WIDE_SHARE
     if start(key, DISCRETE) < wide:
         dx, dy, dz = lambertian(nx, ny, nz, start(key, CELL_U), start(key, CELL_V))
-        t = distance / (dz * toward)
-        c, r = cell_of(lattice, x + t * dx, y + t * dy)
-        # Only cells that were candidates have a share of the other density.
-        drawn = (
-            count > 0
-            and t > 0.0
-            and abs(r - row) <= aim.search
-            and abs(c - column) <= aim.search
-            and is_inside(lattice, c, r)
-            and _shows_pupil(array, aim, c, r, x, y, distance)
-        )
     else:
         wanted = min(int(start(key, WHICH_CELL) * count), count - 1)
         chosen_column, chosen_row = column, row
@@ -162,17 +151,40 @@ def _through_a_lenslet(
                     wanted -= 1
         u, v = _point_of_cell(lattice.hexagonal, start(key, CELL_U), start(key, CELL_V))
         cx, cy = centre(lattice, chosen_column, chosen_row)
-        dx, dy, dz = cx + u * lattice.pitch - x, cy + v * lattice.pitch - y, toward * distance
+        size = lattice.pitch + 2.0 * aim.cell_margin
+        dx, dy, dz = cx + u * size - x, cy + v * size - y, toward * distance
         scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
         dx, dy, dz = dx * scale, dy * scale, dz * scale
-        drawn = True
     cos_theta = nx * dx + ny * dy + nz * dz
     density = wide * cos_theta / np.pi
-    if drawn:
-        cell = lattice.pitch * lattice.pitch * (0.8660254037844386 if lattice.hexagonal else 1.0)
+    if count > 0 and dz * toward > 0.0:
+        # Every aimed cell, with its margin, that holds the direction could have drawn it.
+        t = distance / (dz * toward)
+        px, py = x + t * dx, y + t * dy
+        drawn = 0
+        for r in range(row - aim.search, row + aim.search + 1):
+            for c in range(column - aim.search, column + aim.search + 1):
+                if is_inside(lattice, c, r):
+                    cx, cy = centre(lattice, c, r)
+                    if _in_cell(lattice, px - cx, py - cy, aim.cell_margin) and _shows_pupil(
+                        array, aim, c, r, x, y, distance
+                    ):
+                        drawn += 1
+        size = lattice.pitch + 2.0 * aim.cell_margin
+        cell = size * size * (0.8660254037844386 if lattice.hexagonal else 1.0)
         cos_array = abs(dz)
-        density += (1.0 - wide) * distance * distance / (count * cell * cos_array * cos_array * cos_array)
+        density += (1.0 - wide) * drawn * distance * distance / (count * cell * cos_array * cos_array * cos_array)
     return dx, dy, dz, cos_theta / density
+
+
+@kernel
+def _in_cell(lattice: Lattice, x: float, y: float, margin: float) -> bool:
+    """Tell whether a point lies in the cell at the origin, its sides moved out by a margin."""
+    half = 0.5 * lattice.pitch + margin
+    if not lattice.hexagonal:
+        return abs(x) <= half and abs(y) <= half
+    across = 0.8660254037844386 * abs(y)
+    return abs(x) <= half and 0.5 * abs(x) + across <= half
 
 
 @kernel

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.lattice import cell_of, centre, is_inside, leaves_at, neighbour
-from lfmesh.geometry.lenslets import cap_sag, shape_of, type_of
+from lfmesh.geometry.lattice import cell_of, centre, is_inside, leaves_at, neighbour, stays_inside
+from lfmesh.geometry.lenslets import border_sag, cap_sag, shape_of, type_of
 from lfmesh.geometry.surface import conic_distance
 from lfmesh.kernel import kernel
 from lfmesh.optics.fresnel import fresnel
@@ -94,7 +94,10 @@ def into_layer(
     border = lenslets.top if space == BEFORE else lenslets.valley
     t = max(0.0, (border - z) / dz)
     column, row = cell_of(lenslets.lattice, x + t * dx, y + t * dy)
-    if not is_inside(lenslets.lattice, column, row):
+    held = is_inside(lenslets.lattice, column, row)
+    if space == GLASS:
+        held = stays_inside(lenslets.lattice, x, y, x + t * dx, y + t * dy)
+    if not held:
         end(
             options, flow, frames, packet, ARRAY_FRAME, x + t * dx, y + t * dy, z + t * dz, dx, dy, dz,
             weight, ARRAY_MOUNT if space == BEFORE else ARRAY_EDGE, S_ABSORBED,
@@ -133,8 +136,12 @@ def through_plate(
         t = (thickness - packet.z) / dz
         x, y, z = packet.x + t * dx, packet.y + t * dy, thickness
         outward = packet.space == GLASS
-        column, row = cell_of(lenslets.lattice, x, y)
-        if not is_inside(lenslets.lattice, column, row):
+        if outward:
+            held = stays_inside(lenslets.lattice, packet.x, packet.y, x, y)
+        else:
+            column, row = cell_of(lenslets.lattice, x, y)
+            held = is_inside(lenslets.lattice, column, row)
+        if not held:
             slot = ARRAY_EDGE if outward else ARRAY_MOUNT
             end(
                 options,
@@ -341,7 +348,11 @@ def _walk(
     elif len(lenslets.curvature) > 1 or len(lenslets.decentre) > 0 or len(lenslets.stretch) > 0:
         curvature, ex, ey = shape_of(lenslets, column, row)
         cx, cy = centre(lattice, column, row)
-        face = cap_sag(curvature, (px - cx - ex) ** 2 + (py - cy - ey) ** 2)
+        if options.surface == EXACT:
+            face = cap_sag(curvature, (px - cx - ex) ** 2 + (py - cy - ey) ** 2)
+        else:
+            curvature = lenslets.curvature[type_of(lenslets, column, row)]
+            face = border_sag(lattice, curvature, px - cx, py - cy, side)
         in_glass = pz > face
         if in_glass == inward:
             slot = ARRAY_WALL

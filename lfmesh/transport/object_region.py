@@ -189,6 +189,10 @@ def shade_objects(
                 flow.book[LIT] += weight
         scattered = weight * albedo
         flow.book[slot] += weight - scattered
+        if packet.last == LEFT_LENS and not options.bounce and not options.adjoint:
+            # The lens reflected it back. Without bounces the adjoint method has no such paths, and this one neither.
+            flow.book[ESCAPED] += scattered
+            continue
         packet.events += 1
         scatter(options, flow, frames, objects, aim, packet, prim, x, y, z, side, scattered)
 

@@ -37,3 +37,13 @@ def derived(key: np.uint64, number: int) -> np.uint64:
 def uniform(key: np.uint64, dimension: int) -> float:
     """Return a number in [0, 1), 53 bits."""
     return float(mix(key + GOLDEN * np.uint64(dimension + 1)) >> _S11) * _UNIT
+
+
+def descendant(key: int | np.uint64, *numbers: int) -> np.uint64:
+    """Return the key at the end of a line of children, to callers that are not compiled.
+
+    A kernel returns 64 bits as a Python integer, and numba would take that for a signed one when it comes back.
+    """
+    for number in numbers:
+        key = derived(np.uint64(key), number)
+    return np.uint64(key)

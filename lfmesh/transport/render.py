@@ -20,7 +20,7 @@ from lfmesh.transport.image import Image
 from lfmesh.transport.ledger import Ledger
 from lfmesh.transport.packet import DEPOSITS
 from lfmesh.transport.progress import Progress
-from lfmesh.transport.random import derived
+from lfmesh.transport.random import descendant
 from lfmesh.transport.settings import ledger_of, options_of
 from lfmesh.transport.world import World, build
 
@@ -133,7 +133,7 @@ class Renderer:
         self.adjoint = transport.method == "adjoint"
         self.options = options_of(self.world)
         self.threads = transport.threads or os.cpu_count() or 1
-        self.seed = derived(np.uint64(0x6C666D657368), transport.seed)
+        self.seed = descendant(0x6C666D657368, transport.seed)
 
     def chunks(self) -> Iterator[Chunk]:
         """Yield the chunks of one replicate, always in the same order."""
@@ -189,13 +189,13 @@ class Renderer:
 
     def _replicate(self, pool: ThreadPoolExecutor, replicate: int, film: NDArray[np.float64], began: float) -> Tally:
         """Trace one replicate onto an empty film; the chunks' results are merged in their order."""
-        key = derived(self.seed, replicate)
+        key = descendant(self.seed, replicate)
         tally = self._tally()
         waiting: Waiting = deque()
         done = 0
         try:
             for chunk in self.chunks():
-                waiting.append((chunk, pool.submit(self._trace, chunk, derived(key, chunk.wave), film)))
+                waiting.append((chunk, pool.submit(self._trace, chunk, descendant(key, chunk.wave), film)))
                 if len(waiting) > 2 * self.threads:
                     done += self._merge(waiting, tally, film)
                     self._report(replicate, done, began)

@@ -33,11 +33,12 @@ from lfmesh.transport.packet import (
     WORLD_FRAME,
     Event,
     Flow,
+    Options,
     Status,
     put,
 )
 from lfmesh.transport.packet import E_START as STARTED
-from lfmesh.transport.random import derived
+from lfmesh.transport.random import derived, descendant
 from lfmesh.transport.settings import SPLIT_MODE, SURFACE_LEVEL, ledger_of, options_of
 from lfmesh.transport.tables import Tables
 from lfmesh.transport.world import World
@@ -151,23 +152,22 @@ def trace(
     Raises
     ------
     LfmeshError
-        Rays of the wrong shape, without direction, not finite, or that start inside the array.
+        Rays of the wrong shape, without direction, not finite, or that start inside the array; a setting out of its
+        range.
     """
     p, d = _rays(origins, directions)
-    level = surface or world.scene.transport.surface
-    if split not in SPLIT_MODE:
-        raise LfmeshError(f"split = {split!r}: use one of {', '.join(SPLIT_MODE)}")
-    if level not in SURFACE_LEVEL:
-        raise LfmeshError(f"surface = {level!r}: use one of {', '.join(SURFACE_LEVEL)}")
-    options = options_of(world, tracing=True, record=record, split=SPLIT_MODE[split], surface=SURFACE_LEVEL[level])
-    if max_events is not None:
-        options = options._replace(max_events=max_events)
-    if weight_cutoff is not None:
-        options = options._replace(cutoff=weight_cutoff)
+    options = _options(world, record, split, surface, max_events, weight_cutoff)
+    for name, value, valid, wish in (
+        ("wavelength_nm", wavelength_nm, 0.0 < wavelength_nm < np.inf, "a positive number"),
+        ("seed", seed, 0 <= seed < 2**63, "a whole number from 0 to 2^63 − 1"),
+        ("threads", threads, threads >= 0, "a whole number, 0 for all"),
+    ):
+        if not valid:
+            raise LfmeshError(f"{name} = {value!r}: must be {wish}")
     tables = _at_wavelength(world, wavelength_nm)
     station, space, p, d = _located(world, p, d)
     local = threading.local()
-    key = derived(np.uint64(0x7472616365), seed)
+    key = descendant(0x7472616365, seed)
 
     def run(first: int) -> tuple[NDArray[np.void], NDArray[np.void], NDArray[np.float64], NDArray[np.int64]]:
         if not hasattr(local, "workspace"):
@@ -201,9 +201,39 @@ def trace(
     return _paths(world, parts, len(p))
 
 
+def _options(
+    world: World, record: bool, split: str, surface: str | None, max_events: int | None, weight_cutoff: float | None
+) -> Options:
+    """Return the scene's settings with those of the call in their place."""
+    transport = world.scene.transport
+    level = transport.surface if surface is None else surface
+    depth = transport.max_events if max_events is None else max_events
+    cutoff = transport.weight_cutoff if weight_cutoff is None else weight_cutoff
+    if split not in SPLIT_MODE:
+        raise LfmeshError(f"split = {split!r}: use one of {', '.join(SPLIT_MODE)}")
+    if level not in SURFACE_LEVEL:
+        raise LfmeshError(f"surface = {level!r}: use one of {', '.join(SURFACE_LEVEL)}")
+    if depth < 1:
+        raise LfmeshError(f"max_events = {depth!r}: must be 1 or more")
+    if not 0.0 <= cutoff <= 1.0:
+        raise LfmeshError(f"weight_cutoff = {cutoff!r}: must be from 0 to 1")
+    return options_of(
+        world,
+        tracing=True,
+        record=record,
+        split=SPLIT_MODE[split],
+        surface=SURFACE_LEVEL[level],
+        max_events=depth,
+        cutoff=cutoff,
+    )
+
+
 def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    p = np.atleast_2d(np.asarray(origins, dtype=np.float64))
-    d = np.atleast_2d(np.asarray(directions, dtype=np.float64))
+    try:
+        p = np.atleast_2d(np.asarray(origins, dtype=np.float64))
+        d = np.atleast_2d(np.asarray(directions, dtype=np.float64))
+    except (TypeError, ValueError) as error:
+        raise LfmeshError(f"origins and directions must be (n, 3) numbers: {error}") from error
     if p.ndim != 2 or p.shape[1] != 3 or p.shape != d.shape:
         raise LfmeshError(f"origins {p.shape} and directions {d.shape}: both must be (n, 3)")
     length = np.linalg.norm(d, axis=1, keepdims=True)

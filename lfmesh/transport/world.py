@@ -200,6 +200,12 @@ def build(scene: Scene) -> World:
             f'transport.surface = "{scene.transport.surface}": is for glass without an analytic parent, which this '
             f"scene has not; use {', '.join(LEAST_RINGS)}"
         )
+    mla = scene.camera.mla
+    if mla is not None and scene.transport.surface != "exact" and (mla.form.decenter_mm or mla.form.radius_error):
+        raise SceneError(
+            f'transport.surface = "{scene.transport.surface}": facets are those of a perfect lenslet, and '
+            'camera.mla.form asks for errors of single ones; use "exact", or leave decenter_mm and radius_error out'
+        )
     report = first_order(scene)
     waves = scene.transport.wavelengths_nm
     shape = lens_shape(scene)
@@ -387,13 +393,43 @@ def _refuse_targets_inside(targets: list[TargetMesh], housing: Mesh, moves: Arra
     front, end = housing.vertices[:, 2].min(), housing.vertices[:, 2].max()
     barrel = radius[housing.vertices[:, 2] <= front + 1e-9].max()
     for i, target in enumerate(targets):
-        p = frames.points(moves[WORLD_FRAME, CAMERA_FRAME], target.mesh.vertices)
-        inside = (np.hypot(p[:, 0], p[:, 1]) < barrel) & (p[:, 2] > front) & (p[:, 2] < end)
-        if inside.any():
-            raise SceneError(
-                f"targets[{i}] reaches into the camera, to z = {p[inside][:, 2].max():.6g} mm in the camera frame; "
-                f"move it in front of z = {front:.6g} mm or beside the barrel (radius {barrel:.6g} mm)"
-            )
+        corners = frames.points(moves[WORLD_FRAME, CAMERA_FRAME], target.mesh.vertices)[target.mesh.faces]
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        near = (low[:, :2] < barrel).all(axis=1) & (high[:, :2] > -barrel).all(axis=1)
+        near &= (low[:, 2] < end) & (high[:, 2] > front)
+        for facet in corners[near]:
+            within = _between(facet, front, end)
+            if len(within) and _distance_to_axis(within) < barrel:
+                raise SceneError(
+                    f"targets[{i}] reaches into the camera, at z = {within[:, 2].mean():.6g} mm in the camera frame; "
+                    f"move it in front of z = {front:.6g} mm or beside the barrel (radius {barrel:.6g} mm)"
+                )
+
+
+def _between(polygon: Array, front: float, end: float) -> Array:
+    """Return the part of a convex polygon (n, 3) between two planes square to the axis."""
+    for sign, plane in ((1.0, front), (-1.0, end)):
+        height = sign * (polygon[:, 2] - plane)
+        kept = []
+        for p, q, a, b in zip(polygon, np.roll(polygon, -1, axis=0), height, np.roll(height, -1), strict=True):
+            if a >= 0.0:
+                kept.append(p)
+            if (a >= 0.0) != (b >= 0.0):
+                kept.append(p + a / (a - b) * (q - p))
+        polygon = np.array(kept).reshape(-1, 3)
+    return polygon
+
+
+def _distance_to_axis(polygon: Array) -> float:
+    """Return the distance of a convex polygon (n, 3) from the axis."""
+    p = polygon[:, :2]
+    edge = np.roll(p, -1, axis=0) - p
+    turn = p[:, 0] * edge[:, 1] - p[:, 1] * edge[:, 0]
+    if turn.sum() != 0.0 and ((turn >= 0.0).all() or (turn <= 0.0).all()):
+        return 0.0
+    square = np.maximum((edge**2).sum(axis=1), np.finfo(np.float64).tiny)
+    share = np.clip(-(p * edge).sum(axis=1) / square, 0.0, 1.0)
+    return float(np.hypot(*(p + share[:, None] * edge).T).min())
 
 
 def _object_tables(
@@ -482,7 +518,9 @@ def _sources(objects: ObjectTables, mesh: Mesh) -> NDArray[np.void]:
     table = np.zeros(len(entries), SOURCE)
     if entries:
         table["light"], table["facet"], table["share"], table["power"] = zip(*entries, strict=True)
-        table["share"] /= table["share"].sum()
+        reaching = table["share"].sum()
+        # Where nothing is to be lit, every light has its turn all the same: the ledger wants their power.
+        table["share"] = table["share"] / reaching if reaching > 0.0 else 1.0 / len(table)
         table["until"] = np.cumsum(table["share"])
     return table
 
@@ -510,7 +548,7 @@ def _aim(
         PUPIL_MARGIN * 0.5 * report.exit_pupil_diameter_mm,
         float(lens.box_high[2]),
         back_radius,
-        0.0, 0.0, 0.0, 0.0, 0.0, np.zeros(1), 0,
+        0.0, 0.0, 0.0, 0.0, 0.0, np.zeros(1), 0.0, 0,
     )  # fmt: skip
     # A pupil at infinity, or wider than the lens, is no place to aim at.
     if not np.isfinite(aim.entrance_z) or aim.entrance_radius > front_radius:
@@ -572,5 +610,6 @@ def _aim_through_lenslets(scene: Scene, report: FirstOrder, array: ArrayTables, 
         pupil_vergence=vergence,
         pupil_slope=slope,
         lenslet_power=power,
+        cell_margin=(array.lenslets.valley - array.lenslets.top) * (slope + radius / to_sensor),
         search=search,
     )

@@ -49,6 +49,17 @@ def test_a_firefly_does_not_darken_the_picture(tmp_path: Path) -> None:
     assert read(tmp_path / "p.png").min() == 255
 
 
+def test_pixels_that_are_hardly_known_do_not_set_the_exposure(tmp_path: Path) -> None:
+    """2 % of the pixels hold one heavy sample each, more than the percentile forgives; their standard errors tell."""
+    raw, stderr = np.full((50, 50, 1), 1e-12), np.full((50, 50, 1), 1e-13)
+    raw[::10, ::5] = stderr[::10, ::5] = 1e-9
+    assert write_preview(tmp_path / "p.png", raw, GREEN, stderr) == pytest.approx(1e-12)
+    assert read(tmp_path / "p.png").min() == 255
+    assert write_preview(tmp_path / "p.png", raw, GREEN) == pytest.approx(1e-9)
+    for unknown in (raw, np.full_like(raw, np.nan)):
+        assert write_preview(tmp_path / "p.png", raw, GREEN, unknown) == pytest.approx(1e-9)
+
+
 def test_a_small_object_in_the_dark_is_seen(tmp_path: Path) -> None:
     raw = np.zeros((200, 200, 1))
     raw[100, 100:104, 0] = [1e-12, 2e-12, 3e-12, 4e-12]

@@ -3,7 +3,6 @@
 import base64
 import io
 import json
-import zipfile
 
 import numpy as np
 import PIL.Image
@@ -16,18 +15,6 @@ from lfmesh.geometry.mesh_file import ENDINGS, MM_PER_UNIT, load_mesh
 from lfmesh.geometry.texture import srgb_to_linear
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
-MODEL = """<?xml version="1.0"?>
-<model unit="{unit}" xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02"><resources>
-<object id="1"><mesh><vertices>
-<vertex x="0" y="0" z="0"/><vertex x="1" y="0" z="0"/><vertex x="0" y="2" z="0"/>
-</vertices><triangles><triangle v1="0" v2="1" v3="{last}"/></triangles></mesh></object>
-<object id="2"><components><component objectid="1" transform="1 0 0 0 1 0 0 0 1 1 0 5"/></components></object>
-</resources><build><item objectid="1"/><item objectid="{item}" transform="0 1 0 -1 0 0 0 0 1 10 0 0"/></build>
-</model>"""
-RELATIONS = """<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships"><Relationship
-Target="/3D/3dmodel.model" Id="r"
-Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/>
-</Relationships>"""
 
 
 def box(size=(1.0, 2.0, 3.0)):
@@ -36,13 +23,6 @@ def box(size=(1.0, 2.0, 3.0)):
 
 def saved(path, mesh):
     mesh.export(path)
-    return path
-
-
-def save_3mf(path, unit="millimeter", last=2, item=2):
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("_rels/.rels", RELATIONS)
-        archive.writestr("3D/3dmodel.model", MODEL.format(unit=unit, last=last, item=item))
     return path
 
 
@@ -207,17 +187,6 @@ def test_mtl_pictures_and_colours(tmp_path):
     assert corners == {(0, 0, 0): (0, 0), (1, 0, 0): (1, 0), (0, 1, 0): (0, 1)}
 
 
-@pytest.mark.parametrize(("unit", "mm"), [("millimeter", 1.0), ("inch", 25.4), ("micron", 1e-3)])
-def test_3mf_units_components_and_transforms(tmp_path, unit, mm):
-    pieces = load_mesh(save_3mf(tmp_path / "t.3mf", unit))
-    corners = [piece.mesh.vertices[piece.mesh.faces[0]] / mm for piece in pieces]
-    np.testing.assert_allclose(corners[0], [(0, 0, 0), (1, 0, 0), (0, 2, 0)])
-    # The component moves by (1, 0, 5); then the item takes x to y, y to -x, and moves by 10 along x.
-    np.testing.assert_allclose(corners[1], [(10, 1, 5), (10, 2, 5), (8, 1, 5)])
-    with pytest.raises(MeshError, match="contradicts"):
-        load_mesh(tmp_path / "t.3mf", "cm")
-
-
 def broken_files(folder):
     """Yield files that are not usable, with a word of the reason each must be given."""
     body = box()
@@ -244,9 +213,6 @@ def broken_files(folder):
     write("chart.mtl", "newmtl a\nmap_Kd gone.png\n")
     yield write("chart.obj", "mtllib chart.mtl\n" + TRIANGLE + "f 1/1 2/2 3/3\n"), "gone.png is not there"
     yield write("points.ply", trimesh.PointCloud(np.eye(3)).export(file_type="ply")), "no facets"
-    yield save_3mf(folder / "index.3mf", last=7), "names vertex 7; there are 3"
-    yield save_3mf(folder / "object.3mf", item=9), "broken"
-    yield save_3mf(folder / "unit.3mf", unit="furlong"), "broken"
     yield folder / "missing.stl", "does not exist"
     (folder / "folder.stl").mkdir()
     yield folder / "folder.stl", "is a folder"
@@ -256,7 +222,7 @@ def broken_files(folder):
 
 def test_every_broken_file_gets_one_line_that_names_it(tmp_path):
     for path, reason in broken_files(tmp_path):
-        units = None if path.suffix in (".glb", ".gltf", ".3mf") else "mm"
+        units = None if path.suffix in (".glb", ".gltf") else "mm"
         with pytest.raises(MeshError, match=reason) as raised:
             load_mesh(path, units)
         message = str(raised.value)

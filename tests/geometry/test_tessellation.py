@@ -7,6 +7,7 @@ from lfmesh.errors import SceneError
 from lfmesh.geometry.mesh import facet_normals
 from lfmesh.geometry.surface import normals, sag, surface
 from lfmesh.geometry.tessellation import (
+    ANNULUS_LEAN,
     cap,
     chord_error,
     disk_pattern,
@@ -101,7 +102,10 @@ def cap_volume(radius, rim):
 
 def test_a_lens_is_a_closed_outward_solid_whose_volume_converges_to_the_closed_form():
     edge = 6.0 - (40.0 - np.sqrt(40.0**2 - 8.0**2)) - (50.0 - np.sqrt(50.0**2 - 10.0**2))
-    truth = cap_volume(50.0, 10.0) + cap_volume(40.0, 8.0) + np.pi * 10.0**2 * edge
+    lean = ANNULUS_LEAN * edge
+    cylinder = np.pi * 10.0**2 * (edge - lean)
+    annulus = np.pi * lean * (10.0**2 + 10.0 * 8.0 + 8.0**2) / 3  # a flat cone, cut off
+    truth = cap_volume(50.0, 10.0) + cap_volume(40.0, 8.0) + cylinder + annulus
     errors = []
     for rings in (6, 12, 24):
         solid = biconvex(rings)
@@ -114,13 +118,26 @@ def test_a_lens_is_a_closed_outward_solid_whose_volume_converges_to_the_closed_f
     np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), 2.0, atol=0.1)
 
 
-def test_edges_are_turned_cylinders_with_a_flat_annulus():
+def test_edges_are_turned_cylinders_with_an_annulus_that_leans_into_their_space():
     front, back = surface(50.0, aperture=10.0), surface(-40.0, vertex_z=6.0, aperture=8.0)
     profile = ring_profile(front, 10.0, back, 8.0)
     z_front, z_back = sag(front, 10.0), 6.0 + sag(back, 8.0)
-    np.testing.assert_allclose(profile, [(10.0, z_front), (10.0, z_back), (8.0, z_back)])
+    corner = z_back - ANNULUS_LEAN * (z_back - z_front)
+    np.testing.assert_allclose(profile, [(10.0, z_front), (10.0, corner), (8.0, z_back)])
     same = ring_profile(front, 8.0, back, 8.0)
     np.testing.assert_allclose(same, [(8.0, sag(front, 8.0)), (8.0, z_back)])
+    wider_back = ring_profile(surface(50.0, aperture=8.0), 8.0, surface(-40.0, vertex_z=6.0, aperture=10.0), 10.0)
+    (_, z_front), (_, corner), (_, z_back) = wider_back
+    np.testing.assert_allclose(wider_back[:, 0], (8.0, 10.0, 10.0))
+    np.testing.assert_allclose(corner - z_front, ANNULUS_LEAN * (z_back - z_front))
+
+
+def test_the_rings_on_both_sides_of_a_rim_never_lie_in_one_plane():
+    before, narrow = surface(np.inf, vertex_z=-3.0, aperture=10.0), surface(60.0, vertex_z=2.0, aperture=8.0)
+    after = surface(-40.0, vertex_z=6.0, aperture=10.0)
+    front, back = ring_profile(before, 10.0, narrow, 8.0), ring_profile(narrow, 8.0, after, 10.0)
+    assert front[1, 0] == back[1, 0] == 10.0  # both have an annulus from the narrow rim outwards ...
+    assert front[1, 1] < narrow["vertex_z"] + sag(narrow, 8.0) < back[1, 1]  # ... that leans to its own side
 
 
 def test_an_annulus_that_would_cut_a_surface_becomes_a_cone():

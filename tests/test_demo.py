@@ -1,0 +1,225 @@
+"""From a scene file to pictures, end to end: a run folder that renders again, the demo, and words for the dark."""
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import lfmesh
+import lfmesh.transport.render
+from lfmesh.assets import asset_path
+from lfmesh.cli import main
+from lfmesh.files.run import RAW, SCENE
+from lfmesh.scene import Scene
+from lfmesh.transport.image import Image
+from lfmesh.transport.render import render
+
+SMALL = """
+schema_version = 1
+name = "small"
+[camera]
+focus_mm = 500.0
+[camera.lens]
+surfaces = [
+  {{ radius_mm = 50.0, thickness_mm = 4.0, index = 1.5, semi_diameter_mm = 8.0 }},
+  {{ radius_mm = -50.0, thickness_mm = 1.0, semi_diameter_mm = 8.0 }},
+  {{ stop = true, thickness_mm = 0.0, semi_diameter_mm = {stop_mm} }},
+]
+[camera.mla]
+count = [6, 6]
+pitch_mm = 0.125
+focal_length_mm = 0.7
+index = 1.5
+thickness_mm = 0.3
+[camera.sensor]
+pixels = [60, 60]
+pixel_mm = 0.0125
+[[targets]]
+name = "wall"
+shape = {{ kind = "plane", width_mm = 60.0, height_mm = 60.0 }}
+position_mm = [{target_x_mm}, 0.0, -500.0]
+[[lights]]
+kind = "point"
+position_mm = [100.0, -100.0, {light_z_mm}]
+power_w = 1.0
+[transport]
+samples = 8
+replicates = 4
+"""
+LIT = {"stop_mm": 5.0, "target_x_mm": 0.0, "light_z_mm": -50.0}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.toml").write_text(SMALL.format(**LIT))
+    return tmp_path
+
+
+def test_a_run_reads_back_and_its_own_scene_renders_the_same_bits_again(folder: Path) -> None:
+    assert main(["render", "scene.toml", "-o", "first"]) == 0
+    assert main(["render", f"first/{SCENE}", "-o", "again", "--threads", "1"]) == 0
+    first, again = lfmesh.open_run("first"), lfmesh.open_run("again")
+    assert first.mean.shape == (60, 60, 1)
+    assert first.complete
+    assert (first.mean > 0).mean() > 0.5
+    np.testing.assert_array_equal(again.mean, first.mean)
+    np.testing.assert_array_equal(again.stderr, first.stderr)
+    direct = render(lfmesh.load("scene.toml"))
+    np.testing.assert_array_equal(first.mean, direct.mean.astype(np.float32))
+    assert abs(direct.ledger.imbalance) < 1e-12
+
+
+def test_another_seed_gives_other_noise_and_the_same_picture(folder: Path) -> None:
+    """z over the whole picture, at the 1e-4 level; the bits must differ."""
+    assert main(["render", "scene.toml", "-o", "a"]) == 0
+    assert main(["render", "scene.toml", "-o", "b", "--seed", "9"]) == 0
+    a, b = lfmesh.open_run("a"), lfmesh.open_run("b")
+    assert not np.array_equal(a.mean, b.mean)
+    z = (a.mean.sum() - b.mean.sum()) / np.sqrt((a.stderr**2).sum() + (b.stderr**2).sum())
+    assert abs(z) < stats.norm.isf(0.5e-4)
+
+
+DARK = {
+    "lamp behind the target": ({"light_z_mm": -900.0}, ["no light reaches it there, and it does not emit"]),
+    "target out of the field": (
+        {"target_x_mm": 400.0},
+        ["None of them reached a target; ", " left the lens and met nothing."],
+    ),
+    "lens cap": (
+        {"stop_mm": 1e-4},
+        ["None of them reached a target, none even got out of the lens.", "ended on the stop"],
+    ),
+}
+
+
+@pytest.mark.parametrize(("change", "said"), DARK.values(), ids=DARK)
+def test_a_black_picture_says_where_the_light_went(
+    folder: Path, capsys: pytest.CaptureFixture[str], change: dict[str, float], said: list[str]
+) -> None:
+    (folder / "scene.toml").write_text(SMALL.format(**{**LIT, **change}))
+    assert main(["render", "scene.toml", "-o", "run"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "The picture is black: no light reached the sensor." in out
+    for words in said:
+        assert words in out
+    assert not lfmesh.open_run("run").mean.any()
+
+
+def test_a_lit_picture_says_how_noisy_it_is_and_nothing_of_the_dark(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["render", "scene.toml", "-o", "run"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "4 times the samples, 32 a pixel, would halve that" in out
+    assert "black" not in out
+    assert "ended on" not in out
+
+
+class CatchesEverything:
+    """Imports that turn Ctrl-C into a module that is not there, as libraries with optional parts do."""
+
+    def __init__(self) -> None:
+        self.asked = self.caught = False
+
+    def find_spec(self, name: str, *_: object) -> None:
+        if name == "lfmesh.transport.render":
+            self.asked = True
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+                time.sleep(0.01)
+            except BaseException:
+                self.caught = True
+
+
+def test_ctrl_c_while_libraries_are_imported_stops_the_run(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    library = CatchesEverything()
+    monkeypatch.setattr(sys, "meta_path", [library, *sys.meta_path])
+    # The package's attribute too: both are put back, and the module that is imported here is forgotten.
+    monkeypatch.setattr(lfmesh.transport, "render", lfmesh.transport.render)
+    monkeypatch.delitem(sys.modules, "lfmesh.transport.render")
+    assert main(["render", "scene.toml", "-o", "run"]) == 130
+    assert library.asked
+    assert not library.caught
+    assert "nothing was written" in capsys.readouterr().err
+    assert not (folder / "run").exists()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def demo_scene(**changes: object) -> Scene:
+    """The demo with a few large pixels, one a lenslet, and few samples: what its preview shows, coarsely."""
+    scene = lfmesh.load(asset_path("scenes/first_light.toml"))
+    coarse = {
+        "camera.mla": None,
+        "camera.sensor.distance_mm": None,
+        "camera.sensor.pixels": (32, 32),
+        "camera.sensor.pixel_mm": 0.25,
+        "transport.samples": 256,
+        "transport.replicates": 32,
+        "transport.split": "transmit",
+    }
+    return scene.changed({**coarse, **changes})
+
+
+def without(scene: Scene, name: str) -> Scene:
+    return scene.model_copy(update={"targets": tuple(t for t in scene.targets if t.name != name)})
+
+
+def upright(image: Image) -> np.ndarray:
+    return image.mean[::-1, ::-1, 0]
+
+
+def test_the_demo_shows_the_bracket_before_the_chart() -> None:
+    """Pixels differ from a picture of the chart alone where the bracket stands, and there only.
+
+    Where it stands is known from first-order optics: its corners, projected through the entrance pupil, so that a
+    picture turned the wrong way fails. The level is 1e-3 over all pixels together (Bonferroni), two-sided, Student's t
+    with the 31 degrees of freedom of 32 replicates.
+    """
+    scene = demo_scene()
+    both, chart = render(scene), render(without(scene, "bracket"))
+    error = np.hypot(both.stderr, chart.stderr)[::-1, ::-1, 0]
+    change = np.abs(upright(both) - upright(chart)) > stats.t.isf(0.5e-3 / both.mean.size, 31) * error
+    outline = bracket_on_the_picture(scene)
+    assert change[outline].mean() > 0.25, "the bracket is hardly to be told from the chart"
+    assert not change[~around(outline)].any(), "something changed beside the bracket"
+
+
+def bracket_on_the_picture(scene: Scene) -> np.ndarray:
+    """Return the (H, W) pixels of the upright picture onto which vertices of the bracket are imaged."""
+    report = lfmesh.first_order(scene)
+    corners = lfmesh.build(scene).mesh("targets[0]").vertices
+    pupil = report.entrance_pupil_z_mm
+    scale = (report.object_distance_mm + pupil) / (pupil - corners[:, 2])
+    side = report.field_of_view_mm[0]
+    pixels = scene.camera.sensor.pixels[0]
+    column, row = (np.clip((corners[:, k] * scale / side + 0.5) * pixels, 0, pixels - 1).astype(int) for k in (0, 1))
+    hit = np.zeros((pixels, pixels), bool)
+    hit[row, column] = True
+    return hit
+
+
+def around(outline: np.ndarray) -> np.ndarray:
+    """Return the bounding box of the outline and two pixels more, for blur."""
+    rows, columns = np.flatnonzero(outline.any(axis=1)), np.flatnonzero(outline.any(axis=0))
+    box = np.zeros_like(outline)
+    box[max(rows[0] - 2, 0) : rows[-1] + 3, max(columns[0] - 2, 0) : columns[-1] + 3] = True
+    return box
+
+
+def test_the_demo_command_writes_every_picture(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    small = lfmesh.load(asset_path("scenes/first_light.toml")).changed(
+        {"camera.sensor.pixels": (60, 60), "camera.mla.count": (6, 6)}
+    )
+    monkeypatch.setattr("lfmesh.scene.load", lambda _: small)
+    assert main(["demo", "--samples", "8"]) == 0
+    assert (folder / "lfmesh-demo" / RAW).is_file()
+    for name in ("preview.png", "preview_view.png", "linear16.png", "report.json", SCENE):
+        assert (folder / "lfmesh-demo" / name).is_file()

@@ -1,0 +1,112 @@
+"""The README does what it says: its scene renders, its Python runs, its commands and files exist."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lfmesh
+from lfmesh.cli import app, main
+from lfmesh.scene import first_order
+
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", README, flags=re.MULTILINE | re.DOTALL)
+
+
+def commands() -> list[list[str]]:
+    """Every command line of the shell blocks and of the tables."""
+    lines = [line for block in blocks("sh") for line in block.splitlines()]
+    lines += re.findall(r"`((?:tools/|lfmesh )[^`]+)`", README)
+    return [shlex.split(line) for line in lines]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with the assets, as the checkout is, and the README's scene in it."""
+    (scene,) = blocks("toml")
+    (tmp_path / "scene.toml").write_text(scene)
+    (tmp_path / "assets").symlink_to(ROOT / "assets")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_first_scene_has_ten_lines_and_nothing_to_warn_of(folder: Path) -> None:
+    assert len((folder / "scene.toml").read_text().splitlines()) <= 10
+    assert first_order(lfmesh.load("scene.toml")).warnings == ()
+
+
+def test_the_first_scene_renders_with_the_commands_given(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ours = [words[1:] for words in commands() if words[0] == "tools/run" and "scene.toml" in words]
+    assert {words[0] for words in ours} == {"check", "render"}
+    for words in ours:
+        assert main(words) == 0
+    image = lfmesh.open_run("run")
+    picture = image.mean[..., 0]
+    middle = picture[len(picture) // 4 : -len(picture) // 4]
+    assert (middle > 0).mean() > 0.5
+    assert "Noise: " in capsys.readouterr().out
+
+
+def test_the_python_example_runs(folder: Path) -> None:
+    (example,) = blocks("python")
+    done = subprocess.run(
+        [sys.executable, "-c", example],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert done.stderr == ""
+    lens, energy, closed, *vertices = done.stdout.splitlines()
+    assert re.fullmatch(r"f = 50\.36 mm, f/4\.00", lens)
+    assert abs(float(re.findall(r"-?\de[+-]\d+", energy)[0])) < 1e-12
+    assert closed == "True"
+    assert vertices[0].startswith("start START")
+    assert any(line.startswith("mla curved face TRANSMITTED") for line in vertices)
+    assert any(line.startswith("sensor SENSOR") for line in vertices)
+    assert np.isfinite(lfmesh.open_run("run").stderr).all()
+
+
+def test_every_command_named_exists() -> None:
+    known = {name for name in app if not name.startswith("-")}
+    named = {words[1] for words in commands() if words[0] in ("lfmesh", "tools/run") and len(words) > 1}
+    assert named == known
+    for program in {words[0] for words in commands()} - {"lfmesh", ".venv/bin/python"}:
+        assert os.access(ROOT / program, os.X_OK), program
+
+
+def test_every_file_named_exists() -> None:
+    links = re.findall(r"\]\(([^)#:]+)\)", README)
+    paths = [word for words in commands() for word in words if word.startswith(("tests/", "tools/"))]
+    tree = re.findall(r"^((?:[\w.]+/)+)  ", README, flags=re.MULTILINE)
+    assert links
+    assert tree
+    for path in [*links, *paths, *tree]:
+        assert (ROOT / path).exists(), path
+
+
+def test_every_table_of_the_scene_file_is_explained() -> None:
+    explained = set(re.findall(r"`\[+([\w.]+)\]+`", README))
+    for table in explained:
+        model: object = lfmesh.Scene
+        for key in table.split("."):
+            fields = getattr(model, "model_fields", None) or {"mla": 0, "lens": 0, "sensor": 0}
+            assert key in fields, f"[{table}] is no table of a scene"
+            model = fields[key]
+    assert {"camera", "targets", "lights", "transport"} <= explained
+
+
+def test_pictures_are_small() -> None:
+    pictures = list((ROOT / "assets" / "pictures").glob("*.png"))
+    assert {path.name for path in pictures} == set(re.findall(r"assets/pictures/([\w.]+)", README))
+    assert all(path.stat().st_size < 300_000 for path in pictures)

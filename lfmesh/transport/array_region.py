@@ -23,6 +23,7 @@ from lfmesh.transport.crossing import (
     end,
     end_here,
     facet_normal,
+    meets_patch,
     move_packet,
     record,
     reflected,
@@ -42,11 +43,14 @@ from lfmesh.transport.packet import (
     E_TRANSMITTED,
     EVENTS,
     EXACT,
+    FLAT,
     FLAT_FACE,
     LENS,
+    PATCH,
     PLATE,
     S_ABSORBED,
     SENSOR,
+    SMOOTH,
     Flow,
     Options,
     put,
@@ -277,8 +281,15 @@ def shade_cells(
             met = met and 0.0 < t <= layer * (1.0 + 1e-12)
         else:
             met = crossed and t > 0.0
+            if met and options.surface == PATCH:
+                _, more, nx, ny, nz = meets_patch(
+                    flow, array.patches, array.across, array.facets[prim], prim,
+                    x + t * dx - fold_x, y + t * dy - fold_y, z + t * dz, dx, dy, dz,
+                )  # fmt: skip
+                t += more
+                met = t > 0.0
         if met and t <= sideways * (1.0 + 1e-12):
-            if options.surface != EXACT:
+            if options.surface == FLAT or options.surface == SMOOTH:
                 nx, ny, nz = facet_normal(
                     options.surface, array.facets[prim], x + t * dx - fold_x, y + t * dy - fold_y, z + t * dz
                 )

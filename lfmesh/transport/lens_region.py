@@ -18,6 +18,7 @@ from lfmesh.transport.crossing import (
     end,
     end_here,
     facet_normal,
+    meets_patch,
     move_packet,
     record,
     reflected,
@@ -37,6 +38,7 @@ from lfmesh.transport.packet import (
     LENS,
     NO_SURFACE,
     OBJECTS,
+    PATCH,
     PLATE,
     S_ABSORBED,
     SENSOR,
@@ -168,6 +170,13 @@ def shade_lens(
             px, py, pz = px + more * dx, py + more * dy, pz + more * dz
             nx, ny, nz = normal_at(surface, px, py, pz)
             met = met and t > 0.0
+        elif met and options.surface == PATCH:
+            met, more, nx, ny, nz = meets_patch(
+                flow, lens.patches, lens.across, facet, prim, px, py, pz + surface.vertex_z, dx, dy, dz
+            )
+            t += more
+            px, py, pz = px + more * dx, py + more * dy, pz + more * dz
+            met = t > (0.0 if met else 0.25 * packet.query_from)
         elif met:
             met = t > 0.25 * packet.query_from
             if met:

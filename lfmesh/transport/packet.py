@@ -37,7 +37,8 @@ UNFOLLOWED, REACHED, LIT, BESIDE_SENSOR, HOUSING, STOP, MOUNT, ARRAY_MOUNT, ARRA
 FIRST_BODY = 21
 
 # Counters.
-EVENTS, REQUERIES = 0, 1
+EVENTS, REQUERIES, FALLBACKS = 0, 1, 2
+COUNTERS = 3
 
 # Tops: how many entries of each growing table are in use; the first are the stations' stacks.
 DEPOSITS, ENDED, NODES = STATIONS, STATIONS + 1, STATIONS + 2
@@ -155,7 +156,7 @@ class Options(NamedTuple):
 
 
 # Options.surface
-FLAT, SMOOTH, EXACT = 0, 1, 2
+FLAT, SMOOTH, PATCH, EXACT = 0, 1, 2, 3
 # Options.split
 BOTH, ROULETTE, TRANSMIT = 0, 1, 2
 

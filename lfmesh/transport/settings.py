@@ -13,11 +13,13 @@ from lfmesh.transport.packet import (
     ESCAPED,
     EVENTS,
     EXACT,
+    FALLBACKS,
     FLAT,
     LIT,
     LOST_CONTRADICTION,
     LOST_MISS,
     ON_SENSOR,
+    PATCH,
     REACHED,
     REQUERIES,
     ROULETTE,
@@ -31,7 +33,7 @@ from lfmesh.transport.packet import (
 )
 from lfmesh.transport.world import World
 
-SURFACE_LEVEL = {"flat": FLAT, "smooth": SMOOTH, "exact": EXACT}
+SURFACE_LEVEL = {"flat": FLAT, "smooth": SMOOTH, "patch": PATCH, "exact": EXACT}
 SPLIT_MODE = {"both": BOTH, "roulette": ROULETTE, "transmit": TRANSMIT}
 
 
@@ -80,6 +82,7 @@ def ledger_of(book: NDArray[np.float64], counts: NDArray[np.int64], world: World
         packets=packets,
         events=int(counts[EVENTS]),
         requeries=int(counts[REQUERIES]),
+        fallbacks=int(counts[FALLBACKS]),
         reached_target=float(book[REACHED]),
         lit=float(book[LIT]),
     )

@@ -19,6 +19,7 @@ from lfmesh.transport.packet import (
     ARRAY_FRAME,
     CAMERA,
     CAMERA_FRAME,
+    COUNTERS,
     EMITTED,
     END,
     ENDED,
@@ -319,7 +320,7 @@ def _paths(
     ended = np.concatenate(all_ended)
     ended = ended[np.argsort(ended["source"], kind="stable")]
     book = np.sum([part[2] for part in parts], axis=0) if parts else np.zeros(len(world.slots))
-    counts = np.sum([part[3] for part in parts], axis=0) if parts else np.zeros(2, np.int64)
+    counts = np.sum([part[3] for part in parts], axis=0) if parts else np.zeros(COUNTERS, np.int64)
     return Paths(
         ended["position"].copy(),
         ended["direction"].copy(),

@@ -12,6 +12,7 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice
 from lfmesh.geometry.lenslets import OFFSET, Lenslets, array_mesh, cell_mesh, lenslets
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, facet_table, joined
+from lfmesh.geometry.patch import neighbours, patches
 from lfmesh.geometry.surface import sag, surface
 from lfmesh.geometry.targets import TargetMesh, target_mesh
 from lfmesh.geometry.tessellation import (
@@ -50,7 +51,7 @@ from lfmesh.transport.tables import (
     Tables,
 )
 
-LEAST_RINGS = {"exact": 5, "flat": 48, "smooth": 48}
+LEAST_RINGS = {"exact": 5, "patch": 12, "flat": 48, "smooth": 48}
 """Rings of triangles a lens surface has at least. `exact` takes only the facet's number from the mesh, so five do."""
 
 PUPIL_MARGIN = 1.15
@@ -264,6 +265,7 @@ def _lens_tables(scene: Scene, shape: LensShape, waves: tuple[float, ...]) -> tu
     first, last = shape.surfaces[0], shape.surfaces[-1]
     return mesh, LensTables(
         shape.surfaces,
+        *_curved(scene, mesh),
         facet_table(mesh, bodies.astype(np.int64)),
         np.array([[refractive_index(medium, w) for w in waves] for medium in shape.media]),
         ring_slot.astype(np.int64),
@@ -293,7 +295,7 @@ def _array_tables(scene: Scene, waves: tuple[float, ...]) -> tuple[Mesh, ArrayTa
     if mla is None:
         nothing = lenslets(Lattice(False, 1.0, 1, 1), np.array([np.inf]), 1.0)
         empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
-        return empty, _cells(False, nothing, empty, 0.0, np.ones(len(waves)), True)
+        return empty, _cells(scene, False, nothing, empty, 0.0, np.ones(len(waves)), True)
     lattice = Lattice(
         mla.layout == "hexagonal", mla.pitch_mm * (1.0 + mla.form.pitch_error), mla.count[0], mla.count[1]
     )
@@ -311,14 +313,22 @@ def _array_tables(scene: Scene, waves: tuple[float, ...]) -> tuple[Mesh, ArrayTa
         Mesh(np.add(c.vertices, [kind * shift, 0.0, 0.0]), c.faces, c.corner_normals) for kind, c in enumerate(cells)
     )
     index = np.array([refractive_index(mla.medium, w) for w in waves])
-    return mesh, _cells(True, shapes, mesh, shift, index, mla.curved_side == "lens")
+    return mesh, _cells(scene, True, shapes, mesh, shift, index, mla.curved_side == "lens")
 
 
 def _cells(
-    present: bool, shapes: Lenslets, mesh: Mesh, shift: float, index: Array, curved_to_lens: bool
+    scene: Scene, present: bool, shapes: Lenslets, mesh: Mesh, shift: float, index: Array, curved_to_lens: bool
 ) -> ArrayTables:
     bodies = np.zeros(len(mesh.faces), np.int64)
-    return ArrayTables(present, shapes, facet_table(mesh, bodies), shift, index, curved_to_lens)
+    return ArrayTables(present, shapes, *_curved(scene, mesh), facet_table(mesh, bodies), shift, index, curved_to_lens)
+
+
+def _curved(scene: Scene, mesh: Mesh) -> tuple[Array, NDArray[np.int64]]:
+    """Return the patches of a mesh and their neighbours, empty unless the scene's level asks for them."""
+    if scene.transport.surface != "patch" or mesh.corner_normals is None:
+        return np.zeros((0, 6, 3)), np.zeros((0, 3), np.int64)
+    smooth = np.ones(mesh.faces.shape, dtype=bool)
+    return patches(mesh.vertices[mesh.faces], mesh.corner_normals), neighbours(mesh.faces, smooth)
 
 
 def _middle(targets: list[TargetMesh]) -> Array:

@@ -9,7 +9,6 @@ through the three of them,
 with corners x(0, 0), x(1, 0), x(1, 1). Neighbours share their edge's parabola, so patches join without a gap.
 """
 
-
 import numpy as np
 from numpy.typing import NDArray
 

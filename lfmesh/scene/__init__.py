@@ -7,6 +7,7 @@ from lfmesh.scene.lens import Lens, Surface
 from lfmesh.scene.lights import DirectionalLight, DiskLight, Light, PointLight
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.scene.pose import Pose
+from lfmesh.scene.refractor import MeshFace, MeshShape, Refractor
 from lfmesh.scene.report import FirstOrder, first_order
 from lfmesh.scene.scene import Scene
 from lfmesh.scene.sensor import Sensor
@@ -26,11 +27,14 @@ __all__ = [
     "Lens",
     "Light",
     "Material",
+    "MeshFace",
+    "MeshShape",
     "MicrolensArray",
     "Paraxial",
     "Plane",
     "PointLight",
     "Pose",
+    "Refractor",
     "Scene",
     "Sensor",
     "Shape",

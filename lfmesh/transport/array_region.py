@@ -32,6 +32,7 @@ from lfmesh.transport.crossing import (
     too_deep,
     write_query,
 )
+from lfmesh.transport.levels import EXACT, FLAT, PATCH, SMOOTH
 from lfmesh.transport.packet import (
     ARRAY_EDGE,
     ARRAY_FRAME,
@@ -42,15 +43,11 @@ from lfmesh.transport.packet import (
     E_REFLECTED,
     E_TRANSMITTED,
     EVENTS,
-    EXACT,
-    FLAT,
     FLAT_FACE,
     LENS,
-    PATCH,
     PLATE,
     S_ABSORBED,
     SENSOR,
-    SMOOTH,
     Flow,
     Options,
     put,

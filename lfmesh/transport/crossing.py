@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.patch import hit_patch
 from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.levels import FLAT
 from lfmesh.transport.packet import (
     BOTH,
     CAMERA,
@@ -20,7 +21,6 @@ from lfmesh.transport.packet import (
     ENDS_AT,
     EVENT_OF_STATUS,
     FALLBACKS,
-    FLAT,
     LOST_CONTRADICTION,
     LOST_MISS,
     NODES,

@@ -27,18 +27,17 @@ from lfmesh.transport.crossing import (
     too_deep,
     write_query,
 )
+from lfmesh.transport.levels import EXACT, PATCH
 from lfmesh.transport.packet import (
     CAMERA_FRAME,
     E_REFLECTED,
     E_TRANSMITTED,
     EVENTS,
-    EXACT,
     HOUSING,
     LEFT_LENS,
     LENS,
     NO_SURFACE,
     OBJECTS,
-    PATCH,
     PLATE,
     S_ABSORBED,
     SENSOR,
@@ -161,16 +160,17 @@ def shade_lens(
         forward = k == space
         met = (forward and along > 0.0) or (k == space - 1 and along < 0.0)
         surface = surfaces[k if met else 0]
+        level = surface.level
         t = at_facet
         px, py, pz = x + t * dx, y + t * dy, z + t * dz - surface.vertex_z
         nx, ny, nz = normal[0], normal[1], normal[2]
-        if met and options.surface == EXACT:
+        if met and level == EXACT:
             met, more = distance_to(surface, px, py, pz, dx, dy, dz, 1.0 if forward else -1.0)
             t += more
             px, py, pz = px + more * dx, py + more * dy, pz + more * dz
             nx, ny, nz = normal_at(surface, px, py, pz)
             met = met and t > 0.0
-        elif met and options.surface == PATCH:
+        elif met and level == PATCH:
             met, more, nx, ny, nz = meets_patch(
                 flow, lens.patches, lens.across, facet, prim, px, py, pz + surface.vertex_z, dx, dy, dz
             )
@@ -180,11 +180,11 @@ def shade_lens(
         elif met:
             met = t > 0.25 * packet.query_from
             if met:
-                nx, ny, nz = facet_normal(options.surface, facet, px, py, pz + surface.vertex_z)
+                nx, ny, nz = facet_normal(level, facet, px, py, pz + surface.vertex_z)
         cos_i = nx * dx + ny * dy + nz * dz
         if met and (cos_i > 0.0) != forward:
             # An interpolated normal may look away from a grazing ray, and its facet then decides; an exact one may not.
-            met = options.surface != EXACT
+            met = level != EXACT
             nx, ny, nz, cos_i = normal[0], normal[1], normal[2], along
         if not met:
             ask_again(options, flow, frames, LENS, packet, behind(facet, packet, at_facet), False)

@@ -155,8 +155,6 @@ class Options(NamedTuple):
     first_source: int  # film row 0
 
 
-# Options.surface
-FLAT, SMOOTH, PATCH, EXACT = 0, 1, 2, 3
 # Options.split
 BOTH, ROULETTE, TRANSMIT = 0, 1, 2
 

@@ -6,20 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.transport.ledger import Ledger
+from lfmesh.transport.levels import SURFACE_LEVEL
 from lfmesh.transport.packet import (
     BOTH,
     DEPTH,
     EMITTED,
     ESCAPED,
     EVENTS,
-    EXACT,
     FALLBACKS,
-    FLAT,
     LIT,
     LOST_CONTRADICTION,
     LOST_MISS,
     ON_SENSOR,
-    PATCH,
     REACHED,
     REQUERIES,
     ROULETTE,
@@ -27,13 +25,11 @@ from lfmesh.transport.packet import (
     ROULETTE_REMOVED,
     SAMPLING_ADDED,
     SAMPLING_REMOVED,
-    SMOOTH,
     TRANSMIT,
     Options,
 )
 from lfmesh.transport.world import World
 
-SURFACE_LEVEL = {"flat": FLAT, "smooth": SMOOTH, "patch": PATCH, "exact": EXACT}
 SPLIT_MODE = {"both": BOTH, "roulette": ROULETTE, "transmit": TRANSMIT}
 
 

@@ -15,6 +15,7 @@ from lfmesh.kernel import kernel
 from lfmesh.optics.glass import refractive_index
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.ledger import Ledger
+from lfmesh.transport.levels import PATCH, SURFACE_LEVEL
 from lfmesh.transport.packet import (
     ARRAY_FRAME,
     CAMERA,
@@ -39,7 +40,7 @@ from lfmesh.transport.packet import (
 )
 from lfmesh.transport.packet import E_START as STARTED
 from lfmesh.transport.random import derived
-from lfmesh.transport.settings import SPLIT_MODE, SURFACE_LEVEL, ledger_of, options_of
+from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
 from lfmesh.transport.tables import Tables
 from lfmesh.transport.world import World
 
@@ -165,7 +166,7 @@ def trace(
         options = options._replace(max_events=max_events)
     if weight_cutoff is not None:
         options = options._replace(cutoff=weight_cutoff)
-    tables = _at_wavelength(world, wavelength_nm)
+    tables = _at_level(world, _at_wavelength(world, wavelength_nm), SURFACE_LEVEL[level])
     station, space, p, d = _located(world, p, d)
     local = threading.local()
     key = derived(np.uint64(0x7472616365), seed)
@@ -226,6 +227,15 @@ def _at_wavelength(world: World, wavelength_nm: float) -> Tables:
     index = np.array([[refractive_index(medium, wavelength_nm)] for medium in world.lens_shape.media])
     glass = np.array([refractive_index(mla.medium, wavelength_nm) if mla is not None else 1.0])
     return tables._replace(lens=tables.lens._replace(indices=index), array=tables.array._replace(indices=glass))
+
+
+def _at_level(world: World, tables: Tables, level: int) -> Tables:
+    """Return the tables with the analytic surfaces' facets standing for something else."""
+    surfaces = tables.lens.surfaces.copy()
+    surfaces["level"][world.lens_shape.analytic] = level
+    if level == PATCH and not len(tables.lens.patches):
+        raise LfmeshError('surface = "patch": build the scene with transport.surface = "patch" for that')
+    return tables._replace(lens=tables.lens._replace(surfaces=surfaces))
 
 
 def _located(

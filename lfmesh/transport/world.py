@@ -13,6 +13,7 @@ from lfmesh.geometry.lattice import ROW_SPACING, Lattice
 from lfmesh.geometry.lenslets import OFFSET, Lenslets, array_mesh, cell_mesh, lenslets
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, facet_table, joined
 from lfmesh.geometry.patch import neighbours, patches
+from lfmesh.geometry.refractors import RIM_MARGIN, face_of, measured
 from lfmesh.geometry.surface import sag, surface
 from lfmesh.geometry.targets import TargetMesh, target_mesh
 from lfmesh.geometry.tessellation import (
@@ -27,6 +28,7 @@ from lfmesh.geometry.texture import wavelength_weights
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene, first_order, solved
 from lfmesh.transport.embree import Finder
+from lfmesh.transport.levels import PATCH, SURFACE_LEVEL
 from lfmesh.transport.packet import (
     ARRAY_FRAME,
     CAMERA_FRAME,
@@ -79,6 +81,8 @@ class LensShape:
     """closures[k] joins the rims of surfaces k and k + 1 and faces the axis."""
     media: list[float | str | None]
     """What fills each space: K + 1 entries, air first and last."""
+    analytic: NDArray[np.bool_]
+    """Whether each surface has an analytic parent, or is a mesh from a file."""
 
     @property
     def elements(self) -> list[int]:
@@ -195,12 +199,7 @@ def build(scene: Scene) -> World:
     SceneError, MeshError, FileError
         The scene cannot be built: rims that cross, a mesh or texture that cannot be used, a target inside the camera.
     """
-    scene = solved(scene)
-    if scene.transport.surface not in LEAST_RINGS:
-        raise SceneError(
-            f'transport.surface = "{scene.transport.surface}": is for glass without an analytic parent, which this '
-            f"scene has not; use {', '.join(LEAST_RINGS)}"
-        )
+    scene = solved(measured(scene))
     report = first_order(scene)
     waves = scene.transport.wavelengths_nm
     shape = lens_shape(scene)
@@ -238,14 +237,28 @@ def lens_shape(scene: Scene) -> LensShape:
             )
         )  # fmt: skip
     surfaces = np.array(records)
+    given = [prescription.surfaces[i].mesh for i in numbers]
+    own = np.array([mesh is None for mesh in given])
     rings = rings_for(surfaces, LEAST_RINGS[scene.transport.surface])
-    rims = [rim_radius(s, rings) for s in surfaces]
+    rims: list[float] = []
+    caps: list[Mesh] = []
+    for k, mesh in enumerate(given):
+        if mesh is None:
+            surfaces[k]["level"] = SURFACE_LEVEL[scene.transport.surface]
+            rims.append(rim_radius(surfaces[k], rings))
+            caps.append(cap(surfaces[k], rings, rims[k]))
+        else:
+            face = face_of(mesh, scene)
+            surfaces[k]["level"] = SURFACE_LEVEL[mesh.surface]
+            # A ring that starts a little inside the rim leaves no gap to a rim that is no circle.
+            rims.append((1.0 - 0.2 * RIM_MARGIN) * face.rim_mm)
+            shift = surfaces[k]["vertex_z"] - face.vertex_z
+            caps.append(Mesh(np.add(face.mesh.vertices, [0.0, 0.0, shift]), face.mesh.faces, face.mesh.corner_normals))
     closures = [
         revolved(ring_profile(surfaces[k], rims[k], surfaces[k + 1], rims[k + 1]), 6 * rings)
         for k in range(len(numbers) - 1)
     ]
-    caps = [cap(s, rings, rim) for s, rim in zip(surfaces, rims, strict=True)]
-    return LensShape(numbers, surfaces, rings, rims, caps, closures, media)
+    return LensShape(numbers, surfaces, rings, rims, caps, closures, media, own)
 
 
 def _lens_tables(scene: Scene, shape: LensShape, waves: tuple[float, ...]) -> tuple[Mesh, LensTables]:
@@ -265,7 +278,7 @@ def _lens_tables(scene: Scene, shape: LensShape, waves: tuple[float, ...]) -> tu
     first, last = shape.surfaces[0], shape.surfaces[-1]
     return mesh, LensTables(
         shape.surfaces,
-        *_curved(scene, mesh),
+        *_curved(bool((shape.surfaces["level"] == PATCH).any()), mesh),
         facet_table(mesh, bodies.astype(np.int64)),
         np.array([[refractive_index(medium, w) for w in waves] for medium in shape.media]),
         ring_slot.astype(np.int64),
@@ -295,7 +308,7 @@ def _array_tables(scene: Scene, waves: tuple[float, ...]) -> tuple[Mesh, ArrayTa
     if mla is None:
         nothing = lenslets(Lattice(False, 1.0, 1, 1), np.array([np.inf]), 1.0)
         empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
-        return empty, _cells(scene, False, nothing, empty, 0.0, np.ones(len(waves)), True)
+        return empty, _cells(False, False, nothing, empty, 0.0, np.ones(len(waves)), True)
     lattice = Lattice(
         mla.layout == "hexagonal", mla.pitch_mm * (1.0 + mla.form.pitch_error), mla.count[0], mla.count[1]
     )
@@ -313,19 +326,19 @@ def _array_tables(scene: Scene, waves: tuple[float, ...]) -> tuple[Mesh, ArrayTa
         Mesh(np.add(c.vertices, [kind * shift, 0.0, 0.0]), c.faces, c.corner_normals) for kind, c in enumerate(cells)
     )
     index = np.array([refractive_index(mla.medium, w) for w in waves])
-    return mesh, _cells(scene, True, shapes, mesh, shift, index, mla.curved_side == "lens")
+    return mesh, _cells(scene.transport.surface == "patch", True, shapes, mesh, shift, index, mla.curved_side == "lens")
 
 
 def _cells(
-    scene: Scene, present: bool, shapes: Lenslets, mesh: Mesh, shift: float, index: Array, curved_to_lens: bool
+    curved: bool, present: bool, shapes: Lenslets, mesh: Mesh, shift: float, index: Array, curved_to_lens: bool
 ) -> ArrayTables:
     bodies = np.zeros(len(mesh.faces), np.int64)
-    return ArrayTables(present, shapes, *_curved(scene, mesh), facet_table(mesh, bodies), shift, index, curved_to_lens)
+    return ArrayTables(present, shapes, *_curved(curved, mesh), facet_table(mesh, bodies), shift, index, curved_to_lens)
 
 
-def _curved(scene: Scene, mesh: Mesh) -> tuple[Array, NDArray[np.int64]]:
-    """Return the patches of a mesh and their neighbours, empty unless the scene's level asks for them."""
-    if scene.transport.surface != "patch" or mesh.corner_normals is None:
+def _curved(needed: bool, mesh: Mesh) -> tuple[Array, NDArray[np.int64]]:
+    """Return the patches of a mesh and their neighbours, empty where no surface needs them."""
+    if not needed or mesh.corner_normals is None:
         return np.zeros((0, 6, 3)), np.zeros((0, 3), np.int64)
     smooth = np.ones(mesh.faces.shape, dtype=bool)
     return patches(mesh.vertices[mesh.faces], mesh.corner_normals), neighbours(mesh.faces, smooth)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.mesh import Index
+from lfmesh.geometry.vertex_normals import edge_partners
 from lfmesh.kernel import kernel
 from lfmesh.optics.scattering import tangents
 
@@ -54,28 +55,25 @@ def patches(corners: Array, corner_normals: Array) -> Array:
     return np.stack([a, b - a - ab, c - b + ab - ac, ac - ab - bc, ab, bc], axis=1)
 
 
-def neighbours(faces: Index, smooth: Array) -> NDArray[np.int64]:
+def neighbours(faces: Index, corner_normals: Array) -> NDArray[np.int64]:
     """Return the (m, 3) facet across the edges ab, bc and ca of each facet; −1 at a rim or a crease.
 
     Parameters
     ----------
     faces : (m, 3)
         Corners by vertex number; facets that share an edge share its two numbers.
-    smooth : (m, 3) bool
-        False where an edge is a crease: what lies across it is another surface.
+    corner_normals : (m, 3, 3)
+        Where they differ on the two sides of an edge there is a crease, and what lies across is another surface.
     """
-    count = len(faces)
-    edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
-    low, high = edges.min(axis=1), edges.max(axis=1)
-    order = np.lexsort((high, low))
-    same = (low[order][1:] == low[order][:-1]) & (high[order][1:] == high[order][:-1])
-    # An edge of three facets is no place to walk across.
-    alone = ~(np.append(False, same[:-1]) | np.append(same[1:], False))
-    first, second = order[:-1][same & alone], order[1:][same & alone]
-    across = np.full(3 * count, -1, np.int64)
-    across[first], across[second] = second // 3, first // 3
-    across[~np.asarray(smooth, dtype=bool).reshape(-1)] = -1
-    return across.reshape(count, 3)
+    first, second = edge_partners(faces)
+    across = np.full(3 * len(faces), -1, np.int64)
+    f, e = np.divmod(first, 3)
+    g, h = np.divmod(second, 3)
+    # The partner runs the other way: its end is this edge's start.
+    same = (corner_normals[f, e] == corner_normals[g, (h + 1) % 3]).all(axis=1)
+    same &= (corner_normals[f, (e + 1) % 3] == corner_normals[g, h]).all(axis=1)
+    across[first[same]], across[second[same]] = g[same], f[same]
+    return across.reshape(-1, 3)
 
 
 @kernel

@@ -64,9 +64,7 @@ def solid_mesh(path: Path, units: str | None, crease_deg: float | None) -> Mesh:
     if not body.is_watertight or not body.is_winding_consistent:
         open_edges = 3 * len(mesh.faces) - 2 * len(body.face_adjacency)
         what = f"{open_edges} of its edges join no second facet" if open_edges else "its facets do not all face one way"
-        raise MeshError(
-            f"{path}: a refractor must be a closed body; {what}; mend it and export again"
-        )
+        raise MeshError(f"{path}: a refractor must be a closed body; {what}; mend it and export again")
     if body.volume < 0.0:
         mesh = mesh.flipped()
     smooth = smooth_edges(mesh, crease_deg)

@@ -107,9 +107,7 @@ class Target(Model):
             yield Fault(("file",), self.file, "a shape is given too; give one of them")
         elif self.file is None:
             if self.shape is None:
-                yield Fault(
-                    ("shape",), None, 'missing: give shape = { kind = ... }, or file = "...", or refractor'
-                )
+                yield Fault(("shape",), None, 'missing: give shape = { kind = ... }, or file = "...", or refractor')
             elif self.units is not None:
                 yield Fault(("units",), self.units, "only for a mesh file; the sizes of a shape are in mm")
         else:

@@ -111,6 +111,9 @@ def split_shares(
         if uniform(packet.key, dimension + CHOOSE) * (reflectance + transmittance) < reflectance:
             return weight, 0.0
         return 0.0, weight
+    if transmittance == 0.0:
+        # Under total reflection the reflected child is the path.
+        return weight, 0.0
     book[UNFOLLOWED] += weight * reflectance
     return 0.0, weight * transmittance
 

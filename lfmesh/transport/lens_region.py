@@ -121,6 +121,8 @@ def leave_lens(
     child = put(flow.stacks, flow.tops, station, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
     child.last = LEFT_LENS
     child.facet = NO_SURFACE
+    if space == 0:
+        child.column = NO_SURFACE
 
 
 @kernel

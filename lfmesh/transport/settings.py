@@ -46,7 +46,7 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
         tracing,
         record,
         # Light goes from target to target, unless there is but one flat sheet.
-        len(tables.objects.closed) > 1 or bool((tables.objects.facets["body"] >= 0).sum() > 2),
+        not tracing and (len(tables.objects.closed) > 1 or bool((tables.objects.facets["body"] >= 0).sum() > 2)),
         0,
     )
     return options._replace(**override)

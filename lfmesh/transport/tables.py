@@ -64,6 +64,10 @@ class ObjectTables(NamedTuple):
     closed: NDArray[np.bool_]  # (targets,) scatters and emits outside only
     reflectance: Array  # (targets, wavelengths)
     radiance: Array  # (targets, wavelengths) W/(m² sr)
+    glass: Array  # (targets, wavelengths) refractive index; 0: opaque
+    level: NDArray[np.int64]  # (targets,) what a facet of glass stands for
+    patches: Array  # (m, 6, 3), or none
+    across: NDArray[np.int64]
     texture: NDArray[np.int64]  # (targets, 3): first value, height, width; height 0: none
     texels: NDArray[np.float32]  # (values, wavelengths)
     target_slot: NDArray[np.int64]  # (targets,)

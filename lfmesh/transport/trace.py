@@ -226,7 +226,13 @@ def _at_wavelength(world: World, wavelength_nm: float) -> Tables:
     mla = world.scene.camera.mla
     index = np.array([[refractive_index(medium, wavelength_nm)] for medium in world.lens_shape.media])
     glass = np.array([refractive_index(mla.medium, wavelength_nm) if mla is not None else 1.0])
-    return tables._replace(lens=tables.lens._replace(indices=index), array=tables.array._replace(indices=glass))
+    bodies = [t.refractor for t in world.scene.targets]
+    own = [[refractive_index(b.medium, wavelength_nm) if b is not None else 0.0] for b in bodies]
+    return tables._replace(
+        lens=tables.lens._replace(indices=index),
+        array=tables.array._replace(indices=glass),
+        objects=tables.objects._replace(glass=np.array(own).reshape(-1, 1)),
+    )
 
 
 def _at_level(world: World, tables: Tables, level: int) -> Tables:
@@ -287,6 +293,7 @@ def _launch_rays(
     packet.kind = CAMERA
     packet.facet = NO_SURFACE
     packet.last = NO_SURFACE
+    packet.column = NO_SURFACE
     packet.start = 1.0
     packet.events = 0
     for i in range(len(p)):

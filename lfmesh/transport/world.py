@@ -150,7 +150,7 @@ class World:
         if number < 1000:
             return f"lens surface {self.lens_shape.numbers[number]}" if number >= 0 else "start"
         if number < 2000:
-            return ("mla curved face", "mla flat face", "target")[number - 1000]
+            return ("mla curved face", "mla flat face", "target", "glass")[number - 1000]
         return self.slots[number - 2000]
 
     @staticmethod
@@ -340,8 +340,7 @@ def _curved(needed: bool, mesh: Mesh) -> tuple[Array, NDArray[np.int64]]:
     """Return the patches of a mesh and their neighbours, empty where no surface needs them."""
     if not needed or mesh.corner_normals is None:
         return np.zeros((0, 6, 3)), np.zeros((0, 3), np.int64)
-    smooth = np.ones(mesh.faces.shape, dtype=bool)
-    return patches(mesh.vertices[mesh.faces], mesh.corner_normals), neighbours(mesh.faces, smooth)
+    return patches(mesh.vertices[mesh.faces], mesh.corner_normals), neighbours(mesh.faces, mesh.corner_normals)
 
 
 def _middle(targets: list[TargetMesh]) -> Array:
@@ -443,12 +442,19 @@ def _object_tables(
         filled += height * width
     materials = [t.material for t in scene.targets]
     radius = max((float(np.linalg.norm(m.vertices, axis=1).max()) for m in parts), default=0.0)
+    glasses = [t.refractor for t in scene.targets]
+    level = np.array([SURFACE_LEVEL[g.surface] if g is not None else 0 for g in glasses], dtype=np.int64)
     tables = ObjectTables(
         facets,
         uv,
         np.array([t.closed for t in targets], dtype=np.bool_),
         _by_wave([m.reflectance for m in materials], waves),
         _by_wave([m.radiance_w_m2_sr for m in materials], waves),
+        np.array([[refractive_index(g.medium, w) if g is not None else 0.0 for w in waves] for g in glasses]).reshape(
+            -1, len(waves)
+        ),
+        level,
+        *_curved(bool((level == PATCH).any()), mesh),
         texture,
         np.concatenate(texels) if texels else np.zeros((0, len(waves)), np.float32),
         target_slots.astype(np.int64),

@@ -55,6 +55,17 @@ def patches(corners: Array, corner_normals: Array) -> Array:
     return np.stack([a, b - a - ab, c - b + ab - ac, ac - ab - bc, ab, bc], axis=1)
 
 
+def patch_points(of: Array, eta: Array, zeta: Array) -> tuple[Array, Array]:
+    """Return the (m, q, 3) points and unit normals of all patches at q places (η, ζ)."""
+    one = np.ones_like(eta)
+    basis = np.stack([one, eta, zeta, eta * zeta, eta * eta, zeta * zeta])
+    by_eta = np.stack([0 * one, one, 0 * one, zeta, 2 * eta, 0 * one])
+    by_zeta = np.stack([0 * one, 0 * one, one, eta, 0 * one, 2 * zeta])
+    normal = np.cross(np.einsum("kq,mki->mqi", by_eta, of), np.einsum("kq,mki->mqi", by_zeta, of))
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    return np.einsum("kq,mki->mqi", basis, of), normal / np.where(length > 0.0, length, 1.0)
+
+
 def neighbours(faces: Index, corner_normals: Array) -> NDArray[np.int64]:
     """Return the (m, 3) facet across the edges ab, bc and ca of each facet; −1 at a rim or a crease.
 

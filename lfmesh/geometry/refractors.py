@@ -16,7 +16,7 @@ from lfmesh.geometry.mesh import Array, Mesh, facet_normals, joined
 from lfmesh.geometry.mesh_file import load_mesh
 from lfmesh.geometry.vertex_normals import estimated_corner_normals, smooth_edges, smooth_groups
 from lfmesh.geometry.weld import welded
-from lfmesh.scene import Lens, MeshFace, MeshShape, Scene, Surface
+from lfmesh.scene import FirstOrder, Lens, MeshFace, MeshShape, Scene, Surface, report
 from lfmesh.scene.files import with_lens_file
 
 RIM_MARGIN = 0.02
@@ -180,3 +180,8 @@ def measured(scene: Scene) -> Scene:
     camera = scene.camera.model_copy(update={"lens": new})
     copy = scene.model_copy(update={"camera": camera})
     return copy.in_folder(scene.folder)
+
+
+def first_order(scene: Scene) -> FirstOrder:
+    """Return the first-order report of a scene, elements given as meshes measured first."""
+    return report.first_order(measured(scene))

@@ -13,7 +13,7 @@ from lfmesh.scene.scene import Scene
 from lfmesh.scene.sensor import Sensor
 from lfmesh.scene.solve import solved
 from lfmesh.scene.targets import Box, Cylinder, Disk, Material, Plane, Shape, Sphere, Target
-from lfmesh.scene.transport import Transport
+from lfmesh.scene.transport import Tessellation, Transport
 
 __all__ = [
     "ArrayForm",
@@ -41,6 +41,7 @@ __all__ = [
     "Sphere",
     "Surface",
     "Target",
+    "Tessellation",
     "Transport",
     "first_order",
     "load",

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.lattice import cell_of, centre, is_inside, leaves_at, neighbour
 from lfmesh.geometry.lenslets import cap_sag, shape_of, type_of
+from lfmesh.geometry.levels import EXACT, FLAT, PATCH, SMOOTH
 from lfmesh.geometry.surface import conic_distance
 from lfmesh.kernel import kernel
 from lfmesh.optics.fresnel import fresnel
@@ -32,7 +33,6 @@ from lfmesh.transport.crossing import (
     too_deep,
     write_query,
 )
-from lfmesh.transport.levels import EXACT, FLAT, PATCH, SMOOTH
 from lfmesh.transport.packet import (
     ARRAY_EDGE,
     ARRAY_FRAME,

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
+from lfmesh.geometry.levels import FLAT
 from lfmesh.geometry.patch import hit_patch
 from lfmesh.kernel import inlined, kernel
-from lfmesh.transport.levels import FLAT
 from lfmesh.transport.packet import (
     BOTH,
     CAMERA,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.levels import EXACT, PATCH
 from lfmesh.geometry.surface import distance_to, normal_at
 from lfmesh.kernel import kernel
 from lfmesh.optics.fresnel import fresnel
@@ -27,7 +28,6 @@ from lfmesh.transport.crossing import (
     too_deep,
     write_query,
 )
-from lfmesh.transport.levels import EXACT, PATCH
 from lfmesh.transport.packet import (
     CAMERA_FRAME,
     E_REFLECTED,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
+from lfmesh.geometry.levels import PATCH
 from lfmesh.kernel import kernel
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.optics.scattering import lambertian, tangents
@@ -44,7 +45,6 @@ from lfmesh.transport.crossing import (
     write_query,
 )
 from lfmesh.transport.lens_region import box_entry
-from lfmesh.transport.levels import PATCH
 from lfmesh.transport.packet import (
     CAMERA,
     CAMERA_FRAME,

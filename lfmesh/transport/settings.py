@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.levels import SURFACE_LEVEL
 from lfmesh.transport.ledger import Ledger
-from lfmesh.transport.levels import SURFACE_LEVEL
 from lfmesh.transport.packet import (
     BOTH,
     DEPTH,

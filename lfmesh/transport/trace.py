@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.surface import sag
 from lfmesh.kernel import kernel
 from lfmesh.optics.glass import refractive_index
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.ledger import Ledger
-from lfmesh.transport.levels import PATCH, SURFACE_LEVEL
 from lfmesh.transport.packet import (
     ARRAY_FRAME,
     CAMERA,

@@ -1,7 +1,6 @@
 """From a scene to what rays can meet: meshes, Embree scenes, and the tables that the kernels read."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import trimesh
@@ -10,25 +9,22 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError, SceneError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice
+from lfmesh.geometry.lens_shape import LensShape, lens_shape
 from lfmesh.geometry.lenslets import OFFSET, Lenslets, array_mesh, cell_mesh, lenslets
+from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, facet_table, joined
 from lfmesh.geometry.patch import neighbours, patches
-from lfmesh.geometry.refractors import RIM_MARGIN, face_of, measured
+from lfmesh.geometry.refractors import measured
 from lfmesh.geometry.surface import sag, surface
 from lfmesh.geometry.targets import TargetMesh, target_mesh
 from lfmesh.geometry.tessellation import (
-    cap,
     element,
     revolved,
-    rim_radius,
-    ring_profile,
-    rings_for,
 )
 from lfmesh.geometry.texture import wavelength_weights
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene, first_order, solved
 from lfmesh.transport.embree import Finder
-from lfmesh.transport.levels import PATCH, SURFACE_LEVEL
 from lfmesh.transport.packet import (
     ARRAY_FRAME,
     CAMERA_FRAME,
@@ -53,9 +49,6 @@ from lfmesh.transport.tables import (
     Tables,
 )
 
-LEAST_RINGS = {"exact": 5, "patch": 12, "flat": 48, "smooth": 48}
-"""Rings of triangles a lens surface has at least. `exact` takes only the facet's number from the mesh, so five do."""
-
 PUPIL_MARGIN = 1.15
 """How much wider than the paraxial pupil the disk is that most rays are aimed at: pupils have aberrations."""
 
@@ -64,30 +57,6 @@ FIXED_SLOTS = (
     "depth", "miss", "contradiction", "reflections not followed", "reached", "lit", "beside the sensor", "housing",
     "stop", "mount", "mla mount", "mla edge", "mla wall", "lens front",
 )  # fmt: skip
-
-
-@dataclass
-class LensShape:
-    """The lens as meshes in the camera frame: a cap a refracting surface, a ring a space between two of them."""
-
-    numbers: list[int]
-    """Place of each refracting surface in the scene's list."""
-    surfaces: NDArray[np.void]
-    rings: int
-    """Rings of triangles a cap."""
-    rims: list[float]
-    caps: list[Mesh]
-    closures: list[Mesh]
-    """closures[k] joins the rims of surfaces k and k + 1 and faces the axis."""
-    media: list[float | str | None]
-    """What fills each space: K + 1 entries, air first and last."""
-    analytic: NDArray[np.bool_]
-    """Whether each surface has an analytic parent, or is a mesh from a file."""
-
-    @property
-    def elements(self) -> list[int]:
-        """The surface in front of every piece of glass, in order."""
-        return [k for k in range(len(self.caps) - 1) if self.media[k + 1] is not None]
 
 
 class World:
@@ -186,13 +155,15 @@ class World:
         return trimesh.Trimesh(corners, [[0, 2, 1], [0, 3, 2]], process=False)
 
 
-def build(scene: Scene) -> World:
+def build(scene: Scene, *, rings: int | None = None) -> World:
     """Build everything a scene's rays can meet.
 
     Parameters
     ----------
     scene : Scene
         Solved first, where distances or files are still open.
+    rings : int, optional
+        Rings of triangles a lens surface, in place of the scene's tessellation.
 
     Raises
     ------
@@ -202,7 +173,7 @@ def build(scene: Scene) -> World:
     scene = solved(measured(scene))
     report = first_order(scene)
     waves = scene.transport.wavelengths_nm
-    shape = lens_shape(scene)
+    shape = lens_shape(scene, rings)
     targets = [target_mesh(target, scene) for target in scene.targets]
     slots = [*FIXED_SLOTS, *(f"lens[{i}] edge" for i in range(len(shape.elements)))]
     target_slots = np.arange(len(targets)) + len(slots)
@@ -219,46 +190,6 @@ def build(scene: Scene) -> World:
     tables = Tables(lens, array, sensor, objects, moves, _aim(scene, report, lens, array, targets, moves))
     finders = (Finder(lens_mesh), Finder(array_mesh_), Finder(object_mesh))
     return World(scene, report, tables, finders, slots, shape, targets, housing)
-
-
-def lens_shape(scene: Scene) -> LensShape:
-    """Return the meshes of a solved scene's main lens."""
-    prescription = scene.camera.lens
-    numbers = [i for i in range(len(prescription.surfaces)) if not prescription.is_pure_stop(i)]
-    media: list[float | str | None] = [None]
-    records = []
-    for i in numbers:
-        s = prescription.surfaces[i]
-        media.append(s.medium)
-        records.append(
-            surface(
-                s.radius_mm, s.conic, s.asphere_mm,
-                vertex_z=prescription.vertices_mm[i], aperture=s.semi_diameter_mm or np.inf, stop=s.stop,
-            )
-        )  # fmt: skip
-    surfaces = np.array(records)
-    given = [prescription.surfaces[i].mesh for i in numbers]
-    own = np.array([mesh is None for mesh in given])
-    rings = rings_for(surfaces, LEAST_RINGS[scene.transport.surface])
-    rims: list[float] = []
-    caps: list[Mesh] = []
-    for k, mesh in enumerate(given):
-        if mesh is None:
-            surfaces[k]["level"] = SURFACE_LEVEL[scene.transport.surface]
-            rims.append(rim_radius(surfaces[k], rings))
-            caps.append(cap(surfaces[k], rings, rims[k]))
-        else:
-            face = face_of(mesh, scene)
-            surfaces[k]["level"] = SURFACE_LEVEL[mesh.surface]
-            # A ring that starts a little inside the rim leaves no gap to a rim that is no circle.
-            rims.append((1.0 - 0.2 * RIM_MARGIN) * face.rim_mm)
-            shift = surfaces[k]["vertex_z"] - face.vertex_z
-            caps.append(Mesh(np.add(face.mesh.vertices, [0.0, 0.0, shift]), face.mesh.faces, face.mesh.corner_normals))
-    closures = [
-        revolved(ring_profile(surfaces[k], rims[k], surfaces[k + 1], rims[k + 1]), 6 * rings)
-        for k in range(len(numbers) - 1)
-    ]
-    return LensShape(numbers, surfaces, rings, rims, caps, closures, media, own)
 
 
 def _lens_tables(scene: Scene, shape: LensShape, waves: tuple[float, ...]) -> tuple[Mesh, LensTables]:

@@ -239,7 +239,8 @@ def _at_level(world: World, tables: Tables, level: int) -> Tables:
     """Return the tables with the analytic surfaces' facets standing for something else."""
     surfaces = tables.lens.surfaces.copy()
     surfaces["level"][world.lens_shape.analytic] = level
-    if level == PATCH and not len(tables.lens.patches):
+    bare = not len(tables.lens.patches) or (tables.array.present and not len(tables.array.patches))
+    if level == PATCH and bare:
         raise LfmeshError('surface = "patch": build the scene with transport.surface = "patch" for that')
     return tables._replace(lens=tables.lens._replace(surfaces=surfaces))
 

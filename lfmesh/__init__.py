@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from lfmesh.errors import FileError, GlassError, LfmeshError, MeshError, SceneError
     from lfmesh.files.run import open_run, save
+    from lfmesh.geometry.refractors import first_order
     from lfmesh.scene import (
         ArrayForm,
         Box,
@@ -31,13 +32,14 @@ if TYPE_CHECKING:
         Plane,
         PointLight,
         Pose,
+        Refractor,
         Scene,
         Sensor,
         Sphere,
         Surface,
         Target,
+        Tessellation,
         Transport,
-        first_order,
         load,
         loads,
         solved,
@@ -72,6 +74,7 @@ __all__ = [
     "PointLight",
     "Pose",
     "Progress",
+    "Refractor",
     "Scene",
     "SceneError",
     "Sensor",
@@ -79,6 +82,7 @@ __all__ = [
     "Status",
     "Surface",
     "Target",
+    "Tessellation",
     "Transport",
     "__version__",
     "build",
@@ -95,10 +99,11 @@ __all__ = [
 _HOMES = {
     "lfmesh.errors": ["FileError", "GlassError", "LfmeshError", "MeshError", "SceneError"],
     "lfmesh.files.run": ["open_run", "save"],
+    "lfmesh.geometry.refractors": ["first_order"],
     "lfmesh.scene": [
         *["Scene", "Camera", "Lens", "Surface", "MicrolensArray", "ArrayForm", "Sensor", "Pose", "Target"],
         *["Material", "Plane", "Disk", "Sphere", "Box", "Cylinder", "PointLight", "DirectionalLight"],
-        *["DiskLight", "Transport", "FirstOrder", "first_order", "load", "loads", "solved"],
+        *["DiskLight", "Transport", "Tessellation", "Refractor", "FirstOrder", "load", "loads", "solved"],
     ],
     "lfmesh.transport.image": ["Image"],
     "lfmesh.transport.ledger": ["Ledger"],

@@ -124,9 +124,12 @@ def check(scene: SceneFile, /) -> int:
 
     Exits with 0 if the scene can be rendered, whatever the warnings, and with 2 if it cannot.
     """
-    from lfmesh.scene import first_order, load
+    from lfmesh.geometry.lens_shape import mesh_lines
+    from lfmesh.geometry.refractors import first_order
+    from lfmesh.scene import load
 
-    print("\n".join(first_order(load(scene)).lines()))
+    loaded = load(scene)
+    print("\n".join([*first_order(loaded).lines(), *mesh_lines(loaded)]))
     return 0
 
 
@@ -202,7 +205,8 @@ def _one_paragraph(text: str) -> str:
 
 
 def _render(scene_file: Path, folder: Path, overrides: Overrides | None) -> int:
-    from lfmesh.scene import first_order, load
+    from lfmesh.geometry.refractors import first_order
+    from lfmesh.scene import load
 
     scene = _overridden(load(scene_file), overrides.given() if overrides else {})
     warnings = first_order(scene).warnings

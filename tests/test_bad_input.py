@@ -56,6 +56,11 @@ split = "transmit"
 GLB = ('file = "part.stl"\nunits = "mm"', 'file = "part.glb"')
 
 
+def opened(body: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
+    """A body's vertices and its faces but one."""
+    return np.asarray(body.vertices), np.asarray(body.faces)[1:]
+
+
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A working folder with a scene that renders: its mesh, its picture."""
@@ -195,10 +200,15 @@ SAID_BY_THE_FILES = {
         ("[transport]", '[transport]\nengine = "sequential"'),
         'transport.engine = "sequential"',
     ),
-    "curved patches": (
-        cut("part.stl", 1.0),
-        ("[transport]", '[transport]\nsurface = "patch"'),
-        'transport.surface = "patch"',
+    "an open mesh as a refractor": (
+        lambda folder: trimesh.Trimesh(*opened(trimesh.creation.box(extents=(20.0, 20.0, 20.0)))).export(
+            folder / "part.stl"
+        ),
+        (
+            'file = "part.stl"\nunits = "mm"',
+            'refractor = { file = "part.stl", units = "mm", index = 1.5 }',
+        ),
+        "a refractor must be a closed body; 3 of its edges join no second facet",
     ),
 }
 """What shows only when the scene is built."""

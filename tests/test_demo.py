@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.spatial import ConvexHull
 
 import lfmesh
 import lfmesh.transport.render
@@ -207,11 +208,10 @@ def bracket_on_the_picture(scene: Scene) -> np.ndarray:
 
 
 def around(outline: np.ndarray) -> np.ndarray:
-    """Return the bounding box of the outline and two pixels more, for blur."""
-    rows, columns = np.flatnonzero(outline.any(axis=1)), np.flatnonzero(outline.any(axis=0))
-    box = np.zeros_like(outline)
-    box[max(rows[0] - 2, 0) : rows[-1] + 3, max(columns[0] - 2, 0) : columns[-1] + 3] = True
-    return box
+    """Return the convex hull of the outline and two pixels more, for blur."""
+    sides = ConvexHull(np.argwhere(outline)).equations
+    distance = np.einsum("sk,krc->src", sides[:, :2], np.indices(outline.shape)) + sides[:, 2, None, None]
+    return np.asarray(distance.max(axis=0) <= 2.0)
 
 
 def test_the_demo_command_writes_every_picture(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,6 +26,7 @@ SURFACE = np.dtype(
         ("vertex_z", "f8"),
         ("aperture", "f8"),  # semi-diameter of the clear aperture
         ("stop", "i8"),  # 1: outside the aperture is the stop, 0: the mount
+        ("level", "i8"),  # what a facet of its mesh stands for; the tracer says what the number means
     ]
 )
 

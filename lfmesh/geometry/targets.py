@@ -11,6 +11,7 @@ from lfmesh.geometry.frame import frame
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, joined
 from lfmesh.geometry.mesh_file import Piece, load_mesh
 from lfmesh.geometry.primitives import primitive
+from lfmesh.geometry.refractors import solid_mesh
 from lfmesh.geometry.texture import Texture, load_texture
 from lfmesh.geometry.weld import welded
 from lfmesh.scene import Scene, Target
@@ -52,6 +53,10 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
     FileError
         The texture is no picture.
     """
+    if target.refractor is not None:
+        glass = target.refractor
+        body = solid_mesh(scene.resolve(glass.file), glass.units, glass.crease_deg)
+        return TargetMesh(body.moved(frame(target.rotation_deg, target.position_mm)), None, None, True)
     if target.shape is not None:
         name = str(target.shape.kind)
         pieces = [Piece(*primitive(target.shape))]

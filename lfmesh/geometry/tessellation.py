@@ -4,6 +4,7 @@ All caps of one lens have the same number of rings of triangles, so that the rim
 same number of vertices at the same azimuths and a ring joins them without a gap.
 """
 
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -23,6 +24,7 @@ ANNULUS_LEAN = 0.05
 """Rise of a ring's annulus over the length of its cylinder."""
 
 
+@cache
 def disk_pattern(rings: int) -> tuple[Index, Array, Index]:
     """Return the topology of a disk: (v,) ring of each vertex, (v,) azimuth in rad, (f, 3) faces facing +z.
 

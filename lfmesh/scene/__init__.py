@@ -7,12 +7,13 @@ from lfmesh.scene.lens import Lens, Surface
 from lfmesh.scene.lights import DirectionalLight, DiskLight, Light, PointLight
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.scene.pose import Pose
+from lfmesh.scene.refractor import MeshFace, MeshShape, Refractor
 from lfmesh.scene.report import FirstOrder, first_order
 from lfmesh.scene.scene import Scene
 from lfmesh.scene.sensor import Sensor
 from lfmesh.scene.solve import solved
 from lfmesh.scene.targets import Box, Cylinder, Disk, Material, Plane, Shape, Sphere, Target
-from lfmesh.scene.transport import Transport
+from lfmesh.scene.transport import Tessellation, Transport
 
 __all__ = [
     "ArrayForm",
@@ -26,17 +27,21 @@ __all__ = [
     "Lens",
     "Light",
     "Material",
+    "MeshFace",
+    "MeshShape",
     "MicrolensArray",
     "Paraxial",
     "Plane",
     "PointLight",
     "Pose",
+    "Refractor",
     "Scene",
     "Sensor",
     "Shape",
     "Sphere",
     "Surface",
     "Target",
+    "Tessellation",
     "Transport",
     "first_order",
     "load",

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from lfmesh.optics.glass import AIR
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.quantities import Flag, GlassName, Index, NonNegative, Number, Positive, Radius, Text
+from lfmesh.scene.refractor import MeshFace, Refractor
 
 # Sags of neighbouring surfaces are compared at this many heights.
 _HEIGHTS = 256
@@ -32,6 +33,13 @@ class Surface(Model):
     """Conic constant: 0 sphere, −1 paraboloid, below −1 hyperboloid, above −1 ellipsoid."""
     asphere_mm: tuple[Number, ...] = ()
     """Even aspheric coefficients of r⁴, r⁶, r⁸, ..., in mm⁻³, mm⁻⁵, mm⁻⁷, ..., so that the sag is in mm."""
+
+    refractor: Refractor | None = None
+    """In place of all of the above but `thickness_mm` and `semi_diameter_mm`: a whole element whose shape is a mesh,
+    its axis the mesh's z axis. `thickness_mm` is then the distance from its last vertex to what follows."""
+    mesh: MeshFace | None = None
+    """A mesh that gives this surface its real shape; radius and asphere are then its best fit, for first-order
+    optics."""
 
     @property
     def medium(self) -> float | str | None:
@@ -62,6 +70,9 @@ class Surface(Model):
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong with this surface by itself."""
+        if self.refractor is not None:
+            yield from self._element_faults()
+            return
         if self.semi_diameter_mm is not None and self.semi_diameter_mm > self.reach_mm * (1 + 1e-12):
             yield Fault(
                 ("semi_diameter_mm",),
@@ -71,6 +82,12 @@ class Surface(Model):
             )
         if self.index is not None and self.glass is not None:
             yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
+
+    def _element_faults(self) -> Iterator[Fault]:
+        own = {"radius_mm": math.inf, "index": None, "glass": None, "stop": False, "conic": 0.0, "asphere_mm": ()}
+        for key, value in {**own, "mesh": None}.items():
+            if getattr(self, key) != value:
+                yield Fault((key,), getattr(self, key), "omit it: the refractor is a whole element")
 
 
 class Lens(Model):
@@ -145,7 +162,7 @@ class Lens(Model):
             )
         for i, surface in enumerate(self.surfaces):
             sized = surface.stop and (self.stop_semi_diameter_mm is not None or self.f_number is not None)
-            if surface.semi_diameter_mm is None and not sized:
+            if surface.semi_diameter_mm is None and not sized and surface.refractor is None:
                 yield Fault(("surfaces", i, "semi_diameter_mm"), None, "missing: the radius of the clear aperture")
 
     def _spacing_faults(self) -> Iterator[Fault]:
@@ -165,6 +182,8 @@ class Lens(Model):
     def _crossing(self, number: int) -> Iterator[Fault]:
         """Compare the sags of a surface and the next over the aperture they share."""
         front, back = self.surfaces[number], self.surfaces[number + 1]
+        if front.refractor is not None or back.refractor is not None:
+            return
         apertures = [a for a in (self.aperture_mm(number), self.aperture_mm(number + 1)) if a is not None]
         if not apertures:
             return

@@ -120,6 +120,12 @@ class Scene(Model):
             (("camera", "lens", "surfaces", i, "glass"), surface.medium)
             for i, surface in enumerate(self.camera.lens.surfaces)
         ]
+        for i, surface in enumerate(self.camera.lens.surfaces):
+            if surface.refractor is not None:
+                media.append((("camera", "lens", "surfaces", i, "refractor", "glass"), surface.refractor.medium))
+        for i, target in enumerate(self.targets):
+            if target.refractor is not None:
+                media.append((("targets", i, "refractor", "glass"), target.refractor.medium))
         if self.camera.mla is not None:
             media.append((("camera", "mla", "glass"), self.camera.mla.medium))
         for where, medium in media:

@@ -33,6 +33,12 @@ def solved(scene: Scene) -> Scene:
     primary = scene.transport.primary_nm
     camera = scene.camera
     lens = with_lens_file(camera.lens, scene.folder)
+    for i, surface in enumerate(lens.surfaces):
+        if surface.refractor is not None:
+            raise SceneError(
+                f"camera.lens.surfaces[{i}].refractor: its faces are not measured yet; lf.first_order, lf.build and "
+                "lf.render do that, or see lfmesh.geometry.refractors.measured"
+            )
     if lens is not camera.lens:
         # The lens came after the scene was checked: check the two together.
         scene = scene.changed({"camera.lens": lens.model_dump()})

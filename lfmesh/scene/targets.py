@@ -1,18 +1,13 @@
 """What the camera looks at: primitive shapes and mesh files, with their material."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from lfmesh.scene.model import Fault, Model, nearest
+from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.quantities import FilePath, FractionOfOne, NonNegative, Positive, Text, Vector
-
-UNITS_IN_FILE = (".glb", ".gltf")
-"""Formats whose standard fixes the unit of length."""
-UNITS_MISSING = (".stl", ".obj", ".ply", ".off")
-"""Formats that carry no unit."""
+from lfmesh.scene.refractor import Refractor, Units, mesh_file_faults
 
 
 class Plane(Model):
@@ -88,7 +83,7 @@ class Target(Model):
     """A primitive shape. Or give `file`."""
     file: FilePath | None = None
     """A mesh file (STL, OBJ, PLY, OFF, GLB, glTF), relative to the scene file."""
-    units: Literal["um", "mm", "cm", "m", "inch", "foot"] | None = None
+    units: Units | None = None
     """Unit of length of the mesh file; required where the format carries none."""
     position_mm: Vector = (0.0, 0.0, 0.0)
     """Where the target's own origin lies, in mm."""
@@ -96,23 +91,24 @@ class Target(Model):
     """Rotations about x, then y, then z, in degrees."""
     material: Material = Field(default_factory=Material)
     """Of the whole surface."""
+    refractor: Refractor | None = None
+    """A closed body of glass from a mesh file, in place of shape or file; it has no material."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""
+        if self.refractor is not None:
+            for key in ("shape", "file", "units"):
+                if getattr(self, key) is not None:
+                    yield Fault((key,), getattr(self, key), "a refractor is given too; give one of them")
+            if self.material != Material():
+                yield Fault(("material",), None, "glass has none: it only reflects and refracts; omit it")
+            return
         if self.shape is not None and self.file is not None:
             yield Fault(("file",), self.file, "a shape is given too; give one of them")
         elif self.file is None:
             if self.shape is None:
-                yield Fault(("shape",), None, 'missing: give shape = { kind = ... } or file = "..."')
+                yield Fault(("shape",), None, 'missing: give shape = { kind = ... }, or file = "...", or refractor')
             elif self.units is not None:
                 yield Fault(("units",), self.units, "only for a mesh file; the sizes of a shape are in mm")
         else:
-            yield from self._file_faults(self.file)
-
-    def _file_faults(self, file: str) -> Iterator[Fault]:
-        ending = Path(file).suffix.lower()
-        known = (*UNITS_MISSING, *UNITS_IN_FILE)
-        if ending not in known:
-            yield Fault(("file",), file, f"must end in one of {', '.join(known)}{nearest(ending, known)}")
-        elif self.units is None and ending in UNITS_MISSING:
-            yield Fault(("units",), None, f'missing: {ending[1:].upper()} files carry no unit; give units = "mm", say')
+            yield from mesh_file_faults(self.file, self.units)

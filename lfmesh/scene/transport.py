@@ -9,6 +9,19 @@ from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.quantities import Count, Positive, Whole
 
 
+class Tessellation(Model):
+    """How finely the lens's surfaces are meshed.
+
+    Without a tolerance the meshes follow the scene: with `exact` they are as coarse as the smallest gap between two
+    surfaces allows, with the other levels so fine that their estimated error at the sensor is below a tenth of a pixel.
+    """
+
+    sag_mm: Positive | None = None
+    """Largest distance between surface and mesh along the axis, in mm."""
+    normal_mrad: Positive | None = None
+    """Largest rms error of the normals that bend the rays, in mrad."""
+
+
 class Transport(Model):
     """The settings of a render."""
 
@@ -21,6 +34,8 @@ class Transport(Model):
     surface: Literal["flat", "smooth", "patch", "exact"] = "exact"
     """What a facet stands for: itself, itself with smooth normals, a curved patch, or the analytic
     surface."""
+    tessellation: Tessellation = Field(default_factory=Tessellation)
+    """How finely the lens is meshed."""
     split: Literal["both", "roulette", "transmit"] = "both"
     """At an interface follow both children, one by chance, or the refracted one alone."""
     samples: Count = 64

@@ -61,6 +61,7 @@ def launch_adjoint(
     packet = template[0]
     packet.wave = wave
     packet.last = NO_SURFACE
+    packet.column = NO_SURFACE
     packet.facet = NO_SURFACE
     packet.kind = CAMERA
     packet.events = 0

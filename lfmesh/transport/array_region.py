@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.lattice import cell_of, centre, is_inside, leaves_at, neighbour, stays_inside
 from lfmesh.geometry.lenslets import border_sag, cap_sag, shape_of, type_of
+from lfmesh.geometry.levels import EXACT, FLAT, PATCH, SMOOTH
 from lfmesh.geometry.surface import conic_distance
 from lfmesh.kernel import kernel
 from lfmesh.optics.fresnel import fresnel
@@ -23,6 +24,7 @@ from lfmesh.transport.crossing import (
     end,
     end_here,
     facet_normal,
+    meets_patch,
     move_packet,
     record,
     reflected,
@@ -41,7 +43,6 @@ from lfmesh.transport.packet import (
     E_REFLECTED,
     E_TRANSMITTED,
     EVENTS,
-    EXACT,
     FLAT_FACE,
     LENS,
     PLATE,
@@ -284,8 +285,15 @@ def shade_cells(
             met = met and 0.0 < t <= layer * (1.0 + 1e-12)
         else:
             met = crossed and t > 0.0
+            if met and options.surface == PATCH:
+                _, more, nx, ny, nz = meets_patch(
+                    flow, array.patches, array.across, array.facets[prim], prim,
+                    x + t * dx - fold_x, y + t * dy - fold_y, z + t * dz, dx, dy, dz,
+                )  # fmt: skip
+                t += more
+                met = t > 0.0
         if met and t <= sideways * (1.0 + 1e-12):
-            if options.surface != EXACT:
+            if options.surface == FLAT or options.surface == SMOOTH:
                 nx, ny, nz = facet_normal(
                     options.surface, array.facets[prim], x + t * dx - fold_x, y + t * dy - fold_y, z + t * dz
                 )

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
+from lfmesh.geometry.levels import FLAT
+from lfmesh.geometry.patch import hit_patch
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.packet import (
     BOTH,
@@ -18,7 +20,7 @@ from lfmesh.transport.packet import (
     ENDED,
     ENDS_AT,
     EVENT_OF_STATUS,
-    FLAT,
+    FALLBACKS,
     LOST_CONTRADICTION,
     LOST_MISS,
     NODES,
@@ -109,6 +111,9 @@ def split_shares(
         if uniform(packet.key, dimension + CHOOSE) * (reflectance + transmittance) < reflectance:
             return weight, 0.0
         return 0.0, weight
+    if transmittance == 0.0:
+        # Under total reflection the reflected child is the path.
+        return weight, 0.0
     book[UNFOLLOWED] += weight * reflectance
     return 0.0, weight * transmittance
 
@@ -263,6 +268,24 @@ def facet_normal(level: int, facet: Any, x: float, y: float, z: float) -> tuple[
     nz = u * at[0, 2] + v * at[1, 2] + w * at[2, 2]
     scale = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz)
     return nx * scale, ny * scale, nz * scale
+
+
+@kernel
+def meets_patch(
+    flow: Flow, patches: Array, across: NDArray[np.int64], facet: Any, prim: int,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float,
+) -> tuple[bool, float, float, float, float]:  # fmt: skip
+    """Return where a ray, given where it crosses a facet, meets the curved surface there: t and the normal.
+
+    Where no patch is met the facet itself has to do; that is counted.
+    """
+    b, c = barycentric(facet, x, y, z)
+    met, t, nx, ny, nz = hit_patch(patches, across, prim, b, c, x, y, z, dx, dy, dz)
+    if met:
+        return True, t, nx, ny, nz
+    flow.counts[FALLBACKS] += 1
+    normal = facet.normal
+    return False, 0.0, normal[0], normal[1], normal[2]
 
 
 @kernel

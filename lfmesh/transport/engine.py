@@ -16,6 +16,7 @@ from lfmesh.transport.lens_region import admit_to_lens, shade_lens
 from lfmesh.transport.object_region import admit_to_objects, shade_objects
 from lfmesh.transport.packet import (
     CELLS,
+    COUNTERS,
     DEPOSIT,
     DEPOSITS,
     END,
@@ -57,7 +58,7 @@ class Workspace:
         self.nodes = np.zeros(0, NODE)
         self.template = np.zeros(1, PACKET)
         self.book = np.zeros(len(world.slots))
-        self.counts = np.zeros(2, np.int64)
+        self.counts = np.zeros(COUNTERS, np.int64)
         self.film = np.zeros((0, 1))
         self.embree_seconds = 0.0
         self.queries = 0

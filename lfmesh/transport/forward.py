@@ -42,6 +42,7 @@ def launch_forward(
     packet = template[0]
     packet.wave = wave
     packet.last = NO_SURFACE
+    packet.column = NO_SURFACE
     for number in range(first, first + count):
         key = derived(replicate_key, number)
         packet.source = number

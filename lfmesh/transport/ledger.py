@@ -35,6 +35,8 @@ class Ledger:
     """Packets started."""
     events: int = 0
     """Ray-surface events shaded."""
+    fallbacks: int = 0
+    """`patch`: hits for which a flat facet had to do."""
     requeries: int = 0
     """Hits that float64 refused and that were queried again."""
     reached_target: float = 0.0

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.levels import EXACT, PATCH
 from lfmesh.geometry.surface import distance_to, normal_at
 from lfmesh.kernel import kernel
 from lfmesh.optics.fresnel import fresnel
@@ -18,6 +19,7 @@ from lfmesh.transport.crossing import (
     end,
     end_here,
     facet_normal,
+    meets_patch,
     move_packet,
     record,
     reflected,
@@ -31,7 +33,6 @@ from lfmesh.transport.packet import (
     E_REFLECTED,
     E_TRANSMITTED,
     EVENTS,
-    EXACT,
     HOUSING,
     LEFT_LENS,
     LENS,
@@ -120,6 +121,8 @@ def leave_lens(
     child = put(flow.stacks, flow.tops, station, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
     child.last = LEFT_LENS
     child.facet = NO_SURFACE
+    if space == 0:
+        child.column = NO_SURFACE
 
 
 @kernel
@@ -159,23 +162,31 @@ def shade_lens(
         forward = k == space
         met = (forward and along > 0.0) or (k == space - 1 and along < 0.0)
         surface = surfaces[k if met else 0]
+        level = surface.level
         t = at_facet
         px, py, pz = x + t * dx, y + t * dy, z + t * dz - surface.vertex_z
         nx, ny, nz = normal[0], normal[1], normal[2]
-        if met and options.surface == EXACT:
+        if met and level == EXACT:
             met, more = distance_to(surface, px, py, pz, dx, dy, dz, 1.0 if forward else -1.0)
             t += more
             px, py, pz = px + more * dx, py + more * dy, pz + more * dz
             nx, ny, nz = normal_at(surface, px, py, pz)
             met = met and t > 0.0
+        elif met and level == PATCH:
+            met, more, nx, ny, nz = meets_patch(
+                flow, lens.patches, lens.across, facet, prim, px, py, pz + surface.vertex_z, dx, dy, dz
+            )
+            t += more
+            px, py, pz = px + more * dx, py + more * dy, pz + more * dz
+            met = t > (0.0 if met else 0.25 * packet.query_from)
         elif met:
             met = t > 0.25 * packet.query_from
             if met:
-                nx, ny, nz = facet_normal(options.surface, facet, px, py, pz + surface.vertex_z)
+                nx, ny, nz = facet_normal(level, facet, px, py, pz + surface.vertex_z)
         cos_i = nx * dx + ny * dy + nz * dz
         if met and (cos_i > 0.0) != forward:
             # An interpolated normal may look away from a grazing ray, and its facet then decides; an exact one may not.
-            met = options.surface != EXACT
+            met = level != EXACT
             nx, ny, nz, cos_i = normal[0], normal[1], normal[2], along
         if not met:
             ask_again(options, flow, frames, LENS, packet, behind(facet, packet, at_facet), False)

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
+from lfmesh.geometry.levels import PATCH
 from lfmesh.kernel import kernel
+from lfmesh.optics.fresnel import fresnel
 from lfmesh.optics.scattering import lambertian, tangents
 from lfmesh.transport.aiming import aimed
 from lfmesh.transport.crossing import (
@@ -31,8 +33,13 @@ from lfmesh.transport.crossing import (
     draw,
     end,
     end_here,
+    facet_normal,
+    meets_patch,
     move_packet,
     record,
+    reflected,
+    refracted,
+    split_shares,
     too_deep,
     windowed,
     write_query,
@@ -41,7 +48,9 @@ from lfmesh.transport.lens_region import box_entry
 from lfmesh.transport.packet import (
     CAMERA,
     CAMERA_FRAME,
+    E_REFLECTED,
     E_SCATTERED,
+    E_TRANSMITTED,
     ESCAPED,
     EVENTS,
     HOUSING,
@@ -53,6 +62,7 @@ from lfmesh.transport.packet import (
     NO_SURFACE,
     OBJECT_FRAME,
     OBJECTS,
+    ON_GLASS,
     ON_TARGET,
     REACHED,
     S_ABSORBED,
@@ -62,6 +72,7 @@ from lfmesh.transport.packet import (
     SAMPLING_REMOVED,
     SCATTERED,
     SHADOW,
+    SPECULAR,
     Flow,
     Options,
     put,
@@ -121,6 +132,12 @@ def shade_objects(
                 again = behind(facet, packet, t if t > 0.0 else 0.0)
                 ask_again(options, flow, frames, OBJECTS, packet, again, False)
                 continue
+            body = facet.body
+            if body >= 0 and objects.glass[body, packet.wave] > 0.0 and packet.kind != SHADOW:
+                inside = packet.column == body
+                if (along > 0.0) != inside or not (inside or packet.column < 0):
+                    ask_again(options, flow, frames, OBJECTS, packet, behind(facet, packet, t), False)
+                    continue
         if packet.kind == SHADOW:
             if t >= packet.limit:
                 deposit(options, flow, packet.source, packet.wave, packet.weight)
@@ -129,7 +146,7 @@ def shade_objects(
             px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
             ex, ey, ez = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, dx, dy, dz)
             if box_entry(lens.box_low, lens.box_high, px, py, pz, ex, ey, ez) < t:
-                if options.adjoint or packet.kind == CAMERA:
+                if options.adjoint or packet.kind == CAMERA or packet.kind == SPECULAR:
                     child = put(
                         flow.stacks,
                         flow.tops,
@@ -157,11 +174,18 @@ def shade_objects(
                 # that was not aimed brings there already.
                 flow.book[SAMPLING_REMOVED] += packet.weight
                 continue
+        if prim < 0 and packet.column >= 0:
+            ask_again(options, flow, frames, OBJECTS, packet, packet.query_from, True)
+            continue
         if prim < 0:
             end_here(options, flow, frames, packet, ESCAPED, S_ESCAPED)
             continue
-        x, y, z = x + t * dx, y + t * dy, z + t * dz
         body = facet.body
+        if body >= 0 and objects.glass[body, packet.wave] > 0.0:
+            if not too_deep(options, flow, frames, packet):
+                _through_glass(options, flow, frames, objects, packet, prim, t)
+            continue
+        x, y, z = x + t * dx, y + t * dy, z + t * dz
         weight = packet.weight
         slot = HOUSING if body < 0 else objects.target_slot[body]
         if body < 0 or options.tracing:
@@ -195,6 +219,64 @@ def shade_objects(
             continue
         packet.events += 1
         scatter(options, flow, frames, objects, aim, packet, prim, x, y, z, side, scattered)
+
+
+@kernel
+def _through_glass(
+    options: Options, flow: Flow, frames: Array, objects: ObjectTables, packet: Any, prim: int, t: float
+) -> None:
+    """Split a packet at a facet of a glass body, which it meets at t."""
+    facet = objects.facets[prim]
+    body = facet.body
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    x, y, z = packet.x + t * dx, packet.y + t * dy, packet.z + t * dz
+    entering = packet.column < 0
+    level = objects.level[body]
+    if level == PATCH:
+        met, more, nx, ny, nz = meets_patch(flow, objects.patches, objects.across, facet, prim, x, y, z, dx, dy, dz)
+        if met and t + more <= 0.0:
+            ask_again(options, flow, frames, OBJECTS, packet, behind(facet, packet, t), False)
+            return
+        x, y, z = x + more * dx, y + more * dy, z + more * dz
+    else:
+        nx, ny, nz = facet_normal(level, facet, x, y, z)
+    cos_i = nx * dx + ny * dy + nz * dz
+    if (cos_i < 0.0) != entering:
+        # A bent normal may look away from a grazing ray; its facet then decides.
+        normal = facet.normal
+        nx, ny, nz = normal[0], normal[1], normal[2]
+        cos_i = nx * dx + ny * dy + nz * dz
+    if cos_i < 0.0:
+        nx, ny, nz, cos_i = -nx, -ny, -nz, -cos_i
+    cos_i = min(cos_i, 1.0)
+    glass = objects.glass[body, packet.wave]
+    n_i, n_t = (1.0, glass) if entering else (glass, 1.0)
+    flow.counts[EVENTS] += 1
+    reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
+    to_reflected, to_refracted = split_shares(options, flow.book, packet, reflectance, transmittance)
+    packet.events += 1
+    packet.facet = NO_SURFACE
+    packet.last = NO_SURFACE
+    if packet.kind != LAMP:
+        packet.kind = SPECULAR
+    parent, key = packet.node, packet.key
+    for child in range(2):
+        refracts = child == 1
+        weight = to_refracted if refracts else to_reflected
+        if weight <= 0.0:
+            continue
+        if refracts:
+            ux, uy, uz = refracted(dx, dy, dz, nx, ny, nz, n_i / n_t, cos_i, cos_t)
+        else:
+            ux, uy, uz = reflected(dx, dy, dz, nx, ny, nz)
+        if options.record:
+            event = E_TRANSMITTED if refracts else E_REFLECTED
+            packet.node = record(flow, frames, OBJECT_FRAME, x, y, z, weight, ON_GLASS, event, parent)
+        packet.column = body if refracts == entering else NO_SURFACE
+        put(
+            flow.stacks, flow.tops, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, weight,
+            key if refracts else derived(key, packet.events), clear_of(facet, x, y, z, ux, uy, uz),
+        )  # fmt: skip
 
 
 @kernel

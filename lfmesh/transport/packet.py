@@ -26,6 +26,7 @@ CAMERA_FRAME, ARRAY_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME = 0, 1, 2, 3,
 CAMERA = 0  # on the camera's path: leaves the sensor (adjoint), or was aimed at the lens (forward)
 LAMP = 1  # straight from a light
 SCATTERED = 2  # left a target in a random direction
+SPECULAR = 4  # went through or off glass in object space; may reach the lens without having been aimed
 SHADOW = 3  # asks whether a light reaches a point; carries what it adds to the pixel if so
 
 # Slots of the book; bodies follow after the last.
@@ -37,7 +38,8 @@ UNFOLLOWED, REACHED, LIT, BESIDE_SENSOR, HOUSING, STOP, MOUNT, ARRAY_MOUNT, ARRA
 FIRST_BODY = 21
 
 # Counters.
-EVENTS, REQUERIES = 0, 1
+EVENTS, REQUERIES, FALLBACKS = 0, 1, 2
+COUNTERS = 3
 
 # Tops: how many entries of each growing table are in use; the first are the stations' stacks.
 DEPOSITS, ENDED, NODES = STATIONS, STATIONS + 1, STATIONS + 2
@@ -76,8 +78,9 @@ E_START, E_TRANSMITTED, E_REFLECTED, E_SCATTERED = 0, 1, 2, 3
 S_SENSOR, S_ABSORBED, S_ESCAPED, S_TARGET, S_DEPTH, S_LOST = 0, 1, 2, 3, 4, 5
 EVENT_OF_STATUS = np.array([4, 5, 6, 7, 8, 9, 5])
 
-# Numbers in a recorded vertex's `surface`: below 1000 a refracting surface of the lens.
-CURVED_FACE, FLAT_FACE, ON_TARGET, ENDS_AT = 1000, 1001, 1002, 2000  # ENDS_AT + slot: where a packet ended
+# Numbers in a recorded vertex's `surface`: below 1000 a refracting surface of the lens; ENDS_AT + slot: where a
+# packet ended.
+CURVED_FACE, FLAT_FACE, ON_TARGET, ON_GLASS, ENDS_AT = 1000, 1001, 1002, 1003, 2000
 
 NO_SURFACE = -1
 LEFT_LENS = -2
@@ -95,7 +98,7 @@ PACKET = np.dtype(
         ("key", "u8"),
         ("source", "i8"),  # pixel (adjoint), packet (forward) or ray (trace) it descends from
         ("node", "i8"),  # its last recorded vertex
-        ("column", "i4"), ("row", "i4"),  # cell of the array
+        ("column", "i4"), ("row", "i4"),  # cell of the array; in object space column is the glass body it is in, or −1
         ("facet", "i4"),  # target facet it left
         ("last", "i2"),  # lens surface it left
         ("wave", "i2"),  # wavelength
@@ -154,8 +157,6 @@ class Options(NamedTuple):
     first_source: int  # film row 0
 
 
-# Options.surface
-FLAT, SMOOTH, EXACT = 0, 1, 2
 # Options.split
 BOTH, ROULETTE, TRANSMIT = 0, 1, 2
 

@@ -18,7 +18,7 @@ from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.forward import launch_forward
 from lfmesh.transport.image import Image
 from lfmesh.transport.ledger import Ledger
-from lfmesh.transport.packet import DEPOSITS
+from lfmesh.transport.packet import COUNTERS, DEPOSITS
 from lfmesh.transport.progress import Progress
 from lfmesh.transport.random import descendant
 from lfmesh.transport.settings import ledger_of, options_of
@@ -185,7 +185,7 @@ class Renderer:
         )
 
     def _tally(self) -> Tally:
-        return Tally(np.zeros(len(self.world.slots)), np.zeros(2, np.int64))
+        return Tally(np.zeros(len(self.world.slots)), np.zeros(COUNTERS, np.int64))
 
     def _replicate(self, pool: ThreadPoolExecutor, replicate: int, film: NDArray[np.float64], began: float) -> Tally:
         """Trace one replicate onto an empty film; the chunks' results are merged in their order."""

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.levels import SURFACE_LEVEL
 from lfmesh.transport.ledger import Ledger
 from lfmesh.transport.packet import (
     BOTH,
@@ -12,8 +13,7 @@ from lfmesh.transport.packet import (
     EMITTED,
     ESCAPED,
     EVENTS,
-    EXACT,
-    FLAT,
+    FALLBACKS,
     LIT,
     LOST_CONTRADICTION,
     LOST_MISS,
@@ -25,13 +25,11 @@ from lfmesh.transport.packet import (
     ROULETTE_REMOVED,
     SAMPLING_ADDED,
     SAMPLING_REMOVED,
-    SMOOTH,
     TRANSMIT,
     Options,
 )
 from lfmesh.transport.world import World
 
-SURFACE_LEVEL = {"flat": FLAT, "smooth": SMOOTH, "exact": EXACT}
 SPLIT_MODE = {"both": BOTH, "roulette": ROULETTE, "transmit": TRANSMIT}
 
 
@@ -80,6 +78,7 @@ def ledger_of(book: NDArray[np.float64], counts: NDArray[np.int64], world: World
         packets=packets,
         events=int(counts[EVENTS]),
         requeries=int(counts[REQUERIES]),
+        fallbacks=int(counts[FALLBACKS]),
         reached_target=float(book[REACHED]),
         lit=float(book[LIT]),
     )

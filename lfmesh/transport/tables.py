@@ -20,6 +20,8 @@ class LensTables(NamedTuple):
     """
 
     surfaces: Records  # (K,) SURFACE
+    patches: Array  # (m, 6, 3) curved facets, (0, 6, 3) where the level needs none
+    across: NDArray[np.int64]  # (m, 3) their neighbours
     facets: Records  # (m,) FACET; body: surface k ≥ 0, or −1 − s for the ring of space s
     indices: Array  # (K + 1, wavelengths)
     ring_slot: NDArray[np.int64]  # (K + 1,) book slot of each space's ring
@@ -38,6 +40,8 @@ class ArrayTables(NamedTuple):
 
     present: bool
     lenslets: Lenslets
+    patches: Array  # as the lens's
+    across: NDArray[np.int64]
     facets: Records  # (m,) FACET of the cells of all types, side by side
     type_shift: float  # x distance of two types' cells in the Embree scene
     indices: Array  # (wavelengths,) of the glass
@@ -60,6 +64,10 @@ class ObjectTables(NamedTuple):
     closed: NDArray[np.bool_]  # (targets,) scatters and emits outside only
     reflectance: Array  # (targets, wavelengths)
     radiance: Array  # (targets, wavelengths) W/(m² sr)
+    glass: Array  # (targets, wavelengths) refractive index; 0: opaque
+    level: NDArray[np.int64]  # (targets,) what a facet of glass stands for
+    patches: Array  # (m, 6, 3), or none
+    across: NDArray[np.int64]
     texture: NDArray[np.int64]  # (targets, 3): first value, height, width; height 0: none
     texels: NDArray[np.float32]  # (values, wavelengths)
     target_slot: NDArray[np.int64]  # (targets,)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.surface import sag
 from lfmesh.kernel import kernel
 from lfmesh.optics.glass import refractive_index
@@ -19,6 +20,7 @@ from lfmesh.transport.packet import (
     ARRAY_FRAME,
     CAMERA,
     CAMERA_FRAME,
+    COUNTERS,
     EMITTED,
     END,
     ENDED,
@@ -39,7 +41,7 @@ from lfmesh.transport.packet import (
 )
 from lfmesh.transport.packet import E_START as STARTED
 from lfmesh.transport.random import derived, descendant
-from lfmesh.transport.settings import SPLIT_MODE, SURFACE_LEVEL, ledger_of, options_of
+from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
 from lfmesh.transport.tables import Tables
 from lfmesh.transport.world import World
 
@@ -164,7 +166,7 @@ def trace(
     ):
         if not valid:
             raise LfmeshError(f"{name} = {value!r}: must be {wish}")
-    tables = _at_wavelength(world, wavelength_nm)
+    tables = _at_level(world, _at_wavelength(world, wavelength_nm), options.surface)
     station, space, p, d = _located(world, p, d)
     local = threading.local()
     key = descendant(0x7472616365, seed)
@@ -254,7 +256,23 @@ def _at_wavelength(world: World, wavelength_nm: float) -> Tables:
     mla = world.scene.camera.mla
     index = np.array([[refractive_index(medium, wavelength_nm)] for medium in world.lens_shape.media])
     glass = np.array([refractive_index(mla.medium, wavelength_nm) if mla is not None else 1.0])
-    return tables._replace(lens=tables.lens._replace(indices=index), array=tables.array._replace(indices=glass))
+    bodies = [t.refractor for t in world.scene.targets]
+    own = [[refractive_index(b.medium, wavelength_nm) if b is not None else 0.0] for b in bodies]
+    return tables._replace(
+        lens=tables.lens._replace(indices=index),
+        array=tables.array._replace(indices=glass),
+        objects=tables.objects._replace(glass=np.array(own).reshape(-1, 1)),
+    )
+
+
+def _at_level(world: World, tables: Tables, level: int) -> Tables:
+    """Return the tables with the analytic surfaces' facets standing for something else."""
+    surfaces = tables.lens.surfaces.copy()
+    surfaces["level"][world.lens_shape.analytic] = level
+    bare = not len(tables.lens.patches) or (tables.array.present and not len(tables.array.patches))
+    if level == PATCH and bare:
+        raise LfmeshError('surface = "patch": build the scene with transport.surface = "patch" for that')
+    return tables._replace(lens=tables.lens._replace(surfaces=surfaces))
 
 
 def _located(
@@ -306,6 +324,7 @@ def _launch_rays(
     packet.kind = CAMERA
     packet.facet = NO_SURFACE
     packet.last = NO_SURFACE
+    packet.column = NO_SURFACE
     packet.start = 1.0
     packet.events = 0
     for i in range(len(p)):
@@ -349,7 +368,7 @@ def _paths(
     ended = np.concatenate(all_ended)
     ended = ended[np.argsort(ended["source"], kind="stable")]
     book = np.sum([part[2] for part in parts], axis=0) if parts else np.zeros(len(world.slots))
-    counts = np.sum([part[3] for part in parts], axis=0) if parts else np.zeros(2, np.int64)
+    counts = np.sum([part[3] for part in parts], axis=0) if parts else np.zeros(COUNTERS, np.int64)
     return Paths(
         ended["position"].copy(),
         ended["direction"].copy(),

@@ -1,88 +1,43 @@
 """From a scene to what rays can meet: meshes, Embree scenes, and the tables that the kernels read."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError, SceneError
-from lfmesh.geometry import frame as frames
-from lfmesh.geometry.lattice import ROW_SPACING, Lattice
-from lfmesh.geometry.lenslets import OFFSET, Lenslets, array_mesh, cell_mesh, lenslets
-from lfmesh.geometry.mesh import Array, Mesh, facet_normals, facet_table, joined
+from lfmesh.geometry.lens_shape import LensShape, lens_shape
+from lfmesh.geometry.lenslets import array_mesh
+from lfmesh.geometry.mesh import Array, Mesh, joined
+from lfmesh.geometry.refractors import measured
 from lfmesh.geometry.surface import sag, surface
 from lfmesh.geometry.targets import TargetMesh, target_mesh
 from lfmesh.geometry.tessellation import (
-    cap,
     element,
     revolved,
-    rim_radius,
-    ring_profile,
-    rings_for,
 )
-from lfmesh.geometry.texture import wavelength_weights
-from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene, first_order, solved
+from lfmesh.transport.aim_table import aim_table
 from lfmesh.transport.embree import Finder
+from lfmesh.transport.frame_table import frame_table
+from lfmesh.transport.lens_tables import array_tables, lens_tables
+from lfmesh.transport.object_tables import housing_mesh, middle_of, object_tables, refuse_targets_inside
 from lfmesh.transport.packet import (
     ARRAY_FRAME,
     CAMERA_FRAME,
-    FIRST_BODY,
-    MOUNT,
-    OBJECT_FRAME,
     SENSOR_FRAME,
-    STOP,
     WORLD_FRAME,
 )
 from lfmesh.transport.tables import (
-    DIRECTIONAL,
-    DISK,
-    LIGHT,
-    POINT,
-    SOURCE,
-    Aim,
-    ArrayTables,
-    LensTables,
-    ObjectTables,
     SensorTables,
     Tables,
 )
-
-LEAST_RINGS = {"exact": 5, "flat": 48, "smooth": 48}
-"""Rings of triangles a lens surface has at least. `exact` takes only the facet's number from the mesh, so five do."""
-
-PUPIL_MARGIN = 1.15
-"""How much wider than the paraxial pupil the disk is that most rays are aimed at: pupils have aberrations."""
 
 FIXED_SLOTS = (
     "emitted", "sensor", "escaped", "roulette added", "roulette removed", "sampling added", "sampling removed",
     "depth", "miss", "contradiction", "reflections not followed", "reached", "lit", "beside the sensor", "housing",
     "stop", "mount", "mla mount", "mla edge", "mla wall", "lens front",
 )  # fmt: skip
-
-
-@dataclass
-class LensShape:
-    """The lens as meshes in the camera frame: a cap a refracting surface, a ring a space between two of them."""
-
-    numbers: list[int]
-    """Place of each refracting surface in the scene's list."""
-    surfaces: NDArray[np.void]
-    rings: int
-    """Rings of triangles a cap."""
-    rims: list[float]
-    caps: list[Mesh]
-    closures: list[Mesh]
-    """closures[k] joins the rims of surfaces k and k + 1 and faces the axis."""
-    media: list[float | str | None]
-    """What fills each space: K + 1 entries, air first and last."""
-
-    @property
-    def elements(self) -> list[int]:
-        """The surface in front of every piece of glass, in order."""
-        return [k for k in range(len(self.caps) - 1) if self.media[k + 1] is not None]
 
 
 class World:
@@ -145,7 +100,7 @@ class World:
         if number < 1000:
             return f"lens surface {self.lens_shape.numbers[number]}" if number >= 0 else "start"
         if number < 2000:
-            return ("mla curved face", "mla flat face", "target")[number - 1000]
+            return ("mla curved face", "mla flat face", "target", "glass")[number - 1000]
         return self.slots[number - 2000]
 
     @staticmethod
@@ -181,25 +136,22 @@ class World:
         return trimesh.Trimesh(corners, [[0, 2, 1], [0, 3, 2]], process=False)
 
 
-def build(scene: Scene) -> World:
+def build(scene: Scene, *, rings: int | None = None) -> World:
     """Build everything a scene's rays can meet.
 
     Parameters
     ----------
     scene : Scene
         Solved first, where distances or files are still open.
+    rings : int, optional
+        Rings of triangles a lens surface, in place of the scene's tessellation.
 
     Raises
     ------
     SceneError, MeshError, FileError
         The scene cannot be built: rims that cross, a mesh or texture that cannot be used, a target inside the camera.
     """
-    scene = solved(scene)
-    if scene.transport.surface not in LEAST_RINGS:
-        raise SceneError(
-            f'transport.surface = "{scene.transport.surface}": is for glass without an analytic parent, which this '
-            f"scene has not; use {', '.join(LEAST_RINGS)}"
-        )
+    scene = solved(measured(scene))
     mla = scene.camera.mla
     if mla is not None and scene.transport.surface != "exact" and (mla.form.decenter_mm or mla.form.radius_error):
         raise SceneError(
@@ -208,408 +160,20 @@ def build(scene: Scene) -> World:
         )
     report = first_order(scene)
     waves = scene.transport.wavelengths_nm
-    shape = lens_shape(scene)
+    shape = lens_shape(scene, rings)
     targets = [target_mesh(target, scene) for target in scene.targets]
     slots = [*FIXED_SLOTS, *(f"lens[{i}] edge" for i in range(len(shape.elements)))]
     target_slots = np.arange(len(targets)) + len(slots)
     slots += [target.name or f"targets[{i}]" for i, target in enumerate(scene.targets)]
 
-    lens_mesh, lens = _lens_tables(scene, shape, waves)
-    array_mesh_, array = _array_tables(scene, waves)
-    middle = _middle(targets)
-    moves = _frames(scene, middle)
-    housing = _housing(scene, shape)
-    _refuse_targets_inside(targets, housing, moves)
-    object_mesh, objects = _object_tables(scene, targets, housing, moves, target_slots, waves)
+    lens_mesh, lens = lens_tables(scene, shape, waves)
+    array_mesh_, array = array_tables(scene, waves)
+    middle = middle_of(targets)
+    moves = frame_table(scene, middle)
+    housing = housing_mesh(scene, shape)
+    refuse_targets_inside(targets, housing, moves)
+    object_mesh, objects = object_tables(scene, targets, housing, moves, target_slots, waves)
     sensor = SensorTables(*scene.camera.sensor.pixels, scene.camera.sensor.pixel_mm)
-    tables = Tables(lens, array, sensor, objects, moves, _aim(scene, report, lens, array, targets, moves))
+    tables = Tables(lens, array, sensor, objects, moves, aim_table(scene, report, lens, array, targets, moves))
     finders = (Finder(lens_mesh), Finder(array_mesh_), Finder(object_mesh))
     return World(scene, report, tables, finders, slots, shape, targets, housing)
-
-
-def lens_shape(scene: Scene) -> LensShape:
-    """Return the meshes of a solved scene's main lens."""
-    prescription = scene.camera.lens
-    numbers = [i for i in range(len(prescription.surfaces)) if not prescription.is_pure_stop(i)]
-    media: list[float | str | None] = [None]
-    records = []
-    for i in numbers:
-        s = prescription.surfaces[i]
-        media.append(s.medium)
-        records.append(
-            surface(
-                s.radius_mm, s.conic, s.asphere_mm,
-                vertex_z=prescription.vertices_mm[i], aperture=s.semi_diameter_mm or np.inf, stop=s.stop,
-            )
-        )  # fmt: skip
-    surfaces = np.array(records)
-    rings = rings_for(surfaces, LEAST_RINGS[scene.transport.surface])
-    rims = [rim_radius(s, rings) for s in surfaces]
-    closures = [
-        revolved(ring_profile(surfaces[k], rims[k], surfaces[k + 1], rims[k + 1]), 6 * rings)
-        for k in range(len(numbers) - 1)
-    ]
-    caps = [cap(s, rings, rim) for s, rim in zip(surfaces, rims, strict=True)]
-    return LensShape(numbers, surfaces, rings, rims, caps, closures, media)
-
-
-def _lens_tables(scene: Scene, shape: LensShape, waves: tuple[float, ...]) -> tuple[Mesh, LensTables]:
-    count = len(shape.caps)
-    mesh = joined([*shape.caps, *shape.closures])
-    bodies = np.repeat(
-        [*range(count), *(-1 - s for s in range(1, count))],
-        [len(m.faces) for m in (*shape.caps, *shape.closures)],
-    )
-    ring_slot = np.full(count + 1, MOUNT)
-    for i, k in enumerate(shape.elements):
-        ring_slot[k + 1] = FIRST_BODY + i
-    stop_space, stop_z, stop_radius = _pure_stop(scene, shape)
-    caps = np.concatenate([m.vertices for m in shape.caps])
-    # The box stands off by a rounding error, so that a flat surface has one that a ray can enter.
-    slack = 1e-9 * np.abs(caps).max()
-    first, last = shape.surfaces[0], shape.surfaces[-1]
-    return mesh, LensTables(
-        shape.surfaces,
-        facet_table(mesh, bodies.astype(np.int64)),
-        np.array([[refractive_index(medium, w) for w in waves] for medium in shape.media]),
-        ring_slot.astype(np.int64),
-        np.where(shape.surfaces["stop"] == 1, STOP, MOUNT).astype(np.int64),
-        stop_space,
-        stop_z,
-        stop_radius,
-        caps.min(axis=0) - slack,
-        caps.max(axis=0) + slack,
-        bool(first["curvature"] >= 0 and first["terms"] == 0),
-        bool(last["curvature"] <= 0 and last["terms"] == 0),
-    )
-
-
-def _pure_stop(scene: Scene, shape: LensShape) -> tuple[int, float, float]:
-    """Return the space of a stop that is no refracting surface, its z and its radius; space −1: there is none."""
-    prescription = scene.camera.lens
-    for i, s in enumerate(prescription.surfaces):
-        if prescription.is_pure_stop(i):
-            space = sum(number < i for number in shape.numbers)
-            return space, prescription.vertices_mm[i], float(s.semi_diameter_mm or np.inf)
-    return -1, 0.0, np.inf
-
-
-def _array_tables(scene: Scene, waves: tuple[float, ...]) -> tuple[Mesh, ArrayTables]:
-    mla = scene.camera.mla
-    if mla is None:
-        nothing = lenslets(Lattice(False, 1.0, 1, 1), np.array([np.inf]), 1.0)
-        empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
-        return empty, _cells(False, nothing, empty, 0.0, np.ones(len(waves)), True)
-    lattice = Lattice(
-        mla.layout == "hexagonal", mla.pitch_mm * (1.0 + mla.form.pitch_error), mla.count[0], mla.count[1]
-    )
-    shapes = lenslets(
-        lattice,
-        np.asarray(mla.radius_mm, dtype=np.float64),
-        mla.thickness_mm,
-        decenter_mm=mla.form.decenter_mm,
-        radius_error=mla.form.radius_error,
-        seed=mla.form.seed,
-    )
-    shift = OFFSET * lattice.pitch
-    cells = [cell_mesh(shapes, kind) for kind in range(mla.types)]
-    mesh = joined(
-        Mesh(np.add(c.vertices, [kind * shift, 0.0, 0.0]), c.faces, c.corner_normals) for kind, c in enumerate(cells)
-    )
-    index = np.array([refractive_index(mla.medium, w) for w in waves])
-    return mesh, _cells(True, shapes, mesh, shift, index, mla.curved_side == "lens")
-
-
-def _cells(
-    present: bool, shapes: Lenslets, mesh: Mesh, shift: float, index: Array, curved_to_lens: bool
-) -> ArrayTables:
-    bodies = np.zeros(len(mesh.faces), np.int64)
-    return ArrayTables(present, shapes, facet_table(mesh, bodies), shift, index, curved_to_lens)
-
-
-def _middle(targets: list[TargetMesh]) -> Array:
-    """Return the middle of the targets' bounding box in the world frame."""
-    if not targets:
-        return np.zeros(3)
-    vertices = np.concatenate([t.mesh.vertices for t in targets])
-    return np.asarray(0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))
-
-
-def _frames(scene: Scene, middle: Array) -> Array:
-    """Return the (5, 5, 3, 4) moves between the frames of camera, array, objects, sensor and world."""
-    camera = scene.camera
-    to_world = [frames.IDENTITY] * 5
-    to_world[CAMERA_FRAME] = frames.frame(camera.pose.tilt_deg, camera.pose.shift_mm)
-    to_world[OBJECT_FRAME] = frames.frame(origin_mm=middle)
-    face = camera.lens.vertices_mm[-1]
-    array_to_camera = frames.IDENTITY
-    if camera.mla is not None:
-        mla = camera.mla
-        face += mla.distance_mm or 0.0
-        placed = frames.frame(mla.pose.tilt_deg, np.add([0.0, 0.0, face], mla.pose.shift_mm))
-        turned = frames.IDENTITY
-        if mla.curved_side == "sensor":
-            turned = np.column_stack([np.diag([1.0, 1.0, -1.0]), [0.0, 0.0, mla.thickness_mm]])
-        array_to_camera = frames.compose(placed, turned)
-        face += mla.thickness_mm
-    sensor = camera.sensor
-    face += sensor.distance_mm or 0.0
-    sensor_to_camera = frames.frame(sensor.pose.tilt_deg, np.add([0.0, 0.0, face], sensor.pose.shift_mm))
-    # The camera's parts are moved among themselves without the world, whose origin may be far away.
-    to_camera = {CAMERA_FRAME: frames.IDENTITY, ARRAY_FRAME: array_to_camera, SENSOR_FRAME: sensor_to_camera}
-    moves = np.empty((5, 5, 3, 4))
-    for here in range(5):
-        if here in to_camera:
-            to_world[here] = frames.compose(to_world[CAMERA_FRAME], to_camera[here])
-    for here in range(5):
-        for there in range(5):
-            if here in to_camera and there in to_camera:
-                moves[here, there] = frames.compose(frames.inverse(to_camera[there]), to_camera[here])
-            else:
-                moves[here, there] = frames.compose(frames.inverse(to_world[there]), to_world[here])
-    return moves
-
-
-def _housing(scene: Scene, shape: LensShape) -> Mesh:
-    """Return the camera's outside: a plate round the first rim, the barrel, and the body round array and sensor."""
-    barrel = 1.05 * max(shape.rims)
-    front = float(shape.surfaces[0]["vertex_z"] + sag(shape.surfaces[0], shape.rims[0]))
-    back = float(shape.surfaces[-1]["vertex_z"] + sag(shape.surfaces[-1], shape.rims[-1]))
-    moves = _frames(scene, np.zeros(3))
-    corners = [np.multiply(0.5, scene.camera.sensor.size_mm)]
-    if scene.camera.mla is not None:
-        corners.append(np.multiply(0.5, scene.camera.mla.size_mm))
-    body = max(barrel, 1.1 * max(float(np.hypot(*corner)) for corner in corners))
-    end = float(moves[SENSOR_FRAME, CAMERA_FRAME, 2, 3]) + 0.5 * body
-    back = max(back, front)
-    profile = [[shape.rims[0], front], [barrel, front], [barrel, back], [body, back], [body, end], [0.0, end]]
-    mesh = revolved(np.array(profile), 6 * shape.rings)
-    return Mesh(mesh.vertices, mesh.faces[facet_normals(mesh)[1] > 0.0])
-
-
-def _refuse_targets_inside(targets: list[TargetMesh], housing: Mesh, moves: Array) -> None:
-    """Refuse a target that reaches into the camera's outline."""
-    radius = np.hypot(housing.vertices[:, 0], housing.vertices[:, 1])
-    front, end = housing.vertices[:, 2].min(), housing.vertices[:, 2].max()
-    barrel = radius[housing.vertices[:, 2] <= front + 1e-9].max()
-    for i, target in enumerate(targets):
-        corners = frames.points(moves[WORLD_FRAME, CAMERA_FRAME], target.mesh.vertices)[target.mesh.faces]
-        low, high = corners.min(axis=1), corners.max(axis=1)
-        near = (low[:, :2] < barrel).all(axis=1) & (high[:, :2] > -barrel).all(axis=1)
-        near &= (low[:, 2] < end) & (high[:, 2] > front)
-        for facet in corners[near]:
-            within = _between(facet, front, end)
-            if len(within) and _distance_to_axis(within) < barrel:
-                raise SceneError(
-                    f"targets[{i}] reaches into the camera, at z = {within[:, 2].mean():.6g} mm in the camera frame; "
-                    f"move it in front of z = {front:.6g} mm or beside the barrel (radius {barrel:.6g} mm)"
-                )
-
-
-def _between(polygon: Array, front: float, end: float) -> Array:
-    """Return the part of a convex polygon (n, 3) between two planes square to the axis."""
-    for sign, plane in ((1.0, front), (-1.0, end)):
-        height = sign * (polygon[:, 2] - plane)
-        kept = []
-        for p, q, a, b in zip(polygon, np.roll(polygon, -1, axis=0), height, np.roll(height, -1), strict=True):
-            if a >= 0.0:
-                kept.append(p)
-            if (a >= 0.0) != (b >= 0.0):
-                kept.append(p + a / (a - b) * (q - p))
-        polygon = np.array(kept).reshape(-1, 3)
-    return polygon
-
-
-def _distance_to_axis(polygon: Array) -> float:
-    """Return the distance of a convex polygon (n, 3) from the axis."""
-    p = polygon[:, :2]
-    edge = np.roll(p, -1, axis=0) - p
-    turn = p[:, 0] * edge[:, 1] - p[:, 1] * edge[:, 0]
-    if turn.sum() != 0.0 and ((turn >= 0.0).all() or (turn <= 0.0).all()):
-        return 0.0
-    square = np.maximum((edge**2).sum(axis=1), np.finfo(np.float64).tiny)
-    share = np.clip(-(p * edge).sum(axis=1) / square, 0.0, 1.0)
-    return float(np.hypot(*(p + share[:, None] * edge).T).min())
-
-
-def _object_tables(
-    scene: Scene, targets: list[TargetMesh], housing: Mesh, moves: Array,
-    target_slots: NDArray[np.int64], waves: tuple[float, ...],
-) -> tuple[Mesh, ObjectTables]:  # fmt: skip
-    to_object = moves[WORLD_FRAME, OBJECT_FRAME]
-    parts = [t.mesh.moved(to_object) for t in targets]
-    mesh = joined([*parts, housing.moved(moves[CAMERA_FRAME, OBJECT_FRAME])])
-    bodies = np.repeat([*range(len(parts)), -1], [len(m.faces) for m in (*parts, housing)])
-    facets = facet_table(mesh, bodies.astype(np.int64))
-    uv = np.zeros((len(mesh.faces), 3, 2))
-    texture = np.zeros((len(targets), 3), np.int64)
-    weights = np.array([wavelength_weights(w) for w in waves])
-    texels: list[NDArray[np.float32]] = []
-    filled = 0
-    for i, target in enumerate(targets):
-        if target.texture is None or target.uv is None:
-            continue
-        uv[bodies == i] = target.uv
-        height, width = target.texture.shape[:2]
-        texture[i] = filled, height, width
-        texels.append((target.texture.reshape(-1, 3) @ weights.T).astype(np.float32))
-        filled += height * width
-    materials = [t.material for t in scene.targets]
-    radius = max((float(np.linalg.norm(m.vertices, axis=1).max()) for m in parts), default=0.0)
-    tables = ObjectTables(
-        facets,
-        uv,
-        np.array([t.closed for t in targets], dtype=np.bool_),
-        _by_wave([m.reflectance for m in materials], waves),
-        _by_wave([m.radiance_w_m2_sr for m in materials], waves),
-        texture,
-        np.concatenate(texels) if texels else np.zeros((0, len(waves)), np.float32),
-        target_slots.astype(np.int64),
-        _lights(scene, to_object),
-        np.zeros(0, SOURCE),
-        np.zeros(3),
-        radius,
-    )
-    return mesh, tables._replace(sources=_sources(tables, mesh))
-
-
-def _by_wave(values: list[float], waves: tuple[float, ...]) -> Array:
-    return np.repeat(np.array(values, dtype=np.float64).reshape(-1, 1), len(waves), axis=1)
-
-
-def _lights(scene: Scene, to_object: Array) -> NDArray[np.void]:
-    table = np.zeros(len(scene.lights), LIGHT)
-    for row, light in zip(table, scene.lights, strict=True):
-        row["kind"] = {"point": POINT, "directional": DIRECTIONAL, "disk": DISK}[light.kind]
-        row["direction"] = (0.0, 0.0, 1.0)
-        if light.kind != "directional":
-            row["position"] = frames.points(to_object, [light.position_mm])[0]
-            row["power"] = light.power_w
-        else:
-            row["power"] = light.irradiance_w_m2
-        if light.kind != "point":
-            d = frames.directions(to_object, [light.direction])[0]
-            row["direction"] = d / np.linalg.norm(d)
-        if light.kind == "disk":
-            row["radius"] = light.radius_mm
-    return table
-
-
-def _sources(objects: ObjectTables, mesh: Mesh) -> NDArray[np.void]:
-    """Return what the forward method starts packets from, with shares in proportion to the power towards targets."""
-    entries = []
-    for i, light in enumerate(objects.lights):
-        distance = float(np.linalg.norm(light["position"]))
-        seen = 1.0
-        if light["kind"] == DIRECTIONAL:
-            power = light["power"] * np.pi * objects.radius**2 * 1e-6
-        else:
-            power = light["power"]
-            if distance > objects.radius:
-                seen = 0.5 * (1.0 - np.sqrt(1.0 - (objects.radius / distance) ** 2))
-        entries.append((i, -1, power * seen, power))
-    areas = facet_normals(mesh)[1]
-    glow = objects.radiance.max(axis=1) if len(objects.radiance) else np.zeros(0)
-    for facet in np.flatnonzero(np.append(glow > 0.0, False)[objects.facets["body"]]):
-        body = objects.facets["body"][facet]
-        sides = 1.0 if objects.closed[body] else 2.0
-        power = np.pi * glow[body] * areas[facet] * 1e-6 * sides
-        entries.append((-1, int(facet), power, power))
-    table = np.zeros(len(entries), SOURCE)
-    if entries:
-        table["light"], table["facet"], table["share"], table["power"] = zip(*entries, strict=True)
-        reaching = table["share"].sum()
-        # Where nothing is to be lit, every light has its turn all the same: the ledger wants their power.
-        table["share"] = table["share"] / reaching if reaching > 0.0 else 1.0 / len(table)
-        table["until"] = np.cumsum(table["share"])
-    return table
-
-
-def _aim(
-    scene: Scene,
-    report: FirstOrder,
-    lens: LensTables,
-    array: ArrayTables,
-    targets: list[TargetMesh],
-    moves: Array,
-) -> Aim:
-    front_radius = _wide_radius(
-        lens, [frames.points(moves[WORLD_FRAME, CAMERA_FRAME], t.mesh.vertices) for t in targets], front=True
-    )
-    width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
-    corners = np.array([[sx * width, sy * height, 0.0] for sx in (-1, 1) for sy in (-1, 1)])
-    back_radius = _wide_radius(lens, [frames.points(moves[SENSOR_FRAME, CAMERA_FRAME], corners)], front=False)
-    aim = Aim(
-        report.entrance_pupil_z_mm,
-        PUPIL_MARGIN * 0.5 * report.entrance_pupil_diameter_mm,
-        float(lens.box_low[2]),
-        front_radius,
-        report.exit_pupil_z_mm,
-        PUPIL_MARGIN * 0.5 * report.exit_pupil_diameter_mm,
-        float(lens.box_high[2]),
-        back_radius,
-        0.0, 0.0, 0.0, 0.0, 0.0, np.zeros(1), 0.0, 0,
-    )  # fmt: skip
-    # A pupil at infinity, or wider than the lens, is no place to aim at.
-    if not np.isfinite(aim.entrance_z) or aim.entrance_radius > front_radius:
-        aim = aim._replace(entrance_z=0.0, entrance_radius=0.0)
-    if not array.present:
-        if not np.isfinite(aim.exit_z) or aim.exit_radius > back_radius:
-            aim = aim._replace(exit_z=0.0, exit_radius=0.0)
-        return aim
-    return _aim_through_lenslets(scene, report, array, aim, moves)
-
-
-def _wide_radius(lens: LensTables, points: list[Array], *, front: bool) -> float:
-    """Return the radius of a disk in the outermost plane of the lens that every ray from `points` to it crosses."""
-    surfaces = lens.surfaces
-    plane = lens.box_low[2] if front else lens.box_high[2]
-    outer = surfaces[0] if front else surfaces[-1]
-    rim = float(max(abs(lens.box_low[0]), abs(lens.box_high[0]), abs(lens.box_low[1]), abs(lens.box_high[1])))
-    edge = float(outer["vertex_z"] + sag(outer, outer["aperture"]))
-    depth = abs(max(outer["vertex_z"], edge) - plane) if front else abs(plane - min(outer["vertex_z"], edge))
-    radius = 0.0
-    for p in points:
-        distance = np.maximum((plane - p[:, 2]) if front else (p[:, 2] - plane), depth)
-        spread = (np.hypot(p[:, 0], p[:, 1]) + rim) * np.divide(
-            depth, distance, out=np.zeros_like(distance), where=distance > 0
-        )
-        radius = max(radius, float(spread.max(initial=0.0)))
-    return rim + radius
-
-
-def _aim_through_lenslets(scene: Scene, report: FirstOrder, array: ArrayTables, aim: Aim, moves: Array) -> Aim:
-    """Add the paraxial quantities that tell which lenslets show the exit pupil to a pixel."""
-    mla = scene.camera.mla
-    assert mla is not None
-    glass = refractive_index(mla.medium, report.wavelength_nm)
-    plate = mla.thickness_mm / glass
-    to_sensor = scene.camera.sensor.distance_mm or 0.0
-    to_pupil = scene.camera.lens.vertices_mm[-1] + (mla.distance_mm or 0.0) - report.exit_pupil_z_mm
-    if array.curved_to_lens:
-        to_sensor += plate
-    else:
-        to_pupil += plate
-    vergence = 1.0 / to_pupil if np.isfinite(to_pupil) else 0.0
-    slope = PUPIL_MARGIN / (2.0 * report.working_f_number)
-    if np.isfinite(to_pupil):
-        slope = abs(aim.exit_radius * vergence)
-    power = (glass - 1.0) * array.lenslets.curvature
-    pitch, radius = array.lenslets.lattice.pitch, array.lenslets.lattice.circumradius
-    blur = np.abs(vergence + 1.0 / to_sensor - power).max() * radius
-    # The lenslets that light a pixel lie this far at most from where its chief ray meets the array; a row of a
-    # hexagonal lattice is nearer than a pitch and half a pitch aside.
-    reach = to_sensor * (slope + blur) / pitch
-    search = int(reach / ROW_SPACING + 1.0) if array.lenslets.lattice.hexagonal else int(reach + 0.5)
-    pupil = [0.0, 0.0, report.exit_pupil_z_mm if np.isfinite(to_pupil) else scene.camera.lens.vertices_mm[-1]]
-    pupil_x, pupil_y, _ = frames.points(moves[CAMERA_FRAME, ARRAY_FRAME], [pupil])[0]
-    return aim._replace(
-        lenslet_z=mla.thickness_mm - plate if array.curved_to_lens else 0.0,
-        pupil_x=pupil_x,
-        pupil_y=pupil_y,
-        pupil_vergence=vergence,
-        pupil_slope=slope,
-        lenslet_power=power,
-        cell_margin=(array.lenslets.valley - array.lenslets.top) * (slope + radius / to_sensor),
-        search=search,
-    )

@@ -14,7 +14,6 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import load_lens
-from lfmesh.transport import world as world_module
 
 EXTENDED = np.longdouble
 POSITION_MM = 1e-9
@@ -382,16 +381,15 @@ def test_every_double_reflection_of_the_double_gauss():
     assert ghosts > 100
 
 
-def error_at_sensor(surface, rings, monkeypatch):
+def error_at_sensor(surface, rings):
     """Rms distance on the sensor from the truth, mm; and the rms or sum over surfaces of what facets of this size do.
 
     For flat facets that is the tilt of a facet against the surface above it, edge / (√12 R) rms, times n − 1 and the
     way to the sensor. Interpolated normals of a sphere are exact, and what remains is a facet's depth below the
     surface, at most edge² / 8R.
     """
-    monkeypatch.setitem(world_module.LEAST_RINGS, surface, rings)
     scene = scene_of("cooke_triplet_50mm", surface=surface)
-    world = lf.build(scene)
+    world = lf.build(scene, rings=rings)
     interfaces = interfaces_of(scene, 587.6)
     origins, directions = bundle([replace(interfaces[0], aperture=5.0)], 10.0, 3000, seed=2)
     paths = lf.trace(world, origins, directions, split="transmit")
@@ -410,16 +408,16 @@ def error_at_sensor(surface, rings, monkeypatch):
     return error, float(np.sum(edge_over_radius**2 / 8 * [abs(face.radius) for face in interfaces]))
 
 
-def test_flat_facets_converge_with_order_one(monkeypatch):
-    errors, estimates = zip(*(error_at_sensor("flat", rings, monkeypatch) for rings in (12, 24, 48)), strict=True)
+def test_flat_facets_converge_with_order_one():
+    errors, estimates = zip(*(error_at_sensor("flat", rings) for rings in (12, 24, 48)), strict=True)
     for error, estimate in zip(errors, estimates, strict=True):
         assert 0.5 * estimate < error < 2.0 * estimate
     for coarse, fine in pairwise(errors):
         assert 0.8 < np.log2(coarse / fine) < 1.2
 
 
-def test_interpolated_normals_converge_with_order_two(monkeypatch):
-    errors, bounds = zip(*(error_at_sensor("smooth", rings, monkeypatch) for rings in (12, 24, 48)), strict=True)
+def test_interpolated_normals_converge_with_order_two():
+    errors, bounds = zip(*(error_at_sensor("smooth", rings) for rings in (12, 24, 48)), strict=True)
     for error, bound in zip(errors, bounds, strict=True):
         assert POSITION_MM < error < bound
     for coarse, fine in pairwise(errors):

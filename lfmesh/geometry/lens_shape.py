@@ -1,0 +1,146 @@
+"""The main lens as meshes: a cap a refracting surface, and the rings that close the spaces between them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.levels import SMOOTH, SURFACE_LEVEL
+from lfmesh.geometry.mesh import Array, Mesh
+from lfmesh.geometry.mesh_error import facet_errors, landing_errors
+from lfmesh.geometry.refractors import RIM_MARGIN, face_of, measured
+from lfmesh.geometry.surface import surface
+from lfmesh.geometry.tessellation import MAX_RINGS, cap, revolved, rim_radius, ring_profile, rings_for
+from lfmesh.scene import Scene, Tessellation, solved
+
+LEAST_RINGS = 5
+"""Rings of triangles a lens surface has at least: enough for `exact`, which takes only the facet's number from it."""
+
+PIXEL_SHARE = 0.1
+"""Error at the sensor, in pixels, that the default tessellation of the other levels stays below, where it can."""
+
+ORDER = {"flat": 1.0, "smooth": 2.0, "patch": 3.0}
+"""How the error at the sensor falls with the facets' size."""
+
+
+@dataclass
+class LensShape:
+    """The lens as meshes in the camera frame: a cap a refracting surface, a ring a space between two of them."""
+
+    numbers: list[int]
+    """Place of each refracting surface in the scene's list."""
+    surfaces: NDArray[np.void]
+    rings: int
+    """Rings of triangles a cap."""
+    rims: list[float]
+    caps: list[Mesh]
+    closures: list[Mesh]
+    """closures[k] joins the rims of surfaces k and k + 1 and faces the axis."""
+    media: list[float | str | None]
+    """What fills each space: K + 1 entries, air first and last."""
+    analytic: NDArray[np.bool_]
+    """Whether each surface has an analytic parent, or is a mesh from a file."""
+    errors_mm: Array
+    """(K,) estimated rms error at the sensor that each surface's mesh makes; NaN for a mesh from a file."""
+
+    @property
+    def elements(self) -> list[int]:
+        """The surface in front of every piece of glass, in order."""
+        return [k for k in range(len(self.caps) - 1) if self.media[k + 1] is not None]
+
+
+def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
+    """Return the meshes of a solved scene's main lens.
+
+    Parameters
+    ----------
+    scene : Scene
+    rings : int, optional
+        Rings of triangles a cap, in place of what the tolerance or the sensor's pixels ask for.
+    """
+    prescription = scene.camera.lens
+    numbers = [i for i in range(len(prescription.surfaces)) if not prescription.is_pure_stop(i)]
+    media: list[float | str | None] = [None]
+    records = []
+    for i in numbers:
+        s = prescription.surfaces[i]
+        media.append(s.medium)
+        records.append(
+            surface(
+                s.radius_mm, s.conic, s.asphere_mm,
+                vertex_z=prescription.vertices_mm[i], aperture=s.semi_diameter_mm or np.inf, stop=s.stop,
+            )
+        )  # fmt: skip
+    surfaces = np.array(records)
+    given = [prescription.surfaces[i].mesh for i in numbers]
+    own = np.array([mesh is None for mesh in given])
+    level = SURFACE_LEVEL[scene.transport.surface]
+    rings = rings or _rings(scene, numbers, surfaces)
+    rims: list[float] = []
+    caps: list[Mesh] = []
+    for k, mesh in enumerate(given):
+        if mesh is None:
+            surfaces[k]["level"] = level
+            rims.append(rim_radius(surfaces[k], rings))
+            caps.append(cap(surfaces[k], rings, rims[k]))
+        else:
+            face = face_of(mesh, scene)
+            surfaces[k]["level"] = SURFACE_LEVEL[mesh.surface]
+            # A ring that starts a little inside the rim leaves no gap to a rim that is no circle.
+            rims.append((1.0 - 0.2 * RIM_MARGIN) * face.rim_mm)
+            shift = surfaces[k]["vertex_z"] - face.vertex_z
+            caps.append(Mesh(np.add(face.mesh.vertices, [0.0, 0.0, shift]), face.mesh.faces, face.mesh.corner_normals))
+    closures = [
+        revolved(ring_profile(surfaces[k], rims[k], surfaces[k + 1], rims[k + 1]), 6 * rings)
+        for k in range(len(numbers) - 1)
+    ]
+    errors = landing_errors(scene, numbers, surfaces, caps, level)
+    return LensShape(numbers, surfaces, rings, rims, caps, closures, media, own, np.where(own, errors, np.nan))
+
+
+def _rings(scene: Scene, numbers: list[int], surfaces: NDArray[np.void]) -> int:
+    """Choose the coarsest meshes that do not cross and keep to the tolerance.
+
+    The user's, if there is one; else, but for `exact`, a tenth of a pixel at the sensor.
+    """
+    wished = scene.transport.tessellation
+    rings = rings_for(surfaces, LEAST_RINGS, wished.sag_mm or np.inf)
+    name = scene.transport.surface
+    pixel = scene.camera.sensor.pixel_mm
+    while rings < MAX_RINGS:
+        rims = [rim_radius(s, rings) for s in surfaces]
+        caps = [cap(s, rings, rim) for s, rim in zip(surfaces, rims, strict=True)]
+        if wished.normal_mrad is not None:
+            # `exact` bends rays by the surface's own normal; the tolerance then speaks of the mesh's.
+            level = SMOOTH if name == "exact" else SURFACE_LEVEL[name]
+            worst = max(facet_errors(s, c, level)[0] for s, c in zip(surfaces, caps, strict=True))
+            excess = worst * 1e3 / wished.normal_mrad
+        elif wished.sag_mm is not None or name == "exact":
+            return rings
+        else:
+            errors = landing_errors(scene, numbers, surfaces, caps, SURFACE_LEVEL[name])
+            excess = float(np.sqrt(np.sum(errors**2))) / (PIXEL_SHARE * pixel)
+        if excess <= 1.0:
+            return rings
+        rings = max(rings + 1, min(MAX_RINGS, int(np.ceil(rings * excess ** (1.0 / ORDER.get(name, 2.0))))))
+    return min(rings, MAX_RINGS)
+
+
+def mesh_lines(scene: Scene) -> list[str]:
+    """Return in words how a scene's lens is meshed: triangles a surface, and what they cost at the sensor."""
+    scene = solved(measured(scene))
+    shape = lens_shape(scene)
+    lines = []
+    for number, cap_, error, own in zip(shape.numbers, shape.caps, shape.errors_mm, shape.analytic, strict=True):
+        source = f"estimated error at the sensor {1e3 * error:.3g} µm" if own else "from its file"
+        lines.append(f"surface {number:<15}{len(cap_.faces)} triangles, {source}")
+    total = float(np.sqrt(np.nansum(shape.errors_mm**2)))
+    pixels = total / scene.camera.sensor.pixel_mm
+    level = scene.transport.surface
+    lines.append(f'{"all surfaces":<23}surface = "{level}": {1e3 * total:.3g} µm, {pixels:.3g} pixels')
+    if level != "exact" and scene.transport.tessellation == Tessellation() and pixels > PIXEL_SHARE:
+        lines.append(
+            f'warning: at {shape.rings} rings, the finest, surface = "{level}" is {pixels:.2g} pixels off; '
+            'use "patch" or "exact"'
+        )
+    return lines

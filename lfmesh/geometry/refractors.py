@@ -1,0 +1,187 @@
+"""Glass from mesh files: a closed body with its normals, and the two optical faces of a lens element.
+
+The first-order optics of an element is measured on its mesh: an even polynomial in the radius, fitted to the vertices
+of each face, gives the vertex, its curvature and an asphere for the rim.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from lfmesh.errors import MeshError
+from lfmesh.geometry.mesh import Array, Mesh, facet_normals, joined
+from lfmesh.geometry.mesh_file import load_mesh
+from lfmesh.geometry.vertex_normals import estimated_corner_normals, smooth_edges, smooth_groups
+from lfmesh.geometry.weld import welded
+from lfmesh.scene import FirstOrder, Lens, MeshFace, MeshShape, Scene, Surface, report
+from lfmesh.scene.files import with_lens_file
+
+RIM_MARGIN = 0.02
+"""How far inside the mesh's rim the clear aperture ends, where none is given; relative."""
+
+FIT_TERMS = 4
+"""Even powers of the radius in the fit of a face: r², r⁴, r⁶, r⁸."""
+
+
+@dataclass(frozen=True)
+class Face:
+    """One optical face of a lens element, in the mesh's own frame.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Facing +z, with corner normals.
+    vertex_z : float, mm
+    radius_mm : float
+    asphere_mm : tuple of float
+        Coefficients of r⁴, r⁶, ...
+    rim_mm : float
+        Largest radius that the face covers all round.
+    """
+
+    mesh: Mesh
+    vertex_z: float
+    radius_mm: float
+    asphere_mm: tuple[float, ...]
+    rim_mm: float
+
+
+def solid_mesh(path: Path, units: str | None, crease_deg: float | None) -> Mesh:
+    """Load a closed body of glass: outward-oriented, with corner normals of second order.
+
+    Raises
+    ------
+    MeshError
+        The file cannot be used, or its body is not closed; a refractor is not repaired in silence.
+    """
+    mesh = welded(joined(piece.mesh for piece in load_mesh(path, units)))
+    _, areas = facet_normals(mesh)
+    mesh = Mesh(mesh.vertices, mesh.faces[areas > 0.0])
+    body = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    if not body.is_watertight or not body.is_winding_consistent:
+        open_edges = 3 * len(mesh.faces) - 2 * len(body.face_adjacency)
+        what = f"{open_edges} of its edges join no second facet" if open_edges else "its facets do not all face one way"
+        raise MeshError(f"{path}: a refractor must be a closed body; {what}; mend it and export again")
+    if body.volume < 0.0:
+        mesh = mesh.flipped()
+    smooth = smooth_edges(mesh, crease_deg)
+    normals = estimated_corner_normals(mesh, smooth_groups(mesh, smooth))
+    return Mesh(mesh.vertices, mesh.faces, normals)
+
+
+@lru_cache(maxsize=32)
+def _faces(path: Path, stamp: float, units: str | None, crease_deg: float | None) -> tuple[Face, Face]:
+    mesh = solid_mesh(path, units, crease_deg)
+    groups = smooth_groups(mesh, smooth_edges(mesh, crease_deg))
+    z, facets = _axis_crossings(mesh)
+    if len(z) < 2:
+        raise MeshError(f"{path}: its z axis, which must be the axis of the lens, does not pass through the body")
+    return _face(path, mesh, groups, facets[0], -1.0), _face(path, mesh, groups, facets[-1], 1.0)
+
+
+def faces(shape: MeshShape, scene: Scene) -> tuple[Face, Face]:
+    """Return the front and the back face of a lens element given as a mesh."""
+    path = scene.resolve(shape.file).resolve()
+    stamp = path.stat().st_mtime if path.is_file() else 0.0
+    return _faces(path, stamp, shape.units, shape.crease_deg)
+
+
+def face_of(shape: MeshFace, scene: Scene) -> Face:
+    """Return the face that a lens surface's mesh names."""
+    return faces(shape, scene)[0 if shape.side == "front" else 1]
+
+
+def _axis_crossings(mesh: Mesh) -> tuple[Array, list[int]]:
+    """Return where the z axis crosses the mesh, in order, and the facets it crosses."""
+    corner = mesh.vertices[mesh.faces]
+    x, y = corner[:, :, 0], corner[:, :, 1]
+    cross = x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y
+    scale = np.abs(mesh.vertices[:, :2]).max() ** 2 * 1e-12
+    within = (cross >= -scale).all(axis=1) | (cross <= scale).all(axis=1)
+    total = cross.sum(axis=1)
+    found = np.flatnonzero(within & (np.abs(total) > scale))
+    # Weights of the corners opposite to each edge.
+    weight = np.roll(cross[found], -1, axis=1) / total[found, None]
+    z = (weight * corner[found][:, :, 2]).sum(axis=1)
+    order = np.argsort(z)
+    return z[order], [int(f) for f in found[order]]
+
+
+def _face(path: Path, mesh: Mesh, groups: np.ndarray, facet: int, outward: float) -> Face:
+    """Return the smooth face round a facet, those of its facets that look its way along z."""
+    normals, _ = facet_normals(mesh)
+    chosen = np.flatnonzero((groups == groups[facet]) & (normals[:, 2] * outward > 0.05))
+    part = welded(Mesh(mesh.vertices, mesh.faces[chosen], None))
+    assert mesh.corner_normals is not None
+    side = Mesh(part.vertices, part.faces, mesh.corner_normals[chosen])
+    if outward < 0.0:
+        side = side.flipped()
+    used = np.unique(side.faces)
+    r2 = np.square(side.vertices[used, :2]).sum(axis=1)
+    rim = _rim(side)
+    near = r2 <= rim * rim * (1 + 1e-9)
+    if near.sum() < FIT_TERMS + 2:
+        raise MeshError(f"{path}: the face on its axis has only {near.sum()} vertices; mesh it finer")
+    scale = rim * rim
+    u = r2[near] / scale
+    basis = np.stack([u**k for k in range(FIT_TERMS + 1)], axis=1)
+    coefficients, *_ = np.linalg.lstsq(basis, side.vertices[used][near, 2], rcond=None)
+    a = coefficients[1:] / scale ** np.arange(1, FIT_TERMS + 1)
+    curvature = 2.0 * float(a[0])
+    radius = 1.0 / curvature if abs(curvature) * rim > 1e-9 else float("inf")
+    # The asphere is what the fit has beyond the sphere's own r⁴, r⁶, r⁸.
+    c = 0.0 if np.isinf(radius) else curvature
+    sphere = np.array([c**3 / 8.0, c**5 / 16.0, 5.0 * c**7 / 128.0])
+    return Face(side, float(coefficients[0]), radius, tuple(float(t) for t in a[1:] - sphere), rim)
+
+
+def _rim(mesh: Mesh) -> float:
+    """Return the radius of the largest circle about the axis that a face covers."""
+    edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+    key = edges[:, 0] * (len(mesh.vertices) + 1) + edges[:, 1]
+    back = edges[:, 1] * (len(mesh.vertices) + 1) + edges[:, 0]
+    border = edges[~np.isin(key, back)]
+    a, b = mesh.vertices[border[:, 0], :2], mesh.vertices[border[:, 1], :2]
+    d = b - a
+    share = np.clip(-(a * d).sum(axis=1) / np.maximum((d * d).sum(axis=1), 1e-300), 0.0, 1.0)
+    return float(np.linalg.norm(a + share[:, None] * d, axis=1).min())
+
+
+def measured(scene: Scene) -> Scene:
+    """Return the scene with every refractor of the lens replaced by its two faces, measured on its mesh."""
+    lens = with_lens_file(scene.camera.lens, scene.folder)
+    if all(s.refractor is None for s in lens.surfaces):
+        return scene
+    surfaces: list[Surface] = []
+    for surface in lens.surfaces:
+        refractor = surface.refractor
+        if refractor is None:
+            surfaces.append(surface)
+            continue
+        front, back = faces(refractor, scene)
+        shape = refractor.model_dump(exclude={"index", "glass"})
+        for face, side in ((front, "front"), (back, "back")):
+            aperture = surface.semi_diameter_mm or face.rim_mm
+            surfaces.append(
+                Surface(
+                    radius_mm=face.radius_mm,
+                    asphere_mm=face.asphere_mm,
+                    thickness_mm=back.vertex_z - front.vertex_z if side == "front" else surface.thickness_mm,
+                    index=refractor.index if side == "front" else None,
+                    glass=refractor.glass if side == "front" else None,
+                    semi_diameter_mm=min(aperture, (1.0 - RIM_MARGIN) * face.rim_mm),
+                    mesh=MeshFace(**shape, side=side),
+                )
+            )
+    new = Lens(**{**lens.model_dump(exclude={"surfaces", "file"}), "surfaces": tuple(surfaces)})
+    camera = scene.camera.model_copy(update={"lens": new})
+    copy = scene.model_copy(update={"camera": camera})
+    return copy.in_folder(scene.folder)
+
+
+def first_order(scene: Scene) -> FirstOrder:
+    """Return the first-order report of a scene, elements given as meshes measured first."""
+    return report.first_order(measured(scene))

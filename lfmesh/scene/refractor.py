@@ -1,0 +1,76 @@
+"""Glass whose shape is a mesh file: an element of the lens, or a body in front of the camera."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from lfmesh.scene.model import Fault, Model, nearest
+from lfmesh.scene.quantities import FilePath, GlassName, Index
+
+UNITS_IN_FILE = (".glb", ".gltf")
+"""Formats whose standard fixes the unit of length."""
+UNITS_MISSING = (".stl", ".obj", ".ply", ".off")
+"""Formats that carry no unit."""
+
+Units = Literal["um", "mm", "cm", "m", "inch", "foot"]
+FacetLevel = Literal["flat", "smooth", "patch"]
+CreaseAngle = Annotated[float, Field(strict=True, gt=0, lt=180)]
+
+
+def mesh_file_faults(file: str, units: str | None) -> Iterator[Fault]:
+    """Yield what is wrong with a mesh file's name and unit."""
+    ending = Path(file).suffix.lower()
+    known = (*UNITS_MISSING, *UNITS_IN_FILE)
+    if ending not in known:
+        yield Fault(("file",), file, f"must end in one of {', '.join(known)}{nearest(ending, known)}")
+    elif units is None and ending in UNITS_MISSING:
+        yield Fault(("units",), None, f'missing: {ending[1:].upper()} files carry no unit; give units = "mm", say')
+
+
+class MeshShape(Model):
+    """The mesh that gives glass its shape."""
+
+    file: FilePath
+    """A mesh file (STL, OBJ, PLY, OFF, GLB), relative to the scene file."""
+    units: Units | None = None
+    """Unit of length of the mesh file; required where the format carries none."""
+    surface: FacetLevel = "patch"
+    """What a facet stands for: itself, itself with smooth normals, or a curved patch."""
+    crease_deg: CreaseAngle | None = None
+    """Facets that meet at a larger angle, in degrees, meet at an edge of the body; below, on a smooth surface.
+    Omitted: a few times the angle at which most of the mesh's curved facets meet."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        yield from mesh_file_faults(self.file, self.units)
+
+
+class Refractor(MeshShape):
+    """A closed body of glass, its shape a mesh."""
+
+    index: Index | None = None
+    """Refractive index of the glass. Or give `glass`."""
+    glass: GlassName | None = None
+    """Catalogue glass, like "SCHOTT/N-BK7"."""
+
+    @property
+    def medium(self) -> float | str:
+        """What the body is made of: an index or the name of a glass."""
+        return self.index if self.index is not None else self.glass or 1.0
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        yield from super().faults()
+        if self.index is None and self.glass is None:
+            yield Fault(("index",), None, "missing: give the index of the glass, or glass")
+        elif self.index is not None and self.glass is not None:
+            yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
+
+
+class MeshFace(MeshShape):
+    """One optical face of a body given as a mesh; the axis of the lens is the mesh's z axis."""
+
+    side: Literal["front", "back"]
+    """The face that the axis meets first, coming from the objects, or last."""

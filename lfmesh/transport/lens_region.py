@@ -194,11 +194,13 @@ def shade_lens(
         z = pz + surface.vertex_z
         if lens.stop_space == space and packet.last != k and stop_cuts(lens, px, py, z, dx, dy, dz):
             at = (lens.stop_z - z) / dz if dz != 0.0 else 0.0
-            end(
-                options, flow, frames, packet, CAMERA_FRAME, px + at * dx, py + at * dy, z + at * dz, dx, dy, dz,
-                packet.weight, STOP, S_ABSORBED,
-            )  # fmt: skip
-            continue
+            # A ray of the user's own may start behind the stop, and never cross it.
+            if packet.last != NO_SURFACE or space == 0 or space == last_space or -t < at < 0.0:
+                end(
+                    options, flow, frames, packet, CAMERA_FRAME, px + at * dx, py + at * dy, z + at * dz, dx, dy, dz,
+                    packet.weight, STOP, S_ABSORBED,
+                )  # fmt: skip
+                continue
         if px * px + py * py > surface.aperture * surface.aperture:
             slot = lens.mount_slot[k]
             end(

@@ -287,7 +287,7 @@ FORWARD = [[0.0, 0.0, 1.0]]
         ([[0.0, 0.0, -9.0]] * 2, [*FORWARD, [0.0, 0.0, 0.0]], {}, "ray 1: .*direction"),
         ([[0.0, 0.0, 72.2]], FORWARD, {}, "ray 0 starts inside the microlens array"),
         ([[0.0, 0.0, -9.0]], FORWARD, {"split": "half"}, "split = 'half': .*both, roulette, transmit"),
-        ([[0.0, 0.0, -9.0]], FORWARD, {"surface": "round"}, "surface = 'round': .*flat, smooth, exact"),
+        ([[0.0, 0.0, -9.0]], FORWARD, {"surface": "round"}, "surface = 'round': .*flat, smooth, patch, exact"),
         ([["a", "b", "c"]], FORWARD, {}, r"origins .* numbers"),
         ([[0.0, 0.0, -9.0]], FORWARD, {"wavelength_nm": np.nan}, "wavelength_nm = nan"),
         ([[0.0, 0.0, -9.0]], FORWARD, {"weight_cutoff": np.nan}, "weight_cutoff = nan"),

@@ -422,3 +422,41 @@ def test_interpolated_normals_converge_with_order_two():
         assert POSITION_MM < error < bound
     for coarse, fine in pairwise(errors):
         assert 1.8 < np.log2(coarse / fine) < 2.2
+
+
+def test_a_ray_from_within_the_stops_space_is_cut_only_where_it_crosses_the_stop():
+    """Rays that meet the concave face before the stop twice running: none of their lines would pass the stop."""
+    scene = scene_of("double_gauss_50mm")
+    world = lf.build(scene)
+    face, stop = (interfaces_of(scene, 587.6)[number] for number in (4, 5))
+    draw = np.random.default_rng(6)
+    count = 200
+    centre = np.array([0.0, 0.0, face.vertex_z + face.radius])
+
+    def on_face(radius, turn):
+        z = centre[2] - np.sqrt(face.radius**2 - radius**2)
+        return np.column_stack([radius * np.cos(turn), radius * np.sin(turn), z])
+
+    turn = draw.uniform(0, 2 * np.pi, size=count)
+    first = on_face(draw.uniform(6.0, 8.5, size=count), turn)
+    second = on_face(draw.uniform(6.0, 8.5, size=count), turn + np.pi + draw.uniform(-0.5, 0.5, size=count))
+    between = second - first
+    between /= np.linalg.norm(between, axis=1, keepdims=True)
+    normal = (centre - first) / face.radius
+    arriving = between - 2 * np.sum(between * normal, axis=1, keepdims=True) * normal
+    for directions, crossing in ((arriving, first), (between, second)):
+        to_stop = (stop.vertex_z - crossing[:, 2]) / directions[:, 2]
+        at_stop = crossing + to_stop[:, None] * directions
+        assert (np.hypot(at_stop[:, 0], at_stop[:, 1]) > stop.aperture).mean() > 0.5
+    paths = lf.trace(world, first - 0.5 * arriving, arriving, weight_cutoff=0.0, max_events=2, record=True)
+    twice = 0
+    for packet in range(len(paths)):
+        path = path_of(paths, packet)
+        source = paths.source[packet]
+        assert path[0][1] == "lens surface 4"
+        assert np.abs(path[0][2] - first[source]).max() < POSITION_MM
+        if path[0][0] == "reflected":
+            assert path[1][1] == "lens surface 4"
+            assert np.abs(path[1][2] - second[source]).max() < POSITION_MM
+            twice += 1
+    assert twice >= count

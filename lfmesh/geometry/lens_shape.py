@@ -10,7 +10,15 @@ from lfmesh.geometry.mesh import Array, Mesh
 from lfmesh.geometry.mesh_error import facet_errors, landing_errors
 from lfmesh.geometry.refractors import RIM_MARGIN, face_of, measured
 from lfmesh.geometry.surface import surface
-from lfmesh.geometry.tessellation import MAX_RINGS, cap, revolved, rim_radius, ring_profile, rings_for
+from lfmesh.geometry.tessellation import (
+    MAX_RINGS,
+    cap,
+    end_where_they_touch,
+    revolved,
+    rim_radius,
+    ring_profile,
+    rings_for,
+)
 from lfmesh.scene import Scene, Tessellation, solved
 
 LEAST_RINGS = 5
@@ -74,6 +82,7 @@ def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
     surfaces = np.array(records)
     given = [prescription.surfaces[i].mesh for i in numbers]
     own = np.array([mesh is None for mesh in given])
+    end_where_they_touch(surfaces, LEAST_RINGS)
     level = SURFACE_LEVEL[scene.transport.surface]
     rings = rings or _rings(scene, numbers, surfaces)
     rims: list[float] = []

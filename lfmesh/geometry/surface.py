@@ -25,12 +25,21 @@ SURFACE = np.dtype(
         ("terms", "i8"),
         ("vertex_z", "f8"),
         ("aperture", "f8"),  # semi-diameter of the clear aperture
+        ("end", "f8"),  # radius at which it touches a neighbour, and ends
         ("stop", "i8"),  # 1: outside the aperture is the stop, 0: the mount
         ("level", "i8"),  # what a facet of its mesh stands for; the tracer says what the number means
     ]
 )
 
 NEWTON_STEPS = 12
+
+FIRST_STEP = 2.0**-20
+"""First step of the search for a bracket, over the distance from the vertex."""
+
+DOUBLINGS = 44
+
+SETTLED = 4e-16
+"""Newton step, over the size of the coordinates, after which float64 has no more digits."""
 
 
 def surface(
@@ -51,6 +60,7 @@ def surface(
     record["asphere"][: len(coefficients)] = coefficients
     record["vertex_z"] = vertex_z
     record["aperture"] = aperture
+    record["end"] = np.inf
     record["stop"] = stop
     return record
 
@@ -95,7 +105,8 @@ def normals(of: Any, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
 def reach(of: Any) -> float:
     """Return the largest radius at which the surface exists, mm; inf when it has no rim of its own."""
     c, k = of["curvature"], of["conic"]
-    return float(1.0 / (abs(c) * np.sqrt(1.0 + k))) if c != 0.0 and k > -1.0 else np.inf
+    own = float(1.0 / (abs(c) * np.sqrt(1.0 + k))) if c != 0.0 and k > -1.0 else np.inf
+    return min(own, float(of["end"]))
 
 
 @kernel
@@ -205,7 +216,7 @@ def _asphere_distance(
         if not abs(step) < np.inf:
             break
         t -= step
-        if abs(step) <= 4e-16 * (scale + abs(t)):
+        if abs(step) <= SETTLED * (scale + abs(t)):
             return True, t
     return _bracketed_distance(s, x, y, z, dx, dy, dz, start)
 
@@ -215,9 +226,12 @@ def _bracketed_distance(
     s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, start: float
 ) -> tuple[bool, float]:
     """Bracket the root nearest to `start` by doubling steps to both sides, then bisect."""
-    reach = 1e-6 * (1.0 + abs(start))
     here = _height(s, x, y, z, dx, dy, dz, start)
-    for _ in range(40):
+    if here == 0.0:
+        return True, start
+    # The root is about as far as the start is high, or further where the ray grazes.
+    reach = FIRST_STEP * (abs(here) + np.sqrt((x + start * dx) ** 2 + (y + start * dy) ** 2))
+    for _ in range(DOUBLINGS):
         for side in (1.0, -1.0):
             far = start + side * reach
             there = _height(s, x, y, z, dx, dy, dz, far)

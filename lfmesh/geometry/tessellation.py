@@ -9,14 +9,17 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import SceneError
-from lfmesh.geometry.mesh import Array, Index, Mesh, joined
+from lfmesh.geometry.mesh import Array, Index, Mesh, facet_normals, joined
 from lfmesh.geometry.surface import normals, reach, sag, slope
 
 OVERREACH = 0.02
 """How far a mesh reaches beyond its clear aperture, relative; the aperture itself is cut in float64."""
+
+FLOAT32_MARGIN = 2.0**-20
+"""Some roundings of a float32 coordinate, relative."""
 
 MAX_RINGS = 120
 
@@ -47,16 +50,29 @@ def disk_pattern(rings: int) -> tuple[Index, Array, Index]:
     return ring.astype(np.int64), azimuth, np.array(faces, dtype=np.int64)
 
 
+def last_radius(of: Any) -> float:
+    """Return the largest radius at which the sag is sure to be a number."""
+    return reach(of) * (1.0 - 4.0 * np.finfo(np.float64).eps)
+
+
 def rim_radius(of: Any, rings: int, overreach: float = OVERREACH) -> float:
-    """Return the radius of the mesh's rim: its edges, chords of that circle, stay outside the clear aperture."""
-    wished = of["aperture"] * (1.0 + overreach) / np.cos(np.pi / (6 * rings))
-    return float(min(wished, reach(of) * (1.0 - 1e-12)))
+    """Return the radius of the mesh's rim: its edges, chords of that circle, stay outside the clear aperture.
+
+    Where the surface ends before, its last circle is what they stay outside of, by more than a float32 query rounds.
+    """
+    inner = min(of["aperture"] * (1.0 + overreach), last_radius(of) * (1.0 + FLOAT32_MARGIN))
+    return float(inner / np.cos(np.pi / (6 * rings)))
+
+
+def mesh_sag(of: Any, r: ArrayLike) -> Array:
+    """Return the sag that a mesh has at radii `r`: beyond the surface's end, that of its end."""
+    return sag(of, np.minimum(r, last_radius(of)))
 
 
 def ring_radii(of: Any, rings: int, rim: float) -> Array:
     """Return (rings + 1,) radii equally spaced along the meridian's arc, so that steep rims get their share."""
     # Sampled in the angle of a quarter turn, whose points crowd at the rim, where a hemisphere's slope runs away.
-    fine = rim * np.sin(np.linspace(0.0, 0.5 * np.pi, 2049))
+    fine = min(rim, last_radius(of)) * np.sin(np.linspace(0.0, 0.5 * np.pi, 2049))
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(fine), np.diff(sag(of, fine))))])
     radii = np.interp(np.linspace(0.0, arc[-1], rings + 1), arc, fine)
     radii[-1] = rim
@@ -68,8 +84,9 @@ def cap(of: Any, rings: int, rim: float) -> Mesh:
     ring, azimuth, faces = disk_pattern(rings)
     r = ring_radii(of, rings, rim)[ring]
     x, y = r * np.cos(azimuth), r * np.sin(azimuth)
-    vertices = np.column_stack([x, y, sag(of, r) + of["vertex_z"]])
-    return Mesh(vertices, faces, normals(of, x, y)[faces])
+    vertices = np.column_stack([x, y, mesh_sag(of, r) + of["vertex_z"]])
+    inside = np.minimum(1.0, np.divide(last_radius(of), r, out=np.ones_like(r), where=r > 0.0))
+    return Mesh(vertices, faces, normals(of, inside * x, inside * y)[faces])
 
 
 def revolved(profile: Array, azimuths: int) -> Mesh:
@@ -87,7 +104,9 @@ def revolved(profile: Array, azimuths: int) -> Mesh:
         low, high = k * azimuths, (k + 1) * azimuths
         faces.append(np.column_stack([low + here, high + here, low + there]))
         faces.append(np.column_stack([low + there, high + here, high + there]))
-    return Mesh(vertices.reshape(-1, 3), np.concatenate(faces).astype(np.int64))
+    mesh = Mesh(vertices.reshape(-1, 3), np.concatenate(faces).astype(np.int64))
+    # Ends that touch leave nothing to close between them.
+    return Mesh(mesh.vertices, mesh.faces[facet_normals(mesh)[1] > 0.0])
 
 
 def ring_profile(front: Any, front_rim: float, back: Any, back_rim: float) -> Array:
@@ -96,8 +115,8 @@ def ring_profile(front: Any, front_rim: float, back: Any, back_rim: float) -> Ar
     A cylinder at the larger radius with a flat annulus to the smaller rim, as lenses are made, unless that would cut
     one of the surfaces; then a cone.
     """
-    a = np.array([front_rim, front["vertex_z"] + sag(front, front_rim)])
-    b = np.array([back_rim, back["vertex_z"] + sag(back, back_rim)])
+    a = np.array([front_rim, front["vertex_z"] + mesh_sag(front, front_rim)])
+    b = np.array([back_rim, back["vertex_z"] + mesh_sag(back, back_rim)])
     narrow, wide = (a, b) if a[0] < b[0] else (b, a)
     # The annulus leans into its own space: in one plane with the neighbour's, neither would be the first to be met.
     corner = np.array([wide[0], narrow[1] + ANNULUS_LEAN * (wide[1] - narrow[1])])
@@ -116,8 +135,8 @@ def _clears(profile: Array, front: Any, front_rim: float, back: Any, back_rim: f
     share = np.linspace(0.0, 1.0, 129)[1:-1, None]
     points = np.concatenate([p + share * (q - p) for p, q in pairwise(profile)])
     r, z = points[:, 0], points[:, 1]
-    before = (r < front_rim) & (z < front["vertex_z"] + sag(front, np.minimum(r, front_rim)))
-    behind = (r < back_rim) & (z > back["vertex_z"] + sag(back, np.minimum(r, back_rim)))
+    before = (r < front_rim) & (z < front["vertex_z"] + mesh_sag(front, np.minimum(r, front_rim)))
+    behind = (r < back_rim) & (z > back["vertex_z"] + mesh_sag(back, np.minimum(r, back_rim)))
     return not bool(np.any(before | behind))
 
 
@@ -125,7 +144,7 @@ def chord_error(of: Any, rings: int, rim: float) -> float:
     """Return a bound of the distance along z between the surface and its mesh, mm: along meridian and parallel."""
     r = ring_radii(of, rings, rim)
     middle = 0.5 * (r[1:] + r[:-1])
-    z = sag(of, r)
+    z = mesh_sag(of, r)
     radial = np.abs(sag(of, middle) - 0.5 * (z[1:] + z[:-1])).max()
     # A chord of ring i lies inside the circle by r (1 − cos(π/6i)), which the slope turns into sag.
     i = np.arange(1, rings + 1)
@@ -151,6 +170,30 @@ def rings_for(surfaces: NDArray[np.void], least: int, tolerance_mm: float = np.i
             break
         rings = max(rings + 1, int(rings * 1.2))
     return min(rings, MAX_RINGS)
+
+
+def end_where_they_touch(surfaces: NDArray[np.void], rings: int) -> None:
+    """End surfaces that touch outside their clear apertures, or at their rims, where they do.
+
+    Meshes of that many rings or more, which reach a little beyond the apertures, would cross there.
+    """
+    for front, back in pairwise(surfaces):
+        inner = float(min(front["aperture"], back["aperture"]))
+        if not np.isfinite(inner):
+            continue
+        outer = min(rim_radius(front, rings), rim_radius(back, rings), last_radius(front), last_radius(back))
+        if _gap_at(front, back, outer) > 0.0:
+            continue
+        low, high = inner, max(inner, outer)
+        while (middle := 0.5 * (low + high)) not in (low, high):
+            low, high = (middle, high) if _gap_at(front, back, middle) > 0.0 else (low, middle)
+        for s in (front, back):
+            if s["aperture"] <= low:
+                s["end"] = min(float(s["end"]), low)
+
+
+def _gap_at(front: Any, back: Any, radius: float) -> float:
+    return float(back["vertex_z"] + sag(back, radius) - front["vertex_z"] - sag(front, radius))
 
 
 def smallest_gap(front: Any, back: Any, radius: float) -> float:

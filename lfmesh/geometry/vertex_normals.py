@@ -15,6 +15,9 @@ from lfmesh.geometry.mesh import Array, Index, Mesh, facet_normals
 LEAST_NEIGHBOURS = 8
 """Neighbours that a fit of five coefficients should have; fewer are widened by their own neighbours."""
 
+HUB = 64
+"""Neighbours of a vertex, the centre of a fan, above which they are no neighbours of each other by way of it."""
+
 CREASE_FACTOR = 3.0
 CREASE_QUANTILE = 0.75
 CREASE_RANGE_DEG = (0.5, 30.0)
@@ -109,7 +112,7 @@ def _neighbour_lists(corner: Index, count: int) -> list[Index]:
         for _ in range(2):
             if len(ring) >= LEAST_NEIGHBOURS:
                 break
-            ring = np.unique(np.concatenate([ring, *(near[v] for v in ring)]))
+            ring = np.unique(np.concatenate([ring, *(near[v] for v in ring if len(near[v]) <= HUB)]))
             ring = ring[ring != vertex]
         lists.append(ring)
     return lists

@@ -8,9 +8,9 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, facet_table, joined
-from lfmesh.geometry.surface import sag
 from lfmesh.geometry.targets import TargetMesh
 from lfmesh.geometry.tessellation import (
+    mesh_sag,
     revolved,
 )
 from lfmesh.geometry.texture import wavelength_weights
@@ -45,8 +45,8 @@ def middle_of(targets: list[TargetMesh]) -> Array:
 def housing_mesh(scene: Scene, shape: LensShape) -> Mesh:
     """Return the camera's outside: a plate round the first rim, the barrel, and the body round array and sensor."""
     barrel = 1.05 * max(shape.rims)
-    front = float(shape.surfaces[0]["vertex_z"] + sag(shape.surfaces[0], shape.rims[0]))
-    back = float(shape.surfaces[-1]["vertex_z"] + sag(shape.surfaces[-1], shape.rims[-1]))
+    front = float(shape.surfaces[0]["vertex_z"] + mesh_sag(shape.surfaces[0], shape.rims[0]))
+    back = float(shape.surfaces[-1]["vertex_z"] + mesh_sag(shape.surfaces[-1], shape.rims[-1]))
     moves = frame_table(scene, np.zeros(3))
     corners = [np.multiply(0.5, scene.camera.sensor.size_mm)]
     if scene.camera.mla is not None:
@@ -63,7 +63,8 @@ def refuse_targets_inside(targets: list[TargetMesh], housing: Mesh, moves: Array
     """Refuse a target that reaches into the camera's outline."""
     radius = np.hypot(housing.vertices[:, 0], housing.vertices[:, 1])
     front, end = housing.vertices[:, 2].min(), housing.vertices[:, 2].max()
-    barrel = radius[housing.vertices[:, 2] <= front + 1e-9].max()
+    rounding = 4.0 * np.finfo(np.float64).eps * np.abs(housing.vertices).max()
+    barrel = radius[housing.vertices[:, 2] <= front + rounding].max()
     for i, target in enumerate(targets):
         corners = frames.points(moves[WORLD_FRAME, CAMERA_FRAME], target.mesh.vertices)[target.mesh.faces]
         low, high = corners.min(axis=1), corners.max(axis=1)

@@ -29,6 +29,7 @@ from lfmesh.transport.packet import (
     put,
 )
 from lfmesh.transport.random import derived, uniform
+from lfmesh.transport.sobol import owen_sobol
 from lfmesh.transport.tables import Aim, ArrayTables, SensorTables
 
 Array = NDArray[np.float64]
@@ -36,7 +37,10 @@ Array = NDArray[np.float64]
 START_DIMENSION = -64
 """A packet's starting numbers have dimensions of their own, before those of any event."""
 
-DISCRETE, PIXEL_U, PIXEL_V, CELL_U, CELL_V, WHICH_CELL = 0, 1, 2, 3, 4, 5
+PIXEL_U, PIXEL_V, CELL_U, CELL_V, DISCRETE, WHICH_CELL = 0, 1, 2, 3, 4, 5
+
+Numbers = tuple[float, float, float, float, float, float]
+"""What a path starts from, in [0, 1): place in the pixel, point of the lenslet (or pupil), which of them."""
 
 
 @kernel
@@ -46,8 +50,31 @@ def start(key: np.uint64, dimension: int) -> float:
 
 
 @kernel
+def starting_numbers(stratified: bool, pixel_key: np.uint64, sample: int) -> Numbers:
+    """Return a sample's starting numbers: of the pixel's own scrambled Sobol' set, or each by chance."""
+    if stratified:
+        return (
+            owen_sobol(pixel_key, sample, PIXEL_U),
+            owen_sobol(pixel_key, sample, PIXEL_V),
+            owen_sobol(pixel_key, sample, CELL_U),
+            owen_sobol(pixel_key, sample, CELL_V),
+            owen_sobol(pixel_key, sample, DISCRETE),
+            owen_sobol(pixel_key, sample, WHICH_CELL),
+        )
+    key = derived(pixel_key, sample)
+    return (
+        start(key, PIXEL_U),
+        start(key, PIXEL_V),
+        start(key, CELL_U),
+        start(key, CELL_V),
+        start(key, DISCRETE),
+        start(key, WHICH_CELL),
+    )
+
+
+@kernel
 def launch_adjoint(
-    first_pixel: int, pixels: int, samples: int, replicate_key: np.uint64, wave: int,
+    first_pixel: int, pixels: int, samples: int, stratified: bool, replicate_key: np.uint64, wave: int,
     sensor: SensorTables, array: ArrayTables, aim: Aim, frames: Array, lens_surfaces: int,
     flow: Flow, template: NDArray[np.void],
 ) -> None:  # fmt: skip
@@ -55,6 +82,8 @@ def launch_adjoint(
 
     Parameters
     ----------
+    stratified : bool
+        Start from scrambled Sobol' points in place of random ones.
     template : (1,) PACKET
         Working memory.
     """
@@ -74,18 +103,19 @@ def launch_adjoint(
         pixel_key = derived(replicate_key, pixel)
         for sample in range(samples):
             key = derived(pixel_key, sample)
-            x = (column - 0.5 * sensor.columns + start(key, PIXEL_U)) * sensor.pixel
-            y = (row - 0.5 * sensor.rows + start(key, PIXEL_V)) * sensor.pixel
+            numbers = starting_numbers(stratified, pixel_key, sample)
+            x = (column - 0.5 * sensor.columns + numbers[PIXEL_U]) * sensor.pixel
+            y = (row - 0.5 * sensor.rows + numbers[PIXEL_V]) * sensor.pixel
             if array.present:
                 px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
-                dx, dy, dz, importance = _through_a_lenslet(array, aim, frames, key, px, py, pz)
+                dx, dy, dz, importance = _through_a_lenslet(array, aim, frames, numbers, px, py, pz)
                 ux, uy, uz = move_direction(frames, ARRAY_FRAME, SENSOR_FRAME, dx, dy, dz)
             else:
                 # The pupil disks are square to the axis of the lens, whichever way the sensor is tilted.
                 px, py, pz = move_point(frames, SENSOR_FRAME, CAMERA_FRAME, x, y, 0.0)
                 dx, dy, dz, density = aimed(
                     px, py, pz, aim.exit_z, aim.exit_radius, aim.back_z, aim.back_radius,
-                    start(key, DISCRETE), start(key, CELL_U), start(key, CELL_V),
+                    numbers[DISCRETE], numbers[CELL_U], numbers[CELL_V],
                 )  # fmt: skip
                 ux, uy, uz = move_direction(frames, CAMERA_FRAME, SENSOR_FRAME, dx, dy, dz)
                 importance = -uz / density if density > 0.0 else 0.0
@@ -118,7 +148,7 @@ def _shows_pupil(array: ArrayTables, aim: Aim, column: int, row: int, x: float, 
 
 @kernel
 def _through_a_lenslet(
-    array: ArrayTables, aim: Aim, frames: Array, key: np.uint64, x: float, y: float, z: float
+    array: ArrayTables, aim: Aim, frames: Array, numbers: Numbers, x: float, y: float, z: float
 ) -> tuple[float, float, float, float]:
     """Return a direction (array frame) from a point of the sensor, and cos θ over its density.
 
@@ -139,10 +169,10 @@ def _through_a_lenslet(
             if is_inside(lattice, c, r) and _shows_pupil(array, aim, c, r, x, y, distance):
                 count += 1
     wide = 1.0 if count == 0 else WIDE_SHARE
-    if start(key, DISCRETE) < wide:
-        dx, dy, dz = lambertian(nx, ny, nz, start(key, CELL_U), start(key, CELL_V))
+    if numbers[DISCRETE] < wide:
+        dx, dy, dz = lambertian(nx, ny, nz, numbers[CELL_U], numbers[CELL_V])
     else:
-        wanted = min(int(start(key, WHICH_CELL) * count), count - 1)
+        wanted = min(int(numbers[WHICH_CELL] * count), count - 1)
         chosen_column, chosen_row = column, row
         for r in range(row - aim.search, row + aim.search + 1):
             for c in range(column - aim.search, column + aim.search + 1):
@@ -150,7 +180,7 @@ def _through_a_lenslet(
                     if wanted == 0:
                         chosen_column, chosen_row = c, r
                     wanted -= 1
-        u, v = _point_of_cell(lattice.hexagonal, start(key, CELL_U), start(key, CELL_V))
+        u, v = _point_of_cell(lattice.hexagonal, numbers[CELL_U], numbers[CELL_V])
         cx, cy = centre(lattice, chosen_column, chosen_row)
         size = lattice.pitch + 2.0 * aim.cell_margin
         dx, dy, dz = cx + u * size - x, cy + v * size - y, toward * distance

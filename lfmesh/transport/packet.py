@@ -154,6 +154,7 @@ class Options(NamedTuple):
     tracing: bool  # packets that end are kept, and a target ends them
     record: bool
     bounce: bool  # light may go from target to target
+    aimed: bool  # scattered light is aimed at the lens; else it finds the lens by chance
     first_source: int  # film row 0
 
 

@@ -112,11 +112,26 @@ def render(scene: Scene, progress: Callable[[Progress], None] | None = None) -> 
 
 @dataclass
 class Renderer:
-    """A render under way."""
+    """A render under way.
+
+    Attributes
+    ----------
+    world : World
+    progress : callable, optional
+    chunk : int
+        Packets a chunk starts with.
+    aimed : bool
+        Forward: aim scattered light at the entrance pupil. Without, each packet is scattered by chance and most miss
+        the lens: the paper's chain without its aiming, to measure what that brings.
+    stratified : bool
+        Adjoint: start paths from scrambled Sobol' points instead of random ones.
+    """
 
     world: World
     progress: Callable[[Progress], None] | None = None
     chunk: int = CHUNK
+    aimed: bool = True
+    stratified: bool = True
     _local: threading.local = field(default_factory=threading.local)
     _last_report: float = 0.0
 
@@ -131,7 +146,7 @@ class Renderer:
         self.pixels = self.world.tables.sensor.columns * self.world.tables.sensor.rows
         self.samples = transport.samples // transport.replicates
         self.adjoint = transport.method == "adjoint"
-        self.options = options_of(self.world)
+        self.options = options_of(self.world, aimed=self.aimed)
         self.threads = transport.threads or os.cpu_count() or 1
         self.seed = descendant(0x6C666D657368, transport.seed)
 
@@ -229,8 +244,8 @@ class Renderer:
         if self.adjoint:
             space.begin(film[chunk.first : chunk.first + chunk.count], chunk.first)
             launch_adjoint(
-                chunk.first, chunk.count, self.samples, key, chunk.wave, tables.sensor, tables.array, tables.aim,
-                tables.frames, len(tables.lens.surfaces), space.flow(), space.template,
+                chunk.first, chunk.count, self.samples, self.stratified, key, chunk.wave, tables.sensor, tables.array,
+                tables.aim, tables.frames, len(tables.lens.surfaces), space.flow(), space.template,
             )  # fmt: skip
         else:
             space.begin(film[:0])

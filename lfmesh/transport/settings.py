@@ -47,6 +47,7 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
         record,
         # Light goes from target to target, unless there is but one flat sheet.
         not tracing and (len(tables.objects.closed) > 1 or bool((tables.objects.facets["body"] >= 0).sum() > 2)),
+        True,
         0,
     )
     return options._replace(**override)

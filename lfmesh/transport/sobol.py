@@ -1,0 +1,97 @@
+"""Scrambled Sobol' points for the numbers that a path starts from: they fill the unit cube more evenly than chance.
+
+The points are those of Sobol' (1967) with the direction numbers of Joe & Kuo (SIAM J. Sci. Comput. 30, 2635, 2008:
+new-joe-kuo-6), scrambled as Owen proposed (1995): each digit is flipped by chance, the chance hashed from all the digits
+before it. So every point is uniform by itself, an average over them is unbiased, and the spread of independently
+scrambled sets is an honest standard error. The hash is Laine & Karras's (EGSR 2011) in the form of Burley (JCGT 9(4),
+2020), on the bits in reverse.
+"""
+
+import numpy as np
+
+from lfmesh.kernel import kernel
+from lfmesh.transport.random import derived
+
+DIMENSIONS = 8
+_BITS = 32
+
+_POLYNOMIALS = ((0, 0), (1, 0), (2, 1), (3, 1), (3, 2), (4, 1), (4, 4), (5, 2))
+"""Degree and inner coefficients of each dimension's primitive polynomial; the first dimension has none."""
+
+_FIRST_NUMBERS = ((), (1,), (1, 3), (1, 3, 1), (1, 1, 1), (1, 1, 3, 3), (1, 3, 5, 13), (1, 1, 5, 5, 17))
+
+
+def _direction_numbers() -> np.ndarray:
+    """Return the (dimensions, 32) direction numbers, by Joe & Kuo's recurrence."""
+    table = np.zeros((DIMENSIONS, _BITS), np.uint32)
+    table[0] = [1 << (_BITS - 1 - i) for i in range(_BITS)]
+    for row, (degree, inner), first in zip(table[1:], _POLYNOMIALS[1:], _FIRST_NUMBERS[1:], strict=True):
+        v = [m << (_BITS - 1 - i) for i, m in enumerate(first)]
+        for i in range(degree, _BITS):
+            number = v[i - degree] ^ (v[i - degree] >> degree)
+            for k in range(1, degree):
+                number ^= ((inner >> (degree - 1 - k)) & 1) * v[i - k]
+            v.append(number)
+        row[:] = v
+    return table
+
+
+DIRECTIONS = _direction_numbers()
+
+_M1, _M2, _M3, _M4 = np.uint32(0x55555555), np.uint32(0x33333333), np.uint32(0x0F0F0F0F), np.uint32(0x00FF00FF)
+_U1, _U2, _U4, _U8, _U16 = np.uint32(1), np.uint32(2), np.uint32(4), np.uint32(8), np.uint32(16)
+_LK1, _LK2, _LK3, _LK4 = (np.uint32(n) for n in (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6))
+_UNIT = 2.0**-32
+
+
+@kernel
+def _reversed(x: np.uint32) -> np.uint32:
+    """Return 32 bits in reverse order."""
+    x = np.uint32(((x >> _U1) & _M1) | ((x & _M1) << _U1))
+    x = np.uint32(((x >> _U2) & _M2) | ((x & _M2) << _U2))
+    x = np.uint32(((x >> _U4) & _M3) | ((x & _M3) << _U4))
+    x = np.uint32(((x >> _U8) & _M4) | ((x & _M4) << _U8))
+    return np.uint32((x >> _U16) | (x << _U16))
+
+
+@kernel
+def _scrambled(x: np.uint32, seed: np.uint32) -> np.uint32:
+    """Return a number with its digits flipped, each by a hash of those before it."""
+    x = _reversed(x)
+    x = np.uint32(x + seed)
+    x = np.uint32(x ^ np.uint32(x * _LK1))
+    x = np.uint32(x ^ np.uint32(x * _LK2))
+    x = np.uint32(x ^ np.uint32(x * _LK3))
+    x = np.uint32(x ^ np.uint32(x * _LK4))
+    return _reversed(x)
+
+
+@kernel
+def sobol(index: int, dimension: int) -> np.uint32:
+    """Return a coordinate of the Sobol' point number `index`, as 32 bits after the point."""
+    point = np.uint32(0)
+    bit = 0
+    while index > 0:
+        if index & 1:
+            point = np.uint32(point ^ DIRECTIONS[dimension, bit])
+        index >>= 1
+        bit += 1
+    return point
+
+
+@kernel
+def owen_sobol(key: np.uint64, index: int, dimension: int) -> float:
+    """Return a coordinate in [0, 1) of a point of the set that `key` scrambles.
+
+    Parameters
+    ----------
+    key : uint64
+        Of the set: hashed from (seed, replicate, pixel).
+    index : int
+        Number of the point, below 2³²; the first 2^m points are stratified.
+    dimension : int
+        Below `DIMENSIONS`.
+    """
+    # Negative numbers, for those from zero on are the keys of the samples.
+    seed = np.uint32(derived(key, -1 - dimension) & np.uint64(0xFFFFFFFF))
+    return _scrambled(sobol(index, dimension), seed) * _UNIT

@@ -300,6 +300,9 @@ def shade_cells(
             _split_at_face(options, flow, frames, array, lens_surfaces, packet, t, prim, nx, ny, nz)
         elif options.surface != EXACT and prim >= 0 and not met and at_facet < min(sideways, layer):
             ask_again(options, flow, frames, CELLS, packet, behind(array.facets[prim], packet, at_facet), False)
+        elif options.surface != EXACT and prim < 0 and packet.tries == 0:
+            # Embree lets a ray pass that is aimed exactly at a vertex.
+            ask_again(options, flow, frames, CELLS, packet, packet.query_from, True)
         elif sideways <= layer:
             _walk(options, flow, frames, array, packet, sideways, side)
         elif dz < 0.0 and inward:

@@ -43,6 +43,9 @@ MAX_TRIES = 12
 FLOAT32_GRAIN = 2.0**-22
 """Rounding of a float32 query, relative to its coordinates: what an origin must clear to be past a facet."""
 
+EDGE = 2.0**-36
+"""How far outside a facet float64 still takes a crossing for one, in barycentric weights."""
+
 # Dimensions of an event's random numbers.
 CHOOSE, KEEP_REFLECTED, KEEP_REFRACTED, KEEP_BOUNCE = 0, 1, 2, 3
 BOUNCE_U, BOUNCE_V, AIM_DISK, AIM_U, AIM_V, LIGHT_U, LIGHT_V = 4, 5, 6, 7, 8, 9, 10
@@ -204,6 +207,23 @@ def behind(facet: Any, packet: Any, t: float) -> float:
     grain = FLOAT32_GRAIN * (abs(packet.x) + abs(packet.y) + abs(packet.z) + abs(t) + facet.size)
     step = min(grain / along, facet.size) if along > 0.0 else facet.size
     return max(packet.query_from, t) + step * 2.0**packet.tries
+
+
+@kernel
+def crosses(facet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> tuple[float, float]:
+    """Return where a ray crosses a facet, in float64, and normal · direction there; inf, 0 where it does not.
+
+    An edge belongs to both of its facets: a ray that meets it to rounding is not to slip between them.
+    """
+    normal = facet.normal
+    along = normal[0] * dx + normal[1] * dy + normal[2] * dz
+    if along == 0.0:
+        return np.inf, 0.0
+    t = (facet.offset - normal[0] * x - normal[1] * y - normal[2] * z) / along
+    b, c = barycentric(facet, x + t * dx, y + t * dy, z + t * dz)
+    if not (b >= -EDGE and c >= -EDGE and b + c <= 1.0 + EDGE):
+        return np.inf, 0.0
+    return t, along
 
 
 @kernel

@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.levels import EXACT, PATCH
-from lfmesh.geometry.surface import distance_to, normal_at
-from lfmesh.kernel import kernel
+from lfmesh.geometry.surface import conic_distance, distance_to, normal_at
+from lfmesh.geometry.tessellation import OVERREACH
+from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.transport.crossing import (
     ask_again,
     behind,
     clear_of,
+    crosses,
     end,
     end_here,
     facet_normal,
@@ -36,10 +38,13 @@ from lfmesh.transport.packet import (
     HOUSING,
     LEFT_LENS,
     LENS,
+    LOST_CONTRADICTION,
     NO_SURFACE,
     OBJECTS,
     PLATE,
+    REQUERIES,
     S_ABSORBED,
+    S_LOST,
     SENSOR,
     STOP,
     Flow,
@@ -50,6 +55,12 @@ from lfmesh.transport.random import derived
 from lfmesh.transport.tables import LensTables
 
 Array = NDArray[np.float64]
+
+RING = -2
+"""What bounds a space besides its surfaces."""
+
+NEARBY_TRIES = 4
+"""Refusals of facets no further than their size, own ones and their neighbours, that are queried from behind."""
 
 
 @kernel
@@ -140,58 +151,38 @@ def shade_lens(
             too_deep(options, flow, frames, packet)
             continue
         prim = found[i]
-        if prim < 0:
-            _meets_nothing(options, flow, frames, lens, has_array, packet)
-            continue
-        x, y, z = packet.x, packet.y, packet.z
-        dx, dy, dz = packet.dx, packet.dy, packet.dz
         space = packet.space
-        facet = facets[prim]
-        normal = facet.normal
-        along = normal[0] * dx + normal[1] * dy + normal[2] * dz
-        height = normal[0] * x + normal[1] * y + normal[2] * z - facet.offset
-        at_facet = -height / along if along != 0.0 else packet.query_from
-        k = facet.body
-        if k < 0:
-            if -1 - k == space and at_facet > 0.0:
-                _meets_ring(options, flow, frames, lens, packet, at_facet)
+        outside = space == 0 or space == last_space
+        if prim < 0 and outside:
+            if packet.last == NO_SURFACE and packet.tries == 0:
+                # It was on its way in: Embree lets a ray pass that is aimed exactly at a vertex.
+                ask_again(options, flow, frames, LENS, packet, packet.query_from, True)
             else:
-                ask_again(options, flow, frames, LENS, packet, behind(facet, packet, at_facet), False)
+                _leaves(options, flow, frames, lens, has_array, packet)
             continue
-        # A packet in front of a surface crosses its facets along their normals, one behind it against them.
+        k, t, px, py, z, nx, ny, nz = NO_SURFACE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
+        if prim >= 0:
+            k, t, px, py, z, nx, ny, nz = _meets(flow, lens, packet, prim, 0.25 * packet.query_from)
+            if k == NO_SURFACE and abs(t) <= facets[prim].size and packet.tries < NEARBY_TRIES:
+                ask_again(options, flow, frames, LENS, packet, behind(facets[prim], packet, t), False)
+                continue
+        if k == NO_SURFACE:
+            # Far from its start the packet must not go on: float32 has put that start, or the ray, past a facet.
+            flow.counts[REQUERIES] += 1
+            k, prim, t, px, py, z, nx, ny, nz = _first_of_all(flow, lens, packet)
+            if k == NO_SURFACE:
+                if outside:
+                    # It passes beside the outermost surface.
+                    _leaves(options, flow, frames, lens, has_array, packet)
+                else:
+                    end_here(options, flow, frames, packet, LOST_CONTRADICTION, S_LOST)
+                continue
+        if k == RING:
+            _meets_ring(options, flow, frames, lens, packet, t)
+            continue
+        dx, dy, dz = packet.dx, packet.dy, packet.dz
         forward = k == space
-        met = (forward and along > 0.0) or (k == space - 1 and along < 0.0)
-        surface = surfaces[k if met else 0]
-        level = surface.level
-        t = at_facet
-        px, py, pz = x + t * dx, y + t * dy, z + t * dz - surface.vertex_z
-        nx, ny, nz = normal[0], normal[1], normal[2]
-        if met and level == EXACT:
-            met, more = distance_to(surface, px, py, pz, dx, dy, dz, 1.0 if forward else -1.0)
-            t += more
-            px, py, pz = px + more * dx, py + more * dy, pz + more * dz
-            nx, ny, nz = normal_at(surface, px, py, pz)
-            met = met and t > 0.0
-        elif met and level == PATCH:
-            met, more, nx, ny, nz = meets_patch(
-                flow, lens.patches, lens.across, facet, prim, px, py, pz + surface.vertex_z, dx, dy, dz
-            )
-            t += more
-            px, py, pz = px + more * dx, py + more * dy, pz + more * dz
-            met = t > (0.0 if met else 0.25 * packet.query_from)
-        elif met:
-            met = t > 0.25 * packet.query_from
-            if met:
-                nx, ny, nz = facet_normal(level, facet, px, py, pz + surface.vertex_z)
-        cos_i = nx * dx + ny * dy + nz * dz
-        if met and (cos_i > 0.0) != forward:
-            # An interpolated normal may look away from a grazing ray, and its facet then decides; an exact one may not.
-            met = level != EXACT
-            nx, ny, nz, cos_i = normal[0], normal[1], normal[2], along
-        if not met:
-            ask_again(options, flow, frames, LENS, packet, behind(facet, packet, at_facet), False)
-            continue
-        z = pz + surface.vertex_z
+        surface = surfaces[k]
         if lens.stop_space == space and packet.last != k and stop_cuts(lens, px, py, z, dx, dy, dz):
             at = (lens.stop_z - z) / dz if dz != 0.0 else 0.0
             # A ray of the user's own may start behind the stop, and never cross it.
@@ -220,9 +211,7 @@ def shade_lens(
                 S_ABSORBED,
             )
             continue
-        if not forward:
-            nx, ny, nz, cos_i = -nx, -ny, -nz, -cos_i
-        cos_i = min(cos_i, 1.0)
+        cos_i = min(nx * dx + ny * dy + nz * dz, 1.0)
         events += 1
         other = k + 1 if forward else k
         n_i, n_t = indices[space, packet.wave], indices[other, packet.wave]
@@ -265,7 +254,7 @@ def shade_lens(
                     into,
                 )
             else:
-                clear = clear_of(facet, px, py, z, ux, uy, uz)
+                clear = clear_of(facets[prim], px, py, z, ux, uy, uz) if prim >= 0 else 0.0
                 put(
                     flow.stacks,
                     flow.tops,
@@ -301,16 +290,131 @@ def _meets_ring(options: Options, flow: Flow, frames: Array, lens: LensTables, p
     )  # fmt: skip
 
 
+@inlined
+def _meets(
+    flow: Flow, lens: LensTables, packet: Any, prim: int, least: float
+) -> tuple[int, float, float, float, float, float, float, float]:
+    """Return which surface of its space a packet meets by way of a facet, at what t, the point, and the normal.
+
+    The normal is along the ray. `RING` is the ring of its space; `NO_SURFACE` refuses a facet of another space, one
+    that is crossed the wrong way, and where a facet itself is the surface, one nearer than `least`.
+    """
+    x, y, z = packet.x, packet.y, packet.z
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    space = packet.space
+    facet = lens.facets[prim]
+    normal = facet.normal
+    nx, ny, nz = normal[0], normal[1], normal[2]
+    along = nx * dx + ny * dy + nz * dz
+    t = (facet.offset - nx * x - ny * y - nz * z) / along if along != 0.0 else packet.query_from
+    px, py, pz = x + t * dx, y + t * dy, z + t * dz
+    k = facet.body
+    # A packet in front of a surface crosses its facets along their normals, one behind it against them.
+    forward = k == space
+    met = (forward and along > 0.0) or (k == space - 1 and along < 0.0)
+    if k < 0:
+        k = RING
+        met = -1 - facet.body == space and t > 0.0
+    elif met:
+        surface = lens.surfaces[k]
+        level = surface.level
+        if level == EXACT:
+            pz -= surface.vertex_z
+            met, more = distance_to(surface, px, py, pz, dx, dy, dz, 1.0 if forward else -1.0)
+            t += more
+            px, py, pz = px + more * dx, py + more * dy, pz + more * dz
+            nx, ny, nz = normal_at(surface, px, py, pz)
+            pz += surface.vertex_z
+            met = met and t > 0.0 and (nx * dx + ny * dy + nz * dz > 0.0) == forward
+        else:
+            met = t > least
+            if level == PATCH:
+                curved, more, nx, ny, nz = meets_patch(
+                    flow, lens.patches, lens.across, facet, prim, px, py, pz, dx, dy, dz
+                )
+                t += more
+                px, py, pz = px + more * dx, py + more * dy, pz + more * dz
+                met = t > 0.0 if curved else met
+            elif met:
+                nx, ny, nz = facet_normal(level, facet, px, py, pz)
+            if (nx * dx + ny * dy + nz * dz > 0.0) != forward:
+                # An interpolated normal may look away from a grazing ray, and its facet then decides.
+                nx, ny, nz = normal[0], normal[1], normal[2]
+        if not forward:
+            nx, ny, nz = -nx, -ny, -nz
+    return k if met else NO_SURFACE, t, px, py, pz, nx, ny, nz
+
+
 @kernel
-def _meets_nothing(options: Options, flow: Flow, frames: Array, lens: LensTables, has_array: bool, packet: Any) -> None:
-    """Let a packet out of the lens; inside it, nothing to meet is impossible, and it is looked for again."""
-    last_space = len(lens.surfaces)
-    if packet.space == 0 or (packet.space == last_space and packet.dz > 0.0):
+def _first_of_all(
+    flow: Flow, lens: LensTables, packet: Any
+) -> tuple[int, int, float, float, float, float, float, float, float]:
+    """Return what a packet meets first of all that bounds its space, its facet (−1: none), and the rest of `_meets`.
+
+    Slow, and sure: conics by their own roots, as a ray that creeps along a hollow one stays between surface and mesh;
+    everything else by trying every facet in float64.
+    """
+    x, y, z = packet.x, packet.y, packet.z
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    space = packet.space
+    first, first_prim, nearest = NO_SURFACE, -1, np.inf
+    fx, fy, fz, nx, ny, nz = 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
+    settled = True
+    for k in range(max(space - 1, 0), min(space + 1, len(lens.surfaces))):
+        surface = lens.surfaces[k]
+        if not _is_conic(surface):
+            settled = False
+            continue
+        sense = 1.0 if k == space else -1.0
+        met, t = conic_distance(surface.curvature, surface.conic, x, y, z - surface.vertex_z, dx, dy, dz, sense)
+        px, py, pz = x + t * dx, y + t * dy, z + t * dz - surface.vertex_z
+        on_sheet = surface.curvature * (1.0 + surface.conic) * pz < 1.0
+        if met and on_sheet and 0.0 < t < nearest and _on_mesh(surface, px, py):
+            first, nearest, fx, fy, fz = k, t, px, py, pz + surface.vertex_z
+            mx, my, mz = normal_at(surface, px, py, pz)
+            nx, ny, nz = sense * mx, sense * my, sense * mz
+    if settled and (space == 0 or space == len(lens.surfaces)):
+        # No ring bounds the outside.
+        return first, first_prim, nearest, fx, fy, fz, nx, ny, nz
+    for prim in range(len(lens.facets)):
+        body = lens.facets[prim].body
+        if body != space and body != space - 1 and body != -1 - space:
+            continue
+        t, _ = crosses(lens.facets[prim], x, y, z, dx, dy, dz)
+        if not -packet.limit < t < np.inf:
+            continue
+        k, t, px, py, pz, mx, my, mz = _meets(flow, lens, packet, prim, -packet.limit)
+        if k == NO_SURFACE or t >= nearest:
+            continue
+        if k >= 0 and _is_conic(lens.surfaces[k]) and _on_mesh(lens.surfaces[k], px, py):
+            continue
+        first, first_prim, nearest, fx, fy, fz, nx, ny, nz = k, prim, t, px, py, pz, mx, my, mz
+    if first == NO_SURFACE and settled:
+        # Neither surface is met, so the ring is: between the circle of a rim and the chords of its mesh.
+        first, nearest = RING, packet.limit
+    return first, first_prim, nearest, fx, fy, fz, nx, ny, nz
+
+
+@inlined
+def _is_conic(surface: Any) -> bool:
+    """Tell whether a surface's hits have a closed form."""
+    return surface.level == EXACT and surface.terms == 0
+
+
+@inlined
+def _on_mesh(surface: Any, x: float, y: float) -> bool:
+    """Tell whether a point lies within the clear aperture and what every mesh reaches beyond it."""
+    reach = min(surface.aperture * (1.0 + OVERREACH), surface.end)
+    return x * x + y * y <= reach * reach
+
+
+@kernel
+def _leaves(options: Options, flow: Flow, frames: Array, lens: LensTables, has_array: bool, packet: Any) -> None:
+    """Let a packet that met nothing out of the lens, or into the housing behind it."""
+    if packet.space == 0 or packet.dz > 0.0:
         leave_lens(
             options, flow, frames, lens, has_array, packet, packet.x, packet.y, packet.z,
             packet.dx, packet.dy, packet.dz, packet.weight, packet.key, packet.space,
         )  # fmt: skip
-    elif packet.space == last_space:
-        end_here(options, flow, frames, packet, HOUSING, S_ABSORBED)
     else:
-        ask_again(options, flow, frames, LENS, packet, packet.query_from, True)
+        end_here(options, flow, frames, packet, HOUSING, S_ABSORBED)

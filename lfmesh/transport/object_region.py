@@ -29,6 +29,7 @@ from lfmesh.transport.crossing import (
     barycentric,
     behind,
     clear_of,
+    crosses,
     deposit,
     draw,
     end,
@@ -59,14 +60,17 @@ from lfmesh.transport.packet import (
     LENS,
     LENS_FRONT,
     LIT,
+    LOST_CONTRADICTION,
     NO_SURFACE,
     OBJECT_FRAME,
     OBJECTS,
     ON_GLASS,
     ON_TARGET,
     REACHED,
+    REQUERIES,
     S_ABSORBED,
     S_ESCAPED,
+    S_LOST,
     S_TARGET,
     SAMPLING_ADDED,
     SAMPLING_REMOVED,
@@ -132,12 +136,18 @@ def shade_objects(
                 again = behind(facet, packet, t if t > 0.0 else 0.0)
                 ask_again(options, flow, frames, OBJECTS, packet, again, False)
                 continue
-            body = facet.body
-            if body >= 0 and objects.glass[body, packet.wave] > 0.0 and packet.kind != SHADOW:
-                inside = packet.column == body
-                if (along > 0.0) != inside or not (inside or packet.column < 0):
-                    ask_again(options, flow, frames, OBJECTS, packet, behind(facet, packet, t), False)
-                    continue
+        elif packet.tries == 0 and _might_have_met(objects, packet, x, y, z, dx, dy, dz):
+            # Embree lets a ray pass that is aimed exactly at a vertex.
+            ask_again(options, flow, frames, OBJECTS, packet, packet.query_from, True)
+            continue
+        if packet.kind != SHADOW and not _in_its_medium(objects, packet, prim, along):
+            # The query began beyond a facet, near an edge of the body, or slipped through the body at a vertex.
+            flow.counts[REQUERIES] += 1
+            prim, t, along = _first_crossing(objects, packet, x, y, z, dx, dy, dz)
+            if prim < 0:
+                end_here(options, flow, frames, packet, LOST_CONTRADICTION, S_LOST)
+                continue
+            facet = facets[prim]
         if packet.kind == SHADOW:
             if t >= packet.limit:
                 deposit(options, flow, packet.source, packet.wave, packet.weight)
@@ -146,7 +156,8 @@ def shade_objects(
             px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
             ex, ey, ez = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, dx, dy, dz)
             if box_entry(lens.box_low, lens.box_high, px, py, pz, ex, ey, ez) < t:
-                if options.adjoint or packet.kind == CAMERA or packet.kind == SPECULAR:
+                by_itself = packet.kind == SPECULAR or (packet.kind == SCATTERED and not options.aimed)
+                if options.adjoint or packet.kind == CAMERA or by_itself:
                     child = put(
                         flow.stacks,
                         flow.tops,
@@ -174,9 +185,6 @@ def shade_objects(
                 # that was not aimed brings there already.
                 flow.book[SAMPLING_REMOVED] += packet.weight
                 continue
-        if prim < 0 and packet.column >= 0:
-            ask_again(options, flow, frames, OBJECTS, packet, packet.query_from, True)
-            continue
         if prim < 0:
             end_here(options, flow, frames, packet, ESCAPED, S_ESCAPED)
             continue
@@ -219,6 +227,50 @@ def shade_objects(
             continue
         packet.events += 1
         scatter(options, flow, frames, objects, aim, packet, prim, x, y, z, side, scattered)
+
+
+@kernel
+def _in_its_medium(objects: ObjectTables, packet: Any, prim: int, along: float) -> bool:
+    """Tell whether a packet in its medium can meet a facet from that side; −1: whether it can meet nothing at all."""
+    if prim < 0:
+        return packet.column < 0
+    body = objects.facets[prim].body
+    if body >= 0 and objects.glass[body, packet.wave] > 0.0:
+        inside = packet.column == body
+        return (along > 0.0) == inside and (inside or packet.column < 0)
+    return True
+
+
+@kernel
+def _might_have_met(
+    objects: ObjectTables, packet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float
+) -> bool:
+    """Tell whether a packet outside all glass that met nothing comes from afar and passes near the targets."""
+    if packet.kind == SHADOW or packet.column >= 0:
+        return False
+    toward = -(x * dx + y * dy + z * dz)
+    distance2, radius2 = x * x + y * y + z * z, objects.radius * objects.radius
+    return toward > 0.0 and distance2 > radius2 and distance2 - toward * toward <= radius2
+
+
+@kernel
+def _first_crossing(
+    objects: ObjectTables, packet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float
+) -> tuple[int, float, float]:
+    """Return the facet that a packet in its medium meets first, where, and normal · direction; −1: none.
+
+    All facets are tried in float64: slow, and sure. The facet that the packet left faces its medium the wrong way, so
+    no distance from the start need be kept; a curved start may even lie a little beyond the next facet.
+    """
+    first, nearest, steepness = -1, np.inf, 0.0
+    for prim in range(len(objects.facets)):
+        t, along = crosses(objects.facets[prim], x, y, z, dx, dy, dz)
+        if t < nearest and t > -packet.limit and prim != packet.facet:
+            body = objects.facets[prim].body
+            glass = body >= 0 and objects.glass[body, packet.wave] > 0.0
+            if (glass or t > 0.0) and _in_its_medium(objects, packet, prim, along):
+                first, nearest, steepness = prim, t, along
+    return first, nearest, steepness
 
 
 @kernel
@@ -371,9 +423,9 @@ def scatter(
     if options.record:
         packet.node = record(flow, frames, OBJECT_FRAME, x, y, z, weight, ON_TARGET, E_SCATTERED, packet.node)
     to_camera = 0.0
-    if not options.adjoint:
+    if options.aimed and not options.adjoint:
         to_camera = _aim_at_camera(flow, frames, aim, facet, packet, x, y, z, nx, ny, nz, weight)
-    if not options.bounce:
+    if not options.bounce and (options.aimed or options.adjoint):
         # Nothing else is there to be met: what does not go to the camera escapes.
         flow.book[ESCAPED] += weight - to_camera
         return

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
-from lfmesh.geometry.surface import sag
+from lfmesh.geometry.tessellation import mesh_sag
 from lfmesh.kernel import kernel
 from lfmesh.optics.glass import refractive_index
 from lfmesh.transport.engine import CHUNK, Workspace
@@ -286,7 +286,7 @@ def _located(
     # A point is behind a surface, or its rim's plane where the surface has ended.
     behind = np.zeros(len(p), np.int64)
     for s, rim in zip(shape.surfaces, shape.rims, strict=True):
-        behind += p[:, 2] > s["vertex_z"] + sag(s, np.minimum(r, rim))
+        behind += p[:, 2] > s["vertex_z"] + mesh_sag(s, np.minimum(r, rim))
     count = len(shape.surfaces)
     inside = (behind > 0) & (behind < count) & (r <= max(shape.rims))
     station = np.full(len(p), OBJECTS)

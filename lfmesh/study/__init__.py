@@ -1,0 +1,1 @@
+"""Studies: what the engine costs, how wrong it is, and what breaks it."""

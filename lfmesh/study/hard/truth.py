@@ -1,0 +1,222 @@
+"""Sequential tracing in plain NumPy: the truth that the hard cases are held against.
+
+It shares no code with the engine: no mesh, no Embree, no kernels. Surfaces come in a known order, a conic is met by
+Welford's quadratic (Aberrations of Optical Systems, 1986, section 4.5), an asphere by bisection of its height.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+BISECTIONS = 200
+
+BORDER = 1e-9
+"""Width of a cell's border, over the pitch, on which either lenslet's answer is right."""
+
+
+@dataclass(frozen=True)
+class Interface:
+    """A surface of revolution at `z` and the index behind it; `radius` may be inf."""
+
+    radius: float
+    z: float
+    index: float = 1.0
+    conic: float = 0.0
+    asphere: tuple[float, ...] = ()
+
+    @property
+    def curvature(self) -> float:
+        """1/radius."""
+        return 0.0 if np.isinf(self.radius) else 1.0 / self.radius
+
+    def sag(self, r2: Array) -> Array:
+        """Return the height above the vertex at squared radius r2."""
+        c = self.curvature
+        with np.errstate(invalid="ignore"):
+            z = c * r2 / (1.0 + np.sqrt(1.0 - (1.0 + self.conic) * c * c * r2))
+        return z + sum(a * r2 ** (j + 2) for j, a in enumerate(self.asphere))
+
+    def normal(self, p: Array) -> Array:
+        """Return (n, 3) unit normals, towards +z at the vertex, at points relative to the vertex."""
+        c, q = self.curvature, 1.0 + self.conic
+        x, y, z = p.T
+        r2 = x * x + y * y
+        if not self.asphere:
+            n = np.stack([-c * x, -c * y, 1.0 - c * q * z], axis=1)
+        else:
+            g = c / np.sqrt(1.0 - q * c * c * r2)
+            g = g + sum(2.0 * (j + 2) * a * r2 ** (j + 1) for j, a in enumerate(self.asphere))
+            n = np.stack([-g * x, -g * y, np.ones_like(x)], axis=1)
+        return n / np.linalg.norm(n, axis=1, keepdims=True)
+
+    def meet(self, p: Array, d: Array) -> Array:
+        """Return (n, 3) the points, relative to the vertex, where rays meet the sheet of the vertex; NaN: nowhere."""
+        at = p - [0.0, 0.0, self.z]
+        # To the vertex plane, so that the quadratic's terms stay small.
+        at = at - (at[:, 2] / d[:, 2])[:, None] * d
+        c, q = self.curvature, 1.0 + self.conic
+        a = c * (d[:, 0] ** 2 + d[:, 1] ** 2 + q * d[:, 2] ** 2)
+        b = d[:, 2] - c * (at[:, 0] * d[:, 0] + at[:, 1] * d[:, 1])
+        g = c * (at[:, 0] ** 2 + at[:, 1] ** 2)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            t = g / (b + np.sign(d[:, 2]) * np.sqrt(b * b - a * g))
+        if self.asphere:
+            t = self._bisected(at, d, t)
+        return np.asarray(at + t[:, None] * d)
+
+    def _bisected(self, p: Array, d: Array, t: Array) -> Array:
+        """Return t where the rays' height above the asphere changes sign, in the bracket nearest to t."""
+
+        def height(s: Array) -> Array:
+            at = p + s[:, None] * d
+            return np.asarray(at[:, 2] - self.sag(at[:, 0] ** 2 + at[:, 1] ** 2))
+
+        span = np.full_like(t, 1e-3)
+        here = height(t)
+        low, high = t - span, t + span
+        for _ in range(40):
+            closed = height(low) * height(high) <= 0.0
+            span = np.where(closed, span, 1.5 * span)
+            low, high = np.where(closed, low, t - span), np.where(closed, high, t + span)
+        below = np.sign(height(low))
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            same = np.sign(height(middle)) == below
+            low, high = np.where(same, middle, low), np.where(same, high, middle)
+        return np.where(here == 0.0, t, 0.5 * (low + high))
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """Rays at the end of a sequential trace: points and unit directions (n, 3), weights and greatest radius (n,)."""
+
+    p: Array
+    d: Array
+    weight: Array
+    heights: Array
+    """(n, surfaces) distance from the axis at which each surface was met."""
+
+
+def transmittance(n_i: float, n_t: float, cos_i: Array, cos_t: Array) -> Array:
+    """Return the transmitted share of unpolarised light (Born and Wolf, 1.5.2)."""
+    s = 2.0 * n_i * cos_i / (n_i * cos_i + n_t * cos_t)
+    p = 2.0 * n_i * cos_i / (n_t * cos_i + n_i * cos_t)
+    return np.asarray(0.5 * n_t * cos_t / (n_i * cos_i) * (s * s + p * p))
+
+
+def refracted(d: Array, normal: Array, n_i: float, n_t: float) -> tuple[Array, Array]:
+    """Return the (n, 3) directions by Snell's law and the (n,) transmittances; NaN under total reflection."""
+    cos_i = np.einsum("ij,ij->i", d, normal)
+    normal = normal * np.sign(cos_i)[:, None]
+    cos_i = np.abs(cos_i)
+    tangential = (d - cos_i[:, None] * normal) * (n_i / n_t)
+    with np.errstate(invalid="ignore"):
+        cos_t = np.sqrt(1.0 - np.einsum("ij,ij->i", tangential, tangential))
+    share = transmittance(n_i, n_t, cos_i, cos_t) if n_i != n_t else np.ones_like(cos_i)
+    return tangential + cos_t[:, None] * normal, share
+
+
+def through(interfaces: list[Interface], origins: ArrayLike, directions: ArrayLike, first_index: float = 1.0) -> Bundle:
+    """Trace rays through surfaces in their order, refracting at each."""
+    p = np.asarray(origins, dtype=np.float64)
+    d = np.asarray(directions, dtype=np.float64)
+    d = d / np.linalg.norm(d, axis=1, keepdims=True)
+    weight = np.ones(len(p))
+    heights = []
+    n_i = first_index
+    for face in interfaces:
+        at = face.meet(p, d)
+        d, share = refracted(d, face.normal(at), n_i, face.index)
+        p = np.add(at, [0.0, 0.0, face.z])
+        weight = weight * share
+        heights.append(np.hypot(at[:, 0], at[:, 1]))
+        n_i = face.index
+    return Bundle(p, d, weight, np.stack(heights, axis=1) if heights else np.zeros((len(p), 0)))
+
+
+def at_plane(p: Array, d: Array, z: float) -> Array:
+    """Return (n, 3) where rays meet a plane z; NaN where they run away from it."""
+    with np.errstate(divide="ignore"):
+        t = (z - p[:, 2]) / d[:, 2]
+    return np.asarray(p + np.where(t >= 0.0, t, np.nan)[:, None] * d)
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A lenslet array in its own frame (z from the curved face into the glass), and a sensor behind it."""
+
+    hexagonal: bool
+    pitch: float
+    columns: int
+    rows: int
+    radius: float
+    thickness: float
+    index: float
+    to_sensor: float
+
+    def centres(self, column: NDArray[np.int64], row: NDArray[np.int64]) -> Array:
+        """Return (..., 2) centres of cells."""
+        x = column - 0.5 * (self.columns - 1)
+        y = row - 0.5 * (self.rows - 1)
+        if self.hexagonal:
+            x = x + 0.5 * (row % 2) - (0.25 if self.rows > 1 else 0.0)
+            y = y * np.sqrt(0.75)
+        return np.stack([x, y], axis=-1) * self.pitch
+
+    def _cells_near(self, p: Array, around: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        row = np.rint(p[:, 1] / (self.pitch * (np.sqrt(0.75) if self.hexagonal else 1.0)) + 0.5 * (self.rows - 1))
+        column = np.rint(p[:, 0] / self.pitch + 0.5 * (self.columns - 1))
+        j, i = np.meshgrid(np.arange(-around, around + 1), np.arange(-around, around + 1), indexing="ij")
+        return (
+            (column[:, None] + i.ravel()).astype(np.int64),
+            (row[:, None] + j.ravel()).astype(np.int64),
+        )
+
+    def land(self, origins: Array, directions: Array, around: int = 3) -> tuple[Array, Array]:
+        """Return where rays that come from before the array may meet the sensor, and their weights there.
+
+        Every lenslet near the crossing is tried by itself: its sphere is met inside its own Voronoi cell, and of
+        several the first counts. On a border, to rounding, there are two or three right answers.
+
+        Returns
+        -------
+        points : (k, n, 3)
+            NaN where there are fewer than k.
+        weights : (k, n)
+        """
+        d = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        start = at_plane(origins, d, 0.0)
+        column, row = self._cells_near(start, around)
+        centre = self.centres(column, row)
+        face = Interface(self.radius, 0.0)
+        met, entered, normals = [], [], []
+        for k in range(centre.shape[1]):
+            exists = (column[:, k] >= 0) & (column[:, k] < self.columns) & (row[:, k] >= 0) & (row[:, k] < self.rows)
+            shift = np.column_stack([centre[:, k], np.zeros(len(d))])
+            at = face.meet(start - shift, d)
+            t = np.einsum("ij,ij->i", at + shift - start, d)
+            met.append(np.where(exists & (self._depth_in_cell(at[:, :2]) >= -BORDER), t, np.inf))
+            entered.append(at + shift)
+            normals.append(face.normal(at))
+        order = np.argsort(met, axis=0)[:3]
+        best = np.min(met, axis=0)
+        every = np.arange(len(d))
+        landings, weights = [], []
+        for k in order:
+            right = np.array(met)[k, every] <= best + BORDER * self.pitch
+            point, normal = np.array(entered)[k, every], np.array(normals)[k, every]
+            inside, share = refracted(d, normal, 1.0, self.index)
+            out, leaving = refracted(inside, np.broadcast_to([0.0, 0.0, 1.0], d.shape), self.index, 1.0)
+            landing = at_plane(at_plane(point, inside, self.thickness), out, self.thickness + self.to_sensor)
+            landings.append(np.where((right & np.isfinite(best))[:, None], landing, np.nan))
+            weights.append(share * leaving)
+        return np.array(landings), np.array(weights)
+
+    def _depth_in_cell(self, p: Array) -> Array:
+        """Return how far points lie inside the cell at the origin, over the pitch; negative outside."""
+        turn = np.deg2rad([0.0, 60.0, 120.0]) if self.hexagonal else np.deg2rad([0.0, 90.0])
+        across = np.abs(p @ np.stack([np.cos(turn), np.sin(turn)])).max(axis=1)
+        return np.asarray(0.5 - across / self.pitch)

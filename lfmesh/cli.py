@@ -32,6 +32,11 @@ INTERRUPTED = 130
 BROKEN_PIPE = 141
 """128 + SIGPIPE."""
 
+CASE_FAILED = 1
+
+REPORT_COLUMNS = 160
+"""Width of the accuracy tables where there is no terminal to ask."""
+
 COLUMNS = 80
 """Width of what is printed, on a terminal or not."""
 
@@ -156,6 +161,58 @@ def render(
     return _render(scene, out, overrides)
 
 
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh accuracy scene.toml -o report/
+    lfmesh accuracy --quick              the lenses that come with lfmesh
+    lfmesh accuracy --hard               cases made to break the tracer
+"""
+)
+def accuracy(
+    scene: Annotated[
+        Path | None, Parameter(name="scene", help="Scene file (TOML); none: the lenses of lfmesh.")
+    ] = None,
+    /,
+    *,
+    output: Annotated[
+        Path | None, Parameter(name=["--output", "-o"], help="Folder for the HTML page and the tables as CSV.")
+    ] = None,
+    quick: Annotated[bool, Parameter(negative=(), help="Fewer meshes, rays and samples.")] = False,
+    hard: Annotated[bool, Parameter(negative=(), help="Run the hard cases instead, one line each.")] = False,
+) -> int:
+    """Measure speed against error: every level of `surface` on ever finer meshes, every way to estimate an image.
+
+    With --hard exits with 1 if a case fails.
+    """
+    if hard:
+        if scene is not None or output is not None or quick:
+            raise LfmeshError("--hard stands alone: its cases are fixed, and their outcomes are printed")
+        return _hard_cases()
+
+    from lfmesh.scene import load
+
+    given = load(scene) if scene is not None else None
+    if output is not None and output.exists() and not output.is_dir():
+        raise LfmeshError(f"{output}: is a file; give a folder for the report")
+
+    from rich.console import Console
+
+    from lfmesh.study.accuracy import measure
+
+    errors = Console(stderr=True)
+    if errors.is_terminal:
+        with errors.status("building") as status:
+            report = measure(given, quick=quick, progress=status.update)
+    else:
+        report = measure(given, quick=quick)
+    report.print(Console(width=None if sys.stdout.isatty() else REPORT_COLUMNS))
+    for path in report.write(output) if output is not None else ():
+        print(f"  {path}")
+    return 0
+
+
 @app.command(help_epilogue="")
 def schema() -> int:
     """Print the JSON Schema of scene files."""
@@ -193,6 +250,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Our reader went away, as in `lfmesh schema | head`; Python must not flush into it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
+
+
+def _hard_cases() -> int:
+    from lfmesh.study.hard_cases import run_all
+
+    outcomes = run_all()
+    for outcome in outcomes:
+        print(
+            f"{'ok  ' if outcome.passed else 'FAIL'} {outcome.cause}: expected {outcome.expected}; got {outcome.got}; "
+            f"lost {outcome.lost_energy:.3g} of {outcome.emitted:.6g}, {outcome.requeried} asked again"
+        )
+    failed = sum(not outcome.passed for outcome in outcomes)
+    print(f"{len(outcomes)} cases, {failed} failed" if failed else f"{len(outcomes)} cases, all passed")
+    return CASE_FAILED if failed else 0
 
 
 def _complain(message: str) -> int:

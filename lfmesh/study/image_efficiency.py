@@ -1,0 +1,265 @@
+"""How much an image costs: error against time for the ways to estimate it, and their efficiency 1 / (MSE · t).
+
+Every way estimates the same watts a pixel. The mean squared error is taken over all pixels against a converged
+reference, whose own variance is known from its replicates and is subtracted; both are relative to the image's mean
+square. Time is processor time, so that two cores and a busy machine do not enter. The efficiency of independent
+samples does not depend on how many are drawn; a better estimator has a higher one.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from lfmesh.scene import Scene
+from lfmesh.transport.image import Image
+from lfmesh.transport.render import Renderer
+from lfmesh.transport.world import build
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to estimate an image.
+
+    Attributes
+    ----------
+    name : str
+    means : str
+        What it does, in words.
+    method, split : str
+        As in the scene's transport settings.
+    aimed, stratified : bool
+        As of `Renderer`.
+    """
+
+    name: str
+    means: str
+    method: str
+    split: str
+    aimed: bool
+    stratified: bool
+
+
+ANALOG = Way(
+    "analog forward",
+    "light from the lamp, one child by chance at every interface, scattered into the whole hemisphere",
+    "forward", "roulette", False, False,
+)  # fmt: skip
+SPLITTING = Way(
+    "forward, splitting",
+    "the same, but both children of every interface are followed",
+    "forward", "both", False, False,
+)  # fmt: skip
+AIMING = Way(
+    "forward, splitting and aiming",
+    "and every scattering sends a weighted child at the entrance pupil",
+    "forward", "both", True, False,
+)  # fmt: skip
+RANDOM = Way(
+    "adjoint, random",
+    "from the pixel through the lenslets that show it the pupil; random starting points",
+    "adjoint", "both", True, False,
+)  # fmt: skip
+SOBOL = Way(
+    "adjoint, Sobol'",
+    "the same from scrambled Sobol' points",
+    "adjoint", "both", True, True,
+)  # fmt: skip
+WAYS = (ANALOG, SPLITTING, AIMING, RANDOM, SOBOL)
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is spent on the images.
+
+    Attributes
+    ----------
+    pixels : int
+        Of the sensor's shorter side, at most: larger sensors are binned to it.
+    samples : dict
+        Samples a pixel by way: one point of the figure each.
+    repeats : int
+        Runs of each with another seed; their spread tells how well the error is known.
+    reference : int
+        Samples a pixel of the reference.
+    """
+
+    pixels: int
+    samples: dict[str, tuple[int, ...]]
+    repeats: int
+    reference: int
+
+
+USUAL = Effort(
+    160,
+    {
+        ANALOG.name: (64, 512),
+        SPLITTING.name: (64, 512),
+        AIMING.name: (8, 32),
+        RANDOM.name: (8, 32),
+        SOBOL.name: (8, 32),
+    },
+    4,
+    512,
+)
+QUICK = Effort(
+    64,
+    {
+        ANALOG.name: (256, 1024),
+        SPLITTING.name: (256, 1024),
+        AIMING.name: (16, 32),
+        RANDOM.name: (8, 16),
+        SOBOL.name: (8, 16),
+    },
+    2,
+    128,
+)
+
+REPLICATES = 2
+"""Of each run: as many independent Sobol' sets a pixel share its samples."""
+
+REFERENCE_REPLICATES = 8
+
+
+@dataclass(frozen=True)
+class ImageRow:
+    """One way with one number of samples.
+
+    Attributes
+    ----------
+    samples : int
+        A pixel; forward: packets over pixels.
+    seconds : float
+        Of processor time, mean of the repeats.
+    mse, mse_error : float
+        Mean squared error over the image's mean square; its standard error over the repeats.
+    efficiency, efficiency_error : float
+        1 / (mse · seconds), 1/s.
+    bias_z : float
+        Difference of the whole image's power from the reference's, in standard errors.
+    """
+
+    way: str
+    samples: int
+    seconds: float
+    mse: float
+    mse_error: float
+    efficiency: float
+    efficiency_error: float
+    bias_z: float
+
+
+@dataclass(frozen=True)
+class ImageStudy:
+    """All rows, and what they were measured on.
+
+    Attributes
+    ----------
+    scene : str
+    pixels : tuple of int
+    binned : int
+        Pixels of the scene's own sensor along a side of one of these.
+    reference_samples : int
+    reference_error : float
+        Its rms standard error over the image's rms.
+    """
+
+    scene: str
+    pixels: tuple[int, int]
+    binned: int
+    reference_samples: int
+    reference_error: float
+    rows: tuple[ImageRow, ...]
+
+    def of(self, way: Way) -> tuple[ImageRow, ...]:
+        """Return the rows of a way."""
+        return tuple(row for row in self.rows if row.way == way.name)
+
+    def efficiency(self, way: Way) -> float:
+        """Return a way's efficiency, 1/s, from its largest run: where errors are known best."""
+        return self.of(way)[-1].efficiency
+
+    def gain(self, way: Way, over: Way) -> tuple[float, float]:
+        """Return how many times more efficient one way is than another, with its standard error."""
+        a, b = self.of(way)[-1], self.of(over)[-1]
+        ratio = a.efficiency / b.efficiency
+        return ratio, ratio * math.hypot(a.efficiency_error / a.efficiency, b.efficiency_error / b.efficiency)
+
+
+def study_images(
+    scene: Scene, effort: Effort = USUAL, progress: Callable[[str], None] | None = None, seed: int = 1
+) -> ImageStudy:
+    """Measure every way on a scene.
+
+    Raises
+    ------
+    LfmeshError
+        The scene cannot be built, or no light reaches the sensor.
+    """
+    say = progress or (lambda _: None)
+    small, binned = _binned(scene, effort.pixels)
+    say(f"images: reference, {effort.reference} samples a pixel")
+    reference = _run(small, SOBOL, effort.reference, seed, REFERENCE_REPLICATES)[0]
+    power = float((reference.mean**2).mean())
+    rows = []
+    for way in WAYS:
+        # Once for the compiler.
+        _run(small, way, REPLICATES, seed, REPLICATES)
+        for samples in effort.samples[way.name]:
+            say(f"images: {way.name}, {samples} samples a pixel")
+            runs = [_run(small, way, samples, seed + 1 + k, REPLICATES) for k in range(effort.repeats)]
+            rows.append(_row(way, samples, runs, reference, power))
+    error = math.sqrt(float((reference.stderr**2).mean()) / power) if power > 0.0 else math.nan
+    columns, lines = small.camera.sensor.pixels
+    return ImageStudy(scene.name, (columns, lines), binned, effort.reference, error, tuple(rows))
+
+
+def _binned(scene: Scene, pixels: int) -> tuple[Scene, int]:
+    """Return the scene with its sensor's pixels joined, so that no side is much longer than `pixels`; and how many."""
+    sensor = scene.camera.sensor
+    factor = next(
+        f for f in range(max(1, min(sensor.pixels) // pixels), 0, -1) if all(side % f == 0 for side in sensor.pixels)
+    )
+    changes = {
+        "camera.sensor.pixels": [side // factor for side in sensor.pixels],
+        "camera.sensor.pixel_mm": sensor.pixel_mm * factor,
+        "transport.wavelengths_nm": [scene.transport.primary_nm],
+    }
+    return scene.changed(changes), factor
+
+
+def _run(scene: Scene, way: Way, samples: int, seed: int, replicates: int) -> tuple[Image, float]:
+    """Return an image and the processor seconds it took to trace."""
+    transport = {
+        "method": way.method, "split": way.split, "samples": samples, "replicates": replicates, "seed": seed,
+        "engine": "mesh",
+    }  # fmt: skip
+    world = build(scene.changed({f"transport.{name}": value for name, value in transport.items()}))
+    renderer = Renderer(world, aimed=way.aimed, stratified=way.stratified)
+    began = time.process_time()
+    image = renderer.image()
+    return image, time.process_time() - began
+
+
+def _row(way: Way, samples: int, runs: list[tuple[Image, float]], reference: Image, power: float) -> ImageRow:
+    own = float((reference.stderr**2).mean())
+    errors = np.array([float(((image.mean - reference.mean) ** 2).mean()) - own for image, _ in runs]) / power
+    seconds = float(np.mean([t for _, t in runs]))
+    mse = float(errors.mean())
+    spread = float(errors.std(ddof=1) / math.sqrt(len(errors))) if len(errors) > 1 else math.nan
+    totals = [float(image.mean.sum()) for image, _ in runs]
+    uncertain = math.sqrt(
+        sum(float((image.stderr**2).sum()) for image, _ in runs) / len(runs) ** 2 + float((reference.stderr**2).sum())
+    )
+    return ImageRow(
+        way=way.name,
+        samples=samples,
+        seconds=seconds,
+        mse=mse,
+        mse_error=spread,
+        efficiency=1.0 / (mse * seconds),
+        efficiency_error=spread / (mse * mse * seconds),
+        bias_z=(float(np.mean(totals)) - float(reference.mean.sum())) / uncertain if uncertain > 0.0 else math.nan,
+    )

@@ -28,6 +28,7 @@ PITCH_MM = 0.125
 SENSOR_MM = 2.0
 RAYS = 500
 POSITION_MM = 1e-10
+PARALLEL = 1e-11
 MOST_VERTICES = 6
 
 
@@ -428,9 +429,15 @@ def assert_every_packet_agrees(world, whole, split, from_lens, seed, count):
             assert last.surface == BODY[fate]
         elif (fate == BACK) == (sign > 0):
             assert last.surface in ("sensor", "beside the sensor")
+            # The mesh's corners carry the world's rounding, 7e-15 mm over facets of 0.01 mm. Of a ray that leaves at
+            # grazing incidence only what is parallel to the array tells the direction that well.
+            heading = paths.direction[packet] * [1, 1, sign]
+            np.testing.assert_allclose(heading[:2], on[:2], rtol=0, atol=PARALLEL)
+            assert heading[2] * on[2] > 0.0
             sensor = THICKNESS_MM + SENSOR_MM if sign > 0 else -SENSOR_MM
-            landing = end + (sensor - end[2]) / on[2] * on
-            np.testing.assert_allclose((last.position - [0, 0, apex_z]) * [1, 1, sign], landing, rtol=0, atol=1e-9)
+            run = (sensor - end[2]) / heading[2]
+            landing = (last.position - [0, 0, apex_z]) * [1, 1, sign]
+            np.testing.assert_allclose(landing, end + run * heading, rtol=0, atol=POSITION_MM * (1.0 + run))
         else:
             assert not last.surface.startswith(("mla", "sensor", "beside"))
     # A ray without a packet is one that total reflection ends because reflections are not followed.

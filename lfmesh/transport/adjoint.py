@@ -124,7 +124,7 @@ def launch_adjoint(
             weight = area * importance
             packet.start = weight
             flow.book[EMITTED] += weight
-            put(flow.stacks, flow.tops, station, packet, SENSOR_FRAME, x, y, 0.0, ux, uy, uz, weight, key, 0.0)
+            put(flow, station, packet, SENSOR_FRAME, x, y, 0.0, ux, uy, uz, weight, key, 0.0)
 
 
 @kernel

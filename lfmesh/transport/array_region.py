@@ -66,22 +66,7 @@ def leave_array(
     weight: float, key: np.uint64, to_lens: bool, lens_surfaces: int,
 ) -> None:  # fmt: skip
     """Hand a packet in air on, to the lens or to the sensor."""
-    child = put(
-        flow.stacks,
-        flow.tops,
-        LENS if to_lens else SENSOR,
-        packet,
-        ARRAY_FRAME,
-        x,
-        y,
-        z,
-        dx,
-        dy,
-        dz,
-        weight,
-        key,
-        0.0,
-    )
+    child = put(flow, LENS if to_lens else SENSOR, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
     child.space = lens_surfaces
 
 
@@ -104,21 +89,19 @@ def into_layer(
             weight, ARRAY_MOUNT if space == BEFORE else ARRAY_EDGE, S_ABSORBED,
         )  # fmt: skip
         return
-    child = put(flow.stacks, flow.tops, CELLS, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, weight, key, t)
+    child = put(flow, CELLS, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, weight, key, t)
     child.space, child.column, child.row = space, column, row
 
 
 @kernel
 def through_plate(
-    count: int, array: ArrayTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow
+    wave: NDArray[np.void], array: ArrayTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow
 ) -> None:
-    """Take packets off the plate's stack: into the layer of curved faces, or through the flat face."""
+    """Take a wave of packets into the layer of curved faces, or through the flat face."""
     lenslets = array.lenslets
     thickness = lenslets.thickness
-    top = flow.tops[PLATE]
-    flow.tops[PLATE] = top - count
-    for j in range(top - count, top):
-        packet = flow.stacks[PLATE, j]
+    for i in range(len(wave)):
+        packet = wave[i]
         if packet.frame != ARRAY_FRAME:
             move_packet(frames, packet, ARRAY_FRAME)
             if packet.dz > 0.0 and packet.z <= lenslets.valley:
@@ -144,22 +127,7 @@ def through_plate(
             held = is_inside(lenslets.lattice, column, row)
         if not held:
             slot = ARRAY_EDGE if outward else ARRAY_MOUNT
-            end(
-                options,
-                flow,
-                frames,
-                packet,
-                ARRAY_FRAME,
-                x,
-                y,
-                z,
-                dx,
-                dy,
-                dz,
-                packet.weight,
-                slot,
-                S_ABSORBED,
-            )
+            end(options, flow, frames, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
             continue
         flow.counts[EVENTS] += 1
         glass = array.indices[packet.wave]
@@ -176,19 +144,9 @@ def through_plate(
                 into_layer(options, flow, frames, array, packet, x, y, z, dx, dy, -dz, to_reflected, child_key, GLASS)
             else:
                 leave_array(
-                    flow,
-                    packet,
-                    x,
-                    y,
-                    z,
-                    dx,
-                    dy,
-                    -dz,
-                    to_reflected,
-                    child_key,
-                    not array.curved_to_lens,
+                    flow, packet, x, y, z, dx, dy, -dz, to_reflected, child_key, not array.curved_to_lens,
                     lens_surfaces,
-                )
+                )  # fmt: skip
         if to_refracted > 0.0:
             if options.record:
                 packet.node = record(flow, frames, ARRAY_FRAME, x, y, z, to_refracted, FLAT_FACE, E_TRANSMITTED, parent)
@@ -196,19 +154,9 @@ def through_plate(
             ux, uy, uz = refracted(dx, dy, dz, 0.0, 0.0, toward, n_i / n_t, abs(dz), cos_t)
             if outward:
                 leave_array(
-                    flow,
-                    packet,
-                    x,
-                    y,
-                    z,
-                    ux,
-                    uy,
-                    uz,
-                    to_refracted,
-                    key,
-                    not array.curved_to_lens,
+                    flow, packet, x, y, z, ux, uy, uz, to_refracted, key, not array.curved_to_lens,
                     lens_surfaces,
-                )
+                )  # fmt: skip
             else:
                 into_layer(options, flow, frames, array, packet, x, y, z, ux, uy, uz, to_refracted, key, GLASS)
 
@@ -222,17 +170,12 @@ def fold_of(array: ArrayTables, column: int, row: int) -> tuple[float, float]:
 
 @kernel
 def admit_to_cells(
-    count: int, flow: Flow, wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32],
-    array: ArrayTables,
-) -> int:  # fmt: skip
-    """Take `count` packets off the stack and write their rays, folded into their cells."""
-    top = flow.tops[CELLS]
-    flow.tops[CELLS] = top - count
-    for i in range(count):
-        wave[i] = flow.stacks[CELLS, top - count + i]
+    wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32], array: ArrayTables
+) -> None:
+    """Write the rays of a wave, folded into their cells."""
+    for i in range(len(wave)):
         fold_x, fold_y = fold_of(array, wave[i].column, wave[i].row)
         write_query(origins, directions, i, wave[i], fold_x, fold_y)
-    return count
 
 
 @kernel
@@ -307,36 +250,11 @@ def shade_cells(
             _walk(options, flow, frames, array, packet, sideways, side)
         elif dz < 0.0 and inward:
             leave_array(
-                flow,
-                packet,
-                x,
-                y,
-                z,
-                dx,
-                dy,
-                dz,
-                packet.weight,
-                packet.key,
-                array.curved_to_lens,
+                flow, packet, x, y, z, dx, dy, dz, packet.weight, packet.key, array.curved_to_lens,
                 lens_surfaces,
-            )
+            )  # fmt: skip
         elif dz > 0.0 and not inward:
-            put(
-                flow.stacks,
-                flow.tops,
-                PLATE,
-                packet,
-                ARRAY_FRAME,
-                x,
-                y,
-                z,
-                dx,
-                dy,
-                dz,
-                packet.weight,
-                packet.key,
-                0.0,
-            )
+            put(flow, PLATE, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, 0.0)
         else:
             ask_again(options, flow, frames, CELLS, packet, packet.query_from, True)
 
@@ -368,39 +286,9 @@ def _walk(
         if in_glass == inward:
             slot = ARRAY_WALL
     if slot >= 0:
-        end(
-            options,
-            flow,
-            frames,
-            packet,
-            ARRAY_FRAME,
-            px,
-            py,
-            pz,
-            dx,
-            dy,
-            dz,
-            packet.weight,
-            slot,
-            S_ABSORBED,
-        )
+        end(options, flow, frames, packet, ARRAY_FRAME, px, py, pz, dx, dy, dz, packet.weight, slot, S_ABSORBED)
         return
-    child = put(
-        flow.stacks,
-        flow.tops,
-        CELLS,
-        packet,
-        ARRAY_FRAME,
-        x,
-        y,
-        z,
-        dx,
-        dy,
-        dz,
-        packet.weight,
-        packet.key,
-        sideways,
-    )
+    child = put(flow, CELLS, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, sideways)
     child.column, child.row = column, row
 
 
@@ -448,40 +336,10 @@ def _split_at_face(
         if packet.space == BEFORE and uz < 0.0 and (lenslets.top - z) / uz <= sideways:
             leave_array(flow, packet, x, y, z, ux, uy, uz, weight, child_key, array.curved_to_lens, lens_surfaces)
         elif packet.space == GLASS and uz > 0.0 and (lenslets.valley - z) / uz <= sideways:
-            put(
-                flow.stacks,
-                flow.tops,
-                PLATE,
-                packet,
-                ARRAY_FRAME,
-                x,
-                y,
-                z,
-                ux,
-                uy,
-                uz,
-                weight,
-                child_key,
-                0.0,
-            )
+            put(flow, PLATE, packet, ARRAY_FRAME, x, y, z, ux, uy, uz, weight, child_key, 0.0)
         else:
             clear = 0.0
             if prim >= 0:
                 fold_x, fold_y = fold_of(array, packet.column, packet.row)
                 clear = clear_of(array.facets[prim], x - fold_x, y - fold_y, z, ux, uy, uz)
-            put(
-                flow.stacks,
-                flow.tops,
-                CELLS,
-                packet,
-                ARRAY_FRAME,
-                x,
-                y,
-                z,
-                ux,
-                uy,
-                uz,
-                weight,
-                child_key,
-                clear,
-            )
+            put(flow, CELLS, packet, ARRAY_FRAME, x, y, z, ux, uy, uz, weight, child_key, clear)

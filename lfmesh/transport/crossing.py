@@ -254,7 +254,7 @@ def ask_again(
         return
     limit = packet.limit
     again = put(
-        flow.stacks, flow.tops, station, packet, packet.frame,
+        flow, station, packet, packet.frame,
         packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz,
         packet.weight, packet.key, limit if missed and packet.kind == CAMERA else query_from,
     )  # fmt: skip

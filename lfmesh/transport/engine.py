@@ -48,9 +48,9 @@ class Workspace:
         self.tables = tables or world.tables
         self.options = options
         self.chunk = chunk
-        self.stacks = np.zeros((STATIONS, 2 * chunk), PACKET)
+        self.stacks = np.zeros((STATIONS + 1, 2 * chunk), PACKET)
+        self.rows = np.arange(STATIONS + 1)
         self.tops = np.zeros(TOPS, np.int64)
-        self.wave = np.zeros(chunk, PACKET)
         self.origins = np.zeros((chunk, 3), np.float32)
         self.directions = np.zeros((chunk, 3), np.float32)
         self.deposits = np.zeros(0, DEPOSIT)
@@ -76,35 +76,50 @@ class Workspace:
 
     def flow(self) -> Flow:
         """Return what the kernels write, as they take it."""
-        return Flow(self.stacks, self.tops, self.book, self.counts, self.film, self.deposits, self.ended, self.nodes)
+        return Flow(
+            self.stacks, self.rows, self.tops, self.book, self.counts,
+            self.film, self.deposits, self.ended, self.nodes,
+        )  # fmt: skip
 
     def run(self) -> None:
         """Trace until every stack is empty."""
         tables, options = self.tables, self.options
         frames, lens, array = tables.frames, tables.lens, tables.array
         lens_surfaces = len(lens.surfaces)
-        wave, origins, directions = self.wave, self.origins, self.directions
+        origins, directions = self.origins, self.directions
         while self.tops[:STATIONS].any():
             station = int(np.argmax(self.tops[:STATIONS]))
             count = min(int(self.tops[station]), self.chunk)
             self._reserve(count)
             flow = self.flow()
+            wave = self._take(station, count)
             if station == LENS:
-                count = admit_to_lens(count, flow, wave, origins, directions, lens, array.present, frames, options)
+                count = admit_to_lens(wave, origins, directions, lens, frames, options, flow)
                 found = self._find(LENS, count)
                 shade_lens(wave[:count], found, lens, array.present, frames, options, flow)
             elif station == CELLS:
-                admit_to_cells(count, flow, wave, origins, directions, array)
+                admit_to_cells(wave, origins, directions, array)
                 found = self._find(CELLS, count)
-                shade_cells(wave[:count], found, array, frames, lens_surfaces, options, flow)
+                shade_cells(wave, found, array, frames, lens_surfaces, options, flow)
             elif station == OBJECTS:
-                admit_to_objects(count, flow, wave, origins, directions, frames)
+                admit_to_objects(wave, origins, directions, frames)
                 found = self._find(OBJECTS, count)
-                shade_objects(wave[:count], found, tables.objects, lens, tables.aim, frames, options, flow)
+                shade_objects(wave, found, tables.objects, lens, tables.aim, frames, options, flow)
             elif station == PLATE:
-                through_plate(count, array, frames, lens_surfaces, options, flow)
+                through_plate(wave, array, frames, lens_surfaces, options, flow)
             else:
-                onto_sensor(count, tables.sensor, frames, options, flow)
+                onto_sensor(wave, tables.sensor, frames, options, flow)
+
+    def _take(self, station: int, count: int) -> NDArray[np.void]:
+        """Take packets off the top of a station's stack; the wave is theirs until the next one is taken."""
+        top, own, spare = self.tops[station], self.rows[station], self.rows[STATIONS]
+        self.tops[station] = top - count
+        if count == top:
+            # The whole stack is the wave, in place; its children go where the last wave was.
+            self.rows[station], self.rows[STATIONS] = spare, own
+            return self.stacks[own, :count]
+        self.stacks[spare, :count] = self.stacks[own, top - count : top]
+        return self.stacks[spare, :count]
 
     def _find(self, station: int, count: int) -> NDArray[np.int32]:
         began = time.perf_counter()
@@ -119,7 +134,7 @@ class Workspace:
         children = max(2, len(self.world.tables.objects.lights) + 2)
         need = int(self.tops[:STATIONS].max()) + children * packets
         if need > self.stacks.shape[1]:
-            larger = np.zeros((STATIONS, max(need, 2 * self.stacks.shape[1])), PACKET)
+            larger = np.zeros((STATIONS + 1, max(need, 2 * self.stacks.shape[1])), PACKET)
             larger[:, : self.stacks.shape[1]] = self.stacks
             self.stacks = larger
         if not self.options.adjoint and not self.options.tracing:

@@ -93,7 +93,7 @@ def _from_lamp(objects: ObjectTables, flow: Flow, packet: Any, number: int, weig
     if towards <= 0.0:
         return
     packet.start = towards
-    put(flow.stacks, flow.tops, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, towards, key, 0.0)
+    put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, towards, key, 0.0)
 
 
 @kernel

@@ -81,16 +81,15 @@ def box_entry(low: Array, high: Array, x: float, y: float, z: float, dx: float, 
 
 @kernel
 def admit_to_lens(
-    count: int, flow: Flow, wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32],
-    lens: LensTables, has_array: bool, frames: Array, options: Options,
+    wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32],
+    lens: LensTables, frames: Array, options: Options, flow: Flow,
 ) -> int:  # fmt: skip
-    """Take `count` packets off the stack, those from outside where they enter the box; return how many remain."""
+    """Write the rays of a wave, those from outside from where they enter the box; return how many remain."""
     low, high = lens.box_low, lens.box_high
-    top = flow.tops[LENS]
-    flow.tops[LENS] = top - count
     kept = 0
-    for j in range(top - count, top):
-        wave[kept] = flow.stacks[LENS, j]
+    for i in range(len(wave)):
+        if kept < i:
+            wave[kept] = wave[i]
         packet = wave[kept]
         if packet.frame != CAMERA_FRAME:
             move_packet(frames, packet, CAMERA_FRAME)
@@ -129,7 +128,7 @@ def leave_lens(
         )  # fmt: skip
         return
     station = OBJECTS if space == 0 else (PLATE if has_array else SENSOR)
-    child = put(flow.stacks, flow.tops, station, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
+    child = put(flow, station, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
     child.last = LEFT_LENS
     child.facet = NO_SURFACE
     if space == 0:
@@ -194,22 +193,7 @@ def shade_lens(
                 continue
         if px * px + py * py > surface.aperture * surface.aperture:
             slot = lens.mount_slot[k]
-            end(
-                options,
-                flow,
-                frames,
-                packet,
-                CAMERA_FRAME,
-                px,
-                py,
-                z,
-                dx,
-                dy,
-                dz,
-                packet.weight,
-                slot,
-                S_ABSORBED,
-            )
+            end(options, flow, frames, packet, CAMERA_FRAME, px, py, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
             continue
         cos_i = min(nx * dx + ny * dy + nz * dz, 1.0)
         events += 1
@@ -237,40 +221,12 @@ def shade_lens(
             packet.space = into
             if (into == 0 and lens.convex_front) or (into == last_space and lens.convex_back):
                 leave_lens(
-                    options,
-                    flow,
-                    frames,
-                    lens,
-                    has_array,
-                    packet,
-                    px,
-                    py,
-                    z,
-                    ux,
-                    uy,
-                    uz,
-                    weight,
-                    child_key,
+                    options, flow, frames, lens, has_array, packet, px, py, z, ux, uy, uz, weight, child_key,
                     into,
-                )
+                )  # fmt: skip
             else:
                 clear = clear_of(facets[prim], px, py, z, ux, uy, uz) if prim >= 0 else 0.0
-                put(
-                    flow.stacks,
-                    flow.tops,
-                    LENS,
-                    packet,
-                    CAMERA_FRAME,
-                    px,
-                    py,
-                    z,
-                    ux,
-                    uy,
-                    uz,
-                    weight,
-                    child_key,
-                    clear,
-                )
+                put(flow, LENS, packet, CAMERA_FRAME, px, py, z, ux, uy, uz, weight, child_key, clear)
     flow.counts[EVENTS] += events
 
 

@@ -99,17 +99,12 @@ LIGHT_DIMENSIONS = 1 << 12
 
 @kernel
 def admit_to_objects(
-    count: int, flow: Flow, wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32],
-    frames: Array,
-) -> int:  # fmt: skip
-    """Take `count` packets off the stack and write their rays."""
-    top = flow.tops[OBJECTS]
-    flow.tops[OBJECTS] = top - count
-    for i in range(count):
-        wave[i] = flow.stacks[OBJECTS, top - count + i]
+    wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32], frames: Array
+) -> None:
+    """Write the rays of a wave."""
+    for i in range(len(wave)):
         move_packet(frames, wave[i], OBJECT_FRAME)
         write_query(origins, directions, i, wave[i], 0.0, 0.0)
-    return count
 
 
 @kernel
@@ -158,22 +153,7 @@ def shade_objects(
             if box_entry(lens.box_low, lens.box_high, px, py, pz, ex, ey, ez) < t:
                 by_itself = packet.kind == SPECULAR or (packet.kind == SCATTERED and not options.aimed)
                 if options.adjoint or packet.kind == CAMERA or by_itself:
-                    child = put(
-                        flow.stacks,
-                        flow.tops,
-                        LENS,
-                        packet,
-                        OBJECT_FRAME,
-                        x,
-                        y,
-                        z,
-                        dx,
-                        dy,
-                        dz,
-                        packet.weight,
-                        packet.key,
-                        0.0,
-                    )
+                    child = put(flow, LENS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, 0.0)
                     child.kind = CAMERA
                     child.space = 0
                 else:
@@ -326,7 +306,7 @@ def _through_glass(
             packet.node = record(flow, frames, OBJECT_FRAME, x, y, z, weight, ON_GLASS, event, parent)
         packet.column = body if refracts == entering else NO_SURFACE
         put(
-            flow.stacks, flow.tops, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, weight,
+            flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, weight,
             key if refracts else derived(key, packet.events), clear_of(facet, x, y, z, ux, uy, uz),
         )  # fmt: skip
 
@@ -397,7 +377,7 @@ def _ask_lights(
             continue
         any_light = True
         shadow = put(
-            flow.stacks, flow.tops, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz,
+            flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz,
             packet.weight * albedo / np.pi * irradiance * cos_surface, packet.key,
             clear_of(facet, x, y, z, ux, uy, uz),
         )  # fmt: skip
@@ -435,22 +415,7 @@ def scatter(
     if weight > 0.0:
         dx, dy, dz = lambertian(nx, ny, nz, draw(packet, BOUNCE_U), draw(packet, BOUNCE_V))
         clear = clear_of(facet, x, y, z, dx, dy, dz)
-        child = put(
-            flow.stacks,
-            flow.tops,
-            OBJECTS,
-            packet,
-            OBJECT_FRAME,
-            x,
-            y,
-            z,
-            dx,
-            dy,
-            dz,
-            weight,
-            packet.key,
-            clear,
-        )
+        child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, packet.key, clear)
         child.kind = SCATTERED
 
 
@@ -471,7 +436,7 @@ def _aim_at_camera(
         return 0.0
     weight *= cos_theta / (np.pi * density)
     child = put(
-        flow.stacks, flow.tops, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight,
+        flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight,
         derived(packet.key, AIMED_CHILD + packet.events), clear_of(facet, x, y, z, dx, dy, dz),
     )  # fmt: skip
     child.kind = CAMERA

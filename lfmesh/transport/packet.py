@@ -94,19 +94,19 @@ PACKET = np.dtype(
         ("start", "f8"),  # the weight that the weight window refers to
         ("query_from", "f8"),  # distance along the ray at which Embree starts to look
         ("limit", "f8"),  # SHADOW: distance of the light; else the first query_from, to start afresh
-        ("aside", "f8"),  # how far the query origin is moved aside, mm: 0, but for a ray that slipped between facets
         ("key", "u8"),
         ("source", "i8"),  # pixel (adjoint), packet (forward) or ray (trace) it descends from
-        ("node", "i8"),  # its last recorded vertex
+        ("aside", "f4"),  # how far the query origin is moved aside, mm: 0, but for a ray that slipped between facets
+        ("node", "i4"),  # its last recorded vertex
         ("column", "i4"), ("row", "i4"),  # cell of the array; in object space column is the glass body it is in, or −1
         ("facet", "i4"),  # target facet it left
         ("last", "i2"),  # lens surface it left
         ("wave", "i2"),  # wavelength
         ("space", "i2"),  # space between two surfaces it travels in
         ("events", "i2"),
-        ("tries", "i2"),  # queries of this ray that were refused
-        ("kind", "i2"),
-        ("frame", "i2"),
+        ("tries", "i1"),  # queries of this ray that were refused
+        ("kind", "i1"),
+        ("frame", "i1"),
     ],
     align=True,
 )  # fmt: skip
@@ -133,7 +133,8 @@ NODE = np.dtype([("parent", "i8"), ("position", "f8", (3,)), ("weight", "f8"), (
 class Flow(NamedTuple):
     """Everything that the kernels of one chunk write."""
 
-    stacks: NDArray[np.void]  # (stations, capacity) PACKET
+    stacks: NDArray[np.void]  # (stations + 1, capacity) PACKET
+    rows: NDArray[np.int64]  # (stations + 1,) row of `stacks` that is a station's; the last is the wave's
     tops: NDArray[np.int64]
     book: NDArray[np.float64]
     counts: NDArray[np.int64]
@@ -164,14 +165,14 @@ BOTH, ROULETTE, TRANSMIT = 0, 1, 2
 
 @inlined
 def put(
-    stacks: NDArray[np.void], tops: NDArray[np.int64], station: int, parent: Any, frame: int,
+    flow: Flow, station: int, parent: Any, frame: int,
     x: float, y: float, z: float, dx: float, dy: float, dz: float,
     weight: float, key: np.uint64, query_from: float,
 ) -> Any:  # fmt: skip
     """Queue a packet at a station, given in a frame; it inherits all else from `parent`. Return its record."""
-    top = tops[station]
-    stacks[station, top] = parent
-    packet = stacks[station, top]
+    row, top = flow.rows[station], flow.tops[station]
+    flow.stacks[row, top] = parent
+    packet = flow.stacks[row, top]
     packet.frame = frame
     packet.x, packet.y, packet.z = x, y, z
     packet.dx, packet.dy, packet.dz = dx, dy, dz
@@ -181,5 +182,5 @@ def put(
     packet.limit = query_from
     packet.aside = 0.0
     packet.tries = 0
-    tops[station] = top + 1
+    flow.tops[station] = top + 1
     return packet

@@ -11,7 +11,6 @@ from lfmesh.transport.packet import (
     ON_SENSOR,
     S_ABSORBED,
     S_SENSOR,
-    SENSOR,
     SENSOR_FRAME,
     Flow,
     Options,
@@ -20,12 +19,12 @@ from lfmesh.transport.tables import SensorTables
 
 
 @kernel
-def onto_sensor(count: int, sensor: SensorTables, frames: NDArray[np.float64], options: Options, flow: Flow) -> None:
-    """Take packets off the sensor's stack and end each where it meets the sensor's plane."""
-    top = flow.tops[SENSOR]
-    flow.tops[SENSOR] = top - count
-    for j in range(top - count, top):
-        packet = flow.stacks[SENSOR, j]
+def onto_sensor(
+    wave: NDArray[np.void], sensor: SensorTables, frames: NDArray[np.float64], options: Options, flow: Flow
+) -> None:
+    """End each packet of a wave where it meets the sensor's plane."""
+    for i in range(len(wave)):
+        packet = wave[i]
         move_packet(frames, packet, SENSOR_FRAME)
         x, y, z = packet.x, packet.y, packet.z
         dx, dy, dz = packet.dx, packet.dy, packet.dz

@@ -178,17 +178,9 @@ def trace(
         work.begin(np.zeros((0, 1)))
         part = slice(first, first + CHUNK)
         _launch_rays(
-            first,
-            p[part],
-            d[part],
-            station[part],
-            space[part],
-            key,
-            tables.frames,
-            record,
-            work.flow(),
+            first, p[part], d[part], station[part], space[part], key, tables.frames, record, work.flow(),
             work.template,
-        )
+        )  # fmt: skip
         work.run()
         tops = work.tops
         return (
@@ -347,7 +339,7 @@ def _launch_rays(
             flow.tops[NODES] = top + 1
             packet.node = top
         put(
-            flow.stacks, flow.tops, station[i], packet, CAMERA_FRAME,
+            flow, station[i], packet, CAMERA_FRAME,
             p[i, 0], p[i, 1], p[i, 2], d[i, 0], d[i, 1], d[i, 2], 1.0, derived(key, first + i), 0.0,
         )  # fmt: skip
 

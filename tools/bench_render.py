@@ -25,6 +25,7 @@ import numpy as np
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
+from lfmesh.geometry.levels import SURFACE_LEVEL
 
 FACTORS = (1, 4, 16)
 RAYS = 16_384
@@ -178,7 +179,7 @@ def measure_lens(surface: str | None, repeats: int) -> LensFigures:
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="tools/bench render", description="Measure the mesh engine.")
     parser.add_argument("scene", nargs="?", default=str(asset_path("scenes/first_light.toml")), help="scene file")
-    parser.add_argument("--surface", choices=("exact", "flat", "smooth"), help="in place of the scene's")
+    parser.add_argument("--surface", choices=tuple(SURFACE_LEVEL), help="in place of the scene's")
     parser.add_argument("--samples", type=whole, default=2, help="a pixel, in the smallest case (even); default 2")
     parser.add_argument("--repeats", type=whole, default=30, help="passes through the lens alone; default 30")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")

@@ -8,6 +8,9 @@ from pydantic import Field
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.quantities import Count, Positive, Whole
 
+MOST_EVENTS = 2**15 - 1
+"""What a packet counts in 16 bits."""
+
 
 class Tessellation(Model):
     """How finely the lens's surfaces are meshed.
@@ -42,7 +45,7 @@ class Transport(Model):
     """Adjoint: per pixel, in all replicates; forward: packets in all = samples · pixels."""
     replicates: Count = 8
     """Independent randomisations that share the samples; their spread is the standard error."""
-    max_events: Count = 64
+    max_events: Annotated[Count, Field(le=MOST_EVENTS)] = 64
     """Surfaces a packet may meet before it is cut."""
     weight_cutoff: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.3
     """Share of its starting weight below which a child plays Russian roulette (no unit)."""

@@ -201,11 +201,8 @@ def shade_lens(
         n_i, n_t = indices[space, packet.wave], indices[other, packet.wave]
         reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
         to_reflected, to_refracted = split_shares(options, book, packet, reflectance, transmittance)
-        packet.events += 1
-        packet.last = k
-        parent, key = packet.node, packet.key
-        for child in range(2):
-            refracts = child == 1
+        met, node, key = packet.events + 1, packet.node, packet.key
+        for refracts in (False, True):
             weight = to_refracted if refracts else to_reflected
             if weight <= 0.0:
                 continue
@@ -214,19 +211,19 @@ def shade_lens(
             else:
                 ux, uy, uz = reflected(dx, dy, dz, nx, ny, nz)
             into = other if refracts else space
+            child_key = key if refracts else derived(key, met)
             if options.record:
                 event = E_TRANSMITTED if refracts else E_REFLECTED
-                packet.node = record(flow, frames, CAMERA_FRAME, px, py, z, weight, k, event, parent)
-            child_key = key if refracts else derived(key, packet.events)
-            packet.space = into
+                packet.node = record(flow, frames, CAMERA_FRAME, px, py, z, weight, k, event, node)
             if (into == 0 and lens.convex_front) or (into == last_space and lens.convex_back):
+                packet.events, packet.space = met, into
                 leave_lens(
-                    options, flow, frames, lens, has_array, packet, px, py, z, ux, uy, uz, weight, child_key,
-                    into,
-                )  # fmt: skip
+                    options, flow, frames, lens, has_array, packet, px, py, z, ux, uy, uz, weight, child_key, into
+                )
             else:
                 clear = clear_of(facets[prim], px, py, z, ux, uy, uz) if prim >= 0 else 0.0
-                put(flow, LENS, packet, CAMERA_FRAME, px, py, z, ux, uy, uz, weight, child_key, clear)
+                child = put(flow, LENS, packet, CAMERA_FRAME, px, py, z, ux, uy, uz, weight, child_key, clear)
+                child.events, child.last, child.space = met, k, into
     flow.counts[EVENTS] += events
 
 
@@ -262,15 +259,19 @@ def _meets(
     normal = facet.normal
     nx, ny, nz = normal[0], normal[1], normal[2]
     along = nx * dx + ny * dy + nz * dz
-    t = (facet.offset - nx * x - ny * y - nz * z) / along if along != 0.0 else packet.query_from
-    px, py, pz = x + t * dx, y + t * dy, z + t * dz
     k = facet.body
     # A packet in front of a surface crosses its facets along their normals, one behind it against them.
     forward = k == space
     met = (forward and along > 0.0) or (k == space - 1 and along < 0.0)
+    if met and _is_conic(lens.surfaces[k]):
+        # Which of its roots is the one follows from the sense alone: no need for the facet's distance, a division.
+        t = packet.query_from
+    else:
+        t = (facet.offset - nx * x - ny * y - nz * z) / along if along != 0.0 else packet.query_from
+    px, py, pz = x + t * dx, y + t * dy, z + t * dz
     if k < 0:
+        met = -1 - k == space and t > 0.0
         k = RING
-        met = -1 - facet.body == space and t > 0.0
     elif met:
         surface = lens.surfaces[k]
         level = surface.level
@@ -281,6 +282,8 @@ def _meets(
             px, py, pz = px + more * dx, py + more * dy, pz + more * dz
             nx, ny, nz = normal_at(surface, px, py, pz)
             pz += surface.vertex_z
+            if not met:
+                t = (facet.offset - normal[0] * x - normal[1] * y - normal[2] * z) / along
             met = met and t > 0.0 and (nx * dx + ny * dy + nz * dz > 0.0) == forward
         else:
             met = t > least

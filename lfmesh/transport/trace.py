@@ -14,6 +14,7 @@ from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.tessellation import mesh_sag
 from lfmesh.kernel import kernel
 from lfmesh.optics.glass import refractive_index
+from lfmesh.scene.transport import MOST_EVENTS
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.ledger import Ledger
 from lfmesh.transport.packet import (
@@ -207,8 +208,8 @@ def _options(
         raise LfmeshError(f"split = {split!r}: use one of {', '.join(SPLIT_MODE)}")
     if level not in SURFACE_LEVEL:
         raise LfmeshError(f"surface = {level!r}: use one of {', '.join(SURFACE_LEVEL)}")
-    if depth < 1:
-        raise LfmeshError(f"max_events = {depth!r}: must be 1 or more")
+    if not 1 <= depth <= MOST_EVENTS:
+        raise LfmeshError(f"max_events = {depth!r}: must be from 1 to {MOST_EVENTS}")
     if not 0.0 <= cutoff <= 1.0:
         raise LfmeshError(f"weight_cutoff = {cutoff!r}: must be from 0 to 1")
     return options_of(

@@ -293,6 +293,7 @@ FORWARD = [[0.0, 0.0, 1.0]]
         ([[0.0, 0.0, -9.0]], FORWARD, {"weight_cutoff": np.nan}, "weight_cutoff = nan"),
         ([[0.0, 0.0, -9.0]], FORWARD, {"weight_cutoff": -0.1}, "weight_cutoff = -0.1"),
         ([[0.0, 0.0, -9.0]], FORWARD, {"max_events": 0}, "max_events = 0"),
+        ([[0.0, 0.0, -9.0]], FORWARD, {"max_events": 2**15}, "max_events = 32768"),
         ([[0.0, 0.0, -9.0]], FORWARD, {"threads": -1}, "threads = -1"),
         ([[0.0, 0.0, -9.0]], FORWARD, {"seed": -1}, "seed = -1"),
     ],

@@ -27,3 +27,12 @@ def kernel(function: F) -> F:
 def inlined(function: F) -> F:
     """Compile as `kernel` does, and copy the body into every caller: for the few steps that every event takes."""
     return cast(F, numba.njit(**_OPTIONS, inline="always")(function))
+
+
+def vectorised(function: F) -> F:
+    """Compile as `kernel` does, with products and sums contracted: for loops over whole blocks, which have no tail.
+
+    Every ray goes through the same vector instructions wherever in its block it stands, so contraction, which makes
+    them a fifth quicker, does not make a result depend on its place.
+    """
+    return cast(F, numba.njit(**_OPTIONS, fastmath={"contract"})(function))

@@ -1,9 +1,11 @@
-"""The mesh engine: one chunk of packets, wave by wave, until none is left.
+"""Both engines: one chunk of packets, wave by wave, until none is left.
 
 A wave is the packets that wait at one station. Where the station asks Embree, they are admitted (moved into its frame,
 their rays written in float32), Embree names a facet for each, and the station's kernel decides in float64 and puts the
 children on the stacks of the stations they travel to. The station with the most packets goes next, from the top of its
 stack, so a chunk's memory stays bounded however often packets split.
+
+The sequential engine takes the waves of lens and array through both at once (`image_path`); the rest is the same.
 """
 
 import time
@@ -12,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.transport.array_region import admit_to_cells, shade_cells, through_plate
+from lfmesh.transport.bundle import BLOCK, empty_bundle
+from lfmesh.transport.image_path import follow_image_path
 from lfmesh.transport.lens_region import admit_to_lens, shade_lens
 from lfmesh.transport.object_region import admit_to_objects, shade_objects
 from lfmesh.transport.packet import (
@@ -60,6 +64,8 @@ class Workspace:
         self.book = np.zeros(len(world.slots))
         self.counts = np.zeros(COUNTERS, np.int64)
         self.film = np.zeros((0, 1))
+        self.bundle = empty_bundle()
+        self.numbers = np.zeros(BLOCK, np.int64)
         self.embree_seconds = 0.0
         self.queries = 0
 
@@ -93,7 +99,9 @@ class Workspace:
             self._reserve(count)
             flow = self.flow()
             wave = self._take(station, count)
-            if station == LENS:
+            if options.sequential and station in (LENS, PLATE):
+                follow_image_path(wave, station, lens, array, frames, self.bundle, self.numbers, options, flow)
+            elif station == LENS:
                 count = admit_to_lens(wave, origins, directions, lens, frames, options, flow)
                 found = self._find(LENS, count)
                 shade_lens(wave[:count], found, lens, array.present, frames, options, flow)

@@ -156,6 +156,7 @@ class Options(NamedTuple):
     record: bool
     bounce: bool  # light may go from target to target
     aimed: bool  # scattered light is aimed at the lens; else it finds the lens by chance
+    sequential: bool  # lens and array are met in their order, without a mesh
     first_source: int  # film row 0
 
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.errors import SceneError
 from lfmesh.scene import Scene
 from lfmesh.transport.adjoint import launch_adjoint
+from lfmesh.transport.choice import engine_of
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.forward import launch_forward
 from lfmesh.transport.image import Image
@@ -138,10 +138,6 @@ class Renderer:
     def __post_init__(self) -> None:
         scene = self.world.scene
         transport = scene.transport
-        if transport.engine == "sequential":
-            raise SceneError(
-                'transport.engine = "sequential": this version has the mesh engine only; use "mesh" or "auto"'
-            )
         self.waves = len(transport.wavelengths_nm)
         self.pixels = self.world.tables.sensor.columns * self.world.tables.sensor.rows
         self.samples = transport.samples // transport.replicates
@@ -189,7 +185,7 @@ class Renderer:
             seconds,
             mean.count,
             float(self.samples * mean.count),
-            f"mesh engine, {scene.transport.method}: every lens surface, lenslet and target is a mesh in Embree",
+            ": ".join(engine_of(scene)),
             {
                 "tracing_seconds": seconds,
                 "thread_seconds": tally.thread_seconds,

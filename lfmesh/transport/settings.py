@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.levels import SURFACE_LEVEL
+from lfmesh.transport.choice import engine_of
 from lfmesh.transport.ledger import Ledger
 from lfmesh.transport.packet import (
     BOTH,
@@ -48,6 +49,7 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
         # Light goes from target to target, unless there is but one flat sheet.
         not tracing and (len(tables.objects.closed) > 1 or bool((tables.objects.facets["body"] >= 0).sum() > 2)),
         True,
+        engine_of(world.scene)[0] == "sequential" and not record,
         0,
     )
     return options._replace(**override)

@@ -1,0 +1,294 @@
+"""A block of rays through the surfaces of the lens in their order, laid out for vector instructions.
+
+A bundle is one float64 array of `ROWS` rows of `BLOCK` values, at constant offsets, so that the compiler sees that rows
+do not overlap. Loops run over the whole block: what is beyond the last ray holds a ray that has ended. There are no
+branches; a ray that ends keeps where and why, and the others go on.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.surface import NEWTON_STEPS, SETTLED, distance_to
+from lfmesh.kernel import inlined, kernel, vectorised
+
+Array = NDArray[np.float64]
+
+BLOCK = 256
+
+# Rows: position and unit direction, mm; weight; power not followed; interfaces met; book slot + 1 of what ended it.
+X, Y, Z, DX, DY, DZ = 0, BLOCK, 2 * BLOCK, 3 * BLOCK, 4 * BLOCK, 5 * BLOCK
+WEIGHT, LEFT_BEHIND, MET, ENDED_ON = 6 * BLOCK, 7 * BLOCK, 8 * BLOCK, 9 * BLOCK
+# Working rows: distance, radius², sag and half slope of an asphere's terms.
+_T, _R2, _SAG, _SLOPE = 10 * BLOCK, 11 * BLOCK, 12 * BLOCK, 13 * BLOCK
+_SETTLED = 14 * BLOCK
+ROWS = 15
+
+DROPPED = -1.0
+"""In place of a slot: the ray has left the image path, and all its power was left behind."""
+
+
+def empty_bundle() -> Array:
+    """Return room for a block of rays, aligned to whole cache lines."""
+    room = np.zeros(ROWS * BLOCK + 8)
+    offset = (-room.ctypes.data // 8) % 8
+    return room[offset : offset + ROWS * BLOCK]
+
+
+@kernel
+def pad(bundle: Array, count: int) -> None:
+    """Fill what is beyond the last ray with one that has ended."""
+    for i in range(count, BLOCK):
+        bundle[X + i], bundle[Y + i], bundle[Z + i] = 0.0, 0.0, 0.0
+        bundle[DX + i], bundle[DY + i], bundle[DZ + i] = 0.0, 0.0, 1.0
+        bundle[WEIGHT + i], bundle[LEFT_BEHIND + i], bundle[MET + i] = 0.0, 0.0, 0.0
+        bundle[ENDED_ON + i] = DROPPED
+
+
+@vectorised
+def move_bundle(bundle: Array, move: Array) -> None:
+    """Move a bundle into another frame: `move` is (3, 4), turn and shift."""
+    xx, xy, xz, x0 = move[0, 0], move[0, 1], move[0, 2], move[0, 3]
+    yx, yy, yz, y0 = move[1, 0], move[1, 1], move[1, 2], move[1, 3]
+    zx, zy, zz, z0 = move[2, 0], move[2, 1], move[2, 2], move[2, 3]
+    for i in range(BLOCK):
+        x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
+        bundle[X + i] = xx * x + xy * y + xz * z + x0
+        bundle[Y + i] = yx * x + yy * y + yz * z + y0
+        bundle[Z + i] = zx * x + zy * y + zz * z + z0
+        x, y, z = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        bundle[DX + i] = xx * x + xy * y + xz * z
+        bundle[DY + i] = yx * x + yy * y + yz * z
+        bundle[DZ + i] = zx * x + zy * y + zz * z
+
+
+@vectorised
+def through_stop(bundle: Array, stop_z: float, radius: float, slot: float) -> None:
+    """End the rays that pass the plane of a stop outside its aperture there."""
+    limit = radius * radius
+    for i in range(BLOCK):
+        t = (stop_z - bundle[Z + i]) / bundle[DZ + i]
+        x, y = bundle[X + i] + t * bundle[DX + i], bundle[Y + i] + t * bundle[DY + i]
+        ends = bundle[ENDED_ON + i] == 0.0 and not x * x + y * y <= limit
+        bundle[X + i] = x if ends else bundle[X + i]
+        bundle[Y + i] = y if ends else bundle[Y + i]
+        bundle[Z + i] = stop_z if ends else bundle[Z + i]
+        bundle[ENDED_ON + i] = slot + 1.0 if ends else bundle[ENDED_ON + i]
+
+
+@kernel
+def through_surface(
+    bundle: Array, surface: Any, sense: float, n_i: float, n_t: float, mount: float, ring: float
+) -> None:
+    """Take a bundle through a refracting surface: refracted, and weighted with Fresnel's transmittance.
+
+    Parameters
+    ----------
+    bundle : (ROWS · BLOCK,) float64
+    surface : SURFACE record
+    sense : float
+        1 for rays that go along +z, −1 against.
+    n_i, n_t : float
+        Indices of the media that the rays come from and go to.
+    mount, ring : float
+        Book slots of what ends a ray outside the clear aperture, and one that misses the surface.
+    """
+    c, k, z = surface.curvature, surface.conic, surface.vertex_z
+    limit = surface.aperture * surface.aperture
+    if surface.terms == 0 and k == 0.0:
+        _through_sphere(bundle, c, z, limit, sense, n_i, n_t, mount, ring)
+        return
+    _meet_conic(bundle, c, k, z, sense)
+    if surface.terms > 0:
+        _meet_asphere(bundle, surface)
+    _bend_at(bundle, c, k, z, surface.terms, surface.asphere, limit, sense, n_i, n_t, mount, ring)
+
+
+@inlined
+def _conic_distance(
+    c: float, q: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
+) -> tuple[bool, float]:
+    """Do as `geometry.surface.conic_distance` does, without branches; the distance is nonsense where it is missed."""
+    a = c * (dx * dx + dy * dy + q * dz * dz)
+    b = c * (x * dx + y * dy + q * z * dz) - dz
+    g = c * (x * x + y * y + q * z * z) - 2.0 * z
+    root = b * b - a * g
+    meets = root >= 0.0
+    signed = sense * np.sqrt(root if meets else 0.0)
+    far = signed * b > 0.0
+    above = -b - signed if far else g
+    below = a if far else signed - b
+    return meets, above / below
+
+
+@inlined
+def _bend(
+    bundle: Array, i: int, meets: bool, px: float, py: float, pz: float, nx: float, ny: float, nz: float,
+    limit: float, n_i: float, n_t: float, mount: float, ring: float,
+) -> None:  # fmt: skip
+    """Refract ray `i` at a point whose unit normal looks along it, or end it there; one that had ended stays."""
+    dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+    weight, ended = bundle[WEIGHT + i], bundle[ENDED_ON + i]
+    eta = n_i / n_t
+    cos_i = nx * dx + ny * dy + nz * dz
+    cos_i = 1.0 if cos_i > 1.0 else cos_i
+    sin2_t = eta * eta * (1.0 - cos_i) * (1.0 + cos_i)
+    total = sin2_t >= 1.0
+    cos_t = np.sqrt(0.0 if total else 1.0 - sin2_t)
+    # Fresnel's equations: see `optics.fresnel`.
+    a_i, a_t = n_i * cos_i, n_t * cos_t
+    b_i, b_t = n_i * cos_t, n_t * cos_i
+    s, p = a_i + a_t, b_i + b_t
+    over = 1.0 / (s * p)
+    over_s, over_p = p * over, s * over
+    r_s, r_p = (a_i - a_t) * over_s, (b_t - b_i) * over_p
+    reflectance = 0.5 * (r_s * r_s + r_p * r_p)
+    transmittance = 2.0 * a_i * a_t * (over_s * over_s + over_p * over_p)
+    g = cos_t - eta * cos_i
+    ux, uy, uz = eta * dx + g * nx, eta * dy + g * ny, eta * dz + g * nz
+    scale = 1.5 - 0.5 * (ux * ux + uy * uy + uz * uz)
+
+    alive = ended == 0.0
+    meets = meets and cos_i > 0.0
+    passes = px * px + py * py <= limit
+    now = ring + 1.0 if not meets else (mount + 1.0 if not passes else (DROPPED if total else 0.0))
+    arrives = alive and meets and passes
+    goes = arrives and not total
+    bundle[ENDED_ON + i] = now if alive else ended
+    bundle[MET + i] += 1.0 if arrives else 0.0
+    bundle[LEFT_BEHIND + i] += weight * reflectance if arrives else 0.0
+    bundle[WEIGHT + i] = weight * transmittance if goes else weight
+    moves = alive and meets
+    bundle[X + i] = px if moves else bundle[X + i]
+    bundle[Y + i] = py if moves else bundle[Y + i]
+    bundle[Z + i] = pz if moves else bundle[Z + i]
+    bundle[DX + i] = ux * scale if goes else dx
+    bundle[DY + i] = uy * scale if goes else dy
+    bundle[DZ + i] = uz * scale if goes else dz
+
+
+@vectorised
+def _through_sphere(
+    bundle: Array, c: float, vertex_z: float, limit: float, sense: float, n_i: float, n_t: float,
+    mount: float, ring: float,
+) -> None:  # fmt: skip
+    for i in range(BLOCK):
+        x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i] - vertex_z
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        meets, t = _conic_distance(c, 1.0, x, y, z, dx, dy, dz, sense)
+        x, y, z = x + t * dx, y + t * dy, z + t * dz
+        nx, ny, nz = -c * x * sense, -c * y * sense, (1.0 - c * z) * sense
+        _bend(
+            bundle, i, meets and t > 0.0, x, y, z + vertex_z, nx, ny, nz, limit, n_i, n_t, mount, ring
+        )  # fmt: skip
+
+
+@vectorised
+def _meet_conic(bundle: Array, c: float, k: float, vertex_z: float, sense: float) -> None:
+    """Leave the distance to a conic in `_T`: −1 where a ray misses it or meets its other sheet."""
+    q = 1.0 + k
+    for i in range(BLOCK):
+        x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i] - vertex_z
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        meets, t = _conic_distance(c, q, x, y, z, dx, dy, dz, sense)
+        bundle[_T + i] = t if meets and c * q * (z + t * dz) < 1.0 else -1.0
+
+
+@kernel
+def _meet_asphere(bundle: Array, surface: Any) -> None:
+    """Improve the distances in `_T` to those of an asphere by Newton's method, all rays at once while any moves.
+
+    Where that does not settle, or no conic was there to start from, the bracketed search for one ray decides.
+    """
+    moving = BLOCK
+    for _ in range(NEWTON_STEPS):
+        if moving == 0:
+            break
+        _asphere_terms(bundle, surface.terms, surface.asphere)
+        moving = _newton_step(bundle, surface.curvature, surface.conic, surface.vertex_z)
+    if moving > 0:
+        for i in range(BLOCK):
+            if bundle[ENDED_ON + i] == 0.0 and not bundle[_SETTLED + i] > 0.0:
+                x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i] - surface.vertex_z
+                dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+                sense = 1.0 if dz > 0.0 else -1.0
+                at = -z / dz
+                meets, t = distance_to(surface, x + at * dx, y + at * dy, 0.0, dx, dy, dz, sense)
+                bundle[_T + i] = at + t if meets else -1.0
+
+
+@kernel
+def _asphere_terms(bundle: Array, terms: int, asphere: Array) -> None:
+    """Leave r², and the sag and the half slope dz/d(r²) of an asphere's terms at the distances `_T`, by Horner."""
+    _begin_terms(bundle)
+    for m in range(terms - 1, -1, -1):
+        _add_term(bundle, asphere[m], (m + 2.0) * asphere[m])
+
+
+@vectorised
+def _begin_terms(bundle: Array) -> None:
+    for i in range(BLOCK):
+        t = bundle[_T + i]
+        x, y = bundle[X + i] + t * bundle[DX + i], bundle[Y + i] + t * bundle[DY + i]
+        bundle[_R2 + i] = x * x + y * y
+        bundle[_SAG + i], bundle[_SLOPE + i] = 0.0, 0.0
+
+
+@vectorised
+def _add_term(bundle: Array, sag: float, slope: float) -> None:
+    for i in range(BLOCK):
+        r2 = bundle[_R2 + i]
+        bundle[_SAG + i] = bundle[_SAG + i] * r2 + sag
+        bundle[_SLOPE + i] = bundle[_SLOPE + i] * r2 + slope
+
+
+@vectorised
+def _newton_step(bundle: Array, c: float, k: float, vertex_z: float) -> int:
+    """Take one step towards the asphere; return how many rays are still moving."""
+    q = (1.0 + k) * c * c
+    moving = 0
+    for i in range(BLOCK):
+        t, r2 = bundle[_T + i], bundle[_R2 + i]
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        x, y, z = bundle[X + i] + t * dx, bundle[Y + i] + t * dy, bundle[Z + i] - vertex_z + t * dz
+        steep = np.sqrt(1.0 - q * r2)
+        sag = c * r2 / (1.0 + steep) + r2 * r2 * bundle[_SAG + i]
+        half_slope = 0.5 * c / steep + r2 * bundle[_SLOPE + i]
+        step = (z - sag) / (dz - 2.0 * half_slope * (x * dx + y * dy))
+        size = abs(x) + abs(y) + abs(z) + abs(t)
+        settled = abs(step) <= SETTLED * size
+        bundle[_SETTLED + i] = 1.0 if settled else 0.0
+        bundle[_T + i] = t - step
+        moving += 0 if settled or bundle[ENDED_ON + i] != 0.0 else 1
+    return moving
+
+
+@kernel
+def _bend_at(
+    bundle: Array, c: float, k: float, vertex_z: float, terms: int, asphere: Array, limit: float, sense: float,
+    n_i: float, n_t: float, mount: float, ring: float,
+) -> None:  # fmt: skip
+    """Refract a bundle at the distances `_T`."""
+    _asphere_terms(bundle, terms, asphere)
+    _bend_along_slope(bundle, c, k, vertex_z, limit, sense, n_i, n_t, mount, ring)
+
+
+@vectorised
+def _bend_along_slope(
+    bundle: Array, c: float, k: float, vertex_z: float, limit: float, sense: float, n_i: float, n_t: float,
+    mount: float, ring: float,
+) -> None:  # fmt: skip
+    q = (1.0 + k) * c * c
+    for i in range(BLOCK):
+        t, r2 = bundle[_T + i], bundle[_R2 + i]
+        x, y, z = (
+            bundle[X + i] + t * bundle[DX + i],
+            bundle[Y + i] + t * bundle[DY + i],
+            bundle[Z + i] + t * bundle[DZ + i],
+        )
+        slope = c / np.sqrt(1.0 - q * r2) + 2.0 * r2 * bundle[_SLOPE + i]
+        scale = sense / np.sqrt(slope * slope * r2 + 1.0)
+        _bend(
+            bundle, i, t > 0.0, x, y, z, -slope * x * scale, -slope * y * scale, scale, limit, n_i, n_t, mount, ring
+        )  # fmt: skip

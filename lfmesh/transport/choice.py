@@ -1,0 +1,43 @@
+"""Which engine traces a scene, and why."""
+
+from lfmesh.errors import SceneError
+from lfmesh.scene import Scene
+
+
+def engine_of(scene: Scene) -> tuple[str, str]:
+    """Return "mesh" or "sequential", and the reason in words.
+
+    Raises
+    ------
+    SceneError
+        The scene asks for the sequential engine, and has what that cannot trace.
+    """
+    transport = scene.transport
+    obstacle = _obstacle(scene)
+    if transport.engine == "mesh":
+        return "mesh", "as the scene asks; every lens surface, lenslet and target is a mesh in Embree"
+    if transport.engine == "sequential":
+        if obstacle is not None:
+            raise SceneError(f'transport.engine = "sequential": {obstacle}; use "mesh" or "auto"')
+        lost = "" if transport.split == "transmit" else "; reflections are left out"
+        return "sequential", f"as the scene asks; exact surfaces in their order{lost}"
+    if obstacle is not None:
+        return "mesh", f"{obstacle}"
+    if transport.split != "transmit":
+        return "mesh", f'split = "{transport.split}" follows reflections'
+    return "sequential", "the scene asks for the image path alone; exact surfaces in their order"
+
+
+def _obstacle(scene: Scene) -> str | None:
+    """Return what in a scene is not on the image path through exact surfaces, if anything."""
+    transport = scene.transport
+    if transport.surface != "exact":
+        return f'surface = "{transport.surface}" is a mesh\'s'
+    lens = scene.camera.lens
+    for i, surface in enumerate(lens.surfaces):
+        if surface.mesh is not None:
+            return f"camera.lens.surfaces[{i}] is a mesh"
+    interfaces = len(lens.surfaces) + (0 if scene.camera.mla is None else 2)
+    if interfaces >= transport.max_events:
+        return f"max_events = {transport.max_events} cuts paths inside the lens"
+    return None

@@ -13,7 +13,7 @@ def engine_of(scene: Scene) -> tuple[str, str]:
         The scene asks for the sequential engine, and has what that cannot trace.
     """
     transport = scene.transport
-    obstacle = _obstacle(scene)
+    obstacle = obstacle_of(scene, transport.surface, transport.max_events)
     if transport.engine == "mesh":
         return "mesh", "as the scene asks; every lens surface, lenslet and target is a mesh in Embree"
     if transport.engine == "sequential":
@@ -28,16 +28,15 @@ def engine_of(scene: Scene) -> tuple[str, str]:
     return "sequential", "the scene asks for the image path alone; exact surfaces in their order"
 
 
-def _obstacle(scene: Scene) -> str | None:
-    """Return what in a scene is not on the image path through exact surfaces, if anything."""
-    transport = scene.transport
-    if transport.surface != "exact":
-        return f'surface = "{transport.surface}" is a mesh\'s'
+def obstacle_of(scene: Scene, surface: str, max_events: int) -> str | None:
+    """Return what of a scene and its settings is not on the image path through exact surfaces, if anything."""
+    if surface != "exact":
+        return f'surface = "{surface}" is a mesh\'s'
     lens = scene.camera.lens
-    for i, surface in enumerate(lens.surfaces):
-        if surface.mesh is not None:
+    for i, element in enumerate(lens.surfaces):
+        if element.mesh is not None:
             return f"camera.lens.surfaces[{i}] is a mesh"
     interfaces = len(lens.surfaces) + (0 if scene.camera.mla is None else 2)
-    if interfaces >= transport.max_events:
-        return f"max_events = {transport.max_events} cuts paths inside the lens"
+    if interfaces >= max_events:
+        return f"max_events = {max_events} cuts paths inside the lens"
     return None

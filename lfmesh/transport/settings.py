@@ -49,7 +49,7 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
         # Light goes from target to target, unless there is but one flat sheet.
         not tracing and (len(tables.objects.closed) > 1 or bool((tables.objects.facets["body"] >= 0).sum() > 2)),
         True,
-        engine_of(world.scene)[0] == "sequential" and not record,
+        not tracing and engine_of(world.scene)[0] == "sequential",
         0,
     )
     return options._replace(**override)

@@ -15,6 +15,7 @@ from lfmesh.geometry.tessellation import mesh_sag
 from lfmesh.kernel import kernel
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.transport import MOST_EVENTS
+from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.ledger import Ledger
 from lfmesh.transport.packet import (
@@ -125,6 +126,7 @@ def trace(
     record: bool = False,
     *,
     surface: str | None = None,
+    engine: str = "mesh",
     max_events: int | None = None,
     weight_cutoff: float | None = None,
     seed: int = 0,
@@ -147,6 +149,9 @@ def trace(
         Keep every vertex, see `Paths.vertices`.
     surface, max_events, weight_cutoff : optional
         In place of the scene's transport settings.
+    engine : {"mesh", "sequential"}
+        "sequential" meets the exact surfaces of lens and array in their order, many times quicker: refracted rays only
+        (`split="transmit"`), nothing recorded, and a ray that total reflection turns off the image path has no packet.
     seed : int
         Of the roulette.
     threads : int
@@ -159,7 +164,7 @@ def trace(
         range.
     """
     p, d = _rays(origins, directions)
-    options = _options(world, record, split, surface, max_events, weight_cutoff)
+    options = _options(world, record, split, surface, engine, max_events, weight_cutoff)
     for name, value, valid, wish in (
         ("wavelength_nm", wavelength_nm, 0.0 < wavelength_nm < np.inf, "a positive number"),
         ("seed", seed, 0 <= seed < 2**63, "a whole number from 0 to 2^63 − 1"),
@@ -169,6 +174,8 @@ def trace(
             raise LfmeshError(f"{name} = {value!r}: must be {wish}")
     tables = _at_level(world, _at_wavelength(world, wavelength_nm), options.surface)
     station, space, p, d = _located(world, p, d)
+    if options.sequential:
+        _refuse_starts_in_the_lens(station, space, len(tables.lens.surfaces))
     local = threading.local()
     key = descendant(0x7472616365, seed)
 
@@ -197,8 +204,9 @@ def trace(
 
 
 def _options(
-    world: World, record: bool, split: str, surface: str | None, max_events: int | None, weight_cutoff: float | None
-) -> Options:
+    world: World, record: bool, split: str, surface: str | None, engine: str, max_events: int | None,
+    weight_cutoff: float | None,
+) -> Options:  # fmt: skip
     """Return the scene's settings with those of the call in their place."""
     transport = world.scene.transport
     level = transport.surface if surface is None else surface
@@ -212,9 +220,20 @@ def _options(
         raise LfmeshError(f"max_events = {depth!r}: must be from 1 to {MOST_EVENTS}")
     if not 0.0 <= cutoff <= 1.0:
         raise LfmeshError(f"weight_cutoff = {cutoff!r}: must be from 0 to 1")
+    if engine not in ("mesh", "sequential"):
+        raise LfmeshError(f'engine = {engine!r}: use "mesh" or "sequential"')
+    if engine == "sequential":
+        obstacle = obstacle_of(world.scene, level, depth)
+        if split != "transmit":
+            obstacle = f"split = {split!r} follows reflections"
+        elif record:
+            obstacle = "record = True keeps every vertex"
+        if obstacle is not None:
+            raise LfmeshError(f'engine = "sequential": {obstacle}; use "mesh"')
     return options_of(
         world,
         tracing=True,
+        sequential=engine == "sequential",
         record=record,
         split=SPLIT_MODE[split],
         surface=SURFACE_LEVEL[level],
@@ -304,6 +323,15 @@ def _located(
         station[after] = np.where(forward, SENSOR, LENS)[after]
     space[after] = count
     return station, space, p, d
+
+
+def _refuse_starts_in_the_lens(station: NDArray[np.int64], space: NDArray[np.int64], surfaces: int) -> None:
+    inside = (station == LENS) & (space > 0) & (space < surfaces)
+    if inside.any():
+        raise LfmeshError(
+            f'ray {int(np.flatnonzero(inside)[0])} starts inside the lens: engine = "sequential" follows rays through '
+            'all of it; use "mesh"'
+        )
 
 
 @kernel

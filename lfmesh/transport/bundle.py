@@ -15,7 +15,7 @@ from lfmesh.kernel import inlined, kernel, vectorised
 
 Array = NDArray[np.float64]
 
-BLOCK = 256
+BLOCK = 128
 
 # Rows: position and unit direction, mm; weight; power not followed; interfaces met; book slot + 1 of what ended it.
 X, Y, Z, DX, DY, DZ = 0, BLOCK, 2 * BLOCK, 3 * BLOCK, 4 * BLOCK, 5 * BLOCK
@@ -23,7 +23,9 @@ WEIGHT, LEFT_BEHIND, MET, ENDED_ON = 6 * BLOCK, 7 * BLOCK, 8 * BLOCK, 9 * BLOCK
 # Working rows: distance, radius², sag and half slope of an asphere's terms.
 _T, _R2, _SAG, _SLOPE = 10 * BLOCK, 11 * BLOCK, 12 * BLOCK, 13 * BLOCK
 _SETTLED = 14 * BLOCK
-ROWS = 15
+# What other modules use while they hold the bundle.
+SCRATCH = 10 * BLOCK
+ROWS = 26
 
 DROPPED = -1.0
 """In place of a slot: the ray has left the image path, and all its power was left behind."""
@@ -106,7 +108,7 @@ def through_surface(
 
 
 @inlined
-def _conic_distance(
+def conic_distance(
     c: float, q: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
 ) -> tuple[bool, float]:
     """Do as `geometry.surface.conic_distance` does, without branches; the distance is nonsense where it is missed."""
@@ -123,6 +125,33 @@ def _conic_distance(
 
 
 @inlined
+def fresnel_refraction(
+    dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, n_i: float, n_t: float
+) -> tuple[float, float, float, float, bool, float, float]:
+    """Return the refracted direction, cos of incidence, whether reflection is total, R and T.
+
+    Snell's law and Fresnel's equations as `transport.crossing` and `optics.fresnel` have them, without branches.
+    """
+    eta = n_i / n_t
+    cos_i = nx * dx + ny * dy + nz * dz
+    cos_i = 1.0 if cos_i > 1.0 else cos_i
+    sin2_t = eta * eta * (1.0 - cos_i) * (1.0 + cos_i)
+    total = sin2_t >= 1.0
+    cos_t = np.sqrt(0.0 if total else 1.0 - sin2_t)
+    a_i, a_t = n_i * cos_i, n_t * cos_t
+    b_i, b_t = n_i * cos_t, n_t * cos_i
+    s, p = a_i + a_t, b_i + b_t
+    over = 1.0 / (s * p)
+    over_s, over_p = p * over, s * over
+    r_s, r_p = (a_i - a_t) * over_s, (b_t - b_i) * over_p
+    transmittance = 2.0 * a_i * a_t * (over_s * over_s + over_p * over_p)
+    g = cos_t - eta * cos_i
+    ux, uy, uz = eta * dx + g * nx, eta * dy + g * ny, eta * dz + g * nz
+    scale = 1.5 - 0.5 * (ux * ux + uy * uy + uz * uz)
+    return ux * scale, uy * scale, uz * scale, cos_i, total, 0.5 * (r_s * r_s + r_p * r_p), transmittance
+
+
+@inlined
 def _bend(
     bundle: Array, i: int, meets: bool, px: float, py: float, pz: float, nx: float, ny: float, nz: float,
     limit: float, n_i: float, n_t: float, mount: float, ring: float,
@@ -130,25 +159,7 @@ def _bend(
     """Refract ray `i` at a point whose unit normal looks along it, or end it there; one that had ended stays."""
     dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
     weight, ended = bundle[WEIGHT + i], bundle[ENDED_ON + i]
-    eta = n_i / n_t
-    cos_i = nx * dx + ny * dy + nz * dz
-    cos_i = 1.0 if cos_i > 1.0 else cos_i
-    sin2_t = eta * eta * (1.0 - cos_i) * (1.0 + cos_i)
-    total = sin2_t >= 1.0
-    cos_t = np.sqrt(0.0 if total else 1.0 - sin2_t)
-    # Fresnel's equations: see `optics.fresnel`.
-    a_i, a_t = n_i * cos_i, n_t * cos_t
-    b_i, b_t = n_i * cos_t, n_t * cos_i
-    s, p = a_i + a_t, b_i + b_t
-    over = 1.0 / (s * p)
-    over_s, over_p = p * over, s * over
-    r_s, r_p = (a_i - a_t) * over_s, (b_t - b_i) * over_p
-    reflectance = 0.5 * (r_s * r_s + r_p * r_p)
-    transmittance = 2.0 * a_i * a_t * (over_s * over_s + over_p * over_p)
-    g = cos_t - eta * cos_i
-    ux, uy, uz = eta * dx + g * nx, eta * dy + g * ny, eta * dz + g * nz
-    scale = 1.5 - 0.5 * (ux * ux + uy * uy + uz * uz)
-
+    ux, uy, uz, cos_i, total, reflectance, transmittance = fresnel_refraction(dx, dy, dz, nx, ny, nz, n_i, n_t)
     alive = ended == 0.0
     meets = meets and cos_i > 0.0
     passes = px * px + py * py <= limit
@@ -163,9 +174,9 @@ def _bend(
     bundle[X + i] = px if moves else bundle[X + i]
     bundle[Y + i] = py if moves else bundle[Y + i]
     bundle[Z + i] = pz if moves else bundle[Z + i]
-    bundle[DX + i] = ux * scale if goes else dx
-    bundle[DY + i] = uy * scale if goes else dy
-    bundle[DZ + i] = uz * scale if goes else dz
+    bundle[DX + i] = ux if goes else dx
+    bundle[DY + i] = uy if goes else dy
+    bundle[DZ + i] = uz if goes else dz
 
 
 @vectorised
@@ -176,7 +187,7 @@ def _through_sphere(
     for i in range(BLOCK):
         x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i] - vertex_z
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
-        meets, t = _conic_distance(c, 1.0, x, y, z, dx, dy, dz, sense)
+        meets, t = conic_distance(c, 1.0, x, y, z, dx, dy, dz, sense)
         x, y, z = x + t * dx, y + t * dy, z + t * dz
         nx, ny, nz = -c * x * sense, -c * y * sense, (1.0 - c * z) * sense
         _bend(
@@ -191,7 +202,7 @@ def _meet_conic(bundle: Array, c: float, k: float, vertex_z: float, sense: float
     for i in range(BLOCK):
         x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i] - vertex_z
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
-        meets, t = _conic_distance(c, q, x, y, z, dx, dy, dz, sense)
+        meets, t = conic_distance(c, q, x, y, z, dx, dy, dz, sense)
         bundle[_T + i] = t if meets and c * q * (z + t * dz) < 1.0 else -1.0
 
 

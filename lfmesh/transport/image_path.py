@@ -33,6 +33,7 @@ from lfmesh.transport.bundle import (
     through_surface,
 )
 from lfmesh.transport.crossing import end, move_packet, refracted
+from lfmesh.transport.lenslet_bundle import PASSED, through_single_lenslets
 from lfmesh.transport.packet import (
     ARRAY_EDGE,
     ARRAY_FRAME,
@@ -111,10 +112,10 @@ def _follow(
         if at_lens:
             through_lens(bundle, lens, colour, True)
         if array.present:
-            through_array(bundle, count, array, colour, frames)
+            through_array(bundle, count, array, colour, frames, to_sensor)
     else:
         if not at_lens:
-            through_array(bundle, count, array, colour, frames)
+            through_array(bundle, count, array, colour, frames, to_sensor)
         through_lens(bundle, lens, colour, False)
     _hand_on(wave, to_sensor, count, frames, bundle, numbers, options, flow)
 
@@ -167,15 +168,17 @@ def through_lens(bundle: Array, lens: LensTables, colour: int, to_sensor: bool) 
 
 
 @kernel
-def through_array(bundle: Array, count: int, array: ArrayTables, colour: int, frames: Array) -> None:
+def through_array(bundle: Array, count: int, array: ArrayTables, colour: int, frames: Array, to_sensor: bool) -> None:
     """Take a bundle (camera frame) through the array, curved or flat face first, and back into the camera frame.
 
-    Ray by ray: which lenslet a ray meets is found by walking from cell to cell.
+    All rays at once that meet one lenslet only; the others ray by ray, walking from cell to cell.
     """
     move_bundle(bundle, frames[CAMERA_FRAME, ARRAY_FRAME])
     glass = array.indices[colour]
+    inward = to_sensor == array.curved_to_lens
+    through_single_lenslets(bundle, array, glass, inward)
     for i in range(count):
-        if bundle[ENDED_ON + i] != 0.0:
+        if bundle[ENDED_ON + i] != 0.0 or bundle[PASSED + i] > 0.0:
             continue
         if bundle[DZ + i] > 0.0:
             through = _through_curved_face(bundle, i, array, 1.0, glass) and _through_flat_face(

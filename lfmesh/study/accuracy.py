@@ -43,7 +43,8 @@ class AccuracyReport:
         FileError
             The folder cannot be written.
         """
-        folder = prepare(folder)
+        prepare(folder)
+        folder = Path(folder)
         contents = {
             LENS_CSV: tables.csv_table([row for study in self.lenses for row in study.rows]),
             PAGE: page.page(self.lenses, self.images, self.title, made_on()),
@@ -51,6 +52,7 @@ class AccuracyReport:
         if self.images is not None:
             contents[IMAGE_CSV] = tables.csv_table(self.images.rows)
         try:
+            folder.mkdir(parents=True, exist_ok=True)
             for name, text in contents.items():
                 (folder / name).write_text(text, encoding="utf-8")
         except OSError as error:
@@ -77,24 +79,20 @@ class AccuracyReport:
             _print_words(console, verdict.NO_LIGHT)
 
 
-def prepare(folder: str | Path) -> Path:
-    """Make the folder of a report, before the minutes that it takes to measure.
+def prepare(folder: str | Path) -> None:
+    """Check that a report can be written, before the minutes that it takes to measure; leave nothing behind.
 
     Raises
     ------
     FileError
-        It is a file, or cannot be made or written.
+        The folder is a file, or cannot be made or written.
     """
     folder = Path(folder)
-    if folder.exists() and not folder.is_dir():
-        raise FileError(f"{folder}: is a file; give a folder for the report")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"{folder}: cannot be made: {error.strerror}") from None
-    if not os.access(folder, os.W_OK):
+    there = next((path for path in (folder, *folder.absolute().parents) if path.exists()), Path("/"))
+    if not there.is_dir():
+        raise FileError(f"{there}: is a file; give a folder for the report")
+    if not os.access(there, os.W_OK | os.X_OK):
         raise FileError(f"{folder}: cannot be written: {os.strerror(errno.EACCES)}")
-    return folder
 
 
 def measure(

@@ -117,7 +117,7 @@ def measure(
     scenes = [scene] if scene is not None else lens_scenes()
     pictured = scene if scene is not None else lfmesh.load(asset_path("scenes/first_light.toml"))
     lenses = tuple(study_lens(one, rings=rings, rays=rays, progress=progress) for one in scenes)
-    images = study_images(pictured, effort, progress) if pictured.lights or _glows(pictured) else None
+    images = study_images(pictured, effort, progress) if shines(pictured) else None
     name = scene.name if scene is not None else "the lenses that come with lfmesh"
     return AccuracyReport(f"Accuracy of {name or 'a scene without a name'}", lenses, images)
 
@@ -130,8 +130,9 @@ def made_on() -> str:
     )
 
 
-def _glows(scene: Scene) -> bool:
-    return any(target.material.radiance_w_m2_sr > 0.0 for target in scene.targets)
+def shines(scene: Scene) -> bool:
+    """Tell whether a scene has a light or a target that emits."""
+    return bool(scene.lights) or any(target.material.radiance_w_m2_sr > 0.0 for target in scene.targets)
 
 
 def _print_table(console: Console, title: str, rows: list[dict[str, str]], grouped_by: str) -> None:

@@ -37,7 +37,8 @@ def two_digits(value: float) -> str:
     """Return a number with two digits that count, without an exponent."""
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g}"
-    decimals = 1 - math.floor(math.log10(abs(value)))
+    # Of the rounded number: 9.96 has two digits as 10.
+    decimals = 1 - int(f"{value:.1e}".split("e")[1])
     return f"{round(value, decimals):,.{max(0, decimals)}f}"
 
 

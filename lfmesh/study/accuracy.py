@@ -6,9 +6,9 @@ measures the scene's own lens and array, and its images; without a scene, the le
 images of its first scene.
 """
 
-import errno
 import os
 import platform
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -88,11 +88,22 @@ def prepare(folder: str | Path) -> None:
         The folder is a file, or cannot be made or written.
     """
     folder = Path(folder)
-    there = next((path for path in (folder, *folder.absolute().parents) if path.exists()), Path("/"))
-    if not there.is_dir():
-        raise FileError(f"{there}: is a file; give a folder for the report")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise FileError(f"{folder}: cannot be written: {os.strerror(errno.EACCES)}")
+    if folder.exists() and not folder.is_dir():
+        raise FileError(f"{folder}: is a file; give a folder for the report")
+    made: list[Path] = []
+    try:
+        for path in [*reversed(folder.parents), folder]:
+            if not path.exists():
+                path.mkdir()
+                made.append(path)
+        # Only a file that is made tells; permissions do not speak of full disks, nor for the superuser.
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise FileError(f"{folder}: cannot be written: {error.strerror}") from None
+    finally:
+        for path in reversed(made):
+            path.rmdir()
 
 
 def measure(

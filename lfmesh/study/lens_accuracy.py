@@ -241,7 +241,7 @@ def study_lens(
         truth = analytic.Camera.of(camera, wavelength).land(*sent)
         errors.append(analytic.own_error(camera, wavelength, *(a[:2000] for a in sent)))
         # The compiler and the libraries take their memory before any is counted.
-        trace(build(camera), sent.origins[:256], sent.directions[:256], wavelength, "transmit")
+        trace(build(camera), *sent, wavelength, "transmit")
         for level in LEVELS:
             for number in rings if level != "exact" else tuple(m * default["exact"] for m in EXACT_MULTIPLES):
                 if progress is not None:

@@ -272,7 +272,7 @@ def test_a_report_that_cannot_be_written_says_so_before_it_is_measured(tmp_path:
     (tmp_path / "file").write_text("")
     with pytest.raises(FileError, match="is a file; give a folder"):
         accuracy.prepare(tmp_path / "file")
-    with pytest.raises(FileError, match="file: is a file; give a folder"):
+    with pytest.raises(FileError, match="below: cannot be written: Not a directory"):
         accuracy.prepare(tmp_path / "file" / "below")
     accuracy.prepare(tmp_path / "new" / "folder")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -8,6 +8,7 @@ import sys
 import types
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -352,3 +353,111 @@ def test_every_public_name_can_be_had() -> None:
     assert set(lfmesh.__all__) <= set(dir(lfmesh))
     with pytest.raises(AttributeError, match="no attribute 'lens_cap'"):
         lfmesh.lens_cap  # noqa: B018
+
+
+class MeasuredReport:
+    """Stands in for a measured report."""
+
+    def print(self, console: Any) -> None:
+        console.print("measured in words " * 12)
+
+    def write(self, folder: Path) -> list[Path]:
+        folder.mkdir()
+        (folder / "accuracy.html").write_text("")
+        return [folder / "accuracy.html"]
+
+
+@pytest.fixture
+def measured(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What `lfmesh accuracy` asks to be measured; under "raises", what happens instead."""
+    asked: dict[str, Any] = {}
+
+    def measure(scene: Scene | None, *, quick: bool, progress: Callable[[str], None]) -> MeasuredReport:
+        if "raises" in asked:
+            raise asked["raises"]
+        asked.update(scene=scene, quick=quick)
+        progress("a mesh")
+        return MeasuredReport()
+
+    monkeypatch.setattr("lfmesh.study.accuracy.measure", measure)
+    return asked
+
+
+def test_accuracy_measures_the_scene_and_says_where_the_report_is(
+    measured: dict[str, Any], scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["accuracy", "scene.toml", "-o", "report", "--quick"]) == 0
+    assert measured["scene"].camera.mla.pitch_mm == 0.125
+    assert measured["quick"]
+    out, err = capsys.readouterr()
+    assert "measured in words" in out
+    assert str(Path("report") / "accuracy.html") in out
+    assert max(len(line) for line in out.splitlines()) <= 80
+    assert "a mesh" in err
+    assert main(["accuracy"]) == 0
+    assert measured["scene"] is None
+    assert not measured["quick"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["no.toml"], "no.toml: cannot be read"),
+        (["scene.toml", "-o", "scene.toml"], "scene.toml: is a file; give a folder for the report"),
+        (["scene.toml", "-o", "scene.toml/report"], "report: cannot be written: Not a directory"),
+        (["scene.toml", "--hard"], "--hard stands alone"),
+        (["--hard", "--quick"], "--hard stands alone"),
+        (["--hard", "-o", "report"], "--hard stands alone"),
+        (["scene.toml", "--fast"], "Unknown option"),
+    ],
+)
+def test_accuracy_refuses_what_it_cannot_do_before_it_measures(
+    arguments: list[str], message: str, measured: dict[str, Any], scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["accuracy", *arguments]) == 2
+    assert message in capsys.readouterr().err
+    assert measured == {}
+    assert [path.name for path in Path().iterdir()] == ["scene.toml"]
+
+
+def test_accuracy_leaves_nothing_after_ctrl_c(
+    measured: dict[str, Any], scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    measured["raises"] = KeyboardInterrupt()
+    assert main(["accuracy", "scene.toml", "-o", "new/report"]) == 130
+    assert "nothing was written" in capsys.readouterr().err
+    assert [path.name for path in Path().iterdir()] == ["scene.toml"]
+
+
+@pytest.mark.parametrize("failing", [False, True])
+def test_hard_cases_print_a_line_each_as_they_finish_and_a_count(
+    failing: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from lfmesh.study import hard_cases
+    from lfmesh.study.hard.outcome import Outcome
+
+    seen: list[str] = []
+
+    def case(cause: str, passed: bool) -> Callable[[], Outcome]:
+        def run() -> Outcome:
+            seen.append(capsys.readouterr().out)
+            return Outcome(cause, "right", "right" if passed else "wrong", passed, 0.0, 10.0, 3)
+
+        return run
+
+    monkeypatch.setattr(hard_cases, "CASES", (case("Easy.", True), case("Hard.", not failing), case("Last.", True)))
+    assert main(["accuracy", "--hard"]) == (1 if failing else 0)
+    seen.append(capsys.readouterr().out)
+    assert seen[0] == ""
+    assert seen[1] == "passed  Easy. Expected: right. Got: right; 3 queries repeated, 0 of 10 lost.\n"
+    assert seen[2].startswith("FAILED  Hard. " if failing else "passed  Hard. ")
+    assert seen[3].splitlines()[1].startswith(f"3 cases, {'1 failed' if failing else 'all passed'}; ")
+
+
+def test_hard_cases_that_lose_energy_fail(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from lfmesh.study import hard_cases
+    from lfmesh.study.hard.outcome import Outcome
+
+    monkeypatch.setattr(hard_cases, "CASES", (lambda: Outcome("Leak.", "all", "less", True, 1e-6, 1.0, 0),))
+    assert main(["accuracy", "--hard"]) == 1
+    assert "1e-06 of the energy lost, 1e-07 allowed" in capsys.readouterr().out

@@ -8,6 +8,7 @@ images of its first scene.
 
 import os
 import platform
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,7 @@ import lfmesh
 from lfmesh.assets import asset_path
 from lfmesh.errors import FileError
 from lfmesh.scene import Scene
-from lfmesh.study import page, verdict
+from lfmesh.study import page, tables, verdict
 from lfmesh.study.image_efficiency import QUICK, USUAL, ImageStudy, study_images
 from lfmesh.study.lens_accuracy import QUICK_RAYS, QUICK_RINGS, RAYS, RINGS, LensStudy, lens_scenes, study_lens
 
@@ -42,13 +43,14 @@ class AccuracyReport:
         FileError
             The folder cannot be written.
         """
+        prepare(folder)
         folder = Path(folder)
         contents = {
-            LENS_CSV: page.csv_table([row for study in self.lenses for row in study.rows]),
+            LENS_CSV: tables.csv_table([row for study in self.lenses for row in study.rows]),
             PAGE: page.page(self.lenses, self.images, self.title, made_on()),
         }
         if self.images is not None:
-            contents[IMAGE_CSV] = page.csv_table(self.images.rows)
+            contents[IMAGE_CSV] = tables.csv_table(self.images.rows)
         try:
             folder.mkdir(parents=True, exist_ok=True)
             for name, text in contents.items():
@@ -61,20 +63,47 @@ class AccuracyReport:
         """Print the tables, and under each what it says."""
         for study in self.lenses:
             for way in study.ways:
-                rows = [page.lens_columns(row) for row in study.of(way)]
-                _print_table(console, f"{study.name}: {page.WAY_TITLE[way]}", rows, "surface")
-                console.print(verdict.about_triangles(study, way), highlight=False)
-                console.print(verdict.about_time(study, way), highlight=False)
+                rows = [tables.short_lens_columns(row) for row in study.of(way)]
+                _print_table(console, f"{study.name}: {tables.WAY_TITLE[way]}", rows, "surface")
+                _print_words(console, verdict.about_triangles(study, way))
+                _print_words(console, verdict.about_time(study, way))
                 console.print()
-            console.print(verdict.about_the_truth(study), highlight=False)
+            _print_words(console, verdict.about_the_truth(study))
             console.print()
         if self.images is not None:
-            rows = [page.image_columns(row) for row in self.images.rows]
+            rows = [tables.short_image_columns(row) for row in self.images.rows]
             _print_table(console, f"Images of {self.images.scene}", rows, "estimate")
-            console.print(verdict.about_images(self.images), highlight=False)
-            console.print()
-        for line in verdict.three_numbers(self.lenses[0]):
-            console.print(f"• {line}", highlight=False)
+            _print_words(console, verdict.about_images(self.images))
+            _print_words(console, verdict.about_image_time(self.images))
+        else:
+            _print_words(console, verdict.NO_LIGHT)
+
+
+def prepare(folder: str | Path) -> None:
+    """Check that a report can be written, before the minutes that it takes to measure; leave nothing behind.
+
+    Raises
+    ------
+    FileError
+        The folder is a file, or cannot be made or written.
+    """
+    folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise FileError(f"{folder}: is a file; give a folder for the report")
+    made: list[Path] = []
+    try:
+        for path in [*reversed(folder.parents), folder]:
+            if not path.exists():
+                path.mkdir()
+                made.append(path)
+        # Only a file that is made tells; permissions do not speak of full disks, nor for the superuser.
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise FileError(f"{folder}: cannot be written: {error.strerror}") from None
+    finally:
+        for path in reversed(made):
+            path.rmdir()
 
 
 def measure(
@@ -97,11 +126,11 @@ def measure(
     """
     rings, rays, effort = (QUICK_RINGS, QUICK_RAYS, QUICK) if quick else (RINGS, RAYS, USUAL)
     scenes = [scene] if scene is not None else lens_scenes()
-    lenses = tuple(study_lens(one, rings=rings, rays=rays, progress=progress) for one in scenes)
     pictured = scene if scene is not None else lfmesh.load(asset_path("scenes/first_light.toml"))
-    images = study_images(pictured, effort, progress) if pictured.lights or _glows(pictured) else None
-    name = scene.name if scene is not None else "the lenses that come with it"
-    return AccuracyReport(f"lfmesh accuracy: {name or 'unnamed scene'}", lenses, images)
+    lenses = tuple(study_lens(one, rings=rings, rays=rays, progress=progress) for one in scenes)
+    images = study_images(pictured, effort, progress) if shines(pictured) else None
+    name = scene.name if scene is not None else "the lenses that come with lfmesh"
+    return AccuracyReport(f"Accuracy of {name or 'a scene without a name'}", lenses, images)
 
 
 def made_on() -> str:
@@ -112,14 +141,19 @@ def made_on() -> str:
     )
 
 
-def _glows(scene: Scene) -> bool:
-    return any(target.material.radiance_w_m2_sr > 0.0 for target in scene.targets)
+def shines(scene: Scene) -> bool:
+    """Tell whether a scene has a light or a target that emits."""
+    return bool(scene.lights) or any(target.material.radiance_w_m2_sr > 0.0 for target in scene.targets)
 
 
 def _print_table(console: Console, title: str, rows: list[dict[str, str]], grouped_by: str) -> None:
-    table = Table(title=title, title_justify="left", box=None, padding=(0, 1))
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1, 0, 0), pad_edge=False)
     for name in rows[0]:
-        table.add_column(name, justify="left" if name == grouped_by else "right", no_wrap=name == grouped_by)
+        table.add_column(name, justify="left" if name == grouped_by else "right", no_wrap=True)
     for row in rows:
         table.add_row(*row.values())
     console.print(table)
+
+
+def _print_words(console: Console, text: str) -> None:
+    console.print(text, highlight=False, markup=False)

@@ -1,8 +1,8 @@
 """The truth that the tracer is measured against: a sequential trace through the analytic surfaces, without meshes.
 
-It shares no code with the engine. Surfaces are met by Welford's transfer formulae (Aberrations of Optical Systems, 1986,
-chapter 4) and, with aspheric terms, Newton's method from there; bending is Snell's law in vector form, weights are
-Fresnel's transmittances. It works in any of numpy's floating types: the difference between float64 and extended
+It shares no code with the engine. Surfaces are met by Welford's transfer formulae (Aberrations of Optical Systems,
+1986, chapter 4) and, with aspheric terms, Newton's method from there; bending is Snell's law in vector form, weights
+are Fresnel's transmittances. It works in any of numpy's floating types: the difference between float64 and extended
 precision is the truth's own error.
 
 Camera frame throughout: z along the axis from object to sensor, origin at the first vertex, mm.
@@ -120,8 +120,8 @@ class Camera:
         for i, (surface, z) in enumerate(zip(lens.surfaces, lens.vertices_mm, strict=True)):
             if surface.mesh is not None:
                 raise LfmeshError(
-                    f"camera.lens.surfaces[{i}]: a mesh from a file has no analytic surface to measure its error against; "
-                    "give a lens with radii"
+                    f"camera.lens.surfaces[{i}]: a mesh from a file has no analytic surface to measure its error "
+                    "against; give a lens with radii"
                 )
             after = refractive_index(surface.medium, wavelength_nm)
             interfaces.append(
@@ -150,7 +150,7 @@ class Camera:
             Camera frame; every ray starts before the first surface and runs towards +z.
         """
         kind = self.precision
-        d = np.array(directions, dtype=kind)
+        d: Array = np.array(directions, dtype=kind)
         d /= np.sqrt((d * d).sum(axis=1))[:, None]
         rays = Rays(np.array(origins, dtype=kind), d, np.ones(len(d), kind), np.ones(len(d), np.bool_))
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
@@ -220,7 +220,7 @@ def _through_surface(rays: Rays, s: Interface) -> None:
 
 
 def _conic_transfer(p: Array, d: Array, c: Any, k: Any) -> Array:
-    """Return the distance from p to the conic's sheet through the vertex at the origin (Welford's 4.10, generalised)."""
+    """Return the distance from p to the conic's sheet through the origin (Welford's 4.10, generalised)."""
     # To the vertex's plane first: what follows is then small, and keeps its digits.
     to_plane = -p[:, 2] / d[:, 2]
     x, y = p[:, 0] + to_plane * d[:, 0], p[:, 1] + to_plane * d[:, 1]

@@ -1,9 +1,12 @@
 """How much an image costs: error against time for the ways to estimate it, and their efficiency 1 / (MSE · t).
 
 Every way estimates the same watts a pixel. The mean squared error is taken over all pixels against a converged
-reference, whose own variance is known from its replicates and is subtracted; both are relative to the image's mean
-square. Time is processor time, so that two cores and a busy machine do not enter. The efficiency of independent
-samples does not depend on how many are drawn; a better estimator has a higher one.
+reference of another seed, whose own variance is known from its replicates and is subtracted; both are relative to the
+image's mean square. Time is processor time, so that two cores and a busy machine do not enter. The efficiency of
+independent samples does not depend on how many are drawn; a better estimator has a higher one.
+
+Paths that are heavy and rare, such as ghosts, hold much of a mean square in few pixels. Beside it stands what most
+pixels see: the median, over the lit ones, of the error's size.
 """
 
 import math
@@ -12,7 +15,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lfmesh.errors import LfmeshError
 from lfmesh.scene import Scene
 from lfmesh.transport.image import Image
 from lfmesh.transport.render import Renderer
@@ -81,7 +86,7 @@ class Effort:
     samples : dict
         Samples a pixel by way: one point of the figure each.
     repeats : int
-        Runs of each with another seed; their spread tells how well the error is known.
+        Runs of each with another seed, two at least: their spread tells how well the error is known.
     reference : int
         Samples a pixel of the reference.
     """
@@ -101,7 +106,7 @@ USUAL = Effort(
         RANDOM.name: (8, 32),
         SOBOL.name: (8, 32),
     },
-    4,
+    6,
     512,
 )
 QUICK = Effort(
@@ -113,14 +118,17 @@ QUICK = Effort(
         RANDOM.name: (8, 16),
         SOBOL.name: (8, 16),
     },
-    2,
-    128,
+    3,
+    256,
 )
 
 REPLICATES = 2
 """Of each run: as many independent Sobol' sets a pixel share its samples."""
 
 REFERENCE_REPLICATES = 8
+
+LIT_SHARE = 0.05
+"""A pixel counts as lit above this share of the reference's mean."""
 
 
 @dataclass(frozen=True)
@@ -135,8 +143,10 @@ class ImageRow:
         Of processor time, mean of the repeats.
     mse, mse_error : float
         Mean squared error over the image's mean square; its standard error over the repeats.
+    typical : float
+        Median over the lit pixels of the error's size, over the image's root mean square.
     efficiency, efficiency_error : float
-        1 / (mse · seconds), 1/s.
+        1 / (mse · seconds), 1/s; NaN where the error cannot be told from the reference's.
     bias_z : float
         Difference of the whole image's power from the reference's, in standard errors.
     """
@@ -146,6 +156,7 @@ class ImageRow:
     seconds: float
     mse: float
     mse_error: float
+    typical: float
     efficiency: float
     efficiency_error: float
     bias_z: float
@@ -164,6 +175,8 @@ class ImageStudy:
     reference_samples : int
     reference_error : float
         Its rms standard error over the image's rms.
+    reference_typical : float
+        The median of its standard error over the lit pixels, over the image's rms.
     """
 
     scene: str
@@ -171,6 +184,7 @@ class ImageStudy:
     binned: int
     reference_samples: int
     reference_error: float
+    reference_typical: float
     rows: tuple[ImageRow, ...]
 
     def of(self, way: Way) -> tuple[ImageRow, ...]:
@@ -180,6 +194,15 @@ class ImageStudy:
     def efficiency(self, way: Way) -> float:
         """Return a way's efficiency, 1/s, from its largest run: where errors are known best."""
         return self.of(way)[-1].efficiency
+
+    def reference_share(self) -> float:
+        """Return the reference's own variance over the smallest mean squared error that was measured against it."""
+        smallest = min(row.mse for row in self.rows)
+        return self.reference_error**2 / smallest if smallest > 0.0 else math.inf
+
+    def typical_gain(self, way: Way, over: Way) -> float:
+        """Return how many times the samples one way's typical error is worth, at equal samples, than another's."""
+        return (self.of(over)[-1].typical / self.of(way)[-1].typical) ** 2
 
     def gain(self, way: Way, over: Way) -> tuple[float, float]:
         """Return how many times more efficient one way is than another, with its standard error."""
@@ -203,6 +226,11 @@ def study_images(
     say(f"images: reference, {effort.reference} samples a pixel")
     reference = _run(small, SOBOL, effort.reference, seed, REFERENCE_REPLICATES)[0]
     power = float((reference.mean**2).mean())
+    if not power > 0.0:
+        raise LfmeshError(
+            "no light of the scene reaches its sensor: there is no image whose error could be measured; "
+            "lfmesh render says where the light goes"
+        )
     rows = []
     for way in WAYS:
         # Once for the compiler.
@@ -211,17 +239,24 @@ def study_images(
             say(f"images: {way.name}, {samples} samples a pixel")
             runs = [_run(small, way, samples, seed + 1 + k, REPLICATES) for k in range(effort.repeats)]
             rows.append(_row(way, samples, runs, reference, power))
-    error = math.sqrt(float((reference.stderr**2).mean()) / power) if power > 0.0 else math.nan
+    error = math.sqrt(float((reference.stderr**2).mean()) / power)
+    typical = float(np.median(reference.stderr[_lit(reference)])) / math.sqrt(power)
     columns, lines = small.camera.sensor.pixels
-    return ImageStudy(scene.name, (columns, lines), binned, effort.reference, error, tuple(rows))
+    name = scene.name or "the scene"
+    return ImageStudy(name, (columns, lines), binned, effort.reference, error, typical, tuple(rows))
+
+
+def _lit(image: Image) -> NDArray[np.bool_]:
+    return image.mean > LIT_SHARE * image.mean.mean()
 
 
 def _binned(scene: Scene, pixels: int) -> tuple[Scene, int]:
-    """Return the scene with its sensor's pixels joined, so that no side is much longer than `pixels`; and how many."""
+    """Return the scene with its sensor's pixels joined, so that its shorter side has some `pixels`; and how many.
+
+    What is left over at the border of the sensor is left out.
+    """
     sensor = scene.camera.sensor
-    factor = next(
-        f for f in range(max(1, min(sensor.pixels) // pixels), 0, -1) if all(side % f == 0 for side in sensor.pixels)
-    )
+    factor = max(1, min(sensor.pixels) // pixels)
     changes = {
         "camera.sensor.pixels": [side // factor for side in sensor.pixels],
         "camera.sensor.pixel_mm": sensor.pixel_mm * factor,
@@ -248,7 +283,10 @@ def _row(way: Way, samples: int, runs: list[tuple[Image, float]], reference: Ima
     errors = np.array([float(((image.mean - reference.mean) ** 2).mean()) - own for image, _ in runs]) / power
     seconds = float(np.mean([t for _, t in runs]))
     mse = float(errors.mean())
-    spread = float(errors.std(ddof=1) / math.sqrt(len(errors))) if len(errors) > 1 else math.nan
+    spread = float(errors.std(ddof=1) / math.sqrt(len(errors)))
+    known = mse > 0.0
+    lit = _lit(reference)
+    typical = np.median([np.abs(image.mean - reference.mean)[lit] for image, _ in runs]) / math.sqrt(power)
     totals = [float(image.mean.sum()) for image, _ in runs]
     uncertain = math.sqrt(
         sum(float((image.stderr**2).sum()) for image, _ in runs) / len(runs) ** 2 + float((reference.stderr**2).sum())
@@ -259,7 +297,8 @@ def _row(way: Way, samples: int, runs: list[tuple[Image, float]], reference: Ima
         seconds=seconds,
         mse=mse,
         mse_error=spread,
-        efficiency=1.0 / (mse * seconds),
-        efficiency_error=spread / (mse * mse * seconds),
+        typical=float(typical),
+        efficiency=1.0 / (mse * seconds) if known else math.nan,
+        efficiency_error=spread / (mse * mse * seconds) if known else math.nan,
         bias_z=(float(np.mean(totals)) - float(reference.mean.sum())) / uncertain if uncertain > 0.0 else math.nan,
     )

@@ -1,42 +1,37 @@
-"""The accuracy report as files: CSV tables and one HTML page that loads nothing."""
+"""The accuracy report as one HTML page that loads nothing."""
 
-import csv
 import html
-import io
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, fields
 from typing import Any
 
 from lfmesh.study import figures, verdict
-from lfmesh.study.image_efficiency import ImageRow, ImageStudy
-from lfmesh.study.lens_accuracy import LENS_ALONE, LensRow, LensStudy
+from lfmesh.study.image_efficiency import WAYS, ImageStudy
+from lfmesh.study.lens_accuracy import LENS_ALONE, LensStudy
+from lfmesh.study.tables import WAY_TITLE, image_columns, lens_columns
 
 STYLE = """
-body { font: 16px/1.5 sans-serif; color: #222; background: #fff; max-width: 60em; margin: 2em auto; padding: 0 1em }
-h1, h2, h3 { line-height: 1.2; font-weight: 600 }
-h2 { margin-top: 2.5em; border-bottom: 1px solid #ddd }
-figure { margin: 1.5em 0 }
-figure svg { max-width: 100%; height: auto }
-figcaption { max-width: 46em }
-.numbers { overflow-x: auto }
-table { border-collapse: collapse; font-size: 13px; font-variant-numeric: tabular-nums }
-th, td { padding: .15em .7em; text-align: right; white-space: nowrap }
-th { border-bottom: 1px solid #888; vertical-align: bottom; white-space: normal }
-td:first-child, th:first-child { text-align: left }
+:root { color-scheme: light }
+body { font: 16px/1.55 system-ui, sans-serif; color: #222; background: #fff; max-width: 64em; margin: 2.5em auto;
+  padding: 0 1.2em }
+p, li, figure, .short { max-width: 52em }
+h1, h2, h3 { line-height: 1.2; font-weight: 600; margin-bottom: .4em }
+h2 { margin-top: 2.6em; padding-bottom: .2em; border-bottom: 1px solid #ccc }
+h3 { margin-top: 1.8em }
+.made { color: #666; font-size: 14px; margin-top: 0 }
+.short { background: #f4f6f8; border-left: 4px solid #1f4e8c; padding: .7em 1.2em }
+.short ul { margin: .3em 0; padding-left: 1.2em }
+figure { margin: 1.2em 0 1.8em }
+figure svg { max-width: 100%; height: auto; display: block }
+figure svg { margin-left: -.5em }
+figcaption { margin-top: .5em }
+.numbers { overflow-x: auto; margin: 1em 0 }
+table { border-collapse: collapse; font-size: 12px; line-height: 1.35; font-variant-numeric: tabular-nums }
+th, td { padding: .18em .5em; text-align: right; white-space: nowrap }
+th { border-bottom: 1px solid #888; vertical-align: bottom; white-space: normal; font-weight: 600 }
+td:first-child, th:first-child { text-align: left; padding-left: 0 }
 tr.first td { border-top: 1px solid #ddd }
+.note { font-size: 14px; color: #555 }
 """
-
-WAY_TITLE = {"lens": "the lens alone", "camera": "the whole camera, through the microlenses"}
-
-
-def csv_table(rows: Sequence[LensRow] | Sequence[ImageRow]) -> str:
-    """Return rows as CSV, all fields, every digit."""
-    text = io.StringIO()
-    if rows:
-        writer = csv.DictWriter(text, [field.name for field in fields(rows[0])], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
-    return text.getvalue()
 
 
 def page(lenses: Sequence[LensStudy], images: ImageStudy | None, title: str, made_on: str) -> str:
@@ -47,48 +42,24 @@ def page(lenses: Sequence[LensStudy], images: ImageStudy | None, title: str, mad
     made_on : str
         Versions and machine, in a line.
     """
-    body = [f"<h1>{_text(title)}</h1>", f"<p>{_text(made_on)}</p>"]
+    body = [f"<h1>{_text(title)}</h1>", f'<p class="made">{_text(made_on)}</p>', _in_short(lenses, images)]
     for study in lenses:
         body += _lens_part(study)
-    if images is not None:
-        body += _image_part(images)
+    body += _image_part(images) if images is not None else [f"<h2>Images</h2><p>{verdict.NO_LIGHT}</p>"]
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         f"<title>{_text(title)}</title><style>{STYLE}</style></head>\n<body>\n" + "\n".join(body) + "\n</body></html>\n"
     )
 
 
-def lens_columns(row: LensRow) -> dict[str, str]:
-    """Return what a table shows of a row, by heading."""
-    return {
-        "surface": row.surface,
-        "triangles": f"{row.triangles:,}",
-        "rms / mm": f"{row.rms_mm:.1e}",
-        "max / mm": f"{row.max_mm:.1e}",
-        "rms / pixel": f"{row.rms_px:.2g}",
-        "weight rms": f"{row.rms_weight:.0e}",
-        "other lenslet": _share(row.elsewhere),
-        "astray": _share(row.astray),
-        "lost": _share(row.lost),
-        "asked again": _share(row.requeried),
-        "build / s": f"{row.build_seconds:.2f}",
-        "tables / MB": f"{row.table_bytes / 1e6:.1f}",
-        "grown / MB": f"{row.process_bytes / 1e6:.1f}",
-        "Mevents/s": f"{row.events_per_second / 1e6:.2f}",
-    }
-
-
-def image_columns(row: ImageRow) -> dict[str, str]:
-    """Return what a table shows of a row, by heading."""
-    return {
-        "estimate": row.way,
-        "samples": f"{row.samples}",
-        "time / s": f"{row.seconds:.2f}",
-        "rms error": f"{row.mse**0.5:.3g}" if row.mse > 0.0 else "below the reference's",
-        "efficiency · s": f"{row.efficiency:.3g}",
-        "±": f"{row.efficiency_error:.1g}",
-        "whole power, z": f"{row.bias_z:+.1f}",
-    }
+def _in_short(lenses: Sequence[LensStudy], images: ImageStudy | None) -> str:
+    """Return what to choose, before all figures; of several lenses a line each in a table."""
+    lines = verdict.three_numbers(lenses[0]) if len(lenses) == 1 else []
+    if images is not None:
+        lines.append(verdict.most_efficient(images))
+    items = "".join(f"<li>{_text(_capital(line))}</li>" for line in lines)
+    table = _table([verdict.lens_summary(study) for study in lenses], "lens") if len(lenses) > 1 else ""
+    return f'<div class="short"><b>In short</b>{table}<ul>{items}</ul></div>'
 
 
 def _lens_part(study: LensStudy) -> list[str]:
@@ -97,33 +68,58 @@ def _lens_part(study: LensStudy) -> list[str]:
         rows = study.of(way)
         title = f"{study.name}: {WAY_TITLE[way]}"
         parts += [
-            f"<h3>{_text(WAY_TITLE[way].capitalize())}</h3>",
+            f"<h3>{_text(_capital(WAY_TITLE[way]))}</h3>",
             _figure(
-                figures.error_against_triangles(rows, title, study.pixel_mm),
-                "Error against triangles; lines: rms, dots: largest. " + verdict.about_triangles(study, way),
+                figures.error_against_triangles(rows, f"{title}, error against triangles", study.pixel_mm),
+                verdict.about_triangles(study, way),
             ),
             _figure(
-                figures.error_against_time(rows, title, study.pixel_mm),
-                "Error against time; numbers: triangles a surface. " + verdict.about_time(study, way),
+                figures.error_against_time(rows, f"{title}, error against time", study.pixel_mm),
+                verdict.about_time(study, way),
             ),
             _table([lens_columns(row) for row in rows], "surface"),
+            f'<p class="note">{_text(LENS_NOTE if way == LENS_ALONE else LENS_NOTE + CAMERA_NOTE)}</p>',
         ]
-    if LENS_ALONE in study.ways and len(study.ways) > 1:
-        parts.append(
-            "<p>Through the microlenses a ray that an error carries over the border of a lenslet lands under the next one: "
-            "such rays are counted as another lenslet and left out of the rms.</p>"
-        )
     return parts
+
+
+LENS_NOTE = (
+    "Weight: relative error of the power that a ray brings. Astray: share of rays that end elsewhere than in the "
+    "truth, at an aperture's edge or nowhere. Lost: share of the power. Asked again: share of events whose query was "
+    "repeated. Process: by how much it grew, Embree's trees included. Events are counted on one core."
+)
+CAMERA_NOTE = (
+    " Other lenslet: share of rays that an error carries over a lenslet's border, to land half a lenslet or more from "
+    "where they should; they are in the maximum, not in the rms."
+)
 
 
 def _image_part(study: ImageStudy) -> list[str]:
     return [
         f"<h2>Images of {_text(study.scene)}</h2>",
-        _figure(figures.image_error_against_time(study), "Error against time. " + verdict.about_images(study)),
+        _ways(),
+        _figure(
+            figures.efficiency(study.rows, f"{study.scene}: efficiency, from each way's largest run"),
+            verdict.about_images(study),
+        ),
+        _figure(
+            figures.image_error_against_time(study.rows, f"{study.scene}: error against time", study.reference_error),
+            verdict.about_image_time(study),
+        ),
         _table([image_columns(row) for row in study.rows], "estimate"),
-        "<p>z: by how many standard errors the image's whole power differs from the reference's; all ways estimate the "
-        "same image.</p>",
+        '<p class="note">Rms error: over all pixels, relative to the image\'s rms. Typical: median over the lit pixels '
+        "of the error's size, relative to the same. z: by how many standard errors the image's whole power differs "
+        "from the reference's. Processor time: of all cores.</p>",
     ]
+
+
+def _ways() -> str:
+    items = "".join(f"<li><b>{_text(way.name)}</b>: {_text(way.means)}</li>" for way in WAYS)
+    return f"<ul>{items}</ul>"
+
+
+def _capital(text: str) -> str:
+    return text[0].upper() + text[1:]
 
 
 def _figure(svg: str, words: str) -> str:
@@ -139,10 +135,6 @@ def _table(rows: Iterable[dict[str, str]], grouped_by: str) -> str:
         previous = row[grouped_by]
         lines.append(f"<tr{mark}>" + "".join(f"<td>{_text(value)}</td>" for value in row.values()) + "</tr>")
     return f'<div class="numbers"><table><tr>{head}</tr>\n' + "\n".join(lines) + "</table></div>"
-
-
-def _share(value: float) -> str:
-    return "0" if value == 0.0 else f"{value:.1e}"
 
 
 def _text(value: Any) -> str:

@@ -1,8 +1,8 @@
 """Scrambled Sobol' points for the numbers that a path starts from: they fill the unit cube more evenly than chance.
 
 The points are those of Sobol' (1967) with the direction numbers of Joe & Kuo (SIAM J. Sci. Comput. 30, 2635, 2008:
-new-joe-kuo-6), scrambled as Owen proposed (1995): each digit is flipped by chance, the chance hashed from all the digits
-before it. So every point is uniform by itself, an average over them is unbiased, and the spread of independently
+new-joe-kuo-6), scrambled as Owen proposed (1995): each digit is flipped by chance, the chance hashed from all the
+digits before it. So every point is uniform by itself, an average over them is unbiased, and the spread of independently
 scrambled sets is an honest standard error. The hash is Laine & Karras's (EGSR 2011) in the form of Burley (JCGT 9(4),
 2020), on the bits in reverse.
 """

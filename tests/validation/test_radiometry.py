@@ -179,8 +179,8 @@ def test_disk_lamp_is_a_lambertian_disk(aside: float) -> None:
     expected = 2.0 / (np.pi * 64.0 * MM2) * disk_factor(25.0, aside, 8.0)
     if aside == 0.0:
         assert expected == pytest.approx(2.0 / (np.pi * (64.0 + 625.0) * MM2), rel=1e-12)
-    found = [irradiance(patch([lamp], seed=k), patch([], radiance=1.0, seed=k)) for k in range(24)]
-    assert stats.sem(found) < 0.003 * expected
+    found = [irradiance(patch([lamp], seed=k), patch([], radiance=1.0, seed=k)) for k in range(128)]
+    assert stats.sem(found) < 0.0007 * expected
     assert_means(np.array(found)[:, None], np.array([expected]), 1e-4)
 
 

@@ -6,11 +6,13 @@ importance would gain (n_i/n_t)² at every crossing; pixel and target both lie i
 out throughout.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
-from lfmesh.geometry.lattice import Lattice, cell_of, centre, is_inside
+from lfmesh.geometry.lattice import ROW_SPACING, Lattice, cell_of, centre
 from lfmesh.geometry.lenslets import type_of
 from lfmesh.kernel import kernel
 from lfmesh.optics.scattering import lambertian
@@ -23,13 +25,14 @@ from lfmesh.transport.packet import (
     EMITTED,
     LENS,
     NO_SURFACE,
+    PACKET,
     PLATE,
     SENSOR_FRAME,
     Flow,
     put,
 )
 from lfmesh.transport.random import derived, uniform
-from lfmesh.transport.sobol import owen_sobol
+from lfmesh.transport.sobol import scramble_seed, scrambled, step
 from lfmesh.transport.tables import Aim, ArrayTables, SensorTables
 
 Array = NDArray[np.float64]
@@ -49,34 +52,53 @@ def start(key: np.uint64, dimension: int) -> float:
     return uniform(key, START_DIMENSION + dimension)
 
 
+class StartRoom(NamedTuple):
+    """Working memory of a launch."""
+
+    point: NDArray[np.uint32]  # (6,) Sobol' point of the sample, not yet scrambled
+    seeds: NDArray[np.uint32]  # (6,) of the pixel's scrambling
+    cells: NDArray[np.int64]  # (most, 2) column and row of the lenslets that show the pupil to a point
+    packet: NDArray[np.void]  # (1,) PACKET
+
+
+def start_room(aim: Aim) -> StartRoom:
+    """Return the memory in which paths are started."""
+    numbers = WHICH_CELL + 1
+    most = (2 * aim.search + 1) ** 2
+    return StartRoom(
+        np.zeros(numbers, np.uint32), np.zeros(numbers, np.uint32), np.zeros((most, 2), np.int64), np.zeros(1, PACKET)
+    )
+
+
 @kernel
-def starting_numbers(stratified: bool, pixel_key: np.uint64, sample: int) -> Numbers:
+def _begin_pixel(room: StartRoom, pixel_key: np.uint64) -> None:
+    room.point[:] = np.uint32(0)
+    for dimension in range(len(room.seeds)):
+        room.seeds[dimension] = scramble_seed(pixel_key, dimension)
+
+
+@kernel
+def _starting_numbers(room: StartRoom, stratified: bool, key: np.uint64, sample: int) -> Numbers:
     """Return a sample's starting numbers: of the pixel's own scrambled Sobol' set, or each by chance."""
     if stratified:
+        if sample > 0:
+            step(room.point, sample)
+        point, seeds = room.point, room.seeds
         return (
-            owen_sobol(pixel_key, sample, PIXEL_U),
-            owen_sobol(pixel_key, sample, PIXEL_V),
-            owen_sobol(pixel_key, sample, CELL_U),
-            owen_sobol(pixel_key, sample, CELL_V),
-            owen_sobol(pixel_key, sample, DISCRETE),
-            owen_sobol(pixel_key, sample, WHICH_CELL),
-        )
-    key = derived(pixel_key, sample)
+            scrambled(point[0], seeds[0]), scrambled(point[1], seeds[1]), scrambled(point[2], seeds[2]),
+            scrambled(point[3], seeds[3]), scrambled(point[4], seeds[4]), scrambled(point[5], seeds[5]),
+        )  # fmt: skip
     return (
-        start(key, PIXEL_U),
-        start(key, PIXEL_V),
-        start(key, CELL_U),
-        start(key, CELL_V),
-        start(key, DISCRETE),
-        start(key, WHICH_CELL),
-    )
+        start(key, PIXEL_U), start(key, PIXEL_V), start(key, CELL_U),
+        start(key, CELL_V), start(key, DISCRETE), start(key, WHICH_CELL),
+    )  # fmt: skip
 
 
 @kernel
 def launch_adjoint(
     first_pixel: int, pixels: int, samples: int, stratified: bool, replicate_key: np.uint64, wave: int,
     sensor: SensorTables, array: ArrayTables, aim: Aim, frames: Array, lens_surfaces: int,
-    flow: Flow, template: NDArray[np.void],
+    flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
     """Start `samples` packets from each of a run of pixels.
 
@@ -84,10 +106,8 @@ def launch_adjoint(
     ----------
     stratified : bool
         Start from scrambled Sobol' points in place of random ones.
-    template : (1,) PACKET
-        Working memory.
     """
-    packet = template[0]
+    packet = room.packet[0]
     packet.wave = wave
     packet.last = NO_SURFACE
     packet.column = NO_SURFACE
@@ -97,18 +117,21 @@ def launch_adjoint(
     packet.space = lens_surfaces
     area = sensor.pixel * sensor.pixel * MM2 / samples
     station = PLATE if array.present else LENS
+    # The sensor's normal towards the array.
+    normal = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, -1.0)
     for pixel in range(first_pixel, first_pixel + pixels):
         row, column = pixel // sensor.columns, pixel % sensor.columns
         packet.source = pixel
         pixel_key = derived(replicate_key, pixel)
+        _begin_pixel(room, pixel_key)
         for sample in range(samples):
             key = derived(pixel_key, sample)
-            numbers = starting_numbers(stratified, pixel_key, sample)
+            numbers = _starting_numbers(room, stratified, key, sample)
             x = (column - 0.5 * sensor.columns + numbers[PIXEL_U]) * sensor.pixel
             y = (row - 0.5 * sensor.rows + numbers[PIXEL_V]) * sensor.pixel
             if array.present:
                 px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
-                dx, dy, dz, importance = _through_a_lenslet(array, aim, frames, numbers, px, py, pz)
+                dx, dy, dz, importance = _through_a_lenslet(array, aim, normal, room.cells, numbers, px, py, pz)
                 ux, uy, uz = move_direction(frames, ARRAY_FRAME, SENSOR_FRAME, dx, dy, dz)
             else:
                 # The pupil disks are square to the axis of the lens, whichever way the sensor is tilted.
@@ -128,28 +151,37 @@ def launch_adjoint(
 
 
 @kernel
-def _shows_pupil(array: ArrayTables, aim: Aim, column: int, row: int, x: float, y: float, distance: float) -> bool:
-    """Tell whether a lenslet shows (part of) the exit pupil to a point of the sensor, paraxially.
+def _cells_that_show_pupil(
+    array: ArrayTables, aim: Aim, x: float, y: float, distance: float, cells: NDArray[np.int64]
+) -> int:
+    """List the lenslets that show (part of) the exit pupil to a point of the sensor, paraxially; return how many.
 
     A ray from x through the lenslet's point c + u leaves it with slope (c + u − x)/d − φ u and meets the pupil plane,
     1/κ away, at a slope κ (c + u − pupil) + (c − x)/d + (1/d − φ) u off the pupil's middle.
     """
     lenslets = array.lenslets
-    cx, cy = centre(lenslets.lattice, column, row)
-    kappa, over = aim.pupil_vergence, 1.0 / distance
-    a = kappa * (cx - aim.pupil_x) + (cx - x) * over
-    b = kappa * (cy - aim.pupil_y) + (cy - y) * over
     lattice = lenslets.lattice
-    corner = lattice.pitch * (0.5773502691896258 if lattice.hexagonal else 0.7071067811865476)
-    spread = abs(kappa + over - aim.lenslet_power[type_of(lenslets, column, row)]) * corner
-    limit = aim.pupil_slope + spread
-    return a * a + b * b <= limit * limit
+    kappa, over = aim.pupil_vergence, 1.0 / distance
+    shrink = 1.0 / (1.0 + kappa * distance)
+    column, row = cell_of(lattice, aim.pupil_x + (x - aim.pupil_x) * shrink, aim.pupil_y + (y - aim.pupil_y) * shrink)
+    count = 0
+    for r in range(max(row - aim.search, 0), min(row + aim.search + 1, lattice.rows)):
+        for c in range(max(column - aim.search, 0), min(column + aim.search + 1, lattice.columns)):
+            cx, cy = centre(lattice, c, r)
+            a = kappa * (cx - aim.pupil_x) + (cx - x) * over
+            b = kappa * (cy - aim.pupil_y) + (cy - y) * over
+            limit = aim.pupil_slope + abs(kappa + over - aim.lenslet_power[type_of(lenslets, c, r)]) * aim.circumradius
+            if a * a + b * b <= limit * limit:
+                cells[count, 0], cells[count, 1] = c, r
+                count += 1
+    return count
 
 
 @kernel
 def _through_a_lenslet(
-    array: ArrayTables, aim: Aim, frames: Array, numbers: Numbers, x: float, y: float, z: float
-) -> tuple[float, float, float, float]:
+    array: ArrayTables, aim: Aim, normal: tuple[float, float, float], cells: NDArray[np.int64], numbers: Numbers,
+    x: float, y: float, z: float,
+) -> tuple[float, float, float, float]:  # fmt: skip
     """Return a direction (array frame) from a point of the sensor, and cos θ over its density.
 
     Uniform over the cells that show the pupil to the point, mixed with a few directions from the whole hemisphere, for
@@ -157,32 +189,18 @@ def _through_a_lenslet(
     the plate; their faces lie deeper at the border, so the aimed cells are a margin larger.
     """
     lattice = array.lenslets.lattice
-    # The sensor's normal towards the array.
-    nx, ny, nz = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, -1.0)
+    nx, ny, nz = normal
     distance = abs(z - aim.lenslet_z)
     toward = -1.0 if array.curved_to_lens else 1.0
-    shrink = 1.0 / (1.0 + aim.pupil_vergence * distance)
-    column, row = cell_of(lattice, aim.pupil_x + (x - aim.pupil_x) * shrink, aim.pupil_y + (y - aim.pupil_y) * shrink)
-    count = 0
-    for r in range(row - aim.search, row + aim.search + 1):
-        for c in range(column - aim.search, column + aim.search + 1):
-            if is_inside(lattice, c, r) and _shows_pupil(array, aim, c, r, x, y, distance):
-                count += 1
+    count = _cells_that_show_pupil(array, aim, x, y, distance, cells)
     wide = 1.0 if count == 0 else WIDE_SHARE
+    size = lattice.pitch + 2.0 * aim.cell_margin
     if numbers[DISCRETE] < wide:
         dx, dy, dz = lambertian(nx, ny, nz, numbers[CELL_U], numbers[CELL_V])
     else:
-        wanted = min(int(numbers[WHICH_CELL] * count), count - 1)
-        chosen_column, chosen_row = column, row
-        for r in range(row - aim.search, row + aim.search + 1):
-            for c in range(column - aim.search, column + aim.search + 1):
-                if is_inside(lattice, c, r) and _shows_pupil(array, aim, c, r, x, y, distance):
-                    if wanted == 0:
-                        chosen_column, chosen_row = c, r
-                    wanted -= 1
+        chosen = min(int(numbers[WHICH_CELL] * count), count - 1)
+        cx, cy = centre(lattice, cells[chosen, 0], cells[chosen, 1])
         u, v = _point_of_cell(lattice.hexagonal, numbers[CELL_U], numbers[CELL_V])
-        cx, cy = centre(lattice, chosen_column, chosen_row)
-        size = lattice.pitch + 2.0 * aim.cell_margin
         dx, dy, dz = cx + u * size - x, cy + v * size - y, toward * distance
         scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
         dx, dy, dz = dx * scale, dy * scale, dz * scale
@@ -193,18 +211,13 @@ def _through_a_lenslet(
         t = distance / (dz * toward)
         px, py = x + t * dx, y + t * dy
         drawn = 0
-        for r in range(row - aim.search, row + aim.search + 1):
-            for c in range(column - aim.search, column + aim.search + 1):
-                if is_inside(lattice, c, r):
-                    cx, cy = centre(lattice, c, r)
-                    if _in_cell(lattice, px - cx, py - cy, aim.cell_margin) and _shows_pupil(
-                        array, aim, c, r, x, y, distance
-                    ):
-                        drawn += 1
-        size = lattice.pitch + 2.0 * aim.cell_margin
-        cell = size * size * (0.8660254037844386 if lattice.hexagonal else 1.0)
+        for cell in range(count):
+            cx, cy = centre(lattice, cells[cell, 0], cells[cell, 1])
+            if _in_cell(lattice, px - cx, py - cy, aim.cell_margin):
+                drawn += 1
+        area = size * size * (ROW_SPACING if lattice.hexagonal else 1.0)
         cos_array = abs(dz)
-        density += (1.0 - wide) * drawn * distance * distance / (count * cell * cos_array * cos_array * cos_array)
+        density += (1.0 - wide) * drawn * distance * distance / (count * area * cos_array * cos_array * cos_array)
     return dx, dy, dz, cos_theta / density
 
 
@@ -214,7 +227,7 @@ def _in_cell(lattice: Lattice, x: float, y: float, margin: float) -> bool:
     half = 0.5 * lattice.pitch + margin
     if not lattice.hexagonal:
         return abs(x) <= half and abs(y) <= half
-    across = 0.8660254037844386 * abs(y)
+    across = ROW_SPACING * abs(y)
     return abs(x) <= half and 0.5 * abs(x) + across <= half
 
 

@@ -49,7 +49,7 @@ def aim_table(
         PUPIL_MARGIN * 0.5 * report.exit_pupil_diameter_mm,
         float(lens.box_high[2]),
         back_radius,
-        0.0, 0.0, 0.0, 0.0, 0.0, np.zeros(1), 0.0, 0,
+        0.0, 0.0, 0.0, 0.0, 0.0, np.zeros(1), 0.0, 0.0, 0,
     )  # fmt: skip
     # A pupil at infinity, or wider than the lens, is no place to aim at.
     if not np.isfinite(aim.entrance_z) or aim.entrance_radius > front_radius:
@@ -111,6 +111,7 @@ def _aim_through_lenslets(scene: Scene, report: FirstOrder, array: ArrayTables, 
         pupil_vergence=vergence,
         pupil_slope=slope,
         lenslet_power=power,
+        circumradius=radius,
         cell_margin=(array.lenslets.valley - array.lenslets.top) * (slope + radius / to_sensor),
         search=search,
     )

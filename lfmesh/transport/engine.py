@@ -13,6 +13,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.transport.adjoint import start_room
 from lfmesh.transport.array_region import admit_to_cells, shade_cells, through_plate
 from lfmesh.transport.bundle import BLOCK, empty_bundle
 from lfmesh.transport.image_path import follow_image_path
@@ -60,6 +61,7 @@ class Workspace:
         self.deposits = np.zeros(0, DEPOSIT)
         self.ended = np.zeros(0, END)
         self.nodes = np.zeros(0, NODE)
+        self.start = start_room(self.tables.aim)
         self.template = np.zeros(1, PACKET)
         self.book = np.zeros(len(world.slots))
         self.counts = np.zeros(COUNTERS, np.int64)

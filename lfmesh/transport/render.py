@@ -241,7 +241,7 @@ class Renderer:
             space.begin(film[chunk.first : chunk.first + chunk.count], chunk.first)
             launch_adjoint(
                 chunk.first, chunk.count, self.samples, self.stratified, key, chunk.wave, tables.sensor, tables.array,
-                tables.aim, tables.frames, len(tables.lens.surfaces), space.flow(), space.template,
+                tables.aim, tables.frames, len(tables.lens.surfaces), space.flow(), space.start,
             )  # fmt: skip
         else:
             space.begin(film[:0])

@@ -92,6 +92,30 @@ def owen_sobol(key: np.uint64, index: int, dimension: int) -> float:
     dimension : int
         Below `DIMENSIONS`.
     """
+    return scrambled(sobol(index, dimension), scramble_seed(key, dimension))
+
+
+@kernel
+def scramble_seed(key: np.uint64, dimension: int) -> np.uint32:
+    """Return what the digits of a dimension are hashed with in the set of a key."""
     # Negative numbers, for those from zero on are the keys of the samples.
-    seed = np.uint32(derived(key, -1 - dimension) & np.uint64(0xFFFFFFFF))
-    return _scrambled(sobol(index, dimension), seed) * _UNIT
+    return np.uint32(derived(key, -1 - dimension) & np.uint64(0xFFFFFFFF))
+
+
+@kernel
+def scrambled(point: np.uint32, seed: np.uint32) -> float:
+    """Return a coordinate in [0, 1), its digits scrambled."""
+    return _scrambled(point, seed) * _UNIT
+
+
+@kernel
+def step(point: np.ndarray, sample: int) -> None:
+    """Go from the point of sample − 1 to that of `sample`, in the order of Gray's code: one digit of the index changes.
+
+    Sample s is the point number s ^ (s >> 1), so any 2^m samples from zero on are the first 2^m points.
+    """
+    bit = 0
+    while not (sample >> bit) & 1:
+        bit += 1
+    for dimension in range(len(point)):
+        point[dimension] ^= DIRECTIONS[dimension, bit]

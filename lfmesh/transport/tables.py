@@ -98,6 +98,7 @@ class Aim(NamedTuple):
     pupil_vergence: float  # 1 / reduced distance from the curved face to the exit pupil, 1/mm; 0: telecentric
     pupil_slope: float  # radius of the exit pupil over that distance
     lenslet_power: Array  # (types,) 1/mm
+    circumradius: float  # of a lenslet's cell, mm
     cell_margin: float  # mm by which an aimed cell stands out, for the depth of the lenslets' faces
     search: int  # cells to each side that may show the pupil
 

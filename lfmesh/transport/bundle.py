@@ -66,6 +66,15 @@ def move_bundle(bundle: Array, move: Array) -> None:
 
 
 @vectorised
+def normalise(bundle: Array) -> None:
+    """Make the directions' length one again, which every interface has left a rounding error off."""
+    for i in range(BLOCK):
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
+        bundle[DX + i], bundle[DY + i], bundle[DZ + i] = dx * scale, dy * scale, dz * scale
+
+
+@vectorised
 def through_stop(bundle: Array, stop_z: float, radius: float, slot: float) -> None:
     """End the rays that pass the plane of a stop outside its aperture there."""
     limit = radius * radius
@@ -117,49 +126,64 @@ def conic_distance(
     g = c * (x * x + y * y + q * z * z) - 2.0 * z
     root = b * b - a * g
     meets = root >= 0.0
-    signed = sense * np.sqrt(root if meets else 0.0)
+    return meets, _root_of(a, b, g, sense, np.sqrt(root if meets else 0.0))
+
+
+@inlined
+def sphere_distance(
+    c: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
+) -> tuple[bool, float, float]:
+    """Return as `conic_distance` does for a sphere, and the cosine of incidence, which is the root itself."""
+    b = c * (x * dx + y * dy + z * dz) - dz
+    g = c * (x * x + y * y + z * z) - 2.0 * z
+    root = b * b - c * g
+    meets = root >= 0.0
+    cos_i = np.sqrt(root if meets else 0.0)
+    return meets, _root_of(c, b, g, sense, cos_i), cos_i
+
+
+@inlined
+def _root_of(a: float, b: float, g: float, sense: float, root: float) -> float:
+    """Solve a t² + 2 b t + g = 0 for the crossing in a given sense, in the form in which nothing cancels."""
+    signed = sense * root
     far = signed * b > 0.0
     above = -b - signed if far else g
     below = a if far else signed - b
-    return meets, above / below
+    return above / below
 
 
 @inlined
 def fresnel_refraction(
-    dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, n_i: float, n_t: float
-) -> tuple[float, float, float, float, bool, float, float]:
-    """Return the refracted direction, cos of incidence, whether reflection is total, R and T.
+    dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, cos_i: float, n_i: float, n_t: float
+) -> tuple[float, float, float, bool, float]:
+    """Return the refracted direction, whether reflection is total, and the transmittance.
 
-    Snell's law and Fresnel's equations as `transport.crossing` and `optics.fresnel` have them, without branches.
+    Snell's law and Fresnel's equations as `transport.crossing` and `optics.fresnel` have them, without branches. The
+    direction is of unit length but for a rounding error, which the end of the path takes away.
     """
     eta = n_i / n_t
-    cos_i = nx * dx + ny * dy + nz * dz
     cos_i = 1.0 if cos_i > 1.0 else cos_i
     sin2_t = eta * eta * (1.0 - cos_i) * (1.0 + cos_i)
     total = sin2_t >= 1.0
     cos_t = np.sqrt(0.0 if total else 1.0 - sin2_t)
     a_i, a_t = n_i * cos_i, n_t * cos_t
-    b_i, b_t = n_i * cos_t, n_t * cos_i
-    s, p = a_i + a_t, b_i + b_t
+    s, p = a_i + a_t, n_i * cos_t + n_t * cos_i
     over = 1.0 / (s * p)
     over_s, over_p = p * over, s * over
-    r_s, r_p = (a_i - a_t) * over_s, (b_t - b_i) * over_p
     transmittance = 2.0 * a_i * a_t * (over_s * over_s + over_p * over_p)
     g = cos_t - eta * cos_i
-    ux, uy, uz = eta * dx + g * nx, eta * dy + g * ny, eta * dz + g * nz
-    scale = 1.5 - 0.5 * (ux * ux + uy * uy + uz * uz)
-    return ux * scale, uy * scale, uz * scale, cos_i, total, 0.5 * (r_s * r_s + r_p * r_p), transmittance
+    return eta * dx + g * nx, eta * dy + g * ny, eta * dz + g * nz, total, transmittance
 
 
 @inlined
 def _bend(
     bundle: Array, i: int, meets: bool, px: float, py: float, pz: float, nx: float, ny: float, nz: float,
-    limit: float, n_i: float, n_t: float, mount: float, ring: float,
+    cos_i: float, limit: float, n_i: float, n_t: float, mount: float, ring: float,
 ) -> None:  # fmt: skip
     """Refract ray `i` at a point whose unit normal looks along it, or end it there; one that had ended stays."""
     dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
     weight, ended = bundle[WEIGHT + i], bundle[ENDED_ON + i]
-    ux, uy, uz, cos_i, total, reflectance, transmittance = fresnel_refraction(dx, dy, dz, nx, ny, nz, n_i, n_t)
+    ux, uy, uz, total, transmittance = fresnel_refraction(dx, dy, dz, nx, ny, nz, cos_i, n_i, n_t)
     alive = ended == 0.0
     meets = meets and cos_i > 0.0
     passes = px * px + py * py <= limit
@@ -168,8 +192,10 @@ def _bend(
     goes = arrives and not total
     bundle[ENDED_ON + i] = now if alive else ended
     bundle[MET + i] += 1.0 if arrives else 0.0
-    bundle[LEFT_BEHIND + i] += weight * reflectance if arrives else 0.0
-    bundle[WEIGHT + i] = weight * transmittance if goes else weight
+    on = weight * transmittance if goes else (0.0 if arrives else weight)
+    # What is not transmitted is reflected: total reflection leaves all of it.
+    bundle[LEFT_BEHIND + i] += weight - on
+    bundle[WEIGHT + i] = on
     moves = alive and meets
     bundle[X + i] = px if moves else bundle[X + i]
     bundle[Y + i] = py if moves else bundle[Y + i]
@@ -187,12 +213,10 @@ def _through_sphere(
     for i in range(BLOCK):
         x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i] - vertex_z
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
-        meets, t = conic_distance(c, 1.0, x, y, z, dx, dy, dz, sense)
+        meets, t, cos_i = sphere_distance(c, x, y, z, dx, dy, dz, sense)
         x, y, z = x + t * dx, y + t * dy, z + t * dz
         nx, ny, nz = -c * x * sense, -c * y * sense, (1.0 - c * z) * sense
-        _bend(
-            bundle, i, meets and t > 0.0, x, y, z + vertex_z, nx, ny, nz, limit, n_i, n_t, mount, ring
-        )  # fmt: skip
+        _bend(bundle, i, meets and t > 0.0, x, y, z + vertex_z, nx, ny, nz, cos_i, limit, n_i, n_t, mount, ring)
 
 
 @vectorised
@@ -293,13 +317,10 @@ def _bend_along_slope(
     q = (1.0 + k) * c * c
     for i in range(BLOCK):
         t, r2 = bundle[_T + i], bundle[_R2 + i]
-        x, y, z = (
-            bundle[X + i] + t * bundle[DX + i],
-            bundle[Y + i] + t * bundle[DY + i],
-            bundle[Z + i] + t * bundle[DZ + i],
-        )
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        x, y, z = bundle[X + i] + t * dx, bundle[Y + i] + t * dy, bundle[Z + i] + t * dz
         slope = c / np.sqrt(1.0 - q * r2) + 2.0 * r2 * bundle[_SLOPE + i]
         scale = sense / np.sqrt(slope * slope * r2 + 1.0)
-        _bend(
-            bundle, i, t > 0.0, x, y, z, -slope * x * scale, -slope * y * scale, scale, limit, n_i, n_t, mount, ring
-        )  # fmt: skip
+        nx, ny = -slope * x * scale, -slope * y * scale
+        cos_i = nx * dx + ny * dy + scale * dz
+        _bend(bundle, i, t > 0.0, x, y, z, nx, ny, scale, cos_i, limit, n_i, n_t, mount, ring)

@@ -28,6 +28,7 @@ from lfmesh.transport.bundle import (
     Y,
     Z,
     move_bundle,
+    normalise,
     pad,
     through_stop,
     through_surface,
@@ -117,6 +118,7 @@ def _follow(
         if not at_lens:
             through_array(bundle, count, array, colour, frames, to_sensor)
         through_lens(bundle, lens, colour, False)
+    normalise(bundle)
     _hand_on(wave, to_sensor, count, frames, bundle, numbers, options, flow)
 
 

@@ -23,8 +23,8 @@ from lfmesh.transport.bundle import (
     X,
     Y,
     Z,
-    conic_distance,
     fresnel_refraction,
+    sphere_distance,
 )
 from lfmesh.transport.tables import ArrayTables
 
@@ -100,18 +100,19 @@ def _commit(bundle: Array) -> None:
 @inlined
 def _bend(
     bundle: Array, i: int, holds: bool, px: float, py: float, pz: float, nx: float, ny: float, nz: float,
-    n_i: float, n_t: float,
+    cos_i: float, n_i: float, n_t: float,
 ) -> None:  # fmt: skip
     """Refract the state on trial at a point whose unit normal looks along the ray."""
     weight = bundle[_WEIGHT + i]
-    ux, uy, uz, cos_i, total, reflectance, transmittance = fresnel_refraction(
-        bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i], nx, ny, nz, n_i, n_t
+    ux, uy, uz, total, transmittance = fresnel_refraction(
+        bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i], nx, ny, nz, cos_i, n_i, n_t
     )
     bundle[PASSED + i] = bundle[PASSED + i] if holds and cos_i > 0.0 and not total else 0.0
     bundle[_X + i], bundle[_Y + i], bundle[_Z + i] = px, py, pz
     bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i] = ux, uy, uz
-    bundle[_LEFT_BEHIND + i] += weight * reflectance
-    bundle[_WEIGHT + i] = weight * transmittance
+    on = weight * transmittance
+    bundle[_LEFT_BEHIND + i] += weight - on
+    bundle[_WEIGHT + i] = on
 
 
 @vectorised
@@ -121,7 +122,8 @@ def _through_flat_face(
     for i in range(BLOCK):
         t = (z - bundle[_Z + i]) / bundle[_DZ + i]
         x, y = bundle[_X + i] + t * bundle[_DX + i], bundle[_Y + i] + t * bundle[_DY + i]
-        _bend(bundle, i, t > 0.0 and abs(x) <= safe_x and abs(y) <= safe_y, x, y, z, 0.0, 0.0, toward, n_i, n_t)
+        holds = t > 0.0 and abs(x) <= safe_x and abs(y) <= safe_y
+        _bend(bundle, i, holds, x, y, z, 0.0, 0.0, toward, toward * bundle[_DZ + i], n_i, n_t)
 
 
 @kernel
@@ -200,19 +202,19 @@ def _fill_shapes(bundle: Array, curvature: float) -> None:
 
 
 @inlined
-def _meet_face(bundle: Array, i: int, sense: float) -> tuple[bool, float, float, float, float, float, float]:
-    """Return whether a ray meets its lenslet's sphere on the half of the apex, the point, and the normal along it."""
+def _meet_face(bundle: Array, i: int, sense: float) -> tuple[bool, float, float, float, float, float, float, float]:
+    """Return whether a ray meets its lenslet's sphere on the half of the apex, the point, the normal, the cosine."""
     c = bundle[_CURVATURE + i]
     x, y, z = bundle[_X + i], bundle[_Y + i], bundle[_Z + i]
     dx, dy, dz = bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i]
     # From the plane of the apex: a ray may come from far, and a lenslet is small.
     at = -z / dz
     ax, ay = x + at * dx - bundle[_APEX_X + i], y + at * dy - bundle[_APEX_Y + i]
-    meets, t = conic_distance(c, 1.0, ax, ay, 0.0, dx, dy, dz, sense)
+    meets, t, cos_i = sphere_distance(c, ax, ay, 0.0, dx, dy, dz, sense)
     rx, ry, pz = ax + t * dx, ay + t * dy, t * dz
     holds = meets and at + t > 0.0 and c * pz < 1.0
     nx, ny, nz = -c * rx * sense, -c * ry * sense, (1.0 - c * pz) * sense
-    return holds, rx + bundle[_APEX_X + i], ry + bundle[_APEX_Y + i], pz, nx, ny, nz
+    return holds, rx + bundle[_APEX_X + i], ry + bundle[_APEX_Y + i], pz, nx, ny, nz, cos_i
 
 
 @vectorised
@@ -221,10 +223,10 @@ def _through_square_lenslet(
 ) -> None:
     half = 0.5 * pitch
     for i in range(BLOCK):
-        holds, px, py, pz, nx, ny, nz = _meet_face(bundle, i, sense)
+        holds, px, py, pz, nx, ny, nz, cos_i = _meet_face(bundle, i, sense)
         x, y = px - bundle[_CENTRE_X + i], py - bundle[_CENTRE_Y + i]
         holds = holds and abs(px) <= safe_x and abs(py) <= safe_y and abs(x) <= half and abs(y) <= half
-        _bend(bundle, i, holds, px, py, pz, nx, ny, nz, n_i, n_t)
+        _bend(bundle, i, holds, px, py, pz, nx, ny, nz, cos_i, n_i, n_t)
         t = (out - pz) / bundle[_DZ + i]
         x, y = x + t * bundle[_DX + i], y + t * bundle[_DY + i]
         holds = bundle[_DZ + i] * sense > 0.0 and abs(x) <= half and abs(y) <= half
@@ -243,10 +245,10 @@ def _through_hexagonal_lenslet(
 ) -> None:
     half = 0.5 * pitch
     for i in range(BLOCK):
-        holds, px, py, pz, nx, ny, nz = _meet_face(bundle, i, sense)
+        holds, px, py, pz, nx, ny, nz, cos_i = _meet_face(bundle, i, sense)
         x, y = px - bundle[_CENTRE_X + i], py - bundle[_CENTRE_Y + i]
         holds = holds and abs(px) <= safe_x and abs(py) <= safe_y and _in_hexagon(x, y, half)
-        _bend(bundle, i, holds, px, py, pz, nx, ny, nz, n_i, n_t)
+        _bend(bundle, i, holds, px, py, pz, nx, ny, nz, cos_i, n_i, n_t)
         t = (out - pz) / bundle[_DZ + i]
         x, y = x + t * bundle[_DX + i], y + t * bundle[_DY + i]
         holds = bundle[_DZ + i] * sense > 0.0 and _in_hexagon(x, y, half)

@@ -28,7 +28,10 @@ SCRATCH = 10 * BLOCK
 ROWS = 26
 
 DROPPED = -1.0
-"""In place of a slot: the ray has left the image path, and all its power was left behind."""
+"""In place of slot + 1: the ray has left the image path, and all its power was left behind."""
+
+BESIDE = -2.0
+"""In place of slot + 1: the ray passes beside the lens."""
 
 
 def empty_bundle() -> Array:
@@ -90,7 +93,7 @@ def through_stop(bundle: Array, stop_z: float, radius: float, slot: float) -> No
 
 @kernel
 def through_surface(
-    bundle: Array, surface: Any, sense: float, n_i: float, n_t: float, mount: float, ring: float
+    bundle: Array, surface: Any, sense: float, n_i: float, n_t: float, rim: float, mount: float, beyond: float
 ) -> None:
     """Take a bundle through a refracting surface: refracted, and weighted with Fresnel's transmittance.
 
@@ -102,18 +105,20 @@ def through_surface(
         1 for rays that go along +z, −1 against.
     n_i, n_t : float
         Indices of the media that the rays come from and go to.
-    mount, ring : float
-        Book slots of what ends a ray outside the clear aperture, and one that misses the surface.
+    rim : float
+        Radius of the mount round the clear aperture, mm.
+    mount, beyond : float
+        What ends a ray between aperture and rim, and one further out or that misses the surface, as `ENDED_ON` has it.
     """
     c, k, z = surface.curvature, surface.conic, surface.vertex_z
     limit = surface.aperture * surface.aperture
     if surface.terms == 0 and k == 0.0:
-        _through_sphere(bundle, c, z, limit, sense, n_i, n_t, mount, ring)
+        _through_sphere(bundle, c, z, limit, sense, n_i, n_t, rim, mount, beyond)
         return
     _meet_conic(bundle, c, k, z, sense)
     if surface.terms > 0:
         _meet_asphere(bundle, surface)
-    _bend_at(bundle, c, k, z, surface.terms, surface.asphere, limit, sense, n_i, n_t, mount, ring)
+    _bend_at(bundle, c, k, z, surface.terms, surface.asphere, limit, sense, n_i, n_t, rim, mount, beyond)
 
 
 @inlined
@@ -178,7 +183,7 @@ def fresnel_refraction(
 @inlined
 def _bend(
     bundle: Array, i: int, meets: bool, px: float, py: float, pz: float, nx: float, ny: float, nz: float,
-    cos_i: float, limit: float, n_i: float, n_t: float, mount: float, ring: float,
+    cos_i: float, limit: float, n_i: float, n_t: float, rim: float, mount: float, beyond: float,
 ) -> None:  # fmt: skip
     """Refract ray `i` at a point whose unit normal looks along it, or end it there; one that had ended stays."""
     dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
@@ -186,8 +191,10 @@ def _bend(
     ux, uy, uz, total, transmittance = fresnel_refraction(dx, dy, dz, nx, ny, nz, cos_i, n_i, n_t)
     alive = ended == 0.0
     meets = meets and cos_i > 0.0
-    passes = px * px + py * py <= limit
-    now = ring + 1.0 if not meets else (mount + 1.0 if not passes else (DROPPED if total else 0.0))
+    r2 = px * px + py * py
+    passes = r2 <= limit
+    now = mount if not passes else (DROPPED if total else 0.0)
+    now = now if meets and r2 <= rim * rim else beyond
     arrives = alive and meets and passes
     goes = arrives and not total
     bundle[ENDED_ON + i] = now if alive else ended
@@ -208,7 +215,7 @@ def _bend(
 @vectorised
 def _through_sphere(
     bundle: Array, c: float, vertex_z: float, limit: float, sense: float, n_i: float, n_t: float,
-    mount: float, ring: float,
+    rim: float, mount: float, beyond: float,
 ) -> None:  # fmt: skip
     for i in range(BLOCK):
         x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i] - vertex_z
@@ -216,7 +223,7 @@ def _through_sphere(
         meets, t, cos_i = sphere_distance(c, x, y, z, dx, dy, dz, sense)
         x, y, z = x + t * dx, y + t * dy, z + t * dz
         nx, ny, nz = -c * x * sense, -c * y * sense, (1.0 - c * z) * sense
-        _bend(bundle, i, meets and t > 0.0, x, y, z + vertex_z, nx, ny, nz, cos_i, limit, n_i, n_t, mount, ring)
+        _bend(bundle, i, meets and t > 0.0, x, y, z + vertex_z, nx, ny, nz, cos_i, limit, n_i, n_t, rim, mount, beyond)
 
 
 @vectorised
@@ -302,17 +309,17 @@ def _newton_step(bundle: Array, c: float, k: float, vertex_z: float) -> int:
 @kernel
 def _bend_at(
     bundle: Array, c: float, k: float, vertex_z: float, terms: int, asphere: Array, limit: float, sense: float,
-    n_i: float, n_t: float, mount: float, ring: float,
+    n_i: float, n_t: float, rim: float, mount: float, beyond: float,
 ) -> None:  # fmt: skip
     """Refract a bundle at the distances `_T`."""
     _asphere_terms(bundle, terms, asphere)
-    _bend_along_slope(bundle, c, k, vertex_z, limit, sense, n_i, n_t, mount, ring)
+    _bend_along_slope(bundle, c, k, vertex_z, limit, sense, n_i, n_t, rim, mount, beyond)
 
 
 @vectorised
 def _bend_along_slope(
     bundle: Array, c: float, k: float, vertex_z: float, limit: float, sense: float, n_i: float, n_t: float,
-    mount: float, ring: float,
+    rim: float, mount: float, beyond: float,
 ) -> None:  # fmt: skip
     q = (1.0 + k) * c * c
     for i in range(BLOCK):
@@ -323,4 +330,4 @@ def _bend_along_slope(
         scale = sense / np.sqrt(slope * slope * r2 + 1.0)
         nx, ny = -slope * x * scale, -slope * y * scale
         cos_i = nx * dx + ny * dy + scale * dz
-        _bend(bundle, i, t > 0.0, x, y, z, nx, ny, scale, cos_i, limit, n_i, n_t, mount, ring)
+        _bend(bundle, i, t > 0.0, x, y, z, nx, ny, scale, cos_i, limit, n_i, n_t, rim, mount, beyond)

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from lfmesh.geometry.lattice import cell_of, centre, is_inside, leaves_at, neighbour, stays_inside
 from lfmesh.geometry.lenslets import cap_sag, shape_of
 from lfmesh.geometry.surface import conic_distance
+from lfmesh.geometry.tessellation import OVERREACH
 from lfmesh.kernel import kernel
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.transport.bundle import (
+    BESIDE,
     BLOCK,
     DROPPED,
     DX,
@@ -42,6 +44,7 @@ from lfmesh.transport.packet import (
     ARRAY_WALL,
     CAMERA_FRAME,
     EVENTS,
+    HOUSING,
     LEFT_LENS,
     NO_SURFACE,
     OBJECTS,
@@ -142,6 +145,10 @@ def _hand_on(
         if ended == 0.0:
             child = put(flow, station, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, packet.key, 0.0)
             child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
+        elif ended == BESIDE:
+            x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
+            child = put(flow, OBJECTS, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, packet.key, 0.0)
+            child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
         elif ended != DROPPED:
             end(
                 options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, int(ended) - 1, S_ABSORBED
@@ -161,11 +168,14 @@ def through_lens(bundle: Array, lens: LensTables, colour: int, to_sensor: bool) 
         if step == last:
             break
         k = space if to_sensor else space - 1
-        beyond = space + 1 if to_sensor else space - 1
+        into = space + 1 if to_sensor else space - 1
+        beyond = lens.ring_slot[space] + 1.0
+        if step == 0:
+            beyond = BESIDE if to_sensor else HOUSING + 1.0
         through_surface(
             bundle, lens.surfaces[k], 1.0 if to_sensor else -1.0,
-            lens.indices[space, colour], lens.indices[beyond, colour],
-            float(lens.mount_slot[k]), float(lens.ring_slot[space]),
+            lens.indices[space, colour], lens.indices[into, colour],
+            lens.surfaces[k].aperture * (1.0 + OVERREACH), lens.mount_slot[k] + 1.0, beyond,
         )  # fmt: skip
 
 

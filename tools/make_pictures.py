@@ -1,9 +1,23 @@
-"""Make the pictures of the README from a run of the demo: tools/run demo -o run, then tools/make_pictures.py run."""
+"""Make the pictures of the README.
+
+From a run of the demo, a report of its accuracy, or both: tools/run demo -o run, tools/run accuracy
+assets/scenes/first_light.toml -o report, then tools/make_pictures.py run report.
+"""
 
 import sys
 from pathlib import Path
 
+import matplotlib as mpl
+from matplotlib.figure import Figure
 from PIL import Image
+
+from lfmesh.assets import asset_path
+from lfmesh.scene import load
+from lfmesh.study import figures
+from lfmesh.study.accuracy import IMAGE_CSV, LENS_CSV
+from lfmesh.study.image_efficiency import ImageRow
+from lfmesh.study.lens_accuracy import LENS_ALONE, LensRow
+from lfmesh.study.tables import read_csv
 
 PICTURES = Path(__file__).resolve().parent.parent / "assets" / "pictures"
 SIDE_PX = 320
@@ -11,10 +25,12 @@ DETAIL_PX = 80
 """Eight lenslets, enlarged to the side of the other pictures."""
 DETAIL_CORNER = (280, 160)
 
+FIGURE_IN = (8.6, 3.4)
+FIGURE_DPI = 120
 
-def main(run: Path) -> None:
+
+def from_run(run: Path) -> None:
     """Write the raw image, a detail of it, and the view, all of one size."""
-    PICTURES.mkdir(parents=True, exist_ok=True)
     with Image.open(run / "preview.png") as raw, Image.open(run / "preview_view.png") as view:
         x, y = DETAIL_CORNER
         detail = raw.crop((x, y, x + DETAIL_PX, y + DETAIL_PX)).resize((SIDE_PX, SIDE_PX), Image.Resampling.NEAREST)
@@ -23,5 +39,26 @@ def main(run: Path) -> None:
         view.resize((SIDE_PX, SIDE_PX), Image.Resampling.LANCZOS).save(PICTURES / "view.png", optimize=True)
 
 
+def from_report(report: Path) -> None:
+    """Write the main figure of the accuracy of the first scene: what a facet stands for, and what an image costs."""
+    lenses = read_csv((report / LENS_CSV).read_text(encoding="utf-8"), LensRow)
+    images = read_csv((report / IMAGE_CSV).read_text(encoding="utf-8"), ImageRow)
+    pixel_mm = load(asset_path("scenes/first_light.toml")).camera.sensor.pixel_mm
+    with mpl.rc_context({"font.size": 8.5}):
+        figure = Figure(figsize=FIGURE_IN, layout="constrained")
+        left, right = figure.subplots(1, 2, width_ratios=(1.2, 1.0))
+        rows = [row for row in lenses if row.way == LENS_ALONE]
+        figures.draw_error_against_triangles(left, rows, pixel_mm)
+        figures.finish(left, f"{rows[0].lens}: what a facet stands for")
+        figures.draw_efficiency(right, images)
+        figures.finish(right, "first light: ways to estimate its image")
+        figure.savefig(PICTURES / "accuracy.png", dpi=FIGURE_DPI)
+
+
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    for folder in map(Path, sys.argv[1:]):
+        if (folder / LENS_CSV).is_file():
+            from_report(folder)
+        else:
+            from_run(folder)

@@ -44,7 +44,7 @@ def draw_error_against_triangles(axes: Any, rows: Sequence[LensRow], pixel_mm: f
     axes.set_xlim(low, high * (high / low) ** 0.1)
     _tenth_of_a_pixel(axes, pixel_mm)
     kinds = [Line2D([], [], color=GREY, ls=style) for style in ("-", ":")]
-    axes.legend(kinds, ["rms", "largest"], frameon=False, loc="center right")
+    axes.legend(kinds, ["rms", "largest"], frameon=False, loc="center right", bbox_to_anchor=(1.0, 0.3))
 
 
 def draw_error_against_time(axes: Any, rows: Sequence[LensRow], pixel_mm: float) -> None:
@@ -147,11 +147,11 @@ def _tenth_of_a_pixel(axes: Any, pixel_mm: float) -> None:
 
 
 def _rule(axes: Any, value: float, words: str) -> None:
-    """Draw a named horizontal line; the name stands at its right end, below it."""
+    """Draw a named horizontal line; the name stands on its right end."""
     axes.axhline(value, color=GREY, lw=0.8, ls="--", zorder=0)
     axes.annotate(
-        words, (0.995, value), xycoords=("axes fraction", "data"), xytext=(0, -3), textcoords="offset points",
-        fontsize=8, color=GREY, ha="right", va="top",
+        words, (0.995, value), xycoords=("axes fraction", "data"), xytext=(0, 2), textcoords="offset points",
+        fontsize=8, color=GREY, ha="right", va="bottom",
     )  # fmt: skip
 
 

@@ -106,7 +106,7 @@ USUAL = Effort(
         RANDOM.name: (8, 32),
         SOBOL.name: (8, 32),
     },
-    6,
+    4,
     512,
 )
 QUICK = Effort(

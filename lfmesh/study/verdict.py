@@ -157,15 +157,16 @@ def about_image_time(study: ImageStudy) -> str:
 
 
 def most_efficient(study: ImageStudy) -> str:
-    """Say which way is the most efficient, and by how much; a tie is called one."""
+    """Say which way is the most efficient, and by how much; a tie is called one, and broken by the typical error."""
     ranked = _ranked(study)
     best = ranked[0]
-    tied = [way for way in ranked[1:] if not _is_surely_better(study, best, way)]
     words = f"the most efficient way is {best.name}, at {two_digits(study.efficiency(best))} / s"
-    if tied:
-        words += f", not told apart from {' and '.join(way.name for way in tied)} by its rms error"
+    even = [way for way in ranked[1:] if not _is_surely_better(study, best, way)]
+    if even:
+        tied = " and ".join(way.name for way in even)
+        words += f", not told apart from {tied} by its rms error, but better in a typical pixel"
     others = [
-        f"{_factor(*study.gain(best, way))} times as efficient as {way.name}" for way in ranked[1:] if way not in tied
+        f"{_factor(*study.gain(best, way))} times as efficient as {way.name}" for way in ranked[1:] if way not in even
     ]
     return _sentence(f"{words}; it is {', '.join(others)}" if others else words)
 
@@ -275,9 +276,16 @@ def _what_went_wrong(rows: Sequence[LensRow]) -> list[str]:
 
 
 def _ranked(study: ImageStudy) -> list[Way]:
-    """Return the ways, the most efficient first; those whose error is below the reference's stand first of all."""
+    """Return the ways, the most efficient first.
+
+    Ways whose error is below the reference's stand first of all. Of those not told apart from the first by their mean
+    square, the one with the least typical error for its time goes before it.
+    """
     ways = [way for way in WAYS if study.of(way)]
-    return sorted(ways, key=lambda way: -study.efficiency(way) if study.efficiency(way) > 0.0 else -math.inf)
+    ranked = sorted(ways, key=lambda way: -study.efficiency(way) if study.efficiency(way) > 0.0 else -math.inf)
+    even = [way for way in ranked if way is ranked[0] or not _is_surely_better(study, ranked[0], way)]
+    best = min(even, key=lambda way: study.of(way)[-1].typical ** 2 * study.of(way)[-1].seconds)
+    return [best, *(way for way in ranked if way is not best)]
 
 
 def _sentence(words: str) -> str:

@@ -153,7 +153,8 @@ def shade_lens(
         prim = found[i]
         space = packet.space
         outside = space == 0 or space == last_space
-        if prim < 0 and outside:
+        missed_all = prim < 0 and outside
+        if missed_all and not _is_conic(surfaces[0 if space == 0 else last_space - 1]):
             if packet.last == NO_SURFACE and packet.tries == 0:
                 # It was on its way in: Embree lets a ray pass that is aimed exactly at a vertex.
                 ask_again(options, flow, frames, LENS, packet, packet.query_from, True)
@@ -167,8 +168,9 @@ def shade_lens(
                 ask_again(options, flow, frames, LENS, packet, behind(facets[prim], packet, t), False)
                 continue
         if k == NO_SURFACE:
-            # Far from its start the packet must not go on: float32 has put that start, or the ray, past a facet.
-            flow.counts[REQUERIES] += 1
+            # Far from its start the packet must not go on: float32 has put that start, or the ray, past a facet. And a
+            # ray that grazes a surface from outside may meet it above the chords of all its facets.
+            flow.counts[REQUERIES] += not missed_all
             k, prim, t, px, py, z, nx, ny, nz = _first_of_all(flow, lens, packet)
             if k == NO_SURFACE:
                 if outside:
@@ -360,14 +362,18 @@ def _first_of_all(
     first, first_prim, nearest = NO_SURFACE, -1, np.inf
     fx, fy, fz, nx, ny, nz = 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
     settled = True
+    # From where a ray enters the box, it has lost fewer digits than from its start, which may be far away.
+    ahead = packet.limit if packet.last == NO_SURFACE else 0.0
+    bx, by, bz = x + ahead * dx, y + ahead * dy, z + ahead * dz
     for k in range(max(space - 1, 0), min(space + 1, len(lens.surfaces))):
         surface = lens.surfaces[k]
         if not _is_conic(surface):
             settled = False
             continue
         sense = 1.0 if k == space else -1.0
-        met, t = conic_distance(surface.curvature, surface.conic, x, y, z - surface.vertex_z, dx, dy, dz, sense)
-        px, py, pz = x + t * dx, y + t * dy, z + t * dz - surface.vertex_z
+        met, t = conic_distance(surface.curvature, surface.conic, bx, by, bz - surface.vertex_z, dx, dy, dz, sense)
+        px, py, pz = bx + t * dx, by + t * dy, bz + t * dz - surface.vertex_z
+        t += ahead
         on_sheet = surface.curvature * (1.0 + surface.conic) * pz < 1.0
         if met and on_sheet and 0.0 < t < nearest and _on_mesh(surface, px, py):
             first, nearest, fx, fy, fz = k, t, px, py, pz + surface.vertex_z

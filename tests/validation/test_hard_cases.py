@@ -35,7 +35,7 @@ FACES = {
     "hyperboloid": truth.Interface(-25.0, 1.0, 1.5, conic=-2.5),
     "oblate": truth.Interface(40.0, 0.0, 1.7, conic=1.5),
     "plane": truth.Interface(np.inf, 3.0, 1.5),
-    "asphere": truth.Interface(45.0, 1.0, 1.5, conic=-1.2, asphere=(3e-6, -2e-9)),
+    "asphere": truth.Interface(45.0, 1.0, 1.5, conic=-1.2, asphere=(3e-6, -2e-9), reach=12.0),
 }
 
 

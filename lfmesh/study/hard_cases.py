@@ -15,6 +15,7 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     interfaces.normal_incidence,
     interfaces.grazing,
     interfaces.grazing_sphere,
+    interfaces.grazing_inside,
     interfaces.critical_angle,
     interfaces.matched_indices,
     interfaces.faint_glass,

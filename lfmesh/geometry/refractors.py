@@ -26,6 +26,9 @@ RIM_MARGIN = 0.02
 FLAT_SHADED = 1e-3
 """Angle in rad from its facet's normal within which a corner normal says no more than the facet does."""
 
+NO_POWER = 1e-9
+"""Curvature times the rim's radius, a slope, below which a face is flat: less than the fit's rounding."""
+
 FIT_TERMS = 4
 """Even powers of the radius in the fit of a face: r², r⁴, r⁶, r⁸."""
 
@@ -163,7 +166,7 @@ def _face(path: Path, mesh: Mesh, groups: np.ndarray, facet: int, outward: float
     coefficients, *_ = np.linalg.lstsq(basis, side.vertices[used][near, 2], rcond=None)
     a = coefficients[1:] / scale ** np.arange(1, FIT_TERMS + 1)
     curvature = 2.0 * float(a[0])
-    radius = 1.0 / curvature if abs(curvature) * rim > 1e-9 else float("inf")
+    radius = 1.0 / curvature if abs(curvature) * rim > NO_POWER else float("inf")
     # The asphere is what the fit has beyond the sphere's own r⁴, r⁶, r⁸.
     c = 0.0 if np.isinf(radius) else curvature
     sphere = np.array([c**3 / 8.0, c**5 / 16.0, 5.0 * c**7 / 128.0])
@@ -178,7 +181,7 @@ def _rim(mesh: Mesh) -> float:
     border = edges[~np.isin(key, back)]
     a, b = mesh.vertices[border[:, 0], :2], mesh.vertices[border[:, 1], :2]
     d = b - a
-    share = np.clip(-(a * d).sum(axis=1) / np.maximum((d * d).sum(axis=1), 1e-300), 0.0, 1.0)
+    share = np.clip(-(a * d).sum(axis=1) / np.maximum((d * d).sum(axis=1), np.finfo(np.float64).tiny), 0.0, 1.0)
     return float(np.linalg.norm(a + share[:, None] * d, axis=1).min())
 
 

@@ -28,7 +28,7 @@ FACET = np.dtype(
 
 @dataclass
 class Mesh:
-    """Vertices (n, 3) float64 mm and faces (m, 3); corner_normals (m, 3, 3) where the exact surface is known."""
+    """Vertices (n, 3) float64 mm, faces (m, 3), corner_normals (m, 3, 3) of what the mesh stands for, where known."""
 
     vertices: Array
     faces: Index

@@ -1,4 +1,4 @@
-"""Target meshes from files: STL, OBJ, PLY, OFF, GLB and glTF, in mm, with their colours.
+"""Meshes from files: STL, OBJ, PLY, OFF, GLB and glTF, in mm, with their colours and vertex normals.
 
 trimesh reads them. It passes over some broken files in silence (an STL of garbage is an empty scene to
 it, an OFF that is cut short a smaller mesh), so what it returns is held against what the file says.
@@ -32,7 +32,8 @@ class Piece:
     Attributes
     ----------
     mesh : Mesh
-        In the file's frame, mm.
+        In the file's frame, mm; with corner normals only where the file itself gives them (OBJ, PLY, GLB), of whatever
+        length and sense it gives.
     uv : (m, 3, 2) float64 or None
         Place in the picture of each facet's corners; (0, 0) is its bottom left, repeats lie outside 0..1.
     picture : (h, w, 3) float32 or None
@@ -130,13 +131,31 @@ def _piece(geometry: Any, transform: Array, scale: float, pictures: dict[int, Te
     with np.errstate(invalid="ignore"):
         moved = transform[:3, 3] + sum(vertices[:, [k]] * transform[:3, k] for k in range(3))
     mirrored = np.linalg.det(transform[:3, :3]) < 0.0
+    normals = _own_normals(geometry, transform[:3, :3])
     uv = getattr(geometry.visual, "uv", None)
     corners = np.asarray(uv, dtype=np.float64)[faces][:, :, :2] if uv is not None and len(uv) else None
     if mirrored:
         faces = faces[:, ::-1]
         corners = corners[:, ::-1] if corners is not None else None
+    at_corners = normals[faces] if normals is not None else None
     picture, factor = _colour(getattr(geometry.visual, "material", None), pictures)
-    return Piece(Mesh(moved * scale, faces), corners, picture, factor)
+    return Piece(Mesh(moved * scale, faces, at_corners), corners, picture, factor)
+
+
+def _own_normals(geometry: Any, linear: Array) -> Array | None:
+    """Return the (n, 3) vertex normals that the file gives, transformed; None where it gives none."""
+    # trimesh makes normals when it is asked for some that are not there. Its cache, as trimesh's own exporters look
+    # at it, tells which have come with the file.
+    if "vertex_normals" not in geometry._cache:
+        return None
+    normals = np.asarray(geometry.vertex_normals, dtype=np.float64)
+    if np.array_equal(linear, np.eye(3)):
+        return normals
+    # Normals stand square to what the transform makes of the tangents: the cofactors carry them, but for their
+    # length. A mirror turns the cofactors' sense, and leaves the outside of the body outside.
+    cofactors = np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.copysign(1.0, np.linalg.det(linear)) * normals @ cofactors.T)
 
 
 def _colour(material: Any, pictures: dict[int, Texture]) -> tuple[Texture | None, Array]:

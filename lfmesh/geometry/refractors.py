@@ -14,6 +14,7 @@ import trimesh
 from lfmesh.errors import MeshError
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, joined
 from lfmesh.geometry.mesh_file import load_mesh
+from lfmesh.geometry.patch import neighbours
 from lfmesh.geometry.vertex_normals import estimated_corner_normals, smooth_edges, smooth_groups
 from lfmesh.geometry.weld import welded
 from lfmesh.scene import FirstOrder, Lens, MeshFace, MeshShape, Scene, Surface, report
@@ -21,6 +22,12 @@ from lfmesh.scene.files import with_lens_file
 
 RIM_MARGIN = 0.02
 """How far inside the mesh's rim the clear aperture ends, where none is given; relative."""
+
+FLAT_SHADED = 1e-3
+"""Angle in rad from its facet's normal within which a corner normal says no more than the facet does."""
+
+NO_POWER = 1e-9
+"""Curvature times the rim's radius, a slope, below which a face is flat: less than the fit's rounding."""
 
 FIT_TERMS = 4
 """Even powers of the radius in the fit of a face: r², r⁴, r⁶, r⁸."""
@@ -50,16 +57,23 @@ class Face:
 
 
 def solid_mesh(path: Path, units: str | None, crease_deg: float | None) -> Mesh:
-    """Load a closed body of glass: outward-oriented, with corner normals of second order.
+    """Load a closed body of glass: outward-oriented, with corner normals.
+
+    The normals are the file's where it has them. Where it has none, or only its facets' own, or where `crease_deg`
+    says what is a crease, they are estimated to second order.
 
     Raises
     ------
     MeshError
-        The file cannot be used, or its body is not closed; a refractor is not repaired in silence.
+        The file cannot be used, its body is not closed, or its normals are not those of its facets; a refractor is
+        not repaired in silence.
     """
-    mesh = welded(joined(piece.mesh for piece in load_mesh(path, units)))
-    _, areas = facet_normals(mesh)
-    mesh = Mesh(mesh.vertices, mesh.faces[areas > 0.0])
+    pieces = [piece.mesh for piece in load_mesh(path, units)]
+    brings_normals = all(piece.corner_normals is not None for piece in pieces)
+    mesh = welded(joined(pieces))
+    with_area = facet_normals(mesh)[1] > 0.0
+    given = mesh.corner_normals[with_area] if mesh.corner_normals is not None and brings_normals else None
+    mesh = Mesh(mesh.vertices, mesh.faces[with_area], given)
     body = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     if not body.is_watertight or not body.is_winding_consistent:
         open_edges = 3 * len(mesh.faces) - 2 * len(body.face_adjacency)
@@ -67,15 +81,36 @@ def solid_mesh(path: Path, units: str | None, crease_deg: float | None) -> Mesh:
         raise MeshError(f"{path}: a refractor must be a closed body; {what}; mend it and export again")
     if body.volume < 0.0:
         mesh = mesh.flipped()
-    smooth = smooth_edges(mesh, crease_deg)
-    normals = estimated_corner_normals(mesh, smooth_groups(mesh, smooth))
+    normals = _normals_of_file(path, mesh) if crease_deg is None else None
+    if normals is None:
+        normals = estimated_corner_normals(mesh, smooth_groups(mesh, smooth_edges(mesh, crease_deg)))
     return Mesh(mesh.vertices, mesh.faces, normals)
+
+
+def _normals_of_file(path: Path, mesh: Mesh) -> Array | None:
+    """Return the unit corner normals that a mesh has from its file; None if they say no more than its facets."""
+    if mesh.corner_normals is None:
+        return None
+    length = np.linalg.norm(mesh.corner_normals, axis=2, keepdims=True)
+    no_direction = ~(np.isfinite(length) & (length > 0.0))
+    normals = mesh.corner_normals / np.where(no_direction, 1.0, length)
+    own = facet_normals(mesh)[0][:, None, :]
+    behind = ~no_direction[..., 0] & ((normals * own).sum(axis=2) <= 0.0)
+    for bad, what in ((no_direction, "have no direction"), (behind, "look to the wrong side of their facet")):
+        if bad.any():
+            raise MeshError(
+                f"{path}: {bad.sum()} of its {bad.size} corner normals {what}; export it with right normals or without "
+                "any, or give crease_deg to have them estimated"
+            )
+    tells_more = np.linalg.norm(normals - own, axis=2).max() > FLAT_SHADED
+    return np.asarray(normals) if tells_more else None
 
 
 @lru_cache(maxsize=32)
 def _faces(path: Path, stamp: float, units: str | None, crease_deg: float | None) -> tuple[Face, Face]:
     mesh = solid_mesh(path, units, crease_deg)
-    groups = smooth_groups(mesh, smooth_edges(mesh, crease_deg))
+    assert mesh.corner_normals is not None
+    groups = smooth_groups(mesh, neighbours(mesh.faces, mesh.corner_normals) >= 0)
     z, facets = _axis_crossings(mesh)
     if len(z) < 2:
         raise MeshError(f"{path}: its z axis, which must be the axis of the lens, does not pass through the body")
@@ -131,7 +166,7 @@ def _face(path: Path, mesh: Mesh, groups: np.ndarray, facet: int, outward: float
     coefficients, *_ = np.linalg.lstsq(basis, side.vertices[used][near, 2], rcond=None)
     a = coefficients[1:] / scale ** np.arange(1, FIT_TERMS + 1)
     curvature = 2.0 * float(a[0])
-    radius = 1.0 / curvature if abs(curvature) * rim > 1e-9 else float("inf")
+    radius = 1.0 / curvature if abs(curvature) * rim > NO_POWER else float("inf")
     # The asphere is what the fit has beyond the sphere's own r⁴, r⁶, r⁸.
     c = 0.0 if np.isinf(radius) else curvature
     sphere = np.array([c**3 / 8.0, c**5 / 16.0, 5.0 * c**7 / 128.0])
@@ -146,7 +181,7 @@ def _rim(mesh: Mesh) -> float:
     border = edges[~np.isin(key, back)]
     a, b = mesh.vertices[border[:, 0], :2], mesh.vertices[border[:, 1], :2]
     d = b - a
-    share = np.clip(-(a * d).sum(axis=1) / np.maximum((d * d).sum(axis=1), 1e-300), 0.0, 1.0)
+    share = np.clip(-(a * d).sum(axis=1) / np.maximum((d * d).sum(axis=1), np.finfo(np.float64).tiny), 0.0, 1.0)
     return float(np.linalg.norm(a + share[:, None] * d, axis=1).min())
 
 

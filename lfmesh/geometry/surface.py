@@ -31,10 +31,14 @@ SURFACE = np.dtype(
     ]
 )
 
-NEWTON_STEPS = 12
+NEWTON_STEPS = 80
+"""At worst half of them halve the bracket, which float64 allows some 60 times; Newton's method takes three."""
 
-FIRST_STEP = 2.0**-20
-"""First step of the search for a bracket, over the distance from the vertex."""
+OVERSTEP = 1.125
+"""First step of the search for a bracket, over Newton's: so much further that it often holds the root already."""
+
+STEEP = 2.0**-6
+"""Rate of approach to the surface below which the first step is not stretched any more."""
 
 DOUBLINGS = 44
 
@@ -190,7 +194,7 @@ def distance_to(
     """Return whether and where a ray that starts close to a surface crosses it; see `conic_distance`."""
     meets, t = conic_distance(s.curvature, s.conic, x, y, z, dx, dy, dz, sense)
     if s.terms > 0:
-        meets, t = _asphere_distance(s, x, y, z, dx, dy, dz, t)
+        meets, t = _asphere_distance(s, x, y, z, dx, dy, dz, sense, t)
     return meets, t
 
 
@@ -202,49 +206,64 @@ def _height(s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: floa
 
 
 @kernel
-def _asphere_distance(
-    s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, start: float
-) -> tuple[bool, float]:
-    """Solve height(t) = 0 by Newton's method from `start`, and by bisection where Newton does not settle."""
-    t = start
-    scale = abs(x) + abs(y) + abs(z) + abs(start)
-    for _ in range(NEWTON_STEPS):
-        px, py = x + t * dx, y + t * dy
-        r2 = px * px + py * py
-        rate = dz - 2.0 * half_slope_at(s, r2) * (px * dx + py * dy)
-        step = (z + t * dz - sag_at(s, r2)) / rate
-        if not abs(step) < np.inf:
-            break
-        t -= step
-        if abs(step) <= SETTLED * (scale + abs(t)):
-            return True, t
-    return _bracketed_distance(s, x, y, z, dx, dy, dz, start)
+def _rate(s: Any, x: float, y: float, dx: float, dy: float, dz: float, t: float) -> float:
+    """Return the derivative of `_height` by t."""
+    px, py = x + t * dx, y + t * dy
+    return dz - 2.0 * half_slope_at(s, px * px + py * py) * (px * dx + py * dy)
 
 
 @kernel
-def _bracketed_distance(
-    s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, start: float
+def _asphere_distance(
+    s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float, of_conic: float
 ) -> tuple[bool, float]:
-    """Bracket the root nearest to `start` by doubling steps to both sides, then bisect."""
-    here = _height(s, x, y, z, dx, dy, dz, start)
+    """Return the crossing next to the ray's start, in a given sense: bracketed, then by Newton's method.
+
+    A ray may cross an asphere more than twice, and its conic part may lie far from it. On which side of the surface
+    the start lies tells which way the crossing does: one that is still in front of the surface goes on, one that has
+    passed it goes back.
+    """
+    low = 0.0
+    here = _height(s, x, y, z, dx, dy, dz, low)
+    if not abs(here) < np.inf:
+        # A facet's edge reaches beyond the end of its surface.
+        low = of_conic
+        here = _height(s, x, y, z, dx, dy, dz, low)
     if here == 0.0:
-        return True, start
-    # The root is about as far as the start is high, or further where the ray grazes.
-    reach = FIRST_STEP * (abs(here) + np.sqrt((x + start * dx) ** 2 + (y + start * dy) ** 2))
+        return True, low
+    ahead = -1.0 if sense * here > 0.0 else 1.0
+    rate = sense * _rate(s, x, y, dx, dy, dz, low)
+    step = OVERSTEP * abs(here) / max(rate, STEEP)
     for _ in range(DOUBLINGS):
-        for side in (1.0, -1.0):
-            far = start + side * reach
-            there = _height(s, x, y, z, dx, dy, dz, far)
-            if here * there <= 0.0:
-                low, high = start, far
-                for _ in range(200):
-                    middle = 0.5 * (low + high)
-                    if middle in (low, high):
-                        break
-                    if here * _height(s, x, y, z, dx, dy, dz, middle) > 0.0:
-                        low = middle
-                    else:
-                        high = middle
-                return True, 0.5 * (low + high)
-        reach *= 2.0
+        high = low + ahead * step
+        there = _height(s, x, y, z, dx, dy, dz, high)
+        if here * there <= 0.0:
+            return _newton(s, x, y, z, dx, dy, dz, low, high, here)
+        if abs(there) < np.inf:
+            low, step = high, 2.0 * step
+        else:
+            # Past the surface's end.
+            step *= 0.5
     return False, 0.0
+
+
+@kernel
+def _newton(
+    s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, low: float, high: float, at_low: float
+) -> tuple[bool, float]:
+    """Return the root of the height between low and high: by Newton's method, by bisection where that leaves them."""
+    scale = abs(x) + abs(y) + abs(z)
+    t = high
+    for _ in range(NEWTON_STEPS):
+        height = _height(s, x, y, z, dx, dy, dz, t)
+        if height * at_low > 0.0:
+            low = t
+        else:
+            high = t
+        following = t - height / _rate(s, x, y, dx, dy, dz, t)
+        if not min(low, high) <= following <= max(low, high):
+            following = 0.5 * (low + high)
+        settled = abs(following - t) <= SETTLED * (scale + abs(t))
+        t = following
+        if settled:
+            break
+    return True, t

@@ -22,6 +22,9 @@ CREASE_FACTOR = 3.0
 CREASE_QUANTILE = 0.75
 CREASE_RANGE_DEG = (0.5, 30.0)
 
+NO_FIT = 1e-10
+"""Share of a fit's largest singular value below which the neighbours say nothing of a coefficient."""
+
 IN_ONE_PLANE = 1e-5
 """Angle in rad that float32 coordinates leave between facets of one plane."""
 
@@ -128,7 +131,7 @@ def _fitted(place: Array, mean: Array, lists: list[Index]) -> Array:
         axis = mean[some]
         side = np.where(np.abs(axis[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
         u = np.cross(axis, side)
-        u /= np.maximum(np.linalg.norm(u, axis=1, keepdims=True), 1e-300)
+        u /= np.maximum(np.linalg.norm(u, axis=1, keepdims=True), np.finfo(np.float64).tiny)
         v = np.cross(axis, u)
         a = np.einsum("nki,ni->nk", around, u)
         b = np.einsum("nki,ni->nk", around, v)
@@ -142,7 +145,7 @@ def _fitted(place: Array, mean: Array, lists: list[Index]) -> Array:
         left = np.einsum("nki,nk,nkj->nij", basis, weight, basis)
         right = np.einsum("nki,nk,nk->ni", basis, weight, h)
         # A vertex whose neighbours lie on a line or a conic has no fit of its own; the least-norm one is taken.
-        solution = np.einsum("nij,nj->ni", np.linalg.pinv(left, rcond=1e-10, hermitian=True), right)
+        solution = np.einsum("nij,nj->ni", np.linalg.pinv(left, rcond=NO_FIT, hermitian=True), right)
         tilted = axis - solution[:, :1] * u - solution[:, 1:2] * v
         normals[some] = tilted / np.linalg.norm(tilted, axis=1, keepdims=True)
     return normals

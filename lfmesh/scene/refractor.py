@@ -39,8 +39,9 @@ class MeshShape(Model):
     surface: FacetLevel = "patch"
     """What a facet stands for: itself, itself with smooth normals, or a curved patch."""
     crease_deg: CreaseAngle | None = None
-    """Facets that meet at a larger angle, in degrees, meet at an edge of the body; below, on a smooth surface.
-    Omitted: a few times the angle at which most of the mesh's curved facets meet."""
+    """Facets that meet at a larger angle, in degrees, meet at an edge of the body; below, on a smooth surface, whose
+    normals are estimated. Omitted: what the file's own vertex normals say, where it has them, else a few times the
+    angle at which most of the mesh's curved facets meet."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""

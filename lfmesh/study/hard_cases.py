@@ -14,6 +14,8 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     aim.skinny_fan,
     interfaces.normal_incidence,
     interfaces.grazing,
+    interfaces.grazing_sphere,
+    interfaces.grazing_inside,
     interfaces.critical_angle,
     interfaces.matched_indices,
     interfaces.faint_glass,
@@ -55,7 +57,7 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     meshes.glass_with_flips,
     meshes.glass_with_junction,
     lenses.diverging_newton,
-    lenses.gull_wing,
+    lenses.two_roots,
     lenses.hyperboloid,
     lenses.oblate,
 )

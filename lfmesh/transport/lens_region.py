@@ -152,7 +152,8 @@ def shade_lens(
         prim = found[i]
         space = packet.space
         outside = space == 0 or space == last_space
-        if prim < 0 and outside:
+        missed_all = prim < 0 and outside
+        if missed_all and not _is_conic(surfaces[0 if space == 0 else last_space - 1]):
             if packet.last == NO_SURFACE and packet.tries == 0:
                 # It was on its way in: Embree lets a ray pass that is aimed exactly at a vertex.
                 ask_again(options, flow, frames, LENS, packet, packet.query_from, True)
@@ -165,9 +166,17 @@ def shade_lens(
             if k == NO_SURFACE and abs(t) <= facets[prim].size and packet.tries < NEARBY_TRIES:
                 ask_again(options, flow, frames, LENS, packet, behind(facets[prim], packet, t), False)
                 continue
+        if k == RING or (k != NO_SURFACE and packet.last != 2 * space - 1 - k):
+            # The mesh of a surface that bulges into the space stands back from it: a ray that grazes the surface may
+            # pass above the mesh. One that comes from the other surface of the space has left that behind.
+            first, sooner, gx, gy, gz, mx, my, mz, _ = _first_conic(lens, packet)
+            if first != NO_SURFACE and first != k and sooner < t:
+                flow.counts[REQUERIES] += 1
+                k, prim, t, px, py, z, nx, ny, nz = first, -1, sooner, gx, gy, gz, mx, my, mz
         if k == NO_SURFACE:
-            # Far from its start the packet must not go on: float32 has put that start, or the ray, past a facet.
-            flow.counts[REQUERIES] += 1
+            # Far from its start the packet must not go on: float32 has put that start, or the ray, past a facet. And a
+            # ray that grazes a surface from outside may meet it above the chords of all its facets.
+            flow.counts[REQUERIES] += not missed_all
             k, prim, t, px, py, z, nx, ny, nz = _first_of_all(flow, lens, packet)
             if k == NO_SURFACE:
                 if outside:
@@ -305,6 +314,37 @@ def _meets(
 
 
 @kernel
+def _first_conic(lens: LensTables, packet: Any) -> tuple[int, float, float, float, float, float, float, float, bool]:
+    """Return which conic that bounds its space a packet meets first, at what t, the point, the normal along the ray.
+
+    By the roots of the conics themselves, without their meshes. The last value tells whether all are conics.
+    """
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    space = packet.space
+    first, nearest = NO_SURFACE, np.inf
+    fx, fy, fz, nx, ny, nz = 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
+    settled = True
+    # From where a ray enters the box, it has lost fewer digits than from its start, which may be far away.
+    ahead = packet.limit if packet.last == NO_SURFACE else 0.0
+    x, y, z = packet.x + ahead * dx, packet.y + ahead * dy, packet.z + ahead * dz
+    for k in range(max(space - 1, 0), min(space + 1, len(lens.surfaces))):
+        surface = lens.surfaces[k]
+        if not _is_conic(surface):
+            settled = False
+            continue
+        sense = 1.0 if k == space else -1.0
+        met, t = conic_distance(surface.curvature, surface.conic, x, y, z - surface.vertex_z, dx, dy, dz, sense)
+        px, py, pz = x + t * dx, y + t * dy, z + t * dz - surface.vertex_z
+        t += ahead
+        on_sheet = surface.curvature * (1.0 + surface.conic) * pz < 1.0
+        if met and on_sheet and 0.0 < t < nearest and _on_mesh(surface, px, py):
+            first, nearest, fx, fy, fz = k, t, px, py, pz + surface.vertex_z
+            mx, my, mz = normal_at(surface, px, py, pz)
+            nx, ny, nz = sense * mx, sense * my, sense * mz
+    return first, nearest, fx, fy, fz, nx, ny, nz, settled
+
+
+@kernel
 def _first_of_all(
     flow: Flow, lens: LensTables, packet: Any
 ) -> tuple[int, int, float, float, float, float, float, float, float]:
@@ -316,22 +356,8 @@ def _first_of_all(
     x, y, z = packet.x, packet.y, packet.z
     dx, dy, dz = packet.dx, packet.dy, packet.dz
     space = packet.space
-    first, first_prim, nearest = NO_SURFACE, -1, np.inf
-    fx, fy, fz, nx, ny, nz = 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
-    settled = True
-    for k in range(max(space - 1, 0), min(space + 1, len(lens.surfaces))):
-        surface = lens.surfaces[k]
-        if not _is_conic(surface):
-            settled = False
-            continue
-        sense = 1.0 if k == space else -1.0
-        met, t = conic_distance(surface.curvature, surface.conic, x, y, z - surface.vertex_z, dx, dy, dz, sense)
-        px, py, pz = x + t * dx, y + t * dy, z + t * dz - surface.vertex_z
-        on_sheet = surface.curvature * (1.0 + surface.conic) * pz < 1.0
-        if met and on_sheet and 0.0 < t < nearest and _on_mesh(surface, px, py):
-            first, nearest, fx, fy, fz = k, t, px, py, pz + surface.vertex_z
-            mx, my, mz = normal_at(surface, px, py, pz)
-            nx, ny, nz = sense * mx, sense * my, sense * mz
+    first_prim = -1
+    first, nearest, fx, fy, fz, nx, ny, nz, settled = _first_conic(lens, packet)
     if settled and (space == 0 or space == len(lens.surfaces)):
         # No ring bounds the outside.
         return first, first_prim, nearest, fx, fy, fz, nx, ny, nz

@@ -13,6 +13,7 @@ GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _A = np.uint64(0xBF58476D1CE4E5B9)
 _B = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
+# From the 53 bits that a float64 holds to a number from 0 to 1.
 _UNIT = 2.0**-53
 
 DIMENSIONS_PER_EVENT = 16

@@ -41,6 +41,7 @@ DIRECTIONS = _direction_numbers()
 _M1, _M2, _M3, _M4 = np.uint32(0x55555555), np.uint32(0x33333333), np.uint32(0x0F0F0F0F), np.uint32(0x00FF00FF)
 _U1, _U2, _U4, _U8, _U16 = np.uint32(1), np.uint32(2), np.uint32(4), np.uint32(8), np.uint32(16)
 _LK1, _LK2, _LK3, _LK4 = (np.uint32(n) for n in (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6))
+# From 32 bits to a number from 0 to 1.
 _UNIT = 2.0**-32
 
 

@@ -144,6 +144,32 @@ def test_a_mirroring_transform_keeps_the_outside_out(tmp_path):
     assert place[-1, 0, 7] == (1, 1)  # carried along with its corner
 
 
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_a_file_without_normals_gets_none(tmp_path, ending):
+    plain = trimesh.Trimesh(box().vertices, box().faces, process=False)
+    path = save_gltf(tmp_path / "t.gltf") if ending == ".gltf" else saved(tmp_path / f"box{ending}", plain)
+    pieces = load_mesh(path, None if ending in (".glb", ".gltf") else "mm")
+    assert all(piece.mesh.corner_normals is None for piece in pieces)
+
+
+@pytest.mark.parametrize("scale", [(1, 1, 1), (1, 2, 3), (-1, 1, 1), (-1, 2, -3)])
+def test_normals_stay_square_to_the_surface_under_a_nodes_transform(tmp_path, scale):
+    ball = trimesh.creation.icosphere(2)
+    ball.vertex_normals = ball.vertices.copy()
+    turn = trimesh.transformations.euler_matrix(0.3, -0.7, 1.1)
+    scene = trimesh.Scene()
+    scene.add_geometry(ball, transform=turn @ np.diag([*scale, 1.0]))
+    (piece,) = load_mesh(saved(tmp_path / "ball.glb", scene))
+    corner, normals = piece.mesh.vertices[piece.mesh.faces], piece.mesh.corner_normals
+    # Of the ellipsoid |S⁻¹ Rᵀ x| = 1, m to mm: the gradient, outwards.
+    gradient = corner @ turn[:3, :3] / np.square(scale) @ turn[:3, :3].T
+    gradient /= np.linalg.norm(gradient, axis=2, keepdims=True)
+    length = np.linalg.norm(normals, axis=2, keepdims=True)
+    np.testing.assert_allclose(normals / length, gradient, rtol=0, atol=1e-6)
+    facets = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    assert (np.einsum("mi,mki->mk", facets, normals) > 0.0).all()
+
+
 def test_every_instance_of_a_geometry_is_there(tmp_path):
     scene = trimesh.Scene()
     part = box()

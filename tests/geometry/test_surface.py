@@ -100,6 +100,27 @@ def test_distance_from_a_point_near_the_surface(case, displacement):
         assert abs(truth) <= 1.5 * displacement
 
 
+def test_of_several_crossings_the_one_next_to_the_start_is_returned():
+    """A flat ray crosses the ring-shaped ridge of an asphere four times, in and out by turns."""
+    ridge = surface(-6.0, -1.0, (1.8e-3,), aperture=7.0)
+    rng = np.random.default_rng(8)
+    for _ in range(200):
+        z, slope, aside = rng.uniform(-0.7, -0.4), rng.uniform(0.0, 0.02), rng.uniform(-2.0, 2.0)
+        o, d = np.array([-9.0, aside, z]), np.array([1.0, 0.0, slope]) / np.hypot(1.0, slope)
+        # z + q d_z = −r²/12 + 1.8e-3 r⁴ with r² = (x + q d_x)² + y²: a polynomial of the fourth degree in q.
+        r2 = np.polynomial.Polynomial([o[0] ** 2 + aside**2, 2.0 * o[0] * d[0], d[0] ** 2])
+        roots = (np.polynomial.Polynomial([z, d[2]]) + r2 / 12.0 - 1.8e-3 * r2**2).roots()
+        roots = np.sort(roots[np.abs(roots.imag) < 1e-9].real)
+        assert len(roots) == 4
+        for number, root in enumerate(roots):
+            sense = 1.0 if number % 2 == 0 else -1.0
+            for off in (-0.1, -1e-4, 1e-4, 0.1):
+                start = o + (root + off) * d
+                meets, t = distance_to(ridge, *start, *d, sense)
+                assert meets
+                assert abs(t + off) < 1e-12
+
+
 @pytest.mark.parametrize("case", ["sphere", "concave sphere", "prolate ellipsoid", "oblate ellipsoid"])
 def test_a_ray_that_passes_the_surface_by_is_told_so(case):
     radius, conic, _ = SURFACES[case]

@@ -5,13 +5,16 @@ import pytest
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry.mesh import facet_normals
-from lfmesh.geometry.surface import normals, sag, surface
+from lfmesh.geometry.surface import normals, reach, sag, surface
 from lfmesh.geometry.tessellation import (
     ANNULUS_LEAN,
     cap,
     chord_error,
     disk_pattern,
     element,
+    end_where_they_touch,
+    last_radius,
+    mesh_sag,
     revolved,
     rim_radius,
     ring_profile,
@@ -49,10 +52,17 @@ def test_disk_pattern_is_a_disk_that_faces_plus_z(rings):
 @pytest.mark.parametrize("of", CURVED.values(), ids=CURVED)
 def test_cap_lies_on_the_surface_with_its_normals(of):
     mesh = cap(of, 6, rim_radius(of, 6))
-    x, y, z = mesh.vertices.T
-    np.testing.assert_allclose(z, sag(of, np.hypot(x, y)), rtol=0, atol=1e-6 if of["aperture"] == 10.0 else 1e-14)
+    # A vertex beyond the surface's end has the height and the normal of the end, at its azimuth.
+    r = np.hypot(*mesh.vertices[:, :2].T)
+    inside = np.minimum(1.0, np.divide(last_radius(of), r, out=np.ones_like(r), where=r > 0.0))
+    x, y = inside * mesh.vertices[:, 0], inside * mesh.vertices[:, 1]
+    beyond = r > last_radius(of)
+    assert beyond.sum() == (36 if of["aperture"] == 10.0 else 0)
+    np.testing.assert_allclose(mesh.vertices[:, 2], sag(of, r * inside), rtol=0, atol=1e-14)
     np.testing.assert_allclose(np.linalg.norm(mesh.corner_normals, axis=2), 1.0, atol=1e-15)
-    np.testing.assert_array_equal(mesh.corner_normals, normals(of, x, y)[mesh.faces])
+    # Where the slope is infinite the rounding of the radius tilts the normal by its root.
+    tilt = np.sqrt(np.finfo(float).eps) if beyond.any() else 0.0
+    np.testing.assert_allclose(mesh.corner_normals, normals(of, x, y)[mesh.faces], rtol=0, atol=tilt)
     assert (facet_normals(mesh)[0][:, 2] > 0).all()
 
 
@@ -63,16 +73,52 @@ def test_the_rims_chords_stay_outside_the_clear_aperture(rings):
     assert rim * np.cos(np.pi / (6 * rings)) > of["aperture"]
 
 
-def test_the_mesh_ends_where_the_surface_does():
+@pytest.mark.parametrize("rings", [1, 5, 8, 40])
+def test_the_mesh_of_a_hemisphere_holds_its_last_circle_and_no_more_than_its_chords_need(rings):
+    """A float32 query at the equator is to find a facet; what is beyond the end has the end's height."""
     of = CURVED["hemisphere"]
-    assert of["aperture"] * (1 - 1e-9) < rim_radius(of, 8) < of["aperture"]
-    assert np.isfinite(cap(of, 8, rim_radius(of, 8)).vertices).all()
+    rim = rim_radius(of, rings)
+    past = rim * np.cos(np.pi / (6 * rings)) / 10.0 - 1.0
+    assert np.finfo(np.float32).eps < past < 16 * np.finfo(np.float32).eps
+    z = cap(of, rings, rim).vertices[:, 2]
+    assert np.isfinite(z).all()
+    # Where a double of the radius still has a sag: 7e-8 below the equator.
+    assert 10.0 - 1e-6 < z.max() == mesh_sag(of, rim) < 10.0
 
 
 def test_rings_are_equally_spaced_along_the_meridian_of_a_hemisphere():
     of = CURVED["hemisphere"]
-    angle = np.arcsin(ring_radii(of, 9, rim_radius(of, 9)) / 10.0)
+    radii = ring_radii(of, 9, rim_radius(of, 9))
+    angle = np.arcsin(np.minimum(radii / 10.0, 1.0))
     np.testing.assert_allclose(np.diff(angle), np.pi / 18, rtol=2e-3)
+
+
+def touching(aperture_mm):
+    """Two spheres of 50 mm whose air gap closes 8 mm from the axis."""
+    gap = 2.0 * (50.0 - np.sqrt(50.0**2 - 8.0**2))
+    front, back = surface(50.0, aperture=aperture_mm), surface(-50.0, vertex_z=gap, aperture=aperture_mm)
+    return np.array([front, back])
+
+
+@pytest.mark.parametrize("aperture_mm", [8.0, 7.99, 7.9])
+def test_surfaces_that_touch_at_their_rims_end_there_and_their_meshes_do_not_cross(aperture_mm):
+    pair = touching(aperture_mm)
+    assert rim_radius(pair[0], 5) > 8.0  # else the test asks nothing
+    end_where_they_touch(pair, 5)
+    np.testing.assert_allclose(pair["end"], 8.0, rtol=1e-12)
+    np.testing.assert_allclose([reach(s) for s in pair], pair["end"])
+    for rings in (5, 12):
+        front, back = (cap(s, rings, rim_radius(s, rings)) for s in pair)
+        np.testing.assert_allclose(front.vertices[:, :2], back.vertices[:, :2], rtol=0, atol=1e-12)
+        apart = back.vertices[:, 2] - front.vertices[:, 2]
+        assert apart.min() > -1e-12
+        assert apart.max() > 1.2
+
+
+def test_surfaces_that_stay_apart_have_no_end_of_their_own():
+    pair = touching(7.0)
+    end_where_they_touch(pair, 5)
+    np.testing.assert_array_equal(pair["end"], np.inf)
 
 
 @pytest.mark.parametrize("name", ["sphere", "hyperboloid", "asphere"])

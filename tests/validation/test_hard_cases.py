@@ -1,30 +1,28 @@
 """Cases made to break the tracer, and the truth they are held against, itself against 30 digits."""
 
+from dataclasses import replace
+
 import mpmath as mp
 import numpy as np
 import pytest
 
 from lfmesh.study.hard import truth
+from lfmesh.study.hard.outcome import Outcome
 from lfmesh.study.hard_cases import ALLOWED_LOSS, CASES, line, lost_share
 
 
-@pytest.fixture(scope="module")
-def outcomes():
-    return {}
-
-
 @pytest.mark.parametrize("case", CASES, ids=[case.__name__ for case in CASES])
-def test_right_answer_or_counted_loss(case, outcomes):
-    outcome = outcomes[case] = case()
+def test_right_answer_or_counted_loss(case):
+    """What no case loses, the whole suite does not lose: the suite's share is asked of each of them."""
+    outcome = case()
     assert outcome.passed, line(outcome)
     assert outcome.lost_energy <= ALLOWED_LOSS * outcome.emitted, line(outcome)
 
 
-def test_lost_energy_of_the_whole_suite(outcomes):
-    if len(outcomes) < len(CASES):
-        pytest.skip("the cases were not all run")
-    assert sum(o.emitted for o in outcomes.values()) > 5e5
-    assert lost_share(outcomes.values()) <= ALLOWED_LOSS
+def test_the_suites_lost_share_is_that_of_all_its_energy():
+    outcome = Outcome("", "", "", True, 0.0, 3e6, 0)
+    assert lost_share([]) == 0.0
+    assert lost_share([outcome, replace(outcome, lost_energy=1.0, emitted=1e6)]) == 2.5e-7
 
 
 def test_every_case_says_in_one_line_what_it_is():
@@ -37,7 +35,7 @@ FACES = {
     "hyperboloid": truth.Interface(-25.0, 1.0, 1.5, conic=-2.5),
     "oblate": truth.Interface(40.0, 0.0, 1.7, conic=1.5),
     "plane": truth.Interface(np.inf, 3.0, 1.5),
-    "asphere": truth.Interface(45.0, 1.0, 1.5, conic=-1.2, asphere=(3e-6, -2e-9)),
+    "asphere": truth.Interface(45.0, 1.0, 1.5, conic=-1.2, asphere=(3e-6, -2e-9), reach=12.0),
 }
 
 
@@ -62,10 +60,10 @@ def test_truth_refracts_as_30_digits_do(name):
                 z = c * r2 / (1 + mp.sqrt(1 - (1 + k) * c * c * r2))
                 return z + sum(mp.mpf(a) * r2 ** (j + 2) for j, a in enumerate(face.asphere))
 
-            t = mp.findroot(
-                lambda t: z + t * w - face.z - sag((x + t * u) ** 2 + (y + t * v) ** 2),
-                (face.z - z) / w,  # noqa: B023
-            )
+            def height(t, x=x, y=y, z=z, u=u, v=v, w=w, sag=sag, face=face):
+                return z + t * w - face.z - sag((x + t * u) ** 2 + (y + t * v) ** 2)
+
+            t = mp.findroot(height, (face.z - z) / w)
             px, py = x + t * u, y + t * v
             g = mp.diff(sag, px * px + py * py)
             n = mp.matrix([-2 * g * px, -2 * g * py, 1])

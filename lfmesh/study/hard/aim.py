@@ -48,8 +48,9 @@ def pole_and_rim() -> Outcome:
     phi = 2.0 * np.pi * np.arange(720) / 720
     radii = 10.0 + np.array([-1e-3, -1e-9, 1e-9, 1e-3])
     x, y = (np.outer(radii, f(phi)).ravel() for f in (np.cos, np.sin))
-    o = np.column_stack([np.append(x, np.zeros(100)), np.append(y, np.zeros(100)), np.full(len(x) + 100, -60.0)])
-    return through_lens(scene, o, np.tile([0.0, 0.0, 1.0], (len(o), 1)), 1e-9)
+    o, d = _aimed(np.zeros((500, 3)))
+    o = np.concatenate([o, [[0.0, 0.0, -60.0]], np.column_stack([x, y, np.full(len(x), -60.0)])])
+    return through_lens(scene, o, np.concatenate([d, np.tile([0.0, 0.0, 1.0], (1 + len(x), 1))]), 1e-9)
 
 
 @case

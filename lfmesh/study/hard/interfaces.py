@@ -5,7 +5,7 @@ import numpy as np
 from lfmesh.study.hard.outcome import Outcome, case, disk, lens_scene, outcome, surfaces_of, through_lens, tilted
 from lfmesh.study.hard.truth import Array, transmittance
 from lfmesh.transport.packet import Event
-from lfmesh.transport.trace import Paths, trace
+from lfmesh.transport.trace import Paths, Status, trace
 from lfmesh.transport.world import World, build
 
 WINDOW = surfaces_of(((np.inf, 4.0, 1.5), (-50.0, 0.0, 1.0)))
@@ -58,6 +58,48 @@ def grazing() -> Outcome:
         f"{len(angle) - missed} meet it; T off by {np.nanmax(error):.1e} of itself",
         missed == 0 and bool(np.nanmax(error) < 1e-12),
     )
+
+
+def _graze(front: tuple[tuple[float, float, float], ...]) -> Outcome:
+    """Graze a sphere that stands behind other surfaces, from 3 mm before it."""
+    radius = 20.0
+    scene = lens_scene(surfaces_of((*front, (radius, 6.0, 1.5), (-radius, 0.0, 1.0))))
+    vertex = scene.camera.lens.vertices_mm[len(front)]
+    draw = np.random.default_rng(3)
+    n = 10_000
+    polar, phi, turn = draw.uniform(0.01, 0.3, n), *draw.uniform(0.0, 2.0 * np.pi, (2, n))
+    angle = 10.0 ** draw.uniform(-7.0, -1.0, n)
+    outward = np.column_stack([np.sin(polar) * np.cos(phi), np.sin(polar) * np.sin(phi), -np.cos(polar)])
+    round_axis = np.column_stack([-np.sin(phi), np.cos(phi), np.zeros(n)])
+    along = np.cos(turn)[:, None] * round_axis + np.sin(turn)[:, None] * np.cross(round_axis, outward)
+    d = np.cos(angle)[:, None] * along - np.sin(angle)[:, None] * outward
+    truth = np.array([0.0, 0.0, vertex + radius]) + radius * outward
+    o = truth - 3.0 * d
+    paths = trace(build(scene), o, d, split="both", weight_cutoff=0.0, max_events=1, record=True)
+    error = np.full(n, np.inf)
+    for packet, source in enumerate(paths.source):
+        path = paths.vertices(packet)
+        if path[1].surface == f"lens surface {len(front)}":
+            error[source] = np.linalg.norm(path[1].position - truth[source])
+    # What the rounding of a coordinate of 20 mm moves along the ray, at this angle.
+    right = error * angle <= 1e-14
+    lost = int((paths.status == Status.LOST).sum())
+    return outcome(
+        paths, f"{n} rays meet the sphere, to the rounding of their coordinates over the angle",
+        f"{int(right.sum())} do, {lost} lost; error {(error * angle).max():.1e} mm over the angle", bool(right.all()),
+    )  # fmt: skip
+
+
+@case
+def grazing_sphere() -> Outcome:
+    """Graze a sphere from outside, at 1e-1 to 1e-7 rad, where rays pass above the chords of its mesh."""
+    return _graze(())
+
+
+@case
+def grazing_inside() -> Outcome:
+    """Graze a sphere within the lens, where rays that pass above its mesh would end on an edge, unseen."""
+    return _graze(((np.inf, 2.0, 1.5), (np.inf, 3.0, 1.0)))
 
 
 @case

@@ -101,7 +101,7 @@ def faces_of(scene: Scene) -> list[Interface]:
     """Return the lens as the truth takes it; a stop that bends nothing is left out."""
     lens = scene.camera.lens
     return [
-        Interface(s.radius_mm, z, s.index or 1.0, s.conic, s.asphere_mm)
+        Interface(s.radius_mm, z, s.index or 1.0, s.conic, s.asphere_mm, 1.01 * (s.semi_diameter_mm or 10.0))
         for k, (s, z) in enumerate(zip(lens.surfaces, lens.vertices_mm, strict=True))
         if not lens.is_pure_stop(k)
     ]
@@ -159,6 +159,8 @@ def on_sensor(
         is turned back by total reflection and may end anywhere, but not as lost.
     relative : float
         Tolerance of the weights.
+
+    A comparison of a hundred rays, or a fifth of those that should arrive, or fewer shows little, and fails.
     """
     count = len(truth)
     kept = np.ones(count, dtype=bool) if stopped is None else ~stopped
@@ -176,9 +178,9 @@ def on_sensor(
     return outcome(
         paths,
         f"{int(kept.sum())} of {count} rays at the sensor, within {tolerance:.0e} mm",
-        f"{int(arrived.sum())} arrive, {wrong} end wrongly, {int(lost.sum())} lost; error {error:.1e} mm, "
-        f"of the weight {loss:.1e}",
-        wrong == 0 and bool(both.any()) and error <= tolerance and loss <= relative,
+        f"{int(arrived.sum())} arrive, {wrong} end wrongly, {int(lost.sum())} lost; error of {int(both.sum())} "
+        f"compared {error:.1e} mm, of the weight {loss:.1e}",
+        wrong == 0 and bool(both.sum() > max(100, 0.2 * kept.sum())) and error <= tolerance and loss <= relative,
     )
 
 

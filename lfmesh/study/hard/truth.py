@@ -1,7 +1,7 @@
 """Sequential tracing in plain NumPy: the truth that the hard cases are held against.
 
 It shares no code with the engine: no mesh, no Embree, no kernels. Surfaces come in a known order, a conic is met by
-Welford's quadratic (Aberrations of Optical Systems, 1986, section 4.5), an asphere by bisection of its height.
+Welford's quadratic (Aberrations of Optical Systems, 1986, section 4.5), an asphere by marching and bisection.
 """
 
 from dataclasses import dataclass
@@ -13,19 +13,23 @@ Array = NDArray[np.float64]
 
 BISECTIONS = 200
 
+MARCH = 1024
+"""Steps in which a ray is followed through an asphere's layer, so that of several crossings the first is found."""
+
 BORDER = 1e-9
 """Width of a cell's border, over the pitch, on which either lenslet's answer is right."""
 
 
 @dataclass(frozen=True)
 class Interface:
-    """A surface of revolution at `z` and the index behind it; `radius` may be inf."""
+    """A surface of revolution at `z` and the index behind it; `radius` may be inf. An asphere ends at `reach`."""
 
     radius: float
     z: float
     index: float = 1.0
     conic: float = 0.0
     asphere: tuple[float, ...] = ()
+    reach: float = 10.0
 
     @property
     def curvature(self) -> float:
@@ -55,6 +59,8 @@ class Interface:
     def meet(self, p: Array, d: Array) -> Array:
         """Return (n, 3) the points, relative to the vertex, where rays meet the sheet of the vertex; NaN: nowhere."""
         at = p - [0.0, 0.0, self.z]
+        if self.asphere:
+            return np.asarray(at + self._first_crossing(at, d)[:, None] * d)
         # To the vertex plane, so that the quadratic's terms stay small.
         at = at - (at[:, 2] / d[:, 2])[:, None] * d
         c, q = self.curvature, 1.0 + self.conic
@@ -63,30 +69,59 @@ class Interface:
         g = c * (at[:, 0] ** 2 + at[:, 1] ** 2)
         with np.errstate(invalid="ignore", divide="ignore"):
             t = g / (b + np.sign(d[:, 2]) * np.sqrt(b * b - a * g))
-        if self.asphere:
-            t = self._bisected(at, d, t)
         return np.asarray(at + t[:, None] * d)
 
-    def _bisected(self, p: Array, d: Array, t: Array) -> Array:
-        """Return t where the rays' height above the asphere changes sign, in the bracket nearest to t."""
+    def _first_crossing(self, p: Array, d: Array) -> Array:
+        """Return t where rays first pass from one side of the asphere to the other; NaN where they never do.
 
-        def height(s: Array) -> Array:
-            at = p + s[:, None] * d
-            return np.asarray(at[:, 2] - self.sag(at[:, 0] ** 2 + at[:, 1] ** 2))
+        Parameters
+        ----------
+        p, d : (n, 3)
+            Relative to the vertex.
+        """
+        layer = self.sag(np.linspace(0.0, self.reach, MARCH) ** 2)
+        slab = np.array([np.nanmin(layer) - 1e-3, np.nanmax(layer) + 1e-3])
+        ahead = np.sign(d[:, 2])
 
-        span = np.full_like(t, 1e-3)
-        here = height(t)
-        low, high = t - span, t + span
-        for _ in range(40):
-            closed = height(low) * height(high) <= 0.0
-            span = np.where(closed, span, 1.5 * span)
-            low, high = np.where(closed, low, t - span), np.where(closed, high, t + span)
-        below = np.sign(height(low))
+        def before(t: Array) -> Array:
+            """Tell by the sign whether points have not passed yet; NaN: they lie outside the cylinder."""
+            at = p[:, None] + t[..., None] * d[:, None]
+            r2 = at[..., 0] ** 2 + at[..., 1] ** 2
+            return np.where(r2 <= self.reach**2, ahead[:, None] * (self.sag(r2) - at[..., 2]), np.nan)
+
+        # The way through the slab, and within the cylinder.
+        entry, leaving = np.sort((slab - p[:, 2:]) / d[:, 2:], axis=1).T
+        with np.errstate(invalid="ignore", divide="ignore"):
+            sideways = d[:, 0] ** 2 + d[:, 1] ** 2
+            nearest = -(p[:, 0] * d[:, 0] + p[:, 1] * d[:, 1]) / sideways
+            aside = (p[:, 0] * d[:, 1] - p[:, 1] * d[:, 0]) ** 2 / sideways
+            half = np.sqrt((self.reach**2 - aside) / sideways)
+        entry = np.fmax(np.fmax(entry, nearest - half), 0.0)
+        leaving = np.fmax(np.fmin(leaving, nearest + half), entry)
+        t = entry[:, None] + (leaving - entry)[:, None] * np.linspace(0.0, 1.0, MARCH + 1)
+        side = before(t)
+        with np.errstate(invalid="ignore"):
+            passes = (side[:, :-1] > 0.0) & (side[:, 1:] <= 0.0)
+        step = np.argmax(passes, axis=1)
+        every = np.arange(len(p))
+        near, far = t[every, step], t[every, step + 1]
         for _ in range(BISECTIONS):
-            middle = 0.5 * (low + high)
-            same = np.sign(height(middle)) == below
-            low, high = np.where(same, middle, low), np.where(same, high, middle)
-        return np.where(here == 0.0, t, 0.5 * (low + high))
+            middle = 0.5 * (near + far)
+            ahead_of_it = before(middle[:, None])[:, 0] > 0.0
+            near, far = np.where(ahead_of_it, middle, near), np.where(ahead_of_it, far, middle)
+        return np.where(passes.any(axis=1), 0.5 * (near + far), np.nan)
+
+    def crossings(self, origins: Array, directions: Array, length: float) -> tuple[NDArray[np.int64], Array]:
+        """Return how often rays cross the surface within its reach, and how deep they get between the first two."""
+        t = np.linspace(0.0, length, 2 * MARCH)
+        at = origins[:, None] + t[:, None] * directions[:, None] - [0.0, 0.0, self.z]
+        r2 = at[..., 0] ** 2 + at[..., 1] ** 2
+        height = np.where(r2 <= self.reach**2, at[..., 2] - self.sag(r2), np.nan)
+        with np.errstate(invalid="ignore"):
+            changes = height[:, :-1] * height[:, 1:] < 0.0
+            first = np.cumsum(changes, axis=1) == 1
+            depth = np.where(first & (height[:, 1:] > 0.0), height[:, 1:], 0.0).max(axis=1)
+        return np.asarray(changes.sum(axis=1)), np.asarray(depth)
 
 
 @dataclass(frozen=True)

@@ -63,8 +63,10 @@ def test_truth_refracts_as_30_digits_do(name):
                 return z + sum(mp.mpf(a) * r2 ** (j + 2) for j, a in enumerate(face.asphere))
 
             t = mp.findroot(
-                lambda t: z + t * w - face.z - sag((x + t * u) ** 2 + (y + t * v) ** 2),
-                (face.z - z) / w,  # noqa: B023
+                lambda t, p=(x, y, z), d=(u, v, w): (
+                    p[2] + t * d[2] - face.z - sag((p[0] + t * d[0]) ** 2 + (p[1] + t * d[1]) ** 2)
+                ),
+                (face.z - z) / w,
             )
             px, py = x + t * u, y + t * v
             g = mp.diff(sag, px * px + py * py)

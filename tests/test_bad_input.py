@@ -195,10 +195,10 @@ SAID_BY_THE_FILES = {
         ("position_mm = [0.0, 0.0, -540.0]", "position_mm = [20.0, 10.0, 12.0]\nrotation_deg = [20.0, 0.0, 0.0]"),
         "targets[1] reaches into the camera",
     ),
-    "sequential engine": (
+    "facets for the sequential engine": (
         cut("part.stl", 1.0),
-        ("[transport]", '[transport]\nengine = "sequential"'),
-        'transport.engine = "sequential"',
+        ("[transport]", '[transport]\nengine = "sequential"\nsurface = "flat"'),
+        'transport.engine = "sequential": surface = "flat"',
     ),
     "an open mesh as a refractor": (
         lambda folder: trimesh.Trimesh(*opened(trimesh.creation.box(extents=(20.0, 20.0, 20.0)))).export(

@@ -37,8 +37,8 @@ NEWTON_STEPS = 80
 OVERSTEP = 1.125
 """First step of the search for a bracket, over Newton's: so much further that it often holds the root already."""
 
-STEEP = 2.0**-6
-"""Rate of approach to the surface below which the first step is not stretched any more."""
+STEEP = 0.5
+"""Rate of approach below which the first step is stretched no further: where the ray turns away it tells nothing."""
 
 DOUBLINGS = 44
 

@@ -4,8 +4,23 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.codegen import get_host_cpu_features
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _use_whole_vector_registers() -> None:
+    """Let LLVM use 512-bit registers where the processor has them: by itself it keeps to 256.
+
+    The blocks of the sequential engine are a third quicker for it. NUMBA_CPU_FEATURES, if set, is left as it is.
+    """
+    if numba.config.CPU_FEATURES is None and numba.config.CPU_NAME is None:
+        features = get_host_cpu_features()
+        if "+avx512f" in features.split(","):
+            numba.config.CPU_FEATURES = f"{features},-prefer-256-bit"
+
+
+_use_whole_vector_registers()
 
 _OPTIONS = {
     "cache": True,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice, cell_of, centre
 from lfmesh.geometry.lenslets import type_of
-from lfmesh.kernel import kernel
+from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.scattering import lambertian
 from lfmesh.transport.aiming import WIDE_SHARE, aimed
 from lfmesh.transport.object_region import MM2
@@ -32,7 +32,7 @@ from lfmesh.transport.packet import (
     put,
 )
 from lfmesh.transport.random import derived, uniform
-from lfmesh.transport.sobol import scramble_seed, scrambled, step
+from lfmesh.transport.sobol import scramble, scramble_seed, step
 from lfmesh.transport.tables import Aim, ArrayTables, SensorTables
 
 Array = NDArray[np.float64]
@@ -41,6 +41,9 @@ START_DIMENSION = -64
 """A packet's starting numbers have dimensions of their own, before those of any event."""
 
 PIXEL_U, PIXEL_V, CELL_U, CELL_V, DISCRETE, WHICH_CELL = 0, 1, 2, 3, 4, 5
+
+STARTS = 128
+"""Samples whose numbers are drawn together."""
 
 Numbers = tuple[float, float, float, float, float, float]
 """What a path starts from, in [0, 1): place in the pixel, point of the lenslet (or pupil), which of them."""
@@ -53,45 +56,60 @@ def start(key: np.uint64, dimension: int) -> float:
 
 
 class StartRoom(NamedTuple):
-    """Working memory of a launch."""
+    """Working memory of a launch, which draws the numbers of `STARTS` samples at a time."""
 
-    point: NDArray[np.uint32]  # (6,) Sobol' point of the sample, not yet scrambled
-    seeds: NDArray[np.uint32]  # (6,) of the pixel's scrambling
-    cells: NDArray[np.int64]  # (most, 2) column and row of the lenslets that show the pupil to a point
+    point: NDArray[np.uint32]  # (6,) Sobol' point of the last sample, not yet scrambled
+    seeds: NDArray[np.uint32]  # (6,) of its pixel's scrambling
+    points: NDArray[np.uint32]  # (6, STARTS)
+    scrambling: NDArray[np.uint32]  # (6, STARTS)
+    numbers: Array  # (6, STARTS) what each sample starts from
+    keys: NDArray[np.uint64]  # (STARTS,)
+    cells: NDArray[np.int64]  # (most + 1, 2) column and row of the lenslets that show the pupil to a point
     packet: NDArray[np.void]  # (1,) PACKET
 
 
 def start_room(aim: Aim) -> StartRoom:
     """Return the memory in which paths are started."""
-    numbers = WHICH_CELL + 1
-    most = (2 * aim.search + 1) ** 2
+    table = (WHICH_CELL + 1, STARTS)
     return StartRoom(
-        np.zeros(numbers, np.uint32), np.zeros(numbers, np.uint32), np.zeros((most, 2), np.int64), np.zeros(1, PACKET)
+        np.zeros(table[0], np.uint32),
+        np.zeros(table[0], np.uint32),
+        np.zeros(table, np.uint32),
+        np.zeros(table, np.uint32),
+        np.zeros(table),
+        np.zeros(STARTS, np.uint64),
+        np.zeros(((2 * aim.search + 1) ** 2 + 1, 2), np.int64),
+        np.zeros(1, PACKET),
     )
 
 
 @kernel
-def _begin_pixel(room: StartRoom, pixel_key: np.uint64) -> None:
-    room.point[:] = np.uint32(0)
-    for dimension in range(len(room.seeds)):
-        room.seeds[dimension] = scramble_seed(pixel_key, dimension)
-
-
-@kernel
-def _starting_numbers(room: StartRoom, stratified: bool, key: np.uint64, sample: int) -> Numbers:
-    """Return a sample's starting numbers: of the pixel's own scrambled Sobol' set, or each by chance."""
+def _draw(
+    room: StartRoom, stratified: bool, replicate_key: np.uint64, pixel: int, sample: int, samples: int, count: int
+) -> None:
+    """Draw the numbers of `count` samples from a pixel's sample on: of the pixels' own Sobol' sets, or by chance."""
+    pixel_key = derived(replicate_key, pixel)
+    for i in range(count):
+        room.keys[i] = derived(pixel_key, sample)
+        if stratified:
+            if sample == 0:
+                for dimension in range(len(room.seeds)):
+                    room.point[dimension] = np.uint32(0)
+                    room.seeds[dimension] = scramble_seed(pixel_key, dimension)
+            else:
+                step(room.point, sample)
+            for dimension in range(len(room.seeds)):
+                room.points[dimension, i], room.scrambling[dimension, i] = room.point[dimension], room.seeds[dimension]
+        else:
+            for dimension in range(len(room.seeds)):
+                room.numbers[dimension, i] = start(room.keys[i], dimension)
+        sample += 1
+        if sample == samples:
+            pixel, sample = pixel + 1, 0
+            pixel_key = derived(replicate_key, pixel)
     if stratified:
-        if sample > 0:
-            step(room.point, sample)
-        point, seeds = room.point, room.seeds
-        return (
-            scrambled(point[0], seeds[0]), scrambled(point[1], seeds[1]), scrambled(point[2], seeds[2]),
-            scrambled(point[3], seeds[3]), scrambled(point[4], seeds[4]), scrambled(point[5], seeds[5]),
-        )  # fmt: skip
-    return (
-        start(key, PIXEL_U), start(key, PIXEL_V), start(key, CELL_U),
-        start(key, CELL_V), start(key, DISCRETE), start(key, WHICH_CELL),
-    )  # fmt: skip
+        for dimension in range(len(room.seeds)):
+            scramble(room.points[dimension], room.scrambling[dimension], room.numbers[dimension])
 
 
 @kernel
@@ -119,14 +137,20 @@ def launch_adjoint(
     station = PLATE if array.present else LENS
     # The sensor's normal towards the array.
     normal = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, -1.0)
-    for pixel in range(first_pixel, first_pixel + pixels):
-        row, column = pixel // sensor.columns, pixel % sensor.columns
-        packet.source = pixel
-        pixel_key = derived(replicate_key, pixel)
-        _begin_pixel(room, pixel_key)
-        for sample in range(samples):
-            key = derived(pixel_key, sample)
-            numbers = _starting_numbers(room, stratified, key, sample)
+    pixel, sample = first_pixel, 0
+    for first in range(0, pixels * samples, STARTS):
+        count = min(STARTS, pixels * samples - first)
+        _draw(room, stratified, replicate_key, pixel, sample, samples, count)
+        for i in range(count):
+            row, column = pixel // sensor.columns, pixel % sensor.columns
+            packet.source = pixel
+            sample += 1
+            if sample == samples:
+                pixel, sample = pixel + 1, 0
+            numbers = (
+                room.numbers[PIXEL_U, i], room.numbers[PIXEL_V, i], room.numbers[CELL_U, i],
+                room.numbers[CELL_V, i], room.numbers[DISCRETE, i], room.numbers[WHICH_CELL, i],
+            )  # fmt: skip
             x = (column - 0.5 * sensor.columns + numbers[PIXEL_U]) * sensor.pixel
             y = (row - 0.5 * sensor.rows + numbers[PIXEL_V]) * sensor.pixel
             if array.present:
@@ -147,10 +171,10 @@ def launch_adjoint(
             weight = area * importance
             packet.start = weight
             flow.book[EMITTED] += weight
-            put(flow, station, packet, SENSOR_FRAME, x, y, 0.0, ux, uy, uz, weight, key, 0.0)
+            put(flow, station, packet, SENSOR_FRAME, x, y, 0.0, ux, uy, uz, weight, room.keys[i], 0.0)
 
 
-@kernel
+@inlined
 def _cells_that_show_pupil(
     array: ArrayTables, aim: Aim, x: float, y: float, distance: float, cells: NDArray[np.int64]
 ) -> int:
@@ -162,22 +186,23 @@ def _cells_that_show_pupil(
     lenslets = array.lenslets
     lattice = lenslets.lattice
     kappa, over = aim.pupil_vergence, 1.0 / distance
-    shrink = 1.0 / (1.0 + kappa * distance)
-    column, row = cell_of(lattice, aim.pupil_x + (x - aim.pupil_x) * shrink, aim.pupil_y + (y - aim.pupil_y) * shrink)
+    total = kappa + over
+    # The pupil's middle as seen through the array, and the slope there that a cell's centre is held against.
+    ax, ay = kappa * aim.pupil_x + over * x, kappa * aim.pupil_y + over * y
+    column, row = cell_of(lattice, ax / total, ay / total)
     count = 0
     for r in range(max(row - aim.search, 0), min(row + aim.search + 1, lattice.rows)):
         for c in range(max(column - aim.search, 0), min(column + aim.search + 1, lattice.columns)):
             cx, cy = centre(lattice, c, r)
-            a = kappa * (cx - aim.pupil_x) + (cx - x) * over
-            b = kappa * (cy - aim.pupil_y) + (cy - y) * over
-            limit = aim.pupil_slope + abs(kappa + over - aim.lenslet_power[type_of(lenslets, c, r)]) * aim.circumradius
-            if a * a + b * b <= limit * limit:
-                cells[count, 0], cells[count, 1] = c, r
-                count += 1
+            a, b = total * cx - ax, total * cy - ay
+            limit = aim.pupil_slope + abs(total - aim.lenslet_power[type_of(lenslets, c, r)]) * aim.circumradius
+            # Without a branch, which would be guessed wrong every other time.
+            cells[count, 0], cells[count, 1] = c, r
+            count += a * a + b * b <= limit * limit
     return count
 
 
-@kernel
+@inlined
 def _through_a_lenslet(
     array: ArrayTables, aim: Aim, normal: tuple[float, float, float], cells: NDArray[np.int64], numbers: Numbers,
     x: float, y: float, z: float,

@@ -9,7 +9,7 @@ scrambled sets is an honest standard error. The hash is Laine & Karras's (EGSR 2
 
 import numpy as np
 
-from lfmesh.kernel import kernel
+from lfmesh.kernel import kernel, vectorised
 from lfmesh.transport.random import derived
 
 DIMENSIONS = 8
@@ -107,6 +107,13 @@ def scramble_seed(key: np.uint64, dimension: int) -> np.uint32:
 def scrambled(point: np.uint32, seed: np.uint32) -> float:
     """Return a coordinate in [0, 1), its digits scrambled."""
     return _scrambled(point, seed) * _UNIT
+
+
+@vectorised
+def scramble(points: np.ndarray, seeds: np.ndarray, numbers: np.ndarray) -> None:
+    """Do as `scrambled` does for whole arrays (n,)."""
+    for i in range(len(points)):
+        numbers[i] = _scrambled(points[i], seeds[i]) * _UNIT
 
 
 @kernel

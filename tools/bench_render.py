@@ -1,34 +1,32 @@
 """Rendering a scene: rates, the share of the time inside Embree, and memory that does not grow with samples.
 
     tools/bench render                                  the demo's scene, small numbers of samples
-    tools/bench render scene.toml --surface flat --json figures.json
+    tools/bench render scene.toml --engine sequential --json figures.json
 
 Every case renders in a process of its own, whose peak memory is its own too, after a warm-up that compiles the kernels.
 """
 
 import json
 import os
-import resource
 import sys
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
-from bench_report import COLOURS, Report, Table, ask_child, deliver, guarded, parser, say, whole
+from bench_report import COLOURS, Report, Table, ask_child, deliver, guarded, parser, peak_mib, say, whole
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.geometry.levels import SURFACE_LEVEL
 
 FACTORS = (1, 4, 16)
-QUICK_PIXELS = (40, 40)
-KIB_PER_MIB = 1024
+QUICK_PIXELS = [40, 40]
 
 COLUMNS = {
     "samples": ("samples", "d"),
     "threads": ("threads", "d"),
     "seconds": ("seconds", ".2f"),
-    "packets_per_s": ("packets/s", ",.0f"),
+    "paths_per_s": ("paths/s", ",.0f"),
     "events_per_s": ("events/s", ".3g"),
     "embree_share": ("Embree", ".1%"),
     "peak_mib": ("peak MiB", ".0f"),
@@ -42,25 +40,28 @@ class RenderFigures:
     samples: int
     threads: int
     seconds: float
-    packets_per_s: float
+    paths_per_s: float
     events_per_s: float
     embree_share: float
     peak_mib: float
 
 
 def measure_render(
-    scene_file: str, samples: int, threads: int, surface: str | None, pixels: tuple[int, int] | None
+    scene_file: str, samples: int, threads: int, engine: str | None, surface: str | None, pixels: list[int] | None
 ) -> RenderFigures:
     """Render a scene in this process, after a warm-up."""
     changes: dict[str, Any] = {"transport.samples": samples, "transport.replicates": 2, "transport.threads": threads}
+    if engine is not None:
+        changes["transport.engine"] = engine
+    if engine == "sequential":
+        changes["transport.split"] = "transmit"
     if surface is not None:
         changes["transport.surface"] = surface
     if pixels is not None:
         changes["camera.sensor.pixels"] = pixels
     scene = lf.load(scene_file).changed(changes)
-    lf.render(scene.changed({"camera.sensor.pixels": (16, 16)}))
+    lf.render(scene.changed({"camera.sensor.pixels": [16, 16]}))
     image = lf.render(scene)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / KIB_PER_MIB
     return RenderFigures(
         samples,
         threads,
@@ -68,7 +69,7 @@ def measure_render(
         image.ledger.packets / image.seconds,
         image.ledger.events / image.seconds,
         image.timings["embree_seconds"] / image.timings["thread_seconds"],
-        peak,
+        peak_mib(),
     )
 
 
@@ -85,6 +86,9 @@ def draw(rows: list[dict[str, Any]], figure: Any) -> None:
 def main() -> None:
     own = parser("render", "Rendering a scene: rates, the share of the time inside Embree, and peak memory.")
     own.add_argument("scene", nargs="?", default=str(asset_path("scenes/first_light.toml")), help="scene file")
+    own.add_argument(
+        "--engine", choices=("mesh", "sequential"), help="in place of the scene's; sequential: reflections left out"
+    )
     own.add_argument("--surface", choices=tuple(SURFACE_LEVEL), help="in place of the scene's")
     own.add_argument("--samples", type=whole, default=2, help="a pixel, in the smallest case; even, default 2")
     given = own.parse_args()
@@ -104,11 +108,12 @@ def main() -> None:
             "scene_file": given.scene,
             "samples": factor * given.samples,
             "threads": threads,
+            "engine": given.engine,
             "surface": given.surface,
             "pixels": QUICK_PIXELS if given.quick else None,
         }
         rows.append(ask_child(__file__, case))
-    report = Report("render", {"scene": given.scene, "surface": given.surface})
+    report = Report("render", {"scene": given.scene, "engine": given.engine, "surface": given.surface})
     report.tables["render"] = Table(f"Rendering {given.scene}", COLUMNS, rows)
     deliver(report, given, partial(draw, rows))
 

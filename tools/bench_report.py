@@ -8,6 +8,7 @@ import argparse
 import json
 import os
 import platform
+import resource
 import subprocess
 import sys
 import time
@@ -20,6 +21,7 @@ import numpy as np
 
 import lfmesh as lf
 
+KIB_PER_MIB = 1024
 FIGURE_SUFFIXES = (".pdf", ".png", ".svg")
 COLOURS = ("#1f4e8c", "#2a7f62", "#c69214", "#b4541a", "#7a4b94", "#8c8c8c", "#3d8fb0", "#a83250")
 
@@ -190,6 +192,16 @@ class OneLineParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """End with the message."""
         self.exit(2, f"tools/bench: {message}; {self.prog} --help says more\n")
+
+
+def peak_mib() -> float:
+    """Return the most memory that this process has held."""
+    status = Path("/proc/self/status")
+    if status.is_file():
+        # Of this program only: what `getrusage` says includes the parent, from before the child became itself.
+        peak = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
+        return int(peak.split()[1]) / KIB_PER_MIB
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / KIB_PER_MIB
 
 
 def parser(command: str, description: str) -> argparse.ArgumentParser:

@@ -1,9 +1,10 @@
 """How much an image costs: error against time for the ways to estimate it, and their efficiency 1 / (MSE · t).
 
-Every way estimates the same watts a pixel. The mean squared error is taken over all pixels against a converged
-reference of another seed, whose own variance is known from its replicates and is subtracted; both are relative to the
-image's mean square. Time is processor time, so that two cores and a busy machine do not enter. The efficiency of
-independent samples does not depend on how many are drawn; a better estimator has a higher one.
+Every way that follows the same light estimates the same watts a pixel; those that leave reflections out have a
+reference of their own. The mean squared error is taken over all pixels against the converged reference of another seed,
+whose own variance is known from its replicates and is subtracted; both are relative to the image's mean square. Time is
+processor time, so that two cores and a busy machine do not enter. The efficiency of independent samples does not depend
+on how many are drawn; a better estimator has a higher one.
 
 Paths that are heavy and rare, such as ghosts, hold much of a mean square in few pixels. Beside it stands what most
 pixels see: the median, over the lit ones, of the error's size.
@@ -11,7 +12,7 @@ pixels see: the median, over the lit ones, of the error's size.
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +38,8 @@ class Way:
         As in the scene's transport settings.
     aimed, stratified : bool
         As of `Renderer`.
+    engine : str
+        As in the scene's transport settings.
     """
 
     name: str
@@ -45,6 +48,12 @@ class Way:
     split: str
     aimed: bool
     stratified: bool
+    engine: str = "mesh"
+
+    @property
+    def reference(self) -> "Way":
+        """What makes the reference of the light that this way follows."""
+        return IMAGE_PATH if self.split == "transmit" else SOBOL
 
 
 ANALOG = Way(
@@ -71,6 +80,16 @@ SOBOL = Way(
     "adjoint, Sobol'",
     "the same from scrambled Sobol' points",
     "adjoint", "both", True, True,
+)  # fmt: skip
+IMAGE_PATH = Way(
+    "adjoint, image path",
+    "the same without reflections",
+    "adjoint", "transmit", True, True,
+)  # fmt: skip
+SEQUENTIAL = Way(
+    "adjoint, sequential",
+    "the same without reflections, through exact surfaces in their order",
+    "adjoint", "transmit", True, True, "sequential",
 )  # fmt: skip
 WAYS = (ANALOG, SPLITTING, AIMING, RANDOM, SOBOL)
 
@@ -174,7 +193,7 @@ class ImageStudy:
         Pixels of the scene's own sensor along a side of one of these.
     reference_samples : int
     reference_error : float
-        Its rms standard error over the image's rms.
+        Its rms standard error over the image's rms; of the reference with all reflections, where there are two.
     reference_typical : float
         The median of its standard error over the lit pixels, over the image's rms.
     """
@@ -212,9 +231,13 @@ class ImageStudy:
 
 
 def study_images(
-    scene: Scene, effort: Effort = USUAL, progress: Callable[[str], None] | None = None, seed: int = 1
+    scene: Scene,
+    effort: Effort = USUAL,
+    progress: Callable[[str], None] | None = None,
+    seed: int = 1,
+    ways: Sequence[Way] = WAYS,
 ) -> ImageStudy:
-    """Measure every way on a scene.
+    """Measure ways on a scene.
 
     Raises
     ------
@@ -223,24 +246,27 @@ def study_images(
     """
     say = progress or (lambda _: None)
     small, binned = _binned(scene, effort.pixels)
-    say(f"images: reference, {effort.reference} samples a pixel")
-    reference = _run(small, SOBOL, effort.reference, seed, REFERENCE_REPLICATES)[0]
-    power = float((reference.mean**2).mean())
+    references: dict[Way, Image] = {}
+    for way in dict.fromkeys(way.reference for way in ways):
+        say(f"images: reference by {way.name}, {effort.reference} samples a pixel")
+        references[way] = _run(small, way, effort.reference, seed, REFERENCE_REPLICATES)[0]
+    main = references.get(SOBOL, next(iter(references.values())))
+    power = _power(main)
     if not power > 0.0:
         raise LfmeshError(
             "no light of the scene reaches its sensor: there is no image whose error could be measured; "
             "lfmesh render says where the light goes"
         )
     rows = []
-    for way in WAYS:
+    for way in ways:
         # Once for the compiler.
         _run(small, way, REPLICATES, seed, REPLICATES)
         for samples in effort.samples[way.name]:
             say(f"images: {way.name}, {samples} samples a pixel")
             runs = [_run(small, way, samples, seed + 1 + k, REPLICATES) for k in range(effort.repeats)]
-            rows.append(_row(way, samples, runs, reference, power))
-    error = math.sqrt(float((reference.stderr**2).mean()) / power)
-    typical = float(np.median(reference.stderr[_lit(reference)])) / math.sqrt(power)
+            rows.append(_row(way, samples, runs, references[way.reference]))
+    error = math.sqrt(float((main.stderr**2).mean()) / power)
+    typical = float(np.median(main.stderr[_lit(main)])) / math.sqrt(power)
     columns, lines = small.camera.sensor.pixels
     name = scene.name or "the scene"
     return ImageStudy(name, (columns, lines), binned, effort.reference, error, typical, tuple(rows))
@@ -248,6 +274,11 @@ def study_images(
 
 def _lit(image: Image) -> NDArray[np.bool_]:
     return image.mean > LIT_SHARE * image.mean.mean()
+
+
+def _power(image: Image) -> float:
+    """Return the mean square of an image's pixels."""
+    return float((image.mean**2).mean())
 
 
 def _binned(scene: Scene, pixels: int) -> tuple[Scene, int]:
@@ -269,7 +300,7 @@ def _run(scene: Scene, way: Way, samples: int, seed: int, replicates: int) -> tu
     """Return an image and the processor seconds it took to trace."""
     transport = {
         "method": way.method, "split": way.split, "samples": samples, "replicates": replicates, "seed": seed,
-        "engine": "mesh",
+        "engine": way.engine,
     }  # fmt: skip
     world = build(scene.changed({f"transport.{name}": value for name, value in transport.items()}))
     renderer = Renderer(world, aimed=way.aimed, stratified=way.stratified)
@@ -278,7 +309,8 @@ def _run(scene: Scene, way: Way, samples: int, seed: int, replicates: int) -> tu
     return image, time.process_time() - began
 
 
-def _row(way: Way, samples: int, runs: list[tuple[Image, float]], reference: Image, power: float) -> ImageRow:
+def _row(way: Way, samples: int, runs: list[tuple[Image, float]], reference: Image) -> ImageRow:
+    power = _power(reference)
     own = float((reference.stderr**2).mean())
     errors = np.array([float(((image.mean - reference.mean) ** 2).mean()) - own for image, _ in runs]) / power
     seconds = float(np.mean([t for _, t in runs]))

@@ -1,0 +1,226 @@
+"""tools/bench on tiny cases: it runs, its JSON holds what its tables show, and its parts measure what they say."""
+
+import importlib
+import json
+import os
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+TOOLS = ROOT / "tools"
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+
+CASES = {
+    "lens": ["--quick", "--rays", "2000", "--rounds", "1"],
+    "scaling": ["--quick", "--series", "triangles", "--engine", "sequential", "--side", "16", "--rounds", "1"],
+    "render": ["--quick", str(ROOT / "assets/scenes/emitting_plane.toml"), "--engine", "sequential"],
+    "image": ["--quick", str(ROOT / "assets/scenes/emitting_plane.toml"), "--pixels", "16", "--samples", "4"],
+}
+TABLES = {
+    "lens": {"lens": "COLUMNS"},
+    "scaling": {"scaling": "COLUMNS", "exponents": "EXPONENT_COLUMNS"},
+    "render": {"render": "COLUMNS"},
+    "image": {"image": "COLUMNS", "small_camera": "PEER_COLUMNS"},
+}
+
+
+@pytest.fixture
+def tool(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Import a module of tools/."""
+    monkeypatch.syspath_prepend(str(TOOLS))
+
+    def load(name: str) -> ModuleType:
+        return importlib.import_module(name)
+
+    return load
+
+
+def bench(command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, str(TOOLS / f"bench_{command}.py"), *arguments],
+        capture_output=True, text=True, env=ENVIRONMENT, timeout=600,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Run a command's tiny case once; return what it printed, its figures, and the file of its drawing."""
+    done: dict[str, tuple[str, dict[str, Any], Path]] = {}
+
+    def run(command: str) -> tuple[str, dict[str, Any], Path]:
+        if command not in done:
+            folder = tmp_path_factory.mktemp(command)
+            figures, drawing = folder / "figures.json", folder / "drawing.png"
+            result = bench(command, *CASES[command], "--json", str(figures), "--figure", str(drawing))
+            assert result.returncode == 0, result.stderr
+            done[command] = result.stdout, json.loads(figures.read_text()), drawing
+        return done[command]
+
+    return run
+
+
+@pytest.mark.parametrize("command", CASES)
+def test_json_holds_what_the_tables_show(command: str, ran: Any, tool: Any) -> None:
+    printed, figures, drawing = ran(command)
+    lines = [line.split() for line in printed.splitlines()]
+    own = tool(f"bench_{command}")
+    for key, columns in TABLES[command].items():
+        table = tool("bench_report").Table("", getattr(own, columns), figures[key])
+        assert len(figures[key]) > 0
+        for line in table.lines()[1:]:
+            assert line.split() in lines
+    for ratio in figures["ratios"]:
+        assert any(ratio["name"] in line and f"{ratio['value']:.3g}" in line for line in printed.splitlines())
+    for name, why in figures["missing"].items():
+        assert f"without {name}: {why}" in printed
+    assert drawing.read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_contender_lands_where_its_surfaces_say(ran: Any) -> None:
+    _, figures, _ = ran("lens")
+    largest = {(row["lens"], row["contender"]): row["max_mm"] for row in figures["lens"]}
+    # Of optiland's aspheres its own tolerance is the limit, of mitsuba float32 and the offset of its rays.
+    limits = {"mesh, exact": 1e-9, "sequential": 1e-9, "sequential, blocks": 1e-9, "batoid": 1e-9}
+    limits |= {"lf.trace, mesh": 1e-9, "lf.trace, sequential": 1e-9, "optiland": 1e-5, "mitsuba": 0.02}
+    for lens in ("spheres", "aspheres"):
+        for contender, limit in limits.items():
+            if contender not in figures["missing"]:
+                assert largest[lens, contender] <= limit, (lens, contender)
+        assert largest[lens, "mesh, flat"] > largest[lens, "mesh, smooth"] > 1e-6 > largest[lens, "mesh, exact"]
+        assert largest[lens, "Embree alone, exact's mesh"] is None
+
+
+def test_the_aspheric_lens_is_another_lens(tool: Any) -> None:
+    lens = tool("bench_lens")
+    spheres, aspheres = (lens.lens_of(kind) for kind in lens.LENSES)
+    sent, landed = lens.rays_through(spheres, 500)
+    bent = lens.analytic.Camera.of(aspheres, 587.6).land(*sent)
+    off = np.linalg.norm(bent.position - landed.position, axis=1)[bent.arrives]
+    assert landed.arrives.all()
+    assert np.median(off) > 0.01
+
+
+def test_ways_that_model_the_same_light_agree(ran: Any) -> None:
+    _, figures, _ = ran("image")
+    pairs = {row["pair"]: row for row in figures["agreement"]}
+    # The same paths by two engines: rounding.
+    assert abs(pairs["adjoint, sequential − adjoint, image path"]["relative"]) < 1e-9
+
+
+@pytest.mark.long
+def test_mitsuba_receives_the_same_power(tool: Any) -> None:
+    pytest.importorskip("mitsuba")
+    if fault := tool("bench_peers").fault_of("mitsuba"):
+        pytest.skip(fault)
+    _, _, agreement = tool("bench_image").beside_mitsuba(8, 64, 12, True)
+    light = [row for row in agreement if "mitsuba" in row["pair"]]
+    # Three comparisons at 1 % in all, each of two means of 12 runs: Student's t with 11 degrees of freedom.
+    assert len(light) == 3
+    assert all(abs(row["z"]) < 3.73 for row in light)
+
+
+def test_without_reflections_there_is_less_light(ran: Any) -> None:
+    power = {row["way"]: row["power_w"] for row in ran("image")[1]["small_camera"]}
+    assert power["adjoint, sequential"] < power["adjoint, Sobol'"]
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "said"),
+    [
+        ("render", ["nowhere.toml"], "nowhere.toml"),
+        ("lens", ["--json", "nowhere/figures.json"], "nowhere/figures.json"),
+        ("scaling", ["--figure", "drawing.bmp"], ".png"),
+        ("image", ["--runs", "1"], "2 or more"),
+        ("lens", ["--rays", "0"], "0 is not positive"),
+    ],
+)
+def test_a_mistake_is_one_line(command: str, arguments: list[str], said: str) -> None:
+    result = bench(command, *arguments)
+    assert result.returncode == 2
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("tools/bench: ")
+    assert said in line
+
+
+def test_an_unknown_command_names_the_known_ones() -> None:
+    result = subprocess.run([TOOLS / "bench", "nonsense"], capture_output=True, text=True)
+    assert result.returncode == 2
+    assert all(command in result.stderr for command in CASES)
+
+
+def test_contenders_take_turns(tool: Any) -> None:
+    report = tool("bench_report")
+    order: list[str] = []
+    contenders = [
+        report.Contender(name, lambda given: order.append(given), prepare=lambda name=name: name) for name in "abc"
+    ]
+    clocks = report.in_turns(contenders, 3)
+    # One round to warm up; every second round is reversed, so that nobody always comes first.
+    assert "".join(order) == "abc" + "abc" + "cba" + "abc"
+    assert all(len(clock.wall) == 3 for clock in clocks.values())
+
+
+def test_a_ratio_is_of_neighbours_in_time(tool: Any) -> None:
+    # The machine slows down tenfold on the way; the ratio does not see it.
+    ratio = tool("bench_report").Ratio.of("", [1.0, 3.0, 10.0], [2.0, 6.0, 20.0])
+    assert (ratio.low, ratio.value, ratio.high) == (2.0, 2.0, 2.0)
+
+
+def test_the_exponent_of_a_power_law_is_found(tool: Any) -> None:
+    scaling = tool("bench_scaling")
+    rows = [scaling.ScalingRow("samples", "mesh", n, 1.0, 3e-3 * n**1.25, 0.0, 0.0) for n in (2, 8, 64, 100)]
+    fitted = scaling.exponent(rows)
+    assert fitted["exponent"] == pytest.approx(1.25, abs=1e-12)
+    assert fitted["exponent_error"] == pytest.approx(0.0, abs=1e-12)
+    assert scaling.exponent(rows[:2])["exponent_error"] is None
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="the system says no peak of a program alone")
+def test_peak_memory_is_of_the_child_alone() -> None:
+    child = "import bench_report; print(bench_report.peak_mib())"
+    parent = (
+        "import subprocess, sys, numpy as np; held = np.ones(80_000_000); "
+        f"subprocess.run([sys.executable, '-c', {child!r}], check=True)"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", parent], cwd=TOOLS, env=ENVIRONMENT, capture_output=True, text=True, check=True
+    )
+    assert float(result.stdout) < 400.0
+
+
+def test_a_peer_that_is_not_installed_says_so(tool: Any) -> None:
+    fault = tool("bench_peers").fault_of("no_such_tracer")
+    assert fault.startswith("not installed")
+
+
+def test_a_peer_cannot_make_errors_of_warnings(tool: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "strict_tracer.py").write_text("import warnings\nwarnings.simplefilter('error')\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    before = list(warnings.filters)
+    tool("bench_peers").imported("strict_tracer")
+    assert list(warnings.filters) == before
+
+
+def test_a_ring_stops_as_much_as_a_round_one(tool: Any) -> None:
+    points, faces = tool("bench_mitsuba").annulus(4.77, 20.0, -3.0)
+    a, b, c = np.moveaxis(points[faces], 1, 0)
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+    azimuths = len(points) // 2
+    outer = 0.5 * azimuths * 400.0 * np.sin(2.0 * np.pi / azimuths)
+    assert outer - area == pytest.approx(np.pi * 4.77**2, rel=1e-12)
+
+
+def test_a_lenslet_is_covered_once(tool: Any) -> None:
+    points, faces = tool("bench_mitsuba").square_grid(5)
+    a, b, c = np.moveaxis(points[faces], 1, 0)
+    areas = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+    assert (areas > 0.0).all()
+    assert areas.sum() == pytest.approx(1.0, rel=1e-12)

@@ -1,0 +1,250 @@
+"""How time and memory grow with samples, pixels, lenslets, target triangles and threads.
+
+    tools/bench scaling                               both engines, every series
+    tools/bench scaling --series lenslets --json figures.json
+
+The scene is a lamp-lit ball through the lens and microlenses of emitting_plane.toml, made larger in one way at a time.
+Sizes are timed in turns; each one's peak memory is that of a process of its own. Under each series stands the exponent
+that fits its times, time ∝ size^exponent, with its standard error.
+"""
+
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from bench_report import (
+    COLOURS,
+    Contender,
+    Report,
+    Table,
+    ask_child,
+    deliver,
+    guarded,
+    in_turns,
+    parser,
+    peak_mib,
+    say,
+    whole,
+)
+
+import lfmesh as lf
+from lfmesh.assets import asset_path
+from lfmesh.scene import Scene
+from lfmesh.transport.render import Renderer
+
+ENGINES = ("mesh", "sequential")
+BALL_RADIUS_MM = 40.0
+ROUNDS, QUICK_ROUNDS = 5, 2
+ARRAY_MM, SENSOR_MM = 8.0, 8.0
+
+
+@dataclass(frozen=True)
+class Series:
+    """One way to make the scene larger.
+
+    Attributes
+    ----------
+    sizes, quick : tuple of int
+    changes : callable
+        From a size, and the folder where meshes lie, to what changes in the scene.
+    """
+
+    sizes: tuple[int, ...]
+    quick: tuple[int, ...]
+    changes: Callable[[int, Path], dict[str, Any]]
+
+
+def samples(size: int, _: Path) -> dict[str, Any]:
+    return {"transport.samples": size}
+
+
+def pixels(size: int, _: Path) -> dict[str, Any]:
+    side = round(size**0.5)
+    return {"camera.sensor.pixels": [side, side], "camera.sensor.pixel_mm": SENSOR_MM / side}
+
+
+def lenslets(size: int, _: Path) -> dict[str, Any]:
+    """Shrink all lenslets alike, so that their f-number stays and the array covers the sensor."""
+    side = round(size**0.5)
+    pitch = ARRAY_MM / side
+    return {
+        "camera.mla.count": [side, side],
+        "camera.mla.pitch_mm": pitch,
+        "camera.mla.focal_length_mm": 4.0 * pitch,
+        "camera.mla.thickness_mm": 2.4 * pitch,
+    }
+
+
+def triangles(size: int, folder: Path) -> dict[str, Any]:
+    ball = {"file": str(ball_file(size, folder)), "units": "mm", "position_mm": [0.0, 0.0, -500.0]}
+    return {"targets": [ball]}
+
+
+def threads(size: int, _: Path) -> dict[str, Any]:
+    return {"transport.threads": size}
+
+
+CORES = tuple(sorted({1, os.cpu_count() or 1}))
+SERIES = {
+    "samples": Series((16, 32, 64, 128, 256), (4, 8), samples),
+    "pixels": Series((120**2, 160**2, 240**2, 320**2, 400**2), (40**2, 80**2), pixels),
+    "lenslets": Series((16**2, 32**2, 64**2, 128**2, 256**2, 512**2), (16**2, 64**2), lenslets),
+    "triangles": Series((1_280, 5_120, 20_480, 81_920, 327_680, 1_310_720), (1_280, 5_120), triangles),
+    "threads": Series(CORES, CORES, threads),
+}
+
+COLUMNS = {
+    "series": ("grows", ""),
+    "engine": ("engine", ""),
+    "size": ("size", ",d"),
+    "paths_per_s": ("paths/s", ".3g"),
+    "seconds": ("seconds", ".3f"),
+    "build_seconds": ("build s", ".2f"),
+    "peak_mib": ("peak MiB", ".0f"),
+}
+EXPONENT_COLUMNS = {
+    "series": ("time against", ""),
+    "engine": ("engine", ""),
+    "exponent": ("exponent", ".3f"),
+    "exponent_error": ("±", ".3f"),
+}
+
+
+@dataclass(frozen=True)
+class ScalingRow:
+    """One size of one series: paths started a second, seconds of tracing (median), of building, and peak memory."""
+
+    series: str
+    engine: str
+    size: int
+    paths_per_s: float
+    seconds: float
+    build_seconds: float
+    peak_mib: float
+
+
+def ball_file(faces: int, folder: Path) -> Path:
+    """Return a mesh file of a ball with so many triangles, 20 · 4^k."""
+    file = folder / f"ball_{faces}.stl"
+    if not file.exists():
+        subdivisions = round(np.log(faces / 20) / np.log(4))
+        trimesh.creation.icosphere(subdivisions, BALL_RADIUS_MM).export(file)
+    return file
+
+
+def scene_of(series: str, size: int, engine: str, side: int, folder: Path) -> Scene:
+    """Return the common scene with `side` pixels a side and 16 samples, made larger in one way."""
+    scene = lf.load(asset_path("scenes/emitting_plane.toml"))
+    ball = {"shape": {"kind": "sphere", "radius_mm": BALL_RADIUS_MM}, "position_mm": [0.0, 0.0, -500.0]}
+    common = {
+        "targets": [ball],
+        "lights": [{"kind": "point", "position_mm": [-200.0, -300.0, -200.0], "power_w": 1.0}],
+        "camera.sensor.distance_mm": None,
+        "camera.mla.distance_mm": None,
+        "transport.engine": engine,
+        "transport.split": "transmit" if engine == "sequential" else "both",
+        "transport.samples": 16,
+        "transport.replicates": 2,
+    }
+    return scene.changed(common | pixels(side * side, folder) | SERIES[series].changes(size, folder))
+
+
+def measure_memory(series: str, size: int, engine: str, side: int, folder: str) -> dict[str, float]:
+    """Render in this process; return its peak memory and the seconds that building took."""
+    scene = scene_of(series, size, engine, side, Path(folder))
+    # Compile first, on few pixels: what the compiler holds is then in every row alike.
+    lf.render(scene_of("pixels", 8 * 8, engine, side, Path(folder)))
+    began = time.perf_counter()
+    world = lf.build(scene)
+    build_seconds = time.perf_counter() - began
+    Renderer(world).image()
+    return {"build_seconds": build_seconds, "peak_mib": peak_mib()}
+
+
+def measure(series: str, engine: str, side: int, rounds: int, quick: bool, folder: Path) -> list[ScalingRow]:
+    """Measure a series with one engine."""
+    sizes = SERIES[series].quick if quick else SERIES[series].sizes
+    worlds = {size: lf.build(scene_of(series, size, engine, side, folder)) for size in sizes}
+    contenders = [Contender(str(size), lambda _, w=world: Renderer(w).image()) for size, world in worlds.items()]
+    clocks = in_turns(contenders, rounds)
+    rows = []
+    for size, world in worlds.items():
+        transport, sensor = world.scene.transport, world.scene.camera.sensor
+        seconds = clocks[str(size)].seconds
+        case = {"series": series, "size": size, "engine": engine, "side": side, "folder": str(folder)}
+        paths = transport.samples * sensor.pixels[0] * sensor.pixels[1]
+        rows.append(ScalingRow(series, engine, size, paths / seconds, seconds, **ask_child(__file__, case)))
+    return rows
+
+
+def exponent(rows: Sequence[ScalingRow]) -> dict[str, Any]:
+    """Fit time ∝ size^exponent through a series of one engine; the error is None for two sizes, which any line fits."""
+    x, y = np.log([row.size for row in rows]), np.log([row.seconds for row in rows])
+    found = {"series": rows[0].series, "engine": rows[0].engine, "exponent": None, "exponent_error": None}
+    if len(rows) < 2:
+        return found
+    slope, offset = np.polyfit(x, y, 1)
+    found["exponent"] = float(slope)
+    if len(rows) > 2:
+        variance = np.sum((y - offset - slope * x) ** 2) / (len(rows) - 2)
+        found["exponent_error"] = float(np.sqrt(variance / np.sum((x - x.mean()) ** 2)))
+    return found
+
+
+def draw(rows: Sequence[ScalingRow], figure: Any) -> None:
+    """Draw time and memory against size, a panel a series."""
+    names = list(dict.fromkeys(row.series for row in rows))
+    for place, series in enumerate(names):
+        for line, (key, label) in enumerate((("seconds", "tracing / s"), ("peak_mib", "peak memory / MiB"))):
+            axes = figure.add_subplot(2, len(names), line * len(names) + place + 1)
+            for engine, colour in zip(ENGINES, COLOURS, strict=False):
+                own = [row for row in rows if row.series == series and row.engine == engine]
+                axes.plot(
+                    [row.size for row in own], [getattr(row, key) for row in own], "o-", color=colour, label=engine
+                )
+            axes.set(xscale="log", yscale="log" if key == "seconds" else "linear", xlabel=series)
+            if key == "peak_mib":
+                axes.set_ylim(0, None)
+            if place == 0:
+                axes.set_ylabel(label)
+                axes.legend(frameon=False)
+
+
+def main() -> None:
+    own = parser("scaling", "Time and memory against samples, pixels, lenslets, triangles and threads.")
+    own.add_argument("--series", choices=tuple(SERIES), action="append", help="only this one; may be given again")
+    own.add_argument("--engine", choices=ENGINES, action="append", help="only this one; may be given again")
+    own.add_argument("--side", type=whole, help="pixels a side, where they are not what grows; default 160")
+    own.add_argument("--rounds", type=whole, help=f"each size once a round; default {ROUNDS}")
+    given = own.parse_args()
+    if given.case:
+        print(json.dumps(measure_memory(**given.case)))
+        return
+    side = given.side or (40 if given.quick else 160)
+    rounds = given.rounds or (QUICK_ROUNDS if given.quick else ROUNDS)
+    rows: list[ScalingRow] = []
+    exponents = []
+    with tempfile.TemporaryDirectory() as folder:
+        for series in given.series or SERIES:
+            for engine in given.engine or ENGINES:
+                say(f"{series}, {engine}")
+                found = measure(series, engine, side, rounds, given.quick, Path(folder))
+                rows += found
+                exponents.append(exponent(found))
+    report = Report("scaling", {"side": side, "rounds": rounds})
+    report.tables["scaling"] = Table("Time and memory", COLUMNS, [asdict(row) for row in rows])
+    report.tables["exponents"] = Table("Fitted over each series", EXPONENT_COLUMNS, exponents)
+    deliver(report, given, partial(draw, rows))
+
+
+if __name__ == "__main__":
+    sys.exit(guarded(main))

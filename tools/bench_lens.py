@@ -173,8 +173,8 @@ class EngineRun:
         self.chunks = range(0, len(sent.origins), CHUNK)
         self._local = threading.local()
 
-    def trace(self, first: int) -> Workspace:
-        """Trace one chunk in the workspace of the calling thread, and return that."""
+    def start(self, first: int) -> Workspace:
+        """Launch the rays of one chunk in the workspace of the calling thread, and return that."""
         if not hasattr(self._local, "workspace"):
             self._local.workspace = Workspace(self.world, self.options)
         work: Workspace = self._local.workspace
@@ -185,6 +185,11 @@ class EngineRun:
             first, origins, directions, np.full(len(origins), LENS), np.zeros(len(origins), np.int64), KEY,
             work.tables.frames, False, work.flow(), work.template,
         )  # fmt: skip
+        return work
+
+    def trace(self, first: int) -> Workspace:
+        """Trace one chunk in the workspace of the calling thread, and return that."""
+        work = self.start(first)
         work.run()
         return work
 

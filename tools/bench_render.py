@@ -4,23 +4,31 @@
     tools/bench render scene.toml --engine sequential --json figures.json
 
 Every case renders in a process of its own, whose peak memory is its own too, after a warm-up that compiles the kernels.
+The double Gauss alone is traced by the mesh engine on one thread, refracted rays only, one chunk again and again.
 """
 
 import json
 import os
+import statistics
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
+from bench_lens import EngineRun, lens_of, rays_through
 from bench_report import COLOURS, Report, Table, ask_child, deliver, guarded, parser, peak_mib, say, whole
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.geometry.levels import SURFACE_LEVEL
+from lfmesh.transport.engine import CHUNK
+from lfmesh.transport.packet import EVENTS
 
 FACTORS = (1, 4, 16)
 QUICK_PIXELS = [40, 40]
+LENS_ROUNDS, QUICK_ROUNDS = 60, 3
 
 COLUMNS = {
     "samples": ("samples", "d"),
@@ -30,6 +38,14 @@ COLUMNS = {
     "events_per_s": ("events/s", ".3g"),
     "embree_share": ("Embree", ".1%"),
     "peak_mib": ("peak MiB", ".0f"),
+}
+
+
+LENS_COLUMNS = {
+    "surface": ("level", ""),
+    "rays": ("rays", ",d"),
+    "events_per_s": ("events/s", ".3g"),
+    "embree_share": ("Embree", ".1%"),
 }
 
 
@@ -71,6 +87,29 @@ def measure_render(
         image.timings["embree_seconds"] / image.timings["thread_seconds"],
         peak_mib(),
     )
+
+
+def measure_lens(surface: str, rounds: int) -> dict[str, Any]:
+    """Trace through the double Gauss alone; return medians of the rate and of the share of the time inside Embree."""
+    scene = lens_of("spheres").changed({"transport.surface": surface})
+    sent, _ = rays_through(scene, CHUNK)
+    rates, shares = [], []
+    with ThreadPoolExecutor(1) as pool:
+        run = EngineRun(lf.build(scene), sent, surface, False, pool)
+        run.trace(0)
+        for _ in range(rounds):
+            work = run.start(0)
+            began = time.perf_counter()
+            work.run()
+            seconds = time.perf_counter() - began
+            rates.append(int(work.counts[EVENTS]) / seconds)
+            shares.append(work.embree_seconds / seconds)
+    return {
+        "surface": surface,
+        "rays": len(sent.origins),
+        "events_per_s": statistics.median(rates),
+        "embree_share": statistics.median(shares),
+    }
 
 
 def draw(rows: list[dict[str, Any]], figure: Any) -> None:
@@ -115,6 +154,9 @@ def main() -> None:
         rows.append(ask_child(__file__, case))
     report = Report("render", {"scene": given.scene, "engine": given.engine, "surface": given.surface})
     report.tables["render"] = Table(f"Rendering {given.scene}", COLUMNS, rows)
+    say("the double Gauss alone")
+    lens = measure_lens(given.surface or "exact", QUICK_ROUNDS if given.quick else LENS_ROUNDS)
+    report.tables["lens"] = Table("The double Gauss alone, mesh engine, one thread", LENS_COLUMNS, [lens])
     deliver(report, given, partial(draw, rows))
 
 

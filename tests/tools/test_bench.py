@@ -26,7 +26,7 @@ CASES = {
 TABLES = {
     "lens": {"lens": "COLUMNS"},
     "scaling": {"scaling": "COLUMNS", "exponents": "EXPONENT_COLUMNS"},
-    "render": {"render": "COLUMNS"},
+    "render": {"render": "COLUMNS", "lens": "LENS_COLUMNS"},
     "image": {"image": "COLUMNS", "small_camera": "PEER_COLUMNS"},
 }
 

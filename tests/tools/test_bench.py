@@ -99,6 +99,20 @@ def test_every_contender_lands_where_its_surfaces_say(ran: Any) -> None:
         assert largest[lens, "Embree alone, exact's mesh"] is None
 
 
+def test_a_ray_that_the_lens_stops_has_no_landing(tool: Any) -> None:
+    lens = tool("bench_lens")
+    scene = lens.lens_of("spheres")
+    world = lens.lf.build(scene)
+    # Along the axis, and outside the stop but inside the first surface's aperture.
+    sent = lens.Bundle(np.array([[0.0, 0.0, -5.0], [11.0, 0.0, -5.0]]), np.array([[0.0, 0.0, 1.0]] * 2))
+    for engine in ("mesh", "sequential"):
+        call = lens.partial(lens.traced, world, sent, 587.6, engine, 1)
+        place, weight = lens.landed_paths(world, call)
+        assert np.allclose(place[0], 0.0, atol=1e-12)
+        assert np.isnan(place[1]).all()
+        assert np.isnan(weight[1])
+
+
 def test_the_aspheric_lens_is_another_lens(tool: Any) -> None:
     lens = tool("bench_lens")
     spheres, aspheres = (lens.lens_of(kind) for kind in lens.LENSES)

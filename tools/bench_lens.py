@@ -70,6 +70,8 @@ ROUNDS, QUICK_ROUNDS = 11, 2
 QUICK_RINGS = 12
 KEY = np.uint64(1)
 
+ENDINGS = ("source", "position", "weight", "status")
+
 Question = tuple[NDArray[np.float32], NDArray[np.float32]]
 """Origins and directions of a wave, as Embree takes them."""
 
@@ -104,8 +106,10 @@ class LensRow:
         A surface; None for exact surfaces.
     of_embree : float or None
         Rate over that of Embree alone on the same questions, median of the rounds' ratios.
+    astray : float or None
+        Share of the rays that end elsewhere, on an aperture's edge or nowhere, though they should arrive.
     rms_mm, max_mm, max_weight : float or None
-        Errors where the rays land, and of their weights, relative; None for Embree alone, whose rays do not bend, and
+        Errors where the others land, and of their weights, relative. None for Embree alone, whose rays do not bend, and
         for the weights of those who carry none.
     """
 
@@ -118,6 +122,7 @@ class LensRow:
     cores: float
     per_core: float
     of_embree: float | None
+    astray: float | None
     rms_mm: float | None
     max_mm: float | None
     max_weight: float | None
@@ -132,6 +137,7 @@ COLUMNS = {
     "cores": ("cores", ".2f"),
     "per_core": ("per core", ".3g"),
     "of_embree": ("of Embree", ".2f"),
+    "astray": ("astray", ".0e"),
     "rms_mm": ("rms mm", ".1e"),
     "max_mm": ("max mm", ".1e"),
     "max_weight": ("weight", ".1e"),
@@ -198,13 +204,22 @@ class EngineRun:
         list(self.pool.map(self.trace, self.chunks))
 
     def landing(self) -> tuple[Array, Array]:
-        """Return where the rays land, see `ended_where`."""
+        """Return where the rays land, see `landed`."""
         parts = []
         for first in self.chunks:
             work = self.trace(first)
             parts.append(work.ended[: work.tops[ENDED]].copy())
         ended = np.concatenate(parts)
-        return ended_where(self.world, len(self.sent.origins), ended["source"], ended["position"], ended["weight"])
+        body = np.array(self.world.slots)[ended["body"]]
+        return landed(
+            self.world,
+            len(self.sent.origins),
+            ended["source"],
+            ended["position"],
+            ended["weight"],
+            ended["status"],
+            body,
+        )
 
     def questions(self) -> list[list[Question]]:
         """Return what the mesh engine asks Embree about the lens, chunk by chunk."""
@@ -281,14 +296,20 @@ class Field:
         if landing is not None:
             self.landings[name] = landing
 
-    def errors(self, name: str) -> tuple[float | None, float | None, float | None]:
-        """Return rms and largest distance from the truth, mm, and the largest relative error of a weight."""
+    def errors(self, name: str) -> dict[str, float | None]:
+        """Return the errors of a contender, by the names of `LensRow`."""
         if name not in self.landings:
-            return None, None, None
+            return dict.fromkeys(("astray", "rms_mm", "max_mm", "max_weight"))
         place, weight = self.landings[name]()
         off = np.linalg.norm(place - self.truth.position, axis=1)
-        wrong = None if name in self.unweighted else float(np.abs(weight / self.truth.weight - 1.0).max())
-        return float(np.sqrt(np.mean(off * off))), float(off.max()), wrong
+        wrong = np.abs(weight / self.truth.weight - 1.0)
+        there = np.isfinite(off)
+        return {
+            "astray": float(1.0 - there.mean()),
+            "rms_mm": float(np.sqrt(np.mean(off[there] ** 2))),
+            "max_mm": float(off[there].max()),
+            "max_weight": None if name in self.unweighted else float(wrong[there].max()),
+        }
 
 
 class Blocks:
@@ -366,7 +387,7 @@ def measure(
                 clock.cores,
                 rays * field.surfaces / clock.seconds_of_processor,
                 share,
-                *field.errors(name),
+                **field.errors(name),
             )
         )
     threads_used = f"{threads} thread" + ("s" if threads > 1 else "")
@@ -386,16 +407,19 @@ def traced(world: Any, sent: Bundle, wavelength: float, engine: str, threads: in
 
 def landed_paths(world: Any, call: Callable[[], lf.Paths]) -> tuple[Array, Array]:
     paths = call()
-    return ended_where(world, paths.ledger.packets, paths.source, paths.position, paths.weight)
+    body = np.array(paths.body)
+    return landed(world, paths.ledger.packets, paths.source, paths.position, paths.weight, paths.status, body)
 
 
-def ended_where(
-    world: Any, rays: int, source: NDArray[np.int64], position: Array, weight: Array
-) -> tuple[Array, Array]:
-    """Return (n, 2) mm on the sensor's plane and (n,) weights by ray; NaN for a ray without a packet."""
+def landed(
+    world: Any, rays: int, source: NDArray[np.int64], position: Array, weight: Array, status: NDArray[np.int64],
+    body: NDArray[np.str_],
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return (n, 2) mm on the sensor's plane and (n,) weights by ray; NaN for a ray that does not get there."""
+    there = (status == lf.Status.SENSOR) | (body == "beside the sensor")
     place, weights = np.full((rays, 2), np.nan), np.full(rays, np.nan)
-    place[source] = points(world.tables.frames[WORLD_FRAME, SENSOR_FRAME], position)[:, :2]
-    weights[source] = weight
+    place[source[there]] = points(world.tables.frames[WORLD_FRAME, SENSOR_FRAME], position[there])[:, :2]
+    weights[source[there]] = weight[there]
     return place, weights
 
 

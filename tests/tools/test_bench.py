@@ -86,6 +86,7 @@ def test_json_holds_what_the_tables_show(command: str, ran: Any, tool: Any) -> N
 def test_every_contender_lands_where_its_surfaces_say(ran: Any) -> None:
     _, figures, _ = ran("lens")
     largest = {(row["lens"], row["contender"]): row["max_mm"] for row in figures["lens"]}
+    astray = {(row["lens"], row["contender"]): row["astray"] for row in figures["lens"]}
     # Of optiland's aspheres its own tolerance is the limit, of mitsuba float32 and the offset of its rays.
     limits = {"mesh, exact": 1e-9, "sequential": 1e-9, "sequential, blocks": 1e-9, "batoid": 1e-9}
     limits |= {"lf.trace, mesh": 1e-9, "lf.trace, sequential": 1e-9, "optiland": 1e-5, "mitsuba": 0.02}
@@ -93,8 +94,23 @@ def test_every_contender_lands_where_its_surfaces_say(ran: Any) -> None:
         for contender, limit in limits.items():
             if contender not in figures["missing"]:
                 assert largest[lens, contender] <= limit, (lens, contender)
+                assert astray[lens, contender] == 0.0, (lens, contender)
         assert largest[lens, "mesh, flat"] > largest[lens, "mesh, smooth"] > 1e-6 > largest[lens, "mesh, exact"]
         assert largest[lens, "Embree alone, exact's mesh"] is None
+
+
+def test_a_ray_that_the_lens_stops_has_no_landing(tool: Any) -> None:
+    lens = tool("bench_lens")
+    scene = lens.lens_of("spheres")
+    world = lens.lf.build(scene)
+    # Along the axis, and outside the stop but inside the first surface's aperture.
+    sent = lens.Bundle(np.array([[0.0, 0.0, -5.0], [11.0, 0.0, -5.0]]), np.array([[0.0, 0.0, 1.0]] * 2))
+    for engine in ("mesh", "sequential"):
+        call = lens.partial(lens.traced, world, sent, 587.6, engine, 1)
+        place, weight = lens.landed_paths(world, call)
+        assert np.allclose(place[0], 0.0, atol=1e-12)
+        assert np.isnan(place[1]).all()
+        assert np.isnan(weight[1])
 
 
 def test_the_aspheric_lens_is_another_lens(tool: Any) -> None:

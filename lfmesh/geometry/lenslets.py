@@ -107,6 +107,12 @@ def _cap_depth(curvature: float, radius: float) -> float:
 
 
 @kernel
+def are_alike(of: Lenslets) -> bool:
+    """Tell whether the curved face is continuous: one type, no form errors."""
+    return len(of.curvature) == 1 and len(of.decentre) == 0 and len(of.stretch) == 0
+
+
+@kernel
 def type_of(of: Lenslets, column: int, row: int) -> int:
     """Return a cell's type: neighbours differ in an array of three types (hexagonal) or of two (square)."""
     types = len(of.curvature)

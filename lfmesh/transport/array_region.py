@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.lattice import cell_of, centre, is_inside, leaves_at, neighbour, stays_inside
-from lfmesh.geometry.lenslets import border_sag, cap_sag, shape_of, type_of
+from lfmesh.geometry.lenslets import are_alike, border_sag, cap_sag, shape_of, type_of
 from lfmesh.geometry.levels import EXACT, FLAT, PATCH, SMOOTH
 from lfmesh.geometry.surface import conic_distance
 from lfmesh.kernel import kernel
@@ -274,7 +274,7 @@ def _walk(
     slot = -1
     if not is_inside(lattice, column, row):
         slot = ARRAY_MOUNT if inward else ARRAY_EDGE
-    elif len(lenslets.curvature) > 1 or len(lenslets.decentre) > 0 or len(lenslets.stretch) > 0:
+    elif not are_alike(lenslets):
         curvature, ex, ey = shape_of(lenslets, column, row)
         cx, cy = centre(lattice, column, row)
         if options.surface == EXACT:

@@ -118,7 +118,8 @@ def through_surface(
     _meet_conic(bundle, c, k, z, sense)
     if surface.terms > 0:
         _meet_asphere(bundle, surface)
-    _bend_at(bundle, c, k, z, surface.terms, surface.asphere, limit, sense, n_i, n_t, rim, mount, beyond)
+    _asphere_terms(bundle, surface.terms, surface.asphere)
+    _bend_along_slope(bundle, c, k, z, limit, sense, n_i, n_t, rim, mount, beyond)
 
 
 @inlined
@@ -304,16 +305,6 @@ def _newton_step(bundle: Array, c: float, k: float, vertex_z: float) -> int:
         bundle[_T + i] = t - step
         moving += 0 if settled or bundle[ENDED_ON + i] != 0.0 else 1
     return moving
-
-
-@kernel
-def _bend_at(
-    bundle: Array, c: float, k: float, vertex_z: float, terms: int, asphere: Array, limit: float, sense: float,
-    n_i: float, n_t: float, rim: float, mount: float, beyond: float,
-) -> None:  # fmt: skip
-    """Refract a bundle at the distances `_T`."""
-    _asphere_terms(bundle, terms, asphere)
-    _bend_along_slope(bundle, c, k, vertex_z, limit, sense, n_i, n_t, rim, mount, beyond)
 
 
 @vectorised

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.lattice import cell_of, centre, is_inside, leaves_at, neighbour, stays_inside
-from lfmesh.geometry.lenslets import cap_sag, shape_of
+from lfmesh.geometry.lenslets import are_alike, cap_sag, shape_of
 from lfmesh.geometry.surface import conic_distance
 from lfmesh.geometry.tessellation import OVERREACH
 from lfmesh.kernel import kernel
@@ -294,19 +294,12 @@ def _next_in_layer(
         column, row = neighbour(lattice, column, row, side)
         if not is_inside(lattice, column, row):
             return ARRAY_MOUNT if in_air else ARRAY_EDGE, t, column, row
-        if not lenslets_are_alike(array):
+        if not are_alike(lenslets):
             cx, cy = centre(lattice, column, row)
             curvature, ex, ey = shape_of(lenslets, column, row)
             px, py = x + t * dx - cx - ex, y + t * dy - cy - ey
             if (z + t * dz > cap_sag(curvature, px * px + py * py)) == in_air:
                 return ARRAY_WALL, t, column, row
-
-
-@kernel
-def lenslets_are_alike(array: ArrayTables) -> bool:
-    """Tell whether no step stands between neighbouring lenslets."""
-    lenslets = array.lenslets
-    return len(lenslets.curvature) == 1 and len(lenslets.decentre) == 0 and len(lenslets.stretch) == 0
 
 
 @kernel

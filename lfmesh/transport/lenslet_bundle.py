@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice
-from lfmesh.geometry.lenslets import shape_of
+from lfmesh.geometry.lenslets import are_alike, shape_of
 from lfmesh.kernel import inlined, kernel, vectorised
 from lfmesh.transport.bundle import (
     BLOCK,
@@ -184,7 +184,7 @@ def _find_hexagonal_cells(bundle: Array, border: float, pitch: float, columns: i
 def _look_up_shapes(bundle: Array, array: ArrayTables) -> None:
     """Leave each ray's lenslet, apex and curvature, in the working rows."""
     lenslets = array.lenslets
-    if len(lenslets.curvature) == 1 and len(lenslets.decentre) == 0 and len(lenslets.stretch) == 0:
+    if are_alike(lenslets):
         _fill_shapes(bundle, lenslets.curvature[0])
         return
     for i in range(BLOCK):

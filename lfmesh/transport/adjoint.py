@@ -17,6 +17,22 @@ from lfmesh.geometry.lenslets import type_of
 from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.scattering import lambertian
 from lfmesh.transport.aiming import WIDE_SHARE, aimed
+from lfmesh.transport.bundle import (
+    BLOCK,
+    DROPPED,
+    DX,
+    DY,
+    DZ,
+    ENDED_ON,
+    WEIGHT,
+    X,
+    Y,
+    Z,
+    load,
+    move_bundle,
+    pad,
+)
+from lfmesh.transport.image_path import follow_block
 from lfmesh.transport.object_region import MM2
 from lfmesh.transport.packet import (
     ARRAY_FRAME,
@@ -29,11 +45,12 @@ from lfmesh.transport.packet import (
     PLATE,
     SENSOR_FRAME,
     Flow,
+    Options,
     put,
 )
 from lfmesh.transport.random import derived, uniform
 from lfmesh.transport.sobol import scramble, scramble_seed, step
-from lfmesh.transport.tables import Aim, ArrayTables, SensorTables
+from lfmesh.transport.tables import Aim, ArrayTables, LensTables, SensorTables
 
 Array = NDArray[np.float64]
 
@@ -42,8 +59,8 @@ START_DIMENSION = -64
 
 PIXEL_U, PIXEL_V, CELL_U, CELL_V, DISCRETE, WHICH_CELL = 0, 1, 2, 3, 4, 5
 
-STARTS = 128
-"""Samples whose numbers are drawn together."""
+STARTS = BLOCK
+"""Samples whose numbers are drawn together: a bundle of the sequential engine."""
 
 Numbers = tuple[float, float, float, float, float, float]
 """What a path starts from, in [0, 1): place in the pixel, point of the lenslet (or pupil), which of them."""
@@ -65,7 +82,7 @@ class StartRoom(NamedTuple):
     numbers: Array  # (6, STARTS) what each sample starts from
     keys: NDArray[np.uint64]  # (STARTS,)
     cells: NDArray[np.int64]  # (most + 1, 2) column and row of the lenslets that show the pupil to a point
-    packet: NDArray[np.void]  # (1,) PACKET
+    packets: NDArray[np.void]  # (STARTS,) PACKET
 
 
 def start_room(aim: Aim) -> StartRoom:
@@ -79,7 +96,7 @@ def start_room(aim: Aim) -> StartRoom:
         np.zeros(table),
         np.zeros(STARTS, np.uint64),
         np.zeros(((2 * aim.search + 1) ** 2 + 1, 2), np.int64),
-        np.zeros(1, PACKET),
+        np.zeros(STARTS, PACKET),
     )
 
 
@@ -116,7 +133,7 @@ def _draw(
 def launch_adjoint(
     first_pixel: int, pixels: int, samples: int, stratified: bool, replicate_key: np.uint64, wave: int,
     sensor: SensorTables, array: ArrayTables, aim: Aim, frames: Array, lens_surfaces: int,
-    flow: Flow, room: StartRoom,
+    bundle: Array, flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
     """Start `samples` packets from each of a run of pixels.
 
@@ -125,53 +142,109 @@ def launch_adjoint(
     stratified : bool
         Start from scrambled Sobol' points in place of random ones.
     """
-    packet = room.packet[0]
-    packet.wave = wave
-    packet.last = NO_SURFACE
-    packet.column = NO_SURFACE
-    packet.facet = NO_SURFACE
-    packet.kind = CAMERA
-    packet.events = 0
-    packet.space = lens_surfaces
-    area = sensor.pixel * sensor.pixel * MM2 / samples
+    _begin(room, wave, lens_surfaces)
     station = PLATE if array.present else LENS
-    # The sensor's normal towards the array.
-    normal = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, -1.0)
     pixel, sample = first_pixel, 0
     for first in range(0, pixels * samples, STARTS):
         count = min(STARTS, pixels * samples - first)
         _draw(room, stratified, replicate_key, pixel, sample, samples, count)
+        pixel, sample = _aim(room, bundle, pixel, sample, samples, count, sensor, array, aim, frames, flow.book)
         for i in range(count):
-            row, column = pixel // sensor.columns, pixel % sensor.columns
-            packet.source = pixel
-            sample += 1
-            if sample == samples:
-                pixel, sample = pixel + 1, 0
-            numbers = (
-                room.numbers[PIXEL_U, i], room.numbers[PIXEL_V, i], room.numbers[CELL_U, i],
-                room.numbers[CELL_V, i], room.numbers[DISCRETE, i], room.numbers[WHICH_CELL, i],
-            )  # fmt: skip
-            x = (column - 0.5 * sensor.columns + numbers[PIXEL_U]) * sensor.pixel
-            y = (row - 0.5 * sensor.rows + numbers[PIXEL_V]) * sensor.pixel
-            if array.present:
-                px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
-                dx, dy, dz, importance = _through_a_lenslet(array, aim, normal, room.cells, numbers, px, py, pz)
-                ux, uy, uz = move_direction(frames, ARRAY_FRAME, SENSOR_FRAME, dx, dy, dz)
-            else:
-                # The pupil disks are square to the axis of the lens, whichever way the sensor is tilted.
-                px, py, pz = move_point(frames, SENSOR_FRAME, CAMERA_FRAME, x, y, 0.0)
-                dx, dy, dz, density = aimed(
-                    px, py, pz, aim.exit_z, aim.exit_radius, aim.back_z, aim.back_radius,
-                    numbers[DISCRETE], numbers[CELL_U], numbers[CELL_V],
+            if bundle[ENDED_ON + i] == 0.0:
+                put(
+                    flow, station, room.packets[i], SENSOR_FRAME, bundle[X + i], bundle[Y + i], bundle[Z + i],
+                    bundle[DX + i], bundle[DY + i], bundle[DZ + i], bundle[WEIGHT + i], room.keys[i], 0.0,
                 )  # fmt: skip
-                ux, uy, uz = move_direction(frames, CAMERA_FRAME, SENSOR_FRAME, dx, dy, dz)
-                importance = -uz / density if density > 0.0 else 0.0
-            if importance <= 0.0:
-                continue
-            weight = area * importance
-            packet.start = weight
-            flow.book[EMITTED] += weight
-            put(flow, station, packet, SENSOR_FRAME, x, y, 0.0, ux, uy, uz, weight, room.keys[i], 0.0)
+
+
+@kernel
+def launch_along_image_path(
+    first_pixel: int, pixels: int, samples: int, stratified: bool, replicate_key: np.uint64, wave: int,
+    sensor: SensorTables, lens: LensTables, array: ArrayTables, aim: Aim, frames: Array,
+    bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow, room: StartRoom,
+) -> None:  # fmt: skip
+    """Do as `launch_adjoint` does, and take the packets through array and lens while they are at hand.
+
+    Parameters
+    ----------
+    bundle, numbers
+        Working memory of `image_path`.
+    """
+    _begin(room, wave, len(lens.surfaces))
+    station = PLATE if array.present else LENS
+    for i in range(STARTS):
+        numbers[i] = i
+    pixel, sample = first_pixel, 0
+    for first in range(0, pixels * samples, STARTS):
+        count = min(STARTS, pixels * samples - first)
+        _draw(room, stratified, replicate_key, pixel, sample, samples, count)
+        pixel, sample = _aim(room, bundle, pixel, sample, samples, count, sensor, array, aim, frames, flow.book)
+        pad(bundle, count)
+        move_bundle(bundle, frames[SENSOR_FRAME, CAMERA_FRAME])
+        follow_block(room.packets, station, False, count, lens, array, frames, bundle, numbers, options, flow)
+
+
+@kernel
+def _begin(room: StartRoom, wave: int, lens_surfaces: int) -> None:
+    """Fill in what all packets of a launch have in common."""
+    for i in range(STARTS):
+        packet = room.packets[i]
+        packet.wave = wave
+        packet.last = NO_SURFACE
+        packet.column = NO_SURFACE
+        packet.facet = NO_SURFACE
+        packet.kind = CAMERA
+        packet.space = lens_surfaces
+
+
+@kernel
+def _aim(
+    room: StartRoom, bundle: Array, pixel: int, sample: int, samples: int, count: int,
+    sensor: SensorTables, array: ArrayTables, aim: Aim, frames: Array, book: Array,
+) -> tuple[int, int]:  # fmt: skip
+    """Leave a block of rays (sensor frame) and their weights in the bundle, from the numbers that were drawn.
+
+    Returns
+    -------
+    pixel, sample : int
+        Of the block that follows.
+    """
+    area = sensor.pixel * sensor.pixel * MM2 / samples
+    # The sensor's normal towards the array.
+    normal = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, -1.0)
+    row, column = pixel // sensor.columns, pixel % sensor.columns
+    for i in range(count):
+        numbers = (
+            room.numbers[PIXEL_U, i], room.numbers[PIXEL_V, i], room.numbers[CELL_U, i],
+            room.numbers[CELL_V, i], room.numbers[DISCRETE, i], room.numbers[WHICH_CELL, i],
+        )  # fmt: skip
+        x = (column - 0.5 * sensor.columns + numbers[PIXEL_U]) * sensor.pixel
+        y = (row - 0.5 * sensor.rows + numbers[PIXEL_V]) * sensor.pixel
+        if array.present:
+            px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
+            dx, dy, dz, importance = _through_a_lenslet(array, aim, normal, room.cells, numbers, px, py, pz)
+            ux, uy, uz = move_direction(frames, ARRAY_FRAME, SENSOR_FRAME, dx, dy, dz)
+        else:
+            # The pupil disks are square to the axis of the lens, whichever way the sensor is tilted.
+            px, py, pz = move_point(frames, SENSOR_FRAME, CAMERA_FRAME, x, y, 0.0)
+            dx, dy, dz, density = aimed(
+                px, py, pz, aim.exit_z, aim.exit_radius, aim.back_z, aim.back_radius,
+                numbers[DISCRETE], numbers[CELL_U], numbers[CELL_V],
+            )  # fmt: skip
+            ux, uy, uz = move_direction(frames, CAMERA_FRAME, SENSOR_FRAME, dx, dy, dz)
+            importance = -uz / density if density > 0.0 else 0.0
+        weight = area * max(importance, 0.0)
+        load(bundle, i, x, y, 0.0, ux, uy, uz, weight)
+        if weight == 0.0:
+            bundle[ENDED_ON + i] = DROPPED
+        book[EMITTED] += weight
+        packet = room.packets[i]
+        packet.source, packet.key, packet.start, packet.events = pixel, room.keys[i], weight, 0
+        sample += 1
+        if sample == samples:
+            pixel, sample = pixel + 1, 0
+            row, column = pixel // sensor.columns, pixel % sensor.columns
+    return pixel, sample
 
 
 @inlined

@@ -15,7 +15,7 @@ from lfmesh.geometry.lattice import cell_of, centre, is_inside, leaves_at, neigh
 from lfmesh.geometry.lenslets import are_alike, border_sag, cap_sag, shape_of, type_of
 from lfmesh.geometry.levels import EXACT, FLAT, PATCH, SMOOTH
 from lfmesh.geometry.surface import conic_distance
-from lfmesh.kernel import kernel
+from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.transport.crossing import (
     ask_again,
@@ -60,7 +60,7 @@ Array = NDArray[np.float64]
 BEFORE, GLASS, BEHIND = 0, 1, 2
 
 
-@kernel
+@inlined
 def leave_array(
     flow: Flow, packet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float,
     weight: float, key: np.uint64, to_lens: bool, lens_surfaces: int,
@@ -70,7 +70,7 @@ def leave_array(
     child.space = lens_surfaces
 
 
-@kernel
+@inlined
 def into_layer(
     options: Options, flow: Flow, frames: Array, array: ArrayTables, packet: Any,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64, space: int,
@@ -161,7 +161,7 @@ def through_plate(
                 into_layer(options, flow, frames, array, packet, x, y, z, ux, uy, uz, to_refracted, key, GLASS)
 
 
-@kernel
+@inlined
 def fold_of(array: ArrayTables, column: int, row: int) -> tuple[float, float]:
     """Return what to take off a position to stand in the Embree cell of a lenslet."""
     cx, cy = centre(array.lenslets.lattice, column, row)
@@ -292,7 +292,7 @@ def _walk(
     child.column, child.row = column, row
 
 
-@kernel
+@inlined
 def _split_at_face(
     options: Options, flow: Flow, frames: Array, array: ArrayTables, lens_surfaces: int,
     packet: Any, t: float, prim: int, nx: float, ny: float, nz: float,

@@ -41,6 +41,14 @@ def empty_bundle() -> Array:
     return room[offset : offset + ROWS * BLOCK]
 
 
+@inlined
+def load(bundle: Array, i: int, x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float) -> None:
+    """Write a ray that has met nothing yet."""
+    bundle[X + i], bundle[Y + i], bundle[Z + i] = x, y, z
+    bundle[DX + i], bundle[DY + i], bundle[DZ + i] = dx, dy, dz
+    bundle[WEIGHT + i], bundle[LEFT_BEHIND + i], bundle[MET + i], bundle[ENDED_ON + i] = weight, 0.0, 0.0, 0.0
+
+
 @kernel
 def pad(bundle: Array, count: int) -> None:
     """Fill what is beyond the last ray with one that has ended."""

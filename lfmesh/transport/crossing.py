@@ -139,7 +139,7 @@ def record(
     return top
 
 
-@kernel
+@inlined
 def end(
     options: Options, flow: Flow, frames: Array, packet: Any, frame: int,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, slot: int, status: int,
@@ -150,7 +150,7 @@ def end(
         _keep_end(options, flow, frames, packet, frame, x, y, z, dx, dy, dz, weight, slot, status)
 
 
-@kernel
+@inlined
 def end_here(options: Options, flow: Flow, frames: Array, packet: Any, slot: int, status: int) -> None:
     """End a packet where it started, unchanged."""
     end(
@@ -226,7 +226,7 @@ def crosses(facet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: 
     return t, along
 
 
-@kernel
+@inlined
 def deposit(options: Options, flow: Flow, pixel: int, wave: int, weight: float) -> None:
     """Add to a pixel: straight into the chunk's film (adjoint) or to the list that is merged in order (forward)."""
     if options.adjoint:
@@ -265,7 +265,7 @@ def ask_again(
         again.aside = 4.0 * FLOAT32_GRAIN * scale * 2.0**packet.tries
 
 
-@kernel
+@inlined
 def too_deep(options: Options, flow: Flow, frames: Array, packet: Any) -> bool:
     """End a packet that has had its share of events."""
     if packet.events < options.max_events:

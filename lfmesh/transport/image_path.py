@@ -4,8 +4,6 @@ It takes the place of the stations of the lens and of the array, in either direc
 reflected, and what total reflection or a lenslet's neighbour turns off the path, is not followed: its power is booked.
 """
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +27,7 @@ from lfmesh.transport.bundle import (
     X,
     Y,
     Z,
+    load,
     move_bundle,
     normalise,
     pad,
@@ -47,6 +46,7 @@ from lfmesh.transport.packet import (
     HOUSING,
     LEFT_LENS,
     NO_SURFACE,
+    OBJECT_FRAME,
     OBJECTS,
     PLATE,
     S_ABSORBED,
@@ -86,30 +86,35 @@ def follow_image_path(
                 move_packet(frames, packet, CAMERA_FRAME)
             if (packet.dz > 0.0) != to_sensor:
                 continue
-            _load(bundle, count, packet)
+            load(
+                bundle, count, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz, packet.weight
+            )  # fmt: skip
             numbers[count] = i
             count += 1
             if count == BLOCK:
-                _follow(wave, station, to_sensor, count, lens, array, frames, bundle, numbers, options, flow)
+                follow_block(wave, station, to_sensor, count, lens, array, frames, bundle, numbers, options, flow)
                 count = 0
         if count > 0:
             pad(bundle, count)
-            _follow(wave, station, to_sensor, count, lens, array, frames, bundle, numbers, options, flow)
+            follow_block(wave, station, to_sensor, count, lens, array, frames, bundle, numbers, options, flow)
 
 
 @kernel
-def _load(bundle: Array, i: int, packet: Any) -> None:
-    bundle[X + i], bundle[Y + i], bundle[Z + i] = packet.x, packet.y, packet.z
-    bundle[DX + i], bundle[DY + i], bundle[DZ + i] = packet.dx, packet.dy, packet.dz
-    bundle[WEIGHT + i], bundle[LEFT_BEHIND + i], bundle[MET + i], bundle[ENDED_ON + i] = packet.weight, 0.0, 0.0, 0.0
-
-
-@kernel
-def _follow(
+def follow_block(
     wave: NDArray[np.void], station: int, to_sensor: bool, count: int, lens: LensTables, array: ArrayTables,
     frames: Array, bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """Take one bundle of rays that go the same way along its path, and hand its packets on."""
+    """Take one bundle of rays (camera frame) that go the same way along its path, and hand its packets on.
+
+    Parameters
+    ----------
+    wave : (n,) PACKET
+        The packets as they were before.
+    count : int
+        Rays in the bundle.
+    numbers : (BLOCK,) int64
+        Which packet of the wave each ray is.
+    """
     colour = wave[numbers[0]].wave
     at_lens = station != PLATE
     if to_sensor:
@@ -131,7 +136,11 @@ def _hand_on(
     options: Options, flow: Flow,
 ) -> None:  # fmt: skip
     """Put the packets that came through on the next stack, and end the others."""
-    station = SENSOR if to_sensor else OBJECTS
+    station, frame = SENSOR, CAMERA_FRAME
+    if not to_sensor:
+        # All at once, before the station takes them one by one.
+        station, frame = OBJECTS, OBJECT_FRAME
+        move_bundle(bundle, frames[CAMERA_FRAME, OBJECT_FRAME])
     left_behind, events = 0.0, 0
     for i in range(count):
         packet = wave[numbers[i]]
@@ -143,7 +152,7 @@ def _hand_on(
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
         weight, ended = bundle[WEIGHT + i], bundle[ENDED_ON + i]
         if ended == 0.0:
-            child = put(flow, station, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, packet.key, 0.0)
+            child = put(flow, station, packet, frame, x, y, z, dx, dy, dz, weight, packet.key, 0.0)
             child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
         elif ended == BESIDE:
             x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
@@ -151,7 +160,7 @@ def _hand_on(
             child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
         elif ended != DROPPED:
             end(
-                options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, int(ended) - 1, S_ABSORBED
+                options, flow, frames, packet, frame, x, y, z, dx, dy, dz, weight, int(ended) - 1, S_ABSORBED
             )  # fmt: skip
     flow.counts[EVENTS] += events
     flow.book[UNFOLLOWED] += left_behind

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.levels import PATCH
-from lfmesh.kernel import kernel
+from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.optics.scattering import lambertian, tangents
 from lfmesh.transport.aiming import aimed
@@ -206,10 +206,11 @@ def shade_objects(
             flow.book[ESCAPED] += scattered
             continue
         packet.events += 1
-        scatter(options, flow, frames, objects, aim, packet, prim, x, y, z, side, scattered)
+        if scattered > 0.0:
+            scatter(options, flow, frames, objects, aim, packet, prim, x, y, z, side, scattered)
 
 
-@kernel
+@inlined
 def _in_its_medium(objects: ObjectTables, packet: Any, prim: int, along: float) -> bool:
     """Tell whether a packet in its medium can meet a facet from that side; −1: whether it can meet nothing at all."""
     if prim < 0:
@@ -221,7 +222,7 @@ def _in_its_medium(objects: ObjectTables, packet: Any, prim: int, along: float) 
     return True
 
 
-@kernel
+@inlined
 def _might_have_met(
     objects: ObjectTables, packet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float
 ) -> bool:
@@ -311,7 +312,7 @@ def _through_glass(
         )  # fmt: skip
 
 
-@kernel
+@inlined
 def texture_at(objects: ObjectTables, prim: int, wave: int, x: float, y: float, z: float) -> float:
     """Return the texture's value (linear light, bilinear, clamped) at a point of a facet; 1 without."""
     body = objects.facets[prim].body
@@ -338,7 +339,7 @@ def texture_at(objects: ObjectTables, prim: int, wave: int, x: float, y: float, 
     return value
 
 
-@kernel
+@inlined
 def _ask_lights(
     objects: ObjectTables, flow: Flow, packet: Any, prim: int,
     x: float, y: float, z: float, side: float, albedo: float,

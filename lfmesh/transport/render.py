@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.scene import Scene
-from lfmesh.transport.adjoint import launch_adjoint
+from lfmesh.transport.adjoint import launch_adjoint, launch_along_image_path
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.forward import launch_forward
@@ -239,10 +239,18 @@ class Renderer:
         tables = self.world.tables
         if self.adjoint:
             space.begin(film[chunk.first : chunk.first + chunk.count], chunk.first)
-            launch_adjoint(
-                chunk.first, chunk.count, self.samples, self.stratified, key, chunk.wave, tables.sensor, tables.array,
-                tables.aim, tables.frames, len(tables.lens.surfaces), space.flow(), space.start,
-            )  # fmt: skip
+            if self.options.sequential:
+                launch_along_image_path(
+                    chunk.first, chunk.count, self.samples, self.stratified, key, chunk.wave, tables.sensor,
+                    tables.lens, tables.array, tables.aim, tables.frames, space.bundle, space.numbers, space.options,
+                    space.flow(), space.start,
+                )  # fmt: skip
+            else:
+                launch_adjoint(
+                    chunk.first, chunk.count, self.samples, self.stratified, key, chunk.wave, tables.sensor,
+                    tables.array, tables.aim, tables.frames, len(tables.lens.surfaces), space.bundle, space.flow(),
+                    space.start,
+                )  # fmt: skip
         else:
             space.begin(film[:0])
             if len(tables.objects.sources):

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice, cell_of, centre
-from lfmesh.geometry.lenslets import type_of
 from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.scattering import lambertian
-from lfmesh.transport.aiming import WIDE_SHARE, aimed
+from lfmesh.transport.aiming import aimed
 from lfmesh.transport.object_region import MM2
 from lfmesh.transport.packet import (
     ARRAY_FRAME,
@@ -85,10 +84,11 @@ def start_room(aim: Aim) -> StartRoom:
 
 @kernel
 def _draw(
-    room: StartRoom, stratified: bool, replicate_key: np.uint64, pixel: int, sample: int, samples: int, count: int
-) -> None:
+    room: StartRoom, stratified: bool, replicate_key: np.uint64, pixels: NDArray[np.int64], which: int, sample: int,
+    samples: int, count: int,
+) -> None:  # fmt: skip
     """Draw the numbers of `count` samples from a pixel's sample on: of the pixels' own Sobol' sets, or by chance."""
-    pixel_key = derived(replicate_key, pixel)
+    pixel_key = derived(replicate_key, pixels[which])
     for i in range(count):
         room.keys[i] = derived(pixel_key, sample)
         if stratified:
@@ -105,8 +105,9 @@ def _draw(
                 room.numbers[dimension, i] = start(room.keys[i], dimension)
         sample += 1
         if sample == samples:
-            pixel, sample = pixel + 1, 0
-            pixel_key = derived(replicate_key, pixel)
+            which, sample = which + 1, 0
+            # After the last pixel of the run none is drawn for; the first stands in.
+            pixel_key = derived(replicate_key, pixels[which % len(pixels)])
     if stratified:
         for dimension in range(len(room.seeds)):
             scramble(room.points[dimension], room.scrambling[dimension], room.numbers[dimension])
@@ -114,14 +115,16 @@ def _draw(
 
 @kernel
 def launch_adjoint(
-    first_pixel: int, pixels: int, samples: int, stratified: bool, replicate_key: np.uint64, wave: int,
+    pixels: NDArray[np.int64], samples: int, stratified: bool, replicate_key: np.uint64, wave: int,
     sensor: SensorTables, array: ArrayTables, aim: Aim, frames: Array, lens_surfaces: int,
     flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
-    """Start `samples` packets from each of a run of pixels.
+    """Start `samples` packets from each of some pixels.
 
     Parameters
     ----------
+    pixels : (n,) int64
+        Their numbers, row by row.
     stratified : bool
         Start from scrambled Sobol' points in place of random ones.
     """
@@ -137,16 +140,17 @@ def launch_adjoint(
     station = PLATE if array.present else LENS
     # The sensor's normal towards the array.
     normal = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, -1.0)
-    pixel, sample = first_pixel, 0
-    for first in range(0, pixels * samples, STARTS):
-        count = min(STARTS, pixels * samples - first)
-        _draw(room, stratified, replicate_key, pixel, sample, samples, count)
+    which, sample = 0, 0
+    for first in range(0, len(pixels) * samples, STARTS):
+        count = min(STARTS, len(pixels) * samples - first)
+        _draw(room, stratified, replicate_key, pixels, which, sample, samples, count)
         for i in range(count):
+            pixel = pixels[which]
             row, column = pixel // sensor.columns, pixel % sensor.columns
             packet.source = pixel
             sample += 1
             if sample == samples:
-                pixel, sample = pixel + 1, 0
+                which, sample = which + 1, 0
             numbers = (
                 room.numbers[PIXEL_U, i], room.numbers[PIXEL_V, i], room.numbers[CELL_U, i],
                 room.numbers[CELL_V, i], room.numbers[DISCRETE, i], room.numbers[WHICH_CELL, i],
@@ -161,7 +165,7 @@ def launch_adjoint(
                 # The pupil disks are square to the axis of the lens, whichever way the sensor is tilted.
                 px, py, pz = move_point(frames, SENSOR_FRAME, CAMERA_FRAME, x, y, 0.0)
                 dx, dy, dz, density = aimed(
-                    px, py, pz, aim.exit_z, aim.exit_radius, aim.back_z, aim.back_radius,
+                    px, py, pz, aim.exit, aim.back_radius, aim.wide_share, aim.blind_share,
                     numbers[DISCRETE], numbers[CELL_U], numbers[CELL_V],
                 )  # fmt: skip
                 ux, uy, uz = move_direction(frames, CAMERA_FRAME, SENSOR_FRAME, dx, dy, dz)
@@ -178,27 +182,21 @@ def launch_adjoint(
 def _cells_that_show_pupil(
     array: ArrayTables, aim: Aim, x: float, y: float, distance: float, cells: NDArray[np.int64]
 ) -> int:
-    """List the lenslets that show (part of) the exit pupil to a point of the sensor, paraxially; return how many.
-
-    A ray from x through the lenslet's point c + u leaves it with slope (c + u − x)/d − φ u and meets the pupil plane,
-    1/κ away, at a slope κ (c + u − pupil) + (c − x)/d + (1/d − φ) u off the pupil's middle.
-    """
-    lenslets = array.lenslets
-    lattice = lenslets.lattice
+    """List the lenslets that show (part of) the lens's opening to a point of the sensor; return how many."""
+    lattice = array.lenslets.lattice
     kappa, over = aim.pupil_vergence, 1.0 / distance
     total = kappa + over
-    # The pupil's middle as seen through the array, and the slope there that a cell's centre is held against.
-    ax, ay = kappa * aim.pupil_x + over * x, kappa * aim.pupil_y + over * y
-    column, row = cell_of(lattice, ax / total, ay / total)
+    # Where the chief ray meets the array.
+    column, row = cell_of(lattice, (kappa * aim.pupil_x + over * x) / total, (kappa * aim.pupil_y + over * y) / total)
     count = 0
     for r in range(max(row - aim.search, 0), min(row + aim.search + 1, lattice.rows)):
         for c in range(max(column - aim.search, 0), min(column + aim.search + 1, lattice.columns)):
             cx, cy = centre(lattice, c, r)
-            a, b = total * cx - ax, total * cy - ay
-            limit = aim.pupil_slope + abs(total - aim.lenslet_power[type_of(lenslets, c, r)]) * aim.circumradius
+            cell = r * lattice.columns + c
+            a, b = (cx - x) * over - aim.slope[cell, 0], (cy - y) * over - aim.slope[cell, 1]
             # Without a branch, which would be guessed wrong every other time.
             cells[count, 0], cells[count, 1] = c, r
-            count += a * a + b * b <= limit * limit
+            count += a * a + b * b <= aim.slope_radius2[cell]
     return count
 
 
@@ -210,7 +208,8 @@ def _through_a_lenslet(
     """Return a direction (array frame) from a point of the sensor, and cos θ over its density.
 
     Uniform over the cells that show the pupil to the point, mixed with a few directions from the whole hemisphere, for
-    ghosts, stray light and the pupil's aberrations. The cells are aimed at where the sensor sees their apexes, through
+    ghosts, stray light and what the measured opening leaves out; a point to which no cell shows the opening sends only
+    those. The cells are aimed at where the sensor sees their apexes, through
     the plate; their faces lie deeper at the border, so the aimed cells are a margin larger.
     """
     lattice = array.lenslets.lattice
@@ -218,10 +217,12 @@ def _through_a_lenslet(
     distance = abs(z - aim.lenslet_z)
     toward = -1.0 if array.curved_to_lens else 1.0
     count = _cells_that_show_pupil(array, aim, x, y, distance, cells)
-    wide = 1.0 if count == 0 else WIDE_SHARE
+    wide = aim.blind_share if count == 0 else aim.wide_share
     size = lattice.pitch + 2.0 * aim.cell_margin
     if numbers[DISCRETE] < wide:
         dx, dy, dz = lambertian(nx, ny, nz, numbers[CELL_U], numbers[CELL_V])
+    elif count == 0:
+        return 0.0, 0.0, 0.0, 0.0
     else:
         chosen = min(int(numbers[WHICH_CELL] * count), count - 1)
         cx, cy = centre(lattice, cells[chosen, 0], cells[chosen, 1])

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 LEVEL = 1e-3
 """Chance that a statistical test fails though the law holds; shared by its comparisons (Bonferroni)."""
 
-RUNS = 96
+RUNS = 72
 
 SCENE: dict[str, Any] = {
     "camera": {
@@ -59,7 +59,7 @@ def adaptive_runs() -> tuple[Array, Array]:
 @pytest.fixture(scope="module")
 def truth() -> tuple[Array, Array]:
     """Return a long render without adaptive sampling, and its standard error."""
-    image = lf.render(scene(samples=1 << 15, replicates=16, target_error=None, seed=10**6))
+    image = lf.render(scene(samples=1 << 12, replicates=16, target_error=None, seed=10**6))
     return image.mean[..., 0], image.stderr[..., 0]
 
 
@@ -100,7 +100,7 @@ def test_the_stated_error_is_the_scatter(adaptive_runs: tuple[Array, Array]) -> 
     means, stderr = adaptive_runs
     claimed, found = (stderr**2).mean(axis=0), means.var(axis=0, ddof=1)
     bright = means.mean(axis=0) > 0.25 * means.mean()
-    excess = ((found - claimed) / claimed)[bright]
+    excess = (found[bright] - claimed[bright]) / claimed[bright]
     # An error bar that is 10 % off makes an excess of 20 %, which would be seen.
     assert stats.sem(excess) < 0.04
     assert stats.ttest_1samp(excess, 0.0).pvalue > LEVEL
@@ -120,32 +120,37 @@ def test_a_pixels_own_first_stage_does_not_decide_its_second() -> None:
         assert (after != before).any()
 
 
+def small_target(**transport: Any) -> lf.Scene:
+    """A conventional camera whose view is dark but for a small bright square in its middle."""
+    square = SCENE["targets"][0] | {"shape": {"kind": "plane", "width_mm": 3.0, "height_mm": 3.0}}
+    sensor = {"pixels": [40, 40], "pixel_mm": 0.1}
+    return scene(**transport).changed(
+        {"camera.mla": None, "camera.sensor": sensor, "camera.sensor.distance_mm": None, "targets": [square]}
+    )
+
+
 def test_noisy_pixels_get_the_samples_and_dark_ones_none() -> None:
-    world = lf.build(scene(samples=64, max_samples=4096))
-    first = Renderer(lf.build(scene(samples=64, target_error=None))).image()
-    levels, _ = adaptive.second_stage(first.mean, first.stderr**2, world.scene)
-    long = lf.render(scene(samples=4096, replicates=16, target_error=None, seed=7))
-    noise = long.stderr[..., 0] / np.maximum(long.mean[..., 0], 0.05 * long.mean.max())
-    lit = long.mean[..., 0] > 0.0
-    surely_dark = np.ones_like(lit)
-    for step_row in range(-6, 7):
-        for step_column in range(-6, 7):
-            surely_dark &= ~np.roll(lit, (step_row, step_column), (0, 1))
-    assert surely_dark.any()
-    assert (levels[surely_dark] == 0).all()
-    assert stats.spearmanr(noise[lit], levels[lit]).statistic > 0.5
+    first = lf.render(small_target(samples=64, replicates=8, target_error=None))
+    levels, _ = adaptive.second_stage(first.mean, first.stderr**2, small_target(samples=64, replicates=8))
+    lit = first.mean[..., 0] > 0.0
+    reached = np.zeros_like(lit)
+    for row, column in (*adaptive.RING, (0, 0)):
+        reached |= np.roll(lit, (row, column), (0, 1))
+    assert lit.mean() < 0.5
+    assert (levels[~reached] == 0).all()
+    noise = np.divide(first.stderr, first.mean, out=np.zeros_like(first.mean), where=first.mean > 0.0)[..., 0]
+    assert levels[noise > 0.2].mean() > levels[lit & (noise < 0.05)].mean() + 1.0
 
 
 def test_the_wished_error_is_reached_with_fewer_samples_than_alike_everywhere() -> None:
-    """Nine in ten lit pixels are known as wished; as many samples spread evenly leave more of them above it."""
-    image = lf.render(scene(samples=32, target_error=0.05, max_samples=1 << 14))
+    """Four in five lit pixels are known as wished; as many samples spread evenly leave more of them above it."""
+    image = lf.render(small_target(samples=32, target_error=0.02, max_samples=1 << 14))
     assert image.refinement is not None
-    even = 4 * round(image.samples / 4)
-    alike = lf.render(scene(samples=even, target_error=None))
+    alike = lf.render(small_target(samples=4 * round(image.samples / 4), target_error=None))
     lit = image.mean > 0.05 * np.percentile(image.mean[image.mean > 0.0], 99.0)
-    reached, evenly = ((i.stderr[lit] / i.mean[lit] <= 0.05).mean() for i in (image, alike))
-    assert reached >= 0.9
-    assert reached > evenly
+    above, evenly = ((i.stderr[lit] / i.mean[lit] > 0.02).mean() for i in (image, alike))
+    assert above <= 0.2
+    assert above < 0.5 * evenly
 
 
 def test_no_pixel_gets_more_than_the_cap() -> None:

@@ -1,4 +1,4 @@
-"""Adaptive sampling: unbiased, its error bars honest, its effort where the noise is, and none of it where all is dark."""
+"""Adaptive sampling: unbiased, its error bars honest, its effort where the noise is, and none where all is dark."""
 
 from typing import Any
 

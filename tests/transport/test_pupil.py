@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 LEVEL = 1e-3
 """Chance that a scene fails though the law holds, shared by its comparisons (Bonferroni)."""
 
-REPLICATES = 24
+REPLICATES = 20
 
 # The stop is far from both elements, whose rims cut every oblique bundle.
 VIGNETTED = {
@@ -36,7 +36,7 @@ SQUARE = {"layout": "square", "count": [14, 14], "pitch_mm": 0.6, "focal_length_
           "thickness_mm": 0.5}  # fmt: skip
 HEXAGONAL = SQUARE | {"layout": "hexagonal", "count": [14, 16], "focal_length_mm": [2.1, 2.4, 2.8],
                       "curved_side": "sensor"}  # fmt: skip
-TILTED = SQUARE | {"pose": {"tilt_deg": [5.0, -4.0, 2.0], "shift_mm": [0.1, -0.1, 0.1]}}
+TILTED = SQUARE | {"pose": {"tilt_deg": [1.0, -0.8, 2.0], "shift_mm": [0.1, -0.1, 0.1]}}
 
 
 def scene(mla: dict[str, Any] | None, **transport: Any) -> lf.Scene:
@@ -64,7 +64,7 @@ def uniform(aim: Aim) -> Aim:
         entrance=unknown_opening(aim.entrance.plane_z, to_sensor=True),
         exit=unknown_opening(aim.exit.plane_z, to_sensor=False),
         slope_radius2=np.full_like(aim.slope_radius2, np.inf),
-        search=3,
+        search=2,
         wide_share=0.1,
         blind_share=1.0,
     )
@@ -112,7 +112,7 @@ def p_of_difference(one: Array, other: Array) -> float:
 def test_aimed_rays_bring_what_rays_to_everywhere_bring(name: str, method: str) -> None:
     here = scene(CAMERAS[name], method=method)
     # Rays to everywhere mostly miss; more of them make up for it.
-    everywhere = images(here.changed({"transport.samples": 256}), 1000, uniform)
+    everywhere = images(here.changed({"transport.samples": 128}), 1000, uniform)
     assert p_of_difference(images(here, 0), everywhere) > LEVEL
     assert p_of_difference(images(here, 0, shrunk), everywhere) < LEVEL
 

@@ -79,6 +79,10 @@ class Overrides:
     samples: Annotated[Whole | None, Parameter(help="Samples per pixel, in all; 4 times as many halve the noise.")] = (
         None
     )
+    target_error: Annotated[
+        float | None, Parameter(help="Relative standard error up to which noisy pixels get more samples, as 0.05.")
+    ] = None
+    max_samples: Annotated[Whole | None, Parameter(help="With --target-error: per pixel, in all, at most.")] = None
     method: Annotated[
         Literal["adjoint", "forward"] | None,
         Parameter(help="adjoint: from the sensor to the light; forward: from the light to the sensor."),

@@ -24,6 +24,7 @@ from lfmesh.files.lenslets import lenslet_means, paint
 from lfmesh.files.preview import write_linear16, write_preview
 from lfmesh.geometry.lattice import Lattice
 from lfmesh.scene import Scene, first_order
+from lfmesh.transport.adaptive import Refinement
 from lfmesh.transport.image import Image
 from lfmesh.transport.ledger import Ledger
 
@@ -146,6 +147,7 @@ def open_run(folder: str | os.PathLike[str]) -> Image:
         replicates=metadata["replicates_finished"],
         samples=metadata["samples_per_pixel"],
         engine=metadata["engine"],
+        refinement=Refinement(**metadata["refinement"]) if metadata.get("refinement") else None,
     )
 
 
@@ -262,6 +264,7 @@ def _metadata(image: Image, pixels_sha256: str, home: Path) -> dict[str, Any]:
         "replicates": transport.replicates,
         "replicates_finished": image.replicates,
         "samples_per_pixel": image.samples,
+        "refinement": asdict(image.refinement) if image.refinement else None,
         "seconds": image.seconds,
         "ledger": image.ledger.as_dict(),
         "pixels_sha256": pixels_sha256,

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lfmesh.transport.adaptive import Refinement
 from lfmesh.transport.image import Image
 from lfmesh.transport.ledger import Ledger
 
@@ -122,6 +123,9 @@ def _noise_lines(image: Image, measured: Noise) -> list[str]:
         lines.append(
             f"Interrupted: {image.replicates} of {transport.replicates} replicates were finished,"
             f" {image.samples:g} samples a pixel."
+            if image.refinement is None
+            else f"Interrupted: {image.refinement.replicates} of {transport.replicates} replicates of the second stage"
+            f" were finished, {image.samples:.3g} samples a pixel in all."
         )
     if measured.received_share == 0.0:
         return [*lines, "The picture is black: no light reached the sensor."]
@@ -136,7 +140,22 @@ def _noise_lines(image: Image, measured: Noise) -> list[str]:
         " (one standard error);"
         f" 4 times the samples, {4 * image.samples:g} a pixel, would halve that."
     )
+    if image.refinement is not None:
+        lines.append(_refined(image.refinement))
     return lines
+
+
+def _refined(refinement: Refinement) -> str:
+    line = (
+        f"Samples: {refinement.samples:.3g} a pixel on average; for a standard error of"
+        f" {percent(refinement.target_error)} {percent(refinement.refined_share)} of the pixels got more"
+    )
+    if refinement.capped_share > 0.0:
+        line += (
+            f", and {percent(refinement.capped_share)} would have needed more than max_samples ="
+            f" {refinement.max_samples}"
+        )
+    return f"{line}."
 
 
 def _ends(image: Image) -> list[tuple[str, float]]:

@@ -45,6 +45,10 @@ class Transport(Model):
     """Adjoint: per pixel, in all replicates; forward: packets in all = samples · pixels."""
     replicates: Count = 8
     """Independent randomisations that share the samples; their spread is the standard error."""
+    target_error: Annotated[Positive, Field(lt=1)] | None = None
+    """Adjoint: relative standard error (no unit) up to which pixels get more than `samples`, in a second stage."""
+    max_samples: Count = 4096
+    """With `target_error`: per pixel, in all, at most."""
     max_events: Annotated[Count, Field(le=MOST_EVENTS)] = 64
     """Surfaces a packet may meet before it is cut."""
     weight_cutoff: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.3
@@ -72,5 +76,24 @@ class Transport(Model):
                 self.samples,
                 f"must be a multiple of replicates = {self.replicates}: give {valid}",
             )
+        if self.target_error is not None:
+            yield from self._unfit_for_refinement(self.target_error)
         if len(set(self.wavelengths_nm)) < len(self.wavelengths_nm):
             yield Fault(("wavelengths_nm",), list(self.wavelengths_nm), "must not hold a wavelength twice")
+
+    def _unfit_for_refinement(self, target_error: float) -> Iterator[Fault]:
+        """Yield what keeps pixels from being sampled to a target error."""
+        if self.method == "forward":
+            yield Fault(
+                ("target_error",),
+                target_error,
+                'needs method = "adjoint": forward, no pixel can be given samples of its own',
+            )
+        if self.replicates < 2:
+            yield Fault(
+                ("replicates",), self.replicates, "must be 2 or more with target_error: their spread is the error"
+            )
+        if self.max_samples < self.samples:
+            yield Fault(
+                ("max_samples",), self.max_samples, f"must not be below samples = {self.samples}, which all pixels get"
+            )

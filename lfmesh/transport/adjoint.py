@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice, cell_of, centre
-from lfmesh.geometry.lenslets import type_of
 from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.scattering import lambertian
-from lfmesh.transport.aiming import WIDE_SHARE, aimed
+from lfmesh.transport.aiming import aimed
 from lfmesh.transport.bundle import (
     BLOCK,
     DROPPED,
@@ -62,6 +61,9 @@ PIXEL_U, PIXEL_V, CELL_U, CELL_V, DISCRETE, WHICH_CELL = 0, 1, 2, 3, 4, 5
 STARTS = BLOCK
 """Samples whose numbers are drawn together: a bundle of the sequential engine."""
 
+HALF_DIAGONAL = 0.72
+"""Of a pixel, with a margin, in its width: how far from its middle a path may start."""
+
 Numbers = tuple[float, float, float, float, float, float]
 """What a path starts from, in [0, 1): place in the pixel, point of the lenslet (or pupil), which of them."""
 
@@ -81,13 +83,15 @@ class StartRoom(NamedTuple):
     scrambling: NDArray[np.uint32]  # (6, STARTS)
     numbers: Array  # (6, STARTS) what each sample starts from
     keys: NDArray[np.uint64]  # (STARTS,)
-    cells: NDArray[np.int64]  # (most + 1, 2) column and row of the lenslets that show the pupil to a point
+    near: Array  # (most + 1, 5) lenslets that show the lens's opening to some point of a pixel, see `_list_cells`
+    cells: NDArray[np.int64]  # (most + 1,) those of them that show it to the point
     packets: NDArray[np.void]  # (STARTS,) PACKET
 
 
 def start_room(aim: Aim) -> StartRoom:
     """Return the memory in which paths are started."""
     table = (WHICH_CELL + 1, STARTS)
+    most = (2 * aim.search + 1) ** 2
     return StartRoom(
         np.zeros(table[0], np.uint32),
         np.zeros(table[0], np.uint32),
@@ -95,17 +99,19 @@ def start_room(aim: Aim) -> StartRoom:
         np.zeros(table, np.uint32),
         np.zeros(table),
         np.zeros(STARTS, np.uint64),
-        np.zeros(((2 * aim.search + 1) ** 2 + 1, 2), np.int64),
+        np.zeros((most + 1, 5)),
+        np.zeros(most + 1, np.int64),
         np.zeros(STARTS, PACKET),
     )
 
 
 @kernel
 def _draw(
-    room: StartRoom, stratified: bool, replicate_key: np.uint64, pixel: int, sample: int, samples: int, count: int
-) -> None:
+    room: StartRoom, stratified: bool, replicate_key: np.uint64, pixels: NDArray[np.int64], which: int, sample: int,
+    samples: int, count: int,
+) -> None:  # fmt: skip
     """Draw the numbers of `count` samples from a pixel's sample on: of the pixels' own Sobol' sets, or by chance."""
-    pixel_key = derived(replicate_key, pixel)
+    pixel_key = derived(replicate_key, pixels[which])
     for i in range(count):
         room.keys[i] = derived(pixel_key, sample)
         if stratified:
@@ -122,8 +128,9 @@ def _draw(
                 room.numbers[dimension, i] = start(room.keys[i], dimension)
         sample += 1
         if sample == samples:
-            pixel, sample = pixel + 1, 0
-            pixel_key = derived(replicate_key, pixel)
+            which, sample = which + 1, 0
+            # After the last pixel of the run none is drawn for; the first stands in.
+            pixel_key = derived(replicate_key, pixels[which % len(pixels)])
     if stratified:
         for dimension in range(len(room.seeds)):
             scramble(room.points[dimension], room.scrambling[dimension], room.numbers[dimension])
@@ -131,24 +138,26 @@ def _draw(
 
 @kernel
 def launch_adjoint(
-    first_pixel: int, pixels: int, samples: int, stratified: bool, replicate_key: np.uint64, wave: int,
+    pixels: NDArray[np.int64], samples: int, stratified: bool, replicate_key: np.uint64, wave: int,
     sensor: SensorTables, array: ArrayTables, aim: Aim, frames: Array, lens_surfaces: int,
     bundle: Array, flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
-    """Start `samples` packets from each of a run of pixels.
+    """Start `samples` packets from each of some pixels.
 
     Parameters
     ----------
+    pixels : (n,) int64
+        Their numbers, row by row.
     stratified : bool
         Start from scrambled Sobol' points in place of random ones.
     """
     _begin(room, wave, lens_surfaces)
     station = PLATE if array.present else LENS
-    pixel, sample = first_pixel, 0
-    for first in range(0, pixels * samples, STARTS):
-        count = min(STARTS, pixels * samples - first)
-        _draw(room, stratified, replicate_key, pixel, sample, samples, count)
-        pixel, sample = _aim(room, bundle, pixel, sample, samples, count, sensor, array, aim, frames, flow.book)
+    which, sample = 0, 0
+    for first in range(0, len(pixels) * samples, STARTS):
+        count = min(STARTS, len(pixels) * samples - first)
+        _draw(room, stratified, replicate_key, pixels, which, sample, samples, count)
+        which, sample = _aim(room, bundle, pixels, which, sample, samples, count, sensor, array, aim, frames, flow.book)
         for i in range(count):
             if bundle[ENDED_ON + i] == 0.0:
                 put(
@@ -159,7 +168,7 @@ def launch_adjoint(
 
 @kernel
 def launch_along_image_path(
-    first_pixel: int, pixels: int, samples: int, stratified: bool, replicate_key: np.uint64, wave: int,
+    pixels: NDArray[np.int64], samples: int, stratified: bool, replicate_key: np.uint64, wave: int,
     sensor: SensorTables, lens: LensTables, array: ArrayTables, aim: Aim, frames: Array,
     bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
@@ -174,11 +183,11 @@ def launch_along_image_path(
     station = PLATE if array.present else LENS
     for i in range(STARTS):
         numbers[i] = i
-    pixel, sample = first_pixel, 0
-    for first in range(0, pixels * samples, STARTS):
-        count = min(STARTS, pixels * samples - first)
-        _draw(room, stratified, replicate_key, pixel, sample, samples, count)
-        pixel, sample = _aim(room, bundle, pixel, sample, samples, count, sensor, array, aim, frames, flow.book)
+    which, sample = 0, 0
+    for first in range(0, len(pixels) * samples, STARTS):
+        count = min(STARTS, len(pixels) * samples - first)
+        _draw(room, stratified, replicate_key, pixels, which, sample, samples, count)
+        which, sample = _aim(room, bundle, pixels, which, sample, samples, count, sensor, array, aim, frames, flow.book)
         pad(bundle, count)
         move_bundle(bundle, frames[SENSOR_FRAME, CAMERA_FRAME])
         follow_block(room.packets, station, False, count, lens, array, frames, bundle, numbers, options, flow)
@@ -199,36 +208,46 @@ def _begin(room: StartRoom, wave: int, lens_surfaces: int) -> None:
 
 @kernel
 def _aim(
-    room: StartRoom, bundle: Array, pixel: int, sample: int, samples: int, count: int,
+    room: StartRoom, bundle: Array, pixels: NDArray[np.int64], which: int, sample: int, samples: int, count: int,
     sensor: SensorTables, array: ArrayTables, aim: Aim, frames: Array, book: Array,
 ) -> tuple[int, int]:  # fmt: skip
     """Leave a block of rays (sensor frame) and their weights in the bundle, from the numbers that were drawn.
 
     Returns
     -------
-    pixel, sample : int
-        Of the block that follows.
+    which, sample : int
+        Pixel of the run, and its sample, with which the next block begins.
     """
     area = sensor.pixel * sensor.pixel * MM2 / samples
     # The sensor's normal towards the array.
     normal = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, -1.0)
-    row, column = pixel // sensor.columns, pixel % sensor.columns
+    near, begun = 0, -1
+    column, row = 0.0, 0.0
     for i in range(count):
+        pixel = pixels[which]
+        if which != begun:
+            begun = which
+            column, row = pixel % sensor.columns - 0.5 * sensor.columns, pixel // sensor.columns - 0.5 * sensor.rows
+            if array.present:
+                x, y = (column + 0.5) * sensor.pixel, (row + 0.5) * sensor.pixel
+                px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
+                near = _list_cells(array, aim, px, py, pz, HALF_DIAGONAL * sensor.pixel, room.near)
         numbers = (
             room.numbers[PIXEL_U, i], room.numbers[PIXEL_V, i], room.numbers[CELL_U, i],
             room.numbers[CELL_V, i], room.numbers[DISCRETE, i], room.numbers[WHICH_CELL, i],
         )  # fmt: skip
-        x = (column - 0.5 * sensor.columns + numbers[PIXEL_U]) * sensor.pixel
-        y = (row - 0.5 * sensor.rows + numbers[PIXEL_V]) * sensor.pixel
+        x, y = (column + numbers[PIXEL_U]) * sensor.pixel, (row + numbers[PIXEL_V]) * sensor.pixel
         if array.present:
             px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
-            dx, dy, dz, importance = _through_a_lenslet(array, aim, normal, room.cells, numbers, px, py, pz)
+            dx, dy, dz, importance = _through_a_lenslet(
+                array, aim, normal, room.near, near, room.cells, numbers, px, py, pz
+            )  # fmt: skip
             ux, uy, uz = move_direction(frames, ARRAY_FRAME, SENSOR_FRAME, dx, dy, dz)
         else:
             # The pupil disks are square to the axis of the lens, whichever way the sensor is tilted.
             px, py, pz = move_point(frames, SENSOR_FRAME, CAMERA_FRAME, x, y, 0.0)
             dx, dy, dz, density = aimed(
-                px, py, pz, aim.exit_z, aim.exit_radius, aim.back_z, aim.back_radius,
+                px, py, pz, aim.exit, aim.back_radius, aim.wide_share, aim.blind_share,
                 numbers[DISCRETE], numbers[CELL_U], numbers[CELL_V],
             )  # fmt: skip
             ux, uy, uz = move_direction(frames, CAMERA_FRAME, SENSOR_FRAME, dx, dy, dz)
@@ -242,62 +261,77 @@ def _aim(
         packet.source, packet.key, packet.start, packet.events = pixel, room.keys[i], weight, 0
         sample += 1
         if sample == samples:
-            pixel, sample = pixel + 1, 0
-            row, column = pixel // sensor.columns, pixel % sensor.columns
-    return pixel, sample
+            which, sample = which + 1, 0
+    return which, sample
 
 
 @inlined
-def _cells_that_show_pupil(
-    array: ArrayTables, aim: Aim, x: float, y: float, distance: float, cells: NDArray[np.int64]
-) -> int:
-    """List the lenslets that show (part of) the exit pupil to a point of the sensor, paraxially; return how many.
+def _list_cells(array: ArrayTables, aim: Aim, x: float, y: float, z: float, reach: float, near: Array) -> int:
+    """List the lenslets that show (part of) the lens's opening to a point of the sensor or one within reach of it.
 
-    A ray from x through the lenslet's point c + u leaves it with slope (c + u − x)/d − φ u and meets the pupil plane,
-    1/κ away, at a slope κ (c + u − pupil) + (c − x)/d + (1/d − φ) u off the pupil's middle.
+    Returns
+    -------
+    int
+        How many; `near` has a row for each: its centre, and the middle and the radius of the opening as it sees it.
     """
-    lenslets = array.lenslets
-    lattice = lenslets.lattice
-    kappa, over = aim.pupil_vergence, 1.0 / distance
-    total = kappa + over
-    # The pupil's middle as seen through the array, and the slope there that a cell's centre is held against.
-    ax, ay = kappa * aim.pupil_x + over * x, kappa * aim.pupil_y + over * y
-    column, row = cell_of(lattice, ax / total, ay / total)
+    lattice = array.lenslets.lattice
+    over = 1.0 / abs(z - aim.lenslet_z)
+    kappa = aim.pupil_vergence
+    # Where the chief ray meets the array.
+    column, row = cell_of(
+        lattice, (kappa * aim.pupil_x + over * x) / (kappa + over), (kappa * aim.pupil_y + over * y) / (kappa + over)
+    )
     count = 0
     for r in range(max(row - aim.search, 0), min(row + aim.search + 1, lattice.rows)):
         for c in range(max(column - aim.search, 0), min(column + aim.search + 1, lattice.columns)):
+            cell = r * lattice.columns + c
+            radius2 = aim.slope_radius2[cell]
             cx, cy = centre(lattice, c, r)
-            a, b = total * cx - ax, total * cy - ay
-            limit = aim.pupil_slope + abs(total - aim.lenslet_power[type_of(lenslets, c, r)]) * aim.circumradius
+            a, b = (cx - x) * over - aim.slope[cell, 0], (cy - y) * over - aim.slope[cell, 1]
+            limit = np.sqrt(max(radius2, 0.0)) + reach * over
             # Without a branch, which would be guessed wrong every other time.
-            cells[count, 0], cells[count, 1] = c, r
-            count += a * a + b * b <= limit * limit
+            near[count, 0], near[count, 1] = cx, cy
+            near[count, 2], near[count, 3], near[count, 4] = aim.slope[cell, 0], aim.slope[cell, 1], radius2
+            count += a * a + b * b <= limit * limit and radius2 >= 0.0
     return count
 
 
 @inlined
 def _through_a_lenslet(
-    array: ArrayTables, aim: Aim, normal: tuple[float, float, float], cells: NDArray[np.int64], numbers: Numbers,
-    x: float, y: float, z: float,
+    array: ArrayTables, aim: Aim, normal: tuple[float, float, float], near: Array, listed: int,
+    cells: NDArray[np.int64], numbers: Numbers, x: float, y: float, z: float,
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """Return a direction (array frame) from a point of the sensor, and cos θ over its density.
 
     Uniform over the cells that show the pupil to the point, mixed with a few directions from the whole hemisphere, for
-    ghosts, stray light and the pupil's aberrations. The cells are aimed at where the sensor sees their apexes, through
-    the plate; their faces lie deeper at the border, so the aimed cells are a margin larger.
+    ghosts, stray light and what the measured opening leaves out; a point to which no cell shows the opening sends only
+    those. The cells are aimed at where the sensor sees their apexes, through the plate; their faces lie deeper at the
+    border, so the aimed cells are a margin larger.
+
+    Parameters
+    ----------
+    near, listed
+        Lenslets that may show the opening, and how many, from `_list_cells`.
     """
     lattice = array.lenslets.lattice
     nx, ny, nz = normal
     distance = abs(z - aim.lenslet_z)
     toward = -1.0 if array.curved_to_lens else 1.0
-    count = _cells_that_show_pupil(array, aim, x, y, distance, cells)
-    wide = 1.0 if count == 0 else WIDE_SHARE
+    over = 1.0 / distance
+    count = 0
+    for cell in range(listed):
+        a, b = (near[cell, 0] - x) * over - near[cell, 2], (near[cell, 1] - y) * over - near[cell, 3]
+        cells[count] = cell
+        count += a * a + b * b <= near[cell, 4]
+    wide = aim.blind_share if count == 0 else aim.wide_share
     size = lattice.pitch + 2.0 * aim.cell_margin
     if numbers[DISCRETE] < wide:
         dx, dy, dz = lambertian(nx, ny, nz, numbers[CELL_U], numbers[CELL_V])
+    elif count == 0:
+        return 0.0, 0.0, 0.0, 0.0
     else:
         chosen = min(int(numbers[WHICH_CELL] * count), count - 1)
-        cx, cy = centre(lattice, cells[chosen, 0], cells[chosen, 1])
+        cx, cy = near[cells[chosen], 0], near[cells[chosen], 1]
         u, v = _point_of_cell(lattice.hexagonal, numbers[CELL_U], numbers[CELL_V])
         dx, dy, dz = cx + u * size - x, cy + v * size - y, toward * distance
         scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -310,9 +344,7 @@ def _through_a_lenslet(
         px, py = x + t * dx, y + t * dy
         drawn = 0
         for cell in range(count):
-            cx, cy = centre(lattice, cells[cell, 0], cells[cell, 1])
-            if _in_cell(lattice, px - cx, py - cy, aim.cell_margin):
-                drawn += 1
+            drawn += _in_cell(lattice, px - near[cells[cell], 0], py - near[cells[cell], 1], aim.cell_margin)
         area = size * size * (ROW_SPACING if lattice.hexagonal else 1.0)
         cos_array = abs(dz)
         density += (1.0 - wide) * drawn * distance * distance / (count * area * cos_array * cos_array * cos_array)

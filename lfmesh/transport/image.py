@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.scene import Scene
+from lfmesh.transport.adaptive import Refinement
 from lfmesh.transport.ledger import Ledger
 
 
@@ -26,11 +27,13 @@ class Image:
     replicates : int
         Replicates finished, of `scene.transport.replicates`.
     samples : float
-        Samples per pixel in the finished replicates.
+        Samples per pixel in the finished replicates, of both stages where there are two; their mean over the pixels.
     engine : str
         Which engine ran and why, in words.
     timings : dict
         Seconds by part, and counts that go with them.
+    refinement : Refinement or None
+        What adaptive sampling did after the `replicates`, where it came to that.
     """
 
     mean: NDArray[np.float64]
@@ -42,11 +45,16 @@ class Image:
     samples: float
     engine: str
     timings: dict[str, float] = field(default_factory=dict)
+    refinement: Refinement | None = None
 
     @property
     def complete(self) -> bool:
         """False when the run was interrupted before its last replicate."""
-        return self.replicates == self.scene.transport.replicates
+        transport = self.scene.transport
+        refined = transport.target_error is None or (
+            self.refinement is not None and self.refinement.replicates == transport.replicates
+        )
+        return self.replicates == transport.replicates and refined
 
     @property
     def wavelengths_nm(self) -> tuple[float, ...]:

@@ -428,7 +428,7 @@ def _aim_at_camera(
     """Queue the child that is aimed at the entrance pupil: BRDF · cos · dω of the weight. Return its weight."""
     px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
     ax, ay, az, density = aimed(
-        px, py, pz, aim.entrance_z, aim.entrance_radius, aim.front_z, aim.front_radius,
+        px, py, pz, aim.entrance, aim.front_radius, aim.wide_share, aim.blind_share,
         draw(packet, AIM_DISK), draw(packet, AIM_U), draw(packet, AIM_V),
     )  # fmt: skip
     dx, dy, dz = move_direction(frames, CAMERA_FRAME, OBJECT_FRAME, ax, ay, az)

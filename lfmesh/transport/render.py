@@ -12,29 +12,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.scene import Scene
+from lfmesh.transport.adaptive import Counts, Refinement, combine, samples_of, second_stage, total_samples
 from lfmesh.transport.adjoint import launch_adjoint, launch_along_image_path
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.forward import launch_forward
 from lfmesh.transport.image import Image
 from lfmesh.transport.ledger import Ledger
-from lfmesh.transport.packet import COUNTERS, DEPOSITS
+from lfmesh.transport.packet import COUNTERS, DEPOSITS, EVENTS
 from lfmesh.transport.progress import Progress
 from lfmesh.transport.random import descendant
 from lfmesh.transport.settings import ledger_of, options_of
 from lfmesh.transport.world import World, build
 
+Film = NDArray[np.float64]
+"""(pixels, wavelengths) W"""
+
 PROGRESS_SECONDS = 0.2
+
+PIXELS_SORTED = 1 << 20
+"""Pixels of a second stage that are sorted by their samples at once."""
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """A run of sources of one replicate and wavelength: pixels (adjoint) or packets (forward)."""
+    """A run of sources of one replicate and wavelength: pixels (adjoint) or packets (forward).
+
+    Of a second stage, single pixels that have as many samples each.
+    """
 
     first: int
     count: int
     wave: int
     packets: int
+    samples: int = 1
+    pixels: NDArray[np.int64] | None = None
 
 
 @dataclass
@@ -46,6 +58,7 @@ class Tally:
     embree_seconds: float = 0.0
     thread_seconds: float = 0.0
     queries: int = 0
+    packets: int = 0
 
     def add(self, other: "Tally") -> None:
         """Add another tally to this one."""
@@ -54,6 +67,7 @@ class Tally:
         self.embree_seconds += other.embree_seconds
         self.thread_seconds += other.thread_seconds
         self.queries += other.queries
+        self.packets += other.packets
 
 
 Waiting = deque[tuple[Chunk, Future[tuple[Tally, NDArray[np.void]]]]]
@@ -67,6 +81,7 @@ class Mean:
     mean: NDArray[np.float64]
     squares: NDArray[np.float64]
     count: int = 0
+    told: bool = False
 
     def add(self, sample: NDArray[np.float64]) -> None:
         """Add one replicate's film; `sample` is used up."""
@@ -77,13 +92,12 @@ class Mean:
             mean += change / self.count
             squares += change * (row - mean)
 
-    def stderr(self) -> NDArray[np.float64]:
-        """Return the standard error of the mean; NaN from fewer than two replicates. Uses up `squares`."""
-        if self.count < 2:
-            self.squares[:] = np.nan
-            return self.squares
-        self.squares /= self.count * (self.count - 1)
-        return np.sqrt(self.squares, out=self.squares)
+    def variance(self) -> NDArray[np.float64]:
+        """Return the variance of the mean, in place of `squares`; NaN from fewer than two replicates."""
+        if not self.told:
+            self.squares /= self.count * (self.count - 1) if self.count > 1 else np.nan
+            self.told = True
+        return self.squares
 
 
 def render(scene: Scene, progress: Callable[[Progress], None] | None = None) -> Image:
@@ -146,45 +160,54 @@ class Renderer:
         self.threads = transport.threads or os.cpu_count() or 1
         self.seed = descendant(0x6C666D657368, transport.seed)
 
-    def chunks(self) -> Iterator[Chunk]:
-        """Yield the chunks of one replicate, always in the same order."""
-        per_chunk = max(1, self.chunk // self.samples) if self.adjoint else self.chunk
-        total = self.pixels if self.adjoint else self.pixels * self.samples
+    def chunks(self, levels: Counts | None = None) -> Iterator[Chunk]:
+        """Yield the chunks of one replicate, always in the same order; `levels` (pixels,): of the second stage."""
         for wave in range(self.waves):
+            if levels is not None:
+                yield from self._second_chunks(levels, wave)
+                continue
+            per_chunk = max(1, self.chunk // self.samples) if self.adjoint else self.chunk
+            total = self.pixels if self.adjoint else self.pixels * self.samples
             for first in range(0, total, per_chunk):
                 count = min(per_chunk, total - first)
-                yield Chunk(first, count, wave, count * self.samples if self.adjoint else count)
+                yield Chunk(first, count, wave, count * self.samples if self.adjoint else count, self.samples)
+
+    def _second_chunks(self, levels: Counts, wave: int) -> Iterator[Chunk]:
+        """Yield the chunks of a second-stage replicate: pixels with the same number of samples together."""
+        for block in range(0, self.pixels, PIXELS_SORTED):
+            sorted_here = levels[block : block + PIXELS_SORTED]
+            for level in np.unique(sorted_here[sorted_here > 0]):
+                samples = 1 << (int(level) - 1)
+                pixels = block + np.flatnonzero(sorted_here == level)
+                per_chunk = max(1, self.chunk // samples)
+                for first in range(0, len(pixels), per_chunk):
+                    some = pixels[first : first + per_chunk]
+                    yield Chunk(int(some[0]), len(some), wave, len(some) * samples, samples, some)
 
     def image(self) -> Image:
         """Render all replicates, or as many as Ctrl-C leaves time for."""
         scene = self.world.scene
-        tables = self.world.tables
         began = time.perf_counter()
-        shape = (tables.sensor.rows, tables.sensor.columns, self.waves)
         film = np.zeros((self.pixels, self.waves))
-        mean = Mean(np.zeros(shape), np.zeros(shape))
         tally = self._tally()
         with ThreadPoolExecutor(self.threads, thread_name_prefix="lfmesh") as pool:
-            for replicate in range(scene.transport.replicates):
-                film[:] = 0.0
-                try:
-                    part = self._replicate(pool, replicate, film, began)
-                except KeyboardInterrupt:
-                    if mean.count == 0:
-                        raise
-                    break
-                mean.add(film.reshape(shape))
-                tally.add(part)
+            mean = self._stage(pool, film, tally, began)
+            finished = mean.count
+            ledger = self._ledger(tally, finished)
+            refinement = None
+            if scene.transport.target_error is not None and finished == scene.transport.replicates:
+                refinement = self._refine(pool, film, mean, tally, began)
+        # The energy is that of the first stage, which treats all pixels alike; the work is that of both.
+        ledger.packets, ledger.events = tally.packets, int(tally.counts[EVENTS])
         seconds = time.perf_counter() - began
-        ledger = self._ledger(tally, mean.count)
         return Image(
             mean.mean,
-            mean.stderr(),
+            np.sqrt(mean.variance(), out=mean.squares),
             scene,
             ledger,
             seconds,
-            mean.count,
-            float(self.samples * mean.count),
+            finished,
+            float(self.samples * finished) if refinement is None else refinement.samples,
             ": ".join(engine_of(scene)),
             {
                 "tracing_seconds": seconds,
@@ -193,26 +216,76 @@ class Renderer:
                 "embree_queries": tally.queries,
                 "threads": self.threads,
             },
+            refinement,
+        )
+
+    def _stage(
+        self, pool: ThreadPoolExecutor, film: Film, tally: Tally, began: float, levels: Counts | None = None
+    ) -> Mean:
+        """Return the mean over the replicates of a stage, or of those that Ctrl-C leaves time for.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            Not one replicate of the first stage is finished.
+        """
+        sensor = self.world.tables.sensor
+        shape = (sensor.rows, sensor.columns, self.waves)
+        mean = Mean(np.zeros(shape), np.zeros(shape))
+        replicates = self.world.scene.transport.replicates
+        for number in range(replicates):
+            film[:] = 0.0
+            try:
+                part = self._replicate(pool, number, film, began, levels)
+            except KeyboardInterrupt:
+                if levels is None and mean.count == 0:
+                    raise
+                break
+            mean.add(film.reshape(shape))
+            tally.add(part)
+        return mean
+
+    def _refine(self, pool: ThreadPoolExecutor, film: Film, mean: Mean, tally: Tally, began: float) -> Refinement:
+        """Render the second stage and average it into the first one's mean."""
+        transport = self.world.scene.transport
+        assert transport.target_error is not None
+        variance = mean.variance()
+        levels, capped = second_stage(mean.mean, variance, self.world.scene)
+        second = self._stage(pool, film, tally, began, levels.ravel())
+        # One replicate has no spread: its error could not be told.
+        replicates = second.count if second.count > 1 else 0
+        more = samples_of(np.arange(levels.max() + 1, dtype=np.uint8)) * replicates
+        first = self.samples * mean.count
+        if replicates:
+            combine(mean.mean, variance, second.mean, second.variance(), levels, more / (first + more))
+        spent = first + total_samples(levels) * replicates / self.pixels
+        return Refinement(
+            transport.target_error, transport.max_samples, replicates, spent, float((levels > 0).mean()), capped
         )
 
     def _tally(self) -> Tally:
         return Tally(np.zeros(len(self.world.slots)), np.zeros(COUNTERS, np.int64))
 
-    def _replicate(self, pool: ThreadPoolExecutor, replicate: int, film: NDArray[np.float64], began: float) -> Tally:
-        """Trace one replicate onto an empty film; the chunks' results are merged in their order."""
+    def _replicate(
+        self, pool: ThreadPoolExecutor, number: int, film: Film, began: float, levels: Counts | None = None
+    ) -> Tally:
+        """Trace one replicate of a stage onto an empty film; the chunks' results are merged in their order."""
+        # The second stage's replicates are numbered on, so that they have random numbers of their own.
+        replicate = number if levels is None else self.world.scene.transport.replicates + number
         key = descendant(self.seed, replicate)
         tally = self._tally()
         waiting: Waiting = deque()
         done = 0
+        one = self.waves * (self.pixels * self.samples if levels is None else total_samples(levels))
         try:
-            for chunk in self.chunks():
+            for chunk in self.chunks(levels):
                 waiting.append((chunk, pool.submit(self._trace, chunk, descendant(key, chunk.wave), film)))
                 if len(waiting) > 2 * self.threads:
                     done += self._merge(waiting, tally, film)
-                    self._report(replicate, done, began)
+                    self._report(replicate, done, one, began)
             while waiting:
                 done += self._merge(waiting, tally, film)
-                self._report(replicate, done, began)
+                self._report(replicate, done, one, began)
         except BaseException:
             for _, future in waiting:
                 future.cancel()
@@ -220,7 +293,7 @@ class Renderer:
         return tally
 
     def _merge(
-        self, waiting: Waiting, tally: Tally, film: NDArray[np.float64]
+        self, waiting: Waiting, tally: Tally, film: Film
     ) -> int:  # fmt: skip
         """Add the oldest chunk's result; return how many packets it started with."""
         chunk, future = waiting[0]
@@ -230,7 +303,7 @@ class Renderer:
         np.add.at(film, (deposits["pixel"], deposits["wave"]), deposits["weight"])
         return chunk.packets
 
-    def _trace(self, chunk: Chunk, key: np.uint64, film: NDArray[np.float64]) -> tuple[Tally, NDArray[np.void]]:
+    def _trace(self, chunk: Chunk, key: np.uint64, film: Film) -> tuple[Tally, NDArray[np.void]]:
         """Trace one chunk in a thread of the pool."""
         began = time.perf_counter()
         if not hasattr(self._local, "workspace"):
@@ -238,18 +311,21 @@ class Renderer:
         space: Workspace = self._local.workspace
         tables = self.world.tables
         if self.adjoint:
-            space.begin(film[chunk.first : chunk.first + chunk.count], chunk.first)
+            if chunk.pixels is None:
+                pixels = np.arange(chunk.first, chunk.first + chunk.count)
+                space.begin(film[chunk.first : chunk.first + chunk.count], chunk.first)
+            else:
+                pixels = chunk.pixels
+                space.begin(film)
             if self.options.sequential:
                 launch_along_image_path(
-                    chunk.first, chunk.count, self.samples, self.stratified, key, chunk.wave, tables.sensor,
-                    tables.lens, tables.array, tables.aim, tables.frames, space.bundle, space.numbers, space.options,
-                    space.flow(), space.start,
+                    pixels, chunk.samples, self.stratified, key, chunk.wave, tables.sensor, tables.lens, tables.array,
+                    tables.aim, tables.frames, space.bundle, space.numbers, space.options, space.flow(), space.start,
                 )  # fmt: skip
             else:
                 launch_adjoint(
-                    chunk.first, chunk.count, self.samples, self.stratified, key, chunk.wave, tables.sensor,
-                    tables.array, tables.aim, tables.frames, len(tables.lens.surfaces), space.bundle, space.flow(),
-                    space.start,
+                    pixels, chunk.samples, self.stratified, key, chunk.wave, tables.sensor, tables.array, tables.aim,
+                    tables.frames, len(tables.lens.surfaces), space.bundle, space.flow(), space.start,
                 )  # fmt: skip
         else:
             space.begin(film[:0])
@@ -265,24 +341,26 @@ class Renderer:
             space.embree_seconds,
             time.perf_counter() - began,
             space.queries,
+            chunk.packets,
         )
         return part, space.deposits[: space.tops[DEPOSITS]].copy()
 
-    def _report(self, replicate: int, done: int, began: float) -> None:
+    def _report(self, replicate: int, done: int, one: int, began: float) -> None:
+        """Say how far a stage has come; `one`: packets a replicate."""
         now = time.perf_counter()
         if self.progress is None or now - self._last_report < PROGRESS_SECONDS:
             return
         self._last_report = now
         replicates = self.world.scene.transport.replicates
-        one = self.waves * self.pixels * self.samples
-        self.progress(Progress(replicate * one + done, replicates * one, now - began, replicate, replicates, "tracing"))
+        stage = "tracing" if replicate < replicates else "refining"
+        part = replicate % replicates
+        self.progress(Progress(part * one + done, replicates * one, now - began, part, replicates, stage))
 
     def _ledger(self, tally: Tally, replicates: int) -> Ledger:
-        started = self.waves * self.pixels * self.samples * replicates
         return ledger_of(
             tally.book / max(replicates, 1),
             tally.counts,
             self.world,
-            started,
+            tally.packets,
             "m² sr" if self.adjoint else "W",
         )

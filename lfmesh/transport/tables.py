@@ -77,28 +77,42 @@ class ObjectTables(NamedTuple):
     radius: float  # radius of the targets' bounding sphere
 
 
-class Aim(NamedTuple):
-    """Where rays are aimed. Disks are square to the axis and centred on it, in the camera frame.
+class Opening(NamedTuple):
+    """What of a side of the lens lets light through, as points see it: disks in a plane square to the axis.
 
-    The pupil disk holds the image path with a margin; the wide disk every ray that can reach the lens at all.
+    By field angle (columns, evenly spaced in its tangent) and distance (rows, evenly spaced in its inverse).
     """
 
-    entrance_z: float  # entrance pupil, as seen from the targets
-    entrance_radius: float
-    front_z: float
-    front_radius: float
-    exit_z: float  # exit pupil, as seen from the sensor
-    exit_radius: float
-    back_z: float
+    known: bool
+    plane_z: float  # camera frame
+    sense: float  # 1: points lie before the plane (smaller z), −1: behind it
+    tangent_step: float
+    nearness: float  # 1 / distance of the first row, 1/mm
+    nearness_step: float
+    middle: Array  # (n + 1, m + 1) mm along the meridian, towards the point
+    radius: Array  # (n, m) mm, of the meshes between; −1: nothing gets through
+
+
+class Aim(NamedTuple):
+    """Where rays are aimed. Disks are square to the axis, in the camera frame.
+
+    Most rays go to the lens's opening, which holds the image path; a share goes to a disk that every ray that can reach
+    the lens at all crosses, or to the whole hemisphere.
+    """
+
+    entrance: Opening  # as seen from the targets
+    front_radius: float  # of the wide disk in its plane
+    exit: Opening  # as seen from the sensor, where there is no array
     back_radius: float
-    # The array: paraxial quantities that tell which lenslets show the exit pupil to a pixel.
+    wide_share: float  # of the rays from a point that sees the opening, and ...
+    blind_share: float  # ... that are sent at all from one that sees none
+    # The array: which lenslets show the opening to a point of the sensor.
     lenslet_z: float  # the curved face as the sensor sees it, array frame
-    pupil_x: float  # middle of the exit pupil, array frame
+    pupil_x: float  # middle of the paraxial exit pupil, array frame: with it, the chief ray's cell is found
     pupil_y: float
     pupil_vergence: float  # 1 / reduced distance from the curved face to the exit pupil, 1/mm; 0: telecentric
-    pupil_slope: float  # radius of the exit pupil over that distance
-    lenslet_power: Array  # (types,) 1/mm
-    circumradius: float  # of a lenslet's cell, mm
+    slope: Array  # (cells, 2) of the ray from a lenslet's middle to the middle of the opening that it sees
+    slope_radius2: Array  # (cells,) square of how far from that a ray may go and still reach it; −1: it sees none
     cell_margin: float  # mm by which an aimed cell stands out, for the depth of the lenslets' faces
     search: int  # cells to each side that may show the pupil
 

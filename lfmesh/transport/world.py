@@ -174,6 +174,7 @@ def build(scene: Scene, *, rings: int | None = None) -> World:
     refuse_targets_inside(targets, housing, moves)
     object_mesh, objects = object_tables(scene, targets, housing, moves, target_slots, waves)
     sensor = SensorTables(*scene.camera.sensor.pixels, scene.camera.sensor.pixel_mm)
-    tables = Tables(lens, array, sensor, objects, moves, aim_table(scene, report, lens, array, targets, moves))
+    aim = aim_table(scene, report, lens, array, targets, moves, analytic=bool(shape.analytic.all()))
+    tables = Tables(lens, array, sensor, objects, moves, aim)
     finders = (Finder(lens_mesh), Finder(array_mesh_), Finder(object_mesh))
     return World(scene, report, tables, finders, slots, shape, targets, housing)

@@ -1,0 +1,152 @@
+"""Aiming at the lens's opening changes no pixel's mean, holds what real rays pass, and sends fewer rays in vain."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+import lfmesh as lf
+from lfmesh.transport.packet import CAMERA_FRAME, SENSOR_FRAME
+from lfmesh.transport.pupil import opening_from, unknown_opening
+from lfmesh.transport.render import Renderer
+from lfmesh.transport.tables import Aim
+from lfmesh.transport.world import World
+
+Array = NDArray[np.float64]
+
+LEVEL = 1e-3
+"""Chance that a scene fails though the law holds, shared by its comparisons (Bonferroni)."""
+
+REPLICATES = 20
+
+# The stop is far from both elements, whose rims cut every oblique bundle.
+VIGNETTED = {
+    "surfaces": [
+        {"radius_mm": 30.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 3.0},
+        {"radius_mm": -30.0, "thickness_mm": 6.0, "semi_diameter_mm": 3.0},
+        {"stop": True, "thickness_mm": 6.0, "semi_diameter_mm": 2.2},
+        {"radius_mm": 30.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 3.0},
+        {"radius_mm": -30.0, "semi_diameter_mm": 3.0},
+    ]
+}
+SQUARE = {"layout": "square", "count": [14, 14], "pitch_mm": 0.6, "focal_length_mm": 2.4, "index": 1.5,
+          "thickness_mm": 0.5}  # fmt: skip
+HEXAGONAL = SQUARE | {"layout": "hexagonal", "count": [14, 16], "focal_length_mm": [2.1, 2.4, 2.8],
+                      "curved_side": "sensor"}  # fmt: skip
+TILTED = SQUARE | {"pose": {"tilt_deg": [1.0, -0.8, 2.0], "shift_mm": [0.1, -0.1, 0.1]}}
+
+
+def scene(mla: dict[str, Any] | None, **transport: Any) -> lf.Scene:
+    """A field far larger than the lens passes: its corners are dark, and what is before them badly vignetted."""
+    camera = {"focus_mm": 60.0, "lens": VIGNETTED, "sensor": {"pixels": [24, 24], "pixel_mm": 0.35}}
+    return lf.Scene(
+        camera=camera | ({"mla": mla} if mla else {}),
+        targets=[{"shape": {"kind": "plane", "width_mm": 60.0, "height_mm": 60.0}, "position_mm": [0, 0, -60.0],
+                  "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0}}],
+        transport={"split": "transmit", "samples": 64, "replicates": 1, "threads": 1} | transport,
+    )  # fmt: skip
+
+
+CAMERAS = {"square array": SQUARE, "hexagonal array": HEXAGONAL, "tilted array": TILTED, "no array": None}
+
+Change = Callable[[Aim], Aim]
+
+
+def uniform(aim: Aim) -> Aim:
+    """Every lenslet for some pitches around, or the whole front or back of the lens: no opening is known.
+
+    A tenth goes into the whole hemisphere, where there is an array.
+    """
+    return aim._replace(
+        entrance=unknown_opening(aim.entrance.plane_z, to_sensor=True),
+        exit=unknown_opening(aim.exit.plane_z, to_sensor=False),
+        slope_radius2=np.full_like(aim.slope_radius2, np.inf),
+        search=2,
+        wide_share=0.1,
+        blind_share=1.0,
+    )
+
+
+def shrunk(aim: Aim) -> Aim:
+    """Openings a fifth too small, and nothing that makes up for it."""
+    return aim._replace(
+        entrance=aim.entrance._replace(radius=0.8 * aim.entrance.radius),
+        exit=aim.exit._replace(radius=0.8 * aim.exit.radius),
+        slope_radius2=np.where(aim.slope_radius2 > 0.0, 0.64 * aim.slope_radius2, -1.0),
+        wide_share=0.0,
+        blind_share=0.0,
+    )
+
+
+def images(of: lf.Scene, first: int, change: Change = lambda aim: aim) -> Array:
+    """Return REPLICATES images of as many seeds, (n, H, W), with the aim changed."""
+    world = lf.build(of)
+    aimed = changed(world, change)
+    found = []
+    for seed in range(first, first + REPLICATES):
+        renderer = Renderer(aimed)
+        renderer.seed = np.uint64(seed * 7919 + 1)
+        found.append(renderer.image().mean[..., 0])
+    return np.array(found)
+
+
+def changed(world: World, change: Change) -> World:
+    world.tables = world.tables._replace(aim=change(world.tables.aim))
+    return world
+
+
+def p_of_difference(one: Array, other: Array) -> float:
+    """Return the least p-value of Welch's t-tests of 6 x 6 pixels' sums, and of all, times their number."""
+    sums = [np.add.reduceat(np.add.reduceat(i, [0, 6, 12, 18], 1), [0, 6, 12, 18], 2) for i in (one, other)]
+    tables = [np.column_stack([s.reshape(len(s), -1), s.sum(axis=(1, 2))]) for s in sums]
+    seen = (tables[0].var(axis=0) > 0.0) | (tables[1].var(axis=0) > 0.0)
+    p = stats.ttest_ind(tables[0][:, seen], tables[1][:, seen], equal_var=False).pvalue
+    return float(p.min()) * len(p)
+
+
+@pytest.mark.parametrize("method", ["adjoint", "forward"])
+@pytest.mark.parametrize("name", CAMERAS)
+def test_aimed_rays_bring_what_rays_to_everywhere_bring(name: str, method: str) -> None:
+    here = scene(CAMERAS[name], method=method)
+    # Rays to everywhere mostly miss; more of them make up for it.
+    everywhere = images(here.changed({"transport.samples": 128}), 1000, uniform)
+    assert p_of_difference(images(here, 0), everywhere) > LEVEL
+    assert p_of_difference(images(here, 0, shrunk), everywhere) < LEVEL
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_fewer_rays_are_sent_in_vain(name: str) -> None:
+    """The noise at equal samples falls: one-sided paired t-test of the pixels' variances."""
+    here = scene(CAMERAS[name], samples=32)
+    aimed, everywhere = (images(here, 0, change).var(axis=0, ddof=1) for change in (lambda aim: aim, uniform))
+    assert stats.ttest_1samp((everywhere - aimed)[everywhere > 0.0], 0.0, alternative="greater").pvalue < LEVEL
+
+
+def test_the_opening_holds_what_real_rays_pass_and_little_more() -> None:
+    """Rays from points of the sensor to a grid on the lens's back, by the mesh engine, against the table."""
+    world = lf.build(scene(None))
+    opening = world.tables.aim.exit
+    z = world.tables.frames[SENSOR_FRAME, CAMERA_FRAME][2, 3]
+    grid = np.linspace(-1.0, 1.0, 61) * world.tables.aim.back_radius
+    for height in (0.0, 0.7, 1.6, 2.4, 3.1):
+        x, y = 0.6 * height, -0.8 * height
+        to = np.array([(a, b, opening.plane_z) for a in grid for b in grid])
+        start = np.tile([x, y, z - 1e-6], (len(to), 1))
+        paths = lf.trace(world, start, to - start, split="transmit")
+        out = (paths.status == lf.Status.TARGET) | (paths.status == lf.Status.ESCAPED)
+        passed = to[paths.source[out]]
+        cx, cy, radius = opening_from(opening, x, y, z)
+        assert len(passed) > 50
+        off = np.hypot(passed[:, 0] - cx, passed[:, 1] - cy)
+        assert off.max() <= radius
+        assert radius <= 1.15 * off.max() + (grid[1] - grid[0])
+
+
+def test_nothing_is_sent_from_where_the_lens_shows_no_opening() -> None:
+    world = lf.build(scene(None, samples=256))
+    z = world.tables.frames[SENSOR_FRAME, CAMERA_FRAME][2, 3]
+    assert opening_from(world.tables.aim.exit, 40.0, 0.0, z)[2] < 0.0
+    assert opening_from(world.tables.aim.exit, 0.0, 0.0, z)[2] > 0.0

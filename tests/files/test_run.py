@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -231,3 +232,17 @@ def test_pixels_changed_by_another_program_are_noticed(image_of: Build, tmp_path
     (tmp_path / "changed.exr").replace(tmp_path / "raw.exr")
     with pytest.raises(FileError, match="pixels are not those that were saved"):
         run.open_run(tmp_path)
+
+
+def test_saving_a_large_film_makes_few_copies_of_it(image_of: Build, tmp_path: Path) -> None:
+    film = np.random.default_rng(1).uniform(0.5, 1.0, (1500, 1500, 1))
+    image = image_of()
+    large = Image(film, 0.01 * film, image.scene, image.ledger, 1.0, image.replicates, image.samples, image.engine)
+    tracemalloc.start()
+    try:
+        run.save(large, tmp_path / "run")
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    # Mean and standard error as float32 are one film; the noise's median needs two, and masks of a byte a pixel.
+    assert peak < 3.0 * film.nbytes

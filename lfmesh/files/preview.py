@@ -17,7 +17,7 @@ KNOWN = 0.5
 
 COUNTS = 65535
 
-BAND = 256
+BAND = 64
 """Rows that are turned into a picture together: a large sensor leaves no room for copies of its whole film."""
 
 

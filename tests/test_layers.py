@@ -87,9 +87,19 @@ def test_library_stays_in_its_part(library: str, part: str) -> None:
 
 @pytest.mark.parametrize("module", ["lfmesh", "lfmesh.cli", "lfmesh.scene"])
 def test_import_loads_no_heavy_library(module: str) -> None:
-    script = f"import sys, {module}; print(*sys.modules)"
-    loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
-    assert not HEAVY & {name.split(".")[0] for name in loaded.stdout.split()}
+    assert not HEAVY & loaded_by(f"import {module}")
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["render", "--help"], ["schema"]])
+def test_the_command_line_loads_no_heavy_library_before_it_works(arguments: list[str]) -> None:
+    assert not HEAVY & loaded_by(f"from lfmesh.cli import main; assert main({arguments}) == 0")
+
+
+def loaded_by(statements: str) -> set[str]:
+    """Return the libraries that a fresh process has loaded after some statements."""
+    script = f"import sys; {statements}; print('\\n', *sys.modules)"
+    child = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
+    return {name.split(".")[0] for name in child.stdout.splitlines()[-1].split()}
 
 
 def test_no_file_names_a_folder_of_one_machine() -> None:

@@ -51,6 +51,8 @@ def srgb_weights(wavelengths_nm: tuple[float, ...]) -> NDArray[np.float64] | Non
 
 def to_display(power: NDArray[np.float64], wavelengths_nm: tuple[float, ...]) -> NDArray[np.float64]:
     """Turn (H, W, wavelengths) power into (H, W) grey or (H, W, 3) linear sRGB in the same unit."""
+    if len(wavelengths_nm) == 1:
+        return power[:, :, 0]
     weights = srgb_weights(wavelengths_nm)
     if weights is None:
         return np.asarray(power.mean(axis=2))

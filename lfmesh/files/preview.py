@@ -1,5 +1,6 @@
 """Pictures of a run: the raw image exposed for the eye, and as 16-bit linear counts."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,9 @@ KNOWN = 0.5
 
 COUNTS = 65535
 
+BAND = 64
+"""Rows that are turned into a picture together: a large sensor leaves no room for copies of its whole film."""
+
 
 def white_point(light: NDArray[np.float64], known: NDArray[np.bool_] | None = None) -> float:
     """Return the value that a preview shows as white; 0 for a black image.
@@ -23,10 +27,26 @@ def white_point(light: NDArray[np.float64], known: NDArray[np.bool_] | None = No
     A percentile over the pixels that got any light, so that a small object in the dark is not burnt out; over the
     `known` ones (H, W) among them, if there are any.
     """
-    if known is not None and light[known].any():
-        light = light[known]
-    lit = light[light > 0.0]
-    return float(np.percentile(lit, WHITE_PERCENTILE)) if lit.size else 0.0
+    lit = light > 0.0
+    if known is not None:
+        counted = lit & known.reshape(known.shape + (1,) * (light.ndim - 2))
+        lit = counted if counted.any() else lit
+    values = light[lit]
+    return float(np.percentile(values, WHITE_PERCENTILE, overwrite_input=True)) if values.size else 0.0
+
+
+def bands(height: int) -> Iterator[slice]:
+    """Yield the rows of a picture, `BAND` at a time."""
+    for first in range(0, height, BAND):
+        yield slice(first, min(first + BAND, height))
+
+
+def well_known(power: NDArray[np.float64], stderr: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell which pixels (H, W) are known well enough in every wavelength to set the exposure."""
+    known = np.zeros(power.shape[:2], np.bool_)
+    for rows in bands(len(power)):
+        known[rows] = (stderr[rows] <= KNOWN * power[rows]).all(axis=2)
+    return known
 
 
 def write_preview(
@@ -52,10 +72,13 @@ def write_preview(
         The power shown as white, W (mean over the wavelengths for a grey picture); 0 if the picture is black.
     """
     light = to_display(power, wavelengths_nm)
-    known = None if stderr is None else np.asarray((stderr <= KNOWN * power).all(axis=2))
+    known = None if stderr is None else well_known(power, stderr)
     white = white_point(light, known)
-    exposed = light / white if white > 0.0 else np.zeros_like(light)
-    PIL.Image.fromarray(srgb_encode(upright(exposed))).save(path, format="PNG")
+    picture = np.zeros(light.shape, np.uint8)
+    if white > 0.0:
+        for rows in bands(len(light)):
+            picture[rows] = srgb_encode(light[rows] / white)
+    PIL.Image.fromarray(upright(picture)).save(path, format="PNG")
     return white
 
 
@@ -74,18 +97,20 @@ def write_linear16(
         Power in W is count times this; 0 for a black image.
     """
     peak = float(power.max(initial=0.0))
-    counts = np.rint(power * (COUNTS / peak)) if peak > 0.0 else np.zeros_like(power)
-    counts16 = np.clip(counts, 0, COUNTS).astype(np.uint16)
+    counts = np.zeros(power.shape, np.uint16)
+    if peak > 0.0:
+        for rows in bands(len(power)):
+            counts[rows] = np.clip(np.rint(power[rows] * (COUNTS / peak)), 0, COUNTS)
     if len(wavelengths_nm) == 1:
         names = ["linear16.png"]
     else:
         names = [f"linear16_{wavelength:.10g}nm.png" for wavelength in wavelengths_nm]
     for channel, name in enumerate(names):
-        plane = np.ascontiguousarray(counts16[:, :, channel])
+        plane = np.ascontiguousarray(counts[:, :, channel])
         PIL.Image.fromarray(plane).save(folder / name, format="PNG")
     return names, peak / COUNTS
 
 
-def upright(picture: NDArray[np.float64]) -> NDArray[np.float64]:
+def upright(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Turn an image by 180°, as the lens turned it."""
     return picture[::-1, ::-1]

@@ -212,12 +212,7 @@ def _listed_files(path: Path) -> list[str]:
 
 def _write_all(image: Image, folder: Path, home: Path) -> list[str]:
     """Write every file of a run that will live in `home`; return their names, the report last."""
-    mean, stderr = (np.asarray(pixels, dtype=np.float32) for pixels in (image.mean, image.stderr))
-    metadata = _metadata(image, _digest(mean, stderr), home)
-    exr.write(
-        folder / RAW,
-        exr.SpectralImage({"raw": mean, "stderr": stderr}, image.wavelengths_nm, metadata),
-    )
+    metadata = _write_raw(image, folder / RAW, home)
     (folder / SCENE).write_text(_moved(image.scene, home).dump_toml(), encoding="utf-8")
     white = write_preview(folder / PREVIEW, image.mean, image.wavelengths_nm, image.stderr)
     pictures: dict[str, Any] = {PREVIEW: {"orientation": "upright", "encoding": "sRGB", "white_w": white}}
@@ -244,6 +239,14 @@ def _write_all(image: Image, folder: Path, home: Path) -> list[str]:
     text = json.dumps(_finite(report), indent=2, allow_nan=False, ensure_ascii=False)
     (folder / REPORT).write_text(text + "\n", encoding="utf-8")
     return names
+
+
+def _write_raw(image: Image, path: Path, home: Path) -> dict[str, Any]:
+    """Write mean and standard error with the metadata, which is returned."""
+    mean, stderr = (np.asarray(pixels, dtype=np.float32) for pixels in (image.mean, image.stderr))
+    metadata = _metadata(image, _digest(mean, stderr), home)
+    exr.write(path, exr.SpectralImage({"raw": mean, "stderr": stderr}, image.wavelengths_nm, metadata))
+    return metadata
 
 
 def _metadata(image: Image, pixels_sha256: str, home: Path) -> dict[str, Any]:
@@ -277,7 +280,7 @@ def _digest(mean: NDArray[np.float32], stderr: NDArray[np.float32]) -> str:
     """Hash of the pixels as stored; equal for two runs only if they agree in every bit."""
     digest = hashlib.sha256()
     for pixels in (mean, stderr):
-        digest.update(np.ascontiguousarray(pixels, dtype="<f4").tobytes())
+        digest.update(np.ascontiguousarray(pixels, dtype="<f4").data)
     return digest.hexdigest()
 
 

@@ -42,14 +42,16 @@ def noise(image: Image) -> Noise:
     received = image.mean > 0.0
     if not received.any():
         return Noise(0.0, 0.0, None)
-    bright = float(np.percentile(image.mean[received], 99.0))
+    # In place wherever it can be: a large sensor leaves no room for copies.
+    bright = float(np.percentile(image.mean[received], 99.0, overwrite_input=True))
     lit = image.mean > LIT_SHARE_OF_BRIGHT * bright
-    relative = image.stderr[lit] / image.mean[lit]
+    relative = image.stderr[lit]
+    relative /= image.mean[lit]
     known = relative[np.isfinite(relative)]
     return Noise(
         received_share=float(received.mean()),
         lit_share=float(lit.mean()),
-        relative_stderr=float(np.median(known)) if known.size else None,
+        relative_stderr=float(np.median(known, overwrite_input=True)) if known.size else None,
     )
 
 

@@ -3,7 +3,9 @@
 import json
 import math
 import os
+import tracemalloc
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -231,3 +233,18 @@ def test_pixels_changed_by_another_program_are_noticed(image_of: Build, tmp_path
     (tmp_path / "changed.exr").replace(tmp_path / "raw.exr")
     with pytest.raises(FileError, match="pixels are not those that were saved"):
         run.open_run(tmp_path)
+
+
+def test_saving_copies_a_large_film_few_times(image_of: Build, tmp_path: Path) -> None:
+    peaks, sides = [], (500, 1500)
+    for side in sides:
+        film = np.random.default_rng(1).uniform(0.5, 1.0, (side, side, 1))
+        image = replace(image_of(), mean=film, stderr=0.01 * film)
+        tracemalloc.start()
+        try:
+            run.save(image, tmp_path / "run")
+            peaks.append(tracemalloc.get_traced_memory()[1])
+        finally:
+            tracemalloc.stop()
+    # Mean and standard error as float32 are one film; the noise's median needs two, and masks of a byte a pixel.
+    assert peaks[1] - peaks[0] < 3.0 * 8 * (sides[1] ** 2 - sides[0] ** 2)

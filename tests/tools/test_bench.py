@@ -19,13 +19,16 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 
 CASES = {
     "lens": ["--quick", "--rays", "2000", "--rounds", "1"],
-    "scaling": ["--quick", "--series", "triangles", "--engine", "sequential", "--side", "16", "--rounds", "1"],
+    "scaling": [
+        *["--quick", "--series", "triangles", "--series", "threads", "--engine", "sequential"],
+        *["--side", "16", "--rounds", "1"],
+    ],
     "render": ["--quick", str(ROOT / "assets/scenes/emitting_plane.toml"), "--engine", "sequential"],
     "image": ["--quick", str(ROOT / "assets/scenes/emitting_plane.toml"), "--pixels", "16", "--samples", "4"],
 }
 TABLES = {
     "lens": {"lens": "COLUMNS"},
-    "scaling": {"scaling": "COLUMNS", "exponents": "EXPONENT_COLUMNS"},
+    "scaling": {"scaling": "COLUMNS", "exponents": "EXPONENT_COLUMNS", "threads": "THREAD_COLUMNS"},
     "render": {"render": "COLUMNS", "lens": "LENS_COLUMNS"},
     "image": {"image": "COLUMNS", "small_camera": "PEER_COLUMNS"},
 }

@@ -1,0 +1,77 @@
+"""Compiled kernels: once for all constants, kept between processes, wherever they may be kept."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+MODULE = """
+import json
+
+from lfmesh.kernel import kernel
+
+
+@kernel
+def scaled(x: float, number: int) -> float:
+    return x * number
+
+
+@kernel
+def twice_and_thrice(x: float) -> float:
+    return scaled(x, 2) + scaled(x, 3)
+
+
+if __name__ == "__main__":
+    value = twice_and_thrice(1.5)
+    print(json.dumps({
+        "value": value,
+        "compiled": len(scaled.signatures),
+        "cached": sum(twice_and_thrice.stats.cache_hits.values()),
+    }))
+"""
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Path:
+    """A program with kernels of its own, which nobody has compiled yet."""
+    file = tmp_path / "own" / "program.py"
+    file.parent.mkdir()
+    file.write_text(MODULE)
+    return file
+
+
+def started(program: Path, **environment: str) -> subprocess.Popen[str]:
+    own = {"PYTHONPATH": str(ROOT), **environment}
+    return subprocess.Popen([sys.executable, str(program)], env=os.environ | own, stdout=subprocess.PIPE, text=True)
+
+
+def outcome(process: subprocess.Popen[str]) -> dict[str, Any]:
+    printed, _ = process.communicate(timeout=120)
+    assert process.returncode == 0
+    return json.loads(printed)
+
+
+def test_a_kernel_is_compiled_once_for_all_constants_and_kept(program: Path) -> None:
+    assert outcome(started(program)) == {"value": 7.5, "compiled": 1, "cached": 0}
+    assert outcome(started(program)) == {"value": 7.5, "compiled": 0, "cached": 1}
+
+
+def test_where_the_package_cannot_be_written_kernels_are_kept_with_the_user(program: Path, tmp_path: Path) -> None:
+    # A file where the folder of compiled code should be stops the superuser too.
+    (program.parent / "__pycache__").touch()
+    kept = {"XDG_CACHE_HOME": str(tmp_path / "user"), "NUMBA_CACHE_DIR": ""}
+    assert outcome(started(program, **kept))["cached"] == 0
+    assert list((tmp_path / "user").rglob("*.nbi"))
+    assert outcome(started(program, **kept))["cached"] == 1
+
+
+def test_two_processes_may_compile_at_once(program: Path) -> None:
+    for process in [started(program), started(program)]:
+        assert outcome(process)["value"] == 7.5
+    assert outcome(started(program))["cached"] == 1

@@ -61,10 +61,18 @@ def test_scene_loads_and_has_no_fault_of_layout(path: Path) -> None:
 
 
 def test_the_promised_scenes_are_there() -> None:
-    assert {"first_light", "conventional", "hexagonal", "emitting_plane"} <= set(names(SCENES))
+    assert {"first_light", "conventional", "hexagonal", "emitting_plane", "lytro_class"} <= set(names(SCENES))
 
 
-@pytest.mark.parametrize("name", ["first_light", "emitting_plane", "hexagonal"])
+def test_the_lytro_class_array_covers_its_sensor() -> None:
+    camera = load(ASSETS / "scenes" / "lytro_class.toml").camera
+    assert (camera.sensor.pixels, camera.mla.count, camera.mla.pitch_mm) == ((7728, 5368), (541, 434), 0.014)
+    across, rows = 541 * 0.014, 434 * 0.014 * math.sqrt(0.75)
+    for array, sensor in zip((across, rows), camera.sensor.size_mm, strict=True):
+        assert abs(array - sensor) < 0.5 * camera.mla.pitch_mm
+
+
+@pytest.mark.parametrize("name", ["first_light", "emitting_plane", "hexagonal", "lytro_class"])
 def test_micro_images_fill_their_pitch_and_do_not_overlap(name: str) -> None:
     report = first_order(load(ASSETS / "scenes" / f"{name}.toml"))
     assert 0.97 < report.micro_image_diameter_px / report.micro_image_pitch_px <= 1.0

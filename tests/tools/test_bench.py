@@ -25,12 +25,16 @@ CASES = {
     ],
     "render": ["--quick", str(ROOT / "assets/scenes/emitting_plane.toml"), "--engine", "sequential"],
     "image": ["--quick", str(ROOT / "assets/scenes/emitting_plane.toml"), "--pixels", "16", "--samples", "4"],
+    "startup": ["--quick"],
 }
+# Start-up compiles all kernels twice.
+COMMANDS = [pytest.param(command, marks=pytest.mark.long) if command == "startup" else command for command in CASES]
 TABLES = {
     "lens": {"lens": "COLUMNS"},
     "scaling": {"scaling": "COLUMNS", "exponents": "EXPONENT_COLUMNS", "threads": "THREAD_COLUMNS"},
     "render": {"render": "COLUMNS", "lens": "LENS_COLUMNS"},
     "image": {"image": "COLUMNS", "small_camera": "PEER_COLUMNS"},
+    "startup": {"startup": "COLUMNS"},
 }
 
 
@@ -69,7 +73,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return run
 
 
-@pytest.mark.parametrize("command", CASES)
+@pytest.mark.parametrize("command", COMMANDS)
 def test_json_holds_what_the_tables_show(command: str, ran: Any, tool: Any) -> None:
     printed, figures, drawing = ran(command)
     lines = [line.split() for line in printed.splitlines()]

@@ -53,7 +53,7 @@ def vectorised(function: F) -> F:
     Every ray goes through the same vector instructions wherever in its block it stands, so contraction, which makes
     them a fifth quicker, does not make a result depend on its place.
     """
-    return _compiled(function, fastmath={"contract"})
+    return _compiled(function)
 
 
 def _compiled(function: F, **more: Any) -> F:

@@ -136,7 +136,7 @@ def strips(images: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def test_what_a_depth_cut_takes_from_the_image_is_on_the_depth_account() -> None:
-    """Without splits or bounces the same packets run with and without the cut, so the comparison is exact.
+    """Without splits or bounces the same packets run with and without the cut; they are summed in another order.
 
     A packet on its way to the sensor meets the target and four faces of glass: five events.
     """
@@ -151,4 +151,4 @@ def test_what_a_depth_cut_takes_from_the_image_is_on_the_depth_account() -> None
         assert cut.depth > whole.sensor
         assert abs(cut.imbalance) <= CLOSED
     enough = lf.render(alone.changed({"transport.max_events": 5})).ledger
-    assert enough.sensor == whole.sensor
+    assert abs(enough.sensor - whole.sensor) <= CLOSED * whole.sensor

@@ -18,7 +18,7 @@ from lfmesh.transport.crossing import reflected, refracted, safely_behind
 
 Array = NDArray[np.float64]
 
-BLOCK = 64
+BLOCK = 32
 """Few enough that the block stays in the first cache beside its packets."""
 
 # The ray: where it starts, mm, camera frame, its unit direction, and the distance from which Embree looked.

@@ -7,10 +7,10 @@ are 0/0 at normal incidence. See Born & Wolf, Principles of Optics, 1.5.2.
 
 import numpy as np
 
-from lfmesh.kernel import kernel
+from lfmesh.kernel import inlined
 
 
-@kernel
+@inlined
 def fresnel(n_i: float, n_t: float, cos_i: float) -> tuple[float, float, float]:
     """Return reflectance, transmittance and the cosine of refraction.
 
@@ -26,19 +26,21 @@ def fresnel(n_i: float, n_t: float, cos_i: float) -> tuple[float, float, float]:
     R, T, cos_t : float
         Under total reflection 1, 0, 0. Matched indices reflect nothing, at grazing incidence too.
     """
-    if n_i == n_t:
-        # First: at grazing incidence sin² rounds to 1, which below would be total reflection.
-        return 0.0, 1.0, cos_i
+    # Without branches, so that loops over many packets become vector instructions. Matched indices are asked for first:
+    # at grazing incidence sin² rounds to 1, which would be total reflection.
+    matched = n_i == n_t
     eta = n_i / n_t
     sin2_t = eta * eta * (1.0 - cos_i) * (1.0 + cos_i)
-    if sin2_t >= 1.0:
-        return 1.0, 0.0, 0.0
-    cos_t = np.sqrt(1.0 - sin2_t)
+    total = sin2_t >= 1.0 and not matched
+    cos_t = np.sqrt(0.0 if sin2_t >= 1.0 else 1.0 - sin2_t)
     a_i, a_t = n_i * cos_i, n_t * cos_t
     b_i, b_t = n_i * cos_t, n_t * cos_i
     s, p = a_i + a_t, b_i + b_t
     over = 1.0 / (s * p)
     over_s, over_p = p * over, s * over
     r_s, r_p = (a_i - a_t) * over_s, (b_t - b_i) * over_p
+    R = 0.5 * (r_s * r_s + r_p * r_p)
     T = 2.0 * a_i * a_t * (over_s * over_s + over_p * over_p)
-    return 0.5 * (r_s * r_s + r_p * r_p), T, cos_t
+    R = 0.0 if matched else (1.0 if total else R)
+    T = 1.0 if matched else (0.0 if total else T)
+    return R, T, cos_i if matched else cos_t

@@ -68,7 +68,7 @@ def refracted(
     return normalised(eta * dx + g * nx, eta * dy + g * ny, eta * dz + g * nz)
 
 
-@kernel
+@inlined
 def reflected(dx: float, dy: float, dz: float, nx: float, ny: float, nz: float) -> tuple[float, float, float]:
     """Return the mirrored direction."""
     g = 2.0 * (dx * nx + dy * ny + dz * nz)
@@ -184,19 +184,27 @@ def _keep_end(
 
 @inlined
 def clear_of(facet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> float:
-    """Return the distance at which a ray that starts near a facet is safely behind the facet's plane.
+    """Return the distance at which a ray that starts near a facet is safely behind the facet's plane."""
+    normal = facet.normal
+    return safely_behind(normal[0], normal[1], normal[2], facet.offset, facet.size, x, y, z, dx, dy, dz)
+
+
+@inlined
+def safely_behind(
+    nx: float, ny: float, nz: float, offset: float, size: float,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float,
+) -> float:  # fmt: skip
+    """Return `clear_of` a facet given by its normal, the offset of its plane and its size.
 
     Beyond the plane by the rounding of a float32 query. A ray along the facet gets no further than the facet's size:
     what it meets of its own facet after that is refused and queried again.
     """
-    normal = facet.normal
-    along = normal[0] * dx + normal[1] * dy + normal[2] * dz
-    above = normal[0] * x + normal[1] * y + normal[2] * z - facet.offset
-    grain = FLOAT32_GRAIN * (abs(x) + abs(y) + abs(z) + facet.size)
-    if along == 0.0:
-        return facet.size
-    beyond = max(0.0, -above if along > 0.0 else above) + grain
-    return min(beyond / abs(along), facet.size)
+    along = nx * dx + ny * dy + nz * dz
+    above = nx * x + ny * y + nz * z - offset
+    short = -above if along > 0.0 else above
+    beyond = (short if short > 0.0 else 0.0) + FLOAT32_GRAIN * (abs(x) + abs(y) + abs(z) + size)
+    far = beyond / abs(along)
+    return far if far < size else size
 
 
 @kernel
@@ -325,7 +333,7 @@ def barycentric(facet: Any, x: float, y: float, z: float) -> tuple[float, float]
     return (c * p - b * q) / determinant, (a * q - b * p) / determinant
 
 
-@kernel
+@inlined
 def write_query(
     origins: NDArray[np.float32],
     directions: NDArray[np.float32],
@@ -335,16 +343,21 @@ def write_query(
     fold_y: float,
 ) -> None:
     """Write a packet's ray as Embree takes it, its position less the fold."""
-    t = packet.query_from
-    x, y, z = packet.x + t * packet.dx - fold_x, packet.y + t * packet.dy - fold_y, packet.z + t * packet.dz
+    t, dx, dy, dz = packet.query_from, packet.dx, packet.dy, packet.dz
+    x, y, z = packet.x + t * dx - fold_x, packet.y + t * dy - fold_y, packet.z + t * dz
     if packet.aside > 0.0:
-        x += packet.aside * (uniform(packet.key, -3 * packet.tries - 2) - 0.5)
-        y += packet.aside * (uniform(packet.key, -3 * packet.tries - 3) - 0.5)
-        z += packet.aside * (uniform(packet.key, -3 * packet.tries - 4) - 0.5)
+        x, y, z = _moved_aside(packet.aside, packet.key, packet.tries, x, y, z)
     origins[i, 0], origins[i, 1], origins[i, 2] = np.float32(x), np.float32(y), np.float32(z)
-    directions[i, 0] = np.float32(packet.dx)
-    directions[i, 1] = np.float32(packet.dy)
-    directions[i, 2] = np.float32(packet.dz)
+    directions[i, 0], directions[i, 1], directions[i, 2] = np.float32(dx), np.float32(dy), np.float32(dz)
+
+
+@kernel
+def _moved_aside(aside: float, key: np.uint64, tries: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Move a query's origin by up to half of `aside` along each axis, another way at every try."""
+    x += aside * (uniform(key, -3 * tries - 2) - 0.5)
+    y += aside * (uniform(key, -3 * tries - 3) - 0.5)
+    z += aside * (uniform(key, -3 * tries - 4) - 0.5)
+    return x, y, z
 
 
 @kernel

@@ -17,6 +17,7 @@ from lfmesh.transport.adjoint import start_room
 from lfmesh.transport.array_region import admit_to_cells, shade_cells, through_plate
 from lfmesh.transport.bundle import BLOCK, empty_bundle
 from lfmesh.transport.image_path import follow_image_path
+from lfmesh.transport.lens_block import empty_block
 from lfmesh.transport.lens_region import admit_to_lens, shade_lens
 from lfmesh.transport.object_region import admit_to_objects, shade_objects
 from lfmesh.transport.packet import (
@@ -67,6 +68,7 @@ class Workspace:
         self.counts = np.zeros(COUNTERS, np.int64)
         self.film = np.zeros((0, 1))
         self.bundle = empty_bundle()
+        self.block = empty_block()
         self.numbers = np.zeros(BLOCK, np.int64)
         self.embree_seconds = 0.0
         self.queries = 0
@@ -106,7 +108,7 @@ class Workspace:
             elif station == LENS:
                 count = admit_to_lens(wave, origins, directions, lens, frames, options, flow)
                 found = self._find(LENS, count)
-                shade_lens(wave[:count], found, lens, array.present, frames, options, flow)
+                shade_lens(wave[:count], found, self.block, self.numbers, lens, array.present, frames, options, flow)
             elif station == CELLS:
                 admit_to_cells(wave, origins, directions, array)
                 found = self._find(CELLS, count)

@@ -12,11 +12,9 @@ from lfmesh.geometry.levels import EXACT, PATCH
 from lfmesh.geometry.surface import conic_distance, distance_to, normal_at
 from lfmesh.geometry.tessellation import OVERREACH
 from lfmesh.kernel import inlined, kernel
-from lfmesh.optics.fresnel import fresnel
 from lfmesh.transport.crossing import (
     ask_again,
     behind,
-    clear_of,
     crosses,
     end,
     end_here,
@@ -24,11 +22,36 @@ from lfmesh.transport.crossing import (
     meets_patch,
     move_packet,
     record,
-    reflected,
-    refracted,
     split_shares,
     too_deep,
     write_query,
+)
+from lfmesh.transport.lens_block import (
+    ALONG_X,
+    ALONG_Y,
+    ALONG_Z,
+    BLOCK,
+    CLEAR,
+    HELD,
+    N_I,
+    N_T,
+    NX,
+    NY,
+    NZ,
+    PX,
+    PY,
+    PZ,
+    REFLECTANCE,
+    REFLECTED,
+    REFRACTED,
+    SENSE,
+    SIZE,
+    TRANSMITTANCE,
+    meet_conics,
+    set_conic,
+    set_facet,
+    set_ray,
+    split_block,
 )
 from lfmesh.transport.packet import (
     CAMERA_FRAME,
@@ -137,103 +160,181 @@ def leave_lens(
 
 @kernel
 def shade_lens(
-    wave: NDArray[np.void], found: NDArray[np.int32],
+    wave: NDArray[np.void], found: NDArray[np.int32], block: Array, met: NDArray[np.int64],
     lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """Shade a wave of packets that Embree was asked about: refuse, absorb, or split each at its surface."""
-    facets, surfaces, indices, book = lens.facets, lens.surfaces, lens.indices, flow.book
-    last_space = len(surfaces)
-    events = 0
-    for i in range(len(wave)):
-        packet = wave[i]
-        if packet.events >= options.max_events and packet.tries == 0:
-            too_deep(options, flow, frames, packet)
-            continue
-        prim = found[i]
-        space = packet.space
-        outside = space == 0 or space == last_space
-        missed_all = prim < 0 and outside
-        if missed_all and not _is_conic(surfaces[0 if space == 0 else last_space - 1]):
-            if packet.last == NO_SURFACE and packet.tries == 0:
-                # It was on its way in: Embree lets a ray pass that is aimed exactly at a vertex.
-                ask_again(options, flow, frames, LENS, packet, packet.query_from, True)
-            else:
-                _leaves(options, flow, frames, lens, has_array, packet)
-            continue
-        k, t, px, py, z, nx, ny, nz = NO_SURFACE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
-        if prim >= 0:
-            k, t, px, py, z, nx, ny, nz = _meets(flow, lens, packet, prim, 0.25 * packet.query_from)
-            if k == NO_SURFACE and abs(t) <= facets[prim].size and packet.tries < NEARBY_TRIES:
-                ask_again(options, flow, frames, LENS, packet, behind(facets[prim], packet, t), False)
-                continue
-        if k == RING or (k != NO_SURFACE and packet.last != 2 * space - 1 - k):
-            # The mesh of a surface that bulges into the space stands back from it: a ray that grazes the surface may
-            # pass above the mesh. One that comes from the other surface of the space has left that behind.
-            first, sooner, gx, gy, gz, mx, my, mz, _ = _first_conic(lens, packet)
-            if first != NO_SURFACE and first != k and sooner < t:
-                flow.counts[REQUERIES] += 1
-                k, prim, t, px, py, z, nx, ny, nz = first, -1, sooner, gx, gy, gz, mx, my, mz
+    """Shade a wave of packets that Embree was asked about: refuse, absorb, or split each at its surface.
+
+    Block by block: what meets a conic as nearly all do is found by vector instructions, the rest packet by packet, and
+    all are split together. `block` and `met` are room for that.
+    """
+    for first in range(0, len(wave), BLOCK):
+        count = min(BLOCK, len(wave) - first)
+        for i in range(count):
+            met[i] = _prepare(block, i, wave[first + i], found[first + i], lens, options)
+        meet_conics(block)
+        for i in range(count):
+            if not block[HELD + i] > 0.0:
+                met[i] = _decide(block, i, wave[first + i], found[first + i], lens, has_array, frames, options, flow)
+        split_block(block)
+        for i in range(count):
+            if met[i] != NO_SURFACE:
+                _send_on(block, i, wave[first + i], met[i], lens, has_array, frames, options, flow)
+
+
+@inlined
+def _prepare(block: Array, i: int, packet: Any, prim: int, lens: LensTables, options: Options) -> int:
+    """Enter a packet in the block if by all appearances it meets a conic of its space next; return which."""
+    block[SENSE + i] = 0.0
+    if prim < 0 or packet.events >= options.max_events:
+        return NO_SURFACE
+    facet = lens.facets[prim]
+    k, space, last_space = facet.body, packet.space, len(lens.surfaces)
+    forward = k == space
+    if k < 0 or not (forward or k == space - 1) or not _is_conic(lens.surfaces[k]):
+        return NO_SURFACE
+    outside = space == 0 or space == last_space
+    if not outside and packet.last != 2 * space - 1 - k:
+        # It may graze the other surface of its space above that one's mesh first.
+        return NO_SURFACE
+    x, y, z = packet.x, packet.y, packet.z
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    if lens.stop_space == space and packet.last != k and stop_cuts(lens, x, y, z, dx, dy, dz):
+        return NO_SURFACE
+    set_ray(block, i, packet)
+    set_facet(block, i, facet)
+    set_conic(block, i, lens.surfaces[k], 1.0 if forward else -1.0)
+    _set_media(block, i, packet, k, lens)
+    return k
+
+
+@inlined
+def _set_media(block: Array, i: int, packet: Any, k: int, lens: LensTables) -> None:
+    """Enter the indices before and after surface `k`."""
+    space = packet.space
+    block[N_I + i] = lens.indices[space, packet.wave]
+    block[N_T + i] = lens.indices[k + 1 if k == space else k, packet.wave]
+
+
+@kernel
+def _decide(
+    block: Array, i: int, packet: Any, prim: int,
+    lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
+) -> int:  # fmt: skip
+    """Decide on a packet by itself: enter where it meets a surface in the block and return which.
+
+    `NO_SURFACE`: it has ended, is to be asked about again, or has left the lens.
+    """
+    if packet.events >= options.max_events and packet.tries == 0:
+        too_deep(options, flow, frames, packet)
+        return NO_SURFACE
+    facets, surfaces = lens.facets, lens.surfaces
+    space, last_space = packet.space, len(surfaces)
+    outside = space == 0 or space == last_space
+    missed_all = prim < 0 and outside
+    if missed_all and not _is_conic(surfaces[0 if space == 0 else last_space - 1]):
+        if packet.last == NO_SURFACE and packet.tries == 0:
+            # It was on its way in: Embree lets a ray pass that is aimed exactly at a vertex.
+            ask_again(options, flow, frames, LENS, packet, packet.query_from, True)
+        else:
+            _leaves(options, flow, frames, lens, has_array, packet)
+        return NO_SURFACE
+    k, t, px, py, z, nx, ny, nz = NO_SURFACE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
+    if prim >= 0:
+        k, t, px, py, z, nx, ny, nz = _meets(flow, lens, packet, prim, 0.25 * packet.query_from)
+        if k == NO_SURFACE and abs(t) <= facets[prim].size and packet.tries < NEARBY_TRIES:
+            ask_again(options, flow, frames, LENS, packet, behind(facets[prim], packet, t), False)
+            return NO_SURFACE
+    if k == RING or (k != NO_SURFACE and packet.last != 2 * space - 1 - k):
+        # The mesh of a surface that bulges into the space stands back from it: a ray that grazes the surface may
+        # pass above the mesh. One that comes from the other surface of the space has left that behind.
+        first, sooner, gx, gy, gz, mx, my, mz, _ = _first_conic(lens, packet)
+        if first != NO_SURFACE and first != k and sooner < t:
+            flow.counts[REQUERIES] += 1
+            k, prim, t, px, py, z, nx, ny, nz = first, -1, sooner, gx, gy, gz, mx, my, mz
+    if k == NO_SURFACE:
+        # Far from its start the packet must not go on: float32 has put that start, or the ray, past a facet. And a
+        # ray that grazes a surface from outside may meet it above the chords of all its facets.
+        flow.counts[REQUERIES] += not missed_all
+        k, prim, t, px, py, z, nx, ny, nz = _first_of_all(flow, lens, packet)
         if k == NO_SURFACE:
-            # Far from its start the packet must not go on: float32 has put that start, or the ray, past a facet. And a
-            # ray that grazes a surface from outside may meet it above the chords of all its facets.
-            flow.counts[REQUERIES] += not missed_all
-            k, prim, t, px, py, z, nx, ny, nz = _first_of_all(flow, lens, packet)
-            if k == NO_SURFACE:
-                if outside:
-                    # It passes beside the outermost surface.
-                    _leaves(options, flow, frames, lens, has_array, packet)
-                else:
-                    end_here(options, flow, frames, packet, LOST_CONTRADICTION, S_LOST)
-                continue
-        if k == RING:
-            _meets_ring(options, flow, frames, lens, packet, t)
-            continue
-        dx, dy, dz = packet.dx, packet.dy, packet.dz
-        forward = k == space
-        surface = surfaces[k]
-        if lens.stop_space == space and packet.last != k and stop_cuts(lens, px, py, z, dx, dy, dz):
-            at = (lens.stop_z - z) / dz if dz != 0.0 else 0.0
-            # A ray of the user's own may start behind the stop, and never cross it.
-            if packet.last != NO_SURFACE or space == 0 or space == last_space or -t < at < 0.0:
-                end(
-                    options, flow, frames, packet, CAMERA_FRAME, px + at * dx, py + at * dy, z + at * dz, dx, dy, dz,
-                    packet.weight, STOP, S_ABSORBED,
-                )  # fmt: skip
-                continue
-        if px * px + py * py > surface.aperture * surface.aperture:
-            slot = lens.mount_slot[k]
-            end(options, flow, frames, packet, CAMERA_FRAME, px, py, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
-            continue
-        cos_i = min(nx * dx + ny * dy + nz * dz, 1.0)
-        events += 1
-        other = k + 1 if forward else k
-        n_i, n_t = indices[space, packet.wave], indices[other, packet.wave]
-        reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
-        to_reflected, to_refracted = split_shares(options, book, packet, reflectance, transmittance)
-        met, node, key = packet.events + 1, packet.node, packet.key
-        for refracts in (False, True):
-            weight = to_refracted if refracts else to_reflected
-            if weight <= 0.0:
-                continue
-            if refracts:
-                ux, uy, uz = refracted(dx, dy, dz, nx, ny, nz, n_i / n_t, cos_i, cos_t)
+            if outside:
+                # It passes beside the outermost surface.
+                _leaves(options, flow, frames, lens, has_array, packet)
             else:
-                ux, uy, uz = reflected(dx, dy, dz, nx, ny, nz)
-            into = other if refracts else space
-            child_key = key if refracts else derived(key, met)
-            if options.record:
-                event = E_TRANSMITTED if refracts else E_REFLECTED
-                packet.node = record(flow, frames, CAMERA_FRAME, px, py, z, weight, k, event, node)
-            if (into == 0 and lens.convex_front) or (into == last_space and lens.convex_back):
-                packet.events, packet.space = met, into
-                leave_lens(
-                    options, flow, frames, lens, has_array, packet, px, py, z, ux, uy, uz, weight, child_key, into
-                )
-            else:
-                clear = clear_of(facets[prim], px, py, z, ux, uy, uz) if prim >= 0 else 0.0
-                child = put(flow, LENS, packet, CAMERA_FRAME, px, py, z, ux, uy, uz, weight, child_key, clear)
-                child.events, child.last, child.space = met, k, into
-    flow.counts[EVENTS] += events
+                end_here(options, flow, frames, packet, LOST_CONTRADICTION, S_LOST)
+            return NO_SURFACE
+    if k == RING:
+        _meets_ring(options, flow, frames, lens, packet, t)
+        return NO_SURFACE
+    if _is_cut(options, flow, frames, lens, packet, k, t, px, py, z):
+        return NO_SURFACE
+    set_ray(block, i, packet)
+    block[PX + i], block[PY + i], block[PZ + i] = px, py, z
+    block[NX + i], block[NY + i], block[NZ + i] = nx, ny, nz
+    set_facet(block, i, facets[max(prim, 0)])
+    if prim < 0:
+        # No facet to stand off from.
+        block[SIZE + i] = 0.0
+    _set_media(block, i, packet, k, lens)
+    return k
+
+
+@kernel
+def _is_cut(
+    options: Options, flow: Flow, frames: Array, lens: LensTables, packet: Any,
+    k: int, t: float, x: float, y: float, z: float,
+) -> bool:  # fmt: skip
+    """Absorb a packet that the stop of its space or the mount keeps from where it meets surface `k`, at distance t."""
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    space = packet.space
+    if lens.stop_space == space and packet.last != k and stop_cuts(lens, x, y, z, dx, dy, dz):
+        at = (lens.stop_z - z) / dz if dz != 0.0 else 0.0
+        # A ray of the user's own may start behind the stop, and never cross it.
+        if packet.last != NO_SURFACE or space == 0 or space == len(lens.surfaces) or -t < at < 0.0:
+            end(
+                options, flow, frames, packet, CAMERA_FRAME, x + at * dx, y + at * dy, z + at * dz, dx, dy, dz,
+                packet.weight, STOP, S_ABSORBED,
+            )  # fmt: skip
+            return True
+    aperture = lens.surfaces[k].aperture
+    if x * x + y * y > aperture * aperture:
+        slot = lens.mount_slot[k]
+        end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
+        return True
+    return False
+
+
+@inlined
+def _send_on(
+    block: Array, i: int, packet: Any, k: int,
+    lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
+) -> None:  # fmt: skip
+    """Send the children of a packet on from surface `k`, each with its share."""
+    flow.counts[EVENTS] += 1
+    x, y, z = block[PX + i], block[PY + i], block[PZ + i]
+    to_reflected, to_refracted = split_shares(
+        options, flow.book, packet, block[REFLECTANCE + i], block[TRANSMITTANCE + i]
+    )
+    space, last_space = packet.space, len(lens.surfaces)
+    met, node, key = packet.events + 1, packet.node, packet.key
+    for refracts in (False, True):
+        weight = to_refracted if refracts else to_reflected
+        if weight <= 0.0:
+            continue
+        child = (REFRACTED if refracts else REFLECTED) + i
+        dx, dy, dz = block[child + ALONG_X], block[child + ALONG_Y], block[child + ALONG_Z]
+        into = (k + 1 if k == space else k) if refracts else space
+        child_key = key if refracts else derived(key, met)
+        if options.record:
+            event = E_TRANSMITTED if refracts else E_REFLECTED
+            packet.node = record(flow, frames, CAMERA_FRAME, x, y, z, weight, k, event, node)
+        if (into == 0 and lens.convex_front) or (into == last_space and lens.convex_back):
+            packet.events, packet.space = met, into
+            leave_lens(options, flow, frames, lens, has_array, packet, x, y, z, dx, dy, dz, weight, child_key, into)
+        else:
+            sent = put(flow, LENS, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, child_key, block[child + CLEAR])
+            sent.events, sent.last, sent.space = met, k, into
 
 
 @kernel

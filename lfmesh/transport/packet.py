@@ -172,16 +172,20 @@ def put(
 ) -> Any:  # fmt: skip
     """Queue a packet at a station, given in a frame; it inherits all else from `parent`. Return its record."""
     row, top = flow.rows[station], flow.tops[station]
-    flow.stacks[row, top] = parent
+    # Field by field, and read before anything is written: of a copy of the record, of which half is overwritten, the
+    # compiler makes sixty moves of odd bytes.
+    start, source, node, kind = parent.start, parent.source, parent.node, parent.kind
+    column, cell_row, facet, last = parent.column, parent.row, parent.facet, parent.last
+    wave, space, events = parent.wave, parent.space, parent.events
     packet = flow.stacks[row, top]
-    packet.frame = frame
     packet.x, packet.y, packet.z = x, y, z
     packet.dx, packet.dy, packet.dz = dx, dy, dz
-    packet.weight = weight
-    packet.key = key
-    packet.query_from = query_from
-    packet.limit = query_from
-    packet.aside = 0.0
-    packet.tries = 0
+    packet.weight, packet.start = weight, start
+    packet.query_from, packet.limit = query_from, query_from
+    packet.key, packet.source = key, source
+    packet.aside, packet.node = 0.0, node
+    packet.column, packet.row, packet.facet, packet.last = column, cell_row, facet, last
+    packet.wave, packet.space, packet.events = wave, space, events
+    packet.tries, packet.kind, packet.frame = 0, kind, frame
     flow.tops[station] = top + 1
     return packet

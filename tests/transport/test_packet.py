@@ -1,0 +1,33 @@
+"""What becomes of a packet on its way from stack to stack."""
+
+import numpy as np
+
+from lfmesh.kernel import kernel
+from lfmesh.transport.packet import DEPOSIT, END, LENS, NODE, PACKET, PLATE, STATIONS, TOPS, Flow, put
+
+GIVEN = {
+    "x": 1.0, "y": 2.0, "z": 3.0, "dx": 0.0, "dy": 0.6, "dz": 0.8,
+    "weight": 0.25, "key": 77, "query_from": 1e-3, "limit": 1e-3, "aside": 0.0, "tries": 0, "frame": 2,
+}  # fmt: skip
+"""What `put` is given, or sets: a child asks Embree for the first time."""
+
+
+@kernel
+def put_child(flow, parents):
+    put(flow, PLATE, parents[0], 2, 1.0, 2.0, 3.0, 0.0, 0.6, 0.8, 0.25, np.uint64(77), 1e-3)
+
+
+def test_a_child_inherits_all_that_it_is_not_given():
+    parents = np.zeros(1, PACKET)
+    for number, name in enumerate(PACKET.names):
+        parents[name] = number + 2
+    flow = Flow(
+        np.zeros((STATIONS + 1, 4), PACKET), np.arange(STATIONS + 1), np.zeros(TOPS, np.int64), np.zeros(1),
+        np.zeros(1, np.int64), np.zeros((0, 1)), np.zeros(0, DEPOSIT), np.zeros(0, END), np.zeros(0, NODE),
+    )  # fmt: skip
+    put_child(flow, parents)
+    child = flow.stacks[PLATE, 0]
+    for name in PACKET.names:
+        assert child[name] == GIVEN.get(name, parents[name][0]), name
+    assert flow.tops[PLATE] == 1
+    assert flow.tops[LENS] == 0

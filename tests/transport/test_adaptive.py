@@ -1,5 +1,6 @@
 """Adaptive sampling: unbiased, its error bars honest, its effort where the noise is, and none where all is dark."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import lfmesh as lf
+from lfmesh.cli import main
 from lfmesh.errors import LfmeshError
+from lfmesh.files import words
 from lfmesh.transport import adaptive
 from lfmesh.transport.render import Renderer
 
@@ -203,3 +206,23 @@ def test_ctrl_c_in_the_second_stage_keeps_what_is_finished(finished: int, monkey
 def test_what_cannot_be_refined_is_refused(changes: dict[str, Any], field: str) -> None:
     with pytest.raises(LfmeshError, match=field):
         scene(**changes)
+
+
+def test_a_run_folder_keeps_what_was_reached(tmp_path: Path) -> None:
+    image = lf.render(scene())
+    lf.save(image, tmp_path / "run")
+    again = lf.open_run(tmp_path / "run")
+    assert again.refinement == image.refinement
+    assert again.complete
+    said = " ".join(words.summary(image))
+    assert f"{image.samples:.3g} a pixel on average" in said
+    assert "standard error of 10 %" in said
+
+
+def test_the_command_line_takes_the_target(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text(scene(target_error=None).dump_toml(), encoding="utf-8")
+    assert main(["render", str(file), "-o", str(tmp_path / "run"), "--target-error", "0.2", "--max-samples", "64"]) == 0
+    refinement = lf.open_run(tmp_path / "run").refinement
+    assert refinement is not None
+    assert (refinement.target_error, refinement.max_samples) == (0.2, 64)

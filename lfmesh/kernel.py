@@ -26,8 +26,8 @@ _use_whole_vector_registers()
 _OPTIONS = {
     "cache": True,
     "nogil": True,
-    # IEEE division, no exception. Fast-math stays off: the tracer promises float64 rounding, and contraction and
-    # reassociation would make a result depend on how LLVM happened to vectorise a loop.
+    # IEEE division, no exception. Fast-math stays off, contraction too: the tracer promises float64 rounding, and what
+    # LLVM contracts depends on what it inlined, so that a kernel from the cache would differ from one just compiled.
     "error_model": "numpy",
     # No reference counting: kernels allocate nothing, and counting every array that a table holds at every call cost
     # three quarters of the time.
@@ -45,15 +45,6 @@ def kernel(function: F) -> F:
 def inlined(function: F) -> F:
     """Compile as `kernel` does, and copy the body into every caller: for the few steps that every event takes."""
     return _compiled(function, inline="always")
-
-
-def vectorised(function: F) -> F:
-    """Compile as `kernel` does, with products and sums contracted: for loops over whole blocks, which have no tail.
-
-    Every ray goes through the same vector instructions wherever in its block it stands, so contraction, which makes
-    them a fifth quicker, does not make a result depend on its place.
-    """
-    return _compiled(function)
 
 
 def _compiled(function: F, **more: Any) -> F:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.surface import NEWTON_STEPS, SETTLED, distance_to
-from lfmesh.kernel import inlined, kernel, vectorised
+from lfmesh.kernel import inlined, kernel
 
 Array = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ def pad(bundle: Array, count: int) -> None:
         bundle[ENDED_ON + i] = DROPPED
 
 
-@vectorised
+@kernel
 def move_bundle(bundle: Array, move: Array) -> None:
     """Move a bundle into another frame: `move` is (3, 4), turn and shift."""
     xx, xy, xz, x0 = move[0, 0], move[0, 1], move[0, 2], move[0, 3]
@@ -76,7 +76,7 @@ def move_bundle(bundle: Array, move: Array) -> None:
         bundle[DZ + i] = zx * x + zy * y + zz * z
 
 
-@vectorised
+@kernel
 def normalise(bundle: Array) -> None:
     """Make the directions' length one again, which every interface has left a rounding error off."""
     for i in range(BLOCK):
@@ -85,7 +85,7 @@ def normalise(bundle: Array) -> None:
         bundle[DX + i], bundle[DY + i], bundle[DZ + i] = dx * scale, dy * scale, dz * scale
 
 
-@vectorised
+@kernel
 def through_stop(bundle: Array, stop_z: float, radius: float, slot: float) -> None:
     """End the rays that pass the plane of a stop outside its aperture there."""
     limit = radius * radius
@@ -221,7 +221,7 @@ def _bend(
     bundle[DZ + i] = uz if goes else dz
 
 
-@vectorised
+@kernel
 def _through_sphere(
     bundle: Array, c: float, vertex_z: float, limit: float, sense: float, n_i: float, n_t: float,
     rim: float, mount: float, beyond: float,
@@ -235,7 +235,7 @@ def _through_sphere(
         _bend(bundle, i, meets and t > 0.0, x, y, z + vertex_z, nx, ny, nz, cos_i, limit, n_i, n_t, rim, mount, beyond)
 
 
-@vectorised
+@kernel
 def _meet_conic(bundle: Array, c: float, k: float, vertex_z: float, sense: float) -> None:
     """Leave the distance to a conic in `_T`: −1 where a ray misses it or meets its other sheet."""
     q = 1.0 + k
@@ -277,7 +277,7 @@ def _asphere_terms(bundle: Array, terms: int, asphere: Array) -> None:
         _add_term(bundle, asphere[m], (m + 2.0) * asphere[m])
 
 
-@vectorised
+@kernel
 def _begin_terms(bundle: Array) -> None:
     for i in range(BLOCK):
         t = bundle[_T + i]
@@ -286,7 +286,7 @@ def _begin_terms(bundle: Array) -> None:
         bundle[_SAG + i], bundle[_SLOPE + i] = 0.0, 0.0
 
 
-@vectorised
+@kernel
 def _add_term(bundle: Array, sag: float, slope: float) -> None:
     for i in range(BLOCK):
         r2 = bundle[_R2 + i]
@@ -294,7 +294,7 @@ def _add_term(bundle: Array, sag: float, slope: float) -> None:
         bundle[_SLOPE + i] = bundle[_SLOPE + i] * r2 + slope
 
 
-@vectorised
+@kernel
 def _newton_step(bundle: Array, c: float, k: float, vertex_z: float) -> int:
     """Take one step towards the asphere; return how many rays are still moving."""
     q = (1.0 + k) * c * c
@@ -315,7 +315,7 @@ def _newton_step(bundle: Array, c: float, k: float, vertex_z: float) -> int:
     return moving
 
 
-@vectorised
+@kernel
 def _bend_along_slope(
     bundle: Array, c: float, k: float, vertex_z: float, limit: float, sense: float, n_i: float, n_t: float,
     rim: float, mount: float, beyond: float,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import inlined, vectorised
+from lfmesh.kernel import kernel
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.transport.bundle import conic_distance
 from lfmesh.transport.crossing import reflected, refracted, safely_behind
@@ -72,7 +72,7 @@ def set_conic(block: Array, i: int, surface: Any, sense: float) -> None:
     block[SENSE + i] = sense
 
 
-@vectorised
+@kernel
 def meet_conics(block: Array) -> None:
     """Find where the rays cross their conics in the given sense, within the aperture and by facets of that sense.
 
@@ -97,7 +97,7 @@ def meet_conics(block: Array) -> None:
         block[HELD + i] = 1.0 if held else 0.0
 
 
-@vectorised
+@kernel
 def split_block(block: Array) -> None:
     """Divide each packet between the reflected and the refracted ray, and set their queries off from the facet."""
     for i in range(BLOCK):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice
 from lfmesh.geometry.lenslets import are_alike, shape_of
-from lfmesh.kernel import inlined, kernel, vectorised
+from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.bundle import (
     BLOCK,
     DX,
@@ -73,7 +73,7 @@ def through_single_lenslets(bundle: Array, array: ArrayTables, glass: float, inw
     _commit(bundle)
 
 
-@vectorised
+@kernel
 def _begin(bundle: Array) -> None:
     for i in range(BLOCK):
         bundle[_X + i], bundle[_Y + i], bundle[_Z + i] = bundle[X + i], bundle[Y + i], bundle[Z + i]
@@ -82,7 +82,7 @@ def _begin(bundle: Array) -> None:
         bundle[PASSED + i] = 1.0 if bundle[ENDED_ON + i] == 0.0 else 0.0
 
 
-@vectorised
+@kernel
 def _commit(bundle: Array) -> None:
     for i in range(BLOCK):
         holds = bundle[PASSED + i] > 0.0
@@ -115,7 +115,7 @@ def _bend(
     bundle[_WEIGHT + i] = on
 
 
-@vectorised
+@kernel
 def _through_flat_face(
     bundle: Array, z: float, safe_x: float, safe_y: float, toward: float, n_i: float, n_t: float
 ) -> None:
@@ -135,7 +135,7 @@ def _find_cells(bundle: Array, lattice: Lattice, border: float) -> None:
         _find_square_cells(bundle, border, lattice.pitch, lattice.columns, lattice.rows)
 
 
-@vectorised
+@kernel
 def _find_square_cells(bundle: Array, border: float, pitch: float, columns: int, rows: int) -> None:
     over = 1.0 / pitch
     for i in range(BLOCK):
@@ -160,7 +160,7 @@ def _nearest_in_row(u: float, v: float, row: float, columns: int, rows: int) -> 
     return column, x, y, (u - x) * (u - x) + (v - y) * (v - y)
 
 
-@vectorised
+@kernel
 def _find_hexagonal_cells(bundle: Array, border: float, pitch: float, columns: int, rows: int) -> None:
     over = 1.0 / pitch
     for i in range(BLOCK):
@@ -194,7 +194,7 @@ def _look_up_shapes(bundle: Array, array: ArrayTables) -> None:
             bundle[_APEX_X + i], bundle[_APEX_Y + i] = bundle[_CENTRE_X + i] + ex, bundle[_CENTRE_Y + i] + ey
 
 
-@vectorised
+@kernel
 def _fill_shapes(bundle: Array, curvature: float) -> None:
     for i in range(BLOCK):
         bundle[_CURVATURE + i] = curvature
@@ -217,7 +217,7 @@ def _meet_face(bundle: Array, i: int, sense: float) -> tuple[bool, float, float,
     return holds, rx + bundle[_APEX_X + i], ry + bundle[_APEX_Y + i], pz, nx, ny, nz, cos_i
 
 
-@vectorised
+@kernel
 def _through_square_lenslet(
     bundle: Array, pitch: float, safe_x: float, safe_y: float, out: float, sense: float, n_i: float, n_t: float
 ) -> None:
@@ -239,7 +239,7 @@ def _in_hexagon(x: float, y: float, half: float) -> bool:
     return abs(x) <= half and abs(a + b) <= half and abs(a - b) <= half
 
 
-@vectorised
+@kernel
 def _through_hexagonal_lenslet(
     bundle: Array, pitch: float, safe_x: float, safe_y: float, out: float, sense: float, n_i: float, n_t: float
 ) -> None:

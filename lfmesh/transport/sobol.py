@@ -9,7 +9,7 @@ scrambled sets is an honest standard error. The hash is Laine & Karras's (EGSR 2
 
 import numpy as np
 
-from lfmesh.kernel import kernel, vectorised
+from lfmesh.kernel import kernel
 from lfmesh.transport.random import derived
 
 DIMENSIONS = 8
@@ -109,7 +109,7 @@ def scrambled(point: np.uint32, seed: np.uint32) -> float:
     return _scrambled(point, seed) * _UNIT
 
 
-@vectorised
+@kernel
 def scramble(points: np.ndarray, seeds: np.ndarray, numbers: np.ndarray) -> None:
     """Do as `scrambled` does for whole arrays (n,)."""
     for i in range(len(points)):

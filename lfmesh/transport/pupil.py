@@ -92,9 +92,9 @@ def outlook(plane_z: float, wide_radius: float, points: Array, *, to_sensor: boo
     # Where all lie in one plane, one distance will do.
     many = DISTANCES if far - near > 1e-9 * far else 1
     inverse = np.linspace(1.0 / far, 1.0 / near, many)
-    return Outlook(
-        plane_z, wide_radius, to_sensor, np.linspace(0.0, max(float(tangent.max()), 1e-9), ANGLES), 1.0 / inverse
-    )
+    # Points on the axis alone see it at no angle; the table then needs some width.
+    widest = float(tangent.max()) or 1.0
+    return Outlook(plane_z, wide_radius, to_sensor, np.linspace(0.0, widest, ANGLES), 1.0 / inverse)
 
 
 def unknown_opening(plane_z: float, *, to_sensor: bool) -> Opening:
@@ -261,5 +261,6 @@ def opening_from(opening: Opening, x: float, y: float, z: float) -> tuple[float,
     middle = opening.middle
     m = (1.0 - b) * ((1.0 - a) * middle[row, column] + a * middle[row, column + 1])
     m += b * ((1.0 - a) * middle[row + 1, column] + a * middle[row + 1, column + 1])
-    m /= max(height, 1e-300)
+    # Towards the point; for one on the axis the middle is on it too.
+    m = m / height if height > 0.0 else 0.0
     return m * x, m * y, opening.radius[row, column]

@@ -305,8 +305,8 @@ def _through_a_lenslet(
 
     Uniform over the cells that show the pupil to the point, mixed with a few directions from the whole hemisphere, for
     ghosts, stray light and what the measured opening leaves out; a point to which no cell shows the opening sends only
-    those. The cells are aimed at where the sensor sees their apexes, through the plate; their faces lie deeper at the
-    border, so the aimed cells are a margin larger.
+    those. The cells are aimed at where the sensor sees the borders of their faces, through the plate; the borders are
+    deeper at the corners, so the aimed cells are a margin larger.
 
     Parameters
     ----------
@@ -315,9 +315,8 @@ def _through_a_lenslet(
     """
     lattice = array.lenslets.lattice
     nx, ny, nz = normal
-    distance = abs(z - aim.lenslet_z)
+    distance, over = abs(z - aim.border_z), 1.0 / abs(z - aim.lenslet_z)
     toward = -1.0 if array.curved_to_lens else 1.0
-    over = 1.0 / distance
     count = 0
     for cell in range(listed):
         a, b = (near[cell, 0] - x) * over - near[cell, 2], (near[cell, 1] - y) * over - near[cell, 3]

@@ -4,7 +4,7 @@ import numpy as np
 
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lattice import ROW_SPACING, centre
-from lfmesh.geometry.lenslets import shape_of
+from lfmesh.geometry.lenslets import cap_sag, shape_of
 from lfmesh.geometry.mesh import Array
 from lfmesh.geometry.surface import sag
 from lfmesh.geometry.targets import TargetMesh
@@ -74,7 +74,7 @@ def aim_table(
     aim = Aim(
         entrance, front_radius, exit_, back_radius,
         WIDE_SHARE if followed else WIDE_SHARE_OF_IMAGE_PATH, 1.0 if followed else WIDE_SHARE_OF_IMAGE_PATH,
-        0.0, 0.0, 0.0, 0.0, np.zeros((1, 2)), np.zeros(1), 0.0, 0,
+        0.0, 0.0, 0.0, 0.0, 0.0, np.zeros((1, 2)), np.zeros(1), 0.0, 0,
     )  # fmt: skip
     return _aim_through_lenslets(scene, report, array, aim, moves, glass) if array.present else aim
 
@@ -157,17 +157,31 @@ def _aim_through_lenslets(
     off_chief = vergence * (lattice.centres().reshape(-1, 2) - [pupil_x, pupil_y]) + slope
     reach = np.where(seen, np.hypot(off_chief[:, 0], off_chief[:, 1]) + slope_radius, 0.0).max()
     reach /= (vergence + 1.0 / distance.max()) * lattice.pitch
-    steepest = reach * lattice.pitch / distance.min()
+    steepest = np.where(seen, np.hypot(slope[:, 0], slope[:, 1]) + slope_radius, 0.0).max()
+    low, high = _border_depths(array)
+    shortened = 1.0 / glass if array.curved_to_lens else 1.0
     return aim._replace(
         lenslet_z=sensor_z,
+        border_z=sensor_z + 0.5 * (low + high) * shortened,
         pupil_x=pupil_x,
         pupil_y=pupil_y,
         pupil_vergence=vergence,
         slope=slope,
         slope_radius2=np.where(seen, slope_radius**2, -1.0),
-        cell_margin=(array.lenslets.valley - array.lenslets.top) * (steepest + lattice.circumradius / distance.min()),
+        cell_margin=0.5 * (high - low) * shortened * (steepest + lattice.circumradius / distance.min()),
         search=int(reach / ROW_SPACING + 1.0) if lattice.hexagonal else int(reach + 0.5),
     )
+
+
+def _border_depths(array: ArrayTables) -> tuple[float, float]:
+    """Return the smallest and the largest z of the lenslets' faces on the borders of their cells, array frame, mm."""
+    lenslets = array.lenslets
+    stretch = lenslets.stretch if len(lenslets.stretch) else np.ones(1)
+    curvatures = np.outer(lenslets.curvature, [stretch.min(), stretch.max()]).ravel()
+    astray = np.hypot(lenslets.decentre[:, 0], lenslets.decentre[:, 1]).max() if len(lenslets.decentre) else 0.0
+    nearest, furthest = max(0.5 * lenslets.lattice.pitch - astray, 0.0), lenslets.lattice.circumradius + astray
+    depths = [cap_sag(c, r * r) for c in curvatures for r in (nearest, furthest)]
+    return min(depths), max(depths)
 
 
 @kernel

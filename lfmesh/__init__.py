@@ -17,6 +17,11 @@ if TYPE_CHECKING:
     from lfmesh.errors import FileError, GlassError, LfmeshError, MeshError, SceneError
     from lfmesh.files.run import open_run, save
     from lfmesh.geometry.refractors import first_order
+    from lfmesh.lightfield.calibration import Calibration, calibrate
+    from lfmesh.lightfield.decode import decode
+    from lfmesh.lightfield.field import LightField
+    from lfmesh.lightfield.ray_model import RayModel
+    from lfmesh.lightfield.white import white_image
     from lfmesh.scene import (
         ArrayForm,
         Box,
@@ -54,6 +59,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ArrayForm",
     "Box",
+    "Calibration",
     "Camera",
     "Cylinder",
     "DirectionalLight",
@@ -66,6 +72,7 @@ __all__ = [
     "Ledger",
     "Lens",
     "LfmeshError",
+    "LightField",
     "Material",
     "MeshError",
     "MicrolensArray",
@@ -74,6 +81,7 @@ __all__ = [
     "PointLight",
     "Pose",
     "Progress",
+    "RayModel",
     "Refractor",
     "Scene",
     "SceneError",
@@ -86,6 +94,8 @@ __all__ = [
     "Transport",
     "__version__",
     "build",
+    "calibrate",
+    "decode",
     "first_order",
     "load",
     "loads",
@@ -94,12 +104,18 @@ __all__ = [
     "save",
     "solved",
     "trace",
+    "white_image",
 ]
 
 _HOMES = {
     "lfmesh.errors": ["FileError", "GlassError", "LfmeshError", "MeshError", "SceneError"],
     "lfmesh.files.run": ["open_run", "save"],
     "lfmesh.geometry.refractors": ["first_order"],
+    "lfmesh.lightfield.calibration": ["Calibration", "calibrate"],
+    "lfmesh.lightfield.decode": ["decode"],
+    "lfmesh.lightfield.field": ["LightField"],
+    "lfmesh.lightfield.ray_model": ["RayModel"],
+    "lfmesh.lightfield.white": ["white_image"],
     "lfmesh.scene": [
         *["Scene", "Camera", "Lens", "Surface", "MicrolensArray", "ArrayForm", "Sensor", "Pose", "Target"],
         *["Material", "Plane", "Disk", "Sphere", "Box", "Cylinder", "PointLight", "DirectionalLight"],

@@ -104,6 +104,7 @@ def decode(
         unit=unit,
         scene=scene,
         sampling=sampling.words,
+        sharing=_sharing(calibration, count, sampling),
     )
 
 
@@ -180,6 +181,18 @@ def _sorted_pixels(image: Image, calibration: Calibration, count: int, sampling:
         image.mean, image.stderr, calibration.centres_px, sampling.columns, sampling.share, data, stderr
     )  # fmt: skip
     return data, stderr
+
+
+def _sharing(calibration: Calibration, count: int, sampling: Sampling) -> Samples:
+    """Return 1 over the sum of the squared weights of the pixels in a sample, the same for all views of a lenslet."""
+    fraction = (calibration.centres_px + 0.5 * (count - 1)) % 1.0
+    squares = np.prod((1.0 - fraction) ** 2 + fraction**2, axis=-1)[::-1]
+    odd = np.arange(len(squares))[::-1] & 1
+    left, share = sampling.columns[odd], sampling.share[odd]
+    first = np.take_along_axis(squares, left, axis=1)
+    second = np.take_along_axis(squares, np.minimum(left + 1, squares.shape[1] - 1), axis=1)
+    here, there = (1.0 - share) ** 2, share**2
+    return ((here + there) / (here * first + there * second)).astype(np.float32)
 
 
 @kernel

@@ -44,6 +44,9 @@ class LightField:
         Solved.
     sampling : str
         How (t, s) come from the lenslets, in words.
+    sharing : (t, s) float32
+        By what factor the variance of a mean over neighbouring views of a lenslet exceeds that of independent samples:
+        they are interpolated between pixels that neighbours share. 1 where the centre falls on a pixel.
     """
 
     data: Samples
@@ -56,6 +59,7 @@ class LightField:
     unit: str
     scene: Scene
     sampling: str
+    sharing: Samples
 
     @cached_property
     def model(self) -> RayModel:

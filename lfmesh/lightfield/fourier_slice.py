@@ -58,6 +58,8 @@ class ViewSpectra:
         v, u = np.arange(rows) - 0.5 * (rows - 1), np.arange(columns) - 0.5 * (columns - 1)
         turn_t = np.exp(-2j * np.pi * along_t * np.outer(v, np.fft.fftfreq(full[0])))
         turn_s = np.exp(-2j * np.pi * along_s * np.outer(u, np.fft.rfftfreq(full[1])))
-        total = np.einsum("vu,vutsc,vt,us->tsc", shares, spectra, turn_t, turn_s, optimize=True)
+        total = np.zeros(spectra.shape[2:], np.complex128)
+        for i, j in zip(*np.nonzero(shares), strict=True):
+            total += (shares[i, j] * turn_t[i])[:, None, None] * turn_s[j][:, None] * spectra[i, j]
         picture = np.fft.irfft2(total, s=full, axes=(0, 1))
         return picture[top : top + height, side : side + width]

@@ -20,7 +20,7 @@ ROUNDS = 6
 LIT = 0.25
 """A micro-image darker than this share of the median one has no centre of its own."""
 
-CLIP = 0.5
+CLIP = 0.85
 """Light above this share of a micro-image's brightness counts as this much: a micro-image has the shape of the pupil,
 and neither noise nor the fall-off of light across it should move its centre."""
 
@@ -109,7 +109,7 @@ def _phase_shift(light: Array, centres: Array, pitch: float, hexagonal: bool) ->
         along_y = np.exp(-2j * np.pi * ky * (row - point[1]))
         along_x = np.exp(-2j * np.pi * kx * (column - point[0]))
         amplitude = complex(along_y @ light @ along_x)
-        if abs(amplitude) < 0.5 * CONTRAST * light.sum():
+        if abs(amplitude) <= 0.5 * CONTRAST * light.sum():
             raise LfmeshError(
                 "the white image shows no micro-images: "
                 + ("it is black" if not light.any() else "they touch without dark between them; stop the lens down")

@@ -55,10 +55,10 @@ Examples:
     lfmesh demo                          render the scene that comes with lfmesh
     lfmesh check scene.toml              first-order optics and warnings
     lfmesh render scene.toml -o run/     raw image, previews and report in run/
-    lfmesh white run/                    white image and true geometry of its camera
+    lfmesh white run/                    white image, true micro-image centres
     lfmesh decode run/                   the light field: all views of the run
-    lfmesh refocus run/ --distance-mm 480
-    lfmesh accuracy -o report/           speed against error, as tables and figures
+    lfmesh refocus run/ --stack 300:800:20   photographs of other planes
+    lfmesh accuracy -o report/           speed against error, in tables, figures
     lfmesh schema > scene.schema.json    for completion in an editor
 """,
     help_format="plaintext",
@@ -429,7 +429,7 @@ def _white(folder: Path, overrides: Overrides | None) -> int:
     run.save_white(image, calibration, folder)
     print(
         f"{calibration.known.sum()} of {calibration.known.size} micro-images have a chief ray, "
-        f"{calibration.pitch_px:.6g} pixels apart, turned by {1e3 * calibration.rotation_rad:.4g} mrad."
+        f"{calibration.pitch_px:.6g} pixels apart, turned by {1e3 * calibration.rotation_rad:.3f} mrad."
     )
     try:
         error = estimate_centres(image).error_px(calibration)

@@ -13,13 +13,13 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lenslets import Lenslets
 from lfmesh.geometry.refractors import measured
+from lfmesh.lightfield.lens_alone import lens_alone
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Paraxial, Scene, solved
 from lfmesh.transport.frame_table import frame_table
 from lfmesh.transport.lens_tables import array_tables
 from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
 from lfmesh.transport.trace import Status, trace
-from lfmesh.transport.world import World, build
 
 Array = NDArray[np.float64]
 
@@ -170,7 +170,7 @@ class _Fan:
     """Rays from the middle of the stop, and the polynomial that inverts where they meet the array."""
 
     def __init__(self, scene: Scene, plate: Plate, reach: float) -> None:
-        self._world = _lens_alone(scene)
+        self._world = lens_alone(scene)
         lens = scene.camera.lens
         paraxial = Paraxial.of(lens, scene.transport.primary_nm)
         self._wavelength = scene.transport.primary_nm
@@ -225,24 +225,3 @@ def polynomial_terms(points: Array, degree: int) -> Array:
     """Return the (n, terms) monomials x^i y^j, i + j ≤ degree, of (n, 2) points."""
     x, y = points.T
     return np.column_stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)])
-
-
-def _lens_alone(scene: Scene) -> World:
-    """Build the lens with a plane where the array stands, in its own camera frame and with nothing to look at."""
-    mla, sensor = scene.camera.mla, scene.camera.sensor
-    assert mla is not None
-    assert mla.distance_mm is not None
-    # So wide that whatever leaves the lens towards the array meets it.
-    wide = 100.0 * (max(mla.size_mm) + max(sensor.size_mm) + mla.distance_mm)
-    return build(
-        scene.changed(
-            {
-                "targets": (),
-                "lights": (),
-                "camera.pose": {},
-                "camera.mla": None,
-                "camera.sensor": {"pixels": (2, 2), "pixel_mm": wide, "distance_mm": mla.distance_mm},
-                "transport.engine": "auto",
-            }
-        )
-    )

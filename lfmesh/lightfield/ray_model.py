@@ -12,8 +12,12 @@ from dataclasses import dataclass
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.refractors import measured
+from lfmesh.lightfield.lens_alone import focus_shift
 from lfmesh.scene import Paraxial, Scene, first_order, solved
 from lfmesh.scene.report import lenslet_to_sensor_mm
+
+ROUNDS = 10
+"""Of successive approximation, for the distance of a shift."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,10 @@ class RayModel:
     lenslet_pitch_mm, pixel_mm : float
     f_number : float
         Of the main lens, on the image side, at its focus.
+    focus_shift_mm, focus_shift_mm2 : float
+        From where first-order optics images a point of the axis to where the rays of the full aperture come closest
+        together, along z: what spherical aberration does to the focus. The second is divided by the object's distance
+        from the front principal plane and added.
     """
 
     efl_mm: float
@@ -46,10 +54,12 @@ class RayModel:
     lenslet_pitch_mm: float
     pixel_mm: float
     f_number: float
+    focus_shift_mm: float = 0.0
+    focus_shift_mm2: float = 0.0
 
     @classmethod
     def of(cls, scene: Scene) -> "RayModel":
-        """Read a scene's camera, with the shifts along z and the pitch error of its array.
+        """Read a scene's camera, with the shifts along z and the pitch error of its array, and trace its real focus.
 
         Raises
         ------
@@ -65,6 +75,7 @@ class RayModel:
         if not math.isfinite(facts.efl_mm):
             raise LfmeshError("camera.lens is afocal: it has no focal length to tell distances by")
         array_z = facts.image_z_mm + mla.pose.shift_mm[2]
+        shift, slope = focus_shift(scene)
         return cls(
             efl_mm=facts.efl_mm,
             front_principal_z_mm=facts.front_principal_plane_z_mm,
@@ -77,6 +88,8 @@ class RayModel:
             lenslet_pitch_mm=mla.pitch_mm * (1.0 + mla.form.pitch_error),
             pixel_mm=camera.sensor.pixel_mm,
             f_number=facts.working_f_number,
+            focus_shift_mm=shift,
+            focus_shift_mm2=slope,
         )
 
     @property
@@ -107,7 +120,7 @@ class RayModel:
         return self.efl_mm - self.front_principal_z_mm
 
     def image_excess_mm(self, distance_mm: float) -> float:
-        """Return ε, how far behind the array an object this far before the first vertex is imaged.
+        """Return ε, how far behind the array an object this far before the first vertex is imaged most sharply.
 
         Raises
         ------
@@ -119,7 +132,8 @@ class RayModel:
                 f"distance_mm = {distance_mm:g}: must lie before the front focal point, {self.nearest_mm:.6g} mm in "
                 "front of the first vertex"
             )
-        image = 1.0 / (1.0 / self.efl_mm - 1.0 / (distance_mm + self.front_principal_z_mm))
+        vergence = 1.0 / (distance_mm + self.front_principal_z_mm)
+        image = self._image_mm(vergence) + self.focus_shift_mm + self.focus_shift_mm2 * vergence
         return self.rear_principal_z_mm + image - self.array_z_mm
 
     def shift_mm(self, distance_mm: float) -> float:
@@ -132,20 +146,26 @@ class RayModel:
 
         Negative for a virtual object, whose image lies within the focal length; inf at infinity.
         """
-        image = self.array_z_mm - self.rear_principal_z_mm + self._excess_of_shift_mm(shift_mm)
-        if image == self.efl_mm:
-            return math.inf
-        from_principal = self.efl_mm if math.isinf(image) else 1.0 / (1.0 / self.efl_mm - 1.0 / image)
-        return from_principal - self.front_principal_z_mm
+        sharpest = self.array_z_mm - self.rear_principal_z_mm + self._excess_of_shift_mm(shift_mm)
+        vergence = 0.0
+        # What aberrations add depends on the vergence by so little that every round settles two digits more.
+        for _ in range(ROUNDS):
+            image = sharpest - self.focus_shift_mm - self.focus_shift_mm2 * vergence
+            vergence = 1.0 / self.efl_mm - 1.0 / image
+        return (1.0 / vergence if vergence else math.inf) - self.front_principal_z_mm
 
     def object_scale(self, distance_mm: float) -> float:
         """Return the size of an object over that of its image in the middle view, where that crosses the array.
 
         The refocused picture keeps the middle view's place and size whatever it is focused on.
         """
-        excess = self.image_excess_mm(distance_mm)
-        image = self.array_z_mm - self.rear_principal_z_mm + excess
-        return (1.0 + excess / self.pupil_to_array_mm) * (distance_mm + self.front_principal_z_mm) / image
+        enlarged = 1.0 + self.image_excess_mm(distance_mm) / self.pupil_to_array_mm
+        from_principal = distance_mm + self.front_principal_z_mm
+        return enlarged * from_principal / self._image_mm(1.0 / from_principal)
+
+    def _image_mm(self, vergence: float) -> float:
+        """Return the distance of a paraxial image from the rear principal plane; vergence: 1/object distance, 1/mm."""
+        return 1.0 / (1.0 / self.efl_mm - vergence)
 
     def _excess_of_shift_mm(self, shift_mm: float) -> float:
         steepness = self.slope_step - shift_mm / self.pupil_to_array_mm

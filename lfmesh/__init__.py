@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from lfmesh.lightfield.centres import estimate_centres
     from lfmesh.lightfield.decode import decode
     from lfmesh.lightfield.field import LightField
+    from lfmesh.lightfield.object_rays import object_rays
     from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph, all_in_focus
     from lfmesh.lightfield.ray_model import RayModel
     from lfmesh.lightfield.refocus import focal_stack, refocus
@@ -110,6 +111,7 @@ __all__ = [
     "focal_stack",
     "load",
     "loads",
+    "object_rays",
     "open_run",
     "open_white",
     "refocus",
@@ -129,6 +131,7 @@ _HOMES = {
     "lfmesh.lightfield.centres": ["estimate_centres"],
     "lfmesh.lightfield.decode": ["decode"],
     "lfmesh.lightfield.field": ["LightField"],
+    "lfmesh.lightfield.object_rays": ["object_rays"],
     "lfmesh.lightfield.photograph": ["AllInFocus", "FocalStack", "Photograph", "all_in_focus"],
     "lfmesh.lightfield.ray_model": ["RayModel"],
     "lfmesh.lightfield.refocus": ["focal_stack", "refocus"],

@@ -24,6 +24,9 @@ FOCAL_LENGTHS_AWAY = 10.0
 def white_scene(scene: Scene) -> Scene:
     """Return a scene with the same camera and transport that shows nothing but a glowing plane.
 
+    It is traced from the sensor whatever the scene asks for: from a plane that fills every field, hardly any light
+    would find the lens.
+
     Parameters
     ----------
     scene : Scene
@@ -46,7 +49,14 @@ def white_scene(scene: Scene) -> Scene:
         "rotation_deg": pose.tilt_deg,
         "material": {"reflectance": 0.0, "radiance_w_m2_sr": RADIANCE},
     }
-    return scene.changed({"name": f"{scene.name}, white".lstrip(", "), "targets": (plane,), "lights": ()})
+    return scene.changed(
+        {
+            "name": f"{scene.name}, white".lstrip(", "),
+            "targets": (plane,),
+            "lights": (),
+            "transport.method": "adjoint",
+        }
+    )
 
 
 def white_image(scene: Scene, progress: Callable[[Progress], None] | None = None) -> Image:

@@ -23,8 +23,8 @@ DARK = 0.1
 
 BRIGHT_PERCENTILE = 99.0
 
-MOST_VIEWS = 512
-"""Along each axis: a typing error should not ask for all the memory there is."""
+WIDEST = 2.0
+"""Views reach over this many micro-images at most; what lies beyond the next one is not this lenslet's at all."""
 
 
 class Sampling(NamedTuple):
@@ -132,13 +132,14 @@ def _refuse_strangers(image: Image, white: Image | None, scene: Scene, calibrati
 
 
 def _view_count(calibration: Calibration, views: int | None) -> int:
+    # A pitch that is a whole number of pixels but for rounding is that number.
+    whole = max(1, math.floor(calibration.pitch_px * (1.0 + 1e-6)))
     if views is None:
-        # A pitch that is a whole number of pixels but for rounding is that number.
-        return max(1, min(MOST_VIEWS, math.floor(calibration.pitch_px * (1.0 + 1e-6))))
-    if not 1 <= views <= MOST_VIEWS:
+        return whole
+    most = max(whole, math.floor(WIDEST * calibration.pitch_px))
+    if not 1 <= views <= most:
         raise LfmeshError(
-            f"views = {views}: must be from 1 to {MOST_VIEWS}; the micro-images are {calibration.pitch_px:.4g} pixels "
-            "wide"
+            f"views = {views}: must be from 1 to {most}; the micro-images are {calibration.pitch_px:.4g} pixels wide"
         )
     return views
 

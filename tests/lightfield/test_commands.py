@@ -45,6 +45,18 @@ def test_white_then_decode_then_refocus(folder: Path, capsys: pytest.CaptureFixt
     assert {"stack.exr", "stack.png", "all_in_focus.exr"} <= {path.name for path in folder.iterdir()}
 
 
+def test_render_makes_the_white_image_where_asked(camera: Callable[..., Scene], tmp_path: Path) -> None:
+    target = {"shape": {"kind": "plane", "width_mm": 50.0, "height_mm": 50.0}, "position_mm": (0.0, 0.0, -500.0)}
+    glowing = {**target, "material": {"reflectance": 0.0, "radiance_w_m2_sr": 2.0}}
+    scene = camera().changed({"targets": [glowing], "transport.samples": 8, "transport.replicates": 2})
+    (tmp_path / "scene.toml").write_text(scene.dump_toml())
+    assert main(["render", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "run"), "--white"]) == 0
+    white = lf.open_white(tmp_path / "run")
+    assert white is not None
+    field = lf.decode(lf.open_run(tmp_path / "run"), white=white)
+    assert np.nanmean(field.data[4:6, 4:6]) == pytest.approx(2.0, rel=0.1)
+
+
 def test_refocus_needs_no_decode_before(folder: Path) -> None:
     assert main(["refocus", str(folder), "--distance-mm", "480"]) == 0
     assert (folder / "refocused_480mm.png").is_file()

@@ -157,6 +157,7 @@ def test_faults_are_told_in_one_line(camera: Callable[..., Scene], image_of: Cal
         (lambda: decode(image_of(conventional, image.mean)), "conventional camera"),
         (lambda: decode(smaller), "30 × 20 pixels"),
         (lambda: decode(image, views=0), "views = 0"),
+        (lambda: decode(image, views=21), "views = 21: must be from 1 to 20"),
         (lambda: decode(image, white=image_of(other, image.mean)), "another camera"),
         (lambda: decode(image, white=smaller), "the white image has the shape"),
         (lambda: decode(image, calibration=calibrate(camera(columns=4))), "the calibration is of 4 × 12 lenslets"),

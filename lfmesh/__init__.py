@@ -6,6 +6,8 @@ r"""Physical simulation of light-field cameras through triangle-mesh lenses.
     print("\n".join(lf.first_order(scene).lines()))
     image = lf.render(scene)
     lf.save(image, "run/")
+    field = lf.decode(image)
+    photograph = lf.refocus(field, distance_mm=480.0)
 
 Names are imported when first used, so that ``import lfmesh`` does not wait for numba, Embree or OpenEXR.
 """
@@ -15,8 +17,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lfmesh.errors import FileError, GlassError, LfmeshError, MeshError, SceneError
-    from lfmesh.files.run import open_run, save
+    from lfmesh.files.run import open_run, open_white, save, save_white
     from lfmesh.geometry.refractors import first_order
+    from lfmesh.lightfield.calibration import Calibration, calibrate
+    from lfmesh.lightfield.centres import estimate_centres
+    from lfmesh.lightfield.decode import decode
+    from lfmesh.lightfield.field import LightField
+    from lfmesh.lightfield.object_rays import object_rays
+    from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph, all_in_focus
+    from lfmesh.lightfield.ray_model import RayModel
+    from lfmesh.lightfield.refocus import focal_stack, refocus
+    from lfmesh.lightfield.white import white_image
     from lfmesh.scene import (
         ArrayForm,
         Box,
@@ -52,8 +63,10 @@ if TYPE_CHECKING:
     from lfmesh.transport.world import build
 
 __all__ = [
+    "AllInFocus",
     "ArrayForm",
     "Box",
+    "Calibration",
     "Camera",
     "Cylinder",
     "DirectionalLight",
@@ -61,19 +74,23 @@ __all__ = [
     "DiskLight",
     "FileError",
     "FirstOrder",
+    "FocalStack",
     "GlassError",
     "Image",
     "Ledger",
     "Lens",
     "LfmeshError",
+    "LightField",
     "Material",
     "MeshError",
     "MicrolensArray",
     "Paths",
+    "Photograph",
     "Plane",
     "PointLight",
     "Pose",
     "Progress",
+    "RayModel",
     "Refractor",
     "Scene",
     "SceneError",
@@ -85,21 +102,40 @@ __all__ = [
     "Tessellation",
     "Transport",
     "__version__",
+    "all_in_focus",
     "build",
+    "calibrate",
+    "decode",
+    "estimate_centres",
     "first_order",
+    "focal_stack",
     "load",
     "loads",
+    "object_rays",
     "open_run",
+    "open_white",
+    "refocus",
     "render",
     "save",
+    "save_white",
     "solved",
     "trace",
+    "white_image",
 ]
 
 _HOMES = {
     "lfmesh.errors": ["FileError", "GlassError", "LfmeshError", "MeshError", "SceneError"],
-    "lfmesh.files.run": ["open_run", "save"],
+    "lfmesh.files.run": ["open_run", "open_white", "save", "save_white"],
     "lfmesh.geometry.refractors": ["first_order"],
+    "lfmesh.lightfield.calibration": ["Calibration", "calibrate"],
+    "lfmesh.lightfield.centres": ["estimate_centres"],
+    "lfmesh.lightfield.decode": ["decode"],
+    "lfmesh.lightfield.field": ["LightField"],
+    "lfmesh.lightfield.object_rays": ["object_rays"],
+    "lfmesh.lightfield.photograph": ["AllInFocus", "FocalStack", "Photograph", "all_in_focus"],
+    "lfmesh.lightfield.ray_model": ["RayModel"],
+    "lfmesh.lightfield.refocus": ["focal_stack", "refocus"],
+    "lfmesh.lightfield.white": ["white_image"],
     "lfmesh.scene": [
         *["Scene", "Camera", "Lens", "Surface", "MicrolensArray", "ArrayForm", "Sensor", "Pose", "Target"],
         *["Material", "Plane", "Disk", "Sphere", "Box", "Cylinder", "PointLight", "DirectionalLight"],

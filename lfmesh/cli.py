@@ -8,6 +8,7 @@ import sys
 import textwrap
 import threading
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
@@ -23,6 +24,7 @@ from lfmesh.errors import LfmeshError, SceneError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from lfmesh.lightfield.field import LightField
     from lfmesh.scene import Scene
     from lfmesh.transport.image import Image
     from lfmesh.transport.progress import Progress
@@ -38,6 +40,9 @@ CASE_FAILED = 1
 COLUMNS = 80
 """Width of what is printed, on a terminal or not."""
 
+MOST_PLANES = 1000
+"""Of a focal stack."""
+
 STATUS_SECONDS = 10.0
 """Where there is no terminal, what is being done is said no more often."""
 
@@ -50,7 +55,10 @@ Examples:
     lfmesh demo                          render the scene that comes with lfmesh
     lfmesh check scene.toml              first-order optics and warnings
     lfmesh render scene.toml -o run/     raw image, previews and report in run/
-    lfmesh accuracy -o report/           speed against error, as tables and figures
+    lfmesh white run/                    white image, true micro-image centres
+    lfmesh decode run/                   the light field: all views of the run
+    lfmesh refocus run/ --stack 300:800:20   photographs of other planes
+    lfmesh accuracy -o report/           speed against error, in tables, figures
     lfmesh schema > scene.schema.json    for completion in an editor
 """,
     help_format="plaintext",
@@ -115,6 +123,7 @@ class Overrides:
 
 
 SceneFile = Annotated[Path, Parameter(name="scene", help="Scene file (TOML).")]
+RunFolder = Annotated[Path, Parameter(name="run", help="Run folder of a light-field camera, from lfmesh render.")]
 
 
 @app.command(help_epilogue="")
@@ -158,13 +167,115 @@ def render(
     /,
     *,
     out: Annotated[Path, Parameter(name=["--out", "-o"], help="Run folder to write: new, empty or an older run.")],
+    with_white: Annotated[
+        bool, Parameter(name="--white", negative=(), help="Also do what lfmesh white does, for decoding.")
+    ] = False,
     overrides: Overrides | None = None,
 ) -> int:
     """Render a scene into a run folder: raw.exr with its standard error, previews, report.json.
 
     Ctrl-C keeps the replicates that are finished as a valid run, marked as incomplete.
     """
-    return _render(scene, out, overrides)
+    code = _render(scene, out, overrides)
+    return _white(out, None) if with_white and code == 0 else code
+
+
+@app.command(help_epilogue="")
+def white(run: RunFolder, /, *, overrides: Overrides | None = None) -> int:
+    """Render what the camera of a run records of a uniform plane, and trace where its micro-images lie.
+
+    Adds white.exr and calibration.json to the run; the settings of the run hold unless replaced.
+    """
+    return _white(run, overrides)
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh decode run/
+    lfmesh decode run/ --centres white-image     as the owner of a real camera has to
+"""
+)
+def decode(
+    run: RunFolder,
+    /,
+    *,
+    centres: Annotated[
+        Literal["traced", "white-image"],
+        Parameter(help="Where the centres of the micro-images come from: chief rays, or the white image."),
+    ] = "traced",
+    white: Annotated[
+        bool, Parameter(negative="--no-white", help="Divide by the white image where the run has one.")
+    ] = True,
+    views: Annotated[
+        Whole | None, Parameter(help="Along each axis; as many pixels as a micro-image is wide, if omitted.")
+    ] = None,
+) -> int:
+    """Decode a run into its light field: lightfield.exr with all views and standard errors, views.png."""
+    from lfmesh.files import field as field_files
+
+    field = _decoded(run, centres, white, views)
+    print(textwrap.fill(_field_in_words(field), COLUMNS, subsequent_indent="  "))
+    _list_files(field_files.save_field(field, run))
+    return 0
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh refocus run/ --distance-mm 480
+    lfmesh refocus run/ --distance-mm 480 --f-number 8
+    lfmesh refocus run/ --stack 300:800:20 --all-in-focus
+"""
+)
+def refocus(
+    run: RunFolder,
+    /,
+    *,
+    distance_mm: Annotated[
+        list[float] | None,
+        Parameter(help="Object distances before the first vertex, mm.", consume_multiple=True, negative=()),
+    ] = None,
+    stack: Annotated[
+        str | None, Parameter(help="Focal stack FIRST:LAST:STEP, mm; an EXR with all planes and an animated PNG.")
+    ] = None,
+    all_in_focus: Annotated[
+        bool, Parameter(negative=(), help="With --stack: every place from its sharpest plane.")
+    ] = False,
+    f_number: Annotated[
+        float | None, Parameter(help="Aperture on the image side, no wider than the lens had; all views if omitted.")
+    ] = None,
+    method: Annotated[
+        Literal["shift", "fourier"], Parameter(help="Shift and add views, or slice their 4D Fourier transform.")
+    ] = "shift",
+) -> int:
+    """Focus a run on other planes, from its lightfield.exr or else from its raw image."""
+    if not distance_mm and stack is None:
+        raise LfmeshError("nothing to focus on: give --distance-mm 480 or --stack 300:800:20")
+    if all_in_focus and stack is None:
+        raise LfmeshError("--all-in-focus takes its planes from --stack FIRST:LAST:STEP; give that too")
+    planes = _planes(stack) if stack is not None else []
+    with _undivided():
+        from lfmesh.files import field as field_files
+        from lfmesh.files import photographs as files
+        from lfmesh.lightfield import photograph as photographs
+        from lfmesh.lightfield import refocus as refocusing
+
+    field = field_files.open_field(run) or _decoded(run, "traced", True, None)
+    with _warnings_as_notes():
+        single = [
+            refocusing.refocus(field, distance, f_number=f_number, method=method) for distance in distance_mm or ()
+        ]
+        series = refocusing.focal_stack(field, planes, f_number=f_number, method=method) if planes else None
+    for photograph in single:
+        _list_files(files.save_photograph(photograph, run))
+    if series is not None:
+        _list_files(files.save_stack(series, run))
+        if all_in_focus:
+            _list_files(files.save_all_in_focus(photographs.all_in_focus(series), run))
+    return 0
 
 
 @app.command(
@@ -283,15 +394,15 @@ def _render(scene_file: Path, folder: Path, overrides: Overrides | None) -> int:
     from lfmesh.scene import load
 
     scene = _overridden(load(scene_file), overrides.given() if overrides else {})
-    warnings = first_order(scene).warnings
+    notes = first_order(scene).warnings
 
     # Whatever can be wrong with the folder is said before the seconds that importing the tracer takes.
     with _undivided():
         from lfmesh.files import run, words
 
     run.prepare(folder)
-    for warning in warnings:
-        print(textwrap.fill(f"Note: {warning}", COLUMNS, subsequent_indent="  "), file=sys.stderr)
+    for note in notes:
+        print(textwrap.fill(f"Note: {note}", COLUMNS, subsequent_indent="  "), file=sys.stderr)
 
     with _undivided():
         from lfmesh.transport.render import render as trace_image
@@ -303,6 +414,88 @@ def _render(scene_file: Path, folder: Path, overrides: Overrides | None) -> int:
         print(textwrap.fill(line, COLUMNS, subsequent_indent="  "))
     print(_whereabouts(image, folder))
     return 0 if image.complete else INTERRUPTED
+
+
+def _white(folder: Path, overrides: Overrides | None) -> int:
+    with _undivided():
+        from lfmesh.files import run
+        from lfmesh.lightfield.calibration import calibrate
+        from lfmesh.lightfield.centres import estimate_centres
+        from lfmesh.lightfield.white import white_image
+
+    # An image that cannot be decoded needs no white one: calibrating says so before the render.
+    scene = run.open_run(folder).scene
+    calibration = calibrate(scene)
+    with _progress() as report:
+        image = white_image(_overridden(scene, overrides.given() if overrides else {}), progress=report)
+    if not image.complete:
+        raise KeyboardInterrupt
+    run.save_white(image, calibration, folder)
+    print(
+        f"{calibration.known.sum()} of {calibration.known.size} micro-images have a chief ray, "
+        f"{calibration.pitch_px:.6g} pixels apart, turned by {1e3 * calibration.rotation_rad:.3f} mrad."
+    )
+    try:
+        error = estimate_centres(image).error_px(calibration)
+        print(f"Found on the white image alone, they are {error.mean():.3g} pixels off on average.")
+    except LfmeshError as fault:
+        print(textwrap.fill(f"Note: {fault}", COLUMNS, subsequent_indent="  "), file=sys.stderr)
+    _list_files([folder / name for name in (run.WHITE, run.WHITE_PREVIEW, run.CALIBRATION)])
+    return 0
+
+
+def _decoded(folder: Path, centres: str, divide: bool, views: int | None) -> "LightField":
+    with _undivided():
+        from lfmesh.files import run
+        from lfmesh.lightfield.centres import estimate_centres
+        from lfmesh.lightfield.decode import decode as decode_image
+
+    image = run.open_run(folder)
+    recorded = run.open_white(folder)
+    if centres == "white-image" and recorded is None:
+        raise LfmeshError(f"--centres white-image: {folder} has no white.exr; make it with lfmesh white {folder}")
+    calibration = estimate_centres(recorded) if recorded is not None and centres == "white-image" else None
+    return decode_image(image, white=recorded if divide else None, calibration=calibration, views=views)
+
+
+def _field_in_words(field: "LightField") -> str:
+    rows, columns = field.views
+    height, width = field.size
+    near, far = field.model.refocus_range_mm
+    reach = f"{near:.4g} mm to " + (f"{far:.4g} mm" if far < float("inf") else "infinity")
+    return (
+        f"{columns} × {rows} views of {width} × {height} samples, in {field.unit}; {field.sampling}. It refocuses "
+        f"sharply from {reach}."
+    )
+
+
+def _planes(stack: str) -> list[float]:
+    """Return the distances of a FIRST:LAST:STEP, the last one included where the steps meet it."""
+    try:
+        first, last, step = (float(part) for part in stack.split(":"))
+        count = int((last - first) / step * (1.0 + 1e-9)) + 1
+    except (ValueError, ZeroDivisionError, OverflowError):
+        raise LfmeshError(f"--stack {stack}: give three numbers, FIRST:LAST:STEP in mm, such as 300:800:20") from None
+    if count < 2 or not first > 0.0:
+        raise LfmeshError(f"--stack {stack}: the steps must lead from FIRST, above 0, to LAST, such as 300:800:20")
+    if count > MOST_PLANES:
+        raise LfmeshError(f"--stack {stack}: {count} planes; give a larger STEP, for {MOST_PLANES} at most")
+    return [first + i * step for i in range(count)]
+
+
+@contextmanager
+def _warnings_as_notes() -> "Iterator[None]":
+    """Say what the library warns of as the other notes are said."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        yield
+    for warning in caught:
+        print(textwrap.fill(f"Note: {warning.message}", COLUMNS, subsequent_indent="  "), file=sys.stderr)
+
+
+def _list_files(paths: "Sequence[Path]") -> None:
+    for path in paths:
+        print(f"  {path}")
 
 
 @contextmanager

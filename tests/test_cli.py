@@ -316,7 +316,7 @@ def test_schema_is_the_scenes_json_schema(capsys: pytest.CaptureFixture[str]) ->
     assert {"camera", "targets", "lights", "transport"} <= set(schema["properties"])
 
 
-@pytest.mark.parametrize("command", ["", "demo", "check", "render", "schema"])
+@pytest.mark.parametrize("command", ["", "demo", "check", "render", "white", "decode", "refocus", "schema"])
 def test_help_fits_80_columns(
     command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

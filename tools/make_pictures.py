@@ -1,7 +1,7 @@
 """Make the pictures of the README.
 
-From a run of the demo, a report of its accuracy, or both: tools/run demo -o run, tools/run accuracy
-assets/scenes/first_light.toml -o report, then tools/make_pictures.py run report.
+From a run of the demo, one that was refocused, a report of its accuracy, or several of them: tools/run demo -o run,
+tools/run accuracy assets/scenes/first_light.toml -o report, then tools/make_pictures.py run report.
 """
 
 import sys
@@ -25,6 +25,8 @@ DETAIL_PX = 80
 """Eight lenslets, enlarged to the side of the other pictures."""
 DETAIL_CORNER = (280, 160)
 
+NEAR, FAR = "refocused_430mm.png", "refocused_600mm.png"
+
 FIGURE_IN = (8.6, 3.4)
 FIGURE_DPI = 120
 
@@ -37,6 +39,14 @@ def from_run(run: Path) -> None:
         detail.save(PICTURES / "micro_images.png", optimize=True)
         raw.crop((160, 160, 160 + SIDE_PX, 160 + SIDE_PX)).save(PICTURES / "raw.png", optimize=True)
         view.resize((SIDE_PX, SIDE_PX), Image.Resampling.LANCZOS).save(PICTURES / "view.png", optimize=True)
+
+
+def from_photographs(run: Path) -> None:
+    """Write the photographs of the near and the far plane and the one with all in focus, of one size."""
+    for name, picture in ((NEAR, "near.png"), (FAR, "far.png"), ("all_in_focus.png", "all_in_focus.png")):
+        with Image.open(run / name) as photograph:
+            resized = photograph.resize((SIDE_PX, SIDE_PX), Image.Resampling.LANCZOS)
+            resized.save(PICTURES / picture, optimize=True)
 
 
 def from_report(report: Path) -> None:
@@ -60,5 +70,7 @@ if __name__ == "__main__":
     for folder in map(Path, sys.argv[1:]):
         if (folder / LENS_CSV).is_file():
             from_report(folder)
+        elif (folder / NEAR).is_file():
+            from_photographs(folder)
         else:
             from_run(folder)

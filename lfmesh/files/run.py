@@ -20,9 +20,11 @@ from numpy.typing import NDArray
 import lfmesh
 from lfmesh.errors import FileError
 from lfmesh.files import exr, words
+from lfmesh.files.calibration import write_calibration
 from lfmesh.files.lenslets import lenslet_means, paint
 from lfmesh.files.preview import write_linear16, write_preview
 from lfmesh.geometry.lattice import Lattice
+from lfmesh.lightfield.calibration import Calibration
 from lfmesh.scene import Scene, first_order
 from lfmesh.transport.adaptive import Refinement
 from lfmesh.transport.image import Image
@@ -33,10 +35,14 @@ FORMAT = 1
 
 RAW, REPORT, SCENE = "raw.exr", "report.json", "scene.toml"
 PREVIEW, VIEW = "preview.png", "preview_view.png"
+WHITE, CALIBRATION, WHITE_PREVIEW = "white.exr", "calibration.json", "white.png"
 PARTS = ("raw", "stderr")
 
 _STAGING = ".lfmesh-"
-_OURS = re.compile(r"raw\.exr|report\.json|scene\.toml|preview(_view)?\.png|linear16[\w.]*\.png")
+_OURS = re.compile(
+    r"raw\.exr|report\.json|scene\.toml|preview(_view)?\.png|linear16[\w.]*\.png|calibration\.json|views\.png"
+    r"|(white|lightfield|stack|all_in_focus|refocused_[\w.+]+)\.(exr|png)"
+)
 
 
 def prepare(folder: str | os.PathLike[str]) -> Path:
@@ -119,6 +125,95 @@ def open_run(folder: str | os.PathLike[str]) -> Image:
         There is no run, it is incomplete or damaged, or another version of lfmesh wrote it.
     """
     path = Path(folder)
+    report = _report_of(path)
+    spectral = exr.read(path / RAW, PARTS)
+    metadata = spectral.metadata
+    _refuse_damage(path / RAW, spectral)
+    if metadata["pixels_sha256"] != report.get("pixels_sha256"):
+        raise FileError(f"{path} mixes two runs, {RAW} and {REPORT} do not belong together; render it again")
+    return _image_from(spectral, path)
+
+
+def save_white(white: Image, calibration: Calibration, folder: str | os.PathLike[str]) -> Path:
+    """Add a white image and the geometry of its camera to a run folder.
+
+    Parameters
+    ----------
+    white : Image
+        From `lf.white_image`, of the run's camera.
+    calibration : Calibration
+    folder : path
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    FileError
+        There is no complete run, or the folder cannot be written.
+    """
+    path = Path(folder)
+    with added(path) as staging:
+        _write_image(staging / WHITE, white, path)
+        write_preview(staging / WHITE_PREVIEW, white.mean, white.wavelengths_nm, white.stderr)
+        write_calibration(staging / CALIBRATION, calibration)
+    return path
+
+
+def open_white(folder: str | os.PathLike[str]) -> Image | None:
+    """Read the white image of a run folder, None if it has none.
+
+    Raises
+    ------
+    FileError
+        It is damaged.
+    """
+    path = Path(folder)
+    if not (path / WHITE).is_file():
+        return None
+    spectral = exr.read(path / WHITE, PARTS)
+    _refuse_damage(path / WHITE, spectral)
+    return _image_from(spectral, path)
+
+
+@contextmanager
+def added(folder: Path) -> Iterator[Path]:
+    """Yield a folder for files that join a complete run, all of them or none, when the body is done.
+
+    Raises
+    ------
+    FileError
+        There is no complete run, or the folder cannot be written.
+    """
+    report = _report_of(folder)
+    with _writable(folder):
+        staging = Path(tempfile.mkdtemp(prefix=_STAGING, dir=folder))
+        try:
+            yield staging
+            names = sorted(entry.name for entry in staging.iterdir())
+            report["files"] = [*(name for name in report.get("files", []) if name not in names), *names]
+            _write_report(staging / REPORT, report)
+            for name in [*names, REPORT]:
+                (staging / name).replace(folder / name)
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+
+
+def pixels_digest(folder: Path) -> str:
+    """Return the hash of a run's raw pixels, from its report.
+
+    Raises
+    ------
+    FileError
+        There is no complete run.
+    """
+    return str(_report_of(folder).get("pixels_sha256"))
+
+
+def _report_of(path: Path) -> dict[str, Any]:
+    """Return the report of a complete run of this version; say what is amiss otherwise."""
     if not path.is_dir():
         raise FileError(f"{path} is no run folder: {'it is a file' if path.exists() else 'it does not exist'}")
     missing = [name for name in (RAW, REPORT) if not (path / name).is_file()]
@@ -132,16 +227,20 @@ def open_run(folder: str | os.PathLike[str]) -> Image:
             f"{path} has run format {report['format']}, written by lfmesh {report['lfmesh_version']};"
             f" this lfmesh {lfmesh.__version__} reads format {FORMAT}"
         )
-    spectral = exr.read(path / RAW, PARTS)
+    return report
+
+
+def _refuse_damage(path: Path, spectral: exr.SpectralImage) -> None:
+    if spectral.metadata.get("pixels_sha256") != _digest(*(spectral.parts[name] for name in PARTS)):
+        raise FileError(f"{path} is damaged: its pixels are not those that were saved")
+
+
+def _image_from(spectral: exr.SpectralImage, folder: Path) -> Image:
     metadata = spectral.metadata
-    if metadata.get("pixels_sha256") != _digest(*(spectral.parts[name] for name in PARTS)):
-        raise FileError(f"{path / RAW} is damaged: its pixels are not those that were saved")
-    if metadata["pixels_sha256"] != report.get("pixels_sha256"):
-        raise FileError(f"{path} mixes two runs, {RAW} and {REPORT} do not belong together; render it again")
     return Image(
         mean=spectral.parts["raw"].astype(np.float64),
         stderr=spectral.parts["stderr"].astype(np.float64),
-        scene=_scene_from(metadata, path),
+        scene=scene_from(metadata, folder),
         ledger=Ledger(**{field.name: metadata["ledger"][field.name] for field in fields(Ledger)}),
         seconds=metadata["seconds"],
         replicates=metadata["replicates_finished"],
@@ -212,7 +311,7 @@ def _listed_files(path: Path) -> list[str]:
 
 def _write_all(image: Image, folder: Path, home: Path) -> list[str]:
     """Write every file of a run that will live in `home`; return their names, the report last."""
-    metadata = _write_raw(image, folder / RAW, home)
+    metadata = _write_image(folder / RAW, image, home)
     (folder / SCENE).write_text(_moved(image.scene, home).dump_toml(), encoding="utf-8")
     white = write_preview(folder / PREVIEW, image.mean, image.wavelengths_nm, image.stderr)
     pictures: dict[str, Any] = {PREVIEW: {"orientation": "upright", "encoding": "sRGB", "white_w": white}}
@@ -236,13 +335,17 @@ def _write_all(image: Image, folder: Path, home: Path) -> list[str]:
         "pictures": pictures,
         "files": names,
     }
-    text = json.dumps(_finite(report), indent=2, allow_nan=False, ensure_ascii=False)
-    (folder / REPORT).write_text(text + "\n", encoding="utf-8")
+    _write_report(folder / REPORT, report)
     return names
 
 
-def _write_raw(image: Image, path: Path, home: Path) -> dict[str, Any]:
-    """Write mean and standard error with the metadata, which is returned."""
+def _write_report(path: Path, report: dict[str, Any]) -> None:
+    text = json.dumps(_finite(report), indent=2, allow_nan=False, ensure_ascii=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def _write_image(path: Path, image: Image, home: Path) -> dict[str, Any]:
+    """Write mean and standard error for a run that will live in `home`; return the metadata."""
     mean, stderr = (np.asarray(pixels, dtype=np.float32) for pixels in (image.mean, image.stderr))
     metadata = _metadata(image, _digest(mean, stderr), home)
     exr.write(path, exr.SpectralImage({"raw": mean, "stderr": stderr}, image.wavelengths_nm, metadata))
@@ -258,8 +361,7 @@ def _metadata(image: Image, pixels_sha256: str, home: Path) -> dict[str, Any]:
         "unit": "W per pixel",
         "wavelengths_nm": list(image.wavelengths_nm),
         "scene_digest": image.scene.digest,
-        "scene_toml": image.scene.dump_toml(),
-        "scene_folder": _relative(image.scene.folder, home),
+        **scene_metadata(image.scene, home),
         "seed": transport.seed,
         "method": transport.method,
         "engine": image.engine,
@@ -297,7 +399,12 @@ def _finite(value: Any) -> Any:
     return value
 
 
-def _scene_from(metadata: dict[str, Any], folder: Path) -> Scene:
+def scene_metadata(scene: Scene, home: Path) -> dict[str, str]:
+    """Return what `scene_from` reads, for a file that will live in `home`."""
+    return {"scene_toml": scene.dump_toml(), "scene_folder": _relative(scene.folder, home)}
+
+
+def scene_from(metadata: dict[str, Any], folder: Path) -> Scene:
     """Return the scene as rendered, without asking whether its meshes and textures still exist."""
     return Scene(**tomllib.loads(metadata["scene_toml"])).in_folder(folder / metadata["scene_folder"])
 

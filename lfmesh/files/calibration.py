@@ -1,0 +1,117 @@
+"""calibration.json: the geometry of a light-field camera, every number with its unit and what it means."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import lfmesh
+from lfmesh.errors import FileError
+from lfmesh.lightfield.calibration import Calibration
+
+FORMAT = 1
+"""Of the file; a reader refuses any other."""
+
+ABOUT = (
+    "Where every micro-image of a light-field camera lies on its sensor, and the first-order optics that say what its "
+    "pixels mean. Pixel positions are [column, row] with the middle of the first pixel at [0, 0], in the orientation "
+    "of the raw image; arrays are indexed [row of lenslets][column of lenslets]. A length that is infinite, as the "
+    "exit pupil's of a telecentric lens, is null."
+)
+
+MEANINGS = {
+    "layout": ("", "Square lenslets in rows and columns, or hexagonal ones, whose odd rows stand half a pitch aside."),
+    "centres_px": ("pixel", "Centre of every micro-image: where the ray from the middle of the stop through the apex "
+                   "of its lenslet lands, or, from a white image, the middle of its light."),
+    "known": ("", "False for a lenslet that no such ray reaches, or that is dark; its centre is then continued from "
+              "the others by a polynomial."),
+    "kinds": ("", "Which of the focal lengths each lenslet has, counted from 0."),
+    "focal_lengths_mm": ("mm", "Focal length in air of each type of lenslet."),
+    "lenslet_pitch_mm": ("mm", "Distance of the centres of neighbouring lenslets, the error of the pitch included."),
+    "pixel_mm": ("mm", "Width of a pixel."),
+    "sensor_px": ("pixel", "Columns and rows of the sensor."),
+    "f_number": ("", "Of the main lens as it is focused: the cone of light that reaches the array."),
+    "microlens_f_number": ("", "Of the lenslets: their distance from the sensor, in air, over their pitch."),
+    "exit_pupil_z_mm": ("mm", "Where the image of the stop lies that the array sees, along the axis from the first "
+                        "vertex of the lens."),
+    "exit_pupil_diameter_mm": ("mm", "How wide that image is."),
+    "pupil_to_array_mm": ("mm", "From the exit pupil to the lenslets' front principal points: D."),
+    "lenslet_to_sensor_mm": ("mm", "From the lenslets' rear principal points to the sensor, in air: d. Neighbouring "
+                             "micro-images are (pitch/pixel)(D + d)/D pixels apart."),
+    "wavelength_nm": ("nm", "Of the light that was traced."),
+    "origin": ("", "Whether the centres were traced, or found on a white image."),
+}  # fmt: skip
+"""Unit and meaning of each field of `Calibration`."""
+
+DERIVED = {
+    "pitch_px": ("pixel", "Mean distance of neighbouring micro-images, from all known centres."),
+    "rotation_rad": ("rad", "Turn of the rows of micro-images against those of the sensor, from columns to rows."),
+}
+"""Follow from the fields above; not read back."""
+
+
+def write_calibration(path: Path, calibration: Calibration) -> None:
+    """Write a calibration as JSON that explains itself.
+
+    Raises
+    ------
+    FileError
+        The file cannot be written.
+    """
+    entries = {}
+    for name, (unit, meaning) in {**MEANINGS, **DERIVED}.items():
+        entries[name] = {"value": _plain(getattr(calibration, name)), "unit": unit, "meaning": meaning}
+    document = {"format": FORMAT, "lfmesh_version": lfmesh.__version__, "about": ABOUT, "fields": entries}
+    try:
+        path.write_text(json.dumps(document, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read what `write_calibration` wrote.
+
+    Raises
+    ------
+    FileError
+        The file is missing, damaged, or of another format.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
+    except ValueError:
+        raise FileError(f"{path} is damaged or no calibration: it is not JSON") from None
+    version = document.get("format") if isinstance(document, dict) else None
+    if version != FORMAT:
+        raise FileError(f"{path} has calibration format {version}; this lfmesh {lfmesh.__version__} reads {FORMAT}")
+    try:
+        values = {name: document["fields"][name]["value"] for name in MEANINGS}
+        calibration = Calibration(
+            **{
+                **values,
+                "centres_px": np.asarray(values["centres_px"], dtype=np.float64),
+                "known": np.asarray(values["known"], dtype=np.bool_),
+                "kinds": np.asarray(values["kinds"], dtype=np.int64),
+                "focal_lengths_mm": tuple(values["focal_lengths_mm"]),
+                "sensor_px": tuple(values["sensor_px"]),
+                **{name: math.inf for name in ("exit_pupil_z_mm", "exit_pupil_diameter_mm", "pupil_to_array_mm")
+                   if values[name] is None},
+            }
+        )  # fmt: skip
+        whole = calibration.centres_px.shape == (*calibration.known.shape, 2) == (*calibration.kinds.shape, 2)
+    except (KeyError, TypeError, ValueError):
+        whole = False
+    if not whole:
+        raise FileError(f"{path} is damaged or incomplete: it must hold {', '.join(MEANINGS)}")
+    return calibration
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,94 @@
+"""lightfield.exr: the views of a light field side by side, with their standard errors and axes."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import lfmesh
+from lfmesh.errors import FileError
+from lfmesh.files import exr, run
+from lfmesh.files.picture import write_picture
+from lfmesh.lightfield.field import LightField, from_mosaic, mosaic
+
+FORMAT = 1
+"""Of the file; a reader refuses any other."""
+
+FIELD, VIEWS = "lightfield.exr", "views.png"
+PARTS = ("views", "stderr", "sharing")
+
+_AXES = ("v_rad", "u_rad", "t_mm", "s_mm")
+
+
+def save_field(field: LightField, folder: Path) -> list[Path]:
+    """Add a light field to the run folder that it was decoded from.
+
+    ``lightfield.exr`` holds the views side by side, upright, row v = 0 on top, with their axes as JSON;
+    ``views.png`` shows them.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    FileError
+        There is no complete run, or the folder cannot be written.
+    """
+    metadata: dict[str, Any] = {
+        "lightfield_format": FORMAT,
+        "lfmesh_version": lfmesh.__version__,
+        "about": "Views side by side, (v·t, u·s), upright: the raw image turned by 180 degrees. Part 'stderr' holds "
+        "their standard errors; part 'sharing', the same for all views, by what factor the variance of a mean "
+        "over neighbouring views exceeds that of independent ones.",
+        "unit": field.unit,
+        "sampling": field.sampling,
+        "views": list(field.views),
+        **{name: getattr(field, name).tolist() for name in _AXES},
+        "raw_sha256": run.pixels_digest(folder),
+        **run.scene_metadata(field.scene, folder),
+    }
+    # The parts of an EXR have one size.
+    sharing = np.broadcast_to(field.sharing[:, :, None], field.data.shape)
+    parts = {"views": field.views_mosaic(), "stderr": mosaic(field.stderr), "sharing": mosaic(sharing)}
+    with run.added(folder) as staging:
+        exr.write(staging / FIELD, exr.SpectralImage(parts, field.wavelengths_nm, metadata))
+        write_picture(staging / VIEWS, field.views_mosaic(), field.wavelengths_nm)
+    return [folder / FIELD, folder / VIEWS]
+
+
+def open_field(folder: Path) -> LightField | None:
+    """Read the light field of a run folder; None if it has none that belongs to its raw image.
+
+    Raises
+    ------
+    FileError
+        There is no complete run, or the light field is damaged or of another version.
+    """
+    digest = run.pixels_digest(folder)
+    path = folder / FIELD
+    if not path.is_file():
+        return None
+    spectral = exr.read(path, PARTS)
+    metadata = spectral.metadata
+    version = metadata.get("lightfield_format")
+    if version != FORMAT:
+        raise FileError(f"{path} has light field format {version}; this lfmesh {lfmesh.__version__} reads {FORMAT}")
+    if metadata.get("raw_sha256") != digest:
+        return None
+    try:
+        axes = {name: np.asarray(metadata[name], dtype=np.float64) for name in _AXES}
+        rows, columns = metadata["views"]
+        return LightField(
+            data=from_mosaic(spectral.parts["views"], (rows, columns)),
+            stderr=from_mosaic(spectral.parts["stderr"], (rows, columns)),
+            **axes,
+            wavelengths_nm=spectral.wavelengths_nm,
+            unit=metadata["unit"],
+            scene=run.scene_from(metadata, folder),
+            sampling=metadata["sampling"],
+            sharing=from_mosaic(spectral.parts["sharing"], (rows, columns))[0, 0, :, :, 0].copy(),
+        )
+    except (KeyError, TypeError, ValueError):
+        raise FileError(f"{path} is damaged: its views and axes do not fit; decode the run again") from None

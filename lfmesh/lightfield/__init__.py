@@ -1,0 +1,1 @@
+"""What a raw image means: white image, true geometry, decoding, refocusing."""

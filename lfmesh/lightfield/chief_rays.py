@@ -1,0 +1,227 @@
+"""Chief rays: from the middle of the stop through the apex of every lenslet to the sensor, traced.
+
+The rays pass the lens as `lf.trace` has it, whatever it is made of. Through the array they need no search: at the apex
+the curved face is square to the array's axis, so that a lenslet is a plane-parallel plate to the ray through it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.lenslets import Lenslets
+from lfmesh.geometry.refractors import measured
+from lfmesh.lightfield.lens_alone import lens_alone
+from lfmesh.optics.glass import refractive_index
+from lfmesh.scene import Paraxial, Scene, solved
+from lfmesh.transport.frame_table import frame_table
+from lfmesh.transport.lens_tables import array_tables
+from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
+from lfmesh.transport.trace import Status, trace
+
+Array = NDArray[np.float64]
+
+FAN = 41
+"""Rays along each side of the fan from which the first guess is made."""
+
+DEGREE = 5
+"""Of the polynomial that tells from the place on the array how a chief ray leaves the stop."""
+
+STEPS = 8
+"""Corrections at most. Each leaves a share of the error that is as small as the polynomial's, so three do."""
+
+SETTLED = 1e-12
+"""A chief ray has arrived when it misses the apex by this share of the array's size."""
+
+
+class ChiefRays(NamedTuple):
+    """One ray a lenslet; where the lens stops it, or an apex lies beyond its reach, all of it but `apex` is NaN.
+
+    Attributes
+    ----------
+    apex : (rows, columns, 3) float64, mm, camera frame
+    entry : (rows, columns, 3) float64, mm, camera frame
+        Where it meets the array's first face: the apex, where the curved face looks at the lens.
+    direction : (rows, columns, 3) float64
+        Unit, in the air between lens and array, camera frame.
+    landing : (rows, columns, 2) float64, mm, sensor frame
+    """
+
+    apex: Array
+    entry: Array
+    direction: Array
+    landing: Array
+
+    @property
+    def traced(self) -> NDArray[np.bool_]:
+        """(rows, columns): the lenslets that have a chief ray."""
+        return np.isfinite(self.landing[..., 0])
+
+
+class Plate(NamedTuple):
+    """What a chief ray sees of the array: its glass, and which face it meets first."""
+
+    lenslets: Lenslets
+    glass: float
+    curved_to_lens: bool
+    moves: Array
+
+    @property
+    def apexes(self) -> Array:
+        """(rows · columns, 2) mm, array frame."""
+        centres = self.lenslets.lattice.centres().reshape(-1, 2)
+        return centres + self.lenslets.decentre if len(self.lenslets.decentre) else centres
+
+    def at_apexes(self, position: Array, direction: Array) -> Array:
+        """Return where (n, 3) rays of the camera frame cross the plane of the apexes, (n, 2) mm in the array frame."""
+        p = frames.points(self.moves[CAMERA_FRAME, ARRAY_FRAME], position)
+        d = frames.directions(self.moves[CAMERA_FRAME, ARRAY_FRAME], direction)
+        if self.curved_to_lens:
+            return p[:, :2] - (p[:, 2] / d[:, 2])[:, None] * d[:, :2]
+        t = (self.lenslets.thickness - p[:, 2]) / d[:, 2]
+        inside = self.inside(d)
+        return p[:, :2] + t[:, None] * d[:, :2] - (self.lenslets.thickness / inside[:, 2])[:, None] * inside[:, :2]
+
+    def entries(self, direction: Array) -> Array:
+        """Return where rays that come to the apexes meet the array's first face, (n, 3) mm in the camera frame."""
+        points = np.column_stack([self.apexes, np.zeros(len(self.apexes))])
+        if not self.curved_to_lens:
+            inside = self.inside(frames.directions(self.moves[CAMERA_FRAME, ARRAY_FRAME], direction))
+            points = points + (self.lenslets.thickness / inside[:, 2])[:, None] * inside
+        return frames.points(self.moves[ARRAY_FRAME, CAMERA_FRAME], points)
+
+    def landing(self, direction: Array) -> Array:
+        """Return where rays through the apexes meet the sensor, (n, 2) mm in its frame.
+
+        Parameters
+        ----------
+        direction : (n, 3) float64
+            Before the array, camera frame.
+        """
+        d = frames.directions(self.moves[CAMERA_FRAME, ARRAY_FRAME], direction)
+        leaves = np.column_stack([self.apexes, np.zeros(len(d))])
+        if self.curved_to_lens:
+            inside = self.inside(d)
+            leaves = leaves + (self.lenslets.thickness / inside[:, 2])[:, None] * inside
+        p = frames.points(self.moves[ARRAY_FRAME, SENSOR_FRAME], leaves)
+        d = frames.directions(self.moves[ARRAY_FRAME, SENSOR_FRAME], d)
+        return p[:, :2] - (p[:, 2] / d[:, 2])[:, None] * d[:, :2]
+
+    def inside(self, direction: Array) -> Array:
+        """Return unit directions (array frame) in the glass, by Snell's law at a face square to the axis."""
+        across = direction[:, :2] / self.glass
+        along = np.sqrt(1.0 - np.einsum("ij,ij->i", across, across))
+        return np.column_stack([across, np.copysign(along, direction[:, 2])])
+
+
+def plate_of(scene: Scene) -> Plate:
+    """Return the array of a scene as chief rays see it.
+
+    Raises
+    ------
+    LfmeshError
+        A conventional camera.
+    """
+    mla = scene.camera.mla
+    if mla is None:
+        raise LfmeshError("camera.mla is missing: a conventional camera has no lenslets to calibrate or decode by")
+    primary = scene.transport.primary_nm
+    _, tables = array_tables(scene, (primary,))
+    moves = frame_table(scene, np.zeros(3))
+    return Plate(tables.lenslets, refractive_index(mla.medium, primary), tables.curved_to_lens, moves)
+
+
+def chief_rays(scene: Scene) -> ChiefRays:
+    """Trace the chief ray of every lenslet, at the primary wavelength.
+
+    Raises
+    ------
+    LfmeshError
+        A conventional camera, or one whose lens lets no chief ray through to the array.
+    """
+    scene = solved(measured(scene))
+    plate = plate_of(scene)
+    apexes = plate.apexes
+    reach = float(np.hypot(*apexes.T).max()) + plate.lenslets.lattice.pitch
+    fan = _Fan(scene, plate, reach)
+    slopes = fan.guess(apexes)
+    direction = np.full((len(apexes), 3), np.nan)
+    for _ in range(STEPS):
+        position, direction = fan.trace(slopes)
+        hit = plate.at_apexes(position, direction)
+        missing = np.hypot(*(apexes - hit).T)
+        if not np.any(missing > SETTLED * reach):
+            break
+        slopes = slopes + fan.guess(apexes) - fan.guess(hit)
+    lattice = plate.lenslets.lattice
+    in_camera = frames.points(plate.moves[ARRAY_FRAME, CAMERA_FRAME], np.column_stack([apexes, np.zeros(len(apexes))]))
+    shape = (lattice.rows, lattice.columns, -1)
+    return ChiefRays(
+        in_camera.reshape(shape),
+        plate.entries(direction).reshape(shape),
+        direction.reshape(shape),
+        plate.landing(direction).reshape(shape),
+    )
+
+
+class _Fan:
+    """Rays from the middle of the stop, and the polynomial that inverts where they meet the array."""
+
+    def __init__(self, scene: Scene, plate: Plate, reach: float) -> None:
+        self._world = lens_alone(scene)
+        lens = scene.camera.lens
+        paraxial = Paraxial.of(lens, scene.transport.primary_nm)
+        self._wavelength = scene.transport.primary_nm
+        after = lens.surfaces[paraxial.stop].thickness_mm or (scene.camera.mla and scene.camera.mla.distance_mm) or 0.0
+        # Behind the stop, which may be a surface of glass, and well before the next surface.
+        self._start = np.array([0.0, 0.0, lens.vertices_mm[paraxial.stop]])
+        self._ahead = after / 16.0
+        self._reach = reach
+        array_z = lens.vertices_mm[-1] + (scene.camera.mla.distance_mm or 0.0 if scene.camera.mla else 0.0)
+        m = paraxial.from_stop
+        height = m.b + m.d * (array_z - lens.vertices_mm[-1])
+        widest = 1.3 * reach / abs(height * paraxial.indices[paraxial.stop + 1])
+        one = np.linspace(-widest, widest, FAN)
+        slopes = np.stack(np.meshgrid(one, one), axis=-1).reshape(-1, 2)
+        hit = plate.at_apexes(*self.trace(slopes))
+        through = np.isfinite(hit[:, 0])
+        if through.sum() < 2 * len(self._terms(np.zeros((1, 2)))[0]):
+            raise LfmeshError(
+                "camera: the lens lets hardly any ray from the middle of its stop through to the microlens array; "
+                "check apertures and distances with lfmesh check"
+            )
+        self._coefficients, *_ = np.linalg.lstsq(self._terms(hit[through]), slopes[through], rcond=None)
+
+    def trace(self, slopes: Array) -> tuple[Array, Array]:
+        """Return position and direction, camera frame, in the air before the array, of rays from the stop; NaN: lost.
+
+        Parameters
+        ----------
+        slopes : (n, 2) float64
+            dx/dz and dy/dz behind the stop; NaN is passed on.
+        """
+        ahead = np.column_stack([slopes, np.ones(len(slopes))])
+        known = np.isfinite(slopes[:, 0])
+        position, direction = np.full((2, len(slopes), 3), np.nan)
+        paths = trace(
+            self._world, self._start + self._ahead * ahead[known], ahead[known], self._wavelength, split="transmit"
+        )  # fmt: skip
+        arrived = paths.status == Status.SENSOR
+        rays = np.flatnonzero(known)[paths.source[arrived]]
+        position[rays], direction[rays] = paths.position[arrived], paths.direction[arrived]
+        return position, direction
+
+    def guess(self, apexes: Array) -> Array:
+        """Return the slopes behind the stop, (n, 2), of the rays that meet the array near (n, 2) points of it."""
+        return self._terms(apexes) @ self._coefficients
+
+    def _terms(self, points: Array) -> Array:
+        return polynomial_terms(points / self._reach, DEGREE)
+
+
+def polynomial_terms(points: Array, degree: int) -> Array:
+    """Return the (n, terms) monomials x^i y^j, i + j ≤ degree, of (n, 2) points."""
+    x, y = points.T
+    return np.column_stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)])

@@ -1,0 +1,266 @@
+"""From the raw image to the light field: the same part of every micro-image makes a view."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry.lattice import ROW_SPACING
+from lfmesh.geometry.refractors import measured
+from lfmesh.kernel import kernel
+from lfmesh.lightfield.calibration import Calibration, calibrate
+from lfmesh.lightfield.field import LightField, Samples
+from lfmesh.lightfield.ray_model import RayModel
+from lfmesh.scene import Scene, solved
+from lfmesh.transport.image import Image
+
+Array = NDArray[np.float64]
+
+DARK = 0.1
+"""A sample is not divided by white, and unknown, where white is below this share of its brightest samples."""
+
+BRIGHT_PERCENTILE = 99.0
+
+WIDEST = 2.0
+"""Views reach over this many micro-images at most; what lies beyond the next one is not this lenslet's at all."""
+
+
+class Sampling(NamedTuple):
+    """How output columns come from lenslets: a mean of two neighbours of a row.
+
+    Attributes
+    ----------
+    s_mm : (s,) float64
+    columns : (2, s) int64
+        The left one of the two lenslets, for even and odd rows of the array.
+    share : (2, s) float64
+        Weight of the other one, the next column.
+    words : str
+    """
+
+    s_mm: Array
+    columns: NDArray[np.int64]
+    share: Array
+    words: str
+
+
+def decode(
+    image: Image,
+    scene: Scene | None = None,
+    *,
+    white: Image | None = None,
+    calibration: Calibration | None = None,
+    views: int | None = None,
+) -> LightField:
+    """Sort the pixels of a raw image into the views of a light field.
+
+    A sample is interpolated (bilinearly) at a whole number of pixels, or of halves, from the centre of its
+    micro-image, wherever that lies between the pixels. A hexagonal array is resampled, along its rows, to the square
+    grid that has the distance of its rows.
+
+    Parameters
+    ----------
+    image : Image
+        From `lf.render` or `lf.open_run`.
+    scene : Scene, optional
+        Whose camera made the image; its own scene if omitted.
+    white : Image, optional
+        From `lf.white_image`, of the same camera; the raw image is divided by it.
+    calibration : Calibration, optional
+        Centres of the micro-images; traced (`lf.calibrate`) if omitted.
+    views : int, optional
+        Along each axis; as many whole pixels as a micro-image is wide, if omitted.
+
+    Raises
+    ------
+    LfmeshError
+        A conventional camera; an image, white image or calibration of another camera; a number of views that makes
+        no sense.
+    """
+    scene = solved(measured(image.scene if scene is None else scene))
+    model = RayModel.of(scene)
+    calibration = calibrate(scene) if calibration is None else calibration
+    _refuse_strangers(image, white, scene, calibration)
+    count = _view_count(calibration, views)
+    sampling = _sampling(calibration)
+    data, stderr = _sorted_pixels(image, calibration, count, sampling)
+    unit = "W per pixel"
+    if white is not None:
+        _divide(data, stderr, *_sorted_pixels(white, calibration, count, sampling))
+        unit = "W/(m² sr)"
+    directions = _centred(count, model.slope_step)
+    rows = len(calibration.known)
+    row_pitch = calibration.lenslet_pitch_mm * (ROW_SPACING if calibration.layout == "hexagonal" else 1.0)
+    return LightField(
+        data=data,
+        stderr=stderr,
+        v_rad=directions,
+        u_rad=directions.copy(),
+        t_mm=_centred(rows, row_pitch),
+        s_mm=sampling.s_mm,
+        wavelengths_nm=image.wavelengths_nm,
+        unit=unit,
+        scene=scene,
+        sampling=sampling.words,
+        sharing=_sharing(calibration, count, sampling),
+    )
+
+
+def _refuse_strangers(image: Image, white: Image | None, scene: Scene, calibration: Calibration) -> None:
+    height, width = image.mean.shape[:2]
+    sensor = scene.camera.sensor.pixels
+    if (width, height) != sensor:
+        raise LfmeshError(f"the image has {width} × {height} pixels, the scene's sensor {sensor[0]} × {sensor[1]}")
+    columns, rows = scene.camera.mla.count if scene.camera.mla is not None else (0, 0)
+    if calibration.known.shape != (rows, columns) or calibration.sensor_px != sensor:
+        raise LfmeshError(
+            f"the calibration is of {calibration.known.shape[1]} × {calibration.known.shape[0]} lenslets and "
+            f"{calibration.sensor_px[0]} × {calibration.sensor_px[1]} pixels, the camera has {columns} × {rows} and "
+            f"{sensor[0]} × {sensor[1]}"
+        )
+    if white is None:
+        return
+    if white.mean.shape != image.mean.shape or white.wavelengths_nm != image.wavelengths_nm:
+        raise LfmeshError(
+            f"the white image has the shape {white.mean.shape} at {list(white.wavelengths_nm)} nm, the raw image "
+            f"{image.mean.shape} at {list(image.wavelengths_nm)} nm; render the white image of the same scene"
+        )
+    if solved(measured(white.scene)).camera != scene.camera:
+        raise LfmeshError("the white image is of another camera; render the white image of the same scene")
+
+
+def _view_count(calibration: Calibration, views: int | None) -> int:
+    # A pitch that is a whole number of pixels but for rounding is that number.
+    whole = max(1, math.floor(calibration.pitch_px * (1.0 + 1e-6)))
+    if views is None:
+        return whole
+    most = max(whole, math.floor(WIDEST * calibration.pitch_px))
+    if not 1 <= views <= most:
+        raise LfmeshError(
+            f"views = {views}: must be from 1 to {most}; the micro-images are {calibration.pitch_px:.4g} pixels wide"
+        )
+    return views
+
+
+def _sampling(calibration: Calibration) -> Sampling:
+    rows, columns = calibration.known.shape
+    pitch = calibration.lenslet_pitch_mm
+    if calibration.layout == "square":
+        s_mm = _centred(columns, pitch)
+        back = np.arange(columns)[::-1]
+        words = f"one sample a lenslet, {pitch:.6g} mm apart"
+        return Sampling(s_mm, np.stack([back, back]), np.zeros((2, columns)), words)
+    step = pitch * ROW_SPACING
+    count = max(1, int((columns - 0.5) / ROW_SPACING) + 1) if rows > 1 else max(1, int(columns / ROW_SPACING))
+    s_mm = _centred(count, step)
+    left, share = np.zeros((2, count), np.int64), np.zeros((2, count))
+    for odd in (0, 1):
+        shift = 0.5 * odd - (0.25 if rows > 1 else 0.0)
+        # Upright: s runs against x.
+        at = np.clip(-s_mm / pitch + 0.5 * (columns - 1) - shift, 0.0, columns - 1.0)
+        left[odd] = np.minimum(at.astype(np.int64), max(columns - 2, 0))
+        share[odd] = at - left[odd]
+    words = (
+        f"hexagonal lenslets {pitch:.6g} mm apart, resampled along their rows, linearly between neighbours, to a "
+        f"square grid of {step:.6g} mm, the distance of the rows"
+    )
+    return Sampling(s_mm, left, share, words)
+
+
+def _centred(count: int, step: float) -> Array:
+    """Return an axis of equal steps with its zero in the middle."""
+    return step * (np.arange(count, dtype=np.float64) - 0.5 * (count - 1))
+
+
+def _sorted_pixels(image: Image, calibration: Calibration, count: int, sampling: Sampling) -> tuple[Samples, Samples]:
+    rows = len(calibration.known)
+    shape = (count, count, rows, len(sampling.s_mm), image.mean.shape[2])
+    data, stderr = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    _sort_pixels(
+        image.mean, image.stderr, calibration.centres_px, sampling.columns, sampling.share, data, stderr
+    )  # fmt: skip
+    return data, stderr
+
+
+def _sharing(calibration: Calibration, count: int, sampling: Sampling) -> Samples:
+    """Return 1 over the sum of the squared weights of the pixels in a sample, the same for all views of a lenslet."""
+    fraction = (calibration.centres_px + 0.5 * (count - 1)) % 1.0
+    squares = np.prod((1.0 - fraction) ** 2 + fraction**2, axis=-1)[::-1]
+    odd = np.arange(len(squares))[::-1] & 1
+    left, share = sampling.columns[odd], sampling.share[odd]
+    first = np.take_along_axis(squares, left, axis=1)
+    second = np.take_along_axis(squares, np.minimum(left + 1, squares.shape[1] - 1), axis=1)
+    here, there = (1.0 - share) ** 2, share**2
+    return ((here + there) / (here * first + there * second)).astype(np.float32)
+
+
+@kernel
+def _sort_pixels(
+    mean: Array, spread: Array, centres: Array, columns: NDArray[np.int64], share: Array, data: Samples, stderr: Samples
+) -> None:
+    """Fill (v, u, t, s, c) samples and their standard errors from the raw image."""
+    count, _, rows, width, channels = data.shape
+    for t in range(rows):
+        row = rows - 1 - t
+        for s in range(width):
+            column, other = columns[row & 1, s], share[row & 1, s]
+            for v in range(count):
+                for u in range(count):
+                    # Upright: the micro-image is turned with the picture.
+                    du, dv = 0.5 * (count - 1) - u, 0.5 * (count - 1) - v
+                    for c in range(channels):
+                        value, square = _pixel_at(
+                            mean, spread, centres[row, column, 0] + du, centres[row, column, 1] + dv, c
+                        )
+                        if other > 0.0:
+                            more, more_square = _pixel_at(
+                                mean, spread, centres[row, column + 1, 0] + du, centres[row, column + 1, 1] + dv, c
+                            )
+                            value = (1.0 - other) * value + other * more
+                            square = (1.0 - other) ** 2 * square + other**2 * more_square
+                        data[v, u, t, s, c] = value
+                        stderr[v, u, t, s, c] = np.sqrt(square)
+
+
+@kernel
+def _pixel_at(mean: Array, spread: Array, x: float, y: float, channel: int) -> tuple[float, float]:
+    """Return the image between four pixels, and the square of its standard error; NaN beyond the sensor."""
+    height, width, _ = mean.shape
+    if not (0.0 <= x <= width - 1.0 and 0.0 <= y <= height - 1.0):
+        return np.nan, np.nan
+    column, row = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
+    fx, fy = x - column, y - row
+    value, square = 0.0, 0.0
+    for j in range(2):
+        for i in range(2):
+            weight = (fx if i else 1.0 - fx) * (fy if j else 1.0 - fy)
+            if weight > 0.0:
+                value += weight * mean[row + j, column + i, channel]
+                square += (weight * spread[row + j, column + i, channel]) ** 2
+    return value, square
+
+
+def _divide(data: Samples, stderr: Samples, white: Samples, white_stderr: Samples) -> None:
+    """Divide a light field by the white one in place, channel by channel; what was dark becomes NaN."""
+    for c in range(data.shape[-1]):
+        lit = white[..., c][np.isfinite(white[..., c])]
+        limit = DARK * float(np.percentile(lit, BRIGHT_PERCENTILE)) if lit.size else 0.0
+        _divide_channel(data[..., c], stderr[..., c], white[..., c], white_stderr[..., c], limit)
+
+
+@kernel
+def _divide_channel(data: Samples, stderr: Samples, white: Samples, white_stderr: Samples, limit: float) -> None:
+    views_v, views_u, height, width = data.shape
+    for v in range(views_v):
+        for u in range(views_u):
+            for t in range(height):
+                for s in range(width):
+                    light = float(white[v, u, t, s])
+                    if not light > limit:
+                        data[v, u, t, s], stderr[v, u, t, s] = np.nan, np.nan
+                        continue
+                    ratio = data[v, u, t, s] / light
+                    error = np.hypot(stderr[v, u, t, s], ratio * white_stderr[v, u, t, s]) / light
+                    data[v, u, t, s], stderr[v, u, t, s] = ratio, error

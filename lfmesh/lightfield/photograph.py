@@ -1,0 +1,120 @@
+"""Photographs computed from a light field: one plane, a stack of planes, or every place in focus."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SHARPNESS_RADIUS = 2
+"""Sharpness is compared over windows that reach this many samples to either side."""
+
+
+@dataclass(frozen=True, eq=False)
+class Photograph:
+    """What a conventional camera focused on one plane would have taken.
+
+    Attributes
+    ----------
+    mean : (t, s, c) float64
+        Upright; NaN where no view saw anything.
+    stderr : (t, s, c) float64
+    distance_mm : float
+        Object distance of the plane, in front of the first vertex.
+    f_number : float
+        Image-side f-number of the aperture used.
+    sample_mm : float
+        Size of a sample (along s) in the plane.
+    wavelengths_nm : tuple of float
+    unit : str
+        As the light field's.
+    """
+
+    mean: Array
+    stderr: Array
+    distance_mm: float
+    f_number: float
+    sample_mm: float
+    wavelengths_nm: tuple[float, ...]
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class FocalStack:
+    """Photographs of the same scene, from plane to plane."""
+
+    photographs: tuple[Photograph, ...]
+
+    @property
+    def distances_mm(self) -> tuple[float, ...]:
+        """The planes."""
+        return tuple(photograph.distance_mm for photograph in self.photographs)
+
+    @property
+    def mean(self) -> Array:
+        """(planes, t, s, c)."""
+        return np.stack([photograph.mean for photograph in self.photographs])
+
+
+@dataclass(frozen=True, eq=False)
+class AllInFocus:
+    """The sharpest of a stack's photographs at every place.
+
+    Attributes
+    ----------
+    mean, stderr : (t, s, c) float64
+    distance_mm : (t, s) float64
+        The plane that each sample was taken from.
+    wavelengths_nm : tuple of float
+    unit : str
+    """
+
+    mean: Array
+    stderr: Array
+    distance_mm: Array
+    wavelengths_nm: tuple[float, ...]
+    unit: str
+
+
+def all_in_focus(stack: FocalStack) -> AllInFocus:
+    """Take every sample from the photograph of a stack that is sharpest there.
+
+    Sharpness is the energy of the Laplacian in a window of 5 × 5 samples, summed over the channels.
+    """
+    sharpness = np.stack([_sharpness(photograph.mean) for photograph in stack.photographs])
+    best = sharpness.argmax(axis=0)
+    first = stack.photographs[0]
+
+    def sharpest(values: list[Array]) -> Array:
+        return np.take_along_axis(np.stack(values), best[None, :, :, None], axis=0)[0]
+
+    return AllInFocus(
+        mean=sharpest([photograph.mean for photograph in stack.photographs]),
+        stderr=sharpest([photograph.stderr for photograph in stack.photographs]),
+        distance_mm=np.asarray(stack.distances_mm)[best],
+        wavelengths_nm=first.wavelengths_nm,
+        unit=first.unit,
+    )
+
+
+def _sharpness(picture: Array) -> Array:
+    """Return the energy of the Laplacian round every sample, (t, s)."""
+    known = np.where(np.isfinite(picture), picture, 0.0)
+    padded = np.pad(known, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    inner = padded[1:-1, 1:-1]
+    around = padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]
+    energy = ((around - 4.0 * inner) ** 2).sum(axis=2)
+    return _window_mean(energy, SHARPNESS_RADIUS)
+
+
+def _window_mean(values: Array, radius: int) -> Array:
+    """Return the mean over the square window round every sample, by running sums."""
+    side = 2 * radius + 1
+    for axis in (0, 1):
+        margin = [(0, 0), (0, 0)]
+        margin[axis] = (radius + 1, radius)
+        sums = np.cumsum(np.pad(values, margin, mode="edge"), axis=axis)
+        sums = np.moveaxis(sums, axis, 0)
+        values = np.moveaxis((sums[side:] - sums[:-side]) / side, 0, axis)
+    return values

@@ -1,0 +1,81 @@
+"""The white image: what the same camera, errors and all, records of a uniform Lambertian plane that fills its field."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.refractors import measured
+from lfmesh.scene import Scene, first_order, solved
+from lfmesh.transport.image import Image
+from lfmesh.transport.progress import Progress
+from lfmesh.transport.render import render
+
+RADIANCE = 1.0
+"""Of the plane, W/(m² sr), so that a raw image divided by the white one is the radiance of what it shows."""
+
+WIDTH_OVER_DISTANCE = 12.0
+"""Rays leave the lens at up to 80° from its axis and still meet the plane."""
+
+FOCAL_LENGTHS_AWAY = 10.0
+"""How far off the plane stands; a uniform plane looks the same from anywhere."""
+
+
+def white_scene(scene: Scene) -> Scene:
+    """Return a scene with the same camera and transport that shows nothing but a glowing plane.
+
+    It is traced from the sensor whatever the scene asks for: from a plane that fills every field, hardly any light
+    would find the lens.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Raises
+    ------
+    SceneError
+        As `solved`.
+    """
+    scene = solved(measured(scene))
+    # An afocal lens has no focal length to measure by.
+    distance = FOCAL_LENGTHS_AWAY * min(abs(first_order(scene).efl_mm), 100.0 * max(scene.camera.sensor.size_mm))
+    pose = scene.camera.pose
+    (place,) = frames.points(frames.frame(pose.tilt_deg, pose.shift_mm), np.array([[0.0, 0.0, -distance]]))
+    width = WIDTH_OVER_DISTANCE * distance
+    plane = {
+        "name": "white",
+        "shape": {"kind": "plane", "width_mm": width, "height_mm": width},
+        "position_mm": tuple(place.tolist()),
+        "rotation_deg": pose.tilt_deg,
+        "material": {"reflectance": 0.0, "radiance_w_m2_sr": RADIANCE},
+    }
+    return scene.changed(
+        {
+            "name": f"{scene.name}, white".lstrip(", "),
+            "targets": (plane,),
+            "lights": (),
+            "transport.method": "adjoint",
+        }
+    )
+
+
+def white_image(scene: Scene, progress: Callable[[Progress], None] | None = None) -> Image:
+    """Render the white image of a scene's camera, with the scene's transport settings.
+
+    Parameters
+    ----------
+    scene : Scene
+    progress : callable, optional
+        As for `lf.render`.
+
+    Returns
+    -------
+    Image
+        Its `scene` is that of the white plane.
+
+    Raises
+    ------
+    LfmeshError
+        The scene cannot be built.
+    """
+    return render(white_scene(scene), progress)

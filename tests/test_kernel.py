@@ -75,3 +75,26 @@ def test_two_processes_may_compile_at_once(program: Path) -> None:
     for process in [started(program), started(program)]:
         assert outcome(process)["value"] == 7.5
     assert outcome(started(program))["cached"] == 1
+
+
+RENDER = """
+import hashlib
+import lfmesh as lf
+from lfmesh.assets import asset_path
+
+settings = {"camera.sensor.pixels": (60, 60), "transport.split": "transmit", "transport.samples": 8}
+image = lf.render(lf.load(asset_path("scenes/emitting_plane.toml")).changed(settings))
+print(image.engine.split(":")[0], hashlib.sha256(image.mean.tobytes() + image.stderr.tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.long
+def test_kernels_from_the_cache_give_the_bits_of_those_just_compiled(tmp_path: Path) -> None:
+    """Bit by bit: that is why nothing is contracted, for what LLVM contracts depends on what it has just inlined."""
+    fresh = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    runs = [
+        subprocess.run([sys.executable, "-c", RENDER], env=fresh, capture_output=True, text=True, check=True, cwd=ROOT)
+        for _ in range(2)
+    ]
+    assert runs[0].stdout.startswith("sequential")
+    assert runs[0].stdout == runs[1].stdout

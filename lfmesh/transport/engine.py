@@ -147,7 +147,9 @@ class Workspace:
         need = int(self.tops[:STATIONS].max()) + children * packets
         if need > self.stacks.shape[1]:
             larger = np.zeros((STATIONS + 1, max(need, 2 * self.stacks.shape[1])), PACKET)
-            larger[:, : self.stacks.shape[1]] = self.stacks
+            # What waits, and no more: memory that nobody writes to costs nothing.
+            for row, top in zip(self.rows[:STATIONS], self.tops[:STATIONS], strict=True):
+                larger[row, :top] = self.stacks[row, :top]
             self.stacks = larger
         if not self.options.adjoint and not self.options.tracing:
             self.deposits = _grown(self.deposits, int(self.tops[DEPOSITS]) + packets)

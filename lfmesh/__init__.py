@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from lfmesh.lightfield.calibration import Calibration, calibrate
     from lfmesh.lightfield.centres import estimate_centres
     from lfmesh.lightfield.decode import decode
+    from lfmesh.lightfield.depth import DepthMap, estimate_depth
+    from lfmesh.lightfield.depth_truth import DepthTruth, depth_truth
     from lfmesh.lightfield.field import LightField
     from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph, all_in_focus
     from lfmesh.lightfield.ray_model import RayModel
@@ -68,6 +70,8 @@ __all__ = [
     "Calibration",
     "Camera",
     "Cylinder",
+    "DepthMap",
+    "DepthTruth",
     "DirectionalLight",
     "Disk",
     "DiskLight",
@@ -105,7 +109,9 @@ __all__ = [
     "build",
     "calibrate",
     "decode",
+    "depth_truth",
     "estimate_centres",
+    "estimate_depth",
     "first_order",
     "focal_stack",
     "load",
@@ -128,6 +134,8 @@ _HOMES = {
     "lfmesh.lightfield.calibration": ["Calibration", "calibrate"],
     "lfmesh.lightfield.centres": ["estimate_centres"],
     "lfmesh.lightfield.decode": ["decode"],
+    "lfmesh.lightfield.depth": ["DepthMap", "estimate_depth"],
+    "lfmesh.lightfield.depth_truth": ["DepthTruth", "depth_truth"],
     "lfmesh.lightfield.field": ["LightField"],
     "lfmesh.lightfield.photograph": ["AllInFocus", "FocalStack", "Photograph", "all_in_focus"],
     "lfmesh.lightfield.ray_model": ["RayModel"],

@@ -58,6 +58,7 @@ Examples:
     lfmesh white run/                    white image and true geometry of its camera
     lfmesh decode run/                   the light field: all views of the run
     lfmesh refocus run/ --distance-mm 480
+    lfmesh depth run/                    true depth, and depth from the light field
     lfmesh accuracy -o report/           speed against error, as tables and figures
     lfmesh schema > scene.schema.json    for completion in an editor
 """,
@@ -271,6 +272,40 @@ def refocus(
         _list_files(files.save_stack(series, run))
         if all_in_focus:
             _list_files(files.save_all_in_focus(photographs.all_in_focus(series), run))
+    return 0
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh depth run/
+    lfmesh depth run/ --near-mm 300 --far-mm 900
+"""
+)
+def depth(
+    run: RunFolder,
+    /,
+    *,
+    near_mm: Annotated[
+        float | None, Parameter(help="Nearest distance to search; the near end of the refocus range, if omitted.")
+    ] = None,
+    far_mm: Annotated[float | None, Parameter(help="Farthest distance to search; the far end, if omitted.")] = None,
+    samples: Annotated[Whole, Parameter(help="Rays of each raw pixel's bundle for its true depth.")] = 16,
+) -> int:
+    """Find the depth of what a run shows: the truth by tracing, the estimate from its light field, and its error."""
+    with _undivided():
+        from lfmesh.files import depth as depth_files
+        from lfmesh.files import field as field_files
+        from lfmesh.lightfield.depth import estimate_depth
+        from lfmesh.lightfield.depth_truth import depth_truth
+
+    field = field_files.open_field(run) or _decoded(run, "traced", True, None)
+    estimate = estimate_depth(field, near_mm=near_mm, far_mm=far_mm)
+    truth = depth_truth(field.scene, views=field.views[0], samples=samples)
+    paths = depth_files.save_truth(truth, run) + depth_files.save_depth(estimate, truth.middle_mm, run)
+    print(textwrap.fill(estimate.in_words(truth.middle_mm), COLUMNS, subsequent_indent="  "))
+    _list_files(paths)
     return 0
 
 

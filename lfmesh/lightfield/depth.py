@@ -45,8 +45,9 @@ class DepthMap:
     shift_mm : (t, s) float64
         How far the point moves on the array from one view to the next; positive nearer than the focus.
     confidence : (t, s) float64
-        From 0 to 1: by what share the views differ less at this distance than on average over all that were tried.
-        Near 0 where there is nothing but noise to compare.
+        From 0 to 1: by what share the views differ less at this distance than on average over all that were tried,
+        times the share of texture in what varies, be it over the window or from view to view. Near 0 where there is
+        nothing but noise to compare; low where views see past an edge.
     range_mm : tuple of float
         Nearest and farthest distance tried.
     """
@@ -77,6 +78,21 @@ class DepthMap:
         truth = np.where(np.isfinite(truth_mm), truth_mm.astype(np.float64), np.nan)
         return np.where(np.isfinite(self.distance_mm), self.distance_mm, np.nan) / truth - 1.0
 
+    def in_words(self, truth_mm: NDArray[np.floating]) -> str:
+        """Return how far the depth is off, of what lies in the range that was searched."""
+        near, far = self.range_mm
+        within = (truth_mm >= near) & (truth_mm <= far)
+        error = np.abs(self.error(truth_mm)[within])
+        error = error[np.isfinite(error)]
+        reach = f"{near:.4g} mm to " + (f"{far:.4g} mm" if math.isfinite(far) else "infinity")
+        if not error.size:
+            return f"Nothing that the camera sees lies in the range that was searched, {reach}."
+        middle, most = np.percentile(error, [50.0, 90.0])
+        return (
+            f"Depth is off by {middle:.2%} in the median and by less than {most:.2%} in nine of ten of the "
+            f"{error.size} samples whose true depth lies in the range searched, {reach}."
+        )
+
 
 def estimate_depth(field: LightField, *, near_mm: float | None = None, far_mm: float | None = None) -> DepthMap:
     """Find how far everything is that a light field shows.
@@ -97,20 +113,20 @@ def estimate_depth(field: LightField, *, near_mm: float | None = None, far_mm: f
     geometry = TracedShift.of(field, usable)
     shifts = _shifts_to_try(field, geometry, near_mm, far_mm)
     spacing = field.spacing_mm
-    cost = np.full(data.shape[2:4], np.inf)
+    cost, texture = np.full(data.shape[2:4], np.inf), np.zeros(data.shape[2:4])
     total, tried = np.zeros_like(cost), np.zeros_like(cost)
     shift = np.full(data.shape[2:4], np.nan)
     for plane in shifts:
-        differ, residual = _compared(data, usable, plane, spacing)
+        differ, contrast, residual = _compared(data, usable, plane, spacing)
         known = np.isfinite(differ)
         total, tried = total + np.where(known, differ, 0.0), tried + known
         better = known & (differ < cost)
-        cost = np.where(better, differ, cost)
+        cost, texture = np.where(better, differ, cost), np.where(better, contrast, texture)
         # A residual of several steps is no small one: then there is no slope to speak of.
         limit = 2.0 * STEP * max(spacing)
         shift = np.where(better, plane + np.clip(residual, -limit, limit), shift)
     with np.errstate(divide="ignore", invalid="ignore"):
-        confidence = np.where(total > 0.0, 1.0 - cost * tried / total, 0.0)
+        confidence = np.where(total > 0.0, (1.0 - cost * tried / total) * texture / (texture + cost), 0.0)
     near, far = geometry.distance_mm(shifts[[-1, 0]])
     return DepthMap(
         geometry.distance_mm(shift), shift, np.clip(np.nan_to_num(confidence), 0.0, 1.0), (float(near), float(far))
@@ -152,13 +168,15 @@ def _even_views(field: LightField) -> tuple[Samples, NDArray[np.bool_]]:
 
 def _compared(
     data: Samples, usable: NDArray[np.bool_], shift_mm: float, spacing_mm: tuple[float, float]
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Array]:
     """Compare the views, shifted to one plane, in the window round every sample.
 
     Returns
     -------
     cost : (t, s) float64
         Variance over the views; NaN where nothing is known.
+    contrast : (t, s) float64
+        Variance of their mean over the window.
     residual : (t, s) float64, mm
         By how much more the views shift.
     """
@@ -172,7 +190,10 @@ def _compared(
         moved = (slope_v * gradient_t + slope_u * gradient_s).sum(axis=2)
         steep = (gradient_t**2 + gradient_s**2).sum(axis=2)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return _windowed(variance), _windowed(moved) / _windowed(steep)
+        contrast = _windowed((mean**2).sum(axis=2))
+        for channel in range(data.shape[4]):
+            contrast = contrast - _windowed(mean[..., channel]) ** 2
+        return _windowed(variance), np.maximum(contrast, 0.0), _windowed(moved) / _windowed(steep)
 
 
 def _gradient(picture: Array, axis: int) -> Array:

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from lfmesh.lightfield.depth import DepthMap, estimate_depth
     from lfmesh.lightfield.depth_truth import DepthTruth, depth_truth
     from lfmesh.lightfield.field import LightField
+    from lfmesh.lightfield.focused import focused
+    from lfmesh.lightfield.patches import patches_in_focus, render_patches
     from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph, all_in_focus
     from lfmesh.lightfield.ray_model import RayModel
     from lfmesh.lightfield.refocus import focal_stack, refocus
@@ -114,12 +116,15 @@ __all__ = [
     "estimate_depth",
     "first_order",
     "focal_stack",
+    "focused",
     "load",
     "loads",
     "open_run",
     "open_white",
+    "patches_in_focus",
     "refocus",
     "render",
+    "render_patches",
     "save",
     "save_white",
     "solved",
@@ -137,6 +142,8 @@ _HOMES = {
     "lfmesh.lightfield.depth": ["DepthMap", "estimate_depth"],
     "lfmesh.lightfield.depth_truth": ["DepthTruth", "depth_truth"],
     "lfmesh.lightfield.field": ["LightField"],
+    "lfmesh.lightfield.focused": ["focused"],
+    "lfmesh.lightfield.patches": ["patches_in_focus", "render_patches"],
     "lfmesh.lightfield.photograph": ["AllInFocus", "FocalStack", "Photograph", "all_in_focus"],
     "lfmesh.lightfield.ray_model": ["RayModel"],
     "lfmesh.lightfield.refocus": ["focal_stack", "refocus"],

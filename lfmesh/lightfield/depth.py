@@ -110,7 +110,7 @@ def estimate_depth(field: LightField, *, near_mm: float | None = None, far_mm: f
         No range to search in, or fewer than 3 views along an axis.
     """
     data, usable = _even_views(field)
-    geometry = TracedShift.of(field, usable)
+    geometry = TracedShift.of(field.scene, usable)
     shifts = _shifts_to_try(field, geometry, near_mm, far_mm)
     spacing = field.spacing_mm
     cost, texture = np.full(data.shape[2:4], np.inf), np.zeros(data.shape[2:4])

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.lattice import ROW_SPACING
 from lfmesh.lightfield.calibration import calibrate
 from lfmesh.lightfield.chief_rays import chief_rays, plate_of
 from lfmesh.lightfield.decode import sampling_of
-from lfmesh.lightfield.field import LightField
 from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.scene import Scene
 from lfmesh.transport.choice import obstacle_of
@@ -43,6 +43,8 @@ class ViewRays:
         self._slopes = rays.direction[..., :2] / rays.direction[..., 2:]
         # Upright: t runs against the rows of the array.
         self._rows = np.arange(len(calibration.known))[::-1]
+        row_pitch = calibration.lenslet_pitch_mm * (ROW_SPACING if calibration.layout == "hexagonal" else 1.0)
+        self.t_mm = -row_pitch * (self._rows - 0.5 * (len(self._rows) - 1))
 
     def trace(self, v: float, u: float, every: tuple[int, int] = (1, 1)) -> tuple[Paths, NDArray[np.int64]]:
         """Trace one view.
@@ -113,19 +115,18 @@ class TracedShift:
     view: tuple[float, float]
 
     @classmethod
-    def of(cls, field: LightField, usable: NDArray[np.bool_]) -> "TracedShift":
-        """Fit the map to rays of the (v, u) views that are used.
+    def of(cls, scene: Scene, usable: NDArray[np.bool_]) -> "TracedShift":
+        """Fit the map to rays of the (v, u) views of a solved scene's camera that are used.
 
         Raises
         ------
         LfmeshError
             The lens lets hardly any of these rays through.
         """
-        scene = field.scene
         rays = ViewRays(build(scene.changed({"targets": (), "lights": ()})))
-        height, width = field.size
+        height, width = rays.size
         every = max(1, -(-height // ACROSS)), max(1, -(-width // ACROSS))
-        t, s = np.meshgrid(field.t_mm[:: every[0]], field.s_mm[:: every[1]], indexing="ij")
+        t, s = np.meshgrid(rays.t_mm[:: every[0]], rays.sampling.s_mm[:: every[1]], indexing="ij")
         rows, columns = usable.shape
         terms, at_zero, per_vergence = [], [], []
         for v, u in np.argwhere(usable):

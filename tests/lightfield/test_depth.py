@@ -123,7 +123,7 @@ def test_the_traced_map_is_the_ray_model_for_a_slow_lens_and_its_own_inverse(
     field = lf.decode(image_of(scene, np.ones(scene.camera.sensor.pixels[::-1])))
     middle = np.zeros(field.views, np.bool_)
     middle[4:6, 4:6] = True
-    slow, whole = TracedShift.of(field, middle), TracedShift.of(field, np.hypot(*np.indices((10, 10)) - 4.5) < 4.6)
+    slow, whole = TracedShift.of(scene, middle), TracedShift.of(scene, np.hypot(*np.indices((10, 10)) - 4.5) < 4.6)
     for distance in (300.0, 480.0, 900.0, 3000.0):
         paraxial = field.model.shift_mm(distance)
         assert slow.shift_mm(distance) == pytest.approx(paraxial, abs=0.002 * 0.125)

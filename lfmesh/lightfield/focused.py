@@ -70,6 +70,8 @@ def focused(
     return solved(
         scene.changed(
             {
+                # The distances say it all: the focus is no longer on the lenslets.
+                "camera.focus_mm": None,
                 "camera.mla.distance_mm": distance,
                 "camera.mla.radius_mm": None,
                 "camera.mla.focal_length_mm": focal_lengths,

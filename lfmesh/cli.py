@@ -59,6 +59,7 @@ Examples:
     lfmesh decode run/                   the light field: all views of the run
     lfmesh refocus run/ --distance-mm 480
     lfmesh depth run/                    true depth, and depth from the light field
+    lfmesh compare scene.toml -o cmp/    with a conventional and a focused plenoptic camera
     lfmesh accuracy -o report/           speed against error, as tables and figures
     lfmesh schema > scene.schema.json    for completion in an editor
 """,
@@ -354,6 +355,47 @@ def accuracy(
     report.print(Console(width=COLUMNS))
     for path in report.write(output) if output is not None else ():
         print(f"  {path}")
+    return 0
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh compare scene.toml -o comparison/
+    lfmesh compare scene.toml -o comparison/ --reduction 4 --steps 5
+"""
+)
+def compare(
+    scene: SceneFile,
+    /,
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"], help="Folder for the figure and the numbers as JSON.")],
+    reduction: Annotated[
+        float, Parameter(help="By how much the lenslets of the focused camera reduce the main image.")
+    ] = 3.0,
+    steps: Annotated[Whole, Parameter(help="Distances at which sharpness is measured; odd.")] = 13,
+    overrides: Overrides | None = None,
+) -> int:
+    """Take a scene with a conventional, a standard and a focused plenoptic camera, and measure what each can do.
+
+    They have the same lens, sensor and samples; the scene is that of the standard one.
+    """
+    from lfmesh.scene import load
+
+    loaded = _overridden(load(scene), overrides.given() if overrides else {})
+    with _undivided():
+        from lfmesh.study import compare as comparing
+        from lfmesh.study.accuracy import prepare
+
+    prepare(out)
+    with _status() as say, warnings.catch_warnings():
+        # That planes beyond the refocus range are blurred is what is measured.
+        warnings.simplefilter("ignore", UserWarning)
+        comparison = comparing.compare(loaded, reduction=reduction, steps=steps, progress=say)
+    for words, *values in comparison.rows():
+        print(f"{words:<23}" + "".join(f"{value:<24}" for value in values).rstrip())
+    _list_files(comparing.write(comparison, out))
     return 0
 
 

@@ -219,12 +219,14 @@ def _gather(
                 for r in range(top, bottom + 1):
                     for k in range(left, right + 1):
                         du, dv = (x - apexes[r, k, 0]) / shift, (y - apexes[r, k, 1]) / shift
-                        if du * du + dv * dv > radius * radius:
+                        # Less towards the rim, so that patches join without seams.
+                        share = 1.0 - (du * du + dv * dv) / (radius * radius)
+                        if share <= 0.0:
                             continue
                         sample, its_error = _between(light, spread, centres[r, k, 0] + du, centres[r, k, 1] + dv, c)
                         if np.isnan(sample):
                             continue
-                        weight = weights[kinds[r, k]]
+                        weight = share * weights[kinds[r, k]]
                         total += weight
                         value += weight * sample
                         square += weight * sample * sample

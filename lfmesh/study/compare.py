@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.errors import LfmeshError
+from lfmesh.errors import FileError, LfmeshError
 from lfmesh.geometry.refractors import measured
 from lfmesh.lightfield.decode import decode
 from lfmesh.lightfield.focused import focused
@@ -33,8 +33,9 @@ Array = NDArray[np.float64]
 
 CONVENTIONAL, STANDARD, FOCUSED = "conventional", "plenoptic 1.0", "plenoptic 2.0"
 
-SHIFTS = 9
-"""Distances of the edge: in these many steps from one end of the standard camera's refocus range to the other."""
+STEPS = 13
+"""Distances of the edge, from one end of the standard camera's refocus range to the other; closer near the focus, where
+the conventional camera's sharpness falls off within a few millimetres."""
 
 REACH = 0.9
 """Share of that range, to either side, in which the edge stands."""
@@ -52,7 +53,7 @@ LIT = 0.1
 
 @dataclass(frozen=True)
 class Focus:
-    """How well a camera resolves a slanted edge at one distance: MTF50 in line pairs per picture height.
+    """How well a camera resolves a slanted edge at one distance: MTF50 in line pairs per height of the array.
 
     NaN where no edge is to be seen, or the picture cannot be made.
     """
@@ -80,8 +81,8 @@ class CameraResult:
     views_across : float
         Directions that the camera tells apart in each point, along one axis.
     depth_of_field_mm, refocus_range_mm : tuple of float
-        In which an edge is at least half as sharp as at best, as taken and when focused after the fact; of the
-        distances tried.
+        In which an edge is at least half as sharp as in the plane in focus, as taken and when focused after the fact;
+        of the distances tried.
     light_w_per_pixel : float
         Mean over all pixels, of a white plane of 1 W/(m² sr).
     lit_share : float
@@ -124,7 +125,7 @@ class Comparison:
     def rows(self) -> list[tuple[str, ...]]:
         """Return the table that a user reads: a heading, then a row a quantity."""
         rows: list[tuple[str, ...]] = [("", *(camera.name for camera in self.cameras))]
-        for words, of in (
+        quantities: list[tuple[str, Callable[[CameraResult], str]]] = [
             ("picture / samples", lambda c: f"{c.picture_samples[0]} × {c.picture_samples[1]}"),
             ("MTF50 / lp per height", lambda c: _number(c.mtf50_lp_per_height)),
             ("point width / mm", lambda c: f"{_number(c.point_width_mm)}, worst {_number(c.worst_point_width_mm)}"),
@@ -133,7 +134,8 @@ class Comparison:
             ("refocus range / mm", lambda c: _range(c.refocus_range_mm)),
             ("light / W per pixel", lambda c: f"{c.light_w_per_pixel:.3g}"),
             ("lit pixels", lambda c: f"{c.lit_share:.0%}"),
-        ):
+        ]
+        for words, of in quantities:
             rows.append((words, *(of(camera) for camera in self.cameras)))
         return rows
 
@@ -141,9 +143,11 @@ class Comparison:
 class _Camera:
     """One of the three, and how its raw images become pictures."""
 
-    def __init__(self, name: str, scene: Scene) -> None:
+    def __init__(self, name: str, scene: Scene, array_height_mm: float) -> None:
         self.name, self.scene = name, scene
         self.white = white_image(measuring(scene))
+        # A conventional picture is as high as the sensor, the others as high as the array.
+        self.heights = array_height_mm / scene.camera.sensor.size_mm[1] if scene.camera.mla is None else 1.0
 
     def taken(self, targets: list[dict[str, Any]], **transport: Any) -> Image:
         """Render other targets in place of the scene's."""
@@ -198,7 +202,7 @@ def three_cameras(scene: Scene, reduction: float = 3.0) -> dict[str, Scene]:
 
 
 def compare(
-    scene: Scene, *, reduction: float = 3.0, steps: int = SHIFTS, progress: Callable[[str], None] | None = None
+    scene: Scene, *, reduction: float = 3.0, steps: int = STEPS, progress: Callable[[str], None] | None = None
 ) -> Comparison:
     """Render a scene with three cameras, and measure what each can do.
 
@@ -226,11 +230,12 @@ def compare(
     model, focus = RayModel.of(standard), first_order(standard).object_distance_mm
     if not 0.0 < focus < math.inf:
         raise LfmeshError(f"the camera is focused on {focus:g} mm; to compare, focus on a finite distance")
-    distances = [_in_front(model, REACH * share) for share in np.linspace(1.0, -1.0, steps)]
+    distances = [_in_front(model, REACH * share**3) for share in np.linspace(1.0, -1.0, steps)]
+    height = standard.camera.mla.size_mm[1] if standard.camera.mla is not None else math.nan
     results, pictures = [], []
     for name, of in scenes.items():
         say(f"{name}: white plane and scene")
-        camera = _Camera(name, of)
+        camera = _Camera(name, of, height)
         pictures.append(camera.picture(render(of), focus)[0])
         edges = []
         for distance in distances:
@@ -272,7 +277,7 @@ def _sharpness(camera: _Camera, image: Image, distance_mm: float) -> float:
         return math.nan
     height, width = picture.shape
     middle = picture[height // 4 : height - height // 4, width // 4 : width - width // 4]
-    return edge_mtf50(middle) * height
+    return edge_mtf50(middle) * height * camera.heights
 
 
 def _result(camera: _Camera, edges: list[Focus], focus_mm: float, standard: Scene) -> CameraResult:
@@ -286,8 +291,8 @@ def _result(camera: _Camera, edges: list[Focus], focus_mm: float, standard: Scen
     at_focus = min(edges, key=lambda edge: abs(edge.distance_mm - focus_mm))
     light = camera.white.mean[..., 0]
     conventional = camera.name == CONVENTIONAL
-    taken = _sharp_range([(e.distance_mm, e.as_taken) for e in edges])
-    after = taken if conventional else _sharp_range([(e.distance_mm, e.refocused) for e in edges])
+    taken = _sharp_range([(e.distance_mm, e.as_taken) for e in edges], focus_mm)
+    after = taken if conventional else _sharp_range([(e.distance_mm, e.refocused) for e in edges], focus_mm)
     return CameraResult(
         name=camera.name,
         picture_samples=(width, height),
@@ -330,36 +335,49 @@ def _views_across(camera: _Camera, focus_mm: float) -> float:
     return wide / (patch_px(camera.scene, focus_mm) if camera.name == FOCUSED else 1.0)
 
 
-def _sharp_range(curve: list[tuple[float, float]]) -> tuple[float, float]:
-    """Return between which distances a curve stays above half of its best value, round the best; NaN without any."""
+def _sharp_range(curve: list[tuple[float, float]], focus_mm: float) -> tuple[float, float]:
+    """Return between which distances a curve stays above half of its value in the plane in focus; NaN without any."""
     curve = sorted(curve)
     vergence = np.array([1.0 / distance for distance, _ in curve])
     value = np.array([0.0 if math.isnan(v) else v for _, v in curve])
-    best = int(value.argmax())
-    if not value[best] > 0.0:
+    focus = int(np.abs(vergence - 1.0 / focus_mm).argmin())
+    half = 0.5 * value[focus]
+    if not half > 0.0:
         return math.nan, math.nan
     ends = []
     for step in (-1, 1):
-        i = best
-        while 0 <= i + step < len(value) and value[i + step] >= 0.5 * value[best]:
+        i = focus
+        while 0 <= i + step < len(value) and value[i + step] >= half:
             i += step
         j = i + step
-        if 0 <= j < len(value):
-            share = (value[i] - 0.5 * value[best]) / (value[i] - value[j])
-            ends.append(float(1.0 / (vergence[i] + share * (vergence[j] - vergence[i]))))
-        else:
-            ends.append(float(1.0 / vergence[i]))
+        beyond = 0 <= j < len(value)
+        share = (value[i] - half) / (value[i] - value[j]) if beyond else 0.0
+        ends.append(float(1.0 / (vergence[i] + share * (vergence[j if beyond else i] - vergence[i]))))
     return ends[0], ends[1]
 
 
 def write(comparison: Comparison, folder: Path) -> list[Path]:
-    """Write the numbers as JSON and the figure as PNG into a folder that exists; return the files."""
+    """Write the numbers as JSON and the figure as PNG into a folder, made if need be; return the files.
+
+    Raises
+    ------
+    FileError
+        The folder cannot be written.
+    """
+    numbers, figure = folder / "comparison.json", folder / "comparison.png"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _write(comparison, numbers, figure)
+    except OSError as error:
+        raise FileError(f"{folder}: cannot be written: {error.strerror}") from None
+    return [numbers, figure]
+
+
+def _write(comparison: Comparison, numbers: Path, figure: Path) -> None:
     from lfmesh.study.compare_figure import draw
 
-    numbers, figure = folder / "comparison.json", folder / "comparison.png"
     numbers.write_text(json.dumps(comparison.as_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
     draw(comparison, figure)
-    return [numbers, figure]
 
 
 def _plain(value: Any) -> Any:

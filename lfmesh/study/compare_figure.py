@@ -19,6 +19,7 @@ def draw(comparison: "Comparison", path: Path) -> None:
     """Draw a comparison as PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullLocator
 
     figure = Figure(figsize=SIZE_IN, layout="constrained", dpi=120)
     FigureCanvasAgg(figure)
@@ -44,8 +45,9 @@ def draw(comparison: "Comparison", path: Path) -> None:
     axes.axvline(comparison.focus_mm, color="#666666", lw=0.8, ls=":")
     axes.set(xscale="log", xlabel="distance of the edge / mm", ylabel="MTF50 / line pairs per picture height")
     axes.set_ylim(bottom=0.0)
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.xaxis.set_minor_formatter(lambda value, _: f"{value:g}")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.10g}")
     axes.legend(frameon=False, fontsize=9)
     finish(axes, "sharpness of a slanted edge; dotted: the plane in focus")
     figure.savefig(path, metadata={"Software": None})

@@ -9,6 +9,7 @@ tells whether the patches have the right size.
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -132,6 +133,22 @@ def patch_px(scene: Scene, distance_mm: float) -> float:
 
 def _focused(image: Image, white: Image | None) -> _Focused:
     scene = solved(measured(image.scene))
+    model = RayModel.of(scene)
+    calibration, geometry, radius = _geometry(scene.changed({"targets": (), "lights": ()}))
+    light, spread, unit = image.mean, image.stderr, "W per pixel"
+    if white is not None:
+        light, spread = _divided(image, white)
+        unit = "W/(m² sr)"
+    apexes = plate_of(scene).apexes.reshape(*calibration.known.shape, 2)
+    return _Focused(scene, calibration, model, geometry, apexes, light, spread, radius, unit)
+
+
+@lru_cache(maxsize=4)
+def _geometry(scene: Scene) -> tuple[Calibration, TracedShift, float]:
+    """Return a camera's calibration, its map of distances, and the radius in pixels of what micro-images hold.
+
+    Kept for the next picture, since tracing it takes longer than rendering one.
+    """
     model, calibration = RayModel.of(scene), calibrate(scene)
     # Pixels that the pupil fills, as `TracedShift` weighs them.
     radius = min(0.5 * calibration.pitch_px, 0.5 / model.f_number / model.slope_step) - BORDER
@@ -142,13 +159,7 @@ def _focused(image: Image, white: Image | None) -> _Focused:
         raise LfmeshError(
             f"camera: the micro-images are {calibration.pitch_px:.3g} pixels wide, too small to render patches of"
         )
-    light, spread, unit = image.mean, image.stderr, "W per pixel"
-    if white is not None:
-        light, spread = _divided(image, white)
-        unit = "W/(m² sr)"
-    apexes = plate_of(scene).apexes.reshape(*calibration.known.shape, 2)
-    geometry = TracedShift.of(scene, usable)
-    return _Focused(scene, calibration, model, geometry, apexes, light, spread, radius, unit)
+    return calibration, TracedShift.of(scene, usable), radius
 
 
 def _divided(image: Image, white: Image) -> tuple[Array, Array]:

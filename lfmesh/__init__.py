@@ -22,8 +22,12 @@ if TYPE_CHECKING:
     from lfmesh.lightfield.calibration import Calibration, calibrate
     from lfmesh.lightfield.centres import estimate_centres
     from lfmesh.lightfield.decode import decode
+    from lfmesh.lightfield.depth import DepthMap, estimate_depth
+    from lfmesh.lightfield.depth_truth import DepthTruth, depth_truth
     from lfmesh.lightfield.field import LightField
     from lfmesh.lightfield.object_rays import object_rays
+    from lfmesh.lightfield.focused import focused
+    from lfmesh.lightfield.patches import patches_in_focus, render_patches
     from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph, all_in_focus
     from lfmesh.lightfield.ray_model import RayModel
     from lfmesh.lightfield.refocus import focal_stack, refocus
@@ -69,6 +73,8 @@ __all__ = [
     "Calibration",
     "Camera",
     "Cylinder",
+    "DepthMap",
+    "DepthTruth",
     "DirectionalLight",
     "Disk",
     "DiskLight",
@@ -106,16 +112,21 @@ __all__ = [
     "build",
     "calibrate",
     "decode",
+    "depth_truth",
     "estimate_centres",
+    "estimate_depth",
     "first_order",
     "focal_stack",
+    "focused",
     "load",
     "loads",
     "object_rays",
     "open_run",
     "open_white",
+    "patches_in_focus",
     "refocus",
     "render",
+    "render_patches",
     "save",
     "save_white",
     "solved",
@@ -130,8 +141,12 @@ _HOMES = {
     "lfmesh.lightfield.calibration": ["Calibration", "calibrate"],
     "lfmesh.lightfield.centres": ["estimate_centres"],
     "lfmesh.lightfield.decode": ["decode"],
+    "lfmesh.lightfield.depth": ["DepthMap", "estimate_depth"],
+    "lfmesh.lightfield.depth_truth": ["DepthTruth", "depth_truth"],
     "lfmesh.lightfield.field": ["LightField"],
     "lfmesh.lightfield.object_rays": ["object_rays"],
+    "lfmesh.lightfield.focused": ["focused"],
+    "lfmesh.lightfield.patches": ["patches_in_focus", "render_patches"],
     "lfmesh.lightfield.photograph": ["AllInFocus", "FocalStack", "Photograph", "all_in_focus"],
     "lfmesh.lightfield.ray_model": ["RayModel"],
     "lfmesh.lightfield.refocus": ["focal_stack", "refocus"],

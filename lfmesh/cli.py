@@ -58,6 +58,8 @@ Examples:
     lfmesh white run/                    white image, true micro-image centres
     lfmesh decode run/                   the light field: all views of the run
     lfmesh refocus run/ --stack 300:800:20   photographs of other planes
+    lfmesh depth run/                    true depth, and from the light field
+    lfmesh compare scene.toml -o cmp/    beside two other kinds of camera
     lfmesh accuracy -o report/           speed against error, in tables, figures
     lfmesh schema > scene.schema.json    for completion in an editor
 """,
@@ -282,6 +284,40 @@ def refocus(
     help_epilogue="""\
 Examples:
 
+    lfmesh depth run/
+    lfmesh depth run/ --near-mm 300 --far-mm 900
+"""
+)
+def depth(
+    run: RunFolder,
+    /,
+    *,
+    near_mm: Annotated[
+        float | None, Parameter(help="Nearest distance to search; the near end of the refocus range, if omitted.")
+    ] = None,
+    far_mm: Annotated[float | None, Parameter(help="Farthest distance to search; the far end, if omitted.")] = None,
+    samples: Annotated[Whole, Parameter(help="Rays of each raw pixel's bundle for its true depth.")] = 16,
+) -> int:
+    """Find the depth of what a run shows: the truth by tracing, the estimate from its light field, and its error."""
+    with _undivided():
+        from lfmesh.files import depth as depth_files
+        from lfmesh.files import field as field_files
+        from lfmesh.lightfield.depth import estimate_depth
+        from lfmesh.lightfield.depth_truth import depth_truth
+
+    field = field_files.open_field(run) or _decoded(run, "traced", True, None)
+    estimate = estimate_depth(field, near_mm=near_mm, far_mm=far_mm)
+    truth = depth_truth(field.scene, views=field.views[0], samples=samples)
+    paths = depth_files.save_truth(truth, run) + depth_files.save_depth(estimate, truth.middle_mm, run)
+    print(textwrap.fill(estimate.in_words(truth.middle_mm), COLUMNS, subsequent_indent="  "))
+    _list_files(paths)
+    return 0
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
     lfmesh accuracy scene.toml -o report/
     lfmesh accuracy --quick              the lenses that come with lfmesh
     lfmesh accuracy --hard               cases made to break the tracer
@@ -323,6 +359,47 @@ def accuracy(
     report.print(Console(width=COLUMNS))
     for path in report.write(output) if output is not None else ():
         print(f"  {path}")
+    return 0
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh compare scene.toml -o comparison/
+    lfmesh compare scene.toml -o comparison/ --reduction 4 --steps 5
+"""
+)
+def compare(
+    scene: SceneFile,
+    /,
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"], help="Folder for the figure and the numbers as JSON.")],
+    reduction: Annotated[
+        float, Parameter(help="By how much the lenslets of the focused camera reduce the main image.")
+    ] = 3.0,
+    steps: Annotated[Whole, Parameter(help="Distances at which sharpness is measured; odd.")] = 13,
+    overrides: Overrides | None = None,
+) -> int:
+    """Take a scene with a conventional, a standard and a focused plenoptic camera, and measure what each can do.
+
+    They have the same lens, sensor and samples; the scene is that of the standard one.
+    """
+    from lfmesh.scene import load
+
+    loaded = _overridden(load(scene), overrides.given() if overrides else {})
+    with _undivided():
+        from lfmesh.study import compare as comparing
+        from lfmesh.study.accuracy import prepare
+
+    prepare(out)
+    with _status() as say, warnings.catch_warnings():
+        # That planes beyond the refocus range are blurred is what is measured.
+        warnings.simplefilter("ignore", UserWarning)
+        comparison = comparing.compare(loaded, reduction=reduction, steps=steps, progress=say)
+    for words, *values in comparison.rows():
+        print(f"{words:<23}" + "".join(f"{value:<24}" for value in values).rstrip())
+    _list_files(comparing.write(comparison, out))
     return 0
 
 

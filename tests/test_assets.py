@@ -8,6 +8,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+from lfmesh.lightfield.focused import focused
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene, Surface, first_order, load, loads, solved
 
@@ -61,7 +62,8 @@ def test_scene_loads_and_has_no_fault_of_layout(path: Path) -> None:
 
 
 def test_the_promised_scenes_are_there() -> None:
-    assert {"first_light", "conventional", "hexagonal", "emitting_plane", "lytro_class"} <= set(names(SCENES))
+    promised = {"first_light", "lit_chart", "conventional", "hexagonal", "emitting_plane", "lytro_class", "focused"}
+    assert promised <= set(names(SCENES))
 
 
 def test_the_lytro_class_array_covers_its_sensor() -> None:
@@ -76,6 +78,14 @@ def test_the_lytro_class_array_covers_its_sensor() -> None:
 def test_micro_images_fill_their_pitch_and_do_not_overlap(name: str) -> None:
     report = first_order(load(ASSETS / "scenes" / f"{name}.toml"))
     assert 0.97 < report.micro_image_diameter_px / report.micro_image_pitch_px <= 1.0
+
+
+def test_the_focused_camera_is_the_one_made_from_the_standard_one() -> None:
+    made = focused(load(ASSETS / "scenes" / "emitting_plane.toml"), 3.0).camera
+    written = solved(load(ASSETS / "scenes" / "focused.toml")).camera
+    assert written.mla.distance_mm == pytest.approx(made.mla.distance_mm, abs=1e-4)
+    assert written.mla.radius_mm == pytest.approx(made.mla.radius_mm)
+    assert written.sensor.distance_mm == pytest.approx(made.sensor.distance_mm)
 
 
 def test_bracket_and_chart_lie_on_either_side_of_the_plane_of_focus() -> None:

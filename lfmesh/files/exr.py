@@ -75,6 +75,26 @@ def write(path: Path, image: SpectralImage) -> None:
         raise FileError(f"{path} cannot be written: {error}") from None
 
 
+def write_maps(path: Path, maps: Mapping[str, NDArray[np.floating]], metadata: Mapping[str, Any]) -> None:
+    """Write (H, W) maps that are no light, such as depth (by custom called Z), as the channels of one part.
+
+    Raises
+    ------
+    FileError
+        The file cannot be written.
+    """
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        METADATA: json.dumps(dict(metadata), allow_nan=False, ensure_ascii=True),
+    }
+    channels = {name: np.ascontiguousarray(pixels, dtype=np.float32) for name, pixels in maps.items()}
+    try:
+        OpenEXR.File(header, channels).write(str(path))
+    except (RuntimeError, OSError) as error:
+        raise FileError(f"{path} cannot be written: {error}") from None
+
+
 def read(path: Path, part_names: Sequence[str]) -> SpectralImage:
     """Read a file that `write` made.
 

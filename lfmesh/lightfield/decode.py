@@ -83,8 +83,8 @@ def decode(
     model = RayModel.of(scene)
     calibration = calibrate(scene) if calibration is None else calibration
     _refuse_strangers(image, white, scene, calibration)
-    count = _view_count(calibration, views)
-    sampling = _sampling(calibration)
+    count = view_count(calibration, views)
+    sampling = sampling_of(calibration)
     data, stderr = _sorted_pixels(image, calibration, count, sampling)
     unit = "W per pixel"
     if white is not None:
@@ -131,7 +131,14 @@ def _refuse_strangers(image: Image, white: Image | None, scene: Scene, calibrati
         raise LfmeshError("the white image is of another camera; render the white image of the same scene")
 
 
-def _view_count(calibration: Calibration, views: int | None) -> int:
+def view_count(calibration: Calibration, views: int | None) -> int:
+    """Return the number of views along each axis: as given, or as many whole pixels as a micro-image is wide.
+
+    Raises
+    ------
+    LfmeshError
+        The number makes no sense.
+    """
     # A pitch that is a whole number of pixels but for rounding is that number.
     whole = max(1, math.floor(calibration.pitch_px * (1.0 + 1e-6)))
     if views is None:
@@ -144,7 +151,8 @@ def _view_count(calibration: Calibration, views: int | None) -> int:
     return views
 
 
-def _sampling(calibration: Calibration) -> Sampling:
+def sampling_of(calibration: Calibration) -> Sampling:
+    """Return how the columns of the views come from the lenslets of a camera."""
     rows, columns = calibration.known.shape
     pitch = calibration.lenslet_pitch_mm
     if calibration.layout == "square":

@@ -1,0 +1,123 @@
+"""Depth in a run folder: the traced truth, the estimate from the light field, and a figure that holds them together."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import lfmesh
+from lfmesh.files import exr, run
+from lfmesh.lightfield.depth import DepthMap
+from lfmesh.lightfield.depth_truth import DepthTruth
+from lfmesh.lightfield.field import mosaic
+
+VIEWS, PIXELS, ESTIMATE, FIGURE = "depth_views.exr", "depth_pixels.exr", "depth.exr", "depth.png"
+
+FIGURE_IN = (10.0, 6.4)
+GREY = "#666666"
+
+ABOUT = (
+    "Distances in mm before the first vertex of the lens, along its axis; NaN where no ray passes the lens, infinite "
+    "where rays meet nothing."
+)
+
+
+def save_truth(truth: DepthTruth, folder: Path) -> list[Path]:
+    """Add the true depth to a run folder; return the files.
+
+    ``depth_views.exr`` holds the views side by side as ``lightfield.exr`` does; ``depth_pixels.exr`` the mean, the
+    spread and the share that meets a target of every raw pixel's bundle.
+
+    Raises
+    ------
+    FileError
+        There is no complete run, or the folder cannot be written.
+    """
+    rows, columns = truth.views_mm.shape[:2]
+    views = {"Z": mosaic(truth.views_mm[..., None])[..., 0]}
+    pixels = {"Z": truth.pixels_mm, "spread": truth.spread_mm, "seen": truth.seen}
+    with run.added(folder) as staging:
+        exr.write_maps(staging / VIEWS, views, _facts(folder, orientation="upright", views=[rows, columns]))
+        exr.write_maps(staging / PIXELS, pixels, _facts(folder, orientation="as the raw image"))
+    return [folder / VIEWS, folder / PIXELS]
+
+
+def save_depth(depth: DepthMap, truth_mm: NDArray[np.floating], folder: Path) -> list[Path]:
+    """Add the depth found in the light field as ``depth.exr``, and its error as ``depth.png``; return the files.
+
+    Parameters
+    ----------
+    depth : DepthMap
+    truth_mm : (t, s) float
+        `DepthTruth.middle_mm`.
+    folder : Path
+
+    Raises
+    ------
+    LfmeshError
+        As `save_truth`, or the truth is of another size.
+    """
+    maps = {"Z": depth.distance_mm, "confidence": depth.confidence, "truth": truth_mm}
+    error = depth.error(truth_mm)
+    with run.added(folder) as staging:
+        exr.write_maps(staging / ESTIMATE, maps, _facts(folder, orientation="upright"))
+        _draw(staging / FIGURE, depth, truth_mm, error)
+    return [folder / ESTIMATE, folder / FIGURE]
+
+
+def _facts(folder: Path, **more: Any) -> dict[str, Any]:
+    return {"lfmesh_version": lfmesh.__version__, "about": ABOUT, "raw_sha256": run.pixels_digest(folder), **more}
+
+
+def _draw(path: Path, depth: DepthMap, truth_mm: NDArray[np.floating], error: NDArray[np.float64]) -> None:
+    """Draw truth, estimate, error and confidence side by side, and the error's distribution."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=FIGURE_IN, layout="constrained", dpi=120)
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(2, 3).ravel()
+    true = np.where(np.isfinite(truth_mm), truth_mm, np.nan)
+    low, high = np.nanpercentile(true, [0.0, 100.0]) if np.isfinite(true).any() else depth.range_mm
+    margin = 0.05 * max(high - low, 0.02 * high)
+    scale = {"vmin": low - margin, "vmax": high + margin, "cmap": "viridis"}
+    for axes, title, values, shown in (
+        (panels[0], "truth / mm", true, scale),
+        (panels[1], "from the light field / mm", depth.distance_mm, scale),
+        (panels[2], "confidence", depth.confidence, {"vmin": 0.0, "vmax": 1.0, "cmap": "gray"}),
+        (panels[3], "error / % of depth", 100.0 * error, {"vmin": -5.0, "vmax": 5.0, "cmap": "RdBu_r"}),
+    ):
+        picture = axes.imshow(values, interpolation="nearest", **shown)
+        figure.colorbar(picture, ax=axes, shrink=0.85, extend="both" if values is not depth.confidence else "neither")
+        axes.set_title(title, fontsize=10, loc="left")
+        axes.set_xticks([])
+        axes.set_yticks([])
+        axes.set_facecolor("#dddddd")
+    _draw_against_truth(panels[4], depth, true)
+    _draw_distribution(panels[5], error)
+    figure.savefig(path, metadata={"Software": None})
+
+
+def _draw_against_truth(axes: Any, depth: DepthMap, true: NDArray[np.floating]) -> None:
+    both = np.isfinite(depth.distance_mm) & np.isfinite(true)
+    x, y = true[both], depth.distance_mm[both]
+    axes.plot(x, y, ".", ms=2, alpha=0.4, color="#1f4e8c")
+    if len(x):
+        ends = np.array([x.min(), x.max()])
+        axes.plot(ends, ends, color=GREY, lw=0.8, zorder=0)
+        margin = 0.1 * max(float(np.ptp(x)), 0.05 * float(x.max()))
+        axes.set(xlim=(ends[0] - margin, ends[1] + margin), ylim=(ends[0] - margin, ends[1] + margin))
+    axes.set(xlabel="truth / mm", ylabel="from the light field / mm")
+
+
+def _draw_distribution(axes: Any, error: NDArray[np.float64]) -> None:
+    """Draw which share of the samples errs by less than what."""
+    known = np.sort(np.abs(100.0 * error[np.isfinite(error)]))
+    if len(known):
+        axes.plot(np.maximum(known, 1e-3), (np.arange(len(known)) + 1.0) / len(known), color="#1f4e8c")
+        middle = float(np.median(known))
+        axes.axvline(middle, color=GREY, lw=0.8, ls="--")
+        axes.annotate(f"median {middle:.2g} %", (middle, 0.03), xytext=(4, 0), textcoords="offset points", color=GREY)
+    axes.set(xscale="log", xlabel="absolute error / % of depth", ylabel="share of samples with less", ylim=(0.0, 1.0))
+    axes.grid(alpha=0.25)

@@ -1,0 +1,138 @@
+"""True depth: how far before the lens the rays of views and of raw pixels first meet a target, traced."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.refractors import measured
+from lfmesh.lightfield.calibration import calibrate
+from lfmesh.lightfield.decode import view_count
+from lfmesh.lightfield.view_rays import ViewRays, image_path_engine
+from lfmesh.scene import Scene, solved
+from lfmesh.transport.adjoint import launch_adjoint
+from lfmesh.transport.engine import CHUNK, Workspace
+from lfmesh.transport.packet import CAMERA_FRAME, ENDED, TRANSMIT, WORLD_FRAME
+from lfmesh.transport.random import descendant
+from lfmesh.transport.settings import options_of
+from lfmesh.transport.trace import Status
+from lfmesh.transport.world import World, build
+
+Array = NDArray[np.float64]
+Samples = NDArray[np.float32]
+
+MOST_SAMPLES = CHUNK
+"""Of a pixel: its bundle is traced in one piece."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthTruth:
+    """Distances before the first vertex of the lens, along its axis; in a target of glass, of what is seen through it.
+
+    NaN where no ray passes the lens, inf where rays pass and meet nothing.
+
+    Attributes
+    ----------
+    views_mm : (v, u, t, s) float32, mm
+        Along the chief ray of every sample of the light field, upright as `LightField` is.
+    middle_mm : (t, s) float32, mm
+        From the middle of the exit pupil: between the views, where their number is even.
+    pixels_mm, spread_mm : (H, W) float32, mm
+        Mean and standard deviation over the bundle of rays that a pixel of the raw image gathers, weighted as their
+        light is, in the orientation of the raw image. Of the rays that meet a target.
+    seen : (H, W) float32
+        The share of the bundle that meets a target; 0 for a dark pixel.
+    """
+
+    views_mm: Samples
+    middle_mm: Samples
+    pixels_mm: Samples
+    spread_mm: Samples
+    seen: Samples
+
+
+def depth_truth(scene: Scene, *, views: int | None = None, samples: int = 16) -> DepthTruth:
+    """Trace the true depth of all that a light-field camera sees, at the primary wavelength.
+
+    Parameters
+    ----------
+    scene : Scene
+    views : int, optional
+        Along each axis, as for `lf.decode`.
+    samples : int
+        Rays of a pixel's bundle.
+
+    Raises
+    ------
+    LfmeshError
+        A conventional camera, or a number of views or samples that makes no sense.
+    """
+    if not 1 <= samples <= MOST_SAMPLES:
+        raise LfmeshError(f"samples = {samples}: must be from 1 to {MOST_SAMPLES}")
+    scene = solved(measured(scene))
+    scene = scene.changed({"transport.wavelengths_nm": [scene.transport.primary_nm], "lights": ()})
+    count = view_count(calibrate(scene), views)
+    world = build(scene)
+    rays = ViewRays(world)
+    places = np.arange(count) - 0.5 * (count - 1)
+    views_mm = np.stack([np.stack([_of_view(rays, v, u) for u in places]) for v in places])
+    return DepthTruth(views_mm, _of_view(rays, 0.0, 0.0), *_of_pixels(world, samples))
+
+
+def _of_view(rays: ViewRays, v: float, u: float) -> Samples:
+    """Return the (t, s) distances along the chief rays of one view."""
+    size = rays.size
+    paths, sample = rays.trace(v, u)
+    distances = np.full(size[0] * size[1], np.nan)
+    met, beside = paths.status == Status.TARGET, paths.status == Status.ESCAPED
+    distances[sample[met]] = _distances_mm(rays.world, paths.position[met])
+    distances[sample[beside]] = np.inf
+    return distances.reshape(size).astype(np.float32)
+
+
+def _of_pixels(world: World, samples: int) -> tuple[Samples, Samples, Samples]:
+    """Return mean, standard deviation and share of all, (H, W), over the bundle of every raw pixel."""
+    tables = world.tables
+    pixels = tables.sensor.rows * tables.sensor.columns
+    options = options_of(world, tracing=True, split=TRANSMIT, sequential=image_path_engine(world.scene) == "sequential")
+    work = Workspace(world, options)
+    key = descendant(0x6465707468, world.scene.transport.seed)
+    sums = np.zeros((4, pixels))
+    step = CHUNK // samples
+    for first in range(0, pixels, step):
+        count = min(step, pixels - first)
+        work.begin(np.zeros((0, 1)))
+        launch_adjoint(
+            first, count, samples, True, key, 0, tables.sensor, tables.array, tables.aim, tables.frames,
+            len(tables.lens.surfaces), work.flow(), work.start,
+        )  # fmt: skip
+        work.run()
+        ended = work.ended[: work.tops[ENDED]]
+        for here, status in ((0, Status.TARGET), (3, Status.ESCAPED)):
+            of = ended[ended["status"] == status]
+            distance = _distances_mm(world, of["position"]) if here == 0 else np.zeros(len(of))
+            for power in range(3 if here == 0 else 1):
+                sums[here + power] += np.bincount(of["source"], of["weight"] * distance**power, pixels)
+    return _moments(sums, (tables.sensor.rows, tables.sensor.columns))
+
+
+def _moments(sums: Array, shape: tuple[int, int]) -> tuple[Samples, Samples, Samples]:
+    """Return mean, standard deviation and share from the sums of w, w z, w z² on targets, and of w beside them."""
+    weight, first, second, beside = sums
+    lit = weight + beside
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = np.where(weight > 0.0, first / weight, np.where(beside > 0.0, np.inf, np.nan))
+        spread = np.sqrt(np.maximum(second / weight - (first / weight) ** 2, 0.0))
+        seen = np.where(lit > 0.0, weight / lit, 0.0)
+    return (
+        mean.reshape(shape).astype(np.float32),
+        spread.reshape(shape).astype(np.float32),
+        seen.reshape(shape).astype(np.float32),
+    )
+
+
+def _distances_mm(world: World, positions: Array) -> Array:
+    """Return how far before the first vertex (n, 3) points of the world frame lie."""
+    return np.asarray(-frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], positions)[:, 2])

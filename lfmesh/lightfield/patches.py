@@ -1,0 +1,265 @@
+"""Rendering a focused plenoptic image by patches: from every micro-image the part that continues its neighbours'.
+
+A pixel o pixels from the centre of its micro-image belongs to the point A + o·shift of the main image, seen from the
+middle of the exit pupil: A is the lenslet's place, and the shift, `TracedShift`'s, depends on the distance. So the
+patch that a lenslet contributes is pitch/shift pixels wide (T. Georgiev, A. Lumsdaine, "Focused plenoptic camera and
+rendering", J. Electronic Imaging 19 (2010) 021106); what neighbours see of the same point is averaged, and its spread
+tells whether the patches have the right size.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry.refractors import measured
+from lfmesh.kernel import kernel
+from lfmesh.lightfield.calibration import Calibration, calibrate
+from lfmesh.lightfield.chief_rays import plate_of
+from lfmesh.lightfield.decode import BRIGHT_PERCENTILE, DARK, view_count
+from lfmesh.lightfield.depth import BORDER
+from lfmesh.lightfield.focused import lenslet_blur_px
+from lfmesh.lightfield.photograph import AllInFocus, Photograph
+from lfmesh.lightfield.ray_model import RayModel
+from lfmesh.lightfield.view_rays import TracedShift
+from lfmesh.scene import Scene, solved
+from lfmesh.transport.image import Image
+
+Array = NDArray[np.float64]
+
+LAST_RESORT = 1e-9
+"""Weight of lenslets of another type than the sharpest: they count where no other sees a point."""
+
+FINEST = 4096
+"""Samples along an axis of a picture, at most."""
+
+WINDOW = 1.0
+"""Standard deviation of the window in which planes are compared, in lenslets."""
+
+
+class _Focused(NamedTuple):
+    """What rendering needs of a camera and its raw image."""
+
+    scene: Scene
+    calibration: Calibration
+    model: RayModel
+    geometry: TracedShift
+    apexes: Array  # (rows, columns, 2) mm
+    light: Array  # (H, W, c), NaN where dark
+    spread: Array
+    radius_px: float
+    unit: str
+
+
+def render_patches(
+    image: Image, distance_mm: float, *, white: Image | None = None, sample_mm: float | None = None
+) -> Photograph:
+    """Render the raw image of a focused plenoptic camera for one object distance.
+
+    Of a multi-focus array those lenslets are used that are sharpest there, and others where none of them sees a point.
+
+    Parameters
+    ----------
+    image : Image
+    distance_mm : float
+        Before the first vertex.
+    white : Image, optional
+        Of the same camera; the raw image is divided by it.
+    sample_mm : float, optional
+        Step of the picture, on the array; if omitted a pixel of the patches.
+
+    Raises
+    ------
+    LfmeshError
+        A conventional camera; a distance whose patches would be larger than the micro-images, as at the focus of a
+        standard plenoptic camera.
+    """
+    camera = _focused(image, white)
+    step = _sample_mm(camera, [distance_mm]) if sample_mm is None else sample_mm
+    mean, stderr, _ = _rendered(camera, distance_mm, step)
+    scale = abs(camera.model.object_scale(distance_mm)) if math.isfinite(distance_mm) else math.inf
+    return Photograph(
+        mean, stderr, float(distance_mm), camera.model.f_number, step * scale, image.wavelengths_nm, camera.unit
+    )
+
+
+def patches_in_focus(image: Image, distances_mm: Sequence[float], *, white: Image | None = None) -> AllInFocus:
+    """Render with patches of the size that fits each place: of these distances the one at which lenslets agree best.
+
+    Parameters
+    ----------
+    image : Image
+    distances_mm : sequence of float
+    white : Image, optional
+
+    Raises
+    ------
+    LfmeshError
+        As `render_patches`, or there is no distance.
+    """
+    if not len(distances_mm):
+        raise LfmeshError("distances_mm is empty: give the distances to choose from")
+    camera = _focused(image, white)
+    step = _sample_mm(camera, distances_mm)
+    window = WINDOW * camera.calibration.lenslet_pitch_mm / step
+    best: Array | None = None
+    for distance in distances_mm:
+        mean, stderr, variance = _rendered(camera, distance, step)
+        known = np.isfinite(variance)
+        weight = ndimage.gaussian_filter(known.astype(np.float64), window)
+        cost = ndimage.gaussian_filter(np.where(known, variance, 0.0), window)
+        cost = np.where(weight > 1e-6, cost / np.maximum(weight, 1e-6), np.inf)
+        if best is None:
+            best, picture, error, chosen = cost, mean, stderr, np.full(cost.shape, float(distance))
+            continue
+        better = cost < best
+        best = np.where(better, cost, best)
+        picture, error = np.where(better[..., None], mean, picture), np.where(better[..., None], stderr, error)
+        chosen = np.where(better, distance, chosen)
+    return AllInFocus(picture, error, chosen, image.wavelengths_nm, camera.unit)
+
+
+def patch_px(scene: Scene, distance_mm: float) -> float:
+    """Return how many pixels wide the patches are for an object distance, by first-order optics."""
+    model = RayModel.of(scene)
+    shift = abs(model.shift_mm(distance_mm))
+    return model.lenslet_pitch_mm / shift if shift else math.inf
+
+
+def _focused(image: Image, white: Image | None) -> _Focused:
+    scene = solved(measured(image.scene))
+    model = RayModel.of(scene)
+    calibration, geometry, radius = _geometry(scene.changed({"targets": (), "lights": ()}))
+    light, spread, unit = image.mean, image.stderr, "W per pixel"
+    if white is not None:
+        light, spread = _divided(image, white)
+        unit = "W/(m² sr)"
+    apexes = plate_of(scene).apexes.reshape(*calibration.known.shape, 2)
+    return _Focused(scene, calibration, model, geometry, apexes, light, spread, radius, unit)
+
+
+@lru_cache(maxsize=4)
+def _geometry(scene: Scene) -> tuple[Calibration, TracedShift, float]:
+    """Return a camera's calibration, its map of distances, and the radius in pixels of what micro-images hold.
+
+    Kept for the next picture, since tracing it takes longer than rendering one.
+    """
+    model, calibration = RayModel.of(scene), calibrate(scene)
+    # Pixels that the pupil fills, as `TracedShift` weighs them.
+    radius = min(0.5 * calibration.pitch_px, 0.5 / model.f_number / model.slope_step) - BORDER
+    count = view_count(calibration, None)
+    places = np.arange(count) - 0.5 * (count - 1)
+    usable = np.hypot(*np.meshgrid(places, places)) <= radius
+    if usable.sum() < 4:
+        raise LfmeshError(
+            f"camera: the micro-images are {calibration.pitch_px:.3g} pixels wide, too small to render patches of"
+        )
+    return calibration, TracedShift.of(scene, usable), radius
+
+
+def _divided(image: Image, white: Image) -> tuple[Array, Array]:
+    """Return the raw image over the white one, and its standard error; NaN where that is dark."""
+    if white.mean.shape != image.mean.shape or solved(measured(white.scene)).camera != image.scene.camera:
+        raise LfmeshError("the white image is of another camera; render the white image of the same scene")
+    level = DARK * np.percentile(white.mean, BRIGHT_PERCENTILE, axis=(0, 1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(white.mean > level, image.mean / white.mean, np.nan)
+        error = np.hypot(image.stderr, ratio * white.stderr) / white.mean
+    return ratio, error
+
+
+def _sample_mm(camera: _Focused, distances_mm: Sequence[float]) -> float:
+    """Return the finest pixel, on the array, of the patches of several distances."""
+    return min(abs(camera.geometry.shift_mm(distance)) for distance in distances_mm)
+
+
+def _rendered(camera: _Focused, distance_mm: float, step_mm: float) -> tuple[Array, Array, Array]:
+    """Return mean, standard error (t, s, c), and the variance over the lenslets (t, s); upright."""
+    shift = camera.geometry.shift_mm(distance_mm)
+    calibration = camera.calibration
+    patch = calibration.lenslet_pitch_mm / abs(shift) if shift else math.inf
+    if patch > 2.0 * camera.radius_px:
+        raise LfmeshError(
+            f"distance_mm = {distance_mm:g}: its patches would be {patch:.4g} pixels wide and the micro-images are "
+            f"{2.0 * camera.radius_px:.4g}, so that no lenslet sees what lies between; use lf.refocus near the plane "
+            "that is imaged onto the lenslets"
+        )
+    extent = np.ptp(camera.apexes.reshape(-1, 2), axis=0) + calibration.lenslet_pitch_mm
+    width, height = (max(1, round(side / step_mm)) for side in extent)
+    if not step_mm > 0.0 or max(width, height) > FINEST:
+        raise LfmeshError(f"sample_mm = {step_mm:g}: must be at least {extent.max() / FINEST:.4g}, on the array")
+    blur = lenslet_blur_px(camera.scene, camera.model.image_excess_mm(distance_mm))
+    weights = np.where(np.array(blur) <= min(blur) * (1.0 + 1e-9), 1.0, LAST_RESORT)
+    shape = (height, width, camera.light.shape[2])
+    mean, stderr, variance = np.empty(shape), np.empty(shape), np.empty(shape[:2])
+    row_pitch = calibration.lenslet_pitch_mm * (math.sqrt(0.75) if calibration.layout == "hexagonal" else 1.0)
+    _gather(
+        camera.light, camera.spread, calibration.centres_px, camera.apexes, calibration.kinds, weights,
+        shift, camera.radius_px, step_mm, calibration.lenslet_pitch_mm, row_pitch, mean, stderr, variance,
+    )  # fmt: skip
+    return mean, stderr, variance
+
+
+@kernel
+def _gather(
+    light: Array, spread: Array, centres: Array, apexes: Array, kinds: NDArray[np.int64], weights: Array,
+    shift: float, radius: float, step: float, pitch: float, row_pitch: float,
+    mean: Array, stderr: Array, variance: Array,
+) -> None:  # fmt: skip
+    """Average for every sample of the picture the pixels of all lenslets that see its point."""
+    height, width, channels = mean.shape
+    rows, columns = kinds.shape
+    reach = abs(shift) * radius
+    for t in range(height):
+        for s in range(width):
+            # Upright: the raw image is turned by 180°.
+            x, y = -step * (s - 0.5 * (width - 1)), -step * (t - 0.5 * (height - 1))
+            # Rows of hexagonal arrays stand half a pitch aside, and form errors move apexes a little.
+            left = max(int((x - reach) / pitch + 0.5 * (columns - 1)) - 1, 0)
+            right = min(int((x + reach) / pitch + 0.5 * (columns - 1)) + 2, columns - 1)
+            top = max(int((y - reach) / row_pitch + 0.5 * (rows - 1)) - 1, 0)
+            bottom = min(int((y + reach) / row_pitch + 0.5 * (rows - 1)) + 2, rows - 1)
+            variance[t, s] = 0.0
+            for c in range(channels):
+                total, value, square, error = 0.0, 0.0, 0.0, 0.0
+                for r in range(top, bottom + 1):
+                    for k in range(left, right + 1):
+                        du, dv = (x - apexes[r, k, 0]) / shift, (y - apexes[r, k, 1]) / shift
+                        # Less towards the rim, so that patches join without seams.
+                        share = 1.0 - (du * du + dv * dv) / (radius * radius)
+                        if share <= 0.0:
+                            continue
+                        sample, its_error = _between(light, spread, centres[r, k, 0] + du, centres[r, k, 1] + dv, c)
+                        if np.isnan(sample):
+                            continue
+                        weight = share * weights[kinds[r, k]]
+                        total += weight
+                        value += weight * sample
+                        square += weight * sample * sample
+                        error += weight * weight * its_error
+                mean[t, s, c] = value / total if total > 0.0 else np.nan
+                stderr[t, s, c] = np.sqrt(error) / total if total > 0.0 else np.nan
+                variance[t, s] += max(square / total - (value / total) ** 2, 0.0) if total > 0.0 else np.nan
+
+
+@kernel
+def _between(light: Array, spread: Array, x: float, y: float, channel: int) -> tuple[float, float]:
+    """Return the image between four pixels, and the square of its standard error; NaN beyond the sensor."""
+    height, width, _ = light.shape
+    if not (0.0 <= x <= width - 1.0 and 0.0 <= y <= height - 1.0):
+        return np.nan, np.nan
+    column, row = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
+    fx, fy = x - column, y - row
+    value, square = 0.0, 0.0
+    for j in range(2):
+        for i in range(2):
+            weight = (fx if i else 1.0 - fx) * (fy if j else 1.0 - fy)
+            if weight > 0.0:
+                value += weight * light[row + j, column + i, channel]
+                square += (weight * spread[row + j, column + i, channel]) ** 2
+    return value, square

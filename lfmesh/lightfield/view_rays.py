@@ -1,0 +1,173 @@
+"""The rays of views: from a lenslet's apex the ray to a pixel, and what all of them together say of shift and distance.
+
+`RayModel` ties a shift between views to a distance by first-order optics. A real lens has aberrations: views from near
+the rim of its pupil focus elsewhere than those from the middle, and depth is wrong by some per cent. `TracedShift` is
+the same map, fitted to traced rays.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.lattice import ROW_SPACING
+from lfmesh.lightfield.calibration import calibrate
+from lfmesh.lightfield.chief_rays import chief_rays, plate_of
+from lfmesh.lightfield.decode import sampling_of
+from lfmesh.lightfield.ray_model import RayModel
+from lfmesh.scene import Scene
+from lfmesh.transport.choice import obstacle_of
+from lfmesh.transport.packet import CAMERA_FRAME, WORLD_FRAME
+from lfmesh.transport.trace import Paths, Status, trace
+from lfmesh.transport.world import World, build
+
+Array = NDArray[np.float64]
+
+ACROSS = 9
+"""Lenslets along each axis of the array whose rays the map from shift to distance is fitted to."""
+
+
+class ViewRays:
+    """The rays of every view of a light-field camera, traced from the array to object space."""
+
+    def __init__(self, world: World) -> None:
+        scene = world.scene
+        rays = chief_rays(scene)
+        calibration = calibrate(scene)
+        self.world = world
+        self.sampling = sampling_of(calibration)
+        self._plate = plate_of(scene)
+        self._slope_step = RayModel.of(scene).slope_step
+        self._slopes = rays.direction[..., :2] / rays.direction[..., 2:]
+        # Upright: t runs against the rows of the array.
+        self._rows = np.arange(len(calibration.known))[::-1]
+        row_pitch = calibration.lenslet_pitch_mm * (ROW_SPACING if calibration.layout == "hexagonal" else 1.0)
+        self.t_mm = -row_pitch * (self._rows - 0.5 * (len(self._rows) - 1))
+
+    def trace(self, v: float, u: float, every: tuple[int, int] = (1, 1)) -> tuple[Paths, NDArray[np.int64]]:
+        """Trace one view.
+
+        Parameters
+        ----------
+        v, u : float
+            Which: its direction from the chief rays, in views from the middle one, as (v, u) of `LightField`.
+        every : tuple of int
+            Only every so manieth sample along t and s.
+
+        Returns
+        -------
+        Paths
+        sample : (n,) int64
+            Of every packet in `Paths`, its place in the flattened (t, s) samples.
+        """
+        slopes = self._slopes - self._slope_step * np.array([u, v])
+        along = np.concatenate([slopes, np.ones((*slopes.shape[:2], 1))], axis=2)
+        along /= np.linalg.norm(along, axis=2, keepdims=True)
+        entry = self._plate.entries(along.reshape(-1, 3)).reshape(along.shape)
+        starts, along = (
+            self._of_samples(entry)[:: every[0], :: every[1]],
+            self._of_samples(along)[:: every[0], :: every[1]],
+        )
+        starts, along = starts.reshape(-1, 3), along.reshape(-1, 3)
+        known = np.flatnonzero(np.isfinite(starts).all(axis=1) & np.isfinite(along).all(axis=1))
+        # Back against the light, from well before the array, whose lenslets bulge.
+        room = 0.5 * self._plate.lenslets.lattice.pitch
+        transport = self.world.scene.transport
+        to_world = self.world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
+        paths = trace(
+            self.world, frames.points(to_world, (starts - room * along)[known]),
+            frames.directions(to_world, -along[known]), transport.primary_nm,
+            split="transmit", engine=image_path_engine(self.world.scene), threads=transport.threads,
+        )  # fmt: skip
+        return paths, known[paths.source]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of a view, in samples."""
+        return len(self._rows), len(self.sampling.s_mm)
+
+    def _of_samples(self, values: Array) -> Array:
+        """Return what belongs to the lenslets, (rows, columns, 3), for the samples of a view, (t, s, 3)."""
+        parity, row = self._rows & 1, self._rows[:, None]
+        left, share = self.sampling.columns[parity], self.sampling.share[parity][..., None]
+        right = np.minimum(left + 1, values.shape[1] - 1)
+        return np.asarray((1.0 - share) * values[row, left] + share * values[row, right])
+
+
+@dataclass(frozen=True)
+class TracedShift:
+    """The map between the shift from view to view and distance, as the lens has it on average over array and pupil.
+
+    A ray from place s on the array in view u crosses the plane 1/V before the first vertex at x, with x V = a + b s +
+    c u, where b and c are linear in V. A point stays where it is if s moves by −c/b from view to view.
+
+    Attributes
+    ----------
+    place : tuple of float
+        b = place[0] + place[1] V, for s in mm.
+    view : tuple of float, 1/mm and mm/mm
+        c = view[0] + view[1] V, for u in views.
+    """
+
+    place: tuple[float, float]
+    view: tuple[float, float]
+
+    @classmethod
+    def of(cls, scene: Scene, usable: NDArray[np.bool_]) -> "TracedShift":
+        """Fit the map to rays of the (v, u) views of a solved scene's camera that are used.
+
+        Raises
+        ------
+        LfmeshError
+            The lens lets hardly any of these rays through.
+        """
+        rays = ViewRays(build(scene.changed({"targets": (), "lights": ()})))
+        height, width = rays.size
+        every = max(1, -(-height // ACROSS)), max(1, -(-width // ACROSS))
+        t, s = np.meshgrid(rays.t_mm[:: every[0]], rays.sampling.s_mm[:: every[1]], indexing="ij")
+        rows, columns = usable.shape
+        terms, at_zero, per_vergence = [], [], []
+        for v, u in np.argwhere(usable):
+            dv, du = v - 0.5 * (rows - 1), u - 0.5 * (columns - 1)
+            paths, sample = rays.trace(dv, du, every)
+            out = paths.status == Status.ESCAPED
+            slope, height0 = _in_object_space(rays.world, paths, out)
+            for axis, place, view in ((0, s, du), (1, t, dv)):
+                at = place.ravel()[sample[out]]
+                one = np.zeros((len(at), 2))
+                one[:, axis] = 1.0
+                terms.append(np.column_stack([at, np.full(len(at), view), one]))
+                at_zero.append(-slope[:, axis])
+                per_vergence.append(height0[:, axis])
+        design = np.concatenate(terms)
+        if len(design) < 8 * design.shape[1]:
+            raise LfmeshError("camera: the lens lets hardly any ray of the views through; check it with lfmesh check")
+        fit, *_ = np.linalg.lstsq(design, np.column_stack([np.concatenate(at_zero), np.concatenate(per_vergence)]))
+        return cls((float(fit[0, 0]), float(fit[0, 1])), (float(fit[1, 0]), float(fit[1, 1])))
+
+    def shift_mm(self, distance_mm: float) -> float:
+        """Return how far a point moves on the array from one view to the next; positive nearer than the focus."""
+        vergence = 1.0 / distance_mm
+        return (self.view[0] + self.view[1] * vergence) / (self.place[0] + self.place[1] * vergence)
+
+    def distance_mm(self, shift_mm: Array) -> Array:
+        """Return the distances, of any shape, whose points move so far; inf where they would lie beyond infinity."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            vergence = (shift_mm * self.place[0] - self.view[0]) / (self.view[1] - shift_mm * self.place[1])
+            return np.where(vergence > 0.0, 1.0 / vergence, np.where(np.isnan(vergence), np.nan, np.inf))
+
+
+def _in_object_space(world: World, paths: Paths, which: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return dx/dz and dy/dz of rays before the lens, and x and y where they cross the first vertex's plane, (n, 2)."""
+    to_camera = world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
+    p, d = frames.points(to_camera, paths.position[which]), frames.directions(to_camera, paths.direction[which])
+    slope = d[:, :2] / d[:, 2:]
+    return slope, p[:, :2] - p[:, 2:] * slope
+
+
+def image_path_engine(scene: Scene) -> str:
+    """Return the quickest engine that follows a scene's image path."""
+    transport = scene.transport
+    return "sequential" if obstacle_of(scene, transport.surface, transport.max_events) is None else "mesh"

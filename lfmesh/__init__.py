@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lfmesh.errors import FileError, GlassError, LfmeshError, MeshError, SceneError
+    from lfmesh.files.exports.export import export_field, export_raw
     from lfmesh.files.run import open_run, open_white, save, save_white
     from lfmesh.geometry.refractors import first_order
     from lfmesh.lightfield.calibration import Calibration, calibrate
@@ -106,6 +107,8 @@ __all__ = [
     "calibrate",
     "decode",
     "estimate_centres",
+    "export_field",
+    "export_raw",
     "first_order",
     "focal_stack",
     "load",
@@ -123,6 +126,7 @@ __all__ = [
 
 _HOMES = {
     "lfmesh.errors": ["FileError", "GlassError", "LfmeshError", "MeshError", "SceneError"],
+    "lfmesh.files.exports.export": ["export_field", "export_raw"],
     "lfmesh.files.run": ["open_run", "open_white", "save", "save_white"],
     "lfmesh.geometry.refractors": ["first_order"],
     "lfmesh.lightfield.calibration": ["Calibration", "calibrate"],

@@ -58,6 +58,7 @@ Examples:
     lfmesh white run/                    white image and true geometry of its camera
     lfmesh decode run/                   the light field: all views of the run
     lfmesh refocus run/ --distance-mm 480
+    lfmesh export run/ --format hci -o hci/
     lfmesh accuracy -o report/           speed against error, as tables and figures
     lfmesh schema > scene.schema.json    for completion in an editor
 """,
@@ -272,6 +273,64 @@ def refocus(
         if all_in_focus:
             _list_files(files.save_all_in_focus(photographs.all_in_focus(series), run))
     return 0
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh export run/ --format hci -o hci/ --depth depth.exr
+    lfmesh export run/ --format plenopticam -o decoder/
+"""
+)
+def export(
+    run: RunFolder,
+    /,
+    *,
+    kind: Annotated[
+        Literal["lftoolbox", "eslf", "hci", "views", "plenopticam", "plenpy"],
+        Parameter(
+            name="--format",
+            help="lftoolbox, eslf, hci, views: the light field; plenopticam, plenpy: raw and white image.",
+        ),
+    ],
+    out: Annotated[Path, Parameter(name=["--out", "-o"], help="Folder to write: new or empty.")],
+    depth: Annotated[
+        Path | None,
+        Parameter(help="With hci: EXR of the middle view's distances in mm, in its channel truth or else Z."),
+    ] = None,
+) -> int:
+    """Write a run for other people's tools: a folder with their files, and export.json, which says what means what."""
+    if depth is not None and kind != "hci":
+        raise LfmeshError(f"--depth {depth}: {kind} holds no depth; leave it out, or take --format hci")
+    with _undivided():
+        from lfmesh.files import exr
+        from lfmesh.files import field as field_files
+        from lfmesh.files.exports.export import export_field
+
+    if kind == "plenopticam" or kind == "plenpy":
+        paths = _exported_raw(run, out, kind)
+    else:
+        depth_mm = exr.read_map(depth, ("truth", "Z")) if depth is not None else None
+        field = field_files.open_field(run) or _decoded(run, "traced", True, None)
+        paths = export_field(field, out, kind, depth_mm=depth_mm)
+    print(f"  {out}: {len(paths)} files; {paths[-1].name} says what means what")
+    return 0
+
+
+def _exported_raw(folder: Path, out: Path, kind: Literal["plenopticam", "plenpy"]) -> list[Path]:
+    with _undivided():
+        from lfmesh.files import run
+        from lfmesh.files.calibration import read_calibration
+        from lfmesh.files.exports.export import export_raw
+        from lfmesh.lightfield.ray_model import RayModel
+
+    image, recorded = run.open_run(folder), run.open_white(folder)
+    RayModel.of(image.scene)  # a conventional camera is refused before a white image is asked for
+    if recorded is None:
+        raise LfmeshError(f"--format {kind}: {folder} has no white.exr; make it with lfmesh white {folder}")
+    with _warnings_as_notes():
+        return export_raw(image, recorded, read_calibration(folder / run.CALIBRATION), out, kind)
 
 
 @app.command(

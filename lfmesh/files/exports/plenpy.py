@@ -44,7 +44,7 @@ def write_plenpy(folder: Path, image: Image, white: Image, calibration: Calibrat
         path.with_suffix(".json").write_text(json.dumps(side) + "\n", encoding="utf-8")
     settings = {
         "grid_type": "hex",
-        "ml_size": calibration.pitch_px,
+        "ml_size": round(calibration.pitch_px),  # whole: it picks a filter by comparing with 14 and 15
         "ml_focal_length": calibration.lenslet_to_sensor_mm / 1000.0,
         "format": "PNG-PIL",
     }

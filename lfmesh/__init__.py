@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from lfmesh.lightfield.calibration import Calibration, calibrate
     from lfmesh.lightfield.centres import estimate_centres
     from lfmesh.lightfield.decode import decode
+    from lfmesh.lightfield.detector import Detector, Exposed
     from lfmesh.lightfield.field import LightField
     from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph, all_in_focus
     from lfmesh.lightfield.ray_model import RayModel
@@ -69,9 +70,11 @@ __all__ = [
     "Calibration",
     "Camera",
     "Cylinder",
+    "Detector",
     "DirectionalLight",
     "Disk",
     "DiskLight",
+    "Exposed",
     "FileError",
     "FirstOrder",
     "FocalStack",
@@ -132,6 +135,7 @@ _HOMES = {
     "lfmesh.lightfield.calibration": ["Calibration", "calibrate"],
     "lfmesh.lightfield.centres": ["estimate_centres"],
     "lfmesh.lightfield.decode": ["decode"],
+    "lfmesh.lightfield.detector": ["Detector", "Exposed"],
     "lfmesh.lightfield.field": ["LightField"],
     "lfmesh.lightfield.photograph": ["AllInFocus", "FocalStack", "Photograph", "all_in_focus"],
     "lfmesh.lightfield.ray_model": ["RayModel"],

@@ -59,6 +59,7 @@ Examples:
     lfmesh decode run/                   the light field: all views of the run
     lfmesh refocus run/ --distance-mm 480
     lfmesh export run/ --format hci -o hci/
+    lfmesh expose run/ --bayer RGGB      what a detector with noise counts
     lfmesh accuracy -o report/           speed against error, as tables and figures
     lfmesh schema > scene.schema.json    for completion in an editor
 """,
@@ -331,6 +332,58 @@ def _exported_raw(folder: Path, out: Path, kind: Literal["plenopticam", "plenpy"
         raise LfmeshError(f"--format {kind}: {folder} has no white.exr; make it with lfmesh white {folder}")
     with _warnings_as_notes():
         return export_raw(image, recorded, read_calibration(folder / run.CALIBRATION), out, kind)
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh expose run/
+    lfmesh expose run/ --exposure-s 0.01 --bayer RGGB --bits 10 --full-well-e 6000
+"""
+)
+def expose(
+    run: Annotated[Path, Parameter(name="run", help="Run folder, from lfmesh render.")],
+    /,
+    *,
+    exposure_s: Annotated[
+        float | None, Parameter(help="If omitted, the bright pixels fill 80 % of their wells.")
+    ] = None,
+    quantum_efficiency: Annotated[float, Parameter(help="Electrons a photon.")] = 0.6,
+    bayer: Annotated[
+        Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None, Parameter(help="Colour filters; none if omitted.")
+    ] = None,
+    full_well_e: Annotated[float, Parameter(help="Electrons that a pixel holds.")] = 10000.0,
+    dark_current_e_s: Annotated[float, Parameter(help="Electrons a second in the dark.")] = 1.0,
+    read_noise_e: Annotated[float, Parameter(help="Standard deviation, electrons.")] = 2.0,
+    bits: Annotated[Whole, Parameter(help="Of a count, 16 at most.")] = 12,
+    black_level: Annotated[Whole, Parameter(help="Count of an empty pixel.")] = 64,
+    seed: Annotated[Whole, Parameter(help="Of the noise.")] = 0,
+) -> int:
+    """Add what a detector counts: photons, wells, noise and conversion. The image of the run stays as it is."""
+    with _undivided():
+        from lfmesh.files import run as runs
+        from lfmesh.files.exposed import save_exposed
+        from lfmesh.lightfield.detector import Detector
+
+    detector = Detector(
+        exposure_s=1.0 if exposure_s is None else exposure_s,
+        quantum_efficiency=quantum_efficiency,
+        bayer=bayer,
+        full_well_e=full_well_e,
+        dark_current_e_s=dark_current_e_s,
+        read_noise_e=read_noise_e,
+        bits=bits,
+        black_level=black_level,
+        seed=seed,
+    )
+    image = runs.open_run(run)
+    exposed = (detector.filling(image) if exposure_s is None else detector).expose(image)
+    brightest, saturated = exposed.expected_e.max(), exposed.saturated.mean()
+    line = f"{exposed.detector.exposure_s:.3g} s: up to {brightest:.3g} electrons a pixel, {saturated:.2%} saturated."
+    print(textwrap.fill(line, COLUMNS, subsequent_indent="  "))
+    _list_files(save_exposed(exposed, run))
+    return 0
 
 
 @app.command(

@@ -98,7 +98,7 @@ def main() -> int:
         work = Path(folder)
         try:
             results = [
-                measure(name, wanted.samples, (wanted.cache or work).resolve(), work)
+                measure(name, wanted.samples, (wanted.cache or work / "environments").resolve(), work)
                 for name in wanted.decoders or INSTALLATIONS
             ]
         except NoEnvironmentError as error:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lfmesh.errors import FileError, GlassError, LfmeshError, MeshError, SceneError
+    from lfmesh.files.exports.export import export_field, export_raw
     from lfmesh.files.run import open_run, open_white, save, save_white
     from lfmesh.geometry.refractors import first_order
     from lfmesh.lightfield.calibration import Calibration, calibrate
@@ -24,9 +25,10 @@ if TYPE_CHECKING:
     from lfmesh.lightfield.decode import decode
     from lfmesh.lightfield.depth import DepthMap, estimate_depth
     from lfmesh.lightfield.depth_truth import DepthTruth, depth_truth
+    from lfmesh.lightfield.detector import Detector, Exposed
     from lfmesh.lightfield.field import LightField
-    from lfmesh.lightfield.object_rays import object_rays
     from lfmesh.lightfield.focused import focused
+    from lfmesh.lightfield.object_rays import object_rays
     from lfmesh.lightfield.patches import patches_in_focus, render_patches
     from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph, all_in_focus
     from lfmesh.lightfield.ray_model import RayModel
@@ -75,9 +77,11 @@ __all__ = [
     "Cylinder",
     "DepthMap",
     "DepthTruth",
+    "Detector",
     "DirectionalLight",
     "Disk",
     "DiskLight",
+    "Exposed",
     "FileError",
     "FirstOrder",
     "FocalStack",
@@ -115,6 +119,8 @@ __all__ = [
     "depth_truth",
     "estimate_centres",
     "estimate_depth",
+    "export_field",
+    "export_raw",
     "first_order",
     "focal_stack",
     "focused",
@@ -136,6 +142,7 @@ __all__ = [
 
 _HOMES = {
     "lfmesh.errors": ["FileError", "GlassError", "LfmeshError", "MeshError", "SceneError"],
+    "lfmesh.files.exports.export": ["export_field", "export_raw"],
     "lfmesh.files.run": ["open_run", "open_white", "save", "save_white"],
     "lfmesh.geometry.refractors": ["first_order"],
     "lfmesh.lightfield.calibration": ["Calibration", "calibrate"],
@@ -143,6 +150,7 @@ _HOMES = {
     "lfmesh.lightfield.decode": ["decode"],
     "lfmesh.lightfield.depth": ["DepthMap", "estimate_depth"],
     "lfmesh.lightfield.depth_truth": ["DepthTruth", "depth_truth"],
+    "lfmesh.lightfield.detector": ["Detector", "Exposed"],
     "lfmesh.lightfield.field": ["LightField"],
     "lfmesh.lightfield.object_rays": ["object_rays"],
     "lfmesh.lightfield.focused": ["focused"],

@@ -59,6 +59,8 @@ Examples:
     lfmesh decode run/                   the light field: all views of the run
     lfmesh refocus run/ --stack 300:800:20   photographs of other planes
     lfmesh depth run/                    true depth, and from the light field
+    lfmesh expose run/ --bayer RGGB      what a detector with noise counts
+    lfmesh export run/ --format hci -o hci/   files of other people's tools
     lfmesh compare scene.toml -o cmp/    beside two other kinds of camera
     lfmesh accuracy -o report/           speed against error, in tables, figures
     lfmesh schema > scene.schema.json    for completion in an editor
@@ -311,6 +313,116 @@ def depth(
     paths = depth_files.save_truth(truth, run) + depth_files.save_depth(estimate, truth.middle_mm, run)
     print(textwrap.fill(estimate.in_words(truth.middle_mm), COLUMNS, subsequent_indent="  "))
     _list_files(paths)
+    return 0
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh export run/ --format hci -o hci/ --depth depth.exr
+    lfmesh export run/ --format plenopticam -o decoder/
+"""
+)
+def export(
+    run: RunFolder,
+    /,
+    *,
+    kind: Annotated[
+        Literal["lftoolbox", "eslf", "hci", "views", "plenopticam", "plenpy"],
+        Parameter(
+            name="--format",
+            help="lftoolbox, eslf, hci, views: the light field; plenopticam, plenpy: raw and white image.",
+        ),
+    ],
+    out: Annotated[Path, Parameter(name=["--out", "-o"], help="Folder to write: new or empty.")],
+    depth: Annotated[
+        Path | None,
+        Parameter(help="With hci: EXR of the middle view's distances in mm, in its channel truth or else Z."),
+    ] = None,
+) -> int:
+    """Write a run for other people's tools: a folder with their files, and export.json, which says what means what."""
+    if depth is not None and kind != "hci":
+        raise LfmeshError(f"--depth {depth}: {kind} holds no depth; leave it out, or take --format hci")
+    with _undivided():
+        from lfmesh.files import exr
+        from lfmesh.files import field as field_files
+        from lfmesh.files.exports.export import export_field
+
+    if kind == "plenopticam" or kind == "plenpy":
+        paths = _exported_raw(run, out, kind)
+    else:
+        depth_mm = exr.read_map(depth, ("truth", "Z")) if depth is not None else None
+        field = field_files.open_field(run) or _decoded(run, "traced", True, None)
+        paths = export_field(field, out, kind, depth_mm=depth_mm)
+    print(f"  {out}: {len(paths)} files; {paths[-1].name} says what means what")
+    return 0
+
+
+def _exported_raw(folder: Path, out: Path, kind: Literal["plenopticam", "plenpy"]) -> list[Path]:
+    with _undivided():
+        from lfmesh.files import run
+        from lfmesh.files.calibration import read_calibration
+        from lfmesh.files.exports.export import export_raw
+        from lfmesh.lightfield.ray_model import RayModel
+
+    image, recorded = run.open_run(folder), run.open_white(folder)
+    RayModel.of(image.scene)  # a conventional camera is refused before a white image is asked for
+    if recorded is None:
+        raise LfmeshError(f"--format {kind}: {folder} has no white.exr; make it with lfmesh white {folder}")
+    with _warnings_as_notes():
+        return export_raw(image, recorded, read_calibration(folder / run.CALIBRATION), out, kind)
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh expose run/
+    lfmesh expose run/ --exposure-s 0.01 --bayer RGGB --bits 10 --full-well-e 6000
+"""
+)
+def expose(
+    run: Annotated[Path, Parameter(name="run", help="Run folder, from lfmesh render.")],
+    /,
+    *,
+    exposure_s: Annotated[
+        float | None, Parameter(help="If omitted, the bright pixels fill 80 % of their wells.")
+    ] = None,
+    quantum_efficiency: Annotated[float, Parameter(help="Electrons a photon.")] = 0.6,
+    bayer: Annotated[
+        Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None, Parameter(help="Colour filters; none if omitted.")
+    ] = None,
+    full_well_e: Annotated[float, Parameter(help="Electrons that a pixel holds.")] = 10000.0,
+    dark_current_e_s: Annotated[float, Parameter(help="Electrons a second in the dark.")] = 1.0,
+    read_noise_e: Annotated[float, Parameter(help="Standard deviation, electrons.")] = 2.0,
+    bits: Annotated[Whole, Parameter(help="Of a count, 16 at most.")] = 12,
+    black_level: Annotated[Whole, Parameter(help="Count of an empty pixel.")] = 64,
+    seed: Annotated[Whole, Parameter(help="Of the noise.")] = 0,
+) -> int:
+    """Add what a detector counts: photons, wells, noise and conversion. The image of the run stays as it is."""
+    with _undivided():
+        from lfmesh.files import run as runs
+        from lfmesh.files.exposed import save_exposed
+        from lfmesh.lightfield.detector import Detector
+
+    detector = Detector(
+        exposure_s=1.0 if exposure_s is None else exposure_s,
+        quantum_efficiency=quantum_efficiency,
+        bayer=bayer,
+        full_well_e=full_well_e,
+        dark_current_e_s=dark_current_e_s,
+        read_noise_e=read_noise_e,
+        bits=bits,
+        black_level=black_level,
+        seed=seed,
+    )
+    image = runs.open_run(run)
+    exposed = (detector.filling(image) if exposure_s is None else detector).expose(image)
+    brightest, saturated = exposed.expected_e.max(), exposed.saturated.mean()
+    line = f"{exposed.detector.exposure_s:.3g} s: up to {brightest:.3g} electrons a pixel, {saturated:.2%} saturated."
+    print(textwrap.fill(line, COLUMNS, subsequent_indent="  "))
+    _list_files(save_exposed(exposed, run))
     return 0
 
 

@@ -59,7 +59,7 @@ def to_display(power: NDArray[np.float64], wavelengths_nm: tuple[float, ...]) ->
     return np.clip(power @ weights.T, 0.0, None)
 
 
-def srgb_encode(linear: NDArray[np.float64]) -> NDArray[np.uint8]:
+def srgb_encode(linear: NDArray[np.floating]) -> NDArray[np.uint8]:
     """Encode linear light, 0 to 1 (clipped), as 8-bit sRGB (IEC 61966-2-1)."""
     light = np.clip(linear, 0.0, 1.0)
     encoded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)

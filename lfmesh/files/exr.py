@@ -139,6 +139,28 @@ def read(path: Path, part_names: Sequence[str]) -> SpectralImage:
     )
 
 
+def read_map(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
+    """Read one (H, W) channel of an EXR: the first of these names that its first part has.
+
+    Raises
+    ------
+    FileError
+        The file is missing, no EXR, truncated, or has none of the channels.
+    """
+    if not path.is_file():
+        raise FileError(f"{path} does not exist")
+    try:
+        with redirect_stdout(io.StringIO()), OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = file.parts[0].channels if file.parts else {}
+            found = next((name for name in names if name in channels), None)
+            pixels = channels[found].pixels.astype(np.float32) if found is not None else None
+    except (RuntimeError, OSError):
+        raise FileError(f"{path} is not a readable OpenEXR file: it is truncated, damaged or something else") from None
+    if pixels is None:
+        raise FileError(f"{path} has no channel {' or '.join(names)}")
+    return np.asarray(pixels)
+
+
 def _parse(path: Path, text: str) -> dict[str, Any]:
     try:
         metadata: Mapping[str, Any] = json.loads(text)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import PIL.Image
@@ -111,6 +112,6 @@ def write_linear16(
     return names, peak / COUNTS
 
 
-def upright(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def upright(picture: NDArray[Any]) -> NDArray[Any]:
     """Turn an image by 180°, as the lens turned it."""
     return picture[::-1, ::-1]

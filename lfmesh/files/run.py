@@ -41,6 +41,7 @@ PARTS = ("raw", "stderr")
 _STAGING = ".lfmesh-"
 _OURS = re.compile(
     r"raw\.exr|report\.json|scene\.toml|preview(_view)?\.png|linear16[\w.]*\.png|calibration\.json|views\.png"
+    r"|exposed\.(png|json)"
     r"|(white|lightfield|stack|all_in_focus|refocused_[\w.+]+)\.(exr|png)"
 )
 

@@ -105,8 +105,8 @@ def _of_pixels(world: World, samples: int) -> tuple[Samples, Samples, Samples]:
         count = min(step, pixels - first)
         work.begin(np.zeros((0, 1)))
         launch_adjoint(
-            first, count, samples, True, key, 0, tables.sensor, tables.array, tables.aim, tables.frames,
-            len(tables.lens.surfaces), work.flow(), work.start,
+            np.arange(first, first + count), samples, True, key, 0, tables.sensor, tables.array, tables.aim,
+            tables.frames, len(tables.lens.surfaces), work.bundle, work.flow(), work.start,
         )  # fmt: skip
         work.run()
         ended = work.ended[: work.tops[ENDED]]

@@ -1,0 +1,126 @@
+"""One folder for one tool: written beside its place and moved there when complete, with a note of what means what."""
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+import lfmesh
+from lfmesh.errors import FileError, LfmeshError
+from lfmesh.files.exports.hci import write_hci
+from lfmesh.files.exports.lftoolbox import write_eslf, write_mat
+from lfmesh.files.exports.plenopticam import write_plenopticam
+from lfmesh.files.exports.plenpy import write_plenpy
+from lfmesh.files.exports.views import write_views
+from lfmesh.lightfield.calibration import Calibration
+from lfmesh.lightfield.field import LightField
+from lfmesh.transport.image import Image
+
+FieldFormat = Literal["lftoolbox", "eslf", "hci", "views"]
+RawFormat = Literal["plenopticam", "plenpy"]
+
+NOTE = "export.json"
+
+_FIELD_WRITERS: dict[str, Callable[[Path, LightField], dict[str, Any]]] = {
+    "lftoolbox": write_mat,
+    "eslf": write_eslf,
+    "views": write_views,
+}
+_RAW_WRITERS = {"plenopticam": write_plenopticam, "plenpy": write_plenpy}
+
+
+def export_field(
+    field: LightField,
+    folder: str | os.PathLike[str],
+    kind: FieldFormat,
+    *,
+    depth_mm: NDArray[np.floating] | None = None,
+) -> list[Path]:
+    """Write a light field for another tool; ``export.json`` says what means what.
+
+    Parameters
+    ----------
+    field : LightField
+    folder : path
+        New or empty.
+    kind : {"lftoolbox", "eslf", "hci", "views"}
+    depth_mm : (t, s) float, optional
+        For "hci": distances of the middle view's points before the first vertex of the lens.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    LfmeshError
+        The format cannot hold this light field, or the folder cannot be written.
+    """
+    if kind not in get_args(FieldFormat):
+        raise LfmeshError(f"kind = {kind!r}: must be one of {', '.join(get_args(FieldFormat))}")
+    if depth_mm is not None and kind != "hci":
+        raise LfmeshError(f"depth_mm: {kind} holds no depth, hci does")
+
+    def write(staging: Path) -> dict[str, Any]:
+        return write_hci(staging, field, depth_mm) if kind == "hci" else _FIELD_WRITERS[kind](staging, field)
+
+    return _exported(Path(folder), kind, write)
+
+
+def export_raw(
+    image: Image, white: Image, calibration: Calibration, folder: str | os.PathLike[str], kind: RawFormat
+) -> list[Path]:
+    """Write a raw image, its white image and its settings for another decoder.
+
+    Parameters
+    ----------
+    image, white : Image
+        The same camera's.
+    calibration : Calibration
+    folder : path
+        New or empty.
+    kind : {"plenopticam", "plenpy"}
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    LfmeshError
+        The decoder does not take such a camera, or the folder cannot be written.
+    """
+    if kind not in get_args(RawFormat):
+        raise LfmeshError(f"kind = {kind!r}: must be one of {', '.join(get_args(RawFormat))}")
+    writer = _RAW_WRITERS[kind]
+    return _exported(Path(folder), kind, lambda staging: writer(staging, image, white, calibration))
+
+
+def _exported(folder: Path, kind: str, write: Callable[[Path], dict[str, Any]]) -> list[Path]:
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            what = "is not empty" if folder.is_dir() else "is a file"
+            raise FileError(f"{folder} {what}: choose an empty or a new folder")
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        beside = Path(tempfile.mkdtemp(prefix=".lfmesh-", dir=folder.parent))
+        try:
+            staging = beside / folder.name
+            staging.mkdir()
+            facts = {"format": kind, "lfmesh_version": lfmesh.__version__, **write(staging)}
+            (staging / NOTE).write_text(json.dumps(facts, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+            if folder.exists():
+                folder.rmdir()
+            staging.replace(folder)
+        finally:
+            shutil.rmtree(beside, ignore_errors=True)
+    except OSError as error:
+        raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None
+    return [folder / name for name in [*facts["files"], NOTE]]

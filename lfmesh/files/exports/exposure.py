@@ -1,0 +1,55 @@
+"""A raw and a white image exposed for a decoder that divides the one by the other."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lfmesh.errors import LfmeshError
+from lfmesh.files.exports.light import picture_rgb
+from lfmesh.files.preview import WHITE_PERCENTILE, upright, white_point
+from lfmesh.lightfield.field import Samples
+from lfmesh.transport.image import Image
+
+LIT = 0.1
+"""Pixels whose white is above this share of its bright pixels set the exposure of the raw image."""
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """Raw and white image, upright as cameras deliver them, so that raw / white is 1 where the scene is brightest.
+
+    Attributes
+    ----------
+    raw, white : (H, W, 3) float32
+        Linear RGB, 0 to 1.
+    radiance : float
+        What raw / white = 1 stands for, W/(m² sr).
+    """
+
+    raw: Samples
+    white: Samples
+    radiance: float
+
+    @classmethod
+    def of(cls, image: Image, white: Image) -> "Exposure":
+        """Expose both; a few bright pixels are clipped, so that noise does not set the exposure.
+
+        Raises
+        ------
+        LfmeshError
+            The two do not belong together, or one of them is black.
+        """
+        if white.mean.shape != image.mean.shape or white.wavelengths_nm != image.wavelengths_nm:
+            raise LfmeshError(
+                f"the white image has the shape {white.mean.shape} at {list(white.wavelengths_nm)} nm, the raw image "
+                f"{image.mean.shape} at {list(image.wavelengths_nm)} nm; render the white image of the same scene"
+            )
+        raw_rgb = picture_rgb(upright(image.mean), image.wavelengths_nm)
+        white_rgb = picture_rgb(upright(white.mean), white.wavelengths_nm)
+        peak = white_point(white_rgb.max(axis=-1).astype(np.float64))
+        lit = white_rgb.min(axis=-1) > LIT * peak
+        bright = float(np.percentile(raw_rgb[lit] / white_rgb[lit], WHITE_PERCENTILE)) if lit.any() else 0.0
+        if not (peak > 0.0 and bright > 0.0):
+            raise LfmeshError(f"the {'raw' if peak > 0.0 else 'white'} image is black: there is nothing to decode")
+        raw = np.clip(raw_rgb / (peak * bright), 0.0, 1.0)
+        return cls(raw, np.clip(white_rgb / peak, 0.0, 1.0), bright)

@@ -1,0 +1,97 @@
+"""What PlenoptiCam 0.9 (C. Hahne) reads: a raw picture, a white picture, its settings, and our centres."""
+
+import json
+import math
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+
+from lfmesh.files.colour import srgb_encode
+from lfmesh.files.exports.exposure import Exposure
+from lfmesh.lightfield.calibration import Calibration
+from lfmesh.transport.image import Image
+
+RAW, WHITE, SETTINGS, CENTRES = "raw.png", "white.png", "settings.json", "centres.json"
+
+LEAST_LENSLETS = 60
+"""Along each side; its estimate of the pitch takes the middle third of the white image and needs about 20 there."""
+
+LEAST_PATCH = 3
+
+LARGEST_SPOT = 0.85
+"""Diameter of a micro-image over the pitch: discs that touch hide the gaps by which it tells their pitch."""
+
+_SETTINGS: dict[str, Any] = {
+    "cal_meta": "",
+    "cal_meth": "area",
+    "smp_meth": "local",
+    "ran_refo": [0, 2],
+    "opt_cali": True,
+    "opt_vign": True,
+    "opt_view": True,
+    "opt_refo": True,
+    **{f"opt_{name}": False for name in ("lier", "cont", "colo", "awb_", "sat_", "refi", "pflu", "arti", "rota")},
+    **{f"opt_{name}": False for name in ("dbug", "prnt", "dpth")},
+    "dir_remo": False,
+}
+
+
+def write_plenopticam(folder: Path, image: Image, white: Image, calibration: Calibration) -> dict[str, Any]:
+    """Write ``raw.png`` (sRGB, which PlenoptiCam undoes), ``white.png`` (linear, taken as it is) and the settings.
+
+    ``settings.json`` are its parameters, for ``PlenopticamConfig.read_params``; ``centres.json`` the true centres as
+    its calibration, for its option ``--meta``; it finds its own without. Returns the facts.
+
+    Raises
+    ------
+    LfmeshError
+        As `Exposure.of`.
+    """
+    exposure = Exposure.of(image, white)
+    _warn(calibration)
+    PIL.Image.fromarray(srgb_encode(exposure.raw)).save(folder / RAW, format="PNG")
+    linear = np.rint(255.0 * exposure.white).astype(np.uint8)
+    PIL.Image.fromarray(linear).save(folder / WHITE, format="PNG")
+    patch = max(LEAST_PATCH, (math.floor(calibration.pitch_px) - 1) // 2 * 2 + 1)
+    settings = {**_SETTINGS, "lfp_path": RAW, "cal_path": WHITE, "ptc_leng": patch}
+    (folder / SETTINGS).write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
+    (folder / CENTRES).write_text(json.dumps(_centres(calibration)) + "\n", encoding="utf-8")
+    return {
+        "files": [RAW, WHITE, SETTINGS, CENTRES],
+        "order": "pictures upright: the raw image turned by 180°; centres [row, column, lenslet row, lenslet column]",
+        "encoding": "raw: sRGB, white: linear; 8 bits, RGB",
+        "radiance_w_m2_sr": exposure.radiance,
+    }
+
+
+def _centres(calibration: Calibration) -> dict[str, Any]:
+    columns, rows = calibration.sensor_px
+    last = np.array([columns - 1.0, rows - 1.0])
+    upright = (last - calibration.centres_px)[::-1, ::-1]
+    row, column = np.indices(upright.shape[:2])
+    places = np.stack([upright[..., 1], upright[..., 0], row, column], axis=-1).reshape(-1, 4)
+    return {
+        "mic_list": places.tolist(),
+        "pat_type": "hex" if calibration.layout == "hexagonal" else "rec",
+        "ptc_mean": [calibration.pitch_px, calibration.pitch_px],
+    }
+
+
+def _warn(calibration: Calibration) -> None:
+    rows, columns = calibration.known.shape
+    if min(rows, columns) < LEAST_LENSLETS:
+        warnings.warn(
+            f"PlenoptiCam needs about {LEAST_LENSLETS} × {LEAST_LENSLETS} lenslets to find them; these are "
+            f"{columns} × {rows}",
+            stacklevel=3,
+        )
+    spot = calibration.microlens_f_number / calibration.f_number
+    if spot > LARGEST_SPOT:
+        warnings.warn(
+            f"PlenoptiCam may miss the pitch: the micro-images are {spot:.2g} of it wide; stop the lens down until "
+            f"they leave gaps, to f/{calibration.microlens_f_number / LARGEST_SPOT:.2g} or less",
+            stacklevel=3,
+        )

@@ -1,0 +1,57 @@
+"""What plenpy 0.9 (M. Schambach) reads as a `RayTracerLF`: a camera folder of pictures with JSON beside them."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lfmesh.errors import LfmeshError
+from lfmesh.files.exports.exposure import Exposure
+from lfmesh.files.exports.light import COUNTS
+from lfmesh.files.png16 import write_rgb16
+from lfmesh.lightfield.calibration import Calibration
+from lfmesh.transport.image import Image
+
+RAW, WHITE, SETTINGS = "Images/raw.png", "Calibration/WhiteImages/white.png", "camera.json"
+
+
+def write_plenpy(folder: Path, image: Image, white: Image, calibration: Calibration) -> dict[str, Any]:
+    """Write the raw and the white picture, 16 bits linear, with their side files; return the facts.
+
+    ``camera.json`` holds what `RayTracerLF` is made with; its ``imageDistance`` and focal length stand for D and d,
+    by whose ratio plenpy expects the pitch of the micro-images to exceed that of the lenslets.
+
+    Raises
+    ------
+    LfmeshError
+        As `Exposure.of`; square lenslets, which plenpy does not decode; an exit pupil at infinity or behind the array.
+    """
+    if calibration.layout != "hexagonal":
+        raise LfmeshError("plenpy decodes hexagonal arrays only; this one is square: export to plenopticam")
+    distance = calibration.pupil_to_array_mm
+    if not (math.isfinite(distance) and distance > 0.0):
+        raise LfmeshError(
+            f"plenpy needs an exit pupil in front of the array, at a finite distance; here it is {distance:g} mm"
+        )
+    exposure = Exposure.of(image, white)
+    side = {"camera": {"imageDistance": distance / 1000.0, "focusDistance": distance / 1000.0}}
+    for name, picture in ((RAW, exposure.raw), (WHITE, exposure.white)):
+        path = folder / name
+        path.parent.mkdir(parents=True)
+        write_rgb16(path, np.rint(picture * COUNTS).astype(np.uint16))
+        path.with_suffix(".json").write_text(json.dumps(side) + "\n", encoding="utf-8")
+    settings = {
+        "grid_type": "hex",
+        "ml_size": round(calibration.pitch_px),  # whole: it picks a filter by comparing with 14 and 15
+        "ml_focal_length": calibration.lenslet_to_sensor_mm / 1000.0,
+        "format": "PNG-PIL",
+    }
+    (folder / SETTINGS).write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
+    return {
+        "files": [RAW, WHITE, SETTINGS, *(name.replace(".png", ".json") for name in (RAW, WHITE))],
+        "order": "pictures upright: the raw image turned by 180°",
+        "encoding": "linear, 16 bits, RGB; lengths in the side files in m",
+        "radiance_w_m2_sr": exposure.radiance,
+    }

@@ -1,0 +1,171 @@
+"""What the electronics make of an image: photons to electrons to counts, with their noise.
+
+The image itself, power without noise but that of its estimate, stays as it is; this stands beside it.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.transport.image import Image
+
+Array = NDArray[np.float64]
+
+PLANCK_J_S = 6.62607015e-34
+SPEED_OF_LIGHT_M_S = 299792458.0
+
+PASSBANDS_NM = {"R": (600.0, 90.0), "G": (540.0, 90.0), "B": (460.0, 90.0)}
+"""Centre and full width at half maximum of the colour filters, Gaussians with a peak of 1."""
+
+PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
+
+MOST_BITS = 16
+MOST_ELECTRONS = 1e15
+"""Expected in a pixel: more than any well, and what numpy draws Poisson numbers of."""
+
+BRIGHT_PERCENTILE = 99.5
+
+
+@dataclass(frozen=True)
+class Exposed:
+    """An exposed image, (row, column) as on the sensor.
+
+    Attributes
+    ----------
+    counts : (H, W) uint16
+    expected_e : (H, W) float64
+        Photoelectrons expected in each pixel, without dark current.
+    saturated : (H, W) bool
+        Where the well was full.
+    detector : Detector
+    """
+
+    counts: NDArray[np.uint16]
+    expected_e: Array
+    saturated: NDArray[np.bool_]
+    detector: "Detector"
+
+    @property
+    def electrons(self) -> Array:
+        """(H, W): what the counts say of the electrons in each pixel, dark ones included."""
+        return (self.counts.astype(np.float64) - self.detector.black_level) * self.detector.electrons_per_count
+
+
+@dataclass(frozen=True)
+class Detector:
+    """A detector by its data sheet.
+
+    Attributes
+    ----------
+    exposure_s : float
+    quantum_efficiency : float
+        Electrons a photon.
+    bayer : {"RGGB", "BGGR", "GRBG", "GBRG"}, optional
+        Colour filters of the first two pixels of the first row, then of the second; none if omitted.
+    full_well_e : float
+        Electrons that a pixel holds; the converter's highest count stands for them.
+    dark_current_e_s : float
+        Electrons a second in the dark.
+    read_noise_e : float
+        Standard deviation, electrons.
+    bits : int
+    black_level : int
+        Count of an empty pixel, so that read noise is not cut off.
+    seed : int
+
+    Raises
+    ------
+    LfmeshError
+        A value that no detector has.
+    """
+
+    exposure_s: float = 0.01
+    quantum_efficiency: float = 0.6
+    bayer: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = None
+    full_well_e: float = 10000.0
+    dark_current_e_s: float = 1.0
+    read_noise_e: float = 2.0
+    bits: int = 12
+    black_level: int = 64
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("exposure_s", "full_well_e"):
+            _refuse(name, getattr(self, name), 0.0 < getattr(self, name) < math.inf, "above 0 and finite")
+        for name in ("dark_current_e_s", "read_noise_e"):
+            _refuse(name, getattr(self, name), 0.0 <= getattr(self, name) < math.inf, "0 or more and finite")
+        _refuse("quantum_efficiency", self.quantum_efficiency, 0.0 < self.quantum_efficiency <= 1.0, "in (0, 1]")
+        _refuse("bits", self.bits, 1 <= self.bits <= MOST_BITS, f"from 1 to {MOST_BITS}")
+        _refuse("black_level", self.black_level, 0 <= self.black_level < self.white_level, "below the highest count")
+        _refuse("bayer", self.bayer, self.bayer in (None, *PATTERNS), f"one of {', '.join(PATTERNS)}, or left out")
+        _refuse("seed", self.seed, self.seed >= 0, "0 or more")
+
+    @property
+    def white_level(self) -> int:
+        """The highest count."""
+        return int(2**self.bits - 1)
+
+    @property
+    def electrons_per_count(self) -> float:
+        """The converter's step."""
+        return self.full_well_e / (self.white_level - self.black_level)
+
+    def filling(self, image: Image, share: float = 0.8) -> "Detector":
+        """Return this detector with the exposure time that fills its bright pixels to a share of the well.
+
+        Raises
+        ------
+        LfmeshError
+            The image is black.
+        """
+        electrons = self.expected_e(image)
+        bright = float(np.percentile(electrons[electrons > 0.0], BRIGHT_PERCENTILE)) if electrons.any() else 0.0
+        if not bright > 0.0:
+            raise LfmeshError("no exposure time fills the wells: the image is black")
+        return replace(self, exposure_s=self.exposure_s * share * self.full_well_e / bright)
+
+    def expected_e(self, image: Image) -> Array:
+        """Return the photoelectrons expected in each pixel, (H, W): power · time / (hc/λ) · efficiency · filter."""
+        wavelengths_m = 1e-9 * np.asarray(image.wavelengths_nm)
+        photons_per_joule = wavelengths_m / (PLANCK_J_S * SPEED_OF_LIGHT_M_S)
+        weights = self.exposure_s * self.quantum_efficiency * photons_per_joule
+        if self.bayer is None:
+            return np.asarray(image.mean @ weights)
+        height, width, _ = image.mean.shape
+        electrons = np.empty((height, width))
+        for place, colour in enumerate(self.bayer):
+            pixels = np.s_[place // 2 :: 2, place % 2 :: 2]
+            electrons[pixels] = image.mean[pixels] @ (weights * transmittance(colour, image.wavelengths_nm))
+        return electrons
+
+    def expose(self, image: Image) -> Exposed:
+        """Draw one exposure: shot noise of light and dark current, the full well, read noise, conversion.
+
+        Parameters
+        ----------
+        image : Image
+            Not changed. Its wavelength samples are taken as lines that carry all of the power.
+        """
+        random = np.random.Generator(np.random.Philox(self.seed))
+        expected = self.expected_e(image)
+        lit = np.minimum(expected + self.dark_current_e_s * self.exposure_s, MOST_ELECTRONS)
+        collected = random.poisson(lit).astype(np.float64)
+        saturated = collected >= self.full_well_e
+        read = np.minimum(collected, self.full_well_e) + random.normal(0.0, self.read_noise_e, collected.shape)
+        counts = np.clip(np.rint(self.black_level + read / self.electrons_per_count), 0, self.white_level)
+        return Exposed(counts.astype(np.uint16), expected, np.asarray(saturated), self)
+
+
+def transmittance(colour: str, wavelengths_nm: tuple[float, ...]) -> Array:
+    """Return what a colour filter passes of each wavelength, (n,)."""
+    centre, width = PASSBANDS_NM[colour]
+    return np.asarray(np.exp2(-((2.0 * (np.asarray(wavelengths_nm) - centre) / width) ** 2)))
+
+
+def _refuse(name: str, value: object, valid: bool, must: str) -> None:
+    if not valid:
+        raise LfmeshError(f"{name} = {value}: must be {must}")

@@ -75,6 +75,16 @@ def test_no_pixel_holds_more_than_the_full_well(flat: Callable[..., lf.Image]) -
     assert (detector.expose(flat(1e30, detector)).counts == detector.white_level).all()
 
 
+def test_a_full_well_is_read_with_noise_as_any_other(flat: Callable[..., lf.Image]) -> None:
+    """What is cut is the well, before the noise: about half of the saturated pixels are read below it."""
+    detector = Detector(full_well_e=1000.0, read_noise_e=20.0, dark_current_e_s=0.0)
+    exposed = detector.expose(flat(1500.0, detector))
+    assert exposed.saturated.all()
+    below = int((exposed.counts < detector.white_level).sum())
+    chance = stats.norm.cdf(-0.5 * detector.electrons_per_count / detector.read_noise_e)
+    assert stats.binomtest(below, exposed.counts.size, chance).pvalue > LEVEL
+
+
 @pytest.mark.parametrize("bits", [1, 8, 12, 16])
 def test_counts_are_the_nearest_steps(flat: Callable[..., lf.Image], bits: int) -> None:
     detector = Detector(full_well_e=6000.0, read_noise_e=0.0, dark_current_e_s=0.0, bits=bits, black_level=0)

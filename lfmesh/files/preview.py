@@ -30,7 +30,7 @@ def white_point(light: NDArray[np.float64], known: NDArray[np.bool_] | None = No
     """
     lit = light > 0.0
     if known is not None:
-        counted = lit & known.reshape(known.shape + (1,) * (light.ndim - 2))
+        counted = lit & known.reshape(known.shape + (1,) * (light.ndim - known.ndim))
         lit = counted if counted.any() else lit
     values = light[lit]
     return float(np.percentile(values, WHITE_PERCENTILE, overwrite_input=True)) if values.size else 0.0

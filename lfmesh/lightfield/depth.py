@@ -135,7 +135,7 @@ def estimate_depth(field: LightField, *, near_mm: float | None = None, far_mm: f
 
 def _shifts_to_try(field: LightField, geometry: TracedShift, near_mm: float | None, far_mm: float | None) -> Array:
     """Return the shifts between views from the farthest plane to the nearest, mm."""
-    near, far = field.model.refocus_range_mm
+    near, far = field.model.paraxial.refocus_range_mm
     near, far = near if near_mm is None else near_mm, far if far_mm is None else far_mm
     if not 0.0 < near < far:
         raise LfmeshError(f"near_mm = {near:g}, far_mm = {far:g}: no range to search for depth in; give near below far")

@@ -8,7 +8,7 @@ This is the model of C. Hahne et al., "Refocusing distance of a standard plenopt
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.refractors import measured
@@ -91,6 +91,11 @@ class RayModel:
             focus_shift_mm=shift,
             focus_shift_mm2=slope,
         )
+
+    @property
+    def paraxial(self) -> "RayModel":
+        """The same camera by first-order optics alone: without what aberrations do to its focus."""
+        return replace(self, focus_shift_mm=0.0, focus_shift_mm2=0.0)
 
     @property
     def slope_step(self) -> float:

@@ -125,7 +125,7 @@ def test_the_traced_map_is_the_ray_model_for_a_slow_lens_and_its_own_inverse(
     middle[4:6, 4:6] = True
     slow, whole = TracedShift.of(scene, middle), TracedShift.of(scene, np.hypot(*np.indices((10, 10)) - 4.5) < 4.6)
     for distance in (300.0, 480.0, 900.0, 3000.0):
-        paraxial = field.model.shift_mm(distance)
+        paraxial = field.model.paraxial.shift_mm(distance)
         assert slow.shift_mm(distance) == pytest.approx(paraxial, abs=0.002 * 0.125)
         assert float(whole.distance_mm(np.array(whole.shift_mm(distance)))) == pytest.approx(distance, rel=1e-12)
         # Spherical aberration: the rim of this pupil focuses nearer, by a hundredth of a lenslet a view.

@@ -74,7 +74,7 @@ def likeness(picture: lf.Photograph, scene: lf.Scene, distance_mm: float) -> flo
 @pytest.mark.parametrize("kind", ["keplerian", "galilean"])
 def test_lenslets_image_the_plane_in_focus_onto_the_sensor(kind: Any) -> None:
     scene = lf.focused(standard(), 4.0, kind)
-    model = lf.RayModel.of(scene)
+    model = lf.RayModel.of(scene).paraxial
     assert scene.camera.mla is not None
     (f,) = lenslet_focal_length_mm(scene.camera.mla, 587.6)
     b, a = model.lenslet_to_sensor_mm, -model.image_excess_mm(500.0)

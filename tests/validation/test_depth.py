@@ -67,7 +67,7 @@ def test_two_planes(texture: Path) -> None:
         assert median_error(depth, truth, np.abs(truth - distance) < 1.0) < LARGEST_ERROR
     far = truth > 600.0
     assert median_error(depth, truth, far) < 0.5 * FIRST_ORDER_ERROR
-    first_order = np.median([field.model.distance_mm(shift) for shift in depth.shift_mm[far]])
+    first_order = np.median([field.model.paraxial.distance_mm(shift) for shift in depth.shift_mm[far]])
     assert first_order / 700.0 - 1.0 > FIRST_ORDER_ERROR
     # Where views see past an edge, no depth is sure.
     edge = np.abs(np.gradient(truth, axis=1)) > 0.0

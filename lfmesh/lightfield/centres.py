@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
-from lfmesh.geometry.lattice import Lattice
+from lfmesh.geometry.lattice import ROW_SPACING, Lattice
 from lfmesh.geometry.refractors import measured
 from lfmesh.kernel import kernel
 from lfmesh.lightfield.calibration import Calibration, calibration_of, continued
@@ -208,6 +208,6 @@ def _share_inside(dx: float, dy: float, half: float, hexagonal: bool) -> float:
     """Return about how much of a pixel lies in the cell of a centre, from the distance to each border."""
     if not hexagonal:
         return min(max(half - abs(dx) + 0.5, 0.0), 1.0) * min(max(half - abs(dy) + 0.5, 0.0), 1.0)
-    a, b = 0.5 * dx, np.sqrt(0.75) * dy
+    a, b = 0.5 * dx, ROW_SPACING * dy
     farthest = max(abs(dx), abs(a + b), abs(a - b))
     return min(max(half - farthest + 0.5, 0.0), 1.0)

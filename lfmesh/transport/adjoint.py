@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
-from lfmesh.geometry.lattice import ROW_SPACING, Lattice, cell_of, centre
+from lfmesh.geometry.lattice import ROW_SPACING, Lattice, cell_of, centre, in_hexagon
 from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.scattering import lambertian
 from lfmesh.transport.aiming import aimed
@@ -354,10 +354,9 @@ def _through_a_lenslet(
 def _in_cell(lattice: Lattice, x: float, y: float, margin: float) -> bool:
     """Tell whether a point lies in the cell at the origin, its sides moved out by a margin."""
     half = 0.5 * lattice.pitch + margin
-    if not lattice.hexagonal:
-        return abs(x) <= half and abs(y) <= half
-    across = ROW_SPACING * abs(y)
-    return abs(x) <= half and 0.5 * abs(x) + across <= half
+    if lattice.hexagonal:
+        return in_hexagon(x, y, half)
+    return abs(x) <= half and abs(y) <= half
 
 
 @kernel

@@ -7,7 +7,7 @@ cell to cell. Array frame, as `array_region` has it.
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.lattice import ROW_SPACING, Lattice
+from lfmesh.geometry.lattice import ROW_SPACING, Lattice, in_hexagon
 from lfmesh.geometry.lenslets import are_alike, shape_of
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.bundle import (
@@ -233,12 +233,6 @@ def _through_square_lenslet(
         bundle[PASSED + i] = bundle[PASSED + i] if holds else 0.0
 
 
-@inlined
-def _in_hexagon(x: float, y: float, half: float) -> bool:
-    a, b = 0.5 * x, ROW_SPACING * y
-    return abs(x) <= half and abs(a + b) <= half and abs(a - b) <= half
-
-
 @kernel
 def _through_hexagonal_lenslet(
     bundle: Array, pitch: float, safe_x: float, safe_y: float, out: float, sense: float, n_i: float, n_t: float
@@ -247,9 +241,9 @@ def _through_hexagonal_lenslet(
     for i in range(BLOCK):
         holds, px, py, pz, nx, ny, nz, cos_i = _meet_face(bundle, i, sense)
         x, y = px - bundle[_CENTRE_X + i], py - bundle[_CENTRE_Y + i]
-        holds = holds and abs(px) <= safe_x and abs(py) <= safe_y and _in_hexagon(x, y, half)
+        holds = holds and abs(px) <= safe_x and abs(py) <= safe_y and in_hexagon(x, y, half)
         _bend(bundle, i, holds, px, py, pz, nx, ny, nz, cos_i, n_i, n_t)
         t = (out - pz) / bundle[_DZ + i]
         x, y = x + t * bundle[_DX + i], y + t * bundle[_DY + i]
-        holds = bundle[_DZ + i] * sense > 0.0 and _in_hexagon(x, y, half)
+        holds = bundle[_DZ + i] * sense > 0.0 and in_hexagon(x, y, half)
         bundle[PASSED + i] = bundle[PASSED + i] if holds else 0.0

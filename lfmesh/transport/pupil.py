@@ -13,17 +13,9 @@ from numpy.typing import NDArray
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.bundle import (
     BLOCK,
-    DX,
-    DY,
-    DZ,
     ENDED_ON,
-    LEFT_BEHIND,
-    MET,
-    WEIGHT,
-    X,
-    Y,
-    Z,
     empty_bundle,
+    load,
     pad,
 )
 from lfmesh.transport.image_path import through_lens
@@ -202,15 +194,13 @@ def _send(
         for i in range(count):
             dx, dy, dz = x[first + i] - height[first + i], y[first + i], distance[first + i]
             scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
-            bundle[X + i], bundle[Y + i] = x[first + i], y[first + i]
-            bundle[Z + i] = plane_z
-            # From a little before the plane: surfaces may touch it.
+            # From well before the plane: surfaces may touch it.
             back = 0.5 * distance[first + i]
-            bundle[X + i] -= back * dx / dz
-            bundle[Y + i] -= back * dy / dz
-            bundle[Z + i] -= back * sense
-            bundle[DX + i], bundle[DY + i], bundle[DZ + i] = dx * scale, dy * scale, sense * dz * scale
-            bundle[WEIGHT + i], bundle[LEFT_BEHIND + i], bundle[MET + i], bundle[ENDED_ON + i] = 1.0, 0.0, 0.0, 0.0
+            load(
+                bundle, i,
+                x[first + i] - back * dx / dz, y[first + i] - back * dy / dz, plane_z - back * sense,
+                dx * scale, dy * scale, sense * dz * scale, 1.0,
+            )  # fmt: skip
         if count < BLOCK:
             pad(bundle, count)
         through_lens(bundle, lens, colour, to_sensor)

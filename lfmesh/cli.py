@@ -262,12 +262,11 @@ def refocus(
         raise LfmeshError("--all-in-focus takes its planes from --stack FIRST:LAST:STEP; give that too")
     planes = _planes(stack) if stack is not None else []
     with _undivided():
-        from lfmesh.files import field as field_files
         from lfmesh.files import photographs as files
         from lfmesh.lightfield import photograph as photographs
         from lfmesh.lightfield import refocus as refocusing
 
-    field = field_files.open_field(run) or _decoded(run, "traced", True, None)
+    field = _field_of(run)
     with _warnings_as_notes():
         single = [
             refocusing.refocus(field, distance, f_number=f_number, method=method) for distance in distance_mm or ()
@@ -303,11 +302,10 @@ def depth(
     """Find the depth of what a run shows: the truth by tracing, the estimate from its light field, and its error."""
     with _undivided():
         from lfmesh.files import depth as depth_files
-        from lfmesh.files import field as field_files
         from lfmesh.lightfield.depth import estimate_depth
         from lfmesh.lightfield.depth_truth import depth_truth
 
-    field = field_files.open_field(run) or _decoded(run, "traced", True, None)
+    field = _field_of(run)
     estimate = estimate_depth(field, near_mm=near_mm, far_mm=far_mm)
     truth = depth_truth(field.scene, views=field.views[0], samples=samples)
     paths = depth_files.save_truth(truth, run) + depth_files.save_depth(estimate, truth.middle_mm, run)
@@ -346,14 +344,13 @@ def export(
         raise LfmeshError(f"--depth {depth}: {kind} holds no depth; leave it out, or take --format hci")
     with _undivided():
         from lfmesh.files import exr
-        from lfmesh.files import field as field_files
         from lfmesh.files.exports.export import export_field
 
     if kind == "plenopticam" or kind == "plenpy":
         paths = _exported_raw(run, out, kind)
     else:
         depth_mm = exr.read_map(depth, ("truth", "Z")) if depth is not None else None
-        field = field_files.open_field(run) or _decoded(run, "traced", True, None)
+        field = _field_of(run)
         paths = export_field(field, out, kind, depth_mm=depth_mm)
     print(f"  {out}: {len(paths)} files; {paths[-1].name} says what means what")
     return 0
@@ -591,7 +588,7 @@ def _render(scene_file: Path, folder: Path, overrides: Overrides | None) -> int:
 
     run.prepare(folder)
     for note in notes:
-        print(textwrap.fill(f"Note: {note}", COLUMNS, subsequent_indent="  "), file=sys.stderr)
+        _say_note(note)
 
     with _undivided():
         from lfmesh.transport.render import render as trace_image
@@ -628,7 +625,7 @@ def _white(folder: Path, overrides: Overrides | None) -> int:
         error = estimate_centres(image).error_px(calibration)
         print(f"Found on the white image alone, they are {error.mean():.3g} pixels off on average.")
     except LfmeshError as fault:
-        print(textwrap.fill(f"Note: {fault}", COLUMNS, subsequent_indent="  "), file=sys.stderr)
+        _say_note(fault)
     _list_files([folder / name for name in (run.WHITE, run.WHITE_PREVIEW, run.CALIBRATION)])
     return 0
 
@@ -647,14 +644,23 @@ def _decoded(folder: Path, centres: str, divide: bool, views: int | None) -> "Li
     return decode_image(image, white=recorded if divide else None, calibration=calibration, views=views)
 
 
+def _field_of(folder: Path) -> "LightField":
+    """Return the light field of a run: as it was decoded, or decoded now."""
+    with _undivided():
+        from lfmesh.files.field import open_field
+
+    return open_field(folder) or _decoded(folder, "traced", True, None)
+
+
 def _field_in_words(field: "LightField") -> str:
+    from lfmesh.scene.distance import reach_in_words
+
     rows, columns = field.views
     height, width = field.size
     near, far = field.model.refocus_range_mm
-    reach = f"{near:.4g} mm to " + (f"{far:.4g} mm" if far < float("inf") else "infinity")
     return (
         f"{columns} × {rows} views of {width} × {height} samples, in {field.unit}; {field.sampling}. It refocuses "
-        f"sharply from {reach}."
+        f"sharply from {reach_in_words(near, far)}."
     )
 
 
@@ -679,7 +685,11 @@ def _warnings_as_notes() -> "Iterator[None]":
         warnings.simplefilter("always", UserWarning)
         yield
     for warning in caught:
-        print(textwrap.fill(f"Note: {warning.message}", COLUMNS, subsequent_indent="  "), file=sys.stderr)
+        _say_note(warning.message)
+
+
+def _say_note(note: object) -> None:
+    print(textwrap.fill(f"Note: {note}", COLUMNS, subsequent_indent="  "), file=sys.stderr)
 
 
 def _list_files(paths: "Sequence[Path]") -> None:

@@ -17,6 +17,7 @@ from lfmesh.kernel import kernel
 from lfmesh.lightfield.field import LightField, Samples
 from lfmesh.lightfield.fourier_slice import ViewSpectra
 from lfmesh.lightfield.photograph import FocalStack, Photograph
+from lfmesh.scene.distance import reach_in_words
 
 Array = NDArray[np.float64]
 Method = Literal["shift", "fourier"]
@@ -82,10 +83,9 @@ def range_warning(field: LightField, distances_mm: Sequence[float]) -> str | Non
     if not beyond:
         return None
     which = f"{beyond[0]:g} mm" if len(beyond) == 1 else f"{len(beyond)} planes, {beyond[0]:g} to {beyond[-1]:g} mm,"
-    reach = f"{near:.4g} mm to " + (f"{far:.4g} mm" if math.isfinite(far) else "infinity")
     return (
-        f"{which} lie{'s' if len(beyond) == 1 else ''} beyond the range of sharp refocusing, {reach}: "
-        "neighbouring views are more than a lenslet apart there, and edges show as echoes"
+        f"{which} lie{'s' if len(beyond) == 1 else ''} beyond the range of sharp refocusing, "
+        f"{reach_in_words(near, far)}: neighbouring views are more than a lenslet apart there, and edges show as echoes"
     )
 
 

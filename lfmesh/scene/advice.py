@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from lfmesh.scene.distance import reach_in_words
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.scene.scene import Scene
 from lfmesh.scene.solve import image_plane_mm
@@ -129,8 +130,8 @@ def _targets(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
             )
         elif not facts.near_mm <= -z + reach or not -z - reach <= facts.far_mm:
             kind = "can be refocused" if facts.microlens_f_number is not None else "is sharp"
-            far = f"{facts.far_mm:.4g} mm" if math.isfinite(facts.far_mm) else "infinity"
-            yield f"{name} stands at {-z:g} mm, out of the range that {kind}: {facts.near_mm:.4g} mm to {far}"
+            sharp = reach_in_words(facts.near_mm, facts.far_mm)
+            yield f"{name} stands at {-z:g} mm, out of the range that {kind}: {sharp}"
 
 
 def _reach_mm(target: Target) -> float | None:

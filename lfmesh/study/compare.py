@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import FileError, LfmeshError
+from lfmesh.files.json_values import plain_json
 from lfmesh.geometry.refractors import measured
 from lfmesh.lightfield.decode import decode
 from lfmesh.lightfield.focused import focused
@@ -114,7 +115,7 @@ class Comparison:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the numbers as plain values; what is not known or infinite is None."""
-        return _plain(
+        return plain_json(
             {
                 "focus_mm": self.focus_mm,
                 "samples_per_pixel": self.samples,
@@ -379,16 +380,6 @@ def _write(comparison: Comparison, numbers: Path, figure: Path) -> None:
 
     numbers.write_text(json.dumps(comparison.as_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
     draw(comparison, figure)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _plain(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def _number(value: float) -> str:

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import math
 import os
 import re
 import shutil
@@ -21,6 +20,7 @@ import lfmesh
 from lfmesh.errors import FileError
 from lfmesh.files import exr, words
 from lfmesh.files.calibration import write_calibration
+from lfmesh.files.json_values import plain_json
 from lfmesh.files.lenslets import lenslet_means, paint
 from lfmesh.files.preview import write_linear16, write_preview
 from lfmesh.geometry.lattice import Lattice
@@ -41,7 +41,7 @@ PARTS = ("raw", "stderr")
 _STAGING = ".lfmesh-"
 _OURS = re.compile(
     r"raw\.exr|report\.json|scene\.toml|preview(_view)?\.png|linear16[\w.]*\.png|calibration\.json|views\.png"
-    r"|exposed\.(png|json)"
+    r"|exposed\.(png|json)|depth(_views|_pixels)?\.exr|depth\.png"
     r"|(white|lightfield|stack|all_in_focus|refocused_[\w.+]+)\.(exr|png)"
 )
 
@@ -341,7 +341,7 @@ def _write_all(image: Image, folder: Path, home: Path) -> list[str]:
 
 
 def _write_report(path: Path, report: dict[str, Any]) -> None:
-    text = json.dumps(_finite(report), indent=2, allow_nan=False, ensure_ascii=False)
+    text = json.dumps(plain_json(report), indent=2, allow_nan=False, ensure_ascii=False)
     path.write_text(text + "\n", encoding="utf-8")
 
 
@@ -375,7 +375,7 @@ def _metadata(image: Image, pixels_sha256: str, home: Path) -> dict[str, Any]:
         "ledger": image.ledger.as_dict(),
         "pixels_sha256": pixels_sha256,
     }
-    finite: dict[str, Any] = _finite(metadata)
+    finite: dict[str, Any] = plain_json(metadata)
     return finite
 
 
@@ -385,19 +385,6 @@ def _digest(mean: NDArray[np.float32], stderr: NDArray[np.float32]) -> str:
     for pixels in (mean, stderr):
         digest.update(np.ascontiguousarray(pixels, dtype="<f4").data)
     return digest.hexdigest()
-
-
-def _finite(value: Any) -> Any:
-    """Return plain JSON values: JSON has no NaN, no infinity and no numpy."""
-    if isinstance(value, dict):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    if isinstance(value, np.generic):
-        return _finite(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def scene_metadata(scene: Scene, home: Path) -> dict[str, str]:

@@ -11,7 +11,7 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.cli import main
-from lfmesh.lightfield.view_rays import TracedShift
+from lfmesh.lightfield.view_rays import TracedShift, ViewRays
 from lfmesh.scene import Scene
 
 ROUNDING = 1e-6
@@ -123,7 +123,8 @@ def test_the_traced_map_is_the_ray_model_for_a_slow_lens_and_its_own_inverse(
     field = lf.decode(image_of(scene, np.ones(scene.camera.sensor.pixels[::-1])))
     middle = np.zeros(field.views, np.bool_)
     middle[4:6, 4:6] = True
-    slow, whole = TracedShift.of(scene, middle), TracedShift.of(scene, np.hypot(*np.indices((10, 10)) - 4.5) < 4.6)
+    rays = ViewRays.of_camera(scene)
+    slow, whole = TracedShift.of(rays, middle), TracedShift.of(rays, np.hypot(*np.indices((10, 10)) - 4.5) < 4.6)
     for distance in (300.0, 480.0, 900.0, 3000.0):
         paraxial = field.model.paraxial.shift_mm(distance)
         assert slow.shift_mm(distance) == pytest.approx(paraxial, abs=0.002 * 0.125)
@@ -171,7 +172,8 @@ def test_noise_without_texture_gives_no_confidence(
 
 
 def test_depth_joins_a_run(half_near: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = lf.save(lf.render(half_near), tmp_path / "run")
+    image = lf.render(half_near)
+    folder = lf.save(image, tmp_path / "run")
     assert main(["depth", str(folder), "--near-mm", "300", "--far-mm", "900"]) == 0
     assert "Depth is off by" in capsys.readouterr().out
     truth = lf.depth_truth(half_near)
@@ -183,6 +185,8 @@ def test_depth_joins_a_run(half_near: Scene, tmp_path: Path, capsys: pytest.Capt
         views = file.parts[0].channels["Z"].pixels
         np.testing.assert_array_equal(views[:12, 14:28], truth.views_mm[0, 1])
     assert (folder / "depth.png").stat().st_size > 10_000
+    lf.save(image, folder)
+    assert not list(folder.glob("depth*")), "the depth of another image"
 
 
 @pytest.mark.parametrize(

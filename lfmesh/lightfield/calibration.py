@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.lattice import Lattice
+from lfmesh.geometry.lattice import ROW_SPACING, Lattice
 from lfmesh.geometry.lenslets import Lenslets, type_of
 from lfmesh.geometry.refractors import measured
 from lfmesh.kernel import kernel
-from lfmesh.lightfield.chief_rays import chief_rays, plate_of, polynomial_terms
+from lfmesh.lightfield.chief_rays import ChiefRays, chief_rays, plate_of, polynomial_terms
 from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.scene import Scene, first_order, solved
 from lfmesh.scene.solve import lenslet_focal_length_mm
@@ -81,6 +81,11 @@ class Calibration:
         rows, columns = self.known.shape
         return Lattice(self.layout == "hexagonal", self.pitch_px, columns, rows)
 
+    @property
+    def row_pitch_mm(self) -> float:
+        """Distance of neighbouring rows of lenslets."""
+        return self.lenslet_pitch_mm * (ROW_SPACING if self.layout == "hexagonal" else 1.0)
+
     @cached_property
     def _similarity(self) -> complex:
         """Scale and rotation that best take the ideal lattice of pitch 1 to the known centres."""
@@ -122,7 +127,11 @@ def calibrate(scene: Scene) -> Calibration:
         A conventional camera, or one whose lens lets no chief ray through to the array.
     """
     scene = solved(measured(scene))
-    rays = chief_rays(scene)
+    return calibration_by(scene, chief_rays(scene))
+
+
+def calibration_by(scene: Scene, rays: ChiefRays) -> Calibration:
+    """Return the true geometry of a solved scene's camera, whose chief rays have been traced."""
     sensor = scene.camera.sensor
     centres = rays.landing / sensor.pixel_mm + 0.5 * (np.asarray(sensor.pixels) - 1.0)
     return calibration_of(scene, continued(centres, rays.traced), rays.traced, "traced")

@@ -12,7 +12,9 @@ from lfmesh.geometry.refractors import measured
 from lfmesh.kernel import kernel
 from lfmesh.lightfield.calibration import Calibration, calibrate
 from lfmesh.lightfield.field import LightField, Samples
+from lfmesh.lightfield.raw_image import between_pixels
 from lfmesh.lightfield.ray_model import RayModel
+from lfmesh.lightfield.white import refuse_other_white
 from lfmesh.scene import Scene, solved
 from lfmesh.transport.image import Image
 
@@ -92,13 +94,12 @@ def decode(
         unit = "W/(m² sr)"
     directions = _centred(count, model.slope_step)
     rows = len(calibration.known)
-    row_pitch = calibration.lenslet_pitch_mm * (ROW_SPACING if calibration.layout == "hexagonal" else 1.0)
     return LightField(
         data=data,
         stderr=stderr,
         v_rad=directions,
         u_rad=directions.copy(),
-        t_mm=_centred(rows, row_pitch),
+        t_mm=_centred(rows, calibration.row_pitch_mm),
         s_mm=sampling.s_mm,
         wavelengths_nm=image.wavelengths_nm,
         unit=unit,
@@ -120,15 +121,8 @@ def _refuse_strangers(image: Image, white: Image | None, scene: Scene, calibrati
             f"{calibration.sensor_px[0]} × {calibration.sensor_px[1]} pixels, the camera has {columns} × {rows} and "
             f"{sensor[0]} × {sensor[1]}"
         )
-    if white is None:
-        return
-    if white.mean.shape != image.mean.shape or white.wavelengths_nm != image.wavelengths_nm:
-        raise LfmeshError(
-            f"the white image has the shape {white.mean.shape} at {list(white.wavelengths_nm)} nm, the raw image "
-            f"{image.mean.shape} at {list(image.wavelengths_nm)} nm; render the white image of the same scene"
-        )
-    if solved(measured(white.scene)).camera != scene.camera:
-        raise LfmeshError("the white image is of another camera; render the white image of the same scene")
+    if white is not None:
+        refuse_other_white(white, image, scene.camera)
 
 
 def view_count(calibration: Calibration, views: int | None) -> int:
@@ -160,7 +154,7 @@ def sampling_of(calibration: Calibration) -> Sampling:
         back = np.arange(columns)[::-1]
         words = f"one sample a lenslet, {pitch:.6g} mm apart"
         return Sampling(s_mm, np.stack([back, back]), np.zeros((2, columns)), words)
-    step = pitch * ROW_SPACING
+    step = calibration.row_pitch_mm
     count = max(1, int((columns - 0.5) / ROW_SPACING) + 1) if rows > 1 else max(1, int(columns / ROW_SPACING))
     s_mm = _centred(count, step)
     left, share = np.zeros((2, count), np.int64), np.zeros((2, count))
@@ -219,35 +213,17 @@ def _sort_pixels(
                     # Upright: the micro-image is turned with the picture.
                     du, dv = 0.5 * (count - 1) - u, 0.5 * (count - 1) - v
                     for c in range(channels):
-                        value, square = _pixel_at(
+                        value, square = between_pixels(
                             mean, spread, centres[row, column, 0] + du, centres[row, column, 1] + dv, c
                         )
                         if other > 0.0:
-                            more, more_square = _pixel_at(
+                            more, more_square = between_pixels(
                                 mean, spread, centres[row, column + 1, 0] + du, centres[row, column + 1, 1] + dv, c
                             )
                             value = (1.0 - other) * value + other * more
                             square = (1.0 - other) ** 2 * square + other**2 * more_square
                         data[v, u, t, s, c] = value
                         stderr[v, u, t, s, c] = np.sqrt(square)
-
-
-@kernel
-def _pixel_at(mean: Array, spread: Array, x: float, y: float, channel: int) -> tuple[float, float]:
-    """Return the image between four pixels, and the square of its standard error; NaN beyond the sensor."""
-    height, width, _ = mean.shape
-    if not (0.0 <= x <= width - 1.0 and 0.0 <= y <= height - 1.0):
-        return np.nan, np.nan
-    column, row = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
-    fx, fy = x - column, y - row
-    value, square = 0.0, 0.0
-    for j in range(2):
-        for i in range(2):
-            weight = (fx if i else 1.0 - fx) * (fy if j else 1.0 - fy)
-            if weight > 0.0:
-                value += weight * mean[row + j, column + i, channel]
-                square += (weight * spread[row + j, column + i, channel]) ** 2
-    return value, square
 
 
 def _divide(data: Samples, stderr: Samples, white: Samples, white_stderr: Samples) -> None:

@@ -17,7 +17,8 @@ from scipy import ndimage
 from lfmesh.errors import LfmeshError
 from lfmesh.kernel import kernel
 from lfmesh.lightfield.field import LightField, Samples
-from lfmesh.lightfield.view_rays import TracedShift
+from lfmesh.lightfield.view_rays import TracedShift, ViewRays
+from lfmesh.scene.distance import reach_in_words
 
 Array = NDArray[np.float64]
 
@@ -84,7 +85,7 @@ class DepthMap:
         within = (truth_mm >= near) & (truth_mm <= far)
         error = np.abs(self.error(truth_mm)[within])
         error = error[np.isfinite(error)]
-        reach = f"{near:.4g} mm to " + (f"{far:.4g} mm" if math.isfinite(far) else "infinity")
+        reach = reach_in_words(near, far)
         if not error.size:
             return f"Nothing that the camera sees lies in the range that was searched, {reach}."
         middle, most = np.percentile(error, [50.0, 90.0])
@@ -110,7 +111,7 @@ def estimate_depth(field: LightField, *, near_mm: float | None = None, far_mm: f
         No range to search in, or fewer than 3 views along an axis.
     """
     data, usable = _even_views(field)
-    geometry = TracedShift.of(field.scene, usable)
+    geometry = TracedShift.of(ViewRays.of_camera(field.scene), usable)
     shifts = _shifts_to_try(field, geometry, near_mm, far_mm)
     spacing = field.spacing_mm
     cost, texture = np.full(data.shape[2:4], np.inf), np.zeros(data.shape[2:4])

@@ -1,5 +1,9 @@
 """True depth: how far before the lens the rays of views and of raw pixels first meet a target, traced."""
 
+import os
+import threading
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +12,6 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.refractors import measured
-from lfmesh.lightfield.calibration import calibrate
 from lfmesh.lightfield.decode import view_count
 from lfmesh.lightfield.view_rays import ViewRays, image_path_engine
 from lfmesh.scene import Scene, solved
@@ -73,12 +76,11 @@ def depth_truth(scene: Scene, *, views: int | None = None, samples: int = 16) ->
         raise LfmeshError(f"samples = {samples}: must be from 1 to {MOST_SAMPLES}")
     scene = solved(measured(scene))
     scene = scene.changed({"transport.wavelengths_nm": [scene.transport.primary_nm], "lights": ()})
-    count = view_count(calibrate(scene), views)
-    world = build(scene)
-    rays = ViewRays(world)
+    rays = ViewRays(build(scene))
+    count = view_count(rays.calibration, views)
     places = np.arange(count) - 0.5 * (count - 1)
     views_mm = np.stack([np.stack([_of_view(rays, v, u) for u in places]) for v in places])
-    return DepthTruth(views_mm, _of_view(rays, 0.0, 0.0), *_of_pixels(world, samples))
+    return DepthTruth(views_mm, _of_view(rays, 0.0, 0.0), *_of_pixels(rays.world, samples))
 
 
 def _of_view(rays: ViewRays, v: float, u: float) -> Samples:
@@ -94,31 +96,53 @@ def _of_view(rays: ViewRays, v: float, u: float) -> Samples:
 
 def _of_pixels(world: World, samples: int) -> tuple[Samples, Samples, Samples]:
     """Return mean, standard deviation and share of all, (H, W), over the bundle of every raw pixel."""
-    tables = world.tables
-    pixels = tables.sensor.rows * tables.sensor.columns
-    options = options_of(world, tracing=True, split=TRANSMIT, sequential=image_path_engine(world.scene) == "sequential")
-    work = Workspace(world, options)
-    key = descendant(0x6465707468, world.scene.transport.seed)
-    sums = np.zeros((4, pixels))
+    sensor = world.tables.sensor
+    pixels = sensor.rows * sensor.columns
+    mean, spread, seen = np.empty((3, pixels), np.float32)
     step = CHUNK // samples
-    for first in range(0, pixels, step):
-        count = min(step, pixels - first)
+    local = threading.local()
+
+    def run(first: int) -> None:
+        if not hasattr(local, "bundles"):
+            local.bundles = _PixelBundles(world, samples)
+        part = slice(first, min(first + step, pixels))
+        mean[part], spread[part], seen[part] = _moments(local.bundles.sums(part.start, part.stop))
+
+    with ThreadPoolExecutor(world.scene.transport.threads or os.cpu_count() or 1) as pool:
+        deque(pool.map(run, range(0, pixels, step)), maxlen=0)
+    shape = (sensor.rows, sensor.columns)
+    return mean.reshape(shape), spread.reshape(shape), seen.reshape(shape)
+
+
+class _PixelBundles:
+    """Traces the bundles of raw pixels; one for each thread."""
+
+    def __init__(self, world: World, samples: int) -> None:
+        sequential = image_path_engine(world.scene) == "sequential"
+        self._world, self._samples = world, samples
+        self._work = Workspace(world, options_of(world, tracing=True, split=TRANSMIT, sequential=sequential))
+        self._key = descendant(0x6465707468, world.scene.transport.seed)
+
+    def sums(self, first: int, end: int) -> Array:
+        """Return the sums of w, w z, w z² over the rays that meet a target, and of w over the others, (4, pixels)."""
+        work, tables = self._work, self._world.tables
         work.begin(np.zeros((0, 1)))
         launch_adjoint(
-            np.arange(first, first + count), samples, True, key, 0, tables.sensor, tables.array, tables.aim,
+            np.arange(first, end), self._samples, True, self._key, 0, tables.sensor, tables.array, tables.aim,
             tables.frames, len(tables.lens.surfaces), work.bundle, work.flow(), work.start,
         )  # fmt: skip
         work.run()
         ended = work.ended[: work.tops[ENDED]]
-        for here, status in ((0, Status.TARGET), (3, Status.ESCAPED)):
-            of = ended[ended["status"] == status]
-            distance = _distances_mm(world, of["position"]) if here == 0 else np.zeros(len(of))
-            for power in range(3 if here == 0 else 1):
-                sums[here + power] += np.bincount(of["source"], of["weight"] * distance**power, pixels)
-    return _moments(sums, (tables.sensor.rows, tables.sensor.columns))
+        sums = np.zeros((4, end - first))
+        met, beside = ended[ended["status"] == Status.TARGET], ended[ended["status"] == Status.ESCAPED]
+        distance = _distances_mm(self._world, met["position"])
+        for power in range(3):
+            sums[power] = np.bincount(met["source"] - first, met["weight"] * distance**power, end - first)
+        sums[3] = np.bincount(beside["source"] - first, beside["weight"], end - first)
+        return sums
 
 
-def _moments(sums: Array, shape: tuple[int, int]) -> tuple[Samples, Samples, Samples]:
+def _moments(sums: Array) -> tuple[Array, Array, Array]:
     """Return mean, standard deviation and share from the sums of w, w z, w z² on targets, and of w beside them."""
     weight, first, second, beside = sums
     lit = weight + beside
@@ -126,11 +150,7 @@ def _moments(sums: Array, shape: tuple[int, int]) -> tuple[Samples, Samples, Sam
         mean = np.where(weight > 0.0, first / weight, np.where(beside > 0.0, np.inf, np.nan))
         spread = np.sqrt(np.maximum(second / weight - (first / weight) ** 2, 0.0))
         seen = np.where(lit > 0.0, weight / lit, 0.0)
-    return (
-        mean.reshape(shape).astype(np.float32),
-        spread.reshape(shape).astype(np.float32),
-        seen.reshape(shape).astype(np.float32),
-    )
+    return mean, spread, seen
 
 
 def _distances_mm(world: World, positions: Array) -> Array:

@@ -63,7 +63,7 @@ class LightField:
 
     @cached_property
     def model(self) -> RayModel:
-        """The first-order numbers of the camera, by which distances are found."""
+        """The camera's map between shift and distance: first-order optics, moved to the best focus of its bundles."""
         return RayModel.of(self.scene)
 
     @property

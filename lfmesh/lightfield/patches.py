@@ -19,14 +19,16 @@ from scipy import ndimage
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.refractors import measured
 from lfmesh.kernel import kernel
-from lfmesh.lightfield.calibration import Calibration, calibrate
+from lfmesh.lightfield.calibration import Calibration
 from lfmesh.lightfield.chief_rays import plate_of
 from lfmesh.lightfield.decode import BRIGHT_PERCENTILE, DARK, view_count
 from lfmesh.lightfield.depth import BORDER
 from lfmesh.lightfield.focused import lenslet_blur_px
 from lfmesh.lightfield.photograph import AllInFocus, Photograph
+from lfmesh.lightfield.raw_image import between_pixels
 from lfmesh.lightfield.ray_model import RayModel
-from lfmesh.lightfield.view_rays import TracedShift
+from lfmesh.lightfield.view_rays import TracedShift, ViewRays
+from lfmesh.lightfield.white import refuse_other_white
 from lfmesh.scene import Scene, solved
 from lfmesh.transport.image import Image
 
@@ -137,7 +139,7 @@ def _focused(image: Image, white: Image | None) -> _Focused:
     calibration, geometry, radius = _geometry(scene.changed({"targets": (), "lights": ()}))
     light, spread, unit = image.mean, image.stderr, "W per pixel"
     if white is not None:
-        light, spread = _divided(image, white)
+        light, spread = _divided(image, white, scene)
         unit = "W/(m² sr)"
     apexes = plate_of(scene).apexes.reshape(*calibration.known.shape, 2)
     return _Focused(scene, calibration, model, geometry, apexes, light, spread, radius, unit)
@@ -149,7 +151,8 @@ def _geometry(scene: Scene) -> tuple[Calibration, TracedShift, float]:
 
     Kept for the next picture, since tracing it takes longer than rendering one.
     """
-    model, calibration = RayModel.of(scene), calibrate(scene)
+    rays = ViewRays.of_camera(scene)
+    model, calibration = RayModel.of(scene), rays.calibration
     # Pixels that the pupil fills, as `TracedShift` weighs them.
     radius = min(0.5 * calibration.pitch_px, 0.5 / model.f_number / model.slope_step) - BORDER
     count = view_count(calibration, None)
@@ -159,13 +162,12 @@ def _geometry(scene: Scene) -> tuple[Calibration, TracedShift, float]:
         raise LfmeshError(
             f"camera: the micro-images are {calibration.pitch_px:.3g} pixels wide, too small to render patches of"
         )
-    return calibration, TracedShift.of(scene, usable), radius
+    return calibration, TracedShift.of(rays, usable), radius
 
 
-def _divided(image: Image, white: Image) -> tuple[Array, Array]:
+def _divided(image: Image, white: Image, scene: Scene) -> tuple[Array, Array]:
     """Return the raw image over the white one, and its standard error; NaN where that is dark."""
-    if white.mean.shape != image.mean.shape or solved(measured(white.scene)).camera != image.scene.camera:
-        raise LfmeshError("the white image is of another camera; render the white image of the same scene")
+    refuse_other_white(white, image, scene.camera)
     level = DARK * np.percentile(white.mean, BRIGHT_PERCENTILE, axis=(0, 1))
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(white.mean > level, image.mean / white.mean, np.nan)
@@ -197,10 +199,10 @@ def _rendered(camera: _Focused, distance_mm: float, step_mm: float) -> tuple[Arr
     weights = np.where(np.array(blur) <= min(blur) * (1.0 + 1e-9), 1.0, LAST_RESORT)
     shape = (height, width, camera.light.shape[2])
     mean, stderr, variance = np.empty(shape), np.empty(shape), np.empty(shape[:2])
-    row_pitch = calibration.lenslet_pitch_mm * (math.sqrt(0.75) if calibration.layout == "hexagonal" else 1.0)
     _gather(
         camera.light, camera.spread, calibration.centres_px, camera.apexes, calibration.kinds, weights,
-        shift, camera.radius_px, step_mm, calibration.lenslet_pitch_mm, row_pitch, mean, stderr, variance,
+        shift, camera.radius_px, step_mm, calibration.lenslet_pitch_mm, calibration.row_pitch_mm,
+        mean, stderr, variance,
     )  # fmt: skip
     return mean, stderr, variance
 
@@ -234,7 +236,8 @@ def _gather(
                         share = 1.0 - (du * du + dv * dv) / (radius * radius)
                         if share <= 0.0:
                             continue
-                        sample, its_error = _between(light, spread, centres[r, k, 0] + du, centres[r, k, 1] + dv, c)
+                        column, row = centres[r, k, 0] + du, centres[r, k, 1] + dv
+                        sample, its_error = between_pixels(light, spread, column, row, c)
                         if np.isnan(sample):
                             continue
                         weight = share * weights[kinds[r, k]]
@@ -245,21 +248,3 @@ def _gather(
                 mean[t, s, c] = value / total if total > 0.0 else np.nan
                 stderr[t, s, c] = np.sqrt(error) / total if total > 0.0 else np.nan
                 variance[t, s] += max(square / total - (value / total) ** 2, 0.0) if total > 0.0 else np.nan
-
-
-@kernel
-def _between(light: Array, spread: Array, x: float, y: float, channel: int) -> tuple[float, float]:
-    """Return the image between four pixels, and the square of its standard error; NaN beyond the sensor."""
-    height, width, _ = light.shape
-    if not (0.0 <= x <= width - 1.0 and 0.0 <= y <= height - 1.0):
-        return np.nan, np.nan
-    column, row = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
-    fx, fy = x - column, y - row
-    value, square = 0.0, 0.0
-    for j in range(2):
-        for i in range(2):
-            weight = (fx if i else 1.0 - fx) * (fy if j else 1.0 - fy)
-            if weight > 0.0:
-                value += weight * light[row + j, column + i, channel]
-                square += (weight * spread[row + j, column + i, channel]) ** 2
-    return value, square

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 Array = NDArray[np.float64]
 
@@ -101,20 +102,5 @@ def all_in_focus(stack: FocalStack) -> AllInFocus:
 def _sharpness(picture: Array) -> Array:
     """Return the energy of the Laplacian round every sample, (t, s)."""
     known = np.where(np.isfinite(picture), picture, 0.0)
-    padded = np.pad(known, ((1, 1), (1, 1), (0, 0)), mode="edge")
-    inner = padded[1:-1, 1:-1]
-    around = padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]
-    energy = ((around - 4.0 * inner) ** 2).sum(axis=2)
-    return _window_mean(energy, SHARPNESS_RADIUS)
-
-
-def _window_mean(values: Array, radius: int) -> Array:
-    """Return the mean over the square window round every sample, by running sums."""
-    side = 2 * radius + 1
-    for axis in (0, 1):
-        margin = [(0, 0), (0, 0)]
-        margin[axis] = (radius + 1, radius)
-        sums = np.cumsum(np.pad(values, margin, mode="edge"), axis=axis)
-        sums = np.moveaxis(sums, axis, 0)
-        values = np.moveaxis((sums[side:] - sums[:-side]) / side, 0, axis)
-    return values
+    energy = sum(ndimage.laplace(known[..., c], mode="nearest") ** 2 for c in range(known.shape[2]))
+    return np.asarray(ndimage.uniform_filter(energy, 2 * SHARPNESS_RADIUS + 1, mode="nearest"))

@@ -1,8 +1,8 @@
 """The rays of views: from a lenslet's apex the ray to a pixel, and what all of them together say of shift and distance.
 
-`RayModel` ties a shift between views to a distance by first-order optics. A real lens has aberrations: views from near
-the rim of its pupil focus elsewhere than those from the middle, and depth is wrong by some per cent. `TracedShift` is
-the same map, fitted to traced rays.
+`RayModel` ties a shift between views to a distance by first-order optics, moved to the best focus of a filled aperture:
+right for photographs. Views from near the rim of the pupil focus elsewhere than those from the middle, and depth is
+measured on the views that are used. `TracedShift` is the same map, fitted to their rays.
 """
 
 from dataclasses import dataclass
@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
-from lfmesh.geometry.lattice import ROW_SPACING
-from lfmesh.lightfield.calibration import calibrate
+from lfmesh.lightfield.calibration import calibration_by
 from lfmesh.lightfield.chief_rays import chief_rays, plate_of
 from lfmesh.lightfield.decode import sampling_of
 from lfmesh.lightfield.ray_model import RayModel
@@ -35,16 +34,20 @@ class ViewRays:
     def __init__(self, world: World) -> None:
         scene = world.scene
         rays = chief_rays(scene)
-        calibration = calibrate(scene)
         self.world = world
-        self.sampling = sampling_of(calibration)
+        self.calibration = calibration_by(scene, rays)
+        self.sampling = sampling_of(self.calibration)
         self._plate = plate_of(scene)
         self._slope_step = RayModel.of(scene).slope_step
         self._slopes = rays.direction[..., :2] / rays.direction[..., 2:]
         # Upright: t runs against the rows of the array.
-        self._rows = np.arange(len(calibration.known))[::-1]
-        row_pitch = calibration.lenslet_pitch_mm * (ROW_SPACING if calibration.layout == "hexagonal" else 1.0)
-        self.t_mm = -row_pitch * (self._rows - 0.5 * (len(self._rows) - 1))
+        self._rows = np.arange(len(self.calibration.known))[::-1]
+        self.t_mm = -self.calibration.row_pitch_mm * (self._rows - 0.5 * (len(self._rows) - 1))
+
+    @classmethod
+    def of_camera(cls, scene: Scene) -> "ViewRays":
+        """Return those of a solved scene's camera, with nothing before it."""
+        return cls(build(scene.changed({"targets": (), "lights": ()})))
 
     def trace(self, v: float, u: float, every: tuple[int, int] = (1, 1)) -> tuple[Paths, NDArray[np.int64]]:
         """Trace one view.
@@ -115,15 +118,14 @@ class TracedShift:
     view: tuple[float, float]
 
     @classmethod
-    def of(cls, scene: Scene, usable: NDArray[np.bool_]) -> "TracedShift":
-        """Fit the map to rays of the (v, u) views of a solved scene's camera that are used.
+    def of(cls, rays: ViewRays, usable: NDArray[np.bool_]) -> "TracedShift":
+        """Fit the map to rays of those (v, u) views that are used; nothing may stand before the camera.
 
         Raises
         ------
         LfmeshError
             The lens lets hardly any of these rays through.
         """
-        rays = ViewRays(build(scene.changed({"targets": (), "lights": ()})))
         height, width = rays.size
         every = max(1, -(-height // ACROSS)), max(1, -(-width // ACROSS))
         t, s = np.meshgrid(rays.t_mm[:: every[0]], rays.sampling.s_mm[:: every[1]], indexing="ij")

@@ -4,9 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.refractors import measured
-from lfmesh.scene import Scene, first_order, solved
+from lfmesh.scene import Camera, Scene, first_order, solved
 from lfmesh.transport.image import Image
 from lfmesh.transport.progress import Progress
 from lfmesh.transport.render import render
@@ -57,6 +58,29 @@ def white_scene(scene: Scene) -> Scene:
             "transport.method": "adjoint",
         }
     )
+
+
+def refuse_other_white(white: Image, image: Image, camera: Camera) -> None:
+    """Refuse to divide a raw image by a white one that does not belong to it.
+
+    Parameters
+    ----------
+    white, image : Image
+    camera : Camera
+        The raw image's, solved.
+
+    Raises
+    ------
+    LfmeshError
+        The white image has other pixels or wavelengths, or another camera.
+    """
+    if white.mean.shape != image.mean.shape or white.wavelengths_nm != image.wavelengths_nm:
+        raise LfmeshError(
+            f"the white image has the shape {white.mean.shape} at {list(white.wavelengths_nm)} nm, the raw image "
+            f"{image.mean.shape} at {list(image.wavelengths_nm)} nm; render the white image of the same scene"
+        )
+    if solved(measured(white.scene)).camera != camera:
+        raise LfmeshError("the white image is of another camera; render the white image of the same scene")
 
 
 def white_image(scene: Scene, progress: Callable[[Progress], None] | None = None) -> Image:

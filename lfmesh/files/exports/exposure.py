@@ -7,7 +7,10 @@ import numpy as np
 from lfmesh.errors import LfmeshError
 from lfmesh.files.exports.light import picture_rgb
 from lfmesh.files.preview import WHITE_PERCENTILE, upright, white_point
+from lfmesh.geometry.refractors import measured
 from lfmesh.lightfield.field import Samples
+from lfmesh.lightfield.white import refuse_other_white
+from lfmesh.scene import solved
 from lfmesh.transport.image import Image
 
 LIT = 0.1
@@ -39,11 +42,7 @@ class Exposure:
         LfmeshError
             The two do not belong together, or one of them is black.
         """
-        if white.mean.shape != image.mean.shape or white.wavelengths_nm != image.wavelengths_nm:
-            raise LfmeshError(
-                f"the white image has the shape {white.mean.shape} at {list(white.wavelengths_nm)} nm, the raw image "
-                f"{image.mean.shape} at {list(image.wavelengths_nm)} nm; render the white image of the same scene"
-            )
+        refuse_other_white(white, image, solved(measured(image.scene)).camera)
         raw_rgb = picture_rgb(upright(image.mean), image.wavelengths_nm)
         white_rgb = picture_rgb(upright(white.mean), white.wavelengths_nm)
         peak = white_point(white_rgb.max(axis=-1).astype(np.float64))

@@ -29,7 +29,7 @@ PARAMETERS = "parameters.cfg"
 DEPTH, DISPARITY = "gt_depth_lowres.pfm", "gt_disp_lowres.pfm"
 
 PROBE = 0.1
-"""Shift in lenslets at which the baseline is read from the ray model; any gives the same."""
+"""Shift in lenslets at which the baseline is read; others give one that differs by the lens's aberrations."""
 
 
 @dataclass(frozen=True)

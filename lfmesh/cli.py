@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from lfmesh.lightfield.field import LightField
+    from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph
     from lfmesh.scene import Scene
     from lfmesh.transport.image import Image
     from lfmesh.transport.progress import Progress
@@ -232,6 +233,7 @@ Examples:
     lfmesh refocus run/ --distance-mm 480
     lfmesh refocus run/ --distance-mm 480 --f-number 8
     lfmesh refocus run/ --stack 300:800:20 --all-in-focus
+    lfmesh refocus run/ --distance-mm 500 --method patches   of a focused plenoptic camera
 """
 )
 def refocus(
@@ -252,7 +254,8 @@ def refocus(
         float | None, Parameter(help="Aperture on the image side, no wider than the lens had; all views if omitted.")
     ] = None,
     method: Annotated[
-        Literal["shift", "fourier"], Parameter(help="Shift and add views, or slice their 4D Fourier transform.")
+        Literal["shift", "fourier", "patches"],
+        Parameter(help="Shift and add views; slice their 4D Fourier transform; join patches of a focused camera's."),
     ] = "shift",
 ) -> int:
     """Focus a run on other planes, from its lightfield.exr or else from its raw image."""
@@ -260,25 +263,56 @@ def refocus(
         raise LfmeshError("nothing to focus on: give --distance-mm 480 or --stack 300:800:20")
     if all_in_focus and stack is None:
         raise LfmeshError("--all-in-focus takes its planes from --stack FIRST:LAST:STEP; give that too")
+    if method == "patches" and f_number is not None:
+        raise LfmeshError(f"--f-number {f_number:g}: patches use all views; leave it out, or take --method shift")
     planes = _planes(stack) if stack is not None else []
     with _undivided():
         from lfmesh.files import photographs as files
-        from lfmesh.lightfield import photograph as photographs
-        from lfmesh.lightfield import refocus as refocusing
 
-    field = _field_of(run)
     with _warnings_as_notes():
-        single = [
-            refocusing.refocus(field, distance, f_number=f_number, method=method) for distance in distance_mm or ()
-        ]
-        series = refocusing.focal_stack(field, planes, f_number=f_number, method=method) if planes else None
+        if method == "patches":
+            single, series, sharpest = _patched(run, distance_mm or [], planes, all_in_focus)
+        else:
+            single, series, sharpest = _refocused(run, distance_mm or [], planes, all_in_focus, f_number, method)
     for photograph in single:
         _list_files(files.save_photograph(photograph, run))
     if series is not None:
         _list_files(files.save_stack(series, run))
-        if all_in_focus:
-            _list_files(files.save_all_in_focus(photographs.all_in_focus(series), run))
+    if sharpest is not None:
+        _list_files(files.save_all_in_focus(sharpest, run))
     return 0
+
+
+Photographs = tuple["list[Photograph]", "FocalStack | None", "AllInFocus | None"]
+"""Of single planes, of a stack of planes, and with every place in focus."""
+
+
+def _refocused(
+    run: Path, distances: list[float], planes: list[float], everywhere: bool, f_number: float | None,
+    method: Literal["shift", "fourier"],
+) -> Photographs:  # fmt: skip
+    """Photograph planes from the views of a light field."""
+    with _undivided():
+        from lfmesh.lightfield.photograph import all_in_focus
+        from lfmesh.lightfield.refocus import focal_stack
+        from lfmesh.lightfield.refocus import refocus as focus_on
+
+    field = _field_of(run)
+    single = [focus_on(field, distance, f_number=f_number, method=method) for distance in distances]
+    series = focal_stack(field, planes, f_number=f_number, method=method) if planes else None
+    return single, series, all_in_focus(series) if series is not None and everywhere else None
+
+
+def _patched(run: Path, distances: list[float], planes: list[float], everywhere: bool) -> Photographs:
+    """Photograph planes from the raw image of a focused plenoptic camera."""
+    with _undivided():
+        from lfmesh.files.run import open_run, open_white
+        from lfmesh.lightfield.patches import patch_stack, patches_in_focus, render_patches
+
+    image, white = open_run(run), open_white(run)
+    single = [render_patches(image, distance, white=white) for distance in distances]
+    series = patch_stack(image, planes, white=white) if planes else None
+    return single, series, patches_in_focus(image, planes, white=white) if planes and everywhere else None
 
 
 @app.command(

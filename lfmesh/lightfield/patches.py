@@ -24,7 +24,7 @@ from lfmesh.lightfield.chief_rays import plate_of
 from lfmesh.lightfield.decode import BRIGHT_PERCENTILE, DARK, view_count
 from lfmesh.lightfield.depth import BORDER
 from lfmesh.lightfield.focused import lenslet_blur_px
-from lfmesh.lightfield.photograph import AllInFocus, Photograph
+from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph
 from lfmesh.lightfield.raw_image import between_pixels
 from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.lightfield.view_rays import TracedShift, ViewRays
@@ -83,11 +83,25 @@ def render_patches(
     """
     camera = _focused(image, white)
     step = _sample_mm(camera, [distance_mm]) if sample_mm is None else sample_mm
-    mean, stderr, _ = _rendered(camera, distance_mm, step)
-    scale = abs(camera.model.object_scale(distance_mm)) if math.isfinite(distance_mm) else math.inf
-    return Photograph(
-        mean, stderr, float(distance_mm), camera.model.f_number, step * scale, image.wavelengths_nm, camera.unit
-    )
+    return _photograph(camera, distance_mm, step)
+
+
+def patch_stack(image: Image, distances_mm: Sequence[float], *, white: Image | None = None) -> FocalStack:
+    """Render the raw image of a focused plenoptic camera for several distances, on the samples of the finest.
+
+    Parameters
+    ----------
+    image : Image
+    distances_mm : sequence of float
+    white : Image, optional
+
+    Raises
+    ------
+    LfmeshError
+        As `render_patches`, or there is no distance.
+    """
+    camera, step = _for_distances(image, distances_mm, white)
+    return FocalStack(tuple(_photograph(camera, distance, step) for distance in distances_mm))
 
 
 def patches_in_focus(image: Image, distances_mm: Sequence[float], *, white: Image | None = None) -> AllInFocus:
@@ -104,10 +118,7 @@ def patches_in_focus(image: Image, distances_mm: Sequence[float], *, white: Imag
     LfmeshError
         As `render_patches`, or there is no distance.
     """
-    if not len(distances_mm):
-        raise LfmeshError("distances_mm is empty: give the distances to choose from")
-    camera = _focused(image, white)
-    step = _sample_mm(camera, distances_mm)
+    camera, step = _for_distances(image, distances_mm, white)
     window = WINDOW * camera.calibration.lenslet_pitch_mm / step
     best: Array | None = None
     for distance in distances_mm:
@@ -131,6 +142,21 @@ def patch_px(scene: Scene, distance_mm: float) -> float:
     model = RayModel.of(scene)
     shift = abs(model.shift_mm(distance_mm))
     return model.lenslet_pitch_mm / shift if shift else math.inf
+
+
+def _for_distances(image: Image, distances_mm: Sequence[float], white: Image | None) -> tuple[_Focused, float]:
+    """Return a camera and the finest pixel, on the array, of its patches of several distances."""
+    if not len(distances_mm):
+        raise LfmeshError("distances_mm is empty: give a distance at least")
+    camera = _focused(image, white)
+    return camera, _sample_mm(camera, distances_mm)
+
+
+def _photograph(camera: _Focused, distance_mm: float, step_mm: float) -> Photograph:
+    mean, stderr, _ = _rendered(camera, distance_mm, step_mm)
+    scale = abs(camera.model.object_scale(distance_mm)) if math.isfinite(distance_mm) else math.inf
+    waves = camera.scene.transport.wavelengths_nm
+    return Photograph(mean, stderr, float(distance_mm), camera.model.f_number, step_mm * scale, waves, camera.unit)
 
 
 def _focused(image: Image, white: Image | None) -> _Focused:

@@ -1,13 +1,16 @@
 """Focused plenoptic cameras: their first-order numbers, and pictures rendered by patches."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenEXR
 import pytest
 from numpy.typing import NDArray
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
+from lfmesh.cli import main
 from lfmesh.lightfield import patches
 from lfmesh.lightfield.focused import lenslet_blur_px
 from lfmesh.scene.solve import lenslet_focal_length_mm
@@ -121,6 +124,21 @@ def test_every_place_gets_patches_of_its_own_size() -> None:
     middle = np.s_[width // 6 : -(width // 6)]
     assert np.mean(picture.distance_mm[middle, : int(0.4 * width)] == 600.0) > 0.9
     assert np.mean(picture.distance_mm[middle, int(0.6 * width) :] == 470.0) > 0.9
+
+
+def test_the_command_joins_patches(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    image = lf.render(lf.focused(standard(), 3.0).changed({"targets": [chart(500.0)]}))
+    folder = lf.save(image, tmp_path / "run")
+    words = ["--distance-mm", "500", "--stack", "490:510:20", "--all-in-focus", "--method", "patches"]
+    assert main(["refocus", str(folder), *words]) == 0
+    expected = lf.render_patches(lf.open_run(folder), 500.0)
+    with OpenEXR.File(str(folder / "refocused_500mm.exr"), separate_channels=True) as file:
+        written = [channel.pixels for channel in file.parts[0].channels.values()]
+    assert any(np.array_equal(w, expected.mean[..., 0].astype(np.float32), equal_nan=True) for w in written)
+    assert (folder / "stack.exr").exists()
+    assert (folder / "all_in_focus.exr").exists()
+    assert main(["refocus", str(folder), *words, "--f-number", "8"]) == 2
+    assert "patches use all views" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

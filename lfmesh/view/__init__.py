@@ -1,0 +1,1 @@
+"""Seeing a scene and its rays."""

@@ -114,33 +114,39 @@ class Aim:
                 rays[i] = ray
         return rays
 
-    def slopes_to(self, targets: ArrayLike) -> Array:
-        """Return the slopes (n, 2) of the object points whose chief rays, in the air behind the lens, meet targets.
+    def slopes_to(self, targets: ArrayLike, stop: ArrayLike = (0.0, 0.0)) -> Array:
+        """Return the slopes (n, 2) of the object points whose rays, in the air behind the lens, meet targets.
+
+        Paraxial optics answers where the lens lets no such ray through.
 
         Parameters
         ----------
         targets : (n, 3) float64, mm
-            Paraxial optics answers for those to which the lens lets no chief ray through.
+        stop : (n, 2) or (2,) float64
+            Point of the stop that each ray crosses, in units of its radius; by default the chief rays.
         """
         targets = np.asarray(targets, dtype=np.float64).reshape(-1, 3)
-        m, v = self.paraxial.whole, self.vergence
-        behind = targets[:, 2] - self.paraxial.length_mm
-        # Chief rays: u = b φ / (a + b κ) before the lens, with the slope κ u − φ.
-        s = self.paraxial.to_stop
-        height = s.b / (s.a + s.b * v)
-        angle = v * height - 1.0
-        scale = (m.a * height + m.b * angle) + behind * (m.c * height + m.d * angle)
-        first = targets[:, :2] / scale[:, None]
+        stop = np.broadcast_to(np.asarray(stop, dtype=np.float64), (len(targets), 2))
+        scale = self._image_scale(targets[:, 2])[:, None]
+        first = targets[:, :2] / scale
         slope = first.copy()
         for _ in range(CORRECTIONS):
-            rays = self.through(slope, np.zeros((len(slope), 2)))
+            rays = self.through(slope, stop)
             hit = np.array([ray.beyond_lens(z) for ray, z in zip(rays, targets[:, 2], strict=True)])
-            error = (targets[:, :2] - hit) / scale[:, None]
+            error = (targets[:, :2] - hit) / scale
             known = np.isfinite(error).all(axis=1)
             slope = np.where(known[:, None], slope + np.nan_to_num(error), first)
             if not known.any() or np.abs(error[known]).max() < 1e-12:
                 break
         return slope
+
+    def _image_scale(self, z: Array) -> Array:
+        """Return how far a ray through a fixed point of the stop moves in planes z for a slope of one, paraxially."""
+        before, whole = self.paraxial.to_stop, self.paraxial.whole
+        height = before.b / (before.a + before.b * self.vergence)
+        angle = self.vergence * height - 1.0
+        behind = z - self.paraxial.length_mm
+        return np.asarray(whole.a * height + whole.b * angle + behind * (whole.c * height + whole.d * angle))
 
     def trace(self, slope: Array, entry: Array) -> list[AimedRay]:
         """Return the rays that cross the plane of the first vertex at `entry` (n, 2) when nothing bends them before."""

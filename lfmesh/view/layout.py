@@ -15,7 +15,7 @@ from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Paraxial, Scene, first_order, solved
 from lfmesh.scene.report import lenslet_to_sensor_mm
 from lfmesh.scene.solve import air_thickness_mm, image_plane_mm, lenslet_focal_length_mm
-from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME, Status
 from lfmesh.transport.world import World, build
 from lfmesh.view.aimed_rays import Aim, AimedRay
 from lfmesh.view.sections import (
@@ -36,10 +36,10 @@ MARGINAL = ((0.0, -1.0), (0.0, 0.0), (0.0, 1.0))
 """Points of the stop, over its radius: lower marginal, chief, upper marginal ray."""
 
 LENSLET_FAN = 5
-"""Rays across the stop that the close-up shows of a point imaged onto a lenslet, ..."""
+"""Rays from rim to rim of the stop that the close-up shows through the middle of a lenslet, ..."""
 
 IMAGE_FAN = 15
-"""... or of a point imaged before or behind the lenslets, which share its rays."""
+"""... or of one point, which is imaged before or behind the lenslets, or onto pixels."""
 
 STRONGEST_REDUCTION = 20.0
 """Main image to lenslet, over lenslet to sensor: beyond, the lenslets image the pupil (a standard plenoptic camera)."""
@@ -87,11 +87,12 @@ class TargetSection:
 
 @dataclass(frozen=True)
 class Dimension:
-    """A distance between two points (2,), and what is written at it."""
+    """A distance between two points (2,), and what is written at it; `cut`: it starts beyond what the view shows."""
 
     start: Array
     end: Array
     text: str
+    cut: bool = False
 
 
 @dataclass(frozen=True)
@@ -307,13 +308,15 @@ def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
     # Rows of a hexagonal array stand in the plane of the section by turns.
     step = mla.count[0] * (2 if array.lattice.hexagonal else 1)
     image = main_image_mm(scene) if not _standard(scene, aim) else None
-    chosen = (
-        [middle] if image is not None else [n for n in (middle - step, middle, middle + step) if 0 <= n < len(apex)]
-    )
-    fan = np.linspace(-1.0, 1.0, LENSLET_FAN if image is None else IMAGE_FAN)
-    stop = np.column_stack([np.zeros_like(fan), fan])
-    bundles = _bundles([f"lenslet {n}" for n in chosen], aim, aim.slopes_to(apex[chosen]), stop)
-
+    if image is not None:
+        bundles = _bundles(["main image"], aim, aim.slopes_to(apex[[middle]]), _fan(IMAGE_FAN))
+    else:
+        fan = _fan(LENSLET_FAN)
+        bundles = [
+            Bundle(f"lenslet {n}", 0.0, aim.through(aim.slopes_to(np.tile(apex[n], (len(fan), 1)), fan), fan))
+            for n in (middle - step, middle, middle + step)
+            if 0 <= n < len(apex)
+        ]
     half = array.lattice.half_extent
     cut = cut_through(to_camera, (2.0 * half[0], 2.0 * half[1]), x)
     sensor = cut_through(moves[SENSOR_FRAME, CAMERA_FRAME], scene.camera.sensor.size_mm, x)
@@ -324,9 +327,11 @@ def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
     s = _within(cut, window, mla.row_pitch_mm / LENSLET_POINTS)
     plate = np.concatenate([cut.section(s, curved_face(cut, array, s)), cut.section(s[[-1, 0]], mla.thickness_mm)])
     heights, lengths = _array_dimensions(scene, world, apex[middle], apex, step, image)
+    if image is None:
+        heights += _micro_image(bundles[min(1, middle // step)], scene.camera.sensor.pixel_mm)
     return Detail(
         x, window, plate, *_sensor_close_up(sensor, scene, window), bundles, heights, lengths,
-        _array_caption(scene, x, image, len(chosen)),
+        _array_caption(x, image, len(bundles)),
     )  # fmt: skip
 
 
@@ -371,7 +376,7 @@ def _sensor_close_up(cut: Cut, scene: Scene, window: tuple[float, float, float, 
     borders = (np.arange(rows + 1) - 0.5 * rows) * pixel
     place = (borders - cut.start[1]) / cut.ahead[1] if abs(cut.ahead[1]) > 0.1 else np.zeros(0)
     place = place[(place >= line.min() - 1e-9 * pixel) & (place <= line.max() + 1e-9 * pixel)]
-    tick = 0.012 * (window[1] - window[0])
+    tick = 0.018 * (window[1] - window[0])
     return cut.section(line[[0, -1]]), np.stack([cut.section(place), cut.section(place, tick)], axis=1)
 
 
@@ -408,13 +413,27 @@ def _array_dimensions(
     return heights, [Dimension(np.array([a, y]), np.array([b, y]), text) for a, b, text in chain]
 
 
-def _array_caption(scene: Scene, x: float, image: float | None, lenslets: int) -> str:
+def _micro_image(bundle: Bundle, pixel_mm: float) -> list[Dimension]:
+    """Return the dimension between the outermost of a bundle's rays that come to the sensor."""
+    landing = np.array([ray.points[-1, [2, 1]] for ray in bundle.rays if ray.status == Status.SENSOR])
+    if len(landing) < 2:
+        return []
+    low, high = landing[landing[:, 1].argmin()], landing[landing[:, 1].argmax()]
+    return [Dimension(low, high, f"{(high[1] - low[1]) / pixel_mm:.3g} px")]
+
+
+def _array_caption(x: float, image: float | None, lenslets: int) -> str:
     what = (
-        f"a point of the plane in focus for each of {lenslets} lenslets"
+        f"rays from rim to rim of the stop through the middles of {lenslets} lenslets"
         if image is None
         else "one point of the plane in focus, shared by the lenslets"
     )
-    return f"section x = {x:.4g} mm; {what}"
+    return f"section x = {x:.4g} mm; {what}".replace("-", "−")
+
+
+def _fan(count: int) -> Array:
+    """Return (count, 2) points of the stop in the meridional plane, over its radius, from rim to rim."""
+    return np.column_stack([np.zeros(count), np.linspace(-1.0, 1.0, count)])
 
 
 def _pixels_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
@@ -425,8 +444,7 @@ def _pixels_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
     z, half = _z_at(cut, 0.0), 0.5 * shown * pixel
     wide = 2.0 * half / DETAIL_SHAPE
     window = z - 0.85 * wide, z + 0.15 * wide, -half, half
-    fan = np.linspace(-1.0, 1.0, IMAGE_FAN)
-    bundles = _bundles(["axis"], aim, np.zeros((1, 2)), np.column_stack([np.zeros_like(fan), fan]))
+    bundles = _bundles(["axis"], aim, np.zeros((1, 2)), _fan(IMAGE_FAN))
     line, pixels = _sensor_close_up(cut, scene, window)
     at = int(np.searchsorted(pixels[:, 0, 1], 0.0)) if len(pixels) > 2 else 0
     heights = [Dimension(pixels[at - 1, 0], pixels[at, 0], f"pixel {pixel:.4g} mm")] if 0 < at < len(pixels) else []

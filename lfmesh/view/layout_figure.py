@@ -28,10 +28,10 @@ from lfmesh.scene import Scene
 from lfmesh.scene.solve import lenslet_focal_length_mm
 from lfmesh.view.layout import Bundle, Dimension, Layout, TargetSection, layout
 
-SHEET_IN = (13.0, 9.1)
+SHEET_IN = (13.0, 9.2)
 MARGIN_IN = 0.3
 HEADER_IN = 0.42
-MAIN_IN = 3.75
+MAIN_IN = 3.6
 TITLE_BLOCK_IN = 0.86
 GAP_IN = 0.12
 
@@ -39,6 +39,7 @@ FORMATS = {".svg": "svg", ".png": "png", ".pdf": "pdf"}
 PNG_DPI = 150
 
 FIELD_COLOURS = ("#1f4e8c", "#2a7f62", "#b4541a")
+LENSLET_COLOURS = ("#6f93c4", "#1f4e8c", "#6f93c4")
 INK, GREY, PALE = "#222222", "#666666", "#aaaaaa"
 GLASS, TARGET = "#8fb8de", "#d9d2c5"
 
@@ -49,7 +50,10 @@ LEAST_TEXT = 5.0
 """Text that is longer than its cell shrinks to this, then is cut."""
 
 CLEARANCE_IN = 0.06
-"""Between texts: fonts of other viewers may be a little wider."""
+"""Round texts: fonts of other viewers may be a little wider."""
+
+APART_IN = 0.16
+"""Between names that stand side by side."""
 
 ROW_IN = 0.2
 """Of dimensions."""
@@ -173,6 +177,11 @@ class Sheet:
         """Draw a line through points."""
         self.axes.plot(x, y, **{"color": INK, "lw": 0.6, "solid_capstyle": "butt", **style})
 
+    def break_marks(self, x: float, y: float, tall: float) -> None:
+        """Draw two strokes across a horizontal line: something is left out."""
+        for stroke in (x - 0.035, x + 0.035):
+            self.line([stroke - 0.35 * tall, stroke + 0.35 * tall], [y - tall, y + tall], lw=0.8, zorder=4)
+
     def frame(self, x: float, y: float, width: float, height: float) -> None:
         """Draw a rectangle."""
         self.axes.add_patch(Rectangle((x, y), width, height, fill=False, ec=INK, lw=0.8))
@@ -228,7 +237,8 @@ class View:
         self.clip = Rectangle((left, low), right - left, high - low, transform=sheet.axes.transData)
         ratio = 25.4 * self.scale
         scale = f"{_round(ratio)} : 1" if ratio >= 1.0 else f"1 : {_round(1.0 / ratio)}"
-        words, size = sheet.fitted(f"{title}, scale {scale}", width - 0.1, SMALL)
+        bar = self._scale_bar()
+        words, size = sheet.fitted(f"{title}, scale {scale}", width - bar - 0.2, SMALL)
         sheet.text(x, y + height - 0.14, words, size, color=GREY)
 
     def at(self, z: Any, y: Any) -> tuple[Any, Any]:
@@ -263,15 +273,16 @@ class View:
             dashes = (0, (14, 3, 2, 3))
             self.sheet.line([self.left, self.right], [y, y], color=GREY, lw=0.5, ls=dashes, zorder=1.5)
 
-    def scale_bar(self) -> None:
-        """Draw a bar of a round length below the view, at the right."""
+    def _scale_bar(self) -> float:
+        """Draw a bar of a round length above the view, at the right; return how wide it is with its text."""
         length = _nice_below(BAR_IN / self.scale)
-        x, y, long = self.place[0] + self.place[2], self.place[1] + 0.06, length * self.scale
+        x, y, long = self.place[0] + self.place[2], self.place[1] + self.place[3] - 0.1, length * self.scale
         self.sheet.line([x - long, x], [y, y], lw=2.0)
         for end in (x - long, x):
             self.sheet.line([end, end], [y - 0.04, y + 0.04], lw=0.8)
-        words = f"{_micro(length)}"
+        words = _micro(length)
         self.sheet.text(x - long - 0.08, y - 0.04, words, SMALL, ha="right")
+        return long + 0.08 + self.sheet.width(words, SMALL)
 
     def labels(self, anchors: Sequence[tuple[float, float, str]]) -> None:
         """Write names above the view, side by side, each with a line to its place (z, y)."""
@@ -279,7 +290,7 @@ class View:
         if not anchors:
             return
         places = [self.at(z, y) for z, y, _ in anchors]
-        widths = [sheet.width(words, SMALL) + CLEARANCE_IN for *_, words in anchors]
+        widths = [sheet.width(words, SMALL) + APART_IN for *_, words in anchors]
         middles = spread([x for x, _ in places], widths, self.place[0], self.place[0] + self.place[2])
         base = self.high + 0.2
         for (x, y), middle, (*_, words) in zip(places, middles, anchors, strict=True):
@@ -292,58 +303,60 @@ class View:
         for dimension in dimensions:
             (x0, y0), (x1, y1) = self.at(*dimension.start), self.at(*dimension.end)
             wide = self.sheet.width(dimension.text, SMALL) + 2 * CLEARANCE_IN
-            fits = wide < x1 - x0 - 0.3
+            fits = wide < x1 - x0 - 0.16
             text_x = 0.5 * (x0 + x1) - 0.5 * wide if fits else x1 + 0.16
             if not fits and text_x + wide > self.place[0] + self.place[2]:
                 text_x = x0 - 0.16 - wide
-            span = min(x0, text_x) - 0.2 * (not fits), max(x1, text_x + wide) + 0.05
-            row = next((i for i, spans in enumerate(taken) if all(b < span[0] or span[1] < a for a, b in spans)), None)
-            if row is None:
-                row = len(taken)
-                taken.append([])
-            taken[row].append(span)
+            span = min(x0, text_x) - 0.2 * (not fits), max(x1, text_x + wide)
+            row = _free_row(taken, span)
             y = first_row - row * ROW_IN
-            self._dimension_line(x0, x1, y, outside=not fits)
-            for x, up in ((x0, y0), (x1, y1)):
+            self._dimension_line(x0, x1, y, outside=not fits, cut=dimension.cut)
+            for x, up in [(x0, y0), (x1, y1)][dimension.cut :]:
                 self.sheet.line([x, x], [y - 0.04, max(up, self.low)], color=PALE, lw=0.4, zorder=1)
             self.sheet.text(
                 text_x + CLEARANCE_IN, y - 0.035, dimension.text, SMALL,
                 bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0}, zorder=4,
             )  # fmt: skip
 
-    def _dimension_line(self, x0: float, x1: float, y: float, *, outside: bool) -> None:
+    def _dimension_line(self, x0: float, x1: float, y: float, *, outside: bool, cut: bool) -> None:
         """Draw the line and its arrows: between its ends, or pointing at them from outside where there is no room."""
-        arrow = {
-            "arrowstyle": "-|>,head_width=0.1,head_length=0.25",
-            "lw": 0.5,
-            "color": INK,
-            "shrinkA": 0,
-            "shrinkB": 0,
-        }
         pairs = [(x0 - 0.14, x0), (x1 + 0.14, x1)] if outside else [(0.5 * (x0 + x1), x0), (0.5 * (x0 + x1), x1)]
-        for tail, tip in pairs:
-            self.sheet.axes.annotate("", (tip, y), (tail, y), arrowprops=arrow, zorder=3.5)
+        for tail, tip in pairs[cut:]:
+            self._arrow((tail, y), (tip, y))
+        if cut:
+            self.sheet.line([x0, 0.5 * (x0 + x1)], [y, y], lw=0.5)
+            self.sheet.break_marks(x0 + 0.16, y, 0.05)
+
+    def _arrow(self, tail: tuple[float, float], tip: tuple[float, float]) -> None:
+        style = {"arrowstyle": "-|>,head_width=0.1,head_length=0.25", "color": INK, "shrinkA": 0, "shrinkB": 0}
+        self.sheet.axes.annotate("", tip, tail, arrowprops={**style, "lw": 0.5}, zorder=3.5)
 
     def heights(self, dimensions: Sequence[Dimension]) -> None:
         """Draw dimensions across the axis beside the view, on the side they lie nearer to."""
-        arrow = {
-            "arrowstyle": "<|-|>,head_width=0.1,head_length=0.25",
-            "lw": 0.5,
-            "color": INK,
-            "shrinkA": 0,
-            "shrinkB": 0,
-        }
         for dimension in dimensions:
             (x0, y0), (x1, y1) = self.at(*dimension.start), self.at(*dimension.end)
             right = x0 > self.left + 0.7 * (self.right - self.left)
             x = self.right + 0.1 if right else self.left - 0.1
             for from_x, y in ((x0, y0), (x1, y1)):
                 self.sheet.line([from_x, x], [y, y], color=PALE, lw=0.4, zorder=1)
-            self.sheet.axes.annotate("", (x, y1), (x, y0), arrowprops=arrow, zorder=3.5)
+            low, high, middle = min(y0, y1), max(y0, y1), 0.5 * (y0 + y1)
+            fits = high - low > 0.3
+            self._arrow((x, middle if fits else low - 0.14), (x, low))
+            self._arrow((x, middle if fits else high + 0.14), (x, high))
             self.sheet.text(
-                x + (0.05 if right else -0.05), 0.5 * (y0 + y1), dimension.text, SMALL, rotation=90, va="center",
-                ha="left" if right else "right",
+                x + (0.05 if right else -0.05), middle if fits else high + 0.18, dimension.text, SMALL, rotation=90,
+                va="center" if fits else "bottom", ha="left" if right else "right",
             )  # fmt: skip
+
+
+def _free_row(rows: list[list[tuple[float, float]]], span: tuple[float, float]) -> int:
+    """Return the first row in which a span touches no other, and book it there."""
+    for number, taken in enumerate(rows):
+        if all(b <= span[0] + 1e-9 or span[1] <= a + 1e-9 for a, b in taken):
+            taken.append(span)
+            return number
+    rows.append([span])
+    return len(rows) - 1
 
 
 def spread(middles: Sequence[float], widths: Sequence[float], low: float, high: float) -> list[float]:
@@ -411,18 +424,16 @@ def _main_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, fl
     near = 0.0 < drawn.distance_mm <= lead
     start = -1.05 * drawn.distance_mm if near else front - lead
     window = start, back + 0.03 * (back - front), -tall, tall
-    view = View(sheet, place, window, Bands(bottom=0.62, top=0.6, right=0.35), "Meridional section x = 0")
+    view = View(sheet, place, window, Bands(bottom=0.45, top=0.55, right=0.35), "Meridional section x = 0")
     view.axis()
     _draw_targets(view, drawn.targets)
     _draw_lens(view, drawn)
     view.rays(drawn.bundles, FIELD_COLOURS, 0.7)
-    names = [
-        (_middle(glass.outline), float(glass.outline[:, 1].max()), f"L{i + 1}") for i, glass in enumerate(drawn.glass)
-    ]
+    names = [(*_top([glass.outline]), f"L{i + 1}") for i, glass in enumerate(drawn.glass)]
     names.append((float(drawn.stop[0]), 1.3 * float(drawn.stop[1]), f"stop ⌀ {2 * drawn.stop[1]:.4g} mm"))
     if drawn.array is not None:
-        names.append((_middle(drawn.array), float(drawn.array[:, 1].max()), "array"))
-    names.append((_middle(drawn.sensor), float(drawn.sensor[:, 1].max()), "sensor"))
+        names.append((*_top([drawn.array]), "array"))
+    names.append((*_top([drawn.sensor]), "sensor"))
     last, focus = camera.lens.vertices_mm[-1], np.zeros(2)
     behind = camera.mla.distance_mm if camera.mla is not None else camera.sensor.distance_mm
     chain = [(0.0, last), (last, last + (behind or 0.0))]
@@ -432,12 +443,11 @@ def _main_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, fl
         view.lines([np.array([[-drawn.distance_mm, -tall], [-drawn.distance_mm, tall]])], linestyles="--", colors=GREY)
         dimensions.append(Dimension(np.array([-drawn.distance_mm, 0.0]), focus, f"{drawn.distance_mm:.5g} mm"))
     else:
-        _break_marks(view)
-        dimensions.append(Dimension(np.array([start, 0.0]), focus, _distance_words(drawn)))
+        sheet.break_marks(view.left + 0.16, view.at(0.0, 0.0)[1], 0.09)
+        dimensions.append(Dimension(np.array([start, 0.0]), focus, _distance_words(drawn), cut=True))
     view.labels(names)
     view.lengths(dimensions, view.low - 0.14)
     _mark_detail(view, drawn)
-    view.scale_bar()
 
 
 def _middle(outline: Array) -> float:
@@ -477,14 +487,6 @@ def _draw_targets(view: View, targets: Sequence[TargetSection]) -> None:
             view.lines(target.lines, linewidths=1.4, zorder=2)
 
 
-def _break_marks(view: View) -> None:
-    """Interrupt the axis at the left border: the object is farther off than the drawing shows."""
-    _, y = view.at(0.0, 0.0)
-    for shift in (0.12, 0.19):
-        x = view.left + shift
-        view.sheet.line([x - 0.03, x + 0.03], [y - 0.09, y + 0.09], color=INK, lw=0.8, zorder=4)
-
-
 def _mark_detail(view: View, drawn: Layout) -> None:
     """Draw the frame of the close-up, named A."""
     z0, z1, y0, y1 = drawn.detail.window
@@ -522,7 +524,7 @@ def _object_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, 
     _draw_targets(view, drawn.targets)
     _draw_lens(view, drawn, 0.4)
     view.rays(drawn.bundles, FIELD_COLOURS, 0.5)
-    names = [(_middle(np.concatenate(t.lines)), _top(t.lines), t.name) for t in drawn.targets]
+    names = [(*_top(t.lines), t.name) for t in drawn.targets]
     names.append((0.5 * back, float(outlines[0][:, 1].max()), "camera"))
     dimensions = []
     if finite:
@@ -532,29 +534,32 @@ def _object_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, 
         dimensions.append(Dimension(np.array([z, 0.0]), np.zeros(2), f"{drawn.distance_mm:.5g} mm"))
     facts = drawn.facts
     if facts.near_mm < reach:
-        far = min(facts.far_mm, 1.02 * reach)
+        far = min(facts.far_mm, reach + 0.03 * long)
         what = "refocus range" if drawn.array is not None else "depth of field"
         until = f"{facts.far_mm:.4g} mm" if math.isfinite(facts.far_mm) else "infinity"
         words = f"{what} {facts.near_mm:.4g} mm to {until}"
-        dimensions.append(Dimension(np.array([-far, 0.0]), np.array([-facts.near_mm, 0.0]), words))
+        dimensions.append(Dimension(np.array([-far, 0.0]), np.array([-facts.near_mm, 0.0]), words, far < facts.far_mm))
     view.labels(names)
     view.lengths(dimensions, view.low - 0.14)
-    view.scale_bar()
 
 
-def _top(lines: Sequence[Array]) -> float:
-    return max(float(line[:, 1].max()) for line in lines)
+def _top(lines: Sequence[Array]) -> tuple[float, float]:
+    """Return z and y of the middle of the highest edge."""
+    points = np.concatenate(lines)
+    highest = float(points[:, 1].max())
+    edge = points[points[:, 1] > highest - 1e-6 * np.ptp(points, axis=0).max()]
+    return float(0.5 * (edge[:, 0].min() + edge[:, 0].max())), highest
 
 
 def _detail_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, float]) -> None:
     """Draw the close-up of array and sensor."""
     detail = drawn.detail
-    bands = Bands(left=0.42, right=0.42, bottom=0.22 + ROW_IN * max(1, len(detail.lengths)), top=0.6)
+    bands = Bands(left=0.42, right=0.42, bottom=0.22 + ROW_IN * max(1, len(detail.lengths) - 1), top=0.6)
     view = View(sheet, place, detail.window, bands, f"Detail A, {detail.caption}")
     view.axis()
     if detail.plate is not None:
         view.area(detail.plate, fc=(*mpl.colors.to_rgb(GLASS), 0.45), lw=0.7, zorder=2)
-    colours = FIELD_COLOURS if len(detail.bundles) == len(FIELD_COLOURS) else FIELD_COLOURS[:1] * len(detail.bundles)
+    colours = LENSLET_COLOURS if len(detail.bundles) == 3 else FIELD_COLOURS[:1] * len(detail.bundles)
     view.rays(detail.bundles, colours, 0.6)
     view.lines([detail.sensor], linewidths=1.4, zorder=4)
     view.lines(list(detail.pixels), linewidths=0.5, zorder=4)
@@ -565,7 +570,6 @@ def _detail_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, 
     view.labels(names)
     view.heights(detail.heights)
     view.lengths(detail.lengths, view.low - 0.14)
-    view.scale_bar()
 
 
 def _title_block(sheet: Sheet, drawn: Layout, x: float, y: float, width: float, height: float) -> None:
@@ -600,7 +604,7 @@ def _facts(drawn: Layout) -> list[list[tuple[float, str, str]]]:
         (1.0, "working f-number", f"f/{facts.working_f_number:.3g}"),
         (1.2, "plane in focus", "infinity" if at_infinity else f"{drawn.distance_mm:.5g} mm"),
         (1.8, "field in y", f"{size}±{abs(angle):.3g}°"),
-        (1.0, "magnification", f"{facts.magnification:.4g}"),
+        (1.0, "magnification", f"{facts.magnification:.4g}".replace("-", "−")),
         (1.0, "wavelength", f"{facts.wavelength_nm:g} nm"),
     ]
     pixels = f"{sensor.pixels[0]} × {sensor.pixels[1]} pixels of {_micro(sensor.pixel_mm)}"

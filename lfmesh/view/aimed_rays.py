@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.tessellation import mesh_sag
 from lfmesh.scene import Paraxial
 from lfmesh.transport.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.trace import Status, trace
@@ -164,11 +165,25 @@ class Aim:
             vertices = paths.vertices(packet)
             points = frames.points(to_camera, [vertex.position for vertex in vertices])
             names = [vertex.surface for vertex in vertices]
+            if not any(name in self._names for name in names):
+                points = self._ended_before_lens(points, frames.directions(to_camera, paths.direction[packet]))
             rays[source] = AimedRay(
                 points, self._at_stop(points, names), self._leaving(points, names), Status(int(paths.status[packet]))
             )
         nowhere = np.full(2, np.nan), np.full((2, 3), np.nan)
         return [ray or AimedRay(p[None], *nowhere, Status.LOST) for ray, p in zip(rays, start, strict=True)]
+
+    def _ended_before_lens(self, points: Array, direction: Array) -> Array:
+        """Return a path that misses the first surface, as far as the plane of that surface's rim."""
+        front = self.world.lens_shape.surfaces[0]
+        z = float(front["vertex_z"] + mesh_sag(front, self.world.lens_shape.rims[0]))
+        before = points[points[:, 2] < z]
+        if not len(before):
+            return points
+        after = points[len(before)] - before[-1] if len(before) < len(points) else direction
+        if not after[2] > 0.0:
+            return before
+        return np.vstack([before, before[-1] + (z - before[-1, 2]) / after[2] * after])
 
     def _at_stop(self, points: Array, names: list[str]) -> Array:
         """Return where a path crosses the stop surface, or ends on it outside its aperture."""

@@ -41,6 +41,9 @@ LENSLET_FAN = 5
 IMAGE_FAN = 15
 """... or of one point, which is imaged before or behind the lenslets, or onto pixels."""
 
+FAR = 1e4
+"""In focal lengths: rays from farther off are drawn as collimated."""
+
 STRONGEST_REDUCTION = 20.0
 """Main image to lenslet, over lenslet to sensor: beyond, the lenslets image the pupil (a standard plenoptic camera)."""
 
@@ -213,7 +216,9 @@ def focus_distance_mm(scene: Scene, *, given: bool) -> float:
     behind = image_plane_mm(scene.camera, primary)
     if not given:
         behind -= main_image_mm(scene) or 0.0
-    return Paraxial.of(scene.camera.lens, primary).object_mm(behind)
+    lens = Paraxial.of(scene.camera.lens, primary)
+    distance = lens.object_mm(behind)
+    return distance if abs(distance) < FAR * abs(lens.efl_mm) else math.inf
 
 
 def main_image_mm(scene: Scene) -> float | None:
@@ -326,7 +331,8 @@ def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
     window = _window(apex_z - before, sensor_z + 0.12 * (before + behind), float(apex[middle, 1]), mla.row_pitch_mm)
     s = _within(cut, window, mla.row_pitch_mm / LENSLET_POINTS)
     plate = np.concatenate([cut.section(s, curved_face(cut, array, s)), cut.section(s[[-1, 0]], mla.thickness_mm)])
-    heights, lengths = _array_dimensions(scene, world, apex[middle], apex, step, image)
+    neighbour = apex[middle + step if middle + step < len(apex) else max(0, middle - step)]
+    heights, lengths = _array_dimensions(scene, to_camera, apex[middle], neighbour, sensor_z, image)
     if image is None:
         heights += _micro_image(bundles[min(1, middle // step)], scene.camera.sensor.pixel_mm)
     return Detail(
@@ -381,36 +387,31 @@ def _sensor_close_up(cut: Cut, scene: Scene, window: tuple[float, float, float, 
 
 
 def _array_dimensions(
-    scene: Scene, world: World, apex: Array, others: Array, step: int, image: float | None
+    scene: Scene, to_camera: Array, apex: Array, neighbour: Array, sensor_z: float, image: float | None
 ) -> tuple[list[Dimension], list[Dimension]]:
     """Return the dimensions of a close-up: the pitch, thickness and distances, and where the main image lies."""
-    mla, sensor = scene.camera.mla, scene.camera.sensor
+    mla = scene.camera.mla
     assert mla is not None
-    assert sensor.distance_mm is not None
     z = float(apex[2])
-    at = int(np.argmin(np.square(others - apex).sum(axis=1)))
-    neighbour = others[at + step] if at + step < len(others) else others[at - step]
-    what = "2 rows" if world.tables.array.lenslets.lattice.hexagonal else "p"
+    what = "2 rows" if mla.layout == "hexagonal" else "p"
     distance = abs(float(neighbour[1] - apex[1]))
     heights = [Dimension(apex[[2, 1]], np.array([z, neighbour[1]]), f"{what} = {distance:.4g} mm")]
-    # Along the axis, faces as they stand without errors of installation.
-    face = scene.camera.lens.vertices_mm[-1] + (mla.distance_mm or 0.0)
-    back = face + mla.thickness_mm
-    chain = [
-        (face, back, f"{mla.thickness_mm:.4g} mm"),
-        (back, back + sensor.distance_mm, f"{sensor.distance_mm:.4g} mm"),
-    ]
+    # Along the axis, from the lenslet as it stands, which may be tilted.
+    into = np.array([0.0, 0.0, mla.thickness_mm]) @ to_camera[:, :3].T
+    front, back = sorted((z, z + float(into[2])))
+    chain = [(front, back), (back, sensor_z)]
+    lengths = [(a, b, f"{b - a:.4g} mm") for a, b in chain]
     focal = lenslet_focal_length_mm(mla, scene.transport.primary_nm)[0]
     n = refractive_index(mla.medium, scene.transport.primary_nm)
     # From the rear principal plane, which lies at the apex where light leaves there.
     principal = back - mla.thickness_mm / n if mla.curved_side == "lens" else back
     if focal > 0.0:
-        chain.append((principal, principal + focal, f"f = {focal:.4g} mm"))
+        lengths.append((principal, principal + focal, f"f = {focal:.4g} mm"))
     if image is not None and image > 0.0:
-        front = face if mla.curved_side == "lens" else face + mla.thickness_mm / n
-        chain.append((front - image, front, f"main image {image:.4g} mm before"))
+        principal = front if mla.curved_side == "lens" else front + mla.thickness_mm / n
+        lengths.append((principal - image, principal, f"main image {image:.4g} mm before"))
     y = float(apex[1])
-    return heights, [Dimension(np.array([a, y]), np.array([b, y]), text) for a, b, text in chain]
+    return heights, [Dimension(np.array([a, y]), np.array([b, y]), text) for a, b, text in lengths]
 
 
 def _micro_image(bundle: Bundle, pixel_mm: float) -> list[Dimension]:

@@ -28,10 +28,10 @@ from lfmesh.scene import Scene
 from lfmesh.scene.solve import lenslet_focal_length_mm
 from lfmesh.view.layout import Bundle, Dimension, Layout, TargetSection, layout
 
-SHEET_IN = (13.0, 9.2)
+SHEET_IN = (13.0, 9.4)
 MARGIN_IN = 0.3
 HEADER_IN = 0.42
-MAIN_IN = 3.6
+MAIN_IN = 3.75
 TITLE_BLOCK_IN = 0.86
 GAP_IN = 0.12
 
@@ -60,6 +60,9 @@ ROW_IN = 0.2
 
 LEAD_IN = 0.35
 """Of the beam before the lens that the main view shows, over the camera's length."""
+
+FARTHER = 1.6
+"""The object side is drawn as far as the refocus range goes, unless that is so many times what else there is."""
 
 BAR_IN = 1.4
 """Length that a scale bar does not exceed."""
@@ -280,7 +283,7 @@ class View:
         self.sheet.line([x - long, x], [y, y], lw=2.0)
         for end in (x - long, x):
             self.sheet.line([end, end], [y - 0.04, y + 0.04], lw=0.8)
-        words = _micro(length)
+        words = _length(length)
         self.sheet.text(x - long - 0.08, y - 0.04, words, SMALL, ha="right")
         return long + 0.08 + self.sheet.width(words, SMALL)
 
@@ -303,11 +306,13 @@ class View:
         for dimension in dimensions:
             (x0, y0), (x1, y1) = self.at(*dimension.start), self.at(*dimension.end)
             wide = self.sheet.width(dimension.text, SMALL) + 2 * CLEARANCE_IN
-            fits = wide < x1 - x0 - 0.16
-            text_x = 0.5 * (x0 + x1) - 0.5 * wide if fits else x1 + 0.16
-            if not fits and text_x + wide > self.place[0] + self.place[2]:
-                text_x = x0 - 0.16 - wide
-            span = min(x0, text_x) - 0.2 * (not fits), max(x1, text_x + wide)
+            # Break marks at the start of a dimension take room, too.
+            marks = 0.3 * dimension.cut
+            fits = wide < x1 - x0 - 0.16 - marks
+            text_x = 0.5 * (x0 + marks + x1 - wide) if fits else x1 + 0.16
+            if not fits and (dimension.cut or text_x + wide > self.place[0] + self.place[2]):
+                text_x = max(self.place[0], x0 - 0.16 * (not dimension.cut) - wide)
+            span = min(x0, text_x) - 0.15 * (not fits), max(x1 + 0.15 * (not fits), text_x + wide)
             row = _free_row(taken, span)
             y = first_row - row * ROW_IN
             self._dimension_line(x0, x1, y, outside=not fits, cut=dimension.cut)
@@ -320,12 +325,14 @@ class View:
 
     def _dimension_line(self, x0: float, x1: float, y: float, *, outside: bool, cut: bool) -> None:
         """Draw the line and its arrows: between its ends, or pointing at them from outside where there is no room."""
-        pairs = [(x0 - 0.14, x0), (x1 + 0.14, x1)] if outside else [(0.5 * (x0 + x1), x0), (0.5 * (x0 + x1), x1)]
-        for tail, tip in pairs[cut:]:
-            self._arrow((tail, y), (tip, y))
+        middle = 0.5 * (x0 + x1)
         if cut:
-            self.sheet.line([x0, 0.5 * (x0 + x1)], [y, y], lw=0.5)
+            self.sheet.line([x0, middle], [y, y], lw=0.5)
             self.sheet.break_marks(x0 + 0.16, y, 0.05)
+            self._arrow((middle, y), (x1, y))
+            return
+        for tail, tip in [(x0 - 0.14, x0), (x1 + 0.14, x1)] if outside else [(middle, x0), (middle, x1)]:
+            self._arrow((tail, y), (tip, y))
 
     def _arrow(self, tail: tuple[float, float], tip: tuple[float, float]) -> None:
         style = {"arrowstyle": "-|>,head_width=0.1,head_length=0.25", "color": INK, "shrinkA": 0, "shrinkB": 0}
@@ -424,7 +431,7 @@ def _main_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, fl
     near = 0.0 < drawn.distance_mm <= lead
     start = -1.05 * drawn.distance_mm if near else front - lead
     window = start, back + 0.03 * (back - front), -tall, tall
-    view = View(sheet, place, window, Bands(bottom=0.45, top=0.55, right=0.35), "Meridional section x = 0")
+    view = View(sheet, place, window, Bands(bottom=0.6, top=0.55, right=0.35), "Meridional section x = 0")
     view.axis()
     _draw_targets(view, drawn.targets)
     _draw_lens(view, drawn)
@@ -441,7 +448,7 @@ def _main_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, fl
     if near:
         names.append((-drawn.distance_mm, 0.8 * tall, "plane in focus"))
         view.lines([np.array([[-drawn.distance_mm, -tall], [-drawn.distance_mm, tall]])], linestyles="--", colors=GREY)
-        dimensions.append(Dimension(np.array([-drawn.distance_mm, 0.0]), focus, f"{drawn.distance_mm:.5g} mm"))
+        dimensions.append(Dimension(np.array([-drawn.distance_mm, 0.0]), focus, _length(drawn.distance_mm, 5)))
     else:
         sheet.break_marks(view.left + 0.16, view.at(0.0, 0.0)[1], 0.09)
         dimensions.append(Dimension(np.array([start, 0.0]), focus, _distance_words(drawn), cut=True))
@@ -458,8 +465,8 @@ def _distance_words(drawn: Layout) -> str:
     if math.isinf(drawn.distance_mm):
         return "plane in focus at infinity"
     if drawn.distance_mm < 0.0:
-        return f"virtual object, {-drawn.distance_mm:.5g} mm behind"
-    return f"plane in focus {drawn.distance_mm:.5g} mm before"
+        return f"virtual object {_length(-drawn.distance_mm, 5)} behind"
+    return f"plane in focus {_length(drawn.distance_mm, 5)} before"
 
 
 def _draw_lens(view: View, drawn: Layout, line: float = 0.7) -> None:
@@ -517,6 +524,8 @@ def _object_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, 
     finite = 0.0 < drawn.distance_mm < math.inf
     field = max(abs(b.slope) for b in drawn.bundles) * drawn.distance_mm if finite else 0.0
     tall = max(field, *(float(np.abs(line[:, 1]).max()) for line in outlines + sections))
+    if math.isfinite(drawn.facts.far_mm) and drawn.facts.far_mm < FARTHER * reach:
+        reach = max(reach, drawn.facts.far_mm)
     long = reach + back
     window = -reach - 0.03 * long, back + 0.03 * long, -1.08 * tall, 1.08 * tall
     view = View(sheet, place, window, Bands(bottom=0.75, top=0.6), "Object side")
@@ -531,13 +540,13 @@ def _object_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, 
         z = -drawn.distance_mm
         view.lines([np.array([[z, -1.05 * field], [z, 1.05 * field]])], linestyles="--", colors=GREY, zorder=2.5)
         names.append((z, 1.05 * field, "plane in focus"))
-        dimensions.append(Dimension(np.array([z, 0.0]), np.zeros(2), f"{drawn.distance_mm:.5g} mm"))
+        dimensions.append(Dimension(np.array([z, 0.0]), np.zeros(2), _length(drawn.distance_mm, 5)))
     facts = drawn.facts
     if facts.near_mm < reach:
         far = min(facts.far_mm, reach + 0.03 * long)
         what = "refocus range" if drawn.array is not None else "depth of field"
-        until = f"{facts.far_mm:.4g} mm" if math.isfinite(facts.far_mm) else "infinity"
-        words = f"{what} {facts.near_mm:.4g} mm to {until}"
+        until = _length(facts.far_mm) if math.isfinite(facts.far_mm) else "infinity"
+        words = f"{what} {_length(facts.near_mm)} to {until}"
         dimensions.append(Dimension(np.array([-far, 0.0]), np.array([-facts.near_mm, 0.0]), words, far < facts.far_mm))
     view.labels(names)
     view.lengths(dimensions, view.low - 0.14)
@@ -554,8 +563,10 @@ def _top(lines: Sequence[Array]) -> tuple[float, float]:
 def _detail_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, float]) -> None:
     """Draw the close-up of array and sensor."""
     detail = drawn.detail
-    bands = Bands(left=0.42, right=0.42, bottom=0.22 + ROW_IN * max(1, len(detail.lengths) - 1), top=0.6)
-    view = View(sheet, place, detail.window, bands, f"Detail A, {detail.caption}")
+    bands = Bands(left=0.42, right=0.42, bottom=0.42 + ROW_IN * max(1, len(detail.lengths) - 1), top=0.6)
+    view = View(sheet, place, detail.window, bands, "Detail A")
+    words, size = sheet.fitted(detail.caption, place[2], SMALL)
+    sheet.text(place[0], place[1] + 0.04, words, size, color=GREY)
     view.axis()
     if detail.plate is not None:
         view.area(detail.plate, fc=(*mpl.colors.to_rgb(GLASS), 0.45), lw=0.7, zorder=2)
@@ -564,7 +575,7 @@ def _detail_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, 
     view.lines([detail.sensor], linewidths=1.4, zorder=4)
     view.lines(list(detail.pixels), linewidths=0.5, zorder=4)
     top = detail.window[3]
-    names = [(_middle(detail.sensor), top, f"sensor, pixels {_micro(drawn.scene.camera.sensor.pixel_mm)}")]
+    names = [(_middle(detail.sensor), top, f"sensor, pixels {_length(drawn.scene.camera.sensor.pixel_mm)}")]
     if detail.plate is not None:
         names.append((_middle(detail.plate), top, "microlens array"))
     view.labels(names)
@@ -602,18 +613,18 @@ def _facts(drawn: Layout) -> list[list[tuple[float, str, str]]]:
         (2.4, "lens", camera.lens.name or f"{len(camera.lens.surfaces)} surfaces"),
         (1.2, "effective focal length", f"{facts.efl_mm:.5g} mm"),
         (1.0, "working f-number", f"f/{facts.working_f_number:.3g}"),
-        (1.2, "plane in focus", "infinity" if at_infinity else f"{drawn.distance_mm:.5g} mm"),
+        (1.2, "plane in focus", "infinity" if at_infinity else _length(drawn.distance_mm, 5)),
         (1.8, "field in y", f"{size}±{abs(angle):.3g}°"),
         (1.0, "magnification", f"{facts.magnification:.4g}".replace("-", "−")),
         (1.0, "wavelength", f"{facts.wavelength_nm:g} nm"),
     ]
-    pixels = f"{sensor.pixels[0]} × {sensor.pixels[1]} pixels of {_micro(sensor.pixel_mm)}"
+    pixels = f"{sensor.pixels[0]} × {sensor.pixels[1]} pixels of {_length(sensor.pixel_mm)}"
     if mla is None:
         return [first, [(4.0, "microlens array", "none: a conventional camera"), (4.0, "sensor", pixels)]]
     focal = ", ".join(f"{f:.4g}" for f in lenslet_focal_length_mm(mla, facts.wavelength_nm))
     second = [
         (2.4, "microlens array", f"{mla.count[0]} × {mla.count[1]} {mla.layout}, curved side to the {mla.curved_side}"),
-        (1.2, "pitch", _micro(mla.pitch_mm)),
+        (1.2, "pitch", _length(mla.pitch_mm)),
         (1.8, "lenslet focal length", f"{focal} mm"),
         (1.2, "lenslet f-number", f"f/{facts.microlens_f_number:.3g}"),
         (1.4, "micro-image", f"{facts.micro_image_diameter_px:.3g} px, every {facts.micro_image_pitch_px:.5g} px"),
@@ -622,9 +633,11 @@ def _facts(drawn: Layout) -> list[list[tuple[float, str, str]]]:
     return [first, second]
 
 
-def _micro(length_mm: float) -> str:
+def _length(length_mm: float, digits: int = 4) -> str:
     """Write a length in the unit that suits it."""
-    return f"{1e3 * length_mm:.4g} µm" if length_mm < 1.0 else f"{length_mm:.4g} mm"
+    if length_mm >= 1e4:
+        return f"{1e-3 * length_mm:.4g} m"
+    return f"{length_mm:.{digits}g} mm" if length_mm >= 1.0 else f"{1e3 * length_mm:.4g} µm"
 
 
 def _round(ratio: float) -> str:

@@ -37,7 +37,7 @@ SETTLED = 1e-12
 INSIDE = 1.0 - 1e-9
 """Marginal rays are aimed at the rim of the stop times this, so that they pass it."""
 
-CORRECTIONS = 6
+CORRECTIONS = 10
 """Of an object point, until its chief ray comes out where it shall; distortion is what they correct."""
 
 
@@ -131,9 +131,13 @@ class Aim:
         scale = self._image_scale(targets[:, 2])[:, None]
         first = targets[:, :2] / scale
         slope = first.copy()
+        earlier: tuple[Array, Array] | None = None
         for _ in range(CORRECTIONS):
             rays = self.through(slope, stop)
             hit = np.array([ray.beyond_lens(z) for ray, z in zip(rays, targets[:, 2], strict=True)])
+            if earlier is not None:
+                scale = _secant(slope - earlier[0], hit - earlier[1], scale)
+            earlier = slope, hit
             error = (targets[:, :2] - hit) / scale
             known = np.isfinite(error).all(axis=1)
             slope = np.where(known[:, None], slope + np.nan_to_num(error), first)
@@ -248,6 +252,13 @@ class Aim:
                 break
             entry[wrong] += np.linalg.solve(jacobian[wrong], error[wrong, :, None])[..., 0]
         return entry
+
+
+def _secant(step: Array, change: Array, scale: Array) -> Array:
+    """Return by how much hits (n, 2) moved for a step of one, (n, 1); what stood still or was lost keeps its scale."""
+    square = (step**2).sum(axis=1, keepdims=True)
+    rate = np.divide((step * change).sum(axis=1, keepdims=True), square, out=scale.copy(), where=square > 0.0)
+    return np.where(np.isfinite(rate) & (np.abs(rate) > 0.1 * np.abs(scale)), rate, scale)
 
 
 def _interpolated(x: float, known: Array, values: Array) -> float:

@@ -318,7 +318,7 @@ def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
     else:
         fan = _fan(LENSLET_FAN)
         bundles = [
-            Bundle(f"lenslet {n}", 0.0, aim.through(aim.slopes_to(np.tile(apex[n], (len(fan), 1)), fan), fan))
+            Bundle(f"lenslet {n}", 0.0, _through_point(apex[n], aim, fan))
             for n in (middle - step, middle, middle + step)
             if 0 <= n < len(apex)
         ]
@@ -414,10 +414,16 @@ def _array_dimensions(
     return heights, [Dimension(np.array([a, y]), np.array([b, y]), text) for a, b, text in lengths]
 
 
+def _through_point(point: Array, aim: Aim, stop: Array) -> list[AimedRay]:
+    """Return the rays through points of the stop that meet a point behind the lens, where the lens lets them."""
+    rays = aim.through(aim.slopes_to(np.tile(point, (len(stop), 1)), stop), stop)
+    return [ray for ray in rays if np.allclose(ray.beyond_lens(point[2]), point[:2], atol=1e-6, rtol=0.0)]
+
+
 def _micro_image(bundle: Bundle, pixel_mm: float) -> list[Dimension]:
-    """Return the dimension between the outermost of a bundle's rays that come to the sensor."""
+    """Return the dimension between the outermost rays of a lenslet, if all come to the sensor."""
     landing = np.array([ray.points[-1, [2, 1]] for ray in bundle.rays if ray.status == Status.SENSOR])
-    if len(landing) < 2:
+    if len(landing) < LENSLET_FAN:
         return []
     low, high = landing[landing[:, 1].argmin()], landing[landing[:, 1].argmax()]
     return [Dimension(low, high, f"{(high[1] - low[1]) / pixel_mm:.3g} px")]

@@ -310,8 +310,9 @@ class View:
             marks = 0.3 * dimension.cut
             fits = wide < x1 - x0 - 0.16 - marks
             text_x = 0.5 * (x0 + marks + x1 - wide) if fits else x1 + 0.16
-            if not fits and (dimension.cut or text_x + wide > self.place[0] + self.place[2]):
-                text_x = max(self.place[0], x0 - 0.16 * (not dimension.cut) - wide)
+            left = x0 - 0.16 * (not dimension.cut) - wide
+            if not fits and left > self.place[0] and (dimension.cut or text_x + wide > self.place[0] + self.place[2]):
+                text_x = left
             span = min(x0, text_x) - 0.15 * (not fits), max(x1 + 0.15 * (not fits), text_x + wide)
             row = _free_row(taken, span)
             y = first_row - row * ROW_IN

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.surface import sag
+from lfmesh.geometry.surface import slope as steepness
 from lfmesh.geometry.tessellation import mesh_sag
 from lfmesh.scene import Paraxial
 from lfmesh.transport.packet import CAMERA_FRAME, WORLD_FRAME
@@ -19,7 +21,7 @@ from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]
 
-FAN = 49
+FAN = 33
 """Trials across the pupil from which the first guess is made."""
 
 FAN_WIDTH = 1.6
@@ -106,14 +108,7 @@ class Aim:
         """
         slope = np.asarray(slope, dtype=np.float64).reshape(-1, 2)
         aim = np.asarray(stop, dtype=np.float64).reshape(-1, 2) * (self.stop_radius * INSIDE)
-        guess = self._guess(slope, aim)
-        entry = self._refined(slope, aim, guess)
-        rays = self.trace(slope, entry)
-        missed = np.array([not np.allclose(r.at_stop, a, atol=1e-6, rtol=0.0) for r, a in zip(rays, aim, strict=True)])
-        if missed.any():
-            for i, ray in zip(np.flatnonzero(missed), self.trace(slope[missed], guess[missed]), strict=True):
-                rays[i] = ray
-        return rays
+        return self._aimed(slope, aim, self._guess(slope, aim))[0]
 
     def slopes_to(self, targets: ArrayLike, stop: ArrayLike = (0.0, 0.0)) -> Array:
         """Return the slopes (n, 2) of the object points whose rays, in the air behind the lens, meet targets.
@@ -130,10 +125,11 @@ class Aim:
         stop = np.broadcast_to(np.asarray(stop, dtype=np.float64), (len(targets), 2))
         scale = self._image_scale(targets[:, 2])[:, None]
         first = targets[:, :2] / scale
-        slope = first.copy()
+        slope, aim = first.copy(), stop * (self.stop_radius * INSIDE)
+        guess = self._guess(slope, aim)
         earlier: tuple[Array, Array] | None = None
         for _ in range(CORRECTIONS):
-            rays = self.through(slope, stop)
+            rays, entry = self._aimed(slope, aim, guess)
             hit = np.array([ray.beyond_lens(z) for ray, z in zip(rays, targets[:, 2], strict=True)])
             if earlier is not None:
                 scale = _secant(slope - earlier[0], hit - earlier[1], scale)
@@ -141,14 +137,20 @@ class Aim:
             error = (targets[:, :2] - hit) / scale
             known = np.isfinite(error).all(axis=1)
             slope = np.where(known[:, None], slope + np.nan_to_num(error), first)
+            guess = entry + self._entry_shift * (slope - earlier[0])
             if not known.any() or np.abs(error[known]).max() < 1e-12:
                 break
         return slope
 
+    @property
+    def _entry_shift(self) -> float:
+        """How far the entry of a ray through a fixed point of the stop moves for a slope of one, paraxially, mm."""
+        before = self.paraxial.to_stop
+        return before.b / (before.a + before.b * self.vergence)
+
     def _image_scale(self, z: Array) -> Array:
         """Return how far a ray through a fixed point of the stop moves in planes z for a slope of one, paraxially."""
-        before, whole = self.paraxial.to_stop, self.paraxial.whole
-        height = before.b / (before.a + before.b * self.vergence)
+        whole, height = self.paraxial.whole, self._entry_shift
         angle = self.vergence * height - 1.0
         behind = z - self.paraxial.length_mm
         return np.asarray(whole.a * height + whole.b * angle + behind * (whole.c * height + whole.d * angle))
@@ -196,7 +198,10 @@ class Aim:
         if not self._pure_stop:
             if len(passed) > k:
                 return points[passed[k], :2]
-            return points[-1, :2] if len(passed) == k and names[-1] == "stop" else np.full(2, np.nan)
+            if len(passed) < k or names[-1] != "stop":
+                return np.full(2, np.nan)
+            # What the stop takes ends on the plane of the surface's rim.
+            return _met(self.world.lens_shape.surfaces[k], points[-1], points[-1] - points[-2])[:2]
         if len(passed) < k:
             return np.full(2, np.nan)
         # The stop stands between lens surfaces, or before the first.
@@ -237,6 +242,17 @@ class Aim:
                 entry[i, 1] = _interpolated(aim[i, 1], y, trial[field, known, 1][order])
         return entry
 
+    def _aimed(self, slope: Array, aim: Array, guess: Array) -> tuple[list[AimedRay], Array]:
+        """Return the rays to points of the stop (n, 2), mm, and where they enter; those that miss start as guessed."""
+        entry = self._refined(slope, aim, guess)
+        rays = self.trace(slope, entry)
+        missed = np.array([not np.allclose(r.at_stop, a, atol=1e-6, rtol=0.0) for r, a in zip(rays, aim, strict=True)])
+        if missed.any():
+            entry[missed] = guess[missed]
+            for i, ray in zip(np.flatnonzero(missed), self.trace(slope[missed], guess[missed]), strict=True):
+                rays[i] = ray
+        return rays, entry
+
     def _refined(self, slope: Array, aim: Array, entry: Array) -> Array:
         """Return the entries from which rays cross the stop where they are aimed."""
         step = DIFFERENCE * self.stop_radius
@@ -252,6 +268,17 @@ class Aim:
                 break
             entry[wrong] += np.linalg.solve(jacobian[wrong], error[wrong, :, None])[..., 0]
         return entry
+
+
+def _met(surface: np.void, p: Array, ahead: Array) -> Array:
+    """Return where the line through a point near a surface meets it, (3,), by Newton's method; NaN: nowhere."""
+    ahead = ahead / np.linalg.norm(ahead)
+    for _ in range(8):
+        r = float(np.hypot(p[0], p[1]))
+        height = p[2] - surface["vertex_z"] - sag(surface, r)
+        radial = float(p[:2] @ ahead[:2]) / r if r > 0.0 else 0.0
+        p = p - height / (ahead[2] - steepness(surface, r) * radial) * ahead
+    return p
 
 
 def _secant(step: Array, change: Array, scale: Array) -> Array:

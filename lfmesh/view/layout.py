@@ -241,9 +241,8 @@ def _field_bundles(scene: Scene, facts: FirstOrder, aim: Aim) -> list[Bundle]:
     used = 0.5 * (camera.sensor.size_mm[1] - camera.sensor.pixel_mm)
     if camera.mla is not None:
         used = min(used, 0.5 * (camera.mla.count[1] - 1) * camera.mla.row_pitch_mm)
-    # The image is upside down: points above the axis come out below it.
-    down = -1.0 if facts.magnification <= 0.0 else 1.0
-    slopes = aim.slopes_to([(0.0, down * share * used, facts.image_z_mm) for _, share in FIELDS])
+    # Below the axis: points above it come out there.
+    slopes = aim.slopes_to([(0.0, -share * used, facts.image_z_mm) for _, share in FIELDS])
     slopes[0] = 0.0
     return _bundles([name for name, _ in FIELDS], aim, slopes, np.array(MARGINAL))
 

@@ -58,8 +58,11 @@ APART_IN = 0.16
 ROW_IN = 0.2
 """Of dimensions."""
 
-LEAD_IN = 0.35
-"""Of the beam before the lens that the main view shows, over the camera's length."""
+LEAD = 0.35
+"""Length of the beam before the lens that the main view shows, over the camera's, ..."""
+
+NEAR = 0.8
+"""... unless the object plane lies as near as this."""
 
 FARTHER = 1.6
 """The object side is drawn as far as the refocus range goes, unless that is so many times what else there is."""
@@ -416,7 +419,7 @@ def _header(sheet: Sheet, drawn: Layout, x: float, y: float, width: float) -> No
 def _field_words(bundle: Bundle, drawn: Layout) -> str:
     if bundle.slope == 0.0:
         return bundle.name
-    if math.isinf(drawn.distance_mm):
+    if not 0.0 < drawn.distance_mm < math.inf:
         return f"{bundle.name}, {math.degrees(math.atan(bundle.slope)):.3g}°"
     return f"{bundle.name}, y = {bundle.slope * drawn.distance_mm:.4g} mm"
 
@@ -428,8 +431,8 @@ def _main_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, fl
     outlines = np.concatenate([glass.outline for glass in drawn.glass] + [ends])
     front, back = float(outlines[:, 0].min()), float(outlines[:, 0].max())
     tall = 1.04 * float(max(np.abs(outlines[:, 1]).max(), 1.35 * drawn.stop[1]))
-    lead = LEAD_IN * (back - front)
-    near = 0.0 < drawn.distance_mm <= lead
+    lead = LEAD * (back - front)
+    near = 0.0 < drawn.distance_mm <= NEAR * (back - front)
     start = -1.05 * drawn.distance_mm if near else front - lead
     window = start, back + 0.03 * (back - front), -tall, tall
     view = View(sheet, place, window, Bands(bottom=0.6, top=0.55, right=0.35), "Meridional section x = 0")
@@ -535,7 +538,7 @@ def _object_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, 
     _draw_lens(view, drawn, 0.4)
     view.rays(drawn.bundles, FIELD_COLOURS, 0.5)
     names = [(*_top(t.lines), t.name) for t in drawn.targets]
-    names.append((0.5 * back, float(outlines[0][:, 1].max()), "camera"))
+    names.append((*_top(outlines), "camera"))
     dimensions = []
     if finite:
         z = -drawn.distance_mm
@@ -607,14 +610,15 @@ def _facts(drawn: Layout) -> list[list[tuple[float, str, str]]]:
     camera, mla, sensor = scene.camera, scene.camera.mla, scene.camera.sensor
     full = drawn.bundles[-1].slope
     pupil = facts.entrance_pupil_z_mm if math.isfinite(facts.entrance_pupil_z_mm) else 0.0
-    at_infinity = math.isinf(drawn.distance_mm)
-    angle = math.degrees(math.atan(full if at_infinity else full * drawn.distance_mm / (drawn.distance_mm + pupil)))
-    size = "" if at_infinity else f"±{abs(full * drawn.distance_mm):.4g} mm, "
+    real = 0.0 < drawn.distance_mm < math.inf
+    angle = math.degrees(math.atan(full * drawn.distance_mm / (drawn.distance_mm + pupil) if real else full))
+    size = f"±{abs(full * drawn.distance_mm):.4g} mm, " if real else ""
+    focus = "infinity" if math.isinf(drawn.distance_mm) else _length(drawn.distance_mm, 5)
     first = [
         (2.4, "lens", camera.lens.name or f"{len(camera.lens.surfaces)} surfaces"),
         (1.2, "effective focal length", f"{facts.efl_mm:.5g} mm"),
         (1.0, "working f-number", f"f/{facts.working_f_number:.3g}"),
-        (1.2, "plane in focus", "infinity" if at_infinity else _length(drawn.distance_mm, 5)),
+        (1.2, "plane in focus", focus),
         (1.8, "field in y", f"{size}±{abs(angle):.3g}°"),
         (1.0, "magnification", f"{facts.magnification:.4g}".replace("-", "−")),
         (1.0, "wavelength", f"{facts.wavelength_nm:g} nm"),
@@ -636,6 +640,8 @@ def _facts(drawn: Layout) -> list[list[tuple[float, str, str]]]:
 
 def _length(length_mm: float, digits: int = 4) -> str:
     """Write a length in the unit that suits it."""
+    if length_mm < 0.0:
+        return f"−{_length(-length_mm, digits)}"
     if length_mm >= 1e4:
         return f"{1e-3 * length_mm:.4g} m"
     return f"{length_mm:.{digits}g} mm" if length_mm >= 1.0 else f"{1e3 * length_mm:.4g} µm"

@@ -107,7 +107,7 @@ def test_the_scale_of_the_main_view_is_that_of_its_bar():
     lines = [
         np.array([float(v) for v in re.findall(r"-?[\d.]+", e.get("d"))]).reshape(-1, 2)
         for e in root.iter()
-        if e.tag.endswith("}path") and e.get("d") and "stroke-width: 2;" in (e.get("style") or "")
+        if e.tag.endswith("}path") and e.get("d") and re.search(r"stroke-width: 2$", e.get("style") or "")
     ]
     # Three views, three bars; 72 points an inch.
     bars = [np.ptp(line[:, 0]) / 72.0 * 25.4 for line in lines if len(line) == 2 and np.ptp(line[:, 1]) == 0.0]

@@ -430,7 +430,7 @@ def _micro_image(bundle: Bundle, pixel_mm: float) -> list[Dimension]:
 
 def _array_caption(x: float, image: float | None, lenslets: int) -> str:
     what = (
-        f"rays from rim to rim of the stop through the middles of {lenslets} lenslets"
+        f"rays through the stop and the middles of {lenslets} lenslets"
         if image is None
         else "one point of the plane in focus, shared by the lenslets"
     )

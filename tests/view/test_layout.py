@@ -125,6 +125,20 @@ def test_cemented_elements_share_a_face_and_no_outline_runs_through_another_elem
         assert (glass.outline[:, 0] >= between - 1e-3).all()
 
 
+@pytest.mark.parametrize("lens", LENSES)
+def test_outlines_enclose_the_glass_between_the_profiles(lens):
+    for glass in stopped_down(lens).glass:
+        z, y = glass.outline.T
+        enclosed = 0.5 * abs(np.sum(z * np.roll(y, -1) - np.roll(z, -1) * y))
+        reach = min(glass.front[-1, 1], glass.back[-1, 1])
+        height = np.linspace(-reach, reach, 4001)
+        thickness = np.interp(height, *glass.back.T[::-1]) - np.interp(height, *glass.front.T[::-1])
+        between = float(np.mean(thickness)) * 2.0 * reach
+        # Beyond the lower of two rims there is only what stands out of the taller one.
+        beyond = np.ptp(z) * 2.0 * (y.max() - reach)
+        assert 0.999 * between <= enclosed <= 1.001 * between + beyond
+
+
 @pytest.mark.parametrize("lens", ["double_gauss_50mm", "cooke_triplet_50mm", "achromat_100mm"])
 def test_rays_of_the_axis_meet_at_the_paraxial_image_as_the_square_of_their_aperture(lens):
     scene = camera(lens, STOP_MM.get(lens))
@@ -152,6 +166,16 @@ def test_chief_rays_come_out_at_the_shares_of_the_outermost_lenslet(lens):
         assert y == pytest.approx(-share * outermost, abs=1e-9)
 
 
+def test_chief_rays_of_a_wide_field_come_out_at_the_outermost_pixel_in_spite_of_distortion():
+    scene = camera("double_gauss_50mm", 4.77, **{"camera.mla": None, "camera.sensor.pixels": (2400, 2400)})
+    drawn = layout(scene)
+    outermost = 0.5 * 2399 * 0.0125
+    for bundle, share in zip(drawn.bundles, (0.0, 0.7, 1.0), strict=True):
+        assert bundle.rays[1].points[-1, 1] == pytest.approx(-share * outermost, abs=1e-9)
+    paraxial = outermost / abs(drawn.facts.magnification)
+    assert abs(drawn.bundles[-1].slope * drawn.distance_mm / paraxial - 1.0) > 0.005
+
+
 def test_rays_start_at_points_of_the_plane_in_focus():
     drawn = stopped_down("double_gauss_50mm")
     assert drawn.distance_mm == pytest.approx(400.0)
@@ -169,8 +193,10 @@ def test_rays_from_infinity_are_collimated():
         np.testing.assert_allclose([s[1] / s[2] for s in slopes], -bundle.slope, atol=1e-12)
 
 
-def test_vignetted_rays_end_outside_the_clear_aperture_that_stops_them():
-    drawn = layout(camera("double_gauss_50mm", **{"camera.mla": None, "camera.sensor.pixels": (2400, 2400)}))
+@pytest.mark.parametrize("focus_mm", [400.0, 1e9])
+def test_vignetted_rays_end_outside_the_clear_aperture_that_stops_them(focus_mm):
+    change = {"camera.mla": None, "camera.sensor.pixels": (2400, 2400), "camera.focus_mm": focus_mm}
+    drawn = layout(camera("double_gauss_50mm", **change))
     surfaces = prescription("double_gauss_50mm").surfaces
     z = np.cumsum([0.0, *(s.thickness_mm for s in surfaces[:-1])])
     stopped = [ray for bundle in drawn.bundles for ray in bundle.rays if ray.status != lf.Status.SENSOR]
@@ -311,6 +337,16 @@ def test_opaque_targets_do_not_end_the_rays_of_the_drawing_and_the_camera_is_dra
             n = min(len(ray.points), len(same.points)) - 3
             np.testing.assert_allclose(ray.points[:n], same.points[:n], atol=1e-8)
             assert len(ray.points) > 12
+
+
+def test_targets_stand_where_the_camera_sees_them():
+    card = {"shape": {"kind": "plane", "width_mm": 9.0, "height_mm": 8.0}, "position_mm": (0.0, 0.0, -300.0)}
+    pose = {"tilt_deg": (0.0, 0.0, 180.0), "shift_mm": (0.0, 5.0, 20.0)}
+    scene = camera("double_gauss_50mm", 4.77, targets=[card], **{"camera.pose": pose})
+    ((line,),) = (target.lines for target in layout(scene).targets)
+    # From a camera that stands on its head, 5 mm higher and 20 mm farther back.
+    assert sorted([line[:, 1].min(), line[:, 1].max()]) == pytest.approx([1.0, 9.0])
+    np.testing.assert_allclose(line[:, 0], -320.0)
 
 
 def test_a_lens_of_mesh_files_is_drawn_in_section(tmp_path):

@@ -3,6 +3,7 @@
 import functools
 import itertools
 import re
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -95,6 +96,13 @@ def test_the_svg_is_xml_that_holds_its_labels_as_text():
     }  # fmt: skip
     assert expected <= set(texts)
     assert "L7" not in texts
+
+
+def test_names_are_written_as_they_are():
+    name = "A $x^2$ & <tag> \\alpha"
+    drawn = replace(first_light(), scene=first_light().scene.changed({"name": name}))
+    root = ElementTree.fromstring(encoded(drawn, "svg"))
+    assert name in {"".join(e.itertext()) for e in root.iter() if e.tag.endswith("}text")}
 
 
 def test_the_scale_of_the_main_view_is_that_of_its_bar():

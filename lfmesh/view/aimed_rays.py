@@ -171,20 +171,20 @@ class Aim:
             vertices = paths.vertices(packet)
             points = frames.points(to_camera, [vertex.position for vertex in vertices])
             names = [vertex.surface for vertex in vertices]
+            status = Status(int(paths.status[packet]))
             if not any(name in self._names for name in names):
-                points = self._ended_before_lens(points, frames.directions(to_camera, paths.direction[packet]))
-            rays[source] = AimedRay(
-                points, self._at_stop(points, names), self._leaving(points, names), Status(int(paths.status[packet]))
-            )
+                direction = frames.directions(to_camera, paths.direction[packet])
+                points = self._ended_before_lens(points, direction, escaped=status == Status.ESCAPED)
+            rays[source] = AimedRay(points, self._at_stop(points, names), self._leaving(points, names), status)
         nowhere = np.full(2, np.nan), np.full((2, 3), np.nan)
         return [ray or AimedRay(p[None], *nowhere, Status.LOST) for ray, p in zip(rays, start, strict=True)]
 
-    def _ended_before_lens(self, points: Array, direction: Array) -> Array:
+    def _ended_before_lens(self, points: Array, direction: Array, *, escaped: bool) -> Array:
         """Return a path that misses the first surface, as far as the plane of that surface's rim."""
         front = self.world.lens_shape.surfaces[0]
         z = float(front["vertex_z"] + mesh_sag(front, self.world.lens_shape.rims[0]))
         before = points[points[:, 2] < z]
-        if not len(before):
+        if (len(before) == len(points) and not escaped) or not len(before):
             return points
         after = points[len(before)] - before[-1] if len(before) < len(points) else direction
         if not after[2] > 0.0:

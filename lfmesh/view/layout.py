@@ -269,13 +269,13 @@ def _array_section(scene: Scene, moves: Array) -> Array | None:
     mla = scene.camera.mla
     if mla is None:
         return None
-    cut = cut_through(moves[ARRAY_FRAME, CAMERA_FRAME], mla.size_mm)
+    cut = cut_through("camera.mla", moves[ARRAY_FRAME, CAMERA_FRAME], mla.size_mm)
     ends = np.array([cut.low, cut.high])
     return np.concatenate([cut.section(ends), cut.section(ends[::-1], mla.thickness_mm)])
 
 
 def _sensor_section(scene: Scene, moves: Array) -> Array:
-    cut = cut_through(moves[SENSOR_FRAME, CAMERA_FRAME], scene.camera.sensor.size_mm)
+    cut = cut_through("camera.sensor", moves[SENSOR_FRAME, CAMERA_FRAME], scene.camera.sensor.size_mm)
     return cut.section(np.array([cut.low, cut.high]))
 
 
@@ -322,8 +322,8 @@ def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
             if 0 <= n < len(apex)
         ]
     half = array.lattice.half_extent
-    cut = cut_through(to_camera, (2.0 * half[0], 2.0 * half[1]), x)
-    sensor = cut_through(moves[SENSOR_FRAME, CAMERA_FRAME], scene.camera.sensor.size_mm, x)
+    cut = cut_through("camera.mla", to_camera, (2.0 * half[0], 2.0 * half[1]), x)
+    sensor = cut_through("camera.sensor", moves[SENSOR_FRAME, CAMERA_FRAME], scene.camera.sensor.size_mm, x)
     apex_z, sensor_z = float(apex[middle, 2]), _z_at(sensor, float(apex[middle, 1]))
     behind = sensor_z - apex_z
     before = min(1.25 * image, 16.0 * behind) if image is not None and image > 0.0 else 0.6 * behind
@@ -445,7 +445,7 @@ def _fan(count: int) -> Array:
 def _pixels_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
     """Lay out a conventional camera's pixels where the axis meets the sensor."""
     pixel, rows = scene.camera.sensor.pixel_mm, scene.camera.sensor.pixels[1]
-    cut = cut_through(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME], scene.camera.sensor.size_mm)
+    cut = cut_through("camera.sensor", world.tables.frames[SENSOR_FRAME, CAMERA_FRAME], scene.camera.sensor.size_mm)
     shown = min(PIXELS_IN_DETAIL, rows)
     z, half = _z_at(cut, 0.0), 0.5 * shown * pixel
     wide = 2.0 * half / DETAIL_SHAPE

@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.lenslets import Lenslets, shape_of
 from lfmesh.geometry.mesh import Array
@@ -17,6 +18,9 @@ from lfmesh.geometry.tessellation import mesh_sag, ring_profile
 
 PROFILE_POINTS = 121
 """Of a lens surface from the axis to its rim, crowded towards the rim."""
+
+LEAST_ACROSS = 1e-3
+"""Sine of the angle between a rectangle and the plane that cuts it, below which they count as one."""
 
 ASIDE = 1e-7
 """Share of a mesh's size by which the plane is moved, so that no vertex lies in it."""
@@ -56,7 +60,7 @@ class Cut(NamedTuple):
     lift : (2,) float64
         How the line moves for each mm of height.
     low, high : float, mm
-        The part of s that lies in the rectangle; low > high: none.
+        The part of s that lies in the rectangle.
     """
 
     to_camera: Array
@@ -82,10 +86,18 @@ def in_section(points: Array) -> Array:
     return np.asarray(points)[:, [2, 1]]
 
 
-def cut_through(to_camera: Array, size_mm: tuple[float, float], x: float = 0.0) -> Cut:
-    """Cut a rectangle in the xy plane of its own frame by the plane of that x of the camera frame."""
+def cut_through(name: str, to_camera: Array, size_mm: tuple[float, float], x: float = 0.0) -> Cut:
+    """Cut a rectangle in the xy plane of its own frame by the plane of that x of the camera frame.
+
+    Raises
+    ------
+    LfmeshError
+        They do not meet, or lie in one plane: what is called `name` has no section.
+    """
     across = to_camera[0, :2]
     square = float(across @ across)
+    if square < LEAST_ACROSS**2:
+        raise LfmeshError(f"{name}.pose: tilt_deg turns it into the plane of the drawing, y and z; it has no section")
     start = (x - to_camera[0, 3]) / square * across
     ahead = np.array([-across[1], across[0]]) / np.sqrt(square)
     if to_camera[1, :2] @ ahead < 0.0:
@@ -99,6 +111,8 @@ def cut_through(to_camera: Array, size_mm: tuple[float, float], x: float = 0.0) 
             )
         elif abs(p) > half:
             low, high = 1.0, -1.0
+    if not low < high:
+        raise LfmeshError(f"{name}.pose: the plane of the drawing, x = {x:.4g} mm, does not meet it; shift it less")
     return Cut(to_camera, start, ahead, -to_camera[0, 2] / square * across, float(low), float(high))
 
 

@@ -297,6 +297,13 @@ def test_tilted_and_shifted_array_and_sensor_are_drawn_where_they_stand():
     assert on_sensor[0] * into[0] + on_sensor[1] * into[1] == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("part", ["camera.mla", "camera.sensor"])
+def test_what_the_plane_of_the_drawing_does_not_meet_is_a_clear_error(part):
+    scene = camera("double_gauss_50mm", 4.77, **{f"{part}.pose": {"shift_mm": (5.0, 0.0, 0.0)}})
+    with pytest.raises(lf.LfmeshError, match=rf"{part}\.pose: the plane of the drawing, x = .* does not meet it"):
+        layout(scene)
+
+
 def test_targets_that_cross_the_meridional_plane_are_cut_by_it(tmp_path):
     import trimesh
 

@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from lfmesh.transport.render import render
     from lfmesh.transport.trace import Paths, Status, trace
     from lfmesh.transport.world import build
+    from lfmesh.view.layout_figure import draw
 
 __all__ = [
     "AllInFocus",
@@ -117,6 +118,7 @@ __all__ = [
     "calibrate",
     "decode",
     "depth_truth",
+    "draw",
     "estimate_centres",
     "estimate_depth",
     "export_field",
@@ -170,6 +172,7 @@ _HOMES = {
     "lfmesh.transport.render": ["render"],
     "lfmesh.transport.trace": ["Paths", "Status", "trace"],
     "lfmesh.transport.world": ["build"],
+    "lfmesh.view.layout_figure": ["draw"],
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 

@@ -55,6 +55,7 @@ Examples:
 
     lfmesh demo                          render the scene that comes with lfmesh
     lfmesh check scene.toml              first-order optics and warnings
+    lfmesh draw scene.toml -o layout.svg   lens, array and rays as a drawing
     lfmesh render scene.toml -o run/     raw image, previews and report in run/
     lfmesh white run/                    white image, true micro-image centres
     lfmesh decode run/                   the light field: all views of the run
@@ -155,6 +156,31 @@ def check(scene: SceneFile, /) -> int:
 
     loaded = load(scene)
     print("\n".join([*first_order(loaded).lines(), *mesh_lines(loaded)]))
+    return 0
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh draw scene.toml
+    lfmesh draw scene.toml -o layout.pdf
+"""
+)
+def draw(
+    scene: SceneFile,
+    /,
+    *,
+    out: Annotated[
+        Path, Parameter(name=["--out", "-o"], help="File to write, by its ending an SVG, PNG or PDF.")
+    ] = Path("layout.svg"),
+) -> int:
+    """Draw a camera's layout: meridional section with marginal and chief rays, object side, array close up."""
+    with _undivided():
+        from lfmesh.scene import load
+        from lfmesh.view import layout_figure
+
+    _list_files([layout_figure.draw(load(scene), out)])
     return 0
 
 

@@ -1,0 +1,220 @@
+"""A camera and what stands before it, cut by a plane: outlines as (n, 2) polylines of z and y in the camera frame, mm.
+
+The cutting planes are those of constant x, the meridional one x = 0 among them.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry.lens_shape import LensShape
+from lfmesh.geometry.lenslets import Lenslets, shape_of
+from lfmesh.geometry.mesh import Array
+from lfmesh.geometry.surface import sag
+from lfmesh.geometry.tessellation import mesh_sag, ring_profile
+
+PROFILE_POINTS = 121
+"""Of a lens surface from the axis to its rim, crowded towards the rim."""
+
+LEAST_ACROSS = 1e-3
+"""Sine of the angle between a rectangle and the plane that cuts it, below which they count as one."""
+
+ASIDE = 1e-7
+"""Share of a mesh's size by which the plane is moved, so that no vertex lies in it."""
+
+
+class Glass(NamedTuple):
+    """A lens element in section.
+
+    Attributes
+    ----------
+    name : str
+        As `World.mesh` has it.
+    refractive_index : float
+    front, back : (n, 2) float64, mm
+        Profiles of its two faces, z and y, from the lower rim to the upper one; what two cemented elements share is the
+        same in both.
+    outline : (m, 2) float64, mm
+        The closed section with its edges.
+    """
+
+    name: str
+    refractive_index: float
+    front: Array
+    back: Array
+    outline: Array
+
+
+class Cut(NamedTuple):
+    """Where a plane of constant x cuts a flat rectangle, or the layers parallel to it.
+
+    Attributes
+    ----------
+    to_camera : (3, 4) float64
+        From the rectangle's own frame.
+    start, ahead : (2,) float64
+        The line in it at zero height: start + s · ahead, with s in mm, towards +y of the camera.
+    lift : (2,) float64
+        How the line moves for each mm of height.
+    low, high : float, mm
+        The part of s that lies in the rectangle.
+    """
+
+    to_camera: Array
+    start: Array
+    ahead: Array
+    lift: Array
+    low: float
+    high: float
+
+    def local(self, s: Array, height: Array | float = 0.0) -> Array:
+        """Return (n, 2) points of the rectangle's frame at places s of the line, at some height."""
+        height = np.broadcast_to(height, np.shape(s))
+        return np.asarray(self.start + np.multiply.outer(s, self.ahead) + np.multiply.outer(height, self.lift))
+
+    def section(self, s: Array, height: Array | float = 0.0) -> Array:
+        """Return the same as (n, 2) z and y in the camera frame."""
+        local = np.column_stack([self.local(s, height), np.broadcast_to(height, np.shape(s))])
+        return in_section(local @ self.to_camera[:, :3].T + self.to_camera[:, 3])
+
+
+def in_section(points: Array) -> Array:
+    """Return z and y of (n, 3) points."""
+    return np.asarray(points)[:, [2, 1]]
+
+
+def cut_through(name: str, to_camera: Array, size_mm: tuple[float, float], x: float = 0.0) -> Cut:
+    """Cut a rectangle in the xy plane of its own frame by the plane of that x of the camera frame.
+
+    Raises
+    ------
+    LfmeshError
+        They do not meet, or lie in one plane: what is called `name` has no section.
+    """
+    across = to_camera[0, :2]
+    square = float(across @ across)
+    if square < LEAST_ACROSS**2:
+        raise LfmeshError(f"{name}.pose: tilt_deg turns it into the plane of the drawing, y and z; it has no section")
+    start = (x - to_camera[0, 3]) / square * across
+    ahead = np.array([-across[1], across[0]]) / np.sqrt(square)
+    if to_camera[1, :2] @ ahead < 0.0:
+        ahead = -ahead
+    low, high = -np.inf, np.inf
+    for p, d, half in zip(start, ahead, np.multiply(0.5, size_mm), strict=True):
+        if abs(d) > 1e-12:
+            low, high = (
+                max(low, (-half - p) / d if d > 0 else (half - p) / d),
+                min(high, (np.copysign(half, d) - p) / d),
+            )
+        elif abs(p) > half:
+            low, high = 1.0, -1.0
+    if not low < high:
+        raise LfmeshError(f"{name}.pose: the plane of the drawing, x = {x:.4g} mm, does not meet it; shift it less")
+    return Cut(to_camera, start, ahead, -to_camera[0, 2] / square * across, float(low), float(high))
+
+
+def lens_glass(shape: LensShape, indices: Array) -> list[Glass]:
+    """Cut the elements of a lens by the meridional plane.
+
+    Parameters
+    ----------
+    shape : LensShape
+    indices : (K + 1,) float64
+        Of the spaces before, between and behind the surfaces.
+    """
+    elements = []
+    for number, k in enumerate(shape.elements):
+        front, back = _profile(shape, k), _profile(shape, k + 1)
+        edge = _edge(shape, k)
+        lower = np.column_stack([edge[:, 0], -edge[:, 1]])
+        outline = np.concatenate([front, edge[1:-1], back[::-1], lower[::-1][1:-1]])
+        elements.append(Glass(f"lens[{number}]", float(indices[k + 1]), front, back, outline))
+    return elements
+
+
+def _profile(shape: LensShape, k: int) -> Array:
+    """Return the section of surface k from its lower rim to its upper one."""
+    if not shape.analytic[k]:
+        cap = shape.caps[k]
+        lines = mesh_section(trimesh.Trimesh(cap.vertices, cap.faces, process=False))
+        line = max(lines, key=len)
+        return line if line[0, 1] < line[-1, 1] else line[::-1]
+    rim = shape.rims[k]
+    y = rim * np.sin(np.linspace(-0.5 * np.pi, 0.5 * np.pi, 2 * PROFILE_POINTS - 1))
+    return np.column_stack([shape.surfaces[k]["vertex_z"] + mesh_sag(shape.surfaces[k], np.abs(y)), y])
+
+
+def _edge(shape: LensShape, k: int) -> Array:
+    """Return the upper edge of the element behind surface k, (z, y) from its front rim to its back rim."""
+    front, back = shape.surfaces[k], shape.surfaces[k + 1]
+    return ring_profile(front, shape.rims[k], back, shape.rims[k + 1])[:, ::-1]
+
+
+def sag_at_rim(shape: LensShape, k: int) -> float:
+    """Return z of a surface at its clear aperture."""
+    return float(shape.surfaces[k]["vertex_z"] + sag(shape.surfaces[k], shape.surfaces[k]["aperture"]))
+
+
+def mesh_section(mesh: trimesh.Trimesh, x: float = 0.0) -> list[Array]:
+    """Cut a mesh by the plane of that x: (n, 2) polylines of z and y, closed ones with their first point repeated."""
+    size = float(np.ptp(mesh.bounds, axis=0).max())
+    segments = trimesh.intersections.mesh_plane(mesh, [1.0, 0.0, 0.0], [x + ASIDE * size, 0.0, 0.0])
+    return chained(np.asarray(segments, dtype=np.float64).reshape(-1, 2, 3)[:, :, [2, 1]], ASIDE * size)
+
+
+def chained(segments: Array, closeness: float) -> list[Array]:
+    """Join segments (n, 2, 2) whose ends agree to polylines."""
+    ends = np.round(segments.reshape(-1, 2) / closeness).astype(np.int64)
+    _, nodes = np.unique(ends, axis=0, return_inverse=True)
+    pairs = nodes.reshape(-1, 2)
+    at_node: dict[int, list[int]] = {}
+    for i, pair in enumerate(pairs):
+        if pair[0] != pair[1]:
+            for node in pair:
+                at_node.setdefault(int(node), []).append(i)
+    used = pairs[:, 0] == pairs[:, 1]
+    lines = []
+    # Open lines start where only one segment ends; what remains is closed.
+    for start in sorted(at_node, key=lambda node: (len(at_node[node]) != 1, node)):
+        line: list[Array] = []
+        node = start
+        while left := [i for i in at_node[node] if not used[i]]:
+            i = left[0]
+            used[i] = True
+            end = int(pairs[i, 1] == node)
+            line += [segments[i, end]] if not line else []
+            line.append(segments[i, 1 - end])
+            node = int(pairs[i, 1 - end])
+        if line:
+            lines.append(np.array(line))
+    return lines
+
+
+def curved_face(cut: Cut, array: Lenslets, s: Array) -> Array:
+    """Return the height (z of the array's frame) of the curved face at places s along a cut through it, mm."""
+    height = np.zeros_like(s)
+    centres = array.lattice.centres().reshape(-1, 2)
+    line = cut.local(s)
+    reach = 0.5 * np.ptp(line, axis=0).max() + 2.0 * array.lattice.pitch
+    middle = 0.5 * (line.min(axis=0) + line.max(axis=0))
+    numbers = np.flatnonzero(np.abs(centres - middle).max(axis=1) < reach)
+    # A tilted array is cut a little aside where its face is deep.
+    for _ in range(4):
+        p = cut.local(s, height)
+        nearest = numbers[((p[:, None] - centres[numbers]) ** 2).sum(axis=2).argmin(axis=1)]
+        for cell in np.unique(nearest):
+            row, column = divmod(int(cell), array.lattice.columns)
+            curvature, ex, ey = shape_of(array, column, row)
+            there = nearest == cell
+            r2 = np.square(p[there] - centres[cell] - (ex, ey)).sum(axis=1)
+            height[there] = curvature * r2 / (1.0 + np.sqrt(1.0 - curvature**2 * r2))
+    return height
+
+
+def apexes(array: Lenslets) -> NDArray[np.float64]:
+    """Return the (rows, columns, 2) apexes of all lenslets in the array's frame, mm."""
+    centres = array.lattice.centres()
+    return centres + array.decentre.reshape(centres.shape) if len(array.decentre) else centres

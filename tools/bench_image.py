@@ -36,18 +36,20 @@ from lfmesh.study.image_efficiency import (
     AIMING,
     ANALOG,
     IMAGE_PATH,
+    PARTS,
     QUICK,
     SEQUENTIAL,
     SOBOL,
     USUAL,
     Effort,
     ImageRow,
+    Way,
     study_images,
 )
 from lfmesh.transport.render import Renderer
 
-WAYS = (ANALOG, AIMING, SOBOL, IMAGE_PATH, SEQUENTIAL)
-GAINS = ((AIMING, ANALOG), (SOBOL, AIMING), (SEQUENTIAL, SOBOL), (SEQUENTIAL, IMAGE_PATH))
+WAYS = (ANALOG, AIMING, SOBOL, PARTS, IMAGE_PATH, SEQUENTIAL)
+GAINS = ((AIMING, ANALOG), (SOBOL, AIMING), (PARTS, SOBOL), (SEQUENTIAL, SOBOL), (SEQUENTIAL, IMAGE_PATH))
 LENSLETS, PIXELS_A_LENSLET = 16, 10
 MITSUBA, MITSUBA_REFLECTIONS = "mitsuba, image path", "mitsuba, reflections"
 SEED = 7
@@ -119,16 +121,16 @@ def own_rows(scene: Scene, effort: Effort) -> tuple[list[ImageRow], list[Ratio]]
     return list(study.rows), ratios
 
 
-def small_camera(lenslets: int, reflections: bool, sequential: bool) -> Scene:
-    """Return emitting_plane.toml with fewer lenslets."""
+def small_camera(lenslets: int, way: Way) -> Scene:
+    """Return emitting_plane.toml with fewer lenslets, as one of the adjoint ways renders it."""
     return lf.solved(
         lf.load(asset_path("scenes/emitting_plane.toml")).changed(
             {
                 "camera.mla.count": [lenslets, lenslets],
                 "camera.sensor.pixels": [PIXELS_A_LENSLET * lenslets] * 2,
                 "transport.replicates": 1,
-                "transport.split": "both" if reflections else "transmit",
-                "transport.engine": "sequential" if sequential else "mesh",
+                "transport.split": way.split,
+                "transport.engine": way.engine,
             }
         )
     )
@@ -140,14 +142,12 @@ def beside_mitsuba(
     """Measure the adjoint method and Mitsuba on the small camera, in turns; return rows, ratios, agreement of power."""
     # From a seed, what renders a picture: what is built for it is not timed.
     pictures: dict[str, Callable[[int], Picture]] = {}
-    for name, reflections, sequential in (
-        (SOBOL.name, True, False), (IMAGE_PATH.name, False, False), (SEQUENTIAL.name, False, True),
-    ):  # fmt: skip
-        pictures[name] = partial(own_picture, small_camera(lenslets, reflections, sequential), samples)
+    for way in (SOBOL, PARTS, IMAGE_PATH, SEQUENTIAL):
+        pictures[way.name] = partial(own_picture, small_camera(lenslets, way), samples)
     if with_mitsuba:
         from bench_mitsuba import Camera
 
-        scene = small_camera(lenslets, False, False)
+        scene = small_camera(lenslets, IMAGE_PATH)
         for name, reflections in ((MITSUBA, False), (MITSUBA_REFLECTIONS, True)):
             camera = Camera(scene, os.cpu_count() or 1, reflections)
             pictures[name] = partial(partial, camera.image, samples)
@@ -164,12 +164,13 @@ def beside_mitsuba(
             images[name].append(render())
             seconds[name].append(time.process_time() - began)
     rows = {name: peer_row(name, samples, seconds[name], np.array(images[name])) for name in pictures}
-    pairs = [(SEQUENTIAL.name, MITSUBA), (IMAGE_PATH.name, MITSUBA), (SOBOL.name, MITSUBA_REFLECTIONS)]
+    pairs = [(SEQUENTIAL.name, MITSUBA), (IMAGE_PATH.name, MITSUBA), (SOBOL.name, MITSUBA_REFLECTIONS),
+             (PARTS.name, MITSUBA_REFLECTIONS)]  # fmt: skip
     pairs = [(own, peer) for own, peer in pairs if peer in rows]
     # The variances are of the runs together; what scatters from run to run is the time.
     cost = {name: np.multiply(row.mse, seconds[name]) for name, row in rows.items()}
     ratios = [Ratio.of(f"{own} / {peer}", cost[own].tolist(), cost[peer].tolist()) for own, peer in pairs]
-    pairs.append((SEQUENTIAL.name, IMAGE_PATH.name))
+    pairs += [(SEQUENTIAL.name, IMAGE_PATH.name), (PARTS.name, SOBOL.name)]
     agreement = [agree(rows[own], rows[peer]) for own, peer in pairs]
     return list(rows.values()), ratios, agreement
 

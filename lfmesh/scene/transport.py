@@ -33,7 +33,7 @@ class Transport(Model):
     sensor."""
     engine: Literal["auto", "mesh", "sequential"] = "auto"
     """"mesh": Embree, everything; "sequential": the image path only; "auto": the least that models the
-    scene."""
+    scene, or the image path with the one and the reflections with the other."""
     surface: Literal["flat", "smooth", "patch", "exact"] = "exact"
     """What a facet stands for: itself, itself with smooth normals, a curved patch, or the analytic
     surface."""

@@ -12,9 +12,9 @@ from lfmesh.study.image_efficiency import WAYS, ImageRow
 from lfmesh.study.lens_accuracy import LEVELS, LensRow
 
 COLOURS = {"flat": "#b4541a", "smooth": "#c69214", "patch": "#2a7f62", "exact": "#1f4e8c"}
-WAY_COLOURS = ("#777777", "#b4541a", "#c69214", "#2a7f62", "#1f4e8c")
+WAY_COLOURS = ("#777777", "#b4541a", "#c69214", "#2a7f62", "#6aa2d8", "#1f4e8c")
 MARKERS = {"flat": "s", "smooth": "^", "patch": "D", "exact": "o"}
-WAY_MARKERS = ("s", "^", "v", "D", "o")
+WAY_MARKERS = ("s", "^", "v", "D", "o", "P")
 GREY = "#666666"
 
 SIZE_IN = (8.2, 4.4)

@@ -81,6 +81,11 @@ SOBOL = Way(
     "the same from scrambled Sobol' points",
     "adjoint", "both", True, True,
 )  # fmt: skip
+PARTS = Way(
+    "adjoint, in parts",
+    "the same, the image path through exact surfaces in their order, the reflections apart from it",
+    "adjoint", "both", True, True, "auto",
+)  # fmt: skip
 IMAGE_PATH = Way(
     "adjoint, image path",
     "the same without reflections",
@@ -91,7 +96,7 @@ SEQUENTIAL = Way(
     "the same without reflections, through exact surfaces in their order",
     "adjoint", "transmit", True, True, "sequential",
 )  # fmt: skip
-WAYS = (ANALOG, SPLITTING, AIMING, RANDOM, SOBOL)
+WAYS = (ANALOG, SPLITTING, AIMING, RANDOM, SOBOL, PARTS)
 
 
 @dataclass(frozen=True)
@@ -124,6 +129,7 @@ USUAL = Effort(
         AIMING.name: (8, 32),
         RANDOM.name: (8, 32),
         SOBOL.name: (8, 32),
+        PARTS.name: (8, 32),
     },
     4,
     512,
@@ -136,6 +142,7 @@ QUICK = Effort(
         AIMING.name: (16, 32),
         RANDOM.name: (8, 16),
         SOBOL.name: (8, 16),
+        PARTS.name: (8, 16),
     },
     3,
     256,

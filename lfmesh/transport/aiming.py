@@ -14,6 +14,9 @@ from lfmesh.transport.tables import Opening
 WIDE_SHARE = 0.1
 """Share of rays that go to the wide disk where reflections are followed: ghosts come from all over it."""
 
+WIDE_SHARE_OF_STRAYS = 0.5
+"""Where nothing but reflections counts."""
+
 WIDE_SHARE_OF_IMAGE_PATH = 0.002
 """Where they are not: it brings only what the measured opening leaves out."""
 

@@ -135,8 +135,9 @@ def through_plate(
         reflectance, transmittance, cos_t = fresnel(n_i, n_t, abs(dz))
         to_reflected, to_refracted = split_shares(options, flow.book, packet, reflectance, transmittance)
         packet.events += 1
-        parent, key = packet.node, packet.key
+        parent, key, stray = packet.node, packet.key, packet.stray
         if to_reflected > 0.0:
+            packet.stray = 1
             child_key = derived(key, packet.events)
             if options.record:
                 packet.node = record(flow, frames, ARRAY_FRAME, x, y, z, to_reflected, FLAT_FACE, E_REFLECTED, parent)
@@ -148,6 +149,7 @@ def through_plate(
                     lens_surfaces,
                 )  # fmt: skip
         if to_refracted > 0.0:
+            packet.stray = stray
             if options.record:
                 packet.node = record(flow, frames, ARRAY_FRAME, x, y, z, to_refracted, FLAT_FACE, E_TRANSMITTED, parent)
             toward = 1.0 if dz > 0.0 else -1.0
@@ -317,7 +319,7 @@ def _split_at_face(
     reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
     to_reflected, to_refracted = split_shares(options, flow.book, packet, reflectance, transmittance)
     packet.events += 1
-    parent, key = packet.node, packet.key
+    parent, key, stray = packet.node, packet.key, packet.stray
     for child in range(2):
         refracts = child == 1
         weight = to_refracted if refracts else to_reflected
@@ -332,6 +334,7 @@ def _split_at_face(
             event = E_TRANSMITTED if refracts else E_REFLECTED
             packet.node = record(flow, frames, ARRAY_FRAME, x, y, z, weight, CURVED_FACE, event, parent)
         packet.space = GLASS if refracts == inward else BEFORE
+        packet.stray = stray if refracts else 1
         sideways, _ = leaves_at(lenslets.lattice, x - cx, y - cy, ux, uy)
         if packet.space == BEFORE and uz < 0.0 and (lenslets.top - z) / uz <= sideways:
             leave_array(flow, packet, x, y, z, ux, uy, uz, weight, child_key, array.curved_to_lens, lens_surfaces)

@@ -1,11 +1,15 @@
-"""Which engine traces a scene, and why."""
+"""Which engine traces a scene, and why.
+
+The adjoint method needs the mesh engine for reflections only: "both" leaves the image path, where nearly all light is,
+to the sequential engine, and adds what the mesh engine finds off it.
+"""
 
 from lfmesh.errors import SceneError
 from lfmesh.scene import Scene
 
 
 def engine_of(scene: Scene) -> tuple[str, str]:
-    """Return "mesh" or "sequential", and the reason in words.
+    """Return "mesh", "sequential" or "both", and the reason in words.
 
     Raises
     ------
@@ -24,7 +28,9 @@ def engine_of(scene: Scene) -> tuple[str, str]:
     if obstacle is not None:
         return "mesh", f"{obstacle}"
     if transport.split != "transmit":
-        return "mesh", f'split = "{transport.split}" follows reflections'
+        if transport.method == "forward":
+            return "mesh", f'split = "{transport.split}" follows reflections'
+        return "both", "the image path through exact surfaces in their order; paths with reflections through meshes"
     return "sequential", "the scene asks for the image path alone; exact surfaces in their order"
 
 

@@ -317,7 +317,7 @@ def _send_on(
         options, flow.book, packet, block[REFLECTANCE + i], block[TRANSMITTANCE + i]
     )
     space, last_space = packet.space, len(lens.surfaces)
-    met, node, key = packet.events + 1, packet.node, packet.key
+    met, node, key, stray = packet.events + 1, packet.node, packet.key, packet.stray
     for refracts in (False, True):
         weight = to_refracted if refracts else to_reflected
         if weight <= 0.0:
@@ -325,6 +325,7 @@ def _send_on(
         child = (REFRACTED if refracts else REFLECTED) + i
         dx, dy, dz = block[child + ALONG_X], block[child + ALONG_Y], block[child + ALONG_Z]
         into = (k + 1 if k == space else k) if refracts else space
+        packet.stray = stray if refracts else 1
         child_key = key if refracts else derived(key, met)
         if options.record:
             event = E_TRANSMITTED if refracts else E_REFLECTED

@@ -190,6 +190,9 @@ def shade_objects(
         texel = texture_at(objects, prim, packet.wave, x, y, z)
         albedo = objects.reflectance[body, packet.wave] * texel
         if options.adjoint:
+            if options.strays and packet.stray == 0:
+                flow.book[slot] += weight
+                continue
             flow.book[REACHED] += weight
             radiance = objects.radiance[body, packet.wave] * texel
             if radiance > 0.0:
@@ -292,7 +295,7 @@ def _through_glass(
     packet.last = NO_SURFACE
     if packet.kind != LAMP:
         packet.kind = SPECULAR
-    parent, key = packet.node, packet.key
+    parent, key, stray = packet.node, packet.key, packet.stray
     for child in range(2):
         refracts = child == 1
         weight = to_refracted if refracts else to_reflected
@@ -306,6 +309,8 @@ def _through_glass(
             event = E_TRANSMITTED if refracts else E_REFLECTED
             packet.node = record(flow, frames, OBJECT_FRAME, x, y, z, weight, ON_GLASS, event, parent)
         packet.column = body if refracts == entering else NO_SURFACE
+        # Total reflection is the image path's way on.
+        packet.stray = stray if refracts or transmittance == 0.0 else 1
         put(
             flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, weight,
             key if refracts else derived(key, packet.events), clear_of(facet, x, y, z, ux, uy, uz),

@@ -107,6 +107,7 @@ PACKET = np.dtype(
         ("tries", "i1"),  # queries of this ray that were refused
         ("kind", "i1"),
         ("frame", "i1"),
+        ("stray", "i1"),  # 1: was reflected where it might have been refracted; off the image path
     ],
     align=True,
 )  # fmt: skip
@@ -157,6 +158,7 @@ class Options(NamedTuple):
     bounce: bool  # light may go from target to target
     aimed: bool  # scattered light is aimed at the lens; else it finds the lens by chance
     sequential: bool  # lens and array are met in their order, without a mesh
+    strays: bool  # adjoint: only paths off the image path gather light
     first_source: int  # film row 0
 
 
@@ -176,7 +178,7 @@ def put(
     # compiler makes sixty moves of odd bytes.
     start, source, node, kind = parent.start, parent.source, parent.node, parent.kind
     column, cell_row, facet, last = parent.column, parent.row, parent.facet, parent.last
-    wave, space, events = parent.wave, parent.space, parent.events
+    wave, space, events, stray = parent.wave, parent.space, parent.events, parent.stray
     packet = flow.stacks[row, top]
     packet.x, packet.y, packet.z = x, y, z
     packet.dx, packet.dy, packet.dz = dx, dy, dz
@@ -186,6 +188,6 @@ def put(
     packet.aside, packet.node = 0.0, node
     packet.column, packet.row, packet.facet, packet.last = column, cell_row, facet, last
     packet.wave, packet.space, packet.events = wave, space, events
-    packet.tries, packet.kind, packet.frame = 0, kind, frame
+    packet.tries, packet.kind, packet.frame, packet.stray = 0, kind, frame, stray
     flow.tops[station] = top + 1
     return packet

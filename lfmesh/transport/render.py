@@ -20,9 +20,10 @@ from lfmesh.transport.forward import launch_forward
 from lfmesh.transport.image import Image
 from lfmesh.transport.ledger import Ledger
 from lfmesh.transport.packet import COUNTERS, DEPOSITS, EVENTS
+from lfmesh.transport.parts import Part, parts_of
 from lfmesh.transport.progress import Progress
 from lfmesh.transport.random import descendant
-from lfmesh.transport.settings import ledger_of, options_of
+from lfmesh.transport.settings import ledger_of
 from lfmesh.transport.world import World, build
 
 Film = NDArray[np.float64]
@@ -36,11 +37,12 @@ PIXELS_SORTED = 1 << 20
 
 @dataclass(frozen=True)
 class Chunk:
-    """A run of sources of one replicate and wavelength: pixels (adjoint) or packets (forward).
+    """A run of sources of one replicate, part and wavelength: pixels (adjoint) or packets (forward).
 
     Of a second stage, single pixels that have as many samples each.
     """
 
+    part: Part
     first: int
     count: int
     wave: int
@@ -156,33 +158,34 @@ class Renderer:
         self.pixels = self.world.tables.sensor.columns * self.world.tables.sensor.rows
         self.samples = transport.samples // transport.replicates
         self.adjoint = transport.method == "adjoint"
-        self.options = options_of(self.world, aimed=self.aimed)
+        self.parts = parts_of(self.world, aimed=self.aimed)
         self.threads = transport.threads or os.cpu_count() or 1
         self.seed = descendant(0x6C666D657368, transport.seed)
 
-    def chunks(self, levels: Counts | None = None) -> Iterator[Chunk]:
-        """Yield the chunks of one replicate, always in the same order; `levels` (pixels,): of the second stage."""
+    def chunks(self, part: Part, levels: Counts | None = None) -> Iterator[Chunk]:
+        """Yield a part's chunks of one replicate, always in the same order; `levels` (pixels,): of the second stage."""
+        samples = part.samples(self.samples)
         for wave in range(self.waves):
             if levels is not None:
-                yield from self._second_chunks(levels, wave)
+                yield from self._second_chunks(part, levels, wave)
                 continue
-            per_chunk = max(1, self.chunk // self.samples) if self.adjoint else self.chunk
-            total = self.pixels if self.adjoint else self.pixels * self.samples
+            per_chunk = max(1, self.chunk // samples) if self.adjoint else self.chunk
+            total = self.pixels if self.adjoint else self.pixels * samples
             for first in range(0, total, per_chunk):
                 count = min(per_chunk, total - first)
-                yield Chunk(first, count, wave, count * self.samples if self.adjoint else count, self.samples)
+                yield Chunk(part, first, count, wave, count * samples if self.adjoint else count, samples)
 
-    def _second_chunks(self, levels: Counts, wave: int) -> Iterator[Chunk]:
+    def _second_chunks(self, part: Part, levels: Counts, wave: int) -> Iterator[Chunk]:
         """Yield the chunks of a second-stage replicate: pixels with the same number of samples together."""
         for block in range(0, self.pixels, PIXELS_SORTED):
             sorted_here = levels[block : block + PIXELS_SORTED]
             for level in np.unique(sorted_here[sorted_here > 0]):
-                samples = 1 << (int(level) - 1)
+                samples = part.samples(1 << (int(level) - 1))
                 pixels = block + np.flatnonzero(sorted_here == level)
                 per_chunk = max(1, self.chunk // samples)
                 for first in range(0, len(pixels), per_chunk):
                     some = pixels[first : first + per_chunk]
-                    yield Chunk(int(some[0]), len(some), wave, len(some) * samples, samples, some)
+                    yield Chunk(part, int(some[0]), len(some), wave, len(some) * samples, samples, some)
 
     def image(self) -> Image:
         """Render all replicates, or as many as Ctrl-C leaves time for."""
@@ -236,13 +239,13 @@ class Renderer:
         for number in range(replicates):
             film[:] = 0.0
             try:
-                part = self._replicate(pool, number, film, began, levels)
+                own = self._replicate(pool, number, film, began, levels)
             except KeyboardInterrupt:
                 if levels is None and mean.count == 0:
                     raise
                 break
             mean.add(film.reshape(shape))
-            tally.add(part)
+            tally.add(own)
         return mean
 
     def _refine(self, pool: ThreadPoolExecutor, film: Film, mean: Mean, tally: Tally, began: float) -> Refinement:
@@ -276,40 +279,48 @@ class Renderer:
         tally = self._tally()
         waiting: Waiting = deque()
         done = 0
-        one = self.waves * (self.pixels * self.samples if levels is None else total_samples(levels))
+        one = sum(self._packets(part, levels) for part in self.parts)
         try:
-            for chunk in self.chunks(levels):
-                waiting.append((chunk, pool.submit(self._trace, chunk, descendant(key, chunk.wave), film)))
-                if len(waiting) > 2 * self.threads:
+            for part in self.parts:
+                for chunk in self.chunks(part, levels):
+                    stream = descendant(key, part.number * self.waves + chunk.wave)
+                    waiting.append((chunk, pool.submit(self._trace, chunk, stream, film)))
+                    if len(waiting) > 2 * self.threads:
+                        done += self._merge(waiting, tally, film)
+                        self._report(replicate, done, one, began)
+                # The next part adds to the same pixels.
+                while waiting:
                     done += self._merge(waiting, tally, film)
                     self._report(replicate, done, one, began)
-            while waiting:
-                done += self._merge(waiting, tally, film)
-                self._report(replicate, done, one, began)
         except BaseException:
             for _, future in waiting:
                 future.cancel()
             raise
         return tally
 
-    def _merge(
-        self, waiting: Waiting, tally: Tally, film: Film
-    ) -> int:  # fmt: skip
+    def _packets(self, part: Part, levels: Counts | None) -> int:
+        """Return how many packets a part of a replicate starts with."""
+        if levels is None:
+            return self.waves * self.pixels * part.samples(self.samples)
+        pixels = np.bincount(levels.ravel())
+        return self.waves * sum(
+            int(count) * part.samples(1 << (level - 1)) for level, count in enumerate(pixels) if level
+        )
+
+    def _merge(self, waiting: Waiting, tally: Tally, film: Film) -> int:
         """Add the oldest chunk's result; return how many packets it started with."""
         chunk, future = waiting[0]
-        part, deposits = future.result()
+        own, deposits = future.result()
         waiting.popleft()
-        tally.add(part)
+        tally.add(own)
         np.add.at(film, (deposits["pixel"], deposits["wave"]), deposits["weight"])
         return chunk.packets
 
     def _trace(self, chunk: Chunk, key: np.uint64, film: Film) -> tuple[Tally, NDArray[np.void]]:
         """Trace one chunk in a thread of the pool."""
         began = time.perf_counter()
-        if not hasattr(self._local, "workspace"):
-            self._local.workspace = Workspace(self.world, self.options, self.chunk)
-        space: Workspace = self._local.workspace
-        tables = self.world.tables
+        space, part = self._workspace(chunk.part), chunk.part
+        tables = part.tables
         if self.adjoint:
             if chunk.pixels is None:
                 pixels = np.arange(chunk.first, chunk.first + chunk.count)
@@ -317,7 +328,7 @@ class Renderer:
             else:
                 pixels = chunk.pixels
                 space.begin(film)
-            if self.options.sequential:
+            if part.options.sequential:
                 launch_along_image_path(
                     pixels, chunk.samples, self.stratified, key, chunk.wave, tables.sensor, tables.lens, tables.array,
                     tables.aim, tables.frames, space.bundle, space.numbers, space.options, space.flow(), space.start,
@@ -331,19 +342,26 @@ class Renderer:
             space.begin(film[:0])
             if len(tables.objects.sources):
                 launch_forward(
-                    chunk.first, chunk.count, self.pixels * self.samples, key, chunk.wave,
+                    chunk.first, chunk.count, self.pixels * chunk.samples, key, chunk.wave,
                     tables.objects, tables.aim, tables.frames, space.options, space.flow(), space.template,
                 )  # fmt: skip
         space.run()
-        part = Tally(
-            space.book.copy(),
+        tally = Tally(
+            part.booked(space.book),
             space.counts.copy(),
             space.embree_seconds,
             time.perf_counter() - began,
             space.queries,
             chunk.packets,
         )
-        return part, space.deposits[: space.tops[DEPOSITS]].copy()
+        return tally, space.deposits[: space.tops[DEPOSITS]].copy()
+
+    def _workspace(self, part: Part) -> Workspace:
+        """Return what this thread traces a part in."""
+        spaces: dict[int, Workspace] = self._local.__dict__.setdefault("spaces", {})
+        if part.number not in spaces:
+            spaces[part.number] = Workspace(self.world, part.options, self.chunk, part.tables)
+        return spaces[part.number]
 
     def _report(self, replicate: int, done: int, one: int, began: float) -> None:
         """Say how far a stage has come; `one`: packets a replicate."""

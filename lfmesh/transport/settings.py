@@ -50,6 +50,7 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
         not tracing and (len(tables.objects.closed) > 1 or bool((tables.objects.facets["body"] >= 0).sum() > 2)),
         True,
         not tracing and engine_of(world.scene)[0] == "sequential",
+        False,
         0,
     )
     return options._replace(**override)

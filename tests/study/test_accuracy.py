@@ -130,7 +130,7 @@ def test_the_error_that_check_estimates_is_the_one_measured(report: AccuracyRepo
 def test_errors_of_images_are_those_of_their_standard_errors(report: AccuracyReport) -> None:
     """Mean squared errors fall with the samples; no way differs from the reference in the whole power.
 
-    The ten z are tested as normal ones, two-sided, Bonferroni.
+    The twelve z are tested as normal ones, two-sided, Bonferroni.
     """
     images = report.images
     assert images is not None

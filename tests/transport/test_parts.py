@@ -1,0 +1,106 @@
+"""The image path and what is off it, estimated apart, make the picture that the mesh engine makes in one.
+
+The glass is dense and the glowing plane wide, so that reflections bring much light: to count it twice, or not at all,
+is seen.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+from scipy import stats
+
+import lfmesh as lf
+from lfmesh.transport.parts import parts_of
+from lfmesh.transport.world import build
+
+LEVEL = 1e-3
+"""Chance that a scene fails though both ways are right; shared by its comparisons (Bonferroni)."""
+
+REPLICATES = 24
+SQUARE = 5
+
+LENS = {
+    "surfaces": [
+        {"radius_mm": 48.0, "thickness_mm": 3.0, "index": 2.2, "semi_diameter_mm": 5.0},
+        {"radius_mm": -48.0, "thickness_mm": 1.0, "semi_diameter_mm": 5.0},
+        {"stop": True, "semi_diameter_mm": 4.0},
+    ]
+}
+ARRAY = {"count": (4, 4), "pitch_mm": 0.5, "focal_length_mm": 2.6, "index": 2.2, "thickness_mm": 0.5}
+PLANE = {
+    # Far beyond the field of view: ghosts bring light from everywhere.
+    "shape": {"kind": "plane", "width_mm": 200.0, "height_mm": 200.0},
+    "position_mm": (0.0, 0.0, -60.0),
+    "material": {"reflectance": 0.5, "radiance_w_m2_sr": 1.0},
+}
+GLASS_BALL = "glass ball"
+
+
+def scene(**changes: Any) -> lf.Scene:
+    given = lf.Scene(
+        camera={"focus_mm": 60.0, "lens": LENS, "mla": ARRAY, "sensor": {"pixels": (20, 20), "pixel_mm": 0.1}},
+        targets=[PLANE],
+        transport={"split": "both", "samples": 8 * REPLICATES, "replicates": REPLICATES, "threads": 1},
+    )
+    return given.changed(changes)
+
+
+def squares(image: lf.Image) -> NDArray[np.float64]:
+    """Return the sums over squares of pixels, and of the whole."""
+    height, width, _ = image.mean.shape
+    parts = image.mean.reshape(height // SQUARE, SQUARE, width // SQUARE, SQUARE).sum(axis=(1, 3)).ravel()
+    return np.append(parts, parts.sum())
+
+
+def replicates(given: lf.Scene) -> NDArray[np.float64]:
+    """Return the sums of single replicates, (REPLICATES, sums)."""
+    one = given.changed({"transport.samples": 8, "transport.replicates": 1})
+    return np.stack([squares(lf.render(one.changed({"transport.seed": seed}))) for seed in range(REPLICATES)])
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"camera.mla.layout": "hexagonal", "camera.mla.curved_side": "sensor"},
+        {"camera.mla": None},
+        {"targets": GLASS_BALL},
+        {"transport.split": "roulette"},
+    ],
+    ids=["square", "hexagonal", "conventional", "glass ball", "by chance"],
+)
+def test_the_parts_make_the_picture_of_the_mesh_engine(changes: dict[str, Any], tmp_path: Path) -> None:
+    if changes.get("targets") == GLASS_BALL:
+        trimesh.creation.icosphere(2, 1.5).export(tmp_path / "ball.stl")
+        glass = {"file": (tmp_path / "ball.stl").as_posix(), "units": "mm", "index": 2.0}
+        changes = {"targets": [PLANE, {"refractor": glass, "position_mm": (0.3, 0.2, -50.0)}]}
+    given = scene(**changes)
+    assert len(parts_of(build(given))) == 2
+    apart = replicates(given)
+    whole = replicates(given.changed({"transport.engine": "mesh", "transport.weight_cutoff": 0.1}))
+    image_path = squares(lf.render(given.changed({"transport.split": "transmit"})))
+    assert apart[:, -1].mean() > 1.015 * image_path[-1], "without reflections to speak of nothing is tested"
+    p = stats.ttest_ind(apart, whole, equal_var=False).pvalue
+    assert p[np.isfinite(p)].min() > LEVEL / len(p), (apart.mean(axis=0) / whole.mean(axis=0), p)
+
+
+def test_the_ledger_is_that_of_all_paths() -> None:
+    apart = lf.render(scene()).ledger
+    whole = lf.render(scene(**{"transport.engine": "mesh"})).ledger
+    assert abs(apart.imbalance) < 1e-12
+    # What is emitted depends on where the samples go, by far less than what reflections bring.
+    assert apart.emitted == pytest.approx(whole.emitted, rel=0.02)
+    assert apart.reached_target == pytest.approx(whole.reached_target, rel=0.02)
+    assert apart.lit == pytest.approx(whole.lit, rel=0.02)
+
+
+@pytest.mark.parametrize("changes", [{}, {"transport.target_error": 0.05, "transport.max_samples": 64}])
+def test_threads_do_not_change_a_bit(changes: dict[str, Any]) -> None:
+    few = scene(**{"transport.samples": 8, "transport.replicates": 2, **changes})
+    one, two = (lf.render(few.changed({"transport.threads": threads})) for threads in (1, 2))
+    np.testing.assert_array_equal(one.mean, two.mean)
+    np.testing.assert_array_equal(one.stderr, two.stderr)

@@ -14,6 +14,8 @@ ROOT = Path(__file__).resolve().parents[1]
 MODULE = """
 import json
 
+from numba.core import event
+
 from lfmesh.kernel import kernel
 
 
@@ -28,10 +30,12 @@ def twice_and_thrice(x: float) -> float:
 
 
 if __name__ == "__main__":
-    value = twice_and_thrice(1.5)
+    with event.install_recorder("numba:compile") as recorder:
+        value = twice_and_thrice(1.5)
+    begun = [e.data["dispatcher"].py_func for _, e in recorder.buffer if e.is_start]
     print(json.dumps({
         "value": value,
-        "compiled": len(scaled.signatures),
+        "compiled": begun.count(scaled.py_func),
         "cached": sum(twice_and_thrice.stats.cache_hits.values()),
     }))
 """
@@ -69,6 +73,38 @@ def test_where_the_package_cannot_be_written_kernels_are_kept_with_the_user(prog
     assert outcome(started(program, **kept))["cached"] == 0
     assert list((tmp_path / "user").rglob("*.nbi"))
     assert outcome(started(program, **kept))["cached"] == 1
+
+
+COMPILING = """
+import gc
+
+from numba.core import event
+from program import twice_and_thrice
+
+on_meanwhile = []
+
+
+class Watch(event.Listener):
+    def on_start(self, event):
+        on_meanwhile.append(gc.isenabled())
+
+    def on_end(self, event):
+        pass
+
+
+event.register("numba:compile", Watch())
+for on, number in ((True, 1.5), (False, 1)):
+    gc.enable() if on else gc.disable()
+    twice_and_thrice(number)
+    assert gc.isenabled() == on
+print(on_meanwhile)
+"""
+
+
+def test_compiling_does_without_the_garbage_collector_and_leaves_it_as_it_was(program: Path) -> None:
+    own = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(program.parent)])}
+    run = subprocess.run([sys.executable, "-c", COMPILING], env=own, capture_output=True, text=True, check=True)
+    assert run.stdout == "[False, False, False, False]\n"
 
 
 def test_two_processes_may_compile_at_once(program: Path) -> None:

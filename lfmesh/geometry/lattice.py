@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernel import kernel, pasted
 
 ROW_SPACING = np.sqrt(0.75)
 """Distance of neighbouring rows of a hexagonal lattice over its pitch."""
@@ -88,7 +88,7 @@ def cell_of(lattice: Lattice, x: float, y: float) -> tuple[int, int]:
     return found_column, found_row
 
 
-@inlined
+@pasted
 def in_hexagon(x: float, y: float, half: float) -> bool:
     """Tell whether a point lies in the hexagon round the origin whose sides, two of them along y, are `half` away."""
     a, b = 0.5 * x, ROW_SPACING * y

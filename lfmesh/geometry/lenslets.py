@@ -5,16 +5,18 @@ Every lenslet is the same spherical cap on its own cell, up to three types (mult
 for drawing, and as the truth that the folded array is tested against.
 """
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry.lattice import Lattice
 from lfmesh.geometry.mesh import Array, Index, Mesh, joined
 from lfmesh.kernel import kernel
+
+if TYPE_CHECKING:
+    import trimesh
 
 SUBDIVISIONS = 6
 """Triangles along a cell's side (square) or from its centre to a corner (hexagonal)."""
@@ -233,12 +235,14 @@ def _cell_norm(lattice: Lattice, p: Array) -> Array:
     return np.abs(p @ np.stack([np.cos(turn), np.sin(turn)])).max(axis=1)
 
 
-def array_mesh(of: Lenslets, subdivisions: int = SUBDIVISIONS) -> trimesh.Trimesh:
+def array_mesh(of: Lenslets, subdivisions: int = SUBDIVISIONS) -> "trimesh.Trimesh":
     """Return the whole array as a closed mesh.
 
     Where all lenslets are alike it is one shell. Unlike neighbours meet in steps, so each lenslet is then a closed
     prism of its own and the prisms stand side by side.
     """
+    import trimesh
+
     pattern, faces = cell_pattern(of.lattice, subdivisions)
     centres = of.lattice.centres()
     rows, columns = np.indices(centres.shape[:2])
@@ -261,8 +265,10 @@ def array_mesh(of: Lenslets, subdivisions: int = SUBDIVISIONS) -> trimesh.Trimes
     return trimesh.util.concatenate([_prism(v[:, :2], faces, v[:, 2], of.thickness) for v in solids])
 
 
-def _prism(flat: Array, faces: Index, z: Array, thickness: float) -> trimesh.Trimesh:
+def _prism(flat: Array, faces: Index, z: Array, thickness: float) -> "trimesh.Trimesh":
     """Close a height field with side walls and a flat face, outward-oriented."""
+    import trimesh
+
     count = len(flat)
     directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     key = directed[:, 0] * count + directed[:, 1]

@@ -2,14 +2,18 @@
 
 `Mesh` is deliberately thin: trimesh objects are made from it for export and checks, the float32 copy for Embree is
 made from it, and the facets' planes, edges and corner normals are tabulated from it without a rounding in between.
+trimesh takes half a second to load, so every module does that only where it is asked for: rays do not need it.
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import trimesh
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -50,8 +54,10 @@ class Mesh:
         normals = -self.corner_normals[:, ::-1] if self.corner_normals is not None else None
         return Mesh(self.vertices, self.faces[:, ::-1], normals)
 
-    def solid(self) -> trimesh.Trimesh:
+    def solid(self) -> "trimesh.Trimesh":
         """Return a trimesh object with coincident vertices merged, so that shared rims close."""
+        import trimesh
+
         return trimesh.Trimesh(self.vertices, self.faces, process=True, validate=False)
 
 

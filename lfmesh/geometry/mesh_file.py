@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 
 from lfmesh.errors import MeshError
 from lfmesh.geometry.mesh import Array, Mesh
@@ -89,6 +88,8 @@ def load_mesh(path: Path, units: str | None = None) -> list[Piece]:
 
 
 def _read(path: Path, ending: str, units: str | None) -> list[Piece]:
+    import trimesh
+
     unit = _agreed(path, UNIT_OF_FORMAT.get(ending), units)
     if ending == ".obj":
         _check_obj(path)
@@ -160,6 +161,8 @@ def _own_normals(geometry: Any, linear: Array) -> Array | None:
 
 def _colour(material: Any, pictures: dict[int, Texture]) -> tuple[Texture | None, Array]:
     """Return the base colour picture and factor, both linear, of a material as trimesh holds it."""
+    import trimesh
+
     if isinstance(material, trimesh.visual.material.PBRMaterial):
         image, factor = material.baseColorTexture, material.baseColorFactor
         # trimesh keeps the factor as bytes.

@@ -9,7 +9,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from lfmesh.errors import MeshError
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, joined
@@ -68,6 +67,8 @@ def solid_mesh(path: Path, units: str | None, crease_deg: float | None) -> Mesh:
         The file cannot be used, its body is not closed, or its normals are not those of its facets; a refractor is
         not repaired in silence.
     """
+    import trimesh
+
     pieces = [piece.mesh for piece in load_mesh(path, units)]
     brings_normals = all(piece.corner_normals is not None for piece in pieces)
     mesh = welded(joined(pieces))

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import trimesh
 
 from lfmesh.errors import MeshError
 from lfmesh.geometry.atlas import atlas
@@ -13,6 +12,7 @@ from lfmesh.geometry.mesh_file import Piece, load_mesh
 from lfmesh.geometry.primitives import primitive
 from lfmesh.geometry.refractors import solid_mesh
 from lfmesh.geometry.texture import Texture, load_texture
+from lfmesh.geometry.vertex_normals import is_closed
 from lfmesh.geometry.weld import welded
 from lfmesh.scene import Scene, Target
 
@@ -100,8 +100,7 @@ def _oriented(pieces: list[Piece]) -> tuple[list[Piece], bool]:
 
 def _enclosed(mesh: Mesh) -> float:
     """Return the volume of a closed mesh in mm³, negative where it faces inwards; 0 for an open one."""
-    body = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    if not (body.is_watertight and body.is_winding_consistent):
+    if not is_closed(mesh.faces):
         return 0.0
     # From the middle, so that a body far from its origin keeps its digits.
     a, b, c = np.moveaxis((mesh.vertices - mesh.vertices.mean(axis=0))[mesh.faces], 1, 0)

@@ -42,6 +42,13 @@ def edge_partners(faces: Index) -> tuple[Index, Index]:
     return order[:-1][alone], order[1:][alone]
 
 
+def is_closed(faces: Index) -> bool:
+    """Tell whether every edge joins two facets, which run along it in opposite senses."""
+    first, second = edge_partners(faces)
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    return faces.size == 2 * len(first) and bool((start[first] == end[second]).all())
+
+
 def smooth_edges(mesh: Mesh, crease_deg: float | None) -> NDArray[np.bool_]:
     """Return (m, 3): whether the surface goes on across each edge, its facets' normals less than an angle apart.
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.surface import NEWTON_STEPS, SETTLED, distance_to
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernel import kernel, pasted
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ def empty_bundle() -> Array:
     return room[offset : offset + ROWS * BLOCK]
 
 
-@inlined
+@pasted
 def load(bundle: Array, i: int, x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float) -> None:
     """Write a ray that has met nothing yet."""
     bundle[X + i], bundle[Y + i], bundle[Z + i] = x, y, z
@@ -130,7 +130,7 @@ def through_surface(
     _bend_along_slope(bundle, c, k, z, limit, sense, n_i, n_t, rim, mount, beyond)
 
 
-@inlined
+@pasted
 def conic_distance(
     c: float, q: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
 ) -> tuple[bool, float]:
@@ -143,7 +143,7 @@ def conic_distance(
     return meets, _root_of(a, b, g, sense, np.sqrt(root if meets else 0.0))
 
 
-@inlined
+@pasted
 def sphere_distance(
     c: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
 ) -> tuple[bool, float, float]:
@@ -156,7 +156,7 @@ def sphere_distance(
     return meets, _root_of(c, b, g, sense, cos_i), cos_i
 
 
-@inlined
+@pasted
 def _root_of(a: float, b: float, g: float, sense: float, root: float) -> float:
     """Solve a t² + 2 b t + g = 0 for the crossing in a given sense, in the form in which nothing cancels."""
     signed = sense * root
@@ -166,7 +166,7 @@ def _root_of(a: float, b: float, g: float, sense: float, root: float) -> float:
     return above / below
 
 
-@inlined
+@pasted
 def fresnel_refraction(
     dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, cos_i: float, n_i: float, n_t: float
 ) -> tuple[float, float, float, bool, float]:
@@ -189,7 +189,7 @@ def fresnel_refraction(
     return eta * dx + g * nx, eta * dy + g * ny, eta * dz + g * nz, total, transmittance
 
 
-@inlined
+@pasted
 def _bend(
     bundle: Array, i: int, meets: bool, px: float, py: float, pz: float, nx: float, ny: float, nz: float,
     cos_i: float, limit: float, n_i: float, n_t: float, rim: float, mount: float, beyond: float,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice, in_hexagon
 from lfmesh.geometry.lenslets import are_alike, shape_of
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernel import kernel, pasted
 from lfmesh.transport.bundle import (
     BLOCK,
     DX,
@@ -97,7 +97,7 @@ def _commit(bundle: Array) -> None:
         bundle[MET + i] += 2.0 if holds else 0.0
 
 
-@inlined
+@pasted
 def _bend(
     bundle: Array, i: int, holds: bool, px: float, py: float, pz: float, nx: float, ny: float, nz: float,
     cos_i: float, n_i: float, n_t: float,
@@ -150,7 +150,7 @@ def _find_square_cells(bundle: Array, border: float, pitch: float, columns: int,
         bundle[PASSED + i] = bundle[PASSED + i] if inside else 0.0
 
 
-@inlined
+@pasted
 def _nearest_in_row(u: float, v: float, row: float, columns: int, rows: int) -> tuple[float, float, float, float]:
     """Return the column of a row's centre that is nearest to a point, that centre, and its squared distance."""
     shift = row - 2.0 * np.floor(0.5 * row)
@@ -201,7 +201,7 @@ def _fill_shapes(bundle: Array, curvature: float) -> None:
         bundle[_APEX_X + i], bundle[_APEX_Y + i] = bundle[_CENTRE_X + i], bundle[_CENTRE_Y + i]
 
 
-@inlined
+@pasted
 def _meet_face(bundle: Array, i: int, sense: float) -> tuple[bool, float, float, float, float, float, float, float]:
     """Return whether a ray meets its lenslet's sphere on the half of the apex, the point, the normal, the cosine."""
     c = bundle[_CURVATURE + i]

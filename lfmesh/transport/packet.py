@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import inlined
+from lfmesh.kernel import pasted
 
 # Stations: what a packet waits for. Embree is asked at the first three.
 LENS = 0  # a surface of the main lens
@@ -166,7 +166,7 @@ class Options(NamedTuple):
 BOTH, ROULETTE, TRANSMIT = 0, 1, 2
 
 
-@inlined
+@pasted
 def put(
     flow: Flow, station: int, parent: Any, frame: int,
     x: float, y: float, z: float, dx: float, dy: float, dz: float,

@@ -157,7 +157,7 @@ def _edge(seen: Outlook, lens: LensTables, height: Array, distance: Array, start
     reach = 2.0 * seen.wide_radius
     steps = np.linspace(0.0, reach, STEPS + 1)[1:]
     shape = (len(height), SPOKES, STEPS)
-    x = np.broadcast_to(start[:, None, None] + steps * across, shape).reshape(len(height), -1)
+    x = (start[:, None, None] + steps * across).reshape(len(height), -1)
     y = np.broadcast_to(steps * up, shape).reshape(len(height), -1)
     passes = _passes(seen, lens, height, distance, x, y).reshape(shape)
     inside = np.where(passes.any(axis=2), STEPS - passes[..., ::-1].argmax(axis=2), 0) * (reach / STEPS)

@@ -1,9 +1,9 @@
 """From a scene to what rays can meet: meshes, Embree scenes, and the tables that the kernels read."""
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from lfmesh.errors import LfmeshError, SceneError
 from lfmesh.geometry.lens_shape import LensShape, lens_shape
@@ -32,6 +32,9 @@ from lfmesh.transport.tables import (
     SensorTables,
     Tables,
 )
+
+if TYPE_CHECKING:
+    import trimesh
 
 FIXED_SLOTS = (
     "emitted", "sensor", "escaped", "roulette added", "roulette removed", "sampling added", "sampling removed",
@@ -64,7 +67,7 @@ class World:
         names += ["stop"] + (["mla"] if self.tables.array.present else []) + ["sensor", "housing"]
         return names + [f"targets[{i}]" for i in range(len(self._targets))]
 
-    def mesh(self, name: str) -> trimesh.Trimesh:
+    def mesh(self, name: str) -> "trimesh.Trimesh":
         """Return a body as a mesh in the world frame, mm.
 
         Lens elements and the array are closed solids, outward-oriented. Cemented elements are a solid each; the
@@ -104,7 +107,9 @@ class World:
         return self.slots[number - 2000]
 
     @staticmethod
-    def _in_world(mesh: trimesh.Trimesh, to_world: Array) -> trimesh.Trimesh:
+    def _in_world(mesh: "trimesh.Trimesh", to_world: Array) -> "trimesh.Trimesh":
+        import trimesh
+
         moved = Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces)).moved(to_world)
         return trimesh.Trimesh(moved.vertices, moved.faces, process=False)
 
@@ -117,7 +122,7 @@ class World:
         shape = self.lens_shape
         return [mesh for k, mesh in enumerate(shape.closures) if shape.media[k + 1] is None]
 
-    def _stop(self) -> trimesh.Trimesh:
+    def _stop(self) -> "trimesh.Trimesh":
         """Return the annulus round the stop's aperture."""
         surfaces = self.scene.camera.lens.surfaces
         number = next(i for i, s in enumerate(surfaces) if s.stop)
@@ -130,7 +135,9 @@ class World:
         z += float(sag(record, inner))
         return revolved(np.array([[outer, z], [inner, z]]), 96).solid()
 
-    def _sensor(self) -> trimesh.Trimesh:
+    def _sensor(self) -> "trimesh.Trimesh":
+        import trimesh
+
         x, y = (0.5 * size for size in self.scene.camera.sensor.size_mm)
         corners = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
         return trimesh.Trimesh(corners, [[0, 2, 1], [0, 3, 2]], process=False)

@@ -7,7 +7,7 @@ import trimesh
 from lfmesh.geometry.mesh import Mesh, facet_normals
 from lfmesh.geometry.surface import normals, sag, surface
 from lfmesh.geometry.tessellation import cap, element, revolved, ring_profile
-from lfmesh.geometry.vertex_normals import estimated_corner_normals, smooth_edges, smooth_groups
+from lfmesh.geometry.vertex_normals import estimated_corner_normals, is_closed, smooth_edges, smooth_groups
 from lfmesh.geometry.weld import welded
 
 ASPHERE = surface(45.0, -1.2, (3e-6, -2e-9), aperture=12.0)
@@ -163,3 +163,23 @@ def test_an_edge_of_three_facets_joins_nothing():
         np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]]),
     )
     assert not smooth_edges(fin, 179.0).any()
+
+
+BALL = trimesh.creation.icosphere(1).faces
+FACES = {
+    "ball": BALL,
+    "box": trimesh.creation.box().faces,
+    "hole": BALL[1:],
+    "one facet turned": np.concatenate([BALL[:1, ::-1], BALL[1:]]),
+    "all facets turned": BALL[:, ::-1],
+    "a fin": np.concatenate([BALL, [[*BALL[0, :2], BALL.max() + 1]]]),
+    "a facet twice": np.concatenate([BALL, BALL[:1]]),
+    "two balls": np.concatenate([BALL, BALL + BALL.max() + 1]),
+    "nothing": np.zeros((0, 3), np.int64),
+}
+
+
+@pytest.mark.parametrize("faces", FACES.values(), ids=FACES)
+def test_a_mesh_is_closed_where_trimesh_finds_it_watertight_and_of_one_winding(faces):
+    body = trimesh.Trimesh(np.random.default_rng(3).normal(size=(faces.max(initial=0) + 1, 3)), faces, process=False)
+    assert is_closed(faces) == (body.is_watertight and body.is_winding_consistent)

@@ -17,7 +17,15 @@ HEAVY = [
 ]
 
 
-def test_importing_scene_loads_no_heavy_library() -> None:
-    code = f"import sys, lfmesh.scene; print([m for m in {HEAVY!r} if m in sys.modules])"
+def loaded(module: str, heavy: list[str]) -> str:
+    code = f"import sys, {module}; print([m for m in {heavy!r} if m in sys.modules])"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert result.stdout.strip() == "[]"
+    return result.stdout.strip()
+
+
+def test_importing_scene_loads_no_heavy_library() -> None:
+    assert loaded("lfmesh.scene", HEAVY) == "[]"
+
+
+def test_the_renderer_loads_no_mesh_library_before_a_mesh_is_asked_for() -> None:
+    assert loaded("lfmesh.transport.render", ["trimesh", "scipy.spatial", "pyvista", "OpenEXR", "matplotlib"]) == "[]"

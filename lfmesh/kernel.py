@@ -90,7 +90,7 @@ def inlined(function: F) -> F:
 def pasted(function: F) -> F:
     """Paste the source into every caller before that is compiled, which takes the longer the more callers there are.
 
-    For what returns a record, which a call would copy, and for the bodies of loops that LLVM is to vectorise.
+    For what returns a record, which a call would copy, and for the bodies of loops that must stay as tight as they are.
     """
     return cast(F, numba.njit(**_OPTIONS, inline="always")(function))
 

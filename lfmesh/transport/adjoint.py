@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice, cell_of, centre, in_hexagon
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernel import kernel, pasted
 from lfmesh.optics.scattering import lambertian
 from lfmesh.transport.aiming import aimed
 from lfmesh.transport.bundle import (
@@ -265,7 +265,7 @@ def _aim(
     return which, sample
 
 
-@inlined
+@pasted
 def _list_cells(array: ArrayTables, aim: Aim, x: float, y: float, z: float, reach: float, near: Array) -> int:
     """List the lenslets that show (part of) the lens's opening to a point of the sensor or one within reach of it.
 
@@ -296,7 +296,7 @@ def _list_cells(array: ArrayTables, aim: Aim, x: float, y: float, z: float, reac
     return count
 
 
-@inlined
+@pasted
 def _through_a_lenslet(
     array: ArrayTables, aim: Aim, normal: tuple[float, float, float], near: Array, listed: int,
     cells: NDArray[np.int64], numbers: Numbers, x: float, y: float, z: float,

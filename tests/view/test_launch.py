@@ -90,6 +90,11 @@ def test_each_light_alone_launches_from_where_it_stands(lit):
         np.testing.assert_allclose(rays.position[rays.offsets[:-1]], np.tile(lamp.position_mm, (len(rays), 1)))
         assert (rays.event[rays.offsets[:-1]] == Event.START).all()
         assert rays.any_vertex(rays.event == Event.SCATTERED).any()
+        # A point light's packets go into the cone round the targets' sphere, and share what it sends there.
+        objects = lit.tables.objects
+        distance = np.linalg.norm(objects.lights[number]["position"])
+        seen = 0.5 * (1.0 - np.sqrt(1.0 - (objects.radius / distance) ** 2))
+        np.testing.assert_allclose(rays.power[rays.offsets[:-1]], lamp.power_w * seen / 150, rtol=1e-9)
 
 
 def test_a_scenes_only_light_alone_is_its_run(lit):

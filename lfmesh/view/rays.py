@@ -42,7 +42,7 @@ class Rays:
     status : (n,) int64
         `lfmesh.Status`: how each ended.
     source : (n,) int64
-        Launched ray that it descends from.
+        Launched ray that it descends from, counting those that left any path.
     pixel : (n, 2) int64
         Row and column of the sensor pixel that it ends on, or started from; −1, −1: none.
     wavelength_nm : (n,) float64

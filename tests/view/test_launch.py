@@ -73,6 +73,16 @@ def test_a_forward_runs_rays_are_its_image_and_its_ledger(lit, whole_run):
     assert (whole_run.pixel[~hit] == -1).all()
 
 
+def test_recorded_paths_are_also_those_of_a_run_of_the_sequential_engine(lit):
+    """What it meets in a known order is met here by way of meshes."""
+    update = {"targets": (sheet(reflectance=0.9),)}
+    update["transport"] = lit.scene.transport.model_copy(update={"split": "transmit"})
+    world = lf.build(lit.scene.model_copy(update=update))
+    image, rays = lf.render(world.scene), as_in_run(world)
+    assert image.engine.startswith("sequential")
+    np.testing.assert_allclose(rays.end_power[rays.arrives].sum(), image.ledger.sensor, rtol=1e-10)
+
+
 def test_fewer_rays_of_a_run_are_its_first_ones_with_all_of_its_power(lit, whole_run):
     some = as_in_run(lit, 200)
     starts = {tuple(p) for p in whole_run.position[whole_run.offsets[:-1]]}
@@ -247,3 +257,8 @@ def test_more_paths_than_can_be_kept_are_refused(glowing, monkeypatch):
     monkeypatch.setattr(engine, "MOST_VERTICES", 100_000)
     with pytest.raises(lf.LfmeshError, match="fewer rays"):
         from_field_point(glowing, (0.0, 0.0, -400.0), 2000, weight_cutoff=1e-4)
+    # Nor does it help that they come in chunks.
+    monkeypatch.setattr(engine, "MOST_VERTICES", 300_000)
+    assert len(from_field_point(glowing, (0.0, 0.0, -400.0), 15_000, split="transmit")) == 15_000
+    with pytest.raises(lf.LfmeshError, match="fewer rays"):
+        from_field_point(glowing, (0.0, 0.0, -400.0), 30_000, split="transmit")

@@ -13,6 +13,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.errors import LfmeshError
 from lfmesh.transport.adjoint import start_room
 from lfmesh.transport.array_region import admit_to_cells, shade_cells, through_plate
 from lfmesh.transport.bundle import BLOCK, empty_bundle
@@ -45,6 +46,10 @@ from lfmesh.transport.world import World
 CHUNK = 16_384
 """Packets a chunk starts with and a wave holds at most: they fit the cache, and hide the cost of a call."""
 
+MOST_VERTICES = 2_000_000
+"""Vertices that may be recorded, 150 MB and a few times that laid out in paths: followed to the end, all children of a
+single ray are more."""
+
 
 class Workspace:
     """The stacks and tables that one thread works in, kept from chunk to chunk."""
@@ -62,6 +67,8 @@ class Workspace:
         self.deposits = np.zeros(0, DEPOSIT)
         self.ended = np.zeros(0, END)
         self.nodes = np.zeros(0, NODE)
+        # By chunks before this one, which whoever records them all counts.
+        self.recorded = 0
         self.start = start_room(self.tables.aim)
         self.template = np.zeros(1, PACKET)
         self.book = np.zeros(len(world.slots))
@@ -82,7 +89,7 @@ class Workspace:
         self.options = self.options._replace(first_source=first_source)
         self.embree_seconds = 0.0
         self.queries = 0
-        self._reserve(self.chunk)
+        self.reserve(self.chunk)
 
     def flow(self) -> Flow:
         """Return what the kernels write, as they take it."""
@@ -100,7 +107,7 @@ class Workspace:
         while self.tops[:STATIONS].any():
             station = int(np.argmax(self.tops[:STATIONS]))
             count = min(int(self.tops[station]), self.chunk)
-            self._reserve(count)
+            self.reserve(count)
             flow = self.flow()
             wave = self._take(station, count)
             if options.sequential and station in (LENS, PLATE):
@@ -140,7 +147,7 @@ class Workspace:
         self.queries += count
         return found
 
-    def _reserve(self, packets: int) -> None:
+    def reserve(self, packets: int) -> None:
         """Make room for what a wave of packets may leave: children, deposits, ends, vertices."""
         # A packet has two children at an interface; at a target one for each light, an aimed and a scattered one.
         children = max(2, len(self.world.tables.objects.lights) + 2)
@@ -153,10 +160,16 @@ class Workspace:
             self.stacks = larger
         if not self.options.adjoint and not self.options.tracing:
             self.deposits = _grown(self.deposits, int(self.tops[DEPOSITS]) + packets)
-        if self.options.tracing:
+        if self.options.tracing or self.options.record:
             self.ended = _grown(self.ended, int(self.tops[ENDED]) + 2 * packets)
         if self.options.record:
-            self.nodes = _grown(self.nodes, int(self.tops[NODES]) + 4 * packets)
+            need = int(self.tops[NODES]) + 4 * packets
+            if self.recorded + need > MOST_VERTICES:
+                raise LfmeshError(
+                    f"the paths have more than {MOST_VERTICES:,} vertices: launch fewer rays, or give weight_cutoff a "
+                    f"larger value than {self.options.cutoff:g}"
+                )
+            self.nodes = _grown(self.nodes, need)
 
 
 def _grown(table: NDArray[np.void], need: int) -> NDArray[np.void]:

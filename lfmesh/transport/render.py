@@ -22,7 +22,7 @@ from lfmesh.transport.ledger import Ledger
 from lfmesh.transport.packet import COUNTERS, DEPOSITS, EVENTS
 from lfmesh.transport.parts import Part, parts_of
 from lfmesh.transport.progress import Progress
-from lfmesh.transport.random import descendant
+from lfmesh.transport.random import descendant, run_key
 from lfmesh.transport.settings import ledger_of
 from lfmesh.transport.world import World, build
 
@@ -160,7 +160,7 @@ class Renderer:
         self.adjoint = transport.method == "adjoint"
         self.parts = parts_of(self.world, aimed=self.aimed)
         self.threads = transport.threads or os.cpu_count() or 1
-        self.seed = descendant(0x6C666D657368, transport.seed)
+        self.seed = run_key(transport.seed)
 
     def chunks(self, part: Part, levels: Counts | None = None) -> Iterator[Chunk]:
         """Yield a part's chunks of one replicate, always in the same order; `levels` (pixels,): of the second stage."""

@@ -23,7 +23,7 @@ import numpy as np
 from bench_report import COLOURS, Report, Table, deliver, guarded, parser, say, whole
 
 ROUNDS, QUICK_ROUNDS = 3, 1
-SPLIT = {"mesh": "both", "sequential": "transmit"}
+SPLIT = {"all reflections": "both", "image path": "transmit"}
 
 RENDER = """
 import lfmesh as lf
@@ -73,11 +73,11 @@ def measure_round() -> dict[str, tuple[float, float]]:
         "import lfmesh": clocked(["-c", "import lfmesh"]),
         "lfmesh --help": clocked(["-m", "lfmesh", "--help"]),
     }
-    for engine, split in SPLIT.items():
+    for paths, split in SPLIT.items():
         code = RENDER.format(split=split)
         with tempfile.TemporaryDirectory() as folder:
-            found[f"first render, {engine}"] = clocked(["-c", code], Path(folder))
-            found[f"second process, {engine}"] = clocked(["-c", code], Path(folder))
+            found[f"first render, {paths}"] = clocked(["-c", code], Path(folder))
+            found[f"second process, {paths}"] = clocked(["-c", code], Path(folder))
     return found
 
 

@@ -1,0 +1,272 @@
+"""The parts of a camera and its scene as they are drawn: meshes in the world frame, mm, with their looks."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+from numpy.typing import NDArray
+
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.lens_shape import lens_shape
+from lfmesh.geometry.mesh import Mesh, joined
+from lfmesh.geometry.targets import TargetMesh
+from lfmesh.geometry.tessellation import element
+from lfmesh.files.colour import srgb_encode
+from lfmesh.optics.glass import refractive_index
+from lfmesh.scene import DirectionalLight, DiskLight
+from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.world import World
+from lfmesh.view import array_shape
+from lfmesh.view.colours import tint
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+RINGS = 16
+"""Of triangles in a lens surface: rims look round, which `exact` surfaces do not need to be traced."""
+
+CREASE_DEG = 25.0
+"""Facets that meet at a larger angle meet at an edge, which is drawn."""
+
+PIXEL_PX = 16
+"""Width of one pixel in the picture that stands for pixels without an image."""
+
+CHIP = 1.18
+"""Size of the sensor's chip over that of its pixels."""
+
+SYMBOL = 0.03
+"""Size of a light's symbol over that of the scene."""
+
+
+@dataclass
+class Part:
+    """Something of the scene that is drawn and can be clicked.
+
+    Attributes
+    ----------
+    name : str
+        As `World.mesh_names` has it: "lens[0]", "stop", "mla", "sensor", "targets[0]", ...; "lights[0]", "axis", ...
+    kind : str
+        "glass", "mount", "stop", "array", "sensor", "target", "light" or "sign".
+    mesh : pyvista.PolyData
+    look : dict
+        Of `pyvista.Plotter.add_mesh`.
+    edges : pyvista.PolyData, optional
+        Lines that are drawn on it, in `edge_colour`.
+    solid : bool
+        Closed, so that a cut through it has a face.
+    """
+
+    name: str
+    kind: str
+    mesh: pv.PolyData
+    look: dict[str, Any]
+    edges: pv.PolyData | None = None
+    edge_colour: str = "#ffffff"
+    solid: bool = False
+    cells: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+
+
+def parts(world: World, picture: Picture | None = None, near_mm: tuple[float, float] = (0.0, 0.0)) -> list[Part]:
+    """Return everything of a scene that is drawn but the rays.
+
+    Parameters
+    ----------
+    world : World
+    picture : (rows, columns, 3) uint8, optional
+        What lies on the sensor, in its physical orientation.
+    near_mm : (x, y), mm
+        Where a large array shows real lenslets, in its own frame.
+    """
+    made = [*_lens(world), *_stop(world), *_array(world, near_mm), *_sensor(world, picture)]
+    made += [_target(world, i, target) for i, target in enumerate(world.targets)]
+    return [*made, *_lights(world), *_signs(world)]
+
+
+def polydata(points: Array, triangles: NDArray[np.integer]) -> pv.PolyData:
+    """Return a mesh of triangles."""
+    return pv.PolyData.from_regular_faces(np.asarray(points, dtype=np.float64), np.asarray(triangles, dtype=np.int64))
+
+
+def smooth(mesh: Mesh) -> tuple[pv.PolyData, pv.PolyData]:
+    """Return a solid with normals that are smooth between its creases, and the creases."""
+    solid = mesh.solid()
+    drawn = polydata(solid.vertices, solid.faces)
+    creases = drawn.extract_feature_edges(CREASE_DEG, boundary_edges=True, non_manifold_edges=False, manifold_edges=False)
+    return drawn.compute_normals(split_vertices=True, feature_angle=CREASE_DEG, auto_orient_normals=False), creases
+
+
+def _lens(world: World) -> Iterator[Part]:
+    shape = lens_shape(world.scene, max(RINGS, world.lens_shape.rings))
+    to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
+    wavelength = world.scene.transport.primary_nm
+    for number, k in enumerate(shape.elements):
+        colour = tint(refractive_index(shape.media[k + 1], wavelength))
+        body, creases = smooth(element(shape.caps[k], shape.closures[k], shape.caps[k + 1]).moved(to_world))
+        yield Part(
+            f"lens[{number}]", "glass", body, {"color": colour, "opacity": 0.22, "specular": 0.6, "specular_power": 30},
+            edges=creases, edge_colour=colour, solid=True,
+        )  # fmt: skip
+    mounts = [mesh for k, mesh in enumerate(shape.closures) if shape.media[k + 1] is None]
+    if mounts:
+        body, creases = smooth(joined(mounts).moved(to_world))
+        # A mount's faces look at the axis: only those behind it are drawn, so that the lens is not hidden.
+        yield Part("mount", "mount", body, {"color": "#56606c", "opacity": 0.35, "culling": "back"})
+
+
+def _stop(world: World) -> Iterator[Part]:
+    ring = world.mesh("stop")
+    body = polydata(ring.vertices, ring.faces)
+    rims = body.extract_feature_edges(boundary_edges=True, feature_edges=False, manifold_edges=False)
+    yield Part("stop", "stop", body, {"color": "#3c4653", "ambient": 0.4}, edges=rims, edge_colour="#ff9d4d")
+
+
+def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
+    if not world.tables.array.present:
+        return
+    of = world.tables.array.lenslets
+    to_world = world.tables.frames[ARRAY_FRAME, WORLD_FRAME]
+    mla = world.scene.camera.mla
+    assert mla is not None
+    glass = {"color": tint(refractive_index(mla.medium, world.scene.transport.primary_nm)), "opacity": 0.3}
+    curved = array_shape.caps(of, *array_shape.drawn_cells(of.lattice, near_mm))
+    caps = polydata(frames.points(to_world, curved.points), curved.triangles)
+    caps.point_data.active_normals = frames.directions(to_world, curved.normals)
+    shine = {"specular": 0.9, "specular_power": 20, "smooth_shading": True}
+    yield Part("mla", "array", caps, {**glass, **shine, "name": "mla"}, cells=curved.cells)
+    plate = _plate(world, of.valley)
+    outline = plate.extract_feature_edges(CREASE_DEG)
+    yield Part("mla", "array", plate, {**glass, "name": "mla plate"}, edges=outline, edge_colour="#79d0dc")
+    if array_shape.is_large(of.lattice):
+        picture, (width, height) = array_shape.lattice_picture(of.lattice)
+        face = polydata(frames.points(to_world, array_shape.face_corners(of, of.valley)), [[0, 2, 1], [0, 3, 2]])
+        corners = array_shape.face_corners(of, 0.0)[:, :2] - of.lattice.centres()[0, 0]
+        face.active_texture_coordinates = corners / [width, height]
+        texture = pv.Texture(picture)
+        texture.repeat, texture.mipmap = True, True
+        look = {"texture": texture, "opacity": 0.45, "lighting": False, "name": "mla lattice"}
+        yield Part("mla", "array", face, look)
+
+
+def _plate(world: World, front_mm: float) -> pv.PolyData:
+    """Return the box round the array's glass, from the valleys between its lenslets to its flat face."""
+    of = world.tables.array.lenslets
+    corners = [array_shape.face_corners(of, z) for z in (front_mm, of.thickness)]
+    points = frames.points(world.tables.frames[ARRAY_FRAME, WORLD_FRAME], np.concatenate(corners))
+    sides = [[i, (i + 1) % 4, (i + 1) % 4 + 4, i + 4] for i in range(4)]
+    quads = np.array([[4, 5, 6, 7], *sides])
+    return polydata(points, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
+
+
+def _sensor(world: World, picture: Picture | None) -> Iterator[Part]:
+    corners = np.asarray(world.mesh("sensor").vertices)
+    pixels = polydata(corners, [[0, 2, 1], [0, 3, 2]])
+    # Row 0 of a picture lies at v = 1; pixel (0, 0) at the corner −x, −y.
+    place = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
+    look: dict[str, Any] = {"lighting": False}
+    if picture is not None:
+        pixels.active_texture_coordinates = place
+        look["texture"] = pv.Texture(np.ascontiguousarray(picture))
+        look["texture"].interpolate = False
+    else:
+        pixels.active_texture_coordinates = place * world.scene.camera.sensor.pixels
+        look["texture"] = _pixel_texture()
+    yield Part("sensor", "sensor", pixels, look)
+    yield Part("sensor", "sensor", _chip(world), {"color": "#20503a", "ambient": 0.35, "name": "chip"}, edges=None)
+
+
+def _pixel_texture() -> pv.Texture:
+    """Return one bare pixel, which repeats."""
+    tile = np.full((PIXEL_PX, PIXEL_PX, 3), [70, 84, 104], np.uint8)
+    tile[[0, -1]] = tile[:, [0, -1]] = [34, 42, 54]
+    texture = pv.Texture(tile)
+    texture.repeat, texture.mipmap = True, True
+    return texture
+
+
+def _chip(world: World) -> pv.PolyData:
+    """Return a board behind the pixels, which shows where the sensor is."""
+    width, height = world.scene.camera.sensor.size_mm
+    rim = 0.5 * (CHIP - 1.0) * max(width, height)
+    x, y, depth = 0.5 * width + rim, 0.5 * height + rim, 0.3 * rim
+    box = pv.Box(bounds=(-x, x, -y, y, 0.2 * depth, 1.2 * depth)).triangulate()
+    return polydata(frames.points(world.tables.frames[SENSOR_FRAME, WORLD_FRAME], box.points), box.regular_faces)
+
+
+def _target(world: World, number: int, target: TargetMesh) -> Part:
+    name = f"targets[{number}]"
+    model = world.scene.targets[number]
+    if model.refractor is not None:
+        colour = tint(refractive_index(model.refractor.medium, world.scene.transport.primary_nm))
+        body, creases = smooth(target.mesh)
+        return Part(name, "glass", body, {"color": colour, "opacity": 0.25, "specular": 0.6}, creases, colour, True)
+    corners = target.mesh.vertices[target.mesh.faces].reshape(-1, 3)
+    body = polydata(corners, np.arange(len(corners)).reshape(-1, 3))
+    if target.texture is not None and target.uv is not None:
+        body.active_texture_coordinates = target.uv.reshape(-1, 2)
+        return Part(name, "target", body, {"texture": pv.Texture(srgb_encode(target.texture)), "lighting": False})
+    body = polydata(target.mesh.vertices, target.mesh.faces)
+    creases = body.extract_feature_edges(CREASE_DEG)
+    grey = float(srgb_encode(np.array(model.material.reflectance))) / 255.0
+    glows = model.material.radiance_w_m2_sr > 0.0
+    colour: Any = "#ffe9b0" if glows else (max(0.25, grey),) * 3
+    body = body.compute_normals(split_vertices=True, feature_angle=CREASE_DEG, auto_orient_normals=False)
+    return Part(name, "target", body, {"color": colour, "ambient": 1.0 if glows else 0.25}, creases, "#10151c")
+
+
+def scene_size_mm(world: World) -> float:
+    """Return a length that the camera and what it looks at span, from the plane in focus (or a target) to the sensor."""
+    to_camera = world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
+    z = [0.0, float(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])]
+    z += [float(frames.points(to_camera, t.mesh.vertices.mean(axis=0)[None])[0, 2]) for t in world.targets]
+    return max(z) - min(z)
+
+
+def _lights(world: World) -> Iterator[Part]:
+    size = SYMBOL * scene_size_mm(world)
+    lamp = {"color": "#ffd24a", "lighting": False}
+    for number, light in enumerate(world.scene.lights):
+        name = f"lights[{number}]"
+        if isinstance(light, DirectionalLight):
+            along = np.array(light.direction) / np.linalg.norm(light.direction)
+            arrow = pv.Arrow(start=-5.0 * size * along, direction=along, scale=3.0 * size)
+            yield Part(name, "light", arrow.triangulate(), lamp)
+        elif isinstance(light, DiskLight):
+            along = np.array(light.direction) / np.linalg.norm(light.direction)
+            disk = pv.Disc(center=light.position_mm, inner=0.0, outer=light.radius_mm, normal=along, c_res=48).triangulate()
+            arrow = pv.Arrow(start=light.position_mm, direction=along, scale=2.0 * size).triangulate()
+            yield Part(name, "light", disk.merge(arrow).extract_surface(), lamp)
+        else:
+            yield Part(name, "light", pv.Sphere(radius=0.25 * size, center=light.position_mm), lamp, _spikes(light.position_mm, size), "#ffd24a")
+
+
+def _spikes(centre: tuple[float, float, float], size: float) -> pv.PolyData:
+    """Return the rays of a lamp's symbol."""
+    ends = pv.Icosahedron(radius=1.0).points
+    points = np.stack([0.4 * size * ends, size * ends], axis=1).reshape(-1, 3) + np.array(centre)
+    return segments(points.reshape(-1, 2, 3))
+
+
+def segments(ends: Array) -> pv.PolyData:
+    """Return (n, 2, 3) line segments, one cell each."""
+    lines = np.column_stack([np.full(len(ends), 2), np.arange(2 * len(ends)).reshape(-1, 2)])
+    return pv.PolyData(ends.reshape(-1, 3), lines=lines.ravel())
+
+
+def _signs(world: World) -> Iterator[Part]:
+    """Yield the optical axis, and the outline of what the camera sees of its plane in focus."""
+    to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
+    end = float(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])
+    distance = world.first_order.object_distance_mm
+    sharp = 0.0 < distance < np.inf
+    start = -distance if sharp else -end
+    thin = {"color": "#8796a8", "line_width": 1, "lighting": False}
+    axis = frames.points(to_world, [[0.0, 0.0, start], [0.0, 0.0, end]])
+    yield Part("axis", "sign", segments(axis[None]), thin)
+    if sharp:
+        x, y = (0.5 * size for size in world.first_order.field_of_view_mm)
+        corners = frames.points(to_world, [[-x, -y, start], [x, -y, start], [x, y, start], [-x, y, start]])
+        sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+        yield Part("plane in focus", "sign", segments(sides), {**thin, "color": "#49c3b1"})

@@ -57,7 +57,7 @@ from lfmesh.transport.image_path import through_lens
 from lfmesh.transport.packet import ENDED, LENS, SENSOR_FRAME, TRANSMIT, WORLD_FRAME
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.tables import LensTables
-from lfmesh.transport.trace import _launch_rays
+from lfmesh.transport.trace import launch_rays
 
 Array = NDArray[np.float64]
 
@@ -187,7 +187,7 @@ class EngineRun:
         part = slice(first, first + CHUNK)
         origins, directions = self.sent.origins[part], self.sent.directions[part]
         work.begin(np.zeros((0, 1)))
-        _launch_rays(
+        launch_rays(
             first, origins, directions, np.full(len(origins), LENS), np.zeros(len(origins), np.int64), KEY,
             work.tables.frames, False, work.flow(), work.template,
         )  # fmt: skip

@@ -202,6 +202,7 @@ def _begin(room: StartRoom, wave: int, lens_surfaces: int) -> None:
         packet.last = NO_SURFACE
         packet.column = NO_SURFACE
         packet.facet = NO_SURFACE
+        packet.node = NO_SURFACE
         packet.kind = CAMERA
         packet.space = lens_surfaces
 

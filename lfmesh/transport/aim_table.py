@@ -59,16 +59,16 @@ def aim_table(
     )
     width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
     behind = frames.points(moves[SENSOR_FRAME, CAMERA_FRAME], _grid(width, height, 0.0))
-    front_radius = _wide_radius(lens, seen, front=True)
-    back_radius = _wide_radius(lens, behind, front=False)
+    front_radius = widest_disk(lens, seen, front=True)
+    back_radius = widest_disk(lens, behind, front=False)
     glass = 1.0
     if array.present and scene.camera.mla is not None:
         glass = refractive_index(scene.camera.mla.medium, report.wavelength_nm)
         lattice = array.lenslets.lattice
         apexes = _grid(*lattice.half_extent, _apex_z(array, glass)[1])
         behind = frames.points(moves[ARRAY_FRAME, CAMERA_FRAME], apexes)
-    entrance = _opening(report, lens, seen, front_radius, analytic, front=True)
-    exit_ = _opening(report, lens, behind, back_radius, analytic, front=False)
+    entrance = opening_seen(report, lens, seen, front_radius, analytic, front=True)
+    exit_ = opening_seen(report, lens, behind, back_radius, analytic, front=False)
     # Reflections reach the sensor from all over the lens; without them only what the opening leaves out does.
     followed = scene.transport.split != "transmit"
     aim = Aim(
@@ -79,7 +79,7 @@ def aim_table(
     return _aim_through_lenslets(scene, report, array, aim, moves, glass) if array.present else aim
 
 
-def _opening(
+def opening_seen(
     report: FirstOrder, lens: LensTables, points: Array, wide_radius: float, analytic: bool, *, front: bool
 ) -> Opening:
     """Return a side of the lens as points (n, 3) (camera frame) see it."""
@@ -99,7 +99,7 @@ def _opening(
     return paraxial_opening(seen, z, 0.5 * diameter)
 
 
-def _wide_radius(lens: LensTables, p: Array, *, front: bool) -> float:
+def widest_disk(lens: LensTables, p: Array, *, front: bool) -> float:
     """Return the radius of a disk in the lens's outermost plane that every ray to it from points (n, 3) crosses."""
     surfaces = lens.surfaces
     plane = lens.box_low[2] if front else lens.box_high[2]

@@ -45,6 +45,7 @@ from lfmesh.transport.packet import (
     EVENTS,
     FLAT_FACE,
     LENS,
+    NO_SURFACE,
     PLATE,
     S_ABSORBED,
     SENSOR,
@@ -139,7 +140,9 @@ def through_plate(
         if to_reflected > 0.0:
             child_key = derived(key, packet.events)
             if options.record:
-                packet.node = record(flow, frames, ARRAY_FRAME, x, y, z, to_reflected, FLAT_FACE, E_REFLECTED, parent)
+                packet.node = record(
+                    flow, frames, ARRAY_FRAME, x, y, z, to_reflected, FLAT_FACE, NO_SURFACE, E_REFLECTED, parent
+                )
             if outward:
                 into_layer(options, flow, frames, array, packet, x, y, z, dx, dy, -dz, to_reflected, child_key, GLASS)
             else:
@@ -149,7 +152,9 @@ def through_plate(
                 )  # fmt: skip
         if to_refracted > 0.0:
             if options.record:
-                packet.node = record(flow, frames, ARRAY_FRAME, x, y, z, to_refracted, FLAT_FACE, E_TRANSMITTED, parent)
+                packet.node = record(
+                    flow, frames, ARRAY_FRAME, x, y, z, to_refracted, FLAT_FACE, NO_SURFACE, E_TRANSMITTED, parent
+                )
             toward = 1.0 if dz > 0.0 else -1.0
             ux, uy, uz = refracted(dx, dy, dz, 0.0, 0.0, toward, n_i / n_t, abs(dz), cos_t)
             if outward:
@@ -330,7 +335,8 @@ def _split_at_face(
         child_key = key if refracts else derived(key, packet.events)
         if options.record:
             event = E_TRANSMITTED if refracts else E_REFLECTED
-            packet.node = record(flow, frames, ARRAY_FRAME, x, y, z, weight, CURVED_FACE, event, parent)
+            cell = packet.row * lenslets.lattice.columns + packet.column
+            packet.node = record(flow, frames, ARRAY_FRAME, x, y, z, weight, CURVED_FACE, cell, event, parent)
         packet.space = GLASS if refracts == inward else BEFORE
         sideways, _ = leaves_at(lenslets.lattice, x - cx, y - cy, ux, uy)
         if packet.space == BEFORE and uz < 0.0 and (lenslets.top - z) / uz <= sideways:

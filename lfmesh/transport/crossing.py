@@ -23,6 +23,7 @@ from lfmesh.transport.packet import (
     FALLBACKS,
     LOST_CONTRADICTION,
     LOST_MISS,
+    NO_SURFACE,
     NODES,
     REQUERIES,
     ROULETTE,
@@ -124,7 +125,7 @@ def split_shares(
 @kernel
 def record(
     flow: Flow, frames: Array, frame: int, x: float, y: float, z: float,
-    weight: float, surface: int, event: int, parent: int,
+    weight: float, surface: int, part: int, event: int, parent: int,
 ) -> int:  # fmt: skip
     """Append a vertex of a packet's path, given in a frame; return its number."""
     top = flow.tops[NODES]
@@ -134,6 +135,7 @@ def record(
     node.position[0], node.position[1], node.position[2] = wx, wy, wz
     node.weight = weight
     node.surface = surface
+    node.part = part
     node.event = event
     flow.tops[NODES] = top + 1
     return top
@@ -144,9 +146,9 @@ def end(
     options: Options, flow: Flow, frames: Array, packet: Any, frame: int,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, slot: int, status: int,
 ) -> None:  # fmt: skip
-    """End a packet at a point given in a frame: book its weight and, in a trace, keep how it ended."""
+    """End a packet at a point given in a frame: book its weight and, keep how it ended where that is asked for."""
     flow.book[slot] += weight
-    if options.tracing:
+    if options.tracing or options.record:
         _keep_end(options, flow, frames, packet, frame, x, y, z, dx, dy, dz, weight, slot, status)
 
 
@@ -166,7 +168,9 @@ def _keep_end(
 ) -> None:  # fmt: skip
     node = packet.node
     if options.record:
-        node = record(flow, frames, frame, x, y, z, weight, ENDS_AT + slot, EVENT_OF_STATUS[status], packet.node)
+        node = record(
+            flow, frames, frame, x, y, z, weight, ENDS_AT + slot, NO_SURFACE, EVENT_OF_STATUS[status], packet.node
+        )
     kept = flow.ended[flow.tops[ENDED]]
     wx, wy, wz = move_point(frames, frame, WORLD_FRAME, x, y, z)
     kept.position[0], kept.position[1], kept.position[2] = wx, wy, wz

@@ -82,7 +82,7 @@ class Workspace:
         self.options = self.options._replace(first_source=first_source)
         self.embree_seconds = 0.0
         self.queries = 0
-        self._reserve(self.chunk)
+        self.reserve(self.chunk)
 
     def flow(self) -> Flow:
         """Return what the kernels write, as they take it."""
@@ -100,7 +100,7 @@ class Workspace:
         while self.tops[:STATIONS].any():
             station = int(np.argmax(self.tops[:STATIONS]))
             count = min(int(self.tops[station]), self.chunk)
-            self._reserve(count)
+            self.reserve(count)
             flow = self.flow()
             wave = self._take(station, count)
             if options.sequential and station in (LENS, PLATE):
@@ -140,7 +140,7 @@ class Workspace:
         self.queries += count
         return found
 
-    def _reserve(self, packets: int) -> None:
+    def reserve(self, packets: int) -> None:
         """Make room for what a wave of packets may leave: children, deposits, ends, vertices."""
         # A packet has two children at an interface; at a target one for each light, an aimed and a scattered one.
         children = max(2, len(self.world.tables.objects.lights) + 2)
@@ -153,7 +153,7 @@ class Workspace:
             self.stacks = larger
         if not self.options.adjoint and not self.options.tracing:
             self.deposits = _grown(self.deposits, int(self.tops[DEPOSITS]) + packets)
-        if self.options.tracing:
+        if self.options.tracing or self.options.record:
             self.ended = _grown(self.ended, int(self.tops[ENDED]) + 2 * packets)
         if self.options.record:
             self.nodes = _grown(self.nodes, int(self.tops[NODES]) + 4 * packets)

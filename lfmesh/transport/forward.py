@@ -50,6 +50,7 @@ def launch_forward(
         packet.events = 0
         packet.kind = LAMP
         packet.facet = NO_SURFACE
+        packet.node = NO_SURFACE
         which = min(int(np.searchsorted(sources["until"], start(key, SOURCE_U), side="right")), len(sources) - 1)
         source = sources[which]
         weight = source.power / (source.share * total)

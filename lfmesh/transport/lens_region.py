@@ -328,7 +328,7 @@ def _send_on(
         child_key = key if refracts else derived(key, met)
         if options.record:
             event = E_TRANSMITTED if refracts else E_REFLECTED
-            packet.node = record(flow, frames, CAMERA_FRAME, x, y, z, weight, k, event, node)
+            packet.node = record(flow, frames, CAMERA_FRAME, x, y, z, weight, k, NO_SURFACE, event, node)
         if (into == 0 and lens.convex_front) or (into == last_space and lens.convex_back):
             packet.events, packet.space = met, into
             leave_lens(options, flow, frames, lens, has_array, packet, x, y, z, dx, dy, dz, weight, child_key, into)

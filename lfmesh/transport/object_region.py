@@ -184,7 +184,7 @@ def shade_objects(
             continue
         flow.counts[EVENTS] += 1
         if objects.closed[body] and along > 0.0:
-            flow.book[slot] += weight
+            end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, S_ABSORBED)
             continue
         side = -1.0 if along > 0.0 else 1.0
         texel = texture_at(objects, prim, packet.wave, x, y, z)
@@ -200,14 +200,16 @@ def shade_objects(
             if lit:
                 flow.book[LIT] += weight
         scattered = weight * albedo
+        if scattered <= 0.0:
+            end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, S_ABSORBED)
+            continue
         flow.book[slot] += weight - scattered
         if packet.last == LEFT_LENS and not options.bounce and not options.adjoint:
             # The lens reflected it back. Without bounces the adjoint method has no such paths, and this one neither.
             flow.book[ESCAPED] += scattered
             continue
         packet.events += 1
-        if scattered > 0.0:
-            scatter(options, flow, frames, objects, aim, packet, prim, x, y, z, side, scattered)
+        scatter(options, flow, frames, objects, aim, packet, prim, x, y, z, side, scattered)
 
 
 @inlined
@@ -304,7 +306,7 @@ def _through_glass(
             ux, uy, uz = reflected(dx, dy, dz, nx, ny, nz)
         if options.record:
             event = E_TRANSMITTED if refracts else E_REFLECTED
-            packet.node = record(flow, frames, OBJECT_FRAME, x, y, z, weight, ON_GLASS, event, parent)
+            packet.node = record(flow, frames, OBJECT_FRAME, x, y, z, weight, ON_GLASS, body, event, parent)
         packet.column = body if refracts == entering else NO_SURFACE
         put(
             flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, weight,
@@ -402,7 +404,9 @@ def scatter(
     packet.facet = prim
     packet.last = NO_SURFACE
     if options.record:
-        packet.node = record(flow, frames, OBJECT_FRAME, x, y, z, weight, ON_TARGET, E_SCATTERED, packet.node)
+        packet.node = record(
+            flow, frames, OBJECT_FRAME, x, y, z, weight, ON_TARGET, facet.body, E_SCATTERED, packet.node
+        )
     to_camera = 0.0
     if options.aimed and not options.adjoint:
         to_camera = _aim_at_camera(flow, frames, aim, facet, packet, x, y, z, nx, ny, nz, weight)

@@ -127,7 +127,16 @@ END = np.dtype(
     ]
 )
 
-NODE = np.dtype([("parent", "i8"), ("position", "f8", (3,)), ("weight", "f8"), ("surface", "i8"), ("event", "i8")])
+NODE = np.dtype(
+    [
+        ("parent", "i8"),
+        ("position", "f8", (3,)),  # mm, world frame
+        ("weight", "f8"),
+        ("surface", "i8"),
+        ("part", "i8"),  # lenslet (row by row) of the array, or number of the target; −1 elsewhere
+        ("event", "i8"),
+    ]
+)
 
 
 class Flow(NamedTuple):
@@ -140,8 +149,8 @@ class Flow(NamedTuple):
     counts: NDArray[np.int64]
     film: NDArray[np.float64]  # (sources of the chunk, wavelengths): what adjoint paths gather
     deposits: NDArray[np.void]  # forward: what fell on which pixel
-    ended: NDArray[np.void]  # trace: how every packet ended
-    nodes: NDArray[np.void]  # trace with record: every vertex
+    ended: NDArray[np.void]  # tracing or recording: how every packet ended
+    nodes: NDArray[np.void]  # recording: every vertex
 
 
 class Options(NamedTuple):
@@ -153,7 +162,7 @@ class Options(NamedTuple):
     cutoff: float
     adjoint: bool
     tracing: bool  # packets that end are kept, and a target ends them
-    record: bool
+    record: bool  # every vertex is kept, and packets that end
     bounce: bool  # light may go from target to target
     aimed: bool  # scattered light is aimed at the lens; else it finds the lens by chance
     sequential: bool  # lens and array are met in their order, without a mesh

@@ -48,3 +48,8 @@ def descendant(key: int | np.uint64, *numbers: int) -> np.uint64:
     for number in numbers:
         key = derived(np.uint64(key), number)
     return np.uint64(key)
+
+
+def run_key(seed: int) -> np.uint64:
+    """Return the key of a run; its replicates' are its children, and theirs those of the wavelengths."""
+    return descendant(0x6C666D657368, seed)

@@ -21,7 +21,7 @@ from lfmesh.transport.image import Image
 from lfmesh.transport.ledger import Ledger
 from lfmesh.transport.packet import COUNTERS, DEPOSITS, EVENTS
 from lfmesh.transport.progress import Progress
-from lfmesh.transport.random import descendant
+from lfmesh.transport.random import descendant, run_key
 from lfmesh.transport.settings import ledger_of, options_of
 from lfmesh.transport.world import World, build
 
@@ -158,7 +158,7 @@ class Renderer:
         self.adjoint = transport.method == "adjoint"
         self.options = options_of(self.world, aimed=self.aimed)
         self.threads = transport.threads or os.cpu_count() or 1
-        self.seed = descendant(0x6C666D657368, transport.seed)
+        self.seed = run_key(transport.seed)
 
     def chunks(self, levels: Counts | None = None) -> Iterator[Chunk]:
         """Yield the chunks of one replicate, always in the same order; `levels` (pixels,): of the second stage."""

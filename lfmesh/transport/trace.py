@@ -2,6 +2,7 @@
 
 import os
 import threading
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -44,7 +45,7 @@ from lfmesh.transport.packet import (
 from lfmesh.transport.packet import E_START as STARTED
 from lfmesh.transport.random import derived, descendant
 from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
-from lfmesh.transport.tables import Tables
+from lfmesh.transport.tables import Records, Tables
 from lfmesh.transport.world import World
 
 
@@ -172,20 +173,20 @@ def trace(
     ):
         if not valid:
             raise LfmeshError(f"{name} = {value!r}: must be {wish}")
-    tables = _at_level(world, _at_wavelength(world, wavelength_nm), options.surface)
-    station, space, p, d = _located(world, p, d)
+    tables = _at_level(world, at_wavelength(world, wavelength_nm), options.surface)
+    station, space, p, d = located(world, p, d)
     if options.sequential:
         _refuse_starts_in_the_lens(station, space, len(tables.lens.surfaces))
     local = threading.local()
     key = descendant(0x7472616365, seed)
 
-    def run(first: int) -> tuple[NDArray[np.void], NDArray[np.void], NDArray[np.float64], NDArray[np.int64]]:
+    def run(first: int) -> tuple[Records, Records, NDArray[np.float64], NDArray[np.int64]]:
         if not hasattr(local, "workspace"):
             local.workspace = Workspace(world, options, tables=tables)
         work: Workspace = local.workspace
         work.begin(np.zeros((0, 1)))
         part = slice(first, first + CHUNK)
-        _launch_rays(
+        launch_rays(
             first, p[part], d[part], station[part], space[part], key, tables.frames, record, work.flow(),
             work.template,
         )  # fmt: skip
@@ -262,7 +263,7 @@ def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[NDArray[np.float64
     return np.ascontiguousarray(p), np.ascontiguousarray(d / np.linalg.norm(d, axis=1, keepdims=True))
 
 
-def _at_wavelength(world: World, wavelength_nm: float) -> Tables:
+def at_wavelength(world: World, wavelength_nm: float) -> Tables:
     """Return the tables with the media at one wavelength."""
     tables = world.tables
     mla = world.scene.camera.mla
@@ -287,7 +288,7 @@ def _at_level(world: World, tables: Tables, level: int) -> Tables:
     return tables._replace(lens=tables.lens._replace(surfaces=surfaces))
 
 
-def _located(
+def located(
     world: World, p: NDArray[np.float64], d: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the station and the space in which each ray starts, and the rays in the camera frame."""
@@ -335,7 +336,7 @@ def _refuse_starts_in_the_lens(station: NDArray[np.int64], space: NDArray[np.int
 
 
 @kernel
-def _launch_rays(
+def launch_rays(
     first: int, p: NDArray[np.float64], d: NDArray[np.float64], station: NDArray[np.int64], space: NDArray[np.int64],
     key: np.uint64, frames: NDArray[np.float64], record: bool, flow: Flow, template: NDArray[np.void],
 ) -> None:  # fmt: skip
@@ -364,6 +365,7 @@ def _launch_rays(
             node.parent = NO_SURFACE
             node.weight = 1.0
             node.surface = NO_SURFACE
+            node.part = NO_SURFACE
             node.event = STARTED
             flow.tops[NODES] = top + 1
             packet.node = top
@@ -373,20 +375,25 @@ def _launch_rays(
         )  # fmt: skip
 
 
-def _paths(
-    world: World,
-    parts: list[tuple[NDArray[np.void], NDArray[np.void], NDArray[np.float64], NDArray[np.int64]]],
-    rays: int,
-) -> Paths:
+def joined_records(parts: Iterable[tuple[Records, Records]]) -> tuple[Records, Records]:
+    """Return the ends and the vertices that several chunks recorded as one table each, numbered on."""
     shift = 0
     all_ended, all_nodes = [np.zeros(0, END)], [np.zeros(0, NODE)]
-    for ended, nodes, _, _ in parts:
+    for ended, nodes in parts:
         ended["node"] += np.where(ended["node"] >= 0, shift, 0)
         nodes["parent"] += np.where(nodes["parent"] >= 0, shift, 0)
         shift += len(nodes)
         all_ended.append(ended)
         all_nodes.append(nodes)
-    ended = np.concatenate(all_ended)
+    return np.concatenate(all_ended), np.concatenate(all_nodes)
+
+
+def _paths(
+    world: World,
+    parts: list[tuple[Records, Records, NDArray[np.float64], NDArray[np.int64]]],
+    rays: int,
+) -> Paths:
+    ended, nodes = joined_records(part[:2] for part in parts)
     ended = ended[np.argsort(ended["source"], kind="stable")]
     book = np.sum([part[2] for part in parts], axis=0) if parts else np.zeros(len(world.slots))
     counts = np.sum([part[3] for part in parts], axis=0) if parts else np.zeros(COUNTERS, np.int64)
@@ -400,7 +407,7 @@ def _paths(
         [world.slots[slot] for slot in ended["body"]],
         ledger_of(book, counts, world, rays, "of the rays' power"),
         ended["node"].copy(),
-        np.concatenate(all_nodes),
+        nodes,
         world,
     )
 

@@ -118,9 +118,16 @@ def _lens(world: World) -> Iterator[Part]:
 
 def _stop(world: World) -> Iterator[Part]:
     ring = world.mesh("stop")
-    body = polydata(ring.vertices, ring.faces)
+    to_camera, to_world = (world.tables.frames[a, b] for a, b in ((WORLD_FRAME, CAMERA_FRAME), (CAMERA_FRAME, WORLD_FRAME)))
+    points = frames.points(to_camera, ring.vertices)
+    # It is drawn as far as the mount round it, which it fills.
+    shape = world.lens_shape
+    mount = np.interp(points[:, 2].mean(), shape.surfaces["vertex_z"], shape.rims)
+    radius = np.hypot(points[:, 0], points[:, 1])
+    points[:, :2] *= np.minimum(1.0, np.maximum(mount, radius.min() * 1.1) / radius)[:, None]
+    body = polydata(frames.points(to_world, points), ring.faces)
     rims = body.extract_feature_edges(boundary_edges=True, feature_edges=False, manifold_edges=False)
-    yield Part("stop", "stop", body, {"color": "#3c4653", "ambient": 0.4}, edges=rims, edge_colour="#ff9d4d")
+    yield Part("stop", "stop", body, {"color": "#3c4653", "ambient": 0.4, "opacity": 0.75}, edges=rims, edge_colour="#ff9d4d")
 
 
 def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
@@ -144,9 +151,7 @@ def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
         face = polydata(frames.points(to_world, array_shape.face_corners(of, of.valley)), [[0, 2, 1], [0, 3, 2]])
         corners = array_shape.face_corners(of, 0.0)[:, :2] - of.lattice.centres()[0, 0]
         face.active_texture_coordinates = corners / [width, height]
-        texture = pv.Texture(picture)
-        texture.repeat, texture.mipmap = True, True
-        look = {"texture": texture, "opacity": 0.45, "lighting": False, "name": "mla lattice"}
+        look = {"texture": _repeating(picture), "opacity": 0.45, "lighting": False, "name": "mla lattice"}
         yield Part("mla", "array", face, look)
 
 
@@ -174,15 +179,23 @@ def _sensor(world: World, picture: Picture | None) -> Iterator[Part]:
         pixels.active_texture_coordinates = place * world.scene.camera.sensor.pixels
         look["texture"] = _pixel_texture()
     yield Part("sensor", "sensor", pixels, look)
-    yield Part("sensor", "sensor", _chip(world), {"color": "#20503a", "ambient": 0.35, "name": "chip"}, edges=None)
+    board = _chip(world)
+    edges = board.extract_feature_edges(CREASE_DEG)
+    yield Part("sensor", "sensor", board, {"color": "#4fae86", "opacity": 0.15, "name": "chip"}, edges, "#4fae86")
 
 
 def _pixel_texture() -> pv.Texture:
     """Return one bare pixel, which repeats."""
     tile = np.full((PIXEL_PX, PIXEL_PX, 3), [70, 84, 104], np.uint8)
     tile[[0, -1]] = tile[:, [0, -1]] = [34, 42, 54]
+    return _repeating(tile)
+
+
+def _repeating(tile: Picture) -> pv.Texture:
+    """Return a texture of many tiles, which turns into their mean where they are too small to be seen."""
     texture = pv.Texture(tile)
-    texture.repeat, texture.mipmap = True, True
+    texture.repeat, texture.mipmap, texture.interpolate = True, True, True
+    texture.SetMaximumAnisotropicFiltering(8.0)
     return texture
 
 

@@ -12,7 +12,7 @@ from lfmesh.transport.world import World
 from lfmesh.view.colours import BACKGROUND, BACKGROUND_TOP, ColourBy, Legend
 from lfmesh.view.overlay import Overlay
 from lfmesh.view.parts import Part, Picture, parts
-from lfmesh.view.presets import PRESETS, viewpoint
+from lfmesh.view.presets import ANGLE_DEG, PRESETS, viewpoint
 from lfmesh.view.ray_lines import MOST_SEGMENTS, RayLines, ray_lines
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ class View:
         camera.position, camera.focal_point, camera.up = seen.eye, seen.focus, seen.up
         camera.parallel_projection = seen.parallel
         camera.parallel_scale = seen.half_height_mm
-        camera.view_angle = 30.0
+        camera.view_angle = ANGLE_DEG
         self.plotter.renderer.ResetCameraClippingRange()
         self.plotter.camera_set = True
         self.preset = preset

@@ -6,20 +6,21 @@ from typing import Any
 
 import numpy as np
 import pyvista as pv
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from lfmesh.files.colour import srgb_encode
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens_shape import lens_shape
 from lfmesh.geometry.mesh import Mesh, joined
 from lfmesh.geometry.targets import TargetMesh
 from lfmesh.geometry.tessellation import element
-from lfmesh.files.colour import srgb_encode
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import DirectionalLight, DiskLight
 from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 from lfmesh.view import array_shape
 from lfmesh.view.colours import tint
+from lfmesh.view.ray_lines import line_segments
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -35,6 +36,9 @@ PIXEL_PX = 16
 
 CHIP = 1.18
 """Size of the sensor's chip over that of its pixels."""
+
+TICKS = 60
+"""On the optical axis, at most."""
 
 SYMBOL = 0.03
 """Size of a light's symbol over that of the scene."""
@@ -85,7 +89,7 @@ def parts(world: World, picture: Picture | None = None, near_mm: tuple[float, fl
     return [*made, *_lights(world), *_signs(world)]
 
 
-def polydata(points: Array, triangles: NDArray[np.integer]) -> pv.PolyData:
+def polydata(points: Array, triangles: ArrayLike) -> pv.PolyData:
     """Return a mesh of triangles."""
     return pv.PolyData.from_regular_faces(np.asarray(points, dtype=np.float64), np.asarray(triangles, dtype=np.int64))
 
@@ -94,7 +98,9 @@ def smooth(mesh: Mesh) -> tuple[pv.PolyData, pv.PolyData]:
     """Return a solid with normals that are smooth between its creases, and the creases."""
     solid = mesh.solid()
     drawn = polydata(solid.vertices, solid.faces)
-    creases = drawn.extract_feature_edges(CREASE_DEG, boundary_edges=True, non_manifold_edges=False, manifold_edges=False)
+    creases = drawn.extract_feature_edges(
+        CREASE_DEG, boundary_edges=True, non_manifold_edges=False, manifold_edges=False
+    )
     return drawn.compute_normals(split_vertices=True, feature_angle=CREASE_DEG, auto_orient_normals=False), creases
 
 
@@ -118,7 +124,9 @@ def _lens(world: World) -> Iterator[Part]:
 
 def _stop(world: World) -> Iterator[Part]:
     ring = world.mesh("stop")
-    to_camera, to_world = (world.tables.frames[a, b] for a, b in ((WORLD_FRAME, CAMERA_FRAME), (CAMERA_FRAME, WORLD_FRAME)))
+    to_camera, to_world = (
+        world.tables.frames[a, b] for a, b in ((WORLD_FRAME, CAMERA_FRAME), (CAMERA_FRAME, WORLD_FRAME))
+    )
     points = frames.points(to_camera, ring.vertices)
     # It is drawn as far as the mount round it, which it fills.
     shape = world.lens_shape
@@ -127,7 +135,9 @@ def _stop(world: World) -> Iterator[Part]:
     points[:, :2] *= np.minimum(1.0, np.maximum(mount, radius.min() * 1.1) / radius)[:, None]
     body = polydata(frames.points(to_world, points), ring.faces)
     rims = body.extract_feature_edges(boundary_edges=True, feature_edges=False, manifold_edges=False)
-    yield Part("stop", "stop", body, {"color": "#3c4653", "ambient": 0.4, "opacity": 0.75}, edges=rims, edge_colour="#ff9d4d")
+    yield Part(
+        "stop", "stop", body, {"color": "#3c4653", "ambient": 0.4, "opacity": 0.75}, edges=rims, edge_colour="#ff9d4d"
+    )
 
 
 def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
@@ -224,13 +234,13 @@ def _target(world: World, number: int, target: TargetMesh) -> Part:
     creases = body.extract_feature_edges(CREASE_DEG)
     grey = float(srgb_encode(np.array(model.material.reflectance))) / 255.0
     glows = model.material.radiance_w_m2_sr > 0.0
-    colour: Any = "#ffe9b0" if glows else (max(0.25, grey),) * 3
+    paint = "#ffe9b0" if glows else (max(0.25, grey),) * 3
     body = body.compute_normals(split_vertices=True, feature_angle=CREASE_DEG, auto_orient_normals=False)
-    return Part(name, "target", body, {"color": colour, "ambient": 1.0 if glows else 0.25}, creases, "#10151c")
+    return Part(name, "target", body, {"color": paint, "ambient": 1.0 if glows else 0.25}, creases, "#10151c")
 
 
 def scene_size_mm(world: World) -> float:
-    """Return a length that the camera and what it looks at span, from the plane in focus (or a target) to the sensor."""
+    """Return how far it is from the farthest target, or from the lens without any, to the sensor."""
     to_camera = world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
     z = [0.0, float(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])]
     z += [float(frames.points(to_camera, t.mesh.vertices.mean(axis=0)[None])[0, 2]) for t in world.targets]
@@ -248,38 +258,63 @@ def _lights(world: World) -> Iterator[Part]:
             yield Part(name, "light", arrow.triangulate(), lamp)
         elif isinstance(light, DiskLight):
             along = np.array(light.direction) / np.linalg.norm(light.direction)
-            disk = pv.Disc(center=light.position_mm, inner=0.0, outer=light.radius_mm, normal=along, c_res=48).triangulate()
+            disk = pv.Disc(
+                center=light.position_mm, inner=0.0, outer=light.radius_mm, normal=along, c_res=48
+            ).triangulate()
             arrow = pv.Arrow(start=light.position_mm, direction=along, scale=2.0 * size).triangulate()
             yield Part(name, "light", disk.merge(arrow).extract_surface(), lamp)
         else:
-            yield Part(name, "light", pv.Sphere(radius=0.25 * size, center=light.position_mm), lamp, _spikes(light.position_mm, size), "#ffd24a")
+            yield Part(
+                name,
+                "light",
+                pv.Sphere(radius=0.25 * size, center=light.position_mm),
+                lamp,
+                _spikes(light.position_mm, size),
+                "#ffd24a",
+            )
 
 
 def _spikes(centre: tuple[float, float, float], size: float) -> pv.PolyData:
     """Return the rays of a lamp's symbol."""
     ends = pv.Icosahedron(radius=1.0).points
     points = np.stack([0.4 * size * ends, size * ends], axis=1).reshape(-1, 3) + np.array(centre)
-    return segments(points.reshape(-1, 2, 3))
+    return line_segments(points.reshape(-1, 2, 3))
 
 
-def segments(ends: Array) -> pv.PolyData:
-    """Return (n, 2, 3) line segments, one cell each."""
-    lines = np.column_stack([np.full(len(ends), 2), np.arange(2 * len(ends)).reshape(-1, 2)])
-    return pv.PolyData(ends.reshape(-1, 3), lines=lines.ravel())
+def round_length(most_mm: float) -> float:
+    """Return the largest of 1, 2, 5, 10, ... mm (or a decimal part of these) that is not longer."""
+    decade = 10.0 ** np.floor(np.log10(most_mm))
+    return float(next(step * decade for step in (5.0, 2.0, 1.0) if step * decade <= most_mm * (1 + 1e-9)))
+
+
+def tick_mm(world: World) -> float:
+    """Return the distance of the marks on the optical axis."""
+    start, end = _axis(world)
+    return round_length((end - start) / TICKS)
+
+
+def _axis(world: World) -> tuple[float, float]:
+    """Return where the optical axis is drawn: from the plane in focus, or some way before the lens, to the sensor."""
+    end = float(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])
+    distance = world.first_order.object_distance_mm
+    return (-distance if 0.0 < distance < np.inf else -end), end
 
 
 def _signs(world: World) -> Iterator[Part]:
-    """Yield the optical axis, and the outline of what the camera sees of its plane in focus."""
+    """Yield the optical axis with its marks, and the outline of what the camera sees of its plane in focus."""
     to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
-    end = float(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])
-    distance = world.first_order.object_distance_mm
-    sharp = 0.0 < distance < np.inf
-    start = -distance if sharp else -end
+    start, end = _axis(world)
+    step, high = tick_mm(world), 0.08 * max(world.lens_shape.rims)
+    marks = step * np.arange(np.ceil(start / step), np.floor(end / step) + 1)
+    half = np.where(np.round(marks / step) % 5 == 0, 2.0 * high, high)
+    none = np.zeros(len(marks))
+    ticks = [np.stack([none, -half, marks], axis=1), np.stack([none, half, marks], axis=1)]
+    ends = np.concatenate([[[[0.0, 0.0, start], [0.0, 0.0, end]]], np.stack(ticks, axis=1)])
     thin = {"color": "#8796a8", "line_width": 1, "lighting": False}
-    axis = frames.points(to_world, [[0.0, 0.0, start], [0.0, 0.0, end]])
-    yield Part("axis", "sign", segments(axis[None]), thin)
-    if sharp:
+    placed = frames.points(to_world, ends.reshape(-1, 3)).reshape(-1, 2, 3)
+    yield Part("axis", "sign", line_segments(placed), thin)
+    if world.first_order.object_distance_mm == -start:
         x, y = (0.5 * size for size in world.first_order.field_of_view_mm)
         corners = frames.points(to_world, [[-x, -y, start], [x, -y, start], [x, y, start], [-x, y, start]])
         sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
-        yield Part("plane in focus", "sign", segments(sides), {**thin, "color": "#49c3b1"})
+        yield Part("plane in focus", "sign", line_segments(sides), {**thin, "color": "#49c3b1"})

@@ -7,11 +7,11 @@ import pyvista as pv
 from numpy.typing import NDArray
 from vtkmodules.vtkRenderingCore import vtkProp
 
-from lfmesh.transport.packet import CAMERA_FRAME, WORLD_FRAME
+from lfmesh.transport.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 from lfmesh.view.colours import BACKGROUND, BACKGROUND_TOP, ColourBy, Legend
-from lfmesh.view.overlay import Overlay
-from lfmesh.view.parts import Part, Picture, parts
+from lfmesh.view.overlay import Overlay, in_words
+from lfmesh.view.parts import Part, Picture, parts, tick_mm
 from lfmesh.view.presets import ANGLE_DEG, PRESETS, viewpoint
 from lfmesh.view.ray_lines import MOST_SEGMENTS, RayLines, ray_lines
 
@@ -73,10 +73,21 @@ class View:
         """What `look` knows of this camera."""
         return [name for name in PRESETS if name != "array" or self.world.tables.array.present]
 
-    def look(self, preset: str) -> None:
-        """Move the eye to one of the `presets`."""
+    @property
+    def title(self) -> str:
+        """What the scene is called."""
+        return self.world.scene.name or "scene without a name"
+
+    @property
+    def scale(self) -> str:
+        """How long things are, in words."""
+        length = float(self.world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])
+        return f"axis marked every {in_words(tick_mm(self.world))}; {length:.4g} mm from the first vertex to the sensor"
+
+    def look(self, preset: str, aspect: float | None = None) -> None:
+        """Move the eye to one of the `presets`, for a picture of the plotter's or another aspect, width over height."""
         width, height = self.plotter.window_size
-        seen = viewpoint(self.world, preset, width / height, self.near_mm)
+        seen = viewpoint(self.world, preset, aspect or width / height, self.near_mm)
         camera = self.plotter.camera
         camera.position, camera.focal_point, camera.up = seen.eye, seen.focus, seen.up
         camera.parallel_projection = seen.parallel
@@ -123,7 +134,7 @@ class View:
     def write(self, lines: list[str]) -> None:
         """Write the title and a caption over the picture: what the rays are, and how many of them are drawn."""
         self.caption = [*lines, self.lines.caption] if self.lines is not None else list(lines)
-        self.overlay.write(self.world.scene.name or "unnamed scene", self.caption, self.legend)
+        self.overlay.write(self.title, [*self.caption, self.scale], self.legend)
 
     def part_of(self, actor: vtkProp) -> Part | None:
         """Return the part that an actor shows; None for rays and text."""

@@ -1,7 +1,7 @@
 """The parts of a camera and its scene as they are drawn: meshes in the world frame, mm, with their looks."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -57,6 +57,12 @@ class Part:
     mesh : pyvista.PolyData
     look : dict
         Of `pyvista.Plotter.add_mesh`.
+    label : str
+        The name, or what tells pieces of a part apart: "mla plate".
+    picture : (h, w, 3) uint8, optional
+        What lies on it; its texture coordinates say where.
+    tiled : bool
+        The picture repeats.
     edges : pyvista.PolyData, optional
         Lines that are drawn on it, in `edge_colour`.
     solid : bool
@@ -70,7 +76,12 @@ class Part:
     edges: pv.PolyData | None = None
     edge_colour: str = "#ffffff"
     solid: bool = False
-    cells: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    label: str = ""
+    picture: Picture | None = None
+    tiled: bool = False
+
+    def __post_init__(self) -> None:
+        self.label = self.label or self.name
 
 
 def parts(world: World, picture: Picture | None = None, near_mm: tuple[float, float] = (0.0, 0.0)) -> list[Part]:
@@ -87,6 +98,19 @@ def parts(world: World, picture: Picture | None = None, near_mm: tuple[float, fl
     made = [*_lens(world), *_stop(world), *_array(world, near_mm), *_sensor(world, picture)]
     made += [_target(world, i, target) for i, target in enumerate(world.targets)]
     return [*made, *_lights(world), *_signs(world)]
+
+
+def texture_of(part: Part) -> pv.Texture | None:
+    """Return the texture that a part's picture makes."""
+    if part.picture is None:
+        return None
+    texture = pv.Texture(np.ascontiguousarray(part.picture))
+    # Pixels stay squares when they are looked at closely; tiles too small to be seen turn into their mean.
+    texture.repeat = texture.mipmap = part.tiled
+    texture.interpolate = part.tiled or part.kind != "sensor"
+    if part.tiled:
+        texture.SetMaximumAnisotropicFiltering(8.0)
+    return texture
 
 
 def polydata(points: Array, triangles: ArrayLike) -> pv.PolyData:
@@ -152,17 +176,17 @@ def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
     caps = polydata(frames.points(to_world, curved.points), curved.triangles)
     caps.point_data.active_normals = frames.directions(to_world, curved.normals)
     shine = {"specular": 0.9, "specular_power": 20, "smooth_shading": True}
-    yield Part("mla", "array", caps, {**glass, **shine, "name": "mla"}, cells=curved.cells)
+    yield Part("mla", "array", caps, {**glass, **shine})
     plate = _plate(world, of.valley)
     outline = plate.extract_feature_edges(CREASE_DEG)
-    yield Part("mla", "array", plate, {**glass, "name": "mla plate"}, edges=outline, edge_colour="#79d0dc")
+    yield Part("mla", "array", plate, glass, edges=outline, edge_colour="#79d0dc", label="mla plate")
     if array_shape.is_large(of.lattice):
         picture, (width, height) = array_shape.lattice_picture(of.lattice)
         face = polydata(frames.points(to_world, array_shape.face_corners(of, of.valley)), [[0, 2, 1], [0, 3, 2]])
         corners = array_shape.face_corners(of, 0.0)[:, :2] - of.lattice.centres()[0, 0]
         face.active_texture_coordinates = corners / [width, height]
-        look = {"texture": _repeating(picture), "opacity": 0.45, "lighting": False, "name": "mla lattice"}
-        yield Part("mla", "array", face, look)
+        look = {"opacity": 0.45, "lighting": False}
+        yield Part("mla", "array", face, look, label="mla lattice", picture=picture, tiled=True)
 
 
 def _plate(world: World, front_mm: float) -> pv.PolyData:
@@ -180,33 +204,21 @@ def _sensor(world: World, picture: Picture | None) -> Iterator[Part]:
     pixels = polydata(corners, [[0, 2, 1], [0, 3, 2]])
     # Row 0 of a picture lies at v = 1; pixel (0, 0) at the corner −x, −y.
     place = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
-    look: dict[str, Any] = {"lighting": False}
-    if picture is not None:
-        pixels.active_texture_coordinates = place
-        look["texture"] = pv.Texture(np.ascontiguousarray(picture))
-        look["texture"].interpolate = False
-    else:
-        pixels.active_texture_coordinates = place * world.scene.camera.sensor.pixels
-        look["texture"] = _pixel_texture()
-    yield Part("sensor", "sensor", pixels, look)
+    tiled = picture is None
+    pixels.active_texture_coordinates = place * (world.scene.camera.sensor.pixels if tiled else (1, 1))
+    drawn = _bare_pixel() if picture is None else picture
+    yield Part("sensor", "sensor", pixels, {"lighting": False}, picture=drawn, tiled=tiled)
     board = _chip(world)
     edges = board.extract_feature_edges(CREASE_DEG)
-    yield Part("sensor", "sensor", board, {"color": "#4fae86", "opacity": 0.15, "name": "chip"}, edges, "#4fae86")
+    green = "#4fae86"
+    yield Part("sensor", "sensor", board, {"color": green, "opacity": 0.15}, edges, green, label="sensor board")
 
 
-def _pixel_texture() -> pv.Texture:
-    """Return one bare pixel, which repeats."""
+def _bare_pixel() -> Picture:
+    """Return the picture of one pixel without an image."""
     tile = np.full((PIXEL_PX, PIXEL_PX, 3), [70, 84, 104], np.uint8)
     tile[[0, -1]] = tile[:, [0, -1]] = [34, 42, 54]
-    return _repeating(tile)
-
-
-def _repeating(tile: Picture) -> pv.Texture:
-    """Return a texture of many tiles, which turns into their mean where they are too small to be seen."""
-    texture = pv.Texture(tile)
-    texture.repeat, texture.mipmap, texture.interpolate = True, True, True
-    texture.SetMaximumAnisotropicFiltering(8.0)
-    return texture
+    return tile
 
 
 def _chip(world: World) -> pv.PolyData:
@@ -229,7 +241,7 @@ def _target(world: World, number: int, target: TargetMesh) -> Part:
     body = polydata(corners, np.arange(len(corners)).reshape(-1, 3))
     if target.texture is not None and target.uv is not None:
         body.active_texture_coordinates = target.uv.reshape(-1, 2)
-        return Part(name, "target", body, {"texture": pv.Texture(srgb_encode(target.texture)), "lighting": False})
+        return Part(name, "target", body, {"lighting": False}, picture=srgb_encode(target.texture))
     body = polydata(target.mesh.vertices, target.mesh.faces)
     creases = body.extract_feature_edges(CREASE_DEG)
     grey = float(srgb_encode(np.array(model.material.reflectance))) / 255.0

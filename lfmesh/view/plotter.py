@@ -11,7 +11,7 @@ from lfmesh.transport.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 from lfmesh.view.colours import BACKGROUND, BACKGROUND_TOP, ColourBy, Legend
 from lfmesh.view.overlay import Overlay, in_words
-from lfmesh.view.parts import Part, Picture, parts, tick_mm
+from lfmesh.view.parts import Part, Picture, parts, texture_of, tick_mm
 from lfmesh.view.presets import ANGLE_DEG, PRESETS, viewpoint
 from lfmesh.view.ray_lines import MOST_SEGMENTS, RayLines, ray_lines
 
@@ -39,6 +39,7 @@ class View:
     world : World
     lines : RayLines or None
         What is drawn of the rays.
+    ray_mesh : pyvista.PolyData or None
     ray_actor : vtkActor or None
         Its cells carry "path" and "vertex", see `RayLines`.
     caption : list of str
@@ -53,6 +54,7 @@ class View:
         self.world = world
         self.near_mm = near_mm
         self.lines: RayLines | None = None
+        self.ray_mesh: pv.PolyData | None = None
         self.ray_actor: Any = None
         self.caption: list[str] = []
         self.legend: Legend | None = None
@@ -121,10 +123,11 @@ class View:
             Of the lines, in pixels.
         """
         self.plotter.remove_actor("rays", render=False)
-        self.lines = self.ray_actor = self.legend = None
+        self.lines = self.ray_mesh = self.ray_actor = self.legend = None
         if rays is not None and len(rays):
             self.lines = ray_lines(rays, most_segments)
             mesh, self.legend = self.lines.coloured(colour, fade=fade)
+            self.ray_mesh = mesh
             if mesh.n_cells:
                 self.ray_actor = self.plotter.add_mesh(
                     mesh, scalars="rgba" if fade else "rgb", rgb=True, line_width=width, lighting=False,
@@ -150,10 +153,9 @@ class View:
         self._of_actor = {}
         for number, part in enumerate(self._parts):
             mesh = self._shown(part)
-            look = {key: value for key, value in part.look.items() if key != "name"}
-            label = f"{part.look.get('name', part.name)} {number}"
+            label = f"{part.label} {number}"
             if mesh.n_cells:
-                self._add(part, mesh, name=label, **look)
+                self._add(part, mesh, name=label, texture=texture_of(part), **part.look)
             edges = self._cut_edges(part, mesh)
             if edges is not None and edges.n_cells:
                 self._add(

@@ -5,8 +5,9 @@ The kernels are those of a render, so the paths are its paths. With the light th
 
 import difflib
 import re
-from collections.abc import Callable, Sequence
-from typing import Literal
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +30,22 @@ Floats = NDArray[np.float64]
 Waves = Sequence[tuple[int, float]]
 """Number (among the scene's; 0 for one that is not) and length in nm of the wavelengths that share the rays."""
 
+
+@dataclass(frozen=True)
+class Settings:
+    """How many rays, at which wavelengths, and how they are followed."""
+
+    count: int
+    waves: Waves
+    split: int
+    cutoff: float
+    seed: int
+
+    def rays_of(self, place: int) -> int:
+        """Return how many rays the wavelength at a place of `waves` has."""
+        return len(range(place, self.count, len(self.waves)))
+
+
 INTENSITY_W_SR = 1.0
 """Radiant intensity of a field point."""
 
@@ -46,6 +63,7 @@ def from_field_point(
     *,
     wavelength_nm: float | None = None,
     split: str = "both",
+    weight_cutoff: float | None = None,
     seed: int = 0,
     aim: Literal["pupil", "lens"] = "pupil",
 ) -> Rays:
@@ -64,6 +82,8 @@ def from_field_point(
     wavelength_nm : float, optional
         Else the scene's wavelengths share the rays.
     split : {"both", "roulette", "transmit"}
+    weight_cutoff : float, optional
+        Share of a ray's power below which roulette is played, in place of the scene's; 0: every child is followed.
     seed : int
         Shifts the points of the pupil, and plays the roulette.
     aim : {"pupil", "lens"}
@@ -75,23 +95,22 @@ def from_field_point(
     LfmeshError
         A point that is none or not in front of the lens, a count below 1, or a setting out of its range.
     """
-    _check(count, split, seed)
+    of = _settings(world, count, _wavelengths(world, wavelength_nm), split, weight_cutoff, seed)
     if aim not in ("pupil", "lens"):
         raise LfmeshError(f'aim = {aim!r}: use "pupil" or "lens"')
     point = _point_before_lens(world, position_mm)
     x, y, plane_z, radius = _disk_seen(world, point, aim)
-    options = options_of(world, tracing=True, record=True, split=SPLIT_MODE[split])
-    waves = _wavelengths(world, wavelength_nm)
+    options = options_of(world, tracing=True, record=True, split=of.split, cutoff=of.cutoff)
     parts = []
-    for place, (wave, wavelength) in enumerate(waves):
-        u, v = _square(np.arange(place, count, len(waves)), seed)
+    for place, (wave, wavelength) in enumerate(of.waves):
+        u, v = _square(np.arange(place, count, len(of.waves)), seed)
         r, phi = radius * np.sqrt(u), 2.0 * np.pi * v
         ray = np.stack([x + r * np.cos(phi), y + r * np.sin(phi), np.full(len(u), plane_z)], axis=-1) - point
         length = np.linalg.norm(ray, axis=1)
         solid_angle = np.pi * radius**2 * ray[:, 2] / length**3 / max(len(u), 1)
         starts = from_point(point, ray / length[:, None], INTENSITY_W_SR * solid_angle, descendant(_KEY, seed, wave))
         parts.append(traced(world, at_wavelength(world, wavelength), options, starts, place))
-    return _assembled(world, parts, waves)
+    return _assembled(world, parts, of)
 
 
 def from_pixel(
@@ -102,6 +121,7 @@ def from_pixel(
     *,
     wavelength_nm: float | None = None,
     split: str = "both",
+    weight_cutoff: float | None = None,
     seed: int = 0,
 ) -> Rays:
     """Launch rays from a pixel of the sensor against the light; targets end them.
@@ -118,6 +138,8 @@ def from_pixel(
     wavelength_nm : float, optional
         Else the scene's wavelengths share the rays.
     split : {"both", "roulette", "transmit"}
+    weight_cutoff : float, optional
+        Share of a ray's power below which roulette is played, in place of the scene's; 0: every child is followed.
     seed : int
 
     Raises
@@ -127,7 +149,7 @@ def from_pixel(
     """
     return from_pixels(
         world, range(row, row + 1), range(column, column + 1), count,
-        wavelength_nm=wavelength_nm, split=split, seed=seed,
+        wavelength_nm=wavelength_nm, split=split, weight_cutoff=weight_cutoff, seed=seed,
     )  # fmt: skip
 
 
@@ -139,6 +161,7 @@ def from_pixels(
     *,
     wavelength_nm: float | None = None,
     split: str = "both",
+    weight_cutoff: float | None = None,
     seed: int = 0,
 ) -> Rays:
     """Launch rays from a box of pixels as `from_pixel` does, as many from each; the power stands for the whole box.
@@ -151,14 +174,14 @@ def from_pixels(
     LfmeshError
         Pixels outside the sensor, a count below 1, or a setting out of its range.
     """
-    _check(count, split, seed)
+    of = _settings(world, count, _wavelengths(world, wavelength_nm), split, weight_cutoff, seed)
     sensor = world.tables.sensor
     for name, wished, size in (("row", rows, sensor.rows), ("column", columns, sensor.columns)):
         if not len(wished) or min(wished) < 0 or max(wished) >= size:
             given = wished[0] if len(wished) == 1 else f"{wished.start}:{wished.stop}"
             raise LfmeshError(f"{name} {given}: the sensor has {name}s 0 to {size - 1}")
     box = np.add.outer(np.array(rows) * sensor.columns, np.array(columns)).ravel()
-    return _from_pixels(world, box, count, _wavelengths(world, wavelength_nm), split, seed)
+    return _from_pixels(world, box, of)
 
 
 def from_light(
@@ -168,6 +191,7 @@ def from_light(
     *,
     wavelength_nm: float | None = None,
     split: str = "both",
+    weight_cutoff: float | None = None,
     seed: int = 0,
 ) -> Rays:
     """Launch packets from one light alone as a forward run does: to the targets, and scattered on into the lens.
@@ -184,6 +208,8 @@ def from_light(
     wavelength_nm : float, optional
         One of the scene's; else those share the packets.
     split : {"both", "roulette", "transmit"}
+    weight_cutoff : float, optional
+        Share of a ray's power below which roulette is played, in place of the scene's; 0: every child is followed.
     seed : int
 
     Raises
@@ -191,7 +217,8 @@ def from_light(
     LfmeshError
         No such light or wavelength, a scene without targets, a count below 1, or a setting out of its range.
     """
-    _check(count, split, seed)
+    waves = _wavelengths(world, wavelength_nm, any_other=False)
+    of = _settings(world, count, waves, split, weight_cutoff, seed)
     lights = len(world.scene.lights)
     if not 0 <= number < lights:
         known = f"it has lights[0] to lights[{lights - 1}]" if lights else "it has none"
@@ -202,7 +229,7 @@ def from_light(
     sources = objects.sources[objects.sources["light"] == number].copy()
     sources["share"] = sources["until"] = 1.0
     tables = world.tables._replace(objects=objects._replace(sources=sources))
-    return _from_sources(world, tables, count, _wavelengths(world, wavelength_nm, any_other=False), split, seed)
+    return _from_sources(world, tables, of)
 
 
 def as_in_run(
@@ -211,6 +238,7 @@ def as_in_run(
     *,
     wavelength_nm: float | None = None,
     split: str | None = None,
+    weight_cutoff: float | None = None,
     seed: int | None = None,
 ) -> Rays:
     """Launch the rays with which a run starts: the same kernels, the same numbers.
@@ -226,7 +254,7 @@ def as_in_run(
         Rays in all; a forward run's are not more than it has, and all of them if left out.
     wavelength_nm : float, optional
         One of the scene's; else those share the rays.
-    split, seed : optional
+    split, weight_cutoff, seed : optional
         In place of the scene's.
 
     Raises
@@ -241,50 +269,49 @@ def as_in_run(
     sensor = world.tables.sensor
     pixels = sensor.rows * sensor.columns
     most = pixels * len(waves) * (transport.samples if transport.method == "forward" else 1)
-    count = most if count is None else count
-    _check(count, split, seed)
+    of = _settings(world, most if count is None else count, waves, split, weight_cutoff, seed)
     if transport.method == "adjoint":
-        return _from_pixels(world, np.arange(pixels), count, waves, split, seed)
+        return _from_pixels(world, np.arange(pixels), of)
     if not len(world.tables.objects.sources):
         raise LfmeshError("nothing shines: the scene has neither lights nor targets with radiance_w_m2_sr")
-    return _from_sources(world, world.tables, min(count, most), waves, split, seed)
+    return _from_sources(world, world.tables, replace(of, count=min(of.count, most)))
 
 
-def _from_pixels(world: World, box: NDArray[np.int64], count: int, waves: Waves, split: str, seed: int) -> Rays:
-    """Launch `count` rays from some pixels, shared among wavelengths."""
-    options = options_of(world, tracing=True, record=True, split=SPLIT_MODE[split])
-    generator = np.random.default_rng(seed)
+def _from_pixels(world: World, box: NDArray[np.int64], of: Settings) -> Rays:
+    """Launch rays from some pixels, shared among wavelengths."""
+    options = options_of(world, tracing=True, record=True, split=of.split, cutoff=of.cutoff)
+    generator = np.random.default_rng(of.seed)
     parts = []
-    for place, (wave, wavelength) in enumerate(waves):
-        rays = len(range(place, count, len(waves)))
+    for place, (wave, wavelength) in enumerate(of.waves):
+        rays = of.rays_of(place)
         pixels = np.sort(generator.choice(box, min(rays, len(box)), replace=False))
-        starts = at_pixels(pixels, max(1, round(rays / len(box))), descendant(run_key(seed), 0, wave))
+        starts = at_pixels(pixels, max(1, round(rays / len(box))), descendant(run_key(of.seed), 0, wave))
         ended, nodes = traced(world, at_wavelength(world, wavelength), options, starts, place)
         # Of pixels drawn by chance, each stands for several.
         for table in (ended, nodes):
             table["weight"] *= len(box) / max(len(pixels), 1)
         parts.append((ended, nodes))
-    return _assembled(world, parts, waves, from_sensor=True)
+    return _assembled(world, parts, of, from_sensor=True)
 
 
-def _from_sources(world: World, tables: Tables, count: int, waves: Waves, split: str, seed: int) -> Rays:
-    """Launch the first `count` packets of a forward run, shared among wavelengths, replicate by replicate."""
+def _from_sources(world: World, tables: Tables, of: Settings) -> Rays:
+    """Launch the first packets of a forward run, shared among wavelengths, replicate by replicate."""
     transport = world.scene.transport
-    options = options_of(world, record=True, split=SPLIT_MODE[split], adjoint=False, sequential=False)
+    options = options_of(world, record=True, split=of.split, cutoff=of.cutoff, adjoint=False, sequential=False)
     one = tables.sensor.rows * tables.sensor.columns * (transport.samples // transport.replicates)
     parts = []
-    for place, (wave, _) in enumerate(waves):
-        total = len(range(place, count, len(waves)))
+    for place, (wave, _) in enumerate(of.waves):
+        total = of.rays_of(place)
         for replicate, first in enumerate(range(0, total, one)):
-            key = descendant(run_key(seed), replicate, wave)
+            key = descendant(run_key(of.seed), replicate, wave)
             starts = from_sources(0, min(one, total - first), total, key, wave)
             parts.append(traced(world, tables, options, starts, place))
-    return _assembled(world, parts, waves)
+    return _assembled(world, parts, of)
 
 
-def _assembled(world: World, parts: list[tuple[Records, Records]], waves: Waves, *, from_sensor: bool = False) -> Rays:
+def _assembled(world: World, parts: list[tuple[Records, Records]], of: Settings, *, from_sensor: bool = False) -> Rays:
     ended, nodes = joined_records(parts)
-    lengths = np.array([wavelength for _, wavelength in waves])
+    lengths = np.array([wavelength for _, wavelength in of.waves])
     return assembled(world, ended, nodes, lengths[ended["wave"]], ended["source"] if from_sensor else None)
 
 
@@ -320,7 +347,7 @@ def _point_before_lens(world: World, position_mm: ArrayLike) -> Floats:
     front = float(world.tables.lens.box_low[2])
     if moved[2] >= front:
         raise LfmeshError(
-            f"position_mm = {point.tolist()}: a field point lies in front of the lens, at z < {front:.6g} mm in the "
+            f"position_mm = {point.tolist()}: a field point lies in front of the lens, at z < {round(front, 6) + 0.0:g} mm in the "
             f"camera frame; this one is at z = {moved[2]:.6g} mm"
         )
     return np.asarray(moved)
@@ -341,13 +368,18 @@ def _wavelengths(world: World, wavelength_nm: float | None, *, any_other: bool =
     return [(0, float(wavelength_nm))]
 
 
-def _check(count: int, split: str, seed: int) -> None:
+def _settings(world: World, count: int, waves: Waves, split: str, weight_cutoff: float | None, seed: int) -> Settings:
+    """Return checked settings."""
     if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
         raise LfmeshError(f"count = {count!r}: must be a whole number of rays, at least 1")
     if split not in SPLIT_MODE:
         raise LfmeshError(f"split = {split!r}: use one of {', '.join(SPLIT_MODE)}")
+    cutoff = world.scene.transport.weight_cutoff if weight_cutoff is None else weight_cutoff
+    if not 0.0 <= cutoff <= 1.0:
+        raise LfmeshError(f"weight_cutoff = {cutoff!r}: must be from 0 to 1")
     if not 0 <= seed < 2**63:
         raise LfmeshError(f"seed = {seed!r}: must be a whole number from 0 to 2^63 − 1")
+    return Settings(int(count), waves, SPLIT_MODE[split], cutoff, int(seed))
 
 
 FORMS = {
@@ -376,6 +408,7 @@ def launch(
     *,
     wavelength_nm: float | None = None,
     split: str | None = None,
+    weight_cutoff: float | None = None,
     seed: int | None = None,
 ) -> Rays:
     """Launch rays as a line of words says: "field 0,0,-500", "pixel 320,310", "light 0", "run"; see `FORMS`.
@@ -385,7 +418,7 @@ def launch(
     world : World
     spec : str
     count : int
-    wavelength_nm, split, seed : optional
+    wavelength_nm, split, weight_cutoff, seed : optional
         As for the function of that name; left out, as a run of the scene has them.
 
     Raises
@@ -397,23 +430,17 @@ def launch(
     transport = world.scene.transport
     split = transport.split if split is None else split
     seed = transport.seed if seed is None else seed
-    makers: dict[str, Callable[[], Rays]] = {
-        "field": lambda: from_field_point(
-            world, [float(n) for n in numbers], count, wavelength_nm=wavelength_nm, split=split, seed=seed
-        ),
-        "pixel": lambda: from_pixel(
-            world, int(numbers[0]), int(numbers[1]), count, wavelength_nm=wavelength_nm, split=split, seed=seed
-        ),
-        "pixels": lambda: from_pixels(
-            world, range(int(numbers[0]), int(numbers[1])), range(int(numbers[2]), int(numbers[3])), count,
-            wavelength_nm=wavelength_nm, split=split, seed=seed,
-        ),
-        "light": lambda: from_light(
-            world, int(numbers[0]), count, wavelength_nm=wavelength_nm, split=split, seed=seed
-        ),
-        "run": lambda: as_in_run(world, count, wavelength_nm=wavelength_nm, split=split, seed=seed),
+    more: dict[str, Any] = {
+        "wavelength_nm": wavelength_nm, "split": split, "weight_cutoff": weight_cutoff, "seed": seed
     }  # fmt: skip
-    return makers[kind]()
+    if kind == "field":
+        return from_field_point(world, [float(n) for n in numbers], count, **more)
+    whole = [int(n) for n in numbers]
+    if kind == "pixel":
+        return from_pixel(world, whole[0], whole[1], count, **more)
+    if kind == "pixels":
+        return from_pixels(world, range(*whole[:2]), range(*whole[2:]), count, **more)
+    return from_light(world, whole[0], count, **more) if kind == "light" else as_in_run(world, count, **more)
 
 
 def _read_spec(spec: str) -> tuple[str, list[str]]:

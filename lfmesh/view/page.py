@@ -9,7 +9,8 @@ import tempfile
 import warnings
 from pathlib import Path
 
-from lfmesh.errors import FileError, LfmeshError
+from lfmesh.errors import LfmeshError
+from lfmesh.files.whole import write_whole
 from lfmesh.view.colours import BACKGROUND, FAINT_TEXT, TEXT, Legend
 from lfmesh.view.plotter import View
 
@@ -53,10 +54,7 @@ def write_page(view: View, path: Path) -> None:
             page = raw.read_text(encoding="utf-8")
     finally:
         view.look(preset)
-    try:
-        path.write_text(captioned(page, view), encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{path}: cannot be written: {error.strerror}") from None
+    write_whole(path, captioned(page, view))
 
 
 def captioned(page: str, view: View) -> str:

@@ -112,7 +112,7 @@ class Launched:
 
 def launched(
     world: World, specs: Sequence[str] = (), count: int | None = None, *,
-    wavelength_nm: float | None = None, split: str | None = None, seed: int | None = None,
+    wavelength_nm: float | None = None, split: str | None = None, weight_cutoff: float | None = None,
 ) -> Launched:  # fmt: skip
     """Launch the rays of one or several lines of words, see `lfmesh.view.launch.launch`.
 
@@ -126,7 +126,10 @@ def launched(
         split = split or "transmit"
     number = count if count is not None else COUNT if specs else FIRST_COUNT
     rays = together(
-        [launch(world, spec, number, wavelength_nm=wavelength_nm, split=split, seed=seed) for spec in given]
+        [
+            launch(world, spec, number, wavelength_nm=wavelength_nm, split=split, weight_cutoff=weight_cutoff)
+            for spec in given
+        ]
     )
     split = split or world.scene.transport.split
     how = "refracted only" if split == "transmit" else f"split: {split}"
@@ -162,7 +165,13 @@ def together(parts: Sequence[Rays]) -> Rays:
         raise LfmeshError(
             "rays launched from pixels (m² sr) and rays launched with the light (W) have no common power; show one kind"
         )
-    sequences = list(dict.fromkeys(sequence for part in parts for sequence in part.sequences))
+    arriving: dict[str, float] = {}
+    for part in parts:
+        power = np.bincount(part.sequence, part.end_power * part.arrives, len(part.sequences))
+        for sequence, brought in zip(part.sequences, power, strict=True):
+            arriving[sequence] = arriving.get(sequence, 0.0) + float(brought)
+    # As in each of them: what brings the most power comes first.
+    sequences = sorted(arriving, key=lambda sequence: -arriving[sequence])
     number = {sequence: i for i, sequence in enumerate(sequences)}
     renumbered = [np.array([number[s] for s in part.sequences], np.int64)[part.sequence] for part in parts]
     sources = np.cumsum([0, *(int(part.source.max(initial=-1)) + 1 for part in parts)])

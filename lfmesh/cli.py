@@ -573,6 +573,12 @@ def view(
     screenshot: Annotated[Path | None, Parameter(help="PNG to write, in place of a window.")] = None,
     html: Annotated[Path | None, Parameter(help="Page to write that turns in any browser, without a network.")] = None,
     gltf: Annotated[Path | None, Parameter(help="3D model to write (.glb).")] = None,
+    browser: Annotated[bool, Parameter(negative=(), help="Show it on a page in the browser, with much more.")] = False,
+    host: Annotated[str, Parameter(help="With --browser: the address that the page is served on.")] = "127.0.0.1",
+    port: Annotated[Whole, Parameter(help="With --browser; 0: a free one.")] = 0,
+    open_browser: Annotated[
+        bool, Parameter(name="--open", negative="--no-open", help="With --browser: open the page in a browser.")
+    ] = True,
 ) -> int:
     """Show lens, array, sensor, targets and rays in 3D: in a window, or as a picture, a page, a model."""
     with _undivided():
@@ -584,6 +590,7 @@ def view(
         subject, rays, filter, path, launches,
         Drawing(colour, fade, preset, cut, _size(size), segments),
         Outputs(screenshot, html, gltf), command.Reports(table, paths, ghosts),
+        command.Serving(browser, host, port, open_browser),
     )  # fmt: skip
     for line in lines:
         print(line)

@@ -42,11 +42,11 @@ DECADES = 8
 """Powers below the largest by more are drawn as this many decades below it."""
 
 MOST_ENTRIES = 8
-"""Of a legend."""
+"""Of a legend, as many as PATHS."""
 
-PATHS = "tab10"
+PATHS = ["#ff9d3d", "#4db6ff", "#5ee07f", "#ff6b8a", "#c792ff", "#ffe14d", "#3de0d0", "#ff8ff0"]
 """Colours of the strongest sequences; the others share OTHERS."""
-OTHERS = "#9aa7b4"
+OTHERS = "#566474"
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def _by_sequence(rays: "Rays", paths: NDArray[np.int64]) -> tuple[Rgb, Legend]:
     named = present[:MOST_ENTRIES]
     colours = [OTHERS] * len(rays.sequences)
     for rank, sequence in enumerate(named):
-        colours[sequence] = to_hex(mpl.colormaps[PATHS](rank))
+        colours[sequence] = PATHS[rank]
     examples = paths[first]
     entries = [(short_form(rays, int(path)), colours[i]) for i, path in zip(named, examples, strict=False)]
     if len(present) > len(named):

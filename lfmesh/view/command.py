@@ -41,9 +41,20 @@ class Reports:
         return table.lines() if self.table else [], written
 
 
+@dataclass(frozen=True)
+class Serving:
+    """Whether, and where, the browser's page is served."""
+
+    browser: bool = False
+    host: str = "127.0.0.1"
+    port: int = 0
+    open_browser: bool = True
+
+
 def run(
     subject: Path, rays: list[str] | None, expression: str | None, path: int | None,
     launches: dict[str, Any], drawing: Drawing, outputs: Outputs, reports: Reports,
+    serving: Serving,
 ) -> tuple[list[str], list[Path]]:  # fmt: skip
     """Do what the options say; return the lines to print and the files written.
 
@@ -51,13 +62,18 @@ def run(
     """
     outputs.check()
     reports.check()
-    windowed = not outputs and (not reports or has_display())
+    windowed = not outputs and not serving.browser and (not reports or has_display())
     if windowed and not has_display():
         raise LfmeshError(NO_DISPLAY)
     if path is not None:
         expression = f"path == {path}" if expression is None else f"({expression}) and path == {path}"
     if not (outputs or windowed):
-        return reports.of(look(subject, rays, expression, **launches))
+        seen = look(subject, rays, expression, **launches)
+        said = reports.of(seen) if reports else ([], [])
+        if serving.browser:
+            print("\n".join(said[0]), end="\n" if said[0] else "", flush=True)
+            _serve(subject, seen, drawing, serving)
+        return said if not serving.browser else ([], said[1])
     with Probe() as probe:
         seen = look(subject, rays, expression, **launches)
         probe.check()
@@ -71,3 +87,13 @@ def run(
         lines = []
         open_window(view)
     return lines, written
+
+
+def _serve(subject: Path, seen: Seen, drawing: Drawing, serving: Serving) -> None:
+    from lfmesh.view.browser import serve
+
+    serve(
+        subject, seen.rays,
+        colour=drawing.colour, preset=drawing.preset, cut=drawing.cut,
+        host=serving.host, port=serving.port, open_browser=serving.open_browser,
+    )  # fmt: skip

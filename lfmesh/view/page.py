@@ -24,6 +24,7 @@ STYLE = f"""\
       .words h1 {{ margin: 0; font-size: 22px; font-weight: normal; color: {TEXT}; }}
       .words p {{ margin: 0; }}
       .words b {{ font-weight: normal; color: {TEXT}; }}
+      .content {{ position: absolute; inset: 0; }}
       #caption {{ left: 0; max-width: 65%; }}
       #legend {{ right: 0; text-align: right; }}
 """
@@ -65,7 +66,8 @@ def captioned(page: str, view: View) -> str:
     page = page.replace("</style>\n  </head>", f"{STYLE}    </style>\n  </head>", 1)
     lines = "".join(f"<p>{html.escape(line)}</p>" for line in [*view.caption, view.scale, "drag turns, wheel zooms"])
     words = f'<div id="caption" class="words"><h1>{title}</h1>{lines}</div>{_legend(view.legend)}'
-    return page.replace("<body>", f"<body>\n    {words}", 1)
+    # vtk.js empties what it draws into: without an element of its own that would be the whole page.
+    return page.replace("<body>", f'<body>\n    <div class="content"></div>\n    {words}', 1)
 
 
 def _legend(legend: Legend | None) -> str:

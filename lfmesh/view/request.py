@@ -134,7 +134,7 @@ def launched(
     split = split or world.scene.transport.split
     how = "refracted only" if split == "transmit" else f"split: {split}"
     words = f"{number} rays{' each' if len(given) > 1 else ''} from {'; '.join(given)}; {how}"
-    return Launched(rays, (words,), _pixels_on_array(world, rays))
+    return Launched(rays, (words,), pixels_on_array(rays))
 
 
 def first_look(world: World) -> list[str]:
@@ -194,8 +194,12 @@ def together(parts: Sequence[Rays]) -> Rays:
     )
 
 
-def _pixels_on_array(world: World, rays: Rays) -> tuple[float, float]:
-    """Return the point of the array in front of the pixels that rays come from or end on, in the array's frame."""
+def pixels_on_array(rays: Rays) -> tuple[float, float]:
+    """Return the point (x, y) of the array in front of the pixels that rays were launched from, mm, in its own frame.
+
+    Its middle, if they were launched elsewhere.
+    """
+    world = rays.world
     hit = rays.pixel[(rays.pixel >= 0).all(axis=1)]
     if not rays.from_sensor or not len(hit):
         return 0.0, 0.0

@@ -1,0 +1,1 @@
+"""The viewer as a page in a web browser: 3D view, path table, filter and light field, served by trame on loopback."""

@@ -60,7 +60,8 @@ def tint(index: float) -> str:
     """Return the colour of glass of a refractive index."""
     indices = [n for n, _ in GLASS]
     channels = np.array([to_rgb(colour) for _, colour in GLASS])
-    return to_hex([float(np.interp(index, indices, channel)) for channel in channels.T])
+    red, green, blue = (float(np.interp(index, indices, channel)) for channel in channels.T)
+    return to_hex((red, green, blue))
 
 
 def ray_colours(
@@ -112,8 +113,8 @@ def _bytes(colours: list[str]) -> Rgb:
 def _by_wavelength(wavelength_nm: NDArray[np.float64]) -> tuple[Rgb, Legend]:
     different, which = np.unique(wavelength_nm, return_inverse=True)
     colours = [to_hex(colour) for colour in spectral_srgb(different)]
-    shown = np.unique(np.linspace(0, len(different) - 1, MOST_ENTRIES).round().astype(int)) if len(different) else []
-    entries = tuple((f"{different[i]:.1f} nm", colours[i]) for i in shown)
+    shown = np.unique(np.linspace(0, max(0, len(different) - 1), MOST_ENTRIES).round().astype(int))
+    entries = tuple((f"{different[i]:.1f} nm", colours[i]) for i in shown if len(different))
     return _bytes(colours)[which], Legend("wavelength", entries)
 
 

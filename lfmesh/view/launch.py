@@ -3,46 +3,54 @@
 The kernels are those of a render, so the paths are its paths. With the light they carry W; from the sensor m² sr.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import Literal
+import difflib
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
-from lfmesh.transport.adjoint import launch_adjoint
 from lfmesh.transport.aim_table import opening_seen, widest_disk
-from lfmesh.transport.crossing import FLOAT32_GRAIN
-from lfmesh.transport.engine import CHUNK, Workspace
-from lfmesh.transport.packet import (
-    CAMERA_FRAME,
-    E_START,
-    ENDED,
-    NO_SURFACE,
-    NODES,
-    OBJECTS,
-    STATIONS,
-    WORLD_FRAME,
-    Options,
-)
+from lfmesh.transport.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.pupil import opening_from
 from lfmesh.transport.random import descendant, run_key
 from lfmesh.transport.settings import SPLIT_MODE, options_of
 from lfmesh.transport.tables import Records, Tables
-from lfmesh.transport.trace import at_wavelength, joined_records, launch_rays
+from lfmesh.transport.trace import at_wavelength, joined_records
 from lfmesh.transport.world import World
 from lfmesh.view.rays import Rays, assembled
+from lfmesh.view.recording import at_pixels, from_point, from_sources, traced
 
 Floats = NDArray[np.float64]
-Start = Callable[[Workspace], None]
-"""Puts a chunk's packets on the stacks of a workspace."""
+
+Waves = Sequence[tuple[int, float]]
+"""Number (among the scene's; 0 for one that is not) and length in nm of the wavelengths that share the rays."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How many rays, at which wavelengths, and how they are followed."""
+
+    count: int
+    waves: Waves
+    split: int
+    cutoff: float
+    seed: int
+
+    def rays_of(self, place: int) -> int:
+        """Return how many rays the wavelength at a place of `waves` has."""
+        return len(range(place, self.count, len(self.waves)))
+
 
 INTENSITY_W_SR = 1.0
 """Radiant intensity of a field point."""
 
-OWN_SURFACE = 32.0 * FLOAT32_GRAIN
-"""How far a field point may lie off a target to be a point of it, relative to its coordinates."""
+_KEY = 0x6669656C64
+"""Of the roulette that rays from field points play."""
 
 PLASTIC = 1.32471795724474602596
 """Root of x³ = x + 1: its inverse powers make a sequence of points that covers a square evenly (Roberts 2018)."""
@@ -55,6 +63,7 @@ def from_field_point(
     *,
     wavelength_nm: float | None = None,
     split: str = "both",
+    weight_cutoff: float | None = None,
     seed: int = 0,
     aim: Literal["pupil", "lens"] = "pupil",
 ) -> Rays:
@@ -73,6 +82,8 @@ def from_field_point(
     wavelength_nm : float, optional
         Else the scene's wavelengths share the rays.
     split : {"both", "roulette", "transmit"}
+    weight_cutoff : float, optional
+        Share of a ray's power below which roulette is played, in place of the scene's; 0: every child is followed.
     seed : int
         Shifts the points of the pupil, and plays the roulette.
     aim : {"pupil", "lens"}
@@ -84,27 +95,22 @@ def from_field_point(
     LfmeshError
         A point that is none or not in front of the lens, a count below 1, or a setting out of its range.
     """
-    _check(count, split, seed)
+    of = _settings(world, count, _wavelengths(world, wavelength_nm), split, weight_cutoff, seed)
     if aim not in ("pupil", "lens"):
         raise LfmeshError(f'aim = {aim!r}: use "pupil" or "lens"')
     point = _point_before_lens(world, position_mm)
     x, y, plane_z, radius = _disk_seen(world, point, aim)
-    options = options_of(world, tracing=True, record=True, split=SPLIT_MODE[split])
+    options = options_of(world, tracing=True, record=True, split=of.split, cutoff=of.cutoff)
     parts = []
-    waves = _wavelengths(world, wavelength_nm)
-    for wave, wavelength in enumerate(waves):
-        u, v = _square(np.arange(wave, count, len(waves)), seed)
+    for place, (wave, wavelength) in enumerate(of.waves):
+        u, v = _square(np.arange(place, count, len(of.waves)), seed)
         r, phi = radius * np.sqrt(u), 2.0 * np.pi * v
         ray = np.stack([x + r * np.cos(phi), y + r * np.sin(phi), np.full(len(u), plane_z)], axis=-1) - point
         length = np.linalg.norm(ray, axis=1)
         solid_angle = np.pi * radius**2 * ray[:, 2] / length**3 / max(len(u), 1)
-        starts = _from_point(point, ray / length[:, None], INTENSITY_W_SR * solid_angle, descendant(_KEY, seed, wave))
-        parts.append(_traced(world, at_wavelength(world, wavelength), options, starts, wave))
-    ended, nodes = joined_records(parts)
-    return assembled(world, ended, nodes, np.array(waves)[ended["wave"]])
-
-
-_KEY = 0x6669656C64
+        starts = from_point(point, ray / length[:, None], INTENSITY_W_SR * solid_angle, descendant(_KEY, seed, wave))
+        parts.append(traced(world, at_wavelength(world, wavelength), options, starts, place))
+    return _assembled(world, parts, of)
 
 
 def from_pixel(
@@ -115,6 +121,7 @@ def from_pixel(
     *,
     wavelength_nm: float | None = None,
     split: str = "both",
+    weight_cutoff: float | None = None,
     seed: int = 0,
 ) -> Rays:
     """Launch rays from a pixel of the sensor against the light; targets end them.
@@ -131,6 +138,8 @@ def from_pixel(
     wavelength_nm : float, optional
         Else the scene's wavelengths share the rays.
     split : {"both", "roulette", "transmit"}
+    weight_cutoff : float, optional
+        Share of a ray's power below which roulette is played, in place of the scene's; 0: every child is followed.
     seed : int
 
     Raises
@@ -140,7 +149,7 @@ def from_pixel(
     """
     return from_pixels(
         world, range(row, row + 1), range(column, column + 1), count,
-        wavelength_nm=wavelength_nm, split=split, seed=seed,
+        wavelength_nm=wavelength_nm, split=split, weight_cutoff=weight_cutoff, seed=seed,
     )  # fmt: skip
 
 
@@ -152,6 +161,7 @@ def from_pixels(
     *,
     wavelength_nm: float | None = None,
     split: str = "both",
+    weight_cutoff: float | None = None,
     seed: int = 0,
 ) -> Rays:
     """Launch rays from a box of pixels as `from_pixel` does, as many from each; the power stands for the whole box.
@@ -164,110 +174,145 @@ def from_pixels(
     LfmeshError
         Pixels outside the sensor, a count below 1, or a setting out of its range.
     """
-    _check(count, split, seed)
+    of = _settings(world, count, _wavelengths(world, wavelength_nm), split, weight_cutoff, seed)
     sensor = world.tables.sensor
     for name, wished, size in (("row", rows, sensor.rows), ("column", columns, sensor.columns)):
         if not len(wished) or min(wished) < 0 or max(wished) >= size:
             given = wished[0] if len(wished) == 1 else f"{wished.start}:{wished.stop}"
             raise LfmeshError(f"{name} {given}: the sensor has {name}s 0 to {size - 1}")
     box = np.add.outer(np.array(rows) * sensor.columns, np.array(columns)).ravel()
-    return _from_pixels(world, box, count, _wavelengths(world, wavelength_nm), split, seed)
+    return _from_pixels(world, box, of)
 
 
-def _from_pixels(
-    world: World, box: NDArray[np.int64], count: int, waves: Sequence[float], split: str, seed: int
+def from_light(
+    world: World,
+    number: int,
+    count: int,
+    *,
+    wavelength_nm: float | None = None,
+    split: str = "both",
+    weight_cutoff: float | None = None,
+    seed: int = 0,
 ) -> Rays:
-    """Launch `count` rays from some pixels, shared among wavelengths."""
-    options = options_of(world, tracing=True, record=True, split=SPLIT_MODE[split])
-    generator = np.random.default_rng(seed)
+    """Launch packets from one light alone as a forward run does: to the targets, and scattered on into the lens.
+
+    Together they carry the light's power at each wavelength; what does not go towards the targets is left out.
+
+    Parameters
+    ----------
+    world : World
+    number : int
+        Of `lights[number]`.
+    count : int
+        Packets in all.
+    wavelength_nm : float, optional
+        One of the scene's; else those share the packets.
+    split : {"both", "roulette", "transmit"}
+    weight_cutoff : float, optional
+        Share of a ray's power below which roulette is played, in place of the scene's; 0: every child is followed.
+    seed : int
+
+    Raises
+    ------
+    LfmeshError
+        No such light or wavelength, a scene without targets, a count below 1, or a setting out of its range.
+    """
+    waves = _wavelengths(world, wavelength_nm, any_other=False)
+    of = _settings(world, count, waves, split, weight_cutoff, seed)
+    lights = len(world.scene.lights)
+    if not 0 <= number < lights:
+        known = f"it has lights[0] to lights[{lights - 1}]" if lights else "it has none"
+        raise LfmeshError(f"lights[{number}] is not in the scene: {known}")
+    if not len(world.scene.targets):
+        raise LfmeshError(f"lights[{number}] lights nothing: the scene has no targets")
+    objects = world.tables.objects
+    sources = objects.sources[objects.sources["light"] == number].copy()
+    sources["share"] = sources["until"] = 1.0
+    tables = world.tables._replace(objects=objects._replace(sources=sources))
+    return _from_sources(world, tables, of)
+
+
+def as_in_run(
+    world: World,
+    count: int | None = None,
+    *,
+    wavelength_nm: float | None = None,
+    split: str | None = None,
+    weight_cutoff: float | None = None,
+    seed: int | None = None,
+) -> Rays:
+    """Launch the rays with which a run starts: the same kernels, the same numbers.
+
+    By the scene's `transport.method`. Forward, they are the first packets of the run and share its power; all of them
+    put on the sensor what its ledger says. Adjoint, they are first samples of pixels all over the sensor; targets end
+    them, since what is gathered there is no path of a packet.
+
+    Parameters
+    ----------
+    world : World
+    count : int, optional
+        Rays in all; a forward run's are not more than it has, and all of them if left out.
+    wavelength_nm : float, optional
+        One of the scene's; else those share the rays.
+    split, weight_cutoff, seed : optional
+        In place of the scene's.
+
+    Raises
+    ------
+    LfmeshError
+        Nothing shines in a scene of the forward method, a count below 1, or a setting out of its range.
+    """
+    transport = world.scene.transport
+    split = transport.split if split is None else split
+    seed = transport.seed if seed is None else seed
+    waves = _wavelengths(world, wavelength_nm, any_other=False)
+    sensor = world.tables.sensor
+    pixels = sensor.rows * sensor.columns
+    most = pixels * len(waves) * (transport.samples if transport.method == "forward" else 1)
+    of = _settings(world, most if count is None else count, waves, split, weight_cutoff, seed)
+    if transport.method == "adjoint":
+        return _from_pixels(world, np.arange(pixels), of)
+    if not len(world.tables.objects.sources):
+        raise LfmeshError("nothing shines: the scene has neither lights nor targets with radiance_w_m2_sr")
+    return _from_sources(world, world.tables, replace(of, count=min(of.count, most)))
+
+
+def _from_pixels(world: World, box: NDArray[np.int64], of: Settings) -> Rays:
+    """Launch rays from some pixels, shared among wavelengths."""
+    options = options_of(world, tracing=True, record=True, split=of.split, cutoff=of.cutoff)
+    generator = np.random.default_rng(of.seed)
     parts = []
-    for wave, wavelength in enumerate(waves):
-        rays = len(range(wave, count, len(waves)))
-        if rays == 0:
-            continue
+    for place, (wave, wavelength) in enumerate(of.waves):
+        rays = of.rays_of(place)
         pixels = np.sort(generator.choice(box, min(rays, len(box)), replace=False))
-        tables = at_wavelength(world, wavelength)
-        key = descendant(run_key(seed), 0, wave)
-        ended, nodes = _traced(world, tables, options, _at_pixels(pixels, max(1, round(rays / len(box))), key), wave)
+        starts = at_pixels(pixels, max(1, round(rays / len(box))), descendant(run_key(of.seed), 0, wave))
+        ended, nodes = traced(world, at_wavelength(world, wavelength), options, starts, place)
         # Of pixels drawn by chance, each stands for several.
-        ended["weight"] *= len(box) / len(pixels)
-        nodes["weight"] *= len(box) / len(pixels)
+        for table in (ended, nodes):
+            table["weight"] *= len(box) / max(len(pixels), 1)
         parts.append((ended, nodes))
-    ended, nodes = joined_records(parts)
-    return assembled(world, ended, nodes, np.array(waves)[ended["wave"]], ended["source"])
+    return _assembled(world, parts, of, from_sensor=True)
 
 
-def _traced(
-    world: World, tables: Tables, options: Options, starts: Iterator[Start], wave: int
-) -> tuple[Records, Records]:
-    """Trace one chunk after the other; return how packets ended and all vertices."""
-    work = Workspace(world, options, tables=tables)
+def _from_sources(world: World, tables: Tables, of: Settings) -> Rays:
+    """Launch the first packets of a forward run, shared among wavelengths, replicate by replicate."""
+    transport = world.scene.transport
+    options = options_of(world, record=True, split=of.split, cutoff=of.cutoff, adjoint=False, sequential=False)
+    one = tables.sensor.rows * tables.sensor.columns * (transport.samples // transport.replicates)
     parts = []
-    for start in starts:
-        work.begin(np.zeros((0, 1)))
-        start(work)
-        _record_starts(work)
-        work.run()
-        parts.append((work.ended[: work.tops[ENDED]].copy(), work.nodes[: work.tops[NODES]].copy()))
+    for place, (wave, _) in enumerate(of.waves):
+        total = of.rays_of(place)
+        for replicate, first in enumerate(range(0, total, one)):
+            key = descendant(run_key(of.seed), replicate, wave)
+            starts = from_sources(0, min(one, total - first), total, key, wave)
+            parts.append(traced(world, tables, options, starts, place))
+    return _assembled(world, parts, of)
+
+
+def _assembled(world: World, parts: list[tuple[Records, Records]], of: Settings, *, from_sensor: bool = False) -> Rays:
     ended, nodes = joined_records(parts)
-    ended["wave"] = wave
-    return ended, nodes
-
-
-def _record_starts(work: Workspace) -> None:
-    """Give every packet that waits and has no vertex yet one where it starts."""
-    for station in range(STATIONS):
-        packets = work.stacks[work.rows[station], : work.tops[station]]
-        for frame in np.unique(packets["frame"]):
-            fresh = np.flatnonzero((packets["frame"] == frame) & (packets["node"] == NO_SURFACE))
-            top = int(work.tops[NODES])
-            number = np.arange(top, top + len(fresh))
-            p = np.stack([packets[axis][fresh] for axis in "xyz"], axis=-1)
-            nodes = work.nodes
-            nodes["position"][number] = frames.points(work.tables.frames[frame, WORLD_FRAME], p)
-            nodes["weight"][number] = packets["weight"][fresh]
-            for field in ("parent", "surface", "part"):
-                nodes[field][number] = NO_SURFACE
-            nodes["event"][number] = E_START
-            packets["node"][fresh] = number
-            work.tops[NODES] = top + len(fresh)
-
-
-def _from_point(point: Floats, d: Floats, watts: Floats, key: np.uint64) -> Iterator[Start]:
-    """Yield the chunks of rays of a point in front of the lens (camera frame)."""
-    away = OWN_SURFACE * float(np.abs(point).sum())
-    for first in range(0, len(d), CHUNK):
-        part = slice(first, first + CHUNK)
-
-        def start(work: Workspace, first: int = first, part: slice = part) -> None:
-            rays = len(d[part])
-            launch_rays(
-                first, np.tile(point, (rays, 1)), np.ascontiguousarray(d[part]), np.full(rays, OBJECTS),
-                np.zeros(rays, np.int64), key, work.tables.frames, False, work.flow(), work.template,
-            )  # fmt: skip
-            packets = work.stacks[work.rows[OBJECTS], :rays]
-            packets["weight"] = packets["start"] = watts[part]
-            packets["query_from"] = packets["limit"] = away
-
-        yield start
-
-
-def _at_pixels(pixels: NDArray[np.int64], samples: int, key: np.uint64) -> Iterator[Start]:
-    """Yield the chunks of a pixel's samples, pixel by pixel."""
-    # A chunk holds whole pixels; one with more samples than a chunk is launched in one all the same.
-    per_chunk = max(1, CHUNK // samples)
-    for first in range(0, len(pixels), per_chunk):
-        some = pixels[first : first + per_chunk]
-
-        def start(work: Workspace, some: NDArray[np.int64] = some) -> None:
-            work.reserve(len(some) * samples)
-            tables = work.tables
-            launch_adjoint(
-                some, samples, True, key, 0, tables.sensor, tables.array, tables.aim, tables.frames,
-                len(tables.lens.surfaces), work.bundle, work.flow(), work.start,
-            )  # fmt: skip
-
-        yield start
+    lengths = np.array([wavelength for _, wavelength in of.waves])
+    return assembled(world, ended, nodes, lengths[ended["wave"]], ended["source"] if from_sensor else None)
 
 
 def _square(number: NDArray[np.int64], seed: int) -> tuple[Floats, Floats]:
@@ -302,25 +347,111 @@ def _point_before_lens(world: World, position_mm: ArrayLike) -> Floats:
     front = float(world.tables.lens.box_low[2])
     if moved[2] >= front:
         raise LfmeshError(
-            f"position_mm = {point.tolist()}: a field point lies in front of the lens, at z < {front:.6g} mm in the "
+            f"position_mm = {point.tolist()}: a field point lies in front of the lens, at z < {round(front, 6) + 0.0:g} mm in the "
             f"camera frame; this one is at z = {moved[2]:.6g} mm"
         )
     return np.asarray(moved)
 
 
-def _wavelengths(world: World, wavelength_nm: float | None) -> Sequence[float]:
-    """Return the wavelengths that rays are launched at."""
+def _wavelengths(world: World, wavelength_nm: float | None, *, any_other: bool = True) -> Waves:
+    """Return the wavelengths that rays are launched at; `any_other`: one that is not the scene's will do."""
+    known = world.scene.transport.wavelengths_nm
     if wavelength_nm is None:
-        return world.scene.transport.wavelengths_nm
+        return list(enumerate(known))
+    if wavelength_nm in known:
+        return [(known.index(wavelength_nm), float(wavelength_nm))]
+    if not any_other:
+        listed = ", ".join(f"{w:g}" for w in known)
+        raise LfmeshError(f"wavelength_nm = {wavelength_nm!r}: light and targets are known at the scene's ({listed})")
     if not 0.0 < wavelength_nm < np.inf:
         raise LfmeshError(f"wavelength_nm = {wavelength_nm!r}: must be a positive number")
-    return (float(wavelength_nm),)
+    return [(0, float(wavelength_nm))]
 
 
-def _check(count: int, split: str, seed: int) -> None:
+def _settings(world: World, count: int, waves: Waves, split: str, weight_cutoff: float | None, seed: int) -> Settings:
+    """Return checked settings."""
     if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
         raise LfmeshError(f"count = {count!r}: must be a whole number of rays, at least 1")
     if split not in SPLIT_MODE:
         raise LfmeshError(f"split = {split!r}: use one of {', '.join(SPLIT_MODE)}")
+    cutoff = world.scene.transport.weight_cutoff if weight_cutoff is None else weight_cutoff
+    if not 0.0 <= cutoff <= 1.0:
+        raise LfmeshError(f"weight_cutoff = {cutoff!r}: must be from 0 to 1")
     if not 0 <= seed < 2**63:
         raise LfmeshError(f"seed = {seed!r}: must be a whole number from 0 to 2^63 − 1")
+    return Settings(int(count), waves, SPLIT_MODE[split], cutoff, int(seed))
+
+
+FORMS = {
+    "field": "field x,y,z        a point of object space, mm, world frame",
+    "pixel": "pixel row,column   against the light",
+    "pixels": "pixels r:r,c:c     a box of pixels, rows and columns as Python slices: the end is not in it",
+    "light": "light number       one of the scene's lights alone",
+    "run": "run                as the scene's transport.method launches them",
+}
+"""What `launch` understands, one line each."""
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_PATTERNS = {
+    "field": rf"({_NUMBER}),({_NUMBER}),({_NUMBER})",
+    "pixel": r"(-?\d+),(-?\d+)",
+    "pixels": r"(-?\d+):(-?\d+),(-?\d+):(-?\d+)",
+    "light": r"(-?\d+)",
+    "run": "",
+}
+
+
+def launch(
+    world: World,
+    spec: str,
+    count: int,
+    *,
+    wavelength_nm: float | None = None,
+    split: str | None = None,
+    weight_cutoff: float | None = None,
+    seed: int | None = None,
+) -> Rays:
+    """Launch rays as a line of words says: "field 0,0,-500", "pixel 320,310", "light 0", "run"; see `FORMS`.
+
+    Parameters
+    ----------
+    world : World
+    spec : str
+    count : int
+    wavelength_nm, split, weight_cutoff, seed : optional
+        As for the function of that name; left out, as a run of the scene has them.
+
+    Raises
+    ------
+    LfmeshError
+        Words that are none of the forms, and whatever the function raises.
+    """
+    kind, numbers = _read_spec(spec)
+    transport = world.scene.transport
+    split = transport.split if split is None else split
+    seed = transport.seed if seed is None else seed
+    more: dict[str, Any] = {
+        "wavelength_nm": wavelength_nm, "split": split, "weight_cutoff": weight_cutoff, "seed": seed
+    }  # fmt: skip
+    if kind == "field":
+        return from_field_point(world, [float(n) for n in numbers], count, **more)
+    whole = [int(n) for n in numbers]
+    if kind == "pixel":
+        return from_pixel(world, whole[0], whole[1], count, **more)
+    if kind == "pixels":
+        return from_pixels(world, range(*whole[:2]), range(*whole[2:]), count, **more)
+    return from_light(world, whole[0], count, **more) if kind == "light" else as_in_run(world, count, **more)
+
+
+def _read_spec(spec: str) -> tuple[str, list[str]]:
+    """Return the kind of a launch and its numbers."""
+    kind, _, rest = spec.strip().partition(" ")
+    forms = "\n  ".join(FORMS.values())
+    if kind not in FORMS:
+        near = difflib.get_close_matches(kind, FORMS, 1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise LfmeshError(f"launch {spec!r}: no way to launch is called {kind!r}{hint} There are:\n  {forms}")
+    found = re.fullmatch(_PATTERNS[kind], re.sub(r"\s+", "", rest))
+    if not found:
+        raise LfmeshError(f"launch {spec!r}: cannot be read; it goes\n  {FORMS[kind]}")
+    return kind, list(found.groups())

@@ -11,6 +11,7 @@
 Ends have the names of the ledger: "sensor", "stop", "mount", "lens[0] edge", "housing", ...; targets their own.
 """
 
+import functools
 import re
 
 import numpy as np
@@ -72,6 +73,7 @@ def surface_numbers(world: World, surface: NDArray[np.int64], part: NDArray[np.i
     return numbers.astype(np.int64)
 
 
+@functools.cache
 def label(name: str) -> str:
     """Return the short label of a surface; any other name is its own."""
     if found := re.fullmatch(r"lens\[(\d+)\]\.(front|back)", name):

@@ -10,6 +10,7 @@ from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
 from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMapper2D, vtkTextActor
 
 from lfmesh.view.colours import FAINT_TEXT, TEXT, Legend
+from lfmesh.view.parts import round_length
 
 FONT = Path(mpl.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
 """VTK's own font has no Greek letters and few signs."""
@@ -69,7 +70,7 @@ class Overlay:
 
     def _scale_bar(self) -> tuple[vtkActor2D, vtkTextActor, vtkPoints]:
         points, lines, data = vtkPoints(), vtkCellArray(), vtkPolyData()
-        for i in range(6):
+        for _ in range(6):
             points.InsertNextPoint(0.0, 0.0, 0.0)
         for i in (0, 2, 4):
             lines.InsertNextCell(2)
@@ -107,12 +108,6 @@ class Overlay:
         self._bar_points.Modified()
         place = "" if camera.parallel_projection else " at the middle of the view"
         self._bar_text.SetInput(f"{in_words(length)}{place}")
-
-
-def round_length(most_mm: float) -> float:
-    """Return the largest of 1, 2, 5, 10, ... mm (or a decimal part of these) that is not longer."""
-    decade = 10.0 ** np.floor(np.log10(most_mm))
-    return float(next(step * decade for step in (5.0, 2.0, 1.0) if step * decade <= most_mm * (1 + 1e-9)))
 
 
 def in_words(length_mm: float) -> str:

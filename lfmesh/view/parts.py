@@ -1,25 +1,26 @@
 """The parts of a camera and its scene as they are drawn: meshes in the world frame, mm, with their looks."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pyvista as pv
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from lfmesh.files.colour import srgb_encode
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens_shape import lens_shape
 from lfmesh.geometry.mesh import Mesh, joined
 from lfmesh.geometry.targets import TargetMesh
 from lfmesh.geometry.tessellation import element
-from lfmesh.files.colour import srgb_encode
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import DirectionalLight, DiskLight
 from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 from lfmesh.view import array_shape
 from lfmesh.view.colours import tint
+from lfmesh.view.ray_lines import line_segments
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -35,6 +36,9 @@ PIXEL_PX = 16
 
 CHIP = 1.18
 """Size of the sensor's chip over that of its pixels."""
+
+TICKS = 60
+"""On the optical axis, at most."""
 
 SYMBOL = 0.03
 """Size of a light's symbol over that of the scene."""
@@ -53,6 +57,12 @@ class Part:
     mesh : pyvista.PolyData
     look : dict
         Of `pyvista.Plotter.add_mesh`.
+    label : str
+        The name, or what tells pieces of a part apart: "mla plate".
+    picture : (h, w, 3) uint8, optional
+        What lies on it; its texture coordinates say where.
+    tiled : bool
+        The picture repeats.
     edges : pyvista.PolyData, optional
         Lines that are drawn on it, in `edge_colour`.
     solid : bool
@@ -66,7 +76,12 @@ class Part:
     edges: pv.PolyData | None = None
     edge_colour: str = "#ffffff"
     solid: bool = False
-    cells: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    label: str = ""
+    picture: Picture | None = None
+    tiled: bool = False
+
+    def __post_init__(self) -> None:
+        self.label = self.label or self.name
 
 
 def parts(world: World, picture: Picture | None = None, near_mm: tuple[float, float] = (0.0, 0.0)) -> list[Part]:
@@ -85,7 +100,20 @@ def parts(world: World, picture: Picture | None = None, near_mm: tuple[float, fl
     return [*made, *_lights(world), *_signs(world)]
 
 
-def polydata(points: Array, triangles: NDArray[np.integer]) -> pv.PolyData:
+def texture_of(part: Part) -> pv.Texture | None:
+    """Return the texture that a part's picture makes."""
+    if part.picture is None:
+        return None
+    texture = pv.Texture(np.ascontiguousarray(part.picture))
+    # Pixels stay squares when they are looked at closely; tiles too small to be seen turn into their mean.
+    texture.repeat = texture.mipmap = part.tiled
+    texture.interpolate = part.tiled or part.kind != "sensor"
+    if part.tiled:
+        texture.SetMaximumAnisotropicFiltering(8.0)
+    return texture
+
+
+def polydata(points: Array, triangles: ArrayLike) -> pv.PolyData:
     """Return a mesh of triangles."""
     return pv.PolyData.from_regular_faces(np.asarray(points, dtype=np.float64), np.asarray(triangles, dtype=np.int64))
 
@@ -94,7 +122,9 @@ def smooth(mesh: Mesh) -> tuple[pv.PolyData, pv.PolyData]:
     """Return a solid with normals that are smooth between its creases, and the creases."""
     solid = mesh.solid()
     drawn = polydata(solid.vertices, solid.faces)
-    creases = drawn.extract_feature_edges(CREASE_DEG, boundary_edges=True, non_manifold_edges=False, manifold_edges=False)
+    creases = drawn.extract_feature_edges(
+        CREASE_DEG, boundary_edges=True, non_manifold_edges=False, manifold_edges=False
+    )
     return drawn.compute_normals(split_vertices=True, feature_angle=CREASE_DEG, auto_orient_normals=False), creases
 
 
@@ -118,9 +148,20 @@ def _lens(world: World) -> Iterator[Part]:
 
 def _stop(world: World) -> Iterator[Part]:
     ring = world.mesh("stop")
-    body = polydata(ring.vertices, ring.faces)
+    to_camera, to_world = (
+        world.tables.frames[a, b] for a, b in ((WORLD_FRAME, CAMERA_FRAME), (CAMERA_FRAME, WORLD_FRAME))
+    )
+    points = frames.points(to_camera, ring.vertices)
+    # It is drawn as far as the mount round it, which it fills.
+    shape = world.lens_shape
+    mount = np.interp(points[:, 2].mean(), shape.surfaces["vertex_z"], shape.rims)
+    radius = np.hypot(points[:, 0], points[:, 1])
+    points[:, :2] *= np.minimum(1.0, np.maximum(mount, radius.min() * 1.1) / radius)[:, None]
+    body = polydata(frames.points(to_world, points), ring.faces)
     rims = body.extract_feature_edges(boundary_edges=True, feature_edges=False, manifold_edges=False)
-    yield Part("stop", "stop", body, {"color": "#3c4653", "ambient": 0.4}, edges=rims, edge_colour="#ff9d4d")
+    yield Part(
+        "stop", "stop", body, {"color": "#3c4653", "ambient": 0.4, "opacity": 0.75}, edges=rims, edge_colour="#ff9d4d"
+    )
 
 
 def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
@@ -135,19 +176,17 @@ def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
     caps = polydata(frames.points(to_world, curved.points), curved.triangles)
     caps.point_data.active_normals = frames.directions(to_world, curved.normals)
     shine = {"specular": 0.9, "specular_power": 20, "smooth_shading": True}
-    yield Part("mla", "array", caps, {**glass, **shine, "name": "mla"}, cells=curved.cells)
+    yield Part("mla", "array", caps, {**glass, **shine})
     plate = _plate(world, of.valley)
     outline = plate.extract_feature_edges(CREASE_DEG)
-    yield Part("mla", "array", plate, {**glass, "name": "mla plate"}, edges=outline, edge_colour="#79d0dc")
+    yield Part("mla", "array", plate, glass, edges=outline, edge_colour="#79d0dc", label="mla plate")
     if array_shape.is_large(of.lattice):
         picture, (width, height) = array_shape.lattice_picture(of.lattice)
         face = polydata(frames.points(to_world, array_shape.face_corners(of, of.valley)), [[0, 2, 1], [0, 3, 2]])
         corners = array_shape.face_corners(of, 0.0)[:, :2] - of.lattice.centres()[0, 0]
         face.active_texture_coordinates = corners / [width, height]
-        texture = pv.Texture(picture)
-        texture.repeat, texture.mipmap = True, True
-        look = {"texture": texture, "opacity": 0.45, "lighting": False, "name": "mla lattice"}
-        yield Part("mla", "array", face, look)
+        look = {"opacity": 0.45, "lighting": False}
+        yield Part("mla", "array", face, look, label="mla lattice", picture=picture, tiled=True)
 
 
 def _plate(world: World, front_mm: float) -> pv.PolyData:
@@ -165,25 +204,21 @@ def _sensor(world: World, picture: Picture | None) -> Iterator[Part]:
     pixels = polydata(corners, [[0, 2, 1], [0, 3, 2]])
     # Row 0 of a picture lies at v = 1; pixel (0, 0) at the corner −x, −y.
     place = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
-    look: dict[str, Any] = {"lighting": False}
-    if picture is not None:
-        pixels.active_texture_coordinates = place
-        look["texture"] = pv.Texture(np.ascontiguousarray(picture))
-        look["texture"].interpolate = False
-    else:
-        pixels.active_texture_coordinates = place * world.scene.camera.sensor.pixels
-        look["texture"] = _pixel_texture()
-    yield Part("sensor", "sensor", pixels, look)
-    yield Part("sensor", "sensor", _chip(world), {"color": "#20503a", "ambient": 0.35, "name": "chip"}, edges=None)
+    tiled = picture is None
+    pixels.active_texture_coordinates = place * (world.scene.camera.sensor.pixels if tiled else (1, 1))
+    drawn = _bare_pixel() if picture is None else picture
+    yield Part("sensor", "sensor", pixels, {"lighting": False}, picture=drawn, tiled=tiled)
+    board = _chip(world)
+    edges = board.extract_feature_edges(CREASE_DEG)
+    green = "#4fae86"
+    yield Part("sensor", "sensor", board, {"color": green, "opacity": 0.15}, edges, green, label="sensor board")
 
 
-def _pixel_texture() -> pv.Texture:
-    """Return one bare pixel, which repeats."""
+def _bare_pixel() -> Picture:
+    """Return the picture of one pixel without an image."""
     tile = np.full((PIXEL_PX, PIXEL_PX, 3), [70, 84, 104], np.uint8)
     tile[[0, -1]] = tile[:, [0, -1]] = [34, 42, 54]
-    texture = pv.Texture(tile)
-    texture.repeat, texture.mipmap = True, True
-    return texture
+    return tile
 
 
 def _chip(world: World) -> pv.PolyData:
@@ -206,18 +241,18 @@ def _target(world: World, number: int, target: TargetMesh) -> Part:
     body = polydata(corners, np.arange(len(corners)).reshape(-1, 3))
     if target.texture is not None and target.uv is not None:
         body.active_texture_coordinates = target.uv.reshape(-1, 2)
-        return Part(name, "target", body, {"texture": pv.Texture(srgb_encode(target.texture)), "lighting": False})
+        return Part(name, "target", body, {"lighting": False}, picture=srgb_encode(target.texture))
     body = polydata(target.mesh.vertices, target.mesh.faces)
     creases = body.extract_feature_edges(CREASE_DEG)
     grey = float(srgb_encode(np.array(model.material.reflectance))) / 255.0
     glows = model.material.radiance_w_m2_sr > 0.0
-    colour: Any = "#ffe9b0" if glows else (max(0.25, grey),) * 3
+    paint = "#ffe9b0" if glows else (max(0.25, grey),) * 3
     body = body.compute_normals(split_vertices=True, feature_angle=CREASE_DEG, auto_orient_normals=False)
-    return Part(name, "target", body, {"color": colour, "ambient": 1.0 if glows else 0.25}, creases, "#10151c")
+    return Part(name, "target", body, {"color": paint, "ambient": 1.0 if glows else 0.25}, creases, "#10151c")
 
 
 def scene_size_mm(world: World) -> float:
-    """Return a length that the camera and what it looks at span, from the plane in focus (or a target) to the sensor."""
+    """Return how far it is from the farthest target, or from the lens without any, to the sensor."""
     to_camera = world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
     z = [0.0, float(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])]
     z += [float(frames.points(to_camera, t.mesh.vertices.mean(axis=0)[None])[0, 2]) for t in world.targets]
@@ -235,38 +270,63 @@ def _lights(world: World) -> Iterator[Part]:
             yield Part(name, "light", arrow.triangulate(), lamp)
         elif isinstance(light, DiskLight):
             along = np.array(light.direction) / np.linalg.norm(light.direction)
-            disk = pv.Disc(center=light.position_mm, inner=0.0, outer=light.radius_mm, normal=along, c_res=48).triangulate()
+            disk = pv.Disc(
+                center=light.position_mm, inner=0.0, outer=light.radius_mm, normal=along, c_res=48
+            ).triangulate()
             arrow = pv.Arrow(start=light.position_mm, direction=along, scale=2.0 * size).triangulate()
             yield Part(name, "light", disk.merge(arrow).extract_surface(), lamp)
         else:
-            yield Part(name, "light", pv.Sphere(radius=0.25 * size, center=light.position_mm), lamp, _spikes(light.position_mm, size), "#ffd24a")
+            yield Part(
+                name,
+                "light",
+                pv.Sphere(radius=0.25 * size, center=light.position_mm),
+                lamp,
+                _spikes(light.position_mm, size),
+                "#ffd24a",
+            )
 
 
 def _spikes(centre: tuple[float, float, float], size: float) -> pv.PolyData:
     """Return the rays of a lamp's symbol."""
     ends = pv.Icosahedron(radius=1.0).points
     points = np.stack([0.4 * size * ends, size * ends], axis=1).reshape(-1, 3) + np.array(centre)
-    return segments(points.reshape(-1, 2, 3))
+    return line_segments(points.reshape(-1, 2, 3))
 
 
-def segments(ends: Array) -> pv.PolyData:
-    """Return (n, 2, 3) line segments, one cell each."""
-    lines = np.column_stack([np.full(len(ends), 2), np.arange(2 * len(ends)).reshape(-1, 2)])
-    return pv.PolyData(ends.reshape(-1, 3), lines=lines.ravel())
+def round_length(most_mm: float) -> float:
+    """Return the largest of 1, 2, 5, 10, ... mm (or a decimal part of these) that is not longer."""
+    decade = 10.0 ** np.floor(np.log10(most_mm))
+    return float(next(step * decade for step in (5.0, 2.0, 1.0) if step * decade <= most_mm * (1 + 1e-9)))
+
+
+def tick_mm(world: World) -> float:
+    """Return the distance of the marks on the optical axis."""
+    start, end = _axis(world)
+    return round_length((end - start) / TICKS)
+
+
+def _axis(world: World) -> tuple[float, float]:
+    """Return where the optical axis is drawn: from the plane in focus, or some way before the lens, to the sensor."""
+    end = float(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])
+    distance = world.first_order.object_distance_mm
+    return (-distance if 0.0 < distance < np.inf else -end), end
 
 
 def _signs(world: World) -> Iterator[Part]:
-    """Yield the optical axis, and the outline of what the camera sees of its plane in focus."""
+    """Yield the optical axis with its marks, and the outline of what the camera sees of its plane in focus."""
     to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
-    end = float(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])
-    distance = world.first_order.object_distance_mm
-    sharp = 0.0 < distance < np.inf
-    start = -distance if sharp else -end
+    start, end = _axis(world)
+    step, high = tick_mm(world), 0.08 * max(world.lens_shape.rims)
+    marks = step * np.arange(np.ceil(start / step), np.floor(end / step) + 1)
+    half = np.where(np.round(marks / step) % 5 == 0, 2.0 * high, high)
+    none = np.zeros(len(marks))
+    ticks = [np.stack([none, -half, marks], axis=1), np.stack([none, half, marks], axis=1)]
+    ends = np.concatenate([[[[0.0, 0.0, start], [0.0, 0.0, end]]], np.stack(ticks, axis=1)])
     thin = {"color": "#8796a8", "line_width": 1, "lighting": False}
-    axis = frames.points(to_world, [[0.0, 0.0, start], [0.0, 0.0, end]])
-    yield Part("axis", "sign", segments(axis[None]), thin)
-    if sharp:
+    placed = frames.points(to_world, ends.reshape(-1, 3)).reshape(-1, 2, 3)
+    yield Part("axis", "sign", line_segments(placed), thin)
+    if world.first_order.object_distance_mm == -start:
         x, y = (0.5 * size for size in world.first_order.field_of_view_mm)
         corners = frames.points(to_world, [[-x, -y, start], [x, -y, start], [x, y, start], [-x, y, start]])
         sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
-        yield Part("plane in focus", "sign", segments(sides), {**thin, "color": "#49c3b1"})
+        yield Part("plane in focus", "sign", line_segments(sides), {**thin, "color": "#49c3b1"})

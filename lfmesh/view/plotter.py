@@ -7,12 +7,12 @@ import pyvista as pv
 from numpy.typing import NDArray
 from vtkmodules.vtkRenderingCore import vtkProp
 
-from lfmesh.transport.packet import CAMERA_FRAME, WORLD_FRAME
+from lfmesh.transport.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 from lfmesh.view.colours import BACKGROUND, BACKGROUND_TOP, ColourBy, Legend
-from lfmesh.view.overlay import Overlay
-from lfmesh.view.parts import Part, Picture, parts
-from lfmesh.view.presets import PRESETS, viewpoint
+from lfmesh.view.overlay import Overlay, in_words
+from lfmesh.view.parts import Part, Picture, parts, texture_of, tick_mm
+from lfmesh.view.presets import ANGLE_DEG, PRESETS, viewpoint
 from lfmesh.view.ray_lines import MOST_SEGMENTS, RayLines, ray_lines
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ class View:
     world : World
     lines : RayLines or None
         What is drawn of the rays.
+    ray_mesh : pyvista.PolyData or None
     ray_actor : vtkActor or None
         Its cells carry "path" and "vertex", see `RayLines`.
     caption : list of str
@@ -53,6 +54,7 @@ class View:
         self.world = world
         self.near_mm = near_mm
         self.lines: RayLines | None = None
+        self.ray_mesh: pv.PolyData | None = None
         self.ray_actor: Any = None
         self.caption: list[str] = []
         self.legend: Legend | None = None
@@ -73,15 +75,26 @@ class View:
         """What `look` knows of this camera."""
         return [name for name in PRESETS if name != "array" or self.world.tables.array.present]
 
-    def look(self, preset: str) -> None:
-        """Move the eye to one of the `presets`."""
+    @property
+    def title(self) -> str:
+        """What the scene is called."""
+        return self.world.scene.name or "scene without a name"
+
+    @property
+    def scale(self) -> str:
+        """How long things are, in words."""
+        length = float(self.world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])
+        return f"axis marked every {in_words(tick_mm(self.world))}; {length:.4g} mm from the first vertex to the sensor"
+
+    def look(self, preset: str, aspect: float | None = None) -> None:
+        """Move the eye to one of the `presets`, for a picture of the plotter's or another aspect, width over height."""
         width, height = self.plotter.window_size
-        seen = viewpoint(self.world, preset, width / height, self.near_mm)
+        seen = viewpoint(self.world, preset, aspect or width / height, self.near_mm)
         camera = self.plotter.camera
         camera.position, camera.focal_point, camera.up = seen.eye, seen.focus, seen.up
         camera.parallel_projection = seen.parallel
         camera.parallel_scale = seen.half_height_mm
-        camera.view_angle = 30.0
+        camera.view_angle = ANGLE_DEG
         self.plotter.renderer.ResetCameraClippingRange()
         self.plotter.camera_set = True
         self.preset = preset
@@ -110,10 +123,11 @@ class View:
             Of the lines, in pixels.
         """
         self.plotter.remove_actor("rays", render=False)
-        self.lines = self.ray_actor = self.legend = None
+        self.lines = self.ray_mesh = self.ray_actor = self.legend = None
         if rays is not None and len(rays):
             self.lines = ray_lines(rays, most_segments)
             mesh, self.legend = self.lines.coloured(colour, fade=fade)
+            self.ray_mesh = mesh
             if mesh.n_cells:
                 self.ray_actor = self.plotter.add_mesh(
                     mesh, scalars="rgba" if fade else "rgb", rgb=True, line_width=width, lighting=False,
@@ -123,7 +137,7 @@ class View:
     def write(self, lines: list[str]) -> None:
         """Write the title and a caption over the picture: what the rays are, and how many of them are drawn."""
         self.caption = [*lines, self.lines.caption] if self.lines is not None else list(lines)
-        self.overlay.write(self.world.scene.name or "unnamed scene", self.caption, self.legend)
+        self.overlay.write(self.title, [*self.caption, self.scale], self.legend)
 
     def part_of(self, actor: vtkProp) -> Part | None:
         """Return the part that an actor shows; None for rays and text."""
@@ -139,10 +153,9 @@ class View:
         self._of_actor = {}
         for number, part in enumerate(self._parts):
             mesh = self._shown(part)
-            look = {key: value for key, value in part.look.items() if key != "name"}
-            label = f"{part.look.get('name', part.name)} {number}"
+            label = f"{part.label} {number}"
             if mesh.n_cells:
-                self._add(part, mesh, name=label, **look)
+                self._add(part, mesh, name=label, texture=texture_of(part), **part.look)
             edges = self._cut_edges(part, mesh)
             if edges is not None and edges.n_cells:
                 self._add(

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 UP = (0.0, -1.0, 0.0)
 
-ANGLE_DEG = 30.0
+ANGLE_DEG = 36.0
 """From the bottom to the top of a perspective view."""
 
 MARGIN = 1.12
@@ -170,13 +170,11 @@ Look = tuple[Array, tuple[float, float, float], bool]
 
 
 def _whole(world: World, _: tuple[float, float]) -> Look:
-    """Camera in the foreground, objects behind it: seen from beside the sensor, the nearer to the axis the farther
-    they stand.
-    """
+    """See the camera before what it looks at, from beside the sensor: the nearer to the axis, the farther that is."""
     camera, objects = _camera(world), _object(world)
     far = max(1.0, -float(objects[:, 2].mean()) / float(np.ptp(camera[:, 2])))
-    turn = np.deg2rad(np.clip(90.0 / np.sqrt(far), 12.0, 60.0))
-    return np.concatenate([camera, objects]), (-np.sin(turn), 0.28, -np.cos(turn)), False
+    turn = np.deg2rad(np.clip(66.0 / np.sqrt(far), 8.0, 60.0))
+    return np.concatenate([camera, objects]), (-np.sin(turn), 0.2, -np.cos(turn)), False
 
 
 PRESETS: dict[str, Callable[[World, tuple[float, float]], Look]] = {
@@ -184,7 +182,7 @@ PRESETS: dict[str, Callable[[World, tuple[float, float]], Look]] = {
     "side": lambda world, _: (np.concatenate([_camera(world), _object(world)]), (-1.0, 0.0, 0.0), True),
     "object": lambda world, _: (_object(world), (-0.35, 0.2, -1.0), False),
     "lens": lambda world, _: (_lens(world), (-1.0, 0.25, -0.45), True),
-    "array": lambda world, near: (_near_lenslets(world, near), (-0.8, 0.35, 0.45), False),
+    "array": lambda world, near: (_near_lenslets(world, near), (-0.6, 0.3, 0.75), False),
     "sensor": lambda world, _: (_sensor(world), (-0.25, 0.2, 1.0), False),
 }
 """What each shows: the objects' points, the direction, whether parallel."""

@@ -135,5 +135,3 @@ def _segments(rays: "Rays") -> tuple[Ints, Ints, Ints]:
     rows = np.ascontiguousarray(same).view(np.dtype((np.void, same.dtype.itemsize * same.shape[1]))).ravel()
     number = np.unique(rows, return_inverse=True)[1].reshape(-1) if len(rows) else np.zeros(0, np.int64)
     return path[vertex], vertex, number.astype(np.int64)
-
-

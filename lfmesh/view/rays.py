@@ -5,15 +5,16 @@ Both children of a split share their first vertices, so those stand in several p
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame as frames
-from lfmesh.transport.packet import NO_SURFACE, SENSOR_FRAME, WORLD_FRAME, Event, Status
+from lfmesh.transport.packet import CAMERA_FRAME, NO_SURFACE, SENSOR_FRAME, WORLD_FRAME, Event, Status
 from lfmesh.transport.tables import Records
 from lfmesh.transport.world import World
-from lfmesh.view.names import label, surface_names, surface_numbers
+from lfmesh.view.names import CURVED, label, surface_names, surface_numbers
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -50,7 +51,8 @@ class Rays:
     surfaces : list of str
         What a designer calls them, see `lfmesh.view.names`.
     sequences : list of str
-        Every distinct sequence of surface and event, once: "L1a T, L1b T, ..., sensor".
+        Every distinct sequence of surface and event, once: "L1a T, L1b T, ..., sensor". Those that arrive come first,
+        the one with the most power before all others.
     unit : str
         "W"; of rays launched from pixels "m² sr", the importance that adjoint packets carry: W per unit radiance.
     world : World
@@ -82,17 +84,17 @@ class Rays:
         """Whether the rays were launched from pixels, against the light."""
         return self.unit == ETENDUE
 
-    @property
+    @cached_property
     def path(self) -> Ints:
         """(m,) path that each vertex belongs to."""
         return np.repeat(np.arange(len(self)), np.diff(self.offsets))
 
-    @property
+    @cached_property
     def end_power(self) -> Floats:
         """(n,) power that each path ended with."""
         return self.power[self.offsets[1:] - 1]
 
-    @property
+    @cached_property
     def arrives(self) -> NDArray[np.bool_]:
         """(n,) whether a path links the scene with the sensor: it ends there or, launched from it, leaves the lens.
 
@@ -102,6 +104,22 @@ class Rays:
         if self.from_sensor:
             return (self.status == Status.TARGET) | (self.status == Status.ESCAPED)
         return self.status == Status.SENSOR
+
+    @cached_property
+    def end(self) -> Ints:
+        """(n,) surface that each path ended on."""
+        return self.surface[self.offsets[1:] - 1]
+
+    @cached_property
+    def reflected(self) -> NDArray[np.bool_]:
+        """(m,) whether a path was reflected there by a surface of the lens or of the array."""
+        faces = len(self.world.lens_shape.surfaces) + 2
+        return (self.event == Event.REFLECTED) & (self.surface > 0) & (self.surface <= faces)
+
+    @cached_property
+    def ghosts(self) -> NDArray[np.bool_]:
+        """(n,) whether a path is a ghost: at least two reflections by lens or array, and it arrives."""
+        return self.arrives & (self.count_vertices(self.reflected) >= 2)
 
     def keep(self, chosen: NDArray[np.bool_]) -> "Rays":
         """Return only the paths (n,) chosen; sequences keep their numbers."""
@@ -151,17 +169,56 @@ def assembled(world: World, ended: Records, nodes: Records, wavelengths_nm: Floa
     # Light that a target emits starts with what it is scattered with.
     event[offsets[:-1]] = Event.START
     names = surface_names(world)
-    sequence, first = _sequences(surface, event, offsets)
+    sequence = _sequences(surface, event, offsets)
     columns = world.tables.sensor.columns
     pixel = _pixels_under(world, ended) if pixels is None else np.stack(np.divmod(pixels, columns), axis=-1)
     root = index[offsets[:-1]]
-    return Rays(
-        vertices["position"].copy(), surface, event, vertices["weight"].copy(), offsets,
-        ended["status"].copy(), np.unique(root, return_inverse=True)[1].reshape(-1), pixel,
-        wavelengths_nm, sequence, names, [_in_words(names, surface, event, offsets, path) for path in first],
-        WATT if pixels is None else ETENDUE, world,
-        np.where(surface == names.index("mla.curved"), vertices["part"], NO_SURFACE),
+    rays = Rays(
+        _up_to_the_border(world, vertices["position"], ended, offsets), surface, event, vertices["weight"].copy(),
+        offsets, ended["status"].copy(), np.unique(root, return_inverse=True)[1].reshape(-1), pixel, wavelengths_nm,
+        sequence, names, [], WATT if pixels is None else ETENDUE, world,
+        np.where(surface == names.index(CURVED), vertices["part"], NO_SURFACE),
     )  # fmt: skip
+    return _ranked(rays)
+
+
+def _ranked(rays: Rays) -> Rays:
+    """Return the rays with their sequences in words and in order: those that arrive, by power; the others, by count."""
+    _, first, count = np.unique(rays.sequence, return_index=True, return_counts=True)
+    power = np.bincount(rays.sequence, rays.end_power * rays.arrives, len(first))
+    order = np.lexsort([first, -count, -power, ~rays.arrives[first]])
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    return replace(rays, sequence=rank[rays.sequence], sequences=[_in_words(rays, path) for path in first[order]])
+
+
+def _up_to_the_border(world: World, position: Floats, ended: Records, offsets: Ints) -> Floats:
+    """Return the vertices, those where paths escape moved on: to a sphere round the whole scene, to be seen leaving."""
+    away = np.flatnonzero(ended["status"] == Status.ESCAPED)
+    middle, radius = _round_the_scene(world)
+    last = offsets[1:][away] - 1
+    p, d = position[last] - middle, ended["direction"][away]
+    along = np.sum(p * d, axis=1)
+    # What escapes from outside of the sphere ends where it was last seen.
+    root = np.maximum(along**2 - np.sum(p * p, axis=1) + radius**2, 0.0)
+    moved = position.copy()
+    moved[last] += np.maximum(np.sqrt(root) - along, 0.0)[:, None] * d
+    return moved
+
+
+def _round_the_scene(world: World) -> tuple[Floats, float]:
+    """Return centre (world frame) and radius of a sphere round camera, targets, lights and the plane of focus."""
+    to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
+    points = [frames.points(to_world, world.housing.vertices)]
+    focus = world.scene.camera.focus_mm
+    if focus is not None and np.isfinite(focus):
+        points.append(frames.points(to_world, [[0.0, 0.0, -focus]]))
+    points += [world.mesh(name).vertices for name in world.mesh_names if name.startswith("targets[")]
+    lamps = [light.position_mm for light in world.scene.lights if light.kind != "directional"]
+    points += [np.array(lamps, dtype=np.float64).reshape(-1, 3)]
+    everything = np.concatenate(points)
+    middle = 0.5 * (everything.min(axis=0) + everything.max(axis=0))
+    return middle, float(np.linalg.norm(everything - middle, axis=1).max())
 
 
 def _vertices(last: Ints, parent: Ints) -> tuple[Ints, Ints]:
@@ -184,8 +241,8 @@ def _vertices(last: Ints, parent: Ints) -> tuple[Ints, Ints]:
     return index, offsets
 
 
-def _sequences(surface: Ints, event: Ints, offsets: Ints) -> tuple[Ints, Ints]:
-    """Return (n,) the number of each path's sequence of surfaces and events, and a path of every sequence.
+def _sequences(surface: Ints, event: Ints, offsets: Ints) -> Ints:
+    """Return (n,) a number of each path's sequence of surfaces and events.
 
     All paths are read together, a vertex a step: what was read so far has a number, and with the next vertex the pair
     of both has one.
@@ -201,16 +258,15 @@ def _sequences(surface: Ints, event: Ints, offsets: Ints) -> tuple[Ints, Ints]:
         distinct, inverse = np.unique(pairs, return_inverse=True)
         sequence[on] = taken + inverse.reshape(-1)
         taken += len(distinct)
-    _, first, inverse = np.unique(sequence, return_index=True, return_inverse=True)
-    return inverse.reshape(-1).astype(np.int64), first
+    return np.unique(sequence, return_inverse=True)[1].reshape(-1).astype(np.int64)
 
 
-def _in_words(names: list[str], surface: Ints, event: Ints, offsets: Ints, path: int) -> str:
+def _in_words(rays: Rays, path: int) -> str:
     """Return the sequence of a path in words; where it started is no part of it."""
     words = []
-    for vertex in range(int(offsets[path]) + 1, int(offsets[path + 1])):
-        letter = LETTER.get(Event(int(event[vertex])))
-        name = label(names[surface[vertex]])
+    for vertex in range(int(rays.offsets[path]) + 1, int(rays.offsets[path + 1])):
+        letter = LETTER.get(Event(int(rays.event[vertex])))
+        name = label(rays.surfaces[rays.surface[vertex]])
         words.append(f"{name} {letter}" if letter else name)
     return ", ".join(words)
 

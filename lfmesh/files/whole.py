@@ -1,0 +1,38 @@
+"""A single file that is written whole or not at all."""
+
+import os
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+from lfmesh.errors import FileError
+
+
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file next to where it belongs and move it there when it is complete; text as UTF-8.
+
+    Raises
+    ------
+    FileError
+        The file cannot be written; one that was there before is left as it was.
+    """
+    data = content.encode() if isinstance(content, str) else content
+    staging = None
+    try:
+        if path.is_dir():
+            raise FileError(f"{path} is a folder; give the name of a file")
+        handle, staging = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        # A temporary file is its owner's alone; this one is to be like any other.
+        mask = os.umask(0)
+        os.umask(mask)
+        Path(staging).chmod(0o666 & ~mask)
+        Path(staging).replace(path)
+    except BaseException as error:
+        if staging is not None:
+            with suppress(OSError):
+                Path(staging).unlink()
+        if isinstance(error, OSError):
+            raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
+        raise

@@ -13,6 +13,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.errors import LfmeshError
 from lfmesh.transport.adjoint import start_room
 from lfmesh.transport.array_region import admit_to_cells, shade_cells, through_plate
 from lfmesh.transport.bundle import BLOCK, empty_bundle
@@ -44,6 +45,9 @@ from lfmesh.transport.world import World
 
 CHUNK = 16_384
 """Packets a chunk starts with and a wave holds at most: they fit the cache, and hide the cost of a call."""
+
+MOST_VERTICES = 4_000_000
+"""Vertices that a chunk may record, some 300 MB of them: where every child is followed they grow without end."""
 
 
 class Workspace:
@@ -156,7 +160,13 @@ class Workspace:
         if self.options.tracing or self.options.record:
             self.ended = _grown(self.ended, int(self.tops[ENDED]) + 2 * packets)
         if self.options.record:
-            self.nodes = _grown(self.nodes, int(self.tops[NODES]) + 4 * packets)
+            need = int(self.tops[NODES]) + 4 * packets
+            if need > MOST_VERTICES:
+                raise LfmeshError(
+                    f"the paths have more than {MOST_VERTICES:,} vertices: launch fewer rays, or give weight_cutoff a "
+                    f"larger value than {self.options.cutoff:g}"
+                )
+            self.nodes = _grown(self.nodes, need)
 
 
 def _grown(table: NDArray[np.void], need: int) -> NDArray[np.void]:

@@ -83,7 +83,8 @@ def from_field_point(
         Else the scene's wavelengths share the rays.
     split : {"both", "roulette", "transmit"}
     weight_cutoff : float, optional
-        Share of a ray's power below which roulette is played, in place of the scene's; 0: every child is followed.
+        Share of a ray's power below which children play roulette, in place of the scene's. With 1e-4 ghosts of two
+        reflections are followed one by one; there are hundreds of them a ray.
     seed : int
         Shifts the points of the pupil, and plays the roulette.
     aim : {"pupil", "lens"}
@@ -93,7 +94,8 @@ def from_field_point(
     Raises
     ------
     LfmeshError
-        A point that is none or not in front of the lens, a count below 1, or a setting out of its range.
+        A point that is none or not in front of the lens, a count below 1, a setting out of its range, or more paths
+        than can be kept (as for all launches).
     """
     of = _settings(world, count, _wavelengths(world, wavelength_nm), split, weight_cutoff, seed)
     if aim not in ("pupil", "lens"):
@@ -139,7 +141,8 @@ def from_pixel(
         Else the scene's wavelengths share the rays.
     split : {"both", "roulette", "transmit"}
     weight_cutoff : float, optional
-        Share of a ray's power below which roulette is played, in place of the scene's; 0: every child is followed.
+        Share of a ray's power below which children play roulette, in place of the scene's. With 1e-4 ghosts of two
+        reflections are followed one by one; there are hundreds of them a ray.
     seed : int
 
     Raises
@@ -209,7 +212,8 @@ def from_light(
         One of the scene's; else those share the packets.
     split : {"both", "roulette", "transmit"}
     weight_cutoff : float, optional
-        Share of a ray's power below which roulette is played, in place of the scene's; 0: every child is followed.
+        Share of a ray's power below which children play roulette, in place of the scene's. With 1e-4 ghosts of two
+        reflections are followed one by one; there are hundreds of them a ray.
     seed : int
 
     Raises
@@ -347,8 +351,8 @@ def _point_before_lens(world: World, position_mm: ArrayLike) -> Floats:
     front = float(world.tables.lens.box_low[2])
     if moved[2] >= front:
         raise LfmeshError(
-            f"position_mm = {point.tolist()}: a field point lies in front of the lens, at z < {round(front, 6) + 0.0:g} mm in the "
-            f"camera frame; this one is at z = {moved[2]:.6g} mm"
+            f"position_mm = {point.tolist()}: a field point lies in front of the lens, in the camera frame at z < "
+            f"{round(front, 6) + 0.0:g} mm; this one is at z = {moved[2]:.6g} mm"
         )
     return np.asarray(moved)
 

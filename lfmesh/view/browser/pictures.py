@@ -2,6 +2,7 @@
 
 import base64
 import io
+from typing import TYPE_CHECKING
 
 import numpy as np
 import PIL.Image
@@ -9,6 +10,9 @@ from numpy.typing import NDArray
 
 from lfmesh.files.colour import srgb_encode, to_display
 from lfmesh.files.preview import white_point
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 UNKNOWN = (221, 221, 221)
 """Colour of what has no value, sRGB."""
@@ -46,3 +50,10 @@ def coloured(values: NDArray[np.floating], low: float, high: float) -> NDArray[n
     picture = np.rint(255.0 * colormaps["viridis"](scaled)[..., :3]).astype(np.uint8)
     picture[~known] = UNKNOWN
     return picture
+
+
+def figure_url(figure: "Figure") -> str:
+    """Return a matplotlib figure as an SVG in a data URL."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="svg")
+    return file_url(buffer.getvalue(), "image/svg+xml")

@@ -2,6 +2,7 @@
 
 import asyncio
 import functools
+import traceback
 from collections.abc import Callable
 from typing import Any
 
@@ -57,6 +58,10 @@ class Replies:
                 return answer(*arguments)
             except LfmeshError as fault:
                 self._server.state.fault = str(fault)
+                return None
+            except Exception:
+                self._server.state.fault = "lfmesh made a mistake of its own; the terminal says where."
+                traceback.print_exc()
                 return None
 
         return spoken

@@ -23,6 +23,9 @@ TRIANGLES = 150_000
 FINEST, COARSEST = 12, 4
 """Subdivisions of a cell."""
 
+SIDE_LINES = 4
+"""Straight lines that a side of a lenslet's border is drawn with."""
+
 CELL_PX = 32
 """Width of the picture of one period of the lattice."""
 BORDER = 0.06
@@ -44,14 +47,17 @@ def is_large(lattice: Lattice) -> bool:
     return lattice.columns * lattice.rows > MOST_LENSLETS
 
 
-def drawn_cells(lattice: Lattice, near_mm: tuple[float, float]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the columns and rows of the lenslets to draw: all, or those round a point of the array."""
-    column, row, patch = 0, 0, max(lattice.columns, lattice.rows)
-    if is_large(lattice):
-        column, row = (place - PATCH // 2 for place in cell_of(lattice, *near_mm))
-        patch = PATCH
-    columns = np.arange(max(column, 0), min(column + patch, lattice.columns))
-    rows = np.arange(max(row, 0), min(row + patch, lattice.rows))
+def all_cells(lattice: Lattice) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the columns and rows of all lenslets, row by row."""
+    rows, columns = np.indices((lattice.rows, lattice.columns))
+    return columns.ravel(), rows.ravel()
+
+
+def cells_near(lattice: Lattice, near_mm: tuple[float, float]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the columns and rows of the lenslets in a patch round a point of the array."""
+    column, row = (place - PATCH // 2 for place in cell_of(lattice, *near_mm))
+    columns = np.arange(max(column, 0), min(column + PATCH, lattice.columns))
+    rows = np.arange(max(row, 0), min(row + PATCH, lattice.rows))
     grid = np.meshgrid(columns, rows)
     return grid[0].ravel(), grid[1].ravel()
 
@@ -77,6 +83,19 @@ def caps(of: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> C
         (faces[None] + starts[:, None, None]).reshape(-1, 3),
         np.repeat(rows * lattice.columns + columns, len(faces)),
     )
+
+
+def borders(of: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the (n, 2, 3) ends of the lines in which some lenslets meet their neighbours."""
+    corners = of.lattice.corners()
+    share = np.arange(SIDE_LINES)[:, None] / SIDE_LINES
+    outline = np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
+    shapes = _shapes(of, columns, rows)
+    r2 = ((outline[None] - shapes[:, None, 1:]) ** 2).sum(axis=2)
+    curvature = shapes[:, None, 0]
+    z = curvature * r2 / (1.0 + np.sqrt(1.0 - curvature**2 * r2))
+    points = np.dstack([outline[None] + of.lattice.centres()[rows, columns][:, None], z])
+    return np.stack([points, np.roll(points, -1, axis=1)], axis=2).reshape(-1, 2, 3)
 
 
 def _shapes(of: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:

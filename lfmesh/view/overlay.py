@@ -28,6 +28,7 @@ class Overlay:
     def __init__(self, plotter: pv.Plotter) -> None:
         self._plotter = plotter
         self._texts: list[vtkTextActor] = []
+        self._told: list[vtkTextActor] = []
         self._scale = plotter.window_size[1] / 1000.0
         self._bar, self._bar_text, self._bar_points = self._scale_bar()
         # Just before every picture: whoever has moved the camera.
@@ -48,6 +49,15 @@ class Overlay:
             for label, colour in ((legend.title, TEXT), *legend.entries):
                 self._texts.append(self._text(label, 15, (0.985, top), colour, top=True, right=True))
                 top -= 15 * LINE * self._scale / height
+
+    def tell(self, lines: list[str]) -> None:
+        """Replace what stands at the bottom."""
+        for text in self._told:
+            self._plotter.renderer.RemoveViewProp(text)
+        step = 14 * LINE * self._scale / self._plotter.window_size[1]
+        self._told = [
+            self._text(line, 14, (0.2, 0.03 + step * place), TEXT) for place, line in enumerate(reversed(lines))
+        ]
 
     def _text(
         self, words: str, size: int, place: tuple[float, float], colour: str, *, top: bool = False, right: bool = False

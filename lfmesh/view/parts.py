@@ -65,8 +65,8 @@ class Part:
         The picture repeats.
     edges : pyvista.PolyData, optional
         Lines that are drawn on it, in `edge_colour`.
-    solid : bool
-        Closed, so that a cut through it has a face.
+    solid : pyvista.PolyData, optional
+        The same body, closed, where a cut through it has a face.
     """
 
     name: str
@@ -75,7 +75,7 @@ class Part:
     look: dict[str, Any]
     edges: pv.PolyData | None = None
     edge_colour: str = "#ffffff"
-    solid: bool = False
+    solid: pv.PolyData | None = None
     label: str = ""
     picture: Picture | None = None
     tiled: bool = False
@@ -118,14 +118,20 @@ def polydata(points: Array, triangles: ArrayLike) -> pv.PolyData:
     return pv.PolyData.from_regular_faces(np.asarray(points, dtype=np.float64), np.asarray(triangles, dtype=np.int64))
 
 
-def smooth(mesh: Mesh) -> tuple[pv.PolyData, pv.PolyData]:
-    """Return a solid with normals that are smooth between its creases, and the creases."""
+def closed(mesh: Mesh) -> pv.PolyData:
+    """Return a body whose facets share their vertices."""
     solid = mesh.solid()
-    drawn = polydata(solid.vertices, solid.faces)
-    creases = drawn.extract_feature_edges(
-        CREASE_DEG, boundary_edges=True, non_manifold_edges=False, manifold_edges=False
-    )
-    return drawn.compute_normals(split_vertices=True, feature_angle=CREASE_DEG, auto_orient_normals=False), creases
+    return polydata(solid.vertices, solid.faces)
+
+
+def smooth(body: pv.PolyData) -> pv.PolyData:
+    """Return a body with normals that are smooth between its creases."""
+    return body.compute_normals(split_vertices=True, feature_angle=CREASE_DEG, auto_orient_normals=False)
+
+
+def creases_of(body: pv.PolyData) -> pv.PolyData:
+    """Return the edges of a body."""
+    return body.extract_feature_edges(CREASE_DEG, boundary_edges=True, non_manifold_edges=False, manifold_edges=False)
 
 
 def _lens(world: World) -> Iterator[Part]:
@@ -134,14 +140,12 @@ def _lens(world: World) -> Iterator[Part]:
     wavelength = world.scene.transport.primary_nm
     for number, k in enumerate(shape.elements):
         colour = tint(refractive_index(shape.media[k + 1], wavelength))
-        body, creases = smooth(element(shape.caps[k], shape.closures[k], shape.caps[k + 1]).moved(to_world))
-        yield Part(
-            f"lens[{number}]", "glass", body, {"color": colour, "opacity": 0.22, "specular": 0.6, "specular_power": 30},
-            edges=creases, edge_colour=colour, solid=True,
-        )  # fmt: skip
+        body = closed(element(shape.caps[k], shape.closures[k], shape.caps[k + 1]).moved(to_world))
+        look = {"color": colour, "opacity": 0.14, "specular": 0.6, "specular_power": 30}
+        yield Part(f"lens[{number}]", "glass", smooth(body), look, creases_of(body), colour, solid=body)
     mounts = [mesh for k, mesh in enumerate(shape.closures) if shape.media[k + 1] is None]
     if mounts:
-        body, creases = smooth(joined(mounts).moved(to_world))
+        body = smooth(closed(joined(mounts).moved(to_world)))
         # A mount's faces look at the axis: only those behind it are drawn, so that the lens is not hidden.
         yield Part("mount", "mount", body, {"color": "#56606c", "opacity": 0.35, "culling": "back"})
 
@@ -160,7 +164,7 @@ def _stop(world: World) -> Iterator[Part]:
     body = polydata(frames.points(to_world, points), ring.faces)
     rims = body.extract_feature_edges(boundary_edges=True, feature_edges=False, manifold_edges=False)
     yield Part(
-        "stop", "stop", body, {"color": "#3c4653", "ambient": 0.4, "opacity": 0.75}, edges=rims, edge_colour="#ff9d4d"
+        "stop", "stop", body, {"color": "#3c4653", "ambient": 0.4, "opacity": 0.8}, edges=rims, edge_colour="#ff6f9c"
     )
 
 
@@ -172,15 +176,19 @@ def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
     mla = world.scene.camera.mla
     assert mla is not None
     glass = {"color": tint(refractive_index(mla.medium, world.scene.transport.primary_nm)), "opacity": 0.3}
-    curved = array_shape.caps(of, *array_shape.drawn_cells(of.lattice, near_mm))
+    lattice, near = of.lattice, array_shape.cells_near(of.lattice, near_mm)
+    large = array_shape.is_large(lattice)
+    curved = array_shape.caps(of, *(near if large else array_shape.all_cells(lattice)))
     caps = polydata(frames.points(to_world, curved.points), curved.triangles)
     caps.point_data.active_normals = frames.directions(to_world, curved.normals)
-    shine = {"specular": 0.9, "specular_power": 20, "smooth_shading": True}
-    yield Part("mla", "array", caps, {**glass, **shine})
+    lines = array_shape.borders(of, *near)
+    borders = line_segments(frames.points(to_world, lines.reshape(-1, 3)).reshape(-1, 2, 3))
+    shine = {"specular": 1.0, "specular_power": 12, "smooth_shading": True}
+    yield Part("mla", "array", caps, {**glass, **shine}, edges=borders, edge_colour="#8fb9c9")
     plate = _plate(world, of.valley)
     outline = plate.extract_feature_edges(CREASE_DEG)
     yield Part("mla", "array", plate, glass, edges=outline, edge_colour="#79d0dc", label="mla plate")
-    if array_shape.is_large(of.lattice):
+    if large:
         picture, (width, height) = array_shape.lattice_picture(of.lattice)
         face = polydata(frames.points(to_world, array_shape.face_corners(of, of.valley)), [[0, 2, 1], [0, 3, 2]])
         corners = array_shape.face_corners(of, 0.0)[:, :2] - of.lattice.centres()[0, 0]
@@ -235,20 +243,20 @@ def _target(world: World, number: int, target: TargetMesh) -> Part:
     model = world.scene.targets[number]
     if model.refractor is not None:
         colour = tint(refractive_index(model.refractor.medium, world.scene.transport.primary_nm))
-        body, creases = smooth(target.mesh)
-        return Part(name, "glass", body, {"color": colour, "opacity": 0.25, "specular": 0.6}, creases, colour, True)
+        glass = closed(target.mesh)
+        look = {"color": colour, "opacity": 0.25, "specular": 0.6}
+        return Part(name, "glass", smooth(glass), look, creases_of(glass), colour, solid=glass)
     corners = target.mesh.vertices[target.mesh.faces].reshape(-1, 3)
     body = polydata(corners, np.arange(len(corners)).reshape(-1, 3))
     if target.texture is not None and target.uv is not None:
         body.active_texture_coordinates = target.uv.reshape(-1, 2)
         return Part(name, "target", body, {"lighting": False}, picture=srgb_encode(target.texture))
     body = polydata(target.mesh.vertices, target.mesh.faces)
-    creases = body.extract_feature_edges(CREASE_DEG)
+    creases = creases_of(body)
     grey = float(srgb_encode(np.array(model.material.reflectance))) / 255.0
     glows = model.material.radiance_w_m2_sr > 0.0
     paint = "#ffe9b0" if glows else (max(0.25, grey),) * 3
-    body = body.compute_normals(split_vertices=True, feature_angle=CREASE_DEG, auto_orient_normals=False)
-    return Part(name, "target", body, {"color": paint, "ambient": 1.0 if glows else 0.25}, creases, "#10151c")
+    return Part(name, "target", smooth(body), {"color": paint, "ambient": 1.0 if glows else 0.25}, creases, "#10151c")
 
 
 def scene_size_mm(world: World) -> float:

@@ -11,7 +11,7 @@ from lfmesh.transport.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 from lfmesh.view.colours import BACKGROUND, BACKGROUND_TOP, ColourBy, Legend
 from lfmesh.view.overlay import Overlay, in_words
-from lfmesh.view.parts import Part, Picture, parts, texture_of, tick_mm
+from lfmesh.view.parts import Part, Picture, parts, smooth, texture_of, tick_mm
 from lfmesh.view.presets import ANGLE_DEG, PRESETS, viewpoint
 from lfmesh.view.ray_lines import MOST_SEGMENTS, RayLines, ray_lines
 
@@ -45,6 +45,7 @@ class View:
     caption : list of str
     legend : Legend or None
     preset : str
+    is_cut : bool
     """
 
     def __init__(
@@ -61,7 +62,7 @@ class View:
         self.preset = "whole"
         self._parts = parts(world, picture, near_mm)
         self._of_actor: dict[Any, Part] = {}
-        self._is_cut = False
+        self.is_cut = False
         self.plotter = pv.Plotter(off_screen=off_screen, window_size=size, lighting="light kit")
         self.plotter.set_background(BACKGROUND, top=BACKGROUND_TOP)
         self.plotter.renderer.SetNearClippingPlaneTolerance(NEAREST)
@@ -101,8 +102,8 @@ class View:
 
     def cut(self, on: bool = True) -> None:
         """Cut lens and array along the axis and take the half before the eye away; rays stay."""
-        if on != self._is_cut:
-            self._is_cut = on
+        if on != self.is_cut:
+            self.is_cut = on
             self._draw_parts()
 
     def show_rays(
@@ -139,6 +140,10 @@ class View:
         self.caption = [*lines, self.lines.caption] if self.lines is not None else list(lines)
         self.overlay.write(self.title, [*self.caption, self.scale], self.legend)
 
+    def tell(self, lines: list[str]) -> None:
+        """Write something else at the bottom of the picture, in place of what stood there."""
+        self.overlay.tell(lines)
+
     def part_of(self, actor: vtkProp) -> Part | None:
         """Return the part that an actor shows; None for rays and text."""
         return self._of_actor.get(actor)
@@ -167,15 +172,15 @@ class View:
         self._of_actor[actor] = part
 
     def _shown(self, part: Part) -> pv.PolyData:
-        if not self._is_cut or part.kind not in CUT_KINDS:
+        if not self.is_cut or part.kind not in CUT_KINDS:
             return part.mesh
         normal, origin = self._plane()
-        if part.solid:
-            return part.mesh.clip_closed_surface(normal=-normal, origin=origin)
+        if part.solid is not None:
+            return smooth(part.solid.clip_closed_surface(normal=-normal, origin=origin))
         return part.mesh.clip(normal=normal, origin=origin, invert=True)
 
     def _cut_edges(self, part: Part, mesh: pv.PolyData) -> pv.PolyData | None:
-        if part.edges is None or not self._is_cut or part.kind not in CUT_KINDS:
+        if part.edges is None or not self.is_cut or part.kind not in CUT_KINDS:
             return part.edges
         normal, origin = self._plane()
         outline = part.mesh.slice(normal=normal, origin=origin)

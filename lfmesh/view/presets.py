@@ -29,6 +29,8 @@ MARGIN = 1.12
 FIELDS = 1.6
 """Targets are framed up to this many fields of view: a wall must not make the camera a dot."""
 
+BISECTIONS = 40
+
 LENSLETS = 7
 """Seen across in the view of the array."""
 
@@ -90,17 +92,26 @@ def fitted(points: Array, forward: ArrayLike, aspect: float, parallel: bool) -> 
         middle = np.array([0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max()), 0.5 * (z.min() + z.max())])
         away = half / tangent + np.ptp(z)
         return Viewpoint((middle - [0, 0, away]) @ axes, middle @ axes, axes[1], True, MARGIN * half)
-    # A point is inside if |x − eye_x| ≤ t (z − eye_z); each side gives the eye's largest depth, and there its place.
-    place, depth = [], []
-    for along, slope in ((x, aspect * tangent), (y, tangent)):
-        low, high = (along - slope * z).max(), (-along - slope * z).max()
-        depth.append(-(low + high) / (2.0 * slope))
-        place.append(0.5 * (low - high))
-    eye = np.array([*place, min(depth)])
+    # A point is inside if |x − eye_x| ≤ t (z − eye_z); each side gives the eye's largest depth.
+    depth = [
+        -((along - slope * z).max() + (-along - slope * z).max()) / (2.0 * slope)
+        for along, slope in ((x, aspect * tangent), (y, tangent))
+    ]
+    eye = np.array([_centred(x, z - min(depth)), _centred(y, z - min(depth)), min(depth)])
     focus = eye.copy()
     focus[2] = 0.5 * (z.min() + z.max())
     away = focus[2] - eye[2]
     return Viewpoint(eye @ axes, focus @ axes, axes[1], False, away * np.tan(np.deg2rad(0.5 * ANGLE_DEG)))
+
+
+def _centred(along: Array, depth: Array) -> float:
+    """Return the eye's place from which points at some depths before it reach as far to either side of the picture."""
+    low, high = along.min(), along.max()
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        seen = (along - middle) / depth
+        low, high = (middle, high) if seen.max() + seen.min() > 0.0 else (low, middle)
+    return float(middle)
 
 
 def _box(low: ArrayLike, high: ArrayLike) -> Array:

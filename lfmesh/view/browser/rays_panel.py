@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lfmesh.view.browser.light_field import LightFieldPanel
     from lfmesh.view.rays import Rays
 
-COUNT = 200
+COUNT = 100
 """Rays that are launched if the user does not say."""
 
 ALL = "all"
@@ -263,10 +263,10 @@ class RaysPanel:
 def _first_state(world: World, presets: list[str]) -> dict[str, Any]:
     """Return the panel's variables before any rays."""
     scene, transport = world.scene, world.scene.transport
-    launches = [["point", "a field point"], ["pixel", "a pixel"]]
+    launches = [["point", "field point"], ["pixel", "pixel"]]
     if scene.lights and scene.targets:
-        launches.append(["light", "a light"])
-    launches.append(["run", f"as in a run ({transport.method})"])
+        launches.append(["light", "light"])
+    launches.append(["run", "as in a run"])
     distance = world.first_order.object_distance_mm
     z = -distance if 0.0 < distance < np.inf else -FAR * abs(world.first_order.efl_mm)
     columns, rows = scene.camera.sensor.pixels
@@ -283,7 +283,7 @@ def _first_state(world: World, presets: list[str]) -> dict[str, Any]:
         "count": COUNT,
         "wavelengths": [*several, *transport.wavelengths_nm],
         "wavelength": [*several, *transport.wavelengths_nm][0],
-        "split": "both",
+        "split": transport.split,
         "presets": presets,
         "colours": list(get_args(ColourBy)),
         "drawn": "",

@@ -526,7 +526,8 @@ Examples:
     lfmesh view scene.toml
     lfmesh view run/ --screenshot out.png --preset lens --cut
     lfmesh view scene.toml --rays "pixel 320,310" --preset array --html out.html
-    lfmesh view scene.toml --rays "field 0,0,-500" --rays "field 0,20,-500"
+    lfmesh view scene.toml --rays "field 0,20,-500" --split both --table
+    lfmesh view scene.toml --rays "field 0,20,-500" --split both --filter ghost
 """
 )
 def view(
@@ -547,6 +548,13 @@ def view(
         Literal["both", "roulette", "transmit"] | None,
         Parameter(help="At an interface: follow both children, one by chance, or the refracted one."),
     ] = None,
+    weight_cutoff: Annotated[
+        float | None, Parameter(help="Lighter children play roulette; 1e-4 follows ghosts of two reflections.")
+    ] = None,
+    filter: Annotated[  # noqa: A002
+        str | None, Parameter(help='Paths to draw and report: "hits(mla) and not ghost", "reflects(L3b)", ...')
+    ] = None,
+    path: Annotated[Whole | None, Parameter(help="The one to draw and report, by its number in the table.")] = None,
     colour: Annotated[
         Literal["wavelength", "power", "events", "status", "path"], Parameter(help="What the rays' colours mean.")
     ] = "wavelength",
@@ -559,20 +567,34 @@ def view(
     segments: Annotated[
         Whole, Parameter(help="Of rays, drawn at most; beyond that whole paths are left out, evenly.")
     ] = 20_000,
+    table: Annotated[bool, Parameter(negative=(), help="Print the path table.")] = False,
+    paths: Annotated[Path | None, Parameter(help="CSV to write the path table to.")] = None,
+    ghosts: Annotated[Path | None, Parameter(help="Figure to write: ghosts by pair of reflecting surfaces.")] = None,
     screenshot: Annotated[Path | None, Parameter(help="PNG to write, in place of a window.")] = None,
     html: Annotated[Path | None, Parameter(help="Page to write that turns in any browser, without a network.")] = None,
-    gltf: Annotated[Path | None, Parameter(help="3D model to write (.glb, .gltf), in mm.")] = None,
+    gltf: Annotated[Path | None, Parameter(help="3D model to write (.glb).")] = None,
+    browser: Annotated[bool, Parameter(negative=(), help="Show it on a page in the browser, with much more.")] = False,
+    host: Annotated[str, Parameter(help="With --browser: the address that the page is served on.")] = "127.0.0.1",
+    port: Annotated[Whole, Parameter(help="With --browser; 0: a free one.")] = 0,
+    open_browser: Annotated[
+        bool, Parameter(name="--open", negative="--no-open", help="With --browser: open the page in a browser.")
+    ] = True,
 ) -> int:
     """Show lens, array, sensor, targets and rays in 3D: in a window, or as a picture, a page, a model."""
     with _undivided():
-        from lfmesh.view import show
+        from lfmesh.view import command
+        from lfmesh.view.show import Drawing, Outputs
 
-    show.view(
-        subject, rays,
-        count=count, wavelength_nm=wavelength_nm, split=split, colour=colour, fade=fade, preset=preset, cut=cut,
-        size=_size(size), most_segments=segments, screenshot=screenshot, html=html, gltf=gltf,
+    launches = {"count": count, "wavelength_nm": wavelength_nm, "split": split, "weight_cutoff": weight_cutoff}
+    lines, written = command.run(
+        subject, rays, filter, path, launches,
+        Drawing(colour, fade, preset, cut, _size(size), segments),
+        Outputs(screenshot, html, gltf), command.Reports(table, paths, ghosts),
+        command.Serving(browser, host, port, open_browser),
     )  # fmt: skip
-    _list_files([path for path in (screenshot, html, gltf) if path is not None])
+    for line in lines:
+        print(line)
+    _list_files(written)
     return 0
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.files.colour import spectral_srgb
 from lfmesh.transport.packet import Event, Status
+from lfmesh.view.path_table import short_form
 
 if TYPE_CHECKING:
     from lfmesh.view.rays import Rays
@@ -41,11 +42,11 @@ DECADES = 8
 """Powers below the largest by more are drawn as this many decades below it."""
 
 MOST_ENTRIES = 8
-"""Of a legend."""
+"""Of a legend, as many as PATHS."""
 
-PATHS = "tab10"
+PATHS = ["#ff9d3d", "#4db6ff", "#5ee07f", "#ff6b8a", "#c792ff", "#ffe14d", "#3de0d0", "#ff8ff0"]
 """Colours of the strongest sequences; the others share OTHERS."""
-OTHERS = "#9aa7b4"
+OTHERS = "#566474"
 
 
 @dataclass(frozen=True)
@@ -92,9 +93,7 @@ def ray_colours(
 
 def interfaces_met(rays: "Rays") -> NDArray[np.int64]:
     """Return (n,) how often each path was transmitted, reflected or scattered."""
-    met = np.isin(rays.event, [Event.TRANSMITTED, Event.REFLECTED, Event.SCATTERED])
-    total = np.concatenate([[0], np.cumsum(met)])
-    return np.asarray(total[rays.offsets[1:]] - total[rays.offsets[:-1]])
+    return rays.count_vertices(np.isin(rays.event, [Event.TRANSMITTED, Event.REFLECTED, Event.SCATTERED]))
 
 
 def power_share(power: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -147,24 +146,14 @@ def _by_status(status: NDArray[np.int64]) -> tuple[Rgb, Legend]:
 
 
 def _by_sequence(rays: "Rays", paths: NDArray[np.int64]) -> tuple[Rgb, Legend]:
-    """Colour the sequences that carry the most power at their ends, one by one."""
-    last = rays.power[rays.offsets[1:] - 1]
-    drawn = np.zeros(len(rays), np.bool_)
-    drawn[paths] = True
-    power = np.bincount(rays.sequence[drawn], weights=last[drawn], minlength=len(rays.sequences))
-    present = np.bincount(rays.sequence[drawn], minlength=len(rays.sequences)) > 0
-    strongest = [int(i) for i in np.argsort(-power, kind="stable") if present[i]]
-    named = strongest[:MOST_ENTRIES]
+    """Colour the first sequences, which bring the most power, one by one."""
+    present, first = np.unique(rays.sequence[paths], return_index=True)
+    named = present[:MOST_ENTRIES]
     colours = [OTHERS] * len(rays.sequences)
     for rank, sequence in enumerate(named):
-        colours[sequence] = to_hex(mpl.colormaps[PATHS](rank))
-    entries = [(in_short(rays.sequences[i]), colours[i]) for i in named]
-    if len(strongest) > len(named):
-        entries.append((f"{len(strongest) - len(named)} others", OTHERS))
+        colours[sequence] = PATHS[rank]
+    examples = paths[first]
+    entries = [(short_form(rays, int(path)), colours[i]) for i, path in zip(named, examples, strict=False)]
+    if len(present) > len(named):
+        entries.append((f"{len(present) - len(named)} other sequences", OTHERS))
     return _bytes(colours)[rays.sequence[paths]], Legend("path", tuple(entries))
-
-
-def in_short(sequence: str) -> str:
-    """Return a sequence of events without its transmissions: "L2a R, L1b R, sensor"."""
-    kept = [step for step in sequence.split(", ") if not step.endswith(" T")]
-    return ", ".join(kept) if len(kept) > 1 else f"direct, {''.join(kept) or 'no end'}"

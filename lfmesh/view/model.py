@@ -10,7 +10,7 @@ import trimesh
 from trimesh.path.entities import Line
 from trimesh.visual.material import PBRMaterial
 
-from lfmesh.errors import FileError
+from lfmesh.files.whole import write_whole
 from lfmesh.view.parts import Part
 from lfmesh.view.plotter import View
 
@@ -21,7 +21,7 @@ RAYS = "rays"
 
 
 def write_model(view: View, path: Path) -> None:
-    """Write everything that a view shows: .glb in one file, .gltf with its data beside it.
+    """Write everything that a view shows as one binary glTF file.
 
     Bodies are named as `World.mesh_names` has them; the rays are lines.
     """
@@ -31,13 +31,7 @@ def write_model(view: View, path: Path) -> None:
             scene.add_geometry(_body(part, mesh.triangulate()), geom_name=part.label, node_name=part.label)
     if view.lines is not None and len(view.lines):
         scene.add_geometry(_rays(view), geom_name=RAYS, node_name=RAYS)
-    try:
-        if path.suffix.lower() == ".glb":
-            path.write_bytes(scene.export(file_type="glb", include_normals=True))
-        else:
-            scene.export(path, file_type="gltf", include_normals=True, merge_buffers=True)
-    except OSError as error:
-        raise FileError(f"{path}: cannot be written: {error.strerror}") from None
+    write_whole(path, scene.export(file_type="glb", include_normals=True))
 
 
 def _body(part: Part, mesh: pv.PolyData) -> trimesh.Trimesh:

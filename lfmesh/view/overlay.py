@@ -50,6 +50,13 @@ class Overlay:
                 self._texts.append(self._text(label, 15, (0.985, top), colour, top=True, right=True))
                 top -= 15 * LINE * self._scale / height
 
+    def only_scale(self, on: bool) -> None:
+        """Hide everything but the scale bar, which is written larger meanwhile; or show it again."""
+        for text in (*self._texts, *self._told):
+            text.SetVisibility(not on)
+        self._bar_text.GetTextProperty().SetFontSize(round((2.4 if on else 1.0) * 15 * self._scale))
+        (self._plotter.hide_axes if on else self._plotter.show_axes)()
+
     def tell(self, lines: list[str]) -> None:
         """Replace what stands at the bottom."""
         for text in self._told:

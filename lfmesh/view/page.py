@@ -9,7 +9,8 @@ import tempfile
 import warnings
 from pathlib import Path
 
-from lfmesh.errors import FileError, LfmeshError
+from lfmesh.errors import LfmeshError
+from lfmesh.files.whole import write_whole
 from lfmesh.view.colours import BACKGROUND, FAINT_TEXT, TEXT, Legend
 from lfmesh.view.plotter import View
 
@@ -23,6 +24,7 @@ STYLE = f"""\
       .words h1 {{ margin: 0; font-size: 22px; font-weight: normal; color: {TEXT}; }}
       .words p {{ margin: 0; }}
       .words b {{ font-weight: normal; color: {TEXT}; }}
+      .content {{ position: absolute; inset: 0; }}
       #caption {{ left: 0; max-width: 65%; }}
       #legend {{ right: 0; text-align: right; }}
 """
@@ -53,10 +55,7 @@ def write_page(view: View, path: Path) -> None:
             page = raw.read_text(encoding="utf-8")
     finally:
         view.look(preset)
-    try:
-        path.write_text(captioned(page, view), encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{path}: cannot be written: {error.strerror}") from None
+    write_whole(path, captioned(page, view))
 
 
 def captioned(page: str, view: View) -> str:
@@ -67,7 +66,8 @@ def captioned(page: str, view: View) -> str:
     page = page.replace("</style>\n  </head>", f"{STYLE}    </style>\n  </head>", 1)
     lines = "".join(f"<p>{html.escape(line)}</p>" for line in [*view.caption, view.scale, "drag turns, wheel zooms"])
     words = f'<div id="caption" class="words"><h1>{title}</h1>{lines}</div>{_legend(view.legend)}'
-    return page.replace("<body>", f"<body>\n    {words}", 1)
+    # vtk.js empties what it draws into: without an element of its own that would be the whole page.
+    return page.replace("<body>", f'<body>\n    <div class="content"></div>\n    {words}', 1)
 
 
 def _legend(legend: Legend | None) -> str:

@@ -60,6 +60,7 @@ class View:
         self.caption: list[str] = []
         self.legend: Legend | None = None
         self.preset = "whole"
+        self._picture = picture
         self._parts = parts(world, picture, near_mm)
         self._of_actor: dict[Any, Part] = {}
         self.is_cut = False
@@ -104,6 +105,13 @@ class View:
         """Cut lens and array along the axis and take the half before the eye away; rays stay."""
         if on != self.is_cut:
             self.is_cut = on
+            self._draw_parts()
+
+    def near(self, place_mm: tuple[float, float]) -> None:
+        """Move the real lenslets of a large array, and where "array" looks, to a point (x, y) of the array's frame."""
+        if place_mm != self.near_mm:
+            self.near_mm = place_mm
+            self._parts = parts(self.world, self._picture, place_mm)
             self._draw_parts()
 
     def show_rays(

@@ -112,7 +112,7 @@ class Launched:
 
 def launched(
     world: World, specs: Sequence[str] = (), count: int | None = None, *,
-    wavelength_nm: float | None = None, split: str | None = None, seed: int | None = None,
+    wavelength_nm: float | None = None, split: str | None = None, weight_cutoff: float | None = None,
 ) -> Launched:  # fmt: skip
     """Launch the rays of one or several lines of words, see `lfmesh.view.launch.launch`.
 
@@ -126,12 +126,15 @@ def launched(
         split = split or "transmit"
     number = count if count is not None else COUNT if specs else FIRST_COUNT
     rays = together(
-        [launch(world, spec, number, wavelength_nm=wavelength_nm, split=split, seed=seed) for spec in given]
+        [
+            launch(world, spec, number, wavelength_nm=wavelength_nm, split=split, weight_cutoff=weight_cutoff)
+            for spec in given
+        ]
     )
     split = split or world.scene.transport.split
     how = "refracted only" if split == "transmit" else f"split: {split}"
     words = f"{number} rays{' each' if len(given) > 1 else ''} from {'; '.join(given)}; {how}"
-    return Launched(rays, (words,), _pixels_on_array(world, rays))
+    return Launched(rays, (words,), pixels_on_array(rays))
 
 
 def first_look(world: World) -> list[str]:
@@ -162,7 +165,13 @@ def together(parts: Sequence[Rays]) -> Rays:
         raise LfmeshError(
             "rays launched from pixels (m² sr) and rays launched with the light (W) have no common power; show one kind"
         )
-    sequences = list(dict.fromkeys(sequence for part in parts for sequence in part.sequences))
+    arriving: dict[str, float] = {}
+    for part in parts:
+        power = np.bincount(part.sequence, part.end_power * part.arrives, len(part.sequences))
+        for sequence, brought in zip(part.sequences, power, strict=True):
+            arriving[sequence] = arriving.get(sequence, 0.0) + float(brought)
+    # As in each of them: what brings the most power comes first.
+    sequences = sorted(arriving, key=lambda sequence: -arriving[sequence])
     number = {sequence: i for i, sequence in enumerate(sequences)}
     renumbered = [np.array([number[s] for s in part.sequences], np.int64)[part.sequence] for part in parts]
     sources = np.cumsum([0, *(int(part.source.max(initial=-1)) + 1 for part in parts)])
@@ -185,8 +194,12 @@ def together(parts: Sequence[Rays]) -> Rays:
     )
 
 
-def _pixels_on_array(world: World, rays: Rays) -> tuple[float, float]:
-    """Return the point of the array in front of the pixels that rays come from or end on, in the array's frame."""
+def pixels_on_array(rays: Rays) -> tuple[float, float]:
+    """Return the point (x, y) of the array in front of the pixels that rays were launched from, mm, in its own frame.
+
+    Its middle, if they were launched elsewhere.
+    """
+    world = rays.world
     hit = rays.pixel[(rays.pixel >= 0).all(axis=1)]
     if not rays.from_sensor or not len(hit):
         return 0.0, 0.0

@@ -2,6 +2,9 @@
 
 from lfmesh.view import pick
 from lfmesh.view.describe import describe
+from lfmesh.view.history import history
+from lfmesh.view.history import lines as history_lines
+from lfmesh.view.path_table import short_form
 from lfmesh.view.plotter import View
 
 KEYS = "keys: F1–F{last} views, x cut, q quit; a click says what is there"
@@ -43,14 +46,10 @@ def path_in_words(view: View, picked: pick.PickedRay) -> list[str]:
     """Return where a path went, a line a vertex."""
     assert view.lines is not None
     rays = view.lines.rays
-    first, end = (int(offset) for offset in rays.offsets[picked.path : picked.path + 2])
-    shared = f", a segment that {len(picked.paths)} paths share" if len(picked.paths) > 1 else ""
-    lines = [f"path {picked.path}, {rays.wavelength_nm[picked.path]:g} nm{shared}"]
-    return lines + [
-        f"{rays.surfaces[rays.surface[i]]:<18}{rays.power[i]:.3e} {rays.unit}  "
-        f"{', '.join(f'{value:.4f}' for value in rays.position[i])} mm"
-        for i in range(first, end)
-    ]
+    number, wavelength = rays.sequence[picked.path], rays.wavelength_nm[picked.path]
+    shared = f"; {len(picked.paths)} paths share this segment" if len(picked.paths) > 1 else ""
+    head = f"ray {picked.path}, path {number}, {short_form(rays, picked.path)}, {wavelength:g} nm{shared}"
+    return [head, *history_lines(history(rays, picked.path), rays.unit)]
 
 
 def pixel_in_words(view: View, picked: pick.PickedPixel) -> list[str]:

@@ -36,6 +36,8 @@ class Page:
     subject : Scene, World, Image, or path of a scene file or a run folder
     rays : Rays, optional
         Drawn from the start; launched in the subject's world.
+    expression : str
+        Stands in the filter box from the start.
     colour, preset, cut
         See `lfmesh.view.plotter.build_view`.
 
@@ -47,7 +49,7 @@ class Page:
 
     def __init__(
         self, server: Any, subject: "Scene | World | Image | str | os.PathLike[str]", rays: "Rays | None" = None, *,
-        colour: ColourBy = "wavelength", preset: str = "whole", cut: bool = False,
+        expression: str = "", colour: ColourBy = "wavelength", preset: str = "whole", cut: bool = False,
     ) -> None:  # fmt: skip
         folder = Path(subject) if isinstance(subject, str | os.PathLike) and Path(subject).is_dir() else None
         image = run.open_run(folder) if folder is not None else subject if isinstance(subject, Image) else None
@@ -70,7 +72,7 @@ class Page:
         view = build_view(seen.world, picture=seen.picture, preset=preset, cut=cut, size=SIZE)
         view.plotter.show(auto_close=False, interactive=False)
         self.light_field = LightFieldPanel(server, replies, scene, image, folder)
-        server.state.update({"colour": colour, "cut": cut})
+        server.state.update({"expression": expression, "colour": colour, "cut": cut})
         self.rays = RaysPanel(server, replies, view, rays, self.light_field)
         _lay_out(server, view.plotter.render_window)
 

@@ -20,7 +20,7 @@ from lfmesh.view.history import Step, history
 from lfmesh.view.path_table import PathRow, PathTable, path_table
 from lfmesh.view.pick import PickedPart, PickedPixel, PickedRay, pick
 from lfmesh.view.plotter import View
-from lfmesh.view.request import FAR
+from lfmesh.view.request import FAR, pixels_on_array
 
 if TYPE_CHECKING:
     from lfmesh.view.browser.light_field import LightFieldPanel
@@ -134,7 +134,11 @@ class RaysPanel:
 
     def _options(self) -> dict[str, Any]:
         wavelength = self._state.wavelength
-        return {"split": self._state.split, "wavelength_nm": None if wavelength == ALL else float(wavelength)}
+        return {
+            "split": self._state.split,
+            "weight_cutoff": _number(self._state.cutoff, "cutoff"),
+            "wavelength_nm": None if wavelength == ALL else float(wavelength),
+        }
 
     def _show(self, rays: "Rays | None") -> None:
         """Show other rays, through the filter if it fits them."""
@@ -145,6 +149,7 @@ class RaysPanel:
             self._draw()
             return
         self._kept = np.ones(len(rays), np.bool_)
+        self._view.near(pixels_on_array(rays))
         self._filter()
 
     def _filter(self) -> None:
@@ -284,10 +289,10 @@ def _first_state(world: World, presets: list[str]) -> dict[str, Any]:
         "wavelengths": [*several, *transport.wavelengths_nm],
         "wavelength": [*several, *transport.wavelengths_nm][0],
         "split": transport.split,
+        "cutoff": transport.weight_cutoff,
         "presets": presets,
         "colours": list(get_args(ColourBy)),
         "drawn": "",
-        "expression": "",
         "filter_fault": "",
         "heads": [],
         "sort": "power",

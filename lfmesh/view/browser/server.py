@@ -28,6 +28,7 @@ def serve(
     subject: "Scene | World | Image | str | os.PathLike[str]",
     rays: "Rays | None" = None,
     *,
+    expression: str = "",
     colour: "ColourBy" = "wavelength",
     preset: str = "whole",
     cut: bool = False,
@@ -45,6 +46,8 @@ def serve(
         What is looked at; a run folder with its image and light field.
     rays : Rays, optional
         Drawn from the start; launched in the subject's world.
+    expression : str
+        Stands in the filter box from the start, see `lfmesh.view.filters`.
     colour : {"wavelength", "power", "events", "status", "path"}
     preset : {"whole", "side", "object", "lens", "array", "sensor"}
     cut : bool
@@ -82,7 +85,7 @@ def serve(
     os.environ.setdefault("TRAME_ARGS", "")
     server = trame_server.Server("lfmesh")
     server.client_type = "vue3"
-    Page(server, subject, rays, colour=colour, preset=preset, cut=cut)
+    Page(server, subject, rays, expression=expression, colour=colour, preset=preset, cut=cut)
     guard = Guard(host)
     server.controller.on_server_bind.add(lambda site: site.app.middlewares.append(guard.answer))
     asyncio.run(_serve(server, guard.token, host, port, open_browser))

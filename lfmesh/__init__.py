@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from lfmesh.transport.render import render
     from lfmesh.transport.trace import Paths, Status, trace
     from lfmesh.transport.world import build
+    from lfmesh.view.show import view
 
 __all__ = [
     "AllInFocus",
@@ -137,6 +138,7 @@ __all__ = [
     "save_white",
     "solved",
     "trace",
+    "view",
     "white_image",
 ]
 
@@ -177,6 +179,8 @@ _HOME = {name: module for module, names in _HOMES.items() for name in names}
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         value: Any = _version()
+    elif name == "view":
+        value = import_module("lfmesh.view")  # which can be called
     elif name in _HOME:
         value = getattr(import_module(_HOME[name]), name)
     else:

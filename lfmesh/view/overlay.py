@@ -30,7 +30,7 @@ class Overlay:
         self._texts: list[vtkTextActor] = []
         self._told: list[vtkTextActor] = []
         self._scale = plotter.window_size[1] / 1000.0
-        self._bar, self._bar_text, self._bar_points = self._scale_bar()
+        self._bar, self.bar_text, self.bar_points = self._scale_bar()
         # Just before every picture: whoever has moved the camera.
         plotter.renderer.AddObserver("StartEvent", lambda *_: self._measure())
 
@@ -54,7 +54,7 @@ class Overlay:
         """Hide everything but the scale bar, which is written larger meanwhile; or show it again."""
         for text in (*self._texts, *self._told):
             text.SetVisibility(not on)
-        self._bar_text.GetTextProperty().SetFontSize(round((2.4 if on else 1.0) * 15 * self._scale))
+        self.bar_text.GetTextProperty().SetFontSize(round((2.4 if on else 1.0) * 15 * self._scale))
         (self._plotter.hide_axes if on else self._plotter.show_axes)()
 
     def tell(self, lines: list[str]) -> None:
@@ -121,10 +121,10 @@ class Overlay:
         left = right - pixels
         ends = [(left, 0), (right, 0), (left, -tick), (left, tick), (right, -tick), (right, tick)]
         for i, (x, y) in enumerate(ends):
-            self._bar_points.SetPoint(i, x, bottom + y, 0.0)
-        self._bar_points.Modified()
+            self.bar_points.SetPoint(i, x, bottom + y, 0.0)
+        self.bar_points.Modified()
         place = "" if camera.parallel_projection else " at the middle of the view"
-        self._bar_text.SetInput(f"{in_words(length)}{place}")
+        self.bar_text.SetInput(f"{in_words(length)}{place}")
 
 
 def in_words(length_mm: float) -> str:

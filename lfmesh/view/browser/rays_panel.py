@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
+import pyvista as pv
 from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
@@ -17,7 +18,7 @@ from lfmesh.view.describe import describe
 from lfmesh.view.filters import FilterError, parse
 from lfmesh.view.ghosts import ghost_matrix
 from lfmesh.view.history import Step, history
-from lfmesh.view.path_table import PathRow, PathTable, path_table
+from lfmesh.view.path_table import PathRow, PathTable, path_table, short_form
 from lfmesh.view.pick import PickedPart, PickedPixel, PickedRay, pick
 from lfmesh.view.plotter import View
 from lfmesh.view.request import FAR, pixels_on_array
@@ -31,6 +32,9 @@ COUNT = 100
 
 ALL = "all"
 """The choice of every wavelength of the scene."""
+
+PICKED, PICKED_COLOUR, PICKED_WIDTH = "picked path", "white", 3.0
+"""Name, colour and width in px of the line along the path that was clicked."""
 
 MOST_ROWS = 300
 """Of the path table that the page holds."""
@@ -89,7 +93,7 @@ class RaysPanel:
             ("marked_rays", self._marked_rays),
         ):
             replies.on_call(name, answer)
-        replies.on_change(["colour"], self._draw)
+        replies.on_change(["colour", "fade"], self._draw)
         replies.on_change(["cut"], self._cut)
         replies.on_change(["sort"], self._tabulate)
         replies.on_change(["side"], self._show_ghosts)
@@ -201,7 +205,7 @@ class RaysPanel:
             chosen = self._state.chosen
             shown = self._kept if chosen is None else self._kept & (self._rays.sequence == chosen)
             self._drawn = self._rays.keep(shown)
-        self._view.show_rays(self._drawn, self._state.colour)
+        self._view.show_rays(self._drawn, self._state.colour, fade=bool(self._state.fade))
         self._view.write([])
         self._state.drawn = " ".join(self._view.caption) or "No rays."
         self._redraw()
@@ -229,6 +233,7 @@ class RaysPanel:
             self._from_pixels(range(found.row, found.row + 1), range(found.column, found.column + 1))
         elif isinstance(found, PickedPart):
             self._show_part(found.name)
+        self._redraw()
 
     def _show_history(self, found: PickedRay) -> None:
         """Show what happened to a path, with the segment that was clicked marked."""
@@ -236,14 +241,19 @@ class RaysPanel:
         rays, state = self._drawn, self._state
         first = int(rays.offsets[found.path])
         steps = history(rays, found.path)
-        state.picked = f"Path of ray {rays.source[found.path]}"
+        state.picked = f"Ray {rays.source[found.path]}, {short_form(rays, found.path)}"
         others = len(found.paths) - 1
         shared = f"; {others} more path{'s share' if others > 1 else ' shares'} this segment" if others else ""
-        state.picked_note = f"{rays.wavelength_nm[found.path]:.6g} nm, {rays.sequence[found.path]} in the table{shared}"
+        state.picked_note = f"{rays.wavelength_nm[found.path]:.6g} nm, path {rays.sequence[found.path]}{shared}"
         state.picked_heads = [head.format(unit=rays.unit) for head in STEP_HEADS]
         state.picked_left = 2
         state.picked_rows = [_step_cells(step) for step in steps]
         state.picked_at = int(found.vertex) - first
+        line = pv.lines_from_points(rays.position[first : rays.offsets[found.path + 1]])
+        self._view.plotter.add_mesh(
+            line, name=PICKED, color=PICKED_COLOUR, line_width=PICKED_WIDTH, lighting=False,
+            reset_camera=False, render=False,
+        )  # fmt: skip
 
     def _show_part(self, name: str) -> None:
         """Show the prescription of glass, or what else there is to know about a part."""
@@ -251,6 +261,7 @@ class RaysPanel:
         self._state.update({"picked": name, "picked_heads": [], "picked_left": 2, "picked_rows": rows})
 
     def _forget_pick(self) -> None:
+        self._view.plotter.remove_actor(PICKED, render=False)
         self._state.update({"picked": "Nothing picked", "picked_note": "", "picked_rows": [], "picked_at": -1})
 
     def _show_ghosts(self) -> None:
@@ -293,6 +304,7 @@ def _first_state(world: World, presets: list[str]) -> dict[str, Any]:
         "presets": presets,
         "colours": list(get_args(ColourBy)),
         "drawn": "",
+        "fade": False,
         "filter_fault": "",
         "heads": [],
         "sort": "power",

@@ -208,7 +208,6 @@ class Page:
 def page(browser: Any, server: Server) -> Iterator[Page]:
     opened = Page(browser, server)
     opened.tab.fill("#count", "40")
-    opened.tab.fill("#point-z", "-420")
     opened.tab.select_option("#split", "both")
     opened.redrawn(lambda: opened.tab.click("#preset-lens"))
     yield opened
@@ -225,6 +224,7 @@ def _fresh(request: pytest.FixtureRequest) -> None:
     tab.click("#side-paths")
     tab.fill("#filter", "")
     tab.select_option("#launch", "point")
+    tab.fill("#point-z", "-420")
     request.getfixturevalue("page").redrawn(lambda: tab.click("#go"))
 
 

@@ -46,8 +46,9 @@ from lfmesh.transport.world import World
 CHUNK = 16_384
 """Packets a chunk starts with and a wave holds at most: they fit the cache, and hide the cost of a call."""
 
-MOST_VERTICES = 4_000_000
-"""Vertices that a chunk may record, some 300 MB of them: where every child is followed they grow without end."""
+MOST_VERTICES = 2_000_000
+"""Vertices that may be recorded, 150 MB and a few times that laid out in paths: followed to the end, all children of a
+single ray are more."""
 
 
 class Workspace:
@@ -66,6 +67,8 @@ class Workspace:
         self.deposits = np.zeros(0, DEPOSIT)
         self.ended = np.zeros(0, END)
         self.nodes = np.zeros(0, NODE)
+        # By chunks before this one, which whoever records them all counts.
+        self.recorded = 0
         self.start = start_room(self.tables.aim)
         self.template = np.zeros(1, PACKET)
         self.book = np.zeros(len(world.slots))
@@ -161,7 +164,7 @@ class Workspace:
             self.ended = _grown(self.ended, int(self.tops[ENDED]) + 2 * packets)
         if self.options.record:
             need = int(self.tops[NODES]) + 4 * packets
-            if need > MOST_VERTICES:
+            if self.recorded + need > MOST_VERTICES:
                 raise LfmeshError(
                     f"the paths have more than {MOST_VERTICES:,} vertices: launch fewer rays, or give weight_cutoff a "
                     f"larger value than {self.options.cutoff:g}"

@@ -21,6 +21,8 @@ from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WOR
 from lfmesh.view.names import CURVED, FLAT, label, target_names
 from lfmesh.view.rays import Rays
 
+IN_SHORT = {Event.TRANSMITTED: "transmit", Event.REFLECTED: "reflect", Event.SCATTERED: "scatter"}
+
 Vector = NDArray[np.float64]
 Medium = float | str | None
 
@@ -119,15 +121,15 @@ def history(rays: Rays, path: int) -> list[Step]:
 
 
 def lines(steps: list[Step], unit: str) -> list[str]:
-    """Return a history for a terminal of 80 columns, a line a step."""
-    lines = [f"{'surface':<16}{'event':<12}{'angle':>7}{'R':>8}{'T':>8}{f'power/{unit}':>13}  medium"]
+    """Return a history for a terminal of 80 columns, a line a step; the column before the medium is the roulette's."""
+    lines = [f"{'surface':<17}{'event':<9}{'angle':>7}{'R':>7}{'T':>7}{f'power/{unit}':>12}{'':7} medium"]
     for step in steps:
         angle = "" if step.incidence_deg is None else f"{step.incidence_deg:.2f}\N{DEGREE SIGN}"
         r, t = ("" if share is None else f"{share:.4f}" for share in (step.reflectance, step.transmittance))
-        raised = f", roulette x{step.roulette:.3g}" if step.roulette > 1.0 + 1e-6 else ""
+        raised = f"x{step.roulette:.2g}" if step.roulette > 1.0 + 1e-6 else ""
         lines.append(
-            f"{step.short[:15]:<16}{step.event.name.lower():<12}{angle:>7}{r:>8}{t:>8}{step.power:13.4e}  "
-            f"{step.medium}{raised}"
+            f"{step.short[:16]:<17}{IN_SHORT.get(step.event, step.event.name.lower()):<9}{angle:>7}{r:>7}{t:>7}"
+            f"{step.power:12.4e}{raised:>7} {step.medium[:13]}"
         )
     return lines
 

@@ -42,7 +42,7 @@ class Rays:
     status : (n,) int64
         `lfmesh.Status`: how each ended.
     source : (n,) int64
-        Launched ray that it descends from.
+        Launched ray that it descends from, counting those that left any path.
     pixel : (n, 2) int64
         Row and column of the sensor pixel that it ends on, or started from; −1, −1: none.
     wavelength_nm : (n,) float64
@@ -162,7 +162,11 @@ def assembled(world: World, ended: Records, nodes: Records, wavelengths_nm: Floa
     pixels : (n,) int64, optional
         Pixel, row by row, that each path started from; left out, the rays were launched with the light.
     """
-    index, offsets = _vertices(ended["node"], nodes["parent"])
+    root, length = _roots(ended["node"], nodes["parent"])
+    order = np.argsort(root, kind="stable")
+    root, ended, wavelengths_nm = root[order], ended[order], wavelengths_nm[order]
+    offsets = np.concatenate([[0], np.cumsum(length[order])])
+    index = _vertices(ended["node"], nodes["parent"], offsets)
     vertices = nodes[index]
     surface = surface_numbers(world, vertices["surface"], vertices["part"])
     event = vertices["event"].copy()
@@ -171,10 +175,9 @@ def assembled(world: World, ended: Records, nodes: Records, wavelengths_nm: Floa
     names = surface_names(world)
     sequence = _sequences(surface, event, offsets)
     columns = world.tables.sensor.columns
-    pixel = _pixels_under(world, ended) if pixels is None else np.stack(np.divmod(pixels, columns), axis=-1)
-    root = index[offsets[:-1]]
+    pixel = _pixels_under(world, ended) if pixels is None else np.stack(np.divmod(pixels[order], columns), axis=-1)
     rays = Rays(
-        _up_to_the_border(world, vertices["position"], ended, offsets), surface, event, vertices["weight"].copy(),
+        _within_borders(world, vertices["position"], ended, offsets), surface, event, vertices["weight"].copy(),
         offsets, ended["status"].copy(), np.unique(root, return_inverse=True)[1].reshape(-1), pixel, wavelengths_nm,
         sequence, names, [], WATT if pixels is None else ETENDUE, world,
         np.where(surface == names.index(CURVED), vertices["part"], NO_SURFACE),
@@ -192,53 +195,72 @@ def _ranked(rays: Rays) -> Rays:
     return replace(rays, sequence=rank[rays.sequence], sequences=[_in_words(rays, path) for path in first[order]])
 
 
-def _up_to_the_border(world: World, position: Floats, ended: Records, offsets: Ints) -> Floats:
-    """Return the vertices, those where paths escape moved on: to a sphere round the whole scene, to be seen leaving."""
-    away = np.flatnonzero(ended["status"] == Status.ESCAPED)
-    middle, radius = _round_the_scene(world)
-    last = offsets[1:][away] - 1
-    p, d = position[last] - middle, ended["direction"][away]
-    along = np.sum(p * d, axis=1)
-    # What escapes from outside of the sphere ends where it was last seen.
-    root = np.maximum(along**2 - np.sum(p * p, axis=1) + radius**2, 0.0)
+def _within_borders(world: World, position: Floats, ended: Records, offsets: Ints) -> Floats:
+    """Return the vertices, the last ones of some paths moved along their last segment to where they can be seen.
+
+    A path that escapes goes on to a sphere round the whole scene. One that is absorbed in a plane of the camera far
+    outside of it (the mount has no outer edge) ends on the sphere round the camera.
+    """
     moved = position.copy()
-    moved[last] += np.maximum(np.sqrt(root) - along, 0.0)[:, None] * d
+    for status, (middle, radius) in (
+        (Status.ESCAPED, _sphere_round(_points_of_scene(world))),
+        (Status.ABSORBED, _sphere_round(_points_of_camera(world))),
+    ):
+        paths = np.flatnonzero((ended["status"] == status) & (np.diff(offsets) > 1))
+        last = offsets[1:][paths] - 1
+        p, d = position[last - 1] - middle, ended["direction"][paths]
+        along, outside = np.sum(p * d, axis=1), np.sum(p * p, axis=1) - radius**2
+        # Where the ray leaves the sphere; one that starts outside and never meets it stays as it is.
+        root = along**2 - outside
+        leaves = np.where(root > 0.0, np.sqrt(np.maximum(root, 0.0)) - along, 0.0)
+        length = np.linalg.norm(position[last] - position[last - 1], axis=1)
+        moves = (leaves > 0.0) & ((length > leaves) | (status == Status.ESCAPED))
+        moved[last[moves]] = (position[last - 1] + leaves[:, None] * d)[moves]
     return moved
 
 
-def _round_the_scene(world: World) -> tuple[Floats, float]:
-    """Return centre (world frame) and radius of a sphere round camera, targets, lights and the plane of focus."""
-    to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
-    points = [frames.points(to_world, world.housing.vertices)]
+def _points_of_camera(world: World) -> Floats:
+    """Return the corners of the camera's housing, world frame."""
+    return frames.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], world.housing.vertices)
+
+
+def _points_of_scene(world: World) -> Floats:
+    """Return points round camera, targets, lights and the plane of focus, world frame."""
+    points = [_points_of_camera(world)]
     focus = world.scene.camera.focus_mm
     if focus is not None and np.isfinite(focus):
-        points.append(frames.points(to_world, [[0.0, 0.0, -focus]]))
+        points.append(frames.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], [[0.0, 0.0, -focus]]))
     points += [world.mesh(name).vertices for name in world.mesh_names if name.startswith("targets[")]
     lamps = [light.position_mm for light in world.scene.lights if light.kind != "directional"]
-    points += [np.array(lamps, dtype=np.float64).reshape(-1, 3)]
-    everything = np.concatenate(points)
-    middle = 0.5 * (everything.min(axis=0) + everything.max(axis=0))
-    return middle, float(np.linalg.norm(everything - middle, axis=1).max())
+    return np.concatenate([*points, np.array(lamps, dtype=np.float64).reshape(-1, 3)])
 
 
-def _vertices(last: Ints, parent: Ints) -> tuple[Ints, Ints]:
-    """Return the vertices of every path from its start to its end, one path after the other, and their offsets.
+def _sphere_round(points: Floats) -> tuple[Floats, float]:
+    """Return centre and radius of a sphere that holds points."""
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    return middle, float(np.linalg.norm(points - middle, axis=1).max())
 
-    All paths climb from their last vertex to its parents together, a vertex a step.
-    """
+
+def _roots(last: Ints, parent: Ints) -> tuple[Ints, Ints]:
+    """Return the first vertex of every path and how many it has: all climb from their last one, a vertex a step."""
     count = np.zeros(len(last), np.int64)
-    at = last.copy()
+    root, at = last.copy(), last.copy()
     while (on := at >= 0).any():
         count += on
+        root = np.where(on, at, root)
         at = np.where(on, parent[np.maximum(at, 0)], at)
-    offsets = np.concatenate([[0], np.cumsum(count)])
+    return root, count
+
+
+def _vertices(last: Ints, parent: Ints, offsets: Ints) -> Ints:
+    """Return the vertices of every path from its start to its end, one path after the other."""
     index = np.empty(offsets[-1], np.int64)
-    place, at = offsets[1:] - 1, last.copy()
-    while (on := at >= 0).any():
-        place, at = place[on], at[on]
+    place, at = offsets[1:] - 1, last
+    while len(at):
         index[place] = at
         place, at = place - 1, parent[at]
-    return index, offsets
+        place, at = place[at >= 0], at[at >= 0]
+    return index
 
 
 def _sequences(surface: Ints, event: Ints, offsets: Ints) -> Ints:

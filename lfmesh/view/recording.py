@@ -36,6 +36,7 @@ def traced(
         _record_starts(work)
         work.run()
         parts.append((work.ended[: work.tops[ENDED]].copy(), work.nodes[: work.tops[NODES]].copy()))
+        work.recorded += int(work.tops[NODES])
     ended, nodes = joined_records(parts)
     ended["wave"] = wave
     return ended, nodes

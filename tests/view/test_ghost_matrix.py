@@ -1,0 +1,100 @@
+"""The matrix of ghosts holds the two-reflection paths, each at the pair of surfaces that light meets in turn."""
+
+import numpy as np
+import PIL.Image
+import pytest
+
+import lfmesh as lf
+from lfmesh.assets import asset_path
+from lfmesh.scene import load_lens
+from lfmesh.transport.packet import Event
+from lfmesh.view.ghosts import ghost_matrix
+from lfmesh.view.launch import from_field_point, from_pixels
+
+
+@pytest.fixture(scope="module")
+def world():
+    camera = lf.Camera(
+        lens=load_lens(asset_path("lenses/double_gauss_50mm.toml")),
+        focus_mm=500.0,
+        mla=lf.MicrolensArray(count=(40, 40), pitch_mm=0.125, focal_length_mm=0.5, index=1.5, thickness_mm=0.3),
+        sensor=lf.Sensor(pixels=(50, 50), pixel_mm=0.1),
+    )
+    return lf.build(lf.Scene(camera=camera))
+
+
+@pytest.fixture(scope="module")
+def rays(world):
+    return from_field_point(world, (4.0, 3.0, -500.0), 300, aim="lens", weight_cutoff=5e-4)
+
+
+def test_cells_are_the_power_of_their_paths(rays):
+    matrix = ghost_matrix(rays)
+    expected = np.zeros_like(matrix.power)
+    for path in np.flatnonzero(rays.status == lf.Status.SENSOR):
+        part = range(rays.offsets[path], rays.offsets[path + 1])
+        mirrors = [rays.surfaces[rays.surface[v]] for v in part if rays.event[v] == Event.REFLECTED]
+        if len(mirrors) == 2:
+            expected[tuple(matrix.names.index(name) for name in mirrors)] += rays.end_power[path]
+    assert (expected > 0.0).sum() > 20
+    np.testing.assert_allclose(matrix.power, expected, rtol=1e-12)
+    assert matrix.total == pytest.approx(rays.end_power[rays.status == lf.Status.SENSOR].sum(), rel=1e-12)
+    assert matrix.labels == [
+        "L1a", "L1b", "L2a", "L2b", "L3b", "L4a", "L4b", "L5b", "L6a", "L6b", "MLAc", "MLAf"
+    ]  # fmt: skip
+
+
+def test_light_is_first_reflected_by_the_surface_nearer_to_the_sensor(world, rays):
+    """Also where the rays were launched from the sensor and met the surfaces the other way round."""
+    adjoint = from_pixels(world, range(20, 30), range(20, 30), 1000, weight_cutoff=1e-3)
+    for some in (rays, adjoint):
+        power = ghost_matrix(some).power
+        assert power.sum() > 0.0
+        np.testing.assert_array_equal(np.triu(power), 0.0)
+
+
+def test_the_strongest_pairs_come_first(rays):
+    matrix = ghost_matrix(rays)
+    pairs = matrix.strongest(5)
+    assert [power for *_, power in pairs] == sorted(matrix.power.ravel(), reverse=True)[:5]
+    first, second, power = pairs[0]
+    assert matrix.power[matrix.names.index(first), matrix.names.index(second)] == power
+    assert len(matrix.strongest(10_000)) == (matrix.power > 0.0).sum()
+
+
+def test_the_figure_names_rows_columns_and_colours(rays):
+    matrix = ghost_matrix(rays)
+    axes, bar = matrix.figure().axes
+    assert [t.get_text() for t in axes.get_xticklabels()] == matrix.labels
+    assert [t.get_text() for t in axes.get_yticklabels()] == matrix.labels
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("second reflection", "first reflection")
+    assert "share of the power on the sensor" in bar.get_ylabel()
+    image = axes.get_images()[0]
+    np.testing.assert_allclose(image.get_array().filled(0.0), matrix.power / matrix.total)
+    # Logarithmic: each factor of ten is as far in colour.
+    norm = image.norm
+    assert norm(norm.vmax) - norm(norm.vmax / 10) == pytest.approx(norm(norm.vmax / 10) - norm(norm.vmax / 100))
+    numbers = {t.get_text() for t in axes.texts}
+    strongest = np.log10(matrix.power.max() / matrix.total)
+    assert f"{strongest:.1f}".replace("-", "\N{MINUS SIGN}") in numbers
+
+
+def test_the_figure_is_written_as_its_ending_says(tmp_path, rays):
+    matrix = ghost_matrix(rays)
+    with PIL.Image.open(matrix.save(tmp_path / "ghosts.png")) as picture:
+        assert np.ptp(np.asarray(picture.convert("L"))) > 100
+    assert matrix.save(tmp_path / "ghosts.svg").read_text(encoding="utf-8").startswith("<?xml")
+    with pytest.raises(lf.LfmeshError, match=r"\.png, \.svg or \.pdf"):
+        matrix.save(tmp_path / "ghosts.tiff")
+    with pytest.raises(lf.FileError):
+        matrix.save(tmp_path / "nowhere" / "ghosts.png")
+    assert sorted(f.name for f in tmp_path.iterdir()) == ["ghosts.png", "ghosts.svg"]
+
+
+def test_without_ghosts_the_figure_is_refused_and_the_matrix_is_zero(world, tmp_path):
+    matrix = ghost_matrix(from_field_point(world, (0.0, 0.0, -500.0), 50, split="transmit"))
+    assert not matrix.power.any()
+    assert matrix.strongest() == []
+    with pytest.raises(lf.LfmeshError, match='split = "both"'):
+        matrix.save(tmp_path / "ghosts.png")
+    assert not list(tmp_path.iterdir())

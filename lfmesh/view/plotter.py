@@ -5,11 +5,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
-from vtkmodules.vtkRenderingCore import vtkProp
+from vtkmodules.vtkRenderingCore import vtkMapper, vtkProp
 
 from lfmesh.transport.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 from lfmesh.view.colours import BACKGROUND, BACKGROUND_TOP, ColourBy, Legend
+from lfmesh.view.gl import expect_no_display
 from lfmesh.view.overlay import Overlay, in_words
 from lfmesh.view.parts import Part, Picture, parts, smooth, texture_of, tick_mm
 from lfmesh.view.presets import ANGLE_DEG, PRESETS, viewpoint
@@ -70,6 +71,9 @@ class View:
         self._parts = parts(world, picture, near_mm)
         self._of_actor: dict[Any, Part] = {}
         self.is_cut = False
+        expect_no_display()
+        # Edges lie on the faces that they bound, and are drawn before them.
+        vtkMapper.SetResolveCoincidentTopologyToPolygonOffset()
         self.plotter = pv.Plotter(off_screen=off_screen, window_size=size, lighting="light kit")
         # Software rendering turns the scene twice as fast without; `smooth` is for pictures.
         self.smooth(False)

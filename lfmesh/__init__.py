@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     from lfmesh.transport.trace import Paths, Status, trace
     from lfmesh.transport.world import build
     from lfmesh.view.layout_figure import draw
+    from lfmesh.view.show import view
 
 __all__ = [
     "AllInFocus",
@@ -139,6 +140,7 @@ __all__ = [
     "save_white",
     "solved",
     "trace",
+    "view",
     "white_image",
 ]
 
@@ -180,6 +182,8 @@ _HOME = {name: module for module, names in _HOMES.items() for name in names}
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         value: Any = _version()
+    elif name == "view":
+        value = import_module("lfmesh.view")  # which can be called
     elif name in _HOME:
         value = getattr(import_module(_HOME[name]), name)
     else:

@@ -44,6 +44,9 @@ COLUMNS = 80
 MOST_PLANES = 1000
 """Of a focal stack."""
 
+LEAST_PIXELS, MOST_PIXELS = 64, 8192
+"""Sides of a picture of the scene."""
+
 STATUS_SECONDS = 10.0
 """Where there is no terminal, what is being done is said no more often."""
 
@@ -64,6 +67,7 @@ Examples:
     lfmesh expose run/ --bayer RGGB      what a detector with noise counts
     lfmesh export run/ --format hci -o hci/   files of other people's tools
     lfmesh compare scene.toml -o cmp/    beside two other kinds of camera
+    lfmesh view scene.toml               lens, array, sensor and rays in 3D
     lfmesh accuracy -o report/           speed against error, in tables, figures
     lfmesh schema > scene.schema.json    for completion in an editor
 """,
@@ -572,6 +576,85 @@ def compare(
     return 0
 
 
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh view scene.toml
+    lfmesh view run/ --screenshot out.png --preset lens --cut
+    lfmesh view scene.toml --rays "pixel 320,310" --preset array --html out.html
+    lfmesh view scene.toml --rays "field 0,20,-500" --split both --table
+    lfmesh view scene.toml --rays "field 0,20,-500" --split both --filter ghost
+"""
+)
+def view(
+    subject: Annotated[Path, Parameter(name="scene", help="Scene file (TOML), or run folder.")],
+    /,
+    *,
+    rays: Annotated[
+        list[str] | None,
+        Parameter(
+            help='"field x,y,z", "pixel row,column", "pixels r:r,c:c", "light number", "run" or "none"; may be '
+            "repeated. Omitted: points of the plane in focus, refracted rays alone.",
+            negative=(),
+        ),
+    ] = None,
+    count: Annotated[Whole | None, Parameter(help="Rays of each launch.")] = None,
+    wavelength_nm: Annotated[float | None, Parameter(help="Of all rays; those of the scene, if omitted.")] = None,
+    split: Annotated[
+        Literal["both", "roulette", "transmit"] | None,
+        Parameter(help="At an interface: follow both children, one by chance, or the refracted one."),
+    ] = None,
+    weight_cutoff: Annotated[
+        float | None, Parameter(help="Lighter children play roulette; 1e-4 follows ghosts of two reflections.")
+    ] = None,
+    filter: Annotated[  # noqa: A002
+        str | None, Parameter(help='Paths to draw and report: "hits(mla) and not ghost", "reflects(L3b)", ...')
+    ] = None,
+    path: Annotated[Whole | None, Parameter(help="The one to draw and report, by its number in the table.")] = None,
+    colour: Annotated[
+        Literal["wavelength", "power", "events", "status", "path"], Parameter(help="What the rays' colours mean.")
+    ] = "wavelength",
+    fade: Annotated[bool, Parameter(negative=(), help="Draw rays with less power fainter.")] = False,
+    preset: Annotated[
+        Literal["whole", "side", "object", "lens", "array", "sensor"], Parameter(help="Where to look from.")
+    ] = "whole",
+    cut: Annotated[bool, Parameter(negative=(), help="Cut lens and array along the axis; rays stay whole.")] = False,
+    size: Annotated[str, Parameter(help="Of window and picture, in pixels.")] = "1600x1000",
+    segments: Annotated[
+        Whole, Parameter(help="Of rays, drawn at most; beyond that whole paths are left out, evenly.")
+    ] = 20_000,
+    table: Annotated[bool, Parameter(negative=(), help="Print the path table.")] = False,
+    paths: Annotated[Path | None, Parameter(help="CSV to write the path table to.")] = None,
+    ghosts: Annotated[Path | None, Parameter(help="Figure to write: ghosts by pair of reflecting surfaces.")] = None,
+    screenshot: Annotated[Path | None, Parameter(help="PNG to write, in place of a window.")] = None,
+    html: Annotated[Path | None, Parameter(help="Page to write that turns in any browser, without a network.")] = None,
+    gltf: Annotated[Path | None, Parameter(help="3D model to write (.glb).")] = None,
+    browser: Annotated[bool, Parameter(negative=(), help="Show it on a page in the browser, with much more.")] = False,
+    host: Annotated[str, Parameter(help="With --browser: the address that the page is served on.")] = "127.0.0.1",
+    port: Annotated[Whole, Parameter(help="With --browser; 0: a free one.")] = 0,
+    open_browser: Annotated[
+        bool, Parameter(name="--open", negative="--no-open", help="With --browser: open the page in a browser.")
+    ] = True,
+) -> int:
+    """Show lens, array, sensor, targets and rays in 3D: in a window, or as a picture, a page, a model."""
+    with _undivided():
+        from lfmesh.view import command
+        from lfmesh.view.show import Drawing, Outputs
+
+    launches = {"count": count, "wavelength_nm": wavelength_nm, "split": split, "weight_cutoff": weight_cutoff}
+    lines, written = command.run(
+        subject, rays, filter, path, launches,
+        Drawing(colour, fade, preset, cut, _size(size), segments),
+        Outputs(screenshot, html, gltf), command.Reports(table, paths, ghosts),
+        command.Serving(browser, host, port, open_browser),
+    )  # fmt: skip
+    for line in lines:
+        print(line)
+    _list_files(written)
+    return 0
+
+
 @app.command(help_epilogue="")
 def schema() -> int:
     """Print the JSON Schema of scene files."""
@@ -736,6 +819,15 @@ def _planes(stack: str) -> list[float]:
     if count > MOST_PLANES:
         raise LfmeshError(f"--stack {stack}: {count} planes; give a larger STEP, for {MOST_PLANES} at most")
     return [first + i * step for i in range(count)]
+
+
+def _size(words: str) -> tuple[int, int]:
+    """Return the width and height of a picture from WIDTHxHEIGHT."""
+    found = re.fullmatch(r"(\d+)\s*[x×]\s*(\d+)", words.strip())
+    size = (int(found[1]), int(found[2])) if found else (0, 0)
+    if not all(LEAST_PIXELS <= side <= MOST_PIXELS for side in size):
+        raise LfmeshError(f"--size {words}: give WIDTHxHEIGHT from {LEAST_PIXELS} to {MOST_PIXELS}, such as 1600x1000")
+    return size
 
 
 @contextmanager

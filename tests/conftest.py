@@ -1,7 +1,11 @@
-"""Markers: `long` tests run only with --long; `drawing` tests need GL libraries, under CI without excuse."""
+"""Markers: `long` tests run only with --long; `drawing` tests need GL libraries and `browser` tests Chromium, under CI
+without excuse.
+"""
 
 import functools
+import importlib.util
 import os
+import shutil
 import subprocess
 import sys
 
@@ -36,8 +40,23 @@ def drawing_fault() -> str | None:
     return "drawing off screen does not work; install the packages libegl1 and libgl1-mesa-dri"
 
 
+def chromium() -> str | None:
+    """Return where the system's Chromium is, None if there is none."""
+    names = ("chromium", "chromium-browser", "google-chrome")
+    return next(filter(None, map(shutil.which, names)), None)
+
+
+@functools.cache
+def browser_fault() -> str | None:
+    """Why no page can be tested in a browser, or None."""
+    if importlib.util.find_spec("playwright") is None:
+        return 'pages are tested with playwright: pip install "lfmesh[dev]"'
+    return None if chromium() else "pages are tested in Chromium; install the package chromium"
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    if item.get_closest_marker("drawing") and (fault := drawing_fault()):
-        if os.environ.get("CI") == "true":
-            pytest.fail(f"{fault} (CI must be able to draw)", pytrace=False)
-        pytest.skip(fault)
+    for marker, find_fault in (("drawing", drawing_fault), ("browser", browser_fault)):
+        if item.get_closest_marker(marker) and (fault := find_fault()):
+            if os.environ.get("CI") == "true":
+                pytest.fail(f"{fault} (CI must be able to run tests marked {marker})", pytrace=False)
+            pytest.skip(fault)

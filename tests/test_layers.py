@@ -90,7 +90,7 @@ def test_import_loads_no_heavy_library(module: str) -> None:
     assert not HEAVY & loaded_by(f"import {module}")
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["render", "--help"], ["schema"]])
+@pytest.mark.parametrize("arguments", [["--help"], ["render", "--help"], ["view", "--help"], ["schema"]])
 def test_the_command_line_loads_no_heavy_library_before_it_works(arguments: list[str]) -> None:
     assert not HEAVY & loaded_by(f"from lfmesh.cli import main; assert main({arguments}) == 0")
 

@@ -37,28 +37,35 @@ find_python() {
     return 1
 }
 
-# Off-screen drawing needs two system libraries; everything else works without them.
-install_drawing_libraries() {
+# Off-screen drawing needs two system libraries, and for `dev` the tests of the page in a browser need Chromium;
+# everything else works without them.
+install_system_packages() {
     [ "$(uname -s)" = Linux ] || return 0
-    local missing=''
+    local wanted='libegl1 libgl1-mesa-dri' missing=''
+    [ "$1" = run ] || wanted="$wanted chromium"
     if command -v dpkg-query >/dev/null && command -v apt-get >/dev/null; then
         local package
-        for package in libegl1 libgl1-mesa-dri; do
+        for package in $wanted; do
             case $(dpkg-query -W -f='${Status}' "$package" 2>/dev/null || true) in
                 *' installed') ;;
                 *) missing="$missing $package" ;;
             esac
         done
-    elif ! ldconfig -p 2>/dev/null | grep 'libEGL\.so\.1' >/dev/null; then
-        say "drawing needs the EGL and Mesa DRI libraries (Debian: libegl1 libgl1-mesa-dri): install your system's."
+    else
+        if ! ldconfig -p 2>/dev/null | grep 'libEGL\.so\.1' >/dev/null; then
+            say "drawing needs the EGL and Mesa DRI libraries (Debian: libegl1 libgl1-mesa-dri): install your system's."
+        fi
+        if [ "$1" != run ] && ! command -v chromium chromium-browser google-chrome >/dev/null; then
+            say "the tests of the page in a browser need Chromium: install your system's."
+        fi
         return 0
     fi
     [ -n "$missing" ] || return 0
     if [ "$(id -u)" -ne 0 ]; then
-        say "drawing needs system libraries; install them with: sudo apt-get install$missing"
+        say "drawing and its tests need system packages; install them with: sudo apt-get install$missing"
         return 0
     fi
-    say "installing the drawing libraries$missing"
+    say "installing the system packages$missing"
     # $missing is a list of words on purpose.
     # shellcheck disable=SC2086
     if ! { apt-get -qq update && DEBIAN_FRONTEND=noninteractive \
@@ -92,7 +99,7 @@ install_project() {
     fi
     rm -f -- "$stamp"
     say "installing lfmesh and what it needs into .venv; this takes a minute or two"
-    local extras=''
+    local extras='[browser]'
     [ "$purpose" = run ] || extras='[dev]'
     (cd -- "$root" && "$environment/bin/python" -m pip install --quiet --disable-pip-version-check \
         --editable ".$extras") </dev/null >&2 || {
@@ -104,7 +111,7 @@ install_project() {
 
 prepare_environment() {
     if up_to_date "$1"; then
-        [ "$1" = run ] || install_drawing_libraries
+        [ "$1" = run ] || install_system_packages "$1"
         return
     fi
     # Two commands started at once must not install over each other: lock the project's folder itself.
@@ -115,6 +122,6 @@ prepare_environment() {
             flock 9
         }
     fi
-    up_to_date "$1" || { install_drawing_libraries && install_project "$1"; } || exit 1
+    up_to_date "$1" || { install_system_packages "$1" && install_project "$1"; } || exit 1
     exec 9<&-
 }

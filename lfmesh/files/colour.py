@@ -64,3 +64,16 @@ def srgb_encode(linear: NDArray[np.floating]) -> NDArray[np.uint8]:
     light = np.clip(linear, 0.0, 1.0)
     encoded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
     return np.rint(255.0 * encoded).astype(np.uint8)
+
+
+def spectral_srgb(wavelength_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (n, 3) sRGB from 0 to 1 for lines in a picture, (n,) wavelengths in nm: hue as seen, all alike bright.
+
+    Spectral colours lie outside what a screen can show, so white is added until none is negative, and a little more so
+    that deep blue and red stay visible. Ultraviolet and infrared are shown as the ends of the spectrum.
+    """
+    visible = np.clip(wavelength_nm, 400.0, 680.0)
+    rgb = (_XYZ_TO_SRGB @ cie_1931(visible)).T
+    rgb -= np.minimum(rgb.min(axis=1, keepdims=True), 0.0)
+    rgb = rgb / rgb.max(axis=1, keepdims=True) * 0.96 + 0.04
+    return np.asarray(srgb_encode(rgb) / 255.0)

@@ -72,6 +72,18 @@ def write_preview(
     float
         The power shown as white, W (mean over the wavelengths for a grey picture); 0 if the picture is black.
     """
+    picture, white = displayed(power, wavelengths_nm, stderr)
+    PIL.Image.fromarray(upright(picture)).save(path, format="PNG")
+    return white
+
+
+def displayed(
+    power: NDArray[np.float64], wavelengths_nm: tuple[float, ...], stderr: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.uint8], float]:
+    """Return an 8-bit sRGB picture (H, W) or (H, W, 3) that exposes itself, not turned, and the power shown as white.
+
+    Parameters are those of `write_preview`.
+    """
     light = to_display(power, wavelengths_nm)
     known = None if stderr is None else well_known(power, stderr)
     white = white_point(light, known)
@@ -79,8 +91,7 @@ def write_preview(
     if white > 0.0:
         for rows in bands(len(light)):
             picture[rows] = srgb_encode(light[rows] / white)
-    PIL.Image.fromarray(upright(picture)).save(path, format="PNG")
-    return white
+    return picture, white
 
 
 def write_linear16(

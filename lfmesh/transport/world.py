@@ -56,7 +56,7 @@ class World:
         self.finders = finders
         self.slots = slots
         self.lens_shape = lens
-        self._targets = targets
+        self.targets = targets
         self.housing = housing
 
     @property
@@ -65,7 +65,7 @@ class World:
         names = [f"lens[{i}]" for i in range(len(self.lens_shape.elements))]
         names += ["mount"] if self._mounts() else []
         names += ["stop"] + (["mla"] if self.tables.array.present else []) + ["sensor", "housing"]
-        return names + [f"targets[{i}]" for i in range(len(self._targets))]
+        return names + [f"targets[{i}]" for i in range(len(self.targets))]
 
     def mesh(self, name: str) -> "trimesh.Trimesh":
         """Return a body as a mesh in the world frame, mm.
@@ -94,7 +94,7 @@ class World:
             ),
             "sensor": lambda: self._in_world(self._sensor(), self.tables.frames[SENSOR_FRAME, WORLD_FRAME]),
             "housing": lambda: self._in_world(self.housing.solid(), self.tables.frames[CAMERA_FRAME, WORLD_FRAME]),
-            "targets": lambda: self._targets[int(number)].mesh.solid(),
+            "targets": lambda: self.targets[int(number)].mesh.solid(),
         }
         return makers[kind]()
 

@@ -105,7 +105,7 @@ def test_only_the_command_writes_to_standard_output(machine: Machine) -> None:
 def test_environment_is_made_once_and_reused(machine: Machine) -> None:
     machine.run("run")
     second = machine.run("run")
-    assert machine.done == ["venv", "pip ."]
+    assert machine.done == ["venv", "pip .[browser]"]
     assert second.stderr == ""
 
 
@@ -114,7 +114,7 @@ def test_a_changed_pyproject_installs_again_into_the_same_environment(machine: M
     (machine.root / "pyproject.toml").write_text('[project]\nname = "other"\n')
     machine.run("run")
     machine.run("run")
-    assert machine.done == ["venv", "pip .", "pip ."]
+    assert machine.done == ["venv", "pip .[browser]", "pip .[browser]"]
 
 
 def test_the_development_tools_are_added_once_and_kept(machine: Machine) -> None:
@@ -124,7 +124,7 @@ def test_the_development_tools_are_added_once_and_kept(machine: Machine) -> None
     (machine.root / "pyproject.toml").write_text('[project]\nname = "other"\n')
     machine.run("run")
     machine.run("test")
-    assert machine.done == ["venv", "pip .", "pip .[dev]", "pip .[dev]"]
+    assert machine.done == ["venv", "pip .[browser]", "pip .[dev]", "pip .[dev]"]
 
 
 def test_tests_run_in_the_project_folder(machine: Machine) -> None:
@@ -140,17 +140,17 @@ def test_a_failed_installation_is_done_again(machine: Machine) -> None:
     assert "installation failed" in broken.stderr
     failure.unlink()
     assert machine.run("run").returncode == 7
-    assert machine.done == ["venv", "pip .", "pip ."]
+    assert machine.done == ["venv", "pip .[browser]", "pip .[browser]"]
 
 
 def test_a_killed_installation_is_done_again(machine: Machine) -> None:
     killed = machine.start("run", PIP_SECONDS="1")
-    while "pip ." not in machine.done:
+    while "pip .[browser]" not in machine.done:
         assert killed.poll() is None, "ended before it installed"
     killed.kill()
     killed.communicate(timeout=60)
     assert machine.run("run").returncode == 7
-    assert machine.done == ["venv", "pip .", "pip ."]
+    assert machine.done == ["venv", "pip .[browser]", "pip .[browser]"]
 
 
 @pytest.mark.skipif(shutil.which("flock") is None, reason="without flock the tools do not lock")
@@ -158,7 +158,7 @@ def test_two_commands_at_once_install_once(machine: Machine) -> None:
     both = [machine.start("run", PIP_SECONDS="1") for _ in range(2)]
     said = [process.communicate(timeout=60)[1] for process in both]
     assert [process.returncode for process in both] == [7, 7]
-    assert machine.done == ["venv", "pip ."]
+    assert machine.done == ["venv", "pip .[browser]"]
     assert sum("waiting for another command" in text for text in said) == 1
 
 
@@ -167,7 +167,7 @@ def test_a_copied_checkout_does_not_use_the_installation_of_the_original(machine
     machine.root.rename(machine.root.with_name("moved"))
     machine.root = machine.root.with_name("moved")
     machine.run("run")
-    assert machine.done == ["venv", "pip .", "pip ."]
+    assert machine.done == ["venv", "pip .[browser]", "pip .[browser]"]
 
 
 @pytest.mark.parametrize(
@@ -197,12 +197,21 @@ def test_missing_drawing_libraries_are_installed_for_root(machine: Machine) -> N
     assert installed.split()[-1] == "libegl1", "only what is missing"
 
 
+def test_chromium_is_installed_for_the_tests_alone(machine: Machine) -> None:
+    machine.command("dpkg-query", '[ "${!#}" != chromium ] && printf "install ok installed"')
+    machine.command("id", "echo 0")
+    machine.run("run")
+    assert not [line for line in machine.done if line.startswith("apt-get")]
+    machine.run("test")
+    assert [line.split()[-1] for line in machine.done if " install " in line] == ["chromium"]
+
+
 def test_missing_drawing_libraries_are_named_to_a_user(machine: Machine) -> None:
     machine.command("dpkg-query", "exit 1")
     result = machine.run("run")
     assert result.returncode == 7
     assert "sudo apt-get install libegl1 libgl1-mesa-dri" in result.stderr
-    assert machine.done == ["venv", "pip ."]
+    assert machine.done == ["venv", "pip .[browser]"]
 
 
 def test_a_failing_apt_get_stops_nothing(machine: Machine) -> None:

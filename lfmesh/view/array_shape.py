@@ -1,0 +1,141 @@
+"""The microlens array as it is drawn: every lenslet where they are few, else a plate with real lenslets in one place.
+
+All points are in the array's own frame, mm: z runs from the curved face into the glass.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.lattice import ROW_SPACING, Lattice, cell_of
+from lfmesh.geometry.lenslets import Lenslets, cell_pattern, shape_of
+
+MOST_LENSLETS = 10_000
+"""A larger array is drawn as a plate."""
+
+PATCH = 31
+"""Columns and rows of real lenslets on such a plate."""
+
+TRIANGLES = 150_000
+"""Of the curved face, about; few lenslets are drawn the finer for it."""
+
+FINEST, COARSEST = 12, 4
+"""Subdivisions of a cell."""
+
+SIDE_LINES = 4
+"""Straight lines that a side of a lenslet's border is drawn with."""
+
+CELL_PX = 32
+"""Width of the picture of one period of the lattice."""
+BORDER = 0.06
+"""Width of the cells' borders in it, over the pitch."""
+BORDER_RGB, CELL_RGB = (160, 192, 206), (205, 232, 242)
+
+
+class Caps(NamedTuple):
+    """Curved faces of lenslets: points (n, 3), their normals (n, 3), triangles (m, 3), and (m,) which lenslet."""
+
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    triangles: NDArray[np.int64]
+    cells: NDArray[np.int64]
+
+
+def is_large(lattice: Lattice) -> bool:
+    """Tell whether an array has too many lenslets to draw them all."""
+    return lattice.columns * lattice.rows > MOST_LENSLETS
+
+
+def all_cells(lattice: Lattice) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the columns and rows of all lenslets, row by row."""
+    rows, columns = np.indices((lattice.rows, lattice.columns))
+    return columns.ravel(), rows.ravel()
+
+
+def cells_near(lattice: Lattice, near_mm: tuple[float, float]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the columns and rows of the lenslets in a patch round a point of the array."""
+    column, row = (place - PATCH // 2 for place in cell_of(lattice, *near_mm))
+    columns = np.arange(max(column, 0), min(column + PATCH, lattice.columns))
+    rows = np.arange(max(row, 0), min(row + PATCH, lattice.rows))
+    grid = np.meshgrid(columns, rows)
+    return grid[0].ravel(), grid[1].ravel()
+
+
+def caps(of: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> Caps:
+    """Return the curved faces of some lenslets."""
+    lattice = of.lattice
+    triangles = 6 if lattice.hexagonal else 1
+    fineness = int(np.sqrt(TRIANGLES / max(1, len(columns) * triangles)))
+    pattern, faces = cell_pattern(lattice, int(np.clip(fineness, COARSEST, FINEST)))
+    shapes = _shapes(of, columns, rows)
+    centres = lattice.centres()[rows, columns]
+    from_apex = pattern[None] - shapes[:, None, 1:]
+    curvature = shapes[:, None, 0]
+    r2 = (from_apex**2).sum(axis=2)
+    z = curvature * r2 / (1.0 + np.sqrt(1.0 - curvature**2 * r2))
+    points = np.dstack([pattern[None] + centres[:, None], z]).reshape(-1, 3)
+    normals = np.dstack([curvature[..., None] * from_apex, curvature * z - 1.0]).reshape(-1, 3)
+    starts = len(pattern) * np.arange(len(columns))
+    return Caps(
+        points,
+        normals / np.linalg.norm(normals, axis=1, keepdims=True),
+        (faces[None] + starts[:, None, None]).reshape(-1, 3),
+        np.repeat(rows * lattice.columns + columns, len(faces)),
+    )
+
+
+def borders(of: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the (n, 2, 3) ends of the lines in which some lenslets meet their neighbours."""
+    corners = of.lattice.corners()
+    share = np.arange(SIDE_LINES)[:, None] / SIDE_LINES
+    outline = np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
+    shapes = _shapes(of, columns, rows)
+    r2 = ((outline[None] - shapes[:, None, 1:]) ** 2).sum(axis=2)
+    curvature = shapes[:, None, 0]
+    z = curvature * r2 / (1.0 + np.sqrt(1.0 - curvature**2 * r2))
+    points = np.dstack([outline[None] + of.lattice.centres()[rows, columns][:, None], z])
+    return np.stack([points, np.roll(points, -1, axis=1)], axis=2).reshape(-1, 2, 3)
+
+
+def _shapes(of: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return (n, 3): curvature, and apex relative to the cell's centre, of n lenslets."""
+    if of.alike:
+        return np.tile([of.curvature[0], 0.0, 0.0], (len(columns), 1))
+    return np.array([shape_of(of, int(column), int(row)) for column, row in zip(columns, rows, strict=True)])
+
+
+def face_corners(of: Lenslets, z_mm: float) -> NDArray[np.float64]:
+    """Return the (4, 3) corners of the box round the cells, at a depth, counter-clockwise seen from +z."""
+    x, y = of.lattice.half_extent
+    return np.array([[-x, -y, z_mm], [x, -y, z_mm], [x, y, z_mm], [-x, y, z_mm]])
+
+
+ROUND = np.array([[i, j, k] for a in range(4) for b in [(a + 1) % 4] for i, j, k in ((a, a + 4, b + 4), (a, b + 4, b))])
+"""Triangles of a rectangle with a rectangular hole, outer corners first."""
+
+
+def face_round(of: Lenslets, z_mm: float, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the (8, 3) corners of the face of the box round all cells, and of the hole in it round some of them."""
+    outer = face_corners(of, z_mm)
+    centres = of.lattice.centres()[rows, columns]
+    reach = 0.5 * of.lattice.pitch
+    low, high = centres.min(axis=0) - reach, centres.max(axis=0) + reach
+    inner = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
+    return np.concatenate([outer, np.column_stack([inner, np.full(4, z_mm)])])
+
+
+def lattice_picture(lattice: Lattice) -> tuple[NDArray[np.uint8], tuple[float, float]]:
+    """Return a picture (h, w, 3) of the cells' borders, from one centre on, that repeats with a period in mm."""
+    row_pitch = (ROW_SPACING if lattice.hexagonal else 1.0) * lattice.pitch
+    period = (lattice.pitch, (2.0 if lattice.hexagonal else 1.0) * row_pitch)
+    height = CELL_PX * (2 if lattice.hexagonal else 1)
+    v, u = np.indices((height, CELL_PX))
+    x, y = (u + 0.5) / CELL_PX * period[0], (v + 0.5) / height * period[1]
+    row, column = np.mgrid[-1:4, -2:4]
+    centre_x = (column + (0.5 * (row % 2) if lattice.hexagonal else 0.0)) * lattice.pitch
+    # A cell's border is where the nearest two centres are equally far.
+    distance = np.hypot(x[..., None] - centre_x.ravel(), y[..., None] - (row * row_pitch).ravel())
+    nearest = np.sort(distance, axis=2)
+    border = nearest[..., 1] - nearest[..., 0] < BORDER * lattice.pitch
+    return np.where(border[..., None], BORDER_RGB, CELL_RGB).astype(np.uint8), period

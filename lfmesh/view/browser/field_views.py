@@ -1,0 +1,140 @@
+"""The light field of a run as the page shows it: views, photographs, epipolar-plane images, depth."""
+
+import math
+import warnings
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from lfmesh.files import exr, run
+from lfmesh.files.calibration import read_calibration
+from lfmesh.files.depth import ESTIMATE
+from lfmesh.files.field import open_field
+from lfmesh.geometry.lattice import centre
+from lfmesh.lightfield.calibration import Calibration, calibrate
+from lfmesh.lightfield.decode import decode
+from lfmesh.lightfield.field import LightField
+from lfmesh.lightfield.refocus import refocus
+from lfmesh.transport.image import Image
+from lfmesh.view.browser.pictures import coloured, exposed, white_of
+
+Picture = NDArray[np.uint8]
+
+STEPS = 100
+"""Of the refocus slider."""
+
+
+class Place(NamedTuple):
+    """Where a raw pixel lies in the light field."""
+
+    lenslet: tuple[int, int]
+    v: int
+    u: int
+    t: int
+    s: int
+
+
+class FieldViews:
+    """Pictures of a run's light field.
+
+    Parameters
+    ----------
+    image : Image
+        Of a light-field camera.
+    folder : Path
+        The run's; what it lacks is made for the page and not kept.
+
+    Raises
+    ------
+    LfmeshError
+        A file of the run is damaged, or its camera records no light field.
+    """
+
+    def __init__(self, image: Image, folder: Path) -> None:
+        kept = folder / run.CALIBRATION
+        self.calibration: Calibration = read_calibration(kept) if kept.is_file() else calibrate(image.scene)
+        field = open_field(folder)
+        self.decoded_here = field is None
+        if field is None:
+            field = decode(image, white=run.open_white(folder), calibration=self.calibration)
+        self.field: LightField = field
+        depth = folder / ESTIMATE
+        self.depth_mm = exr.read_map(depth, ("Z",)) if depth.is_file() else None
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.calibration.centres_px.reshape(-1, 2))
+
+    @cached_property
+    def _white(self) -> float:
+        """What views and their photographs show as white: as bright in the middle view."""
+        rows, columns = self.field.views
+        return white_of(self.field.view(rows // 2, columns // 2), self.field.wavelengths_nm)
+
+    def place(self, row: int, column: int) -> Place | None:
+        """Return where a pixel of the raw image lies in the light field; None if no micro-image covers it."""
+        distance, nearest = self._tree.query((column, row))
+        if not math.isfinite(distance):
+            return None
+        lenslet = np.unravel_index(nearest, self.calibration.known.shape)
+        middle = self.calibration.centres_px[lenslet]
+        views_v, views_u = self.field.views
+        # Upright: the micro-image is turned with the picture.
+        u = round(0.5 * (views_u - 1) - (column - middle[0]))
+        v = round(0.5 * (views_v - 1) - (row - middle[1]))
+        if not (0 <= u < views_u and 0 <= v < views_v):
+            return None
+        return Place((int(lenslet[0]), int(lenslet[1])), v, u, *self._sample(int(lenslet[0]), int(lenslet[1])))
+
+    def _sample(self, row: int, column: int) -> tuple[int, int]:
+        """Return the sample (t, s) of a lenslet, by its place on the array: the nearest, where it was resampled."""
+        rows, _ = self.calibration.known.shape
+        array = self.calibration.lattice._replace(pitch=self.calibration.lenslet_pitch_mm)
+        x, _ = centre(array, column, row)
+        return rows - 1 - row, int(np.argmin(np.abs(self.field.s_mm + x)))
+
+    def view(self, v: int, u: int) -> Picture:
+        """Return a view, upright."""
+        return exposed(self.field.view(v, u), self.field.wavelengths_nm, self._white)
+
+    def epi(self, t: int, v: int) -> Picture:
+        """Return the epipolar-plane image of a row, u down and s to the right."""
+        return exposed(self.field.epi(t=t, v=v), self.field.wavelengths_nm, self._white)
+
+    def photograph(self, distance_mm: float) -> Picture:
+        """Return a photograph focused on a plane, with all views."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            picture = refocus(self.field, distance_mm)
+        return exposed(picture.mean, self.field.wavelengths_nm, white_of(picture.mean, self.field.wavelengths_nm))
+
+    @cached_property
+    def planes_mm(self) -> list[float]:
+        """Distances that the slider reaches, the nearest first: equal steps in the shift between views.
+
+        They span the range of sharp refocusing, or twice the focal length to infinity where that is wider.
+        """
+        model = self.field.model
+        near, far = model.refocus_range_mm
+        nearest = near if math.isfinite(near) else 2.0 * model.nearest_mm
+        shifts = np.linspace(model.shift_mm(nearest), model.shift_mm(far), STEPS + 1)
+        distances = [model.distance_mm(float(shift)) for shift in shifts]
+        return [distance if distance > 0.0 else math.inf for distance in distances]
+
+    @property
+    def focus_step(self) -> int:
+        """Step of the slider at which views do not shift: the plane that the camera is focused on."""
+        focus = self.field.model.distance_mm(0.0)
+        return int(np.argmin([abs(1.0 / plane - 1.0 / focus) for plane in self.planes_mm]))
+
+    def depth(self) -> tuple[Picture, float, float] | None:
+        """Return the depth map in colours with its nearest and farthest distance, mm; None if the run has none."""
+        if self.depth_mm is None:
+            return None
+        known = self.depth_mm[np.isfinite(self.depth_mm)]
+        low, high = (float(value) for value in np.percentile(known, [1.0, 99.0])) if known.size else (0.0, 1.0)
+        return coloured(self.depth_mm, low, high), low, high

@@ -1,0 +1,217 @@
+"""The light field in the page: raw image, the view under the mouse, refocusing, epipolar-plane image, depth."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from lfmesh.lightfield.calibration import calibrate
+from lfmesh.scene import Scene
+from lfmesh.transport.image import Image
+from lfmesh.view.browser.field_views import STEPS, FieldViews, Place
+from lfmesh.view.browser.pictures import data_url
+from lfmesh.view.browser.replies import Replies
+from lfmesh.view.browser.sensor_picture import SensorPicture
+
+SCREEN_PX = 560.0
+"""About how wide the picture is on a screen."""
+
+CENTRES_FROM_PX, CIRCLES_FROM_PX = 6.0, 24.0
+"""Centres are drawn where a micro-image is this wide on the screen; with a circle round it where it is this wide."""
+
+NO_RUN = (
+    "The light-field views need a run: render the scene with lfmesh render scene.toml -o run/, then open the page with "
+    "lfmesh view run/ --browser."
+)
+NO_ARRAY = "This camera has no microlens array: it records no light field."
+
+
+class LightFieldPanel:
+    """State and answers of the light field's part of the page, and of the sensor's picture beside the rays.
+
+    Parameters
+    ----------
+    server : trame_server.Server
+    replies : Replies
+    scene : Scene
+        Solved.
+    image : Image, optional
+        The run's.
+    folder : Path, optional
+        The run's.
+    """
+
+    def __init__(
+        self, server: Any, replies: Replies, scene: Scene, image: Image | None = None, folder: Path | None = None
+    ) -> None:
+        self._state = server.state
+        self._scene, self._image, self._folder = scene, image, folder
+        self._picture: SensorPicture | None = None
+        self._views: FieldViews | None = None
+        self._marked: tuple[int, int] | None = None
+        self._state.update(_first_state(scene, image, folder))
+        replies.on_change(["tab", "side", "centres"], self._open)
+        replies.on_latest("raw_hover", self._hover)
+        replies.on_call("raw_pick", self._pick)
+        replies.on_call("raw_zoom", self._moved(lambda picture, x, y, enlarge: picture.zoom(x, y, enlarge)))
+        replies.on_call("raw_move", self._moved(lambda picture, dx, dy: picture.move(dx, dy)))
+        replies.on_call("raw_whole", self._moved(lambda picture: picture.whole()))
+        replies.on_latest("focus", self._refocus)
+
+    @property
+    def picture(self) -> SensorPicture:
+        """The sensor's picture; made when it is first looked at."""
+        if self._picture is None:
+            columns, rows = self._scene.camera.sensor.pixels
+            calibration = None
+            if self._views is not None:
+                calibration = self._views.calibration
+            elif self._scene.camera.mla is not None:
+                calibration = calibrate(self._scene)
+            self._picture = SensorPicture(columns, rows, self._image, calibration)
+        return self._picture
+
+    def mark(self, rows: range, columns: range) -> None:
+        """Mark pixels in the sensor's picture."""
+        self._state.raw_marked = list(self.picture.box(rows, columns))
+        self._marked = (rows.start, columns.start) if len(rows) == len(columns) == 1 else None
+
+    @property
+    def marked(self) -> tuple[int, int] | None:
+        """Row and column of the marked pixel."""
+        return self._marked
+
+    def _open(self) -> None:
+        """Make what a tab shows when it is opened for the first time."""
+        state = self._state
+        if state.tab == "field" and state.has_field and self._views is None:
+            assert self._image is not None
+            assert self._folder is not None
+            self._views = FieldViews(self._image, self._folder)
+            self._show_field(self._views)
+        if (state.tab == "field" and state.has_field) or state.side == "sensor":
+            self._show_raw()
+
+    def _show_raw(self) -> None:
+        picture, state = self.picture, self._state
+        part = picture.part
+        pitch = picture.pitch_px * SCREEN_PX / part.width
+        state.raw_src = data_url(picture.pixels_shown())
+        state.raw_width, state.raw_height = part.width, part.height
+        wished = state.centres and pitch >= CENTRES_FROM_PX
+        state.raw_centres = picture.centres_shown().round(5).tolist() if wished else []
+        state.raw_spots = pitch < CIRCLES_FROM_PX
+        state.raw_radius = 0.5 * picture.pitch_px / part.width
+        lenslets = f", micro-images {picture.pitch_px:.4g} px apart" if picture.pitch_px else ""
+        shown = "" if part == picture.all else f"{part.width} × {part.height} of "
+        state.raw_note = f"upright, {shown}{picture.columns} × {picture.rows} px{lenslets}"
+        if self._marked is not None:
+            row, column = self._marked
+            self.mark(range(row, row + 1), range(column, column + 1))
+
+    def _moved(self, move: Callable[..., None]) -> Callable[..., None]:
+        """Return what moves the picture's part, then shows it; an area that was marked is let go."""
+
+        def moved(*arguments: float) -> None:
+            move(self.picture, *arguments)
+            self._state.raw_marked = None
+            self._show_raw()
+
+        return moved
+
+    def _show_field(self, views: FieldViews) -> None:
+        """Show the middle of everything."""
+        state, field = self._state, views.field
+        (rows, columns), (height, width) = field.views, field.size
+        ratio = width / height
+        state.field_size = f"width: min(100cqw, {100 * ratio:.4f}cqh); height: min(100cqh, {100 / ratio:.4f}cqw)"
+        state.focus_near, state.focus_far = _in_mm(views.planes_mm[0]), _in_mm(views.planes_mm[-1])
+        state.focus = views.focus_step
+        self._refocus(views.focus_step)
+        self._show_view(rows // 2, columns // 2)
+        self._show_epi(height // 2, rows // 2)
+        self._show_depth(views)
+
+    def _hover(self, x: float, y: float) -> None:
+        """Say what lies under the mouse, and show the view that its pixel belongs to."""
+        row, column = self.picture.pixel(x, y)
+        words = f"pixel row {row}, column {column}"
+        if self._image is not None:
+            power, error = self._image.mean[row, column].sum(), math.hypot(*self._image.stderr[row, column])
+            words += f": {power:.3g} ± {error:.1g} W"
+        place = self._views.place(row, column) if self._views is not None else None
+        if place is not None:
+            words += f"; lenslet row {place.lenslet[0]}, column {place.lenslet[1]}{self._depth_at(place)}"
+            self._show_view(place.v, place.u)
+        self._state.raw_under = words
+
+    def _depth_at(self, place: Place) -> str:
+        assert self._views is not None
+        if self._views.depth_mm is None or not math.isfinite(depth := self._views.depth_mm[place.t, place.s]):
+            return ""
+        return f", {depth:.4g} mm away"
+
+    def _pick(self, x: float, y: float) -> None:
+        """Mark a pixel, and show the epipolar-plane image of its row of lenslets."""
+        row, column = self.picture.pixel(x, y)
+        self.mark(range(row, row + 1), range(column, column + 1))
+        place = self._views.place(row, column) if self._views is not None else None
+        if place is not None:
+            self._show_epi(place.t, place.v)
+            self._show_view(place.v, place.u)
+
+    def _show_view(self, v: int, u: int) -> None:
+        assert self._views is not None
+        field = self._views.field
+        self._state.view_src = data_url(self._views.view(v, u))
+        self._state.view_note = f"v {v}, u {u} of {field.views[0]} × {field.views[1]}"
+
+    def _refocus(self, step: int) -> None:
+        assert self._views is not None
+        distance = self._views.planes_mm[min(max(int(step), 0), STEPS)]
+        self._state.focus_src = data_url(self._views.photograph(distance))
+        self._state.focus_note = f"on {_in_mm(distance)}, all views"
+
+    def _show_epi(self, t: int, v: int) -> None:
+        assert self._views is not None
+        field = self._views.field
+        self._state.epi_src = data_url(self._views.epi(t, v))
+        height = field.size[0]
+        self._state.epi_row = f"top: {100.0 * t / height:.3f}%; height: {100.0 / height:.3f}%"
+        self._state.epi_note = f"row t {t} ({field.t_mm[t]:+.3g} mm), v {v}"
+
+    def _show_depth(self, views: FieldViews) -> None:
+        depth = views.depth()
+        if depth is None:
+            return
+        picture, low, high = depth
+        self._state.depth_src = data_url(picture)
+        self._state.depth_low, self._state.depth_high = _in_mm(low), _in_mm(high)
+        self._state.depth_note = "from the light field; grey: unknown"
+
+
+def _first_state(scene: Scene, image: Image | None, folder: Path | None) -> dict[str, Any]:
+    """Return the panel's variables before anything is shown."""
+    has_field = image is not None and folder is not None and scene.camera.mla is not None
+    names = ["raw_src", "raw_note", "raw_under", "view_src", "view_note", "focus_src", "focus_note", "focus_near"]
+    names += ["focus_far", "epi_src", "epi_note", "depth_src", "depth_low", "depth_high", "depth_note", "field_size"]
+    return {
+        **dict.fromkeys(names, ""),
+        "has_field": has_field,
+        "field_note": NO_ARRAY if scene.camera.mla is None else NO_RUN,
+        "run_name": str(folder) if folder is not None else "run/",
+        "raw_width": 1,
+        "raw_height": 1,
+        "raw_centres": [],
+        "raw_radius": 0.0,
+        "raw_marked": None,
+        "raw_spots": False,
+        "centres": True,
+        "epi_row": "",
+        "focus": 0,
+        "focus_steps": STEPS,
+    }
+
+
+def _in_mm(distance: float) -> str:
+    return f"{distance:.4g} mm" if math.isfinite(distance) else "infinity"

@@ -1,0 +1,364 @@
+"""The rays in the page: launching them, the 3D view, the path table with its filter, and what is picked."""
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
+
+import numpy as np
+import pyvista as pv
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.transport.world import World
+from lfmesh.view import launch
+from lfmesh.view.browser.pictures import figure_url
+from lfmesh.view.browser.replies import Replies
+from lfmesh.view.colours import ColourBy
+from lfmesh.view.describe import describe
+from lfmesh.view.filters import FilterError, parse
+from lfmesh.view.ghosts import ghost_matrix
+from lfmesh.view.history import Step, history
+from lfmesh.view.path_table import PathRow, PathTable, path_table, short_form
+from lfmesh.view.pick import PickedPart, PickedPixel, PickedRay, pick
+from lfmesh.view.plotter import View
+from lfmesh.view.request import FAR, pixels_on_array
+
+if TYPE_CHECKING:
+    from lfmesh.view.browser.light_field import LightFieldPanel
+    from lfmesh.view.rays import Rays
+
+COUNT = 100
+"""Rays that are launched if the user does not say."""
+
+ALL = "all"
+"""The choice of every wavelength of the scene."""
+
+PICKED, PICKED_COLOUR, PICKED_WIDTH = "picked path", "white", 3.0
+"""Name, colour and width in px of the line along the path that was clicked."""
+
+MOST_ROWS = 300
+"""Of the path table that the page holds."""
+
+ROULETTE = 1.0 + 1e-6
+"""Factors above this were played for; what is below is rounding."""
+
+HEADS = {
+    "path": "path",
+    "short": "sequence",
+    "count": "count",
+    "power": "power / {unit}",
+    "share": "share",
+    "irradiance": "peak / {unit} mm⁻²",
+}
+"""Columns of the path table that are shown, with their heads."""
+
+STEP_HEADS = ["surface", "event", "angle / °", "R", "T", "power / {unit}", "goes on in", "x, y, z / mm", "roulette"]
+"""Of a history's table."""
+
+
+class RaysPanel:
+    """State and answers of everything in the page that has to do with rays.
+
+    Parameters
+    ----------
+    server : trame_server.Server
+    replies : Replies
+    view : View
+        The scene in 3D, off screen.
+    rays : Rays, optional
+        Shown from the start.
+    light_field : LightFieldPanel
+        Has the picture of the sensor, in which pixels are chosen and marked.
+    """
+
+    def __init__(
+        self, server: Any, replies: Replies, view: View, rays: "Rays | None", light_field: "LightFieldPanel"
+    ) -> None:
+        self._state, self._controller = server.state, server.controller
+        self._view, self._light_field = view, light_field
+        self._rays: Rays | None = None
+        self._drawn: Rays | None = None
+        self._kept: NDArray[np.bool_] = np.zeros(0, np.bool_)
+        self._table: PathTable | None = None
+        self._state.update(_first_state(view.world, view.presets))
+        for name, answer in (
+            ("launch", self._launch),
+            ("look", self._look),
+            ("pick_in_view", self._pick),
+            ("filter", self._filter),
+            ("choose", self._choose),
+            ("csv", self._csv),
+            ("pixel_rays", self._pixel_rays),
+            ("area_rays", self._area_rays),
+            ("marked_rays", self._marked_rays),
+        ):
+            replies.on_call(name, answer)
+        replies.on_change(["colour", "fade"], self._draw)
+        replies.on_change(["cut"], self._cut)
+        replies.on_change(["sort"], self._tabulate)
+        replies.on_change(["side"], self._show_ghosts)
+        self._show(rays)
+
+    def _launch(self) -> None:
+        """Launch rays as the form says."""
+        state, world = self._state, self._view.world
+        if state.launch == "point":
+            point = [_number(state[f"point_{axis}"], f"{axis} / mm") for axis in "xyz"]
+            self._show(launch.from_field_point(world, point, self._count(), **self._options()))
+        elif state.launch == "light":
+            number = round(_number(state.light, "light"))
+            self._show(launch.from_light(world, number, self._count(), **self._options()))
+        elif state.launch == "pixel":
+            row, column = (round(_number(state[name], name)) for name in ("row", "column"))
+            self._from_pixels(range(row, row + 1), range(column, column + 1))
+        else:
+            self._show(launch.as_in_run(world, self._count(), **self._options()))
+
+    def _pixel_rays(self, x: float, y: float) -> None:
+        row, column = self._light_field.picture.pixel(x, y)
+        self._from_pixels(range(row, row + 1), range(column, column + 1))
+
+    def _area_rays(self, x0: float, y0: float, x1: float, y1: float) -> None:
+        self._from_pixels(*self._light_field.picture.pixels(x0, y0, x1, y1))
+
+    def _marked_rays(self) -> None:
+        if self._light_field.marked is not None:
+            row, column = self._light_field.marked
+            self._from_pixels(range(row, row + 1), range(column, column + 1))
+
+    def _from_pixels(self, rows: range, columns: range) -> None:
+        """Launch rays from pixels against the light, and say so in the form."""
+        self._show(launch.from_pixels(self._view.world, rows, columns, self._count(), **self._options()))
+        self._light_field.mark(rows, columns)
+        if len(rows) == len(columns) == 1:
+            self._state.update({"launch": "pixel", "row": rows.start, "column": columns.start})
+
+    def _count(self) -> int:
+        return round(_number(self._state.count, "number"))
+
+    def _options(self) -> dict[str, Any]:
+        wavelength = self._state.wavelength
+        return {
+            "split": self._state.split,
+            "weight_cutoff": _number(self._state.cutoff, "cutoff"),
+            "wavelength_nm": None if wavelength == ALL else float(wavelength),
+        }
+
+    def _show(self, rays: "Rays | None") -> None:
+        """Show other rays, through the filter if it fits them."""
+        self._rays = rays
+        self._state.chosen = None
+        self._forget_pick()
+        if rays is None:
+            self._draw()
+            return
+        self._kept = np.ones(len(rays), np.bool_)
+        self._view.near(pixels_on_array(rays))
+        self._filter()
+
+    def _filter(self) -> None:
+        """Keep the paths that the expression is true of; a mistake in it changes nothing and is shown below it."""
+        if self._rays is None:
+            return
+        self._state.filter_fault = ""
+        try:
+            self._kept = parse(self._state.expression, self._rays)
+        except FilterError as fault:
+            self._state.filter_fault = str(fault)
+            return
+        self._state.chosen = None
+        self._tabulate()
+        self._draw()
+        self._show_ghosts()
+
+    def _tabulate(self) -> None:
+        """Fill the path table."""
+        if self._rays is None:
+            return
+        self._table = path_table(self._rays).filtered(self._kept).sorted(self._state.sort)
+        self._state.rows = [_row(row) for row in self._table.rows[:MOST_ROWS]]
+        unit = self._rays.unit
+        self._state.heads = [[name, head.format(unit=unit)] for name, head in HEADS.items()]
+        self._state.kept = f"{self._kept.sum():,} of {len(self._rays):,} paths, {self._table.power:.4g} {unit}"
+        rest = len(self._table) - len(self._state.rows)
+        self._state.table_note = f"{len(self._table):,} sequences; power at the sensor. Click one to draw it alone." + (
+            f" {rest:,} more are in the CSV." if rest else ""
+        )
+
+    def _choose(self, number: int) -> None:
+        """Draw one sequence alone; all again, if it was."""
+        self._state.chosen = None if self._state.chosen == number else number
+        self._forget_pick()
+        self._draw()
+
+    def _csv(self) -> str:
+        """Return the table as the text of a CSV file."""
+        if self._table is None:
+            return ""
+        with tempfile.TemporaryDirectory() as folder:
+            return self._table.to_csv(Path(folder) / "paths.csv").read_text(encoding="utf-8")
+
+    def _draw(self) -> None:
+        """Draw the paths that the filter keeps, of them the chosen sequence."""
+        self._drawn = None
+        if self._rays is not None:
+            chosen = self._state.chosen
+            shown = self._kept if chosen is None else self._kept & (self._rays.sequence == chosen)
+            self._drawn = self._rays.keep(shown)
+        self._view.show_rays(self._drawn, self._state.colour, fade=bool(self._state.fade))
+        self._view.write([])
+        self._state.drawn = " ".join(self._view.caption) or "No rays."
+        self._redraw()
+
+    def _look(self, preset: str) -> None:
+        self._view.look(preset)
+        self._redraw()
+
+    def _cut(self) -> None:
+        self._view.cut(bool(self._state.cut))
+        self._redraw()
+
+    def _redraw(self) -> None:
+        if self._controller.redraw.exists():
+            self._controller.redraw()
+
+    def _pick(self, x: float, y: float) -> None:
+        """Show what lies under a place of the 3D view: shares of its width and height, from the upper left."""
+        width, height = self._view.plotter.render_window.GetSize()
+        found = pick(self._view, x * width, y * height)
+        self._forget_pick()
+        if isinstance(found, PickedRay):
+            self._show_history(found)
+        elif isinstance(found, PickedPixel):
+            self._from_pixels(range(found.row, found.row + 1), range(found.column, found.column + 1))
+        elif isinstance(found, PickedPart):
+            self._show_part(found.name)
+        self._redraw()
+
+    def _show_history(self, found: PickedRay) -> None:
+        """Show what happened to a path, with the segment that was clicked marked."""
+        assert self._drawn is not None
+        rays, state = self._drawn, self._state
+        first = int(rays.offsets[found.path])
+        steps = history(rays, found.path)
+        state.picked = f"Ray {rays.source[found.path]}, {short_form(rays, found.path)}"
+        others = len(found.paths) - 1
+        shared = f"; {others} more path{'s share' if others > 1 else ' shares'} this segment" if others else ""
+        state.picked_note = f"{rays.wavelength_nm[found.path]:.6g} nm, path {rays.sequence[found.path]}{shared}"
+        state.picked_heads = [head.format(unit=rays.unit) for head in STEP_HEADS]
+        state.picked_left = 2
+        state.picked_rows = [_step_cells(step) for step in steps]
+        state.picked_at = int(found.vertex) - first
+        line = pv.lines_from_points(rays.position[first : rays.offsets[found.path + 1]])
+        self._view.plotter.add_mesh(
+            line, name=PICKED, color=PICKED_COLOUR, line_width=PICKED_WIDTH, lighting=False,
+            reset_camera=False, render=False,
+        )  # fmt: skip
+
+    def _show_part(self, name: str) -> None:
+        """Show the prescription of glass, or what else there is to know about a part."""
+        rows = [list(fact) for fact in describe(self._view.world, name)]
+        self._state.update({"picked": name, "picked_heads": [], "picked_left": 2, "picked_rows": rows})
+
+    def _forget_pick(self) -> None:
+        self._view.plotter.remove_actor(PICKED, render=False)
+        self._state.update({"picked": "Nothing picked", "picked_note": "", "picked_rows": [], "picked_at": -1})
+
+    def _show_ghosts(self) -> None:
+        """Draw the ghosts by pair of surfaces, when that tab is looked at."""
+        if self._state.side != "ghosts" or self._rays is None:
+            return
+        state = self._state
+        state.ghosts_src = state.ghosts_note = ""
+        try:
+            state.ghosts_src = figure_url(ghost_matrix(self._rays.keep(self._kept)).figure())
+        except LfmeshError as none:
+            state.ghosts_note = str(none)
+
+
+def _first_state(world: World, presets: list[str]) -> dict[str, Any]:
+    """Return the panel's variables before any rays."""
+    scene, transport = world.scene, world.scene.transport
+    launches = [["point", "field point"], ["pixel", "pixel"]]
+    if scene.lights and scene.targets:
+        launches.append(["light", "light"])
+    launches.append(["run", "as in a run"])
+    distance = world.first_order.object_distance_mm
+    z = -distance if 0.0 < distance < np.inf else -FAR * abs(world.first_order.efl_mm)
+    columns, rows = scene.camera.sensor.pixels
+    several = [ALL] if len(transport.wavelengths_nm) > 1 else []
+    return {
+        "launches": launches,
+        "launch": "point",
+        "point_x": 0.0,
+        "point_y": 0.0,
+        "point_z": float(f"{z:.6g}"),
+        "light": 0,
+        "row": rows // 2,
+        "column": columns // 2,
+        "count": COUNT,
+        "wavelengths": [*several, *transport.wavelengths_nm],
+        "wavelength": [*several, *transport.wavelengths_nm][0],
+        "split": transport.split,
+        "cutoff": transport.weight_cutoff,
+        "presets": presets,
+        "colours": list(get_args(ColourBy)),
+        "drawn": "",
+        "fade": False,
+        "filter_fault": "",
+        "heads": [],
+        "sort": "power",
+        "rows": [],
+        "chosen": None,
+        "kept": "",
+        "table_note": "",
+        "ghosts_src": "",
+        "ghosts_note": "",
+        "picked": "",
+        "picked_note": "",
+        "picked_heads": [],
+        "picked_left": 2,
+        "picked_rows": [],
+        "picked_at": -1,
+    }
+
+
+def _row(row: PathRow) -> dict[str, Any]:
+    """Return a row of the path table as the page shows it."""
+    return {
+        "path": row.path,
+        "short": row.short,
+        "sequence": row.sequence,
+        "count": f"{row.count:,}",
+        "power": f"{row.power:.3g}",
+        "share": f"{100.0 * row.share:.3g} %",
+        "irradiance": f"{row.irradiance:.3g}",
+    }
+
+
+def _step_cells(step: Step) -> list[str]:
+    """Return a row of a history, in the order of `STEP_HEADS`."""
+    shares = ("" if share is None else f"{share:.4f}" for share in (step.reflectance, step.transmittance))
+    return [
+        step.short,
+        step.event.name.lower(),
+        "" if step.incidence_deg is None else f"{step.incidence_deg:.3f}",
+        *shares,
+        f"{step.power:.3e}",
+        step.medium,
+        ", ".join(f"{place:.4f}" for place in step.position_mm),
+        f"× {step.roulette:.4g}" if step.roulette > ROULETTE else "",
+    ]
+
+
+def _number(value: Any, name: str) -> float:
+    """Return what stands in a field of the form for numbers.
+
+    Raises
+    ------
+    LfmeshError
+        The field is empty or holds no number.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise LfmeshError(f"{name} = {value!r}: must be a number")
+    return float(value)

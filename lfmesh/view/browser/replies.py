@@ -1,0 +1,67 @@
+"""How the server answers the page: every mistake of the user is shown in it, and only the newest wish is worked on."""
+
+import asyncio
+import functools
+import traceback
+from collections.abc import Callable
+from typing import Any
+
+from lfmesh.errors import LfmeshError
+
+
+class Replies:
+    """Ties methods to what the page asks for.
+
+    Parameters
+    ----------
+    server : trame_server.Server
+    """
+
+    def __init__(self, server: Any) -> None:
+        self._server = server
+        self._wishes: dict[str, tuple[Any, ...]] = {}
+
+    def on_call(self, name: str, answer: Callable[..., Any]) -> None:
+        """Answer ``trigger(name, [arguments])`` of the page."""
+        self._server.controller.trigger(name)(self._spoken(answer))
+
+    def on_latest(self, name: str, answer: Callable[..., Any]) -> None:
+        """Answer as `on_call`, but of calls that come faster than answers only the last: mouse moves, sliders."""
+        spoken = self._spoken(answer)
+
+        async def work() -> None:
+            # What arrived together with this call is read before it is answered.
+            await asyncio.sleep(0.0)
+            with self._server.state:
+                spoken(*self._wishes.pop(name))
+
+        def wish(*arguments: Any) -> None:
+            waiting = name in self._wishes
+            self._wishes[name] = arguments
+            if not waiting:
+                asyncio.ensure_future(work())  # noqa: RUF006 - done before the loop is, or not needed any more
+
+        self._server.controller.trigger(name)(wish)
+
+    def on_change(self, names: list[str], answer: Callable[[], Any]) -> None:
+        """Answer when the user, or the program, changes one of these variables of the page."""
+        spoken = self._spoken(answer)
+        self._server.state.change(*names)(lambda **_state: spoken())
+
+    def _spoken(self, answer: Callable[..., Any]) -> Callable[..., Any]:
+        """Return an answer whose mistakes are shown in the page."""
+
+        @functools.wraps(answer)
+        def spoken(*arguments: Any) -> Any:
+            self._server.state.fault = ""
+            try:
+                return answer(*arguments)
+            except LfmeshError as fault:
+                self._server.state.fault = str(fault)
+                return None
+            except Exception:
+                self._server.state.fault = "lfmesh made a mistake of its own; the terminal says where."
+                traceback.print_exc()
+                return None
+
+        return spoken

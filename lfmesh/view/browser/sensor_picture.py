@@ -1,0 +1,140 @@
+"""The raw image as the page shows it: upright, a part of it, with the centres of the micro-images."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import PIL.Image
+from numpy.typing import NDArray
+
+from lfmesh.files.colour import srgb_encode, to_display
+from lfmesh.files.preview import bands, upright, well_known, white_point
+from lfmesh.lightfield.calibration import Calibration
+from lfmesh.transport.image import Image
+
+Array = NDArray[np.float64]
+
+MOST_PX = 1000
+"""Parts with more pixels along a side are sent as means of several."""
+
+MOST_CENTRES = 12_000
+"""No more centres are drawn than the eye can tell apart."""
+
+LEAST_PX = 4.0
+"""The closest look: so many pixels along the picture's longer side."""
+
+BLANK = 40
+"""Grey of a sensor without an image."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """What is shown of an upright picture: its first row and column, and its size, in whole pixels."""
+
+    row: int
+    column: int
+    height: int
+    width: int
+
+
+class SensorPicture:
+    """A raw image of which a part is shown, upright.
+
+    Places are shares of the part that is shown, x from its left edge, y from its upper one, from 0 to 1. Pixels are
+    rows and columns of the raw image, which lies turned by 180° against the picture.
+
+    Parameters
+    ----------
+    columns, rows : int
+        Pixels of the sensor.
+    image : Image, optional
+        A blank sensor if omitted.
+    calibration : Calibration, optional
+        Where the micro-images are.
+    """
+
+    def __init__(
+        self, columns: int, rows: int, image: Image | None = None, calibration: Calibration | None = None
+    ) -> None:
+        self.columns, self.rows = columns, rows
+        self._picture = np.full((rows, columns), BLANK, np.uint8) if image is None else _exposed(image)
+        self._centres = np.empty((0, 2))
+        self.pitch_px = 0.0
+        if calibration is not None:
+            # Upright, the last pixel comes first.
+            self._centres = (np.array([columns, rows]) - 1.0 - calibration.centres_px[calibration.known]).reshape(-1, 2)
+            self.pitch_px = calibration.pitch_px
+        self.all = Part(0, 0, rows, columns)
+        self.part = self.all
+
+    def whole(self) -> None:
+        """Show all of the sensor."""
+        self.part = self.all
+
+    def zoom(self, x: float, y: float, enlarge: float) -> None:
+        """Show the part enlarged by a factor, with the place (x, y) kept where it is."""
+        part = self.part
+        least = LEAST_PX / max(self.rows, self.columns)
+        share = min(1.0, max(least, max(part.width / self.columns, part.height / self.rows) / enlarge))
+        width, height = max(1, round(share * self.columns)), max(1, round(share * self.rows))
+        row = part.row + y * (part.height - height)
+        column = part.column + x * (part.width - width)
+        self.part = self._within(row, column, height, width)
+
+    def move(self, dx: float, dy: float) -> None:
+        """Move what is shown by shares of the part: to the right and down."""
+        part = self.part
+        self.part = self._within(part.row - dy * part.height, part.column - dx * part.width, part.height, part.width)
+
+    def pixel(self, x: float, y: float) -> tuple[int, int]:
+        """Return the pixel of the raw image at a place, row and column."""
+        part = self.part
+        row = min(max(int(part.row + y * part.height), 0), self.rows - 1)
+        column = min(max(int(part.column + x * part.width), 0), self.columns - 1)
+        return self.rows - 1 - row, self.columns - 1 - column
+
+    def pixels(self, x0: float, y0: float, x1: float, y1: float) -> tuple[range, range]:
+        """Return the rows and columns of the raw image in the box between two places."""
+        first, last = self.pixel(x0, y0), self.pixel(x1, y1)
+        rows, columns = (sorted(pair) for pair in zip(first, last, strict=True))
+        return range(rows[0], rows[1] + 1), range(columns[0], columns[1] + 1)
+
+    def box(self, rows: range, columns: range) -> tuple[float, float, float, float]:
+        """Return left, top, width and height of pixels of the raw image, as shares of the part; the inverse."""
+        part = self.part
+        top, left = self.rows - rows.stop, self.columns - columns.stop
+        return (
+            (left - part.column) / part.width,
+            (top - part.row) / part.height,
+            len(columns) / part.width,
+            len(rows) / part.height,
+        )
+
+    def pixels_shown(self) -> NDArray[np.uint8]:
+        """Return the part, in whole pixels or, where it has too many, in means of several."""
+        part = self.part
+        cut = self._picture[part.row : part.row + part.height, part.column : part.column + part.width]
+        factor = -(-max(cut.shape[:2]) // MOST_PX)
+        return cut if factor <= 1 else np.asarray(PIL.Image.fromarray(np.ascontiguousarray(cut)).reduce(factor))
+
+    def centres_shown(self) -> Array:
+        """Return the places of the micro-images' centres, (n, 2); empty where they lie too dense to be told apart."""
+        part = self.part
+        # The middle of a pixel is half a pixel from its edge.
+        places = (self._centres + 0.5 - (part.column, part.row)) / (part.width, part.height)
+        inside = places[((places >= 0.0) & (places <= 1.0)).all(axis=1)]
+        return inside if len(inside) <= MOST_CENTRES else np.empty((0, 2))
+
+    def _within(self, row: float, column: float, height: int, width: int) -> Part:
+        return Part(
+            min(max(round(row), 0), self.rows - height), min(max(round(column), 0), self.columns - width), height, width
+        )
+
+
+def _exposed(image: Image) -> NDArray[np.uint8]:
+    light = to_display(image.mean, image.wavelengths_nm)
+    white = white_point(light, well_known(image.mean, image.stderr))
+    picture = np.zeros(light.shape, np.uint8)
+    if white > 0.0:
+        for rows in bands(len(light)):
+            picture[rows] = srgb_encode(light[rows] / white)
+    return upright(picture)

@@ -1,0 +1,160 @@
+"""Start and stop of the page's server: what it binds to, what it prints, how it ends."""
+
+import asyncio
+import errno
+import logging
+import os
+import signal
+import socket
+import sys
+import webbrowser
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from lfmesh.errors import LfmeshError
+from lfmesh.view.gl import Probe, has_display
+
+if TYPE_CHECKING:
+    from lfmesh.scene import Scene
+    from lfmesh.transport.image import Image
+    from lfmesh.transport.world import World
+    from lfmesh.view.colours import ColourBy
+    from lfmesh.view.rays import Rays
+
+EXTRA = 'the page in the browser needs more packages: pip install "lfmesh[browser]"'
+
+
+def serve(
+    subject: "Scene | World | Image | str | os.PathLike[str]",
+    rays: "Rays | None" = None,
+    *,
+    expression: str = "",
+    colour: "ColourBy" = "wavelength",
+    preset: str = "whole",
+    cut: bool = False,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    open_browser: bool = True,
+) -> None:
+    """Serve the viewer as a web page until Ctrl-C.
+
+    Prints one line with the page's address, which holds the token that lets a browser in.
+
+    Parameters
+    ----------
+    subject : Scene, World, Image, or path of a scene file or a run folder
+        What is looked at; a run folder with its image and light field.
+    rays : Rays, optional
+        Drawn from the start; launched in the subject's world.
+    expression : str
+        Stands in the filter box from the start, see `lfmesh.view.filters`.
+    colour : {"wavelength", "power", "events", "status", "path"}
+    preset : {"whole", "side", "object", "lens", "array", "sensor"}
+    cut : bool
+        Cut lens and array along the axis.
+    host : str
+        Address to bind to; other than loopback only if the page shall be seen from other machines.
+    port : int
+        0: any that is free.
+    open_browser : bool
+        Open the page in the user's browser, where there is a display.
+
+    Raises
+    ------
+    LfmeshError
+        The port is taken, the host is none of this machine's, the extra `browser` is not installed, nothing can be
+        drawn here, or the subject cannot be read.
+    """
+    if not 0 <= port <= 65535:
+        raise LfmeshError(f"port = {port}: must be from 1 to 65535, or 0 for any that is free")
+    try:
+        import aiohttp  # noqa: F401
+        import trame_server
+        import trame_vtk  # noqa: F401
+    except ImportError as missing:
+        raise LfmeshError(f"{EXTRA} ({missing.name} is missing)") from None
+    with Probe() as probe:
+        _refuse_taken(host, port)
+        from lfmesh.view.browser.guard import Guard, is_loopback
+        from lfmesh.view.browser.page import Page
+
+        probe.check()
+    if not is_loopback(host):
+        _warn_of_others(host)
+    # trame reads sys.argv for options of its own, some of which have the names of ours.
+    os.environ.setdefault("TRAME_ARGS", "")
+    server = trame_server.Server("lfmesh")
+    server.client_type = "vue3"
+    Page(server, subject, rays, expression=expression, colour=colour, preset=preset, cut=cut)
+    guard = Guard(host)
+    server.controller.on_server_bind.add(lambda site: site.app.middlewares.append(guard.answer))
+    asyncio.run(_serve(server, guard.token, host, port, open_browser))
+
+
+async def _serve(server: Any, token: str, host: str, port: int, open_browser: bool) -> None:
+    """Run the server until it is interrupted or fails."""
+    # Browsers leave in the middle of an answer whenever a page is closed; faults of ours are reported by `Replies`.
+    logging.getLogger("wslink").setLevel(logging.CRITICAL)
+    loop, end = asyncio.get_running_loop(), asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        # Not to be had on Windows, where Ctrl-C still raises KeyboardInterrupt.
+        with suppress(NotImplementedError, RuntimeError, ValueError):
+            loop.add_signal_handler(number, end.set)
+
+    def ready(**_state: Any) -> None:
+        address = f"http://{_in_address(host)}:{server.port}/?token={token}"
+        print(f"lfmesh: {address}  (Ctrl-C ends it)", flush=True)
+        if open_browser and has_display():
+            webbrowser.open(address)
+
+    server.controller.on_server_ready.add(ready)
+    serving = asyncio.ensure_future(
+        server.start(
+            exec_mode="coroutine", host=host, port=port, timeout=0, thread=True, backend="aiohttp",
+            open_browser=False, show_connection_info=False, disable_logging=True,
+        )
+    )  # fmt: skip
+    ended = asyncio.ensure_future(end.wait())
+    await asyncio.wait({serving, ended}, return_when=asyncio.FIRST_COMPLETED)
+    if ended.done():
+        await server.stop()
+    ended.cancel()
+    try:
+        await serving
+    except OSError as fault:
+        raise _cannot_bind(fault, host, port) from None
+
+
+def _refuse_taken(host: str, port: int) -> None:
+    """Say that the server could not be bound before the scene is built for it."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        with socket.socket(family, socket.SOCK_STREAM) as attempt:
+            if os.name == "posix":
+                attempt.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            attempt.bind((host, port))
+    except OSError as fault:
+        raise _cannot_bind(fault, host, port) from None
+
+
+def _cannot_bind(fault: OSError, host: str, port: int) -> LfmeshError:
+    if fault.errno == errno.EADDRINUSE:
+        return LfmeshError(f"port = {port}: another program listens there; choose another, or 0 for any that is free")
+    if fault.errno in (errno.EACCES, errno.EPERM):
+        return LfmeshError(f"port = {port}: may not be used by this user; choose one above 1023, or 0")
+    return LfmeshError(f"host = {host}: is not an address of this machine; leave it out to serve this machine alone")
+
+
+def _in_address(host: str) -> str:
+    """Return the host as a browser on this machine names it."""
+    if host in ("0.0.0.0", "::"):
+        return "127.0.0.1"
+    return f"[{host}]" if ":" in host else host
+
+
+def _warn_of_others(host: str) -> None:
+    print(
+        f"lfmesh: host = {host} lets other machines reach the page. Whoever has its address with the token sees all of "
+        "it, and what travels is not encrypted.",
+        file=sys.stderr,
+    )

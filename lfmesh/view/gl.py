@@ -1,0 +1,73 @@
+"""Whether anything can be drawn: without its GL libraries VTK ends the process, so a child process tries first."""
+
+import os
+import subprocess
+import sys
+
+from lfmesh.errors import LfmeshError
+
+SECONDS = 60
+
+WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
+"""Environment variable that names the kind of window which VTK opens."""
+
+ATTEMPT = (
+    "import vtkmodules.vtkRenderingOpenGL2\n"
+    "from vtkmodules.vtkRenderingCore import vtkRenderWindow\n"
+    "window = vtkRenderWindow()\n"
+    "window.SetOffScreenRendering(1)\n"
+    "window.SetSize(8, 8)\n"
+    "window.Render()\n"
+    "assert window.SupportsOpenGL()\n"
+)
+
+MISSING = "drawing needs the GL libraries: install the packages libegl1 and libgl1-mesa-dri (Debian and Ubuntu)"
+
+
+class Probe:
+    """An attempt to draw that runs while the scene is built."""
+
+    def __init__(self) -> None:
+        expect_no_display()
+        self._child = subprocess.Popen(
+            [sys.executable, "-c", ATTEMPT],
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+
+    def check(self) -> None:
+        """Wait for the attempt's end.
+
+        Raises
+        ------
+        LfmeshError
+            It failed: the libraries are missing.
+        """
+        try:
+            code = self._child.wait(SECONDS)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.wait()
+            code = -1
+        if code != 0:
+            raise LfmeshError(MISSING)
+
+    def __enter__(self) -> "Probe":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._child.poll() is None:
+            self._child.kill()
+        self._child.wait()
+
+
+def expect_no_display() -> None:
+    """Where there is no display keep VTK from trying to reach one, and from complaining that it cannot."""
+    if sys.platform == "linux" and not has_display():
+        os.environ.setdefault(WINDOW, "vtkEGLRenderWindow")
+
+
+def has_display() -> bool:
+    """Tell whether a window can open."""
+    if sys.platform in ("win32", "darwin"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

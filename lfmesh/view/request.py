@@ -1,0 +1,212 @@
+"""What a user asks to see: a scene or a run, the rays in it, and in words what they are."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+from numpy.typing import NDArray
+
+from lfmesh.errors import FileError, LfmeshError
+from lfmesh.files import run as runs
+from lfmesh.files.preview import displayed, upright
+from lfmesh.geometry import frame as frames
+from lfmesh.scene import Scene, load
+from lfmesh.transport.image import Image
+from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.world import World, build
+from lfmesh.view.launch import launch
+from lfmesh.view.rays import Rays
+
+Picture = NDArray[np.uint8]
+
+COUNT = 200
+"""Rays a launch."""
+
+FIRST_COUNT = 24
+"""Rays a point of the first look: few enough to be told apart."""
+
+FIELDS = (0.0, 0.7, 1.0)
+"""Field points of the first look, over the half height of the field; the last is moved in a little."""
+
+INSIDE = 0.97
+"""Of the field's half height, so that the outermost lenslets still show the point."""
+
+FAR = 20.0
+"""Focal lengths at which the points of the first look stand where the camera is focused on infinity."""
+
+MOST_PX = 4096
+"""Side of the picture on the sensor; larger ones are reduced."""
+
+NONE = "none"
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is looked at: a world, and the picture (rows, columns, 3) on its sensor in its physical orientation."""
+
+    world: World
+    picture: Picture | None
+
+
+def subject_of(what: "Scene | World | Image | str | os.PathLike[str]") -> Subject:
+    """Return what is looked at, from a scene file, a run folder, or what Python has of them.
+
+    Raises
+    ------
+    LfmeshError
+        Neither of these, or a file that cannot be read.
+    """
+    if isinstance(what, World):
+        return Subject(what, None)
+    if isinstance(what, Scene):
+        return Subject(build(what), None)
+    if isinstance(what, Image):
+        return Subject(build(what.scene), sensor_picture(what))
+    if not isinstance(what, (str, os.PathLike)):
+        raise LfmeshError(f"cannot show a {type(what).__name__}: give a scene, a world, an image, or a path to one")
+    path = Path(what)
+    if path.is_dir():
+        return _run(path)
+    return Subject(build(load(path)), None)
+
+
+def _run(folder: Path) -> Subject:
+    """Read the scene and the preview of a run, not its large images."""
+    for name in (runs.SCENE, runs.PREVIEW):
+        if not (folder / name).is_file():
+            raise FileError(f"{folder}: has no {name}; give a scene file, or a run folder from lfmesh render")
+    try:
+        with PIL.Image.open(folder / runs.PREVIEW) as preview:
+            picture = _reduced(preview.convert("RGB"))
+    except (OSError, ValueError, PIL.Image.DecompressionBombError) as error:
+        raise FileError(
+            f"{folder / runs.PREVIEW}: cannot be read as a picture ({error}); render the run again"
+        ) from None
+    # The preview stands upright; on the sensor it lies as the lens inverts it.
+    return Subject(build(load(folder / runs.SCENE)), np.ascontiguousarray(upright(picture)))
+
+
+def sensor_picture(image: Image) -> Picture:
+    """Return an image as (rows, columns, 3) sRGB, exposed as its preview is, in the sensor's physical orientation."""
+    picture, _ = displayed(image.mean, image.wavelengths_nm, image.stderr)
+    return _reduced(PIL.Image.fromarray(picture).convert("RGB"))
+
+
+def _reduced(picture: PIL.Image.Image) -> Picture:
+    factor = -(-max(picture.size) // MOST_PX)
+    return np.asarray(picture.reduce(factor) if factor > 1 else picture)
+
+
+@dataclass(frozen=True)
+class Launched:
+    """Rays, what they are in words, and where on the array (x, y in its frame, mm) it is worth to look closely."""
+
+    rays: Rays | None
+    caption: tuple[str, ...]
+    near_mm: tuple[float, float]
+
+
+def launched(
+    world: World, specs: Sequence[str] = (), count: int | None = None, *,
+    wavelength_nm: float | None = None, split: str | None = None, weight_cutoff: float | None = None,
+) -> Launched:  # fmt: skip
+    """Launch the rays of one or several lines of words, see `lfmesh.view.launch.launch`.
+
+    Without any, a first look: three points of the plane in focus, their refracted rays alone. "none": no rays.
+    """
+    given = [spec.strip() for spec in specs]
+    if NONE in given:
+        return Launched(None, (), (0.0, 0.0))
+    if not given:
+        given = first_look(world)
+        split = split or "transmit"
+    number = count if count is not None else COUNT if specs else FIRST_COUNT
+    rays = together(
+        [
+            launch(world, spec, number, wavelength_nm=wavelength_nm, split=split, weight_cutoff=weight_cutoff)
+            for spec in given
+        ]
+    )
+    split = split or world.scene.transport.split
+    how = "refracted only" if split == "transmit" else f"split: {split}"
+    words = f"{number} rays{' each' if len(given) > 1 else ''} from {'; '.join(given)}; {how}"
+    return Launched(rays, (words,), pixels_on_array(rays))
+
+
+def first_look(world: World) -> list[str]:
+    """Return the launches of the first picture: points of the plane in focus, on the axis, in the zone, at the edge."""
+    distance = world.first_order.object_distance_mm
+    half = 0.5 * world.first_order.field_of_view_mm[1]
+    if not 0.0 < distance < np.inf:
+        sensor = world.scene.camera.sensor.size_mm[1]
+        distance = FAR * abs(world.first_order.efl_mm)
+        half = 0.5 * sensor * FAR
+    points = [[0.0, -INSIDE * field * half, -distance] for field in FIELDS]
+    placed = frames.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], points)
+    return ["field " + ",".join(f"{value:.4g}" for value in point) for point in placed + 0.0]
+
+
+def together(parts: Sequence[Rays]) -> Rays:
+    """Return several launches into one world as one.
+
+    Raises
+    ------
+    LfmeshError
+        Some go with the light and some against it: their powers have different units.
+    """
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    if len({part.unit for part in parts}) > 1:
+        raise LfmeshError(
+            "rays launched from pixels (m² sr) and rays launched with the light (W) have no common power; show one kind"
+        )
+    arriving: dict[str, float] = {}
+    for part in parts:
+        power = np.bincount(part.sequence, part.end_power * part.arrives, len(part.sequences))
+        for sequence, brought in zip(part.sequences, power, strict=True):
+            arriving[sequence] = arriving.get(sequence, 0.0) + float(brought)
+    # As in each of them: what brings the most power comes first.
+    sequences = sorted(arriving, key=lambda sequence: -arriving[sequence])
+    number = {sequence: i for i, sequence in enumerate(sequences)}
+    renumbered = [np.array([number[s] for s in part.sequences], np.int64)[part.sequence] for part in parts]
+    sources = np.cumsum([0, *(int(part.source.max(initial=-1)) + 1 for part in parts)])
+    vertices = np.cumsum([0, *(len(part.position) for part in parts)])
+
+    def all_of(name: str) -> Any:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    plain = ("position", "surface", "event", "power", "lenslet", "status", "pixel", "wavelength_nm")
+    arrays: dict[str, Any] = {name: all_of(name) for name in plain}
+    return replace(
+        first,
+        **arrays,
+        offsets=np.concatenate(
+            [[0], *(part.offsets[1:] + start for part, start in zip(parts, vertices, strict=False))]
+        ),
+        source=np.concatenate([part.source + start for part, start in zip(parts, sources, strict=False)]),
+        sequence=np.concatenate(renumbered),
+        sequences=sequences,
+    )
+
+
+def pixels_on_array(rays: Rays) -> tuple[float, float]:
+    """Return the point (x, y) of the array in front of the pixels that rays were launched from, mm, in its own frame.
+
+    Its middle, if they were launched elsewhere.
+    """
+    world = rays.world
+    hit = rays.pixel[(rays.pixel >= 0).all(axis=1)]
+    if not rays.from_sensor or not len(hit):
+        return 0.0, 0.0
+    sensor = world.tables.sensor
+    row, column = hit.mean(axis=0)
+    x = (column - 0.5 * (sensor.columns - 1)) * sensor.pixel
+    y = (row - 0.5 * (sensor.rows - 1)) * sensor.pixel
+    to_camera = world.tables.frames[SENSOR_FRAME, CAMERA_FRAME]
+    at = frames.points(world.tables.frames[CAMERA_FRAME, ARRAY_FRAME], frames.points(to_camera, [[x, y, 0.0]]))[0]
+    return float(at[0]), float(at[1])

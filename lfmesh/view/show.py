@@ -1,0 +1,263 @@
+"""Showing a scene: in a window, in a notebook, or written as a picture, a page or a 3D model."""
+
+import io
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+from numpy.typing import NDArray
+
+from lfmesh.errors import FileError, LfmeshError
+from lfmesh.files.whole import write_whole
+from lfmesh.scene import Scene
+from lfmesh.transport.image import Image
+from lfmesh.transport.world import World
+from lfmesh.view.colours import FAINT_TEXT, ColourBy
+from lfmesh.view.filters import parse
+from lfmesh.view.gl import Probe, has_display
+from lfmesh.view.plotter import SIZE, View, build_view
+from lfmesh.view.ray_lines import MOST_SEGMENTS
+from lfmesh.view.rays import Rays
+from lfmesh.view.request import Launched, Subject, launched, subject_of
+
+WITH_INSET = ("whole", "side")
+INSET, INSET_PLACE = 0.3, (0.15, 0.04)
+"""Size of the magnified array over that of the picture, and where its lower left corner stands in it."""
+
+NO_DISPLAY = (
+    "there is no display for a window: write a picture with --screenshot out.png or a page with --html out.html, "
+    "or open it with --browser"
+)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What is looked at and what is chosen of its rays."""
+
+    subject: Subject
+    all_rays: Rays | None
+    rays: Rays | None
+    chosen: NDArray[np.bool_]
+    caption: tuple[str, ...]
+    near_mm: tuple[float, float]
+
+
+def view(
+    subject: Scene | World | Image | str | os.PathLike[str],
+    rays: Rays | str | Sequence[str] | None = None,
+    *,
+    count: int | None = None,
+    wavelength_nm: float | None = None,
+    split: str | None = None,
+    weight_cutoff: float | None = None,
+    filter: str | None = None,  # noqa: A002  # what it is called on the command line and in the browser
+    colour: ColourBy = "wavelength",
+    fade: bool = False,
+    preset: str = "whole",
+    cut: bool = False,
+    size: tuple[int, int] = SIZE,
+    most_segments: int = MOST_SEGMENTS,
+    screenshot: str | os.PathLike[str] | None = None,
+    html: str | os.PathLike[str] | None = None,
+    gltf: str | os.PathLike[str] | None = None,
+) -> PIL.Image.Image | None:
+    """Show a scene in 3D with rays in it.
+
+    In a notebook it returns the picture; in a script it opens a window and waits until that is closed; where an output
+    is given it writes that instead.
+
+    Parameters
+    ----------
+    subject : Scene, World, Image, or path of a scene file or a run folder
+        A run's picture lies on its sensor.
+    rays : Rays, str or sequence of str, optional
+        Rays, or how to launch them: "field 0,0,-500", "pixel 320,310", ..., see `lfmesh.view.launch.FORMS`; "none".
+        Left out: points of the plane in focus, refracted rays alone.
+    count : int, optional
+        Rays a launch.
+    wavelength_nm, split, weight_cutoff : optional
+        Of the launches, as the scene has them if left out.
+    filter : str, optional
+        Which paths to draw, see `lfmesh.view.filters`.
+    colour : {"wavelength", "power", "events", "status", "path"}
+    fade : bool
+        Draw rays with less power fainter.
+    preset : {"whole", "side", "object", "lens", "array", "sensor"}
+    cut : bool
+        Cut lens and array along the axis; rays stay whole.
+    size : (width, height), pixels
+    most_segments : int
+        Drawn at most; where rays have more, whole paths are left out, and the caption says how many.
+    screenshot, html, gltf : path, optional
+        PNG; self-contained page; binary glTF model (.glb).
+
+    Raises
+    ------
+    LfmeshError
+        Nothing can be drawn here, a setting is out of its range, a file cannot be written.
+    """
+    outputs = Outputs(screenshot, html, gltf)
+    outputs.check()
+    inline = not outputs and in_notebook()
+    windowed = not outputs and not inline
+    if windowed and not has_display():
+        raise LfmeshError(NO_DISPLAY)
+    with Probe() as probe:
+        launches = {"count": count, "wavelength_nm": wavelength_nm, "split": split, "weight_cutoff": weight_cutoff}
+        seen = look(subject, rays, filter, **launches)
+        probe.check()
+    drawing = Drawing(colour, fade, preset, cut, size, most_segments)
+    made = drawing.of(seen, off_screen=not windowed)
+    outputs.write(made)
+    if inline:
+        return picture_of(made)
+    if windowed:
+        from lfmesh.view.window import open_window
+
+        open_window(made)
+    return None
+
+
+def look(
+    subject: Scene | World | Image | str | os.PathLike[str],
+    rays: Rays | str | Sequence[str] | None = None,
+    expression: str | None = None,
+    **launches: Any,
+) -> Seen:
+    """Build what is looked at, launch rays into it, and choose those that a filter lets through."""
+    what = subject_of(subject)
+    if isinstance(rays, Rays):
+        shown = Launched(rays, (), (0.0, 0.0))
+    else:
+        shown = launched(what.world, [rays] if isinstance(rays, str) else list(rays or ()), **launches)
+    if shown.rays is None:
+        return Seen(what, None, None, np.zeros(0, np.bool_), shown.caption, shown.near_mm)
+    chosen = np.ones(len(shown.rays), np.bool_)
+    caption, kept = shown.caption, shown.rays
+    if expression is not None and expression.strip():
+        chosen = parse(expression, shown.rays)
+        kept = shown.rays.keep(chosen)
+        caption += (f"filter: {expression.strip()}; {int(chosen.sum()):,} of {len(chosen):,} paths pass",)
+    return Seen(what, shown.rays, kept, chosen, caption, shown.near_mm)
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """How something is drawn; the parameters of `view`."""
+
+    colour: ColourBy = "wavelength"
+    fade: bool = False
+    preset: str = "whole"
+    cut: bool = False
+    size: tuple[int, int] = SIZE
+    most_segments: int = MOST_SEGMENTS
+
+    def of(self, seen: Seen, *, off_screen: bool = True) -> View:
+        """Draw it."""
+        return build_view(
+            seen.subject.world, seen.rays, seen.subject.picture,
+            colour=self.colour, fade=self.fade, preset=self.preset, cut=self.cut, size=self.size,
+            off_screen=off_screen, most_segments=self.most_segments, near_mm=seen.near_mm, caption=seen.caption,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Files that a view is written to, instead of a window."""
+
+    screenshot: str | os.PathLike[str] | None = None
+    html: str | os.PathLike[str] | None = None
+    gltf: str | os.PathLike[str] | None = None
+
+    def __bool__(self) -> bool:
+        return bool(self._wished())
+
+    def _wished(self) -> list[tuple[str, Path]]:
+        return [(field.name, Path(path)) for field in fields(self) if (path := getattr(self, field.name)) is not None]
+
+    def check(self) -> None:
+        """Refuse an output that could not be written, before anything is traced for it."""
+        for option, path in self._wished():
+            check_output(option, path)
+
+    def write(self, view: View) -> list[Path]:
+        """Write what is wished of a view; return the files."""
+        for option, path in self._wished():
+            if option == "screenshot":
+                write_whole(path, png(picture_of(view)))
+            elif option == "html":
+                from lfmesh.view.page import write_page
+
+                write_page(view, path)
+            else:
+                from lfmesh.view.model import write_model
+
+                write_model(view, path)
+        return [path for _, path in self._wished()]
+
+
+ENDINGS = {
+    "screenshot": (".png",), "html": (".html", ".htm"), "gltf": (".glb",), "paths": (".csv",),
+    "ghosts": (".png", ".svg", ".pdf"),
+}  # fmt: skip
+
+
+def check_output(option: str, path: Path) -> None:
+    """Refuse a file that could not be written."""
+    endings = ENDINGS[option]
+    if path.suffix.lower() not in endings:
+        raise FileError(f"{option} {path}: the name must end in {' or '.join(endings)}")
+    if not path.parent.is_dir():
+        raise FileError(f"{option} {path}: the folder {path.parent} does not exist")
+    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise FileError(f"{option} {path}: cannot be written")
+
+
+def picture_of(view: View) -> PIL.Image.Image:
+    """Return what a view shows; in a picture of the whole the array, too small there, stands magnified in a corner."""
+    picture = _shot(view)
+    if view.preset in WITH_INSET and "array" in view.presets:
+        preset = view.preset
+        view.overlay.only_scale(True)
+        view.look("array")
+        close = _shot(view)
+        view.look(preset)
+        view.overlay.only_scale(False)
+        _paste(picture, close)
+    return picture
+
+
+def _shot(view: View) -> PIL.Image.Image:
+    view.smooth(True)
+    view.plotter.render()
+    shot = PIL.Image.fromarray(view.plotter.screenshot(return_img=True))
+    view.smooth(False)
+    return shot
+
+
+def _paste(picture: PIL.Image.Image, close: PIL.Image.Image) -> None:
+    """Put a picture, reduced and framed, into the corner of another that its views leave free."""
+    width, height = (round(INSET * side) for side in picture.size)
+    left, bottom = (round(place * side) for place, side in zip(INSET_PLACE, picture.size, strict=True))
+    frame = PIL.Image.new("RGB", (width + 2, height + 2), FAINT_TEXT)
+    frame.paste(close.resize((width, height), PIL.Image.Resampling.LANCZOS), (1, 1))
+    picture.paste(frame, (left, picture.height - bottom - height))
+
+
+def png(picture: PIL.Image.Image) -> bytes:
+    """Return a picture as the content of a PNG file."""
+    content = io.BytesIO()
+    picture.save(content, format="PNG")
+    return content.getvalue()
+
+
+def in_notebook() -> bool:
+    """Tell whether this process is a notebook's kernel, which shows pictures."""
+    shell = sys.modules.get("IPython")
+    running = shell.get_ipython() if shell is not None else None
+    return running is not None and "IPKernelApp" in getattr(running, "config", {})

@@ -1,0 +1,59 @@
+"""A small light-field camera, and raw images that it would record, made by hand."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from lfmesh.assets import asset_path
+from lfmesh.scene import Scene, loads, solved
+from lfmesh.transport.image import Image
+from lfmesh.transport.ledger import Ledger
+
+CAMERA = """
+schema_version = 1
+
+[camera]
+focus_mm = 500.0
+lens = {{ file = "{lens}", stop_semi_diameter_mm = 4.77 }}
+
+[camera.mla]
+layout = "{layout}"
+count = [14, 12]
+pitch_mm = 0.125
+focal_length_mm = 0.5
+index = 1.5
+thickness_mm = 0.3
+
+[camera.sensor]
+pixels = [150, 130]
+pixel_mm = 0.0125
+
+[transport]
+samples = 8
+threads = 1
+wavelengths_nm = {wavelengths}
+"""
+
+
+@pytest.fixture
+def camera() -> Callable[..., Scene]:
+    """Build a solved scene of a camera with 14 × 12 lenslets and nothing before it."""
+
+    def build(layout: str = "square", wavelengths: tuple[float, ...] = (587.6,)) -> Scene:
+        lens = asset_path("lenses/double_gauss_50mm.toml").as_posix()
+        return solved(loads(CAMERA.format(lens=lens, layout=layout, wavelengths=list(wavelengths))))
+
+    return build
+
+
+@pytest.fixture
+def image_of() -> Callable[[Scene, np.ndarray], Image]:
+    """Build an image of a scene from its pixels, (H, W) or (H, W, wavelengths)."""
+
+    def build(scene: Scene, mean: np.ndarray) -> Image:
+        mean = mean.reshape(*mean.shape[:2], -1).astype(np.float64)
+        ledger = Ledger(unit="m² sr", emitted=1.0, escaped=1.0)
+        return Image(mean, 0.0 * mean, scene, ledger, 1.0, scene.transport.replicates, 8.0, "by hand")
+
+    return build

@@ -1,0 +1,76 @@
+"""The light field in the page: which view and sample a pixel is, which planes the slider reaches."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lfmesh.files import run
+from lfmesh.files.calibration import write_calibration
+from lfmesh.files.field import save_field
+from lfmesh.scene import Scene
+from lfmesh.transport.image import Image
+from lfmesh.view.browser.field_views import FieldViews
+
+
+@pytest.fixture(params=["square", "hexagonal"])
+def views(
+    request: pytest.FixtureRequest, tmp_path: Path, camera: Callable[..., Scene], image_of: Callable[..., Image]
+) -> FieldViews:
+    """The light field of a raw image whose pixels hold their own place: the row in red, the column in blue."""
+    scene = camera(request.param, (656.3, 486.1))
+    columns, rows = scene.camera.sensor.pixels
+    image = image_of(scene, np.stack(np.indices((rows, columns)), axis=-1))
+    run.save(image, tmp_path / "run")
+    return FieldViews(image, tmp_path / "run")
+
+
+def test_a_pixel_is_the_sample_that_it_is_said_to_be(views: FieldViews) -> None:
+    # A sample lies within half a pixel of what is asked for; where rows of lenslets are resampled, along them within
+    # half a lenslet more.
+    along_rows = 0.5 + (0.5 * views.calibration.pitch_px if views.calibration.layout == "hexagonal" else 0.0)
+    known = 0
+    for row, column in np.random.default_rng(5).integers((20, 20), (110, 130), (300, 2)):
+        if place := views.place(int(row), int(column)):
+            known += 1
+            down, across = views.field.data[place.v, place.u, place.t, place.s].astype(float)
+            assert abs(down - row) <= 0.5 + 1e-4
+            assert abs(across - column) <= along_rows + 1e-4
+    assert known > 200, "most pixels belong to a lenslet"
+
+
+def test_pixels_beside_the_array_belong_to_no_lenslet(views: FieldViews) -> None:
+    for row, column in ((0, 0), (0, 149), (129, 0), (129, 149)):
+        assert views.place(row, column) is None
+
+
+def test_the_slider_runs_through_the_range_of_sharp_refocusing(views: FieldViews) -> None:
+    planes = views.planes_mm
+    near, far = views.field.model.refocus_range_mm
+    assert planes[0] == pytest.approx(near)
+    assert planes[-1] == pytest.approx(far)
+    assert (np.diff(planes) > 0.0).all()
+    shifts = [views.field.model.shift_mm(plane) for plane in planes]
+    assert np.diff(shifts) == pytest.approx(np.diff(shifts)[0], rel=1e-6)
+    at_focus = views.field.model.shift_mm(planes[views.focus_step])
+    assert abs(at_focus) <= 0.5 * abs(shifts[0] - shifts[1]) * (1.0 + 1e-9)
+
+
+def test_files_of_the_run_are_preferred_to_new_ones(
+    tmp_path: Path, camera: Callable[..., Scene], image_of: Callable[..., Image]
+) -> None:
+    scene = camera("square")
+    columns, rows = scene.camera.sensor.pixels
+    image = image_of(scene, np.ones((rows, columns)))
+    folder = tmp_path / "run"
+    run.save(image, folder)
+    made = FieldViews(image, folder)
+    assert made.decoded_here
+    save_field(made.field, folder)
+    shifted = replace(made.calibration, centres_px=made.calibration.centres_px + 0.25)
+    write_calibration(folder / run.CALIBRATION, shifted)
+    kept = FieldViews(image, folder)
+    assert not kept.decoded_here
+    assert kept.calibration.centres_px == pytest.approx(made.calibration.centres_px + 0.25)

@@ -1,0 +1,90 @@
+"""The sensor's picture in the page: what is shown where, upright, whatever part of it is looked at."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from lfmesh.lightfield.calibration import calibrate
+from lfmesh.scene import Scene
+from lfmesh.transport.image import Image
+from lfmesh.view.browser.sensor_picture import SensorPicture
+
+COLUMNS, ROWS = 150, 130
+
+BRIGHT = (31, 104)
+"""Row and column of the one pixel that got light."""
+
+
+def whole(_: SensorPicture) -> None:
+    pass
+
+
+def enlarged(picture: SensorPicture) -> None:
+    picture.zoom(0.3, 0.75, 4.0)
+
+
+def moved(picture: SensorPicture) -> None:
+    picture.zoom(0.5, 0.5, 3.0)
+    picture.move(0.3, -0.9)
+
+
+def as_near_as_it_goes(picture: SensorPicture) -> None:
+    picture.zoom(0.305, 0.758, 1e6)
+
+
+@pytest.mark.parametrize("look", [whole, enlarged, moved, as_near_as_it_goes])
+def test_a_place_is_the_pixel_that_is_seen_there(
+    look: Callable[[SensorPicture], None], camera: Callable[[], Scene], image_of: Callable[..., Image]
+) -> None:
+    light = np.zeros((ROWS, COLUMNS))
+    light[BRIGHT] = 1.0
+    picture = SensorPicture(COLUMNS, ROWS, image_of(camera(), light))
+    look(picture)
+    shown = picture.pixels_shown()
+    height, width = shown.shape
+    assert (height, width) == (picture.part.height, picture.part.width)
+    ((y, x),) = np.argwhere(shown)
+    assert picture.pixel((x + 0.5) / width, (y + 0.5) / height) == BRIGHT
+    row, column = BRIGHT
+    left, top, across, down = picture.box(range(row, row + 1), range(column, column + 1))
+    assert [left * width, top * height, across * width, down * height] == pytest.approx([x, y, 1.0, 1.0])
+
+
+def test_a_box_holds_the_pixels_between_its_corners(camera: Callable[[], Scene]) -> None:
+    picture = SensorPicture(COLUMNS, ROWS)
+    enlarged(picture)
+    rows, columns = picture.pixels(0.71, 0.2, 0.33, 0.9)
+    assert rows.stop - 1 == picture.pixel(0.71, 0.2)[0]
+    assert rows.start == picture.pixel(0.33, 0.9)[0]
+    left, top, across, down = picture.box(rows, columns)
+    # The box grows to whole pixels.
+    assert left == pytest.approx(0.33, abs=1.0 / picture.part.width)
+    assert top == pytest.approx(0.2, abs=1.0 / picture.part.height)
+    assert across == pytest.approx(0.38, abs=2.0 / picture.part.width)
+    assert down == pytest.approx(0.7, abs=2.0 / picture.part.height)
+
+
+def test_zooming_keeps_what_is_under_the_mouse() -> None:
+    picture = SensorPicture(COLUMNS, ROWS)
+    under = picture.pixel(0.3, 0.6)
+    for _ in range(4):
+        picture.zoom(0.3, 0.6, 1.5)
+        row, column = picture.pixel(0.3, 0.6)
+        assert abs(row - under[0]) <= 2
+        assert abs(column - under[1]) <= 2
+    assert picture.part.width < 0.25 * COLUMNS
+    picture.zoom(0.9, 0.9, 1e-6)
+    assert picture.part == picture.all
+
+
+def test_marks_lie_on_the_centres_of_the_micro_images(camera: Callable[[], Scene]) -> None:
+    calibration = calibrate(camera())
+    picture = SensorPicture(COLUMNS, ROWS, None, calibration)
+    enlarged(picture)
+    marks = picture.centres_shown()
+    assert 0 < len(marks) < calibration.known.sum()
+    for x, y in marks:
+        row, column = picture.pixel(x, y)
+        off = np.abs(calibration.centres_px - [column, row]).max(axis=-1)
+        assert off.min() <= 0.5 + 1e-9, "in the pixel that holds the centre"

@@ -1,0 +1,105 @@
+"""Viewpoints: everything asked for is in the picture, and fills it, whatever its size."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from lfmesh.errors import LfmeshError
+from lfmesh.scene import loads
+from lfmesh.transport.world import World, build
+from lfmesh.view import pick
+from lfmesh.view.overlay import in_words
+from lfmesh.view.parts import round_length
+from lfmesh.view.plotter import View
+from lfmesh.view.presets import ANGLE_DEG, MARGIN, PRESETS, Viewpoint, fitted, viewpoint
+
+from .conftest import SCENE, SIZE, shot
+
+ASPECT = 1.6
+
+
+def in_picture(seen: Viewpoint, points: np.ndarray) -> np.ndarray:
+    """Return (n, 2) places of points in units of half the picture's height, by the pinhole's formula."""
+    ahead = seen.focus - seen.eye
+    ahead /= np.linalg.norm(ahead)
+    right = np.cross(ahead, seen.up)
+    x, y, z = ((points - seen.eye) @ axis for axis in (right / np.linalg.norm(right), seen.up, ahead))
+    if seen.parallel:
+        return np.stack([x, y], axis=1) / seen.half_height_mm
+    return np.stack([x, y], axis=1) / z[:, None] / np.tan(np.deg2rad(0.5 * ANGLE_DEG))
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+@pytest.mark.parametrize("seed", range(6))
+def test_a_fitted_view_holds_all_points_and_no_more_room_than_the_margin(seed: int, parallel: bool) -> None:
+    draw = np.random.default_rng(seed)
+    points = draw.normal(size=(40, 3)) * draw.uniform(0.01, 100.0, 3) + draw.normal(size=3) * 50.0
+    seen = fitted(points, draw.normal(size=3), ASPECT, parallel)
+    place = in_picture(seen, points)
+    reach = np.abs(place / [ASPECT, 1.0]).max()
+    assert reach <= 1.0 / MARGIN + 1e-6
+    assert reach >= 1.0 / MARGIN - 0.02
+
+
+def test_what_is_seen_stands_in_the_middle_of_the_picture() -> None:
+    points = np.random.default_rng(1).uniform(-1.0, 1.0, (30, 3)) * [50.0, 20.0, 200.0]
+    place = in_picture(fitted(points, [-1.0, 0.3, -1.0], ASPECT, False), points)
+    assert np.allclose(place.max(axis=0), -place.min(axis=0), atol=1e-6)
+
+
+@pytest.mark.drawing
+@pytest.mark.parametrize("preset", list(PRESETS))
+def test_a_preset_shows_its_part_between_the_clipping_planes(
+    world: World, views: Callable[..., View], preset: str
+) -> None:
+    view = views(world)
+    view.look(preset)
+    points, _, _ = PRESETS[preset](world, (0.0, 0.0))
+    place = pick.to_picture(view, points)
+    assert (place >= 0.0).all()
+    assert (place <= SIZE).all()
+    shot(view)
+    near, far = view.plotter.camera.clipping_range
+    depth = (points - view.plotter.camera.position) @ view.plotter.camera.direction
+    assert near < depth.min()
+    assert depth.max() < far
+
+
+@pytest.mark.parametrize("large", ["width_mm = 20000.0, height_mm = 20000.0", "width_mm = 30.0, height_mm = 30.0"])
+def test_neither_walls_nor_far_lamps_make_the_camera_invisible(large: str) -> None:
+    wall = SCENE.replace('{ kind = "box", size_mm = [30.0, 20.0, 2.0] }', f'{{ kind = "plane", {large} }}')
+    world = build(loads(wall.replace("[0.0, -40.0, -120.0]", "[0.0, -9e6, -120.0]")))
+    seen = viewpoint(world, "whole", ASPECT)
+    lens = np.asarray(world.mesh("lens[0]").vertices)
+    height = np.ptp(in_picture(seen, lens)[:, 1]) / 2.0
+    assert height > 0.1, f"the lens takes {height:.1%} of the picture's height"
+
+
+def test_an_unknown_preset_and_an_array_that_is_not_there_are_refused(world: World, conventional: World) -> None:
+    with pytest.raises(LfmeshError, match="preset = 'top': use one of whole, side, object, lens, array, sensor"):
+        viewpoint(world, "top", ASPECT)
+    with pytest.raises(LfmeshError, match="no microlens array"):
+        viewpoint(conventional, "array", ASPECT)
+
+
+@pytest.mark.drawing
+@pytest.mark.parametrize("preset", ["lens", "whole"])
+def test_the_scale_bar_is_as_long_as_it_says(world: World, views: Callable[..., View], preset: str) -> None:
+    view = views(world)
+    view.look(preset)
+    shot(view)
+    ends = [view.overlay.bar_points.GetPoint(i) for i in (0, 1)]
+    camera = view.plotter.camera
+    right = np.cross(camera.direction, camera.up)
+    words = view.overlay.bar_text.GetInput()
+    length = float(words.split()[0]) * {"mm": 1.0, "µm": 1e-3}[words.split()[1]]
+    a, b = pick.to_picture(view, np.array([camera.focal_point, np.add(camera.focal_point, length * right)]))
+    assert np.hypot(*(b - a)) == pytest.approx(ends[1][0] - ends[0][0], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("most", "least"), [(1.0, "1 mm"), (0.99, "0.5 mm"), (73.0, "50 mm"), (0.0421, "20 µm"), (4999.0, "2000 mm")]
+)
+def test_round_lengths(most: float, least: str) -> None:
+    assert in_words(round_length(most)) == least

@@ -1,0 +1,483 @@
+"""The viewer's page in headless Chromium: what a user does in it, what it sends, and whom its server answers."""
+
+import http.client
+import io
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import PIL.Image
+import pytest
+
+import lfmesh as lf
+from lfmesh.assets import asset_path
+
+pytestmark = [pytest.mark.drawing, pytest.mark.browser]
+
+LFMESH = [sys.executable, "-m", "lfmesh"]
+
+CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
+
+SCENE = """
+schema_version = 1
+name = "small camera"
+
+[camera]
+focus_mm = 500.0
+lens = {{ file = "{lens}", stop_semi_diameter_mm = 4.77 }}
+
+[camera.mla]
+count = [14, 12]
+pitch_mm = 0.125
+focal_length_mm = 0.5
+index = 1.5
+thickness_mm = 0.3
+
+[camera.sensor]
+pixels = [150, 130]
+pixel_mm = 0.0125
+
+[[targets]]
+name = "chart"
+shape = {{ kind = "plane", width_mm = 20.0, height_mm = 20.0 }}
+position_mm = [0.0, 0.0, -420.0]
+material = {{ reflectance = 0.0, radiance_w_m2_sr = 1.0, texture = "{texture}" }}
+
+[transport]
+samples = 4
+replicates = 2
+split = "transmit"
+threads = 1
+"""
+
+RAY_COLOUR = ((225, 256), (110, 190), (0, 110))
+"""Red, green and blue of a ray at 587.6 nm in a screenshot."""
+
+
+def scene_text() -> str:
+    return SCENE.format(
+        lens=asset_path("lenses/double_gauss_50mm.toml").as_posix(),
+        texture=asset_path("charts/siemens.png").as_posix(),
+    )
+
+
+class Server:
+    """`lfmesh view ... --browser` as a process of its own."""
+
+    def __init__(self, *arguments: str) -> None:
+        command = [*LFMESH, "view", *arguments, "--browser", "--no-open"]
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(lf.__file__).parents[1]
+        )
+        assert self.process.stdout is not None
+        self.line = self.process.stdout.readline()
+        found = [word for word in self.line.split() if word.startswith("http://")]
+        assert found, f"no address in {self.line!r}: {self.process.communicate()[1]}"
+        self.url = found[0]
+        parts = urlsplit(self.url)
+        self.host, self.port, self.token = parts.hostname, parts.port, parse_qs(parts.query)["token"][0]
+
+    def stop(self) -> tuple[int, str]:
+        """Press Ctrl-C; return the exit code and what was written to standard error."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+        _, errors = self.process.communicate(timeout=20)
+        return self.process.returncode, errors
+
+    def answer(self, path: str = "/index.html", **headers: str) -> http.client.HTTPResponse:
+        """Ask for something as no browser would, with any headers."""
+        connection = http.client.HTTPConnection(self.host, self.port, timeout=10)
+        connection.putrequest("GET", path, skip_host=True)
+        for name, value in ({"Host": f"{self.host}:{self.port}", "Cookie": self.cookie} | headers).items():
+            connection.putheader(name, value)
+        connection.endheaders()
+        return connection.getresponse()
+
+    def websocket(self, **headers: str) -> int:
+        """Open the websocket; return the status: 101 where it is granted."""
+        wish = {
+            "Connection": "Upgrade",
+            "Upgrade": "websocket",
+            "Sec-WebSocket-Version": "13",
+            "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+        }
+        return self.answer("/ws", **wish, **headers).status
+
+    @property
+    def cookie(self) -> str:
+        return f"lfmesh-{self.port}={self.token}"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A rendered run, without the files that decode and depth add."""
+    folder = tmp_path_factory.mktemp("page") / "run"
+    lf.save(lf.render(lf.loads(scene_text())), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def server(run: Path) -> Iterator[Server]:
+    served = Server(str(run), "--rays", "field 0,0,-420", "--count", "40", "--split", "both")
+    yield served
+    served.stop()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    from playwright.sync_api import sync_playwright
+
+    chromium = next(filter(None, map(shutil.which, CHROMIUM)))
+    with sync_playwright() as driver:
+        # Chromium's sandbox does not run as root, as tests do in containers.
+        running = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        yield running
+        running.close()
+
+
+class Page:
+    """The page in the browser, with all that it asked for and all that went wrong in it."""
+
+    def __init__(self, browser: Any, server: Server) -> None:
+        self.requests: list[str] = []
+        self.faults: list[str] = []
+        self.tab = browser.new_page(viewport={"width": 1280, "height": 800})
+        self.tab.on("request", lambda request: self.requests.append(request.url))
+        self.tab.on("websocket", lambda socket: self.requests.append(socket.url))
+        self.tab.on("pageerror", lambda fault: self.faults.append(str(fault)))
+        self.tab.goto(server.url)
+        self.tab.wait_for_selector("#paths tbody tr")
+        self.wait("document.querySelector('#view3d img')?.naturalWidth > 100")
+        self.settle()
+
+    def wait(self, condition: str, argument: Any = None) -> None:
+        """Wait until a condition in JavaScript holds; `old` is its argument."""
+        self.tab.wait_for_function(f"old => {condition}", arg=argument, timeout=20_000)
+
+    def text(self, selector: str) -> str:
+        return str(self.tab.inner_text(selector))
+
+    def picture(self, selector: str) -> np.ndarray:
+        """What the user sees of an element, (height, width, 3)."""
+        return np.asarray(PIL.Image.open(io.BytesIO(self.tab.locator(selector).screenshot())).convert("RGB"))
+
+    def redrawn(self, act: Any) -> None:
+        """Do something that has the 3D view drawn anew, and wait until it is."""
+        old = self.tab.get_attribute("#view3d img", "src")
+        act()
+        self.wait("document.querySelector('#view3d img').src !== old", old)
+        self.settle()
+
+    def settle(self) -> None:
+        """Wait until the server has answered everything and no more pictures of the 3D view arrive."""
+        self.tab.evaluate(
+            """() => new Promise(done => {
+                const image = document.querySelector('#view3d img');
+                const busy = document.querySelector('.busy');
+                let last = image.src, still = 0;
+                const look = () => {
+                    still = image.src === last && !busy.classList.contains('on') ? still + 1 : 0;
+                    last = image.src;
+                    still < 8 ? setTimeout(look, 50) : done();
+                };
+                look();
+            })"""
+        )
+
+    def rays(self) -> np.ndarray:
+        """Where rays are seen in the 3D view, (n, 2) of column and row, legend and caption left out."""
+        picture = self.picture("#view3d")
+        low, high = np.array(RAY_COLOUR).T
+        of_ray = ((low <= picture) & (picture < high)).all(axis=2)
+        of_ray[:90] = of_ray[-60:] = False
+        return np.argwhere(of_ray)[:, ::-1]
+
+    def click_view(self, place: np.ndarray) -> None:
+        box = self.tab.locator("#view3d").bounding_box()
+        self.tab.mouse.click(box["x"] + float(place[0]) + 0.5, box["y"] + float(place[1]) + 0.5)
+
+
+@pytest.fixture(scope="module")
+def page(browser: Any, server: Server) -> Iterator[Page]:
+    opened = Page(browser, server)
+    opened.tab.fill("#count", "40")
+    opened.tab.select_option("#split", "both")
+    opened.redrawn(lambda: opened.tab.click("#preset-lens"))
+    yield opened
+    opened.tab.close()
+
+
+@pytest.fixture(autouse=True)
+def _fresh(request: pytest.FixtureRequest) -> None:
+    """Tests share a page; each starts from all rays of a field point, unfiltered."""
+    if "page" not in request.fixturenames:
+        return
+    tab = request.getfixturevalue("page").tab
+    tab.click("#tab-rays")
+    tab.click("#side-paths")
+    tab.fill("#filter", "")
+    tab.select_option("#launch", "point")
+    tab.fill("#point-z", "-420")
+    request.getfixturevalue("page").redrawn(lambda: tab.click("#go"))
+
+
+def test_a_click_on_a_ray_shows_its_history(page: Page) -> None:
+    assert page.tab.locator("#history").count() == 0
+    places = page.rays()
+    page.click_view(places[len(places) // 2])
+    page.tab.wait_for_selector("#history tbody tr")
+    rows = [row.split("\t") for row in page.tab.locator("#history tbody tr").all_inner_texts()]
+    assert rows[0][:2] == ["start", "start"]
+    assert rows[1][:2] == ["L1a", "transmitted"]
+    reflectance, transmittance = float(rows[1][3]), float(rows[1][4])
+    assert reflectance + transmittance == pytest.approx(1.0, abs=1e-4), "printed with four digits"
+    assert page.tab.locator("#history tr.on").count() == 1, "the segment that was clicked is marked"
+
+
+def test_a_click_on_glass_shows_its_prescription(page: Page) -> None:
+    page.tab.fill("#filter", "events > 1000")
+    page.redrawn(lambda: page.tab.click("#apply"))
+    height, width = page.picture("#view3d").shape[:2]
+    page.click_view(np.array([width // 2, height // 2]))
+    page.wait("document.querySelector('#picked').innerText.startsWith('lens[')")
+    facts = page.text("#history")
+    assert "glass" in facts
+    assert "R " in facts
+    assert "mm" in facts
+
+
+def test_a_path_chosen_in_the_table_is_drawn_alone(page: Page) -> None:
+    every = len(page.rays())
+    count = int(page.tab.locator("#paths tbody tr").nth(1).locator("td").nth(2).inner_text())
+    page.redrawn(lambda: page.tab.locator("#paths tbody tr").nth(1).click())
+    assert page.text("#drawn").startswith(f"{count} path")
+    alone = len(page.rays())
+    assert 0 < alone < every
+    page.redrawn(lambda: page.tab.locator("#paths tbody tr.on").first.click())
+    assert len(page.rays()) > alone, "a second click draws all again"
+
+
+def test_a_filter_keeps_what_it_says(page: Page) -> None:
+    every = page.tab.locator("#paths tbody tr").count()
+    page.tab.fill("#filter", "reflects(lens[0].front)")
+    page.redrawn(lambda: page.tab.press("#filter", "Enter"))
+    rows = page.tab.locator("#paths tbody tr")
+    assert 0 < rows.count() < every
+    assert all("L1a R" in rows.nth(i).get_attribute("title") for i in range(rows.count()))
+
+
+def test_a_filter_with_a_mistake_shows_its_error(page: Page) -> None:
+    rows = page.tab.locator("#paths tbody tr").count()
+    page.tab.fill("#filter", "hits(mal) and not ghost")
+    page.tab.click("#apply")
+    page.tab.wait_for_selector("#filter-fault")
+    fault = page.text("#filter-fault")
+    assert "mal" in fault
+    assert "mla" in fault, "what is valid"
+    assert fault.splitlines()[-1].strip() == "^"
+    assert page.tab.locator("#paths tbody tr").count() == rows, "the table stays as it was"
+    page.tab.fill("#filter", "")
+    page.tab.click("#apply")
+    page.tab.wait_for_selector("#filter-fault", state="detached")
+
+
+def test_a_mistake_in_a_launch_shows_its_error(page: Page) -> None:
+    page.tab.fill("#point-z", "5")
+    page.tab.click("#go")
+    page.tab.wait_for_selector("#fault")
+    assert "in front of the lens" in page.text("#fault")
+    page.tab.fill("#point-z", "-420")
+    page.redrawn(lambda: page.tab.click("#go"))
+    assert page.tab.locator("#fault").count() == 0
+
+
+def test_the_table_is_saved_as_csv(page: Page) -> None:
+    with page.tab.expect_download() as download:
+        page.tab.click("#csv")
+    lines = Path(download.value.path()).read_text().splitlines()
+    assert lines[0].startswith("path,")
+    assert len(lines) == 1 + page.tab.locator("#paths tbody tr").count()
+
+
+def test_pixels_clicked_and_areas_drawn_launch_their_rays(page: Page) -> None:
+    page.tab.click("#side-sensor")
+    page.tab.wait_for_selector("#sensor img[src^=data]")
+    box = page.tab.locator("#sensor").bounding_box()
+
+    def place(x: float, y: float) -> tuple[float, float]:
+        return box["x"] + x * box["width"], box["y"] + y * box["height"]
+
+    page.redrawn(lambda: page.tab.mouse.click(*place(0.25, 0.4)))
+    assert "m² sr" in page.text("#kept")
+    # The picture stands upright: it is turned by 180° against the sensor.
+    assert abs(int(page.tab.input_value("#row")) - 0.6 * 130) <= 1
+    assert abs(int(page.tab.input_value("#column")) - 0.75 * 150) <= 1
+    page.tab.mouse.move(*place(0.2, 0.2))
+    page.tab.mouse.down()
+    page.tab.mouse.move(*place(0.3, 0.3), steps=3)
+    page.redrawn(page.tab.mouse.up)
+    marked = page.tab.locator("#sensor .marked").bounding_box()
+    assert marked["width"] == pytest.approx(0.1 * box["width"], abs=1.5 * box["width"] / 150)
+    page.tab.click("#side-paths")
+    page.tab.fill("#filter", "pixel in (88:105, 104:121)")
+    every = page.text("#kept").split()[2]
+    page.redrawn(lambda: page.tab.click("#apply"))
+    assert page.text("#kept").split()[0] == every, "all of them start in the area"
+
+
+def test_refocusing_changes_the_picture(page: Page) -> None:
+    page.tab.click("#tab-field")
+    page.tab.wait_for_selector("#refocused[src^=data]")
+    before, words = page.picture("#refocused"), page.text("#focus-note")
+    page.tab.locator("#focus").fill("20")
+    page.wait("document.querySelector('#focus-note').innerText !== old", words)
+    assert "mm" in page.text("#focus-note")
+    assert np.abs(page.picture("#refocused").astype(float) - before).mean() > 2.0
+
+
+def test_the_mouse_on_the_raw_image_chooses_the_view_and_a_click_the_epi(page: Page) -> None:
+    page.tab.click("#tab-field")
+    page.tab.wait_for_selector("#raw img[src^=data]")
+    box = page.tab.locator("#raw").bounding_box()
+    x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.25 * box["height"]
+    views = set()
+    for i in range(12):
+        page.tab.mouse.move(x + i, y)
+        page.tab.wait_for_timeout(80)
+        views.add(page.text("#view-note"))
+    assert len(views) > 1, "neighbouring pixels belong to different views"
+    words, before = page.text("#epi-note"), page.tab.get_attribute("#epi", "src")
+    page.tab.mouse.click(x, y)
+    page.wait("document.querySelector('#epi-note').innerText !== old", words)
+    assert page.tab.get_attribute("#epi", "src") != before
+    lenslets = "document.querySelectorAll('#raw svg circle').length"
+    page.wait(f"{lenslets} === 14 * 12")
+    page.tab.mouse.wheel(0, -600)
+    page.wait(f"{lenslets} < 14 * 12 && {lenslets} > 0")
+    page.tab.mouse.dblclick(x, y)
+    page.wait(f"{lenslets} === 14 * 12")
+
+
+def test_no_request_leaves_loopback(page: Page, server: Server) -> None:
+    own = f"{server.host}:{server.port}"
+    abroad = [url for url in page.requests if urlsplit(url).scheme in ("http", "https", "ws", "wss")]
+    assert any(url.startswith("ws://") for url in abroad), "the websocket was recorded"
+    assert {urlsplit(url).netloc for url in abroad} == {own}
+    assert all(url.startswith(("data:", "blob:")) for url in set(page.requests) - set(abroad))
+    assert not page.faults
+
+
+def test_the_browser_itself_would_let_no_request_out(page: Page) -> None:
+    refused = page.tab.evaluate("fetch('http://127.0.0.2:9/').then(() => '', fault => String(fault))")
+    assert "Failed to fetch" in refused
+    policy = page.tab.evaluate("fetch('index.html').then(answer => answer.headers.get('Content-Security-Policy'))")
+    assert "default-src 'self'" in policy
+
+
+def test_other_origins_are_refused(server: Server) -> None:
+    ours = f"http://{server.host}:{server.port}"
+    assert server.websocket(Origin=ours) == 101
+    for origin in ("http://evil.example", f"http://evil.example:{server.port}", "null", f"http://{server.host}:1"):
+        assert server.websocket(Origin=origin) == 403, origin
+        assert server.answer(Origin=origin).status == 403, origin
+
+
+def test_names_that_are_pointed_at_loopback_are_refused(server: Server) -> None:
+    assert server.answer().status == 200
+    for host in ("evil.example", f"evil.example:{server.port}", f"127.0.0.1.evil.example:{server.port}"):
+        assert server.answer(Host=host).status == 403, host
+        assert server.websocket(Host=host, Origin=f"http://{host}") == 403, host
+
+
+def test_whoever_does_not_have_the_token_is_refused(server: Server) -> None:
+    ours = f"http://{server.host}:{server.port}"
+    for cookie in ("", f"lfmesh-{server.port}=guess"):
+        refusal = server.answer(Cookie=cookie)
+        assert refusal.status == 403
+        assert b"token" in refusal.read()
+        assert server.websocket(Cookie=cookie, Origin=ours) == 403
+    assert server.answer("/?token=guess", Cookie="").status == 403
+    admitted = server.answer(f"/?token={server.token}", Cookie="")
+    assert admitted.status == 302
+    assert "HttpOnly" in admitted.headers["Set-Cookie"]
+    assert "SameSite=Strict" in admitted.headers["Set-Cookie"]
+    assert server.token not in admitted.headers["Location"]
+
+
+def test_only_this_machine_is_served(server: Server) -> None:
+    assert server.host == "127.0.0.1"
+    for address in other_addresses():
+        with pytest.raises(OSError):
+            socket.create_connection((address, server.port), timeout=2.0).close()
+
+
+def other_addresses() -> list[str]:
+    """Addresses of this machine but 127.0.0.1; no packet is sent to find them."""
+    found = ["127.0.0.2"] if sys.platform == "linux" else []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as outward:
+        try:
+            outward.connect(("192.0.2.1", 9))  # TEST-NET-1, which nobody has
+        except OSError:
+            return found
+        return [*found, outward.getsockname()[0]]
+
+
+def test_a_taken_port_is_one_clear_line_and_ctrl_c_a_clean_end(run: Path) -> None:
+    first = Server(str(run / "scene.toml"), "--rays", "none")
+    assert len(first.line.splitlines()) == 1
+    second = subprocess.run(
+        [*LFMESH, "view", str(run / "scene.toml"), "--browser", "--port", str(first.port)],
+        capture_output=True, text=True, timeout=60, cwd=Path(lf.__file__).parents[1],
+    )  # fmt: skip
+    assert second.returncode == 2
+    assert second.stdout == ""
+    (line,) = second.stderr.strip().splitlines()
+    assert str(first.port) in line
+    code, errors = first.stop()
+    assert code == 0
+    assert "Traceback" not in errors
+
+
+def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    from lfmesh.view.browser import serve
+
+    monkeypatch.setitem(sys.modules, "trame_server", None)
+    with pytest.raises(lf.LfmeshError, match=r'pip install "lfmesh\[browser\]"'):
+        serve(lf.loads(scene_text()))
+
+
+def test_the_written_page_draws_without_a_network(browser: Any, run: Path, tmp_path: Path) -> None:
+    written = tmp_path / "page.html"
+    subprocess.run(
+        [*LFMESH, "view", str(run), "--html", str(written)],
+        check=True, capture_output=True, timeout=120, cwd=Path(lf.__file__).parents[1],
+    )  # fmt: skip
+    context = browser.new_context(offline=True, viewport={"width": 1280, "height": 800})
+    try:
+        tab = context.new_page()
+        asked: list[str] = []
+        tab.on("request", lambda request: asked.append(request.url))
+        tab.goto(written.as_uri())
+        tab.wait_for_selector("canvas")
+        deadline = 40
+        while deadline and not_blank(tab) is False:
+            tab.wait_for_timeout(250)
+            deadline -= 1
+        assert not_blank(tab)
+        assert all(url.startswith(("file:", "data:", "blob:")) for url in asked), asked
+    finally:
+        context.close()
+
+
+def not_blank(tab: Any) -> bool:
+    """Whether the canvas shows something: many colours, none of which fills it."""
+    picture = np.asarray(PIL.Image.open(io.BytesIO(tab.locator("canvas").first.screenshot())).convert("RGB"))
+    colours, counts = np.unique(picture.reshape(-1, 3) // 8, axis=0, return_counts=True)
+    return len(colours) > 30 and counts.max() < 0.98 * counts.sum()

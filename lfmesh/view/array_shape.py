@@ -111,6 +111,20 @@ def face_corners(of: Lenslets, z_mm: float) -> NDArray[np.float64]:
     return np.array([[-x, -y, z_mm], [x, -y, z_mm], [x, y, z_mm], [-x, y, z_mm]])
 
 
+ROUND = np.array([[i, j, k] for a in range(4) for b in [(a + 1) % 4] for i, j, k in ((a, a + 4, b + 4), (a, b + 4, b))])
+"""Triangles of a rectangle with a rectangular hole, outer corners first."""
+
+
+def face_round(of: Lenslets, z_mm: float, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the (8, 3) corners of the face of the box round all cells, and of the hole in it round some of them."""
+    outer = face_corners(of, z_mm)
+    centres = of.lattice.centres()[rows, columns]
+    reach = 0.5 * of.lattice.pitch
+    low, high = centres.min(axis=0) - reach, centres.max(axis=0) + reach
+    inner = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
+    return np.concatenate([outer, np.column_stack([inner, np.full(4, z_mm)])])
+
+
 def lattice_picture(lattice: Lattice) -> tuple[NDArray[np.uint8], tuple[float, float]]:
     """Return a picture (h, w, 3) of the cells' borders, from one centre on, that repeats with a period in mm."""
     row_pitch = (ROW_SPACING if lattice.hexagonal else 1.0) * lattice.pitch

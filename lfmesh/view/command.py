@@ -72,7 +72,7 @@ def run(
         said = reports.of(seen) if reports else ([], [])
         if serving.browser:
             print("\n".join(said[0]), end="\n" if said[0] else "", flush=True)
-            _serve(subject, seen, drawing, serving)
+            _serve(subject, seen, expression or "", drawing, serving)
         return said if not serving.browser else ([], said[1])
     with Probe() as probe:
         seen = look(subject, rays, expression, **launches)
@@ -89,11 +89,11 @@ def run(
     return lines, written
 
 
-def _serve(subject: Path, seen: Seen, drawing: Drawing, serving: Serving) -> None:
+def _serve(subject: Path, seen: Seen, expression: str, drawing: Drawing, serving: Serving) -> None:
     from lfmesh.view.browser import serve
 
     serve(
-        subject, seen.rays,
+        subject, seen.all_rays, expression=expression,
         colour=drawing.colour, preset=drawing.preset, cut=drawing.cut,
         host=serving.host, port=serving.port, open_browser=serving.open_browser,
     )  # fmt: skip

@@ -8,6 +8,9 @@ from lfmesh.errors import LfmeshError
 
 SECONDS = 60
 
+WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
+"""Environment variable that names the kind of window which VTK opens."""
+
 ATTEMPT = (
     "import vtkmodules.vtkRenderingOpenGL2\n"
     "from vtkmodules.vtkRenderingCore import vtkRenderWindow\n"
@@ -25,6 +28,7 @@ class Probe:
     """An attempt to draw that runs while the scene is built."""
 
     def __init__(self) -> None:
+        expect_no_display()
         self._child = subprocess.Popen(
             [sys.executable, "-c", ATTEMPT],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
@@ -54,6 +58,12 @@ class Probe:
         if self._child.poll() is None:
             self._child.kill()
         self._child.wait()
+
+
+def expect_no_display() -> None:
+    """Where there is no display keep VTK from trying to reach one, and from complaining that it cannot."""
+    if sys.platform == "linux" and not has_display():
+        os.environ.setdefault(WINDOW, "vtkEGLRenderWindow")
 
 
 def has_display() -> bool:

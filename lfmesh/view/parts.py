@@ -108,8 +108,6 @@ def texture_of(part: Part) -> pv.Texture | None:
     # Pixels stay squares when they are looked at closely; tiles too small to be seen turn into their mean.
     texture.repeat = texture.mipmap = part.tiled
     texture.interpolate = part.tiled or part.kind != "sensor"
-    if part.tiled:
-        texture.SetMaximumAnisotropicFiltering(8.0)
     return texture
 
 
@@ -190,9 +188,9 @@ def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
     yield Part("mla", "array", plate, glass, edges=outline, edge_colour="#79d0dc", label="mla plate")
     if large:
         picture, (width, height) = array_shape.lattice_picture(of.lattice)
-        face = polydata(frames.points(to_world, array_shape.face_corners(of, of.valley)), [[0, 2, 1], [0, 3, 2]])
-        corners = array_shape.face_corners(of, 0.0)[:, :2] - of.lattice.centres()[0, 0]
-        face.active_texture_coordinates = corners / [width, height]
+        corners = array_shape.face_round(of, of.valley, *near)
+        face = polydata(frames.points(to_world, corners), array_shape.ROUND)
+        face.active_texture_coordinates = (corners[:, :2] - lattice.centres()[0, 0]) / [width, height]
         look = {"opacity": 0.45, "lighting": False}
         yield Part("mla", "array", face, look, label="mla lattice", picture=picture, tiled=True)
 

@@ -5,11 +5,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
-from vtkmodules.vtkRenderingCore import vtkProp
+from vtkmodules.vtkRenderingCore import vtkMapper, vtkProp
 
 from lfmesh.transport.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 from lfmesh.view.colours import BACKGROUND, BACKGROUND_TOP, ColourBy, Legend
+from lfmesh.view.gl import expect_no_display
 from lfmesh.view.overlay import Overlay, in_words
 from lfmesh.view.parts import Part, Picture, parts, smooth, texture_of, tick_mm
 from lfmesh.view.presets import ANGLE_DEG, PRESETS, viewpoint
@@ -25,6 +26,12 @@ RAY_WIDTH, EDGE_WIDTH = 1.6, 1.3
 
 NEAREST = 1e-5
 """Of the near plane's distance over the far plane's: an eye before a lenslet also sees a wall."""
+
+CORNER = 0.8
+"""Cosine of the angle from the middle of a perspective view to its corners, or less."""
+
+SAMPLES = 8
+"""A pixel, in pictures."""
 
 CUT_KINDS = ("glass", "mount", "stop", "array")
 """What the cut takes away; sensor, targets and rays stay whole."""
@@ -64,9 +71,15 @@ class View:
         self._parts = parts(world, picture, near_mm)
         self._of_actor: dict[Any, Part] = {}
         self.is_cut = False
+        expect_no_display()
+        # Edges lie on the faces that they bound, and are drawn before them.
+        vtkMapper.SetResolveCoincidentTopologyToPolygonOffset()
         self.plotter = pv.Plotter(off_screen=off_screen, window_size=size, lighting="light kit")
+        # Software rendering turns the scene twice as fast without; `smooth` is for pictures.
+        self.smooth(False)
         self.plotter.set_background(BACKGROUND, top=BACKGROUND_TOP)
         self.plotter.renderer.SetNearClippingPlaneTolerance(NEAREST)
+        self.plotter.renderer.AddObserver("StartEvent", lambda *_: self._move_near_plane())
         self.plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color="white", line_width=2)
         self.overlay = Overlay(self.plotter)
         self._draw_parts()
@@ -148,6 +161,10 @@ class View:
         self.caption = [*lines, self.lines.caption] if self.lines is not None else list(lines)
         self.overlay.write(self.title, [*self.caption, self.scale], self.legend)
 
+    def smooth(self, on: bool) -> None:
+        """Draw edges and lines smoothly, or quickly."""
+        self.plotter.render_window.SetMultiSamples(SAMPLES if on else 0)
+
     def tell(self, lines: list[str]) -> None:
         """Write something else at the bottom of the picture, in place of what stood there."""
         self.overlay.tell(lines)
@@ -159,6 +176,18 @@ class View:
     def meshes(self) -> list[tuple[Part, pv.PolyData]]:
         """Return what is drawn of every part: whole, or cut."""
         return [(part, self._shown(part)) for part in self._parts]
+
+    def _move_near_plane(self) -> None:
+        """Put the near plane halfway to the nearest part: the nearer it is, the less depths can be told apart."""
+        camera = self.plotter.camera
+        if camera.parallel_projection:
+            return
+        eye = np.array(camera.position)
+        boxes = np.array([part.mesh.bounds for part in self._parts]).reshape(-1, 3, 2)
+        beside = np.maximum(0.0, np.maximum(boxes[..., 0] - eye, eye - boxes[..., 1]))
+        near, far = camera.clipping_range
+        # The distance to a box is not that along the line of sight: at the picture's corners that is shorter.
+        camera.clipping_range = (max(near, 0.5 * CORNER * float(np.linalg.norm(beside, axis=1).min())), far)
 
     def _draw_parts(self) -> None:
         for actor in self._of_actor:

@@ -220,18 +220,24 @@ def check_output(option: str, path: Path) -> None:
 
 def picture_of(view: View) -> PIL.Image.Image:
     """Return what a view shows; in a picture of the whole the array, too small there, stands magnified in a corner."""
-    view.plotter.render()
-    picture = PIL.Image.fromarray(view.plotter.screenshot(return_img=True))
+    picture = _shot(view)
     if view.preset in WITH_INSET and "array" in view.presets:
         preset = view.preset
         view.overlay.only_scale(True)
         view.look("array")
-        view.plotter.render()
-        close = PIL.Image.fromarray(view.plotter.screenshot(return_img=True))
+        close = _shot(view)
         view.look(preset)
         view.overlay.only_scale(False)
         _paste(picture, close)
     return picture
+
+
+def _shot(view: View) -> PIL.Image.Image:
+    view.smooth(True)
+    view.plotter.render()
+    shot = PIL.Image.fromarray(view.plotter.screenshot(return_img=True))
+    view.smooth(False)
+    return shot
 
 
 def _paste(picture: PIL.Image.Image, close: PIL.Image.Image) -> None:

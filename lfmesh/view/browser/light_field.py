@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from lfmesh.errors import LfmeshError
 from lfmesh.lightfield.calibration import calibrate
 from lfmesh.scene import Scene
 from lfmesh.transport.image import Image
@@ -87,7 +88,11 @@ class LightFieldPanel:
         if state.tab == "field" and state.has_field and self._views is None:
             assert self._image is not None
             assert self._folder is not None
-            self._views = FieldViews(self._image, self._folder)
+            try:
+                self._views = FieldViews(self._image, self._folder)
+            except LfmeshError as fault:
+                state.has_field, state.field_note = False, str(fault)
+                return
             self._show_field(self._views)
         if (state.tab == "field" and state.has_field) or state.side == "sensor":
             self._show_raw()

@@ -183,8 +183,7 @@ def from_pixels(
         if not len(wished) or min(wished) < 0 or max(wished) >= size:
             given = wished[0] if len(wished) == 1 else f"{wished.start}:{wished.stop}"
             raise LfmeshError(f"{name} {given}: the sensor has {name}s 0 to {size - 1}")
-    box = np.add.outer(np.array(rows) * sensor.columns, np.array(columns)).ravel()
-    return _from_pixels(world, box, of)
+    return _from_pixels(world, rows, columns, of)
 
 
 def from_light(
@@ -275,25 +274,30 @@ def as_in_run(
     most = pixels * len(waves) * (transport.samples if transport.method == "forward" else 1)
     of = _settings(world, most if count is None else count, waves, split, weight_cutoff, seed)
     if transport.method == "adjoint":
-        return _from_pixels(world, np.arange(pixels), of)
+        return _from_pixels(world, range(sensor.rows), range(sensor.columns), of)
     if not len(world.tables.objects.sources):
         raise LfmeshError("nothing shines: the scene has neither lights nor targets with radiance_w_m2_sr")
     return _from_sources(world, world.tables, replace(of, count=min(of.count, most)))
 
 
-def _from_pixels(world: World, box: NDArray[np.int64], of: Settings) -> Rays:
-    """Launch rays from some pixels, shared among wavelengths."""
+def _from_pixels(world: World, rows: range, columns: range, of: Settings) -> Rays:
+    """Launch rays from a box of pixels, shared among wavelengths."""
+    box = len(rows) * len(columns)
     options = options_of(world, tracing=True, record=True, split=of.split, cutoff=of.cutoff)
     generator = np.random.default_rng(of.seed)
     parts = []
     for place, (wave, wavelength) in enumerate(of.waves):
         rays = of.rays_of(place)
-        pixels = np.sort(generator.choice(box, min(rays, len(box)), replace=False))
-        starts = at_pixels(pixels, max(1, round(rays / len(box))), descendant(run_key(of.seed), 0, wave))
+        # Unshuffled, a few of many millions are drawn without listing them all.
+        row, column = np.divmod(
+            np.sort(generator.choice(box, min(rays, box), replace=False, shuffle=False)), len(columns)
+        )
+        pixels = np.asarray(rows)[row] * world.tables.sensor.columns + np.asarray(columns)[column]
+        starts = at_pixels(pixels, max(1, round(rays / box)), descendant(run_key(of.seed), 0, wave))
         ended, nodes = traced(world, at_wavelength(world, wavelength), options, starts, place)
         # Of pixels drawn by chance, each stands for several.
         for table in (ended, nodes):
-            table["weight"] *= len(box) / max(len(pixels), 1)
+            table["weight"] *= box / max(len(pixels), 1)
         parts.append((ended, nodes))
     return _assembled(world, parts, of, from_sensor=True)
 

@@ -1,5 +1,7 @@
 """A path's history obeys the laws of optics: R + T = 1, Snell's law, and powers that are products of R and T."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -188,6 +190,12 @@ def test_lines_fit_80_columns_and_show_every_step(rays):
             assert line.startswith(step.short[:16])
             assert step.event.name.lower()[:7] in line
             assert ("x" in line[59:66]) == (step.roulette > 1.0 + 1e-6)
+
+
+def test_long_names_are_cut_to_fit(rays):
+    step = history(rays, 0)[1]
+    long = replace(step, short="a target with a long name", medium="CATALOGUE/LONG-NAME-7", roulette=12345.6)
+    assert max(map(len, lines([long], rays.unit))) <= 80
 
 
 def test_a_path_that_is_not_there_is_refused(rays):

@@ -48,7 +48,7 @@ HEADS = {
     "count": "count",
     "power": "power / {unit}",
     "share": "share",
-    "irradiance": "peak / {unit} mm⁻²",
+    "irradiance": "peak / {unit}\N{NO-BREAK SPACE}mm⁻²",
 }
 """Columns of the path table that are shown, with their heads."""
 

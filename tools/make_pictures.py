@@ -1,16 +1,19 @@
 """Make the pictures of the README.
 
-From a run of the demo, one that was refocused, a report of its accuracy, or several of them: tools/run demo -o run,
-tools/run accuracy assets/scenes/first_light.toml -o report, then tools/make_pictures.py run report.
+From a run of the demo, one that was refocused, a report of its accuracy, a scene to be seen in 3D, or several of them:
+tools/run demo -o run, tools/run accuracy assets/scenes/first_light.toml -o report, then
+tools/make_pictures.py run report assets/scenes/first_light.toml.
 """
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
 from PIL import Image
 
+import lfmesh
 from lfmesh.assets import asset_path
 from lfmesh.scene import load
 from lfmesh.study import figures
@@ -26,6 +29,32 @@ DETAIL_PX = 80
 DETAIL_CORNER = (280, 160)
 
 NEAR, FAR = "refocused_430mm.png", "refocused_600mm.png"
+
+VIEWS: dict[str, dict[str, Any]] = {
+    "camera.png": {},
+    "ghost.png": {
+        "rays": "field 0,-30,-500",
+        "count": 48,
+        "split": "both",
+        "weight_cutoff": 1e-4,
+        "filter": "reflects(L5b) and reflects(L3b) and reflections == 2 and last == sensor",
+        "colour": "path",
+        "preset": "lens",
+        "cut": True,
+    },
+    "array.png": {
+        "rays": "pixel 322,326",
+        "count": 48,
+        "split": "transmit",
+        "filter": "status == target or status == escaped",
+        "preset": "array",
+        "cut": True,
+    },
+}
+"""What lf.view shows of a scene."""
+VIEW_PX = (960, 600)
+VIEW_COLOURS = 64
+"""Of the palette that keeps these pictures small."""
 
 FIGURE_IN = (8.6, 3.4)
 FIGURE_DPI = 120
@@ -65,10 +94,21 @@ def from_report(report: Path) -> None:
         figure.savefig(PICTURES / "accuracy.png", dpi=FIGURE_DPI)
 
 
+def from_scene(scene: Path) -> None:
+    """Write the camera with rays, a ghost in its lens, and what one pixel sees through the array."""
+    for name, options in VIEWS.items():
+        lfmesh.view(scene, **options, size=VIEW_PX, screenshot=PICTURES / name)
+        with Image.open(PICTURES / name) as picture:
+            small = picture.quantize(VIEW_COLOURS, dither=Image.Dither.NONE)
+        small.save(PICTURES / name, optimize=True)
+
+
 if __name__ == "__main__":
     PICTURES.mkdir(parents=True, exist_ok=True)
     for folder in map(Path, sys.argv[1:]):
-        if (folder / LENS_CSV).is_file():
+        if folder.suffix == ".toml":
+            from_scene(folder)
+        elif (folder / LENS_CSV).is_file():
             from_report(folder)
         elif (folder / NEAR).is_file():
             from_photographs(folder)

@@ -30,7 +30,7 @@ CELL_PX = 32
 """Width of the picture of one period of the lattice."""
 BORDER = 0.06
 """Width of the cells' borders in it, over the pitch."""
-BORDER_RGB, CELL_RGB = (110, 150, 170), (205, 232, 242)
+BORDER_RGB, CELL_RGB = (160, 192, 206), (205, 232, 242)
 
 
 class Caps(NamedTuple):
@@ -129,7 +129,7 @@ def lattice_picture(lattice: Lattice) -> tuple[NDArray[np.uint8], tuple[float, f
     """Return a picture (h, w, 3) of the cells' borders, from one centre on, that repeats with a period in mm."""
     row_pitch = (ROW_SPACING if lattice.hexagonal else 1.0) * lattice.pitch
     period = (lattice.pitch, (2.0 if lattice.hexagonal else 1.0) * row_pitch)
-    height = round(CELL_PX * period[1] / period[0])
+    height = CELL_PX * (2 if lattice.hexagonal else 1)
     v, u = np.indices((height, CELL_PX))
     x, y = (u + 0.5) / CELL_PX * period[0], (v + 0.5) / height * period[1]
     row, column = np.mgrid[-1:4, -2:4]

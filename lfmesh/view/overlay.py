@@ -9,7 +9,7 @@ from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
 from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMapper2D, vtkTextActor
 
-from lfmesh.view.colours import FAINT_TEXT, TEXT, Legend
+from lfmesh.view.colours import BACKGROUND, FAINT_TEXT, TEXT, Legend
 from lfmesh.view.parts import round_length
 
 FONT = Path(mpl.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
@@ -78,6 +78,9 @@ class Overlay:
         look.SetFontFile(str(FONT))
         look.SetFontSize(max(9, round(size * self._scale)))
         look.SetColor(*pv.Color(colour).float_rgb)
+        # Readable over lenslets and charts too.
+        look.SetBackgroundColor(*pv.Color(BACKGROUND).float_rgb)
+        look.SetBackgroundOpacity(0.6)
         if top:
             look.SetVerticalJustificationToTop()
         if right:

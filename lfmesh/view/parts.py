@@ -105,8 +105,9 @@ def texture_of(part: Part) -> pv.Texture | None:
     if part.picture is None:
         return None
     texture = pv.Texture(np.ascontiguousarray(part.picture))
-    # Pixels stay squares when they are looked at closely; tiles too small to be seen turn into their mean.
-    texture.repeat = texture.mipmap = part.tiled
+    # No mipmaps: seen edge-on from nearby, Mesa's software rasteriser does not come to an end with them.
+    texture.repeat = part.tiled
+    # Pixels stay squares when they are looked at closely.
     texture.interpolate = part.tiled or part.kind != "sensor"
     return texture
 
@@ -223,7 +224,7 @@ def _sensor(world: World, picture: Picture | None) -> Iterator[Part]:
 def _bare_pixel() -> Picture:
     """Return the picture of one pixel without an image."""
     tile = np.full((PIXEL_PX, PIXEL_PX, 3), [70, 84, 104], np.uint8)
-    tile[[0, -1]] = tile[:, [0, -1]] = [34, 42, 54]
+    tile[[0, -1]] = tile[:, [0, -1]] = [54, 66, 84]
     return tile
 
 

@@ -91,7 +91,7 @@ class Server:
         """Press Ctrl-C; return the exit code and what was written to standard error."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
-        _, errors = self.process.communicate(timeout=20)
+        _, errors = self.process.communicate(timeout=60)
         return self.process.returncode, errors
 
     def answer(self, path: str = "/index.html", **headers: str) -> http.client.HTTPResponse:
@@ -442,7 +442,7 @@ def test_a_taken_port_is_one_clear_line_and_ctrl_c_a_clean_end(run: Path) -> Non
     assert len(first.line.splitlines()) == 1
     second = subprocess.run(
         [*LFMESH, "view", str(run / "scene.toml"), "--browser", "--port", str(first.port)],
-        capture_output=True, text=True, timeout=60, cwd=Path(lf.__file__).parents[1],
+        capture_output=True, text=True, timeout=300, cwd=Path(lf.__file__).parents[1],
     )  # fmt: skip
     assert second.returncode == 2
     assert second.stdout == ""
@@ -465,7 +465,7 @@ def test_the_written_page_draws_without_a_network(browser: Any, run: Path, tmp_p
     written = tmp_path / "page.html"
     subprocess.run(
         [*LFMESH, "view", str(run), "--html", str(written)],
-        check=True, capture_output=True, timeout=120, cwd=Path(lf.__file__).parents[1],
+        check=True, capture_output=True, timeout=300, cwd=Path(lf.__file__).parents[1],
     )  # fmt: skip
     context = browser.new_context(offline=True, viewport={"width": 640, "height": 480})
     try:

@@ -78,6 +78,8 @@ class Page:
         self.light_field = LightFieldPanel(server, replies, scene, image, folder)
         server.state.update({"expression": expression, "colour": colour, "cut": cut})
         self.rays = RaysPanel(server, replies, view, rays, self.light_field)
+        # Rays from pixels have moved the place of the array that is looked at.
+        view.look(preset)
         _lay_out(server, view.plotter.render_window)
 
 

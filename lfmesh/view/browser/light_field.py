@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from lfmesh.errors import LfmeshError
 from lfmesh.lightfield.calibration import calibrate
 from lfmesh.scene import Scene
 from lfmesh.transport.image import Image
@@ -87,7 +88,11 @@ class LightFieldPanel:
         if state.tab == "field" and state.has_field and self._views is None:
             assert self._image is not None
             assert self._folder is not None
-            self._views = FieldViews(self._image, self._folder)
+            try:
+                self._views = FieldViews(self._image, self._folder)
+            except LfmeshError as fault:
+                state.has_field, state.field_note = False, str(fault)
+                return
             self._show_field(self._views)
         if (state.tab == "field" and state.has_field) or state.side == "sensor":
             self._show_raw()
@@ -102,9 +107,9 @@ class LightFieldPanel:
         state.raw_centres = picture.centres_shown().round(5).tolist() if wished else []
         state.raw_spots = pitch < CIRCLES_FROM_PX
         state.raw_radius = 0.5 * picture.pitch_px / part.width
-        lenslets = f", micro-images {picture.pitch_px:.4g} px apart" if picture.pitch_px else ""
+        lenslets = f", micro-images' pitch {picture.pitch_px:.4g} px" if picture.pitch_px else ""
         shown = "" if part == picture.all else f"{part.width} × {part.height} of "
-        state.raw_note = f"upright, {shown}{picture.columns} × {picture.rows} px{lenslets}"
+        state.raw_note = f"{shown}{picture.columns} × {picture.rows} px{lenslets}"
         if self._marked is not None:
             row, column = self._marked
             self.mark(range(row, row + 1), range(column, column + 1))

@@ -1,5 +1,6 @@
 """The page: its template, its variables, and what stands behind each of its parts."""
 
+import asyncio
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,9 @@ SIZE = (1000, 760)
 """Of the 3D view until the browser says how large it is, px."""
 
 STATIC = Path(__file__).with_name("static")
+
+LATEST_SECONDS = 0.03
+"""After so long a picture that is being encoded is asked for again."""
 
 VIEW = "<!-- view -->"
 """Where the template takes the 3D view."""
@@ -74,6 +78,8 @@ class Page:
         self.light_field = LightFieldPanel(server, replies, scene, image, folder)
         server.state.update({"expression": expression, "colour": colour, "cut": cut})
         self.rays = RaysPanel(server, replies, view, rays, self.light_field)
+        # Rays from pixels have moved the place of the array that is looked at.
+        view.look(preset)
         _lay_out(server, view.plotter.render_window)
 
 
@@ -95,3 +101,20 @@ def _lay_out(server: Any, window: Any) -> None:
         view = VtkRemoteView(window, ref="scene", interactive_ratio=1, interactive_quality=70, connect_parent=False)
         layout.root.add_child(before + view.html + after)
     server.controller.redraw = view.update
+    sending: list[asyncio.Task[None]] = []
+    server.controller.on_server_ready.add(
+        lambda **_state: sending.append(asyncio.ensure_future(_send_what_is_encoded(server, window)))
+    )
+
+
+async def _send_what_is_encoded(server: Any, window: Any) -> None:
+    """Send every picture of the 3D view that was not encoded yet when it should have been sent.
+
+    trame looks a second time, half a second later, and then no more: on a busy machine the last picture would be lost.
+    """
+    publisher, _ = server.protocol.getRPCMethod("viewport.image.push")
+    view = str(publisher.get_global_id(window))
+    while True:
+        await asyncio.sleep(LATEST_SECONDS)
+        if publisher.app.GetHasImagesBeingProcessed(window):
+            publisher.push_render(view)

@@ -48,7 +48,7 @@ HEADS = {
     "count": "count",
     "power": "power / {unit}",
     "share": "share",
-    "irradiance": "peak / {unit} mm⁻²",
+    "irradiance": "peak / {unit}\N{NO-BREAK SPACE}mm⁻²",
 }
 """Columns of the path table that are shown, with their heads."""
 
@@ -77,6 +77,7 @@ class RaysPanel:
         self._state, self._controller = server.state, server.controller
         self._view, self._light_field = view, light_field
         self._rays: Rays | None = None
+        self._whence = ""
         self._drawn: Rays | None = None
         self._kept: NDArray[np.bool_] = np.zeros(0, np.bool_)
         self._table: PathTable | None = None
@@ -104,15 +105,16 @@ class RaysPanel:
         state, world = self._state, self._view.world
         if state.launch == "point":
             point = [_number(state[f"point_{axis}"], f"{axis} / mm") for axis in "xyz"]
-            self._show(launch.from_field_point(world, point, self._count(), **self._options()))
+            rays = launch.from_field_point(world, point, self._count(), **self._options())
+            self._show(rays, "from x = {:g}, y = {:g}, z = {:g} mm".format(*point))
         elif state.launch == "light":
             number = round(_number(state.light, "light"))
-            self._show(launch.from_light(world, number, self._count(), **self._options()))
+            self._show(launch.from_light(world, number, self._count(), **self._options()), f"from lights[{number}]")
         elif state.launch == "pixel":
             row, column = (round(_number(state[name], name)) for name in ("row", "column"))
             self._from_pixels(range(row, row + 1), range(column, column + 1))
         else:
-            self._show(launch.as_in_run(world, self._count(), **self._options()))
+            self._show(launch.as_in_run(world, self._count(), **self._options()), "as in a run")
 
     def _pixel_rays(self, x: float, y: float) -> None:
         row, column = self._light_field.picture.pixel(x, y)
@@ -128,10 +130,14 @@ class RaysPanel:
 
     def _from_pixels(self, rows: range, columns: range) -> None:
         """Launch rays from pixels against the light, and say so in the form."""
-        self._show(launch.from_pixels(self._view.world, rows, columns, self._count(), **self._options()))
-        self._light_field.mark(rows, columns)
+        rays = launch.from_pixels(self._view.world, rows, columns, self._count(), **self._options())
         if len(rows) == len(columns) == 1:
             self._state.update({"launch": "pixel", "row": rows.start, "column": columns.start})
+            self._show(rays, f"from the pixel in row {rows.start}, column {columns.start}")
+        else:
+            area = f"rows {rows.start} to {rows.stop - 1}, columns {columns.start} to {columns.stop - 1}"
+            self._show(rays, f"from the pixels in {area}")
+        self._light_field.mark(rows, columns)
 
     def _count(self) -> int:
         return round(_number(self._state.count, "number"))
@@ -144,9 +150,9 @@ class RaysPanel:
             "wavelength_nm": None if wavelength == ALL else float(wavelength),
         }
 
-    def _show(self, rays: "Rays | None") -> None:
-        """Show other rays, through the filter if it fits them."""
-        self._rays = rays
+    def _show(self, rays: "Rays | None", whence: str = "") -> None:
+        """Show other rays, through the filter if it fits them; `whence` they come, in words."""
+        self._rays, self._whence = rays, whence
         self._state.chosen = None
         self._forget_pick()
         if rays is None:
@@ -207,7 +213,8 @@ class RaysPanel:
             self._drawn = self._rays.keep(shown)
         self._view.show_rays(self._drawn, self._state.colour, fade=bool(self._state.fade))
         self._view.write([])
-        self._state.drawn = " ".join(self._view.caption) or "No rays."
+        words = [*self._view.caption, self._whence] if self._rays is not None else ["No rays."]
+        self._state.drawn = ", ".join(filter(None, words))
         self._redraw()
 
     def _look(self, preset: str) -> None:

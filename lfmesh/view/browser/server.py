@@ -73,6 +73,8 @@ def serve(
         import trame_vtk  # noqa: F401
     except ImportError as missing:
         raise LfmeshError(f"{EXTRA} ({missing.name} is missing)") from None
+    if _is_in_event_loop():
+        raise LfmeshError("the page is served from the command line or a script; in a notebook use lf.view")
     with Probe() as probe:
         _refuse_taken(host, port)
         from lfmesh.view.browser.guard import Guard, is_loopback
@@ -123,6 +125,15 @@ async def _serve(server: Any, token: str, host: str, port: int, open_browser: bo
         await serving
     except OSError as fault:
         raise _cannot_bind(fault, host, port) from None
+
+
+def _is_in_event_loop() -> bool:
+    """Tell whether this is called by an event loop, as notebooks call everything."""
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return False
+    return True
 
 
 def _refuse_taken(host: str, port: int) -> None:

@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lfmesh.files import run
+from lfmesh.files import exr, run
 from lfmesh.files.calibration import write_calibration
 from lfmesh.files.field import save_field
 from lfmesh.scene import Scene
 from lfmesh.transport.image import Image
 from lfmesh.view.browser.field_views import FieldViews
+from lfmesh.view.browser.pictures import UNKNOWN
 
 
 @pytest.fixture(params=["square", "hexagonal"])
@@ -74,3 +75,28 @@ def test_files_of_the_run_are_preferred_to_new_ones(
     kept = FieldViews(image, folder)
     assert not kept.decoded_here
     assert kept.calibration.centres_px == pytest.approx(made.calibration.centres_px + 0.25)
+
+
+def test_depth_is_shown_where_the_run_has_it(
+    tmp_path: Path, camera: Callable[..., Scene], image_of: Callable[..., Image]
+) -> None:
+    scene = camera("square")
+    columns, rows = scene.camera.sensor.pixels
+    image = image_of(scene, np.ones((rows, columns)))
+    folder = tmp_path / "run"
+    run.save(image, folder)
+    assert FieldViews(image, folder).depth() is None
+    distance = np.full((12, 14), 400.0, np.float32)
+    distance[:, 7:] = 600.0
+    distance[3, 5] = np.nan
+    exr.write_maps(folder / "depth.exr", {"Z": distance}, {})
+    shown = FieldViews(image, folder).depth()
+    assert shown is not None
+    picture, low, high = shown
+    assert (low, high) == (400.0, 600.0)
+    assert tuple(picture[3, 5]) == UNKNOWN
+    near, far = tuple(picture[0, 0]), tuple(picture[0, 13])
+    assert near != far
+    known = np.isfinite(distance)
+    assert (picture[known & (distance < 500.0)] == near).all()
+    assert (picture[known & (distance > 500.0)] == far).all()

@@ -24,7 +24,7 @@ def blocks(language: str) -> list[str]:
 
 def commands() -> list[list[str]]:
     """Every command line of the shell blocks and of the tables."""
-    lines = [line for block in blocks("sh") for line in block.splitlines()]
+    lines = [line for block in blocks("sh") for line in block.replace("\\\n", " ").splitlines()]
     lines += re.findall(r"`((?:tools/|lfmesh )[^`]+)`", README)
     return [shlex.split(line) for line in lines]
 

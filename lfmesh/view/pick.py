@@ -154,7 +154,7 @@ def first_hit(origin: Array, direction: Array, corners: Array) -> float:
         q = np.cross(from_corner, first)
         v = (q @ direction) / determinant
         t = (second * q).sum(axis=1) / determinant
-    met = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0)
+        met = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0)
     return float(t[met].min(initial=np.inf))
 
 

@@ -129,7 +129,7 @@ def test_the_development_tools_are_added_once_and_kept(machine: Machine) -> None
 
 def test_tests_run_in_the_project_folder(machine: Machine) -> None:
     result = machine.run("test", "--long", "-k", "a or b")
-    assert result.stdout == f"pytest in {machine.root}:\n<--long><-k><a or b>"
+    assert result.stdout == f"pytest in {machine.root}:\n<--numprocesses=2><--dist=loadfile><--long><-k><a or b>"
 
 
 def test_a_failed_installation_is_done_again(machine: Machine) -> None:

@@ -12,8 +12,9 @@ from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMa
 from lfmesh.view.colours import BACKGROUND, FAINT_TEXT, TEXT, Legend
 from lfmesh.view.parts import round_length
 
-FONT = Path(mpl.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
-"""VTK's own font has no Greek letters and few signs."""
+_FONTS = Path(mpl.get_data_path()) / "fonts" / "ttf"
+FONT, FONT_OF_COLUMNS = _FONTS / "DejaVuSans.ttf", _FONTS / "DejaVuSansMono.ttf"
+"""VTK's own fonts have no Greek letters and few signs."""
 
 LINE = 1.55
 """Distance of lines of text over their size."""
@@ -61,21 +62,23 @@ class Overlay:
         """Replace what stands at the bottom."""
         for text in self._told:
             self._plotter.renderer.RemoveViewProp(text)
-        step = 14 * LINE * self._scale / self._plotter.window_size[1]
+        step = 13 * LINE * self._scale / self._plotter.window_size[1]
         self._told = [
-            self._text(line, 14, (0.2, 0.03 + step * place), TEXT) for place, line in enumerate(reversed(lines))
+            self._text(line, 13, (0.2, 0.03 + step * place), TEXT, font=FONT_OF_COLUMNS)
+            for place, line in enumerate(reversed(lines))
         ]
 
     def _text(
-        self, words: str, size: int, place: tuple[float, float], colour: str, *, top: bool = False, right: bool = False
-    ) -> vtkTextActor:
+        self, words: str, size: int, place: tuple[float, float], colour: str, *, top: bool = False, right: bool = False,
+        font: Path = FONT,
+    ) -> vtkTextActor:  # fmt: skip
         text = vtkTextActor()
         text.SetInput(words)
         text.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
         text.SetPosition(*place)
         look = text.GetTextProperty()
         look.SetFontFamily(4)  # VTK_FONT_FILE
-        look.SetFontFile(str(FONT))
+        look.SetFontFile(str(font))
         look.SetFontSize(max(9, round(size * self._scale)))
         look.SetColor(*pv.Color(colour).float_rgb)
         # Readable over lenslets and charts too.

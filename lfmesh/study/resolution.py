@@ -62,12 +62,18 @@ def _edge_profile(picture: Array) -> Array | None:
     for reach in (width, width / 4):
         near = np.abs(column[None, :] - place[:, None]) <= reach
         weight = np.where(near, slope, 0.0)
-        place = np.polyval(np.polyfit(rows, (weight * column).sum(axis=1) / weight.sum(axis=1), 1), rows)
+        step = weight.sum(axis=1)
+        # In some rows of a noisy picture there may be no step to see.
+        seen = step > 0.5 * np.median(step)
+        if seen.sum() < 2 * OVERSAMPLING:
+            return None
+        centroid = (weight * column).sum(axis=1)[seen] / step[seen]
+        place = np.polyval(np.polyfit(rows[seen], centroid, 1), rows)
     lean = np.arctan((place[-1] - place[0]) / (height - 1))
     distance = (np.arange(width)[None, :] - place[:, None]) * np.cos(lean)
     reach = int(OVERSAMPLING * np.abs(distance).max(axis=1).min()) - 1
     bins = np.round(distance * OVERSAMPLING).astype(np.int64) + reach
-    inside = (bins >= 0) & (bins <= 2 * reach)
+    inside = (bins >= 0) & (bins <= 2 * reach) & seen[:, None]
     counts = np.bincount(bins[inside], minlength=2 * reach + 1)
     sums = np.bincount(bins[inside], picture[inside], 2 * reach + 1)
     filled = counts > 0

@@ -42,6 +42,12 @@ def test_noise_does_not_change_an_edge_much_and_without_edge_there_is_no_figure(
     assert np.isnan(edge_mtf50(np.ones((3, 80))))
 
 
+def test_rows_that_got_no_light_do_not_count() -> None:
+    lit = np.random.default_rng(2).random(80) < 0.7
+    assert edge_mtf50(edge(1.5) * lit[:, None]) == pytest.approx(edge_mtf50(edge(1.5)), rel=0.02)
+    assert np.isnan(edge_mtf50(edge(1.5) * (np.arange(80) < 5)[:, None]))
+
+
 def test_a_points_width_is_that_of_its_spread() -> None:
     t, s = np.indices((61, 61)) - 30.0
     spot = np.exp(-0.5 * ((t - 1.3) ** 2 + (s + 0.4) ** 2) / 2.0**2)

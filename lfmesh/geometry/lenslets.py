@@ -56,6 +56,12 @@ class Lenslets(NamedTuple):
         """Whether the curved face is continuous: one type, no form errors."""
         return len(self.curvature) == 1 and not len(self.decentre) and not len(self.stretch)
 
+    @property
+    def apexes(self) -> Array:
+        """(rows, columns, 2) mm: where the lenslets' apexes stand."""
+        centres = self.lattice.centres()
+        return centres + self.decentre.reshape(centres.shape) if len(self.decentre) else centres
+
 
 def lenslets(
     lattice: Lattice,

@@ -71,8 +71,7 @@ class Plate(NamedTuple):
     @property
     def apexes(self) -> Array:
         """(rows · columns, 2) mm, array frame."""
-        centres = self.lenslets.lattice.centres().reshape(-1, 2)
-        return centres + self.lenslets.decentre if len(self.lenslets.decentre) else centres
+        return self.lenslets.apexes.reshape(-1, 2)
 
     def at_apexes(self, position: Array, direction: Array) -> Array:
         """Return where (n, 3) rays of the camera frame cross the plane of the apexes, (n, 2) mm in the array frame."""

@@ -167,7 +167,7 @@ def _focused(image: Image, white: Image | None) -> _Focused:
     if white is not None:
         light, spread = _divided(image, white, scene)
         unit = "W/(m² sr)"
-    apexes = plate_of(scene).apexes.reshape(*calibration.known.shape, 2)
+    apexes = plate_of(scene).lenslets.apexes
     return _Focused(scene, calibration, model, geometry, apexes, light, spread, radius, unit)
 
 

@@ -21,7 +21,6 @@ from lfmesh.view.aimed_rays import Aim, AimedRay
 from lfmesh.view.sections import (
     Cut,
     Glass,
-    apexes,
     curved_face,
     cut_through,
     lens_glass,
@@ -305,7 +304,7 @@ def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
     toward_lens = mla.curved_side == "lens"
     # Seen from the lens through the plate, the apexes lie nearer.
     seen_z = 0.0 if toward_lens else mla.thickness_mm - air_thickness_mm(mla, scene.transport.primary_nm)
-    at = apexes(array)
+    at = array.apexes
     apex = np.dstack([at, np.full(at.shape[:2], seen_z)]).reshape(-1, 3) @ to_camera[:, :3].T + to_camera[:, 3]
     middle = _nearest_axis(apex, array.lattice.pitch)
     x = float(apex[middle, 0])

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens_shape import LensShape
@@ -212,9 +211,3 @@ def curved_face(cut: Cut, array: Lenslets, s: Array) -> Array:
             r2 = np.square(p[there] - centres[cell] - (ex, ey)).sum(axis=1)
             height[there] = curvature * r2 / (1.0 + np.sqrt(1.0 - curvature**2 * r2))
     return height
-
-
-def apexes(array: Lenslets) -> NDArray[np.float64]:
-    """Return the (rows, columns, 2) apexes of all lenslets in the array's frame, mm."""
-    centres = array.lattice.centres()
-    return centres + array.decentre.reshape(centres.shape) if len(array.decentre) else centres

@@ -189,7 +189,7 @@ class EngineRun:
         work.begin(np.zeros((0, 1)))
         launch_rays(
             first, origins, directions, np.full(len(origins), LENS), np.zeros(len(origins), np.int64), KEY,
-            work.tables.frames, False, work.flow(), work.template,
+            work.flow(), work.template,
         )  # fmt: skip
         return work
 

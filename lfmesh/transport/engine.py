@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
+from lfmesh.geometry import frame as frame_moves
 from lfmesh.transport.adjoint import start_room
 from lfmesh.transport.array_region import admit_to_cells, shade_cells, through_plate
 from lfmesh.transport.bundle import BLOCK, empty_bundle
@@ -26,9 +27,11 @@ from lfmesh.transport.packet import (
     COUNTERS,
     DEPOSIT,
     DEPOSITS,
+    E_START,
     END,
     ENDED,
     LENS,
+    NO_SURFACE,
     NODE,
     NODES,
     OBJECTS,
@@ -36,6 +39,7 @@ from lfmesh.transport.packet import (
     PLATE,
     STATIONS,
     TOPS,
+    WORLD_FRAME,
     Flow,
     Options,
 )
@@ -97,6 +101,24 @@ class Workspace:
             self.stacks, self.rows, self.tops, self.book, self.counts,
             self.film, self.deposits, self.ended, self.nodes,
         )  # fmt: skip
+
+    def record_starts(self) -> None:
+        """Give every packet that waits and has no vertex yet one where it starts."""
+        for station in range(STATIONS):
+            packets = self.stacks[self.rows[station], : self.tops[station]]
+            for frame in np.unique(packets["frame"]):
+                fresh = np.flatnonzero((packets["frame"] == frame) & (packets["node"] == NO_SURFACE))
+                top = int(self.tops[NODES])
+                number = np.arange(top, top + len(fresh))
+                p = np.stack([packets[axis][fresh] for axis in "xyz"], axis=-1)
+                nodes = self.nodes
+                nodes["position"][number] = frame_moves.points(self.tables.frames[frame, WORLD_FRAME], p)
+                nodes["weight"][number] = packets["weight"][fresh]
+                for name in ("parent", "surface", "part"):
+                    nodes[name][number] = NO_SURFACE
+                nodes["event"][number] = E_START
+                packets["node"][fresh] = number
+                self.tops[NODES] = top + len(fresh)
 
     def run(self) -> None:
         """Trace until every stack is empty."""

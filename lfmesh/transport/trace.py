@@ -42,7 +42,6 @@ from lfmesh.transport.packet import (
     Status,
     put,
 )
-from lfmesh.transport.packet import E_START as STARTED
 from lfmesh.transport.random import derived, descendant
 from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
 from lfmesh.transport.tables import Records, Tables
@@ -187,9 +186,10 @@ def trace(
         work.begin(np.zeros((0, 1)))
         part = slice(first, first + CHUNK)
         launch_rays(
-            first, p[part], d[part], station[part], space[part], key, tables.frames, record, work.flow(),
-            work.template,
+            first, p[part], d[part], station[part], space[part], key, work.flow(), work.template
         )  # fmt: skip
+        if record:
+            work.record_starts()
         work.run()
         tops = work.tops
         return (
@@ -338,7 +338,7 @@ def _refuse_starts_in_the_lens(station: NDArray[np.int64], space: NDArray[np.int
 @kernel
 def launch_rays(
     first: int, p: NDArray[np.float64], d: NDArray[np.float64], station: NDArray[np.int64], space: NDArray[np.int64],
-    key: np.uint64, frames: NDArray[np.float64], record: bool, flow: Flow, template: NDArray[np.void],
+    key: np.uint64, flow: Flow, template: NDArray[np.void],
 ) -> None:  # fmt: skip
     """Put rays given in the camera frame on the stacks of their stations, with a weight of one."""
     packet = template[0]
@@ -354,21 +354,6 @@ def launch_rays(
         packet.space = space[i]
         packet.node = NO_SURFACE
         flow.book[EMITTED] += 1.0
-        if record:
-            top = flow.tops[NODES]
-            node = flow.nodes[top]
-            world = frames[CAMERA_FRAME, WORLD_FRAME]
-            for axis in range(3):
-                node.position[axis] = (
-                    world[axis, 0] * p[i, 0] + world[axis, 1] * p[i, 1] + world[axis, 2] * p[i, 2] + world[axis, 3]
-                )
-            node.parent = NO_SURFACE
-            node.weight = 1.0
-            node.surface = NO_SURFACE
-            node.part = NO_SURFACE
-            node.event = STARTED
-            flow.tops[NODES] = top + 1
-            packet.node = top
         put(
             flow, station[i], packet, CAMERA_FRAME,
             p[i, 0], p[i, 1], p[i, 2], d[i, 0], d[i, 1], d[i, 2], 1.0, derived(key, first + i), 0.0,

@@ -5,12 +5,11 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry import frame as frames
 from lfmesh.transport.adjoint import launch_adjoint
 from lfmesh.transport.crossing import FLOAT32_GRAIN
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.forward import launch_forward
-from lfmesh.transport.packet import E_START, ENDED, NO_SURFACE, NODES, OBJECTS, STATIONS, WORLD_FRAME, Options
+from lfmesh.transport.packet import ENDED, NODES, OBJECTS, Options
 from lfmesh.transport.tables import Records, Tables
 from lfmesh.transport.trace import joined_records, launch_rays
 from lfmesh.transport.world import World
@@ -33,32 +32,13 @@ def traced(
     for start in starts:
         work.begin(np.zeros((0, 1)))
         start(work)
-        _record_starts(work)
+        work.record_starts()
         work.run()
         parts.append((work.ended[: work.tops[ENDED]].copy(), work.nodes[: work.tops[NODES]].copy()))
         work.recorded += int(work.tops[NODES])
     ended, nodes = joined_records(parts)
     ended["wave"] = wave
     return ended, nodes
-
-
-def _record_starts(work: Workspace) -> None:
-    """Give every packet that waits and has no vertex yet one where it starts."""
-    for station in range(STATIONS):
-        packets = work.stacks[work.rows[station], : work.tops[station]]
-        for frame in np.unique(packets["frame"]):
-            fresh = np.flatnonzero((packets["frame"] == frame) & (packets["node"] == NO_SURFACE))
-            top = int(work.tops[NODES])
-            number = np.arange(top, top + len(fresh))
-            p = np.stack([packets[axis][fresh] for axis in "xyz"], axis=-1)
-            nodes = work.nodes
-            nodes["position"][number] = frames.points(work.tables.frames[frame, WORLD_FRAME], p)
-            nodes["weight"][number] = packets["weight"][fresh]
-            for field in ("parent", "surface", "part"):
-                nodes[field][number] = NO_SURFACE
-            nodes["event"][number] = E_START
-            packets["node"][fresh] = number
-            work.tops[NODES] = top + len(fresh)
 
 
 def from_point(point: Floats, d: Floats, watts: Floats, key: np.uint64) -> Iterator[Start]:
@@ -71,7 +51,7 @@ def from_point(point: Floats, d: Floats, watts: Floats, key: np.uint64) -> Itera
             rays = len(d[part])
             launch_rays(
                 first, np.tile(point, (rays, 1)), np.ascontiguousarray(d[part]), np.full(rays, OBJECTS),
-                np.zeros(rays, np.int64), key, work.tables.frames, False, work.flow(), work.template,
+                np.zeros(rays, np.int64), key, work.flow(), work.template,
             )  # fmt: skip
             packets = work.stacks[work.rows[OBJECTS], :rays]
             packets["weight"] = packets["start"] = watts[part]

@@ -6,6 +6,7 @@ stage, and both stages may be averaged by their samples without bias, and their 
 from the pixel's own noise would favour the stage that missed the bright paths.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,10 +62,11 @@ def samples_of(levels: Counts) -> NDArray[np.int64]:
     return np.where(levels > 0, np.int64(1) << np.maximum(levels.astype(np.int64) - 1, 0), 0)
 
 
-def total_samples(levels: Counts) -> int:
-    """Return the samples of all pixels of a replicate."""
+def total_samples(levels: Counts, thinned: Callable[[int], int] = int) -> int:
+    """Return the samples of all pixels of a replicate; `thinned`: how many a pixel of so many gets."""
     pixels = np.bincount(levels.ravel())
-    return int(pixels @ samples_of(np.arange(len(pixels), dtype=np.uint8)))
+    samples = samples_of(np.arange(1, len(pixels), dtype=np.uint8))
+    return sum(int(count) * thinned(int(each)) for count, each in zip(pixels[1:], samples, strict=True))
 
 
 def second_stage(mean: Array, variance: Array, scene: Scene) -> tuple[Counts, float]:

@@ -302,10 +302,7 @@ class Renderer:
         """Return how many packets a part of a replicate starts with."""
         if levels is None:
             return self.waves * self.pixels * part.samples(self.samples)
-        pixels = np.bincount(levels.ravel())
-        return self.waves * sum(
-            int(count) * part.samples(1 << (level - 1)) for level, count in enumerate(pixels) if level
-        )
+        return self.waves * total_samples(levels, part.samples)
 
     def _merge(self, waiting: Waiting, tally: Tally, film: Film) -> int:
         """Add the oldest chunk's result; return how many packets it started with."""

@@ -19,6 +19,7 @@ from lfmesh.lightfield.calibration import Calibration, calibrate
 from lfmesh.lightfield.decode import decode
 from lfmesh.lightfield.field import LightField
 from lfmesh.lightfield.refocus import refocus
+from lfmesh.scene import Scene
 from lfmesh.transport.image import Image
 from lfmesh.view.browser.pictures import coloured, exposed, white_of
 
@@ -38,6 +39,12 @@ class Place(NamedTuple):
     s: int
 
 
+def calibration_of_run(scene: Scene, folder: Path | None) -> Calibration:
+    """Return where the micro-images of a run are: as it keeps it, else traced."""
+    kept = folder / run.CALIBRATION if folder is not None else None
+    return read_calibration(kept) if kept is not None and kept.is_file() else calibrate(scene)
+
+
 class FieldViews:
     """Pictures of a run's light field.
 
@@ -47,6 +54,8 @@ class FieldViews:
         Of a light-field camera.
     folder : Path
         The run's; what it lacks is made for the page and not kept.
+    calibration : Calibration, optional
+        The run's, where it is known already.
 
     Raises
     ------
@@ -54,9 +63,8 @@ class FieldViews:
         A file of the run is damaged, or its camera records no light field.
     """
 
-    def __init__(self, image: Image, folder: Path) -> None:
-        kept = folder / run.CALIBRATION
-        self.calibration: Calibration = read_calibration(kept) if kept.is_file() else calibrate(image.scene)
+    def __init__(self, image: Image, folder: Path, calibration: Calibration | None = None) -> None:
+        self.calibration = calibration or calibration_of_run(image.scene, folder)
         field = open_field(folder)
         self.decoded_here = field is None
         if field is None:

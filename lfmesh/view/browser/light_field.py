@@ -2,14 +2,15 @@
 
 import math
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from lfmesh.errors import LfmeshError
-from lfmesh.lightfield.calibration import calibrate
+from lfmesh.lightfield.calibration import Calibration
 from lfmesh.scene import Scene
 from lfmesh.transport.image import Image
-from lfmesh.view.browser.field_views import STEPS, FieldViews, Place
+from lfmesh.view.browser.field_views import STEPS, FieldViews, Place, calibration_of_run
 from lfmesh.view.browser.pictures import data_url
 from lfmesh.view.browser.replies import Replies
 from lfmesh.view.browser.sensor_picture import SensorPicture
@@ -64,13 +65,14 @@ class LightFieldPanel:
         """The sensor's picture; made when it is first looked at."""
         if self._picture is None:
             columns, rows = self._scene.camera.sensor.pixels
-            calibration = None
-            if self._views is not None:
-                calibration = self._views.calibration
-            elif self._scene.camera.mla is not None:
-                calibration = calibrate(self._scene)
+            calibration = self._calibration if self._scene.camera.mla is not None else None
             self._picture = SensorPicture(columns, rows, self._image, calibration)
         return self._picture
+
+    @cached_property
+    def _calibration(self) -> Calibration:
+        """Where the micro-images are; tracing that takes seconds for a large array."""
+        return calibration_of_run(self._scene, self._folder)
 
     def mark(self, rows: range, columns: range) -> None:
         """Mark pixels in the sensor's picture."""
@@ -89,7 +91,7 @@ class LightFieldPanel:
             assert self._image is not None
             assert self._folder is not None
             try:
-                self._views = FieldViews(self._image, self._folder)
+                self._views = FieldViews(self._image, self._folder, self._calibration)
             except LfmeshError as fault:
                 state.has_field, state.field_note = False, str(fault)
                 return

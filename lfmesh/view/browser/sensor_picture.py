@@ -6,8 +6,7 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from lfmesh.files.colour import srgb_encode, to_display
-from lfmesh.files.preview import bands, upright, well_known, white_point
+from lfmesh.files.preview import displayed, upright
 from lfmesh.lightfield.calibration import Calibration
 from lfmesh.transport.image import Image
 
@@ -56,7 +55,10 @@ class SensorPicture:
         self, columns: int, rows: int, image: Image | None = None, calibration: Calibration | None = None
     ) -> None:
         self.columns, self.rows = columns, rows
-        self._picture = np.full((rows, columns), BLANK, np.uint8) if image is None else _exposed(image)
+        self._picture = np.full((rows, columns), BLANK, np.uint8)
+        if image is not None:
+            picture, _ = displayed(image.mean, image.wavelengths_nm, image.stderr)
+            self._picture = upright(picture)
         self._centres = np.empty((0, 2))
         self.pitch_px = 0.0
         if calibration is not None:
@@ -128,13 +130,3 @@ class SensorPicture:
         return Part(
             min(max(round(row), 0), self.rows - height), min(max(round(column), 0), self.columns - width), height, width
         )
-
-
-def _exposed(image: Image) -> NDArray[np.uint8]:
-    light = to_display(image.mean, image.wavelengths_nm)
-    white = white_point(light, well_known(image.mean, image.stderr))
-    picture = np.zeros(light.shape, np.uint8)
-    if white > 0.0:
-        for rows in bands(len(light)):
-            picture[rows] = srgb_encode(light[rows] / white)
-    return upright(picture)

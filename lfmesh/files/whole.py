@@ -20,7 +20,7 @@ def write_whole(path: Path, content: str | bytes) -> None:
     staging = None
     try:
         if path.is_dir():
-            raise FileError(f"{path} is a folder; give the name of a file")
+            raise FileError(f"{path} cannot be written: it is a folder; give the name of a file")
         handle, staging = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
         with os.fdopen(handle, "wb") as file:
             file.write(data)

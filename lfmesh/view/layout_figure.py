@@ -23,6 +23,7 @@ from matplotlib.patches import Polygon, Rectangle
 from matplotlib.text import Text
 
 from lfmesh.errors import FileError
+from lfmesh.files.whole import write_whole
 from lfmesh.geometry.mesh import Array
 from lfmesh.scene import Scene
 from lfmesh.scene.solve import lenslet_focal_length_mm
@@ -107,16 +108,7 @@ def draw(scene: Scene, path: str | Path = "layout.svg") -> Path:
         raise FileError(f"{path}: {ending}; a drawing is one of {', '.join(FORMATS)}")
     if not path.parent.is_dir():
         raise FileError(f"{path}: there is no folder {path.parent}; make it, or give another")
-    picture = encoded(layout(scene), kind)
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_bytes(picture)
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise FileError(
-            f"{path}: cannot be written ({error.strerror}); give a file in a folder you may write"
-        ) from error
+    write_whole(path, encoded(layout(scene), kind))
     return path
 
 

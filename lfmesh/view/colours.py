@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.files.colour import spectral_srgb
-from lfmesh.transport.packet import Event, Status
+from lfmesh.transport.packet import Status
 from lfmesh.view.path_table import short_form
 
 if TYPE_CHECKING:
@@ -82,18 +82,13 @@ def ray_colours(
     makers: dict[str, Callable[[], tuple[Rgb, Legend]]] = {
         "wavelength": lambda: _by_wavelength(rays.wavelength_nm[paths]),
         "power": lambda: _by_power(rays.power[vertices], rays.unit),
-        "events": lambda: _by_number(interfaces_met(rays)[paths]),
+        "events": lambda: _by_number(rays.events[paths]),
         "status": lambda: _by_status(rays.status[paths]),
         "path": lambda: _by_sequence(rays, paths),
     }
     if by not in makers:
         raise LfmeshError(f"colour = {by!r}: use one of {', '.join(get_args(ColourBy))}")
     return makers[by]()
-
-
-def interfaces_met(rays: "Rays") -> NDArray[np.int64]:
-    """Return (n,) how often each path was transmitted, reflected or scattered."""
-    return rays.count_vertices(np.isin(rays.event, [Event.TRANSMITTED, Event.REFLECTED, Event.SCATTERED]))
 
 
 def power_share(power: NDArray[np.float64]) -> NDArray[np.float64]:

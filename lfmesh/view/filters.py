@@ -60,8 +60,6 @@ COMPARISONS: dict[str, Callable[[NDArray[np.float64], float], Mask]] = {
     ">=": operator.ge,
 }
 
-_AT_INTERFACES = [Event.TRANSMITTED, Event.REFLECTED, Event.SCATTERED]
-
 FUNCTIONS = {
     "hits": None,
     "reflects": Event.REFLECTED,
@@ -70,7 +68,7 @@ FUNCTIONS = {
 }
 
 NUMBERS: dict[str, Callable[[Rays], NDArray[np.float64]]] = {
-    "events": lambda rays: rays.count_vertices(np.isin(rays.event, _AT_INTERFACES)).astype(np.float64),
+    "events": lambda rays: rays.events.astype(np.float64),
     "reflections": lambda rays: rays.count_vertices(rays.reflected).astype(np.float64),
     "power": lambda rays: rays.end_power,
     "wavelength": lambda rays: rays.wavelength_nm,

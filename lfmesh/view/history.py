@@ -64,6 +64,11 @@ class Step:
     power: float
     roulette: float
 
+    @property
+    def was_raised(self) -> bool:
+        """Whether roulette raised the power here, and not rounding."""
+        return self.roulette > 1.0 + 1e-6
+
 
 @dataclass(frozen=True)
 class _Interface:
@@ -127,7 +132,7 @@ def lines(steps: list[Step], unit: str) -> list[str]:
         angle = "" if step.incidence_deg is None else f"{step.incidence_deg:.2f}\N{DEGREE SIGN}"
         r, t = ("" if share is None else f"{share:.4f}" for share in (step.reflectance, step.transmittance))
         factor = f"x{step.roulette:.2g}" if step.roulette < 100.0 else f"x{min(step.roulette, 99999.0):.0f}"
-        raised = factor if step.roulette > 1.0 + 1e-6 else ""
+        raised = factor if step.was_raised else ""
         lines.append(
             f"{step.short[:16]:<17}{IN_SHORT.get(step.event, step.event.name.lower()):<9}{angle:>7}{r:>7}{t:>7}"
             f"{step.power:12.4e}{raised:>7} {step.medium[:13]}"

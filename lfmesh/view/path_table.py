@@ -129,21 +129,25 @@ class PathTable(Sequence[PathRow]):
         return _table(self.rays.keep(mask), self.total)
 
     def to_csv(self, path: str | Path) -> Path:
-        """Write the table with every digit and whole sequences; return the file. It is written whole or not at all.
+        """Write `csv_text`; return the file. It is written whole or not at all.
 
         Raises
         ------
         FileError
             The file cannot be written.
         """
+        write_whole(Path(path), self.csv_text())
+        return Path(path)
+
+    def csv_text(self) -> str:
+        """Return the table as CSV, with every digit and whole sequences."""
         unit = "w" if self.rays.unit == WATT else "m2_sr"
         titles = {"power": f"power_{unit}", "irradiance": f"largest_irradiance_{unit}_mm2"}
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(titles.get(name, name) for name in COLUMNS)
         writer.writerows([getattr(row, name) for name in COLUMNS] for row in self.rows)
-        write_whole(Path(path), text.getvalue())
-        return Path(path)
+        return text.getvalue()
 
     def lines(self, most: int = ROWS, width: int = 80) -> list[str]:
         """Return the first rows for a terminal, a line each, with sequences in their short form."""
@@ -173,11 +177,10 @@ def _table(rays: Rays, total: float) -> PathTable:
     arriving = rays.end_power * rays.arrives
     power = np.bincount(place, arriving, len(present))
     irradiance = _largest_irradiance(rays, place, arriving, len(present))
-    events = rays.count_vertices(np.isin(rays.event, [Event.TRANSMITTED, Event.REFLECTED, Event.SCATTERED]))
     reflections = rays.count_vertices(rays.reflected)
     rows = [
         PathRow(
-            int(number), short_form(rays, path), rays.sequences[number], int(events[path]), int(reflections[path]),
+            int(number), short_form(rays, path), rays.sequences[number], int(rays.events[path]), int(reflections[path]),
             int(paths), float(watts), float(watts / total) if total > 0.0 else 0.0, float(largest),
         )
         for number, path, paths, watts, largest in zip(present, first, count, power, irradiance, strict=True)

@@ -117,6 +117,11 @@ class Rays:
         return (self.event == Event.REFLECTED) & (self.surface > 0) & (self.surface <= faces)
 
     @cached_property
+    def events(self) -> Ints:
+        """(n,) how often each path was transmitted, reflected or scattered."""
+        return self.count_vertices(np.isin(self.event, [Event.TRANSMITTED, Event.REFLECTED, Event.SCATTERED]))
+
+    @cached_property
     def ghosts(self) -> NDArray[np.bool_]:
         """(n,) whether a path is a ghost: at least two reflections by lens or array, and it arrives."""
         return self.arrives & (self.count_vertices(self.reflected) >= 2)
@@ -230,7 +235,7 @@ def _points_of_scene(world: World) -> Floats:
     focus = world.scene.camera.focus_mm
     if focus is not None and np.isfinite(focus):
         points.append(frames.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], [[0.0, 0.0, -focus]]))
-    points += [world.mesh(name).vertices for name in world.mesh_names if name.startswith("targets[")]
+    points += [target.mesh.vertices for target in world.targets]
     lamps = [light.position_mm for light in world.scene.lights if light.kind != "directional"]
     return np.concatenate([*points, np.array(lamps, dtype=np.float64).reshape(-1, 3)])
 

@@ -1,7 +1,5 @@
 """The rays in the page: launching them, the 3D view, the path table with its filter, and what is picked."""
 
-import tempfile
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
@@ -38,9 +36,6 @@ PICKED, PICKED_COLOUR, PICKED_WIDTH = "picked path", "white", 3.0
 
 MOST_ROWS = 300
 """Of the path table that the page holds."""
-
-ROULETTE = 1.0 + 1e-6
-"""Factors above this were played for; what is below is rounding."""
 
 HEADS = {
     "path": "path",
@@ -199,10 +194,7 @@ class RaysPanel:
 
     def _csv(self) -> str:
         """Return the table as the text of a CSV file."""
-        if self._table is None:
-            return ""
-        with tempfile.TemporaryDirectory() as folder:
-            return self._table.to_csv(Path(folder) / "paths.csv").read_text(encoding="utf-8")
+        return "" if self._table is None else self._table.csv_text()
 
     def _draw(self) -> None:
         """Draw the paths that the filter keeps, of them the chosen sequence."""
@@ -354,7 +346,7 @@ def _step_cells(step: Step) -> list[str]:
         f"{step.power:.3e}",
         step.medium,
         ", ".join(f"{place:.4f}" for place in step.position_mm),
-        f"× {step.roulette:.4g}" if step.roulette > ROULETTE else "",
+        f"× {step.roulette:.4g}" if step.was_raised else "",
     ]
 
 

@@ -7,9 +7,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.spatial import cKDTree
 
 import lfmesh as lf
-from lfmesh.transport.packet import CAMERA_FRAME, SENSOR_FRAME
+from lfmesh.assets import asset_path
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.lattice import Lattice
+from lfmesh.transport.adjoint import _in_cell as in_cell
+from lfmesh.transport.adjoint import _list_cells as list_cells
+from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.pupil import opening_from, unknown_opening
 from lfmesh.transport.render import Renderer
 from lfmesh.transport.tables import Aim
@@ -153,3 +159,60 @@ def test_nothing_is_sent_from_where_the_lens_shows_no_opening() -> None:
     z = world.tables.frames[SENSOR_FRAME, CAMERA_FRAME][2, 3]
     assert opening_from(world.tables.aim.exit, 40.0, 0.0, z)[2] < 0.0
     assert opening_from(world.tables.aim.exit, 0.0, 0.0, z)[2] > 0.0
+
+
+PLATES = {
+    "first light": ("first_light", {}),
+    "hexagonal": ("hexagonal", {}),
+    "focused": ("focused", {}),
+    "Lytro class": ("lytro_class", {}),
+    "curved to the sensor": ("first_light", {"camera.mla.curved_side": "sensor"}),
+    "tilted": ("first_light", {"camera.mla.pose": {"tilt_deg": (0.6, -0.5, 2.0), "shift_mm": (0.05, -0.03, 0.1)}}),
+}
+
+
+@pytest.mark.parametrize("name", PLATES)
+def test_no_path_through_a_lenslets_corner_goes_past_the_cells_aimed_at(name: str) -> None:
+    """Rays from the sensor to near where cells meet: each that comes out of the lens could have been drawn.
+
+    One that could not be would carry the weight of the few rays that go anywhere: ten thousands of others.
+    """
+    file, changes = PLATES[name]
+    of = lf.load(asset_path(f"scenes/{file}.toml"))
+    small = {"camera.mla.count": (24, 24), "camera.sensor.pixels": (240, 240), "transport.split": "transmit"}
+    world = lf.build(of.changed(small | {"targets": [], "lights": []} | changes))
+    array, aim, moves = world.tables.array, world.tables.aim, world.tables.frames
+    lattice = array.lenslets.lattice
+    random = np.random.default_rng(5)
+    rays = 200_000
+    p = np.zeros((rays, 3))
+    p[:, :2] = random.uniform(-0.5, 0.5, (rays, 2)) * world.scene.camera.sensor.size_mm
+    p = frames.points(moves[SENSOR_FRAME, ARRAY_FRAME], p)
+    d = corners(lattice, aim, p, random) - p
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    to_world = moves[ARRAY_FRAME, WORLD_FRAME]
+    paths = lf.trace(
+        world, frames.points(to_world, p + 1e-9 * d), d @ to_world[:, :3].T, split="transmit", engine="sequential"
+    )
+    out = paths.source[paths.status == lf.Status.ESCAPED]
+    near = np.zeros(((2 * aim.search + 1) ** 2 + 1, 5))
+    past = 0
+    for i in out:
+        reach = (aim.border_z - p[i, 2]) / d[i, 2]
+        x, y = p[i, :2] + reach * d[i, :2]
+        listed = near[: list_cells(array, aim, *p[i], 0.0, near)]
+        past += not any(in_cell(lattice, x - cx, y - cy, aim.cell_margin) for cx, cy in listed[:, :2])
+    assert len(out) > 500
+    assert past == 0
+
+
+def corners(lattice: Lattice, aim: Aim, p: Array, random: np.random.Generator) -> Array:
+    """Return points near corners of cells within some pitches of points p (n, 3) of the array's frame, as seen."""
+    centres = lattice.centres().reshape(-1, 2)
+    nearest = cKDTree(centres).query(p[:, :2], 12)[1]
+    cell = centres[nearest[np.arange(len(p)), random.integers(0, 12, len(p))]]
+    sides = 6 if lattice.hexagonal else 4
+    turn = 2.0 * np.pi / sides * (random.integers(0, sides, len(p)) + 0.5)
+    at = cell + lattice.circumradius * np.column_stack([np.cos(turn), np.sin(turn)])
+    at += 0.05 * lattice.pitch * random.uniform(-1.0, 1.0, at.shape)
+    return np.column_stack([at, np.full(len(p), aim.border_z)])

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
-from lfmesh.geometry.lattice import ROW_SPACING, Lattice, cell_of, centre, in_hexagon
-from lfmesh.kernel import kernel, pasted
+from lfmesh.geometry.lattice import ROW_SPACING, Lattice, cell_of, centre
+from lfmesh.kernel import inlined, kernel, pasted
 from lfmesh.optics.scattering import lambertian
 from lfmesh.transport.aiming import aimed
 from lfmesh.transport.bundle import (
@@ -64,6 +64,9 @@ STARTS = BLOCK
 HALF_DIAGONAL = 0.72
 """Of a pixel, with a margin, in its width: how far from its middle a path may start."""
 
+SURE, MARGIN_SHARE = 0.95, 0.1
+"""Within this part of a lenslet's view it surely shows the opening; share of the rays to what may show it."""
+
 Numbers = tuple[float, float, float, float, float, float]
 """What a path starts from, in [0, 1): place in the pixel, point of the lenslet (or pupil), which of them."""
 
@@ -83,8 +86,8 @@ class StartRoom(NamedTuple):
     scrambling: NDArray[np.uint32]  # (6, STARTS)
     numbers: Array  # (6, STARTS) what each sample starts from
     keys: NDArray[np.uint64]  # (STARTS,)
-    near: Array  # (most + 1, 5) lenslets that show the lens's opening to some point of a pixel, see `_list_cells`
-    cells: NDArray[np.int64]  # (most + 1,) those of them that show it to the point
+    near: Array  # (most + 1, 5) lenslets that may show the lens's opening to some point of a pixel, see `_list_cells`
+    cells: NDArray[np.int64]  # (3, most + 1) those that may show it to the point, whether they surely do, which do
     packets: NDArray[np.void]  # (STARTS,) PACKET
 
 
@@ -100,7 +103,7 @@ def start_room(aim: Aim) -> StartRoom:
         np.zeros(table),
         np.zeros(STARTS, np.uint64),
         np.zeros((most + 1, 5)),
-        np.zeros(most + 1, np.int64),
+        np.zeros((3, most + 1), np.int64),
         np.zeros(STARTS, PACKET),
     )
 
@@ -304,10 +307,10 @@ def _through_a_lenslet(
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """Return a direction (array frame) from a point of the sensor, and cos θ over its density.
 
-    Uniform over the cells that show the pupil to the point, mixed with a few directions from the whole hemisphere, for
-    ghosts, stray light and what the measured opening leaves out; a point to which no cell shows the opening sends only
-    those. The cells are aimed at where the sensor sees the borders of their faces, through the plate; the borders are
-    deeper at the corners, so the aimed cells are a margin larger.
+    Uniform over the cells that surely show the pupil to the point, mixed with some over all that may, which are a
+    margin larger: the cells are aimed at where the sensor sees the borders of their faces, through the plate, and the
+    borders are deeper at the corners. And with a few directions from the whole hemisphere, for ghosts and stray light;
+    a point to which no cell shows the opening sends only those.
 
     Parameters
     ----------
@@ -318,46 +321,57 @@ def _through_a_lenslet(
     nx, ny, nz = normal
     distance, over = abs(z - aim.border_z), 1.0 / abs(z - aim.lenslet_z)
     toward = -1.0 if array.curved_to_lens else 1.0
-    count = 0
+    maybe, surely = 0, 0
     for cell in range(listed):
         a, b = (near[cell, 0] - x) * over - near[cell, 2], (near[cell, 1] - y) * over - near[cell, 3]
-        cells[count] = cell
-        count += a * a + b * b <= near[cell, 4]
-    wide = aim.blind_share if count == 0 else aim.wide_share
+        off2, radius2 = a * a + b * b, near[cell, 4]
+        shows = off2 <= SURE * SURE * radius2
+        cells[0, maybe], cells[1, maybe], cells[2, surely] = cell, shows, cell
+        maybe += off2 <= radius2
+        surely += shows
+    wide = aim.blind_share if maybe == 0 else aim.wide_share
+    sure = (1.0 - MARGIN_SHARE) * (1.0 - wide) if surely > 0 else 0.0
     size = lattice.pitch + 2.0 * aim.cell_margin
     if numbers[DISCRETE] < wide:
         dx, dy, dz = lambertian(nx, ny, nz, numbers[CELL_U], numbers[CELL_V])
-    elif count == 0:
+    elif maybe == 0:
         return 0.0, 0.0, 0.0, 0.0
     else:
-        chosen = min(int(numbers[WHICH_CELL] * count), count - 1)
-        cx, cy = near[cells[chosen], 0], near[cells[chosen], 1]
+        is_sure = numbers[DISCRETE] >= 1.0 - sure
+        among, count, width = (2, surely, lattice.pitch) if is_sure else (0, maybe, size)
+        chosen = cells[among, min(int(numbers[WHICH_CELL] * count), count - 1)]
         u, v = _point_of_cell(lattice.hexagonal, numbers[CELL_U], numbers[CELL_V])
-        dx, dy, dz = cx + u * size - x, cy + v * size - y, toward * distance
+        dx, dy, dz = near[chosen, 0] + u * width - x, near[chosen, 1] + v * width - y, toward * distance
         scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
         dx, dy, dz = dx * scale, dy * scale, dz * scale
     cos_theta = nx * dx + ny * dy + nz * dz
     density = wide * cos_theta / np.pi
-    if count > 0 and dz * toward > 0.0:
-        # Every aimed cell, with its margin, that holds the direction could have drawn it.
+    if maybe > 0 and dz * toward > 0.0:
+        # Every aimed cell that holds the direction could have drawn it.
         t = distance / (dz * toward)
         px, py = x + t * dx, y + t * dy
-        drawn = 0
-        for cell in range(count):
-            drawn += _in_cell(lattice, px - near[cells[cell], 0], py - near[cells[cell], 1], aim.cell_margin)
-        area = size * size * (ROW_SPACING if lattice.hexagonal else 1.0)
+        drawn, drawn_surely = 0, 0
+        half = 0.5 * lattice.pitch
+        for i in range(maybe):
+            out = _half_width_to(lattice, px - near[cells[0, i], 0], py - near[cells[0, i], 1])
+            drawn += out <= half + aim.cell_margin
+            drawn_surely += cells[1, i] * (out <= half)
+        area = lattice.pitch * lattice.pitch * (ROW_SPACING if lattice.hexagonal else 1.0)
+        per_area = (1.0 - wide - sure) * drawn / (maybe * size * size) * lattice.pitch * lattice.pitch
+        if surely > 0:
+            per_area += sure * drawn_surely / surely
         cos_array = abs(dz)
-        density += (1.0 - wide) * drawn * distance * distance / (count * area * cos_array * cos_array * cos_array)
+        density += per_area * distance * distance / (area * cos_array * cos_array * cos_array)
     return dx, dy, dz, cos_theta / density
 
 
-@kernel
-def _in_cell(lattice: Lattice, x: float, y: float, margin: float) -> bool:
-    """Tell whether a point lies in the cell at the origin, its sides moved out by a margin."""
-    half = 0.5 * lattice.pitch + margin
+@inlined
+def _half_width_to(lattice: Lattice, x: float, y: float) -> float:
+    """Return the half pitch of a cell at the origin whose border goes through a point."""
     if lattice.hexagonal:
-        return in_hexagon(x, y, half)
-    return abs(x) <= half and abs(y) <= half
+        a, b = 0.5 * x, ROW_SPACING * y
+        return max(abs(x), abs(a + b), abs(a - b))
+    return max(abs(x), abs(y))
 
 
 @kernel

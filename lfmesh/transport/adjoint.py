@@ -56,7 +56,9 @@ Array = NDArray[np.float64]
 START_DIMENSION = -64
 """A packet's starting numbers have dimensions of their own, before those of any event."""
 
-PIXEL_U, PIXEL_V, CELL_U, CELL_V, DISCRETE, WHICH_CELL = 0, 1, 2, 3, 4, 5
+CELL_U, CELL_V, PIXEL_U, PIXEL_V, WHICH_CELL, DISCRETE = 0, 1, 2, 3, 4, 5
+"""The point of the lenslet gets the evenest: what is sharp in the scene is sharp there, where the image is in focus."""
+
 
 STARTS = BLOCK
 """Samples whose numbers are drawn together: a bundle of the sequential engine."""
@@ -68,7 +70,7 @@ SURE, MARGIN_SHARE = 0.95, 0.1
 """Within this part of a lenslet's view it surely shows the opening; share of the rays to what may show it."""
 
 Numbers = tuple[float, float, float, float, float, float]
-"""What a path starts from, in [0, 1): place in the pixel, point of the lenslet (or pupil), which of them."""
+"""What a path starts from, in [0, 1): point of the lenslet (or pupil), place in the pixel, which lenslet, what else."""
 
 
 @kernel
@@ -93,7 +95,7 @@ class StartRoom(NamedTuple):
 
 def start_room(aim: Aim) -> StartRoom:
     """Return the memory in which paths are started."""
-    table = (WHICH_CELL + 1, STARTS)
+    table = (DISCRETE + 1, STARTS)
     most = (2 * aim.search + 1) ** 2
     return StartRoom(
         np.zeros(table[0], np.uint32),
@@ -237,8 +239,8 @@ def _aim(
                 px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
                 near = _list_cells(array, aim, px, py, pz, HALF_DIAGONAL * sensor.pixel, room.near)
         numbers = (
-            room.numbers[PIXEL_U, i], room.numbers[PIXEL_V, i], room.numbers[CELL_U, i],
-            room.numbers[CELL_V, i], room.numbers[DISCRETE, i], room.numbers[WHICH_CELL, i],
+            room.numbers[CELL_U, i], room.numbers[CELL_V, i], room.numbers[PIXEL_U, i],
+            room.numbers[PIXEL_V, i], room.numbers[WHICH_CELL, i], room.numbers[DISCRETE, i],
         )  # fmt: skip
         x, y = (column + numbers[PIXEL_U]) * sensor.pixel, (row + numbers[PIXEL_V]) * sensor.pixel
         if array.present:

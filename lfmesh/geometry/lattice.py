@@ -89,10 +89,10 @@ def cell_of(lattice: Lattice, x: float, y: float) -> tuple[int, int]:
 
 
 @pasted
-def in_hexagon(x: float, y: float, half: float) -> bool:
-    """Tell whether a point lies in the hexagon round the origin whose sides, two of them along y, are `half` away."""
+def half_hexagon(x: float, y: float) -> float:
+    """Return half the width along x of the hexagon round the origin, two sides along y, whose border meets a point."""
     a, b = 0.5 * x, ROW_SPACING * y
-    return abs(x) <= half and abs(a + b) <= half and abs(a - b) <= half
+    return max(abs(x), abs(a + b), abs(a - b))
 
 
 @kernel

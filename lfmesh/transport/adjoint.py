@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
-from lfmesh.geometry.lattice import ROW_SPACING, Lattice, cell_of, centre
+from lfmesh.geometry.lattice import ROW_SPACING, Lattice, cell_of, centre, half_hexagon
 from lfmesh.kernel import inlined, kernel, pasted
 from lfmesh.optics.scattering import lambertian
 from lfmesh.transport.aiming import aimed
@@ -370,10 +370,7 @@ def _through_a_lenslet(
 @inlined
 def _half_width_to(lattice: Lattice, x: float, y: float) -> float:
     """Return the half pitch of a cell at the origin whose border goes through a point."""
-    if lattice.hexagonal:
-        a, b = 0.5 * x, ROW_SPACING * y
-        return max(abs(x), abs(a + b), abs(a - b))
-    return max(abs(x), abs(y))
+    return half_hexagon(x, y) if lattice.hexagonal else max(abs(x), abs(y))
 
 
 @kernel

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.surface import NEWTON_STEPS, SETTLED, distance_to
 from lfmesh.kernel import kernel, pasted
+from lfmesh.vector import both, fused, select
 
 Array = NDArray[np.float64]
 
@@ -92,11 +93,11 @@ def through_stop(bundle: Array, stop_z: float, radius: float, slot: float) -> No
     for i in range(BLOCK):
         t = (stop_z - bundle[Z + i]) / bundle[DZ + i]
         x, y = bundle[X + i] + t * bundle[DX + i], bundle[Y + i] + t * bundle[DY + i]
-        ends = bundle[ENDED_ON + i] == 0.0 and not x * x + y * y <= limit
-        bundle[X + i] = x if ends else bundle[X + i]
-        bundle[Y + i] = y if ends else bundle[Y + i]
-        bundle[Z + i] = stop_z if ends else bundle[Z + i]
-        bundle[ENDED_ON + i] = slot + 1.0 if ends else bundle[ENDED_ON + i]
+        ends = both(bundle[ENDED_ON + i] == 0.0, not x * x + y * y <= limit)
+        bundle[X + i] = select(ends, x, bundle[X + i])
+        bundle[Y + i] = select(ends, y, bundle[Y + i])
+        bundle[Z + i] = select(ends, stop_z, bundle[Z + i])
+        bundle[ENDED_ON + i] = select(ends, slot + 1.0, bundle[ENDED_ON + i])
 
 
 @kernel
@@ -139,8 +140,7 @@ def conic_distance(
     b = c * (x * dx + y * dy + q * z * dz) - dz
     g = c * (x * x + y * y + q * z * z) - 2.0 * z
     root = b * b - a * g
-    meets = root >= 0.0
-    return meets, _root_of(a, b, g, sense, np.sqrt(root if meets else 0.0))
+    return root >= 0.0, _root_of(a, b, g, sense, np.sqrt(root))
 
 
 @pasted
@@ -148,12 +148,28 @@ def sphere_distance(
     c: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
 ) -> tuple[bool, float, float]:
     """Return as `conic_distance` does for a sphere, and the cosine of incidence, which is the root itself."""
-    b = c * (x * dx + y * dy + z * dz) - dz
-    g = c * (x * x + y * y + z * z) - 2.0 * z
-    root = b * b - c * g
-    meets = root >= 0.0
-    cos_i = np.sqrt(root if meets else 0.0)
-    return meets, _root_of(c, b, g, sense, cos_i), cos_i
+    root, cos_i, above, below = _sphere_crossing(c * sense, x, y, z, dx, dy, dz, sense)
+    return root > 0.0, above / below, cos_i
+
+
+@pasted
+def _sphere_crossing(
+    along: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
+) -> tuple[float, float, float, float]:
+    """Return the squared cosine of incidence, that cosine, and two numbers whose ratio is the distance.
+
+    Parameters
+    ----------
+    along : float
+        Curvature times sense, with which all but the normal is as if the ray went along +z.
+    """
+    b = fused(along, fused(x, dx, fused(y, dy, z * dz)), -sense * dz)
+    g = fused(along, fused(x, x, fused(y, y, z * z)), -2.0 * sense * z)
+    root = fused(b, b, -along * g)
+    cos_i = np.sqrt(root)
+    # The form in which nothing cancels.
+    far = b > 0.0
+    return root, cos_i, select(far, -(b + cos_i), g), select(far, along, cos_i - b)
 
 
 @pasted
@@ -161,9 +177,7 @@ def _root_of(a: float, b: float, g: float, sense: float, root: float) -> float:
     """Solve a t² + 2 b t + g = 0 for the crossing in a given sense, in the form in which nothing cancels."""
     signed = sense * root
     far = signed * b > 0.0
-    above = -b - signed if far else g
-    below = a if far else signed - b
-    return above / below
+    return select(far, -b - signed, g) / select(far, a, signed - b)
 
 
 @pasted
@@ -172,53 +186,47 @@ def fresnel_refraction(
 ) -> tuple[float, float, float, bool, float]:
     """Return the refracted direction, whether reflection is total, and the transmittance.
 
-    Snell's law and Fresnel's equations as `transport.crossing` and `optics.fresnel` have them, without branches. The
-    direction is of unit length but for a rounding error, which the end of the path takes away.
+    Snell's law and Fresnel's equations as `transport.crossing` and `optics.fresnel` have them, without branches; all is
+    nonsense where reflection is total. The direction is of unit length but for a rounding error, which the end of the
+    path takes away.
     """
     eta = n_i / n_t
-    cos_i = 1.0 if cos_i > 1.0 else cos_i
-    sin2_t = eta * eta * (1.0 - cos_i) * (1.0 + cos_i)
-    total = sin2_t >= 1.0
-    cos_t = np.sqrt(0.0 if total else 1.0 - sin2_t)
-    a_i, a_t = n_i * cos_i, n_t * cos_t
-    s, p = a_i + a_t, n_i * cos_t + n_t * cos_i
+    cos2_t = fused(eta * eta * cos_i, cos_i, 1.0 - eta * eta)
+    cos_t = np.sqrt(cos2_t)
+    s, p = fused(n_t, cos_t, n_i * cos_i), fused(n_i, cos_t, n_t * cos_i)
     over = 1.0 / (s * p)
-    over_s, over_p = p * over, s * over
-    transmittance = 2.0 * a_i * a_t * (over_s * over_s + over_p * over_p)
-    g = cos_t - eta * cos_i
-    return eta * dx + g * nx, eta * dy + g * ny, eta * dz + g * nz, total, transmittance
+    transmittance = 2.0 * n_i * n_t * (cos_i * cos_t) * fused(s, s, p * p) * (over * over)
+    g = fused(-eta, cos_i, cos_t)
+    ux, uy, uz = fused(eta, dx, g * nx), fused(eta, dy, g * ny), fused(eta, dz, g * nz)
+    return ux, uy, uz, not cos2_t > 0.0, transmittance
 
 
 @pasted
-def _bend(
-    bundle: Array, i: int, meets: bool, px: float, py: float, pz: float, nx: float, ny: float, nz: float,
-    cos_i: float, limit: float, n_i: float, n_t: float, rim: float, mount: float, beyond: float,
+def _go_on(
+    bundle: Array, i: int, meets: bool, x: float, y: float, z: float, ux: float, uy: float, uz: float,
+    refracts: bool, transmittance: float, limit: float, rim: float, mount: float, beyond: float,
 ) -> None:  # fmt: skip
-    """Refract ray `i` at a point whose unit normal looks along it, or end it there; one that had ended stays."""
-    dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+    """Send ray `i` on from a point of a surface, or end it there; one that had ended stays."""
     weight, ended = bundle[WEIGHT + i], bundle[ENDED_ON + i]
-    ux, uy, uz, total, transmittance = fresnel_refraction(dx, dy, dz, nx, ny, nz, cos_i, n_i, n_t)
     alive = ended == 0.0
-    meets = meets and cos_i > 0.0
-    r2 = px * px + py * py
+    r2 = fused(x, x, y * y)
     passes = r2 <= limit
-    now = mount if not passes else (DROPPED if total else 0.0)
-    now = now if meets and r2 <= rim * rim else beyond
-    arrives = alive and meets and passes
-    goes = arrives and not total
-    bundle[ENDED_ON + i] = now if alive else ended
-    bundle[MET + i] += 1.0 if arrives else 0.0
-    on = weight * transmittance if goes else (0.0 if arrives else weight)
+    now = select(passes, select(refracts, 0.0, DROPPED), mount)
+    now = select(alive, select(both(meets, r2 <= rim * rim), now, beyond), ended)
+    moves = both(alive, meets)
+    arrives, goes = both(moves, passes), now == 0.0
+    bundle[ENDED_ON + i] = now
+    bundle[MET + i] += select(arrives, 1.0, 0.0)
+    on = select(arrives, select(goes, weight * transmittance, 0.0), weight)
     # What is not transmitted is reflected: total reflection leaves all of it.
     bundle[LEFT_BEHIND + i] += weight - on
     bundle[WEIGHT + i] = on
-    moves = alive and meets
-    bundle[X + i] = px if moves else bundle[X + i]
-    bundle[Y + i] = py if moves else bundle[Y + i]
-    bundle[Z + i] = pz if moves else bundle[Z + i]
-    bundle[DX + i] = ux if goes else dx
-    bundle[DY + i] = uy if goes else dy
-    bundle[DZ + i] = uz if goes else dz
+    bundle[X + i] = select(moves, x, bundle[X + i])
+    bundle[Y + i] = select(moves, y, bundle[Y + i])
+    bundle[Z + i] = select(moves, z, bundle[Z + i])
+    bundle[DX + i] = select(goes, ux, bundle[DX + i])
+    bundle[DY + i] = select(goes, uy, bundle[DY + i])
+    bundle[DZ + i] = select(goes, uz, bundle[DZ + i])
 
 
 @kernel
@@ -226,13 +234,27 @@ def _through_sphere(
     bundle: Array, c: float, vertex_z: float, limit: float, sense: float, n_i: float, n_t: float,
     rim: float, mount: float, beyond: float,
 ) -> None:  # fmt: skip
+    """Take a bundle through a sphere: `sphere_distance` and `fresnel_refraction` in one, with one division for both."""
+    eta = n_i / n_t
+    along = c * sense
     for i in range(BLOCK):
         x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i] - vertex_z
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
-        meets, t, cos_i = sphere_distance(c, x, y, z, dx, dy, dz, sense)
-        x, y, z = x + t * dx, y + t * dy, z + t * dz
-        nx, ny, nz = -c * x * sense, -c * y * sense, (1.0 - c * z) * sense
-        _bend(bundle, i, meets and t > 0.0, x, y, z + vertex_z, nx, ny, nz, cos_i, limit, n_i, n_t, rim, mount, beyond)
+        root, cos_i, above, below = _sphere_crossing(along, x, y, z, dx, dy, dz, sense)
+        cos2_t = fused(eta * eta * cos_i, cos_i, 1.0 - eta * eta)
+        cos_t = np.sqrt(cos2_t)
+        s, p = fused(n_t, cos_t, n_i * cos_i), fused(n_i, cos_t, n_t * cos_i)
+        over_all = 1.0 / (below * (s * p))
+        t, over = above * (over_all * (s * p)), over_all * below
+        transmittance = 2.0 * n_i * n_t * (cos_i * cos_t) * fused(s, s, p * p) * (over * over)
+        x, y, z = fused(t, dx, x), fused(t, dy, y), fused(t, dz, z)
+        g = fused(-eta, cos_i, cos_t)
+        bend = -along * g
+        ux, uy, uz = fused(eta, dx, bend * x), fused(eta, dy, bend * y), fused(eta, dz, fused(bend, z, g * sense))
+        _go_on(
+            bundle, i, both(root > 0.0, t > 0.0), x, y, z + vertex_z, ux, uy, uz, cos2_t > 0.0, transmittance,
+            limit, rim, mount, beyond,
+        )  # fmt: skip
 
 
 @kernel
@@ -243,7 +265,7 @@ def _meet_conic(bundle: Array, c: float, k: float, vertex_z: float, sense: float
         x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i] - vertex_z
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
         meets, t = conic_distance(c, q, x, y, z, dx, dy, dz, sense)
-        bundle[_T + i] = t if meets and c * q * (z + t * dz) < 1.0 else -1.0
+        bundle[_T + i] = select(both(meets, c * q * (z + t * dz) < 1.0), t, -1.0)
 
 
 @kernel
@@ -309,7 +331,7 @@ def _newton_step(bundle: Array, c: float, k: float, vertex_z: float) -> int:
         step = (z - sag) / (dz - 2.0 * half_slope * (x * dx + y * dy))
         size = abs(x) + abs(y) + abs(z) + abs(t)
         settled = abs(step) <= SETTLED * size
-        bundle[_SETTLED + i] = 1.0 if settled else 0.0
+        bundle[_SETTLED + i] = select(settled, 1.0, 0.0)
         bundle[_T + i] = t - step
         moving += 0 if settled or bundle[ENDED_ON + i] != 0.0 else 1
     return moving
@@ -329,4 +351,8 @@ def _bend_along_slope(
         scale = sense / np.sqrt(slope * slope * r2 + 1.0)
         nx, ny = -slope * x * scale, -slope * y * scale
         cos_i = nx * dx + ny * dy + scale * dz
-        _bend(bundle, i, t > 0.0, x, y, z, nx, ny, scale, cos_i, limit, n_i, n_t, rim, mount, beyond)
+        ux, uy, uz, total, transmittance = fresnel_refraction(dx, dy, dz, nx, ny, scale, cos_i, n_i, n_t)
+        _go_on(
+            bundle, i, both(t > 0.0, cos_i > 0.0), x, y, z, ux, uy, uz, not total, transmittance,
+            limit, rim, mount, beyond,
+        )  # fmt: skip

@@ -7,7 +7,7 @@ cell to cell. Array frame, as `array_region` has it.
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.lattice import ROW_SPACING, Lattice, in_hexagon
+from lfmesh.geometry.lattice import ROW_SPACING, Lattice, half_hexagon
 from lfmesh.geometry.lenslets import are_alike, shape_of
 from lfmesh.kernel import kernel, pasted
 from lfmesh.transport.bundle import (
@@ -27,6 +27,7 @@ from lfmesh.transport.bundle import (
     sphere_distance,
 )
 from lfmesh.transport.tables import ArrayTables
+from lfmesh.vector import both, select
 
 Array = NDArray[np.float64]
 
@@ -79,22 +80,22 @@ def _begin(bundle: Array) -> None:
         bundle[_X + i], bundle[_Y + i], bundle[_Z + i] = bundle[X + i], bundle[Y + i], bundle[Z + i]
         bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i] = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
         bundle[_WEIGHT + i], bundle[_LEFT_BEHIND + i] = bundle[WEIGHT + i], bundle[LEFT_BEHIND + i]
-        bundle[PASSED + i] = 1.0 if bundle[ENDED_ON + i] == 0.0 else 0.0
+        bundle[PASSED + i] = select(bundle[ENDED_ON + i] == 0.0, 1.0, 0.0)
 
 
 @kernel
 def _commit(bundle: Array) -> None:
     for i in range(BLOCK):
         holds = bundle[PASSED + i] > 0.0
-        bundle[X + i] = bundle[_X + i] if holds else bundle[X + i]
-        bundle[Y + i] = bundle[_Y + i] if holds else bundle[Y + i]
-        bundle[Z + i] = bundle[_Z + i] if holds else bundle[Z + i]
-        bundle[DX + i] = bundle[_DX + i] if holds else bundle[DX + i]
-        bundle[DY + i] = bundle[_DY + i] if holds else bundle[DY + i]
-        bundle[DZ + i] = bundle[_DZ + i] if holds else bundle[DZ + i]
-        bundle[WEIGHT + i] = bundle[_WEIGHT + i] if holds else bundle[WEIGHT + i]
-        bundle[LEFT_BEHIND + i] = bundle[_LEFT_BEHIND + i] if holds else bundle[LEFT_BEHIND + i]
-        bundle[MET + i] += 2.0 if holds else 0.0
+        bundle[X + i] = select(holds, bundle[_X + i], bundle[X + i])
+        bundle[Y + i] = select(holds, bundle[_Y + i], bundle[Y + i])
+        bundle[Z + i] = select(holds, bundle[_Z + i], bundle[Z + i])
+        bundle[DX + i] = select(holds, bundle[_DX + i], bundle[DX + i])
+        bundle[DY + i] = select(holds, bundle[_DY + i], bundle[DY + i])
+        bundle[DZ + i] = select(holds, bundle[_DZ + i], bundle[DZ + i])
+        bundle[WEIGHT + i] = select(holds, bundle[_WEIGHT + i], bundle[WEIGHT + i])
+        bundle[LEFT_BEHIND + i] = select(holds, bundle[_LEFT_BEHIND + i], bundle[LEFT_BEHIND + i])
+        bundle[MET + i] += select(holds, 2.0, 0.0)
 
 
 @pasted
@@ -107,7 +108,7 @@ def _bend(
     ux, uy, uz, total, transmittance = fresnel_refraction(
         bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i], nx, ny, nz, cos_i, n_i, n_t
     )
-    bundle[PASSED + i] = bundle[PASSED + i] if holds and cos_i > 0.0 and not total else 0.0
+    bundle[PASSED + i] = select(both(both(holds, cos_i > 0.0), not total), bundle[PASSED + i], 0.0)
     bundle[_X + i], bundle[_Y + i], bundle[_Z + i] = px, py, pz
     bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i] = ux, uy, uz
     on = weight * transmittance
@@ -122,7 +123,7 @@ def _through_flat_face(
     for i in range(BLOCK):
         t = (z - bundle[_Z + i]) / bundle[_DZ + i]
         x, y = bundle[_X + i] + t * bundle[_DX + i], bundle[_Y + i] + t * bundle[_DY + i]
-        holds = t > 0.0 and abs(x) <= safe_x and abs(y) <= safe_y
+        holds = both(t > 0.0, both(abs(x) <= safe_x, abs(y) <= safe_y))
         _bend(bundle, i, holds, x, y, z, 0.0, 0.0, toward, toward * bundle[_DZ + i], n_i, n_t)
 
 
@@ -140,14 +141,14 @@ def _find_square_cells(bundle: Array, border: float, pitch: float, columns: int,
     over = 1.0 / pitch
     for i in range(BLOCK):
         t = (border - bundle[_Z + i]) / bundle[_DZ + i]
-        t = t if t > 0.0 else 0.0
+        t = select(t > 0.0, t, 0.0)
         column = np.floor((bundle[_X + i] + t * bundle[_DX + i]) * over + 0.5 * columns)
         row = np.floor((bundle[_Y + i] + t * bundle[_DY + i]) * over + 0.5 * rows)
         bundle[_COLUMN + i], bundle[_ROW + i] = column, row
         bundle[_CENTRE_X + i] = (column - 0.5 * (columns - 1)) * pitch
         bundle[_CENTRE_Y + i] = (row - 0.5 * (rows - 1)) * pitch
-        inside = 0.0 <= column < columns and 0.0 <= row < rows
-        bundle[PASSED + i] = bundle[PASSED + i] if inside else 0.0
+        inside = both(both(column >= 0.0, column < columns), both(row >= 0.0, row < rows))
+        bundle[PASSED + i] = select(inside, bundle[PASSED + i], 0.0)
 
 
 @pasted
@@ -165,19 +166,19 @@ def _find_hexagonal_cells(bundle: Array, border: float, pitch: float, columns: i
     over = 1.0 / pitch
     for i in range(BLOCK):
         t = (border - bundle[_Z + i]) / bundle[_DZ + i]
-        t = t if t > 0.0 else 0.0
+        t = select(t > 0.0, t, 0.0)
         u, v = (bundle[_X + i] + t * bundle[_DX + i]) * over, (bundle[_Y + i] + t * bundle[_DY + i]) * over
         # The nearest centre is in the row that the point is in, or in the one it leans to.
         low = np.floor(v / ROW_SPACING + 0.5 * (rows - 1))
         column, x, y, square = _nearest_in_row(u, v, low, columns, rows)
         other, other_x, other_y, other_square = _nearest_in_row(u, v, low + 1.0, columns, rows)
         above = other_square < square
-        column, row = other if above else column, low + 1.0 if above else low
+        column, row = select(above, other, column), select(above, low + 1.0, low)
         bundle[_COLUMN + i], bundle[_ROW + i] = column, row
-        bundle[_CENTRE_X + i] = (other_x if above else x) * pitch
-        bundle[_CENTRE_Y + i] = (other_y if above else y) * pitch
-        inside = 0.0 <= column < columns and 0.0 <= row < rows
-        bundle[PASSED + i] = bundle[PASSED + i] if inside else 0.0
+        bundle[_CENTRE_X + i] = select(above, other_x, x) * pitch
+        bundle[_CENTRE_Y + i] = select(above, other_y, y) * pitch
+        inside = both(both(column >= 0.0, column < columns), both(row >= 0.0, row < rows))
+        bundle[PASSED + i] = select(inside, bundle[PASSED + i], 0.0)
 
 
 @kernel
@@ -212,7 +213,7 @@ def _meet_face(bundle: Array, i: int, sense: float) -> tuple[bool, float, float,
     ax, ay = x + at * dx - bundle[_APEX_X + i], y + at * dy - bundle[_APEX_Y + i]
     meets, t, cos_i = sphere_distance(c, ax, ay, 0.0, dx, dy, dz, sense)
     rx, ry, pz = ax + t * dx, ay + t * dy, t * dz
-    holds = meets and at + t > 0.0 and c * pz < 1.0
+    holds = both(meets, both(at + t > 0.0, c * pz < 1.0))
     nx, ny, nz = -c * rx * sense, -c * ry * sense, (1.0 - c * pz) * sense
     return holds, rx + bundle[_APEX_X + i], ry + bundle[_APEX_Y + i], pz, nx, ny, nz, cos_i
 
@@ -225,12 +226,12 @@ def _through_square_lenslet(
     for i in range(BLOCK):
         holds, px, py, pz, nx, ny, nz, cos_i = _meet_face(bundle, i, sense)
         x, y = px - bundle[_CENTRE_X + i], py - bundle[_CENTRE_Y + i]
-        holds = holds and abs(px) <= safe_x and abs(py) <= safe_y and abs(x) <= half and abs(y) <= half
+        holds = both(both(holds, both(abs(px) <= safe_x, abs(py) <= safe_y)), both(abs(x) <= half, abs(y) <= half))
         _bend(bundle, i, holds, px, py, pz, nx, ny, nz, cos_i, n_i, n_t)
         t = (out - pz) / bundle[_DZ + i]
         x, y = x + t * bundle[_DX + i], y + t * bundle[_DY + i]
-        holds = bundle[_DZ + i] * sense > 0.0 and abs(x) <= half and abs(y) <= half
-        bundle[PASSED + i] = bundle[PASSED + i] if holds else 0.0
+        holds = both(bundle[_DZ + i] * sense > 0.0, both(abs(x) <= half, abs(y) <= half))
+        bundle[PASSED + i] = select(holds, bundle[PASSED + i], 0.0)
 
 
 @kernel
@@ -241,9 +242,9 @@ def _through_hexagonal_lenslet(
     for i in range(BLOCK):
         holds, px, py, pz, nx, ny, nz, cos_i = _meet_face(bundle, i, sense)
         x, y = px - bundle[_CENTRE_X + i], py - bundle[_CENTRE_Y + i]
-        holds = holds and abs(px) <= safe_x and abs(py) <= safe_y and in_hexagon(x, y, half)
+        holds = both(both(holds, both(abs(px) <= safe_x, abs(py) <= safe_y)), half_hexagon(x, y) <= half)
         _bend(bundle, i, holds, px, py, pz, nx, ny, nz, cos_i, n_i, n_t)
         t = (out - pz) / bundle[_DZ + i]
         x, y = x + t * bundle[_DX + i], y + t * bundle[_DY + i]
-        holds = bundle[_DZ + i] * sense > 0.0 and in_hexagon(x, y, half)
-        bundle[PASSED + i] = bundle[PASSED + i] if holds else 0.0
+        holds = both(bundle[_DZ + i] * sense > 0.0, half_hexagon(x, y) <= half)
+        bundle[PASSED + i] = select(holds, bundle[PASSED + i], 0.0)

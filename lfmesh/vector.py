@@ -1,0 +1,36 @@
+"""What a loop over a block of rays is written with, so that it becomes straight vector code.
+
+Where numba meets `a if c else b` it makes a branch, which LLVM turns back into masks and masked stores: half as many
+instructions again as were meant. And it has no name for the fused product, which is asked for by name, since
+contraction would leave to LLVM which products are fused, and so the last digit to what was inlined.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from numba import types
+from numba.extending import intrinsic
+
+_F64, _BOOL = types.float64, types.boolean
+
+
+def _fused(context: Any, a: Any, b: Any, c: Any) -> Any:
+    return _F64(_F64, _F64, _F64), lambda _, builder, signature, given: builder.fma(*given)
+
+
+def _select(context: Any, condition: Any, a: Any, b: Any) -> Any:
+    return _F64(_BOOL, _F64, _F64), lambda _, builder, signature, given: builder.select(*given)
+
+
+def _both(context: Any, a: Any, b: Any) -> Any:
+    return _BOOL(_BOOL, _BOOL), lambda _, builder, signature, given: builder.and_(*given)
+
+
+fused: Callable[[float, float, float], float] = intrinsic(_fused)
+"""Return a b + c, rounded once."""
+
+select: Callable[[bool, float, float], float] = intrinsic(_select)
+"""Return the first number where the condition holds, else the second; both are worked out."""
+
+both: Callable[[bool, bool], bool] = intrinsic(_both)
+"""Return whether two conditions hold; both are worked out."""

@@ -66,8 +66,16 @@ STARTS = BLOCK
 HALF_DIAGONAL = 0.72
 """Of a pixel, with a margin, in its width: how far from its middle a path may start."""
 
-SURE, MARGIN_SHARE = 0.95, 0.1
+SURE, MARGIN_SHARE = 0.95, 0.05
 """Within this part of a lenslet's view it surely shows the opening; share of the rays to what may show it."""
+
+_CORNERS = (
+    (0.5, 0.5 / np.sqrt(3.0)),
+    (-0.5, 0.5 / np.sqrt(3.0)),
+    (0.0, -1.0 / np.sqrt(3.0)),
+    (0.5, 0.5 / np.sqrt(3.0)),
+)
+"""Every other corner of a hexagon one wide, and the first again."""
 
 Numbers = tuple[float, float, float, float, float, float]
 """What a path starts from, in [0, 1): point of the lenslet (or pupil), place in the pixel, which lenslet, what else."""
@@ -378,10 +386,9 @@ def _point_of_cell(hexagonal: bool, u: float, v: float) -> tuple[float, float]:
     """Return a uniform point of the cell at the origin, in pitches."""
     if not hexagonal:
         return u - 0.5, v - 0.5
-    # Three rhombi make the hexagon, each spanned by two radii to corners.
+    # Three rhombi make the hexagon, each spanned by two radii to corners: at 30°, 150° and 270°.
     third = int(3.0 * u)
     u = 3.0 * u - third
-    turn = 2.0943951023931953 * third + 0.5235987755982988
-    ax, ay = np.cos(turn), np.sin(turn)
-    bx, by = np.cos(turn + 2.0943951023931953), np.sin(turn + 2.0943951023931953)
-    return (u * ax + v * bx) * 0.5773502691896258, (u * ay + v * by) * 0.5773502691896258
+    ax, ay = _CORNERS[third]
+    bx, by = _CORNERS[third + 1]
+    return u * ax + v * bx, u * ay + v * by

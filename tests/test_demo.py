@@ -1,6 +1,5 @@
 """From a scene file to pictures, end to end: a run folder that renders again, the demo, and words for the dark."""
 
-import os
 import signal
 import sys
 import time
@@ -132,7 +131,8 @@ class CatchesEverything:
         if name == "lfmesh.transport.render":
             self.asked = True
             try:
-                os.kill(os.getpid(), signal.SIGINT)
+                # To this thread: one that the process is sent may wait in another until the import is over.
+                signal.raise_signal(signal.SIGINT)
                 time.sleep(0.01)
             except BaseException:
                 self.caught = True

@@ -59,7 +59,6 @@ START_DIMENSION = -64
 CELL_U, CELL_V, PIXEL_U, PIXEL_V, WHICH_CELL, DISCRETE = 0, 1, 2, 3, 4, 5
 """The point of the lenslet gets the evenest: what is sharp in the scene is sharp there, where the image is in focus."""
 
-
 STARTS = BLOCK
 """Samples whose numbers are drawn together: a bundle of the sequential engine."""
 

@@ -15,6 +15,7 @@ from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.transport.bundle import conic_distance
 from lfmesh.transport.crossing import reflected, refracted, safely_behind
+from lfmesh.vector import both, select
 
 Array = NDArray[np.float64]
 
@@ -89,12 +90,12 @@ def meet_conics(block: Array) -> None:
         scale = sense / np.sqrt(nx * nx + ny * ny + nz * nz)
         nx, ny, nz = nx * scale, ny * scale, nz * scale
         along = block[FACET_X + i] * dx + block[FACET_Y + i] * dy + block[FACET_Z + i] * dz
-        ahead = meets and begin + t > 0.0
-        crossed = sense * along > 0.0 and nx * dx + ny * dy + nz * dz > 0.0
-        held = ahead and crossed and x * x + y * y <= block[APERTURE2 + i]
+        ahead = both(meets, begin + t > 0.0)
+        crossed = both(sense * along > 0.0, nx * dx + ny * dy + nz * dz > 0.0)
+        held = both(both(ahead, crossed), x * x + y * y <= block[APERTURE2 + i])
         block[PX + i], block[PY + i], block[PZ + i] = x, y, z + vertex_z
         block[NX + i], block[NY + i], block[NZ + i] = nx, ny, nz
-        block[HELD + i] = 1.0 if held else 0.0
+        block[HELD + i] = select(held, 1.0, 0.0)
 
 
 @kernel

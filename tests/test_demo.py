@@ -146,12 +146,17 @@ def test_ctrl_c_while_libraries_are_imported_stops_the_run(
     # The package's attribute too: both are put back, and the module that is imported here is forgotten.
     monkeypatch.setattr(lfmesh.transport, "render", lfmesh.transport.render)
     monkeypatch.delitem(sys.modules, "lfmesh.transport.render")
-    assert main(["render", "scene.toml", "-o", "run"]) == 130
+    # As in a process of its own: event loops of other tests leave handlers behind.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert main(["render", "scene.toml", "-o", "run"]) == 130
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert library.asked
     assert not library.caught
     assert "nothing was written" in capsys.readouterr().err
     assert not (folder / "run").exists()
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def demo_scene(**changes: object) -> Scene:

@@ -57,9 +57,7 @@ def aim_through_lenslets(
     distance = np.abs(corners[:, 2] - sensor_z)
     cells = lattice.columns * lattice.rows
     slope, slope_radius = np.zeros((cells, 2)), np.zeros(cells)
-    _view_through_cells(
-        array, aim.exit, moves, lens_z, sensor_z, glass - 1.0, lattice.circumradius, slope, slope_radius
-    )
+    _view_through_cells(array, aim.exit, moves, lens_z, sensor_z, glass - 1.0, lattice.corners(), slope, slope_radius)
     seen = slope_radius > 0.0
     # The cells that show the opening to a point lie this far at most from where its chief ray meets the array; a row
     # of a hexagonal lattice is nearer than a pitch and half a pitch aside.
@@ -113,17 +111,16 @@ def _border_depths(array: ArrayTables) -> tuple[float, float]:
 @kernel
 def _view_through_cells(
     array: ArrayTables, opening: Opening, moves: Array, lens_z: float, sensor_z: float, power_of_curvature: float,
-    reach: float, slope: Array, slope_radius: Array,
+    corners: Array, slope: Array, slope_radius: Array,
 ) -> None:  # fmt: skip
     """Write for every lenslet the slope (array frame, away from the sensor) at which it sees the opening's middle.
 
     And how far from that a ray through its middle may go for another one through it to meet the opening, by real rays
-    from the opening's border through the lenslet's zones, up to their reach, to the sensor; −1 for none.
+    from the opening's border through the lenslet's zones, up to its corners (n, 2), to the sensor; −1 for none.
     """
     lenslets = array.lenslets
     lattice = lenslets.lattice
     toward = -1.0 if array.curved_to_lens else 1.0
-    corners = 6 if lattice.hexagonal else 4
     for row in range(lattice.rows):
         for column in range(lattice.columns):
             cell = row * lattice.columns + column
@@ -138,10 +135,9 @@ def _view_through_cells(
             power = power_of_curvature * curvature
             sx, sy = sx - power * ex, sy - power * ey
             furthest = 0.0
-            for point in range(1 + ZONES * corners):
-                zone, corner = (point + corners - 1) // corners / ZONES, point % corners
-                turn = 2.0 * np.pi * (corner + 0.5) / corners
-                ux, uy = zone * reach * np.cos(turn), zone * reach * np.sin(turn)
+            for point in range(1 + ZONES * len(corners)):
+                zone, corner = (point + len(corners) - 1) // len(corners) / ZONES, point % len(corners)
+                ux, uy = zone * corners[corner, 0], zone * corners[corner, 1]
                 off = _astray(
                     array, opening, moves, curvature, ux - ex, uy - ey, cx, cy, cx + ux, cy + uy, sensor_z, sx, sy
                 )

@@ -212,8 +212,7 @@ def corners(lattice: Lattice, aim: Aim, p: Array, random: np.random.Generator) -
     centres = lattice.centres().reshape(-1, 2)
     nearest = cKDTree(centres).query(p[:, :2], 12)[1]
     cell = centres[nearest[np.arange(len(p)), random.integers(0, 12, len(p))]]
-    sides = 6 if lattice.hexagonal else 4
-    turn = 2.0 * np.pi / sides * (random.integers(0, sides, len(p)) + 0.5)
-    at = cell + lattice.circumradius * np.column_stack([np.cos(turn), np.sin(turn)])
+    around = lattice.corners()
+    at = cell + around[random.integers(0, len(around), len(p))]
     at += 0.05 * lattice.pitch * random.uniform(-1.0, 1.0, at.shape)
     return np.column_stack([at, np.full(len(p), aim.border_z)])

@@ -94,6 +94,6 @@ def _serve(subject: Path, seen: Seen, expression: str, drawing: Drawing, serving
 
     serve(
         subject, seen.all_rays, expression=expression,
-        colour=drawing.colour, preset=drawing.preset, cut=drawing.cut,
+        colour=drawing.colour, fade=drawing.fade, preset=drawing.preset, cut=drawing.cut,
         host=serving.host, port=serving.port, open_browser=serving.open_browser,
     )  # fmt: skip

@@ -453,6 +453,19 @@ def test_a_taken_port_is_one_clear_line_and_ctrl_c_a_clean_end(run: Path) -> Non
     assert "Traceback" not in errors
 
 
+def test_the_page_starts_as_the_command_line_says(browser: Any, run: Path) -> None:
+    served = Server(str(run), "--rays", "none", "--colour", "power", "--fade", "--cut", "--filter", "not ghost")
+    opened = Page(browser, served)
+    try:
+        assert opened.tab.locator("#colour").input_value() == "power"
+        assert opened.tab.locator("#fade").is_checked()
+        assert opened.tab.locator("#cut").is_checked()
+        assert opened.tab.locator("#filter").input_value() == "not ghost"
+    finally:
+        opened.tab.close()
+        served.stop()
+
+
 def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     from lfmesh.view.browser import serve
 

@@ -42,7 +42,7 @@ class Page:
         Drawn from the start; launched in the subject's world.
     expression : str
         Stands in the filter box from the start.
-    colour, preset, cut
+    colour, fade, preset, cut
         See `lfmesh.view.plotter.build_view`.
 
     Raises
@@ -53,7 +53,8 @@ class Page:
 
     def __init__(
         self, server: Any, subject: "Scene | World | Image | str | os.PathLike[str]", rays: "Rays | None" = None, *,
-        expression: str = "", colour: ColourBy = "wavelength", preset: str = "whole", cut: bool = False,
+        expression: str = "", colour: ColourBy = "wavelength", fade: bool = False, preset: str = "whole",
+        cut: bool = False,
     ) -> None:  # fmt: skip
         folder = Path(subject) if isinstance(subject, str | os.PathLike) and Path(subject).is_dir() else None
         image = run.open_run(folder) if folder is not None else subject if isinstance(subject, Image) else None
@@ -76,7 +77,7 @@ class Page:
         view = build_view(seen.world, picture=seen.picture, preset=preset, cut=cut, size=SIZE)
         view.plotter.show(auto_close=False, interactive=False)
         self.light_field = LightFieldPanel(server, replies, scene, image, folder)
-        server.state.update({"expression": expression, "colour": colour, "cut": cut})
+        server.state.update({"expression": expression, "colour": colour, "fade": fade, "cut": cut})
         self.rays = RaysPanel(server, replies, view, rays, self.light_field)
         # Rays from pixels have moved the place of the array that is looked at.
         view.look(preset)

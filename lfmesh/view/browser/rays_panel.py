@@ -303,7 +303,6 @@ def _first_state(world: World, presets: list[str]) -> dict[str, Any]:
         "presets": presets,
         "colours": list(get_args(ColourBy)),
         "drawn": "",
-        "fade": False,
         "filter_fault": "",
         "heads": [],
         "sort": "power",

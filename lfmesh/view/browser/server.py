@@ -30,6 +30,7 @@ def serve(
     *,
     expression: str = "",
     colour: "ColourBy" = "wavelength",
+    fade: bool = False,
     preset: str = "whole",
     cut: bool = False,
     host: str = "127.0.0.1",
@@ -49,6 +50,8 @@ def serve(
     expression : str
         Stands in the filter box from the start, see `lfmesh.view.filters`.
     colour : {"wavelength", "power", "events", "status", "path"}
+    fade : bool
+        Draw rays with less power fainter.
     preset : {"whole", "side", "object", "lens", "array", "sensor"}
     cut : bool
         Cut lens and array along the axis.
@@ -87,7 +90,7 @@ def serve(
     os.environ.setdefault("TRAME_ARGS", "")
     server = trame_server.Server("lfmesh")
     server.client_type = "vue3"
-    Page(server, subject, rays, expression=expression, colour=colour, preset=preset, cut=cut)
+    Page(server, subject, rays, expression=expression, colour=colour, fade=fade, preset=preset, cut=cut)
     guard = Guard(host)
     server.controller.on_server_bind.add(lambda site: site.app.middlewares.append(guard.answer))
     asyncio.run(_serve(server, guard.token, host, port, open_browser))

@@ -52,6 +52,20 @@ class _CollectorAtRest(event.Listener):  # type: ignore[misc]
 
 event.register("numba:compile", _CollectorAtRest())
 
+SHORTENED = ((0, 68),)
+"""Releases of numba, by their first two numbers, that `compiling` was tested with."""
+
+
+def _compile_sooner() -> dict[str, Any]:
+    """Make numba do less, where it is one of these releases; return options for what only kernels call."""
+    if numba.version_info.short not in SHORTENED:
+        return {}
+    from lfmesh.compiling import LinkedCompiler, remember_what_operators_give
+
+    remember_what_operators_give()
+    return {"pipeline_class": LinkedCompiler}
+
+
 _OPTIONS = {
     "cache": True,
     "nogil": True,
@@ -67,7 +81,9 @@ _OPTIONS = {
     "forceinline": False,
 }
 
-_CALLED_BY_KERNELS = _OPTIONS | {
+_CALLED_BY_KERNELS = {
+    **_OPTIONS,
+    **_compile_sooner(),
     # Its code becomes part of the caller's, which is what is kept.
     "cache": False,
     "no_cpython_wrapper": True,

@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "lfmesh"
 
-FOUNDATION = {"errors", "kernel", "vector"}
+FOUNDATION = {"compiling", "errors", "kernel", "vector"}
 LOWER = {
     "optics": set(),
     "scene": {"optics"},

@@ -454,7 +454,8 @@ def test_a_taken_port_is_one_clear_line_and_ctrl_c_a_clean_end(run: Path) -> Non
 
 
 def test_the_page_starts_as_the_command_line_says(browser: Any, run: Path) -> None:
-    served = Server(str(run), "--rays", "none", "--colour", "power", "--fade", "--cut", "--filter", "not ghost")
+    said = ("--colour", "power", "--fade", "--cut", "--filter", "not ghost")
+    served = Server(str(run), "--rays", "field 0,0,-420", "--count", "12", *said)
     opened = Page(browser, served)
     try:
         assert opened.tab.locator("#colour").input_value() == "power"

@@ -25,11 +25,13 @@ def remember_what_operators_give() -> None:
 
     @wraps(ask)
     def get_call_type(function: types.Function, context: Any, args: Any, kws: Any) -> Any:
+        if kws:
+            return ask(function, context, args, kws)
         key = (context, function, tuple(args))
-        if not kws and key in known:
+        if key in known:
             return known[key]
         signature = ask(function, context, args, kws)
-        if not kws and function.get_impl_key(signature) == function.typing_key:
+        if function.get_impl_key(signature) == function.typing_key:
             known[key] = signature
         return signature
 

@@ -9,7 +9,7 @@ from lfmesh.geometry.targets import TargetMesh
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aiming import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
-from lfmesh.transport.lenslet_view import aim_through_lenslets, apex_z, grid
+from lfmesh.transport.lenslet_view import SURE, aim_through_lenslets, apex_z, grid
 from lfmesh.transport.packet import (
     ARRAY_FRAME,
     CAMERA_FRAME,
@@ -79,15 +79,15 @@ def opening_seen(
     seen = outlook(plane_z, wide_radius, points, to_sensor=front)
     if seen is None:
         return unknown_opening(plane_z, to_sensor=front)
-    if analytic:
-        return real_opening(seen, lens)
     z = report.entrance_pupil_z_mm if front else report.exit_pupil_z_mm
     diameter = report.entrance_pupil_diameter_mm if front else report.exit_pupil_diameter_mm
     if not np.isfinite(z):
-        if front:
+        if front and not analytic:
             return unknown_opening(plane_z, to_sensor=front)
         # Telecentric: a pupil so far away that all points see it in one direction.
-        z, diameter = plane_z - FAR, FAR / report.working_f_number
+        z, diameter = (plane_z + FAR, FAR) if front else (plane_z - FAR, FAR / report.working_f_number)
+    if analytic:
+        return real_opening(seen, lens, z, 0.5 * diameter)
     return paraxial_opening(seen, z, 0.5 * diameter)
 
 

@@ -23,6 +23,9 @@ ZONES = 2
 VIEW_MARGIN = 1.02
 """For what lies between the rays by which a lenslet's view is measured."""
 
+SURE = 0.95
+"""Part of a lenslet's view, in radii, within which it surely shows the opening."""
+
 
 def grid(half_width: float, half_height: float, z: float) -> Array:
     """Return the corners, the middles of the sides and the middle of a rectangle, (9, 3) mm."""

@@ -114,6 +114,7 @@ class Aim(NamedTuple):
     pupil_vergence: float  # 1 / reduced distance from the curved face to the exit pupil, 1/mm; 0: telecentric
     slope: Array  # (cells, 2) of the ray from a lenslet's middle to the middle of the opening that it sees
     slope_radius2: Array  # (cells,) square of how far from that a ray may go and still reach it; −1: it sees none
+    sure2: float  # part of that square within which a lenslet surely shows the opening
     cell_margin: float  # mm by which an aimed cell stands out: its border is not all at one depth
     search: int  # cells to each side that may show the pupil
 

@@ -13,8 +13,7 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lattice import Lattice
-from lfmesh.transport.adjoint import _half_width_to as half_width_to
-from lfmesh.transport.adjoint import _list_cells as list_cells
+from lfmesh.transport.lenslet_aim import half_width_to, list_cells
 from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.pupil import opening_from, unknown_opening
 from lfmesh.transport.render import Renderer

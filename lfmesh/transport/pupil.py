@@ -13,15 +13,26 @@ from numpy.typing import NDArray
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.bundle import (
     BLOCK,
+    DROPPED,
+    DX,
+    DY,
+    DZ,
     ENDED_ON,
+    SCRATCH,
+    X,
+    Y,
+    Z,
     empty_bundle,
     load,
     pad,
+    through_surface,
 )
-from lfmesh.transport.image_path import through_lens
 from lfmesh.transport.tables import LensTables, Opening
 
 Array = NDArray[np.float64]
+
+_OBSTRUCTION = SCRATCH + 15 * BLOCK
+"""Working row, past those that aspheres use."""
 
 ANGLES = 33
 """Field angles at which the opening is measured, evenly spaced in their tangent."""
@@ -29,17 +40,25 @@ ANGLES = 33
 DISTANCES = 6
 """Distances at which it is measured where points lie at several, evenly spaced in their inverse."""
 
-SEARCH = 24
-"""Rays across the outermost plane of the lens in the search for the opening."""
+SEARCH = 49
+"""Rays along the meridian of the outermost plane with which the search for the opening begins."""
+
+CLOSE_UP = np.ldexp(1.0, -np.arange(4, 28))
+"""Steps from where first-order optics expects the opening, in radii of the wide disk, that are tried besides."""
+
+NARROWINGS = 44
+"""Golden sections of the interval that holds the clearest ray, which end at a billionth of it."""
+
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 SPOKES = 20
-"""Half as many directions round the opening's middle in which its edge is measured."""
+"""Half as many directions round the clearest ray in which the opening's edge is measured."""
 
-STEPS = 16
-"""Points of a spoke that are tried, outermost first, and ..."""
+OUTERMOST = 40
+"""Halvings of a spoke, from beyond the lens, until a ray on it gets through; and ..."""
 
-HALVINGS = 6
-"""... how often the last interval is halved then."""
+HALVINGS = 7
+"""... of the interval in which the edge then lies, to a hundredth of the opening."""
 
 PARAXIAL_MARGIN = 1.15
 """Over the paraxial pupil's radius, where no real rays are to be had: pupils have aberrations."""
@@ -100,6 +119,11 @@ def paraxial_opening(seen: Outlook, pupil_z: float, pupil_radius: float) -> Open
 
     Where that is wider than the disk that every ray to the lens crosses, the latter takes its place.
     """
+    return _opening(seen, *_paraxial_disks(seen, pupil_z, pupil_radius))
+
+
+def _paraxial_disks(seen: Outlook, pupil_z: float, pupil_radius: float) -> tuple[Array, Array]:
+    """Return middle (along the meridian) and radius of a paraxial pupil as every point sees it, (n, m) mm."""
     tangent, distance = np.meshgrid(seen.tangent, seen.distance)
     depth = (pupil_z - seen.plane_z) * (1.0 if seen.to_sensor else -1.0)
     with np.errstate(divide="ignore"):
@@ -107,36 +131,41 @@ def paraxial_opening(seen: Outlook, pupil_z: float, pupil_radius: float) -> Open
     radius = np.abs(PARAXIAL_MARGIN * pupil_radius * share)
     fits = radius < seen.wide_radius
     middle = np.where(fits, tangent * distance * (1.0 - np.where(fits, share, 0.0)), 0.0)
-    return _opening(seen, middle, np.where(fits, radius, seen.wide_radius))
+    return middle, np.where(fits, radius, seen.wide_radius)
 
 
-def real_opening(seen: Outlook, lens: LensTables) -> Opening:
+def real_opening(seen: Outlook, lens: LensTables, pupil_z: float, pupil_radius: float) -> Opening:
     """Return what gets through the lens's exact surfaces, whatever the wavelength, as points see it.
 
     Field angles beyond which nothing gets through are left out of the table.
+
+    Parameters
+    ----------
+    seen : Outlook
+    lens : LensTables
+    pupil_z, pupil_radius : float, mm
+        The paraxial pupil, near which the search begins, and which stands where real rays cannot decide.
     """
-    middle, radius = _measured(seen, lens)
+    middle, radius = _measured(seen, lens, pupil_z, pupil_radius)
     open_columns = np.flatnonzero((radius > 0.0).any(axis=0))
     if not len(open_columns):
-        return _opening(seen, middle, radius)
+        return paraxial_opening(seen, pupil_z, pupil_radius)
     last = min(int(open_columns[-1]) + 1, ANGLES - 1)
     if last < ANGLES - 1:
         seen = seen._replace(tangent=np.linspace(0.0, seen.tangent[last], ANGLES))
-        middle, radius = _measured(seen, lens)
+        middle, radius = _measured(seen, lens, pupil_z, pupil_radius)
     return _opening(seen, middle, radius)
 
 
-def _measured(seen: Outlook, lens: LensTables) -> tuple[Array, Array]:
+def _measured(seen: Outlook, lens: LensTables, pupil_z: float, pupil_radius: float) -> tuple[Array, Array]:
     """Return middle (along the meridian) and radius of the opening's disk from every point, (n, m) mm; −1: closed."""
     height = np.outer(seen.distance, seen.tangent).ravel()
     distance = np.repeat(seen.distance, len(seen.tangent))
-    # Half of the plane does: the other is its mirror image.
-    across = np.linspace(-1.0, 1.0, SEARCH) * seen.wide_radius
-    gx, gy = (np.tile(axis.ravel(), (len(height), 1)) for axis in np.meshgrid(across, across[across >= 0.0]))
-    passes = _passes(seen, lens, height, distance, gx, gy)
-    count = passes.sum(axis=1)
-    start = (passes * gx).sum(axis=1) / np.maximum(count, 1)
-    edge = _edge(seen, lens, height, distance, start)
+    paraxial_middle, paraxial_radius = (disks.ravel() for disks in _paraxial_disks(seen, pupil_z, pupil_radius))
+    start, obstruction, decided = _clearest_ray(seen, lens, height, distance, paraxial_middle)
+    is_open = obstruction < 1.0
+    edge = np.zeros((len(height), SPOKES))
+    edge[is_open] = _edge(seen, lens, height[is_open], distance[is_open], start[is_open])
     angle = np.linspace(0.0, np.pi, SPOKES)
     px, py = start[:, None] + edge * np.cos(angle), edge * np.sin(angle)
     # The smallest disk on the meridian, to a hundredth of what there is between its extremes.
@@ -145,50 +174,121 @@ def _measured(seen: Outlook, lens: LensTables) -> tuple[Array, Array]:
     reach = np.sqrt(((px[None] - trial[..., None]) ** 2 + py[None] ** 2).max(axis=2))
     best = reach.argmin(axis=0)
     points = np.arange(len(height))
-    radius = np.where(count > 0, MARGIN * reach[best, points], -1.0)
+    # Real rays that fail tell nothing: there the opening of first-order optics stands.
+    closed_radius = np.where(decided, -1.0, paraxial_radius)
+    radius = np.where(is_open, MARGIN * reach[best, points], closed_radius)
+    middle = np.where(is_open | decided, trial[best, points], paraxial_middle)
     shape = len(seen.distance), len(seen.tangent)
-    return trial[best, points].reshape(shape), radius.reshape(shape)
+    return middle.reshape(shape), radius.reshape(shape)
+
+
+def _clearest_ray(
+    seen: Outlook, lens: LensTables, height: Array, distance: Array, expected: Array
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Find the ray from each point, in the meridional plane, that keeps furthest from every aperture's edge.
+
+    Its obstruction (see `_obstruction`) has no other minimum, so it is bracketed and narrowed down, however small the
+    stop. A search that only asks what gets through would have to know the size of the opening first.
+
+    Parameters
+    ----------
+    height, distance : (points,) float64, mm
+    expected : (points,) float64, mm
+        Where first-order optics expects the opening's middle.
+
+    Returns
+    -------
+    place : (points,) float64, mm
+        Of the ray in the outermost plane, along the meridian.
+    obstruction : (points,) float64
+    decided : (points,) bool
+        False where rays fail beside the clearest one, and that does not get through: then they tell nothing.
+    """
+    steps = np.concatenate([-CLOSE_UP, [0.0], CLOSE_UP]) * seen.wide_radius
+    across = np.broadcast_to(np.linspace(-1.0, 1.0, SEARCH) * seen.wide_radius, (len(height), SEARCH))
+    trial = np.sort(np.concatenate([across, expected[:, None] + steps], axis=1), axis=1)
+    found = _obstruction(seen, lens, height, distance, trial, np.zeros_like(trial))
+    points, last = np.arange(len(height)), trial.shape[1] - 1
+    best = found.argmin(axis=1)
+    before, after = np.maximum(best - 1, 0), np.minimum(best + 1, last)
+    decided = np.isfinite(found[points, before]) & np.isfinite(found[points, after])
+    low, high = trial[points, before], trial[points, after]
+
+    def at(place: Array) -> Array:
+        return _obstruction(seen, lens, height, distance, place[:, None], np.zeros((len(height), 1)))[:, 0]
+
+    left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+    at_left, at_right = at(left), at(right)
+    for _ in range(NARROWINGS):
+        lower = at_left <= at_right
+        low, high = np.where(lower, low, left), np.where(lower, right, high)
+        new = np.where(lower, high - GOLDEN * (high - low), low + GOLDEN * (high - low))
+        at_new = at(new)
+        left, right = np.where(lower, new, right), np.where(lower, left, new)
+        at_left, at_right = np.where(lower, at_new, at_right), np.where(lower, at_left, at_new)
+    narrowed, coarse = np.minimum(at_left, at_right), found[points, best]
+    place = np.where(narrowed <= coarse, np.where(at_left <= at_right, left, right), trial[points, best])
+    obstruction = np.minimum(narrowed, coarse)
+    return place, obstruction, decided | (obstruction < 1.0)
 
 
 def _edge(seen: Outlook, lens: LensTables, height: Array, distance: Array, start: Array) -> Array:
     """Return how far from `start` light gets through along each spoke, (points, SPOKES) mm."""
     angle = np.linspace(0.0, np.pi, SPOKES)
-    across, up = np.cos(angle)[None, :, None], np.sin(angle)[None, :, None]
-    reach = 2.0 * seen.wide_radius
-    steps = np.linspace(0.0, reach, STEPS + 1)[1:]
-    shape = (len(height), SPOKES, STEPS)
-    x = (start[:, None, None] + steps * across).reshape(len(height), -1)
-    y = np.broadcast_to(steps * up, shape).reshape(len(height), -1)
-    passes = _passes(seen, lens, height, distance, x, y).reshape(shape)
-    inside = np.where(passes.any(axis=2), STEPS - passes[..., ::-1].argmax(axis=2), 0) * (reach / STEPS)
-    outside = inside + reach / STEPS
+
+    def gets_through(reach: Array) -> NDArray[np.bool_]:
+        x, y = start[:, None] + reach * np.cos(angle), reach * np.sin(angle)
+        return _obstruction(seen, lens, height, distance, x, y) < 1.0
+
+    outside = np.full((len(height), SPOKES), 4.0 * seen.wide_radius)
+    inside = 0.5 * outside
+    for _ in range(OUTERMOST):
+        blocked = ~gets_through(inside)
+        if not blocked.any():
+            break
+        outside = np.where(blocked, inside, outside)
+        inside = np.where(blocked, 0.5 * inside, inside)
     for _ in range(HALVINGS):
         middle = 0.5 * (inside + outside)
-        through = _passes(seen, lens, height, distance, start[:, None] + middle * across[..., 0], middle * up[..., 0])
+        through = gets_through(middle)
         inside, outside = np.where(through, middle, inside), np.where(through, outside, middle)
     return outside
 
 
-def _passes(seen: Outlook, lens: LensTables, height: Array, distance: Array, x: Array, y: Array) -> NDArray[np.bool_]:
-    """Tell which rays from points of the meridian to points of the outermost plane (points, rays) get through."""
-    passed = np.zeros(x.shape, np.bool_)
-    room = empty_bundle()
+def _obstruction(seen: Outlook, lens: LensTables, height: Array, distance: Array, x: Array, y: Array) -> Array:
+    """Return how near rays from points of the meridian come to the edge of an aperture, (points, rays).
+
+    The largest (r / r_max)² over all surfaces and the stop, whose apertures do not end the rays: below one, a ray gets
+    through. Of all wavelengths the clearest counts; inf for a ray that misses a surface or is reflected totally.
+
+    Parameters
+    ----------
+    height, distance : (points,) float64, mm
+    x, y : (points, rays) float64, mm
+        Where the rays cross the outermost plane.
+    """
     heights, distances = (np.broadcast_to(a[:, None], x.shape).ravel() for a in (height, distance))
+    unbounded = lens.surfaces.copy()
+    unbounded["aperture"] = np.inf
+    aperture = np.ascontiguousarray(lens.surfaces["aperture"])
+    room = empty_bundle()
+    least = np.full(x.size, np.inf)
     for colour in sorted({0, lens.indices.shape[1] // 2, lens.indices.shape[1] - 1}):
-        _send(
-            heights, distances, x.ravel(), y.ravel(), seen.plane_z, seen.to_sensor, lens, colour, room,
-            passed.reshape(-1),
+        _trace_unbounded(
+            heights, distances, np.ascontiguousarray(x).reshape(-1), np.ascontiguousarray(y).reshape(-1), seen.plane_z,
+            seen.to_sensor, lens._replace(surfaces=unbounded), aperture, colour, room, least,
         )  # fmt: skip
-    return passed
+    return least.reshape(x.shape)
 
 
 @kernel
-def _send(
-    height: Array, distance: Array, x: Array, y: Array, plane_z: float, to_sensor: bool, lens: LensTables, colour: int,
-    bundle: Array, passed: NDArray[np.bool_],
+def _trace_unbounded(
+    height: Array, distance: Array, x: Array, y: Array, plane_z: float, to_sensor: bool, lens: LensTables,
+    aperture: Array, colour: int, bundle: Array, least: Array,
 ) -> None:  # fmt: skip
-    """Send rays from points (height, 0) at a distance to points (x, y) of a plane; mark those that get through."""
+    """Trace rays from points (height, 0) at a distance through points (x, y) of a plane; lower their obstruction."""
     sense = 1.0 if to_sensor else -1.0
+    last = len(lens.surfaces)
     for first in range(0, len(x), BLOCK):
         count = min(BLOCK, len(x) - first)
         for i in range(count):
@@ -201,12 +301,31 @@ def _send(
                 x[first + i] - back * dx / dz, y[first + i] - back * dy / dz, plane_z - back * sense,
                 dx * scale, dy * scale, sense * dz * scale, 1.0,
             )  # fmt: skip
+            bundle[_OBSTRUCTION + i] = 0.0
         if count < BLOCK:
             pad(bundle, count)
-        through_lens(bundle, lens, colour, to_sensor)
+        for step in range(last + 1):
+            space = step if to_sensor else last - step
+            if lens.stop_space == space:
+                for i in range(BLOCK):
+                    t = (lens.stop_z - bundle[Z + i]) / bundle[DZ + i]
+                    at_x, at_y = bundle[X + i] + t * bundle[DX + i], bundle[Y + i] + t * bundle[DY + i]
+                    filled = (at_x * at_x + at_y * at_y) / (lens.stop_radius * lens.stop_radius)
+                    bundle[_OBSTRUCTION + i] = max(bundle[_OBSTRUCTION + i], filled)
+            if step == last:
+                break
+            k = space if to_sensor else space - 1
+            into = space + 1 if to_sensor else space - 1
+            through_surface(
+                bundle, lens.surfaces[k], sense, lens.indices[space, colour], lens.indices[into, colour],
+                np.inf, DROPPED, DROPPED,
+            )  # fmt: skip
+            for i in range(BLOCK):
+                filled = (bundle[X + i] * bundle[X + i] + bundle[Y + i] * bundle[Y + i]) / (aperture[k] * aperture[k])
+                bundle[_OBSTRUCTION + i] = max(bundle[_OBSTRUCTION + i], filled)
         for i in range(count):
             if bundle[ENDED_ON + i] == 0.0:
-                passed[first + i] = True
+                least[first + i] = min(least[first + i], bundle[_OBSTRUCTION + i])
 
 
 def _opening(seen: Outlook, middle: Array, radius: Array) -> Opening:

@@ -34,10 +34,12 @@ from lfmesh.transport.lenslet_aim import (
     CELL_U,
     CELL_V,
     DISCRETE,
+    HALF_DIAGONAL,
     PIXEL_U,
     PIXEL_V,
     WHICH_CELL,
     list_cells,
+    most_listed,
     through_a_lenslet,
 )
 from lfmesh.transport.object_region import MM2
@@ -67,9 +69,6 @@ START_DIMENSION = -64
 STARTS = BLOCK
 """Samples whose numbers are drawn together: a bundle of the sequential engine."""
 
-HALF_DIAGONAL = 0.72
-"""Of a pixel, with a margin, in its width: how far from its middle a path may start."""
-
 
 @kernel
 def start(key: np.uint64, dimension: int) -> float:
@@ -94,7 +93,7 @@ class StartRoom(NamedTuple):
 def start_room(aim: Aim) -> StartRoom:
     """Return the memory in which paths are started."""
     table = (DISCRETE + 1, STARTS)
-    most = (2 * aim.search + 1) ** 2
+    most = most_listed(aim)
     return StartRoom(
         np.zeros(table[0], np.uint32),
         np.zeros(table[0], np.uint32),

@@ -8,6 +8,7 @@ from lfmesh.geometry.surface import sag
 from lfmesh.geometry.targets import TargetMesh
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
+from lfmesh.transport.aim_proof import UNPROVEN, AimProof, Openings, proven
 from lfmesh.transport.aiming import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
 from lfmesh.transport.lenslet_view import SURE, aim_through_lenslets, apex_z, grid
 from lfmesh.transport.packet import (
@@ -22,6 +23,7 @@ from lfmesh.transport.tables import (
     ArrayTables,
     LensTables,
     Opening,
+    SensorTables,
 )
 
 FAR = 1e9
@@ -33,12 +35,13 @@ def aim_table(
     report: FirstOrder,
     lens: LensTables,
     array: ArrayTables,
+    sensor: SensorTables,
     targets: list[TargetMesh],
     moves: Array,
     *,
     analytic: bool,
-) -> Aim:
-    """Return where the rays of a scene are aimed.
+) -> tuple[Aim, AimProof]:
+    """Return where the rays of a scene are aimed, and what rays from its stop say of that.
 
     Parameters
     ----------
@@ -66,9 +69,13 @@ def aim_table(
     aim = Aim(
         entrance, front_radius, exit_, back_radius,
         WIDE_SHARE if followed else WIDE_SHARE_OF_IMAGE_PATH, 1.0 if followed else WIDE_SHARE_OF_IMAGE_PATH,
-        0.0, 0.0, 0.0, 0.0, 0.0, np.zeros((1, 2)), np.zeros(1), SURE * SURE, 0.0, 0,
+        0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.zeros((1, 2)), np.zeros(1), SURE * SURE, 0.0, 0,
     )  # fmt: skip
-    return aim_through_lenslets(scene, report, array, aim, moves, glass) if array.present else aim
+    aim = aim_through_lenslets(scene, report, array, aim, moves, glass) if array.present else aim
+    if not analytic:
+        return aim, UNPROVEN
+    from_targets = outlook(entrance.plane_z, front_radius, seen, to_sensor=True)
+    return proven(aim, Openings(lens, array, sensor, moves), from_targets)
 
 
 def opening_seen(

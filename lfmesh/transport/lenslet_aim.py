@@ -27,8 +27,16 @@ _CORNERS = (
 )
 """Every other corner of a hexagon one wide, and the first again."""
 
+HALF_DIAGONAL = 0.72
+"""Of a pixel, with a margin, in its width: how far from its middle a path may start."""
+
 Numbers = tuple[float, float, float, float, float, float]
 """What a path starts from, in [0, 1): point of the lenslet (or pupil), place in the pixel, which lenslet, what else."""
+
+
+def most_listed(aim: Aim) -> int:
+    """Return how many lenslets `list_cells` may list."""
+    return (2 * aim.search + 1) ** 2
 
 
 @pasted

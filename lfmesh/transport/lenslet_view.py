@@ -15,13 +15,16 @@ from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.crossing import refracted
 from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
 from lfmesh.transport.pupil import opening_from
-from lfmesh.transport.tables import Aim, ArrayTables, Opening
+from lfmesh.transport.tables import Aim, ArrayTables, Opening, SensorTables
 
 ZONES = 2
 """Points of a lenslet from its middle to each corner for which the opening is looked at."""
 
 VIEW_MARGIN = 1.02
 """For what lies between the rays by which a lenslet's view is measured."""
+
+TRUSTED, WIDENED = 0.7, 1.3
+"""Factors between which the views of lenslets are what was measured, but for a common factor above 1."""
 
 SURE = 0.95
 """Part of a lenslet's view, in radii, within which it surely shows the opening."""
@@ -62,25 +65,89 @@ def aim_through_lenslets(
     slope, slope_radius = np.zeros((cells, 2)), np.zeros(cells)
     _view_through_cells(array, aim.exit, moves, lens_z, sensor_z, glass - 1.0, lattice.corners(), slope, slope_radius)
     seen = slope_radius > 0.0
-    # The cells that show the opening to a point lie this far at most from where its chief ray meets the array; a row
-    # of a hexagonal lattice is nearer than a pitch and half a pitch aside.
-    off_chief = vergence * (lattice.centres().reshape(-1, 2) - [pupil_x, pupil_y]) + slope
-    reach = np.where(seen, np.hypot(off_chief[:, 0], off_chief[:, 1]) + slope_radius, 0.0).max()
-    reach /= (vergence + 1.0 / distance.max()) * lattice.pitch
     steepest = np.where(seen, np.hypot(slope[:, 0], slope[:, 1]) + slope_radius, 0.0).max()
     steepest += lattice.circumradius / distance.min()
-    near, far = _seen_depths(array, steepest, glass)
-    return aim._replace(
+    aim = aim._replace(
         lenslet_z=sensor_z,
-        border_z=0.5 * (near + far),
         pupil_x=pupil_x,
         pupil_y=pupil_y,
         pupil_vergence=vergence,
         slope=slope,
         slope_radius2=np.where(seen, slope_radius**2, -1.0),
-        cell_margin=0.5 * abs(far - near) * steepest,
-        search=int(reach / ROW_SPACING + 1.0) if lattice.hexagonal else int(reach + 0.5),
     )
+    aim = _with_borders(aim, array, steepest, glass)
+    return aim._replace(search=_search(aim, array, distance.max()))
+
+
+def _with_borders(aim: Aim, array: ArrayTables, steepest: float, glass: float) -> Aim:
+    """Return the aim with the depth at which the sensor sees the borders of lenslets' faces, by the steepest ray."""
+    near, far = _seen_depths(array, steepest, glass)
+    return aim._replace(steepest=steepest, border_z=0.5 * (near + far), cell_margin=0.5 * abs(far - near) * steepest)
+
+
+def _search(aim: Aim, array: ArrayTables, distance: float) -> int:
+    """Return how many cells off the one that its chief ray meets a cell may lie that shows the opening to a point.
+
+    A row of a hexagonal lattice is nearer than a pitch, and half a pitch aside.
+
+    Parameters
+    ----------
+    distance : float, mm
+        Largest, of a point of the sensor to the lenslets.
+    """
+    lattice = array.lenslets.lattice
+    seen, slope = aim.slope_radius2 > 0.0, aim.slope
+    off_chief = aim.pupil_vergence * (lattice.centres().reshape(-1, 2) - [aim.pupil_x, aim.pupil_y]) + slope
+    reach = np.hypot(off_chief[:, 0], off_chief[:, 1]) + np.sqrt(np.maximum(aim.slope_radius2, 0.0))
+    cells = np.where(seen, reach, 0.0).max() / ((aim.pupil_vergence + 1.0 / distance) * lattice.pitch)
+    return int(cells / ROW_SPACING + 1.0) if lattice.hexagonal else int(cells + 0.5)
+
+
+def fitted_steepness(aim: Aim, array: ArrayTables, steepest: float) -> Aim:
+    """Return the aim with borders of lenslets as the steepest ray that gets through sees them.
+
+    Where the rays by which the views were measured hardly get through, theirs is no guide.
+
+    Parameters
+    ----------
+    steepest : float
+        Tangent, of all that get through but a negligible share.
+    """
+    if TRUSTED <= steepest / aim.steepest <= 1.0:
+        return aim
+    return _with_borders(aim, array, steepest, float(array.indices[len(array.indices) // 2]))
+
+
+def fitted_views(
+    aim: Aim, array: ArrayTables, moves: Array, sensor: SensorTables, needed: float, furthest: float, most: float
+) -> Aim:
+    """Return the aim with lenslets' views as wide as light needs them; what they surely show stays.
+
+    Parameters
+    ----------
+    needed : float
+        Factor by which the measured views would have to be wider.
+    furthest, most : float
+        How far (slope) from the middle of a lenslet's view light goes: but for a negligible share, and nine tenths.
+    """
+    seen = aim.slope_radius2 > 0.0
+    if TRUSTED <= needed <= 1.0:
+        return aim
+    if 1.0 < needed <= WIDENED:
+        radius2, sure2 = needed * needed * aim.slope_radius2, aim.sure2 / (needed * needed)
+    else:
+        # Rays at the lenslets' borders are reflected totally, or leave at grazing angles: they measured nothing.
+        radius2, sure2 = np.full_like(aim.slope_radius2, furthest * furthest), (most / furthest) ** 2
+    aim = aim._replace(slope_radius2=np.where(seen, radius2, -1.0), sure2=sure2)
+    width, height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
+    corners = frames.points(moves[SENSOR_FRAME, ARRAY_FRAME], grid(width, height, 0.0))
+    return aim._replace(search=_search(aim, array, np.abs(corners[:, 2] - aim.lenslet_z).max()))
+
+
+def with_wider_cells(aim: Aim, array: ArrayTables, by: float) -> Aim:
+    """Return the aim with cells that are wider by a factor, as they are aimed at."""
+    half = 0.5 * array.lenslets.lattice.pitch
+    return aim._replace(cell_margin=by * (half + aim.cell_margin) - half)
 
 
 def _seen_depths(array: ArrayTables, steepest: float, glass: float) -> tuple[float, float]:

@@ -108,7 +108,8 @@ class Aim(NamedTuple):
     blind_share: float  # ... that are sent at all from one that sees none
     # The array: which lenslets show the opening to a point of the sensor.
     lenslet_z: float  # the apexes as the sensor sees them, array frame
-    border_z: float  # and the borders of the lenslets' faces
+    border_z: float  # and the borders of the lenslets' faces, to rays up to ...
+    steepest: float  # ... this tangent
     pupil_x: float  # middle of the paraxial exit pupil, array frame: with it, the chief ray's cell is found
     pupil_y: float
     pupil_vergence: float  # 1 / reduced distance from the curved face to the exit pupil, 1/mm; 0: telecentric

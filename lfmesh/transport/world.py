@@ -17,6 +17,7 @@ from lfmesh.geometry.tessellation import (
     revolved,
 )
 from lfmesh.scene import FirstOrder, Scene, first_order, solved
+from lfmesh.transport.aim_proof import UNPROVEN, AimProof
 from lfmesh.transport.aim_table import aim_table
 from lfmesh.transport.embree import Finder
 from lfmesh.transport.frame_table import frame_table
@@ -49,6 +50,7 @@ class World:
     def __init__(
         self, scene: Scene, report: FirstOrder, tables: Tables, finders: tuple[Finder, Finder, Finder],
         slots: list[str], lens: LensShape, targets: list[TargetMesh], housing: Mesh,
+        aim_proof: AimProof = UNPROVEN,
     ) -> None:  # fmt: skip
         self.scene = scene
         self.first_order = report
@@ -58,6 +60,7 @@ class World:
         self.lens_shape = lens
         self.targets = targets
         self.housing = housing
+        self.aim_proof = aim_proof
 
     @property
     def mesh_names(self) -> list[str]:
@@ -181,7 +184,7 @@ def build(scene: Scene, *, rings: int | None = None) -> World:
     refuse_targets_inside(targets, housing, moves)
     object_mesh, objects = object_tables(scene, targets, housing, moves, target_slots, waves)
     sensor = SensorTables(*scene.camera.sensor.pixels, scene.camera.sensor.pixel_mm)
-    aim = aim_table(scene, report, lens, array, targets, moves, analytic=bool(shape.analytic.all()))
+    aim, proof = aim_table(scene, report, lens, array, sensor, targets, moves, analytic=bool(shape.analytic.all()))
     tables = Tables(lens, array, sensor, objects, moves, aim)
     finders = (Finder(lens_mesh), Finder(array_mesh_), Finder(object_mesh))
-    return World(scene, report, tables, finders, slots, shape, targets, housing)
+    return World(scene, report, tables, finders, slots, shape, targets, housing, proof)

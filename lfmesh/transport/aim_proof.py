@@ -37,7 +37,7 @@ from lfmesh.transport.bundle import (
 from lfmesh.transport.image_path import through_array
 from lfmesh.transport.lenslet_aim import (
     HALF_DIAGONAL,
-    aimed_density,
+    density_through_cells,
     cells_that_show,
     half_width_to,
     list_cells,
@@ -424,7 +424,10 @@ def _outside_cells(
         x, y, z = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, rays[i, 0], rays[i, 1], 0.0)
         dx, dy, dz = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
         maybe, surely = cells_that_show(aim, near, listed, cells, x, y, z)
-        if maybe == 0 or not aimed_density(array, aim, near, cells, maybe, surely, 1.0, x, y, z, dx, dy, dz) > 0.0:
+        if (
+            maybe == 0
+            or not density_through_cells(array, aim, near, cells, maybe, surely, 1.0, x, y, z, dx, dy, dz) > 0.0
+        ):
             outside[i] = np.inf
 
 

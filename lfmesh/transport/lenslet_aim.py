@@ -110,7 +110,7 @@ def through_a_lenslet(
     cos_theta = nx * dx + ny * dy + nz * dz
     density = wide * cos_theta / np.pi
     if maybe > 0 and dz * toward > 0.0:
-        density += aimed_density(array, aim, near, cells, maybe, surely, 1.0 - wide, x, y, z, dx, dy, dz)
+        density += density_through_cells(array, aim, near, cells, maybe, surely, 1.0 - wide, x, y, z, dx, dy, dz)
     return dx, dy, dz, cos_theta / density
 
 
@@ -135,7 +135,7 @@ def cells_that_show(
 
 
 @pasted
-def aimed_density(
+def density_through_cells(
     array: ArrayTables, aim: Aim, near: Array, cells: NDArray[np.int64], maybe: int, surely: int, share: float,
     x: float, y: float, z: float, dx: float, dy: float, dz: float,
 ) -> float:  # fmt: skip

@@ -20,6 +20,9 @@ from lfmesh.transport.tables import Aim, ArrayTables, Opening, SensorTables
 ZONES = 2
 """Points of a lenslet from its middle to each corner for which the opening is looked at."""
 
+NOTHING_SEEN = -1.0
+"""In place of a lenslet's view (slope²): it does not show the opening."""
+
 VIEW_MARGIN = 1.02
 """For what lies between the rays by which a lenslet's view is measured."""
 

@@ -37,8 +37,8 @@ from lfmesh.transport.bundle import (
 from lfmesh.transport.image_path import through_array
 from lfmesh.transport.lenslet_aim import (
     HALF_DIAGONAL,
-    density_through_cells,
     cells_that_show,
+    density_through_cells,
     half_width_to,
     list_cells,
     most_listed,
@@ -62,11 +62,11 @@ BATCHES = 10
 ENOUGH = 45_000
 """... so many have come through: where none of them is outside, less than 7e-5 of the throughput is (95 %)."""
 
-STEEPEST, SHALLOWEST = 30.0, 1e-6
-"""Tangents between which the directions are looked for that get through."""
+NEAREST, FURTHEST = 1e-3, 1e3
+"""Of half the sensor's diagonal: how far off the axis rays are sent, by first-order optics, in search of its reach."""
 
 ROOM = 1.15
-"""Over the steepest tangent that got through, in the measurement."""
+"""Over the furthest of them that arrived, in the measurement."""
 
 ATTEMPTS = 5
 """To fit the aim, each with rays of its own."""
@@ -157,12 +157,12 @@ def proven(aim: Aim, through: Openings, seen: Outlook | None) -> tuple[Aim, AimP
         Whence the targets look at the lens; None: there are none before it.
     """
     random = np.random.default_rng(0x5106)
-    steepest = _steepest(through, random)
-    if steepest == 0.0:
+    reach = _reach(through, random)
+    if reach == 0.0:
         return aim, UNPROVEN
     proof = UNPROVEN
     for attempt in range(ATTEMPTS):
-        rays = _drawn(through, steepest, random)
+        rays = _drawn(through, reach, random)
         if not len(rays.throughput):
             return aim, UNPROVEN
         if attempt == 0 and through.array.present and aim.search > FEW_CELLS:
@@ -215,35 +215,47 @@ def _widened(opening: Opening, by: float) -> Opening:
     return opening._replace(radius=np.where(opening.radius > 0.0, MARGIN * by * opening.radius, opening.radius))
 
 
-def _steepest(through: Openings, random: np.random.Generator) -> float:
-    """Return the tangent beyond which no ray from the stop gets through; 0: none did at all."""
-    span = np.log(STEEPEST / SHALLOWEST)
-    tangent = SHALLOWEST * np.exp(span * random.random(BATCH))
-    _, found = _follow(through, tangent, random)
-    return ROOM * float(tangent[found].max(initial=0.0))
+def _reach(through: Openings, random: np.random.Generator) -> float:
+    """Return how far off the axis, by first-order optics, rays to the sensor are sent at most; 0: none arrived."""
+    sensor = through.sensor
+    diagonal = 0.5 * sensor.pixel * np.hypot(sensor.columns, sensor.rows)
+    place = NEAREST * diagonal * (FURTHEST / NEAREST) ** random.random(BATCH)
+    _, found = _follow(through, place, random)
+    return ROOM * float(place[found].max(initial=0.0))
 
 
-def _drawn(through: Openings, steepest: float, random: np.random.Generator) -> Rays:
-    """Return rays from the stop, uniform over its area and over projected solid angle up to a tangent."""
+def _drawn(through: Openings, reach: float, random: np.random.Generator) -> Rays:
+    """Return rays from the stop, uniform over its area and over where they would land by first-order optics."""
     some: list[Rays] = []
     for _ in range(BATCHES):
-        rays, _ = _follow(through, steepest * np.sqrt(random.random(BATCH)), random)
+        rays, _ = _follow(through, reach * np.sqrt(random.random(BATCH)), random)
         some.append(rays)
         if sum(len(r.throughput) for r in some) >= ENOUGH:
             break
     return Rays(*(np.concatenate(each) for each in zip(*some, strict=True)))
 
 
-def _follow(through: Openings, tangent: Array, random: np.random.Generator) -> tuple[Rays, NDArray[np.intp]]:
-    """Return the rays of those with these tangents that came through, and which these are."""
-    lens = through.lens
+def _follow(through: Openings, place: Array, random: np.random.Generator) -> tuple[Rays, NDArray[np.intp]]:
+    """Return the rays that came through of those that are sent, and which these are.
+
+    Parameters
+    ----------
+    place : (n,) float64, mm
+        How far off the axis first-order optics would have each ray land.
+    """
+    lens, sensor = through.lens, through.sensor
     space, z, aperture, depth = _stop_of(lens)
+    moves = through.frames[ARRAY_FRAME if through.array.present else SENSOR_FRAME, CAMERA_FRAME]
+    height, angle = _to_plane(lens, space, z, float(moves[2, 3]))
+    out, turn = np.sqrt(random.random(len(place))), 2.0 * np.pi * random.random(len(place))
+    around = 2.0 * np.pi * random.random(len(place))
+    # A direction for each place where the ray would land is a shear of all directions: their density stays uniform.
+    slope = 1.0 / angle if abs(angle) > 1e-9 * abs(z - moves[2, 3]) else 1.0
     # Rays that cross a curved stop's aperture cross the plane at its vertex a little further out.
-    radius = aperture + depth * tangent
-    out, turn = radius * np.sqrt(random.random(len(tangent))), 2.0 * np.pi * random.random(len(tangent))
-    around = 2.0 * np.pi * random.random(len(tangent))
-    x, y, tx, ty = out * np.cos(turn), out * np.sin(turn), tangent * np.cos(around), tangent * np.sin(around)
-    to_sensor, to_objects = np.zeros((len(tangent), 6)), np.zeros((len(tangent), 7))
+    radius = aperture * (1.0 + depth * abs(height * slope)) + depth * place * abs(slope)
+    x, y = radius * out * np.cos(turn), radius * out * np.sin(turn)
+    tx, ty = slope * (place * np.cos(around) - height * x), slope * (place * np.sin(around) - height * y)
+    to_sensor, to_objects = np.zeros((len(x), 6)), np.zeros((len(x), 7))
     waves = lens.indices.shape[1]
     colours = sorted({0, waves // 2, waves - 1})
     start = float(lens.box_high[2] - lens.box_low[2]) + depth
@@ -256,12 +268,27 @@ def _follow(through: Openings, tangent: Array, random: np.random.Generator) -> t
             one_way, other_way,
         )  # fmt: skip
         to_sensor[mine], to_objects[mine] = one_way, other_way
-    sensor = through.sensor
     half_width, half_height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
-    throughput = to_sensor[:, 5] * to_objects[:, 6] * radius * radius / (1.0 + tangent * tangent) ** 2
+    throughput = to_sensor[:, 5] * to_objects[:, 6] * radius * radius / (1.0 + tx * tx + ty * ty) ** 2
     lands = (abs(to_sensor[:, 0]) < half_width) & (abs(to_sensor[:, 1]) < half_height)
     found = np.flatnonzero(lands & (throughput > 0.0))
     return Rays(to_sensor[found, :5], to_objects[found, :6], throughput[found]), found
+
+
+def _to_plane(lens: LensTables, space: int, z: float, plane_z: float) -> tuple[float, float]:
+    """Return what first-order optics makes of height and slope at a plane inside the lens: the height at one behind it.
+
+    Height there is the first number times the height here, plus the second times the slope.
+    """
+    surfaces, indices = lens.surfaces, lens.indices[:, lens.indices.shape[1] // 2]
+    heights, slopes = np.array([1.0, 0.0]), np.array([0.0, 1.0])
+    for k in range(space, len(surfaces)):
+        heights = heights + (float(surfaces[k]["vertex_z"]) - z) * slopes
+        z = float(surfaces[k]["vertex_z"])
+        power = (indices[k + 1] - indices[k]) * surfaces[k]["curvature"]
+        slopes = (indices[k] * slopes - power * heights) / indices[k + 1]
+    heights = heights + (plane_z - z) * slopes
+    return float(heights[0]), float(heights[1])
 
 
 def _stop_of(lens: LensTables) -> tuple[int, float, float, float]:

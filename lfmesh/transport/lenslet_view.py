@@ -103,6 +103,7 @@ def _search(aim: Aim, array: ArrayTables, distance: float) -> int:
     off_chief = aim.pupil_vergence * (lattice.centres().reshape(-1, 2) - [aim.pupil_x, aim.pupil_y]) + slope
     reach = np.hypot(off_chief[:, 0], off_chief[:, 1]) + np.sqrt(np.maximum(aim.slope_radius2, 0.0))
     cells = np.where(seen, reach, 0.0).max() / ((aim.pupil_vergence + 1.0 / distance) * lattice.pitch)
+    cells = min(cells, float(max(lattice.columns, lattice.rows)))
     return int(cells / ROW_SPACING + 1.0) if lattice.hexagonal else int(cells + 0.5)
 
 

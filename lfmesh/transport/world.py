@@ -19,6 +19,7 @@ from lfmesh.geometry.tessellation import (
 from lfmesh.scene import FirstOrder, Scene, first_order, solved
 from lfmesh.transport.aim_proof import UNPROVEN, AimProof
 from lfmesh.transport.aim_table import aim_table
+from lfmesh.transport.collisions import refuse_collisions
 from lfmesh.transport.embree import Finder
 from lfmesh.transport.frame_table import frame_table
 from lfmesh.transport.lens_tables import array_tables, lens_tables
@@ -180,6 +181,7 @@ def build(scene: Scene, *, rings: int | None = None) -> World:
     array_mesh_, array = array_tables(scene, waves)
     middle = middle_of(targets)
     moves = frame_table(scene, middle)
+    refuse_collisions(scene, lens, array, moves)
     housing = housing_mesh(scene, shape)
     refuse_targets_inside(targets, housing, moves)
     object_mesh, objects = object_tables(scene, targets, housing, moves, target_slots, waves)

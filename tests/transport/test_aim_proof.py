@@ -8,7 +8,7 @@ import pytest
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.geometry.lattice import ROW_SPACING
-from lfmesh.transport.aim_proof import ALLOWED, Openings, _beyond_object_aim, _beyond_sensor_aim, _drawn, _steepest
+from lfmesh.transport.aim_proof import ALLOWED, Openings, _beyond_object_aim, _beyond_sensor_aim, _drawn, _reach
 from lfmesh.transport.pupil import outlook
 from lfmesh.transport.tables import Aim
 from lfmesh.transport.world import World
@@ -50,7 +50,8 @@ def random_camera(seed: int) -> lf.Scene:
         "curved_side": "lens" if to_lens else "sensor",
     }
     if draw.random() < 0.4:
-        mla["pose"] = {"tilt_deg": list(draw.uniform(-1.5, 1.5, 3)), "shift_mm": list(draw.uniform(-0.1, 0.1, 3))}
+        shift = draw.uniform(-0.3, 0.3, 3) * pitch * [1.0, 1.0, 0.1]
+        mla["pose"] = {"tilt_deg": list(draw.uniform(-1.0, 1.0, 3)), "shift_mm": list(shift)}
     if curved < 0.9 and draw.random() < 0.4:
         mla["form"] = {"decenter_mm": 0.01 * pitch, "radius_error": 0.005, "seed": seed}
     rows = ROW_SPACING if hexagonal else 1.0
@@ -58,7 +59,7 @@ def random_camera(seed: int) -> lf.Scene:
     sensor = {"pixels": [int(20 * pitch / pixel), int(20 * rows * pitch / pixel)], "pixel_mm": pixel}
     if curved > 0.2:
         # Steep lenslets in a thick plate have their focal plane inside it; any distance is as good here.
-        sensor["distance_mm"] = corner * draw.uniform(0.5, 2.0)
+        sensor["distance_mm"] = corner * draw.uniform(0.8, 3.0)
     return lf.Scene(
         camera={"focus_mm": 300.0, "lens": {"surfaces": surfaces}, "mla": mla, "sensor": sensor},
         targets=[TARGET],
@@ -71,7 +72,7 @@ def missed(world: World, aim: Aim, seed: int = 99) -> tuple[float, float]:
     random = np.random.default_rng(seed)
     tables = world.tables
     through = Openings(tables.lens, tables.array, tables.sensor, tables.frames)
-    rays = _drawn(through, _steepest(through, random), random)
+    rays = _drawn(through, _reach(through, random), random)
     corners = world.targets[0].mesh.vertices
     seen = outlook(aim.entrance.plane_z, aim.front_radius, corners, to_sensor=True)
     found = _beyond_sensor_aim(aim, through, rays), _beyond_object_aim(aim, seen, rays, random)

@@ -1,0 +1,60 @@
+"""Refuse a camera whose lens, array and sensor stand in each other's way: poses may bring that about.
+
+Light would end between them without a trace, and the picture be black without a reason.
+"""
+
+import numpy as np
+
+from lfmesh.errors import SceneError
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.mesh import Array
+from lfmesh.scene import Scene
+from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
+from lfmesh.transport.tables import ArrayTables, LensTables
+
+
+def refuse_collisions(scene: Scene, lens: LensTables, array: ArrayTables, moves: Array) -> None:
+    """Check that sensor, array and lens are clear of each other.
+
+    Raises
+    ------
+    SceneError
+        They are not; the message says by how much.
+    """
+    width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
+    sensor = np.array([[x, y, 0.0] for x in (-width, width) for y in (-height, height)])
+    if array.present:
+        _refuse_sensor_in_array(array, frames.points(moves[SENSOR_FRAME, ARRAY_FRAME], sensor))
+        half_width, half_height = array.lenslets.lattice.half_extent
+        depths = array.lenslets.top, array.lenslets.thickness
+        slab = [[x, y, z] for x in (-half_width, half_width) for y in (-half_height, half_height) for z in depths]
+        _refuse_in_lens("camera.mla", lens, frames.points(moves[ARRAY_FRAME, CAMERA_FRAME], slab))
+    else:
+        _refuse_in_lens("camera.sensor", lens, frames.points(moves[SENSOR_FRAME, CAMERA_FRAME], sensor))
+
+
+def _refuse_sensor_in_array(array: ArrayTables, corners: Array) -> None:
+    """Refuse a sensor whose corners (4, 3) (array frame) are not all beyond the array's face on its side."""
+    inside = np.clip(corners[:, :2], *(np.array([[-1.0], [1.0]]) * array.lenslets.lattice.half_extent))
+    # Of a sensor that is larger than the array only what lies behind the array can meet it.
+    plane = np.linalg.lstsq(np.column_stack([corners[:, :2], np.ones(4)]), corners[:, 2], rcond=None)[0]
+    z = inside @ plane[:2] + plane[2]
+    gap = (z - array.lenslets.thickness if array.curved_to_lens else array.lenslets.top - z).min()
+    if gap <= 0.0:
+        raise SceneError(
+            f"camera.mla.pose, camera.sensor.pose: the array reaches {-gap:.4g} mm through the sensor's plane; "
+            "give smaller shifts and tilts, or a larger camera.sensor.distance_mm"
+        )
+
+
+def _refuse_in_lens(what: str, lens: LensTables, corners: Array) -> None:
+    """Refuse a body whose corners (n, 3) (camera frame) reach back to the lens."""
+    last = lens.surfaces[-1]
+    # What is smaller than a concave last surface may stand in its hollow.
+    beyond_rim = np.hypot(corners[:, 0], corners[:, 1]).max() >= last["aperture"]
+    gap = corners[:, 2].min() - (lens.box_high[2] if beyond_rim else last["vertex_z"])
+    if gap < 0.0:
+        raise SceneError(
+            f"{what}.pose: it reaches {-gap:.4g} mm into the lens; give smaller shifts and tilts, or a larger "
+            f"{what}.distance_mm"
+        )

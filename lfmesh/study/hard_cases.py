@@ -5,13 +5,17 @@ A case passes when every ray has the right answer, or ends as LOST, which the le
 
 from collections.abc import Callable, Iterable
 
-from lfmesh.study.hard import aim, arrays, interfaces, lenses, meshes
+from lfmesh.study.hard import aim, arrays, interfaces, lenses, meshes, openings
 from lfmesh.study.hard.outcome import Outcome
 
 CASES: tuple[Callable[[], Outcome], ...] = (
     aim.vertices_and_edges,
     aim.pole_and_rim,
     aim.skinny_fan,
+    openings.stop_of_20_um,
+    openings.stop_of_10_nm,
+    openings.hemispheres_to_the_lens,
+    openings.hemispheres_to_the_sensor,
     interfaces.normal_incidence,
     interfaces.grazing,
     interfaces.grazing_sphere,

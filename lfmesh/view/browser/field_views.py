@@ -71,7 +71,7 @@ class FieldViews:
         if field is None:
             field = decode(image, white=run.open_white(folder), calibration=self.calibration)
         self.field: LightField = field
-        self._upright = Upright.of(image.scene)
+        self.upright = Upright.of(image.scene)
         depth = folder / ESTIMATE
         self.depth_mm = exr.read_map(depth, ("Z",)) if depth.is_file() else None
 
@@ -93,7 +93,7 @@ class FieldViews:
         lenslet = np.unravel_index(nearest, self.calibration.known.shape)
         middle = self.calibration.centres_px[lenslet]
         views_v, views_u = self.field.views
-        sense_u, sense_v = self._upright.senses
+        sense_u, sense_v = self.upright.senses
         u = round(0.5 * (views_u - 1) + sense_u * (column - middle[0]))
         v = round(0.5 * (views_v - 1) + sense_v * (row - middle[1]))
         if not (0 <= u < views_u and 0 <= v < views_v):
@@ -104,8 +104,8 @@ class FieldViews:
         """Return the sample (t, s) of a lenslet, by its place on the array: the nearest, where it was resampled."""
         array = self.calibration.lattice._replace(pitch=self.calibration.lenslet_pitch_mm)
         x, _ = centre(array, column, row)
-        t, _ = self._upright.pixel(row, column, self.calibration.known.shape)
-        return t, int(np.argmin(np.abs(self.field.s_mm - self._upright.senses[0] * x)))
+        t, _ = self.upright.pixel(row, column, self.calibration.known.shape)
+        return t, int(np.argmin(np.abs(self.field.s_mm - self.upright.senses[0] * x)))
 
     def view(self, v: int, u: int) -> Picture:
         """Return a view, upright."""

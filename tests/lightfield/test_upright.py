@@ -41,6 +41,7 @@ def relay(gap_mm: float = 196.0) -> list[dict[str, Any]]:
 CASES: dict[str, tuple[lf.Scene, bool]] = {
     "one lens": (scene([stop(1.0), FRONT, BACK], focus_mm=400.0), True),
     "stop imaged behind the array": (scene([stop(100.0), FRONT, BACK], focus_mm=400.0), True),
+    "exit pupil near infinity": (scene([stop(49.32), FRONT, BACK], focus_mm=400.0), True),
     "relay": (scene(relay(), focus_mm=100.0), False),
     "relay of longer distances": (scene(relay(250.0), focus_mm=130.0), False),
     "relay focused at infinity": (scene(relay(), array_mm=75.7033), False),

@@ -452,7 +452,8 @@ def expose(
     ] = None,
     quantum_efficiency: Annotated[float, Parameter(help="Electrons a photon.")] = 0.6,
     bayer: Annotated[
-        Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None, Parameter(help="Colour filters; none if omitted.")
+        Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None,
+        Parameter(help="Colour filters, from the upright picture's first corner; none if omitted."),
     ] = None,
     full_well_e: Annotated[float, Parameter(help="Electrons that a pixel holds.")] = 10000.0,
     dark_current_e_s: Annotated[float, Parameter(help="Electrons a second in the dark.")] = 1.0,

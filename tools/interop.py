@@ -216,8 +216,9 @@ def decoded(python: Path, name: str, work: Path) -> dict[str, Array]:
 
 def centre_errors(found: Array, calibration: lf.Calibration) -> Array:
     """Return the distance, in pixels, of the nearest found centre (row, column) for every lenslet that has one."""
-    columns, rows = calibration.sensor_px
-    upright = np.array([columns - 1.0, rows - 1.0]) - calibration.centres_px
+    columns, _ = calibration.sensor_px
+    # In the picture that decoders get: this camera's lens inverts, so columns are reversed.
+    upright = np.array([columns - 1.0, 0.0]) + calibration.centres_px * [-1.0, 1.0]
     distances = np.array(
         [np.hypot(*(found[:, ::-1] - centre).T).min() for centre in upright[calibration.known]], dtype=np.float64
     )

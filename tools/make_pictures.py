@@ -11,7 +11,7 @@ from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 import lfmesh
 from lfmesh.assets import asset_path
@@ -27,6 +27,11 @@ SIDE_PX = 320
 DETAIL_PX = 80
 """Eight lenslets, enlarged to the side of the other pictures."""
 DETAIL_CORNER = (280, 160)
+
+AXES_PX, AXIS_PX = 26, 36
+"""Distance of the axes' origin from the picture's edges, and their length."""
+AXES_FONT_PX = 15
+AXES_COLOUR = "#c22b1f"
 
 NEAR, FAR = "refocused_430mm.png", "refocused_600mm.png"
 
@@ -67,7 +72,24 @@ def from_run(run: Path) -> None:
         detail = raw.crop((x, y, x + DETAIL_PX, y + DETAIL_PX)).resize((SIDE_PX, SIDE_PX), Image.Resampling.NEAREST)
         detail.save(PICTURES / "micro_images.png", optimize=True)
         raw.crop((160, 160, 160 + SIDE_PX, 160 + SIDE_PX)).save(PICTURES / "raw.png", optimize=True)
-        view.resize((SIDE_PX, SIDE_PX), Image.Resampling.LANCZOS).save(PICTURES / "view.png", optimize=True)
+        small = view.resize((SIDE_PX, SIDE_PX), Image.Resampling.LANCZOS).convert("RGB")
+        draw_axes(small)
+        small.save(PICTURES / "view.png", optimize=True)
+
+
+def draw_axes(picture: Image.Image) -> None:
+    """Draw the camera's axes into the lower left corner: x to the right, y up, z towards whoever looks."""
+    draw, font = ImageDraw.Draw(picture), ImageFont.load_default(AXES_FONT_PX)
+    x, y = AXES_PX, picture.height - AXES_PX
+    right, up = x + AXIS_PX, y - AXIS_PX
+    draw.line([(x, up), (x, y), (right, y)], fill=AXES_COLOUR, width=3)
+    draw.polygon([(right + 4, y), (right - 6, y - 5), (right - 6, y + 5)], fill=AXES_COLOUR)
+    draw.polygon([(x, up - 4), (x - 5, up + 6), (x + 5, up + 6)], fill=AXES_COLOUR)
+    # The point of an arrow that comes out of the picture.
+    draw.ellipse([x - 6, y - 6, x + 6, y + 6], fill="white", outline=AXES_COLOUR, width=3)
+    draw.ellipse([x - 2, y - 2, x + 2, y + 2], fill=AXES_COLOUR)
+    for name, at in (("x", (right + 12, y)), ("y", (x, up - 14)), ("z", (x - 14, y + 8))):
+        draw.text(at, name, fill=AXES_COLOUR, font=font, anchor="mm")
 
 
 def from_photographs(run: Path) -> None:

@@ -10,15 +10,16 @@ import numpy as np
 import lfmesh
 from lfmesh.errors import FileError
 from lfmesh.lightfield.calibration import Calibration
+from lfmesh.lightfield.upright import ON_SENSOR
 
-FORMAT = 1
+FORMAT = 2
 """Of the file; a reader refuses any other."""
 
 ABOUT = (
     "Where every micro-image of a light-field camera lies on its sensor, and the first-order optics that say what its "
-    "pixels mean. Pixel positions are [column, row] with the middle of the first pixel at [0, 0], in the orientation "
-    "of the raw image; arrays are indexed [row of lenslets][column of lenslets]. A length that is infinite, as the "
-    "exit pupil's of a telecentric lens, is null."
+    "pixels mean. Pixel positions are [column, row] with the middle of the first pixel at [0, 0], as they lie on the "
+    "sensor and in raw.exr, not in upright pictures; arrays are indexed [row of lenslets][column of lenslets]. A "
+    "length that is infinite, as the exit pupil's of a telecentric lens, is null."
 )
 
 MEANINGS = {
@@ -63,7 +64,13 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
     entries = {}
     for name, (unit, meaning) in {**MEANINGS, **DERIVED}.items():
         entries[name] = {"value": _plain(getattr(calibration, name)), "unit": unit, "meaning": meaning}
-    document = {"format": FORMAT, "lfmesh_version": lfmesh.__version__, "about": ABOUT, "fields": entries}
+    document = {
+        "format": FORMAT,
+        "lfmesh_version": lfmesh.__version__,
+        "orientation": ON_SENSOR,
+        "about": ABOUT,
+        "fields": entries,
+    }
     try:
         path.write_text(json.dumps(document, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
     except OSError as error:
@@ -86,7 +93,10 @@ def read_calibration(path: Path) -> Calibration:
         raise FileError(f"{path} is damaged or no calibration: it is not JSON") from None
     version = document.get("format") if isinstance(document, dict) else None
     if version != FORMAT:
-        raise FileError(f"{path} has calibration format {version}; this lfmesh {lfmesh.__version__} reads {FORMAT}")
+        raise FileError(
+            f"{path} has calibration format {version}; this lfmesh {lfmesh.__version__} reads {FORMAT}: older "
+            "ones do not say how their pixels lie; make it again with lfmesh white"
+        )
     try:
         values = {name: document["fields"][name]["value"] for name in MEANINGS}
         calibration = Calibration(

@@ -11,6 +11,7 @@ from lfmesh.files import exr, run
 from lfmesh.lightfield.depth import DepthMap
 from lfmesh.lightfield.depth_truth import DepthTruth
 from lfmesh.lightfield.field import mosaic
+from lfmesh.lightfield.upright import ON_SENSOR, UPRIGHT
 
 VIEWS, PIXELS, ESTIMATE, FIGURE = "depth_views.exr", "depth_pixels.exr", "depth.exr", "depth.png"
 
@@ -38,8 +39,8 @@ def save_truth(truth: DepthTruth, folder: Path) -> list[Path]:
     views = {"Z": mosaic(truth.views_mm[..., None])[..., 0]}
     pixels = {"Z": truth.pixels_mm, "spread": truth.spread_mm, "seen": truth.seen}
     with run.added(folder) as staging:
-        exr.write_maps(staging / VIEWS, views, _facts(folder, orientation="upright", views=[rows, columns]))
-        exr.write_maps(staging / PIXELS, pixels, _facts(folder, orientation="as the raw image"))
+        exr.write_maps(staging / VIEWS, views, _facts(folder, orientation=UPRIGHT, views=[rows, columns]))
+        exr.write_maps(staging / PIXELS, pixels, _facts(folder, orientation=ON_SENSOR))
     return [folder / VIEWS, folder / PIXELS]
 
 
@@ -61,7 +62,7 @@ def save_depth(depth: DepthMap, truth_mm: NDArray[np.floating], folder: Path) ->
     maps = {"Z": depth.distance_mm, "confidence": depth.confidence, "truth": truth_mm}
     error = depth.error(truth_mm)
     with run.added(folder) as staging:
-        exr.write_maps(staging / ESTIMATE, maps, _facts(folder, orientation="upright"))
+        exr.write_maps(staging / ESTIMATE, maps, _facts(folder, orientation=UPRIGHT))
         _draw(staging / FIGURE, depth, truth_mm, error)
     return [folder / ESTIMATE, folder / FIGURE]
 

@@ -10,12 +10,13 @@ import PIL.Image
 import lfmesh
 from lfmesh.files import run
 from lfmesh.lightfield.detector import PASSBANDS_NM, Exposed
+from lfmesh.lightfield.upright import UPRIGHT
 
 COUNTS, FACTS = "exposed.png", "exposed.json"
 
 
 def save_exposed(exposed: Exposed, folder: Path) -> list[Path]:
-    """Add ``exposed.png``, the counts as on the sensor, and ``exposed.json`` to a run folder; return the files.
+    """Add ``exposed.png``, the counts upright, and ``exposed.json`` to a run folder; return the files.
 
     Raises
     ------
@@ -26,7 +27,7 @@ def save_exposed(exposed: Exposed, folder: Path) -> list[Path]:
     facts = {
         "lfmesh_version": lfmesh.__version__,
         "raw_sha256": run.pixels_digest(folder),
-        "orientation": "as on the sensor",
+        "orientation": UPRIGHT,
         "electrons": "(count - black_level) * electrons_per_count",
         **asdict(detector),
         "electrons_per_count": detector.electrons_per_count,
@@ -35,7 +36,8 @@ def save_exposed(exposed: Exposed, folder: Path) -> list[Path]:
         "saturated_share": float(exposed.saturated.mean()),
         "mean_expected_e": float(exposed.expected_e.mean()),
     }
+    picture = exposed.upright.picture(exposed.counts)
     with run.added(folder) as staging:
-        PIL.Image.fromarray(np.ascontiguousarray(exposed.counts)).save(staging / COUNTS, format="PNG")
+        PIL.Image.fromarray(np.ascontiguousarray(picture)).save(staging / COUNTS, format="PNG")
         (staging / FACTS).write_text(json.dumps(facts, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     return [folder / COUNTS, folder / FACTS]

@@ -10,8 +10,9 @@ from lfmesh.errors import FileError
 from lfmesh.files import exr, run
 from lfmesh.files.picture import write_picture
 from lfmesh.lightfield.field import LightField, from_mosaic, mosaic
+from lfmesh.lightfield.upright import UPRIGHT
 
-FORMAT = 1
+FORMAT = 2
 """Of the file; a reader refuses any other."""
 
 FIELD, VIEWS = "lightfield.exr", "views.png"
@@ -39,8 +40,10 @@ def save_field(field: LightField, folder: Path) -> list[Path]:
     metadata: dict[str, Any] = {
         "lightfield_format": FORMAT,
         "lfmesh_version": lfmesh.__version__,
-        "about": "Views side by side, (v·t, u·s), upright: the raw image turned by 180 degrees. Part 'stderr' holds "
-        "their standard errors; part 'sharing', the same for all views, by what factor the variance of a mean "
+        "orientation": UPRIGHT,
+        "about": "Views side by side, (v·t, u·s), upright: s and columns towards +x, t and rows towards -y, as seen "
+        "from behind the camera; u grows as the viewpoint moves towards +x, v as it moves towards -y. Part 'stderr' "
+        "holds their standard errors; part 'sharing', the same for all views, by what factor the variance of a mean "
         "over neighbouring views exceeds that of independent ones.",
         "unit": field.unit,
         "sampling": field.sampling,
@@ -74,7 +77,11 @@ def open_field(folder: Path) -> LightField | None:
     metadata = spectral.metadata
     version = metadata.get("lightfield_format")
     if version != FORMAT:
-        raise FileError(f"{path} has light field format {version}; this lfmesh {lfmesh.__version__} reads {FORMAT}")
+        reason = run.WHY_OTHERS_ARE_REFUSED.get(version or 0)
+        raise FileError(
+            f"{path} has light field format {version}; this lfmesh {lfmesh.__version__} reads {FORMAT}"
+            + (f": {reason}; decode the run again" if reason else "")
+        )
     if metadata.get("raw_sha256") != digest:
         return None
     try:

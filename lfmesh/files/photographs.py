@@ -10,6 +10,7 @@ import lfmesh
 from lfmesh.files import exr, run
 from lfmesh.files.picture import write_animation, write_picture
 from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph
+from lfmesh.lightfield.upright import UPRIGHT
 
 STACK, ALL_IN_FOCUS = "stack", "all_in_focus"
 
@@ -74,6 +75,6 @@ def _facts(photograph: Photograph) -> dict[str, Any]:
 
 
 def _write(path: Path, parts: dict[str, Any], of: Photograph | AllInFocus, facts: dict[str, Any]) -> None:
-    metadata = {"lfmesh_version": lfmesh.__version__, "orientation": "upright", "unit": of.unit, **facts}
+    metadata = {"lfmesh_version": lfmesh.__version__, "orientation": UPRIGHT, "unit": of.unit, **facts}
     pixels = {name: np.asarray(values, dtype=np.float32) for name, values in parts.items()}
     exr.write(path, exr.SpectralImage(pixels, of.wavelengths_nm, metadata))

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import PIL.Image
@@ -19,7 +18,7 @@ KNOWN = 0.5
 COUNTS = 65535
 
 BAND = 64
-"""Rows that are turned into a picture together: a large sensor leaves no room for copies of its whole film."""
+"""Rows that are made into a picture together: a large sensor leaves no room for copies of its whole film."""
 
 
 def white_point(light: NDArray[np.float64], known: NDArray[np.bool_] | None = None) -> float:
@@ -56,13 +55,13 @@ def write_preview(
     wavelengths_nm: tuple[float, ...],
     stderr: NDArray[np.float64] | None = None,
 ) -> float:
-    """Write an upright 8-bit sRGB PNG that exposes itself.
+    """Write an 8-bit sRGB PNG that exposes itself.
 
     Parameters
     ----------
     path : Path
     power : (H, W, wavelengths) float64, W
-        In physical orientation; the lens inverts, so the picture is turned by 180°.
+        Upright: see `lfmesh.lightfield.upright`.
     wavelengths_nm : tuple of float
     stderr : (H, W, wavelengths) float64, W, optional
         Of `power`; pixels that are hardly known do not set the exposure.
@@ -73,16 +72,16 @@ def write_preview(
         The power shown as white, W (mean over the wavelengths for a grey picture); 0 if the picture is black.
     """
     picture, white = displayed(power, wavelengths_nm, stderr)
-    PIL.Image.fromarray(upright(picture)).save(path, format="PNG")
+    PIL.Image.fromarray(picture).save(path, format="PNG")
     return white
 
 
 def displayed(
     power: NDArray[np.float64], wavelengths_nm: tuple[float, ...], stderr: NDArray[np.float64] | None = None
 ) -> tuple[NDArray[np.uint8], float]:
-    """Return an 8-bit sRGB picture (H, W) or (H, W, 3) that exposes itself, not turned, and the power shown as white.
+    """Return an 8-bit sRGB picture (H, W) or (H, W, 3) that exposes itself, and the power shown as white.
 
-    Parameters are those of `write_preview`.
+    Parameters are those of `write_preview`; the picture lies as the power does.
     """
     light = to_display(power, wavelengths_nm)
     known = None if stderr is None else well_known(power, stderr)
@@ -97,7 +96,7 @@ def displayed(
 def write_linear16(
     folder: Path, power: NDArray[np.float64], wavelengths_nm: tuple[float, ...]
 ) -> tuple[list[str], float]:
-    """Write 16-bit grey PNGs of linear counts, in the physical orientation of the raw image.
+    """Write 16-bit grey PNGs of linear counts from an upright image.
 
     One wavelength gives ``linear16.png``, several give ``linear16_486.1nm.png`` and so on, all to one scale.
     The brightest pixel has the count 65535, so nothing is clipped.
@@ -121,8 +120,3 @@ def write_linear16(
         plane = np.ascontiguousarray(counts[:, :, channel])
         PIL.Image.fromarray(plane).save(folder / name, format="PNG")
     return names, peak / COUNTS
-
-
-def upright(picture: NDArray[Any]) -> NDArray[Any]:
-    """Turn an image by 180°, as the lens turned it."""
-    return picture[::-1, ::-1]

@@ -25,13 +25,17 @@ from lfmesh.files.lenslets import lenslet_means, paint
 from lfmesh.files.preview import write_linear16, write_preview
 from lfmesh.geometry.lattice import Lattice
 from lfmesh.lightfield.calibration import Calibration
+from lfmesh.lightfield.upright import UPRIGHT, Upright
 from lfmesh.scene import Scene, first_order
 from lfmesh.transport.adaptive import Refinement
 from lfmesh.transport.image import Image
 from lfmesh.transport.ledger import Ledger
 
-FORMAT = 1
+FORMAT = 2
 """Of the run folder; a reader refuses any other."""
+
+WHY_OTHERS_ARE_REFUSED = {1: "its pictures and light fields are mirror images of what the camera saw"}
+"""What is wrong with runs of older formats, and with what was made from them."""
 
 RAW, REPORT, SCENE = "raw.exr", "report.json", "scene.toml"
 PREVIEW, VIEW = "preview.png", "preview_view.png"
@@ -75,9 +79,10 @@ def save(image: Image, folder: str | os.PathLike[str]) -> Path:
 
     ``raw.exr`` holds the mean and its standard error as float32 and, as JSON, everything else that `open_run`
     needs; ``report.json`` the numbers; ``scene.toml`` the scene as rendered; ``preview.png`` the raw image
-    and, for a light-field camera, ``preview_view.png`` the picture it saw, both upright; ``linear16.png``
-    linear counts. The files are written beside their places and moved there when all are complete, so that a
-    failure or Ctrl-C leaves the folder as it was. An older run is replaced; other files stay.
+    and, for a light-field camera, ``preview_view.png`` the picture it saw; ``linear16.png`` linear counts.
+    Pictures are upright; ``raw.exr`` lies as on the sensor, and says so. The files are written beside their
+    places and moved there when all are complete, so that a failure or Ctrl-C leaves the folder as it was. An
+    older run is replaced; other files stay.
 
     Parameters
     ----------
@@ -126,7 +131,7 @@ def open_run(folder: str | os.PathLike[str]) -> Image:
         There is no run, it is incomplete or damaged, or another version of lfmesh wrote it.
     """
     path = Path(folder)
-    report = _report_of(path)
+    report = report_of(path)
     spectral = exr.read(path / RAW, PARTS)
     metadata = spectral.metadata
     _refuse_damage(path / RAW, spectral)
@@ -158,7 +163,8 @@ def save_white(white: Image, calibration: Calibration, folder: str | os.PathLike
     path = Path(folder)
     with added(path) as staging:
         _write_image(staging / WHITE, white, path)
-        write_preview(staging / WHITE_PREVIEW, white.mean, white.wavelengths_nm, white.stderr)
+        picture = Upright.of(white.scene).picture
+        write_preview(staging / WHITE_PREVIEW, picture(white.mean), white.wavelengths_nm, picture(white.stderr))
         write_calibration(staging / CALIBRATION, calibration)
     return path
 
@@ -188,7 +194,7 @@ def added(folder: Path) -> Iterator[Path]:
     FileError
         There is no complete run, or the folder cannot be written.
     """
-    report = _report_of(folder)
+    report = report_of(folder)
     with _writable(folder):
         staging = Path(tempfile.mkdtemp(prefix=_STAGING, dir=folder))
         try:
@@ -202,19 +208,14 @@ def added(folder: Path) -> Iterator[Path]:
             shutil.rmtree(staging, ignore_errors=True)
 
 
-def pixels_digest(folder: Path) -> str:
-    """Return the hash of a run's raw pixels, from its report.
+def report_of(path: Path) -> dict[str, Any]:
+    """Return the report of a complete run.
 
     Raises
     ------
     FileError
-        There is no complete run.
+        There is no complete run, or another version of lfmesh wrote it.
     """
-    return str(_report_of(folder).get("pixels_sha256"))
-
-
-def _report_of(path: Path) -> dict[str, Any]:
-    """Return the report of a complete run of this version; say what is amiss otherwise."""
     if not path.is_dir():
         raise FileError(f"{path} is no run folder: {'it is a file' if path.exists() else 'it does not exist'}")
     missing = [name for name in (RAW, REPORT) if not (path / name).is_file()]
@@ -224,11 +225,24 @@ def _report_of(path: Path) -> dict[str, Any]:
     if report is None:
         raise FileError(f"{path / REPORT} is damaged or not a report of lfmesh; render the scene again")
     if report["format"] != FORMAT:
+        reason = WHY_OTHERS_ARE_REFUSED.get(report["format"])
         raise FileError(
             f"{path} has run format {report['format']}, written by lfmesh {report['lfmesh_version']};"
             f" this lfmesh {lfmesh.__version__} reads format {FORMAT}"
+            + (f": {reason}; render its {SCENE} again" if reason else "")
         )
     return report
+
+
+def pixels_digest(folder: Path) -> str:
+    """Return the hash of a run's raw pixels, from its report.
+
+    Raises
+    ------
+    FileError
+        There is no complete run, or another version of lfmesh wrote it.
+    """
+    return str(report_of(folder).get("pixels_sha256"))
 
 
 def _refuse_damage(path: Path, spectral: exr.SpectralImage) -> None:
@@ -314,17 +328,18 @@ def _write_all(image: Image, folder: Path, home: Path) -> list[str]:
     """Write every file of a run that will live in `home`; return their names, the report last."""
     metadata = _write_image(folder / RAW, image, home)
     (folder / SCENE).write_text(_moved(image.scene, home).dump_toml(), encoding="utf-8")
-    white = write_preview(folder / PREVIEW, image.mean, image.wavelengths_nm, image.stderr)
-    pictures: dict[str, Any] = {PREVIEW: {"orientation": "upright", "encoding": "sRGB", "white_w": white}}
+    upright = Upright.of(image.scene).picture
+    white = write_preview(folder / PREVIEW, upright(image.mean), image.wavelengths_nm, upright(image.stderr))
+    pictures: dict[str, Any] = {PREVIEW: {"orientation": UPRIGHT, "encoding": "sRGB", "white_w": white}}
     grid = _micro_images(image.scene)
     if grid is not None:
-        view = paint(lenslet_means(image.mean, grid), grid)
+        view = upright(paint(lenslet_means(image.mean, grid), grid))
         white = write_preview(folder / VIEW, view, image.wavelengths_nm)
-        pictures[VIEW] = {"orientation": "upright", "encoding": "sRGB", "white_w": white}
-    linear_names, watts_per_count = write_linear16(folder, image.mean, image.wavelengths_nm)
+        pictures[VIEW] = {"orientation": UPRIGHT, "encoding": "sRGB", "white_w": white}
+    linear_names, watts_per_count = write_linear16(folder, upright(image.mean), image.wavelengths_nm)
     for name in linear_names:
         pictures[name] = {
-            "orientation": "as on the sensor",
+            "orientation": UPRIGHT,
             "encoding": "linear",
             "watts_per_count": watts_per_count,
         }
@@ -360,6 +375,7 @@ def _metadata(image: Image, pixels_sha256: str, home: Path) -> dict[str, Any]:
         "lfmesh_version": lfmesh.__version__,
         "name": image.scene.name,
         "unit": "W per pixel",
+        "orientation": Upright.of(image.scene).raw_in_words,
         "wavelengths_nm": list(image.wavelengths_nm),
         "scene_digest": image.scene.digest,
         **scene_metadata(image.scene, home),

@@ -14,6 +14,7 @@ from lfmesh.lightfield.calibration import Calibration, calibrate
 from lfmesh.lightfield.field import LightField, Samples
 from lfmesh.lightfield.raw_image import between_pixels
 from lfmesh.lightfield.ray_model import RayModel
+from lfmesh.lightfield.upright import Upright
 from lfmesh.lightfield.white import refuse_other_white
 from lfmesh.scene import Scene, solved
 from lfmesh.transport.image import Image
@@ -30,19 +31,24 @@ WIDEST = 2.0
 
 
 class Sampling(NamedTuple):
-    """How output columns come from lenslets: a mean of two neighbours of a row.
+    """How the samples of upright views come from lenslets: each from a row, as a mean of two neighbours of it.
 
     Attributes
     ----------
+    t_mm : (t,) float64
     s_mm : (s,) float64
+    rows : (t,) int64
+        Of the array.
     columns : (2, s) int64
-        The left one of the two lenslets, for even and odd rows of the array.
+        The first one of the two lenslets, for even and odd rows of the array.
     share : (2, s) float64
         Weight of the other one, the next column.
     words : str
     """
 
+    t_mm: Array
     s_mm: Array
+    rows: NDArray[np.int64]
     columns: NDArray[np.int64]
     share: Array
     words: str
@@ -86,20 +92,20 @@ def decode(
     calibration = calibrate(scene) if calibration is None else calibration
     _refuse_strangers(image, white, scene, calibration)
     count = view_count(calibration, views)
-    sampling = sampling_of(calibration)
-    data, stderr = _sorted_pixels(image, calibration, count, sampling)
+    upright = Upright.of(scene)
+    sampling = sampling_of(calibration, upright)
+    data, stderr = _sorted_pixels(image, calibration, count, sampling, upright)
     unit = "W per pixel"
     if white is not None:
-        _divide(data, stderr, *_sorted_pixels(white, calibration, count, sampling))
+        _divide(data, stderr, *_sorted_pixels(white, calibration, count, sampling, upright))
         unit = "W/(m² sr)"
     directions = _centred(count, model.slope_step)
-    rows = len(calibration.known)
     return LightField(
         data=data,
         stderr=stderr,
         v_rad=directions,
         u_rad=directions.copy(),
-        t_mm=_centred(rows, calibration.row_pitch_mm),
+        t_mm=sampling.t_mm,
         s_mm=sampling.s_mm,
         wavelengths_nm=image.wavelengths_nm,
         unit=unit,
@@ -145,30 +151,30 @@ def view_count(calibration: Calibration, views: int | None) -> int:
     return views
 
 
-def sampling_of(calibration: Calibration) -> Sampling:
-    """Return how the columns of the views come from the lenslets of a camera."""
+def sampling_of(calibration: Calibration, upright: Upright) -> Sampling:
+    """Return how the samples of the views come from the lenslets of a camera."""
     rows, columns = calibration.known.shape
     pitch = calibration.lenslet_pitch_mm
+    t_mm, of_array = _centred(rows, calibration.row_pitch_mm), upright.rows(rows)
     if calibration.layout == "square":
         s_mm = _centred(columns, pitch)
-        back = np.arange(columns)[::-1]
+        own = upright.columns(columns)
         words = f"one sample a lenslet, {pitch:.6g} mm apart"
-        return Sampling(s_mm, np.stack([back, back]), np.zeros((2, columns)), words)
+        return Sampling(t_mm, s_mm, of_array, np.stack([own, own]), np.zeros((2, columns)), words)
     step = calibration.row_pitch_mm
     count = max(1, int((columns - 0.5) / ROW_SPACING) + 1) if rows > 1 else max(1, int(columns / ROW_SPACING))
     s_mm = _centred(count, step)
     left, share = np.zeros((2, count), np.int64), np.zeros((2, count))
     for odd in (0, 1):
         shift = 0.5 * odd - (0.25 if rows > 1 else 0.0)
-        # Upright: s runs against x.
-        at = np.clip(-s_mm / pitch + 0.5 * (columns - 1) - shift, 0.0, columns - 1.0)
+        at = np.clip(upright.senses[0] * s_mm / pitch + 0.5 * (columns - 1) - shift, 0.0, columns - 1.0)
         left[odd] = np.minimum(at.astype(np.int64), max(columns - 2, 0))
         share[odd] = at - left[odd]
     words = (
         f"hexagonal lenslets {pitch:.6g} mm apart, resampled along their rows, linearly between neighbours, to a "
         f"square grid of {step:.6g} mm, the distance of the rows"
     )
-    return Sampling(s_mm, left, share, words)
+    return Sampling(t_mm, s_mm, of_array, left, share, words)
 
 
 def _centred(count: int, step: float) -> Array:
@@ -176,12 +182,14 @@ def _centred(count: int, step: float) -> Array:
     return step * (np.arange(count, dtype=np.float64) - 0.5 * (count - 1))
 
 
-def _sorted_pixels(image: Image, calibration: Calibration, count: int, sampling: Sampling) -> tuple[Samples, Samples]:
-    rows = len(calibration.known)
-    shape = (count, count, rows, len(sampling.s_mm), image.mean.shape[2])
+def _sorted_pixels(
+    image: Image, calibration: Calibration, count: int, sampling: Sampling, upright: Upright
+) -> tuple[Samples, Samples]:
+    shape = (count, count, len(sampling.t_mm), len(sampling.s_mm), image.mean.shape[2])
     data, stderr = np.empty(shape, np.float32), np.empty(shape, np.float32)
     _sort_pixels(
-        image.mean, image.stderr, calibration.centres_px, sampling.columns, sampling.share, data, stderr
+        image.mean, image.stderr, calibration.centres_px, sampling.rows, sampling.columns, sampling.share,
+        *upright.senses, data, stderr,
     )  # fmt: skip
     return data, stderr
 
@@ -189,8 +197,8 @@ def _sorted_pixels(image: Image, calibration: Calibration, count: int, sampling:
 def _sharing(calibration: Calibration, count: int, sampling: Sampling) -> Samples:
     """Return 1 over the sum of the squared weights of the pixels in a sample, the same for all views of a lenslet."""
     fraction = (calibration.centres_px + 0.5 * (count - 1)) % 1.0
-    squares = np.prod((1.0 - fraction) ** 2 + fraction**2, axis=-1)[::-1]
-    odd = np.arange(len(squares))[::-1] & 1
+    squares = np.prod((1.0 - fraction) ** 2 + fraction**2, axis=-1)[sampling.rows]
+    odd = sampling.rows & 1
     left, share = sampling.columns[odd], sampling.share[odd]
     first = np.take_along_axis(squares, left, axis=1)
     second = np.take_along_axis(squares, np.minimum(left + 1, squares.shape[1] - 1), axis=1)
@@ -200,18 +208,18 @@ def _sharing(calibration: Calibration, count: int, sampling: Sampling) -> Sample
 
 @kernel
 def _sort_pixels(
-    mean: Array, spread: Array, centres: Array, columns: NDArray[np.int64], share: Array, data: Samples, stderr: Samples
-) -> None:
+    mean: Array, spread: Array, centres: Array, rows: NDArray[np.int64], columns: NDArray[np.int64], share: Array,
+    sense_u: float, sense_v: float, data: Samples, stderr: Samples,
+) -> None:  # fmt: skip
     """Fill (v, u, t, s, c) samples and their standard errors from the raw image."""
-    count, _, rows, width, channels = data.shape
-    for t in range(rows):
-        row = rows - 1 - t
+    count, _, height, width, channels = data.shape
+    for t in range(height):
+        row = rows[t]
         for s in range(width):
             column, other = columns[row & 1, s], share[row & 1, s]
             for v in range(count):
                 for u in range(count):
-                    # Upright: the micro-image is turned with the picture.
-                    du, dv = 0.5 * (count - 1) - u, 0.5 * (count - 1) - v
+                    du, dv = sense_u * (u - 0.5 * (count - 1)), sense_v * (v - 0.5 * (count - 1))
                     for c in range(channels):
                         value, square = between_pixels(
                             mean, spread, centres[row, column, 0] + du, centres[row, column, 1] + dv, c

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
+from lfmesh.lightfield.upright import Upright
 from lfmesh.transport.image import Image
 
 Array = NDArray[np.float64]
@@ -42,12 +43,15 @@ class Exposed:
     saturated : (H, W) bool
         Where the well was full.
     detector : Detector
+    upright : Upright
+        How to turn them upright.
     """
 
     counts: NDArray[np.uint16]
     expected_e: Array
     saturated: NDArray[np.bool_]
     detector: "Detector"
+    upright: Upright
 
     @property
     def electrons(self) -> Array:
@@ -65,7 +69,8 @@ class Detector:
     quantum_efficiency : float
         Electrons a photon.
     bayer : {"RGGB", "BGGR", "GRBG", "GBRG"}, optional
-        Colour filters of the first two pixels of the first row, then of the second; none if omitted.
+        Colour filters of the first two pixels of the first row of the upright picture, then of the second; none if
+        omitted.
     full_well_e : float
         Electrons that a pixel holds; the converter's highest count stands for them.
     dark_current_e_s : float
@@ -135,11 +140,12 @@ class Detector:
         weights = self.exposure_s * self.quantum_efficiency * photons_per_joule
         if self.bayer is None:
             return np.asarray(image.mean @ weights)
-        height, width, _ = image.mean.shape
-        electrons = np.empty((height, width))
+        electrons = np.empty(image.mean.shape[:2])
+        upright = Upright.of(image.scene).picture
+        picture, light = upright(electrons), upright(image.mean)
         for place, colour in enumerate(self.bayer):
             pixels = np.s_[place // 2 :: 2, place % 2 :: 2]
-            electrons[pixels] = image.mean[pixels] @ (weights * transmittance(colour, image.wavelengths_nm))
+            picture[pixels] = light[pixels] @ (weights * transmittance(colour, image.wavelengths_nm))
         return electrons
 
     def expose(self, image: Image) -> Exposed:
@@ -157,7 +163,7 @@ class Detector:
         saturated = collected >= self.full_well_e
         read = np.minimum(collected, self.full_well_e) + random.normal(0.0, self.read_noise_e, collected.shape)
         counts = np.clip(np.rint(self.black_level + read / self.electrons_per_count), 0, self.white_level)
-        return Exposed(counts.astype(np.uint16), expected, np.asarray(saturated), self)
+        return Exposed(counts.astype(np.uint16), expected, np.asarray(saturated), self, Upright.of(image.scene))
 
 
 def transmittance(colour: str, wavelengths_nm: tuple[float, ...]) -> Array:

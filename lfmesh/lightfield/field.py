@@ -20,10 +20,11 @@ Samples = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class LightField:
-    """Samples of a light field, upright: the raw image turned by 180°, views and pictures alike.
+    """Samples of a light field, upright as an observer behind the camera sees it, views and pictures alike.
 
-    So an object at larger x lies at larger s, and larger u looks from larger x: from there, what is nearer than the
-    focus moves towards smaller s.
+    An object further to the right (+x) lies at larger s, one further down (−y) at larger t. Larger u looks from further
+    right, larger v from further down, through the entrance pupil: from there, what is nearer than the focus moves
+    towards smaller s and t.
 
     Attributes
     ----------
@@ -32,10 +33,12 @@ class LightField:
     stderr : (v, u, t, s, c) float32
         Standard error of `data`, pixels taken as independent.
     v_rad, u_rad : (v,), (u,) float64
-        Direction of each view at a lenslet, dy/dz and dx/dz against its chief ray. Times the distance of the exit
-        pupil from the array it is a place on the exit pupil.
+        Direction of each view at a lenslet against its chief ray, as a slope; ascending, v_rad positive for views from
+        −y and u_rad for views from +x in object space. Times the distance of the exit pupil from the array it is, but
+        for its sign, a place on the exit pupil.
     t_mm, s_mm : (t,), (s,) float64
-        Place on the array, from its middle, along its columns and rows; positive where +y and +x are in object space.
+        Place on the array, from its middle, along its columns and rows; ascending, t_mm positive where −y and s_mm
+        where +x is in object space.
     wavelengths_nm : tuple of float
         One a channel.
     unit : str
@@ -144,10 +147,10 @@ class LightField:
             raise LfmeshError("to_xarray needs the package xarray: pip install 'lfmesh[data]'") from None
         axes = ("v", "u", "t", "s", "wavelength")
         coordinates: dict[str, Any] = {
-            "v": ("v", self.v_rad, {"unit": "rad", "long_name": "direction of the view, dy/dz"}),
-            "u": ("u", self.u_rad, {"unit": "rad", "long_name": "direction of the view, dx/dz"}),
-            "t": ("t", self.t_mm, {"unit": "mm", "long_name": "place on the array along y"}),
-            "s": ("s", self.s_mm, {"unit": "mm", "long_name": "place on the array along x"}),
+            "v": ("v", self.v_rad, {"unit": "rad", "long_name": "direction of the view, towards -y"}),
+            "u": ("u", self.u_rad, {"unit": "rad", "long_name": "direction of the view, towards +x"}),
+            "t": ("t", self.t_mm, {"unit": "mm", "long_name": "place on the array, towards -y in object space"}),
+            "s": ("s", self.s_mm, {"unit": "mm", "long_name": "place on the array, towards +x in object space"}),
             "wavelength": ("wavelength", np.asarray(self.wavelengths_nm), {"unit": "nm"}),
         }
         values = {

@@ -27,6 +27,7 @@ from lfmesh.lightfield.focused import lenslet_blur_px
 from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph
 from lfmesh.lightfield.raw_image import between_pixels
 from lfmesh.lightfield.ray_model import RayModel
+from lfmesh.lightfield.upright import Upright
 from lfmesh.lightfield.view_rays import TracedShift, ViewRays
 from lfmesh.lightfield.white import refuse_other_white
 from lfmesh.scene import Scene, solved
@@ -227,7 +228,8 @@ def _rendered(camera: _Focused, distance_mm: float, step_mm: float) -> tuple[Arr
     mean, stderr, variance = np.empty(shape), np.empty(shape), np.empty(shape[:2])
     _gather(
         camera.light, camera.spread, calibration.centres_px, camera.apexes, calibration.kinds, weights,
-        shift, camera.radius_px, step_mm, calibration.lenslet_pitch_mm, calibration.row_pitch_mm,
+        *Upright.of(camera.scene).senses, shift, camera.radius_px, step_mm, calibration.lenslet_pitch_mm,
+        calibration.row_pitch_mm,
         mean, stderr, variance,
     )  # fmt: skip
     return mean, stderr, variance
@@ -236,7 +238,7 @@ def _rendered(camera: _Focused, distance_mm: float, step_mm: float) -> tuple[Arr
 @kernel
 def _gather(
     light: Array, spread: Array, centres: Array, apexes: Array, kinds: NDArray[np.int64], weights: Array,
-    shift: float, radius: float, step: float, pitch: float, row_pitch: float,
+    sense_x: float, sense_y: float, shift: float, radius: float, step: float, pitch: float, row_pitch: float,
     mean: Array, stderr: Array, variance: Array,
 ) -> None:  # fmt: skip
     """Average for every sample of the picture the pixels of all lenslets that see its point."""
@@ -245,8 +247,7 @@ def _gather(
     reach = abs(shift) * radius
     for t in range(height):
         for s in range(width):
-            # Upright: the raw image is turned by 180°.
-            x, y = -step * (s - 0.5 * (width - 1)), -step * (t - 0.5 * (height - 1))
+            x, y = sense_x * step * (s - 0.5 * (width - 1)), sense_y * step * (t - 0.5 * (height - 1))
             # Rows of hexagonal arrays stand half a pitch aside, and form errors move apexes a little.
             left = max(int((x - reach) / pitch + 0.5 * (columns - 1)) - 1, 0)
             right = min(int((x + reach) / pitch + 0.5 * (columns - 1)) + 2, columns - 1)

@@ -16,6 +16,7 @@ from lfmesh.lightfield.calibration import calibration_by
 from lfmesh.lightfield.chief_rays import chief_rays, plate_of
 from lfmesh.lightfield.decode import sampling_of
 from lfmesh.lightfield.ray_model import RayModel
+from lfmesh.lightfield.upright import Upright
 from lfmesh.scene import Scene
 from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.packet import CAMERA_FRAME, WORLD_FRAME
@@ -36,13 +37,11 @@ class ViewRays:
         rays = chief_rays(scene)
         self.world = world
         self.calibration = calibration_by(scene, rays)
-        self.sampling = sampling_of(self.calibration)
+        self._upright = Upright.of(scene)
+        self.sampling = sampling_of(self.calibration, self._upright)
         self._plate = plate_of(scene)
         self._slope_step = RayModel.of(scene).slope_step
         self._slopes = rays.direction[..., :2] / rays.direction[..., 2:]
-        # Upright: t runs against the rows of the array.
-        self._rows = np.arange(len(self.calibration.known))[::-1]
-        self.t_mm = -self.calibration.row_pitch_mm * (self._rows - 0.5 * (len(self._rows) - 1))
 
     @classmethod
     def of_camera(cls, scene: Scene) -> "ViewRays":
@@ -65,7 +64,7 @@ class ViewRays:
         sample : (n,) int64
             Of every packet in `Paths`, its place in the flattened (t, s) samples.
         """
-        slopes = self._slopes - self._slope_step * np.array([u, v])
+        slopes = self._slopes + self._slope_step * np.array([u, v]) * self._upright.senses
         along = np.concatenate([slopes, np.ones((*slopes.shape[:2], 1))], axis=2)
         along /= np.linalg.norm(along, axis=2, keepdims=True)
         entry = self._plate.entries(along.reshape(-1, 3)).reshape(along.shape)
@@ -89,11 +88,11 @@ class ViewRays:
     @property
     def size(self) -> tuple[int, int]:
         """Height and width of a view, in samples."""
-        return len(self._rows), len(self.sampling.s_mm)
+        return len(self.sampling.t_mm), len(self.sampling.s_mm)
 
     def _of_samples(self, values: Array) -> Array:
         """Return what belongs to the lenslets, (rows, columns, 3), for the samples of a view, (t, s, 3)."""
-        parity, row = self._rows & 1, self._rows[:, None]
+        parity, row = self.sampling.rows & 1, self.sampling.rows[:, None]
         left, share = self.sampling.columns[parity], self.sampling.share[parity][..., None]
         right = np.minimum(left + 1, values.shape[1] - 1)
         return np.asarray((1.0 - share) * values[row, left] + share * values[row, right])
@@ -104,7 +103,8 @@ class TracedShift:
     """The map between the shift from view to view and distance, as the lens has it on average over array and pupil.
 
     A ray from place s on the array in view u crosses the plane 1/V before the first vertex at x, with x V = a + b s +
-    c u, where b and c are linear in V. A point stays where it is if s moves by −c/b from view to view.
+    c u, where b and c are linear in V; of t and v the same holds with −y for x. A point stays where it is if s moves by
+    −c/b from view to view.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class TracedShift:
         """
         height, width = rays.size
         every = max(1, -(-height // ACROSS)), max(1, -(-width // ACROSS))
-        t, s = np.meshgrid(rays.t_mm[:: every[0]], rays.sampling.s_mm[:: every[1]], indexing="ij")
+        t, s = np.meshgrid(rays.sampling.t_mm[:: every[0]], rays.sampling.s_mm[:: every[1]], indexing="ij")
         rows, columns = usable.shape
         terms, at_zero, per_vergence = [], [], []
         for v, u in np.argwhere(usable):
@@ -136,13 +136,14 @@ class TracedShift:
             paths, sample = rays.trace(dv, du, every)
             out = paths.status == Status.ESCAPED
             slope, height0 = _in_object_space(rays.world, paths, out)
-            for axis, place, view in ((0, s, du), (1, t, dv)):
+            # s and u grow with x, t and v against y.
+            for axis, sense, place, view in ((0, 1.0, s, du), (1, -1.0, t, dv)):
                 at = place.ravel()[sample[out]]
                 one = np.zeros((len(at), 2))
                 one[:, axis] = 1.0
                 terms.append(np.column_stack([at, np.full(len(at), view), one]))
-                at_zero.append(-slope[:, axis])
-                per_vergence.append(height0[:, axis])
+                at_zero.append(-sense * slope[:, axis])
+                per_vergence.append(sense * height0[:, axis])
         design = np.concatenate(terms)
         if len(design) < 8 * design.shape[1]:
             raise LfmeshError("camera: the lens lets hardly any ray of the views through; check it with lfmesh check")

@@ -33,7 +33,8 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
 def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
     focus, distance = scene.camera.focus_mm, facts.object_distance_mm
     plane = "array" if scene.camera.mla is not None else "sensor"
-    if facts.efl_mm < 0:
+    # Of a relay with an image inside, the focal length is negative too, but the rear focal point lies behind it.
+    if facts.efl_mm < 0 and facts.bfl_mm < 0:
         yield f"the lens diverges (focal length {facts.efl_mm:.4g} mm): it forms no real image of an object"
     elif distance < 0:
         inside = facts.rear_principal_plane_z_mm + facts.efl_mm - facts.image_z_mm

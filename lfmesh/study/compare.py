@@ -24,6 +24,7 @@ from lfmesh.lightfield.focused import focused
 from lfmesh.lightfield.patches import patch_px, render_patches
 from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.lightfield.refocus import refocus
+from lfmesh.lightfield.upright import Upright
 from lfmesh.lightfield.white import white_image
 from lfmesh.scene import Scene, first_order, solved
 from lfmesh.study.resolution import edge_mtf50, point_width
@@ -163,7 +164,8 @@ class _Camera:
         if self.name == CONVENTIONAL:
             light = image.mean if white is None else image.mean / np.maximum(white.mean, np.finfo(float).tiny)
             pixel = self.scene.camera.sensor.pixel_mm
-            return light[::-1, ::-1].mean(axis=2), pixel / abs(first_order(self.scene).magnification)
+            picture = Upright.of(self.scene).picture(light).mean(axis=2)
+            return picture, pixel / abs(first_order(self.scene).magnification)
         if self.name == STANDARD:
             photograph = refocus(decode(image, white=white), distance_mm)
         else:
@@ -287,7 +289,8 @@ def _result(camera: _Camera, edges: list[Focus], focus_mm: float, standard: Scen
     height, width = picture.shape
     reach = 0.1 * height
     widths = [
-        sample * point_width(picture, (0.5 * (height - 1) + y / sample, 0.5 * (width - 1) + x / sample), reach)
+        # Rows of an upright picture run down, against y.
+        sample * point_width(picture, (0.5 * (height - 1) - y / sample, 0.5 * (width - 1) + x / sample), reach)
         for x, y in places
     ]
     at_focus = min(edges, key=lambda edge: abs(edge.distance_mm - focus_mm))

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files import run as runs
-from lfmesh.files.preview import displayed, upright
+from lfmesh.files.preview import displayed
 from lfmesh.geometry import frame as frames
+from lfmesh.lightfield.upright import Upright
 from lfmesh.scene import Scene, load
 from lfmesh.transport.image import Image
 from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
@@ -79,6 +80,8 @@ def _run(folder: Path) -> Subject:
     for name in (runs.SCENE, runs.PREVIEW):
         if not (folder / name).is_file():
             raise FileError(f"{folder}: has no {name}; give a scene file, or a run folder from lfmesh render")
+    # The picture of an older run would lie the wrong way round on the sensor.
+    runs.report_of(folder)
     try:
         with PIL.Image.open(folder / runs.PREVIEW) as preview:
             picture = _reduced(preview.convert("RGB"))
@@ -86,8 +89,9 @@ def _run(folder: Path) -> Subject:
         raise FileError(
             f"{folder / runs.PREVIEW}: cannot be read as a picture ({error}); render the run again"
         ) from None
-    # The preview stands upright; on the sensor it lies as the lens inverts it.
-    return Subject(build(load(folder / runs.SCENE)), np.ascontiguousarray(upright(picture)))
+    # The preview stands upright; it is turned back to how it lies on the sensor.
+    scene = load(folder / runs.SCENE)
+    return Subject(build(scene), np.ascontiguousarray(Upright.of(scene).picture(picture)))
 
 
 def sensor_picture(image: Image) -> Picture:

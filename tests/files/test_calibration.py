@@ -45,6 +45,7 @@ def test_a_telecentric_lens_has_its_pupil_at_infinity_there_and_back(
 def test_every_field_has_a_unit_and_a_meaning(calibration: lf.Calibration, tmp_path: Path) -> None:
     write_calibration(tmp_path / "calibration.json", calibration)
     document = json.loads((tmp_path / "calibration.json").read_text())
+    assert document["orientation"].startswith("as on the sensor")
     assert {field.name for field in fields(calibration)} == set(MEANINGS)
     assert set(document["fields"]) == {*MEANINGS, *DERIVED}
     for name, entry in document["fields"].items():
@@ -59,6 +60,8 @@ def broken(text: str, change: str) -> str:
     document = json.loads(text)
     if change == "foreign":
         document["format"] = 99
+    elif change == "old":
+        document["format"] = 1
     elif change == "incomplete":
         del document["fields"]["centres_px"]
     elif change == "ragged":
@@ -73,6 +76,7 @@ def broken(text: str, change: str) -> str:
     [
         ("truncated", "damaged or no calibration"),
         ("foreign", "calibration format 99; this lfmesh"),
+        ("old", "calibration format 1; .* older ones do not say how their pixels lie"),
         ("incomplete", "damaged or incomplete"),
         ("ragged", "damaged or incomplete"),
         ("of another array", "damaged or incomplete"),

@@ -116,10 +116,18 @@ def test_a_stack_is_an_animation_there_and_back(folder: Path) -> None:
         assert picture.n_frames == 6
 
 
-def test_damage_and_other_versions_are_told_in_one_line(folder: Path) -> None:
+def test_damage_and_other_versions_are_told_in_one_line(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     field = lf.decode(lf.open_run(folder))
     save_field(field, folder)
     whole = (folder / FIELD).read_bytes()
+    with monkeypatch.context() as older:
+        older.setattr("lfmesh.files.field.FORMAT", 1)
+        save_field(field, folder)
+    with pytest.raises(
+        lf.FileError, match=r"light field format 1; .* mirror images .* decode the run again$"
+    ) as caught:
+        open_field(folder)
+    assert "\n" not in str(caught.value)
     (folder / FIELD).write_bytes(whole[: len(whole) // 2])
     with pytest.raises(lf.FileError, match="truncated or damaged") as caught:
         open_field(folder)

@@ -17,6 +17,7 @@ from lfmesh.errors import FileError
 from lfmesh.files import run
 from lfmesh.scene import Scene, load
 from lfmesh.transport.image import Image
+from lfmesh.view.request import subject_of
 
 Build = Callable[..., Image]
 
@@ -53,7 +54,7 @@ def test_a_conventional_camera_has_no_view_of_lenslets(image_of: Build, scene: S
     assert not (tmp_path / "run/preview_view.png").exists()
 
 
-def test_others_read_the_raw_image_in_physical_orientation(image_of: Build, tmp_path: Path) -> None:
+def test_others_read_the_raw_image_as_it_lies_and_pictures_upright(image_of: Build, tmp_path: Path) -> None:
     image = image_of()
     image.mean[3, 5] = 9e-12
     run.save(image, tmp_path)
@@ -68,11 +69,16 @@ def test_others_read_the_raw_image_in_physical_orientation(image_of: Build, tmp_
     with PIL.Image.open(tmp_path / "linear16.png") as picture:
         counts = np.array(picture)
     scale = json.loads((tmp_path / "report.json").read_text())["pictures"]["linear16.png"]["watts_per_count"]
-    np.testing.assert_allclose(counts * scale, image.mean[:, :, 0], atol=0.5001 * scale)
+    # The lens of this camera inverts: columns of the sensor are reversed, rows are not.
+    np.testing.assert_allclose(counts * scale, image.mean[:, ::-1, 0], atol=0.5001 * scale)
+    assert metadata["orientation"].startswith("as on the sensor")
+    assert "columns reversed, [:, ::-1]" in metadata["orientation"]
+    with PIL.Image.open(tmp_path / "preview.png") as picture:
+        assert np.corrcoef(np.array(picture).ravel(), image.mean[:, ::-1, 0].clip(0.0, 2e-12).ravel())[0, 1] > 0.99
 
 
 def test_the_view_is_upright(image_of: Build, tmp_path: Path) -> None:
-    """Light on the lenslets at +x, +y of the sensor (last row, last column) belongs top left."""
+    """Light on the lenslets at +x, +y of the sensor comes from −x, −y, which belongs bottom left."""
     image = image_of()
     image.mean[:] = 1e-15
     image.mean[40:, 60:] = 1e-12
@@ -86,7 +92,7 @@ def test_the_view_is_upright(image_of: Build, tmp_path: Path) -> None:
         view[320:, :320].mean(),
         view[320:, 320:].mean(),
     )
-    assert np.argmax(quarters) == 0
+    assert np.argmax(quarters) == 2
 
 
 def test_the_saved_scene_renders_again_from_the_run_folder(image_of: Build, scene: Scene, tmp_path: Path) -> None:
@@ -213,8 +219,8 @@ def test_damage_is_noticed(image_of: Build, tmp_path: Path) -> None:
     with pytest.raises(FileError, match=r"report\.json is damaged"):
         run.open_run(tmp_path)
 
-    (tmp_path / "report.json").write_text(report.replace('"format": 1', '"format": 7'))
-    with pytest.raises(FileError, match=r"run format 7.* reads format 1"):
+    (tmp_path / "report.json").write_text(report.replace('"format": 2', '"format": 7'))
+    with pytest.raises(FileError, match=r"run format 7.* reads format 2$"):
         run.open_run(tmp_path)
 
     other = image_of()
@@ -223,6 +229,20 @@ def test_damage_is_noticed(image_of: Build, tmp_path: Path) -> None:
     (tmp_path / "report.json").write_text((tmp_path / "other/report.json").read_text())
     with pytest.raises(FileError, match="mixes two runs"):
         run.open_run(tmp_path)
+
+
+def test_runs_with_mirrored_pictures_are_refused_with_the_reason_and_replaced(image_of: Build, tmp_path: Path) -> None:
+    run.save(image_of(), tmp_path)
+    report = (tmp_path / "report.json").read_text()
+    (tmp_path / "report.json").write_text(report.replace('"format": 2', '"format": 1'))
+    for read in (run.open_run, run.pixels_digest, subject_of):
+        with pytest.raises(
+            FileError, match=r"format 1, .* are mirror images .* render its scene\.toml again"
+        ) as caught:
+            read(tmp_path)
+        assert "\n" not in str(caught.value)
+    run.save(image_of(seconds=9.0), tmp_path)
+    assert run.open_run(tmp_path).seconds == 9.0
 
 
 def test_pixels_changed_by_another_program_are_noticed(image_of: Build, tmp_path: Path) -> None:

@@ -43,8 +43,9 @@ def test_a_sample_is_the_raw_image_at_its_pixels_from_the_true_centre_turned_upr
     views = field.views[0]
     assert field.data.shape == (10, 10, rows, columns, 1)
     for v, u, t, s in [(0, 0, 3, 4), (9, 2, 5, 1), (4, 7, rows - 2, columns - 2)]:
-        x, y = calibration.centres_px[rows - 1 - t, columns - 1 - s]
-        expected = 1000.0 + 2.0 * (x + (views - 1) / 2 - u) + 3.0 * (y + (views - 1) / 2 - v)
+        # An inverting lens: columns are reversed, of lenslets and of the pixels behind each; rows are not.
+        x, y = calibration.centres_px[t, columns - 1 - s]
+        expected = 1000.0 + 2.0 * (x + (views - 1) / 2 - u) + 3.0 * (y - (views - 1) / 2 + v)
         assert field.data[v, u, t, s, 0] == pytest.approx(expected, rel=1e-6)
 
 
@@ -68,8 +69,8 @@ def test_a_hexagonal_array_is_resampled_to_a_square_grid(
     assert np.diff(field.s_mm) == pytest.approx(0.125 * np.sqrt(0.75))
     assert np.diff(field.t_mm) == pytest.approx(np.diff(field.s_mm)[0])
     assert "square grid" in field.sampling
-    # Upright: s and t run against x and y.
-    expected = 1000.0 - 200.0 * field.s_mm[None, :] - 300.0 * field.t_mm[:, None]
+    # Of an inverting lens' picture s runs against x on the array, t along y.
+    expected = 1000.0 - 200.0 * field.s_mm[None, :] + 300.0 * field.t_mm[:, None]
     np.testing.assert_allclose(field.data[0, 0, :, 1:-1, 0], expected[:, 1:-1], rtol=1e-6)
 
 

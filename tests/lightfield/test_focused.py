@@ -69,7 +69,7 @@ def likeness(picture: lf.Photograph, scene: lf.Scene, distance_mm: float) -> flo
         }
     )
     pixel = picture.sample_mm * abs(lf.first_order(taken).magnification)
-    true = lf.render(taken.changed({"camera.sensor.pixel_mm": pixel})).mean[::-1, ::-1, 0]
+    true = lf.render(taken.changed({"camera.sensor.pixel_mm": pixel})).mean[:, ::-1, 0]
     middle = np.s_[height // 4 : height - height // 4, width // 4 : width - width // 4]
     return float(np.corrcoef(picture.mean[..., 0][middle].ravel(), true[middle].ravel())[0, 1])
 

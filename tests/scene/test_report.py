@@ -185,6 +185,24 @@ def test_warnings_say_what_is_likely_to_disappoint(scene: Scene, values: dict[st
     assert f"warning: {facts.warnings[0]}" in str(facts)
 
 
+def test_a_lens_that_diverges_is_told_from_a_relay(scene: Scene) -> None:
+    """Both have a negative focal length; images of a relay, which holds an image itself, are real."""
+    stop, front, back = matched(scene).camera.lens.surfaces
+    hollow = (
+        stop,
+        front.model_copy(update={"radius_mm": -front.radius_mm}),
+        back.model_copy(update={"radius_mm": -back.radius_mm}),
+    )
+    relay = (stop, front, back.model_copy(update={"thickness_mm": 240.0}), front, back)
+    for surfaces, diverges in ((hollow, True), (relay, False)):
+        lens = scene.camera.lens.model_copy(update={"surfaces": surfaces})
+        camera = scene.camera.model_copy(update={"lens": lens, "focus_mm": None})
+        changed = scene.model_copy(update={"camera": camera}).changed({"camera.mla.distance_mm": 120.0})
+        facts = first_order(changed)
+        assert facts.efl_mm < 0.0
+        assert any("diverges" in warning for warning in facts.warnings) is diverges
+
+
 def test_an_emitting_target_needs_no_lamp(scene: Scene) -> None:
     target = Target(shape=Plane(width_mm=1.0, height_mm=1.0), material={"radiance_w_m2_sr": 1.0})
     facts = first_order(scene.changed({"lights": (), "targets": (target,)}))

@@ -19,6 +19,14 @@ from lfmesh.study.resolution import edge_mtf50, point_width
 Array = NDArray[np.float64]
 
 
+LAMP = {
+    "shape": {"kind": "disk", "radius_mm": 2.5},
+    "position_mm": (8.0, 5.0, -499.5),
+    "material": {"reflectance": 0.0, "radiance_w_m2_sr": 10.0},
+}
+"""Ten times as bright as anything else, right of the middle and above it."""
+
+
 def edge(sigma: float, lean_deg: float = 5.0, size: int = 80, offset: float = 0.3) -> Array:
     """A slanted edge blurred by a Gaussian."""
     t, s = np.indices((size, size)) - 0.5 * (size - 1)
@@ -93,9 +101,18 @@ def test_the_cameras_share_lens_sensor_and_samples() -> None:
 
 @pytest.mark.filterwarnings("ignore:.*beyond the range")
 def test_each_camera_is_best_at_what_it_is_for() -> None:
-    """Pixels go to resolution, to directions, or to some of both; sharpness over distances follows."""
-    result = compare(scene(), steps=5)
+    """Pixels go to resolution, to directions, or to some of both; sharpness over distances follows.
+
+    And all of the pictures stand upright.
+    """
+    result = compare(scene().changed({"targets": [*scene().targets, LAMP]}), steps=5)
     conventional, standard, focused = result.cameras
+    for picture in result.pictures:
+        # Sensor and array see 40 mm of the plane; +x is to the right and +y up.
+        height, width = picture.shape
+        row, column = np.argwhere(picture > 5.0).mean(axis=0)
+        assert (column + 0.5) / width == pytest.approx(0.5 + 8.0 / 40.0, abs=0.02)
+        assert (row + 0.5) / height == pytest.approx(0.5 - 5.0 / 40.0, abs=0.02)
     assert conventional.mtf50_lp_per_height > 1.5 * focused.mtf50_lp_per_height
     assert focused.mtf50_lp_per_height > 1.5 * standard.mtf50_lp_per_height
     assert conventional.point_width_mm < focused.point_width_mm < standard.point_width_mm

@@ -46,7 +46,8 @@ def test_independent_decoders_find_our_centres_and_see_our_view(tmp_path: Path) 
 
 def test_the_error_of_centres_is_their_distance_in_the_upright_picture(tool: ModuleType) -> None:
     calibration = lf.calibrate(tool.camera("square", 2))
-    upright = 655.0 - calibration.centres_px.reshape(-1, 2)[:, ::-1]
+    column, row = calibration.centres_px.reshape(-1, 2).T
+    upright = np.column_stack([row, 655.0 - column])
     np.testing.assert_allclose(tool.centre_errors(upright + np.array([0.3, -0.4]), calibration), 0.5, rtol=1e-9)
     np.testing.assert_allclose(tool.centre_errors(upright[10:], calibration), 0.0, atol=1e-9)
     assert len(tool.centre_errors(upright[10:], calibration)) == len(upright) - 10

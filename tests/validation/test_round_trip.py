@@ -70,7 +70,7 @@ def conventional(scene: lf.Scene, distance_mm: float, pixel_mm: float, pixels: t
             }
         )
     )
-    return image.mean[::-1, ::-1, 0]
+    return image.mean[:, ::-1, 0]
 
 
 def ncc(one: Array, other: Array) -> float:
@@ -117,15 +117,16 @@ def centroid(view: Array, axis: int) -> float:
 
 
 def test_views_stand_upright_and_unmirrored() -> None:
-    """A spot at +x, −y lies right of the middle and above it, as in the previews."""
+    """A spot at +x, −y lies right of the middle and below it, as in the previews."""
     view = spot(500.0, (6.0, -4.0)).view(5, 5)
     assert centroid(view, 1) > 11.5 + 3.0
-    assert centroid(view, 0) < 11.5 - 2.0
+    assert centroid(view, 0) > 11.5 + 2.0
 
 
 @pytest.mark.parametrize(("distance_mm", "sign"), [(380.0, -1.0), (700.0, 1.0)], ids=["near", "far"])
 def test_views_epis_and_refocusing_have_the_right_sign(distance_mm: float, sign: float) -> None:
-    """Seen from further right (larger u), what is nearer than the focus moves left, what is farther moves right.
+    """Seen from further right (larger u), what is nearer than the focus moves left, what is farther moves right; and
+    from further down (larger v), up and down.
 
     By the ray model's shift, to a twentieth of a sample a view; and the photograph is sharpest on the spot's own side.
     """

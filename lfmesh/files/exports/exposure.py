@@ -6,12 +6,16 @@ import numpy as np
 
 from lfmesh.errors import LfmeshError
 from lfmesh.files.exports.light import picture_rgb
-from lfmesh.files.preview import WHITE_PERCENTILE, upright, white_point
+from lfmesh.files.preview import WHITE_PERCENTILE, white_point
 from lfmesh.geometry.refractors import measured
 from lfmesh.lightfield.field import Samples
+from lfmesh.lightfield.upright import Upright
 from lfmesh.lightfield.white import refuse_other_white
 from lfmesh.scene import solved
 from lfmesh.transport.image import Image
+
+UPRIGHT_ORDER = "upright: columns to the right (+x), rows down (-y), as seen from behind the camera"
+"""What ``export.json`` says of the order of pixels."""
 
 LIT = 0.1
 """Pixels whose white is above this share of its bright pixels set the exposure of the raw image."""
@@ -43,6 +47,7 @@ class Exposure:
             The two do not belong together, or one of them is black.
         """
         refuse_other_white(white, image, solved(measured(image.scene)).camera)
+        upright = Upright.of(image.scene).picture
         raw_rgb = picture_rgb(upright(image.mean), image.wavelengths_nm)
         white_rgb = picture_rgb(upright(white.mean), white.wavelengths_nm)
         peak = white_point(white_rgb.max(axis=-1).astype(np.float64))

@@ -69,7 +69,7 @@ class CameraArray:
                 f"hci: the format needs cameras before their plane of focus; this one focuses {focus:g} mm before the "
                 f"lens, from an entrance pupil at z = {pupil:g} mm"
             )
-        focal_length = (focus + pupil) / (field.spacing_mm[1] * model.object_scale(focus))
+        focal_length = (focus + pupil) / (field.spacing_mm[1] * abs(model.object_scale(focus)))
         shift = PROBE * model.lenslet_pitch_mm
         inverse = 1.0 / (model.distance_mm(shift) + pupil) - 1.0 / (focus + pupil)
         return cls(shift / field.spacing_mm[1] / (focal_length * inverse), focal_length, focus + pupil, pupil)
@@ -117,9 +117,11 @@ def write_hci(folder: Path, field: LightField, depth_mm: NDArray[np.floating] | 
         _parameters(field, cameras, low, high).write(file)
     return {
         "files": [*names, PARAMETERS],
-        "order": f"input_Cam%03d.png is view v * {field.views[1]} + u: row by row, each from left to right",
+        "order": f"input_Cam%03d.png is view v * {field.views[1]} + u: row by row from the highest viewpoint (+y), "
+        "each from left to right (+x); views upright",
         "encoding": "sRGB, 8 bits, one exposure for all",
-        "depth": "m from the entrance pupil; disparity in samples a view, positive nearer than the focus",
+        "depth": "m from the entrance pupil; disparity in samples a view, positive nearer than the focus: such a point "
+        "lies further left in the next camera to the right, further up in the next one below",
     }
 
 

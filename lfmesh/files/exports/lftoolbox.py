@@ -37,8 +37,8 @@ def write_mat(folder: Path, field: LightField) -> dict[str, Any]:
     counts, unit_per_count = to_counts(rgb)
     weight = np.where(known, COUNTS, 0).astype(np.uint16)
     facts = {
-        "order": "LF(j, i, l, k, c) = data[v, u, t, s]: j and v down, i and u right within a lenslet; l and t down, "
-        "k and s right over the lenslets",
+        "order": "LF(j, i, l, k, c) = data[v, u, t, s]: l and t down (-y), k and s right (+x) in every view; j and v "
+        "grow as the viewpoint moves down (-y), i and u as it moves right (+x)",
         "encoding": "linear, 16 bits; c = 4 is the weight",
         **_scale(field, unit_per_count),
     }
@@ -57,7 +57,8 @@ def write_eslf(folder: Path, field: LightField) -> dict[str, Any]:
     return {
         "files": [ESLF],
         "order": f"picture[t * {v} + v, s * {u} + u]: every lenslet a tile of {u} x {v} views; view v, u is every "
-        f"{v}th row from v and every {u}th column from u",
+        f"{v}th row from v and every {u}th column from u; t and rows of a view down (-y), s and columns right (+x); v "
+        "grows as the viewpoint moves down (-y), u as it moves right (+x)",
         "encoding": "linear, 16 bits a colour",
         **_scale(field, unit_per_count),
     }

@@ -10,8 +10,9 @@ import numpy as np
 import PIL.Image
 
 from lfmesh.files.colour import srgb_encode
-from lfmesh.files.exports.exposure import Exposure
+from lfmesh.files.exports.exposure import UPRIGHT_ORDER, Exposure
 from lfmesh.lightfield.calibration import Calibration
+from lfmesh.lightfield.upright import Upright
 from lfmesh.transport.image import Image
 
 RAW, WHITE, SETTINGS, CENTRES = "raw.png", "white.png", "settings.json", "centres.json"
@@ -58,21 +59,20 @@ def write_plenopticam(folder: Path, image: Image, white: Image, calibration: Cal
     patch = max(LEAST_PATCH, (math.floor(calibration.pitch_px) - 1) // 2 * 2 + 1)
     settings = {**_SETTINGS, "lfp_path": RAW, "cal_path": WHITE, "ptc_leng": patch}
     (folder / SETTINGS).write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
-    (folder / CENTRES).write_text(json.dumps(_centres(calibration)) + "\n", encoding="utf-8")
+    (folder / CENTRES).write_text(json.dumps(_centres(calibration, Upright.of(image.scene))) + "\n", encoding="utf-8")
     return {
         "files": [RAW, WHITE, SETTINGS, CENTRES],
-        "order": "pictures upright: the raw image turned by 180°; centres [row, column, lenslet row, lenslet column]",
+        "order": f"pictures {UPRIGHT_ORDER}; centres in them [row, column, lenslet row, lenslet column]",
         "encoding": "raw: sRGB, white: linear; 8 bits, RGB",
         "radiance_w_m2_sr": exposure.radiance,
     }
 
 
-def _centres(calibration: Calibration) -> dict[str, Any]:
+def _centres(calibration: Calibration, upright: Upright) -> dict[str, Any]:
     columns, rows = calibration.sensor_px
-    last = np.array([columns - 1.0, rows - 1.0])
-    upright = (last - calibration.centres_px)[::-1, ::-1]
-    row, column = np.indices(upright.shape[:2])
-    places = np.stack([upright[..., 1], upright[..., 0], row, column], axis=-1).reshape(-1, 4)
+    centres = upright.picture(upright.points_px(calibration.centres_px, (rows, columns)))
+    row, column = np.indices(centres.shape[:2])
+    places = np.stack([centres[..., 1], centres[..., 0], row, column], axis=-1).reshape(-1, 4)
     return {
         "mic_list": places.tolist(),
         "pat_type": "hex" if calibration.layout == "hexagonal" else "rec",

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lfmesh.errors import LfmeshError
-from lfmesh.files.exports.exposure import Exposure
+from lfmesh.files.exports.exposure import UPRIGHT_ORDER, Exposure
 from lfmesh.files.exports.light import COUNTS
 from lfmesh.files.png16 import write_rgb16
 from lfmesh.lightfield.calibration import Calibration
@@ -51,7 +51,7 @@ def write_plenpy(folder: Path, image: Image, white: Image, calibration: Calibrat
     (folder / SETTINGS).write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
     return {
         "files": [RAW, WHITE, SETTINGS, *(name.replace(".png", ".json") for name in (RAW, WHITE))],
-        "order": "pictures upright: the raw image turned by 180°",
+        "order": f"pictures {UPRIGHT_ORDER}",
         "encoding": "linear, 16 bits, RGB; lengths in the side files in m",
         "radiance_w_m2_sr": exposure.radiance,
     }

@@ -10,6 +10,7 @@ from lfmesh.files.colour import srgb_encode
 from lfmesh.files.exports.light import linear_rgb
 from lfmesh.files.preview import white_point
 from lfmesh.lightfield.field import LightField
+from lfmesh.lightfield.upright import UPRIGHT
 
 
 def write_views(folder: Path, field: LightField) -> dict[str, Any]:
@@ -24,12 +25,12 @@ def write_views(folder: Path, field: LightField) -> dict[str, Any]:
             picture = PIL.Image.fromarray(srgb_encode(rgb[v, u] / (white or 1.0)))
             picture.save(folder / f"{name}.png", format="PNG")
             parts = {"view": field.data[v, u], "stderr": field.stderr[v, u]}
-            facts = {"unit": field.unit, "orientation": "upright", "v": v, "u": u}
+            facts = {"unit": field.unit, "orientation": UPRIGHT, "v": v, "u": u}
             exr.write(folder / f"{name}.exr", exr.SpectralImage(parts, field.wavelengths_nm, facts))
             names += [f"{name}.png", f"{name}.exr"]
     return {
         "files": names,
-        "order": "v counts the views downwards, u to the right",
+        "order": "views upright; v counts them as the viewpoint moves down (-y), u as it moves right (+x)",
         "encoding": "PNG: sRGB, 8 bits, one exposure for all; EXR: float32, as measured, with standard error",
         "unit": field.unit,
         "white": white,

@@ -19,6 +19,7 @@ from lfmesh.lightfield.calibration import Calibration, calibrate
 from lfmesh.lightfield.decode import decode
 from lfmesh.lightfield.field import LightField
 from lfmesh.lightfield.refocus import refocus
+from lfmesh.lightfield.upright import Upright
 from lfmesh.scene import Scene
 from lfmesh.transport.image import Image
 from lfmesh.view.browser.pictures import coloured, exposed, white_of
@@ -70,6 +71,7 @@ class FieldViews:
         if field is None:
             field = decode(image, white=run.open_white(folder), calibration=self.calibration)
         self.field: LightField = field
+        self.upright = Upright.of(image.scene)
         depth = folder / ESTIMATE
         self.depth_mm = exr.read_map(depth, ("Z",)) if depth.is_file() else None
 
@@ -91,19 +93,19 @@ class FieldViews:
         lenslet = np.unravel_index(nearest, self.calibration.known.shape)
         middle = self.calibration.centres_px[lenslet]
         views_v, views_u = self.field.views
-        # Upright: the micro-image is turned with the picture.
-        u = round(0.5 * (views_u - 1) - (column - middle[0]))
-        v = round(0.5 * (views_v - 1) - (row - middle[1]))
+        sense_u, sense_v = self.upright.senses
+        u = round(0.5 * (views_u - 1) + sense_u * (column - middle[0]))
+        v = round(0.5 * (views_v - 1) + sense_v * (row - middle[1]))
         if not (0 <= u < views_u and 0 <= v < views_v):
             return None
         return Place((int(lenslet[0]), int(lenslet[1])), v, u, *self._sample(int(lenslet[0]), int(lenslet[1])))
 
     def _sample(self, row: int, column: int) -> tuple[int, int]:
         """Return the sample (t, s) of a lenslet, by its place on the array: the nearest, where it was resampled."""
-        rows, _ = self.calibration.known.shape
         array = self.calibration.lattice._replace(pitch=self.calibration.lenslet_pitch_mm)
         x, _ = centre(array, column, row)
-        return rows - 1 - row, int(np.argmin(np.abs(self.field.s_mm + x)))
+        t, _ = self.upright.pixel(row, column, self.calibration.known.shape)
+        return t, int(np.argmin(np.abs(self.field.s_mm - self.upright.senses[0] * x)))
 
     def view(self, v: int, u: int) -> Picture:
         """Return a view, upright."""

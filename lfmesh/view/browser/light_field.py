@@ -8,6 +8,7 @@ from typing import Any
 
 from lfmesh.errors import LfmeshError
 from lfmesh.lightfield.calibration import Calibration
+from lfmesh.lightfield.upright import Upright
 from lfmesh.scene import Scene
 from lfmesh.transport.image import Image
 from lfmesh.view.browser.field_views import STEPS, FieldViews, Place, calibration_of_run
@@ -66,7 +67,7 @@ class LightFieldPanel:
         if self._picture is None:
             columns, rows = self._scene.camera.sensor.pixels
             calibration = self._calibration if self._scene.camera.mla is not None else None
-            self._picture = SensorPicture(columns, rows, self._image, calibration)
+            self._picture = SensorPicture(columns, rows, Upright.of(self._scene), self._image, calibration)
         return self._picture
 
     @cached_property

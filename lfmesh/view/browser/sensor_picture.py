@@ -6,8 +6,9 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from lfmesh.files.preview import displayed, upright
+from lfmesh.files.preview import displayed
 from lfmesh.lightfield.calibration import Calibration
+from lfmesh.lightfield.upright import Upright
 from lfmesh.transport.image import Image
 
 Array = NDArray[np.float64]
@@ -39,12 +40,14 @@ class SensorPicture:
     """A raw image of which a part is shown, upright.
 
     Places are shares of the part that is shown, x from its left edge, y from its upper one, from 0 to 1. Pixels are
-    rows and columns of the raw image, which lies turned by 180° against the picture.
+    rows and columns of the raw image, as it lies on the sensor.
 
     Parameters
     ----------
     columns, rows : int
         Pixels of the sensor.
+    upright : Upright
+        How the picture lies against the sensor.
     image : Image, optional
         A blank sensor if omitted.
     calibration : Calibration, optional
@@ -52,18 +55,19 @@ class SensorPicture:
     """
 
     def __init__(
-        self, columns: int, rows: int, image: Image | None = None, calibration: Calibration | None = None
-    ) -> None:
+        self, columns: int, rows: int, upright: Upright, image: Image | None = None,
+        calibration: Calibration | None = None,
+    ) -> None:  # fmt: skip
         self.columns, self.rows = columns, rows
+        self._upright, self._shape = upright, (rows, columns)
         self._picture = np.full((rows, columns), BLANK, np.uint8)
         if image is not None:
             picture, _ = displayed(image.mean, image.wavelengths_nm, image.stderr)
-            self._picture = upright(picture)
+            self._picture = upright.picture(picture)
         self._centres = np.empty((0, 2))
         self.pitch_px = 0.0
         if calibration is not None:
-            # Upright, the last pixel comes first.
-            self._centres = (np.array([columns, rows]) - 1.0 - calibration.centres_px[calibration.known]).reshape(-1, 2)
+            self._centres = upright.points_px(calibration.centres_px[calibration.known], self._shape)
             self.pitch_px = calibration.pitch_px
         self.all = Part(0, 0, rows, columns)
         self.part = self.all
@@ -92,7 +96,7 @@ class SensorPicture:
         part = self.part
         row = min(max(int(part.row + y * part.height), 0), self.rows - 1)
         column = min(max(int(part.column + x * part.width), 0), self.columns - 1)
-        return self.rows - 1 - row, self.columns - 1 - column
+        return self._upright.pixel(row, column, self._shape)
 
     def pixels(self, x0: float, y0: float, x1: float, y1: float) -> tuple[range, range]:
         """Return the rows and columns of the raw image in the box between two places."""
@@ -103,10 +107,10 @@ class SensorPicture:
     def box(self, rows: range, columns: range) -> tuple[float, float, float, float]:
         """Return left, top, width and height of pixels of the raw image, as shares of the part; the inverse."""
         part = self.part
-        top, left = self.rows - rows.stop, self.columns - columns.stop
+        shown_rows, shown_columns = self._upright.box(rows, columns, self._shape)
         return (
-            (left - part.column) / part.width,
-            (top - part.row) / part.height,
+            (shown_columns.start - part.column) / part.width,
+            (shown_rows.start - part.row) / part.height,
             len(columns) / part.width,
             len(rows) / part.height,
         )

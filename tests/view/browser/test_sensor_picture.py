@@ -6,14 +6,24 @@ import numpy as np
 import pytest
 
 from lfmesh.lightfield.calibration import calibrate
+from lfmesh.lightfield.upright import Upright
 from lfmesh.scene import Scene
 from lfmesh.transport.image import Image
 from lfmesh.view.browser.sensor_picture import SensorPicture
 
 COLUMNS, ROWS = 150, 130
 
-BRIGHT = (31, 104)
-"""Row and column of the one pixel that got light."""
+INVERTED, ERECT = Upright(inverts=True), Upright(inverts=False)
+BOTH = pytest.mark.parametrize(
+    ("upright", "bright"), [(INVERTED, (98, 104)), (ERECT, (31, 45))], ids=["inverting lens", "relay"]
+)
+"""Row and column of the one pixel that got light, such that its light came from the same place of the scene.
+
+Seen from behind the camera, that is left of the middle and below it, −x and −y: so it fell on pixels at +x and +y, the
+last columns and rows, of the sensor of a lens that inverts, and on those at −x, −y behind one that does not.
+"""
+SEEN = (98, 45)
+"""Row and column of the upright picture where it belongs, towards the left and the bottom."""
 
 
 def whole(_: SensorPicture) -> None:
@@ -33,30 +43,35 @@ def as_near_as_it_goes(picture: SensorPicture) -> None:
     picture.zoom(0.305, 0.758, 1e6)
 
 
+@BOTH
 @pytest.mark.parametrize("look", [whole, enlarged, moved, as_near_as_it_goes])
 def test_a_place_is_the_pixel_that_is_seen_there(
-    look: Callable[[SensorPicture], None], camera: Callable[[], Scene], image_of: Callable[..., Image]
-) -> None:
+    upright: Upright, bright: tuple[int, int], look: Callable[[SensorPicture], None], camera: Callable[[], Scene],
+    image_of: Callable[..., Image],
+) -> None:  # fmt: skip
     light = np.zeros((ROWS, COLUMNS))
-    light[BRIGHT] = 1.0
-    picture = SensorPicture(COLUMNS, ROWS, image_of(camera(), light))
+    light[bright] = 1.0
+    picture = SensorPicture(COLUMNS, ROWS, upright, image_of(camera(), light))
     look(picture)
     shown = picture.pixels_shown()
     height, width = shown.shape
     assert (height, width) == (picture.part.height, picture.part.width)
     ((y, x),) = np.argwhere(shown)
-    assert picture.pixel((x + 0.5) / width, (y + 0.5) / height) == BRIGHT
-    row, column = BRIGHT
+    assert (y + picture.part.row, x + picture.part.column) == SEEN
+    assert picture.pixel((x + 0.5) / width, (y + 0.5) / height) == bright
+    row, column = bright
     left, top, across, down = picture.box(range(row, row + 1), range(column, column + 1))
     assert [left * width, top * height, across * width, down * height] == pytest.approx([x, y, 1.0, 1.0])
 
 
 def test_a_box_holds_the_pixels_between_its_corners(camera: Callable[[], Scene]) -> None:
-    picture = SensorPicture(COLUMNS, ROWS)
+    picture = SensorPicture(COLUMNS, ROWS, INVERTED)
     enlarged(picture)
     rows, columns = picture.pixels(0.71, 0.2, 0.33, 0.9)
-    assert rows.stop - 1 == picture.pixel(0.71, 0.2)[0]
-    assert rows.start == picture.pixel(0.33, 0.9)[0]
+    assert rows.start == picture.pixel(0.71, 0.2)[0]
+    assert rows.stop - 1 == picture.pixel(0.33, 0.9)[0]
+    assert columns.start == picture.pixel(0.71, 0.2)[1]
+    assert columns.stop - 1 == picture.pixel(0.33, 0.9)[1]
     left, top, across, down = picture.box(rows, columns)
     # The box grows to whole pixels.
     assert left == pytest.approx(0.33, abs=1.0 / picture.part.width)
@@ -66,7 +81,7 @@ def test_a_box_holds_the_pixels_between_its_corners(camera: Callable[[], Scene])
 
 
 def test_zooming_keeps_what_is_under_the_mouse() -> None:
-    picture = SensorPicture(COLUMNS, ROWS)
+    picture = SensorPicture(COLUMNS, ROWS, INVERTED)
     under = picture.pixel(0.3, 0.6)
     for _ in range(4):
         picture.zoom(0.3, 0.6, 1.5)
@@ -80,7 +95,7 @@ def test_zooming_keeps_what_is_under_the_mouse() -> None:
 
 def test_marks_lie_on_the_centres_of_the_micro_images(camera: Callable[[], Scene]) -> None:
     calibration = calibrate(camera())
-    picture = SensorPicture(COLUMNS, ROWS, None, calibration)
+    picture = SensorPicture(COLUMNS, ROWS, INVERTED, None, calibration)
     enlarged(picture)
     marks = picture.centres_shown()
     assert 0 < len(marks) < calibration.known.sum()

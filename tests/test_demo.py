@@ -179,7 +179,8 @@ def without(scene: Scene, name: str) -> Scene:
 
 
 def upright(image: Image) -> np.ndarray:
-    return image.mean[::-1, ::-1, 0]
+    """As somebody behind the camera sees it: row 0 on top (+y), columns to the right (+x)."""
+    return image.mean[:, ::-1, 0]
 
 
 def test_the_demo_shows_the_bracket_before_the_chart() -> None:
@@ -191,7 +192,7 @@ def test_the_demo_shows_the_bracket_before_the_chart() -> None:
     """
     scene = demo_scene()
     both, chart = render(scene), render(without(scene, "bracket"))
-    error = np.hypot(both.stderr, chart.stderr)[::-1, ::-1, 0]
+    error = np.hypot(both.stderr, chart.stderr)[:, ::-1, 0]
     change = np.abs(upright(both) - upright(chart)) > stats.t.isf(0.5e-3 / both.mean.size, 31) * error
     outline = bracket_on_the_picture(scene)
     assert change[outline].mean() > 0.25, "the bracket is hardly to be told from the chart"
@@ -206,7 +207,8 @@ def bracket_on_the_picture(scene: Scene) -> np.ndarray:
     scale = (report.object_distance_mm + pupil) / (pupil - corners[:, 2])
     side = report.field_of_view_mm[0]
     pixels = scene.camera.sensor.pixels[0]
-    column, row = (np.clip((corners[:, k] * scale / side + 0.5) * pixels, 0, pixels - 1).astype(int) for k in (0, 1))
+    place = np.stack([corners[:, 0], -corners[:, 1]]) * scale / side + 0.5
+    column, row = np.clip(place * pixels, 0, pixels - 1).astype(int)
     hit = np.zeros((pixels, pixels), bool)
     hit[row, column] = True
     return hit

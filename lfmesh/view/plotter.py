@@ -226,7 +226,7 @@ class View:
     def _plane(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the plane of the cut, the camera's yz plane: its normal, towards what is taken away, and a point."""
         to_world = self.world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
-        return to_world[:, 0], to_world[:, 3]
+        return -to_world[:, 0], to_world[:, 3]
 
 
 def build_view(

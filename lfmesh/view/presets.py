@@ -1,7 +1,7 @@
 """Where to look from: viewpoints that fit a part of the scene into the picture, whatever its size.
 
-All are found in the camera frame. The picture's upward direction is −y, as in previews: what stands high there stands
-high here.
+All are found in the camera frame, whose +y is up. Whoever looks from behind the camera at its objects has x to the
+right; in views from beside, light travels to the right.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]
 
-UP = (0.0, -1.0, 0.0)
+UP = (0.0, 1.0, 0.0)
 
 ANGLE_DEG = 36.0
 """From the bottom to the top of a perspective view."""
@@ -185,15 +185,15 @@ def _whole(world: World, _: tuple[float, float]) -> Look:
     camera, objects = _camera(world), _object(world)
     far = max(1.0, -float(objects[:, 2].mean()) / float(np.ptp(camera[:, 2])))
     turn = np.deg2rad(np.clip(66.0 / np.sqrt(far), 8.0, 60.0))
-    return np.concatenate([camera, objects]), (-np.sin(turn), 0.2, -np.cos(turn)), False
+    return np.concatenate([camera, objects]), (np.sin(turn), -0.2, -np.cos(turn)), False
 
 
 PRESETS: dict[str, Callable[[World, tuple[float, float]], Look]] = {
     "whole": _whole,
-    "side": lambda world, _: (np.concatenate([_camera(world), _object(world)]), (-1.0, 0.0, 0.0), True),
-    "object": lambda world, _: (_object(world), (-0.35, 0.2, -1.0), False),
-    "lens": lambda world, _: (_lens(world), (-1.0, 0.25, -0.45), True),
-    "array": lambda world, near: (_near_lenslets(world, near), (-0.6, 0.3, 0.75), False),
-    "sensor": lambda world, _: (_sensor(world), (-0.25, 0.2, 1.0), False),
+    "side": lambda world, _: (np.concatenate([_camera(world), _object(world)]), (1.0, 0.0, 0.0), True),
+    "object": lambda world, _: (_object(world), (0.35, -0.2, -1.0), False),
+    "lens": lambda world, _: (_lens(world), (1.0, -0.25, -0.45), True),
+    "array": lambda world, near: (_near_lenslets(world, near), (0.6, -0.3, 0.75), False),
+    "sensor": lambda world, _: (_sensor(world), (0.25, -0.2, 1.0), False),
 }
 """What each shows: the objects' points, the direction, whether parallel."""

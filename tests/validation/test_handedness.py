@@ -38,18 +38,20 @@ GAP = 0.2
 STOP_RADIUS, STOP_TO_LENS = 4.6, 3.0
 RADIUS, INDEX, THICKNESS = 51.68, 1.5168, 5.0
 FOCUS = 500.0
-POWER = (INDEX - 1.0) / RADIUS
 LENSLETS, PITCH, LENSLET_FOCAL_LENGTH = 48, 0.125, 0.76
 PIXELS, BLOCK, PIXEL = 450, 9, 0.125 / 9
 WAVELENGTH = 610.0
 """Where only red counts in a texture."""
 
 
-def through_lens(height: float, slope: float) -> tuple[float, float]:
-    """Return height and slope of a paraxial ray behind the lens, from those before it."""
-    slope = (slope - height * POWER) / INDEX
-    height += THICKNESS * slope
-    return height, INDEX * slope - height * POWER
+def through_lens(
+    height: float, slope: float, radius: float = RADIUS, thickness: float = THICKNESS
+) -> tuple[float, float]:
+    """Return height and slope of a paraxial ray behind a biconvex lens, from those before it."""
+    power = (INDEX - 1.0) / radius
+    slope = (slope - height * power) / INDEX
+    height += thickness * slope
+    return height, INDEX * slope - height * power
 
 
 _Y, _U = through_lens(1.0, 1.0 / (FOCUS + STOP_TO_LENS))
@@ -306,11 +308,12 @@ class Shot:
 
     body: Body
     folder: Path
-    camera: dict[str, Any] = field(default_factory=dict)
+    changes: dict[str, Any] = field(default_factory=dict)
+    """Of the camera."""
 
     @cached_property
     def scene(self) -> lf.Scene:
-        return lf.Scene(**SCENE, targets=[self.body.target]).changed(self.camera)
+        return lf.Scene(**SCENE, targets=[self.body.target]).changed(self.changes)
 
     @cached_property
     def image(self) -> lf.Image:
@@ -536,22 +539,32 @@ def centroid(view: Array) -> Array:
     )
 
 
+def disk_at(distance_mm: float) -> Body:
+    """A small disk on the axis."""
+    disk = {"shape": {"kind": "disk", "radius_mm": 4.0}, "position_mm": (0.0, 0.0, -distance_mm), "material": GLOW}
+    return Body("disk", disk, np.zeros((0, 3, 3)))
+
+
+def assert_parallax(field: lf.LightField, expected: float) -> None:
+    """Views that are four apart along an axis show a body that many samples further to the right, or down."""
+    across = centroid(field.view(3, 5)[..., 0]) - centroid(field.view(3, 1)[..., 0])
+    down = centroid(field.view(5, 3)[..., 0]) - centroid(field.view(1, 3)[..., 0])
+    # The lenses have aberrations.
+    assert across == pytest.approx([expected, 0.0], rel=0.15, abs=0.1)
+    assert down == pytest.approx([0.0, expected], rel=0.15, abs=0.1)
+
+
 @pytest.mark.parametrize("distance_mm", [330.0, 900.0], ids=["near", "far"])
 def test_larger_u_looks_from_further_right_and_larger_v_from_further_down(distance_mm: float, tmp_path: Path) -> None:
     """By the pinhole moved over the pupil: what is nearer than the focus moves against it.
 
     From p beside the middle it sees a point on the axis, at distance d, where the line through both meets the plane in
-    focus F: at p (1 - F/d). Within 15 %, for the lens has aberrations; the shift is nearly two lenslets.
+    focus F: at p (1 - F/d). The shift is nearly two lenslets.
     """
-    disk = {"shape": {"kind": "disk", "radius_mm": 4.0}, "position_mm": (0.0, 0.0, -distance_mm), "material": GLOW}
-    field = Shot(Body("disk", disk, np.zeros((0, 3, 3))), tmp_path).field
     # A pixel beside the middle of a micro-image looks at the exit pupil, whose radius is that of the stop over _U.
     step = PIXEL / LENSLET_FOCAL_LENGTH * PUPIL_TO_ARRAY * _U
-    expected = 4 * step * (1.0 - FOCUS / distance_mm) * IMAGE_DISTANCE / FOCUS / PITCH
-    across = centroid(field.view(3, 5)[..., 0]) - centroid(field.view(3, 1)[..., 0])
-    down = centroid(field.view(5, 3)[..., 0]) - centroid(field.view(1, 3)[..., 0])
-    assert across == pytest.approx([expected, 0.0], rel=0.15, abs=0.1)
-    assert down == pytest.approx([0.0, expected], rel=0.15, abs=0.1)
+    shift = 4 * step * (1.0 - FOCUS / distance_mm) * IMAGE_DISTANCE / FOCUS
+    assert_parallax(Shot(disk_at(distance_mm), tmp_path).field, shift / PITCH)
 
 
 def test_axes_of_the_light_field_ascend_to_the_right_and_down(shots: Callable[[str], Shot]) -> None:
@@ -564,6 +577,125 @@ def test_axes_of_the_light_field_ascend_to_the_right_and_down(shots: Callable[[s
     right, down = np.interp(centroid(field.view(3, 3)[..., 0]), np.arange(LENSLETS), field.s_mm)
     assert right > 0.5
     assert down < -0.3
+
+
+# Other cameras.
+
+CONVENTIONAL = {
+    "camera.mla": None, "camera.sensor": {
+        "pixels": (LENSLETS, LENSLETS), "pixel_mm": PITCH, "distance_mm": LENS_TO_ARRAY,
+    },
+}  # fmt: skip
+
+
+def test_a_conventional_cameras_picture_shows_what_is_projected_by_hand(tmp_path: Path) -> None:
+    shot = Shot(extruded_letter(tmp_path), tmp_path, CONVENTIONAL)
+    expected = by_hand(shot.body, LENSLETS, PITCH)
+    assert_upright(shot.image.mean[:, ::-1, 0], expected)
+    assert_upright(eight_bits(shot.run / "preview.png"), expected)
+
+
+def test_a_camera_that_is_moved_and_turned_sees_the_same(tmp_path: Path) -> None:
+    """And right and up are its own."""
+    tilt, shift = (25.0, 130.0, -40.0), (300.0, -20.0, 70.0)
+    body = textured_plane(tmp_path)
+    place = rotation(tilt) @ body.target["position_mm"] + shift
+    target = {**body.target, "position_mm": place.tolist(), "rotation_deg": tilt}
+    moved = Body("moved", target, body.facets, body.uv, body.picture)
+    shot = Shot(moved, tmp_path, {"camera.pose": {"shift_mm": shift, "tilt_deg": tilt}})
+    assert_upright(shot.field.view(3, 3)[..., 0], by_hand(body, LENSLETS, PITCH))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("body", BODIES)
+def test_a_hexagonal_cameras_pictures_show_what_is_projected_by_hand(tmp_path: Path, body: str) -> None:
+    hexagonal = {"camera.mla.layout": "hexagonal", "camera.mla.count": (LENSLETS, round(LENSLETS / np.sqrt(0.75)))}
+    shot = Shot(BODIES[body](tmp_path), tmp_path, hexagonal)
+    folder = shot.exported("plenpy")
+    for pixels in (eight_bits(shot.run / "preview.png"), rgb16(folder / "Images" / "raw.png")):
+        found = averaged(pixels)
+        assert_upright(found, by_hand(shot.body, len(found), BLOCK * PIXEL / MICRO_IMAGE_MAGNIFICATION))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("body", BODIES)
+def test_a_focused_cameras_photographs_show_what_is_projected_by_hand(tmp_path: Path, body: str) -> None:
+    """Its patches are put together the right way round; at the scale that the photograph says."""
+    shot = Shot(BODIES[body](tmp_path), tmp_path)
+    standard = shot.scene.changed({"camera.mla.distance_mm": None, "camera.focus_mm": FOCUS})
+    taken = lf.render(lf.focused(standard, 3.0))
+    photograph = lf.render_patches(taken, shot.distance_mm)
+    size = len(photograph.mean)
+    sample_mm = photograph.sample_mm * IMAGE_DISTANCE / shot.distance_mm
+    assert_upright(photograph.mean[..., 0], by_hand(shot.body, size, sample_mm))
+
+
+# A relay: the lens, a field lens in its image, and a second lens that images it once more, now the right way up.
+FIELD_LENS_RADIUS, FIELD_LENS_THICKNESS = 40.0, 3.0
+RELAY_DISTANCE = 100.0
+
+
+@dataclass(frozen=True)
+class Relay:
+    """Its surfaces, where its image lies, and how the ray through the pinhole with slope 1 arrives there."""
+
+    surfaces: list[dict[str, Any]]
+    distance_mm: float
+    height_mm: float
+    slope: float
+
+
+RELAY_STOP = 2.5
+
+
+def relay() -> Relay:
+    lenses = [
+        (RADIUS, THICKNESS, STOP_TO_LENS), (FIELD_LENS_RADIUS, FIELD_LENS_THICKNESS, LENS_TO_ARRAY),
+        (RADIUS, THICKNESS, RELAY_DISTANCE),
+    ]  # fmt: skip
+    surfaces: list[dict[str, Any]] = [{"stop": True, "semi_diameter_mm": RELAY_STOP}]
+    marginal, chief = (1.0, 1.0 / FOCUS), (0.0, 1.0)
+    for radius, thickness, before in lenses:
+        surfaces[-1]["thickness_mm"] = before
+        marginal, chief = (through_lens(y + before * u, u, radius, thickness) for y, u in (marginal, chief))
+        surfaces += [
+            {"radius_mm": radius, "thickness_mm": thickness, "index": INDEX, "semi_diameter_mm": 9.0},
+            {"radius_mm": -radius, "semi_diameter_mm": 9.0},
+        ]
+    distance = -marginal[0] / marginal[1]
+    return Relay(surfaces, distance, chief[0] + distance * chief[1], chief[1])
+
+
+def test_a_relay_that_images_the_right_way_up_reverses_rows_in_place_of_columns(tmp_path: Path) -> None:
+    lens = relay()
+    assert lens.height_mm < 0.0 < IMAGE_DISTANCE
+    changes = {
+        "camera.lens.surfaces": lens.surfaces,
+        "camera.mla": None,
+        "camera.sensor": {"pixels": (LENSLETS, LENSLETS), "pixel_mm": PITCH, "distance_mm": lens.distance_mm},
+    }
+    shot = Shot(extruded_letter(tmp_path), tmp_path, changes)
+    expected = by_hand(shot.body, LENSLETS, PITCH * IMAGE_DISTANCE / -lens.height_mm)
+    assert_upright(shot.image.mean[::-1, :, 0], expected)
+    assert_upright(eight_bits(shot.run / "preview.png"), expected)
+
+
+def test_the_views_of_a_relay_look_from_where_they_say(tmp_path: Path) -> None:
+    """Whatever the sign of its pupil magnification: it is negative here, as that of the image is positive."""
+    lens, near_mm = relay(), 330.0
+    pupil_to_array = lens.height_mm / lens.slope
+    focal_length = PITCH * abs(pupil_to_array * lens.slope) / (2 * RELAY_STOP)
+    changes = {
+        "camera.lens.surfaces": lens.surfaces,
+        "camera.mla.distance_mm": lens.distance_mm,
+        "camera.mla.focal_length_mm": focal_length,
+    }
+    letter = Shot(extruded_letter(tmp_path), tmp_path, changes)
+    sample_mm = PITCH * IMAGE_DISTANCE / -lens.height_mm
+    assert_upright(letter.field.view(3, 3)[..., 0], by_hand(letter.body, LENSLETS, sample_mm))
+    step = PIXEL / focal_length * abs(pupil_to_array * lens.slope)
+    shift = 4 * step * (1.0 - FOCUS / near_mm) * -lens.height_mm / FOCUS
+    assert_parallax(Shot(disk_at(near_mm), tmp_path, changes).field, shift / PITCH)
 
 
 # 3D: pictures, pages and models.

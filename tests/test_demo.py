@@ -179,6 +179,7 @@ def without(scene: Scene, name: str) -> Scene:
 
 
 def upright(image: Image) -> np.ndarray:
+    """As somebody behind the camera sees it: row 0 on top (+y), columns to the right (+x)."""
     return image.mean[:, ::-1, 0]
 
 
@@ -206,8 +207,8 @@ def bracket_on_the_picture(scene: Scene) -> np.ndarray:
     scale = (report.object_distance_mm + pupil) / (pupil - corners[:, 2])
     side = report.field_of_view_mm[0]
     pixels = scene.camera.sensor.pixels[0]
-    right_and_down = corners[:, :2] * [1.0, -1.0] * scale[:, None]
-    column, row = np.clip((right_and_down / side + 0.5) * pixels, 0, pixels - 1).astype(int).T
+    place = np.stack([corners[:, 0], -corners[:, 1]]) * scale / side + 0.5
+    column, row = np.clip(place * pixels, 0, pixels - 1).astype(int)
     hit = np.zeros((pixels, pixels), bool)
     hit[row, column] = True
     return hit

@@ -163,7 +163,7 @@ def scene_of(series: str, size: int, engine: str, side: int, folder: Path) -> Sc
     ball = {"shape": {"kind": "sphere", "radius_mm": BALL_RADIUS_MM}, "position_mm": [0.0, 0.0, -500.0]}
     common = {
         "targets": [ball],
-        "lights": [{"kind": "point", "position_mm": [-200.0, -300.0, -200.0], "power_w": 1.0}],
+        "lights": [{"kind": "point", "position_mm": [-200.0, 300.0, -200.0], "power_w": 1.0}],
         "camera.sensor.distance_mm": None,
         "camera.mla.distance_mm": None,
         "transport.engine": engine,

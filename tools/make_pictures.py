@@ -38,7 +38,7 @@ NEAR, FAR = "refocused_430mm.png", "refocused_600mm.png"
 VIEWS: dict[str, dict[str, Any]] = {
     "camera.png": {},
     "ghost.png": {
-        "rays": "field 0,-30,-500",
+        "rays": "field 0,30,-500",
         "count": 48,
         "split": "both",
         "weight_cutoff": 1e-4,
@@ -48,7 +48,7 @@ VIEWS: dict[str, dict[str, Any]] = {
         "cut": True,
     },
     "array.png": {
-        "rays": "pixel 322,326",
+        "rays": "pixel 317,313",
         "count": 48,
         "split": "transmit",
         "filter": "status == target or status == escaped",

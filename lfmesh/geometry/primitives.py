@@ -1,9 +1,9 @@
 """Meshes of the primitive targets, and where in a picture their corners lie.
 
-A picture lies on a face so that it appears upright in views and previews: its columns run along +x and its
-rows along +y where the face looks along +z, towards the camera (the raw image, turned by 180°, has +x to its
-right and +y down). On every other face the columns, the rows and the outward normal make a right-handed
-frame, as they do there.
+A picture reads correctly from outside the body: right × up is the outward normal everywhere. Its top lies towards
++y, on faces that look along ±y towards ∓z; so its right lies towards +x on the face that looks along +z, towards the
+camera. A plane or a disk is one sheet whose outside is its +z side: seen from behind, its picture is mirrored, as
+print that shows through paper.
 """
 
 from collections.abc import Callable
@@ -35,7 +35,7 @@ def primitive(shape: Shape) -> Primitive:
 
 
 def plane(shape: Plane) -> Primitive:
-    """Return a rectangle that faces +z, of two facets."""
+    """Return a rectangle that faces +z, of two facets; it carries the whole picture."""
     corners = _SQUARE * [0.5 * shape.width_mm, 0.5 * shape.height_mm]
     return Primitive(Mesh(_at_height(corners, 0.0), _TWO_FACETS), _uv(_SQUARE)[_TWO_FACETS])
 
@@ -50,7 +50,7 @@ def box(shape: Box) -> Primitive:
     """Return a box of twelve facets; every face carries the whole picture."""
     half = 0.5 * np.array(shape.size_mm)
     vertices = np.concatenate(
-        [(_SQUARE @ np.array([column, row]) + np.cross(column, row)) * half for column, row in _BOX_FACES]
+        [(_SQUARE @ np.array([right, up]) + np.cross(right, up)) * half for right, up in _BOX_FACES]
     )
     faces = np.concatenate([_TWO_FACETS + 4 * k for k in range(len(_BOX_FACES))])
     uv = np.tile(_uv(_SQUARE)[_TWO_FACETS], (len(_BOX_FACES), 1, 1))
@@ -58,7 +58,7 @@ def box(shape: Box) -> Primitive:
 
 
 def sphere(shape: Sphere) -> Primitive:
-    """Return a sphere; its picture is an equirectangular map: centre towards +z, poles on the y axis."""
+    """Return a sphere; its picture is an equirectangular map: centre towards +z, top towards +y."""
     meridians, parallels = AZIMUTHS, AZIMUTHS // 2
     u, v = np.arange(meridians + 1) / meridians, np.arange(parallels + 1) / parallels
     longitude, latitude = np.pi * (2.0 * u - 1.0), np.pi * (v - 0.5)
@@ -79,15 +79,16 @@ def sphere(shape: Sphere) -> Primitive:
     # At a pole a cell has one facet instead of two.
     lower, upper = np.stack([a, b, c], axis=-1)[1:], np.stack([a, c, d], axis=-1)[:-1]
     faces = np.concatenate([lower.reshape(-1, 3), upper.reshape(-1, 3)])
-    places = np.stack(np.broadcast_arrays(u, 1.0 - v[:, None]), axis=-1).reshape(-1, 2)
+    places = np.stack(np.broadcast_arrays(u, v[:, None]), axis=-1).reshape(-1, 2)
     return Primitive(welded(Mesh(shape.radius_mm * unit.reshape(-1, 3), faces)), places[faces])
 
 
 def cylinder(shape: Cylinder) -> Primitive:
     """Return a closed cylinder along z.
 
-    Its ends carry the picture as a disk does; the wall carries it once round, columns counter-clockwise about
-    +z, rows along +z.
+    Its ends carry the picture as disks do. The wall carries it once round, with its middle towards +y and its top
+    towards -z, as a box's face that looks along +y does: it stands, and faces the camera, when the cylinder is
+    rotated by 90° about x.
     """
     points, faces = _unit_disk()
     half = 0.5 * shape.height_mm
@@ -96,12 +97,13 @@ def cylinder(shape: Cylinder) -> Primitive:
     wall = revolved(np.array([[rim, half], [rim, -half]]), AZIMUTHS)
     front, back = _at_height(points * rim, half), _at_height(points * rim, -half)
     uv_disk = _uv(points)
-    # Seen from behind, x is turned round: the picture's columns run along -x there.
+    # Seen from behind, the picture's right is -x.
     uv_back = _uv(points * [-1.0, 1.0])
-    # `revolved` lays the circle at +z first. Where a facet closes the round, u is 1, not 0.
-    turn = wall.faces % AZIMUTHS / AZIMUTHS
-    turn = np.where((turn == 0.0) & (turn.max(axis=1, keepdims=True) > 0.5), 1.0, turn)
-    uv_wall = np.stack([turn, wall.faces >= AZIMUTHS], axis=-1).astype(np.float64)
+    # Seen from outside with -z on top, azimuths grow to the left. Where a facet ends at the seam, at -y, u is 1, not 0.
+    right = (_AZIMUTH_OF_SEAM - wall.faces % AZIMUTHS) % AZIMUTHS / AZIMUTHS
+    right = np.where((right == 0.0) & (right.max(axis=1, keepdims=True) > 0.5), 1.0, right)
+    # `revolved` lays the circle at +z first.
+    uv_wall = np.stack([right, wall.faces >= AZIMUTHS], axis=-1).astype(np.float64)
     vertices = np.concatenate([front, back, wall.vertices])
     joint = np.concatenate([faces, faces[:, ::-1] + len(points), wall.faces + 2 * len(points)])
     uv = np.concatenate([uv_disk[faces], uv_back[faces[:, ::-1]], uv_wall])
@@ -119,7 +121,10 @@ _BOX_FACES = (
     ((1, 0, 0), (0, 0, -1)),
     ((1, 0, 0), (0, 0, 1)),
 )
-"""Directions of a picture's columns and rows on the faces that look along +z, -z, +x, -x, +y, -y."""
+"""Right and top of a picture on the faces that look along +z, -z, +x, -x, +y, -y."""
+
+_AZIMUTH_OF_SEAM = 3 * AZIMUTHS // 4
+"""Step of the round, from +x towards +y, at which it looks along -y."""
 
 _MAKERS: dict[type, Callable[[Any], Primitive]] = {
     Plane: plane,
@@ -131,8 +136,8 @@ _MAKERS: dict[type, Callable[[Any], Primitive]] = {
 
 
 def _uv(points: Array) -> Array:
-    """Place points of the square from -1 to 1 (columns, rows) in a picture whose row 0 is at v = 1."""
-    return np.stack([0.5 + 0.5 * points[..., 0], 0.5 - 0.5 * points[..., 1]], axis=-1)
+    """Place points of the square from -1 to 1 (right, up) in a picture whose bottom left is (0, 0)."""
+    return 0.5 + 0.5 * points
 
 
 def _at_height(points: Array, z: float) -> Array:

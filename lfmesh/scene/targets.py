@@ -11,7 +11,10 @@ from lfmesh.scene.refractor import Refractor, Units, mesh_file_faults
 
 
 class Plane(Model):
-    """A rectangle in its own xy plane, facing +z: towards the camera where it is not rotated."""
+    """A rectangle in its own xy plane, facing +z: towards the camera where it is not rotated.
+
+    Seen from behind, its texture is mirrored.
+    """
 
     kind: Literal["plane"] = "plane"
     """Which shape this is."""
@@ -22,7 +25,7 @@ class Plane(Model):
 
 
 class Disk(Model):
-    """A disk in its own xy plane, facing +z."""
+    """A disk in its own xy plane, facing +z. The square round it carries the texture, mirrored if seen from behind."""
 
     kind: Literal["disk"] = "disk"
     """Which shape this is."""
@@ -31,7 +34,7 @@ class Disk(Model):
 
 
 class Sphere(Model):
-    """A sphere."""
+    """A sphere. Its texture is an equirectangular map: centre towards +z, top towards +y."""
 
     kind: Literal["sphere"] = "sphere"
     """Which shape this is."""
@@ -40,7 +43,7 @@ class Sphere(Model):
 
 
 class Box(Model):
-    """A box, centred, with its edges along x, y and z."""
+    """A box, centred, with its edges along x, y and z. Every face carries the whole texture."""
 
     kind: Literal["box"] = "box"
     """Which shape this is."""
@@ -49,7 +52,11 @@ class Box(Model):
 
 
 class Cylinder(Model):
-    """A closed cylinder, centred, with its axis along z."""
+    """A closed cylinder, centred, with its axis along z; `rotation_deg = [90, 0, 0]` stands it up.
+
+    Its ends carry the texture as disks do, its wall once round: middle towards +y, top towards -z, so that it faces the
+    camera upright when the cylinder stands.
+    """
 
     kind: Literal["cylinder"] = "cylinder"
     """Which shape this is."""
@@ -71,7 +78,8 @@ class Material(Model):
     """The surface's own emission, in W/(m² sr), the same in every direction and at every wavelength."""
     texture: FilePath | None = None
     """A picture, relative to the scene file; its linearised values multiply the reflectance and the
-    emission."""
+    emission. It reads correctly from outside the body: on a shape its top lies towards +y (on faces that look along
+    ±y towards ∓z), so its right towards +x on the face towards the camera; mesh files bring their own coordinates."""
 
 
 class Target(Model):

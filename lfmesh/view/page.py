@@ -17,6 +17,9 @@ from lfmesh.view.plotter import View
 ASPECT = 1.25
 """The page's window may be narrower than a picture."""
 
+ANGLE_DEG = 30.0
+"""From the bottom to the top of what vtk.js draws: it knows the eye's place but not its angle."""
+
 STYLE = f"""\
       body {{ background: {BACKGROUND}; }}
       .words {{ position: fixed; z-index: 10; top: 0; margin: 14px 18px; pointer-events: none;
@@ -46,7 +49,7 @@ def write_page(view: View, path: Path) -> None:
     except ImportError:
         raise LfmeshError('a page needs the packages of the extra "browser": pip install "lfmesh[browser]"') from None
     preset = view.preset
-    view.look(preset, aspect=ASPECT)
+    view.look(preset, aspect=ASPECT, angle_deg=ANGLE_DEG)
     try:
         with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
             warnings.simplefilter("ignore")

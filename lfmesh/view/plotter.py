@@ -101,15 +101,18 @@ class View:
         length = float(self.world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])
         return f"axis marked every {in_words(tick_mm(self.world))}; {length:.4g} mm from the first vertex to the sensor"
 
-    def look(self, preset: str, aspect: float | None = None) -> None:
-        """Move the eye to one of the `presets`, for a picture of the plotter's or another aspect, width over height."""
+    def look(self, preset: str, aspect: float | None = None, angle_deg: float = ANGLE_DEG) -> None:
+        """Move the eye to one of the `presets`, for a picture of the plotter's or another aspect, width over height.
+
+        And for the plotter's or another angle from the bottom of a perspective picture to its top.
+        """
         width, height = self.plotter.window_size
-        seen = viewpoint(self.world, preset, aspect or width / height, self.near_mm)
+        seen = viewpoint(self.world, preset, aspect or width / height, self.near_mm, angle_deg)
         camera = self.plotter.camera
         camera.position, camera.focal_point, camera.up = seen.eye, seen.focus, seen.up
         camera.parallel_projection = seen.parallel
         camera.parallel_scale = seen.half_height_mm
-        camera.view_angle = ANGLE_DEG
+        camera.view_angle = angle_deg
         self.plotter.renderer.ResetCameraClippingRange()
         self.plotter.camera_set = True
         self.preset = preset
@@ -226,7 +229,7 @@ class View:
     def _plane(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the plane of the cut, the camera's yz plane: its normal, towards what is taken away, and a point."""
         to_world = self.world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
-        return to_world[:, 0], to_world[:, 3]
+        return -to_world[:, 0], to_world[:, 3]
 
 
 def build_view(

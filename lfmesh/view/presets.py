@@ -1,7 +1,7 @@
 """Where to look from: viewpoints that fit a part of the scene into the picture, whatever its size.
 
-All are found in the camera frame. The picture's upward direction is −y, as in previews: what stands high there stands
-high here.
+All are found in the camera frame, whose +y is up. Whoever looks from behind the camera at its objects has x to the
+right; in views from beside, light travels to the right.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]
 
-UP = (0.0, -1.0, 0.0)
+UP = (0.0, 1.0, 0.0)
 
 ANGLE_DEG = 36.0
 """From the bottom to the top of a perspective view."""
@@ -50,7 +50,9 @@ class Viewpoint:
     """Half the height of the picture at the focus."""
 
 
-def viewpoint(world: World, preset: str, aspect: float, near_mm: tuple[float, float] = (0.0, 0.0)) -> Viewpoint:
+def viewpoint(
+    world: World, preset: str, aspect: float, near_mm: tuple[float, float] = (0.0, 0.0), angle_deg: float = ANGLE_DEG
+) -> Viewpoint:
     """Return the viewpoint of a preset.
 
     Parameters
@@ -62,6 +64,8 @@ def viewpoint(world: World, preset: str, aspect: float, near_mm: tuple[float, fl
         Width of the picture over its height.
     near_mm : (x, y), mm
         Where on the array "array" looks, in the array's frame.
+    angle_deg : float
+        From the bottom to the top of the picture, in perspective.
 
     Raises
     ------
@@ -73,20 +77,20 @@ def viewpoint(world: World, preset: str, aspect: float, near_mm: tuple[float, fl
     if preset == "array" and not world.tables.array.present:
         raise LfmeshError('preset = "array": this camera has no microlens array; use "sensor"')
     points, forward, parallel = PRESETS[preset](world, near_mm)
-    seen = fitted(points, forward, aspect, parallel)
+    seen = fitted(points, forward, aspect, parallel, angle_deg)
     to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
     eye, focus = frames.points(to_world, np.stack([seen.eye, seen.focus]))
     return Viewpoint(eye, focus, frames.directions(to_world, seen.up[None])[0], parallel, seen.half_height_mm)
 
 
-def fitted(points: Array, forward: ArrayLike, aspect: float, parallel: bool) -> Viewpoint:
+def fitted(points: Array, forward: ArrayLike, aspect: float, parallel: bool, angle_deg: float = ANGLE_DEG) -> Viewpoint:
     """Return the nearest viewpoint that looks along `forward` and has all points (n, 3) in its picture."""
     ahead = np.asarray(forward, dtype=np.float64) / np.linalg.norm(forward)
     right = np.cross(ahead, UP)
     right /= np.linalg.norm(right)
     axes = np.stack([right, np.cross(right, ahead), ahead])
     x, y, z = axes @ points.T
-    tangent = np.tan(np.deg2rad(0.5 * ANGLE_DEG)) / MARGIN
+    tangent = np.tan(np.deg2rad(0.5 * angle_deg)) / MARGIN
     if parallel:
         half = max(0.5 * np.ptp(y), 0.5 * np.ptp(x) / aspect, np.finfo(np.float64).tiny)
         middle = np.array([0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max()), 0.5 * (z.min() + z.max())])
@@ -101,7 +105,7 @@ def fitted(points: Array, forward: ArrayLike, aspect: float, parallel: bool) -> 
     focus = eye.copy()
     focus[2] = 0.5 * (z.min() + z.max())
     away = focus[2] - eye[2]
-    return Viewpoint(eye @ axes, focus @ axes, axes[1], False, away * np.tan(np.deg2rad(0.5 * ANGLE_DEG)))
+    return Viewpoint(eye @ axes, focus @ axes, axes[1], False, away * np.tan(np.deg2rad(0.5 * angle_deg)))
 
 
 def _centred(along: Array, depth: Array) -> float:
@@ -185,15 +189,15 @@ def _whole(world: World, _: tuple[float, float]) -> Look:
     camera, objects = _camera(world), _object(world)
     far = max(1.0, -float(objects[:, 2].mean()) / float(np.ptp(camera[:, 2])))
     turn = np.deg2rad(np.clip(66.0 / np.sqrt(far), 8.0, 60.0))
-    return np.concatenate([camera, objects]), (-np.sin(turn), 0.2, -np.cos(turn)), False
+    return np.concatenate([camera, objects]), (np.sin(turn), -0.2, -np.cos(turn)), False
 
 
 PRESETS: dict[str, Callable[[World, tuple[float, float]], Look]] = {
     "whole": _whole,
-    "side": lambda world, _: (np.concatenate([_camera(world), _object(world)]), (-1.0, 0.0, 0.0), True),
-    "object": lambda world, _: (_object(world), (-0.35, 0.2, -1.0), False),
-    "lens": lambda world, _: (_lens(world), (-1.0, 0.25, -0.45), True),
-    "array": lambda world, near: (_near_lenslets(world, near), (-0.6, 0.3, 0.75), False),
-    "sensor": lambda world, _: (_sensor(world), (-0.25, 0.2, 1.0), False),
+    "side": lambda world, _: (np.concatenate([_camera(world), _object(world)]), (1.0, 0.0, 0.0), True),
+    "object": lambda world, _: (_object(world), (0.35, -0.2, -1.0), False),
+    "lens": lambda world, _: (_lens(world), (1.0, -0.25, -0.45), True),
+    "array": lambda world, near: (_near_lenslets(world, near), (0.6, -0.3, 0.75), False),
+    "sensor": lambda world, _: (_sensor(world), (0.25, -0.2, 1.0), False),
 }
 """What each shows: the objects' points, the direction, whether parallel."""

@@ -1,4 +1,6 @@
-"""Targets: shapes of the right size and side, pictures upright in previews, files placed in the world."""
+"""Targets: shapes of the right size and side, pictures that read correctly on them, files placed in the world."""
+
+import json
 
 import numpy as np
 import PIL.Image
@@ -98,8 +100,8 @@ def test_shapes_stand_where_position_and_rotation_put_them(folder, kind):
 
 
 @pytest.mark.parametrize("kind", SHAPES)
-def test_pictures_are_upright_in_the_preview_on_the_side_that_faces_the_camera(folder, kind):
-    """The lens inverts and the preview turns that by 180°: it has +x to its right and +y down."""
+def test_pictures_have_their_right_at_x_and_their_top_at_y_on_the_side_that_faces_the_camera(folder, kind):
+    """As somebody behind the camera sees it, who looks along -z and has x to the right and y up."""
     target = folder.mesh(shape=SHAPES[kind], material={"texture": "chart.png"})
     where, seen = colours(target)
     width, height = {"plane": (4, 3), "disk": (4, 4), "sphere": (4, 4), "box": (1, 2), "cylinder": (4, 4)}[kind]
@@ -114,21 +116,60 @@ def test_pictures_are_upright_in_the_preview_on_the_side_that_faces_the_camera(f
     if kind == "sphere":  # facets at the poles share one point of many columns
         away &= np.abs(y) < 0.48
     assert away.any()
-    np.testing.assert_array_equal(seen[front][away], in_picture(0.5 + x, 0.5 + y)[away])
+    np.testing.assert_array_equal(seen[front][away], in_picture(0.5 + x, 0.5 - y)[away])
+
+
+def test_the_wall_of_a_cylinder_that_is_rotated_by_90_degrees_about_x_faces_the_camera_upright(folder):
+    target = folder.mesh(shape=SHAPES["cylinder"], rotation_deg=(90, 0, 0), material={"texture": "chart.png"})
+    where, seen = colours(target)
+    front = (np.abs(facet_normals(target.mesh)[0][:, 1]) < 0.01) & (where[:, 2] > 0.0)
+    x, y = np.arctan2(where[front, 0], where[front, 2]) / (2 * np.pi), where[front, 1] / 5.0
+    away = np.abs((0.5 + x) * 8 % 1 - 0.5) < 0.45
+    assert away.sum() > 50
+    np.testing.assert_array_equal(seen[front][away], in_picture(0.5 + x, 0.5 - y)[away])
+
+
+def directions_of(kind):
+    """Where a picture's right and top point on every facet (m, 3), not normalised, from its corners' places in it."""
+    mesh, uv = primitive(SHAPES[kind])
+    corners = mesh.vertices[mesh.faces]
+    # Corner k is origin + u_k right + v_k up.
+    edges, steps = corners[:, 1:] - corners[:, :1], uv[:, 1:] - uv[:, :1]
+    right, up = np.moveaxis(np.linalg.solve(steps, edges), 1, 0)
+    return right, up, facet_normals(mesh)[0]
 
 
 @pytest.mark.parametrize("kind", SHAPES)
-def test_pictures_are_mirrored_on_no_side(kind):
-    """Columns, rows and the outward normal are right-handed everywhere, as on the side towards the camera."""
-    mesh, uv = primitive(SHAPES[kind])
-    picture = uv * [1.0, -1.0]  # columns, rows
-    a, b = picture[:, 1] - picture[:, 0], picture[:, 2] - picture[:, 0]
-    assert (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] > 0).all()
-    assert uv.min() >= 0.0
-    assert uv.max() <= 1.0
-    if kind == "box":
-        assert len(mesh.faces) == 12
-        assert np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() / 2 == pytest.approx(6.0)
+def test_pictures_read_correctly_from_outside_on_every_side(kind):
+    right, up, normal = directions_of(kind)
+    across = np.cross(right, up)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    np.testing.assert_allclose(across, normal, atol=1e-9)
+    uv = primitive(SHAPES[kind]).uv
+    assert uv.min() == pytest.approx(0.0, abs=1e-12)
+    assert uv.max() == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_the_top_of_pictures_lies_towards_y_and_on_faces_along_y_towards_minus_z(kind):
+    _, up, normal = directions_of(kind)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    if kind == "sphere":
+        # Along the meridians: as far towards +y as the surface allows, but for the facets' tilt.
+        meridian = [0.0, 1.0, 0.0] - normal[:, 1:2] * normal
+        assert (np.einsum("ij,ij->i", up, meridian) > 0.0).all()
+        return
+    wall = np.zeros(len(up), bool) if kind != "cylinder" else np.abs(normal[:, 2]) < 0.5
+    top = np.where(np.abs(normal[:, 1:2]) > 0.99, [0.0, 0.0, -1.0] * np.sign(normal[:, 1:2]), [0.0, 1.0, 0.0])
+    top[wall] = [0.0, 0.0, -1.0]
+    np.testing.assert_allclose(up, top, atol=1e-9)
+
+
+def test_every_face_of_a_box_carries_the_whole_picture():
+    uv = primitive(SHAPES["box"]).uv
+    a, b = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    assert len(uv) == 12
+    assert (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() / 2 == pytest.approx(6.0)
 
 
 def test_a_closed_file_is_closed_and_an_open_one_is_not(folder):
@@ -201,6 +242,40 @@ def test_a_files_own_picture_is_used_and_its_factor_multiplies_it(folder):
     where, seen = colours(folder.mesh(file="t.obj", units="mm"))
     truth = in_picture(where[:, 0], 1.0 - where[:, 1]) * np.float32([0.5, 0.5, 0.25])
     np.testing.assert_allclose(seen, truth, rtol=1e-6)
+
+
+def test_a_gltf_files_texture_coordinates_start_at_the_top_left_of_its_picture(folder):
+    """glTF 2.0, section 3.8: "The origin of the UV coordinates (0, 0) corresponds to the upper left corner"."""
+    square = np.float32([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    places = np.float32([[0, 1], [1, 1], [1, 0], [0, 0]])
+    data = square.tobytes() + places.tobytes() + np.uint16([0, 1, 2, 0, 2, 3]).tobytes()
+    (folder.path / "square.bin").write_bytes(data)
+    whole = {"buffer": 0, "byteOffset": 0}
+    gltf = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": 0}]}],
+        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+        "textures": [{"source": 0}],
+        "images": [{"uri": "chart.png"}],
+        "buffers": [{"uri": "square.bin", "byteLength": len(data)}],
+        "bufferViews": [
+            {**whole, "byteLength": 48},
+            {**whole, "byteOffset": 48, "byteLength": 32},
+            {**whole, "byteOffset": 80, "byteLength": 12},
+        ],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0]},
+            {"bufferView": 1, "componentType": 5126, "count": 4, "type": "VEC2"},
+            {"bufferView": 2, "componentType": 5123, "count": 6, "type": "SCALAR"},
+        ],
+    }
+    (folder.path / "square.gltf").write_text(json.dumps(gltf))
+    for share in np.random.default_rng(34).dirichlet((1, 1, 1), size=20):
+        where, seen = colours(folder.mesh(file="square.gltf"), share)
+        np.testing.assert_array_equal(seen, in_picture(where[:, 0] / 1e3, 1.0 - where[:, 1] / 1e3))
 
 
 def test_the_materials_texture_replaces_the_files_colours(folder):

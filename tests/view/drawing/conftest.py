@@ -79,11 +79,11 @@ def split_rays(world: World) -> Rays:
 
 @pytest.fixture(scope="session")
 def one_ray(world: World) -> Rays:
-    """One path to the sensor, off every plane of symmetry, on the side of +x in the lens."""
+    """One path to the sensor, off every plane of symmetry, on the side of -x in the lens."""
     rays = launch.from_field_point(world, [2.0, -8.0, -199.0], 12, split="transmit")
     chosen = np.zeros(len(rays), np.bool_)
-    into_lens = np.where(rays.arrives, rays.position[rays.offsets[:-1] + 1, 0], -np.inf)
-    chosen[np.argmax(into_lens)] = True
+    into_lens = np.where(rays.arrives, rays.position[rays.offsets[:-1] + 1, 0], np.inf)
+    chosen[np.argmin(into_lens)] = True
     return rays.keep(chosen)
 
 

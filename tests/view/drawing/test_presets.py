@@ -1,12 +1,15 @@
 """Viewpoints: everything asked for is in the picture, and fills it, whatever its size."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
 from lfmesh.errors import LfmeshError
-from lfmesh.scene import loads
+from lfmesh.geometry import frame as frames
+from lfmesh.scene import Scene, loads
+from lfmesh.transport.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World, build
 from lfmesh.view import pick
 from lfmesh.view.overlay import in_words
@@ -74,6 +77,28 @@ def test_neither_walls_nor_far_lamps_make_the_camera_invisible(large: str) -> No
     lens = np.asarray(world.mesh("lens[0]").vertices)
     height = np.ptp(in_picture(seen, lens)[:, 1]) / 2.0
     assert height > 0.1, f"the lens takes {height:.1%} of the picture's height"
+
+
+@pytest.mark.parametrize("pose", [{}, {"shift_mm": (40.0, -7.0, 12.0), "tilt_deg": (20.0, 70.0, -35.0)}])
+@pytest.mark.parametrize("preset", list(PRESETS))
+def test_y_is_up_and_x_to_the_right_seen_from_behind_the_camera(
+    scene: Scene, preset: str, pose: dict[str, Any]
+) -> None:
+    """From before it, x is to the left; from beside, the sensor is right of the objects. All in the camera's frame."""
+    world = build(scene.changed({"camera.pose": pose}))
+    frame = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
+    seen = viewpoint(world, preset, ASPECT)
+    ends = np.concatenate([frames.directions(frame, np.eye(3)), np.zeros((1, 3))]) + seen.focus
+    place = in_picture(seen, ends)
+    x, y, z = place[:3] - place[3]
+    assert y[1] > 0.5 * np.linalg.norm(y)
+    assert abs(y[0]) < 1e-6
+    ahead = frames.directions(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], (seen.focus - seen.eye)[None])[0]
+    if preset != "side":
+        assert np.sign(x[0]) == -np.sign(ahead[2])
+    if preset in ("whole", "side", "object", "lens", "array"):
+        assert z[0] > 0.0
+    assert ahead[1] <= 1e-12 * np.linalg.norm(ahead), "seen from below"
 
 
 def test_an_unknown_preset_and_an_array_that_is_not_there_are_refused(world: World, conventional: World) -> None:

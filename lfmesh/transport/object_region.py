@@ -81,6 +81,7 @@ from lfmesh.transport.packet import (
     Options,
     put,
 )
+from lfmesh.transport.path_class import OFF_IMAGE_PATH, is_estimated
 from lfmesh.transport.random import DIMENSIONS_PER_EVENT, derived, uniform
 from lfmesh.transport.tables import DIRECTIONAL, DISK, Aim, LensTables, ObjectTables
 
@@ -180,6 +181,10 @@ def shade_objects(
             status = S_ABSORBED if body < 0 else S_TARGET
             end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, status)
             continue
+        if packet.kind == LAMP and not is_estimated(options, packet):
+            # Its light is that of another class, which finds it from the sensor.
+            flow.book[SAMPLING_REMOVED] += packet.weight
+            continue
         if too_deep(options, flow, frames, packet):
             continue
         flow.counts[EVENTS] += 1
@@ -189,10 +194,7 @@ def shade_objects(
         side = -1.0 if along > 0.0 else 1.0
         texel = texture_at(objects, prim, packet.wave, x, y, z)
         albedo = objects.reflectance[body, packet.wave] * texel
-        if options.adjoint:
-            if options.strays and packet.stray == 0:
-                flow.book[slot] += weight
-                continue
+        if options.adjoint and is_estimated(options, packet):
             flow.book[REACHED] += weight
             radiance = objects.radiance[body, packet.wave] * texel
             if radiance > 0.0:
@@ -421,7 +423,10 @@ def scatter(
         return
     flow.book[SAMPLING_ADDED] += to_camera
     dimension = packet.events * DIMENSIONS_PER_EVENT + KEEP_BOUNCE
-    weight = windowed(flow.book, weight, options.cutoff * packet.start, packet.key, dimension)
+    cutoff = options.cutoff
+    if options.paths == OFF_IMAGE_PATH and packet.stray == 0:
+        cutoff = options.unturned_cutoff
+    weight = windowed(flow.book, weight, cutoff * packet.start, packet.key, dimension)
     if weight > 0.0:
         dx, dy, dz = lambertian(nx, ny, nz, draw(packet, BOUNCE_U), draw(packet, BOUNCE_V))
         clear = clear_of(facet, x, y, z, dx, dy, dz)

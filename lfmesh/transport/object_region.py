@@ -15,7 +15,7 @@ from lfmesh.geometry.levels import PATCH
 from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.optics.scattering import lambertian, tangents
-from lfmesh.transport.aiming import aimed
+from lfmesh.transport.aiming import aimed, aimed_density
 from lfmesh.transport.crossing import (
     AIM_DISK,
     AIM_U,
@@ -161,11 +161,15 @@ def shade_objects(
                     # Scattered light goes into the lens by aimed children only; a lamp's own light is not followed.
                     flow.book[LENS_FRONT if packet.kind == LAMP else SAMPLING_REMOVED] += packet.weight
                 continue
-            if options.bounce and not options.adjoint and packet.kind == CAMERA:
-                # It was aimed at the lens and is not going there: what else is in that direction, scattered light
-                # that was not aimed brings there already.
-                flow.book[SAMPLING_REMOVED] += packet.weight
-                continue
+            if options.bounce and options.aimed and not options.adjoint and packet.facet != NO_SURFACE:
+                # It left a target, whose light goes this way in two packets: one aimed at the lens, one that was not.
+                into_glass = prim >= 0 and facet.body >= 0 and objects.glass[facet.body, packet.wave] > 0.0
+                if into_glass and (packet.kind == CAMERA or packet.kind == SCATTERED):
+                    _share_with_other(flow, frames, objects, aim, packet)
+                elif packet.kind == CAMERA:
+                    # Neither to the lens nor into glass: what else is there, the other brings light to.
+                    flow.book[SAMPLING_REMOVED] += packet.weight
+                    continue
         if prim < 0:
             end_here(options, flow, frames, packet, ESCAPED, S_ESCAPED)
             continue
@@ -432,6 +436,27 @@ def scatter(
         clear = clear_of(facet, x, y, z, dx, dy, dz)
         child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, packet.key, clear)
         child.kind = SCATTERED
+
+
+@kernel
+def _share_with_other(flow: Flow, frames: Array, objects: ObjectTables, aim: Aim, packet: Any) -> None:
+    """Weight a packet that goes from a target into glass, where both it and one drawn the other way could have gone.
+
+    By the balance heuristic (Veach & Guibas 1995): the lens may show behind the glass where it is aimed at, or
+    elsewhere, as the glass bends light.
+    """
+    x, y, z = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, packet.x, packet.y, packet.z)
+    dx, dy, dz = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, packet.dx, packet.dy, packet.dz)
+    normal = objects.facets[packet.facet].normal
+    scattered = abs(normal[0] * packet.dx + normal[1] * packet.dy + normal[2] * packet.dz) / np.pi
+    at_lens = aimed_density(x, y, z, dx, dy, dz, aim.entrance, aim.front_radius, aim.wide_share, aim.blind_share)
+    weight = packet.weight
+    if packet.kind == CAMERA:
+        packet.weight *= at_lens / (at_lens + scattered)
+        packet.start = packet.weight
+    else:
+        packet.weight *= scattered / (at_lens + scattered)
+    flow.book[SAMPLING_REMOVED] += weight - packet.weight
 
 
 @kernel

@@ -363,6 +363,8 @@ class Renderer:
             else:
                 pixels = chunk.pixels
                 space.begin(film)
+            # A pixel's samples start together, though they be more than a chunk.
+            space.reserve(chunk.packets)
             if part.options.sequential:
                 launch_along_image_path(
                     pixels, chunk.samples, self.stratified, key, chunk.wave, tables.sensor, tables.lens, tables.array,

@@ -151,17 +151,23 @@ def shade_objects(
         if packet.last != LEFT_LENS:
             px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
             ex, ey, ez = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, dx, dy, dz)
-            if box_entry(lens.box_low, lens.box_high, px, py, pz, ex, ey, ez) < t:
+            enters = box_entry(lens.box_low, lens.box_high, px, py, pz, ex, ey, ez) < t
+            if enters and packet.kind == LAMP:
+                # Through the opening it comes to the housing's inside; else it passes by the lens, as a shadow's ray.
+                if prim >= 0 and facet.body < 0:
+                    flow.book[LENS_FRONT] += packet.weight
+                    continue
+            elif enters:
                 by_itself = packet.kind == SPECULAR or (packet.kind == SCATTERED and not options.aimed)
                 if options.adjoint or packet.kind == CAMERA or by_itself:
                     child = put(flow, LENS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, 0.0)
                     child.kind = CAMERA
                     child.space = 0
                 else:
-                    # Scattered light goes into the lens by aimed children only; a lamp's own light is not followed.
-                    flow.book[LENS_FRONT if packet.kind == LAMP else SAMPLING_REMOVED] += packet.weight
+                    # Scattered light goes into the lens by aimed children only.
+                    flow.book[SAMPLING_REMOVED] += packet.weight
                 continue
-            if options.bounce and options.aimed and not options.adjoint and packet.facet != NO_SURFACE:
+            elif options.bounce and options.aimed and not options.adjoint and packet.facet != NO_SURFACE:
                 # It left a target, whose light goes this way in two packets: one aimed at the lens, one that was not.
                 into_glass = prim >= 0 and facet.body >= 0 and objects.glass[facet.body, packet.wave] > 0.0
                 if into_glass and (packet.kind == CAMERA or packet.kind == SCATTERED):

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.scene import Scene
 from lfmesh.transport.aiming import WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_STRAYS
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.object_tables import aimed_at_glass
@@ -102,3 +103,9 @@ def lamp_parts(world: World) -> tuple[Part, ...]:
         return ()
     options = options_of(world)._replace(adjoint=False, paths=LAMP_THROUGH_GLASS)
     return (Part(2, options, world.tables._replace(objects=objects), book=LAMP_BOOK),)
+
+
+def in_words(scene: Scene, parts: tuple[Part, ...]) -> str:
+    """Return which engine traces an image and why, and that lamps have a part of their own."""
+    words = ": ".join(engine_of(scene))
+    return f"{words}; lamps' light through glass forward" if any(part.book == LAMP_BOOK for part in parts) else words

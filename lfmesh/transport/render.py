@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from lfmesh.scene import Scene
 from lfmesh.transport.adaptive import Counts, Refinement, combine, samples_of, second_stage, total_samples
 from lfmesh.transport.adjoint import launch_adjoint, launch_along_image_path
-from lfmesh.transport.choice import engine_of
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.forward import launch_forward
 from lfmesh.transport.image import Image
 from lfmesh.transport.ledger import Ledger
 from lfmesh.transport.packet import COUNTERS, DEPOSITS, EVENTS
-from lfmesh.transport.parts import BOOKS, LAMP_BOOK, OWN_BOOK, Part, parts_of
+from lfmesh.transport.parts import BOOKS, LAMP_BOOK, OWN_BOOK, Part, in_words, parts_of
 from lfmesh.transport.progress import Progress
 from lfmesh.transport.random import descendant, run_key
 from lfmesh.transport.settings import ledger_of
@@ -240,7 +239,7 @@ class Renderer:
             seconds,
             finished,
             float(self.samples * finished) if refinement is None else refinement.samples,
-            ": ".join(engine_of(scene)),
+            in_words(scene, self.parts),
             {
                 "tracing_seconds": seconds,
                 "thread_seconds": tally.thread_seconds,

@@ -60,6 +60,13 @@ CAMERAS: dict[str, tuple[dict[str, Any], set[str]]] = {
     ),
     "lenslets towards the lens": (
         {"mla": STEEP, "sensor": {"pixels": (SIDE, SIDE), "pixel_mm": 2.0 / SIDE, "distance_mm": 0.6}},
+        {"lens", "array"},
+    ),
+    "hollow lenslets, whose other side a ray may meet": (
+        {
+            "mla": STEEP | {"radius_mm": -0.36, "index": 1.3, "distance_mm": 0.3},
+            "sensor": {"pixels": (SIDE, SIDE), "pixel_mm": 2.0 / SIDE, "distance_mm": 0.6},
+        },
         {"lens", "array", "second face"},
     ),
     "lenslets towards the sensor": (

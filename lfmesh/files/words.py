@@ -61,7 +61,9 @@ def summary(image: Image) -> list[str]:
     lines = [_work(image), *_noise_lines(image, measured)]
     if measured.received_share < DARK_SHARE:
         lines += where_the_light_went(image)
-    return lines + _book_keeping(image.ledger)
+    for ledger in (image.ledger, image.ledger.lamps):
+        lines += _book_keeping(ledger) if ledger is not None else []
+    return lines
 
 
 def where_the_light_went(image: Image) -> list[str]:

@@ -71,3 +71,20 @@ def aimed(
     if narrow:
         density += (1.0 - share) * disk_density(x, y, z, dx, dy, dz, cx, cy, opening.plane_z, radius)
     return dx, dy, dz, density
+
+
+@kernel
+def aimed_density(
+    x: float, y: float, z: float, dx: float, dy: float, dz: float,
+    opening: Opening, wide_radius: float, wide_share: float, blind_share: float,
+) -> float:  # fmt: skip
+    """Return the density per solid angle with which `aimed` draws a direction from a point."""
+    cx, cy, radius = opening_from(opening, x, y, z)
+    narrow = opening.known and radius > 0.0
+    share = 1.0
+    if opening.known:
+        share = wide_share if narrow else blind_share
+    density = share * disk_density(x, y, z, dx, dy, dz, 0.0, 0.0, opening.plane_z, wide_radius)
+    if narrow:
+        density += (1.0 - share) * disk_density(x, y, z, dx, dy, dz, cx, cy, opening.plane_z, radius)
+    return density

@@ -44,6 +44,7 @@ from lfmesh.transport.packet import (
     E_TRANSMITTED,
     EVENTS,
     FLAT_FACE,
+    LEFT_FACE,
     LENS,
     NO_SURFACE,
     PLATE,
@@ -324,6 +325,10 @@ def _split_at_face(
     reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
     to_reflected, to_refracted = split_shares(options, flow.book, packet, reflectance, transmittance)
     packet.events += 1
+    if packet.last == LEFT_FACE:
+        # A second face in one passage.
+        packet.stray = 1
+    packet.last = LEFT_FACE
     parent, key, stray = packet.node, packet.key, packet.stray
     for child in range(2):
         refracts = child == 1

@@ -1,7 +1,8 @@
 """The forward method's start, the paper's chain: packets leave a lamp or an emitting target.
 
 A lamp's packets go into the cone round the targets; what it sends elsewhere is booked as escaped at once. An emitting
-facet's packet is scattered where it starts, as light that arrived there would be.
+facet's packet is scattered where it starts, as light that arrived there would be. The adjoint method has its share of
+such packets, for lamps that glass hides from it (`parts`): those go into the cone round the glass.
 """
 
 from typing import Any
@@ -62,15 +63,16 @@ def launch_forward(
 
 @kernel
 def _from_lamp(objects: ObjectTables, flow: Flow, packet: Any, number: int, weight: float) -> None:
-    """Start a packet of a light towards the targets' bounding sphere."""
+    """Start a packet of a light towards the sphere that is aimed at: the targets', or that of glass alone."""
     light = objects.lights[number]
     key = packet.key
     ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
     x, y, z = light.position[0], light.position[1], light.position[2]
     flow.book[EMITTED] += weight
-    radius = objects.radius
+    radius = objects.lit_radius
+    mx, my, mz = objects.lit_middle[0], objects.lit_middle[1], objects.lit_middle[2]
     if light.kind != DISK and light.kind != DIRECTIONAL:
-        dx, dy, dz, share = _into_cone(x, y, z, radius, key)
+        dx, dy, dz, share = _into_cone(x - mx, y - my, z - mz, radius, key)
         towards = weight * share
     else:
         r = (radius if light.kind == DIRECTIONAL else light.radius) * np.sqrt(start(key, PLACE_U))
@@ -78,16 +80,15 @@ def _from_lamp(objects: ObjectTables, flow: Flow, packet: Any, number: int, weig
         px, py, pz, qx, qy, qz = tangents(ax, ay, az)
         a, b = r * np.cos(phi), r * np.sin(phi)
         if light.kind == DIRECTIONAL:
-            x, y, z = (
-                a * px + b * qx - radius * ax,
-                a * py + b * qy - radius * ay,
-                a * pz + b * qz - radius * az,
-            )
+            # From before everything that may stand in its way.
+            x, y, z = mx + a * px + b * qx, my + a * py + b * qy, mz + a * pz + b * qz
+            back = objects.outer_radius + (x * ax + y * ay + z * az)
+            x, y, z = x - back * ax, y - back * ay, z - back * az
             dx, dy, dz = ax, ay, az
             towards = weight
         else:
             x, y, z = x + a * px + b * qx, y + a * py + b * qy, z + a * pz + b * qz
-            dx, dy, dz, share = _into_cone(x, y, z, radius, key)
+            dx, dy, dz, share = _into_cone(x - mx, y - my, z - mz, radius, key)
             # Lambert's law against uniform directions: cos θ / π over 1 / (4π share).
             towards = weight * 4.0 * share * max(0.0, dx * ax + dy * ay + dz * az)
     flow.book[ESCAPED] += weight - towards
@@ -99,7 +100,10 @@ def _from_lamp(objects: ObjectTables, flow: Flow, packet: Any, number: int, weig
 
 @kernel
 def _into_cone(x: float, y: float, z: float, radius: float, key: np.uint64) -> tuple[float, float, float, float]:
-    """Return a uniform direction from a point into the cone round the targets' sphere; and its share of 4π."""
+    """Return a uniform direction from a point, seen from the sphere's middle, into the cone round the sphere.
+
+    And that cone's share of 4π.
+    """
     distance2 = x * x + y * y + z * z
     cos_edge = -1.0
     if distance2 > radius * radius:

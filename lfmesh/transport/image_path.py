@@ -45,6 +45,7 @@ from lfmesh.transport.packet import (
     EVENTS,
     HOUSING,
     LEFT_LENS,
+    LENS,
     NO_SURFACE,
     OBJECT_FRAME,
     OBJECTS,
@@ -85,6 +86,14 @@ def follow_image_path(
             if packet.frame != CAMERA_FRAME:
                 move_packet(frames, packet, CAMERA_FRAME)
             if (packet.dz > 0.0) != to_sensor:
+                continue
+            if station == LENS and packet.space == 0 and not to_sensor:
+                # From object space, on its way back there beside the lens.
+                child = put(
+                    flow, OBJECTS, packet, CAMERA_FRAME, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz,
+                    packet.weight, packet.key, 0.0,
+                )  # fmt: skip
+                child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
                 continue
             load(
                 bundle, count, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz, packet.weight

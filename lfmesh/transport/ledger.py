@@ -1,6 +1,6 @@
 """The energy ledger: where every watt of a run (or, in adjoint, every unit of importance) ended."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 
@@ -43,6 +43,8 @@ class Ledger:
     """Adjoint: importance that arrived at a target (before it is absorbed or scattered there)."""
     lit: float = 0.0
     """Adjoint: the part of `reached_target` at points that a light reaches or that emit."""
+    lamps: "Ledger | None" = None
+    """Adjoint: of the packets that lamps send at glass, in W; None where the scene has no lamp or no glass."""
 
     @property
     def total_in(self) -> float:
@@ -72,10 +74,18 @@ class Ledger:
         """Lost energy over emitted."""
         return sum(self.lost.values()) / self.emitted if self.emitted else 0.0
 
+    @classmethod
+    def from_dict(cls, numbers: dict[str, Any]) -> "Ledger":
+        """Return the ledger that `as_dict` wrote."""
+        own = {entry.name: numbers[entry.name] for entry in fields(cls) if entry.name != "lamps"}
+        lamps = numbers.get("lamps")
+        return cls(**own, lamps=None if lamps is None else cls.from_dict(lamps))
+
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers for JSON, the derived ones included."""
         return {
             **vars(self),
+            "lamps": None if self.lamps is None else self.lamps.as_dict(),
             "total_in": self.total_in,
             "total_out": self.total_out,
             "imbalance": self.imbalance,

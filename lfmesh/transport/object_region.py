@@ -15,7 +15,7 @@ from lfmesh.geometry.levels import PATCH
 from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.optics.scattering import lambertian, tangents
-from lfmesh.transport.aiming import aimed
+from lfmesh.transport.aiming import aimed, aimed_density
 from lfmesh.transport.crossing import (
     AIM_DISK,
     AIM_U,
@@ -81,6 +81,7 @@ from lfmesh.transport.packet import (
     Options,
     put,
 )
+from lfmesh.transport.path_class import OFF_IMAGE_PATH, is_estimated
 from lfmesh.transport.random import DIMENSIONS_PER_EVENT, derived, uniform
 from lfmesh.transport.tables import DIRECTIONAL, DISK, Aim, LensTables, ObjectTables
 
@@ -150,21 +151,31 @@ def shade_objects(
         if packet.last != LEFT_LENS:
             px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
             ex, ey, ez = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, dx, dy, dz)
-            if box_entry(lens.box_low, lens.box_high, px, py, pz, ex, ey, ez) < t:
+            enters = box_entry(lens.box_low, lens.box_high, px, py, pz, ex, ey, ez) < t
+            if enters and packet.kind == LAMP:
+                # Through the opening it comes to the housing's inside; else it passes by the lens, as a shadow's ray.
+                if prim >= 0 and facet.body < 0:
+                    flow.book[LENS_FRONT] += packet.weight
+                    continue
+            elif enters:
                 by_itself = packet.kind == SPECULAR or (packet.kind == SCATTERED and not options.aimed)
                 if options.adjoint or packet.kind == CAMERA or by_itself:
                     child = put(flow, LENS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, 0.0)
                     child.kind = CAMERA
                     child.space = 0
                 else:
-                    # Scattered light goes into the lens by aimed children only; a lamp's own light is not followed.
-                    flow.book[LENS_FRONT if packet.kind == LAMP else SAMPLING_REMOVED] += packet.weight
+                    # Scattered light goes into the lens by aimed children only.
+                    flow.book[SAMPLING_REMOVED] += packet.weight
                 continue
-            if options.bounce and not options.adjoint and packet.kind == CAMERA:
-                # It was aimed at the lens and is not going there: what else is in that direction, scattered light
-                # that was not aimed brings there already.
-                flow.book[SAMPLING_REMOVED] += packet.weight
-                continue
+            elif options.bounce and options.aimed and not options.adjoint and packet.facet != NO_SURFACE:
+                # It left a target, whose light goes this way in two packets: one aimed at the lens, one that was not.
+                into_glass = prim >= 0 and facet.body >= 0 and objects.glass[facet.body, packet.wave] > 0.0
+                if into_glass and (packet.kind == CAMERA or packet.kind == SCATTERED):
+                    _share_with_other(flow, frames, objects, aim, packet)
+                elif packet.kind == CAMERA:
+                    # Neither to the lens nor into glass: what else is there, the other brings light to.
+                    flow.book[SAMPLING_REMOVED] += packet.weight
+                    continue
         if prim < 0:
             end_here(options, flow, frames, packet, ESCAPED, S_ESCAPED)
             continue
@@ -180,6 +191,10 @@ def shade_objects(
             status = S_ABSORBED if body < 0 else S_TARGET
             end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, status)
             continue
+        if packet.kind == LAMP and not is_estimated(options, packet):
+            # Its light is that of another class, which finds it from the sensor.
+            flow.book[SAMPLING_REMOVED] += packet.weight
+            continue
         if too_deep(options, flow, frames, packet):
             continue
         flow.counts[EVENTS] += 1
@@ -189,10 +204,7 @@ def shade_objects(
         side = -1.0 if along > 0.0 else 1.0
         texel = texture_at(objects, prim, packet.wave, x, y, z)
         albedo = objects.reflectance[body, packet.wave] * texel
-        if options.adjoint:
-            if options.strays and packet.stray == 0:
-                flow.book[slot] += weight
-                continue
+        if options.adjoint and is_estimated(options, packet):
             flow.book[REACHED] += weight
             radiance = objects.radiance[body, packet.wave] * texel
             if radiance > 0.0:
@@ -421,12 +433,36 @@ def scatter(
         return
     flow.book[SAMPLING_ADDED] += to_camera
     dimension = packet.events * DIMENSIONS_PER_EVENT + KEEP_BOUNCE
-    weight = windowed(flow.book, weight, options.cutoff * packet.start, packet.key, dimension)
+    cutoff = options.cutoff
+    if options.paths == OFF_IMAGE_PATH and packet.stray == 0:
+        cutoff = options.unturned_cutoff
+    weight = windowed(flow.book, weight, cutoff * packet.start, packet.key, dimension)
     if weight > 0.0:
         dx, dy, dz = lambertian(nx, ny, nz, draw(packet, BOUNCE_U), draw(packet, BOUNCE_V))
         clear = clear_of(facet, x, y, z, dx, dy, dz)
         child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, packet.key, clear)
         child.kind = SCATTERED
+
+
+@kernel
+def _share_with_other(flow: Flow, frames: Array, objects: ObjectTables, aim: Aim, packet: Any) -> None:
+    """Weight a packet that goes from a target into glass, where both it and one drawn the other way could have gone.
+
+    By the balance heuristic (Veach & Guibas 1995): the lens may show behind the glass where it is aimed at, or
+    elsewhere, as the glass bends light.
+    """
+    x, y, z = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, packet.x, packet.y, packet.z)
+    dx, dy, dz = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, packet.dx, packet.dy, packet.dz)
+    normal = objects.facets[packet.facet].normal
+    scattered = abs(normal[0] * packet.dx + normal[1] * packet.dy + normal[2] * packet.dz) / np.pi
+    at_lens = aimed_density(x, y, z, dx, dy, dz, aim.entrance, aim.front_radius, aim.wide_share, aim.blind_share)
+    weight = packet.weight
+    if packet.kind == CAMERA:
+        packet.weight *= at_lens / (at_lens + scattered)
+        packet.start = packet.weight
+    else:
+        packet.weight *= scattered / (at_lens + scattered)
+    flow.book[SAMPLING_REMOVED] += weight - packet.weight
 
 
 @kernel

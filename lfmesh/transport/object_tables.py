@@ -148,10 +148,28 @@ def object_tables(
         target_slots.astype(np.int64),
         _lights(scene, to_object),
         np.zeros(0, SOURCE),
+        radius,
+        float(np.linalg.norm(mesh.vertices, axis=1).max()),
         np.zeros(3),
         radius,
     )
-    return mesh, tables._replace(sources=_sources(tables, mesh))
+    return mesh, tables._replace(sources=_sources([*_lamps(tables), *_glowing_facets(tables, mesh)]))
+
+
+def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
+    """Return the tables from which the forward method starts the packets of lamps alone, towards glass.
+
+    None where there is nothing to start: no lamp, no glass, or no target that scatters.
+    """
+    glass = (objects.glass > 0.0).any(axis=1)
+    facets = np.append(glass, False)[objects.facets["body"]]
+    if not len(objects.lights) or not facets.any() or not (objects.reflectance[~glass] > 0.0).any():
+        return None
+    corners = objects.facets["corners"][facets].reshape(-1, 3)
+    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    radius = float(np.linalg.norm(corners - middle, axis=1).max())
+    objects = objects._replace(lit_middle=middle, lit_radius=radius)
+    return objects._replace(sources=_sources(_lamps(objects)))
 
 
 def _by_wave(values: list[float], waves: tuple[float, ...]) -> Array:
@@ -176,19 +194,29 @@ def _lights(scene: Scene, to_object: Array) -> NDArray[np.void]:
     return table
 
 
-def _sources(objects: ObjectTables, mesh: Mesh) -> NDArray[np.void]:
-    """Return what the forward method starts packets from, with shares in proportion to the power towards targets."""
+Entry = tuple[int, int, float, float]
+"""Light (or −1), facet (or −1), power towards what is aimed at, power in all, W."""
+
+
+def _lamps(objects: ObjectTables) -> list[Entry]:
+    """Return what each light sends, and what of it goes towards the sphere that is aimed at."""
     entries = []
     for i, light in enumerate(objects.lights):
-        distance = float(np.linalg.norm(light["position"]))
+        distance = float(np.linalg.norm(light["position"] - objects.lit_middle))
         seen = 1.0
         if light["kind"] == DIRECTIONAL:
-            power = light["power"] * np.pi * objects.radius**2 * 1e-6
+            power = light["power"] * np.pi * objects.lit_radius**2 * 1e-6
         else:
             power = light["power"]
-            if distance > objects.radius:
-                seen = 0.5 * (1.0 - np.sqrt(1.0 - (objects.radius / distance) ** 2))
+            if distance > objects.lit_radius:
+                seen = 0.5 * (1.0 - np.sqrt(1.0 - (objects.lit_radius / distance) ** 2))
         entries.append((i, -1, power * seen, power))
+    return entries
+
+
+def _glowing_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:
+    """Return what each facet of an emitting target sends."""
+    entries = []
     areas = facet_normals(mesh)[1]
     glow = objects.radiance.max(axis=1) if len(objects.radiance) else np.zeros(0)
     for facet in np.flatnonzero(np.append(glow > 0.0, False)[objects.facets["body"]]):
@@ -196,6 +224,11 @@ def _sources(objects: ObjectTables, mesh: Mesh) -> NDArray[np.void]:
         sides = 1.0 if objects.closed[body] else 2.0
         power = np.pi * glow[body] * areas[facet] * 1e-6 * sides
         entries.append((-1, int(facet), power, power))
+    return entries
+
+
+def _sources(entries: list[Entry]) -> NDArray[np.void]:
+    """Return what the forward method starts packets from, with shares in proportion to the power towards targets."""
     table = np.zeros(len(entries), SOURCE)
     if entries:
         table["light"], table["facet"], table["share"], table["power"] = zip(*entries, strict=True)

@@ -86,6 +86,9 @@ NO_SURFACE = -1
 LEFT_LENS = -2
 """`last` of a packet in object space that left the lens: a straight line does not come back to it."""
 
+LEFT_FACE = -3
+"""`last` of a packet that left a curved face of the array and has not left the layer of faces."""
+
 PACKET = np.dtype(
     [
         ("x", "f8"), ("y", "f8"), ("z", "f8"),  # mm, in `frame`
@@ -107,7 +110,7 @@ PACKET = np.dtype(
         ("tries", "i1"),  # queries of this ray that were refused
         ("kind", "i1"),
         ("frame", "i1"),
-        ("stray", "i1"),  # 1: was reflected where it might have been refracted; off the image path
+        ("stray", "i1"),  # 1: was turned off the image path, see `path_class`
     ],
     align=True,
 )  # fmt: skip
@@ -167,7 +170,8 @@ class Options(NamedTuple):
     bounce: bool  # light may go from target to target
     aimed: bool  # scattered light is aimed at the lens; else it finds the lens by chance
     sequential: bool  # lens and array are met in their order, without a mesh
-    strays: bool  # adjoint: only paths off the image path gather light
+    paths: int  # which class of paths brings light, see `path_class`
+    unturned_cutoff: float  # in place of `cutoff` for what targets scatter of a path that brings nothing as yet
     first_source: int  # film row 0
 
 

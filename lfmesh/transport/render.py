@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from lfmesh.scene import Scene
 from lfmesh.transport.adaptive import Counts, Refinement, combine, samples_of, second_stage, total_samples
 from lfmesh.transport.adjoint import launch_adjoint, launch_along_image_path
-from lfmesh.transport.choice import engine_of
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.forward import launch_forward
 from lfmesh.transport.image import Image
 from lfmesh.transport.ledger import Ledger
 from lfmesh.transport.packet import COUNTERS, DEPOSITS, EVENTS
-from lfmesh.transport.parts import Part, parts_of
+from lfmesh.transport.parts import BOOKS, LAMP_BOOK, OWN_BOOK, Part, in_words, parts_of
 from lfmesh.transport.progress import Progress
 from lfmesh.transport.random import descendant, run_key
 from lfmesh.transport.settings import ledger_of
@@ -102,6 +101,24 @@ class Mean:
         return self.squares
 
 
+@dataclass
+class LampLight:
+    """What lamps' own packets bring, kept apart where the pixels' samples are weighted by their number."""
+
+    film: Film
+    mean: Mean
+
+    @classmethod
+    def empty(cls, film: Film) -> "LampLight":
+        """Return none yet, for a film of that size."""
+        return cls(np.zeros_like(film), Mean(np.zeros_like(film), np.zeros_like(film)))
+
+    def end_replicate(self) -> None:
+        """Count the film in, and clear it for the next replicate."""
+        self.mean.add(self.film)
+        self.film[:] = 0.0
+
+
 def render(scene: Scene, progress: Callable[[Progress], None] | None = None) -> Image:
     """Trace a scene's raw sensor image.
 
@@ -148,6 +165,7 @@ class Renderer:
     chunk: int = CHUNK
     aimed: bool = True
     stratified: bool = True
+    _lamp_light: "LampLight | None" = None
     _local: threading.local = field(default_factory=threading.local)
     _last_report: float = 0.0
 
@@ -169,14 +187,17 @@ class Renderer:
             if levels is not None:
                 yield from self._second_chunks(part, levels, wave)
                 continue
-            per_chunk = max(1, self.chunk // samples) if self.adjoint else self.chunk
-            total = self.pixels if self.adjoint else self.pixels * samples
+            adjoint = part.options.adjoint
+            per_chunk = max(1, self.chunk // samples) if adjoint else self.chunk
+            total = self.pixels if adjoint else self.pixels * samples
             for first in range(0, total, per_chunk):
                 count = min(per_chunk, total - first)
-                yield Chunk(part, first, count, wave, count * samples if self.adjoint else count, samples)
+                yield Chunk(part, first, count, wave, count * samples if adjoint else count, samples)
 
     def _second_chunks(self, part: Part, levels: Counts, wave: int) -> Iterator[Chunk]:
         """Yield the chunks of a second-stage replicate: pixels with the same number of samples together."""
+        if not part.options.adjoint:
+            return
         for block in range(0, self.pixels, PIXELS_SORTED):
             sorted_here = levels[block : block + PIXELS_SORTED]
             for level in np.unique(sorted_here[sorted_here > 0]):
@@ -193,6 +214,8 @@ class Renderer:
         began = time.perf_counter()
         film = np.zeros((self.pixels, self.waves))
         tally = self._tally()
+        if scene.transport.target_error is not None and not all(part.options.adjoint for part in self.parts):
+            self._lamp_light = LampLight.empty(film)
         with ThreadPoolExecutor(self.threads, thread_name_prefix="lfmesh") as pool:
             mean = self._stage(pool, film, tally, began)
             finished = mean.count
@@ -200,18 +223,23 @@ class Renderer:
             refinement = None
             if scene.transport.target_error is not None and finished == scene.transport.replicates:
                 refinement = self._refine(pool, film, mean, tally, began)
+        variance = mean.variance()
+        if self._lamp_light is not None:
+            # No pixel has samples of its own of these packets: they are added once, as the first stage left them.
+            mean.mean += self._lamp_light.mean.mean.reshape(mean.mean.shape)
+            variance += self._lamp_light.mean.variance().reshape(variance.shape)
         # The energy is that of the first stage, which treats all pixels alike; the work is that of both.
         ledger.packets, ledger.events = tally.packets, int(tally.counts[EVENTS])
         seconds = time.perf_counter() - began
         return Image(
             mean.mean,
-            np.sqrt(mean.variance(), out=mean.squares),
+            np.sqrt(variance, out=variance),
             scene,
             ledger,
             seconds,
             finished,
             float(self.samples * finished) if refinement is None else refinement.samples,
-            ": ".join(engine_of(scene)),
+            in_words(scene, self.parts),
             {
                 "tracing_seconds": seconds,
                 "thread_seconds": tally.thread_seconds,
@@ -245,6 +273,8 @@ class Renderer:
                     raise
                 break
             mean.add(film.reshape(shape))
+            if levels is None and self._lamp_light is not None:
+                self._lamp_light.end_replicate()
             tally.add(own)
         return mean
 
@@ -253,7 +283,10 @@ class Renderer:
         transport = self.world.scene.transport
         assert transport.target_error is not None
         variance = mean.variance()
-        levels, capped = second_stage(mean.mean, variance, self.world.scene)
+        seen = mean.mean
+        if self._lamp_light is not None:
+            seen = seen + self._lamp_light.mean.mean.reshape(seen.shape)
+        levels, capped = second_stage(seen, variance, self.world.scene)
         second = self._stage(pool, film, tally, began, levels.ravel())
         # One replicate has no spread: its error could not be told.
         replicates = second.count if second.count > 1 else 0
@@ -267,7 +300,7 @@ class Renderer:
         )
 
     def _tally(self) -> Tally:
-        return Tally(np.zeros(len(self.world.slots)), np.zeros(COUNTERS, np.int64))
+        return Tally(np.zeros((BOOKS, len(self.world.slots))), np.zeros(COUNTERS, np.int64))
 
     def _replicate(
         self, pool: ThreadPoolExecutor, number: int, film: Film, began: float, levels: Counts | None = None
@@ -302,6 +335,8 @@ class Renderer:
         """Return how many packets a part of a replicate starts with."""
         if levels is None:
             return self.waves * self.pixels * part.samples(self.samples)
+        if not part.options.adjoint:
+            return 0
         return self.waves * total_samples(levels, part.samples)
 
     def _merge(self, waiting: Waiting, tally: Tally, film: Film) -> int:
@@ -310,6 +345,8 @@ class Renderer:
         own, deposits = future.result()
         waiting.popleft()
         tally.add(own)
+        if self._lamp_light is not None and not chunk.part.options.adjoint:
+            film = self._lamp_light.film
         np.add.at(film, (deposits["pixel"], deposits["wave"]), deposits["weight"])
         return chunk.packets
 
@@ -318,13 +355,15 @@ class Renderer:
         began = time.perf_counter()
         space, part = self._workspace(chunk.part), chunk.part
         tables = part.tables
-        if self.adjoint:
+        if part.options.adjoint:
             if chunk.pixels is None:
                 pixels = np.arange(chunk.first, chunk.first + chunk.count)
                 space.begin(film[chunk.first : chunk.first + chunk.count], chunk.first)
             else:
                 pixels = chunk.pixels
                 space.begin(film)
+            # A pixel's samples start together, though they be more than a chunk.
+            space.reserve(chunk.packets)
             if part.options.sequential:
                 launch_along_image_path(
                     pixels, chunk.samples, self.stratified, key, chunk.wave, tables.sensor, tables.lens, tables.array,
@@ -372,10 +411,8 @@ class Renderer:
         self.progress(Progress(part * one + done, replicates * one, now - began, part, replicates, stage))
 
     def _ledger(self, tally: Tally, replicates: int) -> Ledger:
-        return ledger_of(
-            tally.book / max(replicates, 1),
-            tally.counts,
-            self.world,
-            tally.packets,
-            "m² sr" if self.adjoint else "W",
-        )
+        book, unit = tally.book / max(replicates, 1), "m² sr" if self.adjoint else "W"
+        ledger = ledger_of(book[OWN_BOOK], tally.counts, self.world, tally.packets, unit)
+        if any(part.book == LAMP_BOOK for part in self.parts):
+            ledger.lamps = ledger_of(book[LAMP_BOOK], np.zeros_like(tally.counts), self.world, 0, "W")
+        return ledger

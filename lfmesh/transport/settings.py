@@ -29,6 +29,7 @@ from lfmesh.transport.packet import (
     TRANSMIT,
     Options,
 )
+from lfmesh.transport.path_class import EVERY
 from lfmesh.transport.world import World
 
 SPLIT_MODE = {"both": BOTH, "roulette": ROULETTE, "transmit": TRANSMIT}
@@ -50,7 +51,8 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
         not tracing and (len(tables.objects.closed) > 1 or bool((tables.objects.facets["body"] >= 0).sum() > 2)),
         True,
         not tracing and engine_of(world.scene)[0] == "sequential",
-        False,
+        EVERY,
+        transport.weight_cutoff,
         0,
     )
     return options._replace(**override)

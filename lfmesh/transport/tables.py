@@ -73,8 +73,10 @@ class ObjectTables(NamedTuple):
     target_slot: NDArray[np.int64]  # (targets,)
     lights: Records  # LIGHT
     sources: Records  # SOURCE: what the forward method starts from
-    middle: Array  # (3,) centre and
-    radius: float  # radius of the targets' bounding sphere
+    radius: float  # of a sphere round the origin that holds the targets
+    outer_radius: float  # of one that holds the camera too
+    lit_middle: Array  # (3,) centre and
+    lit_radius: float  # radius of the sphere at which the packets of lamps are aimed
 
 
 class Opening(NamedTuple):

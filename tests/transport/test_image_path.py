@@ -111,6 +111,18 @@ def test_both_engines_take_a_ray_to_the_same_place(name, backwards):
     assert abs(path.ledger.imbalance) < 1e-12
 
 
+@pytest.mark.parametrize("engine", ["mesh", "sequential"])
+def test_a_ray_that_passes_the_lens_on_its_way_to_the_objects_goes_straight_on(engine):
+    """Beside the barrel it comes through the corner of the box in which a lens is looked for, from behind."""
+    world = lf.build(SCENES["spheres"])
+    corner = np.array([8.5, 8.5, 0.5])
+    direction = -np.array([1.0, -1.0, 0.05]) / np.linalg.norm([1.0, -1.0, 0.05])
+    path = lf.trace(world, [corner - 8.0 * direction], [direction], split="transmit", engine=engine)
+    assert path.body == ["escaped"]
+    np.testing.assert_allclose(path.direction[0], direction, atol=1e-12)
+    assert path.weight[0] == 1.0
+
+
 def test_a_ray_does_not_depend_on_its_place_in_a_block():
     world = lf.build(SCENES["lenslets with form errors"])
     origins, directions = rays(world, False, 300)

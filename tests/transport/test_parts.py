@@ -104,3 +104,93 @@ def test_threads_do_not_change_a_bit(changes: dict[str, Any]) -> None:
     one, two = (lf.render(few.changed({"transport.threads": threads})) for threads in (1, 2))
     np.testing.assert_array_equal(one.mean, two.mean)
     np.testing.assert_array_equal(one.stderr, two.stderr)
+
+
+PAINTED = {
+    "shape": {"kind": "plane", "width_mm": 20.0, "height_mm": 20.0},
+    "position_mm": (0.0, 0.0, -60.0),
+    "material": {"reflectance": 0.8},
+}
+LAMP = {"kind": "point", "position_mm": (8.0, 0.0, -40.0), "power_w": 1.0}
+
+
+@pytest.fixture(scope="module")
+def lamp_behind_glass(tmp_path_factory: pytest.TempPathFactory) -> lf.Scene:
+    """A screen that one lamp lights through a pane beside it, and another straight on."""
+    folder = tmp_path_factory.mktemp("pane")
+    trimesh.creation.box((1.0, 30.0, 30.0)).export(folder / "pane.stl")
+    pane = {"refractor": {"file": "pane.stl", "units": "mm", "index": 1.5}, "position_mm": (5.5, 0.0, -44.0)}
+    return lf.Scene(
+        camera={"focus_mm": 60.0, "lens": LENS, "sensor": {"pixels": (4, 4), "pixel_mm": 0.5}},
+        targets=[PAINTED, pane],
+        lights=[LAMP, LAMP | {"position_mm": (-20.0, 0.0, -40.0), "power_w": 5.0}],
+        transport={"samples": 1024, "replicates": 8, "threads": 1},
+    ).in_folder(folder)
+
+
+def test_lamps_have_a_part_where_their_light_meets_glass_and_targets_scatter_it(lamp_behind_glass: lf.Scene) -> None:
+    assert [part.options.adjoint for part in parts_of(build(lamp_behind_glass))] == [True, True, False]
+    for changes in (
+        {"lights": []},
+        {"targets": [PAINTED]},
+        {"targets[0].material.reflectance": 0.0},
+        {"transport.method": "forward"},
+    ):
+        others = parts_of(build(lamp_behind_glass.changed(changes)))
+        assert [part.options.adjoint for part in others] in ([True, True], [False])
+
+
+def test_the_books_of_what_lamps_send_close(lamp_behind_glass: lf.Scene, tmp_path: Path) -> None:
+    image = lf.render(lamp_behind_glass)
+    assert image.engine.endswith("lamps' light through glass forward")
+    lamps = image.ledger.lamps
+    assert lamps is not None
+    assert abs(image.ledger.imbalance) < 1e-12
+    assert abs(lamps.imbalance) < 1e-12
+    assert lamps.emitted == pytest.approx(6.0, rel=0.05)
+    # The sensor's own paths are booked in m² sr, the lamps' in W.
+    assert (image.ledger.unit, lamps.unit) == ("m² sr", "W")
+    assert 0.0 < lamps.sensor < image.mean.sum()
+    lf.save(image, tmp_path / "run")
+    assert lf.open_run(tmp_path / "run").ledger == image.ledger
+
+
+ADAPTIVE = {"transport.target_error": 0.0005, "transport.max_samples": 8192}
+
+
+def test_adaptive_sampling_leaves_what_lamps_send_as_it_is(lamp_behind_glass: lf.Scene) -> None:
+    """Added to the second stage too, or weighted with the pixels' samples, it would be brighter or dimmer."""
+    refined, plain = (
+        [lf.render(lamp_behind_glass.changed({**changes, "transport.seed": seed})) for seed in range(first, first + 12)]
+        for changes, first in ((ADAPTIVE, 0), ({}, 100))
+    )
+    assert all(image.refinement is not None and image.refinement.refined_share > 0.5 for image in refined)
+    sums = [[image.mean.sum() for image in images] for images in (refined, plain)]
+    assert stats.ttest_ind(*sums, equal_var=False).pvalue > LEVEL
+    assert refined[0].ledger.lamps is not None
+    assert refined[0].ledger.lamps.sensor > 0.1 * refined[0].mean.sum()
+    # The error bars are those of the sums' spread, within what 12 sums and correlated pixels let one know.
+    told = np.sqrt(np.mean([(image.stderr**2).sum() for image in refined]))
+    assert 0.5 < np.std(sums[0], ddof=1) / told < 2.0
+
+
+def test_ctrl_c_keeps_what_lamps_sent_in_the_finished_replicates(
+    lamp_behind_glass: lf.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lfmesh.transport.render.PROGRESS_SECONDS", 0.0)
+
+    def interrupt(progress: lf.Progress) -> None:
+        if progress.replicate == 3:
+            raise KeyboardInterrupt
+
+    image = lf.render(lamp_behind_glass.changed(ADAPTIVE), interrupt)
+    assert image.replicates == 3
+    alone = lf.render(lamp_behind_glass.changed({"transport.samples": 3 * 128, "transport.replicates": 3}))
+    np.testing.assert_allclose(image.mean, alone.mean, rtol=1e-12)
+
+
+@pytest.mark.parametrize("changes", [{}, ADAPTIVE])
+def test_threads_do_not_change_a_bit_of_what_lamps_send(changes: dict[str, Any], lamp_behind_glass: lf.Scene) -> None:
+    one, two = (lf.render(lamp_behind_glass.changed({**changes, "transport.threads": n})) for n in (1, 2))
+    np.testing.assert_array_equal(one.mean, two.mean)
+    np.testing.assert_array_equal(one.stderr, two.stderr)

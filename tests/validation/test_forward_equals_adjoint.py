@@ -88,6 +88,9 @@ SCENES = {
     "directional lamp": scene(
         [plane(PAINTED)], [{"kind": "directional", "direction": [-0.4, 0.3, -1.0], "irradiance_w_m2": 1.0}]
     ),
+    "directional lamp, half in the camera's shadow": scene(
+        [plane(PAINTED)], [{"kind": "directional", "direction": [0.1, 0.0, -1.0], "irradiance_w_m2": 1.0}]
+    ),
     "disk lamp": scene(
         [plane(PAINTED)],
         [

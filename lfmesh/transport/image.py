@@ -34,6 +34,12 @@ class Image:
         Seconds by part, and counts that go with them.
     refinement : Refinement or None
         What adaptive sampling did after the `replicates`, where it came to that.
+    hits : (H, W, wavelengths) uint32, or None
+        Samples that brought light to the pixel at the wavelength, over all finished replicates, stages and parts of the
+        image; None where nobody counted (an image made by hand). Adjoint: paths started at the pixel, each once,
+        however many lights and targets it met and however often it split; the image path and the paths with
+        reflections, where they are estimated apart, start paths of their own. Forward: packets that fell on the
+        pixel, of which two may descend from one.
     """
 
     mean: NDArray[np.float64]
@@ -46,6 +52,7 @@ class Image:
     engine: str
     timings: dict[str, float] = field(default_factory=dict)
     refinement: Refinement | None = None
+    hits: NDArray[np.uint32] | None = None
 
     @property
     def complete(self) -> bool:

@@ -26,8 +26,25 @@ from lfmesh.transport.random import descendant, run_key
 from lfmesh.transport.settings import ledger_of
 from lfmesh.transport.world import World, build
 
-Film = NDArray[np.float64]
-"""(pixels, wavelengths) W"""
+@dataclass
+class Film:
+    """What the replicate under way has gathered so far.
+
+    Attributes
+    ----------
+    power : (pixels, wavelengths) float64, W
+    hits : (pixels, wavelengths) uint32
+        Samples that brought something; forward: packets.
+    """
+
+    power: NDArray[np.float64]
+    hits: NDArray[np.uint32]
+
+    def clear(self) -> None:
+        """Begin a replicate."""
+        self.power[:] = 0.0
+        self.hits[:] = 0
+
 
 PROGRESS_SECONDS = 0.2
 
@@ -78,16 +95,18 @@ Waiting = deque[tuple[Chunk, Future[tuple[Tally, NDArray[np.void]]]]]
 
 @dataclass
 class Mean:
-    """Running mean and sum of squared deviations over replicates (Welford 1962)."""
+    """Running mean and sum of squared deviations over replicates (Welford 1962), and the sum of their hits."""
 
     mean: NDArray[np.float64]
     squares: NDArray[np.float64]
+    hits: NDArray[np.uint32]
     count: int = 0
     told: bool = False
 
-    def add(self, sample: NDArray[np.float64]) -> None:
+    def add(self, sample: NDArray[np.float64], hits: NDArray[np.uint32]) -> None:
         """Add one replicate's film; `sample` is used up."""
         self.count += 1
+        self.hits += hits
         # Row by row: the film may be large, and a temporary of its size per operation is memory for nothing.
         for mean, squares, row in zip(self.mean, self.squares, sample, strict=True):
             change = row - mean
@@ -191,7 +210,7 @@ class Renderer:
         """Render all replicates, or as many as Ctrl-C leaves time for."""
         scene = self.world.scene
         began = time.perf_counter()
-        film = np.zeros((self.pixels, self.waves))
+        film = Film(np.zeros((self.pixels, self.waves)), np.zeros((self.pixels, self.waves), np.uint32))
         tally = self._tally()
         with ThreadPoolExecutor(self.threads, thread_name_prefix="lfmesh") as pool:
             mean = self._stage(pool, film, tally, began)
@@ -220,6 +239,7 @@ class Renderer:
                 "threads": self.threads,
             },
             refinement,
+            mean.hits,
         )
 
     def _stage(
@@ -234,17 +254,17 @@ class Renderer:
         """
         sensor = self.world.tables.sensor
         shape = (sensor.rows, sensor.columns, self.waves)
-        mean = Mean(np.zeros(shape), np.zeros(shape))
+        mean = Mean(np.zeros(shape), np.zeros(shape), np.zeros(shape, np.uint32))
         replicates = self.world.scene.transport.replicates
         for number in range(replicates):
-            film[:] = 0.0
+            film.clear()
             try:
                 own = self._replicate(pool, number, film, began, levels)
             except KeyboardInterrupt:
                 if levels is None and mean.count == 0:
                     raise
                 break
-            mean.add(film.reshape(shape))
+            mean.add(film.power.reshape(shape), film.hits.reshape(shape))
             tally.add(own)
         return mean
 
@@ -261,6 +281,7 @@ class Renderer:
         first = self.samples * mean.count
         if replicates:
             combine(mean.mean, variance, second.mean, second.variance(), levels, more / (first + more))
+            mean.hits += second.hits
         spent = first + total_samples(levels) * replicates / self.pixels
         return Refinement(
             transport.target_error, transport.max_samples, replicates, spent, float((levels > 0).mean()), capped
@@ -310,7 +331,8 @@ class Renderer:
         own, deposits = future.result()
         waiting.popleft()
         tally.add(own)
-        np.add.at(film, (deposits["pixel"], deposits["wave"]), deposits["weight"])
+        np.add.at(film.power, (deposits["pixel"], deposits["wave"]), deposits["weight"])
+        np.add.at(film.hits, (deposits["pixel"], deposits["wave"]), np.uint32(1))
         return chunk.packets
 
     def _trace(self, chunk: Chunk, key: np.uint64, film: Film) -> tuple[Tally, NDArray[np.void]]:
@@ -321,10 +343,11 @@ class Renderer:
         if self.adjoint:
             if chunk.pixels is None:
                 pixels = np.arange(chunk.first, chunk.first + chunk.count)
-                space.begin(film[chunk.first : chunk.first + chunk.count], chunk.first)
+                rows = slice(chunk.first, chunk.first + chunk.count)
+                space.begin(film.power[rows], chunk.first, film.hits[rows], chunk.packets)
             else:
                 pixels = chunk.pixels
-                space.begin(film)
+                space.begin(film.power, 0, film.hits, chunk.packets)
             if part.options.sequential:
                 launch_along_image_path(
                     pixels, chunk.samples, self.stratified, key, chunk.wave, tables.sensor, tables.lens, tables.array,
@@ -336,7 +359,7 @@ class Renderer:
                     tables.frames, len(tables.lens.surfaces), space.bundle, space.flow(), space.start,
                 )  # fmt: skip
         else:
-            space.begin(film[:0])
+            space.begin(film.power[:0])
             if len(tables.objects.sources):
                 launch_forward(
                     chunk.first, chunk.count, self.pixels * chunk.samples, key, chunk.wave,

@@ -168,6 +168,7 @@ def test_ctrl_c_keeps_the_finished_replicates(monkeypatch: pytest.MonkeyPatch) -
     assert alone.complete
     np.testing.assert_array_equal(image.mean, alone.mean)
     np.testing.assert_array_equal(image.stderr, alone.stderr)
+    np.testing.assert_array_equal(image.hits, alone.hits)
     assert image.ledger.emitted == alone.ledger.emitted
     assert image.ledger.packets == alone.ledger.packets
     assert abs(image.ledger.imbalance) <= 1e-12

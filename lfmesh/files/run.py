@@ -74,7 +74,8 @@ def save(image: Image, folder: str | os.PathLike[str]) -> Path:
     """Write a run folder.
 
     ``raw.exr`` holds the mean and its standard error as float32, the samples that brought light as uint32 and, as
-    JSON, everything else that `open_run` needs; ``report.json`` the numbers; ``scene.toml`` the scene as rendered; ``preview.png`` the raw image
+    JSON, everything else that `open_run` needs; ``report.json`` the numbers; ``scene.toml`` the scene as rendered;
+    ``preview.png`` the raw image
     and, for a light-field camera, ``preview_view.png`` the picture it saw, both upright; ``linear16.png``
     linear counts. The files are written beside their places and moved there when all are complete, so that a
     failure or Ctrl-C leaves the folder as it was. An older run is replaced; other files stay.
@@ -348,7 +349,8 @@ def _write_report(path: Path, report: dict[str, Any]) -> None:
 
 def _write_image(path: Path, image: Image, home: Path) -> dict[str, Any]:
     """Write mean, standard error and hits for a run that will live in `home`; return the metadata."""
-    parts = {name: np.asarray(pixels, np.float32) for name, pixels in zip(PARTS, (image.mean, image.stderr), strict=True)}
+    mean, stderr = (np.asarray(pixels, dtype=np.float32) for pixels in (image.mean, image.stderr))
+    parts: dict[str, NDArray[Any]] = {"raw": mean, "stderr": stderr}
     if image.hits is not None:
         parts[HITS] = np.asarray(image.hits, np.uint32)
     metadata = _metadata(image, _digest(*parts.values()), home)

@@ -26,6 +26,7 @@ from lfmesh.transport.random import descendant, run_key
 from lfmesh.transport.settings import ledger_of
 from lfmesh.transport.world import World, build
 
+
 @dataclass
 class Film:
     """What the replicate under way has gathered so far.

@@ -135,7 +135,7 @@ def test_an_interrupted_run_is_valid_and_marked(image_of: Build, tmp_path: Path)
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["complete"] is False
     assert (report["replicates_finished"], report["replicates"]) == (1, 8)
-    assert report["noise"]["relative_stderr"] is None
+    assert report["noise"]["relative_error"] is None
     back = run.open_run(tmp_path)
     assert not back.complete
     assert np.isnan(back.stderr).all()

@@ -21,6 +21,9 @@ AS_BRIGHT = 1.5
 
 CONFIDENCE = 0.95
 
+RARE = 1e-3
+"""Share of the pixels whose hits bring more than what is taken for the most that one brings."""
+
 FEW_HITS = 10
 """Below so many the spread of a pixel is not trusted to know what its paths bring."""
 
@@ -95,13 +98,14 @@ def typical_over_rms(pooled: NDArray[np.int64], replicates: int) -> Array:
 def upper_bound(mean: Array, stderr: Array, hits: NDArray[np.uint32], replicates: int, samples: int) -> Array:
     """Return what each pixel holds at most, with a confidence of 95 % pixel by pixel.
 
-    With many hits that is the mean and Student's one-sided quantile of standard errors. With `FEW_HITS` or less the
+    With many hits that is the mean and Student's one-sided quantile of standard errors. With less than `FEW_HITS` the
     share of the samples that bring light is not known well: it is below the limit of Clopper & Pearson (1934), for no
-    hit of n samples 1 − 0.05^(1/n), about 3/n. Such a sample is taken to bring what those of the pixel did, together
-    with one that brings as much as a sample of the brightest pixel at that wavelength: so without a hit, the latter.
-    The larger of the two bounds holds.
+    hit of n samples 1 - 0.05^(1/n), about 3/n. Such a sample is taken to bring what those of the pixel did, together
+    with one that brings the most: as much as a hit does on average in the pixel of a thousand where hits bring the
+    most. Without a hit in the pixel itself that is all there is to go by. Paths heavier than that, too rare for a pixel
+    to tell how rare, are added as what they bring to all pixels on average. The larger of the two bounds holds.
 
-    It is no bound on light of a kind that no sample of the whole image has met, or whose paths bring more than that.
+    It is no bound on light of a kind that no sample of the whole image has met.
 
     Parameters
     ----------
@@ -119,19 +123,29 @@ def upper_bound(mean: Array, stderr: Array, hits: NDArray[np.uint32], replicates
     few = np.arange(FEW_HITS if replicates > 1 else int(hits.max(initial=0)) + 1)
     # With as many hits as samples there may be one in each.
     limit = np.where(few < samples, special.betaincinv(few + 1.0, np.maximum(samples - few, 1.0), CONFIDENCE), 1.0)
-    brightest = _largest_hit(mean, hits) * samples
+    most, beyond = _largest_hit(mean, hits)
     for row in range(len(mean)):
         bound[row] = mean[row] + quantile * stderr[row]
         unsure = hits[row] < len(few)
         count = np.minimum(hits[row], len(few) - 1)
-        one_path = (samples * mean[row] + brightest) / (count + 1.0)
-        bound[row] = np.where(unsure, np.fmax(bound[row], limit[count] * one_path), bound[row])
+        one_path = samples * (mean[row] + most) / (count + 1.0)
+        bound[row] = np.where(unsure, np.fmax(bound[row], limit[count] * one_path + beyond), bound[row])
     return bound
 
 
-def _largest_hit(mean: Array, hits: NDArray[np.uint32]) -> Array:
-    """Return (wavelengths,) the most that a hit brings to any pixel on average, as a part of the pixel's mean."""
-    largest = np.zeros(mean.shape[2])
-    for row, count in zip(mean, hits, strict=True):
-        np.maximum(largest, (row / np.maximum(count, 1)).max(axis=0, initial=0.0), out=largest)
-    return largest
+def _largest_hit(mean: Array, hits: NDArray[np.uint32]) -> tuple[Array, Array]:
+    """Return the most that a hit brings in all but rare pixels, as a part of a pixel's mean, and the mean of the rare.
+
+    Returns
+    -------
+    most, beyond : (wavelengths,) float64, W
+    """
+    most, beyond = np.zeros((2, mean.shape[2]))
+    for wave in range(mean.shape[2]):
+        power, count = mean[:, :, wave], hits[:, :, wave]
+        lit = count > 0
+        if lit.any():
+            each = power[lit] / count[lit]
+            most[wave] = np.quantile(each, 1.0 - RARE, method="higher")
+            beyond[wave] = power[lit][each > most[wave]].sum() / power.size
+    return most, beyond

@@ -24,14 +24,14 @@ class SpectralImage:
 
     Attributes
     ----------
-    parts : dict of (H, W, wavelengths) float32 arrays
+    parts : dict of (H, W, wavelengths) float32, or uint32 for counts
     wavelengths_nm : tuple of float
         One a channel of every part.
     metadata : dict
         Plain JSON values.
     """
 
-    parts: dict[str, NDArray[np.float32]]
+    parts: dict[str, NDArray[Any]]
     wavelengths_nm: tuple[float, ...]
     metadata: dict[str, Any]
 
@@ -46,7 +46,7 @@ def channel_name(wavelength_nm: float) -> str:
 
 
 def write(path: Path, image: SpectralImage) -> None:
-    """Write losslessly (ZIP, float32).
+    """Write losslessly (ZIP; float32, counts as uint32).
 
     Raises
     ------
@@ -67,7 +67,8 @@ def write(path: Path, image: SpectralImage) -> None:
         if number == 0:
             header[METADATA] = json.dumps(metadata, allow_nan=False, ensure_ascii=True)
         # OpenEXR takes no float64 and writes strided arrays wrong without a word.
-        channels = {channel: np.ascontiguousarray(pixels[:, :, c], dtype=np.float32) for c, channel in enumerate(names)}
+        stored = np.uint32 if np.issubdtype(pixels.dtype, np.integer) else np.float32
+        channels = {channel: np.ascontiguousarray(pixels[:, :, c], dtype=stored) for c, channel in enumerate(names)}
         parts.append(OpenEXR.Part(header, channels, name))
     try:
         OpenEXR.File(parts).write(str(path))
@@ -95,7 +96,7 @@ def write_maps(path: Path, maps: Mapping[str, NDArray[np.floating]], metadata: M
         raise FileError(f"{path} cannot be written: {error}") from None
 
 
-def read(path: Path, part_names: Sequence[str]) -> SpectralImage:
+def read(path: Path, part_names: Sequence[str], optional: Sequence[str] = ()) -> SpectralImage:
     """Read a file that `write` made.
 
     Parameters
@@ -103,6 +104,8 @@ def read(path: Path, part_names: Sequence[str]) -> SpectralImage:
     path : Path
     part_names : sequence of str
         The parts that must be there, the first of which carries the metadata.
+    optional : sequence of str
+        Parts that are read where they are.
 
     Raises
     ------
@@ -124,6 +127,7 @@ def read(path: Path, part_names: Sequence[str]) -> SpectralImage:
     missing = [name for name in part_names if name not in pixels]
     if missing:
         raise FileError(f"{path} is truncated or damaged: part {missing[0]!r} cannot be read")
+    part_names = [*part_names, *(name for name in optional if name in pixels)]
     text = headers[part_names[0]].get(METADATA)
     if not isinstance(text, str):
         raise FileError(f"{path} was not written by lfmesh: its part {part_names[0]!r} has no attribute {METADATA!r}")

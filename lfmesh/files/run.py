@@ -40,7 +40,7 @@ WHY_OTHERS_ARE_REFUSED = {1: "its pictures and light fields are mirror images of
 RAW, REPORT, SCENE = "raw.exr", "report.json", "scene.toml"
 PREVIEW, VIEW = "preview.png", "preview_view.png"
 WHITE, CALIBRATION, WHITE_PREVIEW = "white.exr", "calibration.json", "white.png"
-PARTS = ("raw", "stderr")
+PARTS, HITS = ("raw", "stderr"), "hits"
 
 _STAGING = ".lfmesh-"
 _OURS = re.compile(
@@ -77,12 +77,12 @@ def prepare(folder: str | os.PathLike[str]) -> Path:
 def save(image: Image, folder: str | os.PathLike[str]) -> Path:
     """Write a run folder.
 
-    ``raw.exr`` holds the mean and its standard error as float32 and, as JSON, everything else that `open_run`
-    needs; ``report.json`` the numbers; ``scene.toml`` the scene as rendered; ``preview.png`` the raw image
-    and, for a light-field camera, ``preview_view.png`` the picture it saw; ``linear16.png`` linear counts.
-    Pictures are upright; ``raw.exr`` lies as on the sensor, and says so. The files are written beside their
-    places and moved there when all are complete, so that a failure or Ctrl-C leaves the folder as it was. An
-    older run is replaced; other files stay.
+    ``raw.exr`` holds the mean and its standard error as float32, the samples that brought light as uint32 and, as
+    JSON, everything else that `open_run` needs; ``report.json`` the numbers; ``scene.toml`` the scene as rendered;
+    ``preview.png`` the raw image and, for a light-field camera, ``preview_view.png`` the picture it saw;
+    ``linear16.png`` linear counts. Pictures are upright; ``raw.exr`` lies as on the sensor, and says so. The files are
+    written beside their places and moved there when all are complete, so that a failure or Ctrl-C leaves the folder as
+    it was. An older run is replaced; other files stay.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def open_run(folder: str | os.PathLike[str]) -> Image:
     """
     path = Path(folder)
     report = report_of(path)
-    spectral = exr.read(path / RAW, PARTS)
+    spectral = exr.read(path / RAW, PARTS, [HITS])
     metadata = spectral.metadata
     _refuse_damage(path / RAW, spectral)
     if metadata["pixels_sha256"] != report.get("pixels_sha256"):
@@ -180,7 +180,7 @@ def open_white(folder: str | os.PathLike[str]) -> Image | None:
     path = Path(folder)
     if not (path / WHITE).is_file():
         return None
-    spectral = exr.read(path / WHITE, PARTS)
+    spectral = exr.read(path / WHITE, PARTS, [HITS])
     _refuse_damage(path / WHITE, spectral)
     return _image_from(spectral, path)
 
@@ -246,7 +246,7 @@ def pixels_digest(folder: Path) -> str:
 
 
 def _refuse_damage(path: Path, spectral: exr.SpectralImage) -> None:
-    if spectral.metadata.get("pixels_sha256") != _digest(*(spectral.parts[name] for name in PARTS)):
+    if spectral.metadata.get("pixels_sha256") != _digest(*spectral.parts.values()):
         raise FileError(f"{path} is damaged: its pixels are not those that were saved")
 
 
@@ -262,6 +262,7 @@ def _image_from(spectral: exr.SpectralImage, folder: Path) -> Image:
         samples=metadata["samples_per_pixel"],
         engine=metadata["engine"],
         refinement=Refinement(**metadata["refinement"]) if metadata.get("refinement") else None,
+        hits=spectral.parts.get(HITS),
     )
 
 
@@ -361,10 +362,13 @@ def _write_report(path: Path, report: dict[str, Any]) -> None:
 
 
 def _write_image(path: Path, image: Image, home: Path) -> dict[str, Any]:
-    """Write mean and standard error for a run that will live in `home`; return the metadata."""
+    """Write mean, standard error and hits for a run that will live in `home`; return the metadata."""
     mean, stderr = (np.asarray(pixels, dtype=np.float32) for pixels in (image.mean, image.stderr))
-    metadata = _metadata(image, _digest(mean, stderr), home)
-    exr.write(path, exr.SpectralImage({"raw": mean, "stderr": stderr}, image.wavelengths_nm, metadata))
+    parts: dict[str, NDArray[Any]] = {"raw": mean, "stderr": stderr}
+    if image.hits is not None:
+        parts[HITS] = np.asarray(image.hits, np.uint32)
+    metadata = _metadata(image, _digest(*parts.values()), home)
+    exr.write(path, exr.SpectralImage(parts, image.wavelengths_nm, metadata))
     return metadata
 
 
@@ -395,11 +399,11 @@ def _metadata(image: Image, pixels_sha256: str, home: Path) -> dict[str, Any]:
     return finite
 
 
-def _digest(mean: NDArray[np.float32], stderr: NDArray[np.float32]) -> str:
+def _digest(*parts: NDArray[Any]) -> str:
     """Hash of the pixels as stored; equal for two runs only if they agree in every bit."""
     digest = hashlib.sha256()
-    for pixels in (mean, stderr):
-        digest.update(np.ascontiguousarray(pixels, dtype="<f4").data)
+    for pixels in parts:
+        digest.update(np.ascontiguousarray(pixels, dtype=pixels.dtype.newbyteorder("<")).data)
     return digest.hexdigest()
 
 

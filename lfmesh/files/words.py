@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfmesh.transport.adaptive import Refinement
+from lfmesh.transport.certainty import neighbours, pooled_error, typical_over_rms
 from lfmesh.transport.image import Image
 from lfmesh.transport.ledger import Ledger
 
@@ -13,6 +15,15 @@ LIT_SHARE_OF_BRIGHT = 0.05
 
 DARK_SHARE = 0.1
 """A picture is called dark when fewer pixels than this share got any light."""
+
+FEW_HITS = 16
+"""With fewer samples that found light, edges and rare light may not have been met by any."""
+
+FEW_SHARE = 0.25
+"""Share of the lit pixels that may have so few before the run says so."""
+
+ROWS_AT_ONCE = 256
+"""Rows whose error is pooled together, for the memory."""
 
 LOST_LIMIT = 1e-7
 """Share of the energy that the tracer may lose to rounding."""
@@ -28,31 +39,55 @@ class Noise:
         Share of the pixels that got any light.
     lit_share : float
         Share of the pixels that are lit: above 5 % of the bright ones (99th percentile of those with light).
-    relative_stderr : float or None
-        Median over the lit pixels of standard error / mean; None without light or with one replicate only.
+    relative_error : tuple of float, or None
+        Quartiles over the lit pixels of error / mean, the error pooled over neighbours (`Image.error`) and corrected
+        for the replicates: a quarter of the lit pixels is known to the first or better, half to the second, three
+        quarters to the third. None without light or with one replicate only.
+    without_hits : int or None
+        Pixels for which no path found light, at none of the wavelengths; None where hits were not counted.
+    few_hits_share : float or None
+        Share of the lit pixels with less than 16 hits.
     """
 
     received_share: float
     lit_share: float
-    relative_stderr: float | None
+    relative_error: tuple[float, float, float] | None
+    without_hits: int | None
+    few_hits_share: float | None
 
 
 def noise(image: Image) -> Noise:
     """Measure the noise of an image over pixels and wavelengths."""
     received = image.mean > 0.0
+    without = None if image.hits is None else int((~image.hits.any(axis=2)).sum())
     if not received.any():
-        return Noise(0.0, 0.0, None)
+        return Noise(0.0, 0.0, None, without, None)
     # In place wherever it can be: a large sensor leaves no room for copies.
     bright = float(np.percentile(image.mean[received], 99.0, overwrite_input=True))
     lit = image.mean > LIT_SHARE_OF_BRIGHT * bright
-    relative = image.stderr[lit]
-    relative /= image.mean[lit]
+    few = None if image.hits is None else float((image.hits[lit] < FEW_HITS).mean())
+    return Noise(float(received.mean()), float(lit.mean()), _quartiles(image, lit), without, few)
+
+
+def _quartiles(image: Image, lit: NDArray[np.bool_]) -> tuple[float, float, float] | None:
+    """Return the quartiles of the lit pixels' relative error."""
+    if image.replicates < 2:
+        return None
+    steps = neighbours(image.scene)
+    relative = np.empty(int(lit.sum()), np.float32)
+    first = 0
+    for low in range(0, len(lit), ROWS_AT_ONCE):
+        rows = slice(low, low + ROWS_AT_ONCE)
+        here = lit[rows]
+        error, pooled = pooled_error(image.mean, image.stderr, steps, rows)
+        part = error[here] / (image.mean[rows][here] * typical_over_rms(pooled[here], image.replicates))
+        relative[first : first + len(part)] = part
+        first += len(part)
     known = relative[np.isfinite(relative)]
-    return Noise(
-        received_share=float(received.mean()),
-        lit_share=float(lit.mean()),
-        relative_stderr=float(np.median(known, overwrite_input=True)) if known.size else None,
-    )
+    if not known.size:
+        return None
+    low, middle, high = np.quantile(known, [0.25, 0.5, 0.75], overwrite_input=True)
+    return float(low), float(middle), float(high)
 
 
 def summary(image: Image) -> list[str]:
@@ -135,18 +170,34 @@ def _noise_lines(image: Image, measured: Noise) -> list[str]:
         return [*lines, "The picture is black: no light reached the sensor."]
     if measured.received_share < DARK_SHARE:
         lines.append(f"The picture is dark: only {percent(measured.received_share)} of the pixels got any light.")
-    if measured.relative_stderr is None:
+    if measured.without_hits:
+        lines.append(_without_hits(image, measured.without_hits))
+    if measured.relative_error is None:
         return [*lines, "How noisy it is cannot be told: that takes at least 2 finished replicates."]
-    if measured.relative_stderr == 0.0:
+    if measured.relative_error[2] == 0.0:
         return [*lines, "Noise: none; every replicate gave the same picture."]
+    quarter, half, most = (percent(error) for error in measured.relative_error)
     lines.append(
-        f"Noise: half of the lit pixels are known to {percent(measured.relative_stderr)} or better"
-        " (one standard error);"
-        f" 4 times the samples, {4 * image.samples:g} a pixel, would halve that."
+        f"Noise: a quarter of the lit pixels are known to {quarter} or better, half to {half}, three quarters to {most}"
+        f" (one standard error); 4 times the samples, {4 * image.samples:g} a pixel, would halve that."
     )
+    if measured.few_hits_share is not None and measured.few_hits_share > FEW_SHARE:
+        lines.append(
+            f"Warning: too few samples to tell that well. In {percent(measured.few_hits_share)} of the lit pixels less"
+            f" than {FEW_HITS} found light; edges, and light that few paths find, may be missing in picture and error."
+        )
     if image.refinement is not None:
         lines.append(_refined(image.refinement))
     return lines
+
+
+def _without_hits(image: Image, pixels: int) -> str:
+    share = percent(pixels / (image.mean.shape[0] * image.mean.shape[1]))
+    return (
+        f"No path found light for {pixels:,} pixels, {share}: they read 0 ± 0, and image.upper says what they may hold."
+        if pixels > 1
+        else f"No path found light for 1 pixel, {share}: it reads 0 ± 0, and image.upper says what it may hold."
+    )
 
 
 def _refined(refinement: Refinement) -> str:

@@ -19,8 +19,9 @@ from lfmesh.scene.quantities import Text
 from lfmesh.scene.targets import Target
 from lfmesh.scene.transport import Transport
 
-# Mean, squared deviation and the replicate under way, in float64, with what merging and writing need on top.
-FILM_BYTES = 40
+# Mean, squared deviation and the replicate under way, in float64, and two counts of hits, with what merging and writing
+# need on top.
+FILM_BYTES = 48
 LENSLET_BYTES = 32
 
 

@@ -94,7 +94,7 @@ def second_stage(mean: Array, variance: Array, scene: Scene) -> tuple[Counts, fl
     rows, columns = mean.shape[:2]
     levels = np.zeros((rows, columns), np.uint8)
     capped = 0
-    groups = [RING, *_same_place(scene)]
+    groups = [RING, *same_place(scene)]
     bright = _bright_of_the_other_colour(mean)
     for low in range(0, rows, ROWS_AT_ONCE):
         high = min(low + ROWS_AT_ONCE, rows)
@@ -107,7 +107,7 @@ def second_stage(mean: Array, variance: Array, scene: Scene) -> tuple[Counts, fl
     return levels, capped / levels.size
 
 
-def _same_place(scene: Scene) -> list[tuple[tuple[int, int], ...]]:
+def same_place(scene: Scene) -> list[tuple[tuple[int, int], ...]]:
     """Return the steps (rows, columns) to the same place in the neighbouring micro-images, if there are any."""
     mla, pitch = scene.camera.mla, first_order(scene).micro_image_pitch_px
     if mla is None or pitch is None or pitch < 2.0:

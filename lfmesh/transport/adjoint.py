@@ -52,6 +52,7 @@ from lfmesh.transport.packet import (
     NO_SURFACE,
     PACKET,
     PLATE,
+    SAMPLE_SHIFT,
     SENSOR_FRAME,
     Flow,
     Options,
@@ -261,7 +262,8 @@ def _aim(
             bundle[ENDED_ON + i] = DROPPED
         book[EMITTED] += weight
         packet = room.packets[i]
-        packet.source, packet.key, packet.start, packet.events = pixel, room.keys[i], weight, 0
+        packet.source = pixel | (which * samples + sample) << SAMPLE_SHIFT
+        packet.key, packet.start, packet.events = room.keys[i], weight, 0
         sample += 1
         if sample == samples:
             which, sample = which + 1, 0

@@ -25,12 +25,14 @@ from lfmesh.transport.packet import (
     LOST_MISS,
     NO_SURFACE,
     NODES,
+    PIXEL_MASK,
     REQUERIES,
     ROULETTE,
     ROULETTE_ADDED,
     ROULETTE_REMOVED,
     S_DEPTH,
     S_LOST,
+    SAMPLE_SHIFT,
     UNFOLLOWED,
     WORLD_FRAME,
     Flow,
@@ -177,7 +179,7 @@ def _keep_end(
     wx, wy, wz = move_direction(frames, frame, WORLD_FRAME, dx, dy, dz)
     kept.direction[0], kept.direction[1], kept.direction[2] = wx, wy, wz
     kept.weight = weight
-    kept.source = packet.source
+    kept.source = packet.source & PIXEL_MASK
     kept.status = status
     kept.events = packet.events
     kept.node = node
@@ -239,13 +241,23 @@ def crosses(facet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: 
 
 
 @inlined
-def deposit(options: Options, flow: Flow, pixel: int, wave: int, weight: float) -> None:
-    """Add to a pixel: straight into the chunk's film (adjoint) or to the list that is merged in order (forward)."""
+def deposit(options: Options, flow: Flow, place: int, wave: int, weight: float) -> None:
+    """Add to a pixel: straight into the chunk's film (adjoint) or to the list that is merged in order (forward).
+
+    Parameters
+    ----------
+    place : int
+        Adjoint: the packet's source, pixel and sample; forward: the pixel.
+    """
     if options.adjoint:
-        flow.film[pixel - options.first_source, wave] += weight
+        row, sample = (place & PIXEL_MASK) - options.first_source, place >> SAMPLE_SHIFT
+        flow.film[row, wave] += weight
+        # Without a branch: a sample counts when it brings something for the first time.
+        flow.hits[row, wave] += np.uint32(1) - flow.counted[sample]
+        flow.counted[sample] = 1
         return
     entry = flow.deposits[flow.tops[DEPOSITS]]
-    entry.pixel = pixel
+    entry.pixel = place
     entry.wave = wave
     entry.weight = weight
     flow.tops[DEPOSITS] += 1

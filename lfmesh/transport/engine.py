@@ -78,18 +78,29 @@ class Workspace:
         self.book = np.zeros(len(world.slots))
         self.counts = np.zeros(COUNTERS, np.int64)
         self.film = np.zeros((0, 1))
+        self.hits = np.zeros((0, 1), np.uint32)
+        self.counted = np.zeros(0, np.uint8)
         self.bundle = empty_bundle()
         self.block = empty_block()
         self.numbers = np.zeros(BLOCK, np.int64)
         self.embree_seconds = 0.0
         self.queries = 0
 
-    def begin(self, film: NDArray[np.float64], first_source: int = 0) -> None:
-        """Clear the books for the next chunk, which adds to `film` (sources, wavelengths)."""
+    def begin(
+        self, film: NDArray[np.float64], first_source: int = 0, hits: NDArray[np.uint32] | None = None, samples: int = 0
+    ) -> None:
+        """Clear the books for the next chunk, which adds to `film` and `hits` (sources, wavelengths).
+
+        Adjoint, `samples` are all of the chunk's.
+        """
         self.tops[:] = 0
         self.book[:] = 0.0
         self.counts[:] = 0
         self.film = film
+        self.hits = np.zeros((0, 1), np.uint32) if hits is None else hits
+        if samples > len(self.counted):
+            self.counted = np.zeros(samples, np.uint8)
+        self.counted[:samples] = 0
         self.options = self.options._replace(first_source=first_source)
         self.embree_seconds = 0.0
         self.queries = 0
@@ -99,7 +110,7 @@ class Workspace:
         """Return what the kernels write, as they take it."""
         return Flow(
             self.stacks, self.rows, self.tops, self.book, self.counts,
-            self.film, self.deposits, self.ended, self.nodes,
+            self.film, self.hits, self.counted, self.deposits, self.ended, self.nodes,
         )  # fmt: skip
 
     def record_starts(self) -> None:

@@ -98,7 +98,7 @@ PACKET = np.dtype(
         ("query_from", "f8"),  # distance along the ray at which Embree starts to look
         ("limit", "f8"),  # SHADOW: distance of the light; else the first query_from, to start afresh
         ("key", "u8"),
-        ("source", "i8"),  # pixel (adjoint), packet (forward) or ray (trace) it descends from
+        ("source", "i8"),  # sample (adjoint, see `SAMPLE_SHIFT`), packet (forward) or ray (trace) it descends from
         ("aside", "f4"),  # how far the query origin is moved aside, mm: 0, but for a ray that slipped between facets
         ("node", "i4"),  # its last recorded vertex
         ("column", "i4"), ("row", "i4"),  # cell of the array; in object space column is the glass body it is in, or −1
@@ -114,6 +114,11 @@ PACKET = np.dtype(
     ],
     align=True,
 )  # fmt: skip
+
+SAMPLE_SHIFT = 40
+PIXEL_MASK = (1 << SAMPLE_SHIFT) - 1
+"""A packet that began at a pixel has the pixel in the lower bits of its source, and above them the number of its sample
+in the chunk, by which a sample that brings light in several ways is counted once."""
 
 DEPOSIT = np.dtype([("pixel", "i8"), ("wave", "i8"), ("weight", "f8")])
 
@@ -152,6 +157,8 @@ class Flow(NamedTuple):
     book: NDArray[np.float64]
     counts: NDArray[np.int64]
     film: NDArray[np.float64]  # (sources of the chunk, wavelengths): what adjoint paths gather
+    hits: NDArray[np.uint32]  # (as `film`): the samples that gathered something
+    counted: NDArray[np.uint8]  # (samples of the chunk,): 1 for those that did
     deposits: NDArray[np.void]  # forward: what fell on which pixel
     ended: NDArray[np.void]  # tracing or recording: how every packet ended
     nodes: NDArray[np.void]  # recording: every vertex

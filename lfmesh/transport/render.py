@@ -25,8 +25,31 @@ from lfmesh.transport.random import descendant, run_key
 from lfmesh.transport.settings import ledger_of
 from lfmesh.transport.world import World, build
 
-Film = NDArray[np.float64]
-"""(pixels, wavelengths) W"""
+
+@dataclass
+class Film:
+    """What the replicate under way has gathered so far.
+
+    Attributes
+    ----------
+    power : (pixels, wavelengths) float64, W
+    hits : (pixels, wavelengths) uint32
+        Samples that brought something; forward: packets.
+    """
+
+    power: NDArray[np.float64]
+    hits: NDArray[np.uint32]
+
+    @classmethod
+    def empty(cls, pixels: int, waves: int) -> "Film":
+        """Return one that has gathered nothing yet."""
+        return cls(np.zeros((pixels, waves)), np.zeros((pixels, waves), np.uint32))
+
+    def clear(self) -> None:
+        """Begin a replicate."""
+        self.power[:] = 0.0
+        self.hits[:] = 0
+
 
 PROGRESS_SECONDS = 0.2
 
@@ -77,16 +100,23 @@ Waiting = deque[tuple[Chunk, Future[tuple[Tally, NDArray[np.void]]]]]
 
 @dataclass
 class Mean:
-    """Running mean and sum of squared deviations over replicates (Welford 1962)."""
+    """Running mean and sum of squared deviations over replicates (Welford 1962), and the sum of their hits."""
 
     mean: NDArray[np.float64]
     squares: NDArray[np.float64]
+    hits: NDArray[np.uint32]
     count: int = 0
     told: bool = False
 
-    def add(self, sample: NDArray[np.float64]) -> None:
+    @classmethod
+    def empty(cls, shape: tuple[int, int, int]) -> "Mean":
+        """Return one over no replicates yet."""
+        return cls(np.zeros(shape), np.zeros(shape), np.zeros(shape, np.uint32))
+
+    def add(self, sample: NDArray[np.float64], hits: NDArray[np.uint32]) -> None:
         """Add one replicate's film; `sample` is used up."""
         self.count += 1
+        self.hits += hits
         # Row by row: the film may be large, and a temporary of its size per operation is memory for nothing.
         for mean, squares, row in zip(self.mean, self.squares, sample, strict=True):
             change = row - mean
@@ -109,14 +139,15 @@ class LampLight:
     mean: Mean
 
     @classmethod
-    def empty(cls, film: Film) -> "LampLight":
-        """Return none yet, for a film of that size."""
-        return cls(np.zeros_like(film), Mean(np.zeros_like(film), np.zeros_like(film)))
+    def empty(cls, shape: tuple[int, int, int]) -> "LampLight":
+        """Return none yet, for a sensor of (rows, columns, wavelengths)."""
+        return cls(Film.empty(shape[0] * shape[1], shape[2]), Mean.empty(shape))
 
     def end_replicate(self) -> None:
         """Count the film in, and clear it for the next replicate."""
-        self.mean.add(self.film)
-        self.film[:] = 0.0
+        shape = self.mean.mean.shape
+        self.mean.add(self.film.power.reshape(shape), self.film.hits.reshape(shape))
+        self.film.clear()
 
 
 def render(scene: Scene, progress: Callable[[Progress], None] | None = None) -> Image:
@@ -212,10 +243,10 @@ class Renderer:
         """Render all replicates, or as many as Ctrl-C leaves time for."""
         scene = self.world.scene
         began = time.perf_counter()
-        film = np.zeros((self.pixels, self.waves))
+        film = Film.empty(self.pixels, self.waves)
         tally = self._tally()
         if scene.transport.target_error is not None and not all(part.options.adjoint for part in self.parts):
-            self._lamp_light = LampLight.empty(film)
+            self._lamp_light = LampLight.empty(self._shape())
         with ThreadPoolExecutor(self.threads, thread_name_prefix="lfmesh") as pool:
             mean = self._stage(pool, film, tally, began)
             finished = mean.count
@@ -226,8 +257,9 @@ class Renderer:
         variance = mean.variance()
         if self._lamp_light is not None:
             # No pixel has samples of its own of these packets: they are added once, as the first stage left them.
-            mean.mean += self._lamp_light.mean.mean.reshape(mean.mean.shape)
-            variance += self._lamp_light.mean.variance().reshape(variance.shape)
+            mean.mean += self._lamp_light.mean.mean
+            variance += self._lamp_light.mean.variance()
+            mean.hits += self._lamp_light.mean.hits
         # The energy is that of the first stage, which treats all pixels alike; the work is that of both.
         ledger.packets, ledger.events = tally.packets, int(tally.counts[EVENTS])
         seconds = time.perf_counter() - began
@@ -248,6 +280,7 @@ class Renderer:
                 "threads": self.threads,
             },
             refinement,
+            mean.hits,
         )
 
     def _stage(
@@ -260,19 +293,18 @@ class Renderer:
         KeyboardInterrupt
             Not one replicate of the first stage is finished.
         """
-        sensor = self.world.tables.sensor
-        shape = (sensor.rows, sensor.columns, self.waves)
-        mean = Mean(np.zeros(shape), np.zeros(shape))
+        shape = self._shape()
+        mean = Mean.empty(shape)
         replicates = self.world.scene.transport.replicates
         for number in range(replicates):
-            film[:] = 0.0
+            film.clear()
             try:
                 own = self._replicate(pool, number, film, began, levels)
             except KeyboardInterrupt:
                 if levels is None and mean.count == 0:
                     raise
                 break
-            mean.add(film.reshape(shape))
+            mean.add(film.power.reshape(shape), film.hits.reshape(shape))
             if levels is None and self._lamp_light is not None:
                 self._lamp_light.end_replicate()
             tally.add(own)
@@ -285,7 +317,7 @@ class Renderer:
         variance = mean.variance()
         seen = mean.mean
         if self._lamp_light is not None:
-            seen = seen + self._lamp_light.mean.mean.reshape(seen.shape)
+            seen = seen + self._lamp_light.mean.mean
         levels, capped = second_stage(seen, variance, self.world.scene)
         second = self._stage(pool, film, tally, began, levels.ravel())
         # One replicate has no spread: its error could not be told.
@@ -294,10 +326,16 @@ class Renderer:
         first = self.samples * mean.count
         if replicates:
             combine(mean.mean, variance, second.mean, second.variance(), levels, more / (first + more))
+            mean.hits += second.hits
         spent = first + total_samples(levels) * replicates / self.pixels
         return Refinement(
             transport.target_error, transport.max_samples, replicates, spent, float((levels > 0).mean()), capped
         )
+
+    def _shape(self) -> tuple[int, int, int]:
+        """Return rows and columns of the sensor, and wavelengths."""
+        sensor = self.world.tables.sensor
+        return sensor.rows, sensor.columns, self.waves
 
     def _tally(self) -> Tally:
         return Tally(np.zeros((BOOKS, len(self.world.slots))), np.zeros(COUNTERS, np.int64))
@@ -347,7 +385,8 @@ class Renderer:
         tally.add(own)
         if self._lamp_light is not None and not chunk.part.options.adjoint:
             film = self._lamp_light.film
-        np.add.at(film, (deposits["pixel"], deposits["wave"]), deposits["weight"])
+        np.add.at(film.power, (deposits["pixel"], deposits["wave"]), deposits["weight"])
+        np.add.at(film.hits, (deposits["pixel"], deposits["wave"]), np.uint32(1))
         return chunk.packets
 
     def _trace(self, chunk: Chunk, key: np.uint64, film: Film) -> tuple[Tally, NDArray[np.void]]:
@@ -358,10 +397,11 @@ class Renderer:
         if part.options.adjoint:
             if chunk.pixels is None:
                 pixels = np.arange(chunk.first, chunk.first + chunk.count)
-                space.begin(film[chunk.first : chunk.first + chunk.count], chunk.first)
+                rows = slice(chunk.first, chunk.first + chunk.count)
+                space.begin(film.power[rows], chunk.first, film.hits[rows], chunk.packets)
             else:
                 pixels = chunk.pixels
-                space.begin(film)
+                space.begin(film.power, 0, film.hits, chunk.packets)
             # A pixel's samples start together, though they be more than a chunk.
             space.reserve(chunk.packets)
             if part.options.sequential:
@@ -375,7 +415,7 @@ class Renderer:
                     tables.frames, len(tables.lens.surfaces), space.bundle, space.flow(), space.start,
                 )  # fmt: skip
         else:
-            space.begin(film[:0])
+            space.begin(film.power[:0])
             if len(tables.objects.sources):
                 launch_forward(
                     chunk.first, chunk.count, self.pixels * chunk.samples, key, chunk.wave,

@@ -38,6 +38,26 @@ def test_round_trip(image_of: Build, tmp_path: Path) -> None:
     assert back.ledger == image.ledger
     assert (back.seconds, back.replicates, back.samples, back.engine) == (7.0, 8, 64.0, "mesh engine")
     assert back.complete
+    assert back.hits is None
+
+
+def test_hits_are_kept_as_whole_numbers_and_guarded_like_pixels(image_of: Build, tmp_path: Path) -> None:
+    image = image_of()
+    # More than a float32 counts to.
+    image.hits = np.full(image.mean.shape, 2**24 + 1, np.uint32)
+    image.hits[3, 5] = 0
+    run.save(image, tmp_path)
+    back = run.open_run(tmp_path).hits
+    assert back is not None
+    assert back.dtype == np.uint32
+    np.testing.assert_array_equal(back, image.hits)
+    with OpenEXR.File(str(tmp_path / "raw.exr"), separate_channels=True) as file:
+        assert [part.name() for part in file.parts] == ["raw", "stderr", "hits"]
+        file.parts[2].channels["S0.587,6nm"].pixels[0, 0] += 1
+        file.write(str(tmp_path / "changed.exr"))
+    (tmp_path / "changed.exr").replace(tmp_path / "raw.exr")
+    with pytest.raises(FileError, match="pixels are not those that were saved"):
+        run.open_run(tmp_path)
 
 
 def test_a_run_holds_all_its_files_and_nothing_else(image_of: Build, tmp_path: Path) -> None:
@@ -121,7 +141,7 @@ def test_an_interrupted_run_is_valid_and_marked(image_of: Build, tmp_path: Path)
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["complete"] is False
     assert (report["replicates_finished"], report["replicates"]) == (1, 8)
-    assert report["noise"]["relative_stderr"] is None
+    assert report["noise"]["relative_error"] is None
     back = run.open_run(tmp_path)
     assert not back.complete
     assert np.isnan(back.stderr).all()

@@ -25,6 +25,7 @@ CASES = {
     ],
     "render": ["--quick", str(ROOT / "assets/scenes/emitting_plane.toml"), "--engine", "sequential"],
     "image": ["--quick", str(ROOT / "assets/scenes/emitting_plane.toml"), "--pixels", "16", "--samples", "4"],
+    "errors": ["--quick", "--scene", "lit_chart", "--side", "16", "--reference", "64"],
     "startup": ["--quick"],
 }
 # Start-up compiles all kernels twice.
@@ -34,6 +35,7 @@ TABLES = {
     "scaling": {"scaling": "COLUMNS", "exponents": "EXPONENT_COLUMNS", "threads": "THREAD_COLUMNS"},
     "render": {"render": "COLUMNS", "lens": "LENS_COLUMNS"},
     "image": {"image": "COLUMNS", "small_camera": "PEER_COLUMNS"},
+    "errors": {"errors": "COLUMNS"},
     "startup": {"startup": "COLUMNS"},
 }
 

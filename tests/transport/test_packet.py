@@ -23,7 +23,8 @@ def test_a_child_inherits_all_that_it_is_not_given():
         parents[name] = number + 2
     flow = Flow(
         np.zeros((STATIONS + 1, 4), PACKET), np.arange(STATIONS + 1), np.zeros(TOPS, np.int64), np.zeros(1),
-        np.zeros(1, np.int64), np.zeros((0, 1)), np.zeros(0, DEPOSIT), np.zeros(0, END), np.zeros(0, NODE),
+        np.zeros(1, np.int64), np.zeros((0, 1)), np.zeros((0, 1), np.uint32), np.zeros(0, np.uint8),
+        np.zeros(0, DEPOSIT), np.zeros(0, END), np.zeros(0, NODE),
     )  # fmt: skip
     put_child(flow, parents)
     child = flow.stacks[PLATE, 0]

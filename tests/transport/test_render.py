@@ -168,6 +168,7 @@ def test_ctrl_c_keeps_the_finished_replicates(monkeypatch: pytest.MonkeyPatch) -
     assert alone.complete
     np.testing.assert_array_equal(image.mean, alone.mean)
     np.testing.assert_array_equal(image.stderr, alone.stderr)
+    np.testing.assert_array_equal(image.hits, alone.hits)
     assert image.ledger.emitted == alone.ledger.emitted
     assert image.ledger.packets == alone.ledger.packets
     assert abs(image.ledger.imbalance) <= 1e-12
@@ -272,3 +273,38 @@ def assert_same_but_for_flips(moved: NDArray[np.float64], still: NDArray[np.floa
     """Compare images pixel by pixel; one pixel in a hundred may hold a packet that rounding tipped over an edge."""
     differs = np.abs(moved - still) > 1e-6 * np.maximum(still, 1e-3 * still.max())
     assert differs.mean() <= 0.01
+
+
+@pytest.mark.parametrize("method", ["adjoint", "forward"])
+def test_hits_do_not_depend_on_threads_and_chunks_and_say_where_there_is_light(method: str) -> None:
+    one, *others = (
+        Renderer(lf.build(scene(method=method, samples=16, threads=threads)), chunk=chunk).image()
+        for threads, chunk in ((1, 1000), (2, 1000), (1, 64))
+    )
+    assert one.hits is not None
+    assert (one.hits > 0).any()
+    np.testing.assert_array_equal(one.hits > 0, one.mean > 0.0)
+    for other in others:
+        np.testing.assert_array_equal(one.hits, other.hits)
+
+
+def test_a_sample_that_brings_light_in_several_ways_is_one_hit() -> None:
+    """Two more lamps light the same paths, and every path that meets the glowing plane has brought light already."""
+    plain = scene(split="transmit", samples=16).changed({"targets": SCENE["targets"][:1]})
+    lamps = [{**SCENE["lights"][0], "position_mm": [x, 0.0, 0.0], "direction": [-x, 0.0, -60.0]} for x in (9.0, -9.0)]
+    several = plain.changed({"lights": [*SCENE["lights"], *lamps]})
+    one, three = lf.render(plain), lf.render(several)
+    assert (three.mean > 1.05 * one.mean)[one.mean > 0.0].mean() > 0.5
+    np.testing.assert_array_equal(one.hits, three.hits)
+    assert one.hits is not None
+    assert one.hits.max() == 16
+
+
+def test_reflections_have_samples_of_their_own_which_split_as_often_as_they_will() -> None:
+    image = lf.render(scene(split="both", samples=16, weight_cutoff=0.0, max_events=20))
+    alone = lf.render(scene(split="both", samples=16, weight_cutoff=0.0, max_events=20, engine="mesh"))
+    assert image.hits is not None
+    assert alone.hits is not None
+    # 16 of the image path and one for two of these off it.
+    assert 16 < image.hits.max() <= 24
+    assert alone.hits.max() == 16

@@ -1,0 +1,122 @@
+"""What is known of a pixel: errors pooled with like neighbours, and bounds that hold as often as they say."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+import lfmesh as lf
+from lfmesh.errors import LfmeshError
+from lfmesh.transport import certainty
+from lfmesh.transport.ledger import Ledger
+
+AROUND = np.array([(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)])
+
+LEVEL = 1e-3
+
+Array = NDArray[Any]
+
+
+def replicated(truth: Array, samples: int, replicates: int, chance: float | Array, seed: int = 0) -> tuple[Array, ...]:
+    """Return mean, standard error and hits of pixels of which a sample brings truth / chance, with that chance."""
+    rng = np.random.default_rng(seed)
+    hits = rng.binomial(samples // replicates, chance, (replicates, *truth.shape))
+    each = truth / chance * hits / (samples // replicates)
+    stderr = each.std(axis=0, ddof=1) / np.sqrt(replicates) if replicates > 1 else np.full(truth.shape, np.nan)
+    return each.mean(axis=0), stderr, hits.sum(axis=0).astype(np.uint32)
+
+
+def test_the_error_is_half_a_pixels_own_and_half_that_of_neighbours_as_bright() -> None:
+    mean = np.ones((3, 4, 1))
+    stderr = np.zeros((3, 4, 1))
+    mean[:, 2:] = 1.6
+    stderr[1, 1], stderr[0, 0], stderr[1, 2] = 3.0, 1.0, 100.0
+    error, pooled = certainty.pooled_error(mean, stderr, AROUND)
+    # Of the pixel and the five in its half of the picture.
+    assert pooled[1, 1, 0] == 6
+    assert error[1, 1, 0] == pytest.approx(np.sqrt(0.5 * (9.0 + 10.0 / 6.0)))
+    assert error[2, 0, 0] == pytest.approx(np.sqrt(0.5 * 9.0 / 4.0))
+    rows, _ = certainty.pooled_error(mean, stderr, AROUND, slice(1, 3))
+    np.testing.assert_array_equal(rows, error[1:])
+
+
+def test_steps_go_to_the_same_place_in_the_next_micro_images() -> None:
+    scene = lf.load("assets/scenes/first_light.toml")
+    pitch = lf.first_order(scene).micro_image_pitch_px
+    steps = {tuple(step) for step in certainty.neighbours(scene).tolist()}
+    assert pitch is not None
+    assert steps == {tuple(step) for step in AROUND.tolist()} | {
+        (0, round(pitch)), (0, -round(pitch)), (round(pitch), 0), (-round(pitch), 0),
+    }  # fmt: skip
+    assert len(certainty.neighbours(lf.load("assets/scenes/conventional.toml"))) == 8
+
+
+@pytest.mark.parametrize("replicates", [2, 4])
+def test_the_pooled_error_is_the_scatter_in_every_quarter_of_itself(replicates: int) -> None:
+    """Where a sample in twenty brings nothing, 16 samples leave 44 % of the pixels without any spread of their own."""
+    truth = np.ones((100, 100, 1))
+    mean, stderr, _ = replicated(truth, 16, replicates, 0.95)
+    error, _ = certainty.pooled_error(mean, stderr, AROUND)
+    own, pooled = [], []
+    for claimed, ratios in ((stderr, own), (error, pooled)):
+        quarter = np.digitize(claimed, np.quantile(claimed, [0.25, 0.5, 0.75]))
+        for k in range(4):
+            here = quarter == k
+            if here.any():
+                ratios.append(np.sqrt((claimed[here] ** 2).mean() / ((mean - truth)[here] ** 2).mean()))
+    assert min(own) < 0.3
+    assert min(pooled) > 0.4
+    assert max(pooled) < 2.5
+    # And on the whole: the spread of 10⁴ pixels' variances is 5 % at most.
+    assert (error**2).mean() == pytest.approx(((mean - truth) ** 2).mean(), rel=0.1)
+
+
+@pytest.mark.parametrize("replicates", [2, 3, 8])
+@pytest.mark.parametrize("pooled", [1, 2, 9, 13])
+def test_the_median_of_pooled_errors_is_corrected(replicates: int, pooled: int) -> None:
+    rng = np.random.default_rng(5)
+    each = rng.chisquare(replicates - 1, (200_000, pooled)) / (replicates - 1)
+    typical = np.median(np.sqrt(0.5 * (each[:, 0] + each.mean(axis=1))))
+    factor = certainty.typical_over_rms(np.array([pooled]), replicates)[0]
+    assert factor == pytest.approx(typical, rel=0.03)
+    assert factor < 0.98
+
+
+@pytest.mark.parametrize("chance", [0.001, 0.01, 0.05, 0.2, 0.9])
+@pytest.mark.parametrize("replicates", [1, 4])
+def test_the_upper_bound_holds_in_95_of_100_pixels(chance: float, replicates: int) -> None:
+    """A binomial test that it holds in no less; one beside brighter pixels, whose samples bring half as much again."""
+    truth = np.ones((60, 100, 1)) * chance
+    mean, stderr, hits = replicated(truth, 64, replicates, chance)
+    mean[0], stderr[0], hits[0] = 1.5, 0.01, 64
+    bound = certainty.upper_bound(mean, stderr, hits, replicates, 64)[1:]
+    below = int((bound < truth[1:]).sum())
+    if replicates > 1 and chance > 0.5:
+        # Student's quantile of a binomial: its skewness leaves a little more outside.
+        assert below / bound.size < 0.08
+    else:
+        assert stats.binomtest(below, bound.size, 0.05, "greater").pvalue > LEVEL
+    # A bound worth having: within the chance limits of five hits more.
+    assert np.median(bound) < chance + 8.0 / 64
+
+
+def test_without_a_hit_the_bound_is_the_rule_of_three_times_what_the_brightest_pixel_brings() -> None:
+    mean, stderr, hits = np.zeros((2, 3, 2)), np.zeros((2, 3, 2)), np.zeros((2, 3, 2), np.uint32)
+    mean[0, 0], hits[0, 0] = (8.0, 2.0), (50, 100)
+    bound = certainty.upper_bound(mean, stderr, hits, 4, 100)
+    chance = 1.0 - 0.05 ** (1.0 / 100)
+    np.testing.assert_allclose(bound[1], np.tile([16.0 * chance, 2.0 * chance], (3, 1)), rtol=1e-12)
+
+
+def test_an_image_says_its_error_and_its_bound() -> None:
+    scene = lf.load("assets/scenes/first_light.toml").changed({"camera.sensor.pixels": (6, 4)})
+    mean = np.zeros((4, 6, 1))
+    image = lf.Image(mean, mean.copy(), scene, Ledger(), 1.0, 8, 32.0, "by hand")
+    assert image.error.shape == mean.shape
+    with pytest.raises(LfmeshError, match="image without hits"):
+        _ = image.upper
+    image.hits = np.zeros(mean.shape, np.uint32)
+    image.hits[1, 1], image.mean[1, 1] = 32, 1.0
+    assert image.upper[0, 0, 0] == pytest.approx(1.0 - 0.05 ** (1.0 / 32))

@@ -20,13 +20,18 @@ Array = NDArray[np.float64]
 SHARE = 1.0 / 128.0
 """Of the samples, added for the check."""
 
+CHUNK = 4096
+"""Blind samples that are traced together, of neighbouring pixels."""
+
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
 LEVEL = 1e-3
 """Chance that the check fails though nothing is wrong, shared by the blocks (Bonferroni)."""
 
 MOST_BLOCKS = 8
 """Along each side of the sensor."""
 
-HITS = 30
+HITS = 80
 """Samples that found light which a block should have; less, and blocks are larger."""
 
 
@@ -40,6 +45,13 @@ def without_aim(aim: Aim) -> Aim:
         slope_radius2=np.full_like(aim.slope_radius2, NOTHING_SEEN),
         search=0,
     )
+
+
+def first_of_runs(count: int, at_once: int, replicate: int) -> list[int]:
+    """Return where the runs of `at_once` pixels (or packets) begin that a replicate takes, spread over `count`."""
+    runs = max(1, round(SHARE * count / at_once))
+    places = GOLDEN * (1 + replicate * runs + np.arange(runs)) % 1.0
+    return [int(place * max(0, count - at_once + 1)) for place in places]
 
 
 @dataclass(frozen=True)
@@ -78,39 +90,51 @@ class BlindSamples:
 
     Attributes
     ----------
-    rows, columns : int
-        Pixels of the sensor.
+    rows, columns, waves : int
+        Pixels of the sensor, and wavelengths.
     """
 
     rows: int
     columns: int
-    pixels: list[NDArray[np.int64]] = field(default_factory=list)
+    waves: int
+    values: list[NDArray[np.int64]] = field(default_factory=list)
     found: list[Array] = field(default_factory=list)
     looked_at: list[NDArray[np.int64]] = field(default_factory=list)
+    images: int = 0
 
-    def add(self, pixels: NDArray[np.int64], found: Array) -> None:
+    def add(self, pixels: NDArray[np.int64], wave: int, found: Array) -> None:
         """Add pixels (n,) and the light (n,) that their samples estimate, W; zeros too."""
         lit = found > 0.0
-        self.pixels.append(pixels[lit])
+        self.values.append(pixels[lit] * self.waves + wave)
         self.found.append(found[lit])
-        self.looked_at.append(pixels)
+        self.looked_at.append(pixels * self.waves + wave)
+
+    def add_image(self, pixels: NDArray[np.int64], wave: int, found: Array) -> None:
+        """Add packets of an estimate of the whole image: the pixels (n,) that they fell on, and what they brought, W."""
+        self.values.append(pixels * self.waves + wave)
+        self.found.append(found)
+        self.images += wave == 0
 
     def compared(self, mean: Array) -> BlindCheck:
-        """Return the comparison with an image (rows, columns), W, summed over wavelengths."""
+        """Return the comparison with an image, (rows, columns, wavelengths) float64, W."""
         nothing = np.zeros(0)
-        pixels = np.concatenate([*self.pixels, nothing.astype(np.int64)])
+        values = np.concatenate([*self.values, nothing.astype(np.int64)])
         found = np.concatenate([*self.found, nothing])
         looked_at = np.concatenate([*self.looked_at, nothing.astype(np.int64)])
-        side = int(np.clip(np.sqrt(len(pixels) / HITS), 1, MOST_BLOCKS))
+        side = int(np.clip(np.sqrt(len(values) / HITS), 1, MOST_BLOCKS))
         blocks = min(side, self.rows), min(side, self.columns)
 
         def summed(of: NDArray[np.int64], values: Array) -> Array:
-            row, column = of // self.columns * blocks[0] // self.rows, of % self.columns * blocks[1] // self.columns
-            sums: Array = np.bincount(row * blocks[1] + column, values, blocks[0] * blocks[1]).astype(np.float64)
+            row, column = np.divmod(of // self.waves, self.columns)
+            block = row * blocks[0] // self.rows * blocks[1] + column * blocks[1] // self.columns
+            sums: Array = np.bincount(block, values, blocks[0] * blocks[1]).astype(np.float64)
             return sums
 
-        blind, squares = summed(pixels, found), summed(pixels, found**2)
-        expected = summed(looked_at, mean.reshape(-1)[looked_at])
+        light = mean.reshape(-1)
+        blind, squares = summed(values, found), summed(values, found**2)
+        expected = summed(looked_at, light[looked_at])
+        if self.images:
+            expected += self.images * summed(np.arange(light.size), light)
         # A block that found little would think itself certain: the spread is at least that of what is expected.
         typical = squares.sum() / max(blind.sum(), np.finfo(np.float64).tiny)
         spread = np.sqrt(np.maximum(squares, expected * typical))
@@ -119,4 +143,4 @@ class BlindSamples:
         z = (blind - expected)[known] / spread[known]
         deficit = np.divide(limit * spread, expected, out=np.full_like(spread, np.inf), where=expected > 0.0)
         worst = float(z[np.abs(z).argmax()]) if z.size else 0.0
-        return BlindCheck(blocks, len(pixels), worst, limit, float(np.median(deficit)) if known.any() else np.inf)
+        return BlindCheck(blocks, len(values), worst, limit, float(np.median(deficit)) if known.any() else np.inf)

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.scene import Scene
 from lfmesh.transport.adaptive import Refinement
+from lfmesh.transport.aim_proof import AimProof
+from lfmesh.transport.blind_check import BlindCheck
 from lfmesh.transport.certainty import neighbours, pooled_error, upper_bound
 from lfmesh.transport.ledger import Ledger
 
@@ -63,6 +65,8 @@ class Image:
     timings: dict[str, float] = field(default_factory=dict)
     refinement: Refinement | None = None
     hits: NDArray[np.uint32] | None = None
+    aim: AimProof | None = None
+    blind: BlindCheck | None = None
 
     @property
     def complete(self) -> bool:

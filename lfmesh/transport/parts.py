@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lfmesh.scene import Scene
 from lfmesh.transport.aiming import WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_STRAYS
+from lfmesh.transport.blind_check import without_aim
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.object_tables import aimed_at_glass
 from lfmesh.transport.packet import BOTH, LIT, REACHED, TRANSMIT, Options
@@ -103,6 +104,12 @@ def lamp_parts(world: World) -> tuple[Part, ...]:
         return ()
     options = options_of(world)._replace(adjoint=False, paths=LAMP_THROUGH_GLASS)
     return (Part(2, options, world.tables._replace(objects=objects), book=LAMP_BOOK),)
+
+
+def blind_part(world: World) -> Part:
+    """Return all paths of an image, as rays that are not aimed find them: to check the other parts by."""
+    options, tables = options_of(world), world.tables
+    return Part(3, options, tables._replace(aim=without_aim(tables.aim)), accounts=False)
 
 
 def in_words(scene: Scene, parts: tuple[Part, ...]) -> str:

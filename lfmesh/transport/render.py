@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,14 @@ from numpy.typing import NDArray
 from lfmesh.scene import Scene
 from lfmesh.transport.adaptive import Counts, Refinement, combine, samples_of, second_stage, total_samples
 from lfmesh.transport.adjoint import launch_adjoint, launch_along_image_path
+from lfmesh.transport.blind_check import CHUNK as BLIND_CHUNK
+from lfmesh.transport.blind_check import BlindSamples, first_of_runs
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.forward import launch_forward
 from lfmesh.transport.image import Image
 from lfmesh.transport.ledger import Ledger
 from lfmesh.transport.packet import COUNTERS, DEPOSITS, EVENTS
-from lfmesh.transport.parts import BOOKS, LAMP_BOOK, OWN_BOOK, Part, in_words, parts_of
+from lfmesh.transport.parts import BOOKS, LAMP_BOOK, OWN_BOOK, Part, blind_part, in_words, parts_of
 from lfmesh.transport.progress import Progress
 from lfmesh.transport.random import descendant, run_key
 from lfmesh.transport.settings import ledger_of
@@ -61,7 +64,7 @@ PIXELS_SORTED = 1 << 20
 class Chunk:
     """A run of sources of one replicate, part and wavelength: pixels (adjoint) or packets (forward).
 
-    Of a second stage, single pixels that have as many samples each.
+    Of a second stage, single pixels that have as many samples each. `origin` is the pixel of the film's first row.
     """
 
     part: Part
@@ -71,6 +74,7 @@ class Chunk:
     packets: int
     samples: int = 1
     pixels: NDArray[np.int64] | None = None
+    origin: int = 0
 
 
 @dataclass
@@ -189,6 +193,8 @@ class Renderer:
         the lens: the paper's chain without its aiming, to measure what that brings.
     stratified : bool
         Adjoint: start paths from scrambled Sobol' points instead of random ones.
+    check : bool
+        Compare the image with samples that are not aimed.
     """
 
     world: World
@@ -196,7 +202,9 @@ class Renderer:
     chunk: int = CHUNK
     aimed: bool = True
     stratified: bool = True
+    check: bool = True
     _lamp_light: "LampLight | None" = None
+    _blind: BlindSamples | None = None
     _local: threading.local = field(default_factory=threading.local)
     _last_report: float = 0.0
 
@@ -210,6 +218,8 @@ class Renderer:
         self.parts = parts_of(self.world, aimed=self.aimed)
         self.threads = transport.threads or os.cpu_count() or 1
         self.seed = run_key(transport.seed)
+        if self.check and self.aimed:
+            self._blind = BlindSamples(*self._shape())
 
     def chunks(self, part: Part, levels: Counts | None = None) -> Iterator[Chunk]:
         """Yield a part's chunks of one replicate, always in the same order; `levels` (pixels,): of the second stage."""
@@ -245,7 +255,7 @@ class Renderer:
         began = time.perf_counter()
         film = Film.empty(self.pixels, self.waves)
         tally = self._tally()
-        if scene.transport.target_error is not None and not all(part.options.adjoint for part in self.parts):
+        if self.adjoint and not all(part.options.adjoint for part in self.parts):
             self._lamp_light = LampLight.empty(self._shape())
         with ThreadPoolExecutor(self.threads, thread_name_prefix="lfmesh") as pool:
             mean = self._stage(pool, film, tally, began)
@@ -255,6 +265,8 @@ class Renderer:
             if scene.transport.target_error is not None and finished == scene.transport.replicates:
                 refinement = self._refine(pool, film, mean, tally, began)
         variance = mean.variance()
+        # What lamps' own packets bring, no blind sample from a pixel finds.
+        blind = self._blind.compared(mean.mean) if self._blind is not None else None
         if self._lamp_light is not None:
             # No pixel has samples of its own of these packets: they are added once, as the first stage left them.
             mean.mean += self._lamp_light.mean.mean
@@ -281,6 +293,8 @@ class Renderer:
             },
             refinement,
             mean.hits,
+            self.world.aim_proof,
+            blind,
         )
 
     def _stage(
@@ -308,7 +322,36 @@ class Renderer:
             if levels is None and self._lamp_light is not None:
                 self._lamp_light.end_replicate()
             tally.add(own)
+            if levels is None and self._blind is not None:
+                try:
+                    self._look_blindly(pool, number)
+                except KeyboardInterrupt:
+                    break
         return mean
+
+    def _look_blindly(self, pool: ThreadPoolExecutor, replicate: int) -> None:
+        """Take a replicate's samples that are not aimed, by which the image is checked."""
+        assert self._blind is not None
+        part = blind_part(self.world)
+        key = descendant(self.seed, replicate)
+        samples = min(self.samples, BLIND_CHUNK)
+        at_once = min(BLIND_CHUNK // samples, self.pixels) if self.adjoint else BLIND_CHUNK
+        total = self.pixels * (1 if self.adjoint else samples)
+        runs = first_of_runs(total, at_once, replicate)
+        for wave in range(self.waves):
+            stream = descendant(key, part.number * self.waves + wave)
+            films = [Film.empty(at_once if self.adjoint else 0, self.waves) for _ in runs]
+            each = at_once * (samples if self.adjoint else 1)
+            chunks = [Chunk(part, first, at_once, wave, each, samples, origin=first) for first in runs]
+            futures = [pool.submit(self._trace, *job) for job in zip(chunks, repeat(stream), films, strict=False)]
+            deposits = [future.result()[1] for future in futures]
+            if self.adjoint:
+                for first, film in zip(runs, films, strict=True):
+                    self._blind.add(np.arange(first, first + at_once), wave, film.power[:, wave])
+            else:
+                fallen = np.concatenate(deposits)
+                part_of_all = at_once * len(runs) / total
+                self._blind.add_image(fallen["pixel"], wave, fallen["weight"] / part_of_all)
 
     def _refine(self, pool: ThreadPoolExecutor, film: Film, mean: Mean, tally: Tally, began: float) -> Refinement:
         """Render the second stage and average it into the first one's mean."""
@@ -397,7 +440,7 @@ class Renderer:
         if part.options.adjoint:
             if chunk.pixels is None:
                 pixels = np.arange(chunk.first, chunk.first + chunk.count)
-                rows = slice(chunk.first, chunk.first + chunk.count)
+                rows = slice(chunk.first - chunk.origin, chunk.first - chunk.origin + chunk.count)
                 space.begin(film.power[rows], chunk.first, film.hits[rows], chunk.packets)
             else:
                 pixels = chunk.pixels

@@ -9,7 +9,7 @@ import tempfile
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -242,7 +242,7 @@ def _image_from(spectral: exr.SpectralImage, folder: Path) -> Image:
         mean=spectral.parts["raw"].astype(np.float64),
         stderr=spectral.parts["stderr"].astype(np.float64),
         scene=scene_from(metadata, folder),
-        ledger=Ledger(**{field.name: metadata["ledger"][field.name] for field in fields(Ledger)}),
+        ledger=Ledger.from_dict(metadata["ledger"]),
         seconds=metadata["seconds"],
         replicates=metadata["replicates_finished"],
         samples=metadata["samples_per_pixel"],

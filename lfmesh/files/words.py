@@ -14,9 +14,6 @@ LIT_SHARE_OF_BRIGHT = 0.05
 DARK_SHARE = 0.1
 """A picture is called dark when fewer pixels than this share got any light."""
 
-LOST_LIMIT = 1e-7
-"""Share of the energy that the tracer may lose to rounding."""
-
 
 @dataclass(frozen=True)
 class Noise:
@@ -61,7 +58,7 @@ def summary(image: Image) -> list[str]:
     lines = [_work(image), *_noise_lines(image, measured)]
     if measured.received_share < DARK_SHARE:
         lines += where_the_light_went(image)
-    return lines + _book_keeping(image.ledger)
+    return lines + _book_keeping(image)
 
 
 def where_the_light_went(image: Image) -> list[str]:
@@ -193,11 +190,24 @@ def _reached(ledger: Ledger) -> str:
     return f"{reached}; {percent(ledger.lit / ledger.reached_target)} of those arrived where there is light."
 
 
-def _book_keeping(ledger: Ledger) -> list[str]:
-    lines = []
-    if ledger.lost_share > LOST_LIMIT:
-        reasons = ", ".join(f"{reason}: {value:.3g} {ledger.unit}" for reason, value in ledger.lost.items() if value)
-        lines.append(f"Warning: {percent(ledger.lost_share)} of the energy was lost by the tracer ({reasons}).")
+def _book_keeping(image: Image) -> list[str]:
+    ledger, lines = image.ledger, []
+    lost = ledger.loss_in_words()
+    if lost is not None:
+        lines.append(f"Warning: {lost}. The picture lacks it{_remedy(image)}.")
     if abs(ledger.imbalance) > 1e-9:
         lines.append(f"Warning: the energy does not close; {ledger.imbalance:.1e} of what was emitted is missing.")
     return lines
+
+
+def _remedy(image: Image) -> str:
+    """Return what helps where energy was lost in glass whose shape is a mesh file."""
+    scene = image.scene
+    bodies = {target.name or f"targets[{i}]" for i, target in enumerate(scene.targets) if target.refractor is not None}
+    in_lens = any(surface.refractor is not None or surface.mesh is not None for surface in scene.camera.lens.surfaces)
+    if not in_lens and not bodies & image.ledger.lost_in.keys():
+        return ""
+    return (
+        "; glass from a mesh file loses least where its facets are small, its normals fit them (crease_deg has them "
+        'estimated) and its bodies do not touch; surface = "flat" takes the facets as they are'
+    )

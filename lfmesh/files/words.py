@@ -1,9 +1,11 @@
 """The end of a run in words: how noisy the picture is, and where the light went when it is dark."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from lfmesh.scene import FirstOrder, Scene, first_order
 from lfmesh.transport.adaptive import Refinement
 from lfmesh.transport.image import Image
 from lfmesh.transport.ledger import Ledger
@@ -55,10 +57,33 @@ def noise(image: Image) -> Noise:
 def summary(image: Image) -> list[str]:
     """Say what a run gave, one plain sentence a line: work done, noise, and whatever is amiss."""
     measured = noise(image)
-    lines = [_work(image), *_noise_lines(image, measured)]
+    lines = [_work(image), *_noise_lines(image, measured), *_diffraction(first_order(image.scene))]
     if measured.received_share < DARK_SHARE:
         lines += where_the_light_went(image)
     return lines + _book_keeping(image)
+
+
+def diffraction(scene: Scene) -> dict[str, float | None]:
+    """Return the Airy disks that geometric optics leaves out, as a report keeps them; see `FirstOrder`."""
+    facts = first_order(scene)
+    names = ("airy_wavelength_nm", "airy_disk_mm", "airy_disk_samples", "microlens_airy_disk_px")
+    return {name: getattr(facts, name) for name in names}
+
+
+def _diffraction(facts: FirstOrder) -> list[str]:
+    """Say how wide the Airy disks are that geometric optics leaves out, and warn where they decide."""
+    array = facts.microlens_airy_disk_px is not None
+    widths = [f"the lens's Airy disk is {facts.airy_disk_samples:.2g} {'lenslets' if array else 'pixels'} wide"]
+    largest = facts.airy_disk_samples
+    if facts.microlens_airy_disk_px is not None:
+        widths.append(f"a lenslet's {facts.microlens_airy_disk_px:.2g} pixels")
+        largest = max(largest, facts.microlens_airy_disk_px)
+    if not math.isfinite(largest):
+        return []
+    said = f"{', '.join(widths)} (at {facts.airy_wavelength_nm:g} nm)"
+    if largest > 1.0:
+        return [f"Warning: diffraction is not traced, and a real camera's picture is blurred by it: {said}."]
+    return [f"Diffraction is not traced: {said}."]
 
 
 def where_the_light_went(image: Image) -> list[str]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lfmesh.files import words
-from lfmesh.scene import Scene
+from lfmesh.scene import Scene, first_order
 from lfmesh.transport.image import Image
 from lfmesh.transport.ledger import Ledger
 
@@ -108,6 +108,20 @@ def test_leaks_are_reported(image_of: Build) -> None:
         " in targets[1], 5.0e-05 in targets[0], the rest in 2 others. The picture lacks it." in lines
     )
     assert "the energy does not close" in lines
+
+
+def test_the_airy_disks_are_said_and_warned_of_above_one_sample(image_of: Build, scene: Scene) -> None:
+    facts = first_order(scene)
+    assert facts.airy_disk_samples < facts.microlens_airy_disk_px < 1.0
+    lines = text(image_of())
+    assert (
+        f"Diffraction is not traced: the lens's Airy disk is {facts.airy_disk_samples:.2g} lenslets wide, a lenslet's "
+        f"{facts.microlens_airy_disk_px:.2g} pixels (at {facts.airy_wavelength_nm:g} nm)." in lines
+    )
+    infrared = scene.changed({"transport.wavelengths_nm": (facts.airy_wavelength_nm, 10_000.0)})
+    lines = text(image_of(infrared))
+    assert "Warning: diffraction is not traced, and a real camera's picture is blurred by it: the lens's" in lines
+    assert "(at 10000 nm)" in lines
 
 
 @pytest.mark.parametrize(("lost", "said"), [(0.99e-7, False), (1.01e-7, True)])

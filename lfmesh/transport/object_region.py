@@ -255,8 +255,8 @@ def _first_crossing(
     no distance from the start need be kept; a curved start may even lie a little beyond the next facet.
     """
     first, nearest, steepness = -1, np.inf, 0.0
-    # The limit of a shadow is its light's distance.
-    back = 0.0 if packet.kind == SHADOW else packet.limit
+    # The limit of a shadow is its light's distance, that of a packet which passed the lens the way to it.
+    back = 0.0 if packet.kind == SHADOW or packet.last == LEFT_LENS else packet.limit
     for prim in range(len(objects.facets)):
         t, along = crosses(objects.facets[prim], x, y, z, dx, dy, dz)
         if t < nearest and t > -back and prim != packet.facet:

@@ -62,7 +62,7 @@ if TYPE_CHECKING:
         solved,
     )
     from lfmesh.transport.image import Image
-    from lfmesh.transport.ledger import Ledger
+    from lfmesh.transport.ledger import Ledger, LostEnergyWarning
     from lfmesh.transport.progress import Progress
     from lfmesh.transport.render import render
     from lfmesh.transport.trace import Paths, Status, trace
@@ -93,6 +93,7 @@ __all__ = [
     "Lens",
     "LfmeshError",
     "LightField",
+    "LostEnergyWarning",
     "Material",
     "MeshError",
     "MicrolensArray",
@@ -169,7 +170,7 @@ _HOMES = {
         *["DiskLight", "Transport", "Tessellation", "Refractor", "FirstOrder", "load", "loads", "solved"],
     ],
     "lfmesh.transport.image": ["Image"],
-    "lfmesh.transport.ledger": ["Ledger"],
+    "lfmesh.transport.ledger": ["Ledger", "LostEnergyWarning"],
     "lfmesh.transport.progress": ["Progress"],
     "lfmesh.transport.render": ["render"],
     "lfmesh.transport.trace": ["Paths", "Status", "trace"],

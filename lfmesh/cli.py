@@ -565,11 +565,11 @@ def compare(
     with _undivided():
         from lfmesh.study import compare as comparing
         from lfmesh.study.accuracy import prepare
+        from lfmesh.transport.ledger import LostEnergyWarning
 
     prepare(out)
-    with _status() as say, warnings.catch_warnings():
-        # That planes beyond the refocus range are blurred is what is measured.
-        warnings.simplefilter("ignore", UserWarning)
+    # That planes beyond the refocus range are blurred is what is measured.
+    with _status() as say, _warnings_as_notes(LostEnergyWarning):
         comparison = comparing.compare(loaded, reduction=reduction, steps=steps, progress=say)
     for words, *values in comparison.rows():
         print(f"{words:<23}" + "".join(f"{value:<24}" for value in values).rstrip())
@@ -701,7 +701,7 @@ def _hard_cases() -> int:
 
     outcomes = []
     for case in hard_cases.CASES:
-        outcomes.append(case())
+        outcomes.append(hard_cases.judged(case))
         print(hard_cases.line(outcomes[-1]), flush=True)
     failed = sum(not outcome.passed for outcome in outcomes)
     lost, allowed = hard_cases.lost_share(outcomes), hard_cases.ALLOWED_LOSS
@@ -735,9 +735,12 @@ def _render(scene_file: Path, folder: Path, overrides: Overrides | None) -> int:
         _say_note(note)
 
     with _undivided():
+        from lfmesh.transport.ledger import LostEnergyWarning
         from lfmesh.transport.render import render as trace_image
 
-    with _progress() as report:
+    with _progress() as report, warnings.catch_warnings():
+        # The summary says what was lost.
+        warnings.simplefilter("ignore", LostEnergyWarning)
         image = trace_image(scene, progress=report)
     run.save(image, folder)
     for line in words.summary(image):
@@ -756,7 +759,7 @@ def _white(folder: Path, overrides: Overrides | None) -> int:
     # An image that cannot be decoded needs no white one: calibrating says so before the render.
     scene = run.open_run(folder).scene
     calibration = calibrate(scene)
-    with _progress() as report:
+    with _progress() as report, _warnings_as_notes():
         image = white_image(_overridden(scene, overrides.given() if overrides else {}), progress=report)
     if not image.complete:
         raise KeyboardInterrupt
@@ -832,10 +835,11 @@ def _size(words: str) -> tuple[int, int]:
 
 
 @contextmanager
-def _warnings_as_notes() -> "Iterator[None]":
-    """Say what the library warns of as the other notes are said."""
+def _warnings_as_notes(kind: type[UserWarning] = UserWarning) -> "Iterator[None]":
+    """Say what the library warns of as the other notes are said; of one kind only, if that is named."""
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
+        warnings.simplefilter("ignore", UserWarning)
+        warnings.simplefilter("always", kind)
         yield
     for warning in caught:
         _say_note(warning.message)

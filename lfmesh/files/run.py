@@ -348,6 +348,7 @@ def _write_all(image: Image, folder: Path, home: Path) -> list[str]:
     report = {
         **{key: value for key, value in metadata.items() if key != "scene_toml"},
         "noise": asdict(words.noise(image)),
+        "diffraction": words.diffraction(image.scene),
         "summary": words.summary(image),
         "pictures": pictures,
         "files": names,

@@ -1,10 +1,12 @@
 """The end of a run in words: how noisy the picture is, and where the light went when it is dark."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.scene import FirstOrder, Scene, first_order
 from lfmesh.transport.adaptive import Refinement
 from lfmesh.transport.certainty import neighbours, pooled_error, typical_over_rms
 from lfmesh.transport.image import Image
@@ -24,9 +26,6 @@ FEW_SHARE = 0.25
 
 ROWS_AT_ONCE = 256
 """Rows whose error is pooled together, for the memory."""
-
-LOST_LIMIT = 1e-7
-"""Share of the energy that the tracer may lose to rounding."""
 
 
 @dataclass(frozen=True)
@@ -93,12 +92,35 @@ def _quartiles(image: Image, lit: NDArray[np.bool_]) -> tuple[float, float, floa
 def summary(image: Image) -> list[str]:
     """Say what a run gave, one plain sentence a line: work done, noise, and whatever is amiss."""
     measured = noise(image)
-    lines = [_work(image), *_noise_lines(image, measured)]
+    lines = [_work(image), *_noise_lines(image, measured), *_diffraction(first_order(image.scene))]
     if measured.received_share < DARK_SHARE:
         lines += where_the_light_went(image)
     for ledger in (image.ledger, image.ledger.lamps):
-        lines += _book_keeping(ledger) if ledger is not None else []
+        lines += _book_keeping(image, ledger) if ledger is not None else []
     return lines
+
+
+def diffraction(scene: Scene) -> dict[str, float | None]:
+    """Return the Airy disks that geometric optics leaves out, as a report keeps them; see `FirstOrder`."""
+    facts = first_order(scene)
+    names = ("airy_wavelength_nm", "airy_disk_mm", "airy_disk_samples", "microlens_airy_disk_px")
+    return {name: getattr(facts, name) for name in names}
+
+
+def _diffraction(facts: FirstOrder) -> list[str]:
+    """Say how wide the Airy disks are that geometric optics leaves out, and warn where they decide."""
+    array = facts.microlens_airy_disk_px is not None
+    widths = [f"the lens's Airy disk is {facts.airy_disk_samples:.2g} {'lenslets' if array else 'pixels'} wide"]
+    largest = facts.airy_disk_samples
+    if facts.microlens_airy_disk_px is not None:
+        widths.append(f"a lenslet's {facts.microlens_airy_disk_px:.2g} pixels")
+        largest = max(largest, facts.microlens_airy_disk_px)
+    if not math.isfinite(largest):
+        return []
+    said = f"{', '.join(widths)} (at {facts.airy_wavelength_nm:g} nm)"
+    if largest > 1.0:
+        return [f"Warning: diffraction is not traced, and a real camera's picture is blurred by it: {said}."]
+    return [f"Diffraction is not traced: {said}."]
 
 
 def where_the_light_went(image: Image) -> list[str]:
@@ -246,11 +268,24 @@ def _reached(ledger: Ledger) -> str:
     return f"{reached}; {percent(ledger.lit / ledger.reached_target)} of those arrived where there is light."
 
 
-def _book_keeping(ledger: Ledger) -> list[str]:
+def _book_keeping(image: Image, ledger: Ledger) -> list[str]:
     lines = []
-    if ledger.lost_share > LOST_LIMIT:
-        reasons = ", ".join(f"{reason}: {value:.3g} {ledger.unit}" for reason, value in ledger.lost.items() if value)
-        lines.append(f"Warning: {percent(ledger.lost_share)} of the energy was lost by the tracer ({reasons}).")
+    lost = ledger.loss_in_words()
+    if lost is not None:
+        lines.append(f"Warning: {lost}. The picture lacks it{_remedy(image)}.")
     if abs(ledger.imbalance) > 1e-9:
         lines.append(f"Warning: the energy does not close; {ledger.imbalance:.1e} of what was emitted is missing.")
     return lines
+
+
+def _remedy(image: Image) -> str:
+    """Return what helps where energy was lost in glass whose shape is a mesh file."""
+    scene = image.scene
+    bodies = {target.name or f"targets[{i}]" for i, target in enumerate(scene.targets) if target.refractor is not None}
+    in_lens = any(surface.refractor is not None or surface.mesh is not None for surface in scene.camera.lens.surfaces)
+    if not in_lens and not bodies & image.ledger.lost_in.keys():
+        return ""
+    return (
+        "; glass from a mesh file loses least where its facets are small, its normals fit them (crease_deg has them "
+        'estimated) and its bodies do not touch; surface = "flat" takes the facets as they are'
+    )

@@ -9,6 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfmesh.errors import MeshError
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, joined
@@ -24,6 +25,18 @@ RIM_MARGIN = 0.02
 
 FLAT_SHADED = 1e-3
 """Angle in rad from its facet's normal within which a corner normal says no more than the facet does."""
+
+STEEPEST_DEG = 30.0
+"""Angle between a corner normal and its facet beyond which the facet cannot stand for a smooth surface."""
+
+TURN_FACTOR, SLACK_DEG = 1.5, 5.0
+"""A corner normal may be off its facet by so many times the angle between that facet and its neighbours, plus this."""
+
+SLIVER = 1e-3
+"""Height over length below which the normal of a facet is mostly rounding."""
+
+MOST_ROUND_A_VERTEX = 64
+"""Facets round a vertex that are held against each other; more are the fan of a flat or conical face."""
 
 NO_POWER = 1e-9
 """Curvature times the rim's radius, a slope, below which a face is flat: less than the fit's rounding."""
@@ -97,7 +110,16 @@ def _normals_of_file(path: Path, mesh: Mesh) -> Array | None:
     normals = mesh.corner_normals / np.where(no_direction, 1.0, length)
     own = facet_normals(mesh)[0][:, None, :]
     behind = ~no_direction[..., 0] & ((normals * own).sum(axis=2) <= 0.0)
-    for bad, what in ((no_direction, "have no direction"), (behind, "look to the wrong side of their facet")):
+    too_far = _too_far_off(mesh, normals, own)
+    for bad, what in (
+        (no_direction, "have no direction"),
+        (behind, "look to the wrong side of their facet"),
+        (
+            too_far,
+            f"are further off their facet than a smooth surface's (at most {STEEPEST_DEG:g}°, and {TURN_FACTOR:g} "
+            f"times its angle to the facets round that corner, plus {SLACK_DEG:g}°)",
+        ),
+    ):
         if bad.any():
             raise MeshError(
                 f"{path}: {bad.sum()} of its {bad.size} corner normals {what}; export it with right normals or without "
@@ -105,6 +127,39 @@ def _normals_of_file(path: Path, mesh: Mesh) -> Array | None:
             )
     tells_more = np.linalg.norm(normals - own, axis=2).max() > FLAT_SHADED
     return np.asarray(normals) if tells_more else None
+
+
+def _too_far_off(mesh: Mesh, normals: Array, own: Array) -> NDArray[np.bool_]:
+    """Return (m, 3) which corner normals no smooth surface through the mesh's vertices can have.
+
+    A surface turns no further between a corner and the facet that stands for it than the mesh does between that facet
+    and those round the corner, but for what uneven facets leave. Slivers, whose own normal says little, are left out.
+    """
+    angle = _angle(normals, own)
+    height2 = 2.0 * facet_normals(mesh)[1]
+    longest = np.linalg.norm(mesh.vertices[np.roll(mesh.faces, -1, axis=1)] - mesh.vertices[mesh.faces], axis=2).max(
+        axis=1
+    )
+    is_sliver = height2 < SLIVER * longest * longest
+    turn = np.zeros_like(angle)
+    corner = mesh.faces.ravel()
+    order = np.argsort(corner, kind="stable")
+    facet = order // 3
+    # Round every vertex each facet is held against each other one: against the k-th after it, for all k.
+    starts = np.searchsorted(corner[order], np.arange(len(mesh.vertices) + 1))
+    count = np.diff(starts)[corner[order]]
+    first = starts[:-1][corner[order]]
+    place = np.arange(len(order)) - first
+    for k in range(1, min(int(count.max(initial=0)), MOST_ROUND_A_VERTEX)):
+        partner = facet[first + (place + k) % count]
+        turn.reshape(-1)[order] = np.maximum(turn.reshape(-1)[order], _angle(own[facet, 0], own[partner, 0]))
+    allowed = np.minimum(TURN_FACTOR * turn + np.deg2rad(SLACK_DEG), np.deg2rad(STEEPEST_DEG))
+    return np.asarray((angle > allowed) & ~is_sliver[:, None])
+
+
+def _angle(a: Array, b: Array) -> Array:
+    """Return the angle between unit vectors along the last axis; by its half, which keeps its digits when small."""
+    return np.asarray(2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(a - b, axis=-1), 1.0)))
 
 
 @lru_cache(maxsize=32)

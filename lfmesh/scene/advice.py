@@ -24,6 +24,7 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
         *_focus(scene, facts),
         *_apertures(scene),
         *_micro_images(scene, facts),
+        *_diffraction(facts),
         *_coverage(scene),
         *_targets(scene, facts),
         *_light(scene),
@@ -99,6 +100,20 @@ def _micro_images(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
         )
     if pitch < 2:
         yield f"micro-images are {pitch:.3g} pixels apart: too few to tell directions"
+
+
+def _diffraction(facts: "FirstOrder") -> Iterator[str]:
+    """Say where diffraction, which is not traced, blurs more than what samples the image."""
+    array = facts.microlens_f_number is not None
+    disks = [("lens's", facts.working_f_number, facts.airy_disk_samples, "lenslets" if array else "pixels")]
+    if facts.microlens_f_number is not None and facts.microlens_airy_disk_px is not None:
+        disks.append(("microlenses'", facts.microlens_f_number, facts.microlens_airy_disk_px, "pixels"))
+    for whose, f_number, width, samples in disks:
+        if 1.0 < width < math.inf:
+            yield (
+                f"the {whose} Airy disk is {width:.3g} {samples} wide (f/{f_number:.3g}, "
+                f"{facts.airy_wavelength_nm:g} nm): diffraction blurs, and is not traced"
+            )
 
 
 def _coverage(scene: Scene) -> Iterator[str]:

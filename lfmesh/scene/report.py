@@ -9,6 +9,9 @@ from lfmesh.scene.paraxial import Paraxial
 from lfmesh.scene.scene import Scene
 from lfmesh.scene.solve import air_thickness_mm, image_plane_mm, solved
 
+AIRY_RING = 1.2196698912665045
+"""First zero of the Bessel function J₁ over π."""
+
 
 @dataclass(frozen=True)
 class FirstOrder:
@@ -53,6 +56,15 @@ class FirstOrder:
     """Size of a lenslet, or of a pixel in a conventional camera, on the plane in focus."""
     field_of_view_mm: tuple[float, float]
     """Width and height that array and sensor see of the plane in focus."""
+    airy_wavelength_nm: float
+    """The longest wavelength of the scene, for which the Airy disks are given: theirs are the largest."""
+    airy_disk_mm: float
+    """Diameter of the lens's Airy disk, to its first dark ring, on the array's apexes or the sensor. What is traced is
+    geometric optics, without it."""
+    airy_disk_samples: float
+    """The same in lenslet pitches, or in pixels in a conventional camera."""
+    microlens_airy_disk_px: float | None
+    """Diameter of a lenslet's Airy disk on the sensor, in pixels."""
     near_mm: float
     """Nearest object distance that can be refocused sharply; conventional: the near end of the depth of
     field."""
@@ -90,6 +102,12 @@ class FirstOrder:
         rows += [
             ("object sampling", f"{_mm(self.object_sampling_mm)} a {'lenslet' if array else 'pixel'}"),
             ("field of view", f"{_mm(width)} × {_mm(height)}"),
+            (
+                "Airy disk, lens",
+                f"{_um(self.airy_disk_mm)}, {self.airy_disk_samples:.3g} {'lenslets' if array else 'pixels'}, "
+                f"at {self.airy_wavelength_nm:g} nm",
+            ),
+            *([("Airy disk, lenslet", f"{self.microlens_airy_disk_px:.3g} pixels")] if array else []),
             ("refocus range" if array else "depth of field", f"{_mm(self.near_mm)} to {_mm(self.far_mm)}"),
         ]
         return [f"{name:<23}{value}" for name, value in rows] + [f"warning: {text}" for text in self.warnings]
@@ -118,6 +136,11 @@ def first_order(scene: Scene) -> FirstOrder:
     camera", Stanford CTSR 2005-02): P × P pixels a lenslet refocus exactly within the depth of field of an
     f-number P times higher.
 
+    The Airy disks are what diffraction at a circular aperture makes of a point, `airy_disk_mm`: the lens's at its
+    working f-number, which holds the actual conjugates and the exit pupil; a lenslet's at its own, the distance to the
+    sensor over the pitch. (A square lenslet's pattern has its first dark lines 2 λ N apart, and its corners reach less
+    far: the circle as wide as the pitch stands for it.) They are given for the scene's longest wavelength.
+
     Raises
     ------
     SceneError
@@ -138,6 +161,7 @@ def first_order(scene: Scene) -> FirstOrder:
     micro = _micro_image(camera, wavelength, pupil_to_image, f_number)
     blur = camera.mla.pitch_mm if camera.mla is not None else camera.sensor.pixel_mm
     near, far = _refocus_range(camera, lens, wavelength, pupil_to_image, f_number)
+    longest = max(scene.transport.wavelengths_nm)
     facts = FirstOrder(
         wavelength_nm=wavelength,
         efl_mm=lens.efl_mm,
@@ -158,10 +182,23 @@ def first_order(scene: Scene) -> FirstOrder:
         micro_image_diameter_px=micro[2] if micro else None,
         object_sampling_mm=_on_object(blur, magnification),
         field_of_view_mm=_field_of_view_mm(camera, magnification),
+        airy_wavelength_nm=longest,
+        airy_disk_mm=airy_disk_mm(longest, f_number),
+        airy_disk_samples=airy_disk_mm(longest, f_number) / blur,
+        microlens_airy_disk_px=airy_disk_mm(longest, micro[0]) / camera.sensor.pixel_mm if micro else None,
         near_mm=near,
         far_mm=far,
     )
     return replace(facts, warnings=warnings(scene, facts))
+
+
+def airy_disk_mm(wavelength_nm: float, f_number: float) -> float:
+    """Return the diameter of the first dark ring round the image of a point, in mm: 2.44 λ N.
+
+    The first zero of J₁ is at 1.2197 π: the ring has the radius 1.22 λ N (Born and Wolf, Principles of Optics, section
+    8.5.2), N the f-number at which the cone of light converges in air, 1 / (2 sin θ').
+    """
+    return 2.0 * AIRY_RING * wavelength_nm * 1e-6 * f_number
 
 
 def lenslet_to_sensor_mm(camera: Camera, wavelength_nm: float) -> float:
@@ -222,6 +259,10 @@ def _field_of_view_mm(camera: Camera, magnification: float) -> tuple[float, floa
 
 def _mm(length: float) -> str:
     return f"{length:.6g} mm" if math.isfinite(length) else "infinity"
+
+
+def _um(length_mm: float) -> str:
+    return f"{1e3 * length_mm:.4g} µm" if math.isfinite(length_mm) else "infinity"
 
 
 def _pupil(z: float, diameter: float) -> str:

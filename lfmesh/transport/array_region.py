@@ -46,6 +46,7 @@ from lfmesh.transport.packet import (
     FLAT_FACE,
     LEFT_FACE,
     LENS,
+    LOST_IN_ARRAY,
     NO_SURFACE,
     PLATE,
     S_ABSORBED,
@@ -250,10 +251,11 @@ def shade_cells(
                 )
             _split_at_face(options, flow, frames, array, lens_surfaces, packet, t, prim, nx, ny, nz)
         elif options.surface != EXACT and prim >= 0 and not met and at_facet < min(sideways, layer):
-            ask_again(options, flow, frames, CELLS, packet, behind(array.facets[prim], packet, at_facet), False)
+            further = behind(array.facets[prim], packet, at_facet)
+            ask_again(options, flow, frames, CELLS, packet, further, False, LOST_IN_ARRAY)
         elif options.surface != EXACT and prim < 0 and packet.tries == 0:
             # Embree lets a ray pass that is aimed exactly at a vertex.
-            ask_again(options, flow, frames, CELLS, packet, packet.query_from, True)
+            ask_again(options, flow, frames, CELLS, packet, packet.query_from, True, LOST_IN_ARRAY)
         elif sideways <= layer:
             _walk(options, flow, frames, array, packet, sideways, side)
         elif dz < 0.0 and inward:
@@ -264,7 +266,7 @@ def shade_cells(
         elif dz > 0.0 and not inward:
             put(flow, PLATE, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, 0.0)
         else:
-            ask_again(options, flow, frames, CELLS, packet, packet.query_from, True)
+            ask_again(options, flow, frames, CELLS, packet, packet.query_from, True, LOST_IN_ARRAY)
 
 
 @kernel

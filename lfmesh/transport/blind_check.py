@@ -110,7 +110,7 @@ class BlindSamples:
         self.looked_at.append(pixels * self.waves + wave)
 
     def add_image(self, pixels: NDArray[np.int64], wave: int, found: Array) -> None:
-        """Add packets of an estimate of the whole image: the pixels (n,) that they fell on, and what they brought, W."""
+        """Add packets of an estimate of the whole image: the pixels (n,) that they fell on, what they brought, W."""
         self.values.append(pixels * self.waves + wave)
         self.found.append(found)
         self.images += wave == 0

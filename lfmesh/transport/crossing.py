@@ -164,6 +164,13 @@ def end_here(options: Options, flow: Flow, frames: Array, packet: Any, slot: int
 
 
 @kernel
+def lose(options: Options, flow: Flow, frames: Array, packet: Any, reason: int, slot: int) -> None:
+    """End a packet that cannot be placed where it started; book it by reason, and in the slot of the body."""
+    flow.book[reason] += packet.weight
+    end_here(options, flow, frames, packet, slot, S_LOST)
+
+
+@kernel
 def _keep_end(
     options: Options, flow: Flow, frames: Array, packet: Any, frame: int,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, slot: int, status: int,
@@ -265,16 +272,16 @@ def deposit(options: Options, flow: Flow, place: int, wave: int, weight: float) 
 
 @kernel
 def ask_again(
-    options: Options, flow: Flow, frames: Array, station: int, packet: Any, query_from: float, missed: bool
+    options: Options, flow: Flow, frames: Array, station: int, packet: Any, query_from: float, missed: bool, slot: int
 ) -> None:
-    """Queue the packet's ray for another query, or end it as lost after too many.
+    """Queue the packet's ray for another query, or end it as lost, booked in `slot`, after too many.
 
     A refused hit is queried again from behind it. A ray that met nothing inside a closed space slipped between
     facets: it is asked from its start again, its query origin moved aside by a rounding error, each time a larger one.
     """
     flow.counts[REQUERIES] += 1
     if packet.tries >= MAX_TRIES:
-        end_here(options, flow, frames, packet, LOST_MISS if missed else LOST_CONTRADICTION, S_LOST)
+        lose(options, flow, frames, packet, LOST_MISS if missed else LOST_CONTRADICTION, slot)
         return
     limit = packet.limit
     again = put(

@@ -3,6 +3,28 @@
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+LOST_LIMIT = 1e-7
+"""Share of the energy that the tracer may lose to rounding without a word."""
+
+NAMED_BODIES = 4
+"""Bodies that a warning about lost energy names."""
+
+
+class LostEnergyWarning(UserWarning):
+    """The tracer lost more of the energy than rounding explains."""
+
+
+def loss_in_words(lost: float, lost_in: dict[str, float], emitted: float) -> str | None:
+    """Say which share of what was emitted was lost and in which bodies, the worst first; None within `LOST_LIMIT`."""
+    if not lost > LOST_LIMIT * emitted:
+        return None
+    worst = sorted(lost_in.items(), key=lambda item: -item[1])
+    bodies = [f"{value / emitted:.1e} in {name}" for name, value in worst[:NAMED_BODIES]]
+    if len(worst) > NAMED_BODIES:
+        bodies.append(f"the rest in {len(worst) - NAMED_BODIES} others")
+    shares = f": {', '.join(bodies)}" if bodies else ""
+    return f"{lost / emitted:.1e} of the energy was lost by the tracer{shares}"
+
 
 @dataclass
 class Ledger:
@@ -30,7 +52,10 @@ class Ledger:
     depth: float = 0.0
     """Cut by `max_events`."""
     lost: dict[str, float] = field(default_factory=dict)
-    """By reason; see `lfmesh.transport.engine`."""
+    """By reason: "miss", a ray that met nothing where something encloses it, "contradiction", one that met only what
+    it cannot meet where it is."""
+    lost_in: dict[str, float] = field(default_factory=dict)
+    """The same energy by the body in which it was lost: "targets[1]", "lens[0]", "mla", ..."""
     packets: int = 0
     """Packets started."""
     events: int = 0
@@ -74,12 +99,16 @@ class Ledger:
         """Lost energy over emitted."""
         return sum(self.lost.values()) / self.emitted if self.emitted else 0.0
 
+    def loss_in_words(self) -> str | None:
+        """Say how much was lost and in which bodies, the worst first; None within `LOST_LIMIT`."""
+        return loss_in_words(sum(self.lost.values()), self.lost_in, self.emitted)
+
     @classmethod
-    def from_dict(cls, numbers: dict[str, Any]) -> "Ledger":
-        """Return the ledger that `as_dict` wrote."""
-        own = {entry.name: numbers[entry.name] for entry in fields(cls) if entry.name != "lamps"}
-        lamps = numbers.get("lamps")
-        return cls(**own, lamps=None if lamps is None else cls.from_dict(lamps))
+    def from_dict(cls, values: dict[str, Any]) -> "Ledger":
+        """Return the ledger of what `as_dict` gave; what a report of an older version does not have stays empty."""
+        own = {each.name: values[each.name] for each in fields(cls) if each.name in values}
+        lamps = values.get("lamps")
+        return cls(**own | {"lamps": None if lamps is None else cls.from_dict(lamps)})
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers for JSON, the derived ones included."""

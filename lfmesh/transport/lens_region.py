@@ -19,6 +19,7 @@ from lfmesh.transport.crossing import (
     end,
     end_here,
     facet_normal,
+    lose,
     meets_patch,
     move_packet,
     record,
@@ -67,7 +68,6 @@ from lfmesh.transport.packet import (
     PLATE,
     REQUERIES,
     S_ABSORBED,
-    S_LOST,
     SENSOR,
     STOP,
     Flow,
@@ -141,8 +141,12 @@ def stop_cuts(lens: LensTables, x: float, y: float, z: float, dx: float, dy: flo
 def leave_lens(
     options: Options, flow: Flow, frames: Array, lens: LensTables, has_array: bool, packet: Any,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64, space: int,
+    query_from: float,
 ) -> None:  # fmt: skip
-    """Hand a packet outside the lens on: to object space, to the array, or without one to the sensor."""
+    """Hand a packet outside the lens on: to object space, to the array, or without one to the sensor.
+
+    It has left everything nearer than `query_from` behind.
+    """
     if lens.stop_space == space and stop_cuts(lens, x, y, z, dx, dy, dz):
         t = (lens.stop_z - z) / dz if dz != 0.0 else 0.0
         end(
@@ -151,7 +155,7 @@ def leave_lens(
         )  # fmt: skip
         return
     station = OBJECTS if space == 0 else (PLATE if has_array else SENSOR)
-    child = put(flow, station, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
+    child = put(flow, station, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, key, query_from)
     child.last = LEFT_LENS
     child.facet = NO_SURFACE
     if space == 0:
@@ -235,7 +239,7 @@ def _decide(
     if missed_all and not _is_conic(surfaces[0 if space == 0 else last_space - 1]):
         if packet.last == NO_SURFACE and packet.tries == 0:
             # It was on its way in: Embree lets a ray pass that is aimed exactly at a vertex.
-            ask_again(options, flow, frames, LENS, packet, packet.query_from, True)
+            ask_again(options, flow, frames, LENS, packet, packet.query_from, True, lens.lost_slot[space])
         else:
             _leaves(options, flow, frames, lens, has_array, packet)
         return NO_SURFACE
@@ -243,7 +247,8 @@ def _decide(
     if prim >= 0:
         k, t, px, py, z, nx, ny, nz = _meets(flow, lens, packet, prim, 0.25 * packet.query_from)
         if k == NO_SURFACE and abs(t) <= facets[prim].size and packet.tries < NEARBY_TRIES:
-            ask_again(options, flow, frames, LENS, packet, behind(facets[prim], packet, t), False)
+            further = behind(facets[prim], packet, t)
+            ask_again(options, flow, frames, LENS, packet, further, False, lens.lost_slot[space])
             return NO_SURFACE
     if k == RING or (k != NO_SURFACE and packet.last != 2 * space - 1 - k):
         # The mesh of a surface that bulges into the space stands back from it: a ray that grazes the surface may
@@ -262,7 +267,7 @@ def _decide(
                 # It passes beside the outermost surface.
                 _leaves(options, flow, frames, lens, has_array, packet)
             else:
-                end_here(options, flow, frames, packet, LOST_CONTRADICTION, S_LOST)
+                lose(options, flow, frames, packet, LOST_CONTRADICTION, lens.lost_slot[space])
             return NO_SURFACE
     if k == RING:
         _meets_ring(options, flow, frames, lens, packet, t)
@@ -332,7 +337,9 @@ def _send_on(
             packet.node = record(flow, frames, CAMERA_FRAME, x, y, z, weight, k, NO_SURFACE, event, node)
         if (into == 0 and lens.convex_front) or (into == last_space and lens.convex_back):
             packet.events, packet.space = met, into
-            leave_lens(options, flow, frames, lens, has_array, packet, x, y, z, dx, dy, dz, weight, child_key, into)
+            leave_lens(
+                options, flow, frames, lens, has_array, packet, x, y, z, dx, dy, dz, weight, child_key, into, 0.0
+            )
         else:
             sent = put(flow, LENS, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, child_key, block[child + CLEAR])
             sent.events, sent.last, sent.space = met, k, into
@@ -501,7 +508,7 @@ def _leaves(options: Options, flow: Flow, frames: Array, lens: LensTables, has_a
     if packet.space == 0 or packet.dz > 0.0:
         leave_lens(
             options, flow, frames, lens, has_array, packet, packet.x, packet.y, packet.z,
-            packet.dx, packet.dy, packet.dz, packet.weight, packet.key, packet.space,
+            packet.dx, packet.dy, packet.dz, packet.weight, packet.key, packet.space, packet.limit,
         )  # fmt: skip
     else:
         end_here(options, flow, frames, packet, HOUSING, S_ABSORBED)

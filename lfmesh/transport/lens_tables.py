@@ -22,7 +22,9 @@ from lfmesh.transport.tables import (
 )
 
 
-def lens_tables(scene: Scene, shape: LensShape, waves: tuple[float, ...]) -> tuple[Mesh, LensTables]:
+def lens_tables(
+    scene: Scene, shape: LensShape, waves: tuple[float, ...], lost_slots: NDArray[np.int64]
+) -> tuple[Mesh, LensTables]:
     """Return the facets of the lens as one mesh, for Embree, and its tables."""
     count = len(shape.caps)
     mesh = joined([*shape.caps, *shape.closures])
@@ -52,6 +54,7 @@ def lens_tables(scene: Scene, shape: LensShape, waves: tuple[float, ...]) -> tup
         caps.max(axis=0) + slack,
         bool(first["curvature"] >= 0 and first["terms"] == 0),
         bool(last["curvature"] <= 0 and last["terms"] == 0),
+        lost_slots,
     )
 
 

@@ -25,6 +25,7 @@ from lfmesh.transport.crossing import (
     KEEP_BOUNCE,
     LIGHT_U,
     LIGHT_V,
+    MAX_TRIES,
     ask_again,
     barycentric,
     behind,
@@ -35,6 +36,7 @@ from lfmesh.transport.crossing import (
     end,
     end_here,
     facet_normal,
+    lose,
     meets_patch,
     move_packet,
     record,
@@ -61,6 +63,7 @@ from lfmesh.transport.packet import (
     LENS_FRONT,
     LIT,
     LOST_CONTRADICTION,
+    LOST_OUTSIDE,
     NO_SURFACE,
     OBJECT_FRAME,
     OBJECTS,
@@ -70,7 +73,6 @@ from lfmesh.transport.packet import (
     REQUERIES,
     S_ABSORBED,
     S_ESCAPED,
-    S_LOST,
     S_TARGET,
     SAMPLING_ADDED,
     SAMPLING_REMOVED,
@@ -129,21 +131,25 @@ def shade_objects(
             t = -height / along if along != 0.0 else -np.inf
             # Nearer than the query's start: the facet that the packet left, or a neighbour in its plane.
             if prim == packet.facet or t <= 0.25 * packet.query_from or t <= 0.0:
-                again = behind(facet, packet, t if t > 0.0 else 0.0)
-                ask_again(options, flow, frames, OBJECTS, packet, again, False)
-                continue
+                if packet.tries < MAX_TRIES:
+                    again = behind(facet, packet, t if t > 0.0 else 0.0)
+                    ask_again(options, flow, frames, OBJECTS, packet, again, False, LOST_OUTSIDE)
+                    continue
+                prim, t, along = _first_crossing(objects, packet, x, y, z, dx, dy, dz)
+                facet = facets[max(prim, 0)]
         elif packet.tries == 0 and _might_have_met(objects, packet, x, y, z, dx, dy, dz):
             # Embree lets a ray pass that is aimed exactly at a vertex.
-            ask_again(options, flow, frames, OBJECTS, packet, packet.query_from, True)
+            ask_again(options, flow, frames, OBJECTS, packet, packet.query_from, True, LOST_OUTSIDE)
             continue
         if packet.kind != SHADOW and not _in_its_medium(objects, packet, prim, along):
             # The query began beyond a facet, near an edge of the body, or slipped through the body at a vertex.
             flow.counts[REQUERIES] += 1
+            body = packet.column if packet.column >= 0 else facet.body
             prim, t, along = _first_crossing(objects, packet, x, y, z, dx, dy, dz)
-            if prim < 0:
-                end_here(options, flow, frames, packet, LOST_CONTRADICTION, S_LOST)
+            if prim < 0 and (packet.column >= 0 or _comes_out_ahead(objects, packet, x, y, z, dx, dy, dz)):
+                lose(options, flow, frames, packet, LOST_CONTRADICTION, objects.lost_slot[body])
                 continue
-            facet = facets[prim]
+            facet = facets[max(prim, 0)]
         if packet.kind == SHADOW:
             if t >= packet.limit:
                 deposit(options, flow, packet.source, packet.wave, packet.weight)
@@ -261,14 +267,32 @@ def _first_crossing(
     no distance from the start need be kept; a curved start may even lie a little beyond the next facet.
     """
     first, nearest, steepness = -1, np.inf, 0.0
+    # The limit of a shadow is its light's distance, that of a packet which passed the lens the way to it.
+    back = 0.0 if packet.kind == SHADOW or packet.last == LEFT_LENS else packet.limit
     for prim in range(len(objects.facets)):
         t, along = crosses(objects.facets[prim], x, y, z, dx, dy, dz)
-        if t < nearest and t > -packet.limit and prim != packet.facet:
+        if t < nearest and t > -back and prim != packet.facet:
             body = objects.facets[prim].body
             glass = body >= 0 and objects.glass[body, packet.wave] > 0.0
             if (glass or t > 0.0) and _in_its_medium(objects, packet, prim, along):
                 first, nearest, steepness = prim, t, along
     return first, nearest, steepness
+
+
+@kernel
+def _comes_out_ahead(
+    objects: ObjectTables, packet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float
+) -> bool:
+    """Tell whether a packet in the open would come out of glass ahead: it is in a body without having entered it.
+
+    If not, nothing lies ahead, and what float32 found was the edge of a facet that the ray passes.
+    """
+    for prim in range(len(objects.facets)):
+        t, along = crosses(objects.facets[prim], x, y, z, dx, dy, dz)
+        body = objects.facets[prim].body
+        if along > 0.0 and packet.limit < t < np.inf and body >= 0 and objects.glass[body, packet.wave] > 0.0:
+            return True
+    return False
 
 
 @kernel
@@ -285,7 +309,7 @@ def _through_glass(
     if level == PATCH:
         met, more, nx, ny, nz = meets_patch(flow, objects.patches, objects.across, facet, prim, x, y, z, dx, dy, dz)
         if met and t + more <= 0.0:
-            ask_again(options, flow, frames, OBJECTS, packet, behind(facet, packet, t), False)
+            ask_again(options, flow, frames, OBJECTS, packet, behind(facet, packet, t), False, objects.lost_slot[body])
             return
         x, y, z = x + more * dx, y + more * dy, z + more * dz
     else:

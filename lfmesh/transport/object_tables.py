@@ -20,6 +20,7 @@ from lfmesh.transport.frame_table import frame_table
 from lfmesh.transport.lens_tables import curved
 from lfmesh.transport.packet import (
     CAMERA_FRAME,
+    LOST_OUTSIDE,
     OBJECT_FRAME,
     SENSOR_FRAME,
     WORLD_FRAME,
@@ -107,7 +108,7 @@ def _distance_to_axis(polygon: Array) -> float:
 
 def object_tables(
     scene: Scene, targets: list[TargetMesh], housing: Mesh, moves: Array,
-    target_slots: NDArray[np.int64], waves: tuple[float, ...],
+    target_slots: NDArray[np.int64], lost_slots: NDArray[np.int64], waves: tuple[float, ...],
 ) -> tuple[Mesh, ObjectTables]:  # fmt: skip
     """Return targets and housing as one mesh in the object frame, for Embree, and their tables."""
     to_object = moves[WORLD_FRAME, OBJECT_FRAME]
@@ -145,7 +146,8 @@ def object_tables(
         *curved(bool((level == PATCH).any()), mesh),
         texture,
         np.concatenate(texels) if texels else np.zeros((0, len(waves)), np.float32),
-        target_slots.astype(np.int64),
+        target_slots,
+        np.append(lost_slots, LOST_OUTSIDE),
         _lights(scene, to_object),
         np.zeros(0, SOURCE),
         radius,

@@ -35,7 +35,10 @@ SAMPLING_ADDED, SAMPLING_REMOVED, DEPTH, LOST_MISS, LOST_CONTRADICTION = 5, 6, 7
 UNFOLLOWED, REACHED, LIT, BESIDE_SENSOR, HOUSING, STOP, MOUNT, ARRAY_MOUNT, ARRAY_EDGE, ARRAY_WALL, LENS_FRONT = (
     10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20,
 )  # fmt: skip
-FIRST_BODY = 21
+# Lost energy is entered twice: by reason, above, and by the body in which it was lost. Lens and targets have more of
+# these slots, see `world.slots_of`.
+LOST_IN_ARRAY, LOST_OUTSIDE = 21, 22
+FIRST_BODY = 23
 
 # Counters.
 EVENTS, REQUERIES, FALLBACKS = 0, 1, 2

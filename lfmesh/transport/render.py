@@ -3,6 +3,7 @@
 import os
 import threading
 import time
+import warnings
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -20,7 +21,7 @@ from lfmesh.transport.blind_check import BlindSamples, first_of_runs
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.forward import launch_forward
 from lfmesh.transport.image import Image
-from lfmesh.transport.ledger import Ledger
+from lfmesh.transport.ledger import Ledger, LostEnergyWarning
 from lfmesh.transport.packet import COUNTERS, DEPOSITS, EVENTS
 from lfmesh.transport.parts import BOOKS, LAMP_BOOK, OWN_BOOK, Part, blind_part, in_words, parts_of
 from lfmesh.transport.progress import Progress
@@ -168,6 +169,11 @@ def render(scene: Scene, progress: Callable[[Progress], None] | None = None) -> 
     Image
         Of the finished replicates, where Ctrl-C cut the run short.
 
+    Warns
+    -----
+    LostEnergyWarning
+        More energy was lost than rounding explains; the warning names the bodies in which.
+
     Raises
     ------
     KeyboardInterrupt
@@ -175,7 +181,12 @@ def render(scene: Scene, progress: Callable[[Progress], None] | None = None) -> 
     LfmeshError
         The scene cannot be built.
     """
-    return Renderer(build(scene), progress).image()
+    image = Renderer(build(scene), progress).image()
+    for ledger in (image.ledger, image.ledger.lamps):
+        lost = ledger.loss_in_words() if ledger is not None else None
+        if lost is not None:
+            warnings.warn(lost, LostEnergyWarning, stacklevel=2)
+    return image
 
 
 @dataclass

@@ -17,6 +17,7 @@ from lfmesh.transport.packet import (
     FALLBACKS,
     LIT,
     LOST_CONTRADICTION,
+    LOST_IN_ARRAY,
     LOST_MISS,
     ON_SENSOR,
     REACHED,
@@ -30,7 +31,7 @@ from lfmesh.transport.packet import (
     Options,
 )
 from lfmesh.transport.path_class import EVERY
-from lfmesh.transport.world import World
+from lfmesh.transport.world import LOST_IN, World
 
 SPLIT_MODE = {"both": BOTH, "roulette": ROULETTE, "transmit": TRANSMIT}
 
@@ -60,14 +61,18 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
 
 def ledger_of(book: NDArray[np.float64], counts: NDArray[np.int64], world: World, packets: int, unit: str) -> Ledger:
     """Return a book with its slots as a ledger."""
-    named = {name: float(book[slot]) for slot, name in enumerate(world.slots)}
     known = {
         EMITTED, ON_SENSOR, ESCAPED, ROULETTE_ADDED, ROULETTE_REMOVED, SAMPLING_ADDED, SAMPLING_REMOVED, DEPTH,
         LOST_MISS, LOST_CONTRADICTION, REACHED, LIT,
     }  # fmt: skip
+    losses = {LOST_IN_ARRAY, *world.tables.lens.lost_slot.tolist(), *world.tables.objects.lost_slot.tolist()}
     absorbed: dict[str, float] = {}
+    lost_in: dict[str, float] = {}
     for slot, name in enumerate(world.slots):
-        if slot not in known and named[name] != 0.0:
+        if slot in losses and book[slot] != 0.0:
+            name = name.removeprefix(LOST_IN)
+            lost_in[name] = lost_in.get(name, 0.0) + float(book[slot])
+        elif slot not in known and book[slot] != 0.0:
             absorbed[name] = float(book[slot])
     return Ledger(
         unit=unit,
@@ -81,6 +86,7 @@ def ledger_of(book: NDArray[np.float64], counts: NDArray[np.int64], world: World
         sampling_removed=float(book[SAMPLING_REMOVED]),
         depth=float(book[DEPTH]),
         lost={"miss": float(book[LOST_MISS]), "contradiction": float(book[LOST_CONTRADICTION])},
+        lost_in=lost_in,
         packets=packets,
         events=int(counts[EVENTS]),
         requeries=int(counts[REQUERIES]),

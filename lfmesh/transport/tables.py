@@ -33,6 +33,7 @@ class LensTables(NamedTuple):
     box_high: Array
     convex_front: bool  # a ray that leaves the first surface towards the object cannot meet the lens again
     convex_back: bool
+    lost_slot: NDArray[np.int64]  # (K + 1,) book slot of what is lost in each space
 
 
 class ArrayTables(NamedTuple):
@@ -71,6 +72,7 @@ class ObjectTables(NamedTuple):
     texture: NDArray[np.int64]  # (targets, 3): first value, height, width; height 0: none
     texels: NDArray[np.float32]  # (values, wavelengths)
     target_slot: NDArray[np.int64]  # (targets,)
+    lost_slot: NDArray[np.int64]  # (targets + 1,) of what is lost in glass or beside a target; the last: in the open
     lights: Records  # LIGHT
     sources: Records  # SOURCE: what the forward method starts from
     radius: float  # of a sphere round the origin that holds the targets

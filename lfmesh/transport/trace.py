@@ -2,6 +2,7 @@
 
 import os
 import threading
+import warnings
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.transport import MOST_EVENTS
 from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.engine import CHUNK, Workspace
-from lfmesh.transport.ledger import Ledger
+from lfmesh.transport.ledger import Ledger, LostEnergyWarning
 from lfmesh.transport.packet import (
     ARRAY_FRAME,
     CAMERA,
@@ -157,6 +158,11 @@ def trace(
     threads : int
         0: all. The result does not depend on it.
 
+    Warns
+    -----
+    LostEnergyWarning
+        More energy was lost than rounding explains; the warning names the bodies in which.
+
     Raises
     ------
     LfmeshError
@@ -201,7 +207,11 @@ def trace(
 
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
         parts = list(pool.map(run, range(0, len(p), CHUNK)))
-    return _paths(world, parts, len(p))
+    paths = _paths(world, parts, len(p))
+    lost = paths.ledger.loss_in_words()
+    if lost is not None:
+        warnings.warn(lost, LostEnergyWarning, stacklevel=2)
+    return paths
 
 
 def _options(

@@ -4,8 +4,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError, SceneError
+from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens_shape import LensShape, lens_shape
 from lfmesh.geometry.lenslets import array_mesh
 from lfmesh.geometry.mesh import Array, Mesh, joined
@@ -30,6 +32,7 @@ from lfmesh.transport.packet import (
     SENSOR_FRAME,
     WORLD_FRAME,
 )
+from lfmesh.transport.refused_glass import refuse_untraceable_glass
 from lfmesh.transport.tables import (
     SensorTables,
     Tables,
@@ -38,10 +41,14 @@ from lfmesh.transport.tables import (
 if TYPE_CHECKING:
     import trimesh
 
+LOST_IN = "lost in "
+
+Slots = NDArray[np.int64]
+
 FIXED_SLOTS = (
     "emitted", "sensor", "escaped", "roulette added", "roulette removed", "sampling added", "sampling removed",
     "depth", "miss", "contradiction", "reflections not followed", "reached", "lit", "beside the sensor", "housing",
-    "stop", "mount", "mla mount", "mla edge", "mla wall", "lens front",
+    "stop", "mount", "mla mount", "mla edge", "mla wall", "lens front", f"{LOST_IN}mla", f"{LOST_IN}the open",
 )  # fmt: skip
 
 
@@ -147,6 +154,26 @@ class World:
         return trimesh.Trimesh(corners, [[0, 2, 1], [0, 3, 2]], process=False)
 
 
+def slots_of(scene: Scene, shape: LensShape) -> tuple[list[str], Slots, Slots, Slots]:
+    """Return the names of all slots of the book, and the slots of targets, of losses in them, and in the lens's spaces.
+
+    The spaces lie between the refracting surfaces: air before the lens, glass or air within, air behind.
+    """
+    slots = [*FIXED_SLOTS, *(f"lens[{i}] edge" for i in range(len(shape.elements)))]
+    targets = [target.name or f"targets[{i}]" for i, target in enumerate(scene.targets)]
+    spaces = ["the air before the lens", *[""] * (len(shape.media) - 2), "the air behind the lens"]
+    element = -1
+    for k, medium in enumerate(shape.media[1:-1], start=1):
+        element += medium is not None
+        spaces[k] = f"lens[{element}]" if medium is not None else f"the air behind lens[{element}]"
+    blocks = [targets, [f"{LOST_IN}{name}" for name in targets], [f"{LOST_IN}{name}" for name in spaces]]
+    numbers = []
+    for block in blocks:
+        numbers.append(np.arange(len(slots), len(slots) + len(block)))
+        slots += block
+    return slots, numbers[0], numbers[1], numbers[2]
+
+
 def build(scene: Scene, *, rings: int | None = None) -> World:
     """Build everything a scene's rays can meet.
 
@@ -173,18 +200,17 @@ def build(scene: Scene, *, rings: int | None = None) -> World:
     waves = scene.transport.wavelengths_nm
     shape = lens_shape(scene, rings)
     targets = [target_mesh(target, scene) for target in scene.targets]
-    slots = [*FIXED_SLOTS, *(f"lens[{i}] edge" for i in range(len(shape.elements)))]
-    target_slots = np.arange(len(targets)) + len(slots)
-    slots += [target.name or f"targets[{i}]" for i, target in enumerate(scene.targets)]
+    slots, target_slots, lost_in_targets, lost_in_spaces = slots_of(scene, shape)
 
-    lens_mesh, lens = lens_tables(scene, shape, waves)
+    lens_mesh, lens = lens_tables(scene, shape, waves, lost_in_spaces)
     array_mesh_, array = array_tables(scene, waves)
     middle = middle_of(targets)
     moves = frame_table(scene, middle)
     refuse_collisions(scene, lens, array, moves)
     housing = housing_mesh(scene, shape)
     refuse_targets_inside(targets, housing, moves)
-    object_mesh, objects = object_tables(scene, targets, housing, moves, target_slots, waves)
+    refuse_untraceable_glass(scene, targets, frames.points(moves[CAMERA_FRAME, WORLD_FRAME], shape.caps[0].vertices))
+    object_mesh, objects = object_tables(scene, targets, housing, moves, target_slots, lost_in_targets, waves)
     sensor = SensorTables(*scene.camera.sensor.pixels, scene.camera.sensor.pixel_mm)
     aim, proof = aim_table(scene, report, lens, array, sensor, targets, moves, analytic=bool(shape.analytic.all()))
     tables = Tables(lens, array, sensor, objects, moves, aim)

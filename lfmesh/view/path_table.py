@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.files.whole import write_whole
-from lfmesh.transport.packet import Event
+from lfmesh.transport.ledger import loss_in_words
+from lfmesh.transport.packet import Event, Status
+from lfmesh.transport.world import LOST_IN
 from lfmesh.view.filters import parse
 from lfmesh.view.names import label
 from lfmesh.view.rays import WATT, Rays
@@ -75,11 +77,14 @@ class PathTable(Sequence[PathRow]):
     rays : Rays
     total : float
         Power on the sensor that the shares refer to.
+    loss : str or None
+        What the tracer lost of all launched paths, in words, where that is more than rounding.
     """
 
     rows: list[PathRow]
     rays: Rays
     total: float
+    loss: str | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -110,7 +115,7 @@ class PathTable(Sequence[PathRow]):
         if descending is None:
             descending = by not in ("path", "short", "sequence")
         rows = sorted(self.rows, key=lambda row: getattr(row, by), reverse=descending)
-        return PathTable(rows, self.rays, self.total)
+        return PathTable(rows, self.rays, self.total, self.loss)
 
     def filtered(self, chosen: str | NDArray[np.bool_]) -> "PathTable":
         """Return the table of some of the paths; shares still refer to all of them, numbers stay.
@@ -126,7 +131,7 @@ class PathTable(Sequence[PathRow]):
             The expression cannot be read.
         """
         mask = parse(chosen, self.rays) if isinstance(chosen, str) else chosen
-        return _table(self.rays.keep(mask), self.total)
+        return _table(self.rays.keep(mask), self.total, self.loss)
 
     def to_csv(self, path: str | Path) -> Path:
         """Write `csv_text`; return the file. It is written whole or not at all.
@@ -164,15 +169,23 @@ class PathTable(Sequence[PathRow]):
         where = "between sensor and scene" if self.rays.from_sensor else "on the sensor"
         paths = sum(row.count for row in self.rows)
         whole = f"{len(self)} sequences, {paths} paths, {self.power:.4e} {unit} {where}"
-        return [*lines, whole]
+        return [*lines, whole, *([f"Warning: {self.loss}."] if self.loss else [])]
 
 
 def path_table(rays: Rays) -> PathTable:
     """Return the path table of some rays, in the order of the paths' numbers: what brings most comes first."""
-    return _table(rays, float(rays.end_power[rays.arrives].sum()))
+    return _table(rays, float(rays.end_power[rays.arrives].sum()), _loss(rays))
 
 
-def _table(rays: Rays, total: float) -> PathTable:
+def _loss(rays: Rays) -> str | None:
+    """Say what the tracer lost of the power that the paths ended with, and in which bodies."""
+    lost = rays.status == Status.LOST
+    power = np.bincount(rays.end[lost], rays.end_power[lost], len(rays.surfaces))
+    lost_in = {rays.surfaces[i].removeprefix(LOST_IN): float(power[i]) for i in np.flatnonzero(power)}
+    return loss_in_words(sum(lost_in.values()), lost_in, float(rays.end_power.sum()))
+
+
+def _table(rays: Rays, total: float, loss: str | None) -> PathTable:
     present, first, place, count = np.unique(rays.sequence, return_index=True, return_inverse=True, return_counts=True)
     arriving = rays.end_power * rays.arrives
     power = np.bincount(place, arriving, len(present))
@@ -185,7 +198,7 @@ def _table(rays: Rays, total: float) -> PathTable:
         )
         for number, path, paths, watts, largest in zip(present, first, count, power, irradiance, strict=True)
     ]  # fmt: skip
-    return PathTable(rows, rays, total)
+    return PathTable(rows, rays, total, loss)
 
 
 def _largest_irradiance(

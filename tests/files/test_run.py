@@ -15,8 +15,9 @@ import pytest
 
 from lfmesh.errors import FileError
 from lfmesh.files import run
-from lfmesh.scene import Scene, load
+from lfmesh.scene import Scene, first_order, load
 from lfmesh.transport.image import Image
+from lfmesh.transport.ledger import Ledger
 from lfmesh.view.request import subject_of
 
 Build = Callable[..., Image]
@@ -145,6 +146,24 @@ def test_an_interrupted_run_is_valid_and_marked(image_of: Build, tmp_path: Path)
     back = run.open_run(tmp_path)
     assert not back.complete
     assert np.isnan(back.stderr).all()
+
+
+def test_the_report_holds_the_airy_disks(image_of: Build, scene: Scene, tmp_path: Path) -> None:
+    run.save(image_of(scene.changed({"transport.wavelengths_nm": [486.1, 587.6, 656.3]})), tmp_path)
+    diffraction = json.loads((tmp_path / "report.json").read_text())["diffraction"]
+    pixel, lenslet = scene.camera.sensor.pixel_mm, scene.camera.mla.pitch_mm
+    facts = first_order(scene)
+    assert diffraction["airy_wavelength_nm"] == 656.3
+    assert diffraction["airy_disk_mm"] == pytest.approx(2.43934 * 656.3e-6 * facts.working_f_number, rel=1e-6)
+    assert diffraction["airy_disk_samples"] == pytest.approx(diffraction["airy_disk_mm"] / lenslet, rel=1e-12)
+    of_lenslet = 2.43934 * 656.3e-6 * facts.microlens_f_number / pixel
+    assert diffraction["microlens_airy_disk_px"] == pytest.approx(of_lenslet, rel=1e-6)
+
+
+def test_a_report_of_before_losses_were_booked_by_body_opens(image_of: Build) -> None:
+    older = image_of().ledger.as_dict()
+    del older["lost_in"]
+    assert Ledger.from_dict(older).lost_in == {}
 
 
 def test_a_new_run_replaces_the_old_one_and_leaves_other_files(image_of: Build, scene: Scene, tmp_path: Path) -> None:

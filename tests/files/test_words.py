@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lfmesh.files import words
-from lfmesh.scene import Scene
+from lfmesh.scene import Scene, first_order
 from lfmesh.transport.image import Image
 from lfmesh.transport.ledger import Ledger
 
@@ -124,10 +124,36 @@ def test_an_interrupted_run_says_how_far_it_came(image_of: Build) -> None:
 
 
 def test_leaks_are_reported(image_of: Build) -> None:
-    ledger = Ledger(emitted=1.0, absorbed={"stop": 0.9}, lost={"too many queries": 1e-3})
+    lost_in = {f"targets[{i}]": 1e-4 * (i + 1) for i in range(4)} | {"mla": 2e-6, "lens[0]": 1e-6}
+    ledger = Ledger(emitted=2.0, absorbed={"stop": 1.9}, lost={"contradiction": sum(lost_in.values())}, lost_in=lost_in)
     lines = text(image_of(ledger=ledger))
-    assert "0.1 % of the energy was lost by the tracer (too many queries: 0.001 W)" in lines
+    assert (
+        "Warning: 5.0e-04 of the energy was lost by the tracer: 2.0e-04 in targets[3], 1.5e-04 in targets[2], 1.0e-04"
+        " in targets[1], 5.0e-05 in targets[0], the rest in 2 others. The picture lacks it." in lines
+    )
     assert "the energy does not close" in lines
+
+
+def test_the_airy_disks_are_said_and_warned_of_above_one_sample(image_of: Build, scene: Scene) -> None:
+    facts = first_order(scene)
+    assert facts.airy_disk_samples < facts.microlens_airy_disk_px < 1.0
+    lines = text(image_of())
+    assert (
+        f"Diffraction is not traced: the lens's Airy disk is {facts.airy_disk_samples:.2g} lenslets wide, a lenslet's "
+        f"{facts.microlens_airy_disk_px:.2g} pixels (at {facts.airy_wavelength_nm:g} nm)." in lines
+    )
+    infrared = scene.changed({"transport.wavelengths_nm": (facts.airy_wavelength_nm, 10_000.0)})
+    lines = text(image_of(infrared))
+    assert "Warning: diffraction is not traced, and a real camera's picture is blurred by it: the lens's" in lines
+    assert "(at 10000 nm)" in lines
+
+
+@pytest.mark.parametrize(("lost", "said"), [(0.99e-7, False), (1.01e-7, True)])
+def test_a_loss_above_one_part_in_ten_million_is_said(image_of: Build, lost: float, said: bool) -> None:
+    ledger = Ledger(emitted=1.0, escaped=1.0 - lost, lost={"miss": lost}, lost_in={"mla": lost})
+    assert (
+        "Warning: 1.0e-07 of the energy was lost by the tracer: 1.0e-07 in mla" in text(image_of(ledger=ledger))
+    ) == said
 
 
 @pytest.mark.parametrize(

@@ -100,6 +100,8 @@ def test_the_creases_of_a_file_are_where_its_normals_differ(tmp_path):
         (lambda n: np.where(np.arange(42)[:, None] == 7, np.nan, n), "5 of its 240 corner normals have no direction"),
         (lambda n: np.where(np.arange(42)[:, None] < 2, -n, n), "corner normals look to the wrong side"),
         (lambda n: -n, "240 of its 240 corner normals look to the wrong side"),
+        (lambda n: np.add(n, [0.0, 0.0, 0.9]), "corner normals are further off their facet than a smooth surface's"),
+        (lambda n: n * [1.0, 1.0, 0.2], "corner normals are further off their facet than a smooth surface's"),
     ],
 )
 def test_bad_normals_are_refused_in_one_line_that_counts_them(tmp_path, spoil, said):

@@ -81,8 +81,8 @@ def half_a_pupil(aim: Aim) -> Aim:
     )
 
 
-CONVENTIONAL = {"camera.mla": None, "camera.sensor.distance_mm": None, "camera.sensor.pixels": [40, 40],
-                "camera.sensor.pixel_mm": 0.05}  # fmt: skip
+FORWARD = {"camera.mla": None, "camera.sensor.distance_mm": None, "camera.sensor.pixels": [40, 40],
+           "camera.sensor.pixel_mm": 0.05, "transport.method": "forward", "transport.samples": 2048}  # fmt: skip
 
 
 @pytest.mark.parametrize(

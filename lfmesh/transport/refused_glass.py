@@ -1,0 +1,281 @@
+"""Refuse glass in front of the camera that rays cannot be traced through, before the first one is.
+
+A packet knows which body of glass it is in, and each body ends where its surface does. So surfaces may touch but not
+cut themselves or each other, shells may not lie in one another the wrong way round, one body may not lie in another,
+and what packets start from (camera, lamps, in the forward method emitting targets) must stand in air.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import SceneError
+from lfmesh.geometry.mesh import Array, Mesh, facet_normals, joined
+from lfmesh.geometry.targets import TargetMesh
+from lfmesh.geometry.winding import shells, winding
+from lfmesh.optics.scattering import tangents
+from lfmesh.scene import DirectionalLight, DiskLight, Light, Scene
+from lfmesh.transport.crossing import FLOAT32_GRAIN
+from lfmesh.transport.embree import Finder
+
+Index = NDArray[np.int64]
+
+CUT = 1e-5
+"""How deep surfaces may cut into each other before they are refused, relative to the smaller one's size: what float32
+files and coincident faces leave."""
+
+MOST_ROUNDS = 64
+"""How often an edge asks for what it meets; it passes its own facets, and those that it touches."""
+
+JUST_BESIDE = 1e-6
+"""How far from the middle of a facet a point lies that is in or out of its own body; relative to the radius of the
+circle in the facet."""
+
+A_LITTLE_INSIDE = 1e-3
+"""The same of a point that tells whether the body lies in another one, which it may touch."""
+
+MOST_TRIED, MOST_ANGLES = 512, 3_000_000
+"""Facets of a body at which others are asked about at most, and solid angles that may be worked out for them."""
+
+DISK_RINGS, DISK_SPOKES = 4, 32
+"""Points at which a disk lamp is looked for in glass."""
+
+
+def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Array) -> None:
+    """Refuse bodies of glass that overlap, cut themselves, or hold the camera or what emits.
+
+    Parameters
+    ----------
+    scene : Scene
+    targets : list of TargetMesh
+        Of the scene, in order.
+    front : (n, 3) float64, mm
+        Points of the camera's front, world frame. Nothing else of a target may reach into the camera.
+
+    Raises
+    ------
+    SceneError
+        Naming the bodies and the place.
+    """
+    bodies = [i for i, target in enumerate(scene.targets) if target.refractor is not None]
+    if not bodies:
+        return
+    emitting = [i for i, t in enumerate(scene.targets) if t.material.radiance_w_m2_sr > 0.0 and i not in bodies]
+    emitting = emitting if scene.transport.method == "forward" else []
+    names = {i: named(scene, i) for i in (*bodies, *emitting)}
+    meshes = {i: targets[i].mesh for i in names}
+    _refuse_cuts(meshes, names, set(bodies))
+    parts = {i: [meshes[i].vertices[meshes[i].faces[facets]] for facets in shells(meshes[i])] for i in bodies}
+    _refuse_wrong_shells(parts, names)
+    _refuse_nesting(parts, names)
+    _refuse_camera_inside(parts, names, front)
+    for number, light in enumerate(scene.lights):
+        _refuse_lamp_inside(parts, names, number, light)
+    for i in emitting:
+        # Nothing cuts it: what hangs together lies in the glass or outside.
+        first = [facets[0] for facets in shells(meshes[i])]
+        body = _holding(parts, meshes[i].vertices[meshes[i].faces[first]].mean(axis=1))
+        if body is not None:
+            raise SceneError(f"{names[i]} emits inside the glass of {names[body]}; {FORWARD_IN_GLASS}")
+
+
+FORWARD_IN_GLASS = 'the forward method starts light in air only: move it out, or take transport.method = "adjoint"'
+
+
+def named(scene: Scene, number: int) -> str:
+    """Return what a message calls a target: its place in the scene file, and its own name or file."""
+    target = scene.targets[number]
+    own = target.name or (target.refractor.file if target.refractor is not None else target.file)
+    return f"targets[{number}]" + (f" ({own})" if own else "")
+
+
+def _refuse_cuts(meshes: dict[int, Mesh], names: dict[int, str], glass: set[int]) -> None:
+    """Refuse surfaces of which an edge of one passes through a facet of another, or of the same."""
+    mesh = joined(meshes.values())
+    owner = np.repeat(list(meshes), [len(m.faces) for m in meshes.values()])
+    sizes = {i: float(np.ptp(m.vertices, axis=0).max()) for i, m in meshes.items()}
+    size = np.array([sizes[i] for i in owner])
+    found = cut(mesh, owner, size, glass)
+    if found is None:
+        return
+    one, other, (x, y, z) = found
+    where = f"near ({x:.4g}, {y:.4g}, {z:.4g}) mm"
+    if one == other:
+        raise SceneError(
+            f"{names[one]}: its surface cuts itself {where}; the surface of a glass body must not: join its parts into "
+            "one body (a Boolean union) and export it again"
+        )
+    if not {one, other} <= glass:
+        body, emitter = (one, other) if one in glass else (other, one)
+        raise SceneError(
+            f"{names[emitter]} emits partly inside the glass of {names[body]}, {where}; {FORWARD_IN_GLASS}"
+        )
+    raise SceneError(
+        f"{names[one]} and {names[other]}: these glass bodies cut each other {where}; glass bodies may touch but not "
+        "overlap: move one, or cut its shape out of the other"
+    )
+
+
+def cut(
+    mesh: Mesh, owner: Index, size: Array, glass: set[int] | None = None
+) -> tuple[int, int, tuple[float, float, float]] | None:
+    """Return two owners of facets of which one's edge passes through the other's facet, and where; None: none do.
+
+    Embree tells which facets an edge may meet; float64 decides. Where two closed surfaces cut each other, an edge of
+    one passes through a facet of the other.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Facets of one owner that meet share their vertices.
+    owner : (m,) int64
+        Of each facet.
+    size : (m,) float64, mm
+        Of the owner of each facet.
+    glass : set of int, optional
+        Owners that may not be cut; what else is in the mesh may cut itself and the like. All, if omitted.
+    """
+    middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+    vertices = mesh.vertices - middle
+    pairs = np.sort(np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]]), axis=1)
+    edges, first = np.unique(pairs, axis=0, return_index=True)
+    facet_of_edge = first % len(mesh.faces)
+    normals, _ = facet_normals(mesh)
+    start, end = vertices[edges[:, 0]], vertices[edges[:, 1]]
+    length = np.linalg.norm(end - start, axis=1)
+    way = (end - start) / length[:, None]
+    grain = FLOAT32_GRAIN * float(np.abs(vertices).sum(axis=1).max())
+    finder = Finder(Mesh(vertices, mesh.faces))
+    going, reach = np.arange(len(edges)), np.full(len(edges), grain)
+    is_glass = np.isin(owner, list(glass)) if glass is not None else np.ones(len(owner), dtype=bool)
+    for turn in range(MOST_ROUNDS):
+        if not len(going):
+            break
+        origin = start[going] + reach[going, None] * way[going]
+        facet = finder.find(origin.astype(np.float32), way[going].astype(np.float32))
+        going, facet = going[facet >= 0], facet[facet >= 0].astype(np.int64)
+        a, b, c = np.moveaxis(vertices[mesh.faces[facet]], 1, 0)
+        before = np.einsum("ij,ij->i", normals[facet], start[going] - a)
+        after = np.einsum("ij,ij->i", normals[facet], end[going] - a)
+        share = np.divide(before, before - after, out=np.ones(len(going)), where=before != after)
+        place = start[going] + share[:, None] * (end - start)[going]
+        deep = CUT * np.minimum(size[facet], size[facet_of_edge[going]])
+        passes = (before * after < 0.0) & (np.minimum(np.abs(before), np.abs(after)) > deep)
+        passes &= ~(mesh.faces[facet][:, :, None] == edges[going][:, None, :]).any(axis=(1, 2))
+        passes &= is_glass[facet] | is_glass[facet_of_edge[going]]
+        for p, q in ((a, b), (b, c), (c, a)):
+            # Inside by as much, so that what meets along an edge does not count.
+            inward = np.cross(normals[facet], q - p)
+            passes &= np.einsum("ij,ij->i", place - p, inward) > deep * np.linalg.norm(q - p, axis=1)
+        if passes.any():
+            i = int(np.flatnonzero(passes)[0])
+            x, y, z = place[i] + middle
+            return int(owner[facet_of_edge[going[i]]]), int(owner[facet[i]]), (float(x), float(y), float(z))
+        reach[going] = np.maximum(reach[going], share * length[going]) + grain * 2.0 ** min(turn, 20)
+        going = going[reach[going] < length[going]]
+    return None
+
+
+Shells = dict[int, list[Array]]
+"""Corners (m, 3, 3) of the facets of every shell, by the number of the target."""
+
+
+def _beside(corners: Array, distance: float) -> Array:
+    """Return (m, 3) points behind the middles of facets, by a share of their inner radii; negative: before."""
+    edges = np.roll(corners, -1, axis=1) - corners
+    cross = np.cross(edges[:, 0], edges[:, 1])
+    around = np.linalg.norm(edges, axis=2).sum(axis=1)
+    return np.asarray(corners.mean(axis=1) - distance * cross / around[:, None])
+
+
+def _tried(shell: Array, budget: int) -> Array:
+    """Return the corners (k, 3, 3) of a shell's largest facet, and of as many others as the budget allows."""
+    area = np.linalg.norm(np.cross(shell[:, 1] - shell[:, 0], shell[:, 2] - shell[:, 0]), axis=1)
+    order = np.argsort(-area, kind="stable")
+    count = int(np.clip(budget, 1, len(order)))
+    return shell[order[np.linspace(0, len(order) - 1, count).astype(np.int64)]]
+
+
+def _budget(own: Sequence[Array], others: Sequence[Array]) -> int:
+    """Return at how many facets of each of a body's shells the other shells are asked about."""
+    facets = sum(len(corners) for corners in others)
+    return max(1, min(MOST_TRIED, MOST_ANGLES // max(facets, 1)) // len(own))
+
+
+def _turns(parts: Sequence[Array], points: Array) -> Index:
+    """Return (n,) how often the shells of a body wind round points, together."""
+    return np.sum([winding(corners, points) for corners in parts], axis=0, dtype=np.int64)
+
+
+def _refuse_wrong_shells(parts: Shells, names: dict[int, str]) -> None:
+    """Refuse a body of which a shell does not have glass behind it and air before it."""
+    for i, own in parts.items():
+        budget = _budget(own, own)
+        tried = np.concatenate([_tried(shell, budget) for shell in own])
+        wrong = _turns(own, _beside(tried, JUST_BESIDE)) != 1
+        wrong |= _turns(own, _beside(tried, -JUST_BESIDE)) != 0
+        if wrong.any():
+            x, y, z = tried[int(np.flatnonzero(wrong)[0])].mean(axis=0)
+            raise SceneError(
+                f"{names[i]}: there is not glass behind its surface and air before it near ({x:.4g}, {y:.4g}, {z:.4g}) "
+                f"mm; its {len(own)} closed surfaces must not cut each other, outer ones must face outwards, those of "
+                "hollows into them"
+            )
+
+
+def _refuse_nesting(parts: Shells, names: dict[int, str]) -> None:
+    """Refuse a body that lies in the glass of another."""
+    for i, own in parts.items():
+        for j, others in parts.items():
+            if i == j:
+                continue
+            low, high = (
+                np.min([s.min(axis=(0, 1)) for s in others], axis=0),
+                np.max([s.max(axis=(0, 1)) for s in others], axis=0),
+            )
+            middles = [shell.mean(axis=1) for shell in own]
+            near = [shell[((m >= low) & (m <= high)).all(axis=1)] for shell, m in zip(own, middles, strict=True)]
+            budget = _budget(own, others)
+            tried = [_tried(facets, budget) for facets in near if len(facets)]
+            if tried and (_turns(others, _beside(np.concatenate(tried), A_LITTLE_INSIDE)) != 0).any():
+                raise SceneError(
+                    f"{names[i]} lies, at least in part, inside the glass of {names[j]}; glass bodies may touch but "
+                    f"not overlap: move it out, or cut a hollow for it into {names[j]}"
+                )
+
+
+def _refuse_camera_inside(parts: Shells, names: dict[int, str], front: Array) -> None:
+    """Refuse glass round the camera."""
+    body = _holding(parts, front)
+    if body is not None:
+        raise SceneError(
+            f"{names[body]}: the camera's first surface stands inside this glass; the camera must stand in air: "
+            "move the body away, or give it a hollow round the camera, a surface that faces inwards"
+        )
+
+
+def _refuse_lamp_inside(parts: Shells, names: dict[int, str], number: int, light: Light) -> None:
+    """Refuse a lamp in glass."""
+    if isinstance(light, DirectionalLight):
+        return
+    points = [np.array(light.position_mm, dtype=np.float64)]
+    if isinstance(light, DiskLight):
+        across = tangents(*(np.array(light.direction) / np.linalg.norm(light.direction)))
+        u, v = np.array(across[:3]), np.array(across[3:])
+        for r in light.radius_mm * np.arange(1, DISK_RINGS + 1) / DISK_RINGS:
+            for phi in 2.0 * np.pi * np.arange(DISK_SPOKES) / DISK_SPOKES:
+                points.append(points[0] + r * (np.cos(phi) * u + np.sin(phi) * v))
+    body = _holding(parts, np.array(points))
+    if body is not None:
+        size = f" with radius_mm = {light.radius_mm:g}" if isinstance(light, DiskLight) else ""
+        raise SceneError(
+            f"lights[{number}].position_mm = {list(light.position_mm)}{size} lies inside the glass of "
+            f"{names[body]}; a lamp must stand in air: move it, or give the body a hollow round it, a surface that "
+            "faces inwards"
+        )
+
+
+def _holding(parts: Shells, points: Array) -> int | None:
+    """Return the number of the body in whose glass any of the points lies."""
+    return next((i for i, own in parts.items() if (_turns(own, points) != 0).any()), None)

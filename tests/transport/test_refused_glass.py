@@ -1,0 +1,189 @@
+"""Glass that cannot be traced is refused in one line; glass that can be, is not."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+import lfmesh as lf
+from lfmesh.errors import SceneError
+from lfmesh.geometry.mesh import Mesh
+from lfmesh.transport.refused_glass import cut
+
+CAMERA: dict[str, Any] = {
+    "focus_mm": 100.0,
+    "lens": {
+        "surfaces": [
+            {"radius_mm": 30.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 6.0, "stop": True},
+            {"radius_mm": -30.0, "semi_diameter_mm": 6.0},
+        ]
+    },
+    "sensor": {"pixels": [8, 8], "pixel_mm": 0.5},
+}
+PLACE = (0.0, 0.0, -100.0)
+
+Body = Callable[..., dict[str, Any]]
+
+
+@pytest.fixture
+def glass(tmp_path: Path) -> Body:
+    """Return what makes a target of glass from meshes, at a place."""
+    made: list[dict[str, Any]] = []
+
+    def body(*parts: trimesh.Trimesh, at: tuple[float, float, float] = PLACE, surface: str = "flat") -> dict[str, Any]:
+        path = tmp_path / f"{len(made)}.stl"
+        trimesh.util.concatenate(parts).export(path)
+        made.append(
+            {"refractor": {"file": str(path), "units": "mm", "index": 1.5, "surface": surface}, "position_mm": at}
+        )
+        return made[-1]
+
+    return body
+
+
+def ball(radius: float = 8.0, at: tuple[float, float, float] = (0.0, 0.0, 0.0), inwards: bool = False) -> Any:
+    """A ball of 320 facets."""
+    mesh = trimesh.creation.icosphere(2, radius)
+    mesh.apply_translation(at)
+    if inwards:
+        mesh.invert()
+    return mesh
+
+
+def cube(at: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Any:
+    """A cube of 10 mm."""
+    mesh = trimesh.creation.box((10.0, 10.0, 10.0))
+    mesh.apply_translation(at)
+    return mesh
+
+
+LAMP: dict[str, Any] = {"kind": "point", "position_mm": [40.0, 40.0, -40.0], "power_w": 1.0}
+EMITTER: dict[str, Any] = {
+    "shape": {"kind": "sphere", "radius_mm": 2.0},
+    "position_mm": list(PLACE),
+    "material": {"radiance_w_m2_sr": 10.0},
+}
+
+
+def scene(*targets: dict[str, Any], lights: tuple[dict[str, Any], ...] = (LAMP,), **transport: Any) -> lf.Scene:
+    """The camera in front of targets."""
+    return lf.Scene(camera=CAMERA, targets=list(targets), lights=list(lights), transport=transport)
+
+
+def refused(of: lf.Scene) -> str:
+    """Return the one line with which a scene is refused."""
+    with pytest.raises(SceneError) as raised:
+        lf.build(of)
+    assert "\n" not in str(raised.value)
+    return str(raised.value)
+
+
+def test_glass_round_the_camera_is_refused(glass: Body) -> None:
+    said = refused(scene(glass(ball(300.0), at=(0.0, 0.0, 0.0))))
+    assert said.startswith("targets[0] (")
+    assert "the camera's first surface stands inside this glass" in said
+
+
+def test_glass_that_reaches_over_the_front_vertex_is_refused(glass: Body) -> None:
+    """The vertex of a convex front stands out beyond its rim, which is as far as the housing reaches."""
+    assert "first surface stands inside" in refused(scene(glass(ball(30.0), at=(0.0, 0.0, -29.8))))
+    lf.build(scene(glass(ball(30.0), at=(0.0, 0.0, -30.2))))
+
+
+def test_a_camera_in_a_hollow_is_not_refused(glass: Body) -> None:
+    lf.build(scene(glass(ball(300.0), ball(280.0, inwards=True), at=(0.0, 0.0, 0.0))))
+
+
+@pytest.mark.parametrize("method", ["adjoint", "forward"])
+@pytest.mark.parametrize(
+    "lamp",
+    [LAMP, {**LAMP, "kind": "disk", "direction": [-1, -1, -1], "radius_mm": 3.0, "position_mm": [40.0, 40.0, -30.0]}],
+)
+def test_glass_round_a_lamp_is_refused(glass: Body, lamp: dict[str, Any], method: str) -> None:
+    """The disk's middle is outside; its rim is inside."""
+    said = refused(scene(glass(ball(), at=(40.0, 40.0, -38.5)), lights=(lamp,), method=method))
+    assert said.startswith(f"lights[0].position_mm = {lamp['position_mm']}")
+    assert "lies inside the glass of targets[0]" in said
+    lf.build(scene(glass(ball(), at=(40.0, 40.0, -55.0)), lights=(lamp,), method=method))
+
+
+def test_a_lamp_in_a_hollow_is_not_refused(glass: Body) -> None:
+    lf.build(scene(glass(ball(), ball(6.0, inwards=True), at=(40.0, 40.0, -40.0))))
+
+
+def test_what_emits_in_glass_is_refused_where_light_starts_there(glass: Body) -> None:
+    inside = (glass(ball()), EMITTER)
+    assert "targets[1] emits inside the glass of targets[0]" in refused(scene(*inside, method="forward"))
+    lf.build(scene(*inside, method="adjoint"))
+    across = {**EMITTER, "position_mm": [7.3, 0.4, -100.2]}
+    assert "targets[1] emits partly inside the glass of targets[0]" in refused(
+        scene(glass(ball()), across, method="forward")
+    )
+    lf.build(scene(glass(ball()), {**EMITTER, "position_mm": [12.0, 0.0, -100.0]}, method="forward"))
+
+
+@pytest.mark.parametrize("step", [(0.0, 0.0, 0.0), (8.0, 0.0, 0.0), (3.1, 2.2, 1.4), (15.0, 0.3, 0.2)])
+def test_glass_bodies_that_overlap_are_refused(glass: Body, step: tuple[float, float, float]) -> None:
+    """In general position, as mirror images that meet vertex on vertex, and all of one in the other."""
+    where = tuple(np.add(PLACE, step))
+    said = refused(scene(glass(ball()), glass(ball(), at=where)))
+    assert "targets[0]" in said
+    assert "targets[1]" in said
+    assert "may touch but not overlap" in said
+
+
+def test_a_body_in_the_glass_of_another_is_refused_and_one_in_its_hollow_is_not(glass: Body) -> None:
+    assert "targets[1]" in refused(scene(glass(ball()), glass(ball(4.0))))
+    lf.build(scene(glass(ball(), ball(6.0, inwards=True)), glass(ball(4.0))))
+
+
+@pytest.mark.parametrize("aside", [0.0, 3.0])
+def test_bodies_that_touch_are_not_refused(glass: Body, aside: float) -> None:
+    lf.build(scene(glass(cube()), glass(cube(), at=(aside, 0.5 * aside, -110.0))))
+
+
+@pytest.mark.parametrize("step", [(8.3, 8.1, 8.2), (8.0, 0.0, 0.0)])
+def test_a_surface_that_cuts_itself_is_refused(glass: Body, step: tuple[float, float, float]) -> None:
+    """Two cubes in one file that share a corner's worth, and two that share most of their length."""
+    said = refused(scene(glass(cube(), cube(step))))
+    assert said.startswith("targets[0] (")
+    assert "cut" in said
+    lf.build(scene(glass(cube(), cube((10.5, 0.0, 0.0)))))
+
+
+def test_a_hollow_must_face_into_itself(glass: Body) -> None:
+    lf.build(scene(glass(ball(), ball(5.0, inwards=True))))
+    assert "there is not glass behind its surface and air before it" in refused(scene(glass(ball(), ball(5.0))))
+
+
+def test_cuts_are_found_wherever_two_tetrahedra_truly_cut() -> None:
+    """Against the separating axis theorem: normals of faces and products of edges tell convex bodies apart."""
+    draw = np.random.default_rng(4)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    seen = {False: 0, True: 0}
+    for _ in range(300):
+        a, b = draw.normal(size=(4, 3)), draw.normal(size=(4, 3)) + draw.normal(size=3)
+        edges = np.array([v[i] - v[j] for v in (a, b) for i in range(4) for j in range(i)])
+        axes = np.cross(edges[:, None], edges[None]).reshape(-1, 3)
+        axes = axes[np.abs(axes).max(axis=1) > 1e-9]
+        p, q = axes @ a.T, axes @ b.T
+        apart = ((p.max(axis=1) < q.min(axis=1)) | (q.max(axis=1) < p.min(axis=1))).any()
+        mesh = Mesh(np.concatenate([a, b]), np.concatenate([faces, faces + 4]))
+        owner, size = np.repeat([0, 1], 4), np.full(8, 1.0)
+        found = cut(mesh, owner, size)
+        if apart:
+            assert found is None
+        elif found is None:
+            # The one that is left: all of one lies in the other.
+            assert contains(a, b) or contains(b, a)
+        seen[found is not None] += 1
+    assert min(seen.values()) > 50
+
+
+def contains(outer: np.ndarray, inner: np.ndarray) -> bool:
+    """Tell whether a tetrahedron holds all corners of another, by barycentric coordinates."""
+    weights = np.linalg.solve(np.vstack([outer.T, np.ones(4)]), np.vstack([inner.T, np.ones(4)]))
+    return bool((weights > 0.0).all())

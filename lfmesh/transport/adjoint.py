@@ -2,8 +2,8 @@
 
 A pixel's power is the integral of radiance over its area and the directions it sees, W = ∫∫ L cos θ dω dA. The packet
 carries the importance cos θ dA / density, in m² sr. Radiance over n² is what interfaces conserve up to T, so carried
-importance would gain (n_i/n_t)² at every crossing; pixel and target both lie in air, the factors cancel, and are left
-out throughout.
+importance would gain (n_i/n_t)² at every crossing; pixel and light both lie in air, the factors cancel, and are left
+out throughout. A target that shines inside glass has its radiance divided by n² instead.
 """
 
 from typing import NamedTuple

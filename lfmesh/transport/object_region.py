@@ -214,6 +214,9 @@ def shade_objects(
             flow.book[REACHED] += weight
             radiance = objects.radiance[body, packet.wave] * texel
             if radiance > 0.0:
+                if packet.column >= 0:
+                    # It shines inside glass, and radiance falls by n² on the way out.
+                    radiance /= objects.glass[packet.column, packet.wave] ** 2
                 deposit(options, flow, packet.source, packet.wave, weight * radiance)
             lit = radiance > 0.0
             if albedo > 0.0:

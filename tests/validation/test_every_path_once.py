@@ -125,6 +125,8 @@ def scene(
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("glass")
     trimesh.creation.box((2.0, 30.0, 36.0)).export(folder / "pane.stl")
+    trimesh.creation.box((5.0, 5.0, 5.0)).export(folder / "cube.stl")
+    trimesh.creation.icosphere(2, 3.0).export(folder / "ball.stl")
     trimesh.creation.box((40.0, 40.0, 2.0)).export(folder / "window.stl")
     trimesh.creation.box((2.0, 16.0, 20.0)).export(folder / "mirror.stl")
     trimesh.creation.box((2.0, 6.0, 6.0)).export(folder / "small_mirror.stl")
@@ -202,6 +204,49 @@ def test_targets_behind_a_window_are_found_as_well_as_others(
     assert_same(found)
     for way, (mean, error) in found.items():
         assert error < precision * mean, (way, found)
+
+
+def at_random(number: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return targets and lights of a scene drawn by chance: panels that shine or not, and glass, round the screen."""
+    draw = np.random.default_rng(number)
+
+    def place() -> dict[str, Any]:
+        """Off the axis, so that the camera sees the screen."""
+        angle, radius = draw.uniform(0.0, 2.0 * np.pi), draw.uniform(9.0, 13.0)
+        position = (radius * np.cos(angle), radius * np.sin(angle), draw.uniform(-55.0, -40.0))
+        return {"position_mm": position, "rotation_deg": tuple(draw.uniform(0.0, 360.0, 3))}
+
+    panels = [
+        {
+            "shape": {"kind": "plane", "width_mm": draw.uniform(4.0, 12.0), "height_mm": draw.uniform(4.0, 12.0)},
+            "material": {"reflectance": draw.uniform(0.3, 0.9), "radiance_w_m2_sr": 1000.0 * draw.integers(0, 2)},
+            **place(),
+        }
+        for _ in range(draw.integers(1, 4))
+    ]
+    glass = [
+        {"refractor": {"file": draw.choice(["cube.stl", "ball.stl"]), "units": "mm", "index": draw.uniform(1.4, 2.0)}}
+        | place()
+        for _ in range(2)
+    ]
+    way = draw.normal(size=3)
+    away = 40.0 * way / np.linalg.norm(way)
+    position = (float(away[0]), float(away[1]), float(-50.0 + abs(away[2])))
+    lamps = [
+        point(*position),
+        {"kind": "disk", "position_mm": position, "direction": tuple(-away), "radius_mm": 3.0, "power_w": 1.0},
+        {"kind": "directional", "direction": tuple(-away), "irradiance_w_m2": 100.0},
+    ]
+    return [SCREEN, *panels, *glass], [lamps[draw.integers(0, 3)]]
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_all_ways_agree_on_scenes_drawn_by_chance(number: int, folder: Path) -> None:
+    """In the second one a glowing panel stands partly inside a ball of glass."""
+    found = found_by_all(folder, *at_random(number), 1024, 4096)
+    assert_same(found)
+    for way, (mean, error) in found.items():
+        assert error < 0.15 * mean, (way, found)
 
 
 # Two lamps, one of them behind the pane, a glowing sheet, and a side wall that throws light to and fro.

@@ -104,7 +104,8 @@ class Workspace:
         self.options = self.options._replace(first_source=first_source)
         self.embree_seconds = 0.0
         self.queries = 0
-        self.reserve(self.chunk)
+        # A pixel with more samples than a chunk is launched in one all the same.
+        self.reserve(max(self.chunk, samples))
 
     def flow(self) -> Flow:
         """Return what the kernels write, as they take it."""

@@ -170,6 +170,7 @@ def test_threads_and_chunks_change_nothing() -> None:
     np.testing.assert_array_equal(one.mean, two.mean)
     np.testing.assert_array_equal(one.stderr, two.stderr)
     assert one.refinement == two.refinement
+    np.testing.assert_array_equal(one.hits, two.hits)
     large = lf.render(scene())
     np.testing.assert_allclose(one.mean, large.mean, rtol=1e-12, atol=1e-15 * large.mean.max())
 
@@ -191,6 +192,11 @@ def test_ctrl_c_in_the_second_stage_keeps_what_is_finished(finished: int, monkey
     assert np.isfinite(image.stderr).all()
     same = (image.mean == first.mean).all()
     assert same == (finished == 1)
+    # Samples of the second stage count with the light that they brought, and not before.
+    assert image.hits is not None
+    assert first.hits is not None
+    assert (image.hits >= first.hits).all()
+    assert (image.hits == first.hits).all() == (finished == 1)
 
 
 @pytest.mark.parametrize(

@@ -85,10 +85,7 @@ FORWARD = {"camera.mla": None, "camera.sensor.distance_mm": None, "camera.sensor
            "camera.sensor.pixel_mm": 0.05, "transport.method": "forward", "transport.samples": 2048}  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [{"transport.split": "transmit"}, CONVENTIONAL | {"transport.method": "forward", "transport.samples": 4096}],
-)
+@pytest.mark.parametrize("changes", [{"transport.split": "transmit"}, FORWARD])
 def test_a_run_whose_aim_misses_most_of_the_light_says_so(changes: dict[str, Any]) -> None:
     scene = lf.load(asset_path("scenes/first_light.toml")).changed(SMALL | changes)
     image = Renderer(lf.build(scene)).image()

@@ -308,3 +308,11 @@ def test_reflections_have_samples_of_their_own_which_split_as_often_as_they_will
     # 16 of the image path and one for two of these off it.
     assert 16 < image.hits.max() <= 24
     assert alone.hits.max() == 16
+
+
+@pytest.mark.parametrize("split", ["transmit", "both"])
+def test_a_pixel_may_have_more_samples_than_a_chunk(split: str) -> None:
+    world = lf.build(scene(samples=512, replicates=2, split=split).changed({"camera.sensor.pixels": (4, 4)}))
+    small, large = Renderer(world, chunk=16).image(), Renderer(world).image()
+    np.testing.assert_allclose(small.mean, large.mean, rtol=1e-12, atol=1e-15 * large.mean.max())
+    np.testing.assert_array_equal(small.hits, large.hits)

@@ -7,7 +7,8 @@ A relay that does not invert has its rows reversed instead. No other place in lf
 
 Pixels within a micro-image are reversed with everything else, and so views come out right too: as ray optics is
 symplectic, the sense in which the exit pupil runs over a micro-image against the entrance pupil, whatever the sign of
-the pupil magnification, is that in which the scene runs over the array.
+the pupil magnification, is that in which the scene runs over the array. (Behind a hypercentric lens, whose entrance
+pupil lies beyond the objects, (u, v) tell from which side objects are seen.)
 """
 
 from dataclasses import dataclass

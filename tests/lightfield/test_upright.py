@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
@@ -71,8 +72,8 @@ def test_the_lenses_that_come_with_lfmesh_invert(name: str) -> None:
 
 def test_an_element_given_as_a_mesh_is_measured_first(tmp_path: Path) -> None:
     made = CASES["one lens"][0]
-    lf.build(made).mesh("lens[0]").export(tmp_path / "lens.stl")
-    element = {"refractor": {"file": (tmp_path / "lens.stl").as_posix(), "units": "mm", "index": 1.5}}
+    trimesh.creation.icosphere(subdivisions=3, radius=20.0).export(tmp_path / "ball.stl")
+    element = {"refractor": {"file": (tmp_path / "ball.stl").as_posix(), "units": "mm", "index": 1.5}}
     assert Upright.of(made.changed({"camera.lens": {"surfaces": [stop(1.0), element]}})).inverts
 
 

@@ -406,8 +406,8 @@ def test_depth_is_upright(kind: str) -> None:
     wide = bench.half_mm
     targets = (chart(near, 0.75 * wide, 0.75 * wide, 1.5 * wide), chart(far, 0.0, 0.0, 6.0 * wide))
     scene = bench.scene.changed({"targets": targets, "transport.samples": 16})
-    field = lf.decode(lf.render(scene), white=lf.white_image(scene), views=5)
-    truth = lf.depth_truth(scene, views=5, samples=2)
+    field = lf.decode(lf.render(scene), white=lf.white_image(scene), views=4)
+    truth = lf.depth_truth(scene, views=4, samples=2)
     found = lf.estimate_depth(field)
     sure = np.where(found.confidence > 0.3, found.distance_mm, np.nan)
     between = 0.5 * (near + far)

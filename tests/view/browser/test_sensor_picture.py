@@ -93,9 +93,11 @@ def test_zooming_keeps_what_is_under_the_mouse() -> None:
     assert picture.part == picture.all
 
 
-def test_marks_lie_on_the_centres_of_the_micro_images(camera: Callable[[], Scene]) -> None:
-    calibration = calibrate(camera())
-    picture = SensorPicture(COLUMNS, ROWS, INVERTED, None, calibration)
+@pytest.mark.parametrize("upright", [INVERTED, ERECT], ids=["inverting lens", "relay"])
+def test_marks_lie_on_the_centres_of_the_micro_images(upright: Upright, camera: Callable[[], Scene]) -> None:
+    """Of an array that is mounted aside, so that no turn of its centres is the same as the centres."""
+    calibration = calibrate(camera().changed({"camera.mla.pose.shift_mm": (0.03, -0.02, 0.0)}))
+    picture = SensorPicture(COLUMNS, ROWS, upright, None, calibration)
     enlarged(picture)
     marks = picture.centres_shown()
     assert 0 < len(marks) < calibration.known.sum()

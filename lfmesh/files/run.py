@@ -28,6 +28,8 @@ from lfmesh.lightfield.calibration import Calibration
 from lfmesh.lightfield.upright import UPRIGHT, Upright
 from lfmesh.scene import Scene, first_order
 from lfmesh.transport.adaptive import Refinement
+from lfmesh.transport.aim_proof import AimProof
+from lfmesh.transport.blind_check import BlindCheck
 from lfmesh.transport.image import Image
 from lfmesh.transport.ledger import Ledger
 
@@ -263,6 +265,8 @@ def _image_from(spectral: exr.SpectralImage, folder: Path) -> Image:
         engine=metadata["engine"],
         refinement=Refinement(**metadata["refinement"]) if metadata.get("refinement") else None,
         hits=spectral.parts.get(HITS),
+        aim=AimProof.from_dict(metadata["aim"]) if metadata.get("aim") else None,
+        blind=BlindCheck.from_dict(metadata["blind"]) if metadata.get("blind") else None,
     )
 
 
@@ -392,6 +396,8 @@ def _metadata(image: Image, pixels_sha256: str, home: Path) -> dict[str, Any]:
         "replicates_finished": image.replicates,
         "samples_per_pixel": image.samples,
         "refinement": asdict(image.refinement) if image.refinement else None,
+        "aim": image.aim._asdict() if image.aim else None,
+        "blind": asdict(image.blind) if image.blind else None,
         "seconds": image.seconds,
         "ledger": image.ledger.as_dict(),
         "pixels_sha256": pixels_sha256,

@@ -92,7 +92,7 @@ def _quartiles(image: Image, lit: NDArray[np.bool_]) -> tuple[float, float, floa
 def summary(image: Image) -> list[str]:
     """Say what a run gave, one plain sentence a line: work done, noise, and whatever is amiss."""
     measured = noise(image)
-    lines = [_work(image), *_noise_lines(image, measured), *_diffraction(first_order(image.scene))]
+    lines = [_work(image), *_noise_lines(image, measured), *_diffraction(first_order(image.scene)), *_aim(image)]
     if measured.received_share < DARK_SHARE:
         lines += where_the_light_went(image)
     for ledger in (image.ledger, image.ledger.lamps):
@@ -121,6 +121,40 @@ def _diffraction(facts: FirstOrder) -> list[str]:
     if largest > 1.0:
         return [f"Warning: diffraction is not traced, and a real camera's picture is blurred by it: {said}."]
     return [f"Diffraction is not traced: {said}."]
+
+
+def _aim(image: Image) -> list[str]:
+    """Say what the aim may have missed, as rays from the stop and samples that are not aimed tell."""
+    if image.blind is None:
+        return []
+    lines, proof, blind = [], image.aim, image.blind
+    if proof is None:
+        said = "no ray from the stop could be traced to the sensor"
+    elif proof.holds:
+        said = f"of the light through the stop it misses {percent(proof.missed)}"
+        said += f" ± {percent(max(proof.sensor.error, proof.objects.error))}"
+    else:
+        said = "it holds not all"
+        lines.append(
+            f"Warning: rays are not aimed at {percent(proof.missed)} of the light that comes through the stop. It is in"
+            " the picture, but comes by the few samples that go anywhere, as noise."
+        )
+    if not blind.agrees:
+        rows, columns = blind.blocks
+        lines.append(
+            f"Warning: samples that are not aimed found {'more' if blind.worst > 0.0 else 'less'} light in one of"
+            f" {rows} × {columns} blocks of pixels, by {abs(blind.worst):.1f} standard errors: the picture is wrong."
+        )
+        return lines
+    told = (
+        "are too few to tell"
+        if blind.smallest_deficit is None
+        else (
+            f"agree in all {blind.blocks[0]} × {blind.blocks[1]} blocks of pixels, and would have told a lack of"
+            f" {percent(blind.smallest_deficit)}"
+        )
+    )
+    return [*lines, f"Aim: {said}; samples that are not aimed {told}."]
 
 
 def where_the_light_went(image: Image) -> list[str]:

@@ -7,7 +7,7 @@ aim draws or not: the throughput of those that are not, over that of all, is wha
 world is built, and the aim is widened until it is negligible.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,7 +97,7 @@ class AimProof(NamedTuple):
     Attributes
     ----------
     rays : int
-        That came through lens and array to the sensor. 0: nothing is known.
+        That came through lens and array to the sensor.
     sensor, objects : Missed
         Of the aim from the sensor, and of that from the targets (that have no size: none of it).
     fitted : int
@@ -111,11 +111,19 @@ class AimProof(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether what the aim misses is known, and allowed."""
-        return self.rays > 0 and max(self.sensor.share, self.objects.share) <= ALLOWED
+        """Whether what the aim misses is allowed."""
+        return self.missed <= ALLOWED
 
+    @property
+    def missed(self) -> float:
+        """Share of the throughput outside the aim, of the worse of both sides."""
+        return max(self.sensor.share, self.objects.share)
 
-UNPROVEN = AimProof(0, Missed(np.nan, np.nan), Missed(np.nan, np.nan), 0)
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "AimProof":
+        """Return the proof whose `_asdict` was written as JSON."""
+        sensor, objects = (Missed(*values[side]) for side in ("sensor", "objects"))
+        return cls(values["rays"], sensor, objects, values["fitted"])
 
 
 class Rays(NamedTuple):
@@ -145,8 +153,10 @@ class Openings(NamedTuple):
     frames: Array
 
 
-def proven(aim: Aim, through: Openings, seen: Outlook | None) -> tuple[Aim, AimProof]:
+def proven(aim: Aim, through: Openings, seen: Outlook | None) -> tuple[Aim, AimProof | None]:
     """Return the aim, widened until it holds all light but a negligible share, and what rays from the stop say of it.
+
+    That is None where no ray from the stop arrives at the sensor.
 
     Parameters
     ----------
@@ -159,12 +169,12 @@ def proven(aim: Aim, through: Openings, seen: Outlook | None) -> tuple[Aim, AimP
     random = np.random.default_rng(0x5106)
     reach = _reach(through, random)
     if reach == 0.0:
-        return aim, UNPROVEN
-    proof = UNPROVEN
+        return aim, None
+    proof = None
     for attempt in range(ATTEMPTS):
         rays = _drawn(through, reach, random)
         if not len(rays.throughput):
-            return aim, UNPROVEN
+            return aim, None
         if attempt == 0 and through.array.present and aim.search > FEW_CELLS:
             aim = _fitted(aim, through, rays)
             continue

@@ -8,7 +8,7 @@ from lfmesh.geometry.surface import sag
 from lfmesh.geometry.targets import TargetMesh
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
-from lfmesh.transport.aim_proof import UNPROVEN, AimProof, Openings, proven
+from lfmesh.transport.aim_proof import AimProof, Openings, proven
 from lfmesh.transport.aiming import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
 from lfmesh.transport.lenslet_view import SURE, aim_through_lenslets, apex_z, grid
 from lfmesh.transport.packet import (
@@ -40,7 +40,7 @@ def aim_table(
     moves: Array,
     *,
     analytic: bool,
-) -> tuple[Aim, AimProof]:
+) -> tuple[Aim, AimProof | None]:
     """Return where the rays of a scene are aimed, and what rays from its stop say of that.
 
     Parameters
@@ -73,7 +73,7 @@ def aim_table(
     )  # fmt: skip
     aim = aim_through_lenslets(scene, report, array, aim, moves, glass) if array.present else aim
     if not analytic:
-        return aim, UNPROVEN
+        return aim, None
     from_targets = outlook(entrance.plane_z, front_radius, seen, to_sensor=True)
     return proven(aim, Openings(lens, array, sensor, moves), from_targets)
 

@@ -6,6 +6,7 @@ smaller the stop, the larger these have to be: how large is part of the result. 
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,15 +69,21 @@ class BlindCheck:
         Largest difference of any block, in standard errors of the blind estimate; positive where the aim misses light.
     limit : float
         Of that, beyond which a difference is no chance (level 1e-3 in all).
-    smallest_deficit : float
-        Share of its light that half of the blocks could lack without being found out; inf: the check says nothing.
+    smallest_deficit : float or None
+        Share of its light that half of the blocks could lack without being found out; None: even all of it.
     """
 
     blocks: tuple[int, int]
     hits: int
     worst: float
     limit: float
-    smallest_deficit: float
+    smallest_deficit: float | None
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "BlindCheck":
+        """Return the check that was written as JSON."""
+        rows, columns = values["blocks"]
+        return cls(**values | {"blocks": (rows, columns)})
 
     @property
     def agrees(self) -> bool:
@@ -141,6 +148,7 @@ class BlindSamples:
         limit = float(stats.norm.isf(LEVEL / 2.0 / blind.size))
         known = spread > 0.0
         z = (blind - expected)[known] / spread[known]
-        deficit = np.divide(limit * spread, expected, out=np.full_like(spread, np.inf), where=expected > 0.0)
+        deficit = np.divide(limit * spread, expected, out=np.full_like(spread, np.inf), where=known & (expected > 0.0))
         worst = float(z[np.abs(z).argmax()]) if z.size else 0.0
-        return BlindCheck(blocks, len(values), worst, limit, float(np.median(deficit)) if known.any() else np.inf)
+        smallest = float(np.median(deficit))
+        return BlindCheck(blocks, len(values), worst, limit, smallest if smallest < 1.0 else None)

@@ -19,7 +19,7 @@ from lfmesh.geometry.tessellation import (
     revolved,
 )
 from lfmesh.scene import FirstOrder, Scene, first_order, solved
-from lfmesh.transport.aim_proof import UNPROVEN, AimProof
+from lfmesh.transport.aim_proof import AimProof
 from lfmesh.transport.aim_table import aim_table
 from lfmesh.transport.collisions import refuse_collisions
 from lfmesh.transport.embree import Finder
@@ -58,7 +58,7 @@ class World:
     def __init__(
         self, scene: Scene, report: FirstOrder, tables: Tables, finders: tuple[Finder, Finder, Finder],
         slots: list[str], lens: LensShape, targets: list[TargetMesh], housing: Mesh,
-        aim_proof: AimProof = UNPROVEN,
+        aim_proof: AimProof | None = None,
     ) -> None:  # fmt: skip
         self.scene = scene
         self.first_order = report

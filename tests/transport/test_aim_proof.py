@@ -83,6 +83,7 @@ def missed(world: World, aim: Aim, seed: int = 99) -> tuple[float, float]:
 def test_the_aim_of_a_random_camera_holds_all_light(seed: int) -> None:
     """By rays other than those to which it was fitted; a factor of two for their number."""
     world = lf.build(random_camera(seed))
+    assert world.aim_proof is not None
     assert world.aim_proof.holds, world.aim_proof
     assert max(missed(world, world.tables.aim)) <= 2.0 * ALLOWED
 
@@ -91,6 +92,7 @@ def test_the_aim_of_a_random_camera_holds_all_light(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(12, 300))
 def test_the_aim_of_many_random_cameras_holds_all_light(seed: int) -> None:
     world = lf.build(random_camera(seed))
+    assert world.aim_proof is not None
     assert world.aim_proof.holds, world.aim_proof
     assert max(missed(world, world.tables.aim)) <= 2.0 * ALLOWED
 
@@ -129,5 +131,6 @@ def test_lenslets_near_hemispheres_are_searched_among_few_cells() -> None:
         {"camera.mla": mla, "camera.sensor.distance_mm": None, "camera.lens.stop_semi_diameter_mm": 10.0}
     )
     world = lf.build(scene)
+    assert world.aim_proof is not None
     assert world.aim_proof.holds
     assert world.tables.aim.search <= 6

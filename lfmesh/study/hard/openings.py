@@ -24,11 +24,11 @@ def _behind_stop(radius: float) -> list[Surface]:
 
 def _proof(scene: Scene) -> Outcome:
     proof = build(scene).aim_proof
-    missed = max(proof.sensor.share, proof.objects.share)
+    assert proof is not None
     return Outcome(
         "",
         f"rays from the stop find at most {ALLOWED:.0e} of the light outside the aim",
-        f"{missed:.1e} of {proof.rays} rays' throughput",
+        f"{proof.missed:.1e} of {proof.rays} rays' throughput",
         proof.holds,
         0.0,
         0.0,

@@ -25,16 +25,19 @@ CASES = {
     ],
     "render": ["--quick", str(ROOT / "assets/scenes/emitting_plane.toml"), "--engine", "sequential"],
     "image": ["--quick", str(ROOT / "assets/scenes/emitting_plane.toml"), "--pixels", "16", "--samples", "4"],
+    "against": ["--quick", "HEAD", str(ROOT / "assets/scenes/emitting_plane.toml")],
     "errors": ["--quick", "--scene", "lit_chart", "--side", "16", "--reference", "64"],
     "startup": ["--quick"],
 }
-# Start-up compiles all kernels twice.
-COMMANDS = [pytest.param(command, marks=pytest.mark.long) if command == "startup" else command for command in CASES]
+# Start-up compiles all kernels twice, the other commit's tree once more.
+LONG = ("startup", "against")
+COMMANDS = [pytest.param(command, marks=pytest.mark.long) if command in LONG else command for command in CASES]
 TABLES = {
     "lens": {"lens": "COLUMNS"},
     "scaling": {"scaling": "COLUMNS", "exponents": "EXPONENT_COLUMNS", "threads": "THREAD_COLUMNS"},
     "render": {"render": "COLUMNS", "lens": "LENS_COLUMNS"},
     "image": {"image": "COLUMNS", "small_camera": "PEER_COLUMNS"},
+    "against": {"against": "COLUMNS"},
     "errors": {"errors": "COLUMNS"},
     "startup": {"startup": "COLUMNS"},
 }
@@ -164,6 +167,7 @@ def test_without_reflections_there_is_less_light(ran: Any) -> None:
         ("scaling", ["--figure", "drawing.bmp"], ".png"),
         ("image", ["--runs", "1"], "2 or more"),
         ("lens", ["--rays", "0"], "0 is not positive"),
+        ("against", ["no-such-commit"], "no-such-commit"),
     ],
 )
 def test_a_mistake_is_one_line(command: str, arguments: list[str], said: str) -> None:

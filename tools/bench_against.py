@@ -1,0 +1,175 @@
+"""Rendering with this tree against rendering with another commit, in turns: what a change costs.
+
+    tools/bench against                                    the baseline, the demo's scene
+    tools/bench against HEAD~1 assets/scenes/lit_chart.toml --pairs 25
+
+The other commit is checked out beside, and each of the two has a process of its own that stays alive; they render the
+same scene file one after the other, pair by pair, and every second pair in reverse order. A ratio is the mean of the
+pairs' logarithms, with its standard error: above one, this tree takes longer.
+
+What later work adds to a scene that does not ask for it is held to 3 % of the baseline in all.
+"""
+
+import json
+import math
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from bench_report import COLOURS, Report, Table, deliver, guarded, parser, say, whole
+
+import lfmesh as lf
+from lfmesh.assets import asset_path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+BASELINE = "44e5d86"
+"""Pictures are upright, every stop has its light, every path counts once, and runs check their aim."""
+
+COLUMNS = {
+    "scene": ("scene", ""),
+    "pairs": ("pairs", "d"),
+    "here": ("here, s", ".2f"),
+    "there": ("there, s", ".2f"),
+    "ratio": ("ratio", ".3f"),
+    "error": ("±", ".3f"),
+    "median": ("median", ".3f"),
+}
+
+
+def render_on_demand() -> None:
+    """Render what each line of the input asks for, and answer with the seconds it took."""
+    for line in sys.stdin:
+        asked = json.loads(line)
+        scene = lf.load(asked["scene"]).changed(asked["changes"])
+        began = time.perf_counter()
+        lf.render(scene)
+        print(json.dumps(time.perf_counter() - began), flush=True)
+
+
+class Renderer:
+    """A process that renders with the lfmesh of a folder."""
+
+    def __init__(self, tree: Path) -> None:
+        paths = [str(tree), os.environ.get("PYTHONPATH", "")]
+        self.process = subprocess.Popen(
+            [sys.executable, __file__, "--case", "{}"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))},
+        )  # fmt: skip
+
+    def seconds(self, scene: str, changes: dict[str, Any]) -> float:
+        """Render a scene file, and return how long that took."""
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.process.stdin.write(json.dumps({"scene": scene, "changes": changes}) + "\n")
+        self.process.stdin.flush()
+        answer = self.process.stdout.readline()
+        if not answer:
+            sys.exit("tools/bench: a process that renders ended; what it said stands above")
+        return float(json.loads(answer))
+
+    def close(self) -> None:
+        """End the process."""
+        assert self.process.stdin is not None
+        self.process.stdin.close()
+        self.process.wait()
+
+
+@contextmanager
+def checked_out(commit: str) -> Iterator[Path]:
+    """Check a commit out into a folder that is removed afterwards."""
+    with tempfile.TemporaryDirectory(prefix="lfmesh-against-") as folder:
+        tree = Path(folder) / "tree"
+        done = subprocess.run(
+            ["git", "-C", str(ROOT), "worktree", "add", "--quiet", "--detach", str(tree), commit],
+            capture_output=True, text=True,
+        )  # fmt: skip
+        if done.returncode != 0:
+            raise lf.LfmeshError(f"{commit}: {done.stderr.strip().splitlines()[-1]}")
+        try:
+            yield tree
+        finally:
+            subprocess.run(["git", "-C", str(ROOT), "worktree", "remove", "--force", str(tree)], check=False)
+
+
+def compared(scene: str, changes: dict[str, Any], pairs: int, here: Renderer, there: Renderer) -> dict[str, Any]:
+    """Return a row: seconds here and there, and their ratio."""
+    # The first render of a process compiles, or loads what is compiled.
+    here.seconds(scene, changes)
+    there.seconds(scene, changes)
+    took: list[tuple[float, float]] = []
+    for number in range(pairs):
+        if number % 2 == 0:
+            first = here.seconds(scene, changes)
+            took.append((first, there.seconds(scene, changes)))
+        else:
+            first = there.seconds(scene, changes)
+            took.append((here.seconds(scene, changes), first))
+        say(f"pair {number + 1} of {pairs}: {took[-1][0] / took[-1][1]:.3f}")
+    logs = [math.log(one / other) for one, other in took]
+    spread = statistics.stdev(logs) / math.sqrt(len(logs)) if len(logs) > 1 else math.nan
+    return {
+        "scene": Path(scene).stem,
+        "pairs": pairs,
+        "here": statistics.median(one for one, _ in took),
+        "there": statistics.median(other for _, other in took),
+        "ratio": math.exp(statistics.mean(logs)),
+        "error": math.exp(statistics.mean(logs)) * spread,
+        "median": math.exp(statistics.median(logs)),
+    }
+
+
+def main() -> None:
+    own = parser("against", "Time this tree against another commit, in turns.")
+    own.add_argument("commit", nargs="?", default=BASELINE, help=f"default: the baseline, {BASELINE}")
+    own.add_argument("scenes", nargs="*", help="scene files; default: the demo's")
+    own.add_argument("--pairs", type=whole, default=25)
+    own.add_argument("--samples", type=whole, default=8)
+    own.add_argument("--replicates", type=whole, default=2)
+    own.add_argument("--pixels", type=whole, default=None, help="of each side of the sensor; default: the scene's")
+    own.add_argument("--threads", type=whole, default=1)
+    given = own.parse_args()
+    if given.case is not None:
+        render_on_demand()
+        return
+    changes: dict[str, Any] = {
+        "transport.samples": given.samples,
+        "transport.replicates": given.replicates,
+        "transport.threads": given.threads,
+    }
+    pixels = 16 if given.quick else given.pixels
+    if pixels:
+        changes["camera.sensor.pixels"] = [pixels, pixels]
+    scenes = [str(Path(scene).resolve()) for scene in given.scenes] or [str(asset_path("scenes/first_light.toml"))]
+    for scene in scenes:
+        lf.load(scene).changed(changes)
+    with checked_out(given.commit) as tree:
+        here, there = Renderer(ROOT), Renderer(tree)
+        pairs = 2 if given.quick else given.pairs
+        rows = [compared(scene, changes, pairs, here, there) for scene in scenes]
+        here.close()
+        there.close()
+    report = Report("against", {"commit": given.commit, **changes})
+    report.tables["against"] = Table(f"Seconds of a render, against {given.commit}", COLUMNS, rows)
+    deliver(report, given, partial(draw, rows))
+
+
+def draw(rows: list[dict[str, Any]], figure: Any) -> None:
+    axes = figure.subplots()
+    for number, row in enumerate(rows):
+        axes.errorbar(number, row["ratio"], row["error"], fmt="o", color=COLOURS[0])
+    axes.axhline(1.0, color=COLOURS[5])
+    axes.set_xticks(range(len(rows)), [row["scene"] for row in rows])
+    axes.set_ylabel("seconds here over seconds there")
+
+
+if __name__ == "__main__":
+    sys.exit(guarded(main))

@@ -62,8 +62,12 @@ BATCHES = 10
 ENOUGH = 45_000
 """... so many have come through: where none of them is outside, less than 7e-5 of the throughput is (95 %)."""
 
-NEAREST, FURTHEST = 1e-3, 1e3
-"""Of half the sensor's diagonal: how far off the axis rays are sent, by first-order optics, in search of its reach."""
+NEAREST = 1e-3
+"""Of half the sensor's diagonal: how far off the axis rays are sent at least, by first-order optics, in search of what
+reaches it; and ..."""
+
+FURTHEST = 1e3
+"""... at most."""
 
 ROOM = 1.15
 """Over the furthest of them that arrived, in the measurement."""

@@ -345,8 +345,9 @@ class Renderer:
         assert self._blind is not None
         part = blind_part(self.world)
         key = descendant(self.seed, replicate)
-        samples = min(self.samples, BLIND_CHUNK)
-        at_once = min(BLIND_CHUNK // samples, self.pixels) if self.adjoint else BLIND_CHUNK
+        chunk = min(BLIND_CHUNK, self.chunk)
+        samples = min(self.samples, chunk)
+        at_once = min(chunk // samples, self.pixels) if self.adjoint else chunk
         total = self.pixels * (1 if self.adjoint else samples)
         runs = first_of_runs(total, at_once, replicate)
         for wave in range(self.waves):

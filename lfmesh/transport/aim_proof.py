@@ -45,7 +45,7 @@ from lfmesh.transport.lenslet_aim import (
 )
 from lfmesh.transport.lenslet_view import fitted_steepness, fitted_views, with_wider_cells
 from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
-from lfmesh.transport.pupil import Outlook, opening_from
+from lfmesh.transport.pupil import Outlook, opening_from, unknown_opening
 from lfmesh.transport.tables import Aim, ArrayTables, LensTables, Opening, SensorTables
 
 Array = NDArray[np.float64]
@@ -186,13 +186,13 @@ def proven(aim: Aim, through: Openings, seen: Outlook | None) -> tuple[Aim, AimP
         proof = AimProof(
             len(rays.throughput), _missed(behind, rays.throughput), _missed(before, rays.throughput), attempt
         )
-        if proof.holds:
+        if proof.holds or attempt == ATTEMPTS - 1:
             break
         if through.array.present:
             aim = _fitted(aim, through, rays)
         else:
-            aim = aim._replace(exit=_widened(aim.exit, _above(behind, rays.throughput)))
-        aim = aim._replace(entrance=_widened(aim.entrance, _above(before, rays.throughput)))
+            aim = aim._replace(exit=_widened(aim.exit, behind, rays.throughput))
+        aim = aim._replace(entrance=_widened(aim.entrance, before, rays.throughput))
     return aim, proof
 
 
@@ -223,10 +223,12 @@ def _above(values: Array, throughput: Array, share: float = ALLOWED / 4.0) -> fl
     return float(values[known][order][min(first, len(order) - 1)]) if len(order) else 1.0
 
 
-def _widened(opening: Opening, by: float) -> Opening:
-    if by <= 1.0:
-        return opening
-    return opening._replace(radius=np.where(opening.radius > 0.0, MARGIN * by * opening.radius, opening.radius))
+def _widened(opening: Opening, beyond: Array, throughput: Array) -> Opening:
+    """Return an opening that holds rays that are beyond it; where it is said to be closed to some, nothing is known."""
+    if throughput[np.isinf(beyond)].sum() > 0.5 * ALLOWED * throughput.sum():
+        return unknown_opening(opening.plane_z, to_sensor=opening.sense > 0.0)
+    by = max(1.0, MARGIN * _above(beyond, throughput))
+    return opening._replace(radius=np.where(opening.radius > 0.0, by * opening.radius, opening.radius))
 
 
 def _reach(through: Openings, random: np.random.Generator) -> float:

@@ -8,7 +8,7 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.transport.aim_proof import ALLOWED, Openings, _beyond_object_aim, _beyond_sensor_aim, _drawn, _reach
+from lfmesh.transport.aim_proof import ALLOWED, Openings, _beyond_object_aim, _beyond_sensor_aim, _drawn, _reach, proven
 from lfmesh.transport.pupil import outlook
 from lfmesh.transport.tables import Aim
 from lfmesh.transport.world import World
@@ -85,3 +85,21 @@ def test_lenslets_near_hemispheres_are_searched_among_few_cells() -> None:
     assert world.aim_proof is not None
     assert world.aim_proof.holds
     assert world.tables.aim.search <= 6
+
+
+@pytest.mark.parametrize("side", ["exit", "entrance"])
+def test_an_opening_that_is_taken_for_closed_is_opened_again(side: str, emitting_plane: dict[str, Any]) -> None:
+    """As if the search for the pupil had found nothing: rays from the stop come through, and open it."""
+    scene = lf.load(asset_path("scenes/conventional.toml")).changed({"targets": [emitting_plane], "lights": []})
+    world = lf.build(scene)
+    aim, tables = world.tables.aim, world.tables
+    opening = getattr(aim, side)
+    closed = aim._replace(**{side: opening._replace(radius=np.full_like(opening.radius, -1.0))})
+    through = Openings(tables.lens, tables.array, tables.sensor, tables.frames)
+    seen = outlook(aim.entrance.plane_z, aim.front_radius, world.targets[0].mesh.vertices, to_sensor=True)
+    mended, proof = proven(closed, through, seen)
+    assert proof is not None
+    assert proof.holds
+    assert proof.fitted > 0
+    assert max(missed(world, closed)) == pytest.approx(1.0)
+    assert max(missed(world, mended)) <= ALLOWED

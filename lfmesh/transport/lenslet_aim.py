@@ -43,7 +43,7 @@ LISTED = 8
 NUMBERS_OF_ROLES = -1
 """Child of a pixel's key, beside its samples, from which their roles' numbers are drawn."""
 
-STEPS, EXACT = 40, 1e-7
+STEPS, EXACT = 40, 1e-4
 """Of Newton's method at most, towards a slope; and the last relative step, which leaves the square of that."""
 
 _CORNERS = (

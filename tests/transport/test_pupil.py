@@ -20,6 +20,8 @@ from lfmesh.transport.render import Renderer
 from lfmesh.transport.tables import Aim
 from lfmesh.transport.world import World
 
+from .test_aim_proof import random_camera
+
 Array = NDArray[np.float64]
 
 LEVEL = 1e-3
@@ -123,6 +125,20 @@ def test_aimed_rays_bring_what_rays_to_everywhere_bring(name: str, method: str) 
     everywhere = images(here.changed({"transport.samples": 128}), 1000, uniform)
     assert p_of_difference(images(here, 0), everywhere) > LEVEL
     assert p_of_difference(images(here, 0, shrunk), everywhere) < LEVEL
+
+
+@pytest.mark.parametrize("seed", [1, 3, 8, 9])
+def test_aimed_rays_of_a_random_camera_bring_what_rays_to_everywhere_bring(seed: int) -> None:
+    here = random_camera(seed).changed(
+        {"camera.sensor.pixels": (24, 24), "transport.samples": 64, "transport.replicates": 1, "transport.threads": 1}
+    )
+    everywhere = images(here.changed({"transport.samples": 256}), 1000, uniform)
+    aimed = images(here, 0)
+    # The comparison is one: both totals are known to 2 %.
+    for of in (aimed, everywhere):
+        total = of.sum(axis=(1, 2))
+        assert stats.sem(total) < 0.02 * total.mean()
+    assert p_of_difference(aimed, everywhere) > LEVEL
 
 
 @pytest.mark.parametrize("name", CAMERAS)

@@ -35,9 +35,13 @@ from lfmesh.transport.lenslet_aim import (
     CELL_V,
     DISCRETE,
     HALF_DIAGONAL,
+    LISTED,
     PIXEL_U,
     PIXEL_V,
     WHICH_CELL,
+    Allotment,
+    allotted,
+    glass_before_faces,
     list_cells,
     most_listed,
     through_a_lenslet,
@@ -86,7 +90,7 @@ class StartRoom(NamedTuple):
     scrambling: NDArray[np.uint32]  # (6, STARTS)
     numbers: Array  # (6, STARTS) what each sample starts from
     keys: NDArray[np.uint64]  # (STARTS,)
-    near: Array  # (most + 1, 5) lenslets that may show the lens's opening to some point of a pixel, see `_list_cells`
+    near: Array  # (most + 1, LISTED) lenslets that may show the opening to some point of a pixel, see `list_cells`
     cells: NDArray[np.int64]  # (3, most + 1) those that may show it to the point, whether they surely do, which do
     packets: NDArray[np.void]  # (STARTS,) PACKET
 
@@ -102,7 +106,7 @@ def start_room(aim: Aim) -> StartRoom:
         np.zeros(table, np.uint32),
         np.zeros(table),
         np.zeros(STARTS, np.uint64),
-        np.zeros((most + 1, 5)),
+        np.zeros((most + 1, LISTED)),
         np.zeros((3, most + 1), np.int64),
         np.zeros(STARTS, PACKET),
     )
@@ -160,7 +164,10 @@ def launch_adjoint(
     for first in range(0, len(pixels) * samples, STARTS):
         count = min(STARTS, len(pixels) * samples - first)
         _draw(room, stratified, replicate_key, pixels, which, sample, samples, count)
-        which, sample = _aim(room, bundle, pixels, which, sample, samples, count, sensor, array, aim, frames, flow.book)
+        which, sample = _aim(
+            room, bundle, pixels, which, sample, samples, count, replicate_key, wave, sensor, array, aim, frames,
+            flow.book,
+        )  # fmt: skip
         for i in range(count):
             if bundle[ENDED_ON + i] == 0.0:
                 put(
@@ -190,7 +197,10 @@ def launch_along_image_path(
     for first in range(0, len(pixels) * samples, STARTS):
         count = min(STARTS, len(pixels) * samples - first)
         _draw(room, stratified, replicate_key, pixels, which, sample, samples, count)
-        which, sample = _aim(room, bundle, pixels, which, sample, samples, count, sensor, array, aim, frames, flow.book)
+        which, sample = _aim(
+            room, bundle, pixels, which, sample, samples, count, replicate_key, wave, sensor, array, aim, frames,
+            flow.book,
+        )  # fmt: skip
         pad(bundle, count)
         move_bundle(bundle, frames[SENSOR_FRAME, CAMERA_FRAME])
         follow_block(room.packets, station, False, count, lens, array, frames, bundle, numbers, options, flow)
@@ -213,7 +223,8 @@ def _begin(room: StartRoom, wave: int, lens_surfaces: int) -> None:
 @kernel
 def _aim(
     room: StartRoom, bundle: Array, pixels: NDArray[np.int64], which: int, sample: int, samples: int, count: int,
-    sensor: SensorTables, array: ArrayTables, aim: Aim, frames: Array, book: Array,
+    replicate_key: np.uint64, wave: int, sensor: SensorTables, array: ArrayTables, aim: Aim, frames: Array,
+    book: Array,
 ) -> tuple[int, int]:  # fmt: skip
     """Leave a block of rays (sensor frame) and their weights in the bundle, from the numbers that were drawn.
 
@@ -226,7 +237,10 @@ def _aim(
     # The sensor's normal towards the array.
     normal = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, -1.0)
     near, begun = 0, -1
-    column, row = 0.0, 0.0
+    column, row, glass = 0.0, 0.0, 1.0
+    shares = Allotment(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    if array.present:
+        glass = glass_before_faces(array, wave)
     for i in range(count):
         pixel = pixels[which]
         if which != begun:
@@ -236,6 +250,7 @@ def _aim(
                 x, y = (column + 0.5) * sensor.pixel, (row + 0.5) * sensor.pixel
                 px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
                 near = list_cells(array, aim, px, py, pz, HALF_DIAGONAL * sensor.pixel, room.near)
+                shares = allotted(aim, near, samples, derived(replicate_key, pixel))
         numbers = (
             room.numbers[CELL_U, i], room.numbers[CELL_V, i], room.numbers[PIXEL_U, i],
             room.numbers[PIXEL_V, i], room.numbers[WHICH_CELL, i], room.numbers[DISCRETE, i],
@@ -244,7 +259,7 @@ def _aim(
         if array.present:
             px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
             dx, dy, dz, importance = through_a_lenslet(
-                array, aim, normal, room.near, near, room.cells, numbers, px, py, pz
+                array, aim, glass, normal, room.near, near, room.cells, numbers, sample, shares, px, py, pz
             )  # fmt: skip
             ux, uy, uz = move_direction(frames, ARRAY_FRAME, SENSOR_FRAME, dx, dy, dz)
         else:

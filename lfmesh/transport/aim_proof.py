@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry import frame as frames
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.lattice import cell_of, centre
+from lfmesh.geometry.lenslets import shape_of
 from lfmesh.geometry.surface import sag
 from lfmesh.kernel import kernel
 from lfmesh.transport.bundle import (
@@ -37,13 +37,17 @@ from lfmesh.transport.bundle import (
 from lfmesh.transport.image_path import through_array
 from lfmesh.transport.lenslet_aim import (
     HALF_DIAGONAL,
+    LISTED,
     cells_that_show,
-    density_through_cells,
+    glass_before_faces,
     half_width_to,
     list_cells,
     most_listed,
+    on_face,
+    path_to_apexes,
+    spread_on_faces,
 )
-from lfmesh.transport.lenslet_view import fitted_steepness, fitted_views, with_wider_cells
+from lfmesh.transport.lenslet_view import fitted_views, with_wider_cells
 from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
 from lfmesh.transport.pupil import Outlook, opening_from, unknown_opening
 from lfmesh.transport.tables import Aim, ArrayTables, LensTables, Opening, SensorTables
@@ -141,11 +145,14 @@ class Rays(NamedTuple):
         Point (mm) and direction (unit, away from the lens), camera frame.
     throughput : (n,) float64
         Relative to each other.
+    colour : (n,) int64
+        Number of the wavelength.
     """
 
     sensor: Array
     objects: Array
     throughput: Array
+    colour: NDArray[np.int64]
 
 
 class Openings(NamedTuple):
@@ -199,8 +206,6 @@ def proven(aim: Aim, through: Openings, seen: Outlook | None) -> tuple[Aim, AimP
 def _fitted(aim: Aim, through: Openings, rays: Rays) -> Aim:
     """Return the aim with lenslets' views and borders as wide as rays need them."""
     array, weight = through.array, rays.throughput
-    d = frames.directions(through.frames[SENSOR_FRAME, ARRAY_FRAME], rays.sensor[:, 2:])
-    aim = fitted_steepness(aim, array, MARGIN * _above(np.hypot(d[:, 0], d[:, 1]) / np.abs(d[:, 2]), weight))
     off, radius, out = _seen_from_cells(aim, through, rays)
     needed = MARGIN * _above(off / radius, weight)
     aim = fitted_views(
@@ -271,7 +276,7 @@ def _follow(through: Openings, place: Array, random: np.random.Generator) -> tup
     radius = aperture * (1.0 + depth * abs(height * slope)) + depth * place * abs(slope)
     x, y = radius * out * np.cos(turn), radius * out * np.sin(turn)
     tx, ty = slope * (place * np.cos(around) - height * x), slope * (place * np.sin(around) - height * y)
-    to_sensor, to_objects = np.zeros((len(x), 6)), np.zeros((len(x), 7))
+    to_sensor, to_objects, of_colour = np.zeros((len(x), 6)), np.zeros((len(x), 7)), np.zeros(len(x), np.int64)
     waves = lens.indices.shape[1]
     colours = sorted({0, waves // 2, waves - 1})
     start = float(lens.box_high[2] - lens.box_low[2]) + depth
@@ -283,12 +288,12 @@ def _follow(through: Openings, place: Array, random: np.random.Generator) -> tup
             x_, y_, tx_, ty_, z, start, space, colour, lens, through.array, through.frames, empty_bundle(),
             one_way, other_way,
         )  # fmt: skip
-        to_sensor[mine], to_objects[mine] = one_way, other_way
+        to_sensor[mine], to_objects[mine], of_colour[mine] = one_way, other_way, colour
     half_width, half_height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
     throughput = to_sensor[:, 5] * to_objects[:, 6] * radius * radius / (1.0 + tx * tx + ty * ty) ** 2
     lands = (abs(to_sensor[:, 0]) < half_width) & (abs(to_sensor[:, 1]) < half_height)
     found = np.flatnonzero(lands & (throughput > 0.0))
-    return Rays(to_sensor[found, :5], to_objects[found, :6], throughput[found]), found
+    return Rays(to_sensor[found, :5], to_objects[found, :6], throughput[found], of_colour[found]), found
 
 
 def _to_plane(lens: LensTables, space: int, z: float, plane_z: float) -> tuple[float, float]:
@@ -397,8 +402,8 @@ def _beyond_sensor_aim(aim: Aim, through: Openings, rays: Rays) -> Array:
     if not through.array.present:
         _beyond_exit(rays.sensor, aim.exit, through.frames, beyond)
         return beyond
-    near, cells = np.zeros((most_listed(aim) + 1, 5)), np.zeros((3, most_listed(aim) + 1), np.int64)
-    _outside_cells(rays.sensor, aim, through.array, through.sensor, through.frames, near, cells, beyond)
+    near, cells = np.zeros((most_listed(aim) + 1, LISTED)), np.zeros((3, most_listed(aim) + 1), np.int64)
+    _outside_cells(rays.sensor, rays.colour, aim, through.array, through.sensor, through.frames, near, cells, beyond)
     return beyond
 
 
@@ -408,7 +413,7 @@ def _seen_from_cells(aim: Aim, through: Openings, rays: Rays) -> tuple[Array, Ar
     ... how far out in its cell it goes, over the cell as it is aimed at.
     """
     off, radius, out = (np.zeros(len(rays.throughput)) for _ in range(3))
-    _measure_in_cells(rays.sensor, aim, through.array, through.frames, off, radius, out)
+    _measure_in_cells(rays.sensor, rays.colour, aim, through.array, through.frames, off, radius, out)
     return off, radius, out
 
 
@@ -454,8 +459,8 @@ def _off_disk(opening: Opening, x: float, y: float, z: float, dx: float, dy: flo
 
 @kernel
 def _outside_cells(
-    rays: Array, aim: Aim, array: ArrayTables, sensor: SensorTables, frames: Array, near: Array,
-    cells: NDArray[np.int64], outside: Array,
+    rays: Array, colour: NDArray[np.int64], aim: Aim, array: ArrayTables, sensor: SensorTables, frames: Array,
+    near: Array, cells: NDArray[np.int64], outside: Array,
 ) -> None:  # fmt: skip
     """Write inf for each ray (n, 5) that no pixel's paths are started along when they are aimed."""
     for i in range(len(outside)):
@@ -466,35 +471,42 @@ def _outside_cells(
         listed = list_cells(array, aim, px, py, pz, HALF_DIAGONAL * sensor.pixel, near)
         x, y, z = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, rays[i, 0], rays[i, 1], 0.0)
         dx, dy, dz = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
-        maybe, surely = cells_that_show(aim, near, listed, cells, x, y, z)
-        if (
-            maybe == 0
-            or not density_through_cells(array, aim, near, cells, maybe, surely, 1.0, x, y, z, dx, dy, dz) > 0.0
-        ):
+        maybe, _ = cells_that_show(aim, near, listed, cells, x, y, z)
+        glass = glass_before_faces(array, colour[i])
+        surely_drawn, drawn = spread_on_faces(array, aim, glass, near, cells, maybe, x, y, z, dx, dy, dz)
+        if not surely_drawn + drawn > 0.0:
             outside[i] = np.inf
 
 
 @kernel
 def _measure_in_cells(
-    rays: Array, aim: Aim, array: ArrayTables, frames: Array, off: Array, radius: Array, out: Array
-) -> None:
+    rays: Array, colour: NDArray[np.int64], aim: Aim, array: ArrayTables, frames: Array,
+    off: Array, radius: Array, out: Array,
+) -> None:  # fmt: skip
     """Write what `_seen_from_cells` returns; of two cells at whose border a ray seems to pass, of the likelier one."""
     lattice = array.lenslets.lattice
     half = 0.5 * lattice.pitch + aim.cell_margin
     for i in range(len(off)):
         x, y, z = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, rays[i, 0], rays[i, 1], 0.0)
         dx, dy, dz = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
-        over, t = 1.0 / abs(z - aim.lenslet_z), abs(z - aim.border_z) / abs(dz)
-        at_x, at_y = x + t * dx, y + t * dy
-        column, row = cell_of(lattice, at_x, at_y)
+        over, glass = 1.0 / abs(z - aim.lenslet_z), glass_before_faces(array, colour[i])
+        air, depth, growth = path_to_apexes(array, z)
+        sx, sy = dx / abs(dz), dy / abs(dz)
+        q = np.sqrt(glass * glass + (glass * glass - 1.0) * (sx * sx + sy * sy))
+        gx, gy = growth * sx / q, growth * sy / q
+        px, py = x + sx * air + sx / q * depth, y + sy * air + sy / q * depth
+        middle = 0.5 * (array.lenslets.top + array.lenslets.valley)
+        column, row = cell_of(lattice, px + gx * middle, py + gy * middle)
         off[i], radius[i], out[i] = np.inf, 1.0, np.inf
-        for r in range(max(row - 1, 0), min(row + 2, lattice.rows)):
-            for c in range(max(column - 1, 0), min(column + 2, lattice.columns)):
+        for r in range(max(row - 2, 0), min(row + 3, lattice.rows)):
+            for c in range(max(column - 2, 0), min(column + 3, lattice.columns)):
                 cell = r * lattice.columns + c
                 cx, cy = centre(lattice, c, r)
+                curvature, ex, ey = shape_of(array.lenslets, c, r)
+                met, ax, ay, _, _ = on_face(curvature, px - cx - ex, py - cy - ey, gx, gy)
                 a, b = (cx - x) * over - aim.slope[cell, 0], (cy - y) * over - aim.slope[cell, 1]
-                slope, place = np.sqrt(a * a + b * b), half_width_to(lattice, at_x - cx, at_y - cy) / half
-                if aim.slope_radius2[cell] <= 0.0 or max(place, 1.0) > max(out[i], 1.0):
+                slope, place = np.sqrt(a * a + b * b), half_width_to(lattice, ax + ex, ay + ey) / half
+                if not met or aim.slope_radius2[cell] <= 0.0 or max(place, 1.0) > max(out[i], 1.0):
                     continue
                 if max(place, 1.0) < max(out[i], 1.0) or slope < off[i]:
                     off[i], radius[i], out[i] = slope, np.sqrt(aim.slope_radius2[cell]), place

@@ -69,7 +69,7 @@ def aim_table(
     aim = Aim(
         entrance, front_radius, exit_, back_radius,
         WIDE_SHARE if followed else WIDE_SHARE_OF_IMAGE_PATH, 1.0 if followed else WIDE_SHARE_OF_IMAGE_PATH,
-        0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.zeros((1, 2)), np.zeros(1), SURE * SURE, 0.0, 0,
+        0.0, 0.0, 0.0, 0.0, np.zeros((1, 2)), np.zeros(1), SURE * SURE, 0.0, 0,
     )  # fmt: skip
     aim = aim_through_lenslets(scene, report, array, aim, moves, glass) if array.present else aim
     if not analytic:

@@ -8,7 +8,7 @@ import numpy as np
 
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lattice import ROW_SPACING, centre
-from lfmesh.geometry.lenslets import cap_sag, shape_of
+from lfmesh.geometry.lenslets import border_segments, cap_sag, shape_of
 from lfmesh.geometry.mesh import Array
 from lfmesh.kernel import inlined, kernel
 from lfmesh.scene import FirstOrder, Scene
@@ -28,6 +28,9 @@ VIEW_MARGIN = 1.02
 
 TRUSTED, WIDENED = 0.7, 1.3
 """Factors between which the views of lenslets are what was measured, but for a common factor above 1."""
+
+ROUNDING = 1e-6
+"""Of a pitch, by which cells stand out that are aimed at."""
 
 SURE = 0.95
 """Part of a lenslet's view, in radii, within which it surely shows the opening."""
@@ -68,8 +71,6 @@ def aim_through_lenslets(
     slope, slope_radius = np.zeros((cells, 2)), np.zeros(cells)
     _view_through_cells(array, aim.exit, moves, lens_z, sensor_z, glass - 1.0, lattice.corners(), slope, slope_radius)
     seen = slope_radius > 0.0
-    steepest = np.where(seen, np.hypot(slope[:, 0], slope[:, 1]) + slope_radius, 0.0).max()
-    steepest += lattice.circumradius / distance.min()
     aim = aim._replace(
         lenslet_z=sensor_z,
         pupil_x=pupil_x,
@@ -77,15 +78,19 @@ def aim_through_lenslets(
         pupil_vergence=vergence,
         slope=slope,
         slope_radius2=np.where(seen, slope_radius**2, -1.0),
+        cell_margin=_off_by_facets(array),
     )
-    aim = _with_borders(aim, array, steepest, glass)
     return aim._replace(search=_search(aim, array, distance.max()))
 
 
-def _with_borders(aim: Aim, array: ArrayTables, steepest: float, glass: float) -> Aim:
-    """Return the aim with the depth at which the sensor sees the borders of lenslets' faces, by the steepest ray."""
-    near, far = _seen_depths(array, steepest, glass)
-    return aim._replace(steepest=steepest, border_z=0.5 * (near + far), cell_margin=0.5 * abs(far - near) * steepest)
+def _off_by_facets(array: ArrayTables) -> float:
+    """Return how far beside its cell a ray may meet a lenslet's face where that is a mesh, mm.
+
+    Chords lie their sag aside, which rays in glass or air cross at less than 45° but for a few.
+    """
+    lattice = array.lenslets.lattice
+    chord = lattice.circumradius / border_segments(lattice.hexagonal)
+    return ROUNDING * lattice.pitch + float(np.abs(array.lenslets.curvature).max()) * chord**2 / 8.0
 
 
 def _search(aim: Aim, array: ArrayTables, distance: float) -> int:
@@ -105,21 +110,6 @@ def _search(aim: Aim, array: ArrayTables, distance: float) -> int:
     cells = np.where(seen, reach, 0.0).max() / ((aim.pupil_vergence + 1.0 / distance) * lattice.pitch)
     cells = min(cells, float(max(lattice.columns, lattice.rows)))
     return int(cells / ROW_SPACING + 1.0) if lattice.hexagonal else int(cells + 0.5)
-
-
-def fitted_steepness(aim: Aim, array: ArrayTables, steepest: float) -> Aim:
-    """Return the aim with borders of lenslets as the steepest ray that gets through sees them.
-
-    Where the rays by which the views were measured hardly get through, theirs is no guide.
-
-    Parameters
-    ----------
-    steepest : float
-        Tangent, of all that get through but a negligible share.
-    """
-    if TRUSTED <= steepest / aim.steepest <= 1.0:
-        return aim
-    return _with_borders(aim, array, steepest, float(array.indices[len(array.indices) // 2]))
 
 
 def fitted_views(
@@ -152,34 +142,6 @@ def with_wider_cells(aim: Aim, array: ArrayTables, by: float) -> Aim:
     """Return the aim with cells that are wider by a factor, as they are aimed at."""
     half = 0.5 * array.lenslets.lattice.pitch
     return aim._replace(cell_margin=by * (half + aim.cell_margin) - half)
-
-
-def _seen_depths(array: ArrayTables, steepest: float, glass: float) -> tuple[float, float]:
-    """Return between which z (array frame) the borders of the lenslets' faces seem to lie to the sensor, mm.
-
-    Through a plate of thickness t a ray of slope s in air crosses t s / √(n² (1 + s²) − s²): as if the plate were the
-    thinner the steeper the ray. Taken three quarters of the way from the first order to the steepest, where a cubic's
-    extremes on either side are equal, the ray is off by a quarter of that difference at most.
-    """
-    low, high = _border_depths(array)
-    if not array.curved_to_lens:
-        return low, high
-    thickness = array.lenslets.thickness
-    level, steep = 1.0 / glass, 1.0 / np.sqrt(glass * glass * (1.0 + steepest * steepest) - steepest * steepest)
-    shortened = 0.25 * level + 0.75 * steep
-    astray = 0.25 * (level - steep) * thickness
-    return thickness - (thickness - low) * shortened - astray, thickness - (thickness - high) * shortened + astray
-
-
-def _border_depths(array: ArrayTables) -> tuple[float, float]:
-    """Return the smallest and the largest z of the lenslets' faces on the borders of their cells, array frame, mm."""
-    lenslets = array.lenslets
-    stretch = lenslets.stretch if len(lenslets.stretch) else np.ones(1)
-    curvatures = np.outer(lenslets.curvature, [stretch.min(), stretch.max()]).ravel()
-    astray = np.hypot(lenslets.decentre[:, 0], lenslets.decentre[:, 1]).max() if len(lenslets.decentre) else 0.0
-    nearest, furthest = max(0.5 * lenslets.lattice.pitch - astray, 0.0), lenslets.lattice.circumradius + astray
-    depths = [cap_sag(c, r * r) for c in curvatures for r in (nearest, furthest)]
-    return min(depths), max(depths)
 
 
 @kernel

@@ -112,15 +112,13 @@ class Aim(NamedTuple):
     blind_share: float  # ... that are sent at all from one that sees none
     # The array: which lenslets show the opening to a point of the sensor.
     lenslet_z: float  # the apexes as the sensor sees them, array frame
-    border_z: float  # and the borders of the lenslets' faces, to rays up to ...
-    steepest: float  # ... this tangent
     pupil_x: float  # middle of the paraxial exit pupil, array frame: with it, the chief ray's cell is found
     pupil_y: float
     pupil_vergence: float  # 1 / reduced distance from the curved face to the exit pupil, 1/mm; 0: telecentric
     slope: Array  # (cells, 2) of the ray from a lenslet's middle to the middle of the opening that it sees
     slope_radius2: Array  # (cells,) square of how far from that a ray may go and still reach it; −1: it sees none
     sure2: float  # part of that square within which a lenslet surely shows the opening
-    cell_margin: float  # mm by which an aimed cell stands out: its border is not all at one depth
+    cell_margin: float  # mm by which an aimed cell stands out: a mesh of its face is not quite where that is
     search: int  # cells to each side that may show the pupil
 
 

@@ -1,0 +1,143 @@
+"""Paths start in all directions, with the density that their weights say; none through a lenslet next to its own."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy import stats
+
+import lfmesh as lf
+from lfmesh.assets import asset_path
+from lfmesh.transport.adjoint import launch_adjoint
+from lfmesh.transport.engine import Workspace
+from lfmesh.transport.object_region import MM2
+from lfmesh.transport.packet import PLATE
+from lfmesh.transport.random import run_key
+from lfmesh.transport.render import Renderer
+from lfmesh.transport.settings import options_of
+from lfmesh.transport.world import World
+
+Array = NDArray[np.float64]
+
+LEVEL = 1e-3
+"""Chance that a test fails though the law holds, shared by its comparisons (Bonferroni)."""
+
+REPLICATES, RAYS = 40, 4000
+
+LENS = {"surfaces": [{"radius_mm": 30.0, "thickness_mm": 4.0, "index": 1.5, "semi_diameter_mm": 9.0},
+                     {"radius_mm": -30.0, "thickness_mm": 2.0, "semi_diameter_mm": 9.0},
+                     {"stop": True, "semi_diameter_mm": 8.0}]}  # fmt: skip
+# Deep faces in thick glass under a wide opening: most rays cross the layer of faces at 10 to 30 degrees.
+SQUARE = {"layout": "square", "count": [8, 8], "pitch_mm": 0.5, "radius_mm": 0.5, "index": 1.6, "thickness_mm": 0.7}
+HEXAGONAL = SQUARE | {"layout": "hexagonal", "count": [8, 9]}
+TYPES = {"radius_mm": [0.45, 0.55, 0.7]}
+FORM = {"form": {"decenter_mm": 0.02, "radius_error": 0.05, "seed": 3}}
+ASKEW = {"pose": {"tilt_deg": [4.0, -3.0, 5.0], "shift_mm": [0.1, -0.1, 0.0]}}
+
+ARRAYS: dict[str, dict[str, Any]] = {
+    "square": SQUARE,
+    "square, to the sensor": SQUARE | {"curved_side": "sensor"},
+    "hexagonal, three types": HEXAGONAL | TYPES,
+    "hexagonal, three types, to the sensor": HEXAGONAL | TYPES | {"curved_side": "sensor"},
+    "hexagonal, form errors, tilted": HEXAGONAL | FORM | ASKEW,
+    "square, form errors, to the sensor, tilted": SQUARE | FORM | ASKEW | {"curved_side": "sensor"},
+    "concave": SQUARE | {"radius_mm": -0.6},
+    "near hemispheres": SQUARE | {"radius_mm": 0.36},
+    "near hemispheres, to the sensor": HEXAGONAL | {"radius_mm": 0.293, "curved_side": "sensor"},
+}
+
+
+def world_of(mla: dict[str, Any]) -> World:
+    """A camera whose sensor is near its array, and askew to it."""
+    sensor = {"pixels": [32, 32], "pixel_mm": 0.11, "distance_mm": 0.9, "pose": {"tilt_deg": [1.0, 2.0, 0.0]}}
+    return lf.build(
+        lf.Scene(camera={"focus_mm": 90.0, "lens": LENS, "mla": mla, "sensor": sensor}, targets=[],
+                 transport={"split": "transmit", "wavelengths_nm": [450.0, 650.0]})
+    )  # fmt: skip
+
+
+class Starts:
+    """Starts paths from a pixel, `samples` at a time, with some changes of the aim."""
+
+    def __init__(self, world: World, samples: int, **aim: float) -> None:
+        self.samples = samples
+        self._tables = world.tables._replace(aim=world.tables.aim._replace(**aim))
+        self._work = Workspace(world, options_of(world)._replace(sequential=False), tables=self._tables)
+
+    def drawn(self, pixel: int, seed: int, times: int) -> tuple[Array, Array]:
+        """Return directions (n, 2), x and y in the sensor's frame, and cos θ over density, (n,), as a mean of `times`.
+
+        Those whose weight is zero are left out.
+        """
+        tables, work = self._tables, self._work
+        work.begin(np.zeros((1, 2)))
+        work.reserve(self.samples * times)
+        for key in range(seed * times, (seed + 1) * times):
+            launch_adjoint(
+                np.array([pixel]), self.samples, False, run_key(key), 1, tables.sensor, tables.array, tables.aim,
+                tables.frames, len(tables.lens.surfaces), work.bundle, work.flow(), work.start,
+            )  # fmt: skip
+        packets = work.stacks[work.rows[PLATE], : work.tops[PLATE]]
+        area = tables.sensor.pixel**2 * MM2
+        return np.column_stack([packets["dx"], packets["dy"]]), packets["weight"] / area / times
+
+
+def lit_pixels(world: World, count: int) -> list[int]:
+    """Return pixels from which lenslets may show the opening: some surely, some not."""
+    starts = Starts(world, 20, wide_share=0.0, blind_share=0.0)
+    pixels = np.random.default_rng(1).permutation(world.tables.sensor.columns * world.tables.sensor.rows)
+    lit = (int(pixel) for pixel in pixels if len(starts.drawn(int(pixel), 0, 20)[1]) > 250)
+    return [pixel for pixel, _ in zip(lit, range(count), strict=False)]
+
+
+@pytest.mark.parametrize(("name", "samples"), [*((name, 16) for name in ARRAYS), (next(iter(ARRAYS)), 2)])
+def test_directions_have_the_density_that_their_weights_say(name: str, samples: int) -> None:
+    """Weights cos θ / density in bins of (dx, dy) bring the bins' areas, whatever the aim: t-tests of all bins.
+
+    With 2 samples chance says of each whose directions it estimates.
+    """
+    world = world_of(ARRAYS[name])
+    pixels = lit_pixels(world, 3)
+    assert len(pixels) == 3
+    few, starts = Starts(world, 20, wide_share=0.0, blind_share=0.0), Starts(world, samples, wide_share=0.4)
+    p = []
+    for pixel in pixels:
+        d, _ = few.drawn(pixel, 0, 20)
+        edges = [np.r_[-1.0, np.linspace(*np.quantile(d[:, axis], [0.02, 0.98]), 9), 1.0] for axis in (0, 1)]
+        sums = []
+        for seed in range(1, REPLICATES + 1):
+            d, w = starts.drawn(pixel, seed, RAYS // samples)
+            sums.append(np.histogram2d(d[:, 0], d[:, 1], edges, weights=w)[0])
+        # But for the outermost, which reach beyond the unit circle, as others may.
+        area = np.diff(edges[0])[1:-1, None] * np.diff(edges[1])[None, 1:-1]
+        corner = np.maximum(edges[0][1:-2] ** 2, edges[0][2:-1] ** 2)[:, None]
+        corner = corner + np.maximum(edges[1][1:-2] ** 2, edges[1][2:-1] ** 2)
+        inner = np.array(sums)[:, 1:-1, 1:-1] - area
+        p.extend(stats.ttest_1samp(inner[:, corner < 1.0], 0.0).pvalue)
+        p.append(stats.ttest_1samp(np.sum(sums, axis=(1, 2)), np.pi).pvalue)
+    assert len(p) > 150
+    assert min(p) * len(p) > LEVEL
+
+
+def test_an_even_pixel_of_the_lytro_class_has_no_rare_samples() -> None:
+    """What a sample brings varies by less than 3 % where the whole opening shows a plane that glows evenly.
+
+    One in a thousand that goes astray, into another lenslet or beside the opening, would make it vary by more.
+    """
+    plane = {"shape": {"kind": "plane", "width_mm": 900.0, "height_mm": 900.0}, "position_mm": [0, 0, -300.0],
+             "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0}}  # fmt: skip
+    samples, replicates = 128, 10
+    scene = lf.load(asset_path("scenes/lytro_class.toml")).changed(
+        {"camera.sensor.pixels": (48, 48), "targets": [plane], "lights": [], "transport.split": "transmit",
+         "transport.samples": samples * replicates, "transport.replicates": replicates}
+    )  # fmt: skip
+    renderer = Renderer(lf.build(scene))
+    renderer.stratified = False
+    image = renderer.image()
+    mean, error = image.mean[..., 0], image.stderr[1:-1, 1:-1, 0]
+    # Pixels inside micro-images are as bright as their neighbours; at the borders, where two overlap, these are not.
+    even = np.ptp(sliding_window_view(mean, (3, 3)), axis=(2, 3)) < 0.02 * mean[1:-1, 1:-1]
+    assert even.sum() > 200
+    assert np.mean((error[even] / mean[1:-1, 1:-1][even]) ** 2) * samples * replicates < 1e-3

@@ -26,6 +26,8 @@ DIMENSIONLESS = {
     "transport/certainty.py": {"RARE"},
     "transport/crossing.py": {"EDGE", "FLOAT32_GRAIN"},
     "transport/ledger.py": {"LOST_LIMIT"},
+    "transport/lenslet_aim.py": {"EXACT"},
+    "transport/lenslet_view.py": {"ROUNDING"},
     "transport/object_region.py": {"MM2"},
     "transport/refused_glass.py": {"A_LITTLE_INSIDE", "CUT", "JUST_BESIDE"},
     "transport/random.py": {"_UNIT"},

@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from lfmesh.scene import Paraxial, Scene, first_order
+from lfmesh.scene import FirstOrder, Paraxial, Scene, first_order
 from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.world import World, build
 
@@ -14,6 +14,9 @@ FAN = 64
 
 FAR = 1e3
 """In focal lengths: stands for infinity, where a camera is focused on that or beyond."""
+
+ASIDE = 0.2
+"""Part of the distance in focus by which objects stand before and behind it, where vergences do not tell."""
 
 NEARER = 0.1
 """The nearer object lies this share of the way from the plane in focus to the front focal point, by vergence."""
@@ -60,28 +63,47 @@ def focus_shift(scene: Scene) -> tuple[float, float]:
         Over the object's distance from the front principal plane: added.
     """
     facts = first_order(scene)
-    in_focus = 1.0 / (facts.object_distance_mm + facts.front_principal_plane_z_mm)
-    if not 1.0 / (FAR * facts.efl_mm) < in_focus < 1.0 / facts.efl_mm:
-        in_focus = 1.0 / (FAR * facts.efl_mm)
-    near, far = (1.0 - NEARER) * in_focus + NEARER / facts.efl_mm, 0.5 * in_focus
+    principal_z = facts.front_principal_plane_z_mm
+    distances = _probed_mm(facts)
     world = lens_alone(scene)
-    at_near, at_far = (
-        _focus_shift_mm(scene, world, 1.0 / vergence - facts.front_principal_plane_z_mm) for vergence in (near, far)
-    )
+    at_near, at_far = (_focus_shift_mm(scene, world, distance) for distance in distances)
+    near, far = (1.0 / (distance + principal_z) for distance in distances)
     slope = (at_near - at_far) / (near - far)
     return at_far - slope * far, slope
+
+
+def _probed_mm(facts: FirstOrder) -> tuple[float, float]:
+    """Return the distances of two objects before the first vertex, one on each side of the plane in focus.
+
+    By vergence, reckoned from the principal plane, where that is near the lens. A relay's lies far away, and so would
+    objects at half the vergence: its own stand round the plane in focus.
+    """
+    principal_z, focus = facts.front_principal_plane_z_mm, facts.object_distance_mm
+    in_focus = 1.0 / (focus + principal_z)
+    if facts.efl_mm > 0.0 and not 1.0 / (FAR * facts.efl_mm) < in_focus < 1.0 / facts.efl_mm:
+        in_focus = 1.0 / (FAR * facts.efl_mm)
+        focus = 1.0 / in_focus - principal_z
+    near = 1.0 / ((1.0 - NEARER) * in_focus + NEARER / facts.efl_mm) - principal_z
+    far = 2.0 / in_focus - principal_z
+    if abs(principal_z) < focus and 0.0 < near < focus < far:
+        return near, far
+    return (1.0 - ASIDE) * focus, focus / (1.0 - ASIDE)
 
 
 def _focus_shift_mm(scene: Scene, world: World, distance_mm: float) -> float:
     """Return the shift of the sharpest image of a point of the axis, from rings of equal area in the entrance pupil."""
     facts, lens = first_order(scene), scene.camera.lens
     pupil_z, pupil_radius = facts.entrance_pupil_z_mm, 0.5 * facts.entrance_pupil_diameter_mm
-    if not math.isfinite(pupil_z) or facts.efl_mm < 0.0:
+    # A lens without a real image of the object has no focus; one of negative focal length may be a relay.
+    front_focus = facts.efl_mm - facts.front_principal_plane_z_mm
+    if not math.isfinite(pupil_z) or (facts.efl_mm < 0.0 and not 0.0 < distance_mm < front_focus):
         return 0.0
     ring = pupil_radius * np.sqrt((np.arange(FAN) + 0.5) / FAN)
     toward = np.column_stack([ring, np.zeros(FAN), np.full(FAN, pupil_z + distance_mm)])
+    # A relay's pupil may lie before the object, which then sends its rays away from it.
+    toward *= math.copysign(1.0, pupil_z + distance_mm)
     # From close before the lens: the object may be far, and rays are as exact as the place they start from.
-    ahead = max(distance_mm - facts.efl_mm, 0.5 * distance_mm)
+    ahead = max(distance_mm - abs(facts.efl_mm), 0.5 * distance_mm)
     start = np.array([0.0, 0.0, -distance_mm]) + toward * (ahead / toward[:, 2:])
     paths = trace(world, start, toward, scene.transport.primary_nm, split="transmit")
     arrived = paths.status == Status.SENSOR

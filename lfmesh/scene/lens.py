@@ -143,6 +143,15 @@ class Lens(Model):
         if not self.surfaces:
             yield Fault(("surfaces",), None, 'missing: give the prescription, or file = "..." with one')
             return
+        if all(self.is_pure_stop(i) and surface.mesh is None for i, surface in enumerate(self.surfaces)):
+            yield Fault(
+                ("surfaces",),
+                None,
+                "nothing but a stop: a lens needs a surface with glass behind it; for a pinhole camera put a flat "
+                "window before the stop, such as { thickness_mm = 1.0, index = 1.5, semi_diameter_mm = 10.0 }, "
+                "{ thickness_mm = 1.0, semi_diameter_mm = 10.0 }",
+            )
+            return
         yield from self._stop_faults()
         yield from self._spacing_faults()
         last = len(self.surfaces) - 1

@@ -43,8 +43,13 @@ LISTED = 8
 NUMBERS_OF_ROLES = -1
 """Child of a pixel's key, beside its samples, from which their roles' numbers are drawn."""
 
-STEPS, EXACT = 40, 1e-4
-"""Of Newton's method at most, towards a slope; and the last relative step, which leaves the square of that."""
+STEPS = 40
+"""Of Newton's method at most, towards a slope."""
+
+EXACT = 1e-4
+"""Its last step, relative, which leaves an error of the square of that."""
+
+_TINY = float(np.finfo(np.float64).tiny)
 
 _CORNERS = (
     (0.5, 0.5 / np.sqrt(3.0)),
@@ -205,7 +210,7 @@ def on_face(curvature: float, ax: float, ay: float, gx: float, gy: float) -> tup
     root = np.sqrt(root2)
     z = curvature * a2 / (b + root)
     level = 1.0 - curvature * z
-    return level > 0.0, ax + gx * z, ay + gy * z, z, root / max(level, 1e-300)
+    return level > 0.0, ax + gx * z, ay + gy * z, z, root / max(level, _TINY)
 
 
 @inlined

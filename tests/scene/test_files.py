@@ -198,6 +198,7 @@ def test_an_unreadable_file_is_named(content: bytes | None, tmp_path: Path) -> N
 
 # One change to a good scene each, and what the error must say.
 WRONG = [
+    ({"camera.lens.surfaces": [{"stop": True, "semi_diameter_mm": 1.0}]}, r"lens\.surfaces: nothing but a stop"),
     ({"camera.lens.surfaces[0].semi_diameter_mm": None}, r"surfaces\[0\]\.semi_diameter_mm: missing"),
     ({"camera.lens.surfaces[1].stop": True}, r"surfaces\[1\]\.stop = true: surfaces\[0\] is the stop"),
     ({"camera.lens.surfaces[1].glass": "N-BK7"}, r"surfaces\[1\]\.glass.*index = 1\.5 is given too"),

@@ -20,8 +20,6 @@ from lfmesh.transport.render import Renderer
 from lfmesh.transport.tables import Aim
 from lfmesh.transport.world import World
 
-from .test_aim_proof import random_camera
-
 Array = NDArray[np.float64]
 
 LEVEL = 1e-3
@@ -128,7 +126,9 @@ def test_aimed_rays_bring_what_rays_to_everywhere_bring(name: str, method: str) 
 
 
 @pytest.mark.parametrize("seed", [1, 3, 8, 9])
-def test_aimed_rays_of_a_random_camera_bring_what_rays_to_everywhere_bring(seed: int) -> None:
+def test_aimed_rays_of_a_random_camera_bring_what_rays_to_everywhere_bring(
+    seed: int, random_camera: Callable[[int], lf.Scene]
+) -> None:
     here = random_camera(seed).changed(
         {"camera.sensor.pixels": (24, 24), "transport.samples": 64, "transport.replicates": 1, "transport.threads": 1}
     )

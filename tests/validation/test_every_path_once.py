@@ -88,7 +88,7 @@ SCENES: dict[str, tuple[list[dict[str, Any]], list[dict[str, Any]], int, int]] =
     # targets, lights, samples of each replicate: adjoint, forward
     "screen, glass, glowing sheet": ([*ENCLOSED, MIRROR, GLOWING_BEHIND_THE_WALL], [], 2048, 16384),
     "screen, glass, sheet that a lamp lights": (
-        [*ENCLOSED, MIRROR, sheet(*BEHIND_THE_WALL, WHITE)], [DISK_AT_THE_WALL], 2048, 65536,
+        [*ENCLOSED, MIRROR, sheet(*BEHIND_THE_WALL, WHITE)], [DISK_AT_THE_WALL], 3072, 98304,
     ),
     "screen, pane, point lamp": ([SCREEN, PANE, LID], [point(14.0, 1.0, -45.0)], 4096, 4096),
     "screen, pane, disk lamp": (
@@ -240,10 +240,21 @@ def at_random(number: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     return [SCREEN, *panels, *glass], [lamps[draw.integers(0, 3)]]
 
 
+def accepted(number: int, folder: Path) -> tuple[list[Any], list[Any]]:
+    """Return the first of a row of scenes whose glass is apart, and clear of what emits, as the forward method asks."""
+    for draw in range(number, 1000, 100):
+        targets, lights = at_random(draw)
+        try:
+            lf.build(scene(folder, targets, lights, method="forward"))
+        except lf.LfmeshError:
+            continue
+        return targets, lights
+    raise AssertionError("every scene was refused")
+
+
 @pytest.mark.parametrize("number", range(4))
 def test_all_ways_agree_on_scenes_drawn_by_chance(number: int, folder: Path) -> None:
-    """In the second one a glowing panel stands partly inside a ball of glass."""
-    found = found_by_all(folder, *at_random(number), 1024, 4096)
+    found = found_by_all(folder, *accepted(number, folder), 1024, 4096)
     assert_same(found)
     for way, (mean, error) in found.items():
         assert error < 0.15 * mean, (way, found)

@@ -104,7 +104,7 @@ def sharpest(field: lf.LightField, shifts: Array, planes: list[float], f_number:
     pictures = stack.mean.reshape(*shifts.shape, *field.size)
     tops = []
     for near, group, (x, y) in zip(shifts, pictures, PLACES, strict=True):
-        column, row = round(0.5 * (field.size[1] - 1) + x), round(0.5 * (field.size[0] - 1) + y)
+        column, row = round(0.5 * (field.size[1] - 1) + x), round(0.5 * (field.size[0] - 1) - y)
         window = np.s_[:, row - HALF_WINDOW : row + HALF_WINDOW + 1, column - HALF_WINDOW : column + HALF_WINDOW + 1]
         energy = (group[window] ** 2).sum(axis=(1, 2))
         square, linear, _ = np.polyfit(near, energy / energy.max(), 2)

@@ -31,7 +31,7 @@ from lfmesh.assets import asset_path
 
 ROOT = Path(__file__).resolve().parent.parent
 
-BASELINE = "44e5d86"
+BASELINE = "60cae8a396"
 """Pictures are upright, every stop has its light, every path counts once, and runs check their aim."""
 
 COLUMNS = {

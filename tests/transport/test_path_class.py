@@ -108,7 +108,7 @@ def traced(world: World, paths: int) -> tuple[NDArray[np.float64], Workspace]:
     options = options_of(world)._replace(sequential=False, split=ROULETTE, record=True, paths=paths)
     work = Workspace(world, options, tables=tables)
     film = np.zeros((SIDE * SIDE, 1))
-    work.begin(film)
+    work.begin(film, 0, np.zeros(film.shape, np.uint32), SIDE * SIDE)
     launch_adjoint(
         np.arange(SIDE * SIDE), 1, False, run_key(3), 0, tables.sensor, tables.array, tables.aim, tables.frames,
         len(tables.lens.surfaces), work.bundle, work.flow(), work.start,

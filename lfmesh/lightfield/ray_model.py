@@ -121,10 +121,7 @@ class RayModel:
 
     @property
     def nearest_mm(self) -> float:
-        """Distance of the front focal point before the first vertex: nearer objects have no real image.
-
-        With a negative focal length, a relay's, farther ones have none.
-        """
+        """Distance of the front focal point before the first vertex; nearer objects have no real image."""
         return self.efl_mm - self.front_principal_z_mm
 
     def image_excess_mm(self, distance_mm: float) -> float:
@@ -135,10 +132,10 @@ class RayModel:
         LfmeshError
             The object has no real image.
         """
-        if not (distance_mm - self.nearest_mm) * self.efl_mm > 0.0:
-            side = "before" if self.efl_mm > 0.0 else "behind"
+        # With a negative focal length, a relay's, objects on either side of it may have one.
+        if not (distance_mm > self.nearest_mm or (self.efl_mm < 0.0 and distance_mm < self.nearest_mm)):
             raise LfmeshError(
-                f"distance_mm = {distance_mm:g}: must lie {side} the front focal point, {self.nearest_mm:.6g} mm in "
+                f"distance_mm = {distance_mm:g}: must lie before the front focal point, {self.nearest_mm:.6g} mm in "
                 "front of the first vertex"
             )
         vergence = 1.0 / (distance_mm + self.front_principal_z_mm)

@@ -6,11 +6,11 @@ smaller the stop, the larger these have to be: how large is part of the result. 
 """
 
 from dataclasses import dataclass, field
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from lfmesh.transport.lenslet_view import NOTHING_SEEN
 from lfmesh.transport.pupil import unknown_opening
@@ -145,7 +145,7 @@ class BlindSamples:
         # A block that found little would think itself certain: the spread is at least that of what is expected.
         typical = squares.sum() / max(blind.sum(), np.finfo(np.float64).tiny)
         spread = np.sqrt(np.maximum(squares, expected * typical))
-        limit = float(stats.norm.isf(LEVEL / 2.0 / blind.size))
+        limit = -NormalDist().inv_cdf(LEVEL / 2.0 / blind.size)
         known = spread > 0.0
         z = (blind - expected)[known] / spread[known]
         deficit = np.divide(limit * spread, expected, out=np.full_like(spread, np.inf), where=known & (expected > 0.0))

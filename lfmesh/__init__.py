@@ -61,13 +61,13 @@ if TYPE_CHECKING:
         loads,
         solved,
     )
-    from lfmesh.transport.image import Image
-    from lfmesh.transport.ledger import Ledger, LostEnergyWarning
-    from lfmesh.transport.progress import Progress
-    from lfmesh.transport.render import render
+    from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
+    from lfmesh.transport.render.image import Image
+    from lfmesh.transport.render.progress import Progress
+    from lfmesh.transport.render.render import render
     from lfmesh.transport.trace import Paths, Status, trace
     from lfmesh.transport.world import build
-    from lfmesh.view.layout_figure import draw
+    from lfmesh.view.layout.figure import draw
     from lfmesh.view.show import view
 
 __all__ = [
@@ -169,13 +169,13 @@ _HOMES = {
         *["Material", "Plane", "Disk", "Sphere", "Box", "Cylinder", "PointLight", "DirectionalLight"],
         *["DiskLight", "Transport", "Tessellation", "Refractor", "FirstOrder", "load", "loads", "solved"],
     ],
-    "lfmesh.transport.image": ["Image"],
-    "lfmesh.transport.ledger": ["Ledger", "LostEnergyWarning"],
-    "lfmesh.transport.progress": ["Progress"],
-    "lfmesh.transport.render": ["render"],
+    "lfmesh.transport.render.image": ["Image"],
+    "lfmesh.transport.packets.ledger": ["Ledger", "LostEnergyWarning"],
+    "lfmesh.transport.render.progress": ["Progress"],
+    "lfmesh.transport.render.render": ["render"],
     "lfmesh.transport.trace": ["Paths", "Status", "trace"],
     "lfmesh.transport.world": ["build"],
-    "lfmesh.view.layout_figure": ["draw"],
+    "lfmesh.view.layout.figure": ["draw"],
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 

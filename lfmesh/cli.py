@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from lfmesh.lightfield.field import LightField
     from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph
     from lfmesh.scene import Scene
-    from lfmesh.transport.image import Image
-    from lfmesh.transport.progress import Progress
+    from lfmesh.transport.render.image import Image
+    from lfmesh.transport.render.progress import Progress
 
 WRONG_INPUT = 2
 INTERRUPTED = 130
@@ -182,7 +182,7 @@ def draw(
     """Draw a camera's layout: meridional section with marginal and chief rays, object side, array close up."""
     with _undivided():
         from lfmesh.scene import load
-        from lfmesh.view import layout_figure
+        from lfmesh.view.layout import figure as layout_figure
 
     _list_files([layout_figure.draw(load(scene), out)])
     return 0
@@ -524,7 +524,7 @@ def accuracy(
     with _undivided():
         from rich.console import Console
 
-        from lfmesh.study.accuracy import measure, prepare
+        from lfmesh.accuracy.report import measure, prepare
 
     if output is not None:
         prepare(output)
@@ -563,9 +563,9 @@ def compare(
 
     loaded = _overridden(load(scene), overrides.given() if overrides else {})
     with _undivided():
+        from lfmesh.accuracy.report import prepare
         from lfmesh.study import compare as comparing
-        from lfmesh.study.accuracy import prepare
-        from lfmesh.transport.ledger import LostEnergyWarning
+        from lfmesh.transport.packets.ledger import LostEnergyWarning
 
     prepare(out)
     # That planes beyond the refocus range are blurred is what is measured.
@@ -697,7 +697,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _hard_cases() -> int:
     with _undivided():
-        from lfmesh.study import hard_cases
+        from lfmesh.accuracy import hard_cases
 
     outcomes = []
     for case in hard_cases.CASES:
@@ -735,8 +735,8 @@ def _render(scene_file: Path, folder: Path, overrides: Overrides | None) -> int:
         _say_note(note)
 
     with _undivided():
-        from lfmesh.transport.ledger import LostEnergyWarning
-        from lfmesh.transport.render import render as trace_image
+        from lfmesh.transport.packets.ledger import LostEnergyWarning
+        from lfmesh.transport.render.render import render as trace_image
 
     with _progress() as report, warnings.catch_warnings():
         # The summary says what was lost.

@@ -257,9 +257,9 @@ def unwritable_places(folder: Path) -> list[Path]:
 def test_an_unwritable_folder_is_said_before_anything_is_traced(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import lfmesh.transport.render
+    import lfmesh.transport.render.render
 
-    monkeypatch.setattr(lfmesh.transport.render, "render", lambda *_, **__: pytest.fail("rendered all the same"))
+    monkeypatch.setattr(lfmesh.transport.render.render, "render", lambda *_, **__: pytest.fail("rendered all the same"))
     before = files(folder)
     for place in unwritable_places(folder):
         assert main(["render", "scene.toml", "-o", str(place)]) == 2

@@ -17,9 +17,9 @@ import pytest
 import lfmesh
 from lfmesh.cli import main
 from lfmesh.scene import Scene, solved
-from lfmesh.transport.image import Image
-from lfmesh.transport.ledger import Ledger
-from lfmesh.transport.progress import Progress
+from lfmesh.transport.packets.ledger import Ledger
+from lfmesh.transport.render.image import Image
+from lfmesh.transport.render.progress import Progress
 
 SCENE = """
 schema_version = 1
@@ -88,9 +88,9 @@ class Renderer:
 @pytest.fixture
 def renderer(monkeypatch: pytest.MonkeyPatch) -> Renderer:
     fake = Renderer()
-    module = types.ModuleType("lfmesh.transport.render")
+    module = types.ModuleType("lfmesh.transport.render.render")
     module.render = fake  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "lfmesh.transport.render", module)
+    monkeypatch.setitem(sys.modules, "lfmesh.transport.render.render", module)
     return fake
 
 
@@ -380,7 +380,7 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         progress("a mesh")
         return MeasuredReport()
 
-    monkeypatch.setattr("lfmesh.study.accuracy.measure", measure)
+    monkeypatch.setattr("lfmesh.accuracy.report.measure", measure)
     return asked
 
 
@@ -434,8 +434,8 @@ def test_accuracy_leaves_nothing_after_ctrl_c(
 def test_hard_cases_print_a_line_each_as_they_finish_and_a_count(
     failing: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from lfmesh.study import hard_cases
-    from lfmesh.study.hard.outcome import Outcome
+    from lfmesh.accuracy import hard_cases
+    from lfmesh.accuracy.hard.outcome import Outcome
 
     seen: list[str] = []
 
@@ -456,8 +456,8 @@ def test_hard_cases_print_a_line_each_as_they_finish_and_a_count(
 
 
 def test_hard_cases_that_lose_energy_fail(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    from lfmesh.study import hard_cases
-    from lfmesh.study.hard.outcome import Outcome
+    from lfmesh.accuracy import hard_cases
+    from lfmesh.accuracy.hard.outcome import Outcome
 
     monkeypatch.setattr(hard_cases, "CASES", (lambda: Outcome("Leak.", "all", "less", True, 1e-6, 1.0, 0),))
     assert main(["accuracy", "--hard"]) == 1

@@ -20,7 +20,7 @@ LOWER = {
     "transport": {"optics", "scene", "geometry"},
 }
 """What each of the lower parts may import besides itself and the foundation."""
-TOP = {"lightfield", "files", "view", "study"}
+TOP = {"lightfield", "files", "view", "accuracy", "study"}
 """These stand on all of the lower parts and may use each other."""
 
 HEAVY = {"numba", "embreex", "trimesh", "pyvista", "vtkmodules", "OpenEXR", "matplotlib"}

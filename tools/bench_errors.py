@@ -19,9 +19,9 @@ import numpy as np
 from bench_report import COLOURS, Report, Table, deliver, guarded, parser, say, whole
 
 import lfmesh as lf
+from lfmesh.accuracy.reported_error import CROPS, DIM_SHARE, Coverage, coverage, crop, error_ratios, study_errors
 from lfmesh.assets import asset_path
 from lfmesh.files import words
-from lfmesh.study.reported_error import CROPS, DIM_SHARE, Coverage, coverage, crop, error_ratios, study_errors
 
 SAMPLES, REPLICATES = (8, 32, 128, 512), (2, 4, 8)
 SIDE, REFERENCE = 96, 8192

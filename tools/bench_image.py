@@ -5,7 +5,7 @@
 
 Two tables. In the first, on the scene itself: analog forward (one child by chance, nothing aimed), forward with
 splitting and aiming, adjoint with all reflections, and adjoint without them by either engine; the error of each is
-against a converged reference of the same light, see lfmesh.study.image_efficiency.
+against a converged reference of the same light, see lfmesh.accuracy.image_efficiency.
 
 In the second: a glowing chart through 16 × 16 lenslets by the adjoint method, with and without reflections, and by
 Mitsuba where it is installed. There the error is each one's own variance from runs with independent seeds, and the
@@ -30,9 +30,7 @@ from bench_report import COLOURS, Ratio, Report, Table, deliver, guarded, parser
 from numpy.typing import NDArray
 
 import lfmesh as lf
-from lfmesh.assets import asset_path
-from lfmesh.scene import Scene
-from lfmesh.study.image_efficiency import (
+from lfmesh.accuracy.image_efficiency import (
     AIMING,
     ANALOG,
     IMAGE_PATH,
@@ -46,7 +44,9 @@ from lfmesh.study.image_efficiency import (
     Way,
     study_images,
 )
-from lfmesh.transport.render import Renderer
+from lfmesh.assets import asset_path
+from lfmesh.scene import Scene
+from lfmesh.transport.render.render import Renderer
 
 WAYS = (ANALOG, AIMING, SOBOL, PARTS, IMAGE_PATH, SEQUENTIAL)
 GAINS = ((AIMING, ANALOG), (SOBOL, AIMING), (PARTS, SOBOL), (SEQUENTIAL, SOBOL), (SEQUENTIAL, IMAGE_PATH))

@@ -10,8 +10,8 @@ Measured in turns on the same rays, all of which pass the lens:
     lf.trace             the whole call with a user's arrays, for each engine
     batoid, optiland, mitsuba   where they are installed; rays in place, without weights or apertures
 with one thread, compared by processor time, and with all, compared by the wall clock. A rate is rays times refracting
-surfaces a second; the landing error beside it is against the analytic trace of lfmesh.study.analytic, on the sensor's
-plane.
+surfaces a second; the landing error beside it is against the analytic trace of lfmesh.accuracy.analytic, on the plane
+of the sensor.
 """
 
 import json
@@ -44,19 +44,19 @@ from bench_report import (
 from numpy.typing import NDArray
 
 import lfmesh as lf
+from lfmesh.accuracy import analytic
+from lfmesh.accuracy.lens_accuracy import Bundle, bare, bundle, lens_alone
 from lfmesh.assets import asset_path
 from lfmesh.geometry.frame import points
 from lfmesh.geometry.levels import SURFACE_LEVEL
 from lfmesh.kernel import kernel
 from lfmesh.scene import Scene
-from lfmesh.study import analytic
-from lfmesh.study.lens_accuracy import Bundle, bare, bundle, lens_alone
-from lfmesh.transport.bundle import BLOCK, DX, DZ, ROWS, WEIGHT, X, Z
 from lfmesh.transport.engine import CHUNK, Workspace
-from lfmesh.transport.image_path import through_lens
-from lfmesh.transport.packet import ENDED, LENS, SENSOR_FRAME, TRANSMIT, WORLD_FRAME
-from lfmesh.transport.settings import options_of
-from lfmesh.transport.tables import LensTables
+from lfmesh.transport.packets.packet import ENDED, LENS, SENSOR_FRAME, TRANSMIT, WORLD_FRAME
+from lfmesh.transport.packets.settings import options_of
+from lfmesh.transport.sequential.image_path import through_lens
+from lfmesh.transport.sequential.lens_bundle import BLOCK, DX, DZ, ROWS, WEIGHT, X, Z
+from lfmesh.transport.tables.tables import LensTables
 from lfmesh.transport.trace import launch_rays
 
 Array = NDArray[np.float64]

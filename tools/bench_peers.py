@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.accuracy.lens_accuracy import Bundle
 from lfmesh.geometry.lens_shape import LensShape, lens_shape
 from lfmesh.geometry.surface import normals
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Scene
-from lfmesh.study.lens_accuracy import Bundle
 
 Array = NDArray[np.float64]
 

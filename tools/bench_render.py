@@ -24,7 +24,7 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.geometry.levels import SURFACE_LEVEL
 from lfmesh.transport.engine import CHUNK
-from lfmesh.transport.packet import EVENTS
+from lfmesh.transport.packets.packet import EVENTS
 
 FACTORS = (1, 4, 16)
 QUICK_PIXELS = [40, 40]

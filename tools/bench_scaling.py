@@ -45,7 +45,7 @@ from bench_report import (
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import Scene
-from lfmesh.transport.render import Renderer
+from lfmesh.transport.render.render import Renderer
 
 ENGINES = ("mesh", "sequential")
 BALL_RADIUS_MM = 40.0

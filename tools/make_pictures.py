@@ -14,13 +14,13 @@ from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 
 import lfmesh
+from lfmesh.accuracy import figures
+from lfmesh.accuracy.image_efficiency import ImageRow
+from lfmesh.accuracy.lens_accuracy import LENS_ALONE, LensRow
+from lfmesh.accuracy.report import IMAGE_CSV, LENS_CSV
+from lfmesh.accuracy.tables import read_csv
 from lfmesh.assets import asset_path
 from lfmesh.scene import load
-from lfmesh.study import figures
-from lfmesh.study.accuracy import IMAGE_CSV, LENS_CSV
-from lfmesh.study.image_efficiency import ImageRow
-from lfmesh.study.lens_accuracy import LENS_ALONE, LensRow
-from lfmesh.study.tables import read_csv
 
 PICTURES = Path(__file__).resolve().parent.parent / "assets" / "pictures"
 SIDE_PX = 320

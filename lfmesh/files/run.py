@@ -27,11 +27,11 @@ from lfmesh.geometry.lattice import Lattice
 from lfmesh.lightfield.calibration import Calibration
 from lfmesh.lightfield.upright import UPRIGHT, Upright
 from lfmesh.scene import Scene, first_order
-from lfmesh.transport.adaptive import Refinement
-from lfmesh.transport.aim_proof import AimProof
-from lfmesh.transport.blind_check import BlindCheck
-from lfmesh.transport.image import Image
-from lfmesh.transport.ledger import Ledger
+from lfmesh.transport.aiming.aim_proof import AimProof
+from lfmesh.transport.packets.ledger import Ledger
+from lfmesh.transport.render.adaptive import Refinement
+from lfmesh.transport.render.blind_check import BlindCheck
+from lfmesh.transport.render.image import Image
 
 FORMAT = 2
 """Of the run folder; a reader refuses any other."""

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.scene import FirstOrder, Scene, first_order
-from lfmesh.transport.adaptive import Refinement
-from lfmesh.transport.certainty import neighbours, pooled_error, typical_over_rms
-from lfmesh.transport.image import Image
-from lfmesh.transport.ledger import Ledger
+from lfmesh.transport.packets.ledger import Ledger
+from lfmesh.transport.render.adaptive import Refinement
+from lfmesh.transport.render.certainty import neighbours, pooled_error, typical_over_rms
+from lfmesh.transport.render.image import Image
 
 LIT_SHARE_OF_BRIGHT = 0.05
 """A pixel counts as lit above this share of the 99th percentile."""

@@ -10,7 +10,7 @@ from lfmesh.kernel import kernel
 from lfmesh.lightfield.calibration import Calibration, calibration_of, continued
 from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.scene import Scene, solved
-from lfmesh.transport.image import Image
+from lfmesh.transport.render.image import Image
 
 Array = NDArray[np.float64]
 

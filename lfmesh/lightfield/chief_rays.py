@@ -16,9 +16,9 @@ from lfmesh.geometry.refractors import measured
 from lfmesh.lightfield.lens_alone import lens_alone
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Paraxial, Scene, solved
-from lfmesh.transport.frame_table import frame_table
-from lfmesh.transport.lens_tables import array_tables
-from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
+from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
+from lfmesh.transport.tables.frames import frame_table
+from lfmesh.transport.tables.lens import array_tables
 from lfmesh.transport.trace import Status, trace
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.lightfield.upright import Upright
 from lfmesh.lightfield.white import refuse_other_white
 from lfmesh.scene import Scene, solved
-from lfmesh.transport.image import Image
+from lfmesh.transport.render.image import Image
 
 Array = NDArray[np.float64]
 

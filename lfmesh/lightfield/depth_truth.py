@@ -15,11 +15,11 @@ from lfmesh.geometry.refractors import measured
 from lfmesh.lightfield.decode import view_count
 from lfmesh.lightfield.view_rays import ViewRays, image_path_engine
 from lfmesh.scene import Scene, solved
-from lfmesh.transport.adjoint import launch_adjoint
 from lfmesh.transport.engine import CHUNK, Workspace
-from lfmesh.transport.packet import CAMERA_FRAME, ENDED, TRANSMIT, WORLD_FRAME
-from lfmesh.transport.random import descendant
-from lfmesh.transport.settings import options_of
+from lfmesh.transport.packets.packet import CAMERA_FRAME, ENDED, TRANSMIT, WORLD_FRAME
+from lfmesh.transport.packets.random import descendant
+from lfmesh.transport.packets.settings import options_of
+from lfmesh.transport.render.adjoint import launch_adjoint
 from lfmesh.transport.trace import Status
 from lfmesh.transport.world import World, build
 

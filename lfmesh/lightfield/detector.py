@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.lightfield.upright import Upright
-from lfmesh.transport.image import Image
+from lfmesh.transport.render.image import Image
 
 Array = NDArray[np.float64]
 

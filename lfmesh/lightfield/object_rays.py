@@ -15,7 +15,7 @@ from lfmesh.geometry.refractors import measured
 from lfmesh.lightfield.chief_rays import Plate, plate_of
 from lfmesh.lightfield.lens_alone import lens_alone
 from lfmesh.scene import Scene, solved
-from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
+from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
 from lfmesh.transport.trace import Status, trace
 
 Array = NDArray[np.float64]

@@ -31,7 +31,7 @@ from lfmesh.lightfield.upright import Upright
 from lfmesh.lightfield.view_rays import TracedShift, ViewRays
 from lfmesh.lightfield.white import refuse_other_white
 from lfmesh.scene import Scene, solved
-from lfmesh.transport.image import Image
+from lfmesh.transport.render.image import Image
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.lightfield.upright import Upright
 from lfmesh.scene import Scene
 from lfmesh.transport.choice import obstacle_of
-from lfmesh.transport.packet import CAMERA_FRAME, WORLD_FRAME
+from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.trace import Paths, Status, trace
 from lfmesh.transport.world import World, build
 

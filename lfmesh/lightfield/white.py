@@ -8,9 +8,9 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.refractors import measured
 from lfmesh.scene import Camera, Scene, first_order, solved
-from lfmesh.transport.image import Image
-from lfmesh.transport.progress import Progress
-from lfmesh.transport.render import render
+from lfmesh.transport.render.image import Image
+from lfmesh.transport.render.progress import Progress
+from lfmesh.transport.render.render import render
 
 RADIANCE = 1.0
 """Of the plane, W/(m² sr), so that a raw image divided by the white one is the radiance of what it shows."""

@@ -28,8 +28,8 @@ from lfmesh.lightfield.upright import Upright
 from lfmesh.lightfield.white import white_image
 from lfmesh.scene import Scene, first_order, solved
 from lfmesh.study.resolution import edge_mtf50, point_width
-from lfmesh.transport.image import Image
-from lfmesh.transport.render import render
+from lfmesh.transport.render.image import Image
+from lfmesh.transport.render.render import render
 
 Array = NDArray[np.float64]
 

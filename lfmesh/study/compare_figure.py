@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lfmesh.study.figures import finish
+from lfmesh.accuracy.figures import finish
 
 if TYPE_CHECKING:
     from lfmesh.study.compare import Comparison

@@ -9,8 +9,8 @@ from lfmesh.errors import SceneError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.mesh import Array
 from lfmesh.scene import Scene
-from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
-from lfmesh.transport.tables import ArrayTables, LensTables
+from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
+from lfmesh.transport.tables.tables import ArrayTables, LensTables
 
 
 def refuse_collisions(scene: Scene, lens: LensTables, array: ArrayTables, moves: Array) -> None:

@@ -15,14 +15,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frame_moves
-from lfmesh.transport.adjoint import start_room
-from lfmesh.transport.array_region import admit_to_cells, shade_cells, through_plate
-from lfmesh.transport.bundle import BLOCK, empty_bundle
-from lfmesh.transport.image_path import follow_image_path
-from lfmesh.transport.lens_block import empty_block
-from lfmesh.transport.lens_region import admit_to_lens, shade_lens
-from lfmesh.transport.object_region import admit_to_objects, shade_objects
-from lfmesh.transport.packet import (
+from lfmesh.transport.packets.packet import (
     CELLS,
     COUNTERS,
     DEPOSIT,
@@ -43,8 +36,15 @@ from lfmesh.transport.packet import (
     Flow,
     Options,
 )
-from lfmesh.transport.sensor_region import onto_sensor
-from lfmesh.transport.tables import Tables
+from lfmesh.transport.regions.array import admit_to_cells, shade_cells, through_plate
+from lfmesh.transport.regions.lens import admit_to_lens, shade_lens
+from lfmesh.transport.regions.lens_block import empty_block
+from lfmesh.transport.regions.objects import admit_to_objects, shade_objects
+from lfmesh.transport.regions.sensor import onto_sensor
+from lfmesh.transport.render.adjoint import start_room
+from lfmesh.transport.sequential.image_path import follow_image_path
+from lfmesh.transport.sequential.lens_bundle import BLOCK, empty_bundle
+from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.world import World
 
 CHUNK = 16_384

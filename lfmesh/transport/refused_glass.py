@@ -16,8 +16,8 @@ from lfmesh.geometry.targets import TargetMesh
 from lfmesh.geometry.winding import shells, winding
 from lfmesh.optics.scattering import tangents
 from lfmesh.scene import DirectionalLight, DiskLight, Light, Scene
-from lfmesh.transport.crossing import FLOAT32_GRAIN
-from lfmesh.transport.embree import Finder
+from lfmesh.transport.events.crossing import FLOAT32_GRAIN
+from lfmesh.transport.regions.embree import Finder
 
 Index = NDArray[np.int64]
 

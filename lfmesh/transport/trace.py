@@ -19,8 +19,8 @@ from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.transport import MOST_EVENTS
 from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.engine import CHUNK, Workspace
-from lfmesh.transport.ledger import Ledger, LostEnergyWarning
-from lfmesh.transport.packet import (
+from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
+from lfmesh.transport.packets.packet import (
     ARRAY_FRAME,
     CAMERA,
     CAMERA_FRAME,
@@ -43,9 +43,9 @@ from lfmesh.transport.packet import (
     Status,
     put,
 )
-from lfmesh.transport.random import derived, descendant
-from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
-from lfmesh.transport.tables import Records, Tables
+from lfmesh.transport.packets.random import derived, descendant
+from lfmesh.transport.packets.settings import SPLIT_MODE, ledger_of, options_of
+from lfmesh.transport.tables.tables import Records, Tables
 from lfmesh.transport.world import World
 
 

@@ -19,21 +19,21 @@ from lfmesh.geometry.tessellation import (
     revolved,
 )
 from lfmesh.scene import FirstOrder, Scene, first_order, solved
-from lfmesh.transport.aim_proof import AimProof
-from lfmesh.transport.aim_table import aim_table
+from lfmesh.transport.aiming.aim_proof import AimProof
+from lfmesh.transport.aiming.aim_table import aim_table
 from lfmesh.transport.collisions import refuse_collisions
-from lfmesh.transport.embree import Finder
-from lfmesh.transport.frame_table import frame_table
-from lfmesh.transport.lens_tables import array_tables, lens_tables
-from lfmesh.transport.object_tables import housing_mesh, middle_of, object_tables, refuse_targets_inside
-from lfmesh.transport.packet import (
+from lfmesh.transport.packets.packet import (
     ARRAY_FRAME,
     CAMERA_FRAME,
     SENSOR_FRAME,
     WORLD_FRAME,
 )
 from lfmesh.transport.refused_glass import refuse_untraceable_glass
-from lfmesh.transport.tables import (
+from lfmesh.transport.regions.embree import Finder
+from lfmesh.transport.tables.frames import frame_table
+from lfmesh.transport.tables.lens import array_tables, lens_tables
+from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, refuse_targets_inside
+from lfmesh.transport.tables.tables import (
     SensorTables,
     Tables,
 )

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from lfmesh.errors import LfmeshError
-from lfmesh.view.ghosts import ghost_matrix
-from lfmesh.view.gl import Probe, has_display
-from lfmesh.view.path_table import path_table
+from lfmesh.view.output.gl import Probe, has_display
+from lfmesh.view.rays.ghosts import ghost_matrix
+from lfmesh.view.rays.path_table import path_table
 from lfmesh.view.show import NO_DISPLAY, Drawing, Outputs, Seen, check_output, look
 
 
@@ -81,7 +81,7 @@ def run(
     view = drawing.of(seen, off_screen=not windowed)
     written += outputs.write(view)
     if windowed:
-        from lfmesh.view.window import open_window
+        from lfmesh.view.output.window import open_window
 
         print("\n".join(lines), flush=True)
         lines = []

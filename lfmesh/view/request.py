@@ -16,11 +16,11 @@ from lfmesh.files.preview import displayed
 from lfmesh.geometry import frame as frames
 from lfmesh.lightfield.upright import Upright
 from lfmesh.scene import Scene, load
-from lfmesh.transport.image import Image
-from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.render.image import Image
 from lfmesh.transport.world import World, build
-from lfmesh.view.launch import launch
-from lfmesh.view.rays import Rays
+from lfmesh.view.rays.launch import launch
+from lfmesh.view.rays.paths import Rays
 
 Picture = NDArray[np.uint8]
 
@@ -118,7 +118,7 @@ def launched(
     world: World, specs: Sequence[str] = (), count: int | None = None, *,
     wavelength_nm: float | None = None, split: str | None = None, weight_cutoff: float | None = None,
 ) -> Launched:  # fmt: skip
-    """Launch the rays of one or several lines of words, see `lfmesh.view.launch.launch`.
+    """Launch the rays of one or several lines of words, see `lfmesh.view.rays.launch.launch`.
 
     Without any, a first look: three points of the plane in focus, their refracted rays alone. "none": no rays.
     """

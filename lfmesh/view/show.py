@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files.whole import write_whole
 from lfmesh.scene import Scene
-from lfmesh.transport.image import Image
+from lfmesh.transport.render.image import Image
 from lfmesh.transport.world import World
-from lfmesh.view.colours import FAINT_TEXT, ColourBy
-from lfmesh.view.filters import parse
-from lfmesh.view.gl import Probe, has_display
-from lfmesh.view.plotter import SIZE, View, build_view
-from lfmesh.view.ray_lines import MOST_SEGMENTS
-from lfmesh.view.rays import Rays
+from lfmesh.view.output.gl import Probe, has_display
+from lfmesh.view.rays.filters import parse
+from lfmesh.view.rays.paths import Rays
 from lfmesh.view.request import Launched, Subject, launched, subject_of
+from lfmesh.view.scene3d.colours import FAINT_TEXT, ColourBy
+from lfmesh.view.scene3d.plotter import SIZE, View, build_view
+from lfmesh.view.scene3d.ray_lines import MOST_SEGMENTS
 
 WITH_INSET = ("whole", "side")
 INSET, INSET_PLACE = 0.3, (0.15, 0.04)
@@ -76,14 +76,14 @@ def view(
     subject : Scene, World, Image, or path of a scene file or a run folder
         A run's picture lies on its sensor.
     rays : Rays, str or sequence of str, optional
-        Rays, or how to launch them: "field 0,0,-500", "pixel 320,310", ..., see `lfmesh.view.launch.FORMS`; "none".
+        Rays, or how to launch them: "field 0,0,-500", "pixel 320,310", "none"; see `lfmesh.view.rays.launch.FORMS`.
         Left out: points of the plane in focus, refracted rays alone.
     count : int, optional
         Rays a launch.
     wavelength_nm, split, weight_cutoff : optional
         Of the launches, as the scene has them if left out.
     filter : str, optional
-        Which paths to draw, see `lfmesh.view.filters`.
+        Which paths to draw, see `lfmesh.view.rays.filters`.
     colour : {"wavelength", "power", "events", "status", "path"}
     fade : bool
         Draw rays with less power fainter.
@@ -117,7 +117,7 @@ def view(
     if inline:
         return picture_of(made)
     if windowed:
-        from lfmesh.view.window import open_window
+        from lfmesh.view.output.window import open_window
 
         open_window(made)
     return None
@@ -191,11 +191,11 @@ class Outputs:
             if option == "screenshot":
                 write_whole(path, png(picture_of(view)))
             elif option == "html":
-                from lfmesh.view.page import write_page
+                from lfmesh.view.output.html import write_page
 
                 write_page(view, path)
             else:
-                from lfmesh.view.model import write_model
+                from lfmesh.view.output.gltf import write_model
 
                 write_model(view, path)
         return [path for _, path in self._wished()]

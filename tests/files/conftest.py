@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from lfmesh.scene import Scene, loads, solved
-from lfmesh.transport.image import Image
-from lfmesh.transport.ledger import Ledger
+from lfmesh.transport.packets.ledger import Ledger
+from lfmesh.transport.render.image import Image
 
 PLENOPTIC = """
 schema_version = 1

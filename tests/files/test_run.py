@@ -16,8 +16,8 @@ import pytest
 from lfmesh.errors import FileError
 from lfmesh.files import run
 from lfmesh.scene import Scene, first_order, load
-from lfmesh.transport.image import Image
-from lfmesh.transport.ledger import Ledger
+from lfmesh.transport.packets.ledger import Ledger
+from lfmesh.transport.render.image import Image
 from lfmesh.view.request import subject_of
 
 Build = Callable[..., Image]

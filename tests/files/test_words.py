@@ -8,8 +8,8 @@ import pytest
 
 from lfmesh.files import words
 from lfmesh.scene import Scene, first_order
-from lfmesh.transport.image import Image
-from lfmesh.transport.ledger import Ledger
+from lfmesh.transport.packets.ledger import Ledger
+from lfmesh.transport.render.image import Image
 
 Build = Callable[..., Image]
 

@@ -7,8 +7,8 @@ import pytest
 
 from lfmesh.assets import asset_path
 from lfmesh.scene import Scene, loads, solved
-from lfmesh.transport.image import Image
-from lfmesh.transport.ledger import Ledger
+from lfmesh.transport.packets.ledger import Ledger
+from lfmesh.transport.render.image import Image
 
 CAMERA = """
 schema_version = 1

@@ -9,7 +9,7 @@ import lfmesh as lf
 from lfmesh.geometry.lattice import Lattice
 from lfmesh.lightfield.centres import estimate_centres
 from lfmesh.scene import Scene
-from lfmesh.transport.image import Image
+from lfmesh.transport.render.image import Image
 
 RADIUS = 4.4
 

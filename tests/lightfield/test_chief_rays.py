@@ -9,7 +9,7 @@ import lfmesh as lf
 from lfmesh.geometry import frame
 from lfmesh.lightfield.chief_rays import chief_rays
 from lfmesh.scene import Scene
-from lfmesh.transport.packet import SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
 
 BUILT_BADLY = {
     "camera.mla.pose": {"shift_mm": [0.03, -0.02, 0.01], "tilt_deg": [0.6, -0.4, 1.0]},

@@ -10,7 +10,7 @@ from lfmesh.geometry.lattice import Lattice
 from lfmesh.lightfield.calibration import Calibration, calibrate
 from lfmesh.lightfield.decode import decode
 from lfmesh.scene import Scene
-from lfmesh.transport.image import Image
+from lfmesh.transport.render.image import Image
 
 BADLY_MOUNTED = {"camera.mla.pose": {"shift_mm": [0.03, -0.02, 0.0], "tilt_deg": [0.0, 0.0, 0.8]}}
 

@@ -28,4 +28,7 @@ def test_importing_scene_loads_no_heavy_library() -> None:
 
 
 def test_the_renderer_loads_no_mesh_library_before_a_mesh_is_asked_for() -> None:
-    assert loaded("lfmesh.transport.render", ["trimesh", "scipy.spatial", "pyvista", "OpenEXR", "matplotlib"]) == "[]"
+    assert (
+        loaded("lfmesh.transport.render.render", ["trimesh", "scipy.spatial", "pyvista", "OpenEXR", "matplotlib"])
+        == "[]"
+    )

@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 import lfmesh as lf
-from lfmesh.study import accuracy, lens_accuracy
-from lfmesh.study.accuracy import AccuracyReport
-from lfmesh.study.image_efficiency import ANALOG, QUICK, SPLITTING, WAYS
+from lfmesh.accuracy import lens_accuracy
+from lfmesh.accuracy import report as accuracy
+from lfmesh.accuracy.image_efficiency import ANALOG, QUICK, SPLITTING, WAYS
+from lfmesh.accuracy.report import AccuracyReport
 
 SCENE = """
 schema_version = 1

@@ -14,11 +14,9 @@ from rich.console import Console
 from scipy import stats
 
 import lfmesh as lf
-from lfmesh.assets import asset_path
-from lfmesh.errors import FileError, LfmeshError
-from lfmesh.study import accuracy, verdict
-from lfmesh.study.accuracy import AccuracyReport
-from lfmesh.study.image_efficiency import (
+from lfmesh.accuracy import report as accuracy
+from lfmesh.accuracy import verdict
+from lfmesh.accuracy.image_efficiency import (
     AIMING,
     ANALOG,
     RANDOM,
@@ -29,7 +27,7 @@ from lfmesh.study.image_efficiency import (
     ImageStudy,
     study_images,
 )
-from lfmesh.study.lens_accuracy import (
+from lfmesh.accuracy.lens_accuracy import (
     EXACT_MULTIPLES,
     LENS_ALONE,
     LEVELS,
@@ -42,7 +40,10 @@ from lfmesh.study.lens_accuracy import (
     order_of,
     study_lens,
 )
-from lfmesh.study.tables import csv_table, read_csv
+from lfmesh.accuracy.report import AccuracyReport
+from lfmesh.accuracy.tables import csv_table, read_csv
+from lfmesh.assets import asset_path
+from lfmesh.errors import FileError, LfmeshError
 
 LEVEL = 1e-3
 """Chance that a statistical test fails though the law holds."""
@@ -54,7 +55,7 @@ ORDERS = {"flat": 0.9, "smooth": 1.9, "patch": 2.7}
 
 @pytest.mark.parametrize("file", lens_files(), ids=lambda file: file.stem)
 def test_exact_lands_on_the_truth_whatever_the_mesh(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lfmesh.study.lens_accuracy.LEVELS", ("exact",))
+    monkeypatch.setattr("lfmesh.accuracy.lens_accuracy.LEVELS", ("exact",))
     study = study_lens(lens_scene(file), rays=1 << 13)
     exact = study.of(LENS_ALONE, "exact")
     assert len(exact) == len(EXACT_MULTIPLES)
@@ -71,8 +72,8 @@ def test_exact_lands_on_the_truth_whatever_the_mesh(file: Path, monkeypatch: pyt
 @pytest.mark.long
 @pytest.mark.parametrize("file", lens_files(), ids=lambda file: file.stem)
 def test_a_million_rays_land_on_the_truth(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lfmesh.study.lens_accuracy.LEVELS", ("exact",))
-    monkeypatch.setattr("lfmesh.study.lens_accuracy.EXACT_MULTIPLES", (1,))
+    monkeypatch.setattr("lfmesh.accuracy.lens_accuracy.LEVELS", ("exact",))
+    monkeypatch.setattr("lfmesh.accuracy.lens_accuracy.EXACT_MULTIPLES", (1,))
     (row,) = study_lens(lens_scene(file), rays=4_000_000).rows
     assert row.rays >= 1_000_000
     assert row.max_mm <= EXACT_MM
@@ -82,7 +83,7 @@ def test_a_million_rays_land_on_the_truth(file: Path, monkeypatch: pytest.Monkey
 @pytest.mark.parametrize("lens", ["cooke_triplet_50mm", "achromat_100mm"])
 def test_every_level_converges_with_its_order(lens: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Flat facets with order one, interpolated normals two, quadratic patches three, over three refinements."""
-    monkeypatch.setattr("lfmesh.study.lens_accuracy.LEVELS", tuple(ORDERS))
+    monkeypatch.setattr("lfmesh.accuracy.lens_accuracy.LEVELS", tuple(ORDERS))
     study = study_lens(lens_scene(asset_path(f"lenses/{lens}.toml")), rings=(6, 12, 24, 48), rays=1 << 11)
     for level, order in ORDERS.items():
         rows = study.of(LENS_ALONE, level)

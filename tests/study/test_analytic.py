@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import lfmesh as lf
+from lfmesh.accuracy import analytic
+from lfmesh.accuracy.lens_accuracy import bare, bundle, lens_files, lens_scene
 from lfmesh.assets import asset_path
 from lfmesh.errors import LfmeshError
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Scene, solved
-from lfmesh.study import analytic
-from lfmesh.study.lens_accuracy import bare, bundle, lens_files, lens_scene
 
 DIGITS = 30
 RAYS = 12

@@ -12,8 +12,8 @@ import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.errors import LfmeshError
 from lfmesh.files import words
-from lfmesh.transport import adaptive
-from lfmesh.transport.render import Renderer
+from lfmesh.transport.render import adaptive
+from lfmesh.transport.render.render import Renderer
 
 Array = NDArray[np.float64]
 
@@ -94,7 +94,7 @@ def test_the_comparison_sees_weights_from_the_pixels_own_noise(
         ours, theirs = 1.0 / np.maximum(variance, 1e-300), 1.0 / np.maximum(second_variance, 1e-300)
         mean[:] = (ours * mean + theirs * second_mean) / (ours + theirs)
 
-    monkeypatch.setattr("lfmesh.transport.render.combine", naive)
+    monkeypatch.setattr("lfmesh.transport.render.render.combine", naive)
     assert p_of_bias(runs()[0], truth) < LEVEL
 
 
@@ -178,7 +178,7 @@ def test_threads_and_chunks_change_nothing() -> None:
 @pytest.mark.parametrize("finished", [1, 2, 3])
 def test_ctrl_c_in_the_second_stage_keeps_what_is_finished(finished: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """One replicate of the second stage cannot tell its error and is left out; more are averaged in."""
-    monkeypatch.setattr("lfmesh.transport.render.PROGRESS_SECONDS", 0.0)
+    monkeypatch.setattr("lfmesh.transport.render.render.PROGRESS_SECONDS", 0.0)
 
     def interrupt(progress: lf.Progress) -> None:
         if progress.stage == "refining" and progress.replicate == finished:

@@ -8,9 +8,17 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.transport.aim_proof import ALLOWED, Openings, _beyond_object_aim, _beyond_sensor_aim, _drawn, _reach, proven
-from lfmesh.transport.pupil import outlook
-from lfmesh.transport.tables import Aim
+from lfmesh.transport.aiming.aim_proof import (
+    ALLOWED,
+    Openings,
+    _beyond_object_aim,
+    _beyond_sensor_aim,
+    _drawn,
+    _reach,
+    proven,
+)
+from lfmesh.transport.aiming.pupil import outlook
+from lfmesh.transport.tables.tables import Aim
 from lfmesh.transport.world import World
 
 RandomCamera = Callable[[int], lf.Scene]

@@ -8,9 +8,9 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.transport.blind_check import LEVEL, BlindCheck, BlindSamples, first_of_runs
-from lfmesh.transport.render import Renderer
-from lfmesh.transport.tables import Aim
+from lfmesh.transport.render.blind_check import LEVEL, BlindCheck, BlindSamples, first_of_runs
+from lfmesh.transport.render.render import Renderer
+from lfmesh.transport.tables.tables import Aim
 
 RUNS = 1000
 

@@ -9,8 +9,8 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.errors import LfmeshError
-from lfmesh.transport import certainty
-from lfmesh.transport.ledger import Ledger
+from lfmesh.transport.packets.ledger import Ledger
+from lfmesh.transport.render import certainty
 
 AROUND = np.array([(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)])
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from lfmesh.optics.fresnel import fresnel
-from lfmesh.transport import lens_block as lb
-from lfmesh.transport.crossing import FLOAT32_GRAIN
+from lfmesh.transport.events.crossing import FLOAT32_GRAIN
+from lfmesh.transport.regions import lens_block as lb
 
 EPSILON = np.finfo(np.float64).eps
 BLOCKS = 200

@@ -10,9 +10,9 @@ import trimesh
 
 import lfmesh as lf
 from lfmesh.files import words
-from lfmesh.transport.ledger import LOST_LIMIT, LostEnergyWarning
-from lfmesh.view.launch import from_pixels
-from lfmesh.view.path_table import path_table
+from lfmesh.transport.packets.ledger import LOST_LIMIT, LostEnergyWarning
+from lfmesh.view.rays.launch import from_pixels
+from lfmesh.view.rays.path_table import path_table
 
 RADIUS = 8.0
 

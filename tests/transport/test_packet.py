@@ -3,7 +3,7 @@
 import numpy as np
 
 from lfmesh.kernel import kernel
-from lfmesh.transport.packet import DEPOSIT, END, LENS, NODE, PACKET, PLATE, STATIONS, TOPS, Flow, put
+from lfmesh.transport.packets.packet import DEPOSIT, END, LENS, NODE, PACKET, PLATE, STATIONS, TOPS, Flow, put
 
 GIVEN = {
     "x": 1.0, "y": 2.0, "z": 3.0, "dx": 0.0, "dy": 0.6, "dz": 0.8,

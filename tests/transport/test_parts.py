@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import lfmesh as lf
-from lfmesh.transport.parts import parts_of
+from lfmesh.transport.render.parts import parts_of
 from lfmesh.transport.world import build
 
 LEVEL = 1e-3
@@ -177,7 +177,7 @@ def test_adaptive_sampling_leaves_what_lamps_send_as_it_is(lamp_behind_glass: lf
 def test_ctrl_c_keeps_what_lamps_sent_in_the_finished_replicates(
     lamp_behind_glass: lf.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lfmesh.transport.render.PROGRESS_SECONDS", 0.0)
+    monkeypatch.setattr("lfmesh.transport.render.render.PROGRESS_SECONDS", 0.0)
 
     def interrupt(progress: lf.Progress) -> None:
         if progress.replicate == 3:

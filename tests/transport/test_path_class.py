@@ -14,9 +14,8 @@ import trimesh
 from numpy.typing import NDArray
 
 import lfmesh as lf
-from lfmesh.transport.adjoint import launch_adjoint
 from lfmesh.transport.engine import Workspace
-from lfmesh.transport.packet import (
+from lfmesh.transport.packets.packet import (
     CURVED_FACE,
     ENDED,
     FLAT_FACE,
@@ -26,9 +25,10 @@ from lfmesh.transport.packet import (
     ROULETTE,
     Event,
 )
-from lfmesh.transport.path_class import EVERY, OFF_IMAGE_PATH
-from lfmesh.transport.random import run_key
-from lfmesh.transport.settings import options_of
+from lfmesh.transport.packets.path_class import EVERY, OFF_IMAGE_PATH
+from lfmesh.transport.packets.random import run_key
+from lfmesh.transport.packets.settings import options_of
+from lfmesh.transport.render.adjoint import launch_adjoint
 from lfmesh.transport.world import World, build
 
 INDEX = 1.8

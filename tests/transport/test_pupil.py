@@ -13,11 +13,11 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lattice import Lattice
-from lfmesh.transport.lenslet_aim import LISTED, cells_that_show, list_cells, most_listed, spread_on_faces
-from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
-from lfmesh.transport.pupil import opening_from, unknown_opening
-from lfmesh.transport.render import Renderer
-from lfmesh.transport.tables import Aim
+from lfmesh.transport.aiming.lenslet_aim import LISTED, cells_that_show, list_cells, most_listed, spread_on_faces
+from lfmesh.transport.aiming.pupil import opening_from, unknown_opening
+from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.render.render import Renderer
+from lfmesh.transport.tables.tables import Aim
 from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]

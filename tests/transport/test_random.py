@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from lfmesh.transport.random import DIMENSIONS_PER_EVENT, derived, descendant, mix, uniform
+from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived, descendant, mix, uniform
 
 LEVEL = 1e-3
 COUNT = 1 << 18

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import lfmesh as lf
-from lfmesh.transport.render import Renderer
+from lfmesh.transport.render.render import Renderer
 
 LEVEL = 1e-3
 """Chance that a statistical test fails though the law holds."""
@@ -153,7 +153,7 @@ def test_one_replicate_has_no_stderr() -> None:
 
 def test_ctrl_c_keeps_the_finished_replicates(monkeypatch: pytest.MonkeyPatch) -> None:
     """Their mean is that of the same replicates rendered alone, to the bit."""
-    monkeypatch.setattr("lfmesh.transport.render.PROGRESS_SECONDS", 0.0)
+    monkeypatch.setattr("lfmesh.transport.render.render.PROGRESS_SECONDS", 0.0)
 
     def interrupt(progress: lf.Progress) -> None:
         if progress.replicate == 3:
@@ -175,7 +175,7 @@ def test_ctrl_c_keeps_the_finished_replicates(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_ctrl_c_before_the_first_replicate_is_done_raises(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lfmesh.transport.render.PROGRESS_SECONDS", 0.0)
+    monkeypatch.setattr("lfmesh.transport.render.render.PROGRESS_SECONDS", 0.0)
 
     def interrupt(progress: lf.Progress) -> None:
         raise KeyboardInterrupt
@@ -185,7 +185,7 @@ def test_ctrl_c_before_the_first_replicate_is_done_raises(monkeypatch: pytest.Mo
 
 
 def test_progress_counts_up_to_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lfmesh.transport.render.PROGRESS_SECONDS", 0.0)
+    monkeypatch.setattr("lfmesh.transport.render.render.PROGRESS_SECONDS", 0.0)
     reports: list[lf.Progress] = []
     lf.render(scene(wavelengths_nm=[500.0, 600.0]), reports.append)
     done = [report.done for report in reports]

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import lfmesh as lf
-from lfmesh.transport.random import derived, descendant
-from lfmesh.transport.render import Renderer
-from lfmesh.transport.sobol import COLUMNS, DIMENSIONS, owen_sobol, sobol
+from lfmesh.transport.packets.random import derived, descendant
+from lfmesh.transport.packets.sobol import COLUMNS, DIMENSIONS, owen_sobol, sobol
+from lfmesh.transport.render.render import Renderer
 
 LEVEL = 1e-3
 """Chance that a test fails though the law holds, shared by its comparisons (Bonferroni)."""

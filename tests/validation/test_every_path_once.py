@@ -16,9 +16,9 @@ import trimesh
 from scipy import stats
 
 import lfmesh as lf
-from lfmesh.transport.parts import Part, parts_of
-from lfmesh.transport.path_class import EVERY
-from lfmesh.transport.render import Renderer
+from lfmesh.transport.packets.path_class import EVERY
+from lfmesh.transport.render.parts import Part, parts_of
+from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.world import World, build
 
 LEVEL = 1e-3

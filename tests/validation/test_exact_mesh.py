@@ -1,15 +1,15 @@
 """`exact` on the default coarse mesh against the analytic lens: where rays land, and the flux of the spot's main lobe.
 
-The truth is the sequential trace of `lfmesh.study.analytic`, which knows no meshes.
+The truth is the sequential trace of `lfmesh.accuracy.analytic`, which knows no meshes.
 """
 
 import numpy as np
 import pytest
 
 import lfmesh as lf
+from lfmesh.accuracy.analytic import Camera
+from lfmesh.accuracy.lens_accuracy import bundle, lens_scene
 from lfmesh.assets import asset_path
-from lfmesh.study.analytic import Camera
-from lfmesh.study.lens_accuracy import bundle, lens_scene
 
 LENSES = sorted(path.stem for path in asset_path("lenses").glob("*.toml"))
 BATCH = 1 << 17

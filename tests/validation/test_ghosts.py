@@ -13,9 +13,9 @@ from scipy import stats
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
-from lfmesh.view.ghosts import ghost_matrix
-from lfmesh.view.launch import from_field_point
-from lfmesh.view.names import lens_names
+from lfmesh.view.rays.ghosts import ghost_matrix
+from lfmesh.view.rays.launch import from_field_point
+from lfmesh.view.rays.names import lens_names
 
 FIELD_POINTS = [(0.0, 0.0, -500.0), (60.0, 40.0, -500.0), (-120.0, 20.0, -650.0)]
 SEEDS = 6

@@ -707,7 +707,7 @@ PAGE = (500, 400)
 
 def assert_seen(shot: Shot, picture: PIL.Image.Image, aspect: float, angle_deg: float) -> None:
     """Compare a 3D view with the body, seen from where lfmesh has put the eye; what is right and up is ours."""
-    from lfmesh.view.presets import viewpoint
+    from lfmesh.view.scene3d.presets import viewpoint
 
     seen = viewpoint(lf.build(shot.scene), "object", aspect, angle_deg=angle_deg)
     assert seen.eye[2] > seen.focus[2], "from behind"

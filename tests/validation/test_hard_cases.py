@@ -6,9 +6,9 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from lfmesh.study.hard import truth
-from lfmesh.study.hard.outcome import Outcome
-from lfmesh.study.hard_cases import ALLOWED_LOSS, CASES, line, lost_share
+from lfmesh.accuracy.hard import truth
+from lfmesh.accuracy.hard.outcome import Outcome
+from lfmesh.accuracy.hard_cases import ALLOWED_LOSS, CASES, line, lost_share
 
 
 @pytest.mark.parametrize("case", CASES, ids=[case.__name__ for case in CASES])

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
+from lfmesh.accuracy.reported_error import CROPS, coverage, crop, error_ratios, sampled, study_errors
 from lfmesh.assets import asset_path
 from lfmesh.files import words
-from lfmesh.study.reported_error import CROPS, coverage, crop, error_ratios, sampled, study_errors
 
 WITHIN = (0.8, 1.25)
 """Reported over true error in groups that the reference makes."""

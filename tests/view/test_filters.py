@@ -7,9 +7,9 @@ import trimesh
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
-from lfmesh.transport.packet import Event
-from lfmesh.view.filters import FIELDS, FilterError, parse, places
-from lfmesh.view.launch import from_field_point, from_pixels
+from lfmesh.transport.packets.packet import Event
+from lfmesh.view.rays.filters import FIELDS, FilterError, parse, places
+from lfmesh.view.rays.launch import from_field_point, from_pixels
 
 
 def camera(**more):

@@ -7,9 +7,9 @@ import pytest
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
-from lfmesh.transport.packet import Event
-from lfmesh.view.ghosts import ghost_matrix
-from lfmesh.view.launch import from_field_point, from_pixels
+from lfmesh.transport.packets.packet import Event
+from lfmesh.view.rays.ghosts import ghost_matrix
+from lfmesh.view.rays.launch import from_field_point, from_pixels
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ import trimesh
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
-from lfmesh.transport.packet import Event
-from lfmesh.view.history import history, lines
-from lfmesh.view.launch import from_field_point, from_pixels
+from lfmesh.transport.packets.packet import Event
+from lfmesh.view.rays.history import history, lines
+from lfmesh.view.rays.launch import from_field_point, from_pixels
 
 BENDS = (Event.TRANSMITTED, Event.REFLECTED)
 POINT = (8.0, -5.0, -400.0)

@@ -10,8 +10,8 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import load_lens
-from lfmesh.view.aimed_rays import Aim
-from lfmesh.view.layout import Layout, layout
+from lfmesh.view.layout.content import Layout, layout
+from lfmesh.view.rays.aimed_rays import Aim
 
 LENSES = sorted(path.stem for path in asset_path("lenses").glob("*.toml"))
 

@@ -7,10 +7,10 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.transport.packet import Event
-from lfmesh.view.filters import FilterError, parse
-from lfmesh.view.launch import as_in_run, from_field_point, from_pixels
-from lfmesh.view.path_table import COLUMNS, path_table
+from lfmesh.transport.packets.packet import Event
+from lfmesh.view.rays.filters import FilterError, parse
+from lfmesh.view.rays.launch import as_in_run, from_field_point, from_pixels
+from lfmesh.view.rays.path_table import COLUMNS, path_table
 
 
 @pytest.fixture(scope="module")

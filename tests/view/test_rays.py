@@ -7,9 +7,9 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.geometry import frame as frames
 from lfmesh.scene import load_lens
-from lfmesh.transport.packet import ARRAY_FRAME, CAMERA_FRAME, WORLD_FRAME, Event
-from lfmesh.view.launch import as_in_run, from_field_point, from_pixels
-from lfmesh.view.names import aliases, label, lens_names
+from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, WORLD_FRAME, Event
+from lfmesh.view.rays.launch import as_in_run, from_field_point, from_pixels
+from lfmesh.view.rays.names import aliases, label, lens_names
 
 
 @pytest.fixture(scope="module")

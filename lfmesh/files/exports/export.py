@@ -20,7 +20,7 @@ from lfmesh.files.exports.plenpy import write_plenpy
 from lfmesh.files.exports.views import write_views
 from lfmesh.lightfield.calibration import Calibration
 from lfmesh.lightfield.field import LightField
-from lfmesh.transport.image import Image
+from lfmesh.transport.render.image import Image
 
 FieldFormat = Literal["lftoolbox", "eslf", "hci", "views"]
 RawFormat = Literal["plenopticam", "plenpy"]

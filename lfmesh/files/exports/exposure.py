@@ -12,7 +12,7 @@ from lfmesh.lightfield.field import Samples
 from lfmesh.lightfield.upright import Upright
 from lfmesh.lightfield.white import refuse_other_white
 from lfmesh.scene import solved
-from lfmesh.transport.image import Image
+from lfmesh.transport.render.image import Image
 
 UPRIGHT_ORDER = "upright: columns to the right (+x), rows down (-y), as seen from behind the camera"
 """What ``export.json`` says of the order of pixels."""

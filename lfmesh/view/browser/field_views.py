@@ -21,7 +21,7 @@ from lfmesh.lightfield.field import LightField
 from lfmesh.lightfield.refocus import refocus
 from lfmesh.lightfield.upright import Upright
 from lfmesh.scene import Scene
-from lfmesh.transport.image import Image
+from lfmesh.transport.render.image import Image
 from lfmesh.view.browser.pictures import coloured, exposed, white_of
 
 Picture = NDArray[np.uint8]

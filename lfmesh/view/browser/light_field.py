@@ -10,7 +10,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.lightfield.calibration import Calibration
 from lfmesh.lightfield.upright import Upright
 from lfmesh.scene import Scene
-from lfmesh.transport.image import Image
+from lfmesh.transport.render.image import Image
 from lfmesh.view.browser.field_views import STEPS, FieldViews, Place, calibration_of_run
 from lfmesh.view.browser.pictures import data_url
 from lfmesh.view.browser.replies import Replies

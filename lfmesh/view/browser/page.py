@@ -6,18 +6,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lfmesh.files import run
-from lfmesh.transport.image import Image
+from lfmesh.transport.render.image import Image
 from lfmesh.view.browser.light_field import LightFieldPanel
 from lfmesh.view.browser.rays_panel import RaysPanel
 from lfmesh.view.browser.replies import Replies
-from lfmesh.view.colours import ColourBy
-from lfmesh.view.plotter import build_view
 from lfmesh.view.request import Subject, sensor_picture, subject_of
+from lfmesh.view.scene3d.colours import ColourBy
+from lfmesh.view.scene3d.plotter import build_view
 
 if TYPE_CHECKING:
     from lfmesh.scene import Scene
     from lfmesh.transport.world import World
-    from lfmesh.view.rays import Rays
+    from lfmesh.view.rays.paths import Rays
 
 SIZE = (1000, 760)
 """Of the 3D view until the browser says how large it is, px."""
@@ -43,7 +43,7 @@ class Page:
     expression : str
         Stands in the filter box from the start.
     colour, fade, preset, cut
-        See `lfmesh.view.plotter.build_view`.
+        See `lfmesh.view.scene3d.plotter.build_view`.
 
     Raises
     ------

@@ -8,22 +8,22 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.transport.world import World
-from lfmesh.view import launch
 from lfmesh.view.browser.pictures import figure_url
 from lfmesh.view.browser.replies import Replies
-from lfmesh.view.colours import ColourBy
-from lfmesh.view.describe import describe
-from lfmesh.view.filters import FilterError, parse
-from lfmesh.view.ghosts import ghost_matrix
-from lfmesh.view.history import Step, history
-from lfmesh.view.path_table import PathRow, PathTable, path_table, short_form
-from lfmesh.view.pick import PickedPart, PickedPixel, PickedRay, pick
-from lfmesh.view.plotter import View
+from lfmesh.view.rays import launch
+from lfmesh.view.rays.filters import FilterError, parse
+from lfmesh.view.rays.ghosts import ghost_matrix
+from lfmesh.view.rays.history import Step, history
+from lfmesh.view.rays.path_table import PathRow, PathTable, path_table, short_form
 from lfmesh.view.request import FAR, pixels_on_array
+from lfmesh.view.scene3d.colours import ColourBy
+from lfmesh.view.scene3d.describe import describe
+from lfmesh.view.scene3d.pick import PickedPart, PickedPixel, PickedRay, pick
+from lfmesh.view.scene3d.plotter import View
 
 if TYPE_CHECKING:
     from lfmesh.view.browser.light_field import LightFieldPanel
-    from lfmesh.view.rays import Rays
+    from lfmesh.view.rays.paths import Rays
 
 COUNT = 100
 """Rays that are launched if the user does not say."""

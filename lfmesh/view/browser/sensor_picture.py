@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lfmesh.files.preview import displayed
 from lfmesh.lightfield.calibration import Calibration
 from lfmesh.lightfield.upright import Upright
-from lfmesh.transport.image import Image
+from lfmesh.transport.render.image import Image
 
 Array = NDArray[np.float64]
 

@@ -12,14 +12,14 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from lfmesh.errors import LfmeshError
-from lfmesh.view.gl import Probe, has_display
+from lfmesh.view.output.gl import Probe, has_display
 
 if TYPE_CHECKING:
     from lfmesh.scene import Scene
-    from lfmesh.transport.image import Image
+    from lfmesh.transport.render.image import Image
     from lfmesh.transport.world import World
-    from lfmesh.view.colours import ColourBy
-    from lfmesh.view.rays import Rays
+    from lfmesh.view.rays.paths import Rays
+    from lfmesh.view.scene3d.colours import ColourBy
 
 EXTRA = 'the page in the browser needs more packages: pip install "lfmesh[browser]"'
 
@@ -48,7 +48,7 @@ def serve(
     rays : Rays, optional
         Drawn from the start; launched in the subject's world.
     expression : str
-        Stands in the filter box from the start, see `lfmesh.view.filters`.
+        Stands in the filter box from the start, see `lfmesh.view.rays.filters`.
     colour : {"wavelength", "power", "events", "status", "path"}
     fade : bool
         Draw rays with less power fainter.

@@ -19,7 +19,7 @@ from lfmesh.cli import main
 from lfmesh.files import exr
 from lfmesh.files.exports.hci import CameraArray
 from lfmesh.scene import Scene, first_order, loads, solved
-from lfmesh.transport.ledger import Ledger
+from lfmesh.transport.packets.ledger import Ledger
 
 Array = NDArray[Any]
 

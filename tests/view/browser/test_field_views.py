@@ -11,7 +11,7 @@ from lfmesh.files import exr, run
 from lfmesh.files.calibration import write_calibration
 from lfmesh.files.field import save_field
 from lfmesh.scene import Scene
-from lfmesh.transport.image import Image
+from lfmesh.transport.render.image import Image
 from lfmesh.view.browser.field_views import FieldViews
 from lfmesh.view.browser.pictures import UNKNOWN
 

@@ -8,7 +8,7 @@ import pytest
 from lfmesh.lightfield.calibration import calibrate
 from lfmesh.lightfield.upright import Upright
 from lfmesh.scene import Scene
-from lfmesh.transport.image import Image
+from lfmesh.transport.render.image import Image
 from lfmesh.view.browser.sensor_picture import SensorPicture
 
 COLUMNS, ROWS = 150, 130

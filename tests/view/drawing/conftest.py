@@ -8,9 +8,9 @@ import pytest
 
 from lfmesh.scene import Scene, loads
 from lfmesh.transport.world import World, build
-from lfmesh.view import launch
-from lfmesh.view.plotter import View
-from lfmesh.view.rays import Rays
+from lfmesh.view.rays import launch
+from lfmesh.view.rays.paths import Rays
+from lfmesh.view.scene3d.plotter import View
 
 SIZE = (480, 300)
 

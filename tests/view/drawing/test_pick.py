@@ -5,13 +5,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from lfmesh.transport.packet import SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
-from lfmesh.view import pick
-from lfmesh.view.describe import describe
-from lfmesh.view.plotter import View
-from lfmesh.view.rays import Rays
-from lfmesh.view.window import clicked
+from lfmesh.view.output.window import clicked
+from lfmesh.view.rays.paths import Rays
+from lfmesh.view.scene3d import pick
+from lfmesh.view.scene3d.describe import describe
+from lfmesh.view.scene3d.plotter import View
 
 from .conftest import SIZE
 

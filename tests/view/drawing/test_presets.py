@@ -9,13 +9,13 @@ import pytest
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.scene import Scene, loads
-from lfmesh.transport.packet import CAMERA_FRAME, WORLD_FRAME
+from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World, build
-from lfmesh.view import pick
-from lfmesh.view.overlay import in_words
-from lfmesh.view.parts import round_length
-from lfmesh.view.plotter import View
-from lfmesh.view.presets import ANGLE_DEG, MARGIN, PRESETS, Viewpoint, fitted, viewpoint
+from lfmesh.view.scene3d import pick
+from lfmesh.view.scene3d.overlay import in_words
+from lfmesh.view.scene3d.parts import round_length
+from lfmesh.view.scene3d.plotter import View
+from lfmesh.view.scene3d.presets import ANGLE_DEG, MARGIN, PRESETS, Viewpoint, fitted, viewpoint
 
 from .conftest import SCENE, SIZE, shot
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from lfmesh.errors import LfmeshError
-from lfmesh.transport.packet import Status
-from lfmesh.view.colours import OF_STATUS, ray_colours
-from lfmesh.view.ray_lines import ray_lines
-from lfmesh.view.rays import Rays
+from lfmesh.transport.packets.packet import Status
+from lfmesh.view.rays.paths import Rays
+from lfmesh.view.scene3d.colours import OF_STATUS, ray_colours
+from lfmesh.view.scene3d.ray_lines import ray_lines
 
 
 def segments_of(rays: Rays, path: int) -> set[tuple[bytes, bytes]]:

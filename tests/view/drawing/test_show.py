@@ -17,12 +17,13 @@ from lfmesh.cli import main
 from lfmesh.errors import LfmeshError
 from lfmesh.files import run as runs
 from lfmesh.scene import Scene, loads
-from lfmesh.transport.image import Image
-from lfmesh.transport.ledger import Ledger
+from lfmesh.transport.packets.ledger import Ledger
+from lfmesh.transport.render.image import Image
 from lfmesh.transport.world import World
-from lfmesh.view import launch, show
-from lfmesh.view.gl import MISSING, Probe
-from lfmesh.view.rays import Rays
+from lfmesh.view import show
+from lfmesh.view.output.gl import MISSING, Probe
+from lfmesh.view.rays import launch
+from lfmesh.view.rays.paths import Rays
 from lfmesh.view.request import first_look, launched, subject_of, together
 
 from .conftest import SCENE
@@ -188,8 +189,8 @@ def test_in_a_notebook_it_returns_the_picture(world: World, monkeypatch: pytest.
 
 
 def test_lf_view_is_the_function_whatever_was_imported_before() -> None:
-    later = "view = lf.view; import lfmesh.view.names as names; assert lf.view is view and callable(view)"
-    sooner = "import lfmesh.view.names; import lfmesh as lf; assert callable(lf.view); " + later
+    later = "view = lf.view; import lfmesh.view.rays.names as names; assert lf.view is view and callable(view)"
+    sooner = "import lfmesh.view.rays.names; import lfmesh as lf; assert callable(lf.view); " + later
     subprocess.run([sys.executable, "-c", sooner], check=True, cwd=Path(lfmesh.__file__).parents[1])
     subprocess.run(
         [sys.executable, "-c", "import lfmesh as lf; assert callable(lf.view)"],

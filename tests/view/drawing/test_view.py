@@ -8,13 +8,14 @@ from scipy.spatial import cKDTree
 
 from lfmesh.geometry import frame as frames
 from lfmesh.scene import loads
-from lfmesh.transport.packet import ARRAY_FRAME, WORLD_FRAME
+from lfmesh.transport.packets.packet import ARRAY_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World, build
-from lfmesh.view import launch, pick
-from lfmesh.view.array_shape import MOST_LENSLETS, PATCH, all_cells, caps, cells_near
-from lfmesh.view.colours import tint
-from lfmesh.view.plotter import View
-from lfmesh.view.rays import Rays
+from lfmesh.view.rays import launch
+from lfmesh.view.rays.paths import Rays
+from lfmesh.view.scene3d import pick
+from lfmesh.view.scene3d.array_shape import MOST_LENSLETS, PATCH, all_cells, caps, cells_near
+from lfmesh.view.scene3d.colours import tint
+from lfmesh.view.scene3d.plotter import View
 
 from .conftest import SCENE, SIZE, shot
 from .test_pick import pixel_corner

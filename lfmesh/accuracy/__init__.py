@@ -1,0 +1,1 @@
+"""The program examined: speed against error, and hard cases."""

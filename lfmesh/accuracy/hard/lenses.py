@@ -1,0 +1,236 @@
+"""Lenses: surfaces close to each other, surfaces that bulge as far as they can, aspheres that mislead Newton."""
+
+import numpy as np
+
+from lfmesh.accuracy.hard.outcome import (
+    Outcome,
+    case,
+    disk,
+    faces_of,
+    lens_scene,
+    outcome,
+    surfaces_of,
+    through_lens,
+    tilted,
+)
+from lfmesh.accuracy.hard.truth import Array
+from lfmesh.scene import Surface
+from lfmesh.transport.trace import Status, trace
+from lfmesh.transport.world import build
+
+
+def _bundle(count: int, radius: float, spread: float = 0.1) -> tuple[Array, Array]:
+    d = tilted(count, spread)
+    return np.column_stack([disk(radius, count), np.zeros(count)]) - 60.0 * d, d
+
+
+def _air_gap(gap: float, meniscus: bool = True) -> Outcome:
+    inner = -40.0 if meniscus else np.inf
+    surfaces = surfaces_of((
+        (60.0, 5.0, 1.62), (inner, gap, 1.0), (inner, 3.0, 1.72), (-200.0, 0.0, 1.0),
+    ))  # fmt: skip
+    o, d = _bundle(20_000, 9.9)
+    return through_lens(lens_scene(surfaces), o, d, 1e-11)
+
+
+@case
+def gap_10_um() -> Outcome:
+    """Leave 10 µm of air between curved faces."""
+    return _air_gap(0.01)
+
+
+@case
+def gap_1_um() -> Outcome:
+    """Leave 1 µm of air between curved faces."""
+    return _air_gap(0.001)
+
+
+@case
+def gap_100_nm() -> Outcome:
+    """Leave 0.1 µm of air between curved faces, less than their meshes can."""
+    return _air_gap(0.0001)
+
+
+@case
+def flat_gap_100_nm() -> Outcome:
+    """Leave 0.1 µm of air between flat faces."""
+    return _air_gap(0.0001, meniscus=False)
+
+
+@case
+def cemented_triplet() -> Outcome:
+    """Cement three glasses, with two interfaces that belong to two elements each."""
+    surfaces = surfaces_of((
+        (40.0, 6.0, 1.5168), (-30.0, 2.0, 1.7283), (28.0, 5.0, 1.6204), (-60.0, 0.0, 1.0),
+    ))  # fmt: skip
+    o, d = _bundle(20_000, 9.9)
+    return through_lens(lens_scene(surfaces), o, d, 1e-11)
+
+
+@case
+def thin_meniscus() -> Outcome:
+    """Cross a meniscus of 20 µm, thinner than the sag error of a coarse mesh of its faces."""
+    surfaces = surfaces_of(((12.0, 0.02, 1.5), (12.0, 0.0, 1.0)))
+    o, d = _bundle(20_000, 9.9)
+    return through_lens(lens_scene(surfaces), o, d, 1e-11)
+
+
+@case
+def touching_edges() -> Outcome:
+    """Let two lenses touch at their rims, so that the air between them ends in an edge."""
+    sag = 50.0 - np.sqrt(50.0**2 - 10.0**2)
+    surfaces = surfaces_of((
+        (80.0, 5.0, 1.5), (50.0, 2.0 * sag, 1.0), (-50.0, 5.0, 1.6), (-90.0, 0.0, 1.0),
+    ))  # fmt: skip
+    o, d = _bundle(20_000, 9.999)
+    return through_lens(lens_scene(surfaces), o, d, 1e-11)
+
+
+@case
+def touching_vertices() -> Outcome:
+    """Let two lenses touch in a point on the axis, where the air between them vanishes."""
+    surfaces = surfaces_of((
+        (80.0, 5.0, 1.5), (-50.0, 0.0, 1.0), (50.0, 5.0, 1.6), (-90.0, 0.0, 1.0),
+    ))  # fmt: skip
+    draw = np.random.default_rng(4)
+    o, d = _bundle(20_000, 9.9)
+    # Half of them at the point of contact, within 1e-1 to 1e-9 mm.
+    near = 10_000
+    o[:near] = np.column_stack(
+        [draw.normal(size=(near, 2)) * 10.0 ** draw.uniform(-9.0, -1.0, (near, 1)), np.zeros(near)]
+    )
+    o[:near] -= 60.0 * d[:near] - [0.0, 0.0, 5.0]
+    return through_lens(lens_scene(surfaces), o, d, 1e-11)
+
+
+@case
+def whispering_gallery() -> Outcome:
+    """Creep along the inside of a ball, at 1e-1 to 1e-4 rad, between its surface and its mesh."""
+    surfaces = surfaces_of(((5.0, 10.0, 1.5), (-5.0, 0.0, 1.0)), 4.5)
+    draw = np.random.default_rng(6)
+    n = 5000
+    grazing, latitude = 10.0 ** draw.uniform(-4.0, -1.0, n), draw.uniform(-0.5, 0.5, n)
+    phi = draw.uniform(0.0, 2.0 * np.pi, n)
+    # From a point 1e-6 mm below the front, in a plane through the centre: there the next point of the polygon that
+    # the path describes is known.
+    theta = 0.3 + 0.5 * np.abs(latitude)
+    out = np.column_stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), -np.cos(theta)])
+    along = np.column_stack([-np.cos(theta) * np.cos(phi), -np.cos(theta) * np.sin(phi), -np.sin(theta)])
+    d = np.cos(grazing)[:, None] * along - np.sin(grazing)[:, None] * out
+    centre = np.array([0.0, 0.0, 5.0])
+    o = centre + (5.0 - 1e-6) * out
+    paths = trace(build(lens_scene(surfaces, distance=4.0)), o, d, split="transmit", record=True, max_events=1)
+    p = o - centre
+    b = np.einsum("ij,ij->i", p, d)
+    true = o + (np.sqrt(b * b + 25.0 - np.einsum("ij,ij->i", p, p)) - b)[:, None] * d
+    inside = np.hypot(true[:, 0], true[:, 1]) < 4.5
+    met = np.array([paths.vertices(i)[1].position for i in range(len(paths))])
+    lost = paths.status == Status.LOST
+    judged = inside & ~lost & (true[:, 2] < 5.0)
+    error = np.linalg.norm(met - true[paths.source], axis=1)[judged].max(initial=0.0)
+    return outcome(
+        paths, f"{int(judged.sum())} of {n} rays meet the same face next, to 1e-10 mm",
+        f"error {error:.1e} mm, {int(lost.sum())} lost", bool(judged.any()) and error < 1e-10,
+    )  # fmt: skip
+
+
+@case
+def ball_lens() -> Outcome:
+    """Cross a ball lens up to 0.999 of its radius."""
+    surfaces = surfaces_of(((5.0, 10.0, 1.5), (-5.0, 0.0, 1.0)), 4.995)
+    o, d = _bundle(20_000, 4.99, 0.02)
+    return through_lens(lens_scene(surfaces, distance=4.0), o, d, 1e-11)
+
+
+@case
+def hemisphere() -> Outcome:
+    """Meet a hemisphere up to 1e-7 mm from the rim, where its slope is infinite."""
+    surfaces = [
+        Surface(radius_mm=5.0, thickness_mm=5.0, index=1.2, semi_diameter_mm=5.0, stop=True),
+        Surface(semi_diameter_mm=5.0),
+    ]
+    draw = np.random.default_rng(5)
+    r = 5.0 - 10.0 ** draw.uniform(-7.0, 0.6, 20_000)
+    phi = draw.uniform(0.0, 2.0 * np.pi, len(r))
+    o = np.column_stack([r * np.cos(phi), r * np.sin(phi), np.full(len(r), -20.0)])
+    # 1e-7 mm from the rim the slope, 7e3, multiplies the rounding of a ray's place.
+    return through_lens(
+        lens_scene(surfaces, distance=3.0), o, np.tile([0.0, 0.0, 1.0], (len(r), 1)), 1e-8,
+        relative=1e-6,
+    )  # fmt: skip
+
+
+@case
+def diverging_newton() -> Outcome:
+    """Meet an asphere on which Newton's step runs away: a steep bump of the eighth order on a plane."""
+    surfaces = [
+        Surface(asphere_mm=(0.0, 0.0, -3e-7), thickness_mm=4.0, index=1.2, semi_diameter_mm=8.0, stop=True),
+        Surface(radius_mm=-90.0, semi_diameter_mm=12.0),
+    ]
+    o, d = _bundle(5000, 7.99, 0.6)
+    # Spread over the plane of the rim, which stands out towards the rays.
+    o[:, 2] -= 6.2
+    return through_lens(lens_scene(surfaces, distance=10.0), o, d, 1e-10, relative=1e-10)
+
+
+@case
+def two_roots() -> Outcome:
+    """Meet the ring-shaped ridge of an asphere with flat rays that cross it up to four times in one aperture."""
+    ridge = Surface(
+        radius_mm=-6.0, conic=-1.0, asphere_mm=(1.8e-3,), thickness_mm=8.0, index=1.5, semi_diameter_mm=7.0, stop=True
+    )
+    scene = lens_scene([ridge, Surface(radius_mm=-60.0, semi_diameter_mm=12.0)], distance=15.0)
+    draw = np.random.default_rng(9)
+    n = 4000
+    # Half of them from outside the ridge, which stands 1 mm before the vertex, half from within it.
+    start, aim = np.where(np.arange(n) < n // 2, 9.0, draw.uniform(0.0, 3.0, n)), draw.uniform(-5.0, 5.0, n)
+    phi = draw.uniform(0.0, 2.0 * np.pi, n)
+    along = np.column_stack([np.cos(phi), np.sin(phi), draw.uniform(0.0, 0.05, n)])
+    o = np.column_stack([-start * np.cos(phi), -start * np.sin(phi), draw.uniform(-1.1, -0.75, n)])
+    o[:, :2] += aim[:, None] * np.column_stack([-np.sin(phi), np.cos(phi)])
+    face = faces_of(scene)[0]
+    # What starts behind the surface would have to come through it; what passes beside it is another's case.
+    r2 = o[:, 0] ** 2 + o[:, 1] ** 2
+    d = along / np.linalg.norm(along, axis=1, keepdims=True)
+    roots, depth = face.crossings(o, d, 20.0)
+    # Within 0.15 mm of the surface rays may start behind, or pass over, the chords of its coarse mesh.
+    chosen = ((r2 > 7.1**2) | (o[:, 2] < face.sag(r2) - 0.15)) & (roots >= 2) & (depth > 0.15)
+    o, d, roots = o[chosen], d[chosen], roots[chosen]
+    true = face.meet(o, d)
+    paths = trace(build(scene), o, d, split="transmit", record=True)
+    met = np.full((len(o), 3), np.nan)
+    for packet, source in enumerate(paths.source):
+        path = paths.vertices(packet)
+        if path[1].surface == "lens surface 0":
+            met[source] = path[1].position
+    lost = np.isin(np.arange(len(o)), paths.source[paths.status == Status.LOST])
+    judged = ~lost & (np.hypot(true[:, 0], true[:, 1]) < 7.0)
+    error = np.linalg.norm(met - true, axis=1)[judged]
+    return outcome(
+        paths,
+        f"{int(judged.sum())} rays, {int((roots > 2).sum())} of them with four roots, meet the first, to 1e-10 mm",
+        f"{int((error < 1e-10).sum())} do, {int(lost.sum())} lost; error {error.max(initial=0.0):.1e} mm",
+        len(error) > 1000 and bool((error < 1e-10).all()),
+    )  # fmt: skip
+
+
+@case
+def hyperboloid() -> Outcome:
+    """Meet a conic with k < −1, whose other sheet lies in the rays' way."""
+    surfaces = [
+        Surface(radius_mm=-8.0, conic=-3.5, thickness_mm=3.0, index=1.7, semi_diameter_mm=10.0, stop=True),
+        Surface(radius_mm=40.0, conic=-2.2, semi_diameter_mm=10.0),
+    ]
+    o, d = _bundle(20_000, 9.9, 0.1)
+    return through_lens(lens_scene(surfaces, distance=15.0), o, d, 1e-10)
+
+
+@case
+def oblate() -> Outcome:
+    """Meet a conic with k > 0, which ends at its rim."""
+    surfaces = [
+        Surface(radius_mm=20.0, conic=2.5, thickness_mm=9.0, index=1.6, semi_diameter_mm=10.5, stop=True),
+        Surface(radius_mm=-40.0, conic=1.0, semi_diameter_mm=12.0),
+    ]
+    o, d = _bundle(20_000, 10.45, 0.1)
+    return through_lens(lens_scene(surfaces, distance=15.0), o, d, 1e-10)

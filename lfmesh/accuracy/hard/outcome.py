@@ -1,0 +1,220 @@
+"""What a hard case returns, and the scenes and comparisons that the cases share."""
+
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import wraps
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+
+from lfmesh.accuracy.hard.truth import Array, Bundle, Interface, at_plane, through
+from lfmesh.scene import Camera, Lens, MicrolensArray, Refractor, Scene, Sensor, Surface, Target
+from lfmesh.scene.refractor import FacetLevel
+from lfmesh.transport.trace import Paths, Status, trace
+from lfmesh.transport.world import World, build
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one hard case ended.
+
+    Attributes
+    ----------
+    cause : str
+        What makes it hard.
+    expected, got : str
+        The right answer and the engine's, in words and figures.
+    passed : bool
+        The answer is right for every ray that is not lost.
+    lost_energy, emitted : float
+        In units of one ray's power.
+    requeried : int
+        Queries that float64 refused and repeated.
+    """
+
+    cause: str
+    expected: str
+    got: str
+    passed: bool
+    lost_energy: float
+    emitted: float
+    requeried: int
+
+
+def case(function: Callable[[], Outcome]) -> Callable[[], Outcome]:
+    """Make a function a hard case: the first line of its docstring, in words, is the cause."""
+
+    @wraps(function)
+    def run() -> Outcome:
+        return replace(function(), cause=(function.__doc__ or "").partition("\n")[0])
+
+    return run
+
+
+Prescription = Sequence[tuple[float, float, float]]
+"""(radius, thickness behind, index behind) of each surface, mm."""
+
+
+def surfaces_of(prescription: Prescription, aperture: float = 10.0) -> list[Surface]:
+    """Return the surfaces of a prescription, the first of them the stop."""
+    last = len(prescription) - 1
+    return [
+        Surface(
+            radius_mm=radius,
+            thickness_mm=thickness if k < last else None,
+            index=index if k < last else None,
+            semi_diameter_mm=aperture,
+            stop=k == 0,
+        )
+        for k, (radius, thickness, index) in enumerate(prescription)
+    ]
+
+
+SINGLET = surfaces_of(((50.0, 4.0, 1.5168), (-50.0, 0.0, 1.0)))
+"""The biconvex lens that stands behind whatever a case puts before or behind it."""
+
+
+def lens_scene(
+    surfaces: Sequence[Surface], *, sensor_mm: float = 60.0, distance: float = 40.0,
+    mla: MicrolensArray | None = None, targets: tuple[Target, ...] = (),
+) -> Scene:  # fmt: skip
+    """Return a camera with a lens of these surfaces and a sensor at a distance behind it."""
+    return Scene(
+        camera=Camera(
+            lens=Lens(surfaces=tuple(surfaces)),
+            mla=mla,
+            sensor=Sensor(pixels=(60, 60), pixel_mm=sensor_mm / 60.0, distance_mm=distance),
+        ),
+        targets=targets,
+    )
+
+
+def sensor_z(scene: Scene) -> float:
+    """Return z of the sensor of a camera without an array."""
+    return scene.camera.lens.vertices_mm[-1] + (scene.camera.sensor.distance_mm or 0.0)
+
+
+def faces_of(scene: Scene) -> list[Interface]:
+    """Return the lens as the truth takes it; a stop that bends nothing is left out."""
+    lens = scene.camera.lens
+    return [
+        Interface(s.radius_mm, z, s.index or 1.0, s.conic, s.asphere_mm, 1.01 * (s.semi_diameter_mm or 10.0))
+        for k, (s, z) in enumerate(zip(lens.surfaces, lens.vertices_mm, strict=True))
+        if not lens.is_pure_stop(k)
+    ]
+
+
+def disk(radius: float, count: int, seed: int = 0) -> Array:
+    """Return (count, 2) points spread evenly over a disk at random."""
+    draw = np.random.default_rng(seed)
+    r, phi = radius * np.sqrt(draw.uniform(size=count)), draw.uniform(0.0, 2.0 * np.pi, count)
+    return np.column_stack([r * np.cos(phi), r * np.sin(phi)])
+
+
+def tilted(count: int, spread: float, seed: int = 1) -> Array:
+    """Return (count, 3) unit directions round +z with slopes up to `spread`."""
+    d = np.column_stack([disk(spread, count, seed), np.ones(count)])
+    return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True))
+
+
+def outcome(paths: Paths | Sequence[Paths], expected: str, got: str, passed: bool) -> Outcome:
+    """Return an outcome with the books of the traces it rests on."""
+    ledgers = [p.ledger for p in ([paths] if isinstance(paths, Paths) else paths)]
+    closes = max(abs(ledger.imbalance) for ledger in ledgers)
+    if not closes < 1e-9:
+        got += f"; the books are {closes:.1e} out of balance"
+    return Outcome(
+        "",
+        expected,
+        got,
+        bool(passed and closes < 1e-9),
+        sum(sum(ledger.lost.values()) for ledger in ledgers),
+        sum(ledger.emitted for ledger in ledgers),
+        sum(ledger.requeries for ledger in ledgers),
+    )
+
+
+def on_sensor(
+    paths: Paths,
+    truth: Array,
+    weight: Array,
+    tolerance: float,
+    *,
+    stopped: NDArray[np.bool_] | None = None,
+    relative: float = 1e-12,
+) -> Outcome:
+    """Compare where rays land, one packet a ray, with where they should.
+
+    Parameters
+    ----------
+    truth : (n, 3) mm
+    weight : (n,)
+    tolerance : float, mm
+        Of the landing points.
+    stopped : (n,) bool, optional
+        Rays that an aperture has to take; the rest must all reach the sensor's plane. Where the truth is NaN a ray
+        is turned back by total reflection and may end anywhere, but not as lost.
+    relative : float
+        Tolerance of the weights.
+
+    A comparison of a hundred rays, or a fifth of those that should arrive, or fewer shows little, and fails.
+    """
+    count = len(truth)
+    kept = np.ones(count, dtype=bool) if stopped is None else ~stopped
+    if len(paths) != count:
+        return outcome(paths, f"{count} packets", f"{len(paths)} packets", False)
+    arrived = (paths.status == Status.SENSOR) | (np.array(paths.body) == "beside the sensor")
+    lost = paths.status == Status.LOST
+    known = np.isfinite(truth).all(axis=1)
+    kept &= known
+    wrong = int(((arrived != kept) & known & ~lost).sum())
+    # Beside the sensor a ray may land so far out that its rounding shows.
+    both = (paths.status == Status.SENSOR) & kept
+    error = np.linalg.norm(paths.position - truth, axis=1)[both].max(initial=0.0)
+    loss = np.abs(paths.weight / weight - 1.0)[both].max(initial=0.0)
+    return outcome(
+        paths,
+        f"{int(kept.sum())} of {count} rays at the sensor, within {tolerance:.0e} mm",
+        f"{int(arrived.sum())} arrive, {wrong} end wrongly, {int(lost.sum())} lost; error of {int(both.sum())} "
+        f"compared {error:.1e} mm, of the weight {loss:.1e}",
+        wrong == 0 and bool(both.sum() > max(100, 0.2 * kept.sum())) and error <= tolerance and loss <= relative,
+    )
+
+
+def through_lens(
+    scene: Scene, origins: ArrayLike, directions: ArrayLike, tolerance: float, *,
+    world: World | None = None, relative: float = 1e-12,
+) -> Outcome:  # fmt: skip
+    """Trace rays through a lens and compare with the truth, apertures included."""
+    paths = trace(world or build(scene), origins, directions, split="transmit")
+    true = through(faces_of(scene), origins, directions)
+    return on_sensor(
+        paths, at_plane(true.p, true.d, sensor_z(scene)), true.weight, tolerance,
+        stopped=cut(scene, true), relative=relative,
+    )  # fmt: skip
+
+
+def cut(scene: Scene, true: Bundle) -> NDArray[np.bool_]:
+    """Return which rays an aperture of the lens takes."""
+    lens = scene.camera.lens
+    limits = [s.semi_diameter_mm or np.inf for k, s in enumerate(lens.surfaces) if not lens.is_pure_stop(k)]
+    return np.asarray(~(true.heights <= limits).all(axis=1))
+
+
+def world_with(
+    mesh: trimesh.Trimesh, *, ending: str = "stl", position_mm: tuple[float, float, float], index: float | None = None,
+    surface: FacetLevel = "patch",
+) -> World:  # fmt: skip
+    """Build the singlet with a body from a mesh file in front of it: of glass, if it has an index."""
+    with tempfile.TemporaryDirectory(prefix="lfmesh-") as folder:
+        name = f"body.{ending}"
+        mesh.export(Path(folder) / name)
+        if index is None:
+            body = Target(file=name, units="mm", position_mm=position_mm)
+        else:
+            glass = Refractor(file=name, units="mm", index=index, surface=surface)
+            body = Target(refractor=glass, position_mm=position_mm)
+        return build(lens_scene(SINGLET, targets=(body,)).in_folder(Path(folder)))

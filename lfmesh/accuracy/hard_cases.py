@@ -1,0 +1,100 @@
+"""The hard cases: scenes made to break the tracer, each with a truth from outside and a verdict.
+
+A case passes when every ray has the right answer, or ends as LOST, which the ledger counts with its reason.
+"""
+
+import warnings
+from collections.abc import Callable, Iterable
+
+from lfmesh.accuracy.hard import aim, arrays, interfaces, lenses, meshes, openings
+from lfmesh.accuracy.hard.outcome import Outcome
+from lfmesh.transport.packets.ledger import LostEnergyWarning
+
+CASES: tuple[Callable[[], Outcome], ...] = (
+    aim.vertices_and_edges,
+    aim.pole_and_rim,
+    aim.skinny_fan,
+    openings.stop_of_20_um,
+    openings.stop_of_10_nm,
+    openings.hemispheres_to_the_lens,
+    openings.hemispheres_to_the_sensor,
+    interfaces.normal_incidence,
+    interfaces.grazing,
+    interfaces.grazing_sphere,
+    interfaces.grazing_inside,
+    interfaces.critical_angle,
+    interfaces.matched_indices,
+    interfaces.faint_glass,
+    interfaces.dense_glass,
+    lenses.ball_lens,
+    lenses.hemisphere,
+    meshes.corner_cube,
+    meshes.trapped_light,
+    lenses.cemented_triplet,
+    lenses.gap_10_um,
+    lenses.gap_1_um,
+    lenses.gap_100_nm,
+    lenses.flat_gap_100_nm,
+    lenses.thin_meniscus,
+    lenses.touching_edges,
+    lenses.touching_vertices,
+    lenses.whispering_gallery,
+    arrays.lenslets_5_um,
+    arrays.lenslets_14_um,
+    arrays.lenslets_500_um,
+    arrays.far_and_tilted,
+    arrays.lytro_size,
+    arrays.square_borders,
+    arrays.hexagonal_borders,
+    arrays.across_cells,
+    meshes.target_100_m,
+    meshes.target_1_mm,
+    meshes.duplicate_faces,
+    meshes.flipped_faces,
+    meshes.zero_area,
+    meshes.needles,
+    meshes.t_junction,
+    meshes.non_manifold,
+    meshes.far_coordinates,
+    meshes.million_triangles,
+    meshes.coincident_vertices,
+    meshes.glass_with_empty_facets,
+    meshes.glass_with_duplicates,
+    meshes.glass_with_flips,
+    meshes.glass_with_junction,
+    lenses.diverging_newton,
+    lenses.two_roots,
+    lenses.hyperboloid,
+    lenses.oblate,
+)
+
+ALLOWED_LOSS = 1e-7
+"""Share of the emitted energy that may be lost over all cases."""
+
+
+def run_all() -> list[Outcome]:
+    """Run every case, in the order of `CASES`."""
+    return [judged(case) for case in CASES]
+
+
+def judged(case: Callable[[], Outcome]) -> Outcome:
+    """Run one case; what it loses is in its outcome, and needs no warning."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LostEnergyWarning)
+        return case()
+
+
+def lost_share(outcomes: Iterable[Outcome]) -> float:
+    """Return the lost energy of all cases over what they emitted."""
+    outcomes = list(outcomes)
+    emitted = sum(o.emitted for o in outcomes)
+    return sum(o.lost_energy for o in outcomes) / emitted if emitted else 0.0
+
+
+def line(outcome: Outcome) -> str:
+    """Return an outcome as one line: cause, verdict, what was expected and what came out."""
+    verdict = "passed" if outcome.passed else "FAILED"
+    return (
+        f"{verdict}  {outcome.cause} Expected: {outcome.expected}. Got: {outcome.got}; "
+        f"{outcome.requeried} queries repeated, {outcome.lost_energy:g} of {outcome.emitted:g} lost."
+    )

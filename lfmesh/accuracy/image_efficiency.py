@@ -1,0 +1,343 @@
+"""How much an image costs: error against time for the ways to estimate it, and their efficiency 1 / (MSE · t).
+
+Every way that follows the same light estimates the same watts a pixel; those that leave reflections out have a
+reference of their own. The mean squared error is taken over all pixels against the converged reference of another seed,
+whose own variance is known from its replicates and is subtracted; both are relative to the image's mean square. Time is
+processor time, so that two cores and a busy machine do not enter. The efficiency of independent samples does not depend
+on how many are drawn; a better estimator has a higher one.
+
+Paths that are heavy and rare, such as ghosts, hold much of a mean square in few pixels. Beside it stands what most
+pixels see: the median, over the lit ones, of the error's size.
+"""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.scene import Scene
+from lfmesh.transport.render.image import Image
+from lfmesh.transport.render.render import Renderer
+from lfmesh.transport.world import build
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to estimate an image.
+
+    Attributes
+    ----------
+    name : str
+    means : str
+        What it does, in words.
+    method, split : str
+        As in the scene's transport settings.
+    aimed, stratified : bool
+        As of `Renderer`.
+    engine : str
+        As in the scene's transport settings.
+    """
+
+    name: str
+    means: str
+    method: str
+    split: str
+    aimed: bool
+    stratified: bool
+    engine: str = "mesh"
+
+    @property
+    def reference(self) -> "Way":
+        """What makes the reference of the light that this way follows."""
+        return IMAGE_PATH if self.split == "transmit" else SOBOL
+
+
+ANALOG = Way(
+    "analog forward",
+    "light from the lamp, one child by chance at every interface, scattered into the whole hemisphere",
+    "forward", "roulette", False, False,
+)  # fmt: skip
+SPLITTING = Way(
+    "forward, splitting",
+    "the same, but both children of every interface are followed",
+    "forward", "both", False, False,
+)  # fmt: skip
+AIMING = Way(
+    "forward, splitting and aiming",
+    "and every scattering sends a weighted child at the entrance pupil",
+    "forward", "both", True, False,
+)  # fmt: skip
+RANDOM = Way(
+    "adjoint, random",
+    "from the pixel through the lenslets that show it the pupil; random starting points",
+    "adjoint", "both", True, False,
+)  # fmt: skip
+SOBOL = Way(
+    "adjoint, Sobol'",
+    "the same from scrambled Sobol' points",
+    "adjoint", "both", True, True,
+)  # fmt: skip
+PARTS = Way(
+    "adjoint, in parts",
+    "the same, the image path through exact surfaces in their order, the reflections apart from it",
+    "adjoint", "both", True, True, "auto",
+)  # fmt: skip
+IMAGE_PATH = Way(
+    "adjoint, image path",
+    "the same without reflections",
+    "adjoint", "transmit", True, True,
+)  # fmt: skip
+SEQUENTIAL = Way(
+    "adjoint, sequential",
+    "the same without reflections, through exact surfaces in their order",
+    "adjoint", "transmit", True, True, "sequential",
+)  # fmt: skip
+WAYS = (ANALOG, SPLITTING, AIMING, RANDOM, SOBOL, PARTS)
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is spent on the images.
+
+    Attributes
+    ----------
+    pixels : int
+        Of the sensor's shorter side, at most: larger sensors are binned to it.
+    samples : dict
+        Samples a pixel by way: one point of the figure each.
+    repeats : int
+        Runs of each with another seed, two at least: their spread tells how well the error is known.
+    reference : int
+        Samples a pixel of the reference.
+    """
+
+    pixels: int
+    samples: dict[str, tuple[int, ...]]
+    repeats: int
+    reference: int
+
+
+USUAL = Effort(
+    160,
+    {
+        ANALOG.name: (64, 512),
+        SPLITTING.name: (64, 512),
+        AIMING.name: (8, 32),
+        RANDOM.name: (8, 32),
+        SOBOL.name: (8, 32),
+        PARTS.name: (8, 32),
+    },
+    4,
+    512,
+)
+QUICK = Effort(
+    64,
+    {
+        ANALOG.name: (256, 1024),
+        SPLITTING.name: (256, 1024),
+        AIMING.name: (16, 32),
+        RANDOM.name: (8, 16),
+        SOBOL.name: (8, 16),
+        PARTS.name: (8, 16),
+    },
+    3,
+    256,
+)
+
+REPLICATES = 2
+"""Of each run: as many independent Sobol' sets a pixel share its samples."""
+
+REFERENCE_REPLICATES = 8
+
+LIT_SHARE = 0.05
+"""A pixel counts as lit above this share of the reference's mean."""
+
+
+@dataclass(frozen=True)
+class ImageRow:
+    """One way with one number of samples.
+
+    Attributes
+    ----------
+    samples : int
+        A pixel; forward: packets over pixels.
+    seconds : float
+        Of processor time, mean of the repeats.
+    mse, mse_error : float
+        Mean squared error over the image's mean square; its standard error over the repeats.
+    typical : float
+        Median over the lit pixels of the error's size, over the image's root mean square.
+    efficiency, efficiency_error : float
+        1 / (mse · seconds), 1/s; NaN where the error cannot be told from the reference's.
+    bias_z : float
+        Difference of the whole image's power from the reference's, in standard errors.
+    """
+
+    way: str
+    samples: int
+    seconds: float
+    mse: float
+    mse_error: float
+    typical: float
+    efficiency: float
+    efficiency_error: float
+    bias_z: float
+
+
+@dataclass(frozen=True)
+class ImageStudy:
+    """All rows, and what they were measured on.
+
+    Attributes
+    ----------
+    scene : str
+    pixels : tuple of int
+    binned : int
+        Pixels of the scene's own sensor along a side of one of these.
+    reference_samples : int
+    reference_error : float
+        Its rms standard error over the image's rms; of the reference with all reflections, where there are two.
+    reference_typical : float
+        The median of its standard error over the lit pixels, over the image's rms.
+    """
+
+    scene: str
+    pixels: tuple[int, int]
+    binned: int
+    reference_samples: int
+    reference_error: float
+    reference_typical: float
+    rows: tuple[ImageRow, ...]
+
+    def of(self, way: Way) -> tuple[ImageRow, ...]:
+        """Return the rows of a way."""
+        return tuple(row for row in self.rows if row.way == way.name)
+
+    def efficiency(self, way: Way) -> float:
+        """Return a way's efficiency, 1/s, from its largest run: where errors are known best."""
+        return self.of(way)[-1].efficiency
+
+    def reference_share(self) -> float:
+        """Return the reference's own variance over the smallest mean squared error that was measured against it."""
+        smallest = min(row.mse for row in self.rows)
+        return self.reference_error**2 / smallest if smallest > 0.0 else math.inf
+
+    def typical_gain(self, way: Way, over: Way) -> float:
+        """Return how many times the samples one way's typical error is worth, at equal samples, than another's."""
+        return (self.of(over)[-1].typical / self.of(way)[-1].typical) ** 2
+
+    def gain(self, way: Way, over: Way) -> tuple[float, float]:
+        """Return how many times more efficient one way is than another, with its standard error."""
+        a, b = self.of(way)[-1], self.of(over)[-1]
+        ratio = a.efficiency / b.efficiency
+        return ratio, ratio * math.hypot(a.efficiency_error / a.efficiency, b.efficiency_error / b.efficiency)
+
+
+def study_images(
+    scene: Scene,
+    effort: Effort = USUAL,
+    progress: Callable[[str], None] | None = None,
+    seed: int = 1,
+    ways: Sequence[Way] = WAYS,
+) -> ImageStudy:
+    """Measure ways on a scene.
+
+    Raises
+    ------
+    LfmeshError
+        The scene cannot be built, or no light reaches the sensor.
+    """
+    say = progress or (lambda _: None)
+    small, binned = _binned(scene, effort.pixels)
+    references: dict[Way, Image] = {}
+    for way in dict.fromkeys(way.reference for way in ways):
+        say(f"images: reference by {way.name}, {effort.reference} samples a pixel")
+        references[way] = _run(small, way, effort.reference, seed, REFERENCE_REPLICATES)[0]
+    main = references.get(SOBOL, next(iter(references.values())))
+    power = _power(main)
+    if not power > 0.0:
+        raise LfmeshError(
+            "no light of the scene reaches its sensor: there is no image whose error could be measured; "
+            "lfmesh render says where the light goes"
+        )
+    rows = []
+    for way in ways:
+        # Once for the compiler.
+        _run(small, way, REPLICATES, seed, REPLICATES)
+        for samples in effort.samples[way.name]:
+            say(f"images: {way.name}, {samples} samples a pixel")
+            runs = [_run(small, way, samples, seed + 1 + k, REPLICATES) for k in range(effort.repeats)]
+            rows.append(_row(way, samples, runs, references[way.reference]))
+    error = math.sqrt(float((main.stderr**2).mean()) / power)
+    typical = float(np.median(main.stderr[_lit(main)])) / math.sqrt(power)
+    columns, lines = small.camera.sensor.pixels
+    name = scene.name or "the scene"
+    return ImageStudy(name, (columns, lines), binned, effort.reference, error, typical, tuple(rows))
+
+
+def _lit(image: Image) -> NDArray[np.bool_]:
+    return image.mean > LIT_SHARE * image.mean.mean()
+
+
+def _power(image: Image) -> float:
+    """Return the mean square of an image's pixels."""
+    return float((image.mean**2).mean())
+
+
+def _binned(scene: Scene, pixels: int) -> tuple[Scene, int]:
+    """Return the scene with its sensor's pixels joined, so that its shorter side has some `pixels`; and how many.
+
+    What is left over at the border of the sensor is left out.
+    """
+    sensor = scene.camera.sensor
+    factor = max(1, min(sensor.pixels) // pixels)
+    changes = {
+        "camera.sensor.pixels": [side // factor for side in sensor.pixels],
+        "camera.sensor.pixel_mm": sensor.pixel_mm * factor,
+        "transport.wavelengths_nm": [scene.transport.primary_nm],
+    }
+    return scene.changed(changes), factor
+
+
+def _run(scene: Scene, way: Way, samples: int, seed: int, replicates: int) -> tuple[Image, float]:
+    """Return an image and the processor seconds it took to trace."""
+    transport = {
+        "method": way.method, "split": way.split, "samples": samples, "replicates": replicates, "seed": seed,
+        "engine": way.engine,
+    }  # fmt: skip
+    world = build(scene.changed({f"transport.{name}": value for name, value in transport.items()}))
+    renderer = Renderer(world, aimed=way.aimed, stratified=way.stratified)
+    began = time.process_time()
+    image = renderer.image()
+    return image, time.process_time() - began
+
+
+def _row(way: Way, samples: int, runs: list[tuple[Image, float]], reference: Image) -> ImageRow:
+    power = _power(reference)
+    own = float((reference.stderr**2).mean())
+    errors = np.array([float(((image.mean - reference.mean) ** 2).mean()) - own for image, _ in runs]) / power
+    seconds = float(np.mean([t for _, t in runs]))
+    mse = float(errors.mean())
+    spread = float(errors.std(ddof=1) / math.sqrt(len(errors)))
+    known = mse > 0.0
+    lit = _lit(reference)
+    typical = np.median([np.abs(image.mean - reference.mean)[lit] for image, _ in runs]) / math.sqrt(power)
+    totals = [float(image.mean.sum()) for image, _ in runs]
+    uncertain = math.sqrt(
+        sum(float((image.stderr**2).sum()) for image, _ in runs) / len(runs) ** 2 + float((reference.stderr**2).sum())
+    )
+    return ImageRow(
+        way=way.name,
+        samples=samples,
+        seconds=seconds,
+        mse=mse,
+        mse_error=spread,
+        typical=float(typical),
+        efficiency=1.0 / (mse * seconds) if known else math.nan,
+        efficiency_error=spread / (mse * mse * seconds) if known else math.nan,
+        bias_z=(float(np.mean(totals)) - float(reference.mean.sum())) / uncertain if uncertain > 0.0 else math.nan,
+    )

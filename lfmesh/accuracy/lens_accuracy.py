@@ -1,0 +1,364 @@
+"""How far off rays land when facets stand for a lens: every level of `surface` on ever finer meshes, against the truth.
+
+The truth is `lfmesh.accuracy.analytic`. Two ways are measured: through the lens alone, to the plane of the microlenses
+(or of the sensor without them), and through the whole camera, lenslets included.
+"""
+
+import ctypes
+import gc
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.accuracy import analytic
+from lfmesh.geometry.frame import points
+from lfmesh.geometry.lattice import Lattice
+from lfmesh.geometry.lens_shape import lens_shape
+from lfmesh.geometry.lenslets import cell_pattern
+from lfmesh.geometry.refractors import measured
+from lfmesh.scene import Scene, first_order, solved
+from lfmesh.scene.paraxial import Paraxial
+from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME, Status
+from lfmesh.transport.trace import trace
+from lfmesh.transport.world import World, build
+
+LEVELS = ("flat", "smooth", "patch", "exact")
+RINGS = (6, 12, 24, 48, 96)
+"""Rings of triangles a surface: each step has four times the triangles of the one before."""
+
+QUICK_RINGS = (6, 12, 24)
+
+EXACT_MULTIPLES = (1, 2, 4)
+"""`exact` is measured on its default mesh and finer ones, to show that its error does not depend on them."""
+
+RAYS = 1 << 16
+QUICK_RAYS = 1 << 13
+
+TIMED_RUNS = 2
+TIMED_SECONDS = 0.2
+"""The fastest of at least so many runs counts: whatever else a machine does only ever adds to a run's time."""
+
+START_MM = 1.0
+"""Rays start this far before the first point of the lens."""
+
+LENS_ALONE, WHOLE_CAMERA = "lens", "camera"
+
+
+class Bundle(NamedTuple):
+    """Rays in the camera frame, (n, 3) each, with a unit direction."""
+
+    origins: NDArray[np.float64]
+    directions: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LensRow:
+    """One level on one mesh.
+
+    Attributes
+    ----------
+    lens : str
+        Name of the lens.
+    way : str
+        "lens": to the plane of its image; "camera": through the microlenses to the sensor.
+    surface : str
+        What a facet stood for.
+    rings, triangles : int
+        Of one surface of the lens.
+    rms_mm, max_mm, rms_px, max_px : float
+        Distance between where a ray lands and where it should.
+    elsewhere : float
+        Share of rays that land half a lenslet or more from where they should: through another lenslet. They are in
+        `max_mm`, not in `rms_mm`, which would measure nothing else. 0 for the lens alone.
+    expected_mm : float
+        What the estimate of `lfmesh check` says that `rms_mm` is.
+    rms_weight, max_weight : float
+        Relative error of the power a ray brings.
+    astray : float
+        Share of rays that end elsewhere than in the truth: an aperture's edge, or nowhere.
+    lost, requeried : float
+        Share of the power lost, and of events asked again.
+    build_seconds : float
+    table_bytes, process_bytes : int
+        What the kernels' tables take; by how much the process grew, Embree's trees included (0 where the system does
+        not say, and where the growth is too small to be told).
+    events_per_second : float
+        Ray-surface events a second of processor time: of one core.
+    rays : int
+        Compared.
+    """
+
+    lens: str
+    way: str
+    surface: str
+    rings: int
+    triangles: int
+    rms_mm: float
+    max_mm: float
+    rms_px: float
+    max_px: float
+    elsewhere: float
+    expected_mm: float
+    rms_weight: float
+    max_weight: float
+    astray: float
+    lost: float
+    requeried: float
+    build_seconds: float
+    table_bytes: int
+    process_bytes: int
+    events_per_second: float
+    rays: int
+
+
+@dataclass(frozen=True)
+class LensStudy:
+    """All rows of one lens, and how far the truth itself can be trusted.
+
+    Attributes
+    ----------
+    default_rings : dict
+        By level: the rings that a scene gets by itself.
+    truth_error_mm : float or None
+        Largest difference between the truth in float64 and in extended precision, over both ways.
+    lenslet_triangles : int
+        Of the curved face of one lenslet, on every mesh of the lens; 0 without microlenses.
+    """
+
+    name: str
+    pixel_mm: float
+    rows: tuple[LensRow, ...]
+    default_rings: dict[str, int]
+    truth_error_mm: float | None
+    lenslet_triangles: int = 0
+
+    @property
+    def ways(self) -> tuple[str, ...]:
+        """What was measured: the lens alone and, with microlenses, the whole camera."""
+        return tuple(dict.fromkeys(row.way for row in self.rows))
+
+    def of(self, way: str, level: str | None = None) -> tuple[LensRow, ...]:
+        """Return the rows of a way, of one level if asked."""
+        return tuple(row for row in self.rows if row.way == way and level in (None, row.surface))
+
+
+def bare(scene: Scene) -> Scene:
+    """Return a solved scene with nothing but its camera, which stands in the world frame."""
+    scene = solved(measured(scene))
+    return scene.changed({"targets": [], "lights": [], "camera.pose": {}, "transport.engine": "auto"})
+
+
+def lens_alone(scene: Scene) -> Scene:
+    """Return a solved scene without its microlenses, the sensor in the plane where they stood."""
+    camera = scene.camera
+    if camera.mla is None:
+        return scene
+    return scene.changed(
+        {"camera.mla": None, "camera.sensor.distance_mm": camera.mla.distance_mm, "camera.sensor.pose": {}}
+    )
+
+
+def lens_scene(file: Path) -> Scene:
+    """Return a scene that tests a lens file: an object twenty focal lengths away, a sensor for 25° of half field."""
+    draft = {
+        "camera": {
+            "focus_mm": 1e3,
+            "lens": {"file": str(file.resolve())},
+            "sensor": {"pixels": [8, 8], "pixel_mm": 0.005, "distance_mm": 1.0},
+        }
+    }
+    lens = solved(Scene.model_validate(draft)).camera.lens
+    focal_length = Paraxial.of(lens, 587.6).efl_mm
+    pixels = int(2 * np.tan(np.deg2rad(25.0)) * focal_length / 0.005)
+    draft["camera"]["focus_mm"] = 20.0 * focal_length
+    draft["camera"]["sensor"] = {"pixels": [pixels, pixels], "pixel_mm": 0.005}
+    return solved(Scene.model_validate({**draft, "name": lens.name or file.stem}))
+
+
+def bundle(scene: Scene, rays: int, seed: int = 0) -> Bundle:
+    """Return rays from all over the field through all of the entrance pupil of a solved scene's camera.
+
+    Object points lie in the plane that the lens focuses on and cover what the sensor sees of it; a tenth more than the
+    paraxial pupil is filled, and the truth tells which rays get through.
+    """
+    report = first_order(scene)
+    camera = scene.camera
+    lens = Paraxial.of(camera.lens, report.wavelength_nm)
+    image = (camera.mla or camera.sensor).distance_mm or 0.0
+    distance = abs(lens.object_mm(image))
+    pupil_z, pupil_radius = report.entrance_pupil_z_mm, 0.55 * report.entrance_pupil_diameter_mm
+    widest = max(s.semi_diameter_mm or 0.0 for s in camera.lens.surfaces)
+    if not np.isfinite(pupil_z) or pupil_radius > widest:
+        pupil_z, pupil_radius = 0.0, widest
+    half = 0.5 * np.asarray(camera.sensor.size_mm)
+    # Slopes of the chief rays in object space.
+    reach = abs(1.0 / lens.magnification(distance)) / (distance + pupil_z) if np.isfinite(distance) else 1 / lens.efl_mm
+    random = np.random.default_rng(seed)
+    field = random.uniform(-1.0, 1.0, (rays, 2)) * half * abs(reach)
+    r, phi = pupil_radius * np.sqrt(random.random(rays)), 2.0 * np.pi * random.random(rays)
+    pupil = np.column_stack([r * np.cos(phi), r * np.sin(phi), np.full(rays, pupil_z)])
+    slope = -field + (pupil[:, :2] / (distance + pupil_z) if np.isfinite(distance) else 0.0)
+    directions = np.column_stack([slope, np.ones(rays)])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    first = camera.lens.surfaces[0]
+    start = min(0.0, first.sag_mm(first.semi_diameter_mm or 0.0)) - START_MM
+    origins = pupil - directions * ((pupil_z - start) / directions[:, 2])[:, None]
+    return Bundle(origins, directions)
+
+
+def study_lens(
+    scene: Scene,
+    *,
+    rings: tuple[int, ...] = RINGS,
+    rays: int = RAYS,
+    progress: Callable[[str], None] | None = None,
+) -> LensStudy:
+    """Measure a scene's lens, and with microlenses the whole camera, at every level and mesh.
+
+    Raises
+    ------
+    LfmeshError
+        The lens holds a mesh from a file, or the scene cannot be built.
+    """
+    scene = bare(scene)
+    name = scene.camera.lens.name or scene.name or "lens"
+    ways = [(LENS_ALONE, lens_alone(scene))]
+    if scene.camera.mla is not None:
+        ways.append((WHOLE_CAMERA, scene))
+    default = {level: lens_shape(scene.changed({"transport.surface": level})).rings for level in LEVELS}
+    rows: list[LensRow] = []
+    errors: list[float | None] = []
+    for way, camera in ways:
+        wavelength = camera.transport.primary_nm
+        camera = camera.changed({"transport.wavelengths_nm": [wavelength]})
+        sent = bundle(camera, rays)
+        truth = analytic.Camera.of(camera, wavelength).land(*sent)
+        errors.append(analytic.own_error(camera, wavelength, *(a[:2000] for a in sent)))
+        # The compiler and the libraries take their memory before any is counted.
+        trace(build(camera), *sent, wavelength, "transmit")
+        for level in LEVELS:
+            for number in rings if level != "exact" else tuple(m * default["exact"] for m in EXACT_MULTIPLES):
+                if progress is not None:
+                    progress(f"{name}, {way}: {level}, {number} rings")
+                rows.append(_measured(name, way, camera, level, number, sent, truth))
+    known = [e for e in errors if e is not None]
+    pixel = scene.camera.sensor.pixel_mm
+    return LensStudy(name, pixel, tuple(rows), default, max(known) if known else None, _lenslet_triangles(scene))
+
+
+def _lenslet_triangles(scene: Scene) -> int:
+    mla = scene.camera.mla
+    if mla is None:
+        return 0
+    return len(cell_pattern(Lattice(mla.layout == "hexagonal", mla.pitch_mm, *mla.count))[1])
+
+
+def order_of(rows: Sequence[LensRow]) -> float:
+    """Return the fitted order of the error in the facets' size: rms ∝ rings^−order."""
+    rings, errors = np.array([r.rings for r in rows]), np.array([r.rms_mm for r in rows])
+    usable = errors > 0
+    if usable.sum() < 2:
+        return float("nan")
+    return float(-np.polyfit(np.log(rings[usable]), np.log(errors[usable]), 1)[0])
+
+
+def _measured(
+    name: str, way: str, scene: Scene, level: str, rings: int, sent: Bundle, truth: analytic.Landing
+) -> LensRow:
+    scene = scene.changed({"transport.surface": level})
+    give_memory_back()
+    before = resident_bytes()
+    began = time.perf_counter()
+    world = build(scene, rings=rings)
+    build_seconds = time.perf_counter() - began
+    # Embree makes its trees at the first query.
+    wavelength = scene.transport.primary_nm
+    trace(world, sent.origins[:256], sent.directions[:256], wavelength, "transmit")
+    give_memory_back()
+    grown = resident_bytes() - before
+    seconds, spent, runs = np.inf, 0.0, 0
+    while runs < TIMED_RUNS or spent < TIMED_SECONDS:
+        began = time.process_time()
+        paths = trace(world, sent.origins, sent.directions, wavelength, "transmit")
+        took = time.process_time() - began
+        seconds, spent, runs = min(seconds, took), spent + took, runs + 1
+
+    landed = (paths.status == Status.SENSOR) | (np.array(paths.body) == "beside the sensor")
+    both = landed & truth.arrives
+    here = points(world.tables.frames[WORLD_FRAME, SENSOR_FRAME], paths.position[both])[:, :2]
+    off = np.linalg.norm(here - truth.position[both], axis=1)
+    weight = np.abs(paths.weight[both] / truth.weight[both] - 1.0)
+    mla = scene.camera.mla
+    elsewhere = off > 0.5 * mla.pitch_mm if mla is not None else np.zeros(len(off), np.bool_)
+    rms = _rms(off[~elsewhere])
+    errors = world.lens_shape.errors_mm
+    return LensRow(
+        lens=name,
+        way=way,
+        surface=level,
+        rings=rings,
+        triangles=6 * rings * rings,
+        rms_mm=rms,
+        max_mm=float(off.max(initial=0.0)),
+        rms_px=rms / scene.camera.sensor.pixel_mm,
+        max_px=float(off.max(initial=0.0)) / scene.camera.sensor.pixel_mm,
+        elsewhere=float(elsewhere.mean()) if len(off) else 0.0,
+        expected_mm=float(np.sqrt(np.sum(errors**2))),
+        rms_weight=_rms(weight),
+        max_weight=float(weight.max(initial=0.0)),
+        astray=float((landed != truth.arrives).mean()),
+        lost=paths.ledger.lost_share,
+        requeried=paths.ledger.requeries / max(paths.ledger.events, 1),
+        build_seconds=build_seconds,
+        table_bytes=table_bytes(world),
+        process_bytes=max(0, grown),
+        events_per_second=paths.ledger.events / seconds,
+        rays=int(both.sum()),
+    )
+
+
+def table_bytes(world: World) -> int:
+    """Return the bytes of the tables that the kernels read: lens, array, objects."""
+    parts = (*world.tables.lens, *world.tables.array, *world.tables.objects)
+    return sum(part.nbytes for part in parts if isinstance(part, np.ndarray))
+
+
+def resident_bytes() -> int:
+    """Return the memory that this process holds; 0 where the system does not say."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def give_memory_back() -> None:
+    """Return to the system what earlier worlds held and nobody uses, so that growth is not hidden by it."""
+    gc.collect()
+    try:
+        ctypes.CDLL(None).malloc_trim(0)
+    except (AttributeError, OSError, TypeError):
+        # Only GNU's C library has it.
+        return
+
+
+def lens_files() -> list[Path]:
+    """Return the lenses that come with lfmesh."""
+    from lfmesh.assets import asset_path
+
+    return sorted(asset_path("lenses").glob("*.toml"))
+
+
+def lens_scenes() -> list[Scene]:
+    """Return a scene a lens that comes with lfmesh."""
+    return [lens_scene(file) for file in lens_files()]
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values * values))) if len(values) else 0.0

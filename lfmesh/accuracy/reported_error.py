@@ -1,0 +1,199 @@
+"""Is the error that an image reports the error that it has? Crops of a scene against a long render of the same.
+
+Pixels are grouped in two ways: by what the reference shows, brightness and local contrast, which no noise of the image
+decides; and by quarters of the error that the image reports for them, among those that found light. What is compared
+is the root mean square of the reported error with that of the true one, less the reference's own variance.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.scene import Scene
+from lfmesh.transport.render.image import Image
+from lfmesh.transport.render.render import render
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+CROPS = {
+    "conventional": (-1.0, 0.5),
+    "emitting_plane": (-0.5, 0.5),
+    "first_light": (-1.0, 0.5),
+    "focused": (-1.0, 0.5),
+    "hexagonal": (-1.0, 0.5),
+    "lit_chart": (-1.0, 0.5),
+    "lytro_class": (-2.5, 1.5),
+}
+"""The middle of a crop of each scene in assets, mm on the sensor: edges, smooth parts and shadows are in it."""
+
+DIM_SHARE = 0.05
+"""Of the reference's bright pixels (99th percentile): dimmer ones are a group of their own."""
+
+LEVELS = 2
+"""Classes of brightness, and of contrast in each."""
+
+BLOCK_PX = 8
+"""Side of the blocks of pixels that are left out in turn to tell how well a ratio is known."""
+
+ENOUGH_HITS = 100
+"""For the coverage of single pixels."""
+
+
+@dataclass(frozen=True)
+class ErrorRatio:
+    """Reported over true error in a group of pixels.
+
+    Attributes
+    ----------
+    group : str
+        "dim", "brightness 0, contrast 1", ... (by the reference) or "reported 0" to "reported 3".
+    pixels : int
+    ratio : float
+        Root mean square over root mean square.
+    stderr : float
+        Of the ratio: jackknife over blocks of pixels.
+    """
+
+    group: str
+    pixels: int
+    ratio: float
+    stderr: float
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How often the truth lies within so many of a pixel's own standard errors, in pixels with 100 hits or more.
+
+    Attributes
+    ----------
+    sigmas : float
+    found, expected : float
+        Share of the pixels, NaN of none; what Student's t says for the image's replicates.
+    pixels : int
+    """
+
+    sigmas: float
+    found: float
+    expected: float
+    pixels: int
+
+
+def crop(scene: Scene, side: int, at_mm: tuple[float, float]) -> Scene:
+    """Return a scene whose sensor is but `side` × `side` pixels of its own about a point of it, on the same grid."""
+    pitch = scene.camera.sensor.pixel_mm
+    shift = scene.camera.sensor.pose.shift_mm
+    # A sensor of an even number of pixels has its middle between two.
+    x, y = (round(at / pitch) * pitch + moved for at, moved in zip(at_mm, shift[:2], strict=True))
+    return scene.changed({"camera.sensor.pixels": (side, side), "camera.sensor.pose.shift_mm": (x, y, shift[2])})
+
+
+def sampled(scene: Scene, samples: int, replicates: int, seed: int) -> Image:
+    """Render with so many samples; images of different seeds share no random number."""
+    changes = {"samples": samples, "replicates": replicates, "seed": seed}
+    return render(scene.changed({f"transport.{name}": value for name, value in changes.items()}))
+
+
+def error_ratios(image: Image, reference: Image, error: Array | None = None) -> list[ErrorRatio]:
+    """Compare the reported with the true error in every group of pixels.
+
+    Parameters
+    ----------
+    image, reference : Image
+        Of one scene and different seeds, of one wavelength; the reference has many more samples.
+    error : (H, W, 1) float64, optional
+        In place of the image's.
+    """
+    reported = (image.error if error is None else error)[:, :, 0] ** 2
+    noise = reference.stderr[:, :, 0] ** 2
+    true = (image.mean - reference.mean)[:, :, 0] ** 2 - noise
+    assert image.hits is not None
+    groups = [*by_reference(reference.mean[:, :, 0]), *by_report(reported, image.hits[:, :, 0] > 0)]
+    return [_ratio(name, here, reported, true) for name, here in groups if here.any()]
+
+
+def by_reference(mean: Array) -> Iterator[tuple[str, Mask]]:
+    """Yield the groups that a reference (H, W) makes: dim pixels, and the others by brightness and contrast in it."""
+    lit = mean > DIM_SHARE * np.percentile(mean, 99.0)
+    yield "dim", ~lit & (mean > 0.0)
+    contrast = local_contrast(mean)
+    parts = np.linspace(0.0, 1.0, LEVELS + 1)[1:-1]
+    brightness = np.digitize(mean, np.quantile(mean[lit], parts))
+    for level in range(LEVELS):
+        bright = lit & (brightness == level)
+        steep = np.digitize(contrast, np.quantile(contrast[bright], parts))
+        for part in range(LEVELS):
+            yield f"brightness {level}, contrast {part}", bright & (steep == part)
+
+
+def by_report(reported: Array, seen: Mask) -> Iterator[tuple[str, Mask]]:
+    """Yield the quarters of the pixels that found light, by the reported variance (H, W)."""
+    quarter = np.digitize(reported, np.quantile(reported[seen], [0.25, 0.5, 0.75]))
+    for part in range(4):
+        yield f"reported {part}", seen & (quarter == part)
+
+
+def local_contrast(mean: Array) -> Array:
+    """Return the standard deviation of the 3 × 3 pixels about each, over their mean, (H, W)."""
+    framed = np.pad(mean, 1, mode="edge")
+    rows, columns = mean.shape
+    near = np.stack([framed[i : i + rows, j : j + columns] for i in range(3) for j in range(3)])
+    level = near.mean(axis=0)
+    return np.divide(near.std(axis=0), level, out=np.zeros_like(level), where=level > 0.0)
+
+
+def coverage(image: Image, reference: Image) -> list[Coverage]:
+    """Count how often the truth lies within 1, 2 and 3 standard errors of a pixel.
+
+    The reference's own error widens the difference; it is taken as a part of the pooled one.
+    """
+    from scipy import stats
+
+    assert image.hits is not None
+    known = image.hits >= ENOUGH_HITS
+    wider = 1.0 + (reference.stderr[known] / image.error[known]) ** 2
+    away = np.abs(image.mean - reference.mean)[known] / (image.stderr[known] * np.sqrt(wider))
+    freedom = image.replicates - 1
+    return [
+        Coverage(k, _share(away <= k), float(1.0 - 2.0 * stats.t.sf(k, freedom)), int(known.sum()))
+        for k in (1.0, 2.0, 3.0)
+    ]
+
+
+def _ratio(name: str, here: Mask, reported: Array, true: Array) -> ErrorRatio:
+    """Return the ratio of a group, with the jackknife's standard error over blocks of the image."""
+    rows, columns = np.nonzero(here)
+    block = rows // BLOCK_PX * (here.shape[1] // BLOCK_PX + 1) + columns // BLOCK_PX
+    _, block = np.unique(block, return_inverse=True)
+    above, below = (np.bincount(block, of[here]) for of in (reported, true))
+    ratio = _root(above.sum(), below.sum())
+    count = len(above)
+    without = np.array([_root(above.sum() - a, below.sum() - b) for a, b in zip(above, below, strict=True)])
+    spread = np.sqrt((count - 1) / count * ((without - without.mean()) ** 2).sum()) if count > 1 else np.inf
+    return ErrorRatio(name, int(here.sum()), ratio, float(spread))
+
+
+def _share(of: Mask) -> float:
+    return float(of.mean()) if of.size else np.nan
+
+
+def _root(above: float, below: float) -> float:
+    return float(np.sqrt(above / below)) if below > 0.0 else np.inf
+
+
+def study_errors(
+    scene: Scene,
+    samples: Sequence[int],
+    replicates: Sequence[int],
+    reference_samples: int,
+    step: Callable[[str], object] = lambda _: None,
+) -> Iterator[tuple[Image, Image]]:
+    """Yield pairs of image and reference, for every number of samples and replicates that go together."""
+    step(f"{scene.name}: reference of {reference_samples} samples")
+    reference = sampled(scene, reference_samples, 8, 0)
+    for number in samples:
+        for count in replicates:
+            step(f"{scene.name}: {number} samples in {count} replicates")
+            yield sampled(scene, number, count, 1000 * number + count), reference

@@ -1,1 +1,0 @@
-"""Cases made to break a ray tracer, by subject; `lfmesh.study.hard_cases` lists and runs them."""

@@ -1,0 +1,512 @@
+"""Proof that the aim holds all light: rays that start in the stop and are traced out both ways.
+
+Aiming decides where samples go, never what light there is; what it leaves out is found by the few samples that go
+anywhere, with their large weights. Rays drawn uniformly in the stop's opening, over all directions, share nothing with
+the search by which the aim was made. Traced to the sensor and to object space, each is either among the rays that the
+aim draws or not: the throughput of those that are not, over that of all, is what the aim misses. It is measured when a
+world is built, and the aim is widened until it is negligible.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.frame import move_direction, move_point
+from lfmesh.geometry.lattice import cell_of, centre
+from lfmesh.geometry.lenslets import shape_of
+from lfmesh.geometry.surface import sag
+from lfmesh.kernel import kernel
+from lfmesh.transport.aiming.lenslet_aim import (
+    HALF_DIAGONAL,
+    LISTED,
+    cells_that_show,
+    glass_before_faces,
+    half_width_to,
+    list_cells,
+    most_listed,
+    on_face,
+    path_to_apexes,
+    spread_on_faces,
+)
+from lfmesh.transport.aiming.lenslet_view import fitted_views, with_wider_cells
+from lfmesh.transport.aiming.pupil import Outlook, opening_from, unknown_opening
+from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
+from lfmesh.transport.sequential.image_path import through_array
+from lfmesh.transport.sequential.lens_bundle import (
+    BLOCK,
+    DX,
+    DY,
+    DZ,
+    ENDED_ON,
+    WEIGHT,
+    X,
+    Y,
+    Z,
+    empty_bundle,
+    load,
+    move_bundle,
+    normalise,
+    pad,
+    through_surface,
+)
+from lfmesh.transport.tables.tables import Aim, ArrayTables, LensTables, Opening, SensorTables
+
+Array = NDArray[np.float64]
+
+ALLOWED = 1e-4
+"""Share of the throughput that the aim may miss."""
+
+BATCH = 1 << 16
+"""Rays that are drawn at once."""
+
+BATCHES = 10
+"""At most, until ..."""
+
+ENOUGH = 45_000
+"""... so many have come through: where none of them is outside, less than 7e-5 of the throughput is (95 %)."""
+
+NEAREST = 1e-3
+"""Of half the sensor's diagonal: how far off the axis rays are sent at least, by first-order optics, in search of what
+reaches it; and ..."""
+
+FURTHEST = 1e3
+"""... at most."""
+
+ROOM = 1.15
+"""Over the furthest of them that arrived, in the measurement."""
+
+ATTEMPTS = 5
+"""To fit the aim, each with rays of its own."""
+
+MARGIN = 1.02
+"""Over what the rays need."""
+
+MOST = 0.1
+"""Share of the throughput beyond what a lenslet is said to show surely, where its view is fitted to rays."""
+
+FEW_CELLS = 6
+"""Cells to each side that may show the opening: more are a sign of views that are far too wide."""
+
+
+class Missed(NamedTuple):
+    """Share of the throughput outside the aim of one side, and its standard error.
+
+    Where none of the rays was outside, `error` is the share that one of them would have made.
+    """
+
+    share: float
+    error: float
+
+
+class AimProof(NamedTuple):
+    """What the rays from the stop say of the aim.
+
+    Attributes
+    ----------
+    rays : int
+        That came through lens and array to the sensor.
+    sensor, objects : Missed
+        Of the aim from the sensor, and of that from the targets (that have no size: none of it).
+    fitted : int
+        How often the aim was fitted to rays until it held.
+    """
+
+    rays: int
+    sensor: Missed
+    objects: Missed
+    fitted: int
+
+    @property
+    def holds(self) -> bool:
+        """Whether what the aim misses is allowed."""
+        return self.missed <= ALLOWED
+
+    @property
+    def missed(self) -> float:
+        """Share of the throughput outside the aim, of the worse of both sides."""
+        return max(self.sensor.share, self.objects.share)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "AimProof":
+        """Return the proof whose `_asdict` was written as JSON."""
+        sensor, objects = (Missed(*values[side]) for side in ("sensor", "objects"))
+        return cls(values["rays"], sensor, objects, values["fitted"])
+
+
+class Rays(NamedTuple):
+    """Rays that came through from the stop to the sensor and to object space.
+
+    Attributes
+    ----------
+    sensor : (n, 5) float64
+        Place (mm) and direction (unit, towards the sensor), sensor frame.
+    objects : (n, 6) float64
+        Point (mm) and direction (unit, away from the lens), camera frame.
+    throughput : (n,) float64
+        Relative to each other.
+    colour : (n,) int64
+        Number of the wavelength.
+    """
+
+    sensor: Array
+    objects: Array
+    throughput: Array
+    colour: NDArray[np.int64]
+
+
+class Openings(NamedTuple):
+    """The lens, the array and the sensor that rays from the stop go through."""
+
+    lens: LensTables
+    array: ArrayTables
+    sensor: SensorTables
+    frames: Array
+
+
+def proven(aim: Aim, through: Openings, seen: Outlook | None) -> tuple[Aim, AimProof | None]:
+    """Return the aim, widened until it holds all light but a negligible share, and what rays from the stop say of it.
+
+    That is None where no ray from the stop arrives at the sensor.
+
+    Parameters
+    ----------
+    aim : Aim
+    through : Openings
+        Every surface of the lens has an exact parent.
+    seen : Outlook or None
+        Whence the targets look at the lens; None: there are none before it.
+    """
+    random = np.random.default_rng(0x5106)
+    reach = _reach(through, random)
+    if reach == 0.0:
+        return aim, None
+    proof = None
+    for attempt in range(ATTEMPTS):
+        rays = _drawn(through, reach, random)
+        if not len(rays.throughput):
+            return aim, None
+        if attempt == 0 and through.array.present and aim.search > FEW_CELLS:
+            aim = _fitted(aim, through, rays)
+            continue
+        behind, before = _beyond_sensor_aim(aim, through, rays), _beyond_object_aim(aim, seen, rays, random)
+        proof = AimProof(
+            len(rays.throughput), _missed(behind, rays.throughput), _missed(before, rays.throughput), attempt
+        )
+        if proof.holds or attempt == ATTEMPTS - 1:
+            break
+        if through.array.present:
+            aim = _fitted(aim, through, rays)
+        else:
+            aim = aim._replace(exit=_widened(aim.exit, behind, rays.throughput))
+        aim = aim._replace(entrance=_widened(aim.entrance, before, rays.throughput))
+    return aim, proof
+
+
+def _fitted(aim: Aim, through: Openings, rays: Rays) -> Aim:
+    """Return the aim with lenslets' views and borders as wide as rays need them."""
+    array, weight = through.array, rays.throughput
+    off, radius, out = _seen_from_cells(aim, through, rays)
+    needed = MARGIN * _above(off / radius, weight)
+    aim = fitted_views(
+        aim, array, through.frames, through.sensor, needed, MARGIN * _above(off, weight), _above(off, weight, MOST)
+    )
+    return with_wider_cells(aim, array, max(1.0, MARGIN * _above(out, weight)))
+
+
+def _missed(beyond: Array, throughput: Array) -> Missed:
+    outside, total = throughput * (beyond > 1.0), throughput.sum()
+    return Missed(float(outside.sum() / total), float(max(np.sqrt((outside**2).sum()), throughput.mean()) / total))
+
+
+def _above(values: Array, throughput: Array, share: float = ALLOWED / 4.0) -> float:
+    """Return the value above which a share of the throughput lies; what nothing reaches (inf) is left out."""
+    known = np.isfinite(values)
+    order = np.argsort(values[known])[::-1]
+    above = np.cumsum(throughput[known][order])
+    first = int(np.searchsorted(above, share * throughput.sum()))
+    return float(values[known][order][min(first, len(order) - 1)]) if len(order) else 1.0
+
+
+def _widened(opening: Opening, beyond: Array, throughput: Array) -> Opening:
+    """Return an opening that holds rays that are beyond it; where it is said to be closed to some, nothing is known."""
+    if throughput[np.isinf(beyond)].sum() > 0.5 * ALLOWED * throughput.sum():
+        return unknown_opening(opening.plane_z, to_sensor=opening.sense > 0.0)
+    by = max(1.0, MARGIN * _above(beyond, throughput))
+    return opening._replace(radius=np.where(opening.radius > 0.0, by * opening.radius, opening.radius))
+
+
+def _reach(through: Openings, random: np.random.Generator) -> float:
+    """Return how far off the axis, by first-order optics, rays to the sensor are sent at most; 0: none arrived."""
+    sensor = through.sensor
+    diagonal = 0.5 * sensor.pixel * np.hypot(sensor.columns, sensor.rows)
+    place = NEAREST * diagonal * (FURTHEST / NEAREST) ** random.random(BATCH)
+    _, found = _follow(through, place, random)
+    return ROOM * float(place[found].max(initial=0.0))
+
+
+def _drawn(through: Openings, reach: float, random: np.random.Generator) -> Rays:
+    """Return rays from the stop, uniform over its area and over where they would land by first-order optics."""
+    some: list[Rays] = []
+    for _ in range(BATCHES):
+        rays, _ = _follow(through, reach * np.sqrt(random.random(BATCH)), random)
+        some.append(rays)
+        if sum(len(r.throughput) for r in some) >= ENOUGH:
+            break
+    return Rays(*(np.concatenate(each) for each in zip(*some, strict=True)))
+
+
+def _follow(through: Openings, place: Array, random: np.random.Generator) -> tuple[Rays, NDArray[np.intp]]:
+    """Return the rays that came through of those that are sent, and which these are.
+
+    Parameters
+    ----------
+    place : (n,) float64, mm
+        How far off the axis first-order optics would have each ray land.
+    """
+    lens, sensor = through.lens, through.sensor
+    space, z, aperture, depth = _stop_of(lens)
+    moves = through.frames[ARRAY_FRAME if through.array.present else SENSOR_FRAME, CAMERA_FRAME]
+    height, angle = _to_plane(lens, space, z, float(moves[2, 3]))
+    out, turn = np.sqrt(random.random(len(place))), 2.0 * np.pi * random.random(len(place))
+    around = 2.0 * np.pi * random.random(len(place))
+    # A direction for each place where the ray would land is a shear of all directions: their density stays uniform.
+    slope = 1.0 / angle if abs(angle) > 1e-9 * abs(z - moves[2, 3]) else 1.0
+    # Rays that cross a curved stop's aperture cross the plane at its vertex a little further out.
+    radius = aperture * (1.0 + depth * abs(height * slope)) + depth * place * abs(slope)
+    x, y = radius * out * np.cos(turn), radius * out * np.sin(turn)
+    tx, ty = slope * (place * np.cos(around) - height * x), slope * (place * np.sin(around) - height * y)
+    to_sensor, to_objects, of_colour = np.zeros((len(x), 6)), np.zeros((len(x), 7)), np.zeros(len(x), np.int64)
+    waves = lens.indices.shape[1]
+    colours = sorted({0, waves // 2, waves - 1})
+    start = float(lens.box_high[2] - lens.box_low[2]) + depth
+    for number, colour in enumerate(colours):
+        mine = slice(number, None, len(colours))
+        x_, y_, tx_, ty_ = (np.ascontiguousarray(a[mine]) for a in (x, y, tx, ty))
+        one_way, other_way = np.zeros((len(x_), 6)), np.zeros((len(x_), 7))
+        _follow_both_ways(
+            x_, y_, tx_, ty_, z, start, space, colour, lens, through.array, through.frames, empty_bundle(),
+            one_way, other_way,
+        )  # fmt: skip
+        to_sensor[mine], to_objects[mine], of_colour[mine] = one_way, other_way, colour
+    half_width, half_height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
+    throughput = to_sensor[:, 5] * to_objects[:, 6] * radius * radius / (1.0 + tx * tx + ty * ty) ** 2
+    lands = (abs(to_sensor[:, 0]) < half_width) & (abs(to_sensor[:, 1]) < half_height)
+    found = np.flatnonzero(lands & (throughput > 0.0))
+    return Rays(to_sensor[found, :5], to_objects[found, :6], throughput[found], of_colour[found]), found
+
+
+def _to_plane(lens: LensTables, space: int, z: float, plane_z: float) -> tuple[float, float]:
+    """Return what first-order optics makes of height and slope at a plane inside the lens: the height at one behind it.
+
+    Height there is the first number times the height here, plus the second times the slope.
+    """
+    surfaces, indices = lens.surfaces, lens.indices[:, lens.indices.shape[1] // 2]
+    heights, slopes = np.array([1.0, 0.0]), np.array([0.0, 1.0])
+    for k in range(space, len(surfaces)):
+        heights = heights + (float(surfaces[k]["vertex_z"]) - z) * slopes
+        z = float(surfaces[k]["vertex_z"])
+        power = (indices[k + 1] - indices[k]) * surfaces[k]["curvature"]
+        slopes = (indices[k] * slopes - power * heights) / indices[k + 1]
+    heights = heights + (plane_z - z) * slopes
+    return float(heights[0]), float(heights[1])
+
+
+def _stop_of(lens: LensTables) -> tuple[int, float, float, float]:
+    """Return the space that the stop lies in or ends, z of its plane, its radius, and the depth of its surface, mm."""
+    if lens.stop_space >= 0:
+        return lens.stop_space, lens.stop_z, lens.stop_radius, 0.0
+    surfaces = lens.surfaces
+    k = int(np.argmax(surfaces["stop"] == 1))
+    aperture = float(surfaces[k]["aperture"])
+    return k, float(surfaces[k]["vertex_z"]), aperture, abs(float(sag(surfaces[k], aperture)))
+
+
+@kernel
+def _follow_both_ways(
+    x: Array, y: Array, tx: Array, ty: Array, z: float, start: float, space: int, colour: int, lens: LensTables,
+    array: ArrayTables, frames: Array, bundle: Array, to_sensor: Array, to_objects: Array,
+) -> None:  # fmt: skip
+    """Trace rays through points of a plane in a space of the lens to the sensor and to object space.
+
+    Parameters
+    ----------
+    x, y, tx, ty : (n,) float64
+        Place, mm, and slopes.
+    start : float, mm
+        How far before the plane they start, as straight lines, so that all surfaces still lie ahead.
+    to_sensor : (n, 6) float64
+        Filled with place and direction in the sensor's frame, and transmittance; 0 for what ends.
+    to_objects : (n, 7) float64
+        Filled with point and direction in the camera's frame, and transmittance.
+    """
+    last = len(lens.surfaces)
+    for first in range(0, len(x), BLOCK):
+        count = min(BLOCK, len(x) - first)
+        for sense in (-1.0, 1.0):
+            for i in range(count):
+                sx, sy = tx[first + i], ty[first + i]
+                scale = 1.0 / np.sqrt(1.0 + sx * sx + sy * sy)
+                back = sense * start
+                load(
+                    bundle, i, x[first + i] - back * sx, y[first + i] - back * sy, z - back,
+                    sense * scale * sx, sense * scale * sy, sense * scale, 1.0,
+                )  # fmt: skip
+            pad(bundle, count)
+            here = space
+            while 0 <= here + (sense > 0.0) - 1 < last:
+                k = here if sense > 0.0 else here - 1
+                into = here + 1 if sense > 0.0 else here - 1
+                surface = lens.surfaces[k]
+                through_surface(
+                    bundle, surface, sense, lens.indices[here, colour], lens.indices[into, colour],
+                    surface.aperture, -1.0, -1.0,
+                )  # fmt: skip
+                here = into
+            if sense < 0.0:
+                normalise(bundle)
+                _keep_object_side(bundle, count, first, to_objects)
+                continue
+            if array.present:
+                through_array(bundle, count, array, colour, frames, True)
+            normalise(bundle)
+            move_bundle(bundle, frames[CAMERA_FRAME, SENSOR_FRAME])
+            _keep_sensor_side(bundle, count, first, to_sensor)
+
+
+@kernel
+def _keep_object_side(bundle: Array, count: int, first: int, to_objects: Array) -> None:
+    for i in range(count):
+        kept = to_objects[first + i]
+        kept[0], kept[1], kept[2] = bundle[X + i], bundle[Y + i], bundle[Z + i]
+        kept[3], kept[4], kept[5] = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        kept[6] = bundle[WEIGHT + i] if bundle[ENDED_ON + i] == 0.0 and bundle[DZ + i] < 0.0 else 0.0
+
+
+@kernel
+def _keep_sensor_side(bundle: Array, count: int, first: int, to_sensor: Array) -> None:
+    for i in range(count):
+        kept = to_sensor[first + i]
+        t = -bundle[Z + i] / bundle[DZ + i]
+        kept[0], kept[1] = bundle[X + i] + t * bundle[DX + i], bundle[Y + i] + t * bundle[DY + i]
+        kept[2], kept[3], kept[4] = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        kept[5] = bundle[WEIGHT + i] if bundle[ENDED_ON + i] == 0.0 and bundle[DZ + i] > 0.0 and t > 0.0 else 0.0
+
+
+def _beyond_sensor_aim(aim: Aim, through: Openings, rays: Rays) -> Array:
+    """Return by which factor the opening would have to be wider for each ray; up to 1: the ray is in the aim.
+
+    With an array only whether it is: 0 or inf.
+    """
+    beyond = np.zeros(len(rays.throughput))
+    if not through.array.present:
+        _beyond_exit(rays.sensor, aim.exit, through.frames, beyond)
+        return beyond
+    near, cells = np.zeros((most_listed(aim) + 1, LISTED)), np.zeros((3, most_listed(aim) + 1), np.int64)
+    _outside_cells(rays.sensor, rays.colour, aim, through.array, through.sensor, through.frames, near, cells, beyond)
+    return beyond
+
+
+def _seen_from_cells(aim: Aim, through: Openings, rays: Rays) -> tuple[Array, Array, Array]:
+    """Return for each ray how far (slope) off the middle of its lenslet's view it goes, the view's radius, and ...
+
+    ... how far out in its cell it goes, over the cell as it is aimed at.
+    """
+    off, radius, out = (np.zeros(len(rays.throughput)) for _ in range(3))
+    _measure_in_cells(rays.sensor, rays.colour, aim, through.array, through.frames, off, radius, out)
+    return off, radius, out
+
+
+def _beyond_object_aim(aim: Aim, seen: Outlook | None, rays: Rays, random: np.random.Generator) -> Array:
+    """Return the same of the aim from the targets, at a distance among theirs; 0 for rays that pass beside them."""
+    beyond = np.zeros(len(rays.throughput))
+    if seen is None or not aim.entrance.known:
+        return beyond
+    share = random.random(len(beyond))
+    distance = 1.0 / (share / seen.distance[0] + (1.0 - share) / seen.distance[-1])
+    t = (seen.plane_z - distance - rays.objects[:, 2]) / rays.objects[:, 5]
+    p = rays.objects[:, :3] + t[:, None] * rays.objects[:, 3:]
+    inside = np.hypot(p[:, 0], p[:, 1]) <= seen.tangent[-1] * distance
+    found = np.zeros(int(inside.sum()))
+    _beyond_opening(p[inside], -rays.objects[inside, 3:], aim.entrance, found)
+    beyond[inside] = found
+    return beyond
+
+
+@kernel
+def _beyond_opening(p: Array, d: Array, opening: Opening, beyond: Array) -> None:
+    """Write by which factor the disk that points see would have to be larger for rays from them to cross it."""
+    for i in range(len(beyond)):
+        beyond[i] = _off_disk(opening, p[i, 0], p[i, 1], p[i, 2], d[i, 0], d[i, 1], d[i, 2])
+
+
+@kernel
+def _beyond_exit(rays: Array, opening: Opening, frames: Array, beyond: Array) -> None:
+    for i in range(len(beyond)):
+        x, y, z = move_point(frames, SENSOR_FRAME, CAMERA_FRAME, rays[i, 0], rays[i, 1], 0.0)
+        dx, dy, dz = move_direction(frames, SENSOR_FRAME, CAMERA_FRAME, rays[i, 2], rays[i, 3], rays[i, 4])
+        beyond[i] = _off_disk(opening, x, y, z, dx, dy, dz) if opening.known else 0.0
+
+
+@kernel
+def _off_disk(opening: Opening, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> float:
+    cx, cy, radius = opening_from(opening, x, y, z)
+    if radius <= 0.0:
+        return np.inf
+    t = (opening.plane_z - z) / dz
+    return np.hypot(x + t * dx - cx, y + t * dy - cy) / radius
+
+
+@kernel
+def _outside_cells(
+    rays: Array, colour: NDArray[np.int64], aim: Aim, array: ArrayTables, sensor: SensorTables, frames: Array,
+    near: Array, cells: NDArray[np.int64], outside: Array,
+) -> None:  # fmt: skip
+    """Write inf for each ray (n, 5) that no pixel's paths are started along when they are aimed."""
+    for i in range(len(outside)):
+        column = min(max(np.floor(rays[i, 0] / sensor.pixel + 0.5 * sensor.columns), 0), sensor.columns - 1)
+        row = min(max(np.floor(rays[i, 1] / sensor.pixel + 0.5 * sensor.rows), 0), sensor.rows - 1)
+        x, y = (column + 0.5 - 0.5 * sensor.columns) * sensor.pixel, (row + 0.5 - 0.5 * sensor.rows) * sensor.pixel
+        px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
+        listed = list_cells(array, aim, px, py, pz, HALF_DIAGONAL * sensor.pixel, near)
+        x, y, z = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, rays[i, 0], rays[i, 1], 0.0)
+        dx, dy, dz = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
+        maybe, _ = cells_that_show(aim, near, listed, cells, x, y, z)
+        glass = glass_before_faces(array, colour[i])
+        surely_drawn, drawn = spread_on_faces(array, aim, glass, near, cells, maybe, x, y, z, dx, dy, dz)
+        if not surely_drawn + drawn > 0.0:
+            outside[i] = np.inf
+
+
+@kernel
+def _measure_in_cells(
+    rays: Array, colour: NDArray[np.int64], aim: Aim, array: ArrayTables, frames: Array,
+    off: Array, radius: Array, out: Array,
+) -> None:  # fmt: skip
+    """Write what `_seen_from_cells` returns; of two cells at whose border a ray seems to pass, of the likelier one."""
+    lattice = array.lenslets.lattice
+    half = 0.5 * lattice.pitch + aim.cell_margin
+    for i in range(len(off)):
+        x, y, z = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, rays[i, 0], rays[i, 1], 0.0)
+        dx, dy, dz = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
+        over, glass = 1.0 / abs(z - aim.lenslet_z), glass_before_faces(array, colour[i])
+        air, depth, growth = path_to_apexes(array, z)
+        sx, sy = dx / abs(dz), dy / abs(dz)
+        q = np.sqrt(glass * glass + (glass * glass - 1.0) * (sx * sx + sy * sy))
+        gx, gy = growth * sx / q, growth * sy / q
+        px, py = x + sx * air + sx / q * depth, y + sy * air + sy / q * depth
+        middle = 0.5 * (array.lenslets.top + array.lenslets.valley)
+        column, row = cell_of(lattice, px + gx * middle, py + gy * middle)
+        off[i], radius[i], out[i] = np.inf, 1.0, np.inf
+        for r in range(max(row - 2, 0), min(row + 3, lattice.rows)):
+            for c in range(max(column - 2, 0), min(column + 3, lattice.columns)):
+                cell = r * lattice.columns + c
+                cx, cy = centre(lattice, c, r)
+                curvature, ex, ey = shape_of(array.lenslets, c, r)
+                met, ax, ay, _, _ = on_face(curvature, px - cx - ex, py - cy - ey, gx, gy)
+                a, b = (cx - x) * over - aim.slope[cell, 0], (cy - y) * over - aim.slope[cell, 1]
+                slope, place = np.sqrt(a * a + b * b), half_width_to(lattice, ax + ex, ay + ey) / half
+                if not met or aim.slope_radius2[cell] <= 0.0 or max(place, 1.0) > max(out[i], 1.0):
+                    continue
+                if max(place, 1.0) < max(out[i], 1.0) or slope < off[i]:
+                    off[i], radius[i], out[i] = slope, np.sqrt(aim.slope_radius2[cell]), place

@@ -1,0 +1,113 @@
+"""Where rays are aimed: the lens's opening as targets and sensor see it."""
+
+import numpy as np
+
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.mesh import Array
+from lfmesh.geometry.surface import sag
+from lfmesh.geometry.targets import TargetMesh
+from lfmesh.optics.glass import refractive_index
+from lfmesh.scene import FirstOrder, Scene
+from lfmesh.transport.aiming.aim_proof import AimProof, Openings, proven
+from lfmesh.transport.aiming.lenslet_view import SURE, aim_through_lenslets, apex_z, grid
+from lfmesh.transport.aiming.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
+from lfmesh.transport.aiming.pupil import outlook, paraxial_opening, real_opening, unknown_opening
+from lfmesh.transport.packets.packet import (
+    ARRAY_FRAME,
+    CAMERA_FRAME,
+    SENSOR_FRAME,
+    WORLD_FRAME,
+)
+from lfmesh.transport.tables.tables import (
+    Aim,
+    ArrayTables,
+    LensTables,
+    Opening,
+    SensorTables,
+)
+
+FAR = 1e9
+"""Distance in mm that stands for infinity."""
+
+
+def aim_table(
+    scene: Scene,
+    report: FirstOrder,
+    lens: LensTables,
+    array: ArrayTables,
+    sensor: SensorTables,
+    targets: list[TargetMesh],
+    moves: Array,
+    *,
+    analytic: bool,
+) -> tuple[Aim, AimProof | None]:
+    """Return where the rays of a scene are aimed, and what rays from its stop say of that.
+
+    Parameters
+    ----------
+    analytic : bool
+        Every surface of the lens has an exact parent, through which the opening is found; else first-order optics says
+        where it is.
+    """
+    seen = np.concatenate(
+        [frames.points(moves[WORLD_FRAME, CAMERA_FRAME], t.mesh.vertices) for t in targets] or [np.zeros((0, 3))]
+    )
+    width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
+    behind = frames.points(moves[SENSOR_FRAME, CAMERA_FRAME], grid(width, height, 0.0))
+    front_radius = widest_disk(lens, seen, front=True)
+    back_radius = widest_disk(lens, behind, front=False)
+    glass = 1.0
+    if array.present and scene.camera.mla is not None:
+        glass = refractive_index(scene.camera.mla.medium, report.wavelength_nm)
+        lattice = array.lenslets.lattice
+        apexes = grid(*lattice.half_extent, apex_z(array, glass)[1])
+        behind = frames.points(moves[ARRAY_FRAME, CAMERA_FRAME], apexes)
+    entrance = opening_seen(report, lens, seen, front_radius, analytic, front=True)
+    exit_ = opening_seen(report, lens, behind, back_radius, analytic, front=False)
+    # Reflections reach the sensor from all over the lens; without them only what the opening leaves out does.
+    followed = scene.transport.split != "transmit"
+    aim = Aim(
+        entrance, front_radius, exit_, back_radius,
+        WIDE_SHARE if followed else WIDE_SHARE_OF_IMAGE_PATH, 1.0 if followed else WIDE_SHARE_OF_IMAGE_PATH,
+        0.0, 0.0, 0.0, 0.0, np.zeros((1, 2)), np.zeros(1), SURE * SURE, 0.0, 0,
+    )  # fmt: skip
+    aim = aim_through_lenslets(scene, report, array, aim, moves, glass) if array.present else aim
+    if not analytic:
+        return aim, None
+    from_targets = outlook(entrance.plane_z, front_radius, seen, to_sensor=True)
+    return proven(aim, Openings(lens, array, sensor, moves), from_targets)
+
+
+def opening_seen(
+    report: FirstOrder, lens: LensTables, points: Array, wide_radius: float, analytic: bool, *, front: bool
+) -> Opening:
+    """Return a side of the lens as points (n, 3) (camera frame) see it."""
+    plane_z = float(lens.box_low[2] if front else lens.box_high[2])
+    seen = outlook(plane_z, wide_radius, points, to_sensor=front)
+    if seen is None:
+        return unknown_opening(plane_z, to_sensor=front)
+    z = report.entrance_pupil_z_mm if front else report.exit_pupil_z_mm
+    diameter = report.entrance_pupil_diameter_mm if front else report.exit_pupil_diameter_mm
+    if not np.isfinite(z):
+        if front and not analytic:
+            return unknown_opening(plane_z, to_sensor=front)
+        # Telecentric: a pupil so far away that all points see it in one direction.
+        z, diameter = (plane_z + FAR, FAR) if front else (plane_z - FAR, FAR / report.working_f_number)
+    if analytic:
+        return real_opening(seen, lens, z, 0.5 * diameter)
+    return paraxial_opening(seen, z, 0.5 * diameter)
+
+
+def widest_disk(lens: LensTables, p: Array, *, front: bool) -> float:
+    """Return the radius of a disk in the lens's outermost plane that every ray to it from points (n, 3) crosses."""
+    surfaces = lens.surfaces
+    plane = lens.box_low[2] if front else lens.box_high[2]
+    outer = surfaces[0] if front else surfaces[-1]
+    rim = float(max(abs(lens.box_low[0]), abs(lens.box_high[0]), abs(lens.box_low[1]), abs(lens.box_high[1])))
+    edge = float(outer["vertex_z"] + sag(outer, outer["aperture"]))
+    depth = abs(max(outer["vertex_z"], edge) - plane) if front else abs(plane - min(outer["vertex_z"], edge))
+    distance = np.maximum((plane - p[:, 2]) if front else (p[:, 2] - plane), depth)
+    spread = (np.hypot(p[:, 0], p[:, 1]) + rim) * np.divide(
+        depth, distance, out=np.zeros_like(distance), where=distance > 0
+    )
+    return rim + float(spread.max(initial=0.0))

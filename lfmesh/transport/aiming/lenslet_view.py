@@ -1,0 +1,267 @@
+"""Which lenslets show the lens's opening to a point of the sensor, and through which cells it is aimed at.
+
+Real rays from the opening's border through every lenslet tell how far from its middle's view of the opening light may
+land. What is aimed at must hold every path: one past it has the weight of the few rays that go anywhere.
+"""
+
+import numpy as np
+
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.lattice import ROW_SPACING, centre
+from lfmesh.geometry.lenslets import border_segments, cap_sag, shape_of
+from lfmesh.geometry.mesh import Array
+from lfmesh.kernel import inlined, kernel
+from lfmesh.scene import FirstOrder, Scene
+from lfmesh.transport.aiming.pupil import opening_from
+from lfmesh.transport.events.crossing import refracted
+from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
+from lfmesh.transport.tables.tables import Aim, ArrayTables, Opening, SensorTables
+
+ZONES = 2
+"""Points of a lenslet from its middle to each corner for which the opening is looked at."""
+
+NOTHING_SEEN = -1.0
+"""In place of a lenslet's view (slope²): it does not show the opening."""
+
+VIEW_MARGIN = 1.02
+"""For what lies between the rays by which a lenslet's view is measured."""
+
+TRUSTED, WIDENED = 0.7, 1.3
+"""Factors between which the views of lenslets are what was measured, but for a common factor above 1."""
+
+ROUNDING = 1e-6
+"""Of a pitch, by which cells stand out that are aimed at."""
+
+SURE = 0.95
+"""Part of a lenslet's view, in radii, within which it surely shows the opening."""
+
+
+def grid(half_width: float, half_height: float, z: float) -> Array:
+    """Return the corners, the middles of the sides and the middle of a rectangle, (9, 3) mm."""
+    return np.array([[i * half_width, j * half_height, z] for i in (-1, 0, 1) for j in (-1, 0, 1)])
+
+
+def apex_z(array: ArrayTables, glass: float) -> tuple[float, float]:
+    """Return z (array frame) of the lenslets' apexes as the sensor and as the lens sees them, one through the plate."""
+    thickness = array.lenslets.thickness
+    through_plate = thickness - thickness / glass
+    return (through_plate, 0.0) if array.curved_to_lens else (0.0, through_plate)
+
+
+def aim_through_lenslets(
+    scene: Scene, report: FirstOrder, array: ArrayTables, aim: Aim, moves: Array, glass: float
+) -> Aim:
+    """Add which lenslets show the exit pupil to a point of the sensor: each one's view of it, and its own blur.
+
+    A ray from x through a lenslet's point c + u leaves it with slope (c + u − x)/d − φ (u − e), e the apex's decentre.
+    The opening lies at slope σ − κ u from there: so from the lenslet's middle, at φ e − σ off (c − x)/d, give or take
+    |κ + 1/d − φ| |u| and the lenslet's aberrations, which real rays tell.
+    """
+    lattice = array.lenslets.lattice
+    sensor_z, lens_z = apex_z(array, glass)
+    middle = np.array([[0.0, 0.0, lens_z]])
+    to_pupil = float(frames.points(moves[ARRAY_FRAME, CAMERA_FRAME], middle)[0, 2]) - report.exit_pupil_z_mm
+    vergence = 1.0 / to_pupil if np.isfinite(to_pupil) else 0.0
+    pupil = [0.0, 0.0, report.exit_pupil_z_mm if np.isfinite(to_pupil) else scene.camera.lens.vertices_mm[-1]]
+    pupil_x, pupil_y, _ = frames.points(moves[CAMERA_FRAME, ARRAY_FRAME], [pupil])[0]
+    width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
+    corners = frames.points(moves[SENSOR_FRAME, ARRAY_FRAME], grid(width, height, 0.0))
+    distance = np.abs(corners[:, 2] - sensor_z)
+    cells = lattice.columns * lattice.rows
+    slope, slope_radius = np.zeros((cells, 2)), np.zeros(cells)
+    _view_through_cells(array, aim.exit, moves, lens_z, sensor_z, glass - 1.0, lattice.corners(), slope, slope_radius)
+    seen = slope_radius > 0.0
+    aim = aim._replace(
+        lenslet_z=sensor_z,
+        pupil_x=pupil_x,
+        pupil_y=pupil_y,
+        pupil_vergence=vergence,
+        slope=slope,
+        slope_radius2=np.where(seen, slope_radius**2, -1.0),
+        cell_margin=_off_by_facets(array),
+    )
+    return aim._replace(search=_search(aim, array, distance.max()))
+
+
+def _off_by_facets(array: ArrayTables) -> float:
+    """Return how far beside its cell a ray may meet a lenslet's face where that is a mesh, mm.
+
+    Chords lie their sag aside, which rays in glass or air cross at less than 45° but for a few.
+    """
+    lattice = array.lenslets.lattice
+    chord = lattice.circumradius / border_segments(lattice.hexagonal)
+    return ROUNDING * lattice.pitch + float(np.abs(array.lenslets.curvature).max()) * chord**2 / 8.0
+
+
+def _search(aim: Aim, array: ArrayTables, distance: float) -> int:
+    """Return how many cells off the one that its chief ray meets a cell may lie that shows the opening to a point.
+
+    A row of a hexagonal lattice is nearer than a pitch, and half a pitch aside.
+
+    Parameters
+    ----------
+    distance : float, mm
+        Largest, of a point of the sensor to the lenslets.
+    """
+    lattice = array.lenslets.lattice
+    seen, slope = aim.slope_radius2 > 0.0, aim.slope
+    off_chief = aim.pupil_vergence * (lattice.centres().reshape(-1, 2) - [aim.pupil_x, aim.pupil_y]) + slope
+    reach = np.hypot(off_chief[:, 0], off_chief[:, 1]) + np.sqrt(np.maximum(aim.slope_radius2, 0.0))
+    cells = np.where(seen, reach, 0.0).max() / ((aim.pupil_vergence + 1.0 / distance) * lattice.pitch)
+    cells = min(cells, float(max(lattice.columns, lattice.rows)))
+    return int(cells / ROW_SPACING + 1.0) if lattice.hexagonal else int(cells + 0.5)
+
+
+def fitted_views(
+    aim: Aim, array: ArrayTables, moves: Array, sensor: SensorTables, needed: float, furthest: float, most: float
+) -> Aim:
+    """Return the aim with lenslets' views as wide as light needs them; what they surely show stays.
+
+    Parameters
+    ----------
+    needed : float
+        Factor by which the measured views would have to be wider.
+    furthest, most : float
+        How far (slope) from the middle of a lenslet's view light goes: but for a negligible share, and nine tenths.
+    """
+    seen = aim.slope_radius2 > 0.0
+    if TRUSTED <= needed <= 1.0:
+        return aim
+    if 1.0 < needed <= WIDENED:
+        radius2, sure2 = needed * needed * aim.slope_radius2, aim.sure2 / (needed * needed)
+    else:
+        # Rays at the lenslets' borders are reflected totally, or leave at grazing angles: they measured nothing.
+        radius2, sure2 = np.full_like(aim.slope_radius2, furthest * furthest), (most / furthest) ** 2
+    aim = aim._replace(slope_radius2=np.where(seen, radius2, -1.0), sure2=sure2)
+    width, height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
+    corners = frames.points(moves[SENSOR_FRAME, ARRAY_FRAME], grid(width, height, 0.0))
+    return aim._replace(search=_search(aim, array, np.abs(corners[:, 2] - aim.lenslet_z).max()))
+
+
+def with_wider_cells(aim: Aim, array: ArrayTables, by: float) -> Aim:
+    """Return the aim with cells that are wider by a factor, as they are aimed at."""
+    half = 0.5 * array.lenslets.lattice.pitch
+    return aim._replace(cell_margin=by * (half + aim.cell_margin) - half)
+
+
+@kernel
+def _view_through_cells(
+    array: ArrayTables, opening: Opening, moves: Array, lens_z: float, sensor_z: float, power_of_curvature: float,
+    corners: Array, slope: Array, slope_radius: Array,
+) -> None:  # fmt: skip
+    """Write for every lenslet the slope (array frame, away from the sensor) at which it sees the opening's middle.
+
+    And how far from that a ray through its middle may go for another one through it to meet the opening, by real rays
+    from the opening's border through the lenslet's zones, up to its corners (n, 2), to the sensor; −1 for none.
+    """
+    lenslets = array.lenslets
+    lattice = lenslets.lattice
+    toward = -1.0 if array.curved_to_lens else 1.0
+    for row in range(lattice.rows):
+        for column in range(lattice.columns):
+            cell = row * lattice.columns + column
+            cx, cy = centre(lattice, column, row)
+            x, y, z = frames.move_point(moves, ARRAY_FRAME, CAMERA_FRAME, cx, cy, lens_z)
+            mx, my, radius = opening_from(opening, x, y, z)
+            if radius <= 0.0:
+                slope_radius[cell] = -1.0
+                continue
+            sx, sy = _slope(moves, mx - x, my - y, opening.plane_z - z, toward)
+            curvature, ex, ey = shape_of(lenslets, column, row)
+            power = power_of_curvature * curvature
+            sx, sy = sx - power * ex, sy - power * ey
+            furthest = 0.0
+            for point in range(1 + ZONES * len(corners)):
+                zone, corner = (point + len(corners) - 1) // len(corners) / ZONES, point % len(corners)
+                ux, uy = zone * corners[corner, 0], zone * corners[corner, 1]
+                off = _astray(
+                    array, opening, moves, curvature, ux - ex, uy - ey, cx, cy, cx + ux, cy + uy, sensor_z, sx, sy
+                )
+                furthest = max(furthest, off)
+            slope[cell, 0], slope[cell, 1], slope_radius[cell] = sx, sy, VIEW_MARGIN * furthest
+
+
+@inlined
+def _astray(
+    array: ArrayTables, opening: Opening, moves: Array, curvature: float, ux: float, uy: float, cx: float, cy: float,
+    x: float, y: float, sensor_z: float, sx: float, sy: float,
+) -> float:  # fmt: skip
+    """Return how far (slope) from where a cell's middle sees the opening rays land that cross one point of its face.
+
+    Parameters
+    ----------
+    ux, uy : float
+        The point, from the face's apex.
+    cx, cy, x, y : float
+        The cell's middle, and the point again, array frame.
+    sx, sy : float
+        Slope at which the middle sees the opening.
+    """
+    to_sensor = 1.0 if array.curved_to_lens else -1.0
+    sag = cap_sag(curvature, ux * ux + uy * uy)
+    sx0, sy0, sz0 = frames.move_point(moves, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, 0.0)
+    mx, my, mz = frames.move_direction(moves, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, 1.0)
+    furthest = 0.0
+    for colour in range(len(array.indices)):
+        glass = array.indices[colour]
+        # The lens sees the face through the plate where that is between.
+        seen_z = sag if array.curved_to_lens else array.lenslets.thickness - (array.lenslets.thickness - sag) / glass
+        px, py, pz = frames.move_point(moves, ARRAY_FRAME, CAMERA_FRAME, x, y, seen_z)
+        ox, oy, radius = opening_from(opening, px, py, pz)
+        outward_x, outward_y, _ = frames.move_direction(moves, ARRAY_FRAME, CAMERA_FRAME, x - cx, y - cy, 0.0)
+        length = np.sqrt(outward_x * outward_x + outward_y * outward_y)
+        hx, hy = (outward_x / length, outward_y / length) if length > 0.0 else (1.0, 0.0)
+        # Outward, across, inward, and across.
+        for _ in range(4 if radius > 0.0 else 0):
+            hx, hy = -hy, hx
+            dx, dy, dz = px - ox - radius * hx, py - oy - radius * hy, pz - opening.plane_z
+            dx, dy, dz = frames.move_direction(moves, CAMERA_FRAME, ARRAY_FRAME, dx, dy, dz)
+            through, at_x, at_y, at_z, dx, dy, dz = _through_lenslet(
+                array.lenslets.thickness, curvature, glass, to_sensor, ux, uy, sag, x, y, dx, dy, dz
+            )
+            if not through:
+                continue
+            t = ((sx0 - at_x) * mx + (sy0 - at_y) * my + (sz0 - at_z) * mz) / (dx * mx + dy * my + dz * mz)
+            over = 1.0 / abs(at_z + t * dz - sensor_z)
+            a, b = (cx - at_x - t * dx) * over - sx, (cy - at_y - t * dy) * over - sy
+            furthest = max(furthest, np.sqrt(a * a + b * b))
+    return furthest
+
+
+@inlined
+def _through_lenslet(
+    thickness: float, curvature: float, glass: float, to_sensor: float, ux: float, uy: float, sag: float,
+    x: float, y: float, dx: float, dy: float, dz: float,
+) -> tuple[bool, float, float, float, float, float, float]:  # fmt: skip
+    """Take a ray that crosses a point of a lenslet's face out of the plate; return whether it gets through, and how."""
+    scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
+    dx, dy, dz = dx * scale, dy * scale, dz * scale
+    nx, ny, nz = -curvature * ux * to_sensor, -curvature * uy * to_sensor, (1.0 - curvature * sag) * to_sensor
+    if to_sensor > 0.0:
+        one, dx, dy, dz = _bent(dx, dy, dz, nx, ny, nz, 1.0 / glass)
+        t = (thickness - sag) / dz
+        other, ex, ey, ez = _bent(dx, dy, dz, 0.0, 0.0, to_sensor, glass)
+        return one and other, x + t * dx, y + t * dy, thickness, ex, ey, ez
+    one, dx, dy, dz = _bent(dx, dy, dz, 0.0, 0.0, to_sensor, 1.0 / glass)
+    other, dx, dy, dz = _bent(dx, dy, dz, nx, ny, nz, glass)
+    return one and other, x, y, sag, dx, dy, dz
+
+
+@inlined
+def _bent(
+    dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, eta: float
+) -> tuple[bool, float, float, float]:
+    """Return whether a ray is refracted where the normal looks along it, and its direction then."""
+    cos_i = dx * nx + dy * ny + dz * nz
+    cos2_t = 1.0 - eta * eta * (1.0 - cos_i * cos_i)
+    if cos_i <= 0.0 or cos2_t <= 0.0:
+        return False, dx, dy, dz
+    ux, uy, uz = refracted(dx, dy, dz, nx, ny, nz, eta, cos_i, np.sqrt(cos2_t))
+    return True, ux, uy, uz
+
+
+@kernel
+def _slope(moves: Array, dx: float, dy: float, dz: float, toward: float) -> tuple[float, float]:
+    """Return the slope, array frame, of a direction of the camera frame."""
+    x, y, z = frames.move_direction(moves, CAMERA_FRAME, ARRAY_FRAME, dx, dy, dz)
+    return x / (toward * z), y / (toward * z)

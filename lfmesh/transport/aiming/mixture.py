@@ -1,0 +1,90 @@
+"""Where to send rays: a mixture of the disk that matters and one that misses nothing, with its density.
+
+Most rays go to the lens's opening as the point sees it, a few to a disk that bounds everything that can reach the lens;
+a ray is weighted by the density of the whole mixture, whichever part drew it. So ghosts and what the measured opening
+leaves out are in, and no weight exceeds that of uniform sampling by more than the inverse of the small share.
+"""
+
+import numpy as np
+
+from lfmesh.kernel import kernel
+from lfmesh.transport.aiming.pupil import opening_from
+from lfmesh.transport.tables.tables import Opening
+
+WIDE_SHARE = 0.1
+"""Share of rays that go to the wide disk where reflections are followed: ghosts come from all over it."""
+
+WIDE_SHARE_OF_STRAYS = 0.5
+"""Where nothing but reflections counts."""
+
+WIDE_SHARE_OF_IMAGE_PATH = 0.002
+"""Where they are not: it brings only what the measured opening leaves out."""
+
+
+@kernel
+def toward_disk(
+    x: float, y: float, z: float, cx: float, cy: float, disk_z: float, radius: float, u: float, v: float
+) -> tuple[float, float, float]:
+    """Return the unit direction from a point to a uniform point of a disk square to the z axis."""
+    r, phi = radius * np.sqrt(u), 2.0 * np.pi * v
+    dx, dy, dz = cx + r * np.cos(phi) - x, cy + r * np.sin(phi) - y, disk_z - z
+    scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
+    return dx * scale, dy * scale, dz * scale
+
+
+@kernel
+def disk_density(
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, cx: float, cy: float, disk_z: float, radius: float
+) -> float:
+    """Return the density per solid angle with which `toward_disk` draws a direction."""
+    if radius <= 0.0 or dz == 0.0:
+        return 0.0
+    t = (disk_z - z) / dz
+    px, py = x + t * dx - cx, y + t * dy - cy
+    if t <= 0.0 or px * px + py * py > radius * radius:
+        return 0.0
+    return t * t / (np.pi * radius * radius * abs(dz))
+
+
+@kernel
+def aimed(
+    x: float, y: float, z: float,
+    opening: Opening, wide_radius: float, wide_share: float, blind_share: float,
+    choice: float, u: float, v: float,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """Return a direction from a point towards the lens's opening or the wide disk, and its density in the mixture.
+
+    A point that sees no opening sends a share of its rays only, to the wide disk; for the others the density is zero.
+    """
+    cx, cy, radius = opening_from(opening, x, y, z)
+    narrow = opening.known and radius > 0.0
+    share = 1.0
+    if opening.known:
+        share = wide_share if narrow else blind_share
+    if choice < share:
+        dx, dy, dz = toward_disk(x, y, z, 0.0, 0.0, opening.plane_z, wide_radius, u, v)
+    elif narrow:
+        dx, dy, dz = toward_disk(x, y, z, cx, cy, opening.plane_z, radius, u, v)
+    else:
+        return 0.0, 0.0, 1.0, 0.0
+    density = share * disk_density(x, y, z, dx, dy, dz, 0.0, 0.0, opening.plane_z, wide_radius)
+    if narrow:
+        density += (1.0 - share) * disk_density(x, y, z, dx, dy, dz, cx, cy, opening.plane_z, radius)
+    return dx, dy, dz, density
+
+
+@kernel
+def aimed_density(
+    x: float, y: float, z: float, dx: float, dy: float, dz: float,
+    opening: Opening, wide_radius: float, wide_share: float, blind_share: float,
+) -> float:  # fmt: skip
+    """Return the density per solid angle with which `aimed` draws a direction from a point."""
+    cx, cy, radius = opening_from(opening, x, y, z)
+    narrow = opening.known and radius > 0.0
+    share = 1.0
+    if opening.known:
+        share = wide_share if narrow else blind_share
+    density = share * disk_density(x, y, z, dx, dy, dz, 0.0, 0.0, opening.plane_z, wide_radius)
+    if narrow:
+        density += (1.0 - share) * disk_density(x, y, z, dx, dy, dz, cx, cy, opening.plane_z, radius)
+    return density

@@ -1,0 +1,375 @@
+"""The lens's opening as points in front of it or behind it see it, found by real rays.
+
+From each of a table of points rays go at the lens, through its exact surfaces; what gets through at any wavelength of
+the scene is bounded by a disk in the lens's outermost plane. Vignetting and the aberrations of the pupil are in it. The
+lens is one of revolution, so a point is told by its distance from that plane and the tangent of its field angle.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.sequential.lens_bundle import (
+    BLOCK,
+    DROPPED,
+    DX,
+    DY,
+    DZ,
+    ENDED_ON,
+    SCRATCH,
+    X,
+    Y,
+    Z,
+    empty_bundle,
+    load,
+    pad,
+    through_surface,
+)
+from lfmesh.transport.tables.tables import LensTables, Opening
+
+Array = NDArray[np.float64]
+
+_OBSTRUCTION = SCRATCH + 15 * BLOCK
+"""Working row, past those that aspheres use."""
+
+ANGLES = 33
+"""Field angles at which the opening is measured, evenly spaced in their tangent."""
+
+DISTANCES = 6
+"""Distances at which it is measured where points lie at several, evenly spaced in their inverse."""
+
+SEARCH = 49
+"""Rays along the meridian of the outermost plane with which the search for the opening begins."""
+
+CLOSE_UP = np.ldexp(1.0, -np.arange(4, 28))
+"""Steps from where first-order optics expects the opening, in radii of the wide disk, that are tried besides."""
+
+NARROWINGS = 44
+"""Golden sections of the interval that holds the clearest ray, which end at a billionth of it."""
+
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
+SPOKES = 20
+"""Half as many directions round the clearest ray in which the opening's edge is measured."""
+
+OUTERMOST = 40
+"""Halvings of a spoke, from beyond the lens, until a ray on it gets through; and ..."""
+
+HALVINGS = 7
+"""... of the interval in which the edge then lies, to a hundredth of the opening."""
+
+PARAXIAL_MARGIN = 1.15
+"""Over the paraxial pupil's radius, where no real rays are to be had: pupils have aberrations."""
+
+MARGIN = 1.02
+"""Over the measured radius: what lies between the measured points, spokes and wavelengths."""
+
+
+class Outlook(NamedTuple):
+    """From where a side of the lens is looked at.
+
+    Attributes
+    ----------
+    plane_z : float, mm
+        The lens's outermost plane on that side, camera frame.
+    wide_radius : float, mm
+        Of the disk there that every ray to the lens crosses.
+    to_sensor : bool
+        The way rays go from there into the lens.
+    tangent : (m,) float64
+        Of field angles, from 0, evenly spaced.
+    distance : (n,) float64, mm
+        To the plane, far to near, evenly spaced in its inverse.
+    """
+
+    plane_z: float
+    wide_radius: float
+    to_sensor: bool
+    tangent: Array
+    distance: Array
+
+
+def outlook(plane_z: float, wide_radius: float, points: Array, *, to_sensor: bool) -> Outlook | None:
+    """Return how points (n, 3) (camera frame) look at a side of the lens; None: none of them lies before it."""
+    distance = (plane_z - points[:, 2]) * (1.0 if to_sensor else -1.0)
+    before = distance > 1e-6 * wide_radius
+    if not before.any():
+        return None
+    distance = distance[before]
+    tangent = np.hypot(points[before, 0], points[before, 1]) / distance
+    near, far = float(distance.min()), float(distance.max())
+    # Where all lie in one plane, one distance will do.
+    many = DISTANCES if far - near > 1e-9 * far else 1
+    inverse = np.linspace(1.0 / far, 1.0 / near, many)
+    # Points on the axis alone see it at no angle; the table then needs some width.
+    widest = float(tangent.max()) or 1.0
+    return Outlook(plane_z, wide_radius, to_sensor, np.linspace(0.0, widest, ANGLES), 1.0 / inverse)
+
+
+def unknown_opening(plane_z: float, *, to_sensor: bool) -> Opening:
+    """Return the opening of a lens of which nothing is known: rays go anywhere on it."""
+    sense = 1.0 if to_sensor else -1.0
+    return Opening(False, plane_z, sense, 1.0, 0.0, 1.0, np.zeros((2, 2)), np.full((1, 1), -1.0))
+
+
+def paraxial_opening(seen: Outlook, pupil_z: float, pupil_radius: float) -> Opening:
+    """Return a pupil of first-order optics as points see it in the outermost plane, with a margin.
+
+    Where that is wider than the disk that every ray to the lens crosses, the latter takes its place.
+    """
+    return _opening(seen, *_paraxial_disks(seen, pupil_z, pupil_radius))
+
+
+def _paraxial_disks(seen: Outlook, pupil_z: float, pupil_radius: float) -> tuple[Array, Array]:
+    """Return middle (along the meridian) and radius of a paraxial pupil as every point sees it, (n, m) mm."""
+    tangent, distance = np.meshgrid(seen.tangent, seen.distance)
+    depth = (pupil_z - seen.plane_z) * (1.0 if seen.to_sensor else -1.0)
+    with np.errstate(divide="ignore"):
+        share = distance / (distance + depth)
+    radius = np.abs(PARAXIAL_MARGIN * pupil_radius * share)
+    fits = radius < seen.wide_radius
+    middle = np.where(fits, tangent * distance * (1.0 - np.where(fits, share, 0.0)), 0.0)
+    return middle, np.where(fits, radius, seen.wide_radius)
+
+
+def real_opening(seen: Outlook, lens: LensTables, pupil_z: float, pupil_radius: float) -> Opening:
+    """Return what gets through the lens's exact surfaces, whatever the wavelength, as points see it.
+
+    Field angles beyond which nothing gets through are left out of the table.
+
+    Parameters
+    ----------
+    seen : Outlook
+    lens : LensTables
+    pupil_z, pupil_radius : float, mm
+        The paraxial pupil, near which the search begins, and which stands where real rays cannot decide.
+    """
+    middle, radius = _measured(seen, lens, pupil_z, pupil_radius)
+    open_columns = np.flatnonzero((radius > 0.0).any(axis=0))
+    if not len(open_columns):
+        return paraxial_opening(seen, pupil_z, pupil_radius)
+    last = min(int(open_columns[-1]) + 1, ANGLES - 1)
+    if last < ANGLES - 1:
+        seen = seen._replace(tangent=np.linspace(0.0, seen.tangent[last], ANGLES))
+        middle, radius = _measured(seen, lens, pupil_z, pupil_radius)
+    return _opening(seen, middle, radius)
+
+
+def _measured(seen: Outlook, lens: LensTables, pupil_z: float, pupil_radius: float) -> tuple[Array, Array]:
+    """Return middle (along the meridian) and radius of the opening's disk from every point, (n, m) mm; −1: closed."""
+    height = np.outer(seen.distance, seen.tangent).ravel()
+    distance = np.repeat(seen.distance, len(seen.tangent))
+    paraxial_middle, paraxial_radius = (disks.ravel() for disks in _paraxial_disks(seen, pupil_z, pupil_radius))
+    start, obstruction, decided = _clearest_ray(seen, lens, height, distance, paraxial_middle)
+    is_open = obstruction < 1.0
+    edge = np.zeros((len(height), SPOKES))
+    edge[is_open] = _edge(seen, lens, height[is_open], distance[is_open], start[is_open])
+    angle = np.linspace(0.0, np.pi, SPOKES)
+    px, py = start[:, None] + edge * np.cos(angle), edge * np.sin(angle)
+    # The smallest disk on the meridian, to a hundredth of what there is between its extremes.
+    low, high = px.min(axis=1), px.max(axis=1)
+    trial = low + np.linspace(0.0, 1.0, 101)[:, None] * (high - low)
+    reach = np.sqrt(((px[None] - trial[..., None]) ** 2 + py[None] ** 2).max(axis=2))
+    best = reach.argmin(axis=0)
+    points = np.arange(len(height))
+    # Real rays that fail tell nothing: there the opening of first-order optics stands.
+    closed_radius = np.where(decided, -1.0, paraxial_radius)
+    radius = np.where(is_open, MARGIN * reach[best, points], closed_radius)
+    middle = np.where(is_open | decided, trial[best, points], paraxial_middle)
+    shape = len(seen.distance), len(seen.tangent)
+    return middle.reshape(shape), radius.reshape(shape)
+
+
+def _clearest_ray(
+    seen: Outlook, lens: LensTables, height: Array, distance: Array, expected: Array
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Find the ray from each point, in the meridional plane, that keeps furthest from every aperture's edge.
+
+    Its obstruction (see `_obstruction`) has no other minimum, so it is bracketed and narrowed down, however small the
+    stop. A search that only asks what gets through would have to know the size of the opening first.
+
+    Parameters
+    ----------
+    height, distance : (points,) float64, mm
+    expected : (points,) float64, mm
+        Where first-order optics expects the opening's middle.
+
+    Returns
+    -------
+    place : (points,) float64, mm
+        Of the ray in the outermost plane, along the meridian.
+    obstruction : (points,) float64
+    decided : (points,) bool
+        False where rays fail beside the clearest one, and that does not get through: then they tell nothing.
+    """
+    steps = np.concatenate([-CLOSE_UP, [0.0], CLOSE_UP]) * seen.wide_radius
+    across = np.broadcast_to(np.linspace(-1.0, 1.0, SEARCH) * seen.wide_radius, (len(height), SEARCH))
+    trial = np.sort(np.concatenate([across, expected[:, None] + steps], axis=1), axis=1)
+    found = _obstruction(seen, lens, height, distance, trial, np.zeros_like(trial))
+    points, last = np.arange(len(height)), trial.shape[1] - 1
+    best = found.argmin(axis=1)
+    before, after = np.maximum(best - 1, 0), np.minimum(best + 1, last)
+    decided = np.isfinite(found[points, before]) & np.isfinite(found[points, after])
+    low, high = trial[points, before], trial[points, after]
+
+    def at(place: Array) -> Array:
+        return _obstruction(seen, lens, height, distance, place[:, None], np.zeros((len(height), 1)))[:, 0]
+
+    left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+    at_left, at_right = at(left), at(right)
+    for _ in range(NARROWINGS):
+        lower = at_left <= at_right
+        low, high = np.where(lower, low, left), np.where(lower, right, high)
+        new = np.where(lower, high - GOLDEN * (high - low), low + GOLDEN * (high - low))
+        at_new = at(new)
+        left, right = np.where(lower, new, right), np.where(lower, left, new)
+        at_left, at_right = np.where(lower, at_new, at_right), np.where(lower, at_left, at_new)
+    narrowed, coarse = np.minimum(at_left, at_right), found[points, best]
+    place = np.where(narrowed <= coarse, np.where(at_left <= at_right, left, right), trial[points, best])
+    obstruction = np.minimum(narrowed, coarse)
+    return place, obstruction, decided | (obstruction < 1.0)
+
+
+def _edge(seen: Outlook, lens: LensTables, height: Array, distance: Array, start: Array) -> Array:
+    """Return how far from `start` light gets through along each spoke, (points, SPOKES) mm."""
+    angle = np.linspace(0.0, np.pi, SPOKES)
+
+    def gets_through(reach: Array) -> NDArray[np.bool_]:
+        x, y = start[:, None] + reach * np.cos(angle), reach * np.sin(angle)
+        return _obstruction(seen, lens, height, distance, x, y) < 1.0
+
+    outside = np.full((len(height), SPOKES), 4.0 * seen.wide_radius)
+    inside = 0.5 * outside
+    for _ in range(OUTERMOST):
+        blocked = ~gets_through(inside)
+        if not blocked.any():
+            break
+        outside = np.where(blocked, inside, outside)
+        inside = np.where(blocked, 0.5 * inside, inside)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (inside + outside)
+        through = gets_through(middle)
+        inside, outside = np.where(through, middle, inside), np.where(through, outside, middle)
+    return outside
+
+
+def _obstruction(seen: Outlook, lens: LensTables, height: Array, distance: Array, x: Array, y: Array) -> Array:
+    """Return how near rays from points of the meridian come to the edge of an aperture, (points, rays).
+
+    The largest (r / r_max)² over all surfaces and the stop, whose apertures do not end the rays: below one, a ray gets
+    through. Of all wavelengths the clearest counts; inf for a ray that misses a surface or is reflected totally.
+
+    Parameters
+    ----------
+    height, distance : (points,) float64, mm
+    x, y : (points, rays) float64, mm
+        Where the rays cross the outermost plane.
+    """
+    heights, distances = (np.broadcast_to(a[:, None], x.shape).ravel() for a in (height, distance))
+    unbounded = lens.surfaces.copy()
+    unbounded["aperture"] = np.inf
+    aperture = np.ascontiguousarray(lens.surfaces["aperture"])
+    room = empty_bundle()
+    least = np.full(x.size, np.inf)
+    for colour in sorted({0, lens.indices.shape[1] // 2, lens.indices.shape[1] - 1}):
+        _trace_unbounded(
+            heights, distances, np.ascontiguousarray(x).reshape(-1), np.ascontiguousarray(y).reshape(-1), seen.plane_z,
+            seen.to_sensor, lens._replace(surfaces=unbounded), aperture, colour, room, least,
+        )  # fmt: skip
+    return least.reshape(x.shape)
+
+
+@kernel
+def _trace_unbounded(
+    height: Array, distance: Array, x: Array, y: Array, plane_z: float, to_sensor: bool, lens: LensTables,
+    aperture: Array, colour: int, bundle: Array, least: Array,
+) -> None:  # fmt: skip
+    """Trace rays from points (height, 0) at a distance through points (x, y) of a plane; lower their obstruction."""
+    sense = 1.0 if to_sensor else -1.0
+    last = len(lens.surfaces)
+    for first in range(0, len(x), BLOCK):
+        count = min(BLOCK, len(x) - first)
+        for i in range(count):
+            dx, dy, dz = x[first + i] - height[first + i], y[first + i], distance[first + i]
+            scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
+            # From well before the plane: surfaces may touch it.
+            back = 0.5 * distance[first + i]
+            load(
+                bundle, i,
+                x[first + i] - back * dx / dz, y[first + i] - back * dy / dz, plane_z - back * sense,
+                dx * scale, dy * scale, sense * dz * scale, 1.0,
+            )  # fmt: skip
+            bundle[_OBSTRUCTION + i] = 0.0
+        if count < BLOCK:
+            pad(bundle, count)
+        for step in range(last + 1):
+            space = step if to_sensor else last - step
+            if lens.stop_space == space:
+                for i in range(BLOCK):
+                    t = (lens.stop_z - bundle[Z + i]) / bundle[DZ + i]
+                    at_x, at_y = bundle[X + i] + t * bundle[DX + i], bundle[Y + i] + t * bundle[DY + i]
+                    filled = (at_x * at_x + at_y * at_y) / (lens.stop_radius * lens.stop_radius)
+                    bundle[_OBSTRUCTION + i] = max(bundle[_OBSTRUCTION + i], filled)
+            if step == last:
+                break
+            k = space if to_sensor else space - 1
+            into = space + 1 if to_sensor else space - 1
+            through_surface(
+                bundle, lens.surfaces[k], sense, lens.indices[space, colour], lens.indices[into, colour],
+                np.inf, DROPPED, DROPPED,
+            )  # fmt: skip
+            for i in range(BLOCK):
+                filled = (bundle[X + i] * bundle[X + i] + bundle[Y + i] * bundle[Y + i]) / (aperture[k] * aperture[k])
+                bundle[_OBSTRUCTION + i] = max(bundle[_OBSTRUCTION + i], filled)
+        for i in range(count):
+            if bundle[ENDED_ON + i] == 0.0:
+                least[first + i] = min(least[first + i], bundle[_OBSTRUCTION + i])
+
+
+def _opening(seen: Outlook, middle: Array, radius: Array) -> Opening:
+    """Return measured disks as a table: the middle interpolated between its points, the radius large enough for that.
+
+    A mesh of the table has the largest radius of its corners. From points beyond the last that see anything, the lens
+    is closed.
+    """
+    closed = radius <= 0.0
+    for column in range(1, middle.shape[1]):
+        # What has no opening has no middle; its neighbour's lets the table be interpolated up to there.
+        middle[:, column] = np.where(closed[:, column], middle[:, column - 1], middle[:, column])
+    if len(seen.distance) == 1:
+        middle, radius = np.repeat(middle, 2, axis=0), np.repeat(radius, 2, axis=0)
+    largest = np.maximum.reduce([radius[:-1, :-1], radius[1:, :-1], radius[:-1, 1:], radius[1:, 1:]])
+    # Between two points of a bent line a chord is off by an eighth of the second difference.
+    bend = 0.125 * np.abs(np.diff(middle, 2, axis=1)).max(axis=1, initial=0.0)
+    bend += 0.125 * np.abs(np.diff(middle, 2, axis=0)).max(initial=0.0)
+    allowed = np.maximum(bend[:-1], bend[1:])[:, None]
+    nearness = 1.0 / seen.distance
+    step = (nearness[-1] - nearness[0]) / (len(nearness) - 1) if len(nearness) > 1 else 1.0
+    return Opening(
+        True, seen.plane_z, 1.0 if seen.to_sensor else -1.0, float(seen.tangent[1]), float(nearness[0]), float(step),
+        np.ascontiguousarray(middle), np.where(largest > 0.0, largest + allowed, -1.0),
+    )  # fmt: skip
+
+
+@inlined
+def opening_from(opening: Opening, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return middle and radius (camera frame, in the plane of the opening) of the disk that a point sees; −1: none."""
+    distance = (opening.plane_z - z) * opening.sense
+    if distance <= 0.0:
+        return 0.0, 0.0, -1.0
+    height = np.sqrt(x * x + y * y)
+    a = height / (distance * opening.tangent_step)
+    b = (1.0 / distance - opening.nearness) / opening.nearness_step
+    rows, columns = opening.radius.shape
+    if a > columns:
+        return 0.0, 0.0, -1.0
+    column, row = min(int(a), columns - 1), min(max(int(b), 0), rows - 1)
+    a, b = a - column, min(max(b - row, 0.0), 1.0)
+    middle = opening.middle
+    m = (1.0 - b) * ((1.0 - a) * middle[row, column] + a * middle[row, column + 1])
+    m += b * ((1.0 - a) * middle[row + 1, column] + a * middle[row + 1, column + 1])
+    # Towards the point; for one on the axis the middle is on it too.
+    m = m / height if height > 0.0 else 0.0
+    return m * x, m * y, opening.radius[row, column]

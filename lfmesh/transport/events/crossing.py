@@ -1,0 +1,394 @@
+"""What every station does to a packet: split it at an interface, end it, ask Embree again.
+
+The books are kept here: each function that changes a weight enters the difference.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.frame import move_direction, move_point
+from lfmesh.geometry.levels import FLAT
+from lfmesh.geometry.patch import hit_patch
+from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.packets.packet import (
+    BOTH,
+    CAMERA,
+    DEPOSITS,
+    DEPTH,
+    ENDED,
+    ENDS_AT,
+    EVENT_OF_STATUS,
+    FALLBACKS,
+    LOST_CONTRADICTION,
+    LOST_MISS,
+    NO_SURFACE,
+    NODES,
+    PIXEL_MASK,
+    REQUERIES,
+    ROULETTE,
+    ROULETTE_ADDED,
+    ROULETTE_REMOVED,
+    S_DEPTH,
+    S_LOST,
+    SAMPLE_SHIFT,
+    UNFOLLOWED,
+    WORLD_FRAME,
+    Flow,
+    Options,
+    put,
+)
+from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, uniform
+
+MAX_TRIES = 12
+
+FLOAT32_GRAIN = 2.0**-22
+"""Rounding of a float32 query, relative to its coordinates: what an origin must clear to be past a facet."""
+
+EDGE = 2.0**-36
+"""How far outside a facet float64 still takes a crossing for one, in barycentric weights."""
+
+# Dimensions of an event's random numbers.
+CHOOSE, KEEP_REFLECTED, KEEP_REFRACTED, KEEP_BOUNCE = 0, 1, 2, 3
+BOUNCE_U, BOUNCE_V, AIM_DISK, AIM_U, AIM_V, LIGHT_U, LIGHT_V = 4, 5, 6, 7, 8, 9, 10
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def draw(packet: Any, dimension: int) -> float:
+    """Return a random number of the packet's present event."""
+    return uniform(packet.key, packet.events * DIMENSIONS_PER_EVENT + dimension)
+
+
+@inlined
+def refracted(
+    dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, eta: float, cos_i: float, cos_t: float
+) -> tuple[float, float, float]:
+    """Return the refracted direction by Snell's law; the normal points along the ray, eta = n_i / n_t."""
+    g = cos_t - eta * cos_i
+    return normalised(eta * dx + g * nx, eta * dy + g * ny, eta * dz + g * nz)
+
+
+@inlined
+def reflected(dx: float, dy: float, dz: float, nx: float, ny: float, nz: float) -> tuple[float, float, float]:
+    """Return the mirrored direction."""
+    g = 2.0 * (dx * nx + dy * ny + dz * nz)
+    return normalised(dx - g * nx, dy - g * ny, dz - g * nz)
+
+
+@inlined
+def normalised(dx: float, dy: float, dz: float) -> tuple[float, float, float]:
+    """Return a direction that is a few roundings off unit length, one Newton step closer to it."""
+    scale = 1.5 - 0.5 * (dx * dx + dy * dy + dz * dz)
+    return dx * scale, dy * scale, dz * scale
+
+
+@kernel
+def windowed(book: Array, weight: float, floor: float, key: np.uint64, dimension: int) -> float:
+    """Play Russian roulette with a weight below the floor: it becomes the floor, or zero. Unbiased, booked."""
+    if weight >= floor:
+        return weight
+    if uniform(key, dimension) * floor < weight:
+        book[ROULETTE_ADDED] += floor - weight
+        return floor
+    book[ROULETTE_REMOVED] += weight
+    return 0.0
+
+
+@inlined
+def split_shares(
+    options: Options, book: Array, packet: Any, reflectance: float, transmittance: float
+) -> tuple[float, float]:
+    """Return the weights with which the reflected and the refracted child go on; zero: there is none."""
+    weight = packet.weight
+    dimension = packet.events * DIMENSIONS_PER_EVENT
+    if options.split == BOTH:
+        floor = options.cutoff * packet.start
+        to_reflected = weight * reflectance
+        if to_reflected > 0.0:
+            to_reflected = windowed(book, to_reflected, floor, packet.key, dimension + KEEP_REFLECTED)
+        to_refracted = weight * transmittance
+        if to_refracted > 0.0:
+            to_refracted = windowed(book, to_refracted, floor, packet.key, dimension + KEEP_REFRACTED)
+        return to_reflected, to_refracted
+    if options.split == ROULETTE:
+        if uniform(packet.key, dimension + CHOOSE) * (reflectance + transmittance) < reflectance:
+            return weight, 0.0
+        return 0.0, weight
+    if transmittance == 0.0:
+        # Under total reflection the reflected child is the path.
+        return weight, 0.0
+    book[UNFOLLOWED] += weight * reflectance
+    return 0.0, weight * transmittance
+
+
+@kernel
+def record(
+    flow: Flow, frames: Array, frame: int, x: float, y: float, z: float,
+    weight: float, surface: int, part: int, event: int, parent: int,
+) -> int:  # fmt: skip
+    """Append a vertex of a packet's path, given in a frame; return its number."""
+    top = flow.tops[NODES]
+    node = flow.nodes[top]
+    wx, wy, wz = move_point(frames, frame, WORLD_FRAME, x, y, z)
+    node.parent = parent
+    node.position[0], node.position[1], node.position[2] = wx, wy, wz
+    node.weight = weight
+    node.surface = surface
+    node.part = part
+    node.event = event
+    flow.tops[NODES] = top + 1
+    return top
+
+
+@inlined
+def end(
+    options: Options, flow: Flow, frames: Array, packet: Any, frame: int,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, slot: int, status: int,
+) -> None:  # fmt: skip
+    """End a packet at a point given in a frame: book its weight and, keep how it ended where that is asked for."""
+    flow.book[slot] += weight
+    if options.tracing or options.record:
+        _keep_end(options, flow, frames, packet, frame, x, y, z, dx, dy, dz, weight, slot, status)
+
+
+@inlined
+def end_here(options: Options, flow: Flow, frames: Array, packet: Any, slot: int, status: int) -> None:
+    """End a packet where it started, unchanged."""
+    end(
+        options, flow, frames, packet, packet.frame, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz,
+        packet.weight, slot, status,
+    )  # fmt: skip
+
+
+@kernel
+def lose(options: Options, flow: Flow, frames: Array, packet: Any, reason: int, slot: int) -> None:
+    """End a packet that cannot be placed where it started; book it by reason, and in the slot of the body."""
+    flow.book[reason] += packet.weight
+    end_here(options, flow, frames, packet, slot, S_LOST)
+
+
+@kernel
+def _keep_end(
+    options: Options, flow: Flow, frames: Array, packet: Any, frame: int,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, slot: int, status: int,
+) -> None:  # fmt: skip
+    node = packet.node
+    if options.record:
+        node = record(
+            flow, frames, frame, x, y, z, weight, ENDS_AT + slot, NO_SURFACE, EVENT_OF_STATUS[status], packet.node
+        )
+    kept = flow.ended[flow.tops[ENDED]]
+    wx, wy, wz = move_point(frames, frame, WORLD_FRAME, x, y, z)
+    kept.position[0], kept.position[1], kept.position[2] = wx, wy, wz
+    wx, wy, wz = move_direction(frames, frame, WORLD_FRAME, dx, dy, dz)
+    kept.direction[0], kept.direction[1], kept.direction[2] = wx, wy, wz
+    kept.weight = weight
+    kept.source = packet.source & PIXEL_MASK
+    kept.status = status
+    kept.events = packet.events
+    kept.node = node
+    kept.body = slot
+    kept.wave = packet.wave
+    flow.tops[ENDED] += 1
+
+
+@inlined
+def clear_of(facet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> float:
+    """Return the distance at which a ray that starts near a facet is safely behind the facet's plane."""
+    normal = facet.normal
+    return safely_behind(normal[0], normal[1], normal[2], facet.offset, facet.size, x, y, z, dx, dy, dz)
+
+
+@inlined
+def safely_behind(
+    nx: float, ny: float, nz: float, offset: float, size: float,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float,
+) -> float:  # fmt: skip
+    """Return `clear_of` a facet given by its normal, the offset of its plane and its size.
+
+    Beyond the plane by the rounding of a float32 query. A ray along the facet gets no further than the facet's size:
+    what it meets of its own facet after that is refused and queried again.
+    """
+    along = nx * dx + ny * dy + nz * dz
+    above = nx * x + ny * y + nz * z - offset
+    short = -above if along > 0.0 else above
+    beyond = (short if short > 0.0 else 0.0) + FLOAT32_GRAIN * (abs(x) + abs(y) + abs(z) + size)
+    far = beyond / abs(along)
+    return far if far < size else size
+
+
+@kernel
+def behind(facet: Any, packet: Any, t: float) -> float:
+    """Return where to query next after a facet at distance t was refused; each further refusal steps twice as far."""
+    normal = facet.normal
+    along = abs(normal[0] * packet.dx + normal[1] * packet.dy + normal[2] * packet.dz)
+    grain = FLOAT32_GRAIN * (abs(packet.x) + abs(packet.y) + abs(packet.z) + abs(t) + facet.size)
+    step = min(grain / along, facet.size) if along > 0.0 else facet.size
+    return max(packet.query_from, t) + step * 2.0**packet.tries
+
+
+@kernel
+def crosses(facet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> tuple[float, float]:
+    """Return where a ray crosses a facet, in float64, and normal · direction there; inf, 0 where it does not.
+
+    An edge belongs to both of its facets: a ray that meets it to rounding is not to slip between them.
+    """
+    normal = facet.normal
+    along = normal[0] * dx + normal[1] * dy + normal[2] * dz
+    if along == 0.0:
+        return np.inf, 0.0
+    t = (facet.offset - normal[0] * x - normal[1] * y - normal[2] * z) / along
+    b, c = barycentric(facet, x + t * dx, y + t * dy, z + t * dz)
+    if not (b >= -EDGE and c >= -EDGE and b + c <= 1.0 + EDGE):
+        return np.inf, 0.0
+    return t, along
+
+
+@inlined
+def deposit(options: Options, flow: Flow, place: int, wave: int, weight: float) -> None:
+    """Add to a pixel: straight into the chunk's film (adjoint) or to the list that is merged in order (forward).
+
+    Parameters
+    ----------
+    place : int
+        Adjoint: the packet's source, pixel and sample; forward: the pixel.
+    """
+    if options.adjoint:
+        row, sample = (place & PIXEL_MASK) - options.first_source, place >> SAMPLE_SHIFT
+        flow.film[row, wave] += weight
+        # Without a branch: a sample counts when it brings something for the first time.
+        flow.hits[row, wave] += np.uint32(1) - flow.counted[sample]
+        flow.counted[sample] = 1
+        return
+    entry = flow.deposits[flow.tops[DEPOSITS]]
+    entry.pixel = place
+    entry.wave = wave
+    entry.weight = weight
+    flow.tops[DEPOSITS] += 1
+
+
+@kernel
+def ask_again(
+    options: Options, flow: Flow, frames: Array, station: int, packet: Any, query_from: float, missed: bool, slot: int
+) -> None:
+    """Queue the packet's ray for another query, or end it as lost, booked in `slot`, after too many.
+
+    A refused hit is queried again from behind it. A ray that met nothing inside a closed space slipped between
+    facets: it is asked from its start again, its query origin moved aside by a rounding error, each time a larger one.
+    """
+    flow.counts[REQUERIES] += 1
+    if packet.tries >= MAX_TRIES:
+        lose(options, flow, frames, packet, LOST_MISS if missed else LOST_CONTRADICTION, slot)
+        return
+    limit = packet.limit
+    again = put(
+        flow, station, packet, packet.frame,
+        packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz,
+        packet.weight, packet.key, limit if missed and packet.kind == CAMERA else query_from,
+    )  # fmt: skip
+    again.tries = packet.tries + 1
+    again.limit = limit
+    if missed:
+        scale = abs(packet.x) + abs(packet.y) + abs(packet.z)
+        again.aside = 4.0 * FLOAT32_GRAIN * scale * 2.0**packet.tries
+
+
+@inlined
+def too_deep(options: Options, flow: Flow, frames: Array, packet: Any) -> bool:
+    """End a packet that has had its share of events."""
+    if packet.events < options.max_events:
+        return False
+    end_here(options, flow, frames, packet, DEPTH, S_DEPTH)
+    return True
+
+
+@kernel
+def facet_normal(level: int, facet: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return the normal that bends a ray at a point of a facet: the facet's (flat) or the interpolated one (smooth)."""
+    normal = facet.normal
+    if level == FLAT:
+        return normal[0], normal[1], normal[2]
+    at = facet.corner_normals
+    v, w = barycentric(facet, x, y, z)
+    u = 1.0 - v - w
+    nx = u * at[0, 0] + v * at[1, 0] + w * at[2, 0]
+    ny = u * at[0, 1] + v * at[1, 1] + w * at[2, 1]
+    nz = u * at[0, 2] + v * at[1, 2] + w * at[2, 2]
+    scale = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz)
+    return nx * scale, ny * scale, nz * scale
+
+
+@kernel
+def meets_patch(
+    flow: Flow, patches: Array, across: NDArray[np.int64], facet: Any, prim: int,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float,
+) -> tuple[bool, float, float, float, float]:  # fmt: skip
+    """Return where a ray, given where it crosses a facet, meets the curved surface there: t and the normal.
+
+    Where no patch is met the facet itself has to do; that is counted.
+    """
+    b, c = barycentric(facet, x, y, z)
+    met, t, nx, ny, nz = hit_patch(patches, across, prim, b, c, x, y, z, dx, dy, dz)
+    if met:
+        return True, t, nx, ny, nz
+    flow.counts[FALLBACKS] += 1
+    normal = facet.normal
+    return False, 0.0, normal[0], normal[1], normal[2]
+
+
+@kernel
+def barycentric(facet: Any, x: float, y: float, z: float) -> tuple[float, float]:
+    """Return the weights of the second and third corner at a point of a facet's plane."""
+    corners = facet.corners
+    ax, ay, az = corners[0, 0], corners[0, 1], corners[0, 2]
+    e1x, e1y, e1z = corners[1, 0] - ax, corners[1, 1] - ay, corners[1, 2] - az
+    e2x, e2y, e2z = corners[2, 0] - ax, corners[2, 1] - ay, corners[2, 2] - az
+    px, py, pz = x - ax, y - ay, z - az
+    a = e1x * e1x + e1y * e1y + e1z * e1z
+    b = e1x * e2x + e1y * e2y + e1z * e2z
+    c = e2x * e2x + e2y * e2y + e2z * e2z
+    p = px * e1x + py * e1y + pz * e1z
+    q = px * e2x + py * e2y + pz * e2z
+    determinant = a * c - b * b
+    return (c * p - b * q) / determinant, (a * q - b * p) / determinant
+
+
+@inlined
+def write_query(
+    origins: NDArray[np.float32],
+    directions: NDArray[np.float32],
+    i: int,
+    packet: Any,
+    fold_x: float,
+    fold_y: float,
+) -> None:
+    """Write a packet's ray as Embree takes it, its position less the fold."""
+    t, dx, dy, dz = packet.query_from, packet.dx, packet.dy, packet.dz
+    x, y, z = packet.x + t * dx - fold_x, packet.y + t * dy - fold_y, packet.z + t * dz
+    if packet.aside > 0.0:
+        x, y, z = _moved_aside(packet.aside, packet.key, packet.tries, x, y, z)
+    origins[i, 0], origins[i, 1], origins[i, 2] = np.float32(x), np.float32(y), np.float32(z)
+    directions[i, 0], directions[i, 1], directions[i, 2] = np.float32(dx), np.float32(dy), np.float32(dz)
+
+
+@kernel
+def _moved_aside(aside: float, key: np.uint64, tries: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Move a query's origin by up to half of `aside` along each axis, another way at every try."""
+    x += aside * (uniform(key, -3 * tries - 2) - 0.5)
+    y += aside * (uniform(key, -3 * tries - 3) - 0.5)
+    z += aside * (uniform(key, -3 * tries - 4) - 0.5)
+    return x, y, z
+
+
+@kernel
+def move_packet(frames: Array, packet: Any, there: int) -> None:
+    """Move a packet into a frame."""
+    here = packet.frame
+    if here == there:
+        return
+    packet.x, packet.y, packet.z = move_point(frames, here, there, packet.x, packet.y, packet.z)
+    packet.dx, packet.dy, packet.dz = move_direction(frames, here, there, packet.dx, packet.dy, packet.dz)
+    packet.frame = there

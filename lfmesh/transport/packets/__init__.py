@@ -1,0 +1,1 @@
+"""The packet, its registries, its classes, the ledger, and random numbers."""

@@ -1,0 +1,1 @@
+"""Where it happens: lens, array, objects and sensor, and asking Embree."""

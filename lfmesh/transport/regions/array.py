@@ -1,0 +1,361 @@
+"""Through the microlens array, folded: every lenslet is the one cell of its type, seen from its own centre.
+
+Array frame: z runs from the curved face into the glass. Space 0 is the air before the curved face, 1 the glass, 2 the
+air behind the flat face. The curved face lies in the thin layer top ≤ z ≤ valley; only there does a ray belong to a
+cell, and where it leaves the cell sideways before it meets the face or leaves the layer, it walks into the next one.
+Below the layer the glass is one plate. The flat face is one plane: there is nothing for Embree to find in it.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.lattice import cell_of, centre, is_inside, leaves_at, neighbour, stays_inside
+from lfmesh.geometry.lenslets import are_alike, border_sag, cap_sag, shape_of, type_of
+from lfmesh.geometry.levels import EXACT, FLAT, PATCH, SMOOTH
+from lfmesh.geometry.surface import conic_distance
+from lfmesh.kernel import inlined, kernel
+from lfmesh.optics.fresnel import fresnel
+from lfmesh.transport.events.crossing import (
+    ask_again,
+    behind,
+    clear_of,
+    end,
+    end_here,
+    facet_normal,
+    meets_patch,
+    move_packet,
+    record,
+    reflected,
+    refracted,
+    split_shares,
+    too_deep,
+    write_query,
+)
+from lfmesh.transport.packets.packet import (
+    ARRAY_EDGE,
+    ARRAY_FRAME,
+    ARRAY_MOUNT,
+    ARRAY_WALL,
+    CELLS,
+    CURVED_FACE,
+    E_REFLECTED,
+    E_TRANSMITTED,
+    EVENTS,
+    FLAT_FACE,
+    LEFT_FACE,
+    LENS,
+    LOST_IN_ARRAY,
+    NO_SURFACE,
+    PLATE,
+    S_ABSORBED,
+    SENSOR,
+    Flow,
+    Options,
+    put,
+)
+from lfmesh.transport.packets.random import derived
+from lfmesh.transport.tables.tables import ArrayTables
+
+Array = NDArray[np.float64]
+
+BEFORE, GLASS, BEHIND = 0, 1, 2
+
+
+@inlined
+def leave_array(
+    flow: Flow, packet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float,
+    weight: float, key: np.uint64, to_lens: bool, lens_surfaces: int,
+) -> None:  # fmt: skip
+    """Hand a packet in air on, to the lens or to the sensor."""
+    child = put(flow, LENS if to_lens else SENSOR, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
+    child.space = lens_surfaces
+
+
+@inlined
+def into_layer(
+    options: Options, flow: Flow, frames: Array, array: ArrayTables, packet: Any,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64, space: int,
+) -> None:  # fmt: skip
+    """Bring a packet from outside the layer to its border, find its cell there, and queue it."""
+    lenslets = array.lenslets
+    border = lenslets.top if space == BEFORE else lenslets.valley
+    t = max(0.0, (border - z) / dz)
+    column, row = cell_of(lenslets.lattice, x + t * dx, y + t * dy)
+    held = is_inside(lenslets.lattice, column, row)
+    if space == GLASS:
+        held = stays_inside(lenslets.lattice, x, y, x + t * dx, y + t * dy)
+    if not held:
+        end(
+            options, flow, frames, packet, ARRAY_FRAME, x + t * dx, y + t * dy, z + t * dz, dx, dy, dz,
+            weight, ARRAY_MOUNT if space == BEFORE else ARRAY_EDGE, S_ABSORBED,
+        )  # fmt: skip
+        return
+    child = put(flow, CELLS, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, weight, key, t)
+    child.space, child.column, child.row = space, column, row
+
+
+@kernel
+def through_plate(
+    wave: NDArray[np.void], array: ArrayTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow
+) -> None:
+    """Take a wave of packets into the layer of curved faces, or through the flat face."""
+    lenslets = array.lenslets
+    thickness = lenslets.thickness
+    for i in range(len(wave)):
+        packet = wave[i]
+        if packet.frame != ARRAY_FRAME:
+            move_packet(frames, packet, ARRAY_FRAME)
+            if packet.dz > 0.0 and packet.z <= lenslets.valley:
+                into_layer(
+                    options, flow, frames, array, packet, packet.x, packet.y, packet.z,
+                    packet.dx, packet.dy, packet.dz, packet.weight, packet.key, BEFORE,
+                )  # fmt: skip
+                continue
+            if not (packet.dz < 0.0 and packet.z >= thickness):
+                end_here(options, flow, frames, packet, ARRAY_MOUNT, S_ABSORBED)
+                continue
+            packet.space = BEHIND
+        if too_deep(options, flow, frames, packet):
+            continue
+        dx, dy, dz = packet.dx, packet.dy, packet.dz
+        t = (thickness - packet.z) / dz
+        x, y, z = packet.x + t * dx, packet.y + t * dy, thickness
+        outward = packet.space == GLASS
+        if outward:
+            held = stays_inside(lenslets.lattice, packet.x, packet.y, x, y)
+        else:
+            column, row = cell_of(lenslets.lattice, x, y)
+            held = is_inside(lenslets.lattice, column, row)
+        if not held:
+            slot = ARRAY_EDGE if outward else ARRAY_MOUNT
+            end(options, flow, frames, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
+            continue
+        flow.counts[EVENTS] += 1
+        glass = array.indices[packet.wave]
+        n_i, n_t = (glass, 1.0) if outward else (1.0, glass)
+        reflectance, transmittance, cos_t = fresnel(n_i, n_t, abs(dz))
+        to_reflected, to_refracted = split_shares(options, flow.book, packet, reflectance, transmittance)
+        packet.events += 1
+        parent, key, stray = packet.node, packet.key, packet.stray
+        if to_reflected > 0.0:
+            packet.stray = 1
+            child_key = derived(key, packet.events)
+            if options.record:
+                packet.node = record(
+                    flow, frames, ARRAY_FRAME, x, y, z, to_reflected, FLAT_FACE, NO_SURFACE, E_REFLECTED, parent
+                )
+            if outward:
+                into_layer(options, flow, frames, array, packet, x, y, z, dx, dy, -dz, to_reflected, child_key, GLASS)
+            else:
+                leave_array(
+                    flow, packet, x, y, z, dx, dy, -dz, to_reflected, child_key, not array.curved_to_lens,
+                    lens_surfaces,
+                )  # fmt: skip
+        if to_refracted > 0.0:
+            packet.stray = stray
+            if options.record:
+                packet.node = record(
+                    flow, frames, ARRAY_FRAME, x, y, z, to_refracted, FLAT_FACE, NO_SURFACE, E_TRANSMITTED, parent
+                )
+            toward = 1.0 if dz > 0.0 else -1.0
+            ux, uy, uz = refracted(dx, dy, dz, 0.0, 0.0, toward, n_i / n_t, abs(dz), cos_t)
+            if outward:
+                leave_array(
+                    flow, packet, x, y, z, ux, uy, uz, to_refracted, key, not array.curved_to_lens,
+                    lens_surfaces,
+                )  # fmt: skip
+            else:
+                into_layer(options, flow, frames, array, packet, x, y, z, ux, uy, uz, to_refracted, key, GLASS)
+
+
+@inlined
+def fold_of(array: ArrayTables, column: int, row: int) -> tuple[float, float]:
+    """Return what to take off a position to stand in the Embree cell of a lenslet."""
+    cx, cy = centre(array.lenslets.lattice, column, row)
+    return cx - type_of(array.lenslets, column, row) * array.type_shift, cy
+
+
+@kernel
+def admit_to_cells(
+    wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32], array: ArrayTables
+) -> None:
+    """Write the rays of a wave, folded into their cells."""
+    for i in range(len(wave)):
+        fold_x, fold_y = fold_of(array, wave[i].column, wave[i].row)
+        write_query(origins, directions, i, wave[i], fold_x, fold_y)
+
+
+@kernel
+def shade_cells(
+    wave: NDArray[np.void], found: NDArray[np.int32],
+    array: ArrayTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow,
+) -> None:  # fmt: skip
+    """Shade a wave of packets in the layer: decide in float64 whether each meets its cell's face, and split it."""
+    lenslets = array.lenslets
+    lattice = lenslets.lattice
+    for i in range(len(wave)):
+        packet = wave[i]
+        if packet.tries == 0 and too_deep(options, flow, frames, packet):
+            continue
+        x, y, z = packet.x, packet.y, packet.z
+        dx, dy, dz = packet.dx, packet.dy, packet.dz
+        column, row = packet.column, packet.row
+        inward = packet.space == BEFORE
+        cx, cy = centre(lattice, column, row)
+        curvature, ex, ey = shape_of(lenslets, column, row)
+        fold_x, fold_y = fold_of(array, column, row)
+        sideways, side = leaves_at(lattice, x - cx, y - cy, dx, dy)
+        layer = np.inf
+        if dz != 0.0:
+            layer = ((lenslets.valley if dz > 0.0 else lenslets.top) - z) / dz
+        prim = found[i]
+        at_facet = packet.query_from
+        crossed = False
+        if prim >= 0:
+            facet = array.facets[prim]
+            normal = facet.normal
+            along = normal[0] * dx + normal[1] * dy + normal[2] * dz
+            height = normal[0] * (x - fold_x) + normal[1] * (y - fold_y) + normal[2] * z - facet.offset
+            if along != 0.0:
+                at_facet = -height / along
+            crossed = along != 0.0 and (along > 0.0) == inward
+        t = at_facet if crossed else packet.query_from
+        nx, ny, nz = 0.0, 0.0, 1.0
+        if options.surface == EXACT:
+            # A sphere is crossed once in either sense: the facet gives the place to start from, and where the mesh
+            # has none (it lies a chord's or a form's error aside) the query's start does as well.
+            met, more = conic_distance(
+                curvature, 0.0, x + t * dx - cx - ex, y + t * dy - cy - ey, z + t * dz,
+                dx, dy, dz, 1.0 if inward else -1.0,
+            )  # fmt: skip
+            t += more
+            px, py, pz = x + t * dx - cx - ex, y + t * dy - cy - ey, z + t * dz
+            nx, ny, nz = -curvature * px, -curvature * py, 1.0 - curvature * pz
+            # Beyond the layer lies the sphere's other half.
+            met = met and 0.0 < t <= layer * (1.0 + 1e-12)
+        else:
+            met = crossed and t > 0.0
+            if met and options.surface == PATCH:
+                _, more, nx, ny, nz = meets_patch(
+                    flow, array.patches, array.across, array.facets[prim], prim,
+                    x + t * dx - fold_x, y + t * dy - fold_y, z + t * dz, dx, dy, dz,
+                )  # fmt: skip
+                t += more
+                met = t > 0.0
+        if met and t <= sideways * (1.0 + 1e-12):
+            if options.surface == FLAT or options.surface == SMOOTH:
+                nx, ny, nz = facet_normal(
+                    options.surface, array.facets[prim], x + t * dx - fold_x, y + t * dy - fold_y, z + t * dz
+                )
+            _split_at_face(options, flow, frames, array, lens_surfaces, packet, t, prim, nx, ny, nz)
+        elif options.surface != EXACT and prim >= 0 and not met and at_facet < min(sideways, layer):
+            further = behind(array.facets[prim], packet, at_facet)
+            ask_again(options, flow, frames, CELLS, packet, further, False, LOST_IN_ARRAY)
+        elif options.surface != EXACT and prim < 0 and packet.tries == 0:
+            # Embree lets a ray pass that is aimed exactly at a vertex.
+            ask_again(options, flow, frames, CELLS, packet, packet.query_from, True, LOST_IN_ARRAY)
+        elif sideways <= layer:
+            _walk(options, flow, frames, array, packet, sideways, side)
+        elif dz < 0.0 and inward:
+            leave_array(
+                flow, packet, x, y, z, dx, dy, dz, packet.weight, packet.key, array.curved_to_lens,
+                lens_surfaces,
+            )  # fmt: skip
+        elif dz > 0.0 and not inward:
+            put(flow, PLATE, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, 0.0)
+        else:
+            ask_again(options, flow, frames, CELLS, packet, packet.query_from, True, LOST_IN_ARRAY)
+
+
+@kernel
+def _walk(
+    options: Options, flow: Flow, frames: Array, array: ArrayTables, packet: Any, sideways: float, side: int
+) -> None:
+    """Take a packet into the next cell; the step between unlike lenslets is a wall that absorbs, like every edge."""
+    lenslets = array.lenslets
+    lattice = lenslets.lattice
+    x, y, z = packet.x, packet.y, packet.z
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    inward = packet.space == BEFORE
+    px, py, pz = x + sideways * dx, y + sideways * dy, z + sideways * dz
+    column, row = neighbour(lattice, packet.column, packet.row, side)
+    slot = -1
+    if not is_inside(lattice, column, row):
+        slot = ARRAY_MOUNT if inward else ARRAY_EDGE
+    elif not are_alike(lenslets):
+        curvature, ex, ey = shape_of(lenslets, column, row)
+        cx, cy = centre(lattice, column, row)
+        if options.surface == EXACT:
+            face = cap_sag(curvature, (px - cx - ex) ** 2 + (py - cy - ey) ** 2)
+        else:
+            curvature = lenslets.curvature[type_of(lenslets, column, row)]
+            face = border_sag(lattice, curvature, px - cx, py - cy, side)
+        in_glass = pz > face
+        if in_glass == inward:
+            slot = ARRAY_WALL
+    if slot >= 0:
+        end(options, flow, frames, packet, ARRAY_FRAME, px, py, pz, dx, dy, dz, packet.weight, slot, S_ABSORBED)
+        return
+    child = put(flow, CELLS, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, sideways)
+    child.column, child.row = column, row
+
+
+@inlined
+def _split_at_face(
+    options: Options, flow: Flow, frames: Array, array: ArrayTables, lens_surfaces: int,
+    packet: Any, t: float, prim: int, nx: float, ny: float, nz: float,
+) -> None:  # fmt: skip
+    """Split a packet where it meets the curved face, and hand its children on.
+
+    A child has its own lenslet behind it for good (one sphere, left outward or crossed to its far side), so it is
+    through if it leaves the layer before it leaves the cell; else it must be looked for among the neighbours.
+    """
+    lenslets = array.lenslets
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    x, y, z = packet.x + t * dx, packet.y + t * dy, packet.z + t * dz
+    cx, cy = centre(lenslets.lattice, packet.column, packet.row)
+    cos_i = nx * dx + ny * dy + nz * dz
+    if cos_i < 0.0:
+        nx, ny, nz, cos_i = -nx, -ny, -nz, -cos_i
+    cos_i = min(cos_i, 1.0)
+    inward = packet.space == BEFORE
+    glass = array.indices[packet.wave]
+    n_i, n_t = (1.0, glass) if inward else (glass, 1.0)
+    flow.counts[EVENTS] += 1
+    reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
+    to_reflected, to_refracted = split_shares(options, flow.book, packet, reflectance, transmittance)
+    packet.events += 1
+    if packet.last == LEFT_FACE:
+        # A second face in one passage.
+        packet.stray = 1
+    packet.last = LEFT_FACE
+    parent, key, stray = packet.node, packet.key, packet.stray
+    for child in range(2):
+        refracts = child == 1
+        weight = to_refracted if refracts else to_reflected
+        if weight <= 0.0:
+            continue
+        if refracts:
+            ux, uy, uz = refracted(dx, dy, dz, nx, ny, nz, n_i / n_t, cos_i, cos_t)
+        else:
+            ux, uy, uz = reflected(dx, dy, dz, nx, ny, nz)
+        child_key = key if refracts else derived(key, packet.events)
+        if options.record:
+            event = E_TRANSMITTED if refracts else E_REFLECTED
+            cell = packet.row * lenslets.lattice.columns + packet.column
+            packet.node = record(flow, frames, ARRAY_FRAME, x, y, z, weight, CURVED_FACE, cell, event, parent)
+        packet.space = GLASS if refracts == inward else BEFORE
+        packet.stray = stray if refracts else 1
+        sideways, _ = leaves_at(lenslets.lattice, x - cx, y - cy, ux, uy)
+        if packet.space == BEFORE and uz < 0.0 and (lenslets.top - z) / uz <= sideways:
+            leave_array(flow, packet, x, y, z, ux, uy, uz, weight, child_key, array.curved_to_lens, lens_surfaces)
+        elif packet.space == GLASS and uz > 0.0 and (lenslets.valley - z) / uz <= sideways:
+            put(flow, PLATE, packet, ARRAY_FRAME, x, y, z, ux, uy, uz, weight, child_key, 0.0)
+        else:
+            clear = 0.0
+            if prim >= 0:
+                fold_x, fold_y = fold_of(array, packet.column, packet.row)
+                clear = clear_of(array.facets[prim], x - fold_x, y - fold_y, z, ux, uy, uz)
+            put(flow, CELLS, packet, ARRAY_FRAME, x, y, z, ux, uy, uz, weight, child_key, clear)

@@ -1,0 +1,514 @@
+"""Through the main lens: Embree names a facet, float64 decides where the ray meets the surface and what follows.
+
+Camera frame. A packet in space s lies between surface s − 1 and surface s (see `LensTables`).
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.levels import EXACT, PATCH
+from lfmesh.geometry.surface import conic_distance, distance_to, normal_at
+from lfmesh.geometry.tessellation import OVERREACH
+from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.events.crossing import (
+    ask_again,
+    behind,
+    crosses,
+    end,
+    end_here,
+    facet_normal,
+    lose,
+    meets_patch,
+    move_packet,
+    record,
+    split_shares,
+    too_deep,
+    write_query,
+)
+from lfmesh.transport.packets.packet import (
+    CAMERA_FRAME,
+    E_REFLECTED,
+    E_TRANSMITTED,
+    EVENTS,
+    HOUSING,
+    LEFT_LENS,
+    LENS,
+    LOST_CONTRADICTION,
+    NO_SURFACE,
+    OBJECTS,
+    PLATE,
+    REQUERIES,
+    S_ABSORBED,
+    SENSOR,
+    STOP,
+    Flow,
+    Options,
+    put,
+)
+from lfmesh.transport.packets.random import derived
+from lfmesh.transport.regions.lens_block import (
+    ALONG_X,
+    ALONG_Y,
+    ALONG_Z,
+    BLOCK,
+    CLEAR,
+    HELD,
+    N_I,
+    N_T,
+    NX,
+    NY,
+    NZ,
+    PX,
+    PY,
+    PZ,
+    REFLECTANCE,
+    REFLECTED,
+    REFRACTED,
+    SENSE,
+    SIZE,
+    TRANSMITTANCE,
+    meet_conics,
+    set_conic,
+    set_facet,
+    set_ray,
+    split_block,
+)
+from lfmesh.transport.tables.tables import LensTables
+
+Array = NDArray[np.float64]
+
+RING = -2
+"""What bounds a space besides its surfaces."""
+
+NEARBY_TRIES = 4
+"""Refusals of facets no further than their size, own ones and their neighbours, that are queried from behind."""
+
+
+@kernel
+def box_entry(low: Array, high: Array, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> float:
+    """Return the distance at which a ray enters a box: 0 from inside, inf where it never does."""
+    near, far = 0.0, np.inf
+    for axis in range(3):
+        p = x if axis == 0 else (y if axis == 1 else z)
+        d = dx if axis == 0 else (dy if axis == 1 else dz)
+        if d == 0.0:
+            if p < low[axis] or p > high[axis]:
+                return np.inf
+        else:
+            a, b = (low[axis] - p) / d, (high[axis] - p) / d
+            near, far = max(near, min(a, b)), min(far, max(a, b))
+    return near if near <= far else np.inf
+
+
+@kernel
+def admit_to_lens(
+    wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32],
+    lens: LensTables, frames: Array, options: Options, flow: Flow,
+) -> int:  # fmt: skip
+    """Write the rays of a wave, those from outside from where they enter the box; return how many remain."""
+    low, high = lens.box_low, lens.box_high
+    kept = 0
+    for i in range(len(wave)):
+        if kept < i:
+            wave[kept] = wave[i]
+        packet = wave[kept]
+        if packet.frame != CAMERA_FRAME:
+            move_packet(frames, packet, CAMERA_FRAME)
+            t = box_entry(low, high, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz)
+            if t == np.inf:
+                end_here(options, flow, frames, packet, HOUSING, S_ABSORBED)
+                continue
+            packet.last = NO_SURFACE
+            packet.query_from = packet.limit = t
+        write_query(origins, directions, kept, packet, 0.0, 0.0)
+        kept += 1
+    return kept
+
+
+@kernel
+def stop_cuts(lens: LensTables, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> bool:
+    """Tell whether the line of a ray passes the plane of the stop outside its aperture."""
+    if dz == 0.0:
+        return True
+    t = (lens.stop_z - z) / dz
+    px, py = x + t * dx, y + t * dy
+    return not px * px + py * py <= lens.stop_radius * lens.stop_radius
+
+
+@kernel
+def leave_lens(
+    options: Options, flow: Flow, frames: Array, lens: LensTables, has_array: bool, packet: Any,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64, space: int,
+    query_from: float,
+) -> None:  # fmt: skip
+    """Hand a packet outside the lens on: to object space, to the array, or without one to the sensor.
+
+    It has left everything nearer than `query_from` behind.
+    """
+    if lens.stop_space == space and stop_cuts(lens, x, y, z, dx, dy, dz):
+        t = (lens.stop_z - z) / dz if dz != 0.0 else 0.0
+        end(
+            options, flow, frames, packet, CAMERA_FRAME, x + t * dx, y + t * dy, z + t * dz, dx, dy, dz,
+            weight, STOP, S_ABSORBED,
+        )  # fmt: skip
+        return
+    station = OBJECTS if space == 0 else (PLATE if has_array else SENSOR)
+    child = put(flow, station, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, key, query_from)
+    child.last = LEFT_LENS
+    child.facet = NO_SURFACE
+    if space == 0:
+        child.column = NO_SURFACE
+
+
+@kernel
+def shade_lens(
+    wave: NDArray[np.void], found: NDArray[np.int32], block: Array, met: NDArray[np.int64],
+    lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
+) -> None:  # fmt: skip
+    """Shade a wave of packets that Embree was asked about: refuse, absorb, or split each at its surface.
+
+    Block by block: what meets a conic as nearly all do is found by vector instructions, the rest packet by packet, and
+    all are split together. `block` and `met` are room for that.
+    """
+    for first in range(0, len(wave), BLOCK):
+        count = min(BLOCK, len(wave) - first)
+        for i in range(count):
+            met[i] = _prepare(block, i, wave[first + i], found[first + i], lens, options)
+        meet_conics(block)
+        for i in range(count):
+            if not block[HELD + i] > 0.0:
+                met[i] = _decide(block, i, wave[first + i], found[first + i], lens, has_array, frames, options, flow)
+        split_block(block)
+        for i in range(count):
+            if met[i] != NO_SURFACE:
+                _send_on(block, i, wave[first + i], met[i], lens, has_array, frames, options, flow)
+
+
+@inlined
+def _prepare(block: Array, i: int, packet: Any, prim: int, lens: LensTables, options: Options) -> int:
+    """Enter a packet in the block if by all appearances it meets a conic of its space next; return which."""
+    block[SENSE + i] = 0.0
+    if prim < 0 or packet.events >= options.max_events:
+        return NO_SURFACE
+    facet = lens.facets[prim]
+    k, space, last_space = facet.body, packet.space, len(lens.surfaces)
+    forward = k == space
+    if k < 0 or not (forward or k == space - 1) or not _is_conic(lens.surfaces[k]):
+        return NO_SURFACE
+    outside = space == 0 or space == last_space
+    if not outside and packet.last != 2 * space - 1 - k:
+        # It may graze the other surface of its space above that one's mesh first.
+        return NO_SURFACE
+    x, y, z = packet.x, packet.y, packet.z
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    if lens.stop_space == space and packet.last != k and stop_cuts(lens, x, y, z, dx, dy, dz):
+        return NO_SURFACE
+    set_ray(block, i, packet)
+    set_facet(block, i, facet)
+    set_conic(block, i, lens.surfaces[k], 1.0 if forward else -1.0)
+    _set_media(block, i, packet, k, lens)
+    return k
+
+
+@inlined
+def _set_media(block: Array, i: int, packet: Any, k: int, lens: LensTables) -> None:
+    """Enter the indices before and after surface `k`."""
+    space = packet.space
+    block[N_I + i] = lens.indices[space, packet.wave]
+    block[N_T + i] = lens.indices[k + 1 if k == space else k, packet.wave]
+
+
+@kernel
+def _decide(
+    block: Array, i: int, packet: Any, prim: int,
+    lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
+) -> int:  # fmt: skip
+    """Decide on a packet by itself: enter where it meets a surface in the block and return which.
+
+    `NO_SURFACE`: it has ended, is to be asked about again, or has left the lens.
+    """
+    if packet.events >= options.max_events and packet.tries == 0:
+        too_deep(options, flow, frames, packet)
+        return NO_SURFACE
+    facets, surfaces = lens.facets, lens.surfaces
+    space, last_space = packet.space, len(surfaces)
+    outside = space == 0 or space == last_space
+    missed_all = prim < 0 and outside
+    if missed_all and not _is_conic(surfaces[0 if space == 0 else last_space - 1]):
+        if packet.last == NO_SURFACE and packet.tries == 0:
+            # It was on its way in: Embree lets a ray pass that is aimed exactly at a vertex.
+            ask_again(options, flow, frames, LENS, packet, packet.query_from, True, lens.lost_slot[space])
+        else:
+            _leaves(options, flow, frames, lens, has_array, packet)
+        return NO_SURFACE
+    k, t, px, py, z, nx, ny, nz = NO_SURFACE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
+    if prim >= 0:
+        k, t, px, py, z, nx, ny, nz = _meets(flow, lens, packet, prim, 0.25 * packet.query_from)
+        if k == NO_SURFACE and abs(t) <= facets[prim].size and packet.tries < NEARBY_TRIES:
+            further = behind(facets[prim], packet, t)
+            ask_again(options, flow, frames, LENS, packet, further, False, lens.lost_slot[space])
+            return NO_SURFACE
+    if k == RING or (k != NO_SURFACE and packet.last != 2 * space - 1 - k):
+        # The mesh of a surface that bulges into the space stands back from it: a ray that grazes the surface may
+        # pass above the mesh. One that comes from the other surface of the space has left that behind.
+        first, sooner, gx, gy, gz, mx, my, mz, _ = _first_conic(lens, packet)
+        if first != NO_SURFACE and first != k and sooner < t:
+            flow.counts[REQUERIES] += 1
+            k, prim, t, px, py, z, nx, ny, nz = first, -1, sooner, gx, gy, gz, mx, my, mz
+    if k == NO_SURFACE:
+        # Far from its start the packet must not go on: float32 has put that start, or the ray, past a facet. And a
+        # ray that grazes a surface from outside may meet it above the chords of all its facets.
+        flow.counts[REQUERIES] += not missed_all
+        k, prim, t, px, py, z, nx, ny, nz = _first_of_all(flow, lens, packet)
+        if k == NO_SURFACE:
+            if outside:
+                # It passes beside the outermost surface.
+                _leaves(options, flow, frames, lens, has_array, packet)
+            else:
+                lose(options, flow, frames, packet, LOST_CONTRADICTION, lens.lost_slot[space])
+            return NO_SURFACE
+    if k == RING:
+        _meets_ring(options, flow, frames, lens, packet, t)
+        return NO_SURFACE
+    if _is_cut(options, flow, frames, lens, packet, k, t, px, py, z):
+        return NO_SURFACE
+    set_ray(block, i, packet)
+    block[PX + i], block[PY + i], block[PZ + i] = px, py, z
+    block[NX + i], block[NY + i], block[NZ + i] = nx, ny, nz
+    set_facet(block, i, facets[max(prim, 0)])
+    if prim < 0:
+        # No facet to stand off from.
+        block[SIZE + i] = 0.0
+    _set_media(block, i, packet, k, lens)
+    return k
+
+
+@kernel
+def _is_cut(
+    options: Options, flow: Flow, frames: Array, lens: LensTables, packet: Any,
+    k: int, t: float, x: float, y: float, z: float,
+) -> bool:  # fmt: skip
+    """Absorb a packet that the stop of its space or the mount keeps from where it meets surface `k`, at distance t."""
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    space = packet.space
+    if lens.stop_space == space and packet.last != k and stop_cuts(lens, x, y, z, dx, dy, dz):
+        at = (lens.stop_z - z) / dz if dz != 0.0 else 0.0
+        # A ray of the user's own may start behind the stop, and never cross it.
+        if packet.last != NO_SURFACE or space == 0 or space == len(lens.surfaces) or -t < at < 0.0:
+            end(
+                options, flow, frames, packet, CAMERA_FRAME, x + at * dx, y + at * dy, z + at * dz, dx, dy, dz,
+                packet.weight, STOP, S_ABSORBED,
+            )  # fmt: skip
+            return True
+    aperture = lens.surfaces[k].aperture
+    if x * x + y * y > aperture * aperture:
+        slot = lens.mount_slot[k]
+        end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
+        return True
+    return False
+
+
+@inlined
+def _send_on(
+    block: Array, i: int, packet: Any, k: int,
+    lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
+) -> None:  # fmt: skip
+    """Send the children of a packet on from surface `k`, each with its share."""
+    flow.counts[EVENTS] += 1
+    x, y, z = block[PX + i], block[PY + i], block[PZ + i]
+    to_reflected, to_refracted = split_shares(
+        options, flow.book, packet, block[REFLECTANCE + i], block[TRANSMITTANCE + i]
+    )
+    space, last_space = packet.space, len(lens.surfaces)
+    met, node, key, stray = packet.events + 1, packet.node, packet.key, packet.stray
+    for refracts in (False, True):
+        weight = to_refracted if refracts else to_reflected
+        if weight <= 0.0:
+            continue
+        child = (REFRACTED if refracts else REFLECTED) + i
+        dx, dy, dz = block[child + ALONG_X], block[child + ALONG_Y], block[child + ALONG_Z]
+        into = (k + 1 if k == space else k) if refracts else space
+        packet.stray = stray if refracts else 1
+        child_key = key if refracts else derived(key, met)
+        if options.record:
+            event = E_TRANSMITTED if refracts else E_REFLECTED
+            packet.node = record(flow, frames, CAMERA_FRAME, x, y, z, weight, k, NO_SURFACE, event, node)
+        if (into == 0 and lens.convex_front) or (into == last_space and lens.convex_back):
+            packet.events, packet.space = met, into
+            leave_lens(
+                options, flow, frames, lens, has_array, packet, x, y, z, dx, dy, dz, weight, child_key, into, 0.0
+            )
+        else:
+            sent = put(flow, LENS, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, child_key, block[child + CLEAR])
+            sent.events, sent.last, sent.space = met, k, into
+
+
+@kernel
+def _meets_ring(options: Options, flow: Flow, frames: Array, lens: LensTables, packet: Any, t: float) -> None:
+    """Absorb a packet at the rim of its space: at the stop, if that stood before it, else at the edge or mount."""
+    slot = lens.ring_slot[packet.space]
+    x, y, z = packet.x, packet.y, packet.z
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    if lens.stop_space == packet.space and dz != 0.0 and stop_cuts(lens, x, y, z, dx, dy, dz):
+        at = (lens.stop_z - z) / dz
+        if 0.0 < at < t:
+            slot, t = STOP, at
+    end(
+        options, flow, frames, packet, CAMERA_FRAME, x + t * dx, y + t * dy, z + t * dz, dx, dy, dz,
+        packet.weight, slot, S_ABSORBED,
+    )  # fmt: skip
+
+
+@inlined
+def _meets(
+    flow: Flow, lens: LensTables, packet: Any, prim: int, least: float
+) -> tuple[int, float, float, float, float, float, float, float]:
+    """Return which surface of its space a packet meets by way of a facet, at what t, the point, and the normal.
+
+    The normal is along the ray. `RING` is the ring of its space; `NO_SURFACE` refuses a facet of another space, one
+    that is crossed the wrong way, and where a facet itself is the surface, one nearer than `least`.
+    """
+    x, y, z = packet.x, packet.y, packet.z
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    space = packet.space
+    facet = lens.facets[prim]
+    normal = facet.normal
+    nx, ny, nz = normal[0], normal[1], normal[2]
+    along = nx * dx + ny * dy + nz * dz
+    k = facet.body
+    # A packet in front of a surface crosses its facets along their normals, one behind it against them.
+    forward = k == space
+    met = (forward and along > 0.0) or (k == space - 1 and along < 0.0)
+    if met and _is_conic(lens.surfaces[k]):
+        # Which of its roots is the one follows from the sense alone: no need for the facet's distance, a division.
+        t = packet.query_from
+    else:
+        t = (facet.offset - nx * x - ny * y - nz * z) / along if along != 0.0 else packet.query_from
+    px, py, pz = x + t * dx, y + t * dy, z + t * dz
+    if k < 0:
+        met = -1 - k == space and t > 0.0
+        k = RING
+    elif met:
+        surface = lens.surfaces[k]
+        level = surface.level
+        if level == EXACT:
+            pz -= surface.vertex_z
+            met, more = distance_to(surface, px, py, pz, dx, dy, dz, 1.0 if forward else -1.0)
+            t += more
+            px, py, pz = px + more * dx, py + more * dy, pz + more * dz
+            nx, ny, nz = normal_at(surface, px, py, pz)
+            pz += surface.vertex_z
+            if not met:
+                t = (facet.offset - normal[0] * x - normal[1] * y - normal[2] * z) / along
+            met = met and t > 0.0 and (nx * dx + ny * dy + nz * dz > 0.0) == forward
+        else:
+            met = t > least
+            if level == PATCH:
+                curved, more, nx, ny, nz = meets_patch(
+                    flow, lens.patches, lens.across, facet, prim, px, py, pz, dx, dy, dz
+                )
+                t += more
+                px, py, pz = px + more * dx, py + more * dy, pz + more * dz
+                met = t > 0.0 if curved else met
+            elif met:
+                nx, ny, nz = facet_normal(level, facet, px, py, pz)
+            if (nx * dx + ny * dy + nz * dz > 0.0) != forward:
+                # An interpolated normal may look away from a grazing ray, and its facet then decides.
+                nx, ny, nz = normal[0], normal[1], normal[2]
+        if not forward:
+            nx, ny, nz = -nx, -ny, -nz
+    return k if met else NO_SURFACE, t, px, py, pz, nx, ny, nz
+
+
+@kernel
+def _first_conic(lens: LensTables, packet: Any) -> tuple[int, float, float, float, float, float, float, float, bool]:
+    """Return which conic that bounds its space a packet meets first, at what t, the point, the normal along the ray.
+
+    By the roots of the conics themselves, without their meshes. The last value tells whether all are conics.
+    """
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    space = packet.space
+    first, nearest = NO_SURFACE, np.inf
+    fx, fy, fz, nx, ny, nz = 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
+    settled = True
+    # From where a ray enters the box, it has lost fewer digits than from its start, which may be far away.
+    ahead = packet.limit if packet.last == NO_SURFACE else 0.0
+    x, y, z = packet.x + ahead * dx, packet.y + ahead * dy, packet.z + ahead * dz
+    for k in range(max(space - 1, 0), min(space + 1, len(lens.surfaces))):
+        surface = lens.surfaces[k]
+        if not _is_conic(surface):
+            settled = False
+            continue
+        sense = 1.0 if k == space else -1.0
+        met, t = conic_distance(surface.curvature, surface.conic, x, y, z - surface.vertex_z, dx, dy, dz, sense)
+        px, py, pz = x + t * dx, y + t * dy, z + t * dz - surface.vertex_z
+        t += ahead
+        on_sheet = surface.curvature * (1.0 + surface.conic) * pz < 1.0
+        if met and on_sheet and 0.0 < t < nearest and _on_mesh(surface, px, py):
+            first, nearest, fx, fy, fz = k, t, px, py, pz + surface.vertex_z
+            mx, my, mz = normal_at(surface, px, py, pz)
+            nx, ny, nz = sense * mx, sense * my, sense * mz
+    return first, nearest, fx, fy, fz, nx, ny, nz, settled
+
+
+@kernel
+def _first_of_all(
+    flow: Flow, lens: LensTables, packet: Any
+) -> tuple[int, int, float, float, float, float, float, float, float]:
+    """Return what a packet meets first of all that bounds its space, its facet (−1: none), and the rest of `_meets`.
+
+    Slow, and sure: conics by their own roots, as a ray that creeps along a hollow one stays between surface and mesh;
+    everything else by trying every facet in float64.
+    """
+    x, y, z = packet.x, packet.y, packet.z
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    space = packet.space
+    first_prim = -1
+    first, nearest, fx, fy, fz, nx, ny, nz, settled = _first_conic(lens, packet)
+    if settled and (space == 0 or space == len(lens.surfaces)):
+        # No ring bounds the outside.
+        return first, first_prim, nearest, fx, fy, fz, nx, ny, nz
+    for prim in range(len(lens.facets)):
+        body = lens.facets[prim].body
+        if body != space and body != space - 1 and body != -1 - space:
+            continue
+        t, _ = crosses(lens.facets[prim], x, y, z, dx, dy, dz)
+        if not -packet.limit < t < np.inf:
+            continue
+        k, t, px, py, pz, mx, my, mz = _meets(flow, lens, packet, prim, -packet.limit)
+        if k == NO_SURFACE or t >= nearest:
+            continue
+        if k >= 0 and _is_conic(lens.surfaces[k]) and _on_mesh(lens.surfaces[k], px, py):
+            continue
+        first, first_prim, nearest, fx, fy, fz, nx, ny, nz = k, prim, t, px, py, pz, mx, my, mz
+    if first == NO_SURFACE and settled:
+        # Neither surface is met, so the ring is: between the circle of a rim and the chords of its mesh.
+        first, nearest = RING, packet.limit
+    return first, first_prim, nearest, fx, fy, fz, nx, ny, nz
+
+
+@inlined
+def _is_conic(surface: Any) -> bool:
+    """Tell whether a surface's hits have a closed form."""
+    return surface.level == EXACT and surface.terms == 0
+
+
+@inlined
+def _on_mesh(surface: Any, x: float, y: float) -> bool:
+    """Tell whether a point lies within the clear aperture and what every mesh reaches beyond it."""
+    reach = min(surface.aperture * (1.0 + OVERREACH), surface.end)
+    return x * x + y * y <= reach * reach
+
+
+@kernel
+def _leaves(options: Options, flow: Flow, frames: Array, lens: LensTables, has_array: bool, packet: Any) -> None:
+    """Let a packet that met nothing out of the lens, or into the housing behind it."""
+    if packet.space == 0 or packet.dz > 0.0:
+        leave_lens(
+            options, flow, frames, lens, has_array, packet, packet.x, packet.y, packet.z,
+            packet.dx, packet.dy, packet.dz, packet.weight, packet.key, packet.space, packet.limit,
+        )  # fmt: skip
+    else:
+        end_here(options, flow, frames, packet, HOUSING, S_ABSORBED)

@@ -1,0 +1,124 @@
+"""A block of packets at refracting surfaces, laid out for vector instructions: where they meet them, what follows.
+
+A block is one float64 array of `ROWS` rows of `BLOCK` values, at constant offsets, as a bundle of the sequential engine
+is; but every packet has a surface, media and facet of its own beside it. There are no branches, and loops run over the
+whole block: what is beyond the last packet holds what was there before, and nobody reads what becomes of it. So every
+packet goes through the same instructions, whatever its neighbours are.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernel import inlined, kernel
+from lfmesh.optics.fresnel import fresnel
+from lfmesh.transport.events.crossing import reflected, refracted, safely_behind
+from lfmesh.transport.sequential.lens_bundle import conic_distance
+from lfmesh.vector import both, select
+
+Array = NDArray[np.float64]
+
+BLOCK = 32
+"""Few enough that the block stays in the first cache beside its packets."""
+
+# The ray: where it starts, mm, camera frame, its unit direction, and the distance from which Embree looked.
+X, Y, Z, DX, DY, DZ, FROM = 0, BLOCK, 2 * BLOCK, 3 * BLOCK, 4 * BLOCK, 5 * BLOCK, 6 * BLOCK
+# The conic: curvature, 1 + conic constant, z of the vertex, square of the aperture's radius, and the sense in which it
+# is to be crossed: 1 along its normal, −1 against it, 0 where the packet is not for `meet_conics`.
+CURVATURE, SQUASH, VERTEX_Z, APERTURE2, SENSE = 7 * BLOCK, 8 * BLOCK, 9 * BLOCK, 10 * BLOCK, 11 * BLOCK
+# The facet: normal, offset of its plane, size.
+FACET_X, FACET_Y, FACET_Z, OFFSET, SIZE = 12 * BLOCK, 13 * BLOCK, 14 * BLOCK, 15 * BLOCK, 16 * BLOCK
+# The indices before and after the surface.
+N_I, N_T = 17 * BLOCK, 18 * BLOCK
+# Where it is met, the unit normal there, along the ray, and whether that stands (1 or 0).
+PX, PY, PZ, NX, NY, NZ, HELD = 19 * BLOCK, 20 * BLOCK, 21 * BLOCK, 22 * BLOCK, 23 * BLOCK, 24 * BLOCK, 25 * BLOCK
+# What follows: shares of the power, and for either child its direction and how far its query stands off.
+REFLECTANCE, TRANSMITTANCE = 26 * BLOCK, 27 * BLOCK
+REFLECTED, REFRACTED = 28 * BLOCK, 32 * BLOCK
+ALONG_X, ALONG_Y, ALONG_Z, CLEAR = 0, BLOCK, 2 * BLOCK, 3 * BLOCK
+ROWS = 36
+
+
+def empty_block() -> Array:
+    """Return room for a block of packets, aligned to whole cache lines."""
+    room = np.zeros(ROWS * BLOCK + 8)
+    offset = (-room.ctypes.data // 8) % 8
+    return room[offset : offset + ROWS * BLOCK]
+
+
+@inlined
+def set_ray(block: Array, i: int, packet: Any) -> None:
+    """Enter the ray of a packet."""
+    block[X + i], block[Y + i], block[Z + i] = packet.x, packet.y, packet.z
+    block[DX + i], block[DY + i], block[DZ + i] = packet.dx, packet.dy, packet.dz
+    block[FROM + i] = packet.query_from
+
+
+@inlined
+def set_facet(block: Array, i: int, facet: Any) -> None:
+    """Enter the facet that a packet met."""
+    normal = facet.normal
+    block[FACET_X + i], block[FACET_Y + i], block[FACET_Z + i] = normal[0], normal[1], normal[2]
+    block[OFFSET + i], block[SIZE + i] = facet.offset, facet.size
+
+
+@inlined
+def set_conic(block: Array, i: int, surface: Any, sense: float) -> None:
+    """Enter the conic that a packet is to cross."""
+    block[CURVATURE + i], block[SQUASH + i], block[VERTEX_Z + i] = (
+        surface.curvature, 1.0 + surface.conic, surface.vertex_z,
+    )  # fmt: skip
+    block[APERTURE2 + i] = surface.aperture * surface.aperture
+    block[SENSE + i] = sense
+
+
+@kernel
+def meet_conics(block: Array) -> None:
+    """Find where the rays cross their conics in the given sense, within the aperture and by facets of that sense.
+
+    The root itself gives the point: how far along the ray the facet lies is not asked.
+    """
+    for i in range(BLOCK):
+        dx, dy, dz = block[DX + i], block[DY + i], block[DZ + i]
+        begin, sense, vertex_z = block[FROM + i], block[SENSE + i], block[VERTEX_Z + i]
+        c, q = block[CURVATURE + i], block[SQUASH + i]
+        x, y, z = block[X + i] + begin * dx, block[Y + i] + begin * dy, block[Z + i] - vertex_z + begin * dz
+        meets, t = conic_distance(c, q, x, y, z, dx, dy, dz, sense)
+        x, y, z = x + t * dx, y + t * dy, z + t * dz
+        nx, ny, nz = -c * x, -c * y, 1.0 - c * q * z
+        scale = sense / np.sqrt(nx * nx + ny * ny + nz * nz)
+        nx, ny, nz = nx * scale, ny * scale, nz * scale
+        along = block[FACET_X + i] * dx + block[FACET_Y + i] * dy + block[FACET_Z + i] * dz
+        ahead = both(meets, begin + t > 0.0)
+        crossed = both(sense * along > 0.0, nx * dx + ny * dy + nz * dz > 0.0)
+        held = both(both(ahead, crossed), x * x + y * y <= block[APERTURE2 + i])
+        block[PX + i], block[PY + i], block[PZ + i] = x, y, z + vertex_z
+        block[NX + i], block[NY + i], block[NZ + i] = nx, ny, nz
+        block[HELD + i] = select(held, 1.0, 0.0)
+
+
+@kernel
+def split_block(block: Array) -> None:
+    """Divide each packet between the reflected and the refracted ray, and set their queries off from the facet."""
+    for i in range(BLOCK):
+        dx, dy, dz = block[DX + i], block[DY + i], block[DZ + i]
+        nx, ny, nz = block[NX + i], block[NY + i], block[NZ + i]
+        n_i, n_t = block[N_I + i], block[N_T + i]
+        cos_i = nx * dx + ny * dy + nz * dz
+        cos_i = 1.0 if cos_i > 1.0 else cos_i
+        reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
+        block[REFLECTANCE + i], block[TRANSMITTANCE + i] = reflectance, transmittance
+        ux, uy, uz = reflected(dx, dy, dz, nx, ny, nz)
+        _set_child(block, REFLECTED + i, i, ux, uy, uz)
+        ux, uy, uz = refracted(dx, dy, dz, nx, ny, nz, n_i / n_t, cos_i, cos_t)
+        _set_child(block, REFRACTED + i, i, ux, uy, uz)
+
+
+@inlined
+def _set_child(block: Array, child: int, i: int, ux: float, uy: float, uz: float) -> None:
+    block[child + ALONG_X], block[child + ALONG_Y], block[child + ALONG_Z] = ux, uy, uz
+    block[child + CLEAR] = safely_behind(
+        block[FACET_X + i], block[FACET_Y + i], block[FACET_Z + i], block[OFFSET + i], block[SIZE + i],
+        block[PX + i], block[PY + i], block[PZ + i], ux, uy, uz,
+    )  # fmt: skip

@@ -1,0 +1,43 @@
+"""Onto the sensor: a packet ends on a pixel, or beside them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernel import kernel
+from lfmesh.transport.events.crossing import deposit, end, end_here, move_packet
+from lfmesh.transport.packets.packet import (
+    BESIDE_SENSOR,
+    HOUSING,
+    ON_SENSOR,
+    S_ABSORBED,
+    S_SENSOR,
+    SENSOR_FRAME,
+    Flow,
+    Options,
+)
+from lfmesh.transport.tables.tables import SensorTables
+
+
+@kernel
+def onto_sensor(
+    wave: NDArray[np.void], sensor: SensorTables, frames: NDArray[np.float64], options: Options, flow: Flow
+) -> None:
+    """End each packet of a wave where it meets the sensor's plane."""
+    for i in range(len(wave)):
+        packet = wave[i]
+        move_packet(frames, packet, SENSOR_FRAME)
+        x, y, z = packet.x, packet.y, packet.z
+        dx, dy, dz = packet.dx, packet.dy, packet.dz
+        if dz <= 0.0 or z > 0.0:
+            end_here(options, flow, frames, packet, HOUSING, S_ABSORBED)
+            continue
+        t = -z / dz
+        x, y = x + t * dx, y + t * dy
+        column = np.floor(x / sensor.pixel + 0.5 * sensor.columns)
+        row = np.floor(y / sensor.pixel + 0.5 * sensor.rows)
+        slot, status = ON_SENSOR, S_SENSOR
+        if not (0.0 <= column < sensor.columns and 0.0 <= row < sensor.rows):
+            slot, status = BESIDE_SENSOR, S_ABSORBED
+        elif not options.adjoint and not options.tracing:
+            deposit(options, flow, int(row) * sensor.columns + int(column), packet.wave, packet.weight)
+        end(options, flow, frames, packet, SENSOR_FRAME, x, y, 0.0, dx, dy, dz, packet.weight, slot, status)

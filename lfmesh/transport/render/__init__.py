@@ -1,0 +1,1 @@
+"""From a scene to an image: sources, classes of paths, adaptive sampling, both methods."""

@@ -1,0 +1,285 @@
+"""The adjoint method's start: from a pixel through the lenslets that show it the exit pupil.
+
+A pixel's power is the integral of radiance over its area and the directions it sees, W = ∫∫ L cos θ dω dA. The packet
+carries the importance cos θ dA / density, in m² sr. Radiance over n² is what interfaces conserve up to T, so carried
+importance would gain (n_i/n_t)² at every crossing; pixel and light both lie in air, the factors cancel, and are left
+out throughout. A target that shines inside glass has its radiance divided by n² instead.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.frame import move_direction, move_point
+from lfmesh.kernel import kernel
+from lfmesh.transport.aiming.lenslet_aim import (
+    CELL_U,
+    CELL_V,
+    DISCRETE,
+    HALF_DIAGONAL,
+    LISTED,
+    PIXEL_U,
+    PIXEL_V,
+    WHICH_CELL,
+    Allotment,
+    allotted,
+    glass_before_faces,
+    list_cells,
+    most_listed,
+    through_a_lenslet,
+)
+from lfmesh.transport.aiming.mixture import aimed
+from lfmesh.transport.packets.packet import (
+    ARRAY_FRAME,
+    CAMERA,
+    CAMERA_FRAME,
+    EMITTED,
+    LENS,
+    NO_SURFACE,
+    PACKET,
+    PLATE,
+    SAMPLE_SHIFT,
+    SENSOR_FRAME,
+    Flow,
+    Options,
+    put,
+)
+from lfmesh.transport.packets.random import derived, uniform
+from lfmesh.transport.packets.sobol import scramble, scramble_seed, step
+from lfmesh.transport.regions.objects import MM2
+from lfmesh.transport.sequential.image_path import follow_block
+from lfmesh.transport.sequential.lens_bundle import (
+    BLOCK,
+    DROPPED,
+    DX,
+    DY,
+    DZ,
+    ENDED_ON,
+    WEIGHT,
+    X,
+    Y,
+    Z,
+    load,
+    move_bundle,
+    pad,
+)
+from lfmesh.transport.tables.tables import Aim, ArrayTables, LensTables, SensorTables
+
+Array = NDArray[np.float64]
+
+START_DIMENSION = -64
+"""A packet's starting numbers have dimensions of their own, before those of any event."""
+
+STARTS = BLOCK
+"""Samples whose numbers are drawn together: a bundle of the sequential engine."""
+
+
+@kernel
+def start(key: np.uint64, dimension: int) -> float:
+    """Return one of a packet's starting numbers."""
+    return uniform(key, START_DIMENSION + dimension)
+
+
+class StartRoom(NamedTuple):
+    """Working memory of a launch, which draws the numbers of `STARTS` samples at a time."""
+
+    point: NDArray[np.uint32]  # (6,) Sobol' point of the last sample, not yet scrambled
+    seeds: NDArray[np.uint32]  # (6,) of its pixel's scrambling
+    points: NDArray[np.uint32]  # (6, STARTS)
+    scrambling: NDArray[np.uint32]  # (6, STARTS)
+    numbers: Array  # (6, STARTS) what each sample starts from
+    keys: NDArray[np.uint64]  # (STARTS,)
+    near: Array  # (most + 1, LISTED) lenslets that may show the opening to some point of a pixel, see `list_cells`
+    cells: NDArray[np.int64]  # (3, most + 1) those that may show it to the point, whether they surely do, which do
+    packets: NDArray[np.void]  # (STARTS,) PACKET
+
+
+def start_room(aim: Aim) -> StartRoom:
+    """Return the memory in which paths are started."""
+    table = (DISCRETE + 1, STARTS)
+    most = most_listed(aim)
+    return StartRoom(
+        np.zeros(table[0], np.uint32),
+        np.zeros(table[0], np.uint32),
+        np.zeros(table, np.uint32),
+        np.zeros(table, np.uint32),
+        np.zeros(table),
+        np.zeros(STARTS, np.uint64),
+        np.zeros((most + 1, LISTED)),
+        np.zeros((3, most + 1), np.int64),
+        np.zeros(STARTS, PACKET),
+    )
+
+
+@kernel
+def _draw(
+    room: StartRoom, stratified: bool, replicate_key: np.uint64, pixels: NDArray[np.int64], which: int, sample: int,
+    samples: int, count: int,
+) -> None:  # fmt: skip
+    """Draw the numbers of `count` samples from a pixel's sample on: of the pixels' own Sobol' sets, or by chance."""
+    pixel_key = derived(replicate_key, pixels[which])
+    for i in range(count):
+        room.keys[i] = derived(pixel_key, sample)
+        if stratified:
+            if sample == 0:
+                for dimension in range(len(room.seeds)):
+                    room.point[dimension] = np.uint32(0)
+                    room.seeds[dimension] = scramble_seed(pixel_key, dimension)
+            else:
+                step(room.point, sample)
+            for dimension in range(len(room.seeds)):
+                room.points[dimension, i], room.scrambling[dimension, i] = room.point[dimension], room.seeds[dimension]
+        else:
+            for dimension in range(len(room.seeds)):
+                room.numbers[dimension, i] = start(room.keys[i], dimension)
+        sample += 1
+        if sample == samples:
+            which, sample = which + 1, 0
+            # After the last pixel of the run none is drawn for; the first stands in.
+            pixel_key = derived(replicate_key, pixels[which % len(pixels)])
+    if stratified:
+        for dimension in range(len(room.seeds)):
+            scramble(room.points[dimension], room.scrambling[dimension], room.numbers[dimension])
+
+
+@kernel
+def launch_adjoint(
+    pixels: NDArray[np.int64], samples: int, stratified: bool, replicate_key: np.uint64, wave: int,
+    sensor: SensorTables, array: ArrayTables, aim: Aim, frames: Array, lens_surfaces: int,
+    bundle: Array, flow: Flow, room: StartRoom,
+) -> None:  # fmt: skip
+    """Start `samples` packets from each of some pixels.
+
+    Parameters
+    ----------
+    pixels : (n,) int64
+        Their numbers, row by row.
+    stratified : bool
+        Start from scrambled Sobol' points in place of random ones.
+    """
+    _begin(room, wave, lens_surfaces)
+    station = PLATE if array.present else LENS
+    which, sample = 0, 0
+    for first in range(0, len(pixels) * samples, STARTS):
+        count = min(STARTS, len(pixels) * samples - first)
+        _draw(room, stratified, replicate_key, pixels, which, sample, samples, count)
+        which, sample = _aim(
+            room, bundle, pixels, which, sample, samples, count, replicate_key, wave, sensor, array, aim, frames,
+            flow.book,
+        )  # fmt: skip
+        for i in range(count):
+            if bundle[ENDED_ON + i] == 0.0:
+                put(
+                    flow, station, room.packets[i], SENSOR_FRAME, bundle[X + i], bundle[Y + i], bundle[Z + i],
+                    bundle[DX + i], bundle[DY + i], bundle[DZ + i], bundle[WEIGHT + i], room.keys[i], 0.0,
+                )  # fmt: skip
+
+
+@kernel
+def launch_along_image_path(
+    pixels: NDArray[np.int64], samples: int, stratified: bool, replicate_key: np.uint64, wave: int,
+    sensor: SensorTables, lens: LensTables, array: ArrayTables, aim: Aim, frames: Array,
+    bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow, room: StartRoom,
+) -> None:  # fmt: skip
+    """Do as `launch_adjoint` does, and take the packets through array and lens while they are at hand.
+
+    Parameters
+    ----------
+    bundle, numbers
+        Working memory of `image_path`.
+    """
+    _begin(room, wave, len(lens.surfaces))
+    station = PLATE if array.present else LENS
+    for i in range(STARTS):
+        numbers[i] = i
+    which, sample = 0, 0
+    for first in range(0, len(pixels) * samples, STARTS):
+        count = min(STARTS, len(pixels) * samples - first)
+        _draw(room, stratified, replicate_key, pixels, which, sample, samples, count)
+        which, sample = _aim(
+            room, bundle, pixels, which, sample, samples, count, replicate_key, wave, sensor, array, aim, frames,
+            flow.book,
+        )  # fmt: skip
+        pad(bundle, count)
+        move_bundle(bundle, frames[SENSOR_FRAME, CAMERA_FRAME])
+        follow_block(room.packets, station, False, count, lens, array, frames, bundle, numbers, options, flow)
+
+
+@kernel
+def _begin(room: StartRoom, wave: int, lens_surfaces: int) -> None:
+    """Fill in what all packets of a launch have in common."""
+    for i in range(STARTS):
+        packet = room.packets[i]
+        packet.wave = wave
+        packet.last = NO_SURFACE
+        packet.column = NO_SURFACE
+        packet.facet = NO_SURFACE
+        packet.node = NO_SURFACE
+        packet.kind = CAMERA
+        packet.space = lens_surfaces
+
+
+@kernel
+def _aim(
+    room: StartRoom, bundle: Array, pixels: NDArray[np.int64], which: int, sample: int, samples: int, count: int,
+    replicate_key: np.uint64, wave: int, sensor: SensorTables, array: ArrayTables, aim: Aim, frames: Array,
+    book: Array,
+) -> tuple[int, int]:  # fmt: skip
+    """Leave a block of rays (sensor frame) and their weights in the bundle, from the numbers that were drawn.
+
+    Returns
+    -------
+    which, sample : int
+        Pixel of the run, and its sample, with which the next block begins.
+    """
+    area = sensor.pixel * sensor.pixel * MM2 / samples
+    # The sensor's normal towards the array.
+    normal = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, -1.0)
+    near, begun = 0, -1
+    column, row, glass = 0.0, 0.0, 1.0
+    shares = Allotment(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    if array.present:
+        glass = glass_before_faces(array, wave)
+    for i in range(count):
+        pixel = pixels[which]
+        if which != begun:
+            begun = which
+            column, row = pixel % sensor.columns - 0.5 * sensor.columns, pixel // sensor.columns - 0.5 * sensor.rows
+            if array.present:
+                x, y = (column + 0.5) * sensor.pixel, (row + 0.5) * sensor.pixel
+                px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
+                near = list_cells(array, aim, px, py, pz, HALF_DIAGONAL * sensor.pixel, room.near)
+                shares = allotted(aim, near, samples, derived(replicate_key, pixel))
+        numbers = (
+            room.numbers[CELL_U, i], room.numbers[CELL_V, i], room.numbers[PIXEL_U, i],
+            room.numbers[PIXEL_V, i], room.numbers[WHICH_CELL, i], room.numbers[DISCRETE, i],
+        )  # fmt: skip
+        x, y = (column + numbers[PIXEL_U]) * sensor.pixel, (row + numbers[PIXEL_V]) * sensor.pixel
+        if array.present:
+            px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
+            dx, dy, dz, importance = through_a_lenslet(
+                array, aim, glass, normal, room.near, near, room.cells, numbers, sample, shares, px, py, pz
+            )  # fmt: skip
+            ux, uy, uz = move_direction(frames, ARRAY_FRAME, SENSOR_FRAME, dx, dy, dz)
+        else:
+            # The pupil disks are square to the axis of the lens, whichever way the sensor is tilted.
+            px, py, pz = move_point(frames, SENSOR_FRAME, CAMERA_FRAME, x, y, 0.0)
+            dx, dy, dz, density = aimed(
+                px, py, pz, aim.exit, aim.back_radius, aim.wide_share, aim.blind_share,
+                numbers[DISCRETE], numbers[CELL_U], numbers[CELL_V],
+            )  # fmt: skip
+            ux, uy, uz = move_direction(frames, CAMERA_FRAME, SENSOR_FRAME, dx, dy, dz)
+            importance = -uz / density if density > 0.0 else 0.0
+        weight = area * max(importance, 0.0)
+        load(bundle, i, x, y, 0.0, ux, uy, uz, weight)
+        if weight == 0.0:
+            bundle[ENDED_ON + i] = DROPPED
+        book[EMITTED] += weight
+        packet = room.packets[i]
+        packet.source = pixel | (which * samples + sample) << SAMPLE_SHIFT
+        packet.key, packet.start, packet.events = room.keys[i], weight, 0
+        sample += 1
+        if sample == samples:
+            which, sample = which + 1, 0
+    return which, sample

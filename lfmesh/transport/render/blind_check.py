@@ -1,0 +1,154 @@
+"""A check of the aim within a run: an estimate by rays that are not aimed at all, block of pixels by block.
+
+Rays that go anywhere estimate the same image. Few of them get through, so they tell large deficits only, and the
+smaller the stop, the larger these have to be: how large is part of the result. Small ones are the business of
+`aim_proof`. But here the whole chain is repeated without an aim, whatever made that go wrong.
+"""
+
+from dataclasses import dataclass, field
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.transport.aiming.lenslet_view import NOTHING_SEEN
+from lfmesh.transport.aiming.pupil import unknown_opening
+from lfmesh.transport.tables.tables import Aim
+
+Array = NDArray[np.float64]
+
+SHARE = 1.0 / 128.0
+"""Of the samples, added for the check."""
+
+CHUNK = 4096
+"""Blind samples that are traced together, of neighbouring pixels."""
+
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
+LEVEL = 1e-3
+"""Chance that the check fails though nothing is wrong, shared by the blocks (Bonferroni)."""
+
+MOST_BLOCKS = 8
+"""Along each side of the sensor."""
+
+HITS = 80
+"""Samples that found light which a block should have; less, and blocks are larger."""
+
+
+def without_aim(aim: Aim) -> Aim:
+    """Return an aim by which rays go anywhere: into the hemisphere, or to all of the lens where there is no array."""
+    return aim._replace(
+        entrance=unknown_opening(aim.entrance.plane_z, to_sensor=True),
+        exit=unknown_opening(aim.exit.plane_z, to_sensor=False),
+        wide_share=1.0,
+        blind_share=1.0,
+        slope_radius2=np.full_like(aim.slope_radius2, NOTHING_SEEN),
+        search=0,
+    )
+
+
+def first_of_runs(count: int, at_once: int, replicate: int) -> list[int]:
+    """Return where the runs of `at_once` pixels (or packets) begin that a replicate takes, spread over `count`."""
+    runs = max(1, round(SHARE * count / at_once))
+    places = GOLDEN * (1 + replicate * runs + np.arange(runs)) % 1.0
+    return [int(place * max(0, count - at_once + 1)) for place in places]
+
+
+@dataclass(frozen=True)
+class BlindCheck:
+    """Aimed against blind estimates of the light in blocks of pixels.
+
+    Attributes
+    ----------
+    blocks : (int, int)
+        Rows and columns of blocks that the sensor was divided into.
+    hits : int
+        Blind samples that found light.
+    worst : float
+        Largest difference of any block, in standard errors of the blind estimate; positive where the aim misses light.
+    limit : float
+        Of that, beyond which a difference is no chance (level 1e-3 in all).
+    smallest_deficit : float or None
+        Share of its light that half of the blocks could lack without being found out; None: even all of it.
+    """
+
+    blocks: tuple[int, int]
+    hits: int
+    worst: float
+    limit: float
+    smallest_deficit: float | None
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "BlindCheck":
+        """Return the check that was written as JSON."""
+        rows, columns = values["blocks"]
+        return cls(**values | {"blocks": (rows, columns)})
+
+    @property
+    def agrees(self) -> bool:
+        """Whether all blocks agree."""
+        return abs(self.worst) <= self.limit
+
+
+@dataclass
+class BlindSamples:
+    """What blind samples found, as a run collects it.
+
+    Attributes
+    ----------
+    rows, columns, waves : int
+        Pixels of the sensor, and wavelengths.
+    """
+
+    rows: int
+    columns: int
+    waves: int
+    values: list[NDArray[np.int64]] = field(default_factory=list)
+    found: list[Array] = field(default_factory=list)
+    looked_at: list[NDArray[np.int64]] = field(default_factory=list)
+    images: int = 0
+
+    def add(self, pixels: NDArray[np.int64], wave: int, found: Array) -> None:
+        """Add pixels (n,) and the light (n,) that their samples estimate, W; zeros too."""
+        lit = found > 0.0
+        self.values.append(pixels[lit] * self.waves + wave)
+        self.found.append(found[lit])
+        self.looked_at.append(pixels * self.waves + wave)
+
+    def add_image(self, pixels: NDArray[np.int64], wave: int, found: Array) -> None:
+        """Add packets of an estimate of the whole image: the pixels (n,) that they fell on, what they brought, W."""
+        self.values.append(pixels * self.waves + wave)
+        self.found.append(found)
+        self.images += wave == 0
+
+    def compared(self, mean: Array) -> BlindCheck:
+        """Return the comparison with an image, (rows, columns, wavelengths) float64, W."""
+        nothing = np.zeros(0)
+        values = np.concatenate([*self.values, nothing.astype(np.int64)])
+        found = np.concatenate([*self.found, nothing])
+        looked_at = np.concatenate([*self.looked_at, nothing.astype(np.int64)])
+        side = int(np.clip(np.sqrt(len(values) / HITS), 1, MOST_BLOCKS))
+        blocks = min(side, self.rows), min(side, self.columns)
+
+        def summed(of: NDArray[np.int64], values: Array) -> Array:
+            row, column = np.divmod(of // self.waves, self.columns)
+            block = row * blocks[0] // self.rows * blocks[1] + column * blocks[1] // self.columns
+            sums: Array = np.bincount(block, values, blocks[0] * blocks[1]).astype(np.float64)
+            return sums
+
+        light = mean.reshape(-1)
+        blind, squares = summed(values, found), summed(values, found**2)
+        expected = summed(looked_at, light[looked_at])
+        if self.images:
+            expected += self.images * summed(np.arange(light.size), light)
+        # A block that found little would think itself certain: the spread is at least that of what is expected.
+        typical = squares.sum() / max(blind.sum(), np.finfo(np.float64).tiny)
+        spread = np.sqrt(np.maximum(squares, expected * typical))
+        limit = -NormalDist().inv_cdf(LEVEL / 2.0 / blind.size)
+        known = spread > 0.0
+        z = (blind - expected)[known] / spread[known]
+        deficit = np.divide(limit * spread, expected, out=np.full_like(spread, np.inf), where=known & (expected > 0.0))
+        worst = float(z[np.abs(z).argmax()]) if z.size else 0.0
+        smallest = float(np.median(deficit))
+        return BlindCheck(blocks, len(values), worst, limit, smallest if smallest < 1.0 else None)

@@ -1,0 +1,118 @@
+"""Classes of paths that are estimated apart, and which way each is traced.
+
+Paths with reflections carry a few per cent of the light and cost ten times as much as the image path. So the adjoint
+method estimates the two apart, and adds them: the image path with the sequential engine, and with the mesh engine all
+other paths, for which fewer samples do. Where a lamp and glass are in the scene, what the lamp's light does there comes
+as a part of its own, traced forward. `path_class` says which path is in which part; each is in one, and counts once.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.scene import Scene
+from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_STRAYS
+from lfmesh.transport.choice import engine_of
+from lfmesh.transport.packets.packet import BOTH, LIT, REACHED, TRANSMIT, Options
+from lfmesh.transport.packets.path_class import LAMP_THROUGH_GLASS, OFF_IMAGE_PATH
+from lfmesh.transport.packets.settings import options_of
+from lfmesh.transport.render.blind_check import without_aim
+from lfmesh.transport.tables.objects import aimed_at_glass
+from lfmesh.transport.tables.tables import Tables
+from lfmesh.transport.world import World
+
+IMAGE_PATHS_PER_STRAY = 2
+"""Samples of the image path for each one of the paths off it."""
+
+SCATTERED_PER_FOLLOWED = 25.0
+"""Without glass in object space: scattered paths, not yet off the image path, for each one that is followed. What a
+lens surface reflects of it, some 4 %, then weighs as much as other children do."""
+
+OWN_BOOK, LAMP_BOOK, BOOKS = 0, 1, 2
+"""Rows of a run's books: of the method's own packets, and in the adjoint method of those that lamps send, in W."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Paths that are traced in one way.
+
+    Attributes
+    ----------
+    number : int
+    options : Options
+        `adjoint` tells whether it is traced from pixels or, forward, from lamps.
+    tables : Tables
+    thinned : int
+        It takes one of so many samples; a part that is traced forward has as many packets as its samples and the pixels
+        make.
+    accounts : bool
+        Its book accounts for all energy; another part's has nothing new but what its own paths reach.
+    book : int
+        Row of the run's books that its own goes into.
+    """
+
+    number: int
+    options: Options
+    tables: Tables
+    thinned: int = 1
+    accounts: bool = True
+    book: int = OWN_BOOK
+
+    def samples(self, of_image: int) -> int:
+        """Return its samples of a pixel that gets so many in all; one at least."""
+        return max(1, of_image // self.thinned)
+
+    def booked(self, book: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what of a chunk's book goes into the run's books, (BOOKS, slots)."""
+        kept = np.zeros((BOOKS, len(book)))
+        if self.accounts:
+            kept[self.book] = book
+        else:
+            kept[self.book, [REACHED, LIT]] = book[[REACHED, LIT]]
+        return kept
+
+
+def parts_of(world: World, *, aimed: bool = True) -> tuple[Part, ...]:
+    """Return the parts of a scene's image; all that are there are added."""
+    options, tables = options_of(world, aimed=aimed), world.tables
+    lamps = lamp_parts(world) if options.adjoint else ()
+    if engine_of(world.scene)[0] != "both":
+        return (Part(0, options, tables), *lamps)
+    path = tables.aim._replace(wide_share=WIDE_SHARE_OF_IMAGE_PATH, blind_share=WIDE_SHARE_OF_IMAGE_PATH)
+    strays = tables.aim._replace(wide_share=WIDE_SHARE_OF_STRAYS)
+    return (
+        Part(0, options._replace(split=TRANSMIT, sequential=True), tables._replace(aim=path), accounts=False),
+        Part(1, _off_image_path(options, tables), tables._replace(aim=strays), IMAGE_PATHS_PER_STRAY),
+        *lamps,
+    )
+
+
+def _off_image_path(options: Options, tables: Tables) -> Options:
+    """Return the options of the part that estimates paths off the image path."""
+    options = options._replace(paths=OFF_IMAGE_PATH)
+    if options.split == BOTH and not (tables.objects.glass > 0.0).any():
+        # Once scattered, few come to the lens, which alone could turn them off the image path.
+        return options._replace(unturned_cutoff=SCATTERED_PER_FOLLOWED * options.cutoff)
+    return options
+
+
+def lamp_parts(world: World) -> tuple[Part, ...]:
+    """Return the part of an adjoint image that is traced from the lamps, or none where the scene has no such light."""
+    objects = aimed_at_glass(world.tables.objects)
+    if objects is None:
+        return ()
+    options = options_of(world)._replace(adjoint=False, paths=LAMP_THROUGH_GLASS)
+    return (Part(2, options, world.tables._replace(objects=objects), book=LAMP_BOOK),)
+
+
+def blind_part(world: World) -> Part:
+    """Return all paths of an image, as rays that are not aimed find them: to check the other parts by."""
+    options, tables = options_of(world), world.tables
+    return Part(3, options, tables._replace(aim=without_aim(tables.aim)), accounts=False)
+
+
+def in_words(scene: Scene, parts: tuple[Part, ...]) -> str:
+    """Return which engine traces an image and why, and that lamps have a part of their own."""
+    words = ": ".join(engine_of(scene))
+    return f"{words}; lamps' light through glass forward" if any(part.book == LAMP_BOOK for part in parts) else words

@@ -1,0 +1,1 @@
+"""The sequential engine: blocks of rays through exact surfaces in their known order."""

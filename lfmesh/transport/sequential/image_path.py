@@ -1,0 +1,345 @@
+"""The sequential engine: the image path through lens and array, whose exact surfaces are met in their known order.
+
+It takes the place of the stations of the lens and of the array, in either direction; targets stay with Embree. What is
+reflected, and what total reflection or a lenslet's neighbour turns off the path, is not followed: its power is booked.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.lattice import cell_of, centre, is_inside, leaves_at, neighbour, stays_inside
+from lfmesh.geometry.lenslets import are_alike, cap_sag, shape_of
+from lfmesh.geometry.surface import conic_distance
+from lfmesh.geometry.tessellation import OVERREACH
+from lfmesh.kernel import kernel
+from lfmesh.optics.fresnel import fresnel
+from lfmesh.transport.events.crossing import end, move_packet, refracted
+from lfmesh.transport.packets.packet import (
+    ARRAY_EDGE,
+    ARRAY_FRAME,
+    ARRAY_MOUNT,
+    ARRAY_WALL,
+    CAMERA_FRAME,
+    EVENTS,
+    HOUSING,
+    LEFT_LENS,
+    LENS,
+    NO_SURFACE,
+    OBJECT_FRAME,
+    OBJECTS,
+    PLATE,
+    S_ABSORBED,
+    SENSOR,
+    STOP,
+    UNFOLLOWED,
+    Flow,
+    Options,
+    put,
+)
+from lfmesh.transport.sequential.lens_bundle import (
+    BESIDE,
+    BLOCK,
+    DROPPED,
+    DX,
+    DY,
+    DZ,
+    ENDED_ON,
+    LEFT_BEHIND,
+    MET,
+    WEIGHT,
+    X,
+    Y,
+    Z,
+    load,
+    move_bundle,
+    normalise,
+    pad,
+    through_stop,
+    through_surface,
+)
+from lfmesh.transport.sequential.lenslet_bundle import PASSED, through_single_lenslets
+from lfmesh.transport.tables.tables import ArrayTables, LensTables
+
+Array = NDArray[np.float64]
+
+MEETS_FACE, LEAVES_LAYER = -1, -2
+"""What a ray does in the layer of lenslets, if it is not ended there."""
+
+
+@kernel
+def follow_image_path(
+    wave: NDArray[np.void], station: int, lens: LensTables, array: ArrayTables, frames: Array,
+    bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow,
+) -> None:  # fmt: skip
+    """Take a wave that waits for the lens or the array to object space or to the sensor.
+
+    Parameters
+    ----------
+    bundle : (ROWS · BLOCK,) float64
+    numbers : (BLOCK,) int64
+        Working memory, as the bundle is.
+    """
+    for to_sensor in (True, False):
+        count = 0
+        for i in range(len(wave)):
+            packet = wave[i]
+            if packet.frame != CAMERA_FRAME:
+                move_packet(frames, packet, CAMERA_FRAME)
+            if (packet.dz > 0.0) != to_sensor:
+                continue
+            if station == LENS and packet.space == 0 and not to_sensor:
+                # From object space, on its way back there beside the lens.
+                child = put(
+                    flow, OBJECTS, packet, CAMERA_FRAME, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz,
+                    packet.weight, packet.key, 0.0,
+                )  # fmt: skip
+                child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
+                continue
+            load(
+                bundle, count, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz, packet.weight
+            )  # fmt: skip
+            numbers[count] = i
+            count += 1
+            if count == BLOCK:
+                follow_block(wave, station, to_sensor, count, lens, array, frames, bundle, numbers, options, flow)
+                count = 0
+        if count > 0:
+            pad(bundle, count)
+            follow_block(wave, station, to_sensor, count, lens, array, frames, bundle, numbers, options, flow)
+
+
+@kernel
+def follow_block(
+    wave: NDArray[np.void], station: int, to_sensor: bool, count: int, lens: LensTables, array: ArrayTables,
+    frames: Array, bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow,
+) -> None:  # fmt: skip
+    """Take one bundle of rays (camera frame) that go the same way along its path, and hand its packets on.
+
+    Parameters
+    ----------
+    wave : (n,) PACKET
+        The packets as they were before.
+    count : int
+        Rays in the bundle.
+    numbers : (BLOCK,) int64
+        Which packet of the wave each ray is.
+    """
+    colour = wave[numbers[0]].wave
+    at_lens = station != PLATE
+    if to_sensor:
+        if at_lens:
+            through_lens(bundle, lens, colour, True)
+        if array.present:
+            through_array(bundle, count, array, colour, frames, to_sensor)
+    else:
+        if not at_lens:
+            through_array(bundle, count, array, colour, frames, to_sensor)
+        through_lens(bundle, lens, colour, False)
+    normalise(bundle)
+    _hand_on(wave, to_sensor, count, frames, bundle, numbers, options, flow)
+
+
+@kernel
+def _hand_on(
+    wave: NDArray[np.void], to_sensor: bool, count: int, frames: Array, bundle: Array, numbers: NDArray[np.int64],
+    options: Options, flow: Flow,
+) -> None:  # fmt: skip
+    """Put the packets that came through on the next stack, and end the others."""
+    station, frame = SENSOR, CAMERA_FRAME
+    if not to_sensor:
+        # All at once, before the station takes them one by one.
+        station, frame = OBJECTS, OBJECT_FRAME
+        move_bundle(bundle, frames[CAMERA_FRAME, OBJECT_FRAME])
+    left_behind, events = 0.0, 0
+    for i in range(count):
+        packet = wave[numbers[i]]
+        left_behind += bundle[LEFT_BEHIND + i]
+        met = int(bundle[MET + i])
+        events += met
+        packet.events += met
+        x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        weight, ended = bundle[WEIGHT + i], bundle[ENDED_ON + i]
+        if ended == 0.0:
+            child = put(flow, station, packet, frame, x, y, z, dx, dy, dz, weight, packet.key, 0.0)
+            child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
+        elif ended == BESIDE:
+            x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
+            child = put(flow, OBJECTS, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, packet.key, 0.0)
+            child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
+        elif ended != DROPPED:
+            end(
+                options, flow, frames, packet, frame, x, y, z, dx, dy, dz, weight, int(ended) - 1, S_ABSORBED
+            )  # fmt: skip
+    flow.counts[EVENTS] += events
+    flow.book[UNFOLLOWED] += left_behind
+
+
+@kernel
+def through_lens(bundle: Array, lens: LensTables, colour: int, to_sensor: bool) -> None:
+    """Take a bundle (camera frame) through all surfaces of the lens and its stop."""
+    last = len(lens.surfaces)
+    for step in range(last + 1):
+        space = step if to_sensor else last - step
+        if lens.stop_space == space:
+            through_stop(bundle, lens.stop_z, lens.stop_radius, float(STOP))
+        if step == last:
+            break
+        k = space if to_sensor else space - 1
+        into = space + 1 if to_sensor else space - 1
+        beyond = lens.ring_slot[space] + 1.0
+        if step == 0:
+            beyond = BESIDE if to_sensor else HOUSING + 1.0
+        through_surface(
+            bundle, lens.surfaces[k], 1.0 if to_sensor else -1.0,
+            lens.indices[space, colour], lens.indices[into, colour],
+            lens.surfaces[k].aperture * (1.0 + OVERREACH), lens.mount_slot[k] + 1.0, beyond,
+        )  # fmt: skip
+
+
+@kernel
+def through_array(bundle: Array, count: int, array: ArrayTables, colour: int, frames: Array, to_sensor: bool) -> None:
+    """Take a bundle (camera frame) through the array, curved or flat face first, and back into the camera frame.
+
+    All rays at once that meet one lenslet only; the others ray by ray, walking from cell to cell.
+    """
+    move_bundle(bundle, frames[CAMERA_FRAME, ARRAY_FRAME])
+    glass = array.indices[colour]
+    inward = to_sensor == array.curved_to_lens
+    through_single_lenslets(bundle, array, glass, inward)
+    for i in range(count):
+        if bundle[ENDED_ON + i] != 0.0 or bundle[PASSED + i] > 0.0:
+            continue
+        if bundle[DZ + i] > 0.0:
+            through = _through_curved_face(bundle, i, array, 1.0, glass) and _through_flat_face(
+                bundle, i, array, glass, 1.0
+            )
+        else:
+            through = _through_flat_face(bundle, i, array, 1.0, glass) and _through_curved_face(
+                bundle, i, array, glass, 1.0
+            )
+        if not through and bundle[ENDED_ON + i] == 0.0:
+            bundle[LEFT_BEHIND + i] += bundle[WEIGHT + i]
+            bundle[ENDED_ON + i] = DROPPED
+    move_bundle(bundle, frames[ARRAY_FRAME, CAMERA_FRAME])
+
+
+@kernel
+def _through_flat_face(bundle: Array, i: int, array: ArrayTables, n_i: float, n_t: float) -> bool:
+    lattice = array.lenslets.lattice
+    x, y, dz = bundle[X + i], bundle[Y + i], bundle[DZ + i]
+    t = (array.lenslets.thickness - bundle[Z + i]) / dz
+    if not t > 0.0:
+        return _ends(bundle, i, 0.0, ARRAY_MOUNT)
+    to_x, to_y = x + t * bundle[DX + i], y + t * bundle[DY + i]
+    if dz > 0.0:
+        held = stays_inside(lattice, x, y, to_x, to_y)
+    else:
+        column, row = cell_of(lattice, to_x, to_y)
+        held = is_inside(lattice, column, row)
+    if not held:
+        return _ends(bundle, i, t, ARRAY_EDGE if dz > 0.0 else ARRAY_MOUNT)
+    bundle[X + i], bundle[Y + i], bundle[Z + i] = to_x, to_y, array.lenslets.thickness
+    return _bend(bundle, i, 0.0, 0.0, 1.0 if dz > 0.0 else -1.0, n_i, n_t)
+
+
+@kernel
+def _through_curved_face(bundle: Array, i: int, array: ArrayTables, n_i: float, n_t: float) -> bool:
+    """Refract a ray at the face of the lenslet that it meets, and bring it out of the layer of faces."""
+    lenslets = array.lenslets
+    lattice = lenslets.lattice
+    x, y, z, dz = bundle[X + i], bundle[Y + i], bundle[Z + i], bundle[DZ + i]
+    inward = dz > 0.0
+    if inward and z > lenslets.valley:
+        return _ends(bundle, i, 0.0, ARRAY_MOUNT)
+    t = max(0.0, ((lenslets.top if inward else lenslets.valley) - z) / dz)
+    at_x, at_y = x + t * bundle[DX + i], y + t * bundle[DY + i]
+    column, row = cell_of(lattice, at_x, at_y)
+    if not (is_inside(lattice, column, row) if inward else stays_inside(lattice, x, y, at_x, at_y)):
+        return _ends(bundle, i, t, ARRAY_MOUNT if inward else ARRAY_EDGE)
+    fate, t, column, row = _next_in_layer(bundle, i, array, inward, column, row, t)
+    if fate >= 0:
+        return _ends(bundle, i, t, fate)
+    if fate != MEETS_FACE:
+        return False
+    bundle[X + i] += t * bundle[DX + i]
+    bundle[Y + i] += t * bundle[DY + i]
+    bundle[Z + i] += t * dz
+    cx, cy = centre(lattice, column, row)
+    curvature, ex, ey = shape_of(lenslets, column, row)
+    sense = 1.0 if inward else -1.0
+    nx, ny = -curvature * (bundle[X + i] - cx - ex), -curvature * (bundle[Y + i] - cy - ey)
+    nz = 1.0 - curvature * bundle[Z + i]
+    if not _bend(bundle, i, sense * nx, sense * ny, sense * nz, n_i, n_t) or (bundle[DZ + i] > 0.0) != inward:
+        return False
+    fate, t, column, row = _next_in_layer(bundle, i, array, not inward, column, row, 0.0)
+    if fate >= 0:
+        return _ends(bundle, i, t, fate)
+    return fate == LEAVES_LAYER
+
+
+@kernel
+def _next_in_layer(
+    bundle: Array, i: int, array: ArrayTables, in_air: bool, column: int, row: int, start: float
+) -> tuple[int, float, int, int]:
+    """Walk a ray through the layer of faces; return what becomes of it (or the slot that ends it), where, which cell.
+
+    Parameters
+    ----------
+    start : float
+        Distance at which it is known to be in the cell given.
+    """
+    lenslets = array.lenslets
+    lattice = lenslets.lattice
+    x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
+    dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+    out = ((lenslets.valley if dz > 0.0 else lenslets.top) - z) / dz
+    t = start
+    while True:
+        cx, cy = centre(lattice, column, row)
+        curvature, ex, ey = shape_of(lenslets, column, row)
+        leaves, side = leaves_at(lattice, x - cx, y - cy, dx, dy)
+        met, more = conic_distance(
+            curvature, 0.0, x + t * dx - cx - ex, y + t * dy - cy - ey, z + t * dz, dx, dy, dz, 1.0 if in_air else -1.0
+        )
+        hit = t + more
+        # Beyond the layer lies the sphere's other half.
+        if met and 0.0 < hit <= leaves and curvature * (z + hit * dz) < 1.0:
+            return MEETS_FACE, hit, column, row
+        if out < leaves:
+            return LEAVES_LAYER, out, column, row
+        t = leaves
+        column, row = neighbour(lattice, column, row, side)
+        if not is_inside(lattice, column, row):
+            return ARRAY_MOUNT if in_air else ARRAY_EDGE, t, column, row
+        if not are_alike(lenslets):
+            cx, cy = centre(lattice, column, row)
+            curvature, ex, ey = shape_of(lenslets, column, row)
+            px, py = x + t * dx - cx - ex, y + t * dy - cy - ey
+            if (z + t * dz > cap_sag(curvature, px * px + py * py)) == in_air:
+                return ARRAY_WALL, t, column, row
+
+
+@kernel
+def _bend(bundle: Array, i: int, nx: float, ny: float, nz: float, n_i: float, n_t: float) -> bool:
+    """Refract a ray at a normal that looks along it; false is total reflection, whose power is left behind."""
+    dx, dy, dz, weight = bundle[DX + i], bundle[DY + i], bundle[DZ + i], bundle[WEIGHT + i]
+    cos_i = min(nx * dx + ny * dy + nz * dz, 1.0)
+    reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
+    bundle[MET + i] += 1.0
+    if transmittance == 0.0:
+        return False
+    bundle[LEFT_BEHIND + i] += weight * reflectance
+    bundle[WEIGHT + i] = weight * transmittance
+    bundle[DX + i], bundle[DY + i], bundle[DZ + i] = refracted(dx, dy, dz, nx, ny, nz, n_i / n_t, cos_i, cos_t)
+    return True
+
+
+@kernel
+def _ends(bundle: Array, i: int, t: float, slot: int) -> bool:
+    """End a ray after a distance; return false: it does not go on."""
+    bundle[X + i] += t * bundle[DX + i]
+    bundle[Y + i] += t * bundle[DY + i]
+    bundle[Z + i] += t * bundle[DZ + i]
+    bundle[ENDED_ON + i] = slot + 1.0
+    return False

@@ -1,0 +1,111 @@
+"""The tables of lens and array: surfaces, facets, media, as the kernels read them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.lattice import Lattice
+from lfmesh.geometry.lens_shape import LensShape
+from lfmesh.geometry.lenslets import OFFSET, Lenslets, cell_mesh, lenslets
+from lfmesh.geometry.levels import PATCH
+from lfmesh.geometry.mesh import Array, Mesh, facet_table, joined
+from lfmesh.geometry.patch import neighbours, patches
+from lfmesh.optics.glass import refractive_index
+from lfmesh.scene import Scene
+from lfmesh.transport.packets.packet import (
+    FIRST_BODY,
+    MOUNT,
+    STOP,
+)
+from lfmesh.transport.tables.tables import (
+    ArrayTables,
+    LensTables,
+)
+
+
+def lens_tables(
+    scene: Scene, shape: LensShape, waves: tuple[float, ...], lost_slots: NDArray[np.int64]
+) -> tuple[Mesh, LensTables]:
+    """Return the facets of the lens as one mesh, for Embree, and its tables."""
+    count = len(shape.caps)
+    mesh = joined([*shape.caps, *shape.closures])
+    bodies = np.repeat(
+        [*range(count), *(-1 - s for s in range(1, count))],
+        [len(m.faces) for m in (*shape.caps, *shape.closures)],
+    )
+    ring_slot = np.full(count + 1, MOUNT)
+    for i, k in enumerate(shape.elements):
+        ring_slot[k + 1] = FIRST_BODY + i
+    stop_space, stop_z, stop_radius = _pure_stop(scene, shape)
+    caps = np.concatenate([m.vertices for m in shape.caps])
+    # The box stands off by a rounding error, so that a flat surface has one that a ray can enter.
+    slack = 1e-9 * np.abs(caps).max()
+    first, last = shape.surfaces[0], shape.surfaces[-1]
+    return mesh, LensTables(
+        shape.surfaces,
+        *curved(bool((shape.surfaces["level"] == PATCH).any()), mesh),
+        facet_table(mesh, bodies.astype(np.int64)),
+        np.array([[refractive_index(medium, w) for w in waves] for medium in shape.media]),
+        ring_slot.astype(np.int64),
+        np.where(shape.surfaces["stop"] == 1, STOP, MOUNT).astype(np.int64),
+        stop_space,
+        stop_z,
+        stop_radius,
+        caps.min(axis=0) - slack,
+        caps.max(axis=0) + slack,
+        bool(first["curvature"] >= 0 and first["terms"] == 0),
+        bool(last["curvature"] <= 0 and last["terms"] == 0),
+        lost_slots,
+    )
+
+
+def _pure_stop(scene: Scene, shape: LensShape) -> tuple[int, float, float]:
+    """Return the space of a stop that is no refracting surface, its z and its radius; space −1: there is none."""
+    prescription = scene.camera.lens
+    for i, s in enumerate(prescription.surfaces):
+        if prescription.is_pure_stop(i):
+            space = sum(number < i for number in shape.numbers)
+            return space, prescription.vertices_mm[i], float(s.semi_diameter_mm or np.inf)
+    return -1, 0.0, np.inf
+
+
+def array_tables(scene: Scene, waves: tuple[float, ...]) -> tuple[Mesh, ArrayTables]:
+    """Return the cells of the array, one a type side by side, as one mesh for Embree, and its tables."""
+    mla = scene.camera.mla
+    if mla is None:
+        nothing = lenslets(Lattice(False, 1.0, 1, 1), np.array([np.inf]), 1.0)
+        empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+        return empty, _cells(False, False, nothing, empty, 0.0, np.ones(len(waves)), True)
+    lattice = Lattice(
+        mla.layout == "hexagonal", mla.pitch_mm * (1.0 + mla.form.pitch_error), mla.count[0], mla.count[1]
+    )
+    shapes = lenslets(
+        lattice,
+        np.asarray(mla.radius_mm, dtype=np.float64),
+        mla.thickness_mm,
+        decenter_mm=mla.form.decenter_mm,
+        radius_error=mla.form.radius_error,
+        seed=mla.form.seed,
+    )
+    shift = OFFSET * lattice.pitch
+    cells = [cell_mesh(shapes, kind) for kind in range(mla.types)]
+    mesh = joined(
+        Mesh(np.add(c.vertices, [kind * shift, 0.0, 0.0]), c.faces, c.corner_normals) for kind, c in enumerate(cells)
+    )
+    index = np.array([refractive_index(mla.medium, w) for w in waves])
+    return mesh, _cells(scene.transport.surface == "patch", True, shapes, mesh, shift, index, mla.curved_side == "lens")
+
+
+def _cells(
+    is_curved: bool, present: bool, shapes: Lenslets, mesh: Mesh, shift: float, index: Array, curved_to_lens: bool
+) -> ArrayTables:
+    bodies = np.zeros(len(mesh.faces), np.int64)
+    return ArrayTables(
+        present, shapes, *curved(is_curved, mesh), facet_table(mesh, bodies), shift, index, curved_to_lens
+    )
+
+
+def curved(needed: bool, mesh: Mesh) -> tuple[Array, NDArray[np.int64]]:
+    """Return the patches of a mesh and their neighbours, empty where no surface needs them."""
+    if not needed or mesh.corner_normals is None:
+        return np.zeros((0, 6, 3)), np.zeros((0, 3), np.int64)
+    return patches(mesh.vertices[mesh.faces], mesh.corner_normals), neighbours(mesh.faces, mesh.corner_normals)

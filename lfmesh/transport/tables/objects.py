@@ -1,0 +1,241 @@
+"""The tables of object space: targets, lights, what forward packets start from, and the camera's outside."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import SceneError
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.lens_shape import LensShape
+from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
+from lfmesh.geometry.mesh import Array, Mesh, facet_normals, facet_table, joined
+from lfmesh.geometry.targets import TargetMesh
+from lfmesh.geometry.tessellation import (
+    mesh_sag,
+    revolved,
+)
+from lfmesh.geometry.texture import wavelength_weights
+from lfmesh.optics.glass import refractive_index
+from lfmesh.scene import Scene
+from lfmesh.transport.packets.packet import (
+    CAMERA_FRAME,
+    LOST_OUTSIDE,
+    OBJECT_FRAME,
+    SENSOR_FRAME,
+    WORLD_FRAME,
+)
+from lfmesh.transport.tables.frames import frame_table
+from lfmesh.transport.tables.lens import curved
+from lfmesh.transport.tables.tables import (
+    DIRECTIONAL,
+    DISK,
+    LIGHT,
+    POINT,
+    SOURCE,
+    ObjectTables,
+)
+
+
+def middle_of(targets: list[TargetMesh]) -> Array:
+    """Return the middle of the targets' bounding box in the world frame."""
+    if not targets:
+        return np.zeros(3)
+    vertices = np.concatenate([t.mesh.vertices for t in targets])
+    return np.asarray(0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))
+
+
+def housing_mesh(scene: Scene, shape: LensShape) -> Mesh:
+    """Return the camera's outside: a plate round the first rim, the barrel, and the body round array and sensor."""
+    barrel = 1.05 * max(shape.rims)
+    front = float(shape.surfaces[0]["vertex_z"] + mesh_sag(shape.surfaces[0], shape.rims[0]))
+    back = float(shape.surfaces[-1]["vertex_z"] + mesh_sag(shape.surfaces[-1], shape.rims[-1]))
+    moves = frame_table(scene, np.zeros(3))
+    corners = [np.multiply(0.5, scene.camera.sensor.size_mm)]
+    if scene.camera.mla is not None:
+        corners.append(np.multiply(0.5, scene.camera.mla.size_mm))
+    body = max(barrel, 1.1 * max(float(np.hypot(*corner)) for corner in corners))
+    end = float(moves[SENSOR_FRAME, CAMERA_FRAME, 2, 3]) + 0.5 * body
+    back = max(back, front)
+    profile = [[shape.rims[0], front], [barrel, front], [barrel, back], [body, back], [body, end], [0.0, end]]
+    mesh = revolved(np.array(profile), 6 * shape.rings)
+    return Mesh(mesh.vertices, mesh.faces[facet_normals(mesh)[1] > 0.0])
+
+
+def refuse_targets_inside(targets: list[TargetMesh], housing: Mesh, moves: Array) -> None:
+    """Refuse a target that reaches into the camera's outline."""
+    radius = np.hypot(housing.vertices[:, 0], housing.vertices[:, 1])
+    front, end = housing.vertices[:, 2].min(), housing.vertices[:, 2].max()
+    rounding = 4.0 * np.finfo(np.float64).eps * np.abs(housing.vertices).max()
+    barrel = radius[housing.vertices[:, 2] <= front + rounding].max()
+    for i, target in enumerate(targets):
+        corners = frames.points(moves[WORLD_FRAME, CAMERA_FRAME], target.mesh.vertices)[target.mesh.faces]
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        near = (low[:, :2] < barrel).all(axis=1) & (high[:, :2] > -barrel).all(axis=1)
+        near &= (low[:, 2] < end) & (high[:, 2] > front)
+        for facet in corners[near]:
+            within = _between(facet, front, end)
+            if len(within) and _distance_to_axis(within) < barrel:
+                raise SceneError(
+                    f"targets[{i}] reaches into the camera, at z = {within[:, 2].mean():.6g} mm in the camera frame; "
+                    f"move it in front of z = {front:.6g} mm or beside the barrel (radius {barrel:.6g} mm)"
+                )
+
+
+def _between(polygon: Array, front: float, end: float) -> Array:
+    """Return the part of a convex polygon (n, 3) between two planes square to the axis."""
+    for sign, plane in ((1.0, front), (-1.0, end)):
+        height = sign * (polygon[:, 2] - plane)
+        kept = []
+        for p, q, a, b in zip(polygon, np.roll(polygon, -1, axis=0), height, np.roll(height, -1), strict=True):
+            if a >= 0.0:
+                kept.append(p)
+            if (a >= 0.0) != (b >= 0.0):
+                kept.append(p + a / (a - b) * (q - p))
+        polygon = np.array(kept).reshape(-1, 3)
+    return polygon
+
+
+def _distance_to_axis(polygon: Array) -> float:
+    """Return the distance of a convex polygon (n, 3) from the axis."""
+    p = polygon[:, :2]
+    edge = np.roll(p, -1, axis=0) - p
+    turn = p[:, 0] * edge[:, 1] - p[:, 1] * edge[:, 0]
+    if turn.sum() != 0.0 and ((turn >= 0.0).all() or (turn <= 0.0).all()):
+        return 0.0
+    square = np.maximum((edge**2).sum(axis=1), np.finfo(np.float64).tiny)
+    share = np.clip(-(p * edge).sum(axis=1) / square, 0.0, 1.0)
+    return float(np.hypot(*(p + share[:, None] * edge).T).min())
+
+
+def object_tables(
+    scene: Scene, targets: list[TargetMesh], housing: Mesh, moves: Array,
+    target_slots: NDArray[np.int64], lost_slots: NDArray[np.int64], waves: tuple[float, ...],
+) -> tuple[Mesh, ObjectTables]:  # fmt: skip
+    """Return targets and housing as one mesh in the object frame, for Embree, and their tables."""
+    to_object = moves[WORLD_FRAME, OBJECT_FRAME]
+    parts = [t.mesh.moved(to_object) for t in targets]
+    mesh = joined([*parts, housing.moved(moves[CAMERA_FRAME, OBJECT_FRAME])])
+    bodies = np.repeat([*range(len(parts)), -1], [len(m.faces) for m in (*parts, housing)])
+    facets = facet_table(mesh, bodies.astype(np.int64))
+    uv = np.zeros((len(mesh.faces), 3, 2))
+    texture = np.zeros((len(targets), 3), np.int64)
+    weights = np.array([wavelength_weights(w) for w in waves])
+    texels: list[NDArray[np.float32]] = []
+    filled = 0
+    for i, target in enumerate(targets):
+        if target.texture is None or target.uv is None:
+            continue
+        uv[bodies == i] = target.uv
+        height, width = target.texture.shape[:2]
+        texture[i] = filled, height, width
+        texels.append((target.texture.reshape(-1, 3) @ weights.T).astype(np.float32))
+        filled += height * width
+    materials = [t.material for t in scene.targets]
+    radius = max((float(np.linalg.norm(m.vertices, axis=1).max()) for m in parts), default=0.0)
+    glasses = [t.refractor for t in scene.targets]
+    level = np.array([SURFACE_LEVEL[g.surface] if g is not None else 0 for g in glasses], dtype=np.int64)
+    tables = ObjectTables(
+        facets,
+        uv,
+        np.array([t.closed for t in targets], dtype=np.bool_),
+        _by_wave([m.reflectance for m in materials], waves),
+        _by_wave([m.radiance_w_m2_sr for m in materials], waves),
+        np.array([[refractive_index(g.medium, w) if g is not None else 0.0 for w in waves] for g in glasses]).reshape(
+            -1, len(waves)
+        ),
+        level,
+        *curved(bool((level == PATCH).any()), mesh),
+        texture,
+        np.concatenate(texels) if texels else np.zeros((0, len(waves)), np.float32),
+        target_slots,
+        np.append(lost_slots, LOST_OUTSIDE),
+        _lights(scene, to_object),
+        np.zeros(0, SOURCE),
+        radius,
+        float(np.linalg.norm(mesh.vertices, axis=1).max()),
+        np.zeros(3),
+        radius,
+    )
+    return mesh, tables._replace(sources=_sources([*_lamps(tables), *_glowing_facets(tables, mesh)]))
+
+
+def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
+    """Return the tables from which the forward method starts the packets of lamps alone, towards glass.
+
+    None where there is nothing to start: no lamp, no glass, or no target that scatters.
+    """
+    glass = (objects.glass > 0.0).any(axis=1)
+    facets = np.append(glass, False)[objects.facets["body"]]
+    if not len(objects.lights) or not facets.any() or not (objects.reflectance[~glass] > 0.0).any():
+        return None
+    corners = objects.facets["corners"][facets].reshape(-1, 3)
+    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    radius = float(np.linalg.norm(corners - middle, axis=1).max())
+    objects = objects._replace(lit_middle=middle, lit_radius=radius)
+    return objects._replace(sources=_sources(_lamps(objects)))
+
+
+def _by_wave(values: list[float], waves: tuple[float, ...]) -> Array:
+    return np.repeat(np.array(values, dtype=np.float64).reshape(-1, 1), len(waves), axis=1)
+
+
+def _lights(scene: Scene, to_object: Array) -> NDArray[np.void]:
+    table = np.zeros(len(scene.lights), LIGHT)
+    for row, light in zip(table, scene.lights, strict=True):
+        row["kind"] = {"point": POINT, "directional": DIRECTIONAL, "disk": DISK}[light.kind]
+        row["direction"] = (0.0, 0.0, 1.0)
+        if light.kind != "directional":
+            row["position"] = frames.points(to_object, [light.position_mm])[0]
+            row["power"] = light.power_w
+        else:
+            row["power"] = light.irradiance_w_m2
+        if light.kind != "point":
+            d = frames.directions(to_object, [light.direction])[0]
+            row["direction"] = d / np.linalg.norm(d)
+        if light.kind == "disk":
+            row["radius"] = light.radius_mm
+    return table
+
+
+Entry = tuple[int, int, float, float]
+"""Light (or −1), facet (or −1), power towards what is aimed at, power in all, W."""
+
+
+def _lamps(objects: ObjectTables) -> list[Entry]:
+    """Return what each light sends, and what of it goes towards the sphere that is aimed at."""
+    entries = []
+    for i, light in enumerate(objects.lights):
+        distance = float(np.linalg.norm(light["position"] - objects.lit_middle))
+        seen = 1.0
+        if light["kind"] == DIRECTIONAL:
+            power = light["power"] * np.pi * objects.lit_radius**2 * 1e-6
+        else:
+            power = light["power"]
+            if distance > objects.lit_radius:
+                seen = 0.5 * (1.0 - np.sqrt(1.0 - (objects.lit_radius / distance) ** 2))
+        entries.append((i, -1, power * seen, power))
+    return entries
+
+
+def _glowing_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:
+    """Return what each facet of an emitting target sends."""
+    entries = []
+    areas = facet_normals(mesh)[1]
+    glow = objects.radiance.max(axis=1) if len(objects.radiance) else np.zeros(0)
+    for facet in np.flatnonzero(np.append(glow > 0.0, False)[objects.facets["body"]]):
+        body = objects.facets["body"][facet]
+        sides = 1.0 if objects.closed[body] else 2.0
+        power = np.pi * glow[body] * areas[facet] * 1e-6 * sides
+        entries.append((-1, int(facet), power, power))
+    return entries
+
+
+def _sources(entries: list[Entry]) -> NDArray[np.void]:
+    """Return what the forward method starts packets from, with shares in proportion to the power towards targets."""
+    table = np.zeros(len(entries), SOURCE)
+    if entries:
+        table["light"], table["facet"], table["share"], table["power"] = zip(*entries, strict=True)
+        reaching = table["share"].sum()
+        # Where nothing is to be lit, every light has its turn all the same: the ledger wants their power.
+        table["share"] = table["share"] / reaching if reaching > 0.0 else 1.0 / len(table)
+        table["until"] = np.cumsum(table["share"])
+    return table

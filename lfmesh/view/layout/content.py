@@ -1,0 +1,456 @@
+"""What a layout drawing shows: a camera in its meridional section, real rays through it, and its array close up.
+
+Pure geometry, as z and y in the camera frame, mm; `layout_figure` draws it.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from lfmesh.geometry.mesh import Array
+from lfmesh.geometry.refractors import measured
+from lfmesh.geometry.targets import target_mesh
+from lfmesh.optics.glass import refractive_index
+from lfmesh.scene import FirstOrder, Paraxial, Scene, first_order, solved
+from lfmesh.scene.report import lenslet_to_sensor_mm
+from lfmesh.scene.solve import air_thickness_mm, image_plane_mm, lenslet_focal_length_mm
+from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME, Status
+from lfmesh.transport.world import World, build
+from lfmesh.view.layout.sections import (
+    Cut,
+    Glass,
+    curved_face,
+    cut_through,
+    lens_glass,
+    mesh_section,
+    sag_at_rim,
+)
+from lfmesh.view.rays.aimed_rays import Aim, AimedRay
+
+FIELDS = (("axis", 0.0), ("0.7 field", 0.7), ("full field", 1.0))
+"""Field points of the drawing, as shares of the field that array and sensor see."""
+
+MARGINAL = ((0.0, -1.0), (0.0, 0.0), (0.0, 1.0))
+"""Points of the stop, over its radius: lower marginal, chief, upper marginal ray."""
+
+LENSLET_FAN = 5
+"""Rays from rim to rim of the stop that the close-up shows through the middle of a lenslet, ..."""
+
+IMAGE_FAN = 15
+"""... or of one point, which is imaged before or behind the lenslets, or onto pixels."""
+
+FAR = 1e4
+"""In focal lengths: rays from farther off are drawn as collimated."""
+
+STRONGEST_REDUCTION = 20.0
+"""Main image to lenslet, over lenslet to sensor: beyond, the lenslets image the pupil (a standard plenoptic camera)."""
+
+LEAST_LENSLETS, MOST_LENSLETS = 4, 16
+"""In the close-up."""
+
+LENSLET_POINTS = 80
+"""Of a lenslet's section, over one pitch."""
+
+DETAIL_SHAPE = 0.6
+"""Height over width of the close-up."""
+
+PIXELS_IN_DETAIL = 24
+"""Of a conventional camera."""
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """The rays of one object point.
+
+    Attributes
+    ----------
+    name : str
+    slope : float
+        y of the object point over its distance from the first vertex.
+    rays : list of AimedRay
+        From the lower rim of the stop to the upper one.
+    """
+
+    name: str
+    slope: float
+    rays: list[AimedRay]
+
+
+@dataclass(frozen=True)
+class TargetSection:
+    """What the meridional plane cuts of a target: (n, 2) lines; `closed`: an outline; `glass`: refracts."""
+
+    name: str
+    lines: list[Array]
+    closed: bool
+    glass: bool
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """A distance between two points (2,), and what is written at it; `cut`: it starts beyond what the view shows."""
+
+    start: Array
+    end: Array
+    text: str
+    cut: bool = False
+
+
+@dataclass(frozen=True)
+class Detail:
+    """The close-up of array and sensor.
+
+    Attributes
+    ----------
+    x_mm : float
+        Of the plane it is cut by, through the middle of lenslets.
+    window : tuple of float
+        z from and to, y from and to.
+    plate : (n, 2) float64 or None
+        Closed outline of the part of the array in the window.
+    sensor : (2, 2) float64
+        The ends of its surface.
+    pixels : (m, 2, 2) float64
+        Ticks behind the sensor, at the borders of pixels.
+    bundles : list of Bundle
+    heights : list of Dimension
+        Across the axis, such as the pitch.
+    lengths : list of Dimension
+        Along the axis.
+    caption : str
+    """
+
+    x_mm: float
+    window: tuple[float, float, float, float]
+    plate: Array | None
+    sensor: Array
+    pixels: Array
+    bundles: list[Bundle]
+    heights: list[Dimension]
+    lengths: list[Dimension]
+    caption: str
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A camera's layout.
+
+    Attributes
+    ----------
+    scene : Scene
+        Solved.
+    facts : FirstOrder
+    distance_mm : float
+        The plane that the rays come from: what is sharpest.
+    glass : list of Glass
+    stop : (2,) float64
+        z and height of the stop's upper rim.
+    bundles : list of Bundle
+    array : (4, 2) float64 or None
+        Section of the array's plate.
+    sensor : (2, 2) float64
+    targets : list of TargetSection
+    detail : Detail
+    """
+
+    scene: Scene
+    facts: FirstOrder
+    distance_mm: float
+    glass: list[Glass]
+    stop: Array
+    bundles: list[Bundle]
+    array: Array | None
+    sensor: Array
+    targets: list[TargetSection]
+    detail: Detail
+
+
+def layout(scene: Scene) -> Layout:
+    """Lay a camera out, with real rays from three points of the plane that it is focused on.
+
+    Opaque targets are drawn but stop no rays; glass in front of the camera refracts them.
+
+    Raises
+    ------
+    LfmeshError
+        The scene cannot be built.
+    """
+    drawn = solved(measured(scene))
+    glass_targets = [t.model_dump() for t in drawn.targets if t.refractor is not None]
+    world = build(drawn.changed({"targets": glass_targets, "lights": ()}))
+    facts = first_order(drawn)
+    distance = focus_distance_mm(drawn, given=scene.camera.focus_mm is not None and _is_solved(scene))
+    aim = Aim(world, distance)
+    moves = world.tables.frames
+    shape = world.lens_shape
+    indices = np.array([refractive_index(medium, facts.wavelength_nm) for medium in shape.media])
+    return Layout(
+        drawn,
+        facts,
+        distance,
+        lens_glass(shape, indices),
+        _stop_rim(drawn, world),
+        _field_bundles(drawn, facts, aim),
+        _array_section(drawn, moves),
+        _sensor_section(drawn, moves),
+        _target_sections(drawn, moves),
+        _detail(drawn, world, aim),
+    )
+
+
+def _is_solved(scene: Scene) -> bool:
+    """Tell whether `focus_mm` says where the array or the sensor stands."""
+    camera = scene.camera
+    return (camera.mla.distance_mm if camera.mla is not None else camera.sensor.distance_mm) is None
+
+
+def focus_distance_mm(scene: Scene, *, given: bool) -> float:
+    """Return the object distance before the first vertex that a solved camera shows most sharply, paraxially.
+
+    Where the lenslets image a plane near them onto the sensor (a focused plenoptic camera), what that plane is the
+    image of, unless the camera's focus was given; else what the apexes, or the sensor, are the image of.
+    """
+    primary = scene.transport.primary_nm
+    behind = image_plane_mm(scene.camera, primary)
+    if not given:
+        behind -= main_image_mm(scene) or 0.0
+    lens = Paraxial.of(scene.camera.lens, primary)
+    distance = lens.object_mm(behind)
+    return distance if abs(distance) < FAR * abs(lens.efl_mm) else math.inf
+
+
+def main_image_mm(scene: Scene) -> float | None:
+    """Return how far before the lenslets of the first type the plane lies that they image onto the sensor.
+
+    Negative behind them, where it is a virtual object. None where lenslets image the pupil, or there are none.
+    """
+    mla = scene.camera.mla
+    if mla is None:
+        return None
+    primary = scene.transport.primary_nm
+    focal_length, to_sensor = lenslet_focal_length_mm(mla, primary)[0], lenslet_to_sensor_mm(scene.camera, primary)
+    vergence = 1.0 / focal_length - 1.0 / to_sensor
+    return 1.0 / vergence if abs(vergence) * STRONGEST_REDUCTION * to_sensor > 1.0 else None
+
+
+def _field_bundles(scene: Scene, facts: FirstOrder, aim: Aim) -> list[Bundle]:
+    """Return three rays for each field point, whose chief rays come out at 0, 0.7 and 1 of the used image height."""
+    camera = scene.camera
+    used = 0.5 * (camera.sensor.size_mm[1] - camera.sensor.pixel_mm)
+    if camera.mla is not None:
+        used = min(used, 0.5 * (camera.mla.count[1] - 1) * camera.mla.row_pitch_mm)
+    # Below the axis: points above it come out there.
+    slopes = aim.slopes_to([(0.0, -share * used, facts.image_z_mm) for _, share in FIELDS])
+    slopes[0] = 0.0
+    return _bundles([name for name, _ in FIELDS], aim, slopes, np.array(MARGINAL))
+
+
+def _bundles(names: list[str], aim: Aim, slopes: Array, stop: Array) -> list[Bundle]:
+    n = len(stop)
+    rays = aim.through(np.repeat(slopes, n, axis=0), np.tile(stop, (len(slopes), 1)))
+    return [
+        Bundle(name, float(slope[1]), rays[i * n : (i + 1) * n])
+        for i, (name, slope) in enumerate(zip(names, slopes, strict=True))
+    ]
+
+
+def _stop_rim(scene: Scene, world: World) -> Array:
+    lens = scene.camera.lens
+    number = lens.stop_index or 0
+    z = lens.vertices_mm[number]
+    if number in world.lens_shape.numbers:
+        z = sag_at_rim(world.lens_shape, world.lens_shape.numbers.index(number))
+    return np.array([z, lens.surfaces[number].semi_diameter_mm or math.nan])
+
+
+def _array_section(scene: Scene, moves: Array) -> Array | None:
+    mla = scene.camera.mla
+    if mla is None:
+        return None
+    cut = cut_through("camera.mla", moves[ARRAY_FRAME, CAMERA_FRAME], mla.size_mm)
+    ends = np.array([cut.low, cut.high])
+    return np.concatenate([cut.section(ends), cut.section(ends[::-1], mla.thickness_mm)])
+
+
+def _sensor_section(scene: Scene, moves: Array) -> Array:
+    cut = cut_through("camera.sensor", moves[SENSOR_FRAME, CAMERA_FRAME], scene.camera.sensor.size_mm)
+    return cut.section(np.array([cut.low, cut.high]))
+
+
+def _target_sections(scene: Scene, moves: Array) -> list[TargetSection]:
+    """Cut the targets that the meridional plane meets."""
+    to_camera = moves[WORLD_FRAME, CAMERA_FRAME]
+    sections = []
+    for i, target in enumerate(scene.targets):
+        made = target_mesh(target, scene)
+        lines = mesh_section(made.mesh.moved(to_camera).solid())
+        if lines:
+            name = target.name or f"targets[{i}]"
+            sections.append(TargetSection(name, lines, made.closed, target.refractor is not None))
+    return sections
+
+
+def _detail(scene: Scene, world: World, aim: Aim) -> Detail:
+    return _pixels_close_up(scene, world, aim) if scene.camera.mla is None else _lenslets_close_up(scene, world, aim)
+
+
+def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
+    """Lay out the lenslets nearest the axis, the pixels behind them, and what the rays do there."""
+    mla = scene.camera.mla
+    assert mla is not None
+    moves, array = world.tables.frames, world.tables.array.lenslets
+    to_camera = moves[ARRAY_FRAME, CAMERA_FRAME]
+    toward_lens = mla.curved_side == "lens"
+    # Seen from the lens through the plate, the apexes lie nearer.
+    seen_z = 0.0 if toward_lens else mla.thickness_mm - air_thickness_mm(mla, scene.transport.primary_nm)
+    at = array.apexes
+    apex = np.dstack([at, np.full(at.shape[:2], seen_z)]).reshape(-1, 3) @ to_camera[:, :3].T + to_camera[:, 3]
+    middle = _nearest_axis(apex, array.lattice.pitch)
+    x = float(apex[middle, 0])
+    # Rows of a hexagonal array stand in the plane of the section by turns.
+    step = mla.count[0] * (2 if array.lattice.hexagonal else 1)
+    image = main_image_mm(scene) if not _standard(scene, aim) else None
+    if image is not None:
+        bundles = _bundles(["main image"], aim, aim.slopes_to(apex[[middle]]), _fan(IMAGE_FAN))
+    else:
+        fan = _fan(LENSLET_FAN)
+        bundles = [
+            Bundle(f"lenslet {n}", 0.0, _through_point(apex[n], aim, fan))
+            for n in (middle - step, middle, middle + step)
+            if 0 <= n < len(apex)
+        ]
+    half = array.lattice.half_extent
+    cut = cut_through("camera.mla", to_camera, (2.0 * half[0], 2.0 * half[1]), x)
+    sensor = cut_through("camera.sensor", moves[SENSOR_FRAME, CAMERA_FRAME], scene.camera.sensor.size_mm, x)
+    apex_z, sensor_z = float(apex[middle, 2]), _z_at(sensor, float(apex[middle, 1]))
+    behind = sensor_z - apex_z
+    before = min(1.25 * image, 16.0 * behind) if image is not None and image > 0.0 else 0.6 * behind
+    window = _window(apex_z - before, sensor_z + 0.12 * (before + behind), float(apex[middle, 1]), mla.row_pitch_mm)
+    s = _within(cut, window, mla.row_pitch_mm / LENSLET_POINTS)
+    plate = np.concatenate([cut.section(s, curved_face(cut, array, s)), cut.section(s[[-1, 0]], mla.thickness_mm)])
+    neighbour = apex[middle + step if middle + step < len(apex) else max(0, middle - step)]
+    heights, lengths = _array_dimensions(scene, to_camera, apex[middle], neighbour, sensor_z, image)
+    if image is None:
+        heights += _micro_image(bundles[min(1, middle // step)], scene.camera.sensor.pixel_mm)
+    return Detail(
+        x, window, plate, *_sensor_close_up(sensor, scene, window), bundles, heights, lengths,
+        _array_caption(x, image, len(bundles)),
+    )  # fmt: skip
+
+
+def _standard(scene: Scene, aim: Aim) -> bool:
+    """Tell whether the rays' object plane is imaged onto the lenslets themselves."""
+    onto = Paraxial.of(scene.camera.lens, aim.wavelength_nm).object_mm(image_plane_mm(scene.camera, aim.wavelength_nm))
+    return math.isclose(aim.vergence, 1.0 / onto, rel_tol=1e-9, abs_tol=1e-15)
+
+
+def _nearest_axis(apex: Array, pitch: float) -> int:
+    """Return the lenslet nearest the axis, of several the one with the largest y and x."""
+    distance = np.round(np.hypot(apex[:, 0], apex[:, 1]) / pitch, 6)
+    return int(np.lexsort((-apex[:, 0], -apex[:, 1], distance))[0])
+
+
+def _window(z0: float, z1: float, y: float, row: float) -> tuple[float, float, float, float]:
+    """Return a window from z0 to z1 round a lenslet, with whole rows of lenslets."""
+    rows = np.clip(math.ceil(DETAIL_SHAPE * (z1 - z0) / row), LEAST_LENSLETS, MOST_LENSLETS)
+    half = 0.5 * float(rows) * row
+    return z0, z1, y - half, y + half
+
+
+def _within(cut: Cut, window: tuple[float, float, float, float], step: float) -> Array:
+    """Return places along a cut, `step` apart, that lie in the window, ends of the sheet included."""
+    ends = cut.section(np.array([0.0, 1.0]))
+    rise = ends[1, 1] - ends[0, 1]
+    low, high = (window[2] - ends[0, 1]) / rise, (window[3] - ends[0, 1]) / rise
+    low, high = max(low, cut.low), min(high, cut.high)
+    return np.linspace(low, high, max(2, math.ceil((high - low) / step) + 1))
+
+
+def _z_at(cut: Cut, y: float) -> float:
+    """Return z of a cut sheet at a height."""
+    (z0, y0), (z1, y1) = cut.section(np.array([0.0, 1.0]))
+    return float(z0 + (y - y0) / (y1 - y0) * (z1 - z0))
+
+
+def _sensor_close_up(cut: Cut, scene: Scene, window: tuple[float, float, float, float]) -> tuple[Array, Array]:
+    """Return the sensor's line (2, 2) and the ticks (m, 2, 2) between its pixels, in the window."""
+    pixel, rows = scene.camera.sensor.pixel_mm, scene.camera.sensor.pixels[1]
+    line = _within(cut, window, np.inf)
+    borders = (np.arange(rows + 1) - 0.5 * rows) * pixel
+    place = (borders - cut.start[1]) / cut.ahead[1] if abs(cut.ahead[1]) > 0.1 else np.zeros(0)
+    place = place[(place >= line.min() - 1e-9 * pixel) & (place <= line.max() + 1e-9 * pixel)]
+    tick = 0.018 * (window[1] - window[0])
+    return cut.section(line[[0, -1]]), np.stack([cut.section(place), cut.section(place, tick)], axis=1)
+
+
+def _array_dimensions(
+    scene: Scene, to_camera: Array, apex: Array, neighbour: Array, sensor_z: float, image: float | None
+) -> tuple[list[Dimension], list[Dimension]]:
+    """Return the dimensions of a close-up: the pitch, thickness and distances, and where the main image lies."""
+    mla = scene.camera.mla
+    assert mla is not None
+    z = float(apex[2])
+    what = "2 rows" if mla.layout == "hexagonal" else "p"
+    distance = abs(float(neighbour[1] - apex[1]))
+    heights = [Dimension(apex[[2, 1]], np.array([z, neighbour[1]]), f"{what} = {distance:.4g} mm")]
+    # Along the axis, from the lenslet as it stands, which may be tilted.
+    into = np.array([0.0, 0.0, mla.thickness_mm]) @ to_camera[:, :3].T
+    front, back = sorted((z, z + float(into[2])))
+    chain = [(front, back), (back, sensor_z)]
+    lengths = [(a, b, f"{b - a:.4g} mm") for a, b in chain]
+    focal = lenslet_focal_length_mm(mla, scene.transport.primary_nm)[0]
+    n = refractive_index(mla.medium, scene.transport.primary_nm)
+    # From the rear principal plane, which lies at the apex where light leaves there.
+    principal = back - mla.thickness_mm / n if mla.curved_side == "lens" else back
+    if focal > 0.0:
+        lengths.append((principal, principal + focal, f"f = {focal:.4g} mm"))
+    if image is not None and image > 0.0:
+        principal = front if mla.curved_side == "lens" else front + mla.thickness_mm / n
+        lengths.append((principal - image, principal, f"main image {image:.4g} mm before"))
+    y = float(apex[1])
+    return heights, [Dimension(np.array([a, y]), np.array([b, y]), text) for a, b, text in lengths]
+
+
+def _through_point(point: Array, aim: Aim, stop: Array) -> list[AimedRay]:
+    """Return the rays through points of the stop that meet a point behind the lens, where the lens lets them."""
+    rays = aim.through(aim.slopes_to(np.tile(point, (len(stop), 1)), stop), stop)
+    return [ray for ray in rays if np.allclose(ray.beyond_lens(point[2]), point[:2], atol=1e-6, rtol=0.0)]
+
+
+def _micro_image(bundle: Bundle, pixel_mm: float) -> list[Dimension]:
+    """Return the dimension between the outermost rays of a lenslet, if all come to the sensor."""
+    landing = np.array([ray.points[-1, [2, 1]] for ray in bundle.rays if ray.status == Status.SENSOR])
+    if len(landing) < LENSLET_FAN:
+        return []
+    low, high = landing[landing[:, 1].argmin()], landing[landing[:, 1].argmax()]
+    return [Dimension(low, high, f"{(high[1] - low[1]) / pixel_mm:.3g} px")]
+
+
+def _array_caption(x: float, image: float | None, lenslets: int) -> str:
+    what = (
+        f"rays through the stop and the middles of {lenslets} lenslets"
+        if image is None
+        else "one point of the plane in focus, shared by the lenslets"
+    )
+    return f"section x = {x:.4g} mm; {what}".replace("-", "−")
+
+
+def _fan(count: int) -> Array:
+    """Return (count, 2) points of the stop in the meridional plane, over its radius, from rim to rim."""
+    return np.column_stack([np.zeros(count), np.linspace(-1.0, 1.0, count)])
+
+
+def _pixels_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
+    """Lay out a conventional camera's pixels where the axis meets the sensor."""
+    pixel, rows = scene.camera.sensor.pixel_mm, scene.camera.sensor.pixels[1]
+    cut = cut_through("camera.sensor", world.tables.frames[SENSOR_FRAME, CAMERA_FRAME], scene.camera.sensor.size_mm)
+    shown = min(PIXELS_IN_DETAIL, rows)
+    z, half = _z_at(cut, 0.0), 0.5 * shown * pixel
+    wide = 2.0 * half / DETAIL_SHAPE
+    window = z - 0.85 * wide, z + 0.15 * wide, -half, half
+    bundles = _bundles(["axis"], aim, np.zeros((1, 2)), _fan(IMAGE_FAN))
+    line, pixels = _sensor_close_up(cut, scene, window)
+    at = int(np.searchsorted(pixels[:, 0, 1], 0.0)) if len(pixels) > 2 else 0
+    heights = [Dimension(pixels[at - 1, 0], pixels[at, 0], f"pixel {pixel:.4g} mm")] if 0 < at < len(pixels) else []
+    return Detail(0.0, window, None, line, pixels, bundles, heights, [], "the sensor where the axis meets it")

@@ -1,0 +1,63 @@
+"""The scene with its rays as a glTF model, for other people's viewers. glTF measures in metres."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+import pyvista as pv
+import trimesh
+from trimesh.path.entities import Line
+from trimesh.visual.material import PBRMaterial
+
+from lfmesh.files.whole import write_whole
+from lfmesh.view.scene3d.parts import Part
+from lfmesh.view.scene3d.plotter import View
+
+METRES = 1e-3
+"""A millimetre in the file's unit."""
+
+RAYS = "rays"
+
+
+def write_model(view: View, path: Path) -> None:
+    """Write everything that a view shows as one binary glTF file.
+
+    Bodies are named as `World.mesh_names` has them; the rays are lines.
+    """
+    scene = trimesh.Scene()
+    for part, mesh in view.meshes():
+        if mesh.n_cells and not mesh.n_lines:
+            scene.add_geometry(_body(part, mesh.triangulate()), geom_name=part.label, node_name=part.label)
+    if view.lines is not None and len(view.lines):
+        scene.add_geometry(_rays(view), geom_name=RAYS, node_name=RAYS)
+    write_whole(path, scene.export(file_type="glb", include_normals=True))
+
+
+def _body(part: Part, mesh: pv.PolyData) -> trimesh.Trimesh:
+    colour = pv.Color(part.look.get("color", "white"), opacity=float(part.look.get("opacity", 1.0)))
+    material: dict[str, Any] = {
+        "name": part.label,
+        "baseColorFactor": list(colour.int_rgba),
+        "metallicFactor": 0.0,
+        "roughnessFactor": 0.3,
+        "doubleSided": True,
+        "alphaMode": "BLEND" if colour.float_rgba[3] < 1.0 else "OPAQUE",
+    }
+    uv = mesh.active_texture_coordinates
+    if part.picture is not None and uv is not None:
+        material["baseColorTexture"] = PIL.Image.fromarray(np.ascontiguousarray(part.picture))
+    body = trimesh.Trimesh(METRES * np.asarray(mesh.points), mesh.regular_faces, process=False)
+    body.visual = trimesh.visual.TextureVisuals(
+        uv=np.asarray(uv) if uv is not None else np.zeros((len(body.vertices), 2)), material=PBRMaterial(**material)
+    )
+    return body
+
+
+def _rays(view: View) -> trimesh.path.Path3D:
+    assert view.lines is not None
+    assert view.ray_mesh is not None
+    ends = METRES * view.lines.ends
+    rgb = np.asarray(view.ray_mesh.cell_data[view.ray_mesh.cell_data.keys()[0]])[:, :3]
+    lines = [Line([2 * i, 2 * i + 1], color=[*colour, 255]) for i, colour in enumerate(rgb)]
+    return trimesh.path.Path3D(entities=lines, vertices=ends.reshape(-1, 3), process=False)

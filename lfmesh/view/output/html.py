@@ -1,0 +1,80 @@
+"""A page that turns the scene in any browser, without a network: vtk.js and all data in one HTML file.
+
+Text in the picture is lost on the way, so title, launch, counts, legend and scale stand in the page.
+"""
+
+import html
+import re
+import tempfile
+import warnings
+from pathlib import Path
+
+from lfmesh.errors import LfmeshError
+from lfmesh.files.whole import write_whole
+from lfmesh.view.scene3d.colours import BACKGROUND, FAINT_TEXT, TEXT, Legend
+from lfmesh.view.scene3d.plotter import View
+
+ASPECT = 1.25
+"""The page's window may be narrower than a picture."""
+
+ANGLE_DEG = 30.0
+"""From the bottom to the top of what vtk.js draws: it knows the eye's place but not its angle."""
+
+STYLE = f"""\
+      body {{ background: {BACKGROUND}; }}
+      .words {{ position: fixed; z-index: 10; top: 0; margin: 14px 18px; pointer-events: none;
+                font: 14px/1.5 "DejaVu Sans", system-ui, sans-serif; color: {FAINT_TEXT}; }}
+      .words h1 {{ margin: 0; font-size: 22px; font-weight: normal; color: {TEXT}; }}
+      .words p {{ margin: 0; }}
+      .words b {{ font-weight: normal; color: {TEXT}; }}
+      .content {{ position: absolute; inset: 0; }}
+      #caption {{ left: 0; max-width: 65%; }}
+      #legend {{ right: 0; text-align: right; }}
+"""
+
+FOREIGN = re.compile(r"https://kitware\.github\.io/vtk-js/icon/[^`\"']*")
+"""The only thing that vtk.js would fetch: its own icons."""
+
+
+def write_page(view: View, path: Path) -> None:
+    """Write what a view shows as a page.
+
+    Raises
+    ------
+    LfmeshError
+        The packages of the extra "browser" are missing, or the file cannot be written.
+    """
+    try:
+        import trame_pyvista  # noqa: F401
+    except ImportError:
+        raise LfmeshError('a page needs the packages of the extra "browser": pip install "lfmesh[browser]"') from None
+    preset = view.preset
+    view.look(preset, aspect=ASPECT, angle_deg=ANGLE_DEG)
+    try:
+        with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            raw = Path(folder) / "page.html"
+            view.plotter.trame.export_html(raw)
+            page = raw.read_text(encoding="utf-8")
+    finally:
+        view.look(preset)
+    write_whole(path, captioned(page, view))
+
+
+def captioned(page: str, view: View) -> str:
+    """Return a page with the view's words in it, which asks no other server for anything."""
+    title = html.escape(view.title)
+    page = FOREIGN.sub("data:,", page)
+    page = re.sub(r"<title>.*?</title>", lambda _: f"<title>{title}</title>", page, count=1, flags=re.DOTALL)
+    page = page.replace("</style>\n  </head>", f"{STYLE}    </style>\n  </head>", 1)
+    lines = "".join(f"<p>{html.escape(line)}</p>" for line in [*view.caption, view.scale, "drag turns, wheel zooms"])
+    words = f'<div id="caption" class="words"><h1>{title}</h1>{lines}</div>{_legend(view.legend)}'
+    # vtk.js empties what it draws into: without an element of its own that would be the whole page.
+    return page.replace("<body>", f'<body>\n    <div class="content"></div>\n    {words}', 1)
+
+
+def _legend(legend: Legend | None) -> str:
+    if legend is None:
+        return ""
+    rows = "".join(f'<p style="color: {colour}">{html.escape(label)}</p>' for label, colour in legend.entries)
+    return f'<div id="legend" class="words"><p><b>{html.escape(legend.title)}</b></p>{rows}</div>'

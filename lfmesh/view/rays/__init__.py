@@ -1,0 +1,1 @@
+"""Rays to look at: launching, recording, filtering, tables and ghosts."""

@@ -1,0 +1,295 @@
+"""Real rays of field points through chosen points of the stop: what a layout drawing shows.
+
+Every ray is one of `lf.trace` through the built world. Where it must start follows from trials: a fan that searches the
+pupil, then Newton's method on the point where the ray crosses the stop. Positions are in the camera frame, mm.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.surface import sag
+from lfmesh.geometry.surface import slope as steepness
+from lfmesh.geometry.tessellation import mesh_sag
+from lfmesh.scene import Paraxial
+from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
+from lfmesh.transport.trace import Status, trace
+from lfmesh.transport.world import World
+
+Array = NDArray[np.float64]
+
+FAN = 33
+"""Trials across the pupil from which the first guess is made."""
+
+FAN_WIDTH = 1.6
+"""Over the paraxial entrance pupil: real pupils have aberrations."""
+
+STEPS = 8
+"""Corrections at most; Newton's method doubles the digits with each."""
+
+DIFFERENCE = 1e-5
+"""Of two trials whose difference is the derivative, over the stop's radius."""
+
+SETTLED = 1e-12
+"""Distance from the aim, over the stop's radius, that is close enough."""
+
+INSIDE = 1.0 - 1e-9
+"""Marginal rays are aimed at the rim of the stop times this, so that they pass it."""
+
+CORRECTIONS = 10
+"""Of an object point, until its chief ray comes out where it shall; distortion is what they correct."""
+
+
+@dataclass(frozen=True)
+class AimedRay:
+    """One ray, vertex by vertex.
+
+    Attributes
+    ----------
+    points : (m, 3) float64, mm
+        From its object point (or a plane before the lens, if that is far away) to its end.
+    at_stop : (2,) float64, mm
+        x and y where it crosses the stop surface; NaN where it ends before.
+    leaving : (2, 3) float64
+        Where it leaves the last lens surface, and its unit direction there; NaN where it does not come so far.
+    status : Status
+        How it ended.
+    """
+
+    points: Array
+    at_stop: Array
+    leaving: Array
+    status: Status
+
+    def beyond_lens(self, z: float) -> Array:
+        """Return where the ray in the air behind the lens, drawn out, crosses a plane: (2,) x and y, mm."""
+        position, direction = self.leaving
+        return np.asarray(position[:2] + (z - position[2]) / direction[2] * direction[:2])
+
+
+class Aim:
+    """Sends rays from the points of one object plane through a camera.
+
+    Parameters
+    ----------
+    world : World
+    distance_mm : float
+        Of the object plane before the first vertex; inf: collimated bundles; negative: towards a virtual object.
+    """
+
+    def __init__(self, world: World, distance_mm: float) -> None:
+        self.world = world
+        self.wavelength_nm = world.scene.transport.primary_nm
+        self.vergence = 1.0 / distance_mm
+        self.lens = world.scene.camera.lens
+        self.paraxial = Paraxial.of(self.lens, self.wavelength_nm)
+        self.stop_radius = self.lens.surfaces[self.paraxial.stop].semi_diameter_mm or math.nan
+        real = 0.0 < distance_mm < math.inf
+        self.start_z = -distance_mm if real else -2.0 * (self.paraxial.length_mm + max(world.lens_shape.rims))
+        shape = world.lens_shape
+        self._names = [world.surface_name(k) for k in range(len(shape.surfaces))]
+        self._before_stop = sum(number < self.paraxial.stop for number in shape.numbers)
+        self._pure_stop = self.lens.is_pure_stop(self.paraxial.stop)
+
+    def through(self, slope: ArrayLike, stop: ArrayLike) -> list[AimedRay]:
+        """Return the rays from object points through points of the stop.
+
+        What the lens blocks before the stop is sent where its neighbours say, and ends where it is blocked.
+
+        Parameters
+        ----------
+        slope : (n, 2) float64
+            Of the object points: their x and y over their distance from the first vertex.
+        stop : (n, 2) float64
+            Points of the stop, in units of its radius.
+        """
+        slope = np.asarray(slope, dtype=np.float64).reshape(-1, 2)
+        aim = np.asarray(stop, dtype=np.float64).reshape(-1, 2) * (self.stop_radius * INSIDE)
+        return self._aimed(slope, aim, self._guess(slope, aim))[0]
+
+    def slopes_to(self, targets: ArrayLike, stop: ArrayLike = (0.0, 0.0)) -> Array:
+        """Return the slopes (n, 2) of the object points whose rays, in the air behind the lens, meet targets.
+
+        Paraxial optics answers where the lens lets no such ray through.
+
+        Parameters
+        ----------
+        targets : (n, 3) float64, mm
+        stop : (n, 2) or (2,) float64
+            Point of the stop that each ray crosses, in units of its radius; by default the chief rays.
+        """
+        targets = np.asarray(targets, dtype=np.float64).reshape(-1, 3)
+        stop = np.broadcast_to(np.asarray(stop, dtype=np.float64), (len(targets), 2))
+        scale = self._image_scale(targets[:, 2])[:, None]
+        first = targets[:, :2] / scale
+        slope, aim = first.copy(), stop * (self.stop_radius * INSIDE)
+        guess = self._guess(slope, aim)
+        earlier: tuple[Array, Array] | None = None
+        for _ in range(CORRECTIONS):
+            rays, entry = self._aimed(slope, aim, guess)
+            hit = np.array([ray.beyond_lens(z) for ray, z in zip(rays, targets[:, 2], strict=True)])
+            if earlier is not None:
+                scale = _secant(slope - earlier[0], hit - earlier[1], scale)
+            earlier = slope, hit
+            error = (targets[:, :2] - hit) / scale
+            known = np.isfinite(error).all(axis=1)
+            slope = np.where(known[:, None], slope + np.nan_to_num(error), first)
+            guess = entry + self._entry_shift * (slope - earlier[0])
+            if not known.any() or np.abs(error[known]).max() < 1e-12:
+                break
+        return slope
+
+    @property
+    def _entry_shift(self) -> float:
+        """How far the entry of a ray through a fixed point of the stop moves for a slope of one, paraxially, mm."""
+        before = self.paraxial.to_stop
+        return before.b / (before.a + before.b * self.vergence)
+
+    def _image_scale(self, z: Array) -> Array:
+        """Return how far a ray through a fixed point of the stop moves in planes z for a slope of one, paraxially."""
+        whole, height = self.paraxial.whole, self._entry_shift
+        angle = self.vergence * height - 1.0
+        behind = z - self.paraxial.length_mm
+        return np.asarray(whole.a * height + whole.b * angle + behind * (whole.c * height + whole.d * angle))
+
+    def trace(self, slope: Array, entry: Array) -> list[AimedRay]:
+        """Return the rays that cross the plane of the first vertex at `entry` (n, 2) when nothing bends them before."""
+        angle = self.vergence * entry - slope
+        start = np.column_stack([entry + self.start_z * angle, np.full(len(entry), self.start_z)])
+        ahead = np.column_stack([angle, np.ones(len(entry))])
+        moves = self.world.tables.frames
+        to_world, to_camera = moves[CAMERA_FRAME, WORLD_FRAME], moves[WORLD_FRAME, CAMERA_FRAME]
+        paths = trace(
+            self.world, frames.points(to_world, start), frames.directions(to_world, ahead), self.wavelength_nm,
+            split="transmit", record=True, weight_cutoff=0.0, threads=1,
+        )  # fmt: skip
+        rays: list[AimedRay | None] = [None] * len(entry)
+        for packet, source in enumerate(paths.source):
+            vertices = paths.vertices(packet)
+            points = frames.points(to_camera, [vertex.position for vertex in vertices])
+            names = [vertex.surface for vertex in vertices]
+            status = Status(int(paths.status[packet]))
+            if not any(name in self._names for name in names):
+                direction = frames.directions(to_camera, paths.direction[packet])
+                points = self._ended_before_lens(points, direction, escaped=status == Status.ESCAPED)
+            rays[source] = AimedRay(points, self._at_stop(points, names), self._leaving(points, names), status)
+        nowhere = np.full(2, np.nan), np.full((2, 3), np.nan)
+        return [ray or AimedRay(p[None], *nowhere, Status.LOST) for ray, p in zip(rays, start, strict=True)]
+
+    def _ended_before_lens(self, points: Array, direction: Array, *, escaped: bool) -> Array:
+        """Return a path that misses the first surface, as far as the plane of that surface's rim."""
+        front = self.world.lens_shape.surfaces[0]
+        z = float(front["vertex_z"] + mesh_sag(front, self.world.lens_shape.rims[0]))
+        before = points[points[:, 2] < z]
+        if (len(before) == len(points) and not escaped) or not len(before):
+            return points
+        after = points[len(before)] - before[-1] if len(before) < len(points) else direction
+        if not after[2] > 0.0:
+            return before
+        return np.vstack([before, before[-1] + (z - before[-1, 2]) / after[2] * after])
+
+    def _at_stop(self, points: Array, names: list[str]) -> Array:
+        """Return where a path crosses the stop surface, or ends on it outside its aperture."""
+        passed = [i for i, name in enumerate(names) if name in self._names]
+        k = self._before_stop
+        if not self._pure_stop:
+            if len(passed) > k:
+                return points[passed[k], :2]
+            if len(passed) < k or names[-1] != "stop":
+                return np.full(2, np.nan)
+            # What the stop takes ends on the plane of the surface's rim.
+            return _met(self.world.lens_shape.surfaces[k], points[-1], points[-1] - points[-2])[:2]
+        if len(passed) < k:
+            return np.full(2, np.nan)
+        # The stop stands between lens surfaces, or before the first.
+        first = passed[k - 1] if k else (passed[0] if passed else len(points) - 1) - 1
+        z = self.lens.vertices_mm[self.paraxial.stop]
+        if first == len(points) - 1 or not points[first, 2] <= z <= points[first + 1, 2] + 1e-9 * self.stop_radius:
+            return np.full(2, np.nan)
+        p, q = points[first], points[first + 1]
+        return np.asarray(p[:2] + (z - p[2]) / (q[2] - p[2]) * (q[:2] - p[:2]))
+
+    def _leaving(self, points: Array, names: list[str]) -> Array:
+        last = next((i for i, name in enumerate(names) if name == self._names[-1]), len(names))
+        if last >= len(points) - 1:
+            return np.full((2, 3), np.nan)
+        ahead = points[last + 1] - points[last]
+        return np.stack([points[last], ahead / np.linalg.norm(ahead)])
+
+    def _guess(self, slope: Array, aim: Array) -> Array:
+        """Return about where rays cross the plane of the first vertex (n, 2), from a fan for every object point."""
+        m = self.paraxial.to_stop
+        scale = m.a + m.b * self.vergence
+        entry = (aim + m.b * slope) / scale
+        fields, which = np.unique(slope, axis=0, return_inverse=True)
+        middle = m.b * fields / scale
+        half = FAN_WIDTH * self.stop_radius / abs(scale)
+        across = np.linspace(-half, half, FAN)
+        trial = np.repeat(middle[:, None], FAN, axis=1)
+        trial[:, :, 1] += across
+        # Beside the lens there is nothing to learn.
+        rim = self.world.lens_shape.rims[0]
+        trial[:, :, 1] = np.clip(trial[:, :, 1], -rim, rim)
+        rays = self.trace(np.repeat(fields, FAN, axis=0), trial.reshape(-1, 2))
+        hits = np.array([ray.at_stop[1] for ray in rays]).reshape(len(fields), FAN)
+        for i, field in enumerate(which.ravel()):
+            known = np.isfinite(hits[field])
+            y, order = np.unique(hits[field][known], return_index=True)
+            if len(y) > 1:
+                entry[i, 1] = _interpolated(aim[i, 1], y, trial[field, known, 1][order])
+        return entry
+
+    def _aimed(self, slope: Array, aim: Array, guess: Array) -> tuple[list[AimedRay], Array]:
+        """Return the rays to points of the stop (n, 2), mm, and where they enter; those that miss start as guessed."""
+        entry = self._refined(slope, aim, guess)
+        rays = self.trace(slope, entry)
+        missed = np.array([not np.allclose(r.at_stop, a, atol=1e-6, rtol=0.0) for r, a in zip(rays, aim, strict=True)])
+        if missed.any():
+            entry[missed] = guess[missed]
+            for i, ray in zip(np.flatnonzero(missed), self.trace(slope[missed], guess[missed]), strict=True):
+                rays[i] = ray
+        return rays, entry
+
+    def _refined(self, slope: Array, aim: Array, entry: Array) -> Array:
+        """Return the entries from which rays cross the stop where they are aimed."""
+        step = DIFFERENCE * self.stop_radius
+        shifts = np.array([[0.0, 0.0], [step, 0.0], [0.0, step]])
+        entry, n = entry.copy(), len(entry)
+        for _ in range(STEPS):
+            rays = self.trace(np.tile(slope, (3, 1)), (entry + shifts[:, None]).reshape(-1, 2))
+            here, right, up = np.array([ray.at_stop for ray in rays]).reshape(3, n, 2)
+            jacobian = np.stack([right - here, up - here], axis=2) / step
+            error = aim - here
+            wrong = np.isfinite(jacobian).all(axis=(1, 2)) & (np.abs(error).max(axis=1) > SETTLED * self.stop_radius)
+            if not wrong.any():
+                break
+            entry[wrong] += np.linalg.solve(jacobian[wrong], error[wrong, :, None])[..., 0]
+        return entry
+
+
+def _met(surface: np.void, p: Array, ahead: Array) -> Array:
+    """Return where the line through a point near a surface meets it, (3,), by Newton's method; NaN: nowhere."""
+    ahead = ahead / np.linalg.norm(ahead)
+    for _ in range(8):
+        r = float(np.hypot(p[0], p[1]))
+        height = p[2] - surface["vertex_z"] - sag(surface, r)
+        radial = float(p[:2] @ ahead[:2]) / r if r > 0.0 else 0.0
+        p = p - height / (ahead[2] - steepness(surface, r) * radial) * ahead
+    return p
+
+
+def _secant(step: Array, change: Array, scale: Array) -> Array:
+    """Return by how much hits (n, 2) moved for a step of one, (n, 1); what stood still or was lost keeps its scale."""
+    square = (step**2).sum(axis=1, keepdims=True)
+    rate = np.divide((step * change).sum(axis=1, keepdims=True), square, out=scale.copy(), where=square > 0.0)
+    return np.where(np.isfinite(rate) & (np.abs(rate) > 0.1 * np.abs(scale)), rate, scale)
+
+
+def _interpolated(x: float, known: Array, values: Array) -> float:
+    """Return the value at x, on the line through the two outermost known ones where it lies outside of all."""
+    k = int(np.clip(np.searchsorted(known, x), 1, len(known) - 1))
+    share = (x - known[k - 1]) / (known[k] - known[k - 1])
+    return float(values[k - 1] + share * (values[k] - values[k - 1]))

@@ -1,0 +1,212 @@
+"""The history of one path: what happened to it at every surface, by the laws of refraction and reflection.
+
+Angles, R and T are worked out anew from the vertices and the surfaces' own normals, so they check what the tracer did:
+along a path where no roulette was played the recorded power is the product of the R and T of its events.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.lattice import centre
+from lfmesh.geometry.lenslets import shape_of
+from lfmesh.geometry.levels import EXACT
+from lfmesh.geometry.surface import normals
+from lfmesh.optics.fresnel import fresnel
+from lfmesh.optics.glass import refractive_index
+from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME, Event
+from lfmesh.view.rays.names import CURVED, FLAT, label, target_names
+from lfmesh.view.rays.paths import Rays
+
+IN_SHORT = {Event.TRANSMITTED: "transmit", Event.REFLECTED: "reflect", Event.SCATTERED: "scatter"}
+
+Vector = NDArray[np.float64]
+Medium = float | str | None
+
+
+@dataclass(frozen=True)
+class Step:
+    """A vertex of a path.
+
+    Attributes
+    ----------
+    surface : str
+        As in `Rays.surfaces`; `short` is its label.
+    event : Event
+    position_mm : (3,) float64, world frame
+    incidence_deg : float or None
+        Angle between the arriving ray and the surface's normal; None where nothing arrives (the start) or what is met
+        has no surface of its own (an edge, the mount, the border of the scene).
+    reflectance, transmittance : float or None
+        Shares of the power by Fresnel's equations; at interfaces only.
+    medium : str
+        What the path goes on in, or ended in: "air", "n = 1.67", "SCHOTT/N-BK7".
+    index : float
+        Its refractive index at the path's wavelength.
+    power : float
+        What the path goes on with, or ended with.
+    roulette : float
+        Factor by which roulette raised the power here: 1 where none was played.
+    """
+
+    surface: str
+    short: str
+    event: Event
+    position_mm: Vector
+    incidence_deg: float | None
+    reflectance: float | None
+    transmittance: float | None
+    medium: str
+    index: float
+    power: float
+    roulette: float
+
+    @property
+    def was_raised(self) -> bool:
+        """Whether roulette raised the power here, and not rounding."""
+        return self.roulette > 1.0 + 1e-6
+
+
+@dataclass(frozen=True)
+class _Interface:
+    """What a path met: a surface between two media, and its unit normal there (of either sense).
+
+    The normal is None where a facet stands for a surface without a formula; then the path itself tells it.
+    """
+
+    media: tuple[Medium, Medium]
+    normal: Vector | None
+
+
+def history(rays: Rays, path: int) -> list[Step]:
+    """Return what happened to a path, from its start to its end.
+
+    Parameters
+    ----------
+    rays : Rays
+    path : int
+        Its place among the rays, 0 to len(rays) − 1.
+
+    Raises
+    ------
+    LfmeshError
+        There is no such path.
+    """
+    if not 0 <= path < len(rays):
+        raise LfmeshError(f"path {path}: the rays have paths 0 to {len(rays) - 1}")
+    wavelength = float(rays.wavelength_nm[path])
+    steps: list[Step] = []
+    first, end = int(rays.offsets[path]), int(rays.offsets[path + 1])
+    # Every launch starts in air.
+    medium: Medium = None
+    for vertex in range(first, end):
+        event, met = Event(int(rays.event[vertex])), _interface(rays, vertex)
+        incidence = reflectance = transmittance = None
+        power = left = float(rays.power[vertex])
+        if met is not None and vertex > first:
+            other = met.media[1] if medium == met.media[0] else met.media[0]
+            n_i, n_t = refractive_index(medium, wavelength), refractive_index(other, wavelength)
+            cosine = _cosine(rays, vertex, met.normal, n_i, n_t)
+            incidence = None if cosine is None else float(np.degrees(np.arccos(cosine)))
+            if cosine is not None and event in (Event.TRANSMITTED, Event.REFLECTED):
+                reflectance, transmittance, _ = fresnel(n_i, n_t, cosine)
+                left = steps[-1].power * (transmittance if event == Event.TRANSMITTED else reflectance)
+            medium = other if event == Event.TRANSMITTED else medium
+        name = rays.surfaces[rays.surface[vertex]]
+        steps.append(
+            Step(
+                name, label(name), event, rays.position[vertex], incidence, reflectance, transmittance,
+                _in_words(medium), refractive_index(medium, wavelength), power, power / left if left > 0.0 else 1.0,
+            )
+        )  # fmt: skip
+    return steps
+
+
+def lines(steps: list[Step], unit: str) -> list[str]:
+    """Return a history for a terminal of 80 columns, a line a step; the column before the medium is the roulette's."""
+    lines = [f"{'surface':<17}{'event':<9}{'angle':>7}{'R':>7}{'T':>7}{f'power/{unit}':>12}{'':7} medium"]
+    for step in steps:
+        angle = "" if step.incidence_deg is None else f"{step.incidence_deg:.2f}\N{DEGREE SIGN}"
+        r, t = ("" if share is None else f"{share:.4f}" for share in (step.reflectance, step.transmittance))
+        factor = f"x{step.roulette:.2g}" if step.roulette < 100.0 else f"x{min(step.roulette, 99999.0):.0f}"
+        raised = factor if step.was_raised else ""
+        lines.append(
+            f"{step.short[:16]:<17}{IN_SHORT.get(step.event, step.event.name.lower()):<9}{angle:>7}{r:>7}{t:>7}"
+            f"{step.power:12.4e}{raised:>7} {step.medium[:13]}"
+        )
+    return lines
+
+
+def _direction(rays: Rays, vertex: int) -> Vector | None:
+    """Return the direction in which a path goes on from a vertex; None where the next one lies in the same place."""
+    step = rays.position[vertex + 1] - rays.position[vertex]
+    length = float(np.linalg.norm(step))
+    return step / length if length > 0.0 else None
+
+
+def _cosine(rays: Rays, vertex: int, normal: Vector | None, n_i: float, n_t: float) -> float | None:
+    """Return the cosine of incidence at a vertex; None where too little is known."""
+    arriving = _direction(rays, vertex - 1)
+    if arriving is None:
+        return None
+    if normal is None:
+        # Snell's law keeps the part of n d along the surface, so what changes is along the normal.
+        leaving = _direction(rays, vertex)
+        if leaving is None:
+            return None
+        change = leaving - arriving if rays.event[vertex] == Event.REFLECTED else n_t * leaving - n_i * arriving
+        length = float(np.linalg.norm(change))
+        if length == 0.0:
+            return None
+        normal = change / length
+    return min(abs(float(arriving @ normal)), 1.0)
+
+
+def _interface(rays: Rays, vertex: int) -> _Interface | None:
+    """Return what a path met at a vertex; None where that has no normal of its own."""
+    world, name = rays.world, rays.surfaces[rays.surface[vertex]]
+    shape, mla = world.lens_shape, world.scene.camera.mla
+    k = int(rays.surface[vertex]) - 1
+    if 0 <= k < len(shape.surfaces):
+        exact = shape.surfaces[k]["level"] == EXACT
+        return _Interface((shape.media[k], shape.media[k + 1]), _of_lens(rays, vertex, k) if exact else None)
+    if name in (CURVED, FLAT) and mla is not None:
+        exact = name == FLAT or world.scene.transport.surface == "exact"
+        return _Interface((None, mla.medium), _of_array(rays, vertex, name) if exact else None)
+    if name == "sensor":
+        axis = frames.directions(world.tables.frames[SENSOR_FRAME, WORLD_FRAME], [[0.0, 0.0, 1.0]])
+        return _Interface((None, None), np.asarray(axis[0]))
+    if rays.event[vertex] in (Event.TRANSMITTED, Event.REFLECTED):
+        body = world.scene.targets[target_names(world).index(name)].refractor
+        return _Interface((None, body.medium), None) if body is not None else None
+    return None
+
+
+def _of_lens(rays: Rays, vertex: int, k: int) -> Vector:
+    """Return the normal of a lens surface."""
+    moves, of = rays.world.tables.frames, rays.world.lens_shape.surfaces[k]
+    p = frames.points(moves[WORLD_FRAME, CAMERA_FRAME], rays.position[vertex][None])
+    return np.asarray(frames.directions(moves[CAMERA_FRAME, WORLD_FRAME], normals(of, p[:, 0], p[:, 1]))[0])
+
+
+def _of_array(rays: Rays, vertex: int, name: str) -> Vector:
+    """Return the normal of a face of the array."""
+    moves, lenslets = rays.world.tables.frames, rays.world.tables.array.lenslets
+    normal = np.array([0.0, 0.0, 1.0])
+    if name == CURVED:
+        row, column = divmod(int(rays.lenslet[vertex]), lenslets.lattice.columns)
+        cx, cy = centre(lenslets.lattice, column, row)
+        curvature, ex, ey = shape_of(lenslets, column, row)
+        p = frames.points(moves[WORLD_FRAME, ARRAY_FRAME], rays.position[vertex][None])[0]
+        normal = normal - curvature * (p - [cx + ex, cy + ey, 0.0])
+        normal /= np.linalg.norm(normal)
+    return np.asarray(frames.directions(moves[ARRAY_FRAME, WORLD_FRAME], normal[None])[0])
+
+
+def _in_words(medium: Medium) -> str:
+    if medium is None:
+        return "air"
+    return medium if isinstance(medium, str) else f"n = {medium:g}"

@@ -1,0 +1,465 @@
+"""Launching rays to look at: from a field point, a light, pixels, or as a run does, with every vertex kept.
+
+The kernels are those of a render, so the paths are its paths. With the light they carry W; from the sensor m² sr.
+"""
+
+import difflib
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry import frame as frames
+from lfmesh.transport.aiming.aim_table import opening_seen, widest_disk
+from lfmesh.transport.aiming.pupil import opening_from
+from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
+from lfmesh.transport.packets.random import descendant, run_key
+from lfmesh.transport.packets.settings import SPLIT_MODE, options_of
+from lfmesh.transport.tables.tables import Records, Tables
+from lfmesh.transport.trace import at_wavelength, joined_records
+from lfmesh.transport.world import World
+from lfmesh.view.rays.paths import Rays, assembled
+from lfmesh.view.rays.recording import at_pixels, from_point, from_sources, traced
+
+Floats = NDArray[np.float64]
+
+Waves = Sequence[tuple[int, float]]
+"""Number (among the scene's; 0 for one that is not) and length in nm of the wavelengths that share the rays."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How many rays, at which wavelengths, and how they are followed."""
+
+    count: int
+    waves: Waves
+    split: int
+    cutoff: float
+    seed: int
+
+    def rays_of(self, place: int) -> int:
+        """Return how many rays the wavelength at a place of `waves` has."""
+        return len(range(place, self.count, len(self.waves)))
+
+
+INTENSITY_W_SR = 1.0
+"""Radiant intensity of a field point."""
+
+_KEY = 0x6669656C64
+"""Of the roulette that rays from field points play."""
+
+PLASTIC = 1.32471795724474602596
+"""Root of x³ = x + 1: its inverse powers make a sequence of points that covers a square evenly (Roberts 2018)."""
+
+
+def from_field_point(
+    world: World,
+    position_mm: ArrayLike,
+    count: int,
+    *,
+    wavelength_nm: float | None = None,
+    split: str = "both",
+    weight_cutoff: float | None = None,
+    seed: int = 0,
+    aim: Literal["pupil", "lens"] = "pupil",
+) -> Rays:
+    """Launch rays from a point of object space into the lens.
+
+    The point shines with 1 W/sr at each wavelength; a ray carries that times the solid angle that it stands for. Points
+    of the entrance pupil are covered evenly. A target that holds the point does not hide the lens from it.
+
+    Parameters
+    ----------
+    world : World
+    position_mm : (3,) float, mm, world frame
+        In front of the lens.
+    count : int
+        Rays in all.
+    wavelength_nm : float, optional
+        Else the scene's wavelengths share the rays.
+    split : {"both", "roulette", "transmit"}
+    weight_cutoff : float, optional
+        Share of a ray's power below which children play roulette, in place of the scene's. With 1e-4 ghosts of two
+        reflections are followed one by one; there are hundreds of them a ray.
+    seed : int
+        Shifts the points of the pupil, and plays the roulette.
+    aim : {"pupil", "lens"}
+        At the entrance pupil as the point sees it, by real rays and with a margin of 2 %; or at all of the lens, for
+        ghosts that come from beside the pupil. A point that sees no opening is aimed at the lens.
+
+    Raises
+    ------
+    LfmeshError
+        A point that is none or not in front of the lens, a count below 1, a setting out of its range, or more paths
+        than can be kept (as for all launches).
+    """
+    of = _settings(world, count, _wavelengths(world, wavelength_nm), split, weight_cutoff, seed)
+    if aim not in ("pupil", "lens"):
+        raise LfmeshError(f'aim = {aim!r}: use "pupil" or "lens"')
+    point = _point_before_lens(world, position_mm)
+    x, y, plane_z, radius = _disk_seen(world, point, aim)
+    options = options_of(world, tracing=True, record=True, split=of.split, cutoff=of.cutoff)
+    parts = []
+    for place, (wave, wavelength) in enumerate(of.waves):
+        u, v = _square(np.arange(place, count, len(of.waves)), seed)
+        r, phi = radius * np.sqrt(u), 2.0 * np.pi * v
+        ray = np.stack([x + r * np.cos(phi), y + r * np.sin(phi), np.full(len(u), plane_z)], axis=-1) - point
+        length = np.linalg.norm(ray, axis=1)
+        solid_angle = np.pi * radius**2 * ray[:, 2] / length**3 / max(len(u), 1)
+        starts = from_point(point, ray / length[:, None], INTENSITY_W_SR * solid_angle, descendant(_KEY, seed, wave))
+        parts.append(traced(world, at_wavelength(world, wavelength), options, starts, place))
+    return _assembled(world, parts, of)
+
+
+def from_pixel(
+    world: World,
+    row: int,
+    column: int,
+    count: int,
+    *,
+    wavelength_nm: float | None = None,
+    split: str = "both",
+    weight_cutoff: float | None = None,
+    seed: int = 0,
+) -> Rays:
+    """Launch rays from a pixel of the sensor against the light; targets end them.
+
+    They are those that an adjoint run with this seed starts at the pixel: most at the lenslets that show it the lens's
+    opening, some anywhere, for stray light. Each carries its share of the pixel's étendue, in m² sr.
+
+    Parameters
+    ----------
+    world : World
+    row, column : int
+    count : int
+        Rays in all.
+    wavelength_nm : float, optional
+        Else the scene's wavelengths share the rays.
+    split : {"both", "roulette", "transmit"}
+    weight_cutoff : float, optional
+        Share of a ray's power below which children play roulette, in place of the scene's. With 1e-4 ghosts of two
+        reflections are followed one by one; there are hundreds of them a ray.
+    seed : int
+
+    Raises
+    ------
+    LfmeshError
+        No such pixel, a count below 1, or a setting out of its range.
+    """
+    return from_pixels(
+        world, range(row, row + 1), range(column, column + 1), count,
+        wavelength_nm=wavelength_nm, split=split, weight_cutoff=weight_cutoff, seed=seed,
+    )  # fmt: skip
+
+
+def from_pixels(
+    world: World,
+    rows: range,
+    columns: range,
+    count: int,
+    *,
+    wavelength_nm: float | None = None,
+    split: str = "both",
+    weight_cutoff: float | None = None,
+    seed: int = 0,
+) -> Rays:
+    """Launch rays from a box of pixels as `from_pixel` does, as many from each; the power stands for the whole box.
+
+    With fewer rays than pixels, as many pixels are drawn by chance. Else every pixel has the same number of rays, so
+    that there may be a few more or less than asked for.
+
+    Raises
+    ------
+    LfmeshError
+        Pixels outside the sensor, a count below 1, or a setting out of its range.
+    """
+    of = _settings(world, count, _wavelengths(world, wavelength_nm), split, weight_cutoff, seed)
+    sensor = world.tables.sensor
+    for name, wished, size in (("row", rows, sensor.rows), ("column", columns, sensor.columns)):
+        if not len(wished) or min(wished) < 0 or max(wished) >= size:
+            given = wished[0] if len(wished) == 1 else f"{wished.start}:{wished.stop}"
+            raise LfmeshError(f"{name} {given}: the sensor has {name}s 0 to {size - 1}")
+    return _from_pixels(world, rows, columns, of)
+
+
+def from_light(
+    world: World,
+    number: int,
+    count: int,
+    *,
+    wavelength_nm: float | None = None,
+    split: str = "both",
+    weight_cutoff: float | None = None,
+    seed: int = 0,
+) -> Rays:
+    """Launch packets from one light alone as a forward run does: to the targets, and scattered on into the lens.
+
+    Together they carry the light's power at each wavelength; what does not go towards the targets is left out.
+
+    Parameters
+    ----------
+    world : World
+    number : int
+        Of `lights[number]`.
+    count : int
+        Packets in all.
+    wavelength_nm : float, optional
+        One of the scene's; else those share the packets.
+    split : {"both", "roulette", "transmit"}
+    weight_cutoff : float, optional
+        Share of a ray's power below which children play roulette, in place of the scene's. With 1e-4 ghosts of two
+        reflections are followed one by one; there are hundreds of them a ray.
+    seed : int
+
+    Raises
+    ------
+    LfmeshError
+        No such light or wavelength, a scene without targets, a count below 1, or a setting out of its range.
+    """
+    waves = _wavelengths(world, wavelength_nm, any_other=False)
+    of = _settings(world, count, waves, split, weight_cutoff, seed)
+    lights = len(world.scene.lights)
+    if not 0 <= number < lights:
+        known = f"it has lights[0] to lights[{lights - 1}]" if lights else "it has none"
+        raise LfmeshError(f"lights[{number}] is not in the scene: {known}")
+    if not len(world.scene.targets):
+        raise LfmeshError(f"lights[{number}] lights nothing: the scene has no targets")
+    objects = world.tables.objects
+    sources = objects.sources[objects.sources["light"] == number].copy()
+    sources["share"] = sources["until"] = 1.0
+    tables = world.tables._replace(objects=objects._replace(sources=sources))
+    return _from_sources(world, tables, of)
+
+
+def as_in_run(
+    world: World,
+    count: int | None = None,
+    *,
+    wavelength_nm: float | None = None,
+    split: str | None = None,
+    weight_cutoff: float | None = None,
+    seed: int | None = None,
+) -> Rays:
+    """Launch the rays with which a run starts: the same kernels, the same numbers.
+
+    By the scene's `transport.method`. Forward, they are the first packets of the run and share its power; all of them
+    put on the sensor what its ledger says. Adjoint, they are first samples of pixels all over the sensor; targets end
+    them, since what is gathered there is no path of a packet.
+
+    Parameters
+    ----------
+    world : World
+    count : int, optional
+        Rays in all; a forward run's are not more than it has, and all of them if left out.
+    wavelength_nm : float, optional
+        One of the scene's; else those share the rays.
+    split, weight_cutoff, seed : optional
+        In place of the scene's.
+
+    Raises
+    ------
+    LfmeshError
+        Nothing shines in a scene of the forward method, a count below 1, or a setting out of its range.
+    """
+    transport = world.scene.transport
+    split = transport.split if split is None else split
+    seed = transport.seed if seed is None else seed
+    waves = _wavelengths(world, wavelength_nm, any_other=False)
+    sensor = world.tables.sensor
+    pixels = sensor.rows * sensor.columns
+    most = pixels * len(waves) * (transport.samples if transport.method == "forward" else 1)
+    of = _settings(world, most if count is None else count, waves, split, weight_cutoff, seed)
+    if transport.method == "adjoint":
+        return _from_pixels(world, range(sensor.rows), range(sensor.columns), of)
+    if not len(world.tables.objects.sources):
+        raise LfmeshError("nothing shines: the scene has neither lights nor targets with radiance_w_m2_sr")
+    return _from_sources(world, world.tables, replace(of, count=min(of.count, most)))
+
+
+def _from_pixels(world: World, rows: range, columns: range, of: Settings) -> Rays:
+    """Launch rays from a box of pixels, shared among wavelengths."""
+    box = len(rows) * len(columns)
+    options = options_of(world, tracing=True, record=True, split=of.split, cutoff=of.cutoff)
+    generator = np.random.default_rng(of.seed)
+    parts = []
+    for place, (wave, wavelength) in enumerate(of.waves):
+        rays = of.rays_of(place)
+        # Unshuffled, a few of many millions are drawn without listing them all.
+        row, column = np.divmod(
+            np.sort(generator.choice(box, min(rays, box), replace=False, shuffle=False)), len(columns)
+        )
+        pixels = np.asarray(rows)[row] * world.tables.sensor.columns + np.asarray(columns)[column]
+        starts = at_pixels(pixels, max(1, round(rays / box)), descendant(run_key(of.seed), 0, wave))
+        ended, nodes = traced(world, at_wavelength(world, wavelength), options, starts, place)
+        # Of pixels drawn by chance, each stands for several.
+        for table in (ended, nodes):
+            table["weight"] *= box / max(len(pixels), 1)
+        parts.append((ended, nodes))
+    return _assembled(world, parts, of, from_sensor=True)
+
+
+def _from_sources(world: World, tables: Tables, of: Settings) -> Rays:
+    """Launch the first packets of a forward run, shared among wavelengths, replicate by replicate."""
+    transport = world.scene.transport
+    options = options_of(world, record=True, split=of.split, cutoff=of.cutoff, adjoint=False, sequential=False)
+    one = tables.sensor.rows * tables.sensor.columns * (transport.samples // transport.replicates)
+    parts = []
+    for place, (wave, _) in enumerate(of.waves):
+        total = of.rays_of(place)
+        for replicate, first in enumerate(range(0, total, one)):
+            key = descendant(run_key(of.seed), replicate, wave)
+            starts = from_sources(0, min(one, total - first), total, key, wave)
+            parts.append(traced(world, tables, options, starts, place))
+    return _assembled(world, parts, of)
+
+
+def _assembled(world: World, parts: list[tuple[Records, Records]], of: Settings, *, from_sensor: bool = False) -> Rays:
+    ended, nodes = joined_records(parts)
+    lengths = np.array([wavelength for _, wavelength in of.waves])
+    return assembled(world, ended, nodes, lengths[ended["wave"]], ended["source"] if from_sensor else None)
+
+
+def _square(number: NDArray[np.int64], seed: int) -> tuple[Floats, Floats]:
+    """Return points of a sequence that covers the unit square evenly, moved by a seed's shift."""
+    shift = np.random.default_rng(seed).random(2)
+    u, v = (np.mod(s + (number + 0.5) / PLASTIC**power, 1.0) for power, s in zip((1, 2), shift, strict=True))
+    return u, v
+
+
+def _disk_seen(world: World, point: Floats, aim: str) -> tuple[float, float, float, float]:
+    """Return the disk that rays from a point (camera frame) are aimed at: middle x, y, z and radius."""
+    lens = world.tables.lens
+    wide = widest_disk(lens, point[None], front=True)
+    opening = opening_seen(
+        world.first_order, lens, point[None], wide, bool(world.lens_shape.analytic.all()), front=True
+    )
+    x, y, radius = opening_from(opening, *point)
+    if aim == "lens" or not opening.known or radius <= 0.0:
+        return 0.0, 0.0, opening.plane_z, wide
+    return x, y, opening.plane_z, radius
+
+
+def _point_before_lens(world: World, position_mm: ArrayLike) -> Floats:
+    """Return a field point in the camera frame."""
+    try:
+        point = np.asarray(position_mm, dtype=np.float64)
+    except (TypeError, ValueError):
+        point = np.zeros(0)
+    if point.shape != (3,) or not np.isfinite(point).all():
+        raise LfmeshError(f"position_mm = {position_mm!r}: must be three finite numbers x, y, z")
+    moved = frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], point[None])[0]
+    front = float(world.tables.lens.box_low[2])
+    if moved[2] >= front:
+        raise LfmeshError(
+            f"position_mm = {point.tolist()}: a field point lies in front of the lens, in the camera frame at z < "
+            f"{round(front, 6) + 0.0:g} mm; this one is at z = {moved[2]:.6g} mm"
+        )
+    return np.asarray(moved)
+
+
+def _wavelengths(world: World, wavelength_nm: float | None, *, any_other: bool = True) -> Waves:
+    """Return the wavelengths that rays are launched at; `any_other`: one that is not the scene's will do."""
+    known = world.scene.transport.wavelengths_nm
+    if wavelength_nm is None:
+        return list(enumerate(known))
+    if wavelength_nm in known:
+        return [(known.index(wavelength_nm), float(wavelength_nm))]
+    if not any_other:
+        listed = ", ".join(f"{w:g}" for w in known)
+        raise LfmeshError(f"wavelength_nm = {wavelength_nm!r}: light and targets are known at the scene's ({listed})")
+    if not 0.0 < wavelength_nm < np.inf:
+        raise LfmeshError(f"wavelength_nm = {wavelength_nm!r}: must be a positive number")
+    return [(0, float(wavelength_nm))]
+
+
+def _settings(world: World, count: int, waves: Waves, split: str, weight_cutoff: float | None, seed: int) -> Settings:
+    """Return checked settings."""
+    if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
+        raise LfmeshError(f"count = {count!r}: must be a whole number of rays, at least 1")
+    if split not in SPLIT_MODE:
+        raise LfmeshError(f"split = {split!r}: use one of {', '.join(SPLIT_MODE)}")
+    cutoff = world.scene.transport.weight_cutoff if weight_cutoff is None else weight_cutoff
+    if not 0.0 <= cutoff <= 1.0:
+        raise LfmeshError(f"weight_cutoff = {cutoff!r}: must be from 0 to 1")
+    if not 0 <= seed < 2**63:
+        raise LfmeshError(f"seed = {seed!r}: must be a whole number from 0 to 2^63 − 1")
+    return Settings(int(count), waves, SPLIT_MODE[split], cutoff, int(seed))
+
+
+FORMS = {
+    "field": "field x,y,z        a point of object space, mm, world frame",
+    "pixel": "pixel row,column   against the light",
+    "pixels": "pixels r:r,c:c     a box of pixels, rows and columns as Python slices: the end is not in it",
+    "light": "light number       one of the scene's lights alone",
+    "run": "run                as the scene's transport.method launches them",
+}
+"""What `launch` understands, one line each."""
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_PATTERNS = {
+    "field": rf"({_NUMBER}),({_NUMBER}),({_NUMBER})",
+    "pixel": r"(-?\d+),(-?\d+)",
+    "pixels": r"(-?\d+):(-?\d+),(-?\d+):(-?\d+)",
+    "light": r"(-?\d+)",
+    "run": "",
+}
+
+
+def launch(
+    world: World,
+    spec: str,
+    count: int,
+    *,
+    wavelength_nm: float | None = None,
+    split: str | None = None,
+    weight_cutoff: float | None = None,
+    seed: int | None = None,
+) -> Rays:
+    """Launch rays as a line of words says: "field 0,0,-500", "pixel 320,310", "light 0", "run"; see `FORMS`.
+
+    Parameters
+    ----------
+    world : World
+    spec : str
+    count : int
+    wavelength_nm, split, weight_cutoff, seed : optional
+        As for the function of that name; left out, as a run of the scene has them.
+
+    Raises
+    ------
+    LfmeshError
+        Words that are none of the forms, and whatever the function raises.
+    """
+    kind, numbers = _read_spec(spec)
+    transport = world.scene.transport
+    split = transport.split if split is None else split
+    seed = transport.seed if seed is None else seed
+    more: dict[str, Any] = {
+        "wavelength_nm": wavelength_nm, "split": split, "weight_cutoff": weight_cutoff, "seed": seed
+    }  # fmt: skip
+    if kind == "field":
+        return from_field_point(world, [float(n) for n in numbers], count, **more)
+    whole = [int(n) for n in numbers]
+    if kind == "pixel":
+        return from_pixel(world, whole[0], whole[1], count, **more)
+    if kind == "pixels":
+        return from_pixels(world, range(*whole[:2]), range(*whole[2:]), count, **more)
+    return from_light(world, whole[0], count, **more) if kind == "light" else as_in_run(world, count, **more)
+
+
+def _read_spec(spec: str) -> tuple[str, list[str]]:
+    """Return the kind of a launch and its numbers."""
+    kind, _, rest = spec.strip().partition(" ")
+    forms = "\n  ".join(FORMS.values())
+    if kind not in FORMS:
+        near = difflib.get_close_matches(kind, FORMS, 1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise LfmeshError(f"launch {spec!r}: no way to launch is called {kind!r}{hint} There are:\n  {forms}")
+    found = re.fullmatch(_PATTERNS[kind], re.sub(r"\s+", "", rest))
+    if not found:
+        raise LfmeshError(f"launch {spec!r}: cannot be read; it goes\n  {FORMS[kind]}")
+    return kind, list(found.groups())

@@ -1,0 +1,83 @@
+"""What a lens designer calls the surfaces of a camera, and the short labels of a prescription.
+
+| name              | label | what it is                                                                    |
+|-------------------|-------|-------------------------------------------------------------------------------|
+| `lens[0].front`   | L1a   | first surface of the first piece of glass, as in `world.mesh("lens[0]")`      |
+| `lens[0].back`    | L1b   | its second; where two are cemented, the one surface is the back of the first  |
+| `surface[3]`      | S3    | surface 3 of the prescription, where it bounds no glass                       |
+| `mla.curved`      | MLAc  | the lenslets' faces                                                           |
+| `mla.flat`        | MLAf  | the other side of the array                                                   |
+
+Ends have the names of the ledger: "sensor", "stop", "mount", "lens[0] edge", "housing", ...; targets their own.
+"""
+
+import functools
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.transport.packets.packet import CURVED_FACE, ENDS_AT, FLAT_FACE, ON_GLASS, ON_TARGET
+from lfmesh.transport.world import World
+
+START = "start"
+CURVED, FLAT = "mla.curved", "mla.flat"
+
+
+def lens_names(world: World) -> list[str]:
+    """Return the names of the refracting surfaces of the lens, in order."""
+    shape = world.lens_shape
+    names = [f"surface[{number}]" for number in shape.numbers]
+    for element, k in reversed(list(enumerate(shape.elements))):
+        names[k], names[k + 1] = f"lens[{element}].front", f"lens[{element}].back"
+    # Of cemented elements the earlier one has the say.
+    for element, k in enumerate(shape.elements):
+        names[k + 1] = f"lens[{element}].back"
+    return names
+
+
+def aliases(world: World) -> dict[str, str]:
+    """Return the other names that a surface may be called by, with the one it has: labels, cemented fronts, numbers."""
+    shape, names = world.lens_shape, lens_names(world)
+    other = {label(name): name for name in [*names, CURVED, FLAT]}
+    for element, k in enumerate(shape.elements):
+        other[f"lens[{element}].front"] = names[k]
+        other[f"L{element + 1}a"] = names[k]
+    for number, target in enumerate(target_names(world)):
+        other[f"targets[{number}]"] = target
+    return {alias: name for alias, name in other.items() if alias != name}
+
+
+def target_names(world: World) -> list[str]:
+    """Return the names of the targets."""
+    return [world.slots[slot] for slot in world.tables.objects.target_slot]
+
+
+def surface_names(world: World) -> list[str]:
+    """Return everything that a vertex can lie on, in the order in which `Rays.surface` counts."""
+    return [START, *lens_names(world), CURVED, FLAT, *target_names(world), *world.slots]
+
+
+def surface_numbers(world: World, surface: NDArray[np.int64], part: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return recorded surfaces and their parts (see `packet.NODE`) as numbers in the order of `surface_names`."""
+    first_end = 1 + len(world.lens_shape.surfaces) + 2 + len(world.tables.objects.target_slot)
+    first_target = first_end - len(world.tables.objects.target_slot)
+    on_target = (surface == ON_TARGET) | (surface == ON_GLASS)
+    numbers = np.where(on_target, first_target + part, surface + 1)
+    numbers = np.where(surface == CURVED_FACE, first_target - 2, numbers)
+    numbers = np.where(surface == FLAT_FACE, first_target - 1, numbers)
+    slot = surface - ENDS_AT
+    numbers = np.where(slot >= 0, first_end + slot, numbers)
+    for target, own in enumerate(world.tables.objects.target_slot):
+        numbers = np.where(slot == own, first_target + target, numbers)
+    return numbers.astype(np.int64)
+
+
+@functools.cache
+def label(name: str) -> str:
+    """Return the short label of a surface; any other name is its own."""
+    if found := re.fullmatch(r"lens\[(\d+)\]\.(front|back)", name):
+        return f"L{int(found[1]) + 1}{'a' if found[2] == 'front' else 'b'}"
+    if found := re.fullmatch(r"surface\[(\d+)\]", name):
+        return f"S{found[1]}"
+    return {CURVED: "MLAc", FLAT: "MLAf"}.get(name, name)

@@ -1,0 +1,245 @@
+"""The path table: every distinct sequence of surfaces and events, and what it brings to the sensor."""
+
+import csv
+import difflib
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.files.whole import write_whole
+from lfmesh.transport.packets.ledger import loss_in_words
+from lfmesh.transport.packets.packet import Event, Status
+from lfmesh.transport.world import LOST_IN
+from lfmesh.view.rays.filters import parse
+from lfmesh.view.rays.names import label
+from lfmesh.view.rays.paths import WATT, Rays
+
+NAMED = 4
+"""Reflections that the short form of a sequence names."""
+
+ROWS = 20
+"""Rows that are printed if nothing else is said."""
+
+DASH = "\N{EN DASH}"
+
+
+@dataclass(frozen=True)
+class PathRow:
+    """One sequence.
+
+    Attributes
+    ----------
+    path : int
+        Its number: `rays.sequence` of its paths, and what the filter `path == ...` asks for.
+    short : str
+        In few words: "image path", "ghost L3b–L1a"; the reflections are named in the order in which light meets them.
+    sequence : str
+        Every surface and event: "L1a T, L1b T, L2a R, ..., sensor".
+    events, reflections : int
+        Interfaces and scatterings; reflections by lens or array.
+    count : int
+        Paths.
+    power : float
+        What they bring to the sensor, in the table's unit; 0 for a sequence that ends elsewhere.
+    share : float
+        Of the power that all launched paths bring to the sensor.
+    irradiance : float
+        The largest that the sequence makes on a pixel, in the unit of power per mm². With few paths a pixel it is
+        that of single paths, and too large.
+    """
+
+    path: int
+    short: str
+    sequence: str
+    events: int
+    reflections: int
+    count: int
+    power: float
+    share: float
+    irradiance: float
+
+
+COLUMNS = tuple(field.name for field in fields(PathRow))
+
+
+@dataclass(frozen=True)
+class PathTable(Sequence[PathRow]):
+    """Rows of a path table, and the rays that they are about.
+
+    Attributes
+    ----------
+    rows : list of PathRow
+    rays : Rays
+    total : float
+        Power on the sensor that the shares refer to.
+    loss : str or None
+        What the tracer lost of all launched paths, in words, where that is more than rounding.
+    """
+
+    rows: list[PathRow]
+    rays: Rays
+    total: float
+    loss: str | None = None
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[PathRow]:
+        return iter(self.rows)
+
+    def __getitem__(self, place):  # type: ignore[no-untyped-def]  # an index or a slice, as of any sequence
+        return self.rows[place]
+
+    @property
+    def power(self) -> float:
+        """Power on the sensor of all rows."""
+        return sum(row.power for row in self.rows)
+
+    def sorted(self, by: str, *, descending: bool | None = None) -> "PathTable":
+        """Return the table sorted by a column; numbers from large to small, words and the path's number from a to z.
+
+        Raises
+        ------
+        LfmeshError
+            No column has this name.
+        """
+        if by not in COLUMNS:
+            near = difflib.get_close_matches(by, COLUMNS, 1)
+            hint = f"; did you mean {near[0]!r}?" if near else ";"
+            raise LfmeshError(f"the path table has no column {by!r}{hint} there are {', '.join(COLUMNS)}")
+        if descending is None:
+            descending = by not in ("path", "short", "sequence")
+        rows = sorted(self.rows, key=lambda row: getattr(row, by), reverse=descending)
+        return PathTable(rows, self.rays, self.total, self.loss)
+
+    def filtered(self, chosen: str | NDArray[np.bool_]) -> "PathTable":
+        """Return the table of some of the paths; shares still refer to all of them, numbers stay.
+
+        Parameters
+        ----------
+        chosen : str or (n,) bool
+            A filter expression, see `lfmesh.view.rays.filters`, or which paths.
+
+        Raises
+        ------
+        FilterError
+            The expression cannot be read.
+        """
+        mask = parse(chosen, self.rays) if isinstance(chosen, str) else chosen
+        return _table(self.rays.keep(mask), self.total, self.loss)
+
+    def to_csv(self, path: str | Path) -> Path:
+        """Write `csv_text`; return the file. It is written whole or not at all.
+
+        Raises
+        ------
+        FileError
+            The file cannot be written.
+        """
+        write_whole(Path(path), self.csv_text())
+        return Path(path)
+
+    def csv_text(self) -> str:
+        """Return the table as CSV, with every digit and whole sequences."""
+        unit = "w" if self.rays.unit == WATT else "m2_sr"
+        titles = {"power": f"power_{unit}", "irradiance": f"largest_irradiance_{unit}_mm2"}
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(titles.get(name, name) for name in COLUMNS)
+        writer.writerows([getattr(row, name) for name in COLUMNS] for row in self.rows)
+        return text.getvalue()
+
+    def lines(self, most: int = ROWS, width: int = 80) -> list[str]:
+        """Return the first rows for a terminal, a line each, with sequences in their short form."""
+        unit = self.rays.unit
+        head = f"{'path':>5}{'count':>8}{f'power/{unit}':>13}{'share':>8}{'max per mm²':>13}  "
+        lines = [head + "sequence"]
+        for row in self.rows[:most]:
+            numbers = f"{row.path:5d}{row.count:8d}{row.power:13.3e}{_percent(row.share):>8}{row.irradiance:13.2e}  "
+            lines.append(numbers + _clipped(row.short, width - len(numbers)))
+        rest = self.rows[most:]
+        if rest:
+            left = sum(row.power for row in rest)
+            lines.append(f"and {len(rest)} more sequences with {left:.3e} {unit}")
+        where = "between sensor and scene" if self.rays.from_sensor else "on the sensor"
+        paths = sum(row.count for row in self.rows)
+        whole = f"{len(self)} sequences, {paths} paths, {self.power:.4e} {unit} {where}"
+        return [*lines, whole, *([f"Warning: {self.loss}."] if self.loss else [])]
+
+
+def path_table(rays: Rays) -> PathTable:
+    """Return the path table of some rays, in the order of the paths' numbers: what brings most comes first."""
+    return _table(rays, float(rays.end_power[rays.arrives].sum()), _loss(rays))
+
+
+def _loss(rays: Rays) -> str | None:
+    """Say what the tracer lost of the power that the paths ended with, and in which bodies."""
+    lost = rays.status == Status.LOST
+    power = np.bincount(rays.end[lost], rays.end_power[lost], len(rays.surfaces))
+    lost_in = {rays.surfaces[i].removeprefix(LOST_IN): float(power[i]) for i in np.flatnonzero(power)}
+    return loss_in_words(sum(lost_in.values()), lost_in, float(rays.end_power.sum()))
+
+
+def _table(rays: Rays, total: float, loss: str | None) -> PathTable:
+    present, first, place, count = np.unique(rays.sequence, return_index=True, return_inverse=True, return_counts=True)
+    arriving = rays.end_power * rays.arrives
+    power = np.bincount(place, arriving, len(present))
+    irradiance = _largest_irradiance(rays, place, arriving, len(present))
+    reflections = rays.count_vertices(rays.reflected)
+    rows = [
+        PathRow(
+            int(number), short_form(rays, path), rays.sequences[number], int(rays.events[path]), int(reflections[path]),
+            int(paths), float(watts), float(watts / total) if total > 0.0 else 0.0, float(largest),
+        )
+        for number, path, paths, watts, largest in zip(present, first, count, power, irradiance, strict=True)
+    ]  # fmt: skip
+    return PathTable(rows, rays, total, loss)
+
+
+def _largest_irradiance(
+    rays: Rays, place: NDArray[np.int64], arriving: NDArray[np.float64], rows: int
+) -> NDArray[np.float64]:
+    """Return (rows,) the largest power of a row on one pixel, over the pixel's area in mm²."""
+    sensor = rays.world.tables.sensor
+    pixel = rays.pixel[:, 0] * sensor.columns + rays.pixel[:, 1]
+    bins, of_path = np.unique(place * sensor.rows * sensor.columns + pixel, return_inverse=True)
+    on_pixel = np.bincount(of_path.reshape(-1), arriving, len(bins))
+    largest = np.zeros(rows)
+    np.maximum.at(largest, bins // (sensor.rows * sensor.columns), on_pixel)
+    return largest / sensor.pixel**2
+
+
+def short_form(rays: Rays, path: int) -> str:
+    """Return the sequence of a path in few words: its kind, and its reflections in the order that light meets them."""
+    part = slice(rays.offsets[path], rays.offsets[path + 1])
+    surface, event, mirrored = rays.surface[part], rays.event[part], rays.reflected[part]
+    names = [label(rays.surfaces[number]) for number in surface]
+    mirrors = [name for name, mirror in zip(names, mirrored, strict=True) if mirror]
+    if rays.from_sensor:
+        mirrors.reverse()
+    bodies = [names[i] for i in np.flatnonzero((event == Event.SCATTERED) | (event == Event.REFLECTED) & ~mirrored)]
+    reflections = DASH.join(mirrors[:NAMED])
+    if len(mirrors) > NAMED:
+        reflections += f"{DASH}... ({len(mirrors)} reflections)"
+    if rays.arrives[path]:
+        kind = "image path" if not mirrors else f"{'ghost' if len(mirrors) > 1 else 'reflection'} {reflections}"
+        return kind + (f", {names[-1]}" if rays.from_sensor else "") + (f" by {', '.join(bodies)}" if bodies else "")
+    after = f" after {names[-2]}" if len(names) > 2 else ""
+    return names[-1] + after + (f", by {reflections}" if mirrors else "")
+
+
+def _percent(share: float) -> str:
+    """Return a share in percent, in seven characters at most."""
+    percent = 100.0 * share
+    if percent == 0.0 or percent >= 0.01:
+        return f"{percent:.2f} %" if percent < 99.995 else "100 %"
+    return f"{percent:.0e} %"
+
+
+def _clipped(text: str, room: int) -> str:
+    return text if len(text) <= room else text[: max(room - 3, 0)] + "..."

@@ -1,0 +1,1 @@
+"""The scene and its rays in 3D."""

@@ -1,0 +1,121 @@
+"""What is behind a part of the picture, in words: prescription, pixels, materials."""
+
+import math
+
+from lfmesh.errors import LfmeshError
+from lfmesh.optics.glass import refractive_index
+from lfmesh.scene import Surface
+from lfmesh.transport.world import World
+from lfmesh.view.rays.names import label, lens_names
+
+Rows = list[tuple[str, str]]
+"""Labels and values."""
+
+
+def describe(world: World, name: str) -> Rows:
+    """Return the facts about a part: "lens[0]", "stop", "mount", "mla", "sensor", "targets[0]", "lights[0]".
+
+    Raises
+    ------
+    LfmeshError
+        Nothing has this name.
+    """
+    kind, _, number = name.rstrip("]").partition("[")
+    makers = {"stop": _stop, "mla": _array, "sensor": _sensor}
+    if kind in makers and not number and (kind != "mla" or world.tables.array.present):
+        return makers[kind](world)
+    if name == "mount":
+        return [("mount", "absorbs what leaves the clear apertures between the elements")]
+    several = {"lens": (_element, len(world.lens_shape.elements)), "targets": (_target, len(world.targets)),
+               "lights": (_light, len(world.scene.lights))}  # fmt: skip
+    if kind in several and number.isdecimal() and int(number) < several[kind][1]:
+        return several[kind][0](world, int(number))
+    raise LfmeshError(f"no part is called {name!r}; there are {', '.join(world.mesh_names)}")
+
+
+def _element(world: World, number: int) -> Rows:
+    shape = world.lens_shape
+    k = shape.elements[number]
+    names = lens_names(world)
+    surfaces = world.scene.camera.lens.surfaces
+    front, back = (surfaces[shape.numbers[i]] for i in (k, k + 1))
+    vertices = world.scene.camera.lens.vertices_mm
+    thickness = vertices[shape.numbers[k + 1]] - vertices[shape.numbers[k]]
+    return [
+        ("element", f"lens[{number}], {label(names[k])} to {label(names[k + 1])}"),
+        ("glass", _medium(world, shape.media[k + 1])),
+        ("thickness", f"{thickness:.6g} mm"),
+        *(("front", words) for words in [_surface(front, shape.numbers[k])]),
+        *(("back", words) for words in [_surface(back, shape.numbers[k + 1])]),
+    ]
+
+
+def _surface(surface: Surface, number: int) -> str:
+    words = [f"surface {number}", "flat" if math.isinf(surface.radius_mm) else f"R {surface.radius_mm:.6g} mm"]
+    words += [f"conic {surface.conic:g}"] if surface.conic else []
+    words += ["asphere " + ", ".join(f"{a:.4g}" for a in surface.asphere_mm)] if any(surface.asphere_mm) else []
+    words += [f"semi-diameter {surface.semi_diameter_mm:.6g} mm"] if surface.semi_diameter_mm else []
+    words += ["mesh " + surface.mesh.file] if surface.mesh is not None else []
+    return ", ".join(words)
+
+
+def _medium(world: World, medium: float | str | None) -> str:
+    wavelength = world.scene.transport.primary_nm
+    index = f"n = {refractive_index(medium, wavelength):.6g} at {wavelength:g} nm"
+    return f"{medium}, {index}" if isinstance(medium, str) else index
+
+
+def _stop(world: World) -> Rows:
+    lens = world.scene.camera.lens
+    number = next(i for i, surface in enumerate(lens.surfaces) if surface.stop)
+    radius = lens.surfaces[number].semi_diameter_mm or math.nan
+    return [
+        ("stop", f"surface {number}, z = {lens.vertices_mm[number]:.6g} mm"),
+        ("semi-diameter", f"{radius:.6g} mm"),
+        ("working f-number", f"{world.first_order.working_f_number:.4g}"),
+    ]
+
+
+def _array(world: World) -> Rows:
+    mla = world.scene.camera.mla
+    assert mla is not None
+    shapes = ("focal length", mla.focal_length_mm) if mla.focal_length_mm else ("radius", mla.radius_mm or ())
+    return [
+        ("array", f"{mla.layout}, {mla.count[0]} × {mla.count[1]} lenslets"),
+        ("pitch", f"{mla.pitch_mm:g} mm"),
+        (shapes[0], ", ".join(f"{value:g}" for value in shapes[1]) + " mm"),
+        ("glass", _medium(world, mla.medium)),
+        ("thickness", f"{mla.thickness_mm:g} mm, curved side to the {mla.curved_side}"),
+    ]
+
+
+def _sensor(world: World) -> Rows:
+    sensor = world.scene.camera.sensor
+    width, height = sensor.size_mm
+    return [
+        ("sensor", f"{sensor.pixels[0]} × {sensor.pixels[1]} pixels of {1e3 * sensor.pixel_mm:g} µm"),
+        ("size", f"{width:.5g} mm × {height:.5g} mm"),
+    ]
+
+
+def _target(world: World, number: int) -> Rows:
+    target = world.scene.targets[number]
+    what = target.shape.kind if target.shape else target.file or (target.refractor.file if target.refractor else "")
+    rows = [("target", f"{target.name or f'targets[{number}]'}, {what}")]
+    rows += [("position", " ".join(f"{value:g}" for value in target.position_mm) + " mm")]
+    if target.refractor is not None:
+        return [*rows, ("glass", _medium(world, target.refractor.medium))]
+    material = target.material
+    rows += [("reflectance", f"{material.reflectance:g}")] if material.reflectance else []
+    rows += [("radiance", f"{material.radiance_w_m2_sr:g} W/(m² sr)")] if material.radiance_w_m2_sr else []
+    return rows + ([("texture", material.texture)] if material.texture else [])
+
+
+def _light(world: World, number: int) -> Rows:
+    light = world.scene.lights[number]
+    fields = light.model_dump(exclude={"kind"})
+    values = {key: value if isinstance(value, tuple) else (value,) for key, value in fields.items()}
+    return [
+        ("light", f"{light.kind}, lights[{number}]"),
+        *((key, " ".join(f"{part:g}" for part in value)) for key, value in values.items()),
+    ]

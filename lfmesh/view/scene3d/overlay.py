@@ -1,0 +1,138 @@
+"""What is written over the picture: title, caption, legend, and a scale bar that follows the zoom."""
+
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pyvista as pv
+from vtkmodules.vtkCommonCore import vtkPoints
+from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
+from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMapper2D, vtkTextActor
+
+from lfmesh.view.scene3d.colours import BACKGROUND, FAINT_TEXT, TEXT, Legend
+from lfmesh.view.scene3d.parts import round_length
+
+_FONTS = Path(mpl.get_data_path()) / "fonts" / "ttf"
+FONT, FONT_OF_COLUMNS = _FONTS / "DejaVuSans.ttf", _FONTS / "DejaVuSansMono.ttf"
+"""VTK's own fonts have no Greek letters and few signs."""
+
+LINE = 1.55
+"""Distance of lines of text over their size."""
+
+BAR_PX = 220
+"""Longest scale bar, in a picture 1000 pixels high."""
+
+
+class Overlay:
+    """Text and scale bar of one plotter."""
+
+    def __init__(self, plotter: pv.Plotter) -> None:
+        self._plotter = plotter
+        self._texts: list[vtkTextActor] = []
+        self._told: list[vtkTextActor] = []
+        self._scale = plotter.window_size[1] / 1000.0
+        self._bar, self.bar_text, self.bar_points = self._scale_bar()
+        # Just before every picture: whoever has moved the camera.
+        plotter.renderer.AddObserver("StartEvent", lambda *_: self._measure())
+
+    def write(self, title: str, caption: list[str], legend: Legend | None) -> None:
+        """Replace the text."""
+        for text in self._texts:
+            self._plotter.renderer.RemoveViewProp(text)
+        self._texts = [self._text(title, 24, (0.015, 0.985), TEXT, top=True)]
+        height = self._plotter.window_size[1]
+        below = 0.985 - 24 * LINE * self._scale / height
+        for line in caption:
+            self._texts.append(self._text(line, 15, (0.015, below), FAINT_TEXT, top=True))
+            below -= 15 * LINE * self._scale / height
+        if legend is not None and legend.entries:
+            top = 0.985
+            for label, colour in ((legend.title, TEXT), *legend.entries):
+                self._texts.append(self._text(label, 15, (0.985, top), colour, top=True, right=True))
+                top -= 15 * LINE * self._scale / height
+
+    def only_scale(self, on: bool) -> None:
+        """Hide everything but the scale bar, which is written larger meanwhile; or show it again."""
+        for text in (*self._texts, *self._told):
+            text.SetVisibility(not on)
+        self.bar_text.GetTextProperty().SetFontSize(round((2.4 if on else 1.0) * 15 * self._scale))
+        (self._plotter.hide_axes if on else self._plotter.show_axes)()
+
+    def tell(self, lines: list[str]) -> None:
+        """Replace what stands at the bottom."""
+        for text in self._told:
+            self._plotter.renderer.RemoveViewProp(text)
+        step = 13 * LINE * self._scale / self._plotter.window_size[1]
+        self._told = [
+            self._text(line, 13, (0.2, 0.03 + step * place), TEXT, font=FONT_OF_COLUMNS)
+            for place, line in enumerate(reversed(lines))
+        ]
+
+    def _text(
+        self, words: str, size: int, place: tuple[float, float], colour: str, *, top: bool = False, right: bool = False,
+        font: Path = FONT,
+    ) -> vtkTextActor:  # fmt: skip
+        text = vtkTextActor()
+        text.SetInput(words)
+        text.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
+        text.SetPosition(*place)
+        look = text.GetTextProperty()
+        look.SetFontFamily(4)  # VTK_FONT_FILE
+        look.SetFontFile(str(font))
+        look.SetFontSize(max(9, round(size * self._scale)))
+        look.SetColor(*pv.Color(colour).float_rgb)
+        # Readable over lenslets and charts too.
+        look.SetBackgroundColor(*pv.Color(BACKGROUND).float_rgb)
+        look.SetBackgroundOpacity(0.6)
+        if top:
+            look.SetVerticalJustificationToTop()
+        if right:
+            look.SetJustificationToRight()
+        self._plotter.renderer.AddViewProp(text)
+        return text
+
+    def _scale_bar(self) -> tuple[vtkActor2D, vtkTextActor, vtkPoints]:
+        points, lines, data = vtkPoints(), vtkCellArray(), vtkPolyData()
+        for _ in range(6):
+            points.InsertNextPoint(0.0, 0.0, 0.0)
+        for i in (0, 2, 4):
+            lines.InsertNextCell(2)
+            lines.InsertCellPoint(i)
+            lines.InsertCellPoint(i + 1)
+        data.SetPoints(points)
+        data.SetLines(lines)
+        system = vtkCoordinate()
+        system.SetCoordinateSystemToViewport()
+        mapper = vtkPolyDataMapper2D()
+        mapper.SetTransformCoordinate(system)
+        mapper.SetInputData(data)
+        bar = vtkActor2D()
+        bar.SetMapper(mapper)
+        bar.GetProperty().SetColor(*pv.Color(TEXT).float_rgb)
+        bar.GetProperty().SetLineWidth(2.0)
+        self._plotter.renderer.AddViewProp(bar)
+        return bar, self._text("", 15, (0.985, 0.05), TEXT, right=True), points
+
+    def _measure(self) -> None:
+        """Make the bar a round number of mm long at the point that the view turns about."""
+        width, height = self._plotter.renderer.GetSize()
+        camera = self._plotter.camera
+        if camera.parallel_projection:
+            mm_per_px = 2.0 * camera.parallel_scale / height
+        else:
+            mm_per_px = 2.0 * camera.distance * np.tan(np.deg2rad(0.5 * camera.view_angle)) / height
+        length = round_length(mm_per_px * BAR_PX * height / 1000.0)
+        pixels = length / mm_per_px
+        right, bottom, tick = 0.985 * width, 0.03 * height, 5.0 * height / 1000.0
+        left = right - pixels
+        ends = [(left, 0), (right, 0), (left, -tick), (left, tick), (right, -tick), (right, tick)]
+        for i, (x, y) in enumerate(ends):
+            self.bar_points.SetPoint(i, x, bottom + y, 0.0)
+        self.bar_points.Modified()
+        place = "" if camera.parallel_projection else " at the middle of the view"
+        self.bar_text.SetInput(f"{in_words(length)}{place}")
+
+
+def in_words(length_mm: float) -> str:
+    """Return a length with its unit."""
+    return f"{1e3 * length_mm:.6g} µm" if length_mm < 0.1 else f"{length_mm:.6g} mm"

@@ -1,0 +1,339 @@
+"""The parts of a camera and its scene as they are drawn: meshes in the world frame, mm, with their looks."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+from numpy.typing import ArrayLike, NDArray
+
+from lfmesh.files.colour import srgb_encode
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.lens_shape import lens_shape
+from lfmesh.geometry.mesh import Mesh, joined
+from lfmesh.geometry.targets import TargetMesh
+from lfmesh.geometry.tessellation import element
+from lfmesh.optics.glass import refractive_index
+from lfmesh.scene import DirectionalLight, DiskLight
+from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.world import World
+from lfmesh.view.scene3d import array_shape
+from lfmesh.view.scene3d.colours import tint
+from lfmesh.view.scene3d.ray_lines import line_segments
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+RINGS = 16
+"""Of triangles in a lens surface: rims look round, which `exact` surfaces do not need to be traced."""
+
+CREASE_DEG = 25.0
+"""Facets that meet at a larger angle meet at an edge, which is drawn."""
+
+PIXEL_PX = 16
+"""Width of one pixel in the picture that stands for pixels without an image."""
+
+CHIP = 1.18
+"""Size of the sensor's chip over that of its pixels."""
+
+TICKS = 60
+"""On the optical axis, at most."""
+
+SYMBOL = 0.03
+"""Size of a light's symbol over that of the scene."""
+
+
+@dataclass
+class Part:
+    """Something of the scene that is drawn and can be clicked.
+
+    Attributes
+    ----------
+    name : str
+        As `World.mesh_names` has it: "lens[0]", "stop", "mla", "sensor", "targets[0]", ...; "lights[0]", "axis", ...
+    kind : str
+        "glass", "mount", "stop", "array", "sensor", "target", "light" or "sign".
+    mesh : pyvista.PolyData
+    look : dict
+        Of `pyvista.Plotter.add_mesh`.
+    label : str
+        The name, or what tells pieces of a part apart: "mla plate".
+    picture : (h, w, 3) uint8, optional
+        What lies on it; its texture coordinates say where.
+    tiled : bool
+        The picture repeats.
+    edges : pyvista.PolyData, optional
+        Lines that are drawn on it, in `edge_colour`.
+    solid : pyvista.PolyData, optional
+        The same body, closed, where a cut through it has a face.
+    """
+
+    name: str
+    kind: str
+    mesh: pv.PolyData
+    look: dict[str, Any]
+    edges: pv.PolyData | None = None
+    edge_colour: str = "#ffffff"
+    solid: pv.PolyData | None = None
+    label: str = ""
+    picture: Picture | None = None
+    tiled: bool = False
+
+    def __post_init__(self) -> None:
+        self.label = self.label or self.name
+
+
+def parts(world: World, picture: Picture | None = None, near_mm: tuple[float, float] = (0.0, 0.0)) -> list[Part]:
+    """Return everything of a scene that is drawn but the rays.
+
+    Parameters
+    ----------
+    world : World
+    picture : (rows, columns, 3) uint8, optional
+        What lies on the sensor, in its physical orientation.
+    near_mm : (x, y), mm
+        Where a large array shows real lenslets, in its own frame.
+    """
+    made = [*_lens(world), *_stop(world), *_array(world, near_mm), *_sensor(world, picture)]
+    made += [_target(world, i, target) for i, target in enumerate(world.targets)]
+    return [*made, *_lights(world), *_signs(world)]
+
+
+def texture_of(part: Part) -> pv.Texture | None:
+    """Return the texture that a part's picture makes."""
+    if part.picture is None:
+        return None
+    texture = pv.Texture(np.ascontiguousarray(part.picture))
+    # No mipmaps: seen edge-on from nearby, Mesa's software rasteriser does not come to an end with them.
+    texture.repeat = part.tiled
+    # Pixels stay squares when they are looked at closely.
+    texture.interpolate = part.tiled or part.kind != "sensor"
+    return texture
+
+
+def polydata(points: Array, triangles: ArrayLike) -> pv.PolyData:
+    """Return a mesh of triangles."""
+    return pv.PolyData.from_regular_faces(np.asarray(points, dtype=np.float64), np.asarray(triangles, dtype=np.int64))
+
+
+def closed(mesh: Mesh) -> pv.PolyData:
+    """Return a body whose facets share their vertices."""
+    solid = mesh.solid()
+    return polydata(solid.vertices, solid.faces)
+
+
+def smooth(body: pv.PolyData) -> pv.PolyData:
+    """Return a body with normals that are smooth between its creases."""
+    return body.compute_normals(split_vertices=True, feature_angle=CREASE_DEG, auto_orient_normals=False)
+
+
+def creases_of(body: pv.PolyData) -> pv.PolyData:
+    """Return the edges of a body."""
+    return body.extract_feature_edges(CREASE_DEG, boundary_edges=True, non_manifold_edges=False, manifold_edges=False)
+
+
+def _lens(world: World) -> Iterator[Part]:
+    shape = lens_shape(world.scene, max(RINGS, world.lens_shape.rings))
+    to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
+    wavelength = world.scene.transport.primary_nm
+    for number, k in enumerate(shape.elements):
+        colour = tint(refractive_index(shape.media[k + 1], wavelength))
+        body = closed(element(shape.caps[k], shape.closures[k], shape.caps[k + 1]).moved(to_world))
+        look = {"color": colour, "opacity": 0.14, "specular": 0.6, "specular_power": 30}
+        yield Part(f"lens[{number}]", "glass", smooth(body), look, creases_of(body), colour, solid=body)
+    mounts = [mesh for k, mesh in enumerate(shape.closures) if shape.media[k + 1] is None]
+    if mounts:
+        body = smooth(closed(joined(mounts).moved(to_world)))
+        # A mount's faces look at the axis: only those behind it are drawn, so that the lens is not hidden.
+        yield Part("mount", "mount", body, {"color": "#56606c", "opacity": 0.35, "culling": "back"})
+
+
+def _stop(world: World) -> Iterator[Part]:
+    ring = world.mesh("stop")
+    to_camera, to_world = (
+        world.tables.frames[a, b] for a, b in ((WORLD_FRAME, CAMERA_FRAME), (CAMERA_FRAME, WORLD_FRAME))
+    )
+    points = frames.points(to_camera, ring.vertices)
+    # It is drawn as far as the mount round it, which it fills.
+    shape = world.lens_shape
+    mount = np.interp(points[:, 2].mean(), shape.surfaces["vertex_z"], shape.rims)
+    radius = np.hypot(points[:, 0], points[:, 1])
+    points[:, :2] *= np.minimum(1.0, np.maximum(mount, radius.min() * 1.1) / radius)[:, None]
+    body = polydata(frames.points(to_world, points), ring.faces)
+    rims = body.extract_feature_edges(boundary_edges=True, feature_edges=False, manifold_edges=False)
+    yield Part(
+        "stop", "stop", body, {"color": "#3c4653", "ambient": 0.4, "opacity": 0.8}, edges=rims, edge_colour="#ff6f9c"
+    )
+
+
+def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
+    if not world.tables.array.present:
+        return
+    of = world.tables.array.lenslets
+    to_world = world.tables.frames[ARRAY_FRAME, WORLD_FRAME]
+    mla = world.scene.camera.mla
+    assert mla is not None
+    glass = {"color": tint(refractive_index(mla.medium, world.scene.transport.primary_nm)), "opacity": 0.3}
+    lattice, near = of.lattice, array_shape.cells_near(of.lattice, near_mm)
+    large = array_shape.is_large(lattice)
+    curved = array_shape.caps(of, *(near if large else array_shape.all_cells(lattice)))
+    caps = polydata(frames.points(to_world, curved.points), curved.triangles)
+    caps.point_data.active_normals = frames.directions(to_world, curved.normals)
+    lines = array_shape.borders(of, *near)
+    borders = line_segments(frames.points(to_world, lines.reshape(-1, 3)).reshape(-1, 2, 3))
+    shine = {"specular": 1.0, "specular_power": 12, "smooth_shading": True}
+    yield Part("mla", "array", caps, {**glass, **shine}, edges=borders, edge_colour="#8fb9c9")
+    plate = _plate(world, of.valley)
+    outline = plate.extract_feature_edges(CREASE_DEG)
+    yield Part("mla", "array", plate, glass, edges=outline, edge_colour="#79d0dc", label="mla plate")
+    if large:
+        picture, (width, height) = array_shape.lattice_picture(of.lattice)
+        corners = array_shape.face_round(of, of.valley, *near)
+        face = polydata(frames.points(to_world, corners), array_shape.ROUND)
+        face.active_texture_coordinates = (corners[:, :2] - lattice.centres()[0, 0]) / [width, height]
+        look = {"opacity": 0.45, "lighting": False}
+        yield Part("mla", "array", face, look, label="mla lattice", picture=picture, tiled=True)
+
+
+def _plate(world: World, front_mm: float) -> pv.PolyData:
+    """Return the box round the array's glass, from the valleys between its lenslets to its flat face."""
+    of = world.tables.array.lenslets
+    corners = [array_shape.face_corners(of, z) for z in (front_mm, of.thickness)]
+    points = frames.points(world.tables.frames[ARRAY_FRAME, WORLD_FRAME], np.concatenate(corners))
+    sides = [[i, (i + 1) % 4, (i + 1) % 4 + 4, i + 4] for i in range(4)]
+    quads = np.array([[4, 5, 6, 7], *sides])
+    return polydata(points, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
+
+
+def _sensor(world: World, picture: Picture | None) -> Iterator[Part]:
+    corners = np.asarray(world.mesh("sensor").vertices)
+    pixels = polydata(corners, [[0, 2, 1], [0, 3, 2]])
+    # Row 0 of a picture lies at v = 1; pixel (0, 0) at the corner −x, −y.
+    place = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
+    tiled = picture is None
+    pixels.active_texture_coordinates = place * (world.scene.camera.sensor.pixels if tiled else (1, 1))
+    drawn = _bare_pixel() if picture is None else picture
+    yield Part("sensor", "sensor", pixels, {"lighting": False}, picture=drawn, tiled=tiled)
+    board = _chip(world)
+    edges = board.extract_feature_edges(CREASE_DEG)
+    green = "#4fae86"
+    yield Part("sensor", "sensor", board, {"color": green, "opacity": 0.15}, edges, green, label="sensor board")
+
+
+def _bare_pixel() -> Picture:
+    """Return the picture of one pixel without an image."""
+    tile = np.full((PIXEL_PX, PIXEL_PX, 3), [70, 84, 104], np.uint8)
+    tile[[0, -1]] = tile[:, [0, -1]] = [54, 66, 84]
+    return tile
+
+
+def _chip(world: World) -> pv.PolyData:
+    """Return a board behind the pixels, which shows where the sensor is."""
+    width, height = world.scene.camera.sensor.size_mm
+    rim = 0.5 * (CHIP - 1.0) * max(width, height)
+    x, y, depth = 0.5 * width + rim, 0.5 * height + rim, 0.3 * rim
+    box = pv.Box(bounds=(-x, x, -y, y, 0.2 * depth, 1.2 * depth)).triangulate()
+    return polydata(frames.points(world.tables.frames[SENSOR_FRAME, WORLD_FRAME], box.points), box.regular_faces)
+
+
+def _target(world: World, number: int, target: TargetMesh) -> Part:
+    name = f"targets[{number}]"
+    model = world.scene.targets[number]
+    if model.refractor is not None:
+        colour = tint(refractive_index(model.refractor.medium, world.scene.transport.primary_nm))
+        glass = closed(target.mesh)
+        look = {"color": colour, "opacity": 0.25, "specular": 0.6}
+        return Part(name, "glass", smooth(glass), look, creases_of(glass), colour, solid=glass)
+    corners = target.mesh.vertices[target.mesh.faces].reshape(-1, 3)
+    body = polydata(corners, np.arange(len(corners)).reshape(-1, 3))
+    if target.texture is not None and target.uv is not None:
+        body.active_texture_coordinates = target.uv.reshape(-1, 2)
+        return Part(name, "target", body, {"lighting": False}, picture=srgb_encode(target.texture))
+    body = polydata(target.mesh.vertices, target.mesh.faces)
+    creases = creases_of(body)
+    grey = float(srgb_encode(np.array(model.material.reflectance))) / 255.0
+    glows = model.material.radiance_w_m2_sr > 0.0
+    paint = "#ffe9b0" if glows else (max(0.25, grey),) * 3
+    return Part(name, "target", smooth(body), {"color": paint, "ambient": 1.0 if glows else 0.25}, creases, "#10151c")
+
+
+def scene_size_mm(world: World) -> float:
+    """Return how far it is from the farthest target, or from the lens without any, to the sensor."""
+    to_camera = world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
+    z = [0.0, float(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])]
+    z += [float(frames.points(to_camera, t.mesh.vertices.mean(axis=0)[None])[0, 2]) for t in world.targets]
+    return max(z) - min(z)
+
+
+def _lights(world: World) -> Iterator[Part]:
+    size = SYMBOL * scene_size_mm(world)
+    lamp = {"color": "#ffd24a", "lighting": False}
+    for number, light in enumerate(world.scene.lights):
+        name = f"lights[{number}]"
+        if isinstance(light, DirectionalLight):
+            along = np.array(light.direction) / np.linalg.norm(light.direction)
+            arrow = pv.Arrow(start=-5.0 * size * along, direction=along, scale=3.0 * size)
+            yield Part(name, "light", arrow.triangulate(), lamp)
+        elif isinstance(light, DiskLight):
+            along = np.array(light.direction) / np.linalg.norm(light.direction)
+            disk = pv.Disc(
+                center=light.position_mm, inner=0.0, outer=light.radius_mm, normal=along, c_res=48
+            ).triangulate()
+            arrow = pv.Arrow(start=light.position_mm, direction=along, scale=2.0 * size).triangulate()
+            yield Part(name, "light", disk.merge(arrow).extract_surface(), lamp)
+        else:
+            yield Part(
+                name,
+                "light",
+                pv.Sphere(radius=0.25 * size, center=light.position_mm),
+                lamp,
+                _spikes(light.position_mm, size),
+                "#ffd24a",
+            )
+
+
+def _spikes(centre: tuple[float, float, float], size: float) -> pv.PolyData:
+    """Return the rays of a lamp's symbol."""
+    ends = pv.Icosahedron(radius=1.0).points
+    points = np.stack([0.4 * size * ends, size * ends], axis=1).reshape(-1, 3) + np.array(centre)
+    return line_segments(points.reshape(-1, 2, 3))
+
+
+def round_length(most_mm: float) -> float:
+    """Return the largest of 1, 2, 5, 10, ... mm (or a decimal part of these) that is not longer."""
+    decade = 10.0 ** np.floor(np.log10(most_mm))
+    return float(next(step * decade for step in (5.0, 2.0, 1.0) if step * decade <= most_mm * (1 + 1e-9)))
+
+
+def tick_mm(world: World) -> float:
+    """Return the distance of the marks on the optical axis."""
+    start, end = _axis(world)
+    return round_length((end - start) / TICKS)
+
+
+def _axis(world: World) -> tuple[float, float]:
+    """Return where the optical axis is drawn: from the plane in focus, or some way before the lens, to the sensor."""
+    end = float(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])
+    distance = world.first_order.object_distance_mm
+    return (-distance if 0.0 < distance < np.inf else -end), end
+
+
+def _signs(world: World) -> Iterator[Part]:
+    """Yield the optical axis with its marks, and the outline of what the camera sees of its plane in focus."""
+    to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
+    start, end = _axis(world)
+    step, high = tick_mm(world), 0.08 * max(world.lens_shape.rims)
+    marks = step * np.arange(np.ceil(start / step), np.floor(end / step) + 1)
+    half = np.where(np.round(marks / step) % 5 == 0, 2.0 * high, high)
+    none = np.zeros(len(marks))
+    ticks = [np.stack([none, -half, marks], axis=1), np.stack([none, half, marks], axis=1)]
+    ends = np.concatenate([[[[0.0, 0.0, start], [0.0, 0.0, end]]], np.stack(ticks, axis=1)])
+    thin = {"color": "#8796a8", "line_width": 1, "lighting": False}
+    placed = frames.points(to_world, ends.reshape(-1, 3)).reshape(-1, 2, 3)
+    yield Part("axis", "sign", line_segments(placed), thin)
+    if world.first_order.object_distance_mm == -start:
+        x, y = (0.5 * size for size in world.first_order.field_of_view_mm)
+        corners = frames.points(to_world, [[-x, -y, start], [x, -y, start], [x, y, start], [-x, y, start]])
+        sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+        yield Part("plane in focus", "sign", line_segments(sides), {**thin, "color": "#49c3b1"})

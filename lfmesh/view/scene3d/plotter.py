@@ -1,0 +1,267 @@
+"""A scene and its rays in a pyvista plotter: what windows, pictures, pages and the browser's server share."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyvista as pv
+from numpy.typing import NDArray
+from vtkmodules.vtkRenderingCore import vtkMapper, vtkProp
+
+from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.world import World
+from lfmesh.view.output.gl import expect_no_display
+from lfmesh.view.scene3d.colours import BACKGROUND, BACKGROUND_TOP, ColourBy, Legend
+from lfmesh.view.scene3d.overlay import Overlay, in_words
+from lfmesh.view.scene3d.parts import Part, Picture, parts, smooth, texture_of, tick_mm
+from lfmesh.view.scene3d.presets import ANGLE_DEG, PRESETS, viewpoint
+from lfmesh.view.scene3d.ray_lines import MOST_SEGMENTS, RayLines, ray_lines
+
+if TYPE_CHECKING:
+    from lfmesh.view.rays.paths import Rays
+
+SIZE = (1600, 1000)
+
+RAY_WIDTH, EDGE_WIDTH = 1.6, 1.3
+"""Pixels."""
+
+NEAREST = 1e-5
+"""Of the near plane's distance over the far plane's: an eye before a lenslet also sees a wall."""
+
+CORNER = 0.8
+"""Cosine of the angle from the middle of a perspective view to its corners, or less."""
+
+SAMPLES = 8
+"""A pixel, in pictures."""
+
+CUT_KINDS = ("glass", "mount", "stop", "array")
+"""What the cut takes away; sensor, targets and rays stay whole."""
+
+
+class View:
+    """A world, and rays in it, drawn in a plotter.
+
+    Attributes
+    ----------
+    plotter : pyvista.Plotter
+    world : World
+    lines : RayLines or None
+        What is drawn of the rays.
+    ray_mesh : pyvista.PolyData or None
+    ray_actor : vtkActor or None
+        Its cells carry "path" and "vertex", see `RayLines`.
+    caption : list of str
+    legend : Legend or None
+    preset : str
+    is_cut : bool
+    """
+
+    def __init__(
+        self, world: World, picture: Picture | None = None, *, size: tuple[int, int] = SIZE,
+        off_screen: bool = True, near_mm: tuple[float, float] = (0.0, 0.0),
+    ) -> None:  # fmt: skip
+        self.world = world
+        self.near_mm = near_mm
+        self.lines: RayLines | None = None
+        self.ray_mesh: pv.PolyData | None = None
+        self.ray_actor: Any = None
+        self.caption: list[str] = []
+        self.legend: Legend | None = None
+        self.preset = "whole"
+        self._picture = picture
+        self._parts = parts(world, picture, near_mm)
+        self._of_actor: dict[Any, Part] = {}
+        self.is_cut = False
+        expect_no_display()
+        # Edges lie on the faces that they bound, and are drawn before them.
+        vtkMapper.SetResolveCoincidentTopologyToPolygonOffset()
+        self.plotter = pv.Plotter(off_screen=off_screen, window_size=size, lighting="light kit")
+        # Software rendering turns the scene twice as fast without; `smooth` is for pictures.
+        self.smooth(False)
+        self.plotter.set_background(BACKGROUND, top=BACKGROUND_TOP)
+        self.plotter.renderer.SetNearClippingPlaneTolerance(NEAREST)
+        self.plotter.renderer.AddObserver("StartEvent", lambda *_: self._move_near_plane())
+        self.plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color="white", line_width=2)
+        self.overlay = Overlay(self.plotter)
+        self._draw_parts()
+        self.look(self.preset)
+
+    @property
+    def presets(self) -> list[str]:
+        """What `look` knows of this camera."""
+        return [name for name in PRESETS if name != "array" or self.world.tables.array.present]
+
+    @property
+    def title(self) -> str:
+        """What the scene is called."""
+        return self.world.scene.name or "scene without a name"
+
+    @property
+    def scale(self) -> str:
+        """How long things are, in words."""
+        length = float(self.world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])
+        return f"axis marked every {in_words(tick_mm(self.world))}; {length:.4g} mm from the first vertex to the sensor"
+
+    def look(self, preset: str, aspect: float | None = None, angle_deg: float = ANGLE_DEG) -> None:
+        """Move the eye to one of the `presets`, for a picture of the plotter's or another aspect, width over height.
+
+        And for the plotter's or another angle from the bottom of a perspective picture to its top.
+        """
+        width, height = self.plotter.window_size
+        seen = viewpoint(self.world, preset, aspect or width / height, self.near_mm, angle_deg)
+        camera = self.plotter.camera
+        camera.position, camera.focal_point, camera.up = seen.eye, seen.focus, seen.up
+        camera.parallel_projection = seen.parallel
+        camera.parallel_scale = seen.half_height_mm
+        camera.view_angle = angle_deg
+        self.plotter.renderer.ResetCameraClippingRange()
+        self.plotter.camera_set = True
+        self.preset = preset
+
+    def cut(self, on: bool = True) -> None:
+        """Cut lens and array along the axis and take the half before the eye away; rays stay."""
+        if on != self.is_cut:
+            self.is_cut = on
+            self._draw_parts()
+
+    def near(self, place_mm: tuple[float, float]) -> None:
+        """Move the real lenslets of a large array, and where "array" looks, to a point (x, y) of the array's frame."""
+        if place_mm != self.near_mm:
+            self.near_mm = place_mm
+            self._parts = parts(self.world, self._picture, place_mm)
+            self._draw_parts()
+
+    def show_rays(
+        self, rays: "Rays | None", colour: ColourBy = "wavelength", *,
+        fade: bool = False, most_segments: int = MOST_SEGMENTS, width: float = RAY_WIDTH,
+    ) -> None:  # fmt: skip
+        """Draw rays in place of those drawn before.
+
+        Parameters
+        ----------
+        rays : Rays or None
+        colour : {"wavelength", "power", "events", "status", "path"}
+        fade : bool
+            Draw what has less power fainter.
+        most_segments : int
+            Where they have more, whole paths are left out, evenly, and the caption says how many.
+        width : float
+            Of the lines, in pixels.
+        """
+        self.plotter.remove_actor("rays", render=False)
+        self.lines = self.ray_mesh = self.ray_actor = self.legend = None
+        if rays is not None and len(rays):
+            self.lines = ray_lines(rays, most_segments)
+            mesh, self.legend = self.lines.coloured(colour, fade=fade)
+            self.ray_mesh = mesh
+            if mesh.n_cells:
+                self.ray_actor = self.plotter.add_mesh(
+                    mesh, scalars="rgba" if fade else "rgb", rgb=True, line_width=width, lighting=False,
+                    name="rays", reset_camera=False, render=False, copy_mesh=False,
+                )  # fmt: skip
+
+    def write(self, lines: list[str]) -> None:
+        """Write the title and a caption over the picture: what the rays are, and how many of them are drawn."""
+        self.caption = [*lines, self.lines.caption] if self.lines is not None else list(lines)
+        self.overlay.write(self.title, [*self.caption, self.scale], self.legend)
+
+    def smooth(self, on: bool) -> None:
+        """Draw edges and lines smoothly, or quickly."""
+        self.plotter.render_window.SetMultiSamples(SAMPLES if on else 0)
+
+    def tell(self, lines: list[str]) -> None:
+        """Write something else at the bottom of the picture, in place of what stood there."""
+        self.overlay.tell(lines)
+
+    def part_of(self, actor: vtkProp) -> Part | None:
+        """Return the part that an actor shows; None for rays and text."""
+        return self._of_actor.get(actor)
+
+    def meshes(self) -> list[tuple[Part, pv.PolyData]]:
+        """Return what is drawn of every part: whole, or cut."""
+        return [(part, self._shown(part)) for part in self._parts]
+
+    def _move_near_plane(self) -> None:
+        """Put the near plane halfway to the nearest part: the nearer it is, the less depths can be told apart."""
+        camera = self.plotter.camera
+        if camera.parallel_projection:
+            return
+        eye = np.array(camera.position)
+        boxes = np.array([part.mesh.bounds for part in self._parts]).reshape(-1, 3, 2)
+        beside = np.maximum(0.0, np.maximum(boxes[..., 0] - eye, eye - boxes[..., 1]))
+        near, far = camera.clipping_range
+        # The distance to a box is not that along the line of sight: at the picture's corners that is shorter.
+        camera.clipping_range = (max(near, 0.5 * CORNER * float(np.linalg.norm(beside, axis=1).min())), far)
+
+    def _draw_parts(self) -> None:
+        for actor in self._of_actor:
+            self.plotter.remove_actor(actor, render=False)
+        self._of_actor = {}
+        for number, part in enumerate(self._parts):
+            mesh = self._shown(part)
+            label = f"{part.label} {number}"
+            if mesh.n_cells:
+                self._add(part, mesh, name=label, texture=texture_of(part), **part.look)
+            edges = self._cut_edges(part, mesh)
+            if edges is not None and edges.n_cells:
+                self._add(
+                    part, edges, name=f"{label} edges", color=part.edge_colour, line_width=EDGE_WIDTH, lighting=False
+                )
+
+    def _add(self, part: Part, mesh: pv.DataSet, **look: Any) -> None:
+        actor = self.plotter.add_mesh(mesh, reset_camera=False, render=False, copy_mesh=False, **look)
+        self._of_actor[actor] = part
+
+    def _shown(self, part: Part) -> pv.PolyData:
+        if not self.is_cut or part.kind not in CUT_KINDS:
+            return part.mesh
+        normal, origin = self._plane()
+        if part.solid is not None:
+            return smooth(part.solid.clip_closed_surface(normal=-normal, origin=origin))
+        return part.mesh.clip(normal=normal, origin=origin, invert=True)
+
+    def _cut_edges(self, part: Part, mesh: pv.PolyData) -> pv.PolyData | None:
+        if part.edges is None or not self.is_cut or part.kind not in CUT_KINDS:
+            return part.edges
+        normal, origin = self._plane()
+        outline = part.mesh.slice(normal=normal, origin=origin)
+        return part.edges.clip(normal=normal, origin=origin, invert=True).merge(outline)
+
+    def _plane(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the plane of the cut, the camera's yz plane: its normal, towards what is taken away, and a point."""
+        to_world = self.world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
+        return -to_world[:, 0], to_world[:, 3]
+
+
+def build_view(
+    world: World, rays: "Rays | None" = None, picture: Picture | None = None, *,
+    colour: ColourBy = "wavelength", fade: bool = False, preset: str = "whole", cut: bool = False,
+    size: tuple[int, int] = SIZE, off_screen: bool = True, most_segments: int = MOST_SEGMENTS,
+    near_mm: tuple[float, float] = (0.0, 0.0), caption: tuple[str, ...] = (),
+) -> View:  # fmt: skip
+    """Draw a world and rays in it.
+
+    Parameters
+    ----------
+    world : World
+    rays : Rays, optional
+    picture : (rows, columns, 3) uint8, optional
+        What lies on the sensor, in its physical orientation: see `sensor_picture`.
+    colour, fade, most_segments
+        See `View.show_rays`.
+    preset : str
+        Where to look from, one of `PRESETS`.
+    cut : bool
+        Cut lens and array along the axis.
+    size : (width, height), pixels
+    off_screen : bool
+    near_mm : (x, y), mm
+        Where on the array a close view of it looks, in the array's frame.
+    caption : tuple of str
+        Lines under the title, before the one that counts the paths.
+    """
+    view = View(world, picture, size=size, off_screen=off_screen, near_mm=near_mm)
+    view.cut(cut)
+    view.show_rays(rays, colour, fade=fade, most_segments=most_segments)
+    view.write(list(caption))
+    view.look(preset)
+    return view

@@ -1,0 +1,203 @@
+"""Where to look from: viewpoints that fit a part of the scene into the picture, whatever its size.
+
+All are found in the camera frame, whose +y is up. Whoever looks from behind the camera at its objects has x to the
+right; in views from beside, light travels to the right.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.targets import TargetMesh
+from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.world import World
+
+Array = NDArray[np.float64]
+
+UP = (0.0, 1.0, 0.0)
+
+ANGLE_DEG = 36.0
+"""From the bottom to the top of a perspective view."""
+
+MARGIN = 1.12
+"""Of the picture over what is to be seen."""
+
+FIELDS = 1.6
+"""Targets are framed up to this many fields of view: a wall must not make the camera a dot."""
+
+BISECTIONS = 40
+
+LENSLETS = 7
+"""Seen across in the view of the array."""
+
+WITHOUT_OBJECT = 2.0
+"""Lengths of the camera that are shown in front of it where there is nothing to see."""
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """Where the eye is, what it turns about, and how much it sees; world frame, mm."""
+
+    eye: Array
+    focus: Array
+    up: Array
+    parallel: bool
+    half_height_mm: float
+    """Half the height of the picture at the focus."""
+
+
+def viewpoint(
+    world: World, preset: str, aspect: float, near_mm: tuple[float, float] = (0.0, 0.0), angle_deg: float = ANGLE_DEG
+) -> Viewpoint:
+    """Return the viewpoint of a preset.
+
+    Parameters
+    ----------
+    world : World
+    preset : str
+        One of `PRESETS`.
+    aspect : float
+        Width of the picture over its height.
+    near_mm : (x, y), mm
+        Where on the array "array" looks, in the array's frame.
+    angle_deg : float
+        From the bottom to the top of the picture, in perspective.
+
+    Raises
+    ------
+    LfmeshError
+        No preset has this name, or there is no array to look at.
+    """
+    if preset not in PRESETS:
+        raise LfmeshError(f"preset = {preset!r}: use one of {', '.join(PRESETS)}")
+    if preset == "array" and not world.tables.array.present:
+        raise LfmeshError('preset = "array": this camera has no microlens array; use "sensor"')
+    points, forward, parallel = PRESETS[preset](world, near_mm)
+    seen = fitted(points, forward, aspect, parallel, angle_deg)
+    to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
+    eye, focus = frames.points(to_world, np.stack([seen.eye, seen.focus]))
+    return Viewpoint(eye, focus, frames.directions(to_world, seen.up[None])[0], parallel, seen.half_height_mm)
+
+
+def fitted(points: Array, forward: ArrayLike, aspect: float, parallel: bool, angle_deg: float = ANGLE_DEG) -> Viewpoint:
+    """Return the nearest viewpoint that looks along `forward` and has all points (n, 3) in its picture."""
+    ahead = np.asarray(forward, dtype=np.float64) / np.linalg.norm(forward)
+    right = np.cross(ahead, UP)
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(right, ahead), ahead])
+    x, y, z = axes @ points.T
+    tangent = np.tan(np.deg2rad(0.5 * angle_deg)) / MARGIN
+    if parallel:
+        half = max(0.5 * np.ptp(y), 0.5 * np.ptp(x) / aspect, np.finfo(np.float64).tiny)
+        middle = np.array([0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max()), 0.5 * (z.min() + z.max())])
+        away = half / tangent + np.ptp(z)
+        return Viewpoint((middle - [0, 0, away]) @ axes, middle @ axes, axes[1], True, MARGIN * half)
+    # A point is inside if |x − eye_x| ≤ t (z − eye_z); each side gives the eye's largest depth.
+    depth = [
+        -((along - slope * z).max() + (-along - slope * z).max()) / (2.0 * slope)
+        for along, slope in ((x, aspect * tangent), (y, tangent))
+    ]
+    eye = np.array([_centred(x, z - min(depth)), _centred(y, z - min(depth)), min(depth)])
+    focus = eye.copy()
+    focus[2] = 0.5 * (z.min() + z.max())
+    away = focus[2] - eye[2]
+    return Viewpoint(eye @ axes, focus @ axes, axes[1], False, away * np.tan(np.deg2rad(0.5 * angle_deg)))
+
+
+def _centred(along: Array, depth: Array) -> float:
+    """Return the eye's place from which points at some depths before it reach as far to either side of the picture."""
+    low, high = along.min(), along.max()
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        seen = (along - middle) / depth
+        low, high = (middle, high) if seen.max() + seen.min() > 0.0 else (low, middle)
+    return float(middle)
+
+
+def _box(low: ArrayLike, high: ArrayLike) -> Array:
+    """Return the (8, 3) corners of a box."""
+    return np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
+
+
+def _lens(world: World) -> Array:
+    shape = world.lens_shape
+    rim = max(shape.rims)
+    vertices = np.concatenate([cap.vertices for cap in shape.caps])
+    return _box([-rim, -rim, vertices[:, 2].min()], [rim, rim, vertices[:, 2].max()])
+
+
+def _sensor(world: World) -> Array:
+    x, y = (0.5 * size for size in world.scene.camera.sensor.size_mm)
+    return frames.points(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME], _box([-x, -y, 0.0], [x, y, 0.0]))
+
+
+def _camera(world: World) -> Array:
+    return np.concatenate([_lens(world), _sensor(world)])
+
+
+def _object(world: World) -> Array:
+    """Return what the camera looks at: its targets as far as it sees them, or its field in the plane in focus."""
+    seen = [points for target in world.targets if len(points := _in_field(world, target))]
+    distance = world.first_order.object_distance_mm
+    if seen:
+        return np.concatenate(seen)
+    if 0.0 < distance < np.inf:
+        x, y = (0.5 * size for size in world.first_order.field_of_view_mm)
+        return _box([-x, -y, -distance], [x, y, -distance])
+    length = np.ptp(_camera(world)[:, 2])
+    rim = max(world.lens_shape.rims)
+    return _box([-rim, -rim, -WITHOUT_OBJECT * length], [rim, rim, -WITHOUT_OBJECT * length])
+
+
+def _in_field(world: World, target: TargetMesh) -> Array:
+    """Return the corners of a target's box, those out of the field of view moved to its border."""
+    points = frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], target.mesh.vertices)
+    z = np.clip(points[:, 2], -np.inf, 0.0)
+    distance = world.first_order.object_distance_mm
+    widest = np.array(world.first_order.field_of_view_mm)
+    if 0.0 < distance < np.inf:
+        half = 0.5 * FIELDS * widest * (-z[:, None] / distance) + max(world.lens_shape.rims)
+    else:
+        slope = 0.5 * np.array(world.scene.camera.sensor.size_mm) / abs(world.first_order.efl_mm)
+        half = FIELDS * slope * -z[:, None] + max(world.lens_shape.rims)
+    points[:, :2] = np.clip(points[:, :2], -half, half)
+    return _box(points.min(axis=0), points.max(axis=0))
+
+
+def _near_lenslets(world: World, near_mm: tuple[float, float]) -> Array:
+    """Return a few lenslets round a point of the array, and the sensor behind them."""
+    of = world.tables.array.lenslets
+    half = 0.5 * LENSLETS * of.lattice.pitch
+    x, y = near_mm
+    box = _box([x - half, y - half, of.top], [x + half, y + half, of.thickness])
+    corners = frames.points(world.tables.frames[ARRAY_FRAME, CAMERA_FRAME], box)
+    to_sensor = frames.points(world.tables.frames[CAMERA_FRAME, SENSOR_FRAME], corners)
+    to_sensor[:, 2] = 0.0
+    return np.concatenate([corners, frames.points(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME], to_sensor)])
+
+
+Look = tuple[Array, tuple[float, float, float], bool]
+"""Points to see, the direction to look in, and whether the projection is parallel."""
+
+
+def _whole(world: World, _: tuple[float, float]) -> Look:
+    """See the camera before what it looks at, from beside the sensor: the nearer to the axis, the farther that is."""
+    camera, objects = _camera(world), _object(world)
+    far = max(1.0, -float(objects[:, 2].mean()) / float(np.ptp(camera[:, 2])))
+    turn = np.deg2rad(np.clip(66.0 / np.sqrt(far), 8.0, 60.0))
+    return np.concatenate([camera, objects]), (np.sin(turn), -0.2, -np.cos(turn)), False
+
+
+PRESETS: dict[str, Callable[[World, tuple[float, float]], Look]] = {
+    "whole": _whole,
+    "side": lambda world, _: (np.concatenate([_camera(world), _object(world)]), (1.0, 0.0, 0.0), True),
+    "object": lambda world, _: (_object(world), (0.35, -0.2, -1.0), False),
+    "lens": lambda world, _: (_lens(world), (1.0, -0.25, -0.45), True),
+    "array": lambda world, near: (_near_lenslets(world, near), (0.6, -0.3, 0.75), False),
+    "sensor": lambda world, _: (_sensor(world), (0.25, -0.2, 1.0), False),
+}
+"""What each shows: the objects' points, the direction, whether parallel."""

@@ -1,0 +1,137 @@
+"""Rays as line segments: what paths share is drawn once, and where there are too many, whole paths are left out."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyvista as pv
+from numpy.typing import NDArray
+
+from lfmesh.view.scene3d.colours import ColourBy, Legend, power_share, ray_colours
+
+if TYPE_CHECKING:
+    from lfmesh.view.rays.paths import Rays
+
+Ints = NDArray[np.int64]
+
+MOST_SEGMENTS = 20_000
+"""Drawn by default: what software rendering turns several times a second."""
+
+FAINTEST = 0.12
+"""Opacity of the weakest rays where power sets it."""
+
+
+@dataclass(frozen=True)
+class RayLines:
+    """The segments that are drawn of some rays.
+
+    Attributes
+    ----------
+    rays : Rays
+    drawn : (n,) bool
+        The paths that are drawn.
+    path, vertex : (m,) int64
+        The first path that each segment belongs to, and the vertex, an index into `rays.position`, at which the segment
+        starts.
+    owners : (k,) int64
+        Paths that share each segment, segment after segment: segment i has owners[starts[i]:starts[i + 1]].
+    starts : (m + 1,) int64
+    """
+
+    rays: "Rays"
+    drawn: NDArray[np.bool_]
+    path: Ints
+    vertex: Ints
+    owners: Ints
+    starts: Ints
+
+    def __len__(self) -> int:
+        return len(self.path)
+
+    @property
+    def ends(self) -> NDArray[np.float64]:
+        """(m, 2, 3) where each segment starts and ends, mm, world frame."""
+        return np.stack([self.rays.position[self.vertex], self.rays.position[self.vertex + 1]], axis=1)
+
+    @property
+    def caption(self) -> str:
+        """How many paths are drawn, and that some are not."""
+        drawn, all_ = int(self.drawn.sum()), len(self.rays)
+        if drawn == all_:
+            return f"{all_:,} path{'' if all_ == 1 else 's'}"
+        return f"{drawn:,} of {all_:,} paths drawn"
+
+    def paths_of(self, segment: int) -> Ints:
+        """Return the drawn paths that share a segment."""
+        return self.owners[self.starts[segment] : self.starts[segment + 1]]
+
+    def coloured(self, by: ColourBy, *, fade: bool = False) -> tuple[pv.PolyData, Legend]:
+        """Return the segments as lines, a cell each, with their legend.
+
+        The cells carry "rgb" (or "rgba" with `fade`: fainter with less power), "path" and "vertex" as above, "event" of
+        the vertex that they start from, and "paths", how many share them.
+        """
+        rgb, legend = ray_colours(self.rays, self.path, self.vertex, by)
+        lines = line_segments(self.ends)
+        if fade:
+            opacity = FAINTEST + (1.0 - FAINTEST) * power_share(self.rays.power[self.vertex])
+            lines.cell_data["rgba"] = np.column_stack([rgb, np.rint(255.0 * opacity).astype(np.uint8)])
+        else:
+            lines.cell_data["rgb"] = rgb
+        lines.cell_data["path"] = self.path
+        lines.cell_data["vertex"] = self.vertex
+        lines.cell_data["event"] = self.rays.event[self.vertex]
+        lines.cell_data["paths"] = np.diff(self.starts)
+        return lines, legend
+
+
+def line_segments(ends: NDArray[np.float64]) -> pv.PolyData:
+    """Return (n, 2, 3) line segments, one cell each."""
+    if not len(ends):
+        return pv.PolyData()
+    cells = np.column_stack([np.full(len(ends), 2), np.arange(2 * len(ends)).reshape(-1, 2)])
+    return pv.PolyData(ends.reshape(-1, 3), lines=cells.ravel())
+
+
+def ray_lines(rays: "Rays", most_segments: int = MOST_SEGMENTS) -> RayLines:
+    """Choose what to draw of some rays: all, or as many whole paths, evenly, as make at most `most_segments`."""
+    path, vertex, segment = _segments(rays)
+    chosen = _evenly(len(rays), len(rays))
+    low, high = 0, len(rays)
+    while low < high:
+        middle = (low + high + 1) // 2
+        if _count(segment, _evenly(len(rays), middle)[path]) <= most_segments:
+            low = middle
+        else:
+            high = middle - 1
+    chosen = _evenly(len(rays), low)
+    kept = np.flatnonzero(chosen[path])
+    order = kept[np.argsort(segment[kept], kind="stable")]
+    _, starts = np.unique(segment[order], return_index=True)
+    first = order[starts]
+    return RayLines(rays, chosen, path[first], vertex[first], path[order], np.append(starts, len(order)))
+
+
+def _evenly(paths: int, count: int) -> NDArray[np.bool_]:
+    """Mark `count` of so many paths, at equal steps."""
+    chosen = np.zeros(paths, np.bool_)
+    chosen[(np.arange(count) * paths) // max(1, count)] = True
+    return chosen
+
+
+def _count(segment: Ints, kept: NDArray[np.bool_]) -> int:
+    return len(np.unique(segment[kept]))
+
+
+def _segments(rays: "Rays") -> tuple[Ints, Ints, Ints]:
+    """Return path and first vertex of every segment that has a length, and a number that only equal ones share."""
+    path = rays.path
+    vertex = np.setdiff1d(np.arange(len(path)), rays.offsets[1:] - 1)
+    ends = np.concatenate([rays.position[vertex], rays.position[vertex + 1]], axis=1)
+    long = (ends[:, :3] != ends[:, 3:]).any(axis=1)
+    vertex, ends = vertex[long], ends[long]
+    # Children of a split repeat their parent's vertices bit by bit; another wavelength is another ray.
+    same = np.column_stack([ends, rays.wavelength_nm[path[vertex]]])
+    rows = np.ascontiguousarray(same).view(np.dtype((np.void, same.dtype.itemsize * same.shape[1]))).ravel()
+    number = np.unique(rows, return_inverse=True)[1].reshape(-1) if len(rows) else np.zeros(0, np.int64)
+    return path[vertex], vertex, number.astype(np.int64)

@@ -1,0 +1,84 @@
+"""The program `lfmesh`: its commands are added to `app`, `main` runs one and turns its outcome into an exit code."""
+
+import os
+import sys
+from collections.abc import Sequence
+
+import cyclopts
+from cyclopts import App
+
+import lfmesh
+from lfmesh.errors import LfmeshError
+
+CASE_FAILED = 1
+WRONG_INPUT = 2
+INTERRUPTED = 130
+"""128 + SIGINT, what a shell expects after Ctrl-C."""
+BROKEN_PIPE = 141
+"""128 + SIGPIPE."""
+
+app = App(
+    name="lfmesh",
+    help="Simulate light-field cameras physically: glass as triangle meshes, raw images with error bars.",
+    help_epilogue="""\
+Examples:
+
+    lfmesh demo                          render the scene that comes with lfmesh
+    lfmesh check scene.toml              first-order optics and warnings
+    lfmesh draw scene.toml -o layout.svg   lens, array and rays as a drawing
+    lfmesh render scene.toml -o run/     raw image, previews and report in run/
+    lfmesh white run/                    white image, true micro-image centres
+    lfmesh decode run/                   the light field: all views of the run
+    lfmesh refocus run/ --stack 300:800:20   photographs of other planes
+    lfmesh depth run/                    true depth, and from the light field
+    lfmesh expose run/ --bayer RGGB      what a detector with noise counts
+    lfmesh export run/ --format hci -o hci/   files of other people's tools
+    lfmesh compare scene.toml -o cmp/    beside two other kinds of camera
+    lfmesh view scene.toml               lens, array, sensor and rays in 3D
+    lfmesh accuracy -o report/           speed against error, in tables, figures
+    lfmesh schema > scene.schema.json    for completion in an editor
+""",
+    help_format="plaintext",
+    version=lambda: lfmesh.__version__,
+    result_action="return_value",
+    suppress_keyboard_interrupt=False,
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Those of the process if omitted.
+
+    Returns
+    -------
+    int
+        The exit code: 0, 2 for wrong input (one message on standard error), 130 after Ctrl-C.
+    """
+    try:
+        code = app(arguments, exit_on_error=False, print_error=False)
+        sys.stdout.flush()
+        return code if isinstance(code, int) else 0
+    except cyclopts.CycloptsError as error:
+        return _complain(f"{_one_paragraph(str(error))}\nSee: lfmesh --help")
+    except LfmeshError as error:
+        return _complain(str(error))
+    except KeyboardInterrupt:
+        print("\nStopped before anything was finished; nothing was written.", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # Our reader went away, as in `lfmesh schema | head`; Python must not flush into it at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+
+
+def _complain(message: str) -> int:
+    print(f"lfmesh: {message}", file=sys.stderr)
+    return WRONG_INPUT
+
+
+def _one_paragraph(text: str) -> str:
+    return " ".join(text.split())

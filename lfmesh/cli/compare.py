@@ -1,0 +1,53 @@
+"""Kinds of camera side by side: `lfmesh compare`."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from lfmesh.cli.application import app
+from lfmesh.cli.interrupts import defer_interrupt
+from lfmesh.cli.options import Overrides, SceneFile, Whole, overridden
+from lfmesh.cli.printing import list_files, warnings_as_notes
+from lfmesh.cli.progress import status
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh compare scene.toml -o comparison/
+    lfmesh compare scene.toml -o comparison/ --reduction 4 --steps 5
+"""
+)
+def compare(
+    scene: SceneFile,
+    /,
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"], help="Folder for the figure and the numbers as JSON.")],
+    reduction: Annotated[
+        float, Parameter(help="By how much the lenslets of the focused camera reduce the main image.")
+    ] = 3.0,
+    steps: Annotated[Whole, Parameter(help="Distances at which sharpness is measured; odd.")] = 13,
+    overrides: Overrides | None = None,
+) -> int:
+    """Take a scene with a conventional, a standard and a focused plenoptic camera, and measure what each can do.
+
+    They have the same lens, sensor and samples; the scene is that of the standard one.
+    """
+    from lfmesh.scene import load
+
+    loaded = overridden(load(scene), overrides)
+    with defer_interrupt():
+        from lfmesh.accuracy.report import prepare
+        from lfmesh.study import compare as comparing
+        from lfmesh.transport.packets.ledger import LostEnergyWarning
+
+    prepare(out)
+    # That planes beyond the refocus range are blurred is what is measured.
+    with status() as say, warnings_as_notes(LostEnergyWarning):
+        comparison = comparing.compare(loaded, reduction=reduction, steps=steps, progress=say)
+    for words, *values in comparison.rows():
+        print(f"{words:<23}" + "".join(f"{value:<24}" for value in values).rstrip())
+    list_files(comparing.write(comparison, out))
+    return 0

@@ -1,0 +1,70 @@
+"""Runs for other people's tools: `lfmesh export`."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from lfmesh.cli.application import app
+from lfmesh.cli.interrupts import defer_interrupt
+from lfmesh.cli.lightfield import field_of
+from lfmesh.cli.options import RunFolder
+from lfmesh.cli.printing import warnings_as_notes
+from lfmesh.errors import LfmeshError
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh export run/ --format hci -o hci/ --depth depth.exr
+    lfmesh export run/ --format plenopticam -o decoder/
+"""
+)
+def export(
+    run: RunFolder,
+    /,
+    *,
+    kind: Annotated[
+        Literal["lftoolbox", "eslf", "hci", "views", "plenopticam", "plenpy"],
+        Parameter(
+            name="--format",
+            help="lftoolbox, eslf, hci, views: the light field; plenopticam, plenpy: raw and white image.",
+        ),
+    ],
+    out: Annotated[Path, Parameter(name=["--out", "-o"], help="Folder to write: new or empty.")],
+    depth: Annotated[
+        Path | None,
+        Parameter(help="With hci: EXR of the middle view's distances in mm, in its channel truth or else Z."),
+    ] = None,
+) -> int:
+    """Write a run for other people's tools: a folder with their files, and export.json, which says what means what."""
+    if depth is not None and kind != "hci":
+        raise LfmeshError(f"--depth {depth}: {kind} holds no depth; leave it out, or take --format hci")
+    with defer_interrupt():
+        from lfmesh.files import exr
+        from lfmesh.files.exports.export import export_field
+
+    if kind == "plenopticam" or kind == "plenpy":
+        paths = _exported_raw(run, out, kind)
+    else:
+        depth_mm = exr.read_map(depth, ("truth", "Z")) if depth is not None else None
+        field = field_of(run)
+        paths = export_field(field, out, kind, depth_mm=depth_mm)
+    print(f"  {out}: {len(paths)} files; {paths[-1].name} says what means what")
+    return 0
+
+
+def _exported_raw(folder: Path, out: Path, kind: Literal["plenopticam", "plenpy"]) -> list[Path]:
+    with defer_interrupt():
+        from lfmesh.files import run
+        from lfmesh.files.calibration import read_calibration
+        from lfmesh.files.exports.export import export_raw
+        from lfmesh.lightfield.ray_model import RayModel
+
+    image, recorded = run.open_run(folder), run.open_white(folder)
+    RayModel.of(image.scene)  # a conventional camera is refused before a white image is asked for
+    if recorded is None:
+        raise LfmeshError(f"--format {kind}: {folder} has no white.exr; make it with lfmesh white {folder}")
+    with warnings_as_notes():
+        return export_raw(image, recorded, read_calibration(folder / run.CALIBRATION), out, kind)

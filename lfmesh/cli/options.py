@@ -1,0 +1,91 @@
+"""Parameters that several commands have: a scene file, a run folder, settings in place of the scene's."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import cyclopts
+from cyclopts import Parameter
+
+from lfmesh.errors import SceneError
+
+if TYPE_CHECKING:
+    from lfmesh.scene import Scene
+
+
+def _whole(_: object, tokens: Sequence[cyclopts.Token]) -> int:
+    """Read a whole number; cyclopts by itself would cut 4.5 down to 4."""
+    try:
+        return int(tokens[0].value)
+    except ValueError:
+        raise ValueError(f'"{tokens[0].value}" is no whole number') from None
+
+
+Whole = Annotated[int, Parameter(converter=_whole, n_tokens=1)]
+
+SceneFile = Annotated[Path, Parameter(name="scene", help="Scene file (TOML).")]
+RunFolder = Annotated[Path, Parameter(name="run", help="Run folder of a light-field camera, from lfmesh render.")]
+
+
+@Parameter(name="*")
+@dataclass
+class Overrides:
+    """Settings that replace those of the scene's [transport] table."""
+
+    samples: Annotated[Whole | None, Parameter(help="Samples per pixel, in all; 4 times as many halve the noise.")] = (
+        None
+    )
+    target_error: Annotated[
+        float | None, Parameter(help="Relative standard error up to which noisy pixels get more samples, as 0.05.")
+    ] = None
+    max_samples: Annotated[Whole | None, Parameter(help="With --target-error: per pixel, in all, at most.")] = None
+    method: Annotated[
+        Literal["adjoint", "forward"] | None,
+        Parameter(help="adjoint: from the sensor to the light; forward: from the light to the sensor."),
+    ] = None
+    engine: Annotated[
+        Literal["auto", "mesh", "sequential"] | None,
+        Parameter(help="mesh: Embree, everything; sequential: the image path only; auto: the least that will do."),
+    ] = None
+    surface: Annotated[
+        Literal["exact", "flat", "smooth", "patch"] | None,
+        Parameter(help="What a facet of a lens stands for."),
+    ] = None
+    split: Annotated[
+        Literal["both", "roulette", "transmit"] | None,
+        Parameter(help="At an interface: follow both children, one by chance, or the refracted one."),
+    ] = None
+    replicates: Annotated[
+        Whole | None, Parameter(help="Independent parts of the samples; their spread is the standard error.")
+    ] = None
+    seed: Annotated[Whole | None, Parameter(help="Of the random numbers.")] = None
+    threads: Annotated[Whole | None, Parameter(help="0: all cores; the result is the same for any number.")] = None
+    wavelengths_nm: Annotated[
+        list[float] | None, Parameter(help="One or more, nm.", consume_multiple=True, negative=())
+    ] = None
+
+    def given(self) -> dict[str, Any]:
+        """Return what the user set."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in values.items() if value is not None}
+
+
+def overridden(scene: "Scene", overrides: Overrides | None) -> "Scene":
+    """Return the scene with other transport settings, checked as those of a file are."""
+    changes = overrides.given() if overrides else {}
+    try:
+        return scene.changed({f"transport.{name}": value for name, value in changes.items()})
+    except SceneError as error:
+        raise SceneError(_as_options(str(error))) from None
+
+
+def _as_options(message: str) -> str:
+    """Name the options of the command line where a message names the fields that they set."""
+    return re.sub(
+        r"^Scene\.transport\.(\w+)",
+        lambda field: "--" + field[1].replace("_", "-"),
+        message,
+        flags=re.MULTILINE,
+    )

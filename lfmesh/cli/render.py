@@ -1,0 +1,149 @@
+"""From a scene file to a run folder: `lfmesh demo`, `check`, `render`, `white`."""
+
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from lfmesh.cli.application import INTERRUPTED, app
+from lfmesh.cli.interrupts import defer_interrupt
+from lfmesh.cli.options import Overrides, RunFolder, SceneFile, overridden
+from lfmesh.cli.printing import list_files, say_note, warnings_as_notes, wrapped
+from lfmesh.cli.progress import progress
+from lfmesh.errors import LfmeshError
+
+if TYPE_CHECKING:
+    from lfmesh.transport.render.image import Image
+
+
+@app.command(help_epilogue="")
+def demo(
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"], help="Run folder to write.")] = Path("lfmesh-demo"),
+    overrides: Overrides | None = None,
+) -> int:
+    """Render the scene that comes with lfmesh: a bracket in front of a chart."""
+    from lfmesh.assets import asset_path
+
+    return _render(asset_path("scenes/first_light.toml"), out, overrides)
+
+
+@app.command(help_epilogue="")
+def check(scene: SceneFile, /) -> int:
+    """Check a scene file and print its first-order optics, with warnings in plain words.
+
+    Exits with 0 if the scene can be rendered, whatever the warnings, and with 2 if it cannot.
+    """
+    from lfmesh.geometry.lens_shape import mesh_lines
+    from lfmesh.geometry.refractors import first_order
+    from lfmesh.scene import load
+
+    loaded = load(scene)
+    print("\n".join([*first_order(loaded).lines(), *mesh_lines(loaded)]))
+    return 0
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh render scene.toml -o run/
+    lfmesh render scene.toml -o run/ --samples 256 --threads 4
+    lfmesh render scene.toml -o run/ --wavelengths-nm 486.1 587.6 656.3
+"""
+)
+def render(
+    scene: SceneFile,
+    /,
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"], help="Run folder to write: new, empty or an older run.")],
+    with_white: Annotated[
+        bool, Parameter(name="--white", negative=(), help="Also do what lfmesh white does, for decoding.")
+    ] = False,
+    overrides: Overrides | None = None,
+) -> int:
+    """Render a scene into a run folder: raw.exr with its standard error, previews, report.json.
+
+    Ctrl-C keeps the replicates that are finished as a valid run, marked as incomplete.
+    """
+    code = _render(scene, out, overrides)
+    return _white(out, None) if with_white and code == 0 else code
+
+
+@app.command(help_epilogue="")
+def white(run: RunFolder, /, *, overrides: Overrides | None = None) -> int:
+    """Render what the camera of a run records of a uniform plane, and trace where its micro-images lie.
+
+    Adds white.exr and calibration.json to the run; the settings of the run hold unless replaced.
+    """
+    return _white(run, overrides)
+
+
+def _render(scene_file: Path, folder: Path, overrides: Overrides | None) -> int:
+    from lfmesh.geometry.refractors import first_order
+    from lfmesh.scene import load
+
+    scene = overridden(load(scene_file), overrides)
+    notes = first_order(scene).warnings
+
+    # Whatever can be wrong with the folder is said before the seconds that importing the tracer takes.
+    with defer_interrupt():
+        from lfmesh.files import run, words
+
+    run.prepare(folder)
+    for note in notes:
+        say_note(note)
+
+    with defer_interrupt():
+        from lfmesh.transport.packets.ledger import LostEnergyWarning
+        from lfmesh.transport.render.render import render as trace_image
+
+    with progress() as report, warnings.catch_warnings():
+        # The summary says what was lost.
+        warnings.simplefilter("ignore", LostEnergyWarning)
+        image = trace_image(scene, progress=report)
+    run.save(image, folder)
+    for line in words.summary(image):
+        print(wrapped(line))
+    print(_whereabouts(image, folder))
+    return 0 if image.complete else INTERRUPTED
+
+
+def _white(folder: Path, overrides: Overrides | None) -> int:
+    with defer_interrupt():
+        from lfmesh.files import run
+        from lfmesh.lightfield.calibration import calibrate
+        from lfmesh.lightfield.centres import estimate_centres
+        from lfmesh.lightfield.white import white_image
+
+    # An image that cannot be decoded needs no white one: calibrating says so before the render.
+    scene = run.open_run(folder).scene
+    calibration = calibrate(scene)
+    with progress() as report, warnings_as_notes():
+        image = white_image(overridden(scene, overrides), progress=report)
+    if not image.complete:
+        raise KeyboardInterrupt
+    run.save_white(image, calibration, folder)
+    print(
+        f"{calibration.known.sum()} of {calibration.known.size} micro-images have a chief ray, "
+        f"{calibration.pitch_px:.6g} pixels apart, turned by {1e3 * calibration.rotation_rad:.3f} mrad."
+    )
+    try:
+        error = estimate_centres(image).error_px(calibration)
+        print(f"Found on the white image alone, they are {error.mean():.3g} pixels off on average.")
+    except LfmeshError as fault:
+        say_note(fault)
+    list_files([folder / name for name in (run.WHITE, run.WHITE_PREVIEW, run.CALIBRATION)])
+    return 0
+
+
+def _whereabouts(image: "Image", folder: Path) -> str:
+    from lfmesh.files import run
+
+    pictures = [(run.PREVIEW, "the raw image, upright"), (run.RAW, "power and standard error, W a pixel")]
+    if image.scene.camera.mla is not None:
+        pictures.insert(0, (run.VIEW, "the picture that the camera saw"))
+    pictures.append((run.REPORT, "all the numbers"))
+    width = max(len(str(folder / name)) for name, _ in pictures)
+    return "\n".join(f"  {folder / name!s:<{width}}  {what}" for name, what in pictures)

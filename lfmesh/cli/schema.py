@@ -1,0 +1,14 @@
+"""The scene file's own description: `lfmesh schema`."""
+
+import json
+
+from lfmesh.cli.application import app
+
+
+@app.command(help_epilogue="")
+def schema() -> int:
+    """Print the JSON Schema of scene files."""
+    from lfmesh.scene import Scene
+
+    print(json.dumps(Scene.model_json_schema(), indent=2))
+    return 0

@@ -1,0 +1,91 @@
+"""What `lfmesh view` calls: the reports and drawings that its options ask for."""
+
+from dataclasses import asdict
+from pathlib import Path
+
+from lfmesh.cli.view_options import Launches, Reports, Serving
+from lfmesh.errors import LfmeshError
+from lfmesh.view.output.gl import Probe, has_display
+from lfmesh.view.rays.ghosts import ghost_matrix
+from lfmesh.view.rays.path_table import path_table
+from lfmesh.view.show import NO_DISPLAY, Drawing, Outputs, Seen, check_output, look
+
+
+def run(
+    subject: Path, launches: Launches, expression: str | None,
+    drawing: Drawing, outputs: Outputs, reports: Reports, serving: Serving,
+) -> tuple[list[str], list[Path]]:  # fmt: skip
+    """Do what the options say; return the lines to print and the files written.
+
+    A window opens where there is a display and no file is asked for.
+
+    Parameters
+    ----------
+    subject : Path
+        A scene file or a run folder.
+    launches : Launches
+    expression : str or None
+        The filter that paths have to pass.
+    drawing, outputs
+        How the scene is drawn, and to which files.
+    reports : Reports
+    serving : Serving
+    """
+    outputs.check()
+    _check(reports)
+    windowed = not outputs and not serving.browser and (not reports or has_display())
+    if windowed and not has_display():
+        raise LfmeshError(NO_DISPLAY)
+    if not (outputs or windowed):
+        seen = look(subject, expression=expression, **asdict(launches))
+        lines, written = _reported(reports, seen)
+        if serving.browser:
+            print("\n".join(lines), end="\n" if lines else "", flush=True)
+            _serve(subject, seen, expression or "", drawing, serving)
+            lines = []
+        return lines, written
+    with Probe() as probe:
+        seen = look(subject, expression=expression, **asdict(launches))
+        probe.check()
+    lines, written = _reported(reports, seen)
+    view = drawing.of(seen, off_screen=not windowed)
+    written += outputs.write(view)
+    if windowed:
+        from lfmesh.view.output.window import open_window
+
+        print("\n".join(lines), flush=True)
+        lines = []
+        open_window(view)
+    return lines, written
+
+
+def _check(reports: Reports) -> None:
+    """Refuse a file that could not be written."""
+    for option, path in (("paths", reports.paths), ("ghosts", reports.ghosts)):
+        if path is not None:
+            check_output(option, path)
+
+
+def _reported(reports: Reports, seen: Seen) -> tuple[list[str], list[Path]]:
+    """Return the lines to print of the rays and the files written."""
+    if not reports:
+        return [], []
+    if seen.all_rays is None or seen.rays is None:
+        raise LfmeshError('--rays none: there are no paths to report; leave it out, or give "field 0,0,-500", say')
+    table = path_table(seen.all_rays).filtered(seen.chosen)
+    written = []
+    if reports.paths is not None:
+        written.append(table.to_csv(reports.paths))
+    if reports.ghosts is not None:
+        written.append(ghost_matrix(seen.rays).save(reports.ghosts))
+    return table.lines() if reports.table else [], written
+
+
+def _serve(subject: Path, seen: Seen, expression: str, drawing: Drawing, serving: Serving) -> None:
+    from lfmesh.view.browser import serve
+
+    serve(
+        subject, seen.all_rays, expression=expression,
+        colour=drawing.colour, fade=drawing.fade, preset=drawing.preset, cut=drawing.cut,
+        host=serving.host, port=serving.port, open_browser=serving.open_browser,
+    )  # fmt: skip

@@ -68,7 +68,7 @@ if TYPE_CHECKING:
     from lfmesh.transport.trace import Paths, Status, trace
     from lfmesh.transport.world import build
     from lfmesh.view.layout.figure import draw
-    from lfmesh.view.show import view
+    from lfmesh.view.show import show
 
 __all__ = [
     "AllInFocus",
@@ -139,9 +139,9 @@ __all__ = [
     "render_patches",
     "save",
     "save_white",
+    "show",
     "solved",
     "trace",
-    "view",
     "white_image",
 ]
 
@@ -176,6 +176,7 @@ _HOMES = {
     "lfmesh.transport.trace": ["Paths", "Status", "trace"],
     "lfmesh.transport.world": ["build"],
     "lfmesh.view.layout.figure": ["draw"],
+    "lfmesh.view.show": ["show"],
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
@@ -183,8 +184,6 @@ _HOME = {name: module for module, names in _HOMES.items() for name in names}
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         value: Any = _version()
-    elif name == "view":
-        value = import_module("lfmesh.view")  # which can be called
     elif name in _HOME:
         value = getattr(import_module(_HOME[name]), name)
     else:

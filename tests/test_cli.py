@@ -348,6 +348,13 @@ def test_importing_lfmesh_and_its_command_line_is_light() -> None:
     assert not heavy & set(done.stdout.split())
 
 
+def test_no_public_name_is_that_of_a_module() -> None:
+    """A name that is both would mean one or the other by what was imported first."""
+    package = Path(lfmesh.__file__).parent
+    assert {"view", "errors"} <= {path.stem for path in package.iterdir()}
+    assert not set(lfmesh.__all__) & {path.stem for path in package.iterdir()}
+
+
 def test_every_public_name_can_be_had() -> None:
     for name in lfmesh.__all__:
         assert getattr(lfmesh, name) is not None

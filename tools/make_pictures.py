@@ -56,7 +56,7 @@ VIEWS: dict[str, dict[str, Any]] = {
         "cut": True,
     },
 }
-"""What lf.view shows of a scene."""
+"""What lf.show shows of a scene."""
 VIEW_PX = (960, 600)
 VIEW_COLOURS = 64
 """Of the palette that keeps these pictures small."""
@@ -119,7 +119,7 @@ def from_report(report: Path) -> None:
 def from_scene(scene: Path) -> None:
     """Write the camera with rays, a ghost in its lens, and what one pixel sees through the array."""
     for name, options in VIEWS.items():
-        lfmesh.view(scene, **options, size=VIEW_PX, screenshot=PICTURES / name)
+        lfmesh.show(scene, **options, size=VIEW_PX, screenshot=PICTURES / name)
         with Image.open(PICTURES / name) as picture:
             small = picture.quantize(VIEW_COLOURS, dither=Image.Dither.NONE)
         small.save(PICTURES / name, optimize=True)

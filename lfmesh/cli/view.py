@@ -43,7 +43,8 @@ def view(
     looks, files = looks or Looks(), files or Files()
     with defer_interrupt():
         from lfmesh.cli import viewing
-        from lfmesh.view.show import Drawing, Outputs
+        from lfmesh.view.scene3d.plotter import Drawing
+        from lfmesh.view.show import Outputs
 
     lines, written = viewing.run(
         subject, launches or Launches(), (selection or Selection()).expression,

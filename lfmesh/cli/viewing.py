@@ -8,7 +8,8 @@ from lfmesh.errors import LfmeshError
 from lfmesh.view.output.gl import Probe, has_display
 from lfmesh.view.rays.ghosts import ghost_matrix
 from lfmesh.view.rays.path_table import path_table
-from lfmesh.view.show import NO_DISPLAY, Drawing, Outputs, Seen, check_output, look
+from lfmesh.view.scene3d.plotter import Drawing
+from lfmesh.view.show import NO_DISPLAY, Outputs, Seen, check_output, draw_seen, look
 
 
 def run(
@@ -48,7 +49,7 @@ def run(
         seen = look(subject, expression=expression, **asdict(launches))
         probe.check()
     lines, written = _reported(reports, seen)
-    view = drawing.of(seen, off_screen=not windowed)
+    view = draw_seen(seen, drawing, off_screen=not windowed)
     written += outputs.write(view)
     if windowed:
         from lfmesh.view.output.window import open_window

@@ -4,7 +4,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import PIL.Image
@@ -103,6 +103,15 @@ def sensor_picture(image: Image) -> Picture:
 def _reduced(picture: PIL.Image.Image) -> Picture:
     factor = -(-max(picture.size) // MOST_PX)
     return np.asarray(picture.reduce(factor) if factor > 1 else picture)
+
+
+class LaunchOptions(TypedDict, total=False):
+    """What a launch may state, see `launched`; what it leaves out or gives as None is as the scene has it."""
+
+    count: int | None
+    wavelength_nm: float | None
+    split: str | None
+    weight_cutoff: float | None
 
 
 @dataclass(frozen=True)

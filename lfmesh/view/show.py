@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, Unpack
 
 import numpy as np
 import PIL.Image
@@ -20,10 +20,9 @@ from lfmesh.transport.world import World
 from lfmesh.view.output.gl import Probe, has_display
 from lfmesh.view.rays.filters import parse
 from lfmesh.view.rays.paths import Rays
-from lfmesh.view.request import Launched, Subject, launched, subject_of
+from lfmesh.view.request import Launched, LaunchOptions, Subject, launched, subject_of
 from lfmesh.view.scene3d.colours import FAINT_TEXT, ColourBy
-from lfmesh.view.scene3d.plotter import SIZE, View, build_view
-from lfmesh.view.scene3d.ray_lines import MOST_SEGMENTS
+from lfmesh.view.scene3d.plotter import Drawing, View, build_view
 
 WITH_INSET = ("whole", "side")
 INSET, INSET_PLACE = 0.3, (0.15, 0.04)
@@ -45,125 +44,6 @@ class Seen:
     chosen: NDArray[np.bool_]
     caption: tuple[str, ...]
     near_mm: tuple[float, float]
-
-
-def view(
-    subject: Scene | World | Image | str | os.PathLike[str],
-    rays: Rays | str | Sequence[str] | None = None,
-    *,
-    count: int | None = None,
-    wavelength_nm: float | None = None,
-    split: str | None = None,
-    weight_cutoff: float | None = None,
-    filter: str | None = None,  # noqa: A002  # what it is called on the command line and in the browser
-    colour: ColourBy = "wavelength",
-    fade: bool = False,
-    preset: str = "whole",
-    cut: bool = False,
-    size: tuple[int, int] = SIZE,
-    most_segments: int = MOST_SEGMENTS,
-    screenshot: str | os.PathLike[str] | None = None,
-    html: str | os.PathLike[str] | None = None,
-    gltf: str | os.PathLike[str] | None = None,
-) -> PIL.Image.Image | None:
-    """Show a scene in 3D with rays in it.
-
-    In a notebook it returns the picture; in a script it opens a window and waits until that is closed; where an output
-    is given it writes that instead.
-
-    Parameters
-    ----------
-    subject : Scene, World, Image, or path of a scene file or a run folder
-        A run's picture lies on its sensor.
-    rays : Rays, str or sequence of str, optional
-        Rays, or how to launch them: "field 0,0,-500", "pixel 320,310", "none"; see `lfmesh.view.rays.launch.FORMS`.
-        Left out: points of the plane in focus, refracted rays alone.
-    count : int, optional
-        Rays a launch.
-    wavelength_nm, split, weight_cutoff : optional
-        Of the launches, as the scene has them if left out.
-    filter : str, optional
-        Which paths to draw, see `lfmesh.view.rays.filters`.
-    colour : {"wavelength", "power", "events", "status", "path"}
-    fade : bool
-        Draw rays with less power fainter.
-    preset : {"whole", "side", "object", "lens", "array", "sensor"}
-    cut : bool
-        Cut lens and array along the axis; rays stay whole.
-    size : (width, height), pixels
-    most_segments : int
-        Drawn at most; where rays have more, whole paths are left out, and the caption says how many.
-    screenshot, html, gltf : path, optional
-        PNG; self-contained page; binary glTF model (.glb).
-
-    Raises
-    ------
-    LfmeshError
-        Nothing can be drawn here, a setting is out of its range, a file cannot be written.
-    """
-    outputs = Outputs(screenshot, html, gltf)
-    outputs.check()
-    inline = not outputs and in_notebook()
-    windowed = not outputs and not inline
-    if windowed and not has_display():
-        raise LfmeshError(NO_DISPLAY)
-    with Probe() as probe:
-        launches = {"count": count, "wavelength_nm": wavelength_nm, "split": split, "weight_cutoff": weight_cutoff}
-        seen = look(subject, rays, filter, **launches)
-        probe.check()
-    drawing = Drawing(colour, fade, preset, cut, size, most_segments)
-    made = drawing.of(seen, off_screen=not windowed)
-    outputs.write(made)
-    if inline:
-        return picture_of(made)
-    if windowed:
-        from lfmesh.view.output.window import open_window
-
-        open_window(made)
-    return None
-
-
-def look(
-    subject: Scene | World | Image | str | os.PathLike[str],
-    rays: Rays | str | Sequence[str] | None = None,
-    expression: str | None = None,
-    **launches: Any,
-) -> Seen:
-    """Build what is looked at, launch rays into it, and choose those that a filter lets through."""
-    what = subject_of(subject)
-    if isinstance(rays, Rays):
-        shown = Launched(rays, (), (0.0, 0.0))
-    else:
-        shown = launched(what.world, [rays] if isinstance(rays, str) else list(rays or ()), **launches)
-    if shown.rays is None:
-        return Seen(what, None, None, np.zeros(0, np.bool_), shown.caption, shown.near_mm)
-    chosen = np.ones(len(shown.rays), np.bool_)
-    caption, kept = shown.caption, shown.rays
-    if expression is not None and expression.strip():
-        chosen = parse(expression, shown.rays)
-        kept = shown.rays.keep(chosen)
-        caption += (f"filter: {expression.strip()}; {int(chosen.sum()):,} of {len(chosen):,} paths pass",)
-    return Seen(what, shown.rays, kept, chosen, caption, shown.near_mm)
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """How something is drawn; the parameters of `view`."""
-
-    colour: ColourBy = "wavelength"
-    fade: bool = False
-    preset: str = "whole"
-    cut: bool = False
-    size: tuple[int, int] = SIZE
-    most_segments: int = MOST_SEGMENTS
-
-    def of(self, seen: Seen, *, off_screen: bool = True) -> View:
-        """Draw it."""
-        return build_view(
-            seen.subject.world, seen.rays, seen.subject.picture,
-            colour=self.colour, fade=self.fade, preset=self.preset, cut=self.cut, size=self.size,
-            off_screen=off_screen, most_segments=self.most_segments, near_mm=seen.near_mm, caption=seen.caption,
-        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -199,6 +79,130 @@ class Outputs:
 
                 write_model(view, path)
         return [path for _, path in self._wished()]
+
+
+Taken = TypeVar("Taken", Drawing, Outputs)
+
+
+class Options(LaunchOptions, total=False):
+    """The keyword arguments of `show`."""
+
+    colour: ColourBy
+    fade: bool
+    preset: str
+    cut: bool
+    size: tuple[int, int]
+    most_segments: int
+    screenshot: str | os.PathLike[str]
+    html: str | os.PathLike[str]
+    gltf: str | os.PathLike[str]
+
+
+def show(
+    subject: Scene | World | Image | str | os.PathLike[str],
+    rays: Rays | str | Sequence[str] | None = None,
+    *,
+    filter: str | None = None,  # noqa: A002  # what it is called on the command line and in the browser
+    **options: Unpack[Options],
+) -> PIL.Image.Image | None:
+    """Show a scene in 3D with rays in it.
+
+    In a notebook it returns the picture; in a script it opens a window and waits until that is closed; where an output
+    is given it writes that instead.
+
+    Parameters
+    ----------
+    subject : Scene, World, Image, or path of a scene file or a run folder
+        A run's picture lies on its sensor.
+    rays : Rays, str or sequence of str, optional
+        Rays, or how to launch them: "field 0,0,-500", "pixel 320,310", "none"; see `lfmesh.view.rays.launch.FORMS`.
+        Left out: points of the plane in focus, refracted rays alone.
+    filter : str, optional
+        Which paths to draw, see `lfmesh.view.rays.filters`.
+
+    Other Parameters
+    ----------------
+    count : int
+        Rays a launch.
+    wavelength_nm, split, weight_cutoff
+        Of the launches, as the scene has them if left out.
+    colour : {"wavelength", "power", "events", "status", "path"}
+        What the rays' colours mean; the wavelength if left out.
+    fade : bool
+        Draw rays with less power fainter.
+    preset : {"whole", "side", "object", "lens", "array", "sensor"}
+        Where to look from; "whole" if left out.
+    cut : bool
+        Cut lens and array along the axis; rays stay whole.
+    size : (width, height), pixels
+    most_segments : int
+        Drawn at most; where rays have more, whole paths are left out, and the caption says how many.
+    screenshot, html, gltf : path
+        PNG; self-contained page; binary glTF model (.glb).
+
+    Raises
+    ------
+    LfmeshError
+        Nothing can be drawn here, a setting is out of its range, a file cannot be written.
+    """
+    given: dict[str, Any] = dict(options)
+    drawing, outputs = _taken(Drawing, given), _taken(Outputs, given)
+    unknown = sorted(given.keys() - LaunchOptions.__annotations__.keys())
+    if unknown:
+        raise TypeError(f"show() got an unexpected keyword argument {unknown[0]!r}")
+    outputs.check()
+    inline = not outputs and in_notebook()
+    windowed = not outputs and not inline
+    if windowed and not has_display():
+        raise LfmeshError(NO_DISPLAY)
+    with Probe() as probe:
+        seen = look(subject, rays, filter, **given)
+        probe.check()
+    made = draw_seen(seen, drawing, off_screen=not windowed)
+    outputs.write(made)
+    if inline:
+        return picture_of(made)
+    if windowed:
+        from lfmesh.view.output.window import open_window
+
+        open_window(made)
+    return None
+
+
+def _taken(kind: type[Taken], options: dict[str, Any]) -> Taken:
+    """Return a dataclass made from those of the options that are its fields; the others stay."""
+    return kind(**{name: options.pop(name) for name in kind.__dataclass_fields__ if name in options})
+
+
+def look(
+    subject: Scene | World | Image | str | os.PathLike[str],
+    rays: Rays | str | Sequence[str] | None = None,
+    expression: str | None = None,
+    **launches: Unpack[LaunchOptions],
+) -> Seen:
+    """Build what is looked at, launch rays into it, and choose those that a filter lets through."""
+    what = subject_of(subject)
+    if isinstance(rays, Rays):
+        shown = Launched(rays, (), (0.0, 0.0))
+    else:
+        shown = launched(what.world, [rays] if isinstance(rays, str) else list(rays or ()), **launches)
+    if shown.rays is None:
+        return Seen(what, None, None, np.zeros(0, np.bool_), shown.caption, shown.near_mm)
+    chosen = np.ones(len(shown.rays), np.bool_)
+    caption, kept = shown.caption, shown.rays
+    if expression is not None and expression.strip():
+        chosen = parse(expression, shown.rays)
+        kept = shown.rays.keep(chosen)
+        caption += (f"filter: {expression.strip()}; {int(chosen.sum()):,} of {len(chosen):,} paths pass",)
+    return Seen(what, shown.rays, kept, chosen, caption, shown.near_mm)
+
+
+def draw_seen(seen: Seen, drawing: Drawing, *, off_screen: bool = True) -> View:
+    """Draw what is looked at and the rays chosen."""
+    return build_view(
+        seen.subject.world, seen.rays, seen.subject.picture, drawing,
+        off_screen=off_screen, near_mm=seen.near_mm, caption=seen.caption,
+    )  # fmt: skip
 
 
 ENDINGS = {

@@ -727,7 +727,7 @@ def test_the_picture_of_a_3d_view_shows_what_is_projected_by_hand(
     shots: Callable[[str], Shot], tmp_path: Path, body: str
 ) -> None:
     shot = shots(body)
-    lf.view(shot.scene, rays="none", preset="object", size=(SIDE, SIDE), screenshot=tmp_path / "view.png")
+    lf.show(shot.scene, rays="none", preset="object", size=(SIDE, SIDE), screenshot=tmp_path / "view.png")
     with PIL.Image.open(tmp_path / "view.png") as picture:
         assert_seen(shot, picture, 1.0, 36.0)
 
@@ -754,7 +754,7 @@ def test_a_page_shows_what_is_projected_by_hand(
     shots: Callable[[str], Shot], browser: Any, tmp_path: Path, body: str
 ) -> None:
     shot = shots(body)
-    lf.view(shot.scene, rays="none", preset="object", html=tmp_path / "page.html")
+    lf.show(shot.scene, rays="none", preset="object", html=tmp_path / "page.html")
     page = browser.new_page(viewport={"width": PAGE[0], "height": PAGE[1]})
     try:
         page.goto((tmp_path / "page.html").as_uri())
@@ -808,7 +808,7 @@ def in_glb(path: Path, name: str) -> tuple[Array, Array, Array | None]:
 def test_a_model_holds_what_is_projected_by_hand(shots: Callable[[str], Shot], tmp_path: Path, body: str) -> None:
     """In metres, with our axes, which are glTF's: right-handed, y up."""
     shot = shots(body)
-    lf.view(shot.scene, rays="none", gltf=tmp_path / "model.glb")
+    lf.show(shot.scene, rays="none", gltf=tmp_path / "model.glb")
     facets, uv, picture = in_glb(tmp_path / "model.glb", "targets[0]")
     # glTF counts v from the top of a picture.
     uv = uv * [1.0, -1.0] + [0.0, 1.0]

@@ -12,7 +12,7 @@ from lfmesh.view.browser.rays_panel import RaysPanel
 from lfmesh.view.browser.replies import Replies
 from lfmesh.view.request import Subject, sensor_picture, subject_of
 from lfmesh.view.scene3d.colours import ColourBy
-from lfmesh.view.scene3d.plotter import build_view
+from lfmesh.view.scene3d.plotter import Drawing, build_view
 
 if TYPE_CHECKING:
     from lfmesh.scene import Scene
@@ -43,7 +43,7 @@ class Page:
     expression : str
         Stands in the filter box from the start.
     colour, fade, preset, cut
-        See `lfmesh.view.scene3d.plotter.build_view`.
+        See `lfmesh.view.scene3d.plotter.Drawing`.
 
     Raises
     ------
@@ -74,7 +74,7 @@ class Page:
             }
         )
         replies = Replies(server)
-        view = build_view(seen.world, picture=seen.picture, preset=preset, cut=cut, size=SIZE)
+        view = build_view(seen.world, None, seen.picture, Drawing(preset=preset, cut=cut, size=SIZE))
         view.plotter.show(auto_close=False, interactive=False)
         self.light_field = LightFieldPanel(server, replies, scene, image, folder)
         server.state.update({"expression": expression, "colour": colour, "fade": fade, "cut": cut})

@@ -77,7 +77,7 @@ def serve(
     except ImportError as missing:
         raise LfmeshError(f"{EXTRA} ({missing.name} is missing)") from None
     if _is_in_event_loop():
-        raise LfmeshError("the page is served from the command line or a script; in a notebook use lf.view")
+        raise LfmeshError("the page is served from the command line or a script; in a notebook use lf.show")
     with Probe() as probe:
         _refuse_taken(host, port)
         from lfmesh.view.browser.guard import Guard, is_loopback

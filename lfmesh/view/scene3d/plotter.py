@@ -1,5 +1,6 @@
 """A scene and its rays in a pyvista plotter: what windows, pictures, pages and the browser's server share."""
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -232,36 +233,55 @@ class View:
         return -to_world[:, 0], to_world[:, 3]
 
 
+@dataclass(frozen=True)
+class Drawing:
+    """How a world and rays in it are drawn.
+
+    Attributes
+    ----------
+    colour : {"wavelength", "power", "events", "status", "path"}
+        What the rays' colours mean.
+    fade : bool
+        Draw rays with less power fainter.
+    preset : str
+        Where to look from, one of `PRESETS`.
+    cut : bool
+        Cut lens and array along the axis; rays stay whole.
+    size : (width, height), pixels
+    most_segments : int
+        Drawn at most; where rays have more, whole paths are left out, and the caption says how many.
+    """
+
+    colour: ColourBy = "wavelength"
+    fade: bool = False
+    preset: str = "whole"
+    cut: bool = False
+    size: tuple[int, int] = SIZE
+    most_segments: int = MOST_SEGMENTS
+
+
 def build_view(
-    world: World, rays: "Rays | None" = None, picture: Picture | None = None, *,
-    colour: ColourBy = "wavelength", fade: bool = False, preset: str = "whole", cut: bool = False,
-    size: tuple[int, int] = SIZE, off_screen: bool = True, most_segments: int = MOST_SEGMENTS,
-    near_mm: tuple[float, float] = (0.0, 0.0), caption: tuple[str, ...] = (),
+    world: World, rays: "Rays | None", picture: Picture | None, drawing: Drawing, *,
+    off_screen: bool = True, near_mm: tuple[float, float] = (0.0, 0.0), caption: tuple[str, ...] = (),
 ) -> View:  # fmt: skip
     """Draw a world and rays in it.
 
     Parameters
     ----------
     world : World
-    rays : Rays, optional
-    picture : (rows, columns, 3) uint8, optional
+    rays : Rays or None
+    picture : (rows, columns, 3) uint8, or None
         What lies on the sensor, in its physical orientation: see `sensor_picture`.
-    colour, fade, most_segments
-        See `View.show_rays`.
-    preset : str
-        Where to look from, one of `PRESETS`.
-    cut : bool
-        Cut lens and array along the axis.
-    size : (width, height), pixels
+    drawing : Drawing
     off_screen : bool
     near_mm : (x, y), mm
         Where on the array a close view of it looks, in the array's frame.
     caption : tuple of str
         Lines under the title, before the one that counts the paths.
     """
-    view = View(world, picture, size=size, off_screen=off_screen, near_mm=near_mm)
-    view.cut(cut)
-    view.show_rays(rays, colour, fade=fade, most_segments=most_segments)
+    view = View(world, picture, size=drawing.size, off_screen=off_screen, near_mm=near_mm)
+    view.cut(drawing.cut)
+    view.show_rays(rays, drawing.colour, fade=drawing.fade, most_segments=drawing.most_segments)
     view.write(list(caption))
-    view.look(preset)
+    view.look(drawing.preset)
     return view

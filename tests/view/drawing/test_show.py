@@ -1,4 +1,4 @@
-"""`lf.view` and `lfmesh view`: files, one clear line where nothing can be drawn, what is refused."""
+"""`lf.show` and `lfmesh view`: files, one clear line where nothing can be drawn, what is refused."""
 
 import os
 import re
@@ -24,7 +24,8 @@ from lfmesh.view import show
 from lfmesh.view.output.gl import MISSING, Probe
 from lfmesh.view.rays import launch
 from lfmesh.view.rays.paths import Rays
-from lfmesh.view.request import first_look, launched, subject_of, together
+from lfmesh.view.request import LaunchOptions, first_look, launched, subject_of, together
+from lfmesh.view.scene3d.plotter import Drawing
 
 from .conftest import SCENE
 
@@ -183,19 +184,23 @@ def test_reports_need_no_display(
 @pytest.mark.drawing
 def test_in_a_notebook_it_returns_the_picture(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(show, "in_notebook", lambda: True)
-    picture = lfmesh.view(world, "field 0,0,-190", count=4, size=(200, 120), preset="lens")
+    picture = lfmesh.show(world, "field 0,0,-190", count=4, size=(200, 120), preset="lens")
     assert isinstance(picture, PIL.Image.Image)
     assert picture.size == (200, 120)
 
 
-def test_lf_view_is_the_function_whatever_was_imported_before() -> None:
-    later = "view = lf.view; import lfmesh.view.rays.names as names; assert lf.view is view and callable(view)"
-    sooner = "import lfmesh.view.rays.names; import lfmesh as lf; assert callable(lf.view); " + later
-    subprocess.run([sys.executable, "-c", sooner], check=True, cwd=Path(lfmesh.__file__).parents[1])
-    subprocess.run(
-        [sys.executable, "-c", "import lfmesh as lf; assert callable(lf.view)"],
-        check=True, cwd=Path(lfmesh.__file__).parents[1],
-    )  # fmt: skip
+def test_an_option_that_does_not_exist_is_refused_before_anything_is_built(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(show, "look", lambda *_, **__: pytest.fail("something was built"))
+    with pytest.raises(TypeError, match=r"show\(\) got an unexpected keyword argument 'colours'"):
+        lfmesh.show(tmp_path / "scene.toml", screenshot=tmp_path / "out.png", colours="path")  # type: ignore[call-arg]
+
+
+def test_every_option_of_show_is_one_of_a_drawing_its_outputs_or_a_launch() -> None:
+    fields = {*Drawing.__dataclass_fields__, *show.Outputs.__dataclass_fields__, *LaunchOptions.__annotations__}
+    assert set(show.Options.__annotations__) == fields
+    assert all(re.search(rf"\b{name}\b", lfmesh.show.__doc__ or "") for name in fields)
 
 
 def test_the_picture_of_a_run_is_turned_back_to_how_it_lies_on_the_sensor(scene: Scene, tmp_path: Path) -> None:

@@ -53,9 +53,9 @@ from lfmesh.kernel import kernel
 from lfmesh.scene import Scene
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.packet import ENDED, LENS, SENSOR_FRAME, TRANSMIT, WORLD_FRAME
-from lfmesh.transport.packets.settings import options_of
 from lfmesh.transport.sequential.image_path import through_lens
 from lfmesh.transport.sequential.lens_bundle import BLOCK, DX, DZ, ROWS, WEIGHT, X, Z
+from lfmesh.transport.settings import options_of
 from lfmesh.transport.tables.tables import LensTables
 from lfmesh.transport.trace import launch_rays
 

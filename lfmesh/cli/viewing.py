@@ -5,9 +5,9 @@ from pathlib import Path
 
 from lfmesh.cli.view_options import Launches, Reports, Serving
 from lfmesh.errors import LfmeshError
-from lfmesh.view.output.gl import Probe, has_display
 from lfmesh.view.rays.ghosts import ghost_matrix
 from lfmesh.view.rays.path_table import path_table
+from lfmesh.view.scene3d.gl import Probe, has_display
 from lfmesh.view.scene3d.plotter import Drawing
 from lfmesh.view.show import NO_DISPLAY, Outputs, Seen, check_output, draw_seen, look
 

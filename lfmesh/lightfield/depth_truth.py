@@ -18,8 +18,8 @@ from lfmesh.scene import Scene, solved
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.packet import CAMERA_FRAME, ENDED, TRANSMIT, WORLD_FRAME
 from lfmesh.transport.packets.random import descendant
-from lfmesh.transport.packets.settings import options_of
 from lfmesh.transport.render.adjoint import launch_adjoint
+from lfmesh.transport.settings import options_of
 from lfmesh.transport.trace import Status
 from lfmesh.transport.world import World, build
 

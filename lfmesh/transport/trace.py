@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,7 +45,7 @@ from lfmesh.transport.packets.packet import (
     put,
 )
 from lfmesh.transport.packets.random import derived, descendant
-from lfmesh.transport.packets.settings import SPLIT_MODE, ledger_of, options_of
+from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
 from lfmesh.transport.tables.tables import Records, Tables
 from lfmesh.transport.world import World
 
@@ -118,6 +119,15 @@ class Paths:
         return path[::-1]
 
 
+class Settings(TypedDict, total=False):
+    """The settings of `trace`; what is left out or None is as the scene's transport settings have it."""
+
+    surface: str | None
+    engine: str
+    max_events: int | None
+    weight_cutoff: float | None
+
+
 def trace(
     world: World,
     origins: ArrayLike,
@@ -126,12 +136,9 @@ def trace(
     split: str = "both",
     record: bool = False,
     *,
-    surface: str | None = None,
-    engine: str = "mesh",
-    max_events: int | None = None,
-    weight_cutoff: float | None = None,
     seed: int = 0,
     threads: int = 0,
+    **settings: Unpack[Settings],
 ) -> Paths:
     """Trace rays until every packet has ended; targets and the sensor end them.
 
@@ -148,15 +155,21 @@ def trace(
         Follow both children at an interface, one by chance, or the refracted one with weight T.
     record : bool
         Keep every vertex, see `Paths.vertices`.
-    surface, max_events, weight_cutoff : optional
-        In place of the scene's transport settings.
-    engine : {"mesh", "sequential"}
-        "sequential" meets the exact surfaces of lens and array in their order, many times quicker: refracted rays only
-        (`split="transmit"`), nothing recorded, and a ray that total reflection turns off the image path has no packet.
     seed : int
         Of the roulette.
     threads : int
         0: all. The result does not depend on it.
+
+    Other Parameters
+    ----------------
+    surface : str
+    max_events : int
+    weight_cutoff : float
+        In place of the scene's transport settings.
+    engine : {"mesh", "sequential"}
+        "sequential" meets the exact surfaces of lens and array in their order, many times quicker: refracted rays only
+        (`split="transmit"`), nothing recorded, and a ray that total reflection turns off the image path has no packet.
+        "mesh" if left out.
 
     Warns
     -----
@@ -170,7 +183,7 @@ def trace(
         range.
     """
     p, d = _rays(origins, directions)
-    options = _options(world, record, split, surface, engine, max_events, weight_cutoff)
+    options = _options(world, record, split, **settings)
     for name, value, valid, wish in (
         ("wavelength_nm", wavelength_nm, 0.0 < wavelength_nm < np.inf, "a positive number"),
         ("seed", seed, 0 <= seed < 2**63, "a whole number from 0 to 2^63 − 1"),
@@ -215,8 +228,8 @@ def trace(
 
 
 def _options(
-    world: World, record: bool, split: str, surface: str | None, engine: str, max_events: int | None,
-    weight_cutoff: float | None,
+    world: World, record: bool, split: str, surface: str | None = None, engine: str = "mesh",
+    max_events: int | None = None, weight_cutoff: float | None = None,
 ) -> Options:  # fmt: skip
     """Return the scene's settings with those of the call in their place."""
     transport = world.scene.transport

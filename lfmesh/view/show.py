@@ -17,11 +17,11 @@ from lfmesh.files.whole import write_whole
 from lfmesh.scene import Scene
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.world import World
-from lfmesh.view.output.gl import Probe, has_display
 from lfmesh.view.rays.filters import parse
 from lfmesh.view.rays.paths import Rays
 from lfmesh.view.request import Launched, LaunchOptions, Subject, launched, subject_of
 from lfmesh.view.scene3d.colours import FAINT_TEXT, ColourBy
+from lfmesh.view.scene3d.gl import Probe, has_display
 from lfmesh.view.scene3d.plotter import Drawing, View, build_view
 
 WITH_INSET = ("whole", "side")

@@ -13,10 +13,10 @@ from lfmesh.assets import asset_path
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import PLATE
 from lfmesh.transport.packets.random import run_key
-from lfmesh.transport.packets.settings import options_of
 from lfmesh.transport.regions.objects import MM2
 from lfmesh.transport.render.adjoint import launch_adjoint
 from lfmesh.transport.render.render import Renderer
+from lfmesh.transport.settings import options_of
 from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]

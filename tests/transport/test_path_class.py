@@ -27,8 +27,8 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.path_class import EVERY, OFF_IMAGE_PATH
 from lfmesh.transport.packets.random import run_key
-from lfmesh.transport.packets.settings import options_of
 from lfmesh.transport.render.adjoint import launch_adjoint
+from lfmesh.transport.settings import options_of
 from lfmesh.transport.world import World, build
 
 INDEX = 1.8

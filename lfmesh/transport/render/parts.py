@@ -16,8 +16,8 @@ from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.packets.packet import BOTH, LIT, REACHED, TRANSMIT, Options
 from lfmesh.transport.packets.path_class import LAMP_THROUGH_GLASS, OFF_IMAGE_PATH
-from lfmesh.transport.packets.settings import options_of
 from lfmesh.transport.render.blind_check import without_aim
+from lfmesh.transport.settings import options_of
 from lfmesh.transport.tables.objects import aimed_at_glass
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.world import World

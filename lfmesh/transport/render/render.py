@@ -18,7 +18,6 @@ from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
 from lfmesh.transport.packets.packet import COUNTERS, DEPOSITS, EVENTS
 from lfmesh.transport.packets.random import descendant, run_key
-from lfmesh.transport.packets.settings import ledger_of
 from lfmesh.transport.render.adaptive import Counts, Refinement, combine, samples_of, second_stage, total_samples
 from lfmesh.transport.render.adjoint import launch_adjoint, launch_along_image_path
 from lfmesh.transport.render.blind_check import CHUNK as BLIND_CHUNK
@@ -27,6 +26,7 @@ from lfmesh.transport.render.forward import launch_forward
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.parts import BOOKS, LAMP_BOOK, OWN_BOOK, Part, blind_part, in_words, parts_of
 from lfmesh.transport.render.progress import Progress
+from lfmesh.transport.settings import ledger_of
 from lfmesh.transport.world import World, build
 
 

@@ -12,7 +12,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from lfmesh.errors import LfmeshError
-from lfmesh.view.output.gl import Probe, has_display
+from lfmesh.view.scene3d.gl import Probe, has_display
 
 if TYPE_CHECKING:
     from lfmesh.scene import Scene

@@ -18,7 +18,7 @@ from lfmesh.transport.aiming.aim_table import opening_seen, widest_disk
 from lfmesh.transport.aiming.pupil import opening_from
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.packets.random import descendant, run_key
-from lfmesh.transport.packets.settings import SPLIT_MODE, options_of
+from lfmesh.transport.settings import SPLIT_MODE, options_of
 from lfmesh.transport.tables.tables import Records, Tables
 from lfmesh.transport.trace import at_wavelength, joined_records
 from lfmesh.transport.world import World

@@ -10,8 +10,8 @@ from vtkmodules.vtkRenderingCore import vtkMapper, vtkProp
 
 from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
-from lfmesh.view.output.gl import expect_no_display
 from lfmesh.view.scene3d.colours import BACKGROUND, BACKGROUND_TOP, ColourBy, Legend
+from lfmesh.view.scene3d.gl import expect_no_display
 from lfmesh.view.scene3d.overlay import Overlay, in_words
 from lfmesh.view.scene3d.parts import Part, Picture, parts, smooth, texture_of, tick_mm
 from lfmesh.view.scene3d.presets import ANGLE_DEG, PRESETS, viewpoint

@@ -21,10 +21,10 @@ from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.world import World
 from lfmesh.view import show
-from lfmesh.view.output.gl import MISSING, Probe
 from lfmesh.view.rays import launch
 from lfmesh.view.rays.paths import Rays
 from lfmesh.view.request import LaunchOptions, first_look, launched, subject_of, together
+from lfmesh.view.scene3d.gl import MISSING, Probe
 from lfmesh.view.scene3d.plotter import Drawing
 
 from .conftest import SCENE

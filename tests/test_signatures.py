@@ -1,0 +1,34 @@
+"""Functions take few arguments: what belongs together is handed over as one value."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import lfmesh
+
+PACKAGE = Path(lfmesh.__file__).parent
+MOST = 10
+KERNELS = {"kernel", "inlined", "pasted"}
+"""Decorators of what numba compiles, which takes tables apart before it is called."""
+
+
+def crowded(source: str) -> Iterator[tuple[str, int]]:
+    """Yield the functions with too many parameters, kernels excepted, and how many they have."""
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        decorators = {name.id for item in node.decorator_list for name in ast.walk(item) if isinstance(name, ast.Name)}
+        given = node.args
+        number = len(given.posonlyargs) + len(given.args) + len(given.kwonlyargs)
+        number += (given.vararg is not None) + (given.kwarg is not None)
+        if number > MOST and not decorators & KERNELS:
+            yield node.name, number
+
+
+def test_no_function_has_more_than_ten_parameters() -> None:
+    names = ", ".join(f"p{i}" for i in range(MOST + 1))
+    assert list(crowded(f"def wide({names}): pass")) == [("wide", MOST + 1)]
+    assert list(crowded(f"@kernel(nogil=True)\ndef wide({names}): pass")) == []
+    found = {path: list(crowded(path.read_text(encoding="utf-8"))) for path in PACKAGE.rglob("*.py")}
+    assert found
+    assert not {str(path): names for path, names in found.items() if names}

@@ -16,8 +16,8 @@ from lfmesh.view.scene3d import pick
 from lfmesh.view.scene3d.array_shape import MOST_LENSLETS, PATCH, all_cells, caps, cells_near
 from lfmesh.view.scene3d.colours import tint
 from lfmesh.view.scene3d.plotter import View
+from tests.view.conftest import SCENE, SIZE, shot
 
-from .conftest import SCENE, SIZE, shot
 from .test_pick import pixel_corner
 
 pytestmark = pytest.mark.drawing

@@ -16,8 +16,7 @@ from lfmesh.view.scene3d.overlay import in_words
 from lfmesh.view.scene3d.parts import round_length
 from lfmesh.view.scene3d.plotter import View
 from lfmesh.view.scene3d.presets import ANGLE_DEG, MARGIN, PRESETS, Viewpoint, fitted, viewpoint
-
-from .conftest import SCENE, SIZE, shot
+from tests.view.conftest import SCENE, SIZE, shot
 
 ASPECT = 1.6
 

@@ -26,8 +26,7 @@ from lfmesh.view.rays.paths import Rays
 from lfmesh.view.request import LaunchOptions, first_look, launched, subject_of, together
 from lfmesh.view.scene3d.gl import MISSING, Probe
 from lfmesh.view.scene3d.plotter import Drawing
-
-from .conftest import SCENE
+from tests.view.conftest import SCENE
 
 QUICK = ["--size", "320x200", "--count", "6"]
 

@@ -12,8 +12,7 @@ from lfmesh.view.rays.paths import Rays
 from lfmesh.view.scene3d import pick
 from lfmesh.view.scene3d.describe import describe
 from lfmesh.view.scene3d.plotter import View
-
-from .conftest import SIZE
+from tests.view.conftest import SIZE
 
 pytestmark = pytest.mark.drawing
 

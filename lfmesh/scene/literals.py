@@ -1,4 +1,4 @@
-"""Values as TOML writes them, for scene files and for the messages about them."""
+"""Values as TOML writes them, for the messages about scene files."""
 
 import json
 import math

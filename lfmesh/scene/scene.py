@@ -11,7 +11,6 @@ from pydantic import Field, PrivateAttr
 
 from lfmesh.errors import GlassError
 from lfmesh.optics.glass import refractive_index
-from lfmesh.scene import toml
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.lights import Light
 from lfmesh.scene.model import Fault, Location, Model
@@ -90,10 +89,14 @@ class Scene(Model):
 
     def dump_toml(self) -> str:
         """Return the scene as TOML that loads to an equal scene; defaults are left out."""
+        from lfmesh.scene import toml  # with a library that most scenes, which are only read, need not wait for
+
         return toml.dump(self)
 
     def to_json(self) -> str:
         """Return the scene as JSON, with the keys and values of the TOML file."""
+        from lfmesh.scene import toml
+
         return json.dumps(toml.table(self), ensure_ascii=False)
 
     @property

@@ -2,11 +2,16 @@
 
 from typing import Any
 
-from lfmesh.scene.literals import literal
+import tomlkit
+
 from lfmesh.scene.model import Model
 
 # Keys that say how to read the rest stand in the file even where they have their default.
 _ALWAYS = ("schema_version", "kind")
+
+# Tables that stand in one line, and lists of tables with a line each.
+_IN_LINE = ("shape",)
+_A_LINE_EACH = ("surfaces",)
 
 
 def table(model: Model) -> dict[str, Any]:
@@ -22,7 +27,9 @@ def table(model: Model) -> dict[str, Any]:
 
 def dump(model: Model) -> str:
     """Return a model as TOML."""
-    return "\n".join(_lines(table(model), "")).lstrip("\n") + "\n"
+    document = tomlkit.document()
+    _fill(document, table(model))
+    return tomlkit.dumps(document)
 
 
 def _entry(value: Any) -> Any:
@@ -33,31 +40,49 @@ def _entry(value: Any) -> Any:
     return value
 
 
-def _lines(entries: dict[str, Any], path: str) -> list[str]:
-    """Write values first, then sub-tables, as TOML demands."""
-    lines = []
+def _fill(block: Any, entries: dict[str, Any]) -> None:
+    """Put values first into a document or table of tomlkit, then sub-tables, as TOML demands."""
+    tables = {key: value for key, value in entries.items() if _is_table(value, key) or _is_tables(value, key)}
     for key, value in entries.items():
-        if not (_is_table(value, key) or _is_tables(value, key)):
-            lines.append(f"{key} = {_value(value, key)}")
-    for key, value in entries.items():
-        inner = f"{path}.{key}" if path else key
-        if _is_table(value, key):
-            lines += ["", f"[{inner}]", *_lines(value, inner)]
-        elif _is_tables(value, key):
-            for item in value:
-                lines += ["", f"[[{inner}]]", *_lines(item, inner)]
-    return lines
+        if key not in tables:
+            block.add(key, _in_line(value))
+            if key in _A_LINE_EACH:
+                block[key].multiline(True)
+    for key, value in tables.items():
+        block.add(key, _array_of_tables(value) if isinstance(value, list) else _table(value))
+
+
+def _table(entries: dict[str, Any]) -> Any:
+    block = tomlkit.table()
+    _fill(block, entries)
+    return block
+
+
+def _array_of_tables(items: list[dict[str, Any]]) -> Any:
+    array = tomlkit.aot()
+    for entries in items:
+        array.append(_table(entries))
+    return array
+
+
+def _in_line(value: Any) -> Any:
+    """Return a value, a list or a table as it stands in one line."""
+    if isinstance(value, dict):
+        line = tomlkit.inline_table()
+        for key, item in value.items():
+            line.add(key, _in_line(item))
+        return line
+    if isinstance(value, list):
+        array = tomlkit.array()
+        for item in value:
+            array.append(_in_line(item))
+        return array
+    return tomlkit.item(value)
 
 
 def _is_table(value: Any, key: str) -> bool:
-    return isinstance(value, dict) and key != "shape"
+    return isinstance(value, dict) and key not in _IN_LINE
 
 
 def _is_tables(value: Any, key: str) -> bool:
-    return isinstance(value, list) and bool(value) and isinstance(value[0], dict) and key != "surfaces"
-
-
-def _value(value: Any, key: str) -> str:
-    if key == "surfaces":
-        return "[\n" + "".join(f"  {literal(item)},\n" for item in value) + "]"
-    return literal(value)
+    return isinstance(value, list) and bool(value) and isinstance(value[0], dict) and key not in _A_LINE_EACH

@@ -1,6 +1,7 @@
 """Files and Python are the same thing, and a wrong file says everything that is wrong with it."""
 
 import json
+import math
 import tomllib
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from lfmesh.scene import (
     load,
     loads,
     solved,
+    toml,
 )
 
 
@@ -67,6 +69,22 @@ def test_a_written_scene_loads_to_an_equal_one(rich: Scene, tmp_path: Path) -> N
     assert again == rich
     assert again.digest == rich.digest
     assert again.dump_toml() == rich.dump_toml()
+
+
+def test_written_numbers_keep_every_bit() -> None:
+    bits = np.random.default_rng(4).integers(0, 2**64, 2000, dtype=np.uint64)
+    numbers = bits.view(np.float64)
+    numbers = (*numbers[np.isfinite(numbers)].tolist(), math.inf, -math.inf, -0.0, 5e-324, 1e16, 1e22)
+    read = tomllib.loads(toml.dump(Surface.model_construct(semi_diameter_mm=1.0, asphere_mm=numbers)))
+    assert np.array(read["asphere_mm"]).tobytes() == np.array(numbers).tobytes()
+
+
+def test_a_written_surface_is_one_line(rich: Scene) -> None:
+    lines = rich.dump_toml().splitlines()
+    first = lines.index("surfaces = [") + 1
+    surfaces = [tomllib.loads(f"surface = {line.strip().rstrip(',')}") for line in lines[first : lines.index("]")]]
+    assert [entry["surface"]["semi_diameter_mm"] for entry in surfaces] == [6.0, 10.0, 10.0]
+    assert sum(line.startswith("shape = {") for line in lines) == 4
 
 
 def test_json_holds_the_keys_of_the_file(rich: Scene) -> None:

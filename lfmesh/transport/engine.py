@@ -110,9 +110,18 @@ class Workspace:
     def flow(self) -> Flow:
         """Return what the kernels write, as they take it."""
         return Flow(
-            self.stacks, self.rows, self.tops, self.book, self.counts,
-            self.film, self.hits, self.counted, self.deposits, self.ended, self.nodes,
-        )  # fmt: skip
+            stacks=self.stacks,
+            rows=self.rows,
+            tops=self.tops,
+            book=self.book,
+            counts=self.counts,
+            film=self.film,
+            hits=self.hits,
+            counted=self.counted,
+            deposits=self.deposits,
+            ended=self.ended,
+            nodes=self.nodes,
+        )
 
     def record_starts(self) -> None:
         """Give every packet that waits and has no vertex yet one where it starts."""

@@ -20,13 +20,13 @@ from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.transport import MOST_EVENTS
 from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.engine import CHUNK, Workspace
+from lfmesh.transport.packets.book import EMITTED
 from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
 from lfmesh.transport.packets.packet import (
     ARRAY_FRAME,
     CAMERA,
     CAMERA_FRAME,
     COUNTERS,
-    EMITTED,
     END,
     ENDED,
     LENS,

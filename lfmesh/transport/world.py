@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError, SceneError
 from lfmesh.geometry import frame as frames
@@ -22,9 +21,13 @@ from lfmesh.scene import FirstOrder, Scene, first_order, solved
 from lfmesh.transport.aiming.aim_proof import AimProof
 from lfmesh.transport.aiming.aim_table import aim_table
 from lfmesh.transport.collisions import refuse_collisions
+from lfmesh.transport.packets.book import Book
 from lfmesh.transport.packets.packet import (
     ARRAY_FRAME,
     CAMERA_FRAME,
+    ENDS_AT,
+    FACES,
+    FACES_AT,
     SENSOR_FRAME,
     WORLD_FRAME,
 )
@@ -41,30 +44,21 @@ from lfmesh.transport.tables.tables import (
 if TYPE_CHECKING:
     import trimesh
 
-LOST_IN = "lost in "
-
-Slots = NDArray[np.int64]
-
-FIXED_SLOTS = (
-    "emitted", "sensor", "escaped", "roulette added", "roulette removed", "sampling added", "sampling removed",
-    "depth", "miss", "contradiction", "reflections not followed", "reached", "lit", "beside the sensor", "housing",
-    "stop", "mount", "mla mount", "mla edge", "mla wall", "lens front", f"{LOST_IN}mla", f"{LOST_IN}the open",
-)  # fmt: skip
-
 
 class World:
     """A scene that rays can be traced through. Made by `build`."""
 
     def __init__(
         self, scene: Scene, report: FirstOrder, tables: Tables, finders: tuple[Finder, Finder, Finder],
-        slots: list[str], lens: LensShape, targets: list[TargetMesh], housing: Mesh,
+        book: Book, lens: LensShape, targets: list[TargetMesh], housing: Mesh,
         aim_proof: AimProof | None = None,
     ) -> None:  # fmt: skip
         self.scene = scene
         self.first_order = report
         self.tables = tables
         self.finders = finders
-        self.slots = slots
+        self.book = book
+        self.slots = book.names
         self.lens_shape = lens
         self.targets = targets
         self.housing = housing
@@ -111,11 +105,11 @@ class World:
 
     def surface_name(self, number: int) -> str:
         """Return what a recorded vertex's `surface` number stands for."""
-        if number < 1000:
+        if number < FACES_AT:
             return f"lens surface {self.lens_shape.numbers[number]}" if number >= 0 else "start"
-        if number < 2000:
-            return ("mla curved face", "mla flat face", "target", "glass")[number - 1000]
-        return self.slots[number - 2000]
+        if number < ENDS_AT:
+            return FACES[number - FACES_AT]
+        return self.slots[number - ENDS_AT]
 
     @staticmethod
     def _in_world(mesh: "trimesh.Trimesh", to_world: Array) -> "trimesh.Trimesh":
@@ -154,24 +148,18 @@ class World:
         return trimesh.Trimesh(corners, [[0, 2, 1], [0, 3, 2]], process=False)
 
 
-def slots_of(scene: Scene, shape: LensShape) -> tuple[list[str], Slots, Slots, Slots]:
-    """Return the names of all slots of the book, and the slots of targets, of losses in them, and in the lens's spaces.
+def book_of(scene: Scene, shape: LensShape) -> Book:
+    """Return the slots of the ledger's book: what every scene has, the lens's elements and spaces, the targets.
 
     The spaces lie between the refracting surfaces: air before the lens, glass or air within, air behind.
     """
-    slots = [*FIXED_SLOTS, *(f"lens[{i}] edge" for i in range(len(shape.elements)))]
     targets = [target.name or f"targets[{i}]" for i, target in enumerate(scene.targets)]
     spaces = ["the air before the lens", *[""] * (len(shape.media) - 2), "the air behind the lens"]
     element = -1
     for k, medium in enumerate(shape.media[1:-1], start=1):
         element += medium is not None
         spaces[k] = f"lens[{element}]" if medium is not None else f"the air behind lens[{element}]"
-    blocks = [targets, [f"{LOST_IN}{name}" for name in targets], [f"{LOST_IN}{name}" for name in spaces]]
-    numbers = []
-    for block in blocks:
-        numbers.append(np.arange(len(slots), len(slots) + len(block)))
-        slots += block
-    return slots, numbers[0], numbers[1], numbers[2]
+    return Book.of_bodies(len(shape.elements), targets, spaces)
 
 
 def build(scene: Scene, *, rings: int | None = None) -> World:
@@ -200,9 +188,9 @@ def build(scene: Scene, *, rings: int | None = None) -> World:
     waves = scene.transport.wavelengths_nm
     shape = lens_shape(scene, rings)
     targets = [target_mesh(target, scene) for target in scene.targets]
-    slots, target_slots, lost_in_targets, lost_in_spaces = slots_of(scene, shape)
+    book = book_of(scene, shape)
 
-    lens_mesh, lens = lens_tables(scene, shape, waves, lost_in_spaces)
+    lens_mesh, lens = lens_tables(scene, shape, waves, book)
     array_mesh_, array = array_tables(scene, waves)
     middle = middle_of(targets)
     moves = frame_table(scene, middle)
@@ -210,9 +198,10 @@ def build(scene: Scene, *, rings: int | None = None) -> World:
     housing = housing_mesh(scene, shape)
     refuse_targets_inside(targets, housing, moves)
     refuse_untraceable_glass(scene, targets, frames.points(moves[CAMERA_FRAME, WORLD_FRAME], shape.caps[0].vertices))
-    object_mesh, objects = object_tables(scene, targets, housing, moves, target_slots, lost_in_targets, waves)
-    sensor = SensorTables(*scene.camera.sensor.pixels, scene.camera.sensor.pixel_mm)
+    object_mesh, objects = object_tables(scene, targets, housing, moves, book, waves)
+    columns, rows = scene.camera.sensor.pixels
+    sensor = SensorTables(columns=columns, rows=rows, pixel=scene.camera.sensor.pixel_mm)
     aim, proof = aim_table(scene, report, lens, array, sensor, targets, moves, analytic=bool(shape.analytic.all()))
-    tables = Tables(lens, array, sensor, objects, moves, aim)
+    tables = Tables(lens=lens, array=array, sensor=sensor, objects=objects, frames=moves, aim=aim)
     finders = (Finder(lens_mesh), Finder(array_mesh_), Finder(object_mesh))
-    return World(scene, report, tables, finders, slots, shape, targets, housing, proof)
+    return World(scene, report, tables, finders, book, shape, targets, housing, proof)

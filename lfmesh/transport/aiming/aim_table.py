@@ -12,12 +12,7 @@ from lfmesh.transport.aiming.aim_proof import AimProof, Openings, proven
 from lfmesh.transport.aiming.lenslet_view import SURE, aim_through_lenslets, apex_z, grid
 from lfmesh.transport.aiming.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
 from lfmesh.transport.aiming.pupil import outlook, paraxial_opening, real_opening, unknown_opening
-from lfmesh.transport.packets.packet import (
-    ARRAY_FRAME,
-    CAMERA_FRAME,
-    SENSOR_FRAME,
-    WORLD_FRAME,
-)
+from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.tables import (
     Aim,
     ArrayTables,
@@ -67,10 +62,22 @@ def aim_table(
     # Reflections reach the sensor from all over the lens; without them only what the opening leaves out does.
     followed = scene.transport.split != "transmit"
     aim = Aim(
-        entrance, front_radius, exit_, back_radius,
-        WIDE_SHARE if followed else WIDE_SHARE_OF_IMAGE_PATH, 1.0 if followed else WIDE_SHARE_OF_IMAGE_PATH,
-        0.0, 0.0, 0.0, 0.0, np.zeros((1, 2)), np.zeros(1), SURE * SURE, 0.0, 0,
-    )  # fmt: skip
+        entrance=entrance,
+        front_radius=front_radius,
+        exit=exit_,
+        back_radius=back_radius,
+        wide_share=WIDE_SHARE if followed else WIDE_SHARE_OF_IMAGE_PATH,
+        blind_share=1.0 if followed else WIDE_SHARE_OF_IMAGE_PATH,
+        lenslet_z=0.0,
+        pupil_x=0.0,
+        pupil_y=0.0,
+        pupil_vergence=0.0,
+        slope=np.zeros((1, 2)),
+        slope_radius2=np.zeros(1),
+        sure2=SURE * SURE,
+        cell_margin=0.0,
+        search=0,
+    )
     aim = aim_through_lenslets(scene, report, array, aim, moves, glass) if array.present else aim
     if not analytic:
         return aim, None

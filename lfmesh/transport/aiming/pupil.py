@@ -111,7 +111,10 @@ def outlook(plane_z: float, wide_radius: float, points: Array, *, to_sensor: boo
 def unknown_opening(plane_z: float, *, to_sensor: bool) -> Opening:
     """Return the opening of a lens of which nothing is known: rays go anywhere on it."""
     sense = 1.0 if to_sensor else -1.0
-    return Opening(False, plane_z, sense, 1.0, 0.0, 1.0, np.zeros((2, 2)), np.full((1, 1), -1.0))
+    return Opening(
+        known=False, plane_z=plane_z, sense=sense, tangent_step=1.0, nearness=0.0, nearness_step=1.0,
+        middle=np.zeros((2, 2)), radius=np.full((1, 1), -1.0),
+    )  # fmt: skip
 
 
 def paraxial_opening(seen: Outlook, pupil_z: float, pupil_radius: float) -> Opening:
@@ -348,8 +351,14 @@ def _opening(seen: Outlook, middle: Array, radius: Array) -> Opening:
     nearness = 1.0 / seen.distance
     step = (nearness[-1] - nearness[0]) / (len(nearness) - 1) if len(nearness) > 1 else 1.0
     return Opening(
-        True, seen.plane_z, 1.0 if seen.to_sensor else -1.0, float(seen.tangent[1]), float(nearness[0]), float(step),
-        np.ascontiguousarray(middle), np.where(largest > 0.0, largest + allowed, -1.0),
+        known=True,
+        plane_z=seen.plane_z,
+        sense=1.0 if seen.to_sensor else -1.0,
+        tangent_step=float(seen.tangent[1]),
+        nearness=float(nearness[0]),
+        nearness_step=float(step),
+        middle=np.ascontiguousarray(middle),
+        radius=np.where(largest > 0.0, largest + allowed, -1.0),
     )  # fmt: skip
 
 

@@ -12,28 +12,30 @@ from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.levels import FLAT
 from lfmesh.geometry.patch import hit_patch
 from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.packets.book import (
+    DEPTH,
+    LOST_CONTRADICTION,
+    LOST_MISS,
+    ROULETTE_ADDED,
+    ROULETTE_REMOVED,
+    UNFOLLOWED,
+)
 from lfmesh.transport.packets.packet import (
     BOTH,
     CAMERA,
     DEPOSITS,
-    DEPTH,
     ENDED,
     ENDS_AT,
     EVENT_OF_STATUS,
     FALLBACKS,
-    LOST_CONTRADICTION,
-    LOST_MISS,
     NO_SURFACE,
     NODES,
     PIXEL_MASK,
     REQUERIES,
     ROULETTE,
-    ROULETTE_ADDED,
-    ROULETTE_REMOVED,
     S_DEPTH,
     S_LOST,
     SAMPLE_SHIFT,
-    UNFOLLOWED,
     WORLD_FRAME,
     Flow,
     Options,

@@ -29,17 +29,6 @@ SCATTERED = 2  # left a target in a random direction
 SPECULAR = 4  # went through or off glass in object space; may reach the lens without having been aimed
 SHADOW = 3  # asks whether a light reaches a point; carries what it adds to the pixel if so
 
-# Slots of the book; bodies follow after the last.
-EMITTED, ON_SENSOR, ESCAPED, ROULETTE_ADDED, ROULETTE_REMOVED = 0, 1, 2, 3, 4
-SAMPLING_ADDED, SAMPLING_REMOVED, DEPTH, LOST_MISS, LOST_CONTRADICTION = 5, 6, 7, 8, 9
-UNFOLLOWED, REACHED, LIT, BESIDE_SENSOR, HOUSING, STOP, MOUNT, ARRAY_MOUNT, ARRAY_EDGE, ARRAY_WALL, LENS_FRONT = (
-    10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20,
-)  # fmt: skip
-# Lost energy is entered twice: by reason, above, and by the body in which it was lost. Lens and targets have more of
-# these slots, see `world.slots_of`.
-LOST_IN_ARRAY, LOST_OUTSIDE = 21, 22
-FIRST_BODY = 23
-
 # Counters.
 EVENTS, REQUERIES, FALLBACKS = 0, 1, 2
 COUNTERS = 3
@@ -77,13 +66,29 @@ class Event(IntEnum):
 
 
 # Plain integers: numba reads module constants, not the members of an enumeration.
-E_START, E_TRANSMITTED, E_REFLECTED, E_SCATTERED = 0, 1, 2, 3
-S_SENSOR, S_ABSORBED, S_ESCAPED, S_TARGET, S_DEPTH, S_LOST = 0, 1, 2, 3, 4, 5
-EVENT_OF_STATUS = np.array([4, 5, 6, 7, 8, 9, 5])
+E_START, E_TRANSMITTED, E_REFLECTED, E_SCATTERED = (
+    int(event) for event in (Event.START, Event.TRANSMITTED, Event.REFLECTED, Event.SCATTERED)
+)
+S_SENSOR, S_ABSORBED, S_ESCAPED, S_TARGET, S_DEPTH, S_LOST = (
+    int(s) for s in (Status.SENSOR, Status.ABSORBED, Status.ESCAPED, Status.TARGET, Status.DEPTH, Status.LOST)
+)
+LAST_EVENT = {
+    Status.SENSOR: Event.SENSOR,
+    Status.ABSORBED: Event.ABSORBED,
+    Status.ESCAPED: Event.ESCAPED,
+    Status.TARGET: Event.TARGET,
+    Status.DEPTH: Event.DEPTH,
+    Status.LOST: Event.LOST,
+    Status.ROULETTE: Event.ABSORBED,
+}
+"""What is recorded where a packet ends."""
+EVENT_OF_STATUS = np.array([LAST_EVENT[status] for status in Status], dtype=np.int64)
 
-# Numbers in a recorded vertex's `surface`: below 1000 a refracting surface of the lens; ENDS_AT + slot: where a
-# packet ended.
-CURVED_FACE, FLAT_FACE, ON_TARGET, ON_GLASS, ENDS_AT = 1000, 1001, 1002, 1003, 2000
+# Numbers in a recorded vertex's `surface`: below FACES_AT a refracting surface of the lens, then one of FACES;
+# ENDS_AT + slot: where a packet ended.
+FACES_AT, ENDS_AT = 1000, 2000
+FACES = ("mla curved face", "mla flat face", "target", "glass")
+CURVED_FACE, FLAT_FACE, ON_TARGET, ON_GLASS = range(FACES_AT, FACES_AT + len(FACES))
 
 NO_SURFACE = -1
 LEFT_LENS = -2

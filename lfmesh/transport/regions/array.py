@@ -33,11 +33,9 @@ from lfmesh.transport.events.crossing import (
     too_deep,
     write_query,
 )
+from lfmesh.transport.packets.book import ARRAY_EDGE, ARRAY_MOUNT, ARRAY_WALL, LOST_IN_ARRAY
 from lfmesh.transport.packets.packet import (
-    ARRAY_EDGE,
     ARRAY_FRAME,
-    ARRAY_MOUNT,
-    ARRAY_WALL,
     CELLS,
     CURVED_FACE,
     E_REFLECTED,
@@ -46,7 +44,6 @@ from lfmesh.transport.packets.packet import (
     FLAT_FACE,
     LEFT_FACE,
     LENS,
-    LOST_IN_ARRAY,
     NO_SURFACE,
     PLATE,
     S_ABSORBED,

@@ -27,22 +27,20 @@ from lfmesh.transport.events.crossing import (
     too_deep,
     write_query,
 )
+from lfmesh.transport.packets.book import HOUSING, LOST_CONTRADICTION, STOP
 from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
     E_REFLECTED,
     E_TRANSMITTED,
     EVENTS,
-    HOUSING,
     LEFT_LENS,
     LENS,
-    LOST_CONTRADICTION,
     NO_SURFACE,
     OBJECTS,
     PLATE,
     REQUERIES,
     S_ABSORBED,
     SENSOR,
-    STOP,
     Flow,
     Options,
     put,

@@ -5,16 +5,8 @@ from numpy.typing import NDArray
 
 from lfmesh.kernel import kernel
 from lfmesh.transport.events.crossing import deposit, end, end_here, move_packet
-from lfmesh.transport.packets.packet import (
-    BESIDE_SENSOR,
-    HOUSING,
-    ON_SENSOR,
-    S_ABSORBED,
-    S_SENSOR,
-    SENSOR_FRAME,
-    Flow,
-    Options,
-)
+from lfmesh.transport.packets.book import BESIDE_SENSOR, HOUSING, ON_SENSOR
+from lfmesh.transport.packets.packet import S_ABSORBED, S_SENSOR, SENSOR_FRAME, Flow, Options
 from lfmesh.transport.tables.tables import SensorTables
 
 

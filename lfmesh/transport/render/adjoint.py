@@ -30,11 +30,11 @@ from lfmesh.transport.aiming.lenslet_aim import (
     through_a_lenslet,
 )
 from lfmesh.transport.aiming.mixture import aimed
+from lfmesh.transport.packets.book import EMITTED
 from lfmesh.transport.packets.packet import (
     ARRAY_FRAME,
     CAMERA,
     CAMERA_FRAME,
-    EMITTED,
     LENS,
     NO_SURFACE,
     PACKET,

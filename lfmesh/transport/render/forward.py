@@ -12,17 +12,8 @@ from numpy.typing import NDArray
 
 from lfmesh.kernel import kernel
 from lfmesh.optics.scattering import about, tangents
-from lfmesh.transport.packets.packet import (
-    EMITTED,
-    ESCAPED,
-    LAMP,
-    NO_SURFACE,
-    OBJECT_FRAME,
-    OBJECTS,
-    Flow,
-    Options,
-    put,
-)
+from lfmesh.transport.packets.book import EMITTED, ESCAPED
+from lfmesh.transport.packets.packet import LAMP, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, Options, put
 from lfmesh.transport.packets.random import derived
 from lfmesh.transport.regions.objects import scatter, texture_at
 from lfmesh.transport.render.adjoint import start

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from lfmesh.scene import Scene
 from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_STRAYS
 from lfmesh.transport.choice import engine_of
-from lfmesh.transport.packets.packet import BOTH, LIT, REACHED, TRANSMIT, Options
+from lfmesh.transport.packets.book import LIT, REACHED
+from lfmesh.transport.packets.packet import BOTH, TRANSMIT, Options
 from lfmesh.transport.packets.path_class import LAMP_THROUGH_GLASS, OFF_IMAGE_PATH
 from lfmesh.transport.render.blind_check import without_aim
 from lfmesh.transport.settings import options_of

@@ -14,14 +14,11 @@ from lfmesh.geometry.tessellation import OVERREACH
 from lfmesh.kernel import kernel
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.transport.events.crossing import end, move_packet, refracted
+from lfmesh.transport.packets.book import ARRAY_EDGE, ARRAY_MOUNT, ARRAY_WALL, HOUSING, STOP, UNFOLLOWED
 from lfmesh.transport.packets.packet import (
-    ARRAY_EDGE,
     ARRAY_FRAME,
-    ARRAY_MOUNT,
-    ARRAY_WALL,
     CAMERA_FRAME,
     EVENTS,
-    HOUSING,
     LEFT_LENS,
     LENS,
     NO_SURFACE,
@@ -30,8 +27,6 @@ from lfmesh.transport.packets.packet import (
     PLATE,
     S_ABSORBED,
     SENSOR,
-    STOP,
-    UNFOLLOWED,
     Flow,
     Options,
     put,

@@ -5,12 +5,7 @@ import numpy as np
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.mesh import Array
 from lfmesh.scene import Scene
-from lfmesh.transport.packets.packet import (
-    ARRAY_FRAME,
-    CAMERA_FRAME,
-    OBJECT_FRAME,
-    SENSOR_FRAME,
-)
+from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, OBJECT_FRAME, SENSOR_FRAME
 
 
 def frame_table(scene: Scene, middle: Array) -> Array:

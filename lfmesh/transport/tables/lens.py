@@ -11,20 +11,14 @@ from lfmesh.geometry.mesh import Array, Mesh, facet_table, joined
 from lfmesh.geometry.patch import neighbours, patches
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Scene
-from lfmesh.transport.packets.packet import (
-    FIRST_BODY,
-    MOUNT,
-    STOP,
-)
+from lfmesh.transport.packets.book import MOUNT, STOP, Book
 from lfmesh.transport.tables.tables import (
     ArrayTables,
     LensTables,
 )
 
 
-def lens_tables(
-    scene: Scene, shape: LensShape, waves: tuple[float, ...], lost_slots: NDArray[np.int64]
-) -> tuple[Mesh, LensTables]:
+def lens_tables(scene: Scene, shape: LensShape, waves: tuple[float, ...], book: Book) -> tuple[Mesh, LensTables]:
     """Return the facets of the lens as one mesh, for Embree, and its tables."""
     count = len(shape.caps)
     mesh = joined([*shape.caps, *shape.closures])
@@ -33,28 +27,29 @@ def lens_tables(
         [len(m.faces) for m in (*shape.caps, *shape.closures)],
     )
     ring_slot = np.full(count + 1, MOUNT)
-    for i, k in enumerate(shape.elements):
-        ring_slot[k + 1] = FIRST_BODY + i
+    ring_slot[np.add(shape.elements, 1, dtype=np.int64)] = book.edges
     stop_space, stop_z, stop_radius = _pure_stop(scene, shape)
     caps = np.concatenate([m.vertices for m in shape.caps])
     # The box stands off by a rounding error, so that a flat surface has one that a ray can enter.
     slack = 1e-9 * np.abs(caps).max()
     first, last = shape.surfaces[0], shape.surfaces[-1]
+    patches_, across = curved(bool((shape.surfaces["level"] == PATCH).any()), mesh)
     return mesh, LensTables(
-        shape.surfaces,
-        *curved(bool((shape.surfaces["level"] == PATCH).any()), mesh),
-        facet_table(mesh, bodies.astype(np.int64)),
-        np.array([[refractive_index(medium, w) for w in waves] for medium in shape.media]),
-        ring_slot.astype(np.int64),
-        np.where(shape.surfaces["stop"] == 1, STOP, MOUNT).astype(np.int64),
-        stop_space,
-        stop_z,
-        stop_radius,
-        caps.min(axis=0) - slack,
-        caps.max(axis=0) + slack,
-        bool(first["curvature"] >= 0 and first["terms"] == 0),
-        bool(last["curvature"] <= 0 and last["terms"] == 0),
-        lost_slots,
+        surfaces=shape.surfaces,
+        patches=patches_,
+        across=across,
+        facets=facet_table(mesh, bodies.astype(np.int64)),
+        indices=np.array([[refractive_index(medium, w) for w in waves] for medium in shape.media]),
+        ring_slot=ring_slot.astype(np.int64),
+        mount_slot=np.where(shape.surfaces["stop"] == 1, STOP, MOUNT).astype(np.int64),
+        stop_space=stop_space,
+        stop_z=stop_z,
+        stop_radius=stop_radius,
+        box_low=caps.min(axis=0) - slack,
+        box_high=caps.max(axis=0) + slack,
+        convex_front=bool(first["curvature"] >= 0 and first["terms"] == 0),
+        convex_back=bool(last["curvature"] <= 0 and last["terms"] == 0),
+        lost_slot=book.lost_in_spaces,
     )
 
 
@@ -99,8 +94,16 @@ def _cells(
     is_curved: bool, present: bool, shapes: Lenslets, mesh: Mesh, shift: float, index: Array, curved_to_lens: bool
 ) -> ArrayTables:
     bodies = np.zeros(len(mesh.faces), np.int64)
+    patches_, across = curved(is_curved, mesh)
     return ArrayTables(
-        present, shapes, *curved(is_curved, mesh), facet_table(mesh, bodies), shift, index, curved_to_lens
+        present=present,
+        lenslets=shapes,
+        patches=patches_,
+        across=across,
+        facets=facet_table(mesh, bodies),
+        type_shift=shift,
+        indices=index,
+        curved_to_lens=curved_to_lens,
     )
 
 

@@ -16,13 +16,8 @@ from lfmesh.geometry.tessellation import (
 from lfmesh.geometry.texture import wavelength_weights
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Scene
-from lfmesh.transport.packets.packet import (
-    CAMERA_FRAME,
-    LOST_OUTSIDE,
-    OBJECT_FRAME,
-    SENSOR_FRAME,
-    WORLD_FRAME,
-)
+from lfmesh.transport.packets.book import LOST_OUTSIDE, Book
+from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.lens import curved
 from lfmesh.transport.tables.tables import (
@@ -108,7 +103,7 @@ def _distance_to_axis(polygon: Array) -> float:
 
 def object_tables(
     scene: Scene, targets: list[TargetMesh], housing: Mesh, moves: Array,
-    target_slots: NDArray[np.int64], lost_slots: NDArray[np.int64], waves: tuple[float, ...],
+    book: Book, waves: tuple[float, ...],
 ) -> tuple[Mesh, ObjectTables]:  # fmt: skip
     """Return targets and housing as one mesh in the object frame, for Embree, and their tables."""
     to_object = moves[WORLD_FRAME, OBJECT_FRAME]
@@ -133,27 +128,29 @@ def object_tables(
     radius = max((float(np.linalg.norm(m.vertices, axis=1).max()) for m in parts), default=0.0)
     glasses = [t.refractor for t in scene.targets]
     level = np.array([SURFACE_LEVEL[g.surface] if g is not None else 0 for g in glasses], dtype=np.int64)
+    patches, across = curved(bool((level == PATCH).any()), mesh)
     tables = ObjectTables(
-        facets,
-        uv,
-        np.array([t.closed for t in targets], dtype=np.bool_),
-        _by_wave([m.reflectance for m in materials], waves),
-        _by_wave([m.radiance_w_m2_sr for m in materials], waves),
-        np.array([[refractive_index(g.medium, w) if g is not None else 0.0 for w in waves] for g in glasses]).reshape(
-            -1, len(waves)
-        ),
-        level,
-        *curved(bool((level == PATCH).any()), mesh),
-        texture,
-        np.concatenate(texels) if texels else np.zeros((0, len(waves)), np.float32),
-        target_slots,
-        np.append(lost_slots, LOST_OUTSIDE),
-        _lights(scene, to_object),
-        np.zeros(0, SOURCE),
-        radius,
-        float(np.linalg.norm(mesh.vertices, axis=1).max()),
-        np.zeros(3),
-        radius,
+        facets=facets,
+        uv=uv,
+        closed=np.array([t.closed for t in targets], dtype=np.bool_),
+        reflectance=_by_wave([m.reflectance for m in materials], waves),
+        radiance=_by_wave([m.radiance_w_m2_sr for m in materials], waves),
+        glass=np.array(
+            [[refractive_index(g.medium, w) if g is not None else 0.0 for w in waves] for g in glasses]
+        ).reshape(-1, len(waves)),
+        level=level,
+        patches=patches,
+        across=across,
+        texture=texture,
+        texels=np.concatenate(texels) if texels else np.zeros((0, len(waves)), np.float32),
+        target_slot=book.targets,
+        lost_slot=np.append(book.lost_in_targets, LOST_OUTSIDE),
+        lights=_lights(scene, to_object),
+        sources=np.zeros(0, SOURCE),
+        radius=radius,
+        outer_radius=float(np.linalg.norm(mesh.vertices, axis=1).max()),
+        lit_middle=np.zeros(3),
+        lit_radius=radius,
     )
     return mesh, tables._replace(sources=_sources([*_lamps(tables), *_glowing_facets(tables, mesh)]))
 

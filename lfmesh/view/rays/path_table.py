@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.files.whole import write_whole
+from lfmesh.transport.packets.book import LOST_PREFIX
 from lfmesh.transport.packets.ledger import loss_in_words
 from lfmesh.transport.packets.packet import Event, Status
-from lfmesh.transport.world import LOST_IN
 from lfmesh.view.rays.filters import parse
 from lfmesh.view.rays.names import label
 from lfmesh.view.rays.paths import WATT, Rays
@@ -181,7 +181,7 @@ def _loss(rays: Rays) -> str | None:
     """Say what the tracer lost of the power that the paths ended with, and in which bodies."""
     lost = rays.status == Status.LOST
     power = np.bincount(rays.end[lost], rays.end_power[lost], len(rays.surfaces))
-    lost_in = {rays.surfaces[i].removeprefix(LOST_IN): float(power[i]) for i in np.flatnonzero(power)}
+    lost_in = {rays.surfaces[i].removeprefix(LOST_PREFIX): float(power[i]) for i in np.flatnonzero(power)}
     return loss_in_words(sum(lost_in.values()), lost_in, float(rays.end_power.sum()))
 
 

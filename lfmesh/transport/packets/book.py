@@ -1,0 +1,138 @@
+"""The book, in which kernels enter the energy of packets: its slots, each with its name and its place in the ledger.
+
+A slot that every scene has is one line here, and a line in the kernel that enters something in it; the ledger, the
+names of what packets end on and the size of the book follow. Slots of a scene's own bodies come after them, see
+`Book.of_bodies`.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.transport.packets.ledger import Ledger
+
+LOST_PREFIX = "lost in "
+"""Before the name of a body, where a packet was lost in it."""
+
+ABSORBED, LOST, LOST_IN = "absorbed", "lost", "lost_in"
+"""Accounts of the ledger that list their slots by name; any other account is a number of its own."""
+
+Slots = NDArray[np.int64]
+
+
+class Slot(NamedTuple):
+    """A place where energy is entered.
+
+    Attributes
+    ----------
+    name : str
+        What the packet met, as the ledger and recorded paths call it.
+    account : str
+        Field of `Ledger` that it adds to.
+    """
+
+    name: str
+    account: str
+
+
+_fixed: list[Slot] = []
+
+
+def _slot(name: str, account: str = ABSORBED) -> int:
+    _fixed.append(Slot(name, account))
+    return len(_fixed) - 1
+
+
+EMITTED = _slot("emitted", "emitted")
+ON_SENSOR = _slot("sensor", "sensor")
+ESCAPED = _slot("escaped", "escaped")
+ROULETTE_ADDED = _slot("roulette added", "roulette_added")
+ROULETTE_REMOVED = _slot("roulette removed", "roulette_removed")
+SAMPLING_ADDED = _slot("sampling added", "sampling_added")
+SAMPLING_REMOVED = _slot("sampling removed", "sampling_removed")
+DEPTH = _slot("depth", "depth")
+REACHED = _slot("reached", "reached_target")
+LIT = _slot("lit", "lit")
+# Lost energy is entered twice: by reason, and by the body in which it was lost.
+LOST_MISS = _slot("miss", LOST)
+LOST_CONTRADICTION = _slot("contradiction", LOST)
+LOST_IN_ARRAY = _slot("mla", LOST_IN)
+LOST_OUTSIDE = _slot("the open", LOST_IN)
+# What absorbs, whatever the scene.
+UNFOLLOWED = _slot("reflections not followed")
+BESIDE_SENSOR = _slot("beside the sensor")
+HOUSING = _slot("housing")
+STOP = _slot("stop")
+MOUNT = _slot("mount")
+ARRAY_MOUNT = _slot("mla mount")
+ARRAY_EDGE = _slot("mla edge")
+ARRAY_WALL = _slot("mla wall")
+LENS_FRONT = _slot("lens front")
+
+FIXED = tuple(_fixed)
+"""The slots that every scene has."""
+
+
+@dataclass(frozen=True)
+class Book:
+    """The slots of a scene.
+
+    Attributes
+    ----------
+    slots : tuple of Slot
+    edges, targets : (n,) int64
+        Numbers of the slots of lens elements' edges, and of targets.
+    lost_in_targets, lost_in_spaces : (n,) int64
+        Of what is lost in each target, and in each space of the lens.
+    """
+
+    slots: tuple[Slot, ...]
+    edges: Slots
+    targets: Slots
+    lost_in_targets: Slots
+    lost_in_spaces: Slots
+
+    @classmethod
+    def of_bodies(cls, elements: int, targets: list[str], spaces: list[str]) -> "Book":
+        """Return the book of a scene.
+
+        Parameters
+        ----------
+        elements : int
+            Pieces of glass in the lens.
+        targets, spaces : list of str
+            Names of the targets, and of the spaces between the surfaces of the lens.
+        """
+        slots = list(FIXED)
+        numbers = []
+        for account, names in (
+            (ABSORBED, [f"lens[{i}] edge" for i in range(elements)]),
+            (ABSORBED, targets),
+            (LOST_IN, targets),
+            (LOST_IN, spaces),
+        ):
+            numbers.append(np.arange(len(slots), len(slots) + len(names)))
+            slots += [Slot(name, account) for name in names]
+        return cls(tuple(slots), *numbers)
+
+    def __len__(self) -> int:
+        return len(self.slots)
+
+    @property
+    def names(self) -> list[str]:
+        """What recorded paths call each slot; losses say so."""
+        return [f"{LOST_PREFIX}{slot.name}" if slot.account == LOST_IN else slot.name for slot in self.slots]
+
+    def ledger(self, entries: NDArray[np.float64], unit: str, **work: int) -> Ledger:
+        """Return what was entered, (slots,), as a ledger; `work`: its counts of packets, events and queries."""
+        listed: dict[str, dict[str, float]] = {ABSORBED: {}, LOST: {}, LOST_IN: {}}
+        numbers: dict[str, float] = {}
+        for slot, value in zip(self.slots, entries.tolist(), strict=True):
+            if slot.account not in listed:
+                numbers[slot.account] = value
+            elif value != 0.0 or slot.account == LOST:
+                by_name = listed[slot.account]
+                by_name[slot.name] = by_name.get(slot.name, 0.0) + value
+        return Ledger(unit=unit, **numbers, **listed, **work)  # type: ignore[arg-type]

@@ -82,7 +82,7 @@ def digest(*values: Any) -> bytes:
     for value in values:
         if isinstance(value, np.ndarray):
             hashed.update(f"{value.dtype} {value.shape}".encode())
-            hashed.update(np.ascontiguousarray(value).view(np.uint8).reshape(-1))
+            hashed.update(value.tobytes())
         elif isinstance(value, tuple):
             hashed.update(digest(*value))
         else:

@@ -116,6 +116,8 @@ def _rings(scene: Scene, numbers: list[int], surfaces: NDArray[np.void]) -> int:
     rings = rings_for(surfaces, LEAST_RINGS, wished.sag_mm or np.inf)
     name = scene.transport.surface
     pixel = scene.camera.sensor.pixel_mm
+    if wished.normal_mrad is None and (wished.sag_mm is not None or name == "exact"):
+        return rings
     while rings < MAX_RINGS:
         rims = [rim_radius(s, rings) for s in surfaces]
         caps = [cap(s, rings, rim) for s, rim in zip(surfaces, rims, strict=True)]
@@ -124,8 +126,6 @@ def _rings(scene: Scene, numbers: list[int], surfaces: NDArray[np.void]) -> int:
             level = SMOOTH if name == "exact" else SURFACE_LEVEL[name]
             worst = max(facet_errors(s, c, level)[0] for s, c in zip(surfaces, caps, strict=True))
             excess = worst * 1e3 / wished.normal_mrad
-        elif wished.sag_mm is not None or name == "exact":
-            return rings
         else:
             errors = landing_errors(scene, numbers, surfaces, caps, SURFACE_LEVEL[name])
             excess = float(np.sqrt(np.sum(errors**2))) / (PIXEL_SHARE * pixel)

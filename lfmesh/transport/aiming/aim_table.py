@@ -1,5 +1,10 @@
 """Where rays are aimed: the lens's opening as targets and sensor see it."""
 
+import hashlib
+import threading
+from collections import OrderedDict
+from typing import Any
+
 import numpy as np
 
 from lfmesh.geometry import frame as frames
@@ -24,6 +29,12 @@ from lfmesh.transport.tables.tables import (
 FAR = 1e9
 """Distance in mm that stands for infinity."""
 
+KEPT = 8
+"""Cameras whose aim is kept: those of a study, or a camera with one lamp after the other, find theirs once."""
+
+_kept: OrderedDict[bytes, tuple[Aim, AimProof | None]] = OrderedDict()
+_access = threading.Lock()
+
 
 def aim_table(
     scene: Scene,
@@ -47,6 +58,38 @@ def aim_table(
     seen = np.concatenate(
         [frames.points(moves[WORLD_FRAME, CAMERA_FRAME], t.mesh.vertices) for t in targets] or [np.zeros((0, 3))]
     )
+    key = digest(scene.camera, scene.transport.split, report, lens, array, sensor, seen, moves, analytic)
+    with _access:
+        if key in _kept:
+            _kept.move_to_end(key)
+            return _kept[key]
+    found = _found(scene, report, lens, array, sensor, seen, moves, analytic)
+    with _access:
+        _kept[key] = found
+        while len(_kept) > KEPT:
+            _kept.popitem(last=False)
+    return found
+
+
+def digest(*values: Any) -> bytes:
+    """Return a hash of arrays, tuples of them, and what its `repr` tells all of."""
+    hashed = hashlib.blake2b(digest_size=16)
+    for value in values:
+        if isinstance(value, np.ndarray):
+            hashed.update(f"{value.dtype} {value.shape}".encode())
+            hashed.update(value.tobytes())
+        elif isinstance(value, tuple):
+            hashed.update(digest(*value))
+        else:
+            hashed.update(repr(value).encode())
+    return hashed.digest()
+
+
+def _found(
+    scene: Scene, report: FirstOrder, lens: LensTables, array: ArrayTables, sensor: SensorTables, seen: Array,
+    moves: Array, analytic: bool,
+) -> tuple[Aim, AimProof | None]:  # fmt: skip
+    """Return what `aim_table` does, for targets that are seen at points (n, 3), camera frame."""
     width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
     behind = frames.points(moves[SENSOR_FRAME, CAMERA_FRAME], grid(width, height, 0.0))
     front_radius = widest_disk(lens, seen, front=True)

@@ -82,7 +82,7 @@ def half_a_pupil(aim: Aim) -> Aim:
 
 
 FORWARD = {"camera.mla": None, "camera.sensor.distance_mm": None, "camera.sensor.pixels": [40, 40],
-           "camera.sensor.pixel_mm": 0.05, "transport.method": "forward", "transport.samples": 2048}  # fmt: skip
+           "camera.sensor.pixel_mm": 0.05, "transport.method": "forward", "transport.samples": 1280}  # fmt: skip
 
 
 @pytest.mark.parametrize("changes", [{"transport.split": "transmit"}, FORWARD])

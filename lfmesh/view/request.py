@@ -1,4 +1,4 @@
-"""What a user asks to see: a scene or a run, the rays in it, and in words what they are."""
+"""Subject of a view: a scene or a run, the rays in it, and their caption in words."""
 
 import os
 from collections.abc import Sequence
@@ -130,6 +130,18 @@ def launched(
     """Launch the rays of one or several lines of words, see `lfmesh.view.rays.launch.launch`.
 
     Without any, a first look: three points of the plane in focus, their refracted rays alone. "none": no rays.
+
+    Parameters
+    ----------
+    world : World
+    specs : sequence of str
+        Lines as "field 0,0,-500".
+    count : int, optional
+        Rays of each launch.
+    wavelength_nm : float, optional, nm
+    split : {"both", "roulette", "transmit"}, optional
+    weight_cutoff : float, optional
+        These three as the scene has them if left out.
     """
     given = [spec.strip() for spec in specs]
     if NONE in given:

@@ -72,7 +72,7 @@ class Step:
 
 @dataclass(frozen=True)
 class _Interface:
-    """What a path met: a surface between two media, and its unit normal there (of either sense).
+    """Interface at a vertex: a surface between two media, and its unit normal there (of either sense).
 
     The normal is None where a facet stands for a surface without a formula; then the path itself tells it.
     """

@@ -172,6 +172,19 @@ def from_pixels(
     With fewer rays than pixels, as many pixels are drawn by chance. Else every pixel has the same number of rays, so
     that there may be a few more or less than asked for.
 
+    Parameters
+    ----------
+    world : World
+    rows, columns : range
+    count : int
+        Rays in all.
+    wavelength_nm : float, optional, nm
+        Those of the scene if left out.
+    split : {"both", "roulette", "transmit"}
+    weight_cutoff : float, optional
+        As the scene has it if left out.
+    seed : int
+
     Raises
     ------
     LfmeshError

@@ -1,4 +1,4 @@
-"""What colours mean: glass by its index; rays by wavelength, power, events, status or path."""
+"""Meaning of colours: glass by its index; rays by wavelength, power, events, status or path."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

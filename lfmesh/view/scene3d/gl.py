@@ -1,4 +1,4 @@
-"""Whether anything can be drawn: without its GL libraries VTK ends the process, so a child process tries first."""
+"""Test for drawing: without its GL libraries VTK ends the process, so a child process tries first."""
 
 import os
 import subprocess

@@ -103,9 +103,15 @@ class View:
         return f"axis marked every {in_words(tick_mm(self.world))}; {length:.4g} mm from the first vertex to the sensor"
 
     def look(self, preset: str, aspect: float | None = None, angle_deg: float = ANGLE_DEG) -> None:
-        """Move the eye to one of the `presets`, for a picture of the plotter's or another aspect, width over height.
+        """Move the eye to one of the `presets`.
 
-        And for the plotter's or another angle from the bottom of a perspective picture to its top.
+        Parameters
+        ----------
+        preset : str
+        aspect : float, optional
+            Width over height of the picture; the plotter's if left out.
+        angle_deg : float
+            From the bottom of a perspective picture to its top.
         """
         width, height = self.plotter.window_size
         seen = viewpoint(self.world, preset, aspect or width / height, self.near_mm, angle_deg)

@@ -1,4 +1,4 @@
-"""Where to look from: viewpoints that fit a part of the scene into the picture, whatever its size.
+"""Viewpoints that fit a part of the scene into the picture, whatever its size.
 
 All are found in the camera frame, whose +y is up. Whoever looks from behind the camera at its objects has x to the
 right; in views from beside, light travels to the right.
@@ -84,7 +84,20 @@ def viewpoint(
 
 
 def fitted(points: Array, forward: ArrayLike, aspect: float, parallel: bool, angle_deg: float = ANGLE_DEG) -> Viewpoint:
-    """Return the nearest viewpoint that looks along `forward` and has all points (n, 3) in its picture."""
+    """Return the nearest viewpoint from which all of some points are in the picture.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, mm
+    forward : (3,)
+        Direction of sight.
+    aspect : float
+        Width over height of the picture.
+    parallel : bool
+        Projection without perspective.
+    angle_deg : float
+        From the bottom of a perspective picture to its top.
+    """
     ahead = np.asarray(forward, dtype=np.float64) / np.linalg.norm(forward)
     right = np.cross(ahead, UP)
     right /= np.linalg.norm(right)

@@ -43,7 +43,7 @@ class Interface:
 
 @dataclass(frozen=True)
 class Landing:
-    """Where rays arrive on the sensor's plane.
+    """Rays on the sensor's plane.
 
     Attributes
     ----------

@@ -52,7 +52,7 @@ class Way:
 
     @property
     def reference(self) -> "Way":
-        """What makes the reference of the light that this way follows."""
+        """The way that makes the reference of the light that this one follows."""
         return IMAGE_PATH if self.split == "transmit" else SOBOL
 
 
@@ -101,7 +101,7 @@ WAYS = (ANALOG, SPLITTING, AIMING, RANDOM, SOBOL, PARTS)
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is spent on the images.
+    """Pixels, samples and repetitions that are spent on the images.
 
     Attributes
     ----------

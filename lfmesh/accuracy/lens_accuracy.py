@@ -140,7 +140,7 @@ class LensStudy:
 
     @property
     def ways(self) -> tuple[str, ...]:
-        """What was measured: the lens alone and, with microlenses, the whole camera."""
+        """Measured paths: through the lens alone and, with microlenses, the whole camera."""
         return tuple(dict.fromkeys(row.way for row in self.rows))
 
     def of(self, way: str, level: str | None = None) -> tuple[LensRow, ...]:

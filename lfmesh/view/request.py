@@ -47,7 +47,7 @@ NONE = "none"
 
 @dataclass(frozen=True)
 class Subject:
-    """What is looked at: a world, and the picture (rows, columns, 3) on its sensor in its physical orientation."""
+    """Subject of a view: a world, and the picture (rows, columns, 3) on its sensor in its physical orientation."""
 
     world: World
     picture: Picture | None
@@ -106,7 +106,7 @@ def _reduced(picture: PIL.Image.Image) -> Picture:
 
 
 class LaunchOptions(TypedDict, total=False):
-    """What a launch may state, see `launched`; what it leaves out or gives as None is as the scene has it."""
+    """Settings of a launch, see `launched`; those left out or None are as the scene has them."""
 
     count: int | None
     wavelength_nm: float | None

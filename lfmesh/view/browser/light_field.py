@@ -72,7 +72,7 @@ class LightFieldPanel:
 
     @cached_property
     def _calibration(self) -> Calibration:
-        """Where the micro-images are; tracing that takes seconds for a large array."""
+        """Places of the micro-images; tracing them takes seconds for a large array."""
         return calibration_of_run(self._scene, self._folder)
 
     def mark(self, rows: range, columns: range) -> None:

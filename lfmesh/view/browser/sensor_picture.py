@@ -28,7 +28,7 @@ BLANK = 40
 
 @dataclass(frozen=True)
 class Part:
-    """What is shown of an upright picture: its first row and column, and its size, in whole pixels."""
+    """Part of an upright picture that is shown: its first row and column, and its size, in whole pixels."""
 
     row: int
     column: int

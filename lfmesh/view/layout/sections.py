@@ -48,7 +48,7 @@ class Glass(NamedTuple):
 
 
 class Cut(NamedTuple):
-    """Where a plane of constant x cuts a flat rectangle, or the layers parallel to it.
+    """Cut of a plane of constant x through a flat rectangle, or through the layers parallel to it.
 
     Attributes
     ----------

@@ -51,7 +51,7 @@ OTHERS = "#566474"
 
 @dataclass(frozen=True)
 class Legend:
-    """What the colours of the rays mean: a title, and a colour (#rrggbb) for each label."""
+    """Meaning of the rays' colours: a title, and a colour (#rrggbb) for each label."""
 
     title: str
     entries: tuple[tuple[str, str], ...]

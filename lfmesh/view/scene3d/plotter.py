@@ -88,17 +88,17 @@ class View:
 
     @property
     def presets(self) -> list[str]:
-        """What `look` knows of this camera."""
+        """Names that `look` takes for this camera."""
         return [name for name in PRESETS if name != "array" or self.world.tables.array.present]
 
     @property
     def title(self) -> str:
-        """What the scene is called."""
+        """Name of the scene."""
         return self.world.scene.name or "scene without a name"
 
     @property
     def scale(self) -> str:
-        """How long things are, in words."""
+        """Lengths of the picture's scales, in words."""
         length = float(self.world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])
         return f"axis marked every {in_words(tick_mm(self.world))}; {length:.4g} mm from the first vertex to the sensor"
 

@@ -40,7 +40,7 @@ WITHOUT_OBJECT = 2.0
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """Where the eye is, what it turns about, and how much it sees; world frame, mm."""
+    """The eye's place, the point it turns about, and the height it sees; world frame, mm."""
 
     eye: Array
     focus: Array
@@ -183,10 +183,10 @@ def _in_field(world: World, target: TargetMesh) -> Array:
 
 def _near_lenslets(world: World, near_mm: tuple[float, float]) -> Array:
     """Return a few lenslets round a point of the array, and the sensor behind them."""
-    of = world.tables.array.lenslets
-    half = 0.5 * LENSLETS * of.lattice.pitch
+    lenslets = world.tables.array.lenslets
+    half = 0.5 * LENSLETS * lenslets.lattice.pitch
     x, y = near_mm
-    box = _box([x - half, y - half, of.top], [x + half, y + half, of.thickness])
+    box = _box([x - half, y - half, lenslets.top], [x + half, y + half, lenslets.thickness])
     corners = frames.points(world.tables.frames[ARRAY_FRAME, CAMERA_FRAME], box)
     to_sensor = frames.points(world.tables.frames[CAMERA_FRAME, SENSOR_FRAME], corners)
     to_sensor[:, 2] = 0.0

@@ -1,4 +1,4 @@
-"""The truth that the tracer is measured against: a sequential trace through the analytic surfaces, without meshes.
+"""Sequential trace through the analytic surfaces, without meshes: the truth that the tracer is measured against.
 
 It shares no code with the engine. Surfaces are met by Welford's transfer formulae (Aberrations of Optical Systems,
 1986, chapter 4) and, with aspheric terms, Newton's method from there; bending is Snell's law in vector form, weights
@@ -43,7 +43,7 @@ class Interface:
 
 @dataclass(frozen=True)
 class Landing:
-    """Where rays arrive on the sensor's plane.
+    """Rays on the sensor's plane.
 
     Attributes
     ----------
@@ -107,7 +107,14 @@ class Camera:
 
     @classmethod
     def of(cls, scene: Scene, wavelength_nm: float, precision: type = np.float64) -> "Camera":
-        """Read a scene.
+        """Return the camera of a scene at one wavelength.
+
+        Parameters
+        ----------
+        scene : Scene
+        wavelength_nm : float, nm
+        precision : type
+            Of all numbers: `numpy.float64` or `numpy.longdouble`.
 
         Raises
         ------
@@ -169,6 +176,13 @@ def own_error(scene: Scene, wavelength_nm: float, origins: ArrayLike, directions
     """Return the largest difference in mm between the truth in float64 and in extended precision.
 
     None on a platform whose long double is a float64.
+
+    Parameters
+    ----------
+    scene : Scene
+    wavelength_nm : float, nm
+    origins, directions : (n, 3) float64
+        As `Camera.land` takes them.
     """
     if np.finfo(np.longdouble).eps >= np.finfo(np.float64).eps:
         return None

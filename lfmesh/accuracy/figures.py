@@ -25,7 +25,15 @@ LEAST_MM = 1e-16
 
 
 def draw_error_against_triangles(axes: Any, rows: Sequence[LensRow], pixel_mm: float) -> None:
-    """Draw landing error against triangles a surface, rms and largest, a line a level."""
+    """Draw landing error against triangles a surface, rms and largest, one line for each level.
+
+    Parameters
+    ----------
+    axes : matplotlib Axes
+    rows : sequence of LensRow
+    pixel_mm : float, mm
+        Pitch of the sensor; a tenth of it is marked.
+    """
     from matplotlib.lines import Line2D
 
     for level, of_level in _by_level(rows):
@@ -48,7 +56,15 @@ def draw_error_against_triangles(axes: Any, rows: Sequence[LensRow], pixel_mm: f
 
 
 def draw_error_against_time(axes: Any, rows: Sequence[LensRow], pixel_mm: float) -> None:
-    """Draw landing error against the time of an event, a line a level, its coarsest and finest mesh named."""
+    """Draw landing error against the time of an event, one line for each level, its coarsest and finest mesh named.
+
+    Parameters
+    ----------
+    axes : matplotlib Axes
+    rows : sequence of LensRow
+    pixel_mm : float, mm
+        Pitch of the sensor; a tenth of it is marked.
+    """
     for level, of_level in _by_level(rows):
         x = [1e9 / row.events_per_second for row in of_level]
         y = [max(row.rms_mm, LEAST_MM) for row in of_level]
@@ -68,7 +84,15 @@ def draw_error_against_time(axes: Any, rows: Sequence[LensRow], pixel_mm: float)
 
 
 def draw_image_error(axes: Any, rows: Sequence[ImageRow], reference_error: float) -> None:
-    """Draw an image's relative error against processor time, a line a way to estimate it."""
+    """Draw an image's relative error against processor time, one line for each way to estimate it.
+
+    Parameters
+    ----------
+    axes : matplotlib Axes
+    rows : sequence of ImageRow
+    reference_error : float
+        Relative error of the reference itself.
+    """
     for name, of_way, colour, marker in _by_way(rows):
         x, y = [row.seconds for row in of_way], [row.mse**0.5 for row in of_way]
         bars = [0.5 * row.mse_error / row.mse**0.5 for row in of_way]
@@ -99,17 +123,41 @@ def draw_efficiency(axes: Any, rows: Sequence[ImageRow]) -> None:
 
 
 def error_against_triangles(rows: Sequence[LensRow], title: str, pixel_mm: float) -> str:
-    """Return the figure of `draw_error_against_triangles` as SVG."""
+    """Return the figure of `draw_error_against_triangles` as SVG.
+
+    Parameters
+    ----------
+    rows : sequence of LensRow
+    title : str
+    pixel_mm : float, mm
+        Pitch of the sensor; a tenth of it is marked.
+    """
     return _svg(lambda axes: draw_error_against_triangles(axes, rows, pixel_mm), title)
 
 
 def error_against_time(rows: Sequence[LensRow], title: str, pixel_mm: float) -> str:
-    """Return the figure of `draw_error_against_time` as SVG."""
+    """Return the figure of `draw_error_against_time` as SVG.
+
+    Parameters
+    ----------
+    rows : sequence of LensRow
+    title : str
+    pixel_mm : float, mm
+        Pitch of the sensor; a tenth of it is marked.
+    """
     return _svg(lambda axes: draw_error_against_time(axes, rows, pixel_mm), title)
 
 
 def image_error_against_time(rows: Sequence[ImageRow], title: str, reference_error: float) -> str:
-    """Return the figure of `draw_image_error` as SVG."""
+    """Return the figure of `draw_image_error` as SVG.
+
+    Parameters
+    ----------
+    rows : sequence of ImageRow
+    title : str
+    reference_error : float
+        Relative error of the reference itself.
+    """
     return _svg(lambda axes: draw_image_error(axes, rows, reference_error), title)
 
 

@@ -78,7 +78,7 @@ def run_all() -> list[Outcome]:
 
 
 def judged(case: Callable[[], Outcome]) -> Outcome:
-    """Run one case; what it loses is in its outcome, and needs no warning."""
+    """Run one case without warnings of lost energy, which its outcome states."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LostEnergyWarning)
         return case()

@@ -1,4 +1,4 @@
-"""How much an image costs: error against time for the ways to estimate it, and their efficiency 1 / (MSE · t).
+"""Cost of an image: error against time for the ways to estimate it, and their efficiency 1 / (MSE · t).
 
 Every way that follows the same light estimates the same watts a pixel; those that leave reflections out have a
 reference of their own. The mean squared error is taken over all pixels against the converged reference of another seed,
@@ -52,7 +52,7 @@ class Way:
 
     @property
     def reference(self) -> "Way":
-        """What makes the reference of the light that this way follows."""
+        """The way that makes the reference of the light that this one follows."""
         return IMAGE_PATH if self.split == "transmit" else SOBOL
 
 
@@ -101,7 +101,7 @@ WAYS = (ANALOG, SPLITTING, AIMING, RANDOM, SOBOL, PARTS)
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is spent on the images.
+    """Pixels, samples and repetitions that are spent on the images.
 
     Attributes
     ----------
@@ -227,7 +227,7 @@ class ImageStudy:
         return self.reference_error**2 / smallest if smallest > 0.0 else math.inf
 
     def typical_gain(self, way: Way, over: Way) -> float:
-        """Return how many times the samples one way's typical error is worth, at equal samples, than another's."""
+        """Return by what factor in samples one way's typical error is better than another's, at equal samples."""
         return (self.of(over)[-1].typical / self.of(way)[-1].typical) ** 2
 
     def gain(self, way: Way, over: Way) -> tuple[float, float]:
@@ -244,7 +244,16 @@ def study_images(
     seed: int = 1,
     ways: Sequence[Way] = WAYS,
 ) -> ImageStudy:
-    """Measure ways on a scene.
+    """Measure error and time of ways to estimate a scene's image.
+
+    Parameters
+    ----------
+    scene : Scene
+    effort : Effort
+    progress : callable of str, optional
+        Told what is being measured.
+    seed : int
+    ways : sequence of Way
 
     Raises
     ------
@@ -289,7 +298,7 @@ def _power(image: Image) -> float:
 
 
 def _binned(scene: Scene, pixels: int) -> tuple[Scene, int]:
-    """Return the scene with its sensor's pixels joined, so that its shorter side has some `pixels`; and how many.
+    """Return the scene with its sensor binned to about `pixels` along the shorter side, and the binning factor.
 
     What is left over at the border of the sensor is left out.
     """

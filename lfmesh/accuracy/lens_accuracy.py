@@ -1,4 +1,4 @@
-"""How far off rays land when facets stand for a lens: every level of `surface` on ever finer meshes, against the truth.
+"""Landing error of rays through a faceted lens: every level of `surface` on ever finer meshes, against the truth.
 
 The truth is `lfmesh.accuracy.analytic`. Two ways are measured: through the lens alone, to the plane of the microlenses
 (or of the sensor without them), and through the whole camera, lenslets included.
@@ -140,7 +140,7 @@ class LensStudy:
 
     @property
     def ways(self) -> tuple[str, ...]:
-        """What was measured: the lens alone and, with microlenses, the whole camera."""
+        """Measured paths: through the lens alone and, with microlenses, the whole camera."""
         return tuple(dict.fromkeys(row.way for row in self.rows))
 
     def of(self, way: str, level: str | None = None) -> tuple[LensRow, ...]:
@@ -186,6 +186,13 @@ def bundle(scene: Scene, rays: int, seed: int = 0) -> Bundle:
 
     Object points lie in the plane that the lens focuses on and cover what the sensor sees of it; a tenth more than the
     paraxial pupil is filled, and the truth tells which rays get through.
+
+    Parameters
+    ----------
+    scene : Scene
+        Solved.
+    rays : int
+    seed : int
     """
     report = first_order(scene)
     camera = scene.camera
@@ -220,6 +227,15 @@ def study_lens(
     progress: Callable[[str], None] | None = None,
 ) -> LensStudy:
     """Measure a scene's lens, and with microlenses the whole camera, at every level and mesh.
+
+    Parameters
+    ----------
+    scene : Scene
+    rings : tuple of int
+        Rings of facets a surface, one mesh each.
+    rays : int
+    progress : callable of str, optional
+        Told what is being measured.
 
     Raises
     ------
@@ -272,7 +288,7 @@ def _measured(
     name: str, way: str, scene: Scene, level: str, rings: int, sent: Bundle, truth: analytic.Landing
 ) -> LensRow:
     scene = scene.changed({"transport.surface": level})
-    give_memory_back()
+    release_freed_memory()
     before = resident_bytes()
     began = time.perf_counter()
     world = build(scene, rings=rings)
@@ -280,7 +296,7 @@ def _measured(
     # Embree makes its trees at the first query.
     wavelength = scene.transport.primary_nm
     trace(world, sent.origins[:256], sent.directions[:256], wavelength, "transmit")
-    give_memory_back()
+    release_freed_memory()
     grown = resident_bytes() - before
     seconds, spent, runs = np.inf, 0.0, 0
     while runs < TIMED_RUNS or spent < TIMED_SECONDS:
@@ -338,8 +354,8 @@ def resident_bytes() -> int:
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
-def give_memory_back() -> None:
-    """Return to the system what earlier worlds held and nobody uses, so that growth is not hidden by it."""
+def release_freed_memory() -> None:
+    """Return the freed memory of earlier worlds to the system, so that it does not hide the growth of the next."""
     gc.collect()
     try:
         ctypes.CDLL(None).malloc_trim(0)
@@ -356,7 +372,7 @@ def lens_files() -> list[Path]:
 
 
 def lens_scenes() -> list[Scene]:
-    """Return a scene a lens that comes with lfmesh."""
+    """Return one scene for each lens that comes with lfmesh."""
     return [lens_scene(file) for file in lens_files()]
 
 

@@ -1,4 +1,4 @@
-"""Is the error that an image reports the error that it has? Crops of a scene against a long render of the same.
+"""Reported against true error of an image: crops of a scene against a long render of the same.
 
 Pixels are grouped in two ways: by what the reference shows, brightness and local contrast, which no noise of the image
 decides; and by quarters of the error that the image reports for them, among those that found light. What is compared
@@ -65,7 +65,7 @@ class ErrorRatio:
 
 @dataclass(frozen=True)
 class Coverage:
-    """How often the truth lies within so many of a pixel's own standard errors, in pixels with 100 hits or more.
+    """Share of the pixels with 100 hits or more whose truth lies within so many of their standard errors.
 
     Attributes
     ----------
@@ -82,7 +82,15 @@ class Coverage:
 
 
 def crop(scene: Scene, side: int, at_mm: tuple[float, float]) -> Scene:
-    """Return a scene whose sensor is but `side` × `side` pixels of its own about a point of it, on the same grid."""
+    """Crop a scene's sensor to `side` × `side` of its own pixels about a point, on the same grid.
+
+    Parameters
+    ----------
+    scene : Scene
+    side : int, pixels
+    at_mm : (x, y), mm
+        On the sensor, from its middle.
+    """
     pitch = scene.camera.sensor.pixel_mm
     shift = scene.camera.sensor.pose.shift_mm
     # A sensor of an even number of pixels has its middle between two.
@@ -91,7 +99,16 @@ def crop(scene: Scene, side: int, at_mm: tuple[float, float]) -> Scene:
 
 
 def sampled(scene: Scene, samples: int, replicates: int, seed: int) -> Image:
-    """Render with so many samples; images of different seeds share no random number."""
+    """Render with other samples, replicates and seed; images of different seeds share no random number.
+
+    Parameters
+    ----------
+    scene : Scene
+    samples : int
+        A pixel, in all.
+    replicates : int
+    seed : int
+    """
     changes = {"samples": samples, "replicates": replicates, "seed": seed}
     return render(scene.changed({f"transport.{name}": value for name, value in changes.items()}))
 
@@ -190,7 +207,18 @@ def study_errors(
     reference_samples: int,
     step: Callable[[str], object] = lambda _: None,
 ) -> Iterator[tuple[Image, Image]]:
-    """Yield pairs of image and reference, for every number of samples and replicates that go together."""
+    """Yield pairs of image and reference, for every combination of samples and replicates.
+
+    Parameters
+    ----------
+    scene : Scene
+    samples : sequence of int
+        A pixel, in all.
+    replicates : sequence of int
+    reference_samples : int
+    step : callable of str
+        Told what is rendered next.
+    """
     step(f"{scene.name}: reference of {reference_samples} samples")
     reference = sampled(scene, reference_samples, 8, 0)
     for number in samples:

@@ -1,4 +1,4 @@
-"""What the measured numbers of an accuracy report say, in plain words: what to choose, and what that costs."""
+"""Conclusions from the numbers of an accuracy report, in plain words: what to choose, and what that costs."""
 
 import math
 from collections.abc import Sequence
@@ -202,7 +202,7 @@ def lens_summary(study: LensStudy) -> dict[str, str]:
 
 
 def three_numbers(study: LensStudy) -> list[str]:
-    """Return what a user needs first of a lens, one line each."""
+    """Return the three numbers of a lens that a user needs first, one line each."""
     exact = study.of(LENS_ALONE, "exact")[0]
     lines = [
         f"exact, {exact.triangles:,} triangles a surface (its default): rays land within {length(exact.max_mm)} of the "

@@ -1,4 +1,4 @@
-"""What a run's light field is good for: `lfmesh decode`, `refocus`, `depth`; and `expose`, its detector."""
+"""The light field of a run: `lfmesh decode`, `refocus`, `depth`; and `expose`, the detector."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal

@@ -1,4 +1,4 @@
-"""What commands print: wrapped lines, notes on standard error, lists of the files written."""
+"""Printing: wrapped lines, notes on standard error, lists of the files written."""
 
 import sys
 import textwrap

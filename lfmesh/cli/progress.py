@@ -1,4 +1,4 @@
-"""What is shown on standard error while something runs: a bar or a status line on a terminal, elsewhere plain lines."""
+"""Progress on standard error: a bar or a status line on a terminal, elsewhere plain lines."""
 
 import sys
 import time

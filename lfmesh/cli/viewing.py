@@ -1,4 +1,4 @@
-"""What `lfmesh view` calls: the reports and drawings that its options ask for."""
+"""Reports and drawings that the options of `lfmesh view` ask for."""
 
 from dataclasses import asdict
 from pathlib import Path

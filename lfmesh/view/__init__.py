@@ -1,1 +1,1 @@
-"""Seeing what rays do: launching them, their paths in tables and pictures, the scene in 3D."""
+"""Rays made visible: launched, tabled and drawn, and the scene in 3D."""

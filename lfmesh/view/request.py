@@ -1,4 +1,4 @@
-"""What a user asks to see: a scene or a run, the rays in it, and in words what they are."""
+"""Subject of a view: a scene or a run, the rays in it, and their caption in words."""
 
 import os
 from collections.abc import Sequence
@@ -47,7 +47,7 @@ NONE = "none"
 
 @dataclass(frozen=True)
 class Subject:
-    """What is looked at: a world, and the picture (rows, columns, 3) on its sensor in its physical orientation."""
+    """Subject of a view: a world, and the picture (rows, columns, 3) on its sensor in its physical orientation."""
 
     world: World
     picture: Picture | None
@@ -106,7 +106,7 @@ def _reduced(picture: PIL.Image.Image) -> Picture:
 
 
 class LaunchOptions(TypedDict, total=False):
-    """What a launch may state, see `launched`; what it leaves out or gives as None is as the scene has it."""
+    """Settings of a launch, see `launched`; those left out or None are as the scene has them."""
 
     count: int | None
     wavelength_nm: float | None
@@ -130,6 +130,18 @@ def launched(
     """Launch the rays of one or several lines of words, see `lfmesh.view.rays.launch.launch`.
 
     Without any, a first look: three points of the plane in focus, their refracted rays alone. "none": no rays.
+
+    Parameters
+    ----------
+    world : World
+    specs : sequence of str
+        Lines as "field 0,0,-500".
+    count : int, optional
+        Rays of each launch.
+    wavelength_nm : float, optional, nm
+    split : {"both", "roulette", "transmit"}, optional
+    weight_cutoff : float, optional
+        These three as the scene has them if left out.
     """
     given = [spec.strip() for spec in specs]
     if NONE in given:

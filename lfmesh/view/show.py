@@ -36,7 +36,7 @@ NO_DISPLAY = (
 
 @dataclass(frozen=True)
 class Seen:
-    """What is looked at and what is chosen of its rays."""
+    """A subject, its rays, and those of them that are chosen."""
 
     subject: Subject
     all_rays: Rays | None
@@ -180,7 +180,18 @@ def look(
     expression: str | None = None,
     **launches: Unpack[LaunchOptions],
 ) -> Seen:
-    """Build what is looked at, launch rays into it, and choose those that a filter lets through."""
+    """Build a subject, launch rays into it, and choose those that a filter lets through.
+
+    Parameters
+    ----------
+    subject : Scene, World, Image, or path of a scene file or a run folder
+    rays : Rays, str or sequence of str, optional
+        As `show` takes them.
+    expression : str, optional
+        The filter.
+    **launches
+        See `LaunchOptions`.
+    """
     what = subject_of(subject)
     if isinstance(rays, Rays):
         shown = Launched(rays, (), (0.0, 0.0))
@@ -198,7 +209,15 @@ def look(
 
 
 def draw_seen(seen: Seen, drawing: Drawing, *, off_screen: bool = True) -> View:
-    """Draw what is looked at and the rays chosen."""
+    """Draw a subject and the rays chosen.
+
+    Parameters
+    ----------
+    seen : Seen
+    drawing : Drawing
+    off_screen : bool
+        Without a window.
+    """
     return build_view(
         seen.subject.world, seen.rays, seen.subject.picture, drawing,
         off_screen=off_screen, near_mm=seen.near_mm, caption=seen.caption,

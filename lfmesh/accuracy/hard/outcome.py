@@ -81,7 +81,18 @@ def lens_scene(
     surfaces: Sequence[Surface], *, sensor_mm: float = 60.0, distance: float = 40.0,
     mla: MicrolensArray | None = None, targets: tuple[Target, ...] = (),
 ) -> Scene:  # fmt: skip
-    """Return a camera with a lens of these surfaces and a sensor at a distance behind it."""
+    """Return a camera with a lens of some surfaces and a sensor at a distance behind it.
+
+    Parameters
+    ----------
+    surfaces : sequence of Surface
+    sensor_mm : float, mm
+        Side of the square sensor.
+    distance : float, mm
+        From the last vertex, or the array, to the sensor.
+    mla : MicrolensArray, optional
+    targets : tuple of Target
+    """
     return Scene(
         camera=Camera(
             lens=Lens(surfaces=tuple(surfaces)),
@@ -108,20 +119,44 @@ def faces_of(scene: Scene) -> list[Interface]:
 
 
 def disk(radius: float, count: int, seed: int = 0) -> Array:
-    """Return (count, 2) points spread evenly over a disk at random."""
+    """Return (count, 2) random points of uniform density on a disk.
+
+    Parameters
+    ----------
+    radius : float
+    count : int
+    seed : int
+    """
     draw = np.random.default_rng(seed)
     r, phi = radius * np.sqrt(draw.uniform(size=count)), draw.uniform(0.0, 2.0 * np.pi, count)
     return np.column_stack([r * np.cos(phi), r * np.sin(phi)])
 
 
 def tilted(count: int, spread: float, seed: int = 1) -> Array:
-    """Return (count, 3) unit directions round +z with slopes up to `spread`."""
+    """Return (count, 3) unit directions round +z with slopes up to `spread`.
+
+    Parameters
+    ----------
+    count : int
+    spread : float
+        Largest slope.
+    seed : int
+    """
     d = np.column_stack([disk(spread, count, seed), np.ones(count)])
     return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True))
 
 
 def outcome(paths: Paths | Sequence[Paths], expected: str, got: str, passed: bool) -> Outcome:
-    """Return an outcome with the books of the traces it rests on."""
+    """Return an outcome with the ledgers of the traces it rests on.
+
+    Parameters
+    ----------
+    paths : Paths or sequence of Paths
+    expected, got : str
+        In words.
+    passed : bool
+        Apart from the ledgers, which have to close as well.
+    """
     ledgers = [p.ledger for p in ([paths] if isinstance(paths, Paths) else paths)]
     closes = max(abs(ledger.imbalance) for ledger in ledgers)
     if not closes < 1e-9:
@@ -188,7 +223,20 @@ def through_lens(
     scene: Scene, origins: ArrayLike, directions: ArrayLike, tolerance: float, *,
     world: World | None = None, relative: float = 1e-12,
 ) -> Outcome:  # fmt: skip
-    """Trace rays through a lens and compare with the truth, apertures included."""
+    """Trace rays through a lens and compare with the truth, apertures included.
+
+    Parameters
+    ----------
+    scene : Scene
+    origins : (n, 3) float64, mm, world frame
+    directions : (n, 3) float64
+    tolerance : float, mm
+        Of the landing points.
+    world : World, optional
+        The scene, if it is built already.
+    relative : float
+        Tolerance of the weights.
+    """
     paths = trace(world or build(scene), origins, directions, split="transmit")
     true = through(faces_of(scene), origins, directions)
     return on_sensor(
@@ -208,7 +256,20 @@ def world_with(
     mesh: trimesh.Trimesh, *, ending: str = "stl", position_mm: tuple[float, float, float], index: float | None = None,
     surface: FacetLevel = "patch",
 ) -> World:  # fmt: skip
-    """Build the singlet with a body from a mesh file in front of it: of glass, if it has an index."""
+    """Build the singlet with a body from a mesh file in front of it: of glass, if it has an index.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        Vertices in mm.
+    ending : str
+        Of the file that it is written to.
+    position_mm : (x, y, z), mm, world frame
+    index : float, optional
+        Refractive index; opaque if left out.
+    surface : str
+        What a facet stands for.
+    """
     with tempfile.TemporaryDirectory(prefix="lfmesh-") as folder:
         name = f"body.{ending}"
         mesh.export(Path(folder) / name)

@@ -112,7 +112,15 @@ class Interface:
         return np.where(passes.any(axis=1), 0.5 * (near + far), np.nan)
 
     def crossings(self, origins: Array, directions: Array, length: float) -> tuple[NDArray[np.int64], Array]:
-        """Return how often rays cross the surface within its reach, and how deep they get between the first two."""
+        """Return how often rays cross the surface within its reach, and how deep they get between the first two.
+
+        Parameters
+        ----------
+        origins : (n, 3) float64, mm
+        directions : (n, 3) float64
+        length : float
+            How far rays are followed, in lengths of their directions.
+        """
         t = np.linspace(0.0, length, 2 * MARCH)
         at = origins[:, None] + t[:, None] * directions[:, None] - [0.0, 0.0, self.z]
         r2 = at[..., 0] ** 2 + at[..., 1] ** 2
@@ -136,14 +144,30 @@ class Bundle:
 
 
 def transmittance(n_i: float, n_t: float, cos_i: Array, cos_t: Array) -> Array:
-    """Return the transmitted share of unpolarised light (Born and Wolf, 1.5.2)."""
+    """Return the transmitted share of unpolarised light (Born and Wolf, 1.5.2).
+
+    Parameters
+    ----------
+    n_i, n_t : float
+        Refractive index before and behind the interface.
+    cos_i, cos_t : (n,) float64
+        Cosines of incidence and refraction.
+    """
     s = 2.0 * n_i * cos_i / (n_i * cos_i + n_t * cos_t)
     p = 2.0 * n_i * cos_i / (n_t * cos_i + n_i * cos_t)
     return np.asarray(0.5 * n_t * cos_t / (n_i * cos_i) * (s * s + p * p))
 
 
 def refracted(d: Array, normal: Array, n_i: float, n_t: float) -> tuple[Array, Array]:
-    """Return the (n, 3) directions by Snell's law and the (n,) transmittances; NaN under total reflection."""
+    """Return the (n, 3) directions by Snell's law and the (n,) transmittances; NaN under total reflection.
+
+    Parameters
+    ----------
+    d : (n, 3) float64, unit
+    normal : (n, 3) float64, unit, of either sense
+    n_i, n_t : float
+        Refractive index before and behind the interface.
+    """
     cos_i = np.einsum("ij,ij->i", d, normal)
     normal = normal * np.sign(cos_i)[:, None]
     cos_i = np.abs(cos_i)
@@ -155,7 +179,17 @@ def refracted(d: Array, normal: Array, n_i: float, n_t: float) -> tuple[Array, A
 
 
 def through(interfaces: list[Interface], origins: ArrayLike, directions: ArrayLike, first_index: float = 1.0) -> Bundle:
-    """Trace rays through surfaces in their order, refracting at each."""
+    """Trace rays through surfaces in their order, refracting at each.
+
+    Parameters
+    ----------
+    interfaces : list of Interface
+        In the order in which rays meet them.
+    origins : (n, 3) float64, mm
+    directions : (n, 3) float64
+    first_index : float
+        Refractive index before the first one.
+    """
     p = np.asarray(origins, dtype=np.float64)
     d = np.asarray(directions, dtype=np.float64)
     d = d / np.linalg.norm(d, axis=1, keepdims=True)
@@ -173,7 +207,14 @@ def through(interfaces: list[Interface], origins: ArrayLike, directions: ArrayLi
 
 
 def at_plane(p: Array, d: Array, z: float) -> Array:
-    """Return (n, 3) where rays meet a plane z; NaN where they run away from it."""
+    """Return (n, 3) where rays meet a plane z; NaN where they run away from it.
+
+    Parameters
+    ----------
+    p : (n, 3) float64, mm
+    d : (n, 3) float64
+    z : float, mm
+    """
     with np.errstate(divide="ignore"):
         t = (z - p[:, 2]) / d[:, 2]
     return np.asarray(p + np.where(t >= 0.0, t, np.nan)[:, None] * d)
@@ -215,6 +256,13 @@ class Plate:
 
         Every lenslet near the crossing is tried by itself: its sphere is met inside its own Voronoi cell, and of
         several the first counts. On a border, to rounding, there are two or three right answers.
+
+        Parameters
+        ----------
+        origins : (n, 3) float64, mm
+        directions : (n, 3) float64
+        around : int
+            Cells to each side of the nearest one in which lenslets are tried.
 
         Returns
         -------

@@ -31,7 +31,7 @@ STEPS = 100
 
 
 class Place(NamedTuple):
-    """Where a raw pixel lies in the light field."""
+    """Place of a raw pixel in the light field."""
 
     lenslet: tuple[int, int]
     v: int
@@ -81,7 +81,7 @@ class FieldViews:
 
     @cached_property
     def _white(self) -> float:
-        """What views and their photographs show as white: as bright in the middle view."""
+        """White of views and their photographs, that of the middle view."""
         rows, columns = self.field.views
         return white_of(self.field.view(rows // 2, columns // 2), self.field.wavelengths_nm)
 

@@ -1,4 +1,4 @@
-"""Who may talk to the page: the browser that was given its address, and no page of any other site.
+"""Access to the page: for the browser that was given its address, and no page of any other site.
 
 A server on loopback is reachable by every site that the same browser shows: through a websocket, which browsers open
 across origins, and through a domain name that is pointed at 127.0.0.1 after its page was loaded (DNS rebinding); and by

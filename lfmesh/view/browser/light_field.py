@@ -72,7 +72,7 @@ class LightFieldPanel:
 
     @cached_property
     def _calibration(self) -> Calibration:
-        """Where the micro-images are; tracing that takes seconds for a large array."""
+        """Places of the micro-images; tracing them takes seconds for a large array."""
         return calibration_of_run(self._scene, self._folder)
 
     def mark(self, rows: range, columns: range) -> None:
@@ -86,7 +86,7 @@ class LightFieldPanel:
         return self._marked
 
     def _open(self) -> None:
-        """Make what a tab shows when it is opened for the first time."""
+        """Fill a tab when it is opened for the first time."""
         state = self._state
         if state.tab == "field" and state.has_field and self._views is None:
             assert self._image is not None
@@ -128,7 +128,7 @@ class LightFieldPanel:
         return moved
 
     def _show_field(self, views: FieldViews) -> None:
-        """Show the middle of everything."""
+        """Show the middle view, the plane in focus, the middle row's epipolar-plane image and the depth."""
         state, field = self._state, views.field
         (rows, columns), (height, width) = field.views, field.size
         ratio = width / height

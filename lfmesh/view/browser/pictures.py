@@ -31,7 +31,15 @@ def file_url(content: bytes, kind: str) -> str:
 
 
 def exposed(light: NDArray[np.floating], wavelengths_nm: tuple[float, ...], white: float) -> NDArray[np.uint8]:
-    """Return (H, W, wavelengths) light as a picture for the eye; what is not known is black."""
+    """Return light as a picture for the eye; what is not known is black.
+
+    Parameters
+    ----------
+    light : (H, W, wavelengths)
+    wavelengths_nm : tuple of float, nm
+    white : float
+        Light that is shown as white.
+    """
     shown = to_display(np.nan_to_num(light).astype(np.float64), wavelengths_nm)
     return srgb_encode(shown / white) if white > 0.0 else np.zeros(shown.shape, np.uint8)
 
@@ -42,7 +50,14 @@ def white_of(light: NDArray[np.floating], wavelengths_nm: tuple[float, ...]) -> 
 
 
 def coloured(values: NDArray[np.floating], low: float, high: float) -> NDArray[np.uint8]:
-    """Return an (H, W) map in the colours of viridis, from `low` to `high`; grey where it is not finite."""
+    """Return a map in the colours of viridis; grey where it is not finite.
+
+    Parameters
+    ----------
+    values : (H, W)
+    low, high : float
+        Values at the ends of the colours.
+    """
     from matplotlib import colormaps
 
     known = np.isfinite(values)

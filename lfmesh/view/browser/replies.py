@@ -1,4 +1,4 @@
-"""How the server answers the page: every mistake of the user is shown in it, and only the newest wish is worked on."""
+"""Answers of the server to the page: a mistake of the user is shown in it, and only the newest wish is worked on."""
 
 import asyncio
 import functools
@@ -23,17 +23,17 @@ class Replies:
 
     def on_call(self, name: str, answer: Callable[..., Any]) -> None:
         """Answer ``trigger(name, [arguments])`` of the page."""
-        self._server.controller.trigger(name)(self._spoken(answer))
+        self._server.controller.trigger(name)(self._with_messages(answer))
 
     def on_latest(self, name: str, answer: Callable[..., Any]) -> None:
         """Answer as `on_call`, but of calls that come faster than answers only the last: mouse moves, sliders."""
-        spoken = self._spoken(answer)
+        safe = self._with_messages(answer)
 
         async def work() -> None:
             # What arrived together with this call is read before it is answered.
             await asyncio.sleep(0.0)
             with self._server.state:
-                spoken(*self._wishes.pop(name))
+                safe(*self._wishes.pop(name))
 
         def wish(*arguments: Any) -> None:
             waiting = name in self._wishes
@@ -45,14 +45,14 @@ class Replies:
 
     def on_change(self, names: list[str], answer: Callable[[], Any]) -> None:
         """Answer when the user, or the program, changes one of these variables of the page."""
-        spoken = self._spoken(answer)
-        self._server.state.change(*names)(lambda **_state: spoken())
+        safe = self._with_messages(answer)
+        self._server.state.change(*names)(lambda **_state: safe())
 
-    def _spoken(self, answer: Callable[..., Any]) -> Callable[..., Any]:
+    def _with_messages(self, answer: Callable[..., Any]) -> Callable[..., Any]:
         """Return an answer whose mistakes are shown in the page."""
 
         @functools.wraps(answer)
-        def spoken(*arguments: Any) -> Any:
+        def safe(*arguments: Any) -> Any:
             self._server.state.fault = ""
             try:
                 return answer(*arguments)
@@ -64,4 +64,4 @@ class Replies:
                 traceback.print_exc()
                 return None
 
-        return spoken
+        return safe

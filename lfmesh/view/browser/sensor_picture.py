@@ -28,7 +28,7 @@ BLANK = 40
 
 @dataclass(frozen=True)
 class Part:
-    """What is shown of an upright picture: its first row and column, and its size, in whole pixels."""
+    """Part of an upright picture that is shown: its first row and column, and its size, in whole pixels."""
 
     row: int
     column: int
@@ -77,7 +77,15 @@ class SensorPicture:
         self.part = self.all
 
     def zoom(self, x: float, y: float, enlarge: float) -> None:
-        """Show the part enlarged by a factor, with the place (x, y) kept where it is."""
+        """Enlarge the part by a factor and keep a place of it where it is.
+
+        Parameters
+        ----------
+        x, y : float
+            The place, as shares of the part's width and height, from its upper left corner.
+        enlarge : float
+            Below 1, more is shown.
+        """
         part = self.part
         least = LEAST_PX / max(self.rows, self.columns)
         share = min(1.0, max(least, max(part.width / self.columns, part.height / self.rows) / enlarge))
@@ -99,7 +107,13 @@ class SensorPicture:
         return self._upright.pixel(row, column, self._shape)
 
     def pixels(self, x0: float, y0: float, x1: float, y1: float) -> tuple[range, range]:
-        """Return the rows and columns of the raw image in the box between two places."""
+        """Return the rows and columns of the raw image in the box between two places.
+
+        Parameters
+        ----------
+        x0, y0, x1, y1 : float
+            The places, as shares of the part's width and height, from its upper left corner.
+        """
         first, last = self.pixel(x0, y0), self.pixel(x1, y1)
         rows, columns = (sorted(pair) for pair in zip(first, last, strict=True))
         return range(rows[0], rows[1] + 1), range(columns[0], columns[1] + 1)

@@ -1,4 +1,4 @@
-"""What a layout drawing shows: a camera in its meridional section, real rays through it, and its array close up.
+"""Content of a layout drawing: a camera in its meridional section, real rays through it, and its array close up.
 
 Pure geometry, as z and y in the camera frame, mm; `layout_figure` draws it.
 """
@@ -79,7 +79,7 @@ class Bundle:
 
 @dataclass(frozen=True)
 class TargetSection:
-    """What the meridional plane cuts of a target: (n, 2) lines; `closed`: an outline; `glass`: refracts."""
+    """Section of a target with the meridional plane: (n, 2) lines; `closed`: an outline; `glass`: refracts."""
 
     name: str
     lines: list[Array]

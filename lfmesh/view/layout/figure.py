@@ -168,7 +168,16 @@ class Sheet:
         self._widths: dict[tuple[str, float, bool], float] = {}
 
     def text(self, x: float, y: float, words: str, size: float = NORMAL, **style: Any) -> Text:
-        """Write words, on one baseline with others of the same y."""
+        """Write words, on one baseline with others of the same y.
+
+        Parameters
+        ----------
+        x, y : float, inches
+        words : str
+        size : float, points
+        **style
+            Of matplotlib's Text.
+        """
         return self.axes.text(x, y, words, fontsize=size, **{"color": INK, "va": "baseline", **style})
 
     def line(self, x: Sequence[float], y: Sequence[float], **style: Any) -> None:
@@ -176,16 +185,37 @@ class Sheet:
         self.axes.plot(x, y, **{"color": INK, "lw": 0.6, "solid_capstyle": "butt", **style})
 
     def break_marks(self, x: float, y: float, tall: float) -> None:
-        """Draw two strokes across a horizontal line: something is left out."""
+        """Draw two strokes across a horizontal line, the sign of something left out.
+
+        Parameters
+        ----------
+        x, y : float, inches
+            Their middle.
+        tall : float, inches
+        """
         for stroke in (x - 0.035, x + 0.035):
             self.line([stroke - 0.35 * tall, stroke + 0.35 * tall], [y - tall, y + tall], lw=0.8, zorder=4)
 
     def frame(self, x: float, y: float, width: float, height: float) -> None:
-        """Draw a rectangle."""
+        """Draw a rectangle.
+
+        Parameters
+        ----------
+        x, y : float, inches
+            The lower left corner.
+        width, height : float, inches
+        """
         self.axes.add_patch(Rectangle((x, y), width, height, fill=False, ec=INK, lw=0.8))
 
     def width(self, words: str, size: float = NORMAL, bold: bool = False) -> float:
-        """Return how wide words are, inches."""
+        """Return the width of words, inches.
+
+        Parameters
+        ----------
+        words : str
+        size : float, points
+        bold : bool
+        """
         key = words, size, bold
         if key not in self._widths:
             probe = self.axes.text(0, 0, words, fontsize=size, fontweight="bold" if bold else "normal")
@@ -194,7 +224,16 @@ class Sheet:
         return self._widths[key]
 
     def fitted(self, words: str, room: float, size: float = NORMAL, bold: bool = False) -> tuple[str, float]:
-        """Return words and the size of text at which they fit into some room: smaller, then cut."""
+        """Return words and the text size at which they fit into some room: smaller, then cut.
+
+        Parameters
+        ----------
+        words : str
+        room : float, inches
+        size : float, points
+            The largest.
+        bold : bool
+        """
         wide = self.width(words, size, bold)
         if wide <= room:
             return words, size
@@ -260,7 +299,15 @@ class View:
         drawn.set_clip_path(self.clip)
 
     def rays(self, bundles: Sequence[Bundle], colours: Sequence[str], width: float) -> None:
-        """Draw the rays of bundles, each bundle in its colour."""
+        """Draw the rays of bundles, each bundle in its colour.
+
+        Parameters
+        ----------
+        bundles : sequence of Bundle
+        colours : sequence of str
+        width : float, points
+            Of the lines.
+        """
         for bundle, colour in zip(bundles, colours, strict=True):
             self.lines([ray.points[:, [2, 1]] for ray in bundle.rays], colors=colour, linewidths=width, zorder=3)
 

@@ -48,7 +48,7 @@ class Glass(NamedTuple):
 
 
 class Cut(NamedTuple):
-    """Where a plane of constant x cuts a flat rectangle, or the layers parallel to it.
+    """Cut of a plane of constant x through a flat rectangle, or through the layers parallel to it.
 
     Attributes
     ----------
@@ -86,7 +86,17 @@ def in_section(points: Array) -> Array:
 
 
 def cut_through(name: str, to_camera: Array, size_mm: tuple[float, float], x: float = 0.0) -> Cut:
-    """Cut a rectangle in the xy plane of its own frame by the plane of that x of the camera frame.
+    """Cut a rectangle in the xy plane of its own frame by a plane of constant x in the camera frame.
+
+    Parameters
+    ----------
+    name : str
+        What messages call it.
+    to_camera : (3, 4) float64
+        From the rectangle's own frame.
+    size_mm : (width, height), mm
+    x : float, mm
+        Of the plane, camera frame.
 
     Raises
     ------
@@ -193,7 +203,15 @@ def chained(segments: Array, closeness: float) -> list[Array]:
 
 
 def curved_face(cut: Cut, array: Lenslets, s: Array) -> Array:
-    """Return the height (z of the array's frame) of the curved face at places s along a cut through it, mm."""
+    """Return the height of the array's curved face along a cut through it, mm: z of the array's frame.
+
+    Parameters
+    ----------
+    cut : Cut
+    array : Lenslets
+    s : (n,) float64, mm
+        Places along the cut.
+    """
     height = np.zeros_like(s)
     centres = array.lattice.centres().reshape(-1, 2)
     line = cut.local(s)

@@ -3,15 +3,17 @@
 Text in the picture is lost on the way, so title, launch, counts, legend and scale stand in the page.
 """
 
-import html
 import re
 import tempfile
 import warnings
 from pathlib import Path
 
+from markupsafe import escape
+
 from lfmesh.errors import LfmeshError
 from lfmesh.files.whole import write_whole
-from lfmesh.view.scene3d.colours import BACKGROUND, FAINT_TEXT, TEXT, Legend
+from lfmesh.templates import filled
+from lfmesh.view.scene3d.colours import BACKGROUND, FAINT_TEXT, TEXT
 from lfmesh.view.scene3d.plotter import View
 
 ASPECT = 1.25
@@ -31,6 +33,8 @@ STYLE = f"""\
       #caption {{ left: 0; max-width: 65%; }}
       #legend {{ right: 0; text-align: right; }}
 """
+
+TEMPLATE = Path(__file__).parent / "templates" / "words.html"
 
 FOREIGN = re.compile(r"https://kitware\.github\.io/vtk-js/icon/[^`\"']*")
 """The only thing that vtk.js would fetch: its own icons."""
@@ -63,18 +67,14 @@ def write_page(view: View, path: Path) -> None:
 
 def captioned(page: str, view: View) -> str:
     """Return a page with the view's words in it, which asks no other server for anything."""
-    title = html.escape(view.title)
     page = FOREIGN.sub("data:,", page)
+    title = escape(view.title)
     page = re.sub(r"<title>.*?</title>", lambda _: f"<title>{title}</title>", page, count=1, flags=re.DOTALL)
     page = page.replace("</style>\n  </head>", f"{STYLE}    </style>\n  </head>", 1)
-    lines = "".join(f"<p>{html.escape(line)}</p>" for line in [*view.caption, view.scale, "drag turns, wheel zooms"])
-    words = f'<div id="caption" class="words"><h1>{title}</h1>{lines}</div>{_legend(view.legend)}'
-    # vtk.js empties what it draws into: without an element of its own that would be the whole page.
-    return page.replace("<body>", f'<body>\n    <div class="content"></div>\n    {words}', 1)
-
-
-def _legend(legend: Legend | None) -> str:
-    if legend is None:
-        return ""
-    rows = "".join(f'<p style="color: {colour}">{html.escape(label)}</p>' for label, colour in legend.entries)
-    return f'<div id="legend" class="words"><p><b>{html.escape(legend.title)}</b></p>{rows}</div>'
+    words = filled(
+        TEMPLATE,
+        title=view.title,
+        lines=[*view.caption, view.scale, "drag turns, wheel zooms"],
+        legend=view.legend,
+    )
+    return page.replace("<body>", f"<body>\n{words}", 1)

@@ -22,7 +22,14 @@ def open_window(view: View) -> None:
 
 
 def clicked(view: View, x: float, y: float) -> list[str]:
-    """Say in the picture and in the terminal what lies under a click; x, y in pixels from the bottom left."""
+    """Write what lies under a click into the picture and the terminal.
+
+    Parameters
+    ----------
+    view : View
+    x, y : float, pixels
+        Of the picture, from its lower left corner.
+    """
     words = in_words(view, pick.pick(view, x, view.plotter.window_size[1] - y))
     view.tell(words)
     if words:

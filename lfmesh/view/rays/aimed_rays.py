@@ -144,7 +144,7 @@ class Aim:
 
     @property
     def _entry_shift(self) -> float:
-        """How far the entry of a ray through a fixed point of the stop moves for a slope of one, paraxially, mm."""
+        """Shift of the entry of a ray through a fixed point of the stop for a slope of one, paraxially, mm."""
         before = self.paraxial.to_stop
         return before.b / (before.a + before.b * self.vergence)
 

@@ -285,7 +285,16 @@ class _Reader:
         return ~kept if sign.text == "!=" else kept
 
     def range(self, axis: str, size: int, *, single: bool) -> range:
-        """Read ``[first] ":" [end]`` or one number; it must hold something of the sensor."""
+        """Read ``[first] ":" [end]`` or one number; it must hold something of the sensor.
+
+        Parameters
+        ----------
+        axis : str
+            Of the sensor, in words.
+        size : int, pixels
+        single : bool
+            One number is meant.
+        """
         token = self.next
         first = None if token.text == ":" else self.whole(axis)
         if first is not None and (single or self.next.text != ":"):
@@ -339,7 +348,16 @@ class _Reader:
 
     @staticmethod
     def valid(wrong: str, listed: Iterable[str], known: Iterable[str] | None = None) -> str:
-        """Return what is valid in place of a word, the nearest first."""
+        """Return valid words in place of a wrong one, the nearest first, as the end of a message.
+
+        Parameters
+        ----------
+        wrong : str
+        listed : iterable of str
+            Words to show.
+        known : iterable of str, optional
+            All that are valid, if more than are shown.
+        """
         near = difflib.get_close_matches(wrong, list(known or listed), 1, 0.6)
         hint = f"; did you mean {near[0]!r}?" if near else ";"
         return f"{hint} there are {', '.join(f'{n!r}' if ' ' in n else n for n in listed)}"

@@ -1,4 +1,4 @@
-"""Ghosts by the pair of surfaces that reflect them: which two make the light that should not be there.
+"""Power of ghosts by the pair of surfaces that reflect them.
 
 Only paths with exactly two reflections by lens or array are counted: with three, for one, light goes back to the scene,
 and the four-reflection ghosts of uncoated glass are some hundred times weaker.

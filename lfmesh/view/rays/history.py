@@ -72,7 +72,7 @@ class Step:
 
 @dataclass(frozen=True)
 class _Interface:
-    """What a path met: a surface between two media, and its unit normal there (of either sense).
+    """Interface at a vertex: a surface between two media, and its unit normal there (of either sense).
 
     The normal is None where a facet stands for a surface without a formula; then the path itself tells it.
     """
@@ -187,9 +187,9 @@ def _interface(rays: Rays, vertex: int) -> _Interface | None:
 
 def _of_lens(rays: Rays, vertex: int, k: int) -> Vector:
     """Return the normal of a lens surface."""
-    moves, of = rays.world.tables.frames, rays.world.lens_shape.surfaces[k]
+    moves, lens_surface = rays.world.tables.frames, rays.world.lens_shape.surfaces[k]
     p = frames.points(moves[WORLD_FRAME, CAMERA_FRAME], rays.position[vertex][None])
-    return np.asarray(frames.directions(moves[CAMERA_FRAME, WORLD_FRAME], normals(of, p[:, 0], p[:, 1]))[0])
+    return np.asarray(frames.directions(moves[CAMERA_FRAME, WORLD_FRAME], normals(lens_surface, p[:, 0], p[:, 1]))[0])
 
 
 def _of_array(rays: Rays, vertex: int, name: str) -> Vector:

@@ -97,22 +97,22 @@ def from_field_point(
         A point that is none or not in front of the lens, a count below 1, a setting out of its range, or more paths
         than can be kept (as for all launches).
     """
-    of = _settings(world, count, _wavelengths(world, wavelength_nm), split, weight_cutoff, seed)
+    settings = _settings(world, count, _wavelengths(world, wavelength_nm), split, weight_cutoff, seed)
     if aim not in ("pupil", "lens"):
         raise LfmeshError(f'aim = {aim!r}: use "pupil" or "lens"')
     point = _point_before_lens(world, position_mm)
     x, y, plane_z, radius = _disk_seen(world, point, aim)
-    options = options_of(world, tracing=True, record=True, split=of.split, cutoff=of.cutoff)
+    options = options_of(world, tracing=True, record=True, split=settings.split, cutoff=settings.cutoff)
     parts = []
-    for place, (wave, wavelength) in enumerate(of.waves):
-        u, v = _square(np.arange(place, count, len(of.waves)), seed)
+    for place, (wave, wavelength) in enumerate(settings.waves):
+        u, v = _square(np.arange(place, count, len(settings.waves)), seed)
         r, phi = radius * np.sqrt(u), 2.0 * np.pi * v
         ray = np.stack([x + r * np.cos(phi), y + r * np.sin(phi), np.full(len(u), plane_z)], axis=-1) - point
         length = np.linalg.norm(ray, axis=1)
         solid_angle = np.pi * radius**2 * ray[:, 2] / length**3 / max(len(u), 1)
         starts = from_point(point, ray / length[:, None], INTENSITY_W_SR * solid_angle, descendant(_KEY, seed, wave))
         parts.append(traced(world, at_wavelength(world, wavelength), options, starts, place))
-    return _assembled(world, parts, of)
+    return _assembled(world, parts, settings)
 
 
 def from_pixel(
@@ -172,18 +172,31 @@ def from_pixels(
     With fewer rays than pixels, as many pixels are drawn by chance. Else every pixel has the same number of rays, so
     that there may be a few more or less than asked for.
 
+    Parameters
+    ----------
+    world : World
+    rows, columns : range
+    count : int
+        Rays in all.
+    wavelength_nm : float, optional, nm
+        Those of the scene if left out.
+    split : {"both", "roulette", "transmit"}
+    weight_cutoff : float, optional
+        As the scene has it if left out.
+    seed : int
+
     Raises
     ------
     LfmeshError
         Pixels outside the sensor, a count below 1, or a setting out of its range.
     """
-    of = _settings(world, count, _wavelengths(world, wavelength_nm), split, weight_cutoff, seed)
+    settings = _settings(world, count, _wavelengths(world, wavelength_nm), split, weight_cutoff, seed)
     sensor = world.tables.sensor
     for name, wished, size in (("row", rows, sensor.rows), ("column", columns, sensor.columns)):
         if not len(wished) or min(wished) < 0 or max(wished) >= size:
             given = wished[0] if len(wished) == 1 else f"{wished.start}:{wished.stop}"
             raise LfmeshError(f"{name} {given}: the sensor has {name}s 0 to {size - 1}")
-    return _from_pixels(world, rows, columns, of)
+    return _from_pixels(world, rows, columns, settings)
 
 
 def from_light(
@@ -221,7 +234,7 @@ def from_light(
         No such light or wavelength, a scene without targets, a count below 1, or a setting out of its range.
     """
     waves = _wavelengths(world, wavelength_nm, any_other=False)
-    of = _settings(world, count, waves, split, weight_cutoff, seed)
+    settings = _settings(world, count, waves, split, weight_cutoff, seed)
     lights = len(world.scene.lights)
     if not 0 <= number < lights:
         known = f"it has lights[0] to lights[{lights - 1}]" if lights else "it has none"
@@ -232,7 +245,7 @@ def from_light(
     sources = objects.sources[objects.sources["light"] == number].copy()
     sources["share"] = sources["until"] = 1.0
     tables = world.tables._replace(objects=objects._replace(sources=sources))
-    return _from_sources(world, tables, of)
+    return _from_sources(world, tables, settings)
 
 
 def as_in_run(
@@ -272,54 +285,58 @@ def as_in_run(
     sensor = world.tables.sensor
     pixels = sensor.rows * sensor.columns
     most = pixels * len(waves) * (transport.samples if transport.method == "forward" else 1)
-    of = _settings(world, most if count is None else count, waves, split, weight_cutoff, seed)
+    settings = _settings(world, most if count is None else count, waves, split, weight_cutoff, seed)
     if transport.method == "adjoint":
-        return _from_pixels(world, range(sensor.rows), range(sensor.columns), of)
+        return _from_pixels(world, range(sensor.rows), range(sensor.columns), settings)
     if not len(world.tables.objects.sources):
         raise LfmeshError("nothing shines: the scene has neither lights nor targets with radiance_w_m2_sr")
-    return _from_sources(world, world.tables, replace(of, count=min(of.count, most)))
+    return _from_sources(world, world.tables, replace(settings, count=min(settings.count, most)))
 
 
-def _from_pixels(world: World, rows: range, columns: range, of: Settings) -> Rays:
+def _from_pixels(world: World, rows: range, columns: range, settings: Settings) -> Rays:
     """Launch rays from a box of pixels, shared among wavelengths."""
     box = len(rows) * len(columns)
-    options = options_of(world, tracing=True, record=True, split=of.split, cutoff=of.cutoff)
-    generator = np.random.default_rng(of.seed)
+    options = options_of(world, tracing=True, record=True, split=settings.split, cutoff=settings.cutoff)
+    generator = np.random.default_rng(settings.seed)
     parts = []
-    for place, (wave, wavelength) in enumerate(of.waves):
-        rays = of.rays_of(place)
+    for place, (wave, wavelength) in enumerate(settings.waves):
+        rays = settings.rays_of(place)
         # Unshuffled, a few of many millions are drawn without listing them all.
         row, column = np.divmod(
             np.sort(generator.choice(box, min(rays, box), replace=False, shuffle=False)), len(columns)
         )
         pixels = np.asarray(rows)[row] * world.tables.sensor.columns + np.asarray(columns)[column]
-        starts = at_pixels(pixels, max(1, round(rays / box)), descendant(run_key(of.seed), 0, wave))
+        starts = at_pixels(pixels, max(1, round(rays / box)), descendant(run_key(settings.seed), 0, wave))
         ended, nodes = traced(world, at_wavelength(world, wavelength), options, starts, place)
         # Of pixels drawn by chance, each stands for several.
         for table in (ended, nodes):
             table["weight"] *= box / max(len(pixels), 1)
         parts.append((ended, nodes))
-    return _assembled(world, parts, of, from_sensor=True)
+    return _assembled(world, parts, settings, from_sensor=True)
 
 
-def _from_sources(world: World, tables: Tables, of: Settings) -> Rays:
+def _from_sources(world: World, tables: Tables, settings: Settings) -> Rays:
     """Launch the first packets of a forward run, shared among wavelengths, replicate by replicate."""
     transport = world.scene.transport
-    options = options_of(world, record=True, split=of.split, cutoff=of.cutoff, adjoint=False, sequential=False)
+    options = options_of(
+        world, record=True, split=settings.split, cutoff=settings.cutoff, adjoint=False, sequential=False
+    )
     one = tables.sensor.rows * tables.sensor.columns * (transport.samples // transport.replicates)
     parts = []
-    for place, (wave, _) in enumerate(of.waves):
-        total = of.rays_of(place)
+    for place, (wave, _) in enumerate(settings.waves):
+        total = settings.rays_of(place)
         for replicate, first in enumerate(range(0, total, one)):
-            key = descendant(run_key(of.seed), replicate, wave)
+            key = descendant(run_key(settings.seed), replicate, wave)
             starts = from_sources(0, min(one, total - first), total, key, wave)
             parts.append(traced(world, tables, options, starts, place))
-    return _assembled(world, parts, of)
+    return _assembled(world, parts, settings)
 
 
-def _assembled(world: World, parts: list[tuple[Records, Records]], of: Settings, *, from_sensor: bool = False) -> Rays:
+def _assembled(
+    world: World, parts: list[tuple[Records, Records]], settings: Settings, *, from_sensor: bool = False
+) -> Rays:
     ended, nodes = joined_records(parts)
-    lengths = np.array([wavelength for _, wavelength in of.waves])
+    lengths = np.array([wavelength for _, wavelength in settings.waves])
     return assembled(world, ended, nodes, lengths[ended["wave"]], ended["source"] if from_sensor else None)
 
 

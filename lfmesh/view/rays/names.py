@@ -1,4 +1,4 @@
-"""What a lens designer calls the surfaces of a camera, and the short labels of a prescription.
+"""Names of a camera's surfaces as lens designers give them, and the short labels of a prescription.
 
 | name              | label | what it is                                                                    |
 |-------------------|-------|-------------------------------------------------------------------------------|
@@ -59,7 +59,14 @@ def surface_names(world: World) -> list[str]:
 
 
 def surface_numbers(world: World, surface: NDArray[np.int64], part: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return recorded surfaces and their parts (see `packet.NODE`) as numbers in the order of `surface_names`."""
+    """Return recorded surfaces as numbers in the order of `surface_names`.
+
+    Parameters
+    ----------
+    world : World
+    surface, part : (n,) int64
+        As recorded, see `packet.NODE`.
+    """
     first_end = 1 + len(world.lens_shape.surfaces) + 2 + len(world.tables.objects.target_slot)
     first_target = first_end - len(world.tables.objects.target_slot)
     on_target = (surface == ON_TARGET) | (surface == ON_GLASS)

@@ -26,7 +26,18 @@ OWN_SURFACE = 32.0 * FLOAT32_GRAIN
 def traced(
     world: World, tables: Tables, options: Options, starts: Iterator[Start], wave: int
 ) -> tuple[Records, Records]:
-    """Trace one chunk after the other; return how packets ended and all vertices."""
+    """Trace chunk by chunk; return the ends of packets and all vertices.
+
+    Parameters
+    ----------
+    world : World
+    tables : Tables
+    options : Options
+    starts : iterator of Start
+        One for each chunk.
+    wave : int
+        Number of the wavelength among the launch's.
+    """
     work = Workspace(world, options, tables=tables)
     parts = []
     for start in starts:
@@ -42,7 +53,16 @@ def traced(
 
 
 def from_point(point: Floats, d: Floats, watts: Floats, key: np.uint64) -> Iterator[Start]:
-    """Yield the chunks of rays of a point in front of the lens (camera frame)."""
+    """Yield the chunks of rays from a point before the lens.
+
+    Parameters
+    ----------
+    point : (3,) float64, mm, camera frame
+    d : (n, 3) float64, unit, camera frame
+    watts : (n,) float64, W
+    key : uint64
+        Of the random numbers.
+    """
     away = OWN_SURFACE * float(np.abs(point).sum())
     for first in range(0, len(d), CHUNK):
         part = slice(first, first + CHUNK)
@@ -61,7 +81,17 @@ def from_point(point: Floats, d: Floats, watts: Floats, key: np.uint64) -> Itera
 
 
 def at_pixels(pixels: NDArray[np.int64], samples: int, key: np.uint64) -> Iterator[Start]:
-    """Yield the chunks of a pixel's samples, pixel by pixel."""
+    """Yield the chunks of some pixels' samples, pixel by pixel.
+
+    Parameters
+    ----------
+    pixels : (n,) int64
+        Their numbers, row by row.
+    samples : int
+        Of each pixel.
+    key : uint64
+        Of the random numbers.
+    """
     # A chunk holds whole pixels; one with more samples than a chunk is launched in one all the same.
     per_chunk = max(1, CHUNK // samples)
     for first in range(0, len(pixels), per_chunk):

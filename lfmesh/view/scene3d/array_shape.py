@@ -62,13 +62,20 @@ def cells_near(lattice: Lattice, near_mm: tuple[float, float]) -> tuple[NDArray[
     return grid[0].ravel(), grid[1].ravel()
 
 
-def caps(of: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> Caps:
-    """Return the curved faces of some lenslets."""
-    lattice = of.lattice
+def caps(mla: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> Caps:
+    """Return the curved faces of some lenslets.
+
+    Parameters
+    ----------
+    mla : Lenslets
+    columns, rows : (n,) int64
+        Of the lenslets.
+    """
+    lattice = mla.lattice
     triangles = 6 if lattice.hexagonal else 1
     fineness = int(np.sqrt(TRIANGLES / max(1, len(columns) * triangles)))
     pattern, faces = cell_pattern(lattice, int(np.clip(fineness, COARSEST, FINEST)))
-    shapes = _shapes(of, columns, rows)
+    shapes = _shapes(mla, columns, rows)
     centres = lattice.centres()[rows, columns]
     from_apex = pattern[None] - shapes[:, None, 1:]
     curvature = shapes[:, None, 0]
@@ -85,29 +92,36 @@ def caps(of: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> C
     )
 
 
-def borders(of: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the (n, 2, 3) ends of the lines in which some lenslets meet their neighbours."""
-    corners = of.lattice.corners()
+def borders(mla: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the (n, 2, 3) ends of the lines in which some lenslets meet their neighbours.
+
+    Parameters
+    ----------
+    mla : Lenslets
+    columns, rows : (n,) int64
+        Of the lenslets.
+    """
+    corners = mla.lattice.corners()
     share = np.arange(SIDE_LINES)[:, None] / SIDE_LINES
     outline = np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
-    shapes = _shapes(of, columns, rows)
+    shapes = _shapes(mla, columns, rows)
     r2 = ((outline[None] - shapes[:, None, 1:]) ** 2).sum(axis=2)
     curvature = shapes[:, None, 0]
     z = curvature * r2 / (1.0 + np.sqrt(1.0 - curvature**2 * r2))
-    points = np.dstack([outline[None] + of.lattice.centres()[rows, columns][:, None], z])
+    points = np.dstack([outline[None] + mla.lattice.centres()[rows, columns][:, None], z])
     return np.stack([points, np.roll(points, -1, axis=1)], axis=2).reshape(-1, 2, 3)
 
 
-def _shapes(of: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
+def _shapes(mla: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return (n, 3): curvature, and apex relative to the cell's centre, of n lenslets."""
-    if of.alike:
-        return np.tile([of.curvature[0], 0.0, 0.0], (len(columns), 1))
-    return np.array([shape_of(of, int(column), int(row)) for column, row in zip(columns, rows, strict=True)])
+    if mla.alike:
+        return np.tile([mla.curvature[0], 0.0, 0.0], (len(columns), 1))
+    return np.array([shape_of(mla, int(column), int(row)) for column, row in zip(columns, rows, strict=True)])
 
 
-def face_corners(of: Lenslets, z_mm: float) -> NDArray[np.float64]:
+def face_corners(mla: Lenslets, z_mm: float) -> NDArray[np.float64]:
     """Return the (4, 3) corners of the box round the cells, at a depth, counter-clockwise seen from +z."""
-    x, y = of.lattice.half_extent
+    x, y = mla.lattice.half_extent
     return np.array([[-x, -y, z_mm], [x, -y, z_mm], [x, y, z_mm], [-x, y, z_mm]])
 
 
@@ -115,11 +129,20 @@ ROUND = np.array([[i, j, k] for a in range(4) for b in [(a + 1) % 4] for i, j, k
 """Triangles of a rectangle with a rectangular hole, outer corners first."""
 
 
-def face_round(of: Lenslets, z_mm: float, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the (8, 3) corners of the face of the box round all cells, and of the hole in it round some of them."""
-    outer = face_corners(of, z_mm)
-    centres = of.lattice.centres()[rows, columns]
-    reach = 0.5 * of.lattice.pitch
+def face_round(mla: Lenslets, z_mm: float, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the (8, 3) corners of a face of the box round all cells, and of a hole in it round some of them, mm.
+
+    Parameters
+    ----------
+    mla : Lenslets
+    z_mm : float, mm
+        Of the face, in the array's frame.
+    columns, rows : (n,) int64
+        Of the lenslets in the hole.
+    """
+    outer = face_corners(mla, z_mm)
+    centres = mla.lattice.centres()[rows, columns]
+    reach = 0.5 * mla.lattice.pitch
     low, high = centres.min(axis=0) - reach, centres.max(axis=0) + reach
     inner = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
     return np.concatenate([outer, np.column_stack([inner, np.full(4, z_mm)])])

@@ -1,4 +1,4 @@
-"""What colours mean: glass by its index; rays by wavelength, power, events, status or path."""
+"""Meaning of colours: glass by its index; rays by wavelength, power, events, status or path."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ OTHERS = "#566474"
 
 @dataclass(frozen=True)
 class Legend:
-    """What the colours of the rays mean: a title, and a colour (#rrggbb) for each label."""
+    """Meaning of the rays' colours: a title, and a colour (#rrggbb) for each label."""
 
     title: str
     entries: tuple[tuple[str, str], ...]

@@ -1,4 +1,4 @@
-"""What is behind a part of the picture, in words: prescription, pixels, materials."""
+"""Descriptions of the picture's parts in words: prescription, pixels, materials."""
 
 import math
 

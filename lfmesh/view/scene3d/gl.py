@@ -1,4 +1,4 @@
-"""Whether anything can be drawn: without its GL libraries VTK ends the process, so a child process tries first."""
+"""Test for drawing: without its GL libraries VTK ends the process, so a child process tries first."""
 
 import os
 import subprocess
@@ -61,7 +61,7 @@ class Probe:
 
 
 def expect_no_display() -> None:
-    """Where there is no display keep VTK from trying to reach one, and from complaining that it cannot."""
+    """Keep VTK from trying to reach a display where there is none, and from complaining of it."""
     if sys.platform == "linux" and not has_display():
         os.environ.setdefault(WINDOW, "vtkEGLRenderWindow")
 

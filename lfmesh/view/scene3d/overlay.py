@@ -1,4 +1,4 @@
-"""What is written over the picture: title, caption, legend, and a scale bar that follows the zoom."""
+"""Text over the picture: title, caption, legend, and a scale bar that follows the zoom."""
 
 from pathlib import Path
 
@@ -36,7 +36,15 @@ class Overlay:
         plotter.renderer.AddObserver("StartEvent", lambda *_: self._measure())
 
     def write(self, title: str, caption: list[str], legend: Legend | None) -> None:
-        """Replace the text."""
+        """Replace the text.
+
+        Parameters
+        ----------
+        title : str
+        caption : list of str
+            The lines under it.
+        legend : Legend or None
+        """
         for text in self._texts:
             self._plotter.renderer.RemoveViewProp(text)
         self._texts = [self._text(title, 24, (0.015, 0.985), TEXT, top=True)]

@@ -170,26 +170,26 @@ def _stop(world: World) -> Iterator[Part]:
 def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
     if not world.tables.array.present:
         return
-    of = world.tables.array.lenslets
+    lenslets = world.tables.array.lenslets
     to_world = world.tables.frames[ARRAY_FRAME, WORLD_FRAME]
     mla = world.scene.camera.mla
     assert mla is not None
     glass = {"color": tint(refractive_index(mla.medium, world.scene.transport.primary_nm)), "opacity": 0.3}
-    lattice, near = of.lattice, array_shape.cells_near(of.lattice, near_mm)
+    lattice, near = lenslets.lattice, array_shape.cells_near(lenslets.lattice, near_mm)
     large = array_shape.is_large(lattice)
-    curved = array_shape.caps(of, *(near if large else array_shape.all_cells(lattice)))
+    curved = array_shape.caps(lenslets, *(near if large else array_shape.all_cells(lattice)))
     caps = polydata(frames.points(to_world, curved.points), curved.triangles)
     caps.point_data.active_normals = frames.directions(to_world, curved.normals)
-    lines = array_shape.borders(of, *near)
+    lines = array_shape.borders(lenslets, *near)
     borders = line_segments(frames.points(to_world, lines.reshape(-1, 3)).reshape(-1, 2, 3))
     shine = {"specular": 1.0, "specular_power": 12, "smooth_shading": True}
     yield Part("mla", "array", caps, {**glass, **shine}, edges=borders, edge_colour="#8fb9c9")
-    plate = _plate(world, of.valley)
+    plate = _plate(world, lenslets.valley)
     outline = plate.extract_feature_edges(CREASE_DEG)
     yield Part("mla", "array", plate, glass, edges=outline, edge_colour="#79d0dc", label="mla plate")
     if large:
-        picture, (width, height) = array_shape.lattice_picture(of.lattice)
-        corners = array_shape.face_round(of, of.valley, *near)
+        picture, (width, height) = array_shape.lattice_picture(lenslets.lattice)
+        corners = array_shape.face_round(lenslets, lenslets.valley, *near)
         face = polydata(frames.points(to_world, corners), array_shape.ROUND)
         face.active_texture_coordinates = (corners[:, :2] - lattice.centres()[0, 0]) / [width, height]
         look = {"opacity": 0.45, "lighting": False}
@@ -198,8 +198,8 @@ def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
 
 def _plate(world: World, front_mm: float) -> pv.PolyData:
     """Return the box round the array's glass, from the valleys between its lenslets to its flat face."""
-    of = world.tables.array.lenslets
-    corners = [array_shape.face_corners(of, z) for z in (front_mm, of.thickness)]
+    lenslets = world.tables.array.lenslets
+    corners = [array_shape.face_corners(lenslets, z) for z in (front_mm, lenslets.thickness)]
     points = frames.points(world.tables.frames[ARRAY_FRAME, WORLD_FRAME], np.concatenate(corners))
     sides = [[i, (i + 1) % 4, (i + 1) % 4 + 4, i + 4] for i in range(4)]
     quads = np.array([[4, 5, 6, 7], *sides])

@@ -1,4 +1,4 @@
-"""What lies under a point of the picture: a path, glass, a pixel of the sensor, another part; and the pixels in a box.
+"""Picking in the picture: the path, glass, pixel or other part under a point, and the pixels in a box.
 
 The picture's geometry is enough for that, so it works without a window, and the same in a server. Places in the picture
 are in pixels from its top left corner.
@@ -61,9 +61,15 @@ Picked = PickedRay | PickedPixel | PickedPart | None
 
 
 def pick(view: View, x: float, y: float) -> Picked:
-    """Return what a click means: the ray under it, else what is nearest to the eye.
+    """Return the target of a click: the ray under it, else what is nearest to the eye.
 
     The sensor is seen through the array, so where both are met the pixel is meant.
+
+    Parameters
+    ----------
+    view : View
+    x, y : float, pixels
+        Of the picture, from its lower left corner.
     """
     if ray := pick_ray(view, x, y):
         return ray
@@ -84,7 +90,16 @@ def pick(view: View, x: float, y: float) -> Picked:
 
 
 def pick_ray(view: View, x: float, y: float, tolerance_px: float = TOLERANCE_PX) -> PickedRay | None:
-    """Return the segment under a point of the picture, if one is near enough."""
+    """Return the segment under a point of the picture, if one is near enough.
+
+    Parameters
+    ----------
+    view : View
+    x, y : float, pixels
+        Of the picture, from its lower left corner.
+    tolerance_px : float, pixels
+        How far beside it the click may be.
+    """
     lines = view.lines
     if lines is None or not len(lines):
         return None
@@ -105,7 +120,14 @@ def pick_ray(view: View, x: float, y: float, tolerance_px: float = TOLERANCE_PX)
 
 
 def pixel_at(view: View, x: float, y: float) -> PickedPixel | None:
-    """Return the pixel of the sensor that a point of the picture shows, whatever is in front of it."""
+    """Return the pixel of the sensor that a point of the picture shows, whatever is in front of it.
+
+    Parameters
+    ----------
+    view : View
+    x, y : float, pixels
+        Of the picture, from its lower left corner.
+    """
     sensor = view.world.tables.sensor
     row, column = np.floor(_on_sensor(view, x, y))
     if not (0 <= row < sensor.rows and 0 <= column < sensor.columns):
@@ -114,7 +136,14 @@ def pixel_at(view: View, x: float, y: float) -> PickedPixel | None:
 
 
 def box(view: View, x0: float, y0: float, x1: float, y1: float) -> tuple[range, range] | None:
-    """Return the rows and columns of the pixels in a box of the picture; None where it shows no part of the sensor."""
+    """Return the rows and columns of the pixels in a box of the picture; None where it shows no part of the sensor.
+
+    Parameters
+    ----------
+    view : View
+    x0, y0, x1, y1 : float, pixels
+        Two corners, from the picture's lower left.
+    """
     corners = np.array([_on_sensor(view, x, y) for x in (x0, x1) for y in (y0, y1)])
     if not np.isfinite(corners).all():
         return None
@@ -132,7 +161,14 @@ def to_picture(view: View, points: Array) -> Array:
 
 
 def eye_ray(view: View, x: float, y: float) -> tuple[Array, Array]:
-    """Return origin and unit direction of the line of sight through a point of the picture, world frame."""
+    """Return origin and unit direction of the line of sight through a point of the picture, world frame.
+
+    Parameters
+    ----------
+    view : View
+    x, y : float, pixels
+        Of the picture, from its lower left corner.
+    """
     width, height = view.plotter.window_size
     ndc = np.array([2.0 * x / width - 1.0, 1.0 - 2.0 * y / height])
     ends = np.array([[*ndc, -1.0, 1.0], [*ndc, 1.0, 1.0]]) @ np.linalg.inv(_matrix(view)).T
@@ -141,9 +177,15 @@ def eye_ray(view: View, x: float, y: float) -> tuple[Array, Array]:
 
 
 def first_hit(origin: Array, direction: Array, corners: Array) -> float:
-    """Return the distance at which a ray meets the first of some triangles (n, 3, 3); inf if none.
+    """Return the distance at which a ray meets the first of some triangles; inf if none.
 
     T. Möller, B. Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection", J. Graphics Tools 2(1), 1997.
+
+    Parameters
+    ----------
+    origin, direction : (3,) float64
+    corners : (n, 3, 3) float64
+        Of the triangles.
     """
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     p = np.cross(direction, second)

@@ -88,24 +88,30 @@ class View:
 
     @property
     def presets(self) -> list[str]:
-        """What `look` knows of this camera."""
+        """Names that `look` takes for this camera."""
         return [name for name in PRESETS if name != "array" or self.world.tables.array.present]
 
     @property
     def title(self) -> str:
-        """What the scene is called."""
+        """Name of the scene."""
         return self.world.scene.name or "scene without a name"
 
     @property
     def scale(self) -> str:
-        """How long things are, in words."""
+        """Lengths of the picture's scales, in words."""
         length = float(self.world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])
         return f"axis marked every {in_words(tick_mm(self.world))}; {length:.4g} mm from the first vertex to the sensor"
 
     def look(self, preset: str, aspect: float | None = None, angle_deg: float = ANGLE_DEG) -> None:
-        """Move the eye to one of the `presets`, for a picture of the plotter's or another aspect, width over height.
+        """Move the eye to one of the `presets`.
 
-        And for the plotter's or another angle from the bottom of a perspective picture to its top.
+        Parameters
+        ----------
+        preset : str
+        aspect : float, optional
+            Width over height of the picture; the plotter's if left out.
+        angle_deg : float
+            From the bottom of a perspective picture to its top.
         """
         width, height = self.plotter.window_size
         seen = viewpoint(self.world, preset, aspect or width / height, self.near_mm, angle_deg)

@@ -1,4 +1,4 @@
-"""Where to look from: viewpoints that fit a part of the scene into the picture, whatever its size.
+"""Viewpoints that fit a part of the scene into the picture, whatever its size.
 
 All are found in the camera frame, whose +y is up. Whoever looks from behind the camera at its objects has x to the
 right; in views from beside, light travels to the right.
@@ -40,7 +40,7 @@ WITHOUT_OBJECT = 2.0
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """Where the eye is, what it turns about, and how much it sees; world frame, mm."""
+    """The eye's place, the point it turns about, and the height it sees; world frame, mm."""
 
     eye: Array
     focus: Array
@@ -84,7 +84,20 @@ def viewpoint(
 
 
 def fitted(points: Array, forward: ArrayLike, aspect: float, parallel: bool, angle_deg: float = ANGLE_DEG) -> Viewpoint:
-    """Return the nearest viewpoint that looks along `forward` and has all points (n, 3) in its picture."""
+    """Return the nearest viewpoint from which all of some points are in the picture.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, mm
+    forward : (3,)
+        Direction of sight.
+    aspect : float
+        Width over height of the picture.
+    parallel : bool
+        Projection without perspective.
+    angle_deg : float
+        From the bottom of a perspective picture to its top.
+    """
     ahead = np.asarray(forward, dtype=np.float64) / np.linalg.norm(forward)
     right = np.cross(ahead, UP)
     right /= np.linalg.norm(right)
@@ -170,10 +183,10 @@ def _in_field(world: World, target: TargetMesh) -> Array:
 
 def _near_lenslets(world: World, near_mm: tuple[float, float]) -> Array:
     """Return a few lenslets round a point of the array, and the sensor behind them."""
-    of = world.tables.array.lenslets
-    half = 0.5 * LENSLETS * of.lattice.pitch
+    lenslets = world.tables.array.lenslets
+    half = 0.5 * LENSLETS * lenslets.lattice.pitch
     x, y = near_mm
-    box = _box([x - half, y - half, of.top], [x + half, y + half, of.thickness])
+    box = _box([x - half, y - half, lenslets.top], [x + half, y + half, lenslets.thickness])
     corners = frames.points(world.tables.frames[ARRAY_FRAME, CAMERA_FRAME], box)
     to_sensor = frames.points(world.tables.frames[CAMERA_FRAME, SENSOR_FRAME], corners)
     to_sensor[:, 2] = 0.0

@@ -55,7 +55,7 @@ class RayLines:
 
     @property
     def caption(self) -> str:
-        """How many paths are drawn, and that some are not."""
+        """Number of the paths drawn, and whether some are not."""
         drawn, all_ = int(self.drawn.sum()), len(self.rays)
         if drawn == all_:
             return f"{all_:,} path{'' if all_ == 1 else 's'}"

@@ -468,11 +468,11 @@ def _outside_cells(
         row = min(max(np.floor(rays[i, 1] / sensor.pixel + 0.5 * sensor.rows), 0), sensor.rows - 1)
         x, y = (column + 0.5 - 0.5 * sensor.columns) * sensor.pixel, (row + 0.5 - 0.5 * sensor.rows) * sensor.pixel
         px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
-        listed = list_cells(array, aim, px, py, pz, HALF_DIAGONAL * sensor.pixel, near)
+        glass = glass_before_faces(array, colour[i])
+        listed = list_cells(array, aim, glass, px, py, pz, HALF_DIAGONAL * sensor.pixel, near)
         x, y, z = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, rays[i, 0], rays[i, 1], 0.0)
         dx, dy, dz = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
-        maybe, _ = cells_that_show(aim, near, listed, cells, x, y, z)
-        glass = glass_before_faces(array, colour[i])
+        maybe, _, _, _ = cells_that_show(aim, near, listed, cells, x, y, z)
         surely_drawn, drawn = spread_on_faces(array, aim, glass, near, cells, maybe, x, y, z, dx, dy, dz)
         if not surely_drawn + drawn > 0.0:
             outside[i] = np.inf

@@ -37,8 +37,14 @@ MARGIN_SHARE = 0.05
 FEW = 2.0
 """Main rays of a pixel that it must at least have by its share: with less, chance says of each ray whose it is."""
 
-LISTED = 8
+LISTED = 9
 """What is known of a lenslet that may show the opening, see `list_cells`."""
+
+SOLID_ANGLE = 8
+"""The last of it: by how much a lenslet is more likely to be chosen than another."""
+
+ALIKE = 3
+"""Up to so many cells to each side of the chief ray's, all look alike from the sensor, and are as likely as another."""
 
 NUMBERS_OF_ROLES = -1
 """Child of a pixel's key, beside its samples, from which their roles' numbers are drawn."""
@@ -126,14 +132,16 @@ def role_of(sample: int, shares: Allotment, chance: float) -> int:
 
 
 @pasted
-def list_cells(array: ArrayTables, aim: Aim, x: float, y: float, z: float, reach: float, near: Array) -> int:
+def list_cells(
+    array: ArrayTables, aim: Aim, glass: float, x: float, y: float, z: float, reach: float, near: Array
+) -> int:  # fmt: skip
     """List the lenslets that show (part of) the lens's opening to a point of the sensor or one within reach of it.
 
     Returns
     -------
     int
         How many; `near` has a row for each: its centre, the middle and the square of the radius of the opening as it
-        sees it (slopes), its curvature and its apex's decentre.
+        sees it (slopes), its curvature, its apex's decentre, and how large it looks from the point.
     """
     lattice = array.lenslets.lattice
     over = 1.0 / abs(z - aim.lenslet_z)
@@ -157,7 +165,23 @@ def list_cells(array: ArrayTables, aim: Aim, x: float, y: float, z: float, reach
             count += a * a + b * b <= limit * limit and radius2 >= 0.0
     for i in range(count):
         near[i, 5], near[i, 6], near[i, 7] = shape_of(array.lenslets, int(near[i, 5]), int(near[i, 6]))
+        near[i, SOLID_ANGLE] = 1.0
+    if aim.search > ALIKE:
+        air, plate, _ = path_to_apexes(array, z)
+        for i in range(count):
+            dx, dy = near[i, 0] - x, near[i, 1] - y
+            near[i, SOLID_ANGLE] = solid_angle(np.sqrt(dx * dx + dy * dy), air, plate, glass)
     return count
+
+
+@inlined
+def solid_angle(r: float, air: float, plate: float, glass: float) -> float:
+    """Return the projected solid angle of an area of the apexes, so far sideways, over that of one straight ahead."""
+    s = slope_to(r, air, plate, glass)
+    s2 = s * s
+    q2 = glass * glass + (glass * glass - 1.0) * s2
+    ahead = (air + plate / glass) ** 2
+    return ahead / (spread_on_face(air, plate, glass, s2, q2, np.sqrt(q2), 1.0) * np.sqrt(1.0 + s2))
 
 
 @inlined
@@ -251,7 +275,7 @@ def through_a_lenslet(
     nx, ny, nz = normal
     toward = -1.0 if array.curved_to_lens else 1.0
     role = role_of(sample, shares, numbers[DISCRETE])
-    maybe, surely = cells_that_show(aim, near, listed, cells, x, y, z)
+    maybe, surely, of_maybe, of_surely = cells_that_show(aim, near, listed, cells, x, y, z)
     size = lattice.pitch + 2.0 * aim.cell_margin
     filled = ROW_SPACING if lattice.hexagonal else 1.0
     air, depth, growth = path_to_apexes(array, z)
@@ -261,8 +285,11 @@ def through_a_lenslet(
         return 0.0, 0.0, 0.0, 0.0
     else:
         is_sure = role == MAIN and surely > 0
-        among, count, width = (2, surely, lattice.pitch) if is_sure else (0, maybe, size)
-        chosen = cells[among, min(int(numbers[WHICH_CELL] * count), count - 1)]
+        among, count, total, width = (2, surely, of_surely, lattice.pitch) if is_sure else (0, maybe, of_maybe, size)
+        number = min(int(numbers[WHICH_CELL] * count), count - 1)
+        if aim.search > ALIKE:
+            number = by_solid_angle(near, cells[among], count, numbers[WHICH_CELL] * total)
+        chosen = cells[among, number]
         u, v = _point_of_cell(lattice.hexagonal, numbers[CELL_U], numbers[CELL_V])
         u, v = u * width, v * width
         curvature, ax, ay = near[chosen, 5], u - near[chosen, 6], v - near[chosen, 7]
@@ -289,7 +316,8 @@ def through_a_lenslet(
                 if turned <= 0.0:
                     return 0.0, 0.0, 0.0, 0.0
                 spread = spread_on_face(air, plate, glass, s2, q2, q, turned)
-                density = shares.main * spread / (surely * filled * lattice.pitch * lattice.pitch)
+                spread *= near[chosen, SOLID_ANGLE]
+                density = shares.main * spread / (of_surely * filled * lattice.pitch * lattice.pitch)
                 return dx, dy, dz, (nx * dx + ny * dy + nz * dz) / density
     cos_theta = nx * dx + ny * dy + nz * dz
     surely_drawn, drawn = 0.0, 0.0
@@ -298,9 +326,9 @@ def through_a_lenslet(
     density = 0.0
     if surely_drawn > 0.0:
         if role == MAIN:
-            density = shares.main * surely_drawn / (surely * filled * lattice.pitch * lattice.pitch)
+            density = shares.main * surely_drawn / (of_surely * filled * lattice.pitch * lattice.pitch)
     elif drawn > 0.0:
-        by_cells = drawn / (maybe * filled * size * size)
+        by_cells = drawn / (of_maybe * filled * size * size)
         if surely == 0:
             # All rays are the margin's or blind.
             density = shares.aimed * by_cells + shares.unaimed * cos_theta / np.pi
@@ -314,13 +342,14 @@ def through_a_lenslet(
 @pasted
 def cells_that_show(
     aim: Aim, near: Array, listed: int, cells: NDArray[np.int64], x: float, y: float, z: float
-) -> tuple[int, int]:
+) -> tuple[int, int, float, float]:
     """Find the listed lenslets that may show the opening to a point; return how many, and how many surely do.
 
-    `cells` has their numbers in the list: [0] those that may, [1] whether each surely does, [2] those that surely do.
+    And how large those look together. `cells` has their numbers in the list: [0] those that may, [1] whether each
+    surely does, [2] those that surely do.
     """
     over = 1.0 / abs(z - aim.lenslet_z)
-    maybe, surely = 0, 0
+    maybe, surely, of_maybe, of_surely = 0, 0, 0.0, 0.0
     for cell in range(listed):
         a, b = (near[cell, 0] - x) * over - near[cell, 2], (near[cell, 1] - y) * over - near[cell, 3]
         off2, radius2 = a * a + b * b, near[cell, 4]
@@ -328,7 +357,19 @@ def cells_that_show(
         cells[0, maybe], cells[1, maybe], cells[2, surely] = cell, shows, cell
         maybe += off2 <= radius2
         surely += shows
-    return maybe, surely
+        of_maybe += near[cell, SOLID_ANGLE] * (off2 <= radius2)
+        of_surely += near[cell, SOLID_ANGLE] * shows
+    return maybe, surely, of_maybe, of_surely
+
+
+@inlined
+def by_solid_angle(near: Array, cells: NDArray[np.int64], count: int, part: float) -> int:
+    """Return which of some listed lenslets holds a part of how large they look together, in their order."""
+    for number in range(count - 1):
+        part -= near[cells[number], SOLID_ANGLE]
+        if part < 0.0:
+            return number
+    return count - 1
 
 
 @pasted
@@ -361,6 +402,7 @@ def spread_on_faces(
             continue
         out = half_width_to(lattice, ax + ex, ay + ey)
         spread = spread_on_face(air, depth + growth * sag, glass, s2, q2, q, turned)
+        spread *= near[cell, SOLID_ANGLE]
         drawn += spread * (out <= half + aim.cell_margin)
         surely_drawn += spread * (cells[1, i] * (out <= half))
     return surely_drawn, drawn

@@ -249,7 +249,7 @@ def _aim(
             if array.present:
                 x, y = (column + 0.5) * sensor.pixel, (row + 0.5) * sensor.pixel
                 px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
-                near = list_cells(array, aim, px, py, pz, HALF_DIAGONAL * sensor.pixel, room.near)
+                near = list_cells(array, aim, glass, px, py, pz, HALF_DIAGONAL * sensor.pixel, room.near)
                 shares = allotted(aim, near, samples, derived(replicate_key, pixel))
         numbers = (
             room.numbers[CELL_U, i], room.numbers[CELL_V, i], room.numbers[PIXEL_U, i],

@@ -66,7 +66,7 @@ class BlindCheck:
     hits : int
         Blind samples that found light.
     worst : float
-        Largest difference of any block, in standard errors of the blind estimate; positive where the aim misses light.
+        Largest difference of any block, in standard errors of both estimates; positive where the aim misses light.
     limit : float
         Of that, beyond which a difference is no chance (level 1e-3 in all).
     smallest_deficit : float or None
@@ -122,8 +122,11 @@ class BlindSamples:
         self.found.append(found)
         self.images += wave == 0
 
-    def compared(self, mean: Array) -> BlindCheck:
-        """Return the comparison with an image, (rows, columns, wavelengths) float64, W."""
+    def compared(self, mean: Array, variance: Array) -> BlindCheck:
+        """Return the comparison with an image and its variance, (rows, columns, wavelengths) float64, W and W².
+
+        A variance that is not known (NaN) is taken for none.
+        """
         nothing = np.zeros(0)
         values = np.concatenate([*self.values, nothing.astype(np.int64)])
         found = np.concatenate([*self.found, nothing])
@@ -139,12 +142,16 @@ class BlindSamples:
 
         light = mean.reshape(-1)
         blind, squares = summed(values, found), summed(values, found**2)
-        expected = summed(looked_at, light[looked_at])
+        pixels, times = np.unique(looked_at, return_counts=True)
+        noise = np.nan_to_num(variance.reshape(-1))
+        expected, uncertain = summed(pixels, times * light[pixels]), summed(pixels, times**2 * noise[pixels])
         if self.images:
-            expected += self.images * summed(np.arange(light.size), light)
+            everywhere = np.arange(light.size)
+            expected += self.images * summed(everywhere, light)
+            uncertain += self.images**2 * summed(everywhere, noise)
         # A block that found little would think itself certain: the spread is at least that of what is expected.
         typical = squares.sum() / max(blind.sum(), np.finfo(np.float64).tiny)
-        spread = np.sqrt(np.maximum(squares, expected * typical))
+        spread = np.sqrt(np.maximum(squares, expected * typical) + uncertain)
         limit = -NormalDist().inv_cdf(LEVEL / 2.0 / blind.size)
         known = spread > 0.0
         z = (blind - expected)[known] / spread[known]

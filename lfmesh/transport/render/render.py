@@ -277,7 +277,7 @@ class Renderer:
                 refinement = self._refine(pool, film, mean, tally, began)
         variance = mean.variance()
         # What lamps' own packets bring, no blind sample from a pixel finds.
-        blind = self._blind.compared(mean.mean) if self._blind is not None else None
+        blind = self._blind.compared(mean.mean, variance) if self._blind is not None else None
         if self._lamp_light is not None:
             # No pixel has samples of its own of these packets: they are added once, as the first stage left them.
             mean.mean += self._lamp_light.mean.mean

@@ -15,6 +15,7 @@ from lfmesh.transport.packets.packet import PLATE
 from lfmesh.transport.packets.random import run_key
 from lfmesh.transport.regions.objects import MM2
 from lfmesh.transport.render.adjoint import launch_adjoint
+from lfmesh.transport.render.blind_check import without_aim
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.world import World
@@ -141,3 +142,20 @@ def test_an_even_pixel_of_the_lytro_class_has_no_rare_samples() -> None:
     even = np.ptp(sliding_window_view(mean, (3, 3)), axis=(2, 3)) < 0.02 * mean[1:-1, 1:-1]
     assert even.sum() > 200
     assert np.mean((error[even] / mean[1:-1, 1:-1][even]) ** 2) * samples * replicates < 1e-3
+
+
+def test_lenslets_that_see_half_of_space_are_aimed_at_no_worse_than_by_chance(random_camera: Any) -> None:
+    """Hundreds of lenslets show the opening to each pixel, most of them from far aside, where they look small.
+
+    The spread of the whole image, over seeds, against that of as many rays that go anywhere: a ratio of variances that
+    chance exceeds once in a thousand (F distribution) if they are one. With all lenslets as likely it was 9.
+    """
+    scene = random_camera(32).changed({"camera.sensor.pixels": (60, 60), "transport.replicates": 1})
+    sums: dict[bool, list[float]] = {True: [], False: []}
+    for aimed, found in sums.items():
+        for seed in range(16):
+            world = lf.build(scene.changed({"transport.samples": 32, "transport.seed": seed}))
+            if not aimed:
+                world.tables = world.tables._replace(aim=without_aim(world.tables.aim))
+            found.append(float(Renderer(world, check=False).image().mean.sum()))
+    assert np.var(sums[True], ddof=1) < stats.f.isf(1e-3, 15, 15) * np.var(sums[False], ddof=1)

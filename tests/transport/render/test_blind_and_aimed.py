@@ -26,7 +26,7 @@ def check(scene: lf.Scene) -> None:
     blind = Renderer(world, check=False).image()
     samples = BlindSamples(*blind.mean.shape)
     samples.add(np.arange(blind.mean[..., 0].size), 0, blind.mean.reshape(-1))
-    for found in (samples.compared(aimed.mean), aimed.blind):
+    for found in (samples.compared(aimed.mean, aimed.stderr**2), aimed.blind):
         assert found is not None
         assert abs(found.worst) <= stats.norm.isf(LEVEL / (4.0 * CAMERAS * np.prod(found.blocks))), found
 

@@ -24,7 +24,7 @@ def synthetic(seed: int, missing: float = 0.0) -> BlindCheck:
     chance = 0.02
     weights = random.gamma(2.0, 0.5, len(pixels)) * (random.random(len(pixels)) < chance) / chance
     samples.add(pixels, 0, truth.reshape(-1)[pixels] * weights)
-    return samples.compared((1.0 - missing) * truth)
+    return samples.compared((1.0 - missing) * truth, np.zeros_like(truth))
 
 
 def test_a_picture_that_is_right_is_seldom_called_wrong() -> None:
@@ -45,7 +45,7 @@ def test_the_smallest_deficit_that_is_stated_is_found_in_half_of_the_blocks() ->
 def test_nothing_found_says_nothing() -> None:
     samples = BlindSamples(10, 10, 1)
     samples.add(np.arange(100), 0, np.zeros(100))
-    check = samples.compared(np.ones((10, 10, 1)))
+    check = samples.compared(np.ones((10, 10, 1)), np.zeros((10, 10, 1)))
     assert check.hits == 0
     assert check.smallest_deficit is None
 

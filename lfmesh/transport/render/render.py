@@ -71,9 +71,7 @@ def render(
     KeyboardInterrupt
         Interrupted before the first replicate was finished.
     LfmeshError
-        The scene cannot be built.
-    ValueError
-        `saved` is of another scene.
+        The scene cannot be built, or `saved` is of another one.
     """
     image = Renderer(build(scene), progress=progress).image(saved, keep)
     for ledger in (image.ledger, image.ledger.lamps):

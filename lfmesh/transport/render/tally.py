@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.errors import LfmeshError
 from lfmesh.transport.render.blind_check import BlindSamples
 
 Array = NDArray[np.float64]
@@ -327,13 +328,16 @@ class Layout:
 
         Raises
         ------
-        ValueError
+        LfmeshError
             The arrays are of another render.
         """
         if saved is None:
             return RenderState(self.first())
         second = self.second() if any(name.startswith("second.") for name in saved) else None
-        state: RenderState = filled(RenderState(self.first(), second), saved)
+        try:
+            state: RenderState = filled(RenderState(self.first(), second), saved)
+        except ValueError as error:
+            raise LfmeshError(f"the state that was saved is not that of this scene's render: {error}") from None
         return state
 
     def _work(self) -> Work:

@@ -4,6 +4,7 @@ import io
 import pickle
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import trimesh
 from numpy.typing import NDArray
 
 import lfmesh as lf
+from lfmesh.errors import LfmeshError
 from lfmesh.transport.render import plan
 from lfmesh.transport.render.jobs import Job, render_in_jobs
 from lfmesh.transport.render.plan import Block
@@ -108,7 +110,7 @@ def test_any_cut_has_the_bits_of_the_whole(
 
 def cut_anywhere(pixels: int) -> list[Block]:
     borders = [0, 1, 45, 46, 171, 255, 300, pixels]
-    return [Block(a, b) for a, b in zip(borders, borders[1:], strict=False)]
+    return [Block(first, last) for first, last in pairwise(borders)]
 
 
 def test_another_process_has_the_same_bits(scene_of: Callable[[str], lf.Scene], whole: dict[str, lf.Image]) -> None:
@@ -187,9 +189,9 @@ def test_ctrl_c_gives_the_last_whole_state_to_the_keeper(
 
 def test_the_state_of_another_render_is_refused(scene_of: Callable[[str], lf.Scene]) -> None:
     other = Layout((16, 21, 1), (2, 30), 8).state()
-    with pytest.raises(ValueError, match="another size"):
+    with pytest.raises(LfmeshError, match="another size"):
         Renderer(lf.build(scene_of("image path"))).image(arrays_of(other))
-    with pytest.raises(ValueError, match="missing"):
+    with pytest.raises(LfmeshError, match="missing"):
         Renderer(lf.build(scene_of("image path"))).image({})
 
 

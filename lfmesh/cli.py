@@ -744,6 +744,11 @@ def _render(scene_file: Path, folder: Path, overrides: Overrides | None) -> int:
         from lfmesh.files import run
 
     run.prepare(folder)
+    if run.has_checkpoint(folder):
+        notes = (
+            *notes,
+            f"a render into {folder} was cut short and begins anew; --resume {folder} would go on with it.",
+        )
     for note in notes:
         _say_note(note)
     return _traced(scene, folder, None)
@@ -771,19 +776,19 @@ def _traced(scene: "Scene", folder: Path, saved: "dict[str, Any] | None") -> int
     """Render into a run folder, from the start or from where a checkpoint was `saved`."""
     with _undivided():
         from lfmesh.files import run, words
-        from lfmesh.files.checkpoint import Checkpoints
-        from lfmesh.transport.packets.ledger import LostEnergyWarning
+        from lfmesh.files.checkpoint import Checkpoints, CheckpointWarning
         from lfmesh.transport.render.render import render as trace_image
 
     keep = Checkpoints(folder, run.scene_metadata(scene, folder))
-    with _progress() as report, warnings.catch_warnings():
-        # The summary says what was lost.
-        warnings.simplefilter("ignore", LostEnergyWarning)
+    # The summary says what light was lost.
+    with _progress() as report, _warnings_as_notes(CheckpointWarning):
         image = trace_image(scene, progress=report, saved=saved, keep=keep)
     run.save(image, folder)
     for line in words.summary(image):
         print(textwrap.fill(line, COLUMNS, subsequent_indent="  "))
     print(_whereabouts(image, folder))
+    if not image.complete:
+        print(f"  lfmesh render --resume {folder} goes on with it.")
     return 0 if image.complete else INTERRUPTED
 
 

@@ -2,6 +2,7 @@
 
 import json
 import time
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from lfmesh.files.folder import staged_file
 from lfmesh.scene import Scene
 from lfmesh.transport.render.tally import RenderState, arrays_of
 
-CHECKPOINT = "checkpoint.npz"
+CHECKPOINT = "lfmesh-checkpoint.npz"
 
 FORMAT = 1
 """Of the file; a reader refuses any other."""
@@ -30,6 +31,10 @@ SHARE = 0.01
 """Of the time that checkpoints may take."""
 
 _FACTS = "facts"
+
+
+class CheckpointWarning(UserWarning):
+    """A checkpoint could not be written."""
 
 
 class Checkpoints:
@@ -62,8 +67,10 @@ class Checkpoints:
             with staged_file(self._folder, CHECKPOINT) as file:
                 np.savez(file, **{_FACTS: np.array(facts)}, **arrays_of(state))  # type: ignore[arg-type]
         except OSError as error:
+            # Work that is done is not given up for that.
             reason = error.strerror or error
-            raise FileError(f"{self._folder / CHECKPOINT} cannot be written: {reason}") from None
+            place = self._folder / CHECKPOINT
+            warnings.warn(f"{place} cannot be written: {reason}; the render goes on", CheckpointWarning, stacklevel=2)
 
 
 @dataclass

@@ -80,8 +80,8 @@ def prepare(folder: str | os.PathLike[str]) -> Path:
     with _writable(path) as made:
         if edited := _edited(path, _held_by(path)):
             raise FileError(
-                f"{path / edited[0]} was edited since lfmesh wrote it, and the new run would replace it: copy it to"
-                " another folder and render the copy, or render into another folder"
+                f"{path / edited[0]} was edited since lfmesh wrote it, and the new run would replace it: rename it, or"
+                " copy it elsewhere (paths in a scene file start from its folder), or choose another run folder"
             )
         for made_folder in reversed(made):
             made_folder.rmdir()
@@ -264,7 +264,12 @@ def is_complete(path: Path) -> bool:
     if not path.is_dir():
         raise FileError(f"{path} is no run folder: {'it is a file' if path.exists() else 'it does not exist'}")
     report = _read_report(path)
-    return report is not None and bool(report.get("complete")) and not (path / CHECKPOINT).exists()
+    return report is not None and bool(report.get("complete")) and not has_checkpoint(path)
+
+
+def has_checkpoint(path: Path) -> bool:
+    """Whether a render into a folder was cut short and can go on."""
+    return (path / CHECKPOINT).is_file()
 
 
 def pixels_digest(folder: Path) -> str:

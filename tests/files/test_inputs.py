@@ -153,7 +153,7 @@ def test_a_scene_file_that_was_edited_is_not_replaced(image_of: Build, tmp_path:
     run.prepare(tmp_path)
     mine = (tmp_path / run.SCENE).read_text() + "# my work\n"
     (tmp_path / run.SCENE).write_text(mine)
-    with pytest.raises(FileError, match=r"scene\.toml was edited since .* copy it to another folder"):
+    with pytest.raises(FileError, match=r"scene\.toml was edited since .* copy it elsewhere"):
         run.prepare(tmp_path)
     assert (tmp_path / run.SCENE).read_text() == mine
     # A render that is done is not lost either.

@@ -12,6 +12,7 @@ import pytest
 import trimesh
 
 import lfmesh as lf
+from lfmesh.cli import main
 from lfmesh.errors import FileError
 from lfmesh.files import inputs, run
 from lfmesh.files.folder import MANIFEST, manifest_of
@@ -138,6 +139,37 @@ def test_a_copy_that_was_changed_is_named(image_of: Build, scene_of: lf.Scene, t
     scene = run.open_run(folder).scene
     with pytest.raises(FileError, match=r"chart\.png has changed"):
         scene.resolve(scene.targets[0].material.texture or "")
+
+
+def test_commands_work_on_a_run_that_was_moved_and_never_replace_a_users_scene(
+    scene: lf.Scene, project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shining = {"reflectance": 0.0, "radiance_w_m2_sr": 1.0, "texture": "chart.png"}
+    given = scene.changed({"targets[0].material": shining, "transport.samples": 16, "transport.split": "transmit"})
+    (project / "scene.toml").write_text(given.dump_toml())
+    assert main(["render", "project/scene.toml", "-o", "run"]) == 0
+    pixels = run.pixels_digest(tmp_path / "run")
+    (tmp_path / "away").mkdir()
+    shutil.move("run", "away/moved")
+    shutil.rmtree(project)
+    for words in (["white", "away/moved"], ["decode", "away/moved"], ["refocus", "away/moved", "--distance-mm", "480"],
+                  ["depth", "away/moved", "--samples", "4"], ["render", "away/moved/scene.toml", "-o", "again"],
+                  ["render", "away/moved/scene.toml", "-o", "away/moved"]):  # fmt: skip
+        assert main(words) == 0, capsys.readouterr().err
+    assert run.pixels_digest(tmp_path / "away/moved") == run.pixels_digest(tmp_path / "again") == pixels
+    assert not (tmp_path / "away/moved/white.exr").exists()
+
+    mine = (tmp_path / "again/scene.toml").read_text().replace("samples = 16", "samples = 24")
+    (tmp_path / "again/scene.toml").write_text(mine)
+    capsys.readouterr()
+    assert main(["render", "again/scene.toml", "-o", "again"]) == 2
+    said = capsys.readouterr().err
+    assert "again/scene.toml was edited" in said
+    assert said.count("\n") == 1
+    assert (tmp_path / "again/scene.toml").read_text() == mine
+    assert run.pixels_digest(tmp_path / "again") == pixels
+    assert main(["render", "again/scene.toml", "-o", "other"]) == 0
 
 
 @pytest.mark.parametrize("manifest", [True, False])

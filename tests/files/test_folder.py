@@ -16,6 +16,7 @@ import lfmesh
 from lfmesh.errors import FileError
 from lfmesh.files import checkpoint, run
 from lfmesh.files.checkpoint import CHECKPOINT, Checkpoints
+from lfmesh.files.exports import export
 from lfmesh.files.folder import JOURNAL, MANIFEST, STAGING, manifest_of, recover, saved, staged
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.tally import Layout
@@ -211,6 +212,23 @@ def test_a_checkpoint_killed_at_any_step_is_the_old_one_or_the_new(tmp_path: Pat
     for _ in kill_at_every_step(folder, lambda: keep(2), least=5):
         assert kept() == 1
     assert kept() == 2
+
+
+def test_an_export_killed_at_any_step_is_there_entirely_or_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    home = tmp_path / "home"
+    home.mkdir()
+
+    def write(staging: Path, _: object) -> dict[str, Any]:
+        (staging / "view.png").write_bytes(b"picture")
+        return {"files": ["view.png"]}
+
+    monkeypatch.setitem(export._FIELD_WRITERS, "views", write)
+    field: Any = None
+    for _ in kill_at_every_step(home, lambda: export.export_field(field, home / "out", "views"), least=5):
+        assert not (home / "out").exists() or files_in(home / "out") == {"view.png", export.NOTE}
+        export.export_field(field, home / "next", "views")
+        assert not [path for path in home.iterdir() if path.name.startswith(STAGING)]
+    assert files_in(home / "out") == {"view.png", export.NOTE}
 
 
 def test_staging_of_live_processes_stays_and_that_of_dead_ones_goes(image_of: Build, tmp_path: Path) -> None:

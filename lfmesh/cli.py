@@ -777,8 +777,10 @@ def _traced(scene: "Scene", folder: Path, saved: "dict[str, Any] | None") -> int
     with _undivided():
         from lfmesh.files import run, words
         from lfmesh.files.checkpoint import Checkpoints, CheckpointWarning
+        from lfmesh.files.inputs import pinned
         from lfmesh.transport.render.render import render as trace_image
 
+    scene = pinned(scene)
     keep = Checkpoints(folder, run.scene_metadata(scene, folder))
     # The summary says what light was lost.
     with _progress() as report, _warnings_as_notes(CheckpointWarning):

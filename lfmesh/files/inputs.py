@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 from typing import NamedTuple
 
+from lfmesh.errors import FileError
 from lfmesh.files.paths import relative
 from lfmesh.geometry.mesh_file import companions
 from lfmesh.scene import Scene
@@ -32,6 +33,13 @@ class Source(NamedTuple):
         return all(not Path(name).is_absolute() and ".." not in Path(name).parts for name in self.others)
 
 
+def pinned(scene: Scene) -> Scene:
+    """Return a scene whose files have to stay what they are now, as they are read more than once."""
+    names = dict.fromkeys(name for _, name in files_of(scene))
+    there = {name: path for name in names if (path := scene.resolve(name)).is_file()}
+    return scene.with_digests({name: digest_of(path) for name, path in there.items()})
+
+
 def within(scene: Scene, home: Path, staging: Path | None = None) -> Scene:
     """Return a scene as a run in `home` keeps it: paths from there, and the digests of the files.
 
@@ -42,21 +50,27 @@ def within(scene: Scene, home: Path, staging: Path | None = None) -> Scene:
         The run folder.
     staging : Path, optional
         Where a new run is being made: files are copied there. Without, those are taken that the run has.
-
-    Raises
-    ------
-    FileError
-        The scene is that of a run, and a file is not the one that it was rendered with.
     """
     names = dict.fromkeys(name for _, name in files_of(scene))
-    paths = {name: scene.resolve(name) for name in names}
-    digests = {name: digest_of(path) for name, path in paths.items() if path.is_file()}
-    kept = {name: relative(path, home) for name, path in paths.items()}
+    paths, digests = {}, {}
+    # Anew, as they are now.
+    scene = scene.in_folder(scene.folder)
+    for name in names:
+        try:
+            paths[name] = scene.resolve(name)
+        except FileError:
+            # It has changed or gone since it was traced: what it was stays known, and it is named when it is asked for.
+            digests[name] = scene.digests[name]
+            continue
+        if paths[name].is_file():
+            digests[name] = digest_of(paths[name])
+    kept = {name: relative(paths.get(name, scene.folder / name), home) for name in names}
+    there = {name: path for name, path in paths.items() if name in digests}
     if staging is not None:
-        kept |= _copied({name: paths[name] for name in digests}, digests, staging)
-    else:
-        copies = {digest_of(path): path for path in (home / COPIES).rglob("*") if path.is_file()} if digests else {}
-        kept |= {name: relative(copies[of], home) for name, of in digests.items() if of in copies}
+        kept |= _copied(there, digests, staging)
+    elif there:
+        copies = {digest_of(path): path for path in (home / COPIES).rglob("*") if path.is_file()}
+        kept |= {name: relative(copies[digests[name]], home) for name in there if digests[name] in copies}
     changes = {place: kept[name] for place, name in files_of(scene)}
     moved = scene.changed(changes) if changes else scene
     return moved.in_folder(home).with_digests({kept[name]: of for name, of in digests.items()})

@@ -12,6 +12,7 @@ import pytest
 
 import lfmesh
 from lfmesh.cli import main
+from lfmesh.errors import FileError
 from lfmesh.files import checkpoint, run
 from lfmesh.files.checkpoint import CHECKPOINT, Checkpoints
 from lfmesh.files.folder import STAGING
@@ -215,6 +216,24 @@ def test_a_file_that_changed_or_went_since_is_named_in_one_line(
     (folder / "chart.png").write_bytes(original)
     assert main(["render", "scene.toml", "-o", "whole"]) == 0
     assert bits(folder / "run") == bits(folder / "whole")
+
+
+def test_a_file_that_changes_while_it_is_rendered_does_not_pass_for_what_was_rendered(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = Tracer.traced
+
+    def traced(self: Tracer, pool: Any, replicate: int, *rest: Any) -> Any:
+        if replicate == 2:
+            PIL.Image.new("L", (8, 8)).save(folder / "chart.png")
+        return original(self, pool, replicate, *rest)
+
+    monkeypatch.setattr(Tracer, "traced", traced)
+    assert main(["render", "scene.toml", "-o", "run"]) == 0
+    assert not (folder / "run/inputs").exists()
+    scene = run.open_run(folder / "run").scene
+    with pytest.raises(FileError, match=r"chart\.png has changed since the run was rendered with it"):
+        scene.resolve(scene.targets[0].material.texture or "")
 
 
 def test_a_render_that_begins_anew_says_what_is_lost(

@@ -144,7 +144,7 @@ def test_ctrl_c_while_libraries_are_imported_stops_the_run(
     library = CatchesEverything()
     monkeypatch.setattr(sys, "meta_path", [library, *sys.meta_path])
     # The package's attribute too: both are put back, and the module that is imported here is forgotten.
-    monkeypatch.setattr(lfmesh.transport, "render", lfmesh.transport.render.render)
+    monkeypatch.setattr(lfmesh.transport.render, "render", lfmesh.transport.render.render)
     monkeypatch.delitem(sys.modules, "lfmesh.transport.render.render")
     # As in a process of its own: event loops of other tests leave handlers behind.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -81,11 +81,16 @@ def overridden(scene: "Scene", overrides: Overrides | None) -> "Scene":
         raise SceneError(_as_options(str(error))) from None
 
 
+def as_option(field: str) -> str:
+    """Return the option that sets a field."""
+    return "--" + field.replace("_", "-")
+
+
 def _as_options(message: str) -> str:
     """Name the options of the command line where a message names the fields that they set."""
     return re.sub(
         r"^Scene\.transport\.(\w+)",
-        lambda field: "--" + field[1].replace("_", "-"),
+        lambda field: as_option(field[1]),
         message,
         flags=re.MULTILINE,
     )

@@ -1,19 +1,19 @@
 """From a scene file to a run folder: `lfmesh demo`, `check`, `render`, `white`."""
 
-import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from lfmesh.cli.application import INTERRUPTED, app
 from lfmesh.cli.interrupts import defer_interrupt
-from lfmesh.cli.options import Overrides, RunFolder, SceneFile, overridden
+from lfmesh.cli.options import Overrides, RunFolder, SceneFile, as_option, overridden
 from lfmesh.cli.printing import list_files, say_note, warnings_as_notes, wrapped
 from lfmesh.cli.progress import progress
 from lfmesh.errors import LfmeshError
 
 if TYPE_CHECKING:
+    from lfmesh.scene import Scene
     from lfmesh.transport.render.image import Image
 
 
@@ -51,13 +51,19 @@ Examples:
     lfmesh render scene.toml -o run/
     lfmesh render scene.toml -o run/ --samples 256 --threads 4
     lfmesh render scene.toml -o run/ --wavelengths-nm 486.1 587.6 656.3
+    lfmesh render --resume run/          go on with a render that was cut short
 """
 )
 def render(
-    scene: SceneFile,
+    scene: Annotated[Path | None, Parameter(name="scene", help="Scene file (TOML).")] = None,
     /,
     *,
-    out: Annotated[Path, Parameter(name=["--out", "-o"], help="Run folder to write: new, empty or an older run.")],
+    out: Annotated[
+        Path | None, Parameter(name=["--out", "-o"], help="Run folder to write: new, empty or an older run.")
+    ] = None,
+    resume: Annotated[
+        Path | None, Parameter(help="Run folder of a render that was cut short or killed: go on with it.")
+    ] = None,
     with_white: Annotated[
         bool, Parameter(name="--white", negative=(), help="Also do what lfmesh white does, for decoding.")
     ] = False,
@@ -65,8 +71,15 @@ def render(
 ) -> int:
     """Render a scene into a run folder: raw.exr with its standard error, previews, report.json.
 
-    Ctrl-C keeps the replicates that are finished as a valid run, marked as incomplete.
+    Ctrl-C keeps the replicates that are finished as a valid run, marked as incomplete. --resume goes on with it, or
+    with what a render that was killed had kept, to the same bits as without the break.
     """
+    if resume is not None:
+        code = _resume(resume, scene, out, overrides)
+        return _white(resume, None) if with_white and code == 0 else code
+    if scene is None or out is None:
+        missing = "a scene file" if scene is None else "--out, the run folder to write"
+        raise LfmeshError(f"render needs {missing}: lfmesh render scene.toml -o run/, or lfmesh render --resume run/")
     code = _render(scene, out, overrides)
     return _white(out, None) if with_white and code == 0 else code
 
@@ -89,24 +102,56 @@ def _render(scene_file: Path, folder: Path, overrides: Overrides | None) -> int:
 
     # Whatever can be wrong with the folder is said before the seconds that importing the tracer takes.
     with defer_interrupt():
-        from lfmesh.files import run, words
+        from lfmesh.files import run
 
     run.prepare(folder)
+    if run.has_checkpoint(folder):
+        notes = (
+            *notes,
+            f"a render into {folder} was cut short and begins anew; --resume {folder} would go on with it.",
+        )
     for note in notes:
         say_note(note)
+    return _traced(scene, folder, None)
 
+
+def _resume(folder: Path, scene: Path | None, out: Path | None, overrides: Overrides | None) -> int:
+    """Go on with a render that was cut short; the run itself says which."""
+    given = overrides.given() if overrides else {}
+    threads = Overrides(threads=given.pop("threads", None))
+    beside = [*(["a scene"] if scene else []), *(["--out"] if out else []), *(as_option(name) for name in given)]
+    if beside:
+        raise LfmeshError(f"--resume takes scene and settings from the run: leave out {', '.join(beside)}")
     with defer_interrupt():
-        from lfmesh.transport.packets.ledger import LostEnergyWarning
+        from lfmesh.files import checkpoint, run
+
+    if run.is_complete(folder):
+        print(f"{folder} is complete: there is nothing to go on with.")
+        return 0
+    run.prepare(folder)
+    kept = checkpoint.read(folder, run.scene_from)
+    return _traced(overridden(kept.scene, threads), folder, kept.arrays)
+
+
+def _traced(scene: "Scene", folder: Path, saved: "dict[str, Any] | None") -> int:
+    """Render into a run folder, from the start or from where a checkpoint was `saved`."""
+    with defer_interrupt():
+        from lfmesh.files import run, words
+        from lfmesh.files.checkpoint import Checkpoints, CheckpointWarning
+        from lfmesh.files.inputs import pinned
         from lfmesh.transport.render.render import render as trace_image
 
-    with progress() as report, warnings.catch_warnings():
-        # The summary says what was lost.
-        warnings.simplefilter("ignore", LostEnergyWarning)
-        image = trace_image(scene, progress=report)
+    scene = pinned(scene)
+    keep = Checkpoints(folder, run.scene_metadata(scene, folder))
+    # The summary says what light was lost.
+    with progress() as report, warnings_as_notes(CheckpointWarning):
+        image = trace_image(scene, progress=report, saved=saved, keep=keep)
     run.save(image, folder)
     for line in words.summary(image):
         print(wrapped(line))
     print(_whereabouts(image, folder))
+    if not image.complete:
+        print(f"  lfmesh render --resume {folder} goes on with it.")
     return 0 if image.complete else INTERRUPTED
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import lfmesh
 from lfmesh.errors import FileError
 from lfmesh.files import exr, run
+from lfmesh.files.folder import saved
 from lfmesh.files.picture import write_picture
 from lfmesh.lightfield.field import LightField, from_mosaic, mosaic
 from lfmesh.lightfield.upright import UPRIGHT
@@ -70,8 +71,8 @@ def open_field(folder: Path) -> LightField | None:
         There is no complete run, or the light field is damaged or of another version.
     """
     digest = run.pixels_digest(folder)
-    path = folder / FIELD
-    if not path.is_file():
+    path = saved(folder, FIELD)
+    if path is None:
         return None
     spectral = exr.read(path, PARTS)
     metadata = spectral.metadata

@@ -1,15 +1,15 @@
 """The run folder: a rendered image with everything that is needed to judge and to repeat it."""
 
 import hashlib
+import itertools
 import json
 import os
 import re
-import shutil
 import tempfile
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,9 @@ import lfmesh
 from lfmesh.errors import FileError
 from lfmesh.files import exr, words
 from lfmesh.files.calibration import write_calibration
+from lfmesh.files.checkpoint import CHECKPOINT
+from lfmesh.files.folder import STAGING, Change, Entry, Manifest, commit, is_safe, manifest_of, recover, saved, staged
+from lfmesh.files.inputs import within
 from lfmesh.files.json_values import plain_json
 from lfmesh.files.lenslets import lenslet_means, paint
 from lfmesh.files.preview import write_linear16, write_preview
@@ -27,6 +30,7 @@ from lfmesh.geometry.lattice import Lattice
 from lfmesh.lightfield.calibration import Calibration
 from lfmesh.lightfield.upright import UPRIGHT, Upright
 from lfmesh.scene import Scene, first_order
+from lfmesh.scene.inputs import COPIES
 from lfmesh.transport.aiming.aim_proof import AimProof
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import Refinement
@@ -44,11 +48,13 @@ PREVIEW, VIEW = "preview.png", "preview_view.png"
 WHITE, CALIBRATION, WHITE_PREVIEW = "white.exr", "calibration.json", "white.png"
 PARTS, HITS = ("raw", "stderr"), "hits"
 
-_STAGING = ".lfmesh-"
+EDITED_SECONDS = 2.0
+"""A scene file of a run without manifest that is newer than the report by more was edited."""
+
 _OURS = re.compile(
     r"raw\.exr|report\.json|scene\.toml|preview(_view)?\.png|linear16[\w.]*\.png|calibration\.json|views\.png"
     r"|exposed\.(png|json)|depth(_views|_pixels)?\.exr|depth\.png"
-    r"|(white|lightfield|stack|all_in_focus|refocused_[\w.+]+)\.(exr|png)"
+    r"|(white|lightfield|stack|all_in_focus|refocused_[\w.+]+)\.(exr|png)|inputs/.*"
 )
 
 
@@ -67,10 +73,16 @@ def prepare(folder: str | os.PathLike[str]) -> Path:
     Raises
     ------
     FileError
-        It is no folder, holds something that is not a run, or cannot be written.
+        It is no folder, holds something that is not a run, a scene file of a run that was edited, or cannot be
+        written.
     """
     path = Path(folder)
     with _writable(path) as made:
+        if edited := _edited(path, _held_by(path)):
+            raise FileError(
+                f"{path / edited[0]} was edited since lfmesh wrote it, and the new run would replace it: rename it, or"
+                " copy it elsewhere (paths in a scene file start from its folder), or choose another run folder"
+            )
         for made_folder in reversed(made):
             made_folder.rmdir()
     return path
@@ -82,9 +94,11 @@ def save(image: Image, folder: str | os.PathLike[str]) -> Path:
     ``raw.exr`` holds the mean and its standard error as float32, the samples that brought light as uint32 and, as
     JSON, everything else that `open_run` needs; ``report.json`` the numbers; ``scene.toml`` the scene as rendered;
     ``preview.png`` the raw image and, for a light-field camera, ``preview_view.png`` the picture it saw;
-    ``linear16.png`` linear counts. Pictures are upright; ``raw.exr`` lies as on the sensor, and says so. The files are
-    written beside their places and moved there when all are complete, so that a failure or Ctrl-C leaves the folder as
-    it was. An older run is replaced; other files stay.
+    ``linear16.png`` linear counts; ``inputs`` copies of the meshes and textures; ``manifest.json`` every file with its
+    digest. Pictures are upright; ``raw.exr`` lies as on the sensor, and says so. The files are written beside their
+    places and moved there when all are complete, so that a failure or Ctrl-C leaves the folder as it was. An older run
+    is replaced; other files stay, and a scene file of the run that was edited stays under another name. A complete
+    image takes the place of a checkpoint.
 
     Parameters
     ----------
@@ -102,16 +116,17 @@ def save(image: Image, folder: str | os.PathLike[str]) -> Path:
         As `prepare`, or the disk is full.
     """
     path = Path(folder)
-    with _writable(path):
-        staging = Path(tempfile.mkdtemp(prefix=_STAGING, dir=path))
-        try:
-            names = _write_all(image, staging, path)
-            for stale in set(_listed_files(path)) - set(names):
-                (path / stale).unlink(missing_ok=True)
-            for name in names:
-                (staging / name).replace(path / name)
-        finally:
-            shutil.rmtree(staging, ignore_errors=True)
+    with _writable(path), staged(path) as staging:
+        _write_all(image, staging, path)
+
+        def decide(new: Manifest) -> Change:
+            held = _held_by(path)
+            edited = _edited(path, held)
+            removed = {name for name in held if _OURS.fullmatch(name)} - new.keys() - set(edited)
+            checkpoint = {CHECKPOINT} if image.complete else set()
+            return Change(new, removed | checkpoint, {name: _other_name(path, name) for name in edited if name in new})
+
+        commit(path, staging, decide)
     return path
 
 
@@ -180,7 +195,8 @@ def open_white(folder: str | os.PathLike[str]) -> Image | None:
         It is damaged.
     """
     path = Path(folder)
-    if not (path / WHITE).is_file():
+    recover(path)
+    if saved(path, WHITE) is None:
         return None
     spectral = exr.read(path / WHITE, PARTS, [HITS])
     _refuse_damage(path / WHITE, spectral)
@@ -196,18 +212,15 @@ def added(folder: Path) -> Iterator[Path]:
     FileError
         There is no complete run, or the folder cannot be written.
     """
-    report = report_of(folder)
-    with _writable(folder):
-        staging = Path(tempfile.mkdtemp(prefix=_STAGING, dir=folder))
-        try:
-            yield staging
-            names = sorted(entry.name for entry in staging.iterdir())
-            report["files"] = [*(name for name in report.get("files", []) if name not in names), *names]
-            _write_report(staging / REPORT, report)
-            for name in [*names, REPORT]:
-                (staging / name).replace(folder / name)
-        finally:
-            shutil.rmtree(staging, ignore_errors=True)
+    report_of(folder)
+    with _writable(folder), staged(folder) as staging:
+        yield staging
+
+        def decide(new: Manifest) -> Change:
+            there = {name: entry for name, entry in _held_by(folder).items() if (folder / name).is_file()}
+            return Change({name: entry or Entry.of(folder / name) for name, entry in there.items()} | new)
+
+        commit(folder, staging, decide)
 
 
 def report_of(path: Path) -> dict[str, Any]:
@@ -218,6 +231,7 @@ def report_of(path: Path) -> dict[str, Any]:
     FileError
         There is no complete run, or another version of lfmesh wrote it.
     """
+    recover(path)
     if not path.is_dir():
         raise FileError(f"{path} is no run folder: {'it is a file' if path.exists() else 'it does not exist'}")
     missing = [name for name in (RAW, REPORT) if not (path / name).is_file()]
@@ -233,7 +247,29 @@ def report_of(path: Path) -> dict[str, Any]:
             f" this lfmesh {lfmesh.__version__} reads format {FORMAT}"
             + (f": {reason}; render its {SCENE} again" if reason else "")
         )
+    # That it can be read, and by this version.
+    manifest_of(path)
     return report
+
+
+def is_complete(path: Path) -> bool:
+    """Whether a folder holds the run of a render that came to its end, and no checkpoint of a later one.
+
+    Raises
+    ------
+    FileError
+        It is no folder.
+    """
+    recover(path)
+    if not path.is_dir():
+        raise FileError(f"{path} is no run folder: {'it is a file' if path.exists() else 'it does not exist'}")
+    report = _read_report(path)
+    return report is not None and bool(report.get("complete")) and not has_checkpoint(path)
+
+
+def has_checkpoint(path: Path) -> bool:
+    """Whether a render into a folder was cut short and can go on."""
+    return (path / CHECKPOINT).is_file()
 
 
 def pixels_digest(folder: Path) -> str:
@@ -276,6 +312,7 @@ def _writable(path: Path) -> Iterator[list[Path]]:
 
     Every OSError, here or in the body, is the user's: a full disk, a missing right.
     """
+    recover(path)
     _refuse_foreign(path)
     made: list[Path] = []
     try:
@@ -303,7 +340,7 @@ def _refuse_foreign(path: Path) -> None:
         entries = [entry.name for entry in path.iterdir()] if path.exists() else []
     except OSError as error:
         raise _cannot_write(path, error) from None
-    foreign = sorted(name for name in entries if not name.startswith(_STAGING))
+    foreign = sorted(name for name in entries if not name.startswith(STAGING) and name != CHECKPOINT)
     if foreign and _read_report(path) is None:
         what = foreign[0] if len(foreign) == 1 else f"{len(foreign)} files or folders ({foreign[0]}, ...)"
         raise FileError(f"{path} holds {what} and no run of lfmesh: choose an empty or a new folder")
@@ -323,16 +360,43 @@ def _read_report(path: Path) -> dict[str, Any] | None:
     return report if ours else None
 
 
-def _listed_files(path: Path) -> list[str]:
-    """Files of the run that a folder holds; only such as lfmesh writes, whatever its report says."""
+def _held_by(path: Path) -> dict[str, Entry | None]:
+    """Return the files of the run in a folder, by its manifest, or without one by its report, which has no digests."""
+    try:
+        manifest = manifest_of(path)
+    except FileError:
+        manifest = None
+    if manifest is not None:
+        return dict(manifest)
     files = (_read_report(path) or {}).get("files", [])
-    return [name for name in files if isinstance(name, str) and _OURS.fullmatch(name)]
+    ours = [name for name in files if is_safe(name) and _OURS.fullmatch(name)]
+    return {name: None for name in ours if (path / name).is_file()}
 
 
-def _write_all(image: Image, folder: Path, home: Path) -> list[str]:
-    """Write every file of a run that will live in `home`; return their names, the report last."""
-    metadata = _write_image(folder / RAW, image, home)
-    (folder / SCENE).write_text(_moved(image.scene, home).dump_toml(), encoding="utf-8")
+def _edited(path: Path, held: dict[str, Entry | None]) -> list[str]:
+    """Return the scene file of a run and copies of its inputs, as far as somebody has changed them."""
+
+    def is_edited(name: str, entry: Entry | None) -> bool:
+        if entry is not None:
+            return not entry.fits(path / name)
+        return (path / name).stat().st_mtime > (path / REPORT).stat().st_mtime + EDITED_SECONDS
+
+    mine = [name for name in held if name == SCENE or name.startswith(f"{COPIES}/")]
+    return [name for name in mine if (path / name).is_file() and is_edited(name, held[name])]
+
+
+def _other_name(path: Path, name: str) -> str:
+    """Return a name that is free, for a file of the run that somebody has edited."""
+    place = Path(name)
+    numbers = (f"{place.stem}.edited{number or ''}{place.suffix}" for number in itertools.count())
+    return next(other for other in (place.with_name(n).as_posix() for n in numbers) if not (path / other).exists())
+
+
+def _write_all(image: Image, folder: Path, home: Path) -> None:
+    """Write every file of a run that will live in `home`."""
+    scene = within(image.scene, home, folder)
+    metadata = _write_image(folder / RAW, replace(image, scene=scene), home)
+    (folder / SCENE).write_text(scene.dump_toml(), encoding="utf-8")
     upright = Upright.of(image.scene).picture
     white = write_preview(folder / PREVIEW, upright(image.mean), image.wavelengths_nm, upright(image.stderr))
     pictures: dict[str, Any] = {PREVIEW: {"orientation": UPRIGHT, "encoding": "sRGB", "white_w": white}}
@@ -348,22 +412,15 @@ def _write_all(image: Image, folder: Path, home: Path) -> list[str]:
             "encoding": "linear",
             "watts_per_count": watts_per_count,
         }
-    names = [RAW, SCENE, *pictures, REPORT]
     report = {
         **{key: value for key, value in metadata.items() if key != "scene_toml"},
         "noise": asdict(words.noise(image)),
         "diffraction": words.diffraction(image.scene),
         "summary": words.summary(image),
         "pictures": pictures,
-        "files": names,
     }
-    _write_report(folder / REPORT, report)
-    return names
-
-
-def _write_report(path: Path, report: dict[str, Any]) -> None:
     text = json.dumps(plain_json(report), indent=2, allow_nan=False, ensure_ascii=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    (folder / REPORT).write_text(text + "\n", encoding="utf-8")
 
 
 def _write_image(path: Path, image: Image, home: Path) -> dict[str, Any]:
@@ -414,32 +471,16 @@ def _digest(*parts: NDArray[Any]) -> str:
     return digest.hexdigest()
 
 
-def scene_metadata(scene: Scene, home: Path) -> dict[str, str]:
+def scene_metadata(scene: Scene, home: Path) -> dict[str, Any]:
     """Return what `scene_from` reads, for a file that will live in `home`."""
-    return {"scene_toml": scene.dump_toml(), "scene_folder": _relative(scene.folder, home)}
+    scene = scene if scene.folder == home.resolve() and scene.digests else within(scene, home)
+    return {"scene_toml": scene.dump_toml(), "scene_folder": ".", "inputs": scene.digests}
 
 
 def scene_from(metadata: dict[str, Any], folder: Path) -> Scene:
     """Return the scene as rendered, without asking whether its meshes and textures still exist."""
-    return Scene(**tomllib.loads(metadata["scene_toml"])).in_folder(folder / metadata["scene_folder"])
-
-
-def _moved(scene: Scene, folder: Path) -> Scene:
-    """Return the scene with its relative paths starting from another folder."""
-    paths: dict[str, Any] = {}
-    for number, target in enumerate(scene.targets):
-        for key, path in (("file", target.file), ("material.texture", target.material.texture)):
-            if path is not None and not Path(path).is_absolute():
-                paths[f"targets[{number}].{key}"] = _relative(scene.resolve(path), folder)
-    return scene.changed(paths).in_folder(folder)
-
-
-def _relative(path: Path, folder: Path) -> str:
-    """Return a path relative to a folder, so that a project moves as a whole; absolute on another drive."""
-    try:
-        return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
-    except ValueError:
-        return path.resolve().as_posix()
+    scene = Scene(**tomllib.loads(metadata["scene_toml"])).in_folder(folder / metadata["scene_folder"])
+    return scene.with_digests(metadata.get("inputs", {}))
 
 
 def _micro_images(scene: Scene) -> Lattice | None:

@@ -4,10 +4,12 @@ trimesh reads them. It passes over some broken files in silence (an STL of garba
 it, an OFF that is cut short a smaller mesh), so what it returns is held against what the file says.
 """
 
+import json
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -85,6 +87,36 @@ def load_mesh(path: Path, units: str | None = None) -> list[Piece]:
         if bad:
             raise MeshError(f"{path}: {bad} of {facets} facets have a corner that is no finite number")
     return pieces
+
+
+def companions(path: Path) -> list[str]:
+    """Return the other files that a mesh file reads, by their paths from its folder: materials, pictures, buffers.
+
+    Only those that are there; a mesh that lacks one is refused when it is read.
+    """
+    names: list[str] = []
+    ending = path.suffix.lower()
+    if ending == ".obj":
+        for name in _MATERIAL_FILE.findall(path.read_text(encoding="utf-8", errors="replace")):
+            names.append(name)
+            library = path.parent / name
+            if library.is_file():
+                text = library.read_text(encoding="utf-8", errors="replace")
+                pictures = [_picture_name(value) for value in _PICTURE_FILE.findall(text)]
+                names += [(Path(name).parent / picture).as_posix() for picture in pictures]
+    elif ending == ".gltf":
+        try:
+            document = json.loads(path.read_bytes())
+            uris = [entry.get("uri", "") for key in ("buffers", "images") for entry in document.get(key, [])]
+        except (ValueError, AttributeError, TypeError):
+            return []
+        names += [unquote(uri) for uri in uris if uri and not uri.startswith("data:")]
+    return [name for name in dict.fromkeys(names) if (path.parent / name).is_file()]
+
+
+def _picture_name(value: str) -> str:
+    """Return the file of a map_Kd line: options such as -s 1 1 1 stand before the name."""
+    return value.split()[-1] if value.startswith("-") else value
 
 
 def _read(path: Path, ending: str, units: str | None) -> list[Piece]:
@@ -196,8 +228,7 @@ def _check_obj(path: Path) -> None:
         if not library.is_file():
             raise MeshError(f"{path}: its material file {name} is not there; add it or delete the mtllib line")
         for value in _PICTURE_FILE.findall(library.read_text(encoding="utf-8", errors="replace")):
-            # Options such as -s 1 1 1 stand before the name.
-            picture = value.split()[-1] if value.startswith("-") else value
+            picture = _picture_name(value)
             if not (library.parent / picture).is_file():
                 raise MeshError(f"{library}: its picture {picture} is not there; add it or delete the map_Kd line")
 

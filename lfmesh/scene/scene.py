@@ -12,6 +12,7 @@ from pydantic import Field, PrivateAttr
 from lfmesh.errors import GlassError
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.camera import Camera
+from lfmesh.scene.inputs import found
 from lfmesh.scene.lights import Light
 from lfmesh.scene.model import Fault, Location, Model
 from lfmesh.scene.quantities import Text
@@ -44,6 +45,8 @@ class Scene(Model):
     """How to trace the light."""
 
     _folder: Path = PrivateAttr(default_factory=Path.cwd)
+    _digests: dict[str, str] = PrivateAttr(default_factory=dict)
+    _found: dict[str, Path] = PrivateAttr(default_factory=dict)
 
     @property
     def folder(self) -> Path:
@@ -51,13 +54,36 @@ class Scene(Model):
         return self._folder
 
     def resolve(self, path: str | Path) -> Path:
-        """Return the path of a texture or mesh of this scene as one that can be opened."""
-        return self._folder / path
+        """Return the path of a texture or mesh of this scene as one that can be opened.
+
+        Raises
+        ------
+        FileError
+            The scene is that of a run, and the file is not the one that it was rendered with.
+        """
+        name, place = str(path), self._folder / path
+        if name not in self._digests:
+            return place
+        if name not in self._found:
+            self._found[name] = found(place, self._digests[name], self._folder)
+        return self._found[name]
+
+    @property
+    def digests(self) -> dict[str, str]:
+        """SHA-256 by path of the files that a run was rendered with; empty where any contents will do."""
+        return dict(self._digests)
 
     def in_folder(self, folder: str | Path) -> "Scene":
         """Return the same scene with its relative paths starting from `folder`."""
         copy = self.model_copy()
         copy._folder = Path(folder).resolve()
+        copy._found = {}
+        return copy
+
+    def with_digests(self, digests: dict[str, str]) -> "Scene":
+        """Return the same scene, whose files must have these SHA-256, by their paths."""
+        copy = self.model_copy()
+        copy._digests, copy._found = dict(digests), {}
         return copy
 
     def changed(self, values: dict[str, Any]) -> "Scene":
@@ -85,7 +111,7 @@ class Scene(Model):
                     place[step] = list(place[step])
                 place = place[step]
             place[last] = value
-        return Scene(**data).in_folder(self._folder)
+        return Scene(**data).in_folder(self._folder).with_digests(self._digests)
 
     def dump_toml(self) -> str:
         """Return the scene as TOML that loads to an equal scene; defaults are left out."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files import run as runs
+from lfmesh.files.folder import recover
 from lfmesh.files.preview import displayed
 from lfmesh.geometry import frame as frames
 from lfmesh.lightfield.upright import Upright
@@ -77,6 +78,7 @@ def subject_of(what: "Scene | World | Image | str | os.PathLike[str]") -> Subjec
 
 def _run(folder: Path) -> Subject:
     """Read the scene and the preview of a run, not its large images."""
+    recover(folder)
     for name in (runs.SCENE, runs.PREVIEW):
         if not (folder / name).is_file():
             raise FileError(f"{folder}: has no {name}; give a scene file, or a run folder from lfmesh render")

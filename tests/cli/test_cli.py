@@ -46,7 +46,7 @@ class Renderer:
         self.replicates_until_ctrl_c = math.inf
         self.seconds = 100.0
 
-    def __call__(self, scene: Scene, progress: Report | None = None) -> Image:
+    def __call__(self, scene: Scene, progress: Report | None = None, **_: object) -> Image:
         self.scene = scene = solved(scene)
         transport = scene.transport
         for replicate in range(transport.replicates):

@@ -1,5 +1,6 @@
 """What decoding and refocusing add to a run folder: it reads back, and belongs to the run or goes with it."""
 
+import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,6 +14,7 @@ import pytest
 import lfmesh as lf
 from lfmesh.files import photographs, run
 from lfmesh.files.field import FIELD, open_field, save_field
+from lfmesh.files.folder import MANIFEST
 from lfmesh.lightfield.photograph import all_in_focus
 
 
@@ -46,13 +48,15 @@ def test_a_light_field_reads_back_as_it_was(folder: Path, white: lf.Image) -> No
     assert again.model == field.model
 
 
-def test_the_report_lists_what_was_added_and_the_run_stays_a_run(folder: Path, white: lf.Image) -> None:
+def test_the_manifest_lists_what_was_added_and_the_run_stays_a_run(folder: Path, white: lf.Image) -> None:
     before = lf.open_run(folder)
     save_field(lf.decode(before), folder)
     lf.save_white(white, lf.calibrate(white.scene), folder)
-    listed = json.loads((folder / run.REPORT).read_text())["files"]
-    assert set(listed) == files_of(folder)
-    assert len(listed) == len(set(listed))
+    listed = json.loads((folder / MANIFEST).read_text())["files"]
+    assert {*listed, MANIFEST} == files_of(folder)
+    for name, entry in listed.items():
+        contents = (folder / name).read_bytes()
+        assert entry == {"bytes": len(contents), "sha256": hashlib.sha256(contents).hexdigest()}
     np.testing.assert_array_equal(lf.open_run(folder).mean, before.mean)
 
 

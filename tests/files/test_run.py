@@ -64,8 +64,8 @@ def test_hits_are_kept_as_whole_numbers_and_guarded_like_pixels(image_of: Build,
 def test_a_run_holds_all_its_files_and_nothing_else(image_of: Build, tmp_path: Path) -> None:
     run.save(image_of(), tmp_path / "run")
     files = {"raw.exr", "preview.png", "preview_view.png", "linear16.png", "report.json", "scene.toml"}
-    assert {path.name for path in (tmp_path / "run").iterdir()} == files
-    assert set(json.loads((tmp_path / "run/report.json").read_text())["files"]) == files
+    assert {path.name for path in (tmp_path / "run").iterdir()} == files | {"manifest.json"}
+    assert set(json.loads((tmp_path / "run/manifest.json").read_text())["files"]) == files
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
@@ -124,15 +124,19 @@ def test_the_saved_scene_renders_again_from_the_run_folder(image_of: Build, scen
     again = load(tmp_path / "runs/first/scene.toml")
     texture = again.targets[0].material.texture
     assert texture is not None
-    assert again.resolve(texture).samefile(tmp_path / "project/chart.png")
+    assert again.resolve(texture) == tmp_path / "runs/first/inputs/chart.png"
+    assert again.resolve(texture).read_bytes() == (tmp_path / "project/chart.png").read_bytes()
     back = run.open_run(tmp_path / "runs/first").scene
-    assert back == textured
-    assert back.folder == tmp_path / "project"
+    assert back == again
+    assert back.changed({"targets[0].material.texture": "chart.png"}) == textured
+    assert back.folder == tmp_path / "runs/first"
 
 
 def test_a_run_opens_without_its_meshes_and_textures(image_of: Build, scene: Scene, tmp_path: Path) -> None:
     run.save(image_of(scene.changed({"targets[0].material.texture": "gone.png"})), tmp_path)
-    assert run.open_run(tmp_path).scene.targets[0].material.texture == "gone.png"
+    texture = run.open_run(tmp_path).scene.targets[0].material.texture
+    assert texture is not None
+    assert Path(texture).name == "gone.png"
 
 
 def test_an_interrupted_run_is_valid_and_marked(image_of: Build, tmp_path: Path) -> None:
@@ -176,12 +180,20 @@ def test_a_new_run_replaces_the_old_one_and_leaves_other_files(image_of: Build, 
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
-def test_a_report_cannot_make_save_delete_outside_its_folder(image_of: Build, tmp_path: Path) -> None:
+@pytest.mark.parametrize("file", ["manifest.json", "report.json"])
+def test_no_file_can_make_save_delete_outside_its_folder(image_of: Build, tmp_path: Path, file: str) -> None:
     run.save(image_of(), tmp_path / "run")
     (tmp_path / "precious.txt").write_text("keep")
-    report = json.loads((tmp_path / "run/report.json").read_text())
-    report["files"] += ["../precious.txt", str(tmp_path / "precious.txt"), ".."]
-    (tmp_path / "run/report.json").write_text(json.dumps(report))
+    (tmp_path / "run/inputs").mkdir()
+    document = json.loads((tmp_path / "run" / file).read_text())
+    names = ["../precious.txt", str(tmp_path / "precious.txt"), "..", "inputs/../../precious.txt"]
+    if file == "report.json":
+        # As in runs of before there were manifests.
+        (tmp_path / "run/manifest.json").unlink()
+        document["files"] = names
+    else:
+        document["files"] |= {name: {"bytes": 4, "sha256": "0" * 64} for name in names}
+    (tmp_path / "run" / file).write_text(json.dumps(document))
     run.save(image_of(), tmp_path / "run")
     assert (tmp_path / "precious.txt").read_text() == "keep"
 

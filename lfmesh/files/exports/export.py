@@ -2,8 +2,6 @@
 
 import json
 import os
-import shutil
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -18,6 +16,7 @@ from lfmesh.files.exports.lftoolbox import write_eslf, write_mat
 from lfmesh.files.exports.plenopticam import write_plenopticam
 from lfmesh.files.exports.plenpy import write_plenpy
 from lfmesh.files.exports.views import write_views
+from lfmesh.files.folder import recover, staged
 from lfmesh.lightfield.calibration import Calibration
 from lfmesh.lightfield.field import LightField
 from lfmesh.transport.render.image import Image
@@ -110,17 +109,14 @@ def _exported(folder: Path, kind: str, write: Callable[[Path], dict[str, Any]]) 
             what = "is not empty" if folder.is_dir() else "is a file"
             raise FileError(f"{folder} {what}: choose an empty or a new folder")
         folder.parent.mkdir(parents=True, exist_ok=True)
-        beside = Path(tempfile.mkdtemp(prefix=".lfmesh-", dir=folder.parent))
-        try:
-            staging = beside / folder.name
-            staging.mkdir()
+        recover(folder.parent)
+        with staged(folder.parent) as staging:
             facts = {"format": kind, "lfmesh_version": lfmesh.__version__, **write(staging)}
             (staging / NOTE).write_text(json.dumps(facts, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
             if folder.exists():
                 folder.rmdir()
+            # One step: the folder is there with all its files, or not at all.
             staging.replace(folder)
-        finally:
-            shutil.rmtree(beside, ignore_errors=True)
     except OSError as error:
         raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None
     return [folder / name for name in [*facts["files"], NOTE]]

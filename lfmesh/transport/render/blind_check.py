@@ -122,6 +122,13 @@ class BlindSamples:
         self.found.append(found)
         self.images += wave == 0
 
+    def join(self, other: "BlindSamples") -> None:
+        """Add what another replicate found."""
+        self.values += other.values
+        self.found += other.found
+        self.looked_at += other.looked_at
+        self.images += other.images
+
     def compared(self, mean: Array, variance: Array) -> BlindCheck:
         """Return the comparison with an image and its variance, (rows, columns, wavelengths) float64, W and W².
 

@@ -1,0 +1,342 @@
+"""A run folder as a whole: its manifest, and changes that happen entirely or not at all, whenever a process is killed.
+
+New files are written into a staging folder inside the run folder, the new manifest among them. Then a journal, which
+names what will be moved and what removed, appears in one step: from there on the change is decided. Whoever looks at
+the folder next finishes what a journal says, and removes staging folders whose process is gone; it knows that by a lock
+on the folder, which the system releases with the process.
+"""
+
+import json
+import os
+import secrets
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from importlib import import_module
+from pathlib import Path, PurePosixPath
+from typing import Any, NamedTuple
+
+import lfmesh
+from lfmesh.errors import FileError
+from lfmesh.scene.inputs import COPIES, digest_of
+
+# Windows has none.
+fcntl: Any = import_module("fcntl") if os.name == "posix" else None
+
+MANIFEST, JOURNAL = "manifest.json", ".lfmesh-journal.json"
+STAGING = ".lfmesh-"
+
+FORMAT = 1
+"""Of the manifest; a reader refuses any other."""
+
+FORGOTTEN_SECONDS = 86_400.0
+"""Where files cannot be locked, staging as old as this is that of a dead process."""
+
+
+class Entry(NamedTuple):
+    """A file as it was saved."""
+
+    bytes: int
+    sha256: str
+
+    @classmethod
+    def of(cls, path: Path) -> "Entry":
+        """Return the entry of a file."""
+        return cls(path.stat().st_size, digest_of(path))
+
+    def fits(self, path: Path) -> bool:
+        """Whether a file is as it was saved."""
+        return path.stat().st_size == self.bytes and digest_of(path) == self.sha256
+
+
+Manifest = dict[str, Entry]
+"""Files by their name in the run folder, with / between folders."""
+
+
+def is_safe(name: Any) -> bool:
+    """Whether a name from a file on disk stays inside the run: a plain name, or one in the folder of copied inputs."""
+    if not isinstance(name, str) or not name or "\\" in name or ":" in name:
+        return False
+    parts = PurePosixPath(name).parts
+    inside = not ({"..", "/", "."} & set(parts)) and not name.startswith("/")
+    return inside and (len(parts) == 1 or parts[0] == COPIES) and parts[0] != JOURNAL
+
+
+def manifest_of(folder: Path) -> Manifest | None:
+    """Return what a run folder holds; None where no manifest says so, as in runs of older versions.
+
+    Raises
+    ------
+    FileError
+        The manifest is damaged, or of another version.
+    """
+    path = folder / MANIFEST
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        if document["format"] != FORMAT:
+            raise FileError(
+                f"{path} has format {document['format']}, written by lfmesh {document['lfmesh_version']}; this lfmesh"
+                f" {lfmesh.__version__} reads format {FORMAT}"
+            )
+        entries = {name: Entry(int(of["bytes"]), str(of["sha256"])) for name, of in document["files"].items()}
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise FileError(f"{path} is damaged; render the scene again") from None
+    return {name: entry for name, entry in entries.items() if is_safe(name)}
+
+
+def saved(folder: Path, name: str) -> Path | None:
+    """Return a file of a run as it was saved; None where the run has none.
+
+    Raises
+    ------
+    FileError
+        It is not what was saved.
+    """
+    manifest, path = manifest_of(folder), folder / name
+    if not path.is_file() or (manifest is not None and name not in manifest):
+        return None
+    if manifest is not None and not manifest[name].fits(path):
+        raise FileError(f"{path} is truncated or damaged: it is not what was saved")
+    return path
+
+
+def is_forgotten(path: Path) -> bool:
+    """Whether nobody works in a staging folder (or on a staged file) any more."""
+    with _lock(path, wait=False) as locked:
+        if locked is None:
+            return time.time() - path.stat().st_mtime > FORGOTTEN_SECONDS
+        return locked
+
+
+def recover(folder: Path) -> None:
+    """Finish the change that a journal has decided, and remove the staging of dead processes.
+
+    Raises
+    ------
+    FileError
+        There is something to finish, and the folder cannot be written.
+    """
+    try:
+        left = [entry for entry in folder.iterdir() if entry.name.startswith(STAGING)]
+    except OSError:
+        return
+    if not left:
+        return
+    try:
+        with _lock(folder):
+            if (folder / JOURNAL).exists():
+                _finish(folder)
+            for entry in left:
+                # Another process may have cleared it meanwhile, or it may be somebody else's.
+                with suppress(OSError):
+                    if entry.name != JOURNAL and is_forgotten(entry):
+                        _remove(entry)
+    except OSError as error:
+        if (folder / JOURNAL).exists():
+            raise FileError(
+                f"{folder} holds a save that was cut short, and cannot be written to finish it:"
+                f" {error.strerror or error}"
+            ) from None
+
+
+@contextmanager
+def staged(parent: Path) -> Iterator[Path]:
+    """Yield an empty folder inside another, ours as long as this process lives; remove it at the end."""
+    with _lock(parent):
+        staging = parent / f"{STAGING}{os.getpid()}-{secrets.token_hex(4)}"
+        staging.mkdir()
+        handle = _held(staging)
+    try:
+        yield staging
+    finally:
+        if not (parent / JOURNAL).exists():
+            shutil.rmtree(staging, ignore_errors=True)
+        if handle is not None:
+            os.close(handle)
+
+
+@contextmanager
+def staged_file(folder: Path, name: str) -> Iterator[Any]:
+    """Yield a new binary file, which takes the place of a file of a folder when the body is done."""
+    with _lock(folder):
+        handle, temporary = tempfile.mkstemp(prefix=STAGING, dir=folder)
+        if fcntl is not None:
+            with suppress(OSError):
+                fcntl.flock(handle, fcntl.LOCK_EX)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+            Path(temporary).chmod(0o666 & ~_umask())
+            os.replace(temporary, folder / name)  # noqa: PTH105
+    except BaseException:
+        with suppress(OSError):
+            os.unlink(temporary)  # noqa: PTH108
+        raise
+
+
+class Change(NamedTuple):
+    """What a change does, besides moving in what is staged.
+
+    Attributes
+    ----------
+    manifest : dict
+        All that the folder will hold, new files included.
+    removed : iterable of str
+        Files that go.
+    moved : dict
+        Files that get another name before a new one takes theirs.
+    """
+
+    manifest: Manifest
+    removed: Iterable[str] = ()
+    moved: Mapping[str, str] = {}
+
+
+def commit(folder: Path, staging: Path, decide: Callable[[Manifest], Change]) -> None:
+    """Make what is staged part of a folder, for good or not at all.
+
+    Parameters
+    ----------
+    folder : Path
+    staging : Path
+        From `staged`, with the new files.
+    decide : callable
+        Called with the new files when nobody else changes the folder.
+    """
+    names = sorted(path.relative_to(staging).as_posix() for path in staging.rglob("*") if path.is_file())
+    new = {name: Entry.of(staging / name) for name in names}
+    for name in names:
+        _to_disk(staging / name)
+    with _lock(folder):
+        # A change that another process decided and did not finish comes first.
+        if (folder / JOURNAL).exists():
+            _finish(folder)
+        change = decide(new)
+        _write_json(
+            staging / MANIFEST,
+            {
+                "format": FORMAT,
+                "lfmesh_version": lfmesh.__version__,
+                "about": "Every file of this run with its size and SHA-256; what is not named here is not part of it.",
+                "files": {name: entry._asdict() for name, entry in sorted(change.manifest.items())},
+            },
+        )
+        prepared = staging / JOURNAL
+        # The manifest last: it decides what is there.
+        journal = {"staging": staging.name, "files": [*names, MANIFEST], "removed": sorted(change.removed)}
+        _write_json(prepared, {**journal, "moved": dict(change.moved)})
+        os.replace(prepared, folder / JOURNAL)  # noqa: PTH105
+        try:
+            _finish(folder)
+        except KeyboardInterrupt:
+            _finish(folder)
+            raise
+
+
+def _write_json(path: Path, document: dict[str, Any]) -> None:
+    path.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    _to_disk(path)
+
+
+def _finish(folder: Path) -> None:
+    """Do what the journal says; each step may have been done before."""
+    path = folder / JOURNAL
+    try:
+        journal = json.loads(path.read_text(encoding="utf-8"))
+        staging = folder / str(journal["staging"])
+        files, removed, moved = journal["files"], journal["removed"], dict(journal["moved"])
+    except (ValueError, KeyError, TypeError):
+        # Nobody writes half a journal: this is no work of ours.
+        raise FileError(f"{path} is damaged; delete it, and render the scene again") from None
+    names = [*files, *removed, *moved, *moved.values()]
+    if not all(map(is_safe, names)) or not staging.name.startswith(STAGING) or staging.parent != folder:
+        raise FileError(f"{path} names files outside of the run; delete it, and render the scene again")
+    for name, other in moved.items():
+        if (staging / name).exists() and (folder / name).exists() and not (folder / other).exists():
+            os.replace(folder / name, folder / other)  # noqa: PTH105
+    for name in files:
+        if (staging / name).exists():
+            (folder / name).parent.mkdir(exist_ok=True, parents=True)
+            os.replace(staging / name, folder / name)  # noqa: PTH105
+    for name in removed:
+        (folder / name).unlink(missing_ok=True)
+    _remove_empty(folder / COPIES)
+    _to_disk(folder)
+    shutil.rmtree(staging, ignore_errors=True)
+    path.unlink(missing_ok=True)
+
+
+def _remove(entry: Path) -> None:
+    if entry.is_dir() and not entry.is_symlink():
+        shutil.rmtree(entry, ignore_errors=True)
+    else:
+        entry.unlink(missing_ok=True)
+
+
+def _remove_empty(folder: Path) -> None:
+    """Remove a folder and those in it, as far as they hold nothing."""
+    if folder.is_dir() and not folder.is_symlink():
+        for inner in folder.iterdir():
+            _remove_empty(inner)
+        with suppress(OSError):
+            folder.rmdir()
+
+
+def _to_disk(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk, where the system lets one ask for it."""
+    try:
+        handle = os.open(path, os.O_RDONLY)
+    except OSError:
+        return
+    try:
+        with suppress(OSError):
+            os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _held(path: Path) -> int | None:
+    """Lock a folder as long as this process has the handle open; None where that cannot be done."""
+    if fcntl is None:
+        return None
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+    except OSError:
+        os.close(handle)
+        return None
+    return handle
+
+
+@contextmanager
+def _lock(path: Path, *, wait: bool = True) -> Iterator[bool | None]:
+    """Hold a lock on a folder or file; yield False where another has it, None where there are no locks."""
+    if fcntl is None:
+        yield None
+        return
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            locked: bool | None = True
+        except BlockingIOError:
+            locked = False
+        except OSError:
+            locked = None
+        yield locked
+    finally:
+        os.close(handle)

@@ -1,0 +1,109 @@
+"""What a scene reads, copied into its run: a run can be moved, and renders again when its sources are gone."""
+
+import shutil
+from pathlib import Path
+from typing import NamedTuple
+
+from lfmesh.errors import FileError
+from lfmesh.files.paths import relative
+from lfmesh.geometry.mesh_file import companions
+from lfmesh.scene import Scene
+from lfmesh.scene.inputs import COPIES, digest_of, files_of
+
+LIMIT_BYTES = 64 * 2**20
+"""Copies of a run in all, the smallest files first; what is beyond is known by its digest, and looked for."""
+
+
+class Source(NamedTuple):
+    """A file that a scene names, with those that it reads in turn."""
+
+    path: Path
+    others: list[str]
+    bytes: int
+
+    @classmethod
+    def of(cls, path: Path) -> "Source":
+        """Look at a file."""
+        others = companions(path)
+        return cls(path, others, sum((path.parent / name).stat().st_size for name in [path.name, *others]))
+
+    @property
+    def movable(self) -> bool:
+        """Whether all it reads lies in its folder or below."""
+        return all(not Path(name).is_absolute() and ".." not in Path(name).parts for name in self.others)
+
+
+def pinned(scene: Scene) -> Scene:
+    """Return a scene whose files have to stay what they are now, as they are read more than once."""
+    names = dict.fromkeys(name for _, name in files_of(scene))
+    there = {name: path for name in names if (path := scene.resolve(name)).is_file()}
+    return scene.with_digests({name: digest_of(path) for name, path in there.items()})
+
+
+def within(scene: Scene, home: Path, staging: Path | None = None) -> Scene:
+    """Return a scene as a run in `home` keeps it: paths from there, and the digests of the files.
+
+    Parameters
+    ----------
+    scene : Scene
+    home : Path
+        The run folder.
+    staging : Path, optional
+        Where a new run is being made: files are copied there. Without, those are taken that the run has.
+    """
+    names = dict.fromkeys(name for _, name in files_of(scene))
+    paths, digests = {}, {}
+    # Anew, as they are now.
+    scene = scene.in_folder(scene.folder)
+    for name in names:
+        try:
+            paths[name] = scene.resolve(name)
+        except FileError:
+            # It has changed or gone since it was traced: what it was stays known, and it is named when it is asked for.
+            digests[name] = scene.digests[name]
+            continue
+        if paths[name].is_file():
+            digests[name] = digest_of(paths[name])
+    kept = {name: relative(paths.get(name, scene.folder / name), home) for name in names}
+    there = {name: path for name, path in paths.items() if name in digests}
+    if staging is not None:
+        kept |= _copied(there, digests, staging)
+    elif there:
+        copies = {digest_of(path): path for path in (home / COPIES).rglob("*") if path.is_file()}
+        kept |= {name: relative(copies[digests[name]], home) for name in there if digests[name] in copies}
+    changes = {place: kept[name] for place, name in files_of(scene)}
+    moved = scene.changed(changes) if changes else scene
+    return moved.in_folder(home).with_digests({kept[name]: of for name, of in digests.items()})
+
+
+def _copied(paths: dict[str, Path], digests: dict[str, str], staging: Path) -> dict[str, str]:
+    """Copy what fits, and return the copies' paths from the run folder by the names in the scene."""
+    sources = {name: Source.of(path) for name, path in paths.items()}
+    copies: dict[str, str] = {}
+    by_contents: dict[tuple[str, str], str] = {}
+    room = LIMIT_BYTES
+    for name, source in sorted(sources.items(), key=lambda item: item[1].bytes):
+        same = digests[name], source.path.name
+        if same not in by_contents:
+            if source.bytes > room or not source.movable:
+                continue
+            room -= source.bytes
+            by_contents[same] = _copy(source, staging)
+        copies[name] = by_contents[same]
+    return copies
+
+
+def _copy(source: Source, staging: Path) -> str:
+    """Copy a file and those that it reads, these in a folder of their own; return its path from the run folder."""
+    folder = Path(COPIES, source.path.stem) if source.others else Path(COPIES)
+    stem, number = source.path.stem, 1
+    place = folder / source.path.name
+    while (staging / (folder if source.others else place)).exists():
+        number += 1
+        folder = Path(COPIES, f"{stem}-{number}") if source.others else folder
+        place = folder / (source.path.name if source.others else f"{stem}-{number}{source.path.suffix}")
+    for name in [source.path.name, *source.others]:
+        copy = staging / (place if name == source.path.name else folder / name)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source.path.parent / name, copy)
+    return place.as_posix()

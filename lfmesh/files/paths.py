@@ -1,0 +1,12 @@
+"""Paths from one folder to another."""
+
+import os
+from pathlib import Path
+
+
+def relative(path: Path, folder: Path) -> str:
+    """Return a path relative to a folder, so that a project moves as a whole; absolute on another drive."""
+    try:
+        return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+    except ValueError:
+        return path.resolve().as_posix()

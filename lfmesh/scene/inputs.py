@@ -1,0 +1,65 @@
+"""The files that a scene reads: which they are, and finding again those that a run was rendered with."""
+
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import AfterValidator, BaseModel
+
+from lfmesh.errors import FileError
+from lfmesh.scene.quantities import FilePath
+
+COPIES = "inputs"
+"""Folder of a run that holds copies of what its scene reads."""
+
+_MARKS = [mark for mark in get_args(FilePath) if isinstance(mark, AfterValidator)]
+
+
+def files_of(model: BaseModel, where: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the files that a model and its parts name: their place in it, as `Scene.changed` takes it, and their path.
+
+    Lens files are not among them: they are read into the scene before it is traced.
+    """
+    for key, field in type(model).model_fields.items():
+        value = getattr(model, key)
+        place = f"{where}.{key}" if where else key
+        if isinstance(value, str):
+            if any(mark in field.metadata for mark in _MARKS) or _names_a_file(field.annotation):
+                yield place, value
+        elif isinstance(value, BaseModel):
+            yield from files_of(value, place)
+        elif isinstance(value, tuple):
+            for number, item in enumerate(value):
+                if isinstance(item, BaseModel):
+                    yield from files_of(item, f"{place}[{number}]")
+
+
+def _names_a_file(annotation: Any) -> bool:
+    """Whether a type, or one that it is a union of, is `FilePath`."""
+    arguments = get_args(annotation)
+    return any(mark in arguments for mark in _MARKS) or any(_names_a_file(argument) for argument in arguments)
+
+
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def found(path: Path, digest: str, folder: Path) -> Path:
+    """Find the file that a run was rendered with: at its path, or by its name beside or in the run's folder.
+
+    Raises
+    ------
+    FileError
+        It is not there, or is there with other contents.
+    """
+    places = dict.fromkeys([path, folder / COPIES / path.name, folder / path.name, folder.parent / path.name])
+    present = [place for place in places if place.is_file()]
+    for place in present:
+        if digest_of(place) == digest:
+            return place
+    if present:
+        raise FileError(f"{present[0]} has changed since the run was rendered with it; put back what it was")
+    raise FileError(f"{path} is missing, which the run was rendered with; put it back, or beside {folder}")

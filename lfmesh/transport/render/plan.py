@@ -1,0 +1,157 @@
+"""The plan of a replicate: chunks in their fixed order, and blocks of pixels into which it may be cut.
+
+A chunk is what one thread traces at a time. Chunks are the same whatever the cut, and numbered in the order in which
+they are folded.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.transport.render.adaptive import Counts, total_samples
+from lfmesh.transport.render.parts import LAMP_BOOK, Part
+
+PIXELS_SORTED = 1 << 20
+"""Pixels of a second stage that are sorted by their samples at once."""
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """A run of sources of one replicate, part and wavelength: pixels (adjoint) or packets (forward).
+
+    Of a second stage, single pixels that have as many samples each.
+
+    Attributes
+    ----------
+    number : int
+        Place in the order of folding.
+    part : Part
+    first, count : int
+        Pixels or packets.
+    wave : int
+        Number of the wavelength.
+    packets : int
+        Started in all.
+    samples : int
+        Of each pixel.
+    pixels : (count,) int64, or None
+        Where they are not those from `first` on.
+    """
+
+    number: int
+    part: Part
+    first: int
+    count: int
+    wave: int
+    packets: int
+    samples: int = 1
+    pixels: NDArray[np.int64] | None = None
+
+    @property
+    def from_lamps(self) -> bool:
+        """Whether its packets are lamps' own in the adjoint method."""
+        return self.part.book == LAMP_BOOK
+
+    def pixel_numbers(self) -> NDArray[np.int64]:
+        """Return the pixels that it starts from."""
+        return np.arange(self.first, self.first + self.count) if self.pixels is None else self.pixels
+
+
+@dataclass(frozen=True)
+class Block:
+    """Pixels `first` up to `last`, not included, and the same share of the packets that start elsewhere."""
+
+    first: int
+    last: int
+
+    def owns(self, chunk: Chunk) -> bool:
+        """Whether the chunk begins here: it is this block that books it."""
+        first = chunk.first if chunk.part.options.adjoint else chunk.first // chunk.samples
+        return self.first <= first < self.last
+
+    def touches(self, chunk: Chunk) -> bool:
+        """Whether the chunk brings anything that belongs here."""
+        if self.owns(chunk) or not chunk.part.options.adjoint:
+            return self.owns(chunk)
+        if chunk.pixels is None:
+            return chunk.first < self.last and chunk.first + chunk.count > self.first
+        return bool(((chunk.pixels >= self.first) & (chunk.pixels < self.last)).any())
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a scene's replicates are cut into chunks.
+
+    Attributes
+    ----------
+    parts : tuple of Part
+    pixels, waves : int
+    samples : int
+        Of a pixel, in each replicate of the first stage.
+    chunk : int
+        Packets a chunk starts with.
+    """
+
+    parts: tuple[Part, ...]
+    pixels: int
+    waves: int
+    samples: int
+    chunk: int
+
+    def chunks(self, levels: Counts | None = None) -> Iterator[Chunk]:
+        """Yield a replicate's chunks in the order of folding; `levels` (pixels,): of the second stage."""
+        number = 0
+        for part in self.parts:
+            for wave in range(self.waves):
+                pieces = self._first(part) if levels is None else self._second(part, levels)
+                for first, count, samples, pixels in pieces:
+                    packets = count * samples if part.options.adjoint else count
+                    yield Chunk(number, part, first, count, wave, packets, samples, pixels)
+                    number += 1
+
+    def _first(self, part: Part) -> Iterator[tuple[int, int, int, None]]:
+        samples = part.samples(self.samples)
+        adjoint = part.options.adjoint
+        per_chunk = max(1, self.chunk // samples) if adjoint else self.chunk
+        total = self.pixels if adjoint else self.pixels * samples
+        for first in range(0, total, per_chunk):
+            yield first, min(per_chunk, total - first), samples, None
+
+    def _second(self, part: Part, levels: Counts) -> Iterator[tuple[int, int, int, NDArray[np.int64]]]:
+        """Yield the chunks of a second-stage replicate: pixels with the same number of samples together."""
+        if not part.options.adjoint:
+            return
+        for block in range(0, self.pixels, PIXELS_SORTED):
+            sorted_here = levels[block : block + PIXELS_SORTED]
+            for level in np.unique(sorted_here[sorted_here > 0]):
+                samples = part.samples(1 << (int(level) - 1))
+                pixels = block + np.flatnonzero(sorted_here == level)
+                per_chunk = max(1, self.chunk // samples)
+                for first in range(0, len(pixels), per_chunk):
+                    some = pixels[first : first + per_chunk]
+                    yield int(some[0]), len(some), samples, some
+
+    def packets(self, levels: Counts | None = None) -> int:
+        """Return how many packets a replicate starts."""
+        if levels is None:
+            return sum(self.waves * self.pixels * part.samples(self.samples) for part in self.parts)
+        adjoint = [part for part in self.parts if part.options.adjoint]
+        return sum(self.waves * total_samples(levels, part.samples) for part in adjoint)
+
+    def whole(self) -> Block:
+        """Return the block of all pixels."""
+        return Block(0, self.pixels)
+
+    def blocks(self, wanted: int, *, second: bool = False) -> list[Block]:
+        """Cut the pixels into about so many blocks.
+
+        Any cut gives the same bits. These fall between the chunks of the first stage, where its samples are a power of
+        two, and between the pixels that a second stage sorts together, so that hardly a chunk is traced twice.
+        """
+        adjoint = [part.samples(self.samples) for part in self.parts if part.options.adjoint]
+        step = max(max(1, self.chunk // samples) for samples in adjoint or [self.samples])
+        step = PIXELS_SORTED if second else step
+        each = step * max(1, round(self.pixels / (step * wanted)))
+        return [Block(first, min(first + each, self.pixels)) for first in range(0, self.pixels, each)]

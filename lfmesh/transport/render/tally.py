@@ -1,0 +1,384 @@
+"""Tallies: what the replicates of a render bring, and the running sum over them, as values.
+
+The flow is chunk → tally of a replicate → sum of a stage → state of the render → image. Everything here is numbers and
+numpy arrays: it pickles, and `arrays_of` and `filled` save and load it. Every sum is folded in one order, chunk by
+chunk and replicate by replicate, so that the result does not depend on who traced what and when.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.transport.render.blind_check import BlindSamples
+
+Array = NDArray[np.float64]
+Shape = tuple[int, int, int]
+"""Rows and columns of the sensor, and wavelengths."""
+
+
+@dataclass
+class Film:
+    """The light of one replicate, or of a block of its pixels.
+
+    Attributes
+    ----------
+    power : (pixels, wavelengths) float64, W
+    hits : (pixels, wavelengths) uint32
+        Samples that brought something; forward: packets.
+    origin : int
+        Number of the pixel in the first row.
+    """
+
+    power: Array
+    hits: NDArray[np.uint32]
+    origin: int = 0
+
+    @classmethod
+    def empty(cls, pixels: int, waves: int, origin: int = 0) -> "Film":
+        """Return one without light."""
+        return cls(np.zeros((pixels, waves)), np.zeros((pixels, waves), np.uint32), origin)
+
+    def clear(self) -> None:
+        """Take all light away."""
+        self.power[:] = 0.0
+        self.hits[:] = 0
+
+    def deposit(self, fallen: NDArray[np.void]) -> None:
+        """Add packets that fell on pixels: fields pixel, wave and weight, W."""
+        np.add.at(self.power, (fallen["pixel"], fallen["wave"]), fallen["weight"])
+        np.add.at(self.hits, (fallen["pixel"], fallen["wave"]), np.uint32(1))
+
+    def part(self, first: int, last: int) -> "Film":
+        """Return a copy of the pixels from number `first` up to `last`, not included."""
+        rows = slice(first - self.origin, last - self.origin)
+        return Film(self.power[rows].copy(), self.hits[rows].copy(), first)
+
+
+@dataclass
+class Work:
+    """Work done.
+
+    Attributes
+    ----------
+    counts : (COUNTERS,) int64
+        Events and the like, see `lfmesh.transport.packets.packet`.
+    packets : int
+        Started.
+    queries : int
+        Rays that Embree was asked about.
+    embree_seconds, thread_seconds : float
+        Summed over threads.
+    """
+
+    counts: NDArray[np.int64]
+    packets: int = 0
+    queries: int = 0
+    embree_seconds: float = 0.0
+    thread_seconds: float = 0.0
+
+    def add(self, other: "Work") -> None:
+        """Add other work."""
+        self.counts += other.counts
+        self.packets += other.packets
+        self.queries += other.queries
+        self.embree_seconds += other.embree_seconds
+        self.thread_seconds += other.thread_seconds
+
+
+@dataclass
+class ChunkTally:
+    """One chunk's result, apart from the light that it added to a film of pixels.
+
+    Attributes
+    ----------
+    number : int
+        Of the chunk in its replicate.
+    book : (BOOKS, slots) float64
+        Energy by where it ended.
+    deposits : (n,) DEPOSIT
+        Packets traced forward that fell on pixels.
+    from_lamps : bool
+        Whether the deposits are lamps' own packets in the adjoint method.
+    """
+
+    number: int
+    book: Array
+    work: Work
+    deposits: NDArray[np.void]
+    from_lamps: bool = False
+
+
+@dataclass
+class Piece:
+    """A block's share of a replicate, not yet folded: other blocks' chunks may come in between.
+
+    Attributes
+    ----------
+    replicate : int
+    film : Film
+        The block's pixels, without deposits.
+    chunks : list of ChunkTally
+        Those that begin in the block.
+    blind : BlindSamples or None
+    """
+
+    replicate: int
+    film: Film
+    chunks: list[ChunkTally]
+    blind: BlindSamples | None = None
+
+
+@dataclass
+class Tally:
+    """All that one replicate brings.
+
+    Attributes
+    ----------
+    replicate : int
+    film : Film
+        All pixels.
+    lamps : Film or None
+        Light of lamps' own packets, kept apart where the pixels' samples are weighted by their number.
+    book : (BOOKS, slots) float64
+    work : Work
+    blind : BlindSamples or None
+        Samples that are not aimed, by which the image is checked.
+    """
+
+    replicate: int
+    film: Film
+    lamps: Film | None
+    book: Array
+    work: Work
+    blind: BlindSamples | None = None
+
+    def restart(self, replicate: int) -> None:
+        """Empty it for another replicate, in the same memory."""
+        self.replicate = replicate
+        for film in (self.film, self.lamps):
+            if film is not None:
+                film.clear()
+        self.book[:] = 0.0
+        self.work = Work(np.zeros_like(self.work.counts))
+        self.blind = None
+
+    def add(self, chunk: ChunkTally) -> None:
+        """Add the next chunk, whose pixels' light is on the film already."""
+        self.book += chunk.book
+        self.work.add(chunk.work)
+        film = self.lamps if chunk.from_lamps and self.lamps is not None else self.film
+        film.deposit(chunk.deposits)
+
+    def merge(self, pieces: Iterable[Piece]) -> None:
+        """Fold the pieces of its replicate, in whatever order they come, as if one process had traced them all.
+
+        Raises
+        ------
+        ValueError
+            They do not make up this replicate: a pixel or chunk is missing or there twice.
+        """
+        chunks: list[ChunkTally] = []
+        covered = np.zeros(len(self.film.power), np.uint8)
+        for piece in pieces:
+            if piece.replicate != self.replicate:
+                raise ValueError(f"a piece of replicate {piece.replicate} does not belong to {self.replicate}")
+            rows = slice(piece.film.origin, piece.film.origin + len(piece.film.power))
+            covered[rows] += 1
+            self.film.power[rows] = piece.film.power
+            self.film.hits[rows] = piece.film.hits
+            chunks += piece.chunks
+            self.blind = piece.blind if piece.blind is not None else self.blind
+        chunks.sort(key=lambda chunk: chunk.number)
+        if (covered != 1).any() or [chunk.number for chunk in chunks] != list(range(len(chunks))):
+            raise ValueError(f"the pieces do not make up replicate {self.replicate}: some are missing or there twice")
+        for chunk in chunks:
+            self.add(chunk)
+
+
+@dataclass
+class Mean:
+    """Running mean and sum of squared deviations over replicates (Welford 1962), and the sum of their hits."""
+
+    mean: Array
+    squares: Array
+    hits: NDArray[np.uint32]
+    count: int = 0
+    final: bool = False
+    """Whether `squares` has become the variance."""
+
+    @classmethod
+    def empty(cls, shape: Shape) -> "Mean":
+        """Return one over no replicates yet."""
+        return cls(np.zeros(shape), np.zeros(shape), np.zeros(shape, np.uint32))
+
+    def add(self, film: Film) -> None:
+        """Add one replicate's film."""
+        self.count += 1
+        self.hits += film.hits.reshape(self.hits.shape)
+        # Row by row: the film may be large, and a temporary of its size per operation is memory for nothing.
+        sample = film.power.reshape(self.mean.shape)
+        for mean, squares, row in zip(self.mean, self.squares, sample, strict=True):
+            change = row - mean
+            mean += change / self.count
+            squares += change * (row - mean)
+
+    def variance(self) -> Array:
+        """Return the variance of the mean, in place of `squares`; NaN from fewer than two replicates."""
+        if not self.final:
+            self.squares /= self.count * (self.count - 1) if self.count > 1 else np.nan
+            self.final = True
+        return self.squares
+
+
+@dataclass
+class StageSum:
+    """The sum over the replicates of a stage so far.
+
+    Attributes
+    ----------
+    mean : Mean
+    lamps : Mean or None
+        Of what lamps' own packets bring.
+    book : (BOOKS, slots) float64
+    work : Work
+    blind : BlindSamples or None
+    """
+
+    mean: Mean
+    lamps: Mean | None
+    book: Array
+    work: Work
+    blind: BlindSamples | None = None
+
+    @property
+    def count(self) -> int:
+        """Replicates summed."""
+        return self.mean.count
+
+    def add(self, tally: Tally) -> None:
+        """Add the next replicate."""
+        self.mean.add(tally.film)
+        if self.lamps is not None and tally.lamps is not None:
+            self.lamps.add(tally.lamps)
+        self.book += tally.book
+        self.work.add(tally.work)
+        if self.blind is not None and tally.blind is not None:
+            self.blind.join(tally.blind)
+
+
+@dataclass
+class RenderState:
+    """How far a render has come: all that is needed to continue it.
+
+    Attributes
+    ----------
+    first : StageSum
+    second : StageSum or None
+        Of adaptive sampling, once the first is complete.
+    seconds : float
+        Wall-clock time spent.
+    """
+
+    first: StageSum
+    second: StageSum | None = None
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Sizes of everything that a render sums up.
+
+    Attributes
+    ----------
+    shape : (rows, columns, wavelengths)
+    book : (books, slots)
+    counters : int
+    lamps, blind : bool
+        Whether lamps' own packets are kept apart, and the image is checked by samples that are not aimed.
+    """
+
+    shape: Shape
+    book: tuple[int, int]
+    counters: int
+    lamps: bool = False
+    blind: bool = False
+
+    def tally(self) -> Tally:
+        """Return a replicate's tally without anything in it."""
+        pixels, waves = self.shape[0] * self.shape[1], self.shape[2]
+        lamps = Film.empty(pixels, waves) if self.lamps else None
+        return Tally(0, Film.empty(pixels, waves), lamps, np.zeros(self.book), self._work())
+
+    def first(self) -> StageSum:
+        """Return the sum of a first stage that has not begun."""
+        lamps = Mean.empty(self.shape) if self.lamps else None
+        blind = BlindSamples(*self.shape) if self.blind else None
+        return StageSum(Mean.empty(self.shape), lamps, np.zeros(self.book), self._work(), blind)
+
+    def second(self) -> StageSum:
+        """Return the sum of a second stage that has not begun: no pixel has samples of its own of lamps' packets."""
+        return StageSum(Mean.empty(self.shape), None, np.zeros(self.book), self._work())
+
+    def state(self, saved: Mapping[str, NDArray[Any]] | None = None) -> RenderState:
+        """Return a render that has not begun, or the one that `arrays_of` made `saved` from.
+
+        Raises
+        ------
+        LfmeshError
+            The arrays are of another render.
+        """
+        if saved is None:
+            return RenderState(self.first())
+        second = self.second() if any(name.startswith("second.") for name in saved) else None
+        try:
+            state: RenderState = filled(RenderState(self.first(), second), saved)
+        except ValueError as error:
+            raise LfmeshError(f"the state that was saved is not that of this scene's render: {error}") from None
+        return state
+
+    def _work(self) -> Work:
+        return Work(np.zeros(self.counters, np.int64))
+
+
+def arrays_of(value: Any, name: str = "") -> dict[str, NDArray[Any]]:
+    """Return a value of this file as named arrays, as `np.savez` takes them; what is None is left out."""
+    if is_dataclass(value):
+        found: dict[str, NDArray[Any]] = {}
+        for each in fields(value):
+            found |= arrays_of(getattr(value, each.name), f"{name}.{each.name}" if name else each.name)
+        return found
+    if value is None:
+        return {}
+    return {name: np.concatenate(value) if isinstance(value, list) and value else np.asarray(value)}
+
+
+def filled(template: Any, arrays: Mapping[str, NDArray[Any]], name: str = "") -> Any:
+    """Fill an empty value with what `arrays_of` gave, and return it.
+
+    Raises
+    ------
+    ValueError
+        The arrays do not fit the template.
+    """
+    if is_dataclass(template):
+        for each in fields(template):
+            inner = f"{name}.{each.name}" if name else each.name
+            setattr(template, each.name, filled(getattr(template, each.name), arrays, inner))
+        return template
+    if template is None:
+        return None
+    try:
+        array = arrays[name]
+    except KeyError:
+        raise ValueError(f"{name} is missing") from None
+    if isinstance(template, list):
+        return [array] if array.size else []
+    if isinstance(template, np.ndarray):
+        if (array.shape, array.dtype) != (template.shape, template.dtype):
+            raise ValueError(f"{name} has another size")
+        return array
+    return type(template)(array.item())

@@ -1,0 +1,209 @@
+"""Tracing a replicate, or a block of one: chunks to a pool of threads, and back in order."""
+
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Generator, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from itertools import repeat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.transport.engine import CHUNK, Workspace
+from lfmesh.transport.packets.packet import COUNTERS, DEPOSITS
+from lfmesh.transport.packets.random import descendant, run_key
+from lfmesh.transport.render.adaptive import Counts
+from lfmesh.transport.render.adjoint import launch_adjoint, launch_along_image_path
+from lfmesh.transport.render.blind_check import CHUNK as BLIND_CHUNK
+from lfmesh.transport.render.blind_check import BlindSamples, first_of_runs
+from lfmesh.transport.render.forward import launch_forward
+from lfmesh.transport.render.parts import BOOKS, Part, blind_part, parts_of
+from lfmesh.transport.render.plan import Block, Chunk, Plan
+from lfmesh.transport.render.tally import ChunkTally, Film, Layout, Piece, Work
+from lfmesh.transport.world import World
+
+Waiting = deque[tuple[Chunk, Future[ChunkTally]]]
+"""Chunks handed to the pool, in order, with what they will return."""
+
+
+@dataclass
+class Tracer:
+    """A world and what is needed to trace its replicates.
+
+    Attributes
+    ----------
+    world : World
+    chunk : int
+        Packets a chunk starts with.
+    aimed : bool
+        Forward: aim scattered light at the entrance pupil. Without, each packet is scattered by chance and most miss
+        the lens: the paper's chain without its aiming, to measure what that brings.
+    stratified : bool
+        Adjoint: start paths from scrambled Sobol' points instead of random ones.
+    check : bool
+        Compare the image with samples that are not aimed.
+    """
+
+    world: World
+    chunk: int = CHUNK
+    aimed: bool = True
+    stratified: bool = True
+    check: bool = True
+    _local: threading.local = field(default_factory=threading.local)
+
+    def __post_init__(self) -> None:
+        transport = self.world.scene.transport
+        sensor = self.world.tables.sensor
+        self.shape = sensor.rows, sensor.columns, len(transport.wavelengths_nm)
+        self.adjoint = transport.method == "adjoint"
+        self.samples = transport.samples // transport.replicates
+        self.parts = parts_of(self.world, aimed=self.aimed)
+        self.threads = transport.threads or os.cpu_count() or 1
+        self.seed = run_key(transport.seed)
+
+    @property
+    def pixels(self) -> int:
+        """Of the sensor."""
+        return self.shape[0] * self.shape[1]
+
+    @property
+    def waves(self) -> int:
+        """Wavelengths."""
+        return self.shape[2]
+
+    @property
+    def plan(self) -> Plan:
+        """The chunks of the replicates."""
+        return Plan(self.parts, self.pixels, self.waves, self.samples, self.chunk)
+
+    @property
+    def layout(self) -> Layout:
+        """Sizes of what is summed up."""
+        lamps = self.adjoint and not all(part.options.adjoint for part in self.parts)
+        books = BOOKS, len(self.world.slots)
+        return Layout(self.shape, books, COUNTERS, lamps, self.check and self.aimed)
+
+    def pool(self) -> ThreadPoolExecutor:
+        """Return the threads to trace in."""
+        return ThreadPoolExecutor(self.threads, thread_name_prefix="lfmesh")
+
+    def piece(self, replicate: int, block: Block, levels: Counts | None = None) -> Piece:
+        """Trace a block of a replicate; the block at the first pixel also takes the replicate's blind samples."""
+        mine = [chunk for chunk in self.plan.chunks(levels) if block.touches(chunk)]
+        started = [chunk.pixel_numbers() for chunk in mine if chunk.part.options.adjoint]
+        # A chunk that lies across the border lights pixels of a neighbour too, which are left out at the end.
+        low = min([block.first, *(int(pixels[0]) for pixels in started)])
+        high = max([block.last, *(int(pixels[-1]) + 1 for pixels in started)])
+        film = Film.empty(high - low, self.waves, low)
+        with self.pool() as pool:
+            done = list(self.traced(pool, replicate, iter(mine), film))
+            blind = None
+            if levels is None and block.first == 0 and self.layout.blind:
+                blind = self.blind_samples(pool, replicate)
+        own = [tally for chunk, tally in zip(mine, done, strict=True) if block.owns(chunk)]
+        return Piece(replicate, film.part(block.first, block.last), own, blind)
+
+    def traced(
+        self, pool: ThreadPoolExecutor, replicate: int, chunks: Iterator[Chunk], film: Film
+    ) -> Generator[ChunkTally]:
+        """Trace chunks onto an empty film of their pixels, and yield what else they bring, in their order."""
+        key = descendant(self.seed, replicate)
+        waiting: Waiting = deque()
+        part = None
+        try:
+            for chunk in chunks:
+                # The next part adds to the same pixels.
+                while waiting and (len(waiting) > 2 * self.threads or chunk.part is not part):
+                    yield self._oldest(waiting)
+                part = chunk.part
+                stream = descendant(key, part.number * self.waves + chunk.wave)
+                waiting.append((chunk, pool.submit(self._trace, chunk, stream, film)))
+            while waiting:
+                yield self._oldest(waiting)
+        finally:
+            for _, future in waiting:
+                future.cancel()
+
+    @staticmethod
+    def _oldest(waiting: Waiting) -> ChunkTally:
+        tally = waiting[0][1].result()
+        waiting.popleft()
+        return tally
+
+    def blind_samples(self, pool: ThreadPoolExecutor, replicate: int) -> BlindSamples:
+        """Take a replicate's samples that are not aimed, by which the image is checked."""
+        found = BlindSamples(*self.shape)
+        part = blind_part(self.world)
+        key = descendant(self.seed, replicate)
+        chunk = min(BLIND_CHUNK, self.chunk)
+        samples = min(self.samples, chunk)
+        at_once = min(chunk // samples, self.pixels) if self.adjoint else chunk
+        total = self.pixels * (1 if self.adjoint else samples)
+        runs = first_of_runs(total, at_once, replicate)
+        for wave in range(self.waves):
+            stream = descendant(key, part.number * self.waves + wave)
+            films = [Film.empty(at_once if self.adjoint else 0, self.waves, first) for first in runs]
+            each = at_once * (samples if self.adjoint else 1)
+            chunks = [Chunk(k, part, first, at_once, wave, each, samples) for k, first in enumerate(runs)]
+            futures = [pool.submit(self._trace, *job) for job in zip(chunks, repeat(stream), films, strict=False)]
+            deposits = [future.result().deposits for future in futures]
+            if self.adjoint:
+                for first, film in zip(runs, films, strict=True):
+                    found.add(np.arange(first, first + at_once), wave, film.power[:, wave])
+            else:
+                fallen = np.concatenate(deposits)
+                part_of_all = at_once * len(runs) / total
+                found.add_image(fallen["pixel"], wave, fallen["weight"] / part_of_all)
+        return found
+
+    def _trace(self, chunk: Chunk, key: np.uint64, film: Film) -> ChunkTally:
+        """Trace one chunk in a thread of the pool."""
+        began = time.perf_counter()
+        space = self._workspace(chunk.part)
+        if chunk.part.options.adjoint:
+            self._launch_from_pixels(space, chunk, key, film)
+        else:
+            self._launch_from_light(space, chunk, key, film)
+        space.run()
+        work = Work(
+            space.counts.copy(), chunk.packets, space.queries, space.embree_seconds, time.perf_counter() - began
+        )
+        deposits: NDArray[np.void] = space.deposits[: space.tops[DEPOSITS]].copy()
+        return ChunkTally(chunk.number, chunk.part.booked(space.book), work, deposits, chunk.from_lamps)
+
+    def _launch_from_pixels(self, space: Workspace, chunk: Chunk, key: np.uint64, film: Film) -> None:
+        """Start a chunk of the adjoint method."""
+        tables, pixels = chunk.part.tables, chunk.pixel_numbers()
+        space.begin(film.power, film.origin, film.hits, chunk.packets)
+        # A pixel's samples start together, though they be more than a chunk.
+        space.reserve(chunk.packets)
+        if chunk.part.options.sequential:
+            launch_along_image_path(
+                pixels, chunk.samples, self.stratified, key, chunk.wave, tables.sensor, tables.lens, tables.array,
+                tables.aim, tables.frames, space.bundle, space.numbers, space.options, space.flow(), space.start,
+            )  # fmt: skip
+        else:
+            launch_adjoint(
+                pixels, chunk.samples, self.stratified, key, chunk.wave, tables.sensor, tables.array, tables.aim,
+                tables.frames, len(tables.lens.surfaces), space.bundle, space.flow(), space.start,
+            )  # fmt: skip
+
+    def _launch_from_light(self, space: Workspace, chunk: Chunk, key: np.uint64, film: Film) -> None:
+        """Start a chunk of the forward method."""
+        tables = chunk.part.tables
+        space.begin(film.power[:0])
+        if len(tables.objects.sources):
+            launch_forward(
+                chunk.first, chunk.count, self.pixels * chunk.samples, key, chunk.wave,
+                tables.objects, tables.aim, tables.frames, space.options, space.flow(), space.template,
+            )  # fmt: skip
+
+    def _workspace(self, part: Part) -> Workspace:
+        """Return what this thread traces a part in."""
+        spaces: dict[int, Workspace] = self._local.__dict__.setdefault("spaces", {})
+        if part.number not in spaces:
+            spaces[part.number] = Workspace(self.world, part.options, self.chunk, part.tables)
+        return spaces[part.number]

@@ -1,0 +1,201 @@
+"""A render is a fold of tallies: cut, saved, sent and continued anyhow, it has the bits of one that ran through."""
+
+import io
+import pickle
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from itertools import pairwise
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+import lfmesh as lf
+from lfmesh.errors import LfmeshError
+from lfmesh.transport.render import plan
+from lfmesh.transport.render.jobs import Job, render_in_jobs
+from lfmesh.transport.render.plan import Block
+from lfmesh.transport.render.render import Renderer
+from lfmesh.transport.render.tally import Layout, Piece, RenderState, arrays_of
+from lfmesh.transport.render.tracer import Tracer
+
+CHUNK = 512
+"""Packets, so that a small picture has many chunks."""
+
+CAMERA: dict[str, Any] = {
+    "focus_mm": 60.0,
+    "lens": {
+        "surfaces": [
+            {"radius_mm": 20.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 5.0},
+            {"radius_mm": -20.0, "thickness_mm": 1.0, "semi_diameter_mm": 5.0},
+            {"stop": True, "semi_diameter_mm": 4.0},
+        ]
+    },
+    "mla": {"count": [4, 4], "pitch_mm": 0.5, "focal_length_mm": 2.6, "index": 1.5, "thickness_mm": 0.5},
+    "sensor": {"pixels": [20, 16], "pixel_mm": 0.1},
+}
+PLANE = {"shape": {"kind": "plane", "width_mm": 7.0, "height_mm": 6.0}, "position_mm": [0, 0, -60.0],
+         "material": {"reflectance": 0.8, "radiance_w_m2_sr": 100.0}}  # fmt: skip
+LAMP = {"kind": "point", "position_mm": [20.0, -15.0, -25.0], "power_w": 1.0}
+ADAPTIVE = {"target_error": 0.01, "max_samples": 256}
+
+WAYS: dict[str, dict[str, Any]] = {
+    "image path": {"split": "transmit"},
+    # Three samples a pixel and replicate: chunks of both parts lie across any border.
+    "reflections, three samples": {"split": "both", "samples": 12},
+    "forward": {"method": "forward"},
+    "two wavelengths, adaptive": {"split": "both", "wavelengths_nm": [500.0, 600.0], **ADAPTIVE},
+    "lamp behind glass, adaptive": {"split": "transmit", **ADAPTIVE},
+}
+
+
+@pytest.fixture(scope="module")
+def scene_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], lf.Scene]:
+    """Return the scene that is traced in a way named above."""
+    folder = tmp_path_factory.mktemp("meshes")
+    trimesh.creation.icosphere(2, 1.5).export(folder / "ball.stl")
+
+    def scene(way: str) -> lf.Scene:
+        ball = {"refractor": {"file": "ball.stl", "units": "mm", "index": 1.5}, "position_mm": [0, 0, -45.0]}
+        return lf.Scene(
+            camera=CAMERA,
+            targets=[PLANE, ball] if "glass" in way else [PLANE],
+            lights=[LAMP],
+            transport={"samples": 16, "replicates": 4, "threads": 1} | WAYS[way],
+        ).in_folder(folder)
+
+    return scene
+
+
+@pytest.fixture(scope="module")
+def whole(scene_of: Callable[[str], lf.Scene]) -> dict[str, lf.Image]:
+    """Render every way in one go."""
+    images = {way: Renderer(lf.build(scene_of(way)), chunk=CHUNK).image() for way in WAYS}
+    assert images["lamp behind glass, adaptive"].ledger.lamps is not None
+    assert images["lamp behind glass, adaptive"].ledger.lamps.sensor > 0.0
+    assert all((image.refinement is not None) == ("adaptive" in way) for way, image in images.items())
+    return images
+
+
+def assert_same_bits(one: lf.Image, other: lf.Image) -> None:
+    for name in ("mean", "stderr", "hits"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert one.ledger == other.ledger
+    assert (one.refinement, one.blind, one.samples) == (other.refinement, other.blind, other.samples)
+    assert (one.replicates, one.complete) == (other.replicates, other.complete)
+
+
+def posted(do: Callable[[Job], Piece], jobs: Iterable[Job]) -> Iterator[Piece]:
+    """Do jobs last first within a replicate's reach, everything sent as bytes; results come in the order of jobs."""
+    sent = [pickle.dumps(job) for job in jobs]
+    done = [pickle.dumps(do(pickle.loads(job))) for job in reversed(sent)]
+    yield from (pickle.loads(piece) for piece in reversed(done))
+
+
+@pytest.mark.parametrize("blocks", [1, 3, 7])
+@pytest.mark.parametrize("way", WAYS)
+def test_any_cut_has_the_bits_of_the_whole(
+    way: str, blocks: int, scene_of: Callable[[str], lf.Scene], whole: dict[str, lf.Image],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    if blocks == 7:
+        # Borders through the pixels that a second stage sorts together.
+        monkeypatch.setattr(plan.Plan, "blocks", lambda self, *_, **__: cut_anywhere(self.pixels))
+    assert_same_bits(render_in_jobs(scene_of(way), posted, blocks, CHUNK), whole[way])
+
+
+def cut_anywhere(pixels: int) -> list[Block]:
+    borders = [0, 1, 45, 46, 171, 255, 300, pixels]
+    return [Block(first, last) for first, last in pairwise(borders)]
+
+
+def test_another_process_has_the_same_bits(scene_of: Callable[[str], lf.Scene], whole: dict[str, lf.Image]) -> None:
+    way = "reflections, three samples"
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        assert_same_bits(render_in_jobs(scene_of(way), pool.map, 2, CHUNK), whole[way])
+
+
+def test_a_cut_at_chunks_traces_none_twice(scene_of: Callable[[str], lf.Scene]) -> None:
+    tracer = Tracer(lf.build(scene_of("image path").changed({"transport.split": "both"})), CHUNK)
+    blocks = tracer.plan.blocks(3)
+    assert [(block.first, block.last) for block in blocks] == [(0, 256), (256, 320)]
+    for chunk in tracer.plan.chunks():
+        assert sum(block.touches(chunk) for block in blocks) == 1
+
+
+def test_a_replicate_is_not_folded_from_too_little_or_too_much(scene_of: Callable[[str], lf.Scene]) -> None:
+    tracer = Tracer(lf.build(scene_of("image path")), CHUNK)
+    one, other = (tracer.piece(0, Block(*ends)) for ends in ((0, 128), (128, 320)))
+    tracer.layout.tally().merge([other, one])
+    for pieces in ([one], [one, other, other], [one, tracer.piece(1, Block(128, 320))]):
+        with pytest.raises(ValueError, match="replicate"):
+            tracer.layout.tally().merge(pieces)
+
+
+class Kept:
+    """Keeps every state of a render as the bytes of a file."""
+
+    def __init__(self) -> None:
+        self.files: list[bytes] = []
+
+    def __call__(self, state: RenderState, *, last: bool) -> None:
+        file = io.BytesIO()
+        np.savez(file, **arrays_of(state))  # type: ignore[arg-type]
+        self.files.append(file.getvalue())
+
+
+def read(file: bytes) -> dict[str, NDArray[Any]]:
+    with np.load(io.BytesIO(file)) as arrays:
+        return dict(arrays)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_render_goes_on_from_any_replicate_with_the_same_bits(
+    way: str, scene_of: Callable[[str], lf.Scene], whole: dict[str, lf.Image]
+) -> None:
+    world, kept = lf.build(scene_of(way)), Kept()
+    assert_same_bits(Renderer(world, chunk=CHUNK).image(keep=kept), whole[way])
+    assert len(kept.files) == (8 if "adaptive" in way else 4)
+    for file in kept.files:
+        again = Kept()
+        image = Renderer(world, chunk=CHUNK).image(read(file), again)
+        assert_same_bits(image, whole[way])
+        # What was done is not done again.
+        assert len(again.files) == len(kept.files) - 1 - kept.files.index(file)
+        assert image.seconds > 0.0
+
+
+def test_ctrl_c_gives_the_last_whole_state_to_the_keeper(
+    scene_of: Callable[[str], lf.Scene], whole: dict[str, lf.Image], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lfmesh.transport.render.render.PROGRESS_SECONDS", 0.0)
+    way = "two wavelengths, adaptive"
+    world, kept = lf.build(scene_of(way)), Kept()
+
+    def interrupt(progress: lf.Progress) -> None:
+        if progress.replicate == 2 and progress.stage == "refining":
+            raise KeyboardInterrupt
+
+    image = Renderer(world, chunk=CHUNK, progress=interrupt).image(keep=kept)
+    assert not image.complete
+    # Four of the first stage, two of the second, and the last again.
+    assert len(kept.files) == 7
+    assert_same_bits(Renderer(world, chunk=CHUNK).image(read(kept.files[-1])), whole[way])
+
+
+def test_the_state_of_another_render_is_refused(scene_of: Callable[[str], lf.Scene]) -> None:
+    other = Layout((16, 21, 1), (2, 30), 8).state()
+    with pytest.raises(LfmeshError, match="another size"):
+        Renderer(lf.build(scene_of("image path"))).image(arrays_of(other))
+    with pytest.raises(LfmeshError, match="missing"):
+        Renderer(lf.build(scene_of("image path"))).image({})
+
+
+def test_a_scene_that_jobs_read_from_its_text_is_the_same(tmp_path: Path) -> None:
+    """Numbers survive as text to the last bit: 0.1 + 0.2 among them."""
+    scene = lf.Scene(camera=CAMERA, targets=[PLANE]).changed({"targets[0].position_mm": [0.1 + 0.2, 1e-17, -60.0]})
+    assert lf.loads(scene.dump_toml(), tmp_path) == scene

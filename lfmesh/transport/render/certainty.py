@@ -3,8 +3,9 @@
 The spread over a few replicates says little about one pixel: of four, a quarter of the pixels agree by chance to a
 third of their error, and a pixel of which all samples but rare ones bring the same agrees exactly until it meets one of
 those. Its neighbours have met them. So the error reported for a pixel is half its own and half that of the pixels that
-are as bright, around it and at its place in the neighbouring micro-images. Over any group of pixels that is not chosen
-by its noise it stays what the spread is on average.
+are as bright and stand in as steep a part of the picture, around it and at its place in the neighbouring micro-images:
+an edge is known less well than what it bounds. Over any group of pixels that is not chosen by its noise it stays what
+the spread is on average.
 """
 
 import numpy as np
@@ -18,6 +19,9 @@ Array = NDArray[np.float64]
 
 AS_BRIGHT = 1.5
 """Ratio up to which a neighbour is as bright."""
+
+AS_STEEP = 2.0
+"""Ratio up to which the picture is as steep there: the largest step to one of the eight pixels around."""
 
 CONFIDENCE = 0.95
 
@@ -37,7 +41,7 @@ def neighbours(scene: Scene) -> NDArray[np.int64]:
 def pooled_error(
     mean: Array, stderr: Array, steps: NDArray[np.int64], rows: slice = slice(None)
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Return the standard error of each pixel, its own variance pooled with that of neighbours as bright.
+    """Return the standard error of each pixel, its own variance pooled with that of neighbours as bright and as steep.
 
     Parameters
     ----------
@@ -72,16 +76,29 @@ def _pool(
         for column in range(columns):
             for wave in range(waves):
                 level, own = mean[row, column, wave], stderr[row, column, wave] ** 2
-                total, count = own, 1
+                total, count, steep = own, 1, _steepness(mean, row, column, wave)
                 for k in range(len(steps)):
                     r, c = row + steps[k, 0], column + steps[k, 1]
                     if 0 <= r < rows and 0 <= c < columns:
                         other = mean[r, c, wave]
                         if other <= AS_BRIGHT * level and level <= AS_BRIGHT * other:
-                            total += stderr[r, c, wave] ** 2
-                            count += 1
+                            there = _steepness(mean, r, c, wave)
+                            if there <= AS_STEEP * steep and steep <= AS_STEEP * there:
+                                total += stderr[r, c, wave] ** 2
+                                count += 1
                 error[row - low, column, wave] = np.sqrt(0.5 * (own + total / count))
                 pooled[row - low, column, wave] = count
+
+
+@kernel
+def _steepness(mean: Array, row: int, column: int, wave: int) -> float:
+    """Return the largest difference between a pixel and those around it."""
+    rows, columns, _ = mean.shape
+    largest = 0.0
+    for r in range(max(row - 1, 0), min(row + 2, rows)):
+        for c in range(max(column - 1, 0), min(column + 2, columns)):
+            largest = max(largest, abs(mean[r, c, wave] - mean[row, column, wave]))
+    return largest
 
 
 def typical_over_rms(pooled: NDArray[np.int64], replicates: int) -> Array:

@@ -82,8 +82,9 @@ class Image:
         """Standard error of each pixel, pooled, (H, W, wavelengths) float64, W; computed at each call.
 
         Half a pixel's own variance and half the mean one of itself and its neighbours as bright (within a factor of
-        1.5): the eight around, and those at its place in the adjacent micro-images. What a few replicates of one pixel
-        cannot know, its neighbours do. NaN with fewer than two replicates.
+        1.5) and in as steep a part of the picture (within one of 2): the eight around, and those at its place in the
+        adjacent micro-images. What a few replicates of one pixel cannot know, its neighbours do. NaN with fewer than
+        two replicates.
         """
         return pooled_error(self.mean, self.stderr, neighbours(self.scene))[0]
 

@@ -28,16 +28,21 @@ def replicated(truth: Array, samples: int, replicates: int, chance: float | Arra
     return each.mean(axis=0), stderr, hits.sum(axis=0).astype(np.uint32)
 
 
-def test_the_error_is_half_a_pixels_own_and_half_that_of_neighbours_as_bright() -> None:
-    mean = np.ones((3, 4, 1))
-    stderr = np.zeros((3, 4, 1))
-    mean[:, 2:] = 1.6
-    stderr[1, 1], stderr[0, 0], stderr[1, 2] = 3.0, 1.0, 100.0
+def test_the_error_is_half_a_pixels_own_and_half_that_of_neighbours_as_bright_and_as_steep() -> None:
+    mean = np.ones((3, 6, 1))
+    stderr = np.zeros((3, 6, 1))
+    mean[:, 3:] = 1.6
+    stderr[1, 1], stderr[0, 0] = 3.0, 1.0
+    # Along the border between bright and dark, on either side.
+    stderr[1, 2], stderr[1, 3] = 100.0, 50.0
     error, pooled = certainty.pooled_error(mean, stderr, AROUND)
-    # Of the pixel and the five in its half of the picture.
+    # The pixel and the five around it that do not touch the border.
     assert pooled[1, 1, 0] == 6
     assert error[1, 1, 0] == pytest.approx(np.sqrt(0.5 * (9.0 + 10.0 / 6.0)))
     assert error[2, 0, 0] == pytest.approx(np.sqrt(0.5 * 9.0 / 4.0))
+    # On the border: the pixel and the two above and below it.
+    assert pooled[1, 2, 0] == 3
+    assert error[1, 2, 0] == pytest.approx(100.0 * np.sqrt(0.5 * (1.0 + 1.0 / 3.0)))
     rows, _ = certainty.pooled_error(mean, stderr, AROUND, slice(1, 3))
     np.testing.assert_array_equal(rows, error[1:])
 

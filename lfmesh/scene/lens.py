@@ -197,6 +197,11 @@ class Lens(Model):
         if not apertures:
             return
         radius = min(*apertures, front.reach_mm, back.reach_mm)
+        if not front.asphere_mm and not back.asphere_mm:
+            # A conic rises or falls all the way to its rim: between these bounds nothing can cross.
+            highest, lowest = max(0.0, front.sag_mm(radius)), min(0.0, back.sag_mm(radius))
+            if highest - lowest <= (front.thickness_mm or 0.0):
+                return
         heights = [radius * k / _HEIGHTS for k in range(_HEIGHTS + 1)]
         needed, height = max((front.sag_mm(h) - back.sag_mm(h), h) for h in heights)
         given = front.thickness_mm or 0.0

@@ -158,9 +158,10 @@ class BlindSamples:
             uncertain += self.images**2 * summed(everywhere, noise)
         # A block that found little would think itself certain: the spread is at least that of what is expected.
         typical = squares.sum() / max(blind.sum(), np.finfo(np.float64).tiny)
-        spread = np.sqrt(np.maximum(squares, expected * typical) + uncertain)
+        own = np.maximum(squares, expected * typical)
+        spread = np.sqrt(own + uncertain)
         limit = -NormalDist().inv_cdf(LEVEL / 2.0 / blind.size)
-        known = spread > 0.0
+        known = own > 0.0
         z = (blind - expected)[known] / spread[known]
         deficit = np.divide(limit * spread, expected, out=np.full_like(spread, np.inf), where=known & (expected > 0.0))
         worst = float(z[np.abs(z).argmax()]) if z.size else 0.0

@@ -42,12 +42,28 @@ def test_the_smallest_deficit_that_is_stated_is_found_in_half_of_the_blocks() ->
     assert np.mean([not one.agrees and one.worst > 0.0 for one in found]) > 0.9
 
 
-def test_nothing_found_says_nothing() -> None:
+@pytest.mark.parametrize("variance", [0.0, 0.01, np.nan])
+def test_nothing_found_says_nothing(variance: float) -> None:
     samples = BlindSamples(10, 10, 1)
     samples.add(np.arange(100), 0, np.zeros(100))
-    check = samples.compared(np.ones((10, 10, 1)), np.zeros((10, 10, 1)))
+    check = samples.compared(np.ones((10, 10, 1)), np.full((10, 10, 1), variance))
     assert check.hits == 0
+    assert check.agrees
     assert check.smallest_deficit is None
+
+
+def test_an_image_that_is_noisy_itself_is_not_called_wrong() -> None:
+    """Its own error counts: here ten times that of the samples which are not aimed; binomial test at 1e-3."""
+    wrong = 0
+    for seed in range(200):
+        random = np.random.default_rng(seed)
+        samples = BlindSamples(20, 20, 1)
+        pixels = random.integers(0, 400, 40_000)
+        samples.add(pixels, 0, 50.0 * (random.random(len(pixels)) < 0.02))
+        noise = 4.0
+        mean = 1.0 + noise * random.standard_normal((20, 20, 1))
+        wrong += not samples.compared(mean, np.full((20, 20, 1), noise**2)).agrees
+    assert stats.binomtest(wrong, 200, 2.0 * LEVEL, alternative="greater").pvalue > 1e-3
 
 
 def test_runs_of_pixels_lie_on_the_sensor_and_all_over_it() -> None:

@@ -176,12 +176,17 @@ def list_cells(
 
 @inlined
 def solid_angle(r: float, air: float, plate: float, glass: float) -> float:
-    """Return the projected solid angle of an area of the apexes, so far sideways, over that of one straight ahead."""
+    """Return the projected solid angle of an area of the apexes, so far sideways, over that of one straight ahead.
+
+    Zero where no ray gets there: on a sensor that touches the glass, beyond the angle of total reflection.
+    """
     s = slope_to(r, air, plate, glass)
     s2 = s * s
     q2 = glass * glass + (glass * glass - 1.0) * s2
     ahead = (air + plate / glass) ** 2
-    return ahead / (spread_on_face(air, plate, glass, s2, q2, np.sqrt(q2), 1.0) * np.sqrt(1.0 + s2))
+    seen = ahead / (spread_on_face(air, plate, glass, s2, q2, np.sqrt(q2), 1.0) * np.sqrt(1.0 + s2))
+    # There the slope has no end, and the quotient is 0/0.
+    return seen if seen > 0.0 else 0.0
 
 
 @inlined

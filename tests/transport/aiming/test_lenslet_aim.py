@@ -10,6 +10,7 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
+from lfmesh.transport.aiming.lenslet_aim import solid_angle
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import PLATE
 from lfmesh.transport.packets.random import run_key
@@ -159,3 +160,16 @@ def test_lenslets_that_see_half_of_space_are_aimed_at_no_worse_than_by_chance(ra
                 world.tables = world.tables._replace(aim=without_aim(world.tables.aim))
             found.append(float(Renderer(world, check=False).image().mean.sum()))
     assert np.var(sums[True], ddof=1) < stats.f.isf(1e-3, 15, 15) * np.var(sums[False], ddof=1)
+
+
+@pytest.mark.parametrize("glass", [1.3, 1.9])
+@pytest.mark.parametrize(
+    ("air", "plate"), [(0.0, 1.0), (1e-100, 1.0), (1e-12, 1.0), (1e-3, 1.0), (1e3, 1.0), (1e-100, 0.0), (1.0, 0.0)]
+)
+def test_how_large_a_lenslet_looks_is_a_number_wherever_it_stands(air: float, plate: float, glass: float) -> None:
+    """From one straight ahead to nothing, and never NaN: one of those would take all others with it."""
+    far = np.concatenate([[0.0], np.geomspace(1e-6, 1e9, 60)])
+    seen = np.array([solid_angle(r, air, plate, glass) for r in far])
+    assert seen[0] == pytest.approx(1.0)
+    assert (seen >= 0.0).all()
+    assert (np.diff(seen) <= 1e-7).all()

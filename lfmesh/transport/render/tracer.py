@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import repeat
 
 import numpy as np
@@ -86,6 +87,10 @@ class Tracer:
         books = BOOKS, len(self.world.slots)
         return Layout(self.shape, books, COUNTERS, lamps, self.check and self.aimed)
 
+    @cached_property
+    def _blind_part(self) -> Part:
+        return blind_part(self.world)
+
     def pool(self) -> ThreadPoolExecutor:
         """Return the threads to trace in."""
         return ThreadPoolExecutor(self.threads, thread_name_prefix="lfmesh")
@@ -136,7 +141,7 @@ class Tracer:
     def blind_samples(self, pool: ThreadPoolExecutor, replicate: int) -> BlindSamples:
         """Take a replicate's samples that are not aimed, by which the image is checked."""
         found = BlindSamples(*self.shape)
-        part = blind_part(self.world)
+        part = self._blind_part
         key = descendant(self.seed, replicate)
         chunk = min(BLIND_CHUNK, self.chunk)
         samples = min(self.samples, chunk)

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import lfmesh
 from lfmesh.errors import FileError
+from lfmesh.files.whole import make_like_any_other
 from lfmesh.scene.inputs import COPIES, digest_of
 
 # Windows has none.
@@ -174,7 +175,7 @@ def staged_file(folder: Path, name: str) -> Iterator[Any]:
             yield file
             file.flush()
             os.fsync(file.fileno())
-            Path(temporary).chmod(0o666 & ~_umask())
+            make_like_any_other(Path(temporary))
             os.replace(temporary, folder / name)  # noqa: PTH105
     except BaseException:
         with suppress(OSError):
@@ -301,12 +302,6 @@ def _to_disk(path: Path) -> None:
             os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def _held(path: Path) -> int | None:

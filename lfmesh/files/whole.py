@@ -24,10 +24,7 @@ def write_whole(path: Path, content: str | bytes) -> None:
         handle, staging = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
         with os.fdopen(handle, "wb") as file:
             file.write(data)
-        # A temporary file is its owner's alone; this one is to be like any other.
-        mask = os.umask(0)
-        os.umask(mask)
-        Path(staging).chmod(0o666 & ~mask)
+        make_like_any_other(Path(staging))
         Path(staging).replace(path)
     except BaseException as error:
         if staging is not None:
@@ -36,3 +33,10 @@ def write_whole(path: Path, content: str | bytes) -> None:
         if isinstance(error, OSError):
             raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
         raise
+
+
+def make_like_any_other(temporary: Path) -> None:
+    """Give a temporary file, which is its owner's alone, the rights that any new file has."""
+    mask = os.umask(0)
+    os.umask(mask)
+    temporary.chmod(0o666 & ~mask)

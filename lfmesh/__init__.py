@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lfmesh.errors import FileError, GlassError, LfmeshError, MeshError, SceneError
     from lfmesh.files.exports.export import export_field, export_raw
     from lfmesh.files.run import open_run, open_white, save, save_white
-    from lfmesh.geometry.refractors import first_order
+    from lfmesh.geometry.solved_camera import first_order
     from lfmesh.lightfield.calibration import Calibration, calibrate
     from lfmesh.lightfield.centres import estimate_centres
     from lfmesh.lightfield.decode import decode
@@ -149,7 +149,7 @@ _HOMES = {
     "lfmesh.errors": ["FileError", "GlassError", "LfmeshError", "MeshError", "SceneError"],
     "lfmesh.files.exports.export": ["export_field", "export_raw"],
     "lfmesh.files.run": ["open_run", "open_white", "save", "save_white"],
-    "lfmesh.geometry.refractors": ["first_order"],
+    "lfmesh.geometry.solved_camera": ["first_order"],
     "lfmesh.lightfield.calibration": ["Calibration", "calibrate"],
     "lfmesh.lightfield.centres": ["estimate_centres"],
     "lfmesh.lightfield.decode": ["decode"],

@@ -19,11 +19,9 @@ from numpy.typing import NDArray
 from lfmesh.accuracy import analytic
 from lfmesh.geometry.frame import points
 from lfmesh.geometry.lattice import Lattice
-from lfmesh.geometry.lens_shape import lens_shape
 from lfmesh.geometry.lenslets import cell_pattern
-from lfmesh.geometry.refractors import measured
-from lfmesh.scene import Scene, first_order, solved
-from lfmesh.scene.paraxial import Paraxial
+from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.scene import Scene
 from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME, Status
 from lfmesh.transport.trace import trace
 from lfmesh.transport.world import World, build
@@ -150,7 +148,7 @@ class LensStudy:
 
 def bare(scene: Scene) -> Scene:
     """Return a solved scene with nothing but its camera, which stands in the world frame."""
-    scene = solved(measured(scene))
+    scene = solved_camera(scene).scene
     return scene.changed({"targets": [], "lights": [], "camera.pose": {}, "transport.engine": "auto"})
 
 
@@ -173,12 +171,12 @@ def lens_scene(file: Path) -> Scene:
             "sensor": {"pixels": [8, 8], "pixel_mm": 0.005, "distance_mm": 1.0},
         }
     }
-    lens = solved(Scene.model_validate(draft)).camera.lens
-    focal_length = Paraxial.of(lens, 587.6).efl_mm
+    camera = solved_camera(Scene.model_validate(draft))
+    lens, focal_length = camera.scene.camera.lens, camera.report.efl_mm
     pixels = int(2 * np.tan(np.deg2rad(25.0)) * focal_length / 0.005)
     draft["camera"]["focus_mm"] = 20.0 * focal_length
     draft["camera"]["sensor"] = {"pixels": [pixels, pixels], "pixel_mm": 0.005}
-    return solved(Scene.model_validate({**draft, "name": lens.name or file.stem}))
+    return solved_camera(Scene.model_validate({**draft, "name": lens.name or file.stem})).scene
 
 
 def bundle(scene: Scene, rays: int, seed: int = 0) -> Bundle:
@@ -194,9 +192,8 @@ def bundle(scene: Scene, rays: int, seed: int = 0) -> Bundle:
     rays : int
     seed : int
     """
-    report = first_order(scene)
-    camera = scene.camera
-    lens = Paraxial.of(camera.lens, report.wavelength_nm)
+    known = solved_camera(scene)
+    report, lens, camera = known.report, known.paraxial, scene.camera
     image = (camera.mla or camera.sensor).distance_mm or 0.0
     distance = abs(lens.object_mm(image))
     pupil_z, pupil_radius = report.entrance_pupil_z_mm, 0.55 * report.entrance_pupil_diameter_mm
@@ -247,7 +244,7 @@ def study_lens(
     ways = [(LENS_ALONE, lens_alone(scene))]
     if scene.camera.mla is not None:
         ways.append((WHOLE_CAMERA, scene))
-    default = {level: lens_shape(scene.changed({"transport.surface": level})).rings for level in LEVELS}
+    default = {level: solved_camera(scene.changed({"transport.surface": level})).lens_shape().rings for level in LEVELS}
     rows: list[LensRow] = []
     errors: list[float | None] = []
     for way, camera in ways:

@@ -35,8 +35,7 @@ def check(scene: SceneFile, /) -> int:
 
     Exits with 0 if the scene can be rendered, whatever the warnings, and with 2 if it cannot.
     """
-    from lfmesh.geometry.lens_shape import mesh_lines
-    from lfmesh.geometry.refractors import first_order
+    from lfmesh.geometry.solved_camera import first_order, mesh_lines
     from lfmesh.scene import load
 
     loaded = load(scene)
@@ -94,7 +93,7 @@ def white(run: RunFolder, /, *, overrides: Overrides | None = None) -> int:
 
 
 def _render(scene_file: Path, folder: Path, overrides: Overrides | None) -> int:
-    from lfmesh.geometry.refractors import first_order
+    from lfmesh.geometry.solved_camera import first_order
     from lfmesh.scene import load
 
     scene = overridden(load(scene_file), overrides)

@@ -27,9 +27,10 @@ from lfmesh.files.json_values import plain_json
 from lfmesh.files.lenslets import lenslet_means, paint
 from lfmesh.files.preview import write_linear16, write_preview
 from lfmesh.geometry.lattice import Lattice
+from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.calibration import Calibration
 from lfmesh.lightfield.upright import UPRIGHT, Upright
-from lfmesh.scene import Scene, first_order
+from lfmesh.scene import Scene
 from lfmesh.scene.inputs import COPIES
 from lfmesh.transport.aiming.aim_proof import AimProof
 from lfmesh.transport.packets.ledger import Ledger
@@ -485,7 +486,7 @@ def scene_from(metadata: dict[str, Any], folder: Path) -> Scene:
 
 def _micro_images(scene: Scene) -> Lattice | None:
     """Return the nominal lattice of micro-images in pixels; None for a camera without array."""
-    mla, pitch_px = scene.camera.mla, first_order(scene).micro_image_pitch_px
+    mla, pitch_px = scene.camera.mla, solved_camera(scene).report.micro_image_pitch_px
     if mla is None or pitch_px is None:
         return None
     return Lattice(mla.layout == "hexagonal", pitch_px, columns=mla.count[0], rows=mla.count[1])

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.scene import FirstOrder, Scene, first_order
+from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import Refinement
 from lfmesh.transport.render.certainty import neighbours, pooled_error, typical_over_rms
@@ -92,7 +93,12 @@ def _quartiles(image: Image, lit: NDArray[np.bool_]) -> tuple[float, float, floa
 def summary(image: Image) -> list[str]:
     """Say what a run gave, one plain sentence a line: work done, noise, and whatever is amiss."""
     measured = noise(image)
-    lines = [_work(image), *_noise_lines(image, measured), *_diffraction(first_order(image.scene)), *_aim(image)]
+    lines = [
+        _work(image),
+        *_noise_lines(image, measured),
+        *_diffraction(solved_camera(image.scene).report),
+        *_aim(image),
+    ]
     if measured.received_share < DARK_SHARE:
         lines += where_the_light_went(image)
     for ledger in (image.ledger, image.ledger.lamps):
@@ -102,7 +108,7 @@ def summary(image: Image) -> list[str]:
 
 def diffraction(scene: Scene) -> dict[str, float | None]:
     """Return the Airy disks that geometric optics leaves out, as a report keeps them; see `FirstOrder`."""
-    facts = first_order(scene)
+    facts = solved_camera(scene).report
     names = ("airy_wavelength_nm", "airy_disk_mm", "airy_disk_samples", "microlens_airy_disk_px")
     return {name: getattr(facts, name) for name in names}
 

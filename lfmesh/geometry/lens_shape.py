@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.levels import SMOOTH, SURFACE_LEVEL
 from lfmesh.geometry.mesh import Array, Mesh
 from lfmesh.geometry.mesh_error import facet_errors, landing_errors
-from lfmesh.geometry.refractors import RIM_MARGIN, face_of, measured
+from lfmesh.geometry.refractors import RIM_MARGIN, face_of
 from lfmesh.geometry.surface import surface
 from lfmesh.geometry.tessellation import (
     MAX_RINGS,
@@ -19,7 +19,7 @@ from lfmesh.geometry.tessellation import (
     ring_profile,
     rings_for,
 )
-from lfmesh.scene import Scene, Tessellation, solved
+from lfmesh.scene import Scene
 
 LEAST_RINGS = 5
 """Rings of triangles a lens surface has at least: enough for `exact`, which takes only the facet's number from it."""
@@ -133,23 +133,3 @@ def _rings(scene: Scene, numbers: list[int], surfaces: NDArray[np.void]) -> int:
             return rings
         rings = max(rings + 1, min(MAX_RINGS, int(np.ceil(rings * excess ** (1.0 / ORDER.get(name, 2.0))))))
     return min(rings, MAX_RINGS)
-
-
-def mesh_lines(scene: Scene) -> list[str]:
-    """Return in words how a scene's lens is meshed: triangles a surface, and what they cost at the sensor."""
-    scene = solved(measured(scene))
-    shape = lens_shape(scene)
-    lines = []
-    for number, cap_, error, own in zip(shape.numbers, shape.caps, shape.errors_mm, shape.analytic, strict=True):
-        source = f"estimated error at the sensor {1e3 * error:.3g} µm" if own else "from its file"
-        lines.append(f"surface {number:<15}{len(cap_.faces)} triangles, {source}")
-    total = float(np.sqrt(np.nansum(shape.errors_mm**2)))
-    pixels = total / scene.camera.sensor.pixel_mm
-    level = scene.transport.surface
-    lines.append(f'{"all surfaces":<23}surface = "{level}": {1e3 * total:.3g} µm, {pixels:.3g} pixels')
-    if level != "exact" and scene.transport.tessellation == Tessellation() and pixels > PIXEL_SHARE:
-        lines.append(
-            f'warning: at {shape.rings} rings, the finest, surface = "{level}" is {pixels:.2g} pixels off; '
-            'use "patch" or "exact"'
-        )
-    return lines

@@ -17,8 +17,9 @@ from lfmesh.geometry.mesh_file import load_mesh
 from lfmesh.geometry.patch import neighbours
 from lfmesh.geometry.vertex_normals import estimated_corner_normals, smooth_edges, smooth_groups
 from lfmesh.geometry.weld import welded
-from lfmesh.scene import FirstOrder, Lens, MeshFace, MeshShape, Scene, Surface, report
+from lfmesh.scene import Lens, MeshFace, MeshShape, Scene, Surface
 from lfmesh.scene.files import with_lens_file
+from lfmesh.scene.inputs import file_stamp
 
 RIM_MARGIN = 0.02
 """How far inside the mesh's rim the clear aperture ends, where none is given; relative."""
@@ -163,7 +164,7 @@ def _angle(a: Array, b: Array) -> Array:
 
 
 @lru_cache(maxsize=32)
-def _faces(path: Path, stamp: float, units: str | None, crease_deg: float | None) -> tuple[Face, Face]:
+def _faces(path: Path, stamp: tuple[object, ...], units: str | None, crease_deg: float | None) -> tuple[Face, Face]:
     mesh = solid_mesh(path, units, crease_deg)
     assert mesh.corner_normals is not None
     groups = smooth_groups(mesh, neighbours(mesh.faces, mesh.corner_normals) >= 0)
@@ -176,8 +177,7 @@ def _faces(path: Path, stamp: float, units: str | None, crease_deg: float | None
 def faces(shape: MeshShape, scene: Scene) -> tuple[Face, Face]:
     """Return the front and the back face of a lens element given as a mesh."""
     path = scene.resolve(shape.file).resolve()
-    stamp = path.stat().st_mtime if path.is_file() else 0.0
-    return _faces(path, stamp, shape.units, shape.crease_deg)
+    return _faces(path, file_stamp(path), shape.units, shape.crease_deg)
 
 
 def face_of(shape: MeshFace, scene: Scene) -> Face:
@@ -271,8 +271,3 @@ def measured(scene: Scene) -> Scene:
     camera = scene.camera.model_copy(update={"lens": new})
     copy = scene.model_copy(update={"camera": camera})
     return copy.in_folder(scene.folder)
-
-
-def first_order(scene: Scene) -> FirstOrder:
-    """Return the first-order report of a scene, elements given as meshes measured first."""
-    return report.first_order(measured(scene))

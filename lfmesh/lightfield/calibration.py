@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice
 from lfmesh.geometry.lenslets import Lenslets, type_of
-from lfmesh.geometry.refractors import measured
+from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.kernel import kernel
 from lfmesh.lightfield.chief_rays import ChiefRays, chief_rays, plate_of, polynomial_terms
 from lfmesh.lightfield.ray_model import RayModel
-from lfmesh.scene import Scene, first_order, solved
+from lfmesh.scene import Scene
 from lfmesh.scene.solve import lenslet_focal_length_mm
 
 Array = NDArray[np.float64]
@@ -126,7 +126,7 @@ def calibrate(scene: Scene) -> Calibration:
     LfmeshError
         A conventional camera, or one whose lens lets no chief ray through to the array.
     """
-    scene = solved(measured(scene))
+    scene = solved_camera(scene).scene
     return calibration_by(scene, chief_rays(scene))
 
 
@@ -144,7 +144,7 @@ def calibration_of(
     mla, sensor = scene.camera.mla, scene.camera.sensor
     lenslets = plate_of(scene).lenslets
     assert mla is not None
-    facts, model = first_order(scene), RayModel.of(scene)
+    facts, model = solved_camera(scene).report, RayModel.of(scene)
     kinds = np.zeros(known.shape, np.int64)
     _fill_kinds(lenslets, kinds)
     return Calibration(

@@ -5,11 +5,11 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice
-from lfmesh.geometry.refractors import measured
+from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.kernel import kernel
 from lfmesh.lightfield.calibration import Calibration, calibration_of, continued
 from lfmesh.lightfield.ray_model import RayModel
-from lfmesh.scene import Scene, solved
+from lfmesh.scene import Scene
 from lfmesh.transport.render.image import Image
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ def estimate_centres(white: Image, scene: Scene | None = None) -> Calibration:
     LfmeshError
         A conventional camera, a black image, or one without dark between the micro-images.
     """
-    scene = solved(measured(white.scene if scene is None else scene))
+    scene = solved_camera(white.scene if scene is None else scene).scene
     model = RayModel.of(scene)
     mla = scene.camera.mla
     assert mla is not None

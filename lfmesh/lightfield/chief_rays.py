@@ -4,6 +4,7 @@ The rays pass the lens as `lf.trace` has it, whatever it is made of. Through the
 the curved face is square to the array's axis, so that a lenslet is a plane-parallel plate to the ray through it.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -12,10 +13,11 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lenslets import Lenslets
-from lfmesh.geometry.refractors import measured
+from lfmesh.geometry.solved_camera import SolvedCamera, solved_camera
 from lfmesh.lightfield.lens_alone import lens_alone
 from lfmesh.optics.glass import refractive_index
-from lfmesh.scene import Paraxial, Scene, solved
+from lfmesh.scene import Scene
+from lfmesh.transport.aiming.ray_aiming import aim_rays
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.lens import array_tables
@@ -28,12 +30,6 @@ FAN = 41
 
 DEGREE = 5
 """Of the polynomial that tells from the place on the array how a chief ray leaves the stop."""
-
-STEPS = 8
-"""Corrections at most. Each leaves a share of the error that is as small as the polynomial's, so three do."""
-
-SETTLED = 1e-12
-"""A chief ray has arrived when it misses the apex by this share of the array's size."""
 
 
 class ChiefRays(NamedTuple):
@@ -140,38 +136,44 @@ def chief_rays(scene: Scene) -> ChiefRays:
     LfmeshError
         A conventional camera, or one whose lens lets no chief ray through to the array.
     """
-    scene = solved(measured(scene))
-    plate = plate_of(scene)
+    return _chief_rays(solved_camera(scene))
+
+
+@lru_cache(maxsize=2)
+def _chief_rays(camera: SolvedCamera) -> ChiefRays:
+    """Trace the chief rays of a camera; kept for decoding, calibration and views of the same one."""
+    plate = plate_of(camera.scene)
     apexes = plate.apexes
     reach = float(np.hypot(*apexes.T).max()) + plate.lenslets.lattice.pitch
-    fan = _Fan(scene, plate, reach)
-    slopes = fan.guess(apexes)
-    direction = np.full((len(apexes), 3), np.nan)
-    for _ in range(STEPS):
-        position, direction = fan.trace(slopes)
-        hit = plate.at_apexes(position, direction)
-        missing = np.hypot(*(apexes - hit).T)
-        if not np.any(missing > SETTLED * reach):
-            break
-        slopes = slopes + fan.guess(apexes) - fan.guess(hit)
+    fan = _Fan(camera, plate, reach)
+
+    def landing(slopes: Array, _: NDArray[np.int64]) -> Array:
+        return plate.at_apexes(*fan.trace(slopes))
+
+    # Where facets leave gaps, the nearest ray that was found stands for the one to the apex.
+    aimed = aim_rays(landing, apexes, fan.guess(apexes), fan.derivative(apexes), reach)
+    _, direction = fan.trace(aimed.start)
     lattice = plate.lenslets.lattice
     in_camera = frames.points(plate.moves[ARRAY_FRAME, CAMERA_FRAME], np.column_stack([apexes, np.zeros(len(apexes))]))
     shape = (lattice.rows, lattice.columns, -1)
-    return ChiefRays(
+    rays = ChiefRays(
         in_camera.reshape(shape),
         plate.entries(direction).reshape(shape),
         direction.reshape(shape),
         plate.landing(direction).reshape(shape),
     )
+    for values in rays:
+        values.setflags(write=False)
+    return rays
 
 
 class _Fan:
     """Rays from the middle of the stop, and the polynomial that inverts where they meet the array."""
 
-    def __init__(self, scene: Scene, plate: Plate, reach: float) -> None:
+    def __init__(self, camera: SolvedCamera, plate: Plate, reach: float) -> None:
+        scene, paraxial = camera.scene, camera.paraxial
         self._world = lens_alone(scene)
         lens = scene.camera.lens
-        paraxial = Paraxial.of(lens, scene.transport.primary_nm)
         self._wavelength = scene.transport.primary_nm
         after = lens.surfaces[paraxial.stop].thickness_mm or (scene.camera.mla and scene.camera.mla.distance_mm) or 0.0
         # Behind the stop, which may be a surface of glass, and well before the next surface.
@@ -216,6 +218,14 @@ class _Fan:
         """Return the slopes behind the stop, (n, 2), of the rays that meet the array near (n, 2) points of it."""
         return self._terms(apexes) @ self._coefficients
 
+    def derivative(self, apexes: Array) -> Array:
+        """Return how far rays move on the array for a change of the slopes of those that meet it at (n, 2) points.
+
+        (n, 2, 2) mm: the inverse of the derivative of the polynomial.
+        """
+        by_x, by_y = (terms @ self._coefficients for terms in polynomial_slopes(apexes / self._reach, DEGREE))
+        return np.asarray(np.linalg.inv(np.stack([by_x, by_y], axis=2) / self._reach))
+
     def _terms(self, points: Array) -> Array:
         return polynomial_terms(points / self._reach, DEGREE)
 
@@ -224,3 +234,12 @@ def polynomial_terms(points: Array, degree: int) -> Array:
     """Return the (n, terms) monomials x^i y^j, i + j ≤ degree, of (n, 2) points."""
     x, y = points.T
     return np.column_stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)])
+
+
+def polynomial_slopes(points: Array, degree: int) -> tuple[Array, Array]:
+    """Return the derivatives of `polynomial_terms` by x and by y, (n, terms) each."""
+    x, y = points.T
+    powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+    by_x = np.column_stack([i * x ** max(i - 1, 0) * y**j for i, j in powers])
+    by_y = np.column_stack([j * x**i * y ** max(j - 1, 0) for i, j in powers])
+    return by_x, by_y

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lattice import ROW_SPACING
-from lfmesh.geometry.refractors import measured
+from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.kernel import kernel
 from lfmesh.lightfield.calibration import Calibration, calibrate
 from lfmesh.lightfield.field import LightField, Samples
@@ -16,7 +16,7 @@ from lfmesh.lightfield.raw_image import between_pixels
 from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.lightfield.upright import Upright
 from lfmesh.lightfield.white import refuse_other_white
-from lfmesh.scene import Scene, solved
+from lfmesh.scene import Scene
 from lfmesh.transport.render.image import Image
 
 Array = NDArray[np.float64]
@@ -87,7 +87,7 @@ def decode(
         A conventional camera; an image, white image or calibration of another camera; a number of views that makes
         no sense.
     """
-    scene = solved(measured(image.scene if scene is None else scene))
+    scene = solved_camera(image.scene if scene is None else scene).scene
     model = RayModel.of(scene)
     calibration = calibrate(scene) if calibration is None else calibration
     _refuse_strangers(image, white, scene, calibration)

@@ -17,7 +17,8 @@ from scipy import ndimage
 from lfmesh.errors import LfmeshError
 from lfmesh.kernel import kernel
 from lfmesh.lightfield.field import LightField, Samples
-from lfmesh.lightfield.view_rays import TracedShift, ViewRays
+from lfmesh.lightfield.ray_model import ShiftMap
+from lfmesh.lightfield.view_rays import ViewRays, traced_shift
 from lfmesh.scene.distance import reach_in_words
 
 Array = NDArray[np.float64]
@@ -111,7 +112,7 @@ def estimate_depth(field: LightField, *, near_mm: float | None = None, far_mm: f
         No range to search in, or fewer than 3 views along an axis.
     """
     data, usable = _even_views(field)
-    geometry = TracedShift.of(ViewRays.of_camera(field.scene), usable)
+    geometry = traced_shift(ViewRays.of_camera(field.scene), usable)
     shifts = _shifts_to_try(field, geometry, near_mm, far_mm)
     spacing = field.spacing_mm
     cost, texture = np.full(data.shape[2:4], np.inf), np.zeros(data.shape[2:4])
@@ -128,13 +129,21 @@ def estimate_depth(field: LightField, *, near_mm: float | None = None, far_mm: f
         shift = np.where(better, plane + np.clip(residual, -limit, limit), shift)
     with np.errstate(divide="ignore", invalid="ignore"):
         confidence = np.where(total > 0.0, (1.0 - cost * tried / total) * texture / (texture + cost), 0.0)
-    near, far = geometry.distance_mm(shifts[[-1, 0]])
+    near, far = _real(geometry.distance_mm(shifts[[-1, 0]]))
     return DepthMap(
-        geometry.distance_mm(shift), shift, np.clip(np.nan_to_num(confidence), 0.0, 1.0), (float(near), float(far))
+        _real(geometry.distance_mm(shift)),
+        shift,
+        np.clip(np.nan_to_num(confidence), 0.0, 1.0),
+        (float(near), float(far)),
     )
 
 
-def _shifts_to_try(field: LightField, geometry: TracedShift, near_mm: float | None, far_mm: float | None) -> Array:
+def _real(distance_mm: Array) -> Array:
+    """Return distances with those of virtual objects, which lie beyond infinity, at infinity."""
+    return np.where(distance_mm < 0.0, np.inf, distance_mm)
+
+
+def _shifts_to_try(field: LightField, geometry: ShiftMap, near_mm: float | None, far_mm: float | None) -> Array:
     """Return the shifts between views from the farthest plane to the nearest, mm."""
     near, far = field.model.paraxial.refocus_range_mm
     near, far = near if near_mm is None else near_mm, far if far_mm is None else far_mm

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
-from lfmesh.geometry.refractors import measured
+from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.decode import view_count
 from lfmesh.lightfield.view_rays import ViewRays, image_path_engine
-from lfmesh.scene import Scene, solved
+from lfmesh.scene import Scene
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.packet import CAMERA_FRAME, ENDED, TRANSMIT, WORLD_FRAME
 from lfmesh.transport.packets.random import descendant
@@ -74,7 +74,7 @@ def depth_truth(scene: Scene, *, views: int | None = None, samples: int = 16) ->
     """
     if not 1 <= samples <= MOST_SAMPLES:
         raise LfmeshError(f"samples = {samples}: must be from 1 to {MOST_SAMPLES}")
-    scene = solved(measured(scene))
+    scene = solved_camera(scene).scene
     scene = scene.changed({"transport.wavelengths_nm": [scene.transport.primary_nm], "lights": ()})
     rays = ViewRays(build(scene))
     count = view_count(rays.calibration, views)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 from lfmesh.errors import LfmeshError
-from lfmesh.geometry.refractors import measured
+from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.scene import Scene, solved
 from lfmesh.scene.solve import lenslet_focal_length_mm
@@ -50,7 +50,7 @@ def focused(
     LfmeshError
         A conventional camera, a reduction out of its range, or no room for the array behind the lens.
     """
-    scene = solved(measured(scene))
+    scene = solved_camera(scene).scene
     model = RayModel.of(scene)
     camera = scene.camera
     reductions = [float(r) for r in (reduction if isinstance(reduction, Sequence) else [reduction])]

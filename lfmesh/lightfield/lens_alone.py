@@ -5,7 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from lfmesh.scene import FirstOrder, Paraxial, Scene, first_order
+from lfmesh.geometry.solved_camera import SolvedCamera, solved_camera
+from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.world import World, build
 
@@ -29,21 +30,24 @@ def lens_alone(scene: Scene) -> World:
     assert mla.distance_mm is not None
     # So wide that whatever leaves the lens towards the array meets it.
     wide = 100.0 * (max(mla.size_mm) + max(sensor.size_mm) + mla.distance_mm)
-    return build(
-        scene.changed(
-            {
-                "targets": (),
-                "lights": (),
-                "camera.pose": {},
-                "camera.mla": None,
-                "camera.sensor": {"pixels": (2, 2), "pixel_mm": wide, "distance_mm": mla.distance_mm},
-                "transport.engine": "auto",
-            }
-        )
+    alone = scene.changed(
+        {
+            "targets": (),
+            "lights": (),
+            "camera.pose": {},
+            "camera.mla": None,
+            "camera.sensor": {"pixels": (2, 2), "pixel_mm": wide, "distance_mm": mla.distance_mm},
+            "transport.engine": "auto",
+        }
     )
+    return _built(solved_camera(alone))
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=4)
+def _built(camera: SolvedCamera) -> World:
+    return build(camera.scene)
+
+
 def focus_shift(scene: Scene) -> tuple[float, float]:
     """Return how far from its paraxial image a point of the axis is imaged most sharply, by real rays.
 
@@ -62,11 +66,16 @@ def focus_shift(scene: Scene) -> tuple[float, float]:
     slope : float, mm²
         Over the object's distance from the front principal plane: added.
     """
-    facts = first_order(scene)
+    return _focus_shift(solved_camera(scene))
+
+
+@lru_cache(maxsize=8)
+def _focus_shift(camera: SolvedCamera) -> tuple[float, float]:
+    facts = camera.report
     principal_z = facts.front_principal_plane_z_mm
     distances = _probed_mm(facts)
-    world = lens_alone(scene)
-    at_near, at_far = (_focus_shift_mm(scene, world, distance) for distance in distances)
+    world = lens_alone(camera.scene)
+    at_near, at_far = (_focus_shift_mm(camera, world, distance) for distance in distances)
     near, far = (1.0 / (distance + principal_z) for distance in distances)
     slope = (at_near - at_far) / (near - far)
     return at_far - slope * far, slope
@@ -90,9 +99,9 @@ def _probed_mm(facts: FirstOrder) -> tuple[float, float]:
     return (1.0 - ASIDE) * focus, focus / (1.0 - ASIDE)
 
 
-def _focus_shift_mm(scene: Scene, world: World, distance_mm: float) -> float:
+def _focus_shift_mm(camera: SolvedCamera, world: World, distance_mm: float) -> float:
     """Return the shift of the sharpest image of a point of the axis, from rings of equal area in the entrance pupil."""
-    facts, lens = first_order(scene), scene.camera.lens
+    facts, lens = camera.report, camera.scene.camera.lens
     pupil_z, pupil_radius = facts.entrance_pupil_z_mm, 0.5 * facts.entrance_pupil_diameter_mm
     # A lens without a real image of the object has no focus; one of negative focal length may be a relay.
     front_focus = facts.efl_mm - facts.front_principal_plane_z_mm
@@ -105,12 +114,12 @@ def _focus_shift_mm(scene: Scene, world: World, distance_mm: float) -> float:
     # From close before the lens: the object may be far, and rays are as exact as the place they start from.
     ahead = max(distance_mm - abs(facts.efl_mm), 0.5 * distance_mm)
     start = np.array([0.0, 0.0, -distance_mm]) + toward * (ahead / toward[:, 2:])
-    paths = trace(world, start, toward, scene.transport.primary_nm, split="transmit")
+    paths = trace(world, start, toward, facts.wavelength_nm, split="transmit")
     arrived = paths.status == Status.SENSOR
     x, z = paths.position[arrived, 0], paths.position[arrived, 2]
     slope = paths.direction[arrived, 0] / paths.direction[arrived, 2]
     if not slope.any():
         return 0.0
     sharpest = float(z[0] - (x * slope).sum() / (slope * slope).sum())
-    paraxial = Paraxial.of(lens, scene.transport.primary_nm).image_mm(distance_mm)
+    paraxial = camera.paraxial.image_mm(distance_mm)
     return sharpest - lens.vertices_mm[-1] - paraxial

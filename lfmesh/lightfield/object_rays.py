@@ -11,17 +11,15 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
-from lfmesh.geometry.refractors import measured
+from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.chief_rays import Plate, plate_of
 from lfmesh.lightfield.lens_alone import lens_alone
-from lfmesh.scene import Scene, solved
+from lfmesh.scene import Scene
+from lfmesh.transport.aiming.ray_aiming import aim_rays
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
 from lfmesh.transport.trace import Status, trace
 
 Array = NDArray[np.float64]
-
-NEWTON_STEPS = 6
-"""For the angle under which a ray crosses the plate; each doubles the digits, from a paraxial guess."""
 
 
 class ObjectRays(NamedTuple):
@@ -55,7 +53,7 @@ def object_rays(scene: Scene, lenslets: NDArray[np.integer], pixels_px: Array) -
     LfmeshError
         A conventional camera, or a lenslet that the array does not have.
     """
-    scene = solved(measured(scene))
+    scene = solved_camera(scene).scene
     plate = plate_of(scene)
     lattice = plate.lenslets.lattice
     lenslets, pixels = np.atleast_2d(lenslets), np.atleast_2d(np.asarray(pixels_px, dtype=np.float64))
@@ -70,14 +68,17 @@ def object_rays(scene: Scene, lenslets: NDArray[np.integer], pixels_px: Array) -
     entry, towards_lens = _through_apexes(scene, plate, apexes, pixels)
     # From just before the array, which is as close to it as a ray may start.
     ahead = 0.01 * (scene.camera.mla.distance_mm or 0.0) if scene.camera.mla is not None else 0.0
+    known = np.flatnonzero(np.isfinite(towards_lens).all(axis=1))
     paths = trace(
-        lens_alone(scene), entry + ahead * towards_lens, towards_lens, scene.transport.primary_nm, split="transmit"
+        lens_alone(scene), (entry + ahead * towards_lens)[known], towards_lens[known], scene.transport.primary_nm,
+        split="transmit",
     )  # fmt: skip
     origin, direction = np.full((2, len(pixels), 3), np.nan)
     through = paths.status == Status.ESCAPED
+    rays = known[paths.source[through]]
     to_world = frames.frame(scene.camera.pose.tilt_deg, scene.camera.pose.shift_mm)
-    origin[paths.source[through]] = frames.points(to_world, paths.position[through])
-    direction[paths.source[through]] = frames.directions(to_world, paths.direction[through])
+    origin[rays] = frames.points(to_world, paths.position[through])
+    direction[rays] = frames.directions(to_world, paths.direction[through])
     return ObjectRays(origin, direction)
 
 
@@ -86,14 +87,11 @@ def _through_apexes(scene: Scene, plate: Plate, apexes: Array, pixels: Array) ->
     sensor = scene.camera.sensor
     on_sensor = (pixels - 0.5 * (np.asarray(sensor.pixels) - 1.0)) * sensor.pixel_mm
     points = frames.points(plate.moves[SENSOR_FRAME, ARRAY_FRAME], np.column_stack([on_sensor, np.zeros(len(pixels))]))
-    offset = apexes - points[:, :2]
-    across = np.hypot(*offset.T)
     glass = plate.lenslets.thickness if plate.curved_to_lens else 0.0
-    sine = _sine_across(across, np.abs(points[:, 2]) - glass, glass, plate.glass)
-    heading = offset / np.where(across > 0.0, across, 1.0)[:, None]
+    slope = _slopes_across(apexes - points[:, :2], np.abs(points[:, 2]) - glass, glass, plate.glass)
     # The array's z axis runs into the glass: towards the lens it is negative where the curved face looks there.
-    along = np.sqrt(1.0 - sine**2) * (-1.0 if plate.curved_to_lens else 1.0)
-    in_array = np.column_stack([sine[:, None] * heading, along])
+    in_array = np.column_stack([slope, np.full(len(slope), -1.0 if plate.curved_to_lens else 1.0)])
+    in_array /= np.linalg.norm(in_array, axis=1, keepdims=True)
     first = np.column_stack([apexes, np.zeros(len(apexes))])
     if not plate.curved_to_lens:
         inside = plate.inside(in_array)
@@ -102,12 +100,26 @@ def _through_apexes(scene: Scene, plate: Plate, apexes: Array, pixels: Array) ->
     return frames.points(to_camera, first), frames.directions(to_camera, in_array)
 
 
-def _sine_across(across: Array, air_mm: Array, glass_mm: float, index: float) -> Array:
-    """Return the sine, in air, of the angle of a ray that gets `across` through air and a plate, by Newton's method."""
-    sine = across / np.hypot(across, air_mm + glass_mm / index)
-    for _ in range(NEWTON_STEPS):
-        cos, cos_glass = np.sqrt(1.0 - sine**2), np.sqrt(1.0 - (sine / index) ** 2)
-        reached = air_mm * sine / cos + glass_mm * sine / (index * cos_glass)
-        slope = air_mm / cos**3 + glass_mm / (index * cos_glass**3)
-        sine = np.clip(sine - (reached - across) / slope, 0.0, 1.0 - 1e-9)
-    return sine
+def _slopes_across(offset: Array, air_mm: Array, glass_mm: float, index: float) -> Array:
+    """Return the slopes in air, (n, 2), of rays that get so far sideways through air and a plate; NaN where none does.
+
+    Parameters
+    ----------
+    offset : (n, 2) float64, mm
+    air_mm : (n,) float64
+    glass_mm, index : float
+        Thickness and refractive index of the plate.
+    """
+    more = index * index - 1.0
+
+    def landing(slope: Array, which: NDArray[np.int64]) -> Array:
+        in_glass = np.sqrt(index * index + more * np.square(slope).sum(axis=1))
+        return slope * (air_mm[which] + glass_mm / in_glass)[:, None]
+
+    # First order gives slopes that are too small, and less is added the larger they are: steps come from below.
+    guess = offset / (air_mm + glass_mm / index)[:, None]
+    in_glass = np.sqrt(index * index + more * np.square(guess).sum(axis=1))
+    derivative = (air_mm + glass_mm / in_glass)[:, None, None] * np.eye(2)
+    derivative -= (glass_mm * more / in_glass**3)[:, None, None] * guess[:, :, None] * guess[:, None, :]
+    aimed = aim_rays(landing, offset, guess, derivative, air_mm + glass_mm)
+    return np.where(aimed.arrived[:, None], aimed.start, np.nan)

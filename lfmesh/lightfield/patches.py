@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lfmesh.errors import LfmeshError
-from lfmesh.geometry.refractors import measured
+from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.kernel import kernel
 from lfmesh.lightfield.calibration import Calibration
 from lfmesh.lightfield.chief_rays import plate_of
@@ -26,11 +26,11 @@ from lfmesh.lightfield.depth import BORDER
 from lfmesh.lightfield.focused import lenslet_blur_px
 from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph
 from lfmesh.lightfield.raw_image import between_pixels
-from lfmesh.lightfield.ray_model import RayModel
+from lfmesh.lightfield.ray_model import RayModel, ShiftMap
 from lfmesh.lightfield.upright import Upright
-from lfmesh.lightfield.view_rays import TracedShift, ViewRays
+from lfmesh.lightfield.view_rays import ViewRays, traced_shift
 from lfmesh.lightfield.white import refuse_other_white
-from lfmesh.scene import Scene, solved
+from lfmesh.scene import Scene
 from lfmesh.transport.render.image import Image
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class _Focused(NamedTuple):
     scene: Scene
     calibration: Calibration
     model: RayModel
-    geometry: TracedShift
+    geometry: ShiftMap
     apexes: Array  # (rows, columns, 2) mm
     light: Array  # (H, W, c), NaN where dark
     spread: Array
@@ -161,7 +161,7 @@ def _photograph(camera: _Focused, distance_mm: float, step_mm: float) -> Photogr
 
 
 def _focused(image: Image, white: Image | None) -> _Focused:
-    scene = solved(measured(image.scene))
+    scene = solved_camera(image.scene).scene
     model = RayModel.of(scene)
     calibration, geometry, radius = _geometry(scene.changed({"targets": (), "lights": ()}))
     light, spread, unit = image.mean, image.stderr, "W per pixel"
@@ -173,7 +173,7 @@ def _focused(image: Image, white: Image | None) -> _Focused:
 
 
 @lru_cache(maxsize=4)
-def _geometry(scene: Scene) -> tuple[Calibration, TracedShift, float]:
+def _geometry(scene: Scene) -> tuple[Calibration, ShiftMap, float]:
     """Return a camera's calibration, its map of distances, and the radius in pixels of what micro-images hold.
 
     Kept for the next picture, since tracing it takes longer than rendering one.
@@ -189,7 +189,7 @@ def _geometry(scene: Scene) -> tuple[Calibration, TracedShift, float]:
         raise LfmeshError(
             f"camera: the micro-images are {calibration.pitch_px:.3g} pixels wide, too small to render patches of"
         )
-    return calibration, TracedShift.of(rays, usable), radius
+    return calibration, traced_shift(rays, usable), radius
 
 
 def _divided(image: Image, white: Image, scene: Scene) -> tuple[Array, Array]:

@@ -1,4 +1,8 @@
-"""The first-order numbers that tie a shift between views to a distance in object space.
+"""The two maps between the shift from view to view and a distance in object space.
+
+`RayModel` is the map of first-order optics, moved to the best focus of a filled aperture: right for photographs. Views
+from near the rim of the pupil focus elsewhere than those from the middle, and depth is measured on the views that are
+used: `TracedShift` is the map fitted to their rays. Both are a `ShiftMap`.
 
 A pixel seen through its lenslet's principal points belongs to one point of the exit pupil and one of the array: the
 two planes between which a light field is measured. Views a pixel apart are `view_step_mm` apart on the pupil. An
@@ -9,15 +13,51 @@ This is the model of C. Hahne et al., "Refocusing distance of a standard plenopt
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any, Protocol, overload
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
-from lfmesh.geometry.refractors import measured
+from lfmesh.geometry.solved_camera import SolvedCamera, solved_camera
 from lfmesh.lightfield.lens_alone import focus_shift
-from lfmesh.scene import Paraxial, Scene, first_order, solved
+from lfmesh.scene import Scene
 from lfmesh.scene.report import lenslet_to_sensor_mm
+
+Array = NDArray[np.float64]
 
 ROUNDS = 10
 """Of successive approximation, for the distance of a shift."""
+
+
+class ShiftMap(Protocol):
+    """How far the points of a plane move on the array from one view to the next, and the plane that a shift means."""
+
+    def shift_mm(self, distance_mm: float) -> float:
+        """Return how far a point moves on the array from one view to the next; positive nearer than the focus.
+
+        Parameters
+        ----------
+        distance_mm : float
+            Of the object plane, before the first vertex.
+        """
+
+    @overload
+    def distance_mm(self, shift_mm: float) -> float: ...
+    @overload
+    def distance_mm(self, shift_mm: Array) -> Array: ...
+    def distance_mm(self, shift_mm: Any) -> Any:
+        """Return the distances before the first vertex whose points move so far: the inverse of `shift_mm`.
+
+        Parameters
+        ----------
+        shift_mm : float, or array of any shape
+
+        Returns
+        -------
+        float, or array of that shape, mm
+            inf at infinity; negative for virtual objects, which lie beyond it.
+        """
 
 
 @dataclass(frozen=True)
@@ -66,12 +106,12 @@ class RayModel:
         LfmeshError
             A conventional camera, or an afocal lens.
         """
-        scene = solved(measured(scene))
+        known = solved_camera(scene)
+        scene, facts = known.scene, known.report
         camera, wavelength = scene.camera, scene.transport.primary_nm
         mla = camera.mla
         if mla is None:
             raise LfmeshError("camera.mla is missing: a conventional camera records no light field")
-        facts = first_order(scene)
         if not math.isfinite(facts.efl_mm):
             raise LfmeshError("camera.lens is afocal: it has no focal length to tell distances by")
         array_z = facts.image_z_mm + mla.pose.shift_mm[2]
@@ -81,7 +121,7 @@ class RayModel:
             front_principal_z_mm=facts.front_principal_plane_z_mm,
             rear_principal_z_mm=facts.rear_principal_plane_z_mm,
             array_z_mm=array_z,
-            pupil_to_array_mm=array_z - _exit_pupil_z_mm(scene),
+            pupil_to_array_mm=array_z - _exit_pupil_z_mm(known),
             lenslet_to_sensor_mm=lenslet_to_sensor_mm(camera, wavelength)
             + camera.sensor.pose.shift_mm[2]
             - mla.pose.shift_mm[2],
@@ -147,18 +187,22 @@ class RayModel:
         excess = self.image_excess_mm(distance_mm)
         return self.slope_step * excess / (1.0 + excess / self.pupil_to_array_mm)
 
-    def distance_mm(self, shift_mm: float) -> float:
-        """Return the object distance whose points move this far between views: the inverse of `shift_mm`.
-
-        Negative for a virtual object, whose image lies within the focal length; inf at infinity.
-        """
-        sharpest = self.array_z_mm - self.rear_principal_z_mm + self._excess_of_shift_mm(shift_mm)
-        vergence = 0.0
-        # What aberrations add depends on the vergence by so little that every round settles two digits more.
-        for _ in range(ROUNDS):
-            image = sharpest - self.focus_shift_mm - self.focus_shift_mm2 * vergence
-            vergence = 1.0 / self.efl_mm - 1.0 / image
-        return (1.0 / vergence if vergence else math.inf) - self.front_principal_z_mm
+    @overload
+    def distance_mm(self, shift_mm: float) -> float: ...
+    @overload
+    def distance_mm(self, shift_mm: Array) -> Array: ...
+    def distance_mm(self, shift_mm: Any) -> Any:
+        """Return the distances whose points move so far; see `ShiftMap`."""
+        shift = np.asarray(shift_mm, dtype=np.float64)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            excess = shift / (self.slope_step - shift / self.pupil_to_array_mm)
+            sharpest = self.array_z_mm - self.rear_principal_z_mm + excess
+            vergence = np.zeros_like(shift)
+            # What aberrations add depends on the vergence by so little that every round settles two digits more.
+            for _ in range(ROUNDS):
+                image = sharpest - self.focus_shift_mm - self.focus_shift_mm2 * vergence
+                vergence = 1.0 / self.efl_mm - 1.0 / image
+            return _alike(shift_mm, 1.0 / (vergence + 0.0) - self.front_principal_z_mm)
 
     def object_scale(self, distance_mm: float) -> float:
         """Return the size of an object over that of its image in the middle view, where that crosses the array.
@@ -173,13 +217,49 @@ class RayModel:
         """Return the distance of a paraxial image from the rear principal plane; vergence: 1/object distance, 1/mm."""
         return 1.0 / (1.0 / self.efl_mm - vergence)
 
-    def _excess_of_shift_mm(self, shift_mm: float) -> float:
-        steepness = self.slope_step - shift_mm / self.pupil_to_array_mm
-        return shift_mm / steepness if steepness else math.inf
+
+@dataclass(frozen=True)
+class TracedShift:
+    """The map between shift and distance as the lens has it on average over array and pupil, from traced rays.
+
+    A ray from place s on the array in view u crosses the plane 1/V before the first vertex at x, with x V = a + b s +
+    c u, where b and c are linear in V; of t and v the same holds with −y for x. A point stays where it is if s moves by
+    −c/b from view to view.
+
+    Attributes
+    ----------
+    place : tuple of float
+        b = place[0] + place[1] V, for s in mm.
+    view : tuple of float, 1/mm and mm/mm
+        c = view[0] + view[1] V, for u in views.
+    """
+
+    place: tuple[float, float]
+    view: tuple[float, float]
+
+    def shift_mm(self, distance_mm: float) -> float:
+        """Return how far a point moves on the array from one view to the next; positive nearer than the focus."""
+        vergence = 1.0 / distance_mm
+        return (self.view[0] + self.view[1] * vergence) / (self.place[0] + self.place[1] * vergence)
+
+    @overload
+    def distance_mm(self, shift_mm: float) -> float: ...
+    @overload
+    def distance_mm(self, shift_mm: Array) -> Array: ...
+    def distance_mm(self, shift_mm: Any) -> Any:
+        """Return the distances whose points move so far; see `ShiftMap`."""
+        shift = np.asarray(shift_mm, dtype=np.float64)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            vergence = (shift * self.place[0] - self.view[0]) / (self.view[1] - shift * self.place[1])
+            return _alike(shift_mm, 1.0 / (vergence + 0.0))
 
 
-def _exit_pupil_z_mm(scene: Scene) -> float:
-    lens = scene.camera.lens
-    paraxial = Paraxial.of(lens, scene.transport.primary_nm)
-    z, _ = paraxial.exit_pupil(lens.surfaces[paraxial.stop].semi_diameter_mm or 1.0)
+def _alike(given: Any, values: Array) -> Any:
+    """Return values as the argument came: a number for a number."""
+    return values if isinstance(given, np.ndarray) else float(values)
+
+
+def _exit_pupil_z_mm(camera: SolvedCamera) -> float:
+    paraxial = camera.paraxial
+    z, _ = paraxial.exit_pupil(camera.scene.camera.lens.surfaces[paraxial.stop].semi_diameter_mm or 1.0)
     return z if math.isfinite(z) else -math.inf

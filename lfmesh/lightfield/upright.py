@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.refractors import measured
-from lfmesh.scene import Paraxial, Scene, solved
+from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.scene import Scene
 from lfmesh.scene.solve import image_plane_mm
 
 Array = NDArray[np.float64]
@@ -51,10 +51,9 @@ class Upright:
 
         The plane in focus decides; where it lies at infinity or is virtual, the chief rays of distant objects do.
         """
-        scene = solved(measured(scene))
-        wavelength = scene.transport.primary_nm
-        lens = Paraxial.of(scene.camera.lens, wavelength)
-        image = image_plane_mm(scene.camera, wavelength)
+        camera = solved_camera(scene)
+        lens = camera.paraxial
+        image = image_plane_mm(camera.scene.camera, camera.scene.transport.primary_nm)
         distance = lens.object_mm(image)
         if 0.0 < distance < np.inf:
             return cls(lens.magnification(distance) < 0.0)

@@ -1,11 +1,4 @@
-"""The rays of views: from a lenslet's apex the ray to a pixel, and what all of them together say of shift and distance.
-
-`RayModel` ties a shift between views to a distance by first-order optics, moved to the best focus of a filled aperture:
-right for photographs. Views from near the rim of the pupil focus elsewhere than those from the middle, and depth is
-measured on the views that are used. `TracedShift` is the same map, fitted to their rays.
-"""
-
-from dataclasses import dataclass
+"""The rays of views: from a lenslet's apex the ray to a pixel, and the map from shift to distance fitted to them."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +8,7 @@ from lfmesh.geometry import frame as frames
 from lfmesh.lightfield.calibration import calibration_by
 from lfmesh.lightfield.chief_rays import chief_rays, plate_of
 from lfmesh.lightfield.decode import sampling_of
-from lfmesh.lightfield.ray_model import RayModel
+from lfmesh.lightfield.ray_model import RayModel, TracedShift
 from lfmesh.lightfield.upright import Upright
 from lfmesh.scene import Scene
 from lfmesh.transport.choice import obstacle_of
@@ -98,68 +91,44 @@ class ViewRays:
         return np.asarray((1.0 - share) * values[row, left] + share * values[row, right])
 
 
-@dataclass(frozen=True)
-class TracedShift:
-    """The map between the shift from view to view and distance, as the lens has it on average over array and pupil.
+def traced_shift(rays: ViewRays, usable: NDArray[np.bool_]) -> TracedShift:
+    """Fit the map from shift to distance to traced rays.
 
-    A ray from place s on the array in view u crosses the plane 1/V before the first vertex at x, with x V = a + b s +
-    c u, where b and c are linear in V; of t and v the same holds with −y for x. A point stays where it is if s moves by
-    −c/b from view to view.
-
-    Attributes
+    Parameters
     ----------
-    place : tuple of float
-        b = place[0] + place[1] V, for s in mm.
-    view : tuple of float, 1/mm and mm/mm
-        c = view[0] + view[1] V, for u in views.
+    rays : ViewRays
+        Of a camera with nothing before it.
+    usable : (v, u) bool
+        The views whose rays count.
+
+    Raises
+    ------
+    LfmeshError
+        The lens lets hardly any of these rays through.
     """
-
-    place: tuple[float, float]
-    view: tuple[float, float]
-
-    @classmethod
-    def of(cls, rays: ViewRays, usable: NDArray[np.bool_]) -> "TracedShift":
-        """Fit the map to rays of those (v, u) views that are used; nothing may stand before the camera.
-
-        Raises
-        ------
-        LfmeshError
-            The lens lets hardly any of these rays through.
-        """
-        height, width = rays.size
-        every = max(1, -(-height // ACROSS)), max(1, -(-width // ACROSS))
-        t, s = np.meshgrid(rays.sampling.t_mm[:: every[0]], rays.sampling.s_mm[:: every[1]], indexing="ij")
-        rows, columns = usable.shape
-        terms, at_zero, per_vergence = [], [], []
-        for v, u in np.argwhere(usable):
-            dv, du = v - 0.5 * (rows - 1), u - 0.5 * (columns - 1)
-            paths, sample = rays.trace(dv, du, every)
-            out = paths.status == Status.ESCAPED
-            slope, height0 = _in_object_space(rays.world, paths, out)
-            # s and u grow with x, t and v against y.
-            for axis, sense, place, view in ((0, 1.0, s, du), (1, -1.0, t, dv)):
-                at = place.ravel()[sample[out]]
-                one = np.zeros((len(at), 2))
-                one[:, axis] = 1.0
-                terms.append(np.column_stack([at, np.full(len(at), view), one]))
-                at_zero.append(-sense * slope[:, axis])
-                per_vergence.append(sense * height0[:, axis])
-        design = np.concatenate(terms)
-        if len(design) < 8 * design.shape[1]:
-            raise LfmeshError("camera: the lens lets hardly any ray of the views through; check it with lfmesh check")
-        fit, *_ = np.linalg.lstsq(design, np.column_stack([np.concatenate(at_zero), np.concatenate(per_vergence)]))
-        return cls((float(fit[0, 0]), float(fit[0, 1])), (float(fit[1, 0]), float(fit[1, 1])))
-
-    def shift_mm(self, distance_mm: float) -> float:
-        """Return how far a point moves on the array from one view to the next; positive nearer than the focus."""
-        vergence = 1.0 / distance_mm
-        return (self.view[0] + self.view[1] * vergence) / (self.place[0] + self.place[1] * vergence)
-
-    def distance_mm(self, shift_mm: Array) -> Array:
-        """Return the distances, of any shape, whose points move so far; inf where they would lie beyond infinity."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            vergence = (shift_mm * self.place[0] - self.view[0]) / (self.view[1] - shift_mm * self.place[1])
-            return np.where(vergence > 0.0, 1.0 / vergence, np.where(np.isnan(vergence), np.nan, np.inf))
+    height, width = rays.size
+    every = max(1, -(-height // ACROSS)), max(1, -(-width // ACROSS))
+    t, s = np.meshgrid(rays.sampling.t_mm[:: every[0]], rays.sampling.s_mm[:: every[1]], indexing="ij")
+    rows, columns = usable.shape
+    terms, at_zero, per_vergence = [], [], []
+    for v, u in np.argwhere(usable):
+        dv, du = v - 0.5 * (rows - 1), u - 0.5 * (columns - 1)
+        paths, sample = rays.trace(dv, du, every)
+        out = paths.status == Status.ESCAPED
+        slope, height0 = _in_object_space(rays.world, paths, out)
+        # s and u grow with x, t and v against y.
+        for axis, sense, place, view in ((0, 1.0, s, du), (1, -1.0, t, dv)):
+            at = place.ravel()[sample[out]]
+            one = np.zeros((len(at), 2))
+            one[:, axis] = 1.0
+            terms.append(np.column_stack([at, np.full(len(at), view), one]))
+            at_zero.append(-sense * slope[:, axis])
+            per_vergence.append(sense * height0[:, axis])
+    design = np.concatenate(terms)
+    if len(design) < 8 * design.shape[1]:
+        raise LfmeshError("camera: the lens lets hardly any ray of the views through; check it with lfmesh check")
+    fit, *_ = np.linalg.lstsq(design, np.column_stack([np.concatenate(at_zero), np.concatenate(per_vergence)]))
+    return TracedShift((float(fit[0, 0]), float(fit[0, 1])), (float(fit[1, 0]), float(fit[1, 1])))
 
 
 def _in_object_space(world: World, paths: Paths, which: NDArray[np.bool_]) -> tuple[Array, Array]:

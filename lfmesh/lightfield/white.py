@@ -6,8 +6,8 @@ import numpy as np
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
-from lfmesh.geometry.refractors import measured
-from lfmesh.scene import Camera, Scene, first_order, solved
+from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.scene import Camera, Scene
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.render.render import render
@@ -35,11 +35,12 @@ def white_scene(scene: Scene) -> Scene:
     Raises
     ------
     SceneError
-        As `solved`.
+        As `solved_camera`.
     """
-    scene = solved(measured(scene))
+    camera = solved_camera(scene)
+    scene = camera.scene
     # An afocal lens has no focal length to measure by.
-    distance = FOCAL_LENGTHS_AWAY * min(abs(first_order(scene).efl_mm), 100.0 * max(scene.camera.sensor.size_mm))
+    distance = FOCAL_LENGTHS_AWAY * min(abs(camera.report.efl_mm), 100.0 * max(scene.camera.sensor.size_mm))
     pose = scene.camera.pose
     (place,) = frames.points(frames.frame(pose.tilt_deg, pose.shift_mm), np.array([[0.0, 0.0, -distance]]))
     width = WIDTH_OVER_DISTANCE * distance
@@ -79,7 +80,7 @@ def refuse_other_white(white: Image, image: Image, camera: Camera) -> None:
             f"the white image has the shape {white.mean.shape} at {list(white.wavelengths_nm)} nm, the raw image "
             f"{image.mean.shape} at {list(image.wavelengths_nm)} nm; render the white image of the same scene"
         )
-    if solved(measured(white.scene)).camera != camera:
+    if solved_camera(white.scene).scene.camera != camera:
         raise LfmeshError("the white image is of another camera; render the white image of the same scene")
 
 

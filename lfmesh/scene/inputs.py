@@ -1,6 +1,7 @@
 """The files that a scene reads: which they are, and finding again those that a run was rendered with."""
 
 import hashlib
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args
@@ -12,6 +13,9 @@ from lfmesh.scene.quantities import FilePath
 
 COPIES = "inputs"
 """Folder of a run that holds copies of what its scene reads."""
+
+FRESH_NS = 3_000_000_000
+"""Age below which the times of a file do not yet tell whether it was written once or twice: FAT keeps two seconds."""
 
 _MARKS = [mark for mark in get_args(FilePath) if isinstance(mark, AfterValidator)]
 
@@ -45,6 +49,21 @@ def digest_of(path: Path) -> str:
     """Return the SHA-256 of a file's bytes."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def file_stamp(path: Path) -> tuple[object, ...]:
+    """Return what tells one state of a file from another without reading it, where that is sure; () if it is missing.
+
+    Times of files have the grain of a clock, so that two writes within one tick leave the same ones: of a file that was
+    changed just now, the contents are part of the stamp.
+    """
+    try:
+        state = path.stat()
+        stamp = state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns
+        fresh = abs(time.time_ns() - max(state.st_mtime_ns, state.st_ctime_ns)) < FRESH_NS
+        return (*stamp, digest_of(path)) if fresh else stamp
+    except OSError:
+        return ()
 
 
 def found(path: Path, digest: str, folder: Path) -> Path:

@@ -146,7 +146,11 @@ def first_order(scene: Scene) -> FirstOrder:
     SceneError
         As `solved`.
     """
-    scene = solved(scene)
+    return report_of_solved(solved(scene))
+
+
+def report_of_solved(scene: Scene) -> FirstOrder:
+    """Return the first-order report of a scene that is solved already; see `first_order`."""
     camera, wavelength = scene.camera, scene.transport.primary_nm
     lens = Paraxial.of(camera.lens, wavelength)
     stop_radius = camera.lens.surfaces[lens.stop].semi_diameter_mm or math.nan

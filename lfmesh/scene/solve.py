@@ -37,7 +37,7 @@ def solved(scene: Scene) -> Scene:
         if surface.refractor is not None:
             raise SceneError(
                 f"camera.lens.surfaces[{i}].refractor: its faces are not measured yet; lf.first_order, lf.build and "
-                "lf.render do that, or see lfmesh.geometry.refractors.measured"
+                "lf.render do that, or see lfmesh.geometry.solved_camera"
             )
     if lens is not camera.lens:
         # The lens came after the scene was checked: check the two together.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files.json_values import plain_json
-from lfmesh.geometry.refractors import measured
+from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.decode import decode
 from lfmesh.lightfield.focused import focused
 from lfmesh.lightfield.patches import patch_px, render_patches
@@ -26,7 +26,7 @@ from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.lightfield.refocus import refocus
 from lfmesh.lightfield.upright import Upright
 from lfmesh.lightfield.white import white_image
-from lfmesh.scene import Scene, first_order, solved
+from lfmesh.scene import Scene
 from lfmesh.study.resolution import edge_mtf50, point_width
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.render import render
@@ -165,7 +165,7 @@ class _Camera:
             light = image.mean if white is None else image.mean / np.maximum(white.mean, np.finfo(float).tiny)
             pixel = self.scene.camera.sensor.pixel_mm
             picture = Upright.of(self.scene).picture(light).mean(axis=2)
-            return picture, pixel / abs(first_order(self.scene).magnification)
+            return picture, pixel / abs(solved_camera(self.scene).report.magnification)
         if self.name == STANDARD:
             photograph = refocus(decode(image, white=white), distance_mm)
         else:
@@ -194,14 +194,14 @@ def three_cameras(scene: Scene, reduction: float = 3.0) -> dict[str, Scene]:
     LfmeshError
         The scene's camera is a conventional one, or cannot be made a focused one.
     """
-    scene = solved(measured(scene))
+    scene = solved_camera(scene).scene
     if scene.camera.mla is None:
         raise LfmeshError(
             "camera.mla is missing: give the scene of a plenoptic camera; its array is taken out to compare"
         )
-    distance = first_order(scene).object_distance_mm
+    distance = solved_camera(scene).report.object_distance_mm
     conventional = scene.changed({"camera.mla": None, "camera.focus_mm": distance, "camera.sensor.distance_mm": None})
-    return {CONVENTIONAL: solved(conventional), STANDARD: scene, FOCUSED: focused(scene, reduction)}
+    return {CONVENTIONAL: solved_camera(conventional).scene, STANDARD: scene, FOCUSED: focused(scene, reduction)}
 
 
 def compare(
@@ -230,7 +230,7 @@ def compare(
     say = progress or (lambda _: None)
     scenes = three_cameras(scene, reduction)
     standard = scenes[STANDARD]
-    model, focus = RayModel.of(standard), first_order(standard).object_distance_mm
+    model, focus = RayModel.of(standard), solved_camera(standard).report.object_distance_mm
     if not 0.0 < focus < math.inf:
         raise LfmeshError(f"the camera is focused on {focus:g} mm; to compare, focus on a finite distance")
     distances = [_in_front(model, REACH * share**3) for share in np.linspace(1.0, -1.0, steps)]
@@ -257,7 +257,7 @@ def _in_front(model: RayModel, share: float) -> float:
 
 def _edge(camera: _Camera, distance_mm: float, focus_mm: float) -> Focus:
     """Measure a bright half-plane whose edge runs through the axis."""
-    width = 4.0 * max(first_order(camera.scene).field_of_view_mm) * max(1.0, distance_mm / focus_mm)
+    width = 4.0 * max(solved_camera(camera.scene).report.field_of_view_mm) * max(1.0, distance_mm / focus_mm)
     turn = math.radians(EDGE_DEG)
     plane = {
         "shape": {"kind": "plane", "width_mm": width, "height_mm": width},
@@ -315,7 +315,7 @@ def _result(camera: _Camera, edges: list[Focus], focus_mm: float, standard: Scen
 
 def _points(camera: _Camera, focus_mm: float, standard: Scene) -> tuple[list[tuple[float, float]], Array, float]:
     """Return the places of a grid of points in the plane in focus, its picture, and the size of a sample there, mm."""
-    facts = first_order(standard)
+    facts = solved_camera(standard).report
     width, height = facts.field_of_view_mm
     places = [(x * width, y * height) for y in POINTS for x in POINTS]
     radius = 0.1 * facts.object_sampling_mm
@@ -336,7 +336,7 @@ def _points(camera: _Camera, focus_mm: float, standard: Scene) -> tuple[list[tup
 def _views_across(camera: _Camera, focus_mm: float) -> float:
     if camera.name == CONVENTIONAL:
         return 1.0
-    wide = first_order(camera.scene).micro_image_diameter_px or math.nan
+    wide = solved_camera(camera.scene).report.micro_image_diameter_px or math.nan
     return wide / (patch_px(camera.scene, focus_mm) if camera.name == FOCUSED else 1.0)
 
 

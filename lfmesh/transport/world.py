@@ -7,17 +7,17 @@ import numpy as np
 
 from lfmesh.errors import LfmeshError, SceneError
 from lfmesh.geometry import frame as frames
-from lfmesh.geometry.lens_shape import LensShape, lens_shape
+from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.lenslets import array_mesh
 from lfmesh.geometry.mesh import Array, Mesh, joined
-from lfmesh.geometry.refractors import measured
+from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.geometry.surface import sag, surface
 from lfmesh.geometry.targets import TargetMesh, target_mesh
 from lfmesh.geometry.tessellation import (
     element,
     revolved,
 )
-from lfmesh.scene import FirstOrder, Scene, first_order, solved
+from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aiming.aim_proof import AimProof
 from lfmesh.transport.aiming.aim_table import aim_table
 from lfmesh.transport.collisions import refuse_collisions
@@ -177,16 +177,16 @@ def build(scene: Scene, *, rings: int | None = None) -> World:
     SceneError, MeshError, FileError
         The scene cannot be built: rims that cross, a mesh or texture that cannot be used, a target inside the camera.
     """
-    scene = solved(measured(scene))
+    camera = solved_camera(scene)
+    scene, report = camera.scene, camera.report
     mla = scene.camera.mla
     if mla is not None and scene.transport.surface != "exact" and (mla.form.decenter_mm or mla.form.radius_error):
         raise SceneError(
             f'transport.surface = "{scene.transport.surface}": facets are those of a perfect lenslet, and '
             'camera.mla.form asks for errors of single ones; use "exact", or leave decenter_mm and radius_error out'
         )
-    report = first_order(scene)
     waves = scene.transport.wavelengths_nm
-    shape = lens_shape(scene, rings)
+    shape = camera.lens_shape(rings)
     targets = [target_mesh(target, scene) for target in scene.targets]
     book = book_of(scene, shape)
 

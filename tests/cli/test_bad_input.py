@@ -14,10 +14,9 @@ import trimesh
 
 import lfmesh
 from lfmesh.cli import main
+from tests.cameras import bench_camera
 
-from .conftest import CAMERA
-
-SCENE = f"""{CAMERA}[[targets]]
+SCENE = f"""{bench_camera(4, 4)}[[targets]]
 file = "part.stl"
 units = "mm"
 position_mm = [0.0, 0.0, -500.0]

@@ -20,10 +20,9 @@ from lfmesh.scene import Scene, solved
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.progress import Progress
+from tests.cameras import bench_camera
 
-from .conftest import CAMERA
-
-SCENE = f"""{CAMERA}[[targets]]
+SCENE = f"""{bench_camera(4, 4)}[[targets]]
 shape = {{ kind = "plane", width_mm = 100.0, height_mm = 100.0 }}
 position_mm = [0.0, 0.0, -500.0]
 [[lights]]

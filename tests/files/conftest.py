@@ -9,35 +9,10 @@ import pytest
 from lfmesh.scene import Scene, loads, solved
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.image import Image
+from tests.cameras import bench_camera
 
-PLENOPTIC = """
-schema_version = 1
-name = "test bench"
-
-[camera]
-focus_mm = 500.0
-
-[camera.lens]
-surfaces = [
-  { stop = true, thickness_mm = 1.0, semi_diameter_mm = 5.0 },
-  { radius_mm = 50.0, thickness_mm = 4.0, index = 1.5, semi_diameter_mm = 8.0 },
-  { radius_mm = -50.0, thickness_mm = 0.0, semi_diameter_mm = 8.0 },
-]
-
-[camera.mla]
-layout = "square"
-count = [8, 6]
-pitch_mm = 0.125
-focal_length_mm = 0.7
-index = 1.5
-thickness_mm = 0.3
-
-[camera.sensor]
-pixels = [80, 60]
-pixel_mm = 0.0125
-
-[[targets]]
-shape = { kind = "plane", width_mm = 100.0, height_mm = 100.0 }
+PLENOPTIC = f"""name = "test bench"{bench_camera(8, 6)}[[targets]]
+shape = {{ kind = "plane", width_mm = 100.0, height_mm = 100.0 }}
 position_mm = [0.0, 0.0, -500.0]
 
 [[lights]]

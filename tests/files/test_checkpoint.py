@@ -18,38 +18,19 @@ from lfmesh.files.checkpoint import CHECKPOINT, Checkpoints
 from lfmesh.files.folder import STAGING
 from lfmesh.transport.render.tally import Layout
 from lfmesh.transport.render.tracer import Tracer
+from tests.cameras import as_text, close_up_camera
 
-SCENE = """
-schema_version = 1
-[camera]
-focus_mm = 60.0
-[camera.lens]
-surfaces = [
-  { radius_mm = 20.0, thickness_mm = 3.0, index = 1.5, semi_diameter_mm = 5.0 },
-  { radius_mm = -20.0, thickness_mm = 1.0, semi_diameter_mm = 5.0 },
-  { stop = true, semi_diameter_mm = 4.0 },
-]
-[camera.mla]
-count = [4, 4]
-pitch_mm = 0.5
-focal_length_mm = 2.6
-index = 1.5
-thickness_mm = 0.5
-[camera.sensor]
-pixels = [20, 16]
-pixel_mm = 0.1
-[[targets]]
-shape = { kind = "plane", width_mm = 7.0, height_mm = 6.0 }
-position_mm = [0.0, 0.0, -60.0]
-[targets.material]
-reflectance = 0.0
-radiance_w_m2_sr = 100.0
-texture = "chart.png"
-[transport]
-samples = 32
-replicates = 4
-split = "transmit"
-"""
+SCENE = as_text(
+    camera=close_up_camera(20, 16),
+    targets=[
+        {
+            "shape": {"kind": "plane", "width_mm": 7.0, "height_mm": 6.0},
+            "position_mm": [0.0, 0.0, -60.0],
+            "material": {"reflectance": 0.0, "radiance_w_m2_sr": 100.0, "texture": "chart.png"},
+        }
+    ],
+    transport={"samples": 32, "replicates": 4, "split": "transmit"},
+)
 
 Interrupt = Callable[[int | None], None]
 

@@ -24,30 +24,12 @@ from lfmesh.files.exposed import COUNTS, FACTS
 from lfmesh.files.field import FIELD, open_field
 from lfmesh.files.field import VIEWS as FIELD_VIEWS
 from lfmesh.files.folder import MANIFEST, STAGING, manifest_of
+from tests.cameras import bench_camera
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the system does not fork")
 
-SCENE = """
-schema_version = 1
-[camera]
-focus_mm = 500.0
-[camera.lens]
-surfaces = [
-  { stop = true, thickness_mm = 1.0, semi_diameter_mm = 5.0 },
-  { radius_mm = 50.0, thickness_mm = 4.0, index = 1.5, semi_diameter_mm = 8.0 },
-  { radius_mm = -50.0, thickness_mm = 0.0, semi_diameter_mm = 8.0 },
-]
-[camera.mla]
-count = [8, 6]
-pitch_mm = 0.125
-focal_length_mm = 0.7
-index = 1.5
-thickness_mm = 0.3
-[camera.sensor]
-pixels = [80, 60]
-pixel_mm = 0.0125
-[[targets]]
-shape = { kind = "plane", width_mm = 100.0, height_mm = 100.0 }
+SCENE = f"""{bench_camera(8, 6)}[[targets]]
+shape = {{ kind = "plane", width_mm = 100.0, height_mm = 100.0 }}
 position_mm = [0.0, 0.0, -500.0]
 [targets.material]
 reflectance = 0.0

@@ -11,7 +11,7 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.cli import main
-from lfmesh.lightfield.view_rays import TracedShift, ViewRays
+from lfmesh.lightfield.view_rays import ViewRays, traced_shift
 from lfmesh.scene import Scene
 
 ROUNDING = 1e-6
@@ -124,7 +124,7 @@ def test_the_traced_map_is_the_ray_model_for_a_slow_lens_and_its_own_inverse(
     middle = np.zeros(field.views, np.bool_)
     middle[4:6, 4:6] = True
     rays = ViewRays.of_camera(scene)
-    slow, whole = TracedShift.of(rays, middle), TracedShift.of(rays, np.hypot(*np.indices((10, 10)) - 4.5) < 4.6)
+    slow, whole = traced_shift(rays, middle), traced_shift(rays, np.hypot(*np.indices((10, 10)) - 4.5) < 4.6)
     for distance in (300.0, 480.0, 900.0, 3000.0):
         paraxial = field.model.paraxial.shift_mm(distance)
         assert slow.shift_mm(distance) == pytest.approx(paraxial, abs=0.002 * 0.125)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import lfmesh as lf
+from tests.cameras import close_up_camera
 
 LEVEL = 1e-3
 """Chance that a statistical test fails though the law holds."""
@@ -17,19 +18,7 @@ CLOSED = 1e-12
 
 # An emitting wall and a painted plane light each other, a ball and a lamp join in: every way to gain and lose energy.
 CROWDED: dict[str, Any] = {
-    "camera": {
-        "focus_mm": 60.0,
-        "lens": {
-            "surfaces": [
-                {"radius_mm": 20.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 5.0},
-                {"radius_mm": -20.0, "thickness_mm": 1.0, "semi_diameter_mm": 5.0},
-                {"stop": True, "semi_diameter_mm": 4.0},
-            ]
-        },
-        "mla": {"layout": "square", "count": [4, 4], "pitch_mm": 0.5, "focal_length_mm": 2.6, "index": 1.5,
-                "thickness_mm": 0.5},
-        "sensor": {"pixels": [20, 20], "pixel_mm": 0.1},
-    },
+    "camera": close_up_camera(),
     "targets": [
         {"shape": {"kind": "plane", "width_mm": 6.0, "height_mm": 5.0}, "position_mm": [0, 0, -60.0],
          "material": {"reflectance": 0.8}},

@@ -20,6 +20,7 @@ from PIL import Image as Picture
 from scipy import stats
 
 import lfmesh as lf
+from tests.cameras import SQUARE_ARRAY, close_up_camera
 
 Array = NDArray[np.float64]
 
@@ -29,22 +30,6 @@ LEVEL = 1e-3
 REPLICATES = 32
 SQUARE = 4
 
-# f/3.6 at this focus before microlenses of f/5.2: each micro-image covers the nearer half of its neighbours.
-SINGLET = {
-    "surfaces": [
-        {"radius_mm": 20.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 5.0},
-        {"radius_mm": -20.0, "thickness_mm": 1.0, "semi_diameter_mm": 5.0},
-        {"stop": True, "semi_diameter_mm": 4.0},
-    ]
-}
-SQUARE_ARRAY = {
-    "layout": "square",
-    "count": [4, 4],
-    "pitch_mm": 0.5,
-    "focal_length_mm": 2.6,
-    "index": 1.5,
-    "thickness_mm": 0.5,
-}
 HEXAGONAL_ARRAY = {
     "layout": "hexagonal",
     "count": [4, 5],
@@ -67,9 +52,8 @@ def plane(material: dict[str, Any]) -> dict[str, Any]:
 
 def scene(targets: list[Any], lights: list[Any] | None = None, split: str = "transmit", **camera: Any) -> lf.Scene:
     """A camera of 20 x 20 pixels behind 4 x 4 lenslets, unless `camera` says otherwise."""
-    parts = {"focus_mm": 60.0, "lens": SINGLET, "mla": SQUARE_ARRAY, "sensor": {"pixels": [20, 20], "pixel_mm": 0.1}}
     return lf.Scene(
-        camera={key: part for key, part in (parts | camera).items() if part is not None},
+        camera={key: part for key, part in (close_up_camera() | camera).items() if part is not None},
         targets=targets,
         lights=lights or [],
         transport={"split": split, "threads": 1},

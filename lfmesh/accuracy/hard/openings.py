@@ -3,7 +3,8 @@
 import numpy as np
 
 from lfmesh.accuracy.hard.outcome import SINGLET, Outcome, case, lens_scene
-from lfmesh.scene import MicrolensArray, Scene, Surface, first_order
+from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.scene import MicrolensArray, Scene, Surface
 from lfmesh.transport.aiming.aim_proof import ALLOWED
 from lfmesh.transport.aiming.pupil import opening_from
 from lfmesh.transport.world import build
@@ -39,7 +40,7 @@ def _proof(scene: Scene) -> Outcome:
 def _pinhole(radius: float) -> Outcome:
     scene = lens_scene(_behind_stop(radius), sensor_mm=20.0, distance=SENSOR_MM)
     world = build(scene)
-    report = first_order(scene)
+    report = solved_camera(scene).report
     z = scene.camera.lens.vertices_mm[-1] + SENSOR_MM
     found = opening_from(world.tables.aim.exit, 0.0, 0.0, z)[2]
     # The exit pupil is the stop itself; seen from the sensor's middle in the lens's last plane.

@@ -7,11 +7,10 @@ import numpy as np
 from lfmesh.errors import LfmeshError
 from lfmesh.files.exports.light import picture_rgb
 from lfmesh.files.preview import WHITE_PERCENTILE, white_point
-from lfmesh.geometry.refractors import measured
+from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.field import Samples
 from lfmesh.lightfield.upright import Upright
 from lfmesh.lightfield.white import refuse_other_white
-from lfmesh.scene import solved
 from lfmesh.transport.render.image import Image
 
 UPRIGHT_ORDER = "upright: columns to the right (+x), rows down (-y), as seen from behind the camera"
@@ -46,7 +45,7 @@ class Exposure:
         LfmeshError
             The two do not belong together, or one of them is black.
         """
-        refuse_other_white(white, image, solved(measured(image.scene)).camera)
+        refuse_other_white(white, image, solved_camera(image.scene).scene.camera)
         upright = Upright.of(image.scene).picture
         raw_rgb = picture_rgb(upright(image.mean), image.wavelengths_nm)
         white_rgb = picture_rgb(upright(white.mean), white.wavelengths_nm)

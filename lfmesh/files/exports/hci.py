@@ -22,8 +22,8 @@ from lfmesh.files.colour import srgb_encode
 from lfmesh.files.exports.light import linear_rgb
 from lfmesh.files.pfm import write_pfm
 from lfmesh.files.preview import white_point
+from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.field import LightField
-from lfmesh.scene import first_order
 
 PARAMETERS = "parameters.cfg"
 DEPTH, DISPARITY = "gt_depth_lowres.pfm", "gt_disp_lowres.pfm"
@@ -62,7 +62,7 @@ class CameraArray:
         LfmeshError
             The camera is focused at infinity, or telecentric on the object side.
         """
-        model, pupil = field.model, first_order(field.scene).entrance_pupil_z_mm
+        model, pupil = field.model, solved_camera(field.scene).report.entrance_pupil_z_mm
         focus = model.distance_mm(0.0)
         if not (math.isfinite(focus + pupil) and focus + pupil > 0.0):
             raise LfmeshError(

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.scene import Scene, first_order
+from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.scene import Scene
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.uint8]
@@ -109,7 +110,7 @@ def second_stage(mean: Array, variance: Array, scene: Scene) -> tuple[Counts, fl
 
 def same_place(scene: Scene) -> list[tuple[tuple[int, int], ...]]:
     """Return the steps (rows, columns) to the same place in the neighbouring micro-images, if there are any."""
-    mla, pitch = scene.camera.mla, first_order(scene).micro_image_pitch_px
+    mla, pitch = scene.camera.mla, solved_camera(scene).report.micro_image_pitch_px
     if mla is None or pitch is None or pitch < 2.0:
         return []
     angles = np.deg2rad(np.arange(0, 360, 60 if mla.layout == "hexagonal" else 90))

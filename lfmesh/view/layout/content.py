@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from lfmesh.geometry.mesh import Array
-from lfmesh.geometry.refractors import measured
+from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.geometry.targets import target_mesh
 from lfmesh.optics.glass import refractive_index
-from lfmesh.scene import FirstOrder, Paraxial, Scene, first_order, solved
+from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.report import lenslet_to_sensor_mm
 from lfmesh.scene.solve import air_thickness_mm, image_plane_mm, lenslet_focal_length_mm
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME, Status
@@ -176,10 +176,10 @@ def layout(scene: Scene) -> Layout:
     LfmeshError
         The scene cannot be built.
     """
-    drawn = solved(measured(scene))
+    camera = solved_camera(scene)
+    drawn, facts = camera.scene, camera.report
     glass_targets = [t.model_dump() for t in drawn.targets if t.refractor is not None]
     world = build(drawn.changed({"targets": glass_targets, "lights": ()}))
-    facts = first_order(drawn)
     distance = focus_distance_mm(drawn, given=scene.camera.focus_mm is not None and _is_solved(scene))
     aim = Aim(world, distance)
     moves = world.tables.frames
@@ -215,7 +215,7 @@ def focus_distance_mm(scene: Scene, *, given: bool) -> float:
     behind = image_plane_mm(scene.camera, primary)
     if not given:
         behind -= main_image_mm(scene) or 0.0
-    lens = Paraxial.of(scene.camera.lens, primary)
+    lens = solved_camera(scene).paraxial
     distance = lens.object_mm(behind)
     return distance if abs(distance) < FAR * abs(lens.efl_mm) else math.inf
 
@@ -341,7 +341,7 @@ def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
 
 def _standard(scene: Scene, aim: Aim) -> bool:
     """Tell whether the rays' object plane is imaged onto the lenslets themselves."""
-    onto = Paraxial.of(scene.camera.lens, aim.wavelength_nm).object_mm(image_plane_mm(scene.camera, aim.wavelength_nm))
+    onto = aim.paraxial.object_mm(image_plane_mm(scene.camera, aim.wavelength_nm))
     return math.isclose(aim.vergence, 1.0 / onto, rel_tol=1e-9, abs_tol=1e-15)
 
 

@@ -1,7 +1,7 @@
 """Real rays of field points through chosen points of the stop: what a layout drawing shows.
 
 Every ray is one of `lf.trace` through the built world. Where it must start follows from trials: a fan that searches the
-pupil, then Newton's method on the point where the ray crosses the stop. Positions are in the camera frame, mm.
+pupil, then ray aiming at the point where the ray crosses the stop. Positions are in the camera frame, mm.
 """
 
 import math
@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.geometry.surface import sag
 from lfmesh.geometry.surface import slope as steepness
 from lfmesh.geometry.tessellation import mesh_sag
-from lfmesh.scene import Paraxial
+from lfmesh.transport.aiming.ray_aiming import aim_rays, by_differences
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.world import World
@@ -27,20 +28,11 @@ FAN = 33
 FAN_WIDTH = 1.6
 """Over the paraxial entrance pupil: real pupils have aberrations."""
 
-STEPS = 8
-"""Corrections at most; Newton's method doubles the digits with each."""
-
 DIFFERENCE = 1e-5
 """Of two trials whose difference is the derivative, over the stop's radius."""
 
-SETTLED = 1e-12
-"""Distance from the aim, over the stop's radius, that is close enough."""
-
 INSIDE = 1.0 - 1e-9
 """Marginal rays are aimed at the rim of the stop times this, so that they pass it."""
-
-CORRECTIONS = 10
-"""Of an object point, until its chief ray comes out where it shall; distortion is what they correct."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +77,7 @@ class Aim:
         self.wavelength_nm = world.scene.transport.primary_nm
         self.vergence = 1.0 / distance_mm
         self.lens = world.scene.camera.lens
-        self.paraxial = Paraxial.of(self.lens, self.wavelength_nm)
+        self.paraxial = solved_camera(world.scene).paraxial
         self.stop_radius = self.lens.surfaces[self.paraxial.stop].semi_diameter_mm or math.nan
         real = 0.0 < distance_mm < math.inf
         self.start_z = -distance_mm if real else -2.0 * (self.paraxial.length_mm + max(world.lens_shape.rims))
@@ -123,24 +115,21 @@ class Aim:
         """
         targets = np.asarray(targets, dtype=np.float64).reshape(-1, 3)
         stop = np.broadcast_to(np.asarray(stop, dtype=np.float64), (len(targets), 2))
-        scale = self._image_scale(targets[:, 2])[:, None]
-        first = targets[:, :2] / scale
-        slope, aim = first.copy(), stop * (self.stop_radius * INSIDE)
-        guess = self._guess(slope, aim)
-        earlier: tuple[Array, Array] | None = None
-        for _ in range(CORRECTIONS):
-            rays, entry = self._aimed(slope, aim, guess)
-            hit = np.array([ray.beyond_lens(z) for ray, z in zip(rays, targets[:, 2], strict=True)])
-            if earlier is not None:
-                scale = _secant(slope - earlier[0], hit - earlier[1], scale)
-            earlier = slope, hit
-            error = (targets[:, :2] - hit) / scale
-            known = np.isfinite(error).all(axis=1)
-            slope = np.where(known[:, None], slope + np.nan_to_num(error), first)
-            guess = entry + self._entry_shift * (slope - earlier[0])
-            if not known.any() or np.abs(error[known]).max() < 1e-12:
-                break
-        return slope
+        scale = self._image_scale(targets[:, 2])
+        first = targets[:, :2] / scale[:, None]
+        aim = stop * (self.stop_radius * INSIDE)
+        # A ray that is aimed anew enters near where it did before.
+        known_slope, known_entry = first.copy(), self._guess(first, aim)
+
+        def landing(slope: Array, which: NDArray[np.int64]) -> Array:
+            guess = known_entry[which] + self._entry_shift * (slope - known_slope[which])
+            rays, entry = self._aimed(slope, aim[which], guess)
+            known_slope[which], known_entry[which] = slope, entry
+            hit = [ray.beyond_lens(z) for ray, z in zip(rays, targets[which, 2], strict=True)]
+            return np.array(hit).reshape(-1, 2)
+
+        aimed = aim_rays(landing, targets[:, :2], first, scale[:, None, None] * np.eye(2), np.abs(scale))
+        return np.where(np.isfinite(aimed.start), aimed.start, first)
 
     @property
     def _entry_shift(self) -> float:
@@ -244,30 +233,14 @@ class Aim:
 
     def _aimed(self, slope: Array, aim: Array, guess: Array) -> tuple[list[AimedRay], Array]:
         """Return the rays to points of the stop (n, 2), mm, and where they enter; those that miss start as guessed."""
-        entry = self._refined(slope, aim, guess)
-        rays = self.trace(slope, entry)
-        missed = np.array([not np.allclose(r.at_stop, a, atol=1e-6, rtol=0.0) for r, a in zip(rays, aim, strict=True)])
-        if missed.any():
-            entry[missed] = guess[missed]
-            for i, ray in zip(np.flatnonzero(missed), self.trace(slope[missed], guess[missed]), strict=True):
-                rays[i] = ray
-        return rays, entry
 
-    def _refined(self, slope: Array, aim: Array, entry: Array) -> Array:
-        """Return the entries from which rays cross the stop where they are aimed."""
-        step = DIFFERENCE * self.stop_radius
-        shifts = np.array([[0.0, 0.0], [step, 0.0], [0.0, step]])
-        entry, n = entry.copy(), len(entry)
-        for _ in range(STEPS):
-            rays = self.trace(np.tile(slope, (3, 1)), (entry + shifts[:, None]).reshape(-1, 2))
-            here, right, up = np.array([ray.at_stop for ray in rays]).reshape(3, n, 2)
-            jacobian = np.stack([right - here, up - here], axis=2) / step
-            error = aim - here
-            wrong = np.isfinite(jacobian).all(axis=(1, 2)) & (np.abs(error).max(axis=1) > SETTLED * self.stop_radius)
-            if not wrong.any():
-                break
-            entry[wrong] += np.linalg.solve(jacobian[wrong], error[wrong, :, None])[..., 0]
-        return entry
+        def landing(entry: Array, which: NDArray[np.int64]) -> Array:
+            return np.array([ray.at_stop for ray in self.trace(slope[which], entry)]).reshape(-1, 2)
+
+        derivative = by_differences(landing, guess, DIFFERENCE * self.stop_radius)
+        aimed = aim_rays(landing, aim, guess, derivative, self.stop_radius)
+        entry = np.where(aimed.arrived[:, None], aimed.start, guess)
+        return self.trace(slope, entry), entry
 
 
 def _met(surface: np.void, p: Array, ahead: Array) -> Array:
@@ -279,13 +252,6 @@ def _met(surface: np.void, p: Array, ahead: Array) -> Array:
         radial = float(p[:2] @ ahead[:2]) / r if r > 0.0 else 0.0
         p = p - height / (ahead[2] - steepness(surface, r) * radial) * ahead
     return p
-
-
-def _secant(step: Array, change: Array, scale: Array) -> Array:
-    """Return by how much hits (n, 2) moved for a step of one, (n, 1); what stood still or was lost keeps its scale."""
-    square = (step**2).sum(axis=1, keepdims=True)
-    rate = np.divide((step * change).sum(axis=1, keepdims=True), square, out=scale.copy(), where=square > 0.0)
-    return np.where(np.isfinite(rate) & (np.abs(rate) > 0.1 * np.abs(scale)), rate, scale)
 
 
 def _interpolated(x: float, known: Array, values: Array) -> float:

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.files.colour import srgb_encode
 from lfmesh.geometry import frame as frames
-from lfmesh.geometry.lens_shape import lens_shape
 from lfmesh.geometry.mesh import Mesh, joined
+from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.geometry.targets import TargetMesh
 from lfmesh.geometry.tessellation import element
 from lfmesh.optics.glass import refractive_index
@@ -134,7 +134,7 @@ def creases_of(body: pv.PolyData) -> pv.PolyData:
 
 
 def _lens(world: World) -> Iterator[Part]:
-    shape = lens_shape(world.scene, max(RINGS, world.lens_shape.rings))
+    shape = solved_camera(world.scene).lens_shape(max(RINGS, world.lens_shape.rings))
     to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
     wavelength = world.scene.transport.primary_nm
     for number, k in enumerate(shape.elements):

@@ -21,19 +21,14 @@ from lfmesh.transport.packets.random import run_key
 from lfmesh.transport.render.adjoint import launch_adjoint
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.world import World, build
+from tests.cameras import biconvex
 
 INDEX = 1.8
 ALBEDO = 0.5
 SIDE = 120
 """Pixels along each side of the sensor: each starts one path."""
 
-LENS = {
-    "surfaces": [
-        {"radius_mm": 48.0, "thickness_mm": 3.0, "index": 2.2, "semi_diameter_mm": 5.0},
-        {"radius_mm": -48.0, "thickness_mm": 1.0, "semi_diameter_mm": 5.0},
-        {"stop": True, "semi_diameter_mm": 4.0},
-    ]
-}
+LENS = biconvex(48.0, index=2.2)
 STEEP = {"count": (4, 4), "pitch_mm": 0.5, "radius_mm": 0.36, "index": 1.5, "thickness_mm": 0.5, "distance_mm": 2.0}
 GLOW = {"reflectance": ALBEDO, "radiance_w_m2_sr": 1.0}
 

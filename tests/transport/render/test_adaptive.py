@@ -14,6 +14,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.files import words
 from lfmesh.transport.render import adaptive
 from lfmesh.transport.render.render import Renderer
+from tests.cameras import close_up_camera
 
 Array = NDArray[np.float64]
 
@@ -23,19 +24,7 @@ LEVEL = 1e-3
 RUNS = 72
 
 SCENE: dict[str, Any] = {
-    "camera": {
-        "focus_mm": 60.0,
-        "lens": {
-            "surfaces": [
-                {"radius_mm": 20.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 5.0},
-                {"radius_mm": -20.0, "thickness_mm": 1.0, "semi_diameter_mm": 5.0},
-                {"stop": True, "semi_diameter_mm": 4.0},
-            ]
-        },
-        "mla": {"layout": "square", "count": [4, 4], "pitch_mm": 0.5, "focal_length_mm": 2.6, "index": 1.5,
-                "thickness_mm": 0.5},
-        "sensor": {"pixels": [20, 16], "pixel_mm": 0.1},
-    },
+    "camera": close_up_camera(20, 16),
     "targets": [{"shape": {"kind": "plane", "width_mm": 2.0, "height_mm": 6.0}, "position_mm": [0.5, 0, -60.0],
                  "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1e3}}],
     "transport": {"split": "transmit", "samples": 8, "replicates": 4, "threads": 1, "target_error": 0.1,

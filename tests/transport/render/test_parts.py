@@ -16,6 +16,7 @@ from scipy import stats
 import lfmesh as lf
 from lfmesh.transport.render.parts import parts_of
 from lfmesh.transport.world import build
+from tests.cameras import SQUARE_ARRAY, biconvex
 
 LEVEL = 1e-3
 """Chance that a scene fails though both ways are right; shared by its comparisons (Bonferroni)."""
@@ -23,14 +24,8 @@ LEVEL = 1e-3
 REPLICATES = 24
 SQUARE = 5
 
-LENS = {
-    "surfaces": [
-        {"radius_mm": 48.0, "thickness_mm": 3.0, "index": 2.2, "semi_diameter_mm": 5.0},
-        {"radius_mm": -48.0, "thickness_mm": 1.0, "semi_diameter_mm": 5.0},
-        {"stop": True, "semi_diameter_mm": 4.0},
-    ]
-}
-ARRAY = {"count": (4, 4), "pitch_mm": 0.5, "focal_length_mm": 2.6, "index": 2.2, "thickness_mm": 0.5}
+LENS = biconvex(48.0, index=2.2)
+ARRAY = SQUARE_ARRAY | {"index": 2.2}
 PLANE = {
     # Far beyond the field of view: ghosts bring light from everywhere.
     "shape": {"kind": "plane", "width_mm": 200.0, "height_mm": 200.0},

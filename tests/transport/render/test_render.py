@@ -9,24 +9,13 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.transport.render.render import Renderer
+from tests.cameras import close_up_camera
 
 LEVEL = 1e-3
 """Chance that a statistical test fails though the law holds."""
 
 SCENE: dict[str, Any] = {
-    "camera": {
-        "focus_mm": 60.0,
-        "lens": {
-            "surfaces": [
-                {"radius_mm": 20.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 5.0},
-                {"radius_mm": -20.0, "thickness_mm": 1.0, "semi_diameter_mm": 5.0},
-                {"stop": True, "semi_diameter_mm": 4.0},
-            ]
-        },
-        "mla": {"layout": "square", "count": [4, 4], "pitch_mm": 0.5, "focal_length_mm": 2.6, "index": 1.5,
-                "thickness_mm": 0.5},
-        "sensor": {"pixels": [20, 16], "pixel_mm": 0.1},
-    },
+    "camera": close_up_camera(20, 16),
     "targets": [
         {"shape": {"kind": "plane", "width_mm": 7.0, "height_mm": 6.0}, "position_mm": [0, 0, -60.0],
          "material": {"reflectance": 0.8, "radiance_w_m2_sr": 100.0}},

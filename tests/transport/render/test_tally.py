@@ -22,22 +22,12 @@ from lfmesh.transport.render.plan import Block
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.render.tally import Layout, Piece, RenderState, arrays_of
 from lfmesh.transport.render.tracer import Tracer
+from tests.cameras import close_up_camera
 
 CHUNK = 512
 """Packets, so that a small picture has many chunks."""
 
-CAMERA: dict[str, Any] = {
-    "focus_mm": 60.0,
-    "lens": {
-        "surfaces": [
-            {"radius_mm": 20.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 5.0},
-            {"radius_mm": -20.0, "thickness_mm": 1.0, "semi_diameter_mm": 5.0},
-            {"stop": True, "semi_diameter_mm": 4.0},
-        ]
-    },
-    "mla": {"count": [4, 4], "pitch_mm": 0.5, "focal_length_mm": 2.6, "index": 1.5, "thickness_mm": 0.5},
-    "sensor": {"pixels": [20, 16], "pixel_mm": 0.1},
-}
+CAMERA = close_up_camera(20, 16)
 PLANE = {"shape": {"kind": "plane", "width_mm": 7.0, "height_mm": 6.0}, "position_mm": [0, 0, -60.0],
          "material": {"reflectance": 0.8, "radiance_w_m2_sr": 100.0}}  # fmt: skip
 LAMP = {"kind": "point", "position_mm": [20.0, -15.0, -25.0], "power_w": 1.0}

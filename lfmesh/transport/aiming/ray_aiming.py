@@ -1,0 +1,122 @@
+"""Ray aiming: find the ray of a family that lands where it is wanted.
+
+The rays of a family differ by two numbers, such as the slopes at which they leave a point, or the place where they
+enter the lens; tracing one tells where it lands. Whatever is aimed at, an apex of the array, a point of the stop, an
+image point, is found here: by Newton's method, whose derivative every traced ray improves (C. G. Broyden, "A class of
+methods for solving nonlinear simultaneous equations", Math. Comp. 19 (1965) 577).
+
+Paths of the adjoint method are aimed in compiled code, by `lenslet_aim.slope_to`, which needs only eight digits.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+Landing = Callable[[Array, NDArray[np.int64]], Array]
+"""Maps the numbers of rays (m, 2), and which of all rays they are (m,), to where they land, (m, 2) mm; NaN: lost."""
+
+TOLERANCE = 1e-12
+"""A ray is not improved further when it misses its target by this share of the size of what it is aimed at."""
+
+ARRIVED = 1e-7
+"""A ray has arrived when it misses by no more than this share: over the facets of a mesh none may come closer."""
+
+MOST_STEPS = 24
+"""Of a search; through smooth surfaces four to six are enough."""
+
+FRUITLESS = 3
+"""Steps in a row that land no closer, after which a ray stays; those that land nowhere are only halved."""
+
+
+class AimedRays(NamedTuple):
+    """The nearest rays that were found.
+
+    Attributes
+    ----------
+    start : (n, 2) float64
+        The two numbers of each ray; NaN where not even the first guess landed anywhere.
+    miss : (n,) float64, mm
+        Distance from where it lands to its target.
+    arrived : (n,) bool
+        Whether it lands on its target.
+    """
+
+    start: Array
+    miss: Array
+    arrived: NDArray[np.bool_]
+
+
+def aim_rays(landing: Landing, targets: Array, guess: Array, derivative: Array, size: ArrayLike) -> AimedRays:
+    """Find the rays that land on targets.
+
+    Parameters
+    ----------
+    landing : callable
+        Traces rays; see `Landing`.
+    targets : (n, 2) float64, mm
+        Where the rays shall land.
+    guess : (n, 2) float64
+        The two numbers that the search starts from, for each ray.
+    derivative : (n, 2, 2) float64
+        Of the landing by these numbers, near the guess: [i, j] of place i by number j.
+    size : float or (n,) float64, mm
+        Of what is aimed at: tolerances are shares of it.
+    """
+    size = np.broadcast_to(np.asarray(size, dtype=np.float64), len(targets))
+    start, derivative = guess.copy(), derivative.copy()
+    hit = landing(start, np.arange(len(start)))
+    miss = _length(targets - hit)
+    start[~np.isfinite(miss)] = np.nan
+    damping, fruitless = np.ones(len(start)), np.zeros(len(start), np.int64)
+    for _ in range(MOST_STEPS):
+        # Of what is NaN, no comparison holds.
+        active = np.flatnonzero((miss > TOLERANCE * size) & (fruitless < FRUITLESS))
+        if not len(active):
+            break
+        step = damping[active, None] * _solved(derivative[active], targets[active] - hit[active])
+        trial = start[active] + step
+        new = landing(trial, active)
+        new_miss = _length(targets[active] - new)
+        landed = np.isfinite(new_miss)
+        seen, moved = active[landed], step[landed]
+        surplus = new[landed] - hit[seen] - np.einsum("nij,nj->ni", derivative[seen], moved)
+        derivative[seen] += surplus[:, :, None] * (moved / np.square(moved).sum(axis=1, keepdims=True))[:, None, :]
+        closer = new_miss < miss[active]
+        better = active[closer]
+        start[better], hit[better], miss[better] = trial[closer], new[closer], new_miss[closer]
+        damping[active] = np.where(closer, 1.0, 0.5 * damping[active])
+        fruitless[active] = np.where(closer, 0, fruitless[active] + landed)
+    return AimedRays(start, miss, miss <= ARRIVED * size)
+
+
+def by_differences(landing: Landing, guess: Array, step: float) -> Array:
+    """Return the derivative of a landing at a guess, (n, 2, 2), from two more rays for each.
+
+    Parameters
+    ----------
+    landing : callable
+        See `Landing`.
+    guess : (n, 2) float64
+    step : float
+        By which each of the two numbers is changed.
+    """
+    every = np.arange(len(guess))
+    here = landing(guess, every)
+    changed = [landing(guess + shift, every) for shift in ((step, 0.0), (0.0, step))]
+    return np.stack([(there - here) / step for there in changed], axis=2)
+
+
+def _solved(derivative: Array, error: Array) -> Array:
+    """Return the steps (n, 2) that take errors (n, 2) away to first order; NaN where there is none."""
+    (a, b), (c, d) = derivative[:, 0].T, derivative[:, 1].T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        over = 1.0 / (a * d - b * c)
+        x, y = error.T
+        return np.column_stack([(d * x - b * y) * over, (a * y - c * x) * over])
+
+
+def _length(vectors: Array) -> Array:
+    return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))

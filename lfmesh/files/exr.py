@@ -79,6 +79,14 @@ def write(path: Path, image: SpectralImage) -> None:
 def write_maps(path: Path, maps: Mapping[str, NDArray[np.floating]], metadata: Mapping[str, Any]) -> None:
     """Write (H, W) maps that are no light, such as depth (by custom called Z), as the channels of one part.
 
+    Parameters
+    ----------
+    path : Path
+    maps : dict
+        (H, W) array by the name of its channel.
+    metadata : dict
+        What JSON can hold.
+
     Raises
     ------
     FileError

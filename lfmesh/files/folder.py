@@ -81,7 +81,7 @@ def manifest_of(folder: Path) -> Manifest | None:
                 f"{path} has format {document['format']}, written by lfmesh {document['lfmesh_version']}; this lfmesh"
                 f" {lfmesh.__version__} reads format {FORMAT}"
             )
-        entries = {name: Entry(int(of["bytes"]), str(of["sha256"])) for name, of in document["files"].items()}
+        entries = {name: Entry(int(entry["bytes"]), str(entry["sha256"])) for name, entry in document["files"].items()}
     except FileNotFoundError:
         return None
     except OSError as error:

@@ -1,4 +1,4 @@
-"""What a scene reads, copied into its run: a run can be moved, and renders again when its sources are gone."""
+"""Copies of a scene's input files in its run, which can then be moved and rendered again."""
 
 import shutil
 from pathlib import Path
@@ -73,7 +73,7 @@ def within(scene: Scene, home: Path, staging: Path | None = None) -> Scene:
         kept |= {name: relative(copies[digests[name]], home) for name in there if digests[name] in copies}
     changes = {place: kept[name] for place, name in files_of(scene)}
     moved = scene.changed(changes) if changes else scene
-    return moved.in_folder(home).with_digests({kept[name]: of for name, of in digests.items()})
+    return moved.in_folder(home).with_digests({kept[name]: digest for name, digest in digests.items()})
 
 
 def _copied(paths: dict[str, Path], digests: dict[str, str], staging: Path) -> dict[str, str]:

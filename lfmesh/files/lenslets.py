@@ -1,4 +1,4 @@
-"""The picture a plenoptic camera saw: the light of every lenslet as one value, drawn as a smooth image."""
+"""The picture of a plenoptic camera with one value for each lenslet, drawn smoothly."""
 
 import numpy as np
 from numpy.typing import NDArray

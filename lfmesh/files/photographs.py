@@ -74,7 +74,7 @@ def _facts(photograph: Photograph) -> dict[str, Any]:
     return {name: value if math.isfinite(value) else None for name, value in values.items()}
 
 
-def _write(path: Path, parts: dict[str, Any], of: Photograph | AllInFocus, facts: dict[str, Any]) -> None:
-    metadata = {"lfmesh_version": lfmesh.__version__, "orientation": UPRIGHT, "unit": of.unit, **facts}
+def _write(path: Path, parts: dict[str, Any], picture: Photograph | AllInFocus, facts: dict[str, Any]) -> None:
+    metadata = {"lfmesh_version": lfmesh.__version__, "orientation": UPRIGHT, "unit": picture.unit, **facts}
     pixels = {name: np.asarray(values, dtype=np.float32) for name, values in parts.items()}
-    exr.write(path, exr.SpectralImage(pixels, of.wavelengths_nm, metadata))
+    exr.write(path, exr.SpectralImage(pixels, picture.wavelengths_nm, metadata))

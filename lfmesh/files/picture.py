@@ -17,12 +17,27 @@ FRAME_MS = 120
 
 
 def write_picture(path: Path, light: NDArray[np.floating], wavelengths_nm: tuple[float, ...]) -> None:
-    """Write an upright (H, W, wavelengths) picture as 8-bit sRGB PNG; what is not known is black."""
+    """Write an upright (H, W, wavelengths) picture as 8-bit sRGB PNG; what is not known is black.
+
+    Parameters
+    ----------
+    path : Path
+    light : (H, W, wavelengths) float
+        NaN where it is not known.
+    wavelengths_nm : sequence of float
+    """
     _frames([light], wavelengths_nm)[0].save(path, format="PNG")
 
 
 def write_animation(path: Path, lights: Sequence[NDArray[np.floating]], wavelengths_nm: tuple[float, ...]) -> None:
-    """Write upright pictures of one exposure as an animated PNG that runs there and back again."""
+    """Write upright pictures of one exposure as an animated PNG that runs there and back again.
+
+    Parameters
+    ----------
+    path : Path
+    lights : sequence of (H, W, wavelengths) float
+    wavelengths_nm : sequence of float
+    """
     frames = _frames(lights, wavelengths_nm)
     frames += frames[-2:0:-1]
     frames[0].save(path, format="PNG", save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0)

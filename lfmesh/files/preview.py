@@ -101,6 +101,12 @@ def write_linear16(
     One wavelength gives ``linear16.png``, several give ``linear16_486.1nm.png`` and so on, all to one scale.
     The brightest pixel has the count 65535, so nothing is clipped.
 
+    Parameters
+    ----------
+    folder : Path
+    power : (H, W, wavelengths) float64, W
+    wavelengths_nm : sequence of float
+
     Returns
     -------
     names : list of str

@@ -114,7 +114,7 @@ def diffraction(scene: Scene) -> dict[str, float | None]:
 
 
 def _diffraction(facts: FirstOrder) -> list[str]:
-    """Say how wide the Airy disks are that geometric optics leaves out, and warn where they decide."""
+    """Return sentences on the Airy disks that geometric optics leaves out, with a warning where they decide."""
     array = facts.microlens_airy_disk_px is not None
     widths = [f"the lens's Airy disk is {facts.airy_disk_samples:.2g} {'lenslets' if array else 'pixels'} wide"]
     largest = facts.airy_disk_samples
@@ -130,7 +130,7 @@ def _diffraction(facts: FirstOrder) -> list[str]:
 
 
 def _aim(image: Image) -> list[str]:
-    """Say what the aim may have missed, as rays from the stop and samples that are not aimed tell."""
+    """Return sentences on what the aim may have missed, by rays from the stop and by samples that are not aimed."""
     if image.blind is None:
         return []
     lines, proof, blind = [], image.aim, image.blind
@@ -164,7 +164,7 @@ def _aim(image: Image) -> list[str]:
 
 
 def where_the_light_went(image: Image) -> list[str]:
-    """Tell from the ledger where the packets ended that did not make the picture."""
+    """Return sentences on where the packets ended that did not make the picture, from the ledger."""
     ledger = image.ledger
     adjoint = image.scene.transport.method == "adjoint"
     traced = "the paths traced back from the sensor" if adjoint else "the light"
@@ -180,7 +180,7 @@ def where_the_light_went(image: Image) -> list[str]:
 
 
 def percent(share: float) -> str:
-    """Write a share to three digits, but never all or nothing when it is not."""
+    """Write a share as a percentage of three digits, 0 % and 100 % only where it is exactly that."""
     if 0.0 < share < 1e-6:
         return "less than 0.0001 %"
     if 0.9995 <= share < 1.0:
@@ -189,7 +189,7 @@ def percent(share: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Write a time as one reads it from a clock."""
+    """Write a time in hours, minutes and seconds."""
     if seconds < 10.0:
         return f"{seconds:.1f} s"
     if seconds < 120.0:

@@ -34,9 +34,9 @@ def compose(outer: Frame, inner: Frame) -> Frame:
     return np.column_stack([outer[:, :3] @ inner[:, :3], outer[:, :3] @ inner[:, 3] + outer[:, 3]])
 
 
-def inverse(of: Frame) -> Frame:
-    """Return the frame that undoes `of`."""
-    return np.column_stack([of[:, :3].T, -of[:, :3].T @ of[:, 3]])
+def inverse(through: Frame) -> Frame:
+    """Return the inverse of a frame."""
+    return np.column_stack([through[:, :3].T, -through[:, :3].T @ through[:, 3]])
 
 
 def points(through: Frame, p: ArrayLike) -> NDArray[np.float64]:
@@ -51,23 +51,50 @@ def directions(through: Frame, d: ArrayLike) -> NDArray[np.float64]:
 
 @kernel
 def move_point(
-    f: NDArray[np.float64], here: int, there: int, x: float, y: float, z: float
+    table: NDArray[np.float64], here: int, there: int, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
-    """Return a point moved from frame `here` into frame `there` of a (n, n, 3, 4) table of frames."""
+    """Return a point moved from frame `here` into frame `there` of a (n, n, 3, 4) table of frames.
+
+    Parameters
+    ----------
+    table : (n, n, 3, 4) float64
+        Frame by which each of n frames is seen from each other one.
+    here, there : int
+        Numbers of the two frames.
+    x, y, z : float, mm
+    """
     return (
-        f[here, there, 0, 0] * x + f[here, there, 0, 1] * y + f[here, there, 0, 2] * z + f[here, there, 0, 3],
-        f[here, there, 1, 0] * x + f[here, there, 1, 1] * y + f[here, there, 1, 2] * z + f[here, there, 1, 3],
-        f[here, there, 2, 0] * x + f[here, there, 2, 1] * y + f[here, there, 2, 2] * z + f[here, there, 2, 3],
+        table[here, there, 0, 0] * x
+        + table[here, there, 0, 1] * y
+        + table[here, there, 0, 2] * z
+        + table[here, there, 0, 3],
+        table[here, there, 1, 0] * x
+        + table[here, there, 1, 1] * y
+        + table[here, there, 1, 2] * z
+        + table[here, there, 1, 3],
+        table[here, there, 2, 0] * x
+        + table[here, there, 2, 1] * y
+        + table[here, there, 2, 2] * z
+        + table[here, there, 2, 3],
     )
 
 
 @kernel
 def move_direction(
-    f: NDArray[np.float64], here: int, there: int, x: float, y: float, z: float
+    table: NDArray[np.float64], here: int, there: int, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
-    """Return a direction moved from frame `here` into frame `there` of a (n, n, 3, 4) table of frames."""
+    """Return a direction moved from frame `here` into frame `there` of a (n, n, 3, 4) table of frames.
+
+    Parameters
+    ----------
+    table : (n, n, 3, 4) float64
+        Frame by which each of n frames is seen from each other one.
+    here, there : int
+        Numbers of the two frames.
+    x, y, z : float
+    """
     return (
-        f[here, there, 0, 0] * x + f[here, there, 0, 1] * y + f[here, there, 0, 2] * z,
-        f[here, there, 1, 0] * x + f[here, there, 1, 1] * y + f[here, there, 1, 2] * z,
-        f[here, there, 2, 0] * x + f[here, there, 2, 1] * y + f[here, there, 2, 2] * z,
+        table[here, there, 0, 0] * x + table[here, there, 0, 1] * y + table[here, there, 0, 2] * z,
+        table[here, there, 1, 0] * x + table[here, there, 1, 1] * y + table[here, there, 1, 2] * z,
+        table[here, there, 2, 0] * x + table[here, there, 2, 1] * y + table[here, there, 2, 2] * z,
     )

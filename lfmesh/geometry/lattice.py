@@ -59,7 +59,13 @@ class Lattice(NamedTuple):
 
 @kernel
 def centre(lattice: Lattice, column: int, row: int) -> tuple[float, float]:
-    """Return the centre of a cell, which may lie outside the array."""
+    """Return the centre of a cell, which may lie outside the array.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    column, row : int
+    """
     p = lattice.pitch
     if not lattice.hexagonal:
         return (column - 0.5 * (lattice.columns - 1)) * p, (row - 0.5 * (lattice.rows - 1)) * p
@@ -69,7 +75,13 @@ def centre(lattice: Lattice, column: int, row: int) -> tuple[float, float]:
 
 @kernel
 def cell_of(lattice: Lattice, x: float, y: float) -> tuple[int, int]:
-    """Return (column, row) of the cell a point lies in; it may lie outside the array."""
+    """Return (column, row) of the cell a point lies in; it may lie outside the array.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    x, y : float, mm
+    """
     u, v = x / lattice.pitch, y / lattice.pitch
     if not lattice.hexagonal:
         column = int(np.floor(u + 0.5 * lattice.columns))
@@ -97,7 +109,13 @@ def half_hexagon(x: float, y: float) -> float:
 
 @kernel
 def is_inside(lattice: Lattice, column: int, row: int) -> bool:
-    """Tell whether the array has this cell."""
+    """Tell whether the array has this cell.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    column, row : int
+    """
     return 0 <= column < lattice.columns and 0 <= row < lattice.rows
 
 
@@ -107,6 +125,14 @@ def leaves_at(lattice: Lattice, x: float, y: float, dx: float, dy: float) -> tup
 
     Sides are numbered counter-clockwise from the one that faces +x. A ray that starts a rounding error outside gets a
     distance just below zero. inf where the ray runs along the axis.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    x, y : float, mm
+        Where the ray starts, from the cell's centre.
+    dx, dy : float
+        Its direction, of any length: the distance is in lengths of it.
     """
     half = 0.5 * lattice.pitch
     nearest, side = np.inf, -1
@@ -134,7 +160,15 @@ def leaves_at(lattice: Lattice, x: float, y: float, dx: float, dy: float) -> tup
 
 @kernel
 def neighbour(lattice: Lattice, column: int, row: int, side: int) -> tuple[int, int]:
-    """Return the cell behind a side."""
+    """Return the cell behind a side.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    column, row : int
+    side : int
+        As `leaves_at` numbers it.
+    """
     if not lattice.hexagonal:
         if side == 0:
             return column + 1, row
@@ -159,7 +193,14 @@ def neighbour(lattice: Lattice, column: int, row: int, side: int) -> tuple[int, 
 
 @kernel
 def stays_inside(lattice: Lattice, x: float, y: float, to_x: float, to_y: float) -> bool:
-    """Tell whether the line from a point over the array to another one passes over its cells only."""
+    """Tell whether the line from a point over the array to another one passes over its cells only.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    x, y, to_x, to_y : float, mm
+        Both ends of the line.
+    """
     to_column, to_row = cell_of(lattice, to_x, to_y)
     if not is_inside(lattice, to_column, to_row):
         return False

@@ -1,4 +1,4 @@
-"""The main lens as meshes: a cap a refracting surface, and the rings that close the spaces between them."""
+"""The main lens as meshes: a cap for every refracting surface, and rings that close the spaces between them."""
 
 from dataclasses import dataclass
 
@@ -33,7 +33,7 @@ ORDER = {"flat": 1.0, "smooth": 2.0, "patch": 3.0}
 
 @dataclass
 class LensShape:
-    """The lens as meshes in the camera frame: a cap a refracting surface, a ring a space between two of them."""
+    """The lens as meshes in the camera frame: a cap for each refracting surface, a ring for each space between two."""
 
     numbers: list[int]
     """Place of each refracting surface in the scene's list."""

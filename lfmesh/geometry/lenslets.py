@@ -53,7 +53,7 @@ class Lenslets(NamedTuple):
 
     @property
     def alike(self) -> bool:
-        """Whether the curved face is continuous: one type, no form errors."""
+        """Whether all lenslets are the same: one type, no form errors."""
         return len(self.curvature) == 1 and not len(self.decentre) and not len(self.stretch)
 
     @property
@@ -72,7 +72,20 @@ def lenslets(
     radius_error: float = 0.0,
     seed: int = 0,
 ) -> Lenslets:
-    """Return the array's shape, its form errors drawn from `seed`: normal, of the rms given (radial for decentre).
+    """Draw the shape of a microlens array with its form errors: normal, of the rms given.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    radius_mm : (types,) float64
+        Of each type of lenslet, signed.
+    thickness_mm : float
+        From the apexes to the flat face.
+    decenter_mm : float
+        Rms distance of the apexes from their cells' centres.
+    radius_error : float
+        Rms relative error of the radii.
+    seed : int
 
     Raises
     ------
@@ -115,32 +128,49 @@ def _cap_depth(curvature: float, radius: float) -> float:
 
 
 @kernel
-def are_alike(of: Lenslets) -> bool:
-    """Tell whether the curved face is continuous: one type, no form errors."""
-    return len(of.curvature) == 1 and len(of.decentre) == 0 and len(of.stretch) == 0
+def are_alike(mla: Lenslets) -> bool:
+    """Tell whether all lenslets are the same: one type, no form errors."""
+    return len(mla.curvature) == 1 and len(mla.decentre) == 0 and len(mla.stretch) == 0
 
 
 @kernel
-def type_of(of: Lenslets, column: int, row: int) -> int:
-    """Return a cell's type: neighbours differ in an array of three types (hexagonal) or of two (square)."""
-    types = len(of.curvature)
+def type_of(mla: Lenslets, column: int, row: int) -> int:
+    """Return a cell's type: neighbours differ in an array of three types (hexagonal) or of two (square).
+
+    Parameters
+    ----------
+    mla : Lenslets
+    column, row : int
+    """
+    types = len(mla.curvature)
     if types == 1:
         return 0
-    if of.lattice.hexagonal:
+    if mla.lattice.hexagonal:
         # Axial coordinates make the three types a regular colouring: no two of a kind touch.
         return (column - (row >> 1) + 2 * row) % types if types == 3 else (column + row) % types
     return (column + row) % types
 
 
 @kernel
-def shape_of(of: Lenslets, column: int, row: int) -> tuple[float, float, float]:
-    """Return a lenslet's curvature and its apex relative to the cell's centre."""
-    c = of.curvature[type_of(of, column, row)]
-    cell = row * of.lattice.columns + column
-    if len(of.stretch):
-        c *= of.stretch[cell]
-    if len(of.decentre):
-        return c, of.decentre[cell, 0], of.decentre[cell, 1]
+def shape_of(mla: Lenslets, column: int, row: int) -> tuple[float, float, float]:
+    """Return a lenslet's curvature and its apex relative to the cell's centre.
+
+    Parameters
+    ----------
+    mla : Lenslets
+    column, row : int
+
+    Returns
+    -------
+    curvature : float, 1/mm
+    apex_x, apex_y : float, mm
+    """
+    c = mla.curvature[type_of(mla, column, row)]
+    cell = row * mla.lattice.columns + column
+    if len(mla.stretch):
+        c *= mla.stretch[cell]
+    if len(mla.decentre):
+        return c, mla.decentre[cell, 0], mla.decentre[cell, 1]
     return c, 0.0, 0.0
 
 
@@ -155,6 +185,14 @@ def border_sag(lattice: Lattice, curvature: float, x: float, y: float, side: int
     """Return the z of a cell's mesh at a point of one of its sides: on the chord between two vertices of the border.
 
     The side is numbered as in `leaves_at`, by either of the cells that share it.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    curvature : float, 1/mm
+    x, y : float, mm
+        From the cell's centre.
+    side : int
     """
     segments = border_segments(lattice.hexagonal)
     angle = side * np.pi / (3.0 if lattice.hexagonal else 2.0)
@@ -213,21 +251,21 @@ def _cap_points(curvature: float, apex: Array, relative: Array, centre: Array) -
     return np.column_stack([relative + centre, z]), normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
-def cell_mesh(of: Lenslets, kind: int) -> Mesh:
+def cell_mesh(mla: Lenslets, kind: int) -> Mesh:
     """Return the curved face over one cell of a type, centred at the origin, facing +z, with its neighbours' rims.
 
     The rims (the neighbours' triangles that touch the cell) are there so that a ray along the border meets a facet on
     either side of it; the neighbours are taken to be of the same type.
     """
-    pattern, faces = cell_pattern(of.lattice)
-    patch = of.lattice._replace(columns=3, rows=3)
+    pattern, faces = cell_pattern(mla.lattice)
+    patch = mla.lattice._replace(columns=3, rows=3)
     centres = patch.centres().reshape(-1, 2)
     centres = centres - patch.centres()[1, 1]
-    apothem = 0.5 * of.lattice.pitch
+    apothem = 0.5 * mla.lattice.pitch
     parts = []
     for centre in centres:
-        vertices, normals = _cap_points(float(of.curvature[kind]), np.zeros(2), pattern, centre)
-        near = _cell_norm(of.lattice, vertices[:, :2]) <= apothem * (1.0 + 1e-9)
+        vertices, normals = _cap_points(float(mla.curvature[kind]), np.zeros(2), pattern, centre)
+        near = _cell_norm(mla.lattice, vertices[:, :2]) <= apothem * (1.0 + 1e-9)
         keep = faces[near[faces].any(axis=1)]
         parts.append(Mesh(vertices, keep, normals[keep]))
     return joined(parts)
@@ -241,7 +279,7 @@ def _cell_norm(lattice: Lattice, p: Array) -> Array:
     return np.abs(p @ np.stack([np.cos(turn), np.sin(turn)])).max(axis=1)
 
 
-def array_mesh(of: Lenslets, subdivisions: int = SUBDIVISIONS) -> "trimesh.Trimesh":
+def array_mesh(mla: Lenslets, subdivisions: int = SUBDIVISIONS) -> "trimesh.Trimesh":
     """Return the whole array as a closed mesh.
 
     Where all lenslets are alike it is one shell. Unlike neighbours meet in steps, so each lenslet is then a closed
@@ -249,26 +287,26 @@ def array_mesh(of: Lenslets, subdivisions: int = SUBDIVISIONS) -> "trimesh.Trime
     """
     import trimesh
 
-    pattern, faces = cell_pattern(of.lattice, subdivisions)
-    centres = of.lattice.centres()
+    pattern, faces = cell_pattern(mla.lattice, subdivisions)
+    centres = mla.lattice.centres()
     rows, columns = np.indices(centres.shape[:2])
     solids = []
     for centre, column, row in zip(centres.reshape(-1, 2), columns.flat, rows.flat, strict=True):
-        curvature, ex, ey = shape_of(of, int(column), int(row))
+        curvature, ex, ey = shape_of(mla, int(column), int(row))
         vertices, _ = _cap_points(curvature, np.array([ex, ey]), pattern, centre)
         solids.append(vertices)
     count = len(pattern)
-    if of.alike:
+    if mla.alike:
         all_points = np.concatenate(solids)
         flat, merged = _merged(
             all_points[:, :2],
             np.concatenate([faces + i * count for i in range(len(solids))]),
-            of.lattice.pitch,
+            mla.lattice.pitch,
         )
         z = np.zeros(len(flat))
         z[merged] = all_points[:, 2][np.concatenate([faces + i * count for i in range(len(solids))])]
-        return _prism(flat, merged, z, of.thickness)
-    return trimesh.util.concatenate([_prism(v[:, :2], faces, v[:, 2], of.thickness) for v in solids])
+        return _prism(flat, merged, z, mla.thickness)
+    return trimesh.util.concatenate([_prism(v[:, :2], faces, v[:, 2], mla.thickness) for v in solids])
 
 
 def _prism(flat: Array, faces: Index, z: Array, thickness: float) -> "trimesh.Trimesh":

@@ -1,4 +1,4 @@
-"""What a lens's tessellation costs at the sensor: an estimate without tracing, to choose the meshes by.
+"""Error at the sensor that the tessellation of a lens makes, estimated without tracing.
 
 A facet that stands for a curved surface errs by its normal, which bends the ray, and by its height, which moves the
 meeting point. Both are sampled on the facets and carried to the sensor by the paraxial matrices behind the surface; the
@@ -21,7 +21,7 @@ INNER_POINTS = np.array([[4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0]]) / 6
 """Weights of a facet's corners at the three points of a quadrature exact to second order."""
 
 
-def facet_errors(of: Any, cap: Mesh, level: int) -> tuple[float, float]:
+def facet_errors(surface: Any, cap: Mesh, level: int) -> tuple[float, float]:
     """Return the rms error of the normal (rad) and of the height along z (mm) of a surface's mesh.
 
     Parameters
@@ -45,10 +45,10 @@ def facet_errors(of: Any, cap: Mesh, level: int) -> tuple[float, float]:
             used = np.broadcast_to(facet_normals(cap)[0][:, None, :], used.shape)
         used = used / np.linalg.norm(used, axis=-1, keepdims=True)
     x, y = points[..., 0].ravel(), points[..., 1].ravel()
-    inside = x * x + y * y <= float(of["aperture"]) ** 2
-    exact = normals(of, x[inside], y[inside])
+    inside = x * x + y * y <= float(surface["aperture"]) ** 2
+    exact = normals(surface, x[inside], y[inside])
     tilt = np.linalg.norm(used.reshape(-1, 3)[inside] - exact, axis=1)
-    height = points[..., 2].ravel()[inside] - of["vertex_z"] - sag(of, np.hypot(x, y)[inside])
+    height = points[..., 2].ravel()[inside] - surface["vertex_z"] - sag(surface, np.hypot(x, y)[inside])
     return _rms(tilt), _rms(height)
 
 
@@ -73,15 +73,15 @@ def landing_errors(scene: Scene, numbers: list[int], surfaces: NDArray[np.void],
         if number:
             to_image = gap(paraxial.gaps_mm[number - 1], paraxial.indices[number]).then(to_image)
     errors = []
-    for number, of, cap in zip(numbers, surfaces, caps, strict=True):
-        tilt, height = facet_errors(of, cap, level)
+    for number, surface, cap in zip(numbers, surfaces, caps, strict=True):
+        tilt, height = facet_errors(surface, cap, level)
         n_i, n_t = paraxial.indices[number], paraxial.indices[number + 1]
         # A typical ray meets the surface half-way out, at the slope it has there.
-        incidence = abs(float(slope(of, 0.5 * of["aperture"])))
+        incidence = abs(float(slope(surface, 0.5 * surface["aperture"])))
         sideways = height * incidence * abs(n_t - n_i) / n_t
         if level in (FLAT, SMOOTH):
             # The facet's point has the normal of a place further out by the way between facet and surface.
-            tilt = float(np.hypot(tilt, abs(of["curvature"]) * height * incidence))
+            tilt = float(np.hypot(tilt, abs(surface["curvature"]) * height * incidence))
         bend = abs(carried[number].b * (n_t - n_i)) * tilt
         errors.append(np.hypot(bend, abs(carried[number].a) * sideways))
     return np.array(errors)

@@ -29,6 +29,12 @@ def edge_curvature(start: Array, end: Array, start_normal: Array, end_normal: Ar
     """Return the (n, 3) second-order coefficient c of the curves x(t) = start + (d − c) t + c t² along edges d.
 
     Where the normals agree the edge stays straight, whatever angle it makes with them (Nagata, section 3).
+
+    Parameters
+    ----------
+    start, end : (n, 3) float64, mm
+    start_normal, end_normal : (n, 3) float64
+        Unit.
     """
     d = end - start
     mean, half = 0.5 * (start_normal + end_normal), 0.5 * (start_normal - end_normal)
@@ -55,15 +61,23 @@ def patches(corners: Array, corner_normals: Array) -> Array:
     return np.stack([a, b - a - ab, c - b + ab - ac, ac - ab - bc, ab, bc], axis=1)
 
 
-def patch_points(of: Array, eta: Array, zeta: Array) -> tuple[Array, Array]:
-    """Return the (m, q, 3) points and unit normals of all patches at q places (η, ζ)."""
+def patch_points(coefficients: Array, eta: Array, zeta: Array) -> tuple[Array, Array]:
+    """Return the (m, q, 3) points and unit normals of all patches at q places (η, ζ).
+
+    Parameters
+    ----------
+    coefficients : (m, 6, 3) float64, mm
+        Of the patches.
+    eta, zeta : (q,) float64
+        From 0 to 1.
+    """
     one = np.ones_like(eta)
     basis = np.stack([one, eta, zeta, eta * zeta, eta * eta, zeta * zeta])
     by_eta = np.stack([0 * one, one, 0 * one, zeta, 2 * eta, 0 * one])
     by_zeta = np.stack([0 * one, 0 * one, one, eta, 0 * one, 2 * zeta])
-    normal = np.cross(np.einsum("kq,mki->mqi", by_eta, of), np.einsum("kq,mki->mqi", by_zeta, of))
+    normal = np.cross(np.einsum("kq,mki->mqi", by_eta, coefficients), np.einsum("kq,mki->mqi", by_zeta, coefficients))
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    return np.einsum("kq,mki->mqi", basis, of), normal / np.where(length > 0.0, length, 1.0)
+    return np.einsum("kq,mki->mqi", basis, coefficients), normal / np.where(length > 0.0, length, 1.0)
 
 
 def neighbours(faces: Index, corner_normals: Array) -> NDArray[np.int64]:
@@ -91,7 +105,14 @@ def neighbours(faces: Index, corner_normals: Array) -> NDArray[np.int64]:
 def patch_point(
     patch: Array, eta: float, zeta: float
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
-    """Return a patch's point and its derivatives by η and ζ."""
+    """Return a patch's point and its derivatives by η and ζ.
+
+    Parameters
+    ----------
+    patch : (6, 3) float64, mm
+        Its coefficients.
+    eta, zeta : float
+    """
     x = (
         patch[0, 0]
         + eta * (patch[1, 0] + eta * patch[4, 0] + zeta * patch[3, 0])
@@ -120,9 +141,19 @@ def patch_point(
 def on_patch(
     patch: Array, x: float, y: float, z: float, dx: float, dy: float, dz: float, eta: float, zeta: float
 ) -> tuple[bool, float, float, float]:
-    """Return whether Newton's method finds the ray on the (endless) patch, and t, η, ζ there.
+    """Find by Newton's method where a ray meets the endless patch: whether it does, and t, η, ζ there.
 
     Two equations, that the patch's point lies on two planes through the ray, in η and ζ, from a start near the facet.
+
+    Parameters
+    ----------
+    patch : (6, 3) float64, mm
+        Its coefficients.
+    x, y, z : float, mm
+        A point of the ray.
+    dx, dy, dz : float
+    eta, zeta : float
+        Where the search starts.
     """
     ux, uy, uz, vx, vy, vz = tangents(dx, dy, dz)
     for _ in range(NEWTON_STEPS):

@@ -75,6 +75,14 @@ def solid_mesh(path: Path, units: str | None, crease_deg: float | None) -> Mesh:
     The normals are the file's where it has them. Where it has none, or only its facets' own, or where `crease_deg`
     says what is a crease, they are estimated to second order.
 
+    Parameters
+    ----------
+    path : Path
+    units : str, optional
+        Needed where the format carries none.
+    crease_deg : float, optional
+        Angle between facets above which their edge is a crease.
+
     Raises
     ------
     MeshError

@@ -1,4 +1,4 @@
-"""The solved camera: what first-order optics and the meshes of its elements say of a scene, found once and kept.
+"""The solved camera: a scene with nothing left to solve, its first-order report, and the meshes of its lens.
 
 Every part of lfmesh asks here for the solved scene, its first-order report, its paraxial lens and the lens's meshes.
 Scenes are immutable, so that an equal scene has the same answer, unless a file that its lens is made of has changed:

@@ -55,7 +55,21 @@ def surface(
     aperture: float = np.inf,
     stop: bool = False,
 ) -> np.void:
-    """Return one `SURFACE` record. `asphere_mm` holds the coefficients of r⁴, r⁶, ..."""
+    """Return one `SURFACE` record.
+
+    Parameters
+    ----------
+    radius_mm : float
+        inf: flat.
+    conic : float
+    asphere_mm : (terms,) float64
+        Coefficients of r⁴, r⁶, ..., in mm⁻³, mm⁻⁵, ...
+    vertex_z : float, mm
+    aperture : float, mm
+        Radius of the clear aperture.
+    stop : bool
+        Whether its aperture is the stop.
+    """
     record = np.zeros(1, SURFACE)[0]
     record["curvature"] = 0.0 if np.isinf(radius_mm) else 1.0 / radius_mm
     record["conic"] = conic
@@ -69,48 +83,54 @@ def surface(
     return record
 
 
-def sag(of: Any, r: ArrayLike) -> NDArray[np.float64]:
+def sag(surface: Any, r: ArrayLike) -> NDArray[np.float64]:
     """Return the sag in mm at the radii `r` (any shape, mm); NaN where the surface does not reach."""
     r2 = np.square(np.asarray(r, dtype=np.float64))
-    c, k = of["curvature"], of["conic"]
+    c, k = surface["curvature"], surface["conic"]
     with np.errstate(invalid="ignore"):
         z = c * r2 / (1.0 + np.sqrt(1.0 - (1.0 + k) * c * c * r2))
     power = r2
-    for a in of["asphere"][: of["terms"]]:
+    for a in surface["asphere"][: surface["terms"]]:
         power = power * r2
         z = z + a * power
     return z
 
 
-def slope(of: Any, r: ArrayLike) -> NDArray[np.float64]:
+def slope(surface: Any, r: ArrayLike) -> NDArray[np.float64]:
     """Return dz/dr at the radii `r`."""
     r = np.asarray(r, dtype=np.float64)
     r2 = r * r
-    c, k = of["curvature"], of["conic"]
+    c, k = surface["curvature"], surface["conic"]
     with np.errstate(invalid="ignore", divide="ignore"):
         result = c * r / np.sqrt(1.0 - (1.0 + k) * c * c * r2)
     power = r
-    for term, a in enumerate(of["asphere"][: of["terms"]]):
+    for term, a in enumerate(surface["asphere"][: surface["terms"]]):
         power = power * r2
         result = result + (2 * term + 4) * a * power
     return result
 
 
-def normals(of: Any, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-    """Return (n, 3) unit normals, towards +z, at the points (x, y) of the surface."""
+def normals(surface: Any, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+    """Return (n, 3) unit normals, towards +z, at the points (x, y) of the surface.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    x, y : (n,) float64, mm
+    """
     x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     r = np.hypot(x, y)
-    tilt = slope(of, r)
+    tilt = slope(surface, r)
     radial = np.divide(tilt, r, out=np.zeros_like(r), where=r > 0)
     n = np.stack([-radial * x, -radial * y, np.ones_like(x)], axis=-1)
     return np.asarray(n / np.linalg.norm(n, axis=-1, keepdims=True))
 
 
-def reach(of: Any) -> float:
+def reach(surface: Any) -> float:
     """Return the largest radius at which the surface exists, mm; inf when it has no rim of its own."""
-    c, k = of["curvature"], of["conic"]
+    c, k = surface["curvature"], surface["conic"]
     own = float(1.0 / (abs(c) * np.sqrt(1.0 + k))) if c != 0.0 and k > -1.0 else np.inf
-    return min(own, float(of["end"]))
+    return min(own, float(surface["end"]))
 
 
 @kernel
@@ -139,7 +159,14 @@ def half_slope_at(s: Any, r2: float) -> float:
 
 @inlined
 def normal_at(s: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return the unit normal, towards +z on the sheet of the vertex, at a point of the surface."""
+    """Return the unit normal, towards +z on the sheet of the vertex, at a point of the surface.
+
+    Parameters
+    ----------
+    s : SURFACE record
+    x, y, z : float, mm
+        From the vertex.
+    """
     if s.terms == 0:
         c = s.curvature
         nx, ny, nz = -c * x, -c * y, 1.0 - c * (1.0 + s.conic) * z
@@ -191,7 +218,18 @@ def conic_distance(
 def distance_to(
     s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
 ) -> tuple[bool, float]:
-    """Return whether and where a ray that starts close to a surface crosses it; see `conic_distance`."""
+    """Return whether and where a ray that starts close to a surface crosses it; see `conic_distance`.
+
+    Parameters
+    ----------
+    s : SURFACE record
+    x, y, z : float, mm
+        From the vertex.
+    dx, dy, dz : float
+        Unit.
+    sense : float
+        1 to cross along the normal, −1 against it.
+    """
     meets, t = conic_distance(s.curvature, s.conic, x, y, z, dx, dy, dz, sense)
     if s.terms > 0:
         meets, t = _asphere_distance(s, x, y, z, dx, dy, dz, sense, t)

@@ -50,43 +50,65 @@ def disk_pattern(rings: int) -> tuple[Index, Array, Index]:
     return ring.astype(np.int64), azimuth, np.array(faces, dtype=np.int64)
 
 
-def last_radius(of: Any) -> float:
+def last_radius(surface: Any) -> float:
     """Return the largest radius at which the sag is sure to be a number."""
-    return reach(of) * (1.0 - 4.0 * np.finfo(np.float64).eps)
+    return reach(surface) * (1.0 - 4.0 * np.finfo(np.float64).eps)
 
 
-def rim_radius(of: Any, rings: int, overreach: float = OVERREACH) -> float:
+def rim_radius(surface: Any, rings: int, overreach: float = OVERREACH) -> float:
     """Return the radius of the mesh's rim: its edges, chords of that circle, stay outside the clear aperture.
 
     Where the surface ends before, its last circle is what they stay outside of, by more than a float32 query rounds.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rings : int
+        Rings of triangles.
+    overreach : float
+        Share of the aperture by which the mesh goes beyond it.
     """
-    inner = min(of["aperture"] * (1.0 + overreach), last_radius(of) * (1.0 + FLOAT32_MARGIN))
+    inner = min(surface["aperture"] * (1.0 + overreach), last_radius(surface) * (1.0 + FLOAT32_MARGIN))
     return float(inner / np.cos(np.pi / (6 * rings)))
 
 
-def mesh_sag(of: Any, r: ArrayLike) -> Array:
+def mesh_sag(surface: Any, r: ArrayLike) -> Array:
     """Return the sag that a mesh has at radii `r`: beyond the surface's end, that of its end."""
-    return sag(of, np.minimum(r, last_radius(of)))
+    return sag(surface, np.minimum(r, last_radius(surface)))
 
 
-def ring_radii(of: Any, rings: int, rim: float) -> Array:
-    """Return (rings + 1,) radii equally spaced along the meridian's arc, so that steep rims get their share."""
+def ring_radii(surface: Any, rings: int, rim: float) -> Array:
+    """Return (rings + 1,) radii equally spaced along the meridian's arc, so that steep rims get their share.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rings : int
+    rim : float, mm
+    """
     # Sampled in the angle of a quarter turn, whose points crowd at the rim, where a hemisphere's slope runs away.
-    fine = min(rim, last_radius(of)) * np.sin(np.linspace(0.0, 0.5 * np.pi, 2049))
-    arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(fine), np.diff(sag(of, fine))))])
+    fine = min(rim, last_radius(surface)) * np.sin(np.linspace(0.0, 0.5 * np.pi, 2049))
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(fine), np.diff(sag(surface, fine))))])
     radii = np.interp(np.linspace(0.0, arc[-1], rings + 1), arc, fine)
     radii[-1] = rim
     return radii
 
 
-def cap(of: Any, rings: int, rim: float) -> Mesh:
-    """Return the mesh of a surface out to `rim`, facing +z, in the frame of the lens, with exact corner normals."""
+def cap(surface: Any, rings: int, rim: float) -> Mesh:
+    """Return the mesh of a surface out to `rim`, facing +z, in the frame of the lens, with exact corner normals.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rings : int
+    rim : float, mm
+    """
     ring, azimuth, faces = disk_pattern(rings)
-    r = ring_radii(of, rings, rim)[ring]
+    r = ring_radii(surface, rings, rim)[ring]
     x, y = r * np.cos(azimuth), r * np.sin(azimuth)
-    vertices = np.column_stack([x, y, mesh_sag(of, r) + of["vertex_z"]])
-    inside = np.minimum(1.0, np.divide(last_radius(of), r, out=np.ones_like(r), where=r > 0.0))
-    return Mesh(vertices, faces, normals(of, inside * x, inside * y)[faces])
+    vertices = np.column_stack([x, y, mesh_sag(surface, r) + surface["vertex_z"]])
+    inside = np.minimum(1.0, np.divide(last_radius(surface), r, out=np.ones_like(r), where=r > 0.0))
+    return Mesh(vertices, faces, normals(surface, inside * x, inside * y)[faces])
 
 
 def revolved(profile: Array, azimuths: int) -> Mesh:
@@ -114,6 +136,17 @@ def ring_profile(front: Any, front_rim: float, back: Any, back_rim: float) -> Ar
 
     A cylinder at the larger radius with a flat annulus to the smaller rim, as lenses are made, unless that would cut
     one of the surfaces; then a cone.
+
+    Parameters
+    ----------
+    front, back : SURFACE record
+    front_rim, back_rim : float, mm
+        Radii of the two meshes.
+
+    Returns
+    -------
+    (n, 2) float64, mm
+        r and z.
     """
     a = np.array([front_rim, front["vertex_z"] + mesh_sag(front, front_rim)])
     b = np.array([back_rim, back["vertex_z"] + mesh_sag(back, back_rim)])
@@ -140,15 +173,24 @@ def _clears(profile: Array, front: Any, front_rim: float, back: Any, back_rim: f
     return not bool(np.any(before | behind))
 
 
-def chord_error(of: Any, rings: int, rim: float) -> float:
-    """Return a bound of the distance along z between the surface and its mesh, mm: along meridian and parallel."""
-    r = ring_radii(of, rings, rim)
+def chord_error(surface: Any, rings: int, rim: float) -> float:
+    """Return a bound of the distance along z between the surface and its mesh, mm: along meridian and parallel.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rings : int
+    rim : float, mm
+    """
+    r = ring_radii(surface, rings, rim)
     middle = 0.5 * (r[1:] + r[:-1])
-    z = mesh_sag(of, r)
-    radial = np.abs(sag(of, middle) - 0.5 * (z[1:] + z[:-1])).max()
+    z = mesh_sag(surface, r)
+    radial = np.abs(sag(surface, middle) - 0.5 * (z[1:] + z[:-1])).max()
     # A chord of ring i lies inside the circle by r (1 − cos(π/6i)), which the slope turns into sag.
     i = np.arange(1, rings + 1)
-    around = (np.abs(slope(of, np.minimum(r[1:], 0.999 * reach(of)))) * r[1:] * (1 - np.cos(np.pi / (6 * i)))).max()
+    around = (
+        np.abs(slope(surface, np.minimum(r[1:], 0.999 * reach(surface)))) * r[1:] * (1 - np.cos(np.pi / (6 * i)))
+    ).max()
     return float(radial + around)
 
 
@@ -157,6 +199,14 @@ def rings_for(surfaces: NDArray[np.void], least: int, tolerance_mm: float = np.i
 
     Two neighbouring meshes must not cross: the errors of both together stay below half of the smallest gap between
     their surfaces inside the smaller rim.
+
+    Parameters
+    ----------
+    surfaces : (K,) SURFACE
+    least : int
+        Rings to begin with.
+    tolerance_mm : float
+        Of the sag.
     """
     rings = least
     while rings < MAX_RINGS:
@@ -197,11 +247,24 @@ def _gap_at(front: Any, back: Any, radius: float) -> float:
 
 
 def smallest_gap(front: Any, back: Any, radius: float) -> float:
-    """Return the smallest distance along z between two surfaces out to a radius, mm."""
+    """Return the smallest distance along z between two surfaces out to a radius, mm.
+
+    Parameters
+    ----------
+    front, back : SURFACE record
+    radius : float, mm
+    """
     r = np.linspace(0.0, min(radius, reach(front), reach(back)), 257)
     return float((back["vertex_z"] + sag(back, r) - front["vertex_z"] - sag(front, r)).min())
 
 
 def element(front: Mesh, ring: Mesh, back: Mesh) -> Mesh:
-    """Return the closed solid between two caps (facing +z) and the ring (facing the axis), outward-oriented."""
+    """Return the closed solid between two caps (facing +z) and the ring (facing the axis), outward-oriented.
+
+    Parameters
+    ----------
+    front, back : Mesh
+        The caps.
+    ring : Mesh
+    """
     return joined([front.flipped(), ring.flipped(), back])

@@ -1,1 +1,1 @@
-"""What a raw image means: white image, true geometry, decoding, refocusing."""
+"""Light fields: white image, calibration, decoding, views, refocusing and depth."""

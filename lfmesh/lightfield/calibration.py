@@ -140,7 +140,18 @@ def calibration_by(scene: Scene, rays: ChiefRays) -> Calibration:
 def calibration_of(
     scene: Scene, centres_px: Array, known: NDArray[np.bool_], origin: Literal["traced", "white image"]
 ) -> Calibration:
-    """Return a calibration from its centres and a solved scene's first-order optics."""
+    """Return a calibration from its centres and a solved scene's first-order optics.
+
+    Parameters
+    ----------
+    scene : Scene
+        Solved.
+    centres_px : (rows, columns, 2) float64
+        Column and row of every micro-image's centre.
+    known : (rows, columns) bool
+        False where a centre is only continued from others.
+    origin : {"traced", "white image"}
+    """
     mla, sensor = scene.camera.mla, scene.camera.sensor
     lenslets = plate_of(scene).lenslets
     assert mla is not None

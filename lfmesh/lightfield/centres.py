@@ -1,4 +1,4 @@
-"""Finding the micro-images on a white image, as the owner of a real camera has to."""
+"""Centres of the micro-images, found on a white image as the owner of a real camera has to."""
 
 import numpy as np
 from numpy.typing import NDArray

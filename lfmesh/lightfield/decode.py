@@ -1,4 +1,4 @@
-"""From the raw image to the light field: the same part of every micro-image makes a view."""
+"""Decoding: sort the pixels of a raw image into views, the same part of every micro-image into one."""
 
 import math
 from typing import NamedTuple

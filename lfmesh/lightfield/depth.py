@@ -1,4 +1,4 @@
-"""Depth from the light field itself: the shift between views at which they agree best, and the distance it means.
+"""Depth from a light field: the shift between views at which they agree best, and the distance that it means.
 
 Planes of equal shift are tried one by one; the views, shifted back, differ least where the plane is the right one (a
 cost volume). From the best plane on, the slope of the epipolar-plane images that is left is found by least squares
@@ -81,7 +81,7 @@ class DepthMap:
         return np.where(np.isfinite(self.distance_mm), self.distance_mm, np.nan) / truth - 1.0
 
     def in_words(self, truth_mm: NDArray[np.floating]) -> str:
-        """Return how far the depth is off, of what lies in the range that was searched."""
+        """Return the error of the depth in words, of what lies in the range that was searched."""
         near, far = self.range_mm
         within = (truth_mm >= near) & (truth_mm <= far)
         error = np.abs(self.error(truth_mm)[within])
@@ -97,7 +97,7 @@ class DepthMap:
 
 
 def estimate_depth(field: LightField, *, near_mm: float | None = None, far_mm: float | None = None) -> DepthMap:
-    """Find how far everything is that a light field shows.
+    """Estimate the distance of everything that a light field shows.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def _gradient(picture: Array, axis: int) -> Array:
 
 
 def _windowed(values: Array) -> Array:
-    """Return the mean in the window round every sample, of what is known."""
+    """Return the mean of the known values in a Gaussian window round every sample."""
     known = np.isfinite(values)
     weight = ndimage.gaussian_filter(known.astype(np.float64), WINDOW, mode="constant")
     total = ndimage.gaussian_filter(np.where(known, values, 0.0), WINDOW, mode="constant")

@@ -1,4 +1,4 @@
-"""True depth: how far before the lens the rays of views and of raw pixels first meet a target, traced."""
+"""True depth: the traced distances at which the rays of views and of raw pixels first meet a target."""
 
 import os
 import threading
@@ -57,7 +57,7 @@ class DepthTruth:
 
 
 def depth_truth(scene: Scene, *, views: int | None = None, samples: int = 16) -> DepthTruth:
-    """Trace the true depth of all that a light-field camera sees, at the primary wavelength.
+    """Trace the true depth of everything that a light-field camera sees, at the primary wavelength.
 
     Parameters
     ----------

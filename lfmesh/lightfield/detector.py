@@ -1,4 +1,4 @@
-"""What the electronics make of an image: photons to electrons to counts, with their noise.
+"""Detector: photons to electrons to counts, with their noise.
 
 The image itself, power without noise but that of its estimate, stays as it is; this stands beside it.
 """
@@ -55,7 +55,7 @@ class Exposed:
 
     @property
     def electrons(self) -> Array:
-        """(H, W): what the counts say of the electrons in each pixel, dark ones included."""
+        """(H, W): electrons in each pixel that the counts stand for, dark ones included."""
         return (self.counts.astype(np.float64) - self.detector.black_level) * self.detector.electrons_per_count
 
 
@@ -167,7 +167,7 @@ class Detector:
 
 
 def transmittance(colour: str, wavelengths_nm: tuple[float, ...]) -> Array:
-    """Return what a colour filter passes of each wavelength, (n,)."""
+    """Return the transmittance of a colour filter at each wavelength, (n,)."""
     centre, width = PASSBANDS_NM[colour]
     return np.asarray(np.exp2(-((2.0 * (np.asarray(wavelengths_nm) - centre) / width) ** 2)))
 

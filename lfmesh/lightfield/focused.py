@@ -81,7 +81,7 @@ def focused(
 
 
 def lenslet_blur_px(scene: Scene, excess_mm: float) -> tuple[float, ...]:
-    """Return how wide each type of lenslet blurs a point of the main image on the sensor, in pixels.
+    """Return the width of the blur of a point of the main image on the sensor, for each type of lenslet, in pixels.
 
     By first-order optics, for lenslets filled with light; one value a type.
 

@@ -24,7 +24,7 @@ NEARER = 0.1
 
 
 def lens_alone(scene: Scene) -> World:
-    """Build the lens with a plane where the array stands, in its own camera frame and with nothing to look at."""
+    """Build the main lens alone, with a wide plane in place of the array, in the camera frame."""
     mla, sensor = scene.camera.mla, scene.camera.sensor
     assert mla is not None
     assert mla.distance_mm is not None
@@ -49,7 +49,7 @@ def _built(camera: SolvedCamera) -> World:
 
 
 def focus_shift(scene: Scene) -> tuple[float, float]:
-    """Return how far from its paraxial image a point of the axis is imaged most sharply, by real rays.
+    """Return the distance along the axis from the paraxial image of an axial point to its sharpest one, by real rays.
 
     Where a bundle that fills the aperture has its smallest rms radius, from the paraxial image along z, for objects
     nearer and farther than the plane in focus; between them it goes as the inverse distance.

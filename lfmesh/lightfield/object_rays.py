@@ -1,4 +1,4 @@
-"""From a pixel and a lenslet to the ray in object space that they stand for: the camera's true pixel-to-ray map.
+"""The pixel-to-ray map: the ray in object space that a pixel sees through a lenslet.
 
 The ray runs from a point of the sensor through the lenslet's apex and back through the lens. It takes no account of
 where the sensor stands, so it is as good for a sensor in the microlens focal plane as for one in front of or behind it.
@@ -83,7 +83,7 @@ def object_rays(scene: Scene, lenslets: NDArray[np.integer], pixels_px: Array) -
 
 
 def _through_apexes(scene: Scene, plate: Plate, apexes: Array, pixels: Array) -> tuple[Array, Array]:
-    """Return where rays from pixels through apexes meet the air before the array, and go: camera frame."""
+    """Return where rays from pixels through apexes enter the air before the array, and their directions."""
     sensor = scene.camera.sensor
     on_sensor = (pixels - 0.5 * (np.asarray(sensor.pixels) - 1.0)) * sensor.pixel_mm
     points = frames.points(plate.moves[SENSOR_FRAME, ARRAY_FRAME], np.column_stack([on_sensor, np.zeros(len(pixels))]))
@@ -101,7 +101,7 @@ def _through_apexes(scene: Scene, plate: Plate, apexes: Array, pixels: Array) ->
 
 
 def _slopes_across(offset: Array, air_mm: Array, glass_mm: float, index: float) -> Array:
-    """Return the slopes in air, (n, 2), of rays that get so far sideways through air and a plate; NaN where none does.
+    """Return the slopes in air, (n, 2), of rays with a given offset across air and a plate; NaN where none has it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Rendering a focused plenoptic image by patches: from every micro-image the part that continues its neighbours'.
+"""Patch rendering of a focused plenoptic image: from each micro-image the part that continues its neighbours'.
 
 A pixel o pixels from the centre of its micro-image belongs to the point A + o·shift of the main image, seen from the
 middle of the exit pupil: A is the lenslet's place, and the shift, `TracedShift`'s, depends on the distance. So the
@@ -139,7 +139,7 @@ def patches_in_focus(image: Image, distances_mm: Sequence[float], *, white: Imag
 
 
 def patch_px(scene: Scene, distance_mm: float) -> float:
-    """Return how many pixels wide the patches are for an object distance, by first-order optics."""
+    """Return the width of the patches for an object distance, in pixels, by first-order optics."""
     model = RayModel.of(scene)
     shift = abs(model.shift_mm(distance_mm))
     return model.lenslet_pitch_mm / shift if shift else math.inf

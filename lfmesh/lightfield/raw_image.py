@@ -1,4 +1,4 @@
-"""What a raw image holds between its pixels."""
+"""Bilinear interpolation of a raw image."""
 
 import numpy as np
 from numpy.typing import NDArray

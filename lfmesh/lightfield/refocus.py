@@ -66,6 +66,14 @@ def focal_stack(
 ) -> FocalStack:
     """Focus a light field on several planes; see `refocus`.
 
+    Parameters
+    ----------
+    field : LightField
+    distances_mm : sequence of float
+        Of the planes, before the first vertex.
+    f_number : float, optional
+    method : {"shift", "fourier"}
+
     Raises
     ------
     LfmeshError

@@ -1,4 +1,4 @@
-"""Upright pictures: from how an image lies on the sensor to how an observer behind the camera sees the scene.
+"""Upright pictures: turn what lies on the sensor to how an observer behind the camera sees the scene.
 
 The camera frame has x to the right and y up for somebody who stands behind the camera and looks at the objects, along
 −z. In an upright picture, columns run along +x and rows along −y of object space. A lens that inverts (negative
@@ -82,12 +82,26 @@ class Upright:
         return np.arange(count)[::-1] if self.inverts else np.arange(count)
 
     def pixel(self, row: int, column: int, shape: tuple[int, int]) -> tuple[int, int]:
-        """Return where a pixel of an image with `shape` (rows, columns) lies in the picture; or back again."""
+        """Return where a pixel of an image with `shape` (rows, columns) lies in the picture; or back again.
+
+        Parameters
+        ----------
+        row, column : int
+        shape : (int, int)
+            Rows and columns of the image.
+        """
         rows, columns = shape
         return (row, columns - 1 - column) if self.inverts else (rows - 1 - row, column)
 
     def box(self, rows: range, columns: range, shape: tuple[int, int]) -> tuple[range, range]:
-        """Return the rows and columns of the picture that a box of pixels fills; or back again."""
+        """Return the rows and columns of the picture that a box of pixels fills; or back again.
+
+        Parameters
+        ----------
+        rows, columns : range
+        shape : (int, int)
+            Rows and columns of the image.
+        """
         height, width = shape
         if self.inverts:
             return rows, range(width - columns.stop, width - columns.start)

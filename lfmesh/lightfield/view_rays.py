@@ -1,4 +1,4 @@
-"""The rays of views: from a lenslet's apex the ray to a pixel, and the map from shift to distance fitted to them."""
+"""Rays of views, traced from lenslets to object space, and the map from shift to distance fitted to them."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,7 @@ class ViewRays:
 
     @classmethod
     def of_camera(cls, scene: Scene) -> "ViewRays":
-        """Return those of a solved scene's camera, with nothing before it."""
+        """Return the rays of a solved scene's camera, with nothing before it."""
         return cls(build(scene.changed({"targets": (), "lights": ()})))
 
     def trace(self, v: float, u: float, every: tuple[int, int] = (1, 1)) -> tuple[Paths, NDArray[np.int64]]:
@@ -84,7 +84,7 @@ class ViewRays:
         return len(self.sampling.t_mm), len(self.sampling.s_mm)
 
     def _of_samples(self, values: Array) -> Array:
-        """Return what belongs to the lenslets, (rows, columns, 3), for the samples of a view, (t, s, 3)."""
+        """Interpolate values of lenslets, (rows, columns, 3), at the samples of a view, (t, s, 3)."""
         parity, row = self.sampling.rows & 1, self.sampling.rows[:, None]
         left, share = self.sampling.columns[parity], self.sampling.share[parity][..., None]
         right = np.minimum(left + 1, values.shape[1] - 1)

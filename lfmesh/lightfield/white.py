@@ -1,4 +1,4 @@
-"""The white image: what the same camera, errors and all, records of a uniform Lambertian plane that fills its field."""
+"""The white image: the raw image of a uniform Lambertian plane that fills the field of the same camera."""
 
 from collections.abc import Callable
 

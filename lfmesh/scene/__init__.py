@@ -1,4 +1,4 @@
-"""What the user writes: the scene's models, its file, and its first-order optics."""
+"""Scenes: the models of a scene file, reading and writing it, and its first-order optics."""
 
 from lfmesh.scene.array import ArrayForm, MicrolensArray
 from lfmesh.scene.camera import Camera

@@ -1,4 +1,4 @@
-"""Warnings in plain words: what is allowed, but likely to disappoint."""
+"""Warnings about scenes that are allowed but likely to disappoint."""
 
 import math
 from collections.abc import Iterator

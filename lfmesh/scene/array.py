@@ -85,7 +85,7 @@ class MicrolensArray(Model):
         return self.pitch_mm / math.sqrt(3.0 if self.layout == "hexagonal" else 2.0)
 
     def cap_fault(self, radius_mm: float) -> str | None:
-        """Say why a face of this radius cannot be cut into the plate; None if it can."""
+        """Return why a face of this radius cannot be cut into the plate; None if it can."""
         if abs(radius_mm) < self.corner_mm:
             return (
                 f"a sphere of radius {abs(radius_mm):.6g} mm does not reach the corner of its cell, "

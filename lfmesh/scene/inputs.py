@@ -1,4 +1,4 @@
-"""The files that a scene reads: which they are, and finding again those that a run was rendered with."""
+"""Files that a scene reads: listing them, and finding again those that a run was rendered with."""
 
 import hashlib
 import time
@@ -52,7 +52,7 @@ def digest_of(path: Path) -> str:
 
 
 def file_stamp(path: Path) -> tuple[object, ...]:
-    """Return what tells one state of a file from another without reading it, where that is sure; () if it is missing.
+    """Return a stamp of a file that changes with its contents; () if it is missing.
 
     Times of files have the grain of a clock, so that two writes within one tick leave the same ones: of a file that was
     changed just now, the contents are part of the stamp.
@@ -68,6 +68,15 @@ def file_stamp(path: Path) -> tuple[object, ...]:
 
 def found(path: Path, digest: str, folder: Path) -> Path:
     """Find the file that a run was rendered with: at its path, or by its name beside or in the run's folder.
+
+    Parameters
+    ----------
+    path : Path
+        Where the scene says that it is.
+    digest : str
+        Its SHA-256 then.
+    folder : Path
+        Of the run.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What lights the targets, besides those that emit themselves. All are in the world frame."""
+"""Light sources besides emitting targets, all in the world frame."""
 
 from collections.abc import Iterator
 from typing import Annotated, Literal

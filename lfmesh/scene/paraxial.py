@@ -30,7 +30,7 @@ class Matrix(NamedTuple):
     d: float
 
     def __call__(self, ray: Ray) -> Ray:
-        """Take a ray through."""
+        """Return a ray as it is after this matrix."""
         return Ray(self.a * ray.height_mm + self.b * ray.angle, self.c * ray.height_mm + self.d * ray.angle)
 
     def then(self, after: "Matrix") -> "Matrix":
@@ -47,7 +47,7 @@ NOTHING = Matrix(1.0, 0.0, 0.0, 1.0)
 
 
 def gap(length_mm: float, index: float = AIR) -> Matrix:
-    """Return the matrix of a way through a medium."""
+    """Return the matrix of a distance in a medium."""
     return Matrix(1.0, length_mm / index, 0.0, 1.0)
 
 

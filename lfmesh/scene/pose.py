@@ -1,4 +1,4 @@
-"""Where a body really sits: its installation error, or the place of the camera in the world."""
+"""Poses: the installation error of a body, or the place of the camera in the world."""
 
 from lfmesh.scene.model import Model
 from lfmesh.scene.quantities import Vector

@@ -1,4 +1,4 @@
-"""Making a scene explicit: lens file inlined, stop sized, lenslet radii and distances solved."""
+"""Solving a scene: lens file inlined, stop sized, lenslet radii and distances found."""
 
 import math
 from typing import Any, TypeVar
@@ -53,7 +53,7 @@ def solved(scene: Scene) -> Scene:
 
 
 def air_thickness_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
-    """Return how thick the array's plate looks from air, t/n, in mm."""
+    """Return the reduced thickness of the array's plate, t/n, in mm."""
     return mla.thickness_mm / refractive_index(mla.medium, wavelength_nm)
 
 

@@ -1,4 +1,4 @@
-"""What the camera looks at: primitive shapes and mesh files, with their material."""
+"""Targets of the camera: primitive shapes and mesh files, with their material."""
 
 from collections.abc import Iterator
 from typing import Annotated, Literal

@@ -1,4 +1,4 @@
-"""How the light is traced: method, accuracy and effort."""
+"""Transport settings: method, accuracy and effort."""
 
 from collections.abc import Iterator
 from typing import Annotated, Literal

@@ -154,10 +154,8 @@ def test_splitting_and_aiming_gain_300_over_analog_on_the_default_scene() -> Non
 
     Time enters as the mean over the runs; a busy machine may change the ratio by some tenths, not by factors.
     """
-    effort = Effort(
-        32, {way.name: (1024,) if way is ANALOG else (32,) if way is AIMING else (2,) for way in WAYS}, 6, 256
-    )
-    study = study_images(lf.load(asset_path("scenes/first_light.toml")), effort)
+    effort = Effort(32, {ANALOG.name: (1024,), AIMING.name: (32,)}, 6, 256)
+    study = study_images(lf.load(asset_path("scenes/first_light.toml")), effort, ways=(ANALOG, AIMING))
     gain, error = study.gain(AIMING, ANALOG)
     assert stats.t.sf((np.log(gain) - np.log(300.0)) / (error / gain), 5) < LEVEL
 

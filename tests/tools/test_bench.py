@@ -159,24 +159,51 @@ def test_without_reflections_there_is_less_light(ran: Any) -> None:
     assert power["adjoint, sequential"] < power["adjoint, Sobol'"]
 
 
-@pytest.mark.parametrize(
-    ("command", "arguments", "said"),
-    [
-        ("render", ["nowhere.toml"], "nowhere.toml"),
-        ("lens", ["--json", "nowhere/figures.json"], "nowhere/figures.json"),
-        ("scaling", ["--figure", "drawing.bmp"], ".png"),
-        ("image", ["--runs", "1"], "2 or more"),
-        ("lens", ["--rays", "0"], "0 is not positive"),
-        ("against", ["no-such-commit"], "no-such-commit"),
-    ],
-)
-def test_a_mistake_is_one_line(command: str, arguments: list[str], said: str) -> None:
-    result = bench(command, *arguments)
-    assert result.returncode == 2
-    assert result.stdout == ""
-    (line,) = result.stderr.splitlines()
+MISTAKES = [
+    ("render", ["nowhere.toml"], "nowhere.toml"),
+    ("lens", ["--json", "nowhere/figures.json"], "nowhere/figures.json"),
+    ("scaling", ["--figure", "drawing.bmp"], ".png"),
+    ("image", ["--runs", "1"], "2 or more"),
+    ("lens", ["--rays", "0"], "0 is not positive"),
+    ("against", ["no-such-commit"], "no-such-commit"),
+]
+
+RUN_ALL = """
+import contextlib, io, json, os, runpy, sys
+for tool, *arguments in json.load(sys.stdin):
+    sys.argv, out, err, code = [tool, *arguments], io.StringIO(), io.StringIO(), 0
+    sys.path.insert(0, os.path.dirname(tool))
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            runpy.run_path(tool, run_name="__main__")
+        except SystemExit as end:
+            code = end.code
+    print(json.dumps([code, out.getvalue(), err.getvalue()]), flush=True)
+"""
+"""Runs programs one after the other in one process, so that what they import is imported once."""
+
+
+@pytest.fixture(scope="module")
+def mistaken() -> list[tuple[int, str, str]]:
+    """Return the exit code of each mistake, what it printed, and what it said of errors."""
+    calls = [[str(TOOLS / f"bench_{command}.py"), *arguments] for command, arguments, _ in MISTAKES]
+    child = subprocess.run(
+        [sys.executable, "-c", RUN_ALL],
+        input=json.dumps(calls), capture_output=True, text=True, env=ENVIRONMENT, timeout=600,
+    )  # fmt: skip
+    assert child.returncode == 0, child.stderr
+    assert child.stderr == ""
+    return [tuple(json.loads(line)) for line in child.stdout.splitlines()]
+
+
+@pytest.mark.parametrize("number", range(len(MISTAKES)), ids=[f"{m[0]} {' '.join(m[1])}" for m in MISTAKES])
+def test_a_mistake_is_one_line(number: int, mistaken: list[tuple[int, str, str]]) -> None:
+    code, printed, said = mistaken[number]
+    assert code == 2
+    assert printed == ""
+    (line,) = said.splitlines()
     assert line.startswith("tools/bench: ")
-    assert said in line
+    assert MISTAKES[number][2] in line
 
 
 def test_an_unknown_command_names_the_known_ones() -> None:

@@ -1,4 +1,4 @@
-"""What PlenoptiCam 0.9 (C. Hahne) reads: a raw picture, a white picture, its settings, and our centres."""
+"""Export for PlenoptiCam 0.9 (C. Hahne): a raw picture, a white picture, its settings, and our centres."""
 
 import json
 import math
@@ -45,6 +45,14 @@ def write_plenopticam(folder: Path, image: Image, white: Image, calibration: Cal
 
     ``settings.json`` are its parameters, for ``PlenopticamConfig.read_params``; ``centres.json`` the true centres as
     its calibration, for its option ``--meta``; it finds its own without. Returns the facts.
+
+    Parameters
+    ----------
+    folder : Path
+    image, white : Image
+        Raw and white image of one camera.
+    calibration : Calibration
+        Its micro-images.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What plenpy 0.9 (M. Schambach) reads as a `RayTracerLF`: a camera folder of pictures with JSON beside them."""
+"""Export for plenpy 0.9 (M. Schambach), `RayTracerLF`: a camera folder of pictures with JSON beside them."""
 
 import json
 import math
@@ -22,6 +22,14 @@ def write_plenpy(folder: Path, image: Image, white: Image, calibration: Calibrat
 
     ``camera.json`` holds what `RayTracerLF` is made with; its ``imageDistance`` and focal length stand for D and d,
     by whose ratio plenpy expects the pitch of the micro-images to exceed that of the lenslets.
+
+    Parameters
+    ----------
+    folder : Path
+    image, white : Image
+        Raw and white image of one camera.
+    calibration : Calibration
+        Its micro-images.
 
     Raises
     ------

@@ -92,14 +92,15 @@ def solved_camera(scene: Scene) -> SolvedCamera:
         if camera is not None:
             _kept.move_to_end(key)
             return camera
-    camera = SolvedCamera(solved(measured(scene)))
+    ready = solved(measured(scene))
     if _key(scene, lens) != key:
         # A file changed while it was read: what was read belongs to neither key.
-        return camera
+        return SolvedCamera(ready)
+    own = _key(ready, ready.camera.lens)
     with _lock:
-        camera = _kept.setdefault(key, camera)
         # What is solved already is its own solution.
-        _kept.setdefault(_key(camera.scene, camera.scene.camera.lens), camera)
+        camera = _kept.setdefault(own, SolvedCamera(ready))
+        _kept[key] = camera
         while len(_kept) > 2 * KEPT:
             _kept.popitem(last=False)
     return camera

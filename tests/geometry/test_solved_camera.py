@@ -43,7 +43,9 @@ def test_it_is_what_solving_and_first_order_optics_say() -> None:
 
 
 def test_equal_scenes_and_the_solved_one_share_it() -> None:
+    first = solved_camera(solved(asset()))
     camera = solved_camera(asset())
+    assert camera is first
     assert solved_camera(asset()) is camera
     assert solved_camera(camera.scene) is camera
     assert camera.report is solved_camera(asset()).report

@@ -49,7 +49,7 @@ class AimedRays(NamedTuple):
     arrived: NDArray[np.bool_]
 
 
-def aim_rays(landing: Landing, targets: Array, guess: Array, derivative: Array, size: ArrayLike) -> AimedRays:
+def aim_rays(landing: Landing, targets: Array, guess: Array, derivative: Array | float, size: ArrayLike) -> AimedRays:
     """Find the rays that land on targets.
 
     Parameters
@@ -60,14 +60,15 @@ def aim_rays(landing: Landing, targets: Array, guess: Array, derivative: Array, 
         Where the rays shall land.
     guess : (n, 2) float64
         The two numbers that the search starts from, for each ray.
-    derivative : (n, 2, 2) float64
-        Of the landing by these numbers, near the guess: [i, j] of place i by number j.
+    derivative : (n, 2, 2) float64, or float
+        Of the landing by these numbers, near the guess: [i, j] of place i by number j. A float is the step of each
+        number by which it is found from differences: two more rays for each.
     size : float or (n,) float64, mm
         Of what is aimed at: tolerances are shares of it.
     """
     size = np.broadcast_to(np.asarray(size, dtype=np.float64), len(targets))
-    start, derivative = guess.copy(), derivative.copy()
-    hit = landing(start, np.arange(len(start)))
+    start = guess.copy()
+    hit, derivative = _first(landing, start, derivative)
     miss = _length(targets - hit)
     start[~np.isfinite(miss)] = np.nan
     damping, fruitless = np.ones(len(start)), np.zeros(len(start), np.int64)
@@ -92,21 +93,14 @@ def aim_rays(landing: Landing, targets: Array, guess: Array, derivative: Array, 
     return AimedRays(start, miss, miss <= ARRIVED * size)
 
 
-def by_differences(landing: Landing, guess: Array, step: float) -> Array:
-    """Return the derivative of a landing at a guess, (n, 2, 2), from two more rays for each.
-
-    Parameters
-    ----------
-    landing : callable
-        See `Landing`.
-    guess : (n, 2) float64
-    step : float
-        By which each of the two numbers is changed.
-    """
+def _first(landing: Landing, guess: Array, derivative: Array | float) -> tuple[Array, Array]:
+    """Return where the guessed rays land, (n, 2), and the derivative there, (n, 2, 2)."""
     every = np.arange(len(guess))
-    here = landing(guess, every)
-    changed = [landing(guess + shift, every) for shift in ((step, 0.0), (0.0, step))]
-    return np.stack([(there - here) / step for there in changed], axis=2)
+    if isinstance(derivative, np.ndarray):
+        return landing(guess, every), derivative.copy()
+    shifts = derivative * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    here, *changed = landing((guess + shifts[:, None]).reshape(-1, 2), np.tile(every, 3)).reshape(3, -1, 2)
+    return here, np.stack([(there - here) / derivative for there in changed], axis=2)
 
 
 def _solved(derivative: Array, error: Array) -> Array:

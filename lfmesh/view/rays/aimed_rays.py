@@ -15,7 +15,7 @@ from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.geometry.surface import sag
 from lfmesh.geometry.surface import slope as steepness
 from lfmesh.geometry.tessellation import mesh_sag
-from lfmesh.transport.aiming.ray_aiming import aim_rays, by_differences
+from lfmesh.transport.aiming.ray_aiming import aim_rays
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.world import World
@@ -237,8 +237,7 @@ class Aim:
         def landing(entry: Array, which: NDArray[np.int64]) -> Array:
             return np.array([ray.at_stop for ray in self.trace(slope[which], entry)]).reshape(-1, 2)
 
-        derivative = by_differences(landing, guess, DIFFERENCE * self.stop_radius)
-        aimed = aim_rays(landing, aim, guess, derivative, self.stop_radius)
+        aimed = aim_rays(landing, aim, guess, DIFFERENCE * self.stop_radius, self.stop_radius)
         entry = np.where(aimed.arrived[:, None], aimed.start, guess)
         return self.trace(slope, entry), entry
 

@@ -47,6 +47,7 @@ from lfmesh.accuracy.image_efficiency import (
 from lfmesh.assets import asset_path
 from lfmesh.scene import Scene
 from lfmesh.transport.render.render import Renderer
+from lfmesh.transport.world import World
 
 WAYS = (ANALOG, AIMING, SOBOL, PARTS, IMAGE_PATH, SEQUENTIAL)
 GAINS = ((AIMING, ANALOG), (SOBOL, AIMING), (PARTS, SOBOL), (SEQUENTIAL, SOBOL), (SEQUENTIAL, IMAGE_PATH))
@@ -143,7 +144,8 @@ def beside_mitsuba(
     # From a seed, what renders a picture: what is built for it is not timed.
     pictures: dict[str, Callable[[int], Picture]] = {}
     for way in (SOBOL, PARTS, IMAGE_PATH, SEQUENTIAL):
-        pictures[way.name] = partial(own_picture, small_camera(lenslets, way), samples)
+        world = lf.build(small_camera(lenslets, way).changed({"transport.samples": samples}))
+        pictures[way.name] = partial(own_picture, world)
     if with_mitsuba:
         from bench_mitsuba import Camera
 
@@ -175,9 +177,9 @@ def beside_mitsuba(
     return list(rows.values()), ratios, agreement
 
 
-def own_picture(scene: Scene, samples: int, seed: int) -> Picture:
+def own_picture(world: World, seed: int) -> Picture:
     """Return what renders with lfmesh; (rows, columns) W."""
-    renderer = Renderer(lf.build(scene.changed({"transport.samples": samples, "transport.seed": seed})))
+    renderer = Renderer(world.reseeded(seed))
     return lambda: renderer.image().mean[:, :, 0]
 
 

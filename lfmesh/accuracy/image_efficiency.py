@@ -22,7 +22,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.scene import Scene
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.render import Renderer
-from lfmesh.transport.world import build
+from lfmesh.transport.world import World, build
 
 
 @dataclass(frozen=True)
@@ -265,7 +265,7 @@ def study_images(
     references: dict[Way, Image] = {}
     for way in dict.fromkeys(way.reference for way in ways):
         say(f"images: reference by {way.name}, {effort.reference} samples a pixel")
-        references[way] = _run(small, way, effort.reference, seed, REFERENCE_REPLICATES)[0]
+        references[way] = _run(_world(small, way, effort.reference, REFERENCE_REPLICATES), way, seed)[0]
     main = references.get(SOBOL, next(iter(references.values())))
     power = _power(main)
     if not power > 0.0:
@@ -276,10 +276,11 @@ def study_images(
     rows = []
     for way in ways:
         # Once for the compiler.
-        _run(small, way, REPLICATES, seed, REPLICATES)
+        _run(_world(small, way, REPLICATES, REPLICATES), way, seed)
         for samples in effort.samples[way.name]:
             say(f"images: {way.name}, {samples} samples a pixel")
-            runs = [_run(small, way, samples, seed + 1 + k, REPLICATES) for k in range(effort.repeats)]
+            world = _world(small, way, samples, REPLICATES)
+            runs = [_run(world, way, seed + 1 + k) for k in range(effort.repeats)]
             rows.append(_row(way, samples, runs, references[way.reference]))
     error = math.sqrt(float((main.stderr**2).mean()) / power)
     typical = float(np.median(main.stderr[_lit(main)])) / math.sqrt(power)
@@ -312,14 +313,17 @@ def _binned(scene: Scene, pixels: int) -> tuple[Scene, int]:
     return scene.changed(changes), factor
 
 
-def _run(scene: Scene, way: Way, samples: int, seed: int, replicates: int) -> tuple[Image, float]:
-    """Return an image and the processor seconds it took to trace."""
+def _world(scene: Scene, way: Way, samples: int, replicates: int) -> World:
+    """Build a scene as one way renders it."""
     transport = {
-        "method": way.method, "split": way.split, "samples": samples, "replicates": replicates, "seed": seed,
-        "engine": way.engine,
+        "method": way.method, "split": way.split, "samples": samples, "replicates": replicates, "engine": way.engine,
     }  # fmt: skip
-    world = build(scene.changed({f"transport.{name}": value for name, value in transport.items()}))
-    renderer = Renderer(world, aimed=way.aimed, stratified=way.stratified)
+    return build(scene.changed({f"transport.{name}": value for name, value in transport.items()}))
+
+
+def _run(world: World, way: Way, seed: int) -> tuple[Image, float]:
+    """Return an image and the processor seconds it took to trace."""
+    renderer = Renderer(world.reseeded(seed), aimed=way.aimed, stratified=way.stratified)
     began = time.process_time()
     image = renderer.image()
     return image, time.process_time() - began

@@ -1,6 +1,7 @@
 """From a scene to what rays can meet: meshes, Embree scenes, and the tables that the kernels read."""
 
 from collections.abc import Callable
+from copy import copy
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -63,6 +64,12 @@ class World:
         self.targets = targets
         self.housing = housing
         self.aim_proof = aim_proof
+
+    def reseeded(self, seed: int) -> "World":
+        """Return the same world for a render with another seed; nothing is built again, as it depends on no seed."""
+        world = copy(self)
+        world.scene = self.scene.changed({"transport.seed": seed})
+        return world
 
     @property
     def mesh_names(self) -> list[str]:

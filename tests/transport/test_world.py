@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
+from lfmesh.transport.render.render import Renderer
 
 LENSES = sorted(path.stem for path in asset_path("lenses").glob("*.toml"))
 
@@ -217,3 +218,20 @@ def test_light_without_anything_to_light_keeps_its_power_in_the_ledger():
     ledger = lf.render(scene).ledger
     assert ledger.emitted == pytest.approx(2.0, rel=1e-12)
     assert abs(ledger.imbalance) < 1e-12
+
+
+@pytest.mark.parametrize("split", ["transmit", "both"])
+def test_a_reseeded_world_renders_as_one_that_is_built_with_that_seed(split):
+    scene = lf.load(asset_path("scenes/emitting_plane.toml")).changed(
+        {
+            "camera.sensor.pixels": [12, 10], "transport.samples": 4, "transport.replicates": 2,
+            "transport.split": split, "transport.threads": 1,
+        }
+    )  # fmt: skip
+    world = lf.build(scene)
+    other = Renderer(world.reseeded(7)).image()
+    built = lf.render(scene.changed({"transport.seed": 7}))
+    np.testing.assert_array_equal(other.mean, built.mean)
+    assert other.scene == built.scene
+    assert world.scene.transport.seed == scene.transport.seed
+    assert (Renderer(world).image().mean != other.mean).any()

@@ -21,6 +21,7 @@ from scipy import stats
 
 import lfmesh as lf
 from tests.cameras import SQUARE_ARRAY, close_up_camera
+from tests.renders import by_seed
 
 Array = NDArray[np.float64]
 
@@ -139,9 +140,8 @@ def replicates(scene: lf.Scene, method: str, samples: int) -> Array:
     """Return REPLICATES independent images, (n, H, W), W; the two methods share no seed."""
     first = 0 if method == "adjoint" else 10_000
     settings = {"transport.method": method, "transport.samples": samples, "transport.replicates": 1}
-    return np.array(
-        [lf.render(scene.changed({**settings, "transport.seed": first + k})).mean[..., 0] for k in range(REPLICATES)]
-    )
+    images = by_seed(scene.changed(settings), range(first, first + REPLICATES))
+    return np.array([image.mean[..., 0] for image in images])
 
 
 def squares(images: Array) -> Array:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import lfmesh as lf
+from tests.renders import by_seed
 
 Array = NDArray[np.float64]
 
@@ -111,7 +112,7 @@ def assert_means(samples: Array, expected: Array, bound: float) -> None:
 REFLECTANCE = 0.6
 
 
-def patch(lights: list[Any], others: list[Any] | None = None, radiance: float = 0.0, seed: int = 0) -> lf.Scene:
+def patch(lights: list[Any], others: list[Any] | None = None, radiance: float = 0.0) -> lf.Scene:
     """A patch 0.2 mm wide on the axis, 60 mm before a conventional camera: small, so that it is lit evenly."""
     size = {"kind": "plane", "width_mm": 0.2, "height_mm": 0.2}
     material = {"reflectance": REFLECTANCE, "radiance_w_m2_sr": radiance}
@@ -133,7 +134,7 @@ def patch(lights: list[Any], others: list[Any] | None = None, radiance: float = 
             *(others or []),
         ],
         lights=lights,
-        transport={"samples": 256, "replicates": 1, "seed": seed, "split": "transmit", "threads": 1},
+        transport={"samples": 256, "replicates": 1, "split": "transmit", "threads": 1},
     )
 
 
@@ -143,6 +144,14 @@ def irradiance(scene: lf.Scene, glowing: lf.Scene) -> float:
     The same seed gives both the same paths from the sensor to the patch, so their noise is not in the ratio.
     """
     return float(np.pi / REFLECTANCE * lf.render(scene).mean.sum() / lf.render(glowing).mean.sum())
+
+
+def irradiances(scene: lf.Scene, count: int) -> NDArray[np.float64]:
+    """Return the patch's irradiance by so many seeds, (count,) W/m², as `irradiance` measures it."""
+    light, glow = (
+        np.array([image.mean.sum() for image in by_seed(one, range(count))]) for one in (scene, patch([], radiance=1.0))
+    )
+    return np.asarray(np.pi / REFLECTANCE * light / glow)
 
 
 @pytest.mark.parametrize("aside", [0.0, 10.0, 40.0, 120.0])
@@ -179,9 +188,9 @@ def test_disk_lamp_is_a_lambertian_disk(aside: float) -> None:
     expected = 2.0 / (np.pi * 64.0 * MM2) * disk_factor(25.0, aside, 8.0)
     if aside == 0.0:
         assert expected == pytest.approx(2.0 / (np.pi * (64.0 + 625.0) * MM2), rel=1e-12)
-    found = [irradiance(patch([lamp], seed=k), patch([], radiance=1.0, seed=k)) for k in range(128)]
+    found = irradiances(patch([lamp]), 128)
     assert stats.sem(found) < 0.0007 * expected
-    assert_means(np.array(found)[:, None], np.array([expected]), 1e-4)
+    assert_means(found[:, None], np.array([expected]), 1e-4)
 
 
 def test_light_of_a_glowing_rectangle_arrives_by_its_form_factor() -> None:
@@ -189,9 +198,9 @@ def test_light_of_a_glowing_rectangle_arrives_by_its_form_factor() -> None:
     wall = {"shape": {"kind": "plane", "width_mm": 30.0, "height_mm": 40.0}, "position_mm": [25.0, 5.0, -45.0],
             "material": {"reflectance": 0.0, "radiance_w_m2_sr": 7.0}}  # fmt: skip
     expected = np.pi * 7.0 * rectangle_factor(15.0, 10.0, 40.0, -15.0, 25.0)
-    found = [irradiance(patch([], [wall], seed=k), patch([], radiance=1.0, seed=k)) for k in range(32)]
+    found = irradiances(patch([], [wall]), 32)
     assert stats.sem(found) < 0.015 * expected
-    assert_means(np.array(found)[:, None], np.array([expected]), 1e-4)
+    assert_means(found[:, None], np.array([expected]), 1e-4)
 
 
 def test_light_that_went_through_two_walls_arrives_by_both_form_factors() -> None:
@@ -201,12 +210,12 @@ def test_light_that_went_through_two_walls_arrives_by_both_form_factors() -> Non
     # From below: it reaches the wall's lower side, which faces the patch, but no side of the patch that is seen.
     lamp = {"kind": "directional", "direction": [0.0, 0.0, 1.0], "irradiance_w_m2": 10.0}
     expected = 0.9 * 10.0 * rectangle_factor(15.0, 10.0, 40.0, -15.0, 25.0)
-    found = [irradiance(patch([lamp], [wall], seed=k), patch([], radiance=1.0, seed=k)) for k in range(32)]
+    found = irradiances(patch([lamp], [wall]), 32)
     assert stats.sem(found) < 0.015 * expected
-    assert_means(np.array(found)[:, None], np.array([expected]), 1e-4)
+    assert_means(found[:, None], np.array([expected]), 1e-4)
 
 
-def furnace(reflectance: float, radiance: float, seed: int) -> lf.Scene:
+def furnace(reflectance: float, radiance: float) -> lf.Scene:
     """A camera that looks through a hole, 3 mm square, into a box of walls alike, 40 mm wide."""
     material = {"reflectance": reflectance, "radiance_w_m2_sr": radiance}
 
@@ -240,7 +249,7 @@ def furnace(reflectance: float, radiance: float, seed: int) -> lf.Scene:
             wall(3.0, frame, [0.0, -centre, front], [0.0, 0.0, 0.0]),
             wall(3.0, frame, [0.0, centre, front], [0.0, 0.0, 0.0]),
         ],
-        transport={"samples": 256, "replicates": 1, "seed": seed, "split": "transmit", "threads": 1},
+        transport={"samples": 256, "replicates": 1, "split": "transmit", "threads": 1},
     )
 
 
@@ -251,13 +260,11 @@ def test_a_furnace_shows_no_walls(reflectance: float) -> None:
     The hole is 9 mm² of 9600 mm²; light that meets it is gone. A path makes 1 / (1 − ρ) bounces on average, and the
     back wall sees the hole under a form factor of 9 / (π 40²) at most, so L lacks ρ / (1 − ρ) · 0.2 % at most.
     """
-    ratio = np.array(
-        [
-            lf.render(furnace(reflectance, 1.0 - reflectance, k)).mean.sum()
-            / lf.render(furnace(0.0, 1.0, k)).mean.sum()
-            for k in range(24)
-        ]
+    walls, black = (
+        np.array([image.mean.sum() for image in by_seed(scene, range(24))])
+        for scene in (furnace(reflectance, 1.0 - reflectance), furnace(0.0, 1.0))
     )
+    ratio = walls / black
     lack = 0.002 * reflectance / (1.0 - reflectance)
     assert stats.sem(ratio) < 0.01
     assert_means(ratio[:, None], np.array([1.0 - 0.5 * lack]), 0.5 * lack)

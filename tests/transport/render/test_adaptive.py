@@ -15,6 +15,7 @@ from lfmesh.files import words
 from lfmesh.transport.render import adaptive
 from lfmesh.transport.render.render import Renderer
 from tests.cameras import close_up_camera
+from tests.renders import by_seed
 
 Array = NDArray[np.float64]
 
@@ -39,7 +40,7 @@ def scene(**transport: Any) -> lf.Scene:
 
 def runs(first: int = 0) -> tuple[Array, Array]:
     """Return mean and stderr of RUNS adaptive renders, (RUNS, H, W)."""
-    images = [lf.render(scene(seed=first + k)) for k in range(RUNS)]
+    images = list(by_seed(scene(), range(first, first + RUNS)))
     return np.array([i.mean[..., 0] for i in images]), np.array([i.stderr[..., 0] for i in images])
 
 

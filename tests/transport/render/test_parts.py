@@ -17,6 +17,7 @@ import lfmesh as lf
 from lfmesh.transport.render.parts import parts_of
 from lfmesh.transport.world import build
 from tests.cameras import SQUARE_ARRAY, biconvex
+from tests.renders import by_seed
 
 LEVEL = 1e-3
 """Chance that a scene fails though both ways are right; shared by its comparisons (Bonferroni)."""
@@ -54,7 +55,7 @@ def squares(image: lf.Image) -> NDArray[np.float64]:
 def replicates(given: lf.Scene) -> NDArray[np.float64]:
     """Return the sums of single replicates, (REPLICATES, sums)."""
     one = given.changed({"transport.samples": 8, "transport.replicates": 1})
-    return np.stack([squares(lf.render(one.changed({"transport.seed": seed}))) for seed in range(REPLICATES)])
+    return np.stack([squares(image) for image in by_seed(one, range(REPLICATES))])
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from scipy import stats
 import lfmesh as lf
 from lfmesh.transport.render.render import Renderer
 from tests.cameras import close_up_camera
+from tests.renders import by_seed
 
 LEVEL = 1e-3
 """Chance that a statistical test fails though the law holds."""
@@ -35,7 +36,8 @@ def scene(**transport: Any) -> lf.Scene:
 
 def sums(**transport: Any) -> NDArray[np.float64]:
     """Return the images' sums of 16 seeds from 0, (16, wavelengths)."""
-    return np.array([lf.render(scene(**transport, replicates=1, seed=k)).mean.sum(axis=(0, 1)) for k in range(16)])
+    images = by_seed(scene(**transport, replicates=1), range(16))
+    return np.array([image.mean.sum(axis=(0, 1)) for image in images])
 
 
 @pytest.mark.parametrize("method", ["adjoint", "forward"])
@@ -71,7 +73,7 @@ def test_the_same_seed_gives_the_same_image_and_another_seed_other_noise(method:
     lit = first.mean > 0.0
     assert (first.mean[lit] != other.mean[lit]).mean() > 0.99
     # One mean: Welch's t-test of the sums of seeds 0 to 7 and 8 to 15.
-    totals = [lf.render(scene(method=method, replicates=1, seed=k)).mean.sum() for k in range(16)]
+    totals = [image.mean.sum() for image in by_seed(scene(method=method, replicates=1), range(16))]
     assert len(set(totals)) == 16
     assert stats.ttest_ind(totals[:8], totals[8:], equal_var=False).pvalue > LEVEL
 
@@ -95,7 +97,7 @@ def test_stderr_is_the_spread_of_means(method: str) -> None:
     (adjoint: independent pixels) with a t-test: sample variance over seeds minus mean squared stderr, pixel by pixel,
     in units of the latter.
     """
-    images = [lf.render(scene(method=method, samples=16, replicates=4, seed=k)) for k in range(40)]
+    images = list(by_seed(scene(method=method, samples=16, replicates=4), range(40)))
     means = np.array([image.mean[..., 0] for image in images])
     claimed = np.mean([image.stderr[..., 0] ** 2 for image in images], axis=0)
     found = means.var(axis=0, ddof=1)
@@ -116,13 +118,12 @@ def test_stderr_falls_with_the_root_of_samples_or_faster(method: str) -> None:
     a sum of squares.
     """
 
+    worlds = [lf.build(scene(method=method, samples=n).changed({"camera.mla": None})) for n in (16, 256)]
+
     def ratio(stratified: bool, k: int) -> float:
         few, many = (
-            Renderer(
-                lf.build(scene(method=method, samples=samples, seed=seed).changed({"camera.mla": None})),
-                stratified=stratified,
-            ).image()
-            for samples, seed in ((16, 2 * k), (256, 2 * k + 1))
+            Renderer(world.reseeded(2 * k + number), stratified=stratified).image()
+            for number, world in enumerate(worlds)
         )
         return float(np.log((few.stderr**2).sum() / (many.stderr**2).sum()))
 
@@ -192,16 +193,8 @@ def test_each_wavelength_is_an_image_of_its_own(method: str) -> None:
                   "camera.mla.distance_mm": 18.0, "camera.sensor.distance_mm": 2.2}  # fmt: skip
 
     def total(waves: list[float], first: int) -> NDArray[np.float64]:
-        return np.array(
-            [
-                lf.render(
-                    scene(method=method, samples=16, replicates=1, seed=first + k, wavelengths_nm=waves).changed(
-                        dispersive
-                    )
-                ).mean.sum(axis=(0, 1))
-                for k in range(16)
-            ]
-        )
+        here = scene(method=method, samples=16, replicates=1, wavelengths_nm=waves).changed(dispersive)
+        return np.array([image.mean.sum(axis=(0, 1)) for image in by_seed(here, range(first, first + 16))])
 
     together = total(waves, 0)
     assert together.shape == (16, 3)
@@ -252,9 +245,8 @@ def test_rigid_motion_of_the_whole_world_changes_nothing_but_rounding(method: st
         lamp = {"lights[0].radius_mm": 1e-6}
         reference, moved = lf.render(alone.changed(lamp)), lf.render(turned.changed(lamp))
         assert_same_but_for_flips(moved.mean, reference.mean)
-    seeds = range(16)
-    one = [lf.render(alone.changed({"transport.seed": k})).mean.sum() for k in seeds]
-    other = [lf.render(turned.changed({"transport.seed": 100 + k})).mean.sum() for k in seeds]
+    one = [image.mean.sum() for image in by_seed(alone, range(16))]
+    other = [image.mean.sum() for image in by_seed(turned, range(100, 116))]
     assert stats.ttest_ind(one, other, equal_var=False).pvalue > LEVEL
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
-from lfmesh.lightfield.ray_model import RayModel
+from lfmesh.lightfield.ray_model import RayModel, ShiftMap, TracedShift
 from lfmesh.scene import Scene, first_order
 
 
@@ -29,6 +29,37 @@ def test_distance_and_shift_are_inverse(real: RayModel, pupil_mm: float) -> None
     assert model.focus_shift_mm < 0.0
     for distance in (120.0, 300.0, 500.0, 800.0, 5000.0):
         assert model.distance_mm(model.shift_mm(distance)) == pytest.approx(distance, rel=1e-9)
+
+
+def as_measured(model: RayModel) -> TracedShift:
+    """The paraxial model, written by what its rays show: b = place, c = view, linear in the vergence V."""
+    # By hand, from x V = a + b s + c u of an object at 1/V: two distances tell the line that their shifts lie on.
+    near, far = (model.shift_mm(distance) for distance in (300.0, 900.0))
+    infinite = model.shift_mm(math.inf)
+    # shift = (p + q V) / (1 + r V), p = infinite.
+    rows = np.array([[1.0 / 300.0, -near / 300.0], [1.0 / 900.0, -far / 900.0]])
+    q, r = np.linalg.solve(rows, [near - infinite, far - infinite])
+    return TracedShift((1.0, float(r)), (infinite, float(q)))
+
+
+@pytest.mark.parametrize("kind", ["first order", "traced"])
+def test_both_maps_of_shift_and_distance_answer_alike(model: RayModel, kind: str) -> None:
+    """For numbers and arrays, to infinity and beyond: virtual objects have negative distances."""
+    answers: ShiftMap = model if kind == "first order" else as_measured(model)
+    shifts = np.array([[0.5, 0.0, -0.1], [answers.shift_mm(math.inf), answers.shift_mm(math.inf) - 0.01, np.nan]])
+    shifts[0] *= model.lenslet_pitch_mm
+    found = answers.distance_mm(shifts)
+    assert found.shape == (2, 3)
+    assert found[0, 0] < found[0, 1] < found[0, 2]
+    for shift, distance in zip(shifts[0], found[0], strict=True):
+        assert answers.shift_mm(float(distance)) == pytest.approx(shift, abs=1e-12)
+        one = answers.distance_mm(float(shift))
+        assert isinstance(one, float)
+        assert one == distance
+    assert abs(found[1, 0]) > 1e12
+    assert found[1, 1] < 0.0
+    assert np.isnan(found[1, 2])
+    np.testing.assert_allclose(found[0], model.distance_mm(shifts[0]), rtol=1e-9)
 
 
 def test_what_is_in_focus_does_not_shift_and_nearer_shifts_positive(model: RayModel) -> None:

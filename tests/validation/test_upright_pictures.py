@@ -10,7 +10,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -139,14 +139,20 @@ CAMERAS: dict[str, Callable[[], Camera]] = {
 }
 
 
+@cache
+def made(kind: str) -> Camera:
+    """Return the camera of a kind, with what it has taken: made once for all tests."""
+    return CAMERAS[kind]()
+
+
 @pytest.fixture(scope="module", params=CAMERAS)
 def bench(request: pytest.FixtureRequest) -> Camera:
-    return CAMERAS[request.param]()
+    return made(request.param)
 
 
 @pytest.fixture(scope="module")
 def square() -> Camera:
-    return double_gauss()
+    return made("square")
 
 
 def share_at(picture: Array, half: tuple[float, float], places: tuple[tuple[float, float], ...]) -> float:
@@ -401,7 +407,7 @@ def chart(distance_mm: float, x_mm: float, y_mm: float, width_mm: float) -> dict
 @pytest.mark.parametrize("kind", ["square", "relay"])
 def test_depth_is_upright(kind: str) -> None:
     """A near plane fills the upper right quarter (+x, +y); behind it stands one that fills the rest."""
-    bench = CAMERAS[kind]()
+    bench = made(kind)
     near, far = (430.0, 620.0) if kind == "square" else (96.0, 105.0)
     wide = bench.half_mm
     targets = (chart(near, 0.75 * wide, 0.75 * wide, 1.5 * wide), chart(far, 0.0, 0.0, 6.0 * wide))

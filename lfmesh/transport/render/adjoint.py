@@ -45,9 +45,8 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.random import derived, uniform
+from lfmesh.transport.packets.random import derived, start
 from lfmesh.transport.packets.sobol import scramble, scramble_seed, step
-from lfmesh.transport.regions.objects import MM2
 from lfmesh.transport.sequential.image_path import follow_block
 from lfmesh.transport.sequential.lens_bundle import (
     BLOCK,
@@ -64,21 +63,13 @@ from lfmesh.transport.sequential.lens_bundle import (
     move_bundle,
     pad,
 )
+from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.tables.tables import Aim, ArrayTables, LensTables, SensorTables
 
 Array = NDArray[np.float64]
 
-START_DIMENSION = -64
-"""A packet's starting numbers have dimensions of their own, before those of any event."""
-
 STARTS = BLOCK
 """Samples whose numbers are drawn together: a bundle of the sequential engine."""
-
-
-@kernel
-def start(key: np.uint64, dimension: int) -> float:
-    """Return one of a packet's starting numbers."""
-    return uniform(key, START_DIMENSION + dimension)
 
 
 class StartRoom(NamedTuple):

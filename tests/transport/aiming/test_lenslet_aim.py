@@ -14,11 +14,11 @@ from lfmesh.transport.aiming.lenslet_aim import solid_angle
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import PLATE
 from lfmesh.transport.packets.random import run_key
-from lfmesh.transport.regions.objects import MM2
 from lfmesh.transport.render.adjoint import launch_adjoint
 from lfmesh.transport.render.blind_check import without_aim
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.settings import options_of
+from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]

@@ -26,8 +26,8 @@ LIGHTS: dict[str, dict[str, Any]] = {
     "directional": {"kind": "directional", "direction": [-0.4, 0.3, -1.0], "irradiance_w_m2": 2.0},
     "disk": {"kind": "disk", "position_mm": [15.0, 5.0, -45.0], "direction": [-1.0, 0.0, -1.0],
              "radius_mm": 6.0, "power_w": 3.0},
-    "disk whose back is turned to a part": {"kind": "disk", "position_mm": [6.0, 0.0, -57.0],
-                                            "direction": [-1.0, 0.0, 0.1], "radius_mm": 2.0, "power_w": 3.0},
+    "disk whose back is turned to a part": {"kind": "disk", "position_mm": [1.5, 0.0, -57.0],
+                                            "direction": [-1.0, 0.0, 0.0], "radius_mm": 1.0, "power_w": 3.0},
 }  # fmt: skip
 SIDE = 3.0
 """Half the side of the square that is lit, mm, in the plane z = 0 of the object frame."""

@@ -1,27 +1,65 @@
-"""The forward method's start, the paper's chain: packets leave a lamp or an emitting target.
+"""Lamps and emitting targets, where the forward method starts: the paper's chain.
 
 A lamp's packets go into the cone round the targets; what it sends elsewhere is booked as escaped at once. An emitting
 facet's packet is scattered where it starts, as light that arrived there would be. The adjoint method has its share of
 such packets, for lamps that glass hides from it (`parts`): those go into the cone round the glass.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.kernel import kernel
+from lfmesh.transport.engine import Workspace
 from lfmesh.transport.events.lighting import PLACE_U, PLACE_V, emitted
 from lfmesh.transport.packets.book import EMITTED, ESCAPED
 from lfmesh.transport.packets.packet import LAMP, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, Options, put
 from lfmesh.transport.packets.random import derived, start
 from lfmesh.transport.regions.targets import point_of, scatter, texture_at
+from lfmesh.transport.sources.source import Source
 from lfmesh.transport.tables.tables import Aim, ObjectTables
 
 Array = NDArray[np.float64]
 
 SOURCE_U, SIDE = 0, 5
 """Dimensions of starting numbers; those between choose where on its source a packet starts, and which way it goes."""
+
+
+@dataclass(frozen=True, eq=False)
+class LightSource(Source):
+    """Packets of all that shines, one after the other.
+
+    Attributes
+    ----------
+    first, count : int
+        Number of the first packet in its replicate, and how many start from it on.
+    total : int
+        Packets that the whole power is shared among.
+    key : uint64
+        Of the replicate's random numbers at this wavelength.
+    wave : int
+        Number of the wavelength.
+    """
+
+    first: int
+    count: int
+    total: int
+    key: np.uint64
+    wave: int
+
+    def __len__(self) -> int:
+        return self.count
+
+    def launch(self, work: Workspace, part: range) -> None:
+        """Start some of the packets, if anything shines."""
+        tables = work.tables
+        if len(tables.objects.sources):
+            launch_forward(
+                self.first + part.start, len(part), self.total, self.key, self.wave,
+                tables.objects, tables.aim, tables.frames, work.options, work.flow(), work.template,
+            )  # fmt: skip
 
 
 @kernel

@@ -24,7 +24,8 @@ ROOMS = {
     "transport": [
         *["packets", "tables", "events", "sequential", "aiming", "regions"],
         *["choice", "collisions", "refused_glass", "world", "settings"],
-        "engine, render, trace",  # what drives packets through a world
+        *["engine", "sources"],  # packets through a world, and what starts them
+        "render, trace",
     ],
     "view": ["rays", "request", "layout", "scene3d", "output", "show", "browser"],
     "files": ["", "exports"],

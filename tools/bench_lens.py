@@ -17,7 +17,6 @@ of the sensor.
 import json
 import os
 import sys
-import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -51,13 +50,14 @@ from lfmesh.geometry.frame import points
 from lfmesh.geometry.levels import SURFACE_LEVEL
 from lfmesh.kernel import kernel
 from lfmesh.scene import Scene
-from lfmesh.transport.engine import CHUNK, Workspace
-from lfmesh.transport.packets.packet import ENDED, LENS, SENSOR_FRAME, TRANSMIT, WORLD_FRAME
+from lfmesh.transport.engine import Workspace
+from lfmesh.transport.packets.packet import LENS, SENSOR_FRAME, TRANSMIT, WORLD_FRAME
 from lfmesh.transport.sequential.image_path import through_lens
 from lfmesh.transport.sequential.lens_bundle import BLOCK, DX, DZ, ROWS, WEIGHT, X, Z
 from lfmesh.transport.settings import options_of
+from lfmesh.transport.sources.rays import RaySource
+from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.tables import LensTables
-from lfmesh.transport.trace import launch_rays
 
 Array = NDArray[np.float64]
 
@@ -176,28 +176,15 @@ class EngineRun:
         self.options = options_of(
             world, tracing=True, split=TRANSMIT, surface=SURFACE_LEVEL[surface], sequential=sequential
         )
-        self.chunks = range(0, len(sent.origins), CHUNK)
-        self._local = threading.local()
+        rays = len(sent.origins)
+        start = np.full(rays, LENS), np.zeros(rays, np.int64)
+        self.source = RaySource(sent.origins, sent.directions, *start, np.ones(rays), KEY)
+        self.chunks = list(self.source.parts())
+        self._launcher = Launcher(lambda: Workspace(world, self.options))
 
-    def start(self, first: int) -> Workspace:
-        """Launch the rays of one chunk in the workspace of the calling thread, and return that."""
-        if not hasattr(self._local, "workspace"):
-            self._local.workspace = Workspace(self.world, self.options)
-        work: Workspace = self._local.workspace
-        part = slice(first, first + CHUNK)
-        origins, directions = self.sent.origins[part], self.sent.directions[part]
-        work.begin(np.zeros((0, 1)))
-        launch_rays(
-            first, origins, directions, np.full(len(origins), LENS), np.zeros(len(origins), np.int64), KEY,
-            work.flow(), work.template,
-        )  # fmt: skip
-        return work
-
-    def trace(self, first: int) -> Workspace:
+    def trace(self, chunk: range) -> Workspace:
         """Trace one chunk in the workspace of the calling thread, and return that."""
-        work = self.start(first)
-        work.run()
-        return work
+        return self._launcher.trace(self.source, chunk)
 
     def run(self, _: Any) -> None:
         """Trace all chunks."""
@@ -205,11 +192,7 @@ class EngineRun:
 
     def landing(self) -> tuple[Array, Array]:
         """Return where the rays land, see `landed`."""
-        parts = []
-        for first in self.chunks:
-            work = self.trace(first)
-            parts.append(work.ended[: work.tops[ENDED]].copy())
-        ended = np.concatenate(parts)
+        ended = np.concatenate([self.trace(chunk).ends() for chunk in self.chunks])
         body = np.array(self.world.slots)[ended["body"]]
         return landed(
             self.world,
@@ -224,7 +207,7 @@ class EngineRun:
     def questions(self) -> list[list[Question]]:
         """Return what the mesh engine asks Embree about the lens, chunk by chunk."""
         asked: list[list[Question]] = []
-        work = self.trace(0)
+        work = self.trace(self.chunks[0])
         ask = work._find
 
         def remember(station: int, count: int) -> NDArray[np.int32]:
@@ -233,9 +216,9 @@ class EngineRun:
             return ask(station, count)
 
         work._find = remember  # type: ignore[method-assign]
-        for first in self.chunks:
+        for chunk in self.chunks:
             asked.append([])
-            self.trace(first)
+            self.trace(chunk)
         work._find = ask  # type: ignore[method-assign]
         return asked
 

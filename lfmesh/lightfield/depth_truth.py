@@ -1,9 +1,5 @@
 """True depth: the traced distances at which the rays of views and of raw pixels first meet a target."""
 
-import os
-import threading
-from collections import deque
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +12,11 @@ from lfmesh.lightfield.decode import view_count
 from lfmesh.lightfield.view_rays import ViewRays, image_path_engine
 from lfmesh.scene import Scene
 from lfmesh.transport.engine import CHUNK, Workspace
-from lfmesh.transport.packets.packet import CAMERA_FRAME, ENDED, TRANSMIT, WORLD_FRAME
+from lfmesh.transport.packets.packet import CAMERA_FRAME, TRANSMIT, WORLD_FRAME
 from lfmesh.transport.packets.random import descendant
-from lfmesh.transport.render.adjoint import launch_adjoint
 from lfmesh.transport.settings import options_of
+from lfmesh.transport.sources.pixels import PixelSource
+from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.trace import Status
 from lfmesh.transport.world import World, build
 
@@ -99,47 +96,28 @@ def _of_pixels(world: World, samples: int) -> tuple[Samples, Samples, Samples]:
     sensor = world.tables.sensor
     pixels = sensor.rows * sensor.columns
     mean, spread, seen = np.empty((3, pixels), np.float32)
-    step = CHUNK // samples
-    local = threading.local()
+    sequential = image_path_engine(world.scene) == "sequential"
+    options = options_of(world, tracing=True, split=TRANSMIT, sequential=sequential)
+    source = PixelSource(np.arange(pixels), samples, descendant(0x6465707468, world.scene.transport.seed))
 
-    def run(first: int) -> None:
-        if not hasattr(local, "bundles"):
-            local.bundles = _PixelBundles(world, samples)
-        part = slice(first, min(first + step, pixels))
-        mean[part], spread[part], seen[part] = _moments(local.bundles.sums(part.start, part.stop))
+    def keep(work: Workspace, part: range) -> None:
+        some = slice(part.start, part.stop)
+        mean[some], spread[some], seen[some] = _moments(_sums(world, work.ends(), part))
 
-    with ThreadPoolExecutor(world.scene.transport.threads or os.cpu_count() or 1) as pool:
-        deque(pool.map(run, range(0, pixels, step)), maxlen=0)
+    Launcher(lambda: Workspace(world, options)).traced(source, keep, world.scene.transport.threads)
     shape = (sensor.rows, sensor.columns)
     return mean.reshape(shape), spread.reshape(shape), seen.reshape(shape)
 
 
-class _PixelBundles:
-    """Traces the bundles of raw pixels; one for each thread."""
-
-    def __init__(self, world: World, samples: int) -> None:
-        sequential = image_path_engine(world.scene) == "sequential"
-        self._world, self._samples = world, samples
-        self._work = Workspace(world, options_of(world, tracing=True, split=TRANSMIT, sequential=sequential))
-        self._key = descendant(0x6465707468, world.scene.transport.seed)
-
-    def sums(self, first: int, end: int) -> Array:
-        """Return the sums of w, w z, w z² over the rays that meet a target, and of w over the others, (4, pixels)."""
-        work, tables = self._work, self._world.tables
-        work.begin(np.zeros((0, 1)))
-        launch_adjoint(
-            np.arange(first, end), self._samples, True, self._key, 0, tables.sensor, tables.array, tables.aim,
-            tables.frames, len(tables.lens.surfaces), work.bundle, work.flow(), work.start,
-        )  # fmt: skip
-        work.run()
-        ended = work.ended[: work.tops[ENDED]]
-        sums = np.zeros((4, end - first))
-        met, beside = ended[ended["status"] == Status.TARGET], ended[ended["status"] == Status.ESCAPED]
-        distance = _distances_mm(self._world, met["position"])
-        for power in range(3):
-            sums[power] = np.bincount(met["source"] - first, met["weight"] * distance**power, end - first)
-        sums[3] = np.bincount(beside["source"] - first, beside["weight"], end - first)
-        return sums
+def _sums(world: World, ended: NDArray[np.void], pixels: range) -> Array:
+    """Return the sums of w, w z, w z² over the rays that meet a target, and of w over the others, (4, pixels)."""
+    sums = np.zeros((4, len(pixels)))
+    met, beside = ended[ended["status"] == Status.TARGET], ended[ended["status"] == Status.ESCAPED]
+    distance = _distances_mm(world, met["position"])
+    for power in range(3):
+        sums[power] = np.bincount(met["source"] - pixels.start, met["weight"] * distance**power, len(pixels))
+    sums[3] = np.bincount(beside["source"] - pixels.start, beside["weight"], len(pixels))
+    return sums
 
 
 def _moments(sums: Array) -> tuple[Array, Array, Array]:

@@ -9,6 +9,8 @@ The sequential engine takes the waves of lens and array through both at once (`i
 """
 
 import time
+from collections.abc import Callable
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +43,6 @@ from lfmesh.transport.regions.lens import admit_to_lens, shade_lens
 from lfmesh.transport.regions.lens_block import empty_block
 from lfmesh.transport.regions.objects import admit_to_objects, shade_objects
 from lfmesh.transport.regions.sensor import onto_sensor
-from lfmesh.transport.render.adjoint import start_room
 from lfmesh.transport.sequential.image_path import follow_image_path
 from lfmesh.transport.sequential.lens_bundle import BLOCK, empty_bundle
 from lfmesh.transport.tables.tables import Tables
@@ -53,6 +54,26 @@ CHUNK = 16_384
 MOST_VERTICES = 2_000_000
 """Vertices that may be recorded, 150 MB and a few times that laid out in paths: followed to the end, all children of a
 single ray are more."""
+
+
+T = TypeVar("T")
+
+
+class FilmRows(Protocol):
+    """What light is added to in the adjoint method: pixels in the rows of tables.
+
+    Attributes
+    ----------
+    power : (pixels, wavelengths) float64, W
+    hits : (pixels, wavelengths) uint32
+        Samples that brought something.
+    origin : int
+        Number of the pixel in the first row.
+    """
+
+    power: NDArray[np.float64]
+    hits: NDArray[np.uint32]
+    origin: int
 
 
 class Workspace:
@@ -73,7 +94,7 @@ class Workspace:
         self.nodes = np.zeros(0, NODE)
         # By chunks before this one, which whoever records them all counts.
         self.recorded = 0
-        self.start = start_room(self.tables.aim)
+        self._kept: dict[type, Any] = {}
         self.template = np.zeros(1, PACKET)
         self.book = np.zeros(len(world.slots))
         self.counts = np.zeros(COUNTERS, np.int64)
@@ -86,26 +107,31 @@ class Workspace:
         self.embree_seconds = 0.0
         self.queries = 0
 
-    def begin(
-        self, film: NDArray[np.float64], first_source: int = 0, hits: NDArray[np.uint32] | None = None, samples: int = 0
-    ) -> None:
-        """Clear the books for the next chunk, which adds to `film` and `hits` (sources, wavelengths).
+    def kept(self, kind: type[T], make: Callable[[], T]) -> T:
+        """Return the working memory of a kind that was made at the first call, for those who start packets."""
+        if kind not in self._kept:
+            self._kept[kind] = make()
+        memory: T = self._kept[kind]
+        return memory
 
-        Adjoint, `samples` are all of the chunk's.
+    def begin(self, film: FilmRows | None = None, packets: int = 0) -> None:
+        """Clear the books and make room for the next chunk, which starts so many packets.
+
+        Adjoint, it adds to a film.
         """
         self.tops[:] = 0
         self.book[:] = 0.0
         self.counts[:] = 0
-        self.film = film
-        self.hits = np.zeros((0, 1), np.uint32) if hits is None else hits
-        if samples > len(self.counted):
-            self.counted = np.zeros(samples, np.uint8)
-        self.counted[:samples] = 0
-        self.options = self.options._replace(first_source=first_source)
+        if film is not None:
+            self.film, self.hits = film.power, film.hits
+            self.options = self.options._replace(first_source=film.origin)
+            if packets > len(self.counted):
+                self.counted = np.zeros(packets, np.uint8)
+            self.counted[:packets] = 0
         self.embree_seconds = 0.0
         self.queries = 0
         # A pixel with more samples than a chunk is launched in one all the same.
-        self.reserve(max(self.chunk, samples))
+        self.reserve(max(self.chunk, packets))
 
     def flow(self) -> Flow:
         """Return what the kernels write, as they take it."""
@@ -122,6 +148,14 @@ class Workspace:
             ended=self.ended,
             nodes=self.nodes,
         )
+
+    def ends(self) -> NDArray[np.void]:
+        """Return how the packets of the chunk ended, (n,) END."""
+        return self.ended[: self.tops[ENDED]].copy()
+
+    def vertices(self) -> NDArray[np.void]:
+        """Return what the chunk recorded, (n,) NODE."""
+        return self.nodes[: self.tops[NODES]].copy()
 
     def record_starts(self) -> None:
         """Give every packet that waits and has no vertex yet one where it starts."""

@@ -1,10 +1,7 @@
 """Rays of the user's own through a built scene, with every vertex recorded if wished."""
 
-import os
-import threading
 import warnings
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TypedDict, Unpack
 
@@ -15,37 +12,31 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.tessellation import mesh_sag
-from lfmesh.kernel import kernel
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.transport import MOST_EVENTS
 from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.engine import CHUNK, Workspace
-from lfmesh.transport.packets.book import EMITTED
 from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
 from lfmesh.transport.packets.packet import (
     ARRAY_FRAME,
-    CAMERA,
     CAMERA_FRAME,
     COUNTERS,
     END,
-    ENDED,
     LENS,
-    NO_SURFACE,
     NODE,
-    NODES,
     OBJECTS,
     PLATE,
     SENSOR,
     SENSOR_FRAME,
     WORLD_FRAME,
     Event,
-    Flow,
     Options,
     Status,
-    put,
 )
-from lfmesh.transport.packets.random import derived, descendant
+from lfmesh.transport.packets.random import descendant
 from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
+from lfmesh.transport.sources.rays import RaySource
+from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.tables import Records, Tables
 from lfmesh.transport.world import World
 
@@ -195,31 +186,9 @@ def trace(
     station, space, p, d = located(world, p, d)
     if options.sequential:
         _refuse_starts_in_the_lens(station, space, len(tables.lens.surfaces))
-    local = threading.local()
-    key = descendant(0x7472616365, seed)
-
-    def run(first: int) -> tuple[Records, Records, NDArray[np.float64], NDArray[np.int64]]:
-        if not hasattr(local, "workspace"):
-            local.workspace = Workspace(world, options, tables=tables)
-        work: Workspace = local.workspace
-        work.begin(np.zeros((0, 1)))
-        part = slice(first, first + CHUNK)
-        launch_rays(
-            first, p[part], d[part], station[part], space[part], key, work.flow(), work.template
-        )  # fmt: skip
-        if record:
-            work.record_starts()
-        work.run()
-        tops = work.tops
-        return (
-            work.ended[: tops[ENDED]].copy(),
-            work.nodes[: tops[NODES]].copy(),
-            work.book.copy(),
-            work.counts.copy(),
-        )
-
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-        parts = list(pool.map(run, range(0, len(p), CHUNK)))
+    source = RaySource(p, d, station, space, np.ones(len(p)), descendant(0x7472616365, seed))
+    launcher = Launcher(lambda: Workspace(world, options, tables=tables))
+    parts = launcher.traced(source, _kept, threads, CHUNK)
     paths = _paths(world, parts, len(p))
     lost = paths.ledger.loss_in_words()
     if lost is not None:
@@ -358,29 +327,9 @@ def _refuse_starts_in_the_lens(station: NDArray[np.int64], space: NDArray[np.int
         )
 
 
-@kernel
-def launch_rays(
-    first: int, p: NDArray[np.float64], d: NDArray[np.float64], station: NDArray[np.int64], space: NDArray[np.int64],
-    key: np.uint64, flow: Flow, template: NDArray[np.void],
-) -> None:  # fmt: skip
-    """Put rays given in the camera frame on the stacks of their stations, with a weight of one."""
-    packet = template[0]
-    packet.wave = 0
-    packet.kind = CAMERA
-    packet.facet = NO_SURFACE
-    packet.last = NO_SURFACE
-    packet.column = NO_SURFACE
-    packet.start = 1.0
-    packet.events = 0
-    for i in range(len(p)):
-        packet.source = first + i
-        packet.space = space[i]
-        packet.node = NO_SURFACE
-        flow.book[EMITTED] += 1.0
-        put(
-            flow, station[i], packet, CAMERA_FRAME,
-            p[i, 0], p[i, 1], p[i, 2], d[i, 0], d[i, 1], d[i, 2], 1.0, derived(key, first + i), 0.0,
-        )  # fmt: skip
+def _kept(work: Workspace, _: range) -> tuple[Records, Records, NDArray[np.float64], NDArray[np.int64]]:
+    """Return the ends, the vertices, the book and the counts of a chunk."""
+    return work.ends(), work.vertices(), work.book.copy(), work.counts.copy()
 
 
 def joined_records(parts: Iterable[tuple[Records, Records]]) -> tuple[Records, Records]:

@@ -97,7 +97,7 @@ LEFT_LENS = -2
 LEFT_FACE = -3
 """`last` of a packet that left a curved face of the array and has not left the layer of faces."""
 
-PACKET = np.dtype(
+_OWN_ROOM = np.dtype(
     [
         ("x", "f8"), ("y", "f8"), ("z", "f8"),  # mm, in `frame`
         ("dx", "f8"), ("dy", "f8"), ("dz", "f8"),
@@ -122,6 +122,25 @@ PACKET = np.dtype(
     ],
     align=True,
 )  # fmt: skip
+
+
+def _with_field(record: np.dtype[np.void], name: str, form: str, place: str) -> np.dtype[np.void]:
+    """Return a record with one field more, in the room of another."""
+    own = dict(record.fields or {})
+    fields = own | {name: (np.dtype(form), own[place][1])}
+    return np.dtype(
+        {
+            "names": list(fields),
+            "formats": [field[0] for field in fields.values()],
+            "offsets": [field[1] for field in fields.values()],
+            "itemsize": record.itemsize,
+        }
+    )
+
+
+PACKET = _with_field(_OWN_ROOM, "density", "f4", "row")
+"""In object space a packet is in no cell. What left a target has there the density, 1/sr, with which the target's
+scattering model draws its direction."""
 
 SAMPLE_SHIFT = 40
 PIXEL_MASK = (1 << SAMPLE_SHIFT) - 1

@@ -20,6 +20,10 @@ DIMENSIONS_PER_EVENT = 16
 """Numbers that one event of a packet may draw."""
 
 
+START_DIMENSION = -64
+"""A packet's starting numbers have dimensions of their own, before those of any event."""
+
+
 @kernel
 def mix(z: np.uint64) -> np.uint64:
     """Return the hash of 64 bits: a bijection without visible structure."""
@@ -38,6 +42,12 @@ def derived(key: np.uint64, number: int) -> np.uint64:
 def uniform(key: np.uint64, dimension: int) -> float:
     """Return a number in [0, 1), 53 bits."""
     return float(mix(key + GOLDEN * np.uint64(dimension + 1)) >> _S11) * _UNIT
+
+
+@kernel
+def start(key: np.uint64, dimension: int) -> float:
+    """Return one of a packet's starting numbers."""
+    return uniform(key, START_DIMENSION + dimension)
 
 
 def descendant(key: int | np.uint64, *numbers: int) -> np.uint64:

@@ -1,8 +1,6 @@
-"""Object space: targets that scatter and emit, lights, shadows, and the way into the lens.
+"""Object space: which target, glass or housing a packet meets, shadows, and the way into the lens.
 
-Object frame. The same kernel serves both methods: in adjoint a packet that reaches a target gathers what leaves the
-point towards it (own emission, and light by next-event estimation); in forward it scatters a child that is aimed at
-the entrance pupil. In both it may go on to other targets.
+Object frame. The same kernel serves both methods. What happens on a target is in `targets`.
 """
 
 from typing import Any
@@ -14,25 +12,13 @@ from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.levels import PATCH
 from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.fresnel import fresnel
-from lfmesh.optics.scattering import lambertian, tangents
-from lfmesh.transport.aiming.mixture import aimed, aimed_density
 from lfmesh.transport.events.crossing import (
-    AIM_DISK,
-    AIM_U,
-    AIM_V,
-    BOUNCE_U,
-    BOUNCE_V,
-    KEEP_BOUNCE,
-    LIGHT_U,
-    LIGHT_V,
     MAX_TRIES,
     ask_again,
-    barycentric,
     behind,
     clear_of,
     crosses,
     deposit,
-    draw,
     end,
     end_here,
     facet_normal,
@@ -44,25 +30,20 @@ from lfmesh.transport.events.crossing import (
     refracted,
     split_shares,
     too_deep,
-    windowed,
     write_query,
 )
 from lfmesh.transport.packets.book import (
     ESCAPED,
     HOUSING,
     LENS_FRONT,
-    LIT,
     LOST_CONTRADICTION,
     LOST_OUTSIDE,
-    REACHED,
-    SAMPLING_ADDED,
     SAMPLING_REMOVED,
 )
 from lfmesh.transport.packets.packet import (
     CAMERA,
     CAMERA_FRAME,
     E_REFLECTED,
-    E_SCATTERED,
     E_TRANSMITTED,
     EVENTS,
     LAMP,
@@ -72,7 +53,6 @@ from lfmesh.transport.packets.packet import (
     OBJECT_FRAME,
     OBJECTS,
     ON_GLASS,
-    ON_TARGET,
     REQUERIES,
     S_ABSORBED,
     S_ESCAPED,
@@ -84,22 +64,13 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.path_class import OFF_IMAGE_PATH, is_estimated
-from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived, uniform
+from lfmesh.transport.packets.path_class import is_estimated
+from lfmesh.transport.packets.random import derived
 from lfmesh.transport.regions.lens import box_entry
-from lfmesh.transport.tables.tables import DIRECTIONAL, DISK, Aim, LensTables, ObjectTables
+from lfmesh.transport.regions.targets import meet_target, share_with_other
+from lfmesh.transport.tables.tables import Aim, LensTables, ObjectTables
 
 Array = NDArray[np.float64]
-
-MM2 = 1e-6
-"""m² in a mm²."""
-
-AIMED_CHILD = 1 << 20
-"""Number of the aimed child among a packet's children, out of the way of its events."""
-
-
-LIGHT_DIMENSIONS = 1 << 12
-"""Each light's random numbers start this many dimensions after the last one's."""
 
 
 @kernel
@@ -179,7 +150,7 @@ def shade_objects(
                 # It left a target, whose light goes this way in two packets: one aimed at the lens, one that was not.
                 into_glass = prim >= 0 and facet.body >= 0 and objects.glass[facet.body, packet.wave] > 0.0
                 if into_glass and (packet.kind == CAMERA or packet.kind == SCATTERED):
-                    _share_with_other(flow, frames, objects, aim, packet)
+                    share_with_other(flow, frames, aim, packet)
                 elif packet.kind == CAMERA:
                     # Neither to the lens nor into glass: what else is there, the other brings light to.
                     flow.book[SAMPLING_REMOVED] += packet.weight
@@ -205,37 +176,7 @@ def shade_objects(
             continue
         if too_deep(options, flow, frames, packet):
             continue
-        flow.counts[EVENTS] += 1
-        if objects.closed[body] and along > 0.0:
-            end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, S_ABSORBED)
-            continue
-        side = -1.0 if along > 0.0 else 1.0
-        texel = texture_at(objects, prim, packet.wave, x, y, z)
-        albedo = objects.reflectance[body, packet.wave] * texel
-        if options.adjoint and is_estimated(options, packet):
-            flow.book[REACHED] += weight
-            radiance = objects.radiance[body, packet.wave] * texel
-            if radiance > 0.0:
-                if packet.column >= 0:
-                    # It shines inside glass, and radiance falls by n² on the way out.
-                    radiance /= objects.glass[packet.column, packet.wave] ** 2
-                deposit(options, flow, packet.source, packet.wave, weight * radiance)
-            lit = radiance > 0.0
-            if albedo > 0.0:
-                lit = _ask_lights(objects, flow, packet, prim, x, y, z, side, albedo) or lit
-            if lit:
-                flow.book[LIT] += weight
-        scattered = weight * albedo
-        if scattered <= 0.0:
-            end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, S_ABSORBED)
-            continue
-        flow.book[slot] += weight - scattered
-        if packet.last == LEFT_LENS and not options.bounce and not options.adjoint:
-            # The lens reflected it back. Without bounces the adjoint method has no such paths, and this one neither.
-            flow.book[ESCAPED] += scattered
-            continue
-        packet.events += 1
-        scatter(options, flow, frames, objects, aim, packet, prim, x, y, z, side, scattered)
+        meet_target(options, flow, frames, objects, aim, packet, prim, x, y, z, along)
 
 
 @inlined
@@ -358,162 +299,3 @@ def _through_glass(
             flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, weight,
             key if refracts else derived(key, packet.events), clear_of(facet, x, y, z, ux, uy, uz),
         )  # fmt: skip
-
-
-@inlined
-def texture_at(objects: ObjectTables, prim: int, wave: int, x: float, y: float, z: float) -> float:
-    """Return the texture's value (linear light, bilinear, clamped) at a point of a facet; 1 without."""
-    body = objects.facets[prim].body
-    height = objects.texture[body, 1]
-    if height == 0:
-        return 1.0
-    first, width = objects.texture[body, 0], objects.texture[body, 2]
-    b, c = barycentric(objects.facets[prim], x, y, z)
-    uv = objects.uv[prim]
-    a = 1.0 - b - c
-    u = a * uv[0, 0] + b * uv[1, 0] + c * uv[2, 0]
-    v = a * uv[0, 1] + b * uv[1, 1] + c * uv[2, 1]
-    column = u * width - 0.5
-    row = (1.0 - v) * height - 0.5
-    left, low = int(np.floor(column)), int(np.floor(row))
-    right_share, low_share = column - left, row - low
-    value = 0.0
-    for j in range(2):
-        for k in range(2):
-            r = min(max(low + j, 0), height - 1)
-            s = min(max(left + k, 0), width - 1)
-            share = (low_share if j else 1.0 - low_share) * (right_share if k else 1.0 - right_share)
-            value += share * objects.texels[first + r * width + s, wave]
-    return value
-
-
-@inlined
-def _ask_lights(
-    objects: ObjectTables, flow: Flow, packet: Any, prim: int,
-    x: float, y: float, z: float, side: float, albedo: float,
-) -> bool:  # fmt: skip
-    """Send a shadow packet to every light that faces the point (next-event estimation); tell whether any does."""
-    facet = objects.facets[prim]
-    nx, ny, nz = side * facet.normal[0], side * facet.normal[1], side * facet.normal[2]
-    any_light = False
-    for number in range(len(objects.lights)):
-        light = objects.lights[number]
-        lx, ly, lz = light.position[0], light.position[1], light.position[2]
-        ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
-        reach = np.inf
-        if light.kind == DIRECTIONAL:
-            ux, uy, uz = -ax, -ay, -az
-            irradiance = light.power
-        else:
-            if light.kind == DISK:
-                dimension = packet.events * DIMENSIONS_PER_EVENT + LIGHT_U + LIGHT_DIMENSIONS * number
-                r = light.radius * np.sqrt(uniform(packet.key, dimension))
-                phi = 2.0 * np.pi * uniform(packet.key, dimension + LIGHT_V - LIGHT_U)
-                px, py, pz, qx, qy, qz = tangents(ax, ay, az)
-                a, b = r * np.cos(phi), r * np.sin(phi)
-                lx, ly, lz = lx + a * px + b * qx, ly + a * py + b * qy, lz + a * pz + b * qz
-            ux, uy, uz = lx - x, ly - y, lz - z
-            distance2 = ux * ux + uy * uy + uz * uz
-            reach = np.sqrt(distance2)
-            ux, uy, uz = ux / reach, uy / reach, uz / reach
-            if light.kind == DISK:
-                cos_light = -(ux * ax + uy * ay + uz * az)
-                irradiance = max(0.0, cos_light) * light.power / (np.pi * MM2 * distance2)
-            else:
-                irradiance = light.power / (4.0 * np.pi * MM2 * distance2)
-        cos_surface = nx * ux + ny * uy + nz * uz
-        if cos_surface <= 0.0 or irradiance <= 0.0:
-            continue
-        any_light = True
-        shadow = put(
-            flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz,
-            packet.weight * albedo / np.pi * irradiance * cos_surface, packet.key,
-            clear_of(facet, x, y, z, ux, uy, uz),
-        )  # fmt: skip
-        shadow.kind = SHADOW
-        shadow.facet = prim
-        shadow.limit = reach
-    return any_light
-
-
-@kernel
-def scatter(
-    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: Aim, packet: Any, prim: int,
-    x: float, y: float, z: float, side: float, weight: float,
-) -> None:  # fmt: skip
-    """Scatter (or emit) a weight from a point of a facet, Lambertian: towards the camera, and to other targets."""
-    if weight <= 0.0:
-        return
-    facet = objects.facets[prim]
-    normal = facet.normal
-    nx, ny, nz = side * normal[0], side * normal[1], side * normal[2]
-    packet.facet = prim
-    packet.last = NO_SURFACE
-    if options.record:
-        packet.node = record(
-            flow, frames, OBJECT_FRAME, x, y, z, weight, ON_TARGET, facet.body, E_SCATTERED, packet.node
-        )
-    to_camera = 0.0
-    if options.aimed and not options.adjoint:
-        to_camera = _aim_at_camera(flow, frames, aim, facet, packet, x, y, z, nx, ny, nz, weight)
-    if not options.bounce and (options.aimed or options.adjoint):
-        # Nothing else is there to be met: what does not go to the camera escapes.
-        flow.book[ESCAPED] += weight - to_camera
-        return
-    flow.book[SAMPLING_ADDED] += to_camera
-    dimension = packet.events * DIMENSIONS_PER_EVENT + KEEP_BOUNCE
-    cutoff = options.cutoff
-    if options.paths == OFF_IMAGE_PATH and packet.stray == 0:
-        cutoff = options.unturned_cutoff
-    weight = windowed(flow.book, weight, cutoff * packet.start, packet.key, dimension)
-    if weight > 0.0:
-        dx, dy, dz = lambertian(nx, ny, nz, draw(packet, BOUNCE_U), draw(packet, BOUNCE_V))
-        clear = clear_of(facet, x, y, z, dx, dy, dz)
-        child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, packet.key, clear)
-        child.kind = SCATTERED
-
-
-@kernel
-def _share_with_other(flow: Flow, frames: Array, objects: ObjectTables, aim: Aim, packet: Any) -> None:
-    """Weight a packet that goes from a target into glass, where both it and one drawn the other way could have gone.
-
-    By the balance heuristic (Veach & Guibas 1995): the lens may show behind the glass where it is aimed at, or
-    elsewhere, as the glass bends light.
-    """
-    x, y, z = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, packet.x, packet.y, packet.z)
-    dx, dy, dz = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, packet.dx, packet.dy, packet.dz)
-    normal = objects.facets[packet.facet].normal
-    scattered = abs(normal[0] * packet.dx + normal[1] * packet.dy + normal[2] * packet.dz) / np.pi
-    at_lens = aimed_density(x, y, z, dx, dy, dz, aim.entrance, aim.front_radius, aim.wide_share, aim.blind_share)
-    weight = packet.weight
-    if packet.kind == CAMERA:
-        packet.weight *= at_lens / (at_lens + scattered)
-        packet.start = packet.weight
-    else:
-        packet.weight *= scattered / (at_lens + scattered)
-    flow.book[SAMPLING_REMOVED] += weight - packet.weight
-
-
-@kernel
-def _aim_at_camera(
-    flow: Flow, frames: Array, aim: Aim, facet: Any, packet: Any,
-    x: float, y: float, z: float, nx: float, ny: float, nz: float, weight: float,
-) -> float:  # fmt: skip
-    """Queue the child that is aimed at the entrance pupil: BRDF · cos · dω of the weight. Return its weight."""
-    px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
-    ax, ay, az, density = aimed(
-        px, py, pz, aim.entrance, aim.front_radius, aim.wide_share, aim.blind_share,
-        draw(packet, AIM_DISK), draw(packet, AIM_U), draw(packet, AIM_V),
-    )  # fmt: skip
-    dx, dy, dz = move_direction(frames, CAMERA_FRAME, OBJECT_FRAME, ax, ay, az)
-    cos_theta = nx * dx + ny * dy + nz * dz
-    if cos_theta <= 0.0 or density <= 0.0:
-        return 0.0
-    weight *= cos_theta / (np.pi * density)
-    child = put(
-        flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight,
-        derived(packet.key, AIMED_CHILD + packet.events), clear_of(facet, x, y, z, dx, dy, dz),
-    )  # fmt: skip
-    child.kind = CAMERA
-    child.start = weight
-    return weight

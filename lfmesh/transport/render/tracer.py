@@ -1,13 +1,12 @@
 """Tracing a replicate, or a block of one: chunks to a pool of threads, and back in order."""
 
 import os
-import threading
 import time
 from collections import deque
 from collections.abc import Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import repeat
 
 import numpy as np
@@ -17,13 +16,14 @@ from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.packet import COUNTERS, DEPOSITS
 from lfmesh.transport.packets.random import descendant, run_key
 from lfmesh.transport.render.adaptive import Counts
-from lfmesh.transport.render.adjoint import launch_adjoint, launch_along_image_path
 from lfmesh.transport.render.blind_check import CHUNK as BLIND_CHUNK
 from lfmesh.transport.render.blind_check import BlindSamples, first_of_runs
-from lfmesh.transport.render.forward import launch_forward
 from lfmesh.transport.render.parts import BOOKS, Part, blind_part, parts_of
 from lfmesh.transport.render.plan import Block, Chunk, Plan
 from lfmesh.transport.render.tally import ChunkTally, Film, Layout, Piece, Work
+from lfmesh.transport.sources.lights import LightSource
+from lfmesh.transport.sources.pixels import PixelSource
+from lfmesh.transport.sources.source import Launcher, Source
 from lfmesh.transport.world import World
 
 Waiting = deque[tuple[Chunk, Future[ChunkTally]]]
@@ -53,7 +53,7 @@ class Tracer:
     aimed: bool = True
     stratified: bool = True
     check: bool = True
-    _local: threading.local = field(default_factory=threading.local)
+    _launchers: dict[int, Launcher] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         transport = self.world.scene.transport
@@ -167,48 +167,21 @@ class Tracer:
     def _trace(self, chunk: Chunk, key: np.uint64, film: Film) -> ChunkTally:
         """Trace one chunk in a thread of the pool."""
         began = time.perf_counter()
-        space = self._workspace(chunk.part)
-        if chunk.part.options.adjoint:
-            self._launch_from_pixels(space, chunk, key, film)
-        else:
-            self._launch_from_light(space, chunk, key, film)
-        space.run()
+        source = self._source(chunk, key)
+        space = self._launcher(chunk.part).trace(source, film=film if chunk.part.options.adjoint else None)
         work = Work(
             space.counts.copy(), chunk.packets, space.queries, space.embree_seconds, time.perf_counter() - began
         )
         deposits: NDArray[np.void] = space.deposits[: space.tops[DEPOSITS]].copy()
         return ChunkTally(chunk.number, chunk.part.booked(space.book), work, deposits, chunk.from_lamps)
 
-    def _launch_from_pixels(self, space: Workspace, chunk: Chunk, key: np.uint64, film: Film) -> None:
-        """Start a chunk of the adjoint method."""
-        tables, pixels = chunk.part.tables, chunk.pixel_numbers()
-        space.begin(film.power, film.origin, film.hits, chunk.packets)
-        # A pixel's samples start together, though they be more than a chunk.
-        space.reserve(chunk.packets)
-        if chunk.part.options.sequential:
-            launch_along_image_path(
-                pixels, chunk.samples, self.stratified, key, chunk.wave, tables.sensor, tables.lens, tables.array,
-                tables.aim, tables.frames, space.bundle, space.numbers, space.options, space.flow(), space.start,
-            )  # fmt: skip
-        else:
-            launch_adjoint(
-                pixels, chunk.samples, self.stratified, key, chunk.wave, tables.sensor, tables.array, tables.aim,
-                tables.frames, len(tables.lens.surfaces), space.bundle, space.flow(), space.start,
-            )  # fmt: skip
+    def _source(self, chunk: Chunk, key: np.uint64) -> Source:
+        """Return what a chunk's packets start from."""
+        if chunk.part.options.adjoint:
+            return PixelSource(chunk.pixel_numbers(), chunk.samples, key, chunk.wave, self.stratified)
+        return LightSource(chunk.first, chunk.count, self.pixels * chunk.samples, key, chunk.wave)
 
-    def _launch_from_light(self, space: Workspace, chunk: Chunk, key: np.uint64, film: Film) -> None:
-        """Start a chunk of the forward method."""
-        tables = chunk.part.tables
-        space.begin(film.power[:0])
-        if len(tables.objects.sources):
-            launch_forward(
-                chunk.first, chunk.count, self.pixels * chunk.samples, key, chunk.wave,
-                tables.objects, tables.aim, tables.frames, space.options, space.flow(), space.template,
-            )  # fmt: skip
-
-    def _workspace(self, part: Part) -> Workspace:
-        """Return what this thread traces a part in."""
-        spaces: dict[int, Workspace] = self._local.__dict__.setdefault("spaces", {})
-        if part.number not in spaces:
-            spaces[part.number] = Workspace(self.world, part.options, self.chunk, part.tables)
-        return spaces[part.number]
+    def _launcher(self, part: Part) -> Launcher:
+        """Return what traces a part."""
+        new = partial(Workspace, self.world, part.options, self.chunk, part.tables)
+        return self._launchers.setdefault(part.number, Launcher(new))

@@ -20,14 +20,9 @@ from lfmesh.transport.packets.book import LOST_OUTSIDE, Book
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.lens import curved
-from lfmesh.transport.tables.tables import (
-    DIRECTIONAL,
-    DISK,
-    LIGHT,
-    POINT,
-    SOURCE,
-    ObjectTables,
-)
+from lfmesh.transport.tables.lights import MM2, light_table, power_towards
+from lfmesh.transport.tables.scattering import scattering_tables
+from lfmesh.transport.tables.tables import SOURCE, ObjectTables
 
 
 def middle_of(targets: list[TargetMesh]) -> Array:
@@ -133,7 +128,7 @@ def object_tables(
         facets=facets,
         uv=uv,
         closed=np.array([t.closed for t in targets], dtype=np.bool_),
-        reflectance=_by_wave([m.reflectance for m in materials], waves),
+        scattering=scattering_tables(materials, waves),
         radiance=_by_wave([m.radiance_w_m2_sr for m in materials], waves),
         glass=np.array(
             [[refractive_index(g.medium, w) if g is not None else 0.0 for w in waves] for g in glasses]
@@ -145,7 +140,7 @@ def object_tables(
         texels=np.concatenate(texels) if texels else np.zeros((0, len(waves)), np.float32),
         target_slot=book.targets,
         lost_slot=np.append(book.lost_in_targets, LOST_OUTSIDE),
-        lights=_lights(scene, to_object),
+        lights=light_table(scene.lights, to_object),
         sources=np.zeros(0, SOURCE),
         radius=radius,
         outer_radius=float(np.linalg.norm(mesh.vertices, axis=1).max()),
@@ -162,7 +157,7 @@ def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
     """
     glass = (objects.glass > 0.0).any(axis=1)
     facets = np.append(glass, False)[objects.facets["body"]]
-    if not len(objects.lights) or not facets.any() or not (objects.reflectance[~glass] > 0.0).any():
+    if not len(objects.lights) or not facets.any() or objects.scattering.models["black"][:-1][~glass].all():
         return None
     corners = objects.facets["corners"][facets].reshape(-1, 3)
     middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
@@ -175,42 +170,14 @@ def _by_wave(values: list[float], waves: tuple[float, ...]) -> Array:
     return np.repeat(np.array(values, dtype=np.float64).reshape(-1, 1), len(waves), axis=1)
 
 
-def _lights(scene: Scene, to_object: Array) -> NDArray[np.void]:
-    table = np.zeros(len(scene.lights), LIGHT)
-    for row, light in zip(table, scene.lights, strict=True):
-        row["kind"] = {"point": POINT, "directional": DIRECTIONAL, "disk": DISK}[light.kind]
-        row["direction"] = (0.0, 0.0, 1.0)
-        if light.kind != "directional":
-            row["position"] = frames.points(to_object, [light.position_mm])[0]
-            row["power"] = light.power_w
-        else:
-            row["power"] = light.irradiance_w_m2
-        if light.kind != "point":
-            d = frames.directions(to_object, [light.direction])[0]
-            row["direction"] = d / np.linalg.norm(d)
-        if light.kind == "disk":
-            row["radius"] = light.radius_mm
-    return table
-
-
 Entry = tuple[int, int, float, float]
 """Light (or −1), facet (or −1), power towards what is aimed at, power in all, W."""
 
 
 def _lamps(objects: ObjectTables) -> list[Entry]:
     """Return what each light sends, and what of it goes towards the sphere that is aimed at."""
-    entries = []
-    for i, light in enumerate(objects.lights):
-        distance = float(np.linalg.norm(light["position"] - objects.lit_middle))
-        seen = 1.0
-        if light["kind"] == DIRECTIONAL:
-            power = light["power"] * np.pi * objects.lit_radius**2 * 1e-6
-        else:
-            power = light["power"]
-            if distance > objects.lit_radius:
-                seen = 0.5 * (1.0 - np.sqrt(1.0 - (objects.lit_radius / distance) ** 2))
-        entries.append((i, -1, power * seen, power))
-    return entries
+    middle, radius = objects.lit_middle, objects.lit_radius
+    return [(i, -1, *power_towards(light, middle, radius)) for i, light in enumerate(objects.lights)]
 
 
 def _glowing_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:
@@ -221,7 +188,7 @@ def _glowing_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:
     for facet in np.flatnonzero(np.append(glow > 0.0, False)[objects.facets["body"]]):
         body = objects.facets["body"][facet]
         sides = 1.0 if objects.closed[body] else 2.0
-        power = np.pi * glow[body] * areas[facet] * 1e-6 * sides
+        power = np.pi * glow[body] * areas[facet] * MM2 * sides
         entries.append((-1, int(facet), power, power))
     return entries
 

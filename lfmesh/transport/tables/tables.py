@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.lenslets import Lenslets
+from lfmesh.transport.tables.scattering import ScatteringTables
 
 Array = NDArray[np.float64]
 Records = NDArray[np.void]
@@ -63,7 +64,7 @@ class ObjectTables(NamedTuple):
     facets: Records  # (m,) FACET; body: target t ≥ 0, or −1 for the housing
     uv: Array  # (m, 3, 2)
     closed: NDArray[np.bool_]  # (targets,) scatters and emits outside only
-    reflectance: Array  # (targets, wavelengths)
+    scattering: ScatteringTables
     radiance: Array  # (targets, wavelengths) W/(m² sr)
     glass: Array  # (targets, wavelengths) refractive index; 0: opaque
     level: NDArray[np.int64]  # (targets,) what a facet of glass stands for
@@ -132,18 +133,6 @@ class Tables(NamedTuple):
     frames: Array  # (5, 5, 3, 4): frames[a, b] moves from frame a into frame b
     aim: Aim
 
-
-LIGHT = np.dtype(
-    [
-        ("kind", "i8"),
-        ("position", "f8", (3,)),
-        ("direction", "f8", (3,)),  # unit, the way the light goes
-        ("radius", "f8"),
-        ("power", "f8"),  # W; directional: irradiance in W/m²
-    ]
-)
-
-POINT, DIRECTIONAL, DISK = 0, 1, 2
 
 SOURCE = np.dtype(
     [

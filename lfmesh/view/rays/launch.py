@@ -19,11 +19,13 @@ from lfmesh.transport.aiming.pupil import opening_from
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.packets.random import descendant, run_key
 from lfmesh.transport.settings import SPLIT_MODE, options_of
+from lfmesh.transport.sources.lights import LightSource
+from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.tables.tables import Records, Tables
 from lfmesh.transport.trace import at_wavelength, joined_records
 from lfmesh.transport.world import World
 from lfmesh.view.rays.paths import Rays, assembled
-from lfmesh.view.rays.recording import at_pixels, from_point, from_sources, traced
+from lfmesh.view.rays.recording import from_point, traced
 
 Floats = NDArray[np.float64]
 
@@ -306,7 +308,7 @@ def _from_pixels(world: World, rows: range, columns: range, settings: Settings) 
             np.sort(generator.choice(box, min(rays, box), replace=False, shuffle=False)), len(columns)
         )
         pixels = np.asarray(rows)[row] * world.tables.sensor.columns + np.asarray(columns)[column]
-        starts = at_pixels(pixels, max(1, round(rays / box)), descendant(run_key(settings.seed), 0, wave))
+        starts = PixelSource(pixels, max(1, round(rays / box)), descendant(run_key(settings.seed), 0, wave))
         ended, nodes = traced(world, at_wavelength(world, wavelength), options, starts, place)
         # Of pixels drawn by chance, each stands for several.
         for table in (ended, nodes):
@@ -327,7 +329,7 @@ def _from_sources(world: World, tables: Tables, settings: Settings) -> Rays:
         total = settings.rays_of(place)
         for replicate, first in enumerate(range(0, total, one)):
             key = descendant(run_key(settings.seed), replicate, wave)
-            starts = from_sources(0, min(one, total - first), total, key, wave)
+            starts = LightSource(0, min(one, total - first), total, key, wave)
             parts.append(traced(world, tables, options, starts, place))
     return _assembled(world, parts, settings)
 

@@ -14,11 +14,11 @@ from lfmesh.transport.aiming.lenslet_aim import solid_angle
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import PLATE
 from lfmesh.transport.packets.random import run_key
-from lfmesh.transport.regions.objects import MM2
-from lfmesh.transport.render.adjoint import launch_adjoint
 from lfmesh.transport.render.blind_check import without_aim
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.settings import options_of
+from lfmesh.transport.sources.pixels import PixelSource
+from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]
@@ -74,13 +74,9 @@ class Starts:
         Those whose weight is zero are left out.
         """
         tables, work = self._tables, self._work
-        work.begin(np.zeros((1, 2)))
-        work.reserve(self.samples * times)
+        work.begin(packets=self.samples * times)
         for key in range(seed * times, (seed + 1) * times):
-            launch_adjoint(
-                np.array([pixel]), self.samples, False, run_key(key), 1, tables.sensor, tables.array, tables.aim,
-                tables.frames, len(tables.lens.surfaces), work.bundle, work.flow(), work.start,
-            )  # fmt: skip
+            PixelSource(np.array([pixel]), self.samples, run_key(key), 1, stratified=False).launch(work, range(1))
         packets = work.stacks[work.rows[PLATE], : work.tops[PLATE]]
         area = tables.sensor.pixel**2 * MM2
         return np.column_stack([packets["dx"], packets["dy"]]), packets["weight"] / area / times

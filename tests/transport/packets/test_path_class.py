@@ -18,8 +18,10 @@ from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import CURVED_FACE, ENDED, FLAT_FACE, NODES, ON_GLASS, ON_TARGET, ROULETTE, Event
 from lfmesh.transport.packets.path_class import EVERY, OFF_IMAGE_PATH
 from lfmesh.transport.packets.random import run_key
-from lfmesh.transport.render.adjoint import launch_adjoint
+from lfmesh.transport.render.tally import Film
 from lfmesh.transport.settings import options_of
+from lfmesh.transport.sources.pixels import PixelSource
+from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.world import World, build
 from tests.cameras import biconvex
 
@@ -93,15 +95,10 @@ def traced(world: World, paths: int) -> tuple[NDArray[np.float64], Workspace]:
     tables = world.tables._replace(aim=world.tables.aim._replace(wide_share=0.5))
     options = options_of(world)._replace(sequential=False, split=ROULETTE, record=True, paths=paths)
     work = Workspace(world, options, tables=tables)
-    film = np.zeros((SIDE * SIDE, 1))
-    work.begin(film, 0, np.zeros(film.shape, np.uint32), SIDE * SIDE)
-    launch_adjoint(
-        np.arange(SIDE * SIDE), 1, False, run_key(3), 0, tables.sensor, tables.array, tables.aim, tables.frames,
-        len(tables.lens.surfaces), work.bundle, work.flow(), work.start,
-    )  # fmt: skip
-    work.record_starts()
-    work.run()
-    return film[:, 0], work
+    film = Film.empty(SIDE * SIDE, 1)
+    source = PixelSource(np.arange(SIDE * SIDE), 1, run_key(3), stratified=False)
+    Launcher(lambda: work).trace(source, film=film)
+    return film.power[:, 0], work
 
 
 def vertices(nodes: NDArray[np.void], last: int) -> NDArray[np.void]:

@@ -1,4 +1,4 @@
-"""The adjoint method's start: from a pixel through the lenslets that show it the exit pupil.
+"""Pixels, where the adjoint method starts: through the lenslets that show them the exit pupil.
 
 A pixel's power is the integral of radiance over its area and the directions it sees, W = ∫∫ L cos θ dω dA. The packet
 carries the importance cos θ dA / density, in m² sr. Radiance over n² is what interfaces conserve up to T, so carried
@@ -6,6 +6,7 @@ importance would gain (n_i/n_t)² at every crossing; pixel and light both lie in
 out throughout. A target that shines inside glass has its radiance divided by n² instead.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +31,7 @@ from lfmesh.transport.aiming.lenslet_aim import (
     through_a_lenslet,
 )
 from lfmesh.transport.aiming.mixture import aimed
+from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.book import EMITTED
 from lfmesh.transport.packets.packet import (
     ARRAY_FRAME,
@@ -45,9 +47,8 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.random import derived, uniform
+from lfmesh.transport.packets.random import derived, start
 from lfmesh.transport.packets.sobol import scramble, scramble_seed, step
-from lfmesh.transport.regions.objects import MM2
 from lfmesh.transport.sequential.image_path import follow_block
 from lfmesh.transport.sequential.lens_bundle import (
     BLOCK,
@@ -64,21 +65,62 @@ from lfmesh.transport.sequential.lens_bundle import (
     move_bundle,
     pad,
 )
+from lfmesh.transport.sources.source import Source
+from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.tables.tables import Aim, ArrayTables, LensTables, SensorTables
 
 Array = NDArray[np.float64]
-
-START_DIMENSION = -64
-"""A packet's starting numbers have dimensions of their own, before those of any event."""
 
 STARTS = BLOCK
 """Samples whose numbers are drawn together: a bundle of the sequential engine."""
 
 
-@kernel
-def start(key: np.uint64, dimension: int) -> float:
-    """Return one of a packet's starting numbers."""
-    return uniform(key, START_DIMENSION + dimension)
+@dataclass(frozen=True, eq=False)
+class PixelSource(Source):
+    """Pixels of the sensor, each with as many samples.
+
+    Attributes
+    ----------
+    pixels : (n,) int64
+        Their numbers, row by row.
+    samples : int
+        Of each.
+    key : uint64
+        Of the random numbers.
+    wave : int
+        Number of the wavelength.
+    stratified : bool
+        Start from scrambled Sobol' points in place of random ones.
+    """
+
+    pixels: NDArray[np.int64]
+    samples: int
+    key: np.uint64
+    wave: int = 0
+    stratified: bool = True
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    @property
+    def each(self) -> int:
+        """Samples of a pixel."""
+        return self.samples
+
+    def launch(self, work: Workspace, part: range) -> None:
+        """Start the samples of some of the pixels."""
+        tables, options, pixels = work.tables, work.options, self.pixels[part.start : part.stop]
+        room = work.kept(StartRoom, lambda: start_room(tables.aim))
+        if options.sequential and options.adjoint:
+            launch_along_image_path(
+                pixels, self.samples, self.stratified, self.key, self.wave, tables.sensor, tables.lens, tables.array,
+                tables.aim, tables.frames, work.bundle, work.numbers, options, work.flow(), room,
+            )  # fmt: skip
+        else:
+            launch_adjoint(
+                pixels, self.samples, self.stratified, self.key, self.wave, tables.sensor, tables.array, tables.aim,
+                tables.frames, len(tables.lens.surfaces), work.bundle, work.flow(), room,
+            )  # fmt: skip
 
 
 class StartRoom(NamedTuple):

@@ -1,0 +1,248 @@
+"""A packet on a target: it gathers light and is scattered on, towards the camera and to other targets.
+
+In adjoint a packet that reaches a target gathers what leaves the point towards it: own emission, and light by
+next-event estimation. In forward it scatters a child that is aimed at the entrance pupil. In both it may go on to other
+targets. What the target does with light is asked of its scattering model (`events/scattering.py`).
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.frame import move_direction, move_point
+from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.aiming.mixture import aimed, aimed_density
+from lfmesh.transport.events.crossing import (
+    AIM_DISK,
+    AIM_U,
+    AIM_V,
+    BOUNCE_U,
+    BOUNCE_V,
+    KEEP_BOUNCE,
+    barycentric,
+    clear_of,
+    deposit,
+    draw,
+    end,
+    record,
+    windowed,
+)
+from lfmesh.transport.events.lighting import ask_lights
+from lfmesh.transport.events.scattering import Point, albedo, density, evaluate, sample
+from lfmesh.transport.packets.book import ESCAPED, LIT, REACHED, SAMPLING_ADDED, SAMPLING_REMOVED
+from lfmesh.transport.packets.packet import (
+    CAMERA,
+    CAMERA_FRAME,
+    E_SCATTERED,
+    EVENTS,
+    LEFT_LENS,
+    NO_SURFACE,
+    OBJECT_FRAME,
+    OBJECTS,
+    ON_TARGET,
+    S_ABSORBED,
+    SCATTERED,
+    Flow,
+    Options,
+    put,
+)
+from lfmesh.transport.packets.path_class import OFF_IMAGE_PATH, is_estimated
+from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived
+from lfmesh.transport.tables.tables import Aim, ObjectTables
+
+Array = NDArray[np.float64]
+
+AIMED_CHILD = 1 << 20
+"""Number of the aimed child among a packet's children, out of the way of its events."""
+
+
+@inlined
+def meet_target(
+    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: Aim, packet: Any,
+    prim: int, x: float, y: float, z: float, along: float,
+) -> None:  # fmt: skip
+    """Gather and scatter at a point of a facet; `along` is its normal · the packet's direction."""
+    body = objects.facets[prim].body
+    slot = objects.target_slot[body]
+    dx, dy, dz, weight = packet.dx, packet.dy, packet.dz, packet.weight
+    flow.counts[EVENTS] += 1
+    if objects.closed[body] and along > 0.0:
+        end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, S_ABSORBED)
+        return
+    texel = texture_at(objects, prim, packet.wave, x, y, z)
+    point = point_of(objects, prim, x, y, z, -1.0 if along > 0.0 else 1.0, body, texel)
+    share = albedo(objects.scattering, point, packet.wave, dx, dy, dz)
+    if options.adjoint and is_estimated(options, packet):
+        _gather(options, flow, objects, packet, point, body, share > 0.0)
+    scattered = weight * share
+    if scattered <= 0.0:
+        end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, S_ABSORBED)
+        return
+    flow.book[slot] += weight - scattered
+    if packet.last == LEFT_LENS and not options.bounce and not options.adjoint:
+        # The lens reflected it back. Without bounces the adjoint method has no such paths, and this one neither.
+        flow.book[ESCAPED] += scattered
+        return
+    packet.events += 1
+    scatter(options, flow, frames, objects, aim, packet, point, weight, scattered)
+
+
+@inlined
+def point_of(
+    objects: ObjectTables, prim: int, x: float, y: float, z: float, side: float, model: int, texel: float
+) -> Point:
+    """Return a point of a facet on one of its sides: 1, the normal's, or −1."""
+    normal = objects.facets[prim].normal
+    nx, ny, nz = side * normal[0], side * normal[1], side * normal[2]
+    return Point(prim, x, y, z, nx, ny, nz, model, texel)
+
+
+@inlined
+def texture_at(objects: ObjectTables, prim: int, wave: int, x: float, y: float, z: float) -> float:
+    """Return the texture's value (linear light, bilinear, clamped) at a point of a facet; 1 without."""
+    body = objects.facets[prim].body
+    height = objects.texture[body, 1]
+    if height == 0:
+        return 1.0
+    first, width = objects.texture[body, 0], objects.texture[body, 2]
+    b, c = barycentric(objects.facets[prim], x, y, z)
+    uv = objects.uv[prim]
+    a = 1.0 - b - c
+    u = a * uv[0, 0] + b * uv[1, 0] + c * uv[2, 0]
+    v = a * uv[0, 1] + b * uv[1, 1] + c * uv[2, 1]
+    column = u * width - 0.5
+    row = (1.0 - v) * height - 0.5
+    left, low = int(np.floor(column)), int(np.floor(row))
+    right_share, low_share = column - left, row - low
+    value = 0.0
+    for j in range(2):
+        for k in range(2):
+            r = min(max(low + j, 0), height - 1)
+            s = min(max(left + k, 0), width - 1)
+            share = (low_share if j else 1.0 - low_share) * (right_share if k else 1.0 - right_share)
+            value += share * objects.texels[first + r * width + s, wave]
+    return value
+
+
+@inlined
+def _gather(
+    options: Options, flow: Flow, objects: ObjectTables, packet: Any, point: Point, body: int, scatters: bool
+) -> None:
+    """Deposit what a target emits towards the packet, and ask the lights for what it scatters that way."""
+    flow.book[REACHED] += packet.weight
+    radiance = objects.radiance[body, packet.wave] * point.texel
+    if radiance > 0.0:
+        if packet.column >= 0:
+            # It shines inside glass, and radiance falls by n² on the way out.
+            radiance /= objects.glass[packet.column, packet.wave] ** 2
+        deposit(options, flow, packet.source, packet.wave, packet.weight * radiance)
+    lit = radiance > 0.0
+    if scatters:
+        lit = ask_lights(objects, flow, packet, point) or lit
+    if lit:
+        flow.book[LIT] += packet.weight
+
+
+@kernel
+def scatter(
+    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: Aim, packet: Any, point: Point,
+    weight: float, scattered: float,
+) -> None:  # fmt: skip
+    """Scatter (or emit) from a point: towards the camera, and to other targets.
+
+    Parameters
+    ----------
+    weight : float
+        That arrived, along the packet's direction.
+    scattered : float
+        What of it is scattered, by the model's albedo.
+    """
+    if scattered <= 0.0:
+        return
+    packet.facet = point.prim
+    packet.last = NO_SURFACE
+    if options.record:
+        body = objects.facets[point.prim].body
+        packet.node = record(
+            flow, frames, OBJECT_FRAME, point.x, point.y, point.z, scattered, ON_TARGET, body, E_SCATTERED, packet.node
+        )
+    to_camera = 0.0
+    if options.aimed and not options.adjoint:
+        to_camera = _aim_at_camera(flow, frames, objects, aim, packet, point, weight)
+    if not options.bounce and (options.aimed or options.adjoint):
+        # Nothing else is there to be met: what does not go to the camera escapes.
+        flow.book[ESCAPED] += scattered - to_camera
+        return
+    flow.book[SAMPLING_ADDED] += to_camera
+    _bounce(options, flow, objects, packet, point, weight, scattered)
+
+
+@inlined
+def _bounce(
+    options: Options, flow: Flow, objects: ObjectTables, packet: Any, point: Point, weight: float, scattered: float
+) -> None:
+    """Queue the child that goes any way, as the scattering model draws it, if roulette lets it live."""
+    x, y, z = point.x, point.y, point.z
+    ix, iy, iz = packet.dx, packet.dy, packet.dz
+    u, v = draw(packet, BOUNCE_U), draw(packet, BOUNCE_V)
+    dx, dy, dz, share = sample(objects.scattering, point, packet.wave, ix, iy, iz, u, v)
+    # What a sample carries is right on average.
+    flow.book[SAMPLING_ADDED] += weight * share - scattered
+    cutoff = options.cutoff
+    if options.paths == OFF_IMAGE_PATH and packet.stray == 0:
+        cutoff = options.unturned_cutoff
+    dimension = packet.events * DIMENSIONS_PER_EVENT + KEEP_BOUNCE
+    weight = windowed(flow.book, weight * share, cutoff * packet.start, packet.key, dimension)
+    if weight > 0.0:
+        clear = clear_of(objects.facets[point.prim], x, y, z, dx, dy, dz)
+        child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, packet.key, clear)
+        child.kind = SCATTERED
+        child.density = density(objects.scattering, point, packet.wave, ix, iy, iz, dx, dy, dz)
+
+
+@kernel
+def _aim_at_camera(
+    flow: Flow, frames: Array, objects: ObjectTables, aim: Aim, packet: Any, point: Point, weight: float
+) -> float:
+    """Queue the child that is aimed at the entrance pupil: BRDF · cos · dω of the weight. Return its weight."""
+    x, y, z = point.x, point.y, point.z
+    ix, iy, iz = packet.dx, packet.dy, packet.dz
+    px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
+    ax, ay, az, at_lens = aimed(
+        px, py, pz, aim.entrance, aim.front_radius, aim.wide_share, aim.blind_share,
+        draw(packet, AIM_DISK), draw(packet, AIM_U), draw(packet, AIM_V),
+    )  # fmt: skip
+    dx, dy, dz = move_direction(frames, CAMERA_FRAME, OBJECT_FRAME, ax, ay, az)
+    cos_theta = point.nx * dx + point.ny * dy + point.nz * dz
+    if cos_theta <= 0.0 or at_lens <= 0.0:
+        return 0.0
+    weight *= evaluate(objects.scattering, point, packet.wave, ix, iy, iz, dx, dy, dz) * cos_theta / at_lens
+    child = put(
+        flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight,
+        derived(packet.key, AIMED_CHILD + packet.events), clear_of(objects.facets[point.prim], x, y, z, dx, dy, dz),
+    )  # fmt: skip
+    child.kind = CAMERA
+    child.start = weight
+    child.density = density(objects.scattering, point, packet.wave, ix, iy, iz, dx, dy, dz)
+    return weight
+
+
+@kernel
+def share_with_other(flow: Flow, frames: Array, aim: Aim, packet: Any) -> None:
+    """Weight a packet that goes from a target into glass, where both it and one drawn the other way could have gone.
+
+    By the balance heuristic (Veach & Guibas 1995): the lens may show behind the glass where it is aimed at, or
+    elsewhere, as the glass bends light.
+    """
+    x, y, z = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, packet.x, packet.y, packet.z)
+    dx, dy, dz = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, packet.dx, packet.dy, packet.dz)
+    anywhere = packet.density
+    at_lens = aimed_density(x, y, z, dx, dy, dz, aim.entrance, aim.front_radius, aim.wide_share, aim.blind_share)
+    weight = packet.weight
+    if packet.kind == CAMERA:
+        packet.weight *= at_lens / (at_lens + anywhere)
+        packet.start = packet.weight
+    else:
+        packet.weight *= anywhere / (at_lens + anywhere)
+    flow.book[SAMPLING_REMOVED] += weight - packet.weight

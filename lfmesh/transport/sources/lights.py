@@ -1,0 +1,136 @@
+"""Lamps and emitting targets, where the forward method starts: the paper's chain.
+
+A lamp's packets go into the cone round the targets; what it sends elsewhere is booked as escaped at once. An emitting
+facet's packet is scattered where it starts, as light that arrived there would be. The adjoint method has its share of
+such packets, for lamps that glass hides from it (`parts`): those go into the cone round the glass.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernel import kernel
+from lfmesh.transport.engine import Workspace
+from lfmesh.transport.events.lighting import PLACE_U, PLACE_V, emitted
+from lfmesh.transport.packets.book import EMITTED, ESCAPED
+from lfmesh.transport.packets.packet import LAMP, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, Options, put
+from lfmesh.transport.packets.random import derived, start
+from lfmesh.transport.regions.targets import point_of, scatter, texture_at
+from lfmesh.transport.sources.source import Source
+from lfmesh.transport.tables.tables import Aim, ObjectTables
+
+Array = NDArray[np.float64]
+
+SOURCE_U, SIDE = 0, 5
+"""Dimensions of starting numbers; those between choose where on its source a packet starts, and which way it goes."""
+
+
+@dataclass(frozen=True, eq=False)
+class LightSource(Source):
+    """Packets of all that shines, one after the other.
+
+    Attributes
+    ----------
+    first, count : int
+        Number of the first packet in its replicate, and how many start from it on.
+    total : int
+        Packets that the whole power is shared among.
+    key : uint64
+        Of the replicate's random numbers at this wavelength.
+    wave : int
+        Number of the wavelength.
+    """
+
+    first: int
+    count: int
+    total: int
+    key: np.uint64
+    wave: int
+
+    def __len__(self) -> int:
+        return self.count
+
+    def launch(self, work: Workspace, part: range) -> None:
+        """Start some of the packets, if anything shines."""
+        tables = work.tables
+        if len(tables.objects.sources):
+            launch_forward(
+                self.first + part.start, len(part), self.total, self.key, self.wave,
+                tables.objects, tables.aim, tables.frames, work.options, work.flow(), work.template,
+            )  # fmt: skip
+
+
+@kernel
+def launch_forward(
+    first: int, count: int, total: int, replicate_key: np.uint64, wave: int,
+    objects: ObjectTables, aim: Aim, frames: Array, options: Options, flow: Flow, template: NDArray[np.void],
+) -> None:  # fmt: skip
+    """Start packets number `first` to `first + count` of a replicate's `total`."""
+    sources = objects.sources
+    packet = template[0]
+    packet.wave = wave
+    packet.last = NO_SURFACE
+    packet.column = NO_SURFACE
+    for number in range(first, first + count):
+        key = derived(replicate_key, number)
+        packet.source = number
+        packet.key = key
+        packet.events = 0
+        packet.kind = LAMP
+        packet.facet = NO_SURFACE
+        packet.node = NO_SURFACE
+        which = min(int(np.searchsorted(sources["until"], start(key, SOURCE_U), side="right")), len(sources) - 1)
+        source = sources[which]
+        weight = source.power / (source.share * total)
+        if source.light >= 0:
+            _from_lamp(objects, flow, packet, source.light, weight)
+        else:
+            _from_facet(objects, aim, frames, options, flow, packet, source.facet, weight)
+
+
+@kernel
+def _from_lamp(objects: ObjectTables, flow: Flow, packet: Any, number: int, weight: float) -> None:
+    """Start a packet of a light, towards the sphere that is aimed at."""
+    x, y, z, dx, dy, dz, share = emitted(objects, objects.lights[number], packet.key)
+    towards = weight * share
+    flow.book[EMITTED] += weight
+    flow.book[ESCAPED] += weight - towards
+    if towards <= 0.0:
+        return
+    packet.start = towards
+    put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, towards, packet.key, 0.0)
+
+
+@kernel
+def _from_facet(
+    objects: ObjectTables,
+    aim: Aim,
+    frames: Array,
+    options: Options,
+    flow: Flow,
+    packet: Any,
+    prim: int,
+    weight: float,
+) -> None:
+    """Emit from a uniform point of a facet, on either side of an open sheet."""
+    key = packet.key
+    body = objects.facets[prim].body
+    u, v = start(key, PLACE_U), start(key, PLACE_V)
+    if u + v > 1.0:
+        u, v = 1.0 - u, 1.0 - v
+    corner = objects.facets[prim].corners
+    w = 1.0 - u - v
+    x = w * corner[0, 0] + u * corner[1, 0] + v * corner[2, 0]
+    y = w * corner[0, 1] + u * corner[1, 1] + v * corner[2, 1]
+    z = w * corner[0, 2] + u * corner[1, 2] + v * corner[2, 2]
+    side = 1.0
+    if not objects.closed[body] and start(key, SIDE) < 0.5:
+        side = -1.0
+    weight *= texture_at(objects, prim, packet.wave, x, y, z)
+    flow.book[EMITTED] += weight
+    packet.start = weight
+    packet.weight = weight
+    point = point_of(objects, prim, x, y, z, side, len(objects.scattering.models) - 1, 1.0)
+    scatter(options, flow, frames, objects, aim, packet, point, weight, weight)

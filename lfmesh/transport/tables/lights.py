@@ -1,0 +1,76 @@
+"""The lights as kernels read them.
+
+A new light has its model in `scene/lights.py`, its kind, its row and its power here, and in
+`transport/events/lighting.py` how it lights a point and how its packets start.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry import frame as frames
+from lfmesh.scene.lights import DirectionalLight, DiskLight, Light
+
+Array = NDArray[np.float64]
+
+LIGHT = np.dtype(
+    [
+        ("kind", "i8"),
+        ("position", "f8", (3,)),
+        ("direction", "f8", (3,)),  # unit, the way the light goes
+        ("radius", "f8"),
+        ("power", "f8"),  # W; directional: irradiance in W/m²
+    ]
+)
+
+POINT, DIRECTIONAL, DISK = 0, 1, 2
+
+MM2 = 1e-6
+"""m² in a mm²."""
+
+
+def light_table(lights: Sequence[Light], to_object: Array) -> NDArray[np.void]:
+    """Return the lights in the object frame, (lights,) LIGHT.
+
+    Parameters
+    ----------
+    lights : sequence of Light
+    to_object : (3, 4) float64
+        From the world frame into the object frame.
+    """
+    table = np.zeros(len(lights), LIGHT)
+    table["direction"] = (0.0, 0.0, 1.0)
+    for row, light in zip(table, lights, strict=True):
+        if isinstance(light, DirectionalLight):
+            row["kind"], row["power"] = DIRECTIONAL, light.irradiance_w_m2
+        else:
+            row["kind"], row["power"] = POINT, light.power_w
+            row["position"] = frames.points(to_object, [light.position_mm])[0]
+        if isinstance(light, DirectionalLight | DiskLight):
+            d = frames.directions(to_object, [light.direction])[0]
+            row["direction"] = d / np.linalg.norm(d)
+        if isinstance(light, DiskLight):
+            row["kind"], row["radius"] = DISK, light.radius_mm
+    return table
+
+
+def power_towards(light: Any, middle: Array, radius: float) -> tuple[float, float]:
+    """Return what of a light's power goes towards a sphere, and its power in all, W.
+
+    Parameters
+    ----------
+    light : LIGHT
+        A row of the table; of directional light, all that goes through the sphere counts.
+    middle, radius : (3,) float64, float, mm
+        Of the sphere.
+    """
+    if light["kind"] == DIRECTIONAL:
+        power = light["power"] * np.pi * radius**2 * MM2
+        return power, power
+    distance = float(np.linalg.norm(light["position"] - middle))
+    seen = 1.0
+    if distance > radius:
+        seen = 0.5 * (1.0 - np.sqrt(1.0 - (radius / distance) ** 2))
+    return light["power"] * seen, light["power"]

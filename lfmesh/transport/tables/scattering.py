@@ -1,0 +1,57 @@
+"""What targets do with light, as kernels read it: a model for each, chosen by its kind, with its parameters.
+
+A new model has its parameters in the scene's `Material`, its kind and its row here, and its formulas in
+`transport/events/scattering.py`. Nothing else asks how a target scatters.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.scene.targets import Material
+
+Array = NDArray[np.float64]
+
+SCATTERING = np.dtype(
+    [
+        ("kind", "i8"),
+        ("first", "i8"),  # row of `ScatteringTables.parameters` with its first parameter
+        ("black", "?"),  # sends nothing back, at any wavelength
+    ]
+)
+
+LAMBERTIAN = 0  # parameter: reflectance
+
+
+class ScatteringTables(NamedTuple):
+    """The scattering models of all targets."""
+
+    models: NDArray[np.void]  # (targets + 1,) SCATTERING; the last is that of light which targets emit
+    parameters: Array  # (parameters of all models, wavelengths)
+
+
+def scattering_tables(materials: Sequence[Material], waves: tuple[float, ...]) -> ScatteringTables:
+    """Return the scattering models of some materials, and after them that of emission.
+
+    What a target emits leaves it by Lambert's law, whatever it does with light from elsewhere.
+
+    Parameters
+    ----------
+    materials : sequence of Material
+    waves : (wavelengths,) tuple of float, nm
+    """
+    models = np.zeros(len(materials) + 1, SCATTERING)
+    rows: list[Array] = []
+    for model, material in zip(models, [*materials, Material(reflectance=1.0)], strict=True):
+        model["kind"], parameters = _model_of(material)
+        model["first"] = len(rows)
+        model["black"] = not any(parameters)
+        rows += [np.full(len(waves), parameter) for parameter in parameters]
+    return ScatteringTables(models, np.array(rows))
+
+
+def _model_of(material: Material) -> tuple[int, list[float]]:
+    """Return the kind of a material's scattering model, and its parameters."""
+    return LAMBERTIAN, [material.reflectance]

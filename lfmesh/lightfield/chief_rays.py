@@ -18,6 +18,7 @@ from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Paraxial, Scene, solved
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.frames import frame_table
+from lfmesh.transport.tables.interfaces import interface_tables
 from lfmesh.transport.tables.lens import array_tables
 from lfmesh.transport.trace import Status, trace
 
@@ -127,7 +128,7 @@ def plate_of(scene: Scene) -> Plate:
     if mla is None:
         raise LfmeshError("camera.mla is missing: a conventional camera has no lenslets to calibrate or decode by")
     primary = scene.transport.primary_nm
-    _, tables = array_tables(scene, (primary,))
+    _, tables = array_tables(scene, (primary,), interface_tables(scene, (primary,)).array)
     moves = frame_table(scene, np.zeros(3))
     return Plate(tables.lenslets, refractive_index(mla.medium, primary), tables.curved_to_lens, moves)
 

@@ -46,6 +46,7 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.random import derived, descendant
 from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
+from lfmesh.transport.tables.interfaces import interface_tables
 from lfmesh.transport.tables.tables import Records, Tables
 from lfmesh.transport.world import World
 
@@ -287,17 +288,18 @@ def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[NDArray[np.float64
 
 
 def at_wavelength(world: World, wavelength_nm: float) -> Tables:
-    """Return the tables with the media at one wavelength."""
+    """Return the tables with media and interfaces at one wavelength."""
     tables = world.tables
     mla = world.scene.camera.mla
     index = np.array([[refractive_index(medium, wavelength_nm)] for medium in world.lens_shape.media])
     glass = np.array([refractive_index(mla.medium, wavelength_nm) if mla is not None else 1.0])
     bodies = [t.refractor for t in world.scene.targets]
     own = [[refractive_index(b.medium, wavelength_nm) if b is not None else 0.0] for b in bodies]
+    interfaces = interface_tables(world.scene, (wavelength_nm,))
     return tables._replace(
-        lens=tables.lens._replace(indices=index),
-        array=tables.array._replace(indices=glass),
-        objects=tables.objects._replace(glass=np.array(own).reshape(-1, 1)),
+        lens=tables.lens._replace(indices=index, interfaces=interfaces.lens),
+        array=tables.array._replace(indices=glass, interfaces=interfaces.array),
+        objects=tables.objects._replace(glass=np.array(own).reshape(-1, 1), interfaces=interfaces.objects),
     )
 
 

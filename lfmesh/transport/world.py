@@ -34,6 +34,7 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.refused_glass import refuse_untraceable_glass
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.tables.frames import frame_table
+from lfmesh.transport.tables.interfaces import interface_tables
 from lfmesh.transport.tables.lens import array_tables, lens_tables
 from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, refuse_targets_inside
 from lfmesh.transport.tables.tables import (
@@ -190,15 +191,16 @@ def build(scene: Scene, *, rings: int | None = None) -> World:
     targets = [target_mesh(target, scene) for target in scene.targets]
     book = book_of(scene, shape)
 
-    lens_mesh, lens = lens_tables(scene, shape, waves, book)
-    array_mesh_, array = array_tables(scene, waves)
+    interfaces = interface_tables(scene, waves)
+    lens_mesh, lens = lens_tables(scene, shape, waves, book, interfaces.lens)
+    array_mesh_, array = array_tables(scene, waves, interfaces.array)
     middle = middle_of(targets)
     moves = frame_table(scene, middle)
     refuse_collisions(scene, lens, array, moves)
     housing = housing_mesh(scene, shape)
     refuse_targets_inside(targets, housing, moves)
     refuse_untraceable_glass(scene, targets, frames.points(moves[CAMERA_FRAME, WORLD_FRAME], shape.caps[0].vertices))
-    object_mesh, objects = object_tables(scene, targets, housing, moves, book, waves)
+    object_mesh, objects = object_tables(scene, targets, housing, moves, book, waves, interfaces.objects)
     columns, rows = scene.camera.sensor.pixels
     sensor = SensorTables(columns=columns, rows=rows, pixel=scene.camera.sensor.pixel_mm)
     aim, proof = aim_table(scene, report, lens, array, sensor, targets, moves, analytic=bool(shape.analytic.all()))

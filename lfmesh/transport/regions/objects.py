@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.levels import PATCH
 from lfmesh.kernel import inlined, kernel
-from lfmesh.optics.fresnel import fresnel
 from lfmesh.optics.scattering import lambertian, tangents
 from lfmesh.transport.aiming.mixture import aimed, aimed_density
 from lfmesh.transport.events.crossing import (
@@ -42,11 +41,11 @@ from lfmesh.transport.events.crossing import (
     record,
     reflected,
     refracted,
-    split_shares,
     too_deep,
     windowed,
     write_query,
 )
+from lfmesh.transport.events.interface import shares, splitter
 from lfmesh.transport.packets.book import (
     ESCAPED,
     HOUSING,
@@ -61,9 +60,7 @@ from lfmesh.transport.packets.book import (
 from lfmesh.transport.packets.packet import (
     CAMERA,
     CAMERA_FRAME,
-    E_REFLECTED,
     E_SCATTERED,
-    E_TRANSMITTED,
     EVENTS,
     LAMP,
     LEFT_LENS,
@@ -300,6 +297,21 @@ def _comes_out_ahead(
     return False
 
 
+@inlined
+def _send_from_glass(
+    place: Any, options: Options, flow: Flow, frames: Array, packet: Any, refracts: bool,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64,
+) -> None:  # fmt: skip
+    """Send a child on from a facet of a glass body, which its parent met from outside (`entering`) or from within."""
+    objects, prim, body, entering = place
+    packet.column = body if refracts == entering else NO_SURFACE
+    clear = clear_of(objects.facets[prim], x, y, z, dx, dy, dz)
+    put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, key, clear)
+
+
+_split_at_glass = splitter(_send_from_glass)
+
+
 @kernel
 def _through_glass(
     options: Options, flow: Flow, frames: Array, objects: ObjectTables, packet: Any, prim: int, t: float
@@ -330,34 +342,16 @@ def _through_glass(
     cos_i = min(cos_i, 1.0)
     glass = objects.glass[body, packet.wave]
     n_i, n_t = (1.0, glass) if entering else (glass, 1.0)
-    flow.counts[EVENTS] += 1
-    reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
-    to_reflected, to_refracted = split_shares(options, flow.book, packet, reflectance, transmittance)
-    packet.events += 1
+    reflectance, transmittance, cos_t = shares(objects.interfaces, body, packet.wave, n_i, n_t, cos_i)
     packet.facet = NO_SURFACE
     packet.last = NO_SURFACE
     if packet.kind != LAMP:
         packet.kind = SPECULAR
-    parent, key, stray = packet.node, packet.key, packet.stray
-    for child in range(2):
-        refracts = child == 1
-        weight = to_refracted if refracts else to_reflected
-        if weight <= 0.0:
-            continue
-        if refracts:
-            ux, uy, uz = refracted(dx, dy, dz, nx, ny, nz, n_i / n_t, cos_i, cos_t)
-        else:
-            ux, uy, uz = reflected(dx, dy, dz, nx, ny, nz)
-        if options.record:
-            event = E_TRANSMITTED if refracts else E_REFLECTED
-            packet.node = record(flow, frames, OBJECT_FRAME, x, y, z, weight, ON_GLASS, body, event, parent)
-        packet.column = body if refracts == entering else NO_SURFACE
-        # Total reflection is the image path's way on.
-        packet.stray = stray if refracts or transmittance == 0.0 else 1
-        put(
-            flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, weight,
-            key if refracts else derived(key, packet.events), clear_of(facet, x, y, z, ux, uy, uz),
-        )  # fmt: skip
+    _split_at_glass(
+        (objects, prim, body, entering), options, flow, frames, OBJECT_FRAME, packet, ON_GLASS, body,
+        x, y, z, reflectance, transmittance,
+        reflected(dx, dy, dz, nx, ny, nz), refracted(dx, dy, dz, nx, ny, nz, n_i / n_t, cos_i, cos_t),
+    )  # fmt: skip
 
 
 @inlined

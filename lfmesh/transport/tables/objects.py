@@ -26,6 +26,7 @@ from lfmesh.transport.tables.tables import (
     LIGHT,
     POINT,
     SOURCE,
+    Interfaces,
     ObjectTables,
 )
 
@@ -103,7 +104,7 @@ def _distance_to_axis(polygon: Array) -> float:
 
 def object_tables(
     scene: Scene, targets: list[TargetMesh], housing: Mesh, moves: Array,
-    book: Book, waves: tuple[float, ...],
+    book: Book, waves: tuple[float, ...], interfaces: Interfaces,
 ) -> tuple[Mesh, ObjectTables]:  # fmt: skip
     """Return targets and housing as one mesh in the object frame, for Embree, and their tables."""
     to_object = moves[WORLD_FRAME, OBJECT_FRAME]
@@ -138,6 +139,7 @@ def object_tables(
         glass=np.array(
             [[refractive_index(g.medium, w) if g is not None else 0.0 for w in waves] for g in glasses]
         ).reshape(-1, len(waves)),
+        interfaces=interfaces,
         level=level,
         patches=patches,
         across=across,

@@ -11,6 +11,13 @@ Array = NDArray[np.float64]
 Records = NDArray[np.void]
 
 
+class Interfaces(NamedTuple):
+    """What stands at the interfaces of a region (see `tables.interfaces`)."""
+
+    rows: Records  # (n,) INTERFACE
+    parameters: Array  # (numbers, wavelengths), those of an interface from its `first` row on
+
+
 class LensTables(NamedTuple):
     """The main lens in the camera frame.
 
@@ -24,6 +31,7 @@ class LensTables(NamedTuple):
     across: NDArray[np.int64]  # (m, 3) their neighbours
     facets: Records  # (m,) FACET; body: surface k ≥ 0, or −1 − s for the ring of space s
     indices: Array  # (K + 1, wavelengths)
+    interfaces: Interfaces  # a row a surface
     ring_slot: NDArray[np.int64]  # (K + 1,) book slot of each space's ring
     mount_slot: NDArray[np.int64]  # (K,) book slot of what lies outside each surface's clear aperture
     stop_space: int  # −1: the stop is a refracting surface
@@ -46,6 +54,7 @@ class ArrayTables(NamedTuple):
     facets: Records  # (m,) FACET of the cells of all types, side by side
     type_shift: float  # x distance of two types' cells in the Embree scene
     indices: Array  # (wavelengths,) of the glass
+    interfaces: Interfaces  # CURVED_ROW and FLAT_ROW
     curved_to_lens: bool
 
 
@@ -66,6 +75,7 @@ class ObjectTables(NamedTuple):
     reflectance: Array  # (targets, wavelengths)
     radiance: Array  # (targets, wavelengths) W/(m² sr)
     glass: Array  # (targets, wavelengths) refractive index; 0: opaque
+    interfaces: Interfaces  # a row a target
     level: NDArray[np.int64]  # (targets,) what a facet of glass stands for
     patches: Array  # (m, 6, 3), or none
     across: NDArray[np.int64]
@@ -132,6 +142,16 @@ class Tables(NamedTuple):
     frames: Array  # (5, 5, 3, 4): frames[a, b] moves from frame a into frame b
     aim: Aim
 
+
+INTERFACE = np.dtype(
+    [
+        ("kind", "i8"),  # number in `tables.interfaces.KINDS`
+        ("first", "i8"),  # row of its parameters
+    ]
+)
+
+CURVED_ROW, FLAT_ROW = 0, 1
+"""Rows of the array's interfaces."""
 
 LIGHT = np.dtype(
     [

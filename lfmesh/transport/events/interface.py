@@ -9,8 +9,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from lfmesh.kernel import inlined
-from lfmesh.optics.fresnel import fresnel
+from lfmesh.kernel import inlined, pasted
+from lfmesh.optics.fresnel import fresnel, transmittance
 from lfmesh.transport.events.crossing import record, split_shares
 from lfmesh.transport.packets.packet import E_REFLECTED, E_TRANSMITTED, EVENTS, Flow, Options
 from lfmesh.transport.packets.path_class import turns_off_image_path
@@ -44,6 +44,25 @@ def shares(
     """
     # All are smooth and bare as yet. Without branches, so that blocks of packets take it as vector instructions.
     return fresnel(n_i, n_t, cos_i)
+
+
+@pasted
+def transmitted_share(
+    interfaces: Interfaces, number: int, colour: int,
+    n_i: float, n_t: float, cos_i: float, cos_t: float, s: float, p: float, over: float,
+) -> float:  # fmt: skip
+    """Return the transmittance of `shares` alone, by the pieces of Fresnel's equations that a block of rays has ready.
+
+    Parameters
+    ----------
+    interfaces, number, colour, n_i, n_t, cos_i
+        As for `shares`.
+    cos_t : float
+        Cosine of refraction.
+    s, p, over : float
+        See `optics.fresnel.transmittance`. Under total reflection the share is nonsense.
+    """
+    return transmittance(n_i, n_t, cos_i, cos_t, s, p, over)
 
 
 def splitter(send: Callable[..., None]) -> Callable[..., None]:

@@ -31,12 +31,12 @@ CURVATURE, SQUASH, VERTEX_Z, APERTURE2, SENSE = 7 * BLOCK, 8 * BLOCK, 9 * BLOCK,
 # The facet: normal, offset of its plane, size.
 FACET_X, FACET_Y, FACET_Z, OFFSET, SIZE = 12 * BLOCK, 13 * BLOCK, 14 * BLOCK, 15 * BLOCK, 16 * BLOCK
 # The indices before and after the surface, its row among the interfaces, and the number of the wavelength.
-N_I, N_T, NUMBER, COLOUR = 17 * BLOCK, 18 * BLOCK, 36 * BLOCK, 37 * BLOCK
+N_I, N_T, NUMBER, COLOUR = 17 * BLOCK, 18 * BLOCK, 19 * BLOCK, 20 * BLOCK
 # Where it is met, the unit normal there, along the ray, and whether that stands (1 or 0).
-PX, PY, PZ, NX, NY, NZ, HELD = 19 * BLOCK, 20 * BLOCK, 21 * BLOCK, 22 * BLOCK, 23 * BLOCK, 24 * BLOCK, 25 * BLOCK
+PX, PY, PZ, NX, NY, NZ, HELD = 21 * BLOCK, 22 * BLOCK, 23 * BLOCK, 24 * BLOCK, 25 * BLOCK, 26 * BLOCK, 27 * BLOCK
 # What follows: shares of the power, and for either child its direction and how far its query stands off.
-REFLECTANCE, TRANSMITTANCE = 26 * BLOCK, 27 * BLOCK
-REFLECTED, REFRACTED = 28 * BLOCK, 32 * BLOCK
+REFLECTANCE, TRANSMITTANCE = 28 * BLOCK, 29 * BLOCK
+REFLECTED, REFRACTED = 30 * BLOCK, 34 * BLOCK
 ALONG_X, ALONG_Y, ALONG_Z, CLEAR = 0, BLOCK, 2 * BLOCK, 3 * BLOCK
 ROWS = 38
 

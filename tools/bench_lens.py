@@ -188,8 +188,8 @@ class EngineRun:
         origins, directions = self.sent.origins[part], self.sent.directions[part]
         work.begin(np.zeros((0, 1)))
         launch_rays(
-            first, origins, directions, np.full(len(origins), LENS), np.zeros(len(origins), np.int64), KEY,
-            work.flow(), work.template,
+            first, origins, directions, np.full(len(origins), LENS), np.zeros(len(origins), np.int64),
+            work.tables.lens.medium, KEY, work.flow(), work.template,
         )  # fmt: skip
         return work
 

@@ -16,7 +16,6 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.tessellation import mesh_sag
 from lfmesh.kernel import kernel
-from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.transport import MOST_EVENTS
 from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.engine import CHUNK, Workspace
@@ -206,8 +205,8 @@ def trace(
         work.begin(np.zeros((0, 1)))
         part = slice(first, first + CHUNK)
         launch_rays(
-            first, p[part], d[part], station[part], space[part], key, work.flow(), work.template
-        )  # fmt: skip
+            first, p[part], d[part], station[part], space[part], tables.lens.medium, key, work.flow(), work.template
+        )
         if record:
             work.record_starts()
         work.run()
@@ -289,17 +288,14 @@ def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[NDArray[np.float64
 
 def at_wavelength(world: World, wavelength_nm: float) -> Tables:
     """Return the tables with media and interfaces at one wavelength."""
-    tables = world.tables
-    mla = world.scene.camera.mla
-    index = np.array([[refractive_index(medium, wavelength_nm)] for medium in world.lens_shape.media])
-    glass = np.array([refractive_index(mla.medium, wavelength_nm) if mla is not None else 1.0])
-    bodies = [t.refractor for t in world.scene.targets]
-    own = [[refractive_index(b.medium, wavelength_nm) if b is not None else 0.0] for b in bodies]
+    tables, media = world.tables, world.media.table((wavelength_nm,))
     interfaces = interface_tables(world.scene, (wavelength_nm,))
     return tables._replace(
-        lens=tables.lens._replace(indices=index, interfaces=interfaces.lens),
-        array=tables.array._replace(indices=glass, interfaces=interfaces.array),
-        objects=tables.objects._replace(glass=np.array(own).reshape(-1, 1), interfaces=interfaces.objects),
+        lens=tables.lens._replace(media=media, indices=media.indices[tables.lens.medium], interfaces=interfaces.lens),
+        array=tables.array._replace(
+            media=media, indices=media.indices[tables.array.medium], interfaces=interfaces.array
+        ),
+        objects=tables.objects._replace(media=media, interfaces=interfaces.objects),
     )
 
 
@@ -363,7 +359,7 @@ def _refuse_starts_in_the_lens(station: NDArray[np.int64], space: NDArray[np.int
 @kernel
 def launch_rays(
     first: int, p: NDArray[np.float64], d: NDArray[np.float64], station: NDArray[np.int64], space: NDArray[np.int64],
-    key: np.uint64, flow: Flow, template: NDArray[np.void],
+    medium: NDArray[np.int64], key: np.uint64, flow: Flow, template: NDArray[np.void],
 ) -> None:  # fmt: skip
     """Put rays given in the camera frame on the stacks of their stations, with a weight of one."""
     packet = template[0]
@@ -376,7 +372,7 @@ def launch_rays(
     packet.events = 0
     for i in range(len(p)):
         packet.source = first + i
-        packet.space = space[i]
+        packet.space, packet.medium = space[i], medium[space[i]]
         packet.node = NO_SURFACE
         flow.book[EMITTED] += 1.0
         put(

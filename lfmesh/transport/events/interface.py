@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lfmesh.kernel import inlined, pasted
 from lfmesh.optics.fresnel import fresnel, transmittance
-from lfmesh.transport.events.crossing import record, split_shares
+from lfmesh.transport.events.crossing import record_interface, split_shares
 from lfmesh.transport.packets.packet import E_REFLECTED, E_TRANSMITTED, EVENTS, Flow, Options
 from lfmesh.transport.packets.path_class import turns_off_image_path
 from lfmesh.transport.packets.random import derived
@@ -82,7 +82,7 @@ def splitter(send: Callable[..., None]) -> Callable[..., None]:
     @inlined
     def split(
         place: Any, options: Options, flow: Flow, frames: NDArray[Any], frame: int, packet: Any,
-        surface: int, part: int, x: float, y: float, z: float, reflectance: float, transmittance: float,
+        surface: int, part: int, beyond: int, x: float, y: float, z: float, reflectance: float, transmittance: float,
         mirrored: tuple[float, float, float], bent: tuple[float, float, float],
     ) -> None:  # fmt: skip
         """Divide a packet between its reflected and its refracted child, and send on those that roulette leaves.
@@ -93,6 +93,8 @@ def splitter(send: Callable[..., None]) -> Callable[..., None]:
             In which point and directions are given.
         surface, part : int
             What a recorded vertex says was met.
+        beyond : int
+            Medium on the far side.
         x, y, z : float
             Where, mm.
         reflectance, transmittance : float
@@ -103,16 +105,17 @@ def splitter(send: Callable[..., None]) -> Callable[..., None]:
         flow.counts[EVENTS] += 1
         to_reflected, to_refracted = split_shares(options, flow.book, packet, reflectance, transmittance)
         packet.events += 1
-        node, key, stray = packet.node, packet.key, packet.stray
+        node, key, stray, medium = packet.node, packet.key, packet.stray, packet.medium
         for refracts in (False, True):
             weight = to_refracted if refracts else to_reflected
             if weight <= 0.0:
                 continue
             dx, dy, dz = bent if refracts else mirrored
+            packet.medium = beyond if refracts else medium
             packet.stray = 1 if turns_off_image_path(frame, refracts, transmittance) else stray
             if options.record:
                 event = E_TRANSMITTED if refracts else E_REFLECTED
-                packet.node = record(flow, frames, frame, x, y, z, weight, surface, part, event, node)
+                packet.node = record_interface(flow, frames, frame, x, y, z, weight, surface, part, event, node, beyond)
             child_key = key if refracts else derived(key, packet.events)
             send(place, options, flow, frames, packet, refracts, x, y, z, dx, dy, dz, weight, child_key)
 

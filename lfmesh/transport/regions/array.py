@@ -31,6 +31,7 @@ from lfmesh.transport.events.crossing import (
     write_query,
 )
 from lfmesh.transport.events.interface import shares, splitter
+from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import ARRAY_EDGE, ARRAY_MOUNT, ARRAY_WALL, LOST_IN_ARRAY
 from lfmesh.transport.packets.packet import (
     ARRAY_FRAME,
@@ -47,7 +48,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.tables.tables import CURVED_ROW, FLAT_ROW, ArrayTables
+from lfmesh.transport.tables.tables import AIR, CURVED_ROW, FLAT_ROW, ArrayTables
 
 Array = NDArray[np.float64]
 
@@ -128,7 +129,8 @@ def through_plate(
             continue
         dx, dy, dz = packet.dx, packet.dy, packet.dz
         t = (thickness - packet.z) / dz
-        x, y, z = packet.x + t * dx, packet.y + t * dy, thickness
+        x, y, _ = travel(flow, array.media, packet, t)
+        z = thickness
         outward = packet.space == GLASS
         if outward:
             held = stays_inside(lenslets.lattice, packet.x, packet.y, x, y)
@@ -145,7 +147,7 @@ def through_plate(
         toward = 1.0 if dz > 0.0 else -1.0
         _split_at_flat_face(
             (array, lens_surfaces, outward), options, flow, frames, ARRAY_FRAME, packet, FLAT_FACE, NO_SURFACE,
-            x, y, z, reflectance, transmittance,
+            AIR if outward else array.medium, x, y, z, reflectance, transmittance,
             (dx, dy, -dz), refracted(dx, dy, dz, 0.0, 0.0, toward, n_i / n_t, abs(dz), cos_t),
         )  # fmt: skip
 
@@ -276,6 +278,7 @@ def _walk(
         if in_glass == inward:
             slot = ARRAY_WALL
     if slot >= 0:
+        px, py, pz = arrive(flow, array.media, packet, px, py, pz)
         end(options, flow, frames, packet, ARRAY_FRAME, px, py, pz, dx, dy, dz, packet.weight, slot, S_ABSORBED)
         return
     child = put(flow, CELLS, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, sideways)
@@ -331,9 +334,10 @@ def _through_face(
         # A second face in one passage.
         packet.stray = 1
     packet.last = LEFT_FACE
+    x, y, z = travel(flow, array.media, packet, t)
     cell = packet.row * array.lenslets.lattice.columns + packet.column
     _split_at_curved_face(
         (array, lens_surfaces, inward, prim), options, flow, frames, ARRAY_FRAME, packet, CURVED_FACE, cell,
-        packet.x + t * dx, packet.y + t * dy, packet.z + t * dz, reflectance, transmittance,
+        array.medium if inward else AIR, x, y, z, reflectance, transmittance,
         reflected(dx, dy, dz, nx, ny, nz), refracted(dx, dy, dz, nx, ny, nz, n_i / n_t, cos_i, cos_t),
     )  # fmt: skip

@@ -26,6 +26,7 @@ from lfmesh.transport.events.crossing import (
     write_query,
 )
 from lfmesh.transport.events.interface import splitter
+from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import HOUSING, LOST_CONTRADICTION, STOP
 from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
@@ -293,14 +294,13 @@ def _is_cut(
         at = (lens.stop_z - z) / dz if dz != 0.0 else 0.0
         # A ray of the user's own may start behind the stop, and never cross it.
         if packet.last != NO_SURFACE or space == 0 or space == len(lens.surfaces) or -t < at < 0.0:
-            end(
-                options, flow, frames, packet, CAMERA_FRAME, x + at * dx, y + at * dy, z + at * dz, dx, dy, dz,
-                packet.weight, STOP, S_ABSORBED,
-            )  # fmt: skip
+            x, y, z = arrive(flow, lens.media, packet, x + at * dx, y + at * dy, z + at * dz)
+            end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, STOP, S_ABSORBED)
             return True
     aperture = lens.surfaces[k].aperture
     if x * x + y * y > aperture * aperture:
         slot = lens.mount_slot[k]
+        x, y, z = arrive(flow, lens.media, packet, x, y, z)
         end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
         return True
     return False
@@ -333,9 +333,10 @@ def _send_on(
 ) -> None:  # fmt: skip
     """Divide a packet of a block at surface `k`."""
     r, t = REFLECTED + i, REFRACTED + i
+    x, y, z = arrive(flow, lens.media, packet, block[PX + i], block[PY + i], block[PZ + i])
     _split(
         (block, i, k, packet.space, lens, has_array), options, flow, frames, CAMERA_FRAME, packet, k, NO_SURFACE,
-        block[PX + i], block[PY + i], block[PZ + i], block[REFLECTANCE + i], block[TRANSMITTANCE + i],
+        lens.medium[k + 1 if k == packet.space else k], x, y, z, block[REFLECTANCE + i], block[TRANSMITTANCE + i],
         (block[r + ALONG_X], block[r + ALONG_Y], block[r + ALONG_Z]),
         (block[t + ALONG_X], block[t + ALONG_Y], block[t + ALONG_Z]),
     )  # fmt: skip
@@ -351,10 +352,8 @@ def _meets_ring(options: Options, flow: Flow, frames: Array, lens: LensTables, p
         at = (lens.stop_z - z) / dz
         if 0.0 < at < t:
             slot, t = STOP, at
-    end(
-        options, flow, frames, packet, CAMERA_FRAME, x + t * dx, y + t * dy, z + t * dz, dx, dy, dz,
-        packet.weight, slot, S_ABSORBED,
-    )  # fmt: skip
+    x, y, z = travel(flow, lens.media, packet, t)
+    end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
 
 
 @inlined

@@ -71,7 +71,7 @@ def from_point(point: Floats, d: Floats, watts: Floats, key: np.uint64) -> Itera
             rays = len(d[part])
             launch_rays(
                 first, np.tile(point, (rays, 1)), np.ascontiguousarray(d[part]), np.full(rays, OBJECTS),
-                np.zeros(rays, np.int64), key, work.flow(), work.template,
+                np.zeros(rays, np.int64), work.tables.lens.medium, key, work.flow(), work.template,
             )  # fmt: skip
             packets = work.stacks[work.rows[OBJECTS], :rays]
             packets["weight"] = packets["start"] = watts[part]

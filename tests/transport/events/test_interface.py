@@ -127,7 +127,7 @@ def split_all(packets, frames, options, flow, reflectance, transmittance):
     for i in range(len(packets)):
         packet = packets[i]
         split(
-            7, options, flow, frames, packet.frame, packet, 5, -1, 1.0, 2.0, 3.0, reflectance, transmittance,
+            7, options, flow, frames, packet.frame, packet, 5, -1, 9, 1.0, 2.0, 3.0, reflectance, transmittance,
             (0.0, 0.0, -1.0), (0.0, 0.6, 0.8),
         )  # fmt: skip
 
@@ -163,6 +163,7 @@ def children(count=1, reflectance=0.3, transmittance=0.7, frame=CAMERA_FRAME, st
         stray,
         3,
     )
+    packets["medium"] = 4
     packets["node"], packets["source"] = 11, np.arange(count)
     packets["key"] = [descendant(1, 77, number) for number in range(count)]
     flow = Flow(
@@ -192,6 +193,8 @@ def test_both_children_go_on_with_their_shares():
     assert (made.packets["start"] == 2.0).all()
     assert made.reflected["space"] == [0]
     assert made.refracted["space"] == [7]
+    assert made.reflected["medium"] == [4]
+    assert made.refracted["medium"] == [9]
     assert made.refracted[["x", "y", "z", "dx", "dy", "dz"]].tolist() == [(1.0, 2.0, 3.0, 0.0, 0.6, 0.8)]
 
 
@@ -225,6 +228,7 @@ def test_every_child_has_a_vertex_of_its_own_from_its_parents():
     assert nodes["event"].tolist() == [E_REFLECTED, E_TRANSMITTED]
     assert (nodes["parent"] == 11).all()
     assert (nodes["surface"] == 5).all()
+    assert (nodes["beyond"] == 9).all()
     assert nodes["weight"].tolist() == [0.6, 1.4]
     assert nodes["position"].tolist() == [[1.0, 2.0, 3.0]] * 2
     assert made.reflected["node"] == [0]

@@ -261,7 +261,7 @@ def measured(scene: Scene) -> Scene:
             surfaces.append(surface)
             continue
         front, back = faces(refractor, scene)
-        shape = refractor.model_dump(exclude={"index", "glass"})
+        shape = refractor.model_dump(exclude={"index", "glass", "priority"})
         for face, side in ((front, "front"), (back, "back")):
             aperture = surface.semi_diameter_mm or face.rim_mm
             surfaces.append(

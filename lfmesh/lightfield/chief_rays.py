@@ -20,7 +20,9 @@ from lfmesh.scene import Scene
 from lfmesh.transport.aiming.ray_aiming import aim_rays
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.frames import frame_table
+from lfmesh.transport.tables.interfaces import interface_tables
 from lfmesh.transport.tables.lens import array_tables
+from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.trace import Status, trace
 
 Array = NDArray[np.float64]
@@ -123,7 +125,7 @@ def plate_of(scene: Scene) -> Plate:
     if mla is None:
         raise LfmeshError("camera.mla is missing: a conventional camera has no lenslets to calibrate or decode by")
     primary = scene.transport.primary_nm
-    _, tables = array_tables(scene, (primary,))
+    _, tables = array_tables(scene, (primary,), interface_tables(scene, (primary,)).array, MediumList.of(scene))
     moves = frame_table(scene, np.zeros(3))
     return Plate(tables.lenslets, refractive_index(mla.medium, primary), tables.curved_to_lens, moves)
 

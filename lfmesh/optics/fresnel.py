@@ -7,7 +7,23 @@ are 0/0 at normal incidence. See Born & Wolf, Principles of Optics, 1.5.2.
 
 import numpy as np
 
-from lfmesh.kernel import inlined
+from lfmesh.kernel import inlined, pasted
+from lfmesh.vector import fused
+
+
+@pasted
+def amplitude_sums(n_i: float, n_t: float, cos_i: float, cos_t: float) -> tuple[float, float]:
+    """Return the denominators of the amplitude coefficients of s- and of p-polarised light."""
+    return fused(n_t, cos_t, n_i * cos_i), fused(n_i, cos_t, n_t * cos_i)
+
+
+@pasted
+def transmittance(n_i: float, n_t: float, cos_i: float, cos_t: float, s: float, p: float, over: float) -> float:
+    """Return the share of the power that passes, by the denominators `s` and `p` and `over`, the inverse of s p.
+
+    One division for both, which a block of rays may share with another one; nonsense under total reflection.
+    """
+    return 2.0 * n_i * n_t * (cos_i * cos_t) * fused(s, s, p * p) * (over * over)
 
 
 @inlined
@@ -33,14 +49,11 @@ def fresnel(n_i: float, n_t: float, cos_i: float) -> tuple[float, float, float]:
     sin2_t = eta * eta * (1.0 - cos_i) * (1.0 + cos_i)
     total = sin2_t >= 1.0 and not matched
     cos_t = np.sqrt(0.0 if sin2_t >= 1.0 else 1.0 - sin2_t)
-    a_i, a_t = n_i * cos_i, n_t * cos_t
-    b_i, b_t = n_i * cos_t, n_t * cos_i
-    s, p = a_i + a_t, b_i + b_t
+    s, p = amplitude_sums(n_i, n_t, cos_i, cos_t)
     over = 1.0 / (s * p)
-    over_s, over_p = p * over, s * over
-    r_s, r_p = (a_i - a_t) * over_s, (b_t - b_i) * over_p
+    r_s, r_p = (n_i * cos_i - n_t * cos_t) * (p * over), (n_t * cos_i - n_i * cos_t) * (s * over)
     R = 0.5 * (r_s * r_s + r_p * r_p)
-    T = 2.0 * a_i * a_t * (over_s * over_s + over_p * over_p)
+    T = transmittance(n_i, n_t, cos_i, cos_t, s, p, over)
     R = 0.0 if matched else (1.0 if total else R)
     T = 1.0 if matched else (0.0 if total else T)
     return R, T, cos_i if matched else cos_t

@@ -88,6 +88,10 @@ class Surface(Model):
         for key, value in {**own, "mesh": None}.items():
             if getattr(self, key) != value:
                 yield Fault((key,), getattr(self, key), "omit it: the refractor is a whole element")
+        if self.refractor is not None and self.refractor.priority != 0:
+            yield Fault(
+                ("refractor", "priority"), self.refractor.priority, "omit it: elements of a lens do not overlap"
+            )
 
 
 class Lens(Model):

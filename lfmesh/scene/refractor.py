@@ -16,6 +16,7 @@ UNITS_MISSING = (".stl", ".obj", ".ply", ".off")
 
 Units = Literal["um", "mm", "cm", "m", "inch", "foot"]
 FacetLevel = Literal["flat", "smooth", "patch"]
+Priority = Annotated[int, Field(strict=True, ge=-1000, le=1000)]
 CreaseAngle = Annotated[float, Field(strict=True, gt=0, lt=180)]
 
 
@@ -55,6 +56,9 @@ class Refractor(MeshShape):
     """Refractive index of the glass. Or give `glass`."""
     glass: GlassName | None = None
     """Catalogue glass, like "SCHOTT/N-BK7"."""
+    priority: Priority = 0
+    """In object space: where bodies overlap, the one of the highest priority is there, and of equal ones that which
+    lies inside the other. So water that reaches a little into the glass round it touches that everywhere."""
 
     @property
     def medium(self) -> float | str:

@@ -172,6 +172,7 @@ class Workspace:
                 for name in ("parent", "surface", "part"):
                     nodes[name][number] = NO_SURFACE
                 nodes["event"][number] = E_START
+                nodes["beyond"][number] = packets["medium"][fresh]
                 packets["node"][fresh] = number
                 self.tops[NODES] = top + len(fresh)
 

@@ -1,8 +1,9 @@
 """Refuse glass in front of the camera that rays cannot be traced through, before the first one is.
 
-A packet knows which body of glass it is in, and each body ends where its surface does. So surfaces may touch but not
-cut themselves or each other, shells may not lie in one another the wrong way round, one body may not lie in another,
-and what packets start from (camera, lamps, in the forward method emitting targets) must stand in air.
+A packet knows which bodies of glass it is in, and each body ends where its surface does. So no surface may cut itself,
+shells may not lie in one another the wrong way round, and what packets start from (camera, lamps, in the forward
+method emitting targets) must stand in air. Where bodies overlap, it must be plain which of them is there: the one of
+the higher priority or, of equal ones, that which lies inside the other.
 """
 
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ from lfmesh.geometry.winding import shells, winding
 from lfmesh.optics.scattering import tangents
 from lfmesh.scene import DirectionalLight, DiskLight, Light, Scene
 from lfmesh.transport.events.crossing import FLOAT32_GRAIN
+from lfmesh.transport.regions.bodies import MOST_AT_ONCE, MOST_BODIES
 from lfmesh.transport.regions.embree import Finder
 
 Index = NDArray[np.int64]
@@ -42,8 +44,8 @@ DISK_RINGS, DISK_SPOKES = 4, 32
 """Points at which a disk lamp is looked for in glass."""
 
 
-def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Array) -> None:
-    """Refuse bodies of glass that overlap, cut themselves, or hold the camera or what emits.
+def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Array) -> Index:
+    """Refuse glass that cuts itself, holds the camera or what emits, or overlaps without a rule; return the ranks.
 
     Parameters
     ----------
@@ -53,22 +55,31 @@ def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Arr
     front : (n, 3) float64, mm
         Points of the camera's front, world frame. Nothing else of a target may reach into the camera.
 
+    Returns
+    -------
+    (targets,) int64
+        Rank of each body of glass, from 1: where several are, the highest is. 0: the target is no glass.
+
     Raises
     ------
     SceneError
         Naming the bodies and the place.
     """
     bodies = [i for i, target in enumerate(scene.targets) if target.refractor is not None]
+    ranks = np.zeros(len(targets), np.int64)
     if not bodies:
-        return
+        return ranks
+    if len(bodies) > MOST_BODIES:
+        raise SceneError(f"{len(bodies)} targets are glass bodies; there can be {MOST_BODIES}")
+    priority = {i: _priority(scene, i) for i in bodies}
     emitting = [i for i, t in enumerate(scene.targets) if t.material.radiance_w_m2_sr > 0.0 and i not in bodies]
     emitting = emitting if scene.transport.method == "forward" else []
     names = {i: named(scene, i) for i in (*bodies, *emitting)}
     meshes = {i: targets[i].mesh for i in names}
-    _refuse_cuts(meshes, names, set(bodies))
+    _refuse_cuts(meshes, names, priority)
     parts = {i: [meshes[i].vertices[meshes[i].faces[facets]] for facets in shells(meshes[i])] for i in bodies}
     _refuse_wrong_shells(parts, names)
-    _refuse_nesting(parts, names)
+    holders = _holders(parts, names, priority)
     _refuse_camera_inside(parts, names, front)
     for number, light in enumerate(scene.lights):
         _refuse_lamp_inside(parts, names, number, light)
@@ -78,6 +89,14 @@ def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Arr
         body = _holding(parts, meshes[i].vertices[meshes[i].faces[first]].mean(axis=1))
         if body is not None:
             raise SceneError(f"{names[i]} emits inside the glass of {names[body]}; {FORWARD_IN_GLASS}")
+    # What lies inside another of its priority has all that hold that one round it too, and so more of them.
+    ranks[sorted(bodies, key=lambda i: (priority[i], len(holders[i])))] = np.arange(1, len(bodies) + 1)
+    return ranks
+
+
+def _priority(scene: Scene, number: int) -> int:
+    refractor = scene.targets[number].refractor
+    return 0 if refractor is None else refractor.priority
 
 
 FORWARD_IN_GLASS = 'the forward method starts light in air only: move it out, or take transport.method = "adjoint"'
@@ -90,13 +109,14 @@ def named(scene: Scene, number: int) -> str:
     return f"targets[{number}]" + (f" ({own})" if own else "")
 
 
-def _refuse_cuts(meshes: dict[int, Mesh], names: dict[int, str], glass: set[int]) -> None:
-    """Refuse surfaces of which an edge of one passes through a facet of another, or of the same."""
+def _refuse_cuts(meshes: dict[int, Mesh], names: dict[int, str], priority: dict[int, int]) -> None:
+    """Refuse surfaces of which an edge of one passes through a facet of another one of its priority, or of the same."""
+    glass = set(priority)
     mesh = joined(meshes.values())
     owner = np.repeat(list(meshes), [len(m.faces) for m in meshes.values()])
     sizes = {i: float(np.ptp(m.vertices, axis=0).max()) for i, m in meshes.items()}
     size = np.array([sizes[i] for i in owner])
-    found = cut(mesh, owner, size, glass)
+    found = cut(mesh, owner, size, glass, priority)
     if found is None:
         return
     one, other, (x, y, z) = found
@@ -112,13 +132,13 @@ def _refuse_cuts(meshes: dict[int, Mesh], names: dict[int, str], glass: set[int]
             f"{names[emitter]} emits partly inside the glass of {names[body]}, {where}; {FORWARD_IN_GLASS}"
         )
     raise SceneError(
-        f"{names[one]} and {names[other]}: these glass bodies cut each other {where}; glass bodies may touch but not "
-        "overlap: move one, or cut its shape out of the other"
+        f"{names[one]} and {names[other]}: these glass bodies cut each other {where}, and both have priority = "
+        f"{priority[one]}; give the one that is to fill what they share the higher one, or move one"
     )
 
 
 def cut(
-    mesh: Mesh, owner: Index, size: Array, glass: set[int] | None = None
+    mesh: Mesh, owner: Index, size: Array, glass: set[int] | None = None, priority: dict[int, int] | None = None
 ) -> tuple[int, int, tuple[float, float, float]] | None:
     """Return two owners of facets of which one's edge passes through the other's facet, and where; None: none do.
 
@@ -135,6 +155,8 @@ def cut(
         Of the owner of each facet.
     glass : set of int, optional
         Owners that may not be cut; what else is in the mesh may cut itself and the like. All, if omitted.
+    priority : dict of int, optional
+        Of owners; two of different priority may cut each other.
     """
     middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
     vertices = mesh.vertices - middle
@@ -149,6 +171,7 @@ def cut(
     finder = Finder(Mesh(vertices, mesh.faces))
     going, reach = np.arange(len(edges)), np.full(len(edges), grain)
     is_glass = np.isin(owner, list(glass)) if glass is not None else np.ones(len(owner), dtype=bool)
+    of_facet = np.array([(priority or {}).get(int(i), 0) for i in owner])
     for turn in range(MOST_ROUNDS):
         if not len(going):
             break
@@ -163,7 +186,9 @@ def cut(
         deep = CUT * np.minimum(size[facet], size[facet_of_edge[going]])
         passes = (before * after < 0.0) & (np.minimum(np.abs(before), np.abs(after)) > deep)
         passes &= ~(mesh.faces[facet][:, :, None] == edges[going][:, None, :]).any(axis=(1, 2))
-        passes &= is_glass[facet] | is_glass[facet_of_edge[going]]
+        own = facet_of_edge[going]
+        passes &= is_glass[facet] | is_glass[own]
+        passes &= ~(is_glass[facet] & is_glass[own]) | (of_facet[facet] == of_facet[own])
         for p, q in ((a, b), (b, c), (c, a)):
             # Inside by as much, so that what meets along an edge does not count.
             inward = np.cross(normals[facet], q - p)
@@ -224,25 +249,47 @@ def _refuse_wrong_shells(parts: Shells, names: dict[int, str]) -> None:
             )
 
 
-def _refuse_nesting(parts: Shells, names: dict[int, str]) -> None:
-    """Refuse a body that lies in the glass of another."""
-    for i, own in parts.items():
-        for j, others in parts.items():
-            if i == j:
-                continue
-            low, high = (
-                np.min([s.min(axis=(0, 1)) for s in others], axis=0),
-                np.max([s.max(axis=(0, 1)) for s in others], axis=0),
-            )
-            middles = [shell.mean(axis=1) for shell in own]
-            near = [shell[((m >= low) & (m <= high)).all(axis=1)] for shell, m in zip(own, middles, strict=True)]
-            budget = _budget(own, others)
-            tried = [_tried(facets, budget) for facets in near if len(facets)]
-            if tried and (_turns(others, _beside(np.concatenate(tried), A_LITTLE_INSIDE)) != 0).any():
-                raise SceneError(
-                    f"{names[i]} lies, at least in part, inside the glass of {names[j]}; glass bodies may touch but "
-                    f"not overlap: move it out, or cut a hollow for it into {names[j]}"
-                )
+def _holders(parts: Shells, names: dict[int, str], priority: dict[int, int]) -> dict[int, set[int]]:
+    """Return which bodies of its own priority each body lies inside of; refuse those that overlap otherwise."""
+    holders: dict[int, set[int]] = {i: set() for i in parts}
+    for i in parts:
+        for j in parts:
+            if i < j and priority[i] == priority[j]:
+                first, second = _share_inside(parts[i], parts[j]), _share_inside(parts[j], parts[i])
+                if first == second == NOTHING:
+                    continue
+                if (first == WHOLE) == (second == WHOLE):
+                    raise SceneError(
+                        f"{names[i]} and {names[j]}: these glass bodies overlap, neither inside the other, and both "
+                        f"have priority = {priority[i]}; give the one that is to fill what they share the higher one"
+                    )
+                inner, outer = (i, j) if first == WHOLE else (j, i)
+                holders[inner].add(outer)
+    for i, of in holders.items():
+        if len(of) >= MOST_AT_ONCE:
+            raise SceneError(f"{names[i]} lies inside {len(of)} other glass bodies; it can lie in {MOST_AT_ONCE - 1}")
+    return holders
+
+
+NOTHING, PART, WHOLE = 0, 1, 2
+
+
+def _share_inside(own: Sequence[Array], others: Sequence[Array]) -> int:
+    """Return how much of a body lies in the glass of another: `WHOLE` where one of its closed surfaces does."""
+    low = np.min([shell.min(axis=(0, 1)) for shell in others], axis=0)
+    high = np.max([shell.max(axis=(0, 1)) for shell in others], axis=0)
+    budget = _budget(own, others)
+    share = NOTHING
+    for shell in own:
+        middle = shell.mean(axis=1)
+        near = ((middle >= low) & (middle <= high)).all(axis=1)
+        if not near.any():
+            continue
+        inside = _turns(others, _beside(_tried(shell[near], budget), A_LITTLE_INSIDE)) != 0
+        if near.all() and inside.all():
+            return WHOLE
+        share = PART if inside.any() else share
+    return share
 
 
 def _refuse_camera_inside(parts: Shells, names: dict[int, str], front: Array) -> None:

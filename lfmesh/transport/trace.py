@@ -12,7 +12,6 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.tessellation import mesh_sag
-from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.transport import MOST_EVENTS
 from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.engine import CHUNK, Workspace
@@ -37,6 +36,7 @@ from lfmesh.transport.packets.random import descendant
 from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher
+from lfmesh.transport.tables.interfaces import interface_tables
 from lfmesh.transport.tables.tables import Records, Tables
 from lfmesh.transport.world import World
 
@@ -256,17 +256,15 @@ def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[NDArray[np.float64
 
 
 def at_wavelength(world: World, wavelength_nm: float) -> Tables:
-    """Return the tables with the media at one wavelength."""
-    tables = world.tables
-    mla = world.scene.camera.mla
-    index = np.array([[refractive_index(medium, wavelength_nm)] for medium in world.lens_shape.media])
-    glass = np.array([refractive_index(mla.medium, wavelength_nm) if mla is not None else 1.0])
-    bodies = [t.refractor for t in world.scene.targets]
-    own = [[refractive_index(b.medium, wavelength_nm) if b is not None else 0.0] for b in bodies]
+    """Return the tables with media and interfaces at one wavelength."""
+    tables, media = world.tables, world.media.table((wavelength_nm,))
+    interfaces = interface_tables(world.scene, (wavelength_nm,))
     return tables._replace(
-        lens=tables.lens._replace(indices=index),
-        array=tables.array._replace(indices=glass),
-        objects=tables.objects._replace(glass=np.array(own).reshape(-1, 1)),
+        lens=tables.lens._replace(media=media, indices=media.indices[tables.lens.medium], interfaces=interfaces.lens),
+        array=tables.array._replace(
+            media=media, indices=media.indices[tables.array.medium], interfaces=interfaces.array
+        ),
+        objects=tables.objects._replace(media=media, interfaces=interfaces.objects),
     )
 
 

@@ -35,7 +35,9 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.refused_glass import refuse_untraceable_glass
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.tables.frames import frame_table
+from lfmesh.transport.tables.interfaces import interface_tables
 from lfmesh.transport.tables.lens import array_tables, lens_tables
+from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, refuse_targets_inside
 from lfmesh.transport.tables.tables import (
     SensorTables,
@@ -51,7 +53,7 @@ class World:
 
     def __init__(
         self, scene: Scene, report: FirstOrder, tables: Tables, finders: tuple[Finder, Finder, Finder],
-        book: Book, lens: LensShape, targets: list[TargetMesh], housing: Mesh,
+        book: Book, lens: LensShape, targets: list[TargetMesh], housing: Mesh, media: MediumList,
         aim_proof: AimProof | None = None,
     ) -> None:  # fmt: skip
         self.scene = scene
@@ -63,6 +65,7 @@ class World:
         self.lens_shape = lens
         self.targets = targets
         self.housing = housing
+        self.media = media
         self.aim_proof = aim_proof
 
     def reseeded(self, seed: int) -> "World":
@@ -197,18 +200,21 @@ def build(scene: Scene, *, rings: int | None = None) -> World:
     targets = [target_mesh(target, scene) for target in scene.targets]
     book = book_of(scene, shape)
 
-    lens_mesh, lens = lens_tables(scene, shape, waves, book)
-    array_mesh_, array = array_tables(scene, waves)
+    interfaces, known = interface_tables(scene, waves), MediumList.of(scene)
+    lens_mesh, lens = lens_tables(scene, shape, waves, book, interfaces.lens, known)
+    array_mesh_, array = array_tables(scene, waves, interfaces.array, known)
     middle = middle_of(targets)
     moves = frame_table(scene, middle)
     refuse_collisions(scene, lens, array, moves)
     housing = housing_mesh(scene, shape)
     refuse_targets_inside(targets, housing, moves)
-    refuse_untraceable_glass(scene, targets, frames.points(moves[CAMERA_FRAME, WORLD_FRAME], shape.caps[0].vertices))
-    object_mesh, objects = object_tables(scene, targets, housing, moves, book, waves)
+    ranks = refuse_untraceable_glass(
+        scene, targets, frames.points(moves[CAMERA_FRAME, WORLD_FRAME], shape.caps[0].vertices)
+    )
+    object_mesh, objects = object_tables(scene, targets, housing, moves, book, waves, interfaces.objects, known, ranks)
     columns, rows = scene.camera.sensor.pixels
     sensor = SensorTables(columns=columns, rows=rows, pixel=scene.camera.sensor.pixel_mm)
     aim, proof = aim_table(scene, report, lens, array, sensor, targets, moves, analytic=bool(shape.analytic.all()))
     tables = Tables(lens=lens, array=array, sensor=sensor, objects=objects, frames=moves, aim=aim)
     finders = (Finder(lens_mesh), Finder(array_mesh_), Finder(object_mesh))
-    return World(scene, report, tables, finders, book, shape, targets, housing, proof)
+    return World(scene, report, tables, finders, book, shape, targets, housing, known, proof)

@@ -33,12 +33,13 @@ def glass(tmp_path: Path) -> Body:
     """Return what makes a target of glass from meshes, at a place."""
     made: list[dict[str, Any]] = []
 
-    def body(*parts: trimesh.Trimesh, at: tuple[float, float, float] = PLACE, surface: str = "flat") -> dict[str, Any]:
+    def body(
+        *parts: trimesh.Trimesh, at: tuple[float, float, float] = PLACE, surface: str = "flat", priority: int = 0
+    ) -> dict[str, Any]:
         path = tmp_path / f"{len(made)}.stl"
         trimesh.util.concatenate(parts).export(path)
-        made.append(
-            {"refractor": {"file": str(path), "units": "mm", "index": 1.5, "surface": surface}, "position_mm": at}
-        )
+        own = {"file": str(path), "units": "mm", "index": 1.5, "surface": surface, "priority": priority}
+        made.append({"refractor": own, "position_mm": at})
         return made[-1]
 
     return body
@@ -126,18 +127,43 @@ def test_what_emits_in_glass_is_refused_where_light_starts_there(glass: Body) ->
 
 
 @pytest.mark.parametrize("step", [(0.0, 0.0, 0.0), (8.0, 0.0, 0.0), (3.1, 2.2, 1.4), (15.0, 0.3, 0.2)])
-def test_glass_bodies_that_overlap_are_refused(glass: Body, step: tuple[float, float, float]) -> None:
+def test_glass_bodies_that_overlap_need_a_priority(glass: Body, step: tuple[float, float, float]) -> None:
     """In general position, as mirror images that meet vertex on vertex, and all of one in the other."""
     where = tuple(np.add(PLACE, step))
-    said = refused(scene(glass(ball()), glass(ball(), at=where)))
+    said = refused(scene(glass(ball(), priority=3), glass(ball(), at=where, priority=3)))
     assert "targets[0]" in said
     assert "targets[1]" in said
-    assert "may touch but not overlap" in said
+    assert "both have priority = 3" in said
+    for low, high in ((-1, 0), (4, 2)):
+        world = lf.build(scene(glass(ball(), priority=low), glass(ball(), at=where, priority=high)))
+        assert world.tables.objects.rank.tolist() == ([1, 2] if low < high else [2, 1])
 
 
-def test_a_body_in_the_glass_of_another_is_refused_and_one_in_its_hollow_is_not(glass: Body) -> None:
-    assert "targets[1]" in refused(scene(glass(ball()), glass(ball(4.0))))
-    lf.build(scene(glass(ball(), ball(6.0, inwards=True)), glass(ball(4.0))))
+def test_of_bodies_in_each_other_the_inner_one_has_the_higher_rank(glass: Body) -> None:
+    outer, middle, inner = glass(ball(9.0)), glass(ball(6.0)), glass(ball(3.0, at=(1.0, 1.0, 0.0)))
+    for order in ((outer, middle, inner), (inner, outer, middle), (middle, inner, outer)):
+        rank = lf.build(scene(*order)).tables.objects.rank
+        assert [int(rank[order.index(body)]) for body in (outer, middle, inner)] == [1, 2, 3]
+    within = glass(cube(), at=PLACE), glass(cube((0.0, 0.0, 30.0)), priority=-5)
+    assert lf.build(scene(*within, glass(ball(20.0), priority=-5))).tables.objects.rank[0] == 3
+
+
+def test_a_body_that_shares_a_face_with_the_one_round_it_lies_inside_it(glass: Body) -> None:
+    wide = trimesh.creation.box((20.0, 20.0, 10.0))
+    assert lf.build(scene(glass(cube()), glass(wide))).tables.objects.rank.tolist() == [2, 1]
+    assert lf.build(scene(glass(wide), glass(cube()))).tables.objects.rank.tolist() == [1, 2]
+
+
+def test_glass_may_lie_three_deep_in_other_glass_and_no_deeper(glass: Body) -> None:
+    shells = [glass(ball(radius)) for radius in (9.0, 8.0, 7.0, 6.0)]
+    lf.build(scene(*shells))
+    assert "targets[4]" in (said := refused(scene(*shells, glass(ball(5.0)))))
+    assert "lies inside 4 other glass bodies; it can lie in 3" in said
+
+
+def test_a_body_in_the_hollow_of_another_is_not_in_its_glass(glass: Body) -> None:
+    world = lf.build(scene(glass(ball(), ball(6.0, inwards=True)), glass(ball(4.0)), glass(ball(3.0))))
+    assert world.tables.objects.rank[2] > world.tables.objects.rank[1]
 
 
 @pytest.mark.parametrize("aside", [0.0, 3.0])

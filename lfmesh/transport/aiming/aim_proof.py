@@ -357,11 +357,7 @@ def _follow_both_ways(
             while 0 <= here + (sense > 0.0) - 1 < last:
                 k = here if sense > 0.0 else here - 1
                 into = here + 1 if sense > 0.0 else here - 1
-                surface = lens.surfaces[k]
-                through_surface(
-                    bundle, surface, sense, lens.indices[here, colour], lens.indices[into, colour],
-                    surface.aperture, -1.0, -1.0,
-                )  # fmt: skip
+                through_surface(bundle, lens, k, colour, sense, lens.surfaces[k].aperture, -1.0, -1.0)
                 here = into
             if sense < 0.0:
                 normalise(bundle)

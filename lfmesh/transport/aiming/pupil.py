@@ -318,11 +318,7 @@ def _trace_unbounded(
             if step == last:
                 break
             k = space if to_sensor else space - 1
-            into = space + 1 if to_sensor else space - 1
-            through_surface(
-                bundle, lens.surfaces[k], sense, lens.indices[space, colour], lens.indices[into, colour],
-                np.inf, DROPPED, DROPPED,
-            )  # fmt: skip
+            through_surface(bundle, lens, k, colour, sense, np.inf, DROPPED, DROPPED)
             for i in range(BLOCK):
                 filled = (bundle[X + i] * bundle[X + i] + bundle[Y + i] * bundle[Y + i]) / (aperture[k] * aperture[k])
                 bundle[_OBSTRUCTION + i] = max(bundle[_OBSTRUCTION + i], filled)

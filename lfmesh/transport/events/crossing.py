@@ -132,6 +132,15 @@ def record(
     weight: float, surface: int, part: int, event: int, parent: int,
 ) -> int:  # fmt: skip
     """Append a vertex of a packet's path, given in a frame; return its number."""
+    return record_interface(flow, frames, frame, x, y, z, weight, surface, part, event, parent, NO_SURFACE)
+
+
+@kernel
+def record_interface(
+    flow: Flow, frames: Array, frame: int, x: float, y: float, z: float,
+    weight: float, surface: int, part: int, event: int, parent: int, beyond: int,
+) -> int:  # fmt: skip
+    """Append a vertex at an interface, given in a frame, with a medium on its far side; return its number."""
     top = flow.tops[NODES]
     node = flow.nodes[top]
     wx, wy, wz = move_point(frames, frame, WORLD_FRAME, x, y, z)
@@ -141,6 +150,7 @@ def record(
     node.surface = surface
     node.part = part
     node.event = event
+    node.beyond = beyond
     flow.tops[NODES] = top + 1
     return top
 
@@ -293,9 +303,7 @@ def ask_again(
     )  # fmt: skip
     again.tries = packet.tries + 1
     again.limit = limit
-    if missed:
-        scale = abs(packet.x) + abs(packet.y) + abs(packet.z)
-        again.aside = 4.0 * FLOAT32_GRAIN * scale * 2.0**packet.tries
+    again.slipped = 1 if missed else 0
 
 
 @inlined
@@ -370,15 +378,18 @@ def write_query(
     """Write a packet's ray as Embree takes it, its position less the fold."""
     t, dx, dy, dz = packet.query_from, packet.dx, packet.dy, packet.dz
     x, y, z = packet.x + t * dx - fold_x, packet.y + t * dy - fold_y, packet.z + t * dz
-    if packet.aside > 0.0:
-        x, y, z = _moved_aside(packet.aside, packet.key, packet.tries, x, y, z)
+    if packet.slipped != 0:
+        x, y, z = _moved_aside(packet, x, y, z)
     origins[i, 0], origins[i, 1], origins[i, 2] = np.float32(x), np.float32(y), np.float32(z)
     directions[i, 0], directions[i, 1], directions[i, 2] = np.float32(dx), np.float32(dy), np.float32(dz)
 
 
 @kernel
-def _moved_aside(aside: float, key: np.uint64, tries: int, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Move a query's origin by up to half of `aside` along each axis, another way at every try."""
+def _moved_aside(packet: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Move a query's origin along each axis by up to a few rounding errors, twice as far at every try."""
+    key, tries = packet.key, packet.tries
+    scale = abs(packet.x) + abs(packet.y) + abs(packet.z)
+    aside = float(np.float32(4.0 * FLOAT32_GRAIN * scale * 2.0 ** (tries - 1)))
     x += aside * (uniform(key, -3 * tries - 2) - 0.5)
     y += aside * (uniform(key, -3 * tries - 3) - 0.5)
     z += aside * (uniform(key, -3 * tries - 4) - 0.5)

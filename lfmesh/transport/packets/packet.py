@@ -107,18 +107,19 @@ _OWN_ROOM = np.dtype(
         ("limit", "f8"),  # SHADOW: distance of the light; else the first query_from, to start afresh
         ("key", "u8"),
         ("source", "i8"),  # sample (adjoint, see `SAMPLE_SHIFT`), packet (forward) or ray (trace) it descends from
-        ("aside", "f4"),  # how far the query origin is moved aside, mm: 0, but for a ray that slipped between facets
         ("node", "i4"),  # its last recorded vertex
-        ("column", "i4"), ("row", "i4"),  # cell of the array; in object space column is the glass body it is in, or −1
+        ("column", "i4"), ("row", "i4"),  # cell of the array; for object space see `regions.bodies` and PACKET
         ("facet", "i4"),  # target facet it left
         ("last", "i2"),  # lens surface it left
         ("wave", "i2"),  # wavelength
-        ("space", "i2"),  # space between two surfaces it travels in
+        ("space", "i2"),  # space between two surfaces it travels in; for object space see `regions.bodies`
         ("events", "i2"),
+        ("medium", "i2"),  # that it travels in
         ("tries", "i1"),  # queries of this ray that were refused
         ("kind", "i1"),
         ("frame", "i1"),
         ("stray", "i1"),  # 1: was turned off the image path, see `path_class`
+        ("slipped", "i1"),  # 1: its ray slipped between facets, and its query's origin is moved aside
     ],
     align=True,
 )  # fmt: skip
@@ -171,6 +172,7 @@ NODE = np.dtype(
         ("surface", "i8"),
         ("part", "i8"),  # lenslet (row by row) of the array, or number of the target; −1 elsewhere
         ("event", "i8"),
+        ("beyond", "i8"),  # medium on the far side of an interface; at a start, round the packet; −1 elsewhere
     ]
 )
 
@@ -225,16 +227,16 @@ def put(
     # compiler makes sixty moves of odd bytes.
     start, source, node, kind = parent.start, parent.source, parent.node, parent.kind
     column, cell_row, facet, last = parent.column, parent.row, parent.facet, parent.last
-    wave, space, events, stray = parent.wave, parent.space, parent.events, parent.stray
+    wave, space, events, medium, stray = parent.wave, parent.space, parent.events, parent.medium, parent.stray
     packet = flow.stacks[row, top]
     packet.x, packet.y, packet.z = x, y, z
     packet.dx, packet.dy, packet.dz = dx, dy, dz
     packet.weight, packet.start = weight, start
     packet.query_from, packet.limit = query_from, query_from
     packet.key, packet.source = key, source
-    packet.aside, packet.node = 0.0, node
+    packet.node = node
     packet.column, packet.row, packet.facet, packet.last = column, cell_row, facet, last
-    packet.wave, packet.space, packet.events = wave, space, events
-    packet.tries, packet.kind, packet.frame, packet.stray = 0, kind, frame, stray
+    packet.wave, packet.space, packet.events, packet.medium = wave, space, events, medium
+    packet.tries, packet.kind, packet.frame, packet.stray, packet.slipped = 0, kind, frame, stray, 0
     flow.tops[station] = top + 1
     return packet

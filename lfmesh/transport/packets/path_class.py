@@ -22,10 +22,20 @@ target, before any target has scattered it.
 from typing import Any
 
 from lfmesh.kernel import inlined
-from lfmesh.transport.packets.packet import LAMP, Options
+from lfmesh.transport.packets.packet import LAMP, OBJECT_FRAME, Options
 
 EVERY, OFF_IMAGE_PATH, LAMP_THROUGH_GLASS = 0, 1, 2
 """`Options.paths`."""
+
+
+@inlined
+def turns_off_image_path(frame: int, refracts: bool, transmittance: float) -> bool:
+    """Tell whether a packet's child at an interface of lens or array, or of glass in object space, leaves that path.
+
+    Lens and array are met in their order on the image path, which total reflection breaks as any other reflection does;
+    in object space that path goes on as total reflection sends it.
+    """
+    return not refracts and (frame != OBJECT_FRAME or transmittance > 0.0)
 
 
 @inlined

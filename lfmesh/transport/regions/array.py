@@ -16,7 +16,6 @@ from lfmesh.geometry.lenslets import are_alike, border_sag, cap_sag, shape_of, t
 from lfmesh.geometry.levels import EXACT, FLAT, PATCH, SMOOTH
 from lfmesh.geometry.surface import conic_distance
 from lfmesh.kernel import inlined, kernel
-from lfmesh.optics.fresnel import fresnel
 from lfmesh.transport.events.crossing import (
     ask_again,
     behind,
@@ -26,21 +25,18 @@ from lfmesh.transport.events.crossing import (
     facet_normal,
     meets_patch,
     move_packet,
-    record,
     reflected,
     refracted,
-    split_shares,
     too_deep,
     write_query,
 )
+from lfmesh.transport.events.interface import shares, splitter
+from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import ARRAY_EDGE, ARRAY_MOUNT, ARRAY_WALL, LOST_IN_ARRAY
 from lfmesh.transport.packets.packet import (
     ARRAY_FRAME,
     CELLS,
     CURVED_FACE,
-    E_REFLECTED,
-    E_TRANSMITTED,
-    EVENTS,
     FLAT_FACE,
     LEFT_FACE,
     LENS,
@@ -52,8 +48,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.random import derived
-from lfmesh.transport.tables.tables import ArrayTables
+from lfmesh.transport.tables.tables import AIR, CURVED_ROW, FLAT_ROW, ArrayTables
 
 Array = NDArray[np.float64]
 
@@ -93,6 +88,22 @@ def into_layer(
     child.space, child.column, child.row = space, column, row
 
 
+@inlined
+def _send_from_flat_face(
+    place: Any, options: Options, flow: Flow, frames: Array, packet: Any, refracts: bool,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64,
+) -> None:  # fmt: skip
+    """Send a child on from the flat face, which its parent met from the glass (`outward`) or from the air."""
+    array, lens_surfaces, outward = place
+    if refracts == outward:
+        leave_array(flow, packet, x, y, z, dx, dy, dz, weight, key, not array.curved_to_lens, lens_surfaces)
+    else:
+        into_layer(options, flow, frames, array, packet, x, y, z, dx, dy, dz, weight, key, GLASS)
+
+
+_split_at_flat_face = splitter(_send_from_flat_face)
+
+
 @kernel
 def through_plate(
     wave: NDArray[np.void], array: ArrayTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow
@@ -118,7 +129,8 @@ def through_plate(
             continue
         dx, dy, dz = packet.dx, packet.dy, packet.dz
         t = (thickness - packet.z) / dz
-        x, y, z = packet.x + t * dx, packet.y + t * dy, thickness
+        x, y, _ = travel(flow, array.media, packet, t)
+        z = thickness
         outward = packet.space == GLASS
         if outward:
             held = stays_inside(lenslets.lattice, packet.x, packet.y, x, y)
@@ -129,42 +141,15 @@ def through_plate(
             slot = ARRAY_EDGE if outward else ARRAY_MOUNT
             end(options, flow, frames, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
             continue
-        flow.counts[EVENTS] += 1
         glass = array.indices[packet.wave]
         n_i, n_t = (glass, 1.0) if outward else (1.0, glass)
-        reflectance, transmittance, cos_t = fresnel(n_i, n_t, abs(dz))
-        to_reflected, to_refracted = split_shares(options, flow.book, packet, reflectance, transmittance)
-        packet.events += 1
-        parent, key, stray = packet.node, packet.key, packet.stray
-        if to_reflected > 0.0:
-            packet.stray = 1
-            child_key = derived(key, packet.events)
-            if options.record:
-                packet.node = record(
-                    flow, frames, ARRAY_FRAME, x, y, z, to_reflected, FLAT_FACE, NO_SURFACE, E_REFLECTED, parent
-                )
-            if outward:
-                into_layer(options, flow, frames, array, packet, x, y, z, dx, dy, -dz, to_reflected, child_key, GLASS)
-            else:
-                leave_array(
-                    flow, packet, x, y, z, dx, dy, -dz, to_reflected, child_key, not array.curved_to_lens,
-                    lens_surfaces,
-                )  # fmt: skip
-        if to_refracted > 0.0:
-            packet.stray = stray
-            if options.record:
-                packet.node = record(
-                    flow, frames, ARRAY_FRAME, x, y, z, to_refracted, FLAT_FACE, NO_SURFACE, E_TRANSMITTED, parent
-                )
-            toward = 1.0 if dz > 0.0 else -1.0
-            ux, uy, uz = refracted(dx, dy, dz, 0.0, 0.0, toward, n_i / n_t, abs(dz), cos_t)
-            if outward:
-                leave_array(
-                    flow, packet, x, y, z, ux, uy, uz, to_refracted, key, not array.curved_to_lens,
-                    lens_surfaces,
-                )  # fmt: skip
-            else:
-                into_layer(options, flow, frames, array, packet, x, y, z, ux, uy, uz, to_refracted, key, GLASS)
+        reflectance, transmittance, cos_t = shares(array.interfaces, FLAT_ROW, packet.wave, n_i, n_t, abs(dz))
+        toward = 1.0 if dz > 0.0 else -1.0
+        _split_at_flat_face(
+            (array, lens_surfaces, outward), options, flow, frames, ARRAY_FRAME, packet, FLAT_FACE, NO_SURFACE,
+            AIR if outward else array.medium, x, y, z, reflectance, transmittance,
+            (dx, dy, -dz), refracted(dx, dy, dz, 0.0, 0.0, toward, n_i / n_t, abs(dz), cos_t),
+        )  # fmt: skip
 
 
 @inlined
@@ -246,7 +231,7 @@ def shade_cells(
                 nx, ny, nz = facet_normal(
                     options.surface, array.facets[prim], x + t * dx - fold_x, y + t * dy - fold_y, z + t * dz
                 )
-            _split_at_face(options, flow, frames, array, lens_surfaces, packet, t, prim, nx, ny, nz)
+            _through_face(options, flow, frames, array, lens_surfaces, packet, t, prim, nx, ny, nz)
         elif options.surface != EXACT and prim >= 0 and not met and at_facet < min(sideways, layer):
             further = behind(array.facets[prim], packet, at_facet)
             ask_again(options, flow, frames, CELLS, packet, further, False, LOST_IN_ARRAY)
@@ -293,6 +278,7 @@ def _walk(
         if in_glass == inward:
             slot = ARRAY_WALL
     if slot >= 0:
+        px, py, pz = arrive(flow, array.media, packet, px, py, pz)
         end(options, flow, frames, packet, ARRAY_FRAME, px, py, pz, dx, dy, dz, packet.weight, slot, S_ABSORBED)
         return
     child = put(flow, CELLS, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, sideways)
@@ -300,19 +286,42 @@ def _walk(
 
 
 @inlined
-def _split_at_face(
-    options: Options, flow: Flow, frames: Array, array: ArrayTables, lens_surfaces: int,
-    packet: Any, t: float, prim: int, nx: float, ny: float, nz: float,
+def _send_from_curved_face(
+    place: Any, options: Options, flow: Flow, frames: Array, packet: Any, refracts: bool,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64,
 ) -> None:  # fmt: skip
-    """Split a packet where it meets the curved face, and hand its children on.
+    """Send a child on from the curved face of its lenslet, which its parent met from the air (`inward`) or the glass.
 
     A child has its own lenslet behind it for good (one sphere, left outward or crossed to its far side), so it is
     through if it leaves the layer before it leaves the cell; else it must be looked for among the neighbours.
     """
+    array, lens_surfaces, inward, prim = place
     lenslets = array.lenslets
-    dx, dy, dz = packet.dx, packet.dy, packet.dz
-    x, y, z = packet.x + t * dx, packet.y + t * dy, packet.z + t * dz
     cx, cy = centre(lenslets.lattice, packet.column, packet.row)
+    packet.space = GLASS if refracts == inward else BEFORE
+    sideways, _ = leaves_at(lenslets.lattice, x - cx, y - cy, dx, dy)
+    if packet.space == BEFORE and dz < 0.0 and (lenslets.top - z) / dz <= sideways:
+        leave_array(flow, packet, x, y, z, dx, dy, dz, weight, key, array.curved_to_lens, lens_surfaces)
+    elif packet.space == GLASS and dz > 0.0 and (lenslets.valley - z) / dz <= sideways:
+        put(flow, PLATE, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
+    else:
+        clear = 0.0
+        if prim >= 0:
+            fold_x, fold_y = fold_of(array, packet.column, packet.row)
+            clear = clear_of(array.facets[prim], x - fold_x, y - fold_y, z, dx, dy, dz)
+        put(flow, CELLS, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, weight, key, clear)
+
+
+_split_at_curved_face = splitter(_send_from_curved_face)
+
+
+@inlined
+def _through_face(
+    options: Options, flow: Flow, frames: Array, array: ArrayTables, lens_surfaces: int,
+    packet: Any, t: float, prim: int, nx: float, ny: float, nz: float,
+) -> None:  # fmt: skip
+    """Divide a packet where it meets the curved face, at t."""
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
     cos_i = nx * dx + ny * dy + nz * dz
     if cos_i < 0.0:
         nx, ny, nz, cos_i = -nx, -ny, -nz, -cos_i
@@ -320,39 +329,15 @@ def _split_at_face(
     inward = packet.space == BEFORE
     glass = array.indices[packet.wave]
     n_i, n_t = (1.0, glass) if inward else (glass, 1.0)
-    flow.counts[EVENTS] += 1
-    reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
-    to_reflected, to_refracted = split_shares(options, flow.book, packet, reflectance, transmittance)
-    packet.events += 1
+    reflectance, transmittance, cos_t = shares(array.interfaces, CURVED_ROW, packet.wave, n_i, n_t, cos_i)
     if packet.last == LEFT_FACE:
         # A second face in one passage.
         packet.stray = 1
     packet.last = LEFT_FACE
-    parent, key, stray = packet.node, packet.key, packet.stray
-    for child in range(2):
-        refracts = child == 1
-        weight = to_refracted if refracts else to_reflected
-        if weight <= 0.0:
-            continue
-        if refracts:
-            ux, uy, uz = refracted(dx, dy, dz, nx, ny, nz, n_i / n_t, cos_i, cos_t)
-        else:
-            ux, uy, uz = reflected(dx, dy, dz, nx, ny, nz)
-        child_key = key if refracts else derived(key, packet.events)
-        if options.record:
-            event = E_TRANSMITTED if refracts else E_REFLECTED
-            cell = packet.row * lenslets.lattice.columns + packet.column
-            packet.node = record(flow, frames, ARRAY_FRAME, x, y, z, weight, CURVED_FACE, cell, event, parent)
-        packet.space = GLASS if refracts == inward else BEFORE
-        packet.stray = stray if refracts else 1
-        sideways, _ = leaves_at(lenslets.lattice, x - cx, y - cy, ux, uy)
-        if packet.space == BEFORE and uz < 0.0 and (lenslets.top - z) / uz <= sideways:
-            leave_array(flow, packet, x, y, z, ux, uy, uz, weight, child_key, array.curved_to_lens, lens_surfaces)
-        elif packet.space == GLASS and uz > 0.0 and (lenslets.valley - z) / uz <= sideways:
-            put(flow, PLATE, packet, ARRAY_FRAME, x, y, z, ux, uy, uz, weight, child_key, 0.0)
-        else:
-            clear = 0.0
-            if prim >= 0:
-                fold_x, fold_y = fold_of(array, packet.column, packet.row)
-                clear = clear_of(array.facets[prim], x - fold_x, y - fold_y, z, ux, uy, uz)
-            put(flow, CELLS, packet, ARRAY_FRAME, x, y, z, ux, uy, uz, weight, child_key, clear)
+    x, y, z = travel(flow, array.media, packet, t)
+    cell = packet.row * array.lenslets.lattice.columns + packet.column
+    _split_at_curved_face(
+        (array, lens_surfaces, inward, prim), options, flow, frames, ARRAY_FRAME, packet, CURVED_FACE, cell,
+        array.medium if inward else AIR, x, y, z, reflectance, transmittance,
+        reflected(dx, dy, dz, nx, ny, nz), refracted(dx, dy, dz, nx, ny, nz, n_i / n_t, cos_i, cos_t),
+    )  # fmt: skip

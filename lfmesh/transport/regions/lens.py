@@ -22,17 +22,14 @@ from lfmesh.transport.events.crossing import (
     lose,
     meets_patch,
     move_packet,
-    record,
-    split_shares,
     too_deep,
     write_query,
 )
+from lfmesh.transport.events.interface import splitter
+from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import HOUSING, LOST_CONTRADICTION, STOP
 from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
-    E_REFLECTED,
-    E_TRANSMITTED,
-    EVENTS,
     LEFT_LENS,
     LENS,
     NO_SURFACE,
@@ -45,16 +42,17 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.random import derived
 from lfmesh.transport.regions.lens_block import (
     ALONG_X,
     ALONG_Y,
     ALONG_Z,
     BLOCK,
     CLEAR,
+    COLOUR,
     HELD,
     N_I,
     N_T,
+    NUMBER,
     NX,
     NY,
     NZ,
@@ -178,7 +176,7 @@ def shade_lens(
         for i in range(count):
             if not block[HELD + i] > 0.0:
                 met[i] = _decide(block, i, wave[first + i], found[first + i], lens, has_array, frames, options, flow)
-        split_block(block)
+        split_block(block, lens.interfaces)
         for i in range(count):
             if met[i] != NO_SURFACE:
                 _send_on(block, i, wave[first + i], met[i], lens, has_array, frames, options, flow)
@@ -206,16 +204,17 @@ def _prepare(block: Array, i: int, packet: Any, prim: int, lens: LensTables, opt
     set_ray(block, i, packet)
     set_facet(block, i, facet)
     set_conic(block, i, lens.surfaces[k], 1.0 if forward else -1.0)
-    _set_media(block, i, packet, k, lens)
+    _set_sides(block, i, packet, k, lens)
     return k
 
 
 @inlined
-def _set_media(block: Array, i: int, packet: Any, k: int, lens: LensTables) -> None:
-    """Enter the indices before and after surface `k`."""
+def _set_sides(block: Array, i: int, packet: Any, k: int, lens: LensTables) -> None:
+    """Enter surface `k` as an interface, and the indices before and after it."""
     space = packet.space
     block[N_I + i] = lens.indices[space, packet.wave]
     block[N_T + i] = lens.indices[k + 1 if k == space else k, packet.wave]
+    block[NUMBER + i], block[COLOUR + i] = k, packet.wave
 
 
 @kernel
@@ -279,7 +278,7 @@ def _decide(
     if prim < 0:
         # No facet to stand off from.
         block[SIZE + i] = 0.0
-    _set_media(block, i, packet, k, lens)
+    _set_sides(block, i, packet, k, lens)
     return k
 
 
@@ -295,17 +294,36 @@ def _is_cut(
         at = (lens.stop_z - z) / dz if dz != 0.0 else 0.0
         # A ray of the user's own may start behind the stop, and never cross it.
         if packet.last != NO_SURFACE or space == 0 or space == len(lens.surfaces) or -t < at < 0.0:
-            end(
-                options, flow, frames, packet, CAMERA_FRAME, x + at * dx, y + at * dy, z + at * dz, dx, dy, dz,
-                packet.weight, STOP, S_ABSORBED,
-            )  # fmt: skip
+            x, y, z = arrive(flow, lens.media, packet, x + at * dx, y + at * dy, z + at * dz)
+            end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, STOP, S_ABSORBED)
             return True
     aperture = lens.surfaces[k].aperture
     if x * x + y * y > aperture * aperture:
         slot = lens.mount_slot[k]
+        x, y, z = arrive(flow, lens.media, packet, x, y, z)
         end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
         return True
     return False
+
+
+@inlined
+def _send_child(
+    place: Any, options: Options, flow: Flow, frames: Array, packet: Any, refracts: bool,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64,
+) -> None:  # fmt: skip
+    """Send a child on from surface `k`, out of the lens where nothing of it can be met again."""
+    block, i, k, space, lens, has_array = place
+    into = (k + 1 if k == space else k) if refracts else space
+    if (into == 0 and lens.convex_front) or (into == len(lens.surfaces) and lens.convex_back):
+        packet.space = into
+        leave_lens(options, flow, frames, lens, has_array, packet, x, y, z, dx, dy, dz, weight, key, into, 0.0)
+    else:
+        clear = block[(REFRACTED if refracts else REFLECTED) + i + CLEAR]
+        sent = put(flow, LENS, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, key, clear)
+        sent.last, sent.space = k, into
+
+
+_split = splitter(_send_child)
 
 
 @inlined
@@ -313,34 +331,15 @@ def _send_on(
     block: Array, i: int, packet: Any, k: int,
     lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """Send the children of a packet on from surface `k`, each with its share."""
-    flow.counts[EVENTS] += 1
-    x, y, z = block[PX + i], block[PY + i], block[PZ + i]
-    to_reflected, to_refracted = split_shares(
-        options, flow.book, packet, block[REFLECTANCE + i], block[TRANSMITTANCE + i]
-    )
-    space, last_space = packet.space, len(lens.surfaces)
-    met, node, key, stray = packet.events + 1, packet.node, packet.key, packet.stray
-    for refracts in (False, True):
-        weight = to_refracted if refracts else to_reflected
-        if weight <= 0.0:
-            continue
-        child = (REFRACTED if refracts else REFLECTED) + i
-        dx, dy, dz = block[child + ALONG_X], block[child + ALONG_Y], block[child + ALONG_Z]
-        into = (k + 1 if k == space else k) if refracts else space
-        packet.stray = stray if refracts else 1
-        child_key = key if refracts else derived(key, met)
-        if options.record:
-            event = E_TRANSMITTED if refracts else E_REFLECTED
-            packet.node = record(flow, frames, CAMERA_FRAME, x, y, z, weight, k, NO_SURFACE, event, node)
-        if (into == 0 and lens.convex_front) or (into == last_space and lens.convex_back):
-            packet.events, packet.space = met, into
-            leave_lens(
-                options, flow, frames, lens, has_array, packet, x, y, z, dx, dy, dz, weight, child_key, into, 0.0
-            )
-        else:
-            sent = put(flow, LENS, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, child_key, block[child + CLEAR])
-            sent.events, sent.last, sent.space = met, k, into
+    """Divide a packet of a block at surface `k`."""
+    r, t = REFLECTED + i, REFRACTED + i
+    x, y, z = arrive(flow, lens.media, packet, block[PX + i], block[PY + i], block[PZ + i])
+    _split(
+        (block, i, k, packet.space, lens, has_array), options, flow, frames, CAMERA_FRAME, packet, k, NO_SURFACE,
+        lens.medium[k + 1 if k == packet.space else k], x, y, z, block[REFLECTANCE + i], block[TRANSMITTANCE + i],
+        (block[r + ALONG_X], block[r + ALONG_Y], block[r + ALONG_Z]),
+        (block[t + ALONG_X], block[t + ALONG_Y], block[t + ALONG_Z]),
+    )  # fmt: skip
 
 
 @kernel
@@ -353,10 +352,8 @@ def _meets_ring(options: Options, flow: Flow, frames: Array, lens: LensTables, p
         at = (lens.stop_z - z) / dz
         if 0.0 < at < t:
             slot, t = STOP, at
-    end(
-        options, flow, frames, packet, CAMERA_FRAME, x + t * dx, y + t * dy, z + t * dz, dx, dy, dz,
-        packet.weight, slot, S_ABSORBED,
-    )  # fmt: skip
+    x, y, z = travel(flow, lens.media, packet, t)
+    end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
 
 
 @inlined

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.kernel import inlined, kernel
-from lfmesh.optics.fresnel import fresnel
 from lfmesh.transport.events.crossing import reflected, refracted, safely_behind
+from lfmesh.transport.events.interface import shares
 from lfmesh.transport.sequential.lens_bundle import conic_distance
+from lfmesh.transport.tables.tables import Interfaces
 from lfmesh.vector import both, select
 
 Array = NDArray[np.float64]
@@ -29,15 +30,15 @@ X, Y, Z, DX, DY, DZ, FROM = 0, BLOCK, 2 * BLOCK, 3 * BLOCK, 4 * BLOCK, 5 * BLOCK
 CURVATURE, SQUASH, VERTEX_Z, APERTURE2, SENSE = 7 * BLOCK, 8 * BLOCK, 9 * BLOCK, 10 * BLOCK, 11 * BLOCK
 # The facet: normal, offset of its plane, size.
 FACET_X, FACET_Y, FACET_Z, OFFSET, SIZE = 12 * BLOCK, 13 * BLOCK, 14 * BLOCK, 15 * BLOCK, 16 * BLOCK
-# The indices before and after the surface.
-N_I, N_T = 17 * BLOCK, 18 * BLOCK
+# The indices before and after the surface, its row among the interfaces, and the number of the wavelength.
+N_I, N_T, NUMBER, COLOUR = 17 * BLOCK, 18 * BLOCK, 19 * BLOCK, 20 * BLOCK
 # Where it is met, the unit normal there, along the ray, and whether that stands (1 or 0).
-PX, PY, PZ, NX, NY, NZ, HELD = 19 * BLOCK, 20 * BLOCK, 21 * BLOCK, 22 * BLOCK, 23 * BLOCK, 24 * BLOCK, 25 * BLOCK
+PX, PY, PZ, NX, NY, NZ, HELD = 21 * BLOCK, 22 * BLOCK, 23 * BLOCK, 24 * BLOCK, 25 * BLOCK, 26 * BLOCK, 27 * BLOCK
 # What follows: shares of the power, and for either child its direction and how far its query stands off.
-REFLECTANCE, TRANSMITTANCE = 26 * BLOCK, 27 * BLOCK
-REFLECTED, REFRACTED = 28 * BLOCK, 32 * BLOCK
+REFLECTANCE, TRANSMITTANCE = 28 * BLOCK, 29 * BLOCK
+REFLECTED, REFRACTED = 30 * BLOCK, 34 * BLOCK
 ALONG_X, ALONG_Y, ALONG_Z, CLEAR = 0, BLOCK, 2 * BLOCK, 3 * BLOCK
-ROWS = 36
+ROWS = 38
 
 
 def empty_block() -> Array:
@@ -99,7 +100,7 @@ def meet_conics(block: Array) -> None:
 
 
 @kernel
-def split_block(block: Array) -> None:
+def split_block(block: Array, interfaces: Interfaces) -> None:
     """Divide each packet between the reflected and the refracted ray, and set their queries off from the facet."""
     for i in range(BLOCK):
         dx, dy, dz = block[DX + i], block[DY + i], block[DZ + i]
@@ -107,7 +108,9 @@ def split_block(block: Array) -> None:
         n_i, n_t = block[N_I + i], block[N_T + i]
         cos_i = nx * dx + ny * dy + nz * dz
         cos_i = 1.0 if cos_i > 1.0 else cos_i
-        reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
+        reflectance, transmittance, cos_t = shares(
+            interfaces, int(block[NUMBER + i]), int(block[COLOUR + i]), n_i, n_t, cos_i
+        )
         block[REFLECTANCE + i], block[TRANSMITTANCE + i] = reflectance, transmittance
         ux, uy, uz = reflected(dx, dy, dz, nx, ny, nz)
         _set_child(block, REFLECTED + i, i, ux, uy, uz)

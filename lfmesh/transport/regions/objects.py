@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.levels import PATCH
 from lfmesh.kernel import inlined, kernel
-from lfmesh.optics.fresnel import fresnel
 from lfmesh.transport.events.crossing import (
     MAX_TRIES,
     ask_again,
@@ -25,13 +24,13 @@ from lfmesh.transport.events.crossing import (
     lose,
     meets_patch,
     move_packet,
-    record,
     reflected,
     refracted,
-    split_shares,
     too_deep,
     write_query,
 )
+from lfmesh.transport.events.interface import shares, splitter
+from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import (
     ESCAPED,
     HOUSING,
@@ -43,9 +42,6 @@ from lfmesh.transport.packets.book import (
 from lfmesh.transport.packets.packet import (
     CAMERA,
     CAMERA_FRAME,
-    E_REFLECTED,
-    E_TRANSMITTED,
-    EVENTS,
     LAMP,
     LEFT_LENS,
     LENS,
@@ -65,10 +61,18 @@ from lfmesh.transport.packets.packet import (
     put,
 )
 from lfmesh.transport.packets.path_class import is_estimated
-from lfmesh.transport.packets.random import derived
+from lfmesh.transport.regions.bodies import (
+    RANK,
+    TOO_MANY,
+    beyond_facet,
+    bodies_round,
+    is_in,
+    medium_of,
+    set_bodies,
+)
 from lfmesh.transport.regions.lens import box_entry
 from lfmesh.transport.regions.targets import meet_target, share_with_other
-from lfmesh.transport.tables.tables import Aim, LensTables, ObjectTables
+from lfmesh.transport.tables.tables import OPAQUE, Aim, LensTables, ObjectTables
 
 Array = NDArray[np.float64]
 
@@ -115,9 +119,14 @@ def shade_objects(
             ask_again(options, flow, frames, OBJECTS, packet, packet.query_from, True, LOST_OUTSIDE)
             continue
         if packet.kind != SHADOW and not _in_its_medium(objects, packet, prim, along):
+            if prim >= 0 and packet.tries < MAX_TRIES and _is_in_contact(objects, prim):
+                # The face of a body that was entered or left where it touches another one, to rounding.
+                ask_again(options, flow, frames, OBJECTS, packet, behind(facet, packet, t), False, LOST_OUTSIDE)
+                continue
             # The query began beyond a facet, near an edge of the body, or slipped through the body at a vertex.
             flow.counts[REQUERIES] += 1
-            body = packet.column if packet.column >= 0 else facet.body
+            inside = bodies_round(packet)
+            body = objects.by_rank[inside & RANK] if inside != 0 else facet.body
             prim, t, along = _first_crossing(objects, packet, x, y, z, dx, dy, dz)
             if prim < 0 and (packet.column >= 0 or _comes_out_ahead(objects, packet, x, y, z, dx, dy, dz)):
                 lose(options, flow, frames, packet, LOST_CONTRADICTION, objects.lost_slot[body])
@@ -148,7 +157,7 @@ def shade_objects(
                 continue
             elif options.bounce and options.aimed and not options.adjoint and packet.facet != NO_SURFACE:
                 # It left a target, whose light goes this way in two packets: one aimed at the lens, one that was not.
-                into_glass = prim >= 0 and facet.body >= 0 and objects.glass[facet.body, packet.wave] > 0.0
+                into_glass = prim >= 0 and facet.body >= 0 and objects.medium[facet.body] != OPAQUE
                 if into_glass and (packet.kind == CAMERA or packet.kind == SCATTERED):
                     share_with_other(flow, frames, aim, packet)
                 elif packet.kind == CAMERA:
@@ -159,11 +168,11 @@ def shade_objects(
             end_here(options, flow, frames, packet, ESCAPED, S_ESCAPED)
             continue
         body = facet.body
-        if body >= 0 and objects.glass[body, packet.wave] > 0.0:
+        if body >= 0 and objects.medium[body] != OPAQUE:
             if not too_deep(options, flow, frames, packet):
                 _through_glass(options, flow, frames, objects, packet, prim, t)
             continue
-        x, y, z = x + t * dx, y + t * dy, z + t * dz
+        x, y, z = travel(flow, objects.media, packet, t)
         weight = packet.weight
         slot = HOUSING if body < 0 else objects.target_slot[body]
         if body < 0 or options.tracing:
@@ -185,10 +194,15 @@ def _in_its_medium(objects: ObjectTables, packet: Any, prim: int, along: float) 
     if prim < 0:
         return packet.column < 0
     body = objects.facets[prim].body
-    if body >= 0 and objects.glass[body, packet.wave] > 0.0:
-        inside = packet.column == body
-        return (along > 0.0) == inside and (inside or packet.column < 0)
+    if body >= 0 and objects.medium[body] != OPAQUE:
+        return (along > 0.0) == is_in(bodies_round(packet), objects.rank[body])
     return True
+
+
+@inlined
+def _is_in_contact(objects: ObjectTables, prim: int) -> bool:
+    """Tell whether a facet may lie on one of another body."""
+    return len(objects.contact_first) > 0 and objects.contact_first[prim + 1] > objects.contact_first[prim]
 
 
 @inlined
@@ -219,7 +233,7 @@ def _first_crossing(
         t, along = crosses(objects.facets[prim], x, y, z, dx, dy, dz)
         if t < nearest and t > -back and prim != packet.facet:
             body = objects.facets[prim].body
-            glass = body >= 0 and objects.glass[body, packet.wave] > 0.0
+            glass = body >= 0 and objects.medium[body] != OPAQUE
             if (glass or t > 0.0) and _in_its_medium(objects, packet, prim, along):
                 first, nearest, steepness = prim, t, along
     return first, nearest, steepness
@@ -236,21 +250,44 @@ def _comes_out_ahead(
     for prim in range(len(objects.facets)):
         t, along = crosses(objects.facets[prim], x, y, z, dx, dy, dz)
         body = objects.facets[prim].body
-        if along > 0.0 and packet.limit < t < np.inf and body >= 0 and objects.glass[body, packet.wave] > 0.0:
+        if along > 0.0 and packet.limit < t < np.inf and body >= 0 and objects.medium[body] != OPAQUE:
             return True
     return False
+
+
+@inlined
+def _send_from_glass(
+    place: Any, options: Options, flow: Flow, frames: Array, packet: Any, refracts: bool,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64,
+) -> None:  # fmt: skip
+    """Send a child on from a facet of glass, among the bodies on its side of it."""
+    objects, prim, inside, after = place
+    set_bodies(packet, after if refracts else inside)
+    clear = clear_of(objects.facets[prim], x, y, z, dx, dy, dz)
+    put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, key, clear)
+
+
+_split_at_glass = splitter(_send_from_glass)
 
 
 @kernel
 def _through_glass(
     options: Options, flow: Flow, frames: Array, objects: ObjectTables, packet: Any, prim: int, t: float
 ) -> None:
-    """Split a packet at a facet of a glass body, which it meets at t."""
+    """Split a packet at a facet of a glass body, which it meets at t, by the media on both sides.
+
+    A facet within another body of a higher rank, or of the same index, is passed as if it were not there.
+    """
     facet = objects.facets[prim]
     body = facet.body
     dx, dy, dz = packet.dx, packet.dy, packet.dz
     x, y, z = packet.x + t * dx, packet.y + t * dy, packet.z + t * dz
-    entering = packet.column < 0
+    inside = bodies_round(packet)
+    entering = not is_in(inside, objects.rank[body])
+    after = beyond_facet(objects, inside, prim, entering, x, y, z, dx, dy, dz)
+    if after == TOO_MANY:
+        lose(options, flow, frames, packet, LOST_CONTRADICTION, objects.lost_slot[body])
+        return
     level = objects.level[body]
     if level == PATCH:
         met, more, nx, ny, nz = meets_patch(flow, objects.patches, objects.across, facet, prim, x, y, z, dx, dy, dz)
@@ -269,33 +306,22 @@ def _through_glass(
     if cos_i < 0.0:
         nx, ny, nz, cos_i = -nx, -ny, -nz, -cos_i
     cos_i = min(cos_i, 1.0)
-    glass = objects.glass[body, packet.wave]
-    n_i, n_t = (1.0, glass) if entering else (glass, 1.0)
-    flow.counts[EVENTS] += 1
-    reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
-    to_reflected, to_refracted = split_shares(options, flow.book, packet, reflectance, transmittance)
-    packet.events += 1
+    x, y, z = arrive(flow, objects.media, packet, x, y, z)
+    beyond = medium_of(objects, after)
+    n_i, n_t = objects.media.indices[packet.medium, packet.wave], objects.media.indices[beyond, packet.wave]
+    if n_i == n_t and inside != 0 and after != 0:
+        packet.medium, packet.facet = beyond, NO_SURFACE
+        set_bodies(packet, after)
+        clear = clear_of(facet, x, y, z, dx, dy, dz)
+        put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, clear)
+        return
+    reflectance, transmittance, cos_t = shares(objects.interfaces, body, packet.wave, n_i, n_t, cos_i)
     packet.facet = NO_SURFACE
     packet.last = NO_SURFACE
     if packet.kind != LAMP:
         packet.kind = SPECULAR
-    parent, key, stray = packet.node, packet.key, packet.stray
-    for child in range(2):
-        refracts = child == 1
-        weight = to_refracted if refracts else to_reflected
-        if weight <= 0.0:
-            continue
-        if refracts:
-            ux, uy, uz = refracted(dx, dy, dz, nx, ny, nz, n_i / n_t, cos_i, cos_t)
-        else:
-            ux, uy, uz = reflected(dx, dy, dz, nx, ny, nz)
-        if options.record:
-            event = E_TRANSMITTED if refracts else E_REFLECTED
-            packet.node = record(flow, frames, OBJECT_FRAME, x, y, z, weight, ON_GLASS, body, event, parent)
-        packet.column = body if refracts == entering else NO_SURFACE
-        # Total reflection is the image path's way on.
-        packet.stray = stray if refracts or transmittance == 0.0 else 1
-        put(
-            flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, weight,
-            key if refracts else derived(key, packet.events), clear_of(facet, x, y, z, ux, uy, uz),
-        )  # fmt: skip
+    _split_at_glass(
+        (objects, prim, inside, after), options, flow, frames, OBJECT_FRAME, packet, ON_GLASS, body, beyond,
+        x, y, z, reflectance, transmittance,
+        reflected(dx, dy, dz, nx, ny, nz), refracted(dx, dy, dz, nx, ny, nz, n_i / n_t, cos_i, cos_t),
+    )  # fmt: skip

@@ -49,7 +49,7 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.path_class import OFF_IMAGE_PATH, is_estimated
 from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived
-from lfmesh.transport.tables.tables import Aim, ObjectTables
+from lfmesh.transport.tables.tables import AIR, Aim, ObjectTables
 
 Array = NDArray[np.float64]
 
@@ -133,9 +133,9 @@ def _gather(
     flow.book[REACHED] += packet.weight
     radiance = objects.radiance[body, packet.wave] * point.texel
     if radiance > 0.0:
-        if packet.column >= 0:
+        if packet.medium != AIR:
             # It shines inside glass, and radiance falls by n² on the way out.
-            radiance /= objects.glass[packet.column, packet.wave] ** 2
+            radiance /= objects.media.indices[packet.medium, packet.wave] ** 2
         deposit(options, flow, packet.source, packet.wave, packet.weight * radiance)
     lit = radiance > 0.0
     if scatters:

@@ -20,7 +20,7 @@ from lfmesh.transport.packets.path_class import LAMP_THROUGH_GLASS, OFF_IMAGE_PA
 from lfmesh.transport.render.blind_check import without_aim
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.tables.objects import aimed_at_glass
-from lfmesh.transport.tables.tables import Tables
+from lfmesh.transport.tables.tables import OPAQUE, Tables
 from lfmesh.transport.world import World
 
 IMAGE_PATHS_PER_STRAY = 2
@@ -92,7 +92,7 @@ def parts_of(world: World, *, aimed: bool = True) -> tuple[Part, ...]:
 def _off_image_path(options: Options, tables: Tables) -> Options:
     """Return the options of the part that estimates paths off the image path."""
     options = options._replace(paths=OFF_IMAGE_PATH)
-    if options.split == BOTH and not (tables.objects.glass > 0.0).any():
+    if options.split == BOTH and not (tables.objects.medium != OPAQUE).any():
         # Once scattered, few come to the lens, which alone could turn them off the image path.
         return options._replace(unturned_cutoff=SCATTERED_PER_FOLLOWED * options.cutoff)
     return options

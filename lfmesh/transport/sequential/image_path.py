@@ -12,8 +12,8 @@ from lfmesh.geometry.lenslets import are_alike, cap_sag, shape_of
 from lfmesh.geometry.surface import conic_distance
 from lfmesh.geometry.tessellation import OVERREACH
 from lfmesh.kernel import kernel
-from lfmesh.optics.fresnel import fresnel
 from lfmesh.transport.events.crossing import end, move_packet, refracted
+from lfmesh.transport.events.interface import shares
 from lfmesh.transport.packets.book import ARRAY_EDGE, ARRAY_MOUNT, ARRAY_WALL, HOUSING, STOP, UNFOLLOWED
 from lfmesh.transport.packets.packet import (
     ARRAY_FRAME,
@@ -53,7 +53,7 @@ from lfmesh.transport.sequential.lens_bundle import (
     through_surface,
 )
 from lfmesh.transport.sequential.lenslet_bundle import PASSED, through_single_lenslets
-from lfmesh.transport.tables.tables import ArrayTables, LensTables
+from lfmesh.transport.tables.tables import CURVED_ROW, FLAT_ROW, ArrayTables, LensTables
 
 Array = NDArray[np.float64]
 
@@ -181,13 +181,11 @@ def through_lens(bundle: Array, lens: LensTables, colour: int, to_sensor: bool) 
         if step == last:
             break
         k = space if to_sensor else space - 1
-        into = space + 1 if to_sensor else space - 1
         beyond = lens.ring_slot[space] + 1.0
         if step == 0:
             beyond = BESIDE if to_sensor else HOUSING + 1.0
         through_surface(
-            bundle, lens.surfaces[k], 1.0 if to_sensor else -1.0,
-            lens.indices[space, colour], lens.indices[into, colour],
+            bundle, lens, k, colour, 1.0 if to_sensor else -1.0,
             lens.surfaces[k].aperture * (1.0 + OVERREACH), lens.mount_slot[k] + 1.0, beyond,
         )  # fmt: skip
 
@@ -199,20 +197,15 @@ def through_array(bundle: Array, count: int, array: ArrayTables, colour: int, fr
     All rays at once that meet one lenslet only; the others ray by ray, walking from cell to cell.
     """
     move_bundle(bundle, frames[CAMERA_FRAME, ARRAY_FRAME])
-    glass = array.indices[colour]
     inward = to_sensor == array.curved_to_lens
-    through_single_lenslets(bundle, array, glass, inward)
+    through_single_lenslets(bundle, array, colour, inward)
     for i in range(count):
         if bundle[ENDED_ON + i] != 0.0 or bundle[PASSED + i] > 0.0:
             continue
         if bundle[DZ + i] > 0.0:
-            through = _through_curved_face(bundle, i, array, 1.0, glass) and _through_flat_face(
-                bundle, i, array, glass, 1.0
-            )
+            through = _through_curved_face(bundle, i, array, colour) and _through_flat_face(bundle, i, array, colour)
         else:
-            through = _through_flat_face(bundle, i, array, 1.0, glass) and _through_curved_face(
-                bundle, i, array, glass, 1.0
-            )
+            through = _through_flat_face(bundle, i, array, colour) and _through_curved_face(bundle, i, array, colour)
         if not through and bundle[ENDED_ON + i] == 0.0:
             bundle[LEFT_BEHIND + i] += bundle[WEIGHT + i]
             bundle[ENDED_ON + i] = DROPPED
@@ -220,7 +213,7 @@ def through_array(bundle: Array, count: int, array: ArrayTables, colour: int, fr
 
 
 @kernel
-def _through_flat_face(bundle: Array, i: int, array: ArrayTables, n_i: float, n_t: float) -> bool:
+def _through_flat_face(bundle: Array, i: int, array: ArrayTables, colour: int) -> bool:
     lattice = array.lenslets.lattice
     x, y, dz = bundle[X + i], bundle[Y + i], bundle[DZ + i]
     t = (array.lenslets.thickness - bundle[Z + i]) / dz
@@ -235,11 +228,11 @@ def _through_flat_face(bundle: Array, i: int, array: ArrayTables, n_i: float, n_
     if not held:
         return _ends(bundle, i, t, ARRAY_EDGE if dz > 0.0 else ARRAY_MOUNT)
     bundle[X + i], bundle[Y + i], bundle[Z + i] = to_x, to_y, array.lenslets.thickness
-    return _bend(bundle, i, 0.0, 0.0, 1.0 if dz > 0.0 else -1.0, n_i, n_t)
+    return _bend(bundle, i, array, FLAT_ROW, colour, dz < 0.0, 0.0, 0.0, 1.0 if dz > 0.0 else -1.0)
 
 
 @kernel
-def _through_curved_face(bundle: Array, i: int, array: ArrayTables, n_i: float, n_t: float) -> bool:
+def _through_curved_face(bundle: Array, i: int, array: ArrayTables, colour: int) -> bool:
     """Refract a ray at the face of the lenslet that it meets, and bring it out of the layer of faces."""
     lenslets = array.lenslets
     lattice = lenslets.lattice
@@ -265,7 +258,8 @@ def _through_curved_face(bundle: Array, i: int, array: ArrayTables, n_i: float, 
     sense = 1.0 if inward else -1.0
     nx, ny = -curvature * (bundle[X + i] - cx - ex), -curvature * (bundle[Y + i] - cy - ey)
     nz = 1.0 - curvature * bundle[Z + i]
-    if not _bend(bundle, i, sense * nx, sense * ny, sense * nz, n_i, n_t) or (bundle[DZ + i] > 0.0) != inward:
+    bends = _bend(bundle, i, array, CURVED_ROW, colour, inward, sense * nx, sense * ny, sense * nz)
+    if not bends or (bundle[DZ + i] > 0.0) != inward:
         return False
     fate, t, column, row = _next_in_layer(bundle, i, array, not inward, column, row, 0.0)
     if fate >= 0:
@@ -316,11 +310,15 @@ def _next_in_layer(
 
 
 @kernel
-def _bend(bundle: Array, i: int, nx: float, ny: float, nz: float, n_i: float, n_t: float) -> bool:
+def _bend(
+    bundle: Array, i: int, array: ArrayTables, face: int, colour: int, entering: bool, nx: float, ny: float, nz: float
+) -> bool:
     """Refract a ray at a normal that looks along it; false is total reflection, whose power is left behind."""
+    glass = array.indices[colour]
+    n_i, n_t = (1.0, glass) if entering else (glass, 1.0)
     dx, dy, dz, weight = bundle[DX + i], bundle[DY + i], bundle[DZ + i], bundle[WEIGHT + i]
     cos_i = min(nx * dx + ny * dy + nz * dz, 1.0)
-    reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
+    reflectance, transmittance, cos_t = shares(array.interfaces, face, colour, n_i, n_t, cos_i)
     bundle[MET + i] += 1.0
     if transmittance == 0.0:
         return False

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.surface import NEWTON_STEPS, SETTLED, distance_to
 from lfmesh.kernel import kernel, pasted
+from lfmesh.optics.fresnel import amplitude_sums
+from lfmesh.transport.events.interface import transmitted_share
+from lfmesh.transport.tables.tables import Interfaces, LensTables
 from lfmesh.vector import both, fused, select
 
 Array = NDArray[np.float64]
@@ -102,33 +105,36 @@ def through_stop(bundle: Array, stop_z: float, radius: float, slot: float) -> No
 
 @kernel
 def through_surface(
-    bundle: Array, surface: Any, sense: float, n_i: float, n_t: float, rim: float, mount: float, beyond: float
+    bundle: Array, lens: LensTables, k: int, colour: int, sense: float, rim: float, mount: float, beyond: float
 ) -> None:
-    """Take a bundle through a refracting surface: refracted, and weighted with Fresnel's transmittance.
+    """Take a bundle through a refracting surface of the lens: refracted, and weighted with the transmittance.
 
     Parameters
     ----------
     bundle : (ROWS · BLOCK,) float64
-    surface : SURFACE record
+    lens : LensTables
+    k, colour : int
+        Numbers of the surface and of the wavelength.
     sense : float
         1 for rays that go along +z, −1 against.
-    n_i, n_t : float
-        Indices of the media that the rays come from and go to.
     rim : float
         Radius of the mount round the clear aperture, mm.
     mount, beyond : float
         What ends a ray between aperture and rim, and one further out or that misses the surface, as `ENDED_ON` has it.
     """
-    c, k, z = surface.curvature, surface.conic, surface.vertex_z
+    surface = lens.surfaces[k]
+    c, conic, z = surface.curvature, surface.conic, surface.vertex_z
     limit = surface.aperture * surface.aperture
-    if surface.terms == 0 and k == 0.0:
-        _through_sphere(bundle, c, z, limit, sense, n_i, n_t, rim, mount, beyond)
+    into = 1 if sense > 0.0 else 0
+    n_i, n_t = lens.indices[k + 1 - into, colour], lens.indices[k + into, colour]
+    if surface.terms == 0 and conic == 0.0:
+        _through_sphere(bundle, lens.interfaces, k, colour, c, z, limit, sense, n_i, n_t, rim, mount, beyond)
         return
-    _meet_conic(bundle, c, k, z, sense)
+    _meet_conic(bundle, c, conic, z, sense)
     if surface.terms > 0:
         _meet_asphere(bundle, surface)
     _asphere_terms(bundle, surface.terms, surface.asphere)
-    _bend_along_slope(bundle, c, k, z, limit, sense, n_i, n_t, rim, mount, beyond)
+    _bend_along_slope(bundle, lens.interfaces, k, colour, c, conic, z, limit, sense, n_i, n_t, rim, mount, beyond)
 
 
 @pasted
@@ -181,24 +187,23 @@ def _root_of(a: float, b: float, g: float, sense: float, root: float) -> float:
 
 
 @pasted
-def fresnel_refraction(
-    dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, cos_i: float, n_i: float, n_t: float
-) -> tuple[float, float, float, bool, float]:
+def refraction(
+    interfaces: Interfaces, number: int, colour: int,
+    dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, cos_i: float, n_i: float, n_t: float,
+) -> tuple[float, float, float, bool, float]:  # fmt: skip
     """Return the refracted direction, whether reflection is total, and the transmittance.
 
-    Snell's law and Fresnel's equations as `transport.crossing` and `optics.fresnel` have them, without branches; all is
-    nonsense where reflection is total. The direction is of unit length but for a rounding error, which the end of the
-    path takes away.
+    Snell's law as `events.crossing` has it, without branches; all is nonsense where reflection is total. The direction
+    is of unit length but for a rounding error, which the end of the path takes away.
     """
     eta = n_i / n_t
     cos2_t = fused(eta * eta * cos_i, cos_i, 1.0 - eta * eta)
     cos_t = np.sqrt(cos2_t)
-    s, p = fused(n_t, cos_t, n_i * cos_i), fused(n_i, cos_t, n_t * cos_i)
-    over = 1.0 / (s * p)
-    transmittance = 2.0 * n_i * n_t * (cos_i * cos_t) * fused(s, s, p * p) * (over * over)
+    s, p = amplitude_sums(n_i, n_t, cos_i, cos_t)
+    share = transmitted_share(interfaces, number, colour, n_i, n_t, cos_i, cos_t, s, p, 1.0 / (s * p))
     g = fused(-eta, cos_i, cos_t)
     ux, uy, uz = fused(eta, dx, g * nx), fused(eta, dy, g * ny), fused(eta, dz, g * nz)
-    return ux, uy, uz, not cos2_t > 0.0, transmittance
+    return ux, uy, uz, not cos2_t > 0.0, share
 
 
 @pasted
@@ -231,10 +236,11 @@ def _go_on(
 
 @kernel
 def _through_sphere(
-    bundle: Array, c: float, vertex_z: float, limit: float, sense: float, n_i: float, n_t: float,
+    bundle: Array, interfaces: Interfaces, number: int, colour: int,
+    c: float, vertex_z: float, limit: float, sense: float, n_i: float, n_t: float,
     rim: float, mount: float, beyond: float,
 ) -> None:  # fmt: skip
-    """Take a bundle through a sphere: `sphere_distance` and `fresnel_refraction` in one, with one division for both."""
+    """Take a bundle through a sphere: `sphere_distance` and `refraction` in one, with one division for both."""
     eta = n_i / n_t
     along = c * sense
     for i in range(BLOCK):
@@ -243,10 +249,10 @@ def _through_sphere(
         root, cos_i, above, below = _sphere_crossing(along, x, y, z, dx, dy, dz, sense)
         cos2_t = fused(eta * eta * cos_i, cos_i, 1.0 - eta * eta)
         cos_t = np.sqrt(cos2_t)
-        s, p = fused(n_t, cos_t, n_i * cos_i), fused(n_i, cos_t, n_t * cos_i)
+        s, p = amplitude_sums(n_i, n_t, cos_i, cos_t)
         over_all = 1.0 / (below * (s * p))
         t, over = above * (over_all * (s * p)), over_all * below
-        transmittance = 2.0 * n_i * n_t * (cos_i * cos_t) * fused(s, s, p * p) * (over * over)
+        transmittance = transmitted_share(interfaces, number, colour, n_i, n_t, cos_i, cos_t, s, p, over)
         x, y, z = fused(t, dx, x), fused(t, dy, y), fused(t, dz, z)
         g = fused(-eta, cos_i, cos_t)
         bend = -along * g
@@ -339,7 +345,8 @@ def _newton_step(bundle: Array, c: float, k: float, vertex_z: float) -> int:
 
 @kernel
 def _bend_along_slope(
-    bundle: Array, c: float, k: float, vertex_z: float, limit: float, sense: float, n_i: float, n_t: float,
+    bundle: Array, interfaces: Interfaces, number: int, colour: int,
+    c: float, k: float, vertex_z: float, limit: float, sense: float, n_i: float, n_t: float,
     rim: float, mount: float, beyond: float,
 ) -> None:  # fmt: skip
     q = (1.0 + k) * c * c
@@ -351,7 +358,9 @@ def _bend_along_slope(
         scale = sense / np.sqrt(slope * slope * r2 + 1.0)
         nx, ny = -slope * x * scale, -slope * y * scale
         cos_i = nx * dx + ny * dy + scale * dz
-        ux, uy, uz, total, transmittance = fresnel_refraction(dx, dy, dz, nx, ny, scale, cos_i, n_i, n_t)
+        ux, uy, uz, total, transmittance = refraction(
+            interfaces, number, colour, dx, dy, dz, nx, ny, scale, cos_i, n_i, n_t
+        )
         _go_on(
             bundle, i, both(t > 0.0, cos_i > 0.0), x, y, z, ux, uy, uz, not total, transmittance,
             limit, rim, mount, beyond,

@@ -23,10 +23,10 @@ from lfmesh.transport.sequential.lens_bundle import (
     X,
     Y,
     Z,
-    fresnel_refraction,
+    refraction,
     sphere_distance,
 )
-from lfmesh.transport.tables.tables import ArrayTables
+from lfmesh.transport.tables.tables import CURVED_ROW, FLAT_ROW, ArrayTables, Interfaces
 from lfmesh.vector import both, select
 
 Array = NDArray[np.float64]
@@ -43,34 +43,34 @@ _APEX_X, _APEX_Y, _CURVATURE = SCRATCH + 13 * BLOCK, SCRATCH + 14 * BLOCK, SCRAT
 
 
 @kernel
-def through_single_lenslets(bundle: Array, array: ArrayTables, glass: float, inward: bool) -> None:
+def through_single_lenslets(bundle: Array, array: ArrayTables, colour: int, inward: bool) -> None:
     """Take the rays of a bundle through the array that meet one lenslet only; `PASSED` tells which these were.
 
     Parameters
     ----------
-    glass : float
-        Refractive index.
+    colour : int
+        Number of the wavelength.
     inward : bool
         The rays meet the curved face first.
     """
     lenslets = array.lenslets
-    lattice = lenslets.lattice
+    lattice, interfaces, glass = lenslets.lattice, array.interfaces, array.indices[colour]
     # Over the cells that are none of the outermost a straight line stays over the array.
     across, rows = (ROW_SPACING, 1.0) if lattice.hexagonal else (1.0, 0.5)
     safe_x, safe_y = (0.5 * lattice.columns - 1.0) * lattice.pitch, (0.5 * lattice.rows - rows) * across * lattice.pitch
     _begin(bundle)
     if not inward:
-        _through_flat_face(bundle, lenslets.thickness, safe_x, safe_y, -1.0, 1.0, glass)
+        _through_flat_face(bundle, interfaces, colour, lenslets.thickness, safe_x, safe_y, -1.0, 1.0, glass)
     _find_cells(bundle, lattice, lenslets.top if inward else lenslets.valley)
     _look_up_shapes(bundle, array)
     out = lenslets.valley if inward else lenslets.top
     n_i, n_t, sense = (1.0, glass, 1.0) if inward else (glass, 1.0, -1.0)
     if lattice.hexagonal:
-        _through_hexagonal_lenslet(bundle, lattice.pitch, safe_x, safe_y, out, sense, n_i, n_t)
+        _through_hexagonal_lenslet(bundle, interfaces, colour, lattice.pitch, safe_x, safe_y, out, sense, n_i, n_t)
     else:
-        _through_square_lenslet(bundle, lattice.pitch, safe_x, safe_y, out, sense, n_i, n_t)
+        _through_square_lenslet(bundle, interfaces, colour, lattice.pitch, safe_x, safe_y, out, sense, n_i, n_t)
     if inward:
-        _through_flat_face(bundle, lenslets.thickness, safe_x, safe_y, 1.0, glass, 1.0)
+        _through_flat_face(bundle, interfaces, colour, lenslets.thickness, safe_x, safe_y, 1.0, glass, 1.0)
     _commit(bundle)
 
 
@@ -100,13 +100,14 @@ def _commit(bundle: Array) -> None:
 
 @pasted
 def _bend(
-    bundle: Array, i: int, holds: bool, px: float, py: float, pz: float, nx: float, ny: float, nz: float,
+    bundle: Array, interfaces: Interfaces, number: int, colour: int, i: int, holds: bool,
+    px: float, py: float, pz: float, nx: float, ny: float, nz: float,
     cos_i: float, n_i: float, n_t: float,
 ) -> None:  # fmt: skip
     """Refract the state on trial at a point whose unit normal looks along the ray."""
     weight = bundle[_WEIGHT + i]
-    ux, uy, uz, total, transmittance = fresnel_refraction(
-        bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i], nx, ny, nz, cos_i, n_i, n_t
+    ux, uy, uz, total, transmittance = refraction(
+        interfaces, number, colour, bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i], nx, ny, nz, cos_i, n_i, n_t
     )
     bundle[PASSED + i] = select(both(both(holds, cos_i > 0.0), not total), bundle[PASSED + i], 0.0)
     bundle[_X + i], bundle[_Y + i], bundle[_Z + i] = px, py, pz
@@ -118,13 +119,17 @@ def _bend(
 
 @kernel
 def _through_flat_face(
-    bundle: Array, z: float, safe_x: float, safe_y: float, toward: float, n_i: float, n_t: float
-) -> None:
+    bundle: Array, interfaces: Interfaces, colour: int,
+    z: float, safe_x: float, safe_y: float, toward: float, n_i: float, n_t: float,
+) -> None:  # fmt: skip
     for i in range(BLOCK):
         t = (z - bundle[_Z + i]) / bundle[_DZ + i]
         x, y = bundle[_X + i] + t * bundle[_DX + i], bundle[_Y + i] + t * bundle[_DY + i]
         holds = both(t > 0.0, both(abs(x) <= safe_x, abs(y) <= safe_y))
-        _bend(bundle, i, holds, x, y, z, 0.0, 0.0, toward, toward * bundle[_DZ + i], n_i, n_t)
+        _bend(
+            bundle, interfaces, FLAT_ROW, colour, i, holds, x, y, z, 0.0, 0.0, toward, toward * bundle[_DZ + i],
+            n_i, n_t,
+        )  # fmt: skip
 
 
 @kernel
@@ -220,14 +225,15 @@ def _meet_face(bundle: Array, i: int, sense: float) -> tuple[bool, float, float,
 
 @kernel
 def _through_square_lenslet(
-    bundle: Array, pitch: float, safe_x: float, safe_y: float, out: float, sense: float, n_i: float, n_t: float
-) -> None:
+    bundle: Array, interfaces: Interfaces, colour: int,
+    pitch: float, safe_x: float, safe_y: float, out: float, sense: float, n_i: float, n_t: float,
+) -> None:  # fmt: skip
     half = 0.5 * pitch
     for i in range(BLOCK):
         holds, px, py, pz, nx, ny, nz, cos_i = _meet_face(bundle, i, sense)
         x, y = px - bundle[_CENTRE_X + i], py - bundle[_CENTRE_Y + i]
         holds = both(both(holds, both(abs(px) <= safe_x, abs(py) <= safe_y)), both(abs(x) <= half, abs(y) <= half))
-        _bend(bundle, i, holds, px, py, pz, nx, ny, nz, cos_i, n_i, n_t)
+        _bend(bundle, interfaces, CURVED_ROW, colour, i, holds, px, py, pz, nx, ny, nz, cos_i, n_i, n_t)
         t = (out - pz) / bundle[_DZ + i]
         x, y = x + t * bundle[_DX + i], y + t * bundle[_DY + i]
         holds = both(bundle[_DZ + i] * sense > 0.0, both(abs(x) <= half, abs(y) <= half))
@@ -236,14 +242,15 @@ def _through_square_lenslet(
 
 @kernel
 def _through_hexagonal_lenslet(
-    bundle: Array, pitch: float, safe_x: float, safe_y: float, out: float, sense: float, n_i: float, n_t: float
-) -> None:
+    bundle: Array, interfaces: Interfaces, colour: int,
+    pitch: float, safe_x: float, safe_y: float, out: float, sense: float, n_i: float, n_t: float,
+) -> None:  # fmt: skip
     half = 0.5 * pitch
     for i in range(BLOCK):
         holds, px, py, pz, nx, ny, nz, cos_i = _meet_face(bundle, i, sense)
         x, y = px - bundle[_CENTRE_X + i], py - bundle[_CENTRE_Y + i]
         holds = both(both(holds, both(abs(px) <= safe_x, abs(py) <= safe_y)), half_hexagon(x, y) <= half)
-        _bend(bundle, i, holds, px, py, pz, nx, ny, nz, cos_i, n_i, n_t)
+        _bend(bundle, interfaces, CURVED_ROW, colour, i, holds, px, py, pz, nx, ny, nz, cos_i, n_i, n_t)
         t = (out - pz) / bundle[_DZ + i]
         x, y = x + t * bundle[_DX + i], y + t * bundle[_DY + i]
         holds = both(bundle[_DZ + i] * sense > 0.0, half_hexagon(x, y) <= half)

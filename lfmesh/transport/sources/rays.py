@@ -49,14 +49,14 @@ class RaySource(Source):
         some = slice(part.start, part.stop)
         launch_rays(
             part.start, self.position[some], self.direction[some], self.station[some], self.space[some],
-            self.weight[some], self.away, self.key, work.flow(), work.template,
+            self.weight[some], self.away, work.tables.lens.medium, self.key, work.flow(), work.template,
         )  # fmt: skip
 
 
 @kernel
 def launch_rays(
-    first: int, p: Array, d: Array, station: Numbers, space: Numbers, weight: Array, away: float, key: np.uint64,
-    flow: Flow, template: NDArray[np.void],
+    first: int, p: Array, d: Array, station: Numbers, space: Numbers, weight: Array, away: float,
+    medium: Numbers, key: np.uint64, flow: Flow, template: NDArray[np.void],
 ) -> None:  # fmt: skip
     """Put rays given in the camera frame on the stacks of their stations."""
     packet = template[0]
@@ -68,7 +68,7 @@ def launch_rays(
     packet.events = 0
     for i in range(len(p)):
         packet.source = first + i
-        packet.space = space[i]
+        packet.space, packet.medium = space[i], medium[space[i]]
         packet.node = NO_SURFACE
         packet.start = weight[i]
         flow.book[EMITTED] += weight[i]

@@ -9,16 +9,21 @@ from lfmesh.geometry.lenslets import OFFSET, Lenslets, cell_mesh, lenslets
 from lfmesh.geometry.levels import PATCH
 from lfmesh.geometry.mesh import Array, Mesh, facet_table, joined
 from lfmesh.geometry.patch import neighbours, patches
-from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.book import MOUNT, STOP, Book
+from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.tables import (
+    AIR,
     ArrayTables,
+    Interfaces,
     LensTables,
+    Media,
 )
 
 
-def lens_tables(scene: Scene, shape: LensShape, waves: tuple[float, ...], book: Book) -> tuple[Mesh, LensTables]:
+def lens_tables(
+    scene: Scene, shape: LensShape, waves: tuple[float, ...], book: Book, interfaces: Interfaces, known: MediumList
+) -> tuple[Mesh, LensTables]:
     """Return the facets of the lens as one mesh, for Embree, and its tables."""
     count = len(shape.caps)
     mesh = joined([*shape.caps, *shape.closures])
@@ -34,12 +39,16 @@ def lens_tables(scene: Scene, shape: LensShape, waves: tuple[float, ...], book: 
     slack = 1e-9 * np.abs(caps).max()
     first, last = shape.surfaces[0], shape.surfaces[-1]
     patches_, across = curved(bool((shape.surfaces["level"] == PATCH).any()), mesh)
+    media, medium = known.table(waves), np.array([known.number(each) for each in shape.media])
     return mesh, LensTables(
         surfaces=shape.surfaces,
         patches=patches_,
         across=across,
         facets=facet_table(mesh, bodies.astype(np.int64)),
-        indices=np.array([[refractive_index(medium, w) for w in waves] for medium in shape.media]),
+        media=media,
+        medium=medium,
+        indices=media.indices[medium],
+        interfaces=interfaces,
         ring_slot=ring_slot.astype(np.int64),
         mount_slot=np.where(shape.surfaces["stop"] == 1, STOP, MOUNT).astype(np.int64),
         stop_space=stop_space,
@@ -63,13 +72,15 @@ def _pure_stop(scene: Scene, shape: LensShape) -> tuple[int, float, float]:
     return -1, 0.0, np.inf
 
 
-def array_tables(scene: Scene, waves: tuple[float, ...]) -> tuple[Mesh, ArrayTables]:
+def array_tables(
+    scene: Scene, waves: tuple[float, ...], interfaces: Interfaces, known: MediumList
+) -> tuple[Mesh, ArrayTables]:
     """Return the cells of the array, one a type side by side, as one mesh for Embree, and its tables."""
-    mla = scene.camera.mla
+    mla, media = scene.camera.mla, known.table(waves)
     if mla is None:
         nothing = lenslets(Lattice(False, 1.0, 1, 1), np.array([np.inf]), 1.0)
         empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
-        return empty, _cells(False, False, nothing, empty, 0.0, np.ones(len(waves)), True)
+        return empty, _cells(False, False, nothing, empty, 0.0, media, AIR, interfaces, True)
     lattice = Lattice(
         mla.layout == "hexagonal", mla.pitch_mm * (1.0 + mla.form.pitch_error), mla.count[0], mla.count[1]
     )
@@ -86,13 +97,14 @@ def array_tables(scene: Scene, waves: tuple[float, ...]) -> tuple[Mesh, ArrayTab
     mesh = joined(
         Mesh(np.add(c.vertices, [kind * shift, 0.0, 0.0]), c.faces, c.corner_normals) for kind, c in enumerate(cells)
     )
-    index = np.array([refractive_index(mla.medium, w) for w in waves])
-    return mesh, _cells(scene.transport.surface == "patch", True, shapes, mesh, shift, index, mla.curved_side == "lens")
+    is_curved, to_lens = scene.transport.surface == "patch", mla.curved_side == "lens"
+    return mesh, _cells(is_curved, True, shapes, mesh, shift, media, known.number(mla.medium), interfaces, to_lens)
 
 
 def _cells(
-    is_curved: bool, present: bool, shapes: Lenslets, mesh: Mesh, shift: float, index: Array, curved_to_lens: bool
-) -> ArrayTables:
+    is_curved: bool, present: bool, shapes: Lenslets, mesh: Mesh, shift: float, media: Media, medium: int,
+    interfaces: Interfaces, curved_to_lens: bool,
+) -> ArrayTables:  # fmt: skip
     bodies = np.zeros(len(mesh.faces), np.int64)
     patches_, across = curved(is_curved, mesh)
     return ArrayTables(
@@ -102,7 +114,10 @@ def _cells(
         across=across,
         facets=facet_table(mesh, bodies),
         type_shift=shift,
-        indices=index,
+        media=media,
+        medium=medium,
+        indices=media.indices[medium],
+        interfaces=interfaces,
         curved_to_lens=curved_to_lens,
     )
 

@@ -14,15 +14,16 @@ from lfmesh.geometry.tessellation import (
     revolved,
 )
 from lfmesh.geometry.texture import wavelength_weights
-from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.book import LOST_OUTSIDE, Book
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.tables.contacts import contacts
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.lens import curved
 from lfmesh.transport.tables.lights import MM2, light_table, power_towards
+from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.scattering import scattering_tables
-from lfmesh.transport.tables.tables import SOURCE, ObjectTables
+from lfmesh.transport.tables.tables import OPAQUE, SOURCE, Interfaces, ObjectTables
 
 
 def middle_of(targets: list[TargetMesh]) -> Array:
@@ -98,7 +99,8 @@ def _distance_to_axis(polygon: Array) -> float:
 
 def object_tables(
     scene: Scene, targets: list[TargetMesh], housing: Mesh, moves: Array,
-    book: Book, waves: tuple[float, ...],
+    book: Book, waves: tuple[float, ...], interfaces: Interfaces, known: MediumList,
+    ranks: NDArray[np.int64],
 ) -> tuple[Mesh, ObjectTables]:  # fmt: skip
     """Return targets and housing as one mesh in the object frame, for Embree, and their tables."""
     to_object = moves[WORLD_FRAME, OBJECT_FRAME]
@@ -124,15 +126,24 @@ def object_tables(
     glasses = [t.refractor for t in scene.targets]
     level = np.array([SURFACE_LEVEL[g.surface] if g is not None else 0 for g in glasses], dtype=np.int64)
     patches, across = curved(bool((level == PATCH).any()), mesh)
+    # By rank, from 1; nobody asks for that of 0.
+    by_rank = np.zeros(int(ranks.max(initial=0)) + 1, np.int64)
+    by_rank[ranks[ranks > 0]] = np.flatnonzero(ranks)
+    first, partners, near = contacts([target.mesh for target in targets], ranks > 0)
     tables = ObjectTables(
         facets=facets,
         uv=uv,
         closed=np.array([t.closed for t in targets], dtype=np.bool_),
         scattering=scattering_tables(materials, waves),
         radiance=_by_wave([m.radiance_w_m2_sr for m in materials], waves),
-        glass=np.array(
-            [[refractive_index(g.medium, w) if g is not None else 0.0 for w in waves] for g in glasses]
-        ).reshape(-1, len(waves)),
+        media=known.table(waves),
+        medium=np.array([known.number(g.medium) if g is not None else OPAQUE for g in glasses], dtype=np.int64),
+        interfaces=interfaces,
+        rank=ranks,
+        by_rank=by_rank,
+        contact_first=first,
+        contacts=partners,
+        contact_mm=near,
         level=level,
         patches=patches,
         across=across,
@@ -155,7 +166,7 @@ def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
 
     None where there is nothing to start: no lamp, no glass, or no target that scatters.
     """
-    glass = (objects.glass > 0.0).any(axis=1)
+    glass = objects.medium != OPAQUE
     facets = np.append(glass, False)[objects.facets["body"]]
     if not len(objects.lights) or not facets.any() or objects.scattering.models["black"][:-1][~glass].all():
         return None

@@ -12,6 +12,23 @@ Array = NDArray[np.float64]
 Records = NDArray[np.void]
 
 
+class Interfaces(NamedTuple):
+    """What stands at the interfaces of a region (see `tables.interfaces`)."""
+
+    rows: Records  # (n,) INTERFACE
+    parameters: Array  # (numbers, wavelengths), those of an interface from its `first` row on
+
+
+class Media(NamedTuple):
+    """What rays travel through, a row a medium (see `tables.media`)."""
+
+    indices: Array  # (media, wavelengths) of refraction
+
+
+AIR = 0
+"""Number of the medium that every scene has."""
+
+
 class LensTables(NamedTuple):
     """The main lens in the camera frame.
 
@@ -24,7 +41,10 @@ class LensTables(NamedTuple):
     patches: Array  # (m, 6, 3) curved facets, (0, 6, 3) where the level needs none
     across: NDArray[np.int64]  # (m, 3) their neighbours
     facets: Records  # (m,) FACET; body: surface k ≥ 0, or −1 − s for the ring of space s
-    indices: Array  # (K + 1, wavelengths)
+    media: Media
+    medium: NDArray[np.int64]  # (K + 1,) of each space
+    indices: Array  # (K + 1, wavelengths) of these
+    interfaces: Interfaces  # a row a surface
     ring_slot: NDArray[np.int64]  # (K + 1,) book slot of each space's ring
     mount_slot: NDArray[np.int64]  # (K,) book slot of what lies outside each surface's clear aperture
     stop_space: int  # −1: the stop is a refracting surface
@@ -46,7 +66,10 @@ class ArrayTables(NamedTuple):
     across: NDArray[np.int64]
     facets: Records  # (m,) FACET of the cells of all types, side by side
     type_shift: float  # x distance of two types' cells in the Embree scene
+    media: Media
+    medium: int  # of the glass
     indices: Array  # (wavelengths,) of the glass
+    interfaces: Interfaces  # CURVED_ROW and FLAT_ROW
     curved_to_lens: bool
 
 
@@ -58,6 +81,10 @@ class SensorTables(NamedTuple):
     pixel: float  # mm
 
 
+OPAQUE = -1
+"""In place of the medium of a target that is none."""
+
+
 class ObjectTables(NamedTuple):
     """Targets, lights and the camera's housing in the object frame: world axes about the targets' middle."""
 
@@ -66,7 +93,16 @@ class ObjectTables(NamedTuple):
     closed: NDArray[np.bool_]  # (targets,) scatters and emits outside only
     scattering: ScatteringTables
     radiance: Array  # (targets, wavelengths) W/(m² sr)
-    glass: Array  # (targets, wavelengths) refractive index; 0: opaque
+    media: Media
+    medium: NDArray[np.int64]  # (targets,) of a body of glass; OPAQUE: of any other
+    interfaces: Interfaces  # a row a target
+    rank: NDArray[
+        np.int64
+    ]  # (targets,) of a body of glass, from 1; 0: none. The highest is the medium where several are
+    by_rank: NDArray[np.int64]  # (bodies of glass + 1,) target of each rank
+    contact_first: NDArray[np.int64]  # (m + 1,) of each facet, its first one in `contacts`; (0,) where no bodies touch
+    contacts: NDArray[np.int64]  # facets of other bodies of glass that it may lie on
+    contact_mm: float  # distance within which facets that touch lie on each other
     level: NDArray[np.int64]  # (targets,) what a facet of glass stands for
     patches: Array  # (m, 6, 3), or none
     across: NDArray[np.int64]
@@ -133,6 +169,16 @@ class Tables(NamedTuple):
     frames: Array  # (5, 5, 3, 4): frames[a, b] moves from frame a into frame b
     aim: Aim
 
+
+INTERFACE = np.dtype(
+    [
+        ("kind", "i8"),  # number in `tables.interfaces.KINDS`
+        ("first", "i8"),  # row of its parameters
+    ]
+)
+
+CURVED_ROW, FLAT_ROW = 0, 1
+"""Rows of the array's interfaces."""
 
 SOURCE = np.dtype(
     [

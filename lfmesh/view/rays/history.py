@@ -15,16 +15,18 @@ from lfmesh.geometry.lattice import centre
 from lfmesh.geometry.lenslets import shape_of
 from lfmesh.geometry.levels import EXACT
 from lfmesh.geometry.surface import normals
-from lfmesh.optics.fresnel import fresnel
 from lfmesh.optics.glass import refractive_index
+from lfmesh.transport.events.interface import shares
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME, Event
+from lfmesh.transport.tables.interfaces import InterfaceTables, interface_tables
+from lfmesh.transport.tables.media import Medium
+from lfmesh.transport.tables.tables import AIR, CURVED_ROW, FLAT_ROW, Interfaces
 from lfmesh.view.rays.names import CURVED, FLAT, label, target_names
 from lfmesh.view.rays.paths import Rays
 
 IN_SHORT = {Event.TRANSMITTED: "transmit", Event.REFLECTED: "reflect", Event.SCATTERED: "scatter"}
 
 Vector = NDArray[np.float64]
-Medium = float | str | None
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ class Step:
         Angle between the arriving ray and the surface's normal; None where nothing arrives (the start) or what is met
         has no surface of its own (an edge, the mount, the border of the scene).
     reflectance, transmittance : float or None
-        Shares of the power by Fresnel's equations; at interfaces only.
+        Shares of the power; at interfaces only.
     medium : str
         What the path goes on in, or ended in: "air", "n = 1.67", "SCHOTT/N-BK7".
     index : float
@@ -72,13 +74,15 @@ class Step:
 
 @dataclass(frozen=True)
 class _Interface:
-    """Interface at a vertex: a surface between two media, and its unit normal there (of either sense).
+    """Interface at a vertex: its unit normal there (of either sense), and its row of an interface table.
 
-    The normal is None where a facet stands for a surface without a formula; then the path itself tells it.
+    The normal is None where a facet stands for a surface without a formula; then the path itself tells it. The table is
+    None where nothing is divided, as on the sensor.
     """
 
-    media: tuple[Medium, Medium]
     normal: Vector | None
+    table: Interfaces | None = None
+    row: int = 0
 
 
 def history(rays: Rays, path: int) -> list[Step]:
@@ -98,21 +102,21 @@ def history(rays: Rays, path: int) -> list[Step]:
     if not 0 <= path < len(rays):
         raise LfmeshError(f"path {path}: the rays have paths 0 to {len(rays) - 1}")
     wavelength = float(rays.wavelength_nm[path])
+    interfaces = interface_tables(rays.world.scene, (wavelength,))
     steps: list[Step] = []
     first, end = int(rays.offsets[path]), int(rays.offsets[path + 1])
-    # Every launch starts in air.
-    medium: Medium = None
+    medium = _medium_beyond(rays, first)
     for vertex in range(first, end):
-        event, met = Event(int(rays.event[vertex])), _interface(rays, vertex)
+        event, met = Event(int(rays.event[vertex])), _interface(rays, vertex, interfaces)
         incidence = reflectance = transmittance = None
         power = left = float(rays.power[vertex])
         if met is not None and vertex > first:
-            other = met.media[1] if medium == met.media[0] else met.media[0]
+            other = medium if met.table is None else _medium_beyond(rays, vertex)
             n_i, n_t = refractive_index(medium, wavelength), refractive_index(other, wavelength)
             cosine = _cosine(rays, vertex, met.normal, n_i, n_t)
             incidence = None if cosine is None else float(np.degrees(np.arccos(cosine)))
-            if cosine is not None and event in (Event.TRANSMITTED, Event.REFLECTED):
-                reflectance, transmittance, _ = fresnel(n_i, n_t, cosine)
+            if cosine is not None and met.table is not None and event in (Event.TRANSMITTED, Event.REFLECTED):
+                reflectance, transmittance, _ = shares(met.table, met.row, 0, n_i, n_t, cosine)
                 left = steps[-1].power * (transmittance if event == Event.TRANSMITTED else reflectance)
             medium = other if event == Event.TRANSMITTED else medium
         name = rays.surfaces[rays.surface[vertex]]
@@ -165,23 +169,25 @@ def _cosine(rays: Rays, vertex: int, normal: Vector | None, n_i: float, n_t: flo
     return min(abs(float(arriving @ normal)), 1.0)
 
 
-def _interface(rays: Rays, vertex: int) -> _Interface | None:
+def _interface(rays: Rays, vertex: int, interfaces: InterfaceTables) -> _Interface | None:
     """Return what a path met at a vertex; None where that has no normal of its own."""
     world, name = rays.world, rays.surfaces[rays.surface[vertex]]
     shape, mla = world.lens_shape, world.scene.camera.mla
     k = int(rays.surface[vertex]) - 1
     if 0 <= k < len(shape.surfaces):
         exact = shape.surfaces[k]["level"] == EXACT
-        return _Interface((shape.media[k], shape.media[k + 1]), _of_lens(rays, vertex, k) if exact else None)
+        normal = _of_lens(rays, vertex, k) if exact else None
+        return _Interface(normal, interfaces.lens, k)
     if name in (CURVED, FLAT) and mla is not None:
         exact = name == FLAT or world.scene.transport.surface == "exact"
-        return _Interface((None, mla.medium), _of_array(rays, vertex, name) if exact else None)
+        normal, row = _of_array(rays, vertex, name) if exact else None, CURVED_ROW if name == CURVED else FLAT_ROW
+        return _Interface(normal, interfaces.array, row)
     if name == "sensor":
         axis = frames.directions(world.tables.frames[SENSOR_FRAME, WORLD_FRAME], [[0.0, 0.0, 1.0]])
-        return _Interface((None, None), np.asarray(axis[0]))
+        return _Interface(np.asarray(axis[0]))
     if rays.event[vertex] in (Event.TRANSMITTED, Event.REFLECTED):
-        body = world.scene.targets[target_names(world).index(name)].refractor
-        return _Interface((None, body.medium), None) if body is not None else None
+        row = target_names(world).index(name)
+        return _Interface(None, interfaces.objects, row) if world.scene.targets[row].refractor is not None else None
     return None
 
 
@@ -204,6 +210,11 @@ def _of_array(rays: Rays, vertex: int, name: str) -> Vector:
         normal = normal - curvature * (p - [cx + ex, cy + ey, 0.0])
         normal /= np.linalg.norm(normal)
     return np.asarray(frames.directions(moves[ARRAY_FRAME, WORLD_FRAME], normal[None])[0])
+
+
+def _medium_beyond(rays: Rays, vertex: int) -> Medium:
+    """Return the medium on the far side of an interface, or round a start; light that a target emits starts in air."""
+    return rays.world.media.media[max(int(rays.beyond[vertex]), AIR)]
 
 
 def _in_words(medium: Medium) -> str:

@@ -58,6 +58,8 @@ class Rays:
     world : World
     lenslet : (m,) int64
         On the curved faces the lenslet, row by row; −1 elsewhere.
+    beyond : (m,) int64
+        Number in `world.media` of what is on the far side of an interface, and round a start; −1 elsewhere.
     """
 
     position: Floats
@@ -75,6 +77,7 @@ class Rays:
     unit: str
     world: World
     lenslet: Ints
+    beyond: Ints
 
     def __len__(self) -> int:
         return len(self.status)
@@ -137,6 +140,7 @@ class Rays:
             event=self.event[vertices],
             power=self.power[vertices],
             lenslet=self.lenslet[vertices],
+            beyond=self.beyond[vertices],
             offsets=np.concatenate([[0], np.cumsum(lengths[chosen])]),
             status=self.status[chosen],
             source=self.source[chosen],
@@ -185,7 +189,7 @@ def assembled(world: World, ended: Records, nodes: Records, wavelengths_nm: Floa
         _within_borders(world, vertices["position"], ended, offsets), surface, event, vertices["weight"].copy(),
         offsets, ended["status"].copy(), np.unique(root, return_inverse=True)[1].reshape(-1), pixel, wavelengths_nm,
         sequence, names, [], WATT if pixels is None else ETENDUE, world,
-        np.where(surface == names.index(CURVED), vertices["part"], NO_SURFACE),
+        np.where(surface == names.index(CURVED), vertices["part"], NO_SURFACE), vertices["beyond"].copy(),
     )  # fmt: skip
     return _ranked(rays)
 

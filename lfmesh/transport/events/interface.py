@@ -1,0 +1,122 @@
+"""What happens to a packet at an interface: its shares of the power, and the children that go on with them.
+
+The only place that asks what kind an interface is of (see `tables.interfaces`), and the only one where a packet is
+divided. The regions know where an interface is met, and where its children go from there.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from numpy.typing import NDArray
+
+from lfmesh.kernel import inlined, pasted
+from lfmesh.optics.fresnel import fresnel, transmittance
+from lfmesh.transport.events.crossing import record_interface, split_shares
+from lfmesh.transport.packets.packet import E_REFLECTED, E_TRANSMITTED, EVENTS, Flow, Options
+from lfmesh.transport.packets.path_class import turns_off_image_path
+from lfmesh.transport.packets.random import derived
+from lfmesh.transport.tables.tables import Interfaces
+
+
+@inlined
+def shares(
+    interfaces: Interfaces, number: int, colour: int, n_i: float, n_t: float, cos_i: float
+) -> tuple[float, float, float]:
+    """Return reflectance, transmittance and the cosine of refraction at an interface.
+
+    Parameters
+    ----------
+    interfaces : Interfaces
+        Of the region.
+    number : int
+        Row of the interface.
+    colour : int
+        Number of the wavelength.
+    n_i, n_t : float
+        Refractive index before and after the interface.
+    cos_i : float
+        Cosine of the angle of incidence, 0 to 1.
+
+    Returns
+    -------
+    R, T, cos_t : float
+        Shares of the power; under total reflection 1, 0, 0.
+    """
+    # All are smooth and bare as yet. Without branches, so that blocks of packets take it as vector instructions.
+    return fresnel(n_i, n_t, cos_i)
+
+
+@pasted
+def transmitted_share(
+    interfaces: Interfaces, number: int, colour: int,
+    n_i: float, n_t: float, cos_i: float, cos_t: float, s: float, p: float, over: float,
+) -> float:  # fmt: skip
+    """Return the transmittance of `shares` alone, by the pieces of Fresnel's equations that a block of rays has ready.
+
+    Parameters
+    ----------
+    interfaces, number, colour, n_i, n_t, cos_i
+        As for `shares`.
+    cos_t : float
+        Cosine of refraction.
+    s, p, over : float
+        See `optics.fresnel.transmittance`. Under total reflection the share is nonsense.
+    """
+    return transmittance(n_i, n_t, cos_i, cos_t, s, p, over)
+
+
+def splitter(send: Callable[..., None]) -> Callable[..., None]:
+    """Return the function that divides a packet at an interface of a region.
+
+    Parameters
+    ----------
+    send : kernel
+        Queues a child where it goes next, called as ``send(place, options, flow, frames, packet, refracts, x, y, z,
+        dx, dy, dz, weight, key)``: `place` is what the region needs for it, `packet` what the child inherits from.
+
+    Returns
+    -------
+    split : kernel
+    """
+
+    @inlined
+    def split(
+        place: Any, options: Options, flow: Flow, frames: NDArray[Any], frame: int, packet: Any,
+        surface: int, part: int, beyond: int, x: float, y: float, z: float, reflectance: float, transmittance: float,
+        mirrored: tuple[float, float, float], bent: tuple[float, float, float],
+    ) -> None:  # fmt: skip
+        """Divide a packet between its reflected and its refracted child, and send on those that roulette leaves.
+
+        Parameters
+        ----------
+        frame : int
+            In which point and directions are given.
+        surface, part : int
+            What a recorded vertex says was met.
+        beyond : int
+            Medium on the far side.
+        x, y, z : float
+            Where, mm.
+        reflectance, transmittance : float
+            Shares of the power.
+        mirrored, bent : (3,) float
+            Unit directions of the two.
+        """
+        flow.counts[EVENTS] += 1
+        to_reflected, to_refracted = split_shares(options, flow.book, packet, reflectance, transmittance)
+        packet.events += 1
+        node, key, stray, medium = packet.node, packet.key, packet.stray, packet.medium
+        for refracts in (False, True):
+            weight = to_refracted if refracts else to_reflected
+            if weight <= 0.0:
+                continue
+            dx, dy, dz = bent if refracts else mirrored
+            packet.medium = beyond if refracts else medium
+            packet.stray = 1 if turns_off_image_path(frame, refracts, transmittance) else stray
+            if options.record:
+                event = E_TRANSMITTED if refracts else E_REFLECTED
+                packet.node = record_interface(flow, frames, frame, x, y, z, weight, surface, part, event, node, beyond)
+            child_key = key if refracts else derived(key, packet.events)
+            send(place, options, flow, frames, packet, refracts, x, y, z, dx, dy, dz, weight, child_key)
+
+    return split

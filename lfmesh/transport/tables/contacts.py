@@ -1,0 +1,96 @@
+"""Where bodies of glass touch: which facets of one may lie on which of another.
+
+A ray that crosses such a pair goes from the one body into the other at once, without air between them.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.mesh import Array, Mesh, facet_normals
+from lfmesh.transport.refused_glass import CUT
+
+Index = NDArray[np.int64]
+
+MOST_UNLIKE = 0.9
+"""Cosine between the normals of facets that lie on each other, at least: those of curved ones differ a little."""
+
+MOST_AT_ONCE = 1 << 22
+"""Pairs of facets that are held against each other at a time."""
+
+
+def contacts(meshes: list[Mesh], is_glass: NDArray[np.bool_]) -> tuple[Index, Index, float]:
+    """Return the facets that may lie on each facet, and how near they must be.
+
+    Parameters
+    ----------
+    meshes : list of Mesh
+        Of all targets, whose facets are counted one mesh after the other.
+    is_glass : (targets,) bool
+
+    Returns
+    -------
+    first : (facets + 1,) int64
+        Where each facet's part of `partners` begins; (0,) where no two bodies touch.
+    partners : (n,) int64
+    near_mm : float
+    """
+    none = np.zeros(0, np.int64)
+    glass = np.flatnonzero(is_glass)
+    if len(glass) < 2:
+        return none, none, 0.0
+    begins = np.concatenate([[0], np.cumsum([len(mesh.faces) for mesh in meshes])])
+    near = CUT * min(float(np.ptp(meshes[i].vertices, axis=0).max()) for i in glass)
+    pairs = [np.zeros((0, 2), np.int64)]
+    for place, i in enumerate(glass):
+        for j in glass[place + 1 :]:
+            found = np.add(_pairs(meshes[i], meshes[j], near), begins[[i, j]])
+            pairs += [found, found[:, ::-1]]
+    both = np.concatenate(pairs)
+    if not len(both):
+        return none, none, near
+    both = both[np.argsort(both[:, 0], kind="stable")]
+    # The housing's facets come last, and lie on none.
+    first = np.searchsorted(both[:, 0], np.arange(begins[-1] + 1))
+    return first, np.ascontiguousarray(both[:, 1]), near
+
+
+def _pairs(one: Mesh, other: Mesh, near: float) -> Index:
+    """Return (n, 2) facets of two meshes whose boxes come near each other and whose normals lie along one line."""
+    boxes = [_boxes(mesh) for mesh in (one, other)]
+    for own, its in ((0, 1), (1, 0)):
+        # Only what is near the other mesh at all.
+        low, high, _, _ = boxes[own]
+        below, above = boxes[its][0].min(axis=0, initial=np.inf), boxes[its][1].max(axis=0, initial=-np.inf)
+        kept = ((low <= above + near) & (high >= below - near)).all(axis=1)
+        boxes[own] = _Boxes(*(column[kept] for column in boxes[own]))
+    first, second = boxes
+    if not len(first.number) or not len(second.number):
+        return np.zeros((0, 2), np.int64)
+    found = [np.zeros((0, 2), np.int64)]
+    rows = max(1, MOST_AT_ONCE // len(second.number))
+    for begin in range(0, len(first.number), rows):
+        part = slice(begin, begin + rows)
+        meets = np.abs(first.normal[part] @ second.normal.T) >= MOST_UNLIKE
+        for axis in range(3):
+            meets &= first.low[part, axis, None] <= second.high[:, axis] + near
+            meets &= first.high[part, axis, None] >= second.low[:, axis] - near
+        a, b = np.nonzero(meets)
+        found.append(np.column_stack([first.number[part][a], second.number[b]]))
+    return np.concatenate(found)
+
+
+class _Boxes(NamedTuple):
+    """The lowest and the highest coordinates of facets, their normals and their numbers."""
+
+    low: Array
+    high: Array
+    normal: Array
+    number: Index
+
+
+def _boxes(mesh: Mesh) -> _Boxes:
+    """Return the boxes round all facets of a mesh."""
+    corners = mesh.vertices[mesh.faces]
+    return _Boxes(corners.min(axis=1), corners.max(axis=1), facet_normals(mesh)[0], np.arange(len(mesh.faces)))

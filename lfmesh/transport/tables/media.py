@@ -1,0 +1,44 @@
+"""The media of a scene: air, and the glasses of lens, array and bodies in object space, each with a number.
+
+Packets carry the number of the medium that they travel in; what a medium does to light is a column of `Media`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lfmesh.optics.glass import refractive_index
+from lfmesh.scene import Scene
+from lfmesh.transport.tables.tables import Media
+
+Medium = float | str | None
+"""A refractive index, the name of a glass, or air."""
+
+
+@dataclass(frozen=True)
+class MediumList:
+    """The distinct media of a scene, by their numbers.
+
+    Attributes
+    ----------
+    media : tuple of Medium
+        Air first.
+    """
+
+    media: tuple[Medium, ...]
+
+    @classmethod
+    def of(cls, scene: Scene) -> "MediumList":
+        """Return the media of a scene."""
+        lens = [surface.medium for surface in scene.camera.lens.surfaces]
+        array = [scene.camera.mla.medium] if scene.camera.mla is not None else []
+        bodies = [target.refractor.medium for target in scene.targets if target.refractor is not None]
+        return cls(tuple(dict.fromkeys([None, *lens, *array, *bodies])))
+
+    def number(self, medium: Medium) -> int:
+        """Return the number of a medium."""
+        return self.media.index(medium)
+
+    def table(self, waves: tuple[float, ...]) -> Media:
+        """Return the media as kernels read them, at some wavelengths in nm."""
+        return Media(indices=np.array([[refractive_index(medium, wave) for wave in waves] for medium in self.media]))

@@ -1,0 +1,306 @@
+"""An interface divides power by closed forms, and a packet into children that carry it on: every rule of the split."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+import lfmesh as lf
+from lfmesh.errors import SceneError
+from lfmesh.kernel import inlined, kernel
+from lfmesh.transport import choice
+from lfmesh.transport.events.interface import shares, splitter, transmitted_share
+from lfmesh.transport.packets.book import FIXED, ROULETTE_ADDED, ROULETTE_REMOVED, UNFOLLOWED
+from lfmesh.transport.packets.packet import (
+    ARRAY_FRAME,
+    BOTH,
+    CAMERA_FRAME,
+    COUNTERS,
+    DEPOSIT,
+    E_REFLECTED,
+    E_TRANSMITTED,
+    END,
+    EVENTS,
+    LENS,
+    NODE,
+    NODES,
+    OBJECT_FRAME,
+    PACKET,
+    ROULETTE,
+    STATIONS,
+    TOPS,
+    TRANSMIT,
+    Flow,
+    Options,
+    put,
+)
+from lfmesh.transport.packets.path_class import EVERY
+from lfmesh.transport.packets.random import derived, descendant
+from lfmesh.transport.tables import interfaces as table
+from lfmesh.transport.tables.interfaces import interface_tables
+from lfmesh.transport.tables.tables import INTERFACE, Interfaces
+
+LEVEL = 1e-3
+"""Chance that a statistical test fails though the law holds."""
+
+EPSILON = np.finfo(np.float64).eps
+
+BARE = Interfaces(rows=np.zeros(3, INTERFACE), parameters=np.zeros((0, 2)))
+
+
+def bare(n_i, n_t, cos_i):
+    return shares(BARE, 1, 0, n_i, n_t, cos_i)
+
+
+@pytest.mark.parametrize("n_i", [1.0, 1.33, 1.5, 2.4, 4.0])
+@pytest.mark.parametrize("n_t", [1.0, 1.33, 1.5, 2.4, 4.0])
+def test_normal_incidence_has_its_closed_form(n_i, n_t):
+    R, T, cos_t = bare(n_i, n_t, 1.0)
+    assert pytest.approx(((n_i - n_t) / (n_i + n_t)) ** 2, abs=4 * EPSILON) == R
+    assert pytest.approx(4.0 * n_i * n_t / (n_i + n_t) ** 2, rel=8 * EPSILON) == T
+    assert cos_t == 1.0
+
+
+def test_oblique_incidence_has_the_sines_and_tangents_of_its_angles():
+    draw = np.random.default_rng(3)
+    for n_i, n_t, sine in zip(*draw.uniform(1.0, 4.0, (2, 4000)), draw.uniform(0.05, 0.999, 4000), strict=True):
+        sine_t = n_i / n_t * sine
+        if abs(sine_t - 1.0) < 1e-3 or abs(n_i - n_t) < 1e-3:
+            continue
+        R, T, cos_t = bare(n_i, n_t, np.sqrt(1.0 - sine * sine))
+        if sine_t > 1.0:
+            assert (R, T, cos_t) == (1.0, 0.0, 0.0)
+            continue
+        a, b = np.arcsin(sine), np.arcsin(sine_t)
+        s, p = np.sin(a - b) / np.sin(a + b), np.tan(a - b) / np.tan(a + b)
+        assert pytest.approx(0.5 * (s * s + p * p), abs=1e-12) == R
+        assert pytest.approx(1.0 - R, abs=4 * EPSILON) == T
+        assert pytest.approx(np.cos(b), abs=1e-12) == cos_t
+
+
+def test_grazing_light_passes_in_proportion_to_its_angle():
+    # To first order in the angle T = 2 a (1 + 1/n²) n² / √(n² − 1), from thin to dense.
+    n = 1.5
+    for angle in 10.0 ** np.arange(-5.0, -12.0, -1.0):
+        _, T, _ = bare(1.0, n, np.sin(angle))
+        assert pytest.approx(2.0 * angle * (1.0 + n * n) / np.sqrt(n * n - 1.0), rel=5.0 * angle + 1e-13) == T
+
+
+def test_matched_indices_pass_everything_at_every_angle():
+    for cos_i in (1.0, 0.7, 1e-3, 1e-12, 0.0):
+        assert bare(1.7, 1.7, cos_i) == (0.0, 1.0, cos_i)
+
+
+@kernel
+def of_blocks(n_i, n_t, cos_i, cos_t, T):
+    for i in range(len(T)):
+        s, p = n_i[i] * cos_i[i] + n_t[i] * cos_t[i], n_i[i] * cos_t[i] + n_t[i] * cos_i[i]
+        T[i] = transmitted_share(BARE, 1, 0, n_i[i], n_t[i], cos_i[i], cos_t[i], s, p, 1.0 / (s * p))
+
+
+def test_a_block_of_rays_passes_what_a_packet_does():
+    draw = np.random.default_rng(4)
+    n_i, n_t = draw.uniform(1.0, 3.0, (2, 2000))
+    cos_i = draw.uniform(0.0, 1.0, 2000)
+    _, passes, cos_t = np.array([bare(*row) for row in zip(n_i, n_t, cos_i, strict=True)]).T
+    T = np.empty(2000)
+    of_blocks(n_i, n_t, cos_i, cos_t, T)
+    goes = passes > 0.0
+    assert goes.sum() > 1000
+    assert np.abs(T[goes] / passes[goes] - 1.0).max() < 8 * EPSILON
+
+
+@inlined
+def send(place, options, flow, frames, packet, refracts, x, y, z, dx, dy, dz, weight, key):
+    """Keep the child at the station of the lens; `place` is the space that a refracted one goes to."""
+    packet.space = place if refracts else 0
+    put(flow, LENS, packet, packet.frame, x, y, z, dx, dy, dz, weight, key, 0.0)
+
+
+split = splitter(send)
+
+
+@kernel
+def split_all(packets, frames, options, flow, reflectance, transmittance):
+    for i in range(len(packets)):
+        packet = packets[i]
+        split(
+            7, options, flow, frames, packet.frame, packet, 5, -1, 9, 1.0, 2.0, 3.0, reflectance, transmittance,
+            (0.0, 0.0, -1.0), (0.0, 0.6, 0.8),
+        )  # fmt: skip
+
+
+@dataclass
+class Children:
+    """What came of some packets: the children, and everything that was written."""
+
+    packets: NDArray[np.void]
+    flow: Flow
+
+    @property
+    def refracted(self):
+        return self.packets[self.packets["dz"] > 0.0]
+
+    @property
+    def reflected(self):
+        return self.packets[self.packets["dz"] < 0.0]
+
+    @property
+    def gained(self):
+        """What the book says was added to the packets' energy."""
+        return self.flow.book[ROULETTE_ADDED] - self.flow.book[ROULETTE_REMOVED]
+
+
+def children(count=1, reflectance=0.3, transmittance=0.7, frame=CAMERA_FRAME, stray=0, record=False, **options):
+    """Divide `count` packets of weight 2."""
+    packets = np.zeros(count, PACKET)
+    packets["weight"], packets["start"], packets["frame"], packets["stray"], packets["events"] = (
+        2.0,
+        2.0,
+        frame,
+        stray,
+        3,
+    )
+    packets["medium"] = 4
+    packets["node"], packets["source"] = 11, np.arange(count)
+    packets["key"] = [descendant(1, 77, number) for number in range(count)]
+    flow = Flow(
+        stacks=np.zeros((STATIONS + 1, 2 * count), PACKET), rows=np.arange(STATIONS + 1), tops=np.zeros(TOPS, np.int64),
+        book=np.zeros(len(FIXED)), counts=np.zeros(COUNTERS, np.int64), film=np.zeros((0, 1)),
+        hits=np.zeros((0, 1), np.uint32), counted=np.zeros(0, np.uint8), deposits=np.zeros(0, DEPOSIT),
+        ended=np.zeros(0, END), nodes=np.zeros(2 * count, NODE),
+    )  # fmt: skip
+    settings = {
+        "surface": 0, "split": BOTH, "max_events": 64, "cutoff": 0.0, "adjoint": True, "tracing": False,
+        "record": record, "bounce": False, "aimed": True, "sequential": False, "paths": EVERY,
+        "unturned_cutoff": 0.0, "first_source": 0,
+    }  # fmt: skip
+    still = np.zeros((5, 5, 3, 4))
+    still[:, :, range(3), range(3)] = 1.0
+    split_all(packets, still, Options(**settings | options), flow, reflectance, transmittance)
+    assert flow.counts[EVENTS] == count
+    return Children(flow.stacks[LENS, : flow.tops[LENS]].copy(), flow)
+
+
+def test_both_children_go_on_with_their_shares():
+    made = children()
+    assert made.reflected["weight"] == [0.6]
+    assert made.refracted["weight"] == [1.4]
+    assert made.packets["weight"].sum() == 2.0
+    assert (made.packets["events"] == 4).all()
+    assert (made.packets["start"] == 2.0).all()
+    assert made.reflected["space"] == [0]
+    assert made.refracted["space"] == [7]
+    assert made.reflected["medium"] == [4]
+    assert made.refracted["medium"] == [9]
+    assert made.refracted[["x", "y", "z", "dx", "dy", "dz"]].tolist() == [(1.0, 2.0, 3.0, 0.0, 0.6, 0.8)]
+
+
+def test_the_refracted_child_keeps_the_key_and_the_reflected_one_has_its_own():
+    made = children(count=50)
+    before = np.array([descendant(1, 77, number) for number in range(50)])
+    assert (made.refracted["key"] == before).all()
+    assert (made.reflected["key"] == [derived(key, 4) for key in before]).all()
+    assert len(np.unique(made.packets["key"])) == 100
+
+
+@pytest.mark.parametrize("stray", [0, 1])
+@pytest.mark.parametrize("frame", [CAMERA_FRAME, ARRAY_FRAME, OBJECT_FRAME])
+def test_a_reflection_turns_off_the_image_path_and_refraction_does_not(frame, stray):
+    made = children(frame=frame, stray=stray)
+    assert made.reflected["stray"] == [1]
+    assert made.refracted["stray"] == [stray]
+
+
+@pytest.mark.parametrize("stray", [0, 1])
+@pytest.mark.parametrize(("frame", "turns"), [(CAMERA_FRAME, 1), (ARRAY_FRAME, 1), (OBJECT_FRAME, 0)])
+def test_total_reflection_is_the_image_paths_own_way_in_object_space_only(frame, turns, stray):
+    made = children(frame=frame, stray=stray, reflectance=1.0, transmittance=0.0)
+    assert len(made.packets) == 1
+    assert made.reflected["stray"] == [max(turns, stray)]
+
+
+def test_every_child_has_a_vertex_of_its_own_from_its_parents():
+    made = children(record=True)
+    nodes = made.flow.nodes[: made.flow.tops[NODES]]
+    assert nodes["event"].tolist() == [E_REFLECTED, E_TRANSMITTED]
+    assert (nodes["parent"] == 11).all()
+    assert (nodes["surface"] == 5).all()
+    assert (nodes["beyond"] == 9).all()
+    assert nodes["weight"].tolist() == [0.6, 1.4]
+    assert nodes["position"].tolist() == [[1.0, 2.0, 3.0]] * 2
+    assert made.reflected["node"] == [0]
+    assert made.refracted["node"] == [1]
+
+
+def test_transmit_follows_the_refracted_child_and_books_the_rest():
+    made = children(split=TRANSMIT)
+    assert made.packets["weight"].tolist() == [1.4]
+    assert made.packets["dz"] > 0.0
+    assert made.flow.book[UNFOLLOWED] == 0.6
+    total = children(split=TRANSMIT, reflectance=1.0, transmittance=0.0)
+    assert total.packets["weight"].tolist() == [2.0]
+    assert total.packets["dz"] < 0.0
+
+
+def test_roulette_takes_one_child_with_all_the_weight_as_often_as_its_share_says():
+    count, share = 20_000, 0.3
+    made = children(count=count, split=ROULETTE)
+    assert len(made.packets) == count
+    assert (made.packets["weight"] == 2.0).all()
+    assert stats.binomtest(len(made.reflected), count, share).pvalue > LEVEL
+
+
+def test_a_weight_window_keeps_the_light_in_the_mean_and_the_books_to_the_last_digit():
+    # The reflected child of 0.2 is below the floor of 0.5, the refracted one of 1.8 above it.
+    count = 20_000
+    made = children(count=count, reflectance=0.1, transmittance=0.9, cutoff=0.25)
+    assert len(made.refracted) == count
+    assert (made.reflected["weight"] == 0.5).all()
+    assert stats.binomtest(len(made.reflected), count, 0.4).pvalue > LEVEL
+    assert made.packets["weight"].sum() == pytest.approx(2.0 * count + made.gained, rel=1e-13)
+
+
+def world_with_everything():
+    """Return a scene with lens, array and targets."""
+    return lf.Scene(
+        camera={
+            "focus_mm": 300.0,
+            "lens": {"surfaces": [
+                {"stop": True, "thickness_mm": 1.0, "semi_diameter_mm": 4.0},
+                {"radius_mm": 50.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 5.0},
+                {"radius_mm": -50.0, "semi_diameter_mm": 5.0},
+            ]},
+            "mla": {"count": [4, 4], "pitch_mm": 0.5, "focal_length_mm": 2.6, "index": 1.5, "thickness_mm": 0.5},
+            "sensor": {"pixels": [20, 20], "pixel_mm": 0.1},
+        },
+        targets=[{"shape": {"kind": "plane", "width_mm": 60.0, "height_mm": 50.0}, "position_mm": [0, 0, -300.0]}],
+        transport={"split": "transmit", "wavelengths_nm": [450.0, 650.0]},
+    )  # fmt: skip
+
+
+def test_every_surface_face_and_body_has_a_row_and_parameters_lie_one_after_another(monkeypatch):
+    def numbered(where, waves):
+        own = 2 if where == "camera.lens.surfaces[2]" else 1
+        return table.Finish(where, 0, tuple(tuple(100.0 * k + w for w in waves) for k in range(own)))
+
+    monkeypatch.setattr(table, "_finish_of", numbered)
+    found = interface_tables(world_with_everything(), (450.0, 650.0))
+    # The stop refracts nothing.
+    assert found.lens.rows["first"].tolist() == [0, 1]
+    assert found.lens.parameters.tolist() == [[450.0, 650.0], [450.0, 650.0], [550.0, 750.0]]
+    assert found.array.rows["first"].tolist() == [0, 1]
+    assert found.objects.rows["first"].tolist() == [0]
+
+
+@pytest.mark.parametrize("where", ["camera.lens.surfaces[2]", "camera.mla, its flat face"])
+def test_the_sequential_engine_refuses_by_the_table_what_is_not_smooth(monkeypatch, where):
+    scene = world_with_everything()
+    assert choice.engine_of(scene)[0] == "sequential"
+    monkeypatch.setattr(table, "KINDS", (*table.KINDS, table.Kind("ground", is_smooth=False)))
+    monkeypatch.setattr(table, "_finish_of", lambda name, waves: table.Finish(name, int(name == where)))
+    assert choice.engine_of(scene) == ("mesh", f"{where} is ground")
+    with pytest.raises(SceneError, match=r"is ground; use"):
+        choice.engine_of(scene.changed({"transport.engine": "sequential"}))

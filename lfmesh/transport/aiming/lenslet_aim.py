@@ -52,6 +52,9 @@ NUMBERS_OF_ROLES = -1
 STEPS = 40
 """Of Newton's method at most, towards a slope."""
 
+THIRD_ORDER = 0.1
+"""Share of the first order's slope that the third adds to it at most."""
+
 EXACT = 1e-4
 """Its last step, relative, which leaves an error of the square of that."""
 
@@ -211,11 +214,13 @@ def path_to_apexes(array: ArrayTables, z: float) -> tuple[float, float, float]:
 def slope_to(r: float, air: float, plate: float, glass: float) -> float:
     """Return the slope of the ray in air that goes so far sideways in some air and a plate of glass.
 
-    That grows ever more slowly with the slope, and first order gives too small a slope: so Newton's steps come from
-    below and always arrive.
+    Newton's steps from the slope that third order gives, of which one is mostly enough. Third order is no good for
+    steep rays, and no more of it is taken than `THIRD_ORDER`. How far the ray goes sideways grows ever more slowly with
+    the slope: so the steps come from below, from the second on at the latest, and always arrive.
     """
-    s = r / (air + plate / glass)
     more = glass * glass - 1.0
+    s = r / (air + plate / glass)
+    s += s * min(0.5 * s * s * plate * more / (glass * glass * (air * glass + plate)), THIRD_ORDER)
     for _ in range(STEPS):
         q2 = glass * glass + more * s * s
         q = np.sqrt(q2)

@@ -20,6 +20,7 @@ from lfmesh.transport.events.crossing import (
     BOUNCE_U,
     BOUNCE_V,
     KEEP_BOUNCE,
+    KEEP_REACHED,
     barycentric,
     clear_of,
     deposit,
@@ -70,6 +71,13 @@ def meet_target(
     if objects.closed[body] and along > 0.0:
         end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, S_ABSORBED)
         return
+    if options.paths == OFF_IMAGE_PATH and packet.stray == 0:
+        # It gathers nothing here, and few of its kind go on: the others are spared the rest.
+        dimension = packet.events * DIMENSIONS_PER_EVENT + KEEP_REACHED
+        weight = windowed(flow.book, weight, options.unturned_cutoff * packet.start, packet.key, dimension)
+        if weight == 0.0:
+            return
+        packet.weight = weight
     texel = texture_at(objects, prim, packet.wave, x, y, z)
     point = point_of(objects, prim, x, y, z, -1.0 if along > 0.0 else 1.0, body, texel)
     share = albedo(objects.scattering, point, packet.wave, dx, dy, dz)

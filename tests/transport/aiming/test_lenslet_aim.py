@@ -10,7 +10,7 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.transport.aiming.lenslet_aim import solid_angle
+from lfmesh.transport.aiming.lenslet_aim import slope_to, solid_angle
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import PLATE
 from lfmesh.transport.packets.random import run_key
@@ -169,3 +169,21 @@ def test_how_large_a_lenslet_looks_is_a_number_wherever_it_stands(air: float, pl
     assert seen[0] == pytest.approx(1.0)
     assert (seen >= 0.0).all()
     assert (np.diff(seen) <= 1e-7).all()
+
+
+@pytest.mark.parametrize("sensor_touches_glass", [False, True])
+@pytest.mark.parametrize("has_plate", [False, True])
+def test_the_ray_to_a_point_goes_there_by_snells_law(sensor_touches_glass: bool, has_plate: bool) -> None:
+    if sensor_touches_glass and not has_plate:
+        pytest.skip("no way at all")
+    rng = np.random.default_rng(7)
+    for _ in range(2_000):
+        air = 0.0 if sensor_touches_glass else 10.0 ** rng.uniform(-6.0, 2.0)
+        plate = 10.0 ** rng.uniform(-3.0, 1.0) if has_plate else 0.0
+        glass, angle = rng.uniform(1.0, 4.0), rng.uniform(0.0, 1.55)
+        inside = np.arcsin(np.sin(angle) / glass)
+        sideways = air * np.tan(angle) + plate * np.tan(inside)
+        found = slope_to(sideways, air, plate, glass)
+        # In how far sideways it goes, which tells steep slopes badly where nearly all of the way is in the plate.
+        reached = air * found + plate * np.tan(np.arcsin(found / np.hypot(1.0, found) / glass))
+        assert abs(reached - sideways) <= 1e-7 * sideways

@@ -171,14 +171,11 @@ def test_how_large_a_lenslet_looks_is_a_number_wherever_it_stands(air: float, pl
     assert (np.diff(seen) <= 1e-7).all()
 
 
-@pytest.mark.parametrize("sensor_touches_glass", [False, True])
-@pytest.mark.parametrize("has_plate", [False, True])
-def test_the_ray_to_a_point_goes_there_by_snells_law(sensor_touches_glass: bool, has_plate: bool) -> None:
-    if sensor_touches_glass and not has_plate:
-        pytest.skip("no way at all")
+@pytest.mark.parametrize(("has_air", "has_plate"), [(True, True), (True, False), (False, True)])
+def test_the_ray_to_a_point_goes_there_by_snells_law(has_air: bool, has_plate: bool) -> None:
     rng = np.random.default_rng(7)
     for _ in range(2_000):
-        air = 0.0 if sensor_touches_glass else 10.0 ** rng.uniform(-6.0, 2.0)
+        air = 10.0 ** rng.uniform(-6.0, 2.0) if has_air else 0.0
         plate = 10.0 ** rng.uniform(-3.0, 1.0) if has_plate else 0.0
         glass, angle = rng.uniform(1.0, 4.0), rng.uniform(0.0, 1.55)
         inside = np.arcsin(np.sin(angle) / glass)

@@ -27,6 +27,7 @@ DIMENSIONLESS = {
     "transport/events/crossing.py": {"EDGE", "FLOAT32_GRAIN"},
     "transport/packets/ledger.py": {"LOST_LIMIT"},
     "transport/aiming/lenslet_aim.py": {"EXACT"},
+    "transport/aiming/ray_aiming.py": {"ARRIVED", "TOLERANCE"},
     "transport/aiming/lenslet_view.py": {"ROUNDING"},
     "transport/regions/objects.py": {"MM2"},
     "transport/refused_glass.py": {"A_LITTLE_INSIDE", "CUT", "JUST_BESIDE"},

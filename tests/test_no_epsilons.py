@@ -30,7 +30,8 @@ DIMENSIONLESS = {
     "transport/aiming/ray_aiming.py": {"ARRIVED", "TOLERANCE"},
     "transport/aiming/lenslet_view.py": {"ROUNDING"},
     "transport/regions/objects.py": {"MM2"},
-    "transport/refused_glass.py": {"A_LITTLE_INSIDE", "CUT", "JUST_BESIDE"},
+    "transport/refused_glass.py": {"A_LITTLE_INSIDE", "JUST_BESIDE"},
+    "transport/tables/contacts.py": {"CUT"},
     "transport/packets/random.py": {"_UNIT"},
     "transport/packets/sobol.py": {"_UNIT"},
 }

@@ -20,12 +20,9 @@ from lfmesh.scene import DirectionalLight, DiskLight, Light, Scene
 from lfmesh.transport.events.crossing import FLOAT32_GRAIN
 from lfmesh.transport.regions.bodies import MOST_AT_ONCE, MOST_BODIES
 from lfmesh.transport.regions.embree import Finder
+from lfmesh.transport.tables.contacts import CUT
 
 Index = NDArray[np.int64]
-
-CUT = 1e-5
-"""How deep surfaces may cut into each other before they are refused, relative to the smaller one's size: what float32
-files and coincident faces leave."""
 
 MOST_ROUNDS = 64
 """How often an edge asks for what it meets; it passes its own facets, and those that it touches."""

@@ -53,7 +53,7 @@ class World:
 
     def __init__(
         self, scene: Scene, report: FirstOrder, tables: Tables, finders: tuple[Finder, Finder, Finder],
-        book: Book, lens: LensShape, targets: list[TargetMesh], housing: Mesh, media: MediumList,
+        book: Book, lens: LensShape, targets: list[TargetMesh], housing: Mesh,
         aim_proof: AimProof | None = None,
     ) -> None:  # fmt: skip
         self.scene = scene
@@ -65,7 +65,7 @@ class World:
         self.lens_shape = lens
         self.targets = targets
         self.housing = housing
-        self.media = media
+        self.media = MediumList.of(scene)
         self.aim_proof = aim_proof
 
     def reseeded(self, seed: int) -> "World":
@@ -217,4 +217,4 @@ def build(scene: Scene, *, rings: int | None = None) -> World:
     aim, proof = aim_table(scene, report, lens, array, sensor, targets, moves, analytic=bool(shape.analytic.all()))
     tables = Tables(lens=lens, array=array, sensor=sensor, objects=objects, frames=moves, aim=aim)
     finders = (Finder(lens_mesh), Finder(array_mesh_), Finder(object_mesh))
-    return World(scene, report, tables, finders, book, shape, targets, housing, known, proof)
+    return World(scene, report, tables, finders, book, shape, targets, housing, proof)

@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals
-from lfmesh.transport.refused_glass import CUT
 
 Index = NDArray[np.int64]
+
+CUT = 1e-5
+"""How deep surfaces that touch may cut into each other or stand apart, relative to the smaller one's size: what float32
+files and coincident faces leave. Where they cut deeper, they overlap."""
 
 MOST_UNLIKE = 0.9
 """Cosine between the normals of facets that lie on each other, at least: those of curved ones differ a little."""

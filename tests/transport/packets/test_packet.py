@@ -7,7 +7,7 @@ from lfmesh.transport.packets.packet import DEPOSIT, END, LENS, NODE, PACKET, PL
 
 GIVEN = {
     "x": 1.0, "y": 2.0, "z": 3.0, "dx": 0.0, "dy": 0.6, "dz": 0.8,
-    "weight": 0.25, "key": 77, "query_from": 1e-3, "limit": 1e-3, "aside": 0.0, "tries": 0, "frame": 2,
+    "weight": 0.25, "key": 77, "query_from": 1e-3, "limit": 1e-3, "slipped": 0, "tries": 0, "frame": 2,
 }  # fmt: skip
 """What `put` is given, or sets: a child asks Embree for the first time."""
 

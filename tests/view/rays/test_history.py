@@ -172,6 +172,25 @@ def test_a_body_of_glass_in_object_space_is_a_medium_too(tmp_path):
     assert np.rad2deg(out) == pytest.approx(steps[1].incidence_deg, abs=1e-6)
 
 
+def test_bodies_that_touch_have_no_air_between_them(tmp_path):
+    def plate(name, index, z, thickness, **refractor):
+        file = tmp_path / f"{name}.stl"
+        trimesh.creation.box((40.0, 40.0, thickness)).export(file)
+        body = lf.Refractor(file=str(file), units="mm", index=index, surface="flat", **refractor)
+        return lf.Target(name=name, position_mm=(0.0, 0.0, z), refractor=body)
+
+    # The block lies in the water, and the window on it.
+    parts = plate("water", 1.333, -57.5, 10.0), plate("block", 1.7, -58.0, 3.0), plate("window", 1.5, -50.0, 5.0)
+    rays = from_field_point(world_of(targets=parts), POINT, 40)
+    check_laws(rays, 200)
+    steps = history(rays, int(np.flatnonzero(rays.sequence == 0)[0]))[1:6]
+    assert [step.medium for step in steps] == ["n = 1.333", "n = 1.7", "n = 1.333", "n = 1.5", "air"]
+    assert all(step.event == Event.TRANSMITTED for step in steps)
+    for step, (n_i, n_t) in zip(steps[2:], [(1.7, 1.333), (1.333, 1.5), (1.5, 1.0)], strict=True):
+        # Near normal incidence.
+        assert step.reflectance == pytest.approx(((n_i - n_t) / (n_i + n_t)) ** 2, rel=0.02)
+
+
 def test_the_sensor_is_met_at_the_angle_of_the_last_segment(rays):
     for path, steps in histories(rays, 200):
         if steps[-1].surface != "sensor":

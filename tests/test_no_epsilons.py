@@ -28,8 +28,8 @@ DIMENSIONLESS = {
     "transport/packets/ledger.py": {"LOST_LIMIT"},
     "transport/aiming/lenslet_aim.py": {"EXACT"},
     "transport/aiming/lenslet_view.py": {"ROUNDING"},
-    "transport/regions/objects.py": {"MM2"},
     "transport/refused_glass.py": {"A_LITTLE_INSIDE", "CUT", "JUST_BESIDE"},
+    "transport/tables/lights.py": {"MM2"},
     "transport/packets/random.py": {"_UNIT"},
     "transport/packets/sobol.py": {"_UNIT"},
 }

@@ -29,9 +29,9 @@ DIMENSIONLESS = {
     "transport/aiming/lenslet_aim.py": {"EXACT"},
     "transport/aiming/ray_aiming.py": {"ARRIVED", "TOLERANCE"},
     "transport/aiming/lenslet_view.py": {"ROUNDING"},
-    "transport/regions/objects.py": {"MM2"},
     "transport/refused_glass.py": {"A_LITTLE_INSIDE", "JUST_BESIDE"},
     "transport/tables/contacts.py": {"CUT"},
+    "transport/tables/lights.py": {"MM2"},
     "transport/packets/random.py": {"_UNIT"},
     "transport/packets/sobol.py": {"_UNIT"},
 }

@@ -1,87 +1,264 @@
-"""What keeps a fresh install's first start short: numba, without what it does again and again.
+"""How kernels are compiled, so that a fresh install's first render starts soon.
 
-What an operator gives for which types is asked once, and code that only kernels call is made machine code in them
-alone. Neither changes a kernel's result. Both reach into numba, and are meant for the releases that `kernel` names.
+By itself numba makes machine code of every function that a kernel calls, and optimises it again in every caller. The
+compilers of this file keep what only kernels call as LLVM's intermediate code; a kernel that Python calls takes all of
+it in, is optimised once, and alone is translated. What an operator gives for which types is asked once. Neither changes
+what a kernel computes.
+
+Compilers like these are given to `njit` as its `pipeline_class` and work on what is compiled with them alone. Nothing
+of numba is exchanged. An option of `njit` upstream that says "called by compiled code only" would make `StepCompiler`
+needless, and a memory of successful answers in `BaseContext.resolve_function_type`, which remembers failures already,
+`_RememberedFunction`.
 """
 
-from functools import wraps
+import gc
+from collections.abc import Hashable, Iterator
+from contextlib import contextmanager
+from operator import setitem
 from typing import Any
 
-from numba import _dynfunc, types
-from numba.core.codegen import JITCodeLibrary
+import llvmlite.binding as llvm
+from numba import types
+from numba.core import config
+from numba.core.cgutils import normalize_ir_text
+from numba.core.codegen import CodeLibrary, JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
-from numba.core.compiler_machinery import PassManager, register_pass
+from numba.core.compiler_machinery import LoweringPass, PassManager, register_pass
+from numba.core.dispatcher import Dispatcher
 from numba.core.typed_passes import NativeLowering
+from numba.extending import models, register_model
 
 
-def remember_what_operators_give() -> None:
-    """Let numba remember the signatures that it found for built-in functions: +, [], <, abs, ...
+class IntermediateLibrary(CodeLibrary):  # type: ignore[misc]
+    """The code of a function that only kernels call: neither optimised nor made machine code."""
 
-    By itself it asks all that `+` may mean, for text and for sets too, at each of a kernel's thousands of sums. Kept is
-    only what numba itself carries out; what it would compile for the purpose depends on the options of the caller.
+    def __init__(self, codegen: Any, name: str) -> None:
+        super().__init__(codegen, name)
+        self.modules: list[bytes] = []
+        """LLVM modules, as bitcode."""
+        self.linked: dict[CodeLibrary, None] = {}
+        """What its code calls, in order."""
+
+    def add_ir_module(self, ir_module: Any) -> None:
+        """Keep a module."""
+        prefer_wide_registers(ir_module)
+        module = llvm.parse_assembly(normalize_ir_text(str(ir_module)))
+        module.verify()
+        self.modules.append(module.as_bitcode())
+
+    def add_linking_library(self, library: CodeLibrary) -> None:
+        """Keep what the function calls."""
+        self.linked[library] = None
+
+    def finalize(self) -> None:
+        """Do nothing: the code is finished in the kernels that take it in."""
+
+    def get_function(self, name: str) -> Any:
+        """Return a function by name."""
+        return self._merged().get_function(name)
+
+    def get_llvm_str(self) -> str:
+        """Return the code as text."""
+        return str(self._merged())
+
+    def get_asm_str(self) -> str:
+        """Return the machine code as text."""
+        raise NotImplementedError(f"{self.name} is compiled in its callers only")
+
+    def _merged(self) -> Any:
+        return merged(self.modules)
+
+
+class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """The machine code of a kernel that Python calls, with all that the kernel calls taken in."""
+
+    def __init__(self, codegen: Any, name: str) -> None:
+        super().__init__(codegen, name)
+        self.taken: dict[IntermediateLibrary, None] = {}
+
+    def add_ir_module(self, ir_module: Any) -> None:
+        """Add a module."""
+        prefer_wide_registers(ir_module)
+        super().add_ir_module(ir_module)
+
+    def add_linking_library(self, library: CodeLibrary) -> None:
+        """Take in what the kernel calls, and what that calls."""
+        if not isinstance(library, IntermediateLibrary):
+            super().add_linking_library(library)
+        elif library not in self.taken:
+            self.taken[library] = None
+            for called in library.linked:
+                self.add_linking_library(called)
+
+    def finalize(self) -> None:
+        """Link, optimise and translate."""
+        if self.taken:
+            self.add_llvm_module(merged([module for library in self.taken for module in library.modules]))
+        super().finalize()
+
+
+def prefer_wide_registers(ir_module: Any) -> None:
+    """Let LLVM use 512-bit registers where the processor has them: by itself it keeps to 256 on many.
+
+    The blocks of the sequential engine are a third quicker for it. NUMBA_CPU_FEATURES, if set, has the last word.
     """
-    ask = types.Function.get_call_type
-    known: dict[tuple[Any, ...], Any] = {}
+    if config.CPU_FEATURES is None:
+        for function in ir_module.functions:
+            if not function.is_declaration:
+                # Past the check of llvmlite's own `add`, which knows no attribute that has a value.
+                set.add(function.attributes, '"prefer-vector-width"="512"')
 
-    @wraps(ask)
-    def get_call_type(function: types.Function, context: Any, args: Any, kws: Any) -> Any:
-        if kws:
-            return ask(function, context, args, kws)
-        key = (context, function, tuple(args))
-        if key in known:
-            return known[key]
-        signature = ask(function, context, args, kws)
-        if function.get_impl_key(signature) == function.typing_key:
-            known[key] = signature
+
+def merged(modules: list[bytes]) -> Any:
+    """Return LLVM modules as one, whose functions may go where nothing calls them any longer."""
+    first, *others = map(llvm.parse_bitcode, modules)
+    for other in others:
+        first.link_in(other)
+    for function in first.functions:
+        if not function.is_declaration:
+            function.linkage = "linkonce_odr"
+    return first
+
+
+class _RememberedFunction(types.Function):  # type: ignore[misc]
+    """The type of a built-in function, +, [], <, abs, ..., which remembers the signatures that were found for it.
+
+    By itself numba asks all that `+` may mean, for text and for sets too, at each of a kernel's thousands of sums. Kept
+    is only what numba itself carries out; what it would compile for the purpose depends on the options of the caller.
+    """
+
+    def __init__(self, templates: Any) -> None:
+        super().__init__(templates)
+        self.known: dict[Hashable, Any] = {}
+
+    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
+        """Return the signature of a call."""
+        key = tuple(args)
+        if key in self.known and not kws:
+            return self.known[key]
+        # What numba asks on the way, as `[]` of `+`, is remembered too.
+        signature = super().get_call_type(_contexts.get(context, context), args, kws)
+        if signature is not None and not kws and self.get_impl_key(signature) == self.typing_key:
+            self.known[key] = signature
         return signature
 
-    types.Function.get_call_type = get_call_type
+
+# As every function has: no value at all.
+register_model(_RememberedFunction)(models.OpaqueModel)
 
 
-class _LinkedCode(JITCodeLibrary):  # type: ignore[misc]
-    """Code that becomes part of its callers': simplified, but neither optimised nor made machine code by itself."""
-
-    def _optimize_final_module(self) -> None:
-        manager, builder = self._codegen._module_pass_manager(
-            loop_vectorize=False, slp_vectorize=False, opt=0, cost="cheap"
-        )
-        manager.run(self._final_module, builder)
-
-    def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
-        self._verify_declare_only_symbols()
-        self._finalized = True
+STEPS: dict[Dispatcher, Dispatcher] = {}
+"""What kernels call in place of the kernel that Python calls."""
 
 
-@register_pass(mutates_CFG=True, analysis_only=False)
-class _LinkedLowering(NativeLowering):  # type: ignore[misc]
-    """Lower to code that is linked into callers'."""
+class _KernelContext:
+    """A typing context of numba's in which built-in functions remember their signatures, and kernels call steps."""
 
-    _name = "linked_lowering"
+    def __init__(self, context: Any) -> None:
+        self.context = context
+        self.remembered: dict[types.Function, _RememberedFunction] = {}
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.context, name)
+
+    def resolve_value_type(self, value: Any) -> types.Type:
+        """Return the type of a constant; a function that numba has learned more of since has another."""
+        if isinstance(value, Dispatcher):
+            value = STEPS.get(value, value)
+        found = self.context.resolve_value_type(value)
+        if type(found) is not types.Function:
+            return found
+        if found not in self.remembered:
+            self.remembered[found] = _RememberedFunction(found.templates)
+        return self.remembered[found]
+
+    def resolve_function_type(self, function: Any, args: Any, kws: Any) -> Any:
+        """Return the signature of a call, None where there is none."""
+        if isinstance(function, _RememberedFunction) and not kws and tuple(args) in function.known:
+            return function.known[tuple(args)]
+        if isinstance(function, types.Dispatcher):
+            args, kws = tuple(map(plain, args)), {name: plain(each) for name, each in dict(kws).items()}
+        return self.context.resolve_function_type(function, args, kws)
+
+    def resolve_setitem(self, target: types.Type, index: types.Type, value: types.Type) -> Any:
+        """Return the signature of target[index] = value."""
+        return self.resolve_function_type(self.resolve_value_type(setitem), (target, index, value), {})
+
+
+def plain(argument: types.Type) -> types.Type:
+    """Return the type that an argument is passed as: whole numbers, but for the unsigned of hashes, as 64 bits."""
+    argument = types.unliteral(argument)
+    return types.int64 if argument in types.signed_domain else argument
+
+
+_contexts: dict[Any, _KernelContext] = {}
+
+
+@register_pass(mutates_CFG=False, analysis_only=False)
+class _MakeCallable(LoweringPass):  # type: ignore[misc]
+    """Tell numba of code that has no address yet, so that kernels can call it."""
+
+    _name = "make_callable"
+
+    def __init__(self) -> None:
+        LoweringPass.__init__(self)
 
     def run_pass(self, state: Any) -> bool:
-        """Lower as numba does, but for the address of the code, which it has none of."""
-        state.library = library = _LinkedCode(state.targetctx.codegen(), state.func_id.func_qualname)
-        state.flags.no_compile = True
-        super().run_pass(state)
-        lowered = state.cr
-        # What callers know the code by. Python never calls it.
-        name = lowered.fndesc.qualname.rpartition(".")[2]
-        function = _dynfunc.make_function(lowered.fndesc.lookup_module(), name, "", 0, lowered.env, (library,))
-        state.targetctx.insert_user_function(function, lowered.fndesc, [library])
-        state.cr = lowered._replace(cfunc=function)
+        """Give the code a key, by which the callers' compiler finds it; Python never calls it."""
+        # Dispatchers take built-in functions only. The methods of two objects are never equal.
+        key = list[None]().append
+        state.targetctx.insert_user_function(key, state.cr.fndesc, [state.library])
+        state.cr = state.cr._replace(cfunc=key)
         return True
 
 
-class LinkedCompiler(CompilerBase):  # type: ignore[misc]
-    """Numba's compiler, for what only kernels call.
+class KernelCompiler(CompilerBase):  # type: ignore[misc]
+    """The compiler of kernels that Python calls."""
 
-    By itself it optimises and translates such a function whole, though its code is copied into every caller's.
-    """
+    library: type[CodeLibrary] = KernelLibrary
+
+    def __init__(self, typingctx: Any, *others: Any) -> None:
+        context = _contexts.setdefault(typingctx, _KernelContext(typingctx))
+        super().__init__(context, *others)
+        self.state.targetctx = self.state.targetctx.subtarget(typing_context=context)
+
+    def compile_extra(self, func: Any) -> Any:
+        """Compile a function, and what it calls."""
+        with collector_at_rest():
+            return super().compile_extra(func)
 
     def define_pipelines(self) -> list[PassManager]:
-        """Return numba's passes, with the lowering exchanged."""
-        manager = DefaultPassBuilder.define_nopython_pipeline(self.state)
-        manager.passes = [(_LinkedLowering if one is NativeLowering else one, why) for one, why in manager.passes]
+        """Return numba's passes, which are to leave the code in a library of ours."""
+        state = self.state
+        state.library = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        return [DefaultPassBuilder.define_nopython_pipeline(state)]
+
+
+class StepCompiler(KernelCompiler):
+    """The compiler of what only kernels call."""
+
+    library = IntermediateLibrary
+
+    def define_pipelines(self) -> list[PassManager]:
+        """Return numba's passes, which end with the intermediate code."""
+        (manager,) = super().define_pipelines()
+        self.state.flags.no_compile = True
+        manager.add_pass_after(_MakeCallable, NativeLowering)
         manager.finalize()
         return [manager]
+
+
+@contextmanager
+def collector_at_rest() -> Iterator[None]:
+    """Keep the garbage collector off, if it was on.
+
+    Numba makes objects by the million and few cycles; to search them again and again took a sixth of the time.
+    """
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()

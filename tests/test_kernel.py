@@ -9,6 +9,9 @@ from typing import Any
 
 import pytest
 
+import lfmesh.kernel
+from lfmesh.kernel_cache import KEPT, digest, remove_older_versions
+
 ROOT = Path(__file__).resolve().parents[1]
 
 MODULE = """
@@ -75,9 +78,67 @@ def test_where_the_package_cannot_be_written_kernels_are_kept_with_the_user(prog
     assert outcome(started(program, **kept))["cached"] == 1
 
 
+CALLED = """
+from lfmesh.kernel import kernel
+from numbers_of_ours import FACTOR
+
+
+@kernel
+def scaled(x):
+    return FACTOR * x
+"""
+
+CALLING = """
+from called import scaled
+from lfmesh.kernel import kernel
+
+
+@kernel
+def scaled_twice(x):
+    return scaled(scaled(x))
+
+
+print(scaled_twice(1.0), sum(scaled_twice.stats.cache_hits.values()))
+"""
+
+
+@pytest.mark.parametrize("edited", ["called", "numbers_of_ours"])
+def test_code_from_other_files_counts(tmp_path: Path, edited: str) -> None:
+    """A kernel is made from what it calls, and from constants that others set, of which numba takes no notice."""
+    texts = {"called": CALLED, "numbers_of_ours": "FACTOR = 2.0\n", "calling": CALLING}
+    for name, text in texts.items():
+        (tmp_path / f"{name}.py").write_text(text)
+
+    def run() -> str:
+        return started(tmp_path / "calling.py").communicate(timeout=120)[0].strip()
+
+    assert [run(), run()] == ["4.0 0", "4.0 1"]
+    text = texts[edited].replace("FACTOR * x", "FACTOR * x + 1.0").replace("2.0", "3.0")
+    (tmp_path / f"{edited}.py").write_text(text)
+    expected = {"called": "7.0", "numbers_of_ours": "9.0"}[edited]
+    assert [run(), run()] == [f"{expected} 0", f"{expected} 1"]
+
+
+def test_older_versions_do_not_pile_up(tmp_path: Path) -> None:
+    now = digest(lfmesh.kernel)
+    ours, versions = "kernel._kept-3.py311", [f"{number:012x}" for number in range(KEPT + 2)]
+    names = [f"kernel.{version}._kept-{line}.py311" for line, version in enumerate(versions)]
+    stay = {f"kernel.{now}._kept-3.py311.nbi", "kernel.000000000000.other-3.py311.nbi", "kernel.other-3.py311.nbi"}
+    for age, name in enumerate(names):
+        stay |= {f"{name}.nbi", f"{name}.1.nbc"} if age < KEPT else set()
+        for file in (tmp_path / f"{name}.nbi", tmp_path / f"{name}.1.nbc"):
+            file.touch()
+            os.utime(file, (1e9 - age, 1e9 - age))
+    for name in (*stay, f"{ours}.nbi", f"{ours}.1.nbc"):
+        (tmp_path / name).touch(exist_ok=True)
+    remove_older_versions(str(tmp_path), lfmesh.kernel._kept)
+    assert {file.name for file in tmp_path.iterdir()} == stay
+
+
 COMPILING = """
 import gc
 
+import numba
 from numba.core import event
 from program import twice_and_thrice
 
@@ -86,25 +147,29 @@ on_meanwhile = []
 
 class Watch(event.Listener):
     def on_start(self, event):
-        on_meanwhile.append(gc.isenabled())
-
-    def on_end(self, event):
         pass
 
+    def on_end(self, event):
+        on_meanwhile.append(gc.isenabled())
 
-event.register("numba:compile", Watch())
+
+event.register("numba:run_pass", Watch())
 for on, number in ((True, 1.5), (False, 1)):
     gc.enable() if on else gc.disable()
     twice_and_thrice(number)
     assert gc.isenabled() == on
-print(on_meanwhile)
+print(set(on_meanwhile))
+gc.enable()
+on_meanwhile.clear()
+numba.njit(lambda x: x + 1.0)(1.0)
+print(set(on_meanwhile))
 """
 
 
-def test_compiling_does_without_the_garbage_collector_and_leaves_it_as_it_was(program: Path) -> None:
+def test_kernels_are_compiled_without_the_garbage_collector_and_leave_it_as_it_was(program: Path) -> None:
     own = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(program.parent)])}
     run = subprocess.run([sys.executable, "-c", COMPILING], env=own, capture_output=True, text=True, check=True)
-    assert run.stdout == "[False, False, False, False]\n"
+    assert run.stdout == "{False}\n{True}\n"
 
 
 def test_two_processes_may_compile_at_once(program: Path) -> None:

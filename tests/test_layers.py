@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "lfmesh"
 
-FOUNDATION = ["assets", "compiling", "errors", "kernel", "templates", "vector"]
+FOUNDATION = ["assets", "compiling", "errors", "kernel", "kernel_cache", "templates", "vector"]
 ORDER = [
     *["optics", "scene", "geometry", "transport"],
     *["lightfield", "files", "view", "accuracy", "study", "cli", "__main__"],

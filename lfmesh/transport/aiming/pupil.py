@@ -270,7 +270,7 @@ def _obstruction(seen: Outlook, lens: LensTables, height: Array, distance: Array
     x, y : (points, rays) float64, mm
         Where the rays cross the outermost plane.
     """
-    heights, distances = (np.broadcast_to(a[:, None], x.shape).ravel() for a in (height, distance))
+    heights, distances = (np.broadcast_to(a[:, None], x.shape).flatten() for a in (height, distance))
     unbounded = lens.surfaces.copy()
     unbounded["aperture"] = np.inf
     aperture = np.ascontiguousarray(lens.surfaces["aperture"])

@@ -1,0 +1,124 @@
+"""Where compiled kernels are kept: under names that change with any source that their code was made from.
+
+Numba keeps a kernel beside its module, or where NUMBA_CACHE_DIR says, and takes it as fresh while that module's file
+stays the same. But the code of what a kernel calls, and every constant it reads, is part of it, and stands in other
+files. So the names of its files carry a digest of its module and of all that the module imports, directly or not, from
+its own package and from lfmesh.
+"""
+
+import hashlib
+import os
+import re
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+HERE = f"{Path(__file__).parent}{os.sep}"
+
+KEPT = 3
+"""Older versions of a kernel that stay on disk, as for a checkout that goes back and forth between branches."""
+
+_DIGITS = 12
+_IMPORT = re.compile(rb"^(?:from ([\w.]+) import (\([^)]*\)|[^\n]*)|import ([\w.]+))", re.MULTILINE)
+_WORD = re.compile(rb"\w+")
+_FILE = re.compile(rf"(\w+)\.(?:([0-9a-f]{{{_DIGITS}}})\.)?([\w.]+)-\d+\.py\w+(?:\.\d+)?\.nb[ic]")
+
+
+@contextmanager
+def named_by_sources(function: Callable[..., Any]) -> Iterator[None]:
+    """Let the files of a kernel that is made meanwhile carry the digest: numba calls them by the qualified name."""
+    name = function.__qualname__
+    function.__qualname__ = f"{digest(sys.modules[function.__module__])}.{name}"
+    try:
+        yield
+    finally:
+        function.__qualname__ = name
+
+
+@cache
+def digest(module: ModuleType) -> str:
+    """Return the digest of a module's file and of those that it imports.
+
+    Imports inside functions and for type checking do not count: no kernel gets anything from there.
+    """
+    source = _source(module)
+    found = hashlib.sha256(source)
+    for name in sorted(_imported(source)):
+        other = sys.modules.get(name)
+        if other is not None and _is_followed(other, module):
+            found.update(digest(other).encode())
+    return found.hexdigest()[:_DIGITS]
+
+
+def _source(module: ModuleType) -> bytes:
+    try:
+        return Path(module.__file__ or "").read_bytes()
+    except OSError:
+        return b""
+
+
+def _imported(source: bytes) -> set[str]:
+    """Return what may be names of modules that a file imports at its top."""
+    names = set()
+    for origin, parts, alone in _IMPORT.findall(source):
+        names.add((origin or alone).decode())
+        names.update(f"{origin.decode()}.{part.decode()}" for part in _WORD.findall(parts))
+    return names
+
+
+def _is_followed(other: ModuleType, module: ModuleType) -> bool:
+    """Tell whether a module is lfmesh's, or stands in the folder of the one that imports it or below."""
+    file, own = getattr(other, "__file__", None), module.__file__
+    if file is None or own is None or other is module:
+        return False
+    return file.startswith((HERE, own.rpartition(os.sep)[0] + os.sep))
+
+
+def remove_older_versions(folder: str | None, function: Callable[..., Any]) -> None:
+    """Remove all but a few of the files that earlier sources of a kernel have left.
+
+    Parameters
+    ----------
+    folder : str, optional
+        Where the kernel is kept.
+    """
+    if folder is None:
+        return
+    module = sys.modules[function.__module__]
+    versions = _versions(folder).get((Path(module.__file__ or "").stem, function.__qualname__), {})
+    old = {name: files for name, files in versions.items() if name != digest(module)}
+    # Those without a digest are of releases that had none.
+    stay = sorted(filter(None, old), key=lambda name: max(map(_written, old[name])))[-KEPT:]
+    for name in old.keys() - stay:
+        for file in old[name]:
+            try:
+                file.unlink()
+            except OSError:
+                # Another process was first, or is just reading it.
+                continue
+
+
+@cache
+def _versions(folder: str) -> dict[tuple[str, str], dict[str, list[Path]]]:
+    """Return the files of every kernel in a folder, by module and name, and by digest."""
+    versions: dict[tuple[str, str], dict[str, list[Path]]] = defaultdict(lambda: defaultdict(list))
+    try:
+        names = [file.name for file in Path(folder).iterdir()]
+    except OSError:
+        names = []
+    for found in filter(None, map(_FILE.fullmatch, names)):
+        module, version, kernel = found.groups()
+        versions[module, kernel][version or ""].append(Path(folder, found.string))
+    return versions
+
+
+def _written(file: Path) -> float:
+    try:
+        return file.stat().st_mtime
+    except OSError:
+        return 0.0

@@ -8,7 +8,7 @@ what a kernel computes.
 Compilers like these are given to `njit` as its `pipeline_class` and work on what is compiled with them alone. Nothing
 of numba is exchanged. An option of `njit` upstream that says "called by compiled code only" would make `StepCompiler`
 needless, and a memory of successful answers in `BaseContext.resolve_function_type`, which remembers failures already,
-`_RememberingContext`.
+`_RememberedFunction`.
 """
 
 import gc
@@ -24,6 +24,7 @@ from numba.core.cgutils import normalize_ir_text
 from numba.core.codegen import CodeLibrary, JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import LoweringPass, PassManager, register_pass
+from numba.core.dispatcher import Dispatcher
 from numba.core.typed_passes import NativeLowering
 from numba.extending import models, register_model
 
@@ -146,8 +147,12 @@ class _RememberedFunction(types.Function):  # type: ignore[misc]
 register_model(_RememberedFunction)(models.OpaqueModel)
 
 
-class _RememberingContext:
-    """A typing context of numba's in which built-in functions remember their signatures."""
+STEPS: dict[Dispatcher, Dispatcher] = {}
+"""What kernels call in place of the kernel that Python calls."""
+
+
+class _KernelContext:
+    """A typing context of numba's in which built-in functions remember their signatures, and kernels call steps."""
 
     def __init__(self, context: Any) -> None:
         self.context = context
@@ -158,6 +163,8 @@ class _RememberingContext:
 
     def resolve_value_type(self, value: Any) -> types.Type:
         """Return the type of a constant; a function that numba has learned more of since has another."""
+        if isinstance(value, Dispatcher):
+            value = STEPS.get(value, value)
         found = self.context.resolve_value_type(value)
         if type(found) is not types.Function:
             return found
@@ -169,6 +176,8 @@ class _RememberingContext:
         """Return the signature of a call, None where there is none."""
         if isinstance(function, _RememberedFunction) and not kws and tuple(args) in function.known:
             return function.known[tuple(args)]
+        if isinstance(function, types.Dispatcher):
+            args, kws = tuple(map(plain, args)), {name: plain(each) for name, each in dict(kws).items()}
         return self.context.resolve_function_type(function, args, kws)
 
     def resolve_setitem(self, target: types.Type, index: types.Type, value: types.Type) -> Any:
@@ -176,7 +185,13 @@ class _RememberingContext:
         return self.resolve_function_type(self.resolve_value_type(setitem), (target, index, value), {})
 
 
-_contexts: dict[Any, _RememberingContext] = {}
+def plain(argument: types.Type) -> types.Type:
+    """Return the type that an argument is passed as: whole numbers, but for the unsigned of hashes, as 64 bits."""
+    argument = types.unliteral(argument)
+    return types.int64 if argument in types.signed_domain else argument
+
+
+_contexts: dict[Any, _KernelContext] = {}
 
 
 @register_pass(mutates_CFG=False, analysis_only=False)
@@ -203,7 +218,7 @@ class KernelCompiler(CompilerBase):  # type: ignore[misc]
     library: type[CodeLibrary] = KernelLibrary
 
     def __init__(self, typingctx: Any, *others: Any) -> None:
-        context = _contexts.setdefault(typingctx, _RememberingContext(typingctx))
+        context = _contexts.setdefault(typingctx, _KernelContext(typingctx))
         super().__init__(context, *others)
         self.state.targetctx = self.state.targetctx.subtarget(typing_context=context)
 

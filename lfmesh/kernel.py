@@ -1,12 +1,11 @@
 """The decorators of every compiled kernel, so that all of them share one set of numba options."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
-from numba import types
 
-from lfmesh.compiling import KernelCompiler, StepCompiler
+from lfmesh.compiling import STEPS, KernelCompiler, StepCompiler
 from lfmesh.kernel_cache import named_by_sources, remove_older_versions
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -64,13 +63,8 @@ def _compiled(function: F, **called: Any) -> F:
     function anew for every constant it is called with: each station, each slot of the book. LLVM carries constants
     into what it inlines without that, and a fresh install starts in half the time.
     """
-    dispatcher, step = _kept(function), numba.njit(**called)(function)
-
-    def get_call_template(arguments: Sequence[types.Type], keywords: dict[str, types.Type]) -> Any:
-        return step.get_call_template([_plain(a) for a in arguments], {name: _plain(a) for name, a in keywords.items()})
-
-    dispatcher.get_call_template = get_call_template
-    dispatcher.get_overload = step.get_overload
+    dispatcher = _kept(function)
+    STEPS[dispatcher] = numba.njit(**called)(function)
     return cast(F, dispatcher)
 
 
@@ -81,9 +75,3 @@ def _kept(function: Callable[..., Any], **options: Any) -> Any:
     dispatcher.__qualname__ = function.__qualname__
     remove_older_versions(dispatcher.stats.cache_path, function)
     return dispatcher
-
-
-def _plain(argument: types.Type) -> types.Type:
-    """Return the type that an argument is passed as: whole numbers, but for the unsigned of hashes, as 64 bits."""
-    argument = types.unliteral(argument)
-    return types.int64 if argument in types.signed_domain else argument

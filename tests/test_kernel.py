@@ -121,9 +121,9 @@ def test_code_from_other_files_counts(tmp_path: Path, edited: str) -> None:
 
 def test_older_versions_do_not_pile_up(tmp_path: Path) -> None:
     now = digest(lfmesh.kernel)
-    ours, versions = "kernel._plain-3.py311", [f"{number:012x}" for number in range(KEPT + 2)]
-    names = [f"kernel.{version}._plain-{line}.py311" for line, version in enumerate(versions)]
-    stay = {f"kernel.{now}._plain-3.py311.nbi", "kernel.000000000000.other-3.py311.nbi", "kernel.other-3.py311.nbi"}
+    ours, versions = "kernel._kept-3.py311", [f"{number:012x}" for number in range(KEPT + 2)]
+    names = [f"kernel.{version}._kept-{line}.py311" for line, version in enumerate(versions)]
+    stay = {f"kernel.{now}._kept-3.py311.nbi", "kernel.000000000000.other-3.py311.nbi", "kernel.other-3.py311.nbi"}
     for age, name in enumerate(names):
         stay |= {f"{name}.nbi", f"{name}.1.nbc"} if age < KEPT else set()
         for file in (tmp_path / f"{name}.nbi", tmp_path / f"{name}.1.nbc"):
@@ -131,7 +131,7 @@ def test_older_versions_do_not_pile_up(tmp_path: Path) -> None:
             os.utime(file, (1e9 - age, 1e9 - age))
     for name in (*stay, f"{ours}.nbi", f"{ours}.1.nbc"):
         (tmp_path / name).touch(exist_ok=True)
-    remove_older_versions(str(tmp_path), lfmesh.kernel._plain)
+    remove_older_versions(str(tmp_path), lfmesh.kernel._kept)
     assert {file.name for file in tmp_path.iterdir()} == stay
 
 

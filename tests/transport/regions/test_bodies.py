@@ -70,14 +70,28 @@ def kept(packets, inside):
     return bodies_round(packets[0])
 
 
-@pytest.mark.parametrize("own", [(), (1,), (MOST_BODIES,), (1, 2, 3, 4), (MOST_BODIES, MOST_BODIES - 1, 30000, 20000)])
-def test_a_packet_keeps_its_bodies_in_the_fields_of_the_arrays_cell(own: tuple[int, ...]) -> None:
+@pytest.mark.parametrize("own", [(), (1,), (MOST_BODIES,), (1, 2, 3, 4), (MOST_BODIES, MOST_BODIES - 1, 1500, 1000)])
+def test_a_packet_keeps_its_bodies_in_fields_that_lens_and_array_use(own: tuple[int, ...]) -> None:
     packets = np.zeros(1, PACKET)
     assert kept(packets, entered(*own)) == entered(*own)
     assert (packets["column"][0] == NO_SURFACE) == (not own)
 
 
-def test_a_packet_outside_all_glass_is_in_no_body_whatever_cell_it_came_from() -> None:
+@kernel
+def round_the_first(packets):
+    return bodies_round(packets[0])
+
+
+def test_a_packet_outside_all_glass_is_in_no_body_whatever_space_it_came_from() -> None:
     packets = np.zeros(1, PACKET)
-    packets["column"], packets["row"] = NO_SURFACE, 12345
-    assert bodies_round(packets[0]) == 0
+    packets["column"], packets["space"] = NO_SURFACE, 123
+    assert round_the_first(packets) == 0
+
+
+def test_the_density_of_a_direction_stands_in_no_field_of_the_bodies() -> None:
+    packets = np.zeros(1, PACKET)
+    inside = entered(MOST_BODIES, MOST_BODIES - 1, 1500, 1000)
+    kept(packets, inside)
+    packets["density"] = 0.3
+    assert round_the_first(packets) == inside
+    assert packets["density"][0] == np.float32(0.3)

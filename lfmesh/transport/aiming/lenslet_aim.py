@@ -195,7 +195,7 @@ def solid_angle(r: float, air: float, plate: float, glass: float) -> float:
 @inlined
 def glass_before_faces(array: ArrayTables, wave: int) -> float:
     """Return the refractive index of what lies between the sensor and the lenslets' faces, beside air."""
-    return array.indices[wave] if array.curved_to_lens else 1.0
+    return array.media.indices[array.medium, wave] if array.curved_to_lens else 1.0
 
 
 @inlined

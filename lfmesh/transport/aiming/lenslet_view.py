@@ -202,8 +202,8 @@ def _astray(
     sx0, sy0, sz0 = frames.move_point(moves, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, 0.0)
     mx, my, mz = frames.move_direction(moves, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, 1.0)
     furthest = 0.0
-    for colour in range(len(array.indices)):
-        glass = array.indices[colour]
+    for colour in range(array.media.indices.shape[1]):
+        glass = array.media.indices[array.medium, colour]
         # The lens sees the face through the plate where that is between.
         seen_z = sag if array.curved_to_lens else array.lenslets.thickness - (array.lenslets.thickness - sag) / glass
         px, py, pz = frames.move_point(moves, ARRAY_FRAME, CAMERA_FRAME, x, y, seen_z)

@@ -114,7 +114,7 @@ _OWN_ROOM = np.dtype(
         ("wave", "i2"),  # wavelength
         ("space", "i2"),  # space between two surfaces it travels in; for object space see `regions.bodies`
         ("events", "i2"),
-        ("medium", "i2"),  # that it travels in
+        ("medium", "i2"),  # round it, at its start and in object space; in lens and array its space tells it
         ("tries", "i1"),  # queries of this ray that were refused
         ("kind", "i1"),
         ("frame", "i1"),

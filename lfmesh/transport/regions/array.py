@@ -141,7 +141,7 @@ def through_plate(
             slot = ARRAY_EDGE if outward else ARRAY_MOUNT
             end(options, flow, frames, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
             continue
-        glass = array.indices[packet.wave]
+        glass = array.media.indices[array.medium, packet.wave]
         n_i, n_t = (glass, 1.0) if outward else (1.0, glass)
         reflectance, transmittance, cos_t = shares(array.interfaces, FLAT_ROW, packet.wave, n_i, n_t, abs(dz))
         toward = 1.0 if dz > 0.0 else -1.0
@@ -327,7 +327,7 @@ def _through_face(
         nx, ny, nz, cos_i = -nx, -ny, -nz, -cos_i
     cos_i = min(cos_i, 1.0)
     inward = packet.space == BEFORE
-    glass = array.indices[packet.wave]
+    glass = array.media.indices[array.medium, packet.wave]
     n_i, n_t = (1.0, glass) if inward else (glass, 1.0)
     reflectance, transmittance, cos_t = shares(array.interfaces, CURVED_ROW, packet.wave, n_i, n_t, cos_i)
     if packet.last == LEFT_FACE:

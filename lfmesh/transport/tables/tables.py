@@ -43,7 +43,6 @@ class LensTables(NamedTuple):
     facets: Records  # (m,) FACET; body: surface k ≥ 0, or −1 − s for the ring of space s
     media: Media
     medium: NDArray[np.int64]  # (K + 1,) of each space
-    indices: Array  # (K + 1, wavelengths) of these
     interfaces: Interfaces  # a row a surface
     ring_slot: NDArray[np.int64]  # (K + 1,) book slot of each space's ring
     mount_slot: NDArray[np.int64]  # (K,) book slot of what lies outside each surface's clear aperture
@@ -68,7 +67,6 @@ class ArrayTables(NamedTuple):
     type_shift: float  # x distance of two types' cells in the Embree scene
     media: Media
     medium: int  # of the glass
-    indices: Array  # (wavelengths,) of the glass
     interfaces: Interfaces  # CURVED_ROW and FLAT_ROW
     curved_to_lens: bool
 

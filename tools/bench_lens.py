@@ -186,6 +186,13 @@ class EngineRun:
         """Trace one chunk in the workspace of the calling thread, and return that."""
         return self._launcher.trace(self.source, chunk)
 
+    def launched(self, chunk: range) -> Workspace:
+        """Start the packets of one chunk in the workspace of the calling thread, and return that."""
+        work = self._launcher.workspace
+        work.begin(packets=len(chunk))
+        self.source.launch(work, chunk)
+        return work
+
     def run(self, _: Any) -> None:
         """Trace all chunks."""
         list(self.pool.map(self.trace, self.chunks))

@@ -96,9 +96,9 @@ def measure_lens(surface: str, rounds: int) -> dict[str, Any]:
     rates, shares = [], []
     with ThreadPoolExecutor(1) as pool:
         run = EngineRun(lf.build(scene), sent, surface, False, pool)
-        run.trace(0)
+        run.trace(run.chunks[0])
         for _ in range(rounds):
-            work = run.start(0)
+            work = run.launched(run.chunks[0])
             began = time.perf_counter()
             work.run()
             seconds = time.perf_counter() - began

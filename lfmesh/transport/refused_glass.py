@@ -20,7 +20,7 @@ from lfmesh.scene import DirectionalLight, DiskLight, Light, Scene
 from lfmesh.transport.events.crossing import FLOAT32_GRAIN
 from lfmesh.transport.regions.bodies import MOST_AT_ONCE, MOST_BODIES
 from lfmesh.transport.regions.embree import Finder
-from lfmesh.transport.tables.contacts import CUT
+from lfmesh.transport.tables.contacts import CUT, common_area
 
 Index = NDArray[np.int64]
 
@@ -33,6 +33,9 @@ circle in the facet."""
 
 A_LITTLE_INSIDE = 1e-3
 """The same of a point that tells whether the body lies in another one, which it may touch."""
+
+AS_CLOSE = 2.0
+"""Faces of glass and of another target lie on each other where they are closer than this, in roundings of float32."""
 
 MOST_TRIED, MOST_ANGLES = 512, 3_000_000
 """Facets of a body at which others are asked about at most, and solid angles that may be worked out for them."""
@@ -77,6 +80,8 @@ def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Arr
     parts = {i: [meshes[i].vertices[meshes[i].faces[facets]] for facets in shells(meshes[i])] for i in bodies}
     _refuse_wrong_shells(parts, names)
     holders = _holders(parts, names, priority)
+    _refuse_crowds(parts, names)
+    _refuse_covered_faces(scene, targets, bodies)
     _refuse_camera_inside(parts, names, front)
     for number, light in enumerate(scene.lights):
         _refuse_lamp_inside(parts, names, number, light)
@@ -262,10 +267,51 @@ def _holders(parts: Shells, names: dict[int, str], priority: dict[int, int]) -> 
                     )
                 inner, outer = (i, j) if first == WHOLE else (j, i)
                 holders[inner].add(outer)
-    for i, of in holders.items():
-        if len(of) >= MOST_AT_ONCE:
-            raise SceneError(f"{names[i]} lies inside {len(of)} other glass bodies; it can lie in {MOST_AT_ONCE - 1}")
     return holders
+
+
+def _refuse_crowds(parts: Shells, names: dict[int, str]) -> None:
+    """Refuse a body a part of whose surface lies in more bodies at once than packets can keep."""
+    if len(parts) <= MOST_AT_ONCE:
+        return
+    for i, own in parts.items():
+        points = _beside(_tried(np.concatenate(own), MOST_TRIED), A_LITTLE_INSIDE)
+        others = np.zeros(len(points), np.int64)
+        for j, its in parts.items():
+            low, high = (end([end(shell, axis=(0, 1)) for shell in its], axis=0) for end in (np.min, np.max))
+            near = ((points >= low) & (points <= high)).all(axis=1) & (i != j)
+            if near.any():
+                others[near] += _turns(its, points[near]) != 0
+        most = int(others.max())
+        if most >= MOST_AT_ONCE:
+            x, y, z = points[int(others.argmax())]
+            raise SceneError(
+                f"{names[i]} lies inside {most} other glass bodies near ({x:.4g}, {y:.4g}, {z:.4g}) mm; it can lie in "
+                f"{MOST_AT_ONCE - 1}"
+            )
+
+
+def _refuse_covered_faces(scene: Scene, targets: list[TargetMesh], bodies: list[int]) -> None:
+    """Refuse a target that lies on a face of glass so closely that rays cannot tell which comes first.
+
+    A ray that leaves the glass looks for what is next from a little behind the face, and would miss the target.
+    """
+    corners = np.concatenate([target.mesh.vertices for target in targets])
+    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    for i in bodies:
+        for j in range(len(targets)):
+            if j in bodies:
+                continue
+            both = np.concatenate([targets[i].mesh.vertices, targets[j].mesh.vertices]) - middle
+            near = AS_CLOSE * FLOAT32_GRAIN * float(np.abs(both).sum(axis=1).max() + np.ptp(both, axis=0).max())
+            place = common_area(targets[i].mesh, targets[j].mesh, near)
+            if place is not None:
+                x, y, z = place
+                raise SceneError(
+                    f"{named(scene, j)} lies on the glass of {named(scene, i)} near ({x:.4g}, {y:.4g}, {z:.4g}) mm, "
+                    f"too closely for rays to tell which comes first: leave {2.0 * near:.1g} mm or more between them, "
+                    "or let it reach as far into the glass"
+                )
 
 
 NOTHING, PART, WHOLE = 0, 1, 2

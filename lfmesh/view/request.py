@@ -207,7 +207,7 @@ def together(parts: Sequence[Rays]) -> Rays:
     def all_of(name: str) -> Any:
         return np.concatenate([getattr(part, name) for part in parts])
 
-    plain = ("position", "surface", "event", "power", "lenslet", "status", "pixel", "wavelength_nm")
+    plain = ("position", "surface", "event", "power", "lenslet", "beyond", "status", "pixel", "wavelength_nm")
     arrays: dict[str, Any] = {name: all_of(name) for name in plain}
     return replace(
         first,

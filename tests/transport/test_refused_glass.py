@@ -158,7 +158,58 @@ def test_glass_may_lie_three_deep_in_other_glass_and_no_deeper(glass: Body) -> N
     shells = [glass(ball(radius)) for radius in (9.0, 8.0, 7.0, 6.0)]
     lf.build(scene(*shells))
     assert "targets[4]" in (said := refused(scene(*shells, glass(ball(5.0)))))
-    assert "lies inside 4 other glass bodies; it can lie in 3" in said
+    assert "lies inside 4 other glass bodies" in said
+    assert "it can lie in 3" in said
+
+
+@pytest.mark.parametrize("priorities", [(0, 1, 2, 3, 4), (0, -1, -2, -3, -4), (0, 0, 1, 1, 2)])
+def test_priorities_make_no_room_for_a_fifth_body_in_one_place(glass: Body, priorities: tuple[int, ...]) -> None:
+    nested = [glass(ball(9.0 - i), priority=priority) for i, priority in enumerate(priorities)]
+    lf.build(scene(*nested[1:]))
+    assert "lies inside 4 other glass bodies" in refused(scene(*nested))
+
+
+def test_a_fifth_body_that_overlaps_four_in_one_place_is_refused(glass: Body) -> None:
+    along = [glass(cube((1.5 * i, 0.7 * i, 0.0)), priority=i) for i in range(5)]
+    lf.build(scene(*along[:4]))
+    assert "lies inside 4 other glass bodies" in refused(scene(*along))
+
+
+def plate(z: float, x: float = 0.0, width: float = 6.0) -> dict[str, Any]:
+    """An opaque square, so far before or behind the middle of the glass."""
+    shape = {"kind": "plane", "width_mm": width, "height_mm": width}
+    return {"shape": shape, "position_mm": [x, 0.0, PLACE[2] + z], "material": {"radiance_w_m2_sr": 1.0}}
+
+
+@pytest.mark.parametrize("face", [-5.0, 5.0])
+@pytest.mark.parametrize("apart", [0.0, 1e-7, -1e-7, 1e-6, -1e-6, 1e-5, -1e-5])
+def test_what_lies_on_a_face_of_glass_is_refused(glass: Body, face: float, apart: float) -> None:
+    said = refused(scene(glass(cube()), plate(face + apart)))
+    assert said.startswith("targets[1] lies on the glass of targets[0]")
+    assert "mm or more between them" in said
+
+
+def test_a_block_that_shares_a_face_with_glass_is_refused(glass: Body) -> None:
+    shape = {"kind": "box", "size_mm": [10.0, 10.0, 10.0]}
+    block = {"shape": shape, "position_mm": [PLACE[0], PLACE[1], PLACE[2] - 10.0]}
+    assert "targets[1] lies on the glass of targets[0]" in refused(scene(glass(cube()), block))
+    assert "targets[1] lies on the glass of targets[0]" in refused(scene(glass(cube()), block | {"position_mm": PLACE}))
+
+
+@pytest.mark.parametrize("face", [-5.0, 5.0])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_as_far_from_a_face_as_advised_every_ray_meets_a_target(glass: Body, face: float, side: float) -> None:
+    said = refused(scene(glass(cube()), plate(face)))
+    advised = float(said.split("leave ")[1].split(" mm")[0])
+    world = lf.build(scene(glass(cube()), plate(face + side * advised, width=9.0)))
+    across = np.random.default_rng(3).uniform(-1.5, 1.5, (500, 2))
+    starts = np.column_stack([across, np.full(len(across), -60.0)])
+    paths = lf.trace(world, starts, np.tile([0.05, -0.03, -1.0], (len(starts), 1)), split="transmit")
+    assert (paths.status == lf.Status.TARGET).all()
+
+
+def test_targets_beside_a_face_of_glass_in_its_plane_are_not_on_it(glass: Body) -> None:
+    lf.build(scene(glass(cube()), plate(5.0, x=8.0), plate(-5.0, x=-8.0)))
 
 
 def test_a_body_in_the_hollow_of_another_is_not_in_its_glass(glass: Body) -> None:

@@ -59,6 +59,49 @@ def contacts(meshes: list[Mesh], is_glass: NDArray[np.bool_]) -> tuple[Index, In
     return first, np.ascontiguousarray(both[:, 1]), near
 
 
+def common_area(one: Mesh, other: Mesh, near: float) -> Array | None:
+    """Return a point where facets of two meshes lie on each other; None where they do not.
+
+    They share an area of their planes: facets side by side in one plane, or that meet along an edge, do not count.
+
+    Parameters
+    ----------
+    one, other : Mesh
+    near : float, mm
+        How far apart facets may be that lie on each other, and how wide what they share must be.
+
+    Returns
+    -------
+    (3,) float64, mm, or None
+    """
+    pairs = _pairs(one, other, near)
+    first, second = one.vertices[one.faces[pairs[:, 0]]], other.vertices[other.faces[pairs[:, 1]]]
+    normals = facet_normals(one)[0][pairs[:, 0]], facet_normals(other)[0][pairs[:, 1]]
+    flat = _lies_in(first, second[:, 0], normals[1], near) | _lies_in(second, first[:, 0], normals[0], near)
+    overlap = np.where(flat, np.inf, -np.inf)
+    # Two triangles of one plane overlap if no edge of either has the other on its far side.
+    for own, its, normal in ((first, second, normals[0]), (second, first, normals[1])):
+        for corner in range(3):
+            edge = own[:, (corner + 1) % 3] - own[:, corner]
+            inward = np.cross(normal, edge) / np.linalg.norm(edge, axis=1)[:, None]
+            depth = np.einsum("nij,nj->ni", its - own[:, None, corner], inward).max(axis=1)
+            overlap = np.minimum(overlap, depth)
+    found = np.flatnonzero(overlap > near)
+    return None if not len(found) else _middle_of_both(first[found[0]], second[found[0]])
+
+
+def _lies_in(facets: Array, point: Array, normal: Array, near: float) -> NDArray[np.bool_]:
+    """Tell which facets, (n, 3, 3), lie in a plane each."""
+    away = np.einsum("nij,nj->ni", facets - point[:, None], normal)
+    return np.asarray((np.abs(away) <= near).all(axis=1))
+
+
+def _middle_of_both(one: Array, other: Array) -> Array:
+    """Return the middle of the box that the boxes round two facets share."""
+    low = np.maximum(one.min(axis=0), other.min(axis=0))
+    return np.asarray(0.5 * (low + np.minimum(one.max(axis=0), other.max(axis=0))))
+
+
 def _pairs(one: Mesh, other: Mesh, near: float) -> Index:
     """Return (n, 2) facets of two meshes whose boxes come near each other and whose normals lie along one line."""
     boxes = [_boxes(mesh) for mesh in (one, other)]

@@ -152,7 +152,7 @@ def _gather(
         flow.book[LIT] += packet.weight
 
 
-@kernel
+@inlined
 def scatter(
     options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: Aim, packet: Any, point: Point,
     weight: float, scattered: float,
@@ -209,7 +209,7 @@ def _bounce(
         child.density = density(objects.scattering, point, packet.wave, ix, iy, iz, dx, dy, dz)
 
 
-@kernel
+@inlined
 def _aim_at_camera(
     flow: Flow, frames: Array, objects: ObjectTables, aim: Aim, packet: Any, point: Point, weight: float
 ) -> float:

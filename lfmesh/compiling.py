@@ -177,7 +177,7 @@ class _KernelContext:
         if isinstance(function, _RememberedFunction) and not kws and tuple(args) in function.known:
             return function.known[tuple(args)]
         if isinstance(function, types.Dispatcher):
-            args, kws = tuple(map(plain, args)), {name: plain(each) for name, each in dict(kws).items()}
+            args, kws = tuple(map(passed_as, args)), {name: passed_as(each) for name, each in dict(kws).items()}
         return self.context.resolve_function_type(function, args, kws)
 
     def resolve_setitem(self, target: types.Type, index: types.Type, value: types.Type) -> Any:
@@ -185,7 +185,7 @@ class _KernelContext:
         return self.resolve_function_type(self.resolve_value_type(setitem), (target, index, value), {})
 
 
-def plain(argument: types.Type) -> types.Type:
+def passed_as(argument: types.Type) -> types.Type:
     """Return the type that an argument is passed as: whole numbers, but for the unsigned of hashes, as 64 bits."""
     argument = types.unliteral(argument)
     return types.int64 if argument in types.signed_domain else argument
@@ -224,7 +224,7 @@ class KernelCompiler(CompilerBase):  # type: ignore[misc]
 
     def compile_extra(self, func: Any) -> Any:
         """Compile a function, and what it calls."""
-        with collector_at_rest():
+        with gc_paused():
             return super().compile_extra(func)
 
     def define_pipelines(self) -> list[PassManager]:
@@ -250,7 +250,7 @@ class StepCompiler(KernelCompiler):
 
 
 @contextmanager
-def collector_at_rest() -> Iterator[None]:
+def gc_paused() -> Iterator[None]:
     """Keep the garbage collector off, if it was on.
 
     Numba makes objects by the million and few cycles; to search them again and again took a sixth of the time.

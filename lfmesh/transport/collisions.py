@@ -6,7 +6,7 @@ Light would end between them without a trace, and the picture be black without a
 import numpy as np
 
 from lfmesh.errors import SceneError
-from lfmesh.geometry import frame as frames
+from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
@@ -24,13 +24,13 @@ def refuse_collisions(scene: Scene, lens: LensTables, array: ArrayTables, moves:
     width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
     sensor = np.array([[x, y, 0.0] for x in (-width, width) for y in (-height, height)])
     if array.present:
-        _refuse_sensor_in_array(array, frames.points(moves[SENSOR_FRAME, ARRAY_FRAME], sensor))
+        _refuse_sensor_in_array(array, frame.points(moves[SENSOR_FRAME, ARRAY_FRAME], sensor))
         half_width, half_height = array.lenslets.lattice.half_extent
         depths = array.lenslets.top, array.lenslets.thickness
         slab = [[x, y, z] for x in (-half_width, half_width) for y in (-half_height, half_height) for z in depths]
-        _refuse_in_lens("camera.mla", lens, frames.points(moves[ARRAY_FRAME, CAMERA_FRAME], slab))
+        _refuse_in_lens("camera.mla", lens, frame.points(moves[ARRAY_FRAME, CAMERA_FRAME], slab))
     else:
-        _refuse_in_lens("camera.sensor", lens, frames.points(moves[SENSOR_FRAME, CAMERA_FRAME], sensor))
+        _refuse_in_lens("camera.sensor", lens, frame.points(moves[SENSOR_FRAME, CAMERA_FRAME], sensor))
 
 
 def _refuse_sensor_in_array(array: ArrayTables, corners: Array) -> None:

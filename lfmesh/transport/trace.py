@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError
-from lfmesh.geometry import frame as frames
+from lfmesh.geometry import frame
 from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.tessellation import mesh_sag
 from lfmesh.scene.transport import MOST_EVENTS
@@ -284,7 +284,7 @@ def located(
     """Return the station and the space in which each ray starts, and the rays in the camera frame."""
     tables, shape = world.tables, world.lens_shape
     to_camera = tables.frames[WORLD_FRAME, CAMERA_FRAME]
-    p, d = frames.points(to_camera, p), frames.directions(to_camera, d)
+    p, d = frame.points(to_camera, p), frame.directions(to_camera, d)
     r = np.hypot(p[:, 0], p[:, 1])
     # A point is behind a surface, or its rim's plane where the surface has ended.
     behind = np.zeros(len(p), np.int64)
@@ -298,8 +298,8 @@ def located(
     outline = np.hypot(world.housing.vertices[:, 0], world.housing.vertices[:, 1]).max()
     after = (behind == count) & (p[:, 2] < world.housing.vertices[:, 2].max()) & (r < outline)
     if tables.array.present:
-        q = frames.points(tables.frames[CAMERA_FRAME, ARRAY_FRAME], p)
-        e = frames.directions(tables.frames[CAMERA_FRAME, ARRAY_FRAME], d)
+        q = frame.points(tables.frames[CAMERA_FRAME, ARRAY_FRAME], p)
+        e = frame.directions(tables.frames[CAMERA_FRAME, ARRAY_FRAME], d)
         lenslets = tables.array.lenslets
         within = after & (q[:, 2] > lenslets.top) & (q[:, 2] < lenslets.thickness)
         if within.any():
@@ -310,7 +310,7 @@ def located(
         lens_side = (q[:, 2] <= lenslets.top) == tables.array.curved_to_lens
         station[after] = np.where(towards, PLATE, np.where(lens_side, LENS, SENSOR))[after]
     else:
-        forward = frames.directions(tables.frames[CAMERA_FRAME, SENSOR_FRAME], d)[:, 2] > 0.0
+        forward = frame.directions(tables.frames[CAMERA_FRAME, SENSOR_FRAME], d)[:, 2] > 0.0
         station[after] = np.where(forward, SENSOR, LENS)[after]
     space[after] = count
     return station, space, p, d

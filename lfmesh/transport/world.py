@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lfmesh.errors import LfmeshError, SceneError
-from lfmesh.geometry import frame as frames
+from lfmesh.geometry import frame
 from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.lenslets import array_mesh
 from lfmesh.geometry.mesh import Array, Mesh, joined
@@ -195,23 +195,25 @@ def build(scene: Scene, *, rings: int | None = None) -> World:
             f'transport.surface = "{scene.transport.surface}": facets are those of a perfect lenslet, and '
             'camera.mla.form asks for errors of single ones; use "exact", or leave decenter_mm and radius_error out'
         )
-    waves = scene.transport.wavelengths_nm
+    wavelengths_nm = scene.transport.wavelengths_nm
     shape = camera.lens_shape(rings)
     targets = [target_mesh(target, scene) for target in scene.targets]
     book = book_of(scene, shape)
 
-    interfaces, known = interface_tables(scene, waves), MediumList.of(scene)
-    lens_mesh, lens = lens_tables(scene, shape, waves, book, interfaces.lens, known)
-    array_mesh_, array = array_tables(scene, waves, interfaces.array, known)
+    interfaces, known = interface_tables(scene, wavelengths_nm), MediumList.of(scene)
+    lens_mesh, lens = lens_tables(scene, shape, wavelengths_nm, book, interfaces.lens, known)
+    array_mesh_, array = array_tables(scene, wavelengths_nm, interfaces.array, known)
     middle = middle_of(targets)
     moves = frame_table(scene, middle)
     refuse_collisions(scene, lens, array, moves)
     housing = housing_mesh(scene, shape)
     refuse_targets_inside(targets, housing, moves)
     ranks = refuse_untraceable_glass(
-        scene, targets, frames.points(moves[CAMERA_FRAME, WORLD_FRAME], shape.caps[0].vertices)
+        scene, targets, frame.points(moves[CAMERA_FRAME, WORLD_FRAME], shape.caps[0].vertices)
     )
-    object_mesh, objects = object_tables(scene, targets, housing, moves, book, waves, interfaces.objects, known, ranks)
+    object_mesh, objects = object_tables(
+        scene, targets, housing, moves, book, wavelengths_nm, interfaces.objects, known, ranks
+    )
     columns, rows = scene.camera.sensor.pixels
     sensor = SensorTables(columns=columns, rows=rows, pixel=scene.camera.sensor.pixel_mm)
     aim, proof = aim_table(scene, report, lens, array, sensor, targets, moves, analytic=bool(shape.analytic.all()))

@@ -30,7 +30,7 @@ from lfmesh.transport.aiming.lenslet_aim import (
     spread_on_faces,
 )
 from lfmesh.transport.aiming.lenslet_view import fitted_views, with_wider_cells
-from lfmesh.transport.aiming.pupil import Outlook, opening_from, unknown_opening
+from lfmesh.transport.aiming.pupil import Viewpoints, opening_from, unknown_opening
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
 from lfmesh.transport.sequential.image_path import through_array
 from lfmesh.transport.sequential.lens_bundle import (
@@ -50,7 +50,7 @@ from lfmesh.transport.sequential.lens_bundle import (
     pad,
     through_surface,
 )
-from lfmesh.transport.tables.tables import Aim, ArrayTables, LensTables, Opening, SensorTables
+from lfmesh.transport.tables.tables import AimTables, ArrayTables, LensTables, Opening, SensorTables
 
 Array = NDArray[np.float64]
 
@@ -155,7 +155,7 @@ class Rays(NamedTuple):
     colour: NDArray[np.int64]
 
 
-class Openings(NamedTuple):
+class CameraTables(NamedTuple):
     """The lens, the array and the sensor that rays from the stop go through."""
 
     lens: LensTables
@@ -164,17 +164,17 @@ class Openings(NamedTuple):
     frames: Array
 
 
-def proven(aim: Aim, through: Openings, seen: Outlook | None) -> tuple[Aim, AimProof | None]:
+def proven(aim: AimTables, through: CameraTables, seen: Viewpoints | None) -> tuple[AimTables, AimProof | None]:
     """Return the aim, widened until it holds all light but a negligible share, and what rays from the stop say of it.
 
     That is None where no ray from the stop arrives at the sensor.
 
     Parameters
     ----------
-    aim : Aim
-    through : Openings
+    aim : AimTables
+    through : CameraTables
         Every surface of the lens has an exact parent.
-    seen : Outlook or None
+    seen : Viewpoints or None
         Whence the targets look at the lens; None: there are none before it.
     """
     random = np.random.default_rng(0x5106)
@@ -183,7 +183,7 @@ def proven(aim: Aim, through: Openings, seen: Outlook | None) -> tuple[Aim, AimP
         return aim, None
     proof = None
     for attempt in range(ATTEMPTS):
-        rays = _drawn(through, reach, random)
+        rays = _rays_from_stop(through, reach, random)
         if not len(rays.throughput):
             return aim, None
         if attempt == 0 and through.array.present and aim.search > FEW_CELLS:
@@ -203,7 +203,7 @@ def proven(aim: Aim, through: Openings, seen: Outlook | None) -> tuple[Aim, AimP
     return aim, proof
 
 
-def _fitted(aim: Aim, through: Openings, rays: Rays) -> Aim:
+def _fitted(aim: AimTables, through: CameraTables, rays: Rays) -> AimTables:
     """Return the aim with lenslets' views and borders as wide as rays need them."""
     array, weight = through.array, rays.throughput
     off, radius, out = _seen_from_cells(aim, through, rays)
@@ -236,27 +236,27 @@ def _widened(opening: Opening, beyond: Array, throughput: Array) -> Opening:
     return opening._replace(radius=np.where(opening.radius > 0.0, by * opening.radius, opening.radius))
 
 
-def _reach(through: Openings, random: np.random.Generator) -> float:
+def _reach(through: CameraTables, random: np.random.Generator) -> float:
     """Return how far off the axis, by first-order optics, rays to the sensor are sent at most; 0: none arrived."""
     sensor = through.sensor
     diagonal = 0.5 * sensor.pixel * np.hypot(sensor.columns, sensor.rows)
     place = NEAREST * diagonal * (FURTHEST / NEAREST) ** random.random(BATCH)
-    _, found = _follow(through, place, random)
+    _, found = _trace_from_stop(through, place, random)
     return ROOM * float(place[found].max(initial=0.0))
 
 
-def _drawn(through: Openings, reach: float, random: np.random.Generator) -> Rays:
+def _rays_from_stop(through: CameraTables, reach: float, random: np.random.Generator) -> Rays:
     """Return rays from the stop, uniform over its area and over where they would land by first-order optics."""
     some: list[Rays] = []
     for _ in range(BATCHES):
-        rays, _ = _follow(through, reach * np.sqrt(random.random(BATCH)), random)
+        rays, _ = _trace_from_stop(through, reach * np.sqrt(random.random(BATCH)), random)
         some.append(rays)
         if sum(len(r.throughput) for r in some) >= ENOUGH:
             break
     return Rays(*(np.concatenate(each) for each in zip(*some, strict=True)))
 
 
-def _follow(through: Openings, place: Array, random: np.random.Generator) -> tuple[Rays, NDArray[np.intp]]:
+def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Generator) -> tuple[Rays, NDArray[np.intp]]:
     """Return the rays that came through of those that are sent, and which these are.
 
     Parameters
@@ -277,8 +277,8 @@ def _follow(through: Openings, place: Array, random: np.random.Generator) -> tup
     x, y = radius * out * np.cos(turn), radius * out * np.sin(turn)
     tx, ty = slope * (place * np.cos(around) - height * x), slope * (place * np.sin(around) - height * y)
     to_sensor, to_objects, of_colour = np.zeros((len(x), 6)), np.zeros((len(x), 7)), np.zeros(len(x), np.int64)
-    waves = lens.indices.shape[1]
-    colours = sorted({0, waves // 2, waves - 1})
+    count = lens.indices.shape[1]
+    colours = sorted({0, count // 2, count - 1})
     start = float(lens.box_high[2] - lens.box_low[2]) + depth
     for number, colour in enumerate(colours):
         mine = slice(number, None, len(colours))
@@ -389,7 +389,7 @@ def _keep_sensor_side(bundle: Array, count: int, first: int, to_sensor: Array) -
         kept[5] = bundle[WEIGHT + i] if bundle[ENDED_ON + i] == 0.0 and bundle[DZ + i] > 0.0 and t > 0.0 else 0.0
 
 
-def _beyond_sensor_aim(aim: Aim, through: Openings, rays: Rays) -> Array:
+def _beyond_sensor_aim(aim: AimTables, through: CameraTables, rays: Rays) -> Array:
     """Return by which factor the opening would have to be wider for each ray; up to 1: the ray is in the aim.
 
     With an array only whether it is: 0 or inf.
@@ -403,7 +403,7 @@ def _beyond_sensor_aim(aim: Aim, through: Openings, rays: Rays) -> Array:
     return beyond
 
 
-def _seen_from_cells(aim: Aim, through: Openings, rays: Rays) -> tuple[Array, Array, Array]:
+def _seen_from_cells(aim: AimTables, through: CameraTables, rays: Rays) -> tuple[Array, Array, Array]:
     """Return for each ray how far (slope) off the middle of its lenslet's view it goes, the view's radius, and ...
 
     ... how far out in its cell it goes, over the cell as it is aimed at.
@@ -413,7 +413,7 @@ def _seen_from_cells(aim: Aim, through: Openings, rays: Rays) -> tuple[Array, Ar
     return off, radius, out
 
 
-def _beyond_object_aim(aim: Aim, seen: Outlook | None, rays: Rays, random: np.random.Generator) -> Array:
+def _beyond_object_aim(aim: AimTables, seen: Viewpoints | None, rays: Rays, random: np.random.Generator) -> Array:
     """Return the same of the aim from the targets, at a distance among theirs; 0 for rays that pass beside them."""
     beyond = np.zeros(len(rays.throughput))
     if seen is None or not aim.entrance.known:
@@ -455,7 +455,7 @@ def _off_disk(opening: Opening, x: float, y: float, z: float, dx: float, dy: flo
 
 @kernel
 def _outside_cells(
-    rays: Array, colour: NDArray[np.int64], aim: Aim, array: ArrayTables, sensor: SensorTables, frames: Array,
+    rays: Array, colour: NDArray[np.int64], aim: AimTables, array: ArrayTables, sensor: SensorTables, frames: Array,
     near: Array, cells: NDArray[np.int64], outside: Array,
 ) -> None:  # fmt: skip
     """Write inf for each ray (n, 5) that no pixel's paths are started along when they are aimed."""
@@ -476,7 +476,7 @@ def _outside_cells(
 
 @kernel
 def _measure_in_cells(
-    rays: Array, colour: NDArray[np.int64], aim: Aim, array: ArrayTables, frames: Array,
+    rays: Array, colour: NDArray[np.int64], aim: AimTables, array: ArrayTables, frames: Array,
     off: Array, radius: Array, out: Array,
 ) -> None:  # fmt: skip
     """Write what `_seen_from_cells` returns; of two cells at whose border a ray seems to pass, of the likelier one."""

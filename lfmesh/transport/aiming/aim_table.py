@@ -7,19 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from lfmesh.geometry import frame as frames
+from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
 from lfmesh.geometry.surface import sag
 from lfmesh.geometry.targets import TargetMesh
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
-from lfmesh.transport.aiming.aim_proof import AimProof, Openings, proven
+from lfmesh.transport.aiming.aim_proof import AimProof, CameraTables, proven
 from lfmesh.transport.aiming.lenslet_view import SURE, aim_through_lenslets, apex_z, grid
 from lfmesh.transport.aiming.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
-from lfmesh.transport.aiming.pupil import outlook, paraxial_opening, real_opening, unknown_opening
+from lfmesh.transport.aiming.pupil import paraxial_opening, real_opening, unknown_opening, viewpoints
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.tables import (
-    Aim,
+    AimTables,
     ArrayTables,
     LensTables,
     Opening,
@@ -32,7 +32,7 @@ FAR = 1e9
 KEPT = 8
 """Cameras whose aim is kept: those of a study, or a camera with one lamp after the other, find theirs once."""
 
-_kept: OrderedDict[bytes, tuple[Aim, AimProof | None]] = OrderedDict()
+_kept: OrderedDict[bytes, tuple[AimTables, AimProof | None]] = OrderedDict()
 _access = threading.Lock()
 
 
@@ -46,7 +46,7 @@ def aim_table(
     moves: Array,
     *,
     analytic: bool,
-) -> tuple[Aim, AimProof | None]:
+) -> tuple[AimTables, AimProof | None]:
     """Return where the rays of a scene are aimed, and what rays from its stop say of that.
 
     Parameters
@@ -56,7 +56,7 @@ def aim_table(
         where it is.
     """
     seen = np.concatenate(
-        [frames.points(moves[WORLD_FRAME, CAMERA_FRAME], t.mesh.vertices) for t in targets] or [np.zeros((0, 3))]
+        [frame.points(moves[WORLD_FRAME, CAMERA_FRAME], t.mesh.vertices) for t in targets] or [np.zeros((0, 3))]
     )
     key = digest(scene.camera, scene.transport.split, report, lens, array, sensor, seen, moves, analytic)
     with _access:
@@ -88,10 +88,10 @@ def digest(*values: Any) -> bytes:
 def _found(
     scene: Scene, report: FirstOrder, lens: LensTables, array: ArrayTables, sensor: SensorTables, seen: Array,
     moves: Array, analytic: bool,
-) -> tuple[Aim, AimProof | None]:  # fmt: skip
+) -> tuple[AimTables, AimProof | None]:  # fmt: skip
     """Return what `aim_table` does, for targets that are seen at points (n, 3), camera frame."""
     width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
-    behind = frames.points(moves[SENSOR_FRAME, CAMERA_FRAME], grid(width, height, 0.0))
+    behind = frame.points(moves[SENSOR_FRAME, CAMERA_FRAME], grid(width, height, 0.0))
     front_radius = widest_disk(lens, seen, front=True)
     back_radius = widest_disk(lens, behind, front=False)
     glass = 1.0
@@ -99,18 +99,18 @@ def _found(
         glass = refractive_index(scene.camera.mla.medium, report.wavelength_nm)
         lattice = array.lenslets.lattice
         apexes = grid(*lattice.half_extent, apex_z(array, glass)[1])
-        behind = frames.points(moves[ARRAY_FRAME, CAMERA_FRAME], apexes)
+        behind = frame.points(moves[ARRAY_FRAME, CAMERA_FRAME], apexes)
     entrance = opening_seen(report, lens, seen, front_radius, analytic, front=True)
     exit_ = opening_seen(report, lens, behind, back_radius, analytic, front=False)
     # Reflections reach the sensor from all over the lens; without them only what the opening leaves out does.
     followed = scene.transport.split != "transmit"
-    aim = Aim(
+    aim = AimTables(
         entrance=entrance,
         front_radius=front_radius,
         exit=exit_,
         back_radius=back_radius,
         wide_share=WIDE_SHARE if followed else WIDE_SHARE_OF_IMAGE_PATH,
-        blind_share=1.0 if followed else WIDE_SHARE_OF_IMAGE_PATH,
+        share_without_aim=1.0 if followed else WIDE_SHARE_OF_IMAGE_PATH,
         lenslet_z=0.0,
         pupil_x=0.0,
         pupil_y=0.0,
@@ -124,8 +124,8 @@ def _found(
     aim = aim_through_lenslets(scene, report, array, aim, moves, glass) if array.present else aim
     if not analytic:
         return aim, None
-    from_targets = outlook(entrance.plane_z, front_radius, seen, to_sensor=True)
-    return proven(aim, Openings(lens, array, sensor, moves), from_targets)
+    from_targets = viewpoints(entrance.plane_z, front_radius, seen, to_sensor=True)
+    return proven(aim, CameraTables(lens, array, sensor, moves), from_targets)
 
 
 def opening_seen(
@@ -133,7 +133,7 @@ def opening_seen(
 ) -> Opening:
     """Return a side of the lens as points (n, 3) (camera frame) see it."""
     plane_z = float(lens.box_low[2] if front else lens.box_high[2])
-    seen = outlook(plane_z, wide_radius, points, to_sensor=front)
+    seen = viewpoints(plane_z, wide_radius, points, to_sensor=front)
     if seen is None:
         return unknown_opening(plane_z, to_sensor=front)
     z = report.entrance_pupil_z_mm if front else report.exit_pupil_z_mm

@@ -21,7 +21,7 @@ from lfmesh.geometry.lenslets import shape_of
 from lfmesh.kernel import inlined, kernel, pasted
 from lfmesh.optics.scattering import lambertian
 from lfmesh.transport.packets.random import derived, uniform
-from lfmesh.transport.tables.tables import Aim, ArrayTables
+from lfmesh.transport.tables.tables import AimTables, ArrayTables
 
 Array = NDArray[np.float64]
 
@@ -75,7 +75,7 @@ Numbers = tuple[float, float, float, float, float, float]
 """What a path starts from, in [0, 1): point of the lenslet (or pupil), place in the pixel, which lenslet, what else."""
 
 
-def most_listed(aim: Aim) -> int:
+def most_listed(aim: AimTables) -> int:
     """Return how many lenslets `list_cells` may list."""
     return (2 * aim.search + 1) ** 2
 
@@ -103,7 +103,7 @@ class Allotment(NamedTuple):
 
 
 @pasted
-def allotted(aim: Aim, listed: int, samples: int, key: np.uint64) -> Allotment:
+def allotted(aim: AimTables, listed: int, samples: int, key: np.uint64) -> Allotment:
     """Share out a pixel's samples.
 
     Their numbers are the two whole ones next to the share of each kind, by chance, so that its mean is the share.
@@ -115,7 +115,7 @@ def allotted(aim: Aim, listed: int, samples: int, key: np.uint64) -> Allotment:
     key : uint64
         Of the pixel in its replicate.
     """
-    blind = aim.wide_share if listed > 0 else aim.blind_share
+    blind = aim.wide_share if listed > 0 else aim.share_without_aim
     margin = MARGIN_SHARE * (1.0 - blind)
     if listed > 0 and samples * (1.0 - blind - margin) < FEW:
         return Allotment(0, 0, 1.0 - blind - margin, 1.0 - blind, blind, margin, blind)
@@ -136,7 +136,7 @@ def role_of(sample: int, shares: Allotment, chance: float) -> int:
 
 @pasted
 def list_cells(
-    array: ArrayTables, aim: Aim, glass: float, x: float, y: float, z: float, reach: float, near: Array
+    array: ArrayTables, aim: AimTables, glass: float, x: float, y: float, z: float, reach: float, near: Array
 ) -> int:  # fmt: skip
     """List the lenslets that show (part of) the lens's opening to a point of the sensor or one within reach of it.
 
@@ -193,9 +193,9 @@ def solid_angle(r: float, air: float, plate: float, glass: float) -> float:
 
 
 @inlined
-def glass_before_faces(array: ArrayTables, wave: int) -> float:
+def glass_before_faces(array: ArrayTables, colour: int) -> float:
     """Return the refractive index of what lies between the sensor and the lenslets' faces, beside air."""
-    return array.indices[wave] if array.curved_to_lens else 1.0
+    return array.indices[colour] if array.curved_to_lens else 1.0
 
 
 @inlined
@@ -265,7 +265,7 @@ def spread_on_face(air: float, plate: float, glass: float, s2: float, q2: float,
 
 @pasted
 def through_a_lenslet(
-    array: ArrayTables, aim: Aim, glass: float, normal: tuple[float, float, float], near: Array, listed: int,
+    array: ArrayTables, aim: AimTables, glass: float, normal: tuple[float, float, float], near: Array, listed: int,
     cells: NDArray[np.int64], numbers: Numbers, sample: int, shares: Allotment, x: float, y: float, z: float,
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """Return a direction (array frame) from a point of the sensor, and cos θ over its density among a pixel's samples.
@@ -351,7 +351,7 @@ def through_a_lenslet(
 
 @pasted
 def cells_that_show(
-    aim: Aim, near: Array, listed: int, cells: NDArray[np.int64], x: float, y: float, z: float
+    aim: AimTables, near: Array, listed: int, cells: NDArray[np.int64], x: float, y: float, z: float
 ) -> tuple[int, int, float, float]:
     """Find the listed lenslets that may show the opening to a point; return how many, and how many surely do.
 
@@ -384,7 +384,7 @@ def by_solid_angle(near: Array, cells: NDArray[np.int64], count: int, part: floa
 
 @pasted
 def spread_on_faces(
-    array: ArrayTables, aim: Aim, glass: float, near: Array, cells: NDArray[np.int64], maybe: int,
+    array: ArrayTables, aim: AimTables, glass: float, near: Array, cells: NDArray[np.int64], maybe: int,
     x: float, y: float, z: float, dx: float, dy: float, dz: float,
 ) -> tuple[float, float]:  # fmt: skip
     """Return area over solid angle (mm²) of a direction on the faces that it meets: sure ones, and all with a margin.

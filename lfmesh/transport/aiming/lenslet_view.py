@@ -6,7 +6,7 @@ land. What is aimed at must hold every path: one past it has the weight of the f
 
 import numpy as np
 
-from lfmesh.geometry import frame as frames
+from lfmesh.geometry import frame
 from lfmesh.geometry.lattice import ROW_SPACING, centre
 from lfmesh.geometry.lenslets import border_segments, cap_sag, shape_of
 from lfmesh.geometry.mesh import Array
@@ -15,7 +15,7 @@ from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aiming.pupil import opening_from
 from lfmesh.transport.events.crossing import refracted
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
-from lfmesh.transport.tables.tables import Aim, ArrayTables, Opening, SensorTables
+from lfmesh.transport.tables.tables import AimTables, ArrayTables, Opening, SensorTables
 
 ZONES = 2
 """Points of a lenslet from its middle to each corner for which the opening is looked at."""
@@ -49,8 +49,8 @@ def apex_z(array: ArrayTables, glass: float) -> tuple[float, float]:
 
 
 def aim_through_lenslets(
-    scene: Scene, report: FirstOrder, array: ArrayTables, aim: Aim, moves: Array, glass: float
-) -> Aim:
+    scene: Scene, report: FirstOrder, array: ArrayTables, aim: AimTables, moves: Array, glass: float
+) -> AimTables:
     """Add which lenslets show the exit pupil to a point of the sensor: each one's view of it, and its own blur.
 
     A ray from x through a lenslet's point c + u leaves it with slope (c + u − x)/d − φ (u − e), e the apex's decentre.
@@ -60,12 +60,12 @@ def aim_through_lenslets(
     lattice = array.lenslets.lattice
     sensor_z, lens_z = apex_z(array, glass)
     middle = np.array([[0.0, 0.0, lens_z]])
-    to_pupil = float(frames.points(moves[ARRAY_FRAME, CAMERA_FRAME], middle)[0, 2]) - report.exit_pupil_z_mm
+    to_pupil = float(frame.points(moves[ARRAY_FRAME, CAMERA_FRAME], middle)[0, 2]) - report.exit_pupil_z_mm
     vergence = 1.0 / to_pupil if np.isfinite(to_pupil) else 0.0
     pupil = [0.0, 0.0, report.exit_pupil_z_mm if np.isfinite(to_pupil) else scene.camera.lens.vertices_mm[-1]]
-    pupil_x, pupil_y, _ = frames.points(moves[CAMERA_FRAME, ARRAY_FRAME], [pupil])[0]
+    pupil_x, pupil_y, _ = frame.points(moves[CAMERA_FRAME, ARRAY_FRAME], [pupil])[0]
     width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
-    corners = frames.points(moves[SENSOR_FRAME, ARRAY_FRAME], grid(width, height, 0.0))
+    corners = frame.points(moves[SENSOR_FRAME, ARRAY_FRAME], grid(width, height, 0.0))
     distance = np.abs(corners[:, 2] - sensor_z)
     cells = lattice.columns * lattice.rows
     slope, slope_radius = np.zeros((cells, 2)), np.zeros(cells)
@@ -93,7 +93,7 @@ def _off_by_facets(array: ArrayTables) -> float:
     return ROUNDING * lattice.pitch + float(np.abs(array.lenslets.curvature).max()) * chord**2 / 8.0
 
 
-def _search(aim: Aim, array: ArrayTables, distance: float) -> int:
+def _search(aim: AimTables, array: ArrayTables, distance: float) -> int:
     """Return how many cells off the one that its chief ray meets a cell may lie that shows the opening to a point.
 
     A row of a hexagonal lattice is nearer than a pitch, and half a pitch aside.
@@ -113,8 +113,8 @@ def _search(aim: Aim, array: ArrayTables, distance: float) -> int:
 
 
 def fitted_views(
-    aim: Aim, array: ArrayTables, moves: Array, sensor: SensorTables, needed: float, furthest: float, most: float
-) -> Aim:
+    aim: AimTables, array: ArrayTables, moves: Array, sensor: SensorTables, needed: float, furthest: float, most: float
+) -> AimTables:
     """Return the aim with lenslets' views as wide as light needs them; what they surely show stays.
 
     Parameters
@@ -134,11 +134,11 @@ def fitted_views(
         radius2, sure2 = np.full_like(aim.slope_radius2, furthest * furthest), (most / furthest) ** 2
     aim = aim._replace(slope_radius2=np.where(seen, radius2, -1.0), sure2=sure2)
     width, height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
-    corners = frames.points(moves[SENSOR_FRAME, ARRAY_FRAME], grid(width, height, 0.0))
+    corners = frame.points(moves[SENSOR_FRAME, ARRAY_FRAME], grid(width, height, 0.0))
     return aim._replace(search=_search(aim, array, np.abs(corners[:, 2] - aim.lenslet_z).max()))
 
 
-def with_wider_cells(aim: Aim, array: ArrayTables, by: float) -> Aim:
+def with_wider_cells(aim: AimTables, array: ArrayTables, by: float) -> AimTables:
     """Return the aim with cells that are wider by a factor, as they are aimed at."""
     half = 0.5 * array.lenslets.lattice.pitch
     return aim._replace(cell_margin=by * (half + aim.cell_margin) - half)
@@ -161,7 +161,7 @@ def _view_through_cells(
         for column in range(lattice.columns):
             cell = row * lattice.columns + column
             cx, cy = centre(lattice, column, row)
-            x, y, z = frames.move_point(moves, ARRAY_FRAME, CAMERA_FRAME, cx, cy, lens_z)
+            x, y, z = frame.move_point(moves, ARRAY_FRAME, CAMERA_FRAME, cx, cy, lens_z)
             mx, my, radius = opening_from(opening, x, y, z)
             if radius <= 0.0:
                 slope_radius[cell] = -1.0
@@ -174,7 +174,7 @@ def _view_through_cells(
             for point in range(1 + ZONES * len(corners)):
                 zone, corner = (point + len(corners) - 1) // len(corners) / ZONES, point % len(corners)
                 ux, uy = zone * corners[corner, 0], zone * corners[corner, 1]
-                off = _astray(
+                off = _farthest_landing(
                     array, opening, moves, curvature, ux - ex, uy - ey, cx, cy, cx + ux, cy + uy, sensor_z, sx, sy
                 )
                 furthest = max(furthest, off)
@@ -182,7 +182,7 @@ def _view_through_cells(
 
 
 @inlined
-def _astray(
+def _farthest_landing(
     array: ArrayTables, opening: Opening, moves: Array, curvature: float, ux: float, uy: float, cx: float, cy: float,
     x: float, y: float, sensor_z: float, sx: float, sy: float,
 ) -> float:  # fmt: skip
@@ -199,23 +199,23 @@ def _astray(
     """
     to_sensor = 1.0 if array.curved_to_lens else -1.0
     sag = cap_sag(curvature, ux * ux + uy * uy)
-    sx0, sy0, sz0 = frames.move_point(moves, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, 0.0)
-    mx, my, mz = frames.move_direction(moves, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, 1.0)
+    sx0, sy0, sz0 = frame.move_point(moves, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, 0.0)
+    mx, my, mz = frame.move_direction(moves, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, 1.0)
     furthest = 0.0
     for colour in range(len(array.indices)):
         glass = array.indices[colour]
         # The lens sees the face through the plate where that is between.
         seen_z = sag if array.curved_to_lens else array.lenslets.thickness - (array.lenslets.thickness - sag) / glass
-        px, py, pz = frames.move_point(moves, ARRAY_FRAME, CAMERA_FRAME, x, y, seen_z)
+        px, py, pz = frame.move_point(moves, ARRAY_FRAME, CAMERA_FRAME, x, y, seen_z)
         ox, oy, radius = opening_from(opening, px, py, pz)
-        outward_x, outward_y, _ = frames.move_direction(moves, ARRAY_FRAME, CAMERA_FRAME, x - cx, y - cy, 0.0)
+        outward_x, outward_y, _ = frame.move_direction(moves, ARRAY_FRAME, CAMERA_FRAME, x - cx, y - cy, 0.0)
         length = np.sqrt(outward_x * outward_x + outward_y * outward_y)
         hx, hy = (outward_x / length, outward_y / length) if length > 0.0 else (1.0, 0.0)
         # Outward, across, inward, and across.
         for _ in range(4 if radius > 0.0 else 0):
             hx, hy = -hy, hx
             dx, dy, dz = px - ox - radius * hx, py - oy - radius * hy, pz - opening.plane_z
-            dx, dy, dz = frames.move_direction(moves, CAMERA_FRAME, ARRAY_FRAME, dx, dy, dz)
+            dx, dy, dz = frame.move_direction(moves, CAMERA_FRAME, ARRAY_FRAME, dx, dy, dz)
             through, at_x, at_y, at_z, dx, dy, dz = _through_lenslet(
                 array.lenslets.thickness, curvature, glass, to_sensor, ux, uy, sag, x, y, dx, dy, dz
             )
@@ -238,17 +238,17 @@ def _through_lenslet(
     dx, dy, dz = dx * scale, dy * scale, dz * scale
     nx, ny, nz = -curvature * ux * to_sensor, -curvature * uy * to_sensor, (1.0 - curvature * sag) * to_sensor
     if to_sensor > 0.0:
-        one, dx, dy, dz = _bent(dx, dy, dz, nx, ny, nz, 1.0 / glass)
+        one, dx, dy, dz = _refract_if_possible(dx, dy, dz, nx, ny, nz, 1.0 / glass)
         t = (thickness - sag) / dz
-        other, ex, ey, ez = _bent(dx, dy, dz, 0.0, 0.0, to_sensor, glass)
+        other, ex, ey, ez = _refract_if_possible(dx, dy, dz, 0.0, 0.0, to_sensor, glass)
         return one and other, x + t * dx, y + t * dy, thickness, ex, ey, ez
-    one, dx, dy, dz = _bent(dx, dy, dz, 0.0, 0.0, to_sensor, 1.0 / glass)
-    other, dx, dy, dz = _bent(dx, dy, dz, nx, ny, nz, glass)
+    one, dx, dy, dz = _refract_if_possible(dx, dy, dz, 0.0, 0.0, to_sensor, 1.0 / glass)
+    other, dx, dy, dz = _refract_if_possible(dx, dy, dz, nx, ny, nz, glass)
     return one and other, x, y, sag, dx, dy, dz
 
 
 @inlined
-def _bent(
+def _refract_if_possible(
     dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, eta: float
 ) -> tuple[bool, float, float, float]:
     """Return whether a ray is refracted where the normal looks along it, and its direction then."""
@@ -263,5 +263,5 @@ def _bent(
 @kernel
 def _slope(moves: Array, dx: float, dy: float, dz: float, toward: float) -> tuple[float, float]:
     """Return the slope, array frame, of a direction of the camera frame."""
-    x, y, z = frames.move_direction(moves, CAMERA_FRAME, ARRAY_FRAME, dx, dy, dz)
+    x, y, z = frame.move_direction(moves, CAMERA_FRAME, ARRAY_FRAME, dx, dy, dz)
     return x / (toward * z), y / (toward * z)

@@ -49,7 +49,7 @@ def disk_density(
 @kernel
 def aimed(
     x: float, y: float, z: float,
-    opening: Opening, wide_radius: float, wide_share: float, blind_share: float,
+    opening: Opening, wide_radius: float, wide_share: float, share_without_aim: float,
     choice: float, u: float, v: float,
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """Return a direction from a point towards the lens's opening or the wide disk, and its density in the mixture.
@@ -60,7 +60,7 @@ def aimed(
     narrow = opening.known and radius > 0.0
     share = 1.0
     if opening.known:
-        share = wide_share if narrow else blind_share
+        share = wide_share if narrow else share_without_aim
     if choice < share:
         dx, dy, dz = toward_disk(x, y, z, 0.0, 0.0, opening.plane_z, wide_radius, u, v)
     elif narrow:
@@ -76,14 +76,14 @@ def aimed(
 @kernel
 def aimed_density(
     x: float, y: float, z: float, dx: float, dy: float, dz: float,
-    opening: Opening, wide_radius: float, wide_share: float, blind_share: float,
+    opening: Opening, wide_radius: float, wide_share: float, share_without_aim: float,
 ) -> float:  # fmt: skip
     """Return the density per solid angle with which `aimed` draws a direction from a point."""
     cx, cy, radius = opening_from(opening, x, y, z)
     narrow = opening.known and radius > 0.0
     share = 1.0
     if opening.known:
-        share = wide_share if narrow else blind_share
+        share = wide_share if narrow else share_without_aim
     density = share * disk_density(x, y, z, dx, dy, dz, 0.0, 0.0, opening.plane_z, wide_radius)
     if narrow:
         density += (1.0 - share) * disk_density(x, y, z, dx, dy, dz, cx, cy, opening.plane_z, radius)

@@ -67,7 +67,7 @@ MARGIN = 1.02
 """Over the measured radius: what lies between the measured points, spokes and wavelengths."""
 
 
-class Outlook(NamedTuple):
+class Viewpoints(NamedTuple):
     """From where a side of the lens is looked at.
 
     Attributes
@@ -91,7 +91,7 @@ class Outlook(NamedTuple):
     distance: Array
 
 
-def outlook(plane_z: float, wide_radius: float, points: Array, *, to_sensor: bool) -> Outlook | None:
+def viewpoints(plane_z: float, wide_radius: float, points: Array, *, to_sensor: bool) -> Viewpoints | None:
     """Return how points (n, 3) (camera frame) look at a side of the lens; None: none of them lies before it."""
     distance = (plane_z - points[:, 2]) * (1.0 if to_sensor else -1.0)
     before = distance > 1e-6 * wide_radius
@@ -105,7 +105,7 @@ def outlook(plane_z: float, wide_radius: float, points: Array, *, to_sensor: boo
     inverse = np.linspace(1.0 / far, 1.0 / near, many)
     # Points on the axis alone see it at no angle; the table then needs some width.
     widest = float(tangent.max()) or 1.0
-    return Outlook(plane_z, wide_radius, to_sensor, np.linspace(0.0, widest, ANGLES), 1.0 / inverse)
+    return Viewpoints(plane_z, wide_radius, to_sensor, np.linspace(0.0, widest, ANGLES), 1.0 / inverse)
 
 
 def unknown_opening(plane_z: float, *, to_sensor: bool) -> Opening:
@@ -117,7 +117,7 @@ def unknown_opening(plane_z: float, *, to_sensor: bool) -> Opening:
     )  # fmt: skip
 
 
-def paraxial_opening(seen: Outlook, pupil_z: float, pupil_radius: float) -> Opening:
+def paraxial_opening(seen: Viewpoints, pupil_z: float, pupil_radius: float) -> Opening:
     """Return a pupil of first-order optics as points see it in the outermost plane, with a margin.
 
     Where that is wider than the disk that every ray to the lens crosses, the latter takes its place.
@@ -125,7 +125,7 @@ def paraxial_opening(seen: Outlook, pupil_z: float, pupil_radius: float) -> Open
     return _opening(seen, *_paraxial_disks(seen, pupil_z, pupil_radius))
 
 
-def _paraxial_disks(seen: Outlook, pupil_z: float, pupil_radius: float) -> tuple[Array, Array]:
+def _paraxial_disks(seen: Viewpoints, pupil_z: float, pupil_radius: float) -> tuple[Array, Array]:
     """Return middle (along the meridian) and radius of a paraxial pupil as every point sees it, (n, m) mm."""
     tangent, distance = np.meshgrid(seen.tangent, seen.distance)
     depth = (pupil_z - seen.plane_z) * (1.0 if seen.to_sensor else -1.0)
@@ -137,14 +137,14 @@ def _paraxial_disks(seen: Outlook, pupil_z: float, pupil_radius: float) -> tuple
     return middle, np.where(fits, radius, seen.wide_radius)
 
 
-def real_opening(seen: Outlook, lens: LensTables, pupil_z: float, pupil_radius: float) -> Opening:
+def real_opening(seen: Viewpoints, lens: LensTables, pupil_z: float, pupil_radius: float) -> Opening:
     """Return what gets through the lens's exact surfaces, whatever the wavelength, as points see it.
 
     Field angles beyond which nothing gets through are left out of the table.
 
     Parameters
     ----------
-    seen : Outlook
+    seen : Viewpoints
     lens : LensTables
     pupil_z, pupil_radius : float, mm
         The paraxial pupil, near which the search begins, and which stands where real rays cannot decide.
@@ -160,7 +160,7 @@ def real_opening(seen: Outlook, lens: LensTables, pupil_z: float, pupil_radius: 
     return _opening(seen, middle, radius)
 
 
-def _measured(seen: Outlook, lens: LensTables, pupil_z: float, pupil_radius: float) -> tuple[Array, Array]:
+def _measured(seen: Viewpoints, lens: LensTables, pupil_z: float, pupil_radius: float) -> tuple[Array, Array]:
     """Return middle (along the meridian) and radius of the opening's disk from every point, (n, m) mm; −1: closed."""
     height = np.outer(seen.distance, seen.tangent).ravel()
     distance = np.repeat(seen.distance, len(seen.tangent))
@@ -186,7 +186,7 @@ def _measured(seen: Outlook, lens: LensTables, pupil_z: float, pupil_radius: flo
 
 
 def _clearest_ray(
-    seen: Outlook, lens: LensTables, height: Array, distance: Array, expected: Array
+    seen: Viewpoints, lens: LensTables, height: Array, distance: Array, expected: Array
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Find the ray from each point, in the meridional plane, that keeps furthest from every aperture's edge.
 
@@ -235,7 +235,7 @@ def _clearest_ray(
     return place, obstruction, decided | (obstruction < 1.0)
 
 
-def _edge(seen: Outlook, lens: LensTables, height: Array, distance: Array, start: Array) -> Array:
+def _edge(seen: Viewpoints, lens: LensTables, height: Array, distance: Array, start: Array) -> Array:
     """Return how far from `start` light gets through along each spoke, (points, SPOKES) mm."""
     angle = np.linspace(0.0, np.pi, SPOKES)
 
@@ -258,7 +258,7 @@ def _edge(seen: Outlook, lens: LensTables, height: Array, distance: Array, start
     return outside
 
 
-def _obstruction(seen: Outlook, lens: LensTables, height: Array, distance: Array, x: Array, y: Array) -> Array:
+def _obstruction(seen: Viewpoints, lens: LensTables, height: Array, distance: Array, x: Array, y: Array) -> Array:
     """Return how near rays from points of the meridian come to the edge of an aperture, (points, rays).
 
     The largest (r / r_max)² over all surfaces and the stop, whose apertures do not end the rays: below one, a ray gets
@@ -327,7 +327,7 @@ def _trace_unbounded(
                 least[first + i] = min(least[first + i], bundle[_OBSTRUCTION + i])
 
 
-def _opening(seen: Outlook, middle: Array, radius: Array) -> Opening:
+def _opening(seen: Viewpoints, middle: Array, radius: Array) -> Opening:
     """Return measured disks as a table: the middle interpolated between its points, the radius large enough for that.
 
     A mesh of the table has the largest radius of its corners. From points beyond the last that see anything, the lens

@@ -203,7 +203,7 @@ def _keep_end(
     kept.events = packet.events
     kept.node = node
     kept.body = slot
-    kept.wave = packet.wave
+    kept.colour = packet.colour
     flow.tops[ENDED] += 1
 
 
@@ -233,7 +233,7 @@ def safely_behind(
 
 
 @kernel
-def behind(facet: Any, packet: Any, t: float) -> float:
+def next_query_from(facet: Any, packet: Any, t: float) -> float:
     """Return where to query next after a facet at distance t was refused; each further refusal steps twice as far."""
     normal = facet.normal
     along = abs(normal[0] * packet.dx + normal[1] * packet.dy + normal[2] * packet.dz)
@@ -260,7 +260,7 @@ def crosses(facet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: 
 
 
 @inlined
-def deposit(options: Options, flow: Flow, place: int, wave: int, weight: float) -> None:
+def deposit(options: Options, flow: Flow, place: int, colour: int, weight: float) -> None:
     """Add to a pixel: straight into the chunk's film (adjoint) or to the list that is merged in order (forward).
 
     Parameters
@@ -270,20 +270,20 @@ def deposit(options: Options, flow: Flow, place: int, wave: int, weight: float) 
     """
     if options.adjoint:
         row, sample = (place & PIXEL_MASK) - options.first_source, place >> SAMPLE_SHIFT
-        flow.film[row, wave] += weight
+        flow.film[row, colour] += weight
         # Without a branch: a sample counts when it brings something for the first time.
-        flow.hits[row, wave] += np.uint32(1) - flow.counted[sample]
+        flow.hits[row, colour] += np.uint32(1) - flow.counted[sample]
         flow.counted[sample] = 1
         return
     entry = flow.deposits[flow.tops[DEPOSITS]]
     entry.pixel = place
-    entry.wave = wave
+    entry.colour = colour
     entry.weight = weight
     flow.tops[DEPOSITS] += 1
 
 
 @kernel
-def ask_again(
+def requery(
     options: Options, flow: Flow, frames: Array, station: int, packet: Any, query_from: float, missed: bool, slot: int
 ) -> None:
     """Queue the packet's ray for another query, or end it as lost, booked in `slot`, after too many.
@@ -379,13 +379,13 @@ def write_query(
     t, dx, dy, dz = packet.query_from, packet.dx, packet.dy, packet.dz
     x, y, z = packet.x + t * dx - fold_x, packet.y + t * dy - fold_y, packet.z + t * dz
     if packet.slipped != 0:
-        x, y, z = _moved_aside(packet, x, y, z)
+        x, y, z = _jittered(packet, x, y, z)
     origins[i, 0], origins[i, 1], origins[i, 2] = np.float32(x), np.float32(y), np.float32(z)
     directions[i, 0], directions[i, 1], directions[i, 2] = np.float32(dx), np.float32(dy), np.float32(dz)
 
 
 @kernel
-def _moved_aside(packet: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
+def _jittered(packet: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Move a query's origin along each axis by up to a few rounding errors, twice as far at every try."""
     key, tries = packet.key, packet.tries
     scale = abs(packet.x) + abs(packet.y) + abs(packet.z)

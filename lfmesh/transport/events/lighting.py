@@ -28,7 +28,7 @@ def ask_lights(objects: ObjectTables, flow: Flow, packet: Any, point: Point) -> 
     """Send a shadow packet to every light that faces a point (next-event estimation); tell whether any does."""
     facet = objects.facets[point.prim]
     x, y, z = point.x, point.y, point.z
-    wave, ix, iy, iz = packet.wave, packet.dx, packet.dy, packet.dz
+    colour, ix, iy, iz = packet.colour, packet.dx, packet.dy, packet.dz
     any_light = False
     for number in range(len(objects.lights)):
         dimension = packet.events * DIMENSIONS_PER_EVENT + LIGHT_U + LIGHT_DIMENSIONS * number
@@ -37,7 +37,7 @@ def ask_lights(objects: ObjectTables, flow: Flow, packet: Any, point: Point) -> 
         if cos_surface <= 0.0 or irradiance <= 0.0:
             continue
         any_light = True
-        brdf = evaluate(objects.scattering, point, wave, ix, iy, iz, ux, uy, uz)
+        brdf = evaluate(objects.scattering, point, colour, ix, iy, iz, ux, uy, uz)
         shadow = put(
             flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz,
             packet.weight * brdf * irradiance * cos_surface, packet.key, clear_of(facet, x, y, z, ux, uy, uz),

@@ -32,17 +32,17 @@ class Point(NamedTuple):
 
 
 @inlined
-def albedo(scattering: ScatteringTables, point: Point, wave: int, ix: float, iy: float, iz: float) -> float:
+def albedo(scattering: ScatteringTables, point: Point, colour: int, ix: float, iy: float, iz: float) -> float:
     """Return the share of light from a direction that is scattered."""
     model = scattering.models[point.model]
     if model.kind == LAMBERTIAN:
-        return scattering.parameters[model.first, wave] * point.texel
+        return scattering.parameters[model.first, colour] * point.texel
     return 0.0
 
 
 @inlined
 def evaluate(
-    scattering: ScatteringTables, point: Point, wave: int,
+    scattering: ScatteringTables, point: Point, colour: int,
     ix: float, iy: float, iz: float, ox: float, oy: float, oz: float,
 ) -> float:  # fmt: skip
     """Return the BRDF, 1/sr: radiance that leaves in one direction over irradiance from another.
@@ -51,25 +51,25 @@ def evaluate(
     """
     model = scattering.models[point.model]
     if model.kind == LAMBERTIAN:
-        return scattering.parameters[model.first, wave] * point.texel / np.pi
+        return scattering.parameters[model.first, colour] * point.texel / np.pi
     return 0.0
 
 
 @inlined
 def sample(
-    scattering: ScatteringTables, point: Point, wave: int, ix: float, iy: float, iz: float, u: float, v: float
+    scattering: ScatteringTables, point: Point, colour: int, ix: float, iy: float, iz: float, u: float, v: float
 ) -> tuple[float, float, float, float]:
     """Return a direction that light is scattered in, from two uniform numbers, and BRDF · cos θ over its density."""
     model = scattering.models[point.model]
     if model.kind == LAMBERTIAN:
         ox, oy, oz = lambertian(point.nx, point.ny, point.nz, u, v)
-        return ox, oy, oz, scattering.parameters[model.first, wave] * point.texel
+        return ox, oy, oz, scattering.parameters[model.first, colour] * point.texel
     return 0.0, 0.0, 0.0, 0.0
 
 
 @inlined
 def density(
-    scattering: ScatteringTables, point: Point, wave: int,
+    scattering: ScatteringTables, point: Point, colour: int,
     ix: float, iy: float, iz: float, ox: float, oy: float, oz: float,
 ) -> float:  # fmt: skip
     """Return the density per solid angle with which `sample` draws a direction."""

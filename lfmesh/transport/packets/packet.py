@@ -97,7 +97,7 @@ LEFT_LENS = -2
 LEFT_FACE = -3
 """`last` of a packet that left a curved face of the array and has not left the layer of faces."""
 
-_OWN_ROOM = np.dtype(
+_BASE_RECORD = np.dtype(
     [
         ("x", "f8"), ("y", "f8"), ("z", "f8"),  # mm, in `frame`
         ("dx", "f8"), ("dy", "f8"), ("dz", "f8"),
@@ -111,7 +111,7 @@ _OWN_ROOM = np.dtype(
         ("column", "i4"), ("row", "i4"),  # cell of the array; for object space see `regions.bodies` and PACKET
         ("facet", "i4"),  # target facet it left
         ("last", "i2"),  # lens surface it left
-        ("wave", "i2"),  # wavelength
+        ("colour", "i2"),  # number of the wavelength
         ("space", "i2"),  # space between two surfaces it travels in; for object space see `regions.bodies`
         ("events", "i2"),
         ("medium", "i2"),  # that it travels in
@@ -139,7 +139,7 @@ def _with_field(record: np.dtype[np.void], name: str, form: str, place: str) -> 
     )
 
 
-PACKET = _with_field(_OWN_ROOM, "density", "f4", "row")
+PACKET = _with_field(_BASE_RECORD, "density", "f4", "row")
 """In object space a packet is in no cell. What left a target has there the density, 1/sr, with which the target's
 scattering model draws its direction."""
 
@@ -148,7 +148,7 @@ PIXEL_MASK = (1 << SAMPLE_SHIFT) - 1
 """A packet that began at a pixel has the pixel in the lower bits of its source, and above them the number of its sample
 in the chunk, by which a sample that brings light in several ways is counted once."""
 
-DEPOSIT = np.dtype([("pixel", "i8"), ("wave", "i8"), ("weight", "f8")])
+DEPOSIT = np.dtype([("pixel", "i8"), ("colour", "i8"), ("weight", "f8")])
 
 END = np.dtype(
     [
@@ -160,7 +160,7 @@ END = np.dtype(
         ("events", "i8"),
         ("node", "i8"),
         ("body", "i8"),
-        ("wave", "i8"),
+        ("colour", "i8"),
     ]
 )
 
@@ -227,7 +227,7 @@ def put(
     # compiler makes sixty moves of odd bytes.
     start, source, node, kind = parent.start, parent.source, parent.node, parent.kind
     column, cell_row, facet, last = parent.column, parent.row, parent.facet, parent.last
-    wave, space, events, medium, stray = parent.wave, parent.space, parent.events, parent.medium, parent.stray
+    colour, space, events, medium, stray = parent.colour, parent.space, parent.events, parent.medium, parent.stray
     packet = flow.stacks[row, top]
     packet.x, packet.y, packet.z = x, y, z
     packet.dx, packet.dy, packet.dz = dx, dy, dz
@@ -236,7 +236,7 @@ def put(
     packet.key, packet.source = key, source
     packet.node = node
     packet.column, packet.row, packet.facet, packet.last = column, cell_row, facet, last
-    packet.wave, packet.space, packet.events, packet.medium = wave, space, events, medium
+    packet.colour, packet.space, packet.events, packet.medium = colour, space, events, medium
     packet.tries, packet.kind, packet.frame, packet.stray, packet.slipped = 0, kind, frame, stray, 0
     flow.tops[station] = top + 1
     return packet

@@ -17,16 +17,16 @@ from lfmesh.geometry.levels import EXACT, FLAT, PATCH, SMOOTH
 from lfmesh.geometry.surface import conic_distance
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.crossing import (
-    ask_again,
-    behind,
     clear_of,
     end,
     end_here,
     facet_normal,
     meets_patch,
     move_packet,
+    next_query_from,
     reflected,
     refracted,
+    requery,
     too_deep,
     write_query,
 )
@@ -141,9 +141,9 @@ def through_plate(
             slot = ARRAY_EDGE if outward else ARRAY_MOUNT
             end(options, flow, frames, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
             continue
-        glass = array.indices[packet.wave]
+        glass = array.indices[packet.colour]
         n_i, n_t = (glass, 1.0) if outward else (1.0, glass)
-        reflectance, transmittance, cos_t = shares(array.interfaces, FLAT_ROW, packet.wave, n_i, n_t, abs(dz))
+        reflectance, transmittance, cos_t = shares(array.interfaces, FLAT_ROW, packet.colour, n_i, n_t, abs(dz))
         toward = 1.0 if dz > 0.0 else -1.0
         _split_at_flat_face(
             (array, lens_surfaces, outward), options, flow, frames, ARRAY_FRAME, packet, FLAT_FACE, NO_SURFACE,
@@ -233,11 +233,11 @@ def shade_cells(
                 )
             _through_face(options, flow, frames, array, lens_surfaces, packet, t, prim, nx, ny, nz)
         elif options.surface != EXACT and prim >= 0 and not met and at_facet < min(sideways, layer):
-            further = behind(array.facets[prim], packet, at_facet)
-            ask_again(options, flow, frames, CELLS, packet, further, False, LOST_IN_ARRAY)
+            further = next_query_from(array.facets[prim], packet, at_facet)
+            requery(options, flow, frames, CELLS, packet, further, False, LOST_IN_ARRAY)
         elif options.surface != EXACT and prim < 0 and packet.tries == 0:
             # Embree lets a ray pass that is aimed exactly at a vertex.
-            ask_again(options, flow, frames, CELLS, packet, packet.query_from, True, LOST_IN_ARRAY)
+            requery(options, flow, frames, CELLS, packet, packet.query_from, True, LOST_IN_ARRAY)
         elif sideways <= layer:
             _walk(options, flow, frames, array, packet, sideways, side)
         elif dz < 0.0 and inward:
@@ -248,7 +248,7 @@ def shade_cells(
         elif dz > 0.0 and not inward:
             put(flow, PLATE, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, 0.0)
         else:
-            ask_again(options, flow, frames, CELLS, packet, packet.query_from, True, LOST_IN_ARRAY)
+            requery(options, flow, frames, CELLS, packet, packet.query_from, True, LOST_IN_ARRAY)
 
 
 @kernel
@@ -327,9 +327,9 @@ def _through_face(
         nx, ny, nz, cos_i = -nx, -ny, -nz, -cos_i
     cos_i = min(cos_i, 1.0)
     inward = packet.space == BEFORE
-    glass = array.indices[packet.wave]
+    glass = array.indices[packet.colour]
     n_i, n_t = (1.0, glass) if inward else (glass, 1.0)
-    reflectance, transmittance, cos_t = shares(array.interfaces, CURVED_ROW, packet.wave, n_i, n_t, cos_i)
+    reflectance, transmittance, cos_t = shares(array.interfaces, CURVED_ROW, packet.colour, n_i, n_t, cos_i)
     if packet.last == LEFT_FACE:
         # A second face in one passage.
         packet.stray = 1

@@ -13,8 +13,6 @@ from lfmesh.geometry.surface import conic_distance, distance_to, normal_at
 from lfmesh.geometry.tessellation import OVERREACH
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.crossing import (
-    ask_again,
-    behind,
     crosses,
     end,
     end_here,
@@ -22,6 +20,8 @@ from lfmesh.transport.events.crossing import (
     lose,
     meets_patch,
     move_packet,
+    next_query_from,
+    requery,
     too_deep,
     write_query,
 )
@@ -212,9 +212,9 @@ def _prepare(block: Array, i: int, packet: Any, prim: int, lens: LensTables, opt
 def _set_sides(block: Array, i: int, packet: Any, k: int, lens: LensTables) -> None:
     """Enter surface `k` as an interface, and the indices before and after it."""
     space = packet.space
-    block[N_I + i] = lens.indices[space, packet.wave]
-    block[N_T + i] = lens.indices[k + 1 if k == space else k, packet.wave]
-    block[NUMBER + i], block[COLOUR + i] = k, packet.wave
+    block[N_I + i] = lens.indices[space, packet.colour]
+    block[N_T + i] = lens.indices[k + 1 if k == space else k, packet.colour]
+    block[NUMBER + i], block[COLOUR + i] = k, packet.colour
 
 
 @kernel
@@ -236,7 +236,7 @@ def _decide(
     if missed_all and not _is_conic(surfaces[0 if space == 0 else last_space - 1]):
         if packet.last == NO_SURFACE and packet.tries == 0:
             # It was on its way in: Embree lets a ray pass that is aimed exactly at a vertex.
-            ask_again(options, flow, frames, LENS, packet, packet.query_from, True, lens.lost_slot[space])
+            requery(options, flow, frames, LENS, packet, packet.query_from, True, lens.lost_slot[space])
         else:
             _leaves(options, flow, frames, lens, has_array, packet)
         return NO_SURFACE
@@ -244,8 +244,8 @@ def _decide(
     if prim >= 0:
         k, t, px, py, z, nx, ny, nz = _meets(flow, lens, packet, prim, 0.25 * packet.query_from)
         if k == NO_SURFACE and abs(t) <= facets[prim].size and packet.tries < NEARBY_TRIES:
-            further = behind(facets[prim], packet, t)
-            ask_again(options, flow, frames, LENS, packet, further, False, lens.lost_slot[space])
+            further = next_query_from(facets[prim], packet, t)
+            requery(options, flow, frames, LENS, packet, further, False, lens.lost_slot[space])
             return NO_SURFACE
     if k == RING or (k != NO_SURFACE and packet.last != 2 * space - 1 - k):
         # The mesh of a surface that bulges into the space stands back from it: a ray that grazes the surface may

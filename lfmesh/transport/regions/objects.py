@@ -13,8 +13,6 @@ from lfmesh.geometry.levels import PATCH
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.crossing import (
     MAX_TRIES,
-    ask_again,
-    behind,
     clear_of,
     crosses,
     deposit,
@@ -24,8 +22,10 @@ from lfmesh.transport.events.crossing import (
     lose,
     meets_patch,
     move_packet,
+    next_query_from,
     reflected,
     refracted,
+    requery,
     too_deep,
     write_query,
 )
@@ -72,7 +72,7 @@ from lfmesh.transport.regions.bodies import (
 )
 from lfmesh.transport.regions.lens import box_entry
 from lfmesh.transport.regions.targets import meet_target, share_with_other
-from lfmesh.transport.tables.tables import OPAQUE, Aim, LensTables, ObjectTables
+from lfmesh.transport.tables.tables import OPAQUE, AimTables, LensTables, ObjectTables
 
 Array = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ def admit_to_objects(
 @kernel
 def shade_objects(
     wave: NDArray[np.void], found: NDArray[np.int32],
-    objects: ObjectTables, lens: LensTables, aim: Aim, frames: Array, options: Options, flow: Flow,
+    objects: ObjectTables, lens: LensTables, aim: AimTables, frames: Array, options: Options, flow: Flow,
 ) -> None:  # fmt: skip
     """Shade a wave of packets in object space."""
     facets = objects.facets
@@ -109,19 +109,19 @@ def shade_objects(
             # Nearer than the query's start: the facet that the packet left, or a neighbour in its plane.
             if prim == packet.facet or t <= 0.25 * packet.query_from or t <= 0.0:
                 if packet.tries < MAX_TRIES:
-                    again = behind(facet, packet, t if t > 0.0 else 0.0)
-                    ask_again(options, flow, frames, OBJECTS, packet, again, False, LOST_OUTSIDE)
+                    again = next_query_from(facet, packet, t if t > 0.0 else 0.0)
+                    requery(options, flow, frames, OBJECTS, packet, again, False, LOST_OUTSIDE)
                     continue
                 prim, t, along = _first_crossing(objects, packet, x, y, z, dx, dy, dz)
                 facet = facets[max(prim, 0)]
         elif packet.tries == 0 and _might_have_met(objects, packet, x, y, z, dx, dy, dz):
             # Embree lets a ray pass that is aimed exactly at a vertex.
-            ask_again(options, flow, frames, OBJECTS, packet, packet.query_from, True, LOST_OUTSIDE)
+            requery(options, flow, frames, OBJECTS, packet, packet.query_from, True, LOST_OUTSIDE)
             continue
         if packet.kind != SHADOW and not _in_its_medium(objects, packet, prim, along):
             if prim >= 0 and packet.tries < MAX_TRIES and _is_in_contact(objects, prim):
                 # The face of a body that was entered or left where it touches another one, to rounding.
-                ask_again(options, flow, frames, OBJECTS, packet, behind(facet, packet, t), False, LOST_OUTSIDE)
+                requery(options, flow, frames, OBJECTS, packet, next_query_from(facet, packet, t), False, LOST_OUTSIDE)
                 continue
             # The query began beyond a facet, near an edge of the body, or slipped through the body at a vertex.
             flow.counts[REQUERIES] += 1
@@ -134,7 +134,7 @@ def shade_objects(
             facet = facets[max(prim, 0)]
         if packet.kind == SHADOW:
             if t >= packet.limit:
-                deposit(options, flow, packet.source, packet.wave, packet.weight)
+                deposit(options, flow, packet.source, packet.colour, packet.weight)
             continue
         if packet.last != LEFT_LENS:
             px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
@@ -292,7 +292,8 @@ def _through_glass(
     if level == PATCH:
         met, more, nx, ny, nz = meets_patch(flow, objects.patches, objects.across, facet, prim, x, y, z, dx, dy, dz)
         if met and t + more <= 0.0:
-            ask_again(options, flow, frames, OBJECTS, packet, behind(facet, packet, t), False, objects.lost_slot[body])
+            further = next_query_from(facet, packet, t)
+            requery(options, flow, frames, OBJECTS, packet, further, False, objects.lost_slot[body])
             return
         x, y, z = x + more * dx, y + more * dy, z + more * dz
     else:
@@ -308,14 +309,14 @@ def _through_glass(
     cos_i = min(cos_i, 1.0)
     x, y, z = arrive(flow, objects.media, packet, x, y, z)
     beyond = medium_of(objects, after)
-    n_i, n_t = objects.media.indices[packet.medium, packet.wave], objects.media.indices[beyond, packet.wave]
+    n_i, n_t = objects.media.indices[packet.medium, packet.colour], objects.media.indices[beyond, packet.colour]
     if n_i == n_t and inside != 0 and after != 0:
         packet.medium, packet.facet = beyond, NO_SURFACE
         set_bodies(packet, after)
         clear = clear_of(facet, x, y, z, dx, dy, dz)
         put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, clear)
         return
-    reflectance, transmittance, cos_t = shares(objects.interfaces, body, packet.wave, n_i, n_t, cos_i)
+    reflectance, transmittance, cos_t = shares(objects.interfaces, body, packet.colour, n_i, n_t, cos_i)
     packet.facet = NO_SURFACE
     packet.last = NO_SURFACE
     if packet.kind != LAMP:

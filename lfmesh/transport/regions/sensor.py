@@ -31,5 +31,5 @@ def onto_sensor(
         if not (0.0 <= column < sensor.columns and 0.0 <= row < sensor.rows):
             slot, status = BESIDE_SENSOR, S_ABSORBED
         elif not options.adjoint and not options.tracing:
-            deposit(options, flow, int(row) * sensor.columns + int(column), packet.wave, packet.weight)
+            deposit(options, flow, int(row) * sensor.columns + int(column), packet.colour, packet.weight)
         end(options, flow, frames, packet, SENSOR_FRAME, x, y, 0.0, dx, dy, dz, packet.weight, slot, status)

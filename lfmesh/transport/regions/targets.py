@@ -50,7 +50,7 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.path_class import OFF_IMAGE_PATH, is_estimated
 from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived
-from lfmesh.transport.tables.tables import AIR, Aim, ObjectTables
+from lfmesh.transport.tables.tables import AIR, AimTables, ObjectTables
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ AIMED_CHILD = 1 << 20
 
 @inlined
 def meet_target(
-    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: Aim, packet: Any,
+    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any,
     prim: int, x: float, y: float, z: float, along: float,
 ) -> None:  # fmt: skip
     """Gather and scatter at a point of a facet; `along` is its normal · the packet's direction."""
@@ -78,9 +78,9 @@ def meet_target(
         if weight == 0.0:
             return
         packet.weight = weight
-    texel = texture_at(objects, prim, packet.wave, x, y, z)
+    texel = texture_at(objects, prim, packet.colour, x, y, z)
     point = point_of(objects, prim, x, y, z, -1.0 if along > 0.0 else 1.0, body, texel)
-    share = albedo(objects.scattering, point, packet.wave, dx, dy, dz)
+    share = albedo(objects.scattering, point, packet.colour, dx, dy, dz)
     if options.adjoint and is_estimated(options, packet):
         _gather(options, flow, objects, packet, point, body, share > 0.0)
     scattered = weight * share
@@ -107,7 +107,7 @@ def point_of(
 
 
 @inlined
-def texture_at(objects: ObjectTables, prim: int, wave: int, x: float, y: float, z: float) -> float:
+def texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: float, z: float) -> float:
     """Return the texture's value (linear light, bilinear, clamped) at a point of a facet; 1 without."""
     body = objects.facets[prim].body
     height = objects.texture[body, 1]
@@ -129,7 +129,7 @@ def texture_at(objects: ObjectTables, prim: int, wave: int, x: float, y: float, 
             r = min(max(low + j, 0), height - 1)
             s = min(max(left + k, 0), width - 1)
             share = (low_share if j else 1.0 - low_share) * (right_share if k else 1.0 - right_share)
-            value += share * objects.texels[first + r * width + s, wave]
+            value += share * objects.texels[first + r * width + s, colour]
     return value
 
 
@@ -139,12 +139,12 @@ def _gather(
 ) -> None:
     """Deposit what a target emits towards the packet, and ask the lights for what it scatters that way."""
     flow.book[REACHED] += packet.weight
-    radiance = objects.radiance[body, packet.wave] * point.texel
+    radiance = objects.radiance[body, packet.colour] * point.texel
     if radiance > 0.0:
         if packet.medium != AIR:
             # It shines inside glass, and radiance falls by n² on the way out.
-            radiance /= objects.media.indices[packet.medium, packet.wave] ** 2
-        deposit(options, flow, packet.source, packet.wave, packet.weight * radiance)
+            radiance /= objects.media.indices[packet.medium, packet.colour] ** 2
+        deposit(options, flow, packet.source, packet.colour, packet.weight * radiance)
     lit = radiance > 0.0
     if scatters:
         lit = ask_lights(objects, flow, packet, point) or lit
@@ -154,7 +154,7 @@ def _gather(
 
 @kernel
 def scatter(
-    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: Aim, packet: Any, point: Point,
+    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any, point: Point,
     weight: float, scattered: float,
 ) -> None:  # fmt: skip
     """Scatter (or emit) from a point: towards the camera, and to other targets.
@@ -194,7 +194,7 @@ def _bounce(
     x, y, z = point.x, point.y, point.z
     ix, iy, iz = packet.dx, packet.dy, packet.dz
     u, v = draw(packet, BOUNCE_U), draw(packet, BOUNCE_V)
-    dx, dy, dz, share = sample(objects.scattering, point, packet.wave, ix, iy, iz, u, v)
+    dx, dy, dz, share = sample(objects.scattering, point, packet.colour, ix, iy, iz, u, v)
     # What a sample carries is right on average.
     flow.book[SAMPLING_ADDED] += weight * share - scattered
     cutoff = options.cutoff
@@ -206,38 +206,38 @@ def _bounce(
         clear = clear_of(objects.facets[point.prim], x, y, z, dx, dy, dz)
         child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, packet.key, clear)
         child.kind = SCATTERED
-        child.density = density(objects.scattering, point, packet.wave, ix, iy, iz, dx, dy, dz)
+        child.density = density(objects.scattering, point, packet.colour, ix, iy, iz, dx, dy, dz)
 
 
 @kernel
 def _aim_at_camera(
-    flow: Flow, frames: Array, objects: ObjectTables, aim: Aim, packet: Any, point: Point, weight: float
+    flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any, point: Point, weight: float
 ) -> float:
     """Queue the child that is aimed at the entrance pupil: BRDF · cos · dω of the weight. Return its weight."""
     x, y, z = point.x, point.y, point.z
     ix, iy, iz = packet.dx, packet.dy, packet.dz
     px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
     ax, ay, az, at_lens = aimed(
-        px, py, pz, aim.entrance, aim.front_radius, aim.wide_share, aim.blind_share,
+        px, py, pz, aim.entrance, aim.front_radius, aim.wide_share, aim.share_without_aim,
         draw(packet, AIM_DISK), draw(packet, AIM_U), draw(packet, AIM_V),
     )  # fmt: skip
     dx, dy, dz = move_direction(frames, CAMERA_FRAME, OBJECT_FRAME, ax, ay, az)
     cos_theta = point.nx * dx + point.ny * dy + point.nz * dz
     if cos_theta <= 0.0 or at_lens <= 0.0:
         return 0.0
-    weight *= evaluate(objects.scattering, point, packet.wave, ix, iy, iz, dx, dy, dz) * cos_theta / at_lens
+    weight *= evaluate(objects.scattering, point, packet.colour, ix, iy, iz, dx, dy, dz) * cos_theta / at_lens
     child = put(
         flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight,
         derived(packet.key, AIMED_CHILD + packet.events), clear_of(objects.facets[point.prim], x, y, z, dx, dy, dz),
     )  # fmt: skip
     child.kind = CAMERA
     child.start = weight
-    child.density = density(objects.scattering, point, packet.wave, ix, iy, iz, dx, dy, dz)
+    child.density = density(objects.scattering, point, packet.colour, ix, iy, iz, dx, dy, dz)
     return weight
 
 
 @kernel
-def share_with_other(flow: Flow, frames: Array, aim: Aim, packet: Any) -> None:
+def share_with_other(flow: Flow, frames: Array, aim: AimTables, packet: Any) -> None:
     """Weight a packet that goes from a target into glass, where both it and one drawn the other way could have gone.
 
     By the balance heuristic (Veach & Guibas 1995): the lens may show behind the glass where it is aimed at, or
@@ -246,7 +246,7 @@ def share_with_other(flow: Flow, frames: Array, aim: Aim, packet: Any) -> None:
     x, y, z = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, packet.x, packet.y, packet.z)
     dx, dy, dz = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, packet.dx, packet.dy, packet.dz)
     anywhere = packet.density
-    at_lens = aimed_density(x, y, z, dx, dy, dz, aim.entrance, aim.front_radius, aim.wide_share, aim.blind_share)
+    at_lens = aimed_density(x, y, z, dx, dy, dz, aim.entrance, aim.front_radius, aim.wide_share, aim.share_without_aim)
     weight = packet.weight
     if packet.kind == CAMERA:
         packet.weight *= at_lens / (at_lens + anywhere)

@@ -96,7 +96,7 @@ def second_stage(mean: Array, variance: Array, scene: Scene) -> tuple[Counts, fl
     levels = np.zeros((rows, columns), np.uint8)
     capped = 0
     groups = [RING, *same_place(scene)]
-    bright = _bright_of_the_other_colour(mean)
+    bright = _bright_of_other_squares(mean)
     for low in range(0, rows, ROWS_AT_ONCE):
         high = min(low + ROWS_AT_ONCE, rows)
         noise = _relative_variance(mean, variance, groups, low, high, bright)
@@ -117,17 +117,17 @@ def same_place(scene: Scene) -> list[tuple[tuple[int, int], ...]]:
     return [tuple((round(pitch * np.sin(a)), round(pitch * np.cos(a))) for a in angles)]
 
 
-def _bright_of_the_other_colour(mean: Array) -> Array:
+def _bright_of_other_squares(mean: Array) -> Array:
     """Return what the bright pixels hold, (2, wavelengths): [0] for the black squares of a chessboard, by the white.
 
     So that no pixel's own value enters.
     """
     bright = np.zeros((2, mean.shape[2]))
-    for colour in range(2):
-        for wave in range(mean.shape[2]):
-            values = np.concatenate([mean[row, (row + colour + 1) % 2 :: 2, wave] for row in range(len(mean))])
+    for square in range(2):
+        for colour in range(mean.shape[2]):
+            values = np.concatenate([mean[row, (row + square + 1) % 2 :: 2, colour] for row in range(len(mean))])
             values = values[values > 0.0]
-            bright[colour, wave] = np.percentile(values, BRIGHT_PERCENTILE) if values.size else 0.0
+            bright[square, colour] = np.percentile(values, BRIGHT_PERCENTILE) if values.size else 0.0
     return bright
 
 
@@ -138,11 +138,11 @@ def _relative_variance(
 
     At any wavelength; a group's is its mean variance over its squared mean, or that of a dim pixel where it is dimmer.
     """
-    rows, columns, waves = mean.shape
+    rows, columns, colours = mean.shape
     black = (np.arange(low, high)[:, None] + np.arange(columns)) % 2
     worst = np.zeros((high - low, columns))
     for group in groups:
-        total = np.zeros((high - low, columns, waves))
+        total = np.zeros((high - low, columns, colours))
         spread = np.zeros_like(total)
         count = np.zeros((high - low, columns, 1))
         for step_row, step_column in group:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lfmesh.transport.aiming.lenslet_view import NOTHING_SEEN
 from lfmesh.transport.aiming.pupil import unknown_opening
-from lfmesh.transport.tables.tables import Aim
+from lfmesh.transport.tables.tables import AimTables
 
 Array = NDArray[np.float64]
 
@@ -36,13 +36,13 @@ HITS = 80
 """Samples that found light which a block should have; less, and blocks are larger."""
 
 
-def without_aim(aim: Aim) -> Aim:
+def without_aim(aim: AimTables) -> AimTables:
     """Return an aim by which rays go anywhere: into the hemisphere, or to all of the lens where there is no array."""
     return aim._replace(
         entrance=unknown_opening(aim.entrance.plane_z, to_sensor=True),
         exit=unknown_opening(aim.exit.plane_z, to_sensor=False),
         wide_share=1.0,
-        blind_share=1.0,
+        share_without_aim=1.0,
         slope_radius2=np.full_like(aim.slope_radius2, NOTHING_SEEN),
         search=0,
     )
@@ -97,30 +97,30 @@ class BlindSamples:
 
     Attributes
     ----------
-    rows, columns, waves : int
+    rows, columns, colours : int
         Pixels of the sensor, and wavelengths.
     """
 
     rows: int
     columns: int
-    waves: int
+    colours: int
     values: list[NDArray[np.int64]] = field(default_factory=list)
     found: list[Array] = field(default_factory=list)
     looked_at: list[NDArray[np.int64]] = field(default_factory=list)
     images: int = 0
 
-    def add(self, pixels: NDArray[np.int64], wave: int, found: Array) -> None:
+    def add(self, pixels: NDArray[np.int64], colour: int, found: Array) -> None:
         """Add pixels (n,) and the light (n,) that their samples estimate, W; zeros too."""
         lit = found > 0.0
-        self.values.append(pixels[lit] * self.waves + wave)
+        self.values.append(pixels[lit] * self.colours + colour)
         self.found.append(found[lit])
-        self.looked_at.append(pixels * self.waves + wave)
+        self.looked_at.append(pixels * self.colours + colour)
 
-    def add_image(self, pixels: NDArray[np.int64], wave: int, found: Array) -> None:
+    def add_image(self, pixels: NDArray[np.int64], colour: int, found: Array) -> None:
         """Add packets of an estimate of the whole image: the pixels (n,) that they fell on, what they brought, W."""
-        self.values.append(pixels * self.waves + wave)
+        self.values.append(pixels * self.colours + colour)
         self.found.append(found)
-        self.images += wave == 0
+        self.images += colour == 0
 
     def join(self, other: "BlindSamples") -> None:
         """Add what another replicate found."""
@@ -142,7 +142,7 @@ class BlindSamples:
         blocks = min(side, self.rows), min(side, self.columns)
 
         def summed(of: NDArray[np.int64], values: Array) -> Array:
-            row, column = np.divmod(of // self.waves, self.columns)
+            row, column = np.divmod(of // self.colours, self.columns)
             block = row * blocks[0] // self.rows * blocks[1] + column * blocks[1] // self.columns
             sums: Array = np.bincount(block, values, blocks[0] * blocks[1]).astype(np.float64)
             return sums

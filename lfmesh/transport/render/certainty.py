@@ -71,33 +71,33 @@ def _pool(
     mean: Array, stderr: Array, steps: NDArray[np.int64], low: int, error: Array, pooled: NDArray[np.int64]
 ) -> None:
     """Write `pooled_error` of the rows from `low` on."""
-    rows, columns, waves = mean.shape
+    rows, columns, colours = mean.shape
     for row in range(low, low + len(error)):
         for column in range(columns):
-            for wave in range(waves):
-                level, own = mean[row, column, wave], stderr[row, column, wave] ** 2
-                total, count, steep = own, 1, _steepness(mean, row, column, wave)
+            for colour in range(colours):
+                level, own = mean[row, column, colour], stderr[row, column, colour] ** 2
+                total, count, steep = own, 1, _steepness(mean, row, column, colour)
                 for k in range(len(steps)):
                     r, c = row + steps[k, 0], column + steps[k, 1]
                     if 0 <= r < rows and 0 <= c < columns:
-                        other = mean[r, c, wave]
+                        other = mean[r, c, colour]
                         if other <= AS_BRIGHT * level and level <= AS_BRIGHT * other:
-                            there = _steepness(mean, r, c, wave)
+                            there = _steepness(mean, r, c, colour)
                             if there <= AS_STEEP * steep and steep <= AS_STEEP * there:
-                                total += stderr[r, c, wave] ** 2
+                                total += stderr[r, c, colour] ** 2
                                 count += 1
-                error[row - low, column, wave] = np.sqrt(0.5 * (own + total / count))
-                pooled[row - low, column, wave] = count
+                error[row - low, column, colour] = np.sqrt(0.5 * (own + total / count))
+                pooled[row - low, column, colour] = count
 
 
 @kernel
-def _steepness(mean: Array, row: int, column: int, wave: int) -> float:
+def _steepness(mean: Array, row: int, column: int, colour: int) -> float:
     """Return the largest difference between a pixel and those around it."""
     rows, columns, _ = mean.shape
     largest = 0.0
     for r in range(max(row - 1, 0), min(row + 2, rows)):
         for c in range(max(column - 1, 0), min(column + 2, columns)):
-            largest = max(largest, abs(mean[r, c, wave] - mean[row, column, wave]))
+            largest = max(largest, abs(mean[r, c, colour] - mean[row, column, colour]))
     return largest
 
 
@@ -158,11 +158,11 @@ def _largest_hit(mean: Array, hits: NDArray[np.uint32]) -> tuple[Array, Array]:
     most, beyond : (wavelengths,) float64, W
     """
     most, beyond = np.zeros((2, mean.shape[2]))
-    for wave in range(mean.shape[2]):
-        power, count = mean[:, :, wave], hits[:, :, wave]
+    for colour in range(mean.shape[2]):
+        power, count = mean[:, :, colour], hits[:, :, colour]
         lit = count > 0
         if lit.any():
             each = power[lit] / count[lit]
-            most[wave] = np.quantile(each, 1.0 - RARE, method="higher")
-            beyond[wave] = power[lit][each > most[wave]].sum() / power.size
+            most[colour] = np.quantile(each, 1.0 - RARE, method="higher")
+            beyond[colour] = power[lit][each > most[colour]].sum() / power.size
     return most, beyond

@@ -80,7 +80,7 @@ def parts_of(world: World, *, aimed: bool = True) -> tuple[Part, ...]:
     lamps = lamp_parts(world) if options.adjoint else ()
     if engine_of(world.scene)[0] != "both":
         return (Part(0, options, tables), *lamps)
-    path = tables.aim._replace(wide_share=WIDE_SHARE_OF_IMAGE_PATH, blind_share=WIDE_SHARE_OF_IMAGE_PATH)
+    path = tables.aim._replace(wide_share=WIDE_SHARE_OF_IMAGE_PATH, share_without_aim=WIDE_SHARE_OF_IMAGE_PATH)
     strays = tables.aim._replace(wide_share=WIDE_SHARE_OF_STRAYS)
     return (
         Part(0, options._replace(split=TRANSMIT, sequential=True), tables._replace(aim=path), accounts=False),

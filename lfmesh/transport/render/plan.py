@@ -30,7 +30,7 @@ class Chunk:
     part : Part
     first, count : int
         Pixels or packets.
-    wave : int
+    colour : int
         Number of the wavelength.
     packets : int
         Started in all.
@@ -44,7 +44,7 @@ class Chunk:
     part: Part
     first: int
     count: int
-    wave: int
+    colour: int
     packets: int
     samples: int = 1
     pixels: NDArray[np.int64] | None = None
@@ -87,7 +87,7 @@ class Plan:
     Attributes
     ----------
     parts : tuple of Part
-    pixels, waves : int
+    pixels, colours : int
     samples : int
         Of a pixel, in each replicate of the first stage.
     chunk : int
@@ -96,7 +96,7 @@ class Plan:
 
     parts: tuple[Part, ...]
     pixels: int
-    waves: int
+    colours: int
     samples: int
     chunk: int
 
@@ -104,11 +104,11 @@ class Plan:
         """Yield a replicate's chunks in the order of folding; `levels` (pixels,): of the second stage."""
         number = 0
         for part in self.parts:
-            for wave in range(self.waves):
+            for colour in range(self.colours):
                 pieces = self._first(part) if levels is None else self._second(part, levels)
                 for first, count, samples, pixels in pieces:
                     packets = count * samples if part.options.adjoint else count
-                    yield Chunk(number, part, first, count, wave, packets, samples, pixels)
+                    yield Chunk(number, part, first, count, colour, packets, samples, pixels)
                     number += 1
 
     def _first(self, part: Part) -> Iterator[tuple[int, int, int, None]]:
@@ -136,9 +136,9 @@ class Plan:
     def packets(self, levels: Counts | None = None) -> int:
         """Return how many packets a replicate starts."""
         if levels is None:
-            return sum(self.waves * self.pixels * part.samples(self.samples) for part in self.parts)
+            return sum(self.colours * self.pixels * part.samples(self.samples) for part in self.parts)
         adjoint = [part for part in self.parts if part.options.adjoint]
-        return sum(self.waves * total_samples(levels, part.samples) for part in adjoint)
+        return sum(self.colours * total_samples(levels, part.samples) for part in adjoint)
 
     def whole(self) -> Block:
         """Return the block of all pixels."""

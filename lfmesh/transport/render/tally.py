@@ -38,9 +38,9 @@ class Film:
     origin: int = 0
 
     @classmethod
-    def empty(cls, pixels: int, waves: int, origin: int = 0) -> "Film":
+    def empty(cls, pixels: int, colours: int, origin: int = 0) -> "Film":
         """Return one without light."""
-        return cls(np.zeros((pixels, waves)), np.zeros((pixels, waves), np.uint32), origin)
+        return cls(np.zeros((pixels, colours)), np.zeros((pixels, colours), np.uint32), origin)
 
     def clear(self) -> None:
         """Take all light away."""
@@ -48,9 +48,9 @@ class Film:
         self.hits[:] = 0
 
     def deposit(self, fallen: NDArray[np.void]) -> None:
-        """Add packets that fell on pixels: fields pixel, wave and weight, W."""
-        np.add.at(self.power, (fallen["pixel"], fallen["wave"]), fallen["weight"])
-        np.add.at(self.hits, (fallen["pixel"], fallen["wave"]), np.uint32(1))
+        """Add packets that fell on pixels: fields pixel, colour and weight, W."""
+        np.add.at(self.power, (fallen["pixel"], fallen["colour"]), fallen["weight"])
+        np.add.at(self.hits, (fallen["pixel"], fallen["colour"]), np.uint32(1))
 
     def part(self, first: int, last: int) -> "Film":
         """Return a copy of the pixels from number `first` up to `last`, not included."""
@@ -309,9 +309,9 @@ class Layout:
 
     def tally(self) -> Tally:
         """Return a replicate's tally without anything in it."""
-        pixels, waves = self.shape[0] * self.shape[1], self.shape[2]
-        lamps = Film.empty(pixels, waves) if self.lamps else None
-        return Tally(0, Film.empty(pixels, waves), lamps, np.zeros(self.book), self._work())
+        pixels, colours = self.shape[0] * self.shape[1], self.shape[2]
+        lamps = Film.empty(pixels, colours) if self.lamps else None
+        return Tally(0, Film.empty(pixels, colours), lamps, np.zeros(self.book), self._work())
 
     def first(self) -> StageSum:
         """Return the sum of a first stage that has not begun."""

@@ -71,14 +71,14 @@ class Tracer:
         return self.shape[0] * self.shape[1]
 
     @property
-    def waves(self) -> int:
+    def colours(self) -> int:
         """Wavelengths."""
         return self.shape[2]
 
     @property
     def plan(self) -> Plan:
         """The chunks of the replicates."""
-        return Plan(self.parts, self.pixels, self.waves, self.samples, self.chunk)
+        return Plan(self.parts, self.pixels, self.colours, self.samples, self.chunk)
 
     @property
     def layout(self) -> Layout:
@@ -102,7 +102,7 @@ class Tracer:
         # A chunk that lies across the border lights pixels of a neighbour too, which are left out at the end.
         low = min([block.first, *(int(pixels[0]) for pixels in started)])
         high = max([block.last, *(int(pixels[-1]) + 1 for pixels in started)])
-        film = Film.empty(high - low, self.waves, low)
+        film = Film.empty(high - low, self.colours, low)
         with self.pool() as pool:
             done = list(self.traced(pool, replicate, iter(mine), film))
             blind = None
@@ -124,7 +124,7 @@ class Tracer:
                 while waiting and (len(waiting) > 2 * self.threads or chunk.part is not part):
                     yield self._oldest(waiting)
                 part = chunk.part
-                stream = descendant(key, part.number * self.waves + chunk.wave)
+                stream = descendant(key, part.number * self.colours + chunk.colour)
                 waiting.append((chunk, pool.submit(self._trace, chunk, stream, film)))
             while waiting:
                 yield self._oldest(waiting)
@@ -148,20 +148,20 @@ class Tracer:
         at_once = min(chunk // samples, self.pixels) if self.adjoint else chunk
         total = self.pixels * (1 if self.adjoint else samples)
         runs = first_of_runs(total, at_once, replicate)
-        for wave in range(self.waves):
-            stream = descendant(key, part.number * self.waves + wave)
-            films = [Film.empty(at_once if self.adjoint else 0, self.waves, first) for first in runs]
+        for colour in range(self.colours):
+            stream = descendant(key, part.number * self.colours + colour)
+            films = [Film.empty(at_once if self.adjoint else 0, self.colours, first) for first in runs]
             each = at_once * (samples if self.adjoint else 1)
-            chunks = [Chunk(k, part, first, at_once, wave, each, samples) for k, first in enumerate(runs)]
+            chunks = [Chunk(k, part, first, at_once, colour, each, samples) for k, first in enumerate(runs)]
             futures = [pool.submit(self._trace, *job) for job in zip(chunks, repeat(stream), films, strict=False)]
             deposits = [future.result().deposits for future in futures]
             if self.adjoint:
                 for first, film in zip(runs, films, strict=True):
-                    found.add(np.arange(first, first + at_once), wave, film.power[:, wave])
+                    found.add(np.arange(first, first + at_once), colour, film.power[:, colour])
             else:
                 fallen = np.concatenate(deposits)
                 part_of_all = at_once * len(runs) / total
-                found.add_image(fallen["pixel"], wave, fallen["weight"] / part_of_all)
+                found.add_image(fallen["pixel"], colour, fallen["weight"] / part_of_all)
         return found
 
     def _trace(self, chunk: Chunk, key: np.uint64, film: Film) -> ChunkTally:
@@ -178,8 +178,8 @@ class Tracer:
     def _source(self, chunk: Chunk, key: np.uint64) -> Source:
         """Return what a chunk's packets start from."""
         if chunk.part.options.adjoint:
-            return PixelSource(chunk.pixel_numbers(), chunk.samples, key, chunk.wave, self.stratified)
-        return LightSource(chunk.first, chunk.count, self.pixels * chunk.samples, key, chunk.wave)
+            return PixelSource(chunk.pixel_numbers(), chunk.samples, key, chunk.colour, self.stratified)
+        return LightSource(chunk.first, chunk.count, self.pixels * chunk.samples, key, chunk.colour)
 
     def _launcher(self, part: Part) -> Launcher:
         """Return what traces a part."""

@@ -119,7 +119,7 @@ def follow_block(
     numbers : (BLOCK,) int64
         Which packet of the wave each ray is.
     """
-    colour = wave[numbers[0]].wave
+    colour = wave[numbers[0]].colour
     at_lens = station != PLATE
     if to_sensor:
         if at_lens:

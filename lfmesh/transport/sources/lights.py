@@ -19,7 +19,7 @@ from lfmesh.transport.packets.packet import LAMP, NO_SURFACE, OBJECT_FRAME, OBJE
 from lfmesh.transport.packets.random import derived, start
 from lfmesh.transport.regions.targets import point_of, scatter, texture_at
 from lfmesh.transport.sources.source import Source
-from lfmesh.transport.tables.tables import Aim, ObjectTables
+from lfmesh.transport.tables.tables import AimTables, ObjectTables
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class LightSource(Source):
         Packets that the whole power is shared among.
     key : uint64
         Of the replicate's random numbers at this wavelength.
-    wave : int
+    colour : int
         Number of the wavelength.
     """
 
@@ -47,7 +47,7 @@ class LightSource(Source):
     count: int
     total: int
     key: np.uint64
-    wave: int
+    colour: int
 
     def __len__(self) -> int:
         return self.count
@@ -57,20 +57,20 @@ class LightSource(Source):
         tables = work.tables
         if len(tables.objects.sources):
             launch_forward(
-                self.first + part.start, len(part), self.total, self.key, self.wave,
+                self.first + part.start, len(part), self.total, self.key, self.colour,
                 tables.objects, tables.aim, tables.frames, work.options, work.flow(), work.template,
             )  # fmt: skip
 
 
 @kernel
 def launch_forward(
-    first: int, count: int, total: int, replicate_key: np.uint64, wave: int,
-    objects: ObjectTables, aim: Aim, frames: Array, options: Options, flow: Flow, template: NDArray[np.void],
+    first: int, count: int, total: int, replicate_key: np.uint64, colour: int,
+    objects: ObjectTables, aim: AimTables, frames: Array, options: Options, flow: Flow, template: NDArray[np.void],
 ) -> None:  # fmt: skip
     """Start packets number `first` to `first + count` of a replicate's `total`."""
     sources = objects.sources
     packet = template[0]
-    packet.wave = wave
+    packet.colour = colour
     packet.last = NO_SURFACE
     packet.column = NO_SURFACE
     for number in range(first, first + count):
@@ -106,7 +106,7 @@ def _from_lamp(objects: ObjectTables, flow: Flow, packet: Any, number: int, weig
 @kernel
 def _from_facet(
     objects: ObjectTables,
-    aim: Aim,
+    aim: AimTables,
     frames: Array,
     options: Options,
     flow: Flow,
@@ -128,7 +128,7 @@ def _from_facet(
     side = 1.0
     if not objects.closed[body] and start(key, SIDE) < 0.5:
         side = -1.0
-    weight *= texture_at(objects, prim, packet.wave, x, y, z)
+    weight *= texture_at(objects, prim, packet.colour, x, y, z)
     flow.book[EMITTED] += weight
     packet.start = weight
     packet.weight = weight

@@ -67,7 +67,7 @@ from lfmesh.transport.sequential.lens_bundle import (
 )
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.tables.lights import MM2
-from lfmesh.transport.tables.tables import Aim, ArrayTables, LensTables, SensorTables
+from lfmesh.transport.tables.tables import AimTables, ArrayTables, LensTables, SensorTables
 
 Array = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ class PixelSource(Source):
         Of each.
     key : uint64
         Of the random numbers.
-    wave : int
+    colour : int
         Number of the wavelength.
     stratified : bool
         Start from scrambled Sobol' points in place of random ones.
@@ -96,7 +96,7 @@ class PixelSource(Source):
     pixels: NDArray[np.int64]
     samples: int
     key: np.uint64
-    wave: int = 0
+    colour: int = 0
     stratified: bool = True
 
     def __len__(self) -> int:
@@ -113,12 +113,12 @@ class PixelSource(Source):
         room = work.kept(StartRoom, lambda: start_room(tables.aim))
         if options.sequential and options.adjoint:
             launch_along_image_path(
-                pixels, self.samples, self.stratified, self.key, self.wave, tables.sensor, tables.lens, tables.array,
+                pixels, self.samples, self.stratified, self.key, self.colour, tables.sensor, tables.lens, tables.array,
                 tables.aim, tables.frames, work.bundle, work.numbers, options, work.flow(), room,
             )  # fmt: skip
         else:
             launch_adjoint(
-                pixels, self.samples, self.stratified, self.key, self.wave, tables.sensor, tables.array, tables.aim,
+                pixels, self.samples, self.stratified, self.key, self.colour, tables.sensor, tables.array, tables.aim,
                 tables.frames, len(tables.lens.surfaces), work.bundle, work.flow(), room,
             )  # fmt: skip
 
@@ -137,7 +137,7 @@ class StartRoom(NamedTuple):
     packets: NDArray[np.void]  # (STARTS,) PACKET
 
 
-def start_room(aim: Aim) -> StartRoom:
+def start_room(aim: AimTables) -> StartRoom:
     """Return the memory in which paths are started."""
     table = (DISCRETE + 1, STARTS)
     most = most_listed(aim)
@@ -187,8 +187,8 @@ def _draw(
 
 @kernel
 def launch_adjoint(
-    pixels: NDArray[np.int64], samples: int, stratified: bool, replicate_key: np.uint64, wave: int,
-    sensor: SensorTables, array: ArrayTables, aim: Aim, frames: Array, lens_surfaces: int,
+    pixels: NDArray[np.int64], samples: int, stratified: bool, replicate_key: np.uint64, colour: int,
+    sensor: SensorTables, array: ArrayTables, aim: AimTables, frames: Array, lens_surfaces: int,
     bundle: Array, flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
     """Start `samples` packets from each of some pixels.
@@ -200,14 +200,14 @@ def launch_adjoint(
     stratified : bool
         Start from scrambled Sobol' points in place of random ones.
     """
-    _begin(room, wave, lens_surfaces)
+    _begin(room, colour, lens_surfaces)
     station = PLATE if array.present else LENS
     which, sample = 0, 0
     for first in range(0, len(pixels) * samples, STARTS):
         count = min(STARTS, len(pixels) * samples - first)
         _draw(room, stratified, replicate_key, pixels, which, sample, samples, count)
         which, sample = _aim(
-            room, bundle, pixels, which, sample, samples, count, replicate_key, wave, sensor, array, aim, frames,
+            room, bundle, pixels, which, sample, samples, count, replicate_key, colour, sensor, array, aim, frames,
             flow.book,
         )  # fmt: skip
         for i in range(count):
@@ -220,8 +220,8 @@ def launch_adjoint(
 
 @kernel
 def launch_along_image_path(
-    pixels: NDArray[np.int64], samples: int, stratified: bool, replicate_key: np.uint64, wave: int,
-    sensor: SensorTables, lens: LensTables, array: ArrayTables, aim: Aim, frames: Array,
+    pixels: NDArray[np.int64], samples: int, stratified: bool, replicate_key: np.uint64, colour: int,
+    sensor: SensorTables, lens: LensTables, array: ArrayTables, aim: AimTables, frames: Array,
     bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
     """Do as `launch_adjoint` does, and take the packets through array and lens while they are at hand.
@@ -231,7 +231,7 @@ def launch_along_image_path(
     bundle, numbers
         Working memory of `image_path`.
     """
-    _begin(room, wave, len(lens.surfaces))
+    _begin(room, colour, len(lens.surfaces))
     station = PLATE if array.present else LENS
     for i in range(STARTS):
         numbers[i] = i
@@ -240,7 +240,7 @@ def launch_along_image_path(
         count = min(STARTS, len(pixels) * samples - first)
         _draw(room, stratified, replicate_key, pixels, which, sample, samples, count)
         which, sample = _aim(
-            room, bundle, pixels, which, sample, samples, count, replicate_key, wave, sensor, array, aim, frames,
+            room, bundle, pixels, which, sample, samples, count, replicate_key, colour, sensor, array, aim, frames,
             flow.book,
         )  # fmt: skip
         pad(bundle, count)
@@ -249,11 +249,11 @@ def launch_along_image_path(
 
 
 @kernel
-def _begin(room: StartRoom, wave: int, lens_surfaces: int) -> None:
+def _begin(room: StartRoom, colour: int, lens_surfaces: int) -> None:
     """Fill in what all packets of a launch have in common."""
     for i in range(STARTS):
         packet = room.packets[i]
-        packet.wave = wave
+        packet.colour = colour
         packet.last = NO_SURFACE
         packet.column = NO_SURFACE
         packet.facet = NO_SURFACE
@@ -265,7 +265,7 @@ def _begin(room: StartRoom, wave: int, lens_surfaces: int) -> None:
 @kernel
 def _aim(
     room: StartRoom, bundle: Array, pixels: NDArray[np.int64], which: int, sample: int, samples: int, count: int,
-    replicate_key: np.uint64, wave: int, sensor: SensorTables, array: ArrayTables, aim: Aim, frames: Array,
+    replicate_key: np.uint64, colour: int, sensor: SensorTables, array: ArrayTables, aim: AimTables, frames: Array,
     book: Array,
 ) -> tuple[int, int]:  # fmt: skip
     """Leave a block of rays (sensor frame) and their weights in the bundle, from the numbers that were drawn.
@@ -282,7 +282,7 @@ def _aim(
     column, row, glass = 0.0, 0.0, 1.0
     shares = Allotment(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
     if array.present:
-        glass = glass_before_faces(array, wave)
+        glass = glass_before_faces(array, colour)
     for i in range(count):
         pixel = pixels[which]
         if which != begun:
@@ -308,7 +308,7 @@ def _aim(
             # The pupil disks are square to the axis of the lens, whichever way the sensor is tilted.
             px, py, pz = move_point(frames, SENSOR_FRAME, CAMERA_FRAME, x, y, 0.0)
             dx, dy, dz, density = aimed(
-                px, py, pz, aim.exit, aim.back_radius, aim.wide_share, aim.blind_share,
+                px, py, pz, aim.exit, aim.back_radius, aim.wide_share, aim.share_without_aim,
                 numbers[DISCRETE], numbers[CELL_U], numbers[CELL_V],
             )  # fmt: skip
             ux, uy, uz = move_direction(frames, CAMERA_FRAME, SENSOR_FRAME, dx, dy, dz)

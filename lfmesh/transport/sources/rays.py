@@ -60,7 +60,7 @@ def launch_rays(
 ) -> None:  # fmt: skip
     """Put rays given in the camera frame on the stacks of their stations."""
     packet = template[0]
-    packet.wave = 0
+    packet.colour = 0
     packet.kind = CAMERA
     packet.facet = NO_SURFACE
     packet.last = NO_SURFACE

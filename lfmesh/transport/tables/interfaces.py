@@ -68,12 +68,12 @@ class InterfaceTables(NamedTuple):
     objects: Interfaces
 
 
-def camera_finishes(scene: Scene, waves: tuple[float, ...]) -> tuple[list[Finish], list[Finish]]:
+def camera_finishes(scene: Scene, wavelengths_nm: tuple[float, ...]) -> tuple[list[Finish], list[Finish]]:
     """Return what the refracting surfaces of the lens are, and the curved and the flat face of the array."""
     lens = scene.camera.lens
     numbers = [i for i in range(len(lens.surfaces)) if not lens.is_pure_stop(i)]
-    surfaces = [_finish_of(f"camera.lens.surfaces[{i}]", waves) for i in numbers]
-    faces = [_finish_of(f"camera.mla, its {face} face", waves) for face in ("curved", "flat")]
+    surfaces = [_finish_of(f"camera.lens.surfaces[{i}]", wavelengths_nm) for i in numbers]
+    faces = [_finish_of(f"camera.mla, its {face} face", wavelengths_nm) for face in ("curved", "flat")]
     return surfaces, faces
 
 
@@ -87,24 +87,26 @@ def rough_interface(scene: Scene) -> str | None:
     return None
 
 
-def interface_tables(scene: Scene, waves: tuple[float, ...]) -> InterfaceTables:
+def interface_tables(scene: Scene, wavelengths_nm: tuple[float, ...]) -> InterfaceTables:
     """Return the interfaces of lens, array and object space at some wavelengths, in nm."""
-    surfaces, faces = camera_finishes(scene, waves)
-    bodies = [_finish_of(f"targets[{i}]", waves) for i in range(len(scene.targets))]
+    surfaces, faces = camera_finishes(scene, wavelengths_nm)
+    bodies = [_finish_of(f"targets[{i}]", wavelengths_nm) for i in range(len(scene.targets))]
     return InterfaceTables(
-        lens=_table(surfaces, len(waves)), array=_table(faces, len(waves)), objects=_table(bodies, len(waves))
+        lens=_table(surfaces, len(wavelengths_nm)),
+        array=_table(faces, len(wavelengths_nm)),
+        objects=_table(bodies, len(wavelengths_nm)),
     )
 
 
-def _finish_of(where: str, waves: tuple[float, ...]) -> Finish:
+def _finish_of(where: str, wavelengths_nm: tuple[float, ...]) -> Finish:
     """Return what a surface is. None that a scene can ask for is anything but smooth and bare as yet."""
     return Finish(where, kind=0)
 
 
-def _table(finishes: list[Finish], waves: int) -> Interfaces:
+def _table(finishes: list[Finish], colours: int) -> Interfaces:
     """Return interfaces as kernels read them."""
     rows = np.zeros(len(finishes), INTERFACE)
     rows["kind"] = [finish.kind for finish in finishes]
     rows["first"] = np.cumsum([0, *(len(finish.parameters) for finish in finishes[:-1])])[: len(finishes)]
     parameters = [numbers for finish in finishes for numbers in finish.parameters]
-    return Interfaces(rows=rows, parameters=np.array(parameters, dtype=np.float64).reshape(-1, waves))
+    return Interfaces(rows=rows, parameters=np.array(parameters, dtype=np.float64).reshape(-1, colours))

@@ -22,7 +22,12 @@ from lfmesh.transport.tables.tables import (
 
 
 def lens_tables(
-    scene: Scene, shape: LensShape, waves: tuple[float, ...], book: Book, interfaces: Interfaces, known: MediumList
+    scene: Scene,
+    shape: LensShape,
+    wavelengths_nm: tuple[float, ...],
+    book: Book,
+    interfaces: Interfaces,
+    known: MediumList,
 ) -> tuple[Mesh, LensTables]:
     """Return the facets of the lens as one mesh, for Embree, and its tables."""
     count = len(shape.caps)
@@ -39,7 +44,7 @@ def lens_tables(
     slack = 1e-9 * np.abs(caps).max()
     first, last = shape.surfaces[0], shape.surfaces[-1]
     patches_, across = curved(bool((shape.surfaces["level"] == PATCH).any()), mesh)
-    media, medium = known.table(waves), np.array([known.number(each) for each in shape.media])
+    media, medium = known.table(wavelengths_nm), np.array([known.number(each) for each in shape.media])
     return mesh, LensTables(
         surfaces=shape.surfaces,
         patches=patches_,
@@ -73,10 +78,10 @@ def _pure_stop(scene: Scene, shape: LensShape) -> tuple[int, float, float]:
 
 
 def array_tables(
-    scene: Scene, waves: tuple[float, ...], interfaces: Interfaces, known: MediumList
+    scene: Scene, wavelengths_nm: tuple[float, ...], interfaces: Interfaces, known: MediumList
 ) -> tuple[Mesh, ArrayTables]:
     """Return the cells of the array, one a type side by side, as one mesh for Embree, and its tables."""
-    mla, media = scene.camera.mla, known.table(waves)
+    mla, media = scene.camera.mla, known.table(wavelengths_nm)
     if mla is None:
         nothing = lenslets(Lattice(False, 1.0, 1, 1), np.array([np.inf]), 1.0)
         empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))

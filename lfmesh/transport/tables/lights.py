@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry import frame as frames
+from lfmesh.geometry import frame
 from lfmesh.scene.lights import DirectionalLight, DiskLight, Light
 
 Array = NDArray[np.float64]
@@ -47,9 +47,9 @@ def light_table(lights: Sequence[Light], to_object: Array) -> NDArray[np.void]:
             row["kind"], row["power"] = DIRECTIONAL, light.irradiance_w_m2
         else:
             row["kind"], row["power"] = POINT, light.power_w
-            row["position"] = frames.points(to_object, [light.position_mm])[0]
+            row["position"] = frame.points(to_object, [light.position_mm])[0]
         if isinstance(light, DirectionalLight | DiskLight):
-            d = frames.directions(to_object, [light.direction])[0]
+            d = frame.directions(to_object, [light.direction])[0]
             row["direction"] = d / np.linalg.norm(d)
         if isinstance(light, DiskLight):
             row["kind"], row["radius"] = DISK, light.radius_mm

@@ -39,6 +39,10 @@ class MediumList:
         """Return the number of a medium."""
         return self.media.index(medium)
 
-    def table(self, waves: tuple[float, ...]) -> Media:
+    def table(self, wavelengths_nm: tuple[float, ...]) -> Media:
         """Return the media as kernels read them, at some wavelengths in nm."""
-        return Media(indices=np.array([[refractive_index(medium, wave) for wave in waves] for medium in self.media]))
+        return Media(
+            indices=np.array(
+                [[refractive_index(medium, wavelength_nm) for wavelength_nm in wavelengths_nm] for medium in self.media]
+            )
+        )

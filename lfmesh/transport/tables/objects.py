@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
-from lfmesh.geometry import frame as frames
+from lfmesh.geometry import frame
 from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, facet_table, joined
@@ -58,7 +58,7 @@ def refuse_targets_inside(targets: list[TargetMesh], housing: Mesh, moves: Array
     rounding = 4.0 * np.finfo(np.float64).eps * np.abs(housing.vertices).max()
     barrel = radius[housing.vertices[:, 2] <= front + rounding].max()
     for i, target in enumerate(targets):
-        corners = frames.points(moves[WORLD_FRAME, CAMERA_FRAME], target.mesh.vertices)[target.mesh.faces]
+        corners = frame.points(moves[WORLD_FRAME, CAMERA_FRAME], target.mesh.vertices)[target.mesh.faces]
         low, high = corners.min(axis=1), corners.max(axis=1)
         near = (low[:, :2] < barrel).all(axis=1) & (high[:, :2] > -barrel).all(axis=1)
         near &= (low[:, 2] < end) & (high[:, 2] > front)
@@ -99,7 +99,7 @@ def _distance_to_axis(polygon: Array) -> float:
 
 def object_tables(
     scene: Scene, targets: list[TargetMesh], housing: Mesh, moves: Array,
-    book: Book, waves: tuple[float, ...], interfaces: Interfaces, known: MediumList,
+    book: Book, wavelengths_nm: tuple[float, ...], interfaces: Interfaces, known: MediumList,
     ranks: NDArray[np.int64],
 ) -> tuple[Mesh, ObjectTables]:  # fmt: skip
     """Return targets and housing as one mesh in the object frame, for Embree, and their tables."""
@@ -110,7 +110,7 @@ def object_tables(
     facets = facet_table(mesh, bodies.astype(np.int64))
     uv = np.zeros((len(mesh.faces), 3, 2))
     texture = np.zeros((len(targets), 3), np.int64)
-    weights = np.array([wavelength_weights(w) for w in waves])
+    weights = np.array([wavelength_weights(w) for w in wavelengths_nm])
     texels: list[NDArray[np.float32]] = []
     filled = 0
     for i, target in enumerate(targets):
@@ -134,9 +134,9 @@ def object_tables(
         facets=facets,
         uv=uv,
         closed=np.array([t.closed for t in targets], dtype=np.bool_),
-        scattering=scattering_tables(materials, waves),
-        radiance=_by_wave([m.radiance_w_m2_sr for m in materials], waves),
-        media=known.table(waves),
+        scattering=scattering_tables(materials, wavelengths_nm),
+        radiance=_by_wave([m.radiance_w_m2_sr for m in materials], wavelengths_nm),
+        media=known.table(wavelengths_nm),
         medium=np.array([known.number(g.medium) if g is not None else OPAQUE for g in glasses], dtype=np.int64),
         interfaces=interfaces,
         rank=ranks,
@@ -148,7 +148,7 @@ def object_tables(
         patches=patches,
         across=across,
         texture=texture,
-        texels=np.concatenate(texels) if texels else np.zeros((0, len(waves)), np.float32),
+        texels=np.concatenate(texels) if texels else np.zeros((0, len(wavelengths_nm)), np.float32),
         target_slot=book.targets,
         lost_slot=np.append(book.lost_in_targets, LOST_OUTSIDE),
         lights=light_table(scene.lights, to_object),
@@ -177,8 +177,8 @@ def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
     return objects._replace(sources=_sources(_lamps(objects)))
 
 
-def _by_wave(values: list[float], waves: tuple[float, ...]) -> Array:
-    return np.repeat(np.array(values, dtype=np.float64).reshape(-1, 1), len(waves), axis=1)
+def _by_wave(values: list[float], wavelengths_nm: tuple[float, ...]) -> Array:
+    return np.repeat(np.array(values, dtype=np.float64).reshape(-1, 1), len(wavelengths_nm), axis=1)
 
 
 Entry = tuple[int, int, float, float]

@@ -32,7 +32,7 @@ class ScatteringTables(NamedTuple):
     parameters: Array  # (parameters of all models, wavelengths)
 
 
-def scattering_tables(materials: Sequence[Material], waves: tuple[float, ...]) -> ScatteringTables:
+def scattering_tables(materials: Sequence[Material], wavelengths_nm: tuple[float, ...]) -> ScatteringTables:
     """Return the scattering models of some materials, and after them that of emission.
 
     What a target emits leaves it by Lambert's law, whatever it does with light from elsewhere.
@@ -40,7 +40,7 @@ def scattering_tables(materials: Sequence[Material], waves: tuple[float, ...]) -
     Parameters
     ----------
     materials : sequence of Material
-    waves : (wavelengths,) tuple of float, nm
+    wavelengths_nm : (wavelengths,) tuple of float
     """
     models = np.zeros(len(materials) + 1, SCATTERING)
     rows: list[Array] = []
@@ -48,7 +48,7 @@ def scattering_tables(materials: Sequence[Material], waves: tuple[float, ...]) -
         model["kind"], parameters = _model_of(material)
         model["first"] = len(rows)
         model["black"] = not any(parameters)
-        rows += [np.full(len(waves), parameter) for parameter in parameters]
+        rows += [np.full(len(wavelengths_nm), parameter) for parameter in parameters]
     return ScatteringTables(models, np.array(rows))
 
 

@@ -96,9 +96,8 @@ class ObjectTables(NamedTuple):
     media: Media
     medium: NDArray[np.int64]  # (targets,) of a body of glass; OPAQUE: of any other
     interfaces: Interfaces  # a row a target
-    rank: NDArray[
-        np.int64
-    ]  # (targets,) of a body of glass, from 1; 0: none. The highest is the medium where several are
+    # (targets,) of a body of glass, from 1; 0: none. Where bodies overlap, the medium is that of the highest rank.
+    rank: NDArray[np.int64]
     by_rank: NDArray[np.int64]  # (bodies of glass + 1,) target of each rank
     contact_first: NDArray[np.int64]  # (m + 1,) of each facet, its first one in `contacts`; (0,) where no bodies touch
     contacts: NDArray[np.int64]  # facets of other bodies of glass that it may lie on
@@ -134,7 +133,7 @@ class Opening(NamedTuple):
     radius: Array  # (n, m) mm, of the meshes between; −1: nothing gets through
 
 
-class Aim(NamedTuple):
+class AimTables(NamedTuple):
     """Where rays are aimed. Disks are square to the axis, in the camera frame.
 
     Most rays go to the lens's opening, which holds the image path; a share goes to a disk that every ray that can reach
@@ -146,7 +145,7 @@ class Aim(NamedTuple):
     exit: Opening  # as seen from the sensor, where there is no array
     back_radius: float
     wide_share: float  # of the rays from a point that sees the opening, and ...
-    blind_share: float  # ... that are sent at all from one that sees none
+    share_without_aim: float  # ... that are sent at all from one that sees none
     # The array: which lenslets show the opening to a point of the sensor.
     lenslet_z: float  # the apexes as the sensor sees them, array frame
     pupil_x: float  # middle of the paraxial exit pupil, array frame: with it, the chief ray's cell is found
@@ -167,7 +166,7 @@ class Tables(NamedTuple):
     sensor: SensorTables
     objects: ObjectTables
     frames: Array  # (5, 5, 3, 4): frames[a, b] moves from frame a into frame b
-    aim: Aim
+    aim: AimTables
 
 
 INTERFACE = np.dtype(

@@ -1,4 +1,4 @@
-"""Where everything stands: the moves between the frames of camera, array, objects, sensor and world."""
+"""The rigid moves between the frames of camera, array, objects, sensor and world."""
 
 import numpy as np
 
@@ -9,7 +9,14 @@ from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, OBJECT_FR
 
 
 def frame_table(scene: Scene, middle: Array) -> Array:
-    """Return the (5, 5, 3, 4) moves between the frames of camera, array, objects, sensor and world."""
+    """Return the moves between all frames, (5, 5, 3, 4): [a, b] takes points of frame a into frame b.
+
+    Parameters
+    ----------
+    scene : Scene
+    middle : (3,) float64, mm, world frame
+        Origin of the object frame.
+    """
     camera = scene.camera
     to_world = [frame.IDENTITY] * 5
     to_world[CAMERA_FRAME] = frame.frame(camera.pose.tilt_deg, camera.pose.shift_mm)
@@ -28,7 +35,7 @@ def frame_table(scene: Scene, middle: Array) -> Array:
     sensor = camera.sensor
     face += sensor.distance_mm or 0.0
     sensor_to_camera = frame.frame(sensor.pose.tilt_deg, np.add([0.0, 0.0, face], sensor.pose.shift_mm))
-    # The camera's parts are moved among themselves without the world, whose origin may be far away.
+    # Moves between parts of the camera bypass the world frame, whose origin may be so far away that digits are lost.
     to_camera = {CAMERA_FRAME: frame.IDENTITY, ARRAY_FRAME: array_to_camera, SENSOR_FRAME: sensor_to_camera}
     moves = np.empty((5, 5, 3, 4))
     for here in range(5):

@@ -1,4 +1,4 @@
-"""The tables of lens and array: surfaces, facets, media, as the kernels read them."""
+"""Tables of lens and array as kernels read them: surfaces, facets, media."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,19 @@ def lens_tables(
     interfaces: Interfaces,
     known: MediumList,
 ) -> tuple[Mesh, LensTables]:
-    """Return the facets of the lens as one mesh, for Embree, and its tables."""
+    """Return the facets of the lens as one mesh, for Embree, and the tables of the lens.
+
+    Parameters
+    ----------
+    scene : Scene
+    shape : LensShape
+    wavelengths_nm : (wavelengths,) tuple of float
+    book : Book
+    interfaces : Interfaces
+        One row for each refracting surface.
+    known : MediumList
+        The media of the scene.
+    """
     count = len(shape.caps)
     mesh = joined([*shape.caps, *shape.closures])
     bodies = np.repeat(
@@ -40,7 +52,7 @@ def lens_tables(
     ring_slot[np.add(shape.elements, 1, dtype=np.int64)] = book.edges
     stop_space, stop_z, stop_radius = _pure_stop(scene, shape)
     caps = np.concatenate([m.vertices for m in shape.caps])
-    # The box stands off by a rounding error, so that a flat surface has one that a ray can enter.
+    # Larger by a rounding error, so that a flat surface, too, has a box that rays can enter.
     slack = 1e-9 * np.abs(caps).max()
     first, last = shape.surfaces[0], shape.surfaces[-1]
     patches_, across = curved(bool((shape.surfaces["level"] == PATCH).any()), mesh)
@@ -68,7 +80,7 @@ def lens_tables(
 
 
 def _pure_stop(scene: Scene, shape: LensShape) -> tuple[int, float, float]:
-    """Return the space of a stop that is no refracting surface, its z and its radius; space −1: there is none."""
+    """Return space, z (mm) and radius (mm) of a stop that is not a refracting surface; space −1 if there is none."""
     prescription = scene.camera.lens
     for i, s in enumerate(prescription.surfaces):
         if prescription.is_pure_stop(i):
@@ -80,7 +92,17 @@ def _pure_stop(scene: Scene, shape: LensShape) -> tuple[int, float, float]:
 def array_tables(
     scene: Scene, wavelengths_nm: tuple[float, ...], interfaces: Interfaces, known: MediumList
 ) -> tuple[Mesh, ArrayTables]:
-    """Return the cells of the array, one a type side by side, as one mesh for Embree, and its tables."""
+    """Return one cell for each lenslet type, side by side, as one mesh for Embree, and the tables of the array.
+
+    Parameters
+    ----------
+    scene : Scene
+    wavelengths_nm : (wavelengths,) tuple of float
+    interfaces : Interfaces
+        `CURVED_ROW` and `FLAT_ROW`.
+    known : MediumList
+        The media of the scene.
+    """
     mla, media = scene.camera.mla, known.table(wavelengths_nm)
     if mla is None:
         nothing = lenslets(Lattice(False, 1.0, 1, 1), np.array([np.inf]), 1.0)
@@ -128,7 +150,7 @@ def _cells(
 
 
 def curved(needed: bool, mesh: Mesh) -> tuple[Array, NDArray[np.int64]]:
-    """Return the patches of a mesh and their neighbours, empty where no surface needs them."""
+    """Return the curved patches of a mesh and their neighbours; empty tables where they are not needed."""
     if not needed or mesh.corner_normals is None:
         return np.zeros((0, 6, 3)), np.zeros((0, 3), np.int64)
     return patches(mesh.vertices[mesh.faces], mesh.corner_normals), neighbours(mesh.faces, mesh.corner_normals)

@@ -1,4 +1,4 @@
-"""Onto the sensor: a packet ends on a pixel, or beside them."""
+"""The sensor: a packet ends on a pixel, or beside the sensor."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from lfmesh.transport.tables.tables import SensorTables
 def onto_sensor(
     wave: NDArray[np.void], sensor: SensorTables, frames: NDArray[np.float64], options: Options, flow: Flow
 ) -> None:
-    """End each packet of a wave where it meets the sensor's plane."""
+    """End each packet of a wave in the sensor's plane; in the forward method deposit it on its pixel."""
     for i in range(len(wave)):
         packet = wave[i]
         move_packet(frames, packet, SENSOR_FRAME)

@@ -1,8 +1,8 @@
-"""A packet on a target: it gathers light and is scattered on, towards the camera and to other targets.
+"""Packets on targets: they gather light and are scattered, towards the camera and to other targets.
 
-In adjoint a packet that reaches a target gathers what leaves the point towards it: own emission, and light by
-next-event estimation. In forward it scatters a child that is aimed at the entrance pupil. In both it may go on to other
-targets. What the target does with light is asked of its scattering model (`events/scattering.py`).
+In the adjoint method a packet on a target gathers the light that leaves the point towards it: emission, and scattered
+light by next-event estimation. In the forward method it sends a child aimed at the entrance pupil. In both it may be
+scattered to other targets. Scattering follows the target's model (`events/scattering.py`).
 """
 
 from typing import Any
@@ -55,7 +55,7 @@ from lfmesh.transport.tables.tables import AIR, AimTables, ObjectTables
 Array = NDArray[np.float64]
 
 AIMED_CHILD = 1 << 20
-"""Number of the aimed child among a packet's children, out of the way of its events."""
+"""Number of the aimed child among a packet's children, larger than any number of events."""
 
 
 @inlined
@@ -63,7 +63,17 @@ def meet_target(
     options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any,
     prim: int, x: float, y: float, z: float, along: float,
 ) -> None:  # fmt: skip
-    """Gather and scatter at a point of a facet; `along` is its normal · the packet's direction."""
+    """Gather light and scatter at a point of a target.
+
+    Parameters
+    ----------
+    prim : int
+        Facet.
+    x, y, z : float, mm
+        Point, object frame.
+    along : float
+        The facet's normal · the packet's direction.
+    """
     body = objects.facets[prim].body
     slot = objects.target_slot[body]
     dx, dy, dz, weight = packet.dx, packet.dy, packet.dz, packet.weight
@@ -72,7 +82,7 @@ def meet_target(
         end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, S_ABSORBED)
         return
     if options.paths == OFF_IMAGE_PATH and packet.stray == 0:
-        # It gathers nothing here, and few of its kind go on: the others are spared the rest.
+        # It gathers nothing here, and only few such packets continue: roulette comes before the work of scattering.
         dimension = packet.events * DIMENSIONS_PER_EVENT + KEEP_REACHED
         weight = windowed(flow.book, weight, options.unturned_cutoff * packet.start, packet.key, dimension)
         if weight == 0.0:
@@ -89,7 +99,7 @@ def meet_target(
         return
     flow.book[slot] += weight - scattered
     if packet.last == LEFT_LENS and not options.bounce and not options.adjoint:
-        # The lens reflected it back. Without bounces the adjoint method has no such paths, and this one neither.
+        # The lens reflected it back. Without bounces the adjoint method has no such paths, so they are left out here.
         flow.book[ESCAPED] += scattered
         return
     packet.events += 1
@@ -100,7 +110,20 @@ def meet_target(
 def point_of(
     objects: ObjectTables, prim: int, x: float, y: float, z: float, side: float, model: int, texel: float
 ) -> Point:
-    """Return a point of a facet on one of its sides: 1, the normal's, or −1."""
+    """Return a point on one side of a facet, with its scattering model.
+
+    Parameters
+    ----------
+    prim : int
+        Facet.
+    x, y, z : float, mm
+    side : float
+        1: the side that the normal points to, −1: the other.
+    model : int
+        Row of the scattering models.
+    texel : float
+        See `texture_at`.
+    """
     normal = objects.facets[prim].normal
     nx, ny, nz = side * normal[0], side * normal[1], side * normal[2]
     return Point(prim, x, y, z, nx, ny, nz, model, texel)
@@ -108,7 +131,16 @@ def point_of(
 
 @inlined
 def texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: float, z: float) -> float:
-    """Return the texture's value (linear light, bilinear, clamped) at a point of a facet; 1 without."""
+    """Return the value of the texture at a point of a facet (linear light, bilinear, clamped); 1 without a texture.
+
+    Parameters
+    ----------
+    prim : int
+        Facet.
+    colour : int
+        Number of the wavelength.
+    x, y, z : float, mm
+    """
     body = objects.facets[prim].body
     height = objects.texture[body, 1]
     if height == 0:
@@ -137,12 +169,12 @@ def texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: float
 def _gather(
     options: Options, flow: Flow, objects: ObjectTables, packet: Any, point: Point, body: int, scatters: bool
 ) -> None:
-    """Deposit what a target emits towards the packet, and ask the lights for what it scatters that way."""
+    """Deposit the light that a target emits towards the packet, and send shadow packets for the light it scatters."""
     flow.book[REACHED] += packet.weight
     radiance = objects.radiance[body, packet.colour] * point.texel
     if radiance > 0.0:
         if packet.medium != AIR:
-            # It shines inside glass, and radiance falls by n² on the way out.
+            # Inside glass: radiance over n² is conserved on the way out.
             radiance /= objects.media.indices[packet.medium, packet.colour] ** 2
         deposit(options, flow, packet.source, packet.colour, packet.weight * radiance)
     lit = radiance > 0.0
@@ -162,9 +194,9 @@ def scatter(
     Parameters
     ----------
     weight : float
-        That arrived, along the packet's direction.
+        Weight that arrived, along the packet's direction.
     scattered : float
-        What of it is scattered, by the model's albedo.
+        Weight times the model's albedo.
     """
     if scattered <= 0.0:
         return
@@ -179,7 +211,7 @@ def scatter(
     if options.aimed and not options.adjoint:
         to_camera = _aim_at_camera(flow, frames, objects, aim, packet, point, weight)
     if not options.bounce and (options.aimed or options.adjoint):
-        # Nothing else is there to be met: what does not go to the camera escapes.
+        # Nothing but the camera can be met: all other light escapes.
         flow.book[ESCAPED] += scattered - to_camera
         return
     flow.book[SAMPLING_ADDED] += to_camera
@@ -190,12 +222,12 @@ def scatter(
 def _bounce(
     options: Options, flow: Flow, objects: ObjectTables, packet: Any, point: Point, weight: float, scattered: float
 ) -> None:
-    """Queue the child that goes any way, as the scattering model draws it, if roulette lets it live."""
+    """Queue the child whose direction the scattering model draws, if it survives roulette."""
     x, y, z = point.x, point.y, point.z
     ix, iy, iz = packet.dx, packet.dy, packet.dz
     u, v = draw(packet, BOUNCE_U), draw(packet, BOUNCE_V)
     dx, dy, dz, share = sample(objects.scattering, point, packet.colour, ix, iy, iz, u, v)
-    # What a sample carries is right on average.
+    # A sample carries the scattered weight on average only; the book takes the difference.
     flow.book[SAMPLING_ADDED] += weight * share - scattered
     cutoff = options.cutoff
     if options.paths == OFF_IMAGE_PATH and packet.stray == 0:
@@ -238,10 +270,10 @@ def _aim_at_camera(
 
 @kernel
 def share_with_other(flow: Flow, frames: Array, aim: AimTables, packet: Any) -> None:
-    """Weight a packet that goes from a target into glass, where both it and one drawn the other way could have gone.
+    """Weight a packet that goes from a target into glass by the balance heuristic (Veach & Guibas 1995).
 
-    By the balance heuristic (Veach & Guibas 1995): the lens may show behind the glass where it is aimed at, or
-    elsewhere, as the glass bends light.
+    Behind the glass the lens may appear where it is aimed at or, as the glass bends light, elsewhere. So both the aimed
+    child and the one drawn by the scattering model count, each weighted by its share of their densities.
     """
     x, y, z = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, packet.x, packet.y, packet.z)
     dx, dy, dz = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, packet.dx, packet.dy, packet.dz)

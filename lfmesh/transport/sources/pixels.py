@@ -1,9 +1,9 @@
-"""Pixels, where the adjoint method starts: through the lenslets that show them the exit pupil.
+"""Pixels, the sources of the adjoint method: rays through the lenslets that show them the exit pupil.
 
 A pixel's power is the integral of radiance over its area and the directions it sees, W = ∫∫ L cos θ dω dA. The packet
-carries the importance cos θ dA / density, in m² sr. Radiance over n² is what interfaces conserve up to T, so carried
-importance would gain (n_i/n_t)² at every crossing; pixel and light both lie in air, the factors cancel, and are left
-out throughout. A target that shines inside glass has its radiance divided by n² instead.
+carries the importance cos θ dA / density, in m² sr. At an interface radiance over n² is conserved but for T, so the
+importance would gain (n_i/n_t)² at every crossing. As pixel and light both lie in air, these factors cancel and are
+left out; the radiance of a target that emits inside glass is divided by n² instead.
 """
 
 from dataclasses import dataclass
@@ -72,21 +72,21 @@ from lfmesh.transport.tables.tables import AimTables, ArrayTables, LensTables, S
 Array = NDArray[np.float64]
 
 STARTS = BLOCK
-"""Samples whose numbers are drawn together: a bundle of the sequential engine."""
+"""Samples whose numbers are drawn together: as many as a bundle of the sequential engine holds."""
 
 
 @dataclass(frozen=True, eq=False)
 class PixelSource(Source):
-    """Pixels of the sensor, each with as many samples.
+    """Pixels of the sensor, all with the same number of samples.
 
     Attributes
     ----------
     pixels : (n,) int64
-        Their numbers, row by row.
+        Pixel numbers, row by row.
     samples : int
-        Of each.
+        Samples of each pixel.
     key : uint64
-        Of the random numbers.
+        Key of the random numbers.
     colour : int
         Number of the wavelength.
     stratified : bool
@@ -127,18 +127,18 @@ class StartRoom(NamedTuple):
     """Working memory of a launch, which draws the numbers of `STARTS` samples at a time."""
 
     point: NDArray[np.uint32]  # (6,) Sobol' point of the last sample, not yet scrambled
-    seeds: NDArray[np.uint32]  # (6,) of its pixel's scrambling
+    seeds: NDArray[np.uint32]  # (6,) seeds of the scrambling for its pixel
     points: NDArray[np.uint32]  # (6, STARTS)
     scrambling: NDArray[np.uint32]  # (6, STARTS)
-    numbers: Array  # (6, STARTS) what each sample starts from
+    numbers: Array  # (6, STARTS) starting numbers of each sample
     keys: NDArray[np.uint64]  # (STARTS,)
     near: Array  # (most + 1, LISTED) lenslets that may show the opening to some point of a pixel, see `list_cells`
-    cells: NDArray[np.int64]  # (3, most + 1) those that may show it to the point, whether they surely do, which do
+    cells: NDArray[np.int64]  # (3, most + 1) lenslets that may show it to one point, see `cells_that_show`
     packets: NDArray[np.void]  # (STARTS,) PACKET
 
 
 def start_room(aim: AimTables) -> StartRoom:
-    """Return the memory in which paths are started."""
+    """Return working memory for a launch."""
     table = (DISCRETE + 1, STARTS)
     most = most_listed(aim)
     return StartRoom(
@@ -159,7 +159,18 @@ def _draw(
     room: StartRoom, stratified: bool, replicate_key: np.uint64, pixels: NDArray[np.int64], which: int, sample: int,
     samples: int, count: int,
 ) -> None:  # fmt: skip
-    """Draw the numbers of `count` samples from a pixel's sample on: of the pixels' own Sobol' sets, or by chance."""
+    """Draw the starting numbers of `count` samples: from each pixel's own Sobol' set, or at random.
+
+    Parameters
+    ----------
+    stratified : bool
+        From Sobol' sets.
+    pixels : (n,) int64
+    which, sample : int
+        Index in `pixels`, and sample of that pixel, of the first sample.
+    samples : int
+        Samples of each pixel.
+    """
     pixel_key = derived(replicate_key, pixels[which])
     for i in range(count):
         room.keys[i] = derived(pixel_key, sample)
@@ -178,7 +189,7 @@ def _draw(
         sample += 1
         if sample == samples:
             which, sample = which + 1, 0
-            # After the last pixel of the run none is drawn for; the first stands in.
+            # After the last pixel this key is not used; the modulus keeps the index valid.
             pixel_key = derived(replicate_key, pixels[which % len(pixels)])
     if stratified:
         for dimension in range(len(room.seeds)):
@@ -191,14 +202,21 @@ def launch_adjoint(
     sensor: SensorTables, array: ArrayTables, aim: AimTables, frames: Array, lens_surfaces: int,
     bundle: Array, flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
-    """Start `samples` packets from each of some pixels.
+    """Start `samples` packets from each pixel.
 
     Parameters
     ----------
     pixels : (n,) int64
-        Their numbers, row by row.
+        Pixel numbers, row by row.
     stratified : bool
         Start from scrambled Sobol' points in place of random ones.
+    replicate_key : uint64
+    colour : int
+        Number of the wavelength.
+    lens_surfaces : int
+        Number of refracting surfaces of the lens.
+    bundle : (ROWS · BLOCK,) float64
+        Working memory.
     """
     _begin(room, colour, lens_surfaces)
     station = PLATE if array.present else LENS
@@ -224,12 +242,12 @@ def launch_along_image_path(
     sensor: SensorTables, lens: LensTables, array: ArrayTables, aim: AimTables, frames: Array,
     bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
-    """Do as `launch_adjoint` does, and take the packets through array and lens while they are at hand.
+    """Start packets as `launch_adjoint` does, and take them through array and lens by the sequential engine at once.
 
     Parameters
     ----------
     bundle, numbers
-        Working memory of `image_path`.
+        Working memory, see `image_path.follow_image_path`.
     """
     _begin(room, colour, len(lens.surfaces))
     station = PLATE if array.present else LENS
@@ -250,7 +268,7 @@ def launch_along_image_path(
 
 @kernel
 def _begin(room: StartRoom, colour: int, lens_surfaces: int) -> None:
-    """Fill in what all packets of a launch have in common."""
+    """Set the fields that all packets of a launch have in common."""
     for i in range(STARTS):
         packet = room.packets[i]
         packet.colour = colour
@@ -268,12 +286,12 @@ def _aim(
     replicate_key: np.uint64, colour: int, sensor: SensorTables, array: ArrayTables, aim: AimTables, frames: Array,
     book: Array,
 ) -> tuple[int, int]:  # fmt: skip
-    """Leave a block of rays (sensor frame) and their weights in the bundle, from the numbers that were drawn.
+    """Write a block of rays (sensor frame) and their weights to the bundle, by the numbers that were drawn.
 
     Returns
     -------
     which, sample : int
-        Pixel of the run, and its sample, with which the next block begins.
+        Index in `pixels`, and sample of that pixel, with which the next block begins.
     """
     area = sensor.pixel * sensor.pixel * MM2 / samples
     # The sensor's normal towards the array.

@@ -1,4 +1,4 @@
-"""Where rays are aimed: the lens's opening as targets and sensor see it."""
+"""The aim tables of a scene: the lens's opening as seen from targets and sensor."""
 
 import hashlib
 import threading
@@ -27,10 +27,10 @@ from lfmesh.transport.tables.tables import (
 )
 
 FAR = 1e9
-"""Distance in mm that stands for infinity."""
+"""Distance in mm that is used for infinity."""
 
 KEPT = 8
-"""Cameras whose aim is kept: those of a study, or a camera with one lamp after the other, find theirs once."""
+"""Number of cameras whose aim tables are cached, for renders of the same camera with other lamps, or of a study."""
 
 _kept: OrderedDict[bytes, tuple[AimTables, AimProof | None]] = OrderedDict()
 _access = threading.Lock()
@@ -47,13 +47,20 @@ def aim_table(
     *,
     analytic: bool,
 ) -> tuple[AimTables, AimProof | None]:
-    """Return where the rays of a scene are aimed, and what rays from its stop say of that.
+    """Return the aim tables of a scene, and their proof by rays from the stop.
 
     Parameters
     ----------
+    scene : Scene
+    report : FirstOrder
+    lens, array, sensor
+        Tables of the scene.
+    targets : list of TargetMesh
+        World frame.
+    moves : (5, 5, 3, 4) float64
+        Between frames, see `frame_table`.
     analytic : bool
-        Every surface of the lens has an exact parent, through which the opening is found; else first-order optics says
-        where it is.
+        Every surface of the lens is exact, so that the opening is found by real rays; else by first-order optics.
     """
     seen = np.concatenate(
         [frame.points(moves[WORLD_FRAME, CAMERA_FRAME], t.mesh.vertices) for t in targets] or [np.zeros((0, 3))]
@@ -72,7 +79,7 @@ def aim_table(
 
 
 def digest(*values: Any) -> bytes:
-    """Return a hash of arrays, tuples of them, and what its `repr` tells all of."""
+    """Return a hash of arrays, tuples of arrays, and values that are fully given by their `repr`."""
     hashed = hashlib.blake2b(digest_size=16)
     for value in values:
         if isinstance(value, np.ndarray):
@@ -89,7 +96,7 @@ def _found(
     scene: Scene, report: FirstOrder, lens: LensTables, array: ArrayTables, sensor: SensorTables, seen: Array,
     moves: Array, analytic: bool,
 ) -> tuple[AimTables, AimProof | None]:  # fmt: skip
-    """Return what `aim_table` does, for targets that are seen at points (n, 3), camera frame."""
+    """Return the result of `aim_table`, for targets given by points (n, 3), camera frame."""
     width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
     behind = frame.points(moves[SENSOR_FRAME, CAMERA_FRAME], grid(width, height, 0.0))
     front_radius = widest_disk(lens, seen, front=True)
@@ -102,7 +109,8 @@ def _found(
         behind = frame.points(moves[ARRAY_FRAME, CAMERA_FRAME], apexes)
     entrance = opening_seen(report, lens, seen, front_radius, analytic, front=True)
     exit_ = opening_seen(report, lens, behind, back_radius, analytic, front=False)
-    # Reflections reach the sensor from all over the lens; without them only what the opening leaves out does.
+    # Reflections reach the sensor from all over the lens; without them the wide disk only brings light beside the
+    # measured opening.
     followed = scene.transport.split != "transmit"
     aim = AimTables(
         entrance=entrance,
@@ -131,7 +139,20 @@ def _found(
 def opening_seen(
     report: FirstOrder, lens: LensTables, points: Array, wide_radius: float, analytic: bool, *, front: bool
 ) -> Opening:
-    """Return a side of the lens as points (n, 3) (camera frame) see it."""
+    """Return the opening of one side of the lens as seen from points.
+
+    Parameters
+    ----------
+    report : FirstOrder
+    lens : LensTables
+    points : (n, 3) float64, mm, camera frame
+    wide_radius : float, mm
+        Of the disk that every ray to the lens crosses.
+    analytic : bool
+        See `aim_table`.
+    front : bool
+        The object side of the lens; else the sensor side.
+    """
     plane_z = float(lens.box_low[2] if front else lens.box_high[2])
     seen = viewpoints(plane_z, wide_radius, points, to_sensor=front)
     if seen is None:
@@ -141,7 +162,7 @@ def opening_seen(
     if not np.isfinite(z):
         if front and not analytic:
             return unknown_opening(plane_z, to_sensor=front)
-        # Telecentric: a pupil so far away that all points see it in one direction.
+        # Telecentric: a pupil so far away that all points see it in the same direction.
         z, diameter = (plane_z + FAR, FAR) if front else (plane_z - FAR, FAR / report.working_f_number)
     if analytic:
         return real_opening(seen, lens, z, 0.5 * diameter)
@@ -149,7 +170,15 @@ def opening_seen(
 
 
 def widest_disk(lens: LensTables, p: Array, *, front: bool) -> float:
-    """Return the radius of a disk in the lens's outermost plane that every ray to it from points (n, 3) crosses."""
+    """Return the radius of a disk in the lens's outermost plane that every ray from points to the lens crosses, mm.
+
+    Parameters
+    ----------
+    lens : LensTables
+    p : (n, 3) float64, mm, camera frame
+    front : bool
+        The object side of the lens; else the sensor side.
+    """
     surfaces = lens.surfaces
     plane = lens.box_low[2] if front else lens.box_high[2]
     outer = surfaces[0] if front else surfaces[-1]

@@ -13,7 +13,15 @@ from lfmesh.vector import fused
 
 @pasted
 def amplitude_sums(n_i: float, n_t: float, cos_i: float, cos_t: float) -> tuple[float, float]:
-    """Return the denominators of the amplitude coefficients of s- and of p-polarised light."""
+    """Return the denominators of the amplitude coefficients of s- and of p-polarised light.
+
+    Parameters
+    ----------
+    n_i, n_t : float
+        Refractive index before and after the interface.
+    cos_i, cos_t : float
+        Cosines of incidence and of refraction.
+    """
     return fused(n_t, cos_t, n_i * cos_i), fused(n_i, cos_t, n_t * cos_i)
 
 

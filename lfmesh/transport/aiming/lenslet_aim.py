@@ -132,7 +132,16 @@ def allotted(aim: AimTables, listed: int, samples: int, key: np.uint64) -> Allot
 
 @pasted
 def role_of(sample: int, shares: Allotment, chance: float) -> int:
-    """Return the role of a sample; `chance` in [0, 1) decides where the roles are drawn at random."""
+    """Return the role of a sample.
+
+    Parameters
+    ----------
+    sample : int
+        Number of the sample.
+    shares : Allotment
+    chance : float
+        Random number in [0, 1), for pixels whose roles are drawn at random.
+    """
     if shares.blind_from == 0 and shares.margin_from == 0:
         return BLIND if chance < shares.blind else (MARGIN if chance < shares.blind + shares.margin else MAIN)
     return BLIND if sample >= shares.blind_from else (MARGIN if sample >= shares.margin_from else MAIN)
@@ -468,6 +477,18 @@ def spread_on_faces(
 
     Summed over the faces, as each could have drawn the direction; for all faces, cells include the margin. Zero if the
     direction is outside that part of the aim.
+
+    Parameters
+    ----------
+    glass : float
+        See `glass_before_faces`.
+    near
+        Lenslets from `list_cells`.
+    cells, maybe
+        Lenslets among them that may show the opening, and their number, from `cells_that_show`.
+    x, y, z : float, mm
+        Point of the sensor, array frame.
+    dx, dy, dz : float
     """
     lattice = array.lenslets.lattice
     air, depth, growth = path_to_apexes(array, z)

@@ -156,7 +156,15 @@ def fitted_views(
 
 
 def with_wider_cells(aim: AimTables, array: ArrayTables, by: float) -> AimTables:
-    """Return the aim with the aimed cells wider by a factor."""
+    """Return the aim with wider aimed cells.
+
+    Parameters
+    ----------
+    aim : AimTables
+    array : ArrayTables
+    by : float
+        Factor on the width of the cells.
+    """
     half = 0.5 * array.lenslets.lattice.pitch
     return aim._replace(cell_margin=by * (half + aim.cell_margin) - half)
 

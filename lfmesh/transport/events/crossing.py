@@ -233,7 +233,13 @@ def end_here(options: Options, flow: Flow, frames: Array, packet: Any, slot: int
 
 @kernel
 def lose(options: Options, flow: Flow, frames: Array, packet: Any, reason: int, slot: int) -> None:
-    """End a packet as lost, at the start of its ray; book it by the reason and in the slot of the body."""
+    """End a packet as lost, at the start of its ray.
+
+    Parameters
+    ----------
+    reason, slot : int
+        Slots of the book in which it is entered: of the reason, and of the body.
+    """
     flow.book[reason] += packet.weight
     end_here(options, flow, frames, packet, slot, S_LOST)
 
@@ -265,7 +271,15 @@ def _keep_end(
 
 @inlined
 def clear_of(facet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> float:
-    """Return the distance at which a ray that starts near a facet has safely passed the facet's plane, mm."""
+    """Return the distance at which a ray that starts near a facet has safely passed the facet's plane, mm.
+
+    Parameters
+    ----------
+    facet : FACET
+    x, y, z : float, mm
+    dx, dy, dz : float
+        The ray.
+    """
     normal = facet.normal
     return safely_behind(normal[0], normal[1], normal[2], facet.offset, facet.size, x, y, z, dx, dy, dz)
 
@@ -300,7 +314,15 @@ def safely_behind(
 
 @kernel
 def next_query_from(facet: Any, packet: Any, t: float) -> float:
-    """Return the distance of the next query after a facet at distance t was refused; the step doubles each time."""
+    """Return the distance of the next query, mm, after a facet was refused; the step doubles at each try.
+
+    Parameters
+    ----------
+    facet : FACET
+    packet : PACKET
+    t : float, mm
+        Distance of the facet.
+    """
     normal = facet.normal
     along = abs(normal[0] * packet.dx + normal[1] * packet.dy + normal[2] * packet.dz)
     grain = FLOAT32_GRAIN * (abs(packet.x) + abs(packet.y) + abs(packet.z) + abs(t) + facet.size)
@@ -313,6 +335,13 @@ def crosses(facet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: 
     """Return the distance at which a ray crosses a facet, in float64, and normal · direction; inf, 0 if it does not.
 
     An edge belongs to both of its facets, with a tolerance of `EDGE`, so that no ray slips between them.
+
+    Parameters
+    ----------
+    facet : FACET
+    x, y, z : float, mm
+    dx, dy, dz : float
+        The ray.
     """
     normal = facet.normal
     along = normal[0] * dx + normal[1] * dy + normal[2] * dz
@@ -450,7 +479,13 @@ def meets_patch(
 
 @kernel
 def barycentric(facet: Any, x: float, y: float, z: float) -> tuple[float, float]:
-    """Return the weights of the second and third corner at a point of a facet's plane."""
+    """Return the barycentric weights of the second and third corner at a point of a facet's plane.
+
+    Parameters
+    ----------
+    facet : FACET
+    x, y, z : float, mm
+    """
     corners = facet.corners
     ax, ay, az = corners[0, 0], corners[0, 1], corners[0, 2]
     e1x, e1y, e1z = corners[1, 0] - ax, corners[1, 1] - ay, corners[1, 2] - az

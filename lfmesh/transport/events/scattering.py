@@ -5,8 +5,8 @@ camera; `sample` draws the direction of a child that is not aimed; `density` giv
 could have found the same path. A model has a branch in each of the four functions. All models are reciprocal, so that
 the two methods, which follow a path in opposite directions, agree.
 
-All functions take the tables, the point, the number of the wavelength (`colour`), and unit directions along which light
-travels: `ix, iy, iz` towards the point, `ox, oy, oz` away from it.
+All functions have the parameters `scattering` (the tables), `point`, `colour` (number of the wavelength), and unit
+directions along which light travels: `ix, iy, iz` towards the point, `ox, oy, oz` away from it.
 """
 
 from typing import NamedTuple

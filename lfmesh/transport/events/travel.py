@@ -13,7 +13,16 @@ from lfmesh.transport.tables.tables import Media
 
 @inlined
 def travel(flow: Flow, media: Media, packet: Any, t: float) -> tuple[float, float, float]:
-    """Let a packet travel the distance `t`, mm, along its ray; return the point that it reaches, in its frame."""
+    """Let a packet travel along its ray; return the point that it reaches, mm, in its frame.
+
+    Parameters
+    ----------
+    flow : Flow
+    media : Media
+    packet : PACKET
+    t : float, mm
+        Distance.
+    """
     return arrive(flow, media, packet, packet.x + t * packet.dx, packet.y + t * packet.dy, packet.z + t * packet.dz)
 
 

@@ -221,7 +221,24 @@ def put(
     x: float, y: float, z: float, dx: float, dy: float, dz: float,
     weight: float, key: np.uint64, query_from: float,
 ) -> Any:  # fmt: skip
-    """Queue a packet at a station and return its record; what is not given is inherited from `parent`."""
+    """Queue a packet at a station and return its record; what is not given is inherited from `parent`.
+
+    Parameters
+    ----------
+    flow : Flow
+    station : int
+    parent : PACKET
+    frame : int
+        Of point and direction.
+    x, y, z : float, mm
+    dx, dy, dz : float
+        Unit direction.
+    weight : float
+        W (forward) or m² sr (adjoint).
+    key : uint64
+    query_from : float, mm
+        Distance along the ray at which Embree starts to look.
+    """
     row, top = flow.rows[station], flow.tops[station]
     # Copied field by field, and all read before anything is written: a copy of the whole record, half of which is
     # overwritten, compiles to sixty moves of odd sizes.

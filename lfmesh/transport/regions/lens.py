@@ -142,7 +142,14 @@ def admit_to_lens(
 
 @kernel
 def stop_cuts(lens: LensTables, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> bool:
-    """Tell whether the line of a ray passes the plane of the stop outside its aperture."""
+    """Tell whether the line of a ray passes the plane of the stop outside its aperture.
+
+    Parameters
+    ----------
+    lens : LensTables
+    x, y, z : float, mm, camera frame
+    dx, dy, dz : float
+    """
     if dz == 0.0:
         return True
     t = (lens.stop_z - z) / dz

@@ -14,7 +14,16 @@ from lfmesh.transport.tables.tables import SensorTables
 def onto_sensor(
     wave: NDArray[np.void], sensor: SensorTables, frames: NDArray[np.float64], options: Options, flow: Flow
 ) -> None:
-    """End each packet of a wave in the sensor's plane; in the forward method deposit it on its pixel."""
+    """End each packet of a wave in the sensor's plane; in the forward method deposit it on its pixel.
+
+    Parameters
+    ----------
+    wave : (n,) PACKET
+    sensor : SensorTables
+    frames : (5, 5, 3, 4) float64
+    options : Options
+    flow : Flow
+    """
     for i in range(len(wave)):
         packet = wave[i]
         move_packet(frames, packet, SENSOR_FRAME)

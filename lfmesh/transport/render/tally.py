@@ -39,7 +39,15 @@ class Film:
 
     @classmethod
     def empty(cls, pixels: int, colours: int, origin: int = 0) -> "Film":
-        """Return a film without light."""
+        """Return a film without light.
+
+        Parameters
+        ----------
+        pixels, colours : int
+            Numbers of pixels and of wavelengths.
+        origin : int
+            Number of the first pixel.
+        """
         return cls(np.zeros((pixels, colours)), np.zeros((pixels, colours), np.uint32), origin)
 
     def clear(self) -> None:

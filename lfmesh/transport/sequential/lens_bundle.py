@@ -99,7 +99,16 @@ def normalise(bundle: Array) -> None:
 
 @kernel
 def through_stop(bundle: Array, stop_z: float, radius: float, slot: float) -> None:
-    """End the rays that pass the plane of a stop outside its aperture there."""
+    """End the rays that pass the plane of a stop outside its aperture.
+
+    Parameters
+    ----------
+    bundle : (ROWS · BLOCK,) float64
+        Camera frame.
+    stop_z, radius : float, mm
+    slot : float
+        Of the book.
+    """
     limit = radius * radius
     for i in range(BLOCK):
         t = (stop_z - bundle[Z + i]) / bundle[DZ + i]

@@ -260,10 +260,8 @@ def at_wavelength(world: World, wavelength_nm: float) -> Tables:
     tables, media = world.tables, world.media.table((wavelength_nm,))
     interfaces = interface_tables(world.scene, (wavelength_nm,))
     return tables._replace(
-        lens=tables.lens._replace(media=media, indices=media.indices[tables.lens.medium], interfaces=interfaces.lens),
-        array=tables.array._replace(
-            media=media, indices=media.indices[tables.array.medium], interfaces=interfaces.array
-        ),
+        lens=tables.lens._replace(media=media, interfaces=interfaces.lens),
+        array=tables.array._replace(media=media, interfaces=interfaces.array),
         objects=tables.objects._replace(media=media, interfaces=interfaces.objects),
     )
 

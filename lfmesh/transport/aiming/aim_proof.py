@@ -286,7 +286,7 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
     x, y = radius * out * np.cos(turn), radius * out * np.sin(turn)
     tx, ty = slope * (place * np.cos(around) - height * x), slope * (place * np.sin(around) - height * y)
     to_sensor, to_objects, of_colour = np.zeros((len(x), 6)), np.zeros((len(x), 7)), np.zeros(len(x), np.int64)
-    count = lens.indices.shape[1]
+    count = lens.media.indices.shape[1]
     colours = sorted({0, count // 2, count - 1})
     start = float(lens.box_high[2] - lens.box_low[2]) + depth
     for number, colour in enumerate(colours):
@@ -310,7 +310,7 @@ def _to_plane(lens: LensTables, space: int, z: float, plane_z: float) -> tuple[f
 
     The height there is the first number times the height at z in the space, plus the second times the slope.
     """
-    surfaces, indices = lens.surfaces, lens.indices[:, lens.indices.shape[1] // 2]
+    surfaces, indices = lens.surfaces, lens.media.indices[lens.medium, lens.media.indices.shape[1] // 2]
     heights, slopes = np.array([1.0, 0.0]), np.array([0.0, 1.0])
     for k in range(space, len(surfaces)):
         heights = heights + (float(surfaces[k]["vertex_z"]) - z) * slopes

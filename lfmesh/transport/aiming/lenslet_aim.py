@@ -230,7 +230,7 @@ def solid_angle(r: float, air: float, plate: float, glass: float) -> float:
 @inlined
 def glass_before_faces(array: ArrayTables, colour: int) -> float:
     """Return the refractive index of the plate between the sensor and the lenslets' faces; 1 without a plate."""
-    return array.indices[colour] if array.curved_to_lens else 1.0
+    return array.media.indices[array.medium, colour] if array.curved_to_lens else 1.0
 
 
 @inlined

@@ -233,8 +233,8 @@ def _farthest_landing(
     sx0, sy0, sz0 = frame.move_point(moves, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, 0.0)
     mx, my, mz = frame.move_direction(moves, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, 1.0)
     furthest = 0.0
-    for colour in range(len(array.indices)):
-        glass = array.indices[colour]
+    for colour in range(array.media.indices.shape[1]):
+        glass = array.media.indices[array.medium, colour]
         # If the plate lies between lens and face, the lens sees the face through it.
         seen_z = sag if array.curved_to_lens else array.lenslets.thickness - (array.lenslets.thickness - sag) / glass
         px, py, pz = frame.move_point(moves, ARRAY_FRAME, CAMERA_FRAME, x, y, seen_z)

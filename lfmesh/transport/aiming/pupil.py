@@ -290,7 +290,8 @@ def _obstruction(seen: Viewpoints, lens: LensTables, height: Array, distance: Ar
     aperture = np.ascontiguousarray(lens.surfaces["aperture"])
     room = empty_bundle()
     least = np.full(x.size, np.inf)
-    for colour in sorted({0, lens.indices.shape[1] // 2, lens.indices.shape[1] - 1}):
+    colours = lens.media.indices.shape[1]
+    for colour in sorted({0, colours // 2, colours - 1}):
         _trace_unbounded(
             heights, distances, np.ascontiguousarray(x).reshape(-1), np.ascontiguousarray(y).reshape(-1), seen.plane_z,
             seen.to_sensor, lens._replace(surfaces=unbounded), aperture, colour, room, least,

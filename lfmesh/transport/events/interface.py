@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lfmesh.kernel import inlined, pasted
 from lfmesh.optics.fresnel import fresnel, transmittance
 from lfmesh.transport.events.crossing import record_interface, split_shares
-from lfmesh.transport.packets.packet import E_REFLECTED, E_TRANSMITTED, EVENTS, Flow, Options
+from lfmesh.transport.packets.packet import E_REFLECTED, E_TRANSMITTED, EVENTS, OBJECT_FRAME, Flow, Options
 from lfmesh.transport.packets.path_class import turns_off_image_path
 from lfmesh.transport.packets.random import derived
 from lfmesh.transport.tables.tables import Interfaces
@@ -111,7 +111,9 @@ def splitter(send: Callable[..., None]) -> Callable[..., None]:
             if weight <= 0.0:
                 continue
             dx, dy, dz = bent if refracts else mirrored
-            packet.medium = beyond if refracts else medium
+            if frame == OBJECT_FRAME:
+                # In lens and array it follows from the space, and a field written just before it is read is slow.
+                packet.medium = beyond if refracts else medium
             packet.stray = 1 if turns_off_image_path(frame, refracts, transmittance) else stray
             if options.record:
                 event = E_TRANSMITTED if refracts else E_REFLECTED

@@ -114,7 +114,7 @@ _BASE_RECORD = np.dtype(
         ("colour", "i2"),  # number of the wavelength
         ("space", "i2"),  # space between two surfaces it travels in; for object space see `regions.bodies`
         ("events", "i2"),
-        ("medium", "i2"),  # medium that it travels in
+        ("medium", "i2"),  # medium at its start and in object space; in lens and array its space gives the medium
         ("tries", "i1"),  # queries of this ray whose result was refused
         ("kind", "i1"),
         ("frame", "i1"),

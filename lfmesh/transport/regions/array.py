@@ -156,7 +156,7 @@ def through_plate(
             slot = ARRAY_EDGE if outward else ARRAY_MOUNT
             end(options, flow, frames, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
             continue
-        glass = array.indices[packet.colour]
+        glass = array.media.indices[array.medium, packet.colour]
         n_i, n_t = (glass, 1.0) if outward else (1.0, glass)
         reflectance, transmittance, cos_t = shares(array.interfaces, FLAT_ROW, packet.colour, n_i, n_t, abs(dz))
         toward = 1.0 if dz > 0.0 else -1.0
@@ -351,7 +351,7 @@ def _through_face(
         nx, ny, nz, cos_i = -nx, -ny, -nz, -cos_i
     cos_i = min(cos_i, 1.0)
     inward = packet.space == BEFORE
-    glass = array.indices[packet.colour]
+    glass = array.media.indices[array.medium, packet.colour]
     n_i, n_t = (1.0, glass) if inward else (glass, 1.0)
     reflectance, transmittance, cos_t = shares(array.interfaces, CURVED_ROW, packet.colour, n_i, n_t, cos_i)
     if packet.last == LEFT_FACE:

@@ -71,7 +71,7 @@ from lfmesh.transport.regions.lens_block import (
     set_ray,
     split_block,
 )
-from lfmesh.transport.tables.tables import LensTables
+from lfmesh.transport.tables.tables import AIR, LensTables
 
 Array = NDArray[np.float64]
 
@@ -186,7 +186,7 @@ def leave_lens(
     child.last = LEFT_LENS
     child.facet = NO_SURFACE
     if space == 0:
-        child.column = NO_SURFACE
+        child.column, child.medium = NO_SURFACE, AIR
 
 
 @kernel
@@ -253,8 +253,8 @@ def _prepare(block: Array, i: int, packet: Any, prim: int, lens: LensTables, opt
 def _set_sides(block: Array, i: int, packet: Any, k: int, lens: LensTables) -> None:
     """Enter surface `k` as an interface, and the indices before and after it."""
     space = packet.space
-    block[N_I + i] = lens.indices[space, packet.colour]
-    block[N_T + i] = lens.indices[k + 1 if k == space else k, packet.colour]
+    indices, beyond = lens.media.indices, lens.medium[k + 1 if k == space else k]
+    block[N_I + i], block[N_T + i] = indices[lens.medium[space], packet.colour], indices[beyond, packet.colour]
     block[NUMBER + i], block[COLOUR + i] = k, packet.colour
 
 

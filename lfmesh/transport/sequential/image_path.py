@@ -322,7 +322,7 @@ def _bend(
     bundle: Array, i: int, array: ArrayTables, face: int, colour: int, entering: bool, nx: float, ny: float, nz: float
 ) -> bool:
     """Refract a ray at a face whose normal points along it; return False under total reflection."""
-    glass = array.indices[colour]
+    glass = array.media.indices[array.medium, colour]
     n_i, n_t = (1.0, glass) if entering else (glass, 1.0)
     dx, dy, dz, weight = bundle[DX + i], bundle[DY + i], bundle[DZ + i], bundle[WEIGHT + i]
     cos_i = min(nx * dx + ny * dy + nz * dz, 1.0)

@@ -143,7 +143,8 @@ def through_surface(
     c, conic, z = surface.curvature, surface.conic, surface.vertex_z
     limit = surface.aperture * surface.aperture
     into = 1 if sense > 0.0 else 0
-    n_i, n_t = lens.indices[k + 1 - into, colour], lens.indices[k + into, colour]
+    indices, medium = lens.media.indices, lens.medium
+    n_i, n_t = indices[medium[k + 1 - into], colour], indices[medium[k + into], colour]
     if surface.terms == 0 and conic == 0.0:
         _through_sphere(bundle, lens.interfaces, k, colour, c, z, limit, sense, n_i, n_t, rim, mount, beyond)
         return

@@ -57,7 +57,7 @@ def through_single_lenslets(bundle: Array, array: ArrayTables, colour: int, inwa
         The rays meet the curved face first.
     """
     lenslets = array.lenslets
-    lattice, interfaces, glass = lenslets.lattice, array.interfaces, array.indices[colour]
+    lattice, interfaces, glass = lenslets.lattice, array.interfaces, array.media.indices[array.medium, colour]
     # Between two points within the cells that are not outermost, a straight line stays over the array.
     across, rows = (ROW_SPACING, 1.0) if lattice.hexagonal else (1.0, 0.5)
     safe_x, safe_y = (0.5 * lattice.columns - 1.0) * lattice.pitch, (0.5 * lattice.rows - rows) * across * lattice.pitch

@@ -64,7 +64,6 @@ def lens_tables(
         facets=facet_table(mesh, bodies.astype(np.int64)),
         media=media,
         medium=medium,
-        indices=media.indices[medium],
         interfaces=interfaces,
         ring_slot=ring_slot.astype(np.int64),
         mount_slot=np.where(shape.surfaces["stop"] == 1, STOP, MOUNT).astype(np.int64),
@@ -143,7 +142,6 @@ def _cells(
         type_shift=shift,
         media=media,
         medium=medium,
-        indices=media.indices[medium],
         interfaces=interfaces,
         curved_to_lens=curved_to_lens,
     )

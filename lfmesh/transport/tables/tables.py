@@ -43,7 +43,6 @@ class LensTables(NamedTuple):
     facets: Records  # (m,) FACET; body: surface k ≥ 0, or −1 − s for the ring of space s
     media: Media
     medium: NDArray[np.int64]  # (K + 1,) medium of each space
-    indices: Array  # (K + 1, wavelengths) refractive index of each space
     interfaces: Interfaces  # one row for each surface
     ring_slot: NDArray[np.int64]  # (K + 1,) book slot of each space's ring
     mount_slot: NDArray[np.int64]  # (K,) book slot of the mount outside each surface's clear aperture
@@ -68,7 +67,6 @@ class ArrayTables(NamedTuple):
     type_shift: float  # mm, x distance between the cells of two types in the Embree scene
     media: Media
     medium: int  # medium of the lenslets
-    indices: Array  # (wavelengths,) refractive index of that
     interfaces: Interfaces  # CURVED_ROW and FLAT_ROW
     curved_to_lens: bool
 

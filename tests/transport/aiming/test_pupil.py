@@ -211,7 +211,7 @@ def test_no_path_through_a_lenslets_corner_goes_past_the_cells_aimed_at(name: st
     )
     out = paths.source[paths.status == lf.Status.ESCAPED]
     near, cells = np.zeros((most_listed(aim) + 1, LISTED)), np.zeros((3, most_listed(aim) + 1), np.int64)
-    glass = float(array.indices[0]) if array.curved_to_lens else 1.0
+    glass = float(array.media.indices[array.medium, 0]) if array.curved_to_lens else 1.0
     past = 0
     for i in out:
         maybe = cells_that_show(aim, near, list_cells(array, aim, glass, *p[i], 0.0, near), cells, *p[i])[0]

@@ -193,9 +193,13 @@ def test_both_children_go_on_with_their_shares():
     assert (made.packets["start"] == 2.0).all()
     assert made.reflected["space"] == [0]
     assert made.refracted["space"] == [7]
+    assert made.refracted[["x", "y", "z", "dx", "dy", "dz"]].tolist() == [(1.0, 2.0, 3.0, 0.0, 0.6, 0.8)]
+
+
+def test_in_object_space_the_refracted_child_goes_on_in_the_medium_beyond():
+    made = children(frame=OBJECT_FRAME)
     assert made.reflected["medium"] == [4]
     assert made.refracted["medium"] == [9]
-    assert made.refracted[["x", "y", "z", "dx", "dy", "dz"]].tolist() == [(1.0, 2.0, 3.0, 0.0, 0.6, 0.8)]
 
 
 def test_the_refracted_child_keeps_the_key_and_the_reflected_one_has_its_own():

@@ -37,12 +37,10 @@ def test_tables_hold_the_indices_of_their_media_at_each_wavelength() -> None:
     assert dispersion[0] > dispersion[1]
     for tables in (world.tables.lens, world.tables.array, world.tables.objects):
         assert tables.media.indices.tolist() == [[1.0, 1.0], dispersion, [1.6, 1.6]]
-    assert world.tables.lens.indices.tolist() == [[1.0, 1.0], dispersion, [1.6, 1.6], [1.0, 1.0]]
-    assert world.tables.array.indices.tolist() == dispersion
 
 
 def test_a_trace_has_the_media_of_its_own_wavelength() -> None:
     tables = at_wavelength(lf.build(SCENE), 550.0)
     index = refractive_index("SCHOTT/N-BK7", 550.0)
-    assert tables.lens.indices[1].tolist() == tables.array.indices.tolist() == [index]
-    assert tables.objects.media.indices[1].tolist() == [index]
+    for each in (tables.lens, tables.array, tables.objects):
+        assert each.media.indices[1].tolist() == [index]

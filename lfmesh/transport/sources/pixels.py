@@ -155,7 +155,7 @@ def start_room(aim: AimTables) -> StartRoom:
 
 
 @kernel
-def _draw(
+def _draw_numbers(
     room: StartRoom, stratified: bool, replicate_key: np.uint64, pixels: NDArray[np.int64], which: int, sample: int,
     samples: int, count: int,
 ) -> None:  # fmt: skip
@@ -223,8 +223,8 @@ def launch_adjoint(
     which, sample = 0, 0
     for first in range(0, len(pixels) * samples, STARTS):
         count = min(STARTS, len(pixels) * samples - first)
-        _draw(room, stratified, replicate_key, pixels, which, sample, samples, count)
-        which, sample = _aim(
+        _draw_numbers(room, stratified, replicate_key, pixels, which, sample, samples, count)
+        which, sample = _aim_rays(
             room, bundle, pixels, which, sample, samples, count, replicate_key, colour, sensor, array, aim, frames,
             flow.book,
         )  # fmt: skip
@@ -256,8 +256,8 @@ def launch_along_image_path(
     which, sample = 0, 0
     for first in range(0, len(pixels) * samples, STARTS):
         count = min(STARTS, len(pixels) * samples - first)
-        _draw(room, stratified, replicate_key, pixels, which, sample, samples, count)
-        which, sample = _aim(
+        _draw_numbers(room, stratified, replicate_key, pixels, which, sample, samples, count)
+        which, sample = _aim_rays(
             room, bundle, pixels, which, sample, samples, count, replicate_key, colour, sensor, array, aim, frames,
             flow.book,
         )  # fmt: skip
@@ -281,7 +281,7 @@ def _begin(room: StartRoom, colour: int, lens_surfaces: int) -> None:
 
 
 @kernel
-def _aim(
+def _aim_rays(
     room: StartRoom, bundle: Array, pixels: NDArray[np.int64], which: int, sample: int, samples: int, count: int,
     replicate_key: np.uint64, colour: int, sensor: SensorTables, array: ArrayTables, aim: AimTables, frames: Array,
     book: Array,

@@ -1,14 +1,14 @@
-"""How kernels are compiled, so that a fresh install's first render starts soon.
+"""Compilers of kernels that shorten the first render of a fresh install.
 
 By itself numba makes machine code of every function that a kernel calls, and optimises it again in every caller. The
-compilers of this file keep what only kernels call as LLVM's intermediate code; a kernel that Python calls takes all of
-it in, is optimised once, and alone is translated. What an operator gives for which types is asked once. Neither changes
-what a kernel computes.
+compilers of this file keep functions that only kernels call as LLVM's intermediate code. A kernel that Python calls
+links all of that in, and only the whole is optimised and translated, once. The result type of an operator is looked up
+once for each combination of operand types. Neither changes what a kernel computes.
 
-Compilers like these are given to `njit` as its `pipeline_class` and work on what is compiled with them alone. Nothing
-of numba is exchanged. An option of `njit` upstream that says "called by compiled code only" would make `StepCompiler`
-needless, and a memory of successful answers in `BaseContext.resolve_function_type`, which remembers failures already,
-`_RememberedFunction`.
+These compilers are given to `njit` as its `pipeline_class` and act on nothing but the functions compiled with them; no
+part of numba is replaced. With an upstream option of `njit` that says "called by compiled code only", `StepCompiler`
+would not be needed; nor would `_CachedFunction`, if `BaseContext.resolve_function_type`, which caches failures, cached
+successful results as well.
 """
 
 import gc
@@ -30,28 +30,28 @@ from numba.extending import models, register_model
 
 
 class IntermediateLibrary(CodeLibrary):  # type: ignore[misc]
-    """The code of a function that only kernels call: neither optimised nor made machine code."""
+    """Code of a function that only kernels call: neither optimised nor translated to machine code."""
 
     def __init__(self, codegen: Any, name: str) -> None:
         super().__init__(codegen, name)
         self.modules: list[bytes] = []
         """LLVM modules, as bitcode."""
         self.linked: dict[CodeLibrary, None] = {}
-        """What its code calls, in order."""
+        """Libraries that its code calls, in order."""
 
     def add_ir_module(self, ir_module: Any) -> None:
-        """Keep a module."""
+        """Add a module of intermediate code."""
         prefer_wide_registers(ir_module)
         module = llvm.parse_assembly(normalize_ir_text(str(ir_module)))
         module.verify()
         self.modules.append(module.as_bitcode())
 
     def add_linking_library(self, library: CodeLibrary) -> None:
-        """Keep what the function calls."""
+        """Note a library that the function calls."""
         self.linked[library] = None
 
     def finalize(self) -> None:
-        """Do nothing: the code is finished in the kernels that take it in."""
+        """Do nothing: the code is finished in the kernels that link it in."""
 
     def get_function(self, name: str) -> Any:
         """Return a function by name."""
@@ -70,7 +70,7 @@ class IntermediateLibrary(CodeLibrary):  # type: ignore[misc]
 
 
 class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
-    """The machine code of a kernel that Python calls, with all that the kernel calls taken in."""
+    """Machine code of a kernel that Python calls, with all functions that it calls linked in."""
 
     def __init__(self, codegen: Any, name: str) -> None:
         super().__init__(codegen, name)
@@ -82,7 +82,7 @@ class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
         super().add_ir_module(ir_module)
 
     def add_linking_library(self, library: CodeLibrary) -> None:
-        """Take in what the kernel calls, and what that calls."""
+        """Link in a library that the kernel calls, and the libraries that this one calls."""
         if not isinstance(library, IntermediateLibrary):
             super().add_linking_library(library)
         elif library not in self.taken:
@@ -98,19 +98,19 @@ class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
 
 
 def prefer_wide_registers(ir_module: Any) -> None:
-    """Let LLVM use 512-bit registers where the processor has them: by itself it keeps to 256 on many.
+    """Let LLVM use 512-bit registers where the processor has them: by default it uses 256 bits on many processors.
 
-    The blocks of the sequential engine are a third quicker for it. NUMBA_CPU_FEATURES, if set, has the last word.
+    The blocks of the sequential engine run a third faster with it. NUMBA_CPU_FEATURES, if set, takes precedence.
     """
     if config.CPU_FEATURES is None:
         for function in ir_module.functions:
             if not function.is_declaration:
-                # Past the check of llvmlite's own `add`, which knows no attribute that has a value.
+                # `set.add`, as llvmlite's own `add` refuses attributes that have a value.
                 set.add(function.attributes, '"prefer-vector-width"="512"')
 
 
 def merged(modules: list[bytes]) -> Any:
-    """Return LLVM modules as one, whose functions may go where nothing calls them any longer."""
+    """Return LLVM modules linked into one, with linkage that lets LLVM drop functions that are no longer called."""
     first, *others = map(llvm.parse_bitcode, modules)
     for other in others:
         first.link_in(other)
@@ -120,11 +120,12 @@ def merged(modules: list[bytes]) -> Any:
     return first
 
 
-class _RememberedFunction(types.Function):  # type: ignore[misc]
-    """The type of a built-in function, +, [], <, abs, ..., which remembers the signatures that were found for it.
+class _CachedFunction(types.Function):  # type: ignore[misc]
+    """Type of a built-in function (+, [], <, abs, ...) that caches the signatures found for it.
 
-    By itself numba asks all that `+` may mean, for text and for sets too, at each of a kernel's thousands of sums. Kept
-    is only what numba itself carries out; what it would compile for the purpose depends on the options of the caller.
+    By itself numba tries every meaning of `+`, those for strings and sets included, at each of a kernel's thousands of
+    sums. Only signatures that numba implements itself are cached; those of functions that it would compile for the
+    purpose depend on the options of the caller.
     """
 
     def __init__(self, templates: Any) -> None:
@@ -136,48 +137,48 @@ class _RememberedFunction(types.Function):  # type: ignore[misc]
         key = tuple(args)
         if key in self.known and not kws:
             return self.known[key]
-        # What numba asks on the way, as `[]` of `+`, is remembered too.
+        # Signatures that numba looks up on the way, such as `[]` within `+`, are cached as well.
         signature = super().get_call_type(_contexts.get(context, context), args, kws)
         if signature is not None and not kws and self.get_impl_key(signature) == self.typing_key:
             self.known[key] = signature
         return signature
 
 
-# As every function has: no value at all.
-register_model(_RememberedFunction)(models.OpaqueModel)
+# Functions have no value at run time.
+register_model(_CachedFunction)(models.OpaqueModel)
 
 
 STEPS: dict[Dispatcher, Dispatcher] = {}
-"""What kernels call in place of the kernel that Python calls."""
+"""For each kernel that Python calls, the version of it that other kernels call."""
 
 
 class _KernelContext:
-    """A typing context of numba's in which built-in functions remember their signatures, and kernels call steps."""
+    """Numba's typing context, with cached signatures of built-ins, and with calls of kernels sent to `STEPS`."""
 
     def __init__(self, context: Any) -> None:
         self.context = context
-        self.remembered: dict[types.Function, _RememberedFunction] = {}
+        self.cached: dict[types.Function, _CachedFunction] = {}
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.context, name)
 
     def resolve_value_type(self, value: Any) -> types.Type:
-        """Return the type of a constant; a function that numba has learned more of since has another."""
+        """Return the type of a constant; a function's type changes when numba registers further overloads of it."""
         if isinstance(value, Dispatcher):
             value = STEPS.get(value, value)
         found = self.context.resolve_value_type(value)
         if type(found) is not types.Function:
             return found
-        if found not in self.remembered:
-            self.remembered[found] = _RememberedFunction(found.templates)
-        return self.remembered[found]
+        if found not in self.cached:
+            self.cached[found] = _CachedFunction(found.templates)
+        return self.cached[found]
 
     def resolve_function_type(self, function: Any, args: Any, kws: Any) -> Any:
-        """Return the signature of a call, None where there is none."""
-        if isinstance(function, _RememberedFunction) and not kws and tuple(args) in function.known:
+        """Return the signature of a call, or None."""
+        if isinstance(function, _CachedFunction) and not kws and tuple(args) in function.known:
             return function.known[tuple(args)]
         if isinstance(function, types.Dispatcher):
-            args, kws = tuple(map(plain, args)), {name: plain(each) for name, each in dict(kws).items()}
+            args, kws = tuple(map(passed_as, args)), {name: passed_as(each) for name, each in dict(kws).items()}
         return self.context.resolve_function_type(function, args, kws)
 
     def resolve_setitem(self, target: types.Type, index: types.Type, value: types.Type) -> Any:
@@ -185,8 +186,8 @@ class _KernelContext:
         return self.resolve_function_type(self.resolve_value_type(setitem), (target, index, value), {})
 
 
-def plain(argument: types.Type) -> types.Type:
-    """Return the type that an argument is passed as: whole numbers, but for the unsigned of hashes, as 64 bits."""
+def passed_as(argument: types.Type) -> types.Type:
+    """Return the type that an argument is passed as: signed integers of any size as 64 bits, all others as they are."""
     argument = types.unliteral(argument)
     return types.int64 if argument in types.signed_domain else argument
 
@@ -196,7 +197,7 @@ _contexts: dict[Any, _KernelContext] = {}
 
 @register_pass(mutates_CFG=False, analysis_only=False)
 class _MakeCallable(LoweringPass):  # type: ignore[misc]
-    """Tell numba of code that has no address yet, so that kernels can call it."""
+    """Register code that has no address yet, so that kernels can call it."""
 
     _name = "make_callable"
 
@@ -204,8 +205,8 @@ class _MakeCallable(LoweringPass):  # type: ignore[misc]
         LoweringPass.__init__(self)
 
     def run_pass(self, state: Any) -> bool:
-        """Give the code a key, by which the callers' compiler finds it; Python never calls it."""
-        # Dispatchers take built-in functions only. The methods of two objects are never equal.
+        """Register the code under a unique key by which the callers' compiler finds it; Python never calls it."""
+        # Dispatchers accept built-in functions only, and the bound methods of two objects are never equal.
         key = list[None]().append
         state.targetctx.insert_user_function(key, state.cr.fndesc, [state.library])
         state.cr = state.cr._replace(cfunc=key)
@@ -223,12 +224,12 @@ class KernelCompiler(CompilerBase):  # type: ignore[misc]
         self.state.targetctx = self.state.targetctx.subtarget(typing_context=context)
 
     def compile_extra(self, func: Any) -> Any:
-        """Compile a function, and what it calls."""
-        with collector_at_rest():
+        """Compile a function and the functions that it calls."""
+        with gc_paused():
             return super().compile_extra(func)
 
     def define_pipelines(self) -> list[PassManager]:
-        """Return numba's passes, which are to leave the code in a library of ours."""
+        """Return numba's passes, set up to write into this compiler's kind of library."""
         state = self.state
         state.library = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
@@ -236,12 +237,12 @@ class KernelCompiler(CompilerBase):  # type: ignore[misc]
 
 
 class StepCompiler(KernelCompiler):
-    """The compiler of what only kernels call."""
+    """The compiler of functions that only kernels call."""
 
     library = IntermediateLibrary
 
     def define_pipelines(self) -> list[PassManager]:
-        """Return numba's passes, which end with the intermediate code."""
+        """Return numba's passes, stopped after the intermediate code."""
         (manager,) = super().define_pipelines()
         self.state.flags.no_compile = True
         manager.add_pass_after(_MakeCallable, NativeLowering)
@@ -250,10 +251,10 @@ class StepCompiler(KernelCompiler):
 
 
 @contextmanager
-def collector_at_rest() -> Iterator[None]:
-    """Keep the garbage collector off, if it was on.
+def gc_paused() -> Iterator[None]:
+    """Pause the garbage collector, if it was on.
 
-    Numba makes objects by the million and few cycles; to search them again and again took a sixth of the time.
+    Numba makes millions of objects and few reference cycles; collecting again and again took a sixth of the time.
     """
     was_on = gc.isenabled()
     gc.disable()

@@ -16,12 +16,12 @@ _OPTIONS = {
     # IEEE division, no exception. Fast-math stays off, contraction too: the tracer promises float64 rounding, and what
     # LLVM contracts depends on what it inlined, so that a kernel from the cache would differ from one just compiled.
     "error_model": "numpy",
-    # No reference counting: kernels allocate nothing, and counting every array that a table holds at every call cost
-    # three quarters of the time.
+    # No reference counting: kernels allocate nothing, and counting the references of every array in every table at
+    # every call took three quarters of the time.
     "_nrt": False,
-    # Nothing asks for a kernel's address in C; the wrapper would be compiled with every one of them.
+    # No C code calls a kernel, so the wrapper that numba would compile with each of them is left out.
     "no_cfunc_wrapper": True,
-    # Said outright, as numba would take it from whichever caller comes first.
+    # Set explicitly: numba would otherwise take the flag of whichever caller is compiled first.
     "forceinline": False,
     "pipeline_class": KernelCompiler,
 }
@@ -29,7 +29,7 @@ _OPTIONS = {
 _CALLED_BY_KERNELS = {
     **_OPTIONS,
     "pipeline_class": StepCompiler,
-    # Its code becomes part of the caller's, which is what is kept.
+    # The code becomes part of the caller's, and that is cached.
     "cache": False,
     "no_cpython_wrapper": True,
 }
@@ -41,27 +41,27 @@ def kernel(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """Compile as `kernel` does, and let LLVM copy the code into every caller: for the steps that every event takes.
+    """Compile as `kernel` does, and let LLVM copy the code into every caller: for steps that every event takes.
 
-    A call that is none of these puts every array of every table it takes on the stack.
+    A real call would put every array of every table among its arguments on the stack.
     """
     return _compiled(function, **_CALLED_BY_KERNELS | {"forceinline": True})
 
 
 def pasted(function: F) -> F:
-    """Paste the source into every caller before that is compiled, which takes the longer the more callers there are.
+    """Copy the source into every caller before the caller is compiled; compile time grows with the number of callers.
 
-    For what returns a record, which a call would copy, and for the bodies of loops that must stay as tight as they are.
+    For functions that return a record, which a call would copy, and for the bodies of loops that must stay tight.
     """
     return cast(F, _kept(function, inline="always"))
 
 
 def _compiled(function: F, **called: Any) -> F:
-    """Compile a kernel in two ways: for Python, kept on disk, and, with the options `called`, for other kernels.
+    """Compile a kernel twice: for Python, cached on disk, and, with the options `called`, for other kernels.
 
-    The latter once for whole numbers of any size, named constants among them. Numba by itself compiles a called
-    function anew for every constant it is called with: each station, each slot of the book. LLVM carries constants
-    into what it inlines without that, and a fresh install starts in half the time.
+    The version for kernels is compiled once for all integer arguments, constants included. Numba by itself compiles a
+    called function again for every constant it is called with: each station, each slot of the book. LLVM propagates
+    constants into inlined code anyway, and a fresh install starts in half the time.
     """
     dispatcher = _kept(function)
     STEPS[dispatcher] = numba.njit(**called)(function)
@@ -69,7 +69,7 @@ def _compiled(function: F, **called: Any) -> F:
 
 
 def _kept(function: Callable[..., Any], **options: Any) -> Any:
-    """Compile for Python, and keep the code on disk until a source of it changes."""
+    """Compile for Python, and cache the code on disk until one of its sources changes."""
     with named_by_sources(function):
         dispatcher = numba.njit(**_OPTIONS, **options)(function)
     dispatcher.__qualname__ = function.__qualname__

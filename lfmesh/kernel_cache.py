@@ -1,9 +1,9 @@
-"""Where compiled kernels are kept: under names that change with any source that their code was made from.
+"""The cache of compiled kernels: file names that change with every source that a kernel was compiled from.
 
-Numba keeps a kernel beside its module, or where NUMBA_CACHE_DIR says, and takes it as fresh while that module's file
-stays the same. But the code of what a kernel calls, and every constant it reads, is part of it, and stands in other
-files. So the names of its files carry a digest of its module and of all that the module imports, directly or not, from
-its own package and from lfmesh.
+Numba caches a kernel beside its module, or in NUMBA_CACHE_DIR, and takes it as valid while that module's file stays the
+same. But the functions that a kernel calls and the constants that it reads are compiled into it and stand in other
+files. So the cache's file names carry a digest of the kernel's module and of all modules that it imports, directly or
+not, from its own package and from lfmesh.
 """
 
 import hashlib
@@ -21,7 +21,7 @@ from typing import Any
 HERE = f"{Path(__file__).parent}{os.sep}"
 
 KEPT = 3
-"""Older versions of a kernel that stay on disk, as for a checkout that goes back and forth between branches."""
+"""Number of older versions of a kernel that stay on disk, for checkouts that switch between branches."""
 
 _DIGITS = 12
 _IMPORT = re.compile(rb"^(?:from ([\w.]+) import (\([^)]*\)|[^\n]*)|import ([\w.]+))", re.MULTILINE)
@@ -31,7 +31,7 @@ _FILE = re.compile(rf"(\w+)\.(?:([0-9a-f]{{{_DIGITS}}})\.)?([\w.]+)-\d+\.py\w+(?
 
 @contextmanager
 def named_by_sources(function: Callable[..., Any]) -> Iterator[None]:
-    """Let the files of a kernel that is made meanwhile carry the digest: numba calls them by the qualified name."""
+    """Name the cache files of a kernel made within this context by its digest, by way of the qualified name."""
     name = function.__qualname__
     function.__qualname__ = f"{digest(sys.modules[function.__module__])}.{name}"
     try:
@@ -42,9 +42,9 @@ def named_by_sources(function: Callable[..., Any]) -> Iterator[None]:
 
 @cache
 def digest(module: ModuleType) -> str:
-    """Return the digest of a module's file and of those that it imports.
+    """Return the digest of a module's file and of the files that it imports.
 
-    Imports inside functions and for type checking do not count: no kernel gets anything from there.
+    Imports inside functions and for type checking do not count: kernels use nothing from them.
     """
     source = _source(module)
     found = hashlib.sha256(source)
@@ -63,7 +63,7 @@ def _source(module: ModuleType) -> bytes:
 
 
 def _imported(source: bytes) -> set[str]:
-    """Return what may be names of modules that a file imports at its top."""
+    """Return the possible names of modules that a file imports at its top."""
     names = set()
     for origin, parts, alone in _IMPORT.findall(source):
         names.add((origin or alone).decode())
@@ -72,7 +72,7 @@ def _imported(source: bytes) -> set[str]:
 
 
 def _is_followed(other: ModuleType, module: ModuleType) -> bool:
-    """Tell whether a module is lfmesh's, or stands in the folder of the one that imports it or below."""
+    """Tell whether a module belongs to lfmesh, or lies in or below the folder of the module that imports it."""
     file, own = getattr(other, "__file__", None), module.__file__
     if file is None or own is None or other is module:
         return False
@@ -80,32 +80,34 @@ def _is_followed(other: ModuleType, module: ModuleType) -> bool:
 
 
 def remove_older_versions(folder: str | None, function: Callable[..., Any]) -> None:
-    """Remove all but a few of the files that earlier sources of a kernel have left.
+    """Remove all but a few of the cache files of a kernel's earlier versions.
 
     Parameters
     ----------
     folder : str, optional
-        Where the kernel is kept.
+        Cache folder of the kernel.
+    function : callable
+        The kernel's source function.
     """
     if folder is None:
         return
     module = sys.modules[function.__module__]
     versions = _versions(folder).get((Path(module.__file__ or "").stem, function.__qualname__), {})
     old = {name: files for name, files in versions.items() if name != digest(module)}
-    # Those without a digest are of releases that had none.
+    # Files without a digest were written by releases that had none.
     stay = sorted(filter(None, old), key=lambda name: max(map(_written, old[name])))[-KEPT:]
     for name in old.keys() - stay:
         for file in old[name]:
             try:
                 file.unlink()
             except OSError:
-                # Another process was first, or is just reading it.
+                # Another process removed it first, or is reading it.
                 continue
 
 
 @cache
 def _versions(folder: str) -> dict[tuple[str, str], dict[str, list[Path]]]:
-    """Return the files of every kernel in a folder, by module and name, and by digest."""
+    """Return the cache files in a folder by kernel (module and name) and by digest."""
     versions: dict[tuple[str, str], dict[str, list[Path]]] = defaultdict(lambda: defaultdict(list))
     try:
         names = [file.name for file in Path(folder).iterdir()]

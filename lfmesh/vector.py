@@ -1,8 +1,8 @@
-"""What a loop over a block of rays is written with, so that it becomes straight vector code.
+"""Operations that let a loop over a block of rays compile to vector code without branches.
 
-Where numba meets `a if c else b` it makes a branch, which LLVM turns back into masks and masked stores: half as many
-instructions again as were meant. And it has no name for the fused product, which is asked for by name, since
-contraction would leave to LLVM which products are fused, and so the last digit to what was inlined.
+Numba compiles `a if c else b` to a branch, which LLVM turns back into masks and masked stores: half as many
+instructions again. Numba also has no function for the fused multiply-add. Allowing LLVM to contract products by itself
+would make the last digit depend on what was inlined, so the products to be fused are named.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ fused: Callable[[float, float, float], float] = intrinsic(_fused)
 """Return a b + c, rounded once."""
 
 select: Callable[[bool, float, float], float] = intrinsic(_select)
-"""Return the first number where the condition holds, else the second; both are worked out."""
+"""Return the first number where the condition holds, else the second; both are evaluated."""
 
 both: Callable[[bool, bool], bool] = intrinsic(_both)
-"""Return whether two conditions hold; both are worked out."""
+"""Return whether two conditions hold; both are evaluated."""

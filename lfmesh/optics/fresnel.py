@@ -13,15 +13,32 @@ from lfmesh.vector import fused
 
 @pasted
 def amplitude_sums(n_i: float, n_t: float, cos_i: float, cos_t: float) -> tuple[float, float]:
-    """Return the denominators of the amplitude coefficients of s- and of p-polarised light."""
+    """Return the denominators of the amplitude coefficients of s- and of p-polarised light.
+
+    Parameters
+    ----------
+    n_i, n_t : float
+        Refractive index before and after the interface.
+    cos_i, cos_t : float
+        Cosines of incidence and of refraction.
+    """
     return fused(n_t, cos_t, n_i * cos_i), fused(n_i, cos_t, n_t * cos_i)
 
 
 @pasted
 def transmittance(n_i: float, n_t: float, cos_i: float, cos_t: float, s: float, p: float, over: float) -> float:
-    """Return the share of the power that passes, by the denominators `s` and `p` and `over`, the inverse of s p.
+    """Return the share of the power that is transmitted; meaningless under total reflection.
 
-    One division for both, which a block of rays may share with another one; nonsense under total reflection.
+    Parameters
+    ----------
+    n_i, n_t : float
+        Refractive index before and after the interface.
+    cos_i, cos_t : float
+        Cosines of incidence and of refraction.
+    s, p : float
+        Denominators of the amplitude coefficients, see `amplitude_sums`.
+    over : float
+        1 / (s p). The caller divides, as it may combine this division with another one.
     """
     return 2.0 * n_i * n_t * (cos_i * cos_t) * fused(s, s, p * p) * (over * over)
 

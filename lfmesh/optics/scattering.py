@@ -1,4 +1,4 @@
-"""Lambertian scattering and emission: directions with a density of cos θ / π, and frames to put them in."""
+"""Lambertian scattering and emission: directions with a density of cos θ / π about a normal."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from lfmesh.kernel import kernel
 
 @kernel
 def tangents(nx: float, ny: float, nz: float) -> tuple[float, float, float, float, float, float]:
-    """Return two unit vectors square to a unit normal and to each other (Duff et al., JCGT 6(1), 2017)."""
+    """Return two unit vectors perpendicular to a unit normal and to each other (Duff et al., JCGT 6(1), 2017)."""
     sign = np.copysign(1.0, nz)
     a = -1.0 / (sign + nz)
     b = nx * ny * a
@@ -16,7 +16,16 @@ def tangents(nx: float, ny: float, nz: float) -> tuple[float, float, float, floa
 
 @kernel
 def about(nx: float, ny: float, nz: float, cos_theta: float, phi: float) -> tuple[float, float, float]:
-    """Return the unit direction at polar angle θ and azimuth φ about a unit axis."""
+    """Return the unit direction at a polar angle θ and an azimuth φ about a unit axis.
+
+    Parameters
+    ----------
+    nx, ny, nz : float
+        The axis.
+    cos_theta : float
+    phi : float
+        rad.
+    """
     ux, uy, uz, vx, vy, vz = tangents(nx, ny, nz)
     sin_theta = np.sqrt(max(0.0, (1.0 - cos_theta) * (1.0 + cos_theta)))
     a, b = sin_theta * np.cos(phi), sin_theta * np.sin(phi)
@@ -29,8 +38,13 @@ def about(nx: float, ny: float, nz: float, cos_theta: float, phi: float) -> tupl
 
 @kernel
 def lambertian(nx: float, ny: float, nz: float, u: float, v: float) -> tuple[float, float, float]:
-    """Return a direction about the normal with density cos θ / π, from two uniform numbers.
+    """Return a unit direction about a unit normal with density cos θ / π (the paper's equation 1: cos 2θ = 1 − 2u).
 
-    The zenith angle of the paper's equation 1: cos 2θ = 1 − 2u.
+    Parameters
+    ----------
+    nx, ny, nz : float
+        The normal.
+    u, v : float
+        Random numbers, uniform in [0, 1).
     """
     return about(nx, ny, nz, np.sqrt(1.0 - u), 2.0 * np.pi * v)

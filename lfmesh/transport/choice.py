@@ -1,7 +1,7 @@
-"""Which engine traces a scene, and why.
+"""The choice of the engine that traces a scene, with the reason.
 
-The adjoint method needs the mesh engine for reflections only: "both" leaves the image path, where nearly all light is,
-to the sequential engine, and adds what the mesh engine finds off it.
+The adjoint method needs the mesh engine for reflections only: with "both", the sequential engine traces the image path,
+which holds nearly all light, and the mesh engine adds the paths off it.
 """
 
 from lfmesh.errors import SceneError
@@ -10,12 +10,12 @@ from lfmesh.transport.tables.interfaces import rough_interface
 
 
 def engine_of(scene: Scene) -> tuple[str, str]:
-    """Return "mesh", "sequential" or "both", and the reason in words.
+    """Return the engine, "mesh", "sequential" or "both", and the reason in words.
 
     Raises
     ------
     SceneError
-        The scene asks for the sequential engine, and has what that cannot trace.
+        The scene asks for the sequential engine, which cannot trace it.
     """
     transport = scene.transport
     obstacle = obstacle_of(scene, transport.surface, transport.max_events)
@@ -36,7 +36,15 @@ def engine_of(scene: Scene) -> tuple[str, str]:
 
 
 def obstacle_of(scene: Scene, surface: str, max_events: int) -> str | None:
-    """Return what of a scene and its settings is not on the image path through exact surfaces, if anything."""
+    """Return why the sequential engine cannot trace a scene, in words; None if it can.
+
+    Parameters
+    ----------
+    scene : Scene
+    surface : str
+        Surface level, as in `transport.surface`.
+    max_events : int
+    """
     if surface != "exact":
         return f'surface = "{surface}" is a mesh\'s'
     lens = scene.camera.lens

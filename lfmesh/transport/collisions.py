@@ -1,12 +1,12 @@
-"""Refuse a camera whose lens, array and sensor stand in each other's way: poses may bring that about.
+"""Refuse cameras whose lens, array and sensor intersect, as poses may make them.
 
-Light would end between them without a trace, and the picture be black without a reason.
+Light would end between them, and the picture be black without a message.
 """
 
 import numpy as np
 
 from lfmesh.errors import SceneError
-from lfmesh.geometry import frame as frames
+from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
@@ -14,29 +14,37 @@ from lfmesh.transport.tables.tables import ArrayTables, LensTables
 
 
 def refuse_collisions(scene: Scene, lens: LensTables, array: ArrayTables, moves: Array) -> None:
-    """Check that sensor, array and lens are clear of each other.
+    """Refuse a camera whose sensor, array and lens intersect.
+
+    Parameters
+    ----------
+    scene : Scene
+    lens : LensTables
+    array : ArrayTables
+    moves : (5, 5, 3, 4) float64
+        Between frames.
 
     Raises
     ------
     SceneError
-        They are not; the message says by how much.
+        The message says by how much they intersect.
     """
     width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
     sensor = np.array([[x, y, 0.0] for x in (-width, width) for y in (-height, height)])
     if array.present:
-        _refuse_sensor_in_array(array, frames.points(moves[SENSOR_FRAME, ARRAY_FRAME], sensor))
+        _refuse_sensor_in_array(array, frame.points(moves[SENSOR_FRAME, ARRAY_FRAME], sensor))
         half_width, half_height = array.lenslets.lattice.half_extent
         depths = array.lenslets.top, array.lenslets.thickness
         slab = [[x, y, z] for x in (-half_width, half_width) for y in (-half_height, half_height) for z in depths]
-        _refuse_in_lens("camera.mla", lens, frames.points(moves[ARRAY_FRAME, CAMERA_FRAME], slab))
+        _refuse_in_lens("camera.mla", lens, frame.points(moves[ARRAY_FRAME, CAMERA_FRAME], slab))
     else:
-        _refuse_in_lens("camera.sensor", lens, frames.points(moves[SENSOR_FRAME, CAMERA_FRAME], sensor))
+        _refuse_in_lens("camera.sensor", lens, frame.points(moves[SENSOR_FRAME, CAMERA_FRAME], sensor))
 
 
 def _refuse_sensor_in_array(array: ArrayTables, corners: Array) -> None:
     """Refuse a sensor whose corners (4, 3) (array frame) are not all beyond the array's face on its side."""
     inside = np.clip(corners[:, :2], *(np.array([[-1.0], [1.0]]) * array.lenslets.lattice.half_extent))
-    # Of a sensor that is larger than the array only what lies behind the array can meet it.
+    # Of a sensor larger than the array only the part behind the array can intersect it.
     plane = np.linalg.lstsq(np.column_stack([corners[:, :2], np.ones(4)]), corners[:, 2], rcond=None)[0]
     z = inside @ plane[:2] + plane[2]
     gap = (z - array.lenslets.thickness if array.curved_to_lens else array.lenslets.top - z).min()
@@ -50,7 +58,7 @@ def _refuse_sensor_in_array(array: ArrayTables, corners: Array) -> None:
 def _refuse_in_lens(what: str, lens: LensTables, corners: Array) -> None:
     """Refuse a body whose corners (n, 3) (camera frame) reach back to the lens."""
     last = lens.surfaces[-1]
-    # What is smaller than a concave last surface may stand in its hollow.
+    # A body smaller than a concave last surface may reach into the hollow of that surface.
     beyond_rim = np.hypot(corners[:, 0], corners[:, 1]).max() >= last["aperture"]
     gap = corners[:, 2].min() - (lens.box_high[2] if beyond_rim else last["vertex_z"])
     if gap < 0.0:

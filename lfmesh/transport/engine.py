@@ -1,9 +1,9 @@
-"""Both engines: one chunk of packets, wave by wave, until none is left.
+"""The loop of both engines: a chunk of packets is traced wave by wave until none is left.
 
-A wave is the packets that wait at one station. Where the station asks Embree, they are admitted (moved into its frame,
-their rays written in float32), Embree names a facet for each, and the station's kernel decides in float64 and puts the
-children on the stacks of the stations they travel to. The station with the most packets goes next, from the top of its
-stack, so a chunk's memory stays bounded however often packets split.
+A wave is a batch of packets that wait at the same station. At a station that queries Embree, the packets are admitted
+(moved into its frame, their rays written in float32), Embree finds a facet for each, and the station's kernel decides
+in float64 and queues the children at the stations they travel to. The station with the most packets comes next, from
+the top of its stack, so that a chunk's memory stays bounded however often packets split.
 
 The sequential engine takes the waves of lens and array through both at once (`image_path`); the rest is the same.
 """
@@ -49,24 +49,23 @@ from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.world import World
 
 CHUNK = 16_384
-"""Packets a chunk starts with and a wave holds at most: they fit the cache, and hide the cost of a call."""
+"""Number of packets that start a chunk, and largest wave: few enough for the cache, enough to outweigh the calls."""
 
 MOST_VERTICES = 2_000_000
-"""Vertices that may be recorded, 150 MB and a few times that laid out in paths: followed to the end, all children of a
-single ray are more."""
-
+"""Largest number of recorded vertices, which take 150 MB, and a few times that as paths. Without roulette, the children
+of a single ray can exceed it."""
 
 T = TypeVar("T")
 
 
 class FilmRows(Protocol):
-    """What light is added to in the adjoint method: pixels in the rows of tables.
+    """Film of the adjoint method, whose rows are pixels.
 
     Attributes
     ----------
     power : (pixels, wavelengths) float64, W
     hits : (pixels, wavelengths) uint32
-        Samples that brought something.
+        Number of samples that brought light.
     origin : int
         Number of the pixel in the first row.
     """
@@ -77,7 +76,7 @@ class FilmRows(Protocol):
 
 
 class Workspace:
-    """The stacks and tables that one thread works in, kept from chunk to chunk."""
+    """Stacks and tables of one thread, kept from chunk to chunk."""
 
     def __init__(self, world: World, options: Options, chunk: int = CHUNK, tables: Tables | None = None) -> None:
         self.world = world
@@ -92,7 +91,7 @@ class Workspace:
         self.deposits = np.zeros(0, DEPOSIT)
         self.ended = np.zeros(0, END)
         self.nodes = np.zeros(0, NODE)
-        # By chunks before this one, which whoever records them all counts.
+        # Vertices recorded in earlier chunks, set by the caller that collects them.
         self.recorded = 0
         self._kept: dict[type, Any] = {}
         self.template = np.zeros(1, PACKET)
@@ -108,16 +107,21 @@ class Workspace:
         self.queries = 0
 
     def kept(self, kind: type[T], make: Callable[[], T]) -> T:
-        """Return the working memory of a kind that was made at the first call, for those who start packets."""
+        """Return the working memory of a source, by its type; the first call makes it."""
         if kind not in self._kept:
             self._kept[kind] = make()
         memory: T = self._kept[kind]
         return memory
 
     def begin(self, film: FilmRows | None = None, packets: int = 0) -> None:
-        """Clear the books and make room for the next chunk, which starts so many packets.
+        """Clear the book and make room for the next chunk.
 
-        Adjoint, it adds to a film.
+        Parameters
+        ----------
+        film : FilmRows, optional
+            Adjoint: film that light is added to.
+        packets : int
+            Number of packets that the chunk starts.
         """
         self.tops[:] = 0
         self.book[:] = 0.0
@@ -130,11 +134,11 @@ class Workspace:
             self.counted[:packets] = 0
         self.embree_seconds = 0.0
         self.queries = 0
-        # A pixel with more samples than a chunk is launched in one all the same.
+        # A pixel with more samples than a chunk is still started in one piece.
         self.reserve(max(self.chunk, packets))
 
     def flow(self) -> Flow:
-        """Return what the kernels write, as they take it."""
+        """Return the tables that kernels write to."""
         return Flow(
             stacks=self.stacks,
             rows=self.rows,
@@ -150,15 +154,15 @@ class Workspace:
         )
 
     def ends(self) -> NDArray[np.void]:
-        """Return how the packets of the chunk ended, (n,) END."""
+        """Return the ends of the chunk's packets, (n,) END."""
         return self.ended[: self.tops[ENDED]].copy()
 
     def vertices(self) -> NDArray[np.void]:
-        """Return what the chunk recorded, (n,) NODE."""
+        """Return the vertices that the chunk recorded, (n,) NODE."""
         return self.nodes[: self.tops[NODES]].copy()
 
     def record_starts(self) -> None:
-        """Give every packet that waits and has no vertex yet one where it starts."""
+        """Record a vertex at the start of every waiting packet that has none yet."""
         for station in range(STATIONS):
             packets = self.stacks[self.rows[station], : self.tops[station]]
             for frame in np.unique(packets["frame"]):
@@ -208,11 +212,11 @@ class Workspace:
                 onto_sensor(wave, tables.sensor, frames, options, flow)
 
     def _take(self, station: int, count: int) -> NDArray[np.void]:
-        """Take packets off the top of a station's stack; the wave is theirs until the next one is taken."""
+        """Take packets off the top of a station's stack; the wave is valid until the next one is taken."""
         top, own, spare = self.tops[station], self.rows[station], self.rows[STATIONS]
         self.tops[station] = top - count
         if count == top:
-            # The whole stack is the wave, in place; its children go where the last wave was.
+            # The whole stack becomes the wave without a copy; the row of the last wave becomes the station's stack.
             self.rows[station], self.rows[STATIONS] = spare, own
             return self.stacks[own, :count]
         self.stacks[spare, :count] = self.stacks[own, top - count : top]
@@ -226,13 +230,13 @@ class Workspace:
         return found
 
     def reserve(self, packets: int) -> None:
-        """Make room for what a wave of packets may leave: children, deposits, ends, vertices."""
+        """Make room for all that a wave of packets may add: children, deposits, ends, vertices."""
         # A packet has two children at an interface; at a target one for each light, an aimed and a scattered one.
         children = max(2, len(self.world.tables.objects.lights) + 2)
         need = int(self.tops[:STATIONS].max()) + children * packets
         if need > self.stacks.shape[1]:
             larger = np.zeros((STATIONS + 1, max(need, 2 * self.stacks.shape[1])), PACKET)
-            # What waits, and no more: memory that nobody writes to costs nothing.
+            # Only waiting packets are copied: memory that is never written to is not allocated by the system.
             for row, top in zip(self.rows[:STATIONS], self.tops[:STATIONS], strict=True):
                 larger[row, :top] = self.stacks[row, :top]
             self.stacks = larger

@@ -1,9 +1,9 @@
-"""Refuse glass in front of the camera that rays cannot be traced through, before the first one is.
+"""Refuse bodies of glass in object space through which rays cannot be traced.
 
-A packet knows which bodies of glass it is in, and each body ends where its surface does. So no surface may cut itself,
-shells may not lie in one another the wrong way round, and what packets start from (camera, lamps, in the forward
-method emitting targets) must stand in air. Where bodies overlap, it must be plain which of them is there: the one of
-the higher priority or, of equal ones, that which lies inside the other.
+A packet keeps track of the bodies of glass that it is in, by the surfaces that it crosses. So no surface may cut
+itself, the shells of a body must be nested with the right orientation, and everything that starts packets (the camera,
+lamps, and in the forward method emitting targets) must stand in air. Where bodies overlap, it must be defined which of
+them counts: the one of higher priority or, at equal priority, the one that lies inside the other.
 """
 
 from collections.abc import Sequence
@@ -25,27 +25,27 @@ from lfmesh.transport.tables.contacts import CUT, common_area
 Index = NDArray[np.int64]
 
 MOST_ROUNDS = 64
-"""How often an edge asks for what it meets; it passes its own facets, and those that it touches."""
+"""Largest number of queries along an edge, which passes its own facets and those that it touches."""
 
 JUST_BESIDE = 1e-6
-"""How far from the middle of a facet a point lies that is in or out of its own body; relative to the radius of the
-circle in the facet."""
+"""Distance from the centre of a facet at which a point is just inside or outside its body, relative to the radius of
+the facet's inscribed circle."""
 
 A_LITTLE_INSIDE = 1e-3
-"""The same of a point that tells whether the body lies in another one, which it may touch."""
+"""The same for a point that tests whether the body lies inside another one, which it may touch."""
 
 AS_CLOSE = 2.0
 """Faces of glass and of another target lie on each other where they are closer than this, in roundings of float32."""
 
 MOST_TRIED, MOST_ANGLES = 512, 3_000_000
-"""Facets of a body at which others are asked about at most, and solid angles that may be worked out for them."""
+"""Largest number of facets of a body at which other bodies are tested, and of solid angles computed for them."""
 
 DISK_RINGS, DISK_SPOKES = 4, 32
-"""Points at which a disk lamp is looked for in glass."""
+"""Points of a disk lamp that are tested for being in glass."""
 
 
 def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Array) -> Index:
-    """Refuse glass that cuts itself, holds the camera or what emits, or overlaps without a rule; return the ranks.
+    """Refuse glass that cuts itself, encloses the camera or a light, or overlaps without a rule; return the ranks.
 
     Parameters
     ----------
@@ -53,12 +53,12 @@ def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Arr
     targets : list of TargetMesh
         Of the scene, in order.
     front : (n, 3) float64, mm
-        Points of the camera's front, world frame. Nothing else of a target may reach into the camera.
+        Points of the camera's first surface, world frame.
 
     Returns
     -------
     (targets,) int64
-        Rank of each body of glass, from 1: where several are, the highest is. 0: the target is no glass.
+        Rank of each body of glass, from 1; where bodies overlap, the highest rank counts. 0: not a body of glass.
 
     Raises
     ------
@@ -86,12 +86,12 @@ def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Arr
     for number, light in enumerate(scene.lights):
         _refuse_lamp_inside(parts, names, number, light)
     for i in emitting:
-        # Nothing cuts it: what hangs together lies in the glass or outside.
+        # As nothing cuts it, each connected part lies wholly inside the glass or wholly outside.
         first = [facets[0] for facets in shells(meshes[i])]
         body = _holding(parts, meshes[i].vertices[meshes[i].faces[first]].mean(axis=1))
         if body is not None:
             raise SceneError(f"{names[i]} emits inside the glass of {names[body]}; {FORWARD_IN_GLASS}")
-    # What lies inside another of its priority has all that hold that one round it too, and so more of them.
+    # A body inside another of its priority is also inside all bodies that enclose that one, and so inside more.
     ranks[sorted(bodies, key=lambda i: (priority[i], len(holders[i])))] = np.arange(1, len(bodies) + 1)
     return ranks
 
@@ -105,14 +105,14 @@ FORWARD_IN_GLASS = 'the forward method starts light in air only: move it out, or
 
 
 def named(scene: Scene, number: int) -> str:
-    """Return what a message calls a target: its place in the scene file, and its own name or file."""
+    """Return the name of a target in messages: its path in the scene file, and its own name or file."""
     target = scene.targets[number]
     own = target.name or (target.refractor.file if target.refractor is not None else target.file)
     return f"targets[{number}]" + (f" ({own})" if own else "")
 
 
 def _refuse_cuts(meshes: dict[int, Mesh], names: dict[int, str], priority: dict[int, int]) -> None:
-    """Refuse surfaces of which an edge of one passes through a facet of another one of its priority, or of the same."""
+    """Refuse surfaces that cut themselves or another surface of the same priority."""
     glass = set(priority)
     mesh = joined(meshes.values())
     owner = np.repeat(list(meshes), [len(m.faces) for m in meshes.values()])
@@ -142,23 +142,23 @@ def _refuse_cuts(meshes: dict[int, Mesh], names: dict[int, str], priority: dict[
 def cut(
     mesh: Mesh, owner: Index, size: Array, glass: set[int] | None = None, priority: dict[int, int] | None = None
 ) -> tuple[int, int, tuple[float, float, float]] | None:
-    """Return two owners of facets of which one's edge passes through the other's facet, and where; None: none do.
+    """Return two owners of facets that cut each other, and the place; None if there are none.
 
-    Embree tells which facets an edge may meet; float64 decides. Where two closed surfaces cut each other, an edge of
-    one passes through a facet of the other.
+    Where two closed surfaces cut each other, an edge of one passes through a facet of the other. Embree finds facets
+    that an edge may meet, and float64 decides.
 
     Parameters
     ----------
     mesh : Mesh
-        Facets of one owner that meet share their vertices.
+        Adjacent facets of one owner must share their vertices.
     owner : (m,) int64
-        Of each facet.
+        Owner of each facet.
     size : (m,) float64, mm
-        Of the owner of each facet.
+        Size of the owner of each facet.
     glass : set of int, optional
-        Owners that may not be cut; what else is in the mesh may cut itself and the like. All, if omitted.
+        Owners that may not be cut; the others may cut themselves and each other. All, if omitted.
     priority : dict of int, optional
-        Of owners; two of different priority may cut each other.
+        Priority of owners; two of different priority may cut each other.
     """
     middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
     vertices = mesh.vertices - middle
@@ -192,7 +192,7 @@ def cut(
         passes &= is_glass[facet] | is_glass[own]
         passes &= ~(is_glass[facet] & is_glass[own]) | (of_facet[facet] == of_facet[own])
         for p, q in ((a, b), (b, c), (c, a)):
-            # Inside by as much, so that what meets along an edge does not count.
+            # Inside the facet by as much, so that contact along an edge does not count.
             inward = np.cross(normals[facet], q - p)
             passes &= np.einsum("ij,ij->i", place - p, inward) > deep * np.linalg.norm(q - p, axis=1)
         if passes.any():
@@ -209,7 +209,7 @@ Shells = dict[int, list[Array]]
 
 
 def _beside(corners: Array, distance: float) -> Array:
-    """Return (m, 3) points behind the middles of facets, by a share of their inner radii; negative: before."""
+    """Return (m, 3) points behind the centres of facets, at a distance in inscribed radii; negative: in front."""
     edges = np.roll(corners, -1, axis=1) - corners
     cross = np.cross(edges[:, 0], edges[:, 1])
     around = np.linalg.norm(edges, axis=2).sum(axis=1)
@@ -225,18 +225,18 @@ def _tried(shell: Array, budget: int) -> Array:
 
 
 def _budget(own: Sequence[Array], others: Sequence[Array]) -> int:
-    """Return at how many facets of each of a body's shells the other shells are asked about."""
+    """Return the number of facets of each of a body's shells at which the other shells are tested."""
     facets = sum(len(corners) for corners in others)
     return max(1, min(MOST_TRIED, MOST_ANGLES // max(facets, 1)) // len(own))
 
 
 def _turns(parts: Sequence[Array], points: Array) -> Index:
-    """Return (n,) how often the shells of a body wind round points, together."""
+    """Return the winding number of all shells of a body about points, (n,)."""
     return np.sum([winding(corners, points) for corners in parts], axis=0, dtype=np.int64)
 
 
 def _refuse_wrong_shells(parts: Shells, names: dict[int, str]) -> None:
-    """Refuse a body of which a shell does not have glass behind it and air before it."""
+    """Refuse a body with a shell that does not have glass behind it and air in front of it."""
     for i, own in parts.items():
         budget = _budget(own, own)
         tried = np.concatenate([_tried(shell, budget) for shell in own])
@@ -252,7 +252,7 @@ def _refuse_wrong_shells(parts: Shells, names: dict[int, str]) -> None:
 
 
 def _holders(parts: Shells, names: dict[int, str], priority: dict[int, int]) -> dict[int, set[int]]:
-    """Return which bodies of its own priority each body lies inside of; refuse those that overlap otherwise."""
+    """Return the bodies of the same priority that enclose each body; refuse bodies that overlap otherwise."""
     holders: dict[int, set[int]] = {i: set() for i in parts}
     for i in parts:
         for j in parts:
@@ -318,7 +318,7 @@ NOTHING, PART, WHOLE = 0, 1, 2
 
 
 def _share_inside(own: Sequence[Array], others: Sequence[Array]) -> int:
-    """Return how much of a body lies in the glass of another: `WHOLE` where one of its closed surfaces does."""
+    """Return how much of a body lies in the glass of another; `WHOLE` as soon as one of its closed surfaces does."""
     low = np.min([shell.min(axis=(0, 1)) for shell in others], axis=0)
     high = np.max([shell.max(axis=(0, 1)) for shell in others], axis=0)
     budget = _budget(own, others)
@@ -336,7 +336,7 @@ def _share_inside(own: Sequence[Array], others: Sequence[Array]) -> int:
 
 
 def _refuse_camera_inside(parts: Shells, names: dict[int, str], front: Array) -> None:
-    """Refuse glass round the camera."""
+    """Refuse glass that encloses the camera's first surface."""
     body = _holding(parts, front)
     if body is not None:
         raise SceneError(

@@ -1,4 +1,4 @@
-"""Between the user's settings and the kernels' numbers: options going in, the book coming out."""
+"""Conversion of transport settings to the kernels' options, and of the kernels' book to a ledger."""
 
 from typing import Any
 
@@ -16,7 +16,16 @@ SPLIT_MODE = {"both": BOTH, "roulette": ROULETTE, "transmit": TRANSMIT}
 
 
 def options_of(world: World, *, tracing: bool = False, record: bool = False, **override: Any) -> Options:
-    """Return a scene's transport settings as the kernels take them; `override` replaces single ones."""
+    """Return a scene's transport settings as kernels take them.
+
+    Parameters
+    ----------
+    world : World
+    tracing, record : bool
+        See `Options`.
+    **override
+        Options that replace those of the scene.
+    """
     transport = world.scene.transport
     tables = world.tables
     options = Options(
@@ -27,7 +36,7 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
         adjoint=transport.method == "adjoint" and not tracing,
         tracing=tracing,
         record=record,
-        # Light goes from target to target, unless there is but one flat sheet.
+        # Light may go from target to target, unless there is only a single flat sheet.
         bounce=not tracing and (len(tables.objects.closed) > 1 or bool((tables.objects.facets["body"] >= 0).sum() > 2)),
         aimed=True,
         sequential=not tracing and engine_of(world.scene)[0] == "sequential",
@@ -39,7 +48,18 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
 
 
 def ledger_of(book: NDArray[np.float64], counts: NDArray[np.int64], world: World, packets: int, unit: str) -> Ledger:
-    """Return a book with its slots as a ledger."""
+    """Return a book's entries as a ledger.
+
+    Parameters
+    ----------
+    book : (slots,) float64
+    counts : (COUNTERS,) int64
+    world : World
+    packets : int
+        Packets started.
+    unit : str
+        Unit of the book.
+    """
     return world.book.ledger(
         book,
         unit,

@@ -1,4 +1,4 @@
-"""Rays of the user's own through a built scene, with every vertex recorded if wished."""
+"""Tracing of given rays through a built scene, with every vertex recorded on request."""
 
 import warnings
 from collections.abc import Iterable
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError
-from lfmesh.geometry import frame as frames
+from lfmesh.geometry import frame
 from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.tessellation import mesh_sag
 from lfmesh.scene.transport import MOST_EVENTS
@@ -48,15 +48,15 @@ class Vertex:
     position: NDArray[np.float64]
     """(3,) mm, world frame."""
     surface: str
-    """What the packet met there: "lens surface 3", "mla curved face", "stop", ..."""
+    """Name of the surface: "lens surface 3", "mla curved face", "stop", ..."""
     event: Event
     weight: float
-    """What the packet went on with."""
+    """Weight of the packet after the event."""
 
 
 @dataclass(frozen=True)
 class Paths:
-    """How every packet of a trace ended; one row a packet, in the order of the rays they descend from.
+    """The ends of all packets of a trace, one row for each, in the order of the input rays.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Paths:
     events : (n,) int64
         Number of interfaces met.
     body : list of str
-        What each ended on.
+        Name of the body that each ended on.
     ledger : Ledger
     """
 
@@ -111,7 +111,7 @@ class Paths:
 
 
 class Settings(TypedDict, total=False):
-    """The settings of `trace`; what is left out or None is as the scene's transport settings have it."""
+    """Settings of `trace`; those left out or None are taken from the scene's transport settings."""
 
     surface: str | None
     engine: str
@@ -131,25 +131,25 @@ def trace(
     threads: int = 0,
     **settings: Unpack[Settings],
 ) -> Paths:
-    """Trace rays until every packet has ended; targets and the sensor end them.
+    """Trace rays until every packet has ended; targets and the sensor end packets.
 
     Parameters
     ----------
     world : World
         From `build`.
     origins : (n, 3) float64, mm, world frame
-        In object space, in the lens, between lens, array and sensor; not inside the array.
+        Anywhere but inside the array: in object space, in the lens, or between lens, array and sensor.
     directions : (n, 3) float64
         Any length but zero.
     wavelength_nm : float
     split : {"both", "roulette", "transmit"}
-        Follow both children at an interface, one by chance, or the refracted one with weight T.
+        Follow both children at an interface, one at random, or the refracted one with weight T.
     record : bool
         Keep every vertex, see `Paths.vertices`.
     seed : int
-        Of the roulette.
+        Seed of the roulette.
     threads : int
-        0: all. The result does not depend on it.
+        0: all processors. The result does not depend on it.
 
     Other Parameters
     ----------------
@@ -170,8 +170,8 @@ def trace(
     Raises
     ------
     LfmeshError
-        Rays of the wrong shape, without direction, not finite, or that start inside the array; a setting out of its
-        range.
+        Rays have the wrong shape, no direction, values that are not finite, or start inside the array; or a setting is
+        out of range.
     """
     p, d = _rays(origins, directions)
     options = _options(world, record, split, **settings)
@@ -251,12 +251,12 @@ def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[NDArray[np.float64
             f"ray {i}: origin {p[i].tolist()}, direction {d[i].tolist()}: must be finite, with a direction"
         )
     d = d / length
-    # Once more: one division leaves a rounding error that a second one takes away.
+    # Normalised twice, as the first division leaves a rounding error.
     return np.ascontiguousarray(p), np.ascontiguousarray(d / np.linalg.norm(d, axis=1, keepdims=True))
 
 
 def at_wavelength(world: World, wavelength_nm: float) -> Tables:
-    """Return the tables with media and interfaces at one wavelength."""
+    """Return the tables of a world with media and interfaces at one wavelength."""
     tables, media = world.tables, world.media.table((wavelength_nm,))
     interfaces = interface_tables(world.scene, (wavelength_nm,))
     return tables._replace(
@@ -267,7 +267,7 @@ def at_wavelength(world: World, wavelength_nm: float) -> Tables:
 
 
 def _at_level(world: World, tables: Tables, level: int) -> Tables:
-    """Return the tables with the analytic surfaces' facets standing for something else."""
+    """Return the tables with another surface level for the analytic surfaces."""
     surfaces = tables.lens.surfaces.copy()
     surfaces["level"][world.lens_shape.analytic] = level
     bare = not len(tables.lens.patches) or (tables.array.present and not len(tables.array.patches))
@@ -279,12 +279,19 @@ def _at_level(world: World, tables: Tables, level: int) -> Tables:
 def located(
     world: World, p: NDArray[np.float64], d: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the station and the space in which each ray starts, and the rays in the camera frame."""
+    """Return the station and the space in which each ray starts, and the rays in the camera frame.
+
+    Parameters
+    ----------
+    world : World
+    p, d : (n, 3) float64
+        Position, mm, and direction, world frame.
+    """
     tables, shape = world.tables, world.lens_shape
     to_camera = tables.frames[WORLD_FRAME, CAMERA_FRAME]
-    p, d = frames.points(to_camera, p), frames.directions(to_camera, d)
+    p, d = frame.points(to_camera, p), frame.directions(to_camera, d)
     r = np.hypot(p[:, 0], p[:, 1])
-    # A point is behind a surface, or its rim's plane where the surface has ended.
+    # Number of surfaces before each point; beyond its rim a surface continues as the plane of the rim.
     behind = np.zeros(len(p), np.int64)
     for s, rim in zip(shape.surfaces, shape.rims, strict=True):
         behind += p[:, 2] > s["vertex_z"] + mesh_sag(s, np.minimum(r, rim))
@@ -296,8 +303,8 @@ def located(
     outline = np.hypot(world.housing.vertices[:, 0], world.housing.vertices[:, 1]).max()
     after = (behind == count) & (p[:, 2] < world.housing.vertices[:, 2].max()) & (r < outline)
     if tables.array.present:
-        q = frames.points(tables.frames[CAMERA_FRAME, ARRAY_FRAME], p)
-        e = frames.directions(tables.frames[CAMERA_FRAME, ARRAY_FRAME], d)
+        q = frame.points(tables.frames[CAMERA_FRAME, ARRAY_FRAME], p)
+        e = frame.directions(tables.frames[CAMERA_FRAME, ARRAY_FRAME], d)
         lenslets = tables.array.lenslets
         within = after & (q[:, 2] > lenslets.top) & (q[:, 2] < lenslets.thickness)
         if within.any():
@@ -308,7 +315,7 @@ def located(
         lens_side = (q[:, 2] <= lenslets.top) == tables.array.curved_to_lens
         station[after] = np.where(towards, PLATE, np.where(lens_side, LENS, SENSOR))[after]
     else:
-        forward = frames.directions(tables.frames[CAMERA_FRAME, SENSOR_FRAME], d)[:, 2] > 0.0
+        forward = frame.directions(tables.frames[CAMERA_FRAME, SENSOR_FRAME], d)[:, 2] > 0.0
         station[after] = np.where(forward, SENSOR, LENS)[after]
     space[after] = count
     return station, space, p, d
@@ -329,7 +336,7 @@ def _kept(work: Workspace, _: range) -> tuple[Records, Records, NDArray[np.float
 
 
 def joined_records(parts: Iterable[tuple[Records, Records]]) -> tuple[Records, Records]:
-    """Return the ends and the vertices that several chunks recorded as one table each, numbered on."""
+    """Join the ends and the vertices that several chunks recorded into one table each, with numbers adjusted."""
     shift = 0
     all_ended, all_nodes = [np.zeros(0, END)], [np.zeros(0, NODE)]
     for ended, nodes in parts:

@@ -1,4 +1,4 @@
-"""From a scene to what rays can meet: meshes, Embree scenes, and the tables that the kernels read."""
+"""The built scene: meshes, Embree scenes, and the tables that kernels read."""
 
 from collections.abc import Callable
 from copy import copy
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lfmesh.errors import LfmeshError, SceneError
-from lfmesh.geometry import frame as frames
+from lfmesh.geometry import frame
 from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.lenslets import array_mesh
 from lfmesh.geometry.mesh import Array, Mesh, joined
@@ -69,14 +69,14 @@ class World:
         self.aim_proof = aim_proof
 
     def reseeded(self, seed: int) -> "World":
-        """Return the same world for a render with another seed; nothing is built again, as it depends on no seed."""
+        """Return the same world with another seed for renders; nothing is built again."""
         world = copy(self)
         world.scene = self.scene.changed({"transport.seed": seed})
         return world
 
     @property
     def mesh_names(self) -> list[str]:
-        """What `mesh` knows: "lens[0]", ..., "mount", "stop", "mla", "sensor", "housing", "targets[0]", ..."""
+        """Names that `mesh` takes: "lens[0]", ..., "mount", "stop", "mla", "sensor", "housing", "targets[0]", ..."""
         names = [f"lens[{i}]" for i in range(len(self.lens_shape.elements))]
         names += ["mount"] if self._mounts() else []
         names += ["stop"] + (["mla"] if self.tables.array.present else []) + ["sensor", "housing"]
@@ -85,8 +85,8 @@ class World:
     def mesh(self, name: str) -> "trimesh.Trimesh":
         """Return a body as a mesh in the world frame, mm.
 
-        Lens elements and the array are closed solids, outward-oriented. Cemented elements are a solid each; the
-        interface they share is one mesh to the rays.
+        Lens elements and the array are closed solids with outward normals. Cemented elements are separate solids; for
+        rays, the interface that they share is a single mesh.
 
         Raises
         ------
@@ -114,7 +114,7 @@ class World:
         return makers[kind]()
 
     def surface_name(self, number: int) -> str:
-        """Return what a recorded vertex's `surface` number stands for."""
+        """Return the name of the surface that a recorded vertex gives by number."""
         if number < FACES_AT:
             return f"lens surface {self.lens_shape.numbers[number]}" if number >= 0 else "start"
         if number < ENDS_AT:
@@ -138,7 +138,7 @@ class World:
         return [mesh for k, mesh in enumerate(shape.closures) if shape.media[k + 1] is None]
 
     def _stop(self) -> "trimesh.Trimesh":
-        """Return the annulus round the stop's aperture."""
+        """Return the annulus around the stop's aperture."""
         surfaces = self.scene.camera.lens.surfaces
         number = next(i for i, s in enumerate(surfaces) if s.stop)
         z = self.scene.camera.lens.vertices_mm[number]
@@ -159,9 +159,9 @@ class World:
 
 
 def book_of(scene: Scene, shape: LensShape) -> Book:
-    """Return the slots of the ledger's book: what every scene has, the lens's elements and spaces, the targets.
+    """Return the book of a scene: its slots for lens elements, targets, and spaces between refracting surfaces.
 
-    The spaces lie between the refracting surfaces: air before the lens, glass or air within, air behind.
+    The spaces are the air before the lens, glass and air inside it, and the air behind it.
     """
     targets = [target.name or f"targets[{i}]" for i, target in enumerate(scene.targets)]
     spaces = ["the air before the lens", *[""] * (len(shape.media) - 2), "the air behind the lens"]
@@ -173,14 +173,18 @@ def book_of(scene: Scene, shape: LensShape) -> Book:
 
 
 def build(scene: Scene, *, rings: int | None = None) -> World:
-    """Build everything a scene's rays can meet.
+    """Build a scene: its meshes, Embree scenes and tables.
 
     Parameters
     ----------
     scene : Scene
-        Solved first, where distances or files are still open.
+        Open distances are solved and files read first.
     rings : int, optional
-        Rings of triangles a lens surface, in place of the scene's tessellation.
+        Number of rings of triangles on each lens surface, in place of the scene's tessellation.
+
+    Returns
+    -------
+    World
 
     Raises
     ------
@@ -195,23 +199,25 @@ def build(scene: Scene, *, rings: int | None = None) -> World:
             f'transport.surface = "{scene.transport.surface}": facets are those of a perfect lenslet, and '
             'camera.mla.form asks for errors of single ones; use "exact", or leave decenter_mm and radius_error out'
         )
-    waves = scene.transport.wavelengths_nm
+    wavelengths_nm = scene.transport.wavelengths_nm
     shape = camera.lens_shape(rings)
     targets = [target_mesh(target, scene) for target in scene.targets]
     book = book_of(scene, shape)
 
-    interfaces, known = interface_tables(scene, waves), MediumList.of(scene)
-    lens_mesh, lens = lens_tables(scene, shape, waves, book, interfaces.lens, known)
-    array_mesh_, array = array_tables(scene, waves, interfaces.array, known)
+    interfaces, known = interface_tables(scene, wavelengths_nm), MediumList.of(scene)
+    lens_mesh, lens = lens_tables(scene, shape, wavelengths_nm, book, interfaces.lens, known)
+    array_mesh_, array = array_tables(scene, wavelengths_nm, interfaces.array, known)
     middle = middle_of(targets)
     moves = frame_table(scene, middle)
     refuse_collisions(scene, lens, array, moves)
     housing = housing_mesh(scene, shape)
     refuse_targets_inside(targets, housing, moves)
     ranks = refuse_untraceable_glass(
-        scene, targets, frames.points(moves[CAMERA_FRAME, WORLD_FRAME], shape.caps[0].vertices)
+        scene, targets, frame.points(moves[CAMERA_FRAME, WORLD_FRAME], shape.caps[0].vertices)
     )
-    object_mesh, objects = object_tables(scene, targets, housing, moves, book, waves, interfaces.objects, known, ranks)
+    object_mesh, objects = object_tables(
+        scene, targets, housing, moves, book, wavelengths_nm, interfaces.objects, known, ranks
+    )
     columns, rows = scene.camera.sensor.pixels
     sensor = SensorTables(columns=columns, rows=rows, pixel=scene.camera.sensor.pixel_mm)
     aim, proof = aim_table(scene, report, lens, array, sensor, targets, moves, analytic=bool(shape.analytic.all()))

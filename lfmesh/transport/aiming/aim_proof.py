@@ -1,10 +1,10 @@
-"""Proof that the aim holds all light: rays that start in the stop and are traced out both ways.
+"""Proof that the aim holds all light, by rays that start in the stop and are traced both ways.
 
-Aiming decides where samples go, never what light there is; what it leaves out is found by the few samples that go
-anywhere, with their large weights. Rays drawn uniformly in the stop's opening, over all directions, share nothing with
-the search by which the aim was made. Traced to the sensor and to object space, each is either among the rays that the
-aim draws or not: the throughput of those that are not, over that of all, is what the aim misses. It is measured when a
-world is built, and the aim is widened until it is negligible.
+Aiming decides where samples go, never what light there is; light outside the aim is found only by the few samples that
+go anywhere, with large weights. Rays drawn uniformly in the stop, over all directions, are independent of the search
+that made the aim. Traced to the sensor and to object space, each either is or is not a ray that the aim could draw. The
+throughput of those that are not, over the throughput of all, is the share that the aim misses. It is measured when a
+world is built, and the aim is widened until the share is negligible.
 """
 
 from typing import Any, NamedTuple
@@ -30,7 +30,7 @@ from lfmesh.transport.aiming.lenslet_aim import (
     spread_on_faces,
 )
 from lfmesh.transport.aiming.lenslet_view import fitted_views, with_wider_cells
-from lfmesh.transport.aiming.pupil import Outlook, opening_from, unknown_opening
+from lfmesh.transport.aiming.pupil import Viewpoints, opening_from, unknown_opening
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
 from lfmesh.transport.sequential.image_path import through_array
 from lfmesh.transport.sequential.lens_bundle import (
@@ -50,7 +50,7 @@ from lfmesh.transport.sequential.lens_bundle import (
     pad,
     through_surface,
 )
-from lfmesh.transport.tables.tables import Aim, ArrayTables, LensTables, Opening, SensorTables
+from lfmesh.transport.tables.tables import AimTables, ArrayTables, LensTables, Opening, SensorTables
 
 Array = NDArray[np.float64]
 
@@ -61,38 +61,39 @@ BATCH = 1 << 16
 """Rays that are drawn at once."""
 
 BATCHES = 10
-"""At most, until ..."""
+"""Largest number of batches; fewer once `ENOUGH` rays have come through."""
 
 ENOUGH = 45_000
-"""... so many have come through: where none of them is outside, less than 7e-5 of the throughput is (95 %)."""
+"""Number of rays at which drawing stops: if none of them is outside the aim, less than 7e-5 of the throughput is (with
+95 % confidence)."""
 
 NEAREST = 1e-3
-"""Of half the sensor's diagonal: how far off the axis rays are sent at least, by first-order optics, in search of what
-reaches it; and ..."""
+"""Least distance from the axis, in half diagonals of the sensor, at which rays of the first search would land by
+first-order optics."""
 
 FURTHEST = 1e3
-"""... at most."""
+"""Largest distance, likewise."""
 
 ROOM = 1.15
-"""Over the furthest of them that arrived, in the measurement."""
+"""Factor on the largest such distance of a ray that reached the sensor; rays of the measurement are drawn within it."""
 
 ATTEMPTS = 5
-"""To fit the aim, each with rays of its own."""
+"""Number of attempts to fit the aim, each with its own rays."""
 
 MARGIN = 1.02
-"""Over what the rays need."""
+"""Factor by which a fitted aim is wider than the rays need."""
 
 MOST = 0.1
-"""Share of the throughput beyond what a lenslet is said to show surely, where its view is fitted to rays."""
+"""Share of the throughput outside the part that a lenslet surely shows, where its view is fitted to rays."""
 
 FEW_CELLS = 6
-"""Cells to each side that may show the opening: more are a sign of views that are far too wide."""
+"""Number of cells to each side that may show the opening, above which the views are taken to be far too wide."""
 
 
 class Missed(NamedTuple):
     """Share of the throughput outside the aim of one side, and its standard error.
 
-    Where none of the rays was outside, `error` is the share that one of them would have made.
+    If no ray was outside, `error` is the share of a single ray.
     """
 
     share: float
@@ -100,16 +101,16 @@ class Missed(NamedTuple):
 
 
 class AimProof(NamedTuple):
-    """What the rays from the stop say of the aim.
+    """Result of the proof of an aim by rays from the stop.
 
     Attributes
     ----------
     rays : int
-        That came through lens and array to the sensor.
+        Number of rays that came through lens and array to the sensor.
     sensor, objects : Missed
-        Of the aim from the sensor, and of that from the targets (that have no size: none of it).
+        Share missed by the aim from the sensor, and by the aim from the targets.
     fitted : int
-        How often the aim was fitted to rays until it held.
+        Number of times that the aim was fitted to rays.
     """
 
     rays: int
@@ -119,12 +120,12 @@ class AimProof(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether what the aim misses is allowed."""
+        """Whether the share that the aim misses is allowed."""
         return self.missed <= ALLOWED
 
     @property
     def missed(self) -> float:
-        """Share of the throughput outside the aim, of the worse of both sides."""
+        """Share of the throughput outside the aim, the larger of both sides."""
         return max(self.sensor.share, self.objects.share)
 
     @classmethod
@@ -144,7 +145,7 @@ class Rays(NamedTuple):
     objects : (n, 6) float64
         Point (mm) and direction (unit, away from the lens), camera frame.
     throughput : (n,) float64
-        Relative to each other.
+        Relative throughput.
     colour : (n,) int64
         Number of the wavelength.
     """
@@ -155,8 +156,8 @@ class Rays(NamedTuple):
     colour: NDArray[np.int64]
 
 
-class Openings(NamedTuple):
-    """The lens, the array and the sensor that rays from the stop go through."""
+class CameraTables(NamedTuple):
+    """Tables of the camera that rays from the stop go through."""
 
     lens: LensTables
     array: ArrayTables
@@ -164,18 +165,18 @@ class Openings(NamedTuple):
     frames: Array
 
 
-def proven(aim: Aim, through: Openings, seen: Outlook | None) -> tuple[Aim, AimProof | None]:
-    """Return the aim, widened until it holds all light but a negligible share, and what rays from the stop say of it.
+def proven(aim: AimTables, through: CameraTables, seen: Viewpoints | None) -> tuple[AimTables, AimProof | None]:
+    """Return the aim, widened until it misses a negligible share of the light, and the proof by rays from the stop.
 
-    That is None where no ray from the stop arrives at the sensor.
+    The proof is None if no ray from the stop arrives at the sensor.
 
     Parameters
     ----------
-    aim : Aim
-    through : Openings
-        Every surface of the lens has an exact parent.
-    seen : Outlook or None
-        Whence the targets look at the lens; None: there are none before it.
+    aim : AimTables
+    through : CameraTables
+        Every surface of the lens must be exact.
+    seen : Viewpoints or None
+        Viewpoints of the targets; None if no target lies before the lens.
     """
     random = np.random.default_rng(0x5106)
     reach = _reach(through, random)
@@ -183,7 +184,7 @@ def proven(aim: Aim, through: Openings, seen: Outlook | None) -> tuple[Aim, AimP
         return aim, None
     proof = None
     for attempt in range(ATTEMPTS):
-        rays = _drawn(through, reach, random)
+        rays = _rays_from_stop(through, reach, random)
         if not len(rays.throughput):
             return aim, None
         if attempt == 0 and through.array.present and aim.search > FEW_CELLS:
@@ -203,8 +204,8 @@ def proven(aim: Aim, through: Openings, seen: Outlook | None) -> tuple[Aim, AimP
     return aim, proof
 
 
-def _fitted(aim: Aim, through: Openings, rays: Rays) -> Aim:
-    """Return the aim with lenslets' views and borders as wide as rays need them."""
+def _fitted(aim: AimTables, through: CameraTables, rays: Rays) -> AimTables:
+    """Return the aim with the lenslets' views and cell margins as wide as the rays need."""
     array, weight = through.array, rays.throughput
     off, radius, out = _seen_from_cells(aim, through, rays)
     needed = MARGIN * _above(off / radius, weight)
@@ -220,7 +221,7 @@ def _missed(beyond: Array, throughput: Array) -> Missed:
 
 
 def _above(values: Array, throughput: Array, share: float = ALLOWED / 4.0) -> float:
-    """Return the value above which a share of the throughput lies; what nothing reaches (inf) is left out."""
+    """Return the value above which a share of the throughput lies; infinite values are left out."""
     known = np.isfinite(values)
     order = np.argsort(values[known])[::-1]
     above = np.cumsum(throughput[known][order])
@@ -229,40 +230,48 @@ def _above(values: Array, throughput: Array, share: float = ALLOWED / 4.0) -> fl
 
 
 def _widened(opening: Opening, beyond: Array, throughput: Array) -> Opening:
-    """Return an opening that holds rays that are beyond it; where it is said to be closed to some, nothing is known."""
+    """Return an opening widened to hold rays outside it; not known if too much light goes where it is closed.
+
+    Parameters
+    ----------
+    opening : Opening
+    beyond : (n,) float64
+        Distance of each ray from the centre, in radii; inf where the opening is closed.
+    throughput : (n,) float64
+    """
     if throughput[np.isinf(beyond)].sum() > 0.5 * ALLOWED * throughput.sum():
         return unknown_opening(opening.plane_z, to_sensor=opening.sense > 0.0)
     by = max(1.0, MARGIN * _above(beyond, throughput))
     return opening._replace(radius=np.where(opening.radius > 0.0, by * opening.radius, opening.radius))
 
 
-def _reach(through: Openings, random: np.random.Generator) -> float:
-    """Return how far off the axis, by first-order optics, rays to the sensor are sent at most; 0: none arrived."""
+def _reach(through: CameraTables, random: np.random.Generator) -> float:
+    """Return the largest distance from the axis, by first-order optics, of rays that reach the sensor; 0: none does."""
     sensor = through.sensor
     diagonal = 0.5 * sensor.pixel * np.hypot(sensor.columns, sensor.rows)
     place = NEAREST * diagonal * (FURTHEST / NEAREST) ** random.random(BATCH)
-    _, found = _follow(through, place, random)
+    _, found = _trace_from_stop(through, place, random)
     return ROOM * float(place[found].max(initial=0.0))
 
 
-def _drawn(through: Openings, reach: float, random: np.random.Generator) -> Rays:
-    """Return rays from the stop, uniform over its area and over where they would land by first-order optics."""
+def _rays_from_stop(through: CameraTables, reach: float, random: np.random.Generator) -> Rays:
+    """Return rays from the stop, uniform over its area and over their landing points by first-order optics."""
     some: list[Rays] = []
     for _ in range(BATCHES):
-        rays, _ = _follow(through, reach * np.sqrt(random.random(BATCH)), random)
+        rays, _ = _trace_from_stop(through, reach * np.sqrt(random.random(BATCH)), random)
         some.append(rays)
         if sum(len(r.throughput) for r in some) >= ENOUGH:
             break
     return Rays(*(np.concatenate(each) for each in zip(*some, strict=True)))
 
 
-def _follow(through: Openings, place: Array, random: np.random.Generator) -> tuple[Rays, NDArray[np.intp]]:
-    """Return the rays that came through of those that are sent, and which these are.
+def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Generator) -> tuple[Rays, NDArray[np.intp]]:
+    """Trace random rays from the stop; return those that come through, and their indices.
 
     Parameters
     ----------
     place : (n,) float64, mm
-        How far off the axis first-order optics would have each ray land.
+        Distance from the axis at which each ray would land by first-order optics.
     """
     lens, sensor = through.lens, through.sensor
     space, z, aperture, depth = _stop_of(lens)
@@ -270,15 +279,15 @@ def _follow(through: Openings, place: Array, random: np.random.Generator) -> tup
     height, angle = _to_plane(lens, space, z, float(moves[2, 3]))
     out, turn = np.sqrt(random.random(len(place))), 2.0 * np.pi * random.random(len(place))
     around = 2.0 * np.pi * random.random(len(place))
-    # A direction for each place where the ray would land is a shear of all directions: their density stays uniform.
+    # The map from landing points to slopes is a shear at fixed height, so the density of slopes stays uniform.
     slope = 1.0 / angle if abs(angle) > 1e-9 * abs(z - moves[2, 3]) else 1.0
-    # Rays that cross a curved stop's aperture cross the plane at its vertex a little further out.
+    # Rays through the aperture of a curved stop cross the plane at its vertex slightly further out.
     radius = aperture * (1.0 + depth * abs(height * slope)) + depth * place * abs(slope)
     x, y = radius * out * np.cos(turn), radius * out * np.sin(turn)
     tx, ty = slope * (place * np.cos(around) - height * x), slope * (place * np.sin(around) - height * y)
     to_sensor, to_objects, of_colour = np.zeros((len(x), 6)), np.zeros((len(x), 7)), np.zeros(len(x), np.int64)
-    waves = lens.media.indices.shape[1]
-    colours = sorted({0, waves // 2, waves - 1})
+    count = lens.media.indices.shape[1]
+    colours = sorted({0, count // 2, count - 1})
     start = float(lens.box_high[2] - lens.box_low[2]) + depth
     for number, colour in enumerate(colours):
         mine = slice(number, None, len(colours))
@@ -297,9 +306,9 @@ def _follow(through: Openings, place: Array, random: np.random.Generator) -> tup
 
 
 def _to_plane(lens: LensTables, space: int, z: float, plane_z: float) -> tuple[float, float]:
-    """Return what first-order optics makes of height and slope at a plane inside the lens: the height at one behind it.
+    """Return the first-order coefficients of the height at a plane behind the lens by height and slope inside it.
 
-    Height there is the first number times the height here, plus the second times the slope.
+    The height there is the first number times the height at z in the space, plus the second times the slope.
     """
     surfaces, indices = lens.surfaces, lens.media.indices[lens.medium, lens.media.indices.shape[1] // 2]
     heights, slopes = np.array([1.0, 0.0]), np.array([0.0, 1.0])
@@ -313,7 +322,7 @@ def _to_plane(lens: LensTables, space: int, z: float, plane_z: float) -> tuple[f
 
 
 def _stop_of(lens: LensTables) -> tuple[int, float, float, float]:
-    """Return the space that the stop lies in or ends, z of its plane, its radius, and the depth of its surface, mm."""
+    """Return the space that the stop lies in or bounds, z of its plane, its radius, and the sag of its surface, mm."""
     if lens.stop_space >= 0:
         return lens.stop_space, lens.stop_z, lens.stop_radius, 0.0
     surfaces = lens.surfaces
@@ -334,7 +343,7 @@ def _follow_both_ways(
     x, y, tx, ty : (n,) float64
         Place, mm, and slopes.
     start : float, mm
-        How far before the plane they start, as straight lines, so that all surfaces still lie ahead.
+        Distance before the plane at which they start, as straight lines, so that all surfaces lie ahead.
     to_sensor : (n, 6) float64
         Filled with place and direction in the sensor's frame, and transmittance; 0 for what ends.
     to_objects : (n, 7) float64
@@ -389,10 +398,10 @@ def _keep_sensor_side(bundle: Array, count: int, first: int, to_sensor: Array) -
         kept[5] = bundle[WEIGHT + i] if bundle[ENDED_ON + i] == 0.0 and bundle[DZ + i] > 0.0 and t > 0.0 else 0.0
 
 
-def _beyond_sensor_aim(aim: Aim, through: Openings, rays: Rays) -> Array:
-    """Return by which factor the opening would have to be wider for each ray; up to 1: the ray is in the aim.
+def _beyond_sensor_aim(aim: AimTables, through: CameraTables, rays: Rays) -> Array:
+    """Return the factor by which the opening would have to be wider to hold each ray; up to 1: it holds the ray.
 
-    With an array only whether it is: 0 or inf.
+    With an array the factor is 0 for rays in the aim and inf for all others.
     """
     beyond = np.zeros(len(rays.throughput))
     if not through.array.present:
@@ -403,18 +412,26 @@ def _beyond_sensor_aim(aim: Aim, through: Openings, rays: Rays) -> Array:
     return beyond
 
 
-def _seen_from_cells(aim: Aim, through: Openings, rays: Rays) -> tuple[Array, Array, Array]:
-    """Return for each ray how far (slope) off the middle of its lenslet's view it goes, the view's radius, and ...
+def _seen_from_cells(aim: AimTables, through: CameraTables, rays: Rays) -> tuple[Array, Array, Array]:
+    """Measure rays in the view of the lenslet that they pass.
 
-    ... how far out in its cell it goes, over the cell as it is aimed at.
+    Returns
+    -------
+    off, radius : (n,) float64
+        Distance, in slope, from the centre of the lenslet's view, and the radius of the view.
+    out : (n,) float64
+        Distance from the centre of the cell, relative to half the cell as it is aimed at.
     """
     off, radius, out = (np.zeros(len(rays.throughput)) for _ in range(3))
     _measure_in_cells(rays.sensor, rays.colour, aim, through.array, through.frames, off, radius, out)
     return off, radius, out
 
 
-def _beyond_object_aim(aim: Aim, seen: Outlook | None, rays: Rays, random: np.random.Generator) -> Array:
-    """Return the same of the aim from the targets, at a distance among theirs; 0 for rays that pass beside them."""
+def _beyond_object_aim(aim: AimTables, seen: Viewpoints | None, rays: Rays, random: np.random.Generator) -> Array:
+    """Return the factor of `_beyond_sensor_aim` for the aim from the targets; 0 for rays that miss the targets.
+
+    Each ray is tested at a random distance among those of the targets.
+    """
     beyond = np.zeros(len(rays.throughput))
     if seen is None or not aim.entrance.known:
         return beyond
@@ -431,7 +448,7 @@ def _beyond_object_aim(aim: Aim, seen: Outlook | None, rays: Rays, random: np.ra
 
 @kernel
 def _beyond_opening(p: Array, d: Array, opening: Opening, beyond: Array) -> None:
-    """Write by which factor the disk that points see would have to be larger for rays from them to cross it."""
+    """Write the factor by which the disk seen from each point would have to be larger for the ray to cross it."""
     for i in range(len(beyond)):
         beyond[i] = _off_disk(opening, p[i, 0], p[i, 1], p[i, 2], d[i, 0], d[i, 1], d[i, 2])
 
@@ -455,10 +472,10 @@ def _off_disk(opening: Opening, x: float, y: float, z: float, dx: float, dy: flo
 
 @kernel
 def _outside_cells(
-    rays: Array, colour: NDArray[np.int64], aim: Aim, array: ArrayTables, sensor: SensorTables, frames: Array,
+    rays: Array, colour: NDArray[np.int64], aim: AimTables, array: ArrayTables, sensor: SensorTables, frames: Array,
     near: Array, cells: NDArray[np.int64], outside: Array,
 ) -> None:  # fmt: skip
-    """Write inf for each ray (n, 5) that no pixel's paths are started along when they are aimed."""
+    """Write inf for each ray (n, 5) along which no aimed path can start, from the pixel that it falls on."""
     for i in range(len(outside)):
         column = min(max(np.floor(rays[i, 0] / sensor.pixel + 0.5 * sensor.columns), 0), sensor.columns - 1)
         row = min(max(np.floor(rays[i, 1] / sensor.pixel + 0.5 * sensor.rows), 0), sensor.rows - 1)
@@ -476,10 +493,10 @@ def _outside_cells(
 
 @kernel
 def _measure_in_cells(
-    rays: Array, colour: NDArray[np.int64], aim: Aim, array: ArrayTables, frames: Array,
+    rays: Array, colour: NDArray[np.int64], aim: AimTables, array: ArrayTables, frames: Array,
     off: Array, radius: Array, out: Array,
 ) -> None:  # fmt: skip
-    """Write what `_seen_from_cells` returns; of two cells at whose border a ray seems to pass, of the likelier one."""
+    """Write the results of `_seen_from_cells`; a ray close to a border is measured in the likelier of the cells."""
     lattice = array.lenslets.lattice
     half = 0.5 * lattice.pitch + aim.cell_margin
     for i in range(len(off)):

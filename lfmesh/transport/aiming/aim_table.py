@@ -1,4 +1,4 @@
-"""Where rays are aimed: the lens's opening as targets and sensor see it."""
+"""The aim tables of a scene: the lens's opening as seen from targets and sensor."""
 
 import hashlib
 import threading
@@ -7,19 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from lfmesh.geometry import frame as frames
+from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
 from lfmesh.geometry.surface import sag
 from lfmesh.geometry.targets import TargetMesh
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
-from lfmesh.transport.aiming.aim_proof import AimProof, Openings, proven
+from lfmesh.transport.aiming.aim_proof import AimProof, CameraTables, proven
 from lfmesh.transport.aiming.lenslet_view import SURE, aim_through_lenslets, apex_z, grid
 from lfmesh.transport.aiming.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
-from lfmesh.transport.aiming.pupil import outlook, paraxial_opening, real_opening, unknown_opening
+from lfmesh.transport.aiming.pupil import paraxial_opening, real_opening, unknown_opening, viewpoints
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.tables import (
-    Aim,
+    AimTables,
     ArrayTables,
     LensTables,
     Opening,
@@ -27,12 +27,12 @@ from lfmesh.transport.tables.tables import (
 )
 
 FAR = 1e9
-"""Distance in mm that stands for infinity."""
+"""Distance in mm that is used for infinity."""
 
 KEPT = 8
-"""Cameras whose aim is kept: those of a study, or a camera with one lamp after the other, find theirs once."""
+"""Number of cameras whose aim tables are cached, for renders of the same camera with other lamps, or of a study."""
 
-_kept: OrderedDict[bytes, tuple[Aim, AimProof | None]] = OrderedDict()
+_kept: OrderedDict[bytes, tuple[AimTables, AimProof | None]] = OrderedDict()
 _access = threading.Lock()
 
 
@@ -46,17 +46,24 @@ def aim_table(
     moves: Array,
     *,
     analytic: bool,
-) -> tuple[Aim, AimProof | None]:
-    """Return where the rays of a scene are aimed, and what rays from its stop say of that.
+) -> tuple[AimTables, AimProof | None]:
+    """Return the aim tables of a scene, and their proof by rays from the stop.
 
     Parameters
     ----------
+    scene : Scene
+    report : FirstOrder
+    lens, array, sensor
+        Tables of the scene.
+    targets : list of TargetMesh
+        World frame.
+    moves : (5, 5, 3, 4) float64
+        Between frames, see `frame_table`.
     analytic : bool
-        Every surface of the lens has an exact parent, through which the opening is found; else first-order optics says
-        where it is.
+        Every surface of the lens is exact, so that the opening is found by real rays; else by first-order optics.
     """
     seen = np.concatenate(
-        [frames.points(moves[WORLD_FRAME, CAMERA_FRAME], t.mesh.vertices) for t in targets] or [np.zeros((0, 3))]
+        [frame.points(moves[WORLD_FRAME, CAMERA_FRAME], t.mesh.vertices) for t in targets] or [np.zeros((0, 3))]
     )
     key = digest(scene.camera, scene.transport.split, report, lens, array, sensor, seen, moves, analytic)
     with _access:
@@ -72,7 +79,7 @@ def aim_table(
 
 
 def digest(*values: Any) -> bytes:
-    """Return a hash of arrays, tuples of them, and what its `repr` tells all of."""
+    """Return a hash of arrays, tuples of arrays, and values that are fully given by their `repr`."""
     hashed = hashlib.blake2b(digest_size=16)
     for value in values:
         if isinstance(value, np.ndarray):
@@ -88,10 +95,10 @@ def digest(*values: Any) -> bytes:
 def _found(
     scene: Scene, report: FirstOrder, lens: LensTables, array: ArrayTables, sensor: SensorTables, seen: Array,
     moves: Array, analytic: bool,
-) -> tuple[Aim, AimProof | None]:  # fmt: skip
-    """Return what `aim_table` does, for targets that are seen at points (n, 3), camera frame."""
+) -> tuple[AimTables, AimProof | None]:  # fmt: skip
+    """Return the result of `aim_table`, for targets given by points (n, 3), camera frame."""
     width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
-    behind = frames.points(moves[SENSOR_FRAME, CAMERA_FRAME], grid(width, height, 0.0))
+    behind = frame.points(moves[SENSOR_FRAME, CAMERA_FRAME], grid(width, height, 0.0))
     front_radius = widest_disk(lens, seen, front=True)
     back_radius = widest_disk(lens, behind, front=False)
     glass = 1.0
@@ -99,18 +106,19 @@ def _found(
         glass = refractive_index(scene.camera.mla.medium, report.wavelength_nm)
         lattice = array.lenslets.lattice
         apexes = grid(*lattice.half_extent, apex_z(array, glass)[1])
-        behind = frames.points(moves[ARRAY_FRAME, CAMERA_FRAME], apexes)
+        behind = frame.points(moves[ARRAY_FRAME, CAMERA_FRAME], apexes)
     entrance = opening_seen(report, lens, seen, front_radius, analytic, front=True)
     exit_ = opening_seen(report, lens, behind, back_radius, analytic, front=False)
-    # Reflections reach the sensor from all over the lens; without them only what the opening leaves out does.
+    # Reflections reach the sensor from all over the lens; without them the wide disk only brings light beside the
+    # measured opening.
     followed = scene.transport.split != "transmit"
-    aim = Aim(
+    aim = AimTables(
         entrance=entrance,
         front_radius=front_radius,
         exit=exit_,
         back_radius=back_radius,
         wide_share=WIDE_SHARE if followed else WIDE_SHARE_OF_IMAGE_PATH,
-        blind_share=1.0 if followed else WIDE_SHARE_OF_IMAGE_PATH,
+        share_without_aim=1.0 if followed else WIDE_SHARE_OF_IMAGE_PATH,
         lenslet_z=0.0,
         pupil_x=0.0,
         pupil_y=0.0,
@@ -124,16 +132,29 @@ def _found(
     aim = aim_through_lenslets(scene, report, array, aim, moves, glass) if array.present else aim
     if not analytic:
         return aim, None
-    from_targets = outlook(entrance.plane_z, front_radius, seen, to_sensor=True)
-    return proven(aim, Openings(lens, array, sensor, moves), from_targets)
+    from_targets = viewpoints(entrance.plane_z, front_radius, seen, to_sensor=True)
+    return proven(aim, CameraTables(lens, array, sensor, moves), from_targets)
 
 
 def opening_seen(
     report: FirstOrder, lens: LensTables, points: Array, wide_radius: float, analytic: bool, *, front: bool
 ) -> Opening:
-    """Return a side of the lens as points (n, 3) (camera frame) see it."""
+    """Return the opening of one side of the lens as seen from points.
+
+    Parameters
+    ----------
+    report : FirstOrder
+    lens : LensTables
+    points : (n, 3) float64, mm, camera frame
+    wide_radius : float, mm
+        Of the disk that every ray to the lens crosses.
+    analytic : bool
+        See `aim_table`.
+    front : bool
+        The object side of the lens; else the sensor side.
+    """
     plane_z = float(lens.box_low[2] if front else lens.box_high[2])
-    seen = outlook(plane_z, wide_radius, points, to_sensor=front)
+    seen = viewpoints(plane_z, wide_radius, points, to_sensor=front)
     if seen is None:
         return unknown_opening(plane_z, to_sensor=front)
     z = report.entrance_pupil_z_mm if front else report.exit_pupil_z_mm
@@ -141,7 +162,7 @@ def opening_seen(
     if not np.isfinite(z):
         if front and not analytic:
             return unknown_opening(plane_z, to_sensor=front)
-        # Telecentric: a pupil so far away that all points see it in one direction.
+        # Telecentric: a pupil so far away that all points see it in the same direction.
         z, diameter = (plane_z + FAR, FAR) if front else (plane_z - FAR, FAR / report.working_f_number)
     if analytic:
         return real_opening(seen, lens, z, 0.5 * diameter)
@@ -149,7 +170,15 @@ def opening_seen(
 
 
 def widest_disk(lens: LensTables, p: Array, *, front: bool) -> float:
-    """Return the radius of a disk in the lens's outermost plane that every ray to it from points (n, 3) crosses."""
+    """Return the radius of a disk in the lens's outermost plane that every ray from points to the lens crosses, mm.
+
+    Parameters
+    ----------
+    lens : LensTables
+    p : (n, 3) float64, mm, camera frame
+    front : bool
+        The object side of the lens; else the sensor side.
+    """
     surfaces = lens.surfaces
     plane = lens.box_low[2] if front else lens.box_high[2]
     outer = surfaces[0] if front else surfaces[-1]

@@ -1,14 +1,14 @@
-"""From a point of the sensor through the lenslets that show it the opening of the lens: which, where, how densely.
+"""Directions from a point of the sensor through the lenslets that show it the lens's opening, and their density.
 
-`lenslet_view` measures beforehand what each lenslet shows; here a path is started with it.
+`lenslet_view` measures beforehand what each lenslet shows; here the directions are drawn.
 
-Directions from a point are of three sets. Those that meet the face of a lenslet that surely shows the opening are the
-main rays'; others that meet a lenslet that may show it, or its close surroundings, are the margin rays', with what of
-the blind ones falls there; all the rest, through which ghosts and stray light come, are the blind rays', which go
-anywhere. No ray counts in another's set, and how many of a pixel's there are of each kind is settled beforehand: so
-an even pixel's main rays all bring the same. Whether a direction meets a face is not a matter of approximation: the
-face is met where the ray in the glass crosses the sphere, and a ray that is aimed at a point of it goes there through
-the plate.
+The directions from a point form three disjoint sets, each estimated by rays of its own. Main rays estimate directions
+that meet the face of a lenslet that surely shows the opening. Margin rays estimate other directions that meet, or
+nearly meet, a lenslet that may show it, together with the blind rays that fall there. Blind rays, which go anywhere,
+estimate all the rest, through which ghosts and stray light come. A ray that falls in another kind's set does not count.
+The number of a pixel's rays of each kind is fixed beforehand, so that the main rays of an evenly lit pixel all bring
+the same. Whether a direction meets a face is computed exactly: the face is met where the ray in the glass crosses the
+sphere, and a ray aimed at a point of the face reaches it through the plate.
 """
 
 from typing import NamedTuple
@@ -21,42 +21,43 @@ from lfmesh.geometry.lenslets import shape_of
 from lfmesh.kernel import inlined, kernel, pasted
 from lfmesh.optics.scattering import lambertian
 from lfmesh.transport.packets.random import derived, uniform
-from lfmesh.transport.tables.tables import Aim, ArrayTables
+from lfmesh.transport.tables.tables import AimTables, ArrayTables
 
 Array = NDArray[np.float64]
 
 CELL_U, CELL_V, PIXEL_U, PIXEL_V, WHICH_CELL, DISCRETE = 0, 1, 2, 3, 4, 5
-"""The point of the lenslet gets the evenest: what is sharp in the scene is sharp there, where the image is in focus."""
+"""Dimensions of a path's starting numbers. The point of the lenslet gets the first two, which are distributed the most
+evenly: where the image is in focus, sharp detail in the scene is sharp over the lenslet."""
 
 MAIN, MARGIN, BLIND = 0, 1, 2
-"""Whose directions a ray is to estimate."""
+"""Role of a ray: the set of directions that it estimates."""
 
 MARGIN_SHARE = 0.05
-"""Share of the rays to lenslets that may show the opening, beside those that surely do."""
+"""Share of the margin rays among the rays that are aimed."""
 
 FEW = 2.0
-"""Main rays of a pixel that it must at least have by its share: with less, chance says of each ray whose it is."""
+"""Expected number of a pixel's main rays below which the role of each ray is drawn at random."""
 
 LISTED = 9
-"""What is known of a lenslet that may show the opening, see `list_cells`."""
+"""Number of values of a lenslet in the list of those that may show the opening, see `list_cells`."""
 
 SOLID_ANGLE = 8
-"""The last of it: by how much a lenslet is more likely to be chosen than another."""
+"""The last of these values: the relative probability with which the lenslet is chosen."""
 
 ALIKE = 3
-"""Up to so many cells to each side of the chief ray's, all look alike from the sensor, and are as likely as another."""
+"""Number of cells to each side of the chief ray's up to which all are taken to have the same solid angle."""
 
 NUMBERS_OF_ROLES = -1
-"""Child of a pixel's key, beside its samples, from which their roles' numbers are drawn."""
+"""Number of the child of a pixel's key from which the number of rays of each role is drawn; no sample has it."""
 
 STEPS = 40
-"""Of Newton's method at most, towards a slope."""
+"""Largest number of Newton steps towards a slope."""
 
 THIRD_ORDER = 0.1
-"""Share of the first order's slope that the third adds to it at most."""
+"""Largest correction by third order, relative to the slope of first order."""
 
 EXACT = 1e-4
-"""Its last step, relative, which leaves an error of the square of that."""
+"""Relative size of the last Newton step, which leaves an error of the square of that."""
 
 _TINY = float(np.finfo(np.float64).tiny)
 
@@ -66,31 +67,32 @@ _CORNERS = (
     (0.0, -1.0 / np.sqrt(3.0)),
     (0.5, 0.5 / np.sqrt(3.0)),
 )
-"""Every other corner of a hexagon one wide, and the first again."""
+"""Every second corner of a hexagon of width 1, and the first again."""
 
 HALF_DIAGONAL = 0.72
-"""Of a pixel, with a margin, in its width: how far from its middle a path may start."""
+"""Half diagonal of a pixel, in its width, with a margin: largest distance from its centre at which a path starts."""
 
 Numbers = tuple[float, float, float, float, float, float]
-"""What a path starts from, in [0, 1): point of the lenslet (or pupil), place in the pixel, which lenslet, what else."""
+"""Starting numbers of a path, in [0, 1): point of the lenslet (or pupil), point of the pixel, lenslet, role."""
 
 
-def most_listed(aim: Aim) -> int:
-    """Return how many lenslets `list_cells` may list."""
+def most_listed(aim: AimTables) -> int:
+    """Return the largest number of lenslets that `list_cells` may list."""
     return (2 * aim.search + 1) ** 2
 
 
 class Allotment(NamedTuple):
-    """How a pixel's rays are shared out among the directions that they estimate.
+    """Division of a pixel's rays among the roles.
 
     Attributes
     ----------
     blind_from, margin_from : int
-        First of its samples that are blind, and of those before them that are the margin's; both 0 where chance says.
+        Samples from `blind_from` on are blind, those from `margin_from` up to there are margin rays; both 0 where the
+        roles are drawn at random.
     main, aimed, unaimed : float
-        Share of the main rays, of all but the blind ones, and of these: as it was settled.
+        Actual shares of the main rays, of main and margin rays together, and of the blind rays.
     margin, blind : float
-        Share of the rays of each kind that is expected.
+        Expected shares of margin and blind rays.
     """
 
     blind_from: int
@@ -103,19 +105,21 @@ class Allotment(NamedTuple):
 
 
 @pasted
-def allotted(aim: Aim, listed: int, samples: int, key: np.uint64) -> Allotment:
-    """Share out a pixel's samples.
+def allotted(aim: AimTables, listed: int, samples: int, key: np.uint64) -> Allotment:
+    """Divide a pixel's samples among the roles.
 
-    Their numbers are the two whole ones next to the share of each kind, by chance, so that its mean is the share.
+    The number of each role is its expected value rounded up or down at random, so that its mean is the expected value.
 
     Parameters
     ----------
+    aim : AimTables
     listed : int
-        How many lenslets may show the opening to some point of the pixel.
+        Number of lenslets that may show the opening to some point of the pixel.
+    samples : int
     key : uint64
-        Of the pixel in its replicate.
+        Key of the pixel in its replicate.
     """
-    blind = aim.wide_share if listed > 0 else aim.blind_share
+    blind = aim.wide_share if listed > 0 else aim.share_without_aim
     margin = MARGIN_SHARE * (1.0 - blind)
     if listed > 0 and samples * (1.0 - blind - margin) < FEW:
         return Allotment(0, 0, 1.0 - blind - margin, 1.0 - blind, blind, margin, blind)
@@ -128,7 +132,16 @@ def allotted(aim: Aim, listed: int, samples: int, key: np.uint64) -> Allotment:
 
 @pasted
 def role_of(sample: int, shares: Allotment, chance: float) -> int:
-    """Return whose directions a sample is to estimate."""
+    """Return the role of a sample.
+
+    Parameters
+    ----------
+    sample : int
+        Number of the sample.
+    shares : Allotment
+    chance : float
+        Random number in [0, 1), for pixels whose roles are drawn at random.
+    """
     if shares.blind_from == 0 and shares.margin_from == 0:
         return BLIND if chance < shares.blind else (MARGIN if chance < shares.blind + shares.margin else MAIN)
     return BLIND if sample >= shares.blind_from else (MARGIN if sample >= shares.margin_from else MAIN)
@@ -136,15 +149,28 @@ def role_of(sample: int, shares: Allotment, chance: float) -> int:
 
 @pasted
 def list_cells(
-    array: ArrayTables, aim: Aim, glass: float, x: float, y: float, z: float, reach: float, near: Array
+    array: ArrayTables, aim: AimTables, glass: float, x: float, y: float, z: float, reach: float, near: Array
 ) -> int:  # fmt: skip
-    """List the lenslets that show (part of) the lens's opening to a point of the sensor or one within reach of it.
+    """List the lenslets that may show the lens's opening to points of the sensor near a given one.
+
+    Parameters
+    ----------
+    array : ArrayTables
+    aim : AimTables
+    glass : float
+        See `glass_before_faces`.
+    x, y, z : float, mm
+        The point, array frame.
+    reach : float, mm
+        Largest distance of the other points from it.
+    near : (n, LISTED) float64
+        Filled with a row for each lenslet: centre (0, 1), centre of the opening that it sees (2, 3) and the square of
+        its radius (4), in slopes, curvature (5), decentre of the apex (6, 7), relative solid angle (8).
 
     Returns
     -------
     int
-        How many; `near` has a row for each: its centre, the middle and the square of the radius of the opening as it
-        sees it (slopes), its curvature, its apex's decentre, and how large it looks from the point.
+        Number of lenslets listed.
     """
     lattice = array.lenslets.lattice
     over = 1.0 / abs(z - aim.lenslet_z)
@@ -161,7 +187,7 @@ def list_cells(
             cx, cy = centre(lattice, c, r)
             a, b = (cx - x) * over - aim.slope[cell, 0], (cy - y) * over - aim.slope[cell, 1]
             limit = np.sqrt(max(radius2, 0.0)) + reach * over
-            # Without a branch, which would be guessed wrong every other time.
+            # Without a branch, which the processor would mispredict half of the time.
             near[count, 0], near[count, 1] = cx, cy
             near[count, 2], near[count, 3], near[count, 4] = aim.slope[cell, 0], aim.slope[cell, 1], radius2
             near[count, 5], near[count, 6] = c, r
@@ -179,31 +205,40 @@ def list_cells(
 
 @inlined
 def solid_angle(r: float, air: float, plate: float, glass: float) -> float:
-    """Return the projected solid angle of an area of the apexes, so far sideways, over that of one straight ahead.
+    """Return the projected solid angle of an area in the plane of the apexes, relative to one straight ahead.
 
-    Zero where no ray gets there: on a sensor that touches the glass, beyond the angle of total reflection.
+    Zero where no ray arrives: for a sensor that touches the glass, beyond the angle of total reflection.
+
+    Parameters
+    ----------
+    r : float, mm
+        Lateral distance of the area.
+    air, plate : float, mm
+        Thickness of air and glass in between.
+    glass : float
+        Refractive index.
     """
     s = slope_to(r, air, plate, glass)
     s2 = s * s
     q2 = glass * glass + (glass * glass - 1.0) * s2
     ahead = (air + plate / glass) ** 2
     seen = ahead / (spread_on_face(air, plate, glass, s2, q2, np.sqrt(q2), 1.0) * np.sqrt(1.0 + s2))
-    # There the slope has no end, and the quotient is 0/0.
+    # In that case the slope is infinite and the quotient 0/0.
     return seen if seen > 0.0 else 0.0
 
 
 @inlined
-def glass_before_faces(array: ArrayTables, wave: int) -> float:
-    """Return the refractive index of what lies between the sensor and the lenslets' faces, beside air."""
-    return array.media.indices[array.medium, wave] if array.curved_to_lens else 1.0
+def glass_before_faces(array: ArrayTables, colour: int) -> float:
+    """Return the refractive index of the plate between the sensor and the lenslets' faces; 1 without a plate."""
+    return array.media.indices[array.medium, colour] if array.curved_to_lens else 1.0
 
 
 @inlined
 def path_to_apexes(array: ArrayTables, z: float) -> tuple[float, float, float]:
-    """Return how much air and how much glass (mm) lie between a height over the array and the lenslets' apexes.
+    """Return the thickness of air and of glass (mm) between the height z over the array and the lenslets' apexes.
 
-    And by how much the second grows with the sag of the face: the glass, or if there is none the air, which then is
-    glass of index 1.
+    The third value is the change of the glass thickness by the sag of the face. Without glass in between, it applies to
+    the air, which then counts as glass of index 1.
     """
     if array.curved_to_lens:
         return abs(z - array.lenslets.thickness), array.lenslets.thickness, -1.0
@@ -212,11 +247,20 @@ def path_to_apexes(array: ArrayTables, z: float) -> tuple[float, float, float]:
 
 @inlined
 def slope_to(r: float, air: float, plate: float, glass: float) -> float:
-    """Return the slope of the ray in air that goes so far sideways in some air and a plate of glass.
+    """Return the slope in air of the ray with a given lateral shift over a layer of air and a plate of glass.
 
-    Newton's steps from the slope that third order gives, of which one is mostly enough. Third order is no good for
-    steep rays, and no more of it is taken than `THIRD_ORDER`. How far the ray goes sideways grows ever more slowly with
-    the slope: so the steps come from below, from the second on at the latest, and always arrive.
+    Newton's method from the slope by third-order optics; one step is mostly enough. For steep rays third order is
+    inaccurate, so its correction is limited by `THIRD_ORDER`. The shift is a concave function of the slope, so from the
+    second step on, the slope approaches the solution from below and always converges.
+
+    Parameters
+    ----------
+    r : float, mm
+        Lateral shift.
+    air, plate : float, mm
+        Thickness of air and glass.
+    glass : float
+        Refractive index.
     """
     more = glass * glass - 1.0
     s = r / (air + plate / glass)
@@ -233,9 +277,15 @@ def slope_to(r: float, air: float, plate: float, glass: float) -> float:
 
 @inlined
 def on_face(curvature: float, ax: float, ay: float, gx: float, gy: float) -> tuple[bool, float, float, float, float]:
-    """Return whether the line (a + g z, z) leaves a cap at the origin, where, its z, and 1 − g · (gradient of the sag).
+    """Return whether the line (a + g z, z) passes a cap with its apex at the origin, the point, and 1 − g · ∇sag.
 
-    A line crosses a sphere once from inside: only there, and on the half with the apex, is it a ray through the face.
+    Only the crossing from inside the sphere, on the half with the apex, is a ray through the face.
+
+    Parameters
+    ----------
+    curvature : float, 1/mm
+    ax, ay : float, mm
+    gx, gy : float
     """
     g2, a2, b = gx * gx + gy * gy, ax * ax + ay * ay, 1.0 - curvature * (ax * gx + ay * gy)
     root2 = b * b - curvature * curvature * (1.0 + g2) * a2
@@ -249,14 +299,18 @@ def on_face(curvature: float, ax: float, ay: float, gx: float, gy: float) -> tup
 
 @inlined
 def spread_on_face(air: float, plate: float, glass: float, s2: float, q2: float, q: float, turned: float) -> float:
-    """Return the area of a face, seen along the axis, over the solid angle of the rays in air that cross it, mm².
+    """Return the area of a face, projected along the axis, over the solid angle of rays in air that cross it, mm²/sr.
 
     Parameters
     ----------
+    air, plate : float, mm
+        Thickness of air and glass on the way.
+    glass : float
+        Refractive index.
     s2, q2, q : float
-        Square of the slope in air; the slope over that in the glass, squared and as it is.
+        Squared slope in air; the ratio of the slopes in air and in glass, squared, and the ratio itself.
     turned : float
-        One less the product of the face's slope and the ray's along it: the face comes to meet the ray, or recedes.
+        1 − (slope of the ray · slope of the face), by which the inclined face changes the projected area.
     """
     across = air + plate / q
     along = air + plate * glass * glass / (q * q2)
@@ -265,21 +319,29 @@ def spread_on_face(air: float, plate: float, glass: float, s2: float, q2: float,
 
 @pasted
 def through_a_lenslet(
-    array: ArrayTables, aim: Aim, glass: float, normal: tuple[float, float, float], near: Array, listed: int,
+    array: ArrayTables, aim: AimTables, glass: float, normal: tuple[float, float, float], near: Array, listed: int,
     cells: NDArray[np.int64], numbers: Numbers, sample: int, shares: Allotment, x: float, y: float, z: float,
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """Return a direction (array frame) from a point of the sensor, and cos θ over its density among a pixel's samples.
 
-    Zero: the direction is another set's than the sample's.
+    The latter is zero if the direction belongs to the set of another role than the sample's.
 
     Parameters
     ----------
-    glass
+    glass : float
         See `glass_before_faces`.
+    normal : (3,) float
+        The sensor's normal towards the array, array frame.
     near, listed
-        Lenslets that may show the opening, and how many, from `list_cells`.
-    sample, shares
-        Its number, and how the pixel's samples are shared out.
+        Lenslets that may show the opening, and their number, from `list_cells`.
+    cells : (3, n) int64
+        Working memory, see `cells_that_show`.
+    numbers : Numbers
+    sample : int
+        Number of the sample.
+    shares : Allotment
+    x, y, z : float, mm
+        The point, array frame.
     """
     lattice = array.lenslets.lattice
     nx, ny, nz = normal
@@ -305,7 +367,7 @@ def through_a_lenslet(
         curvature, ax, ay = near[chosen, 5], u - near[chosen, 6], v - near[chosen, 7]
         level2 = 1.0 - curvature * curvature * (ax * ax + ay * ay)
         if level2 <= 0.0:
-            # Beside the cell the sphere may have ended.
+            # In the margin around the cell the sphere may have ended.
             return 0.0, 0.0, 0.0, 0.0
         level = np.sqrt(level2)
         plate = depth + growth * curvature * (ax * ax + ay * ay) / (1.0 + level)
@@ -321,7 +383,7 @@ def through_a_lenslet(
             q = np.sqrt(q2)
             layer = array.lenslets.valley - array.lenslets.top
             if half_width_to(lattice, u, v) + layer * s / q < 0.5 * lattice.pitch:
-                # The ray stays in the cell as long as there are faces: it is no other lenslet's.
+                # The ray stays in its cell throughout the layer of faces, so it meets no other lenslet.
                 turned = 1.0 - growth * curvature * (sx * ax + sy * ay) / (q * level)
                 if turned <= 0.0:
                     return 0.0, 0.0, 0.0, 0.0
@@ -340,7 +402,7 @@ def through_a_lenslet(
     elif drawn > 0.0:
         by_cells = drawn / (of_maybe * filled * size * size)
         if surely == 0:
-            # All rays are the margin's or blind.
+            # Without main rays, all rays are margin rays or blind.
             density = shares.aimed * by_cells + shares.unaimed * cos_theta / np.pi
         elif role != MAIN:
             density = shares.margin * by_cells + shares.blind * cos_theta / np.pi
@@ -351,12 +413,26 @@ def through_a_lenslet(
 
 @pasted
 def cells_that_show(
-    aim: Aim, near: Array, listed: int, cells: NDArray[np.int64], x: float, y: float, z: float
+    aim: AimTables, near: Array, listed: int, cells: NDArray[np.int64], x: float, y: float, z: float
 ) -> tuple[int, int, float, float]:
-    """Find the listed lenslets that may show the opening to a point; return how many, and how many surely do.
+    """Find the listed lenslets that may show the opening to a point, and those that surely do.
 
-    And how large those look together. `cells` has their numbers in the list: [0] those that may, [1] whether each
-    surely does, [2] those that surely do.
+    Parameters
+    ----------
+    near, listed
+        From `list_cells`.
+    cells : (3, n) int64
+        Filled with indices in the list: [0] lenslets that may show it, [1] whether each of these surely does, [2]
+        lenslets that surely do.
+    x, y, z : float, mm
+        The point, array frame.
+
+    Returns
+    -------
+    maybe, surely : int
+        Numbers of such lenslets.
+    of_maybe, of_surely : float
+        Sums of their relative solid angles.
     """
     over = 1.0 / abs(z - aim.lenslet_z)
     maybe, surely, of_maybe, of_surely = 0, 0, 0.0, 0.0
@@ -374,7 +450,17 @@ def cells_that_show(
 
 @inlined
 def by_solid_angle(near: Array, cells: NDArray[np.int64], count: int, part: float) -> int:
-    """Return which of some listed lenslets holds a part of how large they look together, in their order."""
+    """Choose one of some listed lenslets by solid angle.
+
+    Parameters
+    ----------
+    cells : (n,) int64
+        Indices in the list.
+    count : int
+        Number of cells.
+    part : float
+        Random number, from 0 to the sum of their relative solid angles.
+    """
     for number in range(count - 1):
         part -= near[cells[number], SOLID_ANGLE]
         if part < 0.0:
@@ -384,13 +470,25 @@ def by_solid_angle(near: Array, cells: NDArray[np.int64], count: int, part: floa
 
 @pasted
 def spread_on_faces(
-    array: ArrayTables, aim: Aim, glass: float, near: Array, cells: NDArray[np.int64], maybe: int,
+    array: ArrayTables, aim: AimTables, glass: float, near: Array, cells: NDArray[np.int64], maybe: int,
     x: float, y: float, z: float, dx: float, dy: float, dz: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """Return area over solid angle (mm²) of a direction on the faces that it meets: sure ones, and all with a margin.
+    """Return area over solid angle, mm²/sr, of a direction on the faces that it meets: of sure ones, and of all.
 
-    Summed over the faces, each of which could have drawn it. Zero: what comes from there is outside that part of the
-    aim.
+    Summed over the faces, as each could have drawn the direction; for all faces, cells include the margin. Zero if the
+    direction is outside that part of the aim.
+
+    Parameters
+    ----------
+    glass : float
+        See `glass_before_faces`.
+    near
+        Lenslets from `list_cells`.
+    cells, maybe
+        Lenslets among them that may show the opening, and their number, from `cells_that_show`.
+    x, y, z : float, mm
+        Point of the sensor, array frame.
+    dx, dy, dz : float
     """
     lattice = array.lenslets.lattice
     air, depth, growth = path_to_apexes(array, z)
@@ -420,16 +518,16 @@ def spread_on_faces(
 
 @inlined
 def half_width_to(lattice: Lattice, x: float, y: float) -> float:
-    """Return the half pitch of a cell at the origin whose border goes through a point."""
+    """Return the half width of the cell about the origin whose border contains a point, mm."""
     return half_hexagon(x, y) if lattice.hexagonal else max(abs(x), abs(y))
 
 
 @kernel
 def _point_of_cell(hexagonal: bool, u: float, v: float) -> tuple[float, float]:
-    """Return a uniform point of the cell at the origin, in pitches."""
+    """Return a uniform point of the cell about the origin, in pitches."""
     if not hexagonal:
         return u - 0.5, v - 0.5
-    # Three rhombi make the hexagon, each spanned by two radii to corners: at 30°, 150° and 270°.
+    # The hexagon is made of three rhombi, each spanned by two of the radii to the corners at 30°, 150° and 270°.
     third = int(3.0 * u)
     u = 3.0 * u - third
     ax, ay = _CORNERS[third]

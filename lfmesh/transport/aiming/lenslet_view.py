@@ -1,12 +1,12 @@
-"""Which lenslets show the lens's opening to a point of the sensor, and through which cells it is aimed at.
+"""Views of the lens's opening through lenslets: which lenslets show it to a point of the sensor.
 
-Real rays from the opening's border through every lenslet tell how far from its middle's view of the opening light may
-land. What is aimed at must hold every path: one past it has the weight of the few rays that go anywhere.
+Real rays from the opening's border through every lenslet measure how far from the paraxial view light may land. The
+views must hold every path, as one outside them would have the large weight of the few rays that go anywhere.
 """
 
 import numpy as np
 
-from lfmesh.geometry import frame as frames
+from lfmesh.geometry import frame
 from lfmesh.geometry.lattice import ROW_SPACING, centre
 from lfmesh.geometry.lenslets import border_segments, cap_sag, shape_of
 from lfmesh.geometry.mesh import Array
@@ -15,57 +15,73 @@ from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aiming.pupil import opening_from
 from lfmesh.transport.events.crossing import refracted
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
-from lfmesh.transport.tables.tables import Aim, ArrayTables, Opening, SensorTables
+from lfmesh.transport.tables.tables import AimTables, ArrayTables, Opening, SensorTables
 
 ZONES = 2
-"""Points of a lenslet from its middle to each corner for which the opening is looked at."""
+"""Number of points of a lenslet, from its centre to each corner, at which the view is measured."""
 
 NOTHING_SEEN = -1.0
-"""In place of a lenslet's view (slope²): it does not show the opening."""
+"""In place of the squared radius of a lenslet's view: the lenslet does not show the opening."""
 
 VIEW_MARGIN = 1.02
-"""For what lies between the rays by which a lenslet's view is measured."""
+"""Factor on the radius of a view, for what lies between the rays by which it is measured."""
 
 TRUSTED, WIDENED = 0.7, 1.3
-"""Factors between which the views of lenslets are what was measured, but for a common factor above 1."""
+"""Range of the factor needed within which the measured views are kept, widened by a common factor if above 1."""
 
 ROUNDING = 1e-6
-"""Of a pitch, by which cells stand out that are aimed at."""
+"""Margin of aimed cells, in pitches, for rounding errors."""
 
 SURE = 0.95
-"""Part of a lenslet's view, in radii, within which it surely shows the opening."""
+"""Part of the radius of a lenslet's view within which the lenslet surely shows the opening."""
 
 
 def grid(half_width: float, half_height: float, z: float) -> Array:
-    """Return the corners, the middles of the sides and the middle of a rectangle, (9, 3) mm."""
+    """Return the corners, the middles of the sides and the centre of a rectangle at height z, (9, 3) mm.
+
+    Parameters
+    ----------
+    half_width, half_height, z : float, mm
+    """
     return np.array([[i * half_width, j * half_height, z] for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
 
 def apex_z(array: ArrayTables, glass: float) -> tuple[float, float]:
-    """Return z (array frame) of the lenslets' apexes as the sensor and as the lens sees them, one through the plate."""
+    """Return z (array frame) of the lenslets' apexes as the sensor and as the lens sees them; one through the plate."""
     thickness = array.lenslets.thickness
     through_plate = thickness - thickness / glass
     return (through_plate, 0.0) if array.curved_to_lens else (0.0, through_plate)
 
 
 def aim_through_lenslets(
-    scene: Scene, report: FirstOrder, array: ArrayTables, aim: Aim, moves: Array, glass: float
-) -> Aim:
-    """Add which lenslets show the exit pupil to a point of the sensor: each one's view of it, and its own blur.
+    scene: Scene, report: FirstOrder, array: ArrayTables, aim: AimTables, moves: Array, glass: float
+) -> AimTables:
+    """Return the aim tables with the view of the exit pupil through each lenslet.
 
-    A ray from x through a lenslet's point c + u leaves it with slope (c + u − x)/d − φ (u − e), e the apex's decentre.
-    The opening lies at slope σ − κ u from there: so from the lenslet's middle, at φ e − σ off (c − x)/d, give or take
-    |κ + 1/d − φ| |u| and the lenslet's aberrations, which real rays tell.
+    A ray from x through a lenslet's point c + u leaves it with slope (c + u − x)/d − φ (u − e), where e is the apex's
+    decentre. The opening lies at slope σ − κ u from there. So, seen from the lenslet's centre, it is off (c − x)/d by
+    φ e − σ, with a blur of |κ + 1/d − φ| |u| and of the lenslet's aberrations, which real rays measure.
+
+    Parameters
+    ----------
+    scene : Scene
+    report : FirstOrder
+    array : ArrayTables
+    aim : AimTables
+    moves : (5, 5, 3, 4) float64
+        Between frames.
+    glass : float
+        Refractive index of the lenslets.
     """
     lattice = array.lenslets.lattice
     sensor_z, lens_z = apex_z(array, glass)
     middle = np.array([[0.0, 0.0, lens_z]])
-    to_pupil = float(frames.points(moves[ARRAY_FRAME, CAMERA_FRAME], middle)[0, 2]) - report.exit_pupil_z_mm
+    to_pupil = float(frame.points(moves[ARRAY_FRAME, CAMERA_FRAME], middle)[0, 2]) - report.exit_pupil_z_mm
     vergence = 1.0 / to_pupil if np.isfinite(to_pupil) else 0.0
     pupil = [0.0, 0.0, report.exit_pupil_z_mm if np.isfinite(to_pupil) else scene.camera.lens.vertices_mm[-1]]
-    pupil_x, pupil_y, _ = frames.points(moves[CAMERA_FRAME, ARRAY_FRAME], [pupil])[0]
+    pupil_x, pupil_y, _ = frame.points(moves[CAMERA_FRAME, ARRAY_FRAME], [pupil])[0]
     width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
-    corners = frames.points(moves[SENSOR_FRAME, ARRAY_FRAME], grid(width, height, 0.0))
+    corners = frame.points(moves[SENSOR_FRAME, ARRAY_FRAME], grid(width, height, 0.0))
     distance = np.abs(corners[:, 2] - sensor_z)
     cells = lattice.columns * lattice.rows
     slope, slope_radius = np.zeros((cells, 2)), np.zeros(cells)
@@ -84,24 +100,24 @@ def aim_through_lenslets(
 
 
 def _off_by_facets(array: ArrayTables) -> float:
-    """Return how far beside its cell a ray may meet a lenslet's face where that is a mesh, mm.
+    """Return the distance outside its cell at which a ray may meet a lenslet's face where the face is a mesh, mm.
 
-    Chords lie their sag aside, which rays in glass or air cross at less than 45° but for a few.
+    It is the sag of the chords, as nearly all rays are inclined by less than 45°.
     """
     lattice = array.lenslets.lattice
     chord = lattice.circumradius / border_segments(lattice.hexagonal)
     return ROUNDING * lattice.pitch + float(np.abs(array.lenslets.curvature).max()) * chord**2 / 8.0
 
 
-def _search(aim: Aim, array: ArrayTables, distance: float) -> int:
-    """Return how many cells off the one that its chief ray meets a cell may lie that shows the opening to a point.
+def _search(aim: AimTables, array: ArrayTables, distance: float) -> int:
+    """Return the number of cells to each side of the chief ray's that may show the opening to a point of the sensor.
 
-    A row of a hexagonal lattice is nearer than a pitch, and half a pitch aside.
+    Rows of a hexagonal lattice are less than a pitch apart, and shifted by half a pitch.
 
     Parameters
     ----------
     distance : float, mm
-        Largest, of a point of the sensor to the lenslets.
+        Largest distance of a point of the sensor from the lenslets.
     """
     lattice = array.lenslets.lattice
     seen, slope = aim.slope_radius2 > 0.0, aim.slope
@@ -113,16 +129,17 @@ def _search(aim: Aim, array: ArrayTables, distance: float) -> int:
 
 
 def fitted_views(
-    aim: Aim, array: ArrayTables, moves: Array, sensor: SensorTables, needed: float, furthest: float, most: float
-) -> Aim:
-    """Return the aim with lenslets' views as wide as light needs them; what they surely show stays.
+    aim: AimTables, array: ArrayTables, moves: Array, sensor: SensorTables, needed: float, furthest: float, most: float
+) -> AimTables:
+    """Return the aim with the lenslets' views as wide as the light needs; the part that they surely show is kept.
 
     Parameters
     ----------
     needed : float
         Factor by which the measured views would have to be wider.
     furthest, most : float
-        How far (slope) from the middle of a lenslet's view light goes: but for a negligible share, and nine tenths.
+        Distance, in slope, from the centre of a view within which all light but a negligible share falls, and within
+        which nine tenths of it fall.
     """
     seen = aim.slope_radius2 > 0.0
     if TRUSTED <= needed <= 1.0:
@@ -130,16 +147,24 @@ def fitted_views(
     if 1.0 < needed <= WIDENED:
         radius2, sure2 = needed * needed * aim.slope_radius2, aim.sure2 / (needed * needed)
     else:
-        # Rays at the lenslets' borders are reflected totally, or leave at grazing angles: they measured nothing.
+        # Rays at the lenslets' borders were reflected totally or left at grazing angles, so the views are not measured.
         radius2, sure2 = np.full_like(aim.slope_radius2, furthest * furthest), (most / furthest) ** 2
     aim = aim._replace(slope_radius2=np.where(seen, radius2, -1.0), sure2=sure2)
     width, height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
-    corners = frames.points(moves[SENSOR_FRAME, ARRAY_FRAME], grid(width, height, 0.0))
+    corners = frame.points(moves[SENSOR_FRAME, ARRAY_FRAME], grid(width, height, 0.0))
     return aim._replace(search=_search(aim, array, np.abs(corners[:, 2] - aim.lenslet_z).max()))
 
 
-def with_wider_cells(aim: Aim, array: ArrayTables, by: float) -> Aim:
-    """Return the aim with cells that are wider by a factor, as they are aimed at."""
+def with_wider_cells(aim: AimTables, array: ArrayTables, by: float) -> AimTables:
+    """Return the aim with wider aimed cells.
+
+    Parameters
+    ----------
+    aim : AimTables
+    array : ArrayTables
+    by : float
+        Factor on the width of the cells.
+    """
     half = 0.5 * array.lenslets.lattice.pitch
     return aim._replace(cell_margin=by * (half + aim.cell_margin) - half)
 
@@ -149,10 +174,16 @@ def _view_through_cells(
     array: ArrayTables, opening: Opening, moves: Array, lens_z: float, sensor_z: float, power_of_curvature: float,
     corners: Array, slope: Array, slope_radius: Array,
 ) -> None:  # fmt: skip
-    """Write for every lenslet the slope (array frame, away from the sensor) at which it sees the opening's middle.
+    """Measure the view of the opening through every lenslet by real rays.
 
-    And how far from that a ray through its middle may go for another one through it to meet the opening, by real rays
-    from the opening's border through the lenslet's zones, up to its corners (n, 2), to the sensor; −1 for none.
+    Rays go from the opening's border through points of the lenslet, up to its corners (n, 2), to the sensor.
+
+    Parameters
+    ----------
+    slope : (cells, 2) float64
+        Filled with the slope (array frame, away from the sensor) at which a lenslet sees the opening's centre.
+    slope_radius : (cells,) float64
+        Filled with the radius of the view about that, in slopes; −1: the lenslet does not show the opening.
     """
     lenslets = array.lenslets
     lattice = lenslets.lattice
@@ -161,7 +192,7 @@ def _view_through_cells(
         for column in range(lattice.columns):
             cell = row * lattice.columns + column
             cx, cy = centre(lattice, column, row)
-            x, y, z = frames.move_point(moves, ARRAY_FRAME, CAMERA_FRAME, cx, cy, lens_z)
+            x, y, z = frame.move_point(moves, ARRAY_FRAME, CAMERA_FRAME, cx, cy, lens_z)
             mx, my, radius = opening_from(opening, x, y, z)
             if radius <= 0.0:
                 slope_radius[cell] = -1.0
@@ -174,7 +205,7 @@ def _view_through_cells(
             for point in range(1 + ZONES * len(corners)):
                 zone, corner = (point + len(corners) - 1) // len(corners) / ZONES, point % len(corners)
                 ux, uy = zone * corners[corner, 0], zone * corners[corner, 1]
-                off = _astray(
+                off = _farthest_landing(
                     array, opening, moves, curvature, ux - ex, uy - ey, cx, cy, cx + ux, cy + uy, sensor_z, sx, sy
                 )
                 furthest = max(furthest, off)
@@ -182,40 +213,40 @@ def _view_through_cells(
 
 
 @inlined
-def _astray(
+def _farthest_landing(
     array: ArrayTables, opening: Opening, moves: Array, curvature: float, ux: float, uy: float, cx: float, cy: float,
     x: float, y: float, sensor_z: float, sx: float, sy: float,
 ) -> float:  # fmt: skip
-    """Return how far (slope) from where a cell's middle sees the opening rays land that cross one point of its face.
+    """Return the largest distance, in slope, from the centre of a cell's view at which rays through a point land.
 
     Parameters
     ----------
-    ux, uy : float
-        The point, from the face's apex.
-    cx, cy, x, y : float
-        The cell's middle, and the point again, array frame.
+    ux, uy : float, mm
+        The point of the face, relative to its apex.
+    cx, cy, x, y : float, mm
+        The cell's centre, and the same point, array frame.
     sx, sy : float
-        Slope at which the middle sees the opening.
+        Slope at which the cell's centre sees the opening.
     """
     to_sensor = 1.0 if array.curved_to_lens else -1.0
     sag = cap_sag(curvature, ux * ux + uy * uy)
-    sx0, sy0, sz0 = frames.move_point(moves, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, 0.0)
-    mx, my, mz = frames.move_direction(moves, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, 1.0)
+    sx0, sy0, sz0 = frame.move_point(moves, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, 0.0)
+    mx, my, mz = frame.move_direction(moves, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, 1.0)
     furthest = 0.0
     for colour in range(array.media.indices.shape[1]):
         glass = array.media.indices[array.medium, colour]
-        # The lens sees the face through the plate where that is between.
+        # If the plate lies between lens and face, the lens sees the face through it.
         seen_z = sag if array.curved_to_lens else array.lenslets.thickness - (array.lenslets.thickness - sag) / glass
-        px, py, pz = frames.move_point(moves, ARRAY_FRAME, CAMERA_FRAME, x, y, seen_z)
+        px, py, pz = frame.move_point(moves, ARRAY_FRAME, CAMERA_FRAME, x, y, seen_z)
         ox, oy, radius = opening_from(opening, px, py, pz)
-        outward_x, outward_y, _ = frames.move_direction(moves, ARRAY_FRAME, CAMERA_FRAME, x - cx, y - cy, 0.0)
+        outward_x, outward_y, _ = frame.move_direction(moves, ARRAY_FRAME, CAMERA_FRAME, x - cx, y - cy, 0.0)
         length = np.sqrt(outward_x * outward_x + outward_y * outward_y)
         hx, hy = (outward_x / length, outward_y / length) if length > 0.0 else (1.0, 0.0)
-        # Outward, across, inward, and across.
+        # Four points of the opening's border, a quarter turn apart.
         for _ in range(4 if radius > 0.0 else 0):
             hx, hy = -hy, hx
             dx, dy, dz = px - ox - radius * hx, py - oy - radius * hy, pz - opening.plane_z
-            dx, dy, dz = frames.move_direction(moves, CAMERA_FRAME, ARRAY_FRAME, dx, dy, dz)
+            dx, dy, dz = frame.move_direction(moves, CAMERA_FRAME, ARRAY_FRAME, dx, dy, dz)
             through, at_x, at_y, at_z, dx, dy, dz = _through_lenslet(
                 array.lenslets.thickness, curvature, glass, to_sensor, ux, uy, sag, x, y, dx, dy, dz
             )
@@ -233,25 +264,25 @@ def _through_lenslet(
     thickness: float, curvature: float, glass: float, to_sensor: float, ux: float, uy: float, sag: float,
     x: float, y: float, dx: float, dy: float, dz: float,
 ) -> tuple[bool, float, float, float, float, float, float]:  # fmt: skip
-    """Take a ray that crosses a point of a lenslet's face out of the plate; return whether it gets through, and how."""
+    """Trace a ray through a point of a lenslet's face; return whether it gets through, its exit point and direction."""
     scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
     dx, dy, dz = dx * scale, dy * scale, dz * scale
     nx, ny, nz = -curvature * ux * to_sensor, -curvature * uy * to_sensor, (1.0 - curvature * sag) * to_sensor
     if to_sensor > 0.0:
-        one, dx, dy, dz = _bent(dx, dy, dz, nx, ny, nz, 1.0 / glass)
+        one, dx, dy, dz = _refract_if_possible(dx, dy, dz, nx, ny, nz, 1.0 / glass)
         t = (thickness - sag) / dz
-        other, ex, ey, ez = _bent(dx, dy, dz, 0.0, 0.0, to_sensor, glass)
+        other, ex, ey, ez = _refract_if_possible(dx, dy, dz, 0.0, 0.0, to_sensor, glass)
         return one and other, x + t * dx, y + t * dy, thickness, ex, ey, ez
-    one, dx, dy, dz = _bent(dx, dy, dz, 0.0, 0.0, to_sensor, 1.0 / glass)
-    other, dx, dy, dz = _bent(dx, dy, dz, nx, ny, nz, glass)
+    one, dx, dy, dz = _refract_if_possible(dx, dy, dz, 0.0, 0.0, to_sensor, 1.0 / glass)
+    other, dx, dy, dz = _refract_if_possible(dx, dy, dz, nx, ny, nz, glass)
     return one and other, x, y, sag, dx, dy, dz
 
 
 @inlined
-def _bent(
+def _refract_if_possible(
     dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, eta: float
 ) -> tuple[bool, float, float, float]:
-    """Return whether a ray is refracted where the normal looks along it, and its direction then."""
+    """Return whether a ray is refracted at a face whose normal points along it, and the refracted direction."""
     cos_i = dx * nx + dy * ny + dz * nz
     cos2_t = 1.0 - eta * eta * (1.0 - cos_i * cos_i)
     if cos_i <= 0.0 or cos2_t <= 0.0:
@@ -263,5 +294,5 @@ def _bent(
 @kernel
 def _slope(moves: Array, dx: float, dy: float, dz: float, toward: float) -> tuple[float, float]:
     """Return the slope, array frame, of a direction of the camera frame."""
-    x, y, z = frames.move_direction(moves, CAMERA_FRAME, ARRAY_FRAME, dx, dy, dz)
+    x, y, z = frame.move_direction(moves, CAMERA_FRAME, ARRAY_FRAME, dx, dy, dz)
     return x / (toward * z), y / (toward * z)

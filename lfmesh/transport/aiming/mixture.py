@@ -1,8 +1,9 @@
-"""Where to send rays: a mixture of the disk that matters and one that misses nothing, with its density.
+"""Directions towards the lens: a mixture of the opening's disk and a wide disk that misses nothing, with its density.
 
-Most rays go to the lens's opening as the point sees it, a few to a disk that bounds everything that can reach the lens;
-a ray is weighted by the density of the whole mixture, whichever part drew it. So ghosts and what the measured opening
-leaves out are in, and no weight exceeds that of uniform sampling by more than the inverse of the small share.
+Most rays go to the lens's opening as seen from the point, a few to a disk that bounds everything that can reach the
+lens. A ray is weighted by the density of the whole mixture, whichever disk it was drawn from. So ghosts, and light
+outside the measured opening, are included, and no weight exceeds that of uniform sampling on the wide disk by more than
+the inverse of its share.
 """
 
 import numpy as np
@@ -12,20 +13,30 @@ from lfmesh.transport.aiming.pupil import opening_from
 from lfmesh.transport.tables.tables import Opening
 
 WIDE_SHARE = 0.1
-"""Share of rays that go to the wide disk where reflections are followed: ghosts come from all over it."""
+"""Share of rays to the wide disk where reflections are followed: ghosts come from all over it."""
 
 WIDE_SHARE_OF_STRAYS = 0.5
-"""Where nothing but reflections counts."""
+"""The same where only paths with reflections are estimated."""
 
 WIDE_SHARE_OF_IMAGE_PATH = 0.002
-"""Where they are not: it brings only what the measured opening leaves out."""
+"""The same where no reflections are followed: it brings only light outside the measured opening."""
 
 
 @kernel
 def toward_disk(
     x: float, y: float, z: float, cx: float, cy: float, disk_z: float, radius: float, u: float, v: float
 ) -> tuple[float, float, float]:
-    """Return the unit direction from a point to a uniform point of a disk square to the z axis."""
+    """Return the unit direction from a point to a uniform point of a disk perpendicular to the z axis.
+
+    Parameters
+    ----------
+    x, y, z : float, mm
+        The point.
+    cx, cy, disk_z, radius : float, mm
+        Centre and radius of the disk.
+    u, v : float
+        Random numbers, uniform in [0, 1).
+    """
     r, phi = radius * np.sqrt(u), 2.0 * np.pi * v
     dx, dy, dz = cx + r * np.cos(phi) - x, cy + r * np.sin(phi) - y, disk_z - z
     scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -36,7 +47,17 @@ def toward_disk(
 def disk_density(
     x: float, y: float, z: float, dx: float, dy: float, dz: float, cx: float, cy: float, disk_z: float, radius: float
 ) -> float:
-    """Return the density per solid angle with which `toward_disk` draws a direction."""
+    """Return the density, 1/sr, with which `toward_disk` draws a direction.
+
+    Parameters
+    ----------
+    x, y, z : float, mm
+        The point.
+    dx, dy, dz : float
+        The direction.
+    cx, cy, disk_z, radius : float, mm
+        Centre and radius of the disk.
+    """
     if radius <= 0.0 or dz == 0.0:
         return 0.0
     t = (disk_z - z) / dz
@@ -49,18 +70,30 @@ def disk_density(
 @kernel
 def aimed(
     x: float, y: float, z: float,
-    opening: Opening, wide_radius: float, wide_share: float, blind_share: float,
+    opening: Opening, wide_radius: float, wide_share: float, share_without_aim: float,
     choice: float, u: float, v: float,
 ) -> tuple[float, float, float, float]:  # fmt: skip
-    """Return a direction from a point towards the lens's opening or the wide disk, and its density in the mixture.
+    """Return a direction from a point towards the opening or the wide disk, and its density in the mixture, 1/sr.
 
-    A point that sees no opening sends a share of its rays only, to the wide disk; for the others the density is zero.
+    From a point that sees no opening only a share of the rays is sent, to the wide disk; for the others the density
+    is zero.
+
+    Parameters
+    ----------
+    x, y, z : float, mm
+        The point, camera frame.
+    opening : Opening
+    wide_radius : float, mm
+    wide_share, share_without_aim : float
+        See `AimTables`.
+    choice, u, v : float
+        Random numbers, uniform in [0, 1).
     """
     cx, cy, radius = opening_from(opening, x, y, z)
     narrow = opening.known and radius > 0.0
     share = 1.0
     if opening.known:
-        share = wide_share if narrow else blind_share
+        share = wide_share if narrow else share_without_aim
     if choice < share:
         dx, dy, dz = toward_disk(x, y, z, 0.0, 0.0, opening.plane_z, wide_radius, u, v)
     elif narrow:
@@ -76,14 +109,14 @@ def aimed(
 @kernel
 def aimed_density(
     x: float, y: float, z: float, dx: float, dy: float, dz: float,
-    opening: Opening, wide_radius: float, wide_share: float, blind_share: float,
+    opening: Opening, wide_radius: float, wide_share: float, share_without_aim: float,
 ) -> float:  # fmt: skip
-    """Return the density per solid angle with which `aimed` draws a direction from a point."""
+    """Return the density, 1/sr, with which `aimed` draws a direction from a point; parameters as there."""
     cx, cy, radius = opening_from(opening, x, y, z)
     narrow = opening.known and radius > 0.0
     share = 1.0
     if opening.known:
-        share = wide_share if narrow else blind_share
+        share = wide_share if narrow else share_without_aim
     density = share * disk_density(x, y, z, dx, dy, dz, 0.0, 0.0, opening.plane_z, wide_radius)
     if narrow:
         density += (1.0 - share) * disk_density(x, y, z, dx, dy, dz, cx, cy, opening.plane_z, radius)

@@ -1,8 +1,9 @@
-"""The lens's opening as points in front of it or behind it see it, found by real rays.
+"""The lens's opening (effective pupil) as seen from points in front of the lens or behind it, found by real rays.
 
-From each of a table of points rays go at the lens, through its exact surfaces; what gets through at any wavelength of
-the scene is bounded by a disk in the lens's outermost plane. Vignetting and the aberrations of the pupil are in it. The
-lens is one of revolution, so a point is told by its distance from that plane and the tangent of its field angle.
+From each of a table of points, rays are traced through the exact surfaces of the lens. Those that get through at any
+wavelength of the scene are bounded by a disk in the lens's outermost plane, which includes vignetting and pupil
+aberrations. As the lens is rotationally symmetric, a point is given by its distance from that plane and the tangent of
+its field angle.
 """
 
 from typing import NamedTuple
@@ -32,56 +33,56 @@ from lfmesh.transport.tables.tables import LensTables, Opening
 Array = NDArray[np.float64]
 
 _OBSTRUCTION = SCRATCH + 15 * BLOCK
-"""Working row, past those that aspheres use."""
+"""Working row of the bundle, beyond those that aspheres use."""
 
 ANGLES = 33
 """Field angles at which the opening is measured, evenly spaced in their tangent."""
 
 DISTANCES = 6
-"""Distances at which it is measured where points lie at several, evenly spaced in their inverse."""
+"""Distances at which it is measured if the points do not all lie in one plane, evenly spaced in their inverse."""
 
 SEARCH = 49
 """Rays along the meridian of the outermost plane with which the search for the opening begins."""
 
 CLOSE_UP = np.ldexp(1.0, -np.arange(4, 28))
-"""Steps from where first-order optics expects the opening, in radii of the wide disk, that are tried besides."""
+"""Further trial rays: distances from the opening of first-order optics, in radii of the wide disk."""
 
 NARROWINGS = 44
-"""Golden sections of the interval that holds the clearest ray, which end at a billionth of it."""
+"""Golden-section steps of the search for the clearest ray, which narrow its interval to a billionth."""
 
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 SPOKES = 20
-"""Half as many directions round the clearest ray in which the opening's edge is measured."""
+"""Directions in the half-plane about the clearest ray in which the opening's edge is measured."""
 
 OUTERMOST = 40
-"""Halvings of a spoke, from beyond the lens, until a ray on it gets through; and ..."""
+"""Largest number of halvings of a spoke, from beyond the lens inwards, until a ray on it gets through."""
 
 HALVINGS = 7
-"""... of the interval in which the edge then lies, to a hundredth of the opening."""
+"""Bisections of the interval that then holds the edge, to a hundredth of the opening."""
 
 PARAXIAL_MARGIN = 1.15
-"""Over the paraxial pupil's radius, where no real rays are to be had: pupils have aberrations."""
+"""Factor on the paraxial pupil's radius where real rays cannot be traced, for the pupil's aberrations."""
 
 MARGIN = 1.02
-"""Over the measured radius: what lies between the measured points, spokes and wavelengths."""
+"""Factor on the measured radius, for what lies between the measured points, spokes and wavelengths."""
 
 
-class Outlook(NamedTuple):
-    """From where a side of the lens is looked at.
+class Viewpoints(NamedTuple):
+    """Points from which one side of the lens is seen, as a grid of field angles and distances.
 
     Attributes
     ----------
     plane_z : float, mm
         The lens's outermost plane on that side, camera frame.
     wide_radius : float, mm
-        Of the disk there that every ray to the lens crosses.
+        Radius of the disk in that plane that every ray to the lens crosses.
     to_sensor : bool
-        The way rays go from there into the lens.
+        Rays from the points travel towards the sensor; else towards the objects.
     tangent : (m,) float64
-        Of field angles, from 0, evenly spaced.
+        Tangents of the field angles, from 0, evenly spaced.
     distance : (n,) float64, mm
-        To the plane, far to near, evenly spaced in its inverse.
+        Distances from the plane, far to near, evenly spaced in their inverse.
     """
 
     plane_z: float
@@ -91,8 +92,15 @@ class Outlook(NamedTuple):
     distance: Array
 
 
-def outlook(plane_z: float, wide_radius: float, points: Array, *, to_sensor: bool) -> Outlook | None:
-    """Return how points (n, 3) (camera frame) look at a side of the lens; None: none of them lies before it."""
+def viewpoints(plane_z: float, wide_radius: float, points: Array, *, to_sensor: bool) -> Viewpoints | None:
+    """Return the grid of viewpoints that covers some points; None if none of the points lies before the lens.
+
+    Parameters
+    ----------
+    plane_z, wide_radius, to_sensor
+        See `Viewpoints`.
+    points : (n, 3) float64, mm, camera frame
+    """
     distance = (plane_z - points[:, 2]) * (1.0 if to_sensor else -1.0)
     before = distance > 1e-6 * wide_radius
     if not before.any():
@@ -100,16 +108,16 @@ def outlook(plane_z: float, wide_radius: float, points: Array, *, to_sensor: boo
     distance = distance[before]
     tangent = np.hypot(points[before, 0], points[before, 1]) / distance
     near, far = float(distance.min()), float(distance.max())
-    # Where all lie in one plane, one distance will do.
+    # One distance is enough if all points lie in one plane.
     many = DISTANCES if far - near > 1e-9 * far else 1
     inverse = np.linspace(1.0 / far, 1.0 / near, many)
-    # Points on the axis alone see it at no angle; the table then needs some width.
+    # If all points lie on the axis, the table still needs a width.
     widest = float(tangent.max()) or 1.0
-    return Outlook(plane_z, wide_radius, to_sensor, np.linspace(0.0, widest, ANGLES), 1.0 / inverse)
+    return Viewpoints(plane_z, wide_radius, to_sensor, np.linspace(0.0, widest, ANGLES), 1.0 / inverse)
 
 
 def unknown_opening(plane_z: float, *, to_sensor: bool) -> Opening:
-    """Return the opening of a lens of which nothing is known: rays go anywhere on it."""
+    """Return the opening that stands for "not known": rays are sent to the whole wide disk."""
     sense = 1.0 if to_sensor else -1.0
     return Opening(
         known=False, plane_z=plane_z, sense=sense, tangent_step=1.0, nearness=0.0, nearness_step=1.0,
@@ -117,16 +125,22 @@ def unknown_opening(plane_z: float, *, to_sensor: bool) -> Opening:
     )  # fmt: skip
 
 
-def paraxial_opening(seen: Outlook, pupil_z: float, pupil_radius: float) -> Opening:
-    """Return a pupil of first-order optics as points see it in the outermost plane, with a margin.
+def paraxial_opening(seen: Viewpoints, pupil_z: float, pupil_radius: float) -> Opening:
+    """Return the pupil of first-order optics, projected from each viewpoint into the outermost plane, with a margin.
 
-    Where that is wider than the disk that every ray to the lens crosses, the latter takes its place.
+    It is never wider than the disk that every ray to the lens crosses.
+
+    Parameters
+    ----------
+    seen : Viewpoints
+    pupil_z, pupil_radius : float, mm
+        Camera frame.
     """
     return _opening(seen, *_paraxial_disks(seen, pupil_z, pupil_radius))
 
 
-def _paraxial_disks(seen: Outlook, pupil_z: float, pupil_radius: float) -> tuple[Array, Array]:
-    """Return middle (along the meridian) and radius of a paraxial pupil as every point sees it, (n, m) mm."""
+def _paraxial_disks(seen: Viewpoints, pupil_z: float, pupil_radius: float) -> tuple[Array, Array]:
+    """Return centre (along the meridian) and radius of the paraxial pupil seen from every viewpoint, (n, m) mm."""
     tangent, distance = np.meshgrid(seen.tangent, seen.distance)
     depth = (pupil_z - seen.plane_z) * (1.0 if seen.to_sensor else -1.0)
     with np.errstate(divide="ignore"):
@@ -137,17 +151,17 @@ def _paraxial_disks(seen: Outlook, pupil_z: float, pupil_radius: float) -> tuple
     return middle, np.where(fits, radius, seen.wide_radius)
 
 
-def real_opening(seen: Outlook, lens: LensTables, pupil_z: float, pupil_radius: float) -> Opening:
-    """Return what gets through the lens's exact surfaces, whatever the wavelength, as points see it.
+def real_opening(seen: Viewpoints, lens: LensTables, pupil_z: float, pupil_radius: float) -> Opening:
+    """Return the opening through which real rays of any wavelength pass the lens's exact surfaces.
 
-    Field angles beyond which nothing gets through are left out of the table.
+    Field angles beyond which no light gets through are left out of the table.
 
     Parameters
     ----------
-    seen : Outlook
+    seen : Viewpoints
     lens : LensTables
     pupil_z, pupil_radius : float, mm
-        The paraxial pupil, near which the search begins, and which stands where real rays cannot decide.
+        The paraxial pupil, near which the search begins, and which is used where real rays cannot decide.
     """
     middle, radius = _measured(seen, lens, pupil_z, pupil_radius)
     open_columns = np.flatnonzero((radius > 0.0).any(axis=0))
@@ -160,8 +174,8 @@ def real_opening(seen: Outlook, lens: LensTables, pupil_z: float, pupil_radius: 
     return _opening(seen, middle, radius)
 
 
-def _measured(seen: Outlook, lens: LensTables, pupil_z: float, pupil_radius: float) -> tuple[Array, Array]:
-    """Return middle (along the meridian) and radius of the opening's disk from every point, (n, m) mm; −1: closed."""
+def _measured(seen: Viewpoints, lens: LensTables, pupil_z: float, pupil_radius: float) -> tuple[Array, Array]:
+    """Return centre (along the meridian) and radius of the opening from every viewpoint, (n, m) mm; −1: closed."""
     height = np.outer(seen.distance, seen.tangent).ravel()
     distance = np.repeat(seen.distance, len(seen.tangent))
     paraxial_middle, paraxial_radius = (disks.ravel() for disks in _paraxial_disks(seen, pupil_z, pupil_radius))
@@ -171,13 +185,13 @@ def _measured(seen: Outlook, lens: LensTables, pupil_z: float, pupil_radius: flo
     edge[is_open] = _edge(seen, lens, height[is_open], distance[is_open], start[is_open])
     angle = np.linspace(0.0, np.pi, SPOKES)
     px, py = start[:, None] + edge * np.cos(angle), edge * np.sin(angle)
-    # The smallest disk on the meridian, to a hundredth of what there is between its extremes.
+    # The smallest disk with its centre on the meridian, found to a hundredth of the opening's extent.
     low, high = px.min(axis=1), px.max(axis=1)
     trial = low + np.linspace(0.0, 1.0, 101)[:, None] * (high - low)
     reach = np.sqrt(((px[None] - trial[..., None]) ** 2 + py[None] ** 2).max(axis=2))
     best = reach.argmin(axis=0)
     points = np.arange(len(height))
-    # Real rays that fail tell nothing: there the opening of first-order optics stands.
+    # Where real rays fail and so cannot decide, the opening of first-order optics is used.
     closed_radius = np.where(decided, -1.0, paraxial_radius)
     radius = np.where(is_open, MARGIN * reach[best, points], closed_radius)
     middle = np.where(is_open | decided, trial[best, points], paraxial_middle)
@@ -186,26 +200,26 @@ def _measured(seen: Outlook, lens: LensTables, pupil_z: float, pupil_radius: flo
 
 
 def _clearest_ray(
-    seen: Outlook, lens: LensTables, height: Array, distance: Array, expected: Array
+    seen: Viewpoints, lens: LensTables, height: Array, distance: Array, expected: Array
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Find the ray from each point, in the meridional plane, that keeps furthest from every aperture's edge.
+    """Find the ray from each point, in the meridional plane, that stays furthest from every aperture's edge.
 
-    Its obstruction (see `_obstruction`) has no other minimum, so it is bracketed and narrowed down, however small the
-    stop. A search that only asks what gets through would have to know the size of the opening first.
+    The obstruction (see `_obstruction`) has a single minimum, which a golden-section search finds however small the
+    stop is. A search by whether rays get through would need the size of the opening first.
 
     Parameters
     ----------
     height, distance : (points,) float64, mm
     expected : (points,) float64, mm
-        Where first-order optics expects the opening's middle.
+        Centre of the opening by first-order optics.
 
     Returns
     -------
     place : (points,) float64, mm
-        Of the ray in the outermost plane, along the meridian.
+        Where the ray crosses the outermost plane, along the meridian.
     obstruction : (points,) float64
     decided : (points,) bool
-        False where rays fail beside the clearest one, and that does not get through: then they tell nothing.
+        False where the clearest ray does not get through and rays next to it fail, so that the search is inconclusive.
     """
     steps = np.concatenate([-CLOSE_UP, [0.0], CLOSE_UP]) * seen.wide_radius
     across = np.broadcast_to(np.linspace(-1.0, 1.0, SEARCH) * seen.wide_radius, (len(height), SEARCH))
@@ -235,8 +249,8 @@ def _clearest_ray(
     return place, obstruction, decided | (obstruction < 1.0)
 
 
-def _edge(seen: Outlook, lens: LensTables, height: Array, distance: Array, start: Array) -> Array:
-    """Return how far from `start` light gets through along each spoke, (points, SPOKES) mm."""
+def _edge(seen: Viewpoints, lens: LensTables, height: Array, distance: Array, start: Array) -> Array:
+    """Return the distance from `start` to the edge of the opening along each spoke, (points, SPOKES) mm."""
     angle = np.linspace(0.0, np.pi, SPOKES)
 
     def gets_through(reach: Array) -> NDArray[np.bool_]:
@@ -258,11 +272,11 @@ def _edge(seen: Outlook, lens: LensTables, height: Array, distance: Array, start
     return outside
 
 
-def _obstruction(seen: Outlook, lens: LensTables, height: Array, distance: Array, x: Array, y: Array) -> Array:
-    """Return how near rays from points of the meridian come to the edge of an aperture, (points, rays).
+def _obstruction(seen: Viewpoints, lens: LensTables, height: Array, distance: Array, x: Array, y: Array) -> Array:
+    """Return the obstruction of rays: the largest (r / r_max)² over all apertures and the stop, (points, rays).
 
-    The largest (r / r_max)² over all surfaces and the stop, whose apertures do not end the rays: below one, a ray gets
-    through. Of all wavelengths the clearest counts; inf for a ray that misses a surface or is reflected totally.
+    Apertures do not end the rays here; a ray gets through if its obstruction is below one. The value is the least over
+    the wavelengths; inf for a ray that misses a surface or is reflected totally.
 
     Parameters
     ----------
@@ -298,7 +312,7 @@ def _trace_unbounded(
         for i in range(count):
             dx, dy, dz = x[first + i] - height[first + i], y[first + i], distance[first + i]
             scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
-            # From well before the plane: surfaces may touch it.
+            # Start well before the plane, as surfaces may touch it.
             back = 0.5 * distance[first + i]
             load(
                 bundle, i,
@@ -328,20 +342,20 @@ def _trace_unbounded(
                 least[first + i] = min(least[first + i], bundle[_OBSTRUCTION + i])
 
 
-def _opening(seen: Outlook, middle: Array, radius: Array) -> Opening:
-    """Return measured disks as a table: the middle interpolated between its points, the radius large enough for that.
+def _opening(seen: Viewpoints, middle: Array, radius: Array) -> Opening:
+    """Return measured disks as a table, with centres that are interpolated and radii that cover each interval.
 
-    A mesh of the table has the largest radius of its corners. From points beyond the last that see anything, the lens
-    is closed.
+    The radius of an interval is the largest of its corners, enlarged by the error of interpolation. Beyond the last
+    field angle at which light gets through, the lens is closed.
     """
     closed = radius <= 0.0
     for column in range(1, middle.shape[1]):
-        # What has no opening has no middle; its neighbour's lets the table be interpolated up to there.
+        # A closed point has no centre of its own; its neighbour's allows interpolation up to there.
         middle[:, column] = np.where(closed[:, column], middle[:, column - 1], middle[:, column])
     if len(seen.distance) == 1:
         middle, radius = np.repeat(middle, 2, axis=0), np.repeat(radius, 2, axis=0)
     largest = np.maximum.reduce([radius[:-1, :-1], radius[1:, :-1], radius[:-1, 1:], radius[1:, 1:]])
-    # Between two points of a bent line a chord is off by an eighth of the second difference.
+    # The error of linear interpolation is at most an eighth of the second difference.
     bend = 0.125 * np.abs(np.diff(middle, 2, axis=1)).max(axis=1, initial=0.0)
     bend += 0.125 * np.abs(np.diff(middle, 2, axis=0)).max(initial=0.0)
     allowed = np.maximum(bend[:-1], bend[1:])[:, None]
@@ -361,7 +375,14 @@ def _opening(seen: Outlook, middle: Array, radius: Array) -> Opening:
 
 @inlined
 def opening_from(opening: Opening, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return middle and radius (camera frame, in the plane of the opening) of the disk that a point sees; −1: none."""
+    """Return centre (x, y) and radius, in the plane of the opening, of the disk seen from a point; radius −1: none.
+
+    Parameters
+    ----------
+    opening : Opening
+    x, y, z : float, mm
+        The point, camera frame.
+    """
     distance = (opening.plane_z - z) * opening.sense
     if distance <= 0.0:
         return 0.0, 0.0, -1.0
@@ -376,6 +397,6 @@ def opening_from(opening: Opening, x: float, y: float, z: float) -> tuple[float,
     middle = opening.middle
     m = (1.0 - b) * ((1.0 - a) * middle[row, column] + a * middle[row, column + 1])
     m += b * ((1.0 - a) * middle[row + 1, column] + a * middle[row + 1, column + 1])
-    # Towards the point; for one on the axis the middle is on it too.
+    # Along the meridian of the point; for a point on the axis the centre is on the axis too.
     m = m / height if height > 0.0 else 0.0
     return m * x, m * y, opening.radius[row, column]

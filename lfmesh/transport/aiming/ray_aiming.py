@@ -1,9 +1,9 @@
-"""Ray aiming: find the ray of a family that lands where it is wanted.
+"""Ray aiming: find the ray of a two-parameter family that lands on a given point.
 
-The rays of a family differ by two numbers, such as the slopes at which they leave a point, or the place where they
-enter the lens; tracing one tells where it lands. Whatever is aimed at, an apex of the array, a point of the stop, an
-image point, is found here: by Newton's method, whose derivative every traced ray improves (C. G. Broyden, "A class of
-methods for solving nonlinear simultaneous equations", Math. Comp. 19 (1965) 577).
+The two numbers of a ray are, for example, the slopes at which it leaves a point, or the place at which it enters the
+lens. Targets are apexes of the array, points of the stop, or image points. The method is Newton's, with a derivative
+that every traced ray improves (C. G. Broyden, "A class of methods for solving nonlinear simultaneous equations", Math.
+Comp. 19 (1965) 577).
 
 Paths of the adjoint method are aimed in compiled code, by `lenslet_aim.slope_to`, which needs only eight digits.
 """
@@ -16,32 +16,32 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 Landing = Callable[[Array, NDArray[np.int64]], Array]
-"""Maps the numbers of rays (m, 2), and which of all rays they are (m,), to where they land, (m, 2) mm; NaN: lost."""
+"""Maps the two numbers of rays (m, 2), and the indices of these rays (m,), to landing points (m, 2), mm; NaN: lost."""
 
 TOLERANCE = 1e-12
-"""A ray is not improved further when it misses its target by this share of the size of what it is aimed at."""
+"""Miss, relative to the target's size, at which a ray is not improved further."""
 
 ARRIVED = 1e-7
-"""A ray has arrived when it misses by no more than this share: over the facets of a mesh none may come closer."""
+"""Miss, relative to the target's size, up to which a ray counts as arrived; across facets none may come closer."""
 
 MOST_STEPS = 24
-"""Of a search; through smooth surfaces four to six are enough."""
+"""Largest number of Newton steps; through smooth surfaces four to six are enough."""
 
 FRUITLESS = 3
-"""Steps in a row that land no closer, after which a ray stays; those that land nowhere are only halved."""
+"""Steps in a row without improvement after which a ray is given up; steps that land nowhere are halved instead."""
 
 
 class AimedRays(NamedTuple):
-    """The nearest rays that were found.
+    """The best rays that a search found.
 
     Attributes
     ----------
     start : (n, 2) float64
         The two numbers of each ray; NaN where not even the first guess landed anywhere.
     miss : (n,) float64, mm
-        Distance from where it lands to its target.
+        Distance of the landing point from the target.
     arrived : (n,) bool
-        Whether it lands on its target.
+        Whether the ray lands on its target.
     """
 
     start: Array
@@ -57,14 +57,14 @@ def aim_rays(landing: Landing, targets: Array, guess: Array, derivative: Array |
     landing : callable
         Traces rays; see `Landing`.
     targets : (n, 2) float64, mm
-        Where the rays shall land.
+        Points on which the rays shall land.
     guess : (n, 2) float64
-        The two numbers that the search starts from, for each ray.
+        Initial numbers of each ray.
     derivative : (n, 2, 2) float64, or float
-        Of the landing by these numbers, near the guess: [i, j] of place i by number j. A float is the step of each
-        number by which it is found from differences: two more rays for each.
+        Derivative of the landing point by the two numbers, near the guess: [i, j] of coordinate i by number j. A float
+        is the step with which it is found from finite differences, which costs two more rays for each.
     size : float or (n,) float64, mm
-        Of what is aimed at: tolerances are shares of it.
+        Size of the target, which tolerances are relative to.
     """
     size = np.broadcast_to(np.asarray(size, dtype=np.float64), len(targets))
     start = guess.copy()
@@ -73,7 +73,7 @@ def aim_rays(landing: Landing, targets: Array, guess: Array, derivative: Array |
     start[~np.isfinite(miss)] = np.nan
     damping, fruitless = np.ones(len(start)), np.zeros(len(start), np.int64)
     for _ in range(MOST_STEPS):
-        # Of what is NaN, no comparison holds.
+        # Lost rays, with a miss of NaN, are not active.
         active = np.flatnonzero((miss > TOLERANCE * size) & (fruitless < FRUITLESS))
         if not len(active):
             break
@@ -104,7 +104,7 @@ def _first(landing: Landing, guess: Array, derivative: Array | float) -> tuple[A
 
 
 def _solved(derivative: Array, error: Array) -> Array:
-    """Return the steps (n, 2) that take errors (n, 2) away to first order; NaN where there is none."""
+    """Return Newton's steps (n, 2) for errors (n, 2); not finite where the derivative is singular."""
     (a, b), (c, d) = derivative[:, 0].T, derivative[:, 1].T
     with np.errstate(divide="ignore", invalid="ignore"):
         over = 1.0 / (a * d - b * c)

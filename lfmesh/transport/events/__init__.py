@@ -1,1 +1,1 @@
-"""What can happen to a packet."""
+"""Events of a packet: crossings of interfaces, scattering, lighting, travel."""

@@ -1,6 +1,6 @@
-"""What every station does to a packet: split it at an interface, end it, ask Embree again.
+"""Steps that all stations share: divide a packet's weight, record a vertex, end a packet, query Embree again.
 
-The books are kept here: each function that changes a weight enters the difference.
+Each function here that changes a weight enters the difference in the book.
 """
 
 from typing import Any
@@ -46,10 +46,10 @@ from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, uniform
 MAX_TRIES = 12
 
 FLOAT32_GRAIN = 2.0**-22
-"""Rounding of a float32 query, relative to its coordinates: what an origin must clear to be past a facet."""
+"""Rounding error of a float32 query, relative to its coordinates: the distance that puts an origin past a facet."""
 
 EDGE = 2.0**-36
-"""How far outside a facet float64 still takes a crossing for one, in barycentric weights."""
+"""Tolerance, in barycentric weights, within which a crossing in float64 counts as inside the facet."""
 
 # Dimensions of an event's random numbers.
 CHOOSE, KEEP_REFLECTED, KEEP_REFRACTED, KEEP_BOUNCE = 0, 1, 2, 3
@@ -60,7 +60,7 @@ Array = NDArray[np.float64]
 
 @kernel
 def draw(packet: Any, dimension: int) -> float:
-    """Return a random number of the packet's present event."""
+    """Return a random number, in [0, 1), of the packet's present event."""
     return uniform(packet.key, packet.events * DIMENSIONS_PER_EVENT + dimension)
 
 
@@ -68,28 +68,50 @@ def draw(packet: Any, dimension: int) -> float:
 def refracted(
     dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, eta: float, cos_i: float, cos_t: float
 ) -> tuple[float, float, float]:
-    """Return the refracted direction by Snell's law; the normal points along the ray, eta = n_i / n_t."""
+    """Return the refracted direction by Snell's law.
+
+    Parameters
+    ----------
+    dx, dy, dz : float
+        Unit direction.
+    nx, ny, nz : float
+        Unit normal along the ray.
+    eta : float
+        n_i / n_t.
+    cos_i, cos_t : float
+        Cosines of incidence and of refraction.
+    """
     g = cos_t - eta * cos_i
     return normalised(eta * dx + g * nx, eta * dy + g * ny, eta * dz + g * nz)
 
 
 @inlined
 def reflected(dx: float, dy: float, dz: float, nx: float, ny: float, nz: float) -> tuple[float, float, float]:
-    """Return the mirrored direction."""
+    """Return the direction mirrored at a plane with a unit normal of either sign."""
     g = 2.0 * (dx * nx + dy * ny + dz * nz)
     return normalised(dx - g * nx, dy - g * ny, dz - g * nz)
 
 
 @inlined
 def normalised(dx: float, dy: float, dz: float) -> tuple[float, float, float]:
-    """Return a direction that is a few roundings off unit length, one Newton step closer to it."""
+    """Return a direction of nearly unit length, normalised by one Newton step, which takes away rounding errors."""
     scale = 1.5 - 0.5 * (dx * dx + dy * dy + dz * dz)
     return dx * scale, dy * scale, dz * scale
 
 
 @kernel
 def windowed(book: Array, weight: float, floor: float, key: np.uint64, dimension: int) -> float:
-    """Play Russian roulette with a weight below the floor: it becomes the floor, or zero. Unbiased, booked."""
+    """Apply the weight window's Russian roulette: a weight below the floor becomes the floor or zero, without bias.
+
+    Parameters
+    ----------
+    book : (slots,) float64
+        The change is entered here.
+    weight, floor : float
+    key : uint64
+    dimension : int
+        Key and dimension of the random number.
+    """
     if weight >= floor:
         return weight
     if uniform(key, dimension) * floor < weight:
@@ -103,7 +125,17 @@ def windowed(book: Array, weight: float, floor: float, key: np.uint64, dimension
 def split_shares(
     options: Options, book: Array, packet: Any, reflectance: float, transmittance: float
 ) -> tuple[float, float]:
-    """Return the weights with which the reflected and the refracted child go on; zero: there is none."""
+    """Return the weights of the reflected and the refracted child, after roulette; zero: there is no such child.
+
+    Parameters
+    ----------
+    options : Options
+        `split` and `cutoff` decide.
+    book : (slots,) float64
+    packet : PACKET
+    reflectance, transmittance : float
+        Shares of the power.
+    """
     weight = packet.weight
     dimension = packet.events * DIMENSIONS_PER_EVENT
     if options.split == BOTH:
@@ -131,7 +163,18 @@ def record(
     flow: Flow, frames: Array, frame: int, x: float, y: float, z: float,
     weight: float, surface: int, part: int, event: int, parent: int,
 ) -> int:  # fmt: skip
-    """Append a vertex of a packet's path, given in a frame; return its number."""
+    """Append a vertex of a packet's path and return its number.
+
+    Parameters
+    ----------
+    frame : int
+        Of the point.
+    x, y, z : float, mm
+    weight : float
+        Weight after the event.
+    surface, part, event, parent : int
+        Fields of NODE.
+    """
     return record_interface(flow, frames, frame, x, y, z, weight, surface, part, event, parent, NO_SURFACE)
 
 
@@ -140,7 +183,7 @@ def record_interface(
     flow: Flow, frames: Array, frame: int, x: float, y: float, z: float,
     weight: float, surface: int, part: int, event: int, parent: int, beyond: int,
 ) -> int:  # fmt: skip
-    """Append a vertex at an interface, given in a frame, with a medium on its far side; return its number."""
+    """Append a vertex at an interface, as `record` does, with the number of the medium `beyond` it."""
     top = flow.tops[NODES]
     node = flow.nodes[top]
     wx, wy, wz = move_point(frames, frame, WORLD_FRAME, x, y, z)
@@ -160,7 +203,20 @@ def end(
     options: Options, flow: Flow, frames: Array, packet: Any, frame: int,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, slot: int, status: int,
 ) -> None:  # fmt: skip
-    """End a packet at a point given in a frame: book its weight and, keep how it ended where that is asked for."""
+    """End a packet at a point: enter its weight in the book and, if ends are kept, add a row to `flow.ended`.
+
+    Parameters
+    ----------
+    frame : int
+        Of point and direction.
+    x, y, z : float, mm
+    dx, dy, dz : float
+    weight : float
+    slot : int
+        Of the book.
+    status : int
+        `Status`.
+    """
     flow.book[slot] += weight
     if options.tracing or options.record:
         _keep_end(options, flow, frames, packet, frame, x, y, z, dx, dy, dz, weight, slot, status)
@@ -168,7 +224,7 @@ def end(
 
 @inlined
 def end_here(options: Options, flow: Flow, frames: Array, packet: Any, slot: int, status: int) -> None:
-    """End a packet where it started, unchanged."""
+    """End a packet at the start of its ray, with its weight unchanged."""
     end(
         options, flow, frames, packet, packet.frame, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz,
         packet.weight, slot, status,
@@ -177,7 +233,13 @@ def end_here(options: Options, flow: Flow, frames: Array, packet: Any, slot: int
 
 @kernel
 def lose(options: Options, flow: Flow, frames: Array, packet: Any, reason: int, slot: int) -> None:
-    """End a packet that cannot be placed where it started; book it by reason, and in the slot of the body."""
+    """End a packet as lost, at the start of its ray.
+
+    Parameters
+    ----------
+    reason, slot : int
+        Slots of the book in which it is entered: of the reason, and of the body.
+    """
     flow.book[reason] += packet.weight
     end_here(options, flow, frames, packet, slot, S_LOST)
 
@@ -203,13 +265,21 @@ def _keep_end(
     kept.events = packet.events
     kept.node = node
     kept.body = slot
-    kept.wave = packet.wave
+    kept.colour = packet.colour
     flow.tops[ENDED] += 1
 
 
 @inlined
 def clear_of(facet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> float:
-    """Return the distance at which a ray that starts near a facet is safely behind the facet's plane."""
+    """Return the distance at which a ray that starts near a facet has safely passed the facet's plane, mm.
+
+    Parameters
+    ----------
+    facet : FACET
+    x, y, z : float, mm
+    dx, dy, dz : float
+        The ray.
+    """
     normal = facet.normal
     return safely_behind(normal[0], normal[1], normal[2], facet.offset, facet.size, x, y, z, dx, dy, dz)
 
@@ -219,10 +289,20 @@ def safely_behind(
     nx: float, ny: float, nz: float, offset: float, size: float,
     x: float, y: float, z: float, dx: float, dy: float, dz: float,
 ) -> float:  # fmt: skip
-    """Return `clear_of` a facet given by its normal, the offset of its plane and its size.
+    """Return the result of `clear_of` for a facet given by its normal, the offset of its plane and its size.
 
-    Beyond the plane by the rounding of a float32 query. A ray along the facet gets no further than the facet's size:
-    what it meets of its own facet after that is refused and queried again.
+    The distance exceeds that of the plane by the rounding error of a float32 query. For a ray along the facet it is at
+    most the facet's size; if the ray then meets its own facet, the hit is refused and the ray queried again.
+
+    Parameters
+    ----------
+    nx, ny, nz : float
+        Unit normal of the facet.
+    offset, size : float, mm
+        Of its plane, along the normal; of the facet.
+    x, y, z : float, mm
+    dx, dy, dz : float
+        The ray.
     """
     along = nx * dx + ny * dy + nz * dz
     above = nx * x + ny * y + nz * z - offset
@@ -233,8 +313,16 @@ def safely_behind(
 
 
 @kernel
-def behind(facet: Any, packet: Any, t: float) -> float:
-    """Return where to query next after a facet at distance t was refused; each further refusal steps twice as far."""
+def next_query_from(facet: Any, packet: Any, t: float) -> float:
+    """Return the distance of the next query, mm, after a facet was refused; the step doubles at each try.
+
+    Parameters
+    ----------
+    facet : FACET
+    packet : PACKET
+    t : float, mm
+        Distance of the facet.
+    """
     normal = facet.normal
     along = abs(normal[0] * packet.dx + normal[1] * packet.dy + normal[2] * packet.dz)
     grain = FLOAT32_GRAIN * (abs(packet.x) + abs(packet.y) + abs(packet.z) + abs(t) + facet.size)
@@ -244,9 +332,16 @@ def behind(facet: Any, packet: Any, t: float) -> float:
 
 @kernel
 def crosses(facet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> tuple[float, float]:
-    """Return where a ray crosses a facet, in float64, and normal · direction there; inf, 0 where it does not.
+    """Return the distance at which a ray crosses a facet, in float64, and normal · direction; inf, 0 if it does not.
 
-    An edge belongs to both of its facets: a ray that meets it to rounding is not to slip between them.
+    An edge belongs to both of its facets, with a tolerance of `EDGE`, so that no ray slips between them.
+
+    Parameters
+    ----------
+    facet : FACET
+    x, y, z : float, mm
+    dx, dy, dz : float
+        The ray.
     """
     normal = facet.normal
     along = normal[0] * dx + normal[1] * dy + normal[2] * dz
@@ -260,36 +355,49 @@ def crosses(facet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: 
 
 
 @inlined
-def deposit(options: Options, flow: Flow, place: int, wave: int, weight: float) -> None:
-    """Add to a pixel: straight into the chunk's film (adjoint) or to the list that is merged in order (forward).
+def deposit(options: Options, flow: Flow, place: int, colour: int, weight: float) -> None:
+    """Add light to a pixel: directly in the chunk's film (adjoint), or in the list of deposits (forward).
 
     Parameters
     ----------
     place : int
-        Adjoint: the packet's source, pixel and sample; forward: the pixel.
+        Adjoint: the packet's source (pixel and sample); forward: the pixel.
+    colour : int
+        Number of the wavelength.
+    weight : float, W
     """
     if options.adjoint:
         row, sample = (place & PIXEL_MASK) - options.first_source, place >> SAMPLE_SHIFT
-        flow.film[row, wave] += weight
-        # Without a branch: a sample counts when it brings something for the first time.
-        flow.hits[row, wave] += np.uint32(1) - flow.counted[sample]
+        flow.film[row, colour] += weight
+        # Without a branch: each sample is counted once, when it first brings light.
+        flow.hits[row, colour] += np.uint32(1) - flow.counted[sample]
         flow.counted[sample] = 1
         return
     entry = flow.deposits[flow.tops[DEPOSITS]]
     entry.pixel = place
-    entry.wave = wave
+    entry.colour = colour
     entry.weight = weight
     flow.tops[DEPOSITS] += 1
 
 
 @kernel
-def ask_again(
+def requery(
     options: Options, flow: Flow, frames: Array, station: int, packet: Any, query_from: float, missed: bool, slot: int
 ) -> None:
-    """Queue the packet's ray for another query, or end it as lost, booked in `slot`, after too many.
+    """Queue the packet's ray for another query or, after `MAX_TRIES`, end it as lost.
 
-    A refused hit is queried again from behind it. A ray that met nothing inside a closed space slipped between
-    facets: it is asked from its start again, its query origin moved aside by a rounding error, each time a larger one.
+    After a refused hit the query starts behind that hit. A ray that met nothing inside a closed space slipped between
+    facets: it is queried from its start again, with the origin shifted by a rounding error that doubles at each try.
+
+    Parameters
+    ----------
+    station : int
+    query_from : float, mm
+        Distance at which the next query starts.
+    missed : bool
+        The ray met nothing; else a hit was refused.
+    slot : int
+        Of the book, for a lost packet.
     """
     flow.counts[REQUERIES] += 1
     if packet.tries >= MAX_TRIES:
@@ -308,7 +416,7 @@ def ask_again(
 
 @inlined
 def too_deep(options: Options, flow: Flow, frames: Array, packet: Any) -> bool:
-    """End a packet that has had its share of events."""
+    """End a packet that has had `max_events` events; tell whether it was ended."""
     if packet.events < options.max_events:
         return False
     end_here(options, flow, frames, packet, DEPTH, S_DEPTH)
@@ -317,7 +425,15 @@ def too_deep(options: Options, flow: Flow, frames: Array, packet: Any) -> bool:
 
 @kernel
 def facet_normal(level: int, facet: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return the normal that bends a ray at a point of a facet: the facet's (flat) or the interpolated one (smooth)."""
+    """Return the unit normal for refraction at a point of a facet: the facet's own (flat) or the interpolated (smooth).
+
+    Parameters
+    ----------
+    level : int
+        Surface level.
+    facet : FACET
+    x, y, z : float, mm
+    """
     normal = facet.normal
     if level == FLAT:
         return normal[0], normal[1], normal[2]
@@ -336,9 +452,21 @@ def meets_patch(
     flow: Flow, patches: Array, across: NDArray[np.int64], facet: Any, prim: int,
     x: float, y: float, z: float, dx: float, dy: float, dz: float,
 ) -> tuple[bool, float, float, float, float]:  # fmt: skip
-    """Return where a ray, given where it crosses a facet, meets the curved surface there: t and the normal.
+    """Return whether a ray meets the curved patch of a facet, at what distance, and the normal there.
 
-    Where no patch is met the facet itself has to do; that is counted.
+    If it does not, the result is the facet's own plane, and is counted as a fallback.
+
+    Parameters
+    ----------
+    patches : (m, 6, 3) float64
+    across : (m, 3) int64
+        Neighbours of each patch.
+    facet : FACET
+    prim : int
+        Number of the facet.
+    x, y, z : float, mm
+        Point at which the ray crosses the facet; distances count from here.
+    dx, dy, dz : float
     """
     b, c = barycentric(facet, x, y, z)
     met, t, nx, ny, nz = hit_patch(patches, across, prim, b, c, x, y, z, dx, dy, dz)
@@ -351,7 +479,13 @@ def meets_patch(
 
 @kernel
 def barycentric(facet: Any, x: float, y: float, z: float) -> tuple[float, float]:
-    """Return the weights of the second and third corner at a point of a facet's plane."""
+    """Return the barycentric weights of the second and third corner at a point of a facet's plane.
+
+    Parameters
+    ----------
+    facet : FACET
+    x, y, z : float, mm
+    """
     corners = facet.corners
     ax, ay, az = corners[0, 0], corners[0, 1], corners[0, 2]
     e1x, e1y, e1z = corners[1, 0] - ax, corners[1, 1] - ay, corners[1, 2] - az
@@ -375,18 +509,28 @@ def write_query(
     fold_x: float,
     fold_y: float,
 ) -> None:
-    """Write a packet's ray as Embree takes it, its position less the fold."""
+    """Write a packet's ray in float32, as Embree takes it.
+
+    Parameters
+    ----------
+    origins, directions : (n, 3) float32
+    i : int
+        Row to write.
+    packet : PACKET
+    fold_x, fold_y : float, mm
+        Subtracted from the position, to move a ray at the array into the one cell in Embree's scene.
+    """
     t, dx, dy, dz = packet.query_from, packet.dx, packet.dy, packet.dz
     x, y, z = packet.x + t * dx - fold_x, packet.y + t * dy - fold_y, packet.z + t * dz
     if packet.slipped != 0:
-        x, y, z = _moved_aside(packet, x, y, z)
+        x, y, z = _jittered(packet, x, y, z)
     origins[i, 0], origins[i, 1], origins[i, 2] = np.float32(x), np.float32(y), np.float32(z)
     directions[i, 0], directions[i, 1], directions[i, 2] = np.float32(dx), np.float32(dy), np.float32(dz)
 
 
 @kernel
-def _moved_aside(packet: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Move a query's origin along each axis by up to a few rounding errors, twice as far at every try."""
+def _jittered(packet: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return a query's origin shifted at random by up to a few rounding errors along each axis, doubled at each try."""
     key, tries = packet.key, packet.tries
     scale = abs(packet.x) + abs(packet.y) + abs(packet.z)
     aside = float(np.float32(4.0 * FLOAT32_GRAIN * scale * 2.0 ** (tries - 1)))
@@ -398,7 +542,7 @@ def _moved_aside(packet: Any, x: float, y: float, z: float) -> tuple[float, floa
 
 @kernel
 def move_packet(frames: Array, packet: Any, there: int) -> None:
-    """Move a packet into a frame."""
+    """Transform a packet's ray into the frame `there`."""
     here = packet.frame
     if here == there:
         return

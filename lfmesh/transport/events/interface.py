@@ -1,7 +1,7 @@
-"""What happens to a packet at an interface: its shares of the power, and the children that go on with them.
+"""Interfaces: shares of reflected and transmitted power, and the children of a packet.
 
-The only place that asks what kind an interface is of (see `tables.interfaces`), and the only one where a packet is
-divided. The regions know where an interface is met, and where its children go from there.
+Only this module depends on the kind of an interface (see `tables.interfaces`), and only here is a packet divided. The
+regions find where an interface is met and where the children go.
 """
 
 from collections.abc import Callable
@@ -42,7 +42,7 @@ def shares(
     R, T, cos_t : float
         Shares of the power; under total reflection 1, 0, 0.
     """
-    # All are smooth and bare as yet. Without branches, so that blocks of packets take it as vector instructions.
+    # All interfaces are smooth and bare as yet. Without branches, so that blocks of packets use vector instructions.
     return fresnel(n_i, n_t, cos_i)
 
 
@@ -51,7 +51,7 @@ def transmitted_share(
     interfaces: Interfaces, number: int, colour: int,
     n_i: float, n_t: float, cos_i: float, cos_t: float, s: float, p: float, over: float,
 ) -> float:  # fmt: skip
-    """Return the transmittance of `shares` alone, by the pieces of Fresnel's equations that a block of rays has ready.
+    """Return the transmittance alone, from intermediate results of Fresnel's equations that a block of rays has ready.
 
     Parameters
     ----------
@@ -60,19 +60,19 @@ def transmitted_share(
     cos_t : float
         Cosine of refraction.
     s, p, over : float
-        See `optics.fresnel.transmittance`. Under total reflection the share is nonsense.
+        See `optics.fresnel.transmittance`. Under total reflection the result is meaningless.
     """
     return transmittance(n_i, n_t, cos_i, cos_t, s, p, over)
 
 
 def splitter(send: Callable[..., None]) -> Callable[..., None]:
-    """Return the function that divides a packet at an interface of a region.
+    """Make the function that divides a packet at the interfaces of a region.
 
     Parameters
     ----------
     send : kernel
         Queues a child where it goes next, called as ``send(place, options, flow, frames, packet, refracts, x, y, z,
-        dx, dy, dz, weight, key)``: `place` is what the region needs for it, `packet` what the child inherits from.
+        dx, dy, dz, weight, key)``: `place` holds what the region needs to send it, `packet` is the child's parent.
 
     Returns
     -------
@@ -85,22 +85,22 @@ def splitter(send: Callable[..., None]) -> Callable[..., None]:
         surface: int, part: int, beyond: int, x: float, y: float, z: float, reflectance: float, transmittance: float,
         mirrored: tuple[float, float, float], bent: tuple[float, float, float],
     ) -> None:  # fmt: skip
-        """Divide a packet between its reflected and its refracted child, and send on those that roulette leaves.
+        """Divide a packet into its reflected and its refracted child, and send those that survive roulette.
 
         Parameters
         ----------
         frame : int
-            In which point and directions are given.
+            Of point and directions.
         surface, part : int
-            What a recorded vertex says was met.
+            Fields of a recorded vertex.
         beyond : int
             Medium on the far side.
-        x, y, z : float
-            Where, mm.
+        x, y, z : float, mm
+            Point on the interface.
         reflectance, transmittance : float
             Shares of the power.
         mirrored, bent : (3,) float
-            Unit directions of the two.
+            Unit directions of the reflected and the refracted child.
         """
         flow.counts[EVENTS] += 1
         to_reflected, to_refracted = split_shares(options, flow.book, packet, reflectance, transmittance)

@@ -1,6 +1,6 @@
-"""Lights, met either way: a point asks for what they send to it (adjoint), or their packets start (forward).
+"""Lights in both methods: their irradiance at a point (adjoint), and the rays that they emit (forward).
 
-The one place that knows the kinds of light: `illuminate` and `emitted` have a branch for each.
+Only this module depends on the kind of a light: `illuminate` and `emitted` have a branch for each.
 """
 
 from typing import Any
@@ -17,18 +17,18 @@ from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, MM2
 from lfmesh.transport.tables.tables import ObjectTables
 
 LIGHT_DIMENSIONS = 1 << 12
-"""Each light's random numbers start this many dimensions after the last one's."""
+"""Distance between the dimensions of one light's random numbers and the next one's."""
 
-# Dimensions of the numbers that a light's packet starts from; 0 chose the light.
+# Dimensions of the numbers that a light's packet starts from; dimension 0 chooses the light.
 PLACE_U, PLACE_V, WAY_U, WAY_V = 1, 2, 3, 4
 
 
 @inlined
 def ask_lights(objects: ObjectTables, flow: Flow, packet: Any, point: Point) -> bool:
-    """Send a shadow packet to every light that faces a point (next-event estimation); tell whether any does."""
+    """Send a shadow packet to every light that can reach a point (next-event estimation); tell whether there is any."""
     facet = objects.facets[point.prim]
     x, y, z = point.x, point.y, point.z
-    wave, ix, iy, iz = packet.wave, packet.dx, packet.dy, packet.dz
+    colour, ix, iy, iz = packet.colour, packet.dx, packet.dy, packet.dz
     any_light = False
     for number in range(len(objects.lights)):
         dimension = packet.events * DIMENSIONS_PER_EVENT + LIGHT_U + LIGHT_DIMENSIONS * number
@@ -37,7 +37,7 @@ def ask_lights(objects: ObjectTables, flow: Flow, packet: Any, point: Point) -> 
         if cos_surface <= 0.0 or irradiance <= 0.0:
             continue
         any_light = True
-        brdf = evaluate(objects.scattering, point, wave, ix, iy, iz, ux, uy, uz)
+        brdf = evaluate(objects.scattering, point, colour, ix, iy, iz, ux, uy, uz)
         shadow = put(
             flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz,
             packet.weight * brdf * irradiance * cos_surface, packet.key, clear_of(facet, x, y, z, ux, uy, uz),
@@ -52,16 +52,25 @@ def ask_lights(objects: ObjectTables, flow: Flow, packet: Any, point: Point) -> 
 def illuminate(
     light: Any, x: float, y: float, z: float, key: np.uint64, dimension: int
 ) -> tuple[float, float, float, float, float]:
-    """Return what a light sends to a point, from a place of it that two random numbers choose.
+    """Return direction, distance and irradiance of a light at a point, from a random point of the light.
+
+    Parameters
+    ----------
+    light : LIGHT
+    x, y, z : float
+        The point, mm, object frame.
+    key : uint64
+    dimension : int
+        Key and first dimension of the random numbers.
 
     Returns
     -------
     ux, uy, uz : float
         Unit direction towards the light.
     reach : float
-        Distance of the light, mm; inf: from far away.
+        Distance of the light, mm; inf for directional light.
     irradiance : float
-        On a plane square to the direction, W/m², over the density of the place.
+        On a plane perpendicular to the direction, W/m².
     """
     ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
     if light.kind == DIRECTIONAL:
@@ -89,15 +98,22 @@ def illuminate(
 def emitted(
     objects: ObjectTables, light: Any, key: np.uint64
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Return a ray of a light towards the sphere that is aimed at: the targets', or that of glass alone.
+    """Return a random ray of a light towards the sphere that is aimed at, around the targets or around glass only.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    light : LIGHT
+    key : uint64
+        Of the packet.
 
     Returns
     -------
     x, y, z, dx, dy, dz : float
-        Where it starts, mm, object frame, and its unit direction.
+        Start, mm, object frame, and unit direction.
     share : float
-        Of the power that the packet stands for, what the ray carries: the cone's share of all directions, for a disk by
-        Lambert's law.
+        Share of the packet's power that goes towards the sphere: the cone's share of all directions, weighted by
+        Lambert's law for a disk.
     """
     ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
     x, y, z = light.position[0], light.position[1], light.position[2]
@@ -111,21 +127,27 @@ def emitted(
     px, py, pz, qx, qy, qz = tangents(ax, ay, az)
     a, b = r * np.cos(phi), r * np.sin(phi)
     if light.kind == DIRECTIONAL:
-        # From before everything that may stand in its way.
+        # Start in front of everything that may cast a shadow.
         x, y, z = mx + a * px + b * qx, my + a * py + b * qy, mz + a * pz + b * qz
         back = objects.outer_radius + (x * ax + y * ay + z * az)
         return x - back * ax, y - back * ay, z - back * az, ax, ay, az, 1.0
     x, y, z = x + a * px + b * qx, y + a * py + b * qy, z + a * pz + b * qz
     dx, dy, dz, share = _into_cone(x - mx, y - my, z - mz, radius, key)
-    # Lambert's law against uniform directions: cos θ / π over 1 / (4π share).
+    # Lambert's density over that of uniform directions in the cone: cos θ / π over 1 / (4π share).
     return x, y, z, dx, dy, dz, 4.0 * share * max(0.0, dx * ax + dy * ay + dz * az)
 
 
 @kernel
 def _into_cone(x: float, y: float, z: float, radius: float, key: np.uint64) -> tuple[float, float, float, float]:
-    """Return a uniform direction from a point, seen from the sphere's middle, into the cone round the sphere.
+    """Return a uniform direction from a point into the cone around a sphere, and the cone's share of 4π.
 
-    And that cone's share of 4π.
+    Parameters
+    ----------
+    x, y, z : float, mm
+        The point, relative to the sphere's centre.
+    radius : float, mm
+    key : uint64
+        Of the packet.
     """
     distance2 = x * x + y * y + z * z
     cos_edge = -1.0

@@ -1,11 +1,12 @@
-"""What a target does with light: its scattering model, evaluated, sampled, and with the density of the samples.
+"""Scattering models of targets: albedo, BRDF, sampling of directions, and the density of the samples.
 
-The one place that knows the models. Light from lamps is weighted by `evaluate`, and so is the child that is aimed at
-the camera; a child that goes anywhere is drawn by `sample`; where light might have gone either way, `density` says how
-often it goes this one. A model has its branch in each of the four functions; all are reciprocal, so that the two
-methods, which walk a path in opposite ways, agree.
+Only this module depends on the kind of a model. `evaluate` weights light from lamps and the child that is aimed at the
+camera; `sample` draws the direction of a child that is not aimed; `density` gives the weight between the two where both
+could have found the same path. A model has a branch in each of the four functions. All models are reciprocal, so that
+the two methods, which follow a path in opposite directions, agree.
 
-Directions are unit vectors along which light travels: `ix, iy, iz` towards the point, `ox, oy, oz` away from it.
+All functions have the parameters `scattering` (the tables), `point`, `colour` (number of the wavelength), and unit
+directions along which light travels: `ix, iy, iz` towards the point, `ox, oy, oz` away from it.
 """
 
 from typing import NamedTuple
@@ -18,7 +19,7 @@ from lfmesh.transport.tables.scattering import LAMBERTIAN, ScatteringTables
 
 
 class Point(NamedTuple):
-    """A point of a target that light meets or leaves."""
+    """A point of a target at which light arrives or leaves."""
 
     prim: int  # facet
     x: float
@@ -28,51 +29,57 @@ class Point(NamedTuple):
     ny: float
     nz: float
     model: int  # row of `ScatteringTables.models`
-    texel: float  # the texture's value, a factor of what the model sends back
+    texel: float  # value of the texture, a factor of the albedo
 
 
 @inlined
-def albedo(scattering: ScatteringTables, point: Point, wave: int, ix: float, iy: float, iz: float) -> float:
-    """Return the share of light from a direction that is scattered."""
+def albedo(scattering: ScatteringTables, point: Point, colour: int, ix: float, iy: float, iz: float) -> float:
+    """Return the share of the light from a direction that is scattered."""
     model = scattering.models[point.model]
     if model.kind == LAMBERTIAN:
-        return scattering.parameters[model.first, wave] * point.texel
+        return scattering.parameters[model.first, colour] * point.texel
     return 0.0
 
 
 @inlined
 def evaluate(
-    scattering: ScatteringTables, point: Point, wave: int,
+    scattering: ScatteringTables, point: Point, colour: int,
     ix: float, iy: float, iz: float, ox: float, oy: float, oz: float,
 ) -> float:  # fmt: skip
     """Return the BRDF, 1/sr: radiance that leaves in one direction over irradiance from another.
 
-    It is asked for directions on the side of the light alone.
+    Both directions must be on the same side of the target.
     """
     model = scattering.models[point.model]
     if model.kind == LAMBERTIAN:
-        return scattering.parameters[model.first, wave] * point.texel / np.pi
+        return scattering.parameters[model.first, colour] * point.texel / np.pi
     return 0.0
 
 
 @inlined
 def sample(
-    scattering: ScatteringTables, point: Point, wave: int, ix: float, iy: float, iz: float, u: float, v: float
+    scattering: ScatteringTables, point: Point, colour: int, ix: float, iy: float, iz: float, u: float, v: float
 ) -> tuple[float, float, float, float]:
-    """Return a direction that light is scattered in, from two uniform numbers, and BRDF · cos θ over its density."""
+    """Return a random direction of scattered light, and BRDF · cos θ over its density.
+
+    Parameters
+    ----------
+    u, v : float
+        Random numbers, uniform in [0, 1).
+    """
     model = scattering.models[point.model]
     if model.kind == LAMBERTIAN:
         ox, oy, oz = lambertian(point.nx, point.ny, point.nz, u, v)
-        return ox, oy, oz, scattering.parameters[model.first, wave] * point.texel
+        return ox, oy, oz, scattering.parameters[model.first, colour] * point.texel
     return 0.0, 0.0, 0.0, 0.0
 
 
 @inlined
 def density(
-    scattering: ScatteringTables, point: Point, wave: int,
+    scattering: ScatteringTables, point: Point, colour: int,
     ix: float, iy: float, iz: float, ox: float, oy: float, oz: float,
 ) -> float:  # fmt: skip
-    """Return the density per solid angle with which `sample` draws a direction."""
+    """Return the density, 1/sr, with which `sample` draws a direction."""
     model = scattering.models[point.model]
     if model.kind == LAMBERTIAN:
         return max(0.0, point.nx * ox + point.ny * oy + point.nz * oz) / np.pi

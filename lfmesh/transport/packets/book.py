@@ -1,8 +1,8 @@
-"""The book, in which kernels enter the energy of packets: its slots, each with its name and its place in the ledger.
+"""The book, in which kernels enter the energy of packets: its slots, each with a name and an account in the ledger.
 
-A slot that every scene has is one line here, and a line in the kernel that enters something in it; the ledger, the
-names of what packets end on and the size of the book follow. Slots of a scene's own bodies come after them, see
-`Book.of_bodies`.
+A new slot that every scene has is one line here and one line in the kernel that makes entries in it; the ledger, the
+names of the bodies that packets end on and the size of the book follow from the list. The slots of a scene's own bodies
+come after the fixed ones, see `Book.of_bodies`.
 """
 
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from lfmesh.transport.packets.ledger import Ledger
 
 LOST_PREFIX = "lost in "
-"""Before the name of a body, where a packet was lost in it."""
+"""Prefix to the name of a body in which a packet was lost."""
 
 ABSORBED, LOST, LOST_IN = "absorbed", "lost", "lost_in"
-"""Accounts of the ledger that list their slots by name; any other account is a number of its own."""
+"""Accounts of the ledger that list their slots by name; every other account is a single number."""
 
 Slots = NDArray[np.int64]
 
@@ -28,9 +28,9 @@ class Slot(NamedTuple):
     Attributes
     ----------
     name : str
-        What the packet met, as the ledger and recorded paths call it.
+        Name in the ledger and in recorded paths.
     account : str
-        Field of `Ledger` that it adds to.
+        Field of `Ledger` that the slot adds to.
     """
 
     name: str
@@ -60,7 +60,7 @@ LOST_MISS = _slot("miss", LOST)
 LOST_CONTRADICTION = _slot("contradiction", LOST)
 LOST_IN_ARRAY = _slot("mla", LOST_IN)
 LOST_OUTSIDE = _slot("the open", LOST_IN)
-# What absorbs, whatever the scene.
+# Absorbers that every scene has.
 UNFOLLOWED = _slot("reflections not followed")
 BESIDE_SENSOR = _slot("beside the sensor")
 HOUSING = _slot("housing")
@@ -83,9 +83,9 @@ class Book:
     ----------
     slots : tuple of Slot
     edges, targets : (n,) int64
-        Numbers of the slots of lens elements' edges, and of targets.
+        Slot numbers of the lens elements' edges, and of the targets.
     lost_in_targets, lost_in_spaces : (n,) int64
-        Of what is lost in each target, and in each space of the lens.
+        Slot numbers of energy lost in each target, and in each space of the lens.
     """
 
     slots: tuple[Slot, ...]
@@ -122,11 +122,20 @@ class Book:
 
     @property
     def names(self) -> list[str]:
-        """What recorded paths call each slot; losses say so."""
+        """Name of each slot in recorded paths; lost energy is marked by `LOST_PREFIX`."""
         return [f"{LOST_PREFIX}{slot.name}" if slot.account == LOST_IN else slot.name for slot in self.slots]
 
     def ledger(self, entries: NDArray[np.float64], unit: str, **work: int) -> Ledger:
-        """Return what was entered, (slots,), as a ledger; `work`: its counts of packets, events and queries."""
+        """Return the entries of the book as a ledger.
+
+        Parameters
+        ----------
+        entries : (slots,) float64
+        unit : str
+            Unit of the entries, see `Ledger`.
+        **work : int
+            Counts of packets, events and queries, by the names of the ledger's fields.
+        """
         listed: dict[str, dict[str, float]] = {ABSORBED: {}, LOST: {}, LOST_IN: {}}
         numbers: dict[str, float] = {}
         for slot, value in zip(self.slots, entries.tolist(), strict=True):

@@ -1,13 +1,13 @@
-"""The energy ledger: where every watt of a run (or, in adjoint, every unit of importance) ended."""
+"""The energy ledger: where all energy of a run (in the adjoint method all importance) ended."""
 
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 LOST_LIMIT = 1e-7
-"""Share of the energy that the tracer may lose to rounding without a word."""
+"""Share of the energy that may be lost to rounding without a warning."""
 
 NAMED_BODIES = 4
-"""Bodies that a warning about lost energy names."""
+"""Number of bodies that a warning about lost energy names."""
 
 
 class LostEnergyWarning(UserWarning):
@@ -15,7 +15,16 @@ class LostEnergyWarning(UserWarning):
 
 
 def loss_in_words(lost: float, lost_in: dict[str, float], emitted: float) -> str | None:
-    """Say which share of what was emitted was lost and in which bodies, the worst first; None within `LOST_LIMIT`."""
+    """Return the message of a warning about lost energy; None if the loss is within `LOST_LIMIT`.
+
+    Parameters
+    ----------
+    lost : float
+        Lost energy, in the unit of `emitted`.
+    lost_in : dict of str to float
+        The same energy by the body in which it was lost; the message names the largest shares first.
+    emitted : float
+    """
     if not lost > LOST_LIMIT * emitted:
         return None
     worst = sorted(lost_in.items(), key=lambda item: -item[1])
@@ -46,14 +55,14 @@ class Ledger:
     roulette_added: float = 0.0
     roulette_removed: float = 0.0
     sampling_added: float = 0.0
-    """What aimed sampling drew: scattering aims a child at the pupil with its share of the energy ..."""
+    """Added by aimed sampling: at a scattering event, the weight of the child that is aimed at the pupil."""
     sampling_removed: float = 0.0
-    """... and a scattered packet that runs into the lens by itself is taken out, so that nothing counts twice."""
+    """Removed by aimed sampling: scattered packets that reach the lens without being aimed, which would count twice."""
     depth: float = 0.0
     """Cut by `max_events`."""
     lost: dict[str, float] = field(default_factory=dict)
-    """By reason: "miss", a ray that met nothing where something encloses it, "contradiction", one that met only what
-    it cannot meet where it is."""
+    """By reason: "miss", a ray that met nothing inside a closed space; "contradiction", a ray that met only facets that
+    cannot bound the space it is in."""
     lost_in: dict[str, float] = field(default_factory=dict)
     """The same energy by the body in which it was lost: "targets[1]", "lens[0]", "mla", ..."""
     packets: int = 0
@@ -61,24 +70,24 @@ class Ledger:
     events: int = 0
     """Ray-surface events shaded."""
     fallbacks: int = 0
-    """`patch`: hits for which a flat facet had to do."""
+    """Surface level `patch`: hits on a flat facet because its curved patch was not met."""
     requeries: int = 0
-    """Hits that float64 refused and that were queried again."""
+    """Hits that the float64 test refused and that were queried again."""
     reached_target: float = 0.0
     """Adjoint: importance that arrived at a target (before it is absorbed or scattered there)."""
     lit: float = 0.0
     """Adjoint: the part of `reached_target` at points that a light reaches or that emit."""
     lamps: "Ledger | None" = None
-    """Adjoint: of the packets that lamps send at glass, in W; None where the scene has no lamp or no glass."""
+    """Adjoint: ledger of the packets that lamps send towards glass, in W; None without lamps or without glass."""
 
     @property
     def total_in(self) -> float:
-        """Everything that entered the books."""
+        """Sum of all energy that entered."""
         return self.emitted + self.roulette_added + self.sampling_added
 
     @property
     def total_out(self) -> float:
-        """Everything that left them."""
+        """Sum of all energy that left or ended."""
         return (
             self.sensor
             + sum(self.absorbed.values())
@@ -91,21 +100,21 @@ class Ledger:
 
     @property
     def imbalance(self) -> float:
-        """(in − out) / emitted; rounding only, or the tracer has a leak."""
+        """(in − out) / emitted: zero to rounding, unless the tracer has an error."""
         return (self.total_in - self.total_out) / self.emitted if self.emitted else 0.0
 
     @property
     def lost_share(self) -> float:
-        """Lost energy over emitted."""
+        """Lost energy as a share of the emitted."""
         return sum(self.lost.values()) / self.emitted if self.emitted else 0.0
 
     def loss_in_words(self) -> str | None:
-        """Say how much was lost and in which bodies, the worst first; None within `LOST_LIMIT`."""
+        """Return the message of a warning about the lost energy; None if the loss is within `LOST_LIMIT`."""
         return loss_in_words(sum(self.lost.values()), self.lost_in, self.emitted)
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> "Ledger":
-        """Return the ledger of what `as_dict` gave; what a report of an older version does not have stays empty."""
+        """Return the ledger that `as_dict` was made from; fields that an older report lacks keep their defaults."""
         own = {each.name: values[each.name] for each in fields(cls) if each.name in values}
         lamps = values.get("lamps")
         return cls(**own | {"lamps": None if lamps is None else cls.from_dict(lamps)})

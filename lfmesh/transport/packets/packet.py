@@ -1,6 +1,6 @@
-"""Packets, the stacks they wait in, and everything a kernel writes: the state of one chunk.
+"""Packets, the stacks they wait in, and all that kernels write: the state of one chunk.
 
-A packet is one record, two cache lines, so that it moves as a whole.
+A packet is one record of two cache lines.
 """
 
 from enum import IntEnum
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lfmesh.kernel import pasted
 
-# Stations: what a packet waits for. Embree is asked at the first three.
+# Stations: what a packet waits for. The first three query Embree.
 LENS = 0  # a surface of the main lens
 CELLS = 1  # the curved face of the array, in its cell
 OBJECTS = 2  # a target, or the way into the lens
@@ -19,21 +19,21 @@ PLATE = 3  # the array from outside its layer of curved faces: entry, or the fla
 SENSOR = 4  # a pixel
 STATIONS = 5
 
-# Frames. A waiting packet says in which frame it is given; its station moves it into its own.
+# Frames. A packet says in which frame its ray is given; its station moves it into the station's own.
 CAMERA_FRAME, ARRAY_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME = 0, 1, 2, 3, 4
 
 # Kinds of packet.
 CAMERA = 0  # on the camera's path: leaves the sensor (adjoint), or was aimed at the lens (forward)
 LAMP = 1  # straight from a light
 SCATTERED = 2  # left a target in a random direction
-SPECULAR = 4  # went through or off glass in object space; may reach the lens without having been aimed
-SHADOW = 3  # asks whether a light reaches a point; carries what it adds to the pixel if so
+SPECULAR = 4  # refracted or reflected by glass in object space; may reach the lens without having been aimed
+SHADOW = 3  # tests whether a light reaches a point; carries what it adds to the pixel if so
 
 # Counters.
 EVENTS, REQUERIES, FALLBACKS = 0, 1, 2
 COUNTERS = 3
 
-# Tops: how many entries of each growing table are in use; the first are the stations' stacks.
+# Tops: number of entries in use of each growing table; the first are the stations' stacks.
 DEPOSITS, ENDED, NODES = STATIONS, STATIONS + 1, STATIONS + 2
 TOPS = STATIONS + 3
 
@@ -81,7 +81,7 @@ LAST_EVENT = {
     Status.LOST: Event.LOST,
     Status.ROULETTE: Event.ABSORBED,
 }
-"""What is recorded where a packet ends."""
+"""Event that is recorded where a packet ends."""
 EVENT_OF_STATUS = np.array([LAST_EVENT[status] for status in Status], dtype=np.int64)
 
 # Numbers in a recorded vertex's `surface`: below FACES_AT a refracting surface of the lens, then one of FACES;
@@ -92,41 +92,41 @@ CURVED_FACE, FLAT_FACE, ON_TARGET, ON_GLASS = range(FACES_AT, FACES_AT + len(FAC
 
 NO_SURFACE = -1
 LEFT_LENS = -2
-"""`last` of a packet in object space that left the lens: a straight line does not come back to it."""
+"""`last` of a packet in object space that left the lens: it cannot meet the lens again on a straight line."""
 
 LEFT_FACE = -3
 """`last` of a packet that left a curved face of the array and has not left the layer of faces."""
 
-_OWN_ROOM = np.dtype(
+_BASE_RECORD = np.dtype(
     [
         ("x", "f8"), ("y", "f8"), ("z", "f8"),  # mm, in `frame`
         ("dx", "f8"), ("dy", "f8"), ("dz", "f8"),
         ("weight", "f8"),  # W (forward) or m² sr (adjoint)
-        ("start", "f8"),  # the weight that the weight window refers to
+        ("start", "f8"),  # weight that the weight window is relative to
         ("query_from", "f8"),  # distance along the ray at which Embree starts to look
-        ("limit", "f8"),  # SHADOW: distance of the light; else the first query_from, to start afresh
+        ("limit", "f8"),  # SHADOW: distance of the light; else the first query_from, for a query from the start
         ("key", "u8"),
-        ("source", "i8"),  # sample (adjoint, see `SAMPLE_SHIFT`), packet (forward) or ray (trace) it descends from
+        ("source", "i8"),  # sample (adjoint, see `SAMPLE_SHIFT`), packet (forward) or ray (trace) that it began as
         ("node", "i4"),  # its last recorded vertex
         ("column", "i4"), ("row", "i4"),  # cell of the array; for object space see `regions.bodies` and PACKET
         ("facet", "i4"),  # target facet it left
         ("last", "i2"),  # lens surface it left
-        ("wave", "i2"),  # wavelength
+        ("colour", "i2"),  # number of the wavelength
         ("space", "i2"),  # space between two surfaces it travels in; for object space see `regions.bodies`
         ("events", "i2"),
-        ("medium", "i2"),  # round it, at its start and in object space; in lens and array its space tells it
-        ("tries", "i1"),  # queries of this ray that were refused
+        ("medium", "i2"),  # medium at its start and in object space; in lens and array its space gives the medium
+        ("tries", "i1"),  # queries of this ray whose result was refused
         ("kind", "i1"),
         ("frame", "i1"),
-        ("stray", "i1"),  # 1: was turned off the image path, see `path_class`
-        ("slipped", "i1"),  # 1: its ray slipped between facets, and its query's origin is moved aside
+        ("stray", "i1"),  # 1: has left the image path, see `path_class`
+        ("slipped", "i1"),  # 1: its ray slipped between facets, and its query's origin is shifted
     ],
     align=True,
 )  # fmt: skip
 
 
 def _with_field(record: np.dtype[np.void], name: str, form: str, place: str) -> np.dtype[np.void]:
-    """Return a record with one field more, in the room of another."""
+    """Return a record type with one more field, which shares the memory of the field `place`."""
     own = dict(record.fields or {})
     fields = own | {name: (np.dtype(form), own[place][1])}
     return np.dtype(
@@ -139,16 +139,16 @@ def _with_field(record: np.dtype[np.void], name: str, form: str, place: str) -> 
     )
 
 
-PACKET = _with_field(_OWN_ROOM, "density", "f4", "row")
-"""In object space a packet is in no cell. What left a target has there the density, 1/sr, with which the target's
-scattering model draws its direction."""
+PACKET = _with_field(_BASE_RECORD, "density", "f4", "row")
+"""The packet's record. In object space, where a packet is in no cell of the array, `density` takes the place of `row`:
+the density, 1/sr, with which the scattering model of the target that it left draws its direction."""
 
 SAMPLE_SHIFT = 40
 PIXEL_MASK = (1 << SAMPLE_SHIFT) - 1
-"""A packet that began at a pixel has the pixel in the lower bits of its source, and above them the number of its sample
-in the chunk, by which a sample that brings light in several ways is counted once."""
+"""`source` of a packet that began at a pixel: the pixel in the lower bits, above them the number of its sample in the
+chunk. By that number a sample that brings light along several paths is counted once."""
 
-DEPOSIT = np.dtype([("pixel", "i8"), ("wave", "i8"), ("weight", "f8")])
+DEPOSIT = np.dtype([("pixel", "i8"), ("colour", "i8"), ("weight", "f8")])
 
 END = np.dtype(
     [
@@ -160,7 +160,7 @@ END = np.dtype(
         ("events", "i8"),
         ("node", "i8"),
         ("body", "i8"),
-        ("wave", "i8"),
+        ("colour", "i8"),
     ]
 )
 
@@ -172,43 +172,43 @@ NODE = np.dtype(
         ("surface", "i8"),
         ("part", "i8"),  # lenslet (row by row) of the array, or number of the target; −1 elsewhere
         ("event", "i8"),
-        ("beyond", "i8"),  # medium on the far side of an interface; at a start, round the packet; −1 elsewhere
+        ("beyond", "i8"),  # medium on the far side of an interface; at a start, around the packet; −1 elsewhere
     ]
 )
 
 
 class Flow(NamedTuple):
-    """Everything that the kernels of one chunk write."""
+    """Tables that the kernels of one chunk write to."""
 
     stacks: NDArray[np.void]  # (stations + 1, capacity) PACKET
-    rows: NDArray[np.int64]  # (stations + 1,) row of `stacks` that is a station's; the last is the wave's
+    rows: NDArray[np.int64]  # (stations + 1,) row of `stacks` that each station uses; the last holds the wave
     tops: NDArray[np.int64]
     book: NDArray[np.float64]
     counts: NDArray[np.int64]
-    film: NDArray[np.float64]  # (sources of the chunk, wavelengths): what adjoint paths gather
-    hits: NDArray[np.uint32]  # (as `film`): the samples that gathered something
-    counted: NDArray[np.uint8]  # (samples of the chunk,): 1 for those that did
+    film: NDArray[np.float64]  # (sources of the chunk, wavelengths): light that adjoint paths gather, W
+    hits: NDArray[np.uint32]  # (as `film`): number of samples that gathered light
+    counted: NDArray[np.uint8]  # (samples of the chunk,): 1 for samples counted in `hits`
     deposits: NDArray[np.void]  # forward: what fell on which pixel
     ended: NDArray[np.void]  # tracing or recording: how every packet ended
     nodes: NDArray[np.void]  # recording: every vertex
 
 
 class Options(NamedTuple):
-    """What of the transport settings the kernels need, as numbers."""
+    """Transport settings as kernels take them."""
 
     surface: int
     split: int
     max_events: int
     cutoff: float
     adjoint: bool
-    tracing: bool  # packets that end are kept, and a target ends them
-    record: bool  # every vertex is kept, and packets that end
+    tracing: bool  # keep how every packet ends, and end packets at targets
+    record: bool  # keep every vertex, and how every packet ends
     bounce: bool  # light may go from target to target
-    aimed: bool  # scattered light is aimed at the lens; else it finds the lens by chance
-    sequential: bool  # lens and array are met in their order, without a mesh
-    paths: int  # which class of paths brings light, see `path_class`
-    unturned_cutoff: float  # in place of `cutoff` for what targets scatter of a path that brings nothing as yet
-    first_source: int  # film row 0
+    aimed: bool  # scattered light is aimed at the lens; else it meets the lens by chance
+    sequential: bool  # surfaces of lens and array are met in their order, without a mesh
+    paths: int  # class of paths that are estimated, see `path_class`
+    unturned_cutoff: float  # replaces `cutoff` at targets, for paths outside the estimated class so far
+    first_source: int  # pixel in row 0 of the film
 
 
 # Options.split
@@ -221,13 +221,30 @@ def put(
     x: float, y: float, z: float, dx: float, dy: float, dz: float,
     weight: float, key: np.uint64, query_from: float,
 ) -> Any:  # fmt: skip
-    """Queue a packet at a station, given in a frame; it inherits all else from `parent`. Return its record."""
+    """Queue a packet at a station and return its record; what is not given is inherited from `parent`.
+
+    Parameters
+    ----------
+    flow : Flow
+    station : int
+    parent : PACKET
+    frame : int
+        Of point and direction.
+    x, y, z : float, mm
+    dx, dy, dz : float
+        Unit direction.
+    weight : float
+        W (forward) or m² sr (adjoint).
+    key : uint64
+    query_from : float, mm
+        Distance along the ray at which Embree starts to look.
+    """
     row, top = flow.rows[station], flow.tops[station]
-    # Field by field, and read before anything is written: of a copy of the record, of which half is overwritten, the
-    # compiler makes sixty moves of odd bytes.
+    # Copied field by field, and all read before anything is written: a copy of the whole record, half of which is
+    # overwritten, compiles to sixty moves of odd sizes.
     start, source, node, kind = parent.start, parent.source, parent.node, parent.kind
     column, cell_row, facet, last = parent.column, parent.row, parent.facet, parent.last
-    wave, space, events, medium, stray = parent.wave, parent.space, parent.events, parent.medium, parent.stray
+    colour, space, events, medium, stray = parent.colour, parent.space, parent.events, parent.medium, parent.stray
     packet = flow.stacks[row, top]
     packet.x, packet.y, packet.z = x, y, z
     packet.dx, packet.dy, packet.dz = dx, dy, dz
@@ -236,7 +253,7 @@ def put(
     packet.key, packet.source = key, source
     packet.node = node
     packet.column, packet.row, packet.facet, packet.last = column, cell_row, facet, last
-    packet.wave, packet.space, packet.events, packet.medium = wave, space, events, medium
+    packet.colour, packet.space, packet.events, packet.medium = colour, space, events, medium
     packet.tries, packet.kind, packet.frame, packet.stray, packet.slipped = 0, kind, frame, stray, 0
     flow.tops[station] = top + 1
     return packet

@@ -1,22 +1,22 @@
-"""Classes of paths, each estimated by itself: every path from the sensor to a light is in exactly one of them.
+"""Classes of paths that are estimated independently: every path from the sensor to a light is in exactly one of them.
 
-A path is what it meets between sensor and light, whichever way it is traced. Two questions, asked in this order, tell
-its class:
+A path is the sequence of what it meets between sensor and light, in whichever direction it is traced. Two questions,
+in this order, give its class:
 
 1. Does light of a lamp (`[[lights]]`) meet glass in object space before the first target that scatters it? A lamp is a
-   point, a direction, or a disk that rays do not see, and a straight line to it (next-event estimation) is blocked by
-   glass: from the sensor such a path cannot be found. It is `LAMP_THROUGH_GLASS`, and traced from the lamp, forward.
-   Everything else ends, seen from the sensor, on a target that emits, or on one that a straight line in air joins to a
-   lamp.
-2. Was it, anywhere between the sensor and that end, turned off the image path? Then it is `OFF_IMAGE_PATH`, else it is
-   on the image path, as the sequential engine follows it. It is turned off by a reflection in lens or array, by a
-   reflection at glass in object space where it might have been refracted (total reflection there is the image path's
-   own way on), and where it meets curved faces of the array twice in one passage. Where on the path that happens does
-   not matter: targets may have scattered it before, and may afterwards.
+   point, a direction, or a disk that rays cannot hit, and a straight line to it (next-event estimation) is blocked by
+   glass, so a path from the sensor never finds it. The class is `LAMP_THROUGH_GLASS`, traced forward from the lamp.
+   Every other path ends, seen from the sensor, on a target that emits, or on a target that a straight line in air
+   joins to a lamp.
+2. Does the path leave the image path anywhere between the sensor and that end? Then its class is `OFF_IMAGE_PATH`;
+   else it is on the image path, as the sequential engine follows it. A path leaves the image path by a reflection in
+   lens or array, by a reflection at glass in object space where it could have been refracted (total reflection there
+   continues the image path), and where it meets curved faces of the array twice in one passage. Where on the path that
+   happens does not matter: targets may scatter it before and after.
 
-`EVERY` is all paths that a method can find: forward all of them, adjoint all but `LAMP_THROUGH_GLASS`. The light that
-is in none of them is named in README, "Limits": that of a lamp which comes to the sensor, or by way of the lens to a
-target, before any target has scattered it.
+`EVERY` stands for all paths that a method can find: forward all, adjoint all but `LAMP_THROUGH_GLASS`. Light that is in
+no class is named in README, "Limits": light of a lamp that reaches the sensor, or through the lens a target, before any
+target has scattered it.
 """
 
 from typing import Any
@@ -30,23 +30,32 @@ EVERY, OFF_IMAGE_PATH, LAMP_THROUGH_GLASS = 0, 1, 2
 
 @inlined
 def turns_off_image_path(frame: int, refracts: bool, transmittance: float) -> bool:
-    """Tell whether a packet's child at an interface of lens or array, or of glass in object space, leaves that path.
+    """Tell whether a child at an interface leaves the image path.
 
-    Lens and array are met in their order on the image path, which total reflection breaks as any other reflection does;
-    in object space that path goes on as total reflection sends it.
+    In lens and array, where the image path meets the surfaces in their order, every reflection leaves it, total
+    reflection included. In object space total reflection continues the image path.
+
+    Parameters
+    ----------
+    frame : int
+        Frame of the interface: of the lens, the array, or object space.
+    refracts : bool
+        The child is the refracted one.
+    transmittance : float
+        Of the interface; 0 under total reflection.
     """
     return not refracts and (frame != OBJECT_FRAME or transmittance > 0.0)
 
 
 @inlined
 def is_estimated(options: Options, packet: Any) -> bool:
-    """Tell whether the path that a packet has come by so far is one of those that are estimated.
+    """Tell whether a packet's path so far belongs to the class that is being estimated.
 
-    Asked where the class is settled: on every target (adjoint), and on the first one from the light (forward).
+    Called where the class is decided: on every target (adjoint), and on the first target after the light (forward).
     """
     if options.paths == OFF_IMAGE_PATH:
         return packet.stray != 0
     if options.paths == LAMP_THROUGH_GLASS:
-        # A lamp's packet has had no event but at glass.
+        # All events of a lamp's packet so far were at glass.
         return packet.kind == LAMP and packet.events > 0
     return True

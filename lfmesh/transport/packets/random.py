@@ -1,7 +1,7 @@
-"""Counter-based random numbers: a number is a function of who asks, not of who asked before.
+"""Counter-based random numbers: each is a function of a key and a dimension, without a state.
 
 A packet's key is hashed from (seed, replicate, pixel or packet number, pedigree of splits); its numbers are hashed
-from the key and a dimension. So nothing depends on the order of chunks or the number of threads. The hash is the
+from the key and a dimension. So no number depends on the order of chunks or on the number of threads. The hash is the
 finaliser of SplitMix64 (Steele, Lea & Flood, OOPSLA 2014), applied once for the key and once for the number.
 """
 
@@ -13,7 +13,7 @@ GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _A = np.uint64(0xBF58476D1CE4E5B9)
 _B = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
-# From the 53 bits that a float64 holds to a number from 0 to 1.
+# Factor from a 53-bit integer, which float64 holds exactly, to [0, 1).
 _UNIT = 2.0**-53
 
 DIMENSIONS_PER_EVENT = 16
@@ -21,12 +21,12 @@ DIMENSIONS_PER_EVENT = 16
 
 
 START_DIMENSION = -64
-"""A packet's starting numbers have dimensions of their own, before those of any event."""
+"""First of the dimensions of a packet's starting numbers, which lie before those of any event."""
 
 
 @kernel
 def mix(z: np.uint64) -> np.uint64:
-    """Return the hash of 64 bits: a bijection without visible structure."""
+    """Return the hash of a 64-bit integer (a bijection)."""
     z = (z ^ (z >> _S30)) * _A
     z = (z ^ (z >> _S27)) * _B
     return z ^ (z >> _S31)
@@ -40,20 +40,20 @@ def derived(key: np.uint64, number: int) -> np.uint64:
 
 @kernel
 def uniform(key: np.uint64, dimension: int) -> float:
-    """Return a number in [0, 1), 53 bits."""
+    """Return a random number in [0, 1), with 53 bits, by a key and a dimension."""
     return float(mix(key + GOLDEN * np.uint64(dimension + 1)) >> _S11) * _UNIT
 
 
 @kernel
 def start(key: np.uint64, dimension: int) -> float:
-    """Return one of a packet's starting numbers."""
+    """Return one of a packet's starting numbers, in [0, 1)."""
     return uniform(key, START_DIMENSION + dimension)
 
 
 def descendant(key: int | np.uint64, *numbers: int) -> np.uint64:
-    """Return the key at the end of a line of children, to callers that are not compiled.
+    """Return the key of a child of a child of ... of a key, for callers in Python.
 
-    A kernel returns 64 bits as a Python integer, and numba would take that for a signed one when it comes back.
+    A kernel returns its uint64 as a Python integer, which numba would take for a signed one in the next call.
     """
     for number in numbers:
         key = derived(np.uint64(key), number)
@@ -61,5 +61,5 @@ def descendant(key: int | np.uint64, *numbers: int) -> np.uint64:
 
 
 def run_key(seed: int) -> np.uint64:
-    """Return the key of a run; its replicates' are its children, and theirs those of the wavelengths."""
+    """Return the key of a run, whose children are the keys of replicates, and their children those of wavelengths."""
     return descendant(0x6C666D657368, seed)

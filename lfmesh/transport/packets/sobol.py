@@ -1,9 +1,9 @@
 """Scrambled Sobol' points for the numbers that a path starts from: they fill the unit cube more evenly than chance.
 
 The points are those of Sobol' (1967) with the direction numbers of Joe & Kuo (SIAM J. Sci. Comput. 30, 2635, 2008:
-new-joe-kuo-6), scrambled as Owen proposed (1995): each digit is flipped by chance, the chance hashed from all the
-digits before it. So every point is uniform by itself, an average over them is unbiased, and the spread of independently
-scrambled sets is an honest standard error. The hash is Laine & Karras's (EGSR 2011) in the form of Burley (JCGT 9(4),
+new-joe-kuo-6), with Owen's scrambling (1995): each digit is flipped at random, by a hash of all digits before it. So
+every single point is uniformly distributed, an average over the points is unbiased, and the spread of independently
+scrambled sets gives a valid standard error. The hash is Laine & Karras's (EGSR 2011) in the form of Burley (JCGT 9(4),
 2020), on the bits in reverse.
 """
 
@@ -13,10 +13,10 @@ from lfmesh.kernel import kernel
 from lfmesh.transport.packets.random import derived
 
 COLUMNS = (0, 1, 2, 21, 3, 4)
-"""Which of Joe & Kuo's dimensions these are, counted from zero.
+"""Dimensions of Joe & Kuo's that are used, counted from zero.
 
-The first two are a (0, 2)-sequence; the next two come close to one, with t = 0 for 8 and 32 points and 1 for 16 and 64.
-To the third, the fourth of Joe & Kuo's has t = 2 for eight points, and a replicate often has no more.
+The first two make a (0, 2)-sequence. The next two nearly do, with t = 0 for 8 and 32 points and t = 1 for 16 and 64; in
+Joe & Kuo's own order they would have t = 2 for eight points, and a replicate often has no more.
 """
 
 DIMENSIONS = len(COLUMNS)
@@ -48,7 +48,7 @@ DIRECTIONS = _direction_numbers()
 _M1, _M2, _M3, _M4 = np.uint32(0x55555555), np.uint32(0x33333333), np.uint32(0x0F0F0F0F), np.uint32(0x00FF00FF)
 _U1, _U2, _U4, _U8, _U16 = np.uint32(1), np.uint32(2), np.uint32(4), np.uint32(8), np.uint32(16)
 _LK1, _LK2, _LK3, _LK4 = (np.uint32(n) for n in (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6))
-# From 32 bits to a number from 0 to 1.
+# Factor from a 32-bit integer to [0, 1).
 _UNIT = 2.0**-32
 
 
@@ -64,7 +64,7 @@ def _reversed(x: np.uint32) -> np.uint32:
 
 @kernel
 def _scrambled(x: np.uint32, seed: np.uint32) -> np.uint32:
-    """Return a number with its digits flipped, each by a hash of those before it."""
+    """Return a number with its binary digits flipped, each by a hash of those before it."""
     x = _reversed(x)
     x = np.uint32(x + seed)
     x = np.uint32(x ^ np.uint32(x * _LK1))
@@ -76,7 +76,7 @@ def _scrambled(x: np.uint32, seed: np.uint32) -> np.uint32:
 
 @kernel
 def sobol(index: int, dimension: int) -> np.uint32:
-    """Return a coordinate of the Sobol' point number `index`, as 32 bits after the point."""
+    """Return a coordinate of the Sobol' point number `index`, as the 32 bits after the binary point."""
     point = np.uint32(0)
     bit = 0
     while index > 0:
@@ -94,7 +94,7 @@ def owen_sobol(key: np.uint64, index: int, dimension: int) -> float:
     Parameters
     ----------
     key : uint64
-        Of the set: hashed from (seed, replicate, pixel).
+        Key of the set: hashed from (seed, replicate, pixel).
     index : int
         Number of the point, below 2³²; the first 2^m points are stratified.
     dimension : int
@@ -105,8 +105,8 @@ def owen_sobol(key: np.uint64, index: int, dimension: int) -> float:
 
 @kernel
 def scramble_seed(key: np.uint64, dimension: int) -> np.uint32:
-    """Return what the digits of a dimension are hashed with in the set of a key."""
-    # Negative numbers, for those from zero on are the keys of the samples.
+    """Return the seed of the hash that scrambles a dimension in the set of a key."""
+    # Children with negative numbers: those from zero on are the keys of the samples.
     return np.uint32(derived(key, -1 - dimension) & np.uint64(0xFFFFFFFF))
 
 
@@ -118,16 +118,25 @@ def scrambled(point: np.uint32, seed: np.uint32) -> float:
 
 @kernel
 def scramble(points: np.ndarray, seeds: np.ndarray, numbers: np.ndarray) -> None:
-    """Do as `scrambled` does for whole arrays (n,)."""
+    """Scramble arrays of points.
+
+    Parameters
+    ----------
+    points : (n,) uint32
+    seeds : (n,) uint32
+        See `scramble_seed`.
+    numbers : (n,) float64
+        Filled with the coordinates, in [0, 1).
+    """
     for i in range(len(points)):
         numbers[i] = _scrambled(points[i], seeds[i]) * _UNIT
 
 
 @kernel
 def step(point: np.ndarray, sample: int) -> None:
-    """Go from the point of sample − 1 to that of `sample`, in the order of Gray's code: one digit of the index changes.
+    """Step from the point of sample − 1 to that of `sample`, in Gray-code order: one digit of the index changes.
 
-    Sample s is the point number s ^ (s >> 1), so any 2^m samples from zero on are the first 2^m points.
+    Sample s is point number s ^ (s >> 1), so the first 2^m samples are the first 2^m points.
     """
     bit = 0
     while not (sample >> bit) & 1:

@@ -1,1 +1,1 @@
-"""Where it happens: lens, array, objects and sensor, and asking Embree."""
+"""Regions in which packets travel: lens, array, objects and sensor, and the queries of Embree."""

@@ -1,9 +1,9 @@
-"""Through the microlens array, folded: every lenslet is the one cell of its type, seen from its own centre.
+"""The microlens array in the mesh engine, folded: all lenslets of a type share one cell mesh about their centre.
 
 Array frame: z runs from the curved face into the glass. Space 0 is the air before the curved face, 1 the glass, 2 the
-air behind the flat face. The curved face lies in the thin layer top ≤ z ≤ valley; only there does a ray belong to a
-cell, and where it leaves the cell sideways before it meets the face or leaves the layer, it walks into the next one.
-Below the layer the glass is one plate. The flat face is one plane: there is nothing for Embree to find in it.
+air behind the flat face. The curved faces lie in the thin layer top ≤ z ≤ valley. Only in that layer does a ray belong
+to a cell; where it leaves the cell sideways before it meets the face or leaves the layer, it walks into the next cell.
+Below the layer the glass is one plate. The flat face is one plane and needs no query of Embree.
 """
 
 from typing import Any
@@ -17,16 +17,16 @@ from lfmesh.geometry.levels import EXACT, FLAT, PATCH, SMOOTH
 from lfmesh.geometry.surface import conic_distance
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.crossing import (
-    ask_again,
-    behind,
     clear_of,
     end,
     end_here,
     facet_normal,
     meets_patch,
     move_packet,
+    next_query_from,
     reflected,
     refracted,
+    requery,
     too_deep,
     write_query,
 )
@@ -60,7 +60,7 @@ def leave_array(
     flow: Flow, packet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float,
     weight: float, key: np.uint64, to_lens: bool, lens_surfaces: int,
 ) -> None:  # fmt: skip
-    """Hand a packet in air on, to the lens or to the sensor."""
+    """Queue a packet that has left the array, for the lens or for the sensor."""
     child = put(flow, LENS if to_lens else SENSOR, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
     child.space = lens_surfaces
 
@@ -70,7 +70,15 @@ def into_layer(
     options: Options, flow: Flow, frames: Array, array: ArrayTables, packet: Any,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64, space: int,
 ) -> None:  # fmt: skip
-    """Bring a packet from outside the layer to its border, find its cell there, and queue it."""
+    """Find the cell in which a packet enters the layer of curved faces, and queue it there.
+
+    It ends on the mount or on the array's edge if it misses the array.
+
+    Parameters
+    ----------
+    space : int
+        Space that it comes from: `BEFORE` or `GLASS`.
+    """
     lenslets = array.lenslets
     border = lenslets.top if space == BEFORE else lenslets.valley
     t = max(0.0, (border - z) / dz)
@@ -93,7 +101,7 @@ def _send_from_flat_face(
     place: Any, options: Options, flow: Flow, frames: Array, packet: Any, refracts: bool,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64,
 ) -> None:  # fmt: skip
-    """Send a child on from the flat face, which its parent met from the glass (`outward`) or from the air."""
+    """Queue a child of a packet at the flat face, which the parent met from the glass (`outward`) or from the air."""
     array, lens_surfaces, outward = place
     if refracts == outward:
         leave_array(flow, packet, x, y, z, dx, dy, dz, weight, key, not array.curved_to_lens, lens_surfaces)
@@ -108,7 +116,14 @@ _split_at_flat_face = splitter(_send_from_flat_face)
 def through_plate(
     wave: NDArray[np.void], array: ArrayTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow
 ) -> None:
-    """Take a wave of packets into the layer of curved faces, or through the flat face."""
+    """Take a wave of packets into the layer of curved faces, or split them at the flat face.
+
+    Parameters
+    ----------
+    wave : (n,) PACKET
+    lens_surfaces : int
+        Number of refracting surfaces of the lens.
+    """
     lenslets = array.lenslets
     thickness = lenslets.thickness
     for i in range(len(wave)):
@@ -141,9 +156,9 @@ def through_plate(
             slot = ARRAY_EDGE if outward else ARRAY_MOUNT
             end(options, flow, frames, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
             continue
-        glass = array.media.indices[array.medium, packet.wave]
+        glass = array.media.indices[array.medium, packet.colour]
         n_i, n_t = (glass, 1.0) if outward else (1.0, glass)
-        reflectance, transmittance, cos_t = shares(array.interfaces, FLAT_ROW, packet.wave, n_i, n_t, abs(dz))
+        reflectance, transmittance, cos_t = shares(array.interfaces, FLAT_ROW, packet.colour, n_i, n_t, abs(dz))
         toward = 1.0 if dz > 0.0 else -1.0
         _split_at_flat_face(
             (array, lens_surfaces, outward), options, flow, frames, ARRAY_FRAME, packet, FLAT_FACE, NO_SURFACE,
@@ -154,7 +169,7 @@ def through_plate(
 
 @inlined
 def fold_of(array: ArrayTables, column: int, row: int) -> tuple[float, float]:
-    """Return what to take off a position to stand in the Embree cell of a lenslet."""
+    """Return the x and y offset from the cell mesh in Embree's scene to a lenslet, mm."""
     cx, cy = centre(array.lenslets.lattice, column, row)
     return cx - type_of(array.lenslets, column, row) * array.type_shift, cy
 
@@ -163,7 +178,7 @@ def fold_of(array: ArrayTables, column: int, row: int) -> tuple[float, float]:
 def admit_to_cells(
     wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32], array: ArrayTables
 ) -> None:
-    """Write the rays of a wave, folded into their cells."""
+    """Write the rays of a wave for Embree, moved to the cell mesh of their lenslets."""
     for i in range(len(wave)):
         fold_x, fold_y = fold_of(array, wave[i].column, wave[i].row)
         write_query(origins, directions, i, wave[i], fold_x, fold_y)
@@ -174,7 +189,16 @@ def shade_cells(
     wave: NDArray[np.void], found: NDArray[np.int32],
     array: ArrayTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """Shade a wave of packets in the layer: decide in float64 whether each meets its cell's face, and split it."""
+    """Process a wave of packets in the layer: decide in float64 whether each meets its cell's face, and split it there.
+
+    Parameters
+    ----------
+    wave : (n,) PACKET
+    found : (n,) int32
+        Facets that Embree found; −1: none.
+    lens_surfaces : int
+        Number of refracting surfaces of the lens.
+    """
     lenslets = array.lenslets
     lattice = lenslets.lattice
     for i in range(len(wave)):
@@ -206,8 +230,8 @@ def shade_cells(
         t = at_facet if crossed else packet.query_from
         nx, ny, nz = 0.0, 0.0, 1.0
         if options.surface == EXACT:
-            # A sphere is crossed once in either sense: the facet gives the place to start from, and where the mesh
-            # has none (it lies a chord's or a form's error aside) the query's start does as well.
+            # A ray crosses a sphere once in either sense. The facet gives the point to start from; where Embree finds
+            # A ray crosses a sphere once in either sense. The facet gives the point to start from; if Embree finds
             met, more = conic_distance(
                 curvature, 0.0, x + t * dx - cx - ex, y + t * dy - cy - ey, z + t * dz,
                 dx, dy, dz, 1.0 if inward else -1.0,
@@ -215,7 +239,7 @@ def shade_cells(
             t += more
             px, py, pz = x + t * dx - cx - ex, y + t * dy - cy - ey, z + t * dz
             nx, ny, nz = -curvature * px, -curvature * py, 1.0 - curvature * pz
-            # Beyond the layer lies the sphere's other half.
+            # A hit beyond the layer is on the sphere's other half.
             met = met and 0.0 < t <= layer * (1.0 + 1e-12)
         else:
             met = crossed and t > 0.0
@@ -233,11 +257,11 @@ def shade_cells(
                 )
             _through_face(options, flow, frames, array, lens_surfaces, packet, t, prim, nx, ny, nz)
         elif options.surface != EXACT and prim >= 0 and not met and at_facet < min(sideways, layer):
-            further = behind(array.facets[prim], packet, at_facet)
-            ask_again(options, flow, frames, CELLS, packet, further, False, LOST_IN_ARRAY)
+            further = next_query_from(array.facets[prim], packet, at_facet)
+            requery(options, flow, frames, CELLS, packet, further, False, LOST_IN_ARRAY)
         elif options.surface != EXACT and prim < 0 and packet.tries == 0:
-            # Embree lets a ray pass that is aimed exactly at a vertex.
-            ask_again(options, flow, frames, CELLS, packet, packet.query_from, True, LOST_IN_ARRAY)
+            # Embree misses facets when a ray is aimed exactly at a vertex.
+            requery(options, flow, frames, CELLS, packet, packet.query_from, True, LOST_IN_ARRAY)
         elif sideways <= layer:
             _walk(options, flow, frames, array, packet, sideways, side)
         elif dz < 0.0 and inward:
@@ -248,14 +272,14 @@ def shade_cells(
         elif dz > 0.0 and not inward:
             put(flow, PLATE, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, 0.0)
         else:
-            ask_again(options, flow, frames, CELLS, packet, packet.query_from, True, LOST_IN_ARRAY)
+            requery(options, flow, frames, CELLS, packet, packet.query_from, True, LOST_IN_ARRAY)
 
 
 @kernel
 def _walk(
     options: Options, flow: Flow, frames: Array, array: ArrayTables, packet: Any, sideways: float, side: int
 ) -> None:
-    """Take a packet into the next cell; the step between unlike lenslets is a wall that absorbs, like every edge."""
+    """Take a packet into the next cell; the step between lenslets of different shape is a wall, which absorbs."""
     lenslets = array.lenslets
     lattice = lenslets.lattice
     x, y, z = packet.x, packet.y, packet.z
@@ -290,10 +314,10 @@ def _send_from_curved_face(
     place: Any, options: Options, flow: Flow, frames: Array, packet: Any, refracts: bool,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64,
 ) -> None:  # fmt: skip
-    """Send a child on from the curved face of its lenslet, which its parent met from the air (`inward`) or the glass.
+    """Queue a child of a packet at a curved face, which the parent met from the air (`inward`) or from the glass.
 
-    A child has its own lenslet behind it for good (one sphere, left outward or crossed to its far side), so it is
-    through if it leaves the layer before it leaves the cell; else it must be looked for among the neighbours.
+    A child cannot meet its own lenslet again, which is a single sphere. So it is through if it leaves the layer before
+    it leaves the cell; else it may meet a neighbouring lenslet.
     """
     array, lens_surfaces, inward, prim = place
     lenslets = array.lenslets
@@ -320,18 +344,18 @@ def _through_face(
     options: Options, flow: Flow, frames: Array, array: ArrayTables, lens_surfaces: int,
     packet: Any, t: float, prim: int, nx: float, ny: float, nz: float,
 ) -> None:  # fmt: skip
-    """Divide a packet where it meets the curved face, at t."""
+    """Split a packet where it meets the curved face of its cell, at distance t."""
     dx, dy, dz = packet.dx, packet.dy, packet.dz
     cos_i = nx * dx + ny * dy + nz * dz
     if cos_i < 0.0:
         nx, ny, nz, cos_i = -nx, -ny, -nz, -cos_i
     cos_i = min(cos_i, 1.0)
     inward = packet.space == BEFORE
-    glass = array.media.indices[array.medium, packet.wave]
+    glass = array.media.indices[array.medium, packet.colour]
     n_i, n_t = (1.0, glass) if inward else (glass, 1.0)
-    reflectance, transmittance, cos_t = shares(array.interfaces, CURVED_ROW, packet.wave, n_i, n_t, cos_i)
+    reflectance, transmittance, cos_t = shares(array.interfaces, CURVED_ROW, packet.colour, n_i, n_t, cos_i)
     if packet.last == LEFT_FACE:
-        # A second face in one passage.
+        # The second curved face in one passage is off the image path.
         packet.stray = 1
     packet.last = LEFT_FACE
     x, y, z = travel(flow, array.media, packet, t)

@@ -1,9 +1,9 @@
-"""Which bodies of glass in object space a packet is in, and what medium that makes of where it is.
+"""The bodies of glass in object space that a packet is in, and the medium that follows from them.
 
-Bodies may nest, touch and overlap. Each has a rank, by its priority and, among equals, by nesting; where several are,
-the one of the highest rank is what the packet travels in. A packet keeps the ranks of all that it is in, the highest
-first, as one number of 11 bits a rank, in fields that lens and array use: `column` and `space`. See Schmidt & Budge,
-Simple nested dielectrics in ray traced images, Journal of Graphics Tools 7(2), 2002.
+Bodies may nest, touch and overlap. Each has a rank, by its priority and, among equals, by nesting; where bodies
+overlap, the medium is that of the highest rank. A packet holds the ranks of all bodies that it is in, the highest
+first, as one number with 11 bits for each rank, in the fields `column` and `space`, which only lens and array need
+otherwise. See Schmidt & Budge, Simple nested dielectrics in ray traced images, Journal of Graphics Tools 7(2), 2002.
 """
 
 from typing import Any
@@ -20,20 +20,20 @@ RANK = (1 << BITS) - 1
 
 LOW_BITS = 30
 LOW = (1 << LOW_BITS) - 1
-"""What of the number is in `column`; the rest is in `space`."""
+"""The bits of the number that `column` holds; `space` holds the others."""
 
 MOST_AT_ONCE = 4
-"""Bodies that a packet can be in at once."""
+"""Largest number of bodies that a packet can be in at once."""
 
 MOST_BODIES = RANK
-"""Bodies of glass that there can be."""
+"""Largest number of bodies of glass in a scene."""
 
 TOO_MANY = -1
 
 
 @inlined
 def bodies_round(packet: Any) -> int:
-    """Return the bodies that a packet in object space is in; 0: none."""
+    """Return the ranks, as one number, of the bodies that a packet in object space is in; 0: none."""
     if packet.column < 0:
         return 0
     return int(np.int64(packet.column) | (np.int64(packet.space) << LOW_BITS))
@@ -41,7 +41,7 @@ def bodies_round(packet: Any) -> int:
 
 @inlined
 def set_bodies(packet: Any, inside: int) -> None:
-    """Say which bodies a packet is in."""
+    """Set the bodies that a packet is in."""
     packet.column = inside & LOW if inside != 0 else NO_SURFACE
     packet.space = inside >> LOW_BITS
 
@@ -58,7 +58,7 @@ def is_in(inside: int, rank: int) -> bool:
 
 @inlined
 def with_body(inside: int, rank: int) -> int:
-    """Return the bodies with one more, its place by its rank; `TOO_MANY` where there is no room."""
+    """Return the bodies with one added, in the order of ranks; `TOO_MANY` if there is no room."""
     if inside >> ((MOST_AT_ONCE - 1) * BITS) != 0:
         return TOO_MANY
     above, shift = 0, 0
@@ -71,7 +71,7 @@ def with_body(inside: int, rank: int) -> int:
 
 @inlined
 def without_body(inside: int, rank: int) -> int:
-    """Return the bodies without one that is among them."""
+    """Return the bodies with one removed, which must be among them."""
     above, shift = 0, 0
     while inside & RANK != rank:
         above |= (inside & RANK) << shift
@@ -82,7 +82,7 @@ def without_body(inside: int, rank: int) -> int:
 
 @inlined
 def medium_of(objects: ObjectTables, inside: int) -> int:
-    """Return the medium where a packet is in some bodies."""
+    """Return the number of the medium inside some bodies."""
     return objects.medium[objects.by_rank[inside & RANK]] if inside != 0 else AIR
 
 
@@ -91,15 +91,27 @@ def beyond_facet(
     objects: ObjectTables, inside: int, prim: int, enters: bool,
     x: float, y: float, z: float, dx: float, dy: float, dz: float,
 ) -> int:  # fmt: skip
-    """Return the bodies that a ray is in beyond the point at which it crosses a facet; `TOO_MANY` where it cannot know.
+    """Return the bodies that a ray is in after it crosses a facet; `TOO_MANY` if they cannot be represented.
 
-    Where bodies touch, it crosses facets of both there, and leaves the one as it enters the other.
+    Where bodies touch, the ray crosses facets of both at once: it leaves one as it enters the other.
+
+    Parameters
+    ----------
+    inside : int
+        The bodies before the facet.
+    prim : int
+        Facet.
+    enters : bool
+        The ray enters the facet's body; else it leaves.
+    x, y, z : float, mm
+        Point of the crossing.
+    dx, dy, dz : float
     """
     rank = objects.rank[objects.facets[prim].body]
     after = with_body(inside, rank) if enters else without_body(inside, rank)
     if len(objects.contact_first) == 0 or after == TOO_MANY:
         return after
-    # What is entered first, so that a corner which is entered and left at once leaves no trace.
+    # Entries before exits, so that a corner that is entered and left at once has no effect.
     for entering in (True, False):
         for number in range(objects.contact_first[prim], objects.contact_first[prim + 1]):
             facet = objects.facets[objects.contacts[number]]

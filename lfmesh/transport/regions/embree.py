@@ -1,4 +1,4 @@
-"""Embree, asked for one thing only: which facet a ray meets first. The only module that imports embreex."""
+"""Queries of Embree for the facet that a ray meets first. The only module that imports embreex."""
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -9,12 +9,12 @@ from lfmesh.geometry.mesh import Mesh
 
 
 class Finder:
-    """The facets of one region, in its own frame, rounded to float32.
+    """Embree scene of the facets of one region, in the region's frame, rounded to float32.
 
     Parameters
     ----------
     mesh : Mesh
-        All facets of the region; what `find` returns are its face numbers.
+        All facets of the region; `find` returns their numbers.
     """
 
     def __init__(self, mesh: Mesh) -> None:

@@ -1,6 +1,6 @@
-"""Through the main lens: Embree names a facet, float64 decides where the ray meets the surface and what follows.
+"""The main lens in the mesh engine: Embree finds a facet, float64 decides where the ray meets the surface.
 
-Camera frame. A packet in space s lies between surface s − 1 and surface s (see `LensTables`).
+All in the camera frame. A packet in space s lies between surface s − 1 and surface s (see `LensTables`).
 """
 
 from typing import Any
@@ -13,8 +13,6 @@ from lfmesh.geometry.surface import conic_distance, distance_to, normal_at
 from lfmesh.geometry.tessellation import OVERREACH
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.crossing import (
-    ask_again,
-    behind,
     crosses,
     end,
     end_here,
@@ -22,6 +20,8 @@ from lfmesh.transport.events.crossing import (
     lose,
     meets_patch,
     move_packet,
+    next_query_from,
+    requery,
     too_deep,
     write_query,
 )
@@ -76,15 +76,23 @@ from lfmesh.transport.tables.tables import AIR, LensTables
 Array = NDArray[np.float64]
 
 RING = -2
-"""What bounds a space besides its surfaces."""
+"""In place of a surface's number: the ring that bounds a space sideways."""
 
 NEARBY_TRIES = 4
-"""Refusals of facets no further than their size, own ones and their neighbours, that are queried from behind."""
+"""Number of refused facets near the start (the packet's own facet and its neighbours) that are queried from behind."""
 
 
 @kernel
 def box_entry(low: Array, high: Array, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> float:
-    """Return the distance at which a ray enters a box: 0 from inside, inf where it never does."""
+    """Return the distance at which a ray enters a box: 0 from inside, inf if it misses.
+
+    Parameters
+    ----------
+    low, high : (3,) float64, mm
+        Corners of the box.
+    x, y, z : float, mm
+    dx, dy, dz : float
+    """
     near, far = 0.0, np.inf
     for axis in range(3):
         p = x if axis == 0 else (y if axis == 1 else z)
@@ -103,7 +111,16 @@ def admit_to_lens(
     wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32],
     lens: LensTables, frames: Array, options: Options, flow: Flow,
 ) -> int:  # fmt: skip
-    """Write the rays of a wave, those from outside from where they enter the box; return how many remain."""
+    """Write the rays of a wave for Embree and return how many remain; rays from outside the box start at its border.
+
+    Packets that miss the box end on the housing; the others are moved up in the wave.
+
+    Parameters
+    ----------
+    wave : (n,) PACKET
+    origins, directions : (n, 3) float32
+        Filled.
+    """
     low, high = lens.box_low, lens.box_high
     kept = 0
     for i in range(len(wave)):
@@ -125,7 +142,14 @@ def admit_to_lens(
 
 @kernel
 def stop_cuts(lens: LensTables, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> bool:
-    """Tell whether the line of a ray passes the plane of the stop outside its aperture."""
+    """Tell whether the line of a ray passes the plane of the stop outside its aperture.
+
+    Parameters
+    ----------
+    lens : LensTables
+    x, y, z : float, mm, camera frame
+    dx, dy, dz : float
+    """
     if dz == 0.0:
         return True
     t = (lens.stop_z - z) / dz
@@ -139,9 +163,16 @@ def leave_lens(
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64, space: int,
     query_from: float,
 ) -> None:  # fmt: skip
-    """Hand a packet outside the lens on: to object space, to the array, or without one to the sensor.
+    """Queue a packet that has left the lens: for object space, the array, or without an array the sensor.
 
-    It has left everything nearer than `query_from` behind.
+    It ends on the stop if the stop lies on its side of the lens and it misses the aperture.
+
+    Parameters
+    ----------
+    space : int
+        In front of the lens (0) or behind it.
+    query_from : float, mm
+        Distance at which the next query starts.
     """
     if lens.stop_space == space and stop_cuts(lens, x, y, z, dx, dy, dz):
         t = (lens.stop_z - z) / dz if dz != 0.0 else 0.0
@@ -163,10 +194,20 @@ def shade_lens(
     wave: NDArray[np.void], found: NDArray[np.int32], block: Array, met: NDArray[np.int64],
     lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """Shade a wave of packets that Embree was asked about: refuse, absorb, or split each at its surface.
+    """Process a wave of packets after their query: refuse the hit, absorb the packet, or split it at its surface.
 
-    Block by block: what meets a conic as nearly all do is found by vector instructions, the rest packet by packet, and
-    all are split together. `block` and `met` are room for that.
+    Works block by block: hits on conics, nearly all, are found by vector instructions, the others packet by packet, and
+    all packets of the block are split together.
+
+    Parameters
+    ----------
+    wave : (n,) PACKET
+    found : (n,) int32
+        Facets that Embree found; −1: none.
+    block : (ROWS · BLOCK,) float64
+    met : (BLOCK,) int64
+        Working memory.
+    has_array : bool
     """
     for first in range(0, len(wave), BLOCK):
         count = min(BLOCK, len(wave) - first)
@@ -184,7 +225,7 @@ def shade_lens(
 
 @inlined
 def _prepare(block: Array, i: int, packet: Any, prim: int, lens: LensTables, options: Options) -> int:
-    """Enter a packet in the block if by all appearances it meets a conic of its space next; return which."""
+    """Enter a packet in the block if the facet found is of a conic of its space; return the surface or `NO_SURFACE`."""
     block[SENSE + i] = 0.0
     if prim < 0 or packet.events >= options.max_events:
         return NO_SURFACE
@@ -195,7 +236,7 @@ def _prepare(block: Array, i: int, packet: Any, prim: int, lens: LensTables, opt
         return NO_SURFACE
     outside = space == 0 or space == last_space
     if not outside and packet.last != 2 * space - 1 - k:
-        # It may graze the other surface of its space above that one's mesh first.
+        # It may first graze the other surface of its space, where that one's mesh lies below the surface.
         return NO_SURFACE
     x, y, z = packet.x, packet.y, packet.z
     dx, dy, dz = packet.dx, packet.dy, packet.dz
@@ -213,8 +254,8 @@ def _set_sides(block: Array, i: int, packet: Any, k: int, lens: LensTables) -> N
     """Enter surface `k` as an interface, and the indices before and after it."""
     space = packet.space
     indices, beyond = lens.media.indices, lens.medium[k + 1 if k == space else k]
-    block[N_I + i], block[N_T + i] = indices[lens.medium[space], packet.wave], indices[beyond, packet.wave]
-    block[NUMBER + i], block[COLOUR + i] = k, packet.wave
+    block[N_I + i], block[N_T + i] = indices[lens.medium[space], packet.colour], indices[beyond, packet.colour]
+    block[NUMBER + i], block[COLOUR + i] = k, packet.colour
 
 
 @kernel
@@ -222,9 +263,9 @@ def _decide(
     block: Array, i: int, packet: Any, prim: int,
     lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
 ) -> int:  # fmt: skip
-    """Decide on a packet by itself: enter where it meets a surface in the block and return which.
+    """Find where a single packet meets a surface; enter that in the block and return the surface.
 
-    `NO_SURFACE`: it has ended, is to be asked about again, or has left the lens.
+    `NO_SURFACE`: the packet has ended, is queued for another query, or has left the lens.
     """
     if packet.events >= options.max_events and packet.tries == 0:
         too_deep(options, flow, frames, packet)
@@ -235,8 +276,8 @@ def _decide(
     missed_all = prim < 0 and outside
     if missed_all and not _is_conic(surfaces[0 if space == 0 else last_space - 1]):
         if packet.last == NO_SURFACE and packet.tries == 0:
-            # It was on its way in: Embree lets a ray pass that is aimed exactly at a vertex.
-            ask_again(options, flow, frames, LENS, packet, packet.query_from, True, lens.lost_slot[space])
+            # It was on its way in: Embree misses facets when a ray is aimed exactly at a vertex.
+            requery(options, flow, frames, LENS, packet, packet.query_from, True, lens.lost_slot[space])
         else:
             _leaves(options, flow, frames, lens, has_array, packet)
         return NO_SURFACE
@@ -244,19 +285,19 @@ def _decide(
     if prim >= 0:
         k, t, px, py, z, nx, ny, nz = _meets(flow, lens, packet, prim, 0.25 * packet.query_from)
         if k == NO_SURFACE and abs(t) <= facets[prim].size and packet.tries < NEARBY_TRIES:
-            further = behind(facets[prim], packet, t)
-            ask_again(options, flow, frames, LENS, packet, further, False, lens.lost_slot[space])
+            further = next_query_from(facets[prim], packet, t)
+            requery(options, flow, frames, LENS, packet, further, False, lens.lost_slot[space])
             return NO_SURFACE
     if k == RING or (k != NO_SURFACE and packet.last != 2 * space - 1 - k):
-        # The mesh of a surface that bulges into the space stands back from it: a ray that grazes the surface may
-        # pass above the mesh. One that comes from the other surface of the space has left that behind.
+        # The mesh of a surface that bulges into the space lies behind the surface, and a ray that grazes the surface
+        # may miss the mesh. A ray that comes from the other surface of the space need not be tested against that one.
         first, sooner, gx, gy, gz, mx, my, mz, _ = _first_conic(lens, packet)
         if first != NO_SURFACE and first != k and sooner < t:
             flow.counts[REQUERIES] += 1
             k, prim, t, px, py, z, nx, ny, nz = first, -1, sooner, gx, gy, gz, mx, my, mz
     if k == NO_SURFACE:
-        # Far from its start the packet must not go on: float32 has put that start, or the ray, past a facet. And a
-        # ray that grazes a surface from outside may meet it above the chords of all its facets.
+        # Rounding to float32 has put the start of the query, or the ray, past a facet; or a ray from outside grazes a
+        # surface above the chords of all its facets.
         flow.counts[REQUERIES] += not missed_all
         k, prim, t, px, py, z, nx, ny, nz = _first_of_all(flow, lens, packet)
         if k == NO_SURFACE:
@@ -276,7 +317,7 @@ def _decide(
     block[NX + i], block[NY + i], block[NZ + i] = nx, ny, nz
     set_facet(block, i, facets[max(prim, 0)])
     if prim < 0:
-        # No facet to stand off from.
+        # No facet that the children's queries have to clear.
         block[SIZE + i] = 0.0
     _set_sides(block, i, packet, k, lens)
     return k
@@ -287,12 +328,20 @@ def _is_cut(
     options: Options, flow: Flow, frames: Array, lens: LensTables, packet: Any,
     k: int, t: float, x: float, y: float, z: float,
 ) -> bool:  # fmt: skip
-    """Absorb a packet that the stop of its space or the mount keeps from where it meets surface `k`, at distance t."""
+    """Absorb a packet at the stop of its space, or at the mount outside the aperture of surface `k`; tell whether.
+
+    Parameters
+    ----------
+    t : float, mm
+        Distance of the surface.
+    x, y, z : float, mm
+        Point at which the packet meets the surface.
+    """
     dx, dy, dz = packet.dx, packet.dy, packet.dz
     space = packet.space
     if lens.stop_space == space and packet.last != k and stop_cuts(lens, x, y, z, dx, dy, dz):
         at = (lens.stop_z - z) / dz if dz != 0.0 else 0.0
-        # A ray of the user's own may start behind the stop, and never cross it.
+        # A ray that a user starts behind the stop does not cross it.
         if packet.last != NO_SURFACE or space == 0 or space == len(lens.surfaces) or -t < at < 0.0:
             x, y, z = arrive(flow, lens.media, packet, x + at * dx, y + at * dy, z + at * dz)
             end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, STOP, S_ABSORBED)
@@ -311,7 +360,7 @@ def _send_child(
     place: Any, options: Options, flow: Flow, frames: Array, packet: Any, refracts: bool,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64,
 ) -> None:  # fmt: skip
-    """Send a child on from surface `k`, out of the lens where nothing of it can be met again."""
+    """Queue a child of a packet at surface `k`; if it cannot meet the lens again, send it out of the lens."""
     block, i, k, space, lens, has_array = place
     into = (k + 1 if k == space else k) if refracts else space
     if (into == 0 and lens.convex_front) or (into == len(lens.surfaces) and lens.convex_back):
@@ -344,7 +393,7 @@ def _send_on(
 
 @kernel
 def _meets_ring(options: Options, flow: Flow, frames: Array, lens: LensTables, packet: Any, t: float) -> None:
-    """Absorb a packet at the rim of its space: at the stop, if that stood before it, else at the edge or mount."""
+    """Absorb a packet at the ring of its space, on a lens edge or the mount, or at the stop if it meets that first."""
     slot = lens.ring_slot[packet.space]
     x, y, z = packet.x, packet.y, packet.z
     dx, dy, dz = packet.dx, packet.dy, packet.dz
@@ -360,10 +409,10 @@ def _meets_ring(options: Options, flow: Flow, frames: Array, lens: LensTables, p
 def _meets(
     flow: Flow, lens: LensTables, packet: Any, prim: int, least: float
 ) -> tuple[int, float, float, float, float, float, float, float]:
-    """Return which surface of its space a packet meets by way of a facet, at what t, the point, and the normal.
+    """Return the surface of its space that a packet meets at a facet, the distance, the point, and the normal.
 
-    The normal is along the ray. `RING` is the ring of its space; `NO_SURFACE` refuses a facet of another space, one
-    that is crossed the wrong way, and where a facet itself is the surface, one nearer than `least`.
+    The normal points along the ray. `RING` stands for the ring of the space. `NO_SURFACE` refuses the facet: it belongs
+    to another space, is crossed in the wrong sense or, where the facet itself is the surface, lies nearer than `least`.
     """
     x, y, z = packet.x, packet.y, packet.z
     dx, dy, dz = packet.dx, packet.dy, packet.dz
@@ -377,7 +426,7 @@ def _meets(
     forward = k == space
     met = (forward and along > 0.0) or (k == space - 1 and along < 0.0)
     if met and _is_conic(lens.surfaces[k]):
-        # Which of its roots is the one follows from the sense alone: no need for the facet's distance, a division.
+        # The sense alone decides between the two roots, so the facet's distance, a division, is not needed.
         t = packet.query_from
     else:
         t = (facet.offset - nx * x - ny * y - nz * z) / along if along != 0.0 else packet.query_from
@@ -410,7 +459,7 @@ def _meets(
             elif met:
                 nx, ny, nz = facet_normal(level, facet, px, py, pz)
             if (nx * dx + ny * dy + nz * dz > 0.0) != forward:
-                # An interpolated normal may look away from a grazing ray, and its facet then decides.
+                # An interpolated normal may point against a grazing ray; the facet's normal then replaces it.
                 nx, ny, nz = normal[0], normal[1], normal[2]
         if not forward:
             nx, ny, nz = -nx, -ny, -nz
@@ -419,16 +468,16 @@ def _meets(
 
 @kernel
 def _first_conic(lens: LensTables, packet: Any) -> tuple[int, float, float, float, float, float, float, float, bool]:
-    """Return which conic that bounds its space a packet meets first, at what t, the point, the normal along the ray.
+    """Return the first conic of its space that a packet meets, the distance, the point, and the normal along the ray.
 
-    By the roots of the conics themselves, without their meshes. The last value tells whether all are conics.
+    By the analytic roots, without meshes. The last value tells whether all surfaces of the space are conics.
     """
     dx, dy, dz = packet.dx, packet.dy, packet.dz
     space = packet.space
     first, nearest = NO_SURFACE, np.inf
     fx, fy, fz, nx, ny, nz = 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
     settled = True
-    # From where a ray enters the box, it has lost fewer digits than from its start, which may be far away.
+    # Counted from where the ray enters the box, as fewer digits are lost than from its start, which may be far away.
     ahead = packet.limit if packet.last == NO_SURFACE else 0.0
     x, y, z = packet.x + ahead * dx, packet.y + ahead * dy, packet.z + ahead * dz
     for k in range(max(space - 1, 0), min(space + 1, len(lens.surfaces))):
@@ -452,10 +501,10 @@ def _first_conic(lens: LensTables, packet: Any) -> tuple[int, float, float, floa
 def _first_of_all(
     flow: Flow, lens: LensTables, packet: Any
 ) -> tuple[int, int, float, float, float, float, float, float, float]:
-    """Return what a packet meets first of all that bounds its space, its facet (−1: none), and the rest of `_meets`.
+    """Return the first surface that a packet meets, its facet (−1: none), and the other results of `_meets`.
 
-    Slow, and sure: conics by their own roots, as a ray that creeps along a hollow one stays between surface and mesh;
-    everything else by trying every facet in float64.
+    Slow but certain: conics by their analytic roots, as a ray along a concave one may run between surface and mesh;
+    everything else by testing every facet in float64.
     """
     x, y, z = packet.x, packet.y, packet.z
     dx, dy, dz = packet.dx, packet.dy, packet.dz
@@ -463,7 +512,7 @@ def _first_of_all(
     first_prim = -1
     first, nearest, fx, fy, fz, nx, ny, nz, settled = _first_conic(lens, packet)
     if settled and (space == 0 or space == len(lens.surfaces)):
-        # No ring bounds the outside.
+        # Outside the lens there is no ring.
         return first, first_prim, nearest, fx, fy, fz, nx, ny, nz
     for prim in range(len(lens.facets)):
         body = lens.facets[prim].body
@@ -479,27 +528,27 @@ def _first_of_all(
             continue
         first, first_prim, nearest, fx, fy, fz, nx, ny, nz = k, prim, t, px, py, pz, mx, my, mz
     if first == NO_SURFACE and settled:
-        # Neither surface is met, so the ring is: between the circle of a rim and the chords of its mesh.
+        # As neither surface is met, it is the ring, between the circle of a rim and the chords of its mesh.
         first, nearest = RING, packet.limit
     return first, first_prim, nearest, fx, fy, fz, nx, ny, nz
 
 
 @inlined
 def _is_conic(surface: Any) -> bool:
-    """Tell whether a surface's hits have a closed form."""
+    """Tell whether a surface is an exact conic, whose hits have a closed form."""
     return surface.level == EXACT and surface.terms == 0
 
 
 @inlined
 def _on_mesh(surface: Any, x: float, y: float) -> bool:
-    """Tell whether a point lies within the clear aperture and what every mesh reaches beyond it."""
+    """Tell whether a point lies within the clear aperture or the margin by which meshes exceed it."""
     reach = min(surface.aperture * (1.0 + OVERREACH), surface.end)
     return x * x + y * y <= reach * reach
 
 
 @kernel
 def _leaves(options: Options, flow: Flow, frames: Array, lens: LensTables, has_array: bool, packet: Any) -> None:
-    """Let a packet that met nothing out of the lens, or into the housing behind it."""
+    """Send a packet that met nothing out of the lens, or end it on the housing behind the lens."""
     if packet.space == 0 or packet.dz > 0.0:
         leave_lens(
             options, flow, frames, lens, has_array, packet, packet.x, packet.y, packet.z,

@@ -1,9 +1,9 @@
-"""A block of packets at refracting surfaces, laid out for vector instructions: where they meet them, what follows.
+"""A block of packets at refracting surfaces, laid out for vector instructions: hits on conics, and the two children.
 
-A block is one float64 array of `ROWS` rows of `BLOCK` values, at constant offsets, as a bundle of the sequential engine
-is; but every packet has a surface, media and facet of its own beside it. There are no branches, and loops run over the
-whole block: what is beyond the last packet holds what was there before, and nobody reads what becomes of it. So every
-packet goes through the same instructions, whatever its neighbours are.
+A block is one float64 array of `ROWS` rows of `BLOCK` values, at constant offsets, like a bundle of the sequential
+engine, but each packet has its own surface, media and facet. There are no branches, and loops run over the whole block:
+the places beyond the last packet hold old values, whose results are never read. So every packet goes through the same
+instructions, whatever its neighbours are.
 """
 
 from typing import Any
@@ -21,9 +21,9 @@ from lfmesh.vector import both, select
 Array = NDArray[np.float64]
 
 BLOCK = 32
-"""Few enough that the block stays in the first cache beside its packets."""
+"""Packets in a block: few enough that block and packets fit in the first-level cache."""
 
-# The ray: where it starts, mm, camera frame, its unit direction, and the distance from which Embree looked.
+# The ray: its start, mm, camera frame, its unit direction, and the distance at which the query started.
 X, Y, Z, DX, DY, DZ, FROM = 0, BLOCK, 2 * BLOCK, 3 * BLOCK, 4 * BLOCK, 5 * BLOCK, 6 * BLOCK
 # The conic: curvature, 1 + conic constant, z of the vertex, square of the aperture's radius, and the sense in which it
 # is to be crossed: 1 along its normal, −1 against it, 0 where the packet is not for `meet_conics`.
@@ -32,9 +32,9 @@ CURVATURE, SQUASH, VERTEX_Z, APERTURE2, SENSE = 7 * BLOCK, 8 * BLOCK, 9 * BLOCK,
 FACET_X, FACET_Y, FACET_Z, OFFSET, SIZE = 12 * BLOCK, 13 * BLOCK, 14 * BLOCK, 15 * BLOCK, 16 * BLOCK
 # The indices before and after the surface, its row among the interfaces, and the number of the wavelength.
 N_I, N_T, NUMBER, COLOUR = 17 * BLOCK, 18 * BLOCK, 19 * BLOCK, 20 * BLOCK
-# Where it is met, the unit normal there, along the ray, and whether that stands (1 or 0).
+# The point of the hit, the unit normal there, along the ray, and whether the hit is valid (1 or 0).
 PX, PY, PZ, NX, NY, NZ, HELD = 21 * BLOCK, 22 * BLOCK, 23 * BLOCK, 24 * BLOCK, 25 * BLOCK, 26 * BLOCK, 27 * BLOCK
-# What follows: shares of the power, and for either child its direction and how far its query stands off.
+# Results: shares of the power, and for each child its direction and the distance at which its query starts.
 REFLECTANCE, TRANSMITTANCE = 28 * BLOCK, 29 * BLOCK
 REFLECTED, REFRACTED = 30 * BLOCK, 34 * BLOCK
 ALONG_X, ALONG_Y, ALONG_Z, CLEAR = 0, BLOCK, 2 * BLOCK, 3 * BLOCK
@@ -42,7 +42,7 @@ ROWS = 38
 
 
 def empty_block() -> Array:
-    """Return room for a block of packets, aligned to whole cache lines."""
+    """Return memory for a block of packets, aligned to cache lines."""
     room = np.zeros(ROWS * BLOCK + 8)
     offset = (-room.ctypes.data // 8) % 8
     return room[offset : offset + ROWS * BLOCK]
@@ -76,9 +76,9 @@ def set_conic(block: Array, i: int, surface: Any, sense: float) -> None:
 
 @kernel
 def meet_conics(block: Array) -> None:
-    """Find where the rays cross their conics in the given sense, within the aperture and by facets of that sense.
+    """Find where the rays cross their conics in the given sense, within the aperture, and by facets of that sense.
 
-    The root itself gives the point: how far along the ray the facet lies is not asked.
+    The analytic root alone gives the point; the distance of the facet is not used.
     """
     for i in range(BLOCK):
         dx, dy, dz = block[DX + i], block[DY + i], block[DZ + i]
@@ -101,7 +101,7 @@ def meet_conics(block: Array) -> None:
 
 @kernel
 def split_block(block: Array, interfaces: Interfaces) -> None:
-    """Divide each packet between the reflected and the refracted ray, and set their queries off from the facet."""
+    """Compute each packet's shares of the power, and directions and start of the query of both children."""
     for i in range(BLOCK):
         dx, dy, dz = block[DX + i], block[DY + i], block[DZ + i]
         nx, ny, nz = block[NX + i], block[NY + i], block[NZ + i]

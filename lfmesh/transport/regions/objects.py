@@ -1,6 +1,6 @@
-"""Object space: which target, glass or housing a packet meets, shadows, and the way into the lens.
+"""Object space: hits on targets, glass and housing, shadow packets, and entry into the lens.
 
-Object frame. The same kernel serves both methods. What happens on a target is in `targets`.
+All in the object frame. The same kernel serves both methods. Scattering on targets is in `targets`.
 """
 
 from typing import Any
@@ -13,8 +13,6 @@ from lfmesh.geometry.levels import PATCH
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.crossing import (
     MAX_TRIES,
-    ask_again,
-    behind,
     clear_of,
     crosses,
     deposit,
@@ -24,8 +22,10 @@ from lfmesh.transport.events.crossing import (
     lose,
     meets_patch,
     move_packet,
+    next_query_from,
     reflected,
     refracted,
+    requery,
     too_deep,
     write_query,
 )
@@ -72,7 +72,7 @@ from lfmesh.transport.regions.bodies import (
 )
 from lfmesh.transport.regions.lens import box_entry
 from lfmesh.transport.regions.targets import meet_target, share_with_other
-from lfmesh.transport.tables.tables import OPAQUE, Aim, LensTables, ObjectTables
+from lfmesh.transport.tables.tables import OPAQUE, AimTables, LensTables, ObjectTables
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,7 @@ Array = NDArray[np.float64]
 def admit_to_objects(
     wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32], frames: Array
 ) -> None:
-    """Write the rays of a wave."""
+    """Write the rays of a wave for Embree, in the object frame."""
     for i in range(len(wave)):
         move_packet(frames, wave[i], OBJECT_FRAME)
         write_query(origins, directions, i, wave[i], 0.0, 0.0)
@@ -90,9 +90,16 @@ def admit_to_objects(
 @kernel
 def shade_objects(
     wave: NDArray[np.void], found: NDArray[np.int32],
-    objects: ObjectTables, lens: LensTables, aim: Aim, frames: Array, options: Options, flow: Flow,
+    objects: ObjectTables, lens: LensTables, aim: AimTables, frames: Array, options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """Shade a wave of packets in object space."""
+    """Process a wave of packets in object space after their query.
+
+    Parameters
+    ----------
+    wave : (n,) PACKET
+    found : (n,) int32
+        Facets that Embree found; −1: none.
+    """
     facets = objects.facets
     for i in range(len(wave)):
         packet = wave[i]
@@ -106,24 +113,24 @@ def shade_objects(
             along = normal[0] * dx + normal[1] * dy + normal[2] * dz
             height = normal[0] * x + normal[1] * y + normal[2] * z - facet.offset
             t = -height / along if along != 0.0 else -np.inf
-            # Nearer than the query's start: the facet that the packet left, or a neighbour in its plane.
+            # A hit nearer than the start of the query is on the facet that the packet left, or on one in its plane.
             if prim == packet.facet or t <= 0.25 * packet.query_from or t <= 0.0:
                 if packet.tries < MAX_TRIES:
-                    again = behind(facet, packet, t if t > 0.0 else 0.0)
-                    ask_again(options, flow, frames, OBJECTS, packet, again, False, LOST_OUTSIDE)
+                    again = next_query_from(facet, packet, t if t > 0.0 else 0.0)
+                    requery(options, flow, frames, OBJECTS, packet, again, False, LOST_OUTSIDE)
                     continue
                 prim, t, along = _first_crossing(objects, packet, x, y, z, dx, dy, dz)
                 facet = facets[max(prim, 0)]
         elif packet.tries == 0 and _might_have_met(objects, packet, x, y, z, dx, dy, dz):
             # Embree lets a ray pass that is aimed exactly at a vertex.
-            ask_again(options, flow, frames, OBJECTS, packet, packet.query_from, True, LOST_OUTSIDE)
+            requery(options, flow, frames, OBJECTS, packet, packet.query_from, True, LOST_OUTSIDE)
             continue
         if packet.kind != SHADOW and not _in_its_medium(objects, packet, prim, along):
             if prim >= 0 and packet.tries < MAX_TRIES and _is_in_contact(objects, prim):
-                # The face of a body that was entered or left where it touches another one, to rounding.
-                ask_again(options, flow, frames, OBJECTS, packet, behind(facet, packet, t), False, LOST_OUTSIDE)
+                # To rounding, a face of a body that was already entered or left where it touches another body.
+                requery(options, flow, frames, OBJECTS, packet, next_query_from(facet, packet, t), False, LOST_OUTSIDE)
                 continue
-            # The query began beyond a facet, near an edge of the body, or slipped through the body at a vertex.
+            # The query started beyond a facet, near an edge of the body, or missed the body at a vertex.
             flow.counts[REQUERIES] += 1
             inside = bodies_round(packet)
             body = objects.by_rank[inside & RANK] if inside != 0 else facet.body
@@ -134,14 +141,14 @@ def shade_objects(
             facet = facets[max(prim, 0)]
         if packet.kind == SHADOW:
             if t >= packet.limit:
-                deposit(options, flow, packet.source, packet.wave, packet.weight)
+                deposit(options, flow, packet.source, packet.colour, packet.weight)
             continue
         if packet.last != LEFT_LENS:
             px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
             ex, ey, ez = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, dx, dy, dz)
             enters = box_entry(lens.box_low, lens.box_high, px, py, pz, ex, ey, ez) < t
             if enters and packet.kind == LAMP:
-                # Through the opening it comes to the housing's inside; else it passes by the lens, as a shadow's ray.
+                # Through the opening it meets the inside of the housing, and ends; else it passes beside the lens.
                 if prim >= 0 and facet.body < 0:
                     flow.book[LENS_FRONT] += packet.weight
                     continue
@@ -156,12 +163,12 @@ def shade_objects(
                     flow.book[SAMPLING_REMOVED] += packet.weight
                 continue
             elif options.bounce and options.aimed and not options.adjoint and packet.facet != NO_SURFACE:
-                # It left a target, whose light goes this way in two packets: one aimed at the lens, one that was not.
+                # It left a target, which sends two packets this way: one aimed at the lens, one not aimed.
                 into_glass = prim >= 0 and facet.body >= 0 and objects.medium[facet.body] != OPAQUE
                 if into_glass and (packet.kind == CAMERA or packet.kind == SCATTERED):
                     share_with_other(flow, frames, aim, packet)
                 elif packet.kind == CAMERA:
-                    # Neither to the lens nor into glass: what else is there, the other brings light to.
+                    # Neither into the lens nor into glass: whatever is there is lit by the packet that is not aimed.
                     flow.book[SAMPLING_REMOVED] += packet.weight
                     continue
         if prim < 0:
@@ -180,7 +187,7 @@ def shade_objects(
             end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, status)
             continue
         if packet.kind == LAMP and not is_estimated(options, packet):
-            # Its light is that of another class, which finds it from the sensor.
+            # Its path belongs to another class, which is estimated from the sensor.
             flow.book[SAMPLING_REMOVED] += packet.weight
             continue
         if too_deep(options, flow, frames, packet):
@@ -190,7 +197,7 @@ def shade_objects(
 
 @inlined
 def _in_its_medium(objects: ObjectTables, packet: Any, prim: int, along: float) -> bool:
-    """Tell whether a packet in its medium can meet a facet from that side; −1: whether it can meet nothing at all."""
+    """Tell whether a packet can meet a facet from that side, by the bodies it is in; −1: whether it can meet none."""
     if prim < 0:
         return packet.column < 0
     body = objects.facets[prim].body
@@ -221,13 +228,14 @@ def _might_have_met(
 def _first_crossing(
     objects: ObjectTables, packet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float
 ) -> tuple[int, float, float]:
-    """Return the facet that a packet in its medium meets first, where, and normal · direction; −1: none.
+    """Return the first facet that a packet can meet, the distance, and normal · direction; −1: none.
 
-    All facets are tried in float64: slow, and sure. The facet that the packet left faces its medium the wrong way, so
-    no distance from the start need be kept; a curved start may even lie a little beyond the next facet.
+    All facets are tested in float64: slow but certain. The facet that the packet left faces the wrong way for its
+    medium, so no distance from the start has to be kept; the start on a curved patch may even lie slightly beyond the
+    next facet.
     """
     first, nearest, steepness = -1, np.inf, 0.0
-    # The limit of a shadow is its light's distance, that of a packet which passed the lens the way to it.
+    # A shadow packet's `limit` is the distance of its light, that of a packet from the lens the way past the lens.
     back = 0.0 if packet.kind == SHADOW or packet.last == LEFT_LENS else packet.limit
     for prim in range(len(objects.facets)):
         t, along = crosses(objects.facets[prim], x, y, z, dx, dy, dz)
@@ -243,9 +251,9 @@ def _first_crossing(
 def _comes_out_ahead(
     objects: ObjectTables, packet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float
 ) -> bool:
-    """Tell whether a packet in the open would come out of glass ahead: it is in a body without having entered it.
+    """Tell whether a packet that is in no body would leave a body ahead, which it must have entered unnoticed.
 
-    If not, nothing lies ahead, and what float32 found was the edge of a facet that the ray passes.
+    If not, nothing lies ahead: the facet that Embree found is one whose edge the ray passes.
     """
     for prim in range(len(objects.facets)):
         t, along = crosses(objects.facets[prim], x, y, z, dx, dy, dz)
@@ -260,7 +268,7 @@ def _send_from_glass(
     place: Any, options: Options, flow: Flow, frames: Array, packet: Any, refracts: bool,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64,
 ) -> None:  # fmt: skip
-    """Send a child on from a facet of glass, among the bodies on its side of it."""
+    """Queue a child of a packet at a facet of glass, with the bodies on the child's side."""
     objects, prim, inside, after = place
     set_bodies(packet, after if refracts else inside)
     clear = clear_of(objects.facets[prim], x, y, z, dx, dy, dz)
@@ -274,9 +282,9 @@ _split_at_glass = splitter(_send_from_glass)
 def _through_glass(
     options: Options, flow: Flow, frames: Array, objects: ObjectTables, packet: Any, prim: int, t: float
 ) -> None:
-    """Split a packet at a facet of a glass body, which it meets at t, by the media on both sides.
+    """Split a packet at a facet of a glass body, at distance t, by the media on both sides.
 
-    A facet within another body of a higher rank, or of the same index, is passed as if it were not there.
+    A facet between equal indices, or inside another body of a higher rank, has no effect.
     """
     facet = objects.facets[prim]
     body = facet.body
@@ -292,14 +300,15 @@ def _through_glass(
     if level == PATCH:
         met, more, nx, ny, nz = meets_patch(flow, objects.patches, objects.across, facet, prim, x, y, z, dx, dy, dz)
         if met and t + more <= 0.0:
-            ask_again(options, flow, frames, OBJECTS, packet, behind(facet, packet, t), False, objects.lost_slot[body])
+            further = next_query_from(facet, packet, t)
+            requery(options, flow, frames, OBJECTS, packet, further, False, objects.lost_slot[body])
             return
         x, y, z = x + more * dx, y + more * dy, z + more * dz
     else:
         nx, ny, nz = facet_normal(level, facet, x, y, z)
     cos_i = nx * dx + ny * dy + nz * dz
     if (cos_i < 0.0) != entering:
-        # A bent normal may look away from a grazing ray; its facet then decides.
+        # An interpolated normal may point against a grazing ray; the facet's normal then replaces it.
         normal = facet.normal
         nx, ny, nz = normal[0], normal[1], normal[2]
         cos_i = nx * dx + ny * dy + nz * dz
@@ -308,14 +317,14 @@ def _through_glass(
     cos_i = min(cos_i, 1.0)
     x, y, z = arrive(flow, objects.media, packet, x, y, z)
     beyond = medium_of(objects, after)
-    n_i, n_t = objects.media.indices[packet.medium, packet.wave], objects.media.indices[beyond, packet.wave]
+    n_i, n_t = objects.media.indices[packet.medium, packet.colour], objects.media.indices[beyond, packet.colour]
     if n_i == n_t and inside != 0 and after != 0:
         packet.medium, packet.facet = beyond, NO_SURFACE
         set_bodies(packet, after)
         clear = clear_of(facet, x, y, z, dx, dy, dz)
         put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, clear)
         return
-    reflectance, transmittance, cos_t = shares(objects.interfaces, body, packet.wave, n_i, n_t, cos_i)
+    reflectance, transmittance, cos_t = shares(objects.interfaces, body, packet.colour, n_i, n_t, cos_i)
     packet.facet = NO_SURFACE
     packet.last = NO_SURFACE
     if packet.kind != LAMP:

@@ -1,4 +1,4 @@
-"""Onto the sensor: a packet ends on a pixel, or beside them."""
+"""The sensor: a packet ends on a pixel, or beside the sensor."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,16 @@ from lfmesh.transport.tables.tables import SensorTables
 def onto_sensor(
     wave: NDArray[np.void], sensor: SensorTables, frames: NDArray[np.float64], options: Options, flow: Flow
 ) -> None:
-    """End each packet of a wave where it meets the sensor's plane."""
+    """End each packet of a wave in the sensor's plane; in the forward method deposit it on its pixel.
+
+    Parameters
+    ----------
+    wave : (n,) PACKET
+    sensor : SensorTables
+    frames : (5, 5, 3, 4) float64
+    options : Options
+    flow : Flow
+    """
     for i in range(len(wave)):
         packet = wave[i]
         move_packet(frames, packet, SENSOR_FRAME)
@@ -31,5 +40,5 @@ def onto_sensor(
         if not (0.0 <= column < sensor.columns and 0.0 <= row < sensor.rows):
             slot, status = BESIDE_SENSOR, S_ABSORBED
         elif not options.adjoint and not options.tracing:
-            deposit(options, flow, int(row) * sensor.columns + int(column), packet.wave, packet.weight)
+            deposit(options, flow, int(row) * sensor.columns + int(column), packet.colour, packet.weight)
         end(options, flow, frames, packet, SENSOR_FRAME, x, y, 0.0, dx, dy, dz, packet.weight, slot, status)

@@ -1,8 +1,8 @@
-"""A packet on a target: it gathers light and is scattered on, towards the camera and to other targets.
+"""Packets on targets: they gather light and are scattered, towards the camera and to other targets.
 
-In adjoint a packet that reaches a target gathers what leaves the point towards it: own emission, and light by
-next-event estimation. In forward it scatters a child that is aimed at the entrance pupil. In both it may go on to other
-targets. What the target does with light is asked of its scattering model (`events/scattering.py`).
+In the adjoint method a packet on a target gathers the light that leaves the point towards it: emission, and scattered
+light by next-event estimation. In the forward method it sends a child aimed at the entrance pupil. In both it may be
+scattered to other targets. Scattering follows the target's model (`events/scattering.py`).
 """
 
 from typing import Any
@@ -50,20 +50,30 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.path_class import OFF_IMAGE_PATH, is_estimated
 from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived
-from lfmesh.transport.tables.tables import AIR, Aim, ObjectTables
+from lfmesh.transport.tables.tables import AIR, AimTables, ObjectTables
 
 Array = NDArray[np.float64]
 
 AIMED_CHILD = 1 << 20
-"""Number of the aimed child among a packet's children, out of the way of its events."""
+"""Number of the aimed child among a packet's children, larger than any number of events."""
 
 
 @inlined
 def meet_target(
-    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: Aim, packet: Any,
+    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any,
     prim: int, x: float, y: float, z: float, along: float,
 ) -> None:  # fmt: skip
-    """Gather and scatter at a point of a facet; `along` is its normal · the packet's direction."""
+    """Gather light and scatter at a point of a target.
+
+    Parameters
+    ----------
+    prim : int
+        Facet.
+    x, y, z : float, mm
+        Point, object frame.
+    along : float
+        The facet's normal · the packet's direction.
+    """
     body = objects.facets[prim].body
     slot = objects.target_slot[body]
     dx, dy, dz, weight = packet.dx, packet.dy, packet.dz, packet.weight
@@ -72,15 +82,15 @@ def meet_target(
         end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, S_ABSORBED)
         return
     if options.paths == OFF_IMAGE_PATH and packet.stray == 0:
-        # It gathers nothing here, and few of its kind go on: the others are spared the rest.
+        # It gathers nothing here, and only few such packets continue: roulette comes before the work of scattering.
         dimension = packet.events * DIMENSIONS_PER_EVENT + KEEP_REACHED
         weight = windowed(flow.book, weight, options.unturned_cutoff * packet.start, packet.key, dimension)
         if weight == 0.0:
             return
         packet.weight = weight
-    texel = texture_at(objects, prim, packet.wave, x, y, z)
+    texel = texture_at(objects, prim, packet.colour, x, y, z)
     point = point_of(objects, prim, x, y, z, -1.0 if along > 0.0 else 1.0, body, texel)
-    share = albedo(objects.scattering, point, packet.wave, dx, dy, dz)
+    share = albedo(objects.scattering, point, packet.colour, dx, dy, dz)
     if options.adjoint and is_estimated(options, packet):
         _gather(options, flow, objects, packet, point, body, share > 0.0)
     scattered = weight * share
@@ -89,7 +99,7 @@ def meet_target(
         return
     flow.book[slot] += weight - scattered
     if packet.last == LEFT_LENS and not options.bounce and not options.adjoint:
-        # The lens reflected it back. Without bounces the adjoint method has no such paths, and this one neither.
+        # The lens reflected it back. Without bounces the adjoint method has no such paths, so they are left out here.
         flow.book[ESCAPED] += scattered
         return
     packet.events += 1
@@ -100,15 +110,37 @@ def meet_target(
 def point_of(
     objects: ObjectTables, prim: int, x: float, y: float, z: float, side: float, model: int, texel: float
 ) -> Point:
-    """Return a point of a facet on one of its sides: 1, the normal's, or −1."""
+    """Return a point on one side of a facet, with its scattering model.
+
+    Parameters
+    ----------
+    prim : int
+        Facet.
+    x, y, z : float, mm
+    side : float
+        1: the side that the normal points to, −1: the other.
+    model : int
+        Row of the scattering models.
+    texel : float
+        See `texture_at`.
+    """
     normal = objects.facets[prim].normal
     nx, ny, nz = side * normal[0], side * normal[1], side * normal[2]
     return Point(prim, x, y, z, nx, ny, nz, model, texel)
 
 
 @inlined
-def texture_at(objects: ObjectTables, prim: int, wave: int, x: float, y: float, z: float) -> float:
-    """Return the texture's value (linear light, bilinear, clamped) at a point of a facet; 1 without."""
+def texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: float, z: float) -> float:
+    """Return the value of the texture at a point of a facet (linear light, bilinear, clamped); 1 without a texture.
+
+    Parameters
+    ----------
+    prim : int
+        Facet.
+    colour : int
+        Number of the wavelength.
+    x, y, z : float, mm
+    """
     body = objects.facets[prim].body
     height = objects.texture[body, 1]
     if height == 0:
@@ -129,7 +161,7 @@ def texture_at(objects: ObjectTables, prim: int, wave: int, x: float, y: float, 
             r = min(max(low + j, 0), height - 1)
             s = min(max(left + k, 0), width - 1)
             share = (low_share if j else 1.0 - low_share) * (right_share if k else 1.0 - right_share)
-            value += share * objects.texels[first + r * width + s, wave]
+            value += share * objects.texels[first + r * width + s, colour]
     return value
 
 
@@ -137,14 +169,14 @@ def texture_at(objects: ObjectTables, prim: int, wave: int, x: float, y: float, 
 def _gather(
     options: Options, flow: Flow, objects: ObjectTables, packet: Any, point: Point, body: int, scatters: bool
 ) -> None:
-    """Deposit what a target emits towards the packet, and ask the lights for what it scatters that way."""
+    """Deposit the light that a target emits towards the packet, and send shadow packets for the light it scatters."""
     flow.book[REACHED] += packet.weight
-    radiance = objects.radiance[body, packet.wave] * point.texel
+    radiance = objects.radiance[body, packet.colour] * point.texel
     if radiance > 0.0:
         if packet.medium != AIR:
-            # It shines inside glass, and radiance falls by n² on the way out.
-            radiance /= objects.media.indices[packet.medium, packet.wave] ** 2
-        deposit(options, flow, packet.source, packet.wave, packet.weight * radiance)
+            # Inside glass: radiance over n² is conserved on the way out.
+            radiance /= objects.media.indices[packet.medium, packet.colour] ** 2
+        deposit(options, flow, packet.source, packet.colour, packet.weight * radiance)
     lit = radiance > 0.0
     if scatters:
         lit = ask_lights(objects, flow, packet, point) or lit
@@ -154,7 +186,7 @@ def _gather(
 
 @inlined
 def scatter(
-    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: Aim, packet: Any, point: Point,
+    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any, point: Point,
     weight: float, scattered: float,
 ) -> None:  # fmt: skip
     """Scatter (or emit) from a point: towards the camera, and to other targets.
@@ -162,9 +194,9 @@ def scatter(
     Parameters
     ----------
     weight : float
-        That arrived, along the packet's direction.
+        Weight that arrived, along the packet's direction.
     scattered : float
-        What of it is scattered, by the model's albedo.
+        Weight times the model's albedo.
     """
     if scattered <= 0.0:
         return
@@ -179,7 +211,7 @@ def scatter(
     if options.aimed and not options.adjoint:
         to_camera = _aim_at_camera(flow, frames, objects, aim, packet, point, weight)
     if not options.bounce and (options.aimed or options.adjoint):
-        # Nothing else is there to be met: what does not go to the camera escapes.
+        # Nothing but the camera can be met: all other light escapes.
         flow.book[ESCAPED] += scattered - to_camera
         return
     flow.book[SAMPLING_ADDED] += to_camera
@@ -190,12 +222,12 @@ def scatter(
 def _bounce(
     options: Options, flow: Flow, objects: ObjectTables, packet: Any, point: Point, weight: float, scattered: float
 ) -> None:
-    """Queue the child that goes any way, as the scattering model draws it, if roulette lets it live."""
+    """Queue the child whose direction the scattering model draws, if it survives roulette."""
     x, y, z = point.x, point.y, point.z
     ix, iy, iz = packet.dx, packet.dy, packet.dz
     u, v = draw(packet, BOUNCE_U), draw(packet, BOUNCE_V)
-    dx, dy, dz, share = sample(objects.scattering, point, packet.wave, ix, iy, iz, u, v)
-    # What a sample carries is right on average.
+    dx, dy, dz, share = sample(objects.scattering, point, packet.colour, ix, iy, iz, u, v)
+    # A sample carries the scattered weight on average only; the book takes the difference.
     flow.book[SAMPLING_ADDED] += weight * share - scattered
     cutoff = options.cutoff
     if options.paths == OFF_IMAGE_PATH and packet.stray == 0:
@@ -206,47 +238,47 @@ def _bounce(
         clear = clear_of(objects.facets[point.prim], x, y, z, dx, dy, dz)
         child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, packet.key, clear)
         child.kind = SCATTERED
-        child.density = density(objects.scattering, point, packet.wave, ix, iy, iz, dx, dy, dz)
+        child.density = density(objects.scattering, point, packet.colour, ix, iy, iz, dx, dy, dz)
 
 
 @inlined
 def _aim_at_camera(
-    flow: Flow, frames: Array, objects: ObjectTables, aim: Aim, packet: Any, point: Point, weight: float
+    flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any, point: Point, weight: float
 ) -> float:
     """Queue the child that is aimed at the entrance pupil: BRDF · cos · dω of the weight. Return its weight."""
     x, y, z = point.x, point.y, point.z
     ix, iy, iz = packet.dx, packet.dy, packet.dz
     px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
     ax, ay, az, at_lens = aimed(
-        px, py, pz, aim.entrance, aim.front_radius, aim.wide_share, aim.blind_share,
+        px, py, pz, aim.entrance, aim.front_radius, aim.wide_share, aim.share_without_aim,
         draw(packet, AIM_DISK), draw(packet, AIM_U), draw(packet, AIM_V),
     )  # fmt: skip
     dx, dy, dz = move_direction(frames, CAMERA_FRAME, OBJECT_FRAME, ax, ay, az)
     cos_theta = point.nx * dx + point.ny * dy + point.nz * dz
     if cos_theta <= 0.0 or at_lens <= 0.0:
         return 0.0
-    weight *= evaluate(objects.scattering, point, packet.wave, ix, iy, iz, dx, dy, dz) * cos_theta / at_lens
+    weight *= evaluate(objects.scattering, point, packet.colour, ix, iy, iz, dx, dy, dz) * cos_theta / at_lens
     child = put(
         flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight,
         derived(packet.key, AIMED_CHILD + packet.events), clear_of(objects.facets[point.prim], x, y, z, dx, dy, dz),
     )  # fmt: skip
     child.kind = CAMERA
     child.start = weight
-    child.density = density(objects.scattering, point, packet.wave, ix, iy, iz, dx, dy, dz)
+    child.density = density(objects.scattering, point, packet.colour, ix, iy, iz, dx, dy, dz)
     return weight
 
 
 @kernel
-def share_with_other(flow: Flow, frames: Array, aim: Aim, packet: Any) -> None:
-    """Weight a packet that goes from a target into glass, where both it and one drawn the other way could have gone.
+def share_with_other(flow: Flow, frames: Array, aim: AimTables, packet: Any) -> None:
+    """Weight a packet that goes from a target into glass by the balance heuristic (Veach & Guibas 1995).
 
-    By the balance heuristic (Veach & Guibas 1995): the lens may show behind the glass where it is aimed at, or
-    elsewhere, as the glass bends light.
+    Behind the glass the lens may appear where it is aimed at or, as the glass bends light, elsewhere. So both the aimed
+    child and the one drawn by the scattering model count, each weighted by its share of their densities.
     """
     x, y, z = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, packet.x, packet.y, packet.z)
     dx, dy, dz = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, packet.dx, packet.dy, packet.dz)
     anywhere = packet.density
-    at_lens = aimed_density(x, y, z, dx, dy, dz, aim.entrance, aim.front_radius, aim.wide_share, aim.blind_share)
+    at_lens = aimed_density(x, y, z, dx, dy, dz, aim.entrance, aim.front_radius, aim.wide_share, aim.share_without_aim)
     weight = packet.weight
     if packet.kind == CAMERA:
         packet.weight *= at_lens / (at_lens + anywhere)

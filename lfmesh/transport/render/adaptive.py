@@ -1,9 +1,9 @@
-"""Samples where they are needed: from a first stage's noise, how many more each pixel gets in a second one.
+"""Adaptive sampling: the number of further samples of each pixel in a second stage, from the noise of a first stage.
 
-What a pixel gets is decided by its neighbours alone: those around it, and those at the same place of the neighbouring
-lenslets' micro-images. Pixels have random numbers of their own, so the decision is independent of the pixel's own first
-stage, and both stages may be averaged by their samples without bias, and their variances added. Averaging with weights
-from the pixel's own noise would favour the stage that missed the bright paths.
+The number is decided by a pixel's neighbours alone: those around it, and those at the same place in the micro-images of
+neighbouring lenslets. As pixels have independent random numbers, the decision is independent of the pixel's own first
+stage. So both stages may be averaged by their samples without bias, and their variances added. Weights from the pixel's
+own noise would favour the stage that missed the bright paths.
 """
 
 from collections.abc import Callable
@@ -19,33 +19,33 @@ Array = NDArray[np.float64]
 Counts = NDArray[np.uint8]
 
 DIM_SHARE = 0.05
-"""Share of the bright pixels' power below which a pixel's error is held against that of one so bright."""
+"""Share of the bright pixels' power that stands for a pixel's own in its relative error if the pixel is dimmer."""
 
 BRIGHT_PERCENTILE = 99.0
 
 RING = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
-"""(rows, columns) to the pixels around."""
+"""Steps (rows, columns) to the eight pixels around."""
 
 ROWS_AT_ONCE = 256
-"""Rows of the sensor that are decided together, for the memory."""
+"""Rows of the sensor that are processed together, to bound the memory."""
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """What adaptive sampling did.
+    """Result of adaptive sampling.
 
     Attributes
     ----------
     target_error : float
-        Relative standard error wished.
+        Target relative standard error.
     max_samples : int
-        Samples a pixel may have.
+        Largest number of samples of a pixel.
     replicates : int
-        Replicates of the second stage that are finished.
+        Number of finished replicates of the second stage.
     samples : float
-        Samples a pixel in both stages, mean over the pixels.
+        Samples of a pixel in both stages, mean over the pixels.
     refined_share : float
-        Share of the pixels that the second stage gave samples.
+        Share of the pixels that have samples in the second stage.
     capped_share : float
         Share of the pixels that would have needed more than `max_samples`.
     """
@@ -59,12 +59,12 @@ class Refinement:
 
 
 def samples_of(levels: Counts) -> NDArray[np.int64]:
-    """Return the samples a replicate that levels stand for: none, 1, 2, 4, ..."""
+    """Return the samples in a replicate that levels stand for: none, 1, 2, 4, ..."""
     return np.where(levels > 0, np.int64(1) << np.maximum(levels.astype(np.int64) - 1, 0), 0)
 
 
 def total_samples(levels: Counts, thinned: Callable[[int], int] = int) -> int:
-    """Return the samples of all pixels of a replicate; `thinned`: how many a pixel of so many gets."""
+    """Return the samples of all pixels in a replicate; `thinned` maps the samples of a pixel to those of a part."""
     pixels = np.bincount(levels.ravel())
     samples = samples_of(np.arange(1, len(pixels), dtype=np.uint8))
     return sum(int(count) * thinned(int(each)) for count, each in zip(pixels[1:], samples, strict=True))
@@ -76,7 +76,7 @@ def second_stage(mean: Array, variance: Array, scene: Scene) -> tuple[Counts, fl
     Parameters
     ----------
     mean, variance : (H, W, wavelengths) float64
-        Of the first stage, and of its mean.
+        Mean of the first stage, and the variance of that.
     scene : Scene
         With `transport.target_error`.
 
@@ -96,11 +96,11 @@ def second_stage(mean: Array, variance: Array, scene: Scene) -> tuple[Counts, fl
     levels = np.zeros((rows, columns), np.uint8)
     capped = 0
     groups = [RING, *same_place(scene)]
-    bright = _bright_of_the_other_colour(mean)
+    bright = _bright_of_other_squares(mean)
     for low in range(0, rows, ROWS_AT_ONCE):
         high = min(low + ROWS_AT_ONCE, rows)
         noise = _relative_variance(mean, variance, groups, low, high, bright)
-        # The variance of a mean falls at least as fast as samples are added.
+        # The variance of a mean falls at least in proportion to the number of samples.
         needed = first * (noise / transport.target_error**2 - 1.0)
         wished = np.where(needed > 0.0, np.ceil(np.log2(np.maximum(needed, 1.0))) + 1.0, 0.0)
         capped += int((needed > room).sum())
@@ -117,32 +117,33 @@ def same_place(scene: Scene) -> list[tuple[tuple[int, int], ...]]:
     return [tuple((round(pitch * np.sin(a)), round(pitch * np.cos(a))) for a in angles)]
 
 
-def _bright_of_the_other_colour(mean: Array) -> Array:
-    """Return what the bright pixels hold, (2, wavelengths): [0] for the black squares of a chessboard, by the white.
+def _bright_of_other_squares(mean: Array) -> Array:
+    """Return the power of the bright pixels, (2, wavelengths), from one colour of a chessboard for the other.
 
-    So that no pixel's own value enters.
+    So no pixel's own value enters.
     """
     bright = np.zeros((2, mean.shape[2]))
-    for colour in range(2):
-        for wave in range(mean.shape[2]):
-            values = np.concatenate([mean[row, (row + colour + 1) % 2 :: 2, wave] for row in range(len(mean))])
+    for square in range(2):
+        for colour in range(mean.shape[2]):
+            values = np.concatenate([mean[row, (row + square + 1) % 2 :: 2, colour] for row in range(len(mean))])
             values = values[values > 0.0]
-            bright[colour, wave] = np.percentile(values, BRIGHT_PERCENTILE) if values.size else 0.0
+            bright[square, colour] = np.percentile(values, BRIGHT_PERCENTILE) if values.size else 0.0
     return bright
 
 
 def _relative_variance(
     mean: Array, variance: Array, groups: list[tuple[tuple[int, int], ...]], low: int, high: int, bright: Array
 ) -> Array:
-    """Return the largest relative variance that any group of neighbours of a pixel has, (high − low, W).
+    """Return the largest relative variance of any group of neighbours of a pixel, at any wavelength, (high − low, W).
 
-    At any wavelength; a group's is its mean variance over its squared mean, or that of a dim pixel where it is dimmer.
+    The relative variance of a group is its mean variance over its squared mean, which counts as at least `DIM_SHARE` of
+    the bright pixels' power.
     """
-    rows, columns, waves = mean.shape
+    rows, columns, colours = mean.shape
     black = (np.arange(low, high)[:, None] + np.arange(columns)) % 2
     worst = np.zeros((high - low, columns))
     for group in groups:
-        total = np.zeros((high - low, columns, waves))
+        total = np.zeros((high - low, columns, colours))
         spread = np.zeros_like(total)
         count = np.zeros((high - low, columns, 1))
         for step_row, step_column in group:
@@ -165,7 +166,15 @@ def _relative_variance(
 def combine(
     mean: Array, variance: Array, second_mean: Array, second_variance: Array, levels: Counts, share: Array
 ) -> None:
-    """Average two stages in place of the first: `share` (levels,) is the second's part of the samples at each level."""
+    """Average two stages, weighted by their samples, in place of the first.
+
+    Parameters
+    ----------
+    mean, variance, second_mean, second_variance : (H, W, wavelengths) float64
+    levels : (H, W) uint8
+    share : (levels,) float64
+        The second stage's share of the samples at each level.
+    """
     for row in range(len(mean)):
         part = share[levels[row]][:, None]
         mean[row] += part * (second_mean[row] - mean[row])

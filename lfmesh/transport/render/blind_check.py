@@ -1,8 +1,8 @@
-"""A check of the aim within a run: an estimate by rays that are not aimed at all, block of pixels by block.
+"""A check of the aim within a run: a comparison with blind samples, which are not aimed, by blocks of pixels.
 
-Rays that go anywhere estimate the same image. Few of them get through, so they tell large deficits only, and the
-smaller the stop, the larger these have to be: how large is part of the result. Small ones are the business of
-`aim_proof`. But here the whole chain is repeated without an aim, whatever made that go wrong.
+Blind samples estimate the same image. As few of them get through the lens, they reveal large deficits only, the larger
+the smaller the stop is; the detectable deficit is part of the result. Small deficits are found by `aim_proof`. But
+here everything is repeated without the aim, so that errors of any cause show.
 """
 
 from dataclasses import dataclass, field
@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from lfmesh.transport.aiming.lenslet_view import NOTHING_SEEN
 from lfmesh.transport.aiming.pupil import unknown_opening
-from lfmesh.transport.tables.tables import Aim
+from lfmesh.transport.tables.tables import AimTables
 
 Array = NDArray[np.float64]
 
 SHARE = 1.0 / 128.0
-"""Of the samples, added for the check."""
+"""Number of blind samples, relative to the samples of the image."""
 
 CHUNK = 4096
 """Blind samples that are traced together, of neighbouring pixels."""
@@ -30,26 +30,35 @@ LEVEL = 1e-3
 """Chance that the check fails though nothing is wrong, shared by the blocks (Bonferroni)."""
 
 MOST_BLOCKS = 8
-"""Along each side of the sensor."""
+"""Largest number of blocks along each side of the sensor."""
 
 HITS = 80
-"""Samples that found light which a block should have; less, and blocks are larger."""
+"""Number of samples with light that a block should have; with fewer, blocks are made larger."""
 
 
-def without_aim(aim: Aim) -> Aim:
+def without_aim(aim: AimTables) -> AimTables:
     """Return an aim by which rays go anywhere: into the hemisphere, or to all of the lens where there is no array."""
     return aim._replace(
         entrance=unknown_opening(aim.entrance.plane_z, to_sensor=True),
         exit=unknown_opening(aim.exit.plane_z, to_sensor=False),
         wide_share=1.0,
-        blind_share=1.0,
+        share_without_aim=1.0,
         slope_radius2=np.full_like(aim.slope_radius2, NOTHING_SEEN),
         search=0,
     )
 
 
 def first_of_runs(count: int, at_once: int, replicate: int) -> list[int]:
-    """Return where the runs of `at_once` pixels (or packets) begin that a replicate takes, spread over `count`."""
+    """Return the first pixels (or packets) of the runs that a replicate takes for the check.
+
+    Parameters
+    ----------
+    count : int
+        Pixels (or packets) in all, over which the runs are spread.
+    at_once : int
+        Length of a run.
+    replicate : int
+    """
     runs = max(1, round(SHARE * count / at_once))
     places = GOLDEN * (1 + replicate * runs + np.arange(runs)) % 1.0
     return [int(place * max(0, count - at_once + 1)) for place in places]
@@ -57,20 +66,20 @@ def first_of_runs(count: int, at_once: int, replicate: int) -> list[int]:
 
 @dataclass(frozen=True)
 class BlindCheck:
-    """Aimed against blind estimates of the light in blocks of pixels.
+    """Comparison of aimed and blind estimates of the light in blocks of pixels.
 
     Attributes
     ----------
     blocks : (int, int)
-        Rows and columns of blocks that the sensor was divided into.
+        Rows and columns of blocks on the sensor.
     hits : int
-        Blind samples that found light.
+        Number of blind samples that found light.
     worst : float
         Largest difference of any block, in standard errors of both estimates; positive where the aim misses light.
     limit : float
-        Of that, beyond which a difference is no chance (level 1e-3 in all).
+        Difference that is exceeded by chance with a probability of 1e-3 in all.
     smallest_deficit : float or None
-        Share of its light that half of the blocks could lack without being found out; None: even all of it.
+        Least share of missing light that would be detected in half of the blocks; None: not even if all is missing.
     """
 
     blocks: tuple[int, int]
@@ -93,46 +102,69 @@ class BlindCheck:
 
 @dataclass
 class BlindSamples:
-    """What blind samples found, as a run collects it.
+    """Light found by blind samples, as a run collects it.
 
     Attributes
     ----------
-    rows, columns, waves : int
+    rows, columns, colours : int
         Pixels of the sensor, and wavelengths.
     """
 
     rows: int
     columns: int
-    waves: int
+    colours: int
     values: list[NDArray[np.int64]] = field(default_factory=list)
     found: list[Array] = field(default_factory=list)
     looked_at: list[NDArray[np.int64]] = field(default_factory=list)
     images: int = 0
 
-    def add(self, pixels: NDArray[np.int64], wave: int, found: Array) -> None:
-        """Add pixels (n,) and the light (n,) that their samples estimate, W; zeros too."""
-        lit = found > 0.0
-        self.values.append(pixels[lit] * self.waves + wave)
-        self.found.append(found[lit])
-        self.looked_at.append(pixels * self.waves + wave)
+    def add(self, pixels: NDArray[np.int64], colour: int, found: Array) -> None:
+        """Add estimates of pixels.
 
-    def add_image(self, pixels: NDArray[np.int64], wave: int, found: Array) -> None:
-        """Add packets of an estimate of the whole image: the pixels (n,) that they fell on, what they brought, W."""
-        self.values.append(pixels * self.waves + wave)
+        Parameters
+        ----------
+        pixels : (n,) int64
+        colour : int
+            Number of the wavelength.
+        found : (n,) float64, W
+            Light of each pixel, zeros included.
+        """
+        lit = found > 0.0
+        self.values.append(pixels[lit] * self.colours + colour)
+        self.found.append(found[lit])
+        self.looked_at.append(pixels * self.colours + colour)
+
+    def add_image(self, pixels: NDArray[np.int64], colour: int, found: Array) -> None:
+        """Add the packets of an estimate of the whole image.
+
+        Parameters
+        ----------
+        pixels : (n,) int64
+            Pixels that they fell on.
+        colour : int
+            Number of the wavelength.
+        found : (n,) float64, W
+            Power of each.
+        """
+        self.values.append(pixels * self.colours + colour)
         self.found.append(found)
-        self.images += wave == 0
+        self.images += colour == 0
 
     def join(self, other: "BlindSamples") -> None:
-        """Add what another replicate found."""
+        """Add the light found in another replicate."""
         self.values += other.values
         self.found += other.found
         self.looked_at += other.looked_at
         self.images += other.images
 
     def compared(self, mean: Array, variance: Array) -> BlindCheck:
-        """Return the comparison with an image and its variance, (rows, columns, wavelengths) float64, W and W².
+        """Return the comparison with an image.
 
-        A variance that is not known (NaN) is taken for none.
+        Parameters
+        ----------
+        mean : (rows, columns, wavelengths) float64, W
+        variance : (rows, columns, wavelengths) float64, W²
+            NaN, where it is not known, counts as zero.
         """
         nothing = np.zeros(0)
         values = np.concatenate([*self.values, nothing.astype(np.int64)])
@@ -142,7 +174,7 @@ class BlindSamples:
         blocks = min(side, self.rows), min(side, self.columns)
 
         def summed(of: NDArray[np.int64], values: Array) -> Array:
-            row, column = np.divmod(of // self.waves, self.columns)
+            row, column = np.divmod(of // self.colours, self.columns)
             block = row * blocks[0] // self.rows * blocks[1] + column * blocks[1] // self.columns
             sums: Array = np.bincount(block, values, blocks[0] * blocks[1]).astype(np.float64)
             return sums
@@ -156,7 +188,7 @@ class BlindSamples:
             everywhere = np.arange(light.size)
             expected += self.images * summed(everywhere, light)
             uncertain += self.images**2 * summed(everywhere, noise)
-        # A block that found little would think itself certain: the spread is at least that of what is expected.
+        # A block with few hits would underestimate its spread, which is at least that of the expected light.
         typical = squares.sum() / max(blind.sum(), np.finfo(np.float64).tiny)
         own = np.maximum(squares, expected * typical)
         spread = np.sqrt(own + uncertain)

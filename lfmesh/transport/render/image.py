@@ -1,4 +1,4 @@
-"""What a render returns: the mean and standard error of every pixel, with the ledger that goes with it."""
+"""The result of a render: mean and standard error of every pixel, and the ledger."""
 
 from dataclasses import dataclass, field
 
@@ -22,36 +22,40 @@ class Image:
     ----------
     mean : (H, W, wavelengths) float64, W
     stderr : (H, W, wavelengths) float64, W
-        Standard error of `mean` from the independent replicates; NaN where fewer than two were finished. It is the
-        spread and nothing more: 0 in a pixel that no path found light for, and of few replicates often far too small.
-        Weights 1/stderr² favour the pixels that missed the bright paths, and a mean taken with them is too dark, the
-        more so the fewer hits there are; `error` is milder, plain sums over blocks of pixels are right.
+        Standard error of `mean` from the spread of the independent replicates; NaN with fewer than two. It is 0 in a
+        pixel for which no path found light, and with few replicates often far too small. Weights 1/stderr² favour the
+        pixels that missed the bright paths, so that a mean weighted with them is too dark, the more so the fewer hits
+        there are. Weights from `error` do so less; plain sums over blocks of pixels are unbiased.
     scene : Scene
-        As rendered: every distance solved, files inlined.
+        The scene as rendered: every distance solved, files inlined.
     ledger : Ledger
     seconds : float
         Wall-clock time of tracing.
     replicates : int
-        Replicates finished, of `scene.transport.replicates`.
+        Number of finished replicates, of `scene.transport.replicates`.
     samples : float
-        Samples per pixel in the finished replicates, of both stages where there are two; their mean over the pixels.
+        Samples per pixel in the finished replicates, of both stages if there are two; mean over the pixels.
     engine : str
-        Which engine ran and why, in words.
+        The engine that ran, and the reason, in words.
     timings : dict
         Seconds by part, and counts that go with them.
     refinement : Refinement or None
-        What adaptive sampling did after the `replicates`, where it came to that.
+        Result of adaptive sampling, if there was any.
     hits : (H, W, wavelengths) uint32, or None
-        Samples that brought light to the pixel at the wavelength, over all finished replicates, stages and parts of the
-        image; None where nobody counted (an image made by hand). Adjoint: paths started at the pixel, each once,
-        however many lights and targets it met and however often it split; the image path and the paths with
-        reflections, where they are estimated apart, start paths of their own. Forward: packets that fell on the
-        pixel, of which two may descend from one.
+        Number of samples that brought light to the pixel at the wavelength, over all finished replicates, stages and
+        parts of the image; None where they were not counted. Adjoint: paths started at the pixel, each counted once,
+        however many lights and targets it met and however often it split; if the image path and paths with reflections
+        are estimated separately, each starts its own paths. Forward: packets that fell on the pixel, of which several
+        may stem from one start.
+    aim : AimProof or None
+        Proof that the aim holds all light.
+    blind : BlindCheck or None
+        Comparison with samples that were not aimed.
 
     See Also
     --------
     Image.error : the error to report for a pixel.
-    Image.upper : what a pixel holds at most, whether a path found light for it or not.
+    Image.upper : an upper bound for a pixel, whether a path found light for it or not.
     """
 
     mean: NDArray[np.float64]
@@ -70,7 +74,7 @@ class Image:
 
     @property
     def complete(self) -> bool:
-        """False when the run was interrupted before its last replicate."""
+        """Whether all replicates are finished."""
         transport = self.scene.transport
         refined = transport.target_error is None or (
             self.refinement is not None and self.refinement.replicates == transport.replicates
@@ -79,27 +83,27 @@ class Image:
 
     @property
     def error(self) -> NDArray[np.float64]:
-        """Standard error of each pixel, pooled, (H, W, wavelengths) float64, W; computed at each call.
+        """Pooled standard error of each pixel, (H, W, wavelengths) float64, W; computed at each call.
 
-        Half a pixel's own variance and half the mean one of itself and its neighbours as bright (within a factor of
-        1.5) and in as steep a part of the picture (within one of 2): the eight around, and those at its place in the
-        adjacent micro-images. What a few replicates of one pixel cannot know, its neighbours do. NaN with fewer than
-        two replicates.
+        The variance is the mean of the pixel's own and that of a pool: the pixel, the eight around it and those at its
+        place in the adjacent micro-images, as far as they are as bright (within a factor of 1.5) and lie where the
+        picture is as steep (within a factor of 2). The pool makes up for the few replicates of one pixel. NaN with
+        fewer than two replicates.
         """
         return pooled_error(self.mean, self.stderr, neighbours(self.scene))[0]
 
     @property
     def upper(self) -> NDArray[np.float64]:
-        """What each pixel holds at most, with a confidence of 95 % each, (H, W, wavelengths) float64, W.
+        """Upper bound of each pixel, with a confidence of 95 % each, (H, W, wavelengths) float64, W.
 
-        Mean plus Student's quantile of standard errors; with few hits or none, what follows from the share of samples
-        that could have brought light unseen, and from what a sample of the brightest pixel brings. Computed at each
-        call; see `lfmesh.transport.render.certainty.upper_bound`.
+        Mean plus Student's quantile of standard errors. With few hits or none, the bound on the share of samples that
+        bring light, times the light of one such sample in the brightest pixels. Computed at each call; see
+        `lfmesh.transport.render.certainty.upper_bound`.
 
         Raises
         ------
         LfmeshError
-            Nobody counted the hits.
+            The image has no count of hits.
         """
         if self.hits is None:
             raise LfmeshError("an image without hits has no upper bound: it was not rendered, or by an older lfmesh")
@@ -111,5 +115,5 @@ class Image:
 
     @property
     def wavelengths_nm(self) -> tuple[float, ...]:
-        """One a channel of `mean`."""
+        """Wavelength of each channel of `mean`."""
         return tuple(self.scene.transport.wavelengths_nm)

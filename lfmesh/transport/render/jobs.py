@@ -1,4 +1,4 @@
-"""Jobs: a render cut into pieces that other processes trace, and folded to the same bits as in one."""
+"""Jobs: pieces of a render that other processes trace, folded to the same bits as in a single process."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -18,19 +18,19 @@ from lfmesh.transport.world import build
 
 @dataclass(frozen=True)
 class Job:
-    """A block of one replicate of a scene, as another process takes it: it pickles.
+    """A block of one replicate of a scene, for another process; it can be pickled.
 
     Attributes
     ----------
     scene : str
-        As TOML.
+        The scene as TOML.
     folder : str
-        Where its paths start.
+        Folder that paths in the scene are relative to.
     replicate : int
-        Counted on from the first stage into the second.
+        Numbered through, from the first stage to the second.
     block : Block
     chunk : int
-        Packets that are traced together.
+        Number of packets that start a chunk.
     levels : (pixels,) uint8, or None
         Samples of each pixel in a second stage, see `lfmesh.transport.render.adaptive.samples_of`.
     """
@@ -44,11 +44,11 @@ class Job:
 
 
 Map = Callable[[Callable[[Job], Piece], Iterable[Job]], Iterable[Piece]]
-"""As Python's own `map`, or that of an executor: the results come in the order of the jobs."""
+"""Python's own `map`, or that of an executor: results in the order of the jobs."""
 
 
 def traced(job: Job) -> Piece:
-    """Do a job; a process that does several of a scene builds its world once."""
+    """Trace a job; a process that traces several jobs of a scene builds its world once."""
     return _tracer(job.scene, job.folder, job.chunk).piece(job.replicate, job.block, job.levels)
 
 
@@ -64,11 +64,11 @@ def render_in_jobs(scene: Scene, mapped: Map, blocks: int = 1, chunk: int = CHUN
     ----------
     scene : Scene
     mapped : callable
-        `map`, the `map` of a process pool, or what does the same on a cluster.
+        `map`, the `map` of a process pool, or its like on a cluster.
     blocks : int
-        About how many jobs each replicate is cut into.
+        Approximate number of jobs for each replicate.
     chunk : int
-        Packets that are traced together; part of what decides the bits.
+        Number of packets that start a chunk; the bits of the image depend on it.
     """
     tracer = Tracer(build(scene), chunk)
     text, folder = scene.dump_toml(), str(scene.folder)

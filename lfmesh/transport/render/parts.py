@@ -1,9 +1,9 @@
-"""Classes of paths that are estimated apart, and which way each is traced.
+"""Split an image into classes of paths that are estimated independently.
 
 Paths with reflections carry a few per cent of the light and cost ten times as much as the image path. So the adjoint
-method estimates the two apart, and adds them: the image path with the sequential engine, and with the mesh engine all
-other paths, for which fewer samples do. Where a lamp and glass are in the scene, what the lamp's light does there comes
-as a part of its own, traced forward. `path_class` says which path is in which part; each is in one, and counts once.
+method estimates the two independently and adds them: the image path with the sequential engine, and all other paths,
+for which fewer samples are enough, with the mesh engine. If the scene has lamps and glass, light of lamps through glass
+is a third part, traced forward. `path_class` defines the classes; each path belongs to one of them and counts once.
 """
 
 from dataclasses import dataclass
@@ -24,19 +24,19 @@ from lfmesh.transport.tables.tables import OPAQUE, Tables
 from lfmesh.transport.world import World
 
 IMAGE_PATHS_PER_STRAY = 2
-"""Samples of the image path for each one of the paths off it."""
+"""Number of samples of the image path for each sample of the paths off it."""
 
 SCATTERED_PER_FOLLOWED = 25.0
-"""Without glass in object space: scattered paths, not yet off the image path, for each one that is followed. What a
-lens surface reflects of it, some 4 %, then weighs as much as other children do."""
+"""Without glass in object space: number of scattered paths, not yet off the image path, for each one that is followed.
+The reflection of such a path at a lens surface, some 4 %, then has about the weight of other children."""
 
 OWN_BOOK, LAMP_BOOK, BOOKS = 0, 1, 2
-"""Rows of a run's books: of the method's own packets, and in the adjoint method of those that lamps send, in W."""
+"""Rows of a run's books: the method's own packets, and in the adjoint method the packets of lamps, in W."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """Paths that are traced in one way.
+    """A class of paths with the settings by which it is traced.
 
     Attributes
     ----------
@@ -45,12 +45,12 @@ class Part:
         `adjoint` tells whether it is traced from pixels or, forward, from lamps.
     tables : Tables
     thinned : int
-        It takes one of so many samples; a part that is traced forward has as many packets as its samples and the pixels
-        make.
+        The part takes one of this number of samples. A part that is traced forward starts as many packets as it would
+        take samples of all pixels.
     accounts : bool
-        Its book accounts for all energy; another part's has nothing new but what its own paths reach.
+        The part's book accounts for all energy; from the other parts' books only `REACHED` and `LIT` are added.
     book : int
-        Row of the run's books that its own goes into.
+        Row of the run's books that the part's book is added to.
     """
 
     number: int
@@ -61,11 +61,11 @@ class Part:
     book: int = OWN_BOOK
 
     def samples(self, of_image: int) -> int:
-        """Return its samples of a pixel that gets so many in all; one at least."""
+        """Return the part's samples of a pixel, at least one, when the image has `of_image` samples."""
         return max(1, of_image // self.thinned)
 
     def booked(self, book: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what of a chunk's book goes into the run's books, (BOOKS, slots)."""
+        """Return the entries of a chunk's book for the run's books, (BOOKS, slots)."""
         kept = np.zeros((BOOKS, len(book)))
         if self.accounts:
             kept[self.book] = book
@@ -75,12 +75,12 @@ class Part:
 
 
 def parts_of(world: World, *, aimed: bool = True) -> tuple[Part, ...]:
-    """Return the parts of a scene's image; all that are there are added."""
+    """Return the parts of a scene's image, which is their sum."""
     options, tables = options_of(world, aimed=aimed), world.tables
     lamps = lamp_parts(world) if options.adjoint else ()
     if engine_of(world.scene)[0] != "both":
         return (Part(0, options, tables), *lamps)
-    path = tables.aim._replace(wide_share=WIDE_SHARE_OF_IMAGE_PATH, blind_share=WIDE_SHARE_OF_IMAGE_PATH)
+    path = tables.aim._replace(wide_share=WIDE_SHARE_OF_IMAGE_PATH, share_without_aim=WIDE_SHARE_OF_IMAGE_PATH)
     strays = tables.aim._replace(wide_share=WIDE_SHARE_OF_STRAYS)
     return (
         Part(0, options._replace(split=TRANSMIT, sequential=True), tables._replace(aim=path), accounts=False),
@@ -93,13 +93,13 @@ def _off_image_path(options: Options, tables: Tables) -> Options:
     """Return the options of the part that estimates paths off the image path."""
     options = options._replace(paths=OFF_IMAGE_PATH)
     if options.split == BOTH and not (tables.objects.medium != OPAQUE).any():
-        # Once scattered, few come to the lens, which alone could turn them off the image path.
+        # Few scattered paths reach the lens, where alone they could leave the image path.
         return options._replace(unturned_cutoff=SCATTERED_PER_FOLLOWED * options.cutoff)
     return options
 
 
 def lamp_parts(world: World) -> tuple[Part, ...]:
-    """Return the part of an adjoint image that is traced from the lamps, or none where the scene has no such light."""
+    """Return the part of an adjoint image that is traced from lamps, or nothing if the scene has no such light."""
     objects = aimed_at_glass(world.tables.objects)
     if objects is None:
         return ()
@@ -108,12 +108,12 @@ def lamp_parts(world: World) -> tuple[Part, ...]:
 
 
 def blind_part(world: World) -> Part:
-    """Return all paths of an image, as rays that are not aimed find them: to check the other parts by."""
+    """Return a part that estimates all paths with rays that are not aimed, to check the other parts."""
     options, tables = options_of(world), world.tables
     return Part(3, options, tables._replace(aim=without_aim(tables.aim)), accounts=False)
 
 
 def in_words(scene: Scene, parts: tuple[Part, ...]) -> str:
-    """Return which engine traces an image and why, and that lamps have a part of their own."""
+    """Describe the engine of an image, the reason, and a part that is traced from lamps."""
     words = ": ".join(engine_of(scene))
     return f"{words}; lamps' light through glass forward" if any(part.book == LAMP_BOOK for part in parts) else words

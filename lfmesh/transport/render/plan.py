@@ -1,7 +1,7 @@
-"""The plan of a replicate: chunks in their fixed order, and blocks of pixels into which it may be cut.
+"""The plan of a replicate: its chunks in a fixed order, and blocks of pixels into which it may be cut.
 
-A chunk is what one thread traces at a time. Chunks are the same whatever the cut, and numbered in the order in which
-they are folded.
+A chunk is the work of one thread at a time. The chunks do not depend on the cut; they are numbered in the order in
+which they are folded.
 """
 
 from collections.abc import Iterator
@@ -14,14 +14,14 @@ from lfmesh.transport.render.adaptive import Counts, total_samples
 from lfmesh.transport.render.parts import LAMP_BOOK, Part
 
 PIXELS_SORTED = 1 << 20
-"""Pixels of a second stage that are sorted by their samples at once."""
+"""Number of pixels of a second stage that are sorted by their samples together."""
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """A run of sources of one replicate, part and wavelength: pixels (adjoint) or packets (forward).
+    """Consecutive pixels (adjoint) or packets (forward) of one replicate, part and wavelength.
 
-    Of a second stage, single pixels that have as many samples each.
+    In a second stage, pixels that have the same number of samples.
 
     Attributes
     ----------
@@ -29,29 +29,29 @@ class Chunk:
         Place in the order of folding.
     part : Part
     first, count : int
-        Pixels or packets.
-    wave : int
+        Number of the first pixel or packet, and how many.
+    colour : int
         Number of the wavelength.
     packets : int
-        Started in all.
+        Number of packets that it starts.
     samples : int
-        Of each pixel.
+        Samples of each pixel.
     pixels : (count,) int64, or None
-        Where they are not those from `first` on.
+        Pixel numbers; None for those from `first` on.
     """
 
     number: int
     part: Part
     first: int
     count: int
-    wave: int
+    colour: int
     packets: int
     samples: int = 1
     pixels: NDArray[np.int64] | None = None
 
     @property
     def from_lamps(self) -> bool:
-        """Whether its packets are lamps' own in the adjoint method."""
+        """Whether its packets come from lamps in the adjoint method."""
         return self.part.book == LAMP_BOOK
 
     def pixel_numbers(self) -> NDArray[np.int64]:
@@ -61,18 +61,18 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Block:
-    """Pixels `first` up to `last`, not included, and the same share of the packets that start elsewhere."""
+    """Pixels from `first` up to `last`, not included, and the same share of the packets that start from lights."""
 
     first: int
     last: int
 
     def owns(self, chunk: Chunk) -> bool:
-        """Whether the chunk begins here: it is this block that books it."""
+        """Whether the chunk begins in this block, which then books it."""
         first = chunk.first if chunk.part.options.adjoint else chunk.first // chunk.samples
         return self.first <= first < self.last
 
     def touches(self, chunk: Chunk) -> bool:
-        """Whether the chunk brings anything that belongs here."""
+        """Whether the chunk adds anything to this block."""
         if self.owns(chunk) or not chunk.part.options.adjoint:
             return self.owns(chunk)
         if chunk.pixels is None:
@@ -82,21 +82,21 @@ class Block:
 
 @dataclass(frozen=True)
 class Plan:
-    """How a scene's replicates are cut into chunks.
+    """The division of a scene's replicates into chunks.
 
     Attributes
     ----------
     parts : tuple of Part
-    pixels, waves : int
+    pixels, colours : int
     samples : int
-        Of a pixel, in each replicate of the first stage.
+        Samples of a pixel in each replicate of the first stage.
     chunk : int
-        Packets a chunk starts with.
+        Number of packets that start a chunk.
     """
 
     parts: tuple[Part, ...]
     pixels: int
-    waves: int
+    colours: int
     samples: int
     chunk: int
 
@@ -104,11 +104,11 @@ class Plan:
         """Yield a replicate's chunks in the order of folding; `levels` (pixels,): of the second stage."""
         number = 0
         for part in self.parts:
-            for wave in range(self.waves):
+            for colour in range(self.colours):
                 pieces = self._first(part) if levels is None else self._second(part, levels)
                 for first, count, samples, pixels in pieces:
                     packets = count * samples if part.options.adjoint else count
-                    yield Chunk(number, part, first, count, wave, packets, samples, pixels)
+                    yield Chunk(number, part, first, count, colour, packets, samples, pixels)
                     number += 1
 
     def _first(self, part: Part) -> Iterator[tuple[int, int, int, None]]:
@@ -120,7 +120,7 @@ class Plan:
             yield first, min(per_chunk, total - first), samples, None
 
     def _second(self, part: Part, levels: Counts) -> Iterator[tuple[int, int, int, NDArray[np.int64]]]:
-        """Yield the chunks of a second-stage replicate: pixels with the same number of samples together."""
+        """Yield the chunks of a replicate of the second stage, which join pixels with the same number of samples."""
         if not part.options.adjoint:
             return
         for block in range(0, self.pixels, PIXELS_SORTED):
@@ -134,21 +134,21 @@ class Plan:
                     yield int(some[0]), len(some), samples, some
 
     def packets(self, levels: Counts | None = None) -> int:
-        """Return how many packets a replicate starts."""
+        """Return the number of packets that a replicate starts."""
         if levels is None:
-            return sum(self.waves * self.pixels * part.samples(self.samples) for part in self.parts)
+            return sum(self.colours * self.pixels * part.samples(self.samples) for part in self.parts)
         adjoint = [part for part in self.parts if part.options.adjoint]
-        return sum(self.waves * total_samples(levels, part.samples) for part in adjoint)
+        return sum(self.colours * total_samples(levels, part.samples) for part in adjoint)
 
     def whole(self) -> Block:
         """Return the block of all pixels."""
         return Block(0, self.pixels)
 
     def blocks(self, wanted: int, *, second: bool = False) -> list[Block]:
-        """Cut the pixels into about so many blocks.
+        """Cut the pixels into about the wanted number of blocks.
 
-        Any cut gives the same bits. These fall between the chunks of the first stage, where its samples are a power of
-        two, and between the pixels that a second stage sorts together, so that hardly a chunk is traced twice.
+        Any cut gives the same bits. Borders lie between chunks of the first stage, if the number of samples is a power
+        of two, and between the pixels that a second stage sorts together, so that hardly any chunk is traced twice.
         """
         adjoint = [part.samples(self.samples) for part in self.parts if part.options.adjoint]
         step = max(max(1, self.chunk // samples) for samples in adjoint or [self.samples])

@@ -1,4 +1,4 @@
-"""How far a render has come: what `render` tells its caller while it works."""
+"""Progress of a render, as reported to the caller of `render`."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ class Progress:
     replicates : int
         Replicates in all.
     stage : str
-        What is being done, in a word or two: "building", "tracing", ...
+        Name of the stage: "building", "tracing", ...
     """
 
     done: int

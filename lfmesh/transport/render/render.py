@@ -1,4 +1,4 @@
-"""From a scene to an image: plan, tallies of replicates, their sum, image."""
+"""Rendering: from a scene by its plan, the tallies of replicates and their sum to an image."""
 
 import time
 import warnings
@@ -26,14 +26,14 @@ from lfmesh.transport.world import build
 PROGRESS_SECONDS = 0.2
 
 Tallies = Callable[[int, Counts | None], Iterator[Tally]]
-"""Yields the tallies of a stage's replicates, in order, from a number on; with `levels` (pixels,) of the second."""
+"""Yields the tallies of a stage's replicates in order, given the first number and, for the second stage, `levels`."""
 
 
 class Keeper(Protocol):
-    """Keeps a render's state, for another process to continue; copies what it needs before it returns."""
+    """Saves a render's state for another process to continue; copies what it needs before it returns."""
 
     def __call__(self, state: RenderState, *, last: bool) -> None:
-        """Take the state after another replicate, or the `last` one before the render is cut short."""
+        """Save the state after another replicate, or the `last` one before the render stops early."""
 
 
 def render(
@@ -51,15 +51,15 @@ def render(
     progress : callable, optional
         Called a few times a second, in the calling thread.
     saved : dict of arrays, optional
-        State of an interrupted render of this scene, from `lfmesh.transport.render.tally.arrays_of`: the render goes
-        on from there, to the same bits as one that was never interrupted.
+        State of an interrupted render of this scene, from `lfmesh.transport.render.tally.arrays_of`. The render
+        continues from there, and its image is bitwise that of an uninterrupted one.
     keep : Keeper, optional
         Called with the state after every replicate.
 
     Returns
     -------
     Image
-        Of the finished replicates, where Ctrl-C cut the run short.
+        After Ctrl-C, of the finished replicates.
 
     Warns
     -----
@@ -94,14 +94,14 @@ class Renderer(Tracer):
     _last_report: float = 0.0
 
     def image(self, saved: Mapping[str, NDArray[Any]] | None = None, keep: Keeper | None = None) -> Image:
-        """Render all replicates, or as many as Ctrl-C leaves time for; see `render`."""
+        """Render all replicates, or until Ctrl-C; see `render`."""
         state = self.layout.state(saved)
         clock = Clock(state)
         with self.pool() as pool:
             return folded(self, state, lambda first, levels: self._tallies(pool, clock, first, levels), clock, keep)
 
     def _tallies(self, pool: ThreadPoolExecutor, clock: "Clock", first: int, levels: Counts | None) -> Iterator[Tally]:
-        """Trace a stage's replicates one after the other, all in the memory of one."""
+        """Trace a stage's replicates one after the other, in the memory of a single tally."""
         replicates = self.world.scene.transport.replicates
         tally = (self.layout if levels is None else replace(self.layout, lamps=False)).tally()
         one = self.plan.packets(levels)
@@ -116,7 +116,15 @@ class Renderer(Tracer):
             yield tally
 
     def _report(self, number: int, done: int, one: int, clock: "Clock", levels: Counts | None) -> None:
-        """Say how far a stage has come; `one`: packets a replicate."""
+        """Report the progress of a stage.
+
+        Parameters
+        ----------
+        number : int
+            Replicates finished.
+        done, one : int
+            Packets done in this replicate, and packets in all of it.
+        """
         now = time.perf_counter()
         if self.progress is None or now - self._last_report < PROGRESS_SECONDS:
             return
@@ -127,29 +135,48 @@ class Renderer(Tracer):
 
 
 class Clock:
-    """Wall-clock time of a render, what it took before an interruption included."""
+    """Wall-clock time of a render, including the time before an interruption."""
 
     def __init__(self, state: RenderState) -> None:
         self._began = time.perf_counter() - state.seconds
 
     @property
     def seconds(self) -> float:
-        """Spent so far."""
+        """Time spent so far."""
         return time.perf_counter() - self._began
 
 
 def number_of(number: int, replicates: int, levels: Counts | None) -> int:
-    """Return the replicate that stands at a place of a stage: the second stage's have random numbers of their own."""
+    """Return the replicate at a place of a stage; those of the second stage have other random numbers.
+
+    Parameters
+    ----------
+    number : int
+        Place in the stage.
+    replicates : int
+        Replicates of a stage.
+    levels : (pixels,) uint8, or None
+        None: the first stage.
+    """
     return number if levels is None else replicates + number
 
 
 def folded(tracer: Tracer, state: RenderState, tallies: Tallies, clock: Clock, keep: Keeper | None = None) -> Image:
     """Fold the tallies of both stages into the state, and return its image.
 
+    Parameters
+    ----------
+    tracer : Tracer
+    state : RenderState
+    tallies : callable
+        See `Tallies`.
+    clock : Clock
+    keep : Keeper, optional
+
     Raises
     ------
     KeyboardInterrupt
-        Not one replicate of the first stage is finished.
+        Interrupted before the first replicate of the first stage was finished.
     """
     transport = tracer.world.scene.transport
 
@@ -165,7 +192,7 @@ def folded(tracer: Tracer, state: RenderState, tallies: Tallies, clock: Clock, k
                     if keep is not None:
                         keep(state, last=False)
         except KeyboardInterrupt:
-            # A sum with half a replicate in it is no sum.
+            # Inside `add` the sum may hold part of a replicate, and is not valid.
             if not between or not state.first.count:
                 raise
             if keep is not None:
@@ -189,7 +216,7 @@ def _refined(tracer: Tracer, first: StageSum, second: StageSum, levels: Counts, 
     """Average the second stage into the first one's mean."""
     transport = tracer.world.scene.transport
     assert transport.target_error is not None
-    # One replicate has no spread: its error could not be told.
+    # A single replicate has no spread and so no error.
     replicates = second.count if second.count > 1 else 0
     more = samples_of(np.arange(levels.max() + 1, dtype=np.uint8)) * replicates
     before = tracer.samples * first.count
@@ -203,18 +230,18 @@ def _refined(tracer: Tracer, first: StageSum, second: StageSum, levels: Counts, 
 
 
 def _image(tracer: Tracer, state: RenderState, refinement: Refinement | None) -> Image:
-    """Return a state as an image; the state's memory becomes the image's."""
+    """Make the image of a state, reusing the state's memory."""
     first, mean = state.first, state.first.mean
     variance = mean.variance()
-    # What lamps' own packets bring, no blind sample from a pixel finds.
+    # Compared before the light of lamps' own packets is added, which samples from pixels cannot find.
     blind = first.blind.compared(mean.mean, variance) if first.blind is not None else None
     if first.lamps is not None:
-        # No pixel has samples of its own of these packets: they are added once, as the first stage left them.
+        # These packets do not start from pixels, so the second stage has none: the first stage's are added.
         mean.mean += first.lamps.mean
         variance += first.lamps.variance()
         mean.hits += first.lamps.hits
     ledger = _ledger(tracer, first)
-    # The energy is that of the first stage, which treats all pixels alike; the work is that of both.
+    # The energy is of the first stage, in which all pixels have the same samples; the work is of both stages.
     work = first.work
     if state.second is not None:
         work.add(state.second.work)

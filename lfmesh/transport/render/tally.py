@@ -1,8 +1,8 @@
-"""Tallies: what the replicates of a render bring, and the running sum over them, as values.
+"""Tallies: the results of a render's replicates, and their running sum.
 
-The flow is chunk → tally of a replicate → sum of a stage → state of the render → image. Everything here is numbers and
-numpy arrays: it pickles, and `arrays_of` and `filled` save and load it. Every sum is folded in one order, chunk by
-chunk and replicate by replicate, so that the result does not depend on who traced what and when.
+The flow is chunk → tally of a replicate → sum of a stage → state of the render → image. All of it is numbers and numpy
+arrays, which can be pickled, and saved and loaded with `arrays_of` and `filled`. Every sum is folded in a fixed order,
+chunk by chunk and replicate by replicate, so that the result does not depend on which process traced what and when.
 """
 
 from collections.abc import Iterable, Mapping
@@ -28,7 +28,7 @@ class Film:
     ----------
     power : (pixels, wavelengths) float64, W
     hits : (pixels, wavelengths) uint32
-        Samples that brought something; forward: packets.
+        Number of samples that brought light; forward: of packets.
     origin : int
         Number of the pixel in the first row.
     """
@@ -38,19 +38,27 @@ class Film:
     origin: int = 0
 
     @classmethod
-    def empty(cls, pixels: int, waves: int, origin: int = 0) -> "Film":
-        """Return one without light."""
-        return cls(np.zeros((pixels, waves)), np.zeros((pixels, waves), np.uint32), origin)
+    def empty(cls, pixels: int, colours: int, origin: int = 0) -> "Film":
+        """Return a film without light.
+
+        Parameters
+        ----------
+        pixels, colours : int
+            Numbers of pixels and of wavelengths.
+        origin : int
+            Number of the first pixel.
+        """
+        return cls(np.zeros((pixels, colours)), np.zeros((pixels, colours), np.uint32), origin)
 
     def clear(self) -> None:
-        """Take all light away."""
+        """Remove all light."""
         self.power[:] = 0.0
         self.hits[:] = 0
 
     def deposit(self, fallen: NDArray[np.void]) -> None:
-        """Add packets that fell on pixels: fields pixel, wave and weight, W."""
-        np.add.at(self.power, (fallen["pixel"], fallen["wave"]), fallen["weight"])
-        np.add.at(self.hits, (fallen["pixel"], fallen["wave"]), np.uint32(1))
+        """Add packets that fell on pixels: fields pixel, colour and weight, W."""
+        np.add.at(self.power, (fallen["pixel"], fallen["colour"]), fallen["weight"])
+        np.add.at(self.hits, (fallen["pixel"], fallen["colour"]), np.uint32(1))
 
     def part(self, first: int, last: int) -> "Film":
         """Return a copy of the pixels from number `first` up to `last`, not included."""
@@ -60,16 +68,16 @@ class Film:
 
 @dataclass
 class Work:
-    """Work done.
+    """Counts and times of the work done.
 
     Attributes
     ----------
     counts : (COUNTERS,) int64
-        Events and the like, see `lfmesh.transport.packets.packet`.
+        Counters of `lfmesh.transport.packets.packet`.
     packets : int
-        Started.
+        Packets started.
     queries : int
-        Rays that Embree was asked about.
+        Rays that Embree was queried for.
     embree_seconds, thread_seconds : float
         Summed over threads.
     """
@@ -91,14 +99,15 @@ class Work:
 
 @dataclass
 class ChunkTally:
-    """One chunk's result, apart from the light that it added to a film of pixels.
+    """Result of one chunk, apart from the light that it added to a film.
 
     Attributes
     ----------
     number : int
-        Of the chunk in its replicate.
+        Number of the chunk in its replicate.
     book : (BOOKS, slots) float64
-        Energy by where it ended.
+        Entries of the books.
+    work : Work
     deposits : (n,) DEPOSIT
         Packets traced forward that fell on pixels.
     from_lamps : bool
@@ -114,7 +123,7 @@ class ChunkTally:
 
 @dataclass
 class Piece:
-    """A block's share of a replicate, not yet folded: other blocks' chunks may come in between.
+    """A block's share of a replicate, not yet folded, as chunks of other blocks may come in between.
 
     Attributes
     ----------
@@ -122,7 +131,7 @@ class Piece:
     film : Film
         The block's pixels, without deposits.
     chunks : list of ChunkTally
-        Those that begin in the block.
+        Chunks that begin in the block.
     blind : BlindSamples or None
     """
 
@@ -134,15 +143,15 @@ class Piece:
 
 @dataclass
 class Tally:
-    """All that one replicate brings.
+    """Result of one replicate.
 
     Attributes
     ----------
     replicate : int
     film : Film
-        All pixels.
+        Film of all pixels.
     lamps : Film or None
-        Light of lamps' own packets, kept apart where the pixels' samples are weighted by their number.
+        Light of lamps' own packets, kept separate as it is not weighted with the pixels' number of samples.
     book : (BOOKS, slots) float64
     work : Work
     blind : BlindSamples or None
@@ -157,7 +166,7 @@ class Tally:
     blind: BlindSamples | None = None
 
     def restart(self, replicate: int) -> None:
-        """Empty it for another replicate, in the same memory."""
+        """Clear the tally for another replicate, in the same memory."""
         self.replicate = replicate
         for film in (self.film, self.lamps):
             if film is not None:
@@ -167,19 +176,19 @@ class Tally:
         self.blind = None
 
     def add(self, chunk: ChunkTally) -> None:
-        """Add the next chunk, whose pixels' light is on the film already."""
+        """Add the next chunk, whose light from pixels is already on the film."""
         self.book += chunk.book
         self.work.add(chunk.work)
         film = self.lamps if chunk.from_lamps and self.lamps is not None else self.film
         film.deposit(chunk.deposits)
 
     def merge(self, pieces: Iterable[Piece]) -> None:
-        """Fold the pieces of its replicate, in whatever order they come, as if one process had traced them all.
+        """Fold the pieces of the tally's replicate, given in any order, to the same bits as in a single process.
 
         Raises
         ------
         ValueError
-            They do not make up this replicate: a pixel or chunk is missing or there twice.
+            The pieces do not make up this replicate: a pixel or chunk is missing or given twice.
         """
         chunks: list[ChunkTally] = []
         covered = np.zeros(len(self.film.power), np.uint8)
@@ -201,7 +210,7 @@ class Tally:
 
 @dataclass
 class Mean:
-    """Running mean and sum of squared deviations over replicates (Welford 1962), and the sum of their hits."""
+    """Running mean and sum of squared deviations over replicates (Welford 1962), with the sum of their hits."""
 
     mean: Array
     squares: Array
@@ -212,14 +221,14 @@ class Mean:
 
     @classmethod
     def empty(cls, shape: Shape) -> "Mean":
-        """Return one over no replicates yet."""
+        """Return the mean over no replicates."""
         return cls(np.zeros(shape), np.zeros(shape), np.zeros(shape, np.uint32))
 
     def add(self, film: Film) -> None:
         """Add one replicate's film."""
         self.count += 1
         self.hits += film.hits.reshape(self.hits.shape)
-        # Row by row: the film may be large, and a temporary of its size per operation is memory for nothing.
+        # Row by row, to avoid temporary arrays of the size of the film, which may be large.
         sample = film.power.reshape(self.mean.shape)
         for mean, squares, row in zip(self.mean, self.squares, sample, strict=True):
             change = row - mean
@@ -242,7 +251,7 @@ class StageSum:
     ----------
     mean : Mean
     lamps : Mean or None
-        Of what lamps' own packets bring.
+        Mean of the light of lamps' own packets.
     book : (BOOKS, slots) float64
     work : Work
     blind : BlindSamples or None
@@ -272,13 +281,13 @@ class StageSum:
 
 @dataclass
 class RenderState:
-    """How far a render has come: all that is needed to continue it.
+    """State of a render: all that is needed to continue it.
 
     Attributes
     ----------
     first : StageSum
     second : StageSum or None
-        Of adaptive sampling, once the first is complete.
+        Second stage, of adaptive sampling, once the first is complete.
     seconds : float
         Wall-clock time spent.
     """
@@ -290,7 +299,7 @@ class RenderState:
 
 @dataclass(frozen=True)
 class Layout:
-    """Sizes of everything that a render sums up.
+    """Sizes of all sums of a render.
 
     Attributes
     ----------
@@ -298,7 +307,7 @@ class Layout:
     book : (books, slots)
     counters : int
     lamps, blind : bool
-        Whether lamps' own packets are kept apart, and the image is checked by samples that are not aimed.
+        Whether lamps' own packets are kept separate, and whether the image is checked by samples without aim.
     """
 
     shape: Shape
@@ -308,10 +317,10 @@ class Layout:
     blind: bool = False
 
     def tally(self) -> Tally:
-        """Return a replicate's tally without anything in it."""
-        pixels, waves = self.shape[0] * self.shape[1], self.shape[2]
-        lamps = Film.empty(pixels, waves) if self.lamps else None
-        return Tally(0, Film.empty(pixels, waves), lamps, np.zeros(self.book), self._work())
+        """Return an empty tally."""
+        pixels, colours = self.shape[0] * self.shape[1], self.shape[2]
+        lamps = Film.empty(pixels, colours) if self.lamps else None
+        return Tally(0, Film.empty(pixels, colours), lamps, np.zeros(self.book), self._work())
 
     def first(self) -> StageSum:
         """Return the sum of a first stage that has not begun."""
@@ -320,16 +329,16 @@ class Layout:
         return StageSum(Mean.empty(self.shape), lamps, np.zeros(self.book), self._work(), blind)
 
     def second(self) -> StageSum:
-        """Return the sum of a second stage that has not begun: no pixel has samples of its own of lamps' packets."""
+        """Return the sum of a second stage that has not begun; it has no packets of lamps."""
         return StageSum(Mean.empty(self.shape), None, np.zeros(self.book), self._work())
 
     def state(self, saved: Mapping[str, NDArray[Any]] | None = None) -> RenderState:
-        """Return a render that has not begun, or the one that `arrays_of` made `saved` from.
+        """Return the state of a render that has not begun, or the state that was saved by `arrays_of`.
 
         Raises
         ------
         LfmeshError
-            The arrays are of another render.
+            The arrays belong to another render.
         """
         if saved is None:
             return RenderState(self.first())
@@ -345,7 +354,7 @@ class Layout:
 
 
 def arrays_of(value: Any, name: str = "") -> dict[str, NDArray[Any]]:
-    """Return a value of this file as named arrays, as `np.savez` takes them; what is None is left out."""
+    """Return a dataclass of this file as named arrays, as `np.savez` takes them; fields that are None are left out."""
     if is_dataclass(value):
         found: dict[str, NDArray[Any]] = {}
         for each in fields(value):
@@ -357,7 +366,15 @@ def arrays_of(value: Any, name: str = "") -> dict[str, NDArray[Any]]:
 
 
 def filled(template: Any, arrays: Mapping[str, NDArray[Any]], name: str = "") -> Any:
-    """Fill an empty value with what `arrays_of` gave, and return it.
+    """Fill an empty dataclass with arrays from `arrays_of`, and return it.
+
+    Parameters
+    ----------
+    template : dataclass
+        Has the shapes and types that the arrays must have.
+    arrays : dict of arrays
+    name : str
+        Prefix of the names.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Tracing a replicate, or a block of one: chunks to a pool of threads, and back in order."""
+"""Tracing of a replicate, or of a block of one: its chunks in a pool of threads, results in their order."""
 
 import os
 import time
@@ -27,21 +27,21 @@ from lfmesh.transport.sources.source import Launcher, Source
 from lfmesh.transport.world import World
 
 Waiting = deque[tuple[Chunk, Future[ChunkTally]]]
-"""Chunks handed to the pool, in order, with what they will return."""
+"""Chunks given to the pool, in order, with their future results."""
 
 
 @dataclass
 class Tracer:
-    """A world and what is needed to trace its replicates.
+    """Traces replicates of a world.
 
     Attributes
     ----------
     world : World
     chunk : int
-        Packets a chunk starts with.
+        Number of packets that start a chunk.
     aimed : bool
-        Forward: aim scattered light at the entrance pupil. Without, each packet is scattered by chance and most miss
-        the lens: the paper's chain without its aiming, to measure what that brings.
+        Forward: aim scattered light at the entrance pupil. If not, packets are scattered at random and most miss the
+        lens: the paper's method without its aiming, to measure its gain.
     stratified : bool
         Adjoint: start paths from scrambled Sobol' points instead of random ones.
     check : bool
@@ -67,22 +67,22 @@ class Tracer:
 
     @property
     def pixels(self) -> int:
-        """Of the sensor."""
+        """Number of pixels of the sensor."""
         return self.shape[0] * self.shape[1]
 
     @property
-    def waves(self) -> int:
-        """Wavelengths."""
+    def colours(self) -> int:
+        """Number of wavelengths."""
         return self.shape[2]
 
     @property
     def plan(self) -> Plan:
         """The chunks of the replicates."""
-        return Plan(self.parts, self.pixels, self.waves, self.samples, self.chunk)
+        return Plan(self.parts, self.pixels, self.colours, self.samples, self.chunk)
 
     @property
     def layout(self) -> Layout:
-        """Sizes of what is summed up."""
+        """Sizes of all sums of the render."""
         lamps = self.adjoint and not all(part.options.adjoint for part in self.parts)
         books = BOOKS, len(self.world.slots)
         return Layout(self.shape, books, COUNTERS, lamps, self.check and self.aimed)
@@ -96,13 +96,21 @@ class Tracer:
         return ThreadPoolExecutor(self.threads, thread_name_prefix="lfmesh")
 
     def piece(self, replicate: int, block: Block, levels: Counts | None = None) -> Piece:
-        """Trace a block of a replicate; the block at the first pixel also takes the replicate's blind samples."""
+        """Trace a block of a replicate; the block of the first pixel also takes the replicate's samples without aim.
+
+        Parameters
+        ----------
+        replicate : int
+        block : Block
+        levels : (pixels,) uint8, optional
+            Of the second stage.
+        """
         mine = [chunk for chunk in self.plan.chunks(levels) if block.touches(chunk)]
         started = [chunk.pixel_numbers() for chunk in mine if chunk.part.options.adjoint]
-        # A chunk that lies across the border lights pixels of a neighbour too, which are left out at the end.
+        # A chunk across the border also adds light to pixels of the neighbouring block, which are cut off at the end.
         low = min([block.first, *(int(pixels[0]) for pixels in started)])
         high = max([block.last, *(int(pixels[-1]) + 1 for pixels in started)])
-        film = Film.empty(high - low, self.waves, low)
+        film = Film.empty(high - low, self.colours, low)
         with self.pool() as pool:
             done = list(self.traced(pool, replicate, iter(mine), film))
             blind = None
@@ -114,17 +122,25 @@ class Tracer:
     def traced(
         self, pool: ThreadPoolExecutor, replicate: int, chunks: Iterator[Chunk], film: Film
     ) -> Generator[ChunkTally]:
-        """Trace chunks onto an empty film of their pixels, and yield what else they bring, in their order."""
+        """Trace chunks; add the light of their pixels to an empty film, and yield their other results in order.
+
+        Parameters
+        ----------
+        pool : ThreadPoolExecutor
+        replicate : int
+        chunks : iterator of Chunk
+        film : Film
+        """
         key = descendant(self.seed, replicate)
         waiting: Waiting = deque()
         part = None
         try:
             for chunk in chunks:
-                # The next part adds to the same pixels.
+                # The next part adds to the same pixels, so all chunks of the last one must be done.
                 while waiting and (len(waiting) > 2 * self.threads or chunk.part is not part):
                     yield self._oldest(waiting)
                 part = chunk.part
-                stream = descendant(key, part.number * self.waves + chunk.wave)
+                stream = descendant(key, part.number * self.colours + chunk.colour)
                 waiting.append((chunk, pool.submit(self._trace, chunk, stream, film)))
             while waiting:
                 yield self._oldest(waiting)
@@ -139,7 +155,7 @@ class Tracer:
         return tally
 
     def blind_samples(self, pool: ThreadPoolExecutor, replicate: int) -> BlindSamples:
-        """Take a replicate's samples that are not aimed, by which the image is checked."""
+        """Trace a replicate's samples without aim, by which the image is checked."""
         found = BlindSamples(*self.shape)
         part = self._blind_part
         key = descendant(self.seed, replicate)
@@ -148,20 +164,20 @@ class Tracer:
         at_once = min(chunk // samples, self.pixels) if self.adjoint else chunk
         total = self.pixels * (1 if self.adjoint else samples)
         runs = first_of_runs(total, at_once, replicate)
-        for wave in range(self.waves):
-            stream = descendant(key, part.number * self.waves + wave)
-            films = [Film.empty(at_once if self.adjoint else 0, self.waves, first) for first in runs]
+        for colour in range(self.colours):
+            stream = descendant(key, part.number * self.colours + colour)
+            films = [Film.empty(at_once if self.adjoint else 0, self.colours, first) for first in runs]
             each = at_once * (samples if self.adjoint else 1)
-            chunks = [Chunk(k, part, first, at_once, wave, each, samples) for k, first in enumerate(runs)]
+            chunks = [Chunk(k, part, first, at_once, colour, each, samples) for k, first in enumerate(runs)]
             futures = [pool.submit(self._trace, *job) for job in zip(chunks, repeat(stream), films, strict=False)]
             deposits = [future.result().deposits for future in futures]
             if self.adjoint:
                 for first, film in zip(runs, films, strict=True):
-                    found.add(np.arange(first, first + at_once), wave, film.power[:, wave])
+                    found.add(np.arange(first, first + at_once), colour, film.power[:, colour])
             else:
                 fallen = np.concatenate(deposits)
                 part_of_all = at_once * len(runs) / total
-                found.add_image(fallen["pixel"], wave, fallen["weight"] / part_of_all)
+                found.add_image(fallen["pixel"], colour, fallen["weight"] / part_of_all)
         return found
 
     def _trace(self, chunk: Chunk, key: np.uint64, film: Film) -> ChunkTally:
@@ -176,12 +192,12 @@ class Tracer:
         return ChunkTally(chunk.number, chunk.part.booked(space.book), work, deposits, chunk.from_lamps)
 
     def _source(self, chunk: Chunk, key: np.uint64) -> Source:
-        """Return what a chunk's packets start from."""
+        """Return the source of a chunk's packets."""
         if chunk.part.options.adjoint:
-            return PixelSource(chunk.pixel_numbers(), chunk.samples, key, chunk.wave, self.stratified)
-        return LightSource(chunk.first, chunk.count, self.pixels * chunk.samples, key, chunk.wave)
+            return PixelSource(chunk.pixel_numbers(), chunk.samples, key, chunk.colour, self.stratified)
+        return LightSource(chunk.first, chunk.count, self.pixels * chunk.samples, key, chunk.colour)
 
     def _launcher(self, part: Part) -> Launcher:
-        """Return what traces a part."""
+        """Return the launcher of a part, which the first call makes."""
         new = partial(Workspace, self.world, part.options, self.chunk, part.tables)
         return self._launchers.setdefault(part.number, Launcher(new))

@@ -1,7 +1,8 @@
-"""The sequential engine: the image path through lens and array, whose exact surfaces are met in their known order.
+"""The sequential engine: the image path through the exact surfaces of lens and array, met in their known order.
 
-It takes the place of the stations of the lens and of the array, in either direction; targets stay with Embree. What is
-reflected, and what total reflection or a lenslet's neighbour turns off the path, is not followed: its power is booked.
+It replaces the stations of the lens and of the array, in either direction; targets are still found by Embree. Reflected
+light, and light that total reflection or a neighbouring lenslet turns off the path, is not followed; its power is
+booked.
 """
 
 import numpy as np
@@ -58,7 +59,7 @@ from lfmesh.transport.tables.tables import CURVED_ROW, FLAT_ROW, ArrayTables, Le
 Array = NDArray[np.float64]
 
 MEETS_FACE, LEAVES_LAYER = -1, -2
-"""What a ray does in the layer of lenslets, if it is not ended there."""
+"""What becomes of a ray in the layer of curved faces, if it does not end there."""
 
 
 @kernel
@@ -66,13 +67,16 @@ def follow_image_path(
     wave: NDArray[np.void], station: int, lens: LensTables, array: ArrayTables, frames: Array,
     bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """Take a wave that waits for the lens or the array to object space or to the sensor.
+    """Take a wave of packets that wait for the lens or the array to object space or to the sensor.
 
     Parameters
     ----------
+    wave : (n,) PACKET
+    station : int
+        `LENS` or `PLATE`.
     bundle : (ROWS · BLOCK,) float64
     numbers : (BLOCK,) int64
-        Working memory, as the bundle is.
+        Working memory.
     """
     for to_sensor in (True, False):
         count = 0
@@ -83,7 +87,7 @@ def follow_image_path(
             if (packet.dz > 0.0) != to_sensor:
                 continue
             if station == LENS and packet.space == 0 and not to_sensor:
-                # From object space, on its way back there beside the lens.
+                # It comes from object space and flies away from the lens, back into object space.
                 child = put(
                     flow, OBJECTS, packet, CAMERA_FRAME, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz,
                     packet.weight, packet.key, 0.0,
@@ -108,18 +112,18 @@ def follow_block(
     wave: NDArray[np.void], station: int, to_sensor: bool, count: int, lens: LensTables, array: ArrayTables,
     frames: Array, bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """Take one bundle of rays (camera frame) that go the same way along its path, and hand its packets on.
+    """Take a bundle of rays (camera frame) of one direction of travel along the image path, and queue its packets.
 
     Parameters
     ----------
     wave : (n,) PACKET
-        The packets as they were before.
+        The packets before the passage.
     count : int
         Rays in the bundle.
     numbers : (BLOCK,) int64
-        Which packet of the wave each ray is.
+        Index in the wave of each ray's packet.
     """
-    colour = wave[numbers[0]].wave
+    colour = wave[numbers[0]].colour
     at_lens = station != PLATE
     if to_sensor:
         if at_lens:
@@ -139,10 +143,10 @@ def _hand_on(
     wave: NDArray[np.void], to_sensor: bool, count: int, frames: Array, bundle: Array, numbers: NDArray[np.int64],
     options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """Put the packets that came through on the next stack, and end the others."""
+    """Queue the packets that came through at their next station, and end the others."""
     station, frame = SENSOR, CAMERA_FRAME
     if not to_sensor:
-        # All at once, before the station takes them one by one.
+        # Moved together, which is faster than one by one at the station.
         station, frame = OBJECTS, OBJECT_FRAME
         move_bundle(bundle, frames[CAMERA_FRAME, OBJECT_FRAME])
     left_behind, events = 0.0, 0
@@ -172,7 +176,7 @@ def _hand_on(
 
 @kernel
 def through_lens(bundle: Array, lens: LensTables, colour: int, to_sensor: bool) -> None:
-    """Take a bundle (camera frame) through all surfaces of the lens and its stop."""
+    """Take a bundle (camera frame) through all surfaces of the lens and through its stop."""
     last = len(lens.surfaces)
     for step in range(last + 1):
         space = step if to_sensor else last - step
@@ -192,9 +196,9 @@ def through_lens(bundle: Array, lens: LensTables, colour: int, to_sensor: bool) 
 
 @kernel
 def through_array(bundle: Array, count: int, array: ArrayTables, colour: int, frames: Array, to_sensor: bool) -> None:
-    """Take a bundle (camera frame) through the array, curved or flat face first, and back into the camera frame.
+    """Take a bundle (camera frame) through the array, curved or flat face first.
 
-    All rays at once that meet one lenslet only; the others ray by ray, walking from cell to cell.
+    Rays that meet a single lenslet are traced together; the others one by one, from cell to cell.
     """
     move_bundle(bundle, frames[CAMERA_FRAME, ARRAY_FRAME])
     inward = to_sensor == array.curved_to_lens
@@ -233,7 +237,7 @@ def _through_flat_face(bundle: Array, i: int, array: ArrayTables, colour: int) -
 
 @kernel
 def _through_curved_face(bundle: Array, i: int, array: ArrayTables, colour: int) -> bool:
-    """Refract a ray at the face of the lenslet that it meets, and bring it out of the layer of faces."""
+    """Refract a ray at the face of the lenslet that it meets, and follow it out of the layer of faces."""
     lenslets = array.lenslets
     lattice = lenslets.lattice
     x, y, z, dz = bundle[X + i], bundle[Y + i], bundle[Z + i], bundle[DZ + i]
@@ -271,12 +275,16 @@ def _through_curved_face(bundle: Array, i: int, array: ArrayTables, colour: int)
 def _next_in_layer(
     bundle: Array, i: int, array: ArrayTables, in_air: bool, column: int, row: int, start: float
 ) -> tuple[int, float, int, int]:
-    """Walk a ray through the layer of faces; return what becomes of it (or the slot that ends it), where, which cell.
+    """Walk a ray through the layer of faces; return its fate (or the slot that it ends on), the distance and the cell.
 
     Parameters
     ----------
-    start : float
-        Distance at which it is known to be in the cell given.
+    in_air : bool
+        The ray is before the curved face; else in the glass.
+    column, row : int
+        Cell in which the walk starts.
+    start : float, mm
+        Distance at which the ray is in that cell.
     """
     lenslets = array.lenslets
     lattice = lenslets.lattice
@@ -292,7 +300,7 @@ def _next_in_layer(
             curvature, 0.0, x + t * dx - cx - ex, y + t * dy - cy - ey, z + t * dz, dx, dy, dz, 1.0 if in_air else -1.0
         )
         hit = t + more
-        # Beyond the layer lies the sphere's other half.
+        # A hit beyond the layer is on the sphere's other half.
         if met and 0.0 < hit <= leaves and curvature * (z + hit * dz) < 1.0:
             return MEETS_FACE, hit, column, row
         if out < leaves:
@@ -313,7 +321,7 @@ def _next_in_layer(
 def _bend(
     bundle: Array, i: int, array: ArrayTables, face: int, colour: int, entering: bool, nx: float, ny: float, nz: float
 ) -> bool:
-    """Refract a ray at a normal that looks along it; false is total reflection, whose power is left behind."""
+    """Refract a ray at a face whose normal points along it; return False under total reflection."""
     glass = array.media.indices[array.medium, colour]
     n_i, n_t = (1.0, glass) if entering else (glass, 1.0)
     dx, dy, dz, weight = bundle[DX + i], bundle[DY + i], bundle[DZ + i], bundle[WEIGHT + i]
@@ -330,7 +338,7 @@ def _bend(
 
 @kernel
 def _ends(bundle: Array, i: int, t: float, slot: int) -> bool:
-    """End a ray after a distance; return false: it does not go on."""
+    """End a ray after a distance; always return False, as the ray does not continue."""
     bundle[X + i] += t * bundle[DX + i]
     bundle[Y + i] += t * bundle[DY + i]
     bundle[Z + i] += t * bundle[DZ + i]

@@ -1,8 +1,8 @@
 """A block of rays through the surfaces of the lens in their order, laid out for vector instructions.
 
 A bundle is one float64 array of `ROWS` rows of `BLOCK` values, at constant offsets, so that the compiler sees that rows
-do not overlap. Loops run over the whole block: what is beyond the last ray holds a ray that has ended. There are no
-branches; a ray that ends keeps where and why, and the others go on.
+do not overlap. Loops run over the whole block; the places beyond the last ray hold rays that have ended. There are no
+branches: a ray that ends keeps its point and its slot while the others continue.
 """
 
 from typing import Any
@@ -27,7 +27,7 @@ WEIGHT, LEFT_BEHIND, MET, ENDED_ON = 6 * BLOCK, 7 * BLOCK, 8 * BLOCK, 9 * BLOCK
 # Working rows: distance, radius², sag and half slope of an asphere's terms.
 _T, _R2, _SAG, _SLOPE = 10 * BLOCK, 11 * BLOCK, 12 * BLOCK, 13 * BLOCK
 _SETTLED = 14 * BLOCK
-# What other modules use while they hold the bundle.
+# First of the rows that other modules may use as working memory.
 SCRATCH = 10 * BLOCK
 ROWS = 26
 
@@ -39,7 +39,7 @@ BESIDE = -2.0
 
 
 def empty_bundle() -> Array:
-    """Return room for a block of rays, aligned to whole cache lines."""
+    """Return memory for a block of rays, aligned to cache lines."""
     room = np.zeros(ROWS * BLOCK + 8)
     offset = (-room.ctypes.data // 8) % 8
     return room[offset : offset + ROWS * BLOCK]
@@ -47,7 +47,15 @@ def empty_bundle() -> Array:
 
 @pasted
 def load(bundle: Array, i: int, x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float) -> None:
-    """Write a ray that has met nothing yet."""
+    """Write ray `i` at its start, with its weight.
+
+    Parameters
+    ----------
+    x, y, z : float, mm
+    dx, dy, dz : float
+        Unit direction.
+    weight : float
+    """
     bundle[X + i], bundle[Y + i], bundle[Z + i] = x, y, z
     bundle[DX + i], bundle[DY + i], bundle[DZ + i] = dx, dy, dz
     bundle[WEIGHT + i], bundle[LEFT_BEHIND + i], bundle[MET + i], bundle[ENDED_ON + i] = weight, 0.0, 0.0, 0.0
@@ -55,7 +63,7 @@ def load(bundle: Array, i: int, x: float, y: float, z: float, dx: float, dy: flo
 
 @kernel
 def pad(bundle: Array, count: int) -> None:
-    """Fill what is beyond the last ray with one that has ended."""
+    """Fill the places from `count` on with rays that have ended."""
     for i in range(count, BLOCK):
         bundle[X + i], bundle[Y + i], bundle[Z + i] = 0.0, 0.0, 0.0
         bundle[DX + i], bundle[DY + i], bundle[DZ + i] = 0.0, 0.0, 1.0
@@ -65,7 +73,7 @@ def pad(bundle: Array, count: int) -> None:
 
 @kernel
 def move_bundle(bundle: Array, move: Array) -> None:
-    """Move a bundle into another frame: `move` is (3, 4), turn and shift."""
+    """Transform a bundle into another frame by a rigid move, (3, 4): rotation and shift."""
     xx, xy, xz, x0 = move[0, 0], move[0, 1], move[0, 2], move[0, 3]
     yx, yy, yz, y0 = move[1, 0], move[1, 1], move[1, 2], move[1, 3]
     zx, zy, zz, z0 = move[2, 0], move[2, 1], move[2, 2], move[2, 3]
@@ -82,7 +90,7 @@ def move_bundle(bundle: Array, move: Array) -> None:
 
 @kernel
 def normalise(bundle: Array) -> None:
-    """Make the directions' length one again, which every interface has left a rounding error off."""
+    """Normalise the directions, whose length every interface changes by a rounding error."""
     for i in range(BLOCK):
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
         scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -91,7 +99,16 @@ def normalise(bundle: Array) -> None:
 
 @kernel
 def through_stop(bundle: Array, stop_z: float, radius: float, slot: float) -> None:
-    """End the rays that pass the plane of a stop outside its aperture there."""
+    """End the rays that pass the plane of a stop outside its aperture.
+
+    Parameters
+    ----------
+    bundle : (ROWS · BLOCK,) float64
+        Camera frame.
+    stop_z, radius : float, mm
+    slot : float
+        Of the book.
+    """
     limit = radius * radius
     for i in range(BLOCK):
         t = (stop_z - bundle[Z + i]) / bundle[DZ + i]
@@ -120,7 +137,7 @@ def through_surface(
     rim : float
         Radius of the mount round the clear aperture, mm.
     mount, beyond : float
-        What ends a ray between aperture and rim, and one further out or that misses the surface, as `ENDED_ON` has it.
+        Value of `ENDED_ON` for rays between aperture and rim, and for rays beyond the rim or that miss the surface.
     """
     surface = lens.surfaces[k]
     c, conic, z = surface.curvature, surface.conic, surface.vertex_z
@@ -142,7 +159,22 @@ def through_surface(
 def conic_distance(
     c: float, q: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
 ) -> tuple[bool, float]:
-    """Do as `geometry.surface.conic_distance` does, without branches; the distance is nonsense where it is missed."""
+    """Return whether a ray meets a conic, and the distance, as `geometry.surface.conic_distance`, without branches.
+
+    The distance is meaningless where the ray misses.
+
+    Parameters
+    ----------
+    c : float
+        Curvature, 1/mm.
+    q : float
+        1 + conic constant.
+    x, y, z : float
+        Start relative to the vertex, mm.
+    dx, dy, dz : float
+    sense : float
+        1: cross the surface along its normal, −1: against it.
+    """
     a = c * (dx * dx + dy * dy + q * dz * dz)
     b = c * (x * dx + y * dy + q * z * dz) - dz
     g = c * (x * x + y * y + q * z * z) - 2.0 * z
@@ -154,7 +186,7 @@ def conic_distance(
 def sphere_distance(
     c: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
 ) -> tuple[bool, float, float]:
-    """Return as `conic_distance` does for a sphere, and the cosine of incidence, which is the root itself."""
+    """Return the results of `conic_distance` for a sphere (q = 1), and the cosine of incidence."""
     root, cos_i, above, below = _sphere_crossing(c * sense, x, y, z, dx, dy, dz, sense)
     return root > 0.0, above / below, cos_i
 
@@ -163,25 +195,25 @@ def sphere_distance(
 def _sphere_crossing(
     along: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
 ) -> tuple[float, float, float, float]:
-    """Return the squared cosine of incidence, that cosine, and two numbers whose ratio is the distance.
+    """Return the squared cosine of incidence, the cosine, and two numbers whose ratio is the distance.
 
     Parameters
     ----------
     along : float
-        Curvature times sense, with which all but the normal is as if the ray went along +z.
+        Curvature times sense, so that both senses share the formulas of a ray along +z.
     """
     b = fused(along, fused(x, dx, fused(y, dy, z * dz)), -sense * dz)
     g = fused(along, fused(x, x, fused(y, y, z * z)), -2.0 * sense * z)
     root = fused(b, b, -along * g)
     cos_i = np.sqrt(root)
-    # The form in which nothing cancels.
+    # The form of the root without cancellation.
     far = b > 0.0
     return root, cos_i, select(far, -(b + cos_i), g), select(far, along, cos_i - b)
 
 
 @pasted
 def _root_of(a: float, b: float, g: float, sense: float, root: float) -> float:
-    """Solve a t² + 2 b t + g = 0 for the crossing in a given sense, in the form in which nothing cancels."""
+    """Solve a t² + 2 b t + g = 0 for the crossing in a given sense, in the form without cancellation."""
     signed = sense * root
     far = signed * b > 0.0
     return select(far, -b - signed, g) / select(far, a, signed - b)
@@ -194,8 +226,19 @@ def refraction(
 ) -> tuple[float, float, float, bool, float]:  # fmt: skip
     """Return the refracted direction, whether reflection is total, and the transmittance.
 
-    Snell's law as `events.crossing` has it, without branches; all is nonsense where reflection is total. The direction
-    is of unit length but for a rounding error, which the end of the path takes away.
+    Snell's law as in `events.crossing`, without branches; where reflection is total, the other results are meaningless.
+    The direction has unit length to rounding; `normalise` follows at the end of the path.
+
+    Parameters
+    ----------
+    interfaces : Interfaces
+    number, colour : int
+        Row of the interface, and number of the wavelength.
+    dx, dy, dz : float
+    nx, ny, nz : float
+        Unit normal along the ray.
+    cos_i : float
+    n_i, n_t : float
     """
     eta = n_i / n_t
     cos2_t = fused(eta * eta * cos_i, cos_i, 1.0 - eta * eta)
@@ -212,7 +255,7 @@ def _go_on(
     bundle: Array, i: int, meets: bool, x: float, y: float, z: float, ux: float, uy: float, uz: float,
     refracts: bool, transmittance: float, limit: float, rim: float, mount: float, beyond: float,
 ) -> None:  # fmt: skip
-    """Send ray `i` on from a point of a surface, or end it there; one that had ended stays."""
+    """Continue ray `i` from a point of a surface, or end it there; a ray that has ended is left as it is."""
     weight, ended = bundle[WEIGHT + i], bundle[ENDED_ON + i]
     alive = ended == 0.0
     r2 = fused(x, x, y * y)
@@ -224,7 +267,7 @@ def _go_on(
     bundle[ENDED_ON + i] = now
     bundle[MET + i] += select(arrives, 1.0, 0.0)
     on = select(arrives, select(goes, weight * transmittance, 0.0), weight)
-    # What is not transmitted is reflected: total reflection leaves all of it.
+    # Power that is not transmitted is reflected, under total reflection all of it.
     bundle[LEFT_BEHIND + i] += weight - on
     bundle[WEIGHT + i] = on
     bundle[X + i] = select(moves, x, bundle[X + i])

@@ -1,7 +1,7 @@
-"""A block of rays through the microlens array, where each meets one lenslet and none of its neighbours.
+"""A block of rays through the microlens array, for rays that meet a single lenslet.
 
-Most do. The others, close to a cell's border or to the array's, keep their state, for `image_path` to walk them from
-cell to cell. Array frame, as `array_region` has it.
+Most do. The others, close to the border of a cell or of the array, keep their state, and `image_path` walks them from
+cell to cell. All in the array frame, see `regions.array`.
 """
 
 import numpy as np
@@ -31,8 +31,8 @@ from lfmesh.vector import both, select
 
 Array = NDArray[np.float64]
 
-# Working rows: the state on trial, whether it holds (in the end: whether it passed the array), and the lenslet: its
-# cell, that cell's centre, its apex, its curvature.
+# Working rows: the tentative state, whether it is valid (in the end: whether the ray passed the array), and the
+# lenslet: its cell, the centre of that, its apex and its curvature.
 _X, _Y, _Z = SCRATCH, SCRATCH + BLOCK, SCRATCH + 2 * BLOCK
 _DX, _DY, _DZ = SCRATCH + 3 * BLOCK, SCRATCH + 4 * BLOCK, SCRATCH + 5 * BLOCK
 _WEIGHT, _LEFT_BEHIND, PASSED = SCRATCH + 6 * BLOCK, SCRATCH + 7 * BLOCK, SCRATCH + 8 * BLOCK
@@ -44,10 +44,13 @@ _APEX_X, _APEX_Y, _CURVATURE = SCRATCH + 13 * BLOCK, SCRATCH + 14 * BLOCK, SCRAT
 
 @kernel
 def through_single_lenslets(bundle: Array, array: ArrayTables, colour: int, inward: bool) -> None:
-    """Take the rays of a bundle through the array that meet one lenslet only; `PASSED` tells which these were.
+    """Take the rays of a bundle that meet a single lenslet through the array; `PASSED` marks these rays.
 
     Parameters
     ----------
+    bundle : (ROWS · BLOCK,) float64
+        Array frame.
+    array : ArrayTables
     colour : int
         Number of the wavelength.
     inward : bool
@@ -55,7 +58,7 @@ def through_single_lenslets(bundle: Array, array: ArrayTables, colour: int, inwa
     """
     lenslets = array.lenslets
     lattice, interfaces, glass = lenslets.lattice, array.interfaces, array.media.indices[array.medium, colour]
-    # Over the cells that are none of the outermost a straight line stays over the array.
+    # Between two points within the cells that are not outermost, a straight line stays over the array.
     across, rows = (ROW_SPACING, 1.0) if lattice.hexagonal else (1.0, 0.5)
     safe_x, safe_y = (0.5 * lattice.columns - 1.0) * lattice.pitch, (0.5 * lattice.rows - rows) * across * lattice.pitch
     _begin(bundle)
@@ -104,7 +107,7 @@ def _bend(
     px: float, py: float, pz: float, nx: float, ny: float, nz: float,
     cos_i: float, n_i: float, n_t: float,
 ) -> None:  # fmt: skip
-    """Refract the state on trial at a point whose unit normal looks along the ray."""
+    """Refract the tentative state at a point whose unit normal points along the ray."""
     weight = bundle[_WEIGHT + i]
     ux, uy, uz, total, transmittance = refraction(
         interfaces, number, colour, bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i], nx, ny, nz, cos_i, n_i, n_t
@@ -173,7 +176,7 @@ def _find_hexagonal_cells(bundle: Array, border: float, pitch: float, columns: i
         t = (border - bundle[_Z + i]) / bundle[_DZ + i]
         t = select(t > 0.0, t, 0.0)
         u, v = (bundle[_X + i] + t * bundle[_DX + i]) * over, (bundle[_Y + i] + t * bundle[_DY + i]) * over
-        # The nearest centre is in the row that the point is in, or in the one it leans to.
+        # The nearest centre is in the row of centres below the point or in the row above it.
         low = np.floor(v / ROW_SPACING + 0.5 * (rows - 1))
         column, x, y, square = _nearest_in_row(u, v, low, columns, rows)
         other, other_x, other_y, other_square = _nearest_in_row(u, v, low + 1.0, columns, rows)
@@ -188,7 +191,7 @@ def _find_hexagonal_cells(bundle: Array, border: float, pitch: float, columns: i
 
 @kernel
 def _look_up_shapes(bundle: Array, array: ArrayTables) -> None:
-    """Leave each ray's lenslet, apex and curvature, in the working rows."""
+    """Write apex and curvature of each ray's lenslet to the working rows."""
     lenslets = array.lenslets
     if are_alike(lenslets):
         _fill_shapes(bundle, lenslets.curvature[0])
@@ -209,11 +212,11 @@ def _fill_shapes(bundle: Array, curvature: float) -> None:
 
 @pasted
 def _meet_face(bundle: Array, i: int, sense: float) -> tuple[bool, float, float, float, float, float, float, float]:
-    """Return whether a ray meets its lenslet's sphere on the half of the apex, the point, the normal, the cosine."""
+    """Return whether a ray meets its lenslet's sphere on the apex's half, the point, the normal and the cosine."""
     c = bundle[_CURVATURE + i]
     x, y, z = bundle[_X + i], bundle[_Y + i], bundle[_Z + i]
     dx, dy, dz = bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i]
-    # From the plane of the apex: a ray may come from far, and a lenslet is small.
+    # Counted from the plane of the apex, as digits would be lost when a ray comes from far to a small lenslet.
     at = -z / dz
     ax, ay = x + at * dx - bundle[_APEX_X + i], y + at * dy - bundle[_APEX_Y + i]
     meets, t, cos_i = sphere_distance(c, ax, ay, 0.0, dx, dy, dz, sense)

@@ -1,1 +1,1 @@
-"""What starts packets: pixels, lights and targets that shine, rays that are given."""
+"""Sources of packets: pixels, lights and emitting targets, and given rays."""

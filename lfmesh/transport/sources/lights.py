@@ -1,8 +1,8 @@
-"""Lamps and emitting targets, where the forward method starts: the paper's chain.
+"""Lamps and emitting targets, the sources of the forward method (the paper's).
 
-A lamp's packets go into the cone round the targets; what it sends elsewhere is booked as escaped at once. An emitting
-facet's packet is scattered where it starts, as light that arrived there would be. The adjoint method has its share of
-such packets, for lamps that glass hides from it (`parts`): those go into the cone round the glass.
+A lamp's packets go into the cone around the targets; the power that it sends elsewhere is booked as escaped at once.
+An emitting facet's packet is scattered where it starts, by Lambert's law. The adjoint method starts such packets as
+well, for light of lamps through glass (`render.parts`); those go into the cone around the glass.
 """
 
 from dataclasses import dataclass
@@ -19,27 +19,27 @@ from lfmesh.transport.packets.packet import LAMP, NO_SURFACE, OBJECT_FRAME, OBJE
 from lfmesh.transport.packets.random import derived, start
 from lfmesh.transport.regions.targets import point_of, scatter, texture_at
 from lfmesh.transport.sources.source import Source
-from lfmesh.transport.tables.tables import Aim, ObjectTables
+from lfmesh.transport.tables.tables import AimTables, ObjectTables
 
 Array = NDArray[np.float64]
 
 SOURCE_U, SIDE = 0, 5
-"""Dimensions of starting numbers; those between choose where on its source a packet starts, and which way it goes."""
+"""Dimensions of starting numbers; those between give the packet's point on the source and its direction."""
 
 
 @dataclass(frozen=True, eq=False)
 class LightSource(Source):
-    """Packets of all that shines, one after the other.
+    """Packets of all lights and emitting targets.
 
     Attributes
     ----------
     first, count : int
-        Number of the first packet in its replicate, and how many start from it on.
+        Number of the first packet in its replicate, and number of packets from there on.
     total : int
-        Packets that the whole power is shared among.
+        Number of packets that share the whole power.
     key : uint64
-        Of the replicate's random numbers at this wavelength.
-    wave : int
+        Key of the replicate's random numbers at this wavelength.
+    colour : int
         Number of the wavelength.
     """
 
@@ -47,30 +47,43 @@ class LightSource(Source):
     count: int
     total: int
     key: np.uint64
-    wave: int
+    colour: int
 
     def __len__(self) -> int:
         return self.count
 
     def launch(self, work: Workspace, part: range) -> None:
-        """Start some of the packets, if anything shines."""
+        """Start some of the packets, if there is any light."""
         tables = work.tables
         if len(tables.objects.sources):
             launch_forward(
-                self.first + part.start, len(part), self.total, self.key, self.wave,
+                self.first + part.start, len(part), self.total, self.key, self.colour,
                 tables.objects, tables.aim, tables.frames, work.options, work.flow(), work.template,
             )  # fmt: skip
 
 
 @kernel
 def launch_forward(
-    first: int, count: int, total: int, replicate_key: np.uint64, wave: int,
-    objects: ObjectTables, aim: Aim, frames: Array, options: Options, flow: Flow, template: NDArray[np.void],
+    first: int, count: int, total: int, replicate_key: np.uint64, colour: int,
+    objects: ObjectTables, aim: AimTables, frames: Array, options: Options, flow: Flow, template: NDArray[np.void],
 ) -> None:  # fmt: skip
-    """Start packets number `first` to `first + count` of a replicate's `total`."""
+    """Start packets of all lights and emitting facets.
+
+    Parameters
+    ----------
+    first, count : int
+        Number of the first packet in its replicate, and number of packets from there on.
+    total : int
+        Number of packets that share the whole power.
+    replicate_key : uint64
+    colour : int
+        Number of the wavelength.
+    template : (1,) PACKET
+        Working memory.
+    """
     sources = objects.sources
     packet = template[0]
-    packet.wave = wave
+    packet.colour = colour
     packet.last = NO_SURFACE
     packet.column = NO_SURFACE
     for number in range(first, first + count):
@@ -92,7 +105,7 @@ def launch_forward(
 
 @kernel
 def _from_lamp(objects: ObjectTables, flow: Flow, packet: Any, number: int, weight: float) -> None:
-    """Start a packet of a light, towards the sphere that is aimed at."""
+    """Start a packet of a light towards the sphere that is aimed at; book the power in other directions as escaped."""
     x, y, z, dx, dy, dz, share = emitted(objects, objects.lights[number], packet.key)
     towards = weight * share
     flow.book[EMITTED] += weight
@@ -106,7 +119,7 @@ def _from_lamp(objects: ObjectTables, flow: Flow, packet: Any, number: int, weig
 @kernel
 def _from_facet(
     objects: ObjectTables,
-    aim: Aim,
+    aim: AimTables,
     frames: Array,
     options: Options,
     flow: Flow,
@@ -114,7 +127,7 @@ def _from_facet(
     prim: int,
     weight: float,
 ) -> None:
-    """Emit from a uniform point of a facet, on either side of an open sheet."""
+    """Emit a packet from a uniform point of a facet; of an open sheet, from either side."""
     key = packet.key
     body = objects.facets[prim].body
     u, v = start(key, PLACE_U), start(key, PLACE_V)
@@ -128,7 +141,7 @@ def _from_facet(
     side = 1.0
     if not objects.closed[body] and start(key, SIDE) < 0.5:
         side = -1.0
-    weight *= texture_at(objects, prim, packet.wave, x, y, z)
+    weight *= texture_at(objects, prim, packet.colour, x, y, z)
     flow.book[EMITTED] += weight
     packet.start = weight
     packet.weight = weight

@@ -1,9 +1,9 @@
-"""Pixels, where the adjoint method starts: through the lenslets that show them the exit pupil.
+"""Pixels, the sources of the adjoint method: rays through the lenslets that show them the exit pupil.
 
 A pixel's power is the integral of radiance over its area and the directions it sees, W = ∫∫ L cos θ dω dA. The packet
-carries the importance cos θ dA / density, in m² sr. Radiance over n² is what interfaces conserve up to T, so carried
-importance would gain (n_i/n_t)² at every crossing; pixel and light both lie in air, the factors cancel, and are left
-out throughout. A target that shines inside glass has its radiance divided by n² instead.
+carries the importance cos θ dA / density, in m² sr. At an interface radiance over n² is conserved but for T, so the
+importance would gain (n_i/n_t)² at every crossing. As pixel and light both lie in air, these factors cancel and are
+left out; the radiance of a target that emits inside glass is divided by n² instead.
 """
 
 from dataclasses import dataclass
@@ -67,27 +67,27 @@ from lfmesh.transport.sequential.lens_bundle import (
 )
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.tables.lights import MM2
-from lfmesh.transport.tables.tables import Aim, ArrayTables, LensTables, SensorTables
+from lfmesh.transport.tables.tables import AimTables, ArrayTables, LensTables, SensorTables
 
 Array = NDArray[np.float64]
 
 STARTS = BLOCK
-"""Samples whose numbers are drawn together: a bundle of the sequential engine."""
+"""Samples whose numbers are drawn together: as many as a bundle of the sequential engine holds."""
 
 
 @dataclass(frozen=True, eq=False)
 class PixelSource(Source):
-    """Pixels of the sensor, each with as many samples.
+    """Pixels of the sensor, all with the same number of samples.
 
     Attributes
     ----------
     pixels : (n,) int64
-        Their numbers, row by row.
+        Pixel numbers, row by row.
     samples : int
-        Of each.
+        Samples of each pixel.
     key : uint64
-        Of the random numbers.
-    wave : int
+        Key of the random numbers.
+    colour : int
         Number of the wavelength.
     stratified : bool
         Start from scrambled Sobol' points in place of random ones.
@@ -96,7 +96,7 @@ class PixelSource(Source):
     pixels: NDArray[np.int64]
     samples: int
     key: np.uint64
-    wave: int = 0
+    colour: int = 0
     stratified: bool = True
 
     def __len__(self) -> int:
@@ -113,12 +113,12 @@ class PixelSource(Source):
         room = work.kept(StartRoom, lambda: start_room(tables.aim))
         if options.sequential and options.adjoint:
             launch_along_image_path(
-                pixels, self.samples, self.stratified, self.key, self.wave, tables.sensor, tables.lens, tables.array,
+                pixels, self.samples, self.stratified, self.key, self.colour, tables.sensor, tables.lens, tables.array,
                 tables.aim, tables.frames, work.bundle, work.numbers, options, work.flow(), room,
             )  # fmt: skip
         else:
             launch_adjoint(
-                pixels, self.samples, self.stratified, self.key, self.wave, tables.sensor, tables.array, tables.aim,
+                pixels, self.samples, self.stratified, self.key, self.colour, tables.sensor, tables.array, tables.aim,
                 tables.frames, len(tables.lens.surfaces), work.bundle, work.flow(), room,
             )  # fmt: skip
 
@@ -127,18 +127,18 @@ class StartRoom(NamedTuple):
     """Working memory of a launch, which draws the numbers of `STARTS` samples at a time."""
 
     point: NDArray[np.uint32]  # (6,) Sobol' point of the last sample, not yet scrambled
-    seeds: NDArray[np.uint32]  # (6,) of its pixel's scrambling
+    seeds: NDArray[np.uint32]  # (6,) seeds of the scrambling for its pixel
     points: NDArray[np.uint32]  # (6, STARTS)
     scrambling: NDArray[np.uint32]  # (6, STARTS)
-    numbers: Array  # (6, STARTS) what each sample starts from
+    numbers: Array  # (6, STARTS) starting numbers of each sample
     keys: NDArray[np.uint64]  # (STARTS,)
     near: Array  # (most + 1, LISTED) lenslets that may show the opening to some point of a pixel, see `list_cells`
-    cells: NDArray[np.int64]  # (3, most + 1) those that may show it to the point, whether they surely do, which do
+    cells: NDArray[np.int64]  # (3, most + 1) lenslets that may show it to one point, see `cells_that_show`
     packets: NDArray[np.void]  # (STARTS,) PACKET
 
 
-def start_room(aim: Aim) -> StartRoom:
-    """Return the memory in which paths are started."""
+def start_room(aim: AimTables) -> StartRoom:
+    """Return working memory for a launch."""
     table = (DISCRETE + 1, STARTS)
     most = most_listed(aim)
     return StartRoom(
@@ -155,11 +155,22 @@ def start_room(aim: Aim) -> StartRoom:
 
 
 @kernel
-def _draw(
+def _draw_numbers(
     room: StartRoom, stratified: bool, replicate_key: np.uint64, pixels: NDArray[np.int64], which: int, sample: int,
     samples: int, count: int,
 ) -> None:  # fmt: skip
-    """Draw the numbers of `count` samples from a pixel's sample on: of the pixels' own Sobol' sets, or by chance."""
+    """Draw the starting numbers of `count` samples: from each pixel's own Sobol' set, or at random.
+
+    Parameters
+    ----------
+    stratified : bool
+        From Sobol' sets.
+    pixels : (n,) int64
+    which, sample : int
+        Index in `pixels`, and sample of that pixel, of the first sample.
+    samples : int
+        Samples of each pixel.
+    """
     pixel_key = derived(replicate_key, pixels[which])
     for i in range(count):
         room.keys[i] = derived(pixel_key, sample)
@@ -178,7 +189,7 @@ def _draw(
         sample += 1
         if sample == samples:
             which, sample = which + 1, 0
-            # After the last pixel of the run none is drawn for; the first stands in.
+            # After the last pixel this key is not used; the modulus keeps the index valid.
             pixel_key = derived(replicate_key, pixels[which % len(pixels)])
     if stratified:
         for dimension in range(len(room.seeds)):
@@ -187,27 +198,34 @@ def _draw(
 
 @kernel
 def launch_adjoint(
-    pixels: NDArray[np.int64], samples: int, stratified: bool, replicate_key: np.uint64, wave: int,
-    sensor: SensorTables, array: ArrayTables, aim: Aim, frames: Array, lens_surfaces: int,
+    pixels: NDArray[np.int64], samples: int, stratified: bool, replicate_key: np.uint64, colour: int,
+    sensor: SensorTables, array: ArrayTables, aim: AimTables, frames: Array, lens_surfaces: int,
     bundle: Array, flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
-    """Start `samples` packets from each of some pixels.
+    """Start `samples` packets from each pixel.
 
     Parameters
     ----------
     pixels : (n,) int64
-        Their numbers, row by row.
+        Pixel numbers, row by row.
     stratified : bool
         Start from scrambled Sobol' points in place of random ones.
+    replicate_key : uint64
+    colour : int
+        Number of the wavelength.
+    lens_surfaces : int
+        Number of refracting surfaces of the lens.
+    bundle : (ROWS · BLOCK,) float64
+        Working memory.
     """
-    _begin(room, wave, lens_surfaces)
+    _begin(room, colour, lens_surfaces)
     station = PLATE if array.present else LENS
     which, sample = 0, 0
     for first in range(0, len(pixels) * samples, STARTS):
         count = min(STARTS, len(pixels) * samples - first)
-        _draw(room, stratified, replicate_key, pixels, which, sample, samples, count)
-        which, sample = _aim(
-            room, bundle, pixels, which, sample, samples, count, replicate_key, wave, sensor, array, aim, frames,
+        _draw_numbers(room, stratified, replicate_key, pixels, which, sample, samples, count)
+        which, sample = _aim_rays(
+            room, bundle, pixels, which, sample, samples, count, replicate_key, colour, sensor, array, aim, frames,
             flow.book,
         )  # fmt: skip
         for i in range(count):
@@ -220,27 +238,27 @@ def launch_adjoint(
 
 @kernel
 def launch_along_image_path(
-    pixels: NDArray[np.int64], samples: int, stratified: bool, replicate_key: np.uint64, wave: int,
-    sensor: SensorTables, lens: LensTables, array: ArrayTables, aim: Aim, frames: Array,
+    pixels: NDArray[np.int64], samples: int, stratified: bool, replicate_key: np.uint64, colour: int,
+    sensor: SensorTables, lens: LensTables, array: ArrayTables, aim: AimTables, frames: Array,
     bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
-    """Do as `launch_adjoint` does, and take the packets through array and lens while they are at hand.
+    """Start packets as `launch_adjoint` does, and take them through array and lens by the sequential engine at once.
 
     Parameters
     ----------
     bundle, numbers
-        Working memory of `image_path`.
+        Working memory, see `image_path.follow_image_path`.
     """
-    _begin(room, wave, len(lens.surfaces))
+    _begin(room, colour, len(lens.surfaces))
     station = PLATE if array.present else LENS
     for i in range(STARTS):
         numbers[i] = i
     which, sample = 0, 0
     for first in range(0, len(pixels) * samples, STARTS):
         count = min(STARTS, len(pixels) * samples - first)
-        _draw(room, stratified, replicate_key, pixels, which, sample, samples, count)
-        which, sample = _aim(
-            room, bundle, pixels, which, sample, samples, count, replicate_key, wave, sensor, array, aim, frames,
+        _draw_numbers(room, stratified, replicate_key, pixels, which, sample, samples, count)
+        which, sample = _aim_rays(
+            room, bundle, pixels, which, sample, samples, count, replicate_key, colour, sensor, array, aim, frames,
             flow.book,
         )  # fmt: skip
         pad(bundle, count)
@@ -249,11 +267,11 @@ def launch_along_image_path(
 
 
 @kernel
-def _begin(room: StartRoom, wave: int, lens_surfaces: int) -> None:
-    """Fill in what all packets of a launch have in common."""
+def _begin(room: StartRoom, colour: int, lens_surfaces: int) -> None:
+    """Set the fields that all packets of a launch have in common."""
     for i in range(STARTS):
         packet = room.packets[i]
-        packet.wave = wave
+        packet.colour = colour
         packet.last = NO_SURFACE
         packet.column = NO_SURFACE
         packet.facet = NO_SURFACE
@@ -263,17 +281,17 @@ def _begin(room: StartRoom, wave: int, lens_surfaces: int) -> None:
 
 
 @kernel
-def _aim(
+def _aim_rays(
     room: StartRoom, bundle: Array, pixels: NDArray[np.int64], which: int, sample: int, samples: int, count: int,
-    replicate_key: np.uint64, wave: int, sensor: SensorTables, array: ArrayTables, aim: Aim, frames: Array,
+    replicate_key: np.uint64, colour: int, sensor: SensorTables, array: ArrayTables, aim: AimTables, frames: Array,
     book: Array,
 ) -> tuple[int, int]:  # fmt: skip
-    """Leave a block of rays (sensor frame) and their weights in the bundle, from the numbers that were drawn.
+    """Write a block of rays (sensor frame) and their weights to the bundle, by the numbers that were drawn.
 
     Returns
     -------
     which, sample : int
-        Pixel of the run, and its sample, with which the next block begins.
+        Index in `pixels`, and sample of that pixel, with which the next block begins.
     """
     area = sensor.pixel * sensor.pixel * MM2 / samples
     # The sensor's normal towards the array.
@@ -282,7 +300,7 @@ def _aim(
     column, row, glass = 0.0, 0.0, 1.0
     shares = Allotment(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
     if array.present:
-        glass = glass_before_faces(array, wave)
+        glass = glass_before_faces(array, colour)
     for i in range(count):
         pixel = pixels[which]
         if which != begun:
@@ -308,7 +326,7 @@ def _aim(
             # The pupil disks are square to the axis of the lens, whichever way the sensor is tilted.
             px, py, pz = move_point(frames, SENSOR_FRAME, CAMERA_FRAME, x, y, 0.0)
             dx, dy, dz, density = aimed(
-                px, py, pz, aim.exit, aim.back_radius, aim.wide_share, aim.blind_share,
+                px, py, pz, aim.exit, aim.back_radius, aim.wide_share, aim.share_without_aim,
                 numbers[DISCRETE], numbers[CELL_U], numbers[CELL_V],
             )  # fmt: skip
             ux, uy, uz = move_direction(frames, CAMERA_FRAME, SENSOR_FRAME, dx, dy, dz)

@@ -1,4 +1,4 @@
-"""Given rays: a user's, or those from a field point."""
+"""Given rays as a source: a user's own, or those from a field point."""
 
 from dataclasses import dataclass
 
@@ -18,17 +18,18 @@ Numbers = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class RaySource(Source):
-    """Rays, each of which is a packet.
+    """Rays, each of which starts one packet.
 
     Attributes
     ----------
-    position, direction : (n, 3) float64, mm, unit, camera frame
+    position : (n, 3) float64, mm, camera frame
+    direction : (n, 3) float64, unit, camera frame
     station, space : (n,) int64
-        What each ray waits for, and the space of the lens in which it starts.
+        Station at which each ray waits, and the space of the lens in which it starts.
     weight : (n,) float64
-        Power of each.
+        Power of each ray.
     key : uint64
-        Of the random numbers.
+        Key of the random numbers.
     away : float, mm
         Distance from the start within which nothing is met.
     """
@@ -45,7 +46,7 @@ class RaySource(Source):
         return len(self.position)
 
     def launch(self, work: Workspace, part: range) -> None:
-        """Put some of the rays on the stacks of their stations."""
+        """Queue some of the rays at their stations."""
         some = slice(part.start, part.stop)
         launch_rays(
             part.start, self.position[some], self.direction[some], self.station[some], self.space[some],
@@ -58,9 +59,21 @@ def launch_rays(
     first: int, p: Array, d: Array, station: Numbers, space: Numbers, weight: Array, away: float,
     medium: Numbers, key: np.uint64, flow: Flow, template: NDArray[np.void],
 ) -> None:  # fmt: skip
-    """Put rays given in the camera frame on the stacks of their stations."""
+    """Queue rays at their stations; parameters as the attributes of `RaySource`.
+
+    Parameters
+    ----------
+    first : int
+        Number of the first ray.
+    p, d : (n, 3) float64
+        Position, mm, and direction, camera frame.
+    medium : (K + 1,) int64
+        Medium of each space of the lens.
+    template : (1,) PACKET
+        Working memory.
+    """
     packet = template[0]
-    packet.wave = 0
+    packet.colour = 0
     packet.kind = CAMERA
     packet.facet = NO_SURFACE
     packet.last = NO_SURFACE

@@ -1,7 +1,7 @@
-"""A source of packets, and the launcher that drives any of them through a world, chunk by chunk.
+"""Sources of packets, and the launcher that traces any of them through a world, chunk by chunk.
 
-Whoever wants packets traced makes a source and hands it to a launcher: a render, `lf.trace`, the viewer's rays, true
-depth. A new source is a class with two methods.
+Every caller that traces packets (a render, `lf.trace`, the viewer, true depth) makes a source and gives it to a
+launcher. A new source is a class with two methods.
 """
 
 import os
@@ -17,38 +17,38 @@ T = TypeVar("T")
 
 
 class Source(ABC):
-    """What packets start from, one thing after the other: pixels, given rays, or numbers of a light's packets."""
+    """A sequence of items that packets start from: pixels, given rays, or numbers of a light's packets."""
 
     @property
     def each(self) -> int:
-        """Packets that start from one of the things."""
+        """Number of packets that start from one item."""
         return 1
 
     @abstractmethod
     def __len__(self) -> int:
-        """Return how many things packets start from."""
+        """Return the number of items."""
 
     @abstractmethod
     def launch(self, work: Workspace, part: range) -> None:
-        """Put the packets of some of the things on the stacks of a workspace.
+        """Queue the packets of some items in a workspace.
 
         Parameters
         ----------
         work : Workspace
-            Has room for them. Working memory of the launch is kept there, see `Workspace.kept`.
+            Has room for the packets, and keeps working memory of the launch, see `Workspace.kept`.
         part : range
-            Of the things.
+            Of the items.
         """
 
     def parts(self, chunk: int = CHUNK) -> Iterator[range]:
-        """Yield the things in parts that start about `chunk` packets; one thing is never taken apart."""
+        """Yield the items in ranges that start about `chunk` packets each; one item is never divided."""
         step = max(1, chunk // self.each)
         for first in range(0, len(self), step):
             yield range(first, min(first + step, len(self)))
 
 
 class Launcher:
-    """Traces the packets of sources, in a workspace of each thread.
+    """Traces the packets of sources; each thread has its own workspace.
 
     Parameters
     ----------
@@ -62,21 +62,22 @@ class Launcher:
 
     @property
     def workspace(self) -> Workspace:
-        """The calling thread's."""
+        """The calling thread's workspace."""
         if not hasattr(self._own, "workspace"):
             self._own.workspace = self._new()
         work: Workspace = self._own.workspace
         return work
 
     def trace(self, source: Source, part: range | None = None, film: FilmRows | None = None) -> Workspace:
-        """Trace a part of a source, or all of it, until no packet is left, and return the workspace with what it wrote.
+        """Trace all packets of a source, or of a part of it, to their ends; return the workspace with the results.
 
         Parameters
         ----------
         source : Source
         part : range, optional
+            Of the source's items.
         film : FilmRows, optional
-            Adjoint: what light is added to.
+            Adjoint: film that light is added to.
         """
         work, part = self.workspace, range(len(source)) if part is None else part
         work.begin(film, len(part) * source.each)
@@ -89,17 +90,18 @@ class Launcher:
     def traced(
         self, source: Source, keep: Callable[[Workspace, range], T], threads: int = 0, chunk: int = CHUNK
     ) -> list[T]:
-        """Trace a source in chunks in a pool of threads; return what is kept of each, in their order.
+        """Trace a source chunk by chunk in a pool of threads; return the result of each chunk, in order.
 
         Parameters
         ----------
         source : Source
         keep : callable
-            Returns what is wanted of the workspace in which a part was traced. It is called in the thread that traced.
+            Called with the workspace and the range of items of each chunk, in the thread that traced it; returns the
+            result to keep.
         threads : int
-            0: as many as there are processors.
+            0: one for each processor.
         chunk : int
-            Packets that are started together.
+            Number of packets that are started together.
         """
         with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
             return list(pool.map(lambda part: keep(self.trace(source, part), part), source.parts(chunk)))

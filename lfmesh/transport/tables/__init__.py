@@ -1,1 +1,1 @@
-"""A scene as kernels read it: tables of lens, array, objects and frames."""
+"""Tables of a scene as kernels read them: lens, array, objects and frames."""

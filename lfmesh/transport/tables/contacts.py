@@ -1,6 +1,6 @@
-"""Where bodies of glass touch: which facets of one may lie on which of another.
+"""Contacts between bodies of glass: pairs of facets of different bodies that may lie on each other.
 
-A ray that crosses such a pair goes from the one body into the other at once, without air between them.
+A ray that crosses such a pair passes from one body directly into the other, without air between them.
 """
 
 from typing import NamedTuple
@@ -13,30 +13,31 @@ from lfmesh.geometry.mesh import Array, Mesh, facet_normals
 Index = NDArray[np.int64]
 
 CUT = 1e-5
-"""How deep surfaces that touch may cut into each other or stand apart, relative to the smaller one's size: what float32
-files and coincident faces leave. Where they cut deeper, they overlap."""
+"""Depth by which surfaces in contact may cut into each other or stand apart, relative to the smaller body's size: the
+error of float32 files and of coincident faces. Bodies that cut deeper overlap."""
 
-MOST_UNLIKE = 0.9
-"""Cosine between the normals of facets that lie on each other, at least: those of curved ones differ a little."""
+LEAST_COSINE = 0.9
+"""Least cosine between the normals of facets in contact; those of curved surfaces differ a little."""
 
 MOST_AT_ONCE = 1 << 22
-"""Pairs of facets that are held against each other at a time."""
+"""Pairs of facets that are compared at a time, to bound the memory."""
 
 
 def contacts(meshes: list[Mesh], is_glass: NDArray[np.bool_]) -> tuple[Index, Index, float]:
-    """Return the facets that may lie on each facet, and how near they must be.
+    """Return the facets that may be in contact with each facet, and the distance within which they are.
 
     Parameters
     ----------
     meshes : list of Mesh
-        Of all targets, whose facets are counted one mesh after the other.
+        Meshes of all targets; facets are numbered through, one mesh after the other.
     is_glass : (targets,) bool
 
     Returns
     -------
     first : (facets + 1,) int64
-        Where each facet's part of `partners` begins; (0,) where no two bodies touch.
+        Index in `partners` at which each facet's partners begin; (0,) where no two bodies touch.
     partners : (n,) int64
+        Facet numbers.
     near_mm : float
     """
     none = np.zeros(0, np.int64)
@@ -54,7 +55,7 @@ def contacts(meshes: list[Mesh], is_glass: NDArray[np.bool_]) -> tuple[Index, In
     if not len(both):
         return none, none, near
     both = both[np.argsort(both[:, 0], kind="stable")]
-    # The housing's facets come last, and lie on none.
+    # The housing's facets come last and touch nothing.
     first = np.searchsorted(both[:, 0], np.arange(begins[-1] + 1))
     return first, np.ascontiguousarray(both[:, 1]), near
 
@@ -106,7 +107,7 @@ def _pairs(one: Mesh, other: Mesh, near: float) -> Index:
     """Return (n, 2) facets of two meshes whose boxes come near each other and whose normals lie along one line."""
     boxes = [_boxes(mesh) for mesh in (one, other)]
     for own, its in ((0, 1), (1, 0)):
-        # Only what is near the other mesh at all.
+        # Keep only facets near the other mesh's bounding box.
         low, high, _, _ = boxes[own]
         below, above = boxes[its][0].min(axis=0, initial=np.inf), boxes[its][1].max(axis=0, initial=-np.inf)
         kept = ((low <= above + near) & (high >= below - near)).all(axis=1)
@@ -118,7 +119,7 @@ def _pairs(one: Mesh, other: Mesh, near: float) -> Index:
     rows = max(1, MOST_AT_ONCE // len(second.number))
     for begin in range(0, len(first.number), rows):
         part = slice(begin, begin + rows)
-        meets = np.abs(first.normal[part] @ second.normal.T) >= MOST_UNLIKE
+        meets = np.abs(first.normal[part] @ second.normal.T) >= LEAST_COSINE
         for axis in range(3):
             meets &= first.low[part, axis, None] <= second.high[:, axis] + near
             meets &= first.high[part, axis, None] >= second.low[:, axis] - near
@@ -128,7 +129,7 @@ def _pairs(one: Mesh, other: Mesh, near: float) -> Index:
 
 
 class _Boxes(NamedTuple):
-    """The lowest and the highest coordinates of facets, their normals and their numbers."""
+    """Bounding boxes of facets, with their normals and their numbers."""
 
     low: Array
     high: Array
@@ -137,6 +138,6 @@ class _Boxes(NamedTuple):
 
 
 def _boxes(mesh: Mesh) -> _Boxes:
-    """Return the boxes round all facets of a mesh."""
+    """Return the bounding boxes of all facets of a mesh."""
     corners = mesh.vertices[mesh.faces]
     return _Boxes(corners.min(axis=1), corners.max(axis=1), facet_normals(mesh)[0], np.arange(len(mesh.faces)))

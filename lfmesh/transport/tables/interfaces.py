@@ -1,8 +1,8 @@
-"""The interface table: what stands at every surface between two media, by kind, and the numbers that belong to it.
+"""The interface table: the kind of each surface between two media, with its parameters.
 
-A kind is one line in `KINDS`, a branch of `_finish_of` that tells which surfaces have it and with which numbers, and
-its shares of the power in `transport.events.interface`. What the sequential engine cannot trace it refuses by this
-table.
+A new kind is one line in `KINDS`, a branch of `_finish_of` that gives the surfaces of that kind and their parameters,
+and its shares of the power in `transport.events.interface`. By this table the sequential engine refuses interfaces that
+it cannot trace.
 """
 
 from typing import NamedTuple
@@ -19,9 +19,9 @@ class Kind(NamedTuple):
     Attributes
     ----------
     name : str
-        What messages call such a surface.
+        Description in messages.
     is_smooth : bool
-        A ray goes on along the reflected and the refracted direction alone.
+        Light continues along the reflected and the refracted direction only.
     """
 
     name: str
@@ -29,20 +29,20 @@ class Kind(NamedTuple):
 
 
 KINDS = (Kind("smooth and bare", is_smooth=True),)
-"""By their numbers in the table."""
+"""Kinds by their number in the table."""
 
 
 class Finish(NamedTuple):
-    """What one interface of a scene is.
+    """Kind and parameters of one interface of a scene.
 
     Attributes
     ----------
     where : str
-        Its place in the scene file.
+        Path in the scene file.
     kind : int
-        Number in `KINDS`.
+        Index in `KINDS`.
     parameters : tuple of tuple of float
-        Rows of numbers, one a wavelength.
+        Rows of values, one for each wavelength.
     """
 
     where: str
@@ -56,11 +56,11 @@ class InterfaceTables(NamedTuple):
     Attributes
     ----------
     lens : Interfaces
-        A row a refracting surface.
+        One row for each refracting surface.
     array : Interfaces
         `CURVED_ROW` and `FLAT_ROW`.
     objects : Interfaces
-        A row a target; nobody asks for that of an opaque one.
+        One row for each target; rows of opaque targets are not used.
     """
 
     lens: Interfaces
@@ -68,17 +68,17 @@ class InterfaceTables(NamedTuple):
     objects: Interfaces
 
 
-def camera_finishes(scene: Scene, waves: tuple[float, ...]) -> tuple[list[Finish], list[Finish]]:
-    """Return what the refracting surfaces of the lens are, and the curved and the flat face of the array."""
+def camera_finishes(scene: Scene, wavelengths_nm: tuple[float, ...]) -> tuple[list[Finish], list[Finish]]:
+    """Return the finishes of the refracting surfaces of the lens, and of the curved and the flat face of the array."""
     lens = scene.camera.lens
     numbers = [i for i in range(len(lens.surfaces)) if not lens.is_pure_stop(i)]
-    surfaces = [_finish_of(f"camera.lens.surfaces[{i}]", waves) for i in numbers]
-    faces = [_finish_of(f"camera.mla, its {face} face", waves) for face in ("curved", "flat")]
+    surfaces = [_finish_of(f"camera.lens.surfaces[{i}]", wavelengths_nm) for i in numbers]
+    faces = [_finish_of(f"camera.mla, its {face} face", wavelengths_nm) for face in ("curved", "flat")]
     return surfaces, faces
 
 
 def rough_interface(scene: Scene) -> str | None:
-    """Return which surface of lens or array is not smooth, in words; None: all are."""
+    """Describe the first surface of lens or array that is not smooth; None if all are."""
     surfaces, faces = camera_finishes(scene, scene.transport.wavelengths_nm)
     for finish in (*surfaces, *(faces if scene.camera.mla is not None else ())):
         kind = KINDS[finish.kind]
@@ -87,24 +87,26 @@ def rough_interface(scene: Scene) -> str | None:
     return None
 
 
-def interface_tables(scene: Scene, waves: tuple[float, ...]) -> InterfaceTables:
+def interface_tables(scene: Scene, wavelengths_nm: tuple[float, ...]) -> InterfaceTables:
     """Return the interfaces of lens, array and object space at some wavelengths, in nm."""
-    surfaces, faces = camera_finishes(scene, waves)
-    bodies = [_finish_of(f"targets[{i}]", waves) for i in range(len(scene.targets))]
+    surfaces, faces = camera_finishes(scene, wavelengths_nm)
+    bodies = [_finish_of(f"targets[{i}]", wavelengths_nm) for i in range(len(scene.targets))]
     return InterfaceTables(
-        lens=_table(surfaces, len(waves)), array=_table(faces, len(waves)), objects=_table(bodies, len(waves))
+        lens=_table(surfaces, len(wavelengths_nm)),
+        array=_table(faces, len(wavelengths_nm)),
+        objects=_table(bodies, len(wavelengths_nm)),
     )
 
 
-def _finish_of(where: str, waves: tuple[float, ...]) -> Finish:
-    """Return what a surface is. None that a scene can ask for is anything but smooth and bare as yet."""
+def _finish_of(where: str, wavelengths_nm: tuple[float, ...]) -> Finish:
+    """Return the finish of a surface; scene files have no other than smooth and bare as yet."""
     return Finish(where, kind=0)
 
 
-def _table(finishes: list[Finish], waves: int) -> Interfaces:
+def _table(finishes: list[Finish], colours: int) -> Interfaces:
     """Return interfaces as kernels read them."""
     rows = np.zeros(len(finishes), INTERFACE)
     rows["kind"] = [finish.kind for finish in finishes]
     rows["first"] = np.cumsum([0, *(len(finish.parameters) for finish in finishes[:-1])])[: len(finishes)]
     parameters = [numbers for finish in finishes for numbers in finish.parameters]
-    return Interfaces(rows=rows, parameters=np.array(parameters, dtype=np.float64).reshape(-1, waves))
+    return Interfaces(rows=rows, parameters=np.array(parameters, dtype=np.float64).reshape(-1, colours))

@@ -1,4 +1,4 @@
-"""The tables of lens and array: surfaces, facets, media, as the kernels read them."""
+"""Tables of lens and array as kernels read them: surfaces, facets, media."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +22,26 @@ from lfmesh.transport.tables.tables import (
 
 
 def lens_tables(
-    scene: Scene, shape: LensShape, waves: tuple[float, ...], book: Book, interfaces: Interfaces, known: MediumList
+    scene: Scene,
+    shape: LensShape,
+    wavelengths_nm: tuple[float, ...],
+    book: Book,
+    interfaces: Interfaces,
+    known: MediumList,
 ) -> tuple[Mesh, LensTables]:
-    """Return the facets of the lens as one mesh, for Embree, and its tables."""
+    """Return the facets of the lens as one mesh, for Embree, and the tables of the lens.
+
+    Parameters
+    ----------
+    scene : Scene
+    shape : LensShape
+    wavelengths_nm : (wavelengths,) tuple of float
+    book : Book
+    interfaces : Interfaces
+        One row for each refracting surface.
+    known : MediumList
+        The media of the scene.
+    """
     count = len(shape.caps)
     mesh = joined([*shape.caps, *shape.closures])
     bodies = np.repeat(
@@ -35,11 +52,11 @@ def lens_tables(
     ring_slot[np.add(shape.elements, 1, dtype=np.int64)] = book.edges
     stop_space, stop_z, stop_radius = _pure_stop(scene, shape)
     caps = np.concatenate([m.vertices for m in shape.caps])
-    # The box stands off by a rounding error, so that a flat surface has one that a ray can enter.
+    # Larger by a rounding error, so that a flat surface, too, has a box that rays can enter.
     slack = 1e-9 * np.abs(caps).max()
     first, last = shape.surfaces[0], shape.surfaces[-1]
     patches_, across = curved(bool((shape.surfaces["level"] == PATCH).any()), mesh)
-    media, medium = known.table(waves), np.array([known.number(each) for each in shape.media])
+    media, medium = known.table(wavelengths_nm), np.array([known.number(each) for each in shape.media])
     return mesh, LensTables(
         surfaces=shape.surfaces,
         patches=patches_,
@@ -62,7 +79,7 @@ def lens_tables(
 
 
 def _pure_stop(scene: Scene, shape: LensShape) -> tuple[int, float, float]:
-    """Return the space of a stop that is no refracting surface, its z and its radius; space −1: there is none."""
+    """Return space, z (mm) and radius (mm) of a stop that is not a refracting surface; space −1 if there is none."""
     prescription = scene.camera.lens
     for i, s in enumerate(prescription.surfaces):
         if prescription.is_pure_stop(i):
@@ -72,10 +89,20 @@ def _pure_stop(scene: Scene, shape: LensShape) -> tuple[int, float, float]:
 
 
 def array_tables(
-    scene: Scene, waves: tuple[float, ...], interfaces: Interfaces, known: MediumList
+    scene: Scene, wavelengths_nm: tuple[float, ...], interfaces: Interfaces, known: MediumList
 ) -> tuple[Mesh, ArrayTables]:
-    """Return the cells of the array, one a type side by side, as one mesh for Embree, and its tables."""
-    mla, media = scene.camera.mla, known.table(waves)
+    """Return one cell for each lenslet type, side by side, as one mesh for Embree, and the tables of the array.
+
+    Parameters
+    ----------
+    scene : Scene
+    wavelengths_nm : (wavelengths,) tuple of float
+    interfaces : Interfaces
+        `CURVED_ROW` and `FLAT_ROW`.
+    known : MediumList
+        The media of the scene.
+    """
+    mla, media = scene.camera.mla, known.table(wavelengths_nm)
     if mla is None:
         nothing = lenslets(Lattice(False, 1.0, 1, 1), np.array([np.inf]), 1.0)
         empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
@@ -121,7 +148,7 @@ def _cells(
 
 
 def curved(needed: bool, mesh: Mesh) -> tuple[Array, NDArray[np.int64]]:
-    """Return the patches of a mesh and their neighbours, empty where no surface needs them."""
+    """Return the curved patches of a mesh and their neighbours; empty tables where they are not needed."""
     if not needed or mesh.corner_normals is None:
         return np.zeros((0, 6, 3)), np.zeros((0, 3), np.int64)
     return patches(mesh.vertices[mesh.faces], mesh.corner_normals), neighbours(mesh.faces, mesh.corner_normals)

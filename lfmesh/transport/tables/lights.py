@@ -1,7 +1,7 @@
-"""The lights as kernels read them.
+"""The table of lights as kernels read it.
 
-A new light has its model in `scene/lights.py`, its kind, its row and its power here, and in
-`transport/events/lighting.py` how it lights a point and how its packets start.
+A new light has its model in `scene/lights.py`; its kind, its row and its power here; and in
+`transport/events/lighting.py` its irradiance at a point and the start of its packets.
 """
 
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry import frame as frames
+from lfmesh.geometry import frame
 from lfmesh.scene.lights import DirectionalLight, DiskLight, Light
 
 Array = NDArray[np.float64]
@@ -19,7 +19,7 @@ LIGHT = np.dtype(
     [
         ("kind", "i8"),
         ("position", "f8", (3,)),
-        ("direction", "f8", (3,)),  # unit, the way the light goes
+        ("direction", "f8", (3,)),  # unit, along which the light travels
         ("radius", "f8"),
         ("power", "f8"),  # W; directional: irradiance in W/m²
     ]
@@ -28,7 +28,7 @@ LIGHT = np.dtype(
 POINT, DIRECTIONAL, DISK = 0, 1, 2
 
 MM2 = 1e-6
-"""m² in a mm²."""
+"""One mm² in m²."""
 
 
 def light_table(lights: Sequence[Light], to_object: Array) -> NDArray[np.void]:
@@ -38,7 +38,7 @@ def light_table(lights: Sequence[Light], to_object: Array) -> NDArray[np.void]:
     ----------
     lights : sequence of Light
     to_object : (3, 4) float64
-        From the world frame into the object frame.
+        Move from the world frame into the object frame.
     """
     table = np.zeros(len(lights), LIGHT)
     table["direction"] = (0.0, 0.0, 1.0)
@@ -47,9 +47,9 @@ def light_table(lights: Sequence[Light], to_object: Array) -> NDArray[np.void]:
             row["kind"], row["power"] = DIRECTIONAL, light.irradiance_w_m2
         else:
             row["kind"], row["power"] = POINT, light.power_w
-            row["position"] = frames.points(to_object, [light.position_mm])[0]
+            row["position"] = frame.points(to_object, [light.position_mm])[0]
         if isinstance(light, DirectionalLight | DiskLight):
-            d = frames.directions(to_object, [light.direction])[0]
+            d = frame.directions(to_object, [light.direction])[0]
             row["direction"] = d / np.linalg.norm(d)
         if isinstance(light, DiskLight):
             row["kind"], row["radius"] = DISK, light.radius_mm
@@ -57,14 +57,15 @@ def light_table(lights: Sequence[Light], to_object: Array) -> NDArray[np.void]:
 
 
 def power_towards(light: Any, middle: Array, radius: float) -> tuple[float, float]:
-    """Return what of a light's power goes towards a sphere, and its power in all, W.
+    """Return the power that a light sends towards a sphere, and its whole power, W.
 
     Parameters
     ----------
     light : LIGHT
-        A row of the table; of directional light, all that goes through the sphere counts.
-    middle, radius : (3,) float64, float, mm
-        Of the sphere.
+        A row of the table. For directional light both are the power through the sphere.
+    middle : (3,) float64, mm
+        Centre of the sphere.
+    radius : float, mm
     """
     if light["kind"] == DIRECTIONAL:
         power = light["power"] * np.pi * radius**2 * MM2

@@ -1,6 +1,6 @@
 """The media of a scene: air, and the glasses of lens, array and bodies in object space, each with a number.
 
-Packets carry the number of the medium that they travel in; what a medium does to light is a column of `Media`.
+Packets carry the number of the medium that they travel in; the properties of media are the fields of `Media`.
 """
 
 from dataclasses import dataclass
@@ -39,6 +39,10 @@ class MediumList:
         """Return the number of a medium."""
         return self.media.index(medium)
 
-    def table(self, waves: tuple[float, ...]) -> Media:
-        """Return the media as kernels read them, at some wavelengths in nm."""
-        return Media(indices=np.array([[refractive_index(medium, wave) for wave in waves] for medium in self.media]))
+    def table(self, wavelengths_nm: tuple[float, ...]) -> Media:
+        """Return the media at some wavelengths, as kernels read them."""
+        return Media(
+            indices=np.array(
+                [[refractive_index(medium, wavelength_nm) for wavelength_nm in wavelengths_nm] for medium in self.media]
+            )
+        )

@@ -1,10 +1,10 @@
-"""The tables of object space: targets, lights, what forward packets start from, and the camera's outside."""
+"""Tables of object space: targets, lights, the sources of forward packets, and the camera's housing."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
-from lfmesh.geometry import frame as frames
+from lfmesh.geometry import frame
 from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, facet_table, joined
@@ -35,7 +35,7 @@ def middle_of(targets: list[TargetMesh]) -> Array:
 
 
 def housing_mesh(scene: Scene, shape: LensShape) -> Mesh:
-    """Return the camera's outside: a plate round the first rim, the barrel, and the body round array and sensor."""
+    """Return the camera's housing: a plate around the first rim, the barrel, and the body around array and sensor."""
     barrel = 1.05 * max(shape.rims)
     front = float(shape.surfaces[0]["vertex_z"] + mesh_sag(shape.surfaces[0], shape.rims[0]))
     back = float(shape.surfaces[-1]["vertex_z"] + mesh_sag(shape.surfaces[-1], shape.rims[-1]))
@@ -52,13 +52,28 @@ def housing_mesh(scene: Scene, shape: LensShape) -> Mesh:
 
 
 def refuse_targets_inside(targets: list[TargetMesh], housing: Mesh, moves: Array) -> None:
-    """Refuse a target that reaches into the camera's outline."""
+    """Refuse a target that reaches into the camera.
+
+    Parameters
+    ----------
+    targets : list of TargetMesh
+        World frame.
+    housing : Mesh
+        Camera frame.
+    moves : (5, 5, 3, 4) float64
+        See `frame_table`.
+
+    Raises
+    ------
+    SceneError
+        The message names the target and the place.
+    """
     radius = np.hypot(housing.vertices[:, 0], housing.vertices[:, 1])
     front, end = housing.vertices[:, 2].min(), housing.vertices[:, 2].max()
     rounding = 4.0 * np.finfo(np.float64).eps * np.abs(housing.vertices).max()
     barrel = radius[housing.vertices[:, 2] <= front + rounding].max()
     for i, target in enumerate(targets):
-        corners = frames.points(moves[WORLD_FRAME, CAMERA_FRAME], target.mesh.vertices)[target.mesh.faces]
+        corners = frame.points(moves[WORLD_FRAME, CAMERA_FRAME], target.mesh.vertices)[target.mesh.faces]
         low, high = corners.min(axis=1), corners.max(axis=1)
         near = (low[:, :2] < barrel).all(axis=1) & (high[:, :2] > -barrel).all(axis=1)
         near &= (low[:, 2] < end) & (high[:, 2] > front)
@@ -72,7 +87,7 @@ def refuse_targets_inside(targets: list[TargetMesh], housing: Mesh, moves: Array
 
 
 def _between(polygon: Array, front: float, end: float) -> Array:
-    """Return the part of a convex polygon (n, 3) between two planes square to the axis."""
+    """Return the part of a convex polygon (n, 3) between two planes perpendicular to the axis."""
     for sign, plane in ((1.0, front), (-1.0, end)):
         height = sign * (polygon[:, 2] - plane)
         kept = []
@@ -99,10 +114,29 @@ def _distance_to_axis(polygon: Array) -> float:
 
 def object_tables(
     scene: Scene, targets: list[TargetMesh], housing: Mesh, moves: Array,
-    book: Book, waves: tuple[float, ...], interfaces: Interfaces, known: MediumList,
+    book: Book, wavelengths_nm: tuple[float, ...], interfaces: Interfaces, known: MediumList,
     ranks: NDArray[np.int64],
 ) -> tuple[Mesh, ObjectTables]:  # fmt: skip
-    """Return targets and housing as one mesh in the object frame, for Embree, and their tables."""
+    """Return targets and housing as one mesh in the object frame, for Embree, and their tables.
+
+    Parameters
+    ----------
+    scene : Scene
+    targets : list of TargetMesh
+        World frame.
+    housing : Mesh
+        Camera frame.
+    moves : (5, 5, 3, 4) float64
+        See `frame_table`.
+    book : Book
+    wavelengths_nm : (wavelengths,) tuple of float
+    interfaces : Interfaces
+        One row for each target.
+    known : MediumList
+        The media of the scene.
+    ranks : (targets,) int64
+        See `ObjectTables.rank`.
+    """
     to_object = moves[WORLD_FRAME, OBJECT_FRAME]
     parts = [t.mesh.moved(to_object) for t in targets]
     mesh = joined([*parts, housing.moved(moves[CAMERA_FRAME, OBJECT_FRAME])])
@@ -110,7 +144,7 @@ def object_tables(
     facets = facet_table(mesh, bodies.astype(np.int64))
     uv = np.zeros((len(mesh.faces), 3, 2))
     texture = np.zeros((len(targets), 3), np.int64)
-    weights = np.array([wavelength_weights(w) for w in waves])
+    weights = np.array([wavelength_weights(w) for w in wavelengths_nm])
     texels: list[NDArray[np.float32]] = []
     filled = 0
     for i, target in enumerate(targets):
@@ -126,7 +160,7 @@ def object_tables(
     glasses = [t.refractor for t in scene.targets]
     level = np.array([SURFACE_LEVEL[g.surface] if g is not None else 0 for g in glasses], dtype=np.int64)
     patches, across = curved(bool((level == PATCH).any()), mesh)
-    # By rank, from 1; nobody asks for that of 0.
+    # Target of each rank, from 1; the entry of rank 0 is not used.
     by_rank = np.zeros(int(ranks.max(initial=0)) + 1, np.int64)
     by_rank[ranks[ranks > 0]] = np.flatnonzero(ranks)
     first, partners, near = contacts([target.mesh for target in targets], ranks > 0)
@@ -134,9 +168,9 @@ def object_tables(
         facets=facets,
         uv=uv,
         closed=np.array([t.closed for t in targets], dtype=np.bool_),
-        scattering=scattering_tables(materials, waves),
-        radiance=_by_wave([m.radiance_w_m2_sr for m in materials], waves),
-        media=known.table(waves),
+        scattering=scattering_tables(materials, wavelengths_nm),
+        radiance=_by_wave([m.radiance_w_m2_sr for m in materials], wavelengths_nm),
+        media=known.table(wavelengths_nm),
         medium=np.array([known.number(g.medium) if g is not None else OPAQUE for g in glasses], dtype=np.int64),
         interfaces=interfaces,
         rank=ranks,
@@ -148,7 +182,7 @@ def object_tables(
         patches=patches,
         across=across,
         texture=texture,
-        texels=np.concatenate(texels) if texels else np.zeros((0, len(waves)), np.float32),
+        texels=np.concatenate(texels) if texels else np.zeros((0, len(wavelengths_nm)), np.float32),
         target_slot=book.targets,
         lost_slot=np.append(book.lost_in_targets, LOST_OUTSIDE),
         lights=light_table(scene.lights, to_object),
@@ -162,9 +196,9 @@ def object_tables(
 
 
 def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
-    """Return the tables from which the forward method starts the packets of lamps alone, towards glass.
+    """Return tables with which the forward method starts packets from lamps alone, aimed at the glass.
 
-    None where there is nothing to start: no lamp, no glass, or no target that scatters.
+    None where no packet need start: without lamps, without glass, or without a target that scatters.
     """
     glass = objects.medium != OPAQUE
     facets = np.append(glass, False)[objects.facets["body"]]
@@ -177,22 +211,22 @@ def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
     return objects._replace(sources=_sources(_lamps(objects)))
 
 
-def _by_wave(values: list[float], waves: tuple[float, ...]) -> Array:
-    return np.repeat(np.array(values, dtype=np.float64).reshape(-1, 1), len(waves), axis=1)
+def _by_wave(values: list[float], wavelengths_nm: tuple[float, ...]) -> Array:
+    return np.repeat(np.array(values, dtype=np.float64).reshape(-1, 1), len(wavelengths_nm), axis=1)
 
 
 Entry = tuple[int, int, float, float]
-"""Light (or −1), facet (or −1), power towards what is aimed at, power in all, W."""
+"""Light (or −1), facet (or −1), power towards the sphere that is aimed at, whole power, W."""
 
 
 def _lamps(objects: ObjectTables) -> list[Entry]:
-    """Return what each light sends, and what of it goes towards the sphere that is aimed at."""
+    """Return the sources of the lights: power towards the sphere that is aimed at, and whole power."""
     middle, radius = objects.lit_middle, objects.lit_radius
     return [(i, -1, *power_towards(light, middle, radius)) for i, light in enumerate(objects.lights)]
 
 
 def _glowing_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:
-    """Return what each facet of an emitting target sends."""
+    """Return the sources of emitting targets, one for each facet."""
     entries = []
     areas = facet_normals(mesh)[1]
     glow = objects.radiance.max(axis=1) if len(objects.radiance) else np.zeros(0)
@@ -205,12 +239,12 @@ def _glowing_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:
 
 
 def _sources(entries: list[Entry]) -> NDArray[np.void]:
-    """Return what the forward method starts packets from, with shares in proportion to the power towards targets."""
+    """Return the table of forward sources; their shares of the packets follow the power towards the targets."""
     table = np.zeros(len(entries), SOURCE)
     if entries:
         table["light"], table["facet"], table["share"], table["power"] = zip(*entries, strict=True)
         reaching = table["share"].sum()
-        # Where nothing is to be lit, every light has its turn all the same: the ledger wants their power.
+        # Where no power reaches the sphere, all get equal shares: the ledger books their power all the same.
         table["share"] = table["share"] / reaching if reaching > 0.0 else 1.0 / len(table)
         table["until"] = np.cumsum(table["share"])
     return table

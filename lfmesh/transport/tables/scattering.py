@@ -1,7 +1,7 @@
-"""What targets do with light, as kernels read it: a model for each, chosen by its kind, with its parameters.
+"""The scattering models of targets as kernels read them: a kind for each target, with its parameters.
 
 A new model has its parameters in the scene's `Material`, its kind and its row here, and its formulas in
-`transport/events/scattering.py`. Nothing else asks how a target scatters.
+`transport/events/scattering.py`. No other code depends on the kind.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ SCATTERING = np.dtype(
     [
         ("kind", "i8"),
         ("first", "i8"),  # row of `ScatteringTables.parameters` with its first parameter
-        ("black", "?"),  # sends nothing back, at any wavelength
+        ("black", "?"),  # scatters nothing, at any wavelength
     ]
 )
 
@@ -28,19 +28,19 @@ LAMBERTIAN = 0  # parameter: reflectance
 class ScatteringTables(NamedTuple):
     """The scattering models of all targets."""
 
-    models: NDArray[np.void]  # (targets + 1,) SCATTERING; the last is that of light which targets emit
+    models: NDArray[np.void]  # (targets + 1,) SCATTERING; the last one is for light that targets emit
     parameters: Array  # (parameters of all models, wavelengths)
 
 
-def scattering_tables(materials: Sequence[Material], waves: tuple[float, ...]) -> ScatteringTables:
-    """Return the scattering models of some materials, and after them that of emission.
+def scattering_tables(materials: Sequence[Material], wavelengths_nm: tuple[float, ...]) -> ScatteringTables:
+    """Return the scattering models of some materials, followed by the model of emission.
 
-    What a target emits leaves it by Lambert's law, whatever it does with light from elsewhere.
+    Emission follows Lambert's law, whatever the target's scattering model.
 
     Parameters
     ----------
     materials : sequence of Material
-    waves : (wavelengths,) tuple of float, nm
+    wavelengths_nm : (wavelengths,) tuple of float
     """
     models = np.zeros(len(materials) + 1, SCATTERING)
     rows: list[Array] = []
@@ -48,7 +48,7 @@ def scattering_tables(materials: Sequence[Material], waves: tuple[float, ...]) -
         model["kind"], parameters = _model_of(material)
         model["first"] = len(rows)
         model["black"] = not any(parameters)
-        rows += [np.full(len(waves), parameter) for parameter in parameters]
+        rows += [np.full(len(wavelengths_nm), parameter) for parameter in parameters]
     return ScatteringTables(models, np.array(rows))
 
 

@@ -1,4 +1,4 @@
-"""The built scene as the kernels read it: flat tables of surfaces, facets, media, frames, materials and lights."""
+"""The built scene as kernels read it: flat tables of surfaces, facets, media, frames, materials and lights."""
 
 from typing import NamedTuple
 
@@ -13,16 +13,16 @@ Records = NDArray[np.void]
 
 
 class Interfaces(NamedTuple):
-    """What stands at the interfaces of a region (see `tables.interfaces`)."""
+    """Interfaces of a region (see `tables.interfaces`)."""
 
     rows: Records  # (n,) INTERFACE
-    parameters: Array  # (numbers, wavelengths), those of an interface from its `first` row on
+    parameters: Array  # (parameters of all, wavelengths); those of an interface begin in its `first` row
 
 
 class Media(NamedTuple):
-    """What rays travel through, a row a medium (see `tables.media`)."""
+    """Media that rays travel through, one row for each (see `tables.media`)."""
 
-    indices: Array  # (media, wavelengths) of refraction
+    indices: Array  # (media, wavelengths) refractive indices
 
 
 AIR = 0
@@ -33,40 +33,40 @@ class LensTables(NamedTuple):
     """The main lens in the camera frame.
 
     Refracting surface k separates space k (towards the object) from space k + 1. A ring joins the rims of two
-    surfaces, so that every space inside the lens is closed: a packet in it meets its own two surfaces, its own ring,
-    or nothing. What Embree reports beyond that is a contradiction, to be queried again.
+    neighbouring surfaces, so that every space inside the lens is closed: a packet in it can meet the two surfaces and
+    the ring of that space only. Any other facet that Embree reports is refused and the ray queried again.
     """
 
     surfaces: Records  # (K,) SURFACE
-    patches: Array  # (m, 6, 3) curved facets, (0, 6, 3) where the level needs none
-    across: NDArray[np.int64]  # (m, 3) their neighbours
+    patches: Array  # (m, 6, 3) curved facets; (0, 6, 3) where the surface level needs none
+    across: NDArray[np.int64]  # (m, 3) neighbours of each patch
     facets: Records  # (m,) FACET; body: surface k ≥ 0, or −1 − s for the ring of space s
     media: Media
-    medium: NDArray[np.int64]  # (K + 1,) of each space
-    interfaces: Interfaces  # a row a surface
+    medium: NDArray[np.int64]  # (K + 1,) medium of each space
+    interfaces: Interfaces  # one row for each surface
     ring_slot: NDArray[np.int64]  # (K + 1,) book slot of each space's ring
-    mount_slot: NDArray[np.int64]  # (K,) book slot of what lies outside each surface's clear aperture
+    mount_slot: NDArray[np.int64]  # (K,) book slot of the mount outside each surface's clear aperture
     stop_space: int  # −1: the stop is a refracting surface
     stop_z: float
     stop_radius: float
-    box_low: Array  # (3,) bounds of all caps
+    box_low: Array  # (3,) mm, bounding box of the meshes of all surfaces
     box_high: Array
     convex_front: bool  # a ray that leaves the first surface towards the object cannot meet the lens again
     convex_back: bool
-    lost_slot: NDArray[np.int64]  # (K + 1,) book slot of what is lost in each space
+    lost_slot: NDArray[np.int64]  # (K + 1,) book slot of energy lost in each space
 
 
 class ArrayTables(NamedTuple):
-    """The microlens array in its own frame (z from the curved face into the glass), folded into one cell a type."""
+    """The microlens array in its own frame, z from the curved face into the glass; one cell mesh for each type."""
 
     present: bool
     lenslets: Lenslets
-    patches: Array  # as the lens's
+    patches: Array  # as for the lens
     across: NDArray[np.int64]
     facets: Records  # (m,) FACET of the cells of all types, side by side
-    type_shift: float  # x distance of two types' cells in the Embree scene
+    type_shift: float  # mm, x distance between the cells of two types in the Embree scene
     media: Media
-    medium: int  # of the glass
+    medium: int  # medium of the lenslets
     interfaces: Interfaces  # CURVED_ROW and FLAT_ROW
     curved_to_lens: bool
 
@@ -80,7 +80,7 @@ class SensorTables(NamedTuple):
 
 
 OPAQUE = -1
-"""In place of the medium of a target that is none."""
+"""`ObjectTables.medium` of a target that is not a body of glass."""
 
 
 class ObjectTables(NamedTuple):
@@ -88,90 +88,90 @@ class ObjectTables(NamedTuple):
 
     facets: Records  # (m,) FACET; body: target t ≥ 0, or −1 for the housing
     uv: Array  # (m, 3, 2)
-    closed: NDArray[np.bool_]  # (targets,) scatters and emits outside only
+    closed: NDArray[np.bool_]  # (targets,) a closed surface, which scatters and emits on its outside only
     scattering: ScatteringTables
     radiance: Array  # (targets, wavelengths) W/(m² sr)
     media: Media
-    medium: NDArray[np.int64]  # (targets,) of a body of glass; OPAQUE: of any other
-    interfaces: Interfaces  # a row a target
-    rank: NDArray[
-        np.int64
-    ]  # (targets,) of a body of glass, from 1; 0: none. The highest is the medium where several are
+    medium: NDArray[np.int64]  # (targets,) medium of a body of glass; OPAQUE for all other targets
+    interfaces: Interfaces  # one row for each target
+    # (targets,) rank of a body of glass, from 1; 0 for all other targets. Where bodies overlap, the medium is that of
+    # the highest rank.
+    rank: NDArray[np.int64]
     by_rank: NDArray[np.int64]  # (bodies of glass + 1,) target of each rank
-    contact_first: NDArray[np.int64]  # (m + 1,) of each facet, its first one in `contacts`; (0,) where no bodies touch
-    contacts: NDArray[np.int64]  # facets of other bodies of glass that it may lie on
-    contact_mm: float  # distance within which facets that touch lie on each other
-    level: NDArray[np.int64]  # (targets,) what a facet of glass stands for
+    contact_first: NDArray[np.int64]  # (m + 1,) where each facet's `contacts` begin; (0,) where no bodies touch
+    contacts: NDArray[np.int64]  # for each facet, facets of other bodies of glass that it may lie on
+    contact_mm: float  # distance within which facets are in contact
+    level: NDArray[np.int64]  # (targets,) surface level of a body of glass
     patches: Array  # (m, 6, 3), or none
     across: NDArray[np.int64]
     texture: NDArray[np.int64]  # (targets, 3): first value, height, width; height 0: none
     texels: NDArray[np.float32]  # (values, wavelengths)
-    target_slot: NDArray[np.int64]  # (targets,)
-    lost_slot: NDArray[np.int64]  # (targets + 1,) of what is lost in glass or beside a target; the last: in the open
+    target_slot: NDArray[np.int64]  # (targets,) book slot
+    lost_slot: NDArray[np.int64]  # (targets + 1,) book slot of energy lost at each target; the last: in open space
     lights: Records  # LIGHT
-    sources: Records  # SOURCE: what the forward method starts from
-    radius: float  # of a sphere round the origin that holds the targets
-    outer_radius: float  # of one that holds the camera too
-    lit_middle: Array  # (3,) centre and
-    lit_radius: float  # radius of the sphere at which the packets of lamps are aimed
+    sources: Records  # SOURCE: where the forward method starts packets
+    radius: float  # mm, of a sphere about the origin that holds the targets
+    outer_radius: float  # mm, of a sphere about the origin that holds targets and camera
+    lit_middle: Array  # (3,) mm, centre of the sphere at which lamps' packets are aimed
+    lit_radius: float  # mm, radius of that sphere
 
 
 class Opening(NamedTuple):
-    """What of a side of the lens lets light through, as points see it: disks in a plane square to the axis.
+    """Effective pupil of one side of the lens: disks in a plane perpendicular to the axis, by field angle and distance.
 
-    By field angle (columns, evenly spaced in its tangent) and distance (rows, evenly spaced in its inverse).
+    Columns are field angles, evenly spaced in their tangent; rows are distances, evenly spaced in their inverse.
     """
 
-    known: bool
-    plane_z: float  # camera frame
+    known: bool  # False: nothing is known, and rays go anywhere on the lens
+    plane_z: float  # mm, camera frame
     sense: float  # 1: points lie before the plane (smaller z), −1: behind it
     tangent_step: float
     nearness: float  # 1 / distance of the first row, 1/mm
     nearness_step: float
-    middle: Array  # (n + 1, m + 1) mm along the meridian, towards the point
-    radius: Array  # (n, m) mm, of the meshes between; −1: nothing gets through
+    middle: Array  # (n + 1, m + 1) mm, centre of the disk along the meridian, positive towards the point
+    radius: Array  # (n, m) mm, for the intervals between rows and columns; −1: no light gets through
 
 
-class Aim(NamedTuple):
-    """Where rays are aimed. Disks are square to the axis, in the camera frame.
+class AimTables(NamedTuple):
+    """Where rays are aimed. Disks are perpendicular to the axis, in the camera frame.
 
-    Most rays go to the lens's opening, which holds the image path; a share goes to a disk that every ray that can reach
-    the lens at all crosses, or to the whole hemisphere.
+    Most rays go to the lens's opening, which holds the image path. A small share goes to a wide disk that every ray to
+    the lens crosses or, through an array, into the whole hemisphere.
     """
 
     entrance: Opening  # as seen from the targets
-    front_radius: float  # of the wide disk in its plane
-    exit: Opening  # as seen from the sensor, where there is no array
-    back_radius: float
-    wide_share: float  # of the rays from a point that sees the opening, and ...
-    blind_share: float  # ... that are sent at all from one that sees none
+    front_radius: float  # mm, of the wide disk in the plane of `entrance`
+    exit: Opening  # as seen from the sensor; with an array, from the lenslets
+    back_radius: float  # mm, of the wide disk in the plane of `exit`
+    wide_share: float  # share of unaimed rays, from a point that sees the opening
+    share_without_aim: float  # share of rays that are sent at all, all unaimed, from a point that sees no opening
     # The array: which lenslets show the opening to a point of the sensor.
-    lenslet_z: float  # the apexes as the sensor sees them, array frame
-    pupil_x: float  # middle of the paraxial exit pupil, array frame: with it, the chief ray's cell is found
+    lenslet_z: float  # mm, lenslet apexes as the sensor sees them, array frame
+    pupil_x: float  # mm, centre of the paraxial exit pupil, array frame; it gives the cell that the chief ray meets
     pupil_y: float
     pupil_vergence: float  # 1 / reduced distance from the curved face to the exit pupil, 1/mm; 0: telecentric
-    slope: Array  # (cells, 2) of the ray from a lenslet's middle to the middle of the opening that it sees
-    slope_radius2: Array  # (cells,) square of how far from that a ray may go and still reach it; −1: it sees none
+    slope: Array  # (cells, 2) slope of the ray from a lenslet's centre to the centre of the opening that it sees
+    slope_radius2: Array  # (cells,) squared radius, in slopes, of the opening about that; −1: the lenslet sees none
     sure2: float  # part of that square within which a lenslet surely shows the opening
-    cell_margin: float  # mm by which an aimed cell stands out: a mesh of its face is not quite where that is
-    search: int  # cells to each side that may show the pupil
+    cell_margin: float  # mm by which aimed cells are larger than the lattice's, as meshes of their faces deviate
+    search: int  # number of cells to each side of the chief ray's that may show the opening
 
 
 class Tables(NamedTuple):
-    """All of it."""
+    """All tables of a scene."""
 
     lens: LensTables
     array: ArrayTables
     sensor: SensorTables
     objects: ObjectTables
     frames: Array  # (5, 5, 3, 4): frames[a, b] moves from frame a into frame b
-    aim: Aim
+    aim: AimTables
 
 
 INTERFACE = np.dtype(
     [
         ("kind", "i8"),  # number in `tables.interfaces.KINDS`
-        ("first", "i8"),  # row of its parameters
+        ("first", "i8"),  # row of its first parameter
     ]
 )
 
@@ -184,6 +184,6 @@ SOURCE = np.dtype(
         ("facet", "i8"),  # number of the emitting facet, or −1
         ("until", "f8"),  # cumulative share of the power
         ("share", "f8"),
-        ("power", "f8"),  # W at full texture, all sides (facets); directional: over the targets' disk
+        ("power", "f8"),  # W; facets: all sides, texture value 1; directional light: through the targets' disk
     ]
 )

@@ -339,7 +339,7 @@ def _assembled(
 ) -> Rays:
     ended, nodes = joined_records(parts)
     lengths = np.array([wavelength for _, wavelength in settings.waves])
-    return assembled(world, ended, nodes, lengths[ended["wave"]], ended["source"] if from_sensor else None)
+    return assembled(world, ended, nodes, lengths[ended["colour"]], ended["source"] if from_sensor else None)
 
 
 def _square(number: NDArray[np.int64], seed: int) -> tuple[Floats, Floats]:

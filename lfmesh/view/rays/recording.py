@@ -37,7 +37,7 @@ def traced(world: World, tables: Tables, options: Options, source: Source, wave:
         parts.append((work.ends(), work.vertices()))
         work.recorded += len(parts[-1][1])
     ended, nodes = joined_records(parts)
-    ended["wave"] = wave
+    ended["colour"] = wave
     return ended, nodes
 
 

@@ -10,28 +10,28 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.transport.aiming.aim_proof import (
     ALLOWED,
-    Openings,
+    CameraTables,
     _beyond_object_aim,
     _beyond_sensor_aim,
     _drawn,
     _reach,
     proven,
 )
-from lfmesh.transport.aiming.pupil import outlook
-from lfmesh.transport.tables.tables import Aim
+from lfmesh.transport.aiming.pupil import viewpoints
+from lfmesh.transport.tables.tables import AimTables
 from lfmesh.transport.world import World
 
 RandomCamera = Callable[[int], lf.Scene]
 
 
-def missed(world: World, aim: Aim, seed: int = 99) -> tuple[float, float]:
+def missed(world: World, aim: AimTables, seed: int = 99) -> tuple[float, float]:
     """Return the shares of the throughput outside an aim's two sides, by new rays."""
     random = np.random.default_rng(seed)
     tables = world.tables
-    through = Openings(tables.lens, tables.array, tables.sensor, tables.frames)
+    through = CameraTables(tables.lens, tables.array, tables.sensor, tables.frames)
     rays = _drawn(through, _reach(through, random), random)
     corners = world.targets[0].mesh.vertices
-    seen = outlook(aim.entrance.plane_z, aim.front_radius, corners, to_sensor=True)
+    seen = viewpoints(aim.entrance.plane_z, aim.front_radius, corners, to_sensor=True)
     found = _beyond_sensor_aim(aim, through, rays), _beyond_object_aim(aim, seen, rays, random)
     return tuple(float(rays.throughput[of > 1.0].sum() / rays.throughput.sum()) for of in found)  # type: ignore[return-value]
 
@@ -103,8 +103,8 @@ def test_an_opening_that_is_taken_for_closed_is_opened_again(side: str, emitting
     aim, tables = world.tables.aim, world.tables
     opening = getattr(aim, side)
     closed = aim._replace(**{side: opening._replace(radius=np.full_like(opening.radius, -1.0))})
-    through = Openings(tables.lens, tables.array, tables.sensor, tables.frames)
-    seen = outlook(aim.entrance.plane_z, aim.front_radius, world.targets[0].mesh.vertices, to_sensor=True)
+    through = CameraTables(tables.lens, tables.array, tables.sensor, tables.frames)
+    seen = viewpoints(aim.entrance.plane_z, aim.front_radius, world.targets[0].mesh.vertices, to_sensor=True)
     mended, proof = proven(closed, through, seen)
     assert proof is not None
     assert proof.holds

@@ -84,7 +84,7 @@ class Starts:
 
 def lit_pixels(world: World, count: int) -> list[int]:
     """Return pixels from which lenslets may show the opening: some surely, some not."""
-    starts = Starts(world, 20, wide_share=0.0, blind_share=0.0)
+    starts = Starts(world, 20, wide_share=0.0, share_without_aim=0.0)
     pixels = np.random.default_rng(1).permutation(world.tables.sensor.columns * world.tables.sensor.rows)
     lit = (int(pixel) for pixel in pixels if len(starts.drawn(int(pixel), 0, 20)[1]) > 250)
     return [pixel for pixel, _ in zip(lit, range(count), strict=False)]
@@ -99,7 +99,7 @@ def test_directions_have_the_density_that_their_weights_say(name: str, samples: 
     world = world_of(ARRAYS[name])
     pixels = lit_pixels(world, 3)
     assert len(pixels) == 3
-    few, starts = Starts(world, 20, wide_share=0.0, blind_share=0.0), Starts(world, samples, wide_share=0.4)
+    few, starts = Starts(world, 20, wide_share=0.0, share_without_aim=0.0), Starts(world, samples, wide_share=0.4)
     p = []
     for pixel in pixels:
         d, _ = few.drawn(pixel, 0, 20)

@@ -17,7 +17,7 @@ from lfmesh.transport.aiming.lenslet_aim import LISTED, cells_that_show, list_ce
 from lfmesh.transport.aiming.pupil import opening_from, unknown_opening
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.render.render import Renderer
-from lfmesh.transport.tables.tables import Aim
+from lfmesh.transport.tables.tables import AimTables
 from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]
@@ -57,10 +57,10 @@ def scene(mla: dict[str, Any] | None, **transport: Any) -> lf.Scene:
 
 CAMERAS = {"square array": SQUARE, "hexagonal array": HEXAGONAL, "tilted array": TILTED, "no array": None}
 
-Change = Callable[[Aim], Aim]
+Change = Callable[[AimTables], AimTables]
 
 
-def uniform(aim: Aim) -> Aim:
+def uniform(aim: AimTables) -> AimTables:
     """Every lenslet for some pitches around, or the whole front or back of the lens: no opening is known.
 
     A tenth goes into the whole hemisphere, where there is an array.
@@ -71,11 +71,11 @@ def uniform(aim: Aim) -> Aim:
         slope_radius2=np.full_like(aim.slope_radius2, np.inf),
         search=2,
         wide_share=0.1,
-        blind_share=1.0,
+        share_without_aim=1.0,
     )
 
 
-def shrunk(aim: Aim) -> Aim:
+def shrunk(aim: AimTables) -> AimTables:
     """Openings a fifth too small, and nothing that makes up for it.
 
     Lenslets' a third: with a tilted array they stand out by the range of its distances from the sensor.
@@ -85,7 +85,7 @@ def shrunk(aim: Aim) -> Aim:
         exit=aim.exit._replace(radius=0.8 * aim.exit.radius),
         slope_radius2=np.where(aim.slope_radius2 > 0.0, 0.45 * aim.slope_radius2, -1.0),
         wide_share=0.0,
-        blind_share=0.0,
+        share_without_aim=0.0,
     )
 
 
@@ -220,7 +220,7 @@ def test_no_path_through_a_lenslets_corner_goes_past_the_cells_aimed_at(name: st
     assert past == 0
 
 
-def corners(lattice: Lattice, aim: Aim, p: Array, random: np.random.Generator) -> Array:
+def corners(lattice: Lattice, aim: AimTables, p: Array, random: np.random.Generator) -> Array:
     """Return points near corners of cells within some pitches of points p (n, 3) of the array's frame, as seen."""
     centres = lattice.centres().reshape(-1, 2)
     nearest = cKDTree(centres).query(p[:, :2], 12)[1]

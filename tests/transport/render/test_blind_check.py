@@ -10,7 +10,7 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.transport.render.blind_check import LEVEL, BlindCheck, BlindSamples, first_of_runs
 from lfmesh.transport.render.render import Renderer
-from lfmesh.transport.tables.tables import Aim
+from lfmesh.transport.tables.tables import AimTables
 
 RUNS = 1000
 
@@ -87,13 +87,13 @@ SMALL = {
 }  # fmt: skip
 
 
-def half_a_pupil(aim: Aim) -> Aim:
+def half_a_pupil(aim: AimTables) -> AimTables:
     """Views of half the size, and nothing that makes up for it."""
     return aim._replace(
         slope_radius2=np.where(aim.slope_radius2 > 0.0, 0.25 * aim.slope_radius2, -1.0),
         entrance=aim.entrance._replace(radius=0.5 * aim.entrance.radius),
         wide_share=0.0,
-        blind_share=0.0,
+        share_without_aim=0.0,
     )
 
 

@@ -13,7 +13,7 @@ from lfmesh.transport.aiming.aim_proof import (
     CameraTables,
     _beyond_object_aim,
     _beyond_sensor_aim,
-    _drawn,
+    _rays_from_stop,
     _reach,
     proven,
 )
@@ -29,7 +29,7 @@ def missed(world: World, aim: AimTables, seed: int = 99) -> tuple[float, float]:
     random = np.random.default_rng(seed)
     tables = world.tables
     through = CameraTables(tables.lens, tables.array, tables.sensor, tables.frames)
-    rays = _drawn(through, _reach(through, random), random)
+    rays = _rays_from_stop(through, _reach(through, random), random)
     corners = world.targets[0].mesh.vertices
     seen = viewpoints(aim.entrance.plane_z, aim.front_radius, corners, to_sensor=True)
     found = _beyond_sensor_aim(aim, through, rays), _beyond_object_aim(aim, seen, rays, random)

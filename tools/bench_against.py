@@ -32,7 +32,7 @@ from lfmesh.assets import asset_path
 ROOT = Path(__file__).resolve().parent.parent
 
 BASELINE = "7f18b66f50"
-"""Pictures are upright, every stop has its light, every path counts once, runs check their aim; no slower than before that."""
+"""Pictures are upright, every stop has its light, every path counts once, runs check their aim; no slower for it."""
 
 COLUMNS = {
     "scene": ("scene", ""),

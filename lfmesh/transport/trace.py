@@ -318,6 +318,8 @@ def located(
         forward = frame.directions(tables.frames[CAMERA_FRAME, SENSOR_FRAME], d)[:, 2] > 0.0
         station[after] = np.where(forward, SENSOR, LENS)[after]
     space[after] = count
+    # Beside the lens there is air, whichever surfaces lie before the point.
+    space[station == OBJECTS] = 0
     return station, space, p, d
 
 

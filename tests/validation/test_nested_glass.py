@@ -147,6 +147,15 @@ SHINING = {
 }
 
 
+def test_rays_that_start_beside_the_lens_start_in_air(body: Body) -> None:
+    """Between its surfaces along the axis, but outside its rim."""
+    traced = world(body(trimesh.creation.icosphere(3, 8.0), GLASS, at=(40.0, 0.0, -60.0)))
+    beside, before = (lf.trace(traced, [42.0, 1.0, z], [0.0, 0.0, -1.0], split="transmit") for z in (1.5, -5.0))
+    assert beside.status.tolist() == before.status.tolist() == [lf.Status.ESCAPED]
+    np.testing.assert_allclose(beside.direction, before.direction, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(beside.weight, before.weight, rtol=1e-12)
+
+
 def box(size: tuple[float, float, float]) -> Any:
     return trimesh.creation.box(size)
 

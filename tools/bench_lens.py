@@ -188,10 +188,7 @@ class EngineRun:
 
     def launched(self, chunk: range) -> Workspace:
         """Start the packets of one chunk in the workspace of the calling thread, and return that."""
-        work = self._launcher.workspace
-        work.begin(packets=len(chunk))
-        self.source.launch(work, chunk)
-        return work
+        return self._launcher.launch(self.source, chunk)
 
     def run(self, _: Any) -> None:
         """Trace all chunks."""

@@ -274,13 +274,14 @@ def _refuse_crowds(parts: Shells, names: dict[int, str]) -> None:
     """Refuse a body a part of whose surface lies in more bodies at once than packets can keep."""
     if len(parts) <= MOST_AT_ONCE:
         return
+    boxes = {i: _box(own) for i, own in parts.items()}
     for i, own in parts.items():
         points = _beside(_tried(np.concatenate(own), MOST_TRIED), A_LITTLE_INSIDE)
         others = np.zeros(len(points), np.int64)
         for j, its in parts.items():
-            low, high = (end([end(shell, axis=(0, 1)) for shell in its], axis=0) for end in (np.min, np.max))
-            near = ((points >= low) & (points <= high)).all(axis=1) & (i != j)
-            if near.any():
+            low, high = boxes[j]
+            near = ((points >= low) & (points <= high)).all(axis=1)
+            if i != j and near.any():
                 others[near] += _turns(its, points[near]) != 0
         most = int(others.max())
         if most >= MOST_AT_ONCE:
@@ -314,13 +315,18 @@ def _refuse_covered_faces(scene: Scene, targets: list[TargetMesh], bodies: list[
                 )
 
 
+def _box(shells: Sequence[Array]) -> tuple[Array, Array]:
+    """Return the lowest and the highest coordinates of a body's shells, (3,) each."""
+    low, high = np.transpose([(corners.min(axis=(0, 1)), corners.max(axis=(0, 1))) for corners in shells], (1, 0, 2))
+    return low.min(axis=0), high.max(axis=0)
+
+
 NOTHING, PART, WHOLE = 0, 1, 2
 
 
 def _share_inside(own: Sequence[Array], others: Sequence[Array]) -> int:
     """Return how much of a body lies in the glass of another; `WHOLE` as soon as one of its closed surfaces does."""
-    low = np.min([shell.min(axis=(0, 1)) for shell in others], axis=0)
-    high = np.max([shell.max(axis=(0, 1)) for shell in others], axis=0)
+    low, high = _box(others)
     budget = _budget(own, others)
     share = NOTHING
     for shell in own:

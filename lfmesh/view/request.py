@@ -21,7 +21,7 @@ from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FR
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.world import World, build
 from lfmesh.view.rays.launch import launch
-from lfmesh.view.rays.paths import Rays
+from lfmesh.view.rays.paths import OF_PATHS, OF_VERTICES, Rays
 
 Picture = NDArray[np.uint8]
 
@@ -207,16 +207,17 @@ def together(parts: Sequence[Rays]) -> Rays:
     def all_of(name: str) -> Any:
         return np.concatenate([getattr(part, name) for part in parts])
 
-    plain = ("position", "surface", "event", "power", "lenslet", "beyond", "status", "pixel", "wavelength_nm")
-    arrays: dict[str, Any] = {name: all_of(name) for name in plain}
+    arrays: dict[str, Any] = {name: all_of(name) for name in (*OF_VERTICES, *OF_PATHS)}
+    arrays |= {
+        "source": np.concatenate([part.source + start for part, start in zip(parts, sources, strict=False)]),
+        "sequence": np.concatenate(renumbered),
+    }
     return replace(
         first,
         **arrays,
         offsets=np.concatenate(
             [[0], *(part.offsets[1:] + start for part, start in zip(parts, vertices, strict=False))]
         ),
-        source=np.concatenate([part.source + start for part, start in zip(parts, sources, strict=False)]),
-        sequence=np.concatenate(renumbered),
         sequences=sequences,
     )
 

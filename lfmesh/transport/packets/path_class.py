@@ -48,6 +48,12 @@ def turns_off_image_path(frame: int, refracts: bool, transmittance: float) -> bo
 
 
 @inlined
+def is_unturned(options: Options, packet: Any) -> bool:
+    """Tell whether a packet's path, of which only those off the image path count, is still on it."""
+    return options.paths == OFF_IMAGE_PATH and packet.stray == 0
+
+
+@inlined
 def is_estimated(options: Options, packet: Any) -> bool:
     """Tell whether a packet's path so far belongs to the class that is being estimated.
 

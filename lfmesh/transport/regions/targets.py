@@ -48,7 +48,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.path_class import OFF_IMAGE_PATH, is_estimated
+from lfmesh.transport.packets.path_class import is_estimated, is_unturned
 from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived
 from lfmesh.transport.tables.tables import AIR, AimTables, ObjectTables
 
@@ -81,7 +81,7 @@ def meet_target(
     if objects.closed[body] and along > 0.0:
         end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, S_ABSORBED)
         return
-    if options.paths == OFF_IMAGE_PATH and packet.stray == 0:
+    if is_unturned(options, packet):
         # It gathers nothing here, and only few such packets continue: roulette comes before the work of scattering.
         dimension = packet.events * DIMENSIONS_PER_EVENT + KEEP_REACHED
         weight = windowed(flow.book, weight, options.unturned_cutoff * packet.start, packet.key, dimension)
@@ -229,9 +229,7 @@ def _bounce(
     dx, dy, dz, share = sample(objects.scattering, point, packet.colour, ix, iy, iz, u, v)
     # A sample carries the scattered weight on average only; the book takes the difference.
     flow.book[SAMPLING_ADDED] += weight * share - scattered
-    cutoff = options.cutoff
-    if options.paths == OFF_IMAGE_PATH and packet.stray == 0:
-        cutoff = options.unturned_cutoff
+    cutoff = options.unturned_cutoff if is_unturned(options, packet) else options.cutoff
     dimension = packet.events * DIMENSIONS_PER_EVENT + KEEP_BOUNCE
     weight = windowed(flow.book, weight * share, cutoff * packet.start, packet.key, dimension)
     if weight > 0.0:

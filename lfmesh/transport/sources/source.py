@@ -73,6 +73,18 @@ class Launcher:
 
         Parameters
         ----------
+        source, part, film
+            See `launch`.
+        """
+        work = self.launch(source, part, film)
+        work.run()
+        return work
+
+    def launch(self, source: Source, part: range | None = None, film: FilmRows | None = None) -> Workspace:
+        """Queue all packets of a source, or of a part of it; return the workspace, ready to run.
+
+        Parameters
+        ----------
         source : Source
         part : range, optional
             Of the source's items.
@@ -84,7 +96,6 @@ class Launcher:
         source.launch(work, part)
         if work.options.record:
             work.record_starts()
-        work.run()
         return work
 
     def traced(

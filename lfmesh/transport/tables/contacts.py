@@ -105,6 +105,10 @@ def _middle_of_both(one: Array, other: Array) -> Array:
 
 def _pairs(one: Mesh, other: Mesh, near: float) -> Index:
     """Return (n, 2) facets of two meshes whose boxes come near each other and whose normals lie along one line."""
+    if (one.vertices.min(axis=0) > other.vertices.max(axis=0) + near).any():
+        return np.zeros((0, 2), np.int64)
+    if (other.vertices.min(axis=0) > one.vertices.max(axis=0) + near).any():
+        return np.zeros((0, 2), np.int64)
     boxes = [_boxes(mesh) for mesh in (one, other)]
     for own, its in ((0, 1), (1, 0)):
         # Keep only facets near the other mesh's bounding box.

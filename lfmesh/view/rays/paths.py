@@ -6,6 +6,7 @@ Both children of a split share their first vertices, so those stand in several p
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,10 @@ WATT, ETENDUE = "W", "m² sr"
 
 LETTER = {Event.TRANSMITTED: "T", Event.REFLECTED: "R", Event.SCATTERED: "S"}
 """What a sequence says happened at a surface; an end has its name alone."""
+
+OF_VERTICES = ("position", "surface", "event", "power", "lenslet", "beyond")
+OF_PATHS = ("status", "source", "pixel", "wavelength_nm", "sequence")
+"""Arrays of `Rays` with a row for each vertex, and for each path."""
 
 
 @dataclass(frozen=True)
@@ -133,21 +138,9 @@ class Rays:
         """Return only the paths (n,) chosen; sequences keep their numbers."""
         lengths = np.diff(self.offsets)
         vertices = np.repeat(chosen, lengths)
-        return replace(
-            self,
-            position=self.position[vertices],
-            surface=self.surface[vertices],
-            event=self.event[vertices],
-            power=self.power[vertices],
-            lenslet=self.lenslet[vertices],
-            beyond=self.beyond[vertices],
-            offsets=np.concatenate([[0], np.cumsum(lengths[chosen])]),
-            status=self.status[chosen],
-            source=self.source[chosen],
-            pixel=self.pixel[chosen],
-            wavelength_nm=self.wavelength_nm[chosen],
-            sequence=self.sequence[chosen],
-        )
+        arrays: dict[str, Any] = {name: getattr(self, name)[vertices] for name in OF_VERTICES}
+        arrays |= {name: getattr(self, name)[chosen] for name in OF_PATHS}
+        return replace(self, offsets=np.concatenate([[0], np.cumsum(lengths[chosen])]), **arrays)
 
     def any_vertex(self, of_vertex: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return (n,) which paths have a vertex that is marked in `of_vertex` (m,)."""

@@ -14,7 +14,7 @@ successful results as well.
 import gc
 from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
-from operator import setitem
+from operator import getitem, setitem
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -175,6 +175,9 @@ class _KernelContext:
 
     def resolve_function_type(self, function: Any, args: Any, kws: Any) -> Any:
         """Return the signature of a call, or None."""
+        if function is getitem:
+            # Of all functions, a[i] alone is looked up by numba as it stands, not by its type.
+            function = self.resolve_value_type(getitem)
         if isinstance(function, _CachedFunction) and not kws and tuple(args) in function.known:
             return function.known[tuple(args)]
         if isinstance(function, types.Dispatcher):

@@ -23,7 +23,7 @@ ORDER = [
 ROOMS = {
     "transport": [
         *["packets", "tables", "events", "sequential", "aiming", "regions"],
-        *["choice", "collisions", "refused_glass", "world", "settings"],
+        *["choice", "collisions", "close_faces", "refused_glass", "world", "settings"],
         *["engine", "sources"],  # packets through a world, and what starts them
         "render, trace",
     ],

@@ -68,16 +68,20 @@ def patch_points(coefficients: Array, eta: Array, zeta: Array) -> tuple[Array, A
     ----------
     coefficients : (m, 6, 3) float64, mm
         Of the patches.
-    eta, zeta : (q,) float64
-        From 0 to 1.
+    eta, zeta : (q,) or (m, q) float64
+        From 0 to 1; the same places on all patches, or places of each patch's own.
     """
     one = np.ones_like(eta)
     basis = np.stack([one, eta, zeta, eta * zeta, eta * eta, zeta * zeta])
     by_eta = np.stack([0 * one, one, 0 * one, zeta, 2 * eta, 0 * one])
     by_zeta = np.stack([0 * one, 0 * one, one, eta, 0 * one, 2 * zeta])
-    normal = np.cross(np.einsum("kq,mki->mqi", by_eta, coefficients), np.einsum("kq,mki->mqi", by_zeta, coefficients))
+    places = "kq" if eta.ndim == 1 else "kmq"
+    points, along_eta, along_zeta = (
+        np.einsum(f"{places},mki->mqi", each, coefficients) for each in (basis, by_eta, by_zeta)
+    )
+    normal = np.cross(along_eta, along_zeta)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    return np.einsum("kq,mki->mqi", basis, coefficients), normal / np.where(length > 0.0, length, 1.0)
+    return points, normal / np.where(length > 0.0, length, 1.0)
 
 
 def neighbours(faces: Index, corner_normals: Array) -> NDArray[np.int64]:

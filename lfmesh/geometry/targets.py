@@ -76,6 +76,13 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
     return TargetMesh(mesh, placed[solid] if placed is not None else None, texture, closed)
 
 
+def named_target(scene: Scene, number: int) -> str:
+    """Return the name of a target in messages: its path in the scene file, and its own name or file."""
+    target = scene.targets[number]
+    own = target.name or (target.refractor.file if target.refractor is not None else target.file)
+    return f"targets[{number}]" + (f" ({own})" if own else "")
+
+
 def _covered(piece: Piece, picture: Texture, name: str) -> Piece:
     """Return the piece with the material's picture in place of its own colours."""
     if piece.uv is None:

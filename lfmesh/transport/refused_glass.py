@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, joined
-from lfmesh.geometry.targets import TargetMesh
+from lfmesh.geometry.targets import TargetMesh, named_target
 from lfmesh.geometry.winding import shells, winding
 from lfmesh.optics.scattering import tangents
 from lfmesh.scene import DirectionalLight, DiskLight, Light, Scene
+from lfmesh.transport.close_faces import refuse_close_faces
 from lfmesh.transport.events.crossing import FLOAT32_GRAIN
 from lfmesh.transport.regions.bodies import MOST_AT_ONCE, MOST_BODIES
 from lfmesh.transport.regions.embree import Finder
@@ -74,11 +75,12 @@ def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Arr
     priority = {i: _priority(scene, i) for i in bodies}
     emitting = [i for i, t in enumerate(scene.targets) if t.material.radiance_w_m2_sr > 0.0 and i not in bodies]
     emitting = emitting if scene.transport.method == "forward" else []
-    names = {i: named(scene, i) for i in (*bodies, *emitting)}
+    names = {i: named_target(scene, i) for i in (*bodies, *emitting)}
     meshes = {i: targets[i].mesh for i in names}
     _refuse_cuts(meshes, names, priority)
     parts = {i: [meshes[i].vertices[meshes[i].faces[facets]] for facets in shells(meshes[i])] for i in bodies}
     _refuse_wrong_shells(parts, names)
+    refuse_close_faces(scene, targets, bodies)
     holders = _holders(parts, names, priority)
     _refuse_crowds(parts, names)
     _refuse_covered_faces(scene, targets, bodies)
@@ -102,13 +104,6 @@ def _priority(scene: Scene, number: int) -> int:
 
 
 FORWARD_IN_GLASS = 'the forward method starts light in air only: move it out, or take transport.method = "adjoint"'
-
-
-def named(scene: Scene, number: int) -> str:
-    """Return the name of a target in messages: its path in the scene file, and its own name or file."""
-    target = scene.targets[number]
-    own = target.name or (target.refractor.file if target.refractor is not None else target.file)
-    return f"targets[{number}]" + (f" ({own})" if own else "")
 
 
 def _refuse_cuts(meshes: dict[int, Mesh], names: dict[int, str], priority: dict[int, int]) -> None:
@@ -309,9 +304,9 @@ def _refuse_covered_faces(scene: Scene, targets: list[TargetMesh], bodies: list[
             if place is not None:
                 x, y, z = place
                 raise SceneError(
-                    f"{named(scene, j)} lies on the glass of {named(scene, i)} near ({x:.4g}, {y:.4g}, {z:.4g}) mm, "
-                    f"too closely for rays to tell which comes first: leave {2.0 * near:.1g} mm or more between them, "
-                    "or let it reach as far into the glass"
+                    f"{named_target(scene, j)} lies on the glass of {named_target(scene, i)} near "
+                    f"({x:.4g}, {y:.4g}, {z:.4g}) mm, too closely for rays to tell which comes first: leave "
+                    f"{2.0 * near:.1g} mm or more between them, or let it reach as far into the glass"
                 )
 
 

@@ -29,7 +29,7 @@ from lfmesh.transport.aiming.lenslet_aim import (
     path_to_apexes,
     spread_on_faces,
 )
-from lfmesh.transport.aiming.lenslet_view import fitted_views, with_wider_cells
+from lfmesh.transport.aiming.lenslet_view import RINGS, fitted_views, with_wider_cells
 from lfmesh.transport.aiming.pupil import Viewpoints, opening_from, unknown_opening
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
 from lfmesh.transport.sequential.image_path import through_array
@@ -68,7 +68,7 @@ ENOUGH = 45_000
 95 % confidence)."""
 
 NEAREST = 1e-3
-"""Least distance from the axis, in half diagonals of the sensor, at which rays of the first search would land by
+"""Least distance from the sensor's centre, in its half diagonals, at which rays of the first search would land by
 first-order optics."""
 
 FURTHEST = 1e3
@@ -83,8 +83,8 @@ ATTEMPTS = 5
 MARGIN = 1.02
 """Factor by which a fitted aim is wider than the rays need."""
 
-MOST = 0.1
-"""Share of the throughput outside the part that a lenslet surely shows, where its view is fitted to rays."""
+DARK = 1e-3
+"""Share of the light in the outermost rings of a view that count as dark, and that main rays do not go to."""
 
 FEW_CELLS = 6
 """Number of cells to each side that may show the opening, above which the views are taken to be far too wide."""
@@ -201,7 +201,28 @@ def proven(aim: AimTables, through: CameraTables, seen: Viewpoints | None) -> tu
         else:
             aim = aim._replace(exit=_widened(aim.exit, behind, rays.throughput))
         aim = aim._replace(entrance=_widened(aim.entrance, before, rays.throughput))
+    if through.array.present:
+        off, radius, _ = _seen_from_cells(aim, through, rays)
+        aim = aim._replace(shown=_shown(off / radius, rays.throughput))
     return aim, proof
+
+
+def _shown(off: Array, throughput: Array) -> Array:
+    """Return the relative light in each ring of a lenslet's view, (RINGS + 1,); see `AimTables.shown`.
+
+    Parameters
+    ----------
+    off : (n,) float64
+        Distance of rays from the centres of views, relative to the views' radius.
+    throughput : (n,) float64
+    """
+    light, _ = np.histogram(off * off, RINGS, (0.0, 1.0), weights=throughput)
+    brightest, total = light.max(), light.sum()
+    if not brightest > 0.0:
+        return np.append(np.ones(RINGS), 0.0)
+    beyond = np.cumsum(light[::-1])[::-1]
+    # A direction leads through the opening or not, so its mean square is its mean.
+    return np.append(np.where(beyond > DARK * total, np.sqrt(light / brightest), 0.0), 0.0)
 
 
 def _fitted(aim: AimTables, through: CameraTables, rays: Rays) -> AimTables:
@@ -209,9 +230,7 @@ def _fitted(aim: AimTables, through: CameraTables, rays: Rays) -> AimTables:
     array, weight = through.array, rays.throughput
     off, radius, out = _seen_from_cells(aim, through, rays)
     needed = MARGIN * _above(off / radius, weight)
-    aim = fitted_views(
-        aim, array, through.frames, through.sensor, needed, MARGIN * _above(off, weight), _above(off, weight, MOST)
-    )
+    aim = fitted_views(aim, array, through.frames, through.sensor, needed, MARGIN * _above(off, weight))
     return with_wider_cells(aim, array, max(1.0, MARGIN * _above(out, weight)))
 
 
@@ -220,12 +239,12 @@ def _missed(beyond: Array, throughput: Array) -> Missed:
     return Missed(float(outside.sum() / total), float(max(np.sqrt((outside**2).sum()), throughput.mean()) / total))
 
 
-def _above(values: Array, throughput: Array, share: float = ALLOWED / 4.0) -> float:
-    """Return the value above which a share of the throughput lies; infinite values are left out."""
+def _above(values: Array, throughput: Array) -> float:
+    """Return the value above which a negligible share of the throughput lies; infinite values are left out."""
     known = np.isfinite(values)
     order = np.argsort(values[known])[::-1]
     above = np.cumsum(throughput[known][order])
-    first = int(np.searchsorted(above, share * throughput.sum()))
+    first = int(np.searchsorted(above, 0.25 * ALLOWED * throughput.sum()))
     return float(values[known][order][min(first, len(order) - 1)]) if len(order) else 1.0
 
 
@@ -246,7 +265,10 @@ def _widened(opening: Opening, beyond: Array, throughput: Array) -> Opening:
 
 
 def _reach(through: CameraTables, random: np.random.Generator) -> float:
-    """Return the largest distance from the axis, by first-order optics, of rays that reach the sensor; 0: none does."""
+    """Return the largest distance from the sensor's centre, by first-order optics, of rays that reach the sensor.
+
+    0: none does.
+    """
     sensor = through.sensor
     diagonal = 0.5 * sensor.pixel * np.hypot(sensor.columns, sensor.rows)
     place = NEAREST * diagonal * (FURTHEST / NEAREST) ** random.random(BATCH)
@@ -271,20 +293,24 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
     Parameters
     ----------
     place : (n,) float64, mm
-        Distance from the axis at which each ray would land by first-order optics.
+        Distance from the sensor's centre at which each ray would land by first-order optics.
     """
     lens, sensor = through.lens, through.sensor
     space, z, aperture, depth = _stop_of(lens)
     moves = through.frames[ARRAY_FRAME if through.array.present else SENSOR_FRAME, CAMERA_FRAME]
+    centre_x, centre_y = through.frames[SENSOR_FRAME, CAMERA_FRAME][:2, 3]
     height, angle = _to_plane(lens, space, z, float(moves[2, 3]))
     out, turn = np.sqrt(random.random(len(place))), 2.0 * np.pi * random.random(len(place))
     around = 2.0 * np.pi * random.random(len(place))
     # The map from landing points to slopes is a shear at fixed height, so the density of slopes stays uniform.
     slope = 1.0 / angle if abs(angle) > 1e-9 * abs(z - moves[2, 3]) else 1.0
     # Rays through the aperture of a curved stop cross the plane at its vertex slightly further out.
-    radius = aperture * (1.0 + depth * abs(height * slope)) + depth * place * abs(slope)
+    radius = aperture * (1.0 + depth * abs(height * slope)) + depth * (place + np.hypot(centre_x, centre_y)) * abs(
+        slope
+    )
     x, y = radius * out * np.cos(turn), radius * out * np.sin(turn)
-    tx, ty = slope * (place * np.cos(around) - height * x), slope * (place * np.sin(around) - height * y)
+    tx = slope * (centre_x + place * np.cos(around) - height * x)
+    ty = slope * (centre_y + place * np.sin(around) - height * y)
     to_sensor, to_objects, of_colour = np.zeros((len(x), 6)), np.zeros((len(x), 7)), np.zeros(len(x), np.int64)
     count = lens.media.indices.shape[1]
     colours = sorted({0, count // 2, count - 1})
@@ -407,7 +433,7 @@ def _beyond_sensor_aim(aim: AimTables, through: CameraTables, rays: Rays) -> Arr
     if not through.array.present:
         _beyond_exit(rays.sensor, aim.exit, through.frames, beyond)
         return beyond
-    near, cells = np.zeros((most_listed(aim) + 1, LISTED)), np.zeros((3, most_listed(aim) + 1), np.int64)
+    near, cells = np.zeros((most_listed(aim) + 1, LISTED)), np.zeros((2, most_listed(aim) + 1), np.int64)
     _outside_cells(rays.sensor, rays.colour, aim, through.array, through.sensor, through.frames, near, cells, beyond)
     return beyond
 
@@ -486,8 +512,8 @@ def _outside_cells(
         x, y, z = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, rays[i, 0], rays[i, 1], 0.0)
         dx, dy, dz = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
         maybe, _, _, _ = cells_that_show(aim, near, listed, cells, x, y, z)
-        surely_drawn, drawn = spread_on_faces(array, aim, glass, near, cells, maybe, x, y, z, dx, dy, dz)
-        if not surely_drawn + drawn > 0.0:
+        on_faces, drawn = spread_on_faces(array, aim, glass, near, cells, maybe, x, y, z, dx, dy, dz)
+        if not on_faces + drawn > 0.0:
             outside[i] = np.inf
 
 

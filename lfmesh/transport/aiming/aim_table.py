@@ -14,7 +14,7 @@ from lfmesh.geometry.targets import TargetMesh
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aiming.aim_proof import AimProof, CameraTables, proven
-from lfmesh.transport.aiming.lenslet_view import SURE, aim_through_lenslets, apex_z, grid
+from lfmesh.transport.aiming.lenslet_view import aim_through_lenslets, apex_z, grid, unmeasured_light
 from lfmesh.transport.aiming.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
 from lfmesh.transport.aiming.pupil import paraxial_opening, real_opening, unknown_opening, viewpoints
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
@@ -125,7 +125,7 @@ def _found(
         pupil_vergence=0.0,
         slope=np.zeros((1, 2)),
         slope_radius2=np.zeros(1),
-        sure2=SURE * SURE,
+        shown=unmeasured_light(),
         cell_margin=0.0,
         search=0,
     )

@@ -3,12 +3,13 @@
 `lenslet_view` measures beforehand what each lenslet shows; here the directions are drawn.
 
 The directions from a point form three disjoint sets, each estimated by rays of its own. Main rays estimate directions
-that meet the face of a lenslet that surely shows the opening. Margin rays estimate other directions that meet, or
-nearly meet, a lenslet that may show it, together with the blind rays that fall there. Blind rays, which go anywhere,
-estimate all the rest, through which ghosts and stray light come. A ray that falls in another kind's set does not count.
-The number of a pixel's rays of each kind is fixed beforehand, so that the main rays of an evenly lit pixel all bring
-the same. Whether a direction meets a face is computed exactly: the face is met where the ray in the glass crosses the
-sphere, and a ray aimed at a point of the face reaches it through the plate.
+that meet the face of a lenslet that shows the opening; where several do, each is chosen by the root mean square of the
+light that lenslets show at that distance from the centre of their view. Margin rays estimate other directions that
+meet, or nearly meet, a lenslet that may show it, together with the blind rays that fall there. Blind rays, which go
+anywhere, estimate all the rest, through which ghosts and stray light come. A ray that falls in another kind's set does
+not count. The number of a pixel's rays of each kind is fixed beforehand, so that the main rays of an evenly lit pixel
+all bring the same. Whether a direction meets a face is computed exactly: the face is met where the ray in the glass
+crosses the sphere, and a ray aimed at a point of the face reaches it through the plate.
 """
 
 from typing import NamedTuple
@@ -32,17 +33,18 @@ evenly: where the image is in focus, sharp detail in the scene is sharp over the
 MAIN, MARGIN, BLIND = 0, 1, 2
 """Role of a ray: the set of directions that it estimates."""
 
-MARGIN_SHARE = 0.05
+MARGIN_SHARE = 0.02
 """Share of the margin rays among the rays that are aimed."""
 
 FEW = 2.0
 """Expected number of a pixel's main rays below which the role of each ray is drawn at random."""
 
-LISTED = 9
+LISTED = 10
 """Number of values of a lenslet in the list of those that may show the opening, see `list_cells`."""
 
-SOLID_ANGLE = 8
-"""The last of these values: the relative probability with which the lenslet is chosen."""
+SOLID_ANGLE, CHANCE = 8, 9
+"""The last of these values: the relative probabilities with which margin rays, by solid angle, and main rays choose the
+lenslet."""
 
 ALIKE = 3
 """Number of cells to each side of the chief ray's up to which all are taken to have the same solid angle."""
@@ -165,7 +167,8 @@ def list_cells(
         Largest distance of the other points from it.
     near : (n, LISTED) float64
         Filled with a row for each lenslet: centre (0, 1), centre of the opening that it sees (2, 3) and the square of
-        its radius (4), in slopes, curvature (5), decentre of the apex (6, 7), relative solid angle (8).
+        its radius (4), in slopes, curvature (5), decentre of the apex (6, 7), relative solid angle (8); the last place
+        is for `cells_that_show`.
 
     Returns
     -------
@@ -334,7 +337,7 @@ def through_a_lenslet(
         The sensor's normal towards the array, array frame.
     near, listed
         Lenslets that may show the opening, and their number, from `list_cells`.
-    cells : (3, n) int64
+    cells : (2, n) int64
         Working memory, see `cells_that_show`.
     numbers : Numbers
     sample : int
@@ -347,7 +350,7 @@ def through_a_lenslet(
     nx, ny, nz = normal
     toward = -1.0 if array.curved_to_lens else 1.0
     role = role_of(sample, shares, numbers[DISCRETE])
-    maybe, surely, of_maybe, of_surely = cells_that_show(aim, near, listed, cells, x, y, z)
+    maybe, lit, of_maybe, of_lit = cells_that_show(aim, near, listed, cells, x, y, z)
     size = lattice.pitch + 2.0 * aim.cell_margin
     filled = ROW_SPACING if lattice.hexagonal else 1.0
     air, depth, growth = path_to_apexes(array, z)
@@ -356,11 +359,13 @@ def through_a_lenslet(
     elif maybe == 0:
         return 0.0, 0.0, 0.0, 0.0
     else:
-        is_sure = role == MAIN and surely > 0
-        among, count, total, width = (2, surely, of_surely, lattice.pitch) if is_sure else (0, maybe, of_maybe, size)
-        number = min(int(numbers[WHICH_CELL] * count), count - 1)
-        if aim.search > ALIKE:
-            number = by_solid_angle(near, cells[among], count, numbers[WHICH_CELL] * total)
+        is_main = role == MAIN and lit > 0
+        among, count, total, width = (1, lit, of_lit, lattice.pitch) if is_main else (0, maybe, of_maybe, size)
+        number = 0
+        if count > 1:
+            number = _by_chance(
+                near, CHANCE if is_main else SOLID_ANGLE, cells[among], count, numbers[WHICH_CELL] * total
+            )
         chosen = cells[among, number]
         u, v = _point_of_cell(lattice.hexagonal, numbers[CELL_U], numbers[CELL_V])
         u, v = u * width, v * width
@@ -378,7 +383,7 @@ def through_a_lenslet(
         sx, sy, s2 = dx * part, dy * part, s * s
         scale = 1.0 / np.sqrt(1.0 + s2)
         dx, dy, dz = sx * scale, sy * scale, toward * scale
-        if is_sure:
+        if is_main:
             q2 = glass * glass + (glass * glass - 1.0) * s2
             q = np.sqrt(q2)
             layer = array.lenslets.valley - array.lenslets.top
@@ -388,20 +393,20 @@ def through_a_lenslet(
                 if turned <= 0.0:
                     return 0.0, 0.0, 0.0, 0.0
                 spread = spread_on_face(air, plate, glass, s2, q2, q, turned)
-                spread *= near[chosen, SOLID_ANGLE]
-                density = shares.main * spread / (of_surely * filled * lattice.pitch * lattice.pitch)
+                spread *= near[chosen, CHANCE]
+                density = shares.main * spread / (of_lit * filled * lattice.pitch * lattice.pitch)
                 return dx, dy, dz, (nx * dx + ny * dy + nz * dz) / density
     cos_theta = nx * dx + ny * dy + nz * dz
-    surely_drawn, drawn = 0.0, 0.0
+    on_faces, drawn = 0.0, 0.0
     if maybe > 0 and dz * toward > 0.0:
-        surely_drawn, drawn = spread_on_faces(array, aim, glass, near, cells, maybe, x, y, z, dx, dy, dz)
+        on_faces, drawn = spread_on_faces(array, aim, glass, near, cells, maybe, x, y, z, dx, dy, dz)
     density = 0.0
-    if surely_drawn > 0.0:
+    if on_faces > 0.0:
         if role == MAIN:
-            density = shares.main * surely_drawn / (of_surely * filled * lattice.pitch * lattice.pitch)
+            density = shares.main * on_faces / (of_lit * filled * lattice.pitch * lattice.pitch)
     elif drawn > 0.0:
         by_cells = drawn / (of_maybe * filled * size * size)
-        if surely == 0:
+        if lit == 0:
             # Without main rays, all rays are margin rays or blind.
             density = shares.aimed * by_cells + shares.unaimed * cos_theta / np.pi
         elif role != MAIN:
@@ -415,54 +420,60 @@ def through_a_lenslet(
 def cells_that_show(
     aim: AimTables, near: Array, listed: int, cells: NDArray[np.int64], x: float, y: float, z: float
 ) -> tuple[int, int, float, float]:
-    """Find the listed lenslets that may show the opening to a point, and those that surely do.
+    """Find the listed lenslets that may show the opening to a point, and those among them that do, as far as is known.
 
     Parameters
     ----------
     near, listed
-        From `list_cells`.
-    cells : (3, n) int64
-        Filled with indices in the list: [0] lenslets that may show it, [1] whether each of these surely does, [2]
-        lenslets that surely do.
+        From `list_cells`; `CHANCE` is filled in: solid angle times the root mean square of the light that a lenslet
+        shows at this distance from the centre of its view.
+    cells : (2, n) int64
+        Filled with indices in the list: [0] lenslets that may show it, [1] lenslets that do.
     x, y, z : float, mm
         The point, array frame.
 
     Returns
     -------
-    maybe, surely : int
+    maybe, lit : int
         Numbers of such lenslets.
-    of_maybe, of_surely : float
-        Sums of their relative solid angles.
+    of_maybe, of_lit : float
+        Sums of their solid angles, and of their chances.
     """
     over = 1.0 / abs(z - aim.lenslet_z)
-    maybe, surely, of_maybe, of_surely = 0, 0, 0.0, 0.0
+    rings = len(aim.shown) - 1
+    maybe, lit, of_maybe, of_lit = 0, 0, 0.0, 0.0
     for cell in range(listed):
         a, b = (near[cell, 0] - x) * over - near[cell, 2], (near[cell, 1] - y) * over - near[cell, 3]
-        off2, radius2 = a * a + b * b, near[cell, 4]
-        shows = off2 <= aim.sure2 * radius2
-        cells[0, maybe], cells[1, maybe], cells[2, surely] = cell, shows, cell
-        maybe += off2 <= radius2
-        surely += shows
-        of_maybe += near[cell, SOLID_ANGLE] * (off2 <= radius2)
-        of_surely += near[cell, SOLID_ANGLE] * shows
-    return maybe, surely, of_maybe, of_surely
+        part2 = (a * a + b * b) / max(near[cell, 4], _TINY)
+        shows = part2 <= 1.0
+        # The last entry of `shown`, for lenslets that do not show the opening, is zero.
+        chance = near[cell, SOLID_ANGLE] * aim.shown[int(min(part2, 1.0) * rings)]
+        cells[0, maybe], cells[1, lit], near[cell, CHANCE] = cell, cell, chance
+        maybe += shows
+        lit += chance > 0.0
+        of_maybe += near[cell, SOLID_ANGLE] * shows
+        of_lit += chance
+    return maybe, lit, of_maybe, of_lit
 
 
 @inlined
-def by_solid_angle(near: Array, cells: NDArray[np.int64], count: int, part: float) -> int:
-    """Choose one of some listed lenslets by solid angle.
+def _by_chance(near: Array, kind: int, cells: NDArray[np.int64], count: int, part: float) -> int:
+    """Choose one of some listed lenslets; return its place among them.
 
     Parameters
     ----------
+    near : (n, LISTED) float64
+    kind : int
+        `CHANCE` or `SOLID_ANGLE`: the column that holds the relative probabilities.
     cells : (n,) int64
         Indices in the list.
     count : int
         Number of cells.
     part : float
-        Random number, from 0 to the sum of their relative solid angles.
+        Random number, from 0 to the sum of their probabilities.
     """
     for number in range(count - 1):
-        part -= near[cells[number], SOLID_ANGLE]
+        part -= near[cells[number], kind]
         if part < 0.0:
             return number
     return count - 1
@@ -473,10 +484,10 @@ def spread_on_faces(
     array: ArrayTables, aim: AimTables, glass: float, near: Array, cells: NDArray[np.int64], maybe: int,
     x: float, y: float, z: float, dx: float, dy: float, dz: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """Return area over solid angle, mm²/sr, of a direction on the faces that it meets: of sure ones, and of all.
+    """Return area over solid angle, mm²/sr, of a direction on the faces that it meets, for main and for margin rays.
 
-    Summed over the faces, as each could have drawn the direction; for all faces, cells include the margin. Zero if the
-    direction is outside that part of the aim.
+    Summed over the faces by their chances, as each could have drawn the direction: faces of lenslets that show the
+    opening, and cells with their margin of all that may. Zero if the direction is outside that part of the aim.
 
     Parameters
     ----------
@@ -499,7 +510,7 @@ def spread_on_faces(
     gx, gy = sx / q, sy / q
     px, py = x + sx * air + gx * depth, y + sy * air + gy * depth
     half = 0.5 * lattice.pitch
-    surely_drawn, drawn = 0.0, 0.0
+    on_faces, drawn = 0.0, 0.0
     for i in range(maybe):
         cell = cells[0, i]
         ex, ey = near[cell, 6], near[cell, 7]
@@ -510,10 +521,9 @@ def spread_on_faces(
             continue
         out = half_width_to(lattice, ax + ex, ay + ey)
         spread = spread_on_face(air, depth + growth * sag, glass, s2, q2, q, turned)
-        spread *= near[cell, SOLID_ANGLE]
-        drawn += spread * (out <= half + aim.cell_margin)
-        surely_drawn += spread * (cells[1, i] * (out <= half))
-    return surely_drawn, drawn
+        drawn += spread * near[cell, SOLID_ANGLE] * (out <= half + aim.cell_margin)
+        on_faces += spread * near[cell, CHANCE] * (out <= half)
+    return on_faces, drawn
 
 
 @inlined

@@ -32,8 +32,17 @@ TRUSTED, WIDENED = 0.7, 1.3
 ROUNDING = 1e-6
 """Margin of aimed cells, in pitches, for rounding errors."""
 
-SURE = 0.95
-"""Part of the radius of a lenslet's view within which the lenslet surely shows the opening."""
+
+RINGS = 64
+"""Number of rings of equal area in which the light over a lenslet's view is measured."""
+
+SURELY_SHOWN = 0.9
+"""Share of a view's area in which lenslets are taken to show the whole opening until that is measured."""
+
+
+def unmeasured_light() -> Array:
+    """Return the light in the rings of a view where it has not been measured, see `AimTables.shown`."""
+    return np.where(np.arange(RINGS + 1) < SURELY_SHOWN * RINGS, 1.0, 0.0)
 
 
 def grid(half_width: float, half_height: float, z: float) -> Array:
@@ -129,27 +138,26 @@ def _search(aim: AimTables, array: ArrayTables, distance: float) -> int:
 
 
 def fitted_views(
-    aim: AimTables, array: ArrayTables, moves: Array, sensor: SensorTables, needed: float, furthest: float, most: float
+    aim: AimTables, array: ArrayTables, moves: Array, sensor: SensorTables, needed: float, furthest: float
 ) -> AimTables:
-    """Return the aim with the lenslets' views as wide as the light needs; the part that they surely show is kept.
+    """Return the aim with the lenslets' views as wide as the light needs.
 
     Parameters
     ----------
     needed : float
         Factor by which the measured views would have to be wider.
-    furthest, most : float
-        Distance, in slope, from the centre of a view within which all light but a negligible share falls, and within
-        which nine tenths of it fall.
+    furthest : float
+        Distance, in slope, from the centre of a view within which all light but a negligible share falls.
     """
     seen = aim.slope_radius2 > 0.0
     if TRUSTED <= needed <= 1.0:
         return aim
     if 1.0 < needed <= WIDENED:
-        radius2, sure2 = needed * needed * aim.slope_radius2, aim.sure2 / (needed * needed)
+        radius2 = needed * needed * aim.slope_radius2
     else:
         # Rays at the lenslets' borders were reflected totally or left at grazing angles, so the views are not measured.
-        radius2, sure2 = np.full_like(aim.slope_radius2, furthest * furthest), (most / furthest) ** 2
-    aim = aim._replace(slope_radius2=np.where(seen, radius2, -1.0), sure2=sure2)
+        radius2 = np.full_like(aim.slope_radius2, furthest * furthest)
+    aim = aim._replace(slope_radius2=np.where(seen, radius2, -1.0))
     width, height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
     corners = frame.points(moves[SENSOR_FRAME, ARRAY_FRAME], grid(width, height, 0.0))
     return aim._replace(search=_search(aim, array, np.abs(corners[:, 2] - aim.lenslet_z).max()))

@@ -210,7 +210,7 @@ def test_no_path_through_a_lenslets_corner_goes_past_the_cells_aimed_at(name: st
         world, frames.points(to_world, p + 1e-9 * d), d @ to_world[:, :3].T, split="transmit", engine="sequential"
     )
     out = paths.source[paths.status == lf.Status.ESCAPED]
-    near, cells = np.zeros((most_listed(aim) + 1, LISTED)), np.zeros((3, most_listed(aim) + 1), np.int64)
+    near, cells = np.zeros((most_listed(aim) + 1, LISTED)), np.zeros((2, most_listed(aim) + 1), np.int64)
     glass = float(array.media.indices[array.medium, 0]) if array.curved_to_lens else 1.0
     past = 0
     for i in out:

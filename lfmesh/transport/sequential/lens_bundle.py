@@ -38,11 +38,17 @@ BESIDE = -2.0
 """In place of slot + 1: the ray passes beside the lens."""
 
 
-def empty_bundle() -> Array:
-    """Return memory for a block of rays, aligned to cache lines."""
-    room = np.zeros(ROWS * BLOCK + 8)
+def empty_bundle(rows: int = ROWS) -> Array:
+    """Return memory for a block of rays, aligned to cache lines.
+
+    Parameters
+    ----------
+    rows : int
+        More than `ROWS` where a module keeps rows of its own.
+    """
+    room = np.zeros(rows * BLOCK + 8)
     offset = (-room.ctypes.data // 8) % 8
-    return room[offset : offset + ROWS * BLOCK]
+    return room[offset : offset + rows * BLOCK]
 
 
 @pasted

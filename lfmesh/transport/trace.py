@@ -168,7 +168,8 @@ def trace(
     engine : {"mesh", "sequential"}
         "sequential" meets the exact surfaces of lens and array in their order, many times quicker: refracted rays only
         (`split="transmit"`), nothing recorded, and a ray that total reflection turns off the image path has no packet.
-        "mesh" if left out.
+        It is quickest for rays that can meet nothing but the camera: they go from the given arrays through blocks
+        straight to the result. "mesh" if left out.
 
     Warns
     -----

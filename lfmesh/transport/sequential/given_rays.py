@@ -182,12 +182,26 @@ def follow_rays(
 @kernel
 def _start(bundle: Array, origins: Array, directions: Array, count: int, to_camera: Array) -> None:
     """Write the rays in the camera frame, with unit directions; those that are no rays are refused."""
-    xx, xy, xz, x0 = to_camera[0, 0], to_camera[0, 1], to_camera[0, 2], to_camera[0, 3]
-    yx, yy, yz, y0 = to_camera[1, 0], to_camera[1, 1], to_camera[1, 2], to_camera[1, 3]
-    zx, zy, zz, z0 = to_camera[2, 0], to_camera[2, 1], to_camera[2, 2], to_camera[2, 3]
+    # Two loops, as only the second can use vector instructions.
     for i in range(count):
-        x, y, z = origins[i, 0], origins[i, 1], origins[i, 2]
-        dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
+        bundle[_X + i], bundle[_Y + i], bundle[_Z + i] = origins[i, 0], origins[i, 1], origins[i, 2]
+        bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i] = directions[i, 0], directions[i, 1], directions[i, 2]
+    for i in range(count, BLOCK):
+        bundle[_X + i], bundle[_Y + i], bundle[_Z + i] = 0.0, 0.0, 0.0
+        bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i] = 0.0, 0.0, 1.0
+    _normalise_and_move(bundle, to_camera)
+    for i in range(count, BLOCK):
+        bundle[_WAY + i] = _ABSENT
+
+
+@kernel
+def _normalise_and_move(bundle: Array, move: Array) -> None:
+    xx, xy, xz, x0 = move[0, 0], move[0, 1], move[0, 2], move[0, 3]
+    yx, yy, yz, y0 = move[1, 0], move[1, 1], move[1, 2], move[1, 3]
+    zx, zy, zz, z0 = move[2, 0], move[2, 1], move[2, 2], move[2, 3]
+    for i in range(BLOCK):
+        x, y, z = bundle[_X + i], bundle[_Y + i], bundle[_Z + i]
+        dx, dy, dz = bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i]
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
         # Zero times a number that is not finite is not zero.
         is_ray = both(0.0 * x + 0.0 * y + 0.0 * z + 0.0 * length == 0.0, length > 0.0)
@@ -202,10 +216,6 @@ def _start(bundle: Array, origins: Array, directions: Array, count: int, to_came
         bundle[_DY + i] = yx * dx + yy * dy + yz * dz
         bundle[_DZ + i] = zx * dx + zy * dy + zz * dz
         bundle[_WAY + i] = select(is_ray, 1.0 * _UNSURE, 1.0 * _REFUSED)
-    for i in range(count, BLOCK):
-        bundle[_X + i], bundle[_Y + i], bundle[_Z + i] = 0.0, 0.0, 0.0
-        bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i] = 0.0, 0.0, 1.0
-        bundle[_WAY + i] = 1.0 * _ABSENT
 
 
 @kernel

@@ -3,7 +3,8 @@
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TypedDict, Unpack
+from functools import cached_property
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,6 +34,7 @@ from lfmesh.transport.packets.packet import (
     Status,
 )
 from lfmesh.transport.packets.random import descendant
+from lfmesh.transport.sequential.given_rays import ENDED, GONE, REFUSED, UNSURE, followed
 from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher
@@ -81,14 +83,20 @@ class Paths:
     status: NDArray[np.int64]
     source: NDArray[np.int64]
     events: NDArray[np.int64]
-    body: list[str]
     ledger: Ledger
+    _slot: NDArray[np.integer]
     _node: NDArray[np.int64]
     _nodes: NDArray[np.void]
     _world: World
 
     def __len__(self) -> int:
         return len(self.weight)
+
+    @cached_property
+    def body(self) -> list[str]:
+        """Name of the body that each ended on, made at the first use."""
+        names: list[str] = np.array(self._world.slots, dtype=object)[self._slot].tolist()
+        return names
 
     def vertices(self, packet: int) -> list[Vertex]:
         """Return the recorded path of a packet, from its ray's start to its end.
@@ -160,7 +168,8 @@ def trace(
     engine : {"mesh", "sequential"}
         "sequential" meets the exact surfaces of lens and array in their order, many times quicker: refracted rays only
         (`split="transmit"`), nothing recorded, and a ray that total reflection turns off the image path has no packet.
-        "mesh" if left out.
+        It is quickest for rays that can meet nothing but the camera: they go from the given arrays through blocks
+        straight to the result. "mesh" if left out.
 
     Warns
     -----
@@ -173,7 +182,7 @@ def trace(
         Rays have the wrong shape, no direction, values that are not finite, or start inside the array; or a setting is
         out of range.
     """
-    p, d = _rays(origins, directions)
+    p, d = _arrays(origins, directions)
     options = _options(world, record, split, **settings)
     for name, value, valid, wish in (
         ("wavelength_nm", wavelength_nm, 0.0 < wavelength_nm < np.inf, "a positive number"),
@@ -183,13 +192,8 @@ def trace(
         if not valid:
             raise LfmeshError(f"{name} = {value!r}: must be {wish}")
     tables = _at_level(world, at_wavelength(world, wavelength_nm), options.surface)
-    station, space, p, d = located(world, p, d)
-    if options.sequential:
-        _refuse_starts_in_the_lens(station, space, len(tables.lens.surfaces))
-    source = RaySource(p, d, station, space, np.ones(len(p)), descendant(0x7472616365, seed))
-    launcher = Launcher(lambda: Workspace(world, options, tables=tables))
-    parts = launcher.traced(source, _kept, threads, CHUNK)
-    paths = _paths(world, parts, len(p))
+    call = _Call(world, tables, options, descendant(0x7472616365, seed), threads)
+    paths = _in_blocks(call, p, d) if options.sequential else _as_packets(call, p, d)
     lost = paths.ledger.loss_in_words()
     if lost is not None:
         warnings.warn(lost, LostEnergyWarning, stacklevel=2)
@@ -235,7 +239,7 @@ def _options(
     )
 
 
-def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _arrays(origins: ArrayLike, directions: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     try:
         p = np.atleast_2d(np.asarray(origins, dtype=np.float64))
         d = np.atleast_2d(np.asarray(directions, dtype=np.float64))
@@ -243,6 +247,11 @@ def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[NDArray[np.float64
         raise LfmeshError(f"origins and directions must be (n, 3) numbers: {error}") from error
     if p.ndim != 2 or p.shape[1] != 3 or p.shape != d.shape:
         raise LfmeshError(f"origins {p.shape} and directions {d.shape}: both must be (n, 3)")
+    return np.ascontiguousarray(p), np.ascontiguousarray(d)
+
+
+def _unit_directions(p: NDArray[np.float64], d: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the directions with unit length; refuse rays that are none."""
     length = np.linalg.norm(d, axis=1, keepdims=True)
     bad = ~(np.isfinite(p).all(axis=1) & np.isfinite(length[:, 0]) & (length[:, 0] > 0.0))
     if bad.any():
@@ -252,7 +261,7 @@ def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[NDArray[np.float64
         )
     d = d / length
     # Normalised twice, as the first division leaves a rounding error.
-    return np.ascontiguousarray(p), np.ascontiguousarray(d / np.linalg.norm(d, axis=1, keepdims=True))
+    return np.ascontiguousarray(d / np.linalg.norm(d, axis=1, keepdims=True))
 
 
 def at_wavelength(world: World, wavelength_nm: float) -> Tables:
@@ -277,7 +286,7 @@ def _at_level(world: World, tables: Tables, level: int) -> Tables:
 
 
 def located(
-    world: World, p: NDArray[np.float64], d: NDArray[np.float64]
+    world: World, p: NDArray[np.float64], d: NDArray[np.float64], numbers: NDArray[np.int64] | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the station and the space in which each ray starts, and the rays in the camera frame.
 
@@ -286,6 +295,13 @@ def located(
     world : World
     p, d : (n, 3) float64
         Position, mm, and direction, world frame.
+    numbers : (n,) int64, optional
+        Numbers of the rays in error messages, if not 0 to n − 1.
+
+    Raises
+    ------
+    LfmeshError
+        A ray starts inside the array.
     """
     tables, shape = world.tables, world.lens_shape
     to_camera = tables.frames[WORLD_FRAME, CAMERA_FRAME]
@@ -308,9 +324,8 @@ def located(
         lenslets = tables.array.lenslets
         within = after & (q[:, 2] > lenslets.top) & (q[:, 2] < lenslets.thickness)
         if within.any():
-            raise LfmeshError(
-                f"ray {int(np.flatnonzero(within)[0])} starts inside the microlens array; start it before or behind"
-            )
+            number = np.flatnonzero(within)[0] if numbers is None else numbers[within][0]
+            raise LfmeshError(f"ray {int(number)} starts inside the microlens array; start it before or behind")
         towards = (q[:, 2] <= lenslets.top) == (e[:, 2] > 0.0)
         lens_side = (q[:, 2] <= lenslets.top) == tables.array.curved_to_lens
         station[after] = np.where(towards, PLATE, np.where(lens_side, LENS, SENSOR))[after]
@@ -323,11 +338,13 @@ def located(
     return station, space, p, d
 
 
-def _refuse_starts_in_the_lens(station: NDArray[np.int64], space: NDArray[np.int64], surfaces: int) -> None:
+def _refuse_starts_in_the_lens(
+    station: NDArray[np.int64], space: NDArray[np.int64], surfaces: int, numbers: NDArray[np.int64]
+) -> None:
     inside = (station == LENS) & (space > 0) & (space < surfaces)
     if inside.any():
         raise LfmeshError(
-            f'ray {int(np.flatnonzero(inside)[0])} starts inside the lens: engine = "sequential" follows rays through '
+            f'ray {int(numbers[inside][0])} starts inside the lens: engine = "sequential" follows rays through '
             'all of it; use "mesh"'
         )
 
@@ -350,15 +367,47 @@ def joined_records(parts: Iterable[tuple[Records, Records]]) -> tuple[Records, R
     return np.concatenate(all_ended), np.concatenate(all_nodes)
 
 
-def _paths(
-    world: World,
-    parts: list[tuple[Records, Records, NDArray[np.float64], NDArray[np.int64]]],
-    rays: int,
-) -> Paths:
-    ended, nodes = joined_records(part[:2] for part in parts)
-    ended = ended[np.argsort(ended["source"], kind="stable")]
-    book = np.sum([part[2] for part in parts], axis=0) if parts else np.zeros(len(world.slots))
-    counts = np.sum([part[3] for part in parts], axis=0) if parts else np.zeros(COUNTERS, np.int64)
+class _Call(NamedTuple):
+    """What a call of `trace` traces through, and how."""
+
+    world: World
+    tables: Tables
+    options: Options
+    key: np.uint64
+    threads: int
+
+    def ended(
+        self, p: NDArray[np.float64], d: NDArray[np.float64], numbers: NDArray[np.int64]
+    ) -> tuple[Records, Records, NDArray[np.float64], NDArray[np.int64]]:
+        """Trace rays as packets; return the ends in the order of the rays, the vertices, the book and the counts.
+
+        Parameters
+        ----------
+        p, d : (n, 3) float64
+            Position, mm, and unit direction, world frame.
+        numbers : (n,) int64
+            Numbers of the rays in error messages.
+        """
+        world = self.world
+        station, space, p, d = located(world, p, d, numbers)
+        if self.options.sequential:
+            _refuse_starts_in_the_lens(station, space, len(self.tables.lens.surfaces), numbers)
+        source = RaySource(p, d, station, space, np.ones(len(p)), self.key)
+        launcher = Launcher(lambda: Workspace(world, self.options, tables=self.tables))
+        parts = launcher.traced(source, _kept, self.threads, CHUNK)
+        ended, nodes = joined_records(part[:2] for part in parts)
+        book = np.sum([part[2] for part in parts], axis=0) if parts else np.zeros(len(world.slots))
+        counts = np.sum([part[3] for part in parts], axis=0) if parts else np.zeros(COUNTERS, np.int64)
+        return ended[np.argsort(ended["source"], kind="stable")], nodes, book, counts
+
+    def ledger(self, book: NDArray[np.float64], counts: NDArray[np.int64], rays: int) -> Ledger:
+        """Return the ledger of so many rays."""
+        return ledger_of(book, counts, self.world, rays, "of the rays' power")
+
+
+def _as_packets(call: _Call, p: NDArray[np.float64], d: NDArray[np.float64]) -> Paths:
+    """Trace rays as packets, whose children may be many."""
+    ended, nodes, book, counts = call.ended(p, _unit_directions(p, d), np.arange(len(p)))
     return Paths(
         ended["position"].copy(),
         ended["direction"].copy(),
@@ -366,10 +415,49 @@ def _paths(
         ended["status"].copy(),
         ended["source"].copy(),
         ended["events"].copy(),
-        [world.slots[slot] for slot in ended["body"]],
-        ledger_of(book, counts, world, rays, "of the rays' power"),
+        call.ledger(book, counts, len(p)),
+        ended["body"].copy(),
         ended["node"].copy(),
         nodes,
+        call.world,
+    )
+
+
+def _in_blocks(call: _Call, p: NDArray[np.float64], d: NDArray[np.float64]) -> Paths:
+    """Trace rays along the image path in blocks, and those as packets that may meet more than lens, array and sensor.
+
+    No ray has more than one end, so each has its row in the result from the beginning, and nothing is sorted.
+    """
+    world = call.world
+    ends, book, counts = followed(call.tables, world.surroundings, len(world.slots), p, d, call.threads)
+    rest = np.flatnonzero(ends.fate >= UNSURE)
+    if len(rest):
+        if (ends.fate[rest] == REFUSED).any():
+            _unit_directions(p, d)
+        ended, _, more, events = call.ended(p[rest], _unit_directions(p[rest], d[rest]), rest)
+        row = rest[ended["source"]]
+        ends.position[row], ends.direction[row] = ended["position"], ended["direction"]
+        ends.weight[row], ends.status[row], ends.events[row] = ended["weight"], ended["status"], ended["events"]
+        ends.slot[row] = ended["body"]
+        ends.fate[rest] = GONE
+        ends.fate[row] = ENDED
+        book, counts = book + more, counts + events
+    shown: Any = ends.fate == ENDED
+    source = np.flatnonzero(shown)
+    if len(source) == len(p):
+        # Nothing is left out, and nothing need be copied.
+        shown = slice(None)
+    return Paths(
+        ends.position[shown],
+        ends.direction[shown],
+        ends.weight[shown],
+        ends.status[shown],
+        source,
+        ends.events[shown],
+        call.ledger(book, counts, len(p)),
+        ends.slot[shown],
+        np.zeros(0, np.int64),
+        np.zeros(0, NODE),
         world,
     )
 

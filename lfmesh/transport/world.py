@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from copy import copy
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,6 +40,7 @@ from lfmesh.transport.tables.interfaces import interface_tables
 from lfmesh.transport.tables.lens import array_tables, lens_tables
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, refuse_targets_inside
+from lfmesh.transport.tables.surroundings import Surroundings, surroundings_of
 from lfmesh.transport.tables.tables import (
     SensorTables,
     Tables,
@@ -73,6 +75,12 @@ class World:
         world = copy(self)
         world.scene = self.scene.changed({"transport.seed": seed})
         return world
+
+    @cached_property
+    def surroundings(self) -> Surroundings:
+        """Bounds of lens, housing and targets, for rays that need not ask Embree."""
+        targets = [target.mesh for target in self.targets]
+        return surroundings_of(self.tables.lens, self.lens_shape, self.housing, targets, self.tables.frames)
 
     @property
     def mesh_names(self) -> list[str]:

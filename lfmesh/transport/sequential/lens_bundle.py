@@ -38,11 +38,17 @@ BESIDE = -2.0
 """In place of slot + 1: the ray passes beside the lens."""
 
 
-def empty_bundle() -> Array:
-    """Return memory for a block of rays, aligned to cache lines."""
-    room = np.zeros(ROWS * BLOCK + 8)
+def empty_bundle(rows: int = ROWS) -> Array:
+    """Return memory for a block of rays, aligned to cache lines.
+
+    Parameters
+    ----------
+    rows : int
+        More than `ROWS` where a module keeps rows of its own.
+    """
+    room = np.zeros(rows * BLOCK + 8)
     offset = (-room.ctypes.data // 8) % 8
-    return room[offset : offset + ROWS * BLOCK]
+    return room[offset : offset + rows * BLOCK]
 
 
 @pasted
@@ -291,8 +297,10 @@ def _through_sphere(
         x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i] - vertex_z
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
         root, cos_i, above, below = _sphere_crossing(along, x, y, z, dx, dy, dz, sense)
-        cos2_t = fused(eta * eta * cos_i, cos_i, 1.0 - eta * eta)
-        cos_t = np.sqrt(cos2_t)
+        # From the squared cosine, so that neither square root waits for the other.
+        cos2_t = fused(eta * eta, root, 1.0 - eta * eta)
+        # Zero under total reflection, as the distance shares its division with the transmittance.
+        cos_t = np.sqrt(select(cos2_t > 0.0, cos2_t, 0.0))
         s, p = amplitude_sums(n_i, n_t, cos_i, cos_t)
         over_all = 1.0 / (below * (s * p))
         t, over = above * (over_all * (s * p)), over_all * below

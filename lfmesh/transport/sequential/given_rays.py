@@ -1,0 +1,482 @@
+"""A user's rays along the image path in blocks, from the caller's arrays straight to those of the result.
+
+Rays that certainly meet nothing but lens, array and sensor are followed here to their ends: those that start before
+the lens and run into it, and those that start behind it, in either direction. A ray of which that is not certain is
+left alone, and its fate says so; the caller traces it as a packet.
+"""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernel import kernel, pasted
+from lfmesh.transport.packets.book import BESIDE_SENSOR, EMITTED, ESCAPED, HOUSING, ON_SENSOR, UNFOLLOWED
+from lfmesh.transport.packets.packet import (
+    ARRAY_FRAME,
+    CAMERA_FRAME,
+    COUNTERS,
+    EVENTS,
+    S_ABSORBED,
+    S_ESCAPED,
+    S_SENSOR,
+    SENSOR_FRAME,
+    WORLD_FRAME,
+)
+from lfmesh.transport.sequential.image_path import through_array, through_lens
+from lfmesh.transport.sequential.lens_bundle import (
+    BESIDE,
+    BLOCK,
+    DROPPED,
+    DX,
+    DY,
+    DZ,
+    ENDED_ON,
+    LEFT_BEHIND,
+    MET,
+    ROWS,
+    SCRATCH,
+    WEIGHT,
+    X,
+    Y,
+    Z,
+    empty_bundle,
+    normalise,
+)
+from lfmesh.transport.tables.surroundings import Surroundings
+from lfmesh.transport.tables.tables import Tables
+from lfmesh.vector import both, select
+
+Array = NDArray[np.float64]
+
+# Rows beyond those of a bundle: the rays at their starts, camera frame, and their ways.
+_X, _Y, _Z = ROWS * BLOCK, (ROWS + 1) * BLOCK, (ROWS + 2) * BLOCK
+_DX, _DY, _DZ = (ROWS + 3) * BLOCK, (ROWS + 4) * BLOCK, (ROWS + 5) * BLOCK
+_WAY = (ROWS + 6) * BLOCK
+RAY_ROWS = ROWS + 7
+"""Rows of a bundle with the starts of its rays."""
+
+# Working rows: the ends, world frame.
+_END_X, _END_Y, _END_Z = SCRATCH, SCRATCH + BLOCK, SCRATCH + 2 * BLOCK
+_END_DX, _END_DY, _END_DZ = SCRATCH + 3 * BLOCK, SCRATCH + 4 * BLOCK, SCRATCH + 5 * BLOCK
+
+# Ways of a ray. The first three are none that is followed here.
+_REFUSED, _ABSENT, _UNSURE = -2, -1, 0
+_FROM_OBJECTS = 1  # through lens and array to the sensor
+_TO_SENSOR, _ON_SENSOR = 2, 3  # from between lens and sensor: through the array, or straight on
+_TO_OBJECTS, _BACK = 4, 5  # through the lens into object space: straight away, or through the array before
+_WAYS = 6
+
+ENDED, GONE, UNSURE, REFUSED = 0, 1, 2, 3
+"""Fates: the ray has ended; it left the image path, so that there is no row for it; it is not followed here; its
+numbers make no ray."""
+
+
+PART = 32_768
+"""Number of rays that one call of the kernel follows: enough to outweigh the call."""
+
+
+class Ends(NamedTuple):
+    """Where rays ended, one row a ray; as the attributes of `Paths`."""
+
+    position: Array  # (n, 3) mm, world frame
+    direction: Array  # (n, 3)
+    weight: Array
+    status: NDArray[np.int64]
+    events: NDArray[np.int64]
+    slot: NDArray[np.int32]  # slot of the book
+    fate: NDArray[np.uint8]
+
+
+class Followed(NamedTuple):
+    """Rays that were followed, with the energy of those whose fate is `ENDED` or `GONE`."""
+
+    ends: Ends
+    book: Array  # (slots,) float64
+    counts: NDArray[np.int64]  # (COUNTERS,)
+
+
+def followed(tables: Tables, around: Surroundings, slots: int, p: Array, d: Array, threads: int) -> Followed:
+    """Follow rays to their ends, as far as their ways are certain.
+
+    Parameters
+    ----------
+    tables : Tables
+        With the media at the rays' wavelength as the first.
+    around : Surroundings
+    slots : int
+        Of the book.
+    p, d : (n, 3) float64, contiguous
+        Position, mm, and direction of any length, world frame.
+    threads : int
+        0: all processors. The result does not depend on it.
+    """
+    rays = len(p)
+    ends = Ends(
+        np.empty((rays, 3)), np.empty((rays, 3)), np.empty(rays),
+        np.empty(rays, np.int64), np.empty(rays, np.int64), np.empty(rays, np.int32), np.empty(rays, np.uint8),
+    )  # fmt: skip
+    parts = [slice(first, first + PART) for first in range(0, rays, PART)]
+    books, counts = np.zeros((len(parts), slots)), np.zeros((len(parts), COUNTERS), np.int64)
+
+    def follow(number: int) -> None:
+        part = parts[number]
+        some = Ends(
+            ends.position[part], ends.direction[part], ends.weight[part], ends.status[part],
+            ends.events[part], ends.slot[part], ends.fate[part],
+        )  # fmt: skip
+        follow_rays(p[part], d[part], tables, around, empty_bundle(RAY_ROWS), some, books[number], counts[number])
+
+    workers = min(threads or os.cpu_count() or 1, len(parts))
+    if workers > 1:
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(follow, range(len(parts))))
+    else:
+        for number in range(len(parts)):
+            follow(number)
+    return Followed(ends, books.sum(axis=0), counts.sum(axis=0))
+
+
+@kernel
+def follow_rays(
+    origins: Array, directions: Array, tables: Tables, around: Surroundings, bundle: Array, ends: Ends, book: Array,
+    counts: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Follow rays to their ends, block by block.
+
+    Parameters
+    ----------
+    origins : (n, 3) float64, mm, world frame
+    directions : (n, 3) float64
+        Of any length.
+    tables : Tables
+        With the media at the rays' wavelength as the first.
+    around : Surroundings
+    bundle : (RAY_ROWS · BLOCK,) float64
+        Working memory.
+    ends : Ends
+        Filled; rows of rays whose fate is not `ENDED` keep what they hold.
+    book : (slots,) float64
+        The energy of the rays that are followed is entered here.
+    counts : (COUNTERS,) int64
+    """
+    for first in range(0, len(origins), BLOCK):
+        last = min(first + BLOCK, len(origins))
+        count = last - first
+        _start(bundle, origins[first:last], directions[first:last], count, tables.frames[WORLD_FRAME, CAMERA_FRAME])
+        ways = _find_ways(bundle, count, tables, around)
+        some = Ends(
+            ends.position[first:last], ends.direction[first:last], ends.weight[first:last], ends.status[first:last],
+            ends.events[first:last], ends.slot[first:last], ends.fate[first:last],
+        )  # fmt: skip
+        if ways & 1 != 0:
+            _pass_over(bundle, count, some)
+        for way in range(_FROM_OBJECTS, _WAYS):
+            if ways & (1 << way) != 0:
+                _follow_way(bundle, count, way, tables, around)
+                _keep(bundle, count, way, some, book, counts)
+
+
+@kernel
+def _start(bundle: Array, origins: Array, directions: Array, count: int, to_camera: Array) -> None:
+    """Write the rays in the camera frame, with unit directions; those that are no rays are refused."""
+    # Two loops, as only the second can use vector instructions.
+    for i in range(count):
+        bundle[_X + i], bundle[_Y + i], bundle[_Z + i] = origins[i, 0], origins[i, 1], origins[i, 2]
+        bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i] = directions[i, 0], directions[i, 1], directions[i, 2]
+    for i in range(count, BLOCK):
+        bundle[_X + i], bundle[_Y + i], bundle[_Z + i] = 0.0, 0.0, 0.0
+        bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i] = 0.0, 0.0, 1.0
+    _normalise_and_move(bundle, to_camera)
+    for i in range(count, BLOCK):
+        bundle[_WAY + i] = _ABSENT
+
+
+@kernel
+def _normalise_and_move(bundle: Array, move: Array) -> None:
+    xx, xy, xz, x0 = move[0, 0], move[0, 1], move[0, 2], move[0, 3]
+    yx, yy, yz, y0 = move[1, 0], move[1, 1], move[1, 2], move[1, 3]
+    zx, zy, zz, z0 = move[2, 0], move[2, 1], move[2, 2], move[2, 3]
+    for i in range(BLOCK):
+        x, y, z = bundle[_X + i], bundle[_Y + i], bundle[_Z + i]
+        dx, dy, dz = bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i]
+        length = np.sqrt(dx * dx + dy * dy + dz * dz)
+        # Zero times a number that is not finite is not zero.
+        is_ray = both(0.0 * x + 0.0 * y + 0.0 * z + 0.0 * length == 0.0, length > 0.0)
+        dx, dy, dz = dx / length, dy / length, dz / length
+        # Normalised twice, as the first division leaves a rounding error.
+        length = np.sqrt(dx * dx + dy * dy + dz * dz)
+        dx, dy, dz = dx / length, dy / length, dz / length
+        bundle[_X + i] = xx * x + xy * y + xz * z + x0
+        bundle[_Y + i] = yx * x + yy * y + yz * z + y0
+        bundle[_Z + i] = zx * x + zy * y + zz * z + z0
+        bundle[_DX + i] = xx * dx + xy * dy + xz * dz
+        bundle[_DY + i] = yx * dx + yy * dy + yz * dz
+        bundle[_DZ + i] = zx * dx + zy * dy + zz * dz
+        bundle[_WAY + i] = select(is_ray, 1.0 * _UNSURE, 1.0 * _REFUSED)
+
+
+@kernel
+def _find_ways(bundle: Array, count: int, tables: Tables, around: Surroundings) -> int:
+    """Find the way of each ray; return a set of bits, one for each way, the first for rays that are not followed."""
+    low, high = around.low, around.high
+    _find_entries(
+        bundle, around.before, around.farthest, low[0], low[1], low[2], high[0], high[1]
+    )  # fmt: skip
+    for n in range(len(around.boxes)):
+        low, high = around.boxes[n, 0], around.boxes[n, 1]
+        _stop_at_box(bundle, low[0], low[1], low[2], high[0], high[1], high[2], around.low[2])
+    ways = 0
+    for i in range(count):
+        way = int(bundle[_WAY + i])
+        if way == _UNSURE and bundle[_Z + i] > around.behind:
+            way = _way_from_behind(bundle, i, tables, around)
+            bundle[_WAY + i] = way
+        ways |= 1 << max(way, _UNSURE)
+    return ways
+
+
+@kernel
+def _find_entries(
+    bundle: Array, before: float, farthest: float,
+    low_x: float, low_y: float, low_z: float, high_x: float, high_y: float,
+) -> None:  # fmt: skip
+    """Find the rays that come from object space through the front of the box in which the lens is."""
+    for i in range(BLOCK):
+        x, y, z, dz = bundle[_X + i], bundle[_Y + i], bundle[_Z + i], bundle[_DZ + i]
+        t = (low_z - z) / dz
+        at_x, at_y = x + t * bundle[_DX + i], y + t * bundle[_DY + i]
+        enters = both(both(at_x > low_x, at_x < high_x), both(at_y > low_y, at_y < high_y))
+        near = both(abs(x) < farthest, both(abs(y) < farthest, abs(z) < farthest))
+        starts = both(both(z < before, dz > 0.0), bundle[_WAY + i] == _UNSURE)
+        bundle[_WAY + i] = select(both(starts, both(enters, near)), 1.0 * _FROM_OBJECTS, bundle[_WAY + i])
+
+
+@pasted
+def _crosses_box(
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, limit: float,
+    low_x: float, low_y: float, low_z: float, high_x: float, high_y: float, high_z: float,
+) -> bool:  # fmt: skip
+    """Return whether a ray may meet a box within a distance; along one of its planes, it may."""
+    ax, bx = (low_x - x) / dx, (high_x - x) / dx
+    ay, by = (low_y - y) / dy, (high_y - y) / dy
+    az, bz = (low_z - z) / dz, (high_z - z) / dz
+    near = select(ax < bx, ax, bx)
+    far = select(ax < bx, bx, ax)
+    near_y, far_y = select(ay < by, ay, by), select(ay < by, by, ay)
+    near_z, far_z = select(az < bz, az, bz), select(az < bz, bz, az)
+    near = select(near_y > near, near_y, near)
+    near = select(near_z > near, near_z, near)
+    far = select(far_y < far, far_y, far)
+    far = select(far_z < far, far_z, far)
+    # So put that a quotient 0/0 counts as a crossing.
+    return both(not near > far, both(not far < 0.0, not near > limit))
+
+
+@kernel
+def _stop_at_box(
+    bundle: Array, low_x: float, low_y: float, low_z: float, high_x: float, high_y: float, high_z: float, to_z: float
+) -> None:
+    """Leave rays unsure that may meet a box on their way from object space to the lens, at z = `to_z`."""
+    for i in range(BLOCK):
+        x, y, z = bundle[_X + i], bundle[_Y + i], bundle[_Z + i]
+        dx, dy, dz = bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i]
+        limit = (to_z - z) / dz
+        crosses = _crosses_box(x, y, z, dx, dy, dz, limit, low_x, low_y, low_z, high_x, high_y, high_z)
+        stops = both(bundle[_WAY + i] == _FROM_OBJECTS, crosses)
+        bundle[_WAY + i] = select(stops, 1.0 * _UNSURE, bundle[_WAY + i])
+
+
+@kernel
+def _way_from_behind(bundle: Array, i: int, tables: Tables, around: Surroundings) -> int:
+    """Return the way of a ray that starts behind the lens."""
+    x, y, z = bundle[_X + i], bundle[_Y + i], bundle[_Z + i]
+    dx, dy, dz = bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i]
+    if not (z < around.end and x * x + y * y < around.outline * around.outline):
+        return _UNSURE
+    if not tables.array.present:
+        move = tables.frames[CAMERA_FRAME, SENSOR_FRAME]
+        if move[2, 0] * dx + move[2, 1] * dy + move[2, 2] * dz > 0.0:
+            return _ON_SENSOR
+        return _TO_OBJECTS if dz < 0.0 else _UNSURE
+    move, lenslets = tables.frames[CAMERA_FRAME, ARRAY_FRAME], tables.array.lenslets
+    at = move[2, 0] * x + move[2, 1] * y + move[2, 2] * z + move[2, 3]
+    slope = move[2, 0] * dx + move[2, 1] * dy + move[2, 2] * dz
+    if not (at < lenslets.top or at > lenslets.thickness):
+        return _UNSURE
+    if (at < lenslets.top) == (slope > 0.0):
+        return _TO_SENSOR if dz > 0.0 else _BACK
+    if (at < lenslets.top) != tables.array.curved_to_lens:
+        return _ON_SENSOR
+    return _TO_OBJECTS if dz < 0.0 else _UNSURE
+
+
+@kernel
+def _pass_over(bundle: Array, count: int, ends: Ends) -> None:
+    """Note the fate of rays that are not followed here."""
+    for i in range(count):
+        if bundle[_WAY + i] <= 1.0 * _UNSURE:
+            ends.fate[i] = UNSURE if bundle[_WAY + i] == 1.0 * _UNSURE else REFUSED
+
+
+@kernel
+def _follow_way(bundle: Array, count: int, way: int, tables: Tables, around: Surroundings) -> None:
+    """Take the rays of a block that have one way to its end."""
+    frames = tables.frames
+    _load_way(bundle, 1.0 * way)
+    to_sensor = way <= _ON_SENSOR
+    if way == _FROM_OBJECTS:
+        through_lens(bundle, tables.lens, 0, True)
+    if tables.array.present and way in (_FROM_OBJECTS, _TO_SENSOR, _BACK):
+        through_array(bundle, count, tables.array, 0, frames, to_sensor)
+    if not to_sensor:
+        through_lens(bundle, tables.lens, 0, False)
+    if way != _ON_SENSOR:
+        normalise(bundle)
+    if to_sensor:
+        sensor = tables.sensor
+        _move_ends(bundle, frames[CAMERA_FRAME, WORLD_FRAME])
+        _end_on_sensor(
+            bundle, frames[CAMERA_FRAME, SENSOR_FRAME], frames[SENSOR_FRAME, WORLD_FRAME],
+            sensor.pixel, 1.0 * sensor.columns, 1.0 * sensor.rows,
+        )  # fmt: skip
+        return
+    for n in range(len(around.boxes)):
+        low, high = around.boxes[n, 0], around.boxes[n, 1]
+        _doubt_at_box(bundle, low[0], low[1], low[2], high[0], high[1], high[2])
+    _escape(bundle, around.plate, around.opening)
+    _move_ends(bundle, frames[CAMERA_FRAME, WORLD_FRAME])
+
+
+@kernel
+def _load_way(bundle: Array, way: float) -> None:
+    """Put the rays of one way at their starts, and count the others as ended."""
+    for i in range(BLOCK):
+        bundle[X + i], bundle[Y + i], bundle[Z + i] = bundle[_X + i], bundle[_Y + i], bundle[_Z + i]
+        bundle[DX + i], bundle[DY + i], bundle[DZ + i] = bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i]
+        bundle[WEIGHT + i], bundle[LEFT_BEHIND + i], bundle[MET + i] = 1.0, 0.0, 0.0
+        bundle[ENDED_ON + i] = select(bundle[_WAY + i] == way, 0.0, DROPPED)
+
+
+@kernel
+def _move_ends(bundle: Array, move: Array) -> None:
+    """Write the present state of all rays to the rows of the ends, moved."""
+    xx, xy, xz, x0 = move[0, 0], move[0, 1], move[0, 2], move[0, 3]
+    yx, yy, yz, y0 = move[1, 0], move[1, 1], move[1, 2], move[1, 3]
+    zx, zy, zz, z0 = move[2, 0], move[2, 1], move[2, 2], move[2, 3]
+    for i in range(BLOCK):
+        x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
+        bundle[_END_X + i] = xx * x + xy * y + xz * z + x0
+        bundle[_END_Y + i] = yx * x + yy * y + yz * z + y0
+        bundle[_END_Z + i] = zx * x + zy * y + zz * z + z0
+        x, y, z = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        bundle[_END_DX + i] = xx * x + xy * y + xz * z
+        bundle[_END_DY + i] = yx * x + yy * y + yz * z
+        bundle[_END_DZ + i] = zx * x + zy * y + zz * z
+
+
+@kernel
+def _end_on_sensor(bundle: Array, move: Array, back: Array, pixel: float, columns: float, rows: float) -> None:
+    """End the rays that are still on their way in the plane of the sensor.
+
+    Parameters
+    ----------
+    move, back : (3, 4) float64
+        From the camera frame into the sensor's, and from there into the world frame.
+    pixel : float, mm
+    columns, rows : float
+    """
+    xx, xy, xz, x0 = move[0, 0], move[0, 1], move[0, 2], move[0, 3]
+    yx, yy, yz, y0 = move[1, 0], move[1, 1], move[1, 2], move[1, 3]
+    zx, zy, zz, z0 = move[2, 0], move[2, 1], move[2, 2], move[2, 3]
+    wxx, wxy, wxz, wx0 = back[0, 0], back[0, 1], back[0, 2], back[0, 3]
+    wyx, wyy, wyz, wy0 = back[1, 0], back[1, 1], back[1, 2], back[1, 3]
+    wzx, wzy, wzz, wz0 = back[2, 0], back[2, 1], back[2, 2], back[2, 3]
+    for i in range(BLOCK):
+        ended = bundle[ENDED_ON + i]
+        x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
+        px, py = xx * x + xy * y + xz * z + x0, yx * x + yy * y + yz * z + y0
+        pz = zx * x + zy * y + zz * z + z0
+        x, y, z = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        dx, dy, dz = xx * x + xy * y + xz * z, yx * x + yy * y + yz * z, zx * x + zy * y + zz * z
+        arrives = both(dz > 0.0, pz <= 0.0)
+        t = -pz / dz
+        px, py, pz = select(arrives, px + t * dx, px), select(arrives, py + t * dy, py), select(arrives, 0.0, pz)
+        column, row = np.floor(px / pixel + 0.5 * columns), np.floor(py / pixel + 0.5 * rows)
+        on = both(both(column >= 0.0, column < columns), both(row >= 0.0, row < rows))
+        slot = select(arrives, select(on, ON_SENSOR + 1.0, BESIDE_SENSOR + 1.0), HOUSING + 1.0)
+        live = ended == 0.0
+        bundle[_END_X + i] = select(live, wxx * px + wxy * py + wxz * pz + wx0, bundle[_END_X + i])
+        bundle[_END_Y + i] = select(live, wyx * px + wyy * py + wyz * pz + wy0, bundle[_END_Y + i])
+        bundle[_END_Z + i] = select(live, wzx * px + wzy * py + wzz * pz + wz0, bundle[_END_Z + i])
+        bundle[_END_DX + i] = select(live, wxx * dx + wxy * dy + wxz * dz, bundle[_END_DX + i])
+        bundle[_END_DY + i] = select(live, wyx * dx + wyy * dy + wyz * dz, bundle[_END_DY + i])
+        bundle[_END_DZ + i] = select(live, wzx * dx + wzy * dy + wzz * dz, bundle[_END_DZ + i])
+        bundle[ENDED_ON + i] = select(live, slot, ended)
+
+
+@kernel
+def _doubt_at_box(
+    bundle: Array, low_x: float, low_y: float, low_z: float, high_x: float, high_y: float, high_z: float
+) -> None:
+    """Count rays as unsure that may meet a box in object space, like those that pass beside the lens."""
+    for i in range(BLOCK):
+        x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        crosses = _crosses_box(x, y, z, dx, dy, dz, np.inf, low_x, low_y, low_z, high_x, high_y, high_z)
+        doubtful = both(bundle[ENDED_ON + i] == 0.0, crosses)
+        bundle[ENDED_ON + i] = select(doubtful, BESIDE, bundle[ENDED_ON + i])
+
+
+@kernel
+def _escape(bundle: Array, plate: float, opening: float) -> None:
+    """End the rays that leave the lens and the opening of the housing into object space."""
+    for i in range(BLOCK):
+        t = (plate - bundle[Z + i]) / bundle[DZ + i]
+        t = select(t > 0.0, t, 0.0)
+        x, y = bundle[X + i] + t * bundle[DX + i], bundle[Y + i] + t * bundle[DY + i]
+        escapes = both(bundle[DZ + i] < 0.0, x * x + y * y < opening * opening)
+        slot = select(escapes, ESCAPED + 1.0, BESIDE)
+        bundle[ENDED_ON + i] = select(bundle[ENDED_ON + i] == 0.0, slot, bundle[ENDED_ON + i])
+
+
+@kernel
+def _keep(bundle: Array, count: int, way: int, ends: Ends, book: Array, counts: NDArray[np.int64]) -> None:
+    """Write the ends of the rays of one way, and enter their energy in the book."""
+    emitted, events, sensor, left_behind = 0, 0, 0.0, 0.0
+    for i in range(count):
+        if bundle[_WAY + i] != 1.0 * way:
+            continue
+        ended = bundle[ENDED_ON + i]
+        if ended == BESIDE:
+            ends.fate[i] = UNSURE
+            continue
+        emitted += 1
+        met = int(bundle[MET + i])
+        events += met
+        left_behind += bundle[LEFT_BEHIND + i]
+        if ended == DROPPED:
+            ends.fate[i] = GONE
+            continue
+        slot = int(ended) - 1
+        weight = bundle[WEIGHT + i]
+        ends.fate[i] = ENDED
+        ends.position[i, 0], ends.position[i, 1], ends.position[i, 2] = (
+            bundle[_END_X + i], bundle[_END_Y + i], bundle[_END_Z + i],
+        )  # fmt: skip
+        ends.direction[i, 0], ends.direction[i, 1], ends.direction[i, 2] = (
+            bundle[_END_DX + i], bundle[_END_DY + i], bundle[_END_DZ + i],
+        )  # fmt: skip
+        ends.weight[i], ends.slot[i], ends.events[i] = weight, slot, met
+        if slot == ON_SENSOR:
+            sensor += weight
+            ends.status[i] = S_SENSOR
+        else:
+            book[slot] += weight
+            ends.status[i] = S_ESCAPED if slot == ESCAPED else S_ABSORBED
+    book[EMITTED] += emitted
+    book[ON_SENSOR] += sensor
+    book[UNFOLLOWED] += left_behind
+    counts[EVENTS] += events

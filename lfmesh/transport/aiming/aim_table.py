@@ -11,9 +11,10 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
 from lfmesh.geometry.surface import sag
 from lfmesh.geometry.targets import TargetMesh
+from lfmesh.geometry.tessellation import on_circles
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
-from lfmesh.transport.aiming.aim_proof import AimProof, CameraTables, proven
+from lfmesh.transport.aiming.aim_proof import AimProof, CameraTables, decentred, proven
 from lfmesh.transport.aiming.lenslet_view import SURE, aim_through_lenslets, apex_z, grid
 from lfmesh.transport.aiming.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
 from lfmesh.transport.aiming.pupil import paraxial_opening, real_opening, unknown_opening, viewpoints
@@ -107,8 +108,15 @@ def _found(
         lattice = array.lenslets.lattice
         apexes = grid(*lattice.half_extent, apex_z(array, glass)[1])
         behind = frame.points(moves[ARRAY_FRAME, CAMERA_FRAME], apexes)
-    entrance = opening_seen(report, lens, seen, front_radius, analytic, front=True)
-    exit_ = opening_seen(report, lens, behind, back_radius, analytic, front=False)
+    from_targets = viewpoints(float(lens.box_low[2]), front_radius, seen, to_sensor=True)
+    posed = bool(lens.surfaces["posed"].any()) or lens.stop_posed
+    # The table of an opening is that of a lens of revolution; poses move its disks, and the proof widens them.
+    prescribed = without_poses(lens) if posed else lens
+    entrance = opening_seen(report, prescribed, seen, front_radius, analytic, front=True)
+    exit_ = opening_seen(report, prescribed, behind, back_radius, analytic, front=False)
+    through = CameraTables(lens, array, sensor, moves)
+    if posed:
+        entrance, exit_ = decentred(entrance, exit_, through)
     # Reflections reach the sensor from all over the lens; without them the wide disk only brings light beside the
     # measured opening.
     followed = scene.transport.split != "transmit"
@@ -131,9 +139,16 @@ def _found(
     )
     aim = aim_through_lenslets(scene, report, array, aim, moves, glass) if array.present else aim
     if not analytic:
-        return aim, None
-    from_targets = viewpoints(entrance.plane_z, front_radius, seen, to_sensor=True)
-    return proven(aim, CameraTables(lens, array, sensor, moves), from_targets)
+        # The surfaces that fit the meshes tell how much wider poses make the openings, but prove nothing.
+        return (proven(aim, through, from_targets)[0] if posed else aim), None
+    return proven(aim, through, from_targets)
+
+
+def without_poses(lens: LensTables) -> LensTables:
+    """Return the tables of a lens whose surfaces and stop stand as prescribed."""
+    surfaces = lens.surfaces.copy()
+    surfaces["posed"] = 0
+    return lens._replace(surfaces=surfaces, stop_posed=False)
 
 
 def opening_seen(
@@ -185,6 +200,9 @@ def widest_disk(lens: LensTables, p: Array, *, front: bool) -> float:
     rim = float(max(abs(lens.box_low[0]), abs(lens.box_high[0]), abs(lens.box_low[1]), abs(lens.box_high[1])))
     edge = float(outer["vertex_z"] + sag(outer, outer["aperture"]))
     depth = abs(max(outer["vertex_z"], edge) - plane) if front else abs(plane - min(outer["vertex_z"], edge))
+    if outer["posed"]:
+        z = on_circles(outer, np.array([0.0, outer["aperture"]]))[..., 2]
+        depth = abs(float(z.max() if front else z.min()) - plane)
     distance = np.maximum((plane - p[:, 2]) if front else (p[:, 2] - plane), depth)
     spread = (np.hypot(p[:, 0], p[:, 1]) + rim) * np.divide(
         depth, distance, out=np.zeros_like(distance), where=distance > 0

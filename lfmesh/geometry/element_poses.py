@@ -1,7 +1,7 @@
 """Lens elements that stand off their place: their poses, what must not cross, and the rings that close the spaces.
 
-The surfaces of an element move rigidly about the vertex of its first surface. Where two neighbouring surfaces have moved
-against each other, the ring between their rims is no longer a surface of revolution.
+The surfaces of an element move rigidly about the vertex of its first surface. Where two neighbouring surfaces have
+moved against each other, the ring between their rims is no longer a surface of revolution.
 """
 
 from itertools import pairwise

@@ -102,10 +102,7 @@ def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
             rims.append((1.0 - 0.2 * RIM_MARGIN) * face.rim_mm)
             shift = surfaces[k]["vertex_z"] - face.vertex_z
             caps.append(Mesh(np.add(face.mesh.vertices, [0.0, 0.0, shift]), face.mesh.faces, face.mesh.corner_normals))
-    closures = [
-        closure(prescription, surfaces, rims, numbers, k, 6 * rings)
-        for k in range(len(numbers) - 1)
-    ]
+    closures = [closure(prescription, surfaces, rims, numbers, k, 6 * rings) for k in range(len(numbers) - 1)]
     errors = landing_errors(scene, numbers, surfaces, caps, level)
     caps = [mesh.moved(s["pose"]) if s["posed"] else mesh for mesh, s in zip(caps, surfaces, strict=True)]
     return LensShape(numbers, surfaces, rings, rims, caps, closures, media, own, np.where(own, errors, np.nan))

@@ -388,7 +388,7 @@ def _to_plane(lens: LensTables, space: int, z: float, plane_z: float) -> tuple[f
 
 
 def _stop_of(lens: LensTables) -> tuple[int, float, float, float, Array]:
-    """Return the space that the stop lies in or bounds, z of its plane, its radius, the sag of its surface, its pose."""
+    """Return the space that the stop lies in or bounds, z and radius of the stop, sag of its surface, and its pose."""
     if lens.stop_space >= 0:
         return lens.stop_space, lens.stop_z, lens.stop_radius, 0.0, lens.stop_pose
     surfaces = lens.surfaces

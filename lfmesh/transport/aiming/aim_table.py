@@ -109,13 +109,12 @@ def _found(
         apexes = grid(*lattice.half_extent, apex_z(array, glass)[1])
         behind = frame.points(moves[ARRAY_FRAME, CAMERA_FRAME], apexes)
     from_targets = viewpoints(float(lens.box_low[2]), front_radius, seen, to_sensor=True)
-    posed = bool(lens.surfaces["posed"].any()) or lens.stop_posed
-    # The table of an opening is that of a lens of revolution; poses move its disks, and the proof widens them.
-    prescribed = without_poses(lens) if posed else lens
-    entrance = opening_seen(report, prescribed, seen, front_radius, analytic, front=True)
-    exit_ = opening_seen(report, prescribed, behind, back_radius, analytic, front=False)
+    posed = has_poses(lens)
+    entrance = opening_seen(report, lens, seen, front_radius, analytic, front=True)
+    exit_ = opening_seen(report, lens, behind, back_radius, analytic, front=False)
     through = CameraTables(lens, array, sensor, moves)
     if posed:
+        # Poses move the disks of the openings; the proof widens them.
         entrance, exit_ = decentred(entrance, exit_, through)
     # Reflections reach the sensor from all over the lens; without them the wide disk only brings light beside the
     # measured opening.
@@ -144,6 +143,11 @@ def _found(
     return proven(aim, through, from_targets)
 
 
+def has_poses(lens: LensTables) -> bool:
+    """Tell whether a surface of the lens or its stop stands off its place in the prescription."""
+    return bool(lens.surfaces["posed"].any()) or lens.stop_posed
+
+
 def without_poses(lens: LensTables) -> LensTables:
     """Return the tables of a lens whose surfaces and stop stand as prescribed."""
     surfaces = lens.surfaces.copy()
@@ -154,7 +158,9 @@ def without_poses(lens: LensTables) -> LensTables:
 def opening_seen(
     report: FirstOrder, lens: LensTables, points: Array, wide_radius: float, analytic: bool, *, front: bool
 ) -> Opening:
-    """Return the opening of one side of the lens as seen from points.
+    """Return the opening of one side of the lens, without the poses of its elements, as seen from points.
+
+    The table of an opening is that of a lens of revolution.
 
     Parameters
     ----------
@@ -180,7 +186,7 @@ def opening_seen(
         # Telecentric: a pupil so far away that all points see it in the same direction.
         z, diameter = (plane_z + FAR, FAR) if front else (plane_z - FAR, FAR / report.working_f_number)
     if analytic:
-        return real_opening(seen, lens, z, 0.5 * diameter)
+        return real_opening(seen, without_poses(lens) if has_poses(lens) else lens, z, 0.5 * diameter)
     return paraxial_opening(seen, z, 0.5 * diameter)
 
 

@@ -84,7 +84,7 @@ def lens_tables(
 
 
 def _pure_stop(scene: Scene, shape: LensShape) -> tuple[int, float, float, frame.Frame]:
-    """Return space, z (mm), radius (mm) and pose of a stop that is not a refracting surface; space −1: there is none."""
+    """Return space, z, radius (mm) and pose of a stop that is not a refracting surface; space −1 if there is none."""
     prescription = scene.camera.lens
     for i, s in enumerate(prescription.surfaces):
         if prescription.is_pure_stop(i):

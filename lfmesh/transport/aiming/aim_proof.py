@@ -248,6 +248,8 @@ def _moved_to_rays(opening: Opening, p: Array, d: Array, throughput: Array, rand
     row = rows * random.random(len(p))
     z = opening.plane_z - opening.sense / (opening.nearness + row * opening.nearness_step)
     seen_from = p + ((z - p[:, 2]) / d[:, 2])[:, None] * d
+    tangent = np.hypot(seen_from[:, 0], seen_from[:, 1]) * (opening.nearness + row * opening.nearness_step)
+    opening = _open_out_to(opening, int(tangent.max() / opening.tangent_step) + 2)
     off = np.full((len(p), 2), np.nan)
     _off_centre(seen_from, d, opening, off)
     known = np.isfinite(off[:, 0])
@@ -258,6 +260,21 @@ def _moved_to_rays(opening: Opening, p: Array, d: Array, throughput: Array, rand
     shift = np.zeros((2, 2))
     shift[: terms.shape[1]] = np.linalg.lstsq(weight * terms, weight * off[known], rcond=None)[0]
     return opening._replace(decentre=shift)
+
+
+def _open_out_to(opening: Opening, columns: int) -> Opening:
+    """Return an opening that is open at so many field angles at least, as poses may let light through beyond.
+
+    Beyond those at which the lens as prescribed is open, centres go on evenly, and radii stay.
+    """
+    width = int(np.flatnonzero((opening.radius > 0.0).any(axis=0)).max(initial=-1)) + 1
+    if not 0 < width < columns:
+        return opening
+    middle, radius = opening.middle[:, : width + 1], opening.radius[:, :width]
+    further = np.arange(1, columns - width + 1)
+    middle = np.hstack([middle, middle[:, -1:] + further * (middle[:, -1:] - middle[:, -2:-1])])
+    radius = np.hstack([radius, np.repeat(radius.max(axis=1, keepdims=True), columns - width, axis=1)])
+    return opening._replace(middle=np.ascontiguousarray(middle), radius=np.ascontiguousarray(radius))
 
 
 @kernel

@@ -27,8 +27,8 @@ from lfmesh.scene.lens import Lens
 RADII = 129
 """Circles of a clear aperture on which its surface must not cross the next one."""
 
-ALLOWED_MM = 1e-9
-"""Crossing that is rounding, where elements touch."""
+TOUCHING = 1e-9
+"""Share of the lens's size up to which a crossing is rounding, where elements touch."""
 
 
 def pose_of(lens: Lens, number: int) -> frame.Frame:
@@ -76,7 +76,7 @@ def refuse_crossing_elements(lens: Lens) -> None:
         if stand_together(front, back):
             continue
         crossing = max(_crossing(front, back, 1.0), _crossing(back, front, -1.0))
-        if crossing > ALLOWED_MM * (1.0 + abs(float(back["vertex_z"]))):
+        if crossing > TOUCHING * float(back["aperture"] + back["vertex_z"]):
             raise SceneError(_refusal(lens, number, crossing))
 
 

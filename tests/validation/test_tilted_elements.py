@@ -359,3 +359,22 @@ def test_energy_closes_with_all_reflections(seed):
     ahead = lf.trace(world, *random_rays(3000, seed), split="transmit")
     # Reflections are there, and change nothing of the image path.
     assert len(paths) > 3 * len(ahead)
+
+
+def test_a_ray_that_starts_on_a_path_through_posed_elements_goes_on_along_it():
+    """Starts inside tilted glass, and between it and its neighbours, are in the medium that they look to be in."""
+    elements = [
+        {"surfaces": [0, 1], "pose": {"tilt_deg": [6.0, -4.0, 0.0], "shift_mm": [0.4, 0.3, 0.2]}},
+        {"surfaces": [3, 4, 5], "pose": {"tilt_deg": [-5.0, 3.0, 0.0]}},
+    ]
+    world = lf.build(scene_of(SINGLET, elements))
+    origins, directions = random_rays(300, 8, wide=5.0)
+    paths = lf.trace(world, origins, directions, split="transmit", record=True)
+    whole = np.flatnonzero(np.isin(paths.body, ["sensor", "beside the sensor"]))
+    assert len(whole) > 50
+    for step in range(1, 5):
+        points = np.array([[v.position for v in paths.vertices(packet)] for packet in whole])
+        here, there = points[:, step], points[:, step + 1]
+        again = lf.trace(world, 0.5 * (here + there), there - here, split="transmit")
+        assert len(again) == len(whole)
+        assert np.abs(again.position - paths.position[whole]).max() < 1e-8

@@ -18,7 +18,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lattice import Lattice
 from lfmesh.geometry.lenslets import lenslets
 from lfmesh.optics.glass import AIR, refractive_index
-from lfmesh.scene import Scene, solved
+from lfmesh.scene import Lens, Scene, solved
 
 Array = NDArray[np.floating[Any]]
 
@@ -39,6 +39,9 @@ class Interface:
     aperture: float
     index_before: float
     index_after: float
+    turn: NDArray[np.float64] | None = None
+    """Rotation of a posed element, and where the origin goes; None: the surface stands as prescribed."""
+    origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -134,7 +137,7 @@ class Camera:
             interfaces.append(
                 Interface(
                     z, surface.curvature_per_mm, surface.conic, surface.asphere_mm,
-                    surface.semi_diameter_mm or np.inf, before, after,
+                    surface.semi_diameter_mm or np.inf, before, after, *_placed(lens, i),
                 )
             )  # fmt: skip
             before = after
@@ -203,6 +206,16 @@ def _turned(tilt_deg: ArrayLike) -> NDArray[np.float64]:
     return about_z @ about_y @ about_x
 
 
+def _placed(lens: Lens, number: int) -> tuple[NDArray[np.float64] | None, NDArray[np.float64]]:
+    """Return rotation and shifted origin of a surface by the pose of its element; no rotation where it has none."""
+    which = lens.element_of(number)
+    if which is None:
+        return None, np.zeros(3)
+    element = lens.elements[which]
+    turn, pivot = _turned(element.pose.tilt_deg), np.array([0.0, 0.0, lens.vertices_mm[element.surfaces[0]]])
+    return turn, pivot - turn @ pivot + element.pose.shift_mm
+
+
 def _into_frame(rays: Rays, turn: NDArray[np.float64], origin: NDArray[np.float64]) -> tuple[Array, Array]:
     """Return positions and directions in a frame that stands at `origin`, turned by `turn`."""
     kind = rays.p.dtype
@@ -219,6 +232,8 @@ def _outof_frame(p: Array, d: Array, turn: NDArray[np.float64], origin: NDArray[
 def _through_surface(rays: Rays, s: Interface) -> None:
     """Transfer the rays to a surface, stop those outside its aperture, and refract the rest."""
     kind = rays.p.dtype.type
+    if s.turn is not None:
+        rays.p, rays.d = _into_frame(rays, s.turn, s.origin)
     p = rays.p - np.array([0, 0, s.vertex_z], kind)
     t = _conic_transfer(p, rays.d, kind(s.curvature), kind(s.conic))
     if any(s.asphere):
@@ -231,6 +246,8 @@ def _through_surface(rays: Rays, s: Interface) -> None:
     rays.p = p + np.array([0, 0, s.vertex_z], kind)
     if s.index_before != s.index_after:
         _refract(rays, normal, s.index_before, s.index_after)
+    if s.turn is not None:
+        rays.p, rays.d = _outof_frame(rays.p, rays.d, s.turn, s.origin)
 
 
 def _conic_transfer(p: Array, d: Array, c: Any, k: Any) -> Array:

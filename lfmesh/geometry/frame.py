@@ -8,7 +8,7 @@ geometrical optics tells left from right.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfmesh.kernel import kernel
+from lfmesh.kernel import inlined, kernel
 
 Frame = NDArray[np.float64]
 
@@ -47,6 +47,26 @@ def points(through: Frame, p: ArrayLike) -> NDArray[np.float64]:
 def directions(through: Frame, d: ArrayLike) -> NDArray[np.float64]:
     """Return the (n, 3) directions `d` seen through a frame."""
     return np.asarray(d, dtype=np.float64) @ through[:, :3].T
+
+
+@inlined
+def point_through(through: NDArray[np.float64], x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return a point seen through a frame, (3, 4)."""
+    return (
+        through[0, 0] * x + through[0, 1] * y + through[0, 2] * z + through[0, 3],
+        through[1, 0] * x + through[1, 1] * y + through[1, 2] * z + through[1, 3],
+        through[2, 0] * x + through[2, 1] * y + through[2, 2] * z + through[2, 3],
+    )
+
+
+@inlined
+def direction_through(through: NDArray[np.float64], x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return a direction seen through a frame, (3, 4)."""
+    return (
+        through[0, 0] * x + through[0, 1] * y + through[0, 2] * z,
+        through[1, 0] * x + through[1, 1] * y + through[1, 2] * z,
+        through[2, 0] * x + through[2, 1] * y + through[2, 2] * z,
+    )
 
 
 @kernel

@@ -5,18 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.element_poses import closure, pose_of, refuse_crossing_elements
 from lfmesh.geometry.levels import SMOOTH, SURFACE_LEVEL
 from lfmesh.geometry.mesh import Array, Mesh
 from lfmesh.geometry.mesh_error import facet_errors, landing_errors
 from lfmesh.geometry.refractors import RIM_MARGIN, face_of
-from lfmesh.geometry.surface import surface
+from lfmesh.geometry.surface import put_in_pose, surface
 from lfmesh.geometry.tessellation import (
     MAX_RINGS,
     cap,
     end_where_they_touch,
-    revolved,
     rim_radius,
-    ring_profile,
     rings_for,
 )
 from lfmesh.scene import Scene
@@ -38,6 +37,7 @@ class LensShape:
     numbers: list[int]
     """Place of each refracting surface in the scene's list."""
     surfaces: NDArray[np.void]
+    """(K,) SURFACE, with their poses."""
     rings: int
     """Rings of triangles a cap."""
     rims: list[float]
@@ -79,7 +79,10 @@ def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
                 vertex_z=prescription.vertices_mm[i], aperture=s.semi_diameter_mm or np.inf, stop=s.stop,
             )
         )  # fmt: skip
+        put_in_pose(records[-1], pose_of(prescription, i))
     surfaces = np.array(records)
+    if prescription.elements:
+        refuse_crossing_elements(prescription)
     given = [prescription.surfaces[i].mesh for i in numbers]
     own = np.array([mesh is None for mesh in given])
     end_where_they_touch(surfaces, LEAST_RINGS)
@@ -99,11 +102,9 @@ def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
             rims.append((1.0 - 0.2 * RIM_MARGIN) * face.rim_mm)
             shift = surfaces[k]["vertex_z"] - face.vertex_z
             caps.append(Mesh(np.add(face.mesh.vertices, [0.0, 0.0, shift]), face.mesh.faces, face.mesh.corner_normals))
-    closures = [
-        revolved(ring_profile(surfaces[k], rims[k], surfaces[k + 1], rims[k + 1]), 6 * rings)
-        for k in range(len(numbers) - 1)
-    ]
+    closures = [closure(prescription, surfaces, rims, numbers, k, 6 * rings) for k in range(len(numbers) - 1)]
     errors = landing_errors(scene, numbers, surfaces, caps, level)
+    caps = [mesh.moved(s["pose"]) if s["posed"] else mesh for mesh, s in zip(caps, surfaces, strict=True)]
     return LensShape(numbers, surfaces, rings, rims, caps, closures, media, own, np.where(own, errors, np.nan))
 
 

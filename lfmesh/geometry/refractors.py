@@ -17,7 +17,7 @@ from lfmesh.geometry.mesh_file import load_mesh
 from lfmesh.geometry.patch import neighbours
 from lfmesh.geometry.vertex_normals import estimated_corner_normals, smooth_edges, smooth_groups
 from lfmesh.geometry.weld import welded
-from lfmesh.scene import Lens, MeshFace, MeshShape, Scene, Surface
+from lfmesh.scene import Element, Lens, MeshFace, MeshShape, Scene, Surface
 from lfmesh.scene.files import with_lens_file
 from lfmesh.scene.inputs import file_stamp
 
@@ -275,7 +275,13 @@ def measured(scene: Scene) -> Scene:
                     mesh=MeshFace(**shape, side=side),
                 )
             )
-    new = Lens(**{**lens.model_dump(exclude={"surfaces", "file"}), "surfaces": tuple(surfaces)})
+    first = [0, *np.cumsum([1 if s.refractor is None else 2 for s in lens.surfaces]).tolist()]
+    elements = [
+        Element(surfaces=tuple(n for i in e.surfaces for n in range(first[i], first[i + 1])), pose=e.pose)
+        for e in lens.elements
+    ]
+    given = lens.model_dump(exclude={"surfaces", "file", "elements"})
+    new = Lens(**given, surfaces=tuple(surfaces), elements=tuple(elements))
     camera = scene.camera.model_copy(update={"lens": new})
     copy = scene.model_copy(update={"camera": camera})
     return copy.in_folder(scene.folder)

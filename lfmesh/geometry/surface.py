@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lfmesh.geometry import frame
 from lfmesh.kernel import inlined, kernel
 
 MAX_ASPHERE_TERMS = 10
@@ -28,6 +29,9 @@ SURFACE = np.dtype(
         ("end", "f8"),  # radius at which it touches a neighbour, and ends
         ("stop", "i8"),  # 1: outside the aperture is the stop, 0: the mount
         ("level", "i8"),  # what a facet of its mesh stands for; the tracer says what the number means
+        ("posed", "i8"),  # 1: it stands off its place in the prescription
+        ("pose", "f8", (3, 4)),  # from the lens as prescribed, where the vertex is (0, 0, vertex_z), to where it stands
+        ("unpose", "f8", (3, 4)),  # the inverse
     ]
 )
 
@@ -80,7 +84,26 @@ def surface(
     record["aperture"] = aperture
     record["end"] = np.inf
     record["stop"] = stop
+    record["pose"] = record["unpose"] = frame.IDENTITY
     return record
+
+
+def put_in_pose(record: Any, pose: frame.Frame) -> None:
+    """Let a `SURFACE` record stand off its place, by a rigid motion (3, 4) of the lens as prescribed."""
+    record["posed"] = not np.array_equal(pose, frame.IDENTITY)
+    record["pose"], record["unpose"] = pose, frame.inverse(pose)
+
+
+def in_place(record: Any, points: ArrayLike) -> NDArray[np.float64]:
+    """Return points (n, 3) of the camera frame as the surface sees them where the prescription has it.
+
+    Parameters
+    ----------
+    record : SURFACE record
+    points : (n, 3) float64, mm
+    """
+    p = np.asarray(points, dtype=np.float64)
+    return frame.points(record["unpose"], p) if record["posed"] else p
 
 
 def sag(surface: Any, r: ArrayLike) -> NDArray[np.float64]:

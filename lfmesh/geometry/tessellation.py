@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import SceneError
+from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array, Index, Mesh, facet_normals, joined
-from lfmesh.geometry.surface import normals, reach, sag, slope
+from lfmesh.geometry.surface import in_place, normals, reach, sag, slope
 
 OVERREACH = 0.02
 """How far a mesh reaches beyond its clear aperture, relative; the aperture itself is cut in float64."""
@@ -22,6 +23,9 @@ FLOAT32_MARGIN = 2.0**-20
 """Some roundings of a float32 coordinate, relative."""
 
 MAX_RINGS = 120
+
+AZIMUTHS = 96
+"""Points on a circle of a surface at which its gap to another is measured that stands askew to it."""
 
 ANNULUS_LEAN = 0.05
 """Rise of a ring's annulus over the length of its cylinder."""
@@ -119,14 +123,23 @@ def revolved(profile: Array, azimuths: int) -> Mesh:
     phi = 2 * np.pi * np.arange(azimuths) / azimuths
     r, z = profile[:, :1], profile[:, 1:]
     vertices = np.stack([r * np.cos(phi), r * np.sin(phi), np.broadcast_to(z, (len(z), azimuths))], axis=-1)
-    here = np.arange(azimuths)
-    there = (here + 1) % azimuths
+    return strip(vertices)
+
+
+def strip(circles: Array) -> Mesh:
+    """Return the mesh of the strips between neighbouring closed lines of points, (lines, points, 3) mm.
+
+    It faces inwards where the lines follow each other towards +z and run from x to y.
+    """
+    lines, count, _ = circles.shape
+    here = np.arange(count)
+    there = (here + 1) % count
     faces = []
-    for k in range(len(profile) - 1):
-        low, high = k * azimuths, (k + 1) * azimuths
+    for k in range(lines - 1):
+        low, high = k * count, (k + 1) * count
         faces.append(np.column_stack([low + here, high + here, low + there]))
         faces.append(np.column_stack([low + there, high + here, high + there]))
-    mesh = Mesh(vertices.reshape(-1, 3), np.concatenate(faces).astype(np.int64))
+    mesh = Mesh(circles.reshape(-1, 3), np.concatenate(faces).astype(np.int64))
     # Ends that touch leave nothing to close between them.
     return Mesh(mesh.vertices, mesh.faces[facet_normals(mesh)[1] > 0.0])
 
@@ -243,6 +256,8 @@ def end_where_they_touch(surfaces: NDArray[np.void], rings: int) -> None:
 
 
 def _gap_at(front: Any, back: Any, radius: float) -> float:
+    if not stand_together(front, back):
+        return smallest_gap_on(front, back, np.array([radius]))
     return float(back["vertex_z"] + sag(back, radius) - front["vertex_z"] - sag(front, radius))
 
 
@@ -255,7 +270,56 @@ def smallest_gap(front: Any, back: Any, radius: float) -> float:
     radius : float, mm
     """
     r = np.linspace(0.0, min(radius, reach(front), reach(back)), 257)
+    if not stand_together(front, back):
+        return smallest_gap_on(front, back, r)
     return float((back["vertex_z"] + sag(back, r) - front["vertex_z"] - sag(front, r)).min())
+
+
+def stand_together(front: Any, back: Any) -> bool:
+    """Tell whether two surfaces stand to each other as prescribed: no pose has moved one against the other."""
+    return np.array_equal(front["pose"], back["pose"])
+
+
+def on_circles(record: Any, r: Array, azimuths: int = AZIMUTHS) -> Array:
+    """Return points (len(r), azimuths, 3) of a surface on circles about its axis, where it stands, mm.
+
+    Parameters
+    ----------
+    record : SURFACE record
+    r : (n,) float64, mm
+    azimuths : int
+    """
+    phi = 2 * np.pi * np.arange(azimuths) / azimuths
+    z = np.broadcast_to((record["vertex_z"] + mesh_sag(record, r))[:, None], (len(r), azimuths))
+    points = np.stack([np.multiply.outer(r, np.cos(phi)), np.multiply.outer(r, np.sin(phi)), z], axis=-1)
+    return frame.points(record["pose"], points) if record["posed"] else points
+
+
+def height_above(record: Any, points: Array) -> tuple[Array, Array]:
+    """Return how far points stand above a surface along its axis, and their distances from that axis, mm.
+
+    Parameters
+    ----------
+    record : SURFACE record
+    points : (..., 3) float64, mm, camera frame
+    """
+    p = in_place(record, points)
+    r = np.hypot(p[..., 0], p[..., 1])
+    return p[..., 2] - record["vertex_z"] - mesh_sag(record, r), r
+
+
+def smallest_gap_on(front: Any, back: Any, r: Array) -> float:
+    """Return the smallest gap between two surfaces that poses have moved against each other, mm.
+
+    Parameters
+    ----------
+    front, back : SURFACE record
+    r : (n,) float64, mm
+        Radii of the circles, of either surface, on which the gap is measured, along the other surface's axis.
+    """
+    behind_front, _ = height_above(front, on_circles(back, r))
+    behind_back, _ = height_above(back, on_circles(front, r))
+    return float(min(behind_front.min(), -behind_back.max()))
 
 
 def element(front: Mesh, ring: Mesh, back: Mesh) -> Mesh:

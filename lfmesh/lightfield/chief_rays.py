@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.element_poses import pose_of
 from lfmesh.geometry.lenslets import Lenslets
 from lfmesh.geometry.solved_camera import SolvedCamera, solved_camera
 from lfmesh.lightfield.lens_alone import lens_alone
@@ -179,7 +180,7 @@ class _Fan:
         self._wavelength = scene.transport.primary_nm
         after = lens.surfaces[paraxial.stop].thickness_mm or (scene.camera.mla and scene.camera.mla.distance_mm) or 0.0
         # Behind the stop, which may be a surface of glass, and well before the next surface.
-        self._start = np.array([0.0, 0.0, lens.vertices_mm[paraxial.stop]])
+        self._start = frames.points(pose_of(lens, paraxial.stop), [[0.0, 0.0, lens.vertices_mm[paraxial.stop]]])[0]
         self._ahead = after / 16.0
         self._reach = reach
         array_z = lens.vertices_mm[-1] + (scene.camera.mla.distance_mm or 0.0 if scene.camera.mla else 0.0)

@@ -3,7 +3,7 @@
 from lfmesh.scene.array import ArrayForm, MicrolensArray
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.files import load, load_lens, loads
-from lfmesh.scene.lens import Lens, Surface
+from lfmesh.scene.lens import Element, Lens, Surface
 from lfmesh.scene.lights import DirectionalLight, DiskLight, Light, PointLight
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.scene.pose import Pose
@@ -23,6 +23,7 @@ __all__ = [
     "DirectionalLight",
     "Disk",
     "DiskLight",
+    "Element",
     "FirstOrder",
     "Lens",
     "Light",

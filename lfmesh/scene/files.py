@@ -49,13 +49,15 @@ def load_lens(path: str | Path) -> Lens:
 
 
 def with_lens_file(lens: Lens, folder: Path) -> Lens:
-    """Return a lens whose `file` is replaced by what it holds; stop size and names given beside it win."""
+    """Return a lens whose `file` is replaced by what it holds; stop size, names and poses given beside it win."""
     if lens.file is None:
         return lens
     held = load_lens(folder / lens.file)
     beside = {key: value for key in ("name", "source") if (value := getattr(lens, key)) is not None}
     if lens.stop_semi_diameter_mm is not None or lens.f_number is not None:
         beside |= {"stop_semi_diameter_mm": lens.stop_semi_diameter_mm, "f_number": lens.f_number}
+    if lens.elements:
+        beside["elements"] = lens.elements
     return Lens(**{**held.model_dump(), **beside})
 
 

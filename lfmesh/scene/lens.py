@@ -3,10 +3,17 @@
 import math
 from collections.abc import Iterator
 
+from pydantic import Field
+
 from lfmesh.optics.glass import AIR
 from lfmesh.scene.model import Fault, Model
-from lfmesh.scene.quantities import Flag, GlassName, Index, NonNegative, Number, Positive, Radius, Text
+from lfmesh.scene.pose import Pose
+from lfmesh.scene.quantities import Flag, GlassName, Index, NonNegative, Number, Positive, Radius, Text, Whole
 from lfmesh.scene.refractor import MeshFace, Refractor
+
+MOST_TILT_DEG = 45.0
+"""Angle between the axis of a posed element and that of the lens, which a pose must stay below: light that comes along
+the axis of the lens then still crosses the element's surfaces in their order."""
 
 # Sags of neighbouring surfaces are compared at this many heights.
 _HEIGHTS = 256
@@ -94,6 +101,35 @@ class Surface(Model):
             )
 
 
+class Element(Model):
+    """A rigid group of neighbouring surfaces that stands off its place in the prescription."""
+
+    surfaces: tuple[Whole, ...]
+    """Numbers of the surfaces, from 0, without a gap; the stop may be among them."""
+    pose: Pose = Field(default_factory=Pose)
+    """Rotation of the group about the vertex of its first surface, then a shift. First-order optics, and what is
+    solved from it, stay those of the lens without poses."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong with this group by itself."""
+        if not self.surfaces:
+            yield Fault(("surfaces",), [], "must name one surface or more, such as [0, 1]")
+            return
+        first = self.surfaces[0]
+        if list(self.surfaces) != list(range(first, first + len(self.surfaces))):
+            yield Fault(
+                ("surfaces",), list(self.surfaces), "must be neighbouring surfaces in their order, such as [0, 1]"
+            )
+        x, y, _ = (math.radians(angle) for angle in self.pose.tilt_deg)
+        tilt = math.degrees(math.acos(max(-1.0, min(1.0, math.cos(x) * math.cos(y)))))
+        if not tilt < MOST_TILT_DEG:
+            yield Fault(
+                ("pose", "tilt_deg"),
+                list(self.pose.tilt_deg),
+                f"inclines the axis by {tilt:.4g} degrees; it must stay below {MOST_TILT_DEG:g}",
+            )
+
+
 class Lens(Model):
     """The main lens as its prescription, or the file that holds it."""
 
@@ -110,6 +146,8 @@ class Lens(Model):
     """Radius of the aperture stop, in mm, in place of the one in the prescription."""
     f_number: Positive | None = None
     """Sets the radius of the stop so that focal length / entrance pupil diameter is this number (no unit)."""
+    elements: tuple[Element, ...] = ()
+    """Rigid groups of surfaces with a pose of their own: tilted and decentred elements."""
 
     @property
     def stop_index(self) -> int | None:
@@ -123,6 +161,10 @@ class Lens(Model):
         for surface in self.surfaces[:-1]:
             z.append(z[-1] + (surface.thickness_mm or 0.0))
         return tuple(z)
+
+    def element_of(self, number: int) -> int | None:
+        """Return which of `elements` surface `number` belongs to; None: to none."""
+        return next((i for i, element in enumerate(self.elements) if number in element.surfaces), None)
 
     def is_pure_stop(self, number: int) -> bool:
         """Return whether surface `number` only stops light: marked, flat, the same medium on both sides."""
@@ -158,6 +200,7 @@ class Lens(Model):
             return
         yield from self._stop_faults()
         yield from self._spacing_faults()
+        yield from self._element_faults()
         last = len(self.surfaces) - 1
         if self.surfaces[last].medium is not None:
             key = "glass" if self.surfaces[last].glass is not None else "index"
@@ -177,6 +220,26 @@ class Lens(Model):
             sized = surface.stop and (self.stop_semi_diameter_mm is not None or self.f_number is not None)
             if surface.semi_diameter_mm is None and not sized and surface.refractor is None:
                 yield Fault(("surfaces", i, "semi_diameter_mm"), None, "missing: the radius of the clear aperture")
+
+    def _element_faults(self) -> Iterator[Fault]:
+        last = len(self.surfaces) - 1
+        owner: dict[int, int] = {}
+        for i, element in enumerate(self.elements):
+            beyond = [number for number in element.surfaces if number > last]
+            if beyond:
+                yield Fault(
+                    ("elements", i, "surfaces"),
+                    list(element.surfaces),
+                    f"there is no surface {beyond[0]}; the lens has surfaces 0 to {last}",
+                )
+            taken = [number for number in element.surfaces if number in owner]
+            if taken:
+                yield Fault(
+                    ("elements", i, "surfaces"),
+                    list(element.surfaces),
+                    f"surface {taken[0]} belongs to elements[{owner[taken[0]]}] already; name it once",
+                )
+            owner.update((number, i) for number in element.surfaces if number not in owner)
 
     def _spacing_faults(self) -> Iterator[Fault]:
         last = len(self.surfaces) - 1

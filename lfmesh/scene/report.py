@@ -1,6 +1,7 @@
 """The first-order report of a camera: cardinal points, pupils, micro-images, sampling, refocus range."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 
 from lfmesh.scene.advice import warnings
@@ -70,6 +71,8 @@ class FirstOrder:
     field."""
     far_mm: float
     """The farthest one; inf where it reaches infinity."""
+    poses: tuple[str, ...] = ()
+    """Lens elements with a pose, a line each; every figure of this report is that of the lens without them."""
     warnings: tuple[str, ...] = ()
     """What is likely to disappoint, in plain words."""
 
@@ -110,6 +113,9 @@ class FirstOrder:
             *([("Airy disk, lenslet", f"{self.microlens_airy_disk_px:.3g} pixels")] if array else []),
             ("refocus range" if array else "depth of field", f"{_mm(self.near_mm)} to {_mm(self.far_mm)}"),
         ]
+        rows += [("posed element", text) for text in self.poses]
+        if self.poses:
+            rows.append(("", "the figures above are those of the lens without poses"))
         return [f"{name:<23}{value}" for name, value in rows] + [f"warning: {text}" for text in self.warnings]
 
     def __str__(self) -> str:
@@ -192,6 +198,7 @@ def report_of_solved(scene: Scene) -> FirstOrder:
         microlens_airy_disk_px=airy_disk_mm(longest, micro[0]) / camera.sensor.pixel_mm if micro else None,
         near_mm=near,
         far_mm=far,
+        poses=tuple(_pose_lines(camera)),
     )
     return replace(facts, warnings=warnings(scene, facts))
 
@@ -259,6 +266,19 @@ def _field_of_view_mm(camera: Camera, magnification: float) -> tuple[float, floa
     if camera.mla is not None:
         width, height = min(width, camera.mla.size_mm[0]), min(height, camera.mla.size_mm[1])
     return _on_object(width, magnification), _on_object(height, magnification)
+
+
+def _pose_lines(camera: Camera) -> Iterator[str]:
+    """Yield the pose of every lens element that is not in its place."""
+    for element in camera.lens.elements:
+        shift, tilt = element.pose.shift_mm, element.pose.tilt_deg
+        if any(shift) or any(tilt):
+            first, last = element.surfaces[0], element.surfaces[-1]
+            which = f"surfaces {first} to {last}" if last > first else f"surface {first}"
+            yield (
+                f"{which}: shift {' '.join(f'{x:g}' for x in shift)} mm, "
+                f"tilt {' '.join(f'{x:g}' for x in tilt)} degrees about the vertex of surface {first}"
+            )
 
 
 def _mm(length: float) -> str:

@@ -46,7 +46,7 @@ def _fill(block: Any, entries: dict[str, Any]) -> None:
     for key, value in entries.items():
         if key not in tables:
             block.add(key, _in_line(value))
-            if key in _A_LINE_EACH:
+            if key in _A_LINE_EACH and isinstance(value[0], dict):
                 block[key].multiline(True)
     for key, value in tables.items():
         block.add(key, _array_of_tables(value) if isinstance(value, list) else _table(value))

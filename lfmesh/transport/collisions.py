@@ -8,9 +8,13 @@ import numpy as np
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
+from lfmesh.geometry.tessellation import on_circles
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.tables import ArrayTables, LensTables
+
+CIRCLES = 65
+"""Circles of a posed last surface that a body behind it must stay clear of."""
 
 
 def refuse_collisions(scene: Scene, lens: LensTables, array: ArrayTables, moves: Array) -> None:
@@ -60,7 +64,12 @@ def _refuse_in_lens(what: str, lens: LensTables, corners: Array) -> None:
     last = lens.surfaces[-1]
     # A body smaller than a concave last surface may reach into the hollow of that surface.
     beyond_rim = np.hypot(corners[:, 0], corners[:, 1]).max() >= last["aperture"]
-    gap = corners[:, 2].min() - (lens.box_high[2] if beyond_rim else last["vertex_z"])
+    end = last["vertex_z"]
+    if last["posed"]:
+        circles = on_circles(last, np.linspace(0.0, float(last["aperture"]), CIRCLES)).reshape(-1, 3)
+        across = np.hypot(circles[:, 0], circles[:, 1]) <= np.hypot(corners[:, 0], corners[:, 1]).max()
+        end = circles[across, 2].max(initial=-np.inf)
+    gap = corners[:, 2].min() - (lens.box_high[2] if beyond_rim else end)
     if gap < 0.0:
         raise SceneError(
             f"{what}.pose: it reaches {-gap:.4g} mm into the lens; give smaller shifts and tilts, or a larger "

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame
 from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
+from lfmesh.geometry.surface import in_place
 from lfmesh.geometry.tessellation import mesh_sag
 from lfmesh.scene.transport import MOST_EVENTS
 from lfmesh.transport.choice import obstacle_of
@@ -310,7 +311,9 @@ def located(
     # Number of surfaces before each point; beyond its rim a surface continues as the plane of the rim.
     behind = np.zeros(len(p), np.int64)
     for s, rim in zip(shape.surfaces, shape.rims, strict=True):
-        behind += p[:, 2] > s["vertex_z"] + mesh_sag(s, np.minimum(r, rim))
+        q = in_place(s, p)
+        from_axis = np.hypot(q[:, 0], q[:, 1]) if s["posed"] else r
+        behind += q[:, 2] > s["vertex_z"] + mesh_sag(s, np.minimum(from_axis, rim))
     count = len(shape.surfaces)
     inside = (behind > 0) & (behind < count) & (r <= max(shape.rims))
     station = np.full(len(p), OBJECTS)

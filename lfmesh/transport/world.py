@@ -9,6 +9,7 @@ import numpy as np
 
 from lfmesh.errors import LfmeshError, SceneError
 from lfmesh.geometry import frame
+from lfmesh.geometry.element_poses import pose_of
 from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.lenslets import array_mesh
 from lfmesh.geometry.mesh import Array, Mesh, joined
@@ -156,7 +157,8 @@ class World:
             surfaces[number].radius_mm, surfaces[number].conic, surfaces[number].asphere_mm, aperture=inner
         )
         z += float(sag(record, inner))
-        return revolved(np.array([[outer, z], [inner, z]]), 96).solid()
+        ring = revolved(np.array([[outer, z], [inner, z]]), 96)
+        return ring.moved(pose_of(self.scene.camera.lens, number)).solid()
 
     def _sensor(self) -> "trimesh.Trimesh":
         import trimesh

@@ -224,3 +224,28 @@ def test_a_lens_from_a_mesh_has_no_analytic_truth() -> None:
     meshed = scene.model_copy(update={"camera": scene.camera.model_copy(update={"lens": lens})})
     with pytest.raises(LfmeshError, match=r"camera\.lens\.surfaces\[0\]: a mesh from a file"):
         analytic.Camera.of(meshed, 587.6)
+
+
+def test_tilted_and_decentred_elements_land_where_the_tracer_has_them() -> None:
+    """Two programs that share no code place the same elements."""
+    pose = {"tilt_deg": [2.0, 1.0, 40.0], "shift_mm": [0.2, 0.1, 0.3]}
+    scene = lf.load(asset_path("scenes/conventional.toml")).changed(
+        {
+            "targets": [],
+            "lights": [],
+            "camera.lens.elements": [
+                {"surfaces": [6, 7, 8, 9, 10], "pose": pose},
+                {"surfaces": [5], "pose": {"tilt_deg": [0.0, 3.0, 0.0], "shift_mm": [0.3, 0.0, 0.0]}},
+            ],
+        }
+    )
+    draw = np.random.default_rng(3)
+    origins = np.column_stack([draw.uniform(-30.0, 30.0, (1000, 2)), np.full(1000, -500.0)])
+    ahead = np.column_stack([draw.uniform(-7.0, 7.0, (1000, 2)), np.full(1000, 20.0)]) - origins
+    landing = analytic.Camera.of(scene, 587.6).land(origins, ahead)
+    paths = lf.trace(lf.build(scene), origins, ahead, split="transmit")
+    there = np.isin(paths.body, ["sensor", "beside the sensor"])
+    np.testing.assert_array_equal(np.sort(paths.source[there]), np.flatnonzero(landing.arrives))
+    assert there.sum() > 300
+    assert np.abs(paths.position[there][:, :2] - landing.position[paths.source[there]]).max() < FEW_ROUNDINGS_MM
+    assert np.abs(paths.weight[there] - landing.weight[paths.source[there]]).max() < 1e-12

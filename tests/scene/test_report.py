@@ -211,8 +211,9 @@ def test_an_emitting_target_needs_no_lamp(scene: Scene) -> None:
 
 def test_the_report_has_a_line_for_every_figure(scene: Scene) -> None:
     lines = first_order(matched(scene)).lines()
-    # Principal planes, pupils (two figures each), refocus range and the lens's Airy disk (three figures) share lines.
-    assert len(lines) == len(FirstOrder.__dataclass_fields__) - 7
+    # Principal planes, pupils (two figures each), refocus range and the lens's Airy disk (three figures) share lines;
+    # no element has a pose.
+    assert len(lines) == len(FirstOrder.__dataclass_fields__) - 8
     assert any(line.startswith("effective focal length 60.67") for line in lines)
 
 

@@ -20,7 +20,7 @@ from PIL import Image as Picture
 from scipy import stats
 
 import lfmesh as lf
-from tests.cameras import SQUARE_ARRAY, close_up_camera
+from tests.cameras import SQUARE_ARRAY, biconvex, close_up_camera
 from tests.renders import by_seed
 
 Array = NDArray[np.float64]
@@ -115,6 +115,17 @@ SCENES = {
     ),
     "conventional camera": scene([plane(GLOWING)], split="both", mla=None),
     "hexagonal multi-focus array, curved towards the sensor": scene([plane(GLOWING)], mla=HEXAGONAL_ARRAY),
+    "tilted and decentred lens and stop": scene(
+        [plane(GLOWING)],
+        split="both",
+        lens=biconvex()
+        | {
+            "elements": [
+                {"surfaces": [0, 1], "pose": {"tilt_deg": [3.0, -2.0, 0.0], "shift_mm": [0.4, 0.2, 0.0]}},
+                {"surfaces": [2], "pose": {"tilt_deg": [0.0, 2.0, 0.0], "shift_mm": [0.0, 0.7, 0.1]}},
+            ]
+        },
+    ),
     "everything tilted": scene(
         [plane(PAINTED)],
         [POINT],

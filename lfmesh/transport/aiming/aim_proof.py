@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.frame import move_direction, move_point
+from lfmesh.geometry.frame import directions, move_direction, move_point, points
 from lfmesh.geometry.lattice import cell_of, centre
 from lfmesh.geometry.lenslets import shape_of
 from lfmesh.geometry.surface import sag
@@ -225,6 +225,89 @@ def _shown(off: Array, throughput: Array) -> Array:
     return np.append(np.where(beyond > DARK * total, np.sqrt(light / brightest), 0.0), 0.0)
 
 
+def decentred(entrance: Opening, exit_: Opening, through: CameraTables) -> tuple[Opening, Opening]:
+    """Return the openings of both sides, moved to where poses of lens elements let the light through.
+
+    Rays from the stop say by how much, on average: a shift, and how it changes with the distance of the point.
+
+    Parameters
+    ----------
+    entrance, exit_ : Opening
+        Of the lens as prescribed.
+    through : CameraTables
+        With poses.
+    """
+    random = np.random.default_rng(0x905E)
+    bare = through._replace(array=through.array._replace(present=False))
+    reach = _reach(bare, random)
+    if reach == 0.0:
+        return entrance, exit_
+    rays = _rays_from_stop(bare, reach, random)
+    to_camera = through.frames[SENSOR_FRAME, CAMERA_FRAME]
+    landing = np.column_stack([rays.sensor[:, :2], np.zeros(len(rays.sensor))])
+    behind = points(to_camera, landing), -directions(to_camera, rays.sensor[:, 2:])
+    before = rays.objects[:, :3], rays.objects[:, 3:]
+    return (
+        _moved_to_rays(entrance, *before, rays.throughput, random),
+        _moved_to_rays(exit_, *behind, rays.throughput, random),
+    )
+
+
+def _moved_to_rays(opening: Opening, p: Array, d: Array, throughput: Array, random: np.random.Generator) -> Opening:
+    """Return an opening whose centres are moved by the mean distance of rays from them.
+
+    Parameters
+    ----------
+    opening : Opening
+    p, d : (n, 3) float64
+        Points, mm, and directions of the rays, camera frame.
+    throughput : (n,) float64
+    """
+    if not opening.known or not len(throughput):
+        return opening
+    rows = len(opening.radius) if opening.nearness_step != 1.0 else 0
+    row = rows * random.random(len(p))
+    z = opening.plane_z - opening.sense / (opening.nearness + row * opening.nearness_step)
+    seen_from = p + ((z - p[:, 2]) / d[:, 2])[:, None] * d
+    tangent = np.hypot(seen_from[:, 0], seen_from[:, 1]) * (opening.nearness + row * opening.nearness_step)
+    opening = _open_out_to(opening, int(tangent.max() / opening.tangent_step) + 2)
+    off = np.full((len(p), 2), np.nan)
+    _off_centre(seen_from, d, opening, off)
+    known = np.isfinite(off[:, 0])
+    if not known.any():
+        return opening
+    weight = np.sqrt(throughput[known])[:, None]
+    terms = np.column_stack([np.ones(known.sum()), row[known]])[:, : 2 if rows else 1]
+    shift = np.zeros((2, 2))
+    shift[: terms.shape[1]] = np.linalg.lstsq(weight * terms, weight * off[known], rcond=None)[0]
+    return opening._replace(decentre=shift)
+
+
+def _open_out_to(opening: Opening, columns: int) -> Opening:
+    """Return an opening that is open at so many field angles at least, as poses may let light through beyond.
+
+    Beyond those at which the lens as prescribed is open, centres go on evenly, and radii stay.
+    """
+    width = int(np.flatnonzero((opening.radius > 0.0).any(axis=0)).max(initial=-1)) + 1
+    if not 0 < width < columns:
+        return opening
+    middle, radius = opening.middle[:, : width + 1], opening.radius[:, :width]
+    further = np.arange(1, columns - width + 1)
+    middle = np.hstack([middle, middle[:, -1:] + further * (middle[:, -1:] - middle[:, -2:-1])])
+    radius = np.hstack([radius, np.repeat(radius.max(axis=1, keepdims=True), columns - width, axis=1)])
+    return opening._replace(middle=np.ascontiguousarray(middle), radius=np.ascontiguousarray(radius))
+
+
+@kernel
+def _off_centre(p: Array, d: Array, opening: Opening, off: Array) -> None:
+    """Write how far each ray crosses the opening's plane from the centre of the disk seen from its point, (n, 2) mm."""
+    for i in range(len(off)):
+        cx, cy, radius = opening_from(opening, p[i, 0], p[i, 1], p[i, 2])
+        if radius > 0.0:
+            t = (opening.plane_z - p[i, 2]) / d[i, 2]
+            off[i, 0], off[i, 1] = p[i, 0] + t * d[i, 0] - cx, p[i, 1] + t * d[i, 1] - cy
+
+
 def _fitted(aim: AimTables, through: CameraTables, rays: Rays) -> AimTables:
     """Return the aim with the lenslets' views and cell margins as wide as the rays need."""
     array, weight = through.array, rays.throughput
@@ -296,7 +379,7 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
         Distance from the sensor's centre at which each ray would land by first-order optics.
     """
     lens, sensor = through.lens, through.sensor
-    space, z, aperture, depth = _stop_of(lens)
+    space, z, aperture, depth, pose = _stop_of(lens)
     moves = through.frames[ARRAY_FRAME if through.array.present else SENSOR_FRAME, CAMERA_FRAME]
     centre_x, centre_y = through.frames[SENSOR_FRAME, CAMERA_FRAME][:2, 3]
     height, angle = _to_plane(lens, space, z, float(moves[2, 3]))
@@ -320,7 +403,7 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
         x_, y_, tx_, ty_ = (np.ascontiguousarray(a[mine]) for a in (x, y, tx, ty))
         one_way, other_way = np.zeros((len(x_), 6)), np.zeros((len(x_), 7))
         _follow_both_ways(
-            x_, y_, tx_, ty_, z, start, space, colour, lens, through.array, through.frames, empty_bundle(),
+            x_, y_, tx_, ty_, z, start, space, pose, colour, lens, through.array, through.frames, empty_bundle(),
             one_way, other_way,
         )  # fmt: skip
         to_sensor[mine], to_objects[mine], of_colour[mine] = one_way, other_way, colour
@@ -347,20 +430,21 @@ def _to_plane(lens: LensTables, space: int, z: float, plane_z: float) -> tuple[f
     return float(heights[0]), float(heights[1])
 
 
-def _stop_of(lens: LensTables) -> tuple[int, float, float, float]:
-    """Return the space that the stop lies in or bounds, z of its plane, its radius, and the sag of its surface, mm."""
+def _stop_of(lens: LensTables) -> tuple[int, float, float, float, Array]:
+    """Return the space that the stop lies in or bounds, z and radius of the stop, sag of its surface, and its pose."""
     if lens.stop_space >= 0:
-        return lens.stop_space, lens.stop_z, lens.stop_radius, 0.0
+        return lens.stop_space, lens.stop_z, lens.stop_radius, 0.0, lens.stop_pose
     surfaces = lens.surfaces
     k = int(np.argmax(surfaces["stop"] == 1))
     aperture = float(surfaces[k]["aperture"])
-    return k, float(surfaces[k]["vertex_z"]), aperture, abs(float(sag(surfaces[k], aperture)))
+    depth = abs(float(sag(surfaces[k], aperture)))
+    return k, float(surfaces[k]["vertex_z"]), aperture, depth, np.array(surfaces[k]["pose"])
 
 
 @kernel
 def _follow_both_ways(
-    x: Array, y: Array, tx: Array, ty: Array, z: float, start: float, space: int, colour: int, lens: LensTables,
-    array: ArrayTables, frames: Array, bundle: Array, to_sensor: Array, to_objects: Array,
+    x: Array, y: Array, tx: Array, ty: Array, z: float, start: float, space: int, pose: Array, colour: int,
+    lens: LensTables, array: ArrayTables, frames: Array, bundle: Array, to_sensor: Array, to_objects: Array,
 ) -> None:  # fmt: skip
     """Trace rays through points of a plane in a space of the lens to the sensor and to object space.
 
@@ -370,6 +454,8 @@ def _follow_both_ways(
         Place, mm, and slopes.
     start : float, mm
         Distance before the plane at which they start, as straight lines, so that all surfaces lie ahead.
+    pose : (3, 4) float64
+        Rigid motion of that plane and of the rays from their place in the prescription.
     to_sensor : (n, 6) float64
         Filled with place and direction in the sensor's frame, and transmittance; 0 for what ends.
     to_objects : (n, 7) float64
@@ -388,6 +474,7 @@ def _follow_both_ways(
                     sense * scale * sx, sense * scale * sy, sense * scale, 1.0,
                 )  # fmt: skip
             pad(bundle, count)
+            move_bundle(bundle, pose)
             here = space
             while 0 <= here + (sense > 0.0) - 1 < last:
                 k = here if sense > 0.0 else here - 1

@@ -11,9 +11,10 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
 from lfmesh.geometry.surface import sag
 from lfmesh.geometry.targets import TargetMesh
+from lfmesh.geometry.tessellation import on_circles
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
-from lfmesh.transport.aiming.aim_proof import AimProof, CameraTables, proven
+from lfmesh.transport.aiming.aim_proof import AimProof, CameraTables, decentred, proven
 from lfmesh.transport.aiming.lenslet_view import aim_through_lenslets, apex_z, grid, unmeasured_light
 from lfmesh.transport.aiming.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
 from lfmesh.transport.aiming.pupil import paraxial_opening, real_opening, unknown_opening, viewpoints
@@ -107,8 +108,14 @@ def _found(
         lattice = array.lenslets.lattice
         apexes = grid(*lattice.half_extent, apex_z(array, glass)[1])
         behind = frame.points(moves[ARRAY_FRAME, CAMERA_FRAME], apexes)
+    from_targets = viewpoints(float(lens.box_low[2]), front_radius, seen, to_sensor=True)
+    posed = has_poses(lens)
     entrance = opening_seen(report, lens, seen, front_radius, analytic, front=True)
     exit_ = opening_seen(report, lens, behind, back_radius, analytic, front=False)
+    through = CameraTables(lens, array, sensor, moves)
+    if posed:
+        # Poses move the disks of the openings; the proof widens them.
+        entrance, exit_ = decentred(entrance, exit_, through)
     # Reflections reach the sensor from all over the lens; without them the wide disk only brings light beside the
     # measured opening.
     followed = scene.transport.split != "transmit"
@@ -131,15 +138,29 @@ def _found(
     )
     aim = aim_through_lenslets(scene, report, array, aim, moves, glass) if array.present else aim
     if not analytic:
-        return aim, None
-    from_targets = viewpoints(entrance.plane_z, front_radius, seen, to_sensor=True)
-    return proven(aim, CameraTables(lens, array, sensor, moves), from_targets)
+        # The surfaces that fit the meshes tell how much wider poses make the openings, but prove nothing.
+        return (proven(aim, through, from_targets)[0] if posed else aim), None
+    return proven(aim, through, from_targets)
+
+
+def has_poses(lens: LensTables) -> bool:
+    """Tell whether a surface of the lens or its stop stands off its place in the prescription."""
+    return bool(lens.surfaces["posed"].any()) or lens.stop_posed
+
+
+def without_poses(lens: LensTables) -> LensTables:
+    """Return the tables of a lens whose surfaces and stop stand as prescribed."""
+    surfaces = lens.surfaces.copy()
+    surfaces["posed"] = 0
+    return lens._replace(surfaces=surfaces, stop_posed=False)
 
 
 def opening_seen(
     report: FirstOrder, lens: LensTables, points: Array, wide_radius: float, analytic: bool, *, front: bool
 ) -> Opening:
-    """Return the opening of one side of the lens as seen from points.
+    """Return the opening of one side of the lens, without the poses of its elements, as seen from points.
+
+    The table of an opening is that of a lens of revolution.
 
     Parameters
     ----------
@@ -165,7 +186,7 @@ def opening_seen(
         # Telecentric: a pupil so far away that all points see it in the same direction.
         z, diameter = (plane_z + FAR, FAR) if front else (plane_z - FAR, FAR / report.working_f_number)
     if analytic:
-        return real_opening(seen, lens, z, 0.5 * diameter)
+        return real_opening(seen, without_poses(lens) if has_poses(lens) else lens, z, 0.5 * diameter)
     return paraxial_opening(seen, z, 0.5 * diameter)
 
 
@@ -185,6 +206,9 @@ def widest_disk(lens: LensTables, p: Array, *, front: bool) -> float:
     rim = float(max(abs(lens.box_low[0]), abs(lens.box_high[0]), abs(lens.box_low[1]), abs(lens.box_high[1])))
     edge = float(outer["vertex_z"] + sag(outer, outer["aperture"]))
     depth = abs(max(outer["vertex_z"], edge) - plane) if front else abs(plane - min(outer["vertex_z"], edge))
+    if outer["posed"]:
+        z = on_circles(outer, np.array([0.0, outer["aperture"]]))[..., 2]
+        depth = abs(float(z.max() if front else z.min()) - plane)
     distance = np.maximum((plane - p[:, 2]) if front else (p[:, 2] - plane), depth)
     spread = (np.hypot(p[:, 0], p[:, 1]) + rim) * np.divide(
         depth, distance, out=np.zeros_like(distance), where=distance > 0

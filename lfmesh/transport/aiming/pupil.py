@@ -121,7 +121,7 @@ def unknown_opening(plane_z: float, *, to_sensor: bool) -> Opening:
     sense = 1.0 if to_sensor else -1.0
     return Opening(
         known=False, plane_z=plane_z, sense=sense, tangent_step=1.0, nearness=0.0, nearness_step=1.0,
-        middle=np.zeros((2, 2)), radius=np.full((1, 1), -1.0),
+        middle=np.zeros((2, 2)), radius=np.full((1, 1), -1.0), decentre=np.zeros((2, 2)),
     )  # fmt: skip
 
 
@@ -370,6 +370,7 @@ def _opening(seen: Viewpoints, middle: Array, radius: Array) -> Opening:
         nearness_step=float(step),
         middle=np.ascontiguousarray(middle),
         radius=np.where(largest > 0.0, largest + allowed, -1.0),
+        decentre=np.zeros((2, 2)),
     )  # fmt: skip
 
 
@@ -399,4 +400,7 @@ def opening_from(opening: Opening, x: float, y: float, z: float) -> tuple[float,
     m += b * ((1.0 - a) * middle[row + 1, column] + a * middle[row + 1, column + 1])
     # Along the meridian of the point; for a point on the axis the centre is on the axis too.
     m = m / height if height > 0.0 else 0.0
-    return m * x, m * y, opening.radius[row, column]
+    shift = opening.decentre
+    down = row + b
+    cx, cy = m * x + (shift[0, 0] + down * shift[1, 0]), m * y + (shift[0, 1] + down * shift[1, 1])
+    return cx, cy, opening.radius[row, column]

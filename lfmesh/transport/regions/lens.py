@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.frame import direction_through, point_through
 from lfmesh.geometry.levels import EXACT, PATCH
 from lfmesh.geometry.surface import conic_distance, distance_to, normal_at
 from lfmesh.geometry.tessellation import OVERREACH
@@ -141,8 +142,12 @@ def admit_to_lens(
 
 
 @kernel
-def stop_cuts(lens: LensTables, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> bool:
-    """Tell whether the line of a ray passes the plane of the stop outside its aperture.
+def stop_cuts(
+    lens: LensTables, x: float, y: float, z: float, dx: float, dy: float, dz: float
+) -> tuple[bool, float]:  # fmt: skip
+    """Return whether the line of a ray passes the plane of the stop outside its aperture, and at which distance.
+
+    A ray parallel to the plane is cut, at distance 0.
 
     Parameters
     ----------
@@ -150,11 +155,14 @@ def stop_cuts(lens: LensTables, x: float, y: float, z: float, dx: float, dy: flo
     x, y, z : float, mm, camera frame
     dx, dy, dz : float
     """
+    if lens.stop_posed:
+        x, y, z = point_through(lens.stop_unpose, x, y, z)
+        dx, dy, dz = direction_through(lens.stop_unpose, dx, dy, dz)
     if dz == 0.0:
-        return True
+        return True, 0.0
     t = (lens.stop_z - z) / dz
     px, py = x + t * dx, y + t * dy
-    return not px * px + py * py <= lens.stop_radius * lens.stop_radius
+    return not px * px + py * py <= lens.stop_radius * lens.stop_radius, t
 
 
 @kernel
@@ -174,13 +182,14 @@ def leave_lens(
     query_from : float, mm
         Distance at which the next query starts.
     """
-    if lens.stop_space == space and stop_cuts(lens, x, y, z, dx, dy, dz):
-        t = (lens.stop_z - z) / dz if dz != 0.0 else 0.0
-        end(
-            options, flow, frames, packet, CAMERA_FRAME, x + t * dx, y + t * dy, z + t * dz, dx, dy, dz,
-            weight, STOP, S_ABSORBED,
-        )  # fmt: skip
-        return
+    if lens.stop_space == space:
+        cuts, t = stop_cuts(lens, x, y, z, dx, dy, dz)
+        if cuts:
+            end(
+                options, flow, frames, packet, CAMERA_FRAME, x + t * dx, y + t * dy, z + t * dz, dx, dy, dz,
+                weight, STOP, S_ABSORBED,
+            )  # fmt: skip
+            return
     station = OBJECTS if space == 0 else (PLATE if has_array else SENSOR)
     child = put(flow, station, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, key, query_from)
     child.last = LEFT_LENS
@@ -232,7 +241,7 @@ def _prepare(block: Array, i: int, packet: Any, prim: int, lens: LensTables, opt
     facet = lens.facets[prim]
     k, space, last_space = facet.body, packet.space, len(lens.surfaces)
     forward = k == space
-    if k < 0 or not (forward or k == space - 1) or not _is_conic(lens.surfaces[k]):
+    if k < 0 or not (forward or k == space - 1) or not _is_conic(lens.surfaces[k]) or lens.surfaces[k].posed:
         return NO_SURFACE
     outside = space == 0 or space == last_space
     if not outside and packet.last != 2 * space - 1 - k:
@@ -240,7 +249,7 @@ def _prepare(block: Array, i: int, packet: Any, prim: int, lens: LensTables, opt
         return NO_SURFACE
     x, y, z = packet.x, packet.y, packet.z
     dx, dy, dz = packet.dx, packet.dy, packet.dz
-    if lens.stop_space == space and packet.last != k and stop_cuts(lens, x, y, z, dx, dy, dz):
+    if lens.stop_space == space and packet.last != k and stop_cuts(lens, x, y, z, dx, dy, dz)[0]:
         return NO_SURFACE
     set_ray(block, i, packet)
     set_facet(block, i, facet)
@@ -339,15 +348,15 @@ def _is_cut(
     """
     dx, dy, dz = packet.dx, packet.dy, packet.dz
     space = packet.space
-    if lens.stop_space == space and packet.last != k and stop_cuts(lens, x, y, z, dx, dy, dz):
-        at = (lens.stop_z - z) / dz if dz != 0.0 else 0.0
+    if lens.stop_space == space and packet.last != k:
+        cuts, at = stop_cuts(lens, x, y, z, dx, dy, dz)
         # A ray that a user starts behind the stop does not cross it.
-        if packet.last != NO_SURFACE or space == 0 or space == len(lens.surfaces) or -t < at < 0.0:
+        if cuts and (packet.last != NO_SURFACE or space == 0 or space == len(lens.surfaces) or -t < at < 0.0):
             x, y, z = arrive(flow, lens.media, packet, x + at * dx, y + at * dy, z + at * dz)
             end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, STOP, S_ABSORBED)
             return True
     aperture = lens.surfaces[k].aperture
-    if x * x + y * y > aperture * aperture:
+    if _radius2(lens.surfaces[k], x, y, z) > aperture * aperture:
         slot = lens.mount_slot[k]
         x, y, z = arrive(flow, lens.media, packet, x, y, z)
         end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
@@ -397,9 +406,9 @@ def _meets_ring(options: Options, flow: Flow, frames: Array, lens: LensTables, p
     slot = lens.ring_slot[packet.space]
     x, y, z = packet.x, packet.y, packet.z
     dx, dy, dz = packet.dx, packet.dy, packet.dz
-    if lens.stop_space == packet.space and dz != 0.0 and stop_cuts(lens, x, y, z, dx, dy, dz):
-        at = (lens.stop_z - z) / dz
-        if 0.0 < at < t:
+    if lens.stop_space == packet.space:
+        cuts, at = stop_cuts(lens, x, y, z, dx, dy, dz)
+        if cuts and 0.0 < at < t:
             slot, t = STOP, at
     x, y, z = travel(flow, lens.media, packet, t)
     end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
@@ -438,12 +447,19 @@ def _meets(
         surface = lens.surfaces[k]
         level = surface.level
         if level == EXACT:
+            ex, ey, ez = dx, dy, dz
+            if surface.posed:
+                px, py, pz = point_through(surface.unpose, px, py, pz)
+                ex, ey, ez = direction_through(surface.unpose, dx, dy, dz)
             pz -= surface.vertex_z
-            met, more = distance_to(surface, px, py, pz, dx, dy, dz, 1.0 if forward else -1.0)
+            met, more = distance_to(surface, px, py, pz, ex, ey, ez, 1.0 if forward else -1.0)
             t += more
-            px, py, pz = px + more * dx, py + more * dy, pz + more * dz
+            px, py, pz = px + more * ex, py + more * ey, pz + more * ez
             nx, ny, nz = normal_at(surface, px, py, pz)
             pz += surface.vertex_z
+            if surface.posed:
+                px, py, pz = point_through(surface.pose, px, py, pz)
+                nx, ny, nz = direction_through(surface.pose, nx, ny, nz)
             if not met:
                 t = (facet.offset - normal[0] * x - normal[1] * y - normal[2] * z) / along
             met = met and t > 0.0 and (nx * dx + ny * dy + nz * dz > 0.0) == forward
@@ -486,14 +502,21 @@ def _first_conic(lens: LensTables, packet: Any) -> tuple[int, float, float, floa
             settled = False
             continue
         sense = 1.0 if k == space else -1.0
-        met, t = conic_distance(surface.curvature, surface.conic, x, y, z - surface.vertex_z, dx, dy, dz, sense)
-        px, py, pz = x + t * dx, y + t * dy, z + t * dz - surface.vertex_z
+        sx, sy, sz, ex, ey, ez = x, y, z, dx, dy, dz
+        if surface.posed:
+            sx, sy, sz = point_through(surface.unpose, x, y, z)
+            ex, ey, ez = direction_through(surface.unpose, dx, dy, dz)
+        met, t = conic_distance(surface.curvature, surface.conic, sx, sy, sz - surface.vertex_z, ex, ey, ez, sense)
+        px, py, pz = sx + t * ex, sy + t * ey, sz + t * ez - surface.vertex_z
         t += ahead
         on_sheet = surface.curvature * (1.0 + surface.conic) * pz < 1.0
-        if met and on_sheet and 0.0 < t < nearest and _on_mesh(surface, px, py):
+        if met and on_sheet and 0.0 < t < nearest and _on_mesh(surface, px * px + py * py):
             first, nearest, fx, fy, fz = k, t, px, py, pz + surface.vertex_z
             mx, my, mz = normal_at(surface, px, py, pz)
             nx, ny, nz = sense * mx, sense * my, sense * mz
+            if surface.posed:
+                fx, fy, fz = point_through(surface.pose, fx, fy, fz)
+                nx, ny, nz = direction_through(surface.pose, nx, ny, nz)
     return first, nearest, fx, fy, fz, nx, ny, nz, settled
 
 
@@ -524,8 +547,10 @@ def _first_of_all(
         k, t, px, py, pz, mx, my, mz = _meets(flow, lens, packet, prim, -packet.limit)
         if k == NO_SURFACE or t >= nearest:
             continue
-        if k >= 0 and _is_conic(lens.surfaces[k]) and _on_mesh(lens.surfaces[k], px, py):
-            continue
+        if k >= 0 and _is_conic(lens.surfaces[k]):
+            surface = lens.surfaces[k]
+            if _on_mesh(surface, _radius2(surface, px, py, pz)):
+                continue
         first, first_prim, nearest, fx, fy, fz, nx, ny, nz = k, prim, t, px, py, pz, mx, my, mz
     if first == NO_SURFACE and settled:
         # As neither surface is met, it is the ring, between the circle of a rim and the chords of its mesh.
@@ -540,10 +565,18 @@ def _is_conic(surface: Any) -> bool:
 
 
 @inlined
-def _on_mesh(surface: Any, x: float, y: float) -> bool:
-    """Tell whether a point lies within the clear aperture or the margin by which meshes exceed it."""
+def _radius2(surface: Any, x: float, y: float, z: float) -> float:
+    """Return the squared distance of a point (camera frame) from the axis of a surface."""
+    if surface.posed:
+        x, y, z = point_through(surface.unpose, x, y, z)
+    return x * x + y * y
+
+
+@inlined
+def _on_mesh(surface: Any, radius2: float) -> bool:
+    """Tell whether a squared radius is within the clear aperture or the margin by which meshes exceed it."""
     reach = min(surface.aperture * (1.0 + OVERREACH), surface.end)
-    return x * x + y * y <= reach * reach
+    return radius2 <= reach * reach
 
 
 @kernel

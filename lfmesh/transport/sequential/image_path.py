@@ -181,7 +181,11 @@ def through_lens(bundle: Array, lens: LensTables, colour: int, to_sensor: bool) 
     for step in range(last + 1):
         space = step if to_sensor else last - step
         if lens.stop_space == space:
+            if lens.stop_posed:
+                move_bundle(bundle, lens.stop_unpose)
             through_stop(bundle, lens.stop_z, lens.stop_radius, float(STOP))
+            if lens.stop_posed:
+                move_bundle(bundle, lens.stop_pose)
         if step == last:
             break
         k = space if to_sensor else space - 1

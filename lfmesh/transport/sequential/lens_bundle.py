@@ -146,6 +146,19 @@ def through_surface(
         Value of `ENDED_ON` for rays between aperture and rim, and for rays beyond the rim or that miss the surface.
     """
     surface = lens.surfaces[k]
+    if surface.posed:
+        move_bundle(bundle, surface.unpose)
+    _through_in_place(bundle, lens, k, colour, sense, rim, mount, beyond)
+    if surface.posed:
+        move_bundle(bundle, surface.pose)
+
+
+@kernel
+def _through_in_place(
+    bundle: Array, lens: LensTables, k: int, colour: int, sense: float, rim: float, mount: float, beyond: float
+) -> None:  # fmt: skip
+    """Take a bundle through a surface of the lens in the frame in which it stands as prescribed."""
+    surface = lens.surfaces[k]
     c, conic, z = surface.curvature, surface.conic, surface.vertex_z
     limit = surface.aperture * surface.aperture
     into = 1 if sense > 0.0 else 0

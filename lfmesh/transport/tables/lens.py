@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry import frame
+from lfmesh.geometry.element_poses import pose_of
 from lfmesh.geometry.lattice import Lattice
 from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.lenslets import OFFSET, Lenslets, cell_mesh, lenslets
@@ -50,7 +52,7 @@ def lens_tables(
     )
     ring_slot = np.full(count + 1, MOUNT)
     ring_slot[np.add(shape.elements, 1, dtype=np.int64)] = book.edges
-    stop_space, stop_z, stop_radius = _pure_stop(scene, shape)
+    stop_space, stop_z, stop_radius, stop_pose = _pure_stop(scene, shape)
     caps = np.concatenate([m.vertices for m in shape.caps])
     # Larger by a rounding error, so that a flat surface, too, has a box that rays can enter.
     slack = 1e-9 * np.abs(caps).max()
@@ -70,6 +72,9 @@ def lens_tables(
         stop_space=stop_space,
         stop_z=stop_z,
         stop_radius=stop_radius,
+        stop_posed=not np.array_equal(stop_pose, frame.IDENTITY),
+        stop_pose=stop_pose,
+        stop_unpose=frame.inverse(stop_pose),
         box_low=caps.min(axis=0) - slack,
         box_high=caps.max(axis=0) + slack,
         convex_front=bool(first["curvature"] >= 0 and first["terms"] == 0),
@@ -78,14 +83,14 @@ def lens_tables(
     )
 
 
-def _pure_stop(scene: Scene, shape: LensShape) -> tuple[int, float, float]:
-    """Return space, z (mm) and radius (mm) of a stop that is not a refracting surface; space −1 if there is none."""
+def _pure_stop(scene: Scene, shape: LensShape) -> tuple[int, float, float, frame.Frame]:
+    """Return space, z, radius (mm) and pose of a stop that is not a refracting surface; space −1 if there is none."""
     prescription = scene.camera.lens
     for i, s in enumerate(prescription.surfaces):
         if prescription.is_pure_stop(i):
             space = sum(number < i for number in shape.numbers)
-            return space, prescription.vertices_mm[i], float(s.semi_diameter_mm or np.inf)
-    return -1, 0.0, np.inf
+            return space, prescription.vertices_mm[i], float(s.semi_diameter_mm or np.inf), pose_of(prescription, i)
+    return -1, 0.0, np.inf, frame.IDENTITY
 
 
 def array_tables(

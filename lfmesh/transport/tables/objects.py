@@ -11,6 +11,7 @@ from lfmesh.geometry.mesh import Array, Mesh, facet_normals, facet_table, joined
 from lfmesh.geometry.targets import TargetMesh
 from lfmesh.geometry.tessellation import (
     mesh_sag,
+    on_circles,
     revolved,
 )
 from lfmesh.geometry.texture import wavelength_weights
@@ -36,9 +37,16 @@ def middle_of(targets: list[TargetMesh]) -> Array:
 
 def housing_mesh(scene: Scene, shape: LensShape) -> Mesh:
     """Return the camera's housing: a plate around the first rim, the barrel, and the body around array and sensor."""
+    rim = shape.rims[0]
     barrel = 1.05 * max(shape.rims)
     front = float(shape.surfaces[0]["vertex_z"] + mesh_sag(shape.surfaces[0], shape.rims[0]))
     back = float(shape.surfaces[-1]["vertex_z"] + mesh_sag(shape.surfaces[-1], shape.rims[-1]))
+    if shape.surfaces["posed"].any():
+        # The hole in the plate and the barrel are as wide as poses ask for, and no rim stands behind the plate.
+        first, *others = (on_circles(s, np.array([r]))[0] for s, r in zip(shape.surfaces, shape.rims, strict=True))
+        rim = float(np.hypot(first[:, 0], first[:, 1]).max())
+        barrel = 1.05 * max(rim, *(float(np.hypot(line[:, 0], line[:, 1]).max()) for line in others))
+        front, back = float(first[:, 2].max()), float((others or [first])[-1][:, 2].max())
     moves = frame_table(scene, np.zeros(3))
     corners = [np.multiply(0.5, scene.camera.sensor.size_mm)]
     if scene.camera.mla is not None:
@@ -46,7 +54,7 @@ def housing_mesh(scene: Scene, shape: LensShape) -> Mesh:
     body = max(barrel, 1.1 * max(float(np.hypot(*corner)) for corner in corners))
     end = float(moves[SENSOR_FRAME, CAMERA_FRAME, 2, 3]) + 0.5 * body
     back = max(back, front)
-    profile = [[shape.rims[0], front], [barrel, front], [barrel, back], [body, back], [body, end], [0.0, end]]
+    profile = [[rim, front], [barrel, front], [barrel, back], [body, back], [body, end], [0.0, end]]
     mesh = revolved(np.array(profile), 6 * shape.rings)
     return Mesh(mesh.vertices, mesh.faces[facet_normals(mesh)[1] > 0.0])
 

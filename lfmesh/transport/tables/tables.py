@@ -49,6 +49,9 @@ class LensTables(NamedTuple):
     stop_space: int  # −1: the stop is a refracting surface
     stop_z: float
     stop_radius: float
+    stop_posed: bool  # the stop that is no refracting surface stands off its place, as `pose` of a SURFACE says
+    stop_pose: Array  # (3, 4)
+    stop_unpose: Array  # (3, 4)
     box_low: Array  # (3,) mm, bounding box of the meshes of all surfaces
     box_high: Array
     convex_front: bool  # a ray that leaves the first surface towards the object cannot meet the lens again
@@ -130,6 +133,8 @@ class Opening(NamedTuple):
     nearness_step: float
     middle: Array  # (n + 1, m + 1) mm, centre of the disk along the meridian, positive towards the point
     radius: Array  # (n, m) mm, for the intervals between rows and columns; −1: no light gets through
+    # (2, 2) mm, x and y of what poses of lens elements add to the centre: in the first row, and for each row further.
+    decentre: Array
 
 
 class AimTables(NamedTuple):

@@ -24,10 +24,13 @@ from matplotlib.text import Text
 
 from lfmesh.errors import FileError
 from lfmesh.files.whole import write_whole
+from lfmesh.geometry.element_poses import pose_of
+from lfmesh.geometry.frame import points
 from lfmesh.geometry.mesh import Array
 from lfmesh.scene import Scene
 from lfmesh.scene.solve import lenslet_focal_length_mm
 from lfmesh.view.layout.content import Bundle, Dimension, Layout, TargetSection, layout
+from lfmesh.view.layout.sections import in_section
 
 SHEET_IN = (13.0, 9.4)
 MARGIN_IN = 0.3
@@ -522,7 +525,10 @@ def _draw_lens(view: View, drawn: Layout, line: float = 0.7) -> None:
     bar = 0.06 * rim
     ticks = [np.array([[z, side * rim], [z, side * 1.3 * rim]]) for side in (-1.0, 1.0)]
     feet = [np.array([[z - bar, side * rim], [z + bar, side * rim]]) for side in (-1.0, 1.0)]
-    view.lines(ticks + feet, linewidths=2.0 * line, zorder=4)
+    lens = drawn.scene.camera.lens
+    pose = pose_of(lens, lens.stop_index or 0)
+    marks = [in_section(points(pose, np.column_stack([np.zeros(2), p[:, 1], p[:, 0]]))) for p in ticks + feet]
+    view.lines(marks, linewidths=2.0 * line, zorder=4)
     if drawn.array is not None:
         view.area(drawn.array, fc=GLASS, lw=0.5 * line, zorder=2)
     view.lines([drawn.sensor], linewidths=2.2 * line, zorder=4)

@@ -13,10 +13,13 @@ from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.lenslets import Lenslets, shape_of
 from lfmesh.geometry.mesh import Array
 from lfmesh.geometry.surface import sag
-from lfmesh.geometry.tessellation import mesh_sag, ring_profile
+from lfmesh.geometry.tessellation import cap, mesh_sag, ring_profile
 
 PROFILE_POINTS = 121
 """Of a lens surface from the axis to its rim, crowded towards the rim."""
+
+SECTION_RINGS = 60
+"""Rings of triangles of a posed lens surface whose section is drawn."""
 
 LEAST_ACROSS = 1e-3
 """Sine of the angle between a rectangle and the plane that cuts it, below which they count as one."""
@@ -137,18 +140,30 @@ def lens_glass(shape: LensShape, indices: Array) -> list[Glass]:
     elements = []
     for number, k in enumerate(shape.elements):
         front, back = _profile(shape, k), _profile(shape, k + 1)
-        edge = _edge(shape, k)
-        lower = np.column_stack([edge[:, 0], -edge[:, 1]])
-        outline = np.concatenate([front, edge[1:-1], back[::-1], lower[::-1][1:-1]])
+        if shape.surfaces["posed"][k : k + 2].any():
+            # Neither symmetric nor of revolution: corner to corner will do for the edges.
+            outline = np.concatenate([front, back[::-1]])
+        else:
+            edge = _edge(shape, k)
+            lower = np.column_stack([edge[:, 0], -edge[:, 1]])
+            outline = np.concatenate([front, edge[1:-1], back[::-1], lower[::-1][1:-1]])
         elements.append(Glass(f"lens[{number}]", float(indices[k + 1]), front, back, outline))
     return elements
 
 
 def _profile(shape: LensShape, k: int) -> Array:
     """Return the section of surface k from its lower rim to its upper one."""
-    if not shape.analytic[k]:
-        cap = shape.caps[k]
-        lines = mesh_section(trimesh.Trimesh(cap.vertices, cap.faces, process=False))
+    posed = shape.surfaces[k]["posed"]
+    if posed or not shape.analytic[k]:
+        mesh = shape.caps[k]
+        if posed and shape.analytic[k]:
+            mesh = cap(shape.surfaces[k], SECTION_RINGS, shape.rims[k]).moved(shape.surfaces[k]["pose"])
+        lines = mesh_section(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False))
+        if not lines:
+            raise LfmeshError(
+                f"camera.lens.elements: shift_mm moves surface {shape.numbers[k]} beside the plane of the drawing, "
+                "x = 0; shift it less"
+            )
         line = max(lines, key=len)
         return line if line[0, 1] < line[-1, 1] else line[::-1]
     rim = shape.rims[k]

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.element_poses import pose_of
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.geometry.surface import sag
 from lfmesh.geometry.surface import slope as steepness
@@ -85,6 +86,7 @@ class Aim:
         self._names = [world.surface_name(k) for k in range(len(shape.surfaces))]
         self._before_stop = sum(number < self.paraxial.stop for number in shape.numbers)
         self._pure_stop = self.lens.is_pure_stop(self.paraxial.stop)
+        self._into_stop = frames.inverse(pose_of(self.lens, self.paraxial.stop))
 
     def through(self, slope: ArrayLike, stop: ArrayLike) -> list[AimedRay]:
         """Return the rays from object points through points of the stop.
@@ -181,7 +183,8 @@ class Aim:
         return np.vstack([before, before[-1] + (z - before[-1, 2]) / after[2] * after])
 
     def _at_stop(self, points: Array, names: list[str]) -> Array:
-        """Return where a path crosses the stop surface, or ends on it outside its aperture."""
+        """Return where a path crosses the stop surface, or ends on it outside its aperture, in the stop's own frame."""
+        points = frames.points(self._into_stop, points)
         passed = [i for i, name in enumerate(names) if name in self._names]
         k = self._before_stop
         if not self._pure_stop:

@@ -14,7 +14,7 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lattice import centre
 from lfmesh.geometry.lenslets import shape_of
 from lfmesh.geometry.levels import EXACT
-from lfmesh.geometry.surface import normals
+from lfmesh.geometry.surface import in_place, normals
 from lfmesh.optics.glass import refractive_index
 from lfmesh.transport.events.interface import shares
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME, Event
@@ -195,7 +195,9 @@ def _of_lens(rays: Rays, vertex: int, k: int) -> Vector:
     """Return the normal of a lens surface."""
     moves, lens_surface = rays.world.tables.frames, rays.world.lens_shape.surfaces[k]
     p = frames.points(moves[WORLD_FRAME, CAMERA_FRAME], rays.position[vertex][None])
-    return np.asarray(frames.directions(moves[CAMERA_FRAME, WORLD_FRAME], normals(lens_surface, p[:, 0], p[:, 1]))[0])
+    p = in_place(lens_surface, p)
+    normal = frames.directions(lens_surface["pose"], normals(lens_surface, p[:, 0], p[:, 1]))
+    return np.asarray(frames.directions(moves[CAMERA_FRAME, WORLD_FRAME], normal)[0])
 
 
 def _of_array(rays: Rays, vertex: int, name: str) -> Vector:

@@ -356,6 +356,8 @@ def _disk_seen(world: World, point: Floats, aim: str) -> tuple[float, float, flo
     opening = opening_seen(
         world.first_order, lens, point[None], wide, bool(world.lens_shape.analytic.all()), front=True
     )
+    if world.tables.aim.entrance.known:
+        opening = opening._replace(decentre=world.tables.aim.entrance.decentre * [[1.0], [0.0]])
     x, y, radius = opening_from(opening, *point)
     if aim == "lens" or not opening.known or radius <= 0.0:
         return 0.0, 0.0, opening.plane_z, wide

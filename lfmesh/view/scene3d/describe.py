@@ -47,6 +47,7 @@ def _element(world: World, number: int) -> Rows:
         ("thickness", f"{thickness:.6g} mm"),
         *(("front", words) for words in [_surface(front, shape.numbers[k])]),
         *(("back", words) for words in [_surface(back, shape.numbers[k + 1])]),
+        *_poses(world, (shape.numbers[k], shape.numbers[k + 1])),
     ]
 
 
@@ -57,6 +58,17 @@ def _surface(surface: Surface, number: int) -> str:
     words += [f"semi-diameter {surface.semi_diameter_mm:.6g} mm"] if surface.semi_diameter_mm else []
     words += ["mesh " + surface.mesh.file] if surface.mesh is not None else []
     return ", ".join(words)
+
+
+def _poses(world: World, numbers: tuple[int, int]) -> Rows:
+    """Return the poses of the elements that two surfaces belong to."""
+    lens = world.scene.camera.lens
+    which = dict.fromkeys(lens.element_of(number) for number in numbers)
+    poses = [lens.elements[i].pose for i in which if i is not None]
+    return [
+        ("pose", f"shift {' '.join(f'{x:g}' for x in p.shift_mm)} mm, tilt {' '.join(f'{x:g}' for x in p.tilt_deg)}°")
+        for p in poses
+    ]
 
 
 def _medium(world: World, medium: float | str | None) -> str:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.files.colour import srgb_encode
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.element_poses import pose_of
 from lfmesh.geometry.mesh import Mesh, joined
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.geometry.targets import TargetMesh
@@ -151,10 +152,10 @@ def _lens(world: World) -> Iterator[Part]:
 
 def _stop(world: World) -> Iterator[Part]:
     ring = world.mesh("stop")
-    to_camera, to_world = (
-        world.tables.frames[a, b] for a, b in ((WORLD_FRAME, CAMERA_FRAME), (CAMERA_FRAME, WORLD_FRAME))
-    )
-    points = frames.points(to_camera, ring.vertices)
+    lens = world.scene.camera.lens
+    # Its own frame, in which the axis is that of the aperture.
+    to_world = frames.compose(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], pose_of(lens, lens.stop_index or 0))
+    points = frames.points(frames.inverse(to_world), ring.vertices)
     # It is drawn as far as the mount round it, which it fills.
     shape = world.lens_shape
     mount = np.interp(points[:, 2].mean(), shape.surfaces["vertex_z"], shape.rims)

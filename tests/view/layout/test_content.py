@@ -297,6 +297,34 @@ def test_tilted_and_shifted_array_and_sensor_are_drawn_where_they_stand():
     assert on_sensor[0] * into[0] + on_sensor[1] * into[1] == pytest.approx(0.0, abs=1e-9)
 
 
+def test_tilted_and_decentred_elements_are_drawn_where_they_stand():
+    """A turn about x and a shift along y keep the axis of an element in the plane of the drawing."""
+    degrees, shift = 4.0, np.array([0.2, 0.5])
+    pose = {"tilt_deg": (degrees, 0.0, 0.0), "shift_mm": (0.0, shift[1], shift[0])}
+    elements = [{"surfaces": (6, 7, 8, 9, 10), "pose": pose}, {"surfaces": (5,), "pose": {"shift_mm": (0.0, 0.3, 0.0)}}]
+    drawn = layout(camera("double_gauss_50mm", 3.0, **{"camera.lens.elements": elements}))
+    surfaces = prescription("double_gauss_50mm").surfaces
+    z = np.cumsum([0.0, *(s.thickness_mm for s in surfaces[:-1])])
+    turn = np.deg2rad(degrees)
+    before_glass = [i for i, s in enumerate(surfaces) if s.medium is not None]
+    for glass, i in zip(drawn.glass, before_glass, strict=True):
+        for profile, number in ((glass.front, i), (glass.back, i + 1)):
+            along, y = profile[:, 0] - z[6], profile[:, 1]
+            if number >= 6:
+                # About x: y turns towards z.
+                along, y = along - shift[0], y - shift[1]
+                along, y = np.cos(turn) * along - np.sin(turn) * y, np.sin(turn) * along + np.cos(turn) * y
+            inside = abs(y) <= surfaces[number].semi_diameter_mm
+            off = along + z[6] - z[number] - sag(surfaces[number], np.where(inside, y, 0.0))
+            # Posed surfaces are drawn by the chords of a fine mesh.
+            np.testing.assert_allclose(off[inside], 0.0, atol=2e-3 if number >= 6 else 1e-12)
+            assert np.ptp(y) > 1.99 * surfaces[number].semi_diameter_mm
+    for bundle in drawn.bundles:
+        lower, chief, upper = (crossing_of_stop(ray.points, "double_gauss_50mm") for ray in bundle.rays)
+        np.testing.assert_allclose(chief, [0.0, 0.3], atol=1e-6)
+        np.testing.assert_allclose([lower, upper], [[0.0, -2.7], [0.0, 3.3]], atol=1e-6)
+
+
 @pytest.mark.parametrize("part", ["camera.mla", "camera.sensor"])
 def test_what_the_plane_of_the_drawing_does_not_meet_is_a_clear_error(part):
     scene = camera("double_gauss_50mm", 4.77, **{f"{part}.pose": {"shift_mm": (5.0, 0.0, 0.0)}})

@@ -73,10 +73,11 @@ def test_every_lens_that_comes_with_lfmesh_draws_wide_open_and_its_texts_are_cle
         {"camera.focus_mm": 60.0},
         {"camera.mla": None, "camera.sensor.pixels": (6, 4), "camera.sensor.pixel_mm": 6.0},
         {"camera.mla.pose": {"tilt_deg": (2.0, 1.5, 8.0)}, "camera.sensor.pose": {"shift_mm": (0.1, 0.4, 0.05)}},
+        {"camera.lens.elements": [{"surfaces": (5, 6, 7, 8), "pose": {"tilt_deg": (2.0, 1.0, 0.0)}}]},
         {"name": "A $name$ & <tags>, " + "so long that it has to be cut " * 9, "targets[0].name": "lens " * 8},
         {"name": ""},
     ],
-    ids=["infinity", "macro", "large sensor", "tilted", "long names", "no name"],
+    ids=["infinity", "macro", "large sensor", "tilted", "tilted elements", "long names", "no name"],
 )
 def test_texts_are_clear_of_each_other_in_unusual_cameras(change):
     scene = lf.load(asset_path("scenes/first_light.toml"))

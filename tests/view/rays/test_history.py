@@ -104,6 +104,16 @@ def test_laws_hold_along_every_path_from_the_sensor(world):
     assert seen[Event.REFLECTED] > 100
 
 
+def test_laws_hold_at_tilted_and_decentred_elements(world):
+    """Angles are those to the surface where it stands: without its pose they would be off by degrees."""
+    pose = {"tilt_deg": (3.0, -1.0, 10.0), "shift_mm": (0.4, 0.2, 0.3)}
+    elements = [{"surfaces": (6, 7, 8, 9, 10), "pose": pose}, {"surfaces": (0,), "pose": {"tilt_deg": (0.0, 0.5, 0.0)}}]
+    posed = lf.build(world.scene.changed({"camera.lens.elements": elements}))
+    seen = check_laws(from_field_point(posed, POINT, 60, aim="lens", weight_cutoff=0.003), 200)
+    assert seen[Event.TRANSMITTED] > 1000
+    assert seen[Event.REFLECTED] > 100
+
+
 @pytest.mark.parametrize("surface", ["flat", "patch"])
 def test_laws_hold_where_a_facet_stands_for_the_surface(surface):
     """The normal is then the one that bent the path, not the exact surface's, which is several mrad off it."""

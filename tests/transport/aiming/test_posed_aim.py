@@ -1,0 +1,84 @@
+"""Tilted and decentred elements move the light's way through the lens, and the aim follows."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lfmesh as lf
+from lfmesh.assets import asset_path
+from lfmesh.transport.aiming.aim_proof import ALLOWED
+from tests.transport.aiming.test_aim_proof import missed
+
+RandomCamera = Callable[[int], lf.Scene]
+
+
+def posed_at_random(scene: lf.Scene, seed: int) -> lf.Scene:
+    """Return a camera with poses of its elements: two degrees, and a tenth of their radius."""
+    draw = np.random.default_rng([31, seed])
+    lens = scene.camera.lens
+    elements: list[dict[str, Any]] = []
+    number = 0
+    while number < len(lens.surfaces):
+        size = 1 if lens.is_pure_stop(number) else 2
+        radius = min(s.semi_diameter_mm or 0.0 for s in lens.surfaces[number : number + size])
+        tilt = [*draw.uniform(-1.0, 1.0, 2), 0.0]
+        shift = [*(0.1 * radius * draw.uniform(-1.0, 1.0, 2)), 0.0]
+        elements.append({"surfaces": [*range(number, number + size)], "pose": {"tilt_deg": tilt, "shift_mm": shift}})
+        number += size
+    return scene.changed({"camera.lens.elements": elements})
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_aim_of_a_random_camera_with_poses_holds_all_light(seed: int, random_camera: RandomCamera) -> None:
+    world = lf.build(posed_at_random(random_camera(seed), seed))
+    assert world.aim_proof is not None
+    assert world.aim_proof.holds, world.aim_proof
+    assert max(missed(world, world.tables.aim)) <= 2.0 * ALLOWED
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(8, 150))
+def test_the_aim_of_many_random_cameras_with_poses_holds_all_light(seed: int, random_camera: RandomCamera) -> None:
+    world = lf.build(posed_at_random(random_camera(seed), seed))
+    assert world.aim_proof is not None
+    assert world.aim_proof.holds, world.aim_proof
+    assert max(missed(world, world.tables.aim)) <= 2.0 * ALLOWED
+
+
+@pytest.mark.parametrize("scene", ["first_light", "conventional"])
+def test_openings_are_decentred_rather_than_widened(scene: str) -> None:
+    """A stop 1.3 mm off the axis: the aim is as narrow as before, and without its decentre it would lose light."""
+    changes: dict[str, Any] = {
+        "targets": [
+            {
+                "shape": {"kind": "plane", "width_mm": 80.0, "height_mm": 80.0},
+                "position_mm": [0.0, 0.0, -500.0],
+                "material": {"radiance_w_m2_sr": 1.0},
+            }
+        ],
+        "lights": [],
+    }
+    plain = lf.load(asset_path(f"scenes/{scene}.toml")).changed(changes)
+    stop = plain.camera.lens.stop_index
+    pose = {"surfaces": [stop], "pose": {"shift_mm": [1.3, 0.4, 0.0], "tilt_deg": [0.0, 3.0, 0.0]}}
+    world = lf.build(plain.changed({"camera.lens.elements": [pose]}))
+    assert world.aim_proof is not None
+    assert world.aim_proof.holds
+    before, after = lf.build(plain).tables.aim, world.tables.aim
+    for side in ("entrance", "exit"):
+        assert getattr(after, side).radius.max() < 1.03 * getattr(before, side).radius.max()
+    assert max(missed(world, after)) <= 2.0 * ALLOWED
+    centred = np.zeros((2, 2))
+    back = after._replace(entrance=after.entrance._replace(decentre=centred))
+    if not world.tables.array.present:
+        back = back._replace(exit=after.exit._replace(decentre=centred))
+        assert missed(world, back)[0] > 100 * ALLOWED
+    assert missed(world, back)[1] > 100 * ALLOWED
+
+
+def test_a_lens_without_poses_has_centred_openings() -> None:
+    aim = lf.build(lf.load(asset_path("scenes/first_light.toml"))).tables.aim
+    assert not aim.entrance.decentre.any()
+    assert not aim.exit.decentre.any()

@@ -171,8 +171,8 @@ def _order(image: Image) -> list[str]:
         return []
     if not order.holds:
         return [
-            f"Warning: lens surfaces are not found by their order as by their meshes: {order.words}. The meshes alone were"
-            " used, which takes longer."
+            f"Warning: lens surfaces are not found by their order as by their meshes: {order.words}. The meshes alone"
+            " were used, which takes longer."
         ]
     return [f"Lens surfaces were found by their order: {order.words}."]
 

@@ -46,7 +46,7 @@ class OrderCheck:
     deviation_mm : float
         Largest distance between two outcomes' places.
     deviation : float
-        Largest relative difference between their weights.
+        Largest difference between their weights, over that of the packet they came of.
     """
 
     compared: int
@@ -93,7 +93,8 @@ def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.
     differing = len(np.unique(alone))
     by_order, by_mesh = by_order[a], by_mesh[b]
     deviation_mm = np.linalg.norm(by_order["position"] - by_mesh["position"], axis=1).max(initial=0.0)
-    deviation = np.abs(by_order["weight"] / by_mesh["weight"] - 1.0).max(initial=0.0)
+    before = given["weight"][by_order["source"]]
+    deviation = (np.abs(by_order["weight"] - by_mesh["weight"]) / before).max(initial=0.0)
     turned = np.delete(given["stray"], undecided)
     return OrderCheck(
         compared=len(given) - len(undecided),

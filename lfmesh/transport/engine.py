@@ -42,7 +42,7 @@ from lfmesh.transport.packets.packet import (
     Options,
 )
 from lfmesh.transport.regions.array import admit_to_cells, shade_cells, through_plate
-from lfmesh.transport.regions.lens import admit_to_lens, shade_in_order, shade_lens
+from lfmesh.transport.regions.lens import admit_to_lens, shade_lens
 from lfmesh.transport.regions.lens_block import empty_block
 from lfmesh.transport.regions.objects import admit_to_objects, shade_objects
 from lfmesh.transport.regions.sensor import onto_sensor
@@ -106,6 +106,7 @@ class Workspace:
         self.bundle = empty_bundle()
         self.block = empty_block()
         self.numbers = np.zeros(BLOCK, np.int64)
+        self.unasked = np.zeros(0, np.int32)
         self.embree_seconds = 0.0
         self.queries = 0
         # A list here collects copies of the packets that the order of the surfaces is asked about.
@@ -206,11 +207,13 @@ class Workspace:
             count = admit_to_lens(wave, origins, directions, lens, frames, options, flow, False)
             if self.sampled is not None:
                 self.sampled.append(wave[:count].copy())
-            shade_in_order(wave[:count], self.block, self.numbers, lens, array.present, frames, options, flow)
+            wave = wave[:count]
+            shade_lens(wave, self.unasked, self.block, self.numbers, lens, array.present, frames, options, flow, True)
         elif station in (LENS, LENS_MESH):
             count = admit_to_lens(wave, origins, directions, lens, frames, options, flow, True)
             found = self._find(LENS, count)
-            shade_lens(wave[:count], found, self.block, self.numbers, lens, array.present, frames, options, flow)
+            wave = wave[:count]
+            shade_lens(wave, found, self.block, self.numbers, lens, array.present, frames, options, flow, False)
         elif station == CELLS:
             admit_to_cells(wave, origins, directions, array)
             found = self._find(CELLS, count)

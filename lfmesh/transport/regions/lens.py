@@ -199,62 +199,48 @@ def leave_lens(
 @kernel
 def shade_lens(
     wave: NDArray[np.void], found: NDArray[np.int32], block: Array, met: NDArray[np.int64],
-    lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
+    lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow, in_order: bool,
 ) -> None:  # fmt: skip
-    """Process a wave of packets after their query: refuse the hit, absorb the packet, or split it at its surface.
+    """Process a wave of packets: refuse what a query found, absorb the packet, or split it at its surface.
 
     Works block by block: hits on conics, nearly all, are found by vector instructions, the others packet by packet, and
     all packets of the block are split together.
+
+    Without a query, surfaces are found by their order: a packet in a space can only meet its two surfaces and its ring.
+    Where both surfaces are exact conics, their roots decide, unless the ring may come first; what is not decided goes
+    to the station of the lens's meshes.
 
     Parameters
     ----------
     wave : (n,) PACKET
     found : (n,) int32
-        Facets that Embree found; −1: none.
+        Facets that Embree found; −1: none. Not read if `in_order`.
     block : (ROWS · BLOCK,) float64
     met : (BLOCK,) int64
         Working memory.
     has_array : bool
+    in_order : bool
+        Whether surfaces are found by their order.
     """
     for first in range(0, len(wave), BLOCK):
         count = min(BLOCK, len(wave) - first)
-        for i in range(count):
-            met[i] = _prepare(block, i, wave[first + i], found[first + i], lens, options)
-        meet_conics(block)
-        for i in range(count):
-            if not block[HELD + i] > 0.0:
-                met[i] = _decide(block, i, wave[first + i], found[first + i], lens, has_array, frames, options, flow)
-        split_block(block, lens.interfaces)
-        for i in range(count):
-            if met[i] != NO_SURFACE:
-                _send_on(block, i, wave[first + i], met[i], lens, has_array, frames, options, flow)
-
-
-@kernel
-def shade_in_order(
-    wave: NDArray[np.void], block: Array, met: NDArray[np.int64],
-    lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
-) -> None:  # fmt: skip
-    """Process a wave of packets as `shade_lens` does, but find their surfaces by their order, without Embree.
-
-    A packet in a space can only meet its two surfaces and its ring. Where both surfaces are exact conics, their roots
-    decide, unless the ring may come first; what is not decided goes to the station of the lens's meshes.
-
-    Parameters
-    ----------
-    wave, block, met, has_array
-        See `shade_lens`.
-    """
-    for first in range(0, len(wave), BLOCK):
-        count = min(BLOCK, len(wave) - first)
-        for i in range(count):
-            _prepare_in_order(block, i, wave[first + i], lens, options)
-        meet_in_order(block)
-        for i in range(count):
-            if block[HELD + i] > 0.0:
-                met[i] = int(block[NUMBER + i])
-            else:
-                met[i] = _decide_in_order(block, i, wave[first + i], lens, has_array, frames, options, flow)
+        if in_order:
+            for i in range(count):
+                _prepare_in_order(block, i, wave[first + i], lens, options)
+            meet_in_order(block)
+            for i in range(count):
+                if block[HELD + i] > 0.0:
+                    met[i] = int(block[NUMBER + i])
+                else:
+                    met[i] = _decide_in_order(block, i, wave[first + i], lens, has_array, frames, options, flow)
+        else:
+            for i in range(count):
+                met[i] = _prepare(block, i, wave[first + i], found[first + i], lens, options)
+            meet_conics(block)
+            for i in range(count):
+                if not block[HELD + i] > 0.0:
+                    prim = found[first + i]
+                    met[i] = _decide(block, i, wave[first + i], prim, lens, has_array, frames, options, flow)
         split_block(block, lens.interfaces)
         for i in range(count):
             if met[i] != NO_SURFACE:

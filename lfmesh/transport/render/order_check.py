@@ -1,6 +1,6 @@
 """Proof of the order of the lens's surfaces: a sample of a run's own packets, traced through the meshes too.
 
-The meshes are the model. Finding surfaces by their order and their roots (`regions.lens.shade_in_order`) is a shortcut,
+The meshes are the model. Finding surfaces by their order and their roots (`regions.lens.shade_lens`) is a shortcut,
 so every run takes some of its packets that wait for a surface of the lens, lets both ways process each, and compares
 what comes of them: children and ends, where they are and what they weigh. A run whose shortcut deviates uses the
 meshes.

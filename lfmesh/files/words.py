@@ -167,7 +167,7 @@ def _aim(image: Image) -> list[str]:
 def _order(image: Image) -> list[str]:
     """Return a sentence on how lens surfaces that were found by their order compare with those found by meshes."""
     order = image.order
-    if order is None:
+    if order is None or order.compared == 0:
         return []
     if not order.holds:
         return [

@@ -118,6 +118,24 @@ def waiting_packets(world: World, count: int, seed: int) -> tuple[NDArray[np.voi
     return packets[some], options
 
 
+def hollow_again(world: World, packets: NDArray[np.void]) -> NDArray[np.bool_]:
+    """Tell which packets, on straight lines, come back to the surface that they have just left, on its hollow side."""
+    again = np.zeros(len(packets), np.bool_)
+    p, d = (np.stack([packets[axis] for axis in axes], axis=1) for axes in (("x", "y", "z"), ("dx", "dy", "dz")))
+    for k, surface in enumerate(world.tables.lens.surfaces):
+        c, q = surface["curvature"], 1.0 + surface["conic"]
+        squash = np.array([1.0, 1.0, q])
+        start = p - [0.0, 0.0, surface["vertex_z"]]
+        sense = np.where(packets["space"] == k, 1.0, -1.0)
+        # The chord from a point of the conic to its other point on the line.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            chord = -2.0 * (c * np.sum(squash * start * d, axis=1) - d[:, 2]) / (c * np.sum(squash * d * d, axis=1))
+            end = start + chord[:, None] * d
+            inside = (np.hypot(end[:, 0], end[:, 1]) <= surface["aperture"]) & (c * q * end[:, 2] < 1.0)
+        again |= (packets["last"] == k) & (sense * c < 0.0) & (chord > 0.0) & inside
+    return again
+
+
 def compared(world: World, count: int, seed: int) -> OrderCheck:
     packets, options = waiting_packets(world, count, seed)
     return compare(world, options, world.tables, packets)
@@ -160,6 +178,16 @@ def spoil_place(order: NDArray[np.float64]) -> None:
 def spoil_aperture(order: NDArray[np.float64]) -> None:
     """Let light through outside the clear apertures."""
     order[:, [3, 7]] *= 1.01
+
+
+def test_packets_that_come_back_to_the_surface_they_left_meet_it_again() -> None:
+    found = 0
+    for number, world in enumerate(drawn_worlds(8)):
+        packets, options = waiting_packets(world, PER_DRAWN, seed=100 + number)
+        check = compare(world, options, world.tables, packets[hollow_again(world, packets)])
+        assert_agrees(check)
+        found += check.compared
+    assert found > 1000
 
 
 @pytest.mark.parametrize("spoil", [spoil_free_radius, spoil_place, spoil_aperture])

@@ -64,8 +64,6 @@ class OrderCheck:
     @property
     def words(self) -> str:
         """What was compared, and the result."""
-        if self.compared == 0:
-            return "no packet came to be compared with the meshes"
         said = f"of {self.compared} packets compared with the meshes, {self.reflected} of them after reflections, "
         said += f"{self.differing or 'none'} met another surface; the largest deviation is {self.deviation_mm:.1e} mm"
         return f"{said}, and {self.deviation:.1e} of a weight"

@@ -1,4 +1,4 @@
-"""The main lens in the mesh engine: Embree finds a facet, float64 decides where the ray meets the surface.
+"""The main lens, packet by packet: a surface is found by Embree or by the order of the surfaces, and float64 decides.
 
 All in the camera frame. A packet in space s lies between surface s − 1 and surface s (see `LensTables`).
 """
@@ -54,6 +54,7 @@ from lfmesh.transport.regions.lens_block import (
     N_I,
     N_T,
     NEXT_N,
+    NEXT_NUMBER,
     NUMBER,
     NX,
     NY,
@@ -115,7 +116,9 @@ def admit_to_lens(
     wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32],
     lens: LensTables, frames: Array, options: Options, flow: Flow, queried: bool,
 ) -> int:  # fmt: skip
-    """Write the rays of a wave for Embree and return how many remain; rays from outside the box start at its border.
+    """Move a wave into the camera frame, write its rays for Embree, and return how many packets remain.
+
+    Rays from outside the box start at its border.
 
     Packets that miss the box end on the housing; the others are moved up in the wave.
 
@@ -264,7 +267,8 @@ def _prepare_in_order(block: Array, i: int, packet: Any, lens: LensTables, optio
     indices, medium = lens.media.indices, lens.medium
     block[N_I + i], block[N_T + i] = indices[medium[space], colour], indices[medium[max(space - 1, 0)], colour]
     block[NEXT_N + i] = indices[medium[min(space + 1, last_space)], colour]
-    block[NUMBER + i], block[COLOUR + i] = space - 1, colour
+    block[NUMBER + i], block[NEXT_NUMBER + i] = max(space - 1, 0), min(space, last_space - 1)
+    block[COLOUR + i] = colour
 
 
 @kernel

@@ -39,11 +39,11 @@ REFLECTANCE, TRANSMITTANCE = 28 * BLOCK, 29 * BLOCK
 REFLECTED, REFRACTED = 30 * BLOCK, 34 * BLOCK
 ALONG_X, ALONG_Y, ALONG_Z, CLEAR = 0, BLOCK, 2 * BLOCK, 3 * BLOCK
 # For `meet_in_order`, the rows of the conic above hold the surface towards the object, and these the one towards the
-# sensor, with the index beyond it; then the squared radius that the ring of the space leaves free, and which of the two
-# surfaces the ray starts on: −1, 1, or 0 for neither.
+# sensor, with the index beyond it and its number; then the squared radius that the ring of the space leaves free, and
+# which of the two surfaces the ray starts on: −1, 1, or 0 for neither.
 NEXT_CURVATURE, NEXT_SQUASH, NEXT_VERTEX_Z, NEXT_APERTURE2 = 38 * BLOCK, 39 * BLOCK, 40 * BLOCK, 41 * BLOCK
-NEXT_N, FREE2, STARTS_ON = 42 * BLOCK, 43 * BLOCK, 44 * BLOCK
-ROWS = 45
+NEXT_N, NEXT_NUMBER, FREE2, STARTS_ON = 42 * BLOCK, 43 * BLOCK, 44 * BLOCK, 45 * BLOCK
+ROWS = 46
 
 
 def empty_block() -> Array:
@@ -167,7 +167,7 @@ def meet_in_order(block: Array) -> None:
         block[PX + i], block[PY + i], block[PZ + i] = x, y, z + vertex_z
         block[NX + i], block[NY + i], block[NZ + i] = nx * scale, ny * scale, nz * scale
         block[N_T + i] = select(forward, block[NEXT_N + i], block[N_T + i])
-        block[NUMBER + i] += select(forward, 1.0, 0.0)
+        block[NUMBER + i] = select(forward, block[NEXT_NUMBER + i], block[NUMBER + i])
         block[HELD + i] = select(held, 1.0, 0.0)
 
 

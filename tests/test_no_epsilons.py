@@ -25,6 +25,7 @@ DIMENSIONLESS = {
     "transport/aiming/aim_proof.py": {"ALLOWED", "NEAREST"},
     "transport/render/blind_check.py": {"LEVEL"},
     "transport/render/certainty.py": {"RARE"},
+    "transport/render/order_check.py": {"LARGEST_MM"},
     "transport/events/crossing.py": {"EDGE", "FLOAT32_GRAIN"},
     "transport/packets/ledger.py": {"LOST_LIMIT"},
     "transport/aiming/lenslet_aim.py": {"EXACT"},
@@ -36,7 +37,10 @@ DIMENSIONLESS = {
     "transport/packets/random.py": {"_UNIT"},
     "transport/packets/sobol.py": {"_UNIT"},
 }
-"""Constants that have a small value: ratios, angles, weights, conversions of units."""
+"""Constants that have a small value: ratios, angles, weights, conversions of units.
+
+`LARGEST_MM` is the one length: it compares two results for the report, and moves or decides no ray.
+"""
 
 FILES = sorted(path for part in ("geometry", "transport") for path in (PACKAGE / part).rglob("*.py"))
 

@@ -4,7 +4,9 @@
     tools/bench render scene.toml --engine sequential --json figures.json
 
 Every case renders in a process of its own, whose peak memory is its own too, after a warm-up that compiles the kernels.
-The double Gauss alone is traced by the mesh engine on one thread, refracted rays only, one chunk again and again.
+The double Gauss alone is traced by the mesh engine on one thread, refracted rays only, one chunk again and again. The
+demo's paths with reflections are traced on one thread, lens surfaces found by meshes and by their order in turn; the
+least time of each chunk counts.
 """
 
 import json
@@ -17,18 +19,26 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
+import numpy as np
 from bench_lens import EngineRun, lens_of, rays_through
 from bench_report import COLOURS, Report, Table, ask_child, deliver, guarded, parser, peak_mib, say, whole
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.geometry.levels import SURFACE_LEVEL
-from lfmesh.transport.engine import CHUNK
+from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.packet import EVENTS
+from lfmesh.transport.packets.random import descendant
+from lfmesh.transport.render.plan import Chunk
+from lfmesh.transport.render.tally import Film
+from lfmesh.transport.render.tracer import Tracer
+from lfmesh.transport.sources.source import Launcher
 
 FACTORS = (1, 4, 16)
 QUICK_PIXELS = [40, 40]
 LENS_ROUNDS, QUICK_ROUNDS = 60, 3
+ORDER_CHUNKS, ORDER_ROUNDS = 14, 8
+ORDER_SAMPLES = 8
 
 COLUMNS = {
     "samples": ("samples", "d"),
@@ -46,6 +56,14 @@ LENS_COLUMNS = {
     "rays": ("rays", ",d"),
     "events_per_s": ("events/s", ".3g"),
     "embree_share": ("Embree", ".1%"),
+}
+
+
+WAY_COLUMNS = {
+    "way": ("paths of the demo's picture", ""),
+    "paths_per_s": ("paths/s", ",.0f"),
+    "embree_share": ("Embree", ".1%"),
+    "queries_per_path": ("queries a path", ".2f"),
 }
 
 
@@ -112,6 +130,45 @@ def measure_lens(surface: str, rounds: int) -> dict[str, Any]:
     }
 
 
+def measure_ways(chunks: int, rounds: int) -> list[dict[str, Any]]:
+    """Trace the demo's image path and, both ways, its paths with reflections, in turn; return a row for each."""
+    world = lf.build(lf.load(asset_path("scenes/first_light.toml")).changed({"transport.threads": 1}))
+    tracer = Tracer(world, check=False)
+    image, reflections = tracer.parts
+    ways = {
+        "image path": image,
+        "reflections, by meshes": reflections.by_meshes(),
+        "reflections, by order": reflections,
+    }
+    launchers = {
+        name: Launcher(partial(Workspace, world, part.options, CHUNK, part.tables)) for name, part in ways.items()
+    }
+    count = CHUNK // ORDER_SAMPLES
+    firsts = np.linspace(0, tracer.pixels - count, chunks).astype(np.int64)
+    seconds = {name: np.full(chunks, np.inf) for name in ways}
+    embree, queries = ({name: np.zeros(chunks) for name in ways} for _ in range(2))
+    for _ in range(rounds):
+        for number, first in enumerate(firsts):
+            for name, part in ways.items():
+                chunk = Chunk(0, part, int(first), count, 0, CHUNK, ORDER_SAMPLES)
+                source = tracer._source(chunk, descendant(tracer.seed, part.number))
+                began = time.perf_counter()
+                work = launchers[name].trace(source, film=Film.empty(count, tracer.colours, int(first)))
+                took = time.perf_counter() - began
+                if took < seconds[name][number]:
+                    seconds[name][number], embree[name][number] = took, work.embree_seconds
+                queries[name][number] = work.queries
+    return [
+        {
+            "way": name,
+            "paths_per_s": chunks * CHUNK / seconds[name].sum(),
+            "embree_share": embree[name].sum() / seconds[name].sum(),
+            "queries_per_path": queries[name].sum() / (chunks * CHUNK),
+        }
+        for name in ways
+    ]
+
+
 def draw(rows: list[dict[str, Any]], figure: Any) -> None:
     """Draw seconds and peak memory against samples, all threads."""
     most = max(row["threads"] for row in rows)
@@ -157,6 +214,9 @@ def main() -> None:
     say("the double Gauss alone")
     lens = measure_lens(given.surface or "exact", QUICK_ROUNDS if given.quick else LENS_ROUNDS)
     report.tables["lens"] = Table("The double Gauss alone, mesh engine, one thread", LENS_COLUMNS, [lens])
+    say("paths with reflections, lens surfaces by their order and by meshes")
+    ways = measure_ways(2 if given.quick else ORDER_CHUNKS, 2 if given.quick else ORDER_ROUNDS)
+    report.tables["ways"] = Table("Paths of the demo's picture, one thread", WAY_COLUMNS, ways)
     deliver(report, given, partial(draw, rows))
 
 

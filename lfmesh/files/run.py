@@ -37,6 +37,7 @@ from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import Refinement
 from lfmesh.transport.render.blind_check import BlindCheck
 from lfmesh.transport.render.image import Image
+from lfmesh.transport.render.order_check import OrderCheck
 
 FORMAT = 2
 """Of the run folder; a reader refuses any other."""
@@ -304,6 +305,7 @@ def _image_from(spectral: exr.SpectralImage, folder: Path) -> Image:
         hits=spectral.parts.get(HITS),
         aim=AimProof.from_dict(metadata["aim"]) if metadata.get("aim") else None,
         blind=BlindCheck.from_dict(metadata["blind"]) if metadata.get("blind") else None,
+        order=OrderCheck(**metadata["order"]) if metadata.get("order") else None,
     )
 
 
@@ -456,6 +458,7 @@ def _metadata(image: Image, pixels_sha256: str, home: Path) -> dict[str, Any]:
         "refinement": asdict(image.refinement) if image.refinement else None,
         "aim": image.aim._asdict() if image.aim else None,
         "blind": asdict(image.blind) if image.blind else None,
+        "order": asdict(image.order) if image.order else None,
         "seconds": image.seconds,
         "ledger": image.ledger.as_dict(),
         "pixels_sha256": pixels_sha256,

@@ -98,6 +98,7 @@ def summary(image: Image) -> list[str]:
         *_noise_lines(image, measured),
         *_diffraction(solved_camera(image.scene).report),
         *_aim(image),
+        *_order(image),
     ]
     if measured.received_share < DARK_SHARE:
         lines += where_the_light_went(image)
@@ -161,6 +162,19 @@ def _aim(image: Image) -> list[str]:
         )
     )
     return [*lines, f"Aim: {said}; samples that are not aimed {told}."]
+
+
+def _order(image: Image) -> list[str]:
+    """Return a sentence on how lens surfaces that were found by their order compare with those found by meshes."""
+    order = image.order
+    if order is None or order.compared == 0:
+        return []
+    if not order.holds:
+        return [
+            f"Warning: lens surfaces are not found by their order as by their meshes: {order.words}. The meshes alone"
+            " were used, which takes longer."
+        ]
+    return [f"Lens surfaces were found by their order: {order.words}."]
 
 
 def where_the_light_went(image: Image) -> list[str]:

@@ -5,7 +5,9 @@ A wave is a batch of packets that wait at the same station. At a station that qu
 in float64 and queues the children at the stations they travel to. The station with the most packets comes next, from
 the top of its stack, so that a chunk's memory stays bounded however often packets split.
 
-The sequential engine takes the waves of lens and array through both at once (`image_path`); the rest is the same.
+Where the surfaces of the lens are exact, their order and their roots tell which one a packet meets, and Embree is asked
+only where they do not decide. The sequential engine takes the waves of lens and array through both at once
+(`image_path`); the rest is the same.
 """
 
 import time
@@ -26,6 +28,7 @@ from lfmesh.transport.packets.packet import (
     END,
     ENDED,
     LENS,
+    LENS_MESH,
     NO_SURFACE,
     NODE,
     NODES,
@@ -103,8 +106,11 @@ class Workspace:
         self.bundle = empty_bundle()
         self.block = empty_block()
         self.numbers = np.zeros(BLOCK, np.int64)
+        self.unasked = np.zeros(0, np.int32)
         self.embree_seconds = 0.0
         self.queries = 0
+        # A list here collects copies of the packets that the order of the surfaces is asked about.
+        self.sampled: list[NDArray[np.void]] | None = None
 
     def kept(self, kind: type[T], make: Callable[[], T]) -> T:
         """Return the working memory of a source, by its type; the first call makes it."""
@@ -182,34 +188,44 @@ class Workspace:
 
     def run(self) -> None:
         """Trace until every stack is empty."""
+        while self.tops[:STATIONS].any():
+            self.advance(int(np.argmax(self.tops[:STATIONS])))
+
+    def advance(self, station: int) -> None:
+        """Process the next wave of a station: the top of its stack, at most a chunk."""
         tables, options = self.tables, self.options
         frames, lens, array = tables.frames, tables.lens, tables.array
         lens_surfaces = len(lens.surfaces)
         origins, directions = self.origins, self.directions
-        while self.tops[:STATIONS].any():
-            station = int(np.argmax(self.tops[:STATIONS]))
-            count = min(int(self.tops[station]), self.chunk)
-            self.reserve(count)
-            flow = self.flow()
-            wave = self._take(station, count)
-            if options.sequential and station in (LENS, PLATE):
-                follow_image_path(wave, station, lens, array, frames, self.bundle, self.numbers, options, flow)
-            elif station == LENS:
-                count = admit_to_lens(wave, origins, directions, lens, frames, options, flow)
-                found = self._find(LENS, count)
-                shade_lens(wave[:count], found, self.block, self.numbers, lens, array.present, frames, options, flow)
-            elif station == CELLS:
-                admit_to_cells(wave, origins, directions, array)
-                found = self._find(CELLS, count)
-                shade_cells(wave, found, array, frames, lens_surfaces, options, flow)
-            elif station == OBJECTS:
-                admit_to_objects(wave, origins, directions, frames)
-                found = self._find(OBJECTS, count)
-                shade_objects(wave, found, tables.objects, lens, tables.aim, frames, options, flow)
-            elif station == PLATE:
-                through_plate(wave, array, frames, lens_surfaces, options, flow)
-            else:
-                onto_sensor(wave, tables.sensor, frames, options, flow)
+        count = min(int(self.tops[station]), self.chunk)
+        self.reserve(count)
+        flow = self.flow()
+        wave = self._take(station, count)
+        if options.sequential and station in (LENS, PLATE):
+            follow_image_path(wave, station, lens, array, frames, self.bundle, self.numbers, options, flow)
+        elif station == LENS and options.in_order:
+            count = admit_to_lens(wave, origins, directions, lens, frames, options, flow, False)
+            if self.sampled is not None:
+                self.sampled.append(wave[:count].copy())
+            wave = wave[:count]
+            shade_lens(wave, self.unasked, self.block, self.numbers, lens, array.present, frames, options, flow, True)
+        elif station in (LENS, LENS_MESH):
+            count = admit_to_lens(wave, origins, directions, lens, frames, options, flow, True)
+            found = self._find(LENS, count)
+            wave = wave[:count]
+            shade_lens(wave, found, self.block, self.numbers, lens, array.present, frames, options, flow, False)
+        elif station == CELLS:
+            admit_to_cells(wave, origins, directions, array)
+            found = self._find(CELLS, count)
+            shade_cells(wave, found, array, frames, lens_surfaces, options, flow)
+        elif station == OBJECTS:
+            admit_to_objects(wave, origins, directions, frames)
+            found = self._find(OBJECTS, count)
+            shade_objects(wave, found, tables.objects, lens, tables.aim, frames, options, flow)
+        elif station == PLATE:
+            through_plate(wave, array, frames, lens_surfaces, options, flow)
+        else:
+            onto_sensor(wave, tables.sensor, frames, options, flow)
 
     def _take(self, station: int, count: int) -> NDArray[np.void]:
         """Take packets off the top of a station's stack; the wave is valid until the next one is taken."""

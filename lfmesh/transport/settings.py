@@ -43,6 +43,7 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
         paths=EVERY,
         unturned_cutoff=transport.weight_cutoff,
         first_source=0,
+        in_order=not tracing and transport.engine != "mesh" and bool(tables.lens.ordered.any()),
     )
     return options._replace(**override)
 

@@ -18,6 +18,7 @@ from lfmesh.files import run
 from lfmesh.scene import Scene, first_order, load
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.image import Image
+from lfmesh.transport.render.order_check import OrderCheck
 from lfmesh.view.request import subject_of
 
 Build = Callable[..., Image]
@@ -40,6 +41,14 @@ def test_round_trip(image_of: Build, tmp_path: Path) -> None:
     assert (back.seconds, back.replicates, back.samples, back.engine) == (7.0, 8, 64.0, "mesh engine")
     assert back.complete
     assert back.hits is None
+    assert back.order is None
+
+
+def test_what_the_order_of_the_surfaces_was_compared_with_is_kept(image_of: Build, tmp_path: Path) -> None:
+    image = image_of()
+    image.order = OrderCheck(900, 300, 100, 2, 3e-10, 1e-13)
+    run.save(image, tmp_path)
+    assert run.open_run(tmp_path).order == image.order
 
 
 def test_hits_are_kept_as_whole_numbers_and_guarded_like_pixels(image_of: Build, tmp_path: Path) -> None:

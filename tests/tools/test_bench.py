@@ -35,7 +35,7 @@ COMMANDS = [pytest.param(command, marks=pytest.mark.long) if command in LONG els
 TABLES = {
     "lens": {"lens": "COLUMNS"},
     "scaling": {"scaling": "COLUMNS", "exponents": "EXPONENT_COLUMNS", "threads": "THREAD_COLUMNS"},
-    "render": {"render": "COLUMNS", "lens": "LENS_COLUMNS"},
+    "render": {"render": "COLUMNS", "lens": "LENS_COLUMNS", "ways": "WAY_COLUMNS"},
     "image": {"image": "COLUMNS", "small_camera": "PEER_COLUMNS"},
     "against": {"against": "COLUMNS"},
     "errors": {"errors": "COLUMNS"},

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from lfmesh.kernel import pasted
 
-# Stations: what a packet waits for. The first three query Embree.
+# Stations: what a packet waits for. The first three query Embree, and so does the last.
 LENS = 0  # a surface of the main lens
 CELLS = 1  # the curved face of the array, in its cell
 OBJECTS = 2  # a target, or the way into the lens
 PLATE = 3  # the array from outside its layer of curved faces: entry, or the flat face
 SENSOR = 4  # a pixel
-STATIONS = 5
+LENS_MESH = 5  # a surface of the main lens, by its mesh where the order of the surfaces does not decide
+STATIONS = 6
 
 # Frames. A packet says in which frame its ray is given; its station moves it into the station's own.
 CAMERA_FRAME, ARRAY_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME = 0, 1, 2, 3, 4
@@ -209,6 +210,7 @@ class Options(NamedTuple):
     paths: int  # class of paths that are estimated, see `path_class`
     unturned_cutoff: float  # replaces `cutoff` at targets, for paths outside the estimated class so far
     first_source: int  # pixel in row 0 of the film
+    in_order: bool = False  # surfaces of the lens are met in their order where that decides, else by their meshes
 
 
 # Options.split

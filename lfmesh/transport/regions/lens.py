@@ -1,4 +1,4 @@
-"""The main lens in the mesh engine: Embree finds a facet, float64 decides where the ray meets the surface.
+"""The main lens, packet by packet: a surface is found by Embree or by the order of the surfaces, and float64 decides.
 
 All in the camera frame. A packet in space s lies between surface s − 1 and surface s (see `LensTables`).
 """
@@ -33,6 +33,7 @@ from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
     LEFT_LENS,
     LENS,
+    LENS_MESH,
     NO_SURFACE,
     OBJECTS,
     PLATE,
@@ -53,6 +54,8 @@ from lfmesh.transport.regions.lens_block import (
     HELD,
     N_I,
     N_T,
+    NEXT_N,
+    NEXT_NUMBER,
     NUMBER,
     NX,
     NY,
@@ -67,8 +70,10 @@ from lfmesh.transport.regions.lens_block import (
     SIZE,
     TRANSMITTANCE,
     meet_conics,
+    meet_in_order,
     set_conic,
     set_facet,
+    set_order,
     set_ray,
     split_block,
 )
@@ -110,9 +115,11 @@ def box_entry(low: Array, high: Array, x: float, y: float, z: float, dx: float, 
 @kernel
 def admit_to_lens(
     wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32],
-    lens: LensTables, frames: Array, options: Options, flow: Flow,
+    lens: LensTables, frames: Array, options: Options, flow: Flow, queried: bool,
 ) -> int:  # fmt: skip
-    """Write the rays of a wave for Embree and return how many remain; rays from outside the box start at its border.
+    """Move a wave into the camera frame, write its rays for Embree, and return how many packets remain.
+
+    Rays from outside the box start at its border.
 
     Packets that miss the box end on the housing; the others are moved up in the wave.
 
@@ -121,6 +128,8 @@ def admit_to_lens(
     wave : (n,) PACKET
     origins, directions : (n, 3) float32
         Filled.
+    queried : bool
+        Whether Embree is asked; if not, no rays are written.
     """
     low, high = lens.box_low, lens.box_high
     kept = 0
@@ -136,7 +145,8 @@ def admit_to_lens(
                 continue
             packet.last = NO_SURFACE
             packet.query_from = packet.limit = t
-        write_query(origins, directions, kept, packet, 0.0, 0.0)
+        if queried:
+            write_query(origins, directions, kept, packet, 0.0, 0.0)
         kept += 1
     return kept
 
@@ -201,35 +211,108 @@ def leave_lens(
 @kernel
 def shade_lens(
     wave: NDArray[np.void], found: NDArray[np.int32], block: Array, met: NDArray[np.int64],
-    lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
+    lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow, in_order: bool,
 ) -> None:  # fmt: skip
-    """Process a wave of packets after their query: refuse the hit, absorb the packet, or split it at its surface.
+    """Process a wave of packets: refuse what a query found, absorb the packet, or split it at its surface.
 
     Works block by block: hits on conics, nearly all, are found by vector instructions, the others packet by packet, and
     all packets of the block are split together.
+
+    Without a query, surfaces are found by their order: a packet in a space can only meet its two surfaces and its ring.
+    Where both surfaces are exact conics, their roots decide, unless the ring may come first; what is not decided goes
+    to the station of the lens's meshes.
 
     Parameters
     ----------
     wave : (n,) PACKET
     found : (n,) int32
-        Facets that Embree found; −1: none.
+        Facets that Embree found; −1: none. Not read if `in_order`.
     block : (ROWS · BLOCK,) float64
     met : (BLOCK,) int64
         Working memory.
     has_array : bool
+    in_order : bool
+        Whether surfaces are found by their order.
     """
     for first in range(0, len(wave), BLOCK):
         count = min(BLOCK, len(wave) - first)
-        for i in range(count):
-            met[i] = _prepare(block, i, wave[first + i], found[first + i], lens, options)
-        meet_conics(block)
-        for i in range(count):
-            if not block[HELD + i] > 0.0:
-                met[i] = _decide(block, i, wave[first + i], found[first + i], lens, has_array, frames, options, flow)
+        if in_order:
+            for i in range(count):
+                _prepare_in_order(block, i, wave[first + i], lens, options)
+            meet_in_order(block)
+            for i in range(count):
+                if block[HELD + i] > 0.0:
+                    met[i] = int(block[NUMBER + i])
+                else:
+                    met[i] = _decide_in_order(block, i, wave[first + i], lens, has_array, frames, options, flow)
+        else:
+            for i in range(count):
+                met[i] = _prepare(block, i, wave[first + i], found[first + i], lens, options)
+            meet_conics(block)
+            for i in range(count):
+                if not block[HELD + i] > 0.0:
+                    prim = found[first + i]
+                    met[i] = _decide(block, i, wave[first + i], prim, lens, has_array, frames, options, flow)
         split_block(block, lens.interfaces)
         for i in range(count):
             if met[i] != NO_SURFACE:
                 _send_on(block, i, wave[first + i], met[i], lens, has_array, frames, options, flow)
+
+
+@inlined
+def _prepare_in_order(block: Array, i: int, packet: Any, lens: LensTables, options: Options) -> None:
+    """Enter a packet in the block for `meet_in_order`, unless it has to be looked at singly."""
+    block[SENSE + i], block[SIZE + i] = 0.0, 0.0
+    space, colour, last_space = packet.space, packet.colour, len(lens.surfaces)
+    x, y, z = packet.x, packet.y, packet.z
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    if not lens.ordered[space] or packet.events >= options.max_events:
+        return
+    if lens.stop_space == space and stop_cuts(lens, x, y, z, dx, dy, dz)[0]:
+        return
+    last = packet.last
+    set_ray(block, i, packet)
+    set_order(block, i, lens.order[space], 1.0 if last == space else (-1.0 if last == space - 1 and last >= 0 else 0.0))
+    indices, medium = lens.media.indices, lens.medium
+    block[N_I + i], block[N_T + i] = indices[medium[space], colour], indices[medium[max(space - 1, 0)], colour]
+    block[NEXT_N + i] = indices[medium[min(space + 1, last_space)], colour]
+    block[NUMBER + i], block[NEXT_NUMBER + i] = max(space - 1, 0), min(space, last_space - 1)
+    block[COLOUR + i] = colour
+
+
+@kernel
+def _decide_in_order(
+    block: Array, i: int, packet: Any,
+    lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
+) -> int:  # fmt: skip
+    """Find a single packet's surface by the roots of the conics of its space, as `_decide` does by meshes."""
+    space, free2 = packet.space, lens.order[packet.space, 8]
+    if packet.events >= options.max_events:
+        too_deep(options, flow, frames, packet)
+        return NO_SURFACE
+    outside = space == 0 or space == len(lens.surfaces)
+    k, t, px, py, z, nx, ny, nz, settled = _first_conic(lens, packet)
+    if k == NO_SURFACE:
+        # Beside the circle that a mesh reaches everywhere may be a corner of it.
+        settled = settled and outside and not _crosses_beside(lens, packet)
+    elif not outside:
+        settled = px * px + py * py <= free2 and packet.x * packet.x + packet.y * packet.y <= free2
+    if not (settled and lens.ordered[space]):
+        put(
+            flow, LENS_MESH, packet, packet.frame, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz,
+            packet.weight, packet.key, packet.query_from,
+        )  # fmt: skip
+        return NO_SURFACE
+    if k == NO_SURFACE:
+        _leaves(options, flow, frames, lens, has_array, packet)
+        return NO_SURFACE
+    if _is_cut(options, flow, frames, lens, packet, k, t, px, py, z):
+        return NO_SURFACE
+    set_ray(block, i, packet)
+    block[PX + i], block[PY + i], block[PZ + i] = px, py, z
+    block[NX + i], block[NY + i], block[NZ + i] = nx, ny, nz
+    _set_sides(block, i, packet, k, lens)
+    return k
 
 
 @inlined
@@ -286,7 +369,7 @@ def _decide(
     if missed_all and not _is_conic(surfaces[0 if space == 0 else last_space - 1]):
         if packet.last == NO_SURFACE and packet.tries == 0:
             # It was on its way in: Embree misses facets when a ray is aimed exactly at a vertex.
-            requery(options, flow, frames, LENS, packet, packet.query_from, True, lens.lost_slot[space])
+            requery(options, flow, frames, LENS_MESH, packet, packet.query_from, True, lens.lost_slot[space])
         else:
             _leaves(options, flow, frames, lens, has_array, packet)
         return NO_SURFACE
@@ -295,7 +378,7 @@ def _decide(
         k, t, px, py, z, nx, ny, nz = _meets(flow, lens, packet, prim, 0.25 * packet.query_from)
         if k == NO_SURFACE and abs(t) <= facets[prim].size and packet.tries < NEARBY_TRIES:
             further = next_query_from(facets[prim], packet, t)
-            requery(options, flow, frames, LENS, packet, further, False, lens.lost_slot[space])
+            requery(options, flow, frames, LENS_MESH, packet, further, False, lens.lost_slot[space])
             return NO_SURFACE
     if k == RING or (k != NO_SURFACE and packet.last != 2 * space - 1 - k):
         # The mesh of a surface that bulges into the space lies behind the surface, and a ray that grazes the surface
@@ -377,7 +460,8 @@ def _send_child(
         leave_lens(options, flow, frames, lens, has_array, packet, x, y, z, dx, dy, dz, weight, key, into, 0.0)
     else:
         clear = block[(REFRACTED if refracts else REFLECTED) + i + CLEAR]
-        sent = put(flow, LENS, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, key, clear)
+        station = LENS if lens.ordered[into] else LENS_MESH
+        sent = put(flow, station, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, key, clear)
         sent.last, sent.space = k, into
 
 
@@ -510,7 +594,9 @@ def _first_conic(lens: LensTables, packet: Any) -> tuple[int, float, float, floa
         px, py, pz = sx + t * ex, sy + t * ey, sz + t * ez - surface.vertex_z
         t += ahead
         on_sheet = surface.curvature * (1.0 + surface.conic) * pz < 1.0
-        if met and on_sheet and 0.0 < t < nearest and _on_mesh(surface, px * px + py * py):
+        # A ray that leaves a conic meets it again only on the hollow side; on the other, a root is rounding.
+        again = k != packet.last or sense * surface.curvature < 0.0
+        if met and again and on_sheet and 0.0 < t < nearest and _on_mesh(surface, px * px + py * py):
             first, nearest, fx, fy, fz = k, t, px, py, pz + surface.vertex_z
             mx, my, mz = normal_at(surface, px, py, pz)
             nx, ny, nz = sense * mx, sense * my, sense * mz
@@ -518,6 +604,18 @@ def _first_conic(lens: LensTables, packet: Any) -> tuple[int, float, float, floa
                 fx, fy, fz = point_through(surface.pose, fx, fy, fz)
                 nx, ny, nz = direction_through(surface.pose, nx, ny, nz)
     return first, nearest, fx, fy, fz, nx, ny, nz, settled
+
+
+@kernel
+def _crosses_beside(lens: LensTables, packet: Any) -> bool:
+    """Tell whether a packet outside the lens crosses the outermost conic anywhere, if only beside its mesh."""
+    k = 0 if packet.space == 0 else len(lens.surfaces) - 1
+    surface, sense = lens.surfaces[k], 1.0 if packet.space == 0 else -1.0
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    ahead = packet.limit if packet.last == NO_SURFACE else 0.0
+    x, y, z = packet.x + ahead * dx, packet.y + ahead * dy, packet.z + ahead * dz - surface.vertex_z
+    meets, t = conic_distance(surface.curvature, surface.conic, x, y, z, dx, dy, dz, sense)
+    return meets and ahead + t > 0.0 and surface.curvature * (1.0 + surface.conic) * (z + t * dz) < 1.0
 
 
 @kernel

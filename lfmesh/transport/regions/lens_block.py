@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernel import inlined, kernel, pasted
 from lfmesh.transport.events.crossing import reflected, refracted, safely_behind
 from lfmesh.transport.events.interface import shares
 from lfmesh.transport.sequential.lens_bundle import conic_distance
@@ -38,7 +38,12 @@ PX, PY, PZ, NX, NY, NZ, HELD = 21 * BLOCK, 22 * BLOCK, 23 * BLOCK, 24 * BLOCK, 2
 REFLECTANCE, TRANSMITTANCE = 28 * BLOCK, 29 * BLOCK
 REFLECTED, REFRACTED = 30 * BLOCK, 34 * BLOCK
 ALONG_X, ALONG_Y, ALONG_Z, CLEAR = 0, BLOCK, 2 * BLOCK, 3 * BLOCK
-ROWS = 38
+# For `meet_in_order`, the rows of the conic above hold the surface towards the object, and these the one towards the
+# sensor, with the index beyond it and its number; then the squared radius that the ring of the space leaves free, and
+# which of the two surfaces the ray starts on: −1, 1, or 0 for neither.
+NEXT_CURVATURE, NEXT_SQUASH, NEXT_VERTEX_Z, NEXT_APERTURE2 = 38 * BLOCK, 39 * BLOCK, 40 * BLOCK, 41 * BLOCK
+NEXT_N, NEXT_NUMBER, FREE2, STARTS_ON = 42 * BLOCK, 43 * BLOCK, 44 * BLOCK, 45 * BLOCK
+ROWS = 46
 
 
 def empty_block() -> Array:
@@ -96,6 +101,73 @@ def meet_conics(block: Array) -> None:
         held = both(both(ahead, crossed), x * x + y * y <= block[APERTURE2 + i])
         block[PX + i], block[PY + i], block[PZ + i] = x, y, z + vertex_z
         block[NX + i], block[NY + i], block[NZ + i] = nx, ny, nz
+        block[HELD + i] = select(held, 1.0, 0.0)
+
+
+@inlined
+def set_order(block: Array, i: int, space: Array, starts_on: float) -> None:
+    """Enter the two conics that bound a space, and the radius that its ring leaves free (a row of `LensTables.order`).
+
+    Parameters
+    ----------
+    space : (9,) float64
+    starts_on : float
+        −1: the ray starts on the surface towards the object, 1: on the one towards the sensor, 0: on neither.
+    """
+    block[CURVATURE + i], block[SQUASH + i], block[VERTEX_Z + i], block[APERTURE2 + i] = (
+        space[0], space[1], space[2], space[3],
+    )  # fmt: skip
+    block[NEXT_CURVATURE + i], block[NEXT_SQUASH + i], block[NEXT_VERTEX_Z + i], block[NEXT_APERTURE2 + i] = (
+        space[4], space[5], space[6], space[7],
+    )  # fmt: skip
+    block[FREE2 + i], block[STARTS_ON + i], block[SENSE + i] = space[8], starts_on, 1.0
+
+
+@pasted
+def _crossing(
+    c: float, q: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, begin: float, sense: float,
+    starts_on: float,
+) -> float:  # fmt: skip
+    """Return the distance at which a ray crosses a conic in the given sense, counted as `begin` is; inf: nowhere.
+
+    A ray that leaves a conic meets it again only on the hollow side; on the other, a root near the start is rounding.
+    """
+    meets, t = conic_distance(c, q, x, y, z, dx, dy, dz, sense)
+    meets = both(both(meets, begin + t > 0.0), c * q * (z + t * dz) < 1.0)
+    hollow = sense * c < 0.0
+    meets = both(meets, starts_on != sense or hollow)
+    return select(meets, t, np.inf)
+
+
+@kernel
+def meet_in_order(block: Array) -> None:
+    """Find which of the two conics of its space each ray meets first, and where, without meshes.
+
+    Held are hits within the aperture. Start and hit must both lie within the radius that the ring of the space leaves
+    free, so that nothing else can come first.
+    """
+    for i in range(BLOCK):
+        dx, dy, dz = block[DX + i], block[DY + i], block[DZ + i]
+        sx, sy, begin, on = block[X + i], block[Y + i], block[FROM + i], block[STARTS_ON + i]
+        x, y, z = sx + begin * dx, sy + begin * dy, block[Z + i] + begin * dz
+        c, q, vertex_z = block[CURVATURE + i], block[SQUASH + i], block[VERTEX_Z + i]
+        d, p, next_z = block[NEXT_CURVATURE + i], block[NEXT_SQUASH + i], block[NEXT_VERTEX_Z + i]
+        back = _crossing(c, q, x, y, z - vertex_z, dx, dy, dz, begin, -1.0, on)
+        ahead = _crossing(d, p, x, y, z - next_z, dx, dy, dz, begin, 1.0, on)
+        forward = ahead < back
+        t, sense = select(forward, ahead, back), select(forward, 1.0, -1.0)
+        c, q, vertex_z = select(forward, d, c), select(forward, p, q), select(forward, next_z, vertex_z)
+        aperture2 = select(forward, block[NEXT_APERTURE2 + i], block[APERTURE2 + i])
+        x, y, z = x + t * dx, y + t * dy, z - vertex_z + t * dz
+        nx, ny, nz = -c * x, -c * y, 1.0 - c * q * z
+        scale = sense / np.sqrt(nx * nx + ny * ny + nz * nz)
+        free2, r2 = block[FREE2 + i], x * x + y * y
+        clear = both(r2 <= free2, sx * sx + sy * sy <= free2)
+        held = both(both(block[SENSE + i] > 0.0, t < np.inf), both(clear, r2 <= aperture2))
+        block[PX + i], block[PY + i], block[PZ + i] = x, y, z + vertex_z
+        block[NX + i], block[NY + i], block[NZ + i] = nx * scale, ny * scale, nz * scale
+        block[N_T + i] = select(forward, block[NEXT_N + i], block[N_T + i])
+        block[NUMBER + i] = select(forward, block[NEXT_NUMBER + i], block[NUMBER + i])
         block[HELD + i] = select(held, 1.0, 0.0)
 
 

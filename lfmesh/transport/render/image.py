@@ -12,6 +12,7 @@ from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import Refinement
 from lfmesh.transport.render.blind_check import BlindCheck
 from lfmesh.transport.render.certainty import neighbours, pooled_error, upper_bound
+from lfmesh.transport.render.order_check import OrderCheck
 
 
 @dataclass
@@ -51,6 +52,8 @@ class Image:
         Proof that the aim holds all light.
     blind : BlindCheck or None
         Comparison with samples that were not aimed.
+    order : OrderCheck or None
+        Comparison of lens surfaces found by their order with those found by meshes; None where only meshes were used.
 
     See Also
     --------
@@ -71,6 +74,7 @@ class Image:
     hits: NDArray[np.uint32] | None = None
     aim: AimProof | None = None
     blind: BlindCheck | None = None
+    order: OrderCheck | None = None
 
     @property
     def complete(self) -> bool:

@@ -6,7 +6,7 @@ for which fewer samples are enough, with the mesh engine. If the scene has lamps
 is a third part, traced forward. `path_class` defines the classes; each path belongs to one of them and counts once.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,15 @@ class Part:
     def samples(self, of_image: int) -> int:
         """Return the part's samples of a pixel, at least one, when the image has `of_image` samples."""
         return max(1, of_image // self.thinned)
+
+    @property
+    def from_lamps(self) -> bool:
+        """Whether its packets come from lamps in the adjoint method."""
+        return self.book == LAMP_BOOK
+
+    def by_meshes(self) -> "Part":
+        """Return the same part with all surfaces of the lens found by Embree, except along the image path."""
+        return replace(self, options=self.options._replace(in_order=False))
 
     def booked(self, book: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the entries of a chunk's book for the run's books, (BOOKS, slots)."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.transport.render.adaptive import Counts, total_samples
-from lfmesh.transport.render.parts import LAMP_BOOK, Part
+from lfmesh.transport.render.parts import Part
 
 PIXELS_SORTED = 1 << 20
 """Number of pixels of a second stage that are sorted by their samples together."""
@@ -52,7 +52,7 @@ class Chunk:
     @property
     def from_lamps(self) -> bool:
         """Whether its packets come from lamps in the adjoint method."""
-        return self.part.book == LAMP_BOOK
+        return self.part.from_lamps
 
     def pixel_numbers(self) -> NDArray[np.int64]:
         """Return the pixels that it starts from."""

@@ -266,6 +266,7 @@ def _image(tracer: Tracer, state: RenderState, refinement: Refinement | None) ->
         hits=mean.hits,
         aim=tracer.world.aim_proof,
         blind=blind,
+        order=tracer.order,
     )
 
 

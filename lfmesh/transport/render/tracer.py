@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.transport.engine import CHUNK, Workspace
-from lfmesh.transport.packets.packet import COUNTERS, DEPOSITS
+from lfmesh.transport.packets.packet import COUNTERS, DEPOSITS, PACKET
 from lfmesh.transport.packets.random import descendant, run_key
 from lfmesh.transport.render.adaptive import Counts
 from lfmesh.transport.render.blind_check import CHUNK as BLIND_CHUNK
 from lfmesh.transport.render.blind_check import BlindSamples, first_of_runs
+from lfmesh.transport.render.order_check import SAMPLE, STARTS, OrderCheck, compare
 from lfmesh.transport.render.parts import BOOKS, Part, blind_part, parts_of
 from lfmesh.transport.render.plan import Block, Chunk, Plan
 from lfmesh.transport.render.tally import ChunkTally, Film, Layout, Piece, Work
@@ -25,6 +26,9 @@ from lfmesh.transport.sources.lights import LightSource
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher, Source
 from lfmesh.transport.world import World
+
+ORDER_STREAM = 1 << 20
+"""Number of the random numbers of the packets by which the order of the surfaces is checked; replicates have others."""
 
 Waiting = deque[tuple[Chunk, Future[ChunkTally]]]
 """Chunks given to the pool, in order, with their future results."""
@@ -64,6 +68,9 @@ class Tracer:
         self.parts = parts_of(self.world, aimed=self.aimed)
         self.threads = transport.threads or os.cpu_count() or 1
         self.seed = run_key(transport.seed)
+        self.order = self._check_order()
+        if self.order is not None and not self.order.holds:
+            self.parts = tuple(part.by_meshes() for part in self.parts)
 
     @property
     def pixels(self) -> int:
@@ -89,7 +96,8 @@ class Tracer:
 
     @cached_property
     def _blind_part(self) -> Part:
-        return blind_part(self.world)
+        part = blind_part(self.world)
+        return part if self.order is None or self.order.holds else part.by_meshes()
 
     def pool(self) -> ThreadPoolExecutor:
         """Return the threads to trace in."""
@@ -190,6 +198,29 @@ class Tracer:
         )
         deposits: NDArray[np.void] = space.deposits[: space.tops[DEPOSITS]].copy()
         return ChunkTally(chunk.number, chunk.part.booked(space.book), work, deposits, chunk.from_lamps)
+
+    def _check_order(self) -> OrderCheck | None:
+        """Compare a sample of the packets at the lens with the meshes; None if no part finds surfaces by their order.
+
+        The sample is of the part that follows all reflections, or the only one there is.
+        """
+        asking = [part for part in self.parts if part.options.in_order and not part.options.sequential]
+        if not asking:
+            return None
+        part = max(asking, key=lambda each: not each.from_lamps)
+        key = descendant(self.seed, ORDER_STREAM)
+        draw = np.random.default_rng(int(key))
+        pixels = np.unique(draw.integers(0, self.pixels, STARTS)) if part.options.adjoint else None
+        count = STARTS if pixels is None else len(pixels)
+        chunk = Chunk(0, part, 0, count, 0, count, 1, pixels)
+        work = Workspace(self.world, part.options, STARTS, part.tables)
+        work.begin(Film.empty(self.pixels if part.options.adjoint else 0, self.colours, 0), count)
+        work.sampled = []
+        self._source(chunk, key).launch(work, range(count))
+        work.run()
+        packets = np.concatenate([*work.sampled, np.zeros(0, PACKET)])
+        some = draw.choice(len(packets), min(SAMPLE, len(packets)), replace=False)
+        return compare(self.world, part.options, part.tables, packets[np.sort(some)])
 
     def _source(self, chunk: Chunk, key: np.uint64) -> Source:
         """Return the source of a chunk's packets."""

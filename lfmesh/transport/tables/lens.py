@@ -8,9 +8,10 @@ from lfmesh.geometry.element_poses import pose_of
 from lfmesh.geometry.lattice import Lattice
 from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.lenslets import OFFSET, Lenslets, cell_mesh, lenslets
-from lfmesh.geometry.levels import PATCH
+from lfmesh.geometry.levels import EXACT, PATCH
 from lfmesh.geometry.mesh import Array, Mesh, facet_table, joined
 from lfmesh.geometry.patch import neighbours, patches
+from lfmesh.geometry.tessellation import FLOAT32_MARGIN
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.book import MOUNT, STOP, Book
 from lfmesh.transport.tables.media import MediumList
@@ -59,6 +60,7 @@ def lens_tables(
     first, last = shape.surfaces[0], shape.surfaces[-1]
     patches_, across = curved(bool((shape.surfaces["level"] == PATCH).any()), mesh)
     media, medium = known.table(wavelengths_nm), np.array([known.number(each) for each in shape.media])
+    order, ordered = surface_order(shape)
     return mesh, LensTables(
         surfaces=shape.surfaces,
         patches=patches_,
@@ -80,7 +82,43 @@ def lens_tables(
         convex_front=bool(first["curvature"] >= 0 and first["terms"] == 0),
         convex_back=bool(last["curvature"] <= 0 and last["terms"] == 0),
         lost_slot=book.lost_in_spaces,
+        order=order,
+        ordered=ordered,
     )
+
+
+def surface_order(shape: LensShape) -> tuple[Array, NDArray[np.bool_]]:
+    """Return what bounds each space of the lens, for rays that are traced without its mesh.
+
+    Parameters
+    ----------
+    shape : LensShape
+
+    Returns
+    -------
+    order : (K + 1, 9) float64
+        Of the surface towards the object and then of the one towards the sensor: curvature, 1 + conic constant, z of
+        the vertex, squared radius of the aperture; NaN where there is no such surface. Last, the squared radius of a
+        cylinder about the axis that the ring of the space does not enter: a straight line between two points in it
+        does not meet the ring.
+    ordered : (K + 1,) bool
+        Whether the surfaces of the space are exact conics without a pose, so that their roots decide which a ray meets
+        first.
+    """
+    count, surfaces = len(shape.caps), shape.surfaces
+    conic = (surfaces["level"] == EXACT) & (surfaces["terms"] == 0) & (surfaces["posed"] == 0)
+    order = np.full((count + 1, 9), np.nan)
+    order[:, 8] = np.inf
+    each = (surfaces["curvature"], 1.0 + surfaces["conic"], surfaces["vertex_z"], surfaces["aperture"] ** 2)
+    order[1:, :4] = order[:-1, 4:8] = np.stack(each, axis=1)
+    # The ring is made of chords of circles no smaller than the smaller rim, in float32.
+    chord = np.cos(np.pi / (6 * shape.rings)) * (1.0 - 2.0 * FLOAT32_MARGIN)
+    rims = np.asarray(shape.rims)
+    order[1:-1, 8] = (chord * np.minimum(rims[:-1], rims[1:])) ** 2
+    ordered = np.ones(count + 1, np.bool_)
+    ordered[1:] &= conic
+    ordered[:-1] &= conic
+    return order, ordered
 
 
 def _pure_stop(scene: Scene, shape: LensShape) -> tuple[int, float, float, frame.Frame]:

@@ -57,6 +57,8 @@ class LensTables(NamedTuple):
     convex_front: bool  # a ray that leaves the first surface towards the object cannot meet the lens again
     convex_back: bool
     lost_slot: NDArray[np.int64]  # (K + 1,) book slot of energy lost in each space
+    order: Array  # (K + 1, 9) the conics of each space and its free radius, see `tables.lens.surface_order`
+    ordered: NDArray[np.bool_]  # (K + 1,) whether all surfaces of a space are exact conics, which need no mesh
 
 
 class ArrayTables(NamedTuple):

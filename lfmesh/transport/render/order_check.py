@@ -1,0 +1,132 @@
+"""Proof of the order of the lens's surfaces: a sample of a run's own packets, traced through the meshes too.
+
+The meshes are the model. Finding surfaces by their order and their roots (`regions.lens.shade_lens`) is a shortcut,
+so every run takes some of its packets that wait for a surface of the lens, lets both ways process each, and compares
+what comes of them: children and ends, where they are and what they weigh. A run whose shortcut deviates uses the
+meshes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.transport.engine import Workspace
+from lfmesh.transport.packets.packet import LENS, LENS_MESH, OBJECTS, PLATE, SENSOR, STATIONS, Options
+from lfmesh.transport.tables.tables import Tables
+from lfmesh.transport.world import World
+
+STARTS = 2048
+"""Packets that a run starts to take its sample from."""
+
+SAMPLE = 1000
+"""Packets that are compared at most."""
+
+LARGEST_MM = 1e-9
+"""Deviation in place above which a run does without the order."""
+
+_OUTCOME = np.dtype([("source", "i8"), ("name", "i8"), ("position", "f8", (3,)), ("weight", "f8")])
+"""A child or an end: the packet that it came of, and a number that tells it from all others."""
+
+
+@dataclass(frozen=True)
+class OrderCheck:
+    """Comparison of packets whose surfaces were found by their order with the same packets traced through the meshes.
+
+    Attributes
+    ----------
+    compared : int
+        Packets that the order decided.
+    reflected : int
+        Those of them that a reflection had turned off the image path.
+    undecided : int
+        Further packets of the sample, which the order left to the meshes.
+    differing : int
+        Packets that met another surface, or ended otherwise.
+    deviation_mm : float
+        Largest distance between two outcomes' places.
+    deviation : float
+        Largest difference between their weights, over that of the packet they came of.
+    """
+
+    compared: int
+    reflected: int
+    undecided: int
+    differing: int
+    deviation_mm: float
+    deviation: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the order may replace the meshes."""
+        return self.differing == 0 and self.deviation_mm <= LARGEST_MM
+
+    @property
+    def words(self) -> str:
+        """What was compared, and the result."""
+        said = f"of {self.compared} packets compared with the meshes, {self.reflected} of them after reflections, "
+        said += f"{self.differing or 'none'} met another surface; the largest deviation is {self.deviation_mm:.1e} mm"
+        return f"{said}, and {self.deviation:.1e} of a weight"
+
+
+def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.void]) -> OrderCheck:
+    """Process packets that wait at the lens by the order of its surfaces and by its meshes, and compare the outcomes.
+
+    Parameters
+    ----------
+    world : World
+    options : Options
+    tables : Tables
+    packets : (n,) PACKET
+        In the camera frame.
+    """
+    options = options._replace(tracing=True, record=False, sequential=False)
+    given = packets.copy()
+    given["source"] = np.arange(len(given))
+    by_order, undecided = _outcomes(Workspace(world, options._replace(in_order=True), len(given), tables), given)
+    by_mesh, _ = _outcomes(Workspace(world, options._replace(in_order=False), len(given), tables), given)
+    by_order, by_mesh = (found[~np.isin(found["source"], undecided)] for found in (by_order, by_mesh))
+    _, a, b = np.intersect1d(by_order["name"], by_mesh["name"], assume_unique=True, return_indices=True)
+    alone = np.concatenate([np.delete(by_order["source"], a), np.delete(by_mesh["source"], b)])
+    differing = len(np.unique(alone))
+    by_order, by_mesh = by_order[a], by_mesh[b]
+    deviation_mm = np.linalg.norm(by_order["position"] - by_mesh["position"], axis=1).max(initial=0.0)
+    before = given["weight"][by_order["source"]]
+    deviation = (np.abs(by_order["weight"] - by_mesh["weight"]) / before).max(initial=0.0)
+    turned = np.delete(given["stray"], undecided)
+    return OrderCheck(
+        compared=len(given) - len(undecided),
+        reflected=int((turned == 1).sum()),
+        undecided=len(undecided),
+        differing=differing,
+        deviation_mm=float(deviation_mm),
+        deviation=float(deviation),
+    )
+
+
+def _outcomes(work: Workspace, packets: NDArray[np.void]) -> tuple[NDArray[np.void], NDArray[np.int64]]:
+    """Let packets meet one surface each; return what comes of them, and the sources of those left to the meshes."""
+    work.begin(packets=len(packets))
+    work.stacks[work.rows[LENS], : len(packets)] = packets
+    work.tops[LENS] = len(packets)
+    work.advance(LENS)
+    undecided = work.stacks[work.rows[LENS_MESH], : work.tops[LENS_MESH]]["source"].copy()
+    while work.tops[LENS_MESH] > 0:
+        work.advance(LENS_MESH)
+    found = []
+    for station in (LENS, PLATE, OBJECTS, SENSOR):
+        children = work.stacks[work.rows[station], : work.tops[station]]
+        rows = np.zeros(len(children), _OUTCOME)
+        rows["position"] = np.stack([children[axis] for axis in "xyz"], axis=-1)
+        # The space tells the refracted from the reflected child.
+        rows["name"] = station + STATIONS * children["space"].astype(np.int64)
+        rows["source"], rows["weight"] = children["source"], children["weight"]
+        found.append(rows)
+    ended = work.ends()
+    rows = np.zeros(len(ended), _OUTCOME)
+    rows["position"], rows["weight"] = ended["position"], ended["weight"]
+    rows["name"], rows["source"] = -1 - ended["body"], ended["source"]
+    found.append(rows)
+    outcomes = np.concatenate(found)
+    outcomes["name"] = outcomes["name"] * len(packets) + outcomes["source"]
+    return outcomes, undecided

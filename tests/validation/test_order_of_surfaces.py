@@ -1,0 +1,260 @@
+"""Lens surfaces found by their order against the same surfaces found by Embree, packet by packet and image by image.
+
+The meshes are the model. Rays come from both sides of the lens, from within its field and from far outside it, and
+every packet of their reflections that waits for a surface of the lens takes both ways.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import lfmesh as lf
+from lfmesh.assets import asset_path
+from lfmesh.errors import SceneError
+from lfmesh.files.words import summary
+from lfmesh.scene import load_lens
+from lfmesh.transport.engine import Workspace
+from lfmesh.transport.packets.packet import BOTH, LENS, Options
+from lfmesh.transport.render.order_check import LARGEST_MM, OrderCheck, compare
+from lfmesh.transport.render.render import Renderer
+from lfmesh.transport.settings import options_of
+from lfmesh.transport.sources.rays import RaySource
+from lfmesh.transport.sources.source import Launcher
+from lfmesh.transport.world import World
+
+LENSES = sorted(path.stem for path in asset_path("lenses").glob("*.toml"))
+OF_WEIGHTS = 1e-12
+PER_ASSET, PER_DRAWN = 150_000, 30_000
+"""Packets that are compared for each lens, 1.3 million in all."""
+SENSOR = {"pixels": [400, 400], "pixel_mm": 0.1, "distance_mm": 30.0}
+SPHERES = {
+    "surfaces": [
+        {"radius_mm": 30.0, "thickness_mm": 5.0, "index": 1.6, "semi_diameter_mm": 8.0},
+        {"radius_mm": -40.0, "thickness_mm": 3.0, "semi_diameter_mm": 8.0},
+        {"stop": True, "semi_diameter_mm": 5.0},
+    ]
+}
+
+
+def world_of(lens: Any) -> World:
+    return lf.build(lf.Scene(camera={"lens": lens, "sensor": SENSOR}, targets=[]))
+
+
+def drawn_lens(seed: int) -> dict[str, Any]:
+    """Draw a lens of steep menisci, cemented elements and thin gaps, its stop on a surface, in glass or in air."""
+    draw = np.random.default_rng(seed)
+    semi = draw.uniform(3.0, 15.0)
+    surfaces: list[dict[str, Any]] = []
+    for _ in range(draw.integers(1, 5)):
+        for _ in range(draw.integers(2, 4)):
+            aperture = semi * draw.uniform(0.6, 1.1)
+            radius = draw.choice([-1, 1]) * aperture * (1.0 + 10.0 ** draw.uniform(-1.5, 1.0))
+            surfaces.append(
+                {
+                    "radius_mm": np.inf if draw.random() < 0.08 else radius,
+                    "conic": draw.uniform(-3.0, 0.0) if draw.random() < 0.25 else 0.0,
+                    "thickness_mm": aperture * 10.0 ** draw.uniform(-1.5, 0.4),
+                    "semi_diameter_mm": aperture,
+                    "index": draw.uniform(1.4, 2.0),
+                }
+            )
+        del surfaces[-1]["index"]
+    if draw.random() < 0.33:
+        surfaces[draw.integers(0, len(surfaces))]["stop"] = True
+    else:
+        at = int(draw.integers(0, len(surfaces) + 1))
+        opening = semi * draw.uniform(0.2, 0.8)
+        stop = {"stop": True, "semi_diameter_mm": opening, "thickness_mm": semi * 10.0 ** draw.uniform(-1.5, 0.0)}
+        if at > 0 and "index" in surfaces[at - 1]:
+            stop["index"] = surfaces[at - 1]["index"]
+        surfaces.insert(at, stop)
+    surfaces[-1].pop("thickness_mm")
+    return {"surfaces": surfaces}
+
+
+def drawn_worlds(count: int) -> list[World]:
+    """Build lenses by seed, without those whose rims would cross."""
+    worlds: list[World] = []
+    seed = 0
+    while len(worlds) < count:
+        try:
+            worlds.append(world_of(drawn_lens(seed)))
+        except (SceneError, ValueError) as error:
+            assert "rims" in str(error) or "thickness" in str(error), error  # noqa: PT017
+        seed += 1
+    return worlds
+
+
+def rays_from_both_sides(world: World, count: int, seed: int) -> RaySource:
+    """Draw rays from points up to four semi-diameters beside the axis to points of all apertures."""
+    draw = np.random.default_rng(seed)
+    lens = world.tables.lens
+    behind = draw.random(count) < 0.5
+    start = draw.uniform(-4.0, 4.0, (count, 3)) * lens.box_high[0] * draw.random((count, 1))
+    before = lens.box_low[2] - draw.uniform(0.1, 600.0, count)
+    start[:, 2] = np.where(behind, lens.box_high[2] + draw.uniform(0.1, 60.0, count), before)
+    k = draw.integers(0, len(lens.surfaces), count)
+    r, turn = lens.surfaces["aperture"][k] * np.sqrt(draw.random(count)), draw.uniform(0.0, 2.0 * np.pi, count)
+    d = np.column_stack([r * np.cos(turn), r * np.sin(turn), lens.surfaces["vertex_z"][k]]) - start
+    for _ in range(2):
+        d /= np.linalg.norm(d, axis=1, keepdims=True)
+    space = np.where(behind, len(lens.surfaces), 0)
+    return RaySource(start, d, np.full(count, LENS), space, np.ones(count), np.uint64(seed))
+
+
+def waiting_packets(world: World, count: int, seed: int) -> tuple[NDArray[np.void], Options]:
+    """Return packets that wait for a surface of the lens, of the first rays whose packets are as many."""
+    options = options_of(world, tracing=True, in_order=True, split=BOTH, cutoff=0.02)
+    source = rays_from_both_sides(world, 2 * count // (3 * len(world.tables.lens.surfaces)), seed)
+    work = Launcher(lambda: Workspace(world, options)).launch(source)
+    work.sampled = []
+    work.run()
+    packets = np.concatenate(work.sampled)
+    packets["stray"] = packets["events"] > 0
+    some = np.random.default_rng(seed).permutation(len(packets))[:count]
+    return packets[some], options
+
+
+def hollow_again(world: World, packets: NDArray[np.void]) -> NDArray[np.bool_]:
+    """Tell which packets, on straight lines, come back to the surface that they have just left, on its hollow side."""
+    again = np.zeros(len(packets), np.bool_)
+    p, d = (np.stack([packets[axis] for axis in axes], axis=1) for axes in (("x", "y", "z"), ("dx", "dy", "dz")))
+    for k, surface in enumerate(world.tables.lens.surfaces):
+        c, q = surface["curvature"], 1.0 + surface["conic"]
+        squash = np.array([1.0, 1.0, q])
+        start = p - [0.0, 0.0, surface["vertex_z"]]
+        sense = np.where(packets["space"] == k, 1.0, -1.0)
+        # The chord from a point of the conic to its other point on the line.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            chord = -2.0 * (c * np.sum(squash * start * d, axis=1) - d[:, 2]) / (c * np.sum(squash * d * d, axis=1))
+            end = start + chord[:, None] * d
+            inside = (np.hypot(end[:, 0], end[:, 1]) <= surface["aperture"]) & (c * q * end[:, 2] < 1.0)
+        again |= (packets["last"] == k) & (sense * c < 0.0) & (chord > 0.0) & inside
+    return again
+
+
+def compared(world: World, count: int, seed: int) -> OrderCheck:
+    packets, options = waiting_packets(world, count, seed)
+    return compare(world, options, world.tables, packets)
+
+
+def assert_agrees(check: OrderCheck) -> None:
+    assert check.holds, check
+    assert check.deviation_mm <= LARGEST_MM
+    assert check.deviation <= OF_WEIGHTS, check
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_every_packet_in_a_known_lens_meets_the_surface_that_embree_finds(name: str) -> None:
+    world = world_of(load_lens(asset_path(f"lenses/{name}.toml")))
+    check = compared(world, PER_ASSET, seed=1)
+    assert_agrees(check)
+    if world.tables.lens.ordered.all():
+        assert check.compared > 0.8 * PER_ASSET
+        assert check.reflected > 0.3 * PER_ASSET
+
+
+@pytest.mark.parametrize("first", [0, 4, 8])
+def test_every_packet_in_a_drawn_lens_meets_the_surface_that_embree_finds(first: int) -> None:
+    for number, world in enumerate(drawn_worlds(first + 4)[first:], first):
+        check = compared(world, PER_DRAWN, seed=number)
+        assert_agrees(check)
+        assert check.reflected > 0.1 * PER_DRAWN
+
+
+def spoil_free_radius(order: NDArray[np.float64]) -> None:
+    """Let no ring stand in the way."""
+    order[:, 8] = np.inf
+
+
+def spoil_place(order: NDArray[np.float64]) -> None:
+    """Move a surface by some hundred times what may be deviated from."""
+    order[1, 2] += 1e-7
+
+
+def spoil_aperture(order: NDArray[np.float64]) -> None:
+    """Let light through outside the clear apertures."""
+    order[:, [3, 7]] *= 1.01
+
+
+def test_packets_that_come_back_to_the_surface_they_left_meet_it_again() -> None:
+    found = 0
+    for number, world in enumerate(drawn_worlds(8)):
+        packets, options = waiting_packets(world, PER_DRAWN, seed=100 + number)
+        check = compare(world, options, world.tables, packets[hollow_again(world, packets)])
+        assert_agrees(check)
+        found += check.compared
+    assert found > 1000
+
+
+@pytest.mark.parametrize("spoil", [spoil_free_radius, spoil_place, spoil_aperture])
+def test_a_wrong_order_is_told(spoil: Any) -> None:
+    # In this lens some rays run through the ring, beyond which they would meet a surface.
+    world = world_of(drawn_lens(seed=78))
+    packets, options = waiting_packets(world, 20_000, seed=78)
+    order = world.tables.lens.order.copy()
+    spoil(order)
+    tables = world.tables._replace(lens=world.tables.lens._replace(order=order))
+    assert compare(world, options, world.tables, packets).holds
+    assert not compare(world, options, tables, packets).holds
+
+
+def scene(**transport: Any) -> lf.Scene:
+    """A light-field camera before a plane that shines and a lamp that lights it, with some light by reflections."""
+    plane = {"shape": {"kind": "plane", "width_mm": 200.0, "height_mm": 200.0}, "position_mm": [0.0, 0.0, -300.0]}
+    settings = {"samples": 32, "replicates": 4, "threads": 1, "wavelengths_nm": [587.6], "weight_cutoff": 0.1}
+    mla = {"count": [12, 12], "pitch_mm": 0.2, "focal_length_mm": 1.0, "index": 1.5, "thickness_mm": 0.4}
+    return lf.Scene(
+        camera={"focus_mm": 300.0, "lens": SPHERES, "mla": mla, "sensor": {"pixels": [24, 24], "pixel_mm": 0.1}},
+        targets=[plane | {"material": {"reflectance": 0.5, "radiance_w_m2_sr": 1.0}}],
+        lights=[{"kind": "point", "position_mm": [50.0, 50.0, -20.0], "power_w": 5.0}],
+        transport=settings | transport,
+    )
+
+
+@pytest.mark.parametrize("method", [{"method": "adjoint", "split": "roulette"}, {"method": "forward"}])
+def test_the_image_is_that_of_the_meshes_and_its_energy_closes(method: dict[str, Any]) -> None:
+    """The same random numbers give the same paths, so that the images differ by rounding alone."""
+    world = lf.build(scene(**method))
+    renderer = Renderer(world)
+    assert renderer.order is not None
+    assert renderer.order.compared > 300
+    assert_agrees(renderer.order)
+    image = renderer.image()
+    by_meshes = Renderer(world)
+    by_meshes.parts = tuple(part.by_meshes() for part in by_meshes.parts)
+    truth = by_meshes.image()
+    assert image.timings["embree_queries"] < truth.timings["embree_queries"]
+    assert np.abs(image.mean - truth.mean).max() <= 1e-10 * truth.mean.max()
+    assert abs(image.ledger.imbalance) <= 1e-12
+    assert image.ledger.events == truth.ledger.events
+
+
+def test_the_image_is_bitwise_the_same_for_any_number_of_threads() -> None:
+    one, three = lf.render(scene()), lf.render(scene(threads=3))
+    assert one.order == three.order
+    assert np.array_equal(one.mean, three.mean)
+
+
+def test_a_run_whose_order_deviates_uses_the_meshes_and_says_so() -> None:
+    world = lf.build(scene())
+    order = world.tables.lens.order.copy()
+    spoil_place(order)
+    world.tables = world.tables._replace(lens=world.tables.lens._replace(order=order))
+    image = Renderer(world).image()
+    assert image.order is not None
+    assert not image.order.holds
+    assert any(line.startswith("Warning: lens surfaces") for line in summary(image))
+    honest = Renderer(lf.build(scene()))
+    honest.parts = tuple(replace(part, options=part.options._replace(in_order=False)) for part in honest.parts)
+    assert np.array_equal(image.mean, honest.image().mean)
+
+
+def test_meshes_that_stand_for_nothing_exact_are_not_asked_for_an_order() -> None:
+    for changes in ({"surface": "flat"}, {"engine": "mesh"}):
+        renderer = Renderer(lf.build(scene(**changes)))
+        assert renderer.order is None
+        assert not any(part.options.in_order for part in renderer.parts)

@@ -4,7 +4,8 @@ Rays look for facets, and are then moved to the curved surface that the facets s
 comes next, so a face between a facet and its curved surface is passed unseen. Along lines across both faces, the spans
 between facet and curved surface must therefore not overlap. Two cases are harmless: facets that are the same, which
 are crossed as one; and faces that cut each other at an angle, for then only rays that come close to the cut can be
-wrong, and what they lose is in the ledger.
+wrong, and what they lose is in the ledger. Faces of one body are not compared: a shell thinner than that loses nearly
+all light, and the run says so.
 """
 
 from dataclasses import dataclass
@@ -114,15 +115,13 @@ def refuse_close_faces(scene: Scene, targets: list[TargetMesh], bodies: list[int
     near = CUT * min(float(np.ptp(targets[i].mesh.vertices, axis=0).max()) for i in bodies)
     for i in bodies:
         for j, other in enumerate(faces):
-            if (j in bodies and j < i) or not (faces[i].curved or other.curved):
+            if j == i or (j in bodies and j < i) or not (faces[i].curved or other.curved):
                 continue
             reach = faces[i].stand_off + other.stand_off
             (low, high), (least, most) = faces[i].box, other.box
             if reach == 0.0 or (low > most + reach).any() or (least > high + reach).any():
                 continue
-            close = _close_places(faces[i], other, near)
-            if close is None and i != j:
-                close = _close_places(other, faces[i], near)
+            close = _close_places(faces[i], other, near) or _close_places(other, faces[i], near)
             if close is not None:
                 raise SceneError(_told(scene, i, j, close, reach))
 
@@ -133,7 +132,7 @@ def _is_curved(target: Target) -> bool:
 
 
 def _close_places(own: _Face, other: _Face, near: float) -> _Close | None:
-    """Return a place of a face where another, or another part of itself, is too close; None if there is none."""
+    """Return a place of a face where another is too close; None if there is none."""
     reach = own.stand_off + other.stand_off
     middle = 0.5 * (own.box[0] + own.box[1])
     extent = np.abs(np.concatenate([own.mesh.vertices, other.mesh.vertices]) - middle).sum(axis=1).max()
@@ -150,9 +149,6 @@ def _close_places(own: _Face, other: _Face, near: float) -> _Close | None:
         found = finder.find(np.ascontiguousarray(start), np.ascontiguousarray((sense * normals).astype(np.float32)))
         rows = np.flatnonzero(found >= 0)
         facets = its[found[rows]]
-        if own is other:
-            shared = own.mesh.faces[of_point[rows]][:, :, None] == own.mesh.faces[facets][:, None, :]
-            rows, facets = rows[~shared.any(axis=(1, 2))], facets[~shared.any(axis=(1, 2))]
         at_facet, at_patch, turn = _along(other, facets, points[rows], normals[rows])
         # Both spans along the normal, from the point on the curved surface.
         mine_low, mine_high = np.minimum(0.0, -before[rows]), np.maximum(0.0, -before[rows])
@@ -201,13 +197,9 @@ def _along(face: _Face, facets: Index, points: Array, ways: Array) -> tuple[Arra
 def _told(scene: Scene, one: int, other: int, close: _Close, reach: float) -> str:
     """Return the message with which two faces are refused."""
     x, y, z = close.place
-    who, same = f"{named_target(scene, one)}: two of its faces are", ""
-    if one != other:
-        who = f"{named_target(scene, one)} and {named_target(scene, other)}: their faces are"
-        both_of_glass = scene.targets[other].refractor is not None
-        same = "let both have the same facets there, or " if both_of_glass else ""
+    same = "let both have the same facets there, or " if scene.targets[other].refractor is not None else ""
     return (
-        f"{who} {close.gap:.2g} mm apart near ({x:.4g}, {y:.4g}, {z:.4g}) mm, where the facets stand "
-        f"{close.stand_off:.2g} mm off the curved faces, so rays would miss one of them; {same}leave {reach:.2g} mm or "
-        "more between them, or take finer meshes"
+        f"{named_target(scene, one)} and {named_target(scene, other)}: their faces are {close.gap:.2g} mm apart near "
+        f"({x:.4g}, {y:.4g}, {z:.4g}) mm, where the facets stand {close.stand_off:.2g} mm off the curved faces, so "
+        f"rays would miss one of them; {same}leave {reach:.2g} mm or more between them, or take finer meshes"
     )

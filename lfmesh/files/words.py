@@ -10,7 +10,7 @@ from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import Refinement
-from lfmesh.transport.render.certainty import neighbours, pooled_error, typical_over_rms
+from lfmesh.transport.render.certainty import FEW_HITS, neighbours, pooled_error, typical_over_rms
 from lfmesh.transport.render.image import Image
 
 LIT_SHARE_OF_BRIGHT = 0.05
@@ -18,9 +18,6 @@ LIT_SHARE_OF_BRIGHT = 0.05
 
 DARK_SHARE = 0.1
 """A picture is called dark when fewer pixels than this share got any light."""
-
-FEW_HITS = 16
-"""With fewer samples that found light, edges and rare light may not have been met by any."""
 
 FEW_SHARE = 0.25
 """Share of the lit pixels that may have so few before the run says so."""
@@ -46,7 +43,7 @@ class Noise:
     without_hits : int or None
         Pixels for which no path found light, at none of the wavelengths; None where hits were not counted.
     few_hits_share : float or None
-        Share of the lit pixels with less than 16 hits.
+        Share of the lit pixels with less than `FEW_HITS` hits.
     """
 
     received_share: float

@@ -31,8 +31,9 @@ from lfmesh.assets import asset_path
 
 ROOT = Path(__file__).resolve().parent.parent
 
-BASELINE = "7f18b66f50"
-"""Pictures are upright, every stop has its light, every path counts once, runs check their aim; no slower for it."""
+BASELINE = "2ad8118870"
+"""Pictures are upright, every stop has its light, every path counts once, runs check their aim, errors of single pixels
+are true: in 0.73 of the time before (25 pairs against 44e5d86)."""
 
 COLUMNS = {
     "scene": ("scene", ""),

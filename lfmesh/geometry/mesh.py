@@ -79,6 +79,13 @@ def joined(meshes: Iterable[Mesh]) -> Mesh:
     )
 
 
+def boxes_meet(one: Mesh, other: Mesh, within: float) -> bool:
+    """Tell whether the boxes round two meshes come within a distance of each other, mm."""
+    low = np.maximum(one.vertices.min(axis=0), other.vertices.min(axis=0))
+    high = np.minimum(one.vertices.max(axis=0), other.vertices.max(axis=0))
+    return bool((low <= high + within).all())
+
+
 def facet_normals(mesh: Mesh) -> tuple[Array, Array]:
     """Return (m, 3) unit normals and (m,) areas in mm²; a facet without area has a zero normal."""
     corner = mesh.vertices[mesh.faces]

@@ -16,23 +16,23 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry.levels import FLAT, SURFACE_LEVEL
-from lfmesh.geometry.mesh import Array, Mesh, facet_corner_normals
+from lfmesh.geometry.mesh import Array, Mesh, boxes_meet, facet_corner_normals
 from lfmesh.geometry.patch import patch_points, patches
 from lfmesh.geometry.targets import TargetMesh, named_target
 from lfmesh.scene import Scene, Target
 from lfmesh.transport.events.crossing import FLOAT32_GRAIN
 from lfmesh.transport.regions.embree import Finder
-from lfmesh.transport.tables.contacts import CUT
+from lfmesh.transport.tables.contacts import touching_mm
 
 Index = NDArray[np.int64]
 
-WEIGHTS = np.array([
-    [1, 1, 1],
-    [8, 1, 1], [1, 8, 1], [1, 1, 8],
-    [1, 12, 12], [12, 1, 12], [12, 12, 1],
+WEIGHTS = np.concatenate([
+    np.array([[1, 1, 1]]) / 3.0,
+    np.array([[8, 1, 1], [1, 8, 1], [1, 1, 8]]) / 10.0,
+    np.array([[1, 12, 12], [12, 1, 12], [12, 12, 1]]) / 25.0,
 ])  # fmt: skip
-"""Places on a facet where the distance of other faces is measured: weights of its corners, to be divided by their sum.
-A facet stands off its curved surface most at the centre and in the middle of its edges."""
+"""Places on a facet where the distance of other faces is measured, as barycentric weights of its corners. A facet
+stands off its curved surface most at the centre and in the middle of its edges."""
 
 ALLOWANCE = 1.2
 """Largest stand-off of a body's facets, relative to the largest at the places where it is measured."""
@@ -46,12 +46,11 @@ class _Face:
     mesh: Mesh
     curved: bool
 
-    @cached_property
-    def coefficients(self) -> Array:
-        """Coefficients of the patches, (m, 6, 3); flat ones where the surface is made of facets."""
+    def coefficients(self, facets: Index) -> Array:
+        """Return the coefficients of patches, (n, 6, 3); flat ones where the surface is made of facets."""
+        some = Mesh(self.mesh.vertices, self.mesh.faces[facets])
         normals = self.mesh.corner_normals if self.curved else None
-        corners = self.mesh.vertices[self.mesh.faces]
-        return patches(corners, facet_corner_normals(self.mesh) if normals is None else normals)
+        return patches(some.vertices[some.faces], facet_corner_normals(some) if normals is None else normals[facets])
 
     @cached_property
     def stand_off(self) -> float:
@@ -80,9 +79,8 @@ class _Face:
 
     def samples(self, facets: Index) -> tuple[Array, Array, Array]:
         """Return points and unit normals of patches, (n, 7, 3), and how far they lie before their facets, (n, 7)."""
-        weights = WEIGHTS / WEIGHTS.sum(axis=1, keepdims=True)
-        points, normals = patch_points(self.coefficients[facets], weights[:, 1] + weights[:, 2], weights[:, 2])
-        on_facets = np.einsum("qk,mki->mqi", weights, self.mesh.vertices[self.mesh.faces[facets]])
+        points, normals = patch_points(self.coefficients(facets), WEIGHTS[:, 1] + WEIGHTS[:, 2], WEIGHTS[:, 2])
+        on_facets = np.einsum("qk,mki->mqi", WEIGHTS, self.mesh.vertices[self.mesh.faces[facets]])
         return points, normals, np.einsum("mqi,mqi->mq", points - on_facets, normals)
 
 
@@ -112,14 +110,13 @@ def refuse_close_faces(scene: Scene, targets: list[TargetMesh], bodies: list[int
         Naming the targets and the place.
     """
     faces = [_Face(i, each.mesh, _is_curved(scene.targets[i])) for i, each in enumerate(targets)]
-    near = CUT * min(float(np.ptp(targets[i].mesh.vertices, axis=0).max()) for i in bodies)
+    near = touching_mm([targets[i].mesh for i in bodies])
     for i in bodies:
         for j, other in enumerate(faces):
             if j == i or (j in bodies and j < i) or not (faces[i].curved or other.curved):
                 continue
             reach = faces[i].stand_off + other.stand_off
-            (low, high), (least, most) = faces[i].box, other.box
-            if reach == 0.0 or (low > most + reach).any() or (least > high + reach).any():
+            if reach == 0.0 or not boxes_meet(faces[i].mesh, other.mesh, reach):
                 continue
             close = _close_places(faces[i], other, near) or _close_places(other, faces[i], near)
             if close is not None:
@@ -158,8 +155,8 @@ def _close_places(own: _Face, other: _Face, near: float) -> _Close | None:
         depth = np.abs(before[rows]) + np.abs(at_patch - at_facet)
         overlap &= turn * np.minimum(own.size[of_point[rows]], other.size[facets]) <= 2.0 * depth
         if overlap.any():
-            worst = int(np.flatnonzero(overlap)[0])
-            return _Close(points[rows[worst]], abs(float(at_patch[worst])), float(depth[worst]))
+            found_at = int(overlap.argmax())
+            return _Close(points[rows[found_at]], abs(float(at_patch[found_at])), float(depth[found_at]))
     return None
 
 
@@ -187,7 +184,7 @@ def _along(face: _Face, facets: Index, points: Array, ways: Array) -> tuple[Arra
     area = np.einsum("ij,ij->i", cross, cross)
     of_b = np.einsum("ij,ij->i", cross, np.cross(on_facet - a, c - a)) / area
     of_c = np.einsum("ij,ij->i", cross, np.cross(b - a, on_facet - a)) / area
-    on_patch, normal = patch_points(face.coefficients[facets], (of_b + of_c)[:, None], of_c[:, None])
+    on_patch, normal = patch_points(face.coefficients(facets), (of_b + of_c)[:, None], of_c[:, None])
     at_patch = at_facet + np.einsum("ij,ij->i", on_patch[:, 0] - on_facet, ways)
     cosine = np.abs(np.einsum("ij,ij->i", normal[:, 0], ways))
     sine = np.linalg.norm(np.cross(normal[:, 0], ways), axis=1)

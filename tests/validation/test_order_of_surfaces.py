@@ -185,7 +185,8 @@ def test_packets_that_come_back_to_the_surface_they_left_meet_it_again() -> None
     for number, world in enumerate(drawn_worlds(8)):
         packets, options = waiting_packets(world, PER_DRAWN, seed=100 + number)
         check = compare(world, options, world.tables, packets[hollow_again(world, packets)])
-        assert_agrees(check)
+        if check.compared > 0:
+            assert_agrees(check)
         found += check.compared
     assert found > 1000
 
@@ -200,6 +201,14 @@ def test_a_wrong_order_is_told(spoil: Any) -> None:
     tables = world.tables._replace(lens=world.tables.lens._replace(order=order))
     assert compare(world, options, world.tables, packets).holds
     assert not compare(world, options, tables, packets).holds
+
+
+def test_an_order_that_nothing_was_compared_with_does_not_hold() -> None:
+    world = world_of(drawn_lens(seed=78))
+    packets, options = waiting_packets(world, 1000, seed=78)
+    check = compare(world, options, world.tables, packets[:0])
+    assert check.compared == 0
+    assert not check.holds
 
 
 def scene(**transport: Any) -> lf.Scene:

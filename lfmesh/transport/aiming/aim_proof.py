@@ -29,7 +29,7 @@ from lfmesh.transport.aiming.lenslet_aim import (
     path_to_apexes,
     spread_on_faces,
 )
-from lfmesh.transport.aiming.lenslet_view import RINGS, fitted_views, with_wider_cells
+from lfmesh.transport.aiming.lenslet_view import RINGS, fitted_views, unmeasured_light, with_wider_cells
 from lfmesh.transport.aiming.pupil import Viewpoints, opening_from, unknown_opening
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
 from lfmesh.transport.sequential.image_path import through_array
@@ -85,6 +85,9 @@ MARGIN = 1.02
 
 DARK = 1e-3
 """Share of the light in the outermost rings of a view that count as dark, and that main rays do not go to."""
+
+FEWEST = 3000
+"""Least number of rays by which the light over the views is measured: of fewer, none may meet more than is dark."""
 
 FEW_CELLS = 6
 """Number of cells to each side that may show the opening, above which the views are taken to be far too wide."""
@@ -201,14 +204,16 @@ def proven(aim: AimTables, through: CameraTables, seen: Viewpoints | None) -> tu
         else:
             aim = aim._replace(exit=_widened(aim.exit, behind, rays.throughput))
         aim = aim._replace(entrance=_widened(aim.entrance, before, rays.throughput))
-    if through.array.present:
+    if through.array.present and len(rays.throughput) >= FEWEST:
         off, radius, _ = _seen_from_cells(aim, through, rays)
         aim = aim._replace(shown=_shown(off / radius, rays.throughput))
     return aim, proof
 
 
 def _shown(off: Array, throughput: Array) -> Array:
-    """Return the relative light in each ring of a lenslet's view, (RINGS + 1,); see `AimTables.shown`.
+    """Return the root mean square of the light in each ring of a lenslet's view, (RINGS + 1,); see `AimTables.shown`.
+
+    A ring counts as no darker than those further out, so that none is dark because few rays met it by chance.
 
     Parameters
     ----------
@@ -219,8 +224,9 @@ def _shown(off: Array, throughput: Array) -> Array:
     light, _ = np.histogram(off * off, RINGS, (0.0, 1.0), weights=throughput)
     brightest, total = light.max(), light.sum()
     if not brightest > 0.0:
-        return np.append(np.ones(RINGS), 0.0)
+        return unmeasured_light()
     beyond = np.cumsum(light[::-1])[::-1]
+    light = np.maximum.accumulate(light[::-1])[::-1]
     # A direction leads through the opening or not, so its mean square is its mean.
     return np.append(np.where(beyond > DARK * total, np.sqrt(light / brightest), 0.0), 0.0)
 

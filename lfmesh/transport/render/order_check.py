@@ -58,8 +58,8 @@ class OrderCheck:
 
     @property
     def holds(self) -> bool:
-        """Whether the order may replace the meshes."""
-        return self.differing == 0 and self.deviation_mm <= LARGEST_MM
+        """Whether the order may replace the meshes: not where there was nothing to compare."""
+        return self.compared > 0 and self.differing == 0 and self.deviation_mm <= LARGEST_MM
 
     @property
     def words(self) -> str:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.mesh import Array, Mesh, facet_normals
+from lfmesh.geometry.mesh import Array, Mesh, boxes_meet, facet_normals
 
 Index = NDArray[np.int64]
 
@@ -45,7 +45,7 @@ def contacts(meshes: list[Mesh], is_glass: NDArray[np.bool_]) -> tuple[Index, In
     if len(glass) < 2:
         return none, none, 0.0
     begins = np.concatenate([[0], np.cumsum([len(mesh.faces) for mesh in meshes])])
-    near = CUT * min(float(np.ptp(meshes[i].vertices, axis=0).max()) for i in glass)
+    near = touching_mm([meshes[i] for i in glass])
     pairs = [np.zeros((0, 2), np.int64)]
     for place, i in enumerate(glass):
         for j in glass[place + 1 :]:
@@ -58,6 +58,11 @@ def contacts(meshes: list[Mesh], is_glass: NDArray[np.bool_]) -> tuple[Index, In
     # The housing's facets come last and touch nothing.
     first = np.searchsorted(both[:, 0], np.arange(begins[-1] + 1))
     return first, np.ascontiguousarray(both[:, 1]), near
+
+
+def touching_mm(bodies: list[Mesh]) -> float:
+    """Return the distance within which facets of bodies of glass are taken to touch, mm."""
+    return CUT * min(float(np.ptp(mesh.vertices, axis=0).max()) for mesh in bodies)
 
 
 def common_area(one: Mesh, other: Mesh, near: float) -> Array | None:
@@ -105,9 +110,7 @@ def _middle_of_both(one: Array, other: Array) -> Array:
 
 def _pairs(one: Mesh, other: Mesh, near: float) -> Index:
     """Return (n, 2) facets of two meshes whose boxes come near each other and whose normals lie along one line."""
-    if (one.vertices.min(axis=0) > other.vertices.max(axis=0) + near).any():
-        return np.zeros((0, 2), np.int64)
-    if (other.vertices.min(axis=0) > one.vertices.max(axis=0) + near).any():
+    if not boxes_meet(one, other, near):
         return np.zeros((0, 2), np.int64)
     boxes = [_boxes(mesh) for mesh in (one, other)]
     for own, its in ((0, 1), (1, 0)):

@@ -16,6 +16,7 @@ from lfmesh.transport.aiming.aim_proof import (
     _beyond_sensor_aim,
     _rays_from_stop,
     _reach,
+    _shown,
     proven,
 )
 from lfmesh.transport.aiming.pupil import viewpoints
@@ -126,3 +127,14 @@ def test_a_small_piece_of_a_sensor_far_off_the_axis_has_its_aim_proven() -> None
     assert shown[:40].min() > 0.8
     assert ((shown > 0.0) & (shown < 0.8)).any()
     assert shown[-2] == 0.0
+
+
+@pytest.mark.parametrize("rays", [1, 30, 300, 30_000])
+def test_no_part_of_a_view_is_dark_because_few_rays_met_it(rays: int) -> None:
+    """Of an evenly lit view: up to the last ring that has a ray, every ring has its chance."""
+    off = np.sqrt(np.random.default_rng(rays).random(rays))
+    shown = _shown(off, np.ones(rays))
+    last = int(off.max() ** 2 * (len(shown) - 1))
+    assert (shown[: last + 1] > 0.0).all()
+    assert (np.diff(shown) <= 0.0).all()
+    assert shown[-1] == 0.0

@@ -3,7 +3,8 @@
 By itself numba makes machine code of every function that a kernel calls, and optimises it again in every caller. The
 compilers of this file keep functions that only kernels call as LLVM's intermediate code. A kernel that Python calls
 links all of that in, and only the whole is optimised and translated, once. The result type of an operator is looked up
-once for each combination of operand types. Neither changes what a kernel computes.
+once for each combination of operand types, and passes for what kernels do not contain are left out. None of that
+changes what a kernel computes.
 
 These compilers are given to `njit` as its `pipeline_class` and act on nothing but the functions compiled with them; no
 part of numba is replaced. With an upstream option of `njit` that says "called by compiled code only", `StepCompiler`
@@ -19,13 +20,12 @@ from typing import Any
 
 import llvmlite.binding as llvm
 from numba import types
-from numba.core import config
+from numba.core import config, typed_passes, untyped_passes
 from numba.core.cgutils import normalize_ir_text
 from numba.core.codegen import CodeLibrary, JITCodeLibrary
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler import CompilerBase
 from numba.core.compiler_machinery import LoweringPass, PassManager, register_pass
 from numba.core.dispatcher import Dispatcher
-from numba.core.typed_passes import NativeLowering
 from numba.extending import models, register_model
 
 
@@ -68,13 +68,17 @@ class IntermediateLibrary(CodeLibrary):  # type: ignore[misc]
     def _merged(self) -> Any:
         return merged(self.modules)
 
+    def _get_module_for_linking(self) -> Any:
+        """Return the code for linking into another library, by numba's name for that."""
+        return self._merged()
+
 
 class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
     """Machine code of a kernel that Python calls, with all functions that it calls linked in."""
 
     def __init__(self, codegen: Any, name: str) -> None:
         super().__init__(codegen, name)
-        self.taken: dict[IntermediateLibrary, None] = {}
+        self.taken: set[CodeLibrary] = set()
 
     def add_ir_module(self, ir_module: Any) -> None:
         """Add a module."""
@@ -83,18 +87,11 @@ class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
 
     def add_linking_library(self, library: CodeLibrary) -> None:
         """Link in a library that the kernel calls, and the libraries that this one calls."""
-        if not isinstance(library, IntermediateLibrary):
+        if library not in self.taken:
+            self.taken.add(library)
             super().add_linking_library(library)
-        elif library not in self.taken:
-            self.taken[library] = None
-            for called in library.linked:
+            for called in library.linked if isinstance(library, IntermediateLibrary) else ():
                 self.add_linking_library(called)
-
-    def finalize(self) -> None:
-        """Link, optimise and translate."""
-        if self.taken:
-            self.add_llvm_module(merged([module for library in self.taken for module in library.modules]))
-        super().finalize()
 
 
 def prefer_wide_registers(ir_module: Any) -> None:
@@ -216,6 +213,27 @@ class _MakeCallable(LoweringPass):  # type: ignore[misc]
         return True
 
 
+PASSES = (
+    untyped_passes.TranslateByteCode,
+    untyped_passes.FixupArgs,
+    untyped_passes.IRProcessing,
+    untyped_passes.RewriteSemanticConstants,
+    untyped_passes.GenericRewrites,
+    untyped_passes.InlineInlinables,
+    untyped_passes.ReconstructSSA,
+    untyped_passes.DeadBranchPrune,
+    typed_passes.NopythonTypeInference,
+    typed_passes.PreLowerStripPhis,
+    typed_passes.NoPythonSupportedFeatureValidation,
+    typed_passes.IRLegalization,
+    typed_passes.AnnotateTypes,
+    typed_passes.NativeLowering,
+    typed_passes.NoPythonBackend,
+)
+"""Numba's passes that kernels need, which have no closures, `with`, `raise`, `literally` or arithmetic of whole arrays;
+each pass left out saves its time for every function."""
+
+
 class KernelCompiler(CompilerBase):  # type: ignore[misc]
     """The compiler of kernels that Python calls."""
 
@@ -236,7 +254,11 @@ class KernelCompiler(CompilerBase):  # type: ignore[misc]
         state = self.state
         state.library = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
-        return [DefaultPassBuilder.define_nopython_pipeline(state)]
+        manager = PassManager("kernel")
+        for each in PASSES:
+            manager.add_pass(each, each.__name__)
+        manager.finalize()
+        return [manager]
 
 
 class StepCompiler(KernelCompiler):
@@ -248,7 +270,7 @@ class StepCompiler(KernelCompiler):
         """Return numba's passes, stopped after the intermediate code."""
         (manager,) = super().define_pipelines()
         self.state.flags.no_compile = True
-        manager.add_pass_after(_MakeCallable, NativeLowering)
+        manager.add_pass_after(_MakeCallable, typed_passes.NativeLowering)
         manager.finalize()
         return [manager]
 

@@ -6,6 +6,7 @@ files. So the cache's file names carry a digest of the kernel's module and of al
 not, from its own package and from lfmesh.
 """
 
+import glob
 import hashlib
 import os
 import re
@@ -103,6 +104,19 @@ def remove_older_versions(folder: str | None, function: Callable[..., Any]) -> N
             except OSError:
                 # Another process removed it first, or is reading it.
                 continue
+
+
+def is_cached(kernel: Any) -> bool:
+    """Tell whether a kernel is compiled already, in this process or on disk.
+
+    What is on disk may still be of another processor; numba itself decides that.
+    """
+    source, folder = kernel.py_func, kernel.stats.cache_path
+    if kernel.signatures or folder is None:
+        return True
+    module = sys.modules[source.__module__]
+    name = f"{Path(module.__file__ or '').stem}.{digest(module)}.{source.__qualname__}"
+    return any(Path(folder).glob(f"{glob.escape(name)}-*.nbi"))
 
 
 @cache

@@ -22,7 +22,7 @@ from lfmesh.geometry.tessellation import (
 )
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aiming.aim_proof import AimProof
-from lfmesh.transport.aiming.aim_table import aim_table
+from lfmesh.transport.aiming.aim_table import aim_table, unaimed
 from lfmesh.transport.collisions import refuse_collisions
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.packets.packet import (
@@ -182,7 +182,7 @@ def book_of(scene: Scene, shape: LensShape) -> Book:
     return Book.of_bodies(len(shape.elements), targets, spaces)
 
 
-def build(scene: Scene, *, rings: int | None = None) -> World:
+def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> World:
     """Build a scene: its meshes, Embree scenes and tables.
 
     Parameters
@@ -191,6 +191,8 @@ def build(scene: Scene, *, rings: int | None = None) -> World:
         Open distances are solved and files read first.
     rings : int, optional
         Number of rings of triangles on each lens surface, in place of the scene's tessellation.
+    aimed : bool
+        Find out where rays have to go to pass the lens. If not, they are sent all over it.
 
     Returns
     -------
@@ -230,7 +232,9 @@ def build(scene: Scene, *, rings: int | None = None) -> World:
     )
     columns, rows = scene.camera.sensor.pixels
     sensor = SensorTables(columns=columns, rows=rows, pixel=scene.camera.sensor.pixel_mm)
-    aim, proof = aim_table(scene, report, lens, array, sensor, targets, moves, analytic=bool(shape.analytic.all()))
+    aim, proof = unaimed(scene, lens), None
+    if aimed:
+        aim, proof = aim_table(scene, report, lens, array, sensor, targets, moves, analytic=bool(shape.analytic.all()))
     tables = Tables(lens=lens, array=array, sensor=sensor, objects=objects, frames=moves, aim=aim)
     finders = (Finder(lens_mesh), Finder(array_mesh_), Finder(object_mesh))
     return World(scene, report, tables, finders, book, shape, targets, housing, proof)

@@ -116,14 +116,32 @@ def _found(
     if posed:
         # Poses move the disks of the openings; the proof widens them.
         entrance, exit_ = decentred(entrance, exit_, through)
+    aim = before_array(scene, (entrance, exit_), (front_radius, back_radius))
+    aim = aim_through_lenslets(scene, report, array, aim, moves, glass) if array.present else aim
+    if not analytic:
+        # The surfaces that fit the meshes tell how much wider poses make the openings, but prove nothing.
+        return (proven(aim, through, from_targets)[0] if posed else aim), None
+    return proven(aim, through, from_targets)
+
+
+def before_array(scene: Scene, openings: tuple[Opening, Opening], radii: tuple[float, float]) -> AimTables:
+    """Return aim tables that know the openings of the lens, and nothing of lenslets.
+
+    Parameters
+    ----------
+    scene : Scene
+    openings : (entrance, exit) of Opening
+    radii : (front, back), mm
+        Of the disks that every ray to the lens crosses.
+    """
     # Reflections reach the sensor from all over the lens; without them the wide disk only brings light beside the
     # measured opening.
     followed = scene.transport.split != "transmit"
-    aim = AimTables(
-        entrance=entrance,
-        front_radius=front_radius,
-        exit=exit_,
-        back_radius=back_radius,
+    return AimTables(
+        entrance=openings[0],
+        front_radius=radii[0],
+        exit=openings[1],
+        back_radius=radii[1],
         wide_share=WIDE_SHARE if followed else WIDE_SHARE_OF_IMAGE_PATH,
         share_without_aim=1.0 if followed else WIDE_SHARE_OF_IMAGE_PATH,
         lenslet_z=0.0,
@@ -136,11 +154,14 @@ def _found(
         cell_margin=0.0,
         search=0,
     )
-    aim = aim_through_lenslets(scene, report, array, aim, moves, glass) if array.present else aim
-    if not analytic:
-        # The surfaces that fit the meshes tell how much wider poses make the openings, but prove nothing.
-        return (proven(aim, through, from_targets)[0] if posed else aim), None
-    return proven(aim, through, from_targets)
+
+
+def unaimed(scene: Scene, lens: LensTables) -> AimTables:
+    """Return aim tables that know no opening: every ray to the lens is sent anywhere on its box."""
+    planes = float(lens.box_low[2]), float(lens.box_high[2])
+    radius = float(np.hypot(lens.box_high[0], lens.box_high[1]))
+    openings = unknown_opening(planes[0], to_sensor=True), unknown_opening(planes[1], to_sensor=False)
+    return before_array(scene, openings, (radius, radius))
 
 
 def has_poses(lens: LensTables) -> bool:

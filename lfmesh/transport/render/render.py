@@ -15,6 +15,7 @@ from lfmesh.scene import Scene
 from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
 from lfmesh.transport.packets.packet import EVENTS
 from lfmesh.transport.render.adaptive import Counts, Refinement, combine, samples_of, second_stage, total_samples
+from lfmesh.transport.render.compile_ahead import compiled_ahead
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.parts import LAMP_BOOK, OWN_BOOK, in_words
 from lfmesh.transport.render.progress import Progress
@@ -73,7 +74,10 @@ def render(
     LfmeshError
         The scene cannot be built, or `saved` is of another one.
     """
-    image = Renderer(build(scene), progress=progress).image(saved, keep)
+    with compiled_ahead(scene) as ahead:
+        world = build(scene)
+        ahead.join(world)
+    image = Renderer(world, progress=progress).image(saved, keep)
     for ledger in (image.ledger, image.ledger.lamps):
         lost = ledger.loss_in_words() if ledger is not None else None
         if lost is not None:

@@ -1,0 +1,134 @@
+"""Compile the kernels of a first render in two processes at once.
+
+On a fresh install nothing is compiled yet, and numba compiles one function at a time. So a second process compiles the
+kernels of the regions, which trace packets that wait at a station, while this one builds the world and compiles those
+that aim and launch packets. Both write to numba's cache on disk, where the render finds what the other has compiled.
+Where the second process fails, the render compiles everything itself.
+"""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from lfmesh.kernel_cache import is_cached
+from lfmesh.scene import Scene
+from lfmesh.transport.choice import engine_of
+from lfmesh.transport.engine import Workspace
+from lfmesh.transport.packets.packet import CELLS, LENS, LENS_MESH, OBJECTS, PLATE, SENSOR
+from lfmesh.transport.regions.array import shade_cells
+from lfmesh.transport.regions.lens import shade_lens
+from lfmesh.transport.regions.objects import shade_objects
+from lfmesh.transport.render.parts import parts_of
+from lfmesh.transport.render.tally import Film
+from lfmesh.transport.settings import options_of
+from lfmesh.transport.sources.lights import LightSource
+from lfmesh.transport.sources.pixels import PixelSource
+from lfmesh.transport.world import World, build
+
+IN_OBJECT_SPACE = (OBJECTS,)
+EVERYWHERE = (OBJECTS, LENS, LENS_MESH, CELLS, PLATE, SENSOR)
+"""Stations whose kernels a render needs without and with paths off the image path."""
+
+_CHILD = "import sys; sys.path[:] = {path!r}; from {module} import compile_stations; compile_stations({stations!r})"
+
+
+@contextmanager
+def compiled_ahead(scene: Scene) -> Iterator["Ahead"]:
+    """Compile kernels that a render of the scene needs in a second process, unless they are cached.
+
+    The process is stopped where the block raises.
+    """
+    ahead = Ahead(scene)
+    try:
+        yield ahead
+    except BaseException:
+        ahead.stop()
+        raise
+
+
+class Ahead:
+    """A second process that compiles the kernels of stations; none where it would not pay.
+
+    Parameters
+    ----------
+    scene : Scene
+        To be rendered next.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        alone = engine_of(scene)[0] == "sequential"
+        kernels = (shade_objects,) if alone else (shade_objects, shade_lens, shade_cells)
+        if processors() > 1 and not any(map(is_cached, kernels)):
+            code = _CHILD.format(path=sys.path, module=__name__, stations=IN_OBJECT_SPACE if alone else EVERYWHERE)
+            try:
+                self._process = subprocess.Popen(
+                    [sys.executable, "-c", code],
+                    stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                )  # fmt: skip
+            except OSError:
+                self._process = None
+
+    def join(self, world: World) -> None:
+        """Compile the kernels that launch packets of a world, and wait until the other process has compiled its own."""
+        if self._process is not None:
+            compile_launches(world)
+            self._process.wait()
+
+    def stop(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            self._process.terminate()
+            self._process.wait()
+
+
+def processors() -> int:
+    """Return the number of processors that this process may use."""
+    available = getattr(os, "sched_getaffinity", None)
+    return len(available(0)) if available is not None else os.cpu_count() or 1
+
+
+def compile_launches(world: World) -> None:
+    """Compile what launches the packets of a render and takes them along the image path, by launching none."""
+    for part in parts_of(world):
+        work = Workspace(world, part.options, 1, part.tables)
+        work.begin(Film.empty(0, 1), 0)
+        if part.options.adjoint:
+            PixelSource(np.zeros(0, np.int64), 1, np.uint64(0)).launch(work, range(0))
+        else:
+            LightSource(0, 0, 1, np.uint64(0), 0).launch(work, range(0))
+        if part.options.sequential:
+            work.advance(LENS)
+
+
+def compile_stations(stations: tuple[int, ...]) -> None:
+    """Compile the kernels of stations by a wave without packets at each; the camera has nothing that is aimed at."""
+    world = build(Scene.model_validate(BARE), aimed=False)
+    options = options_of(world)
+    work = Workspace(world, options, 1)
+    work.begin(Film.empty(0, 1), 0)
+    for station in stations:
+        work.options = options._replace(in_order=station == LENS)
+        work.advance(station)
+
+
+BARE = {
+    "camera": {
+        "focus_mm": 500.0,
+        "lens": {
+            "surfaces": [
+                {"radius_mm": 50.0, "thickness_mm": 5.0, "index": 1.5, "semi_diameter_mm": 10.0},
+                {"radius_mm": -50.0, "thickness_mm": 1.0, "semi_diameter_mm": 10.0},
+                {"stop": True, "thickness_mm": 0.0, "semi_diameter_mm": 5.0},
+            ]
+        },
+        "sensor": {"pixels": [1, 1], "pixel_mm": 0.1},
+    },
+    "targets": [{"shape": {"kind": "plane", "width_mm": 1.0, "height_mm": 1.0}, "position_mm": [0.0, 0.0, -500.0]}],
+    "transport": {"samples": 1, "replicates": 1},
+}
+"""A camera that compiles nothing when it is built without aim."""

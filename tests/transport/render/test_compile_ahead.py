@@ -1,0 +1,101 @@
+"""Compiling in a second process: it compiles what a render needs, only where nothing is cached, and never disturbs."""
+
+import json
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+
+import lfmesh as lf
+from lfmesh.assets import asset_path
+from lfmesh.errors import LfmeshError
+from lfmesh.transport.regions.objects import shade_objects
+from lfmesh.transport.render import compile_ahead
+from lfmesh.transport.render.compile_ahead import Ahead
+
+SIGNATURES = """
+import json
+import lfmesh as lf
+from lfmesh.assets import asset_path
+from lfmesh.transport.regions import array, lens, objects, sensor
+from lfmesh.transport.render.compile_ahead import EVERYWHERE, compile_launches, compile_stations
+from lfmesh.transport.sources import pixels
+from lfmesh.transport.sequential import image_path
+from lfmesh.transport.world import build
+
+regions = [array.admit_to_cells, array.shade_cells, array.through_plate, lens.admit_to_lens, lens.shade_lens,
+    objects.admit_to_objects, objects.shade_objects, sensor.onto_sensor]
+launches = [pixels.launch_adjoint, pixels.launch_along_image_path, image_path.follow_image_path]
+small = {{"camera.sensor.pixels": [8, 8], "transport.samples": 4, "transport.replicates": 2, "transport.threads": 1,
+    "transport.split": "both"}}
+scene = lf.load(asset_path("scenes/{scene}.toml")).changed(small)
+compile_stations(EVERYWHERE)
+compile_launches(build(scene))
+before = [len(kernel.signatures) for kernel in regions + launches]
+lf.render(scene)
+print(json.dumps([before, [len(kernel.signatures) for kernel in regions + launches]]))
+"""
+
+
+@pytest.mark.parametrize("scene", ["first_light", "lit_chart"])
+def test_all_that_a_render_needs_is_compiled_ahead(scene: str) -> None:
+    code = SIGNATURES.format(scene=scene)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    before, after = json.loads(done.stdout)
+    assert before == after == [1] * len(before)
+
+
+def scene_of(**transport: Any) -> lf.Scene:
+    small = {"camera.sensor.pixels": [4, 4], "transport.samples": 2, "transport.replicates": 2}
+    changes = small | {f"transport.{key}": value for key, value in transport.items()}
+    return lf.load(asset_path("scenes/first_light.toml")).changed(changes)
+
+
+def test_nothing_is_started_where_kernels_are_cached() -> None:
+    lf.render(scene_of())
+    assert shade_objects.signatures
+    assert Ahead(scene_of())._process is None
+
+
+def test_nothing_is_started_on_a_single_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compile_ahead, "is_cached", lambda kernel: False)
+    monkeypatch.setattr(compile_ahead, "processors", lambda: 1)
+    assert Ahead(scene_of())._process is None
+
+
+@pytest.mark.parametrize("python", ["no/such/program", "false"])
+def test_a_render_does_without_a_process_that_fails(python: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = lf.render(scene_of())
+    monkeypatch.setattr(compile_ahead, "is_cached", lambda kernel: False)
+    monkeypatch.setattr(compile_ahead.sys, "executable", python)
+    image = lf.render(scene_of())
+    assert (image.mean == expected.mean).all()
+
+
+def test_the_process_ends_with_a_build_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[subprocess.Popen[bytes]] = []
+    start = subprocess.Popen
+
+    def noted(*command: Any, **options: Any) -> subprocess.Popen[bytes]:
+        started.append(start(*command, **options))
+        return started[-1]
+
+    monkeypatch.setattr(compile_ahead, "is_cached", lambda kernel: False)
+    monkeypatch.setattr(compile_ahead, "_CHILD", "import time; time.sleep(600)")
+    monkeypatch.setattr(compile_ahead.subprocess, "Popen", noted)
+    inside = scene_of().changed({"targets[0].position_mm": [0.0, 0.0, 20.0]})
+    with pytest.raises(LfmeshError, match="into the camera"):
+        lf.render(inside)
+    assert [process.poll() is not None for process in started] == [True]
+
+
+@pytest.mark.parametrize(("split", "stations"), [("both", compile_ahead.EVERYWHERE), ("transmit", (2,))])
+def test_only_the_stations_of_the_scene_are_compiled(
+    split: str, stations: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started = []
+    monkeypatch.setattr(compile_ahead, "is_cached", lambda kernel: False)
+    monkeypatch.setattr(compile_ahead.subprocess, "Popen", lambda command, **_: started.append(command))
+    Ahead(scene_of(split=split))
+    assert f"compile_stations({stations!r})" in started[0][-1]

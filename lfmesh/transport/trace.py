@@ -37,6 +37,7 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.packets.random import descendant
 from lfmesh.transport.sequential.given_rays import ENDED, GONE, REFUSED, UNSURE, followed
 from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
+from lfmesh.transport.sources.glass_round import glass_round
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.interfaces import interface_tables
@@ -147,7 +148,8 @@ def trace(
     world : World
         From `build`.
     origins : (n, 3) float64, mm, world frame
-        Anywhere but inside the array: in object space, in the lens, or between lens, array and sensor.
+        Anywhere but inside the array: in object space and bodies of glass there, in the lens, or between lens, array and
+        sensor.
     directions : (n, 3) float64
         Any length but zero.
     wavelength_nm : float
@@ -392,10 +394,11 @@ class _Call(NamedTuple):
             Numbers of the rays in error messages.
         """
         world = self.world
+        inside = glass_round(world, p)
         station, space, p, d = located(world, p, d, numbers)
         if self.options.sequential:
             _refuse_starts_in_the_lens(station, space, len(self.tables.lens.surfaces), numbers)
-        source = RaySource(p, d, station, space, np.ones(len(p)), self.key)
+        source = RaySource(p, d, station, space, np.ones(len(p)), self.key, inside=inside if inside.any() else None)
         launcher = Launcher(lambda: Workspace(world, self.options, tables=self.tables))
         parts = launcher.traced(source, _kept, self.threads, CHUNK)
         ended, nodes = joined_records(part[:2] for part in parts)

@@ -3,6 +3,7 @@
 A packet goes from the medium it is in into the one beyond, without air between bodies that touch.
 """
 
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -233,3 +234,25 @@ def test_a_tank_with_an_opaque_target_in_it_shines_through_the_water(body: Body)
     wet = lf.render(lf.Scene(camera=CAMERA, targets=[plane, tank, ball], transport=settings))
     ratio = wet.mean.sum() / dry.mean.sum()
     assert ratio == pytest.approx(4.0 / WATER / (1.0 + WATER) ** 2, rel=2e-3)
+
+
+@pytest.mark.parametrize(("index", "low", "high"), [(1.0, -60.0, -45.0), (WATER, 12.0, 38.0), (GLASS, 2.0, 9.0)])
+def test_rays_start_in_the_medium_that_is_there(index: float, low: float, high: float, body: Body) -> None:
+    """A box of glass in a box of water: whatever they cross, parallel faces leave n sin θ as it is."""
+    draw = np.random.default_rng(5)
+    both = world(body(trimesh.creation.box((80.0, 80.0, 80.0)), WATER), body(trimesh.creation.box([20.0] * 3), GLASS))
+    n = 200
+    p = CENTRE + np.column_stack([draw.uniform(-2.0, 2.0, (n, 2)), draw.uniform(low, high, n)])
+    p[:, 2] = 2.0 * CENTRE[2] - p[:, 2]
+    angle, turn = draw.uniform(0.0, 0.1 if index == 1.0 else 0.6, n), draw.uniform(0.0, 2.0 * np.pi, n)
+    d = np.column_stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), -np.cos(angle)])
+    paths = lf.trace(both, p, d, split="transmit")
+    np.testing.assert_allclose(np.hypot(*paths.direction[:, :2].T), index * np.sin(angle), rtol=1e-12)
+    assert (paths.events == {1.0: 4, WATER: 1, GLASS: 2}[index]).all()
+
+
+def test_a_ray_from_within_four_bodies_crosses_all_of_them(body: Body) -> None:
+    nested = [body(trimesh.creation.box([size] * 3), 1.3 + 0.01 * size) for size in (40.0, 32.0, 24.0, 16.0)]
+    paths = lf.trace(world(*nested), [CENTRE], [[0.0, 0.0, -1.0]], split="transmit")
+    expected = np.prod([fresnel(a, b, 1.0)[1] for a, b in itertools.pairwise([1.46, 1.54, 1.62, 1.7, 1.0])])
+    assert abs(paths.weight[0] / expected - 1.0) < 1e-12

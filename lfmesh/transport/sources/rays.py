@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from lfmesh.kernel import kernel
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.book import EMITTED
-from lfmesh.transport.packets.packet import CAMERA, CAMERA_FRAME, NO_SURFACE, Flow, put
+from lfmesh.transport.packets.packet import CAMERA, CAMERA_FRAME, NO_SURFACE, OBJECTS, Flow, put
 from lfmesh.transport.packets.random import derived
+from lfmesh.transport.sources.glass_round import start_inside
 from lfmesh.transport.sources.source import Source
 
 Array = NDArray[np.float64]
@@ -32,6 +33,9 @@ class RaySource(Source):
         Key of the random numbers.
     away : float, mm
         Distance from the start within which nothing is met.
+    inside : (n,) int64, optional
+        Bodies of glass that each ray starts in, from `glass_round`; the rays that wait elsewhere than in object space
+        have none.
     """
 
     position: Array
@@ -41,6 +45,7 @@ class RaySource(Source):
     weight: Array
     key: np.uint64
     away: float = 0.0
+    inside: Numbers | None = None
 
     def __len__(self) -> int:
         return len(self.position)
@@ -48,10 +53,14 @@ class RaySource(Source):
     def launch(self, work: Workspace, part: range) -> None:
         """Queue some of the rays at their stations."""
         some = slice(part.start, part.stop)
+        waiting = int(work.tops[OBJECTS])
         launch_rays(
             part.start, self.position[some], self.direction[some], self.station[some], self.space[some],
             self.weight[some], self.away, work.tables.lens.medium, self.key, work.flow(), work.template,
         )  # fmt: skip
+        if self.inside is not None:
+            started = work.stacks[work.rows[OBJECTS], waiting : work.tops[OBJECTS]]
+            start_inside(started, self.inside[started["source"]], work.tables.objects)
 
 
 @kernel

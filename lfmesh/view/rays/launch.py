@@ -112,7 +112,8 @@ def from_field_point(
         ray = np.stack([x + r * np.cos(phi), y + r * np.sin(phi), np.full(len(u), plane_z)], axis=-1) - point
         length = np.linalg.norm(ray, axis=1)
         solid_angle = np.pi * radius**2 * ray[:, 2] / length**3 / max(len(u), 1)
-        starts = from_point(point, ray / length[:, None], INTENSITY_W_SR * solid_angle, descendant(_KEY, seed, wave))
+        watts = INTENSITY_W_SR * solid_angle
+        starts = from_point(world, point, ray / length[:, None], watts, descendant(_KEY, seed, wave))
         parts.append(traced(world, at_wavelength(world, wavelength), options, starts, place))
     return _assembled(world, parts, settings)
 

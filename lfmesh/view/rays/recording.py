@@ -3,9 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry import frame
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.events.crossing import FLOAT32_GRAIN
-from lfmesh.transport.packets.packet import OBJECTS, Options
+from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECTS, WORLD_FRAME, Options
+from lfmesh.transport.sources.glass_round import glass_round
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher, Source
 from lfmesh.transport.tables.tables import Records, Tables
@@ -41,11 +43,12 @@ def traced(world: World, tables: Tables, options: Options, source: Source, wave:
     return ended, nodes
 
 
-def from_point(point: Floats, d: Floats, watts: Floats, key: np.uint64) -> RaySource:
+def from_point(world: World, point: Floats, d: Floats, watts: Floats, key: np.uint64) -> RaySource:
     """Return rays from a point before the lens.
 
     Parameters
     ----------
+    world : World
     point : (3,) float64, mm, camera frame
     d : (n, 3) float64, unit, camera frame
     watts : (n,) float64, W
@@ -53,7 +56,8 @@ def from_point(point: Floats, d: Floats, watts: Floats, key: np.uint64) -> RaySo
         Of the random numbers.
     """
     rays = len(d)
+    inside = glass_round(world, frame.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], point[None]))
     return RaySource(
         np.tile(point, (rays, 1)), d, np.full(rays, OBJECTS), np.zeros(rays, np.int64), watts, key,
-        OWN_SURFACE * float(np.abs(point).sum()),
+        OWN_SURFACE * float(np.abs(point).sum()), np.full(rays, inside[0]),
     )  # fmt: skip

@@ -1,0 +1,112 @@
+"""Bodies of glass that touch and nest: windows before water, and glass that cannot be seen in it."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from lfmesh.accuracy.hard.outcome import SINGLET, Outcome, case, lens_scene, outcome
+from lfmesh.accuracy.hard.truth import Array, Interface, at_plane, through
+from lfmesh.scene import Plane, Refractor, Target
+from lfmesh.transport.trace import Paths, Status, trace
+from lfmesh.transport.world import World, build
+
+WATER, GLASS = 1.333, 1.52
+CHART_AT = -400.0
+SIDES = 3000.0
+"""Distance of the bodies' sides from the axis, mm."""
+
+
+def _before_chart(*bodies: tuple[trimesh.Trimesh, float]) -> World:
+    """Build a camera that looks through bodies of glass, world frame and index, at an opaque plane behind them."""
+    with tempfile.TemporaryDirectory(prefix="lfmesh-") as folder:
+        targets = []
+        for number, (mesh, index) in enumerate(bodies):
+            name = f"body{number}.ply"
+            mesh.export(Path(folder) / name)
+            targets.append(Target(refractor=Refractor(file=name, units="mm", index=index, surface="flat")))
+        plane = Target(shape=Plane(width_mm=4e4, height_mm=4e4), position_mm=(0.0, 0.0, CHART_AT))
+        return build(lens_scene(SINGLET, targets=(plane, *targets)).in_folder(Path(folder)))
+
+
+def _slab(near: float, far: float) -> trimesh.Trimesh:
+    """Return a box of six by six metres between two distances in front of the camera."""
+    return trimesh.creation.box(bounds=[[-SIDES, -SIDES, -far], [SIDES, SIDES, -near]])
+
+
+def _away(count: int, steepest_deg: float, seed: int) -> tuple[Array, Array]:
+    """Return rays from a millimetre before the lens towards the chart, at all angles up to one."""
+    draw = np.random.default_rng(seed)
+    angle, turn = np.deg2rad(steepest_deg) * draw.random(count), 2.0 * np.pi * draw.random(count)
+    sine = np.sin(angle)
+    d = np.column_stack([sine * np.cos(turn), sine * np.sin(turn), -np.cos(angle)])
+    o = np.column_stack([draw.uniform(-2.0, 2.0, (count, 2)), np.full(count, -1.0)])
+    return o, d
+
+
+def _at_chart(paths: Paths, truth: Array, weight: Array, tolerance: float) -> Outcome:
+    """Compare where rays end, all on the chart, with where they should."""
+    hit = paths.status == Status.TARGET
+    far = 1.0 + np.linalg.norm(truth, axis=1)
+    error = (np.linalg.norm(paths.position - truth, axis=1) / far)[hit].max(initial=0.0)
+    loss = np.abs(paths.weight / weight - 1.0)[hit].max(initial=0.0)
+    return outcome(
+        paths,
+        f"{len(truth)} rays end on the chart, within {tolerance:.0e} of the way",
+        f"{int(hit.sum())} do; error {error:.1e} of the way, of the weight {loss:.1e}",
+        bool(hit.all()) and len(paths) == len(truth) and error <= tolerance and loss <= 1e-10,
+    )
+
+
+def _mirrored(p: Array) -> Array:
+    """Turn points or directions about the x axis: the truth's rays travel along +z."""
+    return np.asarray(p * np.array([1.0, -1.0, -1.0]))
+
+
+@case
+def water_behind_a_window() -> Outcome:
+    """Look through a window into water, and through its far wall, at angles up to 89 degrees."""
+    edges, media = (20.0, 25.0, 65.0, 70.0), (GLASS, WATER, GLASS, 1.0)
+    bodies = [(_slab(near, far), n) for near, far, n in zip(edges[:-1], edges[1:], media, strict=False)]
+    o, d = _away(20_000, 89.0, 31)
+    paths = trace(_before_chart(*bodies), o, d, split="transmit")
+    true = through([Interface(np.inf, z, n) for z, n in zip(edges, media, strict=True)], _mirrored(o), _mirrored(d))
+    return _at_chart(paths, _mirrored(at_plane(true.p, true.d, -CHART_AT)), true.weight, 1e-12)
+
+
+@case
+def glass_of_the_waters_index() -> Outcome:
+    """Look through water that holds a ball of its own index, which bends nothing and reflects nothing."""
+    ball = trimesh.creation.icosphere(4, 12.0)
+    ball.apply_translation([0.0, 0.0, -40.0])
+    o, d = _away(20_000, 30.0, 32)
+    paths = trace(_before_chart((_slab(20.0, 60.0), WATER), (ball, WATER)), o, d, split="transmit")
+    faces = [Interface(np.inf, 20.0, WATER), Interface(np.inf, 60.0, 1.0)]
+    true = through(faces, _mirrored(o), _mirrored(d))
+    return _at_chart(paths, _mirrored(at_plane(true.p, true.d, -CHART_AT)), true.weight, 1e-12)
+
+
+@case
+def film_of_air_in_water() -> Outcome:
+    """Start in water before a thin film of air, at all angles: beyond the critical angle nothing comes through."""
+    film = 0.125
+    world = _before_chart((_slab(20.0, 60.0), WATER), (_slab(60.0 + film, 65.0), GLASS))
+    o, d = _away(20_000, 89.0, 33)
+    o[:, 2] = -30.0
+    paths = trace(world, o, d, split="transmit")
+    walls = [Interface(np.inf, 60.0, 1.0), Interface(np.inf, 60.0 + film, GLASS), Interface(np.inf, 65.0, 1.0)]
+    true = through(walls, _mirrored(o), _mirrored(d), WATER)
+    truth = _mirrored(at_plane(true.p, true.d, -CHART_AT))
+    # What is turned back leaves the water at its sides, metres away; light near the critical angle lands there too.
+    with np.errstate(invalid="ignore"):
+        through_film = np.linalg.norm(truth[:, :2], axis=1) < SIDES
+    turned = np.isnan(truth).any(axis=1)
+    landed = (paths.status == Status.TARGET) & (np.abs(paths.position[:, :2]).max(axis=1) < SIDES)
+    error = np.linalg.norm(paths.position - truth, axis=1)[through_film].max(initial=0.0)
+    return outcome(
+        paths,
+        f"{int(through_film.sum())} of {len(o)} rays reach the chart, within 1e-9 mm; {int(turned.sum())} never",
+        f"{int(landed[through_film].sum())} do, {int(landed[turned].sum())} others; error {error:.1e} mm",
+        bool(landed[through_film].all()) and not landed[turned].any() and len(paths) == len(o) and error <= 1e-9,
+    )

@@ -1,0 +1,64 @@
+"""Bodies of glass round the points at which rays start: a ray from inside a tank starts in its water."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry.mesh import Array
+from lfmesh.geometry.winding import winding
+from lfmesh.transport.regions.bodies import BITS, LOW, LOW_BITS, MOST_AT_ONCE, RANK
+from lfmesh.transport.tables.tables import ObjectTables
+from lfmesh.transport.world import World
+
+
+def glass_round(world: World, points: Array) -> NDArray[np.int64]:
+    """Return the bodies of glass that points are in, (n,) int64 as packets hold them; 0: none.
+
+    Parameters
+    ----------
+    world : World
+    points : (n, 3) float64, mm, world frame
+
+    Raises
+    ------
+    LfmeshError
+        A point is in more bodies at once than packets can keep.
+    """
+    objects = world.tables.objects
+    inside = np.zeros(len(points), np.int64)
+    bodies = np.flatnonzero(objects.rank)
+    if not len(bodies) or not len(points):
+        return inside
+    # Many rays start at few points.
+    places, of_point = np.unique(points, axis=0, return_inverse=True)
+    number = np.zeros(len(places), np.int64)
+    count = np.zeros(len(places), np.int64)
+    for body in sorted(bodies, key=lambda i: -int(objects.rank[i])):
+        mesh = world.targets[body].mesh
+        within = winding(mesh.vertices[mesh.faces], places) != 0
+        if (count[within] == MOST_AT_ONCE).any():
+            x, y, z = places[within & (count == MOST_AT_ONCE)][0]
+            raise LfmeshError(
+                f"a ray starts at ({x:.4g}, {y:.4g}, {z:.4g}) mm, in more than {MOST_AT_ONCE} bodies of glass at once; "
+                f"a ray can be in {MOST_AT_ONCE}"
+            )
+        number[within] |= objects.rank[body] << (BITS * count[within])
+        count[within] += 1
+    inside[:] = number[of_point.reshape(-1)]
+    return inside
+
+
+def start_inside(packets: NDArray[np.void], inside: NDArray[np.int64], objects: ObjectTables) -> None:
+    """Let packets in object space start in bodies of glass.
+
+    Parameters
+    ----------
+    packets : (n,) PACKET
+    inside : (n,) int64
+        From `glass_round`; where it is 0, packets stay as they are.
+    objects : ObjectTables
+    """
+    some = np.flatnonzero(inside)
+    packets["column"][some] = inside[some] & LOW
+    packets["space"][some] = inside[some] >> LOW_BITS
+    packets["medium"][some] = objects.medium[objects.by_rank[inside[some] & RANK]]

@@ -1,7 +1,7 @@
-"""Make the CAD-like part of the example scenes: assets/meshes/bracket.stl, a rounded L-bracket with a rib.
+"""Make the meshes of the example scenes, in assets/meshes: a CAD-like part, and what an aquarium consists of.
 
-The solid is built with manifold3d and written as binary STL in mm. It is deterministic: run it again and the
-file does not change. Needs the `dev` extra.
+The part, bracket.stl, is a rounded L-bracket with a rib, built with manifold3d. All are deterministic: run it again and
+the files do not change. Lengths in mm. Needs the `dev` extra.
 """
 
 from pathlib import Path
@@ -102,15 +102,33 @@ def as_trimesh(solid: m3.Manifold) -> trimesh.Trimesh:
     return part
 
 
-def main() -> None:
-    part = as_trimesh(bracket())
-    path = ASSETS / "meshes" / "bracket.stl"
+TANK_MM = (130.0, 110.0)
+"""Width and height of the aquarium's walls and of its water."""
+
+
+def slab(thickness: float) -> trimesh.Trimesh:
+    """Return a box as wide and high as the aquarium, centred."""
+    return trimesh.creation.box((*TANK_MM, thickness))
+
+
+def written(mesh: trimesh.Trimesh, name: str) -> None:
+    """Write a closed, outward-oriented solid, and say what was written."""
+    path = ASSETS / "meshes" / name
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(trimesh.exchange.stl.export_stl(part))
-    written = trimesh.load_mesh(path)
-    assert written.is_volume, "bracket.stl is not a closed, outward-oriented solid"
-    size = " x ".join(f"{extent:.0f}" for extent in written.extents)
-    print(f"{path.relative_to(ASSETS.parent)}: {len(written.faces)} triangles, {size} mm")
+    mesh.export(path)
+    found = trimesh.load_mesh(path)
+    assert found.is_volume, f"{name} is not a closed, outward-oriented solid"
+    size = " x ".join(f"{extent:.0f}" for extent in found.extents)
+    print(f"{path.relative_to(ASSETS.parent)}: {len(found.faces)} triangles, {size} mm")
+
+
+def main() -> None:
+    written(as_trimesh(bracket()), "bracket.stl")
+    written(slab(5.0), "window.stl")
+    written(slab(70.0), "water.stl")
+    # With the vertex normals of the sphere, which PLY keeps.
+    ball = trimesh.creation.icosphere(3, 16.0)
+    written(trimesh.Trimesh(ball.vertices, ball.faces, vertex_normals=ball.vertices / 16.0, process=False), "ball.ply")
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 CROPS = {
+    "aquarium": (-1.0, 0.5),
     "conventional": (-1.0, 0.5),
     "emitting_plane": (-0.5, 0.5),
     "first_light": (-1.0, 0.5),

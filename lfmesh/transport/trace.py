@@ -148,8 +148,8 @@ def trace(
     world : World
         From `build`.
     origins : (n, 3) float64, mm, world frame
-        Anywhere but inside the array: in object space and bodies of glass there, in the lens, or between lens, array and
-        sensor.
+        Anywhere but inside the array: in object space, in bodies of glass there, in the lens, or between lens, array
+        and sensor.
     directions : (n, 3) float64
         Any length but zero.
     wavelength_nm : float

@@ -23,7 +23,7 @@ from lfmesh.transport.tables.objects import aimed_at_glass
 from lfmesh.transport.tables.tables import OPAQUE, Tables
 from lfmesh.transport.world import World
 
-IMAGE_PATHS_PER_STRAY = 2
+IMAGE_PATHS_PER_STRAY = 4
 """Number of samples of the image path for each sample of the paths off it."""
 
 SCATTERED_PER_FOLLOWED = 25.0

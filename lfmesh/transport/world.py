@@ -229,7 +229,7 @@ def build(scene: Scene, *, rings: int | None = None) -> World:
         scene, targets, housing, moves, book, wavelengths_nm, interfaces.objects, known, ranks
     )
     columns, rows = scene.camera.sensor.pixels
-    sensor = SensorTables(columns=columns, rows=rows, pixel=scene.camera.sensor.pixel_mm)
+    sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
     aim, proof = aim_table(scene, report, lens, array, sensor, targets, moves, analytic=bool(shape.analytic.all()))
     tables = Tables(lens=lens, array=array, sensor=sensor, objects=objects, frames=moves, aim=aim)
     finders = (Finder(lens_mesh), Finder(array_mesh_), Finder(object_mesh))

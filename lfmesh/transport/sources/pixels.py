@@ -294,7 +294,8 @@ def _aim_rays(
     which, sample : int
         Index in `pixels`, and sample of that pixel, with which the next block begins.
     """
-    area = sensor.pixel * sensor.pixel * MM2 / samples
+    # Of what arrives, a pixel detects what it does not reflect.
+    area = sensor.pixel * sensor.pixel * MM2 / samples * (1.0 - sensor.reflectance)
     # The sensor's normal towards the array.
     normal = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, -1.0)
     near, begun = 0, -1

@@ -219,7 +219,7 @@ def _on_sensor(tables: Tables, rays: Arrived) -> Floats:
         at = p[:, :2] - (p[:, 2] / d[:, 2])[:, None] * d[:, :2]
         half = 0.5 * sensor.pixel * np.array([sensor.columns, sensor.rows])
         arrives = (d[:, 2] > 0.0) & (p[:, 2] <= 0.0) & (np.abs(at) <= half).all(axis=1)
-    return np.where(arrives, rays.weight, 0.0)
+    return np.where(arrives, rays.weight * (1.0 - sensor.reflectance), 0.0)
 
 
 def _focus_mm(world: World, path: Itinerary, object_mm: float) -> float:

@@ -28,6 +28,7 @@ DIMENSIONLESS = {
     "transport/render/order_check.py": {"LARGEST_MM"},
     "transport/events/crossing.py": {"EDGE", "FLOAT32_GRAIN"},
     "transport/packets/ledger.py": {"LOST_LIMIT"},
+    "transport/sequential/reflections.py": {"NEAR"},
     "transport/aiming/lenslet_aim.py": {"EXACT"},
     "transport/aiming/ray_aiming.py": {"ARRIVED", "TOLERANCE"},
     "transport/aiming/lenslet_view.py": {"ROUNDING"},

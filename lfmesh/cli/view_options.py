@@ -78,7 +78,12 @@ class Reports:
 
     table: Annotated[bool, Parameter(negative=(), help="Print the path table.")] = False
     paths: Annotated[Path | None, Parameter(help="CSV to write the path table to.")] = None
-    ghosts: Annotated[Path | None, Parameter(help="Figure to write: ghosts by pair of reflecting surfaces.")] = None
+    ghosts: Annotated[
+        Path | None,
+        Parameter(
+            help="Figure to write: ghosts by pair of reflecting surfaces; of field points the strongest are printed."
+        ),
+    ] = None
 
     def __bool__(self) -> bool:
         return self.table or self.paths is not None or self.ghosts is not None

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from lfmesh.cli.view_options import Launches, Reports, Serving
 from lfmesh.errors import LfmeshError
+from lfmesh.view.rays.exact_ghosts import exact_ghosts, is_exact
 from lfmesh.view.rays.ghosts import ghost_matrix
 from lfmesh.view.rays.path_table import path_table
 from lfmesh.view.scene3d.gl import Probe, has_display
@@ -39,7 +40,7 @@ def run(
         raise LfmeshError(NO_DISPLAY)
     if not (outputs or windowed):
         seen = look(subject, expression=expression, **asdict(launches))
-        lines, written = _reported(reports, seen)
+        lines, written = _reported(reports, seen, launches.wavelength_nm)
         if serving.browser:
             print("\n".join(lines), end="\n" if lines else "", flush=True)
             _serve(subject, seen, expression or "", drawing, serving)
@@ -48,7 +49,7 @@ def run(
     with Probe() as probe:
         seen = look(subject, expression=expression, **asdict(launches))
         probe.check()
-    lines, written = _reported(reports, seen)
+    lines, written = _reported(reports, seen, launches.wavelength_nm)
     view = draw_seen(seen, drawing, off_screen=not windowed)
     written += outputs.write(view)
     if windowed:
@@ -67,19 +68,34 @@ def _check(reports: Reports) -> None:
             check_output(option, path)
 
 
-def _reported(reports: Reports, seen: Seen) -> tuple[list[str], list[Path]]:
-    """Return the lines to print of the rays and the files written."""
+def _reported(reports: Reports, seen: Seen, wavelength_nm: float | None) -> tuple[list[str], list[Path]]:
+    """Return the lines to print of the rays and the files written.
+
+    Parameters
+    ----------
+    reports : Reports
+    seen : Seen
+    wavelength_nm : float or None
+        Of the launches; None: those of the scene.
+    """
     if not reports:
         return [], []
     if seen.all_rays is None or seen.rays is None:
         raise LfmeshError('--rays none: there are no paths to report; leave it out, or give "field 0,0,-500", say')
-    table = path_table(seen.all_rays).filtered(seen.chosen)
+    exact = None
+    if reports.ghosts is not None and seen.points_mm and is_exact(seen.subject.world):
+        exact = exact_ghosts(seen.subject.world, seen.points_mm, None if wavelength_nm is None else [wavelength_nm])
+    table = path_table(seen.all_rays, exact).filtered(seen.chosen)
+    lines = table.lines() if reports.table else []
     written = []
     if reports.paths is not None:
         written.append(table.to_csv(reports.paths))
     if reports.ghosts is not None:
-        written.append(ghost_matrix(seen.rays).save(reports.ghosts))
-    return table.lines() if reports.table else [], written
+        # A filter chooses among the rays; what is integrated over the pupil it cannot divide.
+        chosen = exact if seen.chosen.all() else None
+        written.append(ghost_matrix(seen.rays, chosen).save(reports.ghosts))
+        lines += chosen.lines() if chosen is not None else []
+    return lines, written
 
 
 def _serve(subject: Path, seen: Seen, expression: str, drawing: Drawing, serving: Serving) -> None:

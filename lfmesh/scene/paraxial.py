@@ -97,6 +97,31 @@ class Paraxial:
             ray = self.refraction(number)(ray)
         return heights
 
+    def reflected_twice(self, first: int, second: int) -> Matrix:
+        """From the first vertex to just behind the last, for light reflected back at one surface and forth at another.
+
+        Parameters
+        ----------
+        first, second : int
+            Numbers of the surfaces, in the order in which light meets them: first > second.
+        """
+        matrix = self._run(0, first, last_refracts=False).then(self._reflection(first, from_front=True))
+        for number in range(first - 1, second - 1, -1):
+            matrix = matrix.then(gap(self.gaps_mm[number], self.indices[number + 1]))
+            if number > second:
+                # Light that comes back is refracted as light that goes on: sides and sense change sign together.
+                matrix = matrix.then(self.refraction(number))
+        matrix = matrix.then(self._reflection(second, from_front=False))
+        if second + 1 < len(self.curvatures):
+            on = self._run(second + 1, len(self.curvatures) - 1)
+            matrix = matrix.then(gap(self.gaps_mm[second], self.indices[second + 1])).then(on)
+        return matrix
+
+    def _reflection(self, number: int, *, from_front: bool) -> Matrix:
+        """Matrix of a reflection at surface `number`; angles are counted along the light's way."""
+        index = self.indices[number] if from_front else -self.indices[number + 1]
+        return Matrix(1.0, 0.0, 2.0 * index * self.curvatures[number], 1.0)
+
     @cached_property
     def to_stop(self) -> Matrix:
         """From the first vertex to just before the stop surface."""

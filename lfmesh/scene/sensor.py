@@ -4,11 +4,11 @@ from pydantic import Field
 
 from lfmesh.scene.model import Model
 from lfmesh.scene.pose import Pose
-from lfmesh.scene.quantities import Pair, Positive
+from lfmesh.scene.quantities import FractionOfOne, Pair, Positive
 
 
 class Sensor(Model):
-    """A flat grid of square pixels that absorb all that meets them."""
+    """A flat grid of square pixels."""
 
     pixels: Pair
     """Number of pixels: columns, rows."""
@@ -18,6 +18,9 @@ class Sensor(Model):
     """From the microlens array's face nearest the sensor, or from the last lens vertex in a conventional
     camera, to the sensor, in mm. Omitted: the microlens focal plane; in a conventional camera the image of
     `focus_mm`."""
+    reflectance: FractionOfOne = 0.0
+    """Share of the light that the pixels' surface reflects, as a mirror does and at any angle; they detect the rest.
+    What is reflected may come back. Beside the pixels all light is absorbed."""
     pose: Pose = Field(default_factory=Pose)
     """Installation error, about the sensor's centre."""
 

@@ -52,7 +52,8 @@ class Transport(Model):
     max_events: Annotated[Count, Field(le=MOST_EVENTS)] = 64
     """Surfaces a packet may meet before it is cut."""
     weight_cutoff: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.3
-    """Share of its starting weight below which a child plays Russian roulette (no unit)."""
+    """Share of its starting weight below which a child plays Russian roulette (no unit). A ray that is not aimed at a
+    lenslet weighs far more than one that is; the latter's weight counts."""
     wavelengths_nm: tuple[Annotated[Positive, Field(ge=100, le=20000)], ...] = Field(default=(587.6,), min_length=1)
     """Wavelength samples, in nm; the middle one is the primary."""
     seed: Annotated[Whole, Field(lt=2**63)] = 0

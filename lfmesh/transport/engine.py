@@ -45,7 +45,7 @@ from lfmesh.transport.regions.array import admit_to_cells, shade_cells, through_
 from lfmesh.transport.regions.lens import admit_to_lens, shade_lens
 from lfmesh.transport.regions.lens_block import empty_block
 from lfmesh.transport.regions.objects import admit_to_objects, shade_objects
-from lfmesh.transport.regions.sensor import onto_sensor
+from lfmesh.transport.regions.sensor import onto_reflecting_sensor, onto_sensor
 from lfmesh.transport.sequential.image_path import follow_image_path
 from lfmesh.transport.sequential.lens_bundle import BLOCK, empty_bundle
 from lfmesh.transport.tables.tables import Tables
@@ -224,6 +224,8 @@ class Workspace:
             shade_objects(wave, found, tables.objects, lens, tables.aim, frames, options, flow)
         elif station == PLATE:
             through_plate(wave, array, frames, lens_surfaces, options, flow)
+        elif tables.sensor.reflectance > 0.0:
+            onto_reflecting_sensor(wave, tables.sensor, array.present, lens_surfaces, frames, options, flow)
         else:
             onto_sensor(wave, tables.sensor, frames, options, flow)
 

@@ -231,7 +231,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
         scene, targets, housing, moves, book, wavelengths_nm, interfaces.objects, known, ranks
     )
     columns, rows = scene.camera.sensor.pixels
-    sensor = SensorTables(columns=columns, rows=rows, pixel=scene.camera.sensor.pixel_mm)
+    sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
     aim, proof = unaimed(scene, lens), None
     if aimed:
         aim, proof = aim_table(scene, report, lens, array, sensor, targets, moves, analytic=bool(shape.analytic.all()))

@@ -20,7 +20,7 @@ from lfmesh.scene import Scene, load
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.world import World, build
-from lfmesh.view.rays.launch import launch
+from lfmesh.view.rays.launch import field_points, launch
 from lfmesh.view.rays.paths import OF_PATHS, OF_VERTICES, Rays
 
 Picture = NDArray[np.uint8]
@@ -123,6 +123,8 @@ class Launched:
     rays: Rays | None
     caption: tuple[str, ...]
     near_mm: tuple[float, float]
+    points_mm: tuple[tuple[float, float, float], ...] = ()
+    """The field points (world frame) that all rays come from; none where some were launched otherwise."""
 
 
 def launched(
@@ -161,7 +163,7 @@ def launched(
     split = split or world.scene.transport.split
     how = "refracted only" if split == "transmit" else f"split: {split}"
     words = f"{number} rays{' each' if len(given) > 1 else ''} from {'; '.join(given)}; {how}"
-    return Launched(rays, (words,), pixels_on_array(rays))
+    return Launched(rays, (words,), pixels_on_array(rays), field_points(given))
 
 
 def first_look(world: World) -> list[str]:

@@ -113,6 +113,9 @@ SCENES = {
         ],
         [POINT],
     ),
+    "a sensor that reflects": scene(
+        [plane(GLOWING)], split="both", sensor={"pixels": [20, 20], "pixel_mm": 0.1, "reflectance": 0.7}
+    ),
     "conventional camera": scene([plane(GLOWING)], split="both", mla=None),
     "hexagonal multi-focus array, curved towards the sensor": scene([plane(GLOWING)], mla=HEXAGONAL_ARRAY),
     "tilted and decentred lens and stop": scene(

@@ -249,6 +249,24 @@ def path_to_apexes(array: ArrayTables, z: float) -> tuple[float, float, float]:
 
 
 @inlined
+def lenslet_ahead(array: ArrayTables, glass: float, z: float) -> float:
+    """Return the solid angle of a lenslet straight ahead, sr, seen from the height z (array frame).
+
+    Parameters
+    ----------
+    array : ArrayTables
+    glass : float
+        See `glass_before_faces`.
+    z : float, mm
+    """
+    lattice = array.lenslets.lattice
+    air, plate, _ = path_to_apexes(array, z)
+    reduced = air + plate / glass
+    filled = ROW_SPACING if lattice.hexagonal else 1.0
+    return filled * lattice.pitch * lattice.pitch / (reduced * reduced)
+
+
+@inlined
 def slope_to(r: float, air: float, plate: float, glass: float) -> float:
     """Return the slope in air of the ray with a given lateral shift over a layer of air and a plate of glass.
 

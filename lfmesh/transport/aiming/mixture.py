@@ -15,7 +15,7 @@ from lfmesh.transport.tables.tables import Opening
 WIDE_SHARE = 0.1
 """Share of rays to the wide disk where reflections are followed: ghosts come from all over it."""
 
-WIDE_SHARE_OF_STRAYS = 0.5
+WIDE_SHARE_OF_STRAYS = 0.3
 """The same where only paths with reflections are estimated."""
 
 WIDE_SHARE_OF_IMAGE_PATH = 0.002

@@ -1,13 +1,32 @@
-"""The sensor: a packet ends on a pixel, or beside the sensor."""
+"""The sensor: a packet ends on a pixel, or beside the sensor, and what the pixel reflects goes on."""
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import kernel
-from lfmesh.transport.events.crossing import deposit, end, end_here, move_packet
-from lfmesh.transport.packets.book import BESIDE_SENSOR, HOUSING, ON_SENSOR
-from lfmesh.transport.packets.packet import S_ABSORBED, S_SENSOR, SENSOR_FRAME, Flow, Options
+from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.events.crossing import deposit, end, end_here, move_packet, record, split_shares, too_deep
+from lfmesh.transport.packets.book import BESIDE_SENSOR, HOUSING, ON_SENSOR, UNFOLLOWED
+from lfmesh.transport.packets.packet import (
+    E_REFLECTED,
+    ENDS_AT,
+    EVENTS,
+    LENS,
+    NO_SURFACE,
+    PLATE,
+    S_ABSORBED,
+    S_SENSOR,
+    SENSOR_FRAME,
+    Flow,
+    Options,
+    put,
+)
+from lfmesh.transport.packets.random import derived
 from lfmesh.transport.tables.tables import SensorTables
+
+NO_PIXEL, NOWHERE = -1, -2
+"""In place of a pixel's number: beside the sensor; the ray does not meet the sensor's plane."""
 
 
 @kernel
@@ -20,6 +39,7 @@ def onto_sensor(
     ----------
     wave : (n,) PACKET
     sensor : SensorTables
+        That reflects nothing.
     frames : (5, 5, 3, 4) float64
     options : Options
     flow : Flow
@@ -27,18 +47,89 @@ def onto_sensor(
     for i in range(len(wave)):
         packet = wave[i]
         move_packet(frames, packet, SENSOR_FRAME)
-        x, y, z = packet.x, packet.y, packet.z
-        dx, dy, dz = packet.dx, packet.dy, packet.dz
-        if dz <= 0.0 or z > 0.0:
-            end_here(options, flow, frames, packet, HOUSING, S_ABSORBED)
+        pixel, x, y = _pixel_met(packet, sensor)
+        _end_on(pixel, x, y, packet.weight, packet, frames, options, flow)
+
+
+@kernel
+def onto_reflecting_sensor(
+    wave: NDArray[np.void], sensor: SensorTables, has_array: bool, lens_surfaces: int, frames: NDArray[np.float64],
+    options: Options, flow: Flow,
+) -> None:  # fmt: skip
+    """Do as `onto_sensor` with what pixels detect, and send back what they reflect.
+
+    Parameters
+    ----------
+    wave : (n,) PACKET
+    sensor : SensorTables
+    has_array : bool
+    lens_surfaces : int
+        Number of refracting surfaces of the lens.
+    frames : (5, 5, 3, 4) float64
+    options : Options
+    flow : Flow
+    """
+    for i in range(len(wave)):
+        packet = wave[i]
+        move_packet(frames, packet, SENSOR_FRAME)
+        pixel, x, y = _pixel_met(packet, sensor)
+        if pixel < 0:
+            _end_on(pixel, x, y, packet.weight, packet, frames, options, flow)
             continue
-        t = -z / dz
-        x, y = x + t * dx, y + t * dy
-        column = np.floor(x / sensor.pixel + 0.5 * sensor.columns)
-        row = np.floor(y / sensor.pixel + 0.5 * sensor.rows)
-        slot, status = ON_SENSOR, S_SENSOR
-        if not (0.0 <= column < sensor.columns and 0.0 <= row < sensor.rows):
-            slot, status = BESIDE_SENSOR, S_ABSORBED
-        elif not options.adjoint and not options.tracing:
-            deposit(options, flow, int(row) * sensor.columns + int(column), packet.colour, packet.weight)
-        end(options, flow, frames, packet, SENSOR_FRAME, x, y, 0.0, dx, dy, dz, packet.weight, slot, status)
+        if too_deep(options, flow, frames, packet):
+            continue
+        flow.counts[EVENTS] += 1
+        if options.sequential:
+            # The image path ends here.
+            reflected, detected = 0.0, packet.weight * (1.0 - sensor.reflectance)
+            flow.book[UNFOLLOWED] += packet.weight * sensor.reflectance
+        else:
+            reflected, detected = split_shares(
+                options, flow.book, packet, sensor.reflectance, 1.0 - sensor.reflectance
+            )  # fmt: skip
+        packet.events += 1
+        if detected > 0.0:
+            _end_on(pixel, x, y, detected, packet, frames, options, flow)
+        if reflected > 0.0:
+            if options.record:
+                packet.node = record(
+                    flow, frames, SENSOR_FRAME, x, y, 0.0, reflected, ENDS_AT + ON_SENSOR, NO_SURFACE, E_REFLECTED,
+                    packet.node,
+                )  # fmt: skip
+            # It goes on as packets start at a pixel, but off the image path.
+            child = put(
+                flow, PLATE if has_array else LENS, packet, SENSOR_FRAME, x, y, 0.0, packet.dx, packet.dy, -packet.dz,
+                reflected, derived(packet.key, packet.events), 0.0,
+            )  # fmt: skip
+            child.space, child.stray = lens_surfaces, 1
+            child.last, child.facet, child.column = NO_SURFACE, NO_SURFACE, NO_SURFACE
+
+
+@inlined
+def _pixel_met(packet: Any, sensor: SensorTables) -> tuple[int, float, float]:
+    """Return the pixel that a packet (sensor frame) meets, row by row, or why it meets none, and where it ends, mm."""
+    x, y, z = packet.x, packet.y, packet.z
+    if packet.dz <= 0.0 or z > 0.0:
+        return NOWHERE, x, y
+    t = -z / packet.dz
+    x, y = x + t * packet.dx, y + t * packet.dy
+    column = np.floor(x / sensor.pixel + 0.5 * sensor.columns)
+    row = np.floor(y / sensor.pixel + 0.5 * sensor.rows)
+    if not (0.0 <= column < sensor.columns and 0.0 <= row < sensor.rows):
+        return NO_PIXEL, x, y
+    return int(row) * sensor.columns + int(column), x, y
+
+
+@inlined
+def _end_on(
+    pixel: int, x: float, y: float, weight: float, packet: Any, frames: NDArray[np.float64], options: Options,
+    flow: Flow,
+) -> None:  # fmt: skip
+    """End a packet on a pixel, beside the sensor or, where it does not meet the sensor's plane, where it is."""
+    if pixel == NOWHERE:
+        end_here(options, flow, frames, packet, HOUSING, S_ABSORBED)
+        return
+    slot, status = (ON_SENSOR, S_SENSOR) if pixel >= 0 else (BESIDE_SENSOR, S_ABSORBED)
+    if pixel >= 0 and not options.adjoint and not options.tracing:
+        deposit(options, flow, pixel, packet.colour, weight)
+    end(options, flow, frames, packet, SENSOR_FRAME, x, y, 0.0, packet.dx, packet.dy, packet.dz, weight, slot, status)

@@ -23,8 +23,9 @@ from lfmesh.transport.tables.objects import aimed_at_glass
 from lfmesh.transport.tables.tables import OPAQUE, Tables
 from lfmesh.transport.world import World
 
-IMAGE_PATHS_PER_STRAY = 2
-"""Number of samples of the image path for each sample of the paths off it."""
+IMAGE_PATHS_PER_STRAY, WITH_GLASS = 4, 2
+"""Number of samples of the image path for each sample of the paths off it: without glass in object space, and with it,
+where reflections are part of the picture."""
 
 SCATTERED_PER_FOLLOWED = 25.0
 """Without glass in object space: number of scattered paths, not yet off the image path, for each one that is followed.
@@ -91,9 +92,10 @@ def parts_of(world: World, *, aimed: bool = True) -> tuple[Part, ...]:
         return (Part(0, options, tables), *lamps)
     path = tables.aim._replace(wide_share=WIDE_SHARE_OF_IMAGE_PATH, share_without_aim=WIDE_SHARE_OF_IMAGE_PATH)
     strays = tables.aim._replace(wide_share=WIDE_SHARE_OF_STRAYS)
+    thinned = WITH_GLASS if _has_glass(tables) else IMAGE_PATHS_PER_STRAY
     return (
         Part(0, options._replace(split=TRANSMIT, sequential=True), tables._replace(aim=path), accounts=False),
-        Part(1, _off_image_path(options, tables), tables._replace(aim=strays), IMAGE_PATHS_PER_STRAY),
+        Part(1, _off_image_path(options, tables), tables._replace(aim=strays), thinned),
         *lamps,
     )
 
@@ -101,10 +103,15 @@ def parts_of(world: World, *, aimed: bool = True) -> tuple[Part, ...]:
 def _off_image_path(options: Options, tables: Tables) -> Options:
     """Return the options of the part that estimates paths off the image path."""
     options = options._replace(paths=OFF_IMAGE_PATH)
-    if options.split == BOTH and not (tables.objects.medium != OPAQUE).any():
+    if options.split == BOTH and not _has_glass(tables):
         # Few scattered paths reach the lens, where alone they could leave the image path.
         return options._replace(unturned_cutoff=SCATTERED_PER_FOLLOWED * options.cutoff)
     return options
+
+
+def _has_glass(tables: Tables) -> bool:
+    """Tell whether there is glass in object space."""
+    return bool((tables.objects.medium != OPAQUE).any())
 
 
 def lamp_parts(world: World) -> tuple[Part, ...]:

@@ -176,7 +176,7 @@ def follow_rays(
         for way in range(_FROM_OBJECTS, _WAYS):
             if ways & (1 << way) != 0:
                 _follow_way(bundle, count, way, tables, around)
-                _keep(bundle, count, way, some, book, counts)
+                _keep(bundle, count, way, tables.sensor.reflectance, some, book, counts)
 
 
 @kernel
@@ -443,7 +443,9 @@ def _escape(bundle: Array, plate: float, opening: float) -> None:
 
 
 @kernel
-def _keep(bundle: Array, count: int, way: int, ends: Ends, book: Array, counts: NDArray[np.int64]) -> None:
+def _keep(
+    bundle: Array, count: int, way: int, reflectance: float, ends: Ends, book: Array, counts: NDArray[np.int64]
+) -> None:
     """Write the ends of the rays of one way, and enter their energy in the book."""
     emitted, events, sensor, left_behind = 0, 0, 0.0, 0.0
     for i in range(count):
@@ -462,6 +464,11 @@ def _keep(bundle: Array, count: int, way: int, ends: Ends, book: Array, counts: 
             continue
         slot = int(ended) - 1
         weight = bundle[WEIGHT + i]
+        if slot == ON_SENSOR and reflectance > 0.0:
+            left_behind += weight * reflectance
+            weight *= 1.0 - reflectance
+            met += 1
+            events += 1
         ends.fate[i] = ENDED
         ends.position[i, 0], ends.position[i, 1], ends.position[i, 2] = (
             bundle[_END_X + i], bundle[_END_Y + i], bundle[_END_Z + i],

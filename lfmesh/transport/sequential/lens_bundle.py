@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.surface import NEWTON_STEPS, SETTLED, distance_to
 from lfmesh.kernel import kernel, pasted
 from lfmesh.optics.fresnel import amplitude_sums
-from lfmesh.transport.events.interface import transmitted_share
+from lfmesh.transport.events.interface import shares, transmitted_share
 from lfmesh.transport.tables.tables import Interfaces, LensTables
 from lfmesh.vector import both, fused, select
 
@@ -167,11 +167,63 @@ def _through_in_place(
     if surface.terms == 0 and conic == 0.0:
         _through_sphere(bundle, lens.interfaces, k, colour, c, z, limit, sense, n_i, n_t, rim, mount, beyond)
         return
-    _meet_conic(bundle, c, conic, z, sense)
+    _meet(bundle, surface, sense)
+    _bend_along_slope(bundle, lens.interfaces, k, colour, c, conic, z, limit, sense, n_i, n_t, rim, mount, beyond)
+
+
+@kernel
+def mirror_at_surface(
+    bundle: Array, lens: LensTables, k: int, colour: int, sense: float, rim: float, mount: float, beyond: float
+) -> None:
+    """Reflect a bundle at a refracting surface of the lens, weighted with the reflectance.
+
+    Parameters
+    ----------
+    bundle, lens, k, colour, rim, mount, beyond
+        As for `through_surface`.
+    sense : float
+        1 for rays that arrive along the surface's normal, which points to +z at the vertex; −1 against it.
+    """
+    surface = lens.surfaces[k]
+    if surface.posed:
+        move_bundle(bundle, surface.unpose)
+    into = 1 if sense > 0.0 else 0
+    indices, medium = lens.media.indices, lens.medium
+    n_i, n_t = indices[medium[k + 1 - into], colour], indices[medium[k + into], colour]
+    _meet(bundle, surface, sense)
+    _mirror_along_slope(
+        bundle, lens.interfaces, k, colour, surface.curvature, surface.conic, surface.vertex_z,
+        surface.aperture * surface.aperture, sense, n_i, n_t, rim, mount, beyond,
+    )  # fmt: skip
+    if surface.posed:
+        move_bundle(bundle, surface.pose)
+
+
+@kernel
+def distances_to(bundle: Array, surface: Any, sense: float, row: int) -> None:
+    """Write to a row of a bundle the distances at which rays cross a surface, as it stands in the prescription.
+
+    Parameters
+    ----------
+    bundle : float64
+    surface : SURFACE record
+    sense : float
+        1: along its normal, −1: against it.
+    row : int
+        −1 is written where a ray does not meet the surface.
+    """
+    _meet(bundle, surface, sense)
+    for i in range(BLOCK):
+        bundle[row + i] = bundle[_T + i]
+
+
+@kernel
+def _meet(bundle: Array, surface: Any, sense: float) -> None:
+    """Leave the distance to a surface in `_T`, and what its asphere's terms add there in `_SAG` and `_SLOPE`."""
+    _meet_conic(bundle, surface.curvature, surface.conic, surface.vertex_z, sense)
     if surface.terms > 0:
         _meet_asphere(bundle, surface)
     _asphere_terms(bundle, surface.terms, surface.asphere)
-    _bend_along_slope(bundle, lens.interfaces, k, colour, c, conic, z, limit, sense, n_i, n_t, rim, mount, beyond)
 
 
 @pasted
@@ -428,5 +480,28 @@ def _bend_along_slope(
         )
         _go_on(
             bundle, i, both(t > 0.0, cos_i > 0.0), x, y, z, ux, uy, uz, not total, transmittance,
+            limit, rim, mount, beyond,
+        )  # fmt: skip
+
+
+@kernel
+def _mirror_along_slope(
+    bundle: Array, interfaces: Interfaces, number: int, colour: int,
+    c: float, k: float, vertex_z: float, limit: float, sense: float, n_i: float, n_t: float,
+    rim: float, mount: float, beyond: float,
+) -> None:  # fmt: skip
+    q = (1.0 + k) * c * c
+    for i in range(BLOCK):
+        t, r2 = bundle[_T + i], bundle[_R2 + i]
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        x, y, z = bundle[X + i] + t * dx, bundle[Y + i] + t * dy, bundle[Z + i] + t * dz
+        slope = c / np.sqrt(1.0 - q * r2) + 2.0 * r2 * bundle[_SLOPE + i]
+        scale = sense / np.sqrt(slope * slope * r2 + 1.0)
+        nx, ny = -slope * x * scale, -slope * y * scale
+        cos_i = nx * dx + ny * dy + scale * dz
+        reflectance, _, _ = shares(interfaces, number, colour, n_i, n_t, select(cos_i < 1.0, cos_i, 1.0))
+        ux, uy, uz = dx - 2.0 * cos_i * nx, dy - 2.0 * cos_i * ny, dz - 2.0 * cos_i * scale
+        _go_on(
+            bundle, i, both(t > 0.0, cos_i > 0.0), x, y, z, ux, uy, uz, reflectance > 0.0, reflectance,
             limit, rim, mount, beyond,
         )  # fmt: skip

@@ -26,6 +26,7 @@ from lfmesh.transport.aiming.lenslet_aim import (
     Allotment,
     allotted,
     glass_before_faces,
+    lenslet_ahead,
     list_cells,
     most_listed,
     through_a_lenslet,
@@ -293,11 +294,12 @@ def _aim_rays(
     which, sample : int
         Index in `pixels`, and sample of that pixel, with which the next block begins.
     """
-    area = sensor.pixel * sensor.pixel * MM2 / samples
+    # Of what arrives, a pixel detects what it does not reflect.
+    area = sensor.pixel * sensor.pixel * MM2 / samples * (1.0 - sensor.reflectance)
     # The sensor's normal towards the array.
     normal = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, -1.0)
     near, begun = 0, -1
-    column, row, glass = 0.0, 0.0, 1.0
+    column, row, glass, usual = 0.0, 0.0, 1.0, np.inf
     shares = Allotment(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
     if array.present:
         glass = glass_before_faces(array, colour)
@@ -311,6 +313,7 @@ def _aim_rays(
                 px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
                 near = list_cells(array, aim, glass, px, py, pz, HALF_DIAGONAL * sensor.pixel, room.near)
                 shares = allotted(aim, near, samples, derived(replicate_key, pixel))
+                usual = area * lenslet_ahead(array, glass, pz) / (1.0 - aim.wide_share)
         numbers = (
             room.numbers[CELL_U, i], room.numbers[CELL_V, i], room.numbers[PIXEL_U, i],
             room.numbers[PIXEL_V, i], room.numbers[WHICH_CELL, i], room.numbers[DISCRETE, i],
@@ -338,7 +341,9 @@ def _aim_rays(
         book[EMITTED] += weight
         packet = room.packets[i]
         packet.source = pixel | (which * samples + sample) << SAMPLE_SHIFT
-        packet.key, packet.start, packet.events = room.keys[i], weight, 0
+        # Blind rays weigh a hundred times as much as those through a lenslet that shows the opening. Their children are
+        # followed until they weigh as little, so that a pixel's error is not that of the few that survive roulette.
+        packet.key, packet.start, packet.events = room.keys[i], min(weight, usual), 0
         sample += 1
         if sample == samples:
             which, sample = which + 1, 0

@@ -82,6 +82,7 @@ class SensorTables(NamedTuple):
     columns: int
     rows: int
     pixel: float  # mm
+    reflectance: float  # share of the light that is reflected; the rest is detected
 
 
 OPAQUE = -1

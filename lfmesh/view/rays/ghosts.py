@@ -2,9 +2,13 @@
 
 Only paths with exactly two reflections by lens or array are counted: with three, for one, light goes back to the scene,
 and the four-reflection ghosts of uncoated glass are some hundred times weaker.
+
+Pairs of lens surfaces can be had by sequence, without noise (see `exact_ghosts`); pairs with a face of the array are
+estimated from rays.
 """
 
 import io
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +18,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.files.whole import write_whole
+from lfmesh.view.rays.exact_ghosts import ExactGhosts
 from lfmesh.view.rays.names import CURVED, FLAT, label, lens_names
 from lfmesh.view.rays.paths import Rays
 
@@ -27,6 +32,9 @@ DECADES = 6
 
 PRINTED = 16
 """Surfaces up to which the cells of the figure hold their numbers."""
+
+
+LETTERS_AN_INCH = 11
 
 
 @dataclass(frozen=True)
@@ -44,6 +52,8 @@ class GhostMatrix:
     total : float
         Power on the sensor of all paths.
     unit : str
+    source : str
+        Where the powers come from, in words.
     """
 
     names: list[str]
@@ -51,6 +61,7 @@ class GhostMatrix:
     power: NDArray[np.float64]
     total: float
     unit: str
+    source: str = "from rays"
 
     def strongest(self, most: int = 10) -> list[tuple[str, str, float]]:
         """Return the strongest pairs: first and second surface, and the power."""
@@ -89,7 +100,8 @@ class GhostMatrix:
         axes.grid(which="minor", color="#dddddd", lw=0.5)
         axes.tick_params(which="minor", length=0)
         title = f"ghosts of two reflections: {100.0 * share.sum():.2g} % of the power on the sensor"
-        axes.set_title(title, fontsize=10, loc="left")
+        lines = [line for text in (title, self.source) for line in textwrap.wrap(text, round(LETTERS_AN_INCH * side))]
+        axes.set_title("\n".join(lines), fontsize=10, loc="left")
         if count <= PRINTED:
             for i, j in zip(*np.nonzero(share), strict=True):
                 dark = norm(share[i, j]) < 0.6
@@ -129,18 +141,37 @@ class GhostMatrix:
         return np.asarray(self.power / self.total)
 
 
-def ghost_matrix(rays: Rays) -> GhostMatrix:
-    """Return the power at the sensor by the pair of surfaces that reflect, of paths with exactly two reflections."""
+def ghost_matrix(rays: Rays, exact: ExactGhosts | None = None) -> GhostMatrix:
+    """Return the power at the sensor by the pair of surfaces that reflect, of paths with exactly two reflections.
+
+    Parameters
+    ----------
+    rays : Rays
+    exact : ExactGhosts, optional
+        Of the same field points: then the pairs of lens surfaces, and the image path in the total, are taken from it,
+        and the rays give the other paths alone.
+    """
     names = lens_names(rays.world)
     if rays.world.tables.array.present:
         names += [CURVED, FLAT]
+    known = rays.of_sequences(exact.by_words if exact is not None else ())
     power = np.zeros((len(names), len(names)))
-    pairs = rays.keep(rays.arrives & (rays.count_vertices(rays.reflected) == 2))
+    pairs = rays.keep(rays.arrives & ~known & (rays.count_vertices(rays.reflected) == 2))
     # Numbers of lens and array come first among the surfaces, after the start.
     first, second = (pairs.surface[pairs.reflected] - 1).reshape(-1, 2).T
     if rays.from_sensor:
         first, second = second, first
     np.add.at(power, (first, second), pairs.end_power)
-    return GhostMatrix(
-        names, [label(name) for name in names], power, float(rays.end_power[rays.arrives].sum()), rays.unit
-    )
+    total = float(rays.end_power[rays.arrives & ~known].sum())
+    source = f"from {rays.launched:,} rays"
+    if exact is not None:
+        total += exact.image.power + exact.power
+        for row in exact.ghosts:
+            power[row.path.mirrors] += row.power
+        within = f"by quadrature over the pupil, to {_percent(exact.error, exact.power)} of their power"
+        source = f"pairs of lens surfaces {within}; others {source}"
+    return GhostMatrix(names, [label(name) for name in names], power, total, rays.unit, source)
+
+
+def _percent(part: float, whole: float) -> str:
+    return f"{100.0 * part / whole:.1g} %" if whole > 0.0 else "0 %"

@@ -473,6 +473,14 @@ def launch(
     return from_light(world, whole[0], count, **more) if kind == "light" else as_in_run(world, count, **more)
 
 
+def field_points(specs: Sequence[str]) -> tuple[tuple[float, float, float], ...]:
+    """Return the field points, mm, world frame, of launches in words; none if one of them launches otherwise."""
+    read = [_read_spec(spec) for spec in specs]
+    if any(kind != "field" for kind, _ in read):
+        return ()
+    return tuple((float(x), float(y), float(z)) for _, (x, y, z) in read)
+
+
 def _read_spec(spec: str) -> tuple[str, list[str]]:
     """Return the kind of a launch and its numbers."""
     kind, _, rest = spec.strip().partition(" ")

@@ -3,8 +3,9 @@
 import csv
 import difflib
 import io
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from lfmesh.files.whole import write_whole
 from lfmesh.transport.packets.book import LOST_PREFIX
 from lfmesh.transport.packets.ledger import loss_in_words
 from lfmesh.transport.packets.packet import Event, Status
+from lfmesh.view.rays.exact_ghosts import ExactGhosts
 from lfmesh.view.rays.filters import parse
 from lfmesh.view.rays.names import label
 from lfmesh.view.rays.paths import WATT, Rays
@@ -51,6 +53,9 @@ class PathRow:
     irradiance : float
         The largest that the sequence makes on a pixel, in the unit of power per mm². With few paths a pixel it is
         that of single paths, and too large.
+    error : float
+        How far the power may be off, in the table's unit, where it is integrated over the pupil; infinite where it is
+        an estimate from the paths.
     """
 
     path: int
@@ -62,6 +67,7 @@ class PathRow:
     power: float
     share: float
     irradiance: float
+    error: float = math.inf
 
 
 COLUMNS = tuple(field.name for field in fields(PathRow))
@@ -79,12 +85,18 @@ class PathTable(Sequence[PathRow]):
         Power on the sensor that the shares refer to.
     loss : str or None
         What the tracer lost of all launched paths, in words, where that is more than rounding.
+    exact : ExactGhosts or None
+        Powers that are integrated over the pupil.
+    launched : (sequences,) int64, or None
+        Number of launched paths of each sequence; where a filter leaves some of them out, the rest is an estimate.
     """
 
     rows: list[PathRow]
     rays: Rays
     total: float
     loss: str | None = None
+    exact: ExactGhosts | None = None
+    launched: NDArray[np.int64] | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -115,7 +127,7 @@ class PathTable(Sequence[PathRow]):
         if descending is None:
             descending = by not in ("path", "short", "sequence")
         rows = sorted(self.rows, key=lambda row: getattr(row, by), reverse=descending)
-        return PathTable(rows, self.rays, self.total, self.loss)
+        return replace(self, rows=rows)
 
     def filtered(self, chosen: str | NDArray[np.bool_]) -> "PathTable":
         """Return the table of some of the paths; shares still refer to all of them, numbers stay.
@@ -131,7 +143,7 @@ class PathTable(Sequence[PathRow]):
             The expression cannot be read.
         """
         mask = parse(chosen, self.rays) if isinstance(chosen, str) else chosen
-        return _table(self.rays.keep(mask), self.total, self.loss)
+        return _table(self.rays.keep(mask), self.total, self.loss, self.exact, self.launched)
 
     def to_csv(self, path: str | Path) -> Path:
         """Write `csv_text`; return the file. It is written whole or not at all.
@@ -147,7 +159,9 @@ class PathTable(Sequence[PathRow]):
     def csv_text(self) -> str:
         """Return the table as CSV, with every digit and whole sequences."""
         unit = "w" if self.rays.unit == WATT else "m2_sr"
-        titles = {"power": f"power_{unit}", "irradiance": f"largest_irradiance_{unit}_mm2"}
+        titles = {
+            "power": f"power_{unit}", "irradiance": f"largest_irradiance_{unit}_mm2", "error": f"power_error_{unit}",
+        }  # fmt: skip
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(titles.get(name, name) for name in COLUMNS)
@@ -169,12 +183,25 @@ class PathTable(Sequence[PathRow]):
         where = "between sensor and scene" if self.rays.from_sensor else "on the sensor"
         paths = sum(row.count for row in self.rows)
         whole = f"{len(self)} sequences, {paths} paths, {self.power:.4e} {unit} {where}"
+        if any(math.isfinite(row.error) for row in self.rows):
+            lines.append("image path and ghosts of two reflections in the lens by quadrature, the others from paths")
         return [*lines, whole, *([f"Warning: {self.loss}."] if self.loss else [])]
 
 
-def path_table(rays: Rays) -> PathTable:
-    """Return the path table of some rays, in the order of the paths' numbers: what brings most comes first."""
-    return _table(rays, float(rays.end_power[rays.arrives].sum()), _loss(rays))
+def path_table(rays: Rays, exact: ExactGhosts | None = None) -> PathTable:
+    """Return the path table of some rays, in the order of the paths' numbers: what brings most comes first.
+
+    Parameters
+    ----------
+    rays : Rays
+    exact : ExactGhosts, optional
+        Of the same field points: the sequences that it has get their powers from it.
+    """
+    total = float(rays.end_power[rays.arrives].sum())
+    if exact is not None:
+        known = rays.of_sequences(exact.by_words)
+        total = exact.image.power + exact.power + float(rays.end_power[rays.arrives & ~known].sum())
+    return _table(rays, total, _loss(rays), exact, np.bincount(rays.sequence, minlength=len(rays.sequences)))
 
 
 def _loss(rays: Rays) -> str | None:
@@ -185,20 +212,30 @@ def _loss(rays: Rays) -> str | None:
     return loss_in_words(sum(lost_in.values()), lost_in, float(rays.end_power.sum()))
 
 
-def _table(rays: Rays, total: float, loss: str | None) -> PathTable:
+def _table(
+    rays: Rays, total: float, loss: str | None, exact: ExactGhosts | None, launched: NDArray[np.int64] | None
+) -> PathTable:
     present, first, place, count = np.unique(rays.sequence, return_index=True, return_inverse=True, return_counts=True)
     arriving = rays.end_power * rays.arrives
     power = np.bincount(place, arriving, len(present))
     irradiance = _largest_irradiance(rays, place, arriving, len(present))
+    error = np.full(len(present), np.inf)
+    for row, number in enumerate(present):
+        known = exact.by_words.get(rays.sequences[number]) if exact is not None else None
+        if known is not None and launched is not None and count[row] == launched[number]:
+            power[row], error[row] = known.power, known.error
     reflections = rays.count_vertices(rays.reflected)
     rows = [
         PathRow(
             int(number), short_form(rays, path), rays.sequences[number], int(rays.events[path]), int(reflections[path]),
             int(paths), float(watts), float(watts / total) if total > 0.0 else 0.0, float(largest),
+            float(off),
         )
-        for number, path, paths, watts, largest in zip(present, first, count, power, irradiance, strict=True)
+        for number, path, paths, watts, largest, off in zip(
+            present, first, count, power, irradiance, error, strict=True
+        )
     ]  # fmt: skip
-    return PathTable(rows, rays, total, loss)
+    return PathTable(rows, rays, total, loss, exact, launched)
 
 
 def _largest_irradiance(

@@ -4,6 +4,7 @@ A recorded trace is a tree of vertices that know their parents; here every path 
 Both children of a split share their first vertices, so those stand in several paths.
 """
 
+from collections.abc import Container
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -133,6 +134,16 @@ class Rays:
     def ghosts(self) -> NDArray[np.bool_]:
         """(n,) whether a path is a ghost: at least two reflections by lens or array, and it arrives."""
         return self.arrives & (self.count_vertices(self.reflected) >= 2)
+
+    @property
+    def launched(self) -> int:
+        """Number of launched rays that any path descends from."""
+        return len(np.unique(self.source))
+
+    def of_sequences(self, words: Container[str]) -> NDArray[np.bool_]:
+        """Return (n,) which paths have one of some sequences."""
+        known = np.array([sequence in words for sequence in self.sequences], np.bool_)
+        return known[self.sequence]
 
     def keep(self, chosen: NDArray[np.bool_]) -> "Rays":
         """Return only the paths (n,) chosen; sequences keep their numbers."""

@@ -180,8 +180,8 @@ def test_progress_counts_up_to_the_whole(monkeypatch: pytest.MonkeyPatch) -> Non
     lf.render(scene(wavelengths_nm=[500.0, 600.0]), reports.append)
     done = [report.done for report in reports]
     assert done == sorted(done)
-    # Paths with reflections get half as many samples as the image path.
-    assert done[-1] == reports[-1].total == 20 * 16 * (64 + 32) * 2
+    # Paths with reflections get a quarter of the samples of the image path.
+    assert done[-1] == reports[-1].total == 20 * 16 * (64 + 16) * 2
     assert {report.replicate for report in reports} == set(range(8))
 
 

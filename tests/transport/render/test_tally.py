@@ -110,7 +110,10 @@ def test_another_process_has_the_same_bits(scene_of: Callable[[str], lf.Scene], 
 
 
 def test_a_cut_at_chunks_traces_none_twice(scene_of: Callable[[str], lf.Scene]) -> None:
-    tracer = Tracer(lf.build(scene_of("image path").changed({"transport.split": "both"})), CHUNK)
+    # Eight samples of the image path, two of paths with reflections.
+    tracer = Tracer(
+        lf.build(scene_of("image path").changed({"transport.split": "both", "transport.samples": 32})), CHUNK
+    )
     blocks = tracer.plan.blocks(3)
     assert [(block.first, block.last) for block in blocks] == [(0, 256), (256, 320)]
     for chunk in tracer.plan.chunks():

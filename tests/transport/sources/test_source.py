@@ -121,3 +121,30 @@ def test_nothing_starts_where_nothing_shines() -> None:
     camera = {"focus_mm": 60.0, "lens": LENS, "sensor": {"pixels": [6, 6], "pixel_mm": 0.1}}
     dark = build(lf.Scene(camera=camera, targets=[]))
     assert started(workspace(dark, "lights"), lights(), range(150)) == ([], 0.0)
+
+
+def test_no_ray_through_the_array_is_rouletted_by_more_than_a_lenslets_weight() -> None:
+    """Children of blind rays, which are few and heavy, are followed to the same weight as those of main rays."""
+    sensor = {"pixels": (40, 40), "pixel_mm": 0.0125}
+    camera = {"focus_mm": 60.0, "lens": LENS, "mla": {"count": (12, 12), "pitch_mm": 0.125, "focal_length_mm": 0.5,
+              "index": 1.5, "thickness_mm": 0.3}, "sensor": sensor}  # fmt: skip
+    wall = {"shape": {"kind": "plane", "width_mm": 9.0, "height_mm": 9.0}, "position_mm": [0.0, 0.0, -60.0]}
+    world = build(lf.Scene(camera=camera, targets=[wall]))
+    samples = 16
+    aim = world.tables.aim._replace(wide_share=0.5)
+    tables = world.tables._replace(aim=aim)
+    source = PixelSource(np.arange(1600), samples, KEY)
+    work = Workspace(world, options_of(world)._replace(sequential=False), tables=tables)
+    work.begin(packets=1600 * samples)
+    source.launch(work, range(1600))
+    packets = np.concatenate([work.stacks[work.rows[s], : work.tops[s]] for s in range(STATIONS)])
+    weight, start = packets["weight"], packets["start"]
+    # Of the lenslet straight ahead, over the share of the main rays, m² sr.
+    mla, distance = world.scene.camera.mla, world.scene.camera.sensor.distance_mm
+    assert mla is not None
+    assert distance is not None
+    etendue = 1e-6 * 0.0125**2 * (mla.pitch_mm / (distance + mla.thickness_mm / 1.5)) ** 2 / samples / 0.5
+    np.testing.assert_allclose(start, np.minimum(weight, etendue), rtol=1e-9)
+    # Main rays keep their own weight where one lenslet shows the opening; blind rays are far above.
+    assert (start == weight).mean() > 0.1
+    assert (weight > 20.0 * start).mean() > 0.1

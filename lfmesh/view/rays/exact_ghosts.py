@@ -1,0 +1,235 @@
+"""Light of field points that the lens reflects twice, by sequence of surfaces, integrated over the pupil without noise.
+
+Every sequence is followed by itself through the exact surfaces, and through the array, if there is one, along the image
+path. So what the image path and the ghosts of the lens bring to the sensor has an error that can be stated, in place of
+a standard error. Ghosts that the array reflects are not among them.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.levels import EXACT
+from lfmesh.scene.paraxial import Paraxial
+from lfmesh.transport.aiming.aim_table import widest_disk
+from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.sequential.reflections import Arrived, follow_sequence, follow_through_array
+from lfmesh.transport.sequential.sequences import Itinerary, image_path, two_reflections
+from lfmesh.transport.tables.tables import Tables
+from lfmesh.transport.trace import at_wavelength
+from lfmesh.transport.world import World
+from lfmesh.view.rays.launch import INTENSITY_W_SR
+from lfmesh.view.rays.names import CURVED, FLAT, label, lens_names
+from lfmesh.view.rays.quadrature import Integral, integral
+
+Floats = NDArray[np.float64]
+
+DASH, PLUS_MINUS = "\N{EN DASH}", "\N{PLUS-MINUS SIGN}"
+
+SHOWN = 10
+"""Ghosts that are printed."""
+
+
+@dataclass(frozen=True)
+class SequencePower:
+    """What a sequence of surfaces brings to the sensor.
+
+    Attributes
+    ----------
+    path : Itinerary
+        Over all faces of the camera, those of the array included.
+    words : str
+        "L1a T, L1b T, L2a R, ..., sensor", as in the path table.
+    mirrors : tuple of str
+        Labels of the surfaces that reflect, in the order in which light meets them.
+    power, error : float, W
+        On the sensor, of all field points and wavelengths; the error is an estimate of the quadrature's.
+    focus_mm : float
+        Distance from the lens' last vertex to where paraxial rays of the first field point come together, at the
+        scene's primary wavelength; negative before the vertex. NaN: the path has no paraxial rays.
+    """
+
+    path: Itinerary
+    words: str
+    mirrors: tuple[str, ...]
+    power: float
+    error: float
+    focus_mm: float
+
+
+@dataclass(frozen=True)
+class ExactGhosts:
+    """The image path, and all ghosts of two reflections in the lens.
+
+    Attributes
+    ----------
+    image : SequencePower
+    ghosts : list of SequencePower
+        From the strongest to the weakest; those without power included.
+    image_plane_mm : float
+        From the lens' last vertex to the array or, without one, to the sensor.
+    with_array : bool
+        Whether there is an array, whose own ghosts are left out.
+    """
+
+    image: SequencePower
+    ghosts: list[SequencePower]
+    image_plane_mm: float
+    with_array: bool
+
+    @cached_property
+    def by_words(self) -> dict[str, SequencePower]:
+        """All sequences by their words."""
+        return {row.words: row for row in (self.image, *self.ghosts)}
+
+    @property
+    def power(self) -> float:
+        """Power of all ghosts, W."""
+        return sum(row.power for row in self.ghosts)
+
+    @property
+    def error(self) -> float:
+        """Error of that, W; those of the ghosts are taken to have one sign."""
+        return sum(row.error for row in self.ghosts)
+
+    def lines(self, most: int = SHOWN) -> list[str]:
+        """Return the strongest ghosts for a terminal, a line each, and what all of them bring."""
+        lit = [row for row in self.ghosts if row.power > 0.0]
+        lines = [f"{'ghost':<10}{'power/W':>11}{'error/W':>10}{'of image':>10}{'focus/mm':>11}"]
+        for row in lit[:most]:
+            focus = f"{row.focus_mm:.2f}" if math.isfinite(row.focus_mm) else "-"
+            lines.append(
+                f"{DASH.join(row.mirrors):<10}{row.power:11.4e}{row.error:10.1e}"
+                f"{row.power / self.image.power:10.1e}{focus:>11}"
+            )  # fmt: skip
+        if len(lit) > most:
+            rest = sum(row.power for row in lit[most:])
+            lines.append(f"and {len(lit) - most} more with {rest:.3e} W")
+        what = "array" if self.with_array else "sensor"
+        lines += [
+            f"image path {self.image.power:.5e} W {PLUS_MINUS} {self.image.error:.0e}; two reflections in the "
+            f"lens {self.power:.4e} W {PLUS_MINUS} {self.error:.0e}",
+            f"by quadrature over the pupil; focus from the last vertex, the {what} is at {self.image_plane_mm:.2f} mm",
+        ]
+        return lines
+
+
+def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[float] | None = None) -> ExactGhosts:
+    """Integrate what the image path and every ghost of two reflections in the lens bring to the sensor.
+
+    Each field point shines with 1 W/sr at each wavelength. Targets do not hide the lens from it.
+
+    Parameters
+    ----------
+    world : World
+    points_mm : (n, 3) float, mm, world frame
+        In front of the lens.
+    wavelengths_nm : sequence of float, optional
+        Those of the scene if left out.
+
+    Raises
+    ------
+    LfmeshError
+        The lens has surfaces that are not followed exactly, or a point is not in front of it.
+    """
+    shape = world.lens_shape
+    if not is_exact(world):
+        raise LfmeshError('ghosts by sequence need exact surfaces: transport.surface = "exact", and no mesh glass')
+    points = frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], np.atleast_2d(np.asarray(points_mm, float)))
+    if (points[:, 2] >= world.tables.lens.box_low[2]).any():
+        raise LfmeshError("ghosts by sequence: a field point must lie in front of the lens")
+    surfaces, with_array = len(shape.surfaces), world.tables.array.present
+    faces = surfaces + 2 * with_array
+    tables = [at_wavelength(world, wavelength) for wavelength in wavelengths_nm or world.scene.transport.wavelengths_nm]
+    # A hollow side may be met twice; of an asphere, either.
+    sides = [
+        (k, behind)
+        for k, surface in enumerate(shape.surfaces)
+        for behind in (False, True)
+        if surface["terms"] > 0 or (surface["curvature"] > 0.0 if behind else surface["curvature"] < 0.0)
+    ]
+    found = [
+        _brought(world, tables, points, path)
+        for path in (image_path(faces), *two_reflections(faces, sides))
+        if all(mirror < surfaces for mirror in path.mirrors)
+    ]
+    camera = world.scene.camera
+    plane = camera.mla.distance_mm if camera.mla is not None else camera.sensor.distance_mm
+    ghosts = sorted(found[1:], key=lambda row: -row.power)
+    return ExactGhosts(found[0], ghosts, float(plane or math.nan), with_array)
+
+
+def is_exact(world: World) -> bool:
+    """Tell whether all surfaces of lens and array are followed as the exact ones."""
+    shape = world.lens_shape
+    return bool(shape.analytic.all() and (shape.surfaces["level"] == EXACT).all())
+
+
+def _brought(world: World, tables: list[Tables], points: Floats, path: Itinerary) -> SequencePower:
+    """Return what field points (camera frame) bring to the sensor along a path."""
+    parts = [_from_point(each, point, path) for each in tables for point in points]
+    faces = _face_labels(world)
+    words = [
+        f"{faces[face]} {'R' if mirrors else 'T'}" for face, mirrors in zip(path.faces, path.reflected, strict=True)
+    ]
+    return SequencePower(
+        path, ", ".join([*words, "sensor"]), tuple(faces[face] for face in path.mirrors),
+        sum(part.value for part in parts), sum(part.error for part in parts),
+        _focus_mm(world, path, -float(points[0, 2])),
+    )  # fmt: skip
+
+
+def _face_labels(world: World) -> list[str]:
+    """Return the labels of a camera's faces, in order from the object to the sensor."""
+    names = lens_names(world)
+    if world.tables.array.present:
+        names += [CURVED, FLAT] if world.tables.array.curved_to_lens else [FLAT, CURVED]
+    return [label(name) for name in names]
+
+
+def _from_point(tables: Tables, point: Floats, path: Itinerary) -> Integral:
+    """Integrate the intensity that arrives on the sensor over the plane before the lens."""
+    lens, array = tables.lens, tables.array
+    plane_z, half_width = float(lens.box_low[2]), widest_disk(lens, point[None], front=True)
+    in_lens = path.until(len(lens.surfaces))
+
+    def irradiance(at: Floats) -> Floats:
+        ray = np.column_stack([at, np.full(len(at), plane_z)]) - point
+        length = np.linalg.norm(ray, axis=1)
+        arrived = follow_sequence(lens, in_lens, np.broadcast_to(point, ray.shape), ray / length[:, None])
+        if array.present:
+            follow_through_array(arrived, array, tables.frames)
+        return np.asarray(INTENSITY_W_SR * _on_sensor(tables, arrived) * ray[:, 2] / length**3)
+
+    return integral(irradiance, half_width)
+
+
+def _on_sensor(tables: Tables, rays: Arrived) -> Floats:
+    """Return the weights of rays (camera frame), zero for those that do not arrive on a pixel."""
+    sensor = tables.sensor
+    move = tables.frames[CAMERA_FRAME, SENSOR_FRAME]
+    p, d = frames.points(move, rays.position), frames.directions(move, rays.direction)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = p[:, :2] - (p[:, 2] / d[:, 2])[:, None] * d[:, :2]
+        half = 0.5 * sensor.pixel * np.array([sensor.columns, sensor.rows])
+        arrives = (d[:, 2] > 0.0) & (p[:, 2] <= 0.0) & (np.abs(at) <= half).all(axis=1)
+    return np.where(arrives, rays.weight * (1.0 - sensor.reflectance), 0.0)
+
+
+def _focus_mm(world: World, path: Itinerary, object_mm: float) -> float:
+    """Return the distance behind the last vertex at which the paraxial rays of a path come together."""
+    lens, primary = world.scene.camera.lens, world.scene.transport.primary_nm
+    paraxial, numbers = Paraxial.of(lens, primary), world.lens_shape.numbers
+    if not path.mirrors:
+        return paraxial.image_mm(object_mm)
+    first, second = path.mirrors
+    if first == second:
+        return math.nan
+    ray = paraxial.reflected_twice(numbers[first], numbers[second])(paraxial.axial_ray(object_mm))
+    return -ray.height_mm / ray.angle if ray.angle else math.inf

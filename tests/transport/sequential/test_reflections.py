@@ -1,0 +1,136 @@
+"""Rays along sequences with reflections against the same paths as the mesh engine recorded them."""
+
+import numpy as np
+import pytest
+
+import lfmesh as lf
+from lfmesh.assets import asset_path
+from lfmesh.scene import load_lens
+from lfmesh.transport.packets.packet import Event
+from lfmesh.transport.sequential.reflections import follow_sequence
+from lfmesh.transport.sequential.sequences import Itinerary, reflected_twice_at, two_reflections
+from lfmesh.view.rays.launch import from_field_point
+
+POSITION_MM = 1e-9
+WEIGHT = 1e-11
+
+
+def posed(lens):
+    """The lens with its first and last element tilted and decentred."""
+    poses = (
+        lf.scene.Pose(shift_mm=(0.02, -0.05, 0.0), tilt_deg=(0.3, -0.2, 0.0)),
+        lf.scene.Pose(shift_mm=(-0.04, 0.01, 0.02), tilt_deg=(-0.1, 0.25, 0.0)),
+    )
+    groups = ((0, 1), (len(lens.surfaces) - 2, len(lens.surfaces) - 1))
+    elements = [lf.scene.Element(surfaces=group, pose=pose) for group, pose in zip(groups, poses, strict=True)]
+    return lens.model_copy(update={"elements": tuple(elements)})
+
+
+def world_of(name, change=lambda lens: lens):
+    camera = lf.Camera(
+        lens=change(load_lens(asset_path(f"lenses/{name}.toml"))),
+        sensor=lf.Sensor(pixels=(4000, 4000), pixel_mm=0.02, distance_mm=30.0),
+    )
+    return lf.build(lf.Scene(camera=camera, transport={"engine": "mesh"}))
+
+
+def hollow(world):
+    """Every lens surface from both sides: what is not hollow lets no ray pass."""
+    return [(k, behind) for k in range(len(world.lens_shape.surfaces)) for behind in (False, True)]
+
+
+def paths_of(world):
+    return list(two_reflections(len(world.lens_shape.surfaces), hollow(world)))
+
+
+# A lens, what is changed about it, a point before it, and how many paths are compared at least.
+CASES = [
+    ("double_gauss_50mm", lambda lens: lens, (10.0, 5.0, -300.0), 300),
+    ("double_gauss_50mm", posed, (-20.0, 5.0, -300.0), 200),
+    ("cooke_triplet_50mm", lambda lens: lens, (10.0, 5.0, -300.0), 200),
+    ("asphere_100mm", lambda lens: lens, (5.0, 8.0, -200.0), 50),
+    ("ball_10mm", lambda lens: lens, (1.0, 2.0, -15.0), 5),
+]
+
+
+@pytest.mark.parametrize(("name", "change", "point", "least"), CASES)
+def test_paths_of_two_reflections_are_those_of_the_mesh_engine(name, change, point, least):
+    """Where recorded paths end and which share of the power they carry; and no ray passes along a path of none."""
+    world = world_of(name, change)
+    # Nothing is left to the roulette down to three reflections of 4 %.
+    rays = from_field_point(world, point, 200, aim="lens", weight_cutoff=1e-5)
+    lens = world.tables.lens
+    count = len(world.lens_shape.surfaces)
+    start = np.array(point)
+    mirrored = rays.keep(rays.arrives & (rays.count_vertices(rays.reflected) == 2))
+    recorded = {}
+    for path in range(len(mirrored)):
+        part = slice(mirrored.offsets[path] + 1, mirrored.offsets[path + 1] - 1)
+        faces = tuple(int(k) - 1 for k in mirrored.surface[part])
+        recorded.setdefault(Itinerary(faces, tuple(mirrored.event[part] == Event.REFLECTED)), []).append(path)
+    expected = set(paths_of(world))
+    assert set(recorded) <= expected
+    assert len(recorded) >= count * (count - 1) // 3
+    step = rays.position[rays.offsets[:-1] + 1] - start
+    goes = np.flatnonzero(np.linalg.norm(step, axis=1) > 0.0)
+    source, at = np.unique(rays.source[goes], return_index=True)
+    launched = step[goes[at]] / np.linalg.norm(step[goes[at]], axis=1)[:, None]
+    z = float(world.scene.camera.lens.vertices_mm[-1] + world.scene.camera.sensor.distance_mm)
+    compared = 0
+    for path in expected:
+        got = follow_sequence(lens, path, np.tile(start, (len(launched), 1)), launched)
+        landed = got.position + ((z - got.position[:, 2]) / got.direction[:, 2])[:, None] * got.direction
+        on_sensor = (np.abs(landed[:, :2]) < 40.0).all(axis=1) & (got.direction[:, 2] > 0.0)
+        passed = set(source[(got.weight > 0.0) & on_sensor])
+        rows = np.array(recorded.get(path, []), np.int64)
+        power = mirrored.end_power[rows] / mirrored.power[mirrored.offsets[rows]]
+        # Of those below the roulette's floor some are missing, others raised.
+        certain = {s for s in passed if got.weight[np.searchsorted(source, s)] > 1e-5}
+        assert certain <= set(mirrored.source[rows]) <= passed, path
+        place = np.searchsorted(source, mirrored.source[rows])
+        ends = mirrored.offsets[1:][rows] - 1
+        np.testing.assert_allclose(mirrored.position[ends], landed[place], atol=POSITION_MM)
+        sure = got.weight[place] > 1e-5
+        np.testing.assert_allclose(power[sure], got.weight[place][sure], rtol=WEIGHT)
+        compared += len(rows)
+    assert compared > least
+
+
+def test_light_runs_along_the_inside_of_a_ball():
+    """Reflected twice running at the hollow far side: in a plane through the centre, by equal chords."""
+    world = world_of("ball_10mm")
+    heights = np.linspace(3.0, 4.4, 800)
+    p = np.column_stack([heights, np.zeros_like(heights), np.full_like(heights, -5.0)])
+    got = follow_sequence(
+        world.tables.lens, reflected_twice_at(2, 1, from_behind=False), p, np.tile([0.0, 0.0, 1.0], (len(p), 1))
+    )
+    # A parallel ray of height h enters at the angle a, sin a = h/R, and every chord turns it by 2b, sin b = sin a / n.
+    a = np.arcsin(heights / 5.0)
+    b = np.arcsin(heights / 5.0 / 1.5)
+    turns = [np.pi - a + k * (np.pi - 2.0 * b) for k in range(4)]
+    aperture = np.arcsin(4.5 / 5.0)
+    # Angles from the vertex of the far side, of the three points there.
+    there = [np.abs(np.angle(np.exp(1j * turn))) for turn in turns[1:]]
+    expected = np.all([angle <= aperture for angle in there], axis=0) & (a <= aperture)
+    np.testing.assert_array_equal(got.weight > 0.0, expected)
+
+
+@pytest.mark.parametrize(("name", "change", "point", "least"), CASES)
+def test_a_path_and_its_reverse_carry_the_same_share(name, change, point, least):
+    world = world_of(name, change)
+    lens = world.tables.lens
+    draw = np.random.default_rng(3)
+    rim = float(lens.surfaces[0]["aperture"])
+    to = np.column_stack([draw.uniform(-rim, rim, (400, 2)), np.zeros(400)]) - point
+    d = to / np.linalg.norm(to, axis=1)[:, None]
+    passed = 0
+    for path in paths_of(world):
+        there = follow_sequence(lens, path, np.tile(np.array(point), (400, 1)), d)
+        through = there.weight > 0.0
+        # From behind the lens, clear of its last surface.
+        beyond = there.position[through] + 20.0 * there.direction[through]
+        back = follow_sequence(lens, path.reverse, beyond, -there.direction[through])
+        np.testing.assert_allclose(back.direction, -d[through], atol=1e-10)
+        np.testing.assert_allclose(back.weight, there.weight[through], rtol=1e-8)
+        passed += through.sum()
+    assert passed > least

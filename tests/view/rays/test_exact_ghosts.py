@@ -1,0 +1,147 @@
+"""Ghosts by sequence, through a lens and an array, against launched rays; and how figure and table take them up."""
+
+import csv
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import lfmesh as lf
+from lfmesh.assets import asset_path
+from lfmesh.cli import main
+from lfmesh.scene import load_lens
+from lfmesh.view.rays.exact_ghosts import exact_ghosts
+from lfmesh.view.rays.ghosts import ghost_matrix
+from lfmesh.view.rays.launch import from_field_point
+from lfmesh.view.rays.path_table import path_table
+
+POINT = (4.0, 3.0, -300.0)
+SEEDS = 8
+LEVEL = 1e-3
+"""Of all comparisons together."""
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A triplet before an array; the point is out of focus, so that its light falls on many lenslets."""
+    camera = lf.Camera(
+        lens=load_lens(asset_path("lenses/cooke_triplet_50mm.toml")),
+        focus_mm=500.0,
+        mla=lf.MicrolensArray(count=(60, 60), pitch_mm=0.125, focal_length_mm=0.5, index=1.5, thickness_mm=0.3),
+        sensor=lf.Sensor(pixels=(60, 60), pixel_mm=0.125),
+    )
+    return lf.Scene(camera=camera)
+
+
+@pytest.fixture(scope="module")
+def world(scene):
+    return lf.build(scene)
+
+
+@pytest.fixture(scope="module")
+def exact(world):
+    return exact_ghosts(world, POINT)
+
+
+def launched(world, seed=0, **options):
+    return from_field_point(world, POINT, 400, aim="lens", seed=seed, **{"weight_cutoff": 1e-3} | options)
+
+
+@pytest.fixture(scope="module")
+def rays(world):
+    return launched(world)
+
+
+def test_image_path_and_ghosts_have_the_power_that_rays_find(world, exact):
+    rows = [exact.image, *exact.ghosts[:2]]
+    found = []
+    for seed in range(SEEDS):
+        rays = launched(world, seed)
+        number = {words: k for k, words in enumerate(rays.sequences)}
+        brought = np.bincount(rays.sequence, rays.end_power * rays.arrives, len(rays.sequences))
+        ghosts = rays.of_sequences({row.words for row in exact.ghosts})
+        each = [brought[number[row.words]] if row.words in number else 0.0 for row in rows]
+        found.append([*each, float((rays.end_power * rays.arrives)[ghosts].sum())])
+    truth = np.array([*(row.power for row in rows), exact.power])
+    error = np.std(found, axis=0, ddof=1) / math.sqrt(SEEDS)
+    assert (error < 0.1 * truth).all()
+    limit = stats.t.isf(0.5 * LEVEL / len(truth), SEEDS - 1)
+    off = np.abs(np.mean(found, axis=0) - truth)
+    stated = np.array([*(row.error for row in rows), exact.error])
+    assert (off < limit * error + stated).all(), (off / truth, error / truth)
+    assert exact.error < 0.01 * exact.power
+
+
+def test_power_adds_up_over_points_and_wavelengths(world, exact):
+    other = (-3.0, 1.0, -320.0)
+    both = exact_ghosts(world, [POINT, other], [486.1, 656.3])
+    parts = [exact_ghosts(world, point, [wavelength]) for point in (POINT, other) for wavelength in (486.1, 656.3)]
+    assert both.image.power == pytest.approx(sum(part.image.power for part in parts), rel=1e-12)
+    for words, row in both.by_words.items():
+        assert row.power == pytest.approx(sum(part.by_words[words].power for part in parts), rel=1e-12)
+
+
+def test_the_matrix_takes_lens_pairs_from_the_sequences_and_the_others_from_rays(rays, exact):
+    noisy, matrix = ghost_matrix(rays), ghost_matrix(rays, exact)
+    lens = len(matrix.names) - 2
+    assert matrix.names == noisy.names
+    np.testing.assert_array_equal(matrix.power[lens:], noisy.power[lens:])
+    assert noisy.power[lens:].sum() > 0.0
+    for row in exact.ghosts[:10]:
+        at = tuple(matrix.labels.index(name) for name in row.mirrors)
+        # Rays that meet two lenslets in turn are on no sequence, and are added.
+        assert row.power <= matrix.power[at] < 1.02 * row.power
+    rest = rays.end_power[rays.arrives & ~rays.of_sequences(exact.by_words)].sum()
+    assert matrix.total == pytest.approx(exact.image.power + exact.power + rest, rel=1e-12)
+    assert "quadrature" in matrix.source
+    assert "rays" in matrix.source
+    assert "quadrature" in " ".join(matrix.figure().axes[0].get_title(loc="left").split())
+
+
+def test_the_path_table_has_exact_powers_and_says_of_which_rows(rays, exact, tmp_path):
+    table, noisy = path_table(rays, exact), path_table(rays)
+    for row, estimate in zip(table, noisy, strict=True):
+        known = exact.by_words.get(row.sequence)
+        assert row.power == (known.power if known else estimate.power)
+        assert row.error == (known.error if known else math.inf)
+        assert row.share == pytest.approx(row.power / table.total, rel=1e-12)
+    assert sum(math.isfinite(row.error) for row in table) > 5
+    assert any("quadrature" in line for line in table.lines())
+    with table.to_csv(tmp_path / "paths.csv").open(encoding="utf-8") as file:
+        first = next(csv.DictReader(file))
+    assert float(first["power_error_w"]) == table[0].error
+    # Of some paths of a sequence only the rays know.
+    half = table.filtered(np.arange(len(rays)) % 2 == 0)
+    assert all(row.error == math.inf for row in half if row.count < table[row.path].count)
+    whole = table.filtered("ghost")
+    assert all(row.power == table[row.path].power for row in whole)
+
+
+def test_surfaces_that_are_not_exact_are_refused(scene):
+    with pytest.raises(lf.LfmeshError, match="exact surfaces"):
+        exact_ghosts(lf.build(scene.changed({"transport.surface": "smooth"})), POINT)
+
+
+def test_a_point_behind_the_front_of_the_lens_is_refused(world):
+    with pytest.raises(lf.LfmeshError, match="in front of the lens"):
+        exact_ghosts(world, (0.0, 0.0, 10.0))
+
+
+def test_the_command_prints_the_strongest_ghosts_of_field_points_alone(scene, exact, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("DISPLAY", "")
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    file, figure = tmp_path / "scene.toml", tmp_path / "ghosts.png"
+    file.write_text(scene.dump_toml(), encoding="utf-8")
+    several = ["--count", "60", "--split", "both", "--weight-cutoff", "1e-3", "--ghosts", str(figure)]
+    point = "field " + ",".join(f"{value:g}" for value in POINT)
+    assert main(["view", str(file), "--rays", point, *several]) == 0
+    printed = capsys.readouterr().out
+    strongest = exact.ghosts[0]
+    assert f"{strongest.mirrors[0]}\N{EN DASH}{strongest.mirrors[1]}" in printed.splitlines()[1]
+    assert f"{strongest.power:.4e}" in printed
+    assert figure.is_file()
+    # What a filter leaves of the rays, and rays from pixels, have no such table.
+    for options in (["--rays", point, "--filter", "ghost"], ["--rays", "pixels 20:40,20:40"]):
+        assert main(["view", str(file), *options, *several]) == 0
+        assert "quadrature" not in capsys.readouterr().out

@@ -42,6 +42,7 @@ from lfmesh.transport.packets.book import (
 from lfmesh.transport.packets.packet import (
     CAMERA,
     CAMERA_FRAME,
+    GUIDED,
     LAMP,
     LEFT_LENS,
     LENS,
@@ -147,6 +148,10 @@ def shade_objects(
             px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
             ex, ey, ez = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, dx, dy, dz)
             enters = box_entry(lens.box_low, lens.box_high, px, py, pz, ex, ey, ez) < t
+            if packet.kind == GUIDED and (enters or not _arrives(objects, packet, prim)):
+                # A scattered packet that comes to the lens, to glass or to another facet keeps its full weight there.
+                flow.book[SAMPLING_REMOVED] += packet.weight
+                continue
             if enters and packet.kind == LAMP:
                 # Through the opening it meets the inside of the housing, and ends; else it passes beside the lens.
                 if prim >= 0 and facet.body < 0:
@@ -193,6 +198,18 @@ def shade_objects(
         if too_deep(options, flow, frames, packet):
             continue
         meet_target(options, flow, frames, objects, aim, packet, prim, x, y, z, along)
+
+
+@inlined
+def _arrives(objects: ObjectTables, packet: Any, prim: int) -> bool:
+    """Tell whether a guided packet meets its facet, when the query found the facet `prim`."""
+    if prim < 0 or prim == packet.row:
+        return prim >= 0
+    # Next to an edge, float32 may find the neighbour of the right facet.
+    facet = objects.facets[prim]
+    if facet.body != objects.facets[packet.row].body:
+        return False
+    return crosses(facet, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz)[0] == np.inf
 
 
 @inlined

@@ -18,17 +18,18 @@ from lfmesh.transport.events.crossing import (
     AIM_U,
     AIM_V,
     BOUNCE_U,
-    BOUNCE_V,
     KEEP_BOUNCE,
     KEEP_REACHED,
     barycentric,
     clear_of,
     deposit,
     draw,
+    draw_two,
     end,
     record,
     windowed,
 )
+from lfmesh.transport.events.guide import sends_guided, share_by_chance
 from lfmesh.transport.events.lighting import ask_lights
 from lfmesh.transport.events.scattering import Point, albedo, density, evaluate, sample
 from lfmesh.transport.packets.book import ESCAPED, LIT, REACHED, SAMPLING_ADDED, SAMPLING_REMOVED
@@ -37,6 +38,7 @@ from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
     E_SCATTERED,
     EVENTS,
+    GUIDE,
     LEFT_LENS,
     NO_SURFACE,
     OBJECT_FRAME,
@@ -88,11 +90,16 @@ def meet_target(
         if weight == 0.0:
             return
         packet.weight = weight
+    elif options.adjoint:
+        share = share_by_chance(objects, packet, prim, x, y, z)
+        flow.book[SAMPLING_REMOVED] += weight - weight * share
+        weight *= share
+        packet.weight = weight
     texel = texture_at(objects, prim, packet.colour, x, y, z)
     point = point_of(objects, prim, x, y, z, -1.0 if along > 0.0 else 1.0, body, texel)
     share = albedo(objects.scattering, point, packet.colour, dx, dy, dz)
     if options.adjoint and is_estimated(options, packet):
-        _gather(options, flow, objects, packet, point, body, share > 0.0)
+        _gather(options, flow, objects, packet, point, share > 0.0)
     scattered = weight * share
     if scattered <= 0.0:
         end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, S_ABSORBED)
@@ -166,12 +173,10 @@ def texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: float
 
 
 @inlined
-def _gather(
-    options: Options, flow: Flow, objects: ObjectTables, packet: Any, point: Point, body: int, scatters: bool
-) -> None:
+def _gather(options: Options, flow: Flow, objects: ObjectTables, packet: Any, point: Point, scatters: bool) -> None:
     """Deposit the light that a target emits towards the packet, and send shadow packets for the light it scatters."""
     flow.book[REACHED] += packet.weight
-    radiance = objects.radiance[body, packet.colour] * point.texel
+    radiance = objects.radiance[objects.facets[point.prim].body, packet.colour] * point.texel
     if radiance > 0.0:
         if packet.medium != AIR:
             # Inside glass: radiance over n² is conserved on the way out.
@@ -180,6 +185,12 @@ def _gather(
     lit = radiance > 0.0
     if scatters:
         lit = ask_lights(objects, flow, packet, point) or lit
+        if sends_guided(options, objects, packet.events):
+            sender = put(
+                flow, GUIDE, packet, OBJECT_FRAME, point.x, point.y, point.z, packet.dx, packet.dy, packet.dz,
+                packet.weight, packet.key, 0.0,
+            )  # fmt: skip
+            sender.facet = point.prim
     if lit:
         flow.book[LIT] += packet.weight
 
@@ -225,7 +236,7 @@ def _bounce(
     """Queue the child whose direction the scattering model draws, if it survives roulette."""
     x, y, z = point.x, point.y, point.z
     ix, iy, iz = packet.dx, packet.dy, packet.dz
-    u, v = draw(packet, BOUNCE_U), draw(packet, BOUNCE_V)
+    u, v = draw_two(options, packet, BOUNCE_U)
     dx, dy, dz, share = sample(objects.scattering, point, packet.colour, ix, iy, iz, u, v)
     # A sample carries the scattered weight on average only; the book takes the difference.
     flow.book[SAMPLING_ADDED] += weight * share - scattered

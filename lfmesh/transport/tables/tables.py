@@ -88,6 +88,16 @@ OPAQUE = -1
 """`ObjectTables.medium` of a target that is not a body of glass."""
 
 
+class Guide(NamedTuple):
+    """Pieces of facets that send out light, to which scattered packets are guided (see `tables.guide`)."""
+
+    facet: NDArray[np.int64]  # (n,) facet of each piece
+    until: Array  # (n,) cumulative chance of the pieces
+    density: Array  # (n,) chance of each piece over its area, 1/mm²
+    first: NDArray[np.int64]  # (m,) first piece of each facet of object space; −1: none
+    level: NDArray[np.int64]  # (m,) how often each facet is divided in four
+
+
 class ObjectTables(NamedTuple):
     """Targets, lights and the camera's housing in the object frame: world axes about the targets' middle."""
 
@@ -114,6 +124,7 @@ class ObjectTables(NamedTuple):
     target_slot: NDArray[np.int64]  # (targets,) book slot
     lost_slot: NDArray[np.int64]  # (targets + 1,) book slot of energy lost at each target; the last: in open space
     lights: Records  # LIGHT
+    guide: Guide
     sources: Records  # SOURCE: where the forward method starts packets
     radius: float  # mm, of a sphere about the origin that holds the targets
     outer_radius: float  # mm, of a sphere about the origin that holds targets and camera

@@ -1,0 +1,74 @@
+"""Guided packets: from points of targets to facets that send out light.
+
+A station of its own: its kernel is compiled and runs only in scenes with a guide.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernel import kernel
+from lfmesh.transport.events.crossing import EDGE, GUIDE, KEEP_GUIDED, clear_of, draw, draw_two
+from lfmesh.transport.events.guide import guided_point
+from lfmesh.transport.events.scattering import density, evaluate
+from lfmesh.transport.packets.book import SAMPLING_ADDED
+from lfmesh.transport.packets.packet import GUIDED, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, Options, put
+from lfmesh.transport.packets.random import derived
+from lfmesh.transport.regions.targets import point_of, texture_at
+from lfmesh.transport.tables.tables import ObjectTables
+
+GUIDED_CHILD = 1 << 21
+"""Number of the guided child among a packet's children, larger than any number of events."""
+
+
+@kernel
+def send_guided(wave: NDArray[np.void], objects: ObjectTables, options: Options, flow: Flow) -> None:
+    """Send a packet from each point of a target to a random point of the guide.
+
+    Parameters
+    ----------
+    wave : (n,) PACKET
+        Packets at the points, with the directions in which they arrived, and the facets in `facet`.
+    """
+    for i in range(len(wave)):
+        packet = wave[i]
+        floor, arrived = options.cutoff * packet.start, packet.weight
+        if arrived < floor:
+            if draw(packet, KEEP_GUIDED) * floor >= arrived:
+                continue
+            arrived = floor
+        x, y, z = packet.x, packet.y, packet.z
+        ix, iy, iz = packet.dx, packet.dy, packet.dz
+        own = objects.facets[packet.facet]
+        along = own.normal[0] * ix + own.normal[1] * iy + own.normal[2] * iz
+        texel = texture_at(objects, packet.facet, packet.colour, x, y, z)
+        point = point_of(objects, packet.facet, x, y, z, -1.0 if along > 0.0 else 1.0, own.body, texel)
+        number, finer = draw_two(options, packet, GUIDE)
+        prim, ex, ey, ez, per_area = guided_point(objects, number, finer)
+        facet = objects.facets[prim]
+        ux, uy, uz = ex - x, ey - y, ez - z
+        distance2 = ux * ux + uy * uy + uz * uz
+        if prim == packet.facet or distance2 == 0.0:
+            continue
+        distance = np.sqrt(distance2)
+        ux, uy, uz = ux / distance, uy / distance, uz / distance
+        cos_point = point.nx * ux + point.ny * uy + point.nz * uz
+        cos_facet = facet.normal[0] * ux + facet.normal[1] * uy + facet.normal[2] * uz
+        # A facet in the point's own plane, to rounding, sends it no light.
+        if cos_point <= EDGE or cos_facet == 0.0 or (objects.closed[facet.body] and cos_facet > 0.0):
+            continue
+        cos_facet = abs(cos_facet)
+        by_chance = density(objects.scattering, point, packet.colour, ix, iy, iz, ux, uy, uz)
+        brdf = evaluate(objects.scattering, point, packet.colour, ix, iy, iz, ux, uy, uz)
+        # Over the sum of both densities: over its own one, and weighted by the balance heuristic.
+        weight = arrived * brdf * cos_point * cos_facet / (per_area * distance2 + by_chance * cos_facet)
+        if weight <= 0.0:
+            continue
+        flow.book[SAMPLING_ADDED] += weight
+        child = put(
+            flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, weight,
+            derived(packet.key, GUIDED_CHILD + packet.events), clear_of(own, x, y, z, ux, uy, uz),
+        )  # fmt: skip
+        child.kind = GUIDED
+        child.last = NO_SURFACE
+        child.row = prim
+        child.events = packet.events + 1

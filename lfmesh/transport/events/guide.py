@@ -1,7 +1,7 @@
-"""Scattered packets that are guided to facets which send out light, and what they leave to the others.
+"""Scattered packets that are guided to emitting facets, and what they leave to the others.
 
 A point of a target, seen from the sensor, finds the light of other targets by two packets: one is guided to a random
-point of the facets that send out light, the other takes the direction that the scattering model draws. Where a
+point of the emitting facets, the other takes the direction that the scattering model draws. Where a
 straight line in one medium joins two points of targets, both find the path; each is weighted by its share of their
 densities (the balance heuristic, Veach & Guibas, SIGGRAPH 1995), so that it counts once. Then neither a small, bright
 facet, which is seldom met by chance, nor one that touches the point, where 1 / r² is unbounded, makes the variance
@@ -10,18 +10,10 @@ large. Paths through glass or through the lens are found by the second packet al
 
 from typing import Any
 
-import numpy as np
-
 from lfmesh.kernel import inlined
 from lfmesh.transport.events.crossing import barycentric
 from lfmesh.transport.packets.packet import NO_SURFACE, SCATTERED, Options
 from lfmesh.transport.tables.tables import Guide, ObjectTables
-
-FINER = 2.0**-32
-"""Place of the first of the finer digits of a random number."""
-
-DIGITS = 24
-"""Base-4 digits that place a point within a piece: to 2⁻²⁴ of its edges, as finely as the random numbers go."""
 
 
 @inlined
@@ -81,15 +73,13 @@ def density_at(guide: Guide, facet: Any, prim: int, x: float, y: float, z: float
 
 
 @inlined
-def guided_point(objects: ObjectTables, number: float, finer: float) -> tuple[int, float, float, float, float]:
-    """Return a random point of the facets that send out light.
+def guided_point(objects: ObjectTables, u: float, v: float) -> tuple[int, float, float, float, float]:
+    """Return a random point of the guide.
 
     Parameters
     ----------
-    number : float
-        Random, uniform in [0, 1), to 32 binary digits. Near numbers give near points.
-    finer : float
-        Random, uniform in [0, 1): the digits of `number` that follow.
+    u, v : float
+        Random numbers, uniform in [0, 1). Near ones give near points.
 
     Returns
     -------
@@ -99,26 +89,17 @@ def guided_point(objects: ObjectTables, number: float, finer: float) -> tuple[in
     density : float, 1/mm²
     """
     guide = objects.guide
-    number += FINER * finer
-    piece = min(int(np.searchsorted(guide.until, number, side="right")), len(guide.until) - 1)
+    pieces = len(guide.until)
+    piece = guide.begin[int(u * pieces)]
+    while u >= guide.until[piece] and piece < pieces - 1:
+        piece += 1
     below = guide.until[piece - 1] if piece > 0 else 0.0
-    rest = (number - below) / (guide.until[piece] - below)
+    # What is left of the first number is a random number of its own.
+    u = min((u - below) / (guide.until[piece] - below), 1.0)
+    if u + v > 1.0:
+        u, v = 1.0 - u, 1.0 - v
     prim = guide.facet[piece]
-    # Weights of the corners 1 and 2 at the middle of a triangle, and its size, negative where it is turned round.
-    b, c, size = 1.0 / 3.0, 1.0 / 3.0, 1.0
-    level, within = guide.level[prim], piece - guide.first[prim]
-    for k in range(level + DIGITS):
-        if k < level:
-            digit = (within >> (2 * (level - 1 - k))) & 3
-        else:
-            digit = min(int(4.0 * rest), 3)
-            rest = 4.0 * rest - digit
-        size *= 0.5
-        if digit == 0:
-            size = -size
-        else:
-            b += size * ((1.0 if digit == 2 else 0.0) - 1.0 / 3.0)
-            c += size * ((1.0 if digit == 3 else 0.0) - 1.0 / 3.0)
+    b, c = guide.place[piece, 0] + guide.place[piece, 2] * u, guide.place[piece, 1] + guide.place[piece, 2] * v
     corner = objects.facets[prim].corners
     a = 1.0 - b - c
     x = a * corner[0, 0] + b * corner[1, 0] + c * corner[2, 0]

@@ -30,7 +30,7 @@ LAMP = 1  # straight from a light
 SCATTERED = 2  # left a target in a random direction
 SPECULAR = 4  # refracted or reflected by glass in object space; may reach the lens without having been aimed
 SHADOW = 3  # tests whether a light reaches a point; carries what it adds to the pixel if so
-GUIDED = 5  # left a target in the direction of a facet that sends out light
+GUIDED = 5  # left a target in the direction of an emitting facet
 
 # Counters.
 EVENTS, REQUERIES, FALLBACKS = 0, 1, 2

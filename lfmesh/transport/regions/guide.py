@@ -1,4 +1,4 @@
-"""Guided packets: from points of targets to facets that send out light.
+"""Guided packets: from points of targets to emitting facets.
 
 A station of its own: its kernel is compiled and runs only in scenes with a guide.
 """
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.kernel import kernel
-from lfmesh.transport.events.crossing import EDGE, GUIDE, KEEP_GUIDED, clear_of, draw, draw_two
+from lfmesh.transport.events.crossing import EDGE, GUIDE_U, KEEP_GUIDED, clear_of, draw, draw_two
 from lfmesh.transport.events.guide import guided_point
 from lfmesh.transport.events.scattering import density, evaluate
 from lfmesh.transport.packets.book import SAMPLING_ADDED
@@ -40,10 +40,9 @@ def send_guided(wave: NDArray[np.void], objects: ObjectTables, options: Options,
         ix, iy, iz = packet.dx, packet.dy, packet.dz
         own = objects.facets[packet.facet]
         along = own.normal[0] * ix + own.normal[1] * iy + own.normal[2] * iz
-        texel = texture_at(objects, packet.facet, packet.colour, x, y, z)
-        point = point_of(objects, packet.facet, x, y, z, -1.0 if along > 0.0 else 1.0, own.body, texel)
-        number, finer = draw_two(options, packet, GUIDE)
-        prim, ex, ey, ez, per_area = guided_point(objects, number, finer)
+        side = -1.0 if along > 0.0 else 1.0
+        u, v = draw_two(options, packet, GUIDE_U)
+        prim, ex, ey, ez, per_area = guided_point(objects, u, v)
         facet = objects.facets[prim]
         ux, uy, uz = ex - x, ey - y, ez - z
         distance2 = ux * ux + uy * uy + uz * uz
@@ -51,12 +50,14 @@ def send_guided(wave: NDArray[np.void], objects: ObjectTables, options: Options,
             continue
         distance = np.sqrt(distance2)
         ux, uy, uz = ux / distance, uy / distance, uz / distance
-        cos_point = point.nx * ux + point.ny * uy + point.nz * uz
+        cos_point = side * (own.normal[0] * ux + own.normal[1] * uy + own.normal[2] * uz)
         cos_facet = facet.normal[0] * ux + facet.normal[1] * uy + facet.normal[2] * uz
         # A facet in the point's own plane, to rounding, sends it no light.
         if cos_point <= EDGE or cos_facet == 0.0 or (objects.closed[facet.body] and cos_facet > 0.0):
             continue
         cos_facet = abs(cos_facet)
+        texel = texture_at(objects, packet.facet, packet.colour, x, y, z)
+        point = point_of(objects, packet.facet, x, y, z, side, own.body, texel)
         by_chance = density(objects.scattering, point, packet.colour, ix, iy, iz, ux, uy, uz)
         brdf = evaluate(objects.scattering, point, packet.colour, ix, iy, iz, ux, uy, uz)
         # Over the sum of both densities: over its own one, and weighted by the balance heuristic.

@@ -1,9 +1,9 @@
-"""The guide of scattered packets: pieces of facets that send out light, each drawn by its power.
+"""The guide of scattered packets: pieces of emitting facets, each drawn by its power.
 
-A facet is divided into 4ⁿ equal triangles, its pieces, so that those of a textured facet follow the texture. The pieces
-of a facet are numbered by the base-4 digits of Basu & Owen's triangular van der Corput points (SIAM J. Numer. Anal. 53,
-743, 2015): digit 0 is the middle one of the four triangles that the midpoints of the edges make, digit 1 + k that at
-corner k. Neighbours in number are neighbours in place, so evenly spaced random numbers give evenly spaced points.
+A facet is divided into 4ⁿ equal triangles, its pieces, so that those of a textured facet follow the texture. They are
+numbered as Basu & Owen's triangular van der Corput points (SIAM J. Numer. Anal. 53, 743, 2015): of the four triangles
+that the midpoints of the edges make, the base-4 digit 0 is the middle one and 1 + k that at corner k. Neighbours in
+number are neighbours in place, so evenly spread random numbers give evenly spread points.
 """
 
 import numpy as np
@@ -22,48 +22,42 @@ PROBES = 2
 """The mean of the texture over a piece is taken over the middles of the 4ⁿ triangles that it divides into."""
 
 
-def guide_to(objects: ObjectTables, scattered: Array | None = None) -> Guide:
-    """Return the guide to all facets that send out light; an empty one if no target emits.
-
-    A facet for which no light is expected may still send some: scattered packets find it by chance.
+def guide_to_emitters(objects: ObjectTables) -> Guide:
+    """Return the guide to all facets that emit light; an empty one if there are none.
 
     Parameters
     ----------
     objects : ObjectTables
         All but `guide` is read.
-    scattered : (m,) float64, optional
-        Radiance that each facet is expected to scatter, W/(m² sr). Default: none.
     """
     facets = objects.facets
-    if not (objects.radiance > 0.0).any():
-        return no_guide()
-    glow = np.append(objects.radiance.mean(axis=1), 0.0)[facets["body"]]
-    expected = np.zeros(len(facets)) if scattered is None else scattered
     edge = facets["corners"][:, 1:] - facets["corners"][:, :1]
     area = 0.5 * np.linalg.norm(np.cross(edge[:, 0], edge[:, 1]), axis=1)
-    bright = np.flatnonzero((glow + expected > 0.0) & (area > 0.0))
+    glow = np.append(objects.radiance.mean(axis=1) if len(objects.radiance) else np.zeros(0), 0.0)[facets["body"]]
+    bright = np.flatnonzero(glow * area > 0.0)
     if not len(bright):
         return no_guide()
     level = _levels(objects, bright)
     count = 4**level
-    first = np.full(len(facets), -1, np.int64)
-    first[bright] = np.cumsum(count) - count
-    levels = np.zeros(len(facets), np.int64)
-    levels[bright] = level
     facet, piece_area = np.repeat(bright, count), np.repeat(area[bright] / count, count)
     sides = np.where(np.append(objects.closed, True)[facets["body"]], 1.0, 2.0)
-    radiance = glow[facet] * _texture_means(objects, bright, level) + expected[facet]
-    power = sides[facet] * piece_area * radiance
+    power = (sides * glow)[facet] * piece_area * _texture_means(objects, bright, level)
     if power.sum() <= 0.0:
         return no_guide()
+    first, levels = np.full(len(facets), -1, np.int64), np.zeros(len(facets), np.int64)
+    first[bright], levels[bright] = np.cumsum(count) - count, level
     share = power / power.sum()
-    return Guide(facet, np.cumsum(share), share / piece_area, first, levels)
+    until = np.cumsum(share)
+    begin = np.searchsorted(until, np.arange(len(until)) / len(until), side="right")
+    corners = np.concatenate([corner_weights(int(each)) for each in level])
+    place = np.column_stack([corners[:, 0, 1:], corners[:, 1, 1] - corners[:, 0, 1]])
+    return Guide(facet, until, np.minimum(begin, len(until) - 1), place, share / piece_area, first, levels)
 
 
 def no_guide() -> Guide:
     """Return the guide of a scene in which scattered packets go by chance only."""
-    none = np.zeros(0, np.int64)
-    return Guide(none, np.zeros(0), np.zeros(0), none, none)
+    none, empty = np.zeros(0, np.int64), np.zeros(0)
+    return Guide(none, empty, none, np.zeros((0, 3)), empty, none, none)
 
 
 def _levels(objects: ObjectTables, bright: NDArray[np.int64]) -> NDArray[np.int64]:

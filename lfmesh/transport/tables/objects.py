@@ -20,7 +20,7 @@ from lfmesh.transport.packets.book import LOST_OUTSIDE, Book
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.contacts import contacts
 from lfmesh.transport.tables.frames import frame_table
-from lfmesh.transport.tables.guide import guide_to, no_guide
+from lfmesh.transport.tables.guide import guide_to_emitters, no_guide
 from lfmesh.transport.tables.lens import curved
 from lfmesh.transport.tables.lights import MM2, light_table, power_towards
 from lfmesh.transport.tables.media import MediumList
@@ -203,7 +203,7 @@ def object_tables(
         lit_radius=radius,
     )
     sources = _sources([*_lamps(tables), *_glowing_facets(tables, mesh)])
-    return mesh, tables._replace(guide=guide_to(tables), sources=sources)
+    return mesh, tables._replace(guide=guide_to_emitters(tables), sources=sources)
 
 
 def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:

@@ -89,10 +89,12 @@ OPAQUE = -1
 
 
 class Guide(NamedTuple):
-    """Pieces of facets that send out light, to which scattered packets are guided (see `tables.guide`)."""
+    """Pieces of emitting facets, to which scattered packets are guided (see `tables.guide`)."""
 
     facet: NDArray[np.int64]  # (n,) facet of each piece
     until: Array  # (n,) cumulative chance of the pieces
+    begin: NDArray[np.int64]  # (n,) the piece with which a search for a number in [k / n, (k + 1) / n) begins
+    place: Array  # (n, 3) barycentric weights of the facet's corners 1 and 2 at each piece's corner 0, and its size
     density: Array  # (n,) chance of each piece over its area, 1/mm²
     first: NDArray[np.int64]  # (m,) first piece of each facet of object space; −1: none
     level: NDArray[np.int64]  # (m,) how often each facet is divided in four

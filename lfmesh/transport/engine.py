@@ -25,9 +25,9 @@ from lfmesh.transport.packets.packet import (
     DEPOSIT,
     DEPOSITS,
     E_START,
+    EMITTERS,
     END,
     ENDED,
-    GUIDE,
     LENS,
     LENS_MESH,
     NO_SURFACE,
@@ -43,7 +43,7 @@ from lfmesh.transport.packets.packet import (
     Options,
 )
 from lfmesh.transport.regions.array import admit_to_cells, shade_cells, through_plate
-from lfmesh.transport.regions.guide import send_guided
+from lfmesh.transport.regions.emitters import ask_emitters
 from lfmesh.transport.regions.lens import admit_to_lens, shade_lens
 from lfmesh.transport.regions.lens_block import empty_block
 from lfmesh.transport.regions.objects import admit_to_objects, shade_objects
@@ -225,8 +225,8 @@ class Workspace:
             admit_to_objects(wave, origins, directions, frames)
             found = self._find(OBJECTS, count)
             shade_objects(wave, found, tables.objects, lens, tables.aim, frames, options, flow)
-        elif station == GUIDE:
-            send_guided(wave, tables.objects, options, flow)
+        elif station == EMITTERS:
+            ask_emitters(wave, tables.objects, options, flow)
         elif station == PLATE:
             through_plate(wave, array, frames, lens_surfaces, options, flow)
         else:

@@ -18,7 +18,7 @@ OBJECTS = 2  # a target, or the way into the lens
 PLATE = 3  # the array from outside its layer of curved faces: entry, or the flat face
 SENSOR = 4  # a pixel
 LENS_MESH = 5  # a surface of the main lens, by its mesh where the order of the surfaces does not decide
-GUIDE = 6  # a guided packet, at the point of a target that it is to leave
+EMITTERS = 6  # a point of a target that emitting targets may light
 STATIONS = 7
 
 # Frames. A packet says in which frame its ray is given; its station moves it into the station's own.
@@ -30,7 +30,7 @@ LAMP = 1  # straight from a light
 SCATTERED = 2  # left a target in a random direction
 SPECULAR = 4  # refracted or reflected by glass in object space; may reach the lens without having been aimed
 SHADOW = 3  # tests whether a light reaches a point; carries what it adds to the pixel if so
-GUIDED = 5  # left a target in the direction of an emitting facet
+TO_EMITTER = 5  # tests whether an emitting facet is seen from a point; carries what it adds to the pixel if so
 
 # Counters.
 EVENTS, REQUERIES, FALLBACKS = 0, 1, 2
@@ -111,7 +111,7 @@ _BASE_RECORD = np.dtype(
         ("key", "u8"),
         ("source", "i8"),  # sample (adjoint, see `SAMPLE_SHIFT`), packet (forward) or ray (trace) that it began as
         ("node", "i4"),  # its last recorded vertex
-        # Cell of the array. For object space see `regions.bodies` and PACKET; `row` of a GUIDED: the facet.
+        # Cell of the array. For object space see `regions.bodies` and PACKET; `row` of a TO_EMITTER: the facet.
         ("column", "i4"), ("row", "i4"),
         ("facet", "i4"),  # target facet it left
         ("last", "i2"),  # lens surface it left

@@ -29,7 +29,7 @@ from lfmesh.transport.events.crossing import (
     record,
     windowed,
 )
-from lfmesh.transport.events.guide import sends_guided, share_by_chance
+from lfmesh.transport.events.emission import asks_emitters, share_by_chance
 from lfmesh.transport.events.lighting import ask_lights
 from lfmesh.transport.events.scattering import Point, albedo, density, evaluate, sample
 from lfmesh.transport.packets.book import ESCAPED, LIT, REACHED, SAMPLING_ADDED, SAMPLING_REMOVED
@@ -37,8 +37,8 @@ from lfmesh.transport.packets.packet import (
     CAMERA,
     CAMERA_FRAME,
     E_SCATTERED,
+    EMITTERS,
     EVENTS,
-    GUIDE,
     LEFT_LENS,
     NO_SURFACE,
     OBJECT_FRAME,
@@ -89,11 +89,6 @@ def meet_target(
         weight = windowed(flow.book, weight, options.unturned_cutoff * packet.start, packet.key, dimension)
         if weight == 0.0:
             return
-        packet.weight = weight
-    elif options.adjoint:
-        share = share_by_chance(objects, packet, prim, x, y, z)
-        flow.book[SAMPLING_REMOVED] += weight - weight * share
-        weight *= share
         packet.weight = weight
     texel = texture_at(objects, prim, packet.colour, x, y, z)
     point = point_of(objects, prim, x, y, z, -1.0 if along > 0.0 else 1.0, body, texel)
@@ -176,23 +171,31 @@ def texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: float
 def _gather(options: Options, flow: Flow, objects: ObjectTables, packet: Any, point: Point, scatters: bool) -> None:
     """Deposit the light that a target emits towards the packet, and send shadow packets for the light it scatters."""
     flow.book[REACHED] += packet.weight
-    radiance = objects.radiance[objects.facets[point.prim].body, packet.colour] * point.texel
+    radiance = emitted_radiance(objects, packet, point.prim, point.texel)
     if radiance > 0.0:
-        if packet.medium != AIR:
-            # Inside glass: radiance over n² is conserved on the way out.
-            radiance /= objects.media.indices[packet.medium, packet.colour] ** 2
-        deposit(options, flow, packet.source, packet.colour, packet.weight * radiance)
+        share = share_by_chance(objects, packet, point.prim, point.x, point.y, point.z)
+        deposit(options, flow, packet.source, packet.colour, packet.weight * share * radiance)
     lit = radiance > 0.0
     if scatters:
         lit = ask_lights(objects, flow, packet, point) or lit
-        if sends_guided(options, objects, packet.events):
-            sender = put(
-                flow, GUIDE, packet, OBJECT_FRAME, point.x, point.y, point.z, packet.dx, packet.dy, packet.dz,
+        if asks_emitters(options, objects, packet.events):
+            asking = put(
+                flow, EMITTERS, packet, OBJECT_FRAME, point.x, point.y, point.z, packet.dx, packet.dy, packet.dz,
                 packet.weight, packet.key, 0.0,
             )  # fmt: skip
-            sender.facet = point.prim
+            asking.facet = point.prim
     if lit:
         flow.book[LIT] += packet.weight
+
+
+@inlined
+def emitted_radiance(objects: ObjectTables, packet: Any, prim: int, texel: float) -> float:
+    """Return the radiance that a facet emits into the packet's medium, as the packet's weight counts it, W/(m² sr)."""
+    radiance = objects.radiance[objects.facets[prim].body, packet.colour] * texel
+    if radiance > 0.0 and packet.medium != AIR:
+        # Inside glass: radiance over n² is conserved on the way out.
+        radiance /= objects.media.indices[packet.medium, packet.colour] ** 2
+    return radiance
 
 
 @inlined

@@ -88,8 +88,8 @@ OPAQUE = -1
 """`ObjectTables.medium` of a target that is not a body of glass."""
 
 
-class Guide(NamedTuple):
-    """Pieces of emitting facets, to which scattered packets are guided (see `tables.guide`)."""
+class Emitters(NamedTuple):
+    """Pieces of emitting facets, from which points are drawn as light sources (see `tables.emitters`)."""
 
     facet: NDArray[np.int64]  # (n,) facet of each piece
     until: Array  # (n,) cumulative chance of the pieces
@@ -126,7 +126,7 @@ class ObjectTables(NamedTuple):
     target_slot: NDArray[np.int64]  # (targets,) book slot
     lost_slot: NDArray[np.int64]  # (targets + 1,) book slot of energy lost at each target; the last: in open space
     lights: Records  # LIGHT
-    guide: Guide
+    emitters: Emitters
     sources: Records  # SOURCE: where the forward method starts packets
     radius: float  # mm, of a sphere about the origin that holds the targets
     outer_radius: float  # mm, of a sphere about the origin that holds targets and camera

@@ -1,4 +1,4 @@
-"""The guide of scattered packets: pieces of emitting facets, each drawn by its power.
+"""Emitting facets as light sources of the adjoint method: pieces of them, each drawn by its power.
 
 A facet is divided into 4ⁿ equal triangles, its pieces, so that those of a textured facet follow the texture. They are
 numbered as Basu & Owen's triangular van der Corput points (SIAM J. Numer. Anal. 53, 743, 2015): of the four triangles
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.mesh import Array
-from lfmesh.transport.tables.tables import Guide, ObjectTables
+from lfmesh.transport.tables.tables import Emitters, ObjectTables
 
 MOST_PIECES = 1 << 14
 """Textured facets are not divided further than this number of pieces in all: the table then stays in the cache."""
@@ -22,13 +22,13 @@ PROBES = 2
 """The mean of the texture over a piece is taken over the middles of the 4ⁿ triangles that it divides into."""
 
 
-def guide_to_emitters(objects: ObjectTables) -> Guide:
-    """Return the guide to all facets that emit light; an empty one if there are none.
+def emitter_table(objects: ObjectTables) -> Emitters:
+    """Return the table of facets that emit light; an empty one if there are none.
 
     Parameters
     ----------
     objects : ObjectTables
-        All but `guide` is read.
+        All but `emitters` is read.
     """
     facets = objects.facets
     edge = facets["corners"][:, 1:] - facets["corners"][:, :1]
@@ -36,14 +36,14 @@ def guide_to_emitters(objects: ObjectTables) -> Guide:
     glow = np.append(objects.radiance.mean(axis=1) if len(objects.radiance) else np.zeros(0), 0.0)[facets["body"]]
     bright = np.flatnonzero(glow * area > 0.0)
     if not len(bright):
-        return no_guide()
+        return no_emitters()
     level = _levels(objects, bright)
     count = 4**level
     facet, piece_area = np.repeat(bright, count), np.repeat(area[bright] / count, count)
     sides = np.where(np.append(objects.closed, True)[facets["body"]], 1.0, 2.0)
     power = (sides * glow)[facet] * piece_area * _texture_means(objects, bright, level)
     if power.sum() <= 0.0:
-        return no_guide()
+        return no_emitters()
     first, levels = np.full(len(facets), -1, np.int64), np.zeros(len(facets), np.int64)
     first[bright], levels[bright] = np.cumsum(count) - count, level
     share = power / power.sum()
@@ -51,13 +51,13 @@ def guide_to_emitters(objects: ObjectTables) -> Guide:
     begin = np.searchsorted(until, np.arange(len(until)) / len(until), side="right")
     corners = np.concatenate([corner_weights(int(each)) for each in level])
     place = np.column_stack([corners[:, 0, 1:], corners[:, 1, 1] - corners[:, 0, 1]])
-    return Guide(facet, until, np.minimum(begin, len(until) - 1), place, share / piece_area, first, levels)
+    return Emitters(facet, until, np.minimum(begin, len(until) - 1), place, share / piece_area, first, levels)
 
 
-def no_guide() -> Guide:
-    """Return the guide of a scene in which scattered packets go by chance only."""
+def no_emitters() -> Emitters:
+    """Return the table of a scene in which no target emits."""
     none, empty = np.zeros(0, np.int64), np.zeros(0)
-    return Guide(none, empty, none, np.zeros((0, 3)), empty, none, none)
+    return Emitters(none, empty, none, np.zeros((0, 3)), empty, none, none)
 
 
 def _levels(objects: ObjectTables, bright: NDArray[np.int64]) -> NDArray[np.int64]:

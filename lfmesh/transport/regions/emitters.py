@@ -1,28 +1,23 @@
 """Guided packets: from points of targets to emitting facets.
 
-A station of its own: its kernel is compiled and runs only in scenes with a guide.
+A station of its own: its kernel is compiled and runs only in scenes with a emitters.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.kernel import kernel
-from lfmesh.transport.events.crossing import EDGE, GUIDE_U, KEEP_GUIDED, clear_of, draw, draw_two
-from lfmesh.transport.events.guide import guided_point
+from lfmesh.transport.events.crossing import EDGE, EMITTER_U, clear_of, draw_two
+from lfmesh.transport.events.emission import emitting_point
 from lfmesh.transport.events.scattering import density, evaluate
-from lfmesh.transport.packets.book import SAMPLING_ADDED
-from lfmesh.transport.packets.packet import GUIDED, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, Options, put
-from lfmesh.transport.packets.random import derived
-from lfmesh.transport.regions.targets import point_of, texture_at
+from lfmesh.transport.packets.packet import NO_SURFACE, OBJECT_FRAME, OBJECTS, TO_EMITTER, Flow, Options, put
+from lfmesh.transport.regions.targets import emitted_radiance, point_of, texture_at
 from lfmesh.transport.tables.tables import ObjectTables
-
-GUIDED_CHILD = 1 << 21
-"""Number of the guided child among a packet's children, larger than any number of events."""
 
 
 @kernel
-def send_guided(wave: NDArray[np.void], objects: ObjectTables, options: Options, flow: Flow) -> None:
-    """Send a packet from each point of a target to a random point of the guide.
+def ask_emitters(wave: NDArray[np.void], objects: ObjectTables, options: Options, flow: Flow) -> None:
+    """Send a packet from each point of a target to a random point of the emitters.
 
     Parameters
     ----------
@@ -31,18 +26,13 @@ def send_guided(wave: NDArray[np.void], objects: ObjectTables, options: Options,
     """
     for i in range(len(wave)):
         packet = wave[i]
-        floor, arrived = options.cutoff * packet.start, packet.weight
-        if arrived < floor:
-            if draw(packet, KEEP_GUIDED) * floor >= arrived:
-                continue
-            arrived = floor
         x, y, z = packet.x, packet.y, packet.z
         ix, iy, iz = packet.dx, packet.dy, packet.dz
         own = objects.facets[packet.facet]
         along = own.normal[0] * ix + own.normal[1] * iy + own.normal[2] * iz
         side = -1.0 if along > 0.0 else 1.0
-        u, v = draw_two(options, packet, GUIDE_U)
-        prim, ex, ey, ez, per_area = guided_point(objects, u, v)
+        u, v = draw_two(options, packet, EMITTER_U)
+        prim, ex, ey, ez, per_area = emitting_point(objects, u, v)
         facet = objects.facets[prim]
         ux, uy, uz = ex - x, ey - y, ez - z
         distance2 = ux * ux + uy * uy + uz * uz
@@ -58,18 +48,17 @@ def send_guided(wave: NDArray[np.void], objects: ObjectTables, options: Options,
         cos_facet = abs(cos_facet)
         texel = texture_at(objects, packet.facet, packet.colour, x, y, z)
         point = point_of(objects, packet.facet, x, y, z, side, own.body, texel)
+        # Over the sum of both densities: over its own one, and weighted by the balance heuristic.
         by_chance = density(objects.scattering, point, packet.colour, ix, iy, iz, ux, uy, uz)
         brdf = evaluate(objects.scattering, point, packet.colour, ix, iy, iz, ux, uy, uz)
-        # Over the sum of both densities: over its own one, and weighted by the balance heuristic.
-        weight = arrived * brdf * cos_point * cos_facet / (per_area * distance2 + by_chance * cos_facet)
-        if weight <= 0.0:
+        radiance = emitted_radiance(objects, packet, prim, texture_at(objects, prim, packet.colour, ex, ey, ez))
+        light = radiance * brdf * cos_point * cos_facet / (per_area * distance2 + by_chance * cos_facet)
+        if light <= 0.0:
             continue
-        flow.book[SAMPLING_ADDED] += weight
         child = put(
-            flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, weight,
-            derived(packet.key, GUIDED_CHILD + packet.events), clear_of(own, x, y, z, ux, uy, uz),
+            flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, packet.weight * light, packet.key,
+            clear_of(own, x, y, z, ux, uy, uz),
         )  # fmt: skip
-        child.kind = GUIDED
+        child.kind = TO_EMITTER
         child.last = NO_SURFACE
         child.row = prim
-        child.events = packet.events + 1

@@ -6,7 +6,7 @@ A case passes when every ray has the right answer, or ends as LOST, which the le
 import warnings
 from collections.abc import Callable, Iterable
 
-from lfmesh.accuracy.hard import aim, arrays, interfaces, lenses, meshes, openings
+from lfmesh.accuracy.hard import aim, arrays, emitters, interfaces, lenses, meshes, openings
 from lfmesh.accuracy.hard.outcome import Outcome
 from lfmesh.transport.packets.ledger import LostEnergyWarning
 
@@ -62,6 +62,7 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     meshes.glass_with_duplicates,
     meshes.glass_with_flips,
     meshes.glass_with_junction,
+    emitters.emitter_on_the_surface,
     lenses.diverging_newton,
     lenses.two_roots,
     lenses.hyperboloid,

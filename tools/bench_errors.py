@@ -2,6 +2,7 @@
 
     tools/bench errors
     tools/bench errors --scene lytro_class --side 200 --json figures.json
+    tools/bench errors --scene lytro_class --side 48 --at 0.9 0.2        the bracket's shaded side
 
 For each number of samples and replicates: reported over true error, root mean square over root mean square, in groups
 of pixels by what a long render shows (the smallest and the largest ratio) and in the four quarters of the reported
@@ -98,6 +99,7 @@ def main() -> None:
     own.add_argument("--scene", choices=sorted(CROPS), help="one of the scenes in assets; default: all of them")
     own.add_argument("--side", type=whole, help=f"pixels along each side of the crop; default {SIDE}")
     own.add_argument("--reference", type=whole, help=f"samples of the reference; default {REFERENCE}")
+    own.add_argument("--at", nargs=2, type=float, metavar=("X", "Y"), help="middle of the crops, mm on the sensor")
     given = own.parse_args()
     side = given.side or (QUICK_SIDE if given.quick else SIDE)
     reference = given.reference or (QUICK_REFERENCE if given.quick else REFERENCE)
@@ -105,7 +107,7 @@ def main() -> None:
     replicates = QUICK_REPLICATES if given.quick else REPLICATES
     rows = []
     for name in [given.scene] if given.scene else sorted(CROPS):
-        scene = crop(lf.load(asset_path(f"scenes/{name}.toml")), side, CROPS[name])
+        scene = crop(lf.load(asset_path(f"scenes/{name}.toml")), side, tuple(given.at or CROPS[name]))
         rows += [Case(*pair).row(name) for pair in study_errors(scene, samples, replicates, reference, say)]
     report = Report("errors", {"side_px": side, "reference_samples": reference})
     report.tables["errors"] = Table("Reported over true error", COLUMNS, rows)

@@ -25,6 +25,7 @@ from lfmesh.transport.packets.packet import (
     DEPOSIT,
     DEPOSITS,
     E_START,
+    EMITTERS,
     END,
     ENDED,
     LENS,
@@ -42,6 +43,7 @@ from lfmesh.transport.packets.packet import (
     Options,
 )
 from lfmesh.transport.regions.array import admit_to_cells, shade_cells, through_plate
+from lfmesh.transport.regions.emitters import ask_emitters
 from lfmesh.transport.regions.lens import admit_to_lens, shade_lens
 from lfmesh.transport.regions.lens_block import empty_block
 from lfmesh.transport.regions.objects import admit_to_objects, shade_objects
@@ -130,6 +132,7 @@ class Workspace:
             Number of packets that the chunk starts.
         """
         self.tops[:] = 0
+        self.options = self.options._replace(each=0)
         self.book[:] = 0.0
         self.counts[:] = 0
         if film is not None:
@@ -222,6 +225,8 @@ class Workspace:
             admit_to_objects(wave, origins, directions, frames)
             found = self._find(OBJECTS, count)
             shade_objects(wave, found, tables.objects, lens, tables.aim, frames, options, flow)
+        elif station == EMITTERS:
+            ask_emitters(wave, tables.objects, options, flow)
         elif station == PLATE:
             through_plate(wave, array, frames, lens_surfaces, options, flow)
         elif tables.sensor.reflectance > 0.0:

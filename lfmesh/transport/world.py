@@ -9,6 +9,7 @@ import numpy as np
 
 from lfmesh.errors import LfmeshError, SceneError
 from lfmesh.geometry import frame
+from lfmesh.geometry.division import divided
 from lfmesh.geometry.element_poses import pose_of
 from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.lenslets import array_mesh
@@ -236,5 +237,5 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     if aimed:
         aim, proof = aim_table(scene, report, lens, array, sensor, targets, moves, analytic=bool(shape.analytic.all()))
     tables = Tables(lens=lens, array=array, sensor=sensor, objects=objects, frames=moves, aim=aim)
-    finders = (Finder(lens_mesh), Finder(array_mesh_), Finder(object_mesh))
+    finders = (Finder(lens_mesh), Finder(array_mesh_), Finder(*divided(object_mesh, objects.facets["body"])))
     return World(scene, report, tables, finders, book, shape, targets, housing, proof)

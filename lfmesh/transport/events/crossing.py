@@ -41,7 +41,8 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, uniform
+from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived, uniform
+from lfmesh.transport.packets.sobol import of_event
 
 MAX_TRIES = 12
 
@@ -54,6 +55,7 @@ EDGE = 2.0**-36
 # Dimensions of an event's random numbers.
 CHOOSE, KEEP_REFLECTED, KEEP_REFRACTED, KEEP_BOUNCE = 0, 1, 2, 3
 BOUNCE_U, BOUNCE_V, AIM_DISK, AIM_U, AIM_V, LIGHT_U, LIGHT_V, KEEP_REACHED = 4, 5, 6, 7, 8, 9, 10, 11
+EMITTER_U, EMITTER_V = 12, 13
 
 Array = NDArray[np.float64]
 
@@ -62,6 +64,22 @@ Array = NDArray[np.float64]
 def draw(packet: Any, dimension: int) -> float:
     """Return a random number, in [0, 1), of the packet's present event."""
     return uniform(packet.key, packet.events * DIMENSIONS_PER_EVENT + dimension)
+
+
+@inlined
+def draw_two(options: Options, packet: Any, dimension: int) -> tuple[float, float]:
+    """Return two random numbers, in [0, 1), of the packet's present event: where it can be, of a pixel's Sobol' set.
+
+    Parameters
+    ----------
+    dimension : int
+        Of the first; the second has the next.
+    """
+    number = packet.events * DIMENSIONS_PER_EVENT + dimension
+    if options.each == 0:
+        return uniform(packet.key, number), uniform(packet.key, number + 1)
+    pixel, sample = packet.source & PIXEL_MASK, (packet.source >> SAMPLE_SHIFT) % options.each
+    return of_event(derived(options.stream, pixel), number, sample)
 
 
 @inlined

@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 
 from lfmesh.kernel import pasted
 
-# Stations: what a packet waits for. The first three query Embree, and so does the last.
+# Stations: what a packet waits for. The first three query Embree, and so does `LENS_MESH`.
 LENS = 0  # a surface of the main lens
 CELLS = 1  # the curved face of the array, in its cell
 OBJECTS = 2  # a target, or the way into the lens
 PLATE = 3  # the array from outside its layer of curved faces: entry, or the flat face
 SENSOR = 4  # a pixel
 LENS_MESH = 5  # a surface of the main lens, by its mesh where the order of the surfaces does not decide
-STATIONS = 6
+EMITTERS = 6  # a point of a target that emitting targets may light
+STATIONS = 7
 
 # Frames. A packet says in which frame its ray is given; its station moves it into the station's own.
 CAMERA_FRAME, ARRAY_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME = 0, 1, 2, 3, 4
@@ -29,6 +30,7 @@ LAMP = 1  # straight from a light
 SCATTERED = 2  # left a target in a random direction
 SPECULAR = 4  # refracted or reflected by glass in object space; may reach the lens without having been aimed
 SHADOW = 3  # tests whether a light reaches a point; carries what it adds to the pixel if so
+TO_EMITTER = 5  # tests whether an emitting facet is seen from a point; carries what it adds to the pixel if so
 
 # Counters.
 EVENTS, REQUERIES, FALLBACKS = 0, 1, 2
@@ -109,7 +111,8 @@ _BASE_RECORD = np.dtype(
         ("key", "u8"),
         ("source", "i8"),  # sample (adjoint, see `SAMPLE_SHIFT`), packet (forward) or ray (trace) that it began as
         ("node", "i4"),  # its last recorded vertex
-        ("column", "i4"), ("row", "i4"),  # cell of the array; for object space see `regions.bodies` and PACKET
+        # Cell of the array. For object space see `regions.bodies` and PACKET; `row` of a TO_EMITTER: the facet.
+        ("column", "i4"), ("row", "i4"),
         ("facet", "i4"),  # target facet it left
         ("last", "i2"),  # lens surface it left
         ("colour", "i2"),  # number of the wavelength
@@ -210,6 +213,8 @@ class Options(NamedTuple):
     paths: int  # class of paths that are estimated, see `path_class`
     unturned_cutoff: float  # replaces `cutoff` at targets, for paths outside the estimated class so far
     first_source: int  # pixel in row 0 of the film
+    stream: np.uint64 = np.uint64(0)  # adjoint: key of the replicate's random numbers at this wavelength
+    each: int = 0  # adjoint: samples of a pixel, whose events share Sobol' sets; 0: random numbers
     in_order: bool = False  # surfaces of the lens are met in their order where that decides, else by their meshes
 
 

@@ -10,7 +10,7 @@ scrambled sets gives a valid standard error. The hash is Laine & Karras's (EGSR 
 import numpy as np
 
 from lfmesh.kernel import kernel
-from lfmesh.transport.packets.random import derived
+from lfmesh.transport.packets.random import derived, mix
 
 COLUMNS = (0, 1, 2, 21, 3, 4)
 """Dimensions of Joe & Kuo's that are used, counted from zero.
@@ -114,6 +114,36 @@ def scramble_seed(key: np.uint64, dimension: int) -> np.uint32:
 def scrambled(point: np.uint32, seed: np.uint32) -> float:
     """Return a coordinate in [0, 1), its digits scrambled."""
     return _scrambled(point, seed) * _UNIT
+
+
+@kernel
+def of_event(key: np.uint64, number: int, sample: int) -> tuple[float, float]:
+    """Return a point in the unit square for one event of a sample's path, evenly spread over the samples of a pixel.
+
+    Each event has a Sobol' set of its own, in which the samples come in another order, so that the numbers of different
+    events are independent (Burley, JCGT 9(4), 2020, section 5).
+
+    Parameters
+    ----------
+    key : uint64
+        Key of the pixel in its replicate.
+    number : int
+        Of the event's first dimension; tells the sets of a pixel apart.
+    sample : int
+        Number of the sample, below 2³².
+    """
+    # Negative numbers beyond those of `scramble_seed`.
+    own = derived(key, -1 - DIMENSIONS - number)
+    order, first = np.uint32(own & np.uint64(0xFFFFFFFF)), np.uint32(own >> np.uint64(32))
+    index = _scrambled(np.uint32(sample), order)
+    # The second coordinate's direction numbers are Pascal's triangle modulo 2, applied in five steps.
+    point = np.uint32(index ^ (index >> _U16))
+    point = np.uint32(point ^ ((point >> _U8) & _M4))
+    point = np.uint32(point ^ ((point >> _U4) & _M3))
+    point = np.uint32(point ^ ((point >> _U2) & _M2))
+    point = np.uint32(point ^ ((point >> _U1) & _M1))
+    second = np.uint32(mix(own) & np.uint64(0xFFFFFFFF))
+    return _scrambled(_reversed(index), first) * _UNIT, _scrambled(_reversed(point), second) * _UNIT
 
 
 @kernel

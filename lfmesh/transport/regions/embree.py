@@ -15,9 +15,13 @@ class Finder:
     ----------
     mesh : Mesh
         All facets of the region; `find` returns their numbers.
+    owners : (m,) int64, optional
+        Numbers that `find` returns in place of those of the facets.
     """
 
-    def __init__(self, mesh: Mesh) -> None:
+    def __init__(self, mesh: Mesh, owners: NDArray[np.int64] | None = None) -> None:
+        # The last entry is that of facet −1, none.
+        self._owners = None if owners is None else np.append(owners, -1).astype(np.int32)
         self._scene = EmbreeScene()
         self._empty = len(mesh.faces) == 0
         if not self._empty:
@@ -39,4 +43,4 @@ class Finder:
         if self._empty:
             return np.full(len(origins), -1, np.int32)
         found: NDArray[np.int32] = self._scene.run(origins, directions)
-        return found
+        return found if self._owners is None else self._owners[found]

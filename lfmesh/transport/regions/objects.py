@@ -56,6 +56,7 @@ from lfmesh.transport.packets.packet import (
     SCATTERED,
     SHADOW,
     SPECULAR,
+    TO_EMITTER,
     Flow,
     Options,
     put,
@@ -125,7 +126,7 @@ def shade_objects(
             # Embree lets a ray pass that is aimed exactly at a vertex.
             requery(options, flow, frames, OBJECTS, packet, packet.query_from, True, LOST_OUTSIDE)
             continue
-        if packet.kind != SHADOW and not _in_its_medium(objects, packet, prim, along):
+        if packet.kind != SHADOW and packet.kind != TO_EMITTER and not _in_its_medium(objects, packet, prim, along):
             if prim >= 0 and packet.tries < MAX_TRIES and _is_in_contact(objects, prim):
                 # To rounding, a face of a body that was already entered or left where it touches another body.
                 requery(options, flow, frames, OBJECTS, packet, next_query_from(facet, packet, t), False, LOST_OUTSIDE)
@@ -147,6 +148,11 @@ def shade_objects(
             px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
             ex, ey, ez = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, dx, dy, dz)
             enters = box_entry(lens.box_low, lens.box_high, px, py, pz, ex, ey, ez) < t
+            if packet.kind == TO_EMITTER:
+                # A scattered packet that comes to the lens first goes into it, and keeps its full weight.
+                if not enters and _arrives(objects, packet, prim):
+                    deposit(options, flow, packet.source, packet.colour, packet.weight)
+                continue
             if enters and packet.kind == LAMP:
                 # Through the opening it meets the inside of the housing, and ends; else it passes beside the lens.
                 if prim >= 0 and facet.body < 0:
@@ -196,6 +202,18 @@ def shade_objects(
 
 
 @inlined
+def _arrives(objects: ObjectTables, packet: Any, prim: int) -> bool:
+    """Tell whether a packet meets the emitting facet that it was sent to, when the query found the facet `prim`."""
+    if prim < 0 or prim == packet.row:
+        return prim >= 0
+    # Next to an edge, float32 may find the neighbour of the right facet.
+    facet = objects.facets[prim]
+    if facet.body != objects.facets[packet.row].body:
+        return False
+    return crosses(facet, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz)[0] == np.inf
+
+
+@inlined
 def _in_its_medium(objects: ObjectTables, packet: Any, prim: int, along: float) -> bool:
     """Tell whether a packet can meet a facet from that side, by the bodies it is in; −1: whether it can meet none."""
     if prim < 0:
@@ -217,7 +235,7 @@ def _might_have_met(
     objects: ObjectTables, packet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float
 ) -> bool:
     """Tell whether a packet outside all glass that met nothing comes from afar and passes near the targets."""
-    if packet.kind == SHADOW or packet.column >= 0:
+    if packet.kind == SHADOW or packet.kind == TO_EMITTER or packet.column >= 0:
         return False
     toward = -(x * dx + y * dy + z * dz)
     distance2, radius2 = x * x + y * y + z * z, objects.radius * objects.radius

@@ -18,17 +18,18 @@ from lfmesh.transport.events.crossing import (
     AIM_U,
     AIM_V,
     BOUNCE_U,
-    BOUNCE_V,
     KEEP_BOUNCE,
     KEEP_REACHED,
     barycentric,
     clear_of,
     deposit,
     draw,
+    draw_two,
     end,
     record,
     windowed,
 )
+from lfmesh.transport.events.emission import asks_emitters, share_by_chance
 from lfmesh.transport.events.lighting import ask_lights
 from lfmesh.transport.events.scattering import Point, albedo, density, evaluate, sample
 from lfmesh.transport.packets.book import ESCAPED, LIT, REACHED, SAMPLING_ADDED, SAMPLING_REMOVED
@@ -36,6 +37,7 @@ from lfmesh.transport.packets.packet import (
     CAMERA,
     CAMERA_FRAME,
     E_SCATTERED,
+    EMITTERS,
     EVENTS,
     LEFT_LENS,
     NO_SURFACE,
@@ -92,7 +94,7 @@ def meet_target(
     point = point_of(objects, prim, x, y, z, -1.0 if along > 0.0 else 1.0, body, texel)
     share = albedo(objects.scattering, point, packet.colour, dx, dy, dz)
     if options.adjoint and is_estimated(options, packet):
-        _gather(options, flow, objects, packet, point, body, share > 0.0)
+        _gather(options, flow, objects, packet, point, share > 0.0)
     scattered = weight * share
     if scattered <= 0.0:
         end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, S_ABSORBED)
@@ -166,22 +168,34 @@ def texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: float
 
 
 @inlined
-def _gather(
-    options: Options, flow: Flow, objects: ObjectTables, packet: Any, point: Point, body: int, scatters: bool
-) -> None:
+def _gather(options: Options, flow: Flow, objects: ObjectTables, packet: Any, point: Point, scatters: bool) -> None:
     """Deposit the light that a target emits towards the packet, and send shadow packets for the light it scatters."""
     flow.book[REACHED] += packet.weight
-    radiance = objects.radiance[body, packet.colour] * point.texel
+    radiance = emitted_radiance(objects, packet, point.prim, point.texel)
     if radiance > 0.0:
-        if packet.medium != AIR:
-            # Inside glass: radiance over n² is conserved on the way out.
-            radiance /= objects.media.indices[packet.medium, packet.colour] ** 2
-        deposit(options, flow, packet.source, packet.colour, packet.weight * radiance)
+        share = share_by_chance(objects, packet, point.prim, point.x, point.y, point.z)
+        deposit(options, flow, packet.source, packet.colour, packet.weight * share * radiance)
     lit = radiance > 0.0
     if scatters:
         lit = ask_lights(objects, flow, packet, point) or lit
+        if asks_emitters(options, objects, packet.events):
+            asking = put(
+                flow, EMITTERS, packet, OBJECT_FRAME, point.x, point.y, point.z, packet.dx, packet.dy, packet.dz,
+                packet.weight, packet.key, 0.0,
+            )  # fmt: skip
+            asking.facet = point.prim
     if lit:
         flow.book[LIT] += packet.weight
+
+
+@inlined
+def emitted_radiance(objects: ObjectTables, packet: Any, prim: int, texel: float) -> float:
+    """Return the radiance that a facet emits into the packet's medium, as the packet's weight counts it, W/(m² sr)."""
+    radiance = objects.radiance[objects.facets[prim].body, packet.colour] * texel
+    if radiance > 0.0 and packet.medium != AIR:
+        # Inside glass: radiance over n² is conserved on the way out.
+        radiance /= objects.media.indices[packet.medium, packet.colour] ** 2
+    return radiance
 
 
 @inlined
@@ -225,7 +239,7 @@ def _bounce(
     """Queue the child whose direction the scattering model draws, if it survives roulette."""
     x, y, z = point.x, point.y, point.z
     ix, iy, iz = packet.dx, packet.dy, packet.dz
-    u, v = draw(packet, BOUNCE_U), draw(packet, BOUNCE_V)
+    u, v = draw_two(options, packet, BOUNCE_U)
     dx, dy, dz, share = sample(objects.scattering, point, packet.colour, ix, iy, iz, u, v)
     # A sample carries the scattered weight on average only; the book takes the difference.
     flow.book[SAMPLING_ADDED] += weight * share - scattered

@@ -110,6 +110,8 @@ class PixelSource(Source):
 
     def launch(self, work: Workspace, part: range) -> None:
         """Start the samples of some of the pixels."""
+        if self.stratified:
+            work.options = work.options._replace(stream=self.key, each=self.samples)
         tables, options, pixels = work.tables, work.options, self.pixels[part.start : part.stop]
         room = work.kept(StartRoom, lambda: start_room(tables.aim))
         if options.sequential and options.adjoint:

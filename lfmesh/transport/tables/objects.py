@@ -19,6 +19,7 @@ from lfmesh.scene import Scene
 from lfmesh.transport.packets.book import LOST_OUTSIDE, Book
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.contacts import contacts
+from lfmesh.transport.tables.emitters import emitter_table, no_emitters
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.lens import curved
 from lfmesh.transport.tables.lights import MM2, light_table, power_towards
@@ -194,13 +195,15 @@ def object_tables(
         target_slot=book.targets,
         lost_slot=np.append(book.lost_in_targets, LOST_OUTSIDE),
         lights=light_table(scene.lights, to_object),
+        emitters=no_emitters(),
         sources=np.zeros(0, SOURCE),
         radius=radius,
         outer_radius=float(np.linalg.norm(mesh.vertices, axis=1).max()),
         lit_middle=np.zeros(3),
         lit_radius=radius,
     )
-    return mesh, tables._replace(sources=_sources([*_lamps(tables), *_glowing_facets(tables, mesh)]))
+    sources = _sources([*_lamps(tables), *_glowing_facets(tables, mesh)])
+    return mesh, tables._replace(emitters=emitter_table(tables), sources=sources)
 
 
 def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:

@@ -89,6 +89,18 @@ OPAQUE = -1
 """`ObjectTables.medium` of a target that is not a body of glass."""
 
 
+class Emitters(NamedTuple):
+    """Pieces of emitting facets, from which points are drawn as light sources (see `tables.emitters`)."""
+
+    facet: NDArray[np.int64]  # (n,) facet of each piece
+    until: Array  # (n,) cumulative chance of the pieces
+    begin: NDArray[np.int64]  # (n,) the piece with which a search for a number in [k / n, (k + 1) / n) begins
+    place: Array  # (n, 3) barycentric weights of the facet's corners 1 and 2 at each piece's corner 0, and its size
+    density: Array  # (n,) chance of each piece over its area, 1/mm²
+    first: NDArray[np.int64]  # (m,) first piece of each facet of object space; −1: none
+    level: NDArray[np.int64]  # (m,) how often each facet is divided in four
+
+
 class ObjectTables(NamedTuple):
     """Targets, lights and the camera's housing in the object frame: world axes about the targets' middle."""
 
@@ -115,6 +127,7 @@ class ObjectTables(NamedTuple):
     target_slot: NDArray[np.int64]  # (targets,) book slot
     lost_slot: NDArray[np.int64]  # (targets + 1,) book slot of energy lost at each target; the last: in open space
     lights: Records  # LIGHT
+    emitters: Emitters
     sources: Records  # SOURCE: where the forward method starts packets
     radius: float  # mm, of a sphere about the origin that holds the targets
     outer_radius: float  # mm, of a sphere about the origin that holds targets and camera

@@ -8,7 +8,7 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.transport.packets.random import derived, descendant
-from lfmesh.transport.packets.sobol import COLUMNS, DIMENSIONS, owen_sobol, sobol
+from lfmesh.transport.packets.sobol import COLUMNS, DIMENSIONS, of_event, owen_sobol, sobol
 from lfmesh.transport.render.render import Renderer
 
 LEVEL = 1e-3
@@ -156,3 +156,22 @@ def test_images_from_sobol_points_have_the_mean_of_random_ones_and_less_noise() 
     lit = random.mean(axis=0) > 0.1 * random.mean()
     less = (random.var(axis=0, ddof=1) - even.var(axis=0, ddof=1))[lit]
     assert stats.ttest_1samp(less, 0.0, alternative="greater").pvalue < LEVEL
+
+
+def test_points_of_an_event_make_a_net_of_their_own() -> None:
+    """Every elementary interval of 64 cells holds one of 64 points, whatever the event; sets of two events differ."""
+    sets = np.array([[of_event(ROOT, number, sample) for sample in range(64)] for number in (5, 21)])
+    for points in sets:
+        for a in range(7):
+            cells = (points * [1 << a, 1 << (6 - a)]).astype(int)
+            assert len(np.unique(cells, axis=0)) == 64
+    assert not np.isin(sets[0], sets[1]).any()
+
+
+def test_points_of_different_events_are_independent() -> None:
+    """Over 4,000 pixels, the product of two numbers, less its expectation, has mean zero: a t-test of each pair."""
+    keys = [descendant(ROOT, pixel) for pixel in range(4000)]
+    points = np.array([[*of_event(k, 5, 3), *of_event(k, 21, 3)] for k in keys]) - 0.5
+    pairs = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
+    for i, j in pairs:
+        assert stats.ttest_1samp(points[:, i] * points[:, j], 0.0).pvalue > LEVEL / len(pairs)

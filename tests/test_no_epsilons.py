@@ -32,7 +32,6 @@ DIMENSIONLESS = {
     "transport/aiming/ray_aiming.py": {"ARRIVED", "TOLERANCE"},
     "transport/aiming/lenslet_view.py": {"ROUNDING"},
     "transport/refused_glass.py": {"A_LITTLE_INSIDE", "JUST_BESIDE"},
-    "transport/tables/coatings.py": {"ONE_SIDED"},
     "transport/tables/contacts.py": {"CUT"},
     "transport/tables/lights.py": {"MM2"},
     "transport/packets/random.py": {"_UNIT"},

@@ -143,7 +143,7 @@ def looked_up(parameters: Array, first: int, pieces: int, colour: int, u: float)
 @inlined
 def coated_shares(
     parameters: Array, first: int, pieces: int, absorbs: bool, colour: int,
-    n_i: float, n_t: float, cos_i: float, cos_t: float, total: bool,
+    n_i: float, n_t: float, cos_i: float, cos_t: float, total: bool, outward: bool,
 ) -> tuple[float, float]:  # fmt: skip
     """Return reflectance and transmittance of a coating.
 
@@ -160,6 +160,9 @@ def coated_shares(
         Index and cosine before and behind the coating.
     total : bool
         Reflection is total.
+    outward : bool
+        Light comes from the side that the layers end with. Between equal indices the first side counts as the thinner
+        medium.
     """
     size = TERMS * pieces
     if total:
@@ -172,6 +175,6 @@ def coated_shares(
     if not absorbs:
         reflectance = looked_up(parameters, first, pieces, colour, u)
         return reflectance, 1.0 - reflectance
-    side = FROM_DENSE if n_i > n_t else FROM_THIN
+    side = FROM_DENSE if n_i > n_t or (n_i == n_t and outward) else FROM_THIN
     reflectance = looked_up(parameters, first + side * size, pieces, colour, u)
     return reflectance, min(looked_up(parameters, first + PASSED * size, pieces, colour, u), 1.0 - reflectance)

@@ -8,15 +8,15 @@ from lfmesh.optics.share_table import ALLOWED, TERMS, TOLERANCE, TooManyPiecesEr
 
 
 @kernel
-def look_up(parameters, pieces, absorbs, n_i, n_t, cos_i, cos_t, total, R, T):
+def look_up(parameters, pieces, absorbs, n_i, n_t, cos_i, cos_t, total, outward, R, T):
     for i in range(len(cos_i)):
-        R[i], T[i] = coated_shares(parameters, 0, pieces, absorbs, 0, n_i, n_t, cos_i[i], cos_t[i], total)
+        R[i], T[i] = coated_shares(parameters, 0, pieces, absorbs, 0, n_i, n_t, cos_i[i], cos_t[i], total, outward)
 
 
-def found(table, n_i, n_t, cos_i, cos_t, total=False):
+def found(table, n_i, n_t, cos_i, cos_t, total=False, outward=False):
     parameters = table.coefficients.reshape(-1, 1)
     R, T = np.empty(len(cos_i)), np.empty(len(cos_i))
-    look_up(parameters, table.pieces, len(table.coefficients) > 1, n_i, n_t, cos_i, cos_t, total, R, T)
+    look_up(parameters, table.pieces, len(table.coefficients) > 1, n_i, n_t, cos_i, cos_t, total, outward, R, T)
     return R, T
 
 
@@ -48,6 +48,13 @@ def test_each_side_of_a_coating_that_absorbs_has_its_own_reflectance():
         R, T = found(table, *n)
         assert np.abs(R - side).max() < 2.0 * TOLERANCE
         assert np.abs(T - passed).max() < 2.0 * TOLERANCE
+
+
+@pytest.mark.parametrize("outward", [False, True])
+def test_between_equal_indices_the_way_of_the_light_tells_the_side(outward):
+    table = tabulated(wavy, absorbs=True)
+    R, _ = found(table, 1.5, 1.5, COSINES, COSINES, outward=outward)
+    assert np.abs(R - wavy(np.sqrt(COSINES), False)[int(outward)]).max() < 2.0 * TOLERANCE
 
 
 def test_total_reflection_has_a_branch_of_its_own():

@@ -46,13 +46,21 @@ def shares(
     R, T, cos_t : float
         Shares of the power; under total reflection 1, 0, 0, but R below 1 if a coating absorbs.
     """
+    return _shares(interfaces, number, colour, n_i, n_t, cos_i, False)
+
+
+@inlined
+def _shares(
+    interfaces: Interfaces, number: int, colour: int, n_i: float, n_t: float, cos_i: float, outward: bool
+) -> tuple[float, float, float]:
+    """Return what `shares` does; between equal indices `outward` tells from which side light comes."""
     reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
     row = interfaces.rows[number]
     if row.kind != BARE:
-        total = transmittance == 0.0
         reflectance, transmittance = coated_shares(
-            interfaces.parameters, row.first, row.pieces, row.kind == ABSORBING, colour, n_i, n_t, cos_i, cos_t, total
-        )
+            interfaces.parameters, row.first, row.pieces, row.kind == ABSORBING, colour, n_i, n_t, cos_i, cos_t,
+            transmittance == 0.0, outward,
+        )  # fmt: skip
     return reflectance, transmittance, cos_t
 
 
@@ -70,13 +78,19 @@ def is_coated(interfaces: Interfaces, number: int) -> bool:
 
 @inlined
 def divided(
-    interfaces: Interfaces, number: int, colour: int, n_i: float, n_t: float, cos_i: float, packet: Any, book: Array
-) -> tuple[float, float, float]:
+    interfaces: Interfaces, number: int, colour: int, n_i: float, n_t: float, cos_i: float, outward: bool,
+    packet: Any, book: Array,
+) -> tuple[float, float, float]:  # fmt: skip
     """Return what `shares` does, as shares of what a coating leaves of the packet.
 
     What the coating absorbs is taken from the packet and entered in the book.
+
+    Parameters
+    ----------
+    outward : bool
+        Light comes from the side that the layers of a coating end with; between equal indices only this tells it.
     """
-    reflectance, transmittance, cos_t = shares(interfaces, number, colour, n_i, n_t, cos_i)
+    reflectance, transmittance, cos_t = _shares(interfaces, number, colour, n_i, n_t, cos_i, outward)
     row = interfaces.rows[number]
     if row.kind == ABSORBING:
         left = reflectance + transmittance

@@ -159,7 +159,7 @@ def through_plate(
         glass = array.media.indices[array.medium, packet.colour]
         n_i, n_t = (glass, 1.0) if outward else (1.0, glass)
         reflectance, transmittance, cos_t = divided(
-            array.interfaces, FLAT_ROW, packet.colour, n_i, n_t, abs(dz), packet, flow.book
+            array.interfaces, FLAT_ROW, packet.colour, n_i, n_t, abs(dz), outward, packet, flow.book
         )
         toward = 1.0 if dz > 0.0 else -1.0
         _split_at_flat_face(
@@ -356,7 +356,7 @@ def _through_face(
     glass = array.media.indices[array.medium, packet.colour]
     n_i, n_t = (1.0, glass) if inward else (glass, 1.0)
     reflectance, transmittance, cos_t = divided(
-        array.interfaces, CURVED_ROW, packet.colour, n_i, n_t, cos_i, packet, flow.book
+        array.interfaces, CURVED_ROW, packet.colour, n_i, n_t, cos_i, not inward, packet, flow.book
     )
     if packet.last == LEFT_FACE:
         # The second curved face in one passage is off the image path.

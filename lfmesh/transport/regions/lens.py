@@ -479,7 +479,7 @@ def _send_on(
     if lens.interfaces.coated:
         n_i, n_t = block[N_I + i], block[N_T + i]
         reflectance, transmittance, _ = divided(
-            lens.interfaces, k, packet.colour, n_i, n_t, incidence(block, i), packet, flow.book
+            lens.interfaces, k, packet.colour, n_i, n_t, incidence(block, i), k != packet.space, packet, flow.book
         )
     _split(
         (block, i, k, packet.space, lens, has_array), options, flow, frames, CAMERA_FRAME, packet, k, NO_SURFACE,

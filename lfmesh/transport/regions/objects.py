@@ -329,7 +329,7 @@ def _through_glass(
         put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, clear)
         return
     reflectance, transmittance, cos_t = divided(
-        objects.interfaces, number, packet.colour, n_i, n_t, cos_i, packet, flow.book
+        objects.interfaces, number, packet.colour, n_i, n_t, cos_i, not entering, packet, flow.book
     )
     packet.facet = NO_SURFACE
     packet.last = NO_SURFACE

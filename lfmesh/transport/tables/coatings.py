@@ -19,10 +19,6 @@ from lfmesh.transport.tables.media import Medium
 
 Array = NDArray[np.float64]
 
-ONE_SIDED = 1e-9
-"""Difference of the reflectances of both sides above which the table of an absorbing coating between equal indices,
-which cannot tell the sides apart, is refused; a share of the light, without a unit."""
-
 RESONANT = 256
 """Pieces to have at least where a layer's index is below both media's: light may then resonate between such layers,
 within an angle so small that few points would miss it."""
@@ -140,11 +136,6 @@ def _at_wavelength(
         if not lossy:
             return from_thin[None]
         from_dense, _ = between(dense, thin, stack.reversed, wavelength_nm, k_dense.real, k_thin.astype(np.complex128))
-        if thin == dense and np.abs(from_thin - from_dense).max() > ONE_SIDED:
-            raise SceneError(
-                f"coatings.{name}: it absorbs, and reflects differently from its two sides; between equal indices "
-                f"({thin:g} at {wavelength_nm:g} nm) this is not modelled"
-            )
         return np.stack([from_thin, from_dense, passed])
 
     return tabulated(shares, lossy, least)

@@ -118,7 +118,7 @@ def lens_faces(scene: Scene) -> list[Face]:
     faces, before = [], None
     for i, surface in enumerate(lens.surfaces):
         sides = (before, surface.medium)
-        if surface.medium is None:
+        if surface.medium is None and before is not None:
             sides = (surface.medium, before)
         if not lens.is_pure_stop(i):
             faces.append(Face(f"camera.lens.surfaces[{i}]", f"coating of lens surface {i}", surface.coating, *sides))

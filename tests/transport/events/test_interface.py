@@ -443,18 +443,6 @@ def test_tables_of_a_thousand_random_coatings_are_right_to_a_millionth():
     assert worst < 1e-6
 
 
-def test_between_equal_indices_an_absorbing_coating_with_two_faces_is_refused():
-    scene = coated_scene("dark").changed(
-        {"camera.lens.surfaces[1].index": 1.0, "camera.lens.surfaces[1].radius_mm": 60.0}
-    )
-    with pytest.raises(SceneError, match=r"coatings\.dark: it absorbs, and reflects differently from its two sides"):
-        interface_tables(scene, (550.0,))
-    # With one layer both sides are the same.
-    same = {"coatings.dark.layers": [{"index": 2.0, "extinction": 1.0, "thickness_nm": 10.0}]}
-    R, T, _ = shares(interface_tables(scene.changed(same), (550.0,)).lens, 0, 0, 1.0, 1.0, 0.7)
-    assert 0.0 < R < R + T < 0.95
-
-
 def test_a_stack_too_thick_for_a_table_is_refused():
     thick = {"layers": [{"index": 2.0, "thickness_nm": 3e7}]}
     with pytest.raises(SceneError, match=r"coatings\.thick: its reflectance changes too fast"):

@@ -67,6 +67,7 @@ def test_scene_loads_and_has_no_fault_of_layout(path: Path) -> None:
 
 def test_the_promised_scenes_are_there() -> None:
     promised = {"first_light", "lit_chart", "conventional", "hexagonal", "emitting_plane", "lytro_class", "focused"}
+    promised |= {"coated"}
     assert promised <= set(names(SCENES))
 
 

@@ -1,8 +1,11 @@
 """Coatings in a scene file: what they may be, where they are named, and what is refused in one clear line."""
 
+import json
+
 import pytest
 
 import lfmesh as lf
+from lfmesh.cli import main
 from lfmesh.errors import LfmeshError, SceneError
 from lfmesh.optics.glass import complex_index
 from lfmesh.scene import Coating, Layer
@@ -130,3 +133,27 @@ def test_an_element_given_as_a_mesh_has_its_coating_on_the_refractor(tmp_path):
             ),
             tmp_path,
         )
+
+
+def test_check_says_what_coatings_reflect_and_which_are_not_used(tmp_path, capsys):
+    (tmp_path / "scene.toml").write_text(SCENE)
+    assert main(["check", str(tmp_path / "scene.toml")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    own = [line for line in lines if line.startswith("coating of ")]
+    # Magnesium fluoride of 106.5 nm on n = 1.5 at 587.6 nm, just off its quarter wave.
+    assert [line.split("  ")[0] for line in own] == ["coating of lens surface 0", "coating of the mla's curved face"]
+    assert all("ar: reflects 1.41 % at 0, 1.53 % at 30, 5.51 % at 60 degrees; tabulated to " in line for line in own)
+    assert "warning: coatings.half: no surface has this coating" in lines
+
+
+def test_a_run_states_the_error_of_its_tables(tmp_path):
+    plane = '[[targets]]\nshape = { kind = "plane", width_mm = 60.0, height_mm = 60.0 }\nposition_mm = [0, 0, -500]\n'
+    text = SCENE + plane.replace("[0, 0, -500]", "[0.0, 0.0, -500.0]") + "[targets.material]\nradiance_w_m2_sr = 1.0\n"
+    image = lf.render(lf.loads(text + '[transport]\nsamples = 2\nreplicates = 2\nsplit = "transmit"\n'))
+    assert set(image.coatings) == {"ar"}
+    assert 0.0 < image.coatings["ar"] < 1e-6
+    lf.save(image, tmp_path / "run")
+    assert lf.open_run(tmp_path / "run").coatings == image.coatings
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert report["coatings"] == image.coatings
+    assert any(line.startswith("Reflectance of coating ar comes from tables, to ") for line in report["summary"])

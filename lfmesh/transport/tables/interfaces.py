@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.optics.share_table import looked_up
 from lfmesh.scene import Scene
 from lfmesh.scene.coatings import UNCOATED
 from lfmesh.transport.packets.book import Book
@@ -43,6 +44,8 @@ KINDS = (
     Kind("coated with layers that absorb", is_smooth=True, is_lossless=False),
 )
 """Kinds by their number in the table."""
+
+_SHOWN_DEG = (0.0, 30.0, 60.0)
 
 
 class Face(NamedTuple):
@@ -204,6 +207,29 @@ def coating_errors(scene: Scene) -> dict[str, float]:
             if finish.kind != BARE:
                 errors[face.coating] = max(errors.get(face.coating, 0.0), finish.error)
     return errors
+
+
+def coating_lines(scene: Scene) -> list[str]:
+    """Describe the coatings of a solved scene, a line for each face: what it reflects, and how well that is tabulated.
+
+    Reflectances are those at the primary wavelength, from the thinner of the two media and by the angle there.
+    """
+    wavelengths_nm = scene.transport.wavelengths_nm
+    colour = wavelengths_nm.index(scene.transport.primary_nm)
+    array = array_faces(scene) if scene.camera.mla is not None else []
+    lines, used = [], set()
+    for face in (*lens_faces(scene), *array, *body_faces(scene)):
+        finish = _finish_of(scene, face, wavelengths_nm)
+        if finish.kind == BARE:
+            continue
+        used.add(face.coating)
+        values = np.asarray(finish.parameters)
+        shown = [looked_up(values, 0, finish.pieces, colour, np.sqrt(np.cos(np.radians(a)))) for a in _SHOWN_DEG]
+        shares = ", ".join(f"{100.0 * R:.3g} % at {a:g}" for R, a in zip(shown, _SHOWN_DEG, strict=True))
+        error = f"tabulated to {finish.error:.0e}" if finish.error > 0.0 else "the same at every angle"
+        lines.append(f"{face.body:<34}{face.coating}: reflects {shares} degrees; {error}")
+    unused = [name for name in scene.coatings if name not in used]
+    return [*lines, *(f"warning: coatings.{name}: no surface has this coating" for name in unused)]
 
 
 def _faces_of_regions(scene: Scene) -> tuple[list[Face], list[Face], list[Face]]:

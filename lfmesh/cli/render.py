@@ -37,9 +37,10 @@ def check(scene: SceneFile, /) -> int:
     """
     from lfmesh.geometry.solved_camera import first_order, mesh_lines, solved_camera
     from lfmesh.scene import load
+    from lfmesh.scene.glasses import glass_lines
 
     loaded = load(scene)
-    lines = [*first_order(loaded).lines(), *mesh_lines(loaded)]
+    lines = [*first_order(loaded).lines(), *mesh_lines(loaded), *glass_lines(solved_camera(loaded).scene)]
     if loaded.coatings:
         from lfmesh.transport.tables.interfaces import coating_lines
 

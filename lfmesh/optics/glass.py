@@ -34,15 +34,15 @@ def refractive_index(medium: float | str | None, wavelength_nm: float) -> float:
     Parameters
     ----------
     medium : float, str or None
-        An index (returned as it is), a glass name ("SCHOTT/N-BK7", "HIKARI/SK16", "OHARA/S-BSL7", or the bare
-        name where only one maker has it; "shelf/book/page" reaches the rest of the catalogue), or None for
-        air (1.0).
+        An index (returned as it is), a glass name ("SCHOTT/N-BK7", "HIKARI/SK16", "OHARA/S-BSL7", as CODE V writes
+        it "NBK7_SCHOTT", or the bare name where all makers that have it give the same indices; "shelf/book/page"
+        reaches the rest of the catalogue), or None for air (1.0).
     wavelength_nm : float
 
     Raises
     ------
     GlassError
-        The catalogue has no such glass (the message names close ones), several makers have it, or its data do
+        The catalogue has no such glass (the message names close ones), makers have it with different indices, or its data do
         not reach the wavelength (the message gives their range).
     """
     if medium is None:

@@ -35,11 +35,17 @@ def check(scene: SceneFile, /) -> int:
 
     Exits with 0 if the scene can be rendered, whatever the warnings, and with 2 if it cannot.
     """
-    from lfmesh.geometry.solved_camera import first_order, mesh_lines
+    from lfmesh.geometry.solved_camera import first_order, mesh_lines, solved_camera
     from lfmesh.scene import load
+    from lfmesh.scene.glasses import glass_lines
 
     loaded = load(scene)
-    print("\n".join([*first_order(loaded).lines(), *mesh_lines(loaded)]))
+    lines = [*first_order(loaded).lines(), *mesh_lines(loaded), *glass_lines(solved_camera(loaded).scene)]
+    if loaded.coatings:
+        from lfmesh.transport.tables.interfaces import coating_lines
+
+        lines += coating_lines(solved_camera(loaded).scene)
+    print("\n".join(lines))
     return 0
 
 

@@ -306,6 +306,7 @@ def _image_from(spectral: exr.SpectralImage, folder: Path) -> Image:
         aim=AimProof.from_dict(metadata["aim"]) if metadata.get("aim") else None,
         blind=BlindCheck.from_dict(metadata["blind"]) if metadata.get("blind") else None,
         order=OrderCheck(**metadata["order"]) if metadata.get("order") else None,
+        coatings=metadata.get("coatings") or {},
     )
 
 
@@ -459,6 +460,7 @@ def _metadata(image: Image, pixels_sha256: str, home: Path) -> dict[str, Any]:
         "aim": image.aim._asdict() if image.aim else None,
         "blind": asdict(image.blind) if image.blind else None,
         "order": asdict(image.order) if image.order else None,
+        "coatings": image.coatings,
         "seconds": image.seconds,
         "ledger": image.ledger.as_dict(),
         "pixels_sha256": pixels_sha256,

@@ -96,6 +96,7 @@ def summary(image: Image) -> list[str]:
         *_diffraction(solved_camera(image.scene).report),
         *_aim(image),
         *_order(image),
+        *_coatings(image),
     ]
     if measured.received_share < DARK_SHARE:
         lines += where_the_light_went(image)
@@ -172,6 +173,14 @@ def _order(image: Image) -> list[str]:
             " were used, which takes longer."
         ]
     return [f"Lens surfaces were found by their order: {order.words}."]
+
+
+def _coatings(image: Image) -> list[str]:
+    """Return a sentence on how well the tables of the coatings hold their shares of the light."""
+    if not image.coatings:
+        return []
+    names = f"coating{'s' if len(image.coatings) > 1 else ''} {', '.join(image.coatings)}"
+    return [f"Reflectance of {names} comes from tables, to {max(image.coatings.values()):.0e} of the light."]
 
 
 def where_the_light_went(image: Image) -> list[str]:
@@ -303,6 +312,8 @@ def _ended(name: str) -> str:
     """``stop`` takes an article, ``targets[0]`` does not; light beside the sensor ended on nothing that has a name."""
     if name == "beside the sensor":
         return "fell beside the sensor"
+    if name.startswith("coating of "):
+        return f"was absorbed by the {name}"
     return f"ended on {name}" if name.startswith("targets[") else f"ended on the {name}"
 
 

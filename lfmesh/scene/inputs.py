@@ -33,6 +33,10 @@ def files_of(model: BaseModel, where: str = "") -> Iterator[tuple[str, str]]:
                 yield place, value
         elif isinstance(value, BaseModel):
             yield from files_of(value, place)
+        elif isinstance(value, dict):
+            for name, item in value.items():
+                if isinstance(item, BaseModel):
+                    yield from files_of(item, f"{place}.{name}")
         elif isinstance(value, tuple):
             for number, item in enumerate(value):
                 if isinstance(item, BaseModel):

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from lfmesh.optics.glass import AIR
+from lfmesh.scene.coatings import UNCOATED
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.pose import Pose
 from lfmesh.scene.quantities import Flag, GlassName, Index, NonNegative, Number, Positive, Radius, Text, Whole
@@ -36,6 +37,8 @@ class Surface(Model):
     may omit it."""
     stop: Flag = False
     """Whether this surface's aperture is the aperture stop of the lens."""
+    coating: Text = UNCOATED
+    """Name of a coating of the scene, or "none": bare."""
     conic: Number = 0.0
     """Conic constant: 0 sphere, −1 paraboloid, below −1 hyperboloid, above −1 ellipsoid."""
     asphere_mm: tuple[Number, ...] = ()
@@ -92,9 +95,10 @@ class Surface(Model):
 
     def _element_faults(self) -> Iterator[Fault]:
         own = {"radius_mm": math.inf, "index": None, "glass": None, "stop": False, "conic": 0.0, "asphere_mm": ()}
-        for key, value in {**own, "mesh": None}.items():
+        for key, value in {**own, "coating": UNCOATED, "mesh": None}.items():
             if getattr(self, key) != value:
-                yield Fault((key,), getattr(self, key), "omit it: the refractor is a whole element")
+                beside = "; the refractor has a coating of its own" if key == "coating" else ""
+                yield Fault((key,), getattr(self, key), f"omit it: the refractor is a whole element{beside}")
         if self.refractor is not None and self.refractor.priority != 0:
             yield Fault(
                 ("refractor", "priority"), self.refractor.priority, "omit it: elements of a lens do not overlap"
@@ -198,6 +202,11 @@ class Lens(Model):
                 "{ thickness_mm = 1.0, semi_diameter_mm = 10.0 }",
             )
             return
+        for i, surface in enumerate(self.surfaces):
+            if surface.coating != UNCOATED and self.is_pure_stop(i) and surface.mesh is None:
+                yield Fault(
+                    ("surfaces", i, "coating"), surface.coating, "omit it: a stop without glass is no interface"
+                )
         yield from self._stop_faults()
         yield from self._spacing_faults()
         yield from self._element_faults()

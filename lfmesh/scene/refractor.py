@@ -6,8 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from lfmesh.scene.coatings import UNCOATED
 from lfmesh.scene.model import Fault, Model, nearest
-from lfmesh.scene.quantities import FilePath, GlassName, Index
+from lfmesh.scene.quantities import FilePath, GlassName, Index, Text
 
 UNITS_IN_FILE = (".glb", ".gltf")
 """Formats whose standard fixes the unit of length."""
@@ -56,6 +57,8 @@ class Refractor(MeshShape):
     """Refractive index of the glass. Or give `glass`."""
     glass: GlassName | None = None
     """Catalogue glass, like "SCHOTT/N-BK7"."""
+    coating: Text = UNCOATED
+    """Name of the coating of its whole surface, or "none": bare."""
     priority: Priority = 0
     """In object space: where bodies overlap, the one of the highest priority is there, and of equal ones that which
     lies inside the other. So water that reaches a little into the glass round it touches that everywhere."""

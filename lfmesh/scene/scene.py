@@ -10,8 +10,9 @@ from typing import Any, Literal
 from pydantic import Field, PrivateAttr
 
 from lfmesh.errors import GlassError
-from lfmesh.optics.glass import refractive_index
+from lfmesh.optics.glass import complex_index, refractive_index
 from lfmesh.scene.camera import Camera
+from lfmesh.scene.coatings import Coating, name_fault, unknown_fault
 from lfmesh.scene.inputs import found
 from lfmesh.scene.lights import Light
 from lfmesh.scene.model import Fault, Location, Model
@@ -41,6 +42,8 @@ class Scene(Model):
     """The bodies in front of the camera."""
     lights: tuple[Light, ...] = ()
     """What lights them."""
+    coatings: dict[str, Coating] = Field(default_factory=dict)
+    """Coatings by the names that surfaces give."""
     transport: Transport = Field(default_factory=Transport)
     """How to trace the light."""
 
@@ -143,7 +146,37 @@ class Scene(Model):
         yield from glasses
         if not glasses:
             yield from self._lenslet_faults()
+        yield from self._coating_faults()
         yield from self._memory_faults()
+
+    def coating_uses(self) -> Iterator[tuple[Location, str]]:
+        """Yield where surfaces give the name of a coating, and the name."""
+        for i, surface in enumerate(self.camera.lens.surfaces):
+            where: Location = ("camera", "lens", "surfaces", i)
+            yield (*where, "coating"), surface.coating
+            if surface.refractor is not None:
+                yield (*where, "refractor", "coating"), surface.refractor.coating
+        if self.camera.mla is not None:
+            yield ("camera", "mla", "curved_coating"), self.camera.mla.curved_coating
+            yield ("camera", "mla", "flat_coating"), self.camera.mla.flat_coating
+        for i, target in enumerate(self.targets):
+            if target.refractor is not None:
+                yield ("targets", i, "refractor", "coating"), target.refractor.coating
+
+    def _coating_faults(self) -> Iterator[Fault]:
+        for name, coating in self.coatings.items():
+            if why := name_fault(name):
+                yield Fault(("coatings", name), None, why)
+            for i, layer in enumerate(coating.layers or ()):
+                for wavelength in self.transport.wavelengths_nm if layer.glass is not None else ():
+                    try:
+                        complex_index(layer.glass or "", wavelength)
+                    except GlassError as error:
+                        yield Fault(("coatings", name, "layers", i, "glass"), None, str(error))
+                        break
+        for where, name in self.coating_uses():
+            if why := unknown_fault(name, tuple(self.coatings)):
+                yield Fault(where, name, why)
 
     def _glass_faults(self) -> Iterator[Fault]:
         media: list[tuple[Location, float | str | None]] = [

@@ -11,7 +11,7 @@ _ALWAYS = ("schema_version", "kind")
 
 # Tables that stand in one line, and lists of tables with a line each.
 _IN_LINE = ("shape",)
-_A_LINE_EACH = ("surfaces",)
+_A_LINE_EACH = ("surfaces", "layers")
 
 
 def table(model: Model) -> dict[str, Any]:
@@ -37,6 +37,8 @@ def _entry(value: Any) -> Any:
         return table(value)
     if isinstance(value, tuple):
         return [_entry(item) for item in value]
+    if isinstance(value, dict):
+        return {key: _entry(item) for key, item in value.items()}
     return value
 
 

@@ -6,7 +6,7 @@ which holds nearly all light, and the mesh engine adds the paths off it.
 
 from lfmesh.errors import SceneError
 from lfmesh.scene import Scene
-from lfmesh.transport.tables.interfaces import rough_interface
+from lfmesh.transport.tables.interfaces import refused_in_order
 
 
 def engine_of(scene: Scene) -> tuple[str, str]:
@@ -51,9 +51,9 @@ def obstacle_of(scene: Scene, surface: str, max_events: int) -> str | None:
     for i, element in enumerate(lens.surfaces):
         if element.mesh is not None:
             return f"camera.lens.surfaces[{i}] is a mesh"
-    rough = rough_interface(scene)
-    if rough is not None:
-        return rough
+    refused = refused_in_order(scene)
+    if refused is not None:
+        return refused
     interfaces = len(lens.surfaces) + (0 if scene.camera.mla is None else 2)
     if interfaces >= max_events:
         return f"max_events = {max_events} cuts paths inside the lens"

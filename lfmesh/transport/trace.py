@@ -270,7 +270,7 @@ def _unit_directions(p: NDArray[np.float64], d: NDArray[np.float64]) -> NDArray[
 def at_wavelength(world: World, wavelength_nm: float) -> Tables:
     """Return the tables of a world with media and interfaces at one wavelength."""
     tables, media = world.tables, world.media.table((wavelength_nm,))
-    interfaces = interface_tables(world.scene, (wavelength_nm,))
+    interfaces = interface_tables(world.scene, (wavelength_nm,), world.book)
     return tables._replace(
         lens=tables.lens._replace(media=media, interfaces=interfaces.lens),
         array=tables.array._replace(media=media, interfaces=interfaces.array),

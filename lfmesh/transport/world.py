@@ -38,7 +38,7 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.refused_glass import refuse_untraceable_glass
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.tables.frames import frame_table
-from lfmesh.transport.tables.interfaces import interface_tables
+from lfmesh.transport.tables.interfaces import coatings_in_book, interface_tables
 from lfmesh.transport.tables.lens import array_tables, lens_tables
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, refuse_targets_inside
@@ -170,7 +170,7 @@ class World:
 
 
 def book_of(scene: Scene, shape: LensShape) -> Book:
-    """Return the book of a scene: its slots for lens elements, targets, and spaces between refracting surfaces.
+    """Return the book of a scene: its slots for lens elements, targets, spaces between lens surfaces, and coatings.
 
     The spaces are the air before the lens, glass and air inside it, and the air behind it.
     """
@@ -180,7 +180,7 @@ def book_of(scene: Scene, shape: LensShape) -> Book:
     for k, medium in enumerate(shape.media[1:-1], start=1):
         element += medium is not None
         spaces[k] = f"lens[{element}]" if medium is not None else f"the air behind lens[{element}]"
-    return Book.of_bodies(len(shape.elements), targets, spaces)
+    return Book.of_bodies(len(shape.elements), targets, spaces, coatings_in_book(scene))
 
 
 def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> World:
@@ -217,7 +217,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     targets = [target_mesh(target, scene) for target in scene.targets]
     book = book_of(scene, shape)
 
-    interfaces, known = interface_tables(scene, wavelengths_nm), MediumList.of(scene)
+    interfaces, known = interface_tables(scene, wavelengths_nm, book), MediumList.of(scene)
     lens_mesh, lens = lens_tables(scene, shape, wavelengths_nm, book, interfaces.lens, known)
     array_mesh_, array = array_tables(scene, wavelengths_nm, interfaces.array, known)
     middle = middle_of(targets)

@@ -90,6 +90,17 @@ SAID_BY_THE_SCENE = {
     "negative thickness": ("thickness_mm = 4.0", "thickness_mm = -4.0", "camera.lens.surfaces[1].thickness_mm = -4"),
     "crossing surfaces": ("thickness_mm = 4.0", "thickness_mm = 0.1", "cross"),
     "unknown glass": ("index = 1.5, semi", 'glass = "SCHOTT/N-BK77", semi', "N-BK77"),
+    "unknown coating": ("index = 1.5, semi", 'index = 1.5, coating = "ar", semi', "no coating has this name"),
+    "coating without thickness": (
+        "[transport]",
+        "[coatings.ar]\nlayers = [{ index = 1.38 }]\n[transport]",
+        "coatings.ar.layers[0].thickness_nm",
+    ),
+    "two kinds of coating": (
+        "[transport]",
+        "[coatings.ar]\nreflectance = 0.1\nlayers = [{ index = 1.4, thickness_nm = 9.0 }]\n[transport]",
+        "reflectance is given too",
+    ),
     "missing mesh": ('"part.stl"', '"gone.stl"', "gone.stl"),
     "mesh without units": ('units = "mm"\n', "", 'give units = "mm", say'),
     "unknown kind of mesh": ('"part.stl"', '"chart.png"', "must end in one of .stl"),
@@ -159,6 +170,16 @@ SAID_BY_THE_FILES = {
     "garbage GLB": (fill("part.glb", GARBAGE), GLB, "part.glb: broken"),
     "texture that is no picture": (fill("chart.png", b"no picture"), None, "chart.png: not a picture"),
     "truncated texture": (cut("chart.png", 0.5), None, "chart.png: "),
+    "coating's table that is none": (
+        fill("r.csv", GARBAGE),
+        ("[camera.sensor]", 'flat_coating = "ar"\n[coatings.ar]\ntable = "r.csv"\n[camera.sensor]'),
+        "r.csv: byte ",
+    ),
+    "coating's table with a gap": (
+        fill("r.csv", b"wavelength_nm,angle_deg,reflectance\n500,0,0.1\n500,90,1\n600,0,0.1\n"),
+        ("[camera.sensor]", 'flat_coating = "ar"\n[coatings.ar]\ntable = "r.csv"\n[camera.sensor]'),
+        "r.csv: there is no reflectance for 600 nm at 90 degrees",
+    ),
     "target in the camera": (
         cut("part.stl", 1.0),
         (

@@ -1,9 +1,12 @@
 """Glasses against their makers' data sheets, and what is said of names that are none."""
 
+import numpy as np
 import pytest
 
 from lfmesh.errors import GlassError
-from lfmesh.optics.glass import find_glass, refractive_index
+from lfmesh.optics.glass import _catalogue, find_glass, glass_in_words, refractive_index
+
+LINES = (486.1327, 587.5618, 656.2725)
 
 # Indices at the helium d line, 587.5618 nm, as printed in the makers' data sheets (relative to air).
 DATA_SHEETS = [
@@ -38,6 +41,62 @@ def test_a_bare_name_works_where_one_maker_has_it() -> None:
 def test_a_bare_name_of_several_makers_is_refused_with_the_choices() -> None:
     with pytest.raises(GlassError, match=r"'F2'.*SCHOTT/F2.*HIKARI/F2"):
         find_glass("F2")
+
+
+def test_several_makers_of_one_name_come_with_their_indices_the_best_known_maker_first() -> None:
+    with pytest.raises(GlassError) as refused:
+        find_glass("F2")
+    assert "'SCHOTT/F2' (nd 1.62004, Vd 36.37) or 'HIKARI/F2' (nd 1.62004, Vd 36.3" in str(refused.value)
+    assert "'CDGM/F2' (nd 1.61293, Vd 36.9" in str(refused.value)
+
+
+def test_a_bare_name_that_stands_for_one_glass_only_is_taken() -> None:
+    """Where makers give the same indices it does not matter whose they are."""
+    several = [name for name, pages in _catalogue().items() if "/" not in name and len(pages) > 1]
+    taken = []
+    for name in several:
+        try:
+            taken.append((name, find_glass(name)))
+        except GlassError:
+            continue
+    assert "SF2" in dict(taken)
+    assert find_glass("SF2") == find_glass("SCHOTT/SF2")
+    # At F the dispersion of these differs by 8e-5, though nd is the same to five digits.
+    assert "SF11" in several
+    assert "SF11" not in dict(taken)
+    for name, page in taken:
+        indices = [[refractive_index("/".join(each), line) for line in LINES] for each in _catalogue()[name]]
+        assert np.ptp(indices, axis=0).max() <= 1e-5
+        assert page in _catalogue()[name]
+
+
+@pytest.mark.parametrize(
+    ("written", "glass"),
+    [
+        ("NSSK2_SCHOTT", "SCHOTT/N-SSK2"), ("NBK7_SCHOTT", "SCHOTT/N-BK7"), ("SBSL7_OHARA", "OHARA/S-BSL7"),
+        ("HK9L_CDGM", "CDGM/H-K9L"), ("F2_HIKARI", "HIKARI/F2"), ("NBK7", "SCHOTT/N-BK7"),
+        ("SILICA", "main/SiO2/Malitson"), ("F_SILICA", "main/SiO2/Malitson"),
+    ],
+)  # fmt: skip
+def test_names_of_other_programs_are_understood(written: str, glass: str) -> None:
+    assert find_glass(written) == find_glass(glass)
+
+
+@pytest.mark.parametrize(
+    ("old", "heir"),
+    [
+        ("BK7", r"close to it are SCHOTT/N-BK7 \(nd 1\.51680, Vd 64\.17\), SCHOTT/P-BK7"),
+        ("BAK1", "are SCHOTT/N-BAK1 "),
+    ],
+)
+def test_the_successor_of_an_old_glass_is_named_first(old: str, heir: str) -> None:
+    with pytest.raises(GlassError, match=heir):
+        find_glass(old)
+
+
+def test_a_glass_is_described_with_catalogue_index_and_abbe_number() -> None:
+    assert glass_in_words("n-bk7") == "SCHOTT/N-BK7 (nd 1.51680, Vd 64.17)"
+    assert glass_in_words("main/Ge/Li-293K") == "main/Ge/Li-293K"
 
 
 def test_the_rest_of_the_catalogue_is_reached_by_shelf_book_and_page() -> None:

@@ -65,6 +65,18 @@ def posed(part: dict[str, Any], **pose: Any) -> dict[str, Any]:
     return part | {"pose": pose}
 
 
+def coated(scene: lf.Scene, curved: str, flat: str) -> lf.Scene:
+    """Coat both surfaces of the lens and the faces of the array."""
+    layers = {
+        "film": [{"index": 1.38, "thickness_nm": 106.5}],
+        "mirror": [{"index": n, "thickness_nm": 147.0 / n} for n in (2.3, 1.46, 2.3)],
+        "sun": [{"index": 1.46, "thickness_nm": 60.0}, {"index": 1.8, "extinction": 0.4, "thickness_nm": 45.0}],
+    }
+    names = {"camera.lens.surfaces[0].coating": curved, "camera.lens.surfaces[1].coating": flat}
+    names |= {"camera.mla.curved_coating": curved, "camera.mla.flat_coating": flat}
+    return scene.changed(names | {"coatings": {name: {"layers": each} for name, each in layers.items()}})
+
+
 SCENES = {
     "glow": scene([plane(GLOWING)]),
     "glow, ghosts": scene([plane(GLOWING)], split="both"),
@@ -116,6 +128,9 @@ SCENES = {
     "a sensor that reflects": scene(
         [plane(GLOWING)], split="both", sensor={"pixels": [20, 20], "pixel_mm": 0.1, "reflectance": 0.7}
     ),
+    # Half mirrors make ghosts that are half of the light.
+    "coated lens and array": coated(scene([plane(GLOWING)], split="both"), "film", "mirror"),
+    "coatings that absorb": coated(scene([plane(GLOWING)], split="both"), "sun", "film"),
     "conventional camera": scene([plane(GLOWING)], split="both", mla=None),
     "hexagonal multi-focus array, curved towards the sensor": scene([plane(GLOWING)], mla=HEXAGONAL_ARRAY),
     "tilted and decentred lens and stop": scene(

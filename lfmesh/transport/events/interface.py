@@ -7,15 +7,19 @@ regions find where an interface is met and where the children go.
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.kernel import inlined, pasted
 from lfmesh.optics.fresnel import fresnel, transmittance
+from lfmesh.optics.share_table import coated_shares
 from lfmesh.transport.events.crossing import record_interface, split_shares
 from lfmesh.transport.packets.packet import E_REFLECTED, E_TRANSMITTED, EVENTS, OBJECT_FRAME, Flow, Options
 from lfmesh.transport.packets.path_class import turns_off_image_path
 from lfmesh.transport.packets.random import derived
-from lfmesh.transport.tables.tables import Interfaces
+from lfmesh.transport.tables.tables import ABSORBING, BARE, Interfaces
+
+Array = NDArray[np.float64]
 
 
 @inlined
@@ -40,10 +44,61 @@ def shares(
     Returns
     -------
     R, T, cos_t : float
-        Shares of the power; under total reflection 1, 0, 0.
+        Shares of the power; under total reflection 1, 0, 0, but R below 1 if a coating absorbs.
     """
-    # All interfaces are smooth and bare as yet. Without branches, so that blocks of packets use vector instructions.
+    return _shares(interfaces, number, colour, n_i, n_t, cos_i, False)
+
+
+@inlined
+def _shares(
+    interfaces: Interfaces, number: int, colour: int, n_i: float, n_t: float, cos_i: float, outward: bool
+) -> tuple[float, float, float]:
+    """Return what `shares` does; between equal indices `outward` tells from which side light comes."""
+    reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
+    row = interfaces.rows[number]
+    if row.kind != BARE:
+        reflectance, transmittance = coated_shares(
+            interfaces.parameters, row.first, row.pieces, row.kind == ABSORBING, colour, n_i, n_t, cos_i, cos_t,
+            transmittance == 0.0, outward,
+        )  # fmt: skip
+    return reflectance, transmittance, cos_t
+
+
+@inlined
+def bare_shares(n_i: float, n_t: float, cos_i: float) -> tuple[float, float, float]:
+    """Return what `shares` does for an interface without a coating, without branches, for blocks of packets."""
     return fresnel(n_i, n_t, cos_i)
+
+
+@inlined
+def is_coated(interfaces: Interfaces, number: int) -> bool:
+    """Tell whether an interface has a coating."""
+    return interfaces.rows[number].kind != BARE
+
+
+@inlined
+def divided(
+    interfaces: Interfaces, number: int, colour: int, n_i: float, n_t: float, cos_i: float, outward: bool,
+    packet: Any, book: Array,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Return what `shares` does, as shares of what a coating leaves of the packet.
+
+    What the coating absorbs is taken from the packet and entered in the book.
+
+    Parameters
+    ----------
+    outward : bool
+        Light comes from the side that the layers of a coating end with; between equal indices only this tells it.
+    """
+    reflectance, transmittance, cos_t = _shares(interfaces, number, colour, n_i, n_t, cos_i, outward)
+    row = interfaces.rows[number]
+    if row.kind == ABSORBING:
+        left = reflectance + transmittance
+        book[row.slot] += packet.weight * (1.0 - left)
+        packet.weight *= left
+        over = 1.0 / left if left > 0.0 else 0.0
+        reflectance, transmittance = reflectance * over, transmittance * over
+    return reflectance, transmittance, cos_t
 
 
 @pasted
@@ -52,6 +107,8 @@ def transmitted_share(
     n_i: float, n_t: float, cos_i: float, cos_t: float, s: float, p: float, over: float,
 ) -> float:  # fmt: skip
     """Return the transmittance alone, from intermediate results of Fresnel's equations that a block of rays has ready.
+
+    Of bare interfaces; at coated ones a block goes ray by ray.
 
     Parameters
     ----------

@@ -5,7 +5,8 @@ names of the bodies that packets end on and the size of the book follow from the
 come after the fixed ones, see `Book.of_bodies`.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -86,6 +87,8 @@ class Book:
         Slot numbers of the lens elements' edges, and of the targets.
     lost_in_targets, lost_in_spaces : (n,) int64
         Slot numbers of energy lost in each target, and in each space of the lens.
+    coatings : dict of str to int
+        Slot numbers of the coatings, by name.
     """
 
     slots: tuple[Slot, ...]
@@ -93,9 +96,10 @@ class Book:
     targets: Slots
     lost_in_targets: Slots
     lost_in_spaces: Slots
+    coatings: dict[str, int] = field(default_factory=dict)
 
     @classmethod
-    def of_bodies(cls, elements: int, targets: list[str], spaces: list[str]) -> "Book":
+    def of_bodies(cls, elements: int, targets: list[str], spaces: list[str], coatings: Sequence[str] = ()) -> "Book":
         """Return the book of a scene.
 
         Parameters
@@ -104,6 +108,8 @@ class Book:
             Pieces of glass in the lens.
         targets, spaces : list of str
             Names of the targets, and of the spaces between the surfaces of the lens.
+        coatings : sequence of str
+            Names of the coatings.
         """
         slots = list(FIXED)
         numbers = []
@@ -115,7 +121,11 @@ class Book:
         ):
             numbers.append(np.arange(len(slots), len(slots) + len(names)))
             slots += [Slot(name, account) for name in names]
-        return cls(tuple(slots), *numbers)
+        first = len(slots)
+        slots += [Slot(name, ABSORBED) for name in coatings]
+        edges, of_targets, lost_in_targets, lost_in_spaces = numbers
+        by_name = {name: first + i for i, name in enumerate(coatings)}
+        return cls(tuple(slots), edges, of_targets, lost_in_targets, lost_in_spaces, by_name)
 
     def __len__(self) -> int:
         return len(self.slots)

@@ -30,7 +30,7 @@ from lfmesh.transport.events.crossing import (
     too_deep,
     write_query,
 )
-from lfmesh.transport.events.interface import shares, splitter
+from lfmesh.transport.events.interface import divided, splitter
 from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import ARRAY_EDGE, ARRAY_MOUNT, ARRAY_WALL, LOST_IN_ARRAY
 from lfmesh.transport.packets.packet import (
@@ -158,7 +158,9 @@ def through_plate(
             continue
         glass = array.media.indices[array.medium, packet.colour]
         n_i, n_t = (glass, 1.0) if outward else (1.0, glass)
-        reflectance, transmittance, cos_t = shares(array.interfaces, FLAT_ROW, packet.colour, n_i, n_t, abs(dz))
+        reflectance, transmittance, cos_t = divided(
+            array.interfaces, FLAT_ROW, packet.colour, n_i, n_t, abs(dz), outward, packet, flow.book
+        )
         toward = 1.0 if dz > 0.0 else -1.0
         _split_at_flat_face(
             (array, lens_surfaces, outward), options, flow, frames, ARRAY_FRAME, packet, FLAT_FACE, NO_SURFACE,
@@ -353,7 +355,9 @@ def _through_face(
     inward = packet.space == BEFORE
     glass = array.media.indices[array.medium, packet.colour]
     n_i, n_t = (1.0, glass) if inward else (glass, 1.0)
-    reflectance, transmittance, cos_t = shares(array.interfaces, CURVED_ROW, packet.colour, n_i, n_t, cos_i)
+    reflectance, transmittance, cos_t = divided(
+        array.interfaces, CURVED_ROW, packet.colour, n_i, n_t, cos_i, not inward, packet, flow.book
+    )
     if packet.last == LEFT_FACE:
         # The second curved face in one passage is off the image path.
         packet.stray = 1

@@ -26,7 +26,7 @@ from lfmesh.transport.events.crossing import (
     too_deep,
     write_query,
 )
-from lfmesh.transport.events.interface import splitter
+from lfmesh.transport.events.interface import divided, splitter
 from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import HOUSING, LOST_CONTRADICTION, STOP
 from lfmesh.transport.packets.packet import (
@@ -50,7 +50,6 @@ from lfmesh.transport.regions.lens_block import (
     ALONG_Z,
     BLOCK,
     CLEAR,
-    COLOUR,
     HELD,
     N_I,
     N_T,
@@ -69,6 +68,7 @@ from lfmesh.transport.regions.lens_block import (
     SENSE,
     SIZE,
     TRANSMITTANCE,
+    incidence,
     meet_conics,
     meet_in_order,
     set_conic,
@@ -253,7 +253,7 @@ def shade_lens(
                 if not block[HELD + i] > 0.0:
                     prim = found[first + i]
                     met[i] = _decide(block, i, wave[first + i], prim, lens, has_array, frames, options, flow)
-        split_block(block, lens.interfaces)
+        split_block(block)
         for i in range(count):
             if met[i] != NO_SURFACE:
                 _send_on(block, i, wave[first + i], met[i], lens, has_array, frames, options, flow)
@@ -277,7 +277,6 @@ def _prepare_in_order(block: Array, i: int, packet: Any, lens: LensTables, optio
     block[N_I + i], block[N_T + i] = indices[medium[space], colour], indices[medium[max(space - 1, 0)], colour]
     block[NEXT_N + i] = indices[medium[min(space + 1, last_space)], colour]
     block[NUMBER + i], block[NEXT_NUMBER + i] = max(space - 1, 0), min(space, last_space - 1)
-    block[COLOUR + i] = colour
 
 
 @kernel
@@ -347,7 +346,7 @@ def _set_sides(block: Array, i: int, packet: Any, k: int, lens: LensTables) -> N
     space = packet.space
     indices, beyond = lens.media.indices, lens.medium[k + 1 if k == space else k]
     block[N_I + i], block[N_T + i] = indices[lens.medium[space], packet.colour], indices[beyond, packet.colour]
-    block[NUMBER + i], block[COLOUR + i] = k, packet.colour
+    block[NUMBER + i] = k
 
 
 @kernel
@@ -476,9 +475,15 @@ def _send_on(
     """Divide a packet of a block at surface `k`."""
     r, t = REFLECTED + i, REFRACTED + i
     x, y, z = arrive(flow, lens.media, packet, block[PX + i], block[PY + i], block[PZ + i])
+    reflectance, transmittance = block[REFLECTANCE + i], block[TRANSMITTANCE + i]
+    if lens.interfaces.coated:
+        n_i, n_t = block[N_I + i], block[N_T + i]
+        reflectance, transmittance, _ = divided(
+            lens.interfaces, k, packet.colour, n_i, n_t, incidence(block, i), k != packet.space, packet, flow.book
+        )
     _split(
         (block, i, k, packet.space, lens, has_array), options, flow, frames, CAMERA_FRAME, packet, k, NO_SURFACE,
-        lens.medium[k + 1 if k == packet.space else k], x, y, z, block[REFLECTANCE + i], block[TRANSMITTANCE + i],
+        lens.medium[k + 1 if k == packet.space else k], x, y, z, reflectance, transmittance,
         (block[r + ALONG_X], block[r + ALONG_Y], block[r + ALONG_Z]),
         (block[t + ALONG_X], block[t + ALONG_Y], block[t + ALONG_Z]),
     )  # fmt: skip

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from lfmesh.kernel import inlined, kernel, pasted
 from lfmesh.transport.events.crossing import reflected, refracted, safely_behind
-from lfmesh.transport.events.interface import shares
+from lfmesh.transport.events.interface import bare_shares
 from lfmesh.transport.sequential.lens_bundle import conic_distance
-from lfmesh.transport.tables.tables import Interfaces
 from lfmesh.vector import both, select
 
 Array = NDArray[np.float64]
@@ -30,8 +29,8 @@ X, Y, Z, DX, DY, DZ, FROM = 0, BLOCK, 2 * BLOCK, 3 * BLOCK, 4 * BLOCK, 5 * BLOCK
 CURVATURE, SQUASH, VERTEX_Z, APERTURE2, SENSE = 7 * BLOCK, 8 * BLOCK, 9 * BLOCK, 10 * BLOCK, 11 * BLOCK
 # The facet: normal, offset of its plane, size.
 FACET_X, FACET_Y, FACET_Z, OFFSET, SIZE = 12 * BLOCK, 13 * BLOCK, 14 * BLOCK, 15 * BLOCK, 16 * BLOCK
-# The indices before and after the surface, its row among the interfaces, and the number of the wavelength.
-N_I, N_T, NUMBER, COLOUR = 17 * BLOCK, 18 * BLOCK, 19 * BLOCK, 20 * BLOCK
+# The indices before and after the surface, and its number.
+N_I, N_T, NUMBER = 17 * BLOCK, 18 * BLOCK, 19 * BLOCK
 # The point of the hit, the unit normal there, along the ray, and whether the hit is valid (1 or 0).
 PX, PY, PZ, NX, NY, NZ, HELD = 21 * BLOCK, 22 * BLOCK, 23 * BLOCK, 24 * BLOCK, 25 * BLOCK, 26 * BLOCK, 27 * BLOCK
 # Results: shares of the power, and for each child its direction and the distance at which its query starts.
@@ -172,22 +171,30 @@ def meet_in_order(block: Array) -> None:
 
 
 @kernel
-def split_block(block: Array, interfaces: Interfaces) -> None:
-    """Compute each packet's shares of the power, and directions and start of the query of both children."""
+def split_block(block: Array) -> None:
+    """Compute each packet's shares of the power, and directions and start of the query of both children.
+
+    The shares are those of bare surfaces; at coated ones packets are divided singly.
+    """
     for i in range(BLOCK):
         dx, dy, dz = block[DX + i], block[DY + i], block[DZ + i]
         nx, ny, nz = block[NX + i], block[NY + i], block[NZ + i]
         n_i, n_t = block[N_I + i], block[N_T + i]
         cos_i = nx * dx + ny * dy + nz * dz
         cos_i = 1.0 if cos_i > 1.0 else cos_i
-        reflectance, transmittance, cos_t = shares(
-            interfaces, int(block[NUMBER + i]), int(block[COLOUR + i]), n_i, n_t, cos_i
-        )
+        reflectance, transmittance, cos_t = bare_shares(n_i, n_t, cos_i)
         block[REFLECTANCE + i], block[TRANSMITTANCE + i] = reflectance, transmittance
         ux, uy, uz = reflected(dx, dy, dz, nx, ny, nz)
         _set_child(block, REFLECTED + i, i, ux, uy, uz)
         ux, uy, uz = refracted(dx, dy, dz, nx, ny, nz, n_i / n_t, cos_i, cos_t)
         _set_child(block, REFRACTED + i, i, ux, uy, uz)
+
+
+@inlined
+def incidence(block: Array, i: int) -> float:
+    """Return the cosine of the angle of incidence of a packet."""
+    cos_i = block[NX + i] * block[DX + i] + block[NY + i] * block[DY + i] + block[NZ + i] * block[DZ + i]
+    return min(cos_i, 1.0)
 
 
 @inlined

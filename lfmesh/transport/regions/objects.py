@@ -29,7 +29,7 @@ from lfmesh.transport.events.crossing import (
     too_deep,
     write_query,
 )
-from lfmesh.transport.events.interface import shares, splitter
+from lfmesh.transport.events.interface import divided, is_coated, splitter
 from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import (
     ESCAPED,
@@ -73,7 +73,7 @@ from lfmesh.transport.regions.bodies import (
 )
 from lfmesh.transport.regions.lens import box_entry
 from lfmesh.transport.regions.targets import meet_target, share_with_other
-from lfmesh.transport.tables.tables import OPAQUE, AimTables, LensTables, ObjectTables
+from lfmesh.transport.tables.tables import OPAQUE, AimTables, LensTables, ObjectTables, body_row
 
 Array = NDArray[np.float64]
 
@@ -336,13 +336,19 @@ def _through_glass(
     x, y, z = arrive(flow, objects.media, packet, x, y, z)
     beyond = medium_of(objects, after)
     n_i, n_t = objects.media.indices[packet.medium, packet.colour], objects.media.indices[beyond, packet.colour]
-    if n_i == n_t and inside != 0 and after != 0:
+    media, own = len(objects.media.indices), objects.medium[body]
+    number = body_row(body, beyond if packet.medium == own else packet.medium, media)
+    # A coating between equal indices counts, unless a body of a higher rank covers it.
+    uncovered = (after if entering else inside) & RANK == objects.rank[body]
+    if n_i == n_t and inside != 0 and after != 0 and not (uncovered and is_coated(objects.interfaces, number)):
         packet.medium, packet.facet = beyond, NO_SURFACE
         set_bodies(packet, after)
         clear = clear_of(facet, x, y, z, dx, dy, dz)
         put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, clear)
         return
-    reflectance, transmittance, cos_t = shares(objects.interfaces, body, packet.colour, n_i, n_t, cos_i)
+    reflectance, transmittance, cos_t = divided(
+        objects.interfaces, number, packet.colour, n_i, n_t, cos_i, not entering, packet, flow.book
+    )
     packet.facet = NO_SURFACE
     packet.last = NO_SURFACE
     if packet.kind != LAMP:

@@ -54,6 +54,8 @@ class Image:
         Comparison with samples that were not aimed.
     order : OrderCheck or None
         Comparison of lens surfaces found by their order with those found by meshes; None where only meshes were used.
+    coatings : dict of str to float
+        For each coating in use, the largest error of the reflectance and transmittance that were interpolated.
 
     See Also
     --------
@@ -75,6 +77,7 @@ class Image:
     aim: AimProof | None = None
     blind: BlindCheck | None = None
     order: OrderCheck | None = None
+    coatings: dict[str, float] = field(default_factory=dict)
 
     @property
     def complete(self) -> bool:

@@ -22,6 +22,7 @@ from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.render.tally import RenderState, StageSum, Tally
 from lfmesh.transport.render.tracer import Tracer
 from lfmesh.transport.settings import ledger_of
+from lfmesh.transport.tables.interfaces import coating_errors
 from lfmesh.transport.world import build
 
 PROGRESS_SECONDS = 0.2
@@ -271,6 +272,7 @@ def _image(tracer: Tracer, state: RenderState, refinement: Refinement | None) ->
         aim=tracer.world.aim_proof,
         blind=blind,
         order=tracer.order,
+        coatings=coating_errors(tracer.world.scene),
     )
 
 

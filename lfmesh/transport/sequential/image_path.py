@@ -202,11 +202,16 @@ def through_lens(bundle: Array, lens: LensTables, colour: int, to_sensor: bool) 
 def through_array(bundle: Array, count: int, array: ArrayTables, colour: int, frames: Array, to_sensor: bool) -> None:
     """Take a bundle (camera frame) through the array, curved or flat face first.
 
-    Rays that meet a single lenslet are traced together; the others one by one, from cell to cell.
+    Rays that meet a single lenslet are traced together; the others, and all in a coated array, one by one, from cell to
+    cell.
     """
     move_bundle(bundle, frames[CAMERA_FRAME, ARRAY_FRAME])
     inward = to_sensor == array.curved_to_lens
-    through_single_lenslets(bundle, array, colour, inward)
+    if array.interfaces.coated:
+        for i in range(count):
+            bundle[PASSED + i] = 0.0
+    else:
+        through_single_lenslets(bundle, array, colour, inward)
     for i in range(count):
         if bundle[ENDED_ON + i] != 0.0 or bundle[PASSED + i] > 0.0:
             continue

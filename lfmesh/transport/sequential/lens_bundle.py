@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.surface import NEWTON_STEPS, SETTLED, distance_to
 from lfmesh.kernel import kernel, pasted
 from lfmesh.optics.fresnel import amplitude_sums
-from lfmesh.transport.events.interface import shares, transmitted_share
+from lfmesh.transport.events.interface import is_coated, shares, transmitted_share
 from lfmesh.transport.tables.tables import Interfaces, LensTables
 from lfmesh.vector import both, fused, select
 
@@ -164,10 +164,14 @@ def _through_in_place(
     into = 1 if sense > 0.0 else 0
     indices, medium = lens.media.indices, lens.medium
     n_i, n_t = indices[medium[k + 1 - into], colour], indices[medium[k + into], colour]
-    if surface.terms == 0 and conic == 0.0:
+    coated = is_coated(lens.interfaces, k)
+    if surface.terms == 0 and conic == 0.0 and not coated:
         _through_sphere(bundle, lens.interfaces, k, colour, c, z, limit, sense, n_i, n_t, rim, mount, beyond)
         return
     _meet(bundle, surface, sense)
+    if coated:
+        _bend_at_coating(bundle, lens.interfaces, k, colour, c, conic, z, limit, sense, n_i, n_t, rim, mount, beyond)
+        return
     _bend_along_slope(bundle, lens.interfaces, k, colour, c, conic, z, limit, sense, n_i, n_t, rim, mount, beyond)
 
 
@@ -485,6 +489,33 @@ def _bend_along_slope(
 
 
 @kernel
+def _bend_at_coating(
+    bundle: Array, interfaces: Interfaces, number: int, colour: int,
+    c: float, k: float, vertex_z: float, limit: float, sense: float, n_i: float, n_t: float,
+    rim: float, mount: float, beyond: float,
+) -> None:  # fmt: skip
+    """Do what `_bend_along_slope` does at a coated surface, ray by ray, as tables have no vector instructions."""
+    q, eta = (1.0 + k) * c * c, n_i / n_t
+    for i in range(BLOCK):
+        t, r2 = bundle[_T + i], bundle[_R2 + i]
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        x, y, z = bundle[X + i] + t * dx, bundle[Y + i] + t * dy, bundle[Z + i] + t * dz
+        slope = c / np.sqrt(1.0 - q * r2) + 2.0 * r2 * bundle[_SLOPE + i]
+        scale = sense / np.sqrt(slope * slope * r2 + 1.0)
+        nx, ny = -slope * x * scale, -slope * y * scale
+        cos_i = nx * dx + ny * dy + scale * dz
+        meets = t > 0.0 and cos_i > 0.0
+        transmittance, g = 0.0, 0.0
+        if meets and bundle[ENDED_ON + i] == 0.0:
+            _, transmittance, cos_t = shares(interfaces, number, colour, n_i, n_t, min(cos_i, 1.0))
+            g = cos_t - eta * cos_i
+        _go_on(
+            bundle, i, meets, x, y, z, eta * dx + g * nx, eta * dy + g * ny, eta * dz + g * scale,
+            transmittance > 0.0, transmittance, limit, rim, mount, beyond,
+        )  # fmt: skip
+
+
+@kernel
 def _mirror_along_slope(
     bundle: Array, interfaces: Interfaces, number: int, colour: int,
     c: float, k: float, vertex_z: float, limit: float, sense: float, n_i: float, n_t: float,
@@ -499,7 +530,8 @@ def _mirror_along_slope(
         scale = sense / np.sqrt(slope * slope * r2 + 1.0)
         nx, ny = -slope * x * scale, -slope * y * scale
         cos_i = nx * dx + ny * dy + scale * dz
-        reflectance, _, _ = shares(interfaces, number, colour, n_i, n_t, select(cos_i < 1.0, cos_i, 1.0))
+        cosine = select(both(cos_i > 0.0, cos_i < 1.0), cos_i, 1.0)
+        reflectance, _, _ = shares(interfaces, number, colour, n_i, n_t, cosine)
         ux, uy, uz = dx - 2.0 * cos_i * nx, dy - 2.0 * cos_i * ny, dz - 2.0 * cos_i * scale
         _go_on(
             bundle, i, both(t > 0.0, cos_i > 0.0), x, y, z, ux, uy, uz, reflectance > 0.0, reflectance,

@@ -1,16 +1,23 @@
 """The interface table: the kind of each surface between two media, with its parameters.
 
-A new kind is one line in `KINDS`, a branch of `_finish_of` that gives the surfaces of that kind and their parameters,
-and its shares of the power in `transport.events.interface`. By this table the sequential engine refuses interfaces that
-it cannot trace.
+A new kind is one line in `KINDS`, a branch of `_kind_of` and of `_finish_of` that gives the surfaces of that kind and
+their parameters, and its shares of the power in `transport.events.interface`. By this table the sequential engine
+refuses interfaces that it cannot trace.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lfmesh.optics.share_table import looked_up
 from lfmesh.scene import Scene
-from lfmesh.transport.tables.tables import INTERFACE, Interfaces
+from lfmesh.scene.coatings import UNCOATED
+from lfmesh.transport.packets.book import Book
+from lfmesh.transport.tables.coatings import absorbs, coating_table
+from lfmesh.transport.tables.media import Medium, MediumList
+from lfmesh.transport.tables.tables import ABSORBING, BARE, COATED, INTERFACE, NO_SLOT, Interfaces
 
 
 class Kind(NamedTuple):
@@ -22,14 +29,45 @@ class Kind(NamedTuple):
         Description in messages.
     is_smooth : bool
         Light continues along the reflected and the refracted direction only.
+    is_lossless : bool
+        What is not reflected is transmitted.
     """
 
     name: str
     is_smooth: bool
+    is_lossless: bool = True
 
 
-KINDS = (Kind("smooth and bare", is_smooth=True),)
+KINDS = (
+    Kind("smooth and bare", is_smooth=True),
+    Kind("coated", is_smooth=True),
+    Kind("coated with layers that absorb", is_smooth=True, is_lossless=False),
+)
 """Kinds by their number in the table."""
+
+_SHOWN_DEG = (0.0, 30.0, 60.0)
+
+
+class Face(NamedTuple):
+    """An interface of a scene.
+
+    Attributes
+    ----------
+    where : str
+        Path in the scene file.
+    body : str
+        What the ledger calls its coating.
+    coating : str
+        Name of its coating, or "none".
+    outer, inner : Medium
+        Media on the side that the layers of its coating begin with, and on the other.
+    """
+
+    where: str
+    body: str = ""
+    coating: str = UNCOATED
+    outer: Medium = None
+    inner: Medium = None
 
 
 class Finish(NamedTuple):
@@ -41,13 +79,18 @@ class Finish(NamedTuple):
         Path in the scene file.
     kind : int
         Index in `KINDS`.
-    parameters : tuple of tuple of float
-        Rows of values, one for each wavelength.
+    parameters : (n, wavelengths) float64, or rows of numbers
+    pieces : int
+        Of a coating's table.
+    error : float
+        Of its interpolation.
     """
 
     where: str
     kind: int
-    parameters: tuple[tuple[float, ...], ...] = ()
+    parameters: Sequence[Sequence[float]] | NDArray[np.float64] = ()
+    pieces: int = 0
+    error: float = 0.0
 
 
 class InterfaceTables(NamedTuple):
@@ -60,7 +103,8 @@ class InterfaceTables(NamedTuple):
     array : Interfaces
         `CURVED_ROW` and `FLAT_ROW`.
     objects : Interfaces
-        One row for each target; rows of opaque targets are not used.
+        For each target one row for each medium that may be on its outside, see `tables.body_row`; rows of opaque
+        targets are not used.
     """
 
     lens: Interfaces
@@ -68,45 +112,163 @@ class InterfaceTables(NamedTuple):
     objects: Interfaces
 
 
-def camera_finishes(scene: Scene, wavelengths_nm: tuple[float, ...]) -> tuple[list[Finish], list[Finish]]:
-    """Return the finishes of the refracting surfaces of the lens, and of the curved and the flat face of the array."""
+def lens_faces(scene: Scene) -> list[Face]:
+    """Return the refracting surfaces of the lens.
+
+    Layers of a coating are listed from the air side to the glass, between two glasses from the object to the sensor.
+    """
     lens = scene.camera.lens
-    numbers = [i for i in range(len(lens.surfaces)) if not lens.is_pure_stop(i)]
-    surfaces = [_finish_of(f"camera.lens.surfaces[{i}]", wavelengths_nm) for i in numbers]
-    faces = [_finish_of(f"camera.mla, its {face} face", wavelengths_nm) for face in ("curved", "flat")]
-    return surfaces, faces
+    faces, before = [], None
+    for i, surface in enumerate(lens.surfaces):
+        sides = (before, surface.medium)
+        if surface.medium is None and before is not None:
+            sides = (surface.medium, before)
+        if not lens.is_pure_stop(i):
+            faces.append(Face(f"camera.lens.surfaces[{i}]", f"coating of lens surface {i}", surface.coating, *sides))
+        before = surface.medium
+    return faces
 
 
-def rough_interface(scene: Scene) -> str | None:
-    """Describe the first surface of lens or array that is not smooth; None if all are."""
-    surfaces, faces = camera_finishes(scene, scene.transport.wavelengths_nm)
-    for finish in (*surfaces, *(faces if scene.camera.mla is not None else ())):
-        kind = KINDS[finish.kind]
-        if not kind.is_smooth:
-            return f"{finish.where} is {kind.name}"
+def array_faces(scene: Scene) -> list[Face]:
+    """Return the curved and the flat face of the array; bare ones without an array."""
+    mla = scene.camera.mla
+    where = [f"camera.mla, its {side} face" for side in ("curved", "flat")]
+    if mla is None:
+        return [Face(each) for each in where]
+    names = mla.curved_coating, mla.flat_coating
+    bodies = [f"coating of the mla's {side} face" for side in ("curved", "flat")]
+    return [Face(*each, None, mla.medium) for each in zip(where, bodies, names, strict=True)]
+
+
+def body_faces(scene: Scene, outer: Medium = None) -> list[Face]:
+    """Return the surfaces of the targets with a medium on their outside.
+
+    Bare are those of opaque targets, and those that no such medium can touch: it is neither air nor another body's.
+    """
+    faces = []
+    bodies = [(i, target.refractor.medium) for i, target in enumerate(scene.targets) if target.refractor is not None]
+    for i, target in enumerate(scene.targets):
+        glass = target.refractor
+        coating, inner = (glass.coating, glass.medium) if glass is not None else (UNCOATED, None)
+        if outer is not None and outer not in [medium for other, medium in bodies if other != i]:
+            coating = UNCOATED
+        faces.append(Face(f"targets[{i}]", f"coating of {target.name or f'targets[{i}]'}", coating, outer, inner))
+    return faces
+
+
+def coatings_in_book(scene: Scene) -> list[str]:
+    """Return what the ledger calls the coatings of a scene, one for each coated face or body."""
+    faces = (*lens_faces(scene), *array_faces(scene), *body_faces(scene))
+    return [face.body for face in faces if face.coating != UNCOATED]
+
+
+def refused_in_order(scene: Scene) -> str | None:
+    """Describe the first surface of lens or array that the sequential engine cannot trace; None if it can trace all."""
+    faces = (*lens_faces(scene), *(array_faces(scene) if scene.camera.mla is not None else ()))
+    for face in faces:
+        kind = KINDS[_kind_of(scene, face, scene.transport.wavelengths_nm)]
+        if not (kind.is_smooth and kind.is_lossless):
+            return f"{face.where} is {kind.name}"
     return None
 
 
-def interface_tables(scene: Scene, wavelengths_nm: tuple[float, ...]) -> InterfaceTables:
-    """Return the interfaces of lens, array and object space at some wavelengths, in nm."""
-    surfaces, faces = camera_finishes(scene, wavelengths_nm)
-    bodies = [_finish_of(f"targets[{i}]", wavelengths_nm) for i in range(len(scene.targets))]
+def interface_tables(scene: Scene, wavelengths_nm: tuple[float, ...], book: Book | None = None) -> InterfaceTables:
+    """Return the interfaces of lens, array and object space.
+
+    Parameters
+    ----------
+    scene : Scene
+    wavelengths_nm : tuple of float
+    book : Book, optional
+        Tells where the light that coatings absorb is entered; needed to trace packets.
+
+    Raises
+    ------
+    SceneError, FileError
+        A coating cannot be tabulated.
+    """
+    lens, array, bodies = (_finishes(scene, faces, wavelengths_nm) for faces in _faces_of_regions(scene))
+    slots = book.coatings if book is not None else {}
+    faces = _faces_of_regions(scene)
     return InterfaceTables(
-        lens=_table(surfaces, len(wavelengths_nm)),
-        array=_table(faces, len(wavelengths_nm)),
-        objects=_table(bodies, len(wavelengths_nm)),
+        *(
+            _table(own, [slots.get(face.body, NO_SLOT) for face in its], len(wavelengths_nm))
+            for own, its in zip((lens, array, bodies), faces, strict=True)
+        )
     )
 
 
-def _finish_of(where: str, wavelengths_nm: tuple[float, ...]) -> Finish:
-    """Return the finish of a surface; scene files have no other than smooth and bare as yet."""
-    return Finish(where, kind=0)
+def coating_errors(scene: Scene) -> dict[str, float]:
+    """Return the largest error of interpolation of each coating that a scene uses, over its faces, by its name."""
+    errors: dict[str, float] = {}
+    wavelengths_nm = scene.transport.wavelengths_nm
+    for faces in _faces_of_regions(scene):
+        for face, finish in zip(faces, _finishes(scene, faces, wavelengths_nm), strict=True):
+            if finish.kind != BARE:
+                errors[face.coating] = max(errors.get(face.coating, 0.0), finish.error)
+    return errors
 
 
-def _table(finishes: list[Finish], colours: int) -> Interfaces:
+def coating_lines(scene: Scene) -> list[str]:
+    """Describe the coatings of a solved scene, a line for each face: what it reflects, and how well that is tabulated.
+
+    Reflectances are those at the primary wavelength, from the thinner of the two media and by the angle there.
+    """
+    wavelengths_nm = scene.transport.wavelengths_nm
+    colour = wavelengths_nm.index(scene.transport.primary_nm)
+    array = array_faces(scene) if scene.camera.mla is not None else []
+    lines, used = [], set()
+    for face in (*lens_faces(scene), *array, *body_faces(scene)):
+        finish = _finish_of(scene, face, wavelengths_nm)
+        if finish.kind == BARE:
+            continue
+        used.add(face.coating)
+        values = np.asarray(finish.parameters)
+        shown = [looked_up(values, 0, finish.pieces, colour, np.sqrt(np.cos(np.radians(a)))) for a in _SHOWN_DEG]
+        shares = ", ".join(f"{100.0 * R:.3g} % at {a:g}" for R, a in zip(shown, _SHOWN_DEG, strict=True))
+        error = f"tabulated to {finish.error:.0e}" if finish.error > 0.0 else "the same at every angle"
+        lines.append(f"{face.body:<34}{face.coating}: reflects {shares} degrees; {error}")
+    unused = [name for name in scene.coatings if name not in used]
+    return [*lines, *(f"warning: coatings.{name}: no surface has this coating" for name in unused)]
+
+
+def _faces_of_regions(scene: Scene) -> tuple[list[Face], list[Face], list[Face]]:
+    """Return the faces of lens, array and object space in the order of their rows."""
+    by_medium = [body_faces(scene, outer) for outer in MediumList.of(scene).media]
+    bodies = [faces[i] for i in range(len(scene.targets)) for faces in by_medium]
+    return lens_faces(scene), array_faces(scene), bodies
+
+
+def _finishes(scene: Scene, faces: list[Face], wavelengths_nm: tuple[float, ...]) -> list[Finish]:
+    return [_finish_of(scene, face, wavelengths_nm) for face in faces]
+
+
+def _kind_of(scene: Scene, face: Face, wavelengths_nm: Sequence[float]) -> int:
+    """Return the number of a face's kind."""
+    if face.coating == UNCOATED:
+        return BARE
+    return ABSORBING if absorbs(scene, face.coating, wavelengths_nm) else COATED
+
+
+def _finish_of(scene: Scene, face: Face, wavelengths_nm: tuple[float, ...]) -> Finish:
+    """Return the finish of a face."""
+    kind = _kind_of(scene, face, wavelengths_nm)
+    if kind == BARE:
+        return Finish(face.where, kind)
+    table = coating_table(scene, face.coating, face.outer, face.inner, wavelengths_nm)
+    return Finish(face.where, kind, table.values, table.pieces, table.error)
+
+
+def _table(finishes: list[Finish], slots: list[int], colours: int) -> Interfaces:
     """Return interfaces as kernels read them."""
     rows = np.zeros(len(finishes), INTERFACE)
     rows["kind"] = [finish.kind for finish in finishes]
+    rows["pieces"] = [finish.pieces for finish in finishes]
+    rows["slot"] = slots
     rows["first"] = np.cumsum([0, *(len(finish.parameters) for finish in finishes[:-1])])[: len(finishes)]
-    parameters = [numbers for finish in finishes for numbers in finish.parameters]
-    return Interfaces(rows=rows, parameters=np.array(parameters, dtype=np.float64).reshape(-1, colours))
+    parameters = [np.reshape(finish.parameters, (-1, colours)) for finish in finishes if len(finish.parameters)]
+    return Interfaces(
+        rows=rows,
+        parameters=np.concatenate([np.zeros((0, colours)), *parameters]),
+        coated=bool((rows["kind"] != BARE).any()),
+    )

@@ -16,6 +16,7 @@ from lfmesh.geometry.tessellation import (
 )
 from lfmesh.geometry.texture import wavelength_weights
 from lfmesh.scene import Scene
+from lfmesh.scene.coatings import UNCOATED
 from lfmesh.transport.packets.book import LOST_OUTSIDE, Book
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.contacts import contacts
@@ -173,6 +174,7 @@ def object_tables(
     by_rank = np.zeros(int(ranks.max(initial=0)) + 1, np.int64)
     by_rank[ranks[ranks > 0]] = np.flatnonzero(ranks)
     first, partners, near = contacts([target.mesh for target in targets], ranks > 0)
+    _refuse_touched_coatings(scene, bodies, first)
     tables = ObjectTables(
         facets=facets,
         uv=uv,
@@ -204,6 +206,20 @@ def object_tables(
     )
     sources = _sources([*_lamps(tables), *_glowing_facets(tables, mesh)])
     return mesh, tables._replace(emitters=emitter_table(tables), sources=sources)
+
+
+def _refuse_touched_coatings(scene: Scene, bodies: NDArray[np.int64], first: NDArray[np.int64]) -> None:
+    """Refuse a coated body of glass that touches another: which of the two faces is met would be left to chance."""
+    if not len(first):
+        return
+    touching = np.unique(bodies[np.flatnonzero(np.diff(first) > 0)])
+    for i in touching:
+        glass = scene.targets[i].refractor
+        if glass is not None and glass.coating != UNCOATED:
+            raise SceneError(
+                f'targets[{i}].refractor.coating = "{glass.coating}": a coated body must not touch another body of '
+                "glass; leave a gap between them, or the coating out"
+            )
 
 
 def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:

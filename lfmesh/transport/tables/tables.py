@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.lenslets import Lenslets
+from lfmesh.kernel import inlined
 from lfmesh.transport.tables.scattering import ScatteringTables
 
 Array = NDArray[np.float64]
@@ -17,6 +18,7 @@ class Interfaces(NamedTuple):
 
     rows: Records  # (n,) INTERFACE
     parameters: Array  # (parameters of all, wavelengths); those of an interface begin in its `first` row
+    coated: bool = False  # whether any of them is not bare
 
 
 class Media(NamedTuple):
@@ -111,7 +113,7 @@ class ObjectTables(NamedTuple):
     radiance: Array  # (targets, wavelengths) W/(m² sr)
     media: Media
     medium: NDArray[np.int64]  # (targets,) medium of a body of glass; OPAQUE for all other targets
-    interfaces: Interfaces  # one row for each target
+    interfaces: Interfaces  # for each target one row for each medium, see `body_row`
     # (targets,) rank of a body of glass, from 1; 0 for all other targets. Where bodies overlap, the medium is that of
     # the highest rank.
     rank: NDArray[np.int64]
@@ -191,15 +193,40 @@ class Tables(NamedTuple):
     aim: AimTables
 
 
+NO_SLOT = -1
+"""In place of a slot of the book, in tables by which no packet is traced."""
+
+BARE, COATED, ABSORBING = 0, 1, 2
+"""Kinds of interfaces, see `tables.interfaces.KINDS`."""
+
 INTERFACE = np.dtype(
     [
         ("kind", "i8"),  # number in `tables.interfaces.KINDS`
         ("first", "i8"),  # row of its first parameter
+        ("pieces", "i8"),  # of a coating's table
+        ("slot", "i8"),  # of the book, for light that a coating absorbs
     ]
 )
 
 CURVED_ROW, FLAT_ROW = 0, 1
 """Rows of the array's interfaces."""
+
+
+@inlined
+def body_row(body: int, other: int, media: int) -> int:
+    """Return the row of a target's interface with another medium.
+
+    Parameters
+    ----------
+    body : int
+        Number of the target.
+    other : int
+        Medium on the target's outside.
+    media : int
+        Number of media.
+    """
+    return body * media + other
+
 
 SOURCE = np.dtype(
     [

@@ -20,7 +20,7 @@ from lfmesh.transport.events.interface import shares
 from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME, Event
 from lfmesh.transport.tables.interfaces import InterfaceTables, interface_tables
 from lfmesh.transport.tables.media import Medium
-from lfmesh.transport.tables.tables import AIR, CURVED_ROW, FLAT_ROW, Interfaces
+from lfmesh.transport.tables.tables import AIR, CURVED_ROW, FLAT_ROW, Interfaces, body_row
 from lfmesh.view.rays.names import CURVED, FLAT, label, target_names
 from lfmesh.view.rays.paths import Rays
 
@@ -77,12 +77,14 @@ class _Interface:
     """Interface at a vertex: its unit normal there (of either sense), and its row of an interface table.
 
     The normal is None where a facet stands for a surface without a formula; then the path itself tells it. The table is
-    None where nothing is divided, as on the sensor.
+    None where nothing is divided, as on the sensor. A body of glass has rows for the media round it, and `body` is its
+    number among the targets.
     """
 
     normal: Vector | None
     table: Interfaces | None = None
     row: int = 0
+    body: int | None = None
 
 
 def history(rays: Rays, path: int) -> list[Step]:
@@ -114,9 +116,10 @@ def history(rays: Rays, path: int) -> list[Step]:
             other = medium if met.table is None else _medium_beyond(rays, vertex)
             n_i, n_t = refractive_index(medium, wavelength), refractive_index(other, wavelength)
             cosine = _cosine(rays, vertex, met.normal, n_i, n_t)
+            row = met.row if met.body is None else _row_of_body(rays, met.body, medium, other)
             incidence = None if cosine is None else float(np.degrees(np.arccos(cosine)))
             if cosine is not None and met.table is not None and event in (Event.TRANSMITTED, Event.REFLECTED):
-                reflectance, transmittance, _ = shares(met.table, met.row, 0, n_i, n_t, cosine)
+                reflectance, transmittance, _ = shares(met.table, row, 0, n_i, n_t, cosine)
                 left = steps[-1].power * (transmittance if event == Event.TRANSMITTED else reflectance)
             medium = other if event == Event.TRANSMITTED else medium
         name = rays.surfaces[rays.surface[vertex]]
@@ -186,9 +189,17 @@ def _interface(rays: Rays, vertex: int, interfaces: InterfaceTables) -> _Interfa
         axis = frames.directions(world.tables.frames[SENSOR_FRAME, WORLD_FRAME], [[0.0, 0.0, 1.0]])
         return _Interface(np.asarray(axis[0]))
     if rays.event[vertex] in (Event.TRANSMITTED, Event.REFLECTED):
-        row = target_names(world).index(name)
-        return _Interface(None, interfaces.objects, row) if world.scene.targets[row].refractor is not None else None
+        body = target_names(world).index(name)
+        glass = world.scene.targets[body].refractor
+        return _Interface(None, interfaces.objects, body=body) if glass is not None else None
     return None
+
+
+def _row_of_body(rays: Rays, body: int, medium: Medium, other: Medium) -> int:
+    """Return the row of the interface of a body of glass between two media, one of them its own."""
+    known, glass = rays.world.media, rays.world.scene.targets[body].refractor
+    own = glass.medium if glass is not None else None
+    return body_row(body, known.number(other if medium == own else medium), len(known.media))
 
 
 def _of_lens(rays: Rays, vertex: int, k: int) -> Vector:

@@ -10,6 +10,9 @@ from scipy import stats
 import lfmesh as lf
 from lfmesh.errors import SceneError
 from lfmesh.kernel import inlined, kernel
+from lfmesh.optics.coatings import Stack, coated
+from lfmesh.optics.fresnel import fresnel
+from lfmesh.optics.reflectance_table import read_reflectance
 from lfmesh.transport import choice
 from lfmesh.transport.events.interface import shares, splitter, transmitted_share
 from lfmesh.transport.packets.book import FIXED, ROULETTE_ADDED, ROULETTE_REMOVED, UNFOLLOWED
@@ -39,8 +42,8 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.packets.path_class import EVERY
 from lfmesh.transport.packets.random import derived, descendant
 from lfmesh.transport.tables import interfaces as table
-from lfmesh.transport.tables.interfaces import interface_tables
-from lfmesh.transport.tables.tables import INTERFACE, Interfaces
+from lfmesh.transport.tables.interfaces import coating_errors, interface_tables
+from lfmesh.transport.tables.tables import FLAT_ROW, INTERFACE, Interfaces
 
 LEVEL = 1e-3
 """Chance that a statistical test fails though the law holds."""
@@ -286,9 +289,9 @@ def world_with_everything():
 
 
 def test_every_surface_face_and_body_has_a_row_and_parameters_lie_one_after_another(monkeypatch):
-    def numbered(where, waves):
-        own = 2 if where == "camera.lens.surfaces[2]" else 1
-        return table.Finish(where, 0, tuple(tuple(100.0 * k + w for w in waves) for k in range(own)))
+    def numbered(scene, face, waves):
+        own = 2 if face.where == "camera.lens.surfaces[2]" else 1
+        return table.Finish(face.where, 0, tuple(tuple(100.0 * k + w for w in waves) for k in range(own)))
 
     monkeypatch.setattr(table, "_finish_of", numbered)
     found = interface_tables(world_with_everything(), (450.0, 650.0))
@@ -296,7 +299,8 @@ def test_every_surface_face_and_body_has_a_row_and_parameters_lie_one_after_anot
     assert found.lens.rows["first"].tolist() == [0, 1]
     assert found.lens.parameters.tolist() == [[450.0, 650.0], [450.0, 650.0], [550.0, 750.0]]
     assert found.array.rows["first"].tolist() == [0, 1]
-    assert found.objects.rows["first"].tolist() == [0]
+    # The target once for air, once for the glass of lens and array.
+    assert found.objects.rows["first"].tolist() == [0, 1]
 
 
 @pytest.mark.parametrize("where", ["camera.lens.surfaces[2]", "camera.mla, its flat face"])
@@ -304,7 +308,178 @@ def test_the_sequential_engine_refuses_by_the_table_what_is_not_smooth(monkeypat
     scene = world_with_everything()
     assert choice.engine_of(scene)[0] == "sequential"
     monkeypatch.setattr(table, "KINDS", (*table.KINDS, table.Kind("ground", is_smooth=False)))
-    monkeypatch.setattr(table, "_finish_of", lambda name, waves: table.Finish(name, int(name == where)))
+    ground = len(table.KINDS) - 1
+    monkeypatch.setattr(table, "_kind_of", lambda scene, face, waves: ground * (face.where == where))
     assert choice.engine_of(scene) == ("mesh", f"{where} is ground")
     with pytest.raises(SceneError, match=r"is ground; use"):
         choice.engine_of(scene.changed({"transport.engine": "sequential"}))
+
+
+LAYERS = {
+    "ar": [{"index": 1.38, "thickness_nm": 106.5}],
+    "broad": [
+        {"index": 1.38, "thickness_nm": 99.6},
+        {"index": 2.05, "thickness_nm": 134.1},
+        {"index": 1.62, "thickness_nm": 84.9},
+    ],
+    "dark": [{"index": 1.46, "thickness_nm": 80.0}, {"index": 2.9, "extinction": 3.1, "thickness_nm": 9.0}],
+}
+COATED = [(name, side, wave) for name in LAYERS for side in ("thin", "dense") for wave in (0, 1)]
+
+
+def coated_scene(name, **more):
+    """Return the scene with everything, with one coating on all its faces."""
+    changes = {f"camera.lens.surfaces[{i}].coating": name for i in (1, 2)}
+    changes |= {"camera.mla.curved_coating": name, "camera.mla.flat_coating": name}
+    changes |= {"coatings": {key: {"layers": layers} for key, layers in LAYERS.items()} | more}
+    return world_with_everything().changed(changes)
+
+
+@pytest.mark.parametrize(("name", "side", "wave"), COATED)
+def test_a_coated_surface_has_the_shares_of_its_layers(name, side, wave):
+    scene = coated_scene(name)
+    wavelengths = scene.transport.wavelengths_nm
+    found = interface_tables(scene, wavelengths)
+    layers = LAYERS[name]
+    stack = Stack(
+        tuple(complex(layer["index"], layer.get("extinction", 0.0)) for layer in layers),
+        tuple(layer["thickness_nm"] for layer in layers),
+    )
+    n_i, n_t, seen = (1.0, 1.5, stack) if side == "thin" else (1.5, 1.0, stack.reversed)
+    # Just beside the critical angle, too.
+    critical = np.sqrt(1.0 - 1.0 / 1.5**2)
+    cosines = np.concatenate([np.random.default_rng(8).uniform(0.0, 1.0, 500), critical + np.array([-1e-9, 1e-9])])
+    R, T = coated(n_i, n_t, seen, wavelengths[wave], cosines)
+    # The first surface meets its coating from the air, the second one from the glass: one name serves both.
+    for table_, rows in ((found.lens, (0, 1)), (found.array, (0, 1))):
+        for row in rows:
+            shown = np.array([shares(table_, row, wave, n_i, n_t, c) for c in cosines])
+            np.testing.assert_allclose(shown[:, 0], R, rtol=0.0, atol=1e-7)
+            np.testing.assert_allclose(shown[:, 1], T, rtol=0.0, atol=1e-7)
+            bends = [fresnel(n_i, n_t, c)[2] for c in cosines]
+            np.testing.assert_array_equal(shown[:, 2], bends)
+    total = n_i * np.sqrt(1.0 - cosines**2) > n_t
+    assert total.any() == (side == "dense")
+    # What absorbs does so under total reflection, too.
+    assert (R[total] < 1.0 - 1e-3).any() == (name == "dark" and side == "dense")
+
+
+def test_a_coating_between_two_glasses_is_listed_from_the_object_to_the_sensor():
+    surfaces = [
+        {"radius_mm": 50.0, "thickness_mm": 3.0, "index": 1.7, "semi_diameter_mm": 5.0},
+        {"thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 5.0, "coating": "two"},
+        {"radius_mm": -50.0, "semi_diameter_mm": 5.0},
+    ]
+    two = [{"index": 2.0, "extinction": 0.5, "thickness_nm": 30.0}, {"index": 1.38, "thickness_nm": 90.0}]
+    scene = lf.Scene(
+        camera={
+            "focus_mm": 300.0, "lens": {"surfaces": surfaces, "f_number": 8.0},
+            "sensor": {"pixels": [20, 20], "pixel_mm": 0.1},
+        },
+        coatings={"two": {"layers": two}},
+    )  # fmt: skip
+    found = interface_tables(scene, (550.0,)).lens
+    stack = Stack((2.0 + 0.5j, 1.38 + 0j), (30.0, 90.0))
+    for n_i, n_t, seen in ((1.7, 1.5, stack), (1.5, 1.7, stack.reversed)):
+        R, T = coated(n_i, n_t, seen, 550.0, np.array([0.8]))
+        assert shares(found, 1, 0, n_i, n_t, 0.8)[:2] == pytest.approx((R[0], T[0]), abs=1e-7)
+    wrong, _ = coated(1.7, 1.5, stack.reversed, 550.0, np.array([0.8]))
+    assert abs(shares(found, 1, 0, 1.7, 1.5, 0.8)[0] - wrong[0]) > 1e-3
+
+
+def test_a_fixed_reflectance_holds_at_every_angle_up_to_total_reflection():
+    found = interface_tables(coated_scene("half", half={"reflectance": 0.5}), (450.0, 650.0)).lens
+    for cosine in (1.0, 0.6, 0.1):
+        assert shares(found, 0, 1, 1.0, 1.5, cosine)[:2] == (0.5, 0.5)
+    assert shares(found, 0, 1, 1.5, 1.0, 0.9)[:2] == (0.5, 0.5)
+    assert shares(found, 0, 1, 1.5, 1.0, 0.6) == (1.0, 0.0, 0.0)
+
+
+def random_coating(draw):
+    """Layers of a random coating on glass; one in three may absorb."""
+    absorbs = draw.random() < 0.3
+    return [
+        {
+            "index": draw.uniform(1.2, 2.6), "thickness_nm": draw.uniform(5.0, 250.0),
+            "extinction": draw.uniform(0.0, 4.0) if absorbs and draw.random() < 0.5 else 0.0,
+        }
+        for _ in range(draw.integers(1, 8))
+    ]  # fmt: skip
+
+
+def largest_error(count, seed):
+    """Return the largest error of the tables of random coatings at random angles, and the largest that one states."""
+    draw = np.random.default_rng(seed)
+    worst = stated = 0.0
+    for _ in range(count):
+        layers, n, wavelength = random_coating(draw), draw.uniform(1.4, 2.0), draw.uniform(380.0, 1000.0)
+        scene = world_with_everything().changed(
+            {"camera.mla.index": n, "camera.mla.flat_coating": "x", "coatings": {"x": {"layers": layers}}}
+        )
+        found = interface_tables(scene, (wavelength,)).array
+        stated = max(stated, coating_errors(scene)["x"])
+        stack = Stack(
+            tuple(complex(layer["index"], layer["extinction"]) for layer in layers),
+            tuple(layer["thickness_nm"] for layer in layers),
+        )
+        cosines = draw.uniform(0.0, 1.0, 40) ** draw.integers(1, 4)
+        for n_i, n_t, seen in ((1.0, n, stack), (n, 1.0, stack.reversed)):
+            truth = np.transpose(coated(n_i, n_t, seen, wavelength, cosines))
+            shown = [shares(found, FLAT_ROW, 0, n_i, n_t, c)[:2] for c in cosines]
+            worst = max(worst, np.abs(shown - truth).max())
+    return worst, stated
+
+
+def test_tables_of_random_coatings_are_right_to_a_millionth():
+    worst, stated = largest_error(12, seed=1)
+    assert stated < 1e-6
+    assert worst < 1e-6
+
+
+@pytest.mark.long
+def test_tables_of_a_thousand_random_coatings_are_right_to_a_millionth():
+    worst, stated = largest_error(1000, seed=2)
+    assert stated < 1e-6
+    assert worst < 1e-6
+
+
+def test_a_stack_too_thick_for_a_table_is_refused():
+    thick = {"layers": [{"index": 2.0, "thickness_nm": 3e7}]}
+    with pytest.raises(SceneError, match=r"coatings\.thick: its reflectance changes too fast"):
+        interface_tables(coated_scene("thick", thick=thick), (550.0,))
+
+
+def test_a_measured_table_is_followed_and_refused_beyond_its_wavelengths(tmp_path):
+    angles = np.arange(0.0, 91.0, 5.0)
+    rows = [(w, a, 1.0 if a == 90.0 else 0.01 + 0.9 * (a / 90.0) ** 4) for w in (400.0, 700.0) for a in angles.tolist()]
+    path = tmp_path / "r.csv"
+    path.write_text("wavelength_nm,angle_deg,reflectance\n" + "\n".join(f"{w},{a},{r!r}" for w, a, r in rows))
+    scene = coated_scene("measured", measured={"table": str(path)})
+    found = interface_tables(scene, (450.0, 650.0)).lens
+    measured = read_reflectance(path)
+    cosines = np.random.default_rng(1).uniform(0.0, 1.0, 200)
+    for wave, wavelength in enumerate((450.0, 650.0)):
+        shown = [shares(found, 0, wave, 1.0, 1.5, c)[0] for c in cosines]
+        np.testing.assert_allclose(shown, measured.at(wavelength, cosines), rtol=0.0, atol=1e-6)
+    # From the glass, the angle in the air behind it counts.
+    cos_i = 0.9
+    cos_t = np.sqrt(1.0 - 2.25 * (1.0 - cos_i**2))
+    assert shares(found, 0, 0, 1.5, 1.0, cos_i)[0] == pytest.approx(measured.at(450.0, np.array([cos_t]))[0], abs=1e-6)
+    with pytest.raises(SceneError, match=r"table: it reaches from 400 to 700 nm, and the scene has 750 nm"):
+        interface_tables(scene, (750.0,))
+
+
+def test_a_changed_file_is_read_again(tmp_path):
+    path = tmp_path / "r.csv"
+    scene = coated_scene("measured", measured={"table": str(path)}) if path.write_text("") == 0 else None
+    for value in (0.1, 0.2):
+        rows = [f"{w},{a},{1.0 if a == 90 else value}" for w in (400, 700) for a in (0, 85, 90)]
+        path.write_text("\n".join(["wavelength_nm,angle_deg,reflectance", *rows]))
+        assert shares(interface_tables(scene, (500.0,)).lens, 0, 0, 1.0, 1.5, 1.0)[0] == pytest.approx(value, abs=1e-7)
+
+
+def test_the_sequential_engine_takes_coatings_that_absorb_nothing_and_leaves_others_to_the_mesh_engine():
+    assert choice.engine_of(coated_scene("broad"))[0] == "sequential"
+    assert choice.engine_of(coated_scene("dark")) == (
+        "mesh", "camera.lens.surfaces[1] is coated with layers that absorb",
+    )  # fmt: skip

@@ -6,12 +6,10 @@ import pytest
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.transport.events.crossing import FLOAT32_GRAIN
 from lfmesh.transport.regions import lens_block as lb
-from lfmesh.transport.tables.tables import INTERFACE, Interfaces
 
 EPSILON = np.finfo(np.float64).eps
 BLOCKS = 200
 SURFACES = 6
-BARE = Interfaces(rows=np.zeros(SURFACES, INTERFACE), parameters=np.zeros((0, 2)))
 
 
 def unit(v):
@@ -47,7 +45,7 @@ def ready_block(draw):
     rows(block, lb.SIZE)[:, 0] = draw.uniform(0.5, 3.0, n)
     n_i, n_t = draw.uniform(1.0, 2.0, (2, n))
     rows(block, lb.N_I, 2)[:] = np.column_stack([n_i, np.where(draw.random(n) < 0.1, n_i, n_t)])
-    rows(block, lb.NUMBER, 2)[:] = np.column_stack([draw.integers(0, SURFACES, n), draw.integers(0, 2, n)])
+    rows(block, lb.NUMBER)[:, 0] = draw.integers(0, SURFACES, n)
     return block, met, up * sense[:, None]
 
 
@@ -58,7 +56,7 @@ def blocks():
     made = [ready_block(draw) for _ in range(BLOCKS)]
     for block, _, _ in made:
         lb.meet_conics(block)
-        lb.split_block(block, BARE)
+        lb.split_block(block)
     return made
 
 
@@ -173,5 +171,5 @@ def test_what_becomes_of_a_packet_does_not_depend_on_its_place_in_the_block(bloc
         shuffled = lb.empty_block()
         shuffled.reshape(lb.ROWS, lb.BLOCK)[: lb.PX // lb.BLOCK] = rows(block, 0, lb.PX // lb.BLOCK)[order].T
         lb.meet_conics(shuffled)
-        lb.split_block(shuffled, BARE)
+        lb.split_block(shuffled)
         assert np.array_equal(rows(shuffled, 0, lb.ROWS), rows(block, 0, lb.ROWS)[order], equal_nan=True)

@@ -1,0 +1,115 @@
+"""Measured reflectance of a coating by wavelength and angle, read from a CSV file."""
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import FileError
+
+Array = NDArray[np.float64]
+
+COLUMNS = ("wavelength_nm", "angle_deg", "reflectance")
+
+
+@dataclass(frozen=True)
+class ReflectanceTable:
+    """Reflectance at wavelengths and angles, which both increase.
+
+    Attributes
+    ----------
+    wavelengths_nm : (w,) float64
+    cosines : (a,) float64
+        Of the angles from 90 to 0 degrees.
+    reflectance : (w, a) float64
+    """
+
+    wavelengths_nm: Array
+    cosines: Array
+    reflectance: Array
+
+    def at(self, wavelength_nm: float, cosine: Array) -> Array:
+        """Return the reflectance at a wavelength of the table's range, by the cosine of the angle, 0 to 1.
+
+        Linear between wavelengths; between angles monotone cubic polynomials in the cosine (Fritsch and Carlson, SIAM
+        Journal on Numerical Analysis 17, 1980), which do not overshoot.
+        """
+        from scipy.interpolate import PchipInterpolator
+
+        column = [np.interp(wavelength_nm, self.wavelengths_nm, values) for values in self.reflectance.T]
+        return np.clip(PchipInterpolator(self.cosines, column)(cosine), 0.0, 1.0)
+
+
+def read_reflectance(path: Path) -> ReflectanceTable:
+    """Read a table of reflectance.
+
+    Parameters
+    ----------
+    path : Path
+        CSV with the columns wavelength_nm, angle_deg and reflectance, in any order of columns and rows. Every angle
+        stands at every wavelength, and the angles reach from 0 to 90 degrees, where every surface reflects 1.
+
+    Raises
+    ------
+    FileError
+        It cannot be read; a number is missing or out of its range; angles are missing.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise FileError(f"{path}: byte {error.start} is no UTF-8; a table of reflectance is UTF-8 text") from None
+    rows = [row for row in csv.reader(text.splitlines()) if any(cell.strip() for cell in row)]
+    head = [cell.strip() for cell in rows[0]] if rows else []
+    if sorted(head) != sorted(COLUMNS):
+        raise FileError(f"{path}: its first line must name the columns {', '.join(COLUMNS)}")
+    values: dict[tuple[float, float], float] = {}
+    for number, row in enumerate(rows[1:], start=2):
+        wavelength, angle, reflectance = _numbers(path, number, head, row)
+        if (wavelength, angle) in values:
+            raise FileError(f"{path}: row {number}: {wavelength:g} nm at {angle:g} degrees stands there twice")
+        values[wavelength, angle] = reflectance
+    wavelengths, angles = sorted({w for w, _ in values}), sorted({a for _, a in values}, reverse=True)
+    if not values or angles[0] != 90.0 or angles[-1] != 0.0:
+        reach = f"they reach from {angles[-1]:g} to {angles[0]:g}; " if values else ""
+        raise FileError(
+            f"{path}: its angles must reach from 0 to 90 degrees; {reach}at 90 degrees every surface reflects 1"
+        )
+    for wavelength in wavelengths:
+        for angle in angles:
+            if (wavelength, angle) not in values:
+                raise FileError(f"{path}: there is no reflectance for {wavelength:g} nm at {angle:g} degrees")
+        if values[wavelength, 90.0] != 1.0:
+            raise FileError(
+                f"{path}: the reflectance for {wavelength:g} nm at 90 degrees is {values[wavelength, 90.0]:g}; there "
+                "every surface reflects 1"
+            )
+    cosines = np.cos(np.radians(angles))
+    cosines[0] = 0.0
+    return ReflectanceTable(
+        np.array(wavelengths), cosines, np.array([[values[w, a] for a in angles] for w in wavelengths])
+    )
+
+
+def _numbers(path: Path, number: int, head: list[str], row: list[str]) -> tuple[float, float, float]:
+    """Return wavelength, angle and reflectance of a row of the file."""
+    if len(row) != len(head):
+        raise FileError(f"{path}: row {number} has {len(row)} values; it must have {len(head)}")
+    found = dict(zip(head, row, strict=True))
+    numbers = []
+    for column, most in zip(COLUMNS, (math.inf, 90.0, 1.0), strict=True):
+        cell = found[column].strip()
+        try:
+            value = float(cell)
+        except ValueError:
+            value = math.nan
+        is_wavelength = column == "wavelength_nm"
+        if not (0.0 <= value <= most and math.isfinite(value)) or (is_wavelength and value == 0.0):
+            limits = "a positive number" if is_wavelength else f"a number from 0 to {most:g}"
+            raise FileError(f"{path}: row {number}: {column} = {cell!r}; it must be {limits}")
+        numbers.append(value)
+    return numbers[0], numbers[1], numbers[2]

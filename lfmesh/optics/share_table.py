@@ -1,0 +1,180 @@
+"""Tables of a coating's reflectance and transmittance by angle, from which kernels interpolate.
+
+One table serves both sides of a coating between two media. Its variable is the cosine m in the thinner medium, where
+angles are larger: light from the denser medium reaches m = 0 at its critical angle, which so is an end of the table.
+As functions of √m the shares have no root left at that end, and the steep part near grazing incidence is spread. Under
+total reflection an absorbing coating still reflects less than everything; that branch is a function of
+u = s / (1 + √(1 − s²)), s the cosine over that of the critical angle, which takes the roots from both of its ends.
+
+The range is cut into equal pieces, each with the polynomial through Chebyshev's nodes. The number of pieces is doubled
+until the error, measured between the nodes, is below `TOLERANCE`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernel import inlined
+
+Array = NDArray[np.float64]
+
+TERMS = 6
+"""Coefficients of a piece's polynomial, in the distance from the middle of the piece."""
+
+TOLERANCE = 1e-8
+"""Interpolation error at which no more pieces are tried."""
+
+ALLOWED = 1e-6
+"""Largest interpolation error of a table that is used."""
+
+MOST_PIECES = 8192
+
+FROM_THIN, FROM_DENSE, PASSED, TOTAL = 0, 1, 2, 3
+"""Quantities of a table: reflectance from the thinner and the denser medium, transmittance, and reflectance under total
+reflection. Where nothing is absorbed, the first alone says all."""
+
+_CHECKED = np.concatenate([[0.0, 1.0], 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 2 * TERMS) / (2 * TERMS))])
+
+Shares = Callable[[Array, bool], Array]
+"""Compute the quantities of a table, (quantities, n), at values of its variable: √m, or u if the second is true."""
+
+
+class TooManyPiecesError(Exception):
+    """The shares change with the angle too fast for the largest table; its argument is the error."""
+
+
+@dataclass(frozen=True)
+class ShareTable:
+    """The shares of a coating between two media at one wavelength.
+
+    Attributes
+    ----------
+    coefficients : (quantities, pieces, TERMS) float64
+        One quantity, `FROM_THIN`, if nothing is absorbed; else all four.
+    error : float
+        Largest error of interpolation that was found.
+    """
+
+    coefficients: Array
+    error: float
+
+    @property
+    def pieces(self) -> int:
+        """Number of pieces."""
+        return self.coefficients.shape[1]
+
+
+def constant(reflectance: float) -> ShareTable:
+    """Return the table of a coating that reflects the same share at every angle and absorbs nothing."""
+    coefficients = np.zeros((1, 1, TERMS))
+    coefficients[0, 0, 0] = reflectance
+    return ShareTable(coefficients, 0.0)
+
+
+def tabulated(shares: Shares, absorbs: bool, least: int = 1) -> ShareTable:
+    """Tabulate the shares of a coating.
+
+    Parameters
+    ----------
+    shares : callable
+    absorbs : bool
+    least : int
+        Pieces to have at least, a power of 2.
+
+    Raises
+    ------
+    TooManyPiecesError
+    """
+    pieces = max(least, 16)
+    while True:
+        parts = [_fitted(lambda u: shares(u, False), pieces)]
+        if absorbs:
+            parts.append(_fitted(lambda u: shares(u, True), pieces))
+        error = max(part[1] for part in parts)
+        if error <= TOLERANCE or 2 * pieces > MOST_PIECES:
+            break
+        pieces *= 2
+    if not error <= ALLOWED:
+        raise TooManyPiecesError(error)
+    return ShareTable(np.concatenate([part[0] for part in parts]), error)
+
+
+def _fitted(shares: Callable[[Array], Array], pieces: int) -> tuple[Array, float]:
+    """Return the polynomials of all pieces, (quantities, pieces, TERMS), and their largest error."""
+    nodes = 0.5 - 0.5 * np.cos(np.pi * (np.arange(TERMS) + 0.5) / TERMS)
+    left = np.arange(pieces)[:, None]
+    at_nodes = shares(((left + nodes) / pieces).ravel()).reshape(-1, pieces, TERMS)
+    fit = np.linalg.inv(np.vander(nodes - 0.5, TERMS, increasing=True))
+    coefficients = at_nodes @ fit.T
+    truth = shares(((left + _CHECKED) / pieces).ravel()).reshape(-1, pieces, len(_CHECKED))
+    found = coefficients @ np.vander(_CHECKED - 0.5, TERMS, increasing=True).T
+    return coefficients, float(np.abs(found - truth).max())
+
+
+@inlined
+def looked_up(parameters: Array, first: int, pieces: int, colour: int, u: float) -> float:
+    """Return a share, 0 to 1, from the polynomials of one quantity.
+
+    Parameters
+    ----------
+    parameters : (n, wavelengths) float64
+    first, pieces : int
+        Row of the quantity's first coefficient, and number of its pieces.
+    colour : int
+        Number of the wavelength.
+    u : float
+        The variable, 0 to 1.
+    """
+    place = u * pieces
+    piece = min(int(place), pieces - 1)
+    x = place - piece - 0.5
+    at = first + TERMS * piece
+    share = parameters[at + 5, colour]
+    share = parameters[at + 4, colour] + x * share
+    share = parameters[at + 3, colour] + x * share
+    share = parameters[at + 2, colour] + x * share
+    share = parameters[at + 1, colour] + x * share
+    share = parameters[at, colour] + x * share
+    return min(max(share, 0.0), 1.0)
+
+
+@inlined
+def coated_shares(
+    parameters: Array, first: int, pieces: int, absorbs: bool, colour: int,
+    n_i: float, n_t: float, cos_i: float, cos_t: float, total: bool, outward: bool,
+) -> tuple[float, float]:  # fmt: skip
+    """Return reflectance and transmittance of a coating.
+
+    Parameters
+    ----------
+    parameters : (n, wavelengths) float64
+    first, pieces : int
+        Row of the table's first coefficient, and its number of pieces.
+    absorbs : bool
+        The table has all quantities, not the first alone.
+    colour : int
+        Number of the wavelength.
+    n_i, n_t, cos_i, cos_t : float
+        Index and cosine before and behind the coating.
+    total : bool
+        Reflection is total.
+    outward : bool
+        Light comes from the side that the layers end with. Between equal indices the first side counts as the thinner
+        medium.
+    """
+    size = TERMS * pieces
+    if total:
+        if not absorbs:
+            return 1.0, 0.0
+        s2 = min(cos_i * cos_i * n_i * n_i / ((n_i - n_t) * (n_i + n_t)), 1.0)
+        u = np.sqrt(s2) / (1.0 + np.sqrt(1.0 - s2))
+        return looked_up(parameters, first + TOTAL * size, pieces, colour, u), 0.0
+    u = np.sqrt(min(max(min(cos_i, cos_t), 0.0), 1.0))
+    if not absorbs:
+        reflectance = looked_up(parameters, first, pieces, colour, u)
+        return reflectance, 1.0 - reflectance
+    side = FROM_DENSE if n_i > n_t or (n_i == n_t and outward) else FROM_THIN
+    reflectance = looked_up(parameters, first + side * size, pieces, colour, u)
+    return reflectance, min(looked_up(parameters, first + PASSED * size, pieces, colour, u), 1.0 - reflectance)

@@ -1,0 +1,164 @@
+"""Coatings of a scene, tabulated once for each pair of media, coating and set of wavelengths."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import SceneError
+from lfmesh.optics.coatings import Stack, between, beyond
+from lfmesh.optics.glass import complex_index, refractive_index
+from lfmesh.optics.reflectance_table import ReflectanceTable, read_reflectance
+from lfmesh.optics.share_table import ShareTable, TooManyPiecesError, constant, tabulated
+from lfmesh.scene import Coating, Layer, Scene
+from lfmesh.scene.inputs import file_stamp
+from lfmesh.transport.tables.media import Medium
+
+Array = NDArray[np.float64]
+
+RESONANT = 256
+"""Pieces to have at least where a layer's index is below both media's: light may then resonate between such layers,
+within an angle so small that few points would miss it."""
+
+KEPT = 256
+
+
+@dataclass(frozen=True)
+class CoatingTable:
+    """The shares of a coating between two media at some wavelengths, as kernels read them.
+
+    Attributes
+    ----------
+    values : (rows, wavelengths) float64
+        Coefficients of all quantities, see `optics.share_table`.
+    pieces : int
+    absorbs : bool
+    error : float
+        Largest error of interpolation that was found, absolute.
+    """
+
+    values: Array
+    pieces: int
+    absorbs: bool
+    error: float
+
+
+def absorbs(scene: Scene, name: str, wavelengths_nm: Sequence[float]) -> bool:
+    """Whether a coating of the scene absorbs light at any of some wavelengths."""
+    layers = scene.coatings[name].layers or ()
+    return any(_stack(layers, wavelength).absorbs for wavelength in wavelengths_nm)
+
+
+def coating_table(
+    scene: Scene, name: str, outer: Medium, inner: Medium, wavelengths_nm: Sequence[float]
+) -> CoatingTable:
+    """Return the shares of a coating between two media.
+
+    Parameters
+    ----------
+    scene : Scene
+    name : str
+        Of the coating.
+    outer, inner : Medium
+        Media on the side that its layers begin with, and on the other.
+    wavelengths_nm : sequence of float
+
+    Raises
+    ------
+    SceneError, FileError
+        Its file cannot be used, or does not reach a wavelength; it cannot be tabulated.
+    """
+    coating = scene.coatings[name]
+    path = scene.resolve(coating.table) if coating.table is not None else None
+    stamp = file_stamp(path) if path is not None else ()
+    return _tabulated(name, coating, path, stamp, outer, inner, tuple(float(w) for w in wavelengths_nm))
+
+
+@lru_cache(maxsize=KEPT)
+def _tabulated(
+    name: str, coating: Coating, path: Path | None, stamp: tuple[object, ...], outer: Medium, inner: Medium,
+    wavelengths_nm: tuple[float, ...],
+) -> CoatingTable:  # fmt: skip
+    """Return the table of a coating; `stamp` only tells versions of its file apart."""
+    measured = read_reflectance(path) if path is not None else None
+    lossy = any(_stack(coating.layers or (), wavelength).absorbs for wavelength in wavelengths_nm)
+    tables: list[ShareTable] = []
+    try:
+        # All wavelengths have the same pieces: those of the one that needs the most.
+        while not tables or len({table.pieces for table in tables}) > 1:
+            least = max((table.pieces for table in tables), default=1)
+            tables = [
+                _at_wavelength(name, coating, measured, lossy, least, outer, inner, wavelength)
+                for wavelength in wavelengths_nm
+            ]
+    except TooManyPiecesError as error:
+        raise SceneError(
+            f"coatings.{name}: its reflectance changes too fast with the angle for a table (error "
+            f"{error.args[0]:.1g}): a layer is too thick, or light resonates between layers of a lower index than both "
+            "glasses"
+        ) from None
+    values = np.stack([table.coefficients.ravel() for table in tables], axis=1)
+    values.setflags(write=False)
+    return CoatingTable(values, tables[0].pieces, lossy, max(table.error for table in tables))
+
+
+def _at_wavelength(
+    name: str, coating: Coating, measured: ReflectanceTable | None, lossy: bool, least: int,
+    outer: Medium, inner: Medium, wavelength_nm: float,
+) -> ShareTable:  # fmt: skip
+    if coating.reflectance is not None:
+        return constant(coating.reflectance)
+    if measured is not None:
+        shortest, longest = measured.wavelengths_nm[[0, -1]]
+        if not shortest <= wavelength_nm <= longest:
+            raise SceneError(
+                f"coatings.{name}.table: it reaches from {shortest:g} to {longest:g} nm, and the scene has "
+                f"{wavelength_nm:g} nm"
+            )
+        return tabulated(lambda u, total: measured.at(wavelength_nm, u * u)[None], False, least)
+    n_outer, n_inner = refractive_index(outer, wavelength_nm), refractive_index(inner, wavelength_nm)
+    stack = _stack(coating.layers or (), wavelength_nm)
+    if n_outer > n_inner:
+        stack = stack.reversed
+    thin, dense = min(n_outer, n_inner), max(n_outer, n_inner)
+    if any(index.real < thin for index in stack.indices):
+        least = max(least, RESONANT)
+
+    def shares(u: Array, total: bool) -> Array:
+        if total:
+            return _under_total_reflection(thin, dense, stack, wavelength_nm, u)[None]
+        k_thin = thin * u * u
+        k_dense = beyond(thin, dense, k_thin)
+        from_thin, passed = between(thin, dense, stack, wavelength_nm, k_thin, k_dense)
+        if not lossy:
+            return from_thin[None]
+        from_dense, _ = between(dense, thin, stack.reversed, wavelength_nm, k_dense.real, k_thin.astype(np.complex128))
+        return np.stack([from_thin, from_dense, passed])
+
+    return tabulated(shares, lossy, least)
+
+
+def _under_total_reflection(thin: float, dense: float, stack: Stack, wavelength_nm: float, u: Array) -> Array:
+    """Return the reflectance from the denser medium beyond the critical angle, by u of `optics.share_table`."""
+    edge = np.sqrt((dense - thin) * (dense + thin))
+    if edge == 0.0:
+        return np.ones_like(u)
+    k_dense = edge * 2.0 * u / (1.0 + u * u)
+    k_thin = np.asarray(1.0j * edge * (1.0 - u * u) / (1.0 + u * u), dtype=np.complex128)
+    return between(dense, thin, stack.reversed, wavelength_nm, k_dense, k_thin)[0]
+
+
+def _stack(layers: Sequence[Layer], wavelength_nm: float) -> Stack:
+    """Return layers as they are at a wavelength, in the order of the scene."""
+    return Stack(
+        tuple(
+            complex_index(layer.glass, wavelength_nm)
+            if layer.glass is not None
+            else complex(layer.index or 1.0, layer.extinction)
+            for layer in layers
+        ),
+        tuple(layer.thickness_nm for layer in layers),
+    )

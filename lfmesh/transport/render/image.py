@@ -53,7 +53,8 @@ class Image:
     blind : BlindCheck or None
         Comparison with samples that were not aimed.
     order : OrderCheck or None
-        Comparison of lens surfaces found by their order with those found by meshes; None where only meshes were used.
+        Comparison of surfaces of lens and array found by their order with those found by meshes; None where only meshes
+        were used.
 
     See Also
     --------

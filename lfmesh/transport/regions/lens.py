@@ -255,6 +255,8 @@ def shade_lens(
                 terms += block[TERMS + i]
             meet_in_order(block)
             if terms > 0.0:
+                for i in range(count, BLOCK):
+                    block[TERMS + i] = 0.0
                 meet_aspheres(block)
             for i in range(count):
                 packet = wave[first + i]

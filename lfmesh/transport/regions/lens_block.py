@@ -212,16 +212,16 @@ def meet_aspheres(block: Array) -> None:
     the ray crosses the asphere only once.
     """
     for i in range(BLOCK):
-        t = block[AT + i] - block[FROM + i]
+        t, curved = block[AT + i] - block[FROM + i], block[TERMS + i] > 0.0
         flat = (block[VERTEX_Z + i] - block[Z + i]) / block[DZ + i] - block[FROM + i]
-        block[AT + i] = select(abs(t) < np.inf, t, flat)
+        block[AT + i] = select(curved, select(abs(t) < np.inf, t, flat), block[AT + i])
     moving = BLOCK
     for _ in range(NEWTON_STEPS):
         if moving == 0:
             break
         moving = _newton_step(block)
     for i in range(BLOCK):
-        block[AT + i] += block[FROM + i]
+        block[AT + i] = select(block[TERMS + i] > 0.0, block[AT + i] + block[FROM + i], block[AT + i])
 
 
 @kernel

@@ -95,6 +95,9 @@ Array = NDArray[np.float64]
 RING = -2
 """In place of a surface's number: the ring that bounds a space sideways."""
 
+GRAZING = 1e-2
+"""Cosine of incidence below which the order of aspheres and posed surfaces leaves a hit to the meshes."""
+
 NEARBY_TRIES = 4
 """Number of refused facets near the start (the packet's own facet and its neighbours) that are queried from behind."""
 
@@ -323,7 +326,8 @@ def _prepare_the_one_ahead(block: Array, i: int, packet: Any, lens: LensTables) 
         block[DX + i], block[DY + i], block[DZ + i] = direction_through(
             surface.unpose, packet.dx, packet.dy, packet.dz
         )  # fmt: skip
-    reach = _reach(surface)
+    # Beside the aperture the mesh of an asphere deviates from where the asphere ends.
+    reach = min(surface.aperture, surface.end)
     set_only_conic(
         block, i, surface.curvature, 1.0 + surface.conic, surface.vertex_z, reach * reach,
         1.0 if packet.dz > 0.0 else -1.0,
@@ -338,11 +342,11 @@ def _meets_the_one_ahead(
     block: Array, i: int, packet: Any,
     lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
 ) -> int:  # fmt: skip
-    """Move a hit of the block into the camera frame; return the surface, unless stop, mount or ring end the packet."""
+    """Move a hit of the block into the camera frame; return the surface, unless stop or ring end the packet."""
     k, space = int(block[NUMBER + i]), packet.space
     surface = lens.surfaces[k]
     x, y, z = block[PX + i], block[PY + i], block[PZ + i]
-    beyond = x * x + y * y > surface.aperture * surface.aperture
+    cosine = block[NX + i] * block[DX + i] + block[NY + i] * block[DY + i] + block[NZ + i] * block[DZ + i]
     if surface.posed:
         x, y, z = point_through(surface.pose, x, y, z)
         block[PX + i], block[PY + i], block[PZ + i] = x, y, z
@@ -350,11 +354,9 @@ def _meets_the_one_ahead(
             surface.pose, block[NX + i], block[NY + i], block[NZ + i]
         )  # fmt: skip
         block[DX + i], block[DY + i], block[DZ + i] = packet.dx, packet.dy, packet.dz
-    if x * x + y * y > lens.order[space, 8]:
+    if cosine < GRAZING or x * x + y * y > lens.order[space, 8]:
         return _decide_in_order(block, i, packet, lens, has_array, frames, options, flow)
-    if (beyond or lens.stop_space == space) and _is_cut(
-        options, flow, frames, lens, packet, k, block[AT + i], x, y, z
-    ):  # fmt: skip
+    if lens.stop_space == space and _is_cut(options, flow, frames, lens, packet, k, block[AT + i], x, y, z):
         return NO_SURFACE
     return k
 
@@ -379,7 +381,9 @@ def _decide_in_order(
         # Beside the circle that a mesh reaches everywhere may be a corner of it.
         settled = settled and outside and lens.by_roots[space] and not _crosses_beside(lens, packet)
     elif not outside:
-        settled = px * px + py * py <= free2 and packet.x * packet.x + packet.y * packet.y <= free2
+        settled = settled and px * px + py * py <= free2 and packet.x * packet.x + packet.y * packet.y <= free2
+    if not lens.by_roots[space]:
+        settled = settled and nx * packet.dx + ny * packet.dy + nz * packet.dz >= GRAZING
     if not settled:
         put(
             flow, LENS_MESH, packet, packet.frame, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz,

@@ -163,16 +163,16 @@ def _aim(image: Image) -> list[str]:
 
 
 def _order(image: Image) -> list[str]:
-    """Return a sentence on how lens surfaces that were found by their order compare with those found by meshes."""
+    """Return a sentence on how surfaces of lens and array found by their order compare with those found by meshes."""
     order = image.order
     if order is None or order.compared == 0:
         return []
     if not order.holds:
         return [
-            f"Warning: lens surfaces are not found by their order as by their meshes: {order.words}. The meshes alone"
-            " were used, which takes longer."
+            f"Warning: surfaces of lens and array are not found by their order as by their meshes: {order.words}. The"
+            " meshes alone were used, which takes longer."
         ]
-    return [f"Lens surfaces were found by their order: {order.words}."]
+    return [f"Surfaces of lens and array were found by their order: {order.words}."]
 
 
 def _coatings(image: Image) -> list[str]:

@@ -5,8 +5,8 @@ A wave is a batch of packets that wait at the same station. At a station that qu
 in float64 and queues the children at the stations they travel to. The station with the most packets comes next, from
 the top of its stack, so that a chunk's memory stays bounded however often packets split.
 
-Where the surfaces of the lens are exact, their order and their roots tell which one a packet meets, and Embree is asked
-only where they do not decide. The sequential engine takes the waves of lens and array through both at once
+Where the surfaces of lens and array are exact, their order and their roots tell which one a packet meets, and Embree is
+asked only where they do not decide. The sequential engine takes the waves of lens and array through both at once
 (`image_path`); the rest is the same.
 """
 
@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frame_moves
+from lfmesh.geometry.levels import EXACT
 from lfmesh.transport.packets.packet import (
     CELLS,
+    CELLS_MESH,
     COUNTERS,
     DEPOSIT,
     DEPOSITS,
@@ -106,7 +108,8 @@ class Workspace:
         self.hits = np.zeros((0, 1), np.uint32)
         self.counted = np.zeros(0, np.uint8)
         self.bundle = empty_bundle()
-        self.block = empty_block()
+        # One for each region, as a block's unused places hold numbers of its region's interfaces.
+        self.block, self.array_block = empty_block(), empty_block()
         self.numbers = np.zeros(BLOCK, np.int64)
         self.unasked = np.zeros(0, np.int32)
         self.embree_seconds = 0.0
@@ -208,19 +211,25 @@ class Workspace:
             follow_image_path(wave, station, lens, array, frames, self.bundle, self.numbers, options, flow)
         elif station == LENS and options.in_order:
             count = admit_to_lens(wave, origins, directions, lens, frames, options, flow, False)
-            if self.sampled is not None:
-                self.sampled.append(wave[:count].copy())
             wave = wave[:count]
+            self._sample(wave)
             shade_lens(wave, self.unasked, self.block, self.numbers, lens, array.present, frames, options, flow, True)
         elif station in (LENS, LENS_MESH):
             count = admit_to_lens(wave, origins, directions, lens, frames, options, flow, True)
             found = self._find(LENS, count)
             wave = wave[:count]
             shade_lens(wave, found, self.block, self.numbers, lens, array.present, frames, options, flow, False)
-        elif station == CELLS:
-            admit_to_cells(wave, origins, directions, array)
-            found = self._find(CELLS, count)
-            shade_cells(wave, found, array, frames, lens_surfaces, options, flow)
+        elif station in (CELLS, CELLS_MESH):
+            in_order = station == CELLS and options.in_order and options.surface == EXACT
+            if in_order:
+                self._sample(wave)
+                found = self.unasked
+            else:
+                admit_to_cells(wave, origins, directions, array)
+                found = self._find(CELLS, count)
+            shade_cells(
+                wave, found, self.array_block, self.numbers, array, frames, lens_surfaces, options, flow, in_order
+            )
         elif station == OBJECTS:
             admit_to_objects(wave, origins, directions, frames)
             found = self._find(OBJECTS, count)
@@ -228,11 +237,15 @@ class Workspace:
         elif station == EMITTERS:
             ask_emitters(wave, tables.objects, options, flow)
         elif station == PLATE:
-            through_plate(wave, array, frames, lens_surfaces, options, flow)
+            through_plate(wave, self.array_block, self.numbers, array, frames, lens_surfaces, options, flow)
         elif tables.sensor.reflectance > 0.0:
             onto_reflecting_sensor(wave, tables.sensor, array.present, lens_surfaces, frames, options, flow)
         else:
             onto_sensor(wave, tables.sensor, frames, options, flow)
+
+    def _sample(self, wave: NDArray[np.void]) -> None:
+        if self.sampled is not None:
+            self.sampled.append(wave.copy())
 
     def _take(self, station: int, count: int) -> NDArray[np.void]:
         """Take packets off the top of a station's stack; the wave is valid until the next one is taken."""

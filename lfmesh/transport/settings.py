@@ -43,7 +43,9 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
         paths=EVERY,
         unturned_cutoff=transport.weight_cutoff,
         first_source=0,
-        in_order=not tracing and transport.engine != "mesh" and bool(tables.lens.ordered.any()),
+        in_order=not tracing
+        and transport.engine != "mesh"
+        and (bool(tables.lens.ordered.any()) or (tables.array.present and transport.surface == "exact")),
     )
     return options._replace(**override)
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from lfmesh.kernel import pasted
 
-# Stations: what a packet waits for. The first three query Embree, and so does `LENS_MESH`.
+# Stations: what a packet waits for. Embree is asked at OBJECTS, LENS_MESH and CELLS_MESH, and in a run that finds no
+# surface by its order at LENS and CELLS too.
 LENS = 0  # a surface of the main lens
 CELLS = 1  # the curved face of the array, in its cell
 OBJECTS = 2  # a target, or the way into the lens
@@ -19,7 +20,8 @@ PLATE = 3  # the array from outside its layer of curved faces: entry, or the fla
 SENSOR = 4  # a pixel
 LENS_MESH = 5  # a surface of the main lens, by its mesh where the order of the surfaces does not decide
 EMITTERS = 6  # a point of a target that emitting targets may light
-STATIONS = 7
+CELLS_MESH = 7  # the curved face in its cell, by its mesh where distances do not decide
+STATIONS = 8
 
 # Frames. A packet says in which frame its ray is given; its station moves it into the station's own.
 CAMERA_FRAME, ARRAY_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME = 0, 1, 2, 3, 4
@@ -215,7 +217,7 @@ class Options(NamedTuple):
     first_source: int  # pixel in row 0 of the film
     stream: np.uint64 = np.uint64(0)  # adjoint: key of the replicate's random numbers at this wavelength
     each: int = 0  # adjoint: samples of a pixel, whose events share Sobol' sets; 0: random numbers
-    in_order: bool = False  # surfaces of the lens are met in their order where that decides, else by their meshes
+    in_order: bool = False  # surfaces of lens and array are met in their order where that decides, else by their meshes
 
 
 # Options.split

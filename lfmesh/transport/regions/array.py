@@ -4,6 +4,10 @@ Array frame: z runs from the curved face into the glass. Space 0 is the air befo
 air behind the flat face. The curved faces lie in the thin layer top ≤ z ≤ valley. Only in that layer does a ray belong
 to a cell; where it leaves the cell sideways before it meets the face or leaves the layer, it walks into the next cell.
 Below the layer the glass is one plate. The flat face is one plane and needs no query of Embree.
+
+Where the lenslets are exact spheres, a ray of a cell can only meet the one sphere of that cell, the cell's sides and
+the borders of the layer, so that their distances decide, without a query. What they do not decide goes to the station
+of the cells' meshes.
 """
 
 from typing import Any
@@ -13,7 +17,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.lattice import cell_of, centre, is_inside, leaves_at, neighbour, stays_inside
 from lfmesh.geometry.lenslets import are_alike, border_sag, cap_sag, shape_of, type_of
-from lfmesh.geometry.levels import EXACT, FLAT, PATCH, SMOOTH
+from lfmesh.geometry.levels import EXACT, PATCH
 from lfmesh.geometry.surface import conic_distance
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.crossing import (
@@ -24,8 +28,6 @@ from lfmesh.transport.events.crossing import (
     meets_patch,
     move_packet,
     next_query_from,
-    reflected,
-    refracted,
     requery,
     too_deep,
     write_query,
@@ -36,6 +38,7 @@ from lfmesh.transport.packets.book import ARRAY_EDGE, ARRAY_MOUNT, ARRAY_WALL, L
 from lfmesh.transport.packets.packet import (
     ARRAY_FRAME,
     CELLS,
+    CELLS_MESH,
     CURVED_FACE,
     FLAT_FACE,
     LEFT_FACE,
@@ -48,11 +51,47 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
+from lfmesh.transport.regions.lens_block import (
+    ALONG_X,
+    ALONG_Y,
+    ALONG_Z,
+    AT,
+    BLOCK,
+    DX,
+    DY,
+    DZ,
+    HELD,
+    N_I,
+    N_T,
+    NEXT_N,
+    NEXT_NUMBER,
+    NUMBER,
+    NX,
+    NY,
+    NZ,
+    PX,
+    PY,
+    PZ,
+    REFLECTANCE,
+    REFLECTED,
+    REFRACTED,
+    TRANSMITTANCE,
+    X,
+    Y,
+    incidence,
+    meet_in_order,
+    set_only_conic,
+    set_ray,
+    split_block,
+)
 from lfmesh.transport.tables.tables import AIR, CURVED_ROW, FLAT_ROW, ArrayTables
 
 Array = NDArray[np.float64]
 
 BEFORE, GLASS, BEHIND = 0, 1, 2
+
+UNSURE = 1e-9
+"""Share of its way to the border of a cell, or of the layer, within which a hit is left to the mesh to decide."""
 
 
 @inlined
@@ -114,59 +153,101 @@ _split_at_flat_face = splitter(_send_from_flat_face)
 
 @kernel
 def through_plate(
-    wave: NDArray[np.void], array: ArrayTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow
-) -> None:
+    wave: NDArray[np.void], block: Array, met: NDArray[np.int64],
+    array: ArrayTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow,
+) -> None:  # fmt: skip
     """Take a wave of packets into the layer of curved faces, or split them at the flat face.
 
     Parameters
     ----------
     wave : (n,) PACKET
+    block : (ROWS · BLOCK,) float64
+    met : (BLOCK,) int64
+        Working memory.
     lens_surfaces : int
         Number of refracting surfaces of the lens.
     """
+    for first in range(0, len(wave), BLOCK):
+        count = min(BLOCK, len(wave) - first)
+        for i in range(count):
+            met[i] = _reaches_flat_face(block, i, wave[first + i], array, frames, options, flow)
+        split_block(block)
+        for i in range(count):
+            if met[i] != NO_SURFACE:
+                packet = wave[first + i]
+                outward = packet.space == GLASS
+                reflectance, transmittance = _shares_at_face(block, i, packet, array, FLAT_ROW, outward, flow)
+                r, t = REFLECTED + i, REFRACTED + i
+                _split_at_flat_face(
+                    (array, lens_surfaces, outward), options, flow, frames, ARRAY_FRAME, packet, FLAT_FACE, NO_SURFACE,
+                    AIR if outward else array.medium, block[PX + i], block[PY + i], block[PZ + i],
+                    reflectance, transmittance,
+                    (block[r + ALONG_X], block[r + ALONG_Y], block[r + ALONG_Z]),
+                    (block[t + ALONG_X], block[t + ALONG_Y], block[t + ALONG_Z]),
+                )  # fmt: skip
+
+
+@inlined
+def _reaches_flat_face(
+    block: Array, i: int, packet: Any, array: ArrayTables, frames: Array, options: Options, flow: Flow
+) -> int:
+    """Enter a packet in the block where it meets the flat face; `NO_SURFACE`: it has ended or is in the layer."""
     lenslets = array.lenslets
     thickness = lenslets.thickness
-    for i in range(len(wave)):
-        packet = wave[i]
-        if packet.frame != ARRAY_FRAME:
-            move_packet(frames, packet, ARRAY_FRAME)
-            if packet.dz > 0.0 and packet.z <= lenslets.valley:
-                into_layer(
-                    options, flow, frames, array, packet, packet.x, packet.y, packet.z,
-                    packet.dx, packet.dy, packet.dz, packet.weight, packet.key, BEFORE,
-                )  # fmt: skip
-                continue
-            if not (packet.dz < 0.0 and packet.z >= thickness):
-                end_here(options, flow, frames, packet, ARRAY_MOUNT, S_ABSORBED)
-                continue
-            packet.space = BEHIND
-        if too_deep(options, flow, frames, packet):
-            continue
-        dx, dy, dz = packet.dx, packet.dy, packet.dz
-        t = (thickness - packet.z) / dz
-        x, y, _ = travel(flow, array.media, packet, t)
-        z = thickness
-        outward = packet.space == GLASS
-        if outward:
-            held = stays_inside(lenslets.lattice, packet.x, packet.y, x, y)
-        else:
-            column, row = cell_of(lenslets.lattice, x, y)
-            held = is_inside(lenslets.lattice, column, row)
-        if not held:
-            slot = ARRAY_EDGE if outward else ARRAY_MOUNT
-            end(options, flow, frames, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
-            continue
-        glass = array.media.indices[array.medium, packet.colour]
-        n_i, n_t = (glass, 1.0) if outward else (1.0, glass)
-        reflectance, transmittance, cos_t = divided(
-            array.interfaces, FLAT_ROW, packet.colour, n_i, n_t, abs(dz), outward, packet, flow.book
-        )
-        toward = 1.0 if dz > 0.0 else -1.0
-        _split_at_flat_face(
-            (array, lens_surfaces, outward), options, flow, frames, ARRAY_FRAME, packet, FLAT_FACE, NO_SURFACE,
-            AIR if outward else array.medium, x, y, z, reflectance, transmittance,
-            (dx, dy, -dz), refracted(dx, dy, dz, 0.0, 0.0, toward, n_i / n_t, abs(dz), cos_t),
-        )  # fmt: skip
+    if packet.frame != ARRAY_FRAME:
+        move_packet(frames, packet, ARRAY_FRAME)
+        if packet.dz > 0.0 and packet.z <= lenslets.valley:
+            into_layer(
+                options, flow, frames, array, packet, packet.x, packet.y, packet.z,
+                packet.dx, packet.dy, packet.dz, packet.weight, packet.key, BEFORE,
+            )  # fmt: skip
+            return NO_SURFACE
+        if not (packet.dz < 0.0 and packet.z >= thickness):
+            end_here(options, flow, frames, packet, ARRAY_MOUNT, S_ABSORBED)
+            return NO_SURFACE
+        packet.space = BEHIND
+    if too_deep(options, flow, frames, packet):
+        return NO_SURFACE
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    t = (thickness - packet.z) / dz
+    x, y, _ = travel(flow, array.media, packet, t)
+    outward = packet.space == GLASS
+    if outward:
+        held = stays_inside(lenslets.lattice, packet.x, packet.y, x, y)
+    else:
+        column, row = cell_of(lenslets.lattice, x, y)
+        held = is_inside(lenslets.lattice, column, row)
+    if not held:
+        slot = ARRAY_EDGE if outward else ARRAY_MOUNT
+        end(options, flow, frames, packet, ARRAY_FRAME, x, y, thickness, dx, dy, dz, packet.weight, slot, S_ABSORBED)
+        return NO_SURFACE
+    block[DX + i], block[DY + i], block[DZ + i] = dx, dy, dz
+    block[PX + i], block[PY + i], block[PZ + i] = x, y, thickness
+    block[NX + i], block[NY + i], block[NZ + i] = 0.0, 0.0, 1.0 if dz > 0.0 else -1.0
+    _set_sides(block, i, packet, array, outward, FLAT_ROW)
+    return FLAT_ROW
+
+
+@inlined
+def _shares_at_face(
+    block: Array, i: int, packet: Any, array: ArrayTables, number: int, outward: bool, flow: Flow
+) -> tuple[float, float]:
+    """Return what a packet of a block reflects and transmits at a face, of what a coating leaves of it."""
+    if not array.interfaces.coated:
+        return block[REFLECTANCE + i], block[TRANSMITTANCE + i]
+    n_i, n_t = block[N_I + i], block[N_T + i]
+    reflectance, transmittance, _ = divided(
+        array.interfaces, number, packet.colour, n_i, n_t, incidence(block, i), outward, packet, flow.book
+    )
+    return reflectance, transmittance
+
+
+@inlined
+def _set_sides(block: Array, i: int, packet: Any, array: ArrayTables, outward: bool, number: int) -> None:
+    """Enter a face as an interface, and the indices before and after it."""
+    glass = array.media.indices[array.medium, packet.colour]
+    block[N_I + i], block[N_T + i] = (glass, 1.0) if outward else (1.0, glass)
+    block[NUMBER + i] = number
 
 
 @inlined
@@ -188,8 +269,8 @@ def admit_to_cells(
 
 @kernel
 def shade_cells(
-    wave: NDArray[np.void], found: NDArray[np.int32],
-    array: ArrayTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow,
+    wave: NDArray[np.void], found: NDArray[np.int32], block: Array, met: NDArray[np.int64],
+    array: ArrayTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow, in_order: bool,
 ) -> None:  # fmt: skip
     """Process a wave of packets in the layer: decide in float64 whether each meets its cell's face, and split it there.
 
@@ -197,29 +278,79 @@ def shade_cells(
     ----------
     wave : (n,) PACKET
     found : (n,) int32
-        Facets that Embree found; −1: none.
+        Facets that Embree found; −1: none. Not read if `in_order`.
+    block : (ROWS · BLOCK,) float64
+    met : (BLOCK,) int64
+        Working memory.
     lens_surfaces : int
         Number of refracting surfaces of the lens.
+    in_order : bool
+        Whether the lenslets are exact spheres that are met without a query.
     """
+    for first in range(0, len(wave), BLOCK):
+        count = min(BLOCK, len(wave) - first)
+        if in_order:
+            for i in range(count):
+                _enter_cell(block, i, wave[first + i], array)
+            meet_in_order(block)
+        for i in range(count):
+            prim = NO_SURFACE if in_order else found[first + i]
+            met[i] = _meets_face(
+                block, i, wave[first + i], prim, array, frames, lens_surfaces, options, flow, in_order
+            )  # fmt: skip
+        split_block(block)
+        for i in range(count):
+            if met[i] != NO_SURFACE:
+                prim = NO_SURFACE if in_order else found[first + i]
+                _through_face(block, i, wave[first + i], prim, array, frames, lens_surfaces, options, flow)
+
+
+@inlined
+def _enter_cell(block: Array, i: int, packet: Any, array: ArrayTables) -> None:
+    """Enter a packet and the sphere of its cell in the block for `meet_in_order`, about the lenslet's apex."""
+    column, row = packet.column, packet.row
+    cx, cy = centre(array.lenslets.lattice, column, row)
+    curvature, ex, ey = shape_of(array.lenslets, column, row)
+    inward = packet.space == BEFORE
+    set_ray(block, i, packet)
+    block[X + i], block[Y + i] = packet.x - cx - ex, packet.y - cy - ey
+    set_only_conic(block, i, curvature, 1.0, 0.0, np.inf, 1.0 if inward else -1.0)
+    _set_sides(block, i, packet, array, not inward, CURVED_ROW)
+    block[NEXT_N + i], block[NEXT_NUMBER + i] = block[N_T + i], CURVED_ROW
+
+
+@inlined
+def _meets_face(
+    block: Array, i: int, packet: Any, prim: int,
+    array: ArrayTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow, in_order: bool,
+) -> int:  # fmt: skip
+    """Decide whether a packet meets the face of its cell; enter that in the block, or send the packet on.
+
+    `NO_SURFACE`: it has ended, or is queued in the next cell, behind the layer, or for another query.
+    """
+    if packet.tries == 0 and too_deep(options, flow, frames, packet):
+        return NO_SURFACE
     lenslets = array.lenslets
     lattice = lenslets.lattice
-    for i in range(len(wave)):
-        packet = wave[i]
-        if packet.tries == 0 and too_deep(options, flow, frames, packet):
-            continue
-        x, y, z = packet.x, packet.y, packet.z
-        dx, dy, dz = packet.dx, packet.dy, packet.dz
-        column, row = packet.column, packet.row
-        inward = packet.space == BEFORE
-        cx, cy = centre(lattice, column, row)
-        curvature, ex, ey = shape_of(lenslets, column, row)
+    x, y, z = packet.x, packet.y, packet.z
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    column, row = packet.column, packet.row
+    inward = packet.space == BEFORE
+    cx, cy = centre(lattice, column, row)
+    sideways, side = leaves_at(lattice, x - cx, y - cy, dx, dy)
+    layer = np.inf
+    if dz != 0.0:
+        layer = ((lenslets.valley if dz > 0.0 else lenslets.top) - z) / dz
+    at_facet, slack = packet.query_from, 1e-12
+    met, sure, t, nx, ny, nz = False, True, 0.0, 0.0, 0.0, 1.0
+    if in_order:
+        met, t = block[HELD + i] > 0.0, block[AT + i]
+        nearer = min(sideways, layer)
+        sure = not met or abs(t - nearer) > UNSURE * abs(nearer)
+        met = met and t <= layer
+        slack = 0.0
+    else:
         fold_x, fold_y = fold_of(array, column, row)
-        sideways, side = leaves_at(lattice, x - cx, y - cy, dx, dy)
-        layer = np.inf
-        if dz != 0.0:
-            layer = ((lenslets.valley if dz > 0.0 else lenslets.top) - z) / dz
-        prim = found[i]
-        at_facet = packet.query_from
         crossed = False
         if prim >= 0:
             facet = array.facets[prim]
@@ -230,10 +361,10 @@ def shade_cells(
                 at_facet = -height / along
             crossed = along != 0.0 and (along > 0.0) == inward
         t = at_facet if crossed else packet.query_from
-        nx, ny, nz = 0.0, 0.0, 1.0
         if options.surface == EXACT:
-            # A ray crosses a sphere once in either sense. The facet gives the point to start from; where Embree finds
             # A ray crosses a sphere once in either sense. The facet gives the point to start from; if Embree finds
+            # none of the face, the entry into the layer does.
+            curvature, ex, ey = shape_of(lenslets, column, row)
             met, more = conic_distance(
                 curvature, 0.0, x + t * dx - cx - ex, y + t * dy - cy - ey, z + t * dz,
                 dx, dy, dz, 1.0 if inward else -1.0,
@@ -242,7 +373,7 @@ def shade_cells(
             px, py, pz = x + t * dx - cx - ex, y + t * dy - cy - ey, z + t * dz
             nx, ny, nz = -curvature * px, -curvature * py, 1.0 - curvature * pz
             # A hit beyond the layer is on the sphere's other half.
-            met = met and 0.0 < t <= layer * (1.0 + 1e-12)
+            met = met and 0.0 < t <= layer * (1.0 + slack)
         else:
             met = crossed and t > 0.0
             if met and options.surface == PATCH:
@@ -252,29 +383,42 @@ def shade_cells(
                 )  # fmt: skip
                 t += more
                 met = t > 0.0
-        if met and t <= sideways * (1.0 + 1e-12):
-            if options.surface == FLAT or options.surface == SMOOTH:
+            elif met:
                 nx, ny, nz = facet_normal(
                     options.surface, array.facets[prim], x + t * dx - fold_x, y + t * dy - fold_y, z + t * dz
                 )
-            _through_face(options, flow, frames, array, lens_surfaces, packet, t, prim, nx, ny, nz)
-        elif options.surface != EXACT and prim >= 0 and not met and at_facet < min(sideways, layer):
-            further = next_query_from(array.facets[prim], packet, at_facet)
-            requery(options, flow, frames, CELLS, packet, further, False, LOST_IN_ARRAY)
-        elif options.surface != EXACT and prim < 0 and packet.tries == 0:
-            # Embree misses facets when a ray is aimed exactly at a vertex.
-            requery(options, flow, frames, CELLS, packet, packet.query_from, True, LOST_IN_ARRAY)
-        elif sideways <= layer:
-            _walk(options, flow, frames, array, packet, sideways, side)
-        elif dz < 0.0 and inward:
-            leave_array(
-                flow, packet, x, y, z, dx, dy, dz, packet.weight, packet.key, array.curved_to_lens,
-                lens_surfaces,
-            )  # fmt: skip
-        elif dz > 0.0 and not inward:
-            put(flow, PLATE, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, 0.0)
-        else:
-            requery(options, flow, frames, CELLS, packet, packet.query_from, True, LOST_IN_ARRAY)
+    if not sure:
+        put(
+            flow, CELLS_MESH, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, packet.query_from
+        )  # fmt: skip
+        return NO_SURFACE
+    if met and t <= sideways * (1.0 + slack):
+        block[PX + i], block[PY + i], block[PZ + i] = travel(flow, array.media, packet, t)
+        if not in_order:
+            if nx * dx + ny * dy + nz * dz < 0.0:
+                nx, ny, nz = -nx, -ny, -nz
+            block[DX + i], block[DY + i], block[DZ + i] = dx, dy, dz
+            block[NX + i], block[NY + i], block[NZ + i] = nx, ny, nz
+            _set_sides(block, i, packet, array, not inward, CURVED_ROW)
+        return CURVED_ROW
+    if options.surface != EXACT and prim >= 0 and not met and at_facet < min(sideways, layer):
+        further = next_query_from(array.facets[prim], packet, at_facet)
+        requery(options, flow, frames, CELLS_MESH, packet, further, False, LOST_IN_ARRAY)
+    elif options.surface != EXACT and prim < 0 and packet.tries == 0:
+        # Embree misses facets when a ray is aimed exactly at a vertex.
+        requery(options, flow, frames, CELLS_MESH, packet, packet.query_from, True, LOST_IN_ARRAY)
+    elif sideways <= layer:
+        _walk(options, flow, frames, array, packet, sideways, side)
+    elif dz < 0.0 and inward:
+        leave_array(
+            flow, packet, x, y, z, dx, dy, dz, packet.weight, packet.key, array.curved_to_lens,
+            lens_surfaces,
+        )  # fmt: skip
+    elif dz > 0.0 and not inward:
+        put(flow, PLATE, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, 0.0)
+    else:
+        requery(options, flow, frames, CELLS_MESH, packet, packet.query_from, True, LOST_IN_ARRAY)
+    return NO_SURFACE
 
 
 @kernel
@@ -343,29 +487,21 @@ _split_at_curved_face = splitter(_send_from_curved_face)
 
 @inlined
 def _through_face(
-    options: Options, flow: Flow, frames: Array, array: ArrayTables, lens_surfaces: int,
-    packet: Any, t: float, prim: int, nx: float, ny: float, nz: float,
+    block: Array, i: int, packet: Any, prim: int,
+    array: ArrayTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow,
 ) -> None:  # fmt: skip
-    """Split a packet where it meets the curved face of its cell, at distance t."""
-    dx, dy, dz = packet.dx, packet.dy, packet.dz
-    cos_i = nx * dx + ny * dy + nz * dz
-    if cos_i < 0.0:
-        nx, ny, nz, cos_i = -nx, -ny, -nz, -cos_i
-    cos_i = min(cos_i, 1.0)
+    """Divide a packet of a block where it meets the curved face of its cell."""
     inward = packet.space == BEFORE
-    glass = array.media.indices[array.medium, packet.colour]
-    n_i, n_t = (1.0, glass) if inward else (glass, 1.0)
-    reflectance, transmittance, cos_t = divided(
-        array.interfaces, CURVED_ROW, packet.colour, n_i, n_t, cos_i, not inward, packet, flow.book
-    )
     if packet.last == LEFT_FACE:
         # The second curved face in one passage is off the image path.
         packet.stray = 1
     packet.last = LEFT_FACE
-    x, y, z = travel(flow, array.media, packet, t)
     cell = packet.row * array.lenslets.lattice.columns + packet.column
+    reflectance, transmittance = _shares_at_face(block, i, packet, array, CURVED_ROW, not inward, flow)
+    r, t = REFLECTED + i, REFRACTED + i
     _split_at_curved_face(
         (array, lens_surfaces, inward, prim), options, flow, frames, ARRAY_FRAME, packet, CURVED_FACE, cell,
-        array.medium if inward else AIR, x, y, z, reflectance, transmittance,
-        reflected(dx, dy, dz, nx, ny, nz), refracted(dx, dy, dz, nx, ny, nz, n_i / n_t, cos_i, cos_t),
+        array.medium if inward else AIR, block[PX + i], block[PY + i], block[PZ + i], reflectance, transmittance,
+        (block[r + ALONG_X], block[r + ALONG_Y], block[r + ALONG_Z]),
+        (block[t + ALONG_X], block[t + ALONG_Y], block[t + ALONG_Z]),
     )  # fmt: skip

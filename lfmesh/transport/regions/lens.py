@@ -48,8 +48,12 @@ from lfmesh.transport.regions.lens_block import (
     ALONG_X,
     ALONG_Y,
     ALONG_Z,
+    AT,
     BLOCK,
     CLEAR,
+    DX,
+    DY,
+    DZ,
     HELD,
     N_I,
     N_T,
@@ -67,12 +71,19 @@ from lfmesh.transport.regions.lens_block import (
     REFRACTED,
     SENSE,
     SIZE,
+    TERMS,
     TRANSMITTANCE,
+    X,
+    Y,
+    Z,
     incidence,
+    meet_aspheres,
     meet_conics,
     meet_in_order,
+    set_asphere,
     set_conic,
     set_facet,
+    set_only_conic,
     set_order,
     set_ray,
     split_block,
@@ -83,6 +94,9 @@ Array = NDArray[np.float64]
 
 RING = -2
 """In place of a surface's number: the ring that bounds a space sideways."""
+
+GRAZING = 1e-2
+"""Cosine of incidence below which the order of aspheres and posed surfaces leaves a hit to the meshes."""
 
 NEARBY_TRIES = 4
 """Number of refused facets near the start (the packet's own facet and its neighbours) that are queried from behind."""
@@ -219,8 +233,9 @@ def shade_lens(
     all packets of the block are split together.
 
     Without a query, surfaces are found by their order: a packet in a space can only meet its two surfaces and its ring.
-    Where both surfaces are exact conics, their roots decide, unless the ring may come first; what is not decided goes
-    to the station of the lens's meshes.
+    Where both surfaces are exact conics, their roots decide, unless the ring may come first. A ray that is steeper than
+    both surfaces are anywhere, aspheres and posed ones among them, can only meet the one ahead, and that once. What is
+    not decided goes to the station of the lens's meshes.
 
     Parameters
     ----------
@@ -237,14 +252,23 @@ def shade_lens(
     for first in range(0, len(wave), BLOCK):
         count = min(BLOCK, len(wave) - first)
         if in_order:
+            terms = 0.0
             for i in range(count):
                 _prepare_in_order(block, i, wave[first + i], lens, options)
+                terms += block[TERMS + i]
             meet_in_order(block)
+            if terms > 0.0:
+                for i in range(count, BLOCK):
+                    block[TERMS + i] = 0.0
+                meet_aspheres(block)
             for i in range(count):
-                if block[HELD + i] > 0.0:
+                packet = wave[first + i]
+                if not block[HELD + i] > 0.0:
+                    met[i] = _decide_in_order(block, i, packet, lens, has_array, frames, options, flow)
+                elif lens.by_roots[packet.space]:
                     met[i] = int(block[NUMBER + i])
                 else:
-                    met[i] = _decide_in_order(block, i, wave[first + i], lens, has_array, frames, options, flow)
+                    met[i] = _meets_the_one_ahead(block, i, packet, lens, has_array, frames, options, flow)
         else:
             for i in range(count):
                 met[i] = _prepare(block, i, wave[first + i], found[first + i], lens, options)
@@ -262,11 +286,14 @@ def shade_lens(
 @inlined
 def _prepare_in_order(block: Array, i: int, packet: Any, lens: LensTables, options: Options) -> None:
     """Enter a packet in the block for `meet_in_order`, unless it has to be looked at singly."""
-    block[SENSE + i], block[SIZE + i] = 0.0, 0.0
+    block[SENSE + i], block[SIZE + i], block[TERMS + i] = 0.0, 0.0, 0.0
     space, colour, last_space = packet.space, packet.colour, len(lens.surfaces)
     x, y, z = packet.x, packet.y, packet.z
     dx, dy, dz = packet.dx, packet.dy, packet.dz
-    if not lens.ordered[space] or packet.events >= options.max_events:
+    if packet.events >= options.max_events:
+        return
+    if not lens.by_roots[space]:
+        _prepare_the_one_ahead(block, i, packet, lens)
         return
     if lens.stop_space == space and stop_cuts(lens, x, y, z, dx, dy, dz)[0]:
         return
@@ -277,6 +304,60 @@ def _prepare_in_order(block: Array, i: int, packet: Any, lens: LensTables, optio
     block[N_I + i], block[N_T + i] = indices[medium[space], colour], indices[medium[max(space - 1, 0)], colour]
     block[NEXT_N + i] = indices[medium[min(space + 1, last_space)], colour]
     block[NUMBER + i], block[NEXT_NUMBER + i] = max(space - 1, 0), min(space, last_space - 1)
+
+
+@inlined
+def _prepare_the_one_ahead(block: Array, i: int, packet: Any, lens: LensTables) -> None:
+    """Enter a packet that is steeper than the surfaces of its space in the block, with the surface ahead.
+
+    In the frame of that surface, if it is posed.
+    """
+    space, order = packet.space, lens.order[packet.space]
+    k = space if packet.dz > 0.0 else space - 1
+    if not abs(packet.dz) > order[9] or k < 0 or k == len(lens.surfaces) or k == packet.last:
+        return
+    if packet.x * packet.x + packet.y * packet.y > order[8]:
+        return
+    surface = lens.surfaces[k]
+    set_ray(block, i, packet)
+    if surface.posed:
+        block[X + i], block[Y + i], block[Z + i] = point_through(surface.unpose, packet.x, packet.y, packet.z)
+        block[DX + i], block[DY + i], block[DZ + i] = direction_through(
+            surface.unpose, packet.dx, packet.dy, packet.dz
+        )  # fmt: skip
+    # Beside the aperture the mesh of an asphere deviates from where the asphere ends.
+    reach = min(surface.aperture, surface.end)
+    set_only_conic(
+        block, i, surface.curvature, 1.0 + surface.conic, surface.vertex_z, reach * reach,
+        1.0 if packet.dz > 0.0 else -1.0,
+    )  # fmt: skip
+    set_asphere(block, i, surface)
+    _set_sides(block, i, packet, k, lens)
+    block[NEXT_N + i], block[NEXT_NUMBER + i] = block[N_T + i], k
+
+
+@inlined
+def _meets_the_one_ahead(
+    block: Array, i: int, packet: Any,
+    lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
+) -> int:  # fmt: skip
+    """Move a hit of the block into the camera frame; return the surface, unless stop or ring end the packet."""
+    k, space = int(block[NUMBER + i]), packet.space
+    surface = lens.surfaces[k]
+    x, y, z = block[PX + i], block[PY + i], block[PZ + i]
+    cosine = block[NX + i] * block[DX + i] + block[NY + i] * block[DY + i] + block[NZ + i] * block[DZ + i]
+    if surface.posed:
+        x, y, z = point_through(surface.pose, x, y, z)
+        block[PX + i], block[PY + i], block[PZ + i] = x, y, z
+        block[NX + i], block[NY + i], block[NZ + i] = direction_through(
+            surface.pose, block[NX + i], block[NY + i], block[NZ + i]
+        )  # fmt: skip
+        block[DX + i], block[DY + i], block[DZ + i] = packet.dx, packet.dy, packet.dz
+    if cosine < GRAZING or x * x + y * y > lens.order[space, 8]:
+        return _decide_in_order(block, i, packet, lens, has_array, frames, options, flow)
+    if lens.stop_space == space and _is_cut(options, flow, frames, lens, packet, k, block[AT + i], x, y, z):
+        return NO_SURFACE
+    return k
 
 
 @kernel
@@ -290,13 +371,19 @@ def _decide_in_order(
         too_deep(options, flow, frames, packet)
         return NO_SURFACE
     outside = space == 0 or space == len(lens.surfaces)
+    if outside and (packet.dz < 0.0) == (space == 0) and abs(packet.dz) > lens.order[space, 9]:
+        # It is steeper than the outermost surface, and runs away from it.
+        _leaves(options, flow, frames, lens, has_array, packet)
+        return NO_SURFACE
     k, t, px, py, z, nx, ny, nz, settled = _first_conic(lens, packet)
     if k == NO_SURFACE:
         # Beside the circle that a mesh reaches everywhere may be a corner of it.
-        settled = settled and outside and not _crosses_beside(lens, packet)
+        settled = settled and outside and lens.by_roots[space] and not _crosses_beside(lens, packet)
     elif not outside:
-        settled = px * px + py * py <= free2 and packet.x * packet.x + packet.y * packet.y <= free2
-    if not (settled and lens.ordered[space]):
+        settled = settled and px * px + py * py <= free2 and packet.x * packet.x + packet.y * packet.y <= free2
+    if not lens.by_roots[space]:
+        settled = settled and nx * packet.dx + ny * packet.dy + nz * packet.dz >= GRAZING
+    if not settled:
         put(
             flow, LENS_MESH, packet, packet.frame, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz,
             packet.weight, packet.key, packet.query_from,
@@ -678,8 +765,14 @@ def _radius2(surface: Any, x: float, y: float, z: float) -> float:
 @inlined
 def _on_mesh(surface: Any, radius2: float) -> bool:
     """Tell whether a squared radius is within the clear aperture or the margin by which meshes exceed it."""
-    reach = min(surface.aperture * (1.0 + OVERREACH), surface.end)
+    reach = _reach(surface)
     return radius2 <= reach * reach
+
+
+@inlined
+def _reach(surface: Any) -> float:
+    """Return the radius up to which the mesh of a surface reaches everywhere, mm."""
+    return min(surface.aperture * (1.0 + OVERREACH), surface.end)
 
 
 @kernel

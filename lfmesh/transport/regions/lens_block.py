@@ -1,4 +1,4 @@
-"""A block of packets at refracting surfaces, laid out for vector instructions: hits on conics, and the two children.
+"""A block of packets at refracting surfaces, laid out for vector instructions: hits, and the two children.
 
 A block is one float64 array of `ROWS` rows of `BLOCK` values, at constant offsets, like a bundle of the sequential
 engine, but each packet has its own surface, media and facet. There are no branches, and loops run over the whole block:
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.surface import MAX_ASPHERE_TERMS
 from lfmesh.kernel import inlined, kernel, pasted
 from lfmesh.transport.events.crossing import reflected, refracted, safely_behind
 from lfmesh.transport.events.interface import bare_shares
@@ -42,7 +43,17 @@ ALONG_X, ALONG_Y, ALONG_Z, CLEAR = 0, BLOCK, 2 * BLOCK, 3 * BLOCK
 # which of the two surfaces the ray starts on: −1, 1, or 0 for neither.
 NEXT_CURVATURE, NEXT_SQUASH, NEXT_VERTEX_Z, NEXT_APERTURE2 = 38 * BLOCK, 39 * BLOCK, 40 * BLOCK, 41 * BLOCK
 NEXT_N, NEXT_NUMBER, FREE2, STARTS_ON = 42 * BLOCK, 43 * BLOCK, 44 * BLOCK, 45 * BLOCK
-ROWS = 46
+# The distance at which `meet_in_order` finds the hit.
+AT = 46 * BLOCK
+# For `meet_aspheres`: number of terms, 0 for a conic, and the coefficients of all of `SURFACE`.
+TERMS, COEFFICIENTS = 47 * BLOCK, 48 * BLOCK
+ROWS = 48 + MAX_ASPHERE_TERMS
+
+NEWTON_STEPS = 12
+"""Newton's method takes four or five; what takes more goes to the meshes."""
+
+SETTLED = 2e-15
+"""Newton step, over the size of the coordinates, that counts as rounding."""
 
 
 def empty_block() -> Array:
@@ -122,6 +133,19 @@ def set_order(block: Array, i: int, space: Array, starts_on: float) -> None:
     block[FREE2 + i], block[STARTS_ON + i], block[SENSE + i] = space[8], starts_on, 1.0
 
 
+@inlined
+def set_only_conic(
+    block: Array, i: int, curvature: float, squash: float, vertex_z: float, aperture2: float, sense: float
+) -> None:
+    """Enter for `meet_in_order` a single conic, which the ray is to cross in the given sense, 1 or −1."""
+    forward, none = sense > 0.0, np.nan
+    block[CURVATURE + i], block[NEXT_CURVATURE + i] = (none, curvature) if forward else (curvature, none)
+    block[SQUASH + i], block[NEXT_SQUASH + i] = squash, squash
+    block[VERTEX_Z + i], block[NEXT_VERTEX_Z + i] = vertex_z, vertex_z
+    block[APERTURE2 + i], block[NEXT_APERTURE2 + i] = aperture2, aperture2
+    block[FREE2 + i], block[STARTS_ON + i], block[SENSE + i] = np.inf, 0.0, 1.0
+
+
 @pasted
 def _crossing(
     c: float, q: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, begin: float, sense: float,
@@ -167,7 +191,73 @@ def meet_in_order(block: Array) -> None:
         block[NX + i], block[NY + i], block[NZ + i] = nx * scale, ny * scale, nz * scale
         block[N_T + i] = select(forward, block[NEXT_N + i], block[N_T + i])
         block[NUMBER + i] = select(forward, block[NEXT_NUMBER + i], block[NUMBER + i])
-        block[HELD + i] = select(held, 1.0, 0.0)
+        block[HELD + i], block[AT + i] = select(held, 1.0, 0.0), begin + t
+
+
+@inlined
+def set_asphere(block: Array, i: int, surface: Any) -> None:
+    """Enter the terms of the surface whose conic `set_only_conic` entered; of a conic, that there are none."""
+    block[TERMS + i] = surface.terms
+    if surface.terms > 0:
+        for m in range(MAX_ASPHERE_TERMS):
+            block[COEFFICIENTS + m * BLOCK + i] = surface.asphere[m]
+
+
+@kernel
+def meet_aspheres(block: Array) -> None:
+    """Replace the hits that `meet_in_order` found on the conic parts of aspheres by those on the aspheres.
+
+    By Newton's method, all rays at once while any moves. Held are hits where it settles; the caller has to know that
+    the ray crosses the asphere only once.
+    """
+    for i in range(BLOCK):
+        t, curved = block[AT + i] - block[FROM + i], block[TERMS + i] > 0.0
+        flat = (block[VERTEX_Z + i] - block[Z + i]) / block[DZ + i] - block[FROM + i]
+        block[AT + i] = select(curved, select(abs(t) < np.inf, t, flat), block[AT + i])
+    moving = BLOCK
+    for _ in range(NEWTON_STEPS):
+        if moving == 0:
+            break
+        moving = _newton_step(block)
+    for i in range(BLOCK):
+        block[AT + i] = select(block[TERMS + i] > 0.0, block[AT + i] + block[FROM + i], block[AT + i])
+
+
+@kernel
+def _newton_step(block: Array) -> int:
+    """Find height and slope at the distances `AT`, counted from `FROM`; move on the rays that have not settled."""
+    moving = 0
+    for i in range(BLOCK):
+        dx, dy, dz = block[DX + i], block[DY + i], block[DZ + i]
+        begin, t, sense = block[FROM + i], block[AT + i], select(block[DZ + i] > 0.0, 1.0, -1.0)
+        c, q, vertex_z = block[NEXT_CURVATURE + i], block[SQUASH + i], block[VERTEX_Z + i]
+        c = select(sense > 0.0, c, block[CURVATURE + i])
+        x, y = block[X + i] + begin * dx + t * dx, block[Y + i] + begin * dy + t * dy
+        z = block[Z + i] + begin * dz - vertex_z + t * dz
+        r2 = x * x + y * y
+        sag, slope = 0.0, 0.0
+        for m in range(MAX_ASPHERE_TERMS - 1, -1, -1):
+            a = block[COEFFICIENTS + m * BLOCK + i]
+            sag, slope = sag * r2 + a, slope * r2 + (m + 2.0) * a
+        steep = np.sqrt(1.0 - q * c * c * r2)
+        height = z - c * r2 / (1.0 + steep) - r2 * r2 * sag
+        slope = c / steep + 2.0 * r2 * slope
+        nx, ny = -slope * x, -slope * y
+        step = height / (nx * dx + ny * dy + dz)
+        settled = abs(step) <= SETTLED * (abs(x) + abs(y) + abs(z) + abs(t))
+        scale = sense / np.sqrt(nx * nx + ny * ny + 1.0)
+        curved = block[TERMS + i] > 0.0
+        held = both(both(settled, block[SENSE + i] > 0.0), both(begin + t > 0.0, r2 <= block[APERTURE2 + i]))
+        block[PX + i] = select(curved, x, block[PX + i])
+        block[PY + i] = select(curved, y, block[PY + i])
+        block[PZ + i] = select(curved, z + vertex_z, block[PZ + i])
+        block[NX + i] = select(curved, nx * scale, block[NX + i])
+        block[NY + i] = select(curved, ny * scale, block[NY + i])
+        block[NZ + i] = select(curved, scale, block[NZ + i])
+        block[HELD + i] = select(curved, select(held, 1.0, 0.0), block[HELD + i])
+        block[AT + i] = select(both(curved, not settled), t - step, t)
+        moving += 1 if both(curved, not settled) else 0
+    return moving
 
 
 @kernel

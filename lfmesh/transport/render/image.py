@@ -53,7 +53,8 @@ class Image:
     blind : BlindCheck or None
         Comparison with samples that were not aimed.
     order : OrderCheck or None
-        Comparison of lens surfaces found by their order with those found by meshes; None where only meshes were used.
+        Comparison of surfaces of lens and array found by their order with those found by meshes; None where only meshes
+        were used.
     coatings : dict of str to float
         For each coating in use, the largest error of the reflectance and transmittance that were interpolated.
 

@@ -1,9 +1,9 @@
-"""Proof of the order of the lens's surfaces: a sample of a run's own packets, traced through the meshes too.
+"""Proof of the order of the surfaces of lens and array: a sample of a run's own packets, traced through the meshes too.
 
-The meshes are the model. Finding surfaces by their order and their roots (`regions.lens.shade_lens`) is a shortcut,
-so every run takes some of its packets that wait for a surface of the lens, lets both ways process each, and compares
-what comes of them: children and ends, where they are and what they weigh. A run whose shortcut deviates uses the
-meshes.
+The meshes are the model. Finding surfaces by their order and their roots (`regions.lens.shade_lens`,
+`regions.array.shade_cells`) is a shortcut, so every run takes some of its packets that wait for a surface of the lens
+or a face of the array, lets both ways process each, and compares what comes of them: children and ends, where they are
+and what they weigh. A run whose shortcut deviates uses the meshes.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.transport.engine import Workspace
-from lfmesh.transport.packets.packet import LENS, LENS_MESH, OBJECTS, PLATE, SENSOR, STATIONS, Options
+from lfmesh.transport.packets.packet import (
+    ARRAY_FRAME,
+    CELLS,
+    CELLS_MESH,
+    LENS,
+    LENS_MESH,
+    OBJECTS,
+    PLATE,
+    SENSOR,
+    STATIONS,
+    Options,
+)
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.world import World
 
@@ -24,6 +35,9 @@ SAMPLE = 1000
 
 LARGEST_MM = 1e-9
 """Deviation in place above which a run does without the order."""
+
+_ARRAY_SPACES, _LARGEST_ROW = 4, 1 << 15
+"""Numbers that exceed those of the array's spaces, and of the cells in a row."""
 
 _OUTCOME = np.dtype([("source", "i8"), ("name", "i8"), ("position", "f8", (3,)), ("weight", "f8")])
 """A child or an end: the packet that it came of, and a number that tells it from all others."""
@@ -70,7 +84,7 @@ class OrderCheck:
 
 
 def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.void]) -> OrderCheck:
-    """Process packets that wait at the lens by the order of its surfaces and by its meshes, and compare the outcomes.
+    """Process packets that wait at lens and array by the order of the surfaces and by meshes, and compare the outcomes.
 
     Parameters
     ----------
@@ -78,7 +92,7 @@ def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.
     options : Options
     tables : Tables
     packets : (n,) PACKET
-        In the camera frame.
+        In the camera frame those that wait for a surface of the lens, in the array's those in a cell.
     """
     options = options._replace(tracing=True, record=False, sequential=False)
     given = packets.copy()
@@ -106,27 +120,39 @@ def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.
 
 def _outcomes(work: Workspace, packets: NDArray[np.void]) -> tuple[NDArray[np.void], NDArray[np.int64]]:
     """Let packets meet one surface each; return what comes of them, and the sources of those left to the meshes."""
-    work.begin(packets=len(packets))
-    work.stacks[work.rows[LENS], : len(packets)] = packets
-    work.tops[LENS] = len(packets)
-    work.advance(LENS)
-    undecided = work.stacks[work.rows[LENS_MESH], : work.tops[LENS_MESH]]["source"].copy()
-    while work.tops[LENS_MESH] > 0:
-        work.advance(LENS_MESH)
-    found = []
-    for station in (LENS, PLATE, OBJECTS, SENSOR):
-        children = work.stacks[work.rows[station], : work.tops[station]]
-        rows = np.zeros(len(children), _OUTCOME)
-        rows["position"] = np.stack([children[axis] for axis in "xyz"], axis=-1)
-        # The space tells the refracted from the reflected child.
-        rows["name"] = station + STATIONS * children["space"].astype(np.int64)
-        rows["source"], rows["weight"] = children["source"], children["weight"]
+    in_cells = packets["frame"] == ARRAY_FRAME
+    found, undecided = [], []
+    for station, by_mesh, given in ((LENS, LENS_MESH, packets[~in_cells]), (CELLS, CELLS_MESH, packets[in_cells])):
+        work.begin(packets=len(given))
+        work.stacks[work.rows[station], : len(given)] = given
+        work.tops[station] = len(given)
+        if len(given) > 0:
+            # What is queued here again has met its surface, or a side of its cell.
+            work.advance(station)
+        undecided.append(work.stacks[work.rows[by_mesh], : work.tops[by_mesh]]["source"].copy())
+        while work.tops[by_mesh] > 0:
+            work.advance(by_mesh)
+        found += [_taken(work, each) for each in (LENS, CELLS, PLATE, OBJECTS, SENSOR)]
+        ended = work.ends()
+        rows = np.zeros(len(ended), _OUTCOME)
+        rows["position"], rows["weight"] = ended["position"], ended["weight"]
+        rows["name"], rows["source"] = -1 - ended["body"], ended["source"]
         found.append(rows)
-    ended = work.ends()
-    rows = np.zeros(len(ended), _OUTCOME)
-    rows["position"], rows["weight"] = ended["position"], ended["weight"]
-    rows["name"], rows["source"] = -1 - ended["body"], ended["source"]
-    found.append(rows)
     outcomes = np.concatenate(found)
     outcomes["name"] = outcomes["name"] * len(packets) + outcomes["source"]
-    return outcomes, undecided
+    return outcomes, np.concatenate(undecided)
+
+
+def _taken(work: Workspace, station: int) -> NDArray[np.void]:
+    """Take the packets off a station's stack, as outcomes."""
+    children = work.stacks[work.rows[station], : work.tops[station]]
+    rows = np.zeros(len(children), _OUTCOME)
+    rows["position"] = np.stack([children[axis] for axis in "xyz"], axis=-1)
+    # The space tells the refracted from the reflected child, and in the array the cell tells where a packet goes on.
+    place = children["space"].astype(np.int64)
+    if station == CELLS:
+        place += _ARRAY_SPACES * (children["column"] + _LARGEST_ROW * children["row"].astype(np.int64))
+    rows["name"] = station + STATIONS * place
+    rows["source"], rows["weight"] = children["source"], children["weight"]
+    work.tops[station] = 0
+    return rows

@@ -71,7 +71,7 @@ class Part:
         return self.book == LAMP_BOOK
 
     def by_meshes(self) -> "Part":
-        """Return the same part with all surfaces of the lens found by Embree, except along the image path."""
+        """Return the same part with all surfaces of lens and array found by Embree, except along the image path."""
         return replace(self, options=self.options._replace(in_order=False))
 
     def booked(self, book: NDArray[np.float64]) -> NDArray[np.float64]:

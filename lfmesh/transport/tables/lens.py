@@ -11,7 +11,7 @@ from lfmesh.geometry.lenslets import OFFSET, Lenslets, cell_mesh, lenslets
 from lfmesh.geometry.levels import EXACT, PATCH
 from lfmesh.geometry.mesh import Array, Mesh, facet_table, joined
 from lfmesh.geometry.patch import neighbours, patches
-from lfmesh.geometry.tessellation import FLOAT32_MARGIN
+from lfmesh.geometry.tessellation import FLOAT32_MARGIN, OVERREACH
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.book import MOUNT, STOP, Book
 from lfmesh.transport.tables.media import MediumList
@@ -22,6 +22,12 @@ from lfmesh.transport.tables.tables import (
     LensTables,
     Media,
 )
+
+SLOPE_INTERVALS = 1024
+"""Intervals of the radius, on each of which the slope of a surface is bounded."""
+
+STEEPER = 1e-9
+"""Margin, in dz, of rays that are steeper than a surface."""
 
 
 def lens_tables(
@@ -60,7 +66,7 @@ def lens_tables(
     first, last = shape.surfaces[0], shape.surfaces[-1]
     patches_, across = curved(bool((shape.surfaces["level"] == PATCH).any()), mesh)
     media, medium = known.table(wavelengths_nm), np.array([known.number(each) for each in shape.media])
-    order, ordered = surface_order(shape)
+    order, by_roots, ordered = surface_order(shape)
     return mesh, LensTables(
         surfaces=shape.surfaces,
         patches=patches_,
@@ -84,10 +90,11 @@ def lens_tables(
         lost_slot=book.lost_in_spaces,
         order=order,
         ordered=ordered,
+        by_roots=by_roots,
     )
 
 
-def surface_order(shape: LensShape) -> tuple[Array, NDArray[np.bool_]]:
+def surface_order(shape: LensShape) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """Return what bounds each space of the lens, for rays that are traced without its mesh.
 
     Parameters
@@ -96,29 +103,85 @@ def surface_order(shape: LensShape) -> tuple[Array, NDArray[np.bool_]]:
 
     Returns
     -------
-    order : (K + 1, 9) float64
+    order : (K + 1, 10) float64
         Of the surface towards the object and then of the one towards the sensor: curvature, 1 + conic constant, z of
-        the vertex, squared radius of the aperture; NaN where there is no such surface. Last, the squared radius of a
+        the vertex, squared radius of the aperture; NaN where there is no such surface. Then the squared radius of a
         cylinder about the axis that the ring of the space does not enter: a straight line between two points in it
-        does not meet the ring.
-    ordered : (K + 1,) bool
+        does not meet the ring. Last, the |dz| above which a ray crosses each surface of the space at most once, and in
+        the sense of dz, so that it can only meet the one ahead; inf: no ray is known to.
+    by_roots : (K + 1,) bool
         Whether the surfaces of the space are exact conics without a pose, so that their roots decide which a ray meets
         first.
+    ordered : (K + 1,) bool
+        Whether the surface that a ray meets first is known without the mesh for some rays at least: those steeper than
+        the surfaces and, between conics, those that their roots decide.
     """
     count, surfaces = len(shape.caps), shape.surfaces
-    conic = (surfaces["level"] == EXACT) & (surfaces["terms"] == 0) & (surfaces["posed"] == 0)
-    order = np.full((count + 1, 9), np.nan)
+    conic = (surfaces["level"] == EXACT) & (surfaces["terms"] == 0)
+    order = np.full((count + 1, 10), np.nan)
     order[:, 8] = np.inf
     each = (surfaces["curvature"], 1.0 + surfaces["conic"], surfaces["vertex_z"], surfaces["aperture"] ** 2)
     order[1:, :4] = order[:-1, 4:8] = np.stack(each, axis=1)
-    # The ring is made of chords of circles no smaller than the smaller rim, in float32.
-    chord = np.cos(np.pi / (6 * shape.rings)) * (1.0 - 2.0 * FLOAT32_MARGIN)
-    rims = np.asarray(shape.rims)
-    order[1:-1, 8] = (chord * np.minimum(rims[:-1], rims[1:])) ** 2
-    ordered = np.ones(count + 1, np.bool_)
-    ordered[1:] &= conic
-    ordered[:-1] &= conic
-    return order, ordered
+    # The ring is in float32.
+    order[1:-1, 8] = [((1.0 - 2.0 * FLOAT32_MARGIN) * _free_radius(ring)) ** 2 for ring in shape.closures]
+    least = np.array([least_dz(s, rim) for s, rim in zip(surfaces, shape.rims, strict=True)])
+    order[:, 9] = np.maximum([0.0, *least], [*least, 0.0])
+    by_roots = _everywhere(conic & (surfaces["posed"] == 0))
+    return order, by_roots, _everywhere(conic) | (order[:, 9] < 1.0)
+
+
+def _everywhere(holds: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return for each space whether something holds for all its surfaces, (K + 1,)."""
+    return np.append(True, holds) & np.append(holds, True)
+
+
+def _free_radius(ring: Mesh) -> float:
+    """Return the radius of the largest cylinder about the z axis that a ring round the axis does not enter, mm."""
+    corners = ring.vertices[ring.faces][:, :, :2]
+    a, along = corners, np.roll(corners, -1, axis=1) - corners
+    length2 = np.maximum(np.sum(along * along, axis=2), np.finfo(np.float64).tiny)
+    t = np.clip(-np.sum(a * along, axis=2) / length2, 0.0, 1.0)
+    return float(np.linalg.norm(a + t[:, :, None] * along, axis=2).min())
+
+
+def least_dz(surface: np.void, rim: float) -> float:
+    """Return the |dz| above which a ray is steeper than a surface is anywhere inside its rim; inf: there is none.
+
+    Such a ray runs to one side of the surface only, whose height it changes in one sense. In the camera frame: the
+    tilt of the surface is added to its slope.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rim : float, mm
+        Radius that its mesh reaches.
+    """
+    steepest = steepest_slope(surface, rim)
+    if surface["level"] != EXACT or not steepest < np.inf:
+        return np.inf
+    angle = np.arctan(steepest) + np.arcsin(min(1.0, float(np.hypot(*surface["pose"][:2, 2]))))
+    return float(np.sin(angle)) + STEEPER if angle < 0.5 * np.pi else np.inf
+
+
+def steepest_slope(surface: np.void, rim: float) -> float:
+    """Return an upper bound of the slope |dz/dr| of a surface inside a radius; inf where the surface ends before.
+
+    Each term of the slope is monotone, so that its values at both ends of an interval bound it in between.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rim : float, mm
+    """
+    r = np.linspace(0.0, rim * (1.0 + OVERREACH), SLOPE_INTERVALS + 1)
+    c, q = float(surface["curvature"]), 1.0 + float(surface["conic"])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        terms = [c * r / np.sqrt(1.0 - q * c * c * r * r)]
+    terms += [(2 * m + 4) * a * r ** (2 * m + 3) for m, a in enumerate(surface["asphere"][: surface["terms"]])]
+    low = sum(np.minimum(term[1:], term[:-1]) for term in terms)
+    high = sum(np.maximum(term[1:], term[:-1]) for term in terms)
+    bound = float(np.maximum(np.abs(low), np.abs(high)).max())
+    return bound if bound < np.inf else np.inf
 
 
 def _pure_stop(scene: Scene, shape: LensShape) -> tuple[int, float, float, frame.Frame]:

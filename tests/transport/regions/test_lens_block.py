@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from lfmesh.geometry.surface import normals, sag, slope, surface
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.transport.events.crossing import FLOAT32_GRAIN
 from lfmesh.transport.regions import lens_block as lb
@@ -173,3 +174,63 @@ def test_what_becomes_of_a_packet_does_not_depend_on_its_place_in_the_block(bloc
         lb.meet_conics(shuffled)
         lb.split_block(shuffled)
         assert np.array_equal(rows(shuffled, 0, lb.ROWS), rows(block, 0, lb.ROWS)[order], equal_nan=True)
+
+
+def ready_aspheres(draw):
+    """Return a block of rays steeper than the aspheres and conics that they are to meet, where they do, and along."""
+    block, n = lb.empty_block(), lb.BLOCK
+    met, normal, rays = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
+    for i in range(n):
+        r, sense = 10.0 * np.sqrt(draw.random()), draw.choice([-1.0, 1.0])
+        terms = draw.normal(size=draw.integers(0, 5)) * 0.3
+        shape = surface(
+            draw.choice([-1.0, 1.0]) * draw.uniform(12.0, 60.0), draw.uniform(-2.0, 0.3),
+            [a / (2 * m + 4) / 10.0 ** (2 * m + 3) for m, a in enumerate(terms)], vertex_z=draw.uniform(0.0, 50.0),
+        )  # fmt: skip
+        phi = draw.uniform(0.0, 2.0 * np.pi)
+        x, y = r * np.cos(phi), r * np.sin(phi)
+        met[i] = x, y, float(sag(shape, r)) + shape["vertex_z"]
+        normal[i] = sense * normals(shape, [x], [y])[0]
+        least = np.arctan(np.abs(slope(shape, np.linspace(0.0, 10.0, 500))).max())
+        angle = draw.uniform(0.0, 0.5 * np.pi - least)
+        turn = draw.uniform(0.0, 2.0 * np.pi)
+        rays[i] = np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), sense * np.cos(angle)
+        lb.set_only_conic.py_func(
+            block, i, shape["curvature"], 1.0 + shape["conic"], shape["vertex_z"], (10.0 + 1e-9) ** 2, sense
+        )  # fmt: skip
+        block[lb.TERMS + i] = shape["terms"]
+        rows(block, lb.COEFFICIENTS, 10)[i] = shape["asphere"]
+    rays = unit(rays)
+    way = draw.uniform(0.1, 20.0, n)
+    rows(block, lb.X, 3)[:] = met - way[:, None] * rays
+    rows(block, lb.DX, 3)[:] = rays
+    rows(block, lb.FROM)[:, 0] = way * draw.uniform(0.0, 1.2, n)
+    return block, met, normal, way
+
+
+def test_steep_rays_meet_aspheres_where_these_are():
+    draw = np.random.default_rng(7)
+    curved = missed = 0
+    for _ in range(20):
+        block, met, normal, way = ready_aspheres(draw)
+        lb.meet_in_order(block)
+        lb.meet_aspheres(block)
+        held = rows(block, lb.HELD)[:, 0] == 1.0
+        missed += (~held).sum()
+        curved += (rows(block, lb.TERMS)[:, 0] > 0).sum()
+        # Coordinates of up to 80 mm; nearly along the surface, rounding counts by the inverse cosine.
+        cosine = np.sum(normal * rows(block, lb.DX, 3), axis=1)
+        tolerance = 100 * 80 * EPSILON / cosine[held]
+        assert (np.abs(rows(block, lb.PX, 3) - met).max(axis=1)[held] < tolerance).all()
+        assert (np.abs(rows(block, lb.NX, 3) - normal).max(axis=1)[held] < tolerance).all()
+        assert (np.abs(rows(block, lb.AT)[:, 0] - way)[held] < tolerance).all()
+        again = lb.empty_block()
+        again[:] = block
+        rows(again, lb.APERTURE2)[:, 0] = np.square(met[:, :2]).sum(axis=1) * (1.0 - 1e-9)
+        rows(again, lb.NEXT_APERTURE2)[:] = rows(again, lb.APERTURE2)
+        lb.meet_in_order(again)
+        lb.meet_aspheres(again)
+        assert (rows(again, lb.HELD) == 0.0).all()
+    assert curved > 300
+    # A ray may not settle where it is hardly steeper than the surface.
+    assert missed < 0.02 * 20 * lb.BLOCK

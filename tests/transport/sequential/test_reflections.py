@@ -115,6 +115,53 @@ def test_light_runs_along_the_inside_of_a_ball():
     np.testing.assert_array_equal(got.weight > 0.0, expected)
 
 
+DEEP_MM, RIM_MM = 8.2, 8.0
+
+
+def along_deep_bowl(faces, reflected):
+    """Weights of axial rays through a plane into glass with a deep bowl behind, and their polar angles on the bowl."""
+    surfaces = (
+        lf.Surface(radius_mm=np.inf, thickness_mm=7.0, index=1.5, semi_diameter_mm=20.0, stop=True),
+        lf.Surface(radius_mm=-DEEP_MM, semi_diameter_mm=RIM_MM),
+    )
+    sensor = lf.Sensor(pixels=(10, 10), pixel_mm=0.1, distance_mm=30.0)
+    world = lf.build(lf.Scene(camera=lf.Camera(lens=lf.Lens(surfaces=surfaces), sensor=sensor)))
+    heights = np.linspace(0.5, 5.7, 400)
+    p = np.column_stack([heights, np.zeros_like(heights), np.full_like(heights, -5.0)])
+    got = follow_sequence(world.tables.lens, Itinerary(faces, reflected), p, np.tile([0.0, 0.0, 1.0], (len(p), 1)))
+    # Off the border between both fates, where the rim reaches a little beyond the aperture.
+    angle = np.arcsin(heights / DEEP_MM)
+    again = DEEP_MM * np.sin(3.0 * angle)
+    certain = np.abs(again - RIM_MM) > 0.05 * RIM_MM
+    return got.weight[certain], angle[certain], ((again < RIM_MM) & (3.0 * angle > 0.5 * np.pi))[certain]
+
+
+def test_a_ray_that_meets_its_own_surface_first_is_on_no_path_to_the_next():
+    """Reflected at the polar angle a, a ray meets the bowl again at 3a − π, if that lies within the rim."""
+    weight, angle, returns = along_deep_bowl((0, 1, 0), (False, True, True))
+    # Where the line to the plane meets it within its aperture, too.
+    z, r = 7.0 - DEEP_MM * (1.0 - np.cos(angle)), DEEP_MM * np.sin(angle)
+    within = np.abs(r - z * np.tan(2.0 * angle)) < 20.0
+    assert (returns & within).sum() > 10
+    np.testing.assert_array_equal(weight > 0.0, within & ~returns)
+
+
+def test_a_path_does_not_end_before_its_last_surface_is_met_again():
+    weight, _, returns = along_deep_bowl((0, 1), (False, True))
+    assert 10 < returns.sum() < len(returns) - 10
+    np.testing.assert_array_equal(weight > 0.0, ~returns)
+
+
+def test_the_half_of_a_sphere_beyond_its_equator_is_no_surface():
+    front = lf.Surface(radius_mm=10.0, thickness_mm=5.0, index=1.5, semi_diameter_mm=8.0, stop=True)
+    back = lf.Surface(radius_mm=np.inf, semi_diameter_mm=8.0)
+    sensor = lf.Sensor(pixels=(10, 10), pixel_mm=0.1, distance_mm=30.0)
+    world = lf.build(lf.Scene(camera=lf.Camera(lens=lf.Lens(surfaces=(front, back)), sensor=sensor)))
+    starts, ahead = [[2.0, 0.0, -5.0], [30.0, 0.0, 19.0]], [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]]
+    got = follow_sequence(world.tables.lens, Itinerary((0,), (False,)), np.array(starts), np.array(ahead))
+    assert (got.weight > 0.0).tolist() == [True, False]
+
+
 @pytest.mark.parametrize(("name", "change", "point", "least"), CASES)
 def test_a_path_and_its_reverse_carry_the_same_share(name, change, point, least):
     world = world_of(name, change)

@@ -194,7 +194,7 @@ def test_disk_lamp_is_a_lambertian_disk(aside: float) -> None:
 
 
 def test_light_of_a_glowing_rectangle_arrives_by_its_form_factor() -> None:
-    """E = π L F: one bounce from target to target, found by chance alone."""
+    """E = π L F: one bounce from target to target."""
     wall = {"shape": {"kind": "plane", "width_mm": 30.0, "height_mm": 40.0}, "position_mm": [25.0, 5.0, -45.0],
             "material": {"reflectance": 0.0, "radiance_w_m2_sr": 7.0}}  # fmt: skip
     expected = np.pi * 7.0 * rectangle_factor(15.0, 10.0, 40.0, -15.0, 25.0)

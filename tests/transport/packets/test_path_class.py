@@ -22,6 +22,7 @@ from lfmesh.transport.render.tally import Film
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher
+from lfmesh.transport.tables.emitters import no_emitters
 from lfmesh.transport.world import World, build
 from tests.cameras import biconvex
 
@@ -92,7 +93,9 @@ def world_of(camera: dict[str, Any], folder: Path) -> World:
 
 def traced(world: World, paths: int) -> tuple[NDArray[np.float64], Workspace]:
     """Return what single paths of all pixels bring if those of a class count, (pixels,), and the workspace."""
-    tables = world.tables._replace(aim=world.tables.aim._replace(wide_share=0.5))
+    # Scattered packets alone find all emission, so that each packet's own vertices tell what it brings.
+    objects = world.tables.objects._replace(emitters=no_emitters())
+    tables = world.tables._replace(aim=world.tables.aim._replace(wide_share=0.5), objects=objects)
     options = options_of(world)._replace(sequential=False, split=ROULETTE, record=True, paths=paths)
     work = Workspace(world, options, tables=tables)
     film = Film.empty(SIDE * SIDE, 1)

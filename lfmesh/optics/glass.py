@@ -42,8 +42,8 @@ def refractive_index(medium: float | str | None, wavelength_nm: float) -> float:
     Raises
     ------
     GlassError
-        The catalogue has no such glass (the message names close ones), makers have it with different indices, or its data do
-        not reach the wavelength (the message gives their range).
+        The catalogue has no such glass (the message names close ones), makers have it with different indices, or its
+        data do not reach the wavelength (the message gives their range).
     """
     if medium is None:
         return AIR

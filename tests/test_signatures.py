@@ -32,3 +32,26 @@ def test_no_function_has_more_than_ten_parameters() -> None:
     found = {path: list(crowded(path.read_text(encoding="utf-8"))) for path in PACKAGE.rglob("*.py")}
     assert found
     assert not {str(path): names for path, names in found.items() if names}
+
+
+def undescribed(tree: ast.AST) -> Iterator[str]:
+    """Yield the public functions of three parameters or more whose docstring does not describe them."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            yield from undescribed(node)
+        if not isinstance(node, ast.FunctionDef) or node.name.startswith("_"):
+            continue
+        given = node.args
+        names = [each.arg for each in (*given.posonlyargs, *given.args, *given.kwonlyargs)]
+        described = "Parameters\n" in (ast.get_docstring(node) or "")
+        if len([name for name in names if name not in ("self", "cls")]) >= 3 and not described:
+            yield node.name
+
+
+def test_public_functions_of_three_parameters_describe_them() -> None:
+    """Commands excepted, whose options carry their own help."""
+    source = 'def plain(a, b, c):\n    """Return a."""\ndef _own(a, b, c): pass\ndef two(a, b): pass\n'
+    assert list(undescribed(ast.parse(source))) == ["plain"]
+    paths = [path for path in PACKAGE.rglob("*.py") if path.parent.name != "cli"]
+    found = {str(path): list(undescribed(ast.parse(path.read_text(encoding="utf-8")))) for path in paths}
+    assert not {path: names for path, names in found.items() if names}

@@ -51,7 +51,14 @@ def directions(through: Frame, d: ArrayLike) -> NDArray[np.float64]:
 
 @inlined
 def point_through(through: NDArray[np.float64], x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return a point seen through a frame, (3, 4)."""
+    """Return a point seen through a frame, (3, 4).
+
+    Parameters
+    ----------
+    through : (3, 4) float64
+        Axes of the frame and its origin, mm.
+    x, y, z : float, mm
+    """
     return (
         through[0, 0] * x + through[0, 1] * y + through[0, 2] * z + through[0, 3],
         through[1, 0] * x + through[1, 1] * y + through[1, 2] * z + through[1, 3],
@@ -61,7 +68,14 @@ def point_through(through: NDArray[np.float64], x: float, y: float, z: float) ->
 
 @inlined
 def direction_through(through: NDArray[np.float64], x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return a direction seen through a frame, (3, 4)."""
+    """Return a direction seen through a frame, (3, 4).
+
+    Parameters
+    ----------
+    through : (3, 4) float64
+        Axes of the frame and its origin, mm.
+    x, y, z : float
+    """
     return (
         through[0, 0] * x + through[0, 1] * y + through[0, 2] * z,
         through[1, 0] * x + through[1, 1] * y + through[1, 2] * z,

@@ -71,7 +71,15 @@ def coated(n_i: float, n_t: float, stack: Stack, wavelength_nm: float, cos_i: Ar
 
 
 def beyond(n_i: float, n_t: float, k_i: Array) -> ComplexArray:
-    """Return the normal component behind an interface of a wave vector, from that before it, both over 2π / λ."""
+    """Return the normal component behind an interface of a wave vector, from that before it, both over 2π / λ.
+
+    Parameters
+    ----------
+    n_i, n_t : float
+        Refractive index before and behind the interface.
+    k_i : (n,) float64
+        Normal component before it.
+    """
     k2 = (n_t - n_i) * (n_t + n_i) + k_i * k_i
     return np.where(k2 >= 0.0, np.sqrt(np.maximum(k2, 0.0)) + 0.0j, 1.0j * np.sqrt(np.maximum(-k2, 0.0)))
 
@@ -98,7 +106,17 @@ def between(
 def polarised(
     n_i: float, n_t: float, stack: Stack, wavelength_nm: float, k_i: Array, k_t: ComplexArray, polarisation: int
 ) -> tuple[Array, Array]:
-    """Return reflectance and transmittance for light of one polarisation, `S` or `P`, as `between` does."""
+    """Return reflectance and transmittance for light of one polarisation, `S` or `P`, as `between` does.
+
+    Parameters
+    ----------
+    n_i, n_t, stack, wavelength_nm
+        As for `between`.
+    k_i, k_t : (n,)
+        Normal components of the wave vector before and behind the stack, over 2π / λ.
+    polarisation : int
+        `S` or `P`.
+    """
 
     def admittance(k: ComplexArray, index: complex) -> ComplexArray:
         # Of the magnetic field over the electric for s, of the electric over the magnetic for p.

@@ -7,7 +7,13 @@ from lfmesh.kernel import kernel
 
 @kernel
 def tangents(nx: float, ny: float, nz: float) -> tuple[float, float, float, float, float, float]:
-    """Return two unit vectors perpendicular to a unit normal and to each other (Duff et al., JCGT 6(1), 2017)."""
+    """Return two unit vectors perpendicular to a unit normal and to each other (Duff et al., JCGT 6(1), 2017).
+
+    Parameters
+    ----------
+    nx, ny, nz : float
+        Unit normal.
+    """
     sign = np.copysign(1.0, nz)
     a = -1.0 / (sign + nz)
     b = nx * ny * a

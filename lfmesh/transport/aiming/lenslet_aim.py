@@ -546,7 +546,14 @@ def spread_on_faces(
 
 @inlined
 def half_width_to(lattice: Lattice, x: float, y: float) -> float:
-    """Return the half width of the cell about the origin whose border contains a point, mm."""
+    """Return the half width of the cell about the origin whose border contains a point, mm.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    x, y : float, mm
+        From the cell's centre.
+    """
     return half_hexagon(x, y) if lattice.hexagonal else max(abs(x), abs(y))
 
 

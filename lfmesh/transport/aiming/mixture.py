@@ -111,7 +111,17 @@ def aimed_density(
     x: float, y: float, z: float, dx: float, dy: float, dz: float,
     opening: Opening, wide_radius: float, wide_share: float, share_without_aim: float,
 ) -> float:  # fmt: skip
-    """Return the density, 1/sr, with which `aimed` draws a direction from a point; parameters as there."""
+    """Return the density, 1/sr, with which `aimed` draws a direction from a point; parameters as there.
+
+    Parameters
+    ----------
+    x, y, z : float, mm
+        Point, camera frame.
+    dx, dy, dz : float
+        Unit direction.
+    opening, wide_radius, wide_share, share_without_aim
+        As for `aimed`.
+    """
     cx, cy, radius = opening_from(opening, x, y, z)
     narrow = opening.known and radius > 0.0
     share = 1.0

@@ -105,14 +105,27 @@ def refracted(
 
 @inlined
 def reflected(dx: float, dy: float, dz: float, nx: float, ny: float, nz: float) -> tuple[float, float, float]:
-    """Return the direction mirrored at a plane with a unit normal of either sign."""
+    """Return the direction mirrored at a plane with a unit normal of either sign.
+
+    Parameters
+    ----------
+    dx, dy, dz : float
+        Direction.
+    nx, ny, nz : float
+        Unit normal.
+    """
     g = 2.0 * (dx * nx + dy * ny + dz * nz)
     return normalised(dx - g * nx, dy - g * ny, dz - g * nz)
 
 
 @inlined
 def normalised(dx: float, dy: float, dz: float) -> tuple[float, float, float]:
-    """Return a direction of nearly unit length, normalised by one Newton step, which takes away rounding errors."""
+    """Return a direction of nearly unit length, normalised by one Newton step, which takes away rounding errors.
+
+    Parameters
+    ----------
+    dx, dy, dz : float
+    """
     scale = 1.5 - 0.5 * (dx * dx + dy * dy + dz * dz)
     return dx * scale, dy * scale, dz * scale
 
@@ -201,7 +214,15 @@ def record_interface(
     flow: Flow, frames: Array, frame: int, x: float, y: float, z: float,
     weight: float, surface: int, part: int, event: int, parent: int, beyond: int,
 ) -> int:  # fmt: skip
-    """Append a vertex at an interface, as `record` does, with the number of the medium `beyond` it."""
+    """Append a vertex at an interface, as `record` does, with the number of the medium `beyond` it.
+
+    Parameters
+    ----------
+    flow, frames, frame, x, y, z, weight, surface, part, event, parent
+        As for `record`.
+    beyond : int
+        Number of the medium that the ray goes into.
+    """
     top = flow.tops[NODES]
     node = flow.nodes[top]
     wx, wy, wz = move_point(frames, frame, WORLD_FRAME, x, y, z)
@@ -242,7 +263,18 @@ def end(
 
 @inlined
 def end_here(options: Options, flow: Flow, frames: Array, packet: Any, slot: int, status: int) -> None:
-    """End a packet at the start of its ray, with its weight unchanged."""
+    """End a packet at the start of its ray, with its weight unchanged.
+
+    Parameters
+    ----------
+    options : Options
+    flow : Flow
+    frames : (5, 5, 3, 4) float64
+    packet : PACKET
+    slot : int
+        Of the book that its weight is entered in.
+    status : int
+    """
     end(
         options, flow, frames, packet, packet.frame, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz,
         packet.weight, slot, status,
@@ -434,7 +466,15 @@ def requery(
 
 @inlined
 def too_deep(options: Options, flow: Flow, frames: Array, packet: Any) -> bool:
-    """End a packet that has had `max_events` events; tell whether it was ended."""
+    """End a packet that has had `max_events` events; tell whether it was ended.
+
+    Parameters
+    ----------
+    options : Options
+    flow : Flow
+    frames : (5, 5, 3, 4) float64
+    packet : PACKET
+    """
     if packet.events < options.max_events:
         return False
     end_here(options, flow, frames, packet, DEPTH, S_DEPTH)
@@ -560,7 +600,15 @@ def _jittered(packet: Any, x: float, y: float, z: float) -> tuple[float, float, 
 
 @kernel
 def move_packet(frames: Array, packet: Any, there: int) -> None:
-    """Transform a packet's ray into the frame `there`."""
+    """Transform a packet's ray into the frame `there`.
+
+    Parameters
+    ----------
+    frames : (5, 5, 3, 4) float64
+    packet : PACKET
+    there : int
+        Number of the frame.
+    """
     here = packet.frame
     if here == there:
         return

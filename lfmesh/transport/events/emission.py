@@ -21,6 +21,13 @@ def asks_emitters(options: Options, objects: ObjectTables, events: int) -> bool:
     """Tell whether a point of a target, after so many events, sends packets to emitting facets.
 
     It does not where no scattered packet could bring their light either: without other targets, or too deep.
+
+    Parameters
+    ----------
+    options : Options
+    objects : ObjectTables
+    events : int
+        That the packet has had.
     """
     return options.bounce and len(objects.emitters.until) > 0 and events + 1 < options.max_events
 
@@ -52,7 +59,17 @@ def share_by_chance(objects: ObjectTables, packet: Any, prim: int, x: float, y: 
 
 @inlined
 def density_at(emitters: Emitters, facet: Any, prim: int, x: float, y: float, z: float) -> float:
-    """Return the density, 1/mm², with which `emitting_point` draws a point of a facet."""
+    """Return the density, 1/mm², with which `emitting_point` draws a point of a facet.
+
+    Parameters
+    ----------
+    emitters : Emitters
+    facet : FACET
+    prim : int
+        Its number.
+    x, y, z : float, mm
+        The point, object frame.
+    """
     first = emitters.first[prim]
     if first < 0:
         return 0.0

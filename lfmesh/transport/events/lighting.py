@@ -25,7 +25,17 @@ PLACE_U, PLACE_V, WAY_U, WAY_V = 1, 2, 3, 4
 
 @inlined
 def ask_lights(objects: ObjectTables, flow: Flow, packet: Any, point: Point) -> bool:
-    """Send a shadow packet to every light that can reach a point (next-event estimation); tell whether there is any."""
+    """Send a shadow packet to every light that can reach a point (next-event estimation); tell whether there is any.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    flow : Flow
+    packet : PACKET
+        It has met a target.
+    point : Point
+        Of the target.
+    """
     facet = objects.facets[point.prim]
     x, y, z = point.x, point.y, point.z
     colour, ix, iy, iz = packet.colour, packet.dx, packet.dy, packet.dz

@@ -34,7 +34,17 @@ class Point(NamedTuple):
 
 @inlined
 def albedo(scattering: ScatteringTables, point: Point, colour: int, ix: float, iy: float, iz: float) -> float:
-    """Return the share of the light from a direction that is scattered."""
+    """Return the share of the light from a direction that is scattered.
+
+    Parameters
+    ----------
+    scattering : ScatteringTables
+    point : Point
+    colour : int
+        Number of the wavelength.
+    ix, iy, iz : float
+        Unit direction towards where the light comes from.
+    """
     model = scattering.models[point.model]
     if model.kind == LAMBERTIAN:
         return scattering.parameters[model.first, colour] * point.texel
@@ -49,6 +59,17 @@ def evaluate(
     """Return the BRDF, 1/sr: radiance that leaves in one direction over irradiance from another.
 
     Both directions must be on the same side of the target.
+
+    Parameters
+    ----------
+    scattering : ScatteringTables
+    point : Point
+    colour : int
+        Number of the wavelength.
+    ix, iy, iz : float
+        Unit direction towards where the light comes from.
+    ox, oy, oz : float
+        Unit direction in which it leaves.
     """
     model = scattering.models[point.model]
     if model.kind == LAMBERTIAN:
@@ -79,7 +100,15 @@ def density(
     scattering: ScatteringTables, point: Point, colour: int,
     ix: float, iy: float, iz: float, ox: float, oy: float, oz: float,
 ) -> float:  # fmt: skip
-    """Return the density, 1/sr, with which `sample` draws a direction."""
+    """Return the density, 1/sr, with which `sample` draws a direction.
+
+    Parameters
+    ----------
+    scattering, point, colour, ix, iy, iz
+        As for `sample`.
+    ox, oy, oz : float
+        Unit direction drawn.
+    """
     model = scattering.models[point.model]
     if model.kind == LAMBERTIAN:
         return max(0.0, point.nx * ox + point.ny * oy + point.nz * oz) / np.pi

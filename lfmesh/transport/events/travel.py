@@ -28,5 +28,14 @@ def travel(flow: Flow, media: Media, packet: Any, t: float) -> tuple[float, floa
 
 @inlined
 def arrive(flow: Flow, media: Media, packet: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Let a packet travel to a point of its ray that is known more accurately than its distance; return the point."""
+    """Let a packet travel to a point of its ray that is known more accurately than its distance; return the point.
+
+    Parameters
+    ----------
+    flow : Flow
+    media : Media
+    packet : PACKET
+    x, y, z : float, mm
+        The point, in the packet's frame.
+    """
     return x, y, z

@@ -99,7 +99,23 @@ def leave_array(
     flow: Flow, packet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float,
     weight: float, key: np.uint64, to_lens: bool, lens_surfaces: int,
 ) -> None:  # fmt: skip
-    """Queue a packet that has left the array, for the lens or for the sensor."""
+    """Queue a packet that has left the array, for the lens or for the sensor.
+
+    Parameters
+    ----------
+    flow : Flow
+    packet : PACKET
+    x, y, z : float, mm
+        Where it left, array frame.
+    dx, dy, dz : float
+    weight : float
+    key : uint64
+        Of its random numbers.
+    to_lens : bool
+        It goes to the lens; else to the sensor.
+    lens_surfaces : int
+        Number of refracting surfaces of the lens.
+    """
     child = put(flow, LENS if to_lens else SENSOR, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
     child.space = lens_surfaces
 
@@ -252,7 +268,14 @@ def _set_sides(block: Array, i: int, packet: Any, array: ArrayTables, outward: b
 
 @inlined
 def fold_of(array: ArrayTables, column: int, row: int) -> tuple[float, float]:
-    """Return the x and y offset from the cell mesh in Embree's scene to a lenslet, mm."""
+    """Return the x and y offset from the cell mesh in Embree's scene to a lenslet, mm.
+
+    Parameters
+    ----------
+    array : ArrayTables
+    column, row : int
+        Of the lenslet.
+    """
     cx, cy = centre(array.lenslets.lattice, column, row)
     return cx - type_of(array.lenslets, column, row) * array.type_shift, cy
 
@@ -261,7 +284,15 @@ def fold_of(array: ArrayTables, column: int, row: int) -> tuple[float, float]:
 def admit_to_cells(
     wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32], array: ArrayTables
 ) -> None:
-    """Write the rays of a wave for Embree, moved to the cell mesh of their lenslets."""
+    """Write the rays of a wave for Embree, moved to the cell mesh of their lenslets.
+
+    Parameters
+    ----------
+    wave : (n,) PACKET
+    origins, directions : (n, 3) float32
+        Written.
+    array : ArrayTables
+    """
     for i in range(len(wave)):
         fold_x, fold_y = fold_of(array, wave[i].column, wave[i].row)
         write_query(origins, directions, i, wave[i], fold_x, fold_y)

@@ -65,7 +65,15 @@ def empty_block() -> Array:
 
 @inlined
 def set_ray(block: Array, i: int, packet: Any) -> None:
-    """Enter the ray of a packet."""
+    """Enter the ray of a packet.
+
+    Parameters
+    ----------
+    block : (ROWS · BLOCK,) float64
+    i : int
+        Place in the block.
+    packet : PACKET
+    """
     block[X + i], block[Y + i], block[Z + i] = packet.x, packet.y, packet.z
     block[DX + i], block[DY + i], block[DZ + i] = packet.dx, packet.dy, packet.dz
     block[FROM + i] = packet.query_from
@@ -73,7 +81,15 @@ def set_ray(block: Array, i: int, packet: Any) -> None:
 
 @inlined
 def set_facet(block: Array, i: int, facet: Any) -> None:
-    """Enter the facet that a packet met."""
+    """Enter the facet that a packet met.
+
+    Parameters
+    ----------
+    block : (ROWS · BLOCK,) float64
+    i : int
+        Place in the block.
+    facet : FACET
+    """
     normal = facet.normal
     block[FACET_X + i], block[FACET_Y + i], block[FACET_Z + i] = normal[0], normal[1], normal[2]
     block[OFFSET + i], block[SIZE + i] = facet.offset, facet.size
@@ -81,7 +97,17 @@ def set_facet(block: Array, i: int, facet: Any) -> None:
 
 @inlined
 def set_conic(block: Array, i: int, surface: Any, sense: float) -> None:
-    """Enter the conic that a packet is to cross."""
+    """Enter the conic that a packet is to cross.
+
+    Parameters
+    ----------
+    block : (ROWS · BLOCK,) float64
+    i : int
+        Place in the block.
+    surface : SURFACE
+    sense : float
+        1 or −1: which of the two roots is the surface.
+    """
     block[CURVATURE + i], block[SQUASH + i], block[VERTEX_Z + i] = (
         surface.curvature, 1.0 + surface.conic, surface.vertex_z,
     )  # fmt: skip
@@ -137,7 +163,21 @@ def set_order(block: Array, i: int, space: Array, starts_on: float) -> None:
 def set_only_conic(
     block: Array, i: int, curvature: float, squash: float, vertex_z: float, aperture2: float, sense: float
 ) -> None:
-    """Enter for `meet_in_order` a single conic, which the ray is to cross in the given sense, 1 or −1."""
+    """Enter for `meet_in_order` a single conic, which the ray is to cross in the given sense, 1 or −1.
+
+    Parameters
+    ----------
+    block : (ROWS · BLOCK,) float64
+    i : int
+        Place in the block.
+    curvature : float, 1/mm
+    squash : float
+        1 + conic constant.
+    vertex_z : float, mm
+    aperture2 : float, mm²
+        Squared semi-diameter.
+    sense : float
+    """
     forward, none = sense > 0.0, np.nan
     block[CURVATURE + i], block[NEXT_CURVATURE + i] = (none, curvature) if forward else (curvature, none)
     block[SQUASH + i], block[NEXT_SQUASH + i] = squash, squash
@@ -196,7 +236,15 @@ def meet_in_order(block: Array) -> None:
 
 @inlined
 def set_asphere(block: Array, i: int, surface: Any) -> None:
-    """Enter the terms of the surface whose conic `set_only_conic` entered; of a conic, that there are none."""
+    """Enter the terms of the surface whose conic `set_only_conic` entered; of a conic, that there are none.
+
+    Parameters
+    ----------
+    block : (ROWS · BLOCK,) float64
+    i : int
+        Place in the block.
+    surface : SURFACE
+    """
     block[TERMS + i] = surface.terms
     if surface.terms > 0:
         for m in range(MAX_ASPHERE_TERMS):

@@ -82,7 +82,15 @@ Array = NDArray[np.float64]
 def admit_to_objects(
     wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32], frames: Array
 ) -> None:
-    """Write the rays of a wave for Embree, in the object frame."""
+    """Write the rays of a wave for Embree, in the object frame.
+
+    Parameters
+    ----------
+    wave : (n,) PACKET
+    origins, directions : (n, 3) float32
+        Written.
+    frames : (5, 5, 3, 4) float64
+    """
     for i in range(len(wave)):
         move_packet(frames, wave[i], OBJECT_FRAME)
         write_query(origins, directions, i, wave[i], 0.0, 0.0)

@@ -190,7 +190,17 @@ def _gather(options: Options, flow: Flow, objects: ObjectTables, packet: Any, po
 
 @inlined
 def emitted_radiance(objects: ObjectTables, packet: Any, prim: int, texel: float) -> float:
-    """Return the radiance that a facet emits into the packet's medium, as the packet's weight counts it, W/(m² sr)."""
+    """Return the radiance that a facet emits into the packet's medium, as the packet's weight counts it, W/(m² sr).
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    packet : PACKET
+    prim : int
+        Facet.
+    texel : float
+        Value of the texture at the point.
+    """
     radiance = objects.radiance[objects.facets[prim].body, packet.colour] * texel
     if radiance > 0.0 and packet.medium != AIR:
         # Inside glass: radiance over n² is conserved on the way out.
@@ -286,6 +296,13 @@ def share_with_other(flow: Flow, frames: Array, aim: AimTables, packet: Any) -> 
 
     Behind the glass the lens may appear where it is aimed at or, as the glass bends light, elsewhere. So both the aimed
     child and the one drawn by the scattering model count, each weighted by its share of their densities.
+
+    Parameters
+    ----------
+    flow : Flow
+    frames : (5, 5, 3, 4) float64
+    aim : AimTables
+    packet : PACKET
     """
     x, y, z = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, packet.x, packet.y, packet.z)
     dx, dy, dz = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, packet.dx, packet.dy, packet.dz)

@@ -176,7 +176,17 @@ def _hand_on(
 
 @kernel
 def through_lens(bundle: Array, lens: LensTables, colour: int, to_sensor: bool) -> None:
-    """Take a bundle (camera frame) through all surfaces of the lens and through its stop."""
+    """Take a bundle (camera frame) through all surfaces of the lens and through its stop.
+
+    Parameters
+    ----------
+    bundle : (ROWS · BLOCK,) float64
+    lens : LensTables
+    colour : int
+        Number of the wavelength.
+    to_sensor : bool
+        Direction of travel.
+    """
     last = len(lens.surfaces)
     for step in range(last + 1):
         space = step if to_sensor else last - step
@@ -204,6 +214,18 @@ def through_array(bundle: Array, count: int, array: ArrayTables, colour: int, fr
 
     Rays that meet a single lenslet are traced together; the others, and all in a coated array, one by one, from cell to
     cell.
+
+    Parameters
+    ----------
+    bundle : (ROWS · BLOCK,) float64
+    count : int
+        Number of rays in it.
+    array : ArrayTables
+    colour : int
+        Number of the wavelength.
+    frames : (5, 5, 3, 4) float64
+    to_sensor : bool
+        Direction of travel.
     """
     move_bundle(bundle, frames[CAMERA_FRAME, ARRAY_FRAME])
     inward = to_sensor == array.curved_to_lens

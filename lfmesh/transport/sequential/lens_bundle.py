@@ -261,7 +261,19 @@ def conic_distance(
 def sphere_distance(
     c: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
 ) -> tuple[bool, float, float]:
-    """Return the results of `conic_distance` for a sphere (q = 1), and the cosine of incidence."""
+    """Return the results of `conic_distance` for a sphere (q = 1), and the cosine of incidence.
+
+    Parameters
+    ----------
+    c : float, 1/mm
+        Curvature.
+    x, y, z : float, mm
+        From the vertex.
+    dx, dy, dz : float
+        Unit direction.
+    sense : float
+        As for `conic_distance`.
+    """
     root, cos_i, above, below = _sphere_crossing(c * sense, x, y, z, dx, dy, dz, sense)
     return root > 0.0, above / below, cos_i
 

@@ -67,6 +67,13 @@ def reflected_twice_at(faces: int, face: int, *, from_behind: bool) -> Itinerary
     """Return the path that is reflected twice running at the hollow side of one face.
 
     Light then runs along the inside of a steep surface: before it, or, `from_behind`, after it has passed through.
+
+    Parameters
+    ----------
+    faces : int
+        Number of faces of the camera.
+    face : int
+    from_behind : bool
     """
     around = (face, face, face)
     mirrored = (False, True, True) if from_behind else (True, True, False)

@@ -47,7 +47,15 @@ class CoatingTable:
 
 
 def absorbs(scene: Scene, name: str, wavelengths_nm: Sequence[float]) -> bool:
-    """Whether a coating of the scene absorbs light at any of some wavelengths."""
+    """Whether a coating of the scene absorbs light at any of some wavelengths.
+
+    Parameters
+    ----------
+    scene : Scene
+    name : str
+        Of the coating.
+    wavelengths_nm : sequence of float
+    """
     layers = scene.coatings[name].layers or ()
     return any(_stack(layers, wavelength).absorbs for wavelength in wavelengths_nm)
 

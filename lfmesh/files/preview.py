@@ -81,7 +81,10 @@ def displayed(
 ) -> tuple[NDArray[np.uint8], float]:
     """Return an 8-bit sRGB picture (H, W) or (H, W, 3) that exposes itself, and the power shown as white.
 
-    Parameters are those of `write_preview`; the picture lies as the power does.
+    Parameters
+    ----------
+    power, wavelengths_nm, stderr
+        As for `write_preview`; the picture lies as the power does.
     """
     light = to_display(power, wavelengths_nm)
     known = None if stderr is None else well_known(power, stderr)

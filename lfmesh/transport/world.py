@@ -206,8 +206,8 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     """
     camera = solved_camera(scene)
     scene, report = camera.scene, camera.report
-    mla = scene.camera.mla
-    if mla is not None and scene.transport.surface != "exact" and (mla.form.decenter_mm or mla.form.radius_error):
+    form = scene.camera.mla.form if scene.camera.mla is not None else None
+    if form is not None and scene.transport.surface != "exact" and (form.decenter_mm or form.radius_error):
         raise SceneError(
             f'transport.surface = "{scene.transport.surface}": facets are those of a perfect lenslet, and '
             'camera.mla.form asks for errors of single ones; use "exact", or leave decenter_mm and radius_error out'

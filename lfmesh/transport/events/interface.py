@@ -66,7 +66,13 @@ def _shares(
 
 @inlined
 def bare_shares(n_i: float, n_t: float, cos_i: float) -> tuple[float, float, float]:
-    """Return what `shares` does for an interface without a coating, without branches, for blocks of packets."""
+    """Return what `shares` does for an interface without a coating, without branches, for blocks of packets.
+
+    Parameters
+    ----------
+    n_i, n_t, cos_i : float
+        As for `shares`.
+    """
     return fresnel(n_i, n_t, cos_i)
 
 

@@ -299,17 +299,17 @@ def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
     """Lay out the lenslets nearest the axis, the pixels behind them, and what the rays do there."""
     mla = scene.camera.mla
     assert mla is not None
-    moves, array = world.tables.frames, world.tables.array.lenslets
+    moves, lenslets = world.tables.frames, world.tables.array.lenslets
     to_camera = moves[ARRAY_FRAME, CAMERA_FRAME]
     toward_lens = mla.curved_side == "lens"
     # Seen from the lens through the plate, the apexes lie nearer.
     seen_z = 0.0 if toward_lens else mla.thickness_mm - air_thickness_mm(mla, scene.transport.primary_nm)
-    at = array.apexes
+    at = lenslets.apexes
     apex = np.dstack([at, np.full(at.shape[:2], seen_z)]).reshape(-1, 3) @ to_camera[:, :3].T + to_camera[:, 3]
-    middle = _nearest_axis(apex, array.lattice.pitch)
+    middle = _nearest_axis(apex, lenslets.lattice.pitch)
     x = float(apex[middle, 0])
     # Rows of a hexagonal array stand in the plane of the section by turns.
-    step = mla.count[0] * (2 if array.lattice.hexagonal else 1)
+    step = mla.count[0] * (2 if lenslets.lattice.hexagonal else 1)
     image = main_image_mm(scene) if not _standard(scene, aim) else None
     if image is not None:
         bundles = _bundles(["main image"], aim, aim.slopes_to(apex[[middle]]), _fan(IMAGE_FAN))
@@ -320,7 +320,7 @@ def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
             for n in (middle - step, middle, middle + step)
             if 0 <= n < len(apex)
         ]
-    half = array.lattice.half_extent
+    half = lenslets.lattice.half_extent
     cut = cut_through("camera.mla", to_camera, (2.0 * half[0], 2.0 * half[1]), x)
     sensor = cut_through("camera.sensor", moves[SENSOR_FRAME, CAMERA_FRAME], scene.camera.sensor.size_mm, x)
     apex_z, sensor_z = float(apex[middle, 2]), _z_at(sensor, float(apex[middle, 1]))
@@ -328,7 +328,7 @@ def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
     before = min(1.25 * image, 16.0 * behind) if image is not None and image > 0.0 else 0.6 * behind
     window = _window(apex_z - before, sensor_z + 0.12 * (before + behind), float(apex[middle, 1]), mla.row_pitch_mm)
     s = _within(cut, window, mla.row_pitch_mm / LENSLET_POINTS)
-    plate = np.concatenate([cut.section(s, curved_face(cut, array, s)), cut.section(s[[-1, 0]], mla.thickness_mm)])
+    plate = np.concatenate([cut.section(s, curved_face(cut, lenslets, s)), cut.section(s[[-1, 0]], mla.thickness_mm)])
     neighbour = apex[middle + step if middle + step < len(apex) else max(0, middle - step)]
     heights, lengths = _array_dimensions(scene, to_camera, apex[middle], neighbour, sensor_z, image)
     if image is None:

@@ -103,7 +103,7 @@ class Camera:
     """Everything on a ray's way from the first vertex to the sensor, at one wavelength."""
 
     interfaces: tuple[Interface, ...]
-    array: LensletArray | None
+    mla: LensletArray | None
     sensor_turn: NDArray[np.float64]
     sensor_origin: NDArray[np.float64]
     precision: type = field(default=np.float64)
@@ -142,14 +142,14 @@ class Camera:
             )  # fmt: skip
             before = after
         z = lens.vertices_mm[-1]
-        array = None
+        mla = None
         if camera.mla is not None:
             z += camera.mla.distance_mm or 0.0
-            array = _lenslet_array(scene, z, wavelength_nm)
+            mla = _lenslet_array(scene, z, wavelength_nm)
             z += camera.mla.thickness_mm
         pose = camera.sensor.pose
         origin = np.add([0.0, 0.0, z + (camera.sensor.distance_mm or 0.0)], pose.shift_mm)
-        return cls(tuple(interfaces), array, _turned(pose.tilt_deg), origin, precision)
+        return cls(tuple(interfaces), mla, _turned(pose.tilt_deg), origin, precision)
 
     def land(self, origins: ArrayLike, directions: ArrayLike) -> Landing:
         """Trace rays from object space to the sensor's plane.
@@ -166,8 +166,8 @@ class Camera:
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             for interface in self.interfaces:
                 _through_surface(rays, interface)
-            if self.array is not None:
-                _through_array(rays, self.array)
+            if self.mla is not None:
+                _through_mla(rays, self.mla)
             p, d = _into_frame(rays, self.sensor_turn, self.sensor_origin)
             landed = p[:, :2] - (p[:, 2] / d[:, 2])[:, None] * d[:, :2]
             rays.alive &= (d[:, 2] > 0) & np.isfinite(landed).all(axis=1)
@@ -348,29 +348,29 @@ def _lenslet_array(scene: Scene, face_z: float, wavelength_nm: float) -> Lenslet
     )
 
 
-def _through_array(rays: Rays, array: LensletArray) -> None:
+def _through_mla(rays: Rays, mla: LensletArray) -> None:
     """Take the rays through both faces of the array, in whichever order they come."""
-    rays.p, rays.d = _into_frame(rays, array.turn, array.origin)
-    if array.curved_to_lens:
-        _through_lenslets(rays, array, AIR, array.index)
-        _through_flat_face(rays, array, array.index, AIR)
+    rays.p, rays.d = _into_frame(rays, mla.turn, mla.origin)
+    if mla.curved_to_lens:
+        _through_lenslets(rays, mla, AIR, mla.index)
+        _through_flat_face(rays, mla, mla.index, AIR)
     else:
-        _through_flat_face(rays, array, AIR, array.index)
-        _through_lenslets(rays, array, array.index, AIR)
-    rays.p, rays.d = _outof_frame(rays.p, rays.d, array.turn, array.origin)
+        _through_flat_face(rays, mla, AIR, mla.index)
+        _through_lenslets(rays, mla, mla.index, AIR)
+    rays.p, rays.d = _outof_frame(rays.p, rays.d, mla.turn, mla.origin)
 
 
-def _through_flat_face(rays: Rays, array: LensletArray, before: float, after: float) -> None:
+def _through_flat_face(rays: Rays, mla: LensletArray, before: float, after: float) -> None:
     kind = rays.p.dtype.type
-    t = (kind(array.thickness) - rays.p[:, 2]) / rays.d[:, 2]
+    t = (kind(mla.thickness) - rays.p[:, 2]) / rays.d[:, 2]
     rays.p = rays.p + t[:, None] * rays.d
     # Between the faces a ray may leave through the array's edge.
-    rays.alive &= _nearest_cell(array, rays.p) >= 0
+    rays.alive &= _nearest_cell(mla, rays.p) >= 0
     along = np.sign(rays.d[:, 2])
     _refract(rays, np.stack([np.zeros_like(t), np.zeros_like(t), along], axis=1), before, after)
 
 
-def _through_lenslets(rays: Rays, array: LensletArray, before: float, after: float) -> None:
+def _through_lenslets(rays: Rays, mla: LensletArray, before: float, after: float) -> None:
     """Refract the rays at the sphere of the lenslet in whose cell they meet it.
 
     A ray whose cell does not settle crosses the wall between unlike lenslets; it is left out.
@@ -378,17 +378,17 @@ def _through_lenslets(rays: Rays, array: LensletArray, before: float, after: flo
     kind = rays.p.dtype.type
     to_apexes = -rays.p[:, 2] / rays.d[:, 2]
     at = rays.p + to_apexes[:, None] * rays.d
-    cell = _nearest_cell(array, at)
+    cell = _nearest_cell(mla, at)
     settled = np.zeros(len(cell), np.bool_)
     for _ in range(CELL_STEPS):
         flat = np.maximum(cell, 0)
-        apex = array.apex.reshape(-1, 2)[flat].astype(kind)
-        c = array.curvature.reshape(-1)[flat].astype(kind)
+        apex = mla.apex.reshape(-1, 2)[flat].astype(kind)
+        c = mla.curvature.reshape(-1)[flat].astype(kind)
         p = np.column_stack([rays.p[:, :2] - apex, rays.p[:, 2]])
         t = _conic_transfer(p, rays.d * np.sign(rays.d[:, 2:]), c, kind(0)) * np.sign(rays.d[:, 2])
         q = p + t[:, None] * rays.d
         hit = np.column_stack([q[:, :2] + apex, q[:, 2]])
-        there = _nearest_cell(array, hit)
+        there = _nearest_cell(mla, hit)
         settled = (there == cell) & (cell >= 0)
         if settled.all():
             break
@@ -399,19 +399,19 @@ def _through_lenslets(rays: Rays, array: LensletArray, before: float, after: flo
     _refract(rays, normal, before, after)
 
 
-def _nearest_cell(array: LensletArray, p: Array) -> NDArray[np.int64]:
+def _nearest_cell(mla: LensletArray, p: Array) -> NDArray[np.int64]:
     """Return the number of the cell whose centre is nearest to each point; −1 outside the array."""
-    rows, columns = array.curvature.shape
-    x, y = p[:, 0].astype(np.float64) / array.pitch, p[:, 1].astype(np.float64) / array.pitch
+    rows, columns = mla.curvature.shape
+    x, y = p[:, 0].astype(np.float64) / mla.pitch, p[:, 1].astype(np.float64) / mla.pitch
     far = 2.0 * (rows + columns)
     x, y = (np.nan_to_num(a, nan=far, posinf=far, neginf=far) for a in (x, y))
-    spacing = np.sqrt(0.75) if array.hexagonal else 1.0
-    first = array.centre[0, 0] / array.pitch
+    spacing = np.sqrt(0.75) if mla.hexagonal else 1.0
+    first = mla.centre[0, 0] / mla.pitch
     middle = np.rint((y - first[1]) / spacing)
     nearest = np.full(len(p), np.inf)
     best_row, best_column = middle.copy(), np.zeros_like(middle)
-    for row in (middle - 1, middle, middle + 1) if array.hexagonal else (middle,):
-        start = first[0] + (0.5 * np.mod(row, 2) if array.hexagonal else 0.0)
+    for row in (middle - 1, middle, middle + 1) if mla.hexagonal else (middle,):
+        start = first[0] + (0.5 * np.mod(row, 2) if mla.hexagonal else 0.0)
         column = np.rint(x - start)
         distance = (x - start - column) ** 2 + (y - first[1] - row * spacing) ** 2
         nearer = distance < nearest

@@ -338,7 +338,7 @@ def _measured(
 
 def table_bytes(world: World) -> int:
     """Return the bytes of the tables that the kernels read: lens, array, objects."""
-    parts = (*world.tables.lens, *world.tables.array, *world.tables.objects)
+    parts = (*world.tables.lens, *world.tables.mla, *world.tables.objects)
     return sum(part.nbytes for part in parts if isinstance(part, np.ndarray))
 
 

@@ -114,8 +114,8 @@ def diffraction(scene: Scene) -> dict[str, float | None]:
 
 def _diffraction(facts: FirstOrder) -> list[str]:
     """Return sentences on the Airy disks that geometric optics leaves out, with a warning where they decide."""
-    array = facts.microlens_airy_disk_px is not None
-    widths = [f"the lens's Airy disk is {facts.airy_disk_samples:.2g} {'lenslets' if array else 'pixels'} wide"]
+    mla = facts.microlens_airy_disk_px is not None
+    widths = [f"the lens's Airy disk is {facts.airy_disk_samples:.2g} {'lenslets' if mla else 'pixels'} wide"]
     largest = facts.airy_disk_samples
     if facts.microlens_airy_disk_px is not None:
         widths.append(f"a lenslet's {facts.microlens_airy_disk_px:.2g} pixels")

@@ -1,7 +1,7 @@
 """The microlens array's shape, in its own frame: z runs from the curved face into the glass, apexes at z = 0.
 
 Every lenslet is the same spherical cap on its own cell, up to three types (multi-focus), and may carry form errors
-(decentre, radius). Only one cell a type is a mesh for Embree (`cell_mesh`); `array_mesh` builds them all, for export,
+(decentre, radius). Only one cell a type is a mesh for Embree (`cell_mesh`); `mla_mesh` builds them all, for export,
 for drawing, and as the truth that the folded array is tested against.
 """
 
@@ -279,7 +279,7 @@ def _cell_norm(lattice: Lattice, p: Array) -> Array:
     return np.abs(p @ np.stack([np.cos(turn), np.sin(turn)])).max(axis=1)
 
 
-def array_mesh(mla: Lenslets, subdivisions: int = SUBDIVISIONS) -> "trimesh.Trimesh":
+def mla_mesh(mla: Lenslets, subdivisions: int = SUBDIVISIONS) -> "trimesh.Trimesh":
     """Return the whole array as a closed mesh.
 
     Where all lenslets are alike it is one shell. Unlike neighbours meet in steps, so each lenslet is then a closed

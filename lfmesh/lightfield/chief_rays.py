@@ -19,10 +19,10 @@ from lfmesh.lightfield.lens_alone import lens_alone
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Scene
 from lfmesh.transport.aiming.ray_aiming import aim_rays
-from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.interfaces import interface_tables
-from lfmesh.transport.tables.lens import array_tables
+from lfmesh.transport.tables.lens import mla_tables
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.trace import Status, trace
 
@@ -74,8 +74,8 @@ class Plate(NamedTuple):
 
     def at_apexes(self, position: Array, direction: Array) -> Array:
         """Return where (n, 3) rays of the camera frame cross the plane of the apexes, (n, 2) mm in the array frame."""
-        p = frames.points(self.moves[CAMERA_FRAME, ARRAY_FRAME], position)
-        d = frames.directions(self.moves[CAMERA_FRAME, ARRAY_FRAME], direction)
+        p = frames.points(self.moves[CAMERA_FRAME, MLA_FRAME], position)
+        d = frames.directions(self.moves[CAMERA_FRAME, MLA_FRAME], direction)
         if self.curved_to_lens:
             return p[:, :2] - (p[:, 2] / d[:, 2])[:, None] * d[:, :2]
         t = (self.lenslets.thickness - p[:, 2]) / d[:, 2]
@@ -86,9 +86,9 @@ class Plate(NamedTuple):
         """Return where rays that come to the apexes meet the array's first face, (n, 3) mm in the camera frame."""
         points = np.column_stack([self.apexes, np.zeros(len(self.apexes))])
         if not self.curved_to_lens:
-            inside = self.inside(frames.directions(self.moves[CAMERA_FRAME, ARRAY_FRAME], direction))
+            inside = self.inside(frames.directions(self.moves[CAMERA_FRAME, MLA_FRAME], direction))
             points = points + (self.lenslets.thickness / inside[:, 2])[:, None] * inside
-        return frames.points(self.moves[ARRAY_FRAME, CAMERA_FRAME], points)
+        return frames.points(self.moves[MLA_FRAME, CAMERA_FRAME], points)
 
     def landing(self, direction: Array) -> Array:
         """Return where rays through the apexes meet the sensor, (n, 2) mm in its frame.
@@ -98,13 +98,13 @@ class Plate(NamedTuple):
         direction : (n, 3) float64
             Before the array, camera frame.
         """
-        d = frames.directions(self.moves[CAMERA_FRAME, ARRAY_FRAME], direction)
+        d = frames.directions(self.moves[CAMERA_FRAME, MLA_FRAME], direction)
         leaves = np.column_stack([self.apexes, np.zeros(len(d))])
         if self.curved_to_lens:
             inside = self.inside(d)
             leaves = leaves + (self.lenslets.thickness / inside[:, 2])[:, None] * inside
-        p = frames.points(self.moves[ARRAY_FRAME, SENSOR_FRAME], leaves)
-        d = frames.directions(self.moves[ARRAY_FRAME, SENSOR_FRAME], d)
+        p = frames.points(self.moves[MLA_FRAME, SENSOR_FRAME], leaves)
+        d = frames.directions(self.moves[MLA_FRAME, SENSOR_FRAME], d)
         return p[:, :2] - (p[:, 2] / d[:, 2])[:, None] * d[:, :2]
 
     def inside(self, direction: Array) -> Array:
@@ -126,7 +126,7 @@ def plate_of(scene: Scene) -> Plate:
     if mla is None:
         raise LfmeshError("camera.mla is missing: a conventional camera has no lenslets to calibrate or decode by")
     primary = scene.transport.primary_nm
-    _, tables = array_tables(scene, (primary,), interface_tables(scene, (primary,)).array, MediumList.of(scene))
+    _, tables = mla_tables(scene, (primary,), interface_tables(scene, (primary,)).mla, MediumList.of(scene))
     moves = frame_table(scene, np.zeros(3))
     return Plate(tables.lenslets, refractive_index(mla.medium, primary), tables.curved_to_lens, moves)
 
@@ -157,7 +157,7 @@ def _chief_rays(camera: SolvedCamera) -> ChiefRays:
     aimed = aim_rays(landing, apexes, fan.guess(apexes), fan.derivative(apexes), reach)
     _, direction = fan.trace(aimed.start)
     lattice = plate.lenslets.lattice
-    in_camera = frames.points(plate.moves[ARRAY_FRAME, CAMERA_FRAME], np.column_stack([apexes, np.zeros(len(apexes))]))
+    in_camera = frames.points(plate.moves[MLA_FRAME, CAMERA_FRAME], np.column_stack([apexes, np.zeros(len(apexes))]))
     shape = (lattice.rows, lattice.columns, -1)
     rays = ChiefRays(
         in_camera.reshape(shape),

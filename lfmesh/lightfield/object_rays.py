@@ -16,7 +16,7 @@ from lfmesh.lightfield.chief_rays import Plate, plate_of
 from lfmesh.lightfield.lens_alone import lens_alone
 from lfmesh.scene import Scene
 from lfmesh.transport.aiming.ray_aiming import aim_rays
-from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.trace import Status, trace
 
 Array = NDArray[np.float64]
@@ -86,7 +86,7 @@ def _through_apexes(scene: Scene, plate: Plate, apexes: Array, pixels: Array) ->
     """Return where rays from pixels through apexes enter the air before the array, and their directions."""
     sensor = scene.camera.sensor
     on_sensor = (pixels - 0.5 * (np.asarray(sensor.pixels) - 1.0)) * sensor.pixel_mm
-    points = frames.points(plate.moves[SENSOR_FRAME, ARRAY_FRAME], np.column_stack([on_sensor, np.zeros(len(pixels))]))
+    points = frames.points(plate.moves[SENSOR_FRAME, MLA_FRAME], np.column_stack([on_sensor, np.zeros(len(pixels))]))
     glass = plate.lenslets.thickness if plate.curved_to_lens else 0.0
     slope = _slopes_across(apexes - points[:, :2], np.abs(points[:, 2]) - glass, glass, plate.glass)
     # The array's z axis runs into the glass: towards the lens it is negative where the curved face looks there.
@@ -96,7 +96,7 @@ def _through_apexes(scene: Scene, plate: Plate, apexes: Array, pixels: Array) ->
     if not plate.curved_to_lens:
         inside = plate.inside(in_array)
         first = first + (plate.lenslets.thickness / inside[:, 2])[:, None] * inside
-    to_camera = plate.moves[ARRAY_FRAME, CAMERA_FRAME]
+    to_camera = plate.moves[MLA_FRAME, CAMERA_FRAME]
     return frames.points(to_camera, first), frames.directions(to_camera, in_array)
 
 

@@ -1,11 +1,11 @@
 """Scenes: the models of a scene file, reading and writing it, and its first-order optics."""
 
-from lfmesh.scene.array import ArrayForm, MicrolensArray
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.coatings import Coating, Layer
 from lfmesh.scene.files import load, load_lens, loads
 from lfmesh.scene.lens import Element, Lens, Surface
 from lfmesh.scene.lights import DirectionalLight, DiskLight, Light, PointLight
+from lfmesh.scene.mla import ArrayForm, MicrolensArray
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.scene.pose import Pose
 from lfmesh.scene.refractor import MeshFace, MeshShape, Refractor

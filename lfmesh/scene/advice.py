@@ -104,8 +104,8 @@ def _micro_images(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
 
 def _diffraction(facts: "FirstOrder") -> Iterator[str]:
     """Say where diffraction, which is not traced, blurs more than what samples the image."""
-    array = facts.microlens_f_number is not None
-    disks = [("lens's", facts.working_f_number, facts.airy_disk_samples, "lenslets" if array else "pixels")]
+    mla = facts.microlens_f_number is not None
+    disks = [("lens's", facts.working_f_number, facts.airy_disk_samples, "lenslets" if mla else "pixels")]
     if facts.microlens_f_number is not None and facts.microlens_airy_disk_px is not None:
         disks.append(("microlenses'", facts.microlens_f_number, facts.microlens_airy_disk_px, "pixels"))
     for whose, f_number, width, samples in disks:

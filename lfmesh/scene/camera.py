@@ -2,8 +2,8 @@
 
 from pydantic import Field
 
-from lfmesh.scene.array import MicrolensArray
 from lfmesh.scene.lens import Lens
+from lfmesh.scene.mla import MicrolensArray
 from lfmesh.scene.model import Model
 from lfmesh.scene.pose import Pose
 from lfmesh.scene.quantities import Positive

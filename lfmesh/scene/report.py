@@ -78,7 +78,7 @@ class FirstOrder:
 
     def lines(self) -> list[str]:
         """Return the report, a line a property, warnings last."""
-        array = self.microlens_f_number is not None
+        mla = self.microlens_f_number is not None
         width, height = self.field_of_view_mm
         rows = [
             ("wavelength", f"{self.wavelength_nm:g} nm"),
@@ -96,22 +96,22 @@ class FirstOrder:
             ("magnification", f"{self.magnification:.6g}"),
             ("working f-number", f"{self.working_f_number:.4g}"),
         ]
-        if array:
+        if mla:
             rows += [
                 ("microlens f-number", f"{self.microlens_f_number:.4g}"),
                 ("micro-image pitch", f"{self.micro_image_pitch_px:.6g} pixels"),
                 ("micro-image diameter", f"{self.micro_image_diameter_px:.4g} pixels"),
             ]
         rows += [
-            ("object sampling", f"{_mm(self.object_sampling_mm)} a {'lenslet' if array else 'pixel'}"),
+            ("object sampling", f"{_mm(self.object_sampling_mm)} a {'lenslet' if mla else 'pixel'}"),
             ("field of view", f"{_mm(width)} × {_mm(height)}"),
             (
                 "Airy disk, lens",
-                f"{_um(self.airy_disk_mm)}, {self.airy_disk_samples:.3g} {'lenslets' if array else 'pixels'}, "
+                f"{_um(self.airy_disk_mm)}, {self.airy_disk_samples:.3g} {'lenslets' if mla else 'pixels'}, "
                 f"at {self.airy_wavelength_nm:g} nm",
             ),
-            *([("Airy disk, lenslet", f"{self.microlens_airy_disk_px:.3g} pixels")] if array else []),
-            ("refocus range" if array else "depth of field", f"{_mm(self.near_mm)} to {_mm(self.far_mm)}"),
+            *([("Airy disk, lenslet", f"{self.microlens_airy_disk_px:.3g} pixels")] if mla else []),
+            ("refocus range" if mla else "depth of field", f"{_mm(self.near_mm)} to {_mm(self.far_mm)}"),
         ]
         rows += [("posed element", text) for text in self.poses]
         if self.poses:

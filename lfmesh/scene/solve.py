@@ -5,10 +5,10 @@ from typing import Any, TypeVar
 
 from lfmesh.errors import SceneError
 from lfmesh.optics.glass import refractive_index
-from lfmesh.scene.array import MicrolensArray
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.files import with_lens_file
 from lfmesh.scene.lens import Lens
+from lfmesh.scene.mla import MicrolensArray
 from lfmesh.scene.model import Model
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.scene.scene import Scene

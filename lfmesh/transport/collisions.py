@@ -10,21 +10,21 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
 from lfmesh.geometry.tessellation import on_circles
 from lfmesh.scene import Scene
-from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
-from lfmesh.transport.tables.tables import ArrayTables, LensTables
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
+from lfmesh.transport.tables.tables import LensTables, MlaTables
 
 CIRCLES = 65
 """Circles of a posed last surface that a body behind it must stay clear of."""
 
 
-def refuse_collisions(scene: Scene, lens: LensTables, array: ArrayTables, moves: Array) -> None:
+def refuse_collisions(scene: Scene, lens: LensTables, mla: MlaTables, moves: Array) -> None:
     """Refuse a camera whose sensor, array and lens intersect.
 
     Parameters
     ----------
     scene : Scene
     lens : LensTables
-    array : ArrayTables
+    mla : MlaTables
     moves : (5, 5, 3, 4) float64
         Between frames.
 
@@ -35,23 +35,23 @@ def refuse_collisions(scene: Scene, lens: LensTables, array: ArrayTables, moves:
     """
     width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
     sensor = np.array([[x, y, 0.0] for x in (-width, width) for y in (-height, height)])
-    if array.present:
-        _refuse_sensor_in_array(array, frame.points(moves[SENSOR_FRAME, ARRAY_FRAME], sensor))
-        half_width, half_height = array.lenslets.lattice.half_extent
-        depths = array.lenslets.top, array.lenslets.thickness
+    if mla.present:
+        _refuse_sensor_in_array(mla, frame.points(moves[SENSOR_FRAME, MLA_FRAME], sensor))
+        half_width, half_height = mla.lenslets.lattice.half_extent
+        depths = mla.lenslets.top, mla.lenslets.thickness
         slab = [[x, y, z] for x in (-half_width, half_width) for y in (-half_height, half_height) for z in depths]
-        _refuse_in_lens("camera.mla", lens, frame.points(moves[ARRAY_FRAME, CAMERA_FRAME], slab))
+        _refuse_in_lens("camera.mla", lens, frame.points(moves[MLA_FRAME, CAMERA_FRAME], slab))
     else:
         _refuse_in_lens("camera.sensor", lens, frame.points(moves[SENSOR_FRAME, CAMERA_FRAME], sensor))
 
 
-def _refuse_sensor_in_array(array: ArrayTables, corners: Array) -> None:
+def _refuse_sensor_in_array(mla: MlaTables, corners: Array) -> None:
     """Refuse a sensor whose corners (4, 3) (array frame) are not all beyond the array's face on its side."""
-    inside = np.clip(corners[:, :2], *(np.array([[-1.0], [1.0]]) * array.lenslets.lattice.half_extent))
+    inside = np.clip(corners[:, :2], *(np.array([[-1.0], [1.0]]) * mla.lenslets.lattice.half_extent))
     # Of a sensor larger than the array only the part behind the array can intersect it.
     plane = np.linalg.lstsq(np.column_stack([corners[:, :2], np.ones(4)]), corners[:, 2], rcond=None)[0]
     z = inside @ plane[:2] + plane[2]
-    gap = (z - array.lenslets.thickness if array.curved_to_lens else array.lenslets.top - z).min()
+    gap = (z - mla.lenslets.thickness if mla.curved_to_lens else mla.lenslets.top - z).min()
     if gap <= 0.0:
         raise SceneError(
             f"camera.mla.pose, camera.sensor.pose: the array reaches {-gap:.4g} mm through the sensor's plane; "

@@ -44,10 +44,10 @@ from lfmesh.transport.packets.packet import (
     Flow,
     Options,
 )
-from lfmesh.transport.regions.array import admit_to_cells, shade_cells, through_plate
 from lfmesh.transport.regions.emitters import ask_emitters
 from lfmesh.transport.regions.lens import admit_to_lens, shade_lens
 from lfmesh.transport.regions.lens_block import empty_block
+from lfmesh.transport.regions.mla import admit_to_cells, shade_cells, through_plate
 from lfmesh.transport.regions.objects import admit_to_objects, shade_objects
 from lfmesh.transport.regions.sensor import onto_reflecting_sensor, onto_sensor
 from lfmesh.transport.sequential.image_path import follow_image_path
@@ -109,7 +109,7 @@ class Workspace:
         self.counted = np.zeros(0, np.uint8)
         self.bundle = empty_bundle()
         # One for each region, as a block's unused places hold numbers of its region's interfaces.
-        self.block, self.array_block = empty_block(), empty_block()
+        self.block, self.mla_block = empty_block(), empty_block()
         self.numbers = np.zeros(BLOCK, np.int64)
         self.unasked = np.zeros(0, np.int32)
         self.embree_seconds = 0.0
@@ -200,7 +200,7 @@ class Workspace:
     def advance(self, station: int) -> None:
         """Process the next wave of a station: the top of its stack, at most a chunk."""
         tables, options = self.tables, self.options
-        frames, lens, array = tables.frames, tables.lens, tables.array
+        frames, lens, mla = tables.frames, tables.lens, tables.mla
         lens_surfaces = len(lens.surfaces)
         origins, directions = self.origins, self.directions
         count = min(int(self.tops[station]), self.chunk)
@@ -208,28 +208,26 @@ class Workspace:
         flow = self.flow()
         wave = self._take(station, count)
         if options.sequential and station in (LENS, PLATE):
-            follow_image_path(wave, station, lens, array, frames, self.bundle, self.numbers, options, flow)
+            follow_image_path(wave, station, lens, mla, frames, self.bundle, self.numbers, options, flow)
         elif station == LENS and options.in_order:
             count = admit_to_lens(wave, origins, directions, lens, frames, options, flow, False)
             wave = wave[:count]
             self._sample(wave)
-            shade_lens(wave, self.unasked, self.block, self.numbers, lens, array.present, frames, options, flow, True)
+            shade_lens(wave, self.unasked, self.block, self.numbers, lens, mla.present, frames, options, flow, True)
         elif station in (LENS, LENS_MESH):
             count = admit_to_lens(wave, origins, directions, lens, frames, options, flow, True)
             found = self._find(LENS, count)
             wave = wave[:count]
-            shade_lens(wave, found, self.block, self.numbers, lens, array.present, frames, options, flow, False)
+            shade_lens(wave, found, self.block, self.numbers, lens, mla.present, frames, options, flow, False)
         elif station in (CELLS, CELLS_MESH):
             in_order = station == CELLS and options.in_order and options.surface == EXACT
             if in_order:
                 self._sample(wave)
                 found = self.unasked
             else:
-                admit_to_cells(wave, origins, directions, array)
+                admit_to_cells(wave, origins, directions, mla)
                 found = self._find(CELLS, count)
-            shade_cells(
-                wave, found, self.array_block, self.numbers, array, frames, lens_surfaces, options, flow, in_order
-            )
+            shade_cells(wave, found, self.mla_block, self.numbers, mla, frames, lens_surfaces, options, flow, in_order)
         elif station == OBJECTS:
             admit_to_objects(wave, origins, directions, frames)
             found = self._find(OBJECTS, count)
@@ -237,9 +235,9 @@ class Workspace:
         elif station == EMITTERS:
             ask_emitters(wave, tables.objects, options, flow)
         elif station == PLATE:
-            through_plate(wave, self.array_block, self.numbers, array, frames, lens_surfaces, options, flow)
+            through_plate(wave, self.mla_block, self.numbers, mla, frames, lens_surfaces, options, flow)
         elif tables.sensor.reflectance > 0.0:
-            onto_reflecting_sensor(wave, tables.sensor, array.present, lens_surfaces, frames, options, flow)
+            onto_reflecting_sensor(wave, tables.sensor, mla.present, lens_surfaces, frames, options, flow)
         else:
             onto_sensor(wave, tables.sensor, frames, options, flow)
 

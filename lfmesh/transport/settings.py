@@ -45,7 +45,7 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
         first_source=0,
         in_order=not tracing
         and transport.engine != "mesh"
-        and (bool(tables.lens.ordered.any()) or (tables.array.present and transport.surface == "exact")),
+        and (bool(tables.lens.ordered.any()) or (tables.mla.present and transport.surface == "exact")),
     )
     return options._replace(**override)
 

@@ -19,11 +19,11 @@ from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
 from lfmesh.transport.packets.packet import (
-    ARRAY_FRAME,
     CAMERA_FRAME,
     COUNTERS,
     END,
     LENS,
+    MLA_FRAME,
     NODE,
     OBJECTS,
     PLATE,
@@ -273,7 +273,7 @@ def at_wavelength(world: World, wavelength_nm: float) -> Tables:
     interfaces = interface_tables(world.scene, (wavelength_nm,), world.book)
     return tables._replace(
         lens=tables.lens._replace(media=media, interfaces=interfaces.lens),
-        array=tables.array._replace(media=media, interfaces=interfaces.array),
+        mla=tables.mla._replace(media=media, interfaces=interfaces.mla),
         objects=tables.objects._replace(media=media, interfaces=interfaces.objects),
     )
 
@@ -282,7 +282,7 @@ def _at_level(world: World, tables: Tables, level: int) -> Tables:
     """Return the tables with another surface level for the analytic surfaces."""
     surfaces = tables.lens.surfaces.copy()
     surfaces["level"][world.lens_shape.analytic] = level
-    bare = not len(tables.lens.patches) or (tables.array.present and not len(tables.array.patches))
+    bare = not len(tables.lens.patches) or (tables.mla.present and not len(tables.mla.patches))
     if level == PATCH and bare:
         raise LfmeshError('surface = "patch": build the scene with transport.surface = "patch" for that')
     return tables._replace(lens=tables.lens._replace(surfaces=surfaces))
@@ -323,16 +323,16 @@ def located(
     station[inside] = LENS
     outline = np.hypot(world.housing.vertices[:, 0], world.housing.vertices[:, 1]).max()
     after = (behind == count) & (p[:, 2] < world.housing.vertices[:, 2].max()) & (r < outline)
-    if tables.array.present:
-        q = frame.points(tables.frames[CAMERA_FRAME, ARRAY_FRAME], p)
-        e = frame.directions(tables.frames[CAMERA_FRAME, ARRAY_FRAME], d)
-        lenslets = tables.array.lenslets
+    if tables.mla.present:
+        q = frame.points(tables.frames[CAMERA_FRAME, MLA_FRAME], p)
+        e = frame.directions(tables.frames[CAMERA_FRAME, MLA_FRAME], d)
+        lenslets = tables.mla.lenslets
         within = after & (q[:, 2] > lenslets.top) & (q[:, 2] < lenslets.thickness)
         if within.any():
             number = np.flatnonzero(within)[0] if numbers is None else numbers[within][0]
             raise LfmeshError(f"ray {int(number)} starts inside the microlens array; start it before or behind")
         towards = (q[:, 2] <= lenslets.top) == (e[:, 2] > 0.0)
-        lens_side = (q[:, 2] <= lenslets.top) == tables.array.curved_to_lens
+        lens_side = (q[:, 2] <= lenslets.top) == tables.mla.curved_to_lens
         station[after] = np.where(towards, PLATE, np.where(lens_side, LENS, SENSOR))[after]
     else:
         forward = frame.directions(tables.frames[CAMERA_FRAME, SENSOR_FRAME], d)[:, 2] > 0.0

@@ -12,7 +12,7 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.division import divided
 from lfmesh.geometry.element_poses import pose_of
 from lfmesh.geometry.lens_shape import LensShape
-from lfmesh.geometry.lenslets import array_mesh
+from lfmesh.geometry.lenslets import mla_mesh
 from lfmesh.geometry.mesh import Array, Mesh, joined
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.geometry.surface import sag, surface
@@ -27,11 +27,11 @@ from lfmesh.transport.aiming.aim_table import aim_table, unaimed
 from lfmesh.transport.collisions import refuse_collisions
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.packets.packet import (
-    ARRAY_FRAME,
     CAMERA_FRAME,
     ENDS_AT,
     FACES,
     FACES_AT,
+    MLA_FRAME,
     SENSOR_FRAME,
     WORLD_FRAME,
 )
@@ -39,7 +39,7 @@ from lfmesh.transport.refused_glass import refuse_untraceable_glass
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.interfaces import coatings_in_book, interface_tables
-from lfmesh.transport.tables.lens import array_tables, lens_tables
+from lfmesh.transport.tables.lens import lens_tables, mla_tables
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, refuse_targets_inside
 from lfmesh.transport.tables.surroundings import Surroundings, surroundings_of
@@ -89,7 +89,7 @@ class World:
         """Names that `mesh` takes: "lens[0]", ..., "mount", "stop", "mla", "sensor", "housing", "targets[0]", ..."""
         names = [f"lens[{i}]" for i in range(len(self.lens_shape.elements))]
         names += ["mount"] if self._mounts() else []
-        names += ["stop"] + (["mla"] if self.tables.array.present else []) + ["sensor", "housing"]
+        names += ["stop"] + (["mla"] if self.tables.mla.present else []) + ["sensor", "housing"]
         return names + [f"targets[{i}]" for i in range(len(self.targets))]
 
     def mesh(self, name: str) -> "trimesh.Trimesh":
@@ -115,7 +115,7 @@ class World:
             ),
             "stop": lambda: self._in_world(self._stop(), self.tables.frames[CAMERA_FRAME, WORLD_FRAME]),
             "mla": lambda: self._in_world(
-                array_mesh(self.tables.array.lenslets), self.tables.frames[ARRAY_FRAME, WORLD_FRAME]
+                mla_mesh(self.tables.mla.lenslets), self.tables.frames[MLA_FRAME, WORLD_FRAME]
             ),
             "sensor": lambda: self._in_world(self._sensor(), self.tables.frames[SENSOR_FRAME, WORLD_FRAME]),
             "housing": lambda: self._in_world(self.housing.solid(), self.tables.frames[CAMERA_FRAME, WORLD_FRAME]),
@@ -219,10 +219,10 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
 
     interfaces, known = interface_tables(scene, wavelengths_nm, book), MediumList.of(scene)
     lens_mesh, lens = lens_tables(scene, shape, wavelengths_nm, book, interfaces.lens, known)
-    array_mesh_, array = array_tables(scene, wavelengths_nm, interfaces.array, known)
+    mla_mesh_, mla = mla_tables(scene, wavelengths_nm, interfaces.mla, known)
     middle = middle_of(targets)
     moves = frame_table(scene, middle)
-    refuse_collisions(scene, lens, array, moves)
+    refuse_collisions(scene, lens, mla, moves)
     housing = housing_mesh(scene, shape)
     refuse_targets_inside(targets, housing, moves)
     ranks = refuse_untraceable_glass(
@@ -235,7 +235,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
     aim, proof = unaimed(scene, lens), None
     if aimed:
-        aim, proof = aim_table(scene, report, lens, array, sensor, targets, moves, analytic=bool(shape.analytic.all()))
-    tables = Tables(lens=lens, array=array, sensor=sensor, objects=objects, frames=moves, aim=aim)
-    finders = (Finder(lens_mesh), Finder(array_mesh_), Finder(*divided(object_mesh, objects.facets["body"])))
+        aim, proof = aim_table(scene, report, lens, mla, sensor, targets, moves, analytic=bool(shape.analytic.all()))
+    tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=aim)
+    finders = (Finder(lens_mesh), Finder(mla_mesh_), Finder(*divided(object_mesh, objects.facets["body"])))
     return World(scene, report, tables, finders, book, shape, targets, housing, proof)

@@ -17,7 +17,7 @@ from lfmesh.files.preview import displayed
 from lfmesh.geometry import frame as frames
 from lfmesh.lightfield.upright import Upright
 from lfmesh.scene import Scene, load
-from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.world import World, build
 from lfmesh.view.rays.launch import field_points, launch
@@ -238,5 +238,5 @@ def pixels_on_array(rays: Rays) -> tuple[float, float]:
     x = (column - 0.5 * (sensor.columns - 1)) * sensor.pixel
     y = (row - 0.5 * (sensor.rows - 1)) * sensor.pixel
     to_camera = world.tables.frames[SENSOR_FRAME, CAMERA_FRAME]
-    at = frames.points(world.tables.frames[CAMERA_FRAME, ARRAY_FRAME], frames.points(to_camera, [[x, y, 0.0]]))[0]
+    at = frames.points(world.tables.frames[CAMERA_FRAME, MLA_FRAME], frames.points(to_camera, [[x, y, 0.0]]))[0]
     return float(at[0]), float(at[1])

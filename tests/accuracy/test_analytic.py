@@ -197,11 +197,11 @@ def test_a_pose_turns_about_x_then_y_then_z_and_shifts() -> None:
     turn = Rotation.from_euler("xyz", pose["tilt_deg"], degrees=True).as_matrix()
     still = analytic.Camera.of(scene, 587.6)
     moved = analytic.Camera.of(scene.changed({"camera.mla.pose": pose, "camera.sensor.pose": pose}), 587.6)
-    assert still.array is not None
-    assert moved.array is not None
-    np.testing.assert_allclose(moved.array.turn, turn, atol=1e-15)
+    assert still.mla is not None
+    assert moved.mla is not None
+    np.testing.assert_allclose(moved.mla.turn, turn, atol=1e-15)
     np.testing.assert_allclose(moved.sensor_turn, turn, atol=1e-15)
-    np.testing.assert_allclose(moved.array.origin - still.array.origin, pose["shift_mm"], atol=1e-13)
+    np.testing.assert_allclose(moved.mla.origin - still.mla.origin, pose["shift_mm"], atol=1e-13)
     np.testing.assert_allclose(moved.sensor_origin - still.sensor_origin, pose["shift_mm"], atol=1e-13)
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry.lattice import Lattice, neighbour
-from lfmesh.geometry.lenslets import array_mesh, cap_sag, cell_mesh, cell_pattern, lenslets, shape_of, type_of
+from lfmesh.geometry.lenslets import cap_sag, cell_mesh, cell_pattern, lenslets, mla_mesh, shape_of, type_of
 from lfmesh.geometry.mesh import facet_normals
 
 SQUARE = Lattice(False, 0.125, 5, 4)
@@ -66,7 +66,7 @@ def test_an_array_of_equal_lenslets_is_one_closed_shell_of_the_right_volume(latt
     truth = lattice.rows * lattice.columns * (0.3 * lattice.cell_area - volume_under_cap(lattice, radius))
     errors = []
     for subdivisions in (4, 8, 16):
-        solid = array_mesh(of, subdivisions)
+        solid = mla_mesh(of, subdivisions)
         assert solid.is_watertight
         assert solid.is_winding_consistent
         assert solid.is_volume
@@ -84,7 +84,7 @@ def test_an_array_of_equal_lenslets_is_one_closed_shell_of_the_right_volume(latt
 def test_unlike_lenslets_are_closed_prisms_side_by_side(lattice, radii, errors):
     of = lenslets(lattice, np.array(radii), 0.3, seed=3, **errors)
     assert not of.alike
-    solid = array_mesh(of)
+    solid = mla_mesh(of)
     assert solid.is_watertight
     assert solid.is_winding_consistent
     assert solid.is_volume

@@ -344,7 +344,7 @@ def whole_of(world):
     centre, kind = cell_centres(mla.layout, pitch)
     radius = np.array(mla.radius_mm)[kind if mla.types > 1 else np.zeros(64, int)]
     apex = np.zeros((64, 2))
-    drawn = world.tables.array.lenslets
+    drawn = world.tables.mla.lenslets
     if mla.form.decenter_mm:
         apex = drawn.decentre
     if mla.form.radius_error:

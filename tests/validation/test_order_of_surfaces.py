@@ -19,7 +19,7 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.lenslets import Lenslets
 from lfmesh.scene import load_lens
 from lfmesh.transport.engine import Workspace
-from lfmesh.transport.packets.packet import ARRAY_FRAME, BOTH, LENS, PLATE, WORLD_FRAME, Options
+from lfmesh.transport.packets.packet import BOTH, LENS, MLA_FRAME, PLATE, WORLD_FRAME, Options
 from lfmesh.transport.render import order_check
 from lfmesh.transport.render.order_check import LARGEST_MM, OrderCheck, compare
 from lfmesh.transport.render.render import Renderer
@@ -302,7 +302,7 @@ def rays_at_the_array(world: World, count: int, seed: int) -> RaySource:
     change weights near the critical angle by more than 1e-12.
     """
     draw = np.random.default_rng(seed)
-    lenslets, frames = world.tables.array.lenslets, world.tables.frames
+    lenslets, frames = world.tables.mla.lenslets, world.tables.frames
     half = 1.1 * np.array(lenslets.lattice.half_extent)
     behind = draw.random(count) < 0.5
     depth = 10.0 ** draw.uniform(-2.5, -1.0, count)
@@ -310,7 +310,7 @@ def rays_at_the_array(world: World, count: int, seed: int) -> RaySource:
     to = np.column_stack([draw.uniform(-1.0, 1.0, (count, 2)) * half, np.where(behind, lenslets.thickness, 0.0)])
     before = np.where(behind, lenslets.thickness + depth, lenslets.top - depth)
     start = np.column_stack([to[:, :2] + aside, before])
-    start, to = (frame.points(frames[ARRAY_FRAME, WORLD_FRAME], p) for p in (start, to))
+    start, to = (frame.points(frames[MLA_FRAME, WORLD_FRAME], p) for p in (start, to))
     d = to - start
     for _ in range(2):
         d /= np.linalg.norm(d, axis=1, keepdims=True)
@@ -320,7 +320,7 @@ def rays_at_the_array(world: World, count: int, seed: int) -> RaySource:
 def array_packets(world: World, count: int, seed: int) -> tuple[NDArray[np.void], Options]:
     """Return packets that wait in the cells of the array."""
     packets, options = waiting_packets(world, 4 * count, seed, rays_at_the_array(world, 4 * count, seed))
-    return packets[packets["frame"] == ARRAY_FRAME][:count], options
+    return packets[packets["frame"] == MLA_FRAME][:count], options
 
 
 @pytest.mark.parametrize("name", ARRAYS)
@@ -353,8 +353,8 @@ def test_a_wrong_cell_is_told(spoil: Any, monkeypatch: pytest.MonkeyPatch) -> No
     world = world_with_array()
     packets, options = array_packets(world, 20_000, seed=5)
     assert compare(world, options, world.tables, packets).holds
-    array = world.tables.array
-    spoiled = world.tables._replace(array=array._replace(lenslets=spoil(array.lenslets)))
+    array = world.tables.mla
+    spoiled = world.tables._replace(mla=array._replace(lenslets=spoil(array.lenslets)))
 
     def spoiled_in_order(world: World, options: Options, chunk: int, tables: Any) -> Workspace:
         return Workspace(world, options, chunk, spoiled if options.in_order else tables)

@@ -31,8 +31,8 @@ from lfmesh.transport.aiming.lenslet_aim import (
 )
 from lfmesh.transport.aiming.lenslet_view import RINGS, fitted_views, unmeasured_light, with_wider_cells
 from lfmesh.transport.aiming.pupil import Viewpoints, opening_from, unknown_opening
-from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
-from lfmesh.transport.sequential.image_path import through_array
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
+from lfmesh.transport.sequential.image_path import through_mla
 from lfmesh.transport.sequential.lens_bundle import (
     BLOCK,
     DX,
@@ -50,7 +50,7 @@ from lfmesh.transport.sequential.lens_bundle import (
     pad,
     through_surface,
 )
-from lfmesh.transport.tables.tables import AimTables, ArrayTables, LensTables, Opening, SensorTables
+from lfmesh.transport.tables.tables import AimTables, LensTables, MlaTables, Opening, SensorTables
 
 Array = NDArray[np.float64]
 
@@ -163,7 +163,7 @@ class CameraTables(NamedTuple):
     """Tables of the camera that rays from the stop go through."""
 
     lens: LensTables
-    array: ArrayTables
+    mla: MlaTables
     sensor: SensorTables
     frames: Array
 
@@ -190,7 +190,7 @@ def proven(aim: AimTables, through: CameraTables, seen: Viewpoints | None) -> tu
         rays = _rays_from_stop(through, reach, random)
         if not len(rays.throughput):
             return aim, None
-        if attempt == 0 and through.array.present and aim.search > FEW_CELLS:
+        if attempt == 0 and through.mla.present and aim.search > FEW_CELLS:
             aim = _fitted(aim, through, rays)
             continue
         behind, before = _beyond_sensor_aim(aim, through, rays), _beyond_object_aim(aim, seen, rays, random)
@@ -199,12 +199,12 @@ def proven(aim: AimTables, through: CameraTables, seen: Viewpoints | None) -> tu
         )
         if proof.holds or attempt == ATTEMPTS - 1:
             break
-        if through.array.present:
+        if through.mla.present:
             aim = _fitted(aim, through, rays)
         else:
             aim = aim._replace(exit=_widened(aim.exit, behind, rays.throughput))
         aim = aim._replace(entrance=_widened(aim.entrance, before, rays.throughput))
-    if through.array.present and len(rays.throughput) >= FEWEST:
+    if through.mla.present and len(rays.throughput) >= FEWEST:
         off, radius, _ = _seen_from_cells(aim, through, rays)
         aim = aim._replace(shown=_shown(off / radius, rays.throughput))
     return aim, proof
@@ -244,7 +244,7 @@ def decentred(entrance: Opening, exit_: Opening, through: CameraTables) -> tuple
         With poses.
     """
     random = np.random.default_rng(0x905E)
-    bare = through._replace(array=through.array._replace(present=False))
+    bare = through._replace(mla=through.mla._replace(present=False))
     reach = _reach(bare, random)
     if reach == 0.0:
         return entrance, exit_
@@ -316,11 +316,11 @@ def _off_centre(p: Array, d: Array, opening: Opening, off: Array) -> None:
 
 def _fitted(aim: AimTables, through: CameraTables, rays: Rays) -> AimTables:
     """Return the aim with the lenslets' views and cell margins as wide as the rays need."""
-    array, weight = through.array, rays.throughput
+    mla, weight = through.mla, rays.throughput
     off, radius, out = _seen_from_cells(aim, through, rays)
     needed = MARGIN * _above(off / radius, weight)
-    aim = fitted_views(aim, array, through.frames, through.sensor, needed, MARGIN * _above(off, weight))
-    return with_wider_cells(aim, array, max(1.0, MARGIN * _above(out, weight)))
+    aim = fitted_views(aim, mla, through.frames, through.sensor, needed, MARGIN * _above(off, weight))
+    return with_wider_cells(aim, mla, max(1.0, MARGIN * _above(out, weight)))
 
 
 def _missed(beyond: Array, throughput: Array) -> Missed:
@@ -386,7 +386,7 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
     """
     lens, sensor = through.lens, through.sensor
     space, z, aperture, depth, pose = _stop_of(lens)
-    moves = through.frames[ARRAY_FRAME if through.array.present else SENSOR_FRAME, CAMERA_FRAME]
+    moves = through.frames[MLA_FRAME if through.mla.present else SENSOR_FRAME, CAMERA_FRAME]
     centre_x, centre_y = through.frames[SENSOR_FRAME, CAMERA_FRAME][:2, 3]
     height, angle = _to_plane(lens, space, z, float(moves[2, 3]))
     out, turn = np.sqrt(random.random(len(place))), 2.0 * np.pi * random.random(len(place))
@@ -409,7 +409,7 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
         x_, y_, tx_, ty_ = (np.ascontiguousarray(a[mine]) for a in (x, y, tx, ty))
         one_way, other_way = np.zeros((len(x_), 6)), np.zeros((len(x_), 7))
         _follow_both_ways(
-            x_, y_, tx_, ty_, z, start, space, pose, colour, lens, through.array, through.frames, empty_bundle(),
+            x_, y_, tx_, ty_, z, start, space, pose, colour, lens, through.mla, through.frames, empty_bundle(),
             one_way, other_way,
         )  # fmt: skip
         to_sensor[mine], to_objects[mine], of_colour[mine] = one_way, other_way, colour
@@ -450,7 +450,7 @@ def _stop_of(lens: LensTables) -> tuple[int, float, float, float, Array]:
 @kernel
 def _follow_both_ways(
     x: Array, y: Array, tx: Array, ty: Array, z: float, start: float, space: int, pose: Array, colour: int,
-    lens: LensTables, array: ArrayTables, frames: Array, bundle: Array, to_sensor: Array, to_objects: Array,
+    lens: LensTables, mla: MlaTables, frames: Array, bundle: Array, to_sensor: Array, to_objects: Array,
 ) -> None:  # fmt: skip
     """Trace rays through points of a plane in a space of the lens to the sensor and to object space.
 
@@ -491,8 +491,8 @@ def _follow_both_ways(
                 normalise(bundle)
                 _keep_object_side(bundle, count, first, to_objects)
                 continue
-            if array.present:
-                through_array(bundle, count, array, colour, frames, True)
+            if mla.present:
+                through_mla(bundle, count, mla, colour, frames, True)
             normalise(bundle)
             move_bundle(bundle, frames[CAMERA_FRAME, SENSOR_FRAME])
             _keep_sensor_side(bundle, count, first, to_sensor)
@@ -523,11 +523,11 @@ def _beyond_sensor_aim(aim: AimTables, through: CameraTables, rays: Rays) -> Arr
     With an array the factor is 0 for rays in the aim and inf for all others.
     """
     beyond = np.zeros(len(rays.throughput))
-    if not through.array.present:
+    if not through.mla.present:
         _beyond_exit(rays.sensor, aim.exit, through.frames, beyond)
         return beyond
     near, cells = np.zeros((most_listed(aim) + 1, LISTED)), np.zeros((2, most_listed(aim) + 1), np.int64)
-    _outside_cells(rays.sensor, rays.colour, aim, through.array, through.sensor, through.frames, near, cells, beyond)
+    _outside_cells(rays.sensor, rays.colour, aim, through.mla, through.sensor, through.frames, near, cells, beyond)
     return beyond
 
 
@@ -542,7 +542,7 @@ def _seen_from_cells(aim: AimTables, through: CameraTables, rays: Rays) -> tuple
         Distance from the centre of the cell, relative to half the cell as it is aimed at.
     """
     off, radius, out = (np.zeros(len(rays.throughput)) for _ in range(3))
-    _measure_in_cells(rays.sensor, rays.colour, aim, through.array, through.frames, off, radius, out)
+    _measure_in_cells(rays.sensor, rays.colour, aim, through.mla, through.frames, off, radius, out)
     return off, radius, out
 
 
@@ -591,7 +591,7 @@ def _off_disk(opening: Opening, x: float, y: float, z: float, dx: float, dy: flo
 
 @kernel
 def _outside_cells(
-    rays: Array, colour: NDArray[np.int64], aim: AimTables, array: ArrayTables, sensor: SensorTables, frames: Array,
+    rays: Array, colour: NDArray[np.int64], aim: AimTables, mla: MlaTables, sensor: SensorTables, frames: Array,
     near: Array, cells: NDArray[np.int64], outside: Array,
 ) -> None:  # fmt: skip
     """Write inf for each ray (n, 5) along which no aimed path can start, from the pixel that it falls on."""
@@ -599,42 +599,42 @@ def _outside_cells(
         column = min(max(np.floor(rays[i, 0] / sensor.pixel + 0.5 * sensor.columns), 0), sensor.columns - 1)
         row = min(max(np.floor(rays[i, 1] / sensor.pixel + 0.5 * sensor.rows), 0), sensor.rows - 1)
         x, y = (column + 0.5 - 0.5 * sensor.columns) * sensor.pixel, (row + 0.5 - 0.5 * sensor.rows) * sensor.pixel
-        px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
-        glass = glass_before_faces(array, colour[i])
-        listed = list_cells(array, aim, glass, px, py, pz, HALF_DIAGONAL * sensor.pixel, near)
-        x, y, z = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, rays[i, 0], rays[i, 1], 0.0)
-        dx, dy, dz = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
+        px, py, pz = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
+        glass = glass_before_faces(mla, colour[i])
+        listed = list_cells(mla, aim, glass, px, py, pz, HALF_DIAGONAL * sensor.pixel, near)
+        x, y, z = move_point(frames, SENSOR_FRAME, MLA_FRAME, rays[i, 0], rays[i, 1], 0.0)
+        dx, dy, dz = move_direction(frames, SENSOR_FRAME, MLA_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
         maybe, _, _, _ = cells_that_show(aim, near, listed, cells, x, y, z)
-        on_faces, drawn = spread_on_faces(array, aim, glass, near, cells, maybe, x, y, z, dx, dy, dz)
+        on_faces, drawn = spread_on_faces(mla, aim, glass, near, cells, maybe, x, y, z, dx, dy, dz)
         if not on_faces + drawn > 0.0:
             outside[i] = np.inf
 
 
 @kernel
 def _measure_in_cells(
-    rays: Array, colour: NDArray[np.int64], aim: AimTables, array: ArrayTables, frames: Array,
+    rays: Array, colour: NDArray[np.int64], aim: AimTables, mla: MlaTables, frames: Array,
     off: Array, radius: Array, out: Array,
 ) -> None:  # fmt: skip
     """Write the results of `_seen_from_cells`; a ray close to a border is measured in the likelier of the cells."""
-    lattice = array.lenslets.lattice
+    lattice = mla.lenslets.lattice
     half = 0.5 * lattice.pitch + aim.cell_margin
     for i in range(len(off)):
-        x, y, z = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, rays[i, 0], rays[i, 1], 0.0)
-        dx, dy, dz = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
-        over, glass = 1.0 / abs(z - aim.lenslet_z), glass_before_faces(array, colour[i])
-        air, depth, growth = path_to_apexes(array, z)
+        x, y, z = move_point(frames, SENSOR_FRAME, MLA_FRAME, rays[i, 0], rays[i, 1], 0.0)
+        dx, dy, dz = move_direction(frames, SENSOR_FRAME, MLA_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
+        over, glass = 1.0 / abs(z - aim.lenslet_z), glass_before_faces(mla, colour[i])
+        air, depth, growth = path_to_apexes(mla, z)
         sx, sy = dx / abs(dz), dy / abs(dz)
         q = np.sqrt(glass * glass + (glass * glass - 1.0) * (sx * sx + sy * sy))
         gx, gy = growth * sx / q, growth * sy / q
         px, py = x + sx * air + sx / q * depth, y + sy * air + sy / q * depth
-        middle = 0.5 * (array.lenslets.top + array.lenslets.valley)
+        middle = 0.5 * (mla.lenslets.top + mla.lenslets.valley)
         column, row = cell_of(lattice, px + gx * middle, py + gy * middle)
         off[i], radius[i], out[i] = np.inf, 1.0, np.inf
         for r in range(max(row - 2, 0), min(row + 3, lattice.rows)):
             for c in range(max(column - 2, 0), min(column + 3, lattice.columns)):
                 cell = r * lattice.columns + c
                 cx, cy = centre(lattice, c, r)
-                curvature, ex, ey = shape_of(array.lenslets, c, r)
+                curvature, ex, ey = shape_of(mla.lenslets, c, r)
                 met, ax, ay, _, _ = on_face(curvature, px - cx - ex, py - cy - ey, gx, gy)
                 a, b = (cx - x) * over - aim.slope[cell, 0], (cy - y) * over - aim.slope[cell, 1]
                 slope, place = np.sqrt(a * a + b * b), half_width_to(lattice, ax + ex, ay + ey) / half

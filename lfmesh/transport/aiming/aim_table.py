@@ -18,11 +18,11 @@ from lfmesh.transport.aiming.aim_proof import AimProof, CameraTables, decentred,
 from lfmesh.transport.aiming.lenslet_view import aim_through_lenslets, apex_z, grid, unmeasured_light
 from lfmesh.transport.aiming.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
 from lfmesh.transport.aiming.pupil import paraxial_opening, real_opening, unknown_opening, viewpoints
-from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.tables import (
     AimTables,
-    ArrayTables,
     LensTables,
+    MlaTables,
     Opening,
     SensorTables,
 )
@@ -41,7 +41,7 @@ def aim_table(
     scene: Scene,
     report: FirstOrder,
     lens: LensTables,
-    array: ArrayTables,
+    mla: MlaTables,
     sensor: SensorTables,
     targets: list[TargetMesh],
     moves: Array,
@@ -54,7 +54,7 @@ def aim_table(
     ----------
     scene : Scene
     report : FirstOrder
-    lens, array, sensor
+    lens, mla, sensor
         Tables of the scene.
     targets : list of TargetMesh
         World frame.
@@ -66,12 +66,12 @@ def aim_table(
     seen = np.concatenate(
         [frame.points(moves[WORLD_FRAME, CAMERA_FRAME], t.mesh.vertices) for t in targets] or [np.zeros((0, 3))]
     )
-    key = digest(scene.camera, scene.transport.split, report, lens, array, sensor, seen, moves, analytic)
+    key = digest(scene.camera, scene.transport.split, report, lens, mla, sensor, seen, moves, analytic)
     with _access:
         if key in _kept:
             _kept.move_to_end(key)
             return _kept[key]
-    found = _found(scene, report, lens, array, sensor, seen, moves, analytic)
+    found = _found(scene, report, lens, mla, sensor, seen, moves, analytic)
     with _access:
         _kept[key] = found
         while len(_kept) > KEPT:
@@ -94,7 +94,7 @@ def digest(*values: Any) -> bytes:
 
 
 def _found(
-    scene: Scene, report: FirstOrder, lens: LensTables, array: ArrayTables, sensor: SensorTables, seen: Array,
+    scene: Scene, report: FirstOrder, lens: LensTables, mla: MlaTables, sensor: SensorTables, seen: Array,
     moves: Array, analytic: bool,
 ) -> tuple[AimTables, AimProof | None]:  # fmt: skip
     """Return the result of `aim_table`, for targets given by points (n, 3), camera frame."""
@@ -103,21 +103,21 @@ def _found(
     front_radius = widest_disk(lens, seen, front=True)
     back_radius = widest_disk(lens, behind, front=False)
     glass = 1.0
-    if array.present and scene.camera.mla is not None:
+    if mla.present and scene.camera.mla is not None:
         glass = refractive_index(scene.camera.mla.medium, report.wavelength_nm)
-        lattice = array.lenslets.lattice
-        apexes = grid(*lattice.half_extent, apex_z(array, glass)[1])
-        behind = frame.points(moves[ARRAY_FRAME, CAMERA_FRAME], apexes)
+        lattice = mla.lenslets.lattice
+        apexes = grid(*lattice.half_extent, apex_z(mla, glass)[1])
+        behind = frame.points(moves[MLA_FRAME, CAMERA_FRAME], apexes)
     from_targets = viewpoints(float(lens.box_low[2]), front_radius, seen, to_sensor=True)
     posed = has_poses(lens)
     entrance = opening_seen(report, lens, seen, front_radius, analytic, front=True)
     exit_ = opening_seen(report, lens, behind, back_radius, analytic, front=False)
-    through = CameraTables(lens, array, sensor, moves)
+    through = CameraTables(lens, mla, sensor, moves)
     if posed:
         # Poses move the disks of the openings; the proof widens them.
         entrance, exit_ = decentred(entrance, exit_, through)
     aim = before_array(scene, (entrance, exit_), (front_radius, back_radius))
-    aim = aim_through_lenslets(scene, report, array, aim, moves, glass) if array.present else aim
+    aim = aim_through_lenslets(scene, report, mla, aim, moves, glass) if mla.present else aim
     if not analytic:
         # The surfaces that fit the meshes tell how much wider poses make the openings, but prove nothing.
         return (proven(aim, through, from_targets)[0] if posed else aim), None

@@ -22,7 +22,7 @@ from lfmesh.geometry.lenslets import shape_of
 from lfmesh.kernel import inlined, kernel, pasted
 from lfmesh.optics.scattering import lambertian
 from lfmesh.transport.packets.random import derived, uniform
-from lfmesh.transport.tables.tables import AimTables, ArrayTables
+from lfmesh.transport.tables.tables import AimTables, MlaTables
 
 Array = NDArray[np.float64]
 
@@ -151,13 +151,13 @@ def role_of(sample: int, shares: Allotment, chance: float) -> int:
 
 @pasted
 def list_cells(
-    array: ArrayTables, aim: AimTables, glass: float, x: float, y: float, z: float, reach: float, near: Array
+    mla: MlaTables, aim: AimTables, glass: float, x: float, y: float, z: float, reach: float, near: Array
 ) -> int:  # fmt: skip
     """List the lenslets that may show the lens's opening to points of the sensor near a given one.
 
     Parameters
     ----------
-    array : ArrayTables
+    mla : MlaTables
     aim : AimTables
     glass : float
         See `glass_before_faces`.
@@ -175,7 +175,7 @@ def list_cells(
     int
         Number of lenslets listed.
     """
-    lattice = array.lenslets.lattice
+    lattice = mla.lenslets.lattice
     over = 1.0 / abs(z - aim.lenslet_z)
     kappa = aim.pupil_vergence
     # Where the chief ray meets the array.
@@ -196,10 +196,10 @@ def list_cells(
             near[count, 5], near[count, 6] = c, r
             count += a * a + b * b <= limit * limit and radius2 >= 0.0
     for i in range(count):
-        near[i, 5], near[i, 6], near[i, 7] = shape_of(array.lenslets, int(near[i, 5]), int(near[i, 6]))
+        near[i, 5], near[i, 6], near[i, 7] = shape_of(mla.lenslets, int(near[i, 5]), int(near[i, 6]))
         near[i, SOLID_ANGLE] = 1.0
     if aim.search > ALIKE:
-        air, plate, _ = path_to_apexes(array, z)
+        air, plate, _ = path_to_apexes(mla, z)
         for i in range(count):
             dx, dy = near[i, 0] - x, near[i, 1] - y
             near[i, SOLID_ANGLE] = solid_angle(np.sqrt(dx * dx + dy * dy), air, plate, glass)
@@ -231,36 +231,36 @@ def solid_angle(r: float, air: float, plate: float, glass: float) -> float:
 
 
 @inlined
-def glass_before_faces(array: ArrayTables, colour: int) -> float:
+def glass_before_faces(mla: MlaTables, colour: int) -> float:
     """Return the refractive index of the plate between the sensor and the lenslets' faces; 1 without a plate."""
-    return array.media.indices[array.medium, colour] if array.curved_to_lens else 1.0
+    return mla.media.indices[mla.medium, colour] if mla.curved_to_lens else 1.0
 
 
 @inlined
-def path_to_apexes(array: ArrayTables, z: float) -> tuple[float, float, float]:
+def path_to_apexes(mla: MlaTables, z: float) -> tuple[float, float, float]:
     """Return the thickness of air and of glass (mm) between the height z over the array and the lenslets' apexes.
 
     The third value is the change of the glass thickness by the sag of the face. Without glass in between, it applies to
     the air, which then counts as glass of index 1.
     """
-    if array.curved_to_lens:
-        return abs(z - array.lenslets.thickness), array.lenslets.thickness, -1.0
+    if mla.curved_to_lens:
+        return abs(z - mla.lenslets.thickness), mla.lenslets.thickness, -1.0
     return abs(z), 0.0, 1.0
 
 
 @inlined
-def lenslet_ahead(array: ArrayTables, glass: float, z: float) -> float:
+def lenslet_ahead(mla: MlaTables, glass: float, z: float) -> float:
     """Return the solid angle of a lenslet straight ahead, sr, seen from the height z (array frame).
 
     Parameters
     ----------
-    array : ArrayTables
+    mla : MlaTables
     glass : float
         See `glass_before_faces`.
     z : float, mm
     """
-    lattice = array.lenslets.lattice
-    air, plate, _ = path_to_apexes(array, z)
+    lattice = mla.lenslets.lattice
+    air, plate, _ = path_to_apexes(mla, z)
     reduced = air + plate / glass
     filled = ROW_SPACING if lattice.hexagonal else 1.0
     return filled * lattice.pitch * lattice.pitch / (reduced * reduced)
@@ -340,7 +340,7 @@ def spread_on_face(air: float, plate: float, glass: float, s2: float, q2: float,
 
 @pasted
 def through_a_lenslet(
-    array: ArrayTables, aim: AimTables, glass: float, normal: tuple[float, float, float], near: Array, listed: int,
+    mla: MlaTables, aim: AimTables, glass: float, normal: tuple[float, float, float], near: Array, listed: int,
     cells: NDArray[np.int64], numbers: Numbers, sample: int, shares: Allotment, x: float, y: float, z: float,
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """Return a direction (array frame) from a point of the sensor, and cos θ over its density among a pixel's samples.
@@ -364,14 +364,14 @@ def through_a_lenslet(
     x, y, z : float, mm
         The point, array frame.
     """
-    lattice = array.lenslets.lattice
+    lattice = mla.lenslets.lattice
     nx, ny, nz = normal
-    toward = -1.0 if array.curved_to_lens else 1.0
+    toward = -1.0 if mla.curved_to_lens else 1.0
     role = role_of(sample, shares, numbers[DISCRETE])
     maybe, lit, of_maybe, of_lit = cells_that_show(aim, near, listed, cells, x, y, z)
     size = lattice.pitch + 2.0 * aim.cell_margin
     filled = ROW_SPACING if lattice.hexagonal else 1.0
-    air, depth, growth = path_to_apexes(array, z)
+    air, depth, growth = path_to_apexes(mla, z)
     if role == BLIND:
         dx, dy, dz = lambertian(nx, ny, nz, numbers[CELL_U], numbers[CELL_V])
     elif maybe == 0:
@@ -404,7 +404,7 @@ def through_a_lenslet(
         if is_main:
             q2 = glass * glass + (glass * glass - 1.0) * s2
             q = np.sqrt(q2)
-            layer = array.lenslets.valley - array.lenslets.top
+            layer = mla.lenslets.valley - mla.lenslets.top
             if half_width_to(lattice, u, v) + layer * s / q < 0.5 * lattice.pitch:
                 # The ray stays in its cell throughout the layer of faces, so it meets no other lenslet.
                 turned = 1.0 - growth * curvature * (sx * ax + sy * ay) / (q * level)
@@ -417,7 +417,7 @@ def through_a_lenslet(
     cos_theta = nx * dx + ny * dy + nz * dz
     on_faces, drawn = 0.0, 0.0
     if maybe > 0 and dz * toward > 0.0:
-        on_faces, drawn = spread_on_faces(array, aim, glass, near, cells, maybe, x, y, z, dx, dy, dz)
+        on_faces, drawn = spread_on_faces(mla, aim, glass, near, cells, maybe, x, y, z, dx, dy, dz)
     density = 0.0
     if on_faces > 0.0:
         if role == MAIN:
@@ -499,7 +499,7 @@ def _by_chance(near: Array, kind: int, cells: NDArray[np.int64], count: int, par
 
 @pasted
 def spread_on_faces(
-    array: ArrayTables, aim: AimTables, glass: float, near: Array, cells: NDArray[np.int64], maybe: int,
+    mla: MlaTables, aim: AimTables, glass: float, near: Array, cells: NDArray[np.int64], maybe: int,
     x: float, y: float, z: float, dx: float, dy: float, dz: float,
 ) -> tuple[float, float]:  # fmt: skip
     """Return area over solid angle, mm²/sr, of a direction on the faces that it meets, for main and for margin rays.
@@ -519,8 +519,8 @@ def spread_on_faces(
         Point of the sensor, array frame.
     dx, dy, dz : float
     """
-    lattice = array.lenslets.lattice
-    air, depth, growth = path_to_apexes(array, z)
+    lattice = mla.lenslets.lattice
+    air, depth, growth = path_to_apexes(mla, z)
     sx, sy = dx / abs(dz), dy / abs(dz)
     s2 = sx * sx + sy * sy
     q2 = glass * glass + (glass * glass - 1.0) * s2

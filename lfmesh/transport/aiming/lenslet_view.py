@@ -14,8 +14,8 @@ from lfmesh.kernel import inlined, kernel
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aiming.pupil import opening_from
 from lfmesh.transport.events.crossing import refracted
-from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME
-from lfmesh.transport.tables.tables import AimTables, ArrayTables, Opening, SensorTables
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
+from lfmesh.transport.tables.tables import AimTables, MlaTables, Opening, SensorTables
 
 ZONES = 2
 """Number of points of a lenslet, from its centre to each corner, at which the view is measured."""
@@ -55,15 +55,15 @@ def grid(half_width: float, half_height: float, z: float) -> Array:
     return np.array([[i * half_width, j * half_height, z] for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
 
-def apex_z(array: ArrayTables, glass: float) -> tuple[float, float]:
+def apex_z(mla: MlaTables, glass: float) -> tuple[float, float]:
     """Return z (array frame) of the lenslets' apexes as the sensor and as the lens sees them; one through the plate."""
-    thickness = array.lenslets.thickness
+    thickness = mla.lenslets.thickness
     through_plate = thickness - thickness / glass
-    return (through_plate, 0.0) if array.curved_to_lens else (0.0, through_plate)
+    return (through_plate, 0.0) if mla.curved_to_lens else (0.0, through_plate)
 
 
 def aim_through_lenslets(
-    scene: Scene, report: FirstOrder, array: ArrayTables, aim: AimTables, moves: Array, glass: float
+    scene: Scene, report: FirstOrder, mla: MlaTables, aim: AimTables, moves: Array, glass: float
 ) -> AimTables:
     """Return the aim tables with the view of the exit pupil through each lenslet.
 
@@ -75,26 +75,26 @@ def aim_through_lenslets(
     ----------
     scene : Scene
     report : FirstOrder
-    array : ArrayTables
+    mla : MlaTables
     aim : AimTables
     moves : (5, 5, 3, 4) float64
         Between frames.
     glass : float
         Refractive index of the lenslets.
     """
-    lattice = array.lenslets.lattice
-    sensor_z, lens_z = apex_z(array, glass)
+    lattice = mla.lenslets.lattice
+    sensor_z, lens_z = apex_z(mla, glass)
     middle = np.array([[0.0, 0.0, lens_z]])
-    to_pupil = float(frame.points(moves[ARRAY_FRAME, CAMERA_FRAME], middle)[0, 2]) - report.exit_pupil_z_mm
+    to_pupil = float(frame.points(moves[MLA_FRAME, CAMERA_FRAME], middle)[0, 2]) - report.exit_pupil_z_mm
     vergence = 1.0 / to_pupil if np.isfinite(to_pupil) else 0.0
     pupil = [0.0, 0.0, report.exit_pupil_z_mm if np.isfinite(to_pupil) else scene.camera.lens.vertices_mm[-1]]
-    pupil_x, pupil_y, _ = frame.points(moves[CAMERA_FRAME, ARRAY_FRAME], [pupil])[0]
+    pupil_x, pupil_y, _ = frame.points(moves[CAMERA_FRAME, MLA_FRAME], [pupil])[0]
     width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
-    corners = frame.points(moves[SENSOR_FRAME, ARRAY_FRAME], grid(width, height, 0.0))
+    corners = frame.points(moves[SENSOR_FRAME, MLA_FRAME], grid(width, height, 0.0))
     distance = np.abs(corners[:, 2] - sensor_z)
     cells = lattice.columns * lattice.rows
     slope, slope_radius = np.zeros((cells, 2)), np.zeros(cells)
-    _view_through_cells(array, aim.exit, moves, lens_z, sensor_z, glass - 1.0, lattice.corners(), slope, slope_radius)
+    _view_through_cells(mla, aim.exit, moves, lens_z, sensor_z, glass - 1.0, lattice.corners(), slope, slope_radius)
     seen = slope_radius > 0.0
     aim = aim._replace(
         lenslet_z=sensor_z,
@@ -103,22 +103,22 @@ def aim_through_lenslets(
         pupil_vergence=vergence,
         slope=slope,
         slope_radius2=np.where(seen, slope_radius**2, -1.0),
-        cell_margin=_off_by_facets(array),
+        cell_margin=_off_by_facets(mla),
     )
-    return aim._replace(search=_search(aim, array, distance.max()))
+    return aim._replace(search=_search(aim, mla, distance.max()))
 
 
-def _off_by_facets(array: ArrayTables) -> float:
+def _off_by_facets(mla: MlaTables) -> float:
     """Return the distance outside its cell at which a ray may meet a lenslet's face where the face is a mesh, mm.
 
     It is the sag of the chords, as nearly all rays are inclined by less than 45°.
     """
-    lattice = array.lenslets.lattice
+    lattice = mla.lenslets.lattice
     chord = lattice.circumradius / border_segments(lattice.hexagonal)
-    return ROUNDING * lattice.pitch + float(np.abs(array.lenslets.curvature).max()) * chord**2 / 8.0
+    return ROUNDING * lattice.pitch + float(np.abs(mla.lenslets.curvature).max()) * chord**2 / 8.0
 
 
-def _search(aim: AimTables, array: ArrayTables, distance: float) -> int:
+def _search(aim: AimTables, mla: MlaTables, distance: float) -> int:
     """Return the number of cells to each side of the chief ray's that may show the opening to a point of the sensor.
 
     Rows of a hexagonal lattice are less than a pitch apart, and shifted by half a pitch.
@@ -128,7 +128,7 @@ def _search(aim: AimTables, array: ArrayTables, distance: float) -> int:
     distance : float, mm
         Largest distance of a point of the sensor from the lenslets.
     """
-    lattice = array.lenslets.lattice
+    lattice = mla.lenslets.lattice
     seen, slope = aim.slope_radius2 > 0.0, aim.slope
     off_chief = aim.pupil_vergence * (lattice.centres().reshape(-1, 2) - [aim.pupil_x, aim.pupil_y]) + slope
     reach = np.hypot(off_chief[:, 0], off_chief[:, 1]) + np.sqrt(np.maximum(aim.slope_radius2, 0.0))
@@ -138,7 +138,7 @@ def _search(aim: AimTables, array: ArrayTables, distance: float) -> int:
 
 
 def fitted_views(
-    aim: AimTables, array: ArrayTables, moves: Array, sensor: SensorTables, needed: float, furthest: float
+    aim: AimTables, mla: MlaTables, moves: Array, sensor: SensorTables, needed: float, furthest: float
 ) -> AimTables:
     """Return the aim with the lenslets' views as wide as the light needs.
 
@@ -159,27 +159,27 @@ def fitted_views(
         radius2 = np.full_like(aim.slope_radius2, furthest * furthest)
     aim = aim._replace(slope_radius2=np.where(seen, radius2, -1.0))
     width, height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
-    corners = frame.points(moves[SENSOR_FRAME, ARRAY_FRAME], grid(width, height, 0.0))
-    return aim._replace(search=_search(aim, array, np.abs(corners[:, 2] - aim.lenslet_z).max()))
+    corners = frame.points(moves[SENSOR_FRAME, MLA_FRAME], grid(width, height, 0.0))
+    return aim._replace(search=_search(aim, mla, np.abs(corners[:, 2] - aim.lenslet_z).max()))
 
 
-def with_wider_cells(aim: AimTables, array: ArrayTables, by: float) -> AimTables:
+def with_wider_cells(aim: AimTables, mla: MlaTables, by: float) -> AimTables:
     """Return the aim with wider aimed cells.
 
     Parameters
     ----------
     aim : AimTables
-    array : ArrayTables
+    mla : MlaTables
     by : float
         Factor on the width of the cells.
     """
-    half = 0.5 * array.lenslets.lattice.pitch
+    half = 0.5 * mla.lenslets.lattice.pitch
     return aim._replace(cell_margin=by * (half + aim.cell_margin) - half)
 
 
 @kernel
 def _view_through_cells(
-    array: ArrayTables, opening: Opening, moves: Array, lens_z: float, sensor_z: float, power_of_curvature: float,
+    mla: MlaTables, opening: Opening, moves: Array, lens_z: float, sensor_z: float, power_of_curvature: float,
     corners: Array, slope: Array, slope_radius: Array,
 ) -> None:  # fmt: skip
     """Measure the view of the opening through every lenslet by real rays.
@@ -193,14 +193,14 @@ def _view_through_cells(
     slope_radius : (cells,) float64
         Filled with the radius of the view about that, in slopes; −1: the lenslet does not show the opening.
     """
-    lenslets = array.lenslets
+    lenslets = mla.lenslets
     lattice = lenslets.lattice
-    toward = -1.0 if array.curved_to_lens else 1.0
+    toward = -1.0 if mla.curved_to_lens else 1.0
     for row in range(lattice.rows):
         for column in range(lattice.columns):
             cell = row * lattice.columns + column
             cx, cy = centre(lattice, column, row)
-            x, y, z = frame.move_point(moves, ARRAY_FRAME, CAMERA_FRAME, cx, cy, lens_z)
+            x, y, z = frame.move_point(moves, MLA_FRAME, CAMERA_FRAME, cx, cy, lens_z)
             mx, my, radius = opening_from(opening, x, y, z)
             if radius <= 0.0:
                 slope_radius[cell] = -1.0
@@ -214,7 +214,7 @@ def _view_through_cells(
                 zone, corner = (point + len(corners) - 1) // len(corners) / ZONES, point % len(corners)
                 ux, uy = zone * corners[corner, 0], zone * corners[corner, 1]
                 off = _farthest_landing(
-                    array, opening, moves, curvature, ux - ex, uy - ey, cx, cy, cx + ux, cy + uy, sensor_z, sx, sy
+                    mla, opening, moves, curvature, ux - ex, uy - ey, cx, cy, cx + ux, cy + uy, sensor_z, sx, sy
                 )
                 furthest = max(furthest, off)
             slope[cell, 0], slope[cell, 1], slope_radius[cell] = sx, sy, VIEW_MARGIN * furthest
@@ -222,7 +222,7 @@ def _view_through_cells(
 
 @inlined
 def _farthest_landing(
-    array: ArrayTables, opening: Opening, moves: Array, curvature: float, ux: float, uy: float, cx: float, cy: float,
+    mla: MlaTables, opening: Opening, moves: Array, curvature: float, ux: float, uy: float, cx: float, cy: float,
     x: float, y: float, sensor_z: float, sx: float, sy: float,
 ) -> float:  # fmt: skip
     """Return the largest distance, in slope, from the centre of a cell's view at which rays through a point land.
@@ -236,27 +236,27 @@ def _farthest_landing(
     sx, sy : float
         Slope at which the cell's centre sees the opening.
     """
-    to_sensor = 1.0 if array.curved_to_lens else -1.0
+    to_sensor = 1.0 if mla.curved_to_lens else -1.0
     sag = cap_sag(curvature, ux * ux + uy * uy)
-    sx0, sy0, sz0 = frame.move_point(moves, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, 0.0)
-    mx, my, mz = frame.move_direction(moves, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, 1.0)
+    sx0, sy0, sz0 = frame.move_point(moves, SENSOR_FRAME, MLA_FRAME, 0.0, 0.0, 0.0)
+    mx, my, mz = frame.move_direction(moves, SENSOR_FRAME, MLA_FRAME, 0.0, 0.0, 1.0)
     furthest = 0.0
-    for colour in range(array.media.indices.shape[1]):
-        glass = array.media.indices[array.medium, colour]
+    for colour in range(mla.media.indices.shape[1]):
+        glass = mla.media.indices[mla.medium, colour]
         # If the plate lies between lens and face, the lens sees the face through it.
-        seen_z = sag if array.curved_to_lens else array.lenslets.thickness - (array.lenslets.thickness - sag) / glass
-        px, py, pz = frame.move_point(moves, ARRAY_FRAME, CAMERA_FRAME, x, y, seen_z)
+        seen_z = sag if mla.curved_to_lens else mla.lenslets.thickness - (mla.lenslets.thickness - sag) / glass
+        px, py, pz = frame.move_point(moves, MLA_FRAME, CAMERA_FRAME, x, y, seen_z)
         ox, oy, radius = opening_from(opening, px, py, pz)
-        outward_x, outward_y, _ = frame.move_direction(moves, ARRAY_FRAME, CAMERA_FRAME, x - cx, y - cy, 0.0)
+        outward_x, outward_y, _ = frame.move_direction(moves, MLA_FRAME, CAMERA_FRAME, x - cx, y - cy, 0.0)
         length = np.sqrt(outward_x * outward_x + outward_y * outward_y)
         hx, hy = (outward_x / length, outward_y / length) if length > 0.0 else (1.0, 0.0)
         # Four points of the opening's border, a quarter turn apart.
         for _ in range(4 if radius > 0.0 else 0):
             hx, hy = -hy, hx
             dx, dy, dz = px - ox - radius * hx, py - oy - radius * hy, pz - opening.plane_z
-            dx, dy, dz = frame.move_direction(moves, CAMERA_FRAME, ARRAY_FRAME, dx, dy, dz)
+            dx, dy, dz = frame.move_direction(moves, CAMERA_FRAME, MLA_FRAME, dx, dy, dz)
             through, at_x, at_y, at_z, dx, dy, dz = _through_lenslet(
-                array.lenslets.thickness, curvature, glass, to_sensor, ux, uy, sag, x, y, dx, dy, dz
+                mla.lenslets.thickness, curvature, glass, to_sensor, ux, uy, sag, x, y, dx, dy, dz
             )
             if not through:
                 continue
@@ -302,5 +302,5 @@ def _refract_if_possible(
 @kernel
 def _slope(moves: Array, dx: float, dy: float, dz: float, toward: float) -> tuple[float, float]:
     """Return the slope, array frame, of a direction of the camera frame."""
-    x, y, z = frame.move_direction(moves, CAMERA_FRAME, ARRAY_FRAME, dx, dy, dz)
+    x, y, z = frame.move_direction(moves, CAMERA_FRAME, MLA_FRAME, dx, dy, dz)
     return x / (toward * z), y / (toward * z)

@@ -24,7 +24,7 @@ CELLS_MESH = 7  # the curved face in its cell, by its mesh where distances do no
 STATIONS = 8
 
 # Frames. A packet says in which frame its ray is given; its station moves it into the station's own.
-CAMERA_FRAME, ARRAY_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME = 0, 1, 2, 3, 4
+CAMERA_FRAME, MLA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME = 0, 1, 2, 3, 4
 
 # Kinds of packet.
 CAMERA = 0  # on the camera's path: leaves the sensor (adjoint), or was aimed at the lens (forward)

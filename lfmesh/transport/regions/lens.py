@@ -191,7 +191,7 @@ def stop_cuts(
 
 @kernel
 def leave_lens(
-    options: Options, flow: Flow, frames: Array, lens: LensTables, has_array: bool, packet: Any,
+    options: Options, flow: Flow, frames: Array, lens: LensTables, has_mla: bool, packet: Any,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64, space: int,
     query_from: float,
 ) -> None:  # fmt: skip
@@ -214,7 +214,7 @@ def leave_lens(
                 weight, STOP, S_ABSORBED,
             )  # fmt: skip
             return
-    station = OBJECTS if space == 0 else (PLATE if has_array else SENSOR)
+    station = OBJECTS if space == 0 else (PLATE if has_mla else SENSOR)
     child = put(flow, station, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, key, query_from)
     child.last = LEFT_LENS
     child.facet = NO_SURFACE
@@ -225,7 +225,7 @@ def leave_lens(
 @kernel
 def shade_lens(
     wave: NDArray[np.void], found: NDArray[np.int32], block: Array, met: NDArray[np.int64],
-    lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow, in_order: bool,
+    lens: LensTables, has_mla: bool, frames: Array, options: Options, flow: Flow, in_order: bool,
 ) -> None:  # fmt: skip
     """Process a wave of packets: refuse what a query found, absorb the packet, or split it at its surface.
 
@@ -245,7 +245,7 @@ def shade_lens(
     block : (ROWS · BLOCK,) float64
     met : (BLOCK,) int64
         Working memory.
-    has_array : bool
+    has_mla : bool
     in_order : bool
         Whether surfaces are found by their order.
     """
@@ -264,11 +264,11 @@ def shade_lens(
             for i in range(count):
                 packet = wave[first + i]
                 if not block[HELD + i] > 0.0:
-                    met[i] = _decide_in_order(block, i, packet, lens, has_array, frames, options, flow)
+                    met[i] = _decide_in_order(block, i, packet, lens, has_mla, frames, options, flow)
                 elif lens.by_roots[packet.space]:
                     met[i] = int(block[NUMBER + i])
                 else:
-                    met[i] = _meets_the_one_ahead(block, i, packet, lens, has_array, frames, options, flow)
+                    met[i] = _meets_the_one_ahead(block, i, packet, lens, has_mla, frames, options, flow)
         else:
             for i in range(count):
                 met[i] = _prepare(block, i, wave[first + i], found[first + i], lens, options)
@@ -276,11 +276,11 @@ def shade_lens(
             for i in range(count):
                 if not block[HELD + i] > 0.0:
                     prim = found[first + i]
-                    met[i] = _decide(block, i, wave[first + i], prim, lens, has_array, frames, options, flow)
+                    met[i] = _decide(block, i, wave[first + i], prim, lens, has_mla, frames, options, flow)
         split_block(block)
         for i in range(count):
             if met[i] != NO_SURFACE:
-                _send_on(block, i, wave[first + i], met[i], lens, has_array, frames, options, flow)
+                _send_on(block, i, wave[first + i], met[i], lens, has_mla, frames, options, flow)
 
 
 @inlined
@@ -339,7 +339,7 @@ def _prepare_the_one_ahead(block: Array, i: int, packet: Any, lens: LensTables) 
 @inlined
 def _meets_the_one_ahead(
     block: Array, i: int, packet: Any,
-    lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
+    lens: LensTables, has_mla: bool, frames: Array, options: Options, flow: Flow,
 ) -> int:  # fmt: skip
     """Move a hit of the block into the camera frame; return the surface, unless stop or ring end the packet."""
     k, space = int(block[NUMBER + i]), packet.space
@@ -354,7 +354,7 @@ def _meets_the_one_ahead(
         )  # fmt: skip
         block[DX + i], block[DY + i], block[DZ + i] = packet.dx, packet.dy, packet.dz
     if cosine < GRAZING or x * x + y * y > lens.order[space, 8]:
-        return _decide_in_order(block, i, packet, lens, has_array, frames, options, flow)
+        return _decide_in_order(block, i, packet, lens, has_mla, frames, options, flow)
     if lens.stop_space == space and _is_cut(options, flow, frames, lens, packet, k, block[AT + i], x, y, z):
         return NO_SURFACE
     return k
@@ -363,7 +363,7 @@ def _meets_the_one_ahead(
 @kernel
 def _decide_in_order(
     block: Array, i: int, packet: Any,
-    lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
+    lens: LensTables, has_mla: bool, frames: Array, options: Options, flow: Flow,
 ) -> int:  # fmt: skip
     """Find a single packet's surface by the roots of the conics of its space, as `_decide` does by meshes."""
     space, free2 = packet.space, lens.order[packet.space, 8]
@@ -373,7 +373,7 @@ def _decide_in_order(
     outside = space == 0 or space == len(lens.surfaces)
     if outside and (packet.dz < 0.0) == (space == 0) and abs(packet.dz) > lens.order[space, 9]:
         # It is steeper than the outermost surface, and runs away from it.
-        _leaves(options, flow, frames, lens, has_array, packet)
+        _leaves(options, flow, frames, lens, has_mla, packet)
         return NO_SURFACE
     k, t, px, py, z, nx, ny, nz, settled = _first_conic(lens, packet)
     if k == NO_SURFACE:
@@ -390,7 +390,7 @@ def _decide_in_order(
         )  # fmt: skip
         return NO_SURFACE
     if k == NO_SURFACE:
-        _leaves(options, flow, frames, lens, has_array, packet)
+        _leaves(options, flow, frames, lens, has_mla, packet)
         return NO_SURFACE
     if _is_cut(options, flow, frames, lens, packet, k, t, px, py, z):
         return NO_SURFACE
@@ -439,7 +439,7 @@ def _set_sides(block: Array, i: int, packet: Any, k: int, lens: LensTables) -> N
 @kernel
 def _decide(
     block: Array, i: int, packet: Any, prim: int,
-    lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
+    lens: LensTables, has_mla: bool, frames: Array, options: Options, flow: Flow,
 ) -> int:  # fmt: skip
     """Find where a single packet meets a surface; enter that in the block and return the surface.
 
@@ -457,7 +457,7 @@ def _decide(
             # It was on its way in: Embree misses facets when a ray is aimed exactly at a vertex.
             requery(options, flow, frames, LENS_MESH, packet, packet.query_from, True, lens.lost_slot[space])
         else:
-            _leaves(options, flow, frames, lens, has_array, packet)
+            _leaves(options, flow, frames, lens, has_mla, packet)
         return NO_SURFACE
     k, t, px, py, z, nx, ny, nz = NO_SURFACE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
     if prim >= 0:
@@ -481,7 +481,7 @@ def _decide(
         if k == NO_SURFACE:
             if outside:
                 # It passes beside the outermost surface.
-                _leaves(options, flow, frames, lens, has_array, packet)
+                _leaves(options, flow, frames, lens, has_mla, packet)
             else:
                 lose(options, flow, frames, packet, LOST_CONTRADICTION, lens.lost_slot[space])
             return NO_SURFACE
@@ -539,11 +539,11 @@ def _send_child(
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64,
 ) -> None:  # fmt: skip
     """Queue a child of a packet at surface `k`; if it cannot meet the lens again, send it out of the lens."""
-    block, i, k, space, lens, has_array = place
+    block, i, k, space, lens, has_mla = place
     into = (k + 1 if k == space else k) if refracts else space
     if (into == 0 and lens.convex_front) or (into == len(lens.surfaces) and lens.convex_back):
         packet.space = into
-        leave_lens(options, flow, frames, lens, has_array, packet, x, y, z, dx, dy, dz, weight, key, into, 0.0)
+        leave_lens(options, flow, frames, lens, has_mla, packet, x, y, z, dx, dy, dz, weight, key, into, 0.0)
     else:
         clear = block[(REFRACTED if refracts else REFLECTED) + i + CLEAR]
         station = LENS if lens.ordered[into] else LENS_MESH
@@ -557,7 +557,7 @@ _split = splitter(_send_child)
 @inlined
 def _send_on(
     block: Array, i: int, packet: Any, k: int,
-    lens: LensTables, has_array: bool, frames: Array, options: Options, flow: Flow,
+    lens: LensTables, has_mla: bool, frames: Array, options: Options, flow: Flow,
 ) -> None:  # fmt: skip
     """Divide a packet of a block at surface `k`."""
     r, t = REFLECTED + i, REFRACTED + i
@@ -569,7 +569,7 @@ def _send_on(
             lens.interfaces, k, packet.colour, n_i, n_t, incidence(block, i), k != packet.space, packet, flow.book
         )
     _split(
-        (block, i, k, packet.space, lens, has_array), options, flow, frames, CAMERA_FRAME, packet, k, NO_SURFACE,
+        (block, i, k, packet.space, lens, has_mla), options, flow, frames, CAMERA_FRAME, packet, k, NO_SURFACE,
         lens.medium[k + 1 if k == packet.space else k], x, y, z, reflectance, transmittance,
         (block[r + ALONG_X], block[r + ALONG_Y], block[r + ALONG_Z]),
         (block[t + ALONG_X], block[t + ALONG_Y], block[t + ALONG_Z]),
@@ -776,11 +776,11 @@ def _reach(surface: Any) -> float:
 
 
 @kernel
-def _leaves(options: Options, flow: Flow, frames: Array, lens: LensTables, has_array: bool, packet: Any) -> None:
+def _leaves(options: Options, flow: Flow, frames: Array, lens: LensTables, has_mla: bool, packet: Any) -> None:
     """Send a packet that met nothing out of the lens, or end it on the housing behind the lens."""
     if packet.space == 0 or packet.dz > 0.0:
         leave_lens(
-            options, flow, frames, lens, has_array, packet, packet.x, packet.y, packet.z,
+            options, flow, frames, lens, has_mla, packet, packet.x, packet.y, packet.z,
             packet.dx, packet.dy, packet.dz, packet.weight, packet.key, packet.space, packet.limit,
         )  # fmt: skip
     else:

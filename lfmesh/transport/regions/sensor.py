@@ -53,7 +53,7 @@ def onto_sensor(
 
 @kernel
 def onto_reflecting_sensor(
-    wave: NDArray[np.void], sensor: SensorTables, has_array: bool, lens_surfaces: int, frames: NDArray[np.float64],
+    wave: NDArray[np.void], sensor: SensorTables, has_mla: bool, lens_surfaces: int, frames: NDArray[np.float64],
     options: Options, flow: Flow,
 ) -> None:  # fmt: skip
     """Do as `onto_sensor` with what pixels detect, and send back what they reflect.
@@ -62,7 +62,7 @@ def onto_reflecting_sensor(
     ----------
     wave : (n,) PACKET
     sensor : SensorTables
-    has_array : bool
+    has_mla : bool
     lens_surfaces : int
         Number of refracting surfaces of the lens.
     frames : (5, 5, 3, 4) float64
@@ -98,7 +98,7 @@ def onto_reflecting_sensor(
                 )  # fmt: skip
             # It goes on as packets start at a pixel, but off the image path.
             child = put(
-                flow, PLATE if has_array else LENS, packet, SENSOR_FRAME, x, y, 0.0, packet.dx, packet.dy, -packet.dz,
+                flow, PLATE if has_mla else LENS, packet, SENSOR_FRAME, x, y, 0.0, packet.dx, packet.dy, -packet.dz,
                 reflected, derived(packet.key, packet.events), 0.0,
             )  # fmt: skip
             child.space, child.stray = lens_surfaces, 1

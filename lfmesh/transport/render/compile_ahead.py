@@ -19,8 +19,8 @@ from lfmesh.scene import Scene
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import CELLS, LENS, LENS_MESH, OBJECTS, PLATE, SENSOR
-from lfmesh.transport.regions.array import shade_cells
 from lfmesh.transport.regions.lens import shade_lens
+from lfmesh.transport.regions.mla import shade_cells
 from lfmesh.transport.regions.objects import shade_objects
 from lfmesh.transport.render.parts import parts_of
 from lfmesh.transport.render.tally import Film

@@ -1,7 +1,7 @@
 """Proof of the order of the surfaces of lens and array: a sample of a run's own packets, traced through the meshes too.
 
 The meshes are the model. Finding surfaces by their order and their roots (`regions.lens.shade_lens`,
-`regions.array.shade_cells`) is a shortcut, so every run takes some of its packets that wait for a surface of the lens
+`regions.mla.shade_cells`) is a shortcut, so every run takes some of its packets that wait for a surface of the lens
 or a face of the array, lets both ways process each, and compares what comes of them: children and ends, where they are
 and what they weigh. A run whose shortcut deviates uses the meshes.
 """
@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import (
-    ARRAY_FRAME,
     CELLS,
     CELLS_MESH,
     LENS,
     LENS_MESH,
+    MLA_FRAME,
     OBJECTS,
     PLATE,
     SENSOR,
@@ -120,7 +120,7 @@ def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.
 
 def _outcomes(work: Workspace, packets: NDArray[np.void]) -> tuple[NDArray[np.void], NDArray[np.int64]]:
     """Let packets meet one surface each; return what comes of them, and the sources of those left to the meshes."""
-    in_cells = packets["frame"] == ARRAY_FRAME
+    in_cells = packets["frame"] == MLA_FRAME
     found, undecided = [], []
     for station, by_mesh, given in ((LENS, LENS_MESH, packets[~in_cells]), (CELLS, CELLS_MESH, packets[in_cells])):
         work.begin(packets=len(given))

@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from lfmesh.kernel import kernel, pasted
 from lfmesh.transport.packets.book import BESIDE_SENSOR, EMITTED, ESCAPED, HOUSING, ON_SENSOR, UNFOLLOWED
 from lfmesh.transport.packets.packet import (
-    ARRAY_FRAME,
     CAMERA_FRAME,
     COUNTERS,
     EVENTS,
+    MLA_FRAME,
     S_ABSORBED,
     S_ESCAPED,
     S_SENSOR,
     SENSOR_FRAME,
     WORLD_FRAME,
 )
-from lfmesh.transport.sequential.image_path import through_array, through_lens
+from lfmesh.transport.sequential.image_path import through_lens, through_mla
 from lfmesh.transport.sequential.lens_bundle import (
     BESIDE,
     BLOCK,
@@ -296,19 +296,19 @@ def _way_from_behind(bundle: Array, i: int, tables: Tables, around: Surroundings
     dx, dy, dz = bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i]
     if not (z < around.end and x * x + y * y < around.outline * around.outline):
         return _UNSURE
-    if not tables.array.present:
+    if not tables.mla.present:
         move = tables.frames[CAMERA_FRAME, SENSOR_FRAME]
         if move[2, 0] * dx + move[2, 1] * dy + move[2, 2] * dz > 0.0:
             return _ON_SENSOR
         return _TO_OBJECTS if dz < 0.0 else _UNSURE
-    move, lenslets = tables.frames[CAMERA_FRAME, ARRAY_FRAME], tables.array.lenslets
+    move, lenslets = tables.frames[CAMERA_FRAME, MLA_FRAME], tables.mla.lenslets
     at = move[2, 0] * x + move[2, 1] * y + move[2, 2] * z + move[2, 3]
     slope = move[2, 0] * dx + move[2, 1] * dy + move[2, 2] * dz
     if not (at < lenslets.top or at > lenslets.thickness):
         return _UNSURE
     if (at < lenslets.top) == (slope > 0.0):
         return _TO_SENSOR if dz > 0.0 else _BACK
-    if (at < lenslets.top) != tables.array.curved_to_lens:
+    if (at < lenslets.top) != tables.mla.curved_to_lens:
         return _ON_SENSOR
     return _TO_OBJECTS if dz < 0.0 else _UNSURE
 
@@ -329,8 +329,8 @@ def _follow_way(bundle: Array, count: int, way: int, tables: Tables, around: Sur
     to_sensor = way <= _ON_SENSOR
     if way == _FROM_OBJECTS:
         through_lens(bundle, tables.lens, 0, True)
-    if tables.array.present and way in (_FROM_OBJECTS, _TO_SENSOR, _BACK):
-        through_array(bundle, count, tables.array, 0, frames, to_sensor)
+    if tables.mla.present and way in (_FROM_OBJECTS, _TO_SENSOR, _BACK):
+        through_mla(bundle, count, tables.mla, 0, frames, to_sensor)
     if not to_sensor:
         through_lens(bundle, tables.lens, 0, False)
     if way != _ON_SENSOR:

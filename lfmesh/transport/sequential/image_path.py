@@ -15,13 +15,13 @@ from lfmesh.geometry.tessellation import OVERREACH
 from lfmesh.kernel import kernel
 from lfmesh.transport.events.crossing import end, move_packet, refracted
 from lfmesh.transport.events.interface import shares
-from lfmesh.transport.packets.book import ARRAY_EDGE, ARRAY_MOUNT, ARRAY_WALL, HOUSING, STOP, UNFOLLOWED
+from lfmesh.transport.packets.book import HOUSING, MLA_EDGE, MLA_MOUNT, MLA_WALL, STOP, UNFOLLOWED
 from lfmesh.transport.packets.packet import (
-    ARRAY_FRAME,
     CAMERA_FRAME,
     EVENTS,
     LEFT_LENS,
     LENS,
+    MLA_FRAME,
     NO_SURFACE,
     OBJECT_FRAME,
     OBJECTS,
@@ -54,7 +54,7 @@ from lfmesh.transport.sequential.lens_bundle import (
     through_surface,
 )
 from lfmesh.transport.sequential.lenslet_bundle import PASSED, through_single_lenslets
-from lfmesh.transport.tables.tables import CURVED_ROW, FLAT_ROW, ArrayTables, LensTables
+from lfmesh.transport.tables.tables import CURVED_ROW, FLAT_ROW, LensTables, MlaTables
 
 Array = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ MEETS_FACE, LEAVES_LAYER = -1, -2
 
 @kernel
 def follow_image_path(
-    wave: NDArray[np.void], station: int, lens: LensTables, array: ArrayTables, frames: Array,
+    wave: NDArray[np.void], station: int, lens: LensTables, mla: MlaTables, frames: Array,
     bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow,
 ) -> None:  # fmt: skip
     """Take a wave of packets that wait for the lens or the array to object space or to the sensor.
@@ -100,16 +100,16 @@ def follow_image_path(
             numbers[count] = i
             count += 1
             if count == BLOCK:
-                follow_block(wave, station, to_sensor, count, lens, array, frames, bundle, numbers, options, flow)
+                follow_block(wave, station, to_sensor, count, lens, mla, frames, bundle, numbers, options, flow)
                 count = 0
         if count > 0:
             pad(bundle, count)
-            follow_block(wave, station, to_sensor, count, lens, array, frames, bundle, numbers, options, flow)
+            follow_block(wave, station, to_sensor, count, lens, mla, frames, bundle, numbers, options, flow)
 
 
 @kernel
 def follow_block(
-    wave: NDArray[np.void], station: int, to_sensor: bool, count: int, lens: LensTables, array: ArrayTables,
+    wave: NDArray[np.void], station: int, to_sensor: bool, count: int, lens: LensTables, mla: MlaTables,
     frames: Array, bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow,
 ) -> None:  # fmt: skip
     """Take a bundle of rays (camera frame) of one direction of travel along the image path, and queue its packets.
@@ -128,11 +128,11 @@ def follow_block(
     if to_sensor:
         if at_lens:
             through_lens(bundle, lens, colour, True)
-        if array.present:
-            through_array(bundle, count, array, colour, frames, to_sensor)
+        if mla.present:
+            through_mla(bundle, count, mla, colour, frames, to_sensor)
     else:
         if not at_lens:
-            through_array(bundle, count, array, colour, frames, to_sensor)
+            through_mla(bundle, count, mla, colour, frames, to_sensor)
         through_lens(bundle, lens, colour, False)
     normalise(bundle)
     _hand_on(wave, to_sensor, count, frames, bundle, numbers, options, flow)
@@ -209,7 +209,7 @@ def through_lens(bundle: Array, lens: LensTables, colour: int, to_sensor: bool) 
 
 
 @kernel
-def through_array(bundle: Array, count: int, array: ArrayTables, colour: int, frames: Array, to_sensor: bool) -> None:
+def through_mla(bundle: Array, count: int, mla: MlaTables, colour: int, frames: Array, to_sensor: bool) -> None:
     """Take a bundle (camera frame) through the array, curved or flat face first.
 
     Rays that meet a single lenslet are traced together; the others, and all in a coated array, one by one, from cell to
@@ -220,40 +220,40 @@ def through_array(bundle: Array, count: int, array: ArrayTables, colour: int, fr
     bundle : (ROWS · BLOCK,) float64
     count : int
         Number of rays in it.
-    array : ArrayTables
+    mla : MlaTables
     colour : int
         Number of the wavelength.
     frames : (5, 5, 3, 4) float64
     to_sensor : bool
         Direction of travel.
     """
-    move_bundle(bundle, frames[CAMERA_FRAME, ARRAY_FRAME])
-    inward = to_sensor == array.curved_to_lens
-    if array.interfaces.coated:
+    move_bundle(bundle, frames[CAMERA_FRAME, MLA_FRAME])
+    inward = to_sensor == mla.curved_to_lens
+    if mla.interfaces.coated:
         for i in range(count):
             bundle[PASSED + i] = 0.0
     else:
-        through_single_lenslets(bundle, array, colour, inward)
+        through_single_lenslets(bundle, mla, colour, inward)
     for i in range(count):
         if bundle[ENDED_ON + i] != 0.0 or bundle[PASSED + i] > 0.0:
             continue
         if bundle[DZ + i] > 0.0:
-            through = _through_curved_face(bundle, i, array, colour) and _through_flat_face(bundle, i, array, colour)
+            through = _through_curved_face(bundle, i, mla, colour) and _through_flat_face(bundle, i, mla, colour)
         else:
-            through = _through_flat_face(bundle, i, array, colour) and _through_curved_face(bundle, i, array, colour)
+            through = _through_flat_face(bundle, i, mla, colour) and _through_curved_face(bundle, i, mla, colour)
         if not through and bundle[ENDED_ON + i] == 0.0:
             bundle[LEFT_BEHIND + i] += bundle[WEIGHT + i]
             bundle[ENDED_ON + i] = DROPPED
-    move_bundle(bundle, frames[ARRAY_FRAME, CAMERA_FRAME])
+    move_bundle(bundle, frames[MLA_FRAME, CAMERA_FRAME])
 
 
 @kernel
-def _through_flat_face(bundle: Array, i: int, array: ArrayTables, colour: int) -> bool:
-    lattice = array.lenslets.lattice
+def _through_flat_face(bundle: Array, i: int, mla: MlaTables, colour: int) -> bool:
+    lattice = mla.lenslets.lattice
     x, y, dz = bundle[X + i], bundle[Y + i], bundle[DZ + i]
-    t = (array.lenslets.thickness - bundle[Z + i]) / dz
+    t = (mla.lenslets.thickness - bundle[Z + i]) / dz
     if not t > 0.0:
-        return _ends(bundle, i, 0.0, ARRAY_MOUNT)
+        return _ends(bundle, i, 0.0, MLA_MOUNT)
     to_x, to_y = x + t * bundle[DX + i], y + t * bundle[DY + i]
     if dz > 0.0:
         held = stays_inside(lattice, x, y, to_x, to_y)
@@ -261,26 +261,26 @@ def _through_flat_face(bundle: Array, i: int, array: ArrayTables, colour: int) -
         column, row = cell_of(lattice, to_x, to_y)
         held = is_inside(lattice, column, row)
     if not held:
-        return _ends(bundle, i, t, ARRAY_EDGE if dz > 0.0 else ARRAY_MOUNT)
-    bundle[X + i], bundle[Y + i], bundle[Z + i] = to_x, to_y, array.lenslets.thickness
-    return _bend(bundle, i, array, FLAT_ROW, colour, dz < 0.0, 0.0, 0.0, 1.0 if dz > 0.0 else -1.0)
+        return _ends(bundle, i, t, MLA_EDGE if dz > 0.0 else MLA_MOUNT)
+    bundle[X + i], bundle[Y + i], bundle[Z + i] = to_x, to_y, mla.lenslets.thickness
+    return _bend(bundle, i, mla, FLAT_ROW, colour, dz < 0.0, 0.0, 0.0, 1.0 if dz > 0.0 else -1.0)
 
 
 @kernel
-def _through_curved_face(bundle: Array, i: int, array: ArrayTables, colour: int) -> bool:
+def _through_curved_face(bundle: Array, i: int, mla: MlaTables, colour: int) -> bool:
     """Refract a ray at the face of the lenslet that it meets, and follow it out of the layer of faces."""
-    lenslets = array.lenslets
+    lenslets = mla.lenslets
     lattice = lenslets.lattice
     x, y, z, dz = bundle[X + i], bundle[Y + i], bundle[Z + i], bundle[DZ + i]
     inward = dz > 0.0
     if inward and z > lenslets.valley:
-        return _ends(bundle, i, 0.0, ARRAY_MOUNT)
+        return _ends(bundle, i, 0.0, MLA_MOUNT)
     t = max(0.0, ((lenslets.top if inward else lenslets.valley) - z) / dz)
     at_x, at_y = x + t * bundle[DX + i], y + t * bundle[DY + i]
     column, row = cell_of(lattice, at_x, at_y)
     if not (is_inside(lattice, column, row) if inward else stays_inside(lattice, x, y, at_x, at_y)):
-        return _ends(bundle, i, t, ARRAY_MOUNT if inward else ARRAY_EDGE)
-    fate, t, column, row = _next_in_layer(bundle, i, array, inward, column, row, t)
+        return _ends(bundle, i, t, MLA_MOUNT if inward else MLA_EDGE)
+    fate, t, column, row = _next_in_layer(bundle, i, mla, inward, column, row, t)
     if fate >= 0:
         return _ends(bundle, i, t, fate)
     if fate != MEETS_FACE:
@@ -293,10 +293,10 @@ def _through_curved_face(bundle: Array, i: int, array: ArrayTables, colour: int)
     sense = 1.0 if inward else -1.0
     nx, ny = -curvature * (bundle[X + i] - cx - ex), -curvature * (bundle[Y + i] - cy - ey)
     nz = 1.0 - curvature * bundle[Z + i]
-    bends = _bend(bundle, i, array, CURVED_ROW, colour, inward, sense * nx, sense * ny, sense * nz)
+    bends = _bend(bundle, i, mla, CURVED_ROW, colour, inward, sense * nx, sense * ny, sense * nz)
     if not bends or (bundle[DZ + i] > 0.0) != inward:
         return False
-    fate, t, column, row = _next_in_layer(bundle, i, array, not inward, column, row, 0.0)
+    fate, t, column, row = _next_in_layer(bundle, i, mla, not inward, column, row, 0.0)
     if fate >= 0:
         return _ends(bundle, i, t, fate)
     return fate == LEAVES_LAYER
@@ -304,7 +304,7 @@ def _through_curved_face(bundle: Array, i: int, array: ArrayTables, colour: int)
 
 @kernel
 def _next_in_layer(
-    bundle: Array, i: int, array: ArrayTables, in_air: bool, column: int, row: int, start: float
+    bundle: Array, i: int, mla: MlaTables, in_air: bool, column: int, row: int, start: float
 ) -> tuple[int, float, int, int]:
     """Walk a ray through the layer of faces; return its fate (or the slot that it ends on), the distance and the cell.
 
@@ -317,7 +317,7 @@ def _next_in_layer(
     start : float, mm
         Distance at which the ray is in that cell.
     """
-    lenslets = array.lenslets
+    lenslets = mla.lenslets
     lattice = lenslets.lattice
     x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
     dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
@@ -339,25 +339,25 @@ def _next_in_layer(
         t = leaves
         column, row = neighbour(lattice, column, row, side)
         if not is_inside(lattice, column, row):
-            return ARRAY_MOUNT if in_air else ARRAY_EDGE, t, column, row
+            return MLA_MOUNT if in_air else MLA_EDGE, t, column, row
         if not are_alike(lenslets):
             cx, cy = centre(lattice, column, row)
             curvature, ex, ey = shape_of(lenslets, column, row)
             px, py = x + t * dx - cx - ex, y + t * dy - cy - ey
             if (z + t * dz > cap_sag(curvature, px * px + py * py)) == in_air:
-                return ARRAY_WALL, t, column, row
+                return MLA_WALL, t, column, row
 
 
 @kernel
 def _bend(
-    bundle: Array, i: int, array: ArrayTables, face: int, colour: int, entering: bool, nx: float, ny: float, nz: float
+    bundle: Array, i: int, mla: MlaTables, face: int, colour: int, entering: bool, nx: float, ny: float, nz: float
 ) -> bool:
     """Refract a ray at a face whose normal points along it; return False under total reflection."""
-    glass = array.media.indices[array.medium, colour]
+    glass = mla.media.indices[mla.medium, colour]
     n_i, n_t = (1.0, glass) if entering else (glass, 1.0)
     dx, dy, dz, weight = bundle[DX + i], bundle[DY + i], bundle[DZ + i], bundle[WEIGHT + i]
     cos_i = min(nx * dx + ny * dy + nz * dz, 1.0)
-    reflectance, transmittance, cos_t = shares(array.interfaces, face, colour, n_i, n_t, cos_i)
+    reflectance, transmittance, cos_t = shares(mla.interfaces, face, colour, n_i, n_t, cos_i)
     bundle[MET + i] += 1.0
     if transmittance == 0.0:
         return False

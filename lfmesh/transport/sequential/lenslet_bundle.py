@@ -1,7 +1,7 @@
 """A block of rays through the microlens array, for rays that meet a single lenslet.
 
 Most do. The others, close to the border of a cell or of the array, keep their state, and `image_path` walks them from
-cell to cell. All in the array frame, see `regions.array`.
+cell to cell. All in the array frame, see `regions.mla`.
 """
 
 import numpy as np
@@ -26,7 +26,7 @@ from lfmesh.transport.sequential.lens_bundle import (
     refraction,
     sphere_distance,
 )
-from lfmesh.transport.tables.tables import CURVED_ROW, FLAT_ROW, ArrayTables, Interfaces
+from lfmesh.transport.tables.tables import CURVED_ROW, FLAT_ROW, Interfaces, MlaTables
 from lfmesh.vector import both, select
 
 Array = NDArray[np.float64]
@@ -43,21 +43,21 @@ _APEX_X, _APEX_Y, _CURVATURE = SCRATCH + 13 * BLOCK, SCRATCH + 14 * BLOCK, SCRAT
 
 
 @kernel
-def through_single_lenslets(bundle: Array, array: ArrayTables, colour: int, inward: bool) -> None:
+def through_single_lenslets(bundle: Array, mla: MlaTables, colour: int, inward: bool) -> None:
     """Take the rays of a bundle that meet a single lenslet through the array; `PASSED` marks these rays.
 
     Parameters
     ----------
     bundle : (ROWS · BLOCK,) float64
         Array frame.
-    array : ArrayTables
+    mla : MlaTables
     colour : int
         Number of the wavelength.
     inward : bool
         The rays meet the curved face first.
     """
-    lenslets = array.lenslets
-    lattice, interfaces, glass = lenslets.lattice, array.interfaces, array.media.indices[array.medium, colour]
+    lenslets = mla.lenslets
+    lattice, interfaces, glass = lenslets.lattice, mla.interfaces, mla.media.indices[mla.medium, colour]
     # Between two points within the cells that are not outermost, a straight line stays over the array.
     across, rows = (ROW_SPACING, 1.0) if lattice.hexagonal else (1.0, 0.5)
     safe_x, safe_y = (0.5 * lattice.columns - 1.0) * lattice.pitch, (0.5 * lattice.rows - rows) * across * lattice.pitch
@@ -65,7 +65,7 @@ def through_single_lenslets(bundle: Array, array: ArrayTables, colour: int, inwa
     if not inward:
         _through_flat_face(bundle, interfaces, colour, lenslets.thickness, safe_x, safe_y, -1.0, 1.0, glass)
     _find_cells(bundle, lattice, lenslets.top if inward else lenslets.valley)
-    _look_up_shapes(bundle, array)
+    _look_up_shapes(bundle, mla)
     out = lenslets.valley if inward else lenslets.top
     n_i, n_t, sense = (1.0, glass, 1.0) if inward else (glass, 1.0, -1.0)
     if lattice.hexagonal:
@@ -190,9 +190,9 @@ def _find_hexagonal_cells(bundle: Array, border: float, pitch: float, columns: i
 
 
 @kernel
-def _look_up_shapes(bundle: Array, array: ArrayTables) -> None:
+def _look_up_shapes(bundle: Array, mla: MlaTables) -> None:
     """Write apex and curvature of each ray's lenslet to the working rows."""
-    lenslets = array.lenslets
+    lenslets = mla.lenslets
     if are_alike(lenslets):
         _fill_shapes(bundle, lenslets.curvature[0])
         return

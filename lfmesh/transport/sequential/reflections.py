@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.tessellation import OVERREACH
 from lfmesh.kernel import kernel, pasted
 from lfmesh.transport.packets.book import HOUSING, STOP
-from lfmesh.transport.sequential.image_path import through_array
+from lfmesh.transport.sequential.image_path import through_mla
 from lfmesh.transport.sequential.lens_bundle import (
     BLOCK,
     DROPPED,
@@ -37,7 +37,7 @@ from lfmesh.transport.sequential.lens_bundle import (
     through_surface,
 )
 from lfmesh.transport.sequential.sequences import Itinerary
-from lfmesh.transport.tables.tables import ArrayTables, LensTables
+from lfmesh.transport.tables.tables import LensTables, MlaTables
 from lfmesh.vector import both, select
 
 Array = NDArray[np.float64]
@@ -79,19 +79,19 @@ def follow_sequence(lens: LensTables, path: Itinerary, p: Array, d: Array, colou
     return rays
 
 
-def follow_through_array(rays: Arrived, array: ArrayTables, frames: Array, colour: int = 0) -> None:
+def follow_through_mla(rays: Arrived, mla: MlaTables, frames: Array, colour: int = 0) -> None:
     """Take rays that come from the lens on through the array, refracted at both of its faces.
 
     Parameters
     ----------
     rays : Arrived
         Changed in place.
-    array : ArrayTables
+    mla : MlaTables
     frames : (5, 5, 3, 4) float64
     colour : int
         Number of the wavelength.
     """
-    _through_array(rays, array, frames, colour, empty_bundle(_BUNDLE_ROWS))
+    _through_mla(rays, mla, frames, colour, empty_bundle(_BUNDLE_ROWS))
 
 
 @kernel
@@ -111,7 +111,7 @@ def _follow(
 
 
 @kernel
-def _through_array(rays: Arrived, array: ArrayTables, frames: Array, colour: int, bundle: Array) -> None:
+def _through_mla(rays: Arrived, mla: MlaTables, frames: Array, colour: int, bundle: Array) -> None:
     for first in range(0, len(rays.weight), BLOCK):
         count = min(BLOCK, len(rays.weight) - first)
         for i in range(count):
@@ -120,7 +120,7 @@ def _through_array(rays: Arrived, array: ArrayTables, frames: Array, colour: int
             if not rays.weight[first + i] > 0.0 or not d[2] > 0.0:
                 bundle[ENDED_ON + i] = DROPPED
         pad(bundle, count)
-        through_array(bundle, count, array, colour, frames, True)
+        through_mla(bundle, count, mla, colour, frames, True)
         normalise(bundle)
         _store(bundle, rays, first, count)
 

@@ -35,10 +35,10 @@ from lfmesh.transport.aiming.mixture import aimed
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.book import EMITTED
 from lfmesh.transport.packets.packet import (
-    ARRAY_FRAME,
     CAMERA,
     CAMERA_FRAME,
     LENS,
+    MLA_FRAME,
     NO_SURFACE,
     PACKET,
     PLATE,
@@ -68,7 +68,7 @@ from lfmesh.transport.sequential.lens_bundle import (
 )
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.tables.lights import MM2
-from lfmesh.transport.tables.tables import AimTables, ArrayTables, LensTables, SensorTables
+from lfmesh.transport.tables.tables import AimTables, LensTables, MlaTables, SensorTables
 
 Array = NDArray[np.float64]
 
@@ -116,12 +116,12 @@ class PixelSource(Source):
         room = work.kept(StartRoom, lambda: start_room(tables.aim))
         if options.sequential and options.adjoint:
             launch_along_image_path(
-                pixels, self.samples, self.stratified, self.key, self.colour, tables.sensor, tables.lens, tables.array,
+                pixels, self.samples, self.stratified, self.key, self.colour, tables.sensor, tables.lens, tables.mla,
                 tables.aim, tables.frames, work.bundle, work.numbers, options, work.flow(), room,
             )  # fmt: skip
         else:
             launch_adjoint(
-                pixels, self.samples, self.stratified, self.key, self.colour, tables.sensor, tables.array, tables.aim,
+                pixels, self.samples, self.stratified, self.key, self.colour, tables.sensor, tables.mla, tables.aim,
                 tables.frames, len(tables.lens.surfaces), work.bundle, work.flow(), room,
             )  # fmt: skip
 
@@ -202,7 +202,7 @@ def _draw_numbers(
 @kernel
 def launch_adjoint(
     pixels: NDArray[np.int64], samples: int, stratified: bool, replicate_key: np.uint64, colour: int,
-    sensor: SensorTables, array: ArrayTables, aim: AimTables, frames: Array, lens_surfaces: int,
+    sensor: SensorTables, mla: MlaTables, aim: AimTables, frames: Array, lens_surfaces: int,
     bundle: Array, flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
     """Start `samples` packets from each pixel.
@@ -222,13 +222,13 @@ def launch_adjoint(
         Working memory.
     """
     _begin(room, colour, lens_surfaces)
-    station = PLATE if array.present else LENS
+    station = PLATE if mla.present else LENS
     which, sample = 0, 0
     for first in range(0, len(pixels) * samples, STARTS):
         count = min(STARTS, len(pixels) * samples - first)
         _draw_numbers(room, stratified, replicate_key, pixels, which, sample, samples, count)
         which, sample = _aim_rays(
-            room, bundle, pixels, which, sample, samples, count, replicate_key, colour, sensor, array, aim, frames,
+            room, bundle, pixels, which, sample, samples, count, replicate_key, colour, sensor, mla, aim, frames,
             flow.book,
         )  # fmt: skip
         for i in range(count):
@@ -242,7 +242,7 @@ def launch_adjoint(
 @kernel
 def launch_along_image_path(
     pixels: NDArray[np.int64], samples: int, stratified: bool, replicate_key: np.uint64, colour: int,
-    sensor: SensorTables, lens: LensTables, array: ArrayTables, aim: AimTables, frames: Array,
+    sensor: SensorTables, lens: LensTables, mla: MlaTables, aim: AimTables, frames: Array,
     bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
     """Start packets as `launch_adjoint` does, and take them through array and lens by the sequential engine at once.
@@ -253,7 +253,7 @@ def launch_along_image_path(
         Working memory, see `image_path.follow_image_path`.
     """
     _begin(room, colour, len(lens.surfaces))
-    station = PLATE if array.present else LENS
+    station = PLATE if mla.present else LENS
     for i in range(STARTS):
         numbers[i] = i
     which, sample = 0, 0
@@ -261,12 +261,12 @@ def launch_along_image_path(
         count = min(STARTS, len(pixels) * samples - first)
         _draw_numbers(room, stratified, replicate_key, pixels, which, sample, samples, count)
         which, sample = _aim_rays(
-            room, bundle, pixels, which, sample, samples, count, replicate_key, colour, sensor, array, aim, frames,
+            room, bundle, pixels, which, sample, samples, count, replicate_key, colour, sensor, mla, aim, frames,
             flow.book,
         )  # fmt: skip
         pad(bundle, count)
         move_bundle(bundle, frames[SENSOR_FRAME, CAMERA_FRAME])
-        follow_block(room.packets, station, False, count, lens, array, frames, bundle, numbers, options, flow)
+        follow_block(room.packets, station, False, count, lens, mla, frames, bundle, numbers, options, flow)
 
 
 @kernel
@@ -286,7 +286,7 @@ def _begin(room: StartRoom, colour: int, lens_surfaces: int) -> None:
 @kernel
 def _aim_rays(
     room: StartRoom, bundle: Array, pixels: NDArray[np.int64], which: int, sample: int, samples: int, count: int,
-    replicate_key: np.uint64, colour: int, sensor: SensorTables, array: ArrayTables, aim: AimTables, frames: Array,
+    replicate_key: np.uint64, colour: int, sensor: SensorTables, mla: MlaTables, aim: AimTables, frames: Array,
     book: Array,
 ) -> tuple[int, int]:  # fmt: skip
     """Write a block of rays (sensor frame) and their weights to the bundle, by the numbers that were drawn.
@@ -299,34 +299,34 @@ def _aim_rays(
     # Of what arrives, a pixel detects what it does not reflect.
     area = sensor.pixel * sensor.pixel * MM2 / samples * (1.0 - sensor.reflectance)
     # The sensor's normal towards the array.
-    normal = move_direction(frames, SENSOR_FRAME, ARRAY_FRAME, 0.0, 0.0, -1.0)
+    normal = move_direction(frames, SENSOR_FRAME, MLA_FRAME, 0.0, 0.0, -1.0)
     near, begun = 0, -1
     column, row, glass, usual = 0.0, 0.0, 1.0, np.inf
     shares = Allotment(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    if array.present:
-        glass = glass_before_faces(array, colour)
+    if mla.present:
+        glass = glass_before_faces(mla, colour)
     for i in range(count):
         pixel = pixels[which]
         if which != begun:
             begun = which
             column, row = pixel % sensor.columns - 0.5 * sensor.columns, pixel // sensor.columns - 0.5 * sensor.rows
-            if array.present:
+            if mla.present:
                 x, y = (column + 0.5) * sensor.pixel, (row + 0.5) * sensor.pixel
-                px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
-                near = list_cells(array, aim, glass, px, py, pz, HALF_DIAGONAL * sensor.pixel, room.near)
+                px, py, pz = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
+                near = list_cells(mla, aim, glass, px, py, pz, HALF_DIAGONAL * sensor.pixel, room.near)
                 shares = allotted(aim, near, samples, derived(replicate_key, pixel))
-                usual = area * lenslet_ahead(array, glass, pz) / (1.0 - aim.wide_share)
+                usual = area * lenslet_ahead(mla, glass, pz) / (1.0 - aim.wide_share)
         numbers = (
             room.numbers[CELL_U, i], room.numbers[CELL_V, i], room.numbers[PIXEL_U, i],
             room.numbers[PIXEL_V, i], room.numbers[WHICH_CELL, i], room.numbers[DISCRETE, i],
         )  # fmt: skip
         x, y = (column + numbers[PIXEL_U]) * sensor.pixel, (row + numbers[PIXEL_V]) * sensor.pixel
-        if array.present:
-            px, py, pz = move_point(frames, SENSOR_FRAME, ARRAY_FRAME, x, y, 0.0)
+        if mla.present:
+            px, py, pz = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
             dx, dy, dz, importance = through_a_lenslet(
-                array, aim, glass, normal, room.near, near, room.cells, numbers, sample, shares, px, py, pz
+                mla, aim, glass, normal, room.near, near, room.cells, numbers, sample, shares, px, py, pz
             )  # fmt: skip
-            ux, uy, uz = move_direction(frames, ARRAY_FRAME, SENSOR_FRAME, dx, dy, dz)
+            ux, uy, uz = move_direction(frames, MLA_FRAME, SENSOR_FRAME, dx, dy, dz)
         else:
             # The pupil disks are square to the axis of the lens, whichever way the sensor is tilted.
             px, py, pz = move_point(frames, SENSOR_FRAME, CAMERA_FRAME, x, y, 0.0)

@@ -5,7 +5,7 @@ import numpy as np
 from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
 from lfmesh.scene import Scene
-from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, OBJECT_FRAME, SENSOR_FRAME
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, OBJECT_FRAME, SENSOR_FRAME
 
 
 def frame_table(scene: Scene, middle: Array) -> Array:
@@ -36,7 +36,7 @@ def frame_table(scene: Scene, middle: Array) -> Array:
     face += sensor.distance_mm or 0.0
     sensor_to_camera = frame.frame(sensor.pose.tilt_deg, np.add([0.0, 0.0, face], sensor.pose.shift_mm))
     # Moves between parts of the camera bypass the world frame, whose origin may be so far away that digits are lost.
-    to_camera = {CAMERA_FRAME: frame.IDENTITY, ARRAY_FRAME: array_to_camera, SENSOR_FRAME: sensor_to_camera}
+    to_camera = {CAMERA_FRAME: frame.IDENTITY, MLA_FRAME: array_to_camera, SENSOR_FRAME: sensor_to_camera}
     moves = np.empty((5, 5, 3, 4))
     for here in range(5):
         if here in to_camera:

@@ -100,7 +100,7 @@ class InterfaceTables(NamedTuple):
     ----------
     lens : Interfaces
         One row for each refracting surface.
-    array : Interfaces
+    mla : Interfaces
         `CURVED_ROW` and `FLAT_ROW`.
     objects : Interfaces
         For each target one row for each medium that may be on its outside, see `tables.body_row`; rows of opaque
@@ -108,7 +108,7 @@ class InterfaceTables(NamedTuple):
     """
 
     lens: Interfaces
-    array: Interfaces
+    mla: Interfaces
     objects: Interfaces
 
 
@@ -187,13 +187,13 @@ def interface_tables(scene: Scene, wavelengths_nm: tuple[float, ...], book: Book
     SceneError, FileError
         A coating cannot be tabulated.
     """
-    lens, array, bodies = (_finishes(scene, faces, wavelengths_nm) for faces in _faces_of_regions(scene))
+    lens, mla, bodies = (_finishes(scene, faces, wavelengths_nm) for faces in _faces_of_regions(scene))
     slots = book.coatings if book is not None else {}
     faces = _faces_of_regions(scene)
     return InterfaceTables(
         *(
             _table(own, [slots.get(face.body, NO_SLOT) for face in its], len(wavelengths_nm))
-            for own, its in zip((lens, array, bodies), faces, strict=True)
+            for own, its in zip((lens, mla, bodies), faces, strict=True)
         )
     )
 
@@ -216,9 +216,9 @@ def coating_lines(scene: Scene) -> list[str]:
     """
     wavelengths_nm = scene.transport.wavelengths_nm
     colour = wavelengths_nm.index(scene.transport.primary_nm)
-    array = array_faces(scene) if scene.camera.mla is not None else []
+    mla = array_faces(scene) if scene.camera.mla is not None else []
     lines, used = [], set()
-    for face in (*lens_faces(scene), *array, *body_faces(scene)):
+    for face in (*lens_faces(scene), *mla, *body_faces(scene)):
         finish = _finish_of(scene, face, wavelengths_nm)
         if finish.kind == BARE:
             continue

@@ -17,10 +17,10 @@ from lfmesh.transport.packets.book import MOUNT, STOP, Book
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.tables import (
     AIR,
-    ArrayTables,
     Interfaces,
     LensTables,
     Media,
+    MlaTables,
 )
 
 SLOPE_INTERVALS = 1024
@@ -194,9 +194,9 @@ def _pure_stop(scene: Scene, shape: LensShape) -> tuple[int, float, float, frame
     return -1, 0.0, np.inf, frame.IDENTITY
 
 
-def array_tables(
+def mla_tables(
     scene: Scene, wavelengths_nm: tuple[float, ...], interfaces: Interfaces, known: MediumList
-) -> tuple[Mesh, ArrayTables]:
+) -> tuple[Mesh, MlaTables]:
     """Return one cell for each lenslet type, side by side, as one mesh for Embree, and the tables of the array.
 
     Parameters
@@ -236,10 +236,10 @@ def array_tables(
 def _cells(
     is_curved: bool, present: bool, shapes: Lenslets, mesh: Mesh, shift: float, media: Media, medium: int,
     interfaces: Interfaces, curved_to_lens: bool,
-) -> ArrayTables:  # fmt: skip
+) -> MlaTables:  # fmt: skip
     bodies = np.zeros(len(mesh.faces), np.int64)
     patches_, across = curved(is_curved, mesh)
-    return ArrayTables(
+    return MlaTables(
         present=present,
         lenslets=shapes,
         patches=patches_,

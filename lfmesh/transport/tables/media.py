@@ -31,9 +31,9 @@ class MediumList:
     def of(cls, scene: Scene) -> "MediumList":
         """Return the media of a scene."""
         lens = [surface.medium for surface in scene.camera.lens.surfaces]
-        array = [scene.camera.mla.medium] if scene.camera.mla is not None else []
+        mla = [scene.camera.mla.medium] if scene.camera.mla is not None else []
         bodies = [target.refractor.medium for target in scene.targets if target.refractor is not None]
-        return cls(tuple(dict.fromkeys([None, *lens, *array, *bodies])))
+        return cls(tuple(dict.fromkeys([None, *lens, *mla, *bodies])))
 
     def number(self, medium: Medium) -> int:
         """Return the number of a medium."""

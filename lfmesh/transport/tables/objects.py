@@ -180,7 +180,7 @@ def object_tables(
         uv=uv,
         closed=np.array([t.closed for t in targets], dtype=np.bool_),
         scattering=scattering_tables(materials, wavelengths_nm),
-        radiance=_by_wave([m.radiance_w_m2_sr for m in materials], wavelengths_nm),
+        radiance=_by_wavelength([m.radiance_w_m2_sr for m in materials], wavelengths_nm),
         media=known.table(wavelengths_nm),
         medium=np.array([known.number(g.medium) if g is not None else OPAQUE for g in glasses], dtype=np.int64),
         interfaces=interfaces,
@@ -238,7 +238,7 @@ def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
     return objects._replace(sources=_sources(_lamps(objects)))
 
 
-def _by_wave(values: list[float], wavelengths_nm: tuple[float, ...]) -> Array:
+def _by_wavelength(values: list[float], wavelengths_nm: tuple[float, ...]) -> Array:
     return np.repeat(np.array(values, dtype=np.float64).reshape(-1, 1), len(wavelengths_nm), axis=1)
 
 

@@ -64,7 +64,7 @@ class LensTables(NamedTuple):
     by_roots: NDArray[np.bool_]  # (K + 1,) whether all surfaces of a space are exact conics without a pose
 
 
-class ArrayTables(NamedTuple):
+class MlaTables(NamedTuple):
     """The microlens array in its own frame, z from the curved face into the glass; one cell mesh for each type."""
 
     present: bool
@@ -187,7 +187,7 @@ class Tables(NamedTuple):
     """All tables of a scene."""
 
     lens: LensTables
-    array: ArrayTables
+    mla: MlaTables
     sensor: SensorTables
     objects: ObjectTables
     frames: Array  # (5, 5, 3, 4): frames[a, b] moves from frame a into frame b

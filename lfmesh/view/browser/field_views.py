@@ -102,8 +102,8 @@ class FieldViews:
 
     def _sample(self, row: int, column: int) -> tuple[int, int]:
         """Return the sample (t, s) of a lenslet, by its place on the array: the nearest, where it was resampled."""
-        array = self.calibration.lattice._replace(pitch=self.calibration.lenslet_pitch_mm)
-        x, _ = centre(array, column, row)
+        mla = self.calibration.lattice._replace(pitch=self.calibration.lenslet_pitch_mm)
+        x, _ = centre(mla, column, row)
         t, _ = self.upright.pixel(row, column, self.calibration.known.shape)
         return t, int(np.argmin(np.abs(self.field.s_mm - self.upright.senses[0] * x)))
 

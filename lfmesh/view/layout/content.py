@@ -15,7 +15,7 @@ from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.report import lenslet_to_sensor_mm
 from lfmesh.scene.solve import air_thickness_mm, image_plane_mm, lenslet_focal_length_mm
-from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME, Status
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME, Status
 from lfmesh.transport.world import World, build
 from lfmesh.view.layout.sections import (
     Cut,
@@ -160,7 +160,7 @@ class Layout:
     glass: list[Glass]
     stop: Array
     bundles: list[Bundle]
-    array: Array | None
+    mla: Array | None
     sensor: Array
     targets: list[TargetSection]
     detail: Detail
@@ -268,7 +268,7 @@ def _array_section(scene: Scene, moves: Array) -> Array | None:
     mla = scene.camera.mla
     if mla is None:
         return None
-    cut = cut_through("camera.mla", moves[ARRAY_FRAME, CAMERA_FRAME], mla.size_mm)
+    cut = cut_through("camera.mla", moves[MLA_FRAME, CAMERA_FRAME], mla.size_mm)
     ends = np.array([cut.low, cut.high])
     return np.concatenate([cut.section(ends), cut.section(ends[::-1], mla.thickness_mm)])
 
@@ -299,8 +299,8 @@ def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
     """Lay out the lenslets nearest the axis, the pixels behind them, and what the rays do there."""
     mla = scene.camera.mla
     assert mla is not None
-    moves, lenslets = world.tables.frames, world.tables.array.lenslets
-    to_camera = moves[ARRAY_FRAME, CAMERA_FRAME]
+    moves, lenslets = world.tables.frames, world.tables.mla.lenslets
+    to_camera = moves[MLA_FRAME, CAMERA_FRAME]
     toward_lens = mla.curved_side == "lens"
     # Seen from the lens through the plate, the apexes lie nearer.
     seen_z = 0.0 if toward_lens else mla.thickness_mm - air_thickness_mm(mla, scene.transport.primary_nm)

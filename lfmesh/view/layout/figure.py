@@ -469,7 +469,7 @@ def _field_words(bundle: Bundle, drawn: Layout) -> str:
 def _main_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, float]) -> None:
     """Draw the camera in its meridional section, with a part of the beams before it."""
     camera = drawn.scene.camera
-    ends = np.concatenate([drawn.sensor, *([] if drawn.array is None else [drawn.array])])
+    ends = np.concatenate([drawn.sensor, *([] if drawn.mla is None else [drawn.mla])])
     outlines = np.concatenate([glass.outline for glass in drawn.glass] + [ends])
     front, back = float(outlines[:, 0].min()), float(outlines[:, 0].max())
     tall = 1.04 * float(max(np.abs(outlines[:, 1]).max(), 1.35 * drawn.stop[1]))
@@ -484,8 +484,8 @@ def _main_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, fl
     view.rays(drawn.bundles, FIELD_COLOURS, 0.7)
     names = [(*_top([glass.outline]), f"L{i + 1}") for i, glass in enumerate(drawn.glass)]
     names.append((float(drawn.stop[0]), 1.3 * float(drawn.stop[1]), f"stop ⌀ {2 * drawn.stop[1]:.4g} mm"))
-    if drawn.array is not None:
-        names.append((*_top([drawn.array]), "array"))
+    if drawn.mla is not None:
+        names.append((*_top([drawn.mla]), "array"))
     names.append((*_top([drawn.sensor]), "sensor"))
     last, focus = camera.lens.vertices_mm[-1], np.zeros(2)
     behind = camera.mla.distance_mm if camera.mla is not None else camera.sensor.distance_mm
@@ -529,8 +529,8 @@ def _draw_lens(view: View, drawn: Layout, line: float = 0.7) -> None:
     pose = pose_of(lens, lens.stop_index or 0)
     marks = [in_section(points(pose, np.column_stack([np.zeros(2), p[:, 1], p[:, 0]]))) for p in ticks + feet]
     view.lines(marks, linewidths=2.0 * line, zorder=4)
-    if drawn.array is not None:
-        view.area(drawn.array, fc=GLASS, lw=0.5 * line, zorder=2)
+    if drawn.mla is not None:
+        view.area(drawn.mla, fc=GLASS, lw=0.5 * line, zorder=2)
     view.lines([drawn.sensor], linewidths=2.2 * line, zorder=4)
 
 
@@ -593,7 +593,7 @@ def _object_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, 
     facts = drawn.facts
     if facts.near_mm < reach:
         far = min(facts.far_mm, reach + 0.03 * long)
-        what = "refocus range" if drawn.array is not None else "depth of field"
+        what = "refocus range" if drawn.mla is not None else "depth of field"
         until = _length(facts.far_mm) if math.isfinite(facts.far_mm) else "infinity"
         words = f"{what} {_length(facts.near_mm)} to {until}"
         dimensions.append(Dimension(np.array([-far, 0.0]), np.array([-facts.near_mm, 0.0]), words, far < facts.far_mm))

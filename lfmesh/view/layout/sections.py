@@ -217,20 +217,20 @@ def chained(segments: Array, closeness: float) -> list[Array]:
     return lines
 
 
-def curved_face(cut: Cut, array: Lenslets, s: Array) -> Array:
+def curved_face(cut: Cut, mla: Lenslets, s: Array) -> Array:
     """Return the height of the array's curved face along a cut through it, mm: z of the array's frame.
 
     Parameters
     ----------
     cut : Cut
-    array : Lenslets
+    mla : Lenslets
     s : (n,) float64, mm
         Places along the cut.
     """
     height = np.zeros_like(s)
-    centres = array.lattice.centres().reshape(-1, 2)
+    centres = mla.lattice.centres().reshape(-1, 2)
     line = cut.local(s)
-    reach = 0.5 * np.ptp(line, axis=0).max() + 2.0 * array.lattice.pitch
+    reach = 0.5 * np.ptp(line, axis=0).max() + 2.0 * mla.lattice.pitch
     middle = 0.5 * (line.min(axis=0) + line.max(axis=0))
     numbers = np.flatnonzero(np.abs(centres - middle).max(axis=1) < reach)
     # A tilted array is cut a little aside where its face is deep.
@@ -238,8 +238,8 @@ def curved_face(cut: Cut, array: Lenslets, s: Array) -> Array:
         p = cut.local(s, height)
         nearest = numbers[((p[:, None] - centres[numbers]) ** 2).sum(axis=2).argmin(axis=1)]
         for cell in np.unique(nearest):
-            row, column = divmod(int(cell), array.lattice.columns)
-            curvature, ex, ey = shape_of(array, column, row)
+            row, column = divmod(int(cell), mla.lattice.columns)
+            curvature, ex, ey = shape_of(mla, column, row)
             there = nearest == cell
             r2 = np.square(p[there] - centres[cell] - (ex, ey)).sum(axis=1)
             height[there] = curvature * r2 / (1.0 + np.sqrt(1.0 - curvature**2 * r2))

@@ -19,7 +19,7 @@ from lfmesh.geometry.levels import EXACT
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.transport.aiming.aim_table import widest_disk
 from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
-from lfmesh.transport.sequential.reflections import Arrived, follow_sequence, follow_through_array
+from lfmesh.transport.sequential.reflections import Arrived, follow_sequence, follow_through_mla
 from lfmesh.transport.sequential.sequences import Itinerary, image_path, two_reflections
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.trace import at_wavelength
@@ -144,7 +144,7 @@ def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[fl
     points = frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], np.atleast_2d(np.asarray(points_mm, float)))
     if (points[:, 2] >= world.tables.lens.box_low[2]).any():
         raise LfmeshError("ghosts by sequence: a field point must lie in front of the lens")
-    surfaces, with_array = len(shape.surfaces), world.tables.array.present
+    surfaces, with_array = len(shape.surfaces), world.tables.mla.present
     faces = surfaces + 2 * with_array
     tables = [at_wavelength(world, wavelength) for wavelength in wavelengths_nm or world.scene.transport.wavelengths_nm]
     # A hollow side may be met twice; of an asphere, either.
@@ -188,14 +188,14 @@ def _brought(world: World, tables: list[Tables], points: Floats, path: Itinerary
 def _face_labels(world: World) -> list[str]:
     """Return the labels of a camera's faces, in order from the object to the sensor."""
     names = lens_names(world)
-    if world.tables.array.present:
-        names += [CURVED, FLAT] if world.tables.array.curved_to_lens else [FLAT, CURVED]
+    if world.tables.mla.present:
+        names += [CURVED, FLAT] if world.tables.mla.curved_to_lens else [FLAT, CURVED]
     return [label(name) for name in names]
 
 
 def _from_point(tables: Tables, point: Floats, path: Itinerary) -> Integral:
     """Integrate the intensity that arrives on the sensor over the plane before the lens."""
-    lens, array = tables.lens, tables.array
+    lens, mla = tables.lens, tables.mla
     plane_z, half_width = float(lens.box_low[2]), widest_disk(lens, point[None], front=True)
     in_lens = path.until(len(lens.surfaces))
 
@@ -203,8 +203,8 @@ def _from_point(tables: Tables, point: Floats, path: Itinerary) -> Integral:
         ray = np.column_stack([at, np.full(len(at), plane_z)]) - point
         length = np.linalg.norm(ray, axis=1)
         arrived = follow_sequence(lens, in_lens, np.broadcast_to(point, ray.shape), ray / length[:, None])
-        if array.present:
-            follow_through_array(arrived, array, tables.frames)
+        if mla.present:
+            follow_through_mla(arrived, mla, tables.frames)
         return np.asarray(INTENSITY_W_SR * _on_sensor(tables, arrived) * ray[:, 2] / length**3)
 
     return integral(irradiance, half_width)

@@ -368,7 +368,7 @@ def places(rays: Rays) -> dict[str, list[int]]:
     world = rays.world
     known: dict[str, set[int]] = {}
     for number, name in enumerate(rays.surfaces):
-        if name not in NO_PLACE and (name not in OF_ARRAY or world.tables.array.present):
+        if name not in NO_PLACE and (name not in OF_ARRAY or world.tables.mla.present):
             known.setdefault(name, set()).add(number)
     known.update({alias: known[name] for alias, name in aliases(world).items() if name in known})
     parts: dict[str, set[int]] = {}

@@ -152,7 +152,7 @@ def ghost_matrix(rays: Rays, exact: ExactGhosts | None = None) -> GhostMatrix:
         and the rays give the other paths alone.
     """
     names = lens_names(rays.world)
-    if rays.world.tables.array.present:
+    if rays.world.tables.mla.present:
         names += [CURVED, FLAT]
     known = rays.of_sequences(exact.by_words if exact is not None else ())
     power = np.zeros((len(names), len(names)))

@@ -17,7 +17,7 @@ from lfmesh.geometry.levels import EXACT
 from lfmesh.geometry.surface import in_place, normals
 from lfmesh.optics.glass import refractive_index
 from lfmesh.transport.events.interface import shares
-from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME, Event
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME, Event
 from lfmesh.transport.tables.interfaces import InterfaceTables, interface_tables
 from lfmesh.transport.tables.media import Medium
 from lfmesh.transport.tables.tables import AIR, CURVED_ROW, FLAT_ROW, Interfaces, body_row
@@ -184,7 +184,7 @@ def _interface(rays: Rays, vertex: int, interfaces: InterfaceTables) -> _Interfa
     if name in (CURVED, FLAT) and mla is not None:
         exact = name == FLAT or world.scene.transport.surface == "exact"
         normal, row = _of_array(rays, vertex, name) if exact else None, CURVED_ROW if name == CURVED else FLAT_ROW
-        return _Interface(normal, interfaces.array, row)
+        return _Interface(normal, interfaces.mla, row)
     if name == "sensor":
         axis = frames.directions(world.tables.frames[SENSOR_FRAME, WORLD_FRAME], [[0.0, 0.0, 1.0]])
         return _Interface(np.asarray(axis[0]))
@@ -213,16 +213,16 @@ def _of_lens(rays: Rays, vertex: int, k: int) -> Vector:
 
 def _of_array(rays: Rays, vertex: int, name: str) -> Vector:
     """Return the normal of a face of the array."""
-    moves, lenslets = rays.world.tables.frames, rays.world.tables.array.lenslets
+    moves, lenslets = rays.world.tables.frames, rays.world.tables.mla.lenslets
     normal = np.array([0.0, 0.0, 1.0])
     if name == CURVED:
         row, column = divmod(int(rays.lenslet[vertex]), lenslets.lattice.columns)
         cx, cy = centre(lenslets.lattice, column, row)
         curvature, ex, ey = shape_of(lenslets, column, row)
-        p = frames.points(moves[WORLD_FRAME, ARRAY_FRAME], rays.position[vertex][None])[0]
+        p = frames.points(moves[WORLD_FRAME, MLA_FRAME], rays.position[vertex][None])[0]
         normal = normal - curvature * (p - [cx + ex, cy + ey, 0.0])
         normal /= np.linalg.norm(normal)
-    return np.asarray(frames.directions(moves[ARRAY_FRAME, WORLD_FRAME], normal[None])[0])
+    return np.asarray(frames.directions(moves[MLA_FRAME, WORLD_FRAME], normal[None])[0])
 
 
 def _medium_beyond(rays: Rays, vertex: int) -> Medium:

@@ -29,7 +29,7 @@ from lfmesh.view.rays.recording import from_point, traced
 
 Floats = NDArray[np.float64]
 
-Waves = Sequence[tuple[int, float]]
+Colours = Sequence[tuple[int, float]]
 """Number (among the scene's; 0 for one that is not) and length in nm of the wavelengths that share the rays."""
 
 
@@ -38,14 +38,14 @@ class Settings:
     """How many rays, at which wavelengths, and how they are followed."""
 
     count: int
-    waves: Waves
+    colours: Colours
     split: int
     cutoff: float
     seed: int
 
     def rays_of(self, place: int) -> int:
-        """Return how many rays the wavelength at a place of `waves` has."""
-        return len(range(place, self.count, len(self.waves)))
+        """Return how many rays the wavelength at a place of `colours` has."""
+        return len(range(place, self.count, len(self.colours)))
 
 
 INTENSITY_W_SR = 1.0
@@ -106,14 +106,14 @@ def from_field_point(
     x, y, plane_z, radius = _disk_seen(world, point, aim)
     options = options_of(world, tracing=True, record=True, split=settings.split, cutoff=settings.cutoff)
     parts = []
-    for place, (wave, wavelength) in enumerate(settings.waves):
-        u, v = _square(np.arange(place, count, len(settings.waves)), seed)
+    for place, (colour, wavelength) in enumerate(settings.colours):
+        u, v = _square(np.arange(place, count, len(settings.colours)), seed)
         r, phi = radius * np.sqrt(u), 2.0 * np.pi * v
         ray = np.stack([x + r * np.cos(phi), y + r * np.sin(phi), np.full(len(u), plane_z)], axis=-1) - point
         length = np.linalg.norm(ray, axis=1)
         solid_angle = np.pi * radius**2 * ray[:, 2] / length**3 / max(len(u), 1)
         watts = INTENSITY_W_SR * solid_angle
-        starts = from_point(world, point, ray / length[:, None], watts, descendant(_KEY, seed, wave))
+        starts = from_point(world, point, ray / length[:, None], watts, descendant(_KEY, seed, colour))
         parts.append(traced(world, at_wavelength(world, wavelength), options, starts, place))
     return _assembled(world, parts, settings)
 
@@ -236,8 +236,8 @@ def from_light(
     LfmeshError
         No such light or wavelength, a scene without targets, a count below 1, or a setting out of its range.
     """
-    waves = _wavelengths(world, wavelength_nm, any_other=False)
-    settings = _settings(world, count, waves, split, weight_cutoff, seed)
+    colours = _wavelengths(world, wavelength_nm, any_other=False)
+    settings = _settings(world, count, colours, split, weight_cutoff, seed)
     lights = len(world.scene.lights)
     if not 0 <= number < lights:
         known = f"it has lights[0] to lights[{lights - 1}]" if lights else "it has none"
@@ -284,11 +284,11 @@ def as_in_run(
     transport = world.scene.transport
     split = transport.split if split is None else split
     seed = transport.seed if seed is None else seed
-    waves = _wavelengths(world, wavelength_nm, any_other=False)
+    colours = _wavelengths(world, wavelength_nm, any_other=False)
     sensor = world.tables.sensor
     pixels = sensor.rows * sensor.columns
-    most = pixels * len(waves) * (transport.samples if transport.method == "forward" else 1)
-    settings = _settings(world, most if count is None else count, waves, split, weight_cutoff, seed)
+    most = pixels * len(colours) * (transport.samples if transport.method == "forward" else 1)
+    settings = _settings(world, most if count is None else count, colours, split, weight_cutoff, seed)
     if transport.method == "adjoint":
         return _from_pixels(world, range(sensor.rows), range(sensor.columns), settings)
     if not len(world.tables.objects.sources):
@@ -302,14 +302,14 @@ def _from_pixels(world: World, rows: range, columns: range, settings: Settings) 
     options = options_of(world, tracing=True, record=True, split=settings.split, cutoff=settings.cutoff)
     generator = np.random.default_rng(settings.seed)
     parts = []
-    for place, (wave, wavelength) in enumerate(settings.waves):
+    for place, (colour, wavelength) in enumerate(settings.colours):
         rays = settings.rays_of(place)
         # Unshuffled, a few of many millions are drawn without listing them all.
         row, column = np.divmod(
             np.sort(generator.choice(box, min(rays, box), replace=False, shuffle=False)), len(columns)
         )
         pixels = np.asarray(rows)[row] * world.tables.sensor.columns + np.asarray(columns)[column]
-        starts = PixelSource(pixels, max(1, round(rays / box)), descendant(run_key(settings.seed), 0, wave))
+        starts = PixelSource(pixels, max(1, round(rays / box)), descendant(run_key(settings.seed), 0, colour))
         ended, nodes = traced(world, at_wavelength(world, wavelength), options, starts, place)
         # Of pixels drawn by chance, each stands for several.
         for table in (ended, nodes):
@@ -326,11 +326,11 @@ def _from_sources(world: World, tables: Tables, settings: Settings) -> Rays:
     )
     one = tables.sensor.rows * tables.sensor.columns * (transport.samples // transport.replicates)
     parts = []
-    for place, (wave, _) in enumerate(settings.waves):
+    for place, (colour, _) in enumerate(settings.colours):
         total = settings.rays_of(place)
         for replicate, first in enumerate(range(0, total, one)):
-            key = descendant(run_key(settings.seed), replicate, wave)
-            starts = LightSource(0, min(one, total - first), total, key, wave)
+            key = descendant(run_key(settings.seed), replicate, colour)
+            starts = LightSource(0, min(one, total - first), total, key, colour)
             parts.append(traced(world, tables, options, starts, place))
     return _assembled(world, parts, settings)
 
@@ -339,7 +339,7 @@ def _assembled(
     world: World, parts: list[tuple[Records, Records]], settings: Settings, *, from_sensor: bool = False
 ) -> Rays:
     ended, nodes = joined_records(parts)
-    lengths = np.array([wavelength for _, wavelength in settings.waves])
+    lengths = np.array([wavelength for _, wavelength in settings.colours])
     return assembled(world, ended, nodes, lengths[ended["colour"]], ended["source"] if from_sensor else None)
 
 
@@ -383,7 +383,7 @@ def _point_before_lens(world: World, position_mm: ArrayLike) -> Floats:
     return np.asarray(moved)
 
 
-def _wavelengths(world: World, wavelength_nm: float | None, *, any_other: bool = True) -> Waves:
+def _wavelengths(world: World, wavelength_nm: float | None, *, any_other: bool = True) -> Colours:
     """Return the wavelengths that rays are launched at; `any_other`: one that is not the scene's will do."""
     known = world.scene.transport.wavelengths_nm
     if wavelength_nm is None:
@@ -398,7 +398,9 @@ def _wavelengths(world: World, wavelength_nm: float | None, *, any_other: bool =
     return [(0, float(wavelength_nm))]
 
 
-def _settings(world: World, count: int, waves: Waves, split: str, weight_cutoff: float | None, seed: int) -> Settings:
+def _settings(
+    world: World, count: int, colours: Colours, split: str, weight_cutoff: float | None, seed: int
+) -> Settings:
     """Return checked settings."""
     if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
         raise LfmeshError(f"count = {count!r}: must be a whole number of rays, at least 1")
@@ -409,7 +411,7 @@ def _settings(world: World, count: int, waves: Waves, split: str, weight_cutoff:
         raise LfmeshError(f"weight_cutoff = {cutoff!r}: must be from 0 to 1")
     if not 0 <= seed < 2**63:
         raise LfmeshError(f"seed = {seed!r}: must be a whole number from 0 to 2^63 − 1")
-    return Settings(int(count), waves, SPLIT_MODE[split], cutoff, int(seed))
+    return Settings(int(count), colours, SPLIT_MODE[split], cutoff, int(seed))
 
 
 FORMS = {

@@ -20,7 +20,7 @@ OWN_SURFACE = 32.0 * FLOAT32_GRAIN
 """How far a field point may lie off a target to be a point of it, relative to its coordinates."""
 
 
-def traced(world: World, tables: Tables, options: Options, source: Source, wave: int) -> tuple[Records, Records]:
+def traced(world: World, tables: Tables, options: Options, source: Source, colour: int) -> tuple[Records, Records]:
     """Trace a source chunk by chunk; return the ends of packets and all vertices.
 
     Parameters
@@ -29,7 +29,7 @@ def traced(world: World, tables: Tables, options: Options, source: Source, wave:
     tables : Tables
     options : Options
     source : Source
-    wave : int
+    colour : int
         Number of the wavelength among the launch's.
     """
     launcher = Launcher(lambda: Workspace(world, options, tables=tables))
@@ -39,7 +39,7 @@ def traced(world: World, tables: Tables, options: Options, source: Source, wave:
         parts.append((work.ends(), work.vertices()))
         work.recorded += len(parts[-1][1])
     ended, nodes = joined_records(parts)
-    ended["colour"] = wave
+    ended["colour"] = colour
     return ended, nodes
 
 

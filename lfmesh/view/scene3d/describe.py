@@ -22,7 +22,7 @@ def describe(world: World, name: str) -> Rows:
     """
     kind, _, number = name.rstrip("]").partition("[")
     makers = {"stop": _stop, "mla": _array, "sensor": _sensor}
-    if kind in makers and not number and (kind != "mla" or world.tables.array.present):
+    if kind in makers and not number and (kind != "mla" or world.tables.mla.present):
         return makers[kind](world)
     if name == "mount":
         return [("mount", "absorbs what leaves the clear apertures between the elements")]

@@ -17,7 +17,7 @@ from lfmesh.geometry.targets import TargetMesh
 from lfmesh.geometry.tessellation import element
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import DirectionalLight, DiskLight
-from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 from lfmesh.view.scene3d import array_shape
 from lfmesh.view.scene3d.colours import tint
@@ -169,10 +169,10 @@ def _stop(world: World) -> Iterator[Part]:
 
 
 def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
-    if not world.tables.array.present:
+    if not world.tables.mla.present:
         return
-    lenslets = world.tables.array.lenslets
-    to_world = world.tables.frames[ARRAY_FRAME, WORLD_FRAME]
+    lenslets = world.tables.mla.lenslets
+    to_world = world.tables.frames[MLA_FRAME, WORLD_FRAME]
     mla = world.scene.camera.mla
     assert mla is not None
     glass = {"color": tint(refractive_index(mla.medium, world.scene.transport.primary_nm)), "opacity": 0.3}
@@ -199,9 +199,9 @@ def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
 
 def _plate(world: World, front_mm: float) -> pv.PolyData:
     """Return the box round the array's glass, from the valleys between its lenslets to its flat face."""
-    lenslets = world.tables.array.lenslets
+    lenslets = world.tables.mla.lenslets
     corners = [array_shape.face_corners(lenslets, z) for z in (front_mm, lenslets.thickness)]
-    points = frames.points(world.tables.frames[ARRAY_FRAME, WORLD_FRAME], np.concatenate(corners))
+    points = frames.points(world.tables.frames[MLA_FRAME, WORLD_FRAME], np.concatenate(corners))
     sides = [[i, (i + 1) % 4, (i + 1) % 4 + 4, i + 4] for i in range(4)]
     quads = np.array([[4, 5, 6, 7], *sides])
     return polydata(points, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))

@@ -89,7 +89,7 @@ class View:
     @property
     def presets(self) -> list[str]:
         """Names that `look` takes for this camera."""
-        return [name for name in PRESETS if name != "array" or self.world.tables.array.present]
+        return [name for name in PRESETS if name != "array" or self.world.tables.mla.present]
 
     @property
     def title(self) -> str:

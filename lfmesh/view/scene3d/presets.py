@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.targets import TargetMesh
-from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ def viewpoint(
     """
     if preset not in PRESETS:
         raise LfmeshError(f"preset = {preset!r}: use one of {', '.join(PRESETS)}")
-    if preset == "array" and not world.tables.array.present:
+    if preset == "array" and not world.tables.mla.present:
         raise LfmeshError('preset = "array": this camera has no microlens array; use "sensor"')
     points, forward, parallel = PRESETS[preset](world, near_mm)
     seen = fitted(points, forward, aspect, parallel, angle_deg)
@@ -183,11 +183,11 @@ def _in_field(world: World, target: TargetMesh) -> Array:
 
 def _near_lenslets(world: World, near_mm: tuple[float, float]) -> Array:
     """Return a few lenslets round a point of the array, and the sensor behind them."""
-    lenslets = world.tables.array.lenslets
+    lenslets = world.tables.mla.lenslets
     half = 0.5 * LENSLETS * lenslets.lattice.pitch
     x, y = near_mm
     box = _box([x - half, y - half, lenslets.top], [x + half, y + half, lenslets.thickness])
-    corners = frames.points(world.tables.frames[ARRAY_FRAME, CAMERA_FRAME], box)
+    corners = frames.points(world.tables.frames[MLA_FRAME, CAMERA_FRAME], box)
     to_sensor = frames.points(world.tables.frames[CAMERA_FRAME, SENSOR_FRAME], corners)
     to_sensor[:, 2] = 0.0
     return np.concatenate([corners, frames.points(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME], to_sensor)])

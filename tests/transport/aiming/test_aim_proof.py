@@ -30,7 +30,7 @@ def missed(world: World, aim: AimTables, seed: int = 99) -> tuple[float, float]:
     """Return the shares of the throughput outside an aim's two sides, by new rays."""
     random = np.random.default_rng(seed)
     tables = world.tables
-    through = CameraTables(tables.lens, tables.array, tables.sensor, tables.frames)
+    through = CameraTables(tables.lens, tables.mla, tables.sensor, tables.frames)
     rays = _rays_from_stop(through, _reach(through, random), random)
     corners = world.targets[0].mesh.vertices
     seen = viewpoints(aim.entrance.plane_z, aim.front_radius, corners, to_sensor=True)
@@ -105,7 +105,7 @@ def test_an_opening_that_is_taken_for_closed_is_opened_again(side: str, emitting
     aim, tables = world.tables.aim, world.tables
     opening = getattr(aim, side)
     closed = aim._replace(**{side: opening._replace(radius=np.full_like(opening.radius, -1.0))})
-    through = CameraTables(tables.lens, tables.array, tables.sensor, tables.frames)
+    through = CameraTables(tables.lens, tables.mla, tables.sensor, tables.frames)
     seen = viewpoints(aim.entrance.plane_z, aim.front_radius, world.targets[0].mesh.vertices, to_sensor=True)
     mended, proof = proven(closed, through, seen)
     assert proof is not None

@@ -72,7 +72,7 @@ def test_openings_are_decentred_rather_than_widened(scene: str) -> None:
     assert max(missed(world, after)) <= 2.0 * ALLOWED
     centred = np.zeros((2, 2))
     back = after._replace(entrance=after.entrance._replace(decentre=centred))
-    if not world.tables.array.present:
+    if not world.tables.mla.present:
         back = back._replace(exit=after.exit._replace(decentre=centred))
         assert missed(world, back)[0] > 100 * ALLOWED
     assert missed(world, back)[1] > 100 * ALLOWED

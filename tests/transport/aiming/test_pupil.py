@@ -15,7 +15,7 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lattice import Lattice
 from lfmesh.transport.aiming.lenslet_aim import LISTED, cells_that_show, list_cells, most_listed, spread_on_faces
 from lfmesh.transport.aiming.pupil import opening_from, unknown_opening
-from lfmesh.transport.packets.packet import ARRAY_FRAME, CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.tables.tables import AimTables
 from lfmesh.transport.world import World
@@ -196,16 +196,16 @@ def test_no_path_through_a_lenslets_corner_goes_past_the_cells_aimed_at(name: st
     of = lf.load(asset_path(f"scenes/{file}.toml"))
     small = {"camera.mla.count": (24, 24), "camera.sensor.pixels": (240, 240), "transport.split": "transmit"}
     world = lf.build(of.changed(small | {"targets": [], "lights": []} | changes))
-    array, aim, moves = world.tables.array, world.tables.aim, world.tables.frames
+    array, aim, moves = world.tables.mla, world.tables.aim, world.tables.frames
     lattice = array.lenslets.lattice
     random = np.random.default_rng(5)
     rays = 200_000
     p = np.zeros((rays, 3))
     p[:, :2] = random.uniform(-0.5, 0.5, (rays, 2)) * world.scene.camera.sensor.size_mm
-    p = frames.points(moves[SENSOR_FRAME, ARRAY_FRAME], p)
+    p = frames.points(moves[SENSOR_FRAME, MLA_FRAME], p)
     d = corners(lattice, aim, p, random) - p
     d /= np.linalg.norm(d, axis=1, keepdims=True)
-    to_world = moves[ARRAY_FRAME, WORLD_FRAME]
+    to_world = moves[MLA_FRAME, WORLD_FRAME]
     paths = lf.trace(
         world, frames.points(to_world, p + 1e-9 * d), d @ to_world[:, :3].T, split="transmit", engine="sequential"
     )

@@ -17,7 +17,6 @@ from lfmesh.transport import choice
 from lfmesh.transport.events.interface import shares, splitter, transmitted_share
 from lfmesh.transport.packets.book import FIXED, ROULETTE_ADDED, ROULETTE_REMOVED, UNFOLLOWED
 from lfmesh.transport.packets.packet import (
-    ARRAY_FRAME,
     BOTH,
     CAMERA_FRAME,
     COUNTERS,
@@ -27,6 +26,7 @@ from lfmesh.transport.packets.packet import (
     END,
     EVENTS,
     LENS,
+    MLA_FRAME,
     NODE,
     NODES,
     OBJECT_FRAME,
@@ -214,7 +214,7 @@ def test_the_refracted_child_keeps_the_key_and_the_reflected_one_has_its_own():
 
 
 @pytest.mark.parametrize("stray", [0, 1])
-@pytest.mark.parametrize("frame", [CAMERA_FRAME, ARRAY_FRAME, OBJECT_FRAME])
+@pytest.mark.parametrize("frame", [CAMERA_FRAME, MLA_FRAME, OBJECT_FRAME])
 def test_a_reflection_turns_off_the_image_path_and_refraction_does_not(frame, stray):
     made = children(frame=frame, stray=stray)
     assert made.reflected["stray"] == [1]
@@ -222,7 +222,7 @@ def test_a_reflection_turns_off_the_image_path_and_refraction_does_not(frame, st
 
 
 @pytest.mark.parametrize("stray", [0, 1])
-@pytest.mark.parametrize(("frame", "turns"), [(CAMERA_FRAME, 1), (ARRAY_FRAME, 1), (OBJECT_FRAME, 0)])
+@pytest.mark.parametrize(("frame", "turns"), [(CAMERA_FRAME, 1), (MLA_FRAME, 1), (OBJECT_FRAME, 0)])
 def test_total_reflection_is_the_image_paths_own_way_in_object_space_only(frame, turns, stray):
     made = children(frame=frame, stray=stray, reflectance=1.0, transmittance=0.0)
     assert len(made.packets) == 1
@@ -298,7 +298,7 @@ def test_every_surface_face_and_body_has_a_row_and_parameters_lie_one_after_anot
     # The stop refracts nothing.
     assert found.lens.rows["first"].tolist() == [0, 1]
     assert found.lens.parameters.tolist() == [[450.0, 650.0], [450.0, 650.0], [550.0, 750.0]]
-    assert found.array.rows["first"].tolist() == [0, 1]
+    assert found.mla.rows["first"].tolist() == [0, 1]
     # The target once for air, once for the glass of lens and array.
     assert found.objects.rows["first"].tolist() == [0, 1]
 
@@ -351,7 +351,7 @@ def test_a_coated_surface_has_the_shares_of_its_layers(name, side, wave):
     cosines = np.concatenate([np.random.default_rng(8).uniform(0.0, 1.0, 500), critical + np.array([-1e-9, 1e-9])])
     R, T = coated(n_i, n_t, seen, wavelengths[wave], cosines)
     # The first surface meets its coating from the air, the second one from the glass: one name serves both.
-    for table_, rows in ((found.lens, (0, 1)), (found.array, (0, 1))):
+    for table_, rows in ((found.lens, (0, 1)), (found.mla, (0, 1))):
         for row in rows:
             shown = np.array([shares(table_, row, wave, n_i, n_t, c) for c in cosines])
             np.testing.assert_allclose(shown[:, 0], R, rtol=0.0, atol=1e-7)
@@ -416,7 +416,7 @@ def largest_error(count, seed):
         scene = world_with_everything().changed(
             {"camera.mla.index": n, "camera.mla.flat_coating": "x", "coatings": {"x": {"layers": layers}}}
         )
-        found = interface_tables(scene, (wavelength,)).array
+        found = interface_tables(scene, (wavelength,)).mla
         stated = max(stated, coating_errors(scene)["x"])
         stack = Stack(
             tuple(complex(layer["index"], layer["extinction"]) for layer in layers),

@@ -28,19 +28,19 @@ def test_a_medium_has_one_number_wherever_it_is() -> None:
     assert known.number(None) == AIR
     tables = lf.build(SCENE).tables
     assert tables.lens.medium.tolist() == [AIR, 1, 2, AIR]
-    assert tables.array.medium == 1
+    assert tables.mla.medium == 1
 
 
 def test_tables_hold_the_indices_of_their_media_at_each_wavelength() -> None:
     world = lf.build(SCENE)
     dispersion = [refractive_index("SCHOTT/N-BK7", wave) for wave in (450.0, 650.0)]
     assert dispersion[0] > dispersion[1]
-    for tables in (world.tables.lens, world.tables.array, world.tables.objects):
+    for tables in (world.tables.lens, world.tables.mla, world.tables.objects):
         assert tables.media.indices.tolist() == [[1.0, 1.0], dispersion, [1.6, 1.6]]
 
 
 def test_a_trace_has_the_media_of_its_own_wavelength() -> None:
     tables = at_wavelength(lf.build(SCENE), 550.0)
     index = refractive_index("SCHOTT/N-BK7", 550.0)
-    for each in (tables.lens, tables.array, tables.objects):
+    for each in (tables.lens, tables.mla, tables.objects):
         assert each.media.indices[1].tolist() == [index]

@@ -289,7 +289,7 @@ def test_tilted_and_shifted_array_and_sensor_are_drawn_where_they_stand():
     half = 0.5 * 12 * 0.125
     corners = [middle - half * along, middle + half * along]
     corners += [corner + 0.3 * into for corner in corners[::-1]]
-    np.testing.assert_allclose(drawn.array, corners, atol=1e-12)
+    np.testing.assert_allclose(drawn.mla, corners, atol=1e-12)
     at = np.array([z + 0.3 + sensor.distance_mm - 0.1, 0.3])
     np.testing.assert_allclose(drawn.sensor, [at - 0.75 * along, at + 0.75 * along], atol=1e-12)
     ray = drawn.detail.bundles[1].rays[2]

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from lfmesh.geometry import frame as frames
 from lfmesh.scene import loads
-from lfmesh.transport.packets.packet import ARRAY_FRAME, WORLD_FRAME
+from lfmesh.transport.packets.packet import MLA_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World, build
 from lfmesh.view.rays import launch
 from lfmesh.view.rays.paths import Rays
@@ -160,7 +160,7 @@ LARGE = (
 
 def test_a_large_array_is_a_plate_with_real_lenslets_where_they_are_looked_at(views: Callable[..., View]) -> None:
     world = build(loads(LARGE))
-    of = world.tables.array.lenslets
+    of = world.tables.mla.lenslets
     assert of.lattice.columns * of.lattice.rows > MOST_LENSLETS
     near = (2.0, -1.0)
     columns, rows = cells_near(of.lattice, near)
@@ -169,7 +169,7 @@ def test_a_large_array_is_a_plate_with_real_lenslets_where_they_are_looked_at(vi
     view = views(world, near_mm=near)
     assert sum(mesh.n_cells for part, mesh in view.meshes() if part.kind == "array") < 200_000
     view.look("array")
-    looked_at = frames.points(world.tables.frames[ARRAY_FRAME, WORLD_FRAME], [[*near, 0.0]])
+    looked_at = frames.points(world.tables.frames[MLA_FRAME, WORLD_FRAME], [[*near, 0.0]])
     from_middle = pick.to_picture(view, looked_at)[0] - np.array(SIZE) / 2
     assert (np.abs(from_middle) < 0.2 * np.array(SIZE)).all()
     view.near((0.0, 0.0))
@@ -182,9 +182,9 @@ def test_a_large_array_is_a_plate_with_real_lenslets_where_they_are_looked_at(vi
 def test_drawn_lenslets_are_those_of_the_whole_mesh(layout: str, form: str) -> None:
     text = SCENE.replace("count = [12, 10]", f'layout = "{layout}"\n{form}\ncount = [12, 10]')
     world = build(loads(text.replace("focal_length_mm = 3.0", "focal_length_mm = [3.0, 2.5]")))
-    of = world.tables.array.lenslets
+    of = world.tables.mla.lenslets
     drawn = caps(of, *all_cells(of.lattice))
-    to_array = world.tables.frames[WORLD_FRAME, ARRAY_FRAME]
+    to_array = world.tables.frames[WORLD_FRAME, MLA_FRAME]
     traced = frames.points(to_array, world.mesh("mla").vertices)
     curved = traced[traced[:, 2] < of.valley + 1e-9]
     assert len(curved) > 12 * 10 * 16

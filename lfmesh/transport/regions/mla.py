@@ -34,15 +34,15 @@ from lfmesh.transport.events.crossing import (
 )
 from lfmesh.transport.events.interface import divided, splitter
 from lfmesh.transport.events.travel import arrive, travel
-from lfmesh.transport.packets.book import ARRAY_EDGE, ARRAY_MOUNT, ARRAY_WALL, LOST_IN_ARRAY
+from lfmesh.transport.packets.book import LOST_IN_MLA, MLA_EDGE, MLA_MOUNT, MLA_WALL
 from lfmesh.transport.packets.packet import (
-    ARRAY_FRAME,
     CELLS,
     CELLS_MESH,
     CURVED_FACE,
     FLAT_FACE,
     LEFT_FACE,
     LENS,
+    MLA_FRAME,
     NO_SURFACE,
     PLATE,
     S_ABSORBED,
@@ -84,7 +84,7 @@ from lfmesh.transport.regions.lens_block import (
     set_ray,
     split_block,
 )
-from lfmesh.transport.tables.tables import AIR, CURVED_ROW, FLAT_ROW, ArrayTables
+from lfmesh.transport.tables.tables import AIR, CURVED_ROW, FLAT_ROW, MlaTables
 
 Array = NDArray[np.float64]
 
@@ -95,7 +95,7 @@ UNSURE = 1e-9
 
 
 @inlined
-def leave_array(
+def leave_mla(
     flow: Flow, packet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float,
     weight: float, key: np.uint64, to_lens: bool, lens_surfaces: int,
 ) -> None:  # fmt: skip
@@ -116,13 +116,13 @@ def leave_array(
     lens_surfaces : int
         Number of refracting surfaces of the lens.
     """
-    child = put(flow, LENS if to_lens else SENSOR, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
+    child = put(flow, LENS if to_lens else SENSOR, packet, MLA_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
     child.space = lens_surfaces
 
 
 @inlined
 def into_layer(
-    options: Options, flow: Flow, frames: Array, array: ArrayTables, packet: Any,
+    options: Options, flow: Flow, frames: Array, mla: MlaTables, packet: Any,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64, space: int,
 ) -> None:  # fmt: skip
     """Find the cell in which a packet enters the layer of curved faces, and queue it there.
@@ -134,7 +134,7 @@ def into_layer(
     space : int
         Space that it comes from: `BEFORE` or `GLASS`.
     """
-    lenslets = array.lenslets
+    lenslets = mla.lenslets
     border = lenslets.top if space == BEFORE else lenslets.valley
     t = max(0.0, (border - z) / dz)
     column, row = cell_of(lenslets.lattice, x + t * dx, y + t * dy)
@@ -143,11 +143,11 @@ def into_layer(
         held = stays_inside(lenslets.lattice, x, y, x + t * dx, y + t * dy)
     if not held:
         end(
-            options, flow, frames, packet, ARRAY_FRAME, x + t * dx, y + t * dy, z + t * dz, dx, dy, dz,
-            weight, ARRAY_MOUNT if space == BEFORE else ARRAY_EDGE, S_ABSORBED,
+            options, flow, frames, packet, MLA_FRAME, x + t * dx, y + t * dy, z + t * dz, dx, dy, dz,
+            weight, MLA_MOUNT if space == BEFORE else MLA_EDGE, S_ABSORBED,
         )  # fmt: skip
         return
-    child = put(flow, CELLS, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, weight, key, t)
+    child = put(flow, CELLS, packet, MLA_FRAME, x, y, z, dx, dy, dz, weight, key, t)
     child.space, child.column, child.row = space, column, row
 
 
@@ -157,11 +157,11 @@ def _send_from_flat_face(
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64,
 ) -> None:  # fmt: skip
     """Queue a child of a packet at the flat face, which the parent met from the glass (`outward`) or from the air."""
-    array, lens_surfaces, outward = place
+    mla, lens_surfaces, outward = place
     if refracts == outward:
-        leave_array(flow, packet, x, y, z, dx, dy, dz, weight, key, not array.curved_to_lens, lens_surfaces)
+        leave_mla(flow, packet, x, y, z, dx, dy, dz, weight, key, not mla.curved_to_lens, lens_surfaces)
     else:
-        into_layer(options, flow, frames, array, packet, x, y, z, dx, dy, dz, weight, key, GLASS)
+        into_layer(options, flow, frames, mla, packet, x, y, z, dx, dy, dz, weight, key, GLASS)
 
 
 _split_at_flat_face = splitter(_send_from_flat_face)
@@ -170,7 +170,7 @@ _split_at_flat_face = splitter(_send_from_flat_face)
 @kernel
 def through_plate(
     wave: NDArray[np.void], block: Array, met: NDArray[np.int64],
-    array: ArrayTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow,
+    mla: MlaTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow,
 ) -> None:  # fmt: skip
     """Take a wave of packets into the layer of curved faces, or split them at the flat face.
 
@@ -186,17 +186,17 @@ def through_plate(
     for first in range(0, len(wave), BLOCK):
         count = min(BLOCK, len(wave) - first)
         for i in range(count):
-            met[i] = _reaches_flat_face(block, i, wave[first + i], array, frames, options, flow)
+            met[i] = _reaches_flat_face(block, i, wave[first + i], mla, frames, options, flow)
         split_block(block)
         for i in range(count):
             if met[i] != NO_SURFACE:
                 packet = wave[first + i]
                 outward = packet.space == GLASS
-                reflectance, transmittance = _shares_at_face(block, i, packet, array, FLAT_ROW, outward, flow)
+                reflectance, transmittance = _shares_at_face(block, i, packet, mla, FLAT_ROW, outward, flow)
                 r, t = REFLECTED + i, REFRACTED + i
                 _split_at_flat_face(
-                    (array, lens_surfaces, outward), options, flow, frames, ARRAY_FRAME, packet, FLAT_FACE, NO_SURFACE,
-                    AIR if outward else array.medium, block[PX + i], block[PY + i], block[PZ + i],
+                    (mla, lens_surfaces, outward), options, flow, frames, MLA_FRAME, packet, FLAT_FACE, NO_SURFACE,
+                    AIR if outward else mla.medium, block[PX + i], block[PY + i], block[PZ + i],
                     reflectance, transmittance,
                     (block[r + ALONG_X], block[r + ALONG_Y], block[r + ALONG_Z]),
                     (block[t + ALONG_X], block[t + ALONG_Y], block[t + ALONG_Z]),
@@ -205,28 +205,28 @@ def through_plate(
 
 @inlined
 def _reaches_flat_face(
-    block: Array, i: int, packet: Any, array: ArrayTables, frames: Array, options: Options, flow: Flow
+    block: Array, i: int, packet: Any, mla: MlaTables, frames: Array, options: Options, flow: Flow
 ) -> int:
     """Enter a packet in the block where it meets the flat face; `NO_SURFACE`: it has ended or is in the layer."""
-    lenslets = array.lenslets
+    lenslets = mla.lenslets
     thickness = lenslets.thickness
-    if packet.frame != ARRAY_FRAME:
-        move_packet(frames, packet, ARRAY_FRAME)
+    if packet.frame != MLA_FRAME:
+        move_packet(frames, packet, MLA_FRAME)
         if packet.dz > 0.0 and packet.z <= lenslets.valley:
             into_layer(
-                options, flow, frames, array, packet, packet.x, packet.y, packet.z,
+                options, flow, frames, mla, packet, packet.x, packet.y, packet.z,
                 packet.dx, packet.dy, packet.dz, packet.weight, packet.key, BEFORE,
             )  # fmt: skip
             return NO_SURFACE
         if not (packet.dz < 0.0 and packet.z >= thickness):
-            end_here(options, flow, frames, packet, ARRAY_MOUNT, S_ABSORBED)
+            end_here(options, flow, frames, packet, MLA_MOUNT, S_ABSORBED)
             return NO_SURFACE
         packet.space = BEHIND
     if too_deep(options, flow, frames, packet):
         return NO_SURFACE
     dx, dy, dz = packet.dx, packet.dy, packet.dz
     t = (thickness - packet.z) / dz
-    x, y, _ = travel(flow, array.media, packet, t)
+    x, y, _ = travel(flow, mla.media, packet, t)
     outward = packet.space == GLASS
     if outward:
         held = stays_inside(lenslets.lattice, packet.x, packet.y, x, y)
@@ -234,55 +234,55 @@ def _reaches_flat_face(
         column, row = cell_of(lenslets.lattice, x, y)
         held = is_inside(lenslets.lattice, column, row)
     if not held:
-        slot = ARRAY_EDGE if outward else ARRAY_MOUNT
-        end(options, flow, frames, packet, ARRAY_FRAME, x, y, thickness, dx, dy, dz, packet.weight, slot, S_ABSORBED)
+        slot = MLA_EDGE if outward else MLA_MOUNT
+        end(options, flow, frames, packet, MLA_FRAME, x, y, thickness, dx, dy, dz, packet.weight, slot, S_ABSORBED)
         return NO_SURFACE
     block[DX + i], block[DY + i], block[DZ + i] = dx, dy, dz
     block[PX + i], block[PY + i], block[PZ + i] = x, y, thickness
     block[NX + i], block[NY + i], block[NZ + i] = 0.0, 0.0, 1.0 if dz > 0.0 else -1.0
-    _set_sides(block, i, packet, array, outward, FLAT_ROW)
+    _set_sides(block, i, packet, mla, outward, FLAT_ROW)
     return FLAT_ROW
 
 
 @inlined
 def _shares_at_face(
-    block: Array, i: int, packet: Any, array: ArrayTables, number: int, outward: bool, flow: Flow
+    block: Array, i: int, packet: Any, mla: MlaTables, number: int, outward: bool, flow: Flow
 ) -> tuple[float, float]:
     """Return what a packet of a block reflects and transmits at a face, of what a coating leaves of it."""
-    if not array.interfaces.coated:
+    if not mla.interfaces.coated:
         return block[REFLECTANCE + i], block[TRANSMITTANCE + i]
     n_i, n_t = block[N_I + i], block[N_T + i]
     reflectance, transmittance, _ = divided(
-        array.interfaces, number, packet.colour, n_i, n_t, incidence(block, i), outward, packet, flow.book
+        mla.interfaces, number, packet.colour, n_i, n_t, incidence(block, i), outward, packet, flow.book
     )
     return reflectance, transmittance
 
 
 @inlined
-def _set_sides(block: Array, i: int, packet: Any, array: ArrayTables, outward: bool, number: int) -> None:
+def _set_sides(block: Array, i: int, packet: Any, mla: MlaTables, outward: bool, number: int) -> None:
     """Enter a face as an interface, and the indices before and after it."""
-    glass = array.media.indices[array.medium, packet.colour]
+    glass = mla.media.indices[mla.medium, packet.colour]
     block[N_I + i], block[N_T + i] = (glass, 1.0) if outward else (1.0, glass)
     block[NUMBER + i] = number
 
 
 @inlined
-def fold_of(array: ArrayTables, column: int, row: int) -> tuple[float, float]:
+def fold_of(mla: MlaTables, column: int, row: int) -> tuple[float, float]:
     """Return the x and y offset from the cell mesh in Embree's scene to a lenslet, mm.
 
     Parameters
     ----------
-    array : ArrayTables
+    mla : MlaTables
     column, row : int
         Of the lenslet.
     """
-    cx, cy = centre(array.lenslets.lattice, column, row)
-    return cx - type_of(array.lenslets, column, row) * array.type_shift, cy
+    cx, cy = centre(mla.lenslets.lattice, column, row)
+    return cx - type_of(mla.lenslets, column, row) * mla.type_shift, cy
 
 
 @kernel
 def admit_to_cells(
-    wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32], array: ArrayTables
+    wave: NDArray[np.void], origins: NDArray[np.float32], directions: NDArray[np.float32], mla: MlaTables
 ) -> None:
     """Write the rays of a wave for Embree, moved to the cell mesh of their lenslets.
 
@@ -291,17 +291,17 @@ def admit_to_cells(
     wave : (n,) PACKET
     origins, directions : (n, 3) float32
         Written.
-    array : ArrayTables
+    mla : MlaTables
     """
     for i in range(len(wave)):
-        fold_x, fold_y = fold_of(array, wave[i].column, wave[i].row)
+        fold_x, fold_y = fold_of(mla, wave[i].column, wave[i].row)
         write_query(origins, directions, i, wave[i], fold_x, fold_y)
 
 
 @kernel
 def shade_cells(
     wave: NDArray[np.void], found: NDArray[np.int32], block: Array, met: NDArray[np.int64],
-    array: ArrayTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow, in_order: bool,
+    mla: MlaTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow, in_order: bool,
 ) -> None:  # fmt: skip
     """Process a wave of packets in the layer: decide in float64 whether each meets its cell's face, and split it there.
 
@@ -322,38 +322,38 @@ def shade_cells(
         count = min(BLOCK, len(wave) - first)
         if in_order:
             for i in range(count):
-                _enter_cell(block, i, wave[first + i], array)
+                _enter_cell(block, i, wave[first + i], mla)
             meet_in_order(block)
         for i in range(count):
             prim = NO_SURFACE if in_order else found[first + i]
             met[i] = _meets_face(
-                block, i, wave[first + i], prim, array, frames, lens_surfaces, options, flow, in_order
+                block, i, wave[first + i], prim, mla, frames, lens_surfaces, options, flow, in_order
             )  # fmt: skip
         split_block(block)
         for i in range(count):
             if met[i] != NO_SURFACE:
                 prim = NO_SURFACE if in_order else found[first + i]
-                _through_face(block, i, wave[first + i], prim, array, frames, lens_surfaces, options, flow)
+                _through_face(block, i, wave[first + i], prim, mla, frames, lens_surfaces, options, flow)
 
 
 @inlined
-def _enter_cell(block: Array, i: int, packet: Any, array: ArrayTables) -> None:
+def _enter_cell(block: Array, i: int, packet: Any, mla: MlaTables) -> None:
     """Enter a packet and the sphere of its cell in the block for `meet_in_order`, about the lenslet's apex."""
     column, row = packet.column, packet.row
-    cx, cy = centre(array.lenslets.lattice, column, row)
-    curvature, ex, ey = shape_of(array.lenslets, column, row)
+    cx, cy = centre(mla.lenslets.lattice, column, row)
+    curvature, ex, ey = shape_of(mla.lenslets, column, row)
     inward = packet.space == BEFORE
     set_ray(block, i, packet)
     block[X + i], block[Y + i] = packet.x - cx - ex, packet.y - cy - ey
     set_only_conic(block, i, curvature, 1.0, 0.0, np.inf, 1.0 if inward else -1.0)
-    _set_sides(block, i, packet, array, not inward, CURVED_ROW)
+    _set_sides(block, i, packet, mla, not inward, CURVED_ROW)
     block[NEXT_N + i], block[NEXT_NUMBER + i] = block[N_T + i], CURVED_ROW
 
 
 @inlined
 def _meets_face(
     block: Array, i: int, packet: Any, prim: int,
-    array: ArrayTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow, in_order: bool,
+    mla: MlaTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow, in_order: bool,
 ) -> int:  # fmt: skip
     """Decide whether a packet meets the face of its cell; enter that in the block, or send the packet on.
 
@@ -361,7 +361,7 @@ def _meets_face(
     """
     if packet.tries == 0 and too_deep(options, flow, frames, packet):
         return NO_SURFACE
-    lenslets = array.lenslets
+    lenslets = mla.lenslets
     lattice = lenslets.lattice
     x, y, z = packet.x, packet.y, packet.z
     dx, dy, dz = packet.dx, packet.dy, packet.dz
@@ -381,10 +381,10 @@ def _meets_face(
         met = met and t <= layer
         slack = 0.0
     else:
-        fold_x, fold_y = fold_of(array, column, row)
+        fold_x, fold_y = fold_of(mla, column, row)
         crossed = False
         if prim >= 0:
-            facet = array.facets[prim]
+            facet = mla.facets[prim]
             normal = facet.normal
             along = normal[0] * dx + normal[1] * dy + normal[2] * dz
             height = normal[0] * (x - fold_x) + normal[1] * (y - fold_y) + normal[2] * z - facet.offset
@@ -409,55 +409,53 @@ def _meets_face(
             met = crossed and t > 0.0
             if met and options.surface == PATCH:
                 _, more, nx, ny, nz = meets_patch(
-                    flow, array.patches, array.across, array.facets[prim], prim,
+                    flow, mla.patches, mla.across, mla.facets[prim], prim,
                     x + t * dx - fold_x, y + t * dy - fold_y, z + t * dz, dx, dy, dz,
                 )  # fmt: skip
                 t += more
                 met = t > 0.0
             elif met:
                 nx, ny, nz = facet_normal(
-                    options.surface, array.facets[prim], x + t * dx - fold_x, y + t * dy - fold_y, z + t * dz
+                    options.surface, mla.facets[prim], x + t * dx - fold_x, y + t * dy - fold_y, z + t * dz
                 )
     if not sure:
         put(
-            flow, CELLS_MESH, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, packet.query_from
+            flow, CELLS_MESH, packet, MLA_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, packet.query_from
         )  # fmt: skip
         return NO_SURFACE
     if met and t <= sideways * (1.0 + slack):
-        block[PX + i], block[PY + i], block[PZ + i] = travel(flow, array.media, packet, t)
+        block[PX + i], block[PY + i], block[PZ + i] = travel(flow, mla.media, packet, t)
         if not in_order:
             if nx * dx + ny * dy + nz * dz < 0.0:
                 nx, ny, nz = -nx, -ny, -nz
             block[DX + i], block[DY + i], block[DZ + i] = dx, dy, dz
             block[NX + i], block[NY + i], block[NZ + i] = nx, ny, nz
-            _set_sides(block, i, packet, array, not inward, CURVED_ROW)
+            _set_sides(block, i, packet, mla, not inward, CURVED_ROW)
         return CURVED_ROW
     if options.surface != EXACT and prim >= 0 and not met and at_facet < min(sideways, layer):
-        further = next_query_from(array.facets[prim], packet, at_facet)
-        requery(options, flow, frames, CELLS_MESH, packet, further, False, LOST_IN_ARRAY)
+        further = next_query_from(mla.facets[prim], packet, at_facet)
+        requery(options, flow, frames, CELLS_MESH, packet, further, False, LOST_IN_MLA)
     elif options.surface != EXACT and prim < 0 and packet.tries == 0:
         # Embree misses facets when a ray is aimed exactly at a vertex.
-        requery(options, flow, frames, CELLS_MESH, packet, packet.query_from, True, LOST_IN_ARRAY)
+        requery(options, flow, frames, CELLS_MESH, packet, packet.query_from, True, LOST_IN_MLA)
     elif sideways <= layer:
-        _walk(options, flow, frames, array, packet, sideways, side)
+        _walk(options, flow, frames, mla, packet, sideways, side)
     elif dz < 0.0 and inward:
-        leave_array(
-            flow, packet, x, y, z, dx, dy, dz, packet.weight, packet.key, array.curved_to_lens,
+        leave_mla(
+            flow, packet, x, y, z, dx, dy, dz, packet.weight, packet.key, mla.curved_to_lens,
             lens_surfaces,
         )  # fmt: skip
     elif dz > 0.0 and not inward:
-        put(flow, PLATE, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, 0.0)
+        put(flow, PLATE, packet, MLA_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, 0.0)
     else:
-        requery(options, flow, frames, CELLS_MESH, packet, packet.query_from, True, LOST_IN_ARRAY)
+        requery(options, flow, frames, CELLS_MESH, packet, packet.query_from, True, LOST_IN_MLA)
     return NO_SURFACE
 
 
 @kernel
-def _walk(
-    options: Options, flow: Flow, frames: Array, array: ArrayTables, packet: Any, sideways: float, side: int
-) -> None:
+def _walk(options: Options, flow: Flow, frames: Array, mla: MlaTables, packet: Any, sideways: float, side: int) -> None:
     """Take a packet into the next cell; the step between lenslets of different shape is a wall, which absorbs."""
-    lenslets = array.lenslets
+    lenslets = mla.lenslets
     lattice = lenslets.lattice
     x, y, z = packet.x, packet.y, packet.z
     dx, dy, dz = packet.dx, packet.dy, packet.dz
@@ -466,7 +464,7 @@ def _walk(
     column, row = neighbour(lattice, packet.column, packet.row, side)
     slot = -1
     if not is_inside(lattice, column, row):
-        slot = ARRAY_MOUNT if inward else ARRAY_EDGE
+        slot = MLA_MOUNT if inward else MLA_EDGE
     elif not are_alike(lenslets):
         curvature, ex, ey = shape_of(lenslets, column, row)
         cx, cy = centre(lattice, column, row)
@@ -477,12 +475,12 @@ def _walk(
             face = border_sag(lattice, curvature, px - cx, py - cy, side)
         in_glass = pz > face
         if in_glass == inward:
-            slot = ARRAY_WALL
+            slot = MLA_WALL
     if slot >= 0:
-        px, py, pz = arrive(flow, array.media, packet, px, py, pz)
-        end(options, flow, frames, packet, ARRAY_FRAME, px, py, pz, dx, dy, dz, packet.weight, slot, S_ABSORBED)
+        px, py, pz = arrive(flow, mla.media, packet, px, py, pz)
+        end(options, flow, frames, packet, MLA_FRAME, px, py, pz, dx, dy, dz, packet.weight, slot, S_ABSORBED)
         return
-    child = put(flow, CELLS, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, sideways)
+    child = put(flow, CELLS, packet, MLA_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, sideways)
     child.column, child.row = column, row
 
 
@@ -496,21 +494,21 @@ def _send_from_curved_face(
     A child cannot meet its own lenslet again, which is a single sphere. So it is through if it leaves the layer before
     it leaves the cell; else it may meet a neighbouring lenslet.
     """
-    array, lens_surfaces, inward, prim = place
-    lenslets = array.lenslets
+    mla, lens_surfaces, inward, prim = place
+    lenslets = mla.lenslets
     cx, cy = centre(lenslets.lattice, packet.column, packet.row)
     packet.space = GLASS if refracts == inward else BEFORE
     sideways, _ = leaves_at(lenslets.lattice, x - cx, y - cy, dx, dy)
     if packet.space == BEFORE and dz < 0.0 and (lenslets.top - z) / dz <= sideways:
-        leave_array(flow, packet, x, y, z, dx, dy, dz, weight, key, array.curved_to_lens, lens_surfaces)
+        leave_mla(flow, packet, x, y, z, dx, dy, dz, weight, key, mla.curved_to_lens, lens_surfaces)
     elif packet.space == GLASS and dz > 0.0 and (lenslets.valley - z) / dz <= sideways:
-        put(flow, PLATE, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
+        put(flow, PLATE, packet, MLA_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
     else:
         clear = 0.0
         if prim >= 0:
-            fold_x, fold_y = fold_of(array, packet.column, packet.row)
-            clear = clear_of(array.facets[prim], x - fold_x, y - fold_y, z, dx, dy, dz)
-        put(flow, CELLS, packet, ARRAY_FRAME, x, y, z, dx, dy, dz, weight, key, clear)
+            fold_x, fold_y = fold_of(mla, packet.column, packet.row)
+            clear = clear_of(mla.facets[prim], x - fold_x, y - fold_y, z, dx, dy, dz)
+        put(flow, CELLS, packet, MLA_FRAME, x, y, z, dx, dy, dz, weight, key, clear)
 
 
 _split_at_curved_face = splitter(_send_from_curved_face)
@@ -519,7 +517,7 @@ _split_at_curved_face = splitter(_send_from_curved_face)
 @inlined
 def _through_face(
     block: Array, i: int, packet: Any, prim: int,
-    array: ArrayTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow,
+    mla: MlaTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow,
 ) -> None:  # fmt: skip
     """Divide a packet of a block where it meets the curved face of its cell."""
     inward = packet.space == BEFORE
@@ -527,12 +525,12 @@ def _through_face(
         # The second curved face in one passage is off the image path.
         packet.stray = 1
     packet.last = LEFT_FACE
-    cell = packet.row * array.lenslets.lattice.columns + packet.column
-    reflectance, transmittance = _shares_at_face(block, i, packet, array, CURVED_ROW, not inward, flow)
+    cell = packet.row * mla.lenslets.lattice.columns + packet.column
+    reflectance, transmittance = _shares_at_face(block, i, packet, mla, CURVED_ROW, not inward, flow)
     r, t = REFLECTED + i, REFRACTED + i
     _split_at_curved_face(
-        (array, lens_surfaces, inward, prim), options, flow, frames, ARRAY_FRAME, packet, CURVED_FACE, cell,
-        array.medium if inward else AIR, block[PX + i], block[PY + i], block[PZ + i], reflectance, transmittance,
+        (mla, lens_surfaces, inward, prim), options, flow, frames, MLA_FRAME, packet, CURVED_FACE, cell,
+        mla.medium if inward else AIR, block[PX + i], block[PY + i], block[PZ + i], reflectance, transmittance,
         (block[r + ALONG_X], block[r + ALONG_Y], block[r + ALONG_Z]),
         (block[t + ALONG_X], block[t + ALONG_Y], block[t + ALONG_Z]),
     )  # fmt: skip

@@ -16,6 +16,24 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--long", action="store_true", help="also run the tests that take minutes")
 
 
+COMPILE = """
+import lfmesh as lf
+from lfmesh.assets import asset_path
+from lfmesh.kernel_cache import is_cached
+from lfmesh.transport.regions.objects import shade_objects
+small = {"camera.sensor.pixels": [8, 8], "transport.samples": 4, "transport.replicates": 2}
+if not is_cached(shade_objects):
+    lf.render(lf.load(asset_path("scenes/first_light.toml")).changed(small))
+"""
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile what most tests need, once for all workers: each would compile it again."""
+    workers = getattr(session.config.option, "numprocesses", None)
+    if workers and not hasattr(session.config, "workerinput"):
+        subprocess.run([sys.executable, "-c", COMPILE], check=False)
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if config.getoption("--long"):
         return

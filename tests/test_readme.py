@@ -100,7 +100,8 @@ def test_every_table_of_the_scene_file_is_explained() -> None:
     for table in explained:
         model: object = lfmesh.Scene
         for key in table.split("."):
-            fields = getattr(model, "model_fields", None) or {"mla": 0, "lens": 0, "sensor": 0, "elements": 0}
+            known = ("mla", "lens", "sensor", "elements", "NAME")
+            fields = getattr(model, "model_fields", None) or dict.fromkeys(known, 0)
             assert key in fields, f"[{table}] is no table of a scene"
             model = fields[key]
     assert {"camera", "targets", "lights", "transport"} <= explained

@@ -51,39 +51,8 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.regions.lens_block import (
-    ALONG_X,
-    ALONG_Y,
-    ALONG_Z,
-    AT,
-    BLOCK,
-    DX,
-    DY,
-    DZ,
-    HELD,
-    N_I,
-    N_T,
-    NEXT_N,
-    NEXT_NUMBER,
-    NUMBER,
-    NX,
-    NY,
-    NZ,
-    PX,
-    PY,
-    PZ,
-    REFLECTANCE,
-    REFLECTED,
-    REFRACTED,
-    TRANSMITTANCE,
-    X,
-    Y,
-    incidence,
-    meet_in_order,
-    set_only_conic,
-    set_ray,
-    split_block,
-)
+from lfmesh.transport.regions import lens_block as rows
+from lfmesh.transport.regions.lens_block import BLOCK, incidence, meet_in_order, set_only_conic, set_ray, split_block
 from lfmesh.transport.tables.tables import AIR, CURVED_ROW, FLAT_ROW, MlaTables
 
 Array = NDArray[np.float64]
@@ -92,6 +61,10 @@ BEFORE, GLASS, BEHIND = 0, 1, 2
 
 UNSURE = 1e-9
 """Share of its way to the border of a cell, or of the layer, within which a hit is left to the mesh to decide."""
+
+
+ROUNDED = 1e-12
+"""Share of its way to the border of a cell, or of the layer, by which a hit may lie beyond it from rounding."""
 
 
 @inlined
@@ -193,13 +166,13 @@ def through_plate(
                 packet = wave[first + i]
                 outward = packet.space == GLASS
                 reflectance, transmittance = _shares_at_face(block, i, packet, mla, FLAT_ROW, outward, flow)
-                r, t = REFLECTED + i, REFRACTED + i
+                r, t = rows.REFLECTED + i, rows.REFRACTED + i
                 _split_at_flat_face(
                     (mla, lens_surfaces, outward), options, flow, frames, MLA_FRAME, packet, FLAT_FACE, NO_SURFACE,
-                    AIR if outward else mla.medium, block[PX + i], block[PY + i], block[PZ + i],
+                    AIR if outward else mla.medium, block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i],
                     reflectance, transmittance,
-                    (block[r + ALONG_X], block[r + ALONG_Y], block[r + ALONG_Z]),
-                    (block[t + ALONG_X], block[t + ALONG_Y], block[t + ALONG_Z]),
+                    (block[r + rows.ALONG_X], block[r + rows.ALONG_Y], block[r + rows.ALONG_Z]),
+                    (block[t + rows.ALONG_X], block[t + rows.ALONG_Y], block[t + rows.ALONG_Z]),
                 )  # fmt: skip
 
 
@@ -237,9 +210,9 @@ def _reaches_flat_face(
         slot = MLA_EDGE if outward else MLA_MOUNT
         end(options, flow, frames, packet, MLA_FRAME, x, y, thickness, dx, dy, dz, packet.weight, slot, S_ABSORBED)
         return NO_SURFACE
-    block[DX + i], block[DY + i], block[DZ + i] = dx, dy, dz
-    block[PX + i], block[PY + i], block[PZ + i] = x, y, thickness
-    block[NX + i], block[NY + i], block[NZ + i] = 0.0, 0.0, 1.0 if dz > 0.0 else -1.0
+    block[rows.DX + i], block[rows.DY + i], block[rows.DZ + i] = dx, dy, dz
+    block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i] = x, y, thickness
+    block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i] = 0.0, 0.0, 1.0 if dz > 0.0 else -1.0
     _set_sides(block, i, packet, mla, outward, FLAT_ROW)
     return FLAT_ROW
 
@@ -250,8 +223,8 @@ def _shares_at_face(
 ) -> tuple[float, float]:
     """Return what a packet of a block reflects and transmits at a face, of what a coating leaves of it."""
     if not mla.interfaces.coated:
-        return block[REFLECTANCE + i], block[TRANSMITTANCE + i]
-    n_i, n_t = block[N_I + i], block[N_T + i]
+        return block[rows.REFLECTANCE + i], block[rows.TRANSMITTANCE + i]
+    n_i, n_t = block[rows.N_I + i], block[rows.N_T + i]
     reflectance, transmittance, _ = divided(
         mla.interfaces, number, packet.colour, n_i, n_t, incidence(block, i), outward, packet, flow.book
     )
@@ -262,8 +235,8 @@ def _shares_at_face(
 def _set_sides(block: Array, i: int, packet: Any, mla: MlaTables, outward: bool, number: int) -> None:
     """Enter a face as an interface, and the indices before and after it."""
     glass = mla.media.indices[mla.medium, packet.colour]
-    block[N_I + i], block[N_T + i] = (glass, 1.0) if outward else (1.0, glass)
-    block[NUMBER + i] = number
+    block[rows.N_I + i], block[rows.N_T + i] = (glass, 1.0) if outward else (1.0, glass)
+    block[rows.NUMBER + i] = number
 
 
 @inlined
@@ -344,10 +317,10 @@ def _enter_cell(block: Array, i: int, packet: Any, mla: MlaTables) -> None:
     curvature, ex, ey = shape_of(mla.lenslets, column, row)
     inward = packet.space == BEFORE
     set_ray(block, i, packet)
-    block[X + i], block[Y + i] = packet.x - cx - ex, packet.y - cy - ey
+    block[rows.X + i], block[rows.Y + i] = packet.x - cx - ex, packet.y - cy - ey
     set_only_conic(block, i, curvature, 1.0, 0.0, np.inf, 1.0 if inward else -1.0)
     _set_sides(block, i, packet, mla, not inward, CURVED_ROW)
-    block[NEXT_N + i], block[NEXT_NUMBER + i] = block[N_T + i], CURVED_ROW
+    block[rows.NEXT_N + i], block[rows.NEXT_NUMBER + i] = block[rows.N_T + i], CURVED_ROW
 
 
 @inlined
@@ -372,10 +345,10 @@ def _meets_face(
     layer = np.inf
     if dz != 0.0:
         layer = ((lenslets.valley if dz > 0.0 else lenslets.top) - z) / dz
-    at_facet, slack = packet.query_from, 1e-12
+    at_facet, slack = packet.query_from, ROUNDED
     met, sure, t, nx, ny, nz = False, True, 0.0, 0.0, 0.0, 1.0
     if in_order:
-        met, t = block[HELD + i] > 0.0, block[AT + i]
+        met, t = block[rows.HELD + i] > 0.0, block[rows.AT + i]
         nearer = min(sideways, layer)
         sure = not met or abs(t - nearer) > UNSURE * abs(nearer)
         met = met and t <= layer
@@ -424,12 +397,12 @@ def _meets_face(
         )  # fmt: skip
         return NO_SURFACE
     if met and t <= sideways * (1.0 + slack):
-        block[PX + i], block[PY + i], block[PZ + i] = travel(flow, mla.media, packet, t)
+        block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i] = travel(flow, mla.media, packet, t)
         if not in_order:
             if nx * dx + ny * dy + nz * dz < 0.0:
                 nx, ny, nz = -nx, -ny, -nz
-            block[DX + i], block[DY + i], block[DZ + i] = dx, dy, dz
-            block[NX + i], block[NY + i], block[NZ + i] = nx, ny, nz
+            block[rows.DX + i], block[rows.DY + i], block[rows.DZ + i] = dx, dy, dz
+            block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i] = nx, ny, nz
             _set_sides(block, i, packet, mla, not inward, CURVED_ROW)
         return CURVED_ROW
     if options.surface != EXACT and prim >= 0 and not met and at_facet < min(sideways, layer):
@@ -527,10 +500,11 @@ def _through_face(
     packet.last = LEFT_FACE
     cell = packet.row * mla.lenslets.lattice.columns + packet.column
     reflectance, transmittance = _shares_at_face(block, i, packet, mla, CURVED_ROW, not inward, flow)
-    r, t = REFLECTED + i, REFRACTED + i
+    r, t = rows.REFLECTED + i, rows.REFRACTED + i
     _split_at_curved_face(
         (mla, lens_surfaces, inward, prim), options, flow, frames, MLA_FRAME, packet, CURVED_FACE, cell,
-        mla.medium if inward else AIR, block[PX + i], block[PY + i], block[PZ + i], reflectance, transmittance,
-        (block[r + ALONG_X], block[r + ALONG_Y], block[r + ALONG_Z]),
-        (block[t + ALONG_X], block[t + ALONG_Y], block[t + ALONG_Z]),
+        mla.medium if inward else AIR, block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i],
+        reflectance, transmittance,
+        (block[r + rows.ALONG_X], block[r + rows.ALONG_Y], block[r + rows.ALONG_Z]),
+        (block[t + rows.ALONG_X], block[t + rows.ALONG_Y], block[t + rows.ALONG_Z]),
     )  # fmt: skip

@@ -123,7 +123,9 @@ def surface_order(shape: LensShape) -> tuple[Array, NDArray[np.bool_], NDArray[n
     each = (surfaces["curvature"], 1.0 + surfaces["conic"], surfaces["vertex_z"], surfaces["aperture"] ** 2)
     order[1:, :4] = order[:-1, 4:8] = np.stack(each, axis=1)
     # The ring is in float32.
-    order[1:-1, 8] = [((1.0 - 2.0 * FLOAT32_MARGIN) * _free_radius(ring)) ** 2 for ring in shape.closures]
+    smaller = np.minimum(shape.rims[:-1], shape.rims[1:])
+    free = [_free_radius(ring, rim) for ring, rim in zip(shape.closures, smaller, strict=True)]
+    order[1:-1, 8] = ((1.0 - 2.0 * FLOAT32_MARGIN) * np.array(free)) ** 2
     least = np.array([least_dz(s, rim) for s, rim in zip(surfaces, shape.rims, strict=True)])
     order[:, 9] = np.maximum([0.0, *least], [*least, 0.0])
     by_roots = _everywhere(conic & (surfaces["posed"] == 0))
@@ -135,8 +137,13 @@ def _everywhere(holds: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.append(True, holds) & np.append(holds, True)
 
 
-def _free_radius(ring: Mesh) -> float:
-    """Return the radius of the largest cylinder about the z axis that a ring round the axis does not enter, mm."""
+def _free_radius(ring: Mesh, rim: float) -> float:
+    """Return the radius of the largest cylinder about the z axis that a ring round the axis does not enter, mm.
+
+    Where the surfaces meet at their rims there is no ring, and the space ends at the smaller `rim`.
+    """
+    if not len(ring.faces):
+        return rim
     corners = ring.vertices[ring.faces][:, :, :2]
     a, along = corners, np.roll(corners, -1, axis=1) - corners
     length2 = np.maximum(np.sum(along * along, axis=2), np.finfo(np.float64).tiny)

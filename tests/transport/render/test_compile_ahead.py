@@ -18,13 +18,13 @@ SIGNATURES = """
 import json
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.transport.regions import array, lens, objects, sensor
+from lfmesh.transport.regions import lens, mla, objects, sensor
 from lfmesh.transport.render.compile_ahead import EVERYWHERE, compile_launches, compile_stations
 from lfmesh.transport.sources import pixels
 from lfmesh.transport.sequential import image_path
 from lfmesh.transport.world import build
 
-regions = [array.admit_to_cells, array.shade_cells, array.through_plate, lens.admit_to_lens, lens.shade_lens,
+regions = [mla.admit_to_cells, mla.shade_cells, mla.through_plate, lens.admit_to_lens, lens.shade_lens,
     objects.admit_to_objects, objects.shade_objects, sensor.onto_sensor]
 launches = [pixels.launch_adjoint, pixels.launch_along_image_path, image_path.follow_image_path]
 small = {{"camera.sensor.pixels": [8, 8], "transport.samples": 4, "transport.replicates": 2, "transport.threads": 1,

@@ -78,8 +78,12 @@ def test_the_free_radius_of_a_ring_is_that_of_its_nearest_chord(shift):
     ring = revolved(np.array([[5.0, 0.0], [6.0, 3.0]]), 24)
     moved = Mesh(np.add(ring.vertices, [shift, 0.0, 0.0]), ring.faces)
     chord = 5.0 * np.cos(np.pi / 24)
-    radius = _free_radius(moved)
+    radius = _free_radius(moved, 5.0)
     if shift == 0.0:
         assert radius == pytest.approx(chord, rel=1e-12)
     else:
         assert chord - shift <= radius <= 5.0 - shift
+
+
+def test_where_rims_meet_there_is_no_ring_and_the_space_ends_there() -> None:
+    assert _free_radius(Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64)), 4.0) == 4.0

@@ -1,4 +1,4 @@
-"""The two small light-field cameras that many tests share, as tables of a scene and as text of a scene file."""
+"""The small cameras that many tests share, as tables of a scene and as text of a scene file."""
 
 from typing import Any
 
@@ -36,6 +36,20 @@ def close_up_camera(columns: int = 20, rows: int = 20) -> dict[str, Any]:
         "lens": biconvex(),
         "mla": dict(SQUARE_ARRAY),
         "sensor": {"pixels": [columns, rows], "pixel_mm": 0.1},
+    }
+
+
+def camera_without_array(focus_mm: float = 150.0, pixels: int = 6, pixel_mm: float = 1.5) -> dict[str, Any]:
+    """Return the table of a conventional camera: a biconvex lens of 30 mm, which is its own stop, and large pixels."""
+    return {
+        "focus_mm": focus_mm,
+        "lens": {
+            "surfaces": [
+                {"radius_mm": 30.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 6.0, "stop": True},
+                {"radius_mm": -30.0, "semi_diameter_mm": 6.0},
+            ]
+        },
+        "sensor": {"pixels": [pixels, pixels], "pixel_mm": pixel_mm},
     }
 
 

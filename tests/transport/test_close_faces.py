@@ -15,17 +15,9 @@ import trimesh
 import lfmesh as lf
 from lfmesh.errors import SceneError
 from lfmesh.transport.packets.ledger import LostEnergyWarning
+from tests.cameras import camera_without_array
 
-CAMERA: dict[str, Any] = {
-    "focus_mm": 150.0,
-    "lens": {
-        "surfaces": [
-            {"radius_mm": 30.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 6.0, "stop": True},
-            {"radius_mm": -30.0, "semi_diameter_mm": 6.0},
-        ]
-    },
-    "sensor": {"pixels": [6, 6], "pixel_mm": 1.5},
-}
+CAMERA = camera_without_array()
 CENTRE = np.array([0.0, 0.0, -300.0])
 
 Body = Callable[..., dict[str, Any]]

@@ -12,17 +12,9 @@ import lfmesh as lf
 from lfmesh.errors import SceneError
 from lfmesh.geometry.mesh import Mesh
 from lfmesh.transport.refused_glass import cut
+from tests.cameras import camera_without_array
 
-CAMERA: dict[str, Any] = {
-    "focus_mm": 100.0,
-    "lens": {
-        "surfaces": [
-            {"radius_mm": 30.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 6.0, "stop": True},
-            {"radius_mm": -30.0, "semi_diameter_mm": 6.0},
-        ]
-    },
-    "sensor": {"pixels": [8, 8], "pixel_mm": 0.5},
-}
+CAMERA = camera_without_array(100.0, 8, 0.5)
 PLACE = (0.0, 0.0, -100.0)
 
 Body = Callable[..., dict[str, Any]]

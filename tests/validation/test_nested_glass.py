@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 import lfmesh as lf
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.transport.world import World
+from tests.cameras import camera_without_array
 
 LEVEL = 1e-3
 """Chance that a statistical test fails though the law holds."""
@@ -24,16 +25,7 @@ LEVEL = 1e-3
 GLASS, WATER = 1.52, 1.333
 CENTRE = np.array([0.0, 0.0, -300.0])
 
-CAMERA: dict[str, Any] = {
-    "focus_mm": 150.0,
-    "lens": {
-        "surfaces": [
-            {"radius_mm": 30.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 6.0, "stop": True},
-            {"radius_mm": -30.0, "semi_diameter_mm": 6.0},
-        ]
-    },
-    "sensor": {"pixels": [6, 6], "pixel_mm": 1.5},
-}
+CAMERA = camera_without_array()
 
 Body = Callable[..., dict[str, Any]]
 

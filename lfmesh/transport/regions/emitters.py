@@ -1,6 +1,6 @@
-"""Guided packets: from points of targets to emitting facets.
+"""Packets from points of targets to random points of emitting facets, whose light they gather.
 
-A station of its own: its kernel is compiled and runs only in scenes with a emitters.
+A station of its own: its kernel is compiled, and runs, only in scenes with emitting targets.
 """
 
 import numpy as np

@@ -533,6 +533,7 @@ def _mirror_along_slope(
     c: float, k: float, vertex_z: float, limit: float, sense: float, n_i: float, n_t: float,
     rim: float, mount: float, beyond: float,
 ) -> None:  # fmt: skip
+    """Mirror rays at a surface whose distance and slope `_meet` has left in the bundle; see `mirror_at_surface`."""
     q = (1.0 + k) * c * c
     for i in range(BLOCK):
         t, r2 = bundle[_T + i], bundle[_R2 + i]

@@ -29,12 +29,16 @@ def glass_round(world: World, points: Array) -> NDArray[np.int64]:
     bodies = np.flatnonzero(objects.rank)
     if not len(bodies) or not len(points):
         return inside
-    # Many rays start at few points.
-    places, of_point = np.unique(points, axis=0, return_inverse=True)
+    meshes = {body: world.targets[body].mesh for body in bodies}
+    low = np.min([mesh.vertices.min(axis=0) for mesh in meshes.values()], axis=0)
+    high = np.max([mesh.vertices.max(axis=0) for mesh in meshes.values()], axis=0)
+    # Most rays start far from all glass, and many at few points.
+    near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
+    places, of_point = np.unique(points[near], axis=0, return_inverse=True)
     number = np.zeros(len(places), np.int64)
     count = np.zeros(len(places), np.int64)
     for body in sorted(bodies, key=lambda i: -int(objects.rank[i])):
-        mesh = world.targets[body].mesh
+        mesh = meshes[body]
         within = winding(mesh.vertices[mesh.faces], places) != 0
         if (count[within] == MOST_AT_ONCE).any():
             x, y, z = places[within & (count == MOST_AT_ONCE)][0]
@@ -44,7 +48,7 @@ def glass_round(world: World, points: Array) -> NDArray[np.int64]:
             )
         number[within] |= objects.rank[body] << (BITS * count[within])
         count[within] += 1
-    inside[:] = number[of_point.reshape(-1)]
+    inside[near] = number[of_point.reshape(-1)]
     return inside
 
 

@@ -3,34 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.optics.cie import observer
+
 _XYZ_TO_SRGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 """IEC 61966-2-1."""
-
-
-def cie_1931(wavelength_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the colour-matching functions of the CIE 1931 2° observer.
-
-    Sums of Gaussians of two widths: C. Wyman, P.-P. Sloan, P. Shirley, "Simple Analytic Approximations to the
-    CIE XYZ Color Matching Functions", JCGT 2(2), 2013.
-
-    Parameters
-    ----------
-    wavelength_nm : (n,) float64, nm
-
-    Returns
-    -------
-    (3, n) float64
-        x, y and z.
-    """
-
-    def lobe(height: float, centre: float, left: float, right: float) -> NDArray[np.float64]:
-        width = np.where(wavelength_nm < centre, left, right)
-        return height * np.exp(-0.5 * ((wavelength_nm - centre) / width) ** 2)
-
-    x = lobe(1.056, 599.8, 37.9, 31.0) + lobe(0.362, 442.0, 16.0, 26.7) + lobe(-0.065, 501.1, 20.4, 26.2)
-    y = lobe(0.821, 568.8, 46.9, 40.5) + lobe(0.286, 530.9, 16.3, 31.1)
-    z = lobe(1.217, 437.0, 11.8, 36.0) + lobe(0.681, 459.0, 26.0, 13.8)
-    return np.stack([x, y, z])
 
 
 def srgb_weights(wavelengths_nm: tuple[float, ...]) -> NDArray[np.float64] | None:
@@ -42,7 +18,7 @@ def srgb_weights(wavelengths_nm: tuple[float, ...]) -> NDArray[np.float64] | Non
     """
     if len(wavelengths_nm) < 3:
         return None
-    rgb = _XYZ_TO_SRGB @ cie_1931(np.asarray(wavelengths_nm, dtype=np.float64))
+    rgb = _XYZ_TO_SRGB @ observer(wavelengths_nm)
     white = rgb.sum(axis=1)
     if white.min() < 0.05:
         return None
@@ -73,7 +49,7 @@ def spectral_srgb(wavelength_nm: NDArray[np.float64]) -> NDArray[np.float64]:
     that deep blue and red stay visible. Ultraviolet and infrared are shown as the ends of the spectrum.
     """
     visible = np.clip(wavelength_nm, 400.0, 680.0)
-    rgb = (_XYZ_TO_SRGB @ cie_1931(visible)).T
+    rgb = (_XYZ_TO_SRGB @ observer(visible)).T
     rgb -= np.minimum(rgb.min(axis=1, keepdims=True), 0.0)
     rgb = rgb / rgb.max(axis=1, keepdims=True) * 0.96 + 0.04
     return np.asarray(srgb_encode(rgb) / 255.0)

@@ -1,4 +1,4 @@
-"""Pictures on targets: files to linear light, and what an RGB value means at a wavelength."""
+"""Pictures on targets: files to linear light."""
 
 from pathlib import Path
 
@@ -12,9 +12,6 @@ from lfmesh.errors import FileError
 
 Texture = NDArray[np.float32]
 """(h, w, 3) linear light, 0 to 1; row 0 is the top of the picture."""
-
-BLUE_NM, GREEN_NM, RED_NM = 450.0, 550.0, 610.0
-"""Wavelengths at which one channel alone counts."""
 
 
 def load_texture(path: Path) -> Texture:
@@ -65,14 +62,3 @@ def srgb_to_linear(coded: NDArray[np.float64]) -> Texture:
     """Undo the sRGB transfer function (IEC 61966-2-1) of values from 0 to 1."""
     linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
     return np.asarray(linear, dtype=np.float32)
-
-
-def wavelength_weights(wavelength_nm: float) -> NDArray[np.float64]:
-    """Return the (3,) weights of red, green and blue at a wavelength.
-
-    Hat functions between 450, 550 and 610 nm, constant beyond the ends. They sum to one, so grey is grey at
-    every wavelength.
-    """
-    centres = (BLUE_NM, GREEN_NM, RED_NM)
-    blue, green, red = (np.interp(wavelength_nm, centres, unit) for unit in np.eye(3))
-    return np.array([red, green, blue])

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.lightfield.upright import Upright
+from lfmesh.optics.cie import PLANCK_J_S, SPEED_OF_LIGHT_M_S
 from lfmesh.transport.render.image import Image
 
 Array = NDArray[np.float64]
-
-PLANCK_J_S = 6.62607015e-34
-SPEED_OF_LIGHT_M_S = 299792458.0
 
 PASSBANDS_NM = {"R": (600.0, 90.0), "G": (540.0, 90.0), "B": (460.0, 90.0)}
 """Centre and full width at half maximum of the colour filters, Gaussians with a peak of 1."""

@@ -44,8 +44,8 @@ def observer(wavelength_nm: ArrayLike) -> Array:
     (3, ...) float64
         x, y and z; 0 outside 360 to 830 nm.
     """
-    table = _read("cie_1931.csv")
-    return np.array([np.interp(wavelength_nm, table[:, 0], each, left=0.0, right=0.0) for each in table[:, 1:].T])
+    table, w = _read("cie_1931.csv"), np.asarray(wavelength_nm, dtype=np.float64)
+    return np.array([np.interp(w, table[:, 0], each, left=0.0, right=0.0) for each in table[:, 1:].T])
 
 
 def named_spectrum(name: str) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from lfmesh.files.colour import cie_1931, srgb_encode, srgb_weights, to_display
+from lfmesh.files.colour import srgb_encode, srgb_weights, to_display
 from lfmesh.files.preview import white_point, write_linear16, write_preview
 
 GREEN = (550.0,)
@@ -94,19 +94,6 @@ def test_linear16_has_one_file_a_wavelength_and_one_scale(tmp_path: Path) -> Non
     assert names == ["linear16_486.1nm.png", "linear16_587.6nm.png", "linear16_656.3nm.png"]
     for c, name in enumerate(names):
         np.testing.assert_allclose(read(tmp_path / name) * watts_per_count, raw[:, :, c], atol=0.5001 * watts_per_count)
-
-
-def test_colour_matching_functions_near_the_cie_table() -> None:
-    """CIE 015:2004, table T.4 (1931 2° observer); the fit is good to a few per cent of the peak."""
-    wavelengths = np.array([450.0, 500.0, 550.0, 600.0, 650.0])
-    table = np.array(
-        [
-            [0.3362, 0.0049, 0.4334, 1.0622, 0.2835],
-            [0.0380, 0.3230, 0.9950, 0.6310, 0.1070],
-            [1.7721, 0.2720, 0.0087, 0.0008, 0.0000],
-        ]
-    )
-    np.testing.assert_allclose(cie_1931(wavelengths), table, atol=0.03)
 
 
 def test_equal_power_is_white_and_single_wavelengths_have_their_colour() -> None:

@@ -5,7 +5,7 @@ import PIL.Image
 import pytest
 
 from lfmesh.errors import FileError
-from lfmesh.geometry.texture import load_texture, srgb_to_linear, wavelength_weights
+from lfmesh.geometry.texture import load_texture, srgb_to_linear
 
 RNG = np.random.default_rng(21)
 
@@ -81,23 +81,3 @@ def test_what_is_no_picture_is_named(tmp_path):
         message = str(raised.value)
         assert str(tmp_path / name) in message
         assert "\n" not in message
-
-
-def test_grey_stays_grey_at_every_wavelength():
-    for wavelength in np.linspace(300.0, 1100.0, 161):
-        weights = wavelength_weights(wavelength)
-        assert weights.sum() == pytest.approx(1.0, abs=1e-15)
-        assert (weights >= 0.0).all()
-
-
-def test_each_channel_rules_at_its_own_wavelength():
-    for wavelength, weights in {
-        610.0: (1, 0, 0),
-        700.0: (1, 0, 0),
-        550.0: (0, 1, 0),
-        450.0: (0, 0, 1),
-        400.0: (0, 0, 1),
-        500.0: (0, 0.5, 0.5),
-        580.0: (0.5, 0.5, 0),
-    }.items():
-        np.testing.assert_allclose(wavelength_weights(wavelength), weights, atol=1e-15)

@@ -14,7 +14,7 @@ from lfmesh.geometry.tessellation import (
     on_circles,
     revolved,
 )
-from lfmesh.geometry.texture import wavelength_weights
+from lfmesh.optics.rgb_spectra import primary_reflectances
 from lfmesh.scene import Scene
 from lfmesh.scene.coatings import UNCOATED
 from lfmesh.transport.packets.book import LOST_OUTSIDE, Book
@@ -154,7 +154,7 @@ def object_tables(
     facets = facet_table(mesh, bodies.astype(np.int64))
     uv = np.zeros((len(mesh.faces), 3, 2))
     texture = np.zeros((len(targets), 3), np.int64)
-    weights = np.array([wavelength_weights(w) for w in wavelengths_nm])
+    weights = np.array([primary_reflectances(w) for w in wavelengths_nm])
     texels: list[NDArray[np.float32]] = []
     filled = 0
     for i, target in enumerate(targets):

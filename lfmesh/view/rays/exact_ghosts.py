@@ -26,7 +26,7 @@ from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
 from lfmesh.view.rays.launch import INTENSITY_W_SR
 from lfmesh.view.rays.names import CURVED, FLAT, label, lens_names
-from lfmesh.view.rays.quadrature import Integral, integral
+from lfmesh.analysis.quadrature import Integral, integral
 
 Floats = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import iv
 
-from lfmesh.view.rays.quadrature import CELLS, SHIFT, integral
+from lfmesh.analysis.quadrature import CELLS, SHIFT, integral
 
 HALF_WIDTH = 14.0
 

@@ -121,7 +121,7 @@ def _collected(rays: LensRays, wavelength_nm: float, slope_y: float) -> float:
     lens = at_wavelength(rays.world, wavelength_nm).lens
     path, slope = image_path(len(lens.surfaces)), np.array([0.0, slope_y])
     before, far = float(lens.box_low[2]), min(rays.object_mm, FAR)
-    half_width = widest_disk(lens, np.array([[0.0, far * slope_y, -far]]), front=True)
+    radius = widest_disk(lens, np.array([[0.0, far * slope_y, -far]]), front=True)
 
     def irradiance(at: Array) -> Array:
         entry = (at + before * slope) / (1.0 + before / rays.object_mm)
@@ -129,7 +129,7 @@ def _collected(rays: LensRays, wavelength_nm: float, slope_y: float) -> float:
         cosine = ahead[:, 2] if rays.object_mm == np.inf else ahead[:, 2] ** 4
         return np.asarray(follow_sequence(lens, path, start, ahead).weight * cosine)
 
-    return integral(irradiance, half_width).value
+    return integral(irradiance, radius).value
 
 
 def zone_foci(rays: LensRays, wavelengths_nm: tuple[float, ...], zones: Array) -> Array:

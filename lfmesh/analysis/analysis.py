@@ -190,7 +190,7 @@ def analyse(
         Largest image height; half the diagonal of what sensor and array use if left out.
     wavelengths_nm : tuple of float, optional
         An odd number, ascending, the primary one in the middle. Those of the scene if left out, or if that has one
-        alone, the lines F, d and C.
+        alone and the lens glass with dispersion, the lines F, d and C.
     across : int
         Rays on a diameter of the stop.
 
@@ -242,7 +242,8 @@ def analyse(
 def _wavelengths(scene: Scene, given: tuple[float, ...] | None) -> tuple[float, ...]:
     """Return the wavelengths of an analysis, in nm, ascending."""
     waves = tuple(sorted(scene.transport.wavelengths_nm if given is None else map(float, given)))
-    if given is None and len(waves) == 1:
+    disperses = any(isinstance(surface.medium, str) for surface in scene.camera.lens.surfaces)
+    if given is None and len(waves) == 1 and disperses:
         waves = LINES_NM
     if len(waves) % 2 == 0:
         if given is not None:

@@ -45,6 +45,8 @@ class Bundle(NamedTuple):
         Where they cross the stop, in units of its radius.
     place : (n, 2) float64, mm
         Where they meet the image plane; NaN where the lens stops them.
+    entry : (n, 2) float64, mm
+        Where they would cross the plane of the first vertex; NaN where the lens stops them before the stop.
     direction : (n, 3) float64
         Unit, behind the lens.
     weight : (n,) float64
@@ -53,6 +55,7 @@ class Bundle(NamedTuple):
 
     pupil: Array
     place: Array
+    entry: Array
     direction: Array
     weight: Array
 
@@ -171,7 +174,7 @@ class LensRays:
             mine = np.flatnonzero(known)[passes]
             place[mine] = p[:, :2] + ((self.image_z_mm - p[:, 2]) / d[:, 2])[:, None] * d[:, :2]
             direction[mine] = d
-        return Bundle(pupil, place, direction, weight)
+        return Bundle(pupil, place, entry, direction, weight)
 
     def _guess(self, slope_y: float, aim: Array, wavelength_nm: float) -> Array:
         """Return about where rays cross the plane of the first vertex, from a fan across the lens."""
@@ -195,15 +198,21 @@ class LensRays:
         return np.asarray(guess)
 
 
-def pupil_grid(across: int) -> Array:
+def pupil_grid(across: int, *, rim: bool = False) -> Array:
     """Return the points of a square grid within the unit circle, (n, 2), symmetric about the axes.
 
     Parameters
     ----------
     across : int
         Points on a diameter.
+    rim : bool
+        Add points on the circle itself.
     """
     steps = (np.arange(across) - 0.5 * (across - 1)) / (0.5 * across)
     x, y = np.meshgrid(steps, steps, indexing="xy")
     inside = x * x + y * y <= 1.0
-    return np.column_stack([x[inside], y[inside]])
+    points = np.column_stack([x[inside], y[inside]])
+    if rim:
+        angle = 2.0 * np.pi * np.arange(4 * across) / (4 * across)
+        points = np.vstack([points, np.column_stack([np.cos(angle), np.sin(angle)])])
+    return points

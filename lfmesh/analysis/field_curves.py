@@ -5,11 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.analysis.bundle import LensRays
+from lfmesh.analysis.bundle import LensRays, pupil_grid
 from lfmesh.analysis.quadrature import integral
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.scene.paraxial import Paraxial
-from lfmesh.transport.aiming.aim_table import widest_disk
 from lfmesh.transport.sequential.reflections import follow_sequence
 from lfmesh.transport.sequential.sequences import image_path
 from lfmesh.transport.trace import at_wavelength
@@ -22,8 +21,8 @@ POINTS = 21
 CLOSE = 1e-3
 """Of the stop's radius: distance from the chief ray of the rays that its foci are found by."""
 
-FAR = 1e9
-"""Distance, mm, of points that stand for parallel light where only a size is asked for."""
+BEAM, WIDER = 16, 1.25
+"""Rays on a diameter of the stop that the extent of a beam is found by, and by how much more is looked at."""
 
 
 @dataclass(frozen=True)
@@ -120,12 +119,16 @@ def _collected(rays: LensRays, wavelength_nm: float, slope_y: float) -> float:
     """Return what the lens passes of the light of a piece of a Lambertian plane, in arbitrary units."""
     lens = at_wavelength(rays.world, wavelength_nm).lens
     path, slope = image_path(len(lens.surfaces)), np.array([0.0, slope_y])
-    before, far = float(lens.box_low[2]), min(rays.object_mm, FAR)
-    radius = widest_disk(lens, np.array([[0.0, far * slope_y, -far]]), front=True)
+    # Only what comes to the stop can pass.
+    entries = rays.bundle(slope_y, pupil_grid(BEAM, rim=True), wavelength_nm).entry
+    entries = entries[np.isfinite(entries).all(axis=1)]
+    if not len(entries):
+        return 0.0
+    middle = 0.5 * (entries.min(axis=0) + entries.max(axis=0))
+    radius = WIDER * max(float(np.hypot(*(entries - middle).T).max()), rays.stop_radius / BEAM)
 
-    def irradiance(at: Array) -> Array:
-        entry = (at + before * slope) / (1.0 + before / rays.object_mm)
-        start, ahead = rays.starts(np.broadcast_to(slope, at.shape), entry)
+    def irradiance(off: Array) -> Array:
+        start, ahead = rays.starts(np.broadcast_to(slope, off.shape), middle + off)
         cosine = ahead[:, 2] if rays.object_mm == np.inf else ahead[:, 2] ** 4
         return np.asarray(follow_sequence(lens, path, start, ahead).weight * cosine)
 

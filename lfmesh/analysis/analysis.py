@@ -281,7 +281,10 @@ def _spot(rays: LensRays, slope_y: float, waves: tuple[float, ...], across: int)
 def _chief_mm(rays: LensRays, slope_y: float, waves: tuple[float, ...], bundles: list[Bundle]) -> Array:
     """Return where the primary chief ray meets the image plane; the rays' mean place where the lens stops it."""
     chief = rays.bundle(slope_y, [(0.0, 0.0)], waves[len(waves) // 2]).place[0]
-    return chief if np.isfinite(chief).all() else np.nanmean(bundles[len(waves) // 2].place, axis=0)
+    if np.isfinite(chief).all():
+        return chief
+    places = np.concatenate([bundle.place[bundle.passes] for bundle in bundles])
+    return places.mean(axis=0) if len(places) else chief
 
 
 def _fans(rays: LensRays, slope_y: float, waves: tuple[float, ...]) -> list[Fan]:

@@ -94,8 +94,9 @@ def field_curves(rays: LensRays, wavelengths_nm: tuple[float, ...], height_mm: f
             five = rays.bundle(float(slope), cross, wavelength)
             chief[w, i] = five.place[0, 1]
             steep = five.direction[:, :2] / five.direction[:, 2:]
-            tangential[w, i] = -(five.place[1, 1] - five.place[2, 1]) / (steep[1, 1] - steep[2, 1])
-            sagittal[w, i] = -(five.place[3, 0] - five.place[4, 0]) / (steep[3, 0] - steep[4, 0])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                tangential[w, i] = -(five.place[1, 1] - five.place[2, 1]) / (steep[1, 1] - steep[2, 1])
+                sagittal[w, i] = -(five.place[3, 0] - five.place[4, 0]) / (steep[3, 0] - steep[4, 0])
     seen = chief[len(wavelengths_nm) // 2]
     distortion = np.divide(seen - heights, heights, out=np.zeros(POINTS), where=heights > 0.0)
     return FieldCurves(
@@ -150,11 +151,12 @@ def zone_foci(rays: LensRays, wavelengths_nm: tuple[float, ...], zones: Array) -
     Returns
     -------
     (wavelengths, m) float64
-        NaN where the lens stops the ray.
+        NaN where the lens stops the ray; inf where it leaves parallel to the axis.
     """
     pupil = np.column_stack([np.zeros(len(zones)), zones])
     found = []
     for wavelength in wavelengths_nm:
         bundle = rays.bundle(0.0, pupil, wavelength)
-        found.append(-bundle.place[:, 1] * bundle.direction[:, 2] / bundle.direction[:, 1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found.append(-bundle.place[:, 1] * bundle.direction[:, 2] / bundle.direction[:, 1])
     return np.array(found)

@@ -135,8 +135,8 @@ def test_the_command_writes_a_table_a_figure_and_numbers(tmp_path: Path, capsys:
         "schema_version = 1\n"
         f'camera.lens = {{ file = "{asset_path("lenses/double_gauss_50mm.toml").as_posix()}", '
         "stop_semi_diameter_mm = 4.77 }\ncamera.focus_mm = 500.0\n"
-        "camera.mla = { count = [16, 16], pitch_mm = 0.125, focal_length_mm = 0.5, index = 1.5, thickness_mm = 0.3 }\n"
-        "camera.sensor = { pixels = [160, 160], pixel_mm = 0.0125 }\n"
+        "camera.mla = { count = [10, 10], pitch_mm = 0.125, focal_length_mm = 0.5, index = 1.5, thickness_mm = 0.3 }\n"
+        "camera.sensor = { pixels = [100, 100], pixel_mm = 0.0125 }\n"
     )
     out = tmp_path / "out"
     assert main(["compare", str(file), "-o", str(out), "--steps", "3", "--samples", "8"]) == 0

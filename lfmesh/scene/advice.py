@@ -57,7 +57,7 @@ def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
 
 def _apertures(scene: Scene) -> Iterator[str]:
     """Compare the axial beam that the stop lets through with every clear aperture."""
-    camera, wavelength = scene.camera, scene.transport.primary_nm
+    camera, wavelength = scene.camera, scene.primary_nm
     surfaces = camera.lens.surfaces
     lens = Paraxial.of(camera.lens, wavelength)
     stop = surfaces[lens.stop]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
 from lfmesh.scene.lights import DirectionalLight, DiskLight, Light
+from lfmesh.transport.tables.lines import Lines
 
 Array = NDArray[np.float64]
 
@@ -31,29 +32,41 @@ MM2 = 1e-6
 """One mm² in m²."""
 
 
-def light_table(lights: Sequence[Light], to_object: Array) -> NDArray[np.void]:
-    """Return the lights in the object frame, (lights,) LIGHT.
+def light_table(lights: Sequence[Light], to_object: Array, lines: Lines) -> tuple[NDArray[np.void], Array]:
+    """Return the lights in the object frame, (lights,) LIGHT, and their relative power by wavelength.
 
     Parameters
     ----------
     lights : sequence of Light
     to_object : (3, 4) float64
         Move from the world frame into the object frame.
+    lines : Lines
+
+    Returns
+    -------
+    table : (lights,) LIGHT
+        With the largest power at any wavelength.
+    spectra : (lights, wavelengths) float64
+        Power at each wavelength relative to that.
     """
+    spectra = np.ones((len(lights), len(lines.wavelengths_nm)))
     table = np.zeros(len(lights), LIGHT)
     table["direction"] = (0.0, 0.0, 1.0)
-    for row, light in zip(table, lights, strict=True):
+    for row, light, spectrum in zip(table, lights, spectra, strict=True):
+        power = lines.power(light.irradiance_w_m2 if isinstance(light, DirectionalLight) else light.power_w)
+        row["power"] = power.max()
+        spectrum[:] = power / power.max()
         if isinstance(light, DirectionalLight):
-            row["kind"], row["power"] = DIRECTIONAL, light.irradiance_w_m2
+            row["kind"] = DIRECTIONAL
         else:
-            row["kind"], row["power"] = POINT, light.power_w
+            row["kind"] = POINT
             row["position"] = frame.points(to_object, [light.position_mm])[0]
         if isinstance(light, DirectionalLight | DiskLight):
             d = frame.directions(to_object, [light.direction])[0]
             row["direction"] = d / np.linalg.norm(d)
         if isinstance(light, DiskLight):
             row["kind"], row["radius"] = DISK, light.radius_mm
-    return table
+    return table, spectra
 
 
 def power_towards(light: Any, middle: Array, radius: float) -> tuple[float, float]:

@@ -72,7 +72,7 @@ def _poses(world: World, numbers: tuple[int, int]) -> Rows:
 
 
 def _medium(world: World, medium: float | str | None) -> str:
-    wavelength = world.scene.transport.primary_nm
+    wavelength = world.scene.primary_nm
     index = f"n = {refractive_index(medium, wavelength):.6g} at {wavelength:g} nm"
     return f"{medium}, {index}" if isinstance(medium, str) else index
 

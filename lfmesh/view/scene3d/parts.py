@@ -137,7 +137,7 @@ def creases_of(body: pv.PolyData) -> pv.PolyData:
 def _lens(world: World) -> Iterator[Part]:
     shape = solved_camera(world.scene).lens_shape(max(RINGS, world.lens_shape.rings))
     to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
-    wavelength = world.scene.transport.primary_nm
+    wavelength = world.scene.primary_nm
     for number, k in enumerate(shape.elements):
         colour = tint(refractive_index(shape.media[k + 1], wavelength))
         body = closed(element(shape.caps[k], shape.closures[k], shape.caps[k + 1]).moved(to_world))
@@ -175,7 +175,7 @@ def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
     to_world = world.tables.frames[MLA_FRAME, WORLD_FRAME]
     mla = world.scene.camera.mla
     assert mla is not None
-    glass = {"color": tint(refractive_index(mla.medium, world.scene.transport.primary_nm)), "opacity": 0.3}
+    glass = {"color": tint(refractive_index(mla.medium, world.scene.primary_nm)), "opacity": 0.3}
     lattice, near = lenslets.lattice, array_shape.cells_near(lenslets.lattice, near_mm)
     large = array_shape.is_large(lattice)
     curved = array_shape.caps(lenslets, *(near if large else array_shape.all_cells(lattice)))
@@ -242,7 +242,7 @@ def _target(world: World, number: int, target: TargetMesh) -> Part:
     name = f"targets[{number}]"
     model = world.scene.targets[number]
     if model.refractor is not None:
-        colour = tint(refractive_index(model.refractor.medium, world.scene.transport.primary_nm))
+        colour = tint(refractive_index(model.refractor.medium, world.scene.primary_nm))
         glass = closed(target.mesh)
         look = {"color": colour, "opacity": 0.25, "specular": 0.6}
         return Part(name, "glass", smooth(glass), look, creases_of(glass), colour, solid=glass)

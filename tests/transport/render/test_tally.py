@@ -116,7 +116,7 @@ def test_a_cut_at_chunks_traces_none_twice(scene_of: Callable[[str], lf.Scene]) 
     )
     blocks = tracer.plan.blocks(3)
     assert [(block.first, block.last) for block in blocks] == [(0, 256), (256, 320)]
-    for chunk in tracer.plan.chunks():
+    for chunk in tracer.plan.chunks(0):
         assert sum(block.touches(chunk) for block in blocks) == 1
 
 

@@ -120,7 +120,7 @@ class Plan:
         number = 0
         for part in self.parts:
             for channel in range(self.lines.channels):
-                for turn in self.lines.turns(replicate, channel):
+                for turn in self.lines.turns(replicate, channel, few=part.thinned > 1):
                     pieces = self._first(part, turn) if levels is None else self._second(part, turn, levels)
                     for first, count, samples, pixels in pieces:
                         chunk = Chunk(number, part, first, count, channel, turn, count, samples, pixels)

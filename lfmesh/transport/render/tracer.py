@@ -189,7 +189,7 @@ class Tracer:
         runs = first_of_runs(total, at_once, replicate)
         for channel in range(self.channels):
             stream = descendant(key, part.number * self.channels + channel)
-            turns = list(self.world.lines.turns(replicate, channel))
+            turns = list(self.world.lines.turns(replicate, channel, few=True))
             if self.adjoint:
                 jobs = [
                     job

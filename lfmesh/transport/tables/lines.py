@@ -28,6 +28,13 @@ MOST_IN_BAND = 16
 MOST_LINES = 512
 """Number of lines in all above which a band gets fewer; with so many bands and replicates each has at least one."""
 
+LEAST_AT_LINE = 2
+"""Samples of a pixel that take a line together, where it has so many: what the aim needs to know of a pixel is found
+anew for each line."""
+
+FEW = 4
+"""Number of lines of a replicate in a band that are enough for a small part of its light."""
+
 LINES_STREAM = 1 << 21
 """Number of the random numbers by which lines are drawn; replicates have others."""
 
@@ -56,7 +63,7 @@ class Turn:
 
     def shares(self, samples: int) -> int:
         """Return the number of lines that a pixel takes for some samples, each for as many of them."""
-        return gcd(samples, self.lines)
+        return gcd(max(1, samples // LEAST_AT_LINE) if samples % LEAST_AT_LINE == 0 else samples, self.lines)
 
     def takes(self, pixels: Numbers, samples: int) -> NDArray[np.bool_]:
         """Whether pixels, (n,), with so many samples take the line."""
@@ -175,10 +182,15 @@ class Lines:
         """Number of channels of the image."""
         return self.columns.shape[1]
 
-    def turns(self, replicate: int, channel: int) -> Iterator[Turn]:
-        """Yield the lines of a channel in a replicate."""
+    def turns(self, replicate: int, channel: int, *, few: bool = False) -> Iterator[Turn]:
+        """Yield the lines of a channel in a replicate; `few`: only some, evenly spread, for work that is a small part.
+
+        Each line is traced by itself, and short waves of packets take longer.
+        """
         replicate %= len(self.columns)
         columns, offset = self.columns[replicate, channel], int(self.offsets[replicate, channel])
+        step = max(1, len(columns) // FEW) if few else 1
+        columns, offset = columns[offset % step :: step], offset // step
         for line, column in enumerate(columns):
             yield Turn(line, len(columns), int(column), offset, self.width)
 

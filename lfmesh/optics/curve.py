@@ -40,7 +40,7 @@ class Curve:
 
     def at(self, wavelength_nm: ArrayLike) -> Array:
         """Return the values at some wavelengths of the table's range."""
-        return np.asarray(np.interp(wavelength_nm, self.wavelengths_nm, self.values))
+        return np.asarray(np.interp(np.asarray(wavelength_nm), self.wavelengths_nm, self.values))
 
     def holds(self, first_nm: float, last_nm: float) -> bool:
         """Whether the table reaches from one wavelength to another, rounding apart."""

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from pydantic import Field, PrivateAttr
 
-from lfmesh.errors import GlassError
+from lfmesh.errors import GlassError, SceneError
 from lfmesh.optics.glass import complex_index, refractive_index
 from lfmesh.scene.bands import Passband, passband, preset
 from lfmesh.scene.camera import Camera
@@ -18,6 +18,7 @@ from lfmesh.scene.inputs import found
 from lfmesh.scene.lights import Light
 from lfmesh.scene.model import Fault, Location, Model
 from lfmesh.scene.quantities import Text
+from lfmesh.scene.spectra import Spectrum, curve_of
 from lfmesh.scene.targets import Target
 from lfmesh.scene.transport import PRIMARY_NM, Transport
 
@@ -25,6 +26,8 @@ from lfmesh.scene.transport import PRIMARY_NM, Transport
 # need on top.
 FILM_BYTES = 48
 LENSLET_BYTES = 32
+
+NEEDS_BANDS = "needs camera.sensor.bands: a spectrum of light has power by the nm, and single wavelengths have no width"
 
 
 class Scene(Model):
@@ -123,8 +126,21 @@ class Scene(Model):
         return min(ends), max(ends)
 
     def at_line(self, wavelength_nm: float) -> "Scene":
-        """Return the scene at a single wavelength, in place of its wavelengths or bands."""
-        return self.changed({"camera.sensor.bands": None, "transport.wavelengths_nm": (wavelength_nm,)})
+        """Return the scene at a single wavelength, in place of its wavelengths or bands.
+
+        Spectra of light have no power at a single one. What they stand for shines with an even spectrum instead, and
+        a surface with a temperature or a spectrum of radiance with 1 W/(m² sr).
+        """
+        changes: dict[str, Any] = {"camera.sensor.bands": None, "transport.wavelengths_nm": (wavelength_nm,)}
+        for i, target in enumerate(self.targets):
+            material = target.material
+            if material.temperature_k is not None or isinstance(material.radiance_w_m2_sr, Spectrum):
+                changes |= {f"targets[{i}].material.{key}": None for key in ("temperature_k", "spectrum")}
+                changes[f"targets[{i}].material.radiance_w_m2_sr"] = 1.0
+            elif material.spectrum is not None:
+                changes[f"targets[{i}].material.spectrum"] = None
+        changes |= {f"lights[{i}].spectrum": None for i in range(len(self.lights))}
+        return self.changed(changes)
 
     @property
     def digests(self) -> dict[str, str]:
@@ -203,6 +219,7 @@ class Scene(Model):
             yield from self._lenslet_faults()
         yield from self._coating_faults()
         yield from self._band_faults()
+        yield from self._spectrum_faults()
         yield from self._memory_faults()
 
     def coating_uses(self) -> Iterator[tuple[Location, str]]:
@@ -225,6 +242,29 @@ class Scene(Model):
         if isinstance(bands, tuple) and any(band.response is not None for band in bands):
             return ()
         return self.transport.wavelengths_nm if bands is None else self.reach_nm
+
+    def _spectrum_faults(self) -> Iterator[Fault]:
+        """Yield densities by wavelength that have no bands to be integrated over, and tables that are too short."""
+        in_bands = self.camera.sensor.bands is not None
+        uses: list[tuple[Location, Any, bool]] = []
+        for i, target in enumerate(self.targets):
+            material = target.material
+            where: Location = ("targets", i, "material")
+            uses.append(((*where, "reflectance"), material.reflectance, False))
+            uses += [((*where, key), getattr(material, key), True) for key in ("radiance_w_m2_sr", "spectrum")]
+            if material.temperature_k is not None and not in_bands:
+                yield Fault((*where, "temperature_k"), material.temperature_k, NEEDS_BANDS)
+        uses += [(("lights", i, "spectrum"), light.spectrum, True) for i, light in enumerate(self.lights)]
+        for where, spectrum, is_density in uses:
+            if not isinstance(spectrum, Spectrum):
+                continue
+            if is_density and not in_bands:
+                yield Fault(where, None, NEEDS_BANDS)
+            elif spectrum.file is None and self._checked_nm():
+                try:
+                    curve_of(spectrum, self.reach_nm, self, "spectrum")
+                except SceneError as error:
+                    yield Fault(where, None, str(error).removeprefix("spectrum: "))
 
     def _band_faults(self) -> Iterator[Fault]:
         """Yield wavelengths beside bands, of which one set must be left out."""

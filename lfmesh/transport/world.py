@@ -237,9 +237,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     ranks = refuse_untraceable_glass(
         scene, targets, frame.points(moves[CAMERA_FRAME, WORLD_FRAME], shape.caps[0].vertices)
     )
-    object_mesh, objects = object_tables(
-        scene, targets, housing, moves, book, lines, interfaces.objects, known, ranks
-    )
+    object_mesh, objects = object_tables(scene, targets, housing, moves, book, lines, interfaces.objects, known, ranks)
     columns, rows = scene.camera.sensor.pixels
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
     aim, proof = unaimed(scene, lens), None

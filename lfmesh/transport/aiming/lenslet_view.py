@@ -40,7 +40,7 @@ SURELY_SHOWN = 0.9
 """Share of a view's area in which lenslets are taken to show the whole opening until that is measured."""
 
 MOST_INDICES = 8
-"""Number of refractive indices of the lenslets at which rays measure their views; between them a view changes steadily."""
+"""Refractive indices of the lenslets at which rays measure their views; between them a view changes steadily."""
 
 
 def unmeasured_light() -> Array:
@@ -97,7 +97,9 @@ def aim_through_lenslets(
     distance = np.abs(corners[:, 2] - sensor_z)
     cells = lattice.columns * lattice.rows
     slope, slope_radius = np.zeros((cells, 2)), np.zeros(cells)
-    _view_through_cells(_at_few_indices(mla), aim.exit, moves, lens_z, sensor_z, glass - 1.0, lattice.corners(), slope, slope_radius)
+    _view_through_cells(
+        _at_few_indices(mla), aim.exit, moves, lens_z, sensor_z, glass - 1.0, lattice.corners(), slope, slope_radius
+    )
     seen = slope_radius > 0.0
     aim = aim._replace(
         lenslet_z=sensor_z,

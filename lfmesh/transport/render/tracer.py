@@ -268,9 +268,7 @@ class Tracer:
             return LightSource(chunk.first, chunk.count, self.pixels * chunk.samples, key, turn.column)
         pixels = chunk.pixel_numbers()
         begin = turn.begin(pixels, chunk.samples)
-        return PixelSource(
-            pixels, chunk.samples, key, turn.column, self.stratified, channel, begin, chunk.taken
-        )
+        return PixelSource(pixels, chunk.samples, key, turn.column, self.stratified, channel, begin, chunk.taken)
 
     def _launcher(self, part: Part) -> Launcher:
         """Return the launcher of a part, which the first call makes."""

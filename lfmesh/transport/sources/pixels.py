@@ -309,8 +309,8 @@ def _begin(room: StartRoom, colour: int, lens_surfaces: int) -> None:
 @kernel
 def _aim_rays(
     room: StartRoom, bundle: Array, pixels: NDArray[np.int64], begin: NDArray[np.int64], taken: int, which: int,
-    place: int, samples: int, count: int, replicate_key: np.uint64, colour: int, sensor: SensorTables, mla: MlaTables, aim: AimTables, frames: Array,
-    book: Array,
+    place: int, samples: int, count: int, replicate_key: np.uint64, colour: int, sensor: SensorTables, mla: MlaTables,
+    aim: AimTables, frames: Array, book: Array,
 ) -> tuple[int, int]:  # fmt: skip
     """Write a block of rays (sensor frame) and their weights to the bundle, by the numbers that were drawn.
 

@@ -4,15 +4,16 @@ A new light has its model in `scene/lights.py`; its kind, its row and its power 
 `transport/events/lighting.py` its irradiance at a point and the start of its packets.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
-from lfmesh.scene.lights import DirectionalLight, DiskLight, Light
+from lfmesh.scene import Scene
+from lfmesh.scene.lights import DirectionalLight, DiskLight
 from lfmesh.transport.tables.lines import Lines
+from lfmesh.transport.tables.spectra import spread
 
 Array = NDArray[np.float64]
 
@@ -32,12 +33,12 @@ MM2 = 1e-6
 """One mm² in m²."""
 
 
-def light_table(lights: Sequence[Light], to_object: Array, lines: Lines) -> tuple[NDArray[np.void], Array]:
+def light_table(scene: Scene, to_object: Array, lines: Lines) -> tuple[NDArray[np.void], Array]:
     """Return the lights in the object frame, (lights,) LIGHT, and their relative power by wavelength.
 
     Parameters
     ----------
-    lights : sequence of Light
+    scene : Scene
     to_object : (3, 4) float64
         Move from the world frame into the object frame.
     lines : Lines
@@ -49,11 +50,13 @@ def light_table(lights: Sequence[Light], to_object: Array, lines: Lines) -> tupl
     spectra : (lights, wavelengths) float64
         Power at each wavelength relative to that.
     """
+    lights = scene.lights
     spectra = np.ones((len(lights), len(lines.wavelengths_nm)))
     table = np.zeros(len(lights), LIGHT)
     table["direction"] = (0.0, 0.0, 1.0)
-    for row, light, spectrum in zip(table, lights, spectra, strict=True):
-        power = lines.power(light.irradiance_w_m2 if isinstance(light, DirectionalLight) else light.power_w)
+    for number, (row, light, spectrum) in enumerate(zip(table, lights, spectra, strict=True)):
+        total = light.irradiance_w_m2 if isinstance(light, DirectionalLight) else light.power_w
+        power = spread(scene, total, light.spectrum, lines, f"lights[{number}].spectrum")
         row["power"] = power.max()
         spectrum[:] = power / power.max()
         if isinstance(light, DirectionalLight):

@@ -128,8 +128,8 @@ class Lines:
         bands, width = scene.passbands, scene.camera.sensor.pixels[0]
         if not bands:
             single = scene.transport.wavelengths_nm
-            columns = np.arange(len(single)).reshape(1, -1, 1)
-            return cls(single, np.ones(len(single)), columns, np.zeros((1, len(single)), np.int64), width, None)
+            alone = np.arange(len(single)).reshape(1, -1, 1)
+            return cls(single, np.ones(len(single)), alone, np.zeros((1, len(single)), np.int64), width, None)
         transport = scene.transport
         # A second stage has replicates of its own.
         replicates = transport.replicates * (1 if transport.target_error is None else 2)

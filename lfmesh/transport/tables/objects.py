@@ -27,6 +27,7 @@ from lfmesh.transport.tables.lights import MM2, light_table, power_towards
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.scattering import scattering_tables
+from lfmesh.transport.tables.spectra import radiance_at, reflectance_at
 from lfmesh.transport.tables.tables import OPAQUE, SOURCE, Interfaces, ObjectTables
 
 
@@ -179,14 +180,15 @@ def object_tables(
     by_rank[ranks[ranks > 0]] = np.flatnonzero(ranks)
     first, partners, near = contacts([target.mesh for target in targets], ranks > 0)
     _refuse_touched_coatings(scene, bodies, first)
-    radiance = np.array([lines.power(m.radiance_w_m2_sr) for m in materials]).reshape(-1, len(wavelengths_nm))
+    reflectances = [reflectance_at(scene, i, wavelengths_nm) for i in range(len(targets))]
+    radiance = np.array([radiance_at(scene, i, lines) for i in range(len(targets))]).reshape(-1, len(wavelengths_nm))
     largest = radiance.max(axis=1, keepdims=True, initial=0.0)
-    lights, light_spectra = light_table(scene.lights, to_object, lines)
+    lights, light_spectra = light_table(scene, to_object, lines)
     tables = ObjectTables(
         facets=facets,
         uv=uv,
         closed=np.array([t.closed for t in targets], dtype=np.bool_),
-        scattering=scattering_tables(materials, wavelengths_nm),
+        scattering=scattering_tables(materials, wavelengths_nm, reflectances),
         radiance=radiance,
         glow=np.divide(radiance, largest, out=np.zeros_like(radiance), where=largest > 0.0),
         media=known.table(wavelengths_nm),

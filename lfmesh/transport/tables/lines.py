@@ -22,10 +22,10 @@ from lfmesh.transport.packets.random import descendant, run_key, start
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
-MOST_IN_BAND = 16
+MOST_IN_BAND = 32
 """Largest number of lines of a replicate in a band; a power of two."""
 
-MOST_LINES = 512
+MOST_LINES = 1024
 """Number of lines in all above which a band gets fewer; with so many bands and replicates each has at least one."""
 
 LEAST_AT_LINE = 2

@@ -16,6 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from lfmesh.analysis.analysis import LensAnalysis, analyse
     from lfmesh.errors import FileError, GlassError, LfmeshError, MeshError, SceneError
     from lfmesh.files.exports.export import export_field, export_raw
     from lfmesh.files.run import open_run, open_white, save, save_white
@@ -68,6 +69,7 @@ if TYPE_CHECKING:
     from lfmesh.transport.trace import Paths, Status, trace
     from lfmesh.transport.world import build
     from lfmesh.view.layout.figure import draw
+    from lfmesh.view.lens_sheet import draw_lens_sheet
     from lfmesh.view.show import show
 
 __all__ = [
@@ -91,6 +93,7 @@ __all__ = [
     "Image",
     "Ledger",
     "Lens",
+    "LensAnalysis",
     "LfmeshError",
     "LightField",
     "LostEnergyWarning",
@@ -116,11 +119,13 @@ __all__ = [
     "Transport",
     "__version__",
     "all_in_focus",
+    "analyse",
     "build",
     "calibrate",
     "decode",
     "depth_truth",
     "draw",
+    "draw_lens_sheet",
     "estimate_centres",
     "estimate_depth",
     "export_field",
@@ -146,6 +151,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "lfmesh.analysis.analysis": ["LensAnalysis", "analyse"],
     "lfmesh.errors": ["FileError", "GlassError", "LfmeshError", "MeshError", "SceneError"],
     "lfmesh.files.exports.export": ["export_field", "export_raw"],
     "lfmesh.files.run": ["open_run", "open_white", "save", "save_white"],
@@ -176,6 +182,7 @@ _HOMES = {
     "lfmesh.transport.trace": ["Paths", "Status", "trace"],
     "lfmesh.transport.world": ["build"],
     "lfmesh.view.layout.figure": ["draw"],
+    "lfmesh.view.lens_sheet": ["draw_lens_sheet"],
     "lfmesh.view.show": ["show"],
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

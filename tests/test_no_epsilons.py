@@ -37,6 +37,7 @@ DIMENSIONLESS = {
     "transport/tables/lens.py": {"STEEPER"},
     "transport/refused_glass.py": {"A_LITTLE_INSIDE", "JUST_BESIDE"},
     "transport/tables/contacts.py": {"CUT"},
+    "transport/sources/face_starts.py": {"ON_FACE"},
     "transport/tables/lights.py": {"MM2"},
     "transport/packets/random.py": {"_UNIT"},
     "transport/packets/sobol.py": {"_UNIT"},

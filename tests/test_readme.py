@@ -16,16 +16,26 @@ from lfmesh.scene import first_order
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = {
+    path: path.read_text(encoding="utf-8")
+    for path in (
+        ROOT / "README.md",
+        *(p for part in ("lfmesh", "tests", "tools") for p in ROOT.glob(f"{part}/**/README.md")),
+    )
+}
+"""The README and those of the parts, which it names."""
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```$", README, flags=re.MULTILINE | re.DOTALL)
+def blocks(language: str, page: str = README) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
 
 
-def commands() -> list[list[str]]:
-    """Every command line of the shell blocks and of the tables."""
-    lines = [line for block in blocks("sh") for line in block.replace("\\\n", " ").splitlines()]
-    lines += re.findall(r"`((?:tools/|lfmesh )[^`]+)`", README)
+def commands(*pages: str) -> list[list[str]]:
+    """Every command line of the shell blocks and of the tables; of all pages if none is given."""
+    lines = []
+    for page in pages or PAGES.values():
+        lines += [line for block in blocks("sh", page) for line in block.replace("\\\n", " ").splitlines()]
+        lines += re.findall(r"`((?:tools/|lfmesh )[^`]+)`", page)
     return [shlex.split(line) for line in lines]
 
 
@@ -45,7 +55,7 @@ def test_the_first_scene_has_ten_lines_and_nothing_to_warn_of(folder: Path) -> N
 
 
 def test_the_first_scene_renders_with_the_commands_given(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    ours = [words[1:] for words in commands() if words[0] == "tools/run" and "scene.toml" in words]
+    ours = [words[1:] for words in commands(README) if words[0] == "tools/run" and "scene.toml" in words]
     assert {words[0] for words in ours} == {"check", "render"}
     for words in ours:
         assert main(words) == 0
@@ -86,17 +96,34 @@ def test_every_command_named_exists() -> None:
 
 
 def test_every_file_named_exists() -> None:
-    links = re.findall(r"\]\(([^)#:]+)\)", README)
+    for page, text in PAGES.items():
+        for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text):
+            assert (page.parent / link).exists(), f"{page}: {link}"
     paths = [word for words in commands() for word in words if word.startswith(("tests/", "tools/"))]
-    tree = re.findall(r"^((?:[\w.]+/)+)  ", README, flags=re.MULTILINE)
-    assert links
+    tree = re.findall(r"^((?:[\w.]+/)+)  ", PAGES[ROOT / "lfmesh" / "README.md"], flags=re.MULTILINE)
     assert tree
-    for path in [*links, *paths, *tree]:
+    for path in [*paths, *tree]:
         assert (ROOT / path).exists(), path
 
 
+def test_every_page_is_named_in_the_readme() -> None:
+    named = {(ROOT / link).resolve() for link in re.findall(r"\]\(([^)#:]+README\.md)", README)}
+    assert named == set(PAGES) - {ROOT / "README.md"}
+
+
+def test_the_readme_is_read_in_one_go() -> None:
+    assert len(README.splitlines()) <= 160
+
+
+def test_every_part_of_a_page_that_is_linked_is_there() -> None:
+    for page, text in PAGES.items():
+        for link, part in re.findall(r"\]\(([^)#:]*)#([^)]+)\)", text):
+            headings = re.findall(r"^#+ (.+)$", (page.parent / link).read_text(encoding="utf-8"), flags=re.MULTILINE)
+            assert part in {re.sub(r"[^\w -]", "", h.lower()).replace(" ", "-") for h in headings}, f"{page}: {part}"
+
+
 def test_every_table_of_the_scene_file_is_explained() -> None:
-    explained = set(re.findall(r"`\[+([\w.]+)\]+`", README))
+    explained = set(re.findall(r"`\[+([\w.]+)\]+`", PAGES[ROOT / "lfmesh" / "scene" / "README.md"]))
     for table in explained:
         model: object = lfmesh.Scene
         for key in table.split("."):
@@ -109,5 +136,5 @@ def test_every_table_of_the_scene_file_is_explained() -> None:
 
 def test_pictures_are_small() -> None:
     pictures = list((ROOT / "assets" / "pictures").glob("*.png"))
-    assert {path.name for path in pictures} == set(re.findall(r"assets/pictures/([\w.]+)", README))
+    assert {path.name for path in pictures} == set(re.findall(r"assets/pictures/([\w.]+)", "".join(PAGES.values())))
     assert all(path.stat().st_size < 300_000 for path in pictures)

@@ -228,14 +228,20 @@ def _suggestion(name: str) -> str:
     names = _catalogue()
     wanted = name.strip().upper()
     bare = _letters(wanted.rsplit("/", 1)[-1])
+    for maker in _MAKERS:
+        # CODE V writes the maker behind the name.
+        bare = (bare.removesuffix(maker) or bare).removeprefix(maker) or bare
     makers_glasses = [known for known in names if known.count("/") <= 1]
     # A wrong maker is the common slip: the same glass of another maker comes before similar spellings.
     close = names.get(wanted.rsplit("/", 1)[-1], [])
     # The next one is an old name: today's has a letter before it that says that it holds no lead.
     heirs = {page for known in names if "/" not in known and known.endswith(f"-{bare}") for page in names[known]}
-    close = [*sorted(close, key=_rank), *sorted(heirs, key=_rank)]
+    alike = _other_spellings().get(bare, [])
+    close = [*sorted(close, key=_rank), *sorted(alike, key=_rank), *sorted(heirs, key=_rank)]
     for known in difflib.get_close_matches(wanted, makers_glasses, n=4, cutoff=0.6):
         close += names[known]
+    if bare in ("AIR", "VACUUM"):
+        return "for air leave glass and index out"
     if close:
         return "close to it are " + ", ".join(
             f"{_short(page)}{_in_brackets(page)}" for page in list(dict.fromkeys(close))[:4]

@@ -27,7 +27,10 @@ TOLERANCE = 1e-8
 """Interpolation error at which no more pieces are tried."""
 
 ALLOWED = 1e-6
-"""Largest interpolation error of a table that is used."""
+"""Largest interpolation error of a table of layers that is used."""
+
+ALLOWED_MEASURED = 1e-3
+"""The same for a measured table, whose values are hardly better known: noise at many angles is not smooth in u."""
 
 MOST_PIECES = 8192
 
@@ -73,7 +76,7 @@ def constant(reflectance: float) -> ShareTable:
     return ShareTable(coefficients, 0.0)
 
 
-def tabulated(shares: Shares, absorbs: bool, least: int = 1) -> ShareTable:
+def tabulated(shares: Shares, absorbs: bool, least: int = 1, allowed: float = ALLOWED) -> ShareTable:
     """Tabulate the shares of a coating.
 
     Parameters
@@ -82,6 +85,8 @@ def tabulated(shares: Shares, absorbs: bool, least: int = 1) -> ShareTable:
     absorbs : bool
     least : int
         Pieces to have at least, a power of 2.
+    allowed : float
+        Largest error of interpolation.
 
     Raises
     ------
@@ -96,7 +101,7 @@ def tabulated(shares: Shares, absorbs: bool, least: int = 1) -> ShareTable:
         if error <= TOLERANCE or 2 * pieces > MOST_PIECES:
             break
         pieces *= 2
-    if not error <= ALLOWED:
+    if not error <= allowed:
         raise TooManyPiecesError(error)
     return ShareTable(np.concatenate([part[0] for part in parts]), error)
 

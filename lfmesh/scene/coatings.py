@@ -50,7 +50,8 @@ class Coating(Model):
     """Share of the light that is reflected, 0..1, at every angle and wavelength; the rest passes."""
     table: FilePath | None = None
     """A CSV file, relative to the scene file, with the columns wavelength_nm, angle_deg (in the thinner medium, from 0
-    to 90) and reflectance, every angle at every wavelength; what is not reflected passes."""
+    to 90) and reflectance, every angle at every wavelength; what is not reflected passes. Between wavelengths it is
+    linear, between angles a monotone cubic in the cosine, as layers behave: give angles close enough."""
     layers: tuple[Layer, ...] | None = None
     """The layers of a stack, from the air side to the glass; between two glasses from the object to the sensor."""
 

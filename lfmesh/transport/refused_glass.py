@@ -21,7 +21,7 @@ from lfmesh.transport.close_faces import refuse_close_faces
 from lfmesh.transport.events.crossing import FLOAT32_GRAIN
 from lfmesh.transport.regions.bodies import MOST_AT_ONCE, MOST_BODIES
 from lfmesh.transport.regions.embree import Finder
-from lfmesh.transport.tables.contacts import CUT, common_area
+from lfmesh.transport.tables.contacts import CUT, common_area, touching_mm, widest_contact_mm
 
 Index = NDArray[np.int64]
 
@@ -43,6 +43,10 @@ MOST_TRIED, MOST_ANGLES = 512, 3_000_000
 
 DISK_RINGS, DISK_SPOKES = 4, 32
 """Points of a disk lamp that are tested for being in glass."""
+
+
+class ClosedGapWarning(UserWarning):
+    """Faces of glass are so close that they are taken to touch."""
 
 
 def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Array) -> Index:
@@ -310,6 +314,35 @@ def _refuse_covered_faces(scene: Scene, targets: list[TargetMesh], bodies: list[
                 )
 
 
+def closed_gaps(scene: Scene, targets: list[TargetMesh]) -> list[str]:
+    """Describe the gaps between flat faces of glass that are taken to be closed, a line a pair of bodies.
+
+    Faces that files meant to touch differ by the rounding of float32; they are not named.
+
+    Parameters
+    ----------
+    scene : Scene
+    targets : list of TargetMesh
+        Of the scene, in order.
+    """
+    bodies = [i for i, target in enumerate(scene.targets) if target.refractor is not None]
+    if len(bodies) < 2:
+        return []
+    near = touching_mm([targets[i].mesh for i in bodies])
+    lines = []
+    for place, i in enumerate(bodies):
+        for j in bodies[place + 1 :]:
+            gap = widest_contact_mm(targets[i].mesh, targets[j].mesh, near)
+            size = max(float(np.ptp(targets[k].mesh.vertices, axis=0).max()) for k in (i, j))
+            if gap is not None and gap > AS_CLOSE * FLOAT32_GRAIN * size:
+                lines.append(
+                    f"{named_target(scene, i)} and {named_target(scene, j)}: faces {gap:.2g} mm apart are taken to "
+                    f"touch, without air between them, as all that are nearer than {near:.2g} mm "
+                    f"({CUT:g} of the smaller body's size); leave more between them if there is air"
+                )
+    return lines
+
+
 def _box(shells: Sequence[Array]) -> tuple[Array, Array]:
     """Return the lowest and the highest coordinates of a body's shells, (3,) each."""
     low, high = np.transpose([(corners.min(axis=(0, 1)), corners.max(axis=(0, 1))) for corners in shells], (1, 0, 2))
@@ -326,7 +359,9 @@ def _share_inside(own: Sequence[Array], others: Sequence[Array]) -> int:
     share = NOTHING
     for shell in own:
         middle = shell.mean(axis=1)
-        near = ((middle >= low) & (middle <= high)).all(axis=1)
+        # Faces that touch may stand out by rounding, or by as much as contact allows.
+        margin = CUT * min(float((high - low).max()), float(np.ptp(shell, axis=(0, 1)).max()))
+        near = ((middle >= low - margin) & (middle <= high + margin)).all(axis=1)
         if not near.any():
             continue
         inside = _turns(others, _beside(_tried(shell[near], budget), A_LITTLE_INSIDE)) != 0

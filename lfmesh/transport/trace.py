@@ -37,6 +37,7 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.packets.random import descendant
 from lfmesh.transport.sequential.given_rays import ENDED, GONE, REFUSED, UNSURE, followed
 from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
+from lfmesh.transport.sources.face_starts import before_faces
 from lfmesh.transport.sources.glass_round import glass_round
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher
@@ -149,7 +150,8 @@ def trace(
         From `build`.
     origins : (n, 3) float64, mm, world frame
         Anywhere but inside the array: in object space, in bodies of glass there, in the lens, or between lens, array
-        and sensor.
+        and sensor. A ray that starts on a face of lens or glass meets it; to go on from a vertex of a recorded path,
+        start a little beyond it.
     directions : (n, 3) float64
         Any length but zero.
     wavelength_nm : float
@@ -196,6 +198,7 @@ def trace(
             raise LfmeshError(f"{name} = {value!r}: must be {wish}")
     tables = _at_level(world, at_wavelength(world, wavelength_nm), options.surface)
     call = _Call(world, tables, options, descendant(0x7472616365, seed), threads)
+    p = before_faces(world, p, d)
     paths = _in_blocks(call, p, d) if options.sequential else _as_packets(call, p, d)
     lost = paths.ledger.loss_in_words()
     if lost is not None:

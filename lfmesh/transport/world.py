@@ -1,5 +1,6 @@
 """The built scene: meshes, Embree scenes, and the tables that kernels read."""
 
+import warnings
 from collections.abc import Callable
 from copy import copy
 from functools import cached_property
@@ -35,7 +36,7 @@ from lfmesh.transport.packets.packet import (
     SENSOR_FRAME,
     WORLD_FRAME,
 )
-from lfmesh.transport.refused_glass import refuse_untraceable_glass
+from lfmesh.transport.refused_glass import ClosedGapWarning, closed_gaps, refuse_untraceable_glass
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.interfaces import coatings_in_book, interface_tables
@@ -237,6 +238,8 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     ranks = refuse_untraceable_glass(
         scene, targets, frame.points(moves[CAMERA_FRAME, WORLD_FRAME], shape.caps[0].vertices)
     )
+    for line in closed_gaps(scene, targets):
+        warnings.warn(line, ClosedGapWarning, stacklevel=2)
     object_mesh, objects = object_tables(scene, targets, housing, moves, book, lines, interfaces.objects, known, ranks)
     columns, rows = scene.camera.sensor.pixels
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)

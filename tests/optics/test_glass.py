@@ -132,3 +132,17 @@ def test_the_ends_of_the_range_are_inside() -> None:
 def test_a_metal_is_no_glass() -> None:
     with pytest.raises(GlassError, match="index 0"):
         refractive_index("main/Ag/Johnson", 587.6)
+
+
+@pytest.mark.parametrize(
+    ("name", "first"),
+    [("BK7_SCHOTT", "SCHOTT/N-BK7"), ("SK16_SCHOTT", "HIKARI/SK16"), ("BK7HT_SCHOTT", "SCHOTT/N-BK7HT")],
+)
+def test_a_makers_old_name_suggests_its_heirs_first(name: str, first: str) -> None:
+    with pytest.raises(GlassError, match=f"close to it are .*{first}"):
+        refractive_index(name, 587.6)
+
+
+def test_air_is_no_glass() -> None:
+    with pytest.raises(GlassError, match="for air leave glass and index out"):
+        refractive_index("AIR", 587.6)

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
+from lfmesh.geometry.surface import sag
 from lfmesh.scene import load_lens
 from lfmesh.transport import trace as trace_module
 from lfmesh.transport.engine import CHUNK, Workspace
@@ -314,3 +315,18 @@ def test_no_rays_are_no_paths(world):
     paths = lf.trace(world, np.zeros((0, 3)), np.zeros((0, 3)))
     assert len(paths) == 0
     assert paths.ledger.emitted == 0.0
+
+
+def test_a_ray_that_starts_on_a_lens_surface_meets_it() -> None:
+    """At every vertex of the double Gauss and beside it, from both sides: as from 1e-9 mm before."""
+    scene = lf.load(asset_path("scenes/first_light.toml")).changed({"targets": (), "lights": ()})
+    world = lf.build(scene)
+    r = np.array([0.0, 2.0, 3.7])
+    p = np.array([
+        (x, 0.0, s["vertex_z"] + z) for s in world.lens_shape.surfaces for x, z in zip(r, sag(s, r), strict=True)
+    ])  # fmt: skip
+    p, d = np.concatenate([p, p]), np.repeat([[0.0, 0.01, 1.0], [0.0, 0.01, -1.0]], len(p), axis=0)
+    on_it, before = (lf.trace(world, start, d, split="transmit") for start in (p, p - 1e-9 * d))
+    assert (on_it.events == before.events).all()
+    assert (on_it.events > 0).all()
+    np.testing.assert_allclose(on_it.weight, before.weight, rtol=1e-8)

@@ -4,6 +4,7 @@ A packet goes from the medium it is in into the one beyond, without air between 
 """
 
 import itertools
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -248,3 +249,46 @@ def test_a_ray_from_within_four_bodies_crosses_all_of_them(body: Body) -> None:
     paths = lf.trace(world(*nested), [CENTRE], [[0.0, 0.0, -1.0]], split="transmit")
     expected = np.prod([fresnel(a, b, 1.0)[1] for a, b in itertools.pairwise([1.46, 1.54, 1.62, 1.7, 1.0])])
     assert abs(paths.weight[0] / expected - 1.0) < 1e-12
+
+
+@pytest.mark.parametrize("turned", [(0.0, 0.0, 0.0), (17.0, -40.0, 8.0)])
+def test_rays_that_start_on_a_face_of_glass_meet_it(turned: Any, body: Body) -> None:
+    """Water against glass, and a box that shares a face with the water: as from a billionth of a millimetre before."""
+    turn = Rotation.from_euler("xyz", turned, degrees=True)
+    both = world(
+        body(trimesh.creation.box((80.0, 80.0, 40.0)), WATER, turned=turned),
+        body(trimesh.creation.box((80.0, 80.0, 5.0)), GLASS, at=CENTRE + turn.apply([0.0, 0.0, -22.5]), turned=turned),
+        body(trimesh.creation.box([20.0] * 3), 1.7, at=CENTRE + turn.apply([0.0, 0.0, 10.0]), turned=turned),
+    )
+    draw, n = np.random.default_rng(8), 400
+    p = np.column_stack([draw.uniform(-30.0, 30.0, (n, 2)), draw.choice([20.0, 0.0, -20.0, -25.0], n)])
+    p[p[:, 2] == 0.0, :2] *= 0.3
+    d = np.column_stack([draw.uniform(-0.3, 0.3, (n, 2)), draw.choice([-1.0, 1.0], n)])
+    p, d = CENTRE + turn.apply(p), turn.apply(d / np.linalg.norm(d, axis=1, keepdims=True))
+    on_it, before = (lf.trace(both, start, d, split="transmit") for start in (p, p - 1e-9 * d))
+    assert (on_it.events == before.events).all()
+    assert (before.events > 0).all()
+    np.testing.assert_allclose(on_it.weight, before.weight, rtol=1e-9)
+    np.testing.assert_allclose(on_it.direction, before.direction, atol=1e-9)
+
+
+def test_a_gap_that_is_too_narrow_to_be_there_is_named(body: Body) -> None:
+    """Plates of 60 mm: 6e-4 mm and nearer are taken to touch, and a gap of 1e-4 mm is said; files' rounding is not."""
+    plates = [(-10.0, 0.0), (1e-4, 10.0)]
+    with pytest.warns(
+        UserWarning, match=r"targets\[0\].* and targets\[1\].*0.0001 mm apart are taken to touch.*0.0006 mm"
+    ):
+        world(*slabs(body, plates, [GLASS, GLASS], (0.0, 0.0, 0.0)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        world(*slabs(body, [(-10.0, 0.0), (0.0, 10.0)], [GLASS, GLASS], (20.0, 30.0, 40.0)))
+        world(*slabs(body, [(-10.0, 0.0), (1e-2, 10.0)], [GLASS, GLASS], (20.0, 30.0, 40.0)))
+
+
+def test_a_box_that_shares_a_face_with_the_one_round_it_lies_inside_it(body: Body) -> None:
+    """Whatever rounding makes of decimals."""
+    draw = np.random.default_rng(0)
+    for x, z in zip(draw.uniform(-10.0, 10.0, 12).round(1), draw.uniform(-305.0, -300.0, 12).round(1), strict=True):
+        outer = body(trimesh.creation.box((80.0, 80.0, 40.0)), WATER, at=(x, 0.0, z))
+        inner = body(trimesh.creation.box([20.0] * 3), 1.7, at=(x, 0.0, round(z + 10.0, 1)))
+        assert world(outer, inner).tables.objects.rank.tolist() == [1, 2]

@@ -15,8 +15,8 @@ in this order, give its class:
    happens does not matter: targets may scatter it before and after.
 
 `EVERY` stands for all paths that a method can find: forward all, adjoint all but `LAMP_THROUGH_GLASS`. Light that is in
-no class is named in README, "Limits": light of a lamp that reaches the sensor, or through the lens a target, before any
-target has scattered it.
+no class is named in transport/README.md, "Limits": light of a lamp that reaches the sensor, or through the lens a
+target, before any target has scattered it.
 """
 
 from typing import Any

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from lfmesh.kernel import kernel
 from lfmesh.transport.engine import Workspace
+from lfmesh.transport.events.crossing import FLOAT32_GRAIN
 from lfmesh.transport.packets.book import EMITTED
-from lfmesh.transport.packets.packet import CAMERA, CAMERA_FRAME, NO_SURFACE, OBJECTS, Flow, put
+from lfmesh.transport.packets.packet import CAMERA, CAMERA_FRAME, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, put
 from lfmesh.transport.packets.random import derived
 from lfmesh.transport.sources.glass_round import start_inside
 from lfmesh.transport.sources.source import Source
@@ -53,10 +54,13 @@ class RaySource(Source):
     def launch(self, work: Workspace, part: range) -> None:
         """Queue some of the rays at their stations."""
         some = slice(part.start, part.stop)
+        tables = work.tables
+        reach = float(np.abs(tables.frames[CAMERA_FRAME, OBJECT_FRAME][:, 3]).sum())
+        reach += float(tables.objects.facets["size"].max(initial=0.0))
         waiting = int(work.tops[OBJECTS])
         launch_rays(
             part.start, self.position[some], self.direction[some], self.station[some], self.space[some],
-            self.weight[some], self.away, work.tables.lens.medium, self.key, work.flow(), work.template,
+            self.weight[some], self.away, reach, tables.lens.medium, self.key, work.flow(), work.template,
         )  # fmt: skip
         if self.inside is not None:
             started = work.stacks[work.rows[OBJECTS], waiting : work.tops[OBJECTS]]
@@ -65,7 +69,7 @@ class RaySource(Source):
 
 @kernel
 def launch_rays(
-    first: int, p: Array, d: Array, station: Numbers, space: Numbers, weight: Array, away: float,
+    first: int, p: Array, d: Array, station: Numbers, space: Numbers, weight: Array, away: float, reach: float,
     medium: Numbers, key: np.uint64, flow: Flow, template: NDArray[np.void],
 ) -> None:  # fmt: skip
     """Queue rays at their stations; parameters as the attributes of `RaySource`.
@@ -76,6 +80,8 @@ def launch_rays(
         Number of the first ray.
     p, d : (n, 3) float64
         Position, mm, and direction, camera frame.
+    reach : float, mm
+        By how much coordinates in object space may exceed those of the camera frame, and size of its largest facet.
     medium : (K + 1,) int64
         Medium of each space of the lens.
     template : (1,) PACKET
@@ -94,7 +100,10 @@ def launch_rays(
         packet.node = NO_SURFACE
         packet.start = weight[i]
         flow.book[EMITTED] += weight[i]
-        put(
+        started = put(
             flow, station[i], packet, CAMERA_FRAME,
             p[i, 0], p[i, 1], p[i, 2], d[i, 0], d[i, 1], d[i, 2], weight[i], derived(key, first + i), away,
         )  # fmt: skip
+        if station[i] == OBJECTS and away == 0.0:
+            # In float32 a start close before a face may lie behind it.
+            started.query_from = -FLOAT32_GRAIN * (abs(p[i, 0]) + abs(p[i, 1]) + abs(p[i, 2]) + reach)

@@ -12,7 +12,7 @@ from lfmesh.errors import SceneError
 from lfmesh.optics.coatings import Stack, between, beyond
 from lfmesh.optics.glass import complex_index, refractive_index
 from lfmesh.optics.reflectance_table import ReflectanceTable, read_reflectance
-from lfmesh.optics.share_table import ShareTable, TooManyPiecesError, constant, tabulated
+from lfmesh.optics.share_table import ALLOWED_MEASURED, ShareTable, TooManyPiecesError, constant, tabulated
 from lfmesh.scene import Coating, Layer, Scene
 from lfmesh.scene.inputs import file_stamp
 from lfmesh.transport.tables.media import Medium
@@ -103,10 +103,15 @@ def _tabulated(
                 for wavelength in wavelengths_nm
             ]
     except TooManyPiecesError as error:
+        if measured is not None:
+            raise SceneError(
+                f"coatings.{name}.table: its reflectance changes too fast from angle to angle to be followed (error "
+                f"{error.args[0]:.1g}, {ALLOWED_MEASURED:g} is allowed); smooth it, or give fewer angles"
+            ) from None
         raise SceneError(
             f"coatings.{name}: its reflectance changes too fast with the angle for a table (error "
-            f"{error.args[0]:.1g}): a layer is too thick, or light resonates between layers of a lower index than both "
-            "glasses"
+            f"{error.args[0]:.1g}): the layers are too thick in all, or light resonates between layers of a lower "
+            "index than both glasses"
         ) from None
     values = np.stack([table.coefficients.ravel() for table in tables], axis=1)
     values.setflags(write=False)
@@ -126,7 +131,7 @@ def _at_wavelength(
                 f"coatings.{name}.table: it reaches from {shortest:g} to {longest:g} nm, and the scene has "
                 f"{wavelength_nm:g} nm"
             )
-        return tabulated(lambda u, total: measured.at(wavelength_nm, u * u)[None], False, least)
+        return tabulated(lambda u, total: measured.at(wavelength_nm, u * u)[None], False, least, ALLOWED_MEASURED)
     n_outer, n_inner = refractive_index(outer, wavelength_nm), refractive_index(inner, wavelength_nm)
     stack = _stack(coating.layers or (), wavelength_nm)
     if n_outer > n_inner:

@@ -80,6 +80,28 @@ def common_area(one: Mesh, other: Mesh, near: float) -> Array | None:
     -------
     (3,) float64, mm, or None
     """
+    first, second = _lying_on_each_other(one, other, near)
+    return None if not len(first) else _middle_of_both(first[0], second[0])
+
+
+def widest_contact_mm(one: Mesh, other: Mesh, near: float) -> float | None:
+    """Return how far apart facets are at most that lie on each other, mm; None where none do.
+
+    Parameters
+    ----------
+    one, other, near
+        As for `common_area`.
+    """
+    first, second = _lying_on_each_other(one, other, near)
+    if not len(first):
+        return None
+    normal = np.cross(first[:, 1] - first[:, 0], first[:, 2] - first[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return float(np.abs(np.einsum("nij,nj->ni", second - first[:, :1], normal)).max())
+
+
+def _lying_on_each_other(one: Mesh, other: Mesh, near: float) -> tuple[Array, Array]:
+    """Return the corners (n, 3, 3) of the facets of two meshes that share an area of their planes, pair by pair."""
     pairs = _pairs(one, other, near)
     first, second = one.vertices[one.faces[pairs[:, 0]]], other.vertices[other.faces[pairs[:, 1]]]
     normals = facet_normals(one)[0][pairs[:, 0]], facet_normals(other)[0][pairs[:, 1]]
@@ -92,8 +114,8 @@ def common_area(one: Mesh, other: Mesh, near: float) -> Array | None:
             inward = np.cross(normal, edge) / np.linalg.norm(edge, axis=1)[:, None]
             depth = np.einsum("nij,nj->ni", its - own[:, None, corner], inward).max(axis=1)
             overlap = np.minimum(overlap, depth)
-    found = np.flatnonzero(overlap > near)
-    return None if not len(found) else _middle_of_both(first[found[0]], second[found[0]])
+    found = overlap > near
+    return first[found], second[found]
 
 
 def _lies_in(facets: Array, point: Array, normal: Array, near: float) -> NDArray[np.bool_]:

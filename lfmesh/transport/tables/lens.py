@@ -58,7 +58,7 @@ def lens_tables(
         [len(m.faces) for m in (*shape.caps, *shape.closures)],
     )
     ring_slot = np.full(count + 1, MOUNT)
-    ring_slot[np.add(shape.elements, 1, dtype=np.int64)] = book.edges
+    ring_slot[np.array(shape.elements, dtype=np.int64) + 1] = book.edges
     stop_space, stop_z, stop_radius, stop_pose = _pure_stop(scene, shape)
     caps = np.concatenate([m.vertices for m in shape.caps])
     # Larger by a rounding error, so that a flat surface, too, has a box that rays can enter.

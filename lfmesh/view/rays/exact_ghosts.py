@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lfmesh.analysis.quadrature import Integral, integral
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.levels import EXACT
@@ -26,7 +27,6 @@ from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
 from lfmesh.view.rays.launch import INTENSITY_W_SR
 from lfmesh.view.rays.names import CURVED, FLAT, label, lens_names
-from lfmesh.view.rays.quadrature import Integral, integral
 
 Floats = NDArray[np.float64]
 
@@ -196,7 +196,7 @@ def _face_labels(world: World) -> list[str]:
 def _from_point(tables: Tables, point: Floats, path: Itinerary) -> Integral:
     """Integrate the intensity that arrives on the sensor over the plane before the lens."""
     lens, mla = tables.lens, tables.mla
-    plane_z, half_width = float(lens.box_low[2]), widest_disk(lens, point[None], front=True)
+    plane_z, radius = float(lens.box_low[2]), widest_disk(lens, point[None], front=True)
     in_lens = path.until(len(lens.surfaces))
 
     def irradiance(at: Floats) -> Floats:
@@ -207,7 +207,7 @@ def _from_point(tables: Tables, point: Floats, path: Itinerary) -> Integral:
             follow_through_mla(arrived, mla, tables.frames)
         return np.asarray(INTENSITY_W_SR * _on_sensor(tables, arrived) * ray[:, 2] / length**3)
 
-    return integral(irradiance, half_width)
+    return integral(irradiance, radius)
 
 
 def _on_sensor(tables: Tables, rays: Arrived) -> Floats:

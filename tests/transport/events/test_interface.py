@@ -13,6 +13,7 @@ from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.coatings import Stack, coated
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.optics.reflectance_table import read_reflectance
+from lfmesh.optics.share_table import looked_up
 from lfmesh.transport import choice
 from lfmesh.transport.events.interface import shares, splitter, transmitted_share
 from lfmesh.transport.packets.book import FIXED, ROULETTE_ADDED, ROULETTE_REMOVED, UNFOLLOWED
@@ -483,3 +484,30 @@ def test_the_sequential_engine_takes_coatings_that_absorb_nothing_and_leaves_oth
     assert choice.engine_of(coated_scene("dark")) == (
         "mesh", "camera.lens.surfaces[1] is coated with layers that absorb",
     )  # fmt: skip
+
+
+def measured_file(path, wavelengths, angles, values):
+    rows = [f"{w},{a!r},{r!r}" for w in wavelengths for a, r in zip(angles.tolist(), values.tolist(), strict=True)]
+    path.write_text("\n".join(["wavelength_nm,angle_deg,reflectance", *rows]))
+    return {"table": str(path)}
+
+
+def test_a_measured_table_with_noise_at_many_angles_is_followed_to_a_thousandth(tmp_path):
+    draw = np.random.default_rng(4)
+    angles = np.arange(0.0, 90.5, 1.0)
+    noisy = np.clip(0.02 + 0.9 * (angles / 90.0) ** 6 + 1e-3 * draw.normal(size=len(angles)), 0.0, 1.0)
+    noisy[-1] = 1.0
+    table = measured_file(tmp_path / "noisy.csv", (400.0, 700.0), angles, noisy)
+    found = interface_tables(coated_scene("noisy", noisy=table), (550.0,)).lens
+    row, u = found.rows[0], np.sqrt(np.cos(np.radians(angles[:-1])))
+    values = [looked_up(found.parameters, row["first"], row["pieces"], 0, each) for each in u]
+    np.testing.assert_allclose(values, noisy[:-1], atol=1e-3)
+
+
+def test_a_measured_table_that_jumps_from_angle_to_angle_is_refused(tmp_path):
+    angles = np.append(np.linspace(0.0, 0.05, 52), 90.0)
+    table = measured_file(tmp_path / "jumps.csv", (550.0,), angles, np.append(np.tile([0.2, 0.8], 26), 1.0))
+    with pytest.raises(
+        SceneError, match=r"coatings\.jumps\.table: its reflectance changes too fast from angle to angle"
+    ):
+        interface_tables(coated_scene("jumps", jumps=table), (550.0,))

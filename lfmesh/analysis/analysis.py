@@ -1,0 +1,299 @@
+"""`lf.analyse`: all figures of the lens sheet, with their definitions."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.analysis.bundle import Bundle, LensRays, pupil_grid
+from lfmesh.analysis.field_curves import FieldCurves, field_curves, paraxial_scale, zone_foci
+from lfmesh.analysis.spots import Spot
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.scene import FirstOrder, Scene
+from lfmesh.scene.report import airy_disk_mm
+from lfmesh.transport.world import build
+
+Array = NDArray[np.float64]
+
+FIELDS = (0.0, 0.7, 1.0)
+"""Shares of the largest image height."""
+
+LINES_NM = (486.1327, 587.5618, 656.2725)
+"""Fraunhofer's F, d and C, where a scene has a single wavelength."""
+
+ACROSS = 64
+"""Rays on a diameter of the stop."""
+
+FAN = 65
+ZONES = 20
+FREQUENCIES = 61
+
+FINEST_MTF = 0.5
+"""Frequency over the cut-off of diffraction up to which the geometric MTF is given."""
+
+DEFINITIONS = (
+    "image plane: the array's apexes, or the sensor; not refocused",
+    "fields: chief rays at shares of the paraxial image height, meridional plane; objects below the axis",
+    "rays: square grid in the stop (real ray aiming), equal areas, weighted by Fresnel's transmittance",
+    "spots: all wavelengths, equal weights; rms about the centroid; GEO: largest distance from the primary chief ray",
+    "fans: from the primary chief ray of the field; pupil coordinate in the stop",
+    "foci: rays 0.001 stop radii beside the chief ray (Coddington's, by differences); + behind the image plane",
+    "distortion: chief ray over its paraxial height, primary wavelength",
+    "illumination: irradiance of a Lambertian plane's image over that on the axis",
+    "MTF: geometric, modulus of the spot's transform, all wavelengths; no diffraction",
+)
+"""Of the figures, for comparison with other programs."""
+
+
+@dataclass(frozen=True)
+class Fan:
+    """Ray fans of one field at one wavelength: transverse aberrations from the primary wavelength's chief ray.
+
+    Attributes
+    ----------
+    pupil : (n,) float64
+        -1 to 1, in stop radii.
+    tangential_mm : (n,) float64
+        Deviation along y of rays in the meridional plane; NaN where the lens stops them.
+    sagittal_mm : (n,) float64
+        Deviation along x of rays through the stop's x axis.
+    """
+
+    pupil: Array
+    tangential_mm: Array
+    sagittal_mm: Array
+
+
+@dataclass(frozen=True)
+class LensAnalysis:
+    """A lens at its image plane.
+
+    Attributes
+    ----------
+    name : str
+    first_order : FirstOrder
+    object_mm : float
+        Object distance before the first vertex; inf: parallel light.
+    image_z_mm : float
+        Image plane, camera frame.
+    wavelengths_nm : tuple of float
+        The primary one in the middle.
+    heights_mm : (fields,) float64
+        Paraxial image heights.
+    spots : list of Spot
+        One a field.
+    fans : list of list of Fan
+        [field][wavelength].
+    curves : FieldCurves
+    zones : (m,) float64
+    zone_foci_mm : (wavelengths, m) float64
+        Longitudinal aberration of an axial point, over the zones of the stop.
+    frequencies_per_mm : (f,) float64
+    mtf : (fields, 2, f) float64
+        Tangential, sagittal.
+    airy_radius_mm : float
+        1.22 λ N at the primary wavelength.
+    """
+
+    name: str
+    first_order: FirstOrder
+    object_mm: float
+    image_z_mm: float
+    wavelengths_nm: tuple[float, ...]
+    heights_mm: Array
+    spots: list[Spot]
+    fans: list[list[Fan]]
+    curves: FieldCurves
+    zones: Array
+    zone_foci_mm: Array
+    frequencies_per_mm: Array
+    mtf: Array
+    airy_radius_mm: float
+
+    @property
+    def primary_nm(self) -> float:
+        """The middle wavelength."""
+        return self.wavelengths_nm[len(self.wavelengths_nm) // 2]
+
+    def lines(self) -> list[str]:
+        """Return the key figures for a terminal, a line each."""
+        facts = self.first_order
+        at = "infinity" if math.isinf(self.object_mm) else f"{self.object_mm:.6g} mm"
+        lines = [
+            f"f = {facts.efl_mm:.4f} mm, f/{facts.working_f_number:.3f} at work, object at {at}, "
+            f"image plane z = {self.image_z_mm:.4f} mm",
+            f"Airy radius {1e3 * self.airy_radius_mm:.3f} um at {self.primary_nm:g} nm; "
+            f"wavelengths {', '.join(f'{w:g}' for w in self.wavelengths_nm)} nm",
+            f"{'field/mm':>9}{'chief/mm':>11}{'rms/um':>10}{'GEO/um':>10}{'passed':>9}"
+            f"{'T focus/mm':>12}{'S focus/mm':>12}{'dist/%':>9}{'light':>8}",
+        ]
+        c, middle = self.curves, len(self.wavelengths_nm) // 2
+        for height, spot in zip(self.heights_mm, self.spots, strict=True):
+            t, s, d, light = (
+                float(np.interp(height, c.height_mm, curve))
+                for curve in (c.tangential_mm[middle], c.sagittal_mm[middle], 100.0 * c.distortion, c.illumination)
+            )
+            lines.append(
+                f"{height:9.3f}{spot.chief_mm[1]:11.4f}{1e3 * spot.rms_mm:10.3f}{1e3 * spot.geo_mm:10.3f}"
+                f"{spot.passed:9.1%}{t:12.4f}{s:12.4f}{d:9.3f}{light:8.1%}"
+            )
+        return lines
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the key figures as plain numbers."""
+        return {
+            "name": self.name,
+            "object_mm": self.object_mm,
+            "image_z_mm": self.image_z_mm,
+            "wavelengths_nm": list(self.wavelengths_nm),
+            "efl_mm": self.first_order.efl_mm,
+            "working_f_number": self.first_order.working_f_number,
+            "airy_radius_mm": self.airy_radius_mm,
+            "fields": [
+                {
+                    "height_mm": float(height),
+                    "chief_mm": float(spot.chief_mm[1]),
+                    "rms_mm": spot.rms_mm,
+                    "rms_chief_mm": spot.rms_chief_mm,
+                    "geo_mm": spot.geo_mm,
+                    "passed": spot.passed,
+                }
+                for height, spot in zip(self.heights_mm, self.spots, strict=True)
+            ],
+            "definitions": list(DEFINITIONS),
+        }
+
+
+def analyse(
+    scene: Scene,
+    *,
+    object_mm: float | None = None,
+    height_mm: float | None = None,
+    wavelengths_nm: tuple[float, ...] | None = None,
+    across: int = ACROSS,
+) -> LensAnalysis:
+    """Analyse the main lens of a scene at its image plane, as a lens sheet shows it.
+
+    Parameters
+    ----------
+    scene : Scene
+        Targets and lights do not matter; element poses do.
+    object_mm : float, optional
+        Distance of the object plane before the first vertex, inf for parallel light; the plane in focus if left out.
+    height_mm : float, optional
+        Largest image height; half the diagonal of what sensor and array use if left out.
+    wavelengths_nm : tuple of float, optional
+        An odd number, ascending, the primary one in the middle. Those of the scene if left out, or if that has one
+        alone and the lens glass with dispersion, the lines F, d and C.
+    across : int
+        Rays on a diameter of the stop.
+
+    Returns
+    -------
+    LensAnalysis
+
+    Raises
+    ------
+    LfmeshError
+        The lens has surfaces that are meshes, no ray passes it, or a value is out of range.
+    """
+    camera = solved_camera(scene)
+    facts = camera.report
+    object_mm = facts.object_distance_mm if object_mm is None else float(object_mm)
+    waves = _wavelengths(scene, wavelengths_nm)
+    if not 4 <= across <= 1000:
+        raise LfmeshError(f"across = {across}: must be from 4 to 1000 rays")
+    height = _used_height_mm(camera.scene) if height_mm is None else float(height_mm)
+    if not 0.0 < height < math.inf:
+        raise LfmeshError(f"height_mm = {height}: must be above 0 and finite")
+    world = build(camera.scene.changed({"targets": (), "lights": ()}))
+    rays = LensRays(world, object_mm, facts.image_z_mm)
+    heights = height * np.array(FIELDS)
+    primary = waves[len(waves) // 2]
+    slopes = heights / paraxial_scale(rays, primary)
+    spots = [_spot(rays, float(slope), waves, across) for slope in slopes]
+    zones = (np.arange(ZONES) + 1.0) / ZONES
+    cut_off = 1e6 / (primary * facts.working_f_number)
+    frequencies = np.linspace(0.0, FINEST_MTF * cut_off, FREQUENCIES)
+    return LensAnalysis(
+        name=scene.name or "lens",
+        first_order=facts,
+        object_mm=object_mm,
+        image_z_mm=facts.image_z_mm,
+        wavelengths_nm=waves,
+        heights_mm=heights,
+        spots=spots,
+        fans=[_fans(rays, float(slope), waves) for slope in slopes],
+        curves=field_curves(rays, waves, height),
+        zones=zones,
+        zone_foci_mm=zone_foci(rays, waves, zones),
+        frequencies_per_mm=frequencies,
+        mtf=np.array([[spot.mtf(frequencies, tangential=t) for t in (True, False)] for spot in spots]),
+        airy_radius_mm=0.5 * airy_disk_mm(primary, facts.working_f_number),
+    )
+
+
+def _wavelengths(scene: Scene, given: tuple[float, ...] | None) -> tuple[float, ...]:
+    """Return the wavelengths of an analysis, in nm, ascending."""
+    waves = tuple(sorted(scene.wavelengths_nm if given is None else map(float, given)))
+    disperses = any(isinstance(surface.medium, str) for surface in scene.camera.lens.surfaces)
+    if given is None and len(waves) == 1 and disperses:
+        waves = LINES_NM
+    if len(waves) % 2 == 0:
+        if given is not None:
+            raise LfmeshError(f"wavelengths_nm = {given}: give an odd number, so that one is in the middle")
+        waves = waves[1:]
+    return waves
+
+
+def _used_height_mm(scene: Scene) -> float:
+    """Return half the diagonal of the image that the sensor, and the array, use."""
+    camera = scene.camera
+    size = camera.sensor.size_mm if camera.mla is None else np.minimum(camera.sensor.size_mm, camera.mla.size_mm)
+    return 0.5 * float(np.hypot(*size))
+
+
+def _spot(rays: LensRays, slope_y: float, waves: tuple[float, ...], across: int) -> Spot:
+    grid = pupil_grid(across)
+    bundles = [rays.bundle(slope_y, grid, wavelength) for wavelength in waves]
+    chief = _chief_mm(rays, slope_y, waves, bundles)
+    passes = [bundle.passes for bundle in bundles]
+    if not any(each.any() for each in passes):
+        raise LfmeshError(
+            f"no ray of the field with a slope of {slope_y:.4g} passes the lens; give a smaller height_mm"
+        )
+    return Spot(
+        slope_y,
+        chief,
+        np.concatenate([bundle.place[ok] - chief for bundle, ok in zip(bundles, passes, strict=True)]),
+        np.concatenate([bundle.weight[ok] for bundle, ok in zip(bundles, passes, strict=True)]),
+        np.repeat(waves, [int(ok.sum()) for ok in passes]),
+        float(np.mean(passes)),
+    )
+
+
+def _chief_mm(rays: LensRays, slope_y: float, waves: tuple[float, ...], bundles: list[Bundle]) -> Array:
+    """Return where the primary chief ray meets the image plane; the rays' mean place where the lens stops it."""
+    chief = rays.bundle(slope_y, [(0.0, 0.0)], waves[len(waves) // 2]).place[0]
+    if np.isfinite(chief).all():
+        return chief
+    places = np.concatenate([bundle.place[bundle.passes] for bundle in bundles])
+    return places.mean(axis=0) if len(places) else chief
+
+
+def _fans(rays: LensRays, slope_y: float, waves: tuple[float, ...]) -> list[Fan]:
+    along = np.linspace(-1.0, 1.0, FAN)
+    none = np.zeros(FAN)
+    chief = rays.bundle(slope_y, [(0.0, 0.0)], waves[len(waves) // 2]).place[0]
+    fans = []
+    for wavelength in waves:
+        tangential = rays.bundle(slope_y, np.column_stack([none, along]), wavelength)
+        sagittal = rays.bundle(slope_y, np.column_stack([along, none]), wavelength)
+        fans.append(Fan(along, tangential.place[:, 1] - chief[1], sagittal.place[:, 0] - chief[0]))
+    return fans

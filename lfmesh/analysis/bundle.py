@@ -1,0 +1,218 @@
+"""Bundles of real rays: from points of one object plane, through chosen points of the stop, to the image plane.
+
+Rays follow the lens by the order of its surfaces, with every aperture and Fresnel's transmittance. Positions are in the
+camera frame, mm. Fields lie in the meridional plane x = 0.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.element_poses import pose_of
+from lfmesh.geometry.levels import EXACT
+from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.transport.aiming.aim_table import widest_disk
+from lfmesh.transport.aiming.ray_aiming import aim_rays
+from lfmesh.transport.sequential.reflections import Arrived, follow_sequence
+from lfmesh.transport.sequential.sequences import image_path
+from lfmesh.transport.trace import at_wavelength
+from lfmesh.transport.world import World
+
+Array = NDArray[np.float64]
+
+FAN = 65
+"""Trials across the front of the lens from which the first guess of a ray is made."""
+
+DIFFERENCE = 1e-5
+"""Of two trials whose difference is the derivative, over the stop's radius."""
+
+INSIDE = 1.0 - 1e-9
+"""The rim of the stop is aimed at times this, so that the rays pass it."""
+
+
+class Bundle(NamedTuple):
+    """Rays of one field at one wavelength.
+
+    Attributes
+    ----------
+    pupil : (n, 2) float64
+        Where they cross the stop, in units of its radius.
+    place : (n, 2) float64, mm
+        Where they meet the image plane; NaN where the lens stops them.
+    entry : (n, 2) float64, mm
+        Where they would cross the plane of the first vertex; NaN where the lens stops them before the stop.
+    direction : (n, 3) float64
+        Unit, behind the lens.
+    weight : (n,) float64
+        Transmittance; 0 where the lens stops them.
+    """
+
+    pupil: Array
+    place: Array
+    entry: Array
+    direction: Array
+    weight: Array
+
+    @property
+    def passes(self) -> NDArray[np.bool_]:
+        """(n,): whether the lens lets them through."""
+        return np.asarray(self.weight > 0.0)
+
+    def at(self, shift_mm: float) -> Array:
+        """Return where the rays meet a plane that lies this far behind the image plane, (n, 2) mm."""
+        return np.asarray(self.place + shift_mm * self.direction[:, :2] / self.direction[:, 2:])
+
+
+@dataclass(frozen=True)
+class LensRays:
+    """Sends rays from an object plane through the lens of a camera.
+
+    Attributes
+    ----------
+    world : World
+        Exact surfaces only.
+    object_mm : float
+        Distance of the object plane before the first vertex; inf: parallel bundles.
+    image_z_mm : float
+        The plane that rays are followed to.
+    """
+
+    world: World
+    object_mm: float
+    image_z_mm: float
+
+    def __post_init__(self) -> None:
+        shape = self.world.lens_shape
+        if not (shape.analytic.all() and (shape.surfaces["level"] == EXACT).all()):
+            raise LfmeshError('the lens has surfaces that are meshes: an analysis needs surface = "exact"')
+        if not self.object_mm > 0.0:
+            raise LfmeshError(f"object distance = {self.object_mm} mm: must be above 0, or inf")
+
+    @cached_property
+    def stop_radius(self) -> float:
+        """Radius of the stop, mm."""
+        camera = solved_camera(self.world.scene)
+        return camera.scene.camera.lens.surfaces[camera.paraxial.stop].semi_diameter_mm or math.nan
+
+    @cached_property
+    def _stop(self) -> int:
+        return solved_camera(self.world.scene).paraxial.stop
+
+    @cached_property
+    def _into_stop(self) -> Array:
+        return frames.inverse(pose_of(self.world.scene.camera.lens, self._stop))
+
+    @cached_property
+    def _faces_to_stop(self) -> int:
+        """Refracting surfaces up to the stop, itself included where it is one."""
+        return sum(number <= self._stop for number in self.world.lens_shape.numbers)
+
+    def starts(self, slope: Array, entry: Array) -> tuple[Array, Array]:
+        """Return where rays start, before the lens, and their unit directions, (n, 3) each.
+
+        Parameters
+        ----------
+        slope : (n, 2) float64
+            Of the object points: their x and y over their distance from the first vertex.
+        entry : (n, 2) float64, mm
+            Where they would cross the plane of the first vertex.
+        """
+        ahead = np.column_stack([entry / self.object_mm - slope, np.ones(len(entry))])
+        before = float(self.world.tables.lens.box_low[2])
+        start = np.column_stack([entry, np.zeros(len(entry))]) + before * ahead
+        return start, ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+
+    def _followed(self, slope: Array, entry: Array, wavelength_nm: float, faces: int | None = None) -> Arrived:
+        lens = at_wavelength(self.world, wavelength_nm).lens
+        path = image_path(len(lens.surfaces))
+        return follow_sequence(lens, path if faces is None else path.until(faces), *self.starts(slope, entry))
+
+    def at_stop(self, slope: Array, entry: Array, wavelength_nm: float) -> Array:
+        """Return where rays cross the surface of the stop, in its own frame, (n, 2) mm; NaN where they do not come."""
+        arrived = self._followed(slope, entry, wavelength_nm, self._faces_to_stop)
+        p = frames.points(self._into_stop, arrived.position)
+        if self.world.scene.camera.lens.is_pure_stop(self._stop):
+            d = frames.directions(self._into_stop, arrived.direction)
+            z = self.world.scene.camera.lens.vertices_mm[self._stop]
+            p = p + ((z - p[:, 2]) / d[:, 2])[:, None] * d
+        return np.where((arrived.weight > 0.0)[:, None], p[:, :2], np.nan)
+
+    def bundle(self, slope_y: float, pupil: ArrayLike, wavelength_nm: float) -> Bundle:
+        """Return the rays of a field through points of the stop.
+
+        Parameters
+        ----------
+        slope_y : float
+            Height of the object point over its distance; of parallel bundles the tangent of the field angle.
+        pupil : (n, 2) float
+            Points of the stop, in units of its radius.
+        wavelength_nm : float
+        """
+        pupil = np.asarray(pupil, dtype=np.float64).reshape(-1, 2)
+        aim = pupil * (self.stop_radius * INSIDE)
+        slope = np.broadcast_to([0.0, slope_y], aim.shape)
+
+        def landing(entry: Array, which: NDArray[np.int64]) -> Array:
+            return self.at_stop(slope[which], entry, wavelength_nm)
+
+        guess = self._guess(slope_y, aim, wavelength_nm)
+        aimed = aim_rays(landing, aim, guess, DIFFERENCE * self.stop_radius, self.stop_radius)
+        entry = np.where(aimed.arrived[:, None], aimed.start, np.nan)
+        known = np.isfinite(entry).all(axis=1)
+        place, direction, weight = np.full((len(aim), 2), np.nan), np.full((len(aim), 3), np.nan), np.zeros(len(aim))
+        if known.any():
+            arrived = self._followed(slope[known], entry[known], wavelength_nm)
+            weight[known] = arrived.weight
+            passes = arrived.weight > 0.0
+            p, d = arrived.position[passes], arrived.direction[passes]
+            mine = np.flatnonzero(known)[passes]
+            place[mine] = p[:, :2] + ((self.image_z_mm - p[:, 2]) / d[:, 2])[:, None] * d[:, :2]
+            direction[mine] = d
+        return Bundle(pupil, place, entry, direction, weight)
+
+    def _guess(self, slope_y: float, aim: Array, wavelength_nm: float) -> Array:
+        """Return about where rays cross the plane of the first vertex, from a fan across the lens."""
+        lens = self.world.tables.lens
+        reach = widest_disk(lens, np.array([[0.0, 0.0, min(-1.0, float(lens.box_low[2]) - 1.0)]]), front=True)
+        trial = np.column_stack([np.zeros(FAN), np.linspace(-reach, reach, FAN)])
+        hits = self.at_stop(np.broadcast_to([0.0, slope_y], trial.shape), trial, wavelength_nm)[:, 1]
+        known = np.isfinite(hits)
+        to_stop = solved_camera(self.world.scene).paraxial.to_stop
+        scale = to_stop.a + to_stop.b / self.object_mm
+        guess = (aim + to_stop.b * np.array([0.0, slope_y])) / scale
+        if known.sum() > 1:
+            order = np.argsort(hits[known])
+            y, entries = hits[known][order], trial[known, 1][order]
+            guess[:, 1] = np.interp(aim[:, 1], y, entries)
+            # Beyond the outermost trials that arrive, along the line through them.
+            for end, beyond in ((0, aim[:, 1] < y[0]), (-1, aim[:, 1] > y[-1])):
+                inner = 1 if end == 0 else -2
+                slope = (entries[end] - entries[inner]) / (y[end] - y[inner])
+                guess[beyond, 1] = entries[end] + slope * (aim[beyond, 1] - y[end])
+        return np.asarray(guess)
+
+
+def pupil_grid(across: int, *, rim: bool = False) -> Array:
+    """Return the points of a square grid within the unit circle, (n, 2), symmetric about the axes.
+
+    Parameters
+    ----------
+    across : int
+        Points on a diameter.
+    rim : bool
+        Add points on the circle itself.
+    """
+    steps = (np.arange(across) - 0.5 * (across - 1)) / (0.5 * across)
+    x, y = np.meshgrid(steps, steps, indexing="xy")
+    inside = x * x + y * y <= 1.0
+    points = np.column_stack([x[inside], y[inside]])
+    if rim:
+        angle = 2.0 * np.pi * np.arange(4 * across) / (4 * across)
+        points = np.vstack([points, np.column_stack([np.cos(angle), np.sin(angle)])])
+    return points

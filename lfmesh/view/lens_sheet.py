@@ -1,0 +1,262 @@
+"""The lens sheet: what `lf.analyse` found, on one page, as PDF, SVG or PNG.
+
+Ray fans and spots of three fields, longitudinal aberration, foci and distortion over the field, lateral colour,
+illumination and the geometric MTF, with the definitions of all of them.
+"""
+
+import io
+import math
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
+from matplotlib.patches import Circle
+from matplotlib.ticker import MaxNLocator
+
+from lfmesh.analysis.analysis import DEFINITIONS, LensAnalysis
+from lfmesh.errors import FileError
+from lfmesh.files.colour import spectral_srgb
+from lfmesh.files.whole import write_whole
+
+SHEET_IN = (14.0, 9.6)
+PNG_DPI = 150
+
+FORMATS = {".pdf": "pdf", ".svg": "svg", ".png": "png"}
+
+FIELD_COLOURS = ("#1f4e8c", "#2a7f62", "#b4541a")
+INK, GREY = "#222222", "#666666"
+
+UM = 1e3
+"""Micrometres in a millimetre."""
+
+DARKEST = 0.75
+"""Lines of light wavelengths are drawn this much darker than they look, to be seen on paper."""
+
+DEFINITION_COLUMNS = 62
+
+STYLE: Any = {
+    "font.family": ["DejaVu Sans", "sans-serif"],
+    "font.size": 7.0,
+    "axes.titlesize": 7.5,
+    "axes.labelsize": 7.0,
+    "axes.linewidth": 0.6,
+    "lines.linewidth": 0.9,
+    "legend.fontsize": 6.5,
+    "legend.frameon": False,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "lfmesh",
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+}
+
+
+def draw_lens_sheet(analysis: LensAnalysis, path: str | Path = "sheet.pdf") -> Path:
+    """Draw a lens sheet.
+
+    Parameters
+    ----------
+    analysis : LensAnalysis
+        From `lf.analyse`.
+    path : str or Path
+        Ends in .pdf, .svg or .png; it is written whole or not at all. The same analysis makes the same bytes.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    FileError
+        The ending is not one of these, or the file cannot be written.
+    """
+    path = Path(path)
+    kind = FORMATS.get(path.suffix.lower())
+    if kind is None:
+        ending = f"ends in {path.suffix}" if path.suffix else "has no ending"
+        raise FileError(f"{path}: {ending}; a lens sheet is one of {', '.join(FORMATS)}")
+    if not path.parent.is_dir():
+        raise FileError(f"{path}: there is no folder {path.parent}; make it, or give another")
+    dates: dict[str, dict[str, Any]] = {
+        "svg": {"Date": None, "Creator": None, "Title": analysis.name},
+        "png": {"Software": None},
+        "pdf": {"CreationDate": None, "Creator": None, "Producer": None, "Title": analysis.name},
+    }
+    out = io.BytesIO()
+    with mpl.rc_context(STYLE):
+        sheet_of(analysis).savefig(out, format=kind, dpi=PNG_DPI, metadata=dates[kind])
+    write_whole(path, out.getvalue())
+    return path
+
+
+def sheet_of(analysis: LensAnalysis) -> Figure:
+    """Return the page."""
+    figure = Figure(figsize=SHEET_IN)
+    FigureCanvasAgg(figure)
+    grid = GridSpec(
+        3, 6, figure, left=0.045, right=0.985, top=0.885, bottom=0.055, wspace=0.42, hspace=0.42,
+        height_ratios=(1.0, 1.15, 1.15),
+    )  # fmt: skip
+    _header(figure, analysis)
+    _fans(figure, grid, analysis)
+    _spots([figure.add_subplot(grid[1, k]) for k in range(len(analysis.spots))], analysis)
+    _longitudinal(figure.add_subplot(grid[1, 3]), analysis)
+    _foci(figure.add_subplot(grid[1, 4]), analysis)
+    _distortion(figure.add_subplot(grid[1, 5]), analysis)
+    _lateral(figure.add_subplot(grid[2, 0]), analysis)
+    _illumination(figure.add_subplot(grid[2, 1]), analysis)
+    _mtf(figure.add_subplot(grid[2, 2:4]), analysis)
+    _definitions(figure.add_subplot(grid[2, 4:]))
+    return figure
+
+
+def _header(figure: Figure, analysis: LensAnalysis) -> None:
+    facts = analysis.first_order
+    at = "infinity" if math.isinf(analysis.object_mm) else f"{analysis.object_mm:.5g} mm"
+    figure.text(0.045, 0.955, analysis.name, fontsize=13, fontweight="bold")
+    figure.text(
+        0.045, 0.928,
+        f"f = {facts.efl_mm:.3f} mm   f/{facts.working_f_number:.2f} at work   object at {at}   "
+        f"image plane z = {analysis.image_z_mm:.3f} mm   Airy radius {UM * analysis.airy_radius_mm:.2f} µm",
+        fontsize=8.5, color=GREY,
+    )  # fmt: skip
+    for k, wavelength in enumerate(analysis.wavelengths_nm):
+        figure.text(
+            0.985 - 0.075 * (len(analysis.wavelengths_nm) - 1 - k), 0.928, f"— {wavelength:.1f} nm",
+            color=_colours(analysis)[k], ha="right", fontsize=8.5, fontweight="bold",
+        )  # fmt: skip
+
+
+def _colours(analysis: LensAnalysis) -> list[tuple[float, float, float]]:
+    """Return the colour of each wavelength's lines."""
+    shown = DARKEST * spectral_srgb(np.array(analysis.wavelengths_nm, dtype=np.float64))
+    return [(float(r), float(g), float(b)) for r, g, b in shown]
+
+
+def _field_names(analysis: LensAnalysis) -> list[str]:
+    return [f"{height:.2f} mm" for height in analysis.heights_mm]
+
+
+def _cross(axes: Axes) -> None:
+    """Draw the two axes through the origin, and few ticks."""
+    axes.axhline(0.0, color=GREY, linewidth=0.5)
+    axes.axvline(0.0, color=GREY, linewidth=0.5)
+    axes.xaxis.set_major_locator(MaxNLocator(4))
+    axes.yaxis.set_major_locator(MaxNLocator(5))
+
+
+def _fans(figure: Figure, grid: GridSpec, analysis: LensAnalysis) -> None:
+    largest = max(
+        float(np.nanmax(np.abs(values), initial=0.0))
+        for fans in analysis.fans
+        for fan in fans
+        for values in (fan.tangential_mm, fan.sagittal_mm)
+    )
+    for f, (name, fans) in enumerate(zip(_field_names(analysis), analysis.fans, strict=True)):
+        for side, words in enumerate(("tangential", "sagittal")):
+            axes = figure.add_subplot(grid[0, 2 * f + side])
+            _cross(axes)
+            for fan, colour in zip(fans, _colours(analysis), strict=True):
+                values = fan.sagittal_mm if side else fan.tangential_mm
+                axes.plot(fan.pupil, UM * values, color=colour)
+            axes.set_xlim(-1.0, 1.0)
+            axes.set_ylim(-1.05 * UM * largest or -1.0, 1.05 * UM * largest or 1.0)
+            axes.set_title(f"{words} fan, {name}")
+            axes.set_xlabel("stop radius")
+            axes.set_ylabel("µm")
+
+
+def _spots(places: list[Axes], analysis: LensAnalysis) -> None:
+    reach = UM * max(max(spot.geo_mm for spot in analysis.spots), analysis.airy_radius_mm)
+    for axes, name, spot in zip(places, _field_names(analysis), analysis.spots, strict=True):
+        for wavelength, colour in zip(analysis.wavelengths_nm, _colours(analysis), strict=True):
+            mine = spot.wavelength_nm == wavelength
+            axes.plot(*(UM * spot.place_mm[mine]).T, ".", color=colour, markersize=0.9, rasterized=True)
+        axes.add_patch(Circle((0.0, 0.0), UM * analysis.airy_radius_mm, fill=False, color=INK, linewidth=0.7, zorder=3))
+        axes.set_xlim(-1.05 * reach, 1.05 * reach)
+        axes.set_ylim(-1.05 * reach, 1.05 * reach)
+        axes.set_aspect("equal")
+        axes.set_title(f"spot, {name}, {spot.passed:.0%} pass")
+        axes.set_xlabel(f"µm   rms {UM * spot.rms_mm:.2f}, GEO {UM * spot.geo_mm:.2f}")
+
+
+def _longitudinal(axes: Axes, analysis: LensAnalysis) -> None:
+    _cross(axes)
+    for foci, colour in zip(analysis.zone_foci_mm, _colours(analysis), strict=True):
+        axes.plot(foci, analysis.zones, color=colour)
+    axes.set_ylim(0.0, 1.0)
+    axes.set_title("longitudinal aberration, axis")
+    axes.set_xlabel("focus from image plane, mm")
+    axes.set_ylabel("stop radius")
+
+
+def _foci(axes: Axes, analysis: LensAnalysis) -> None:
+    _cross(axes)
+    curves = analysis.curves
+    for w, colour in enumerate(_colours(analysis)):
+        axes.plot(curves.tangential_mm[w], curves.height_mm, color=colour)
+        axes.plot(curves.sagittal_mm[w], curves.height_mm, color=colour, linestyle="--")
+    axes.set_ylim(0.0, curves.height_mm[-1])
+    axes.set_title("foci: tangential —, sagittal - -")
+    axes.set_xlabel("from image plane, mm")
+    axes.set_ylabel("image height, mm")
+
+
+def _distortion(axes: Axes, analysis: LensAnalysis) -> None:
+    _cross(axes)
+    curves = analysis.curves
+    axes.plot(100.0 * curves.distortion, curves.height_mm, color=INK)
+    widest = max(0.1, 110.0 * float(np.nanmax(np.abs(curves.distortion))))
+    axes.set_xlim(-widest, widest)
+    axes.set_ylim(0.0, curves.height_mm[-1])
+    axes.set_title("distortion")
+    axes.set_xlabel("%")
+    axes.set_ylabel("image height, mm")
+
+
+def _lateral(axes: Axes, analysis: LensAnalysis) -> None:
+    _cross(axes)
+    curves = analysis.curves
+    for values, colour in zip(curves.lateral_mm, _colours(analysis), strict=True):
+        axes.plot(UM * values, curves.height_mm, color=colour)
+    axes.set_ylim(0.0, curves.height_mm[-1])
+    axes.set_title("lateral colour")
+    axes.set_xlabel("chief ray from primary, µm")
+    axes.set_ylabel("image height, mm")
+
+
+def _illumination(axes: Axes, analysis: LensAnalysis) -> None:
+    curves = analysis.curves
+    axes.plot(curves.height_mm, 100.0 * curves.illumination, color=INK)
+    axes.set_xlim(0.0, curves.height_mm[-1])
+    axes.set_ylim(0.0, max(105.0, 105.0 * float(np.nanmax(curves.illumination))))
+    axes.grid(visible=True, linewidth=0.3)
+    axes.set_title("relative illumination")
+    axes.set_xlabel("image height, mm")
+    axes.set_ylabel("%")
+
+
+def _mtf(axes: Axes, analysis: LensAnalysis) -> None:
+    for name, both, colour in zip(_field_names(analysis), analysis.mtf, FIELD_COLOURS, strict=True):
+        axes.plot(analysis.frequencies_per_mm, both[0], color=colour, label=f"{name}, tangential")
+        axes.plot(analysis.frequencies_per_mm, both[1], color=colour, linestyle="--", label="sagittal")
+    axes.set_xlim(0.0, analysis.frequencies_per_mm[-1])
+    axes.set_ylim(0.0, 1.0)
+    axes.grid(visible=True, linewidth=0.3)
+    axes.legend(loc="upper right", ncols=1)
+    axes.set_title("geometric MTF, all wavelengths")
+    axes.set_xlabel("line pairs a mm")
+
+
+def _definitions(axes: Axes) -> None:
+    axes.set_axis_off()
+    lines = [line for each in DEFINITIONS for line in textwrap.wrap(each, DEFINITION_COLUMNS, subsequent_indent="    ")]
+    axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=6.3, linespacing=1.35, transform=axes.transAxes)

@@ -159,7 +159,7 @@ def lens_of(kind: str) -> Scene:
 
 def rays_through(scene: Scene, count: int) -> tuple[Bundle, analytic.Landing]:
     """Return rays from all over the field that fill the pupil and pass the lens, and where they land."""
-    wavelength = scene.transport.primary_nm
+    wavelength = scene.primary_nm
     # Of the rays sent, the corners of the field lose a third.
     sent = bundle(scene, 3 * count)
     truth = analytic.Camera.of(scene, wavelength).land(*sent)
@@ -254,7 +254,7 @@ class Field:
         self.landings: dict[str, Callable[[], tuple[Array, Array]]] = {}
         self.unweighted = {"batoid", "optiland"}
         self._pool = ThreadPoolExecutor(threads)
-        wavelength = scene.transport.primary_nm
+        wavelength = scene.primary_nm
         for level in SURFACE_LEVEL:
             world = lf.build(scene.changed({"transport.surface": level}), rings=rings)
             triangles = 6 * world.lens_shape.rings**2

@@ -175,7 +175,7 @@ class Camera:
     def _array(self) -> dict[str, Any]:
         """Return the lenslets' caps as one mesh, and the flat face."""
         mla = self.mla
-        index = refractive_index(mla.medium, self.scene.transport.primary_nm)
+        index = refractive_index(mla.medium, self.scene.primary_nm)
         curvature = 1.0 / float(np.ravel(mla.radius_mm)[0])
         grid, cell_faces = square_grid(LENSLET_STEPS)
         grid = grid * mla.pitch_mm

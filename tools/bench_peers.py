@@ -133,7 +133,7 @@ def imported(name: str) -> Any:
 def batoid_peer(scene: Scene, sent: Bundle, threads: int) -> Peer:
     """Build the lens for batoid, in metres as its documentation has them."""
     batoid = imported("batoid")
-    wavelength = scene.transport.primary_nm
+    wavelength = scene.primary_nm
     m = 1.0 / MM_PER_M
 
     def shape(of: Interface) -> Any:
@@ -179,7 +179,7 @@ def optiland_peer(scene: Scene, sent: Bundle, threads: int) -> Peer:
 
     # It compiles at first use, and numba warns of its code.
     warnings.filterwarnings("ignore", module="numba.*")
-    wavelength = scene.transport.primary_nm
+    wavelength = scene.primary_nm
     interfaces = interfaces_of(scene, wavelength)
     ends = [i.vertex_mm for i in interfaces[1:]] + [image_plane_mm(scene)]
     optic = Optic()
@@ -237,7 +237,7 @@ def mitsuba_lens(mitsuba: Any, scene: Scene, shift_mm: float, rings: int = MITSU
         Added to z: Mitsuba's float32 keeps most digits near its origin.
     """
     shape: LensShape = lens_shape(scene, rings)
-    wavelength = scene.transport.primary_nm
+    wavelength = scene.primary_nm
     indices = [refractive_index(medium, wavelength) for medium in shape.media]
     meshes = {}
     for k, (cap, record) in enumerate(zip(shape.caps, shape.surfaces, strict=True)):
@@ -259,7 +259,7 @@ def mitsuba_peer(scene: Scene, sent: Bundle, threads: int) -> Peer:
     mitsuba, drjit = imported("mitsuba"), imported("drjit")
     mitsuba_variant(mitsuba)
     drjit.set_thread_count(threads)
-    wavelength = scene.transport.primary_nm
+    wavelength = scene.primary_nm
     indices = [1.0, *(i.after for i in interfaces_of(scene, wavelength))]
     plane = image_plane_mm(scene)
     # The origin in the middle of the way.

@@ -308,9 +308,8 @@ def _binned(scene: Scene, pixels: int) -> tuple[Scene, int]:
     changes = {
         "camera.sensor.pixels": [side // factor for side in sensor.pixels],
         "camera.sensor.pixel_mm": sensor.pixel_mm * factor,
-        "transport.wavelengths_nm": [scene.transport.primary_nm],
     }
-    return scene.changed(changes), factor
+    return scene.changed(changes).at_line(scene.primary_nm), factor
 
 
 def _world(scene: Scene, way: Way, samples: int, replicates: int) -> World:

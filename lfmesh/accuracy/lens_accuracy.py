@@ -248,8 +248,8 @@ def study_lens(
     rows: list[LensRow] = []
     errors: list[float | None] = []
     for way, camera in ways:
-        wavelength = camera.transport.primary_nm
-        camera = camera.changed({"transport.wavelengths_nm": [wavelength]})
+        wavelength = camera.primary_nm
+        camera = camera.at_line(wavelength)
         sent = bundle(camera, rays)
         truth = analytic.Camera.of(camera, wavelength).land(*sent)
         errors.append(analytic.own_error(camera, wavelength, *(a[:2000] for a in sent)))
@@ -291,7 +291,7 @@ def _measured(
     world = build(scene, rings=rings)
     build_seconds = time.perf_counter() - began
     # Embree makes its trees at the first query.
-    wavelength = scene.transport.primary_nm
+    wavelength = scene.primary_nm
     trace(world, sent.origins[:256], sent.directions[:256], wavelength, "transmit")
     release_freed_memory()
     grown = resident_bytes() - before

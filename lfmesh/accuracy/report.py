@@ -143,7 +143,7 @@ def made_on() -> str:
 
 def shines(scene: Scene) -> bool:
     """Tell whether a scene has a light or a target that emits."""
-    return bool(scene.lights) or any(target.material.radiance_w_m2_sr > 0.0 for target in scene.targets)
+    return bool(scene.lights) or any(target.material.emits for target in scene.targets)
 
 
 def _print_table(console: Console, title: str, rows: list[dict[str, str]], grouped_by: str) -> None:

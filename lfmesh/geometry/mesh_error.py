@@ -63,7 +63,7 @@ def landing_errors(scene: Scene, numbers: list[int], surfaces: NDArray[np.void],
         Place of each refracting surface in the prescription.
     """
     lens = scene.camera.lens
-    paraxial = Paraxial.of(lens, scene.transport.primary_nm)
+    paraxial = Paraxial.of(lens, scene.primary_nm)
     distance = (scene.camera.mla or scene.camera.sensor).distance_mm or 0.0
     to_image: Matrix = gap(distance)
     carried = {}

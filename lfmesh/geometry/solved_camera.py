@@ -47,7 +47,7 @@ class SolvedCamera:
     @cached_property
     def paraxial(self) -> Paraxial:
         """The lens at the primary wavelength."""
-        return Paraxial.of(self.scene.camera.lens, self.scene.transport.primary_nm)
+        return Paraxial.of(self.scene.camera.lens, self.scene.primary_nm)
 
     def lens_shape(self, rings: int | None = None) -> LensShape:
         """Return the meshes of the lens, which are read-only; the table of its surfaces is the caller's own.

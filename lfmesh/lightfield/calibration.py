@@ -163,7 +163,7 @@ def calibration_of(
         centres_px=centres_px,
         known=known,
         kinds=kinds,
-        focal_lengths_mm=lenslet_focal_length_mm(mla, scene.transport.primary_nm),
+        focal_lengths_mm=lenslet_focal_length_mm(mla, scene.primary_nm),
         lenslet_pitch_mm=model.lenslet_pitch_mm,
         pixel_mm=sensor.pixel_mm,
         sensor_px=sensor.pixels,
@@ -173,7 +173,7 @@ def calibration_of(
         exit_pupil_diameter_mm=facts.exit_pupil_diameter_mm,
         pupil_to_array_mm=model.pupil_to_array_mm,
         lenslet_to_sensor_mm=model.lenslet_to_sensor_mm,
-        wavelength_nm=scene.transport.primary_nm,
+        wavelength_nm=scene.primary_nm,
         origin=origin,
     )
 

@@ -125,7 +125,7 @@ def plate_of(scene: Scene) -> Plate:
     mla = scene.camera.mla
     if mla is None:
         raise LfmeshError("camera.mla is missing: a conventional camera has no lenslets to calibrate or decode by")
-    primary = scene.transport.primary_nm
+    primary = scene.primary_nm
     _, tables = mla_tables(scene, (primary,), interface_tables(scene, (primary,)).mla, MediumList.of(scene))
     moves = frame_table(scene, np.zeros(3))
     return Plate(tables.lenslets, refractive_index(mla.medium, primary), tables.curved_to_lens, moves)
@@ -177,7 +177,7 @@ class _Fan:
         scene, paraxial = camera.scene, camera.paraxial
         self._world = lens_alone(scene)
         lens = scene.camera.lens
-        self._wavelength = scene.transport.primary_nm
+        self._wavelength = scene.primary_nm
         after = lens.surfaces[paraxial.stop].thickness_mm or (scene.camera.mla and scene.camera.mla.distance_mm) or 0.0
         # Behind the stop, which may be a surface of glass, and well before the next surface.
         self._start = frames.points(pose_of(lens, paraxial.stop), [[0.0, 0.0, lens.vertices_mm[paraxial.stop]]])[0]

@@ -72,7 +72,7 @@ def depth_truth(scene: Scene, *, views: int | None = None, samples: int = 16) ->
     if not 1 <= samples <= MOST_SAMPLES:
         raise LfmeshError(f"samples = {samples}: must be from 1 to {MOST_SAMPLES}")
     scene = solved_camera(scene).scene
-    scene = scene.changed({"transport.wavelengths_nm": [scene.transport.primary_nm], "lights": ()})
+    scene = scene.changed({"lights": ()}).at_line(scene.primary_nm)
     rays = ViewRays(build(scene))
     count = view_count(rays.calibration, views)
     places = np.arange(count) - 0.5 * (count - 1)

@@ -97,5 +97,5 @@ def lenslet_blur_px(scene: Scene, excess_mm: float) -> tuple[float, ...]:
         raise LfmeshError("camera.mla is missing: a conventional camera has no lenslets")
     vergence = -1.0 / excess_mm if excess_mm else float("inf")
     wide = mla.pitch_mm * model.lenslet_to_sensor_mm / model.pixel_mm
-    focal = lenslet_focal_length_mm(mla, scene.transport.primary_nm)
+    focal = lenslet_focal_length_mm(mla, scene.primary_nm)
     return tuple(wide * abs(1.0 / model.lenslet_to_sensor_mm + vergence - 1.0 / f) for f in focal)

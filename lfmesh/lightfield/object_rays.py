@@ -70,7 +70,7 @@ def object_rays(scene: Scene, lenslets: NDArray[np.integer], pixels_px: Array) -
     ahead = 0.01 * (scene.camera.mla.distance_mm or 0.0) if scene.camera.mla is not None else 0.0
     known = np.flatnonzero(np.isfinite(towards_lens).all(axis=1))
     paths = trace(
-        lens_alone(scene), (entry + ahead * towards_lens)[known], towards_lens[known], scene.transport.primary_nm,
+        lens_alone(scene), (entry + ahead * towards_lens)[known], towards_lens[known], scene.primary_nm,
         split="transmit",
     )  # fmt: skip
     origin, direction = np.full((2, len(pixels), 3), np.nan)

@@ -156,7 +156,7 @@ def _for_distances(image: Image, distances_mm: Sequence[float], white: Image | N
 def _photograph(camera: _Focused, distance_mm: float, step_mm: float) -> Photograph:
     mean, stderr, _ = _rendered(camera, distance_mm, step_mm)
     scale = abs(camera.model.object_scale(distance_mm)) if math.isfinite(distance_mm) else math.inf
-    waves = camera.scene.transport.wavelengths_nm
+    waves = camera.scene.wavelengths_nm
     return Photograph(mean, stderr, float(distance_mm), camera.model.f_number, step_mm * scale, waves, camera.unit)
 
 

@@ -108,7 +108,7 @@ class RayModel:
         """
         known = solved_camera(scene)
         scene, facts = known.scene, known.report
-        camera, wavelength = scene.camera, scene.transport.primary_nm
+        camera, wavelength = scene.camera, scene.primary_nm
         mla = camera.mla
         if mla is None:
             raise LfmeshError("camera.mla is missing: a conventional camera records no light field")

@@ -53,7 +53,7 @@ class Upright:
         """
         camera = solved_camera(scene)
         lens = camera.paraxial
-        image = image_plane_mm(camera.scene.camera, camera.scene.transport.primary_nm)
+        image = image_plane_mm(camera.scene.camera, camera.scene.primary_nm)
         distance = lens.object_mm(image)
         if 0.0 < distance < np.inf:
             return cls(lens.magnification(distance) < 0.0)

@@ -73,7 +73,7 @@ class ViewRays:
         to_world = self.world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
         paths = trace(
             self.world, frames.points(to_world, (starts - room * along)[known]),
-            frames.directions(to_world, -along[known]), transport.primary_nm,
+            frames.directions(to_world, -along[known]), self.world.scene.primary_nm,
             split="transmit", engine=image_path_engine(self.world.scene), threads=transport.threads,
         )  # fmt: skip
         return paths, known[paths.source]

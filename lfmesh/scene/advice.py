@@ -57,7 +57,7 @@ def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
 
 def _apertures(scene: Scene) -> Iterator[str]:
     """Compare the axial beam that the stop lets through with every clear aperture."""
-    camera, wavelength = scene.camera, scene.transport.primary_nm
+    camera, wavelength = scene.camera, scene.primary_nm
     surfaces = camera.lens.surfaces
     lens = Paraxial.of(camera.lens, wavelength)
     stop = surfaces[lens.stop]
@@ -188,5 +188,5 @@ def _outside(x: float, y: float, z: float, reach: float, facts: "FirstOrder") ->
 def _light(scene: Scene) -> Iterator[str]:
     if not scene.targets:
         yield "there are no targets: the image will be black"
-    elif not scene.lights and not any(target.material.radiance_w_m2_sr for target in scene.targets):
+    elif not scene.lights and not any(target.material.emits for target in scene.targets):
         yield "nothing shines: no lights, and no target with radiance_w_m2_sr; the image will be black"

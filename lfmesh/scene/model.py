@@ -207,6 +207,8 @@ def _without_tags(location: Location, data: Any) -> Location:
     """Drop the tags of discriminated unions, which are no keys of the file."""
     kept: list[str | int] = []
     for step in location:
+        if isinstance(step, str) and step.startswith("<"):
+            continue
         if isinstance(data, Mapping) and step not in data and data.get("kind") == step:
             continue
         kept.append(step)

@@ -157,7 +157,7 @@ def first_order(scene: Scene) -> FirstOrder:
 
 def report_of_solved(scene: Scene) -> FirstOrder:
     """Return the first-order report of a scene that is solved already; see `first_order`."""
-    camera, wavelength = scene.camera, scene.transport.primary_nm
+    camera, wavelength = scene.camera, scene.primary_nm
     lens = Paraxial.of(camera.lens, wavelength)
     stop_radius = camera.lens.surfaces[lens.stop].semi_diameter_mm or math.nan
     image = image_plane_mm(camera, wavelength)
@@ -171,7 +171,7 @@ def report_of_solved(scene: Scene) -> FirstOrder:
     micro = _micro_image(camera, wavelength, pupil_to_image, f_number)
     blur = camera.mla.pitch_mm if camera.mla is not None else camera.sensor.pixel_mm
     near, far = _refocus_range(camera, lens, wavelength, pupil_to_image, f_number)
-    longest = max(scene.transport.wavelengths_nm)
+    longest = scene.reach_nm[1]
     facts = FirstOrder(
         wavelength_nm=wavelength,
         efl_mm=lens.efl_mm,

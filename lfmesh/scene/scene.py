@@ -9,21 +9,25 @@ from typing import Any, Literal
 
 from pydantic import Field, PrivateAttr
 
-from lfmesh.errors import GlassError
+from lfmesh.errors import GlassError, SceneError
 from lfmesh.optics.glass import complex_index, refractive_index
+from lfmesh.scene.bands import Passband, passband, preset
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.coatings import Coating, name_fault, unknown_fault
 from lfmesh.scene.inputs import found
 from lfmesh.scene.lights import Light
 from lfmesh.scene.model import Fault, Location, Model
 from lfmesh.scene.quantities import Text
+from lfmesh.scene.spectra import Spectrum, curve_of
 from lfmesh.scene.targets import Target
-from lfmesh.scene.transport import Transport
+from lfmesh.scene.transport import PRIMARY_NM, Transport
 
 # Mean, squared deviation and the replicate under way, in float64, and two counts of hits, with what merging and writing
 # need on top.
 FILM_BYTES = 48
 LENSLET_BYTES = 32
+
+NEEDS_BANDS = "needs camera.sensor.bands: a spectrum of light has power by the nm, and single wavelengths have no width"
 
 
 class Scene(Model):
@@ -70,6 +74,73 @@ class Scene(Model):
         if name not in self._found:
             self._found[name] = found(place, self._digests[name], self._folder)
         return self._found[name]
+
+    @property
+    def passbands(self) -> tuple[Passband, ...]:
+        """The bands of the sensor with their responses; none where the channels are single wavelengths.
+
+        Raises
+        ------
+        FileError
+            The file of a response cannot be used.
+        """
+        bands = self.camera.sensor.bands
+        if bands is None:
+            return ()
+        if isinstance(bands, str):
+            return preset(bands)
+        return tuple(
+            passband(band, self.resolve(band.response) if band.response is not None else None) for band in bands
+        )
+
+    @property
+    def channels(self) -> int:
+        """Number of channels of the image."""
+        bands = self.camera.sensor.bands
+        if bands is None:
+            return len(self.transport.wavelengths_nm)
+        return len(preset(bands)) if isinstance(bands, str) else len(bands)
+
+    @property
+    def channel_names(self) -> tuple[str, ...]:
+        """Names of the bands; none where the channels are single wavelengths."""
+        return tuple(band.name for band in self.passbands)
+
+    @property
+    def wavelengths_nm(self) -> tuple[float, ...]:
+        """Wavelength of each channel, nm; of a band the centroid of its response."""
+        return tuple(band.response.centroid_nm for band in self.passbands) or self.transport.wavelengths_nm
+
+    @property
+    def primary_nm(self) -> float:
+        """The wavelength of first-order optics, nm: of single ones the middle, of bands the centroid of the first."""
+        if self.camera.sensor.bands is not None:
+            return self.wavelengths_nm[0]
+        known = sorted(self.transport.wavelengths_nm)
+        return known[len(known) // 2]
+
+    @property
+    def reach_nm(self) -> tuple[float, float]:
+        """Shortest and longest wavelength that the sensor detects, nm."""
+        ends = [end for band in self.passbands for end in band.response.ends_nm] or self.transport.wavelengths_nm
+        return min(ends), max(ends)
+
+    def at_line(self, wavelength_nm: float) -> "Scene":
+        """Return the scene at a single wavelength, in place of its wavelengths or bands.
+
+        Spectra of light have no power at a single one. What they stand for shines with an even spectrum instead, and
+        a surface with a temperature or a spectrum of radiance with 1 W/(m² sr).
+        """
+        changes: dict[str, Any] = {"camera.sensor.bands": None, "transport.wavelengths_nm": (wavelength_nm,)}
+        for i, target in enumerate(self.targets):
+            material = target.material
+            if material.temperature_k is not None or isinstance(material.radiance_w_m2_sr, Spectrum):
+                changes |= {f"targets[{i}].material.{key}": None for key in ("temperature_k", "spectrum")}
+                changes[f"targets[{i}].material.radiance_w_m2_sr"] = 1.0
+            elif material.spectrum is not None:
+                changes[f"targets[{i}].material.spectrum"] = None
+        changes |= {f"lights[{i}].spectrum": None for i in range(len(self.lights))}
+        return self.changed(changes)
 
     @property
     def digests(self) -> dict[str, str]:
@@ -147,6 +218,8 @@ class Scene(Model):
         if not glasses:
             yield from self._lenslet_faults()
         yield from self._coating_faults()
+        yield from self._band_faults()
+        yield from self._spectrum_faults()
         yield from self._memory_faults()
 
     def coating_uses(self) -> Iterator[tuple[Location, str]]:
@@ -163,12 +236,52 @@ class Scene(Model):
             if target.refractor is not None:
                 yield ("targets", i, "refractor", "coating"), target.refractor.coating
 
+    def _checked_nm(self) -> tuple[float, ...]:
+        """Wavelengths at which glasses are looked for before anything is built; none if they stand in a file."""
+        bands = self.camera.sensor.bands
+        if isinstance(bands, tuple) and any(band.response is not None for band in bands):
+            return ()
+        return self.transport.wavelengths_nm if bands is None else self.reach_nm
+
+    def _spectrum_faults(self) -> Iterator[Fault]:
+        """Yield densities by wavelength that have no bands to be integrated over, and tables that are too short."""
+        in_bands = self.camera.sensor.bands is not None
+        uses: list[tuple[Location, Any, bool]] = []
+        for i, target in enumerate(self.targets):
+            material = target.material
+            where: Location = ("targets", i, "material")
+            uses.append(((*where, "reflectance"), material.reflectance, False))
+            uses += [((*where, key), getattr(material, key), True) for key in ("radiance_w_m2_sr", "spectrum")]
+            if material.temperature_k is not None and not in_bands:
+                yield Fault((*where, "temperature_k"), material.temperature_k, NEEDS_BANDS)
+        uses += [(("lights", i, "spectrum"), light.spectrum, True) for i, light in enumerate(self.lights)]
+        for where, spectrum, is_density in uses:
+            if not isinstance(spectrum, Spectrum):
+                continue
+            if is_density and not in_bands:
+                yield Fault(where, None, NEEDS_BANDS)
+            elif spectrum.file is None and self._checked_nm():
+                try:
+                    curve_of(spectrum, self.reach_nm, self, "spectrum")
+                except SceneError as error:
+                    yield Fault(where, None, str(error).removeprefix("spectrum: "))
+
+    def _band_faults(self) -> Iterator[Fault]:
+        """Yield wavelengths beside bands, of which one set must be left out."""
+        wavelengths_nm = self.transport.wavelengths_nm
+        if self.camera.sensor.bands is not None and wavelengths_nm != (PRIMARY_NM,):
+            yield Fault(
+                ("transport", "wavelengths_nm"),
+                list(wavelengths_nm),
+                "camera.sensor.bands is given too; give one of them",
+            )
+
     def _coating_faults(self) -> Iterator[Fault]:
         for name, coating in self.coatings.items():
             if why := name_fault(name):
                 yield Fault(("coatings", name), None, why)
             for i, layer in enumerate(coating.layers or ()):
-                for wavelength in self.transport.wavelengths_nm if layer.glass is not None else ():
+                for wavelength in self._checked_nm() if layer.glass is not None else ():
                     try:
                         complex_index(layer.glass or "", wavelength)
                     except GlassError as error:
@@ -192,7 +305,7 @@ class Scene(Model):
         if self.camera.mla is not None:
             media.append((("camera", "mla", "glass"), self.camera.mla.medium))
         for where, medium in media:
-            for wavelength in self.transport.wavelengths_nm:
+            for wavelength in self._checked_nm():
                 try:
                     refractive_index(medium, wavelength)
                 except GlassError as error:
@@ -203,7 +316,9 @@ class Scene(Model):
         mla = self.camera.mla
         if mla is None:
             return
-        n = refractive_index(mla.medium, self.transport.primary_nm)
+        if not self._checked_nm():
+            return
+        n = refractive_index(mla.medium, self.primary_nm)
         for focal_length in mla.focal_length_mm or ():
             radius = focal_length * (n - 1)
             if why := mla.cap_fault(radius):
@@ -215,13 +330,13 @@ class Scene(Model):
 
     def _memory_faults(self) -> Iterator[Fault]:
         sensor, mla = self.camera.sensor, self.camera.mla
-        channels = len(self.transport.wavelengths_nm)
+        channels = self.channels
         film = FILM_BYTES * sensor.pixels[0] * sensor.pixels[1] * channels
         if film > _physical_memory():
             yield Fault(
                 ("camera", "sensor", "pixels"),
                 list(sensor.pixels),
-                f"at {channels} wavelength{'s' if channels > 1 else ''} the film takes {_gigabytes(film)} of "
+                f"with {channels} channel{'s' if channels > 1 else ''} the film takes {_gigabytes(film)} of "
                 f"memory, and this machine has {_gigabytes(_physical_memory())}",
             )
         lenslets = LENSLET_BYTES * mla.count[0] * mla.count[1] if mla is not None else 0

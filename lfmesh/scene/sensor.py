@@ -1,8 +1,11 @@
 """The sensor: pixels and their place."""
 
+from collections.abc import Iterator
+
 from pydantic import Field
 
-from lfmesh.scene.model import Model
+from lfmesh.scene.bands import Bands, band_faults
+from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.pose import Pose
 from lfmesh.scene.quantities import FractionOfOne, Pair, Positive
 
@@ -21,8 +24,18 @@ class Sensor(Model):
     reflectance: FractionOfOne = 0.0
     """Share of the light that the pixels' surface reflects, as a mirror does and at any angle; they detect the rest.
     What is reflected may come back. Beside the pixels all light is absorbed."""
+    bands: Bands | None = None
+    """Channels of the image, each a range of wavelengths, in place of `transport.wavelengths_nm`: a list of bands, or
+    "rgb" (Gaussians at 600, 540 and 460 nm, 90 nm wide at half maximum, from 380 to 780 nm) or "xyz" (the CIE 1931
+    colour-matching functions from 380 to 780 nm). A pixel's value is the power by wavelength, weighted with the
+    response. First-order optics takes the centroid of the first band's response."""
     pose: Pose = Field(default_factory=Pose)
     """Installation error, about the sensor's centre."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the bands."""
+        if self.bands is not None:
+            yield from band_faults(self.bands)
 
     @property
     def size_mm(self) -> tuple[float, float]:

@@ -30,7 +30,7 @@ def solved(scene: Scene) -> Scene:
         A distance is neither given nor to be had from `focus_mm`, or what follows from the file is
         impossible.
     """
-    primary = scene.transport.primary_nm
+    primary = scene.primary_nm
     camera = scene.camera
     lens = with_lens_file(camera.lens, scene.folder)
     for i, surface in enumerate(lens.surfaces):

@@ -6,8 +6,10 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from lfmesh.scene.model import Fault, Model
-from lfmesh.scene.quantities import FilePath, FractionOfOne, NonNegative, Positive, Text, Vector
+from lfmesh.scene.quantities import FilePath, Positive, Text, Vector
 from lfmesh.scene.refractor import Refractor, Units, mesh_file_faults
+from lfmesh.scene.spectra import Kelvin, Radiance, Reflectance, Spectrum, reflectance_fault
+from lfmesh.scene.spectra import Shape as SpectralShape
 
 
 class Plane(Model):
@@ -72,14 +74,52 @@ Shape = Annotated[Plane | Disk | Sphere | Box | Cylinder, Field(discriminator="k
 class Material(Model):
     """What a target's surface does with light: Lambertian reflection and emission."""
 
-    reflectance: FractionOfOne = 0.8
-    """Share of the light that is scattered, by Lambert's law, 0..1."""
-    radiance_w_m2_sr: NonNegative = 0.0
-    """The surface's own emission, in W/(m² sr), the same in every direction and at every wavelength."""
+    reflectance: Reflectance = 0.8
+    """Share of the light that is scattered, by Lambert's law, 0..1: a number, a table
+    { wavelengths_nm = [...], values = [...] } or a CSV file with the columns wavelength_nm and value."""
+    radiance_w_m2_sr: Radiance = 0.0
+    """The surface's own emission, the same in every direction. A number, in W/(m² sr), at each wavelength of
+    `transport.wavelengths_nm`; with bands it is the radiance over the whole range of wavelengths from the first band's
+    beginning to the last one's end, spread evenly or by `spectrum`. With bands also a table, a CSV file or
+    { blackbody_k = ... }, in W/(m² sr nm)."""
+    spectrum: SpectralShape | None = None
+    """How a number in `radiance_w_m2_sr` is spread by wavelength, in any unit: an illuminant's name such as "D65", a
+    table, a CSV file or { blackbody_k = ... }. Needs bands."""
+    temperature_k: Kelvin | None = None
+    """Temperature, in K, in place of a radiance: the surface emits by Planck's law with the emissivity
+    1 - reflectance. Needs bands."""
     texture: FilePath | None = None
     """A picture, relative to the scene file; its linearised values multiply the reflectance and the
     emission. It reads correctly from outside the body: on a shape its top lies towards +y (on faces that look along
     ±y towards ∓z), so its right towards +x on the face towards the camera; mesh files bring their own coordinates."""
+
+    @property
+    def emits(self) -> bool:
+        """Whether the surface shines by itself."""
+        return self.temperature_k is not None or self.radiance_w_m2_sr != 0.0
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        yield from reflectance_fault(self.reflectance, ("reflectance",))
+        if isinstance(self.radiance_w_m2_sr, Spectrum):
+            if self.radiance_w_m2_sr.name is not None:
+                name = self.radiance_w_m2_sr.name
+                yield Fault(
+                    ("radiance_w_m2_sr",),
+                    name,
+                    f'an illuminant has a shape and no scale; give a number, and spectrum = "{name}" beside it',
+                )
+            if self.spectrum is not None:
+                yield Fault(
+                    ("spectrum",), None, "radiance_w_m2_sr is a spectrum itself; omit it, or give a number there"
+                )
+        elif self.spectrum is not None and not self.radiance_w_m2_sr:
+            yield Fault(("spectrum",), None, "omit it: the surface has no radiance_w_m2_sr")
+        if self.temperature_k is not None:
+            if self.radiance_w_m2_sr != 0.0:
+                yield Fault(("temperature_k",), self.temperature_k, "radiance_w_m2_sr is given too; give one of them")
+            if self.texture is not None:
+                yield Fault(("texture",), self.texture, "omit it: a surface with temperature_k has one emissivity")
 
 
 class Target(Model):

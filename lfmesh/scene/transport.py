@@ -5,8 +5,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from lfmesh.optics.curve import LONGEST_NM, SHORTEST_NM
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.quantities import Count, Positive, Whole
+
+PRIMARY_NM = 587.6
+"""Wavelength of a scene that gives none: the d line of helium."""
 
 MOST_EVENTS = 2**15 - 1
 """What a packet counts in 16 bits."""
@@ -54,17 +58,14 @@ class Transport(Model):
     weight_cutoff: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.3
     """Share of its starting weight below which a child plays Russian roulette (no unit). A ray that is not aimed at a
     lenslet weighs far more than one that is; the latter's weight counts."""
-    wavelengths_nm: tuple[Annotated[Positive, Field(ge=100, le=20000)], ...] = Field(default=(587.6,), min_length=1)
-    """Wavelength samples, in nm; the middle one is the primary."""
+    wavelengths_nm: tuple[Annotated[Positive, Field(ge=SHORTEST_NM, le=LONGEST_NM)], ...] = Field(
+        default=(PRIMARY_NM,), min_length=1
+    )
+    """Wavelength samples, in nm; the middle one is the primary. Not used with `camera.sensor.bands`."""
     seed: Annotated[Whole, Field(lt=2**63)] = 0
     """Of the random numbers."""
     threads: Whole = 0
     """0: all there are; the result is the same for any number."""
-
-    @property
-    def primary_nm(self) -> float:
-        """The wavelength of first-order optics: the middle one of `wavelengths_nm`, in nm."""
-        return sorted(self.wavelengths_nm)[len(self.wavelengths_nm) // 2]
 
     def faults(self) -> Iterator[Fault]:
         """Yield samples that the replicates cannot share, and wavelengths given twice."""

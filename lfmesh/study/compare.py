@@ -158,9 +158,7 @@ class _Camera:
 
     def picture(self, image: Image, distance_mm: float) -> tuple[Array, float]:
         """Return the upright picture, (t, s), focused on a plane, and the size of its samples there in mm."""
-        white = (
-            self.white if image.scene.transport.wavelengths_nm == self.white.scene.transport.wavelengths_nm else None
-        )
+        white = self.white if image.wavelengths_nm == self.white.wavelengths_nm else None
         if self.name == CONVENTIONAL:
             light = image.mean if white is None else image.mean / np.maximum(white.mean, np.finfo(float).tiny)
             pixel = self.scene.camera.sensor.pixel_mm
@@ -181,9 +179,8 @@ def measuring(scene: Scene) -> Scene:
             "lights": (),
             "transport.split": "transmit",
             "transport.method": "adjoint",
-            "transport.wavelengths_nm": [scene.transport.primary_nm],
         }
-    )
+    ).at_line(scene.primary_nm)
 
 
 def three_cameras(scene: Scene, reduction: float = 3.0) -> dict[str, Scene]:

@@ -124,7 +124,7 @@ class Workspace:
         memory: T = self._kept[kind]
         return memory
 
-    def begin(self, film: FilmRows | None = None, packets: int = 0) -> None:
+    def begin(self, film: FilmRows | None = None, packets: int = 0, numbered: int = 0) -> None:
         """Clear the book and make room for the next chunk.
 
         Parameters
@@ -133,6 +133,8 @@ class Workspace:
             Adjoint: film that light is added to.
         packets : int
             Number of packets that the chunk starts.
+        numbered : int
+            How far they are numbered, if that is more.
         """
         self.tops[:] = 0
         self.options = self.options._replace(each=0)
@@ -141,9 +143,10 @@ class Workspace:
         if film is not None:
             self.film, self.hits = film.power, film.hits
             self.options = self.options._replace(first_source=film.origin)
-            if packets > len(self.counted):
-                self.counted = np.zeros(packets, np.uint8)
-            self.counted[:packets] = 0
+            numbered = max(numbered, packets)
+            if numbered > len(self.counted):
+                self.counted = np.zeros(numbered, np.uint8)
+            self.counted[:numbered] = 0
         self.embree_seconds = 0.0
         self.queries = 0
         # A pixel with more samples than a chunk is still started in one piece.

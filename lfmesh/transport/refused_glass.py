@@ -77,7 +77,7 @@ def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Arr
     if len(bodies) > MOST_BODIES:
         raise SceneError(f"{len(bodies)} targets are glass bodies; there can be {MOST_BODIES}")
     priority = {i: _priority(scene, i) for i in bodies}
-    emitting = [i for i, t in enumerate(scene.targets) if t.material.radiance_w_m2_sr > 0.0 and i not in bodies]
+    emitting = [i for i, t in enumerate(scene.targets) if t.material.emits and i not in bodies]
     emitting = emitting if scene.transport.method == "forward" else []
     names = {i: named_target(scene, i) for i in (*bodies, *emitting)}
     meshes = {i: targets[i].mesh for i in names}

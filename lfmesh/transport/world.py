@@ -41,6 +41,7 @@ from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.interfaces import coatings_in_book, interface_tables
 from lfmesh.transport.tables.lens import lens_tables, mla_tables
+from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, refuse_targets_inside
 from lfmesh.transport.tables.surroundings import Surroundings, surroundings_of
@@ -58,7 +59,7 @@ class World:
 
     def __init__(
         self, scene: Scene, report: FirstOrder, tables: Tables, finders: tuple[Finder, Finder, Finder],
-        book: Book, lens: LensShape, targets: list[TargetMesh], housing: Mesh,
+        book: Book, lens: LensShape, targets: list[TargetMesh], housing: Mesh, lines: Lines,
         aim_proof: AimProof | None = None,
     ) -> None:  # fmt: skip
         self.scene = scene
@@ -71,12 +72,19 @@ class World:
         self.targets = targets
         self.housing = housing
         self.media = MediumList.of(scene)
+        self.lines = lines
         self.aim_proof = aim_proof
 
     def reseeded(self, seed: int) -> "World":
-        """Return the same world with another seed for renders; nothing is built again."""
+        """Return the same world with another seed for renders; built again only where it has bands.
+
+        Their wavelengths are random, and part of the tables.
+        """
+        scene = self.scene.changed({"transport.seed": seed})
+        if self.lines.in_bands:
+            return build(scene)
         world = copy(self)
-        world.scene = self.scene.changed({"transport.seed": seed})
+        world.scene = scene
         return world
 
     @cached_property
@@ -213,7 +221,8 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
             f'transport.surface = "{scene.transport.surface}": facets are those of a perfect lenslet, and '
             'camera.mla.form asks for errors of single ones; use "exact", or leave decenter_mm and radius_error out'
         )
-    wavelengths_nm = scene.transport.wavelengths_nm
+    lines = Lines.of(scene)
+    wavelengths_nm = lines.wavelengths_nm
     shape = camera.lens_shape(rings)
     targets = [target_mesh(target, scene) for target in scene.targets]
     book = book_of(scene, shape)
@@ -231,9 +240,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     )
     for line in closed_gaps(scene, targets):
         warnings.warn(line, ClosedGapWarning, stacklevel=2)
-    object_mesh, objects = object_tables(
-        scene, targets, housing, moves, book, wavelengths_nm, interfaces.objects, known, ranks
-    )
+    object_mesh, objects = object_tables(scene, targets, housing, moves, book, lines, interfaces.objects, known, ranks)
     columns, rows = scene.camera.sensor.pixels
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
     aim, proof = unaimed(scene, lens), None
@@ -241,4 +248,4 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
         aim, proof = aim_table(scene, report, lens, mla, sensor, targets, moves, analytic=bool(shape.analytic.all()))
     tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=aim)
     finders = (Finder(lens_mesh), Finder(mla_mesh_), Finder(*divided(object_mesh, objects.facets["body"])))
-    return World(scene, report, tables, finders, book, shape, targets, housing, proof)
+    return World(scene, report, tables, finders, book, shape, targets, housing, lines, proof)

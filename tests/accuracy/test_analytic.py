@@ -70,7 +70,7 @@ def landing(scene: Scene, origin: NDArray[np.float64], direction: NDArray[np.flo
     """Return x, y on the sensor and the weight of a ray, in DIGITS digits, from the scene's own numbers."""
 
     def index(medium: Any) -> Any:
-        return mp.mpf(refractive_index(medium, scene.transport.primary_nm))
+        return mp.mpf(refractive_index(medium, scene.primary_nm))
 
     lens, camera = scene.camera.lens, scene.camera
     p, d = [mp.mpf(float(x)) for x in origin], unit([mp.mpf(float(x)) for x in direction])
@@ -158,7 +158,7 @@ def through_lenslets(scene: Scene, p: Vector, d: Vector, z: Any, glass: Any) -> 
 
 def assert_agrees(scene: Scene, mean_weight: tuple[float, float]) -> None:
     """Compare rays from all over the field, in position and weight; and the error that the truth says it has."""
-    wavelength = scene.transport.primary_nm
+    wavelength = scene.primary_nm
     sent = bundle(scene, 400, seed=5)
     truth = analytic.Camera.of(scene, wavelength).land(*sent)
     which = np.flatnonzero(truth.arrives)[:RAYS]

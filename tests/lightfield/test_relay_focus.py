@@ -72,7 +72,7 @@ def test_a_relay_focuses_where_real_rays_do(gap: float, distance: float) -> None
     """Within a sixth of what aberrations shift the focus by, as the model's rays fill the paraxial pupil."""
     scene = relay(gap, 4.0)
     model = RayModel.of(scene)
-    paraxial = Paraxial.of(scene.camera.lens, scene.transport.primary_nm).image_mm(distance)
+    paraxial = Paraxial.of(scene.camera.lens, scene.primary_nm).image_mm(distance)
     shift = sharpest_mm(scene, distance) - paraxial
     found = model.image_excess_mm(distance) - model.paraxial.image_excess_mm(distance)
     assert shift < -0.1

@@ -65,7 +65,7 @@ def test_micro_images_are_as_far_apart_as_first_order_optics_says(white: lf.Imag
     scene = white.scene
     facts, camera = lf.first_order(scene), scene.camera
     D = facts.image_z_mm - facts.exit_pupil_z_mm
-    d = lenslet_to_sensor_mm(camera, scene.transport.primary_nm)
+    d = lenslet_to_sensor_mm(camera, scene.primary_nm)
     expected = camera.mla.pitch_mm / camera.sensor.pixel_mm * (D + d) / D
     assert lf.estimate_centres(white).pitch_px == pytest.approx(expected, rel=PITCH_TOLERANCE)
 

@@ -39,6 +39,9 @@ RINGS = 64
 SURELY_SHOWN = 0.9
 """Share of a view's area in which lenslets are taken to show the whole opening until that is measured."""
 
+MOST_INDICES = 8
+"""Refractive indices of the lenslets at which rays measure their views; between them a view changes steadily."""
+
 
 def unmeasured_light() -> Array:
     """Return the light in the rings of a view where it has not been measured, see `AimTables.shown`."""
@@ -94,7 +97,9 @@ def aim_through_lenslets(
     distance = np.abs(corners[:, 2] - sensor_z)
     cells = lattice.columns * lattice.rows
     slope, slope_radius = np.zeros((cells, 2)), np.zeros(cells)
-    _view_through_cells(mla, aim.exit, moves, lens_z, sensor_z, glass - 1.0, lattice.corners(), slope, slope_radius)
+    _view_through_cells(
+        _at_few_indices(mla), aim.exit, moves, lens_z, sensor_z, glass - 1.0, lattice.corners(), slope, slope_radius
+    )
     seen = slope_radius > 0.0
     aim = aim._replace(
         lenslet_z=sensor_z,
@@ -106,6 +111,14 @@ def aim_through_lenslets(
         cell_margin=_off_by_facets(mla),
     )
     return aim._replace(search=_search(aim, mla, distance.max()))
+
+
+def _at_few_indices(mla: MlaTables) -> MlaTables:
+    """Return the array's tables at few wavelengths, with the smallest and largest index of the lenslets among them."""
+    indices = np.unique(mla.media.indices[mla.medium])
+    if len(indices) > MOST_INDICES:
+        indices = indices[np.linspace(0, len(indices) - 1, MOST_INDICES).round().astype(np.int64)]
+    return mla._replace(media=mla.media._replace(indices=indices[None]), medium=0)
 
 
 def _off_by_facets(mla: MlaTables) -> float:

@@ -413,14 +413,14 @@ def deposit(options: Options, flow: Flow, place: int, colour: int, weight: float
     place : int
         Adjoint: the packet's source (pixel and sample); forward: the pixel.
     colour : int
-        Number of the wavelength.
+        Forward: number of the wavelength.
     weight : float, W
     """
     if options.adjoint:
         row, sample = (place & PIXEL_MASK) - options.first_source, place >> SAMPLE_SHIFT
-        flow.film[row, colour] += weight
+        flow.film[row, options.channel] += weight
         # Without a branch: each sample is counted once, when it first brings light.
-        flow.hits[row, colour] += np.uint32(1) - flow.counted[sample]
+        flow.hits[row, options.channel] += np.uint32(1) - flow.counted[sample]
         flow.counted[sample] = 1
         return
     entry = flow.deposits[flow.tops[DEPOSITS]]

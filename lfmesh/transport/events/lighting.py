@@ -43,6 +43,7 @@ def ask_lights(objects: ObjectTables, flow: Flow, packet: Any, point: Point) -> 
     for number in range(len(objects.lights)):
         dimension = packet.events * DIMENSIONS_PER_EVENT + LIGHT_U + LIGHT_DIMENSIONS * number
         ux, uy, uz, reach, irradiance = illuminate(objects.lights[number], x, y, z, packet.key, dimension)
+        irradiance *= objects.light_spectra[number, colour]
         cos_surface = point.nx * ux + point.ny * uy + point.nz * uz
         if cos_surface <= 0.0 or irradiance <= 0.0:
             continue
@@ -80,7 +81,7 @@ def illuminate(
     reach : float
         Distance of the light, mm; inf for directional light.
     irradiance : float
-        On a plane perpendicular to the direction, W/m².
+        On a plane perpendicular to the direction, at the wavelength that has the most, W/m².
     """
     ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
     if light.kind == DIRECTIONAL:

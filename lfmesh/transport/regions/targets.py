@@ -163,7 +163,13 @@ def texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: float
             r = min(max(low + j, 0), height - 1)
             s = min(max(left + k, 0), width - 1)
             share = (low_share if j else 1.0 - low_share) * (right_share if k else 1.0 - right_share)
-            value += share * objects.texels[first + r * width + s, colour]
+            texel = objects.texels[first + r * width + s]
+            if len(objects.texel_weights) == 0:
+                value += share * texel[colour]
+            else:
+                weights = objects.texel_weights[colour]
+                for primary in range(len(weights)):
+                    value += share * texel[primary] * weights[primary]
     return value
 
 

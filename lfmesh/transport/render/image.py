@@ -122,6 +122,11 @@ class Image:
         return upper_bound(self.mean, self.stderr, self.hits, self.replicates, samples)
 
     @property
+    def channel_names(self) -> tuple[str, ...]:
+        """Names of the bands; none where the channels are single wavelengths."""
+        return self.scene.channel_names
+
+    @property
     def wavelengths_nm(self) -> tuple[float, ...]:
-        """Wavelength of each channel of `mean`."""
-        return tuple(self.scene.transport.wavelengths_nm)
+        """Wavelength of each channel of `mean`, nm; of a band the centroid of its response."""
+        return self.scene.wavelengths_nm

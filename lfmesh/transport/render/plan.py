@@ -5,16 +5,21 @@ which they are folded.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.transport.render.adaptive import Counts, total_samples
 from lfmesh.transport.render.parts import Part
+from lfmesh.transport.tables.lines import Lines, Turn
 
 PIXELS_SORTED = 1 << 20
 """Number of pixels of a second stage that are sorted by their samples together."""
+
+
+Piece = tuple[int, int, int, NDArray[np.int64] | None]
+"""First pixel or packet and number of them, samples of each pixel, and the pixels' numbers, as in `Chunk`."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +35,10 @@ class Chunk:
     part : Part
     first, count : int
         Number of the first pixel or packet, and how many.
-    colour : int
-        Number of the wavelength.
+    channel : int
+        Number of the image's channel.
+    turn : Turn
+        Wavelength of the channel, and which samples of a pixel take it.
     packets : int
         Number of packets that it starts.
     samples : int
@@ -44,7 +51,8 @@ class Chunk:
     part: Part
     first: int
     count: int
-    colour: int
+    channel: int
+    turn: Turn
     packets: int
     samples: int = 1
     pixels: NDArray[np.int64] | None = None
@@ -57,6 +65,11 @@ class Chunk:
     def pixel_numbers(self) -> NDArray[np.int64]:
         """Return the pixels that it starts from."""
         return np.arange(self.first, self.first + self.count) if self.pixels is None else self.pixels
+
+    @property
+    def taken(self) -> int:
+        """Samples of each pixel that take the chunk's wavelength."""
+        return self.samples // self.turn.shares(self.samples)
 
 
 @dataclass(frozen=True)
@@ -87,7 +100,9 @@ class Plan:
     Attributes
     ----------
     parts : tuple of Part
-    pixels, colours : int
+    pixels : int
+    lines : Lines
+        Wavelengths of the channels.
     samples : int
         Samples of a pixel in each replicate of the first stage.
     chunk : int
@@ -96,30 +111,44 @@ class Plan:
 
     parts: tuple[Part, ...]
     pixels: int
-    colours: int
+    lines: Lines
     samples: int
     chunk: int
 
-    def chunks(self, levels: Counts | None = None) -> Iterator[Chunk]:
+    def chunks(self, replicate: int, levels: Counts | None = None) -> Iterator[Chunk]:
         """Yield a replicate's chunks in the order of folding; `levels` (pixels,): of the second stage."""
         number = 0
         for part in self.parts:
-            for colour in range(self.colours):
-                pieces = self._first(part) if levels is None else self._second(part, levels)
-                for first, count, samples, pixels in pieces:
-                    packets = count * samples if part.options.adjoint else count
-                    yield Chunk(number, part, first, count, colour, packets, samples, pixels)
-                    number += 1
+            for channel in range(self.lines.channels):
+                for turn in self.lines.turns(replicate, channel, few=part.thinned > 1):
+                    pieces = self._first(part, turn) if levels is None else self._second(part, turn, levels)
+                    for first, count, samples, pixels in pieces:
+                        chunk = Chunk(number, part, first, count, channel, turn, count, samples, pixels)
+                        yield replace(chunk, packets=count * chunk.taken) if part.options.adjoint else chunk
+                        number += 1
 
-    def _first(self, part: Part) -> Iterator[tuple[int, int, int, None]]:
+    def _first(self, part: Part, turn: Turn) -> Iterator[Piece]:
         samples = part.samples(self.samples)
-        adjoint = part.options.adjoint
-        per_chunk = max(1, self.chunk // samples) if adjoint else self.chunk
-        total = self.pixels if adjoint else self.pixels * samples
-        for first in range(0, total, per_chunk):
-            yield first, min(per_chunk, total - first), samples, None
+        if not part.options.adjoint:
+            packets = turn.part(self.pixels * samples)
+            for first in packets[:: self.chunk]:
+                yield first, min(self.chunk, packets.stop - first), samples, None
+            return
+        shares = turn.shares(samples)
+        per_chunk = max(1, self.chunk // (samples // shares))
+        if shares == turn.lines:
+            for first in range(0, self.pixels, per_chunk):
+                yield first, min(per_chunk, self.pixels - first), samples, None
+            return
+        # Of as many times the pixels, those that take this line.
+        step = per_chunk * (turn.lines // shares)
+        for first in range(0, self.pixels, step):
+            pixels = np.arange(first, min(first + step, self.pixels))
+            pixels = pixels[turn.takes(pixels, samples)]
+            if len(pixels):
+                yield int(pixels[0]), len(pixels), samples, pixels
 
-    def _second(self, part: Part, levels: Counts) -> Iterator[tuple[int, int, int, NDArray[np.int64]]]:
+    def _second(self, part: Part, turn: Turn, levels: Counts) -> Iterator[Piece]:
         """Yield the chunks of a replicate of the second stage, which join pixels with the same number of samples."""
         if not part.options.adjoint:
             return
@@ -128,7 +157,8 @@ class Plan:
             for level in np.unique(sorted_here[sorted_here > 0]):
                 samples = part.samples(1 << (int(level) - 1))
                 pixels = block + np.flatnonzero(sorted_here == level)
-                per_chunk = max(1, self.chunk // samples)
+                pixels = pixels[turn.takes(pixels, samples)]
+                per_chunk = max(1, self.chunk // (samples // turn.shares(samples)))
                 for first in range(0, len(pixels), per_chunk):
                     some = pixels[first : first + per_chunk]
                     yield int(some[0]), len(some), samples, some
@@ -136,9 +166,9 @@ class Plan:
     def packets(self, levels: Counts | None = None) -> int:
         """Return the number of packets that a replicate starts."""
         if levels is None:
-            return sum(self.colours * self.pixels * part.samples(self.samples) for part in self.parts)
+            return sum(self.lines.channels * self.pixels * part.samples(self.samples) for part in self.parts)
         adjoint = [part for part in self.parts if part.options.adjoint]
-        return sum(self.colours * total_samples(levels, part.samples) for part in adjoint)
+        return sum(self.lines.channels * total_samples(levels, part.samples) for part in adjoint)
 
     def whole(self) -> Block:
         """Return the block of all pixels."""

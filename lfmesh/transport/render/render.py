@@ -112,7 +112,9 @@ class Renderer(Tracer):
         one = self.plan.packets(levels)
         for number in range(first, replicates):
             tally.restart(number_of(number, replicates, levels))
-            with closing(self.traced(pool, tally.replicate, self.plan.chunks(levels), tally.film)) as chunks:
+            with closing(
+                self.traced(pool, tally.replicate, self.plan.chunks(tally.replicate, levels), tally.film)
+            ) as chunks:
                 for chunk in chunks:
                     tally.add(chunk)
                     self._report(number, tally.work.packets, one, clock, levels)

@@ -5,7 +5,7 @@ import time
 from collections import deque
 from collections.abc import Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import repeat
 
@@ -25,13 +25,17 @@ from lfmesh.transport.render.tally import ChunkTally, Film, Layout, Piece, Work
 from lfmesh.transport.sources.lights import LightSource
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher, Source
+from lfmesh.transport.tables.lines import Turn
 from lfmesh.transport.world import World
 
 ORDER_STREAM = 1 << 20
 """Number of the random numbers of the packets by which the order of the surfaces is checked; replicates have others."""
 
-Waiting = deque[tuple[Chunk, Future[ChunkTally]]]
-"""Chunks given to the pool, in order, with their future results."""
+Waiting = deque[tuple[Chunk, Future[ChunkTally], Film | None]]
+"""Chunks given to the pool, in order, with their future results and, where it is not that of the run, their film."""
+
+NO_FILM = Film.empty(0, 1)
+"""For packets that are not traced from pixels."""
 
 
 @dataclass
@@ -62,7 +66,7 @@ class Tracer:
     def __post_init__(self) -> None:
         transport = self.world.scene.transport
         sensor = self.world.tables.sensor
-        self.shape = sensor.rows, sensor.columns, len(transport.wavelengths_nm)
+        self.shape = sensor.rows, sensor.columns, self.world.lines.channels
         self.adjoint = transport.method == "adjoint"
         self.samples = transport.samples // transport.replicates
         self.parts = parts_of(self.world, aimed=self.aimed)
@@ -78,14 +82,14 @@ class Tracer:
         return self.shape[0] * self.shape[1]
 
     @property
-    def colours(self) -> int:
-        """Number of wavelengths."""
+    def channels(self) -> int:
+        """Number of channels of the image: wavelengths or bands."""
         return self.shape[2]
 
     @property
     def plan(self) -> Plan:
         """The chunks of the replicates."""
-        return Plan(self.parts, self.pixels, self.colours, self.samples, self.chunk)
+        return Plan(self.parts, self.pixels, self.world.lines, self.samples, self.chunk)
 
     @property
     def layout(self) -> Layout:
@@ -113,12 +117,12 @@ class Tracer:
         levels : (pixels,) uint8, optional
             Of the second stage.
         """
-        mine = [chunk for chunk in self.plan.chunks(levels) if block.touches(chunk)]
+        mine = [chunk for chunk in self.plan.chunks(replicate, levels) if block.touches(chunk)]
         started = [chunk.pixel_numbers() for chunk in mine if chunk.part.options.adjoint]
         # A chunk across the border also adds light to pixels of the neighbouring block, which are cut off at the end.
         low = min([block.first, *(int(pixels[0]) for pixels in started)])
         high = max([block.last, *(int(pixels[-1]) + 1 for pixels in started)])
-        film = Film.empty(high - low, self.colours, low)
+        film = Film.empty(high - low, self.channels, low)
         with self.pool() as pool:
             done = list(self.traced(pool, replicate, iter(mine), film))
             blind = None
@@ -146,21 +150,32 @@ class Tracer:
             for chunk in chunks:
                 # The next part adds to the same pixels, so all chunks of the last one must be done.
                 while waiting and (len(waiting) > 2 * self.threads or chunk.part is not part):
-                    yield self._oldest(waiting)
+                    yield self._oldest(waiting, film)
                 part = chunk.part
-                stream = descendant(key, part.number * self.colours + chunk.colour)
-                waiting.append((chunk, pool.submit(self._trace, chunk, stream, film)))
+                stream = descendant(key, part.number * self.channels + chunk.channel)
+                own = self._own_film(chunk)
+                waiting.append((chunk, pool.submit(self._trace, chunk, stream, own or film), own))
             while waiting:
-                yield self._oldest(waiting)
+                yield self._oldest(waiting, film)
         finally:
-            for _, future in waiting:
+            for _, future, _ in waiting:
                 future.cancel()
 
     @staticmethod
-    def _oldest(waiting: Waiting) -> ChunkTally:
-        tally = waiting[0][1].result()
+    def _oldest(waiting: Waiting, film: Film) -> ChunkTally:
+        chunk, future, own = waiting[0]
+        tally = future.result()
+        if own is not None:
+            film.add(own, chunk.channel)
         waiting.popleft()
         return tally
+
+    def _own_film(self, chunk: Chunk) -> Film | None:
+        """Return a film for a chunk's single channel, where other chunks add to the same pixels meanwhile."""
+        if not self.world.lines.in_bands or not chunk.part.options.adjoint:
+            return None
+        last = chunk.first + chunk.count if chunk.pixels is None else int(chunk.pixels[-1]) + 1
+        return Film.empty(last - chunk.first, 1, chunk.first)
 
     def blind_samples(self, pool: ThreadPoolExecutor, replicate: int) -> BlindSamples:
         """Trace a replicate's samples without aim, by which the image is checked."""
@@ -172,31 +187,54 @@ class Tracer:
         at_once = min(chunk // samples, self.pixels) if self.adjoint else chunk
         total = self.pixels * (1 if self.adjoint else samples)
         runs = first_of_runs(total, at_once, replicate)
-        for colour in range(self.colours):
-            stream = descendant(key, part.number * self.colours + colour)
-            films = [Film.empty(at_once if self.adjoint else 0, self.colours, first) for first in runs]
-            each = at_once * (samples if self.adjoint else 1)
-            chunks = [Chunk(k, part, first, at_once, colour, each, samples) for k, first in enumerate(runs)]
-            futures = [pool.submit(self._trace, *job) for job in zip(chunks, repeat(stream), films, strict=False)]
-            deposits = [future.result().deposits for future in futures]
+        for channel in range(self.channels):
+            stream = descendant(key, part.number * self.channels + channel)
+            turns = list(self.world.lines.turns(replicate, channel, few=True))
             if self.adjoint:
-                for first, film in zip(runs, films, strict=True):
-                    found.add(np.arange(first, first + at_once), colour, film.power[:, colour])
+                jobs = [
+                    job
+                    for first in runs
+                    for job in self._blind_chunks(part, np.arange(first, first + at_once), channel, turns, samples)
+                ]
+                list(pool.map(self._trace, (chunk for chunk, _ in jobs), repeat(stream), (film for _, film in jobs)))
+                for first in runs:
+                    light = sum(film.power[:, 0] for _, film in jobs if film.origin == first)
+                    found.add(np.arange(first, first + at_once), channel, np.asarray(light))
             else:
-                fallen = np.concatenate(deposits)
+                # Runs take the lines in turn.
+                chunks = [
+                    Chunk(k, part, first, at_once, channel, turns[(turns[0].offset + k) % len(turns)], at_once, samples)
+                    for k, first in enumerate(runs)
+                ]
+                fallen = np.concatenate(
+                    [future.deposits for future in pool.map(self._trace, chunks, repeat(stream), repeat(NO_FILM))]
+                )
                 part_of_all = at_once * len(runs) / total
-                found.add_image(fallen["pixel"], colour, fallen["weight"] / part_of_all)
+                found.add_image(fallen["pixel"], channel, fallen["weight"] / part_of_all)
         return found
+
+    @staticmethod
+    def _blind_chunks(
+        part: Part, pixels: NDArray[np.int64], channel: int, turns: list[Turn], samples: int
+    ) -> Iterator[tuple[Chunk, Film]]:
+        """Yield the chunks of neighbouring pixels in a channel, one for each wavelength, with a film for each."""
+        first = int(pixels[0])
+        for number, turn in enumerate(turns):
+            mine = pixels[turn.takes(pixels, samples)]
+            if len(mine):
+                chunk = Chunk(number, part, first, len(mine), channel, turn, len(mine), samples, mine)
+                yield replace(chunk, packets=len(mine) * chunk.taken), Film.empty(len(pixels), 1, first)
 
     def _trace(self, chunk: Chunk, key: np.uint64, film: Film) -> ChunkTally:
         """Trace one chunk in a thread of the pool."""
         began = time.perf_counter()
-        source = self._source(chunk, key)
+        source = self._source(chunk, key, 0 if film.power.shape[1] == 1 else chunk.channel)
         space = self._launcher(chunk.part).trace(source, film=film if chunk.part.options.adjoint else None)
         work = Work(
             space.counts.copy(), chunk.packets, space.queries, space.embree_seconds, time.perf_counter() - began
         )
         deposits: NDArray[np.void] = space.deposits[: space.tops[DEPOSITS]].copy()
+        deposits["colour"] = chunk.channel
         return ChunkTally(chunk.number, chunk.part.booked(space.book), work, deposits, chunk.from_lamps)
 
     def _check_order(self) -> OrderCheck | None:
@@ -212,21 +250,25 @@ class Tracer:
         draw = np.random.default_rng(int(key))
         pixels = np.unique(draw.integers(0, self.pixels, STARTS)) if part.options.adjoint else None
         count = STARTS if pixels is None else len(pixels)
-        chunk = Chunk(0, part, 0, count, 0, count, 1, pixels)
+        turn = Turn(0, 1, 0, 0, self.shape[1])
+        chunk = Chunk(0, part, 0, count, 0, turn, count, 1, pixels)
         work = Workspace(self.world, part.options, STARTS, part.tables)
-        work.begin(Film.empty(self.pixels if part.options.adjoint else 0, self.colours, 0), count)
+        work.begin(Film.empty(self.pixels if part.options.adjoint else 0, 1, 0), count)
         work.sampled = []
-        self._source(chunk, key).launch(work, range(count))
+        self._source(chunk, key, 0).launch(work, range(count))
         work.run()
         packets = np.concatenate([*work.sampled, np.zeros(0, PACKET)])
         some = draw.choice(len(packets), min(SAMPLE, len(packets)), replace=False)
         return compare(self.world, part.options, part.tables, packets[np.sort(some)])
 
-    def _source(self, chunk: Chunk, key: np.uint64) -> Source:
-        """Return the source of a chunk's packets."""
-        if chunk.part.options.adjoint:
-            return PixelSource(chunk.pixel_numbers(), chunk.samples, key, chunk.colour, self.stratified)
-        return LightSource(chunk.first, chunk.count, self.pixels * chunk.samples, key, chunk.colour)
+    def _source(self, chunk: Chunk, key: np.uint64, channel: int) -> Source:
+        """Return the source of a chunk's packets; `channel`: column of the film."""
+        turn = chunk.turn
+        if not chunk.part.options.adjoint:
+            return LightSource(chunk.first, chunk.count, self.pixels * chunk.samples, key, turn.column)
+        pixels = chunk.pixel_numbers()
+        begin = turn.begin(pixels, chunk.samples)
+        return PixelSource(pixels, chunk.samples, key, turn.column, self.stratified, channel, begin, chunk.taken)
 
     def _launcher(self, part: Part) -> Launcher:
         """Return the launcher of a part, which the first call makes."""

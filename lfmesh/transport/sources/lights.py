@@ -98,6 +98,7 @@ def launch_forward(
         source = sources[which]
         weight = source.power / (source.share * total)
         if source.light >= 0:
+            weight *= objects.light_spectra[source.light, colour]
             _from_lamp(objects, flow, packet, source.light, weight)
         else:
             _from_facet(objects, aim, frames, options, flow, packet, source.facet, weight)
@@ -141,7 +142,7 @@ def _from_facet(
     side = 1.0
     if not objects.closed[body] and start(key, SIDE) < 0.5:
         side = -1.0
-    weight *= texture_at(objects, prim, packet.colour, x, y, z)
+    weight *= texture_at(objects, prim, packet.colour, x, y, z) * objects.glow[body, packet.colour]
     flow.book[EMITTED] += weight
     packet.start = weight
     packet.weight = weight

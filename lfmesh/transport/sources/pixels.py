@@ -49,7 +49,7 @@ from lfmesh.transport.packets.packet import (
     put,
 )
 from lfmesh.transport.packets.random import derived, start
-from lfmesh.transport.packets.sobol import scramble, scramble_seed, step
+from lfmesh.transport.packets.sobol import scramble, scramble_seed, sobol, step
 from lfmesh.transport.sequential.image_path import follow_block
 from lfmesh.transport.sequential.lens_bundle import (
     BLOCK,
@@ -92,6 +92,12 @@ class PixelSource(Source):
         Number of the wavelength.
     stratified : bool
         Start from scrambled Sobol' points in place of random ones.
+    channel : int, optional
+        Column of the film that light is added to; the wavelength's number if left out.
+    begin : (n,) int64, optional
+        Number of the first sample of each pixel that is started; 0 if left out.
+    taken : int, optional
+        Number of samples of each pixel that are started, from `begin` on; all if left out.
     """
 
     pixels: NDArray[np.int64]
@@ -99,30 +105,41 @@ class PixelSource(Source):
     key: np.uint64
     colour: int = 0
     stratified: bool = True
+    channel: int | None = None
+    begin: NDArray[np.int64] | None = None
+    taken: int | None = None
 
     def __len__(self) -> int:
         return len(self.pixels)
 
     @property
     def each(self) -> int:
+        """Samples of a pixel that are started."""
+        return self.samples if self.taken is None else self.taken
+
+    @property
+    def numbered(self) -> int:
         """Samples of a pixel."""
         return self.samples
 
     def launch(self, work: Workspace, part: range) -> None:
         """Start the samples of some of the pixels."""
+        work.options = work.options._replace(channel=self.colour if self.channel is None else self.channel)
         if self.stratified:
             work.options = work.options._replace(stream=self.key, each=self.samples)
         tables, options, pixels = work.tables, work.options, self.pixels[part.start : part.stop]
+        begin = np.zeros(len(pixels), np.int64) if self.begin is None else self.begin[part.start : part.stop]
         room = work.kept(StartRoom, lambda: start_room(tables.aim))
         if options.sequential and options.adjoint:
             launch_along_image_path(
-                pixels, self.samples, self.stratified, self.key, self.colour, tables.sensor, tables.lens, tables.mla,
-                tables.aim, tables.frames, work.bundle, work.numbers, options, work.flow(), room,
+                pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
+                tables.lens, tables.mla, tables.aim, tables.frames, work.bundle, work.numbers, options, work.flow(),
+                room,
             )  # fmt: skip
         else:
             launch_adjoint(
-                pixels, self.samples, self.stratified, self.key, self.colour, tables.sensor, tables.mla, tables.aim,
-                tables.frames, len(tables.lens.surfaces), work.bundle, work.flow(), room,
+                pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
+                tables.mla, tables.aim, tables.frames, len(tables.lens.surfaces), work.bundle, work.flow(), room,
             )  # fmt: skip
 
 
@@ -159,8 +176,8 @@ def start_room(aim: AimTables) -> StartRoom:
 
 @kernel
 def _draw_numbers(
-    room: StartRoom, stratified: bool, replicate_key: np.uint64, pixels: NDArray[np.int64], which: int, sample: int,
-    samples: int, count: int,
+    room: StartRoom, stratified: bool, replicate_key: np.uint64, pixels: NDArray[np.int64], begin: NDArray[np.int64],
+    taken: int, which: int, place: int, count: int,
 ) -> None:  # fmt: skip
     """Draw the starting numbers of `count` samples: from each pixel's own Sobol' set, or at random.
 
@@ -168,19 +185,21 @@ def _draw_numbers(
     ----------
     stratified : bool
         From Sobol' sets.
-    pixels : (n,) int64
-    which, sample : int
-        Index in `pixels`, and sample of that pixel, of the first sample.
-    samples : int
-        Samples of each pixel.
+    pixels, begin : (n,) int64
+    taken : int
+        See `launch_adjoint`.
+    which, place : int
+        Index in `pixels`, and place among the samples taken of that pixel, of the first sample.
     """
     pixel_key = derived(replicate_key, pixels[which])
     for i in range(count):
+        sample = begin[which] + place
         room.keys[i] = derived(pixel_key, sample)
         if stratified:
-            if sample == 0:
+            if place == 0:
                 for dimension in range(len(room.seeds)):
-                    room.point[dimension] = np.uint32(0)
+                    # Points come in Gray-code order, see `sobol.step`.
+                    room.point[dimension] = sobol(sample ^ (sample >> 1), dimension)
                     room.seeds[dimension] = scramble_seed(pixel_key, dimension)
             else:
                 step(room.point, sample)
@@ -189,9 +208,9 @@ def _draw_numbers(
         else:
             for dimension in range(len(room.seeds)):
                 room.numbers[dimension, i] = start(room.keys[i], dimension)
-        sample += 1
-        if sample == samples:
-            which, sample = which + 1, 0
+        place += 1
+        if place == taken:
+            which, place = which + 1, 0
             # After the last pixel this key is not used; the modulus keeps the index valid.
             pixel_key = derived(replicate_key, pixels[which % len(pixels)])
     if stratified:
@@ -201,16 +220,20 @@ def _draw_numbers(
 
 @kernel
 def launch_adjoint(
-    pixels: NDArray[np.int64], samples: int, stratified: bool, replicate_key: np.uint64, colour: int,
-    sensor: SensorTables, mla: MlaTables, aim: AimTables, frames: Array, lens_surfaces: int,
-    bundle: Array, flow: Flow, room: StartRoom,
+    pixels: NDArray[np.int64], begin: NDArray[np.int64], taken: int, samples: int, stratified: bool,
+    replicate_key: np.uint64, colour: int, sensor: SensorTables, mla: MlaTables, aim: AimTables, frames: Array,
+    lens_surfaces: int, bundle: Array, flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
-    """Start `samples` packets from each pixel.
+    """Start `taken` of the `samples` packets of each pixel.
 
     Parameters
     ----------
     pixels : (n,) int64
         Pixel numbers, row by row.
+    begin : (n,) int64
+        Number of the first sample that is taken of each pixel.
+    taken, samples : int
+        Samples that are taken of each pixel, and all that its light is divided by.
     stratified : bool
         Start from scrambled Sobol' points in place of random ones.
     replicate_key : uint64
@@ -223,13 +246,13 @@ def launch_adjoint(
     """
     _begin(room, colour, lens_surfaces)
     station = PLATE if mla.present else LENS
-    which, sample = 0, 0
-    for first in range(0, len(pixels) * samples, STARTS):
-        count = min(STARTS, len(pixels) * samples - first)
-        _draw_numbers(room, stratified, replicate_key, pixels, which, sample, samples, count)
-        which, sample = _aim_rays(
-            room, bundle, pixels, which, sample, samples, count, replicate_key, colour, sensor, mla, aim, frames,
-            flow.book,
+    which, place = 0, 0
+    for first in range(0, len(pixels) * taken, STARTS):
+        count = min(STARTS, len(pixels) * taken - first)
+        _draw_numbers(room, stratified, replicate_key, pixels, begin, taken, which, place, count)
+        which, place = _aim_rays(
+            room, bundle, pixels, begin, taken, which, place, samples, count, replicate_key, colour, sensor, mla, aim,
+            frames, flow.book,
         )  # fmt: skip
         for i in range(count):
             if bundle[ENDED_ON + i] == 0.0:
@@ -241,9 +264,9 @@ def launch_adjoint(
 
 @kernel
 def launch_along_image_path(
-    pixels: NDArray[np.int64], samples: int, stratified: bool, replicate_key: np.uint64, colour: int,
-    sensor: SensorTables, lens: LensTables, mla: MlaTables, aim: AimTables, frames: Array,
-    bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow, room: StartRoom,
+    pixels: NDArray[np.int64], begin: NDArray[np.int64], taken: int, samples: int, stratified: bool,
+    replicate_key: np.uint64, colour: int, sensor: SensorTables, lens: LensTables, mla: MlaTables, aim: AimTables,
+    frames: Array, bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
     """Start packets as `launch_adjoint` does, and take them through array and lens by the sequential engine at once.
 
@@ -256,13 +279,13 @@ def launch_along_image_path(
     station = PLATE if mla.present else LENS
     for i in range(STARTS):
         numbers[i] = i
-    which, sample = 0, 0
-    for first in range(0, len(pixels) * samples, STARTS):
-        count = min(STARTS, len(pixels) * samples - first)
-        _draw_numbers(room, stratified, replicate_key, pixels, which, sample, samples, count)
-        which, sample = _aim_rays(
-            room, bundle, pixels, which, sample, samples, count, replicate_key, colour, sensor, mla, aim, frames,
-            flow.book,
+    which, place = 0, 0
+    for first in range(0, len(pixels) * taken, STARTS):
+        count = min(STARTS, len(pixels) * taken - first)
+        _draw_numbers(room, stratified, replicate_key, pixels, begin, taken, which, place, count)
+        which, place = _aim_rays(
+            room, bundle, pixels, begin, taken, which, place, samples, count, replicate_key, colour, sensor, mla, aim,
+            frames, flow.book,
         )  # fmt: skip
         pad(bundle, count)
         move_bundle(bundle, frames[SENSOR_FRAME, CAMERA_FRAME])
@@ -285,16 +308,16 @@ def _begin(room: StartRoom, colour: int, lens_surfaces: int) -> None:
 
 @kernel
 def _aim_rays(
-    room: StartRoom, bundle: Array, pixels: NDArray[np.int64], which: int, sample: int, samples: int, count: int,
-    replicate_key: np.uint64, colour: int, sensor: SensorTables, mla: MlaTables, aim: AimTables, frames: Array,
-    book: Array,
+    room: StartRoom, bundle: Array, pixels: NDArray[np.int64], begin: NDArray[np.int64], taken: int, which: int,
+    place: int, samples: int, count: int, replicate_key: np.uint64, colour: int, sensor: SensorTables, mla: MlaTables,
+    aim: AimTables, frames: Array, book: Array,
 ) -> tuple[int, int]:  # fmt: skip
     """Write a block of rays (sensor frame) and their weights to the bundle, by the numbers that were drawn.
 
     Returns
     -------
-    which, sample : int
-        Index in `pixels`, and sample of that pixel, with which the next block begins.
+    which, place : int
+        Index in `pixels`, and place among the samples taken of that pixel, with which the next block begins.
     """
     # Of what arrives, a pixel detects what it does not reflect.
     area = sensor.pixel * sensor.pixel * MM2 / samples * (1.0 - sensor.reflectance)
@@ -306,7 +329,7 @@ def _aim_rays(
     if mla.present:
         glass = glass_before_faces(mla, colour)
     for i in range(count):
-        pixel = pixels[which]
+        pixel, sample = pixels[which], begin[which] + place
         if which != begun:
             begun = which
             column, row = pixel % sensor.columns - 0.5 * sensor.columns, pixel // sensor.columns - 0.5 * sensor.rows
@@ -346,7 +369,7 @@ def _aim_rays(
         # Blind rays weigh a hundred times as much as those through a lenslet that shows the opening. Their children are
         # followed until they weigh as little, so that a pixel's error is not that of the few that survive roulette.
         packet.key, packet.start, packet.events = room.keys[i], min(weight, usual), 0
-        sample += 1
-        if sample == samples:
-            which, sample = which + 1, 0
-    return which, sample
+        place += 1
+        if place == taken:
+            which, place = which + 1, 0
+    return which, place

@@ -92,7 +92,9 @@ def _texture_means(objects: ObjectTables, bright: NDArray[np.int64], level: NDAr
     starts = np.cumsum(4**level) - 4**level
     for number in np.flatnonzero(texture[:, 1]):
         start, height, width = texture[number]
-        values = objects.texels[start : start + height * width].mean(axis=1).reshape(height, width)
+        values = objects.texels[start : start + height * width]
+        weights = objects.texel_weights.mean(axis=0) if len(objects.texel_weights) else None
+        values = (values.mean(axis=1) if weights is None else values @ weights).reshape(height, width)
         u, v = (corner_weights(int(level[number]) + PROBES).mean(axis=1) @ objects.uv[bright[number]]).T
         # The nearest texel: a mean over many needs no interpolation.
         column = np.clip((u * width).astype(np.int64), 0, width - 1)

@@ -16,6 +16,7 @@ from lfmesh.scene import Scene
 from lfmesh.scene.coatings import UNCOATED
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.tables.coatings import absorbs, coating_table
+from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import Medium, MediumList
 from lfmesh.transport.tables.tables import ABSORBING, BARE, COATED, INTERFACE, NO_SLOT, Interfaces
 
@@ -165,8 +166,9 @@ def coatings_in_book(scene: Scene) -> list[str]:
 def refused_in_order(scene: Scene) -> str | None:
     """Describe the first surface of lens or array that the sequential engine cannot trace; None if it can trace all."""
     faces = (*lens_faces(scene), *(array_faces(scene) if scene.camera.mla is not None else ()))
+    wavelengths_nm = Lines.of(scene).wavelengths_nm
     for face in faces:
-        kind = KINDS[_kind_of(scene, face, scene.transport.wavelengths_nm)]
+        kind = KINDS[_kind_of(scene, face, wavelengths_nm)]
         if not (kind.is_smooth and kind.is_lossless):
             return f"{face.where} is {kind.name}"
     return None
@@ -201,7 +203,7 @@ def interface_tables(scene: Scene, wavelengths_nm: tuple[float, ...], book: Book
 def coating_errors(scene: Scene) -> dict[str, float]:
     """Return the largest error of interpolation of each coating that a scene uses, over its faces, by its name."""
     errors: dict[str, float] = {}
-    wavelengths_nm = scene.transport.wavelengths_nm
+    wavelengths_nm = Lines.of(scene).wavelengths_nm
     for faces in _faces_of_regions(scene):
         for face, finish in zip(faces, _finishes(scene, faces, wavelengths_nm), strict=True):
             if finish.kind != BARE:
@@ -214,8 +216,9 @@ def coating_lines(scene: Scene) -> list[str]:
 
     Reflectances are those at the primary wavelength, from the thinner of the two media and by the angle there.
     """
-    wavelengths_nm = scene.transport.wavelengths_nm
-    colour = wavelengths_nm.index(scene.transport.primary_nm)
+    # Of bands, all but the primary wavelength are random.
+    wavelengths_nm = scene.transport.wavelengths_nm if scene.camera.sensor.bands is None else (scene.primary_nm,)
+    colour = wavelengths_nm.index(scene.primary_nm)
     mla = array_faces(scene) if scene.camera.mla is not None else []
     lines, used = [], set()
     for face in (*lens_faces(scene), *mla, *body_faces(scene)):

@@ -4,14 +4,16 @@ A new light has its model in `scene/lights.py`; its kind, its row and its power 
 `transport/events/lighting.py` its irradiance at a point and the start of its packets.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
-from lfmesh.scene.lights import DirectionalLight, DiskLight, Light
+from lfmesh.scene import Scene
+from lfmesh.scene.lights import DirectionalLight, DiskLight
+from lfmesh.transport.tables.lines import Lines
+from lfmesh.transport.tables.spectra import spread
 
 Array = NDArray[np.float64]
 
@@ -31,29 +33,43 @@ MM2 = 1e-6
 """One mm² in m²."""
 
 
-def light_table(lights: Sequence[Light], to_object: Array) -> NDArray[np.void]:
-    """Return the lights in the object frame, (lights,) LIGHT.
+def light_table(scene: Scene, to_object: Array, lines: Lines) -> tuple[NDArray[np.void], Array]:
+    """Return the lights in the object frame, (lights,) LIGHT, and their relative power by wavelength.
 
     Parameters
     ----------
-    lights : sequence of Light
+    scene : Scene
     to_object : (3, 4) float64
         Move from the world frame into the object frame.
+    lines : Lines
+
+    Returns
+    -------
+    table : (lights,) LIGHT
+        With the largest power at any wavelength.
+    spectra : (lights, wavelengths) float64
+        Power at each wavelength relative to that.
     """
+    lights = scene.lights
+    spectra = np.ones((len(lights), len(lines.wavelengths_nm)))
     table = np.zeros(len(lights), LIGHT)
     table["direction"] = (0.0, 0.0, 1.0)
-    for row, light in zip(table, lights, strict=True):
+    for number, (row, light, spectrum) in enumerate(zip(table, lights, spectra, strict=True)):
+        total = light.irradiance_w_m2 if isinstance(light, DirectionalLight) else light.power_w
+        power = spread(scene, total, light.spectrum, lines, f"lights[{number}].spectrum")
+        row["power"] = power.max()
+        spectrum[:] = power / power.max()
         if isinstance(light, DirectionalLight):
-            row["kind"], row["power"] = DIRECTIONAL, light.irradiance_w_m2
+            row["kind"] = DIRECTIONAL
         else:
-            row["kind"], row["power"] = POINT, light.power_w
+            row["kind"] = POINT
             row["position"] = frame.points(to_object, [light.position_mm])[0]
         if isinstance(light, DirectionalLight | DiskLight):
             d = frame.directions(to_object, [light.direction])[0]
             row["direction"] = d / np.linalg.norm(d)
         if isinstance(light, DiskLight):
             row["kind"], row["radius"] = DISK, light.radius_mm
-    return table
+    return table, spectra
 
 
 def power_towards(light: Any, middle: Array, radius: float) -> tuple[float, float]:

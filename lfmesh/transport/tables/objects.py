@@ -24,8 +24,10 @@ from lfmesh.transport.tables.emitters import emitter_table, no_emitters
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.lens import curved
 from lfmesh.transport.tables.lights import MM2, light_table, power_towards
+from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.scattering import scattering_tables
+from lfmesh.transport.tables.spectra import radiance_at, reflectance_at
 from lfmesh.transport.tables.tables import OPAQUE, SOURCE, Interfaces, ObjectTables
 
 
@@ -124,7 +126,7 @@ def _distance_to_axis(polygon: Array) -> float:
 
 def object_tables(
     scene: Scene, targets: list[TargetMesh], housing: Mesh, moves: Array,
-    book: Book, wavelengths_nm: tuple[float, ...], interfaces: Interfaces, known: MediumList,
+    book: Book, lines: Lines, interfaces: Interfaces, known: MediumList,
     ranks: NDArray[np.int64],
 ) -> tuple[Mesh, ObjectTables]:  # fmt: skip
     """Return targets and housing as one mesh in the object frame, for Embree, and their tables.
@@ -139,7 +141,7 @@ def object_tables(
     moves : (5, 5, 3, 4) float64
         See `frame_table`.
     book : Book
-    wavelengths_nm : (wavelengths,) tuple of float
+    lines : Lines
     interfaces : Interfaces
         One row for each target.
     known : MediumList
@@ -147,6 +149,7 @@ def object_tables(
     ranks : (targets,) int64
         See `ObjectTables.rank`.
     """
+    wavelengths_nm = lines.wavelengths_nm
     to_object = moves[WORLD_FRAME, OBJECT_FRAME]
     parts = [t.mesh.moved(to_object) for t in targets]
     mesh = joined([*parts, housing.moved(moves[CAMERA_FRAME, OBJECT_FRAME])])
@@ -163,7 +166,9 @@ def object_tables(
         uv[bodies == i] = target.uv
         height, width = target.texture.shape[:2]
         texture[i] = filled, height, width
-        texels.append((target.texture.reshape(-1, 3) @ weights.T).astype(np.float32))
+        values = target.texture.reshape(-1, 3)
+        # Bands have hundreds of wavelengths: too many to keep the values at each.
+        texels.append(values if lines.in_bands else (values @ weights.T).astype(np.float32))
         filled += height * width
     materials = [t.material for t in scene.targets]
     radius = max((float(np.linalg.norm(m.vertices, axis=1).max()) for m in parts), default=0.0)
@@ -175,12 +180,17 @@ def object_tables(
     by_rank[ranks[ranks > 0]] = np.flatnonzero(ranks)
     first, partners, near = contacts([target.mesh for target in targets], ranks > 0)
     _refuse_touched_coatings(scene, bodies, first)
+    reflectances = [reflectance_at(scene, i, wavelengths_nm) for i in range(len(targets))]
+    radiance = np.array([radiance_at(scene, i, lines) for i in range(len(targets))]).reshape(-1, len(wavelengths_nm))
+    largest = radiance.max(axis=1, keepdims=True, initial=0.0)
+    lights, light_spectra = light_table(scene, to_object, lines)
     tables = ObjectTables(
         facets=facets,
         uv=uv,
         closed=np.array([t.closed for t in targets], dtype=np.bool_),
-        scattering=scattering_tables(materials, wavelengths_nm),
-        radiance=_by_wavelength([m.radiance_w_m2_sr for m in materials], wavelengths_nm),
+        scattering=scattering_tables(materials, wavelengths_nm, reflectances),
+        radiance=radiance,
+        glow=np.divide(radiance, largest, out=np.zeros_like(radiance), where=largest > 0.0),
         media=known.table(wavelengths_nm),
         medium=np.array([known.number(g.medium) if g is not None else OPAQUE for g in glasses], dtype=np.int64),
         interfaces=interfaces,
@@ -193,10 +203,12 @@ def object_tables(
         patches=patches,
         across=across,
         texture=texture,
-        texels=np.concatenate(texels) if texels else np.zeros((0, len(wavelengths_nm)), np.float32),
+        texels=np.concatenate(texels) if texels else np.zeros((0, weights.shape[1]), np.float32),
+        texel_weights=weights if lines.in_bands else np.zeros((0, 0)),
         target_slot=book.targets,
         lost_slot=np.append(book.lost_in_targets, LOST_OUTSIDE),
-        lights=light_table(scene.lights, to_object),
+        lights=lights,
+        light_spectra=light_spectra,
         emitters=no_emitters(),
         sources=np.zeros(0, SOURCE),
         radius=radius,
@@ -236,10 +248,6 @@ def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
     radius = float(np.linalg.norm(corners - middle, axis=1).max())
     objects = objects._replace(lit_middle=middle, lit_radius=radius)
     return objects._replace(sources=_sources(_lamps(objects)))
-
-
-def _by_wavelength(values: list[float], wavelengths_nm: tuple[float, ...]) -> Array:
-    return np.repeat(np.array(values, dtype=np.float64).reshape(-1, 1), len(wavelengths_nm), axis=1)
 
 
 Entry = tuple[int, int, float, float]

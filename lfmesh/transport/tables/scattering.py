@@ -32,7 +32,9 @@ class ScatteringTables(NamedTuple):
     parameters: Array  # (parameters of all models, wavelengths)
 
 
-def scattering_tables(materials: Sequence[Material], wavelengths_nm: tuple[float, ...]) -> ScatteringTables:
+def scattering_tables(
+    materials: Sequence[Material], wavelengths_nm: tuple[float, ...], reflectances: Sequence[Array] | None = None
+) -> ScatteringTables:
     """Return the scattering models of some materials, followed by the model of emission.
 
     Emission follows Lambert's law, whatever the target's scattering model.
@@ -41,17 +43,22 @@ def scattering_tables(materials: Sequence[Material], wavelengths_nm: tuple[float
     ----------
     materials : sequence of Material
     wavelengths_nm : (wavelengths,) tuple of float
+    reflectances : sequence of (wavelengths,) float64, optional
+        Of the materials; may be left out if they are numbers.
     """
     models = np.zeros(len(materials) + 1, SCATTERING)
     rows: list[Array] = []
-    for model, material in zip(models, [*materials, Material(reflectance=1.0)], strict=True):
-        model["kind"], parameters = _model_of(material)
+    if reflectances is None:
+        reflectances = [np.full(len(wavelengths_nm), material.reflectance, np.float64) for material in materials]
+    shares = [*reflectances, np.ones(len(wavelengths_nm))]
+    for model, material, share in zip(models, [*materials, Material(reflectance=1.0)], shares, strict=True):
+        model["kind"], parameters = _model_of(material, share)
         model["first"] = len(rows)
-        model["black"] = not any(parameters)
-        rows += [np.full(len(wavelengths_nm), parameter) for parameter in parameters]
+        model["black"] = not any(parameter.any() for parameter in parameters)
+        rows += parameters
     return ScatteringTables(models, np.array(rows))
 
 
-def _model_of(material: Material) -> tuple[int, list[float]]:
-    """Return the kind of a material's scattering model, and its parameters."""
-    return LAMBERTIAN, [material.reflectance]
+def _model_of(material: Material, reflectance: Array) -> tuple[int, list[Array]]:
+    """Return the kind of a material's scattering model, and its parameters by wavelength."""
+    return LAMBERTIAN, [reflectance]

@@ -112,6 +112,7 @@ class ObjectTables(NamedTuple):
     closed: NDArray[np.bool_]  # (targets,) a closed surface, which scatters and emits on its outside only
     scattering: ScatteringTables
     radiance: Array  # (targets, wavelengths) W/(m² sr)
+    glow: Array  # (targets, wavelengths) radiance relative to the largest of its target
     media: Media
     medium: NDArray[np.int64]  # (targets,) medium of a body of glass; OPAQUE for all other targets
     interfaces: Interfaces  # for each target one row for each medium, see `body_row`
@@ -126,10 +127,12 @@ class ObjectTables(NamedTuple):
     patches: Array  # (m, 6, 3), or none
     across: NDArray[np.int64]
     texture: NDArray[np.int64]  # (targets, 3): first value, height, width; height 0: none
-    texels: NDArray[np.float32]  # (values, wavelengths)
+    texels: NDArray[np.float32]  # (values, wavelengths), or (values, primaries) where there are weights
+    texel_weights: Array  # (wavelengths, primaries) of the values' primaries at each wavelength; (0, 0): none
     target_slot: NDArray[np.int64]  # (targets,) book slot
     lost_slot: NDArray[np.int64]  # (targets + 1,) book slot of energy lost at each target; the last: in open space
     lights: Records  # LIGHT
+    light_spectra: Array  # (lights, wavelengths) power relative to that of `lights`
     emitters: Emitters
     sources: Records  # SOURCE: where the forward method starts packets
     radius: float  # mm, of a sphere about the origin that holds the targets

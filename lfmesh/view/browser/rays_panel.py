@@ -285,7 +285,8 @@ def _first_state(world: World, presets: list[str]) -> dict[str, Any]:
     distance = world.first_order.object_distance_mm
     z = -distance if 0.0 < distance < np.inf else -FAR * abs(world.first_order.efl_mm)
     columns, rows = scene.camera.sensor.pixels
-    several = [ALL] if len(transport.wavelengths_nm) > 1 else []
+    known = [wavelength for _, wavelength in launch.wavelengths_of(world)]
+    several = [ALL] if len(known) > 1 else []
     return {
         "launches": launches,
         "launch": "point",
@@ -296,8 +297,8 @@ def _first_state(world: World, presets: list[str]) -> dict[str, Any]:
         "row": rows // 2,
         "column": columns // 2,
         "count": COUNT,
-        "wavelengths": [*several, *transport.wavelengths_nm],
-        "wavelength": [*several, *transport.wavelengths_nm][0],
+        "wavelengths": [*several, *known],
+        "wavelength": [*several, *known][0],
         "split": transport.split,
         "cutoff": transport.weight_cutoff,
         "presets": presets,

@@ -211,7 +211,7 @@ def focus_distance_mm(scene: Scene, *, given: bool) -> float:
     Where the lenslets image a plane near them onto the sensor (a focused plenoptic camera), what that plane is the
     image of, unless the camera's focus was given; else what the apexes, or the sensor, are the image of.
     """
-    primary = scene.transport.primary_nm
+    primary = scene.primary_nm
     behind = image_plane_mm(scene.camera, primary)
     if not given:
         behind -= main_image_mm(scene) or 0.0
@@ -228,7 +228,7 @@ def main_image_mm(scene: Scene) -> float | None:
     mla = scene.camera.mla
     if mla is None:
         return None
-    primary = scene.transport.primary_nm
+    primary = scene.primary_nm
     focal_length, to_sensor = lenslet_focal_length_mm(mla, primary)[0], lenslet_to_sensor_mm(scene.camera, primary)
     vergence = 1.0 / focal_length - 1.0 / to_sensor
     return 1.0 / vergence if abs(vergence) * STRONGEST_REDUCTION * to_sensor > 1.0 else None
@@ -303,7 +303,7 @@ def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
     to_camera = moves[MLA_FRAME, CAMERA_FRAME]
     toward_lens = mla.curved_side == "lens"
     # Seen from the lens through the plate, the apexes lie nearer.
-    seen_z = 0.0 if toward_lens else mla.thickness_mm - air_thickness_mm(mla, scene.transport.primary_nm)
+    seen_z = 0.0 if toward_lens else mla.thickness_mm - air_thickness_mm(mla, scene.primary_nm)
     at = lenslets.apexes
     apex = np.dstack([at, np.full(at.shape[:2], seen_z)]).reshape(-1, 3) @ to_camera[:, :3].T + to_camera[:, 3]
     middle = _nearest_axis(apex, lenslets.lattice.pitch)
@@ -399,8 +399,8 @@ def _array_dimensions(
     front, back = sorted((z, z + float(into[2])))
     chain = [(front, back), (back, sensor_z)]
     lengths = [(a, b, f"{b - a:.4g} mm") for a, b in chain]
-    focal = lenslet_focal_length_mm(mla, scene.transport.primary_nm)[0]
-    n = refractive_index(mla.medium, scene.transport.primary_nm)
+    focal = lenslet_focal_length_mm(mla, scene.primary_nm)[0]
+    n = refractive_index(mla.medium, scene.primary_nm)
     # From the rear principal plane, which lies at the apex where light leaves there.
     principal = back - mla.thickness_mm / n if mla.curved_side == "lens" else back
     if focal > 0.0:

@@ -75,7 +75,7 @@ class Aim:
 
     def __init__(self, world: World, distance_mm: float) -> None:
         self.world = world
-        self.wavelength_nm = world.scene.transport.primary_nm
+        self.wavelength_nm = world.scene.primary_nm
         self.vergence = 1.0 / distance_mm
         self.lens = world.scene.camera.lens
         self.paraxial = solved_camera(world.scene).paraxial

@@ -146,7 +146,7 @@ def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[fl
         raise LfmeshError("ghosts by sequence: a field point must lie in front of the lens")
     surfaces, with_array = len(shape.surfaces), world.tables.mla.present
     faces = surfaces + 2 * with_array
-    tables = [at_wavelength(world, wavelength) for wavelength in wavelengths_nm or world.scene.transport.wavelengths_nm]
+    tables = [at_wavelength(world, wavelength) for wavelength in wavelengths_nm or world.scene.wavelengths_nm]
     # A hollow side may be met twice; of an asphere, either.
     sides = [
         (k, behind)
@@ -224,7 +224,7 @@ def _on_sensor(tables: Tables, rays: Arrived) -> Floats:
 
 def _focus_mm(world: World, path: Itinerary, object_mm: float) -> float:
     """Return the distance behind the last vertex at which the paraxial rays of a path come together."""
-    lens, primary = world.scene.camera.lens, world.scene.transport.primary_nm
+    lens, primary = world.scene.camera.lens, world.scene.primary_nm
     paraxial, numbers = Paraxial.of(lens, primary), world.lens_shape.numbers
     if not path.mirrors:
         return paraxial.image_mm(object_mm)

@@ -383,15 +383,25 @@ def _point_before_lens(world: World, position_mm: ArrayLike) -> Floats:
     return np.asarray(moved)
 
 
+def wavelengths_of(world: World) -> Colours:
+    """Return the wavelengths of a scene with their columns in its tables; of a band that nearest to its centroid."""
+    lines = world.lines
+    if not lines.in_bands:
+        return list(enumerate(lines.wavelengths_nm))
+    columns = dict.fromkeys(lines.nearest(wavelength) for wavelength in world.scene.wavelengths_nm)
+    return [(column, lines.wavelengths_nm[column]) for column in columns]
+
+
 def _wavelengths(world: World, wavelength_nm: float | None, *, any_other: bool = True) -> Colours:
     """Return the wavelengths that rays are launched at; `any_other`: one that is not the scene's will do."""
-    known = world.scene.transport.wavelengths_nm
+    known = wavelengths_of(world)
     if wavelength_nm is None:
-        return list(enumerate(known))
-    if wavelength_nm in known:
-        return [(known.index(wavelength_nm), float(wavelength_nm))]
+        return known
+    for colour, each in known:
+        if wavelength_nm == each:
+            return [(colour, each)]
     if not any_other:
-        listed = ", ".join(f"{w:g}" for w in known)
+        listed = ", ".join(f"{w:g}" for _, w in known)
         raise LfmeshError(f"wavelength_nm = {wavelength_nm!r}: light and targets are known at the scene's ({listed})")
     if not 0.0 < wavelength_nm < np.inf:
         raise LfmeshError(f"wavelength_nm = {wavelength_nm!r}: must be a positive number")

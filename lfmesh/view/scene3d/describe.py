@@ -5,6 +5,7 @@ import math
 from lfmesh.errors import LfmeshError
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Surface
+from lfmesh.scene.spectra import Spectrum
 from lfmesh.transport.world import World
 from lfmesh.view.rays.names import label, lens_names
 
@@ -72,7 +73,7 @@ def _poses(world: World, numbers: tuple[int, int]) -> Rows:
 
 
 def _medium(world: World, medium: float | str | None) -> str:
-    wavelength = world.scene.transport.primary_nm
+    wavelength = world.scene.primary_nm
     index = f"n = {refractive_index(medium, wavelength):.6g} at {wavelength:g} nm"
     return f"{medium}, {index}" if isinstance(medium, str) else index
 
@@ -118,16 +119,32 @@ def _target(world: World, number: int) -> Rows:
     if target.refractor is not None:
         return [*rows, ("glass", _medium(world, target.refractor.medium))]
     material = target.material
-    rows += [("reflectance", f"{material.reflectance:g}")] if material.reflectance else []
-    rows += [("radiance", f"{material.radiance_w_m2_sr:g} W/(m² sr)")] if material.radiance_w_m2_sr else []
+    rows += [("reflectance", _spectral(material.reflectance))] if material.reflectance else []
+    if material.radiance_w_m2_sr:
+        per = " nm" if isinstance(material.radiance_w_m2_sr, Spectrum) else ""
+        rows += [("radiance", f"{_spectral(material.radiance_w_m2_sr)} W/(m² sr{per})")]
+    rows += [("spectrum", _spectral(material.spectrum))] if material.spectrum else []
+    rows += [("temperature", f"{material.temperature_k:g} K")] if material.temperature_k else []
     return rows + ([("texture", material.texture)] if material.texture else [])
 
 
 def _light(world: World, number: int) -> Rows:
     light = world.scene.lights[number]
-    fields = light.model_dump(exclude={"kind"})
+    fields = light.model_dump(exclude={"kind", "spectrum"})
     values = {key: value if isinstance(value, tuple) else (value,) for key, value in fields.items()}
     return [
         ("light", f"{light.kind}, lights[{number}]"),
         *((key, " ".join(f"{part:g}" for part in value)) for key, value in values.items()),
+        *([("spectrum", _spectral(light.spectrum))] if light.spectrum is not None else []),
     ]
+
+
+def _spectral(value: float | Spectrum) -> str:
+    """Return a spectral quantity in a few words."""
+    if not isinstance(value, Spectrum):
+        return f"{value:g}"
+    if value.blackbody_k is not None:
+        return f"black body of {value.blackbody_k:g} K"
+    if value.values is not None and value.wavelengths_nm is not None:
+        return f"table of {len(value.values)} values, {value.wavelengths_nm[0]:g} to {value.wavelengths_nm[-1]:g} nm,"
+    return value.name or value.file or ""

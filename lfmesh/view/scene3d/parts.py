@@ -17,6 +17,7 @@ from lfmesh.geometry.targets import TargetMesh
 from lfmesh.geometry.tessellation import element
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import DirectionalLight, DiskLight
+from lfmesh.scene.spectra import Spectrum
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 from lfmesh.view.scene3d import array_shape
@@ -137,7 +138,7 @@ def creases_of(body: pv.PolyData) -> pv.PolyData:
 def _lens(world: World) -> Iterator[Part]:
     shape = solved_camera(world.scene).lens_shape(max(RINGS, world.lens_shape.rings))
     to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
-    wavelength = world.scene.transport.primary_nm
+    wavelength = world.scene.primary_nm
     for number, k in enumerate(shape.elements):
         colour = tint(refractive_index(shape.media[k + 1], wavelength))
         body = closed(element(shape.caps[k], shape.closures[k], shape.caps[k + 1]).moved(to_world))
@@ -175,7 +176,7 @@ def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
     to_world = world.tables.frames[MLA_FRAME, WORLD_FRAME]
     mla = world.scene.camera.mla
     assert mla is not None
-    glass = {"color": tint(refractive_index(mla.medium, world.scene.transport.primary_nm)), "opacity": 0.3}
+    glass = {"color": tint(refractive_index(mla.medium, world.scene.primary_nm)), "opacity": 0.3}
     lattice, near = lenslets.lattice, array_shape.cells_near(lenslets.lattice, near_mm)
     large = array_shape.is_large(lattice)
     curved = array_shape.caps(lenslets, *(near if large else array_shape.all_cells(lattice)))
@@ -242,7 +243,7 @@ def _target(world: World, number: int, target: TargetMesh) -> Part:
     name = f"targets[{number}]"
     model = world.scene.targets[number]
     if model.refractor is not None:
-        colour = tint(refractive_index(model.refractor.medium, world.scene.transport.primary_nm))
+        colour = tint(refractive_index(model.refractor.medium, world.scene.primary_nm))
         glass = closed(target.mesh)
         look = {"color": colour, "opacity": 0.25, "specular": 0.6}
         return Part(name, "glass", smooth(glass), look, creases_of(glass), colour, solid=glass)
@@ -253,10 +254,17 @@ def _target(world: World, number: int, target: TargetMesh) -> Part:
         return Part(name, "target", body, {"lighting": False}, picture=srgb_encode(target.texture))
     body = polydata(target.mesh.vertices, target.mesh.faces)
     creases = creases_of(body)
-    grey = float(srgb_encode(np.array(model.material.reflectance))) / 255.0
-    glows = model.material.radiance_w_m2_sr > 0.0
+    grey = float(srgb_encode(np.array(_grey(model.material.reflectance)))) / 255.0
+    glows = model.material.emits
     paint = "#ffe9b0" if glows else (max(0.25, grey),) * 3
     return Part(name, "target", smooth(body), {"color": paint, "ambient": 1.0 if glows else 0.25}, creases, "#10151c")
+
+
+def _grey(reflectance: float | Spectrum) -> float:
+    """Return a reflectance to draw a target with: of a table the mean, of a file a middling one."""
+    if not isinstance(reflectance, Spectrum):
+        return reflectance
+    return float(np.mean(reflectance.values)) if reflectance.values else 0.5
 
 
 def scene_size_mm(world: World) -> float:

@@ -43,7 +43,7 @@ def scene_of(layout: str = "square", wavelengths: tuple[float, ...] = (587.6,)) 
 
 
 def image_of(scene: Scene, seed: int = 1) -> lf.Image:
-    shape = (*scene.camera.sensor.pixels[::-1], len(scene.transport.wavelengths_nm))
+    shape = (*scene.camera.sensor.pixels[::-1], scene.channels)
     mean = np.random.default_rng(seed).uniform(1.0, 2.0, shape) * 1e-12
     return lf.Image(mean, 0.1 * mean, scene, Ledger(unit="W", emitted=1.0, escaped=1.0), 1.0, 2, 8.0, "by hand")
 

@@ -39,6 +39,9 @@ WAYS: dict[str, dict[str, Any]] = {
     "reflections, three samples": {"split": "both", "samples": 12},
     "forward": {"method": "forward"},
     "two wavelengths, adaptive": {"split": "both", "wavelengths_nm": [500.0, 600.0], **ADAPTIVE},
+    "bands, twelve samples": {"split": "both", "samples": 48},
+    "bands, adaptive": {"split": "transmit", **ADAPTIVE},
+    "bands, forward": {"method": "forward"},
     "lamp behind glass, adaptive": {"split": "transmit", **ADAPTIVE},
 }
 
@@ -51,8 +54,9 @@ def scene_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], lf.Sce
 
     def scene(way: str) -> lf.Scene:
         ball = {"refractor": {"file": "ball.stl", "units": "mm", "index": 1.5}, "position_mm": [0, 0, -45.0]}
+        sensor = CAMERA["sensor"] | ({"bands": "rgb"} if "bands" in way else {})
         return lf.Scene(
-            camera=CAMERA,
+            camera=CAMERA | {"sensor": sensor},
             targets=[PLANE, ball] if "glass" in way else [PLANE],
             lights=[LAMP],
             transport={"samples": 16, "replicates": 4, "threads": 1} | WAYS[way],
@@ -116,7 +120,7 @@ def test_a_cut_at_chunks_traces_none_twice(scene_of: Callable[[str], lf.Scene]) 
     )
     blocks = tracer.plan.blocks(3)
     assert [(block.first, block.last) for block in blocks] == [(0, 256), (256, 320)]
-    for chunk in tracer.plan.chunks():
+    for chunk in tracer.plan.chunks(0):
         assert sum(block.touches(chunk) for block in blocks) == 1
 
 

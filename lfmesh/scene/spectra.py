@@ -1,0 +1,147 @@
+"""Spectral quantities: a number, or a spectrum from a table, a file, an illuminant's name or a temperature."""
+
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, Protocol
+
+import numpy as np
+from pydantic import BeforeValidator, Discriminator, Field, Tag
+
+from lfmesh.errors import SceneError
+from lfmesh.optics.cie import NAMED, named_spectrum, planck_radiance
+from lfmesh.optics.curve import Curve, curve_fault, read_curve
+from lfmesh.scene.inputs import file_stamp
+from lfmesh.scene.model import Fault, Location, Model, nearest
+from lfmesh.scene.quantities import FilePath, FractionOfOne, NonNegative, Number, Positive, Text
+
+Kelvin = Annotated[Positive, Field(ge=1.0, le=1e6)]
+"""A temperature of a black body, in K."""
+
+PIECES = 4096
+"""Pieces of a table of Planck's law over the range that is asked for."""
+
+
+class Spectrum(Model):
+    """A quantity by wavelength: one of `wavelengths_nm` with `values`, `file`, `name` and `blackbody_k`."""
+
+    wavelengths_nm: tuple[Positive, ...] | None = None
+    """Wavelengths of a table, increasing, in nm; linear in between."""
+    values: tuple[Number, ...] | None = None
+    """The value at each of `wavelengths_nm`, in the unit of the field that the spectrum stands in."""
+    file: FilePath | None = None
+    """A CSV file, relative to the scene file, with the columns wavelength_nm and value."""
+    name: Text | None = None
+    """An illuminant of the CIE: "A", "D50", "D65", "E" and others; a shape without a scale."""
+    blackbody_k: Kelvin | None = None
+    """Temperature of a black body, in K."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        table = self.wavelengths_nm is not None or self.values is not None
+        given = [key for key in ("file", "name", "blackbody_k") if getattr(self, key) is not None]
+        given = ["values", *given] if table else given
+        if not given:
+            yield Fault((), None, "a spectrum needs wavelengths_nm with values, or file, or name, or blackbody_k")
+        for key in given[1:]:
+            yield Fault((key,), getattr(self, key), f"{given[0]} is given too; give one of them")
+        if table and (why := curve_fault(self.wavelengths_nm or (), self.values or ())):
+            yield Fault((), None, why)
+        if self.name is not None and self.name not in NAMED:
+            near = nearest(self.name, NAMED)
+            yield Fault(("name",), self.name, f"no illuminant has this name{near}; there are {', '.join(NAMED)}")
+
+
+def _of_text(value: Any) -> Any:
+    """Let text stand for a file, if it ends in .csv, or for the name of an illuminant."""
+    if isinstance(value, str):
+        return {"file" if value.lower().endswith(".csv") else "name": value}
+    return value
+
+
+def _kind(value: Any) -> str:
+    return "<number>" if isinstance(value, int | float) else "<spectrum>"
+
+
+Reflectance = Annotated[
+    Annotated[FractionOfOne, Tag("<number>")] | Annotated[Spectrum, Tag("<spectrum>")],
+    Discriminator(_kind),
+    BeforeValidator(_of_text, json_schema_input_type=FractionOfOne | str | Spectrum),
+]
+"""A share of the light, 0 to 1: a number, or by wavelength."""
+
+Radiance = Annotated[
+    Annotated[NonNegative, Tag("<number>")] | Annotated[Spectrum, Tag("<spectrum>")],
+    Discriminator(_kind),
+    BeforeValidator(_of_text, json_schema_input_type=NonNegative | str | Spectrum),
+]
+"""A radiance: a number in W/(m² sr), or by wavelength in W/(m² sr nm)."""
+
+Shape = Annotated[Spectrum, BeforeValidator(_of_text, json_schema_input_type=str | Spectrum)]
+"""How a power is spread by wavelength, in any unit."""
+
+
+class Resolves(Protocol):
+    """A scene, which knows where its files are."""
+
+    def resolve(self, path: str | Path) -> Path:
+        """Return the path of a file as one that can be opened."""
+
+
+def curve_of(spectrum: Spectrum, reach_nm: tuple[float, float], scene: Resolves, where: str) -> Curve:
+    """Return a spectrum as a curve.
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+    reach_nm : (float, float)
+        Wavelengths between which it is asked for.
+    scene : Resolves
+    where : str
+        Its place in the scene, for messages.
+
+    Raises
+    ------
+    SceneError, FileError
+        It does not reach so far, or its file cannot be used.
+    """
+    first, last = reach_nm
+    if spectrum.blackbody_k is not None:
+        # A black body far from its peak shines with next to nothing, which is no table of zeros.
+        w = np.linspace(first, last, PIECES + 1) if last > first else np.array([first, first * (1.0 + 1e-6)])
+        return Curve(w, planck_radiance(w, spectrum.blackbody_k))
+    if spectrum.file is not None:
+        path = scene.resolve(spectrum.file)
+        curve = _read(path, file_stamp(path))
+    elif spectrum.name is not None:
+        curve = Curve(*named_spectrum(spectrum.name))
+    else:
+        curve = Curve(np.array(spectrum.wavelengths_nm), np.array(spectrum.values))
+    if not curve.holds(first, last):
+        shortest, longest = curve.ends_nm
+        raise SceneError(
+            f"{where}: its spectrum reaches from {shortest:g} to {longest:g} nm, and the scene's wavelengths from "
+            f"{first:g} to {last:g} nm"
+        )
+    return curve
+
+
+@lru_cache(maxsize=256)
+def _read(path: Path, stamp: tuple[object, ...]) -> Curve:
+    """Return the curve of a file; `stamp` only tells versions of the file apart."""
+    return read_curve(path, "value")
+
+
+def reflectance_fault(value: float | Spectrum, where: Location) -> Iterator[Fault]:
+    """Yield what keeps a spectrum from being a reflectance; values in files are checked when they are read."""
+    if not isinstance(value, Spectrum):
+        return
+    if value.name is not None or value.blackbody_k is not None:
+        what = "an illuminant" if value.name is not None else "a black body"
+        yield Fault(
+            where, None, f"{what} is light; a reflectance is a number, a table or a file with values from 0 to 1"
+        )
+    for wavelength, share in zip(value.wavelengths_nm or (), value.values or (), strict=False):
+        if share > 1.0:
+            yield Fault(where, None, f"value {share:g} at {wavelength:g} nm: a reflectance is from 0 to 1")
+            return

@@ -1,0 +1,70 @@
+"""Spectra of targets and lights at the lines of a scene."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import SceneError
+from lfmesh.optics.cie import planck_radiance
+from lfmesh.scene import Scene
+from lfmesh.scene.spectra import Spectrum, curve_of
+from lfmesh.transport.tables.lines import Lines
+
+Array = NDArray[np.float64]
+
+
+def reflectance_at(scene: Scene, number: int, wavelengths_nm: tuple[float, ...]) -> Array:
+    """Return the reflectance of a target at some wavelengths, (wavelengths,).
+
+    Raises
+    ------
+    SceneError, FileError
+        It is not known there, or is above 1.
+    """
+    value = scene.targets[number].material.reflectance
+    if not isinstance(value, Spectrum):
+        return np.full(len(wavelengths_nm), value, np.float64)
+    where = f"targets[{number}].material.reflectance"
+    curve = curve_of(value, (min(wavelengths_nm), max(wavelengths_nm)), scene, where)
+    if curve.values.max() > 1.0:
+        at = curve.wavelengths_nm[curve.values.argmax()]
+        raise SceneError(f"{where}: value {curve.values.max():g} at {at:g} nm: a reflectance is from 0 to 1")
+    return curve.at(wavelengths_nm)
+
+
+def radiance_at(scene: Scene, number: int, lines: Lines) -> Array:
+    """Return the radiance of a target that each line stands for, (lines,), W/(m² sr).
+
+    Raises
+    ------
+    SceneError, FileError
+        A spectrum does not reach over the scene's wavelengths, or its file cannot be used.
+    """
+    material, where = scene.targets[number].material, f"targets[{number}].material"
+    wavelengths_nm = np.array(lines.wavelengths_nm)
+    if material.temperature_k is not None:
+        emissivity = 1.0 - reflectance_at(scene, number, lines.wavelengths_nm)
+        return np.asarray(emissivity * planck_radiance(wavelengths_nm, material.temperature_k) * lines.weight_nm)
+    value = material.radiance_w_m2_sr
+    if not isinstance(value, Spectrum):
+        return spread(scene, value, material.spectrum, lines, f"{where}.spectrum")
+    if value.blackbody_k is not None:
+        return np.asarray(planck_radiance(wavelengths_nm, value.blackbody_k) * lines.weight_nm)
+    curve = curve_of(value, scene.reach_nm, scene, f"{where}.radiance_w_m2_sr")
+    return np.asarray(curve.at(wavelengths_nm) * lines.weight_nm)
+
+
+def spread(scene: Scene, total: float, shape: Spectrum | None, lines: Lines, where: str) -> Array:
+    """Return what each line stands for of a power that is spread by a spectrum, (lines,), in the unit of the power.
+
+    Raises
+    ------
+    SceneError, FileError
+        The spectrum does not reach over the scene's wavelengths or is 0 at all of them, or its file cannot be used.
+    """
+    if shape is None or lines.span_nm is None:
+        return lines.power(total)
+    curve = curve_of(shape, lines.span_nm, scene, where)
+    if not curve.integral(*lines.span_nm) > 0.0:
+        first, last = lines.span_nm
+        raise SceneError(f"{where}: it has no power from {first:g} to {last:g} nm, to which the bands reach")
+    return lines.power(total, curve)

@@ -72,6 +72,10 @@ Shape = Annotated[Plane | Disk | Sphere | Box | Cylinder, Field(discriminator="k
 class Material(Model):
     """What a target's surface does with light: Lambertian reflection and emission."""
 
+    sides: Literal["both", "front"] = "both"
+    """Sides of an open sheet that reflect and emit. "front": the side from which the corners of its facets run
+    counter-clockwise (of a plane or disk, its own +z side); the other is black. A closed body has its outside only."""
+
     reflectance: FractionOfOne = 0.8
     """Share of the light that is scattered, by Lambert's law, 0..1."""
     radiance_w_m2_sr: NonNegative = 0.0

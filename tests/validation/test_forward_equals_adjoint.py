@@ -79,6 +79,7 @@ def coated(scene: lf.Scene, curved: str, flat: str) -> lf.Scene:
 
 SCENES = {
     "glow": scene([plane(GLOWING)]),
+    "glow of one side": scene([plane(GLOWING | {"sides": "front"})]),
     "glow, ghosts": scene([plane(GLOWING)], split="both"),
     "glow, ghosts by chance": scene([plane(GLOWING)], split="roulette"),
     "point lamp": scene([plane(PAINTED)], [POINT], "both"),

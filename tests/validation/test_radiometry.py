@@ -193,10 +193,35 @@ def test_disk_lamp_is_a_lambertian_disk(aside: float) -> None:
     assert_means(found[:, None], np.array([expected]), 1e-4)
 
 
-def test_light_of_a_glowing_rectangle_arrives_by_its_form_factor() -> None:
-    """E = π L F: one bounce from target to target."""
+@pytest.mark.parametrize("method", ["adjoint", "forward"])
+def test_the_other_side_of_a_one_sided_sheet_is_black(method: str) -> None:
+    """A patch that emits and reflects, and a glowing wall above it: what turns its back shows and gives no light."""
     wall = {"shape": {"kind": "plane", "width_mm": 30.0, "height_mm": 40.0}, "position_mm": [25.0, 5.0, -45.0],
             "material": {"reflectance": 0.0, "radiance_w_m2_sr": 7.0}}  # fmt: skip
+    lamp = {"kind": "point", "position_mm": [10.0, 0.0, -30.0], "power_w": 2.0}
+    settings = {"transport.method": method, "transport.samples": 64 if method == "adjoint" else 4000}
+
+    def power(scene: lf.Scene, **changes: Any) -> float:
+        return float(lf.render(scene.changed(settings | changes)).mean.sum())
+
+    front, turned = "targets[0].material.sides", "targets[0].rotation_deg"
+    for lit in (patch([], radiance=1.0), patch([lamp])):
+        if method == "adjoint" or lit.lights:
+            # Forward, packets of what emits on both sides draw their side, so that the image differs by chance.
+            assert power(lit, **{front: "front"}) == power(lit) > 0.0
+        assert power(lit, **{front: "front", turned: [0.0, 180.0, 0.0]}) == 0.0
+        assert power(lit, **{turned: [0.0, 180.0, 0.0]}) > 0.0
+    glowing, front, turned = patch([], [wall]), "targets[1].material.sides", "targets[1].rotation_deg"
+    assert power(glowing, **{front: "front"}) == 0.0
+    assert power(glowing, **{front: "front", turned: [0.0, 180.0, 0.0]}) > 0.0
+
+
+@pytest.mark.parametrize("sides", ["both", "front"])
+def test_light_of_a_glowing_rectangle_arrives_by_its_form_factor(sides: str) -> None:
+    """E = π L F: one bounce from target to target."""
+    wall = {"shape": {"kind": "plane", "width_mm": 30.0, "height_mm": 40.0}, "position_mm": [25.0, 5.0, -45.0],
+            "rotation_deg": [180.0, 0.0, 0.0],
+            "material": {"reflectance": 0.0, "radiance_w_m2_sr": 7.0, "sides": sides}}  # fmt: skip
     expected = np.pi * 7.0 * rectangle_factor(15.0, 10.0, 40.0, -15.0, 25.0)
     found = irradiances(patch([], [wall]), 32)
     assert stats.sem(found) < 0.015 * expected

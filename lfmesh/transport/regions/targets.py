@@ -80,7 +80,7 @@ def meet_target(
     slot = objects.target_slot[body]
     dx, dy, dz, weight = packet.dx, packet.dy, packet.dz, packet.weight
     flow.counts[EVENTS] += 1
-    if objects.closed[body] and along > 0.0:
+    if objects.one_sided[body] and along > 0.0:
         end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, S_ABSORBED)
         return
     if is_unturned(options, packet):

@@ -127,7 +127,7 @@ def _from_facet(
     prim: int,
     weight: float,
 ) -> None:
-    """Emit a packet from a uniform point of a facet; of an open sheet, from either side."""
+    """Emit a packet from a uniform point of a facet; of a sheet with two sides, from either."""
     key = packet.key
     body = objects.facets[prim].body
     u, v = start(key, PLACE_U), start(key, PLACE_V)
@@ -139,7 +139,7 @@ def _from_facet(
     y = w * corner[0, 1] + u * corner[1, 1] + v * corner[2, 1]
     z = w * corner[0, 2] + u * corner[1, 2] + v * corner[2, 2]
     side = 1.0
-    if not objects.closed[body] and start(key, SIDE) < 0.5:
+    if not objects.one_sided[body] and start(key, SIDE) < 0.5:
         side = -1.0
     weight *= texture_at(objects, prim, packet.colour, x, y, z)
     flow.book[EMITTED] += weight

@@ -178,7 +178,9 @@ def object_tables(
     tables = ObjectTables(
         facets=facets,
         uv=uv,
-        closed=np.array([t.closed for t in targets], dtype=np.bool_),
+        one_sided=np.array(
+            [t.closed or m.sides == "front" for t, m in zip(targets, materials, strict=True)], dtype=np.bool_
+        ),
         scattering=scattering_tables(materials, wavelengths_nm),
         radiance=_by_wavelength([m.radiance_w_m2_sr for m in materials], wavelengths_nm),
         media=known.table(wavelengths_nm),
@@ -259,7 +261,7 @@ def _glowing_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:
     glow = objects.radiance.max(axis=1) if len(objects.radiance) else np.zeros(0)
     for facet in np.flatnonzero(np.append(glow > 0.0, False)[objects.facets["body"]]):
         body = objects.facets["body"][facet]
-        sides = 1.0 if objects.closed[body] else 2.0
+        sides = 1.0 if objects.one_sided[body] else 2.0
         power = np.pi * glow[body] * areas[facet] * MM2 * sides
         entries.append((-1, int(facet), power, power))
     return entries

@@ -109,7 +109,7 @@ class ObjectTables(NamedTuple):
 
     facets: Records  # (m,) FACET; body: target t ≥ 0, or −1 for the housing
     uv: Array  # (m, 3, 2)
-    closed: NDArray[np.bool_]  # (targets,) a closed surface, which scatters and emits on its outside only
+    one_sided: NDArray[np.bool_]  # (targets,) scatters and emits on the side of its normals only; the other is black
     scattering: ScatteringTables
     radiance: Array  # (targets, wavelengths) W/(m² sr)
     media: Media

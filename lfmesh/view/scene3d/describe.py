@@ -120,6 +120,7 @@ def _target(world: World, number: int) -> Rows:
     material = target.material
     rows += [("reflectance", f"{material.reflectance:g}")] if material.reflectance else []
     rows += [("radiance", f"{material.radiance_w_m2_sr:g} W/(m² sr)")] if material.radiance_w_m2_sr else []
+    rows += [("sides", material.sides)] if material.sides != "both" else []
     return rows + ([("texture", material.texture)] if material.texture else [])
 
 

@@ -4,7 +4,7 @@ from lfmesh.scene.camera import Camera
 from lfmesh.scene.coatings import Coating, Layer
 from lfmesh.scene.files import load, load_lens, loads
 from lfmesh.scene.lens import Element, Lens, Surface
-from lfmesh.scene.lights import DirectionalLight, DiskLight, Light, PointLight
+from lfmesh.scene.lights import DirectionalLight, DiskLight, Light, PointLight, SpotLight
 from lfmesh.scene.mla import ArrayForm, MicrolensArray
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.scene.pose import Pose
@@ -43,6 +43,7 @@ __all__ = [
     "Sensor",
     "Shape",
     "Sphere",
+    "SpotLight",
     "Surface",
     "Target",
     "Tessellation",

@@ -42,6 +42,7 @@ HEXAGONAL_ARRAY = {
 }
 GLOWING = {"reflectance": 0.0, "radiance_w_m2_sr": 1.0, "texture": "chart.png"}
 PAINTED = {"reflectance": 0.8, "texture": "chart.png"}
+BEAM = "TILT=NONE\n1 -1 1 4 3 1 1 0 0 0 1 1 1\n0 2 4 90\n0 90 180\n9 8 3 0\n9 5 1 0\n9 7 2 1\n"
 POINT = {"kind": "point", "position_mm": [20.0, -15.0, -25.0], "power_w": 1.0}
 
 
@@ -83,6 +84,14 @@ SCENES = {
     "glow, ghosts": scene([plane(GLOWING)], split="both"),
     "glow, ghosts by chance": scene([plane(GLOWING)], split="roulette"),
     "point lamp": scene([plane(PAINTED)], [POINT], "both"),
+    # Wider than what is lit, so that it is aimed; the profile is narrower, and sends packets by its intensity.
+    "spot": scene(
+        [plane(PAINTED)],
+        [POINT | {"kind": "spot", "direction": [-21.0, 14.0, -35.0], "half_angle_deg": 6.0, "edge_deg": 3.0}],
+    ),
+    "profile": scene(
+        [plane(PAINTED)], [POINT | {"kind": "spot", "direction": [-20.0, 15.0, -35.0], "profile": "beam.ies"}]
+    ),
     "directional lamp": scene(
         [plane(PAINTED)], [{"kind": "directional", "direction": [-0.4, 0.3, -1.0], "irradiance_w_m2": 1.0}]
     ),
@@ -163,6 +172,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     levels = np.random.default_rng(5).integers(90, 256, (5, 6)).astype(np.uint8)
     levels[0, 0], levels[-1, 1] = 0, 255
     Picture.fromarray(levels).save(folder / "chart.png")
+    (folder / "beam.ies").write_text(BEAM)
     return folder
 
 

@@ -177,7 +177,7 @@ def _gather(options: Options, flow: Flow, objects: ObjectTables, packet: Any, po
         deposit(options, flow, packet.source, packet.colour, packet.weight * share * radiance)
     lit = radiance > 0.0
     if scatters:
-        lit = ask_lights(objects, flow, packet, point) or lit
+        lit = ask_lights(options, objects, flow, packet, point) or lit
         if asks_emitters(options, objects, packet.events):
             asking = put(
                 flow, EMITTERS, packet, OBJECT_FRAME, point.x, point.y, point.z, packet.dx, packet.dy, packet.dz,

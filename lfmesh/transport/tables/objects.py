@@ -23,7 +23,7 @@ from lfmesh.transport.tables.contacts import contacts
 from lfmesh.transport.tables.emitters import emitter_table, no_emitters
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.lens import curved
-from lfmesh.transport.tables.lights import MM2, light_table, power_towards
+from lfmesh.transport.tables.lights import MM2, light_tables, power_towards
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.scattering import scattering_tables
 from lfmesh.transport.tables.tables import OPAQUE, SOURCE, Interfaces, ObjectTables
@@ -175,6 +175,7 @@ def object_tables(
     by_rank[ranks[ranks > 0]] = np.flatnonzero(ranks)
     first, partners, near = contacts([target.mesh for target in targets], ranks > 0)
     _refuse_touched_coatings(scene, bodies, first)
+    lights, profiles = light_tables(scene, to_object)
     tables = ObjectTables(
         facets=facets,
         uv=uv,
@@ -198,7 +199,8 @@ def object_tables(
         texels=np.concatenate(texels) if texels else np.zeros((0, len(wavelengths_nm)), np.float32),
         target_slot=book.targets,
         lost_slot=np.append(book.lost_in_targets, LOST_OUTSIDE),
-        lights=light_table(scene.lights, to_object),
+        lights=lights,
+        profiles=profiles,
         emitters=no_emitters(),
         sources=np.zeros(0, SOURCE),
         radius=radius,

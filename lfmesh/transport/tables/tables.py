@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.lenslets import Lenslets
 from lfmesh.kernel import inlined
+from lfmesh.transport.tables.lights import Profiles
 from lfmesh.transport.tables.scattering import ScatteringTables
 
 Array = NDArray[np.float64]
@@ -130,6 +131,7 @@ class ObjectTables(NamedTuple):
     target_slot: NDArray[np.int64]  # (targets,) book slot
     lost_slot: NDArray[np.int64]  # (targets + 1,) book slot of energy lost at each target; the last: in open space
     lights: Records  # LIGHT
+    profiles: Profiles  # of lights
     emitters: Emitters
     sources: Records  # SOURCE: where the forward method starts packets
     radius: float  # mm, of a sphere about the origin that holds the targets

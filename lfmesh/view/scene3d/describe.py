@@ -126,9 +126,12 @@ def _target(world: World, number: int) -> Rows:
 
 def _light(world: World, number: int) -> Rows:
     light = world.scene.lights[number]
-    fields = light.model_dump(exclude={"kind"})
+    fields = light.model_dump(exclude={"kind"}, exclude_defaults=True)
     values = {key: value if isinstance(value, tuple) else (value,) for key, value in fields.items()}
     return [
         ("light", f"{light.kind}, lights[{number}]"),
-        *((key, " ".join(f"{part:g}" for part in value)) for key, value in values.items()),
+        *(
+            (key, " ".join(part if isinstance(part, str) else f"{part:g}" for part in value))
+            for key, value in values.items()
+        ),
     ]

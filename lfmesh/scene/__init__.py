@@ -13,7 +13,7 @@ from lfmesh.scene.report import FirstOrder, first_order
 from lfmesh.scene.scene import Scene
 from lfmesh.scene.sensor import Sensor
 from lfmesh.scene.solve import solved
-from lfmesh.scene.targets import Box, Cylinder, Disk, Material, Plane, Shape, Sphere, Target
+from lfmesh.scene.targets import Box, Cylinder, Disk, Gloss, Material, Plane, Shape, Sphere, Target
 from lfmesh.scene.transport import Tessellation, Transport
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "DiskLight",
     "Element",
     "FirstOrder",
+    "Gloss",
     "Layer",
     "Lens",
     "Light",

@@ -10,6 +10,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, Wit
 
 from lfmesh.errors import GlassError
 from lfmesh.optics.glass import find_glass
+from lfmesh.optics.metals import find_metal
 
 Number = Annotated[float, Field(strict=True)]
 Positive = Annotated[float, Field(strict=True, gt=0)]
@@ -20,6 +21,7 @@ Flag = Annotated[bool, Field(strict=True)]
 Text = Annotated[str, Field(strict=True)]
 FractionOfOne = Annotated[float, Field(strict=True, ge=0, le=1)]
 Index = Annotated[float, Field(strict=True, ge=1, le=10)]
+GlossIndex = Annotated[float, Field(strict=True, gt=1, le=10)]
 
 Vector = tuple[Number, Number, Number]
 Pair = tuple[Count, Count]
@@ -45,6 +47,14 @@ def _known_glass(name: str) -> str:
     return name
 
 
+def _known_metal(name: str) -> str:
+    try:
+        find_metal(name)
+    except GlassError as error:
+        raise ValueError(str(error).removeprefix(f"metal {name!r}: ").removeprefix(f"glass {name!r}: ")) from None
+    return name
+
+
 def _existing(path: str, info: ValidationInfo) -> str:
     """Look for a file, where it is known which folder its path starts from."""
     folder = (info.context or {}).get("folder")
@@ -63,6 +73,9 @@ Radius = Annotated[float, Field(strict=True, allow_inf_nan=True), AfterValidator
 
 GlassName = Annotated[str, Field(strict=True), AfterValidator(_known_glass)]
 """A glass of the catalogue."""
+
+MetalName = Annotated[str, Field(strict=True), AfterValidator(_known_metal)]
+"""A metal of the catalogue."""
 
 FilePath = Annotated[str, Field(strict=True), AfterValidator(_existing)]
 """A file, relative to the scene file."""

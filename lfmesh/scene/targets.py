@@ -5,8 +5,18 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from lfmesh.optics.gloss import LARGEST_ROUGHNESS, SMALLEST_ROUGHNESS
 from lfmesh.scene.model import Fault, Model
-from lfmesh.scene.quantities import FilePath, FractionOfOne, NonNegative, Positive, Text, Vector
+from lfmesh.scene.quantities import (
+    FilePath,
+    FractionOfOne,
+    GlossIndex,
+    MetalName,
+    NonNegative,
+    Positive,
+    Text,
+    Vector,
+)
 from lfmesh.scene.refractor import Refractor, Units, mesh_file_faults
 
 
@@ -69,21 +79,43 @@ class Cylinder(Model):
 Shape = Annotated[Plane | Disk | Sphere | Box | Cylinder, Field(discriminator="kind")]
 
 
+class Gloss(Model):
+    """A rough boundary that reflects as GGX facets do: of a dielectric layer over the base, or of metal."""
+
+    index: GlossIndex | None = None
+    """Refractive index of a dielectric layer, whose transmitted light reaches the base below. Or give `metal`."""
+    metal: MetalName | None = None
+    """A metal of the catalogue: a symbol like "Al", or a page like "main/Al/Rakic". No light reaches the base, so that
+    the reflectance and the texture of the material do not count."""
+    roughness: Annotated[float, Field(strict=True, ge=SMALLEST_ROUGHNESS, le=LARGEST_ROUGHNESS)]
+    """Walter's α_g, 0.01..1; a glTF roughness r is r². Smoother ones are mirrors, which a target cannot be."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        if self.index is None and self.metal is None:
+            yield Fault(("index",), None, "missing: give the index of the layer, or metal")
+        elif self.index is not None and self.metal is not None:
+            yield Fault(("metal",), self.metal, f"index = {self.index:g} is given too; give one of them")
+
+
 class Material(Model):
-    """What a target's surface does with light: Lambertian reflection and emission."""
+    """What a target's surface does with light: Lambertian reflection, with or without gloss over it, and emission."""
 
     sides: Literal["both", "front"] = "both"
     """Sides of an open sheet that reflect and emit. "front": the side from which the corners of its facets run
     counter-clockwise (of a plane or disk, its own +z side); the other is black. A closed body has its outside only."""
 
     reflectance: FractionOfOne = 0.8
-    """Share of the light that is scattered, by Lambert's law, 0..1."""
+    """Share of the light that is scattered, by Lambert's law, 0..1; under `gloss`, of what reaches the base."""
+    gloss: Gloss | None = None
+    """A boundary over the base that also reflects; omitted, the surface is matt."""
     radiance_w_m2_sr: NonNegative = 0.0
     """The surface's own emission, in W/(m² sr), the same in every direction and at every wavelength."""
     texture: FilePath | None = None
-    """A picture, relative to the scene file; its linearised values multiply the reflectance and the
-    emission. It reads correctly from outside the body: on a shape its top lies towards +y (on faces that look along
-    ±y towards ∓z), so its right towards +x on the face towards the camera; mesh files bring their own coordinates."""
+    """A picture, relative to the scene file; its linearised values multiply the reflectance (under `gloss` that of the
+    base alone) and the emission. It reads correctly from outside the body: on a shape its top lies towards +y (on faces
+    that look along ±y towards ∓z), so its right towards +x on the face towards the camera; mesh files bring their own
+    coordinates."""
 
 
 class Target(Model):

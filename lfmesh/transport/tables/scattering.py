@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.optics.gloss import gloss_parameters
+from lfmesh.optics.metals import metal_index
 from lfmesh.scene.targets import Material
 
 Array = NDArray[np.float64]
@@ -23,6 +25,7 @@ SCATTERING = np.dtype(
 )
 
 LAMBERTIAN = 0  # parameter: reflectance
+GLOSSY = 1  # parameters: see `optics.gloss`
 
 
 class ScatteringTables(NamedTuple):
@@ -45,13 +48,20 @@ def scattering_tables(materials: Sequence[Material], wavelengths_nm: tuple[float
     models = np.zeros(len(materials) + 1, SCATTERING)
     rows: list[Array] = []
     for model, material in zip(models, [*materials, Material(reflectance=1.0)], strict=True):
-        model["kind"], parameters = _model_of(material)
+        model["kind"], parameters = _model_of(material, wavelengths_nm)
         model["first"] = len(rows)
-        model["black"] = not any(parameters)
-        rows += [np.full(len(wavelengths_nm), parameter) for parameter in parameters]
+        model["black"] = not parameters.any()
+        rows += list(parameters)
     return ScatteringTables(models, np.array(rows))
 
 
-def _model_of(material: Material) -> tuple[int, list[float]]:
-    """Return the kind of a material's scattering model, and its parameters."""
-    return LAMBERTIAN, [material.reflectance]
+def _model_of(material: Material, wavelengths_nm: tuple[float, ...]) -> tuple[int, Array]:
+    """Return the kind of a material's scattering model, and its parameters, (parameters, wavelengths)."""
+    reflectance = np.full(len(wavelengths_nm), material.reflectance)
+    gloss = material.gloss
+    if gloss is None:
+        return LAMBERTIAN, reflectance[None, :]
+    index = np.full(len(wavelengths_nm), gloss.index or 1.0, dtype=np.complex128)
+    if gloss.metal is not None:
+        index[:] = [metal_index(gloss.metal, wavelength) for wavelength in wavelengths_nm]
+    return GLOSSY, gloss_parameters(reflectance, index, gloss.roughness)

@@ -120,6 +120,9 @@ def _target(world: World, number: int) -> Rows:
     material = target.material
     rows += [("reflectance", f"{material.reflectance:g}")] if material.reflectance else []
     rows += [("radiance", f"{material.radiance_w_m2_sr:g} W/(m² sr)")] if material.radiance_w_m2_sr else []
+    if material.gloss is not None:
+        boundary = material.gloss.metal or f"index {material.gloss.index:g}"
+        rows += [("gloss", f"{boundary}, roughness {material.gloss.roughness:g}")]
     rows += [("sides", material.sides)] if material.sides != "both" else []
     return rows + ([("texture", material.texture)] if material.texture else [])
 

@@ -4,9 +4,9 @@ All are strict: a number in quotes or a boolean is a slip, not a number.
 """
 
 import math
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, WithJsonSchema
+from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator, ValidationInfo, WithJsonSchema
 
 from lfmesh.errors import GlassError
 from lfmesh.optics.glass import find_glass
@@ -63,6 +63,13 @@ def _existing(path: str, info: ValidationInfo) -> str:
     return path
 
 
+def _share_or_alpha(value: Any) -> Any:
+    number = isinstance(value, float | int) and not isinstance(value, bool)
+    if value != "texture_alpha" and not (number and 0 <= value <= 1):
+        raise ValueError('must be a number from 0 to 1, or "texture_alpha"')
+    return float(value) if number else value
+
+
 def _as_list(value: Any) -> Any:
     """Let a single number stand for a list of one."""
     return value if value is None or isinstance(value, list | tuple) else [value]
@@ -76,6 +83,13 @@ GlassName = Annotated[str, Field(strict=True), AfterValidator(_known_glass)]
 
 MetalName = Annotated[str, Field(strict=True), AfterValidator(_known_metal)]
 """A metal of the catalogue."""
+
+Opacity = Annotated[
+    float | Literal["texture_alpha"],
+    PlainValidator(_share_or_alpha),
+    WithJsonSchema({"anyOf": [{"type": "number", "minimum": 0, "maximum": 1}, {"const": "texture_alpha"}]}),
+]
+"""A share from 0 to 1, or the name of where it stands."""
 
 FilePath = Annotated[str, Field(strict=True), AfterValidator(_existing)]
 """A file, relative to the scene file."""

@@ -5,7 +5,6 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from lfmesh.optics.gloss import LARGEST_ROUGHNESS, SMALLEST_ROUGHNESS
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.quantities import (
     FilePath,
@@ -13,11 +12,15 @@ from lfmesh.scene.quantities import (
     GlossIndex,
     MetalName,
     NonNegative,
+    Opacity,
     Positive,
     Text,
     Vector,
 )
 from lfmesh.scene.refractor import Refractor, Units, mesh_file_faults
+
+SMALLEST_ROUGHNESS, LARGEST_ROUGHNESS = 0.01, 1.0
+"""Of a gloss: α_g."""
 
 
 class Plane(Model):
@@ -101,6 +104,10 @@ class Gloss(Model):
 class Material(Model):
     """What a target's surface does with light: Lambertian reflection, with or without gloss over it, and emission."""
 
+    opacity: Opacity = 1.0
+    """Share of the surface that is there, 0..1: the rest lets light pass straight on. "texture_alpha": as the alpha of
+    the texture, or else of the mesh file's own pictures and colours, says. A closed body that is not opaque scatters
+    and emits on its inside, too."""
     sides: Literal["both", "front"] = "both"
     """Sides of an open sheet that reflect and emit. "front": the side from which the corners of its facets run
     counter-clockwise (of a plane or disk, its own +z side); the other is black. A closed body has its outside only."""

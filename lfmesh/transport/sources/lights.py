@@ -17,7 +17,7 @@ from lfmesh.transport.events.lighting import PLACE_U, PLACE_V, emitted
 from lfmesh.transport.packets.book import EMITTED, ESCAPED
 from lfmesh.transport.packets.packet import LAMP, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, Options, put
 from lfmesh.transport.packets.random import derived, start
-from lfmesh.transport.regions.targets import point_of, scatter, texture_at
+from lfmesh.transport.regions.targets import opacity_at, point_of, scatter, texture_at
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.tables.tables import AimTables, ObjectTables
 
@@ -142,6 +142,8 @@ def _from_facet(
     if not objects.one_sided[body] and start(key, SIDE) < 0.5:
         side = -1.0
     weight *= texture_at(objects, prim, packet.colour, x, y, z)
+    if objects.opacity[body] < 1.0:
+        weight *= opacity_at(objects, prim, x, y, z)
     flow.book[EMITTED] += weight
     packet.start = weight
     packet.weight = weight

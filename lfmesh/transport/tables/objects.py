@@ -26,7 +26,7 @@ from lfmesh.transport.tables.lens import curved
 from lfmesh.transport.tables.lights import MM2, light_tables, power_towards
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.scattering import scattering_tables
-from lfmesh.transport.tables.tables import OPAQUE, SOURCE, Interfaces, ObjectTables
+from lfmesh.transport.tables.tables import BY_ALPHA, OPAQUE, SOURCE, Interfaces, ObjectTables
 
 
 def middle_of(targets: list[TargetMesh]) -> Array:
@@ -166,6 +166,7 @@ def object_tables(
         texels.append((target.texture.reshape(-1, 3) @ weights.T).astype(np.float32))
         filled += height * width
     materials = [t.material for t in scene.targets]
+    alphas = [t.alpha.ravel() if t.alpha is not None else np.zeros(0, np.float32) for t in targets]
     radius = max((float(np.linalg.norm(m.vertices, axis=1).max()) for m in parts), default=0.0)
     glasses = [t.refractor for t in scene.targets]
     level = np.array([SURFACE_LEVEL[g.surface] if g is not None else 0 for g in glasses], dtype=np.int64)
@@ -180,7 +181,8 @@ def object_tables(
         facets=facets,
         uv=uv,
         one_sided=np.array(
-            [t.closed or m.sides == "front" for t, m in zip(targets, materials, strict=True)], dtype=np.bool_
+            [(t.closed and m.opacity == 1.0) or m.sides == "front" for t, m in zip(targets, materials, strict=True)],
+            dtype=np.bool_,
         ),
         scattering=scattering_tables(materials, wavelengths_nm),
         radiance=_by_wavelength([m.radiance_w_m2_sr for m in materials], wavelengths_nm),
@@ -197,6 +199,9 @@ def object_tables(
         across=across,
         texture=texture,
         texels=np.concatenate(texels) if texels else np.zeros((0, len(wavelengths_nm)), np.float32),
+        opacity=np.array([BY_ALPHA if isinstance(m.opacity, str) else m.opacity for m in materials]),
+        alpha_first=np.cumsum([0, *(len(alpha) for alpha in alphas)])[:-1],
+        alpha=np.concatenate([np.zeros(0, np.float32), *alphas]),
         target_slot=book.targets,
         lost_slot=np.append(book.lost_in_targets, LOST_OUTSIDE),
         lights=lights,

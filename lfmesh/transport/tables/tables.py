@@ -89,6 +89,9 @@ class SensorTables(NamedTuple):
     reflectance: float  # share of the light that is reflected; the rest is detected
 
 
+BY_ALPHA = -1.0
+"""`ObjectTables.opacity` of a target whose texture has it."""
+
 OPAQUE = -1
 """`ObjectTables.medium` of a target that is not a body of glass."""
 
@@ -128,6 +131,9 @@ class ObjectTables(NamedTuple):
     across: NDArray[np.int64]
     texture: NDArray[np.int64]  # (targets, 3): first value, height, width; height 0: none
     texels: NDArray[np.float32]  # (values, wavelengths)
+    opacity: Array  # (targets,) share of the surface that is there; BY_ALPHA: as the texture says
+    alpha_first: NDArray[np.int64]  # (targets,) first value in `alpha`
+    alpha: NDArray[np.float32]  # (values,) opacity at the texels of such targets
     target_slot: NDArray[np.int64]  # (targets,) book slot
     lost_slot: NDArray[np.int64]  # (targets + 1,) book slot of energy lost at each target; the last: in open space
     lights: Records  # LIGHT

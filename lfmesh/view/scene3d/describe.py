@@ -123,6 +123,7 @@ def _target(world: World, number: int) -> Rows:
     if material.gloss is not None:
         boundary = material.gloss.metal or f"index {material.gloss.index:g}"
         rows += [("gloss", f"{boundary}, roughness {material.gloss.roughness:g}")]
+    rows += [("opacity", str(material.opacity))] if material.opacity != 1.0 else []
     rows += [("sides", material.sides)] if material.sides != "both" else []
     return rows + ([("texture", material.texture)] if material.texture else [])
 

@@ -12,9 +12,9 @@ from scipy import stats
 
 from lfmesh.kernel import kernel
 from lfmesh.optics.fresnel import fresnel
-from lfmesh.optics.gloss import MARGIN, SMALLEST_ROUGHNESS, gloss_parameters
+from lfmesh.optics.gloss import MARGIN, gloss_parameters
 from lfmesh.optics.scattering import tangents
-from lfmesh.scene.targets import Gloss, Material
+from lfmesh.scene.targets import SMALLEST_ROUGHNESS, Gloss, Material
 from lfmesh.transport.events.scattering import Point, albedo, density, evaluate, sample
 from lfmesh.transport.tables.scattering import GLOSSY, SCATTERING, ScatteringTables, scattering_tables
 

@@ -61,7 +61,7 @@ def _tile(name: str, pieces: list[Piece]) -> tuple[Texture, list[Array]]:
     """Return the coloured picture that pieces share, unrolled, and their corners in its texels (x, y)."""
     first = pieces[0]
     if first.picture is None or first.uv is None:
-        plain = first.factor.astype(np.float32).reshape(1, 1, 3)
+        plain = first.factor.astype(np.float32).reshape(1, 1, -1)
         return plain, [np.full((len(piece.mesh.faces), 3, 2), 0.5) for piece in pieces]
     # Rows run down, v runs up.
     turned = [uv * [1.0, -1.0] + [0.0, 1.0] for uv in (piece.uv for piece in pieces) if uv is not None]

@@ -15,7 +15,7 @@ import numpy as np
 
 from lfmesh.errors import MeshError
 from lfmesh.geometry.mesh import Array, Mesh
-from lfmesh.geometry.texture import Texture, linear_light
+from lfmesh.geometry.texture import Texture, linear_light, with_alpha
 
 MM_PER_UNIT = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3, "inch": 25.4, "foot": 304.8}
 """Units of length a target may name."""
@@ -38,9 +38,9 @@ class Piece:
     uv : (m, 3, 2) float64 or None
         Place in the picture of each facet's corners; (0, 0) is its bottom left, repeats lie outside 0..1.
     picture : (h, w, 3) float32 or None
-        Base colour texture, linear light.
+        Base colour texture, linear light; (h, w, 4) with its alpha.
     factor : (3,) float64
-        Base colour, linear, that multiplies the picture.
+        Base colour, linear, that multiplies the picture; (4,) with its alpha.
     """
 
     mesh: Mesh
@@ -49,7 +49,7 @@ class Piece:
     factor: Array = field(default_factory=lambda: np.ones(3))
 
 
-def load_mesh(path: Path, units: str | None = None) -> list[Piece]:
+def load_mesh(path: Path, units: str | None = None, alpha: bool = False) -> list[Piece]:
     """Read a mesh file.
 
     Parameters
@@ -59,6 +59,8 @@ def load_mesh(path: Path, units: str | None = None) -> list[Piece]:
     units : str, optional
         Unit of length, a key of `MM_PER_UNIT`. Needed for STL, OBJ, PLY and OFF. The other formats fix their
         unit, and naming a different one is an error: a mesh is not rescaled against its own file.
+    alpha : bool
+        Read the alpha of pictures and colours, too.
 
     Returns
     -------
@@ -78,7 +80,7 @@ def load_mesh(path: Path, units: str | None = None) -> list[Piece]:
     if not path.is_file():
         found = "is a folder" if path.is_dir() else "does not exist"
         raise MeshError(f"{path}: the mesh file {found}")
-    pieces = _read(path, ending, units)
+    pieces = _read(path, ending, units, alpha)
     facets = sum(len(piece.mesh.faces) for piece in pieces)
     if facets == 0:
         raise MeshError(f"{path}: holds no facets: empty, cut short, or not a {ending[1:].upper()} file")
@@ -119,7 +121,7 @@ def _picture_name(value: str) -> str:
     return value.split()[-1] if value.startswith("-") else value
 
 
-def _read(path: Path, ending: str, units: str | None) -> list[Piece]:
+def _read(path: Path, ending: str, units: str | None, alpha: bool) -> list[Piece]:
     import trimesh
 
     unit = _agreed(path, UNIT_OF_FORMAT.get(ending), units)
@@ -130,7 +132,7 @@ def _read(path: Path, ending: str, units: str | None) -> list[Piece]:
         # By the identity of trimesh's image, so that geometries that share a picture keep sharing it.
         pictures: dict[int, Texture] = {}
         pieces = [
-            _piece(scene.geometry[name], transform, MM_PER_UNIT[unit], pictures)
+            _piece(scene.geometry[name], transform, MM_PER_UNIT[unit], pictures, alpha)
             for transform, name in (scene.graph[node] for node in scene.graph.nodes_geometry)
             if isinstance(scene.geometry[name], trimesh.Trimesh)
         ]
@@ -156,7 +158,7 @@ def _agreed(path: Path, own: str | None, units: str | None) -> str:
     return own
 
 
-def _piece(geometry: Any, transform: Array, scale: float, pictures: dict[int, Texture]) -> Piece:
+def _piece(geometry: Any, transform: Array, scale: float, pictures: dict[int, Texture], alpha: bool) -> Piece:
     """Return one geometry of trimesh's scene, transformed and in mm."""
     vertices = np.asarray(geometry.vertices, dtype=np.float64)
     faces = np.asarray(geometry.faces, dtype=np.int64)
@@ -171,7 +173,7 @@ def _piece(geometry: Any, transform: Array, scale: float, pictures: dict[int, Te
         faces = faces[:, ::-1]
         corners = corners[:, ::-1] if corners is not None else None
     at_corners = normals[faces] if normals is not None else None
-    picture, factor = _colour(getattr(geometry.visual, "material", None), pictures)
+    picture, factor = _colour(getattr(geometry.visual, "material", None), pictures, alpha)
     return Piece(Mesh(moved * scale, faces, at_corners), corners, picture, factor)
 
 
@@ -191,24 +193,27 @@ def _own_normals(geometry: Any, linear: Array) -> Array | None:
         return np.asarray(np.copysign(1.0, np.linalg.det(linear)) * normals @ cofactors.T)
 
 
-def _colour(material: Any, pictures: dict[int, Texture]) -> tuple[Texture | None, Array]:
+def _colour(material: Any, pictures: dict[int, Texture], alpha: bool) -> tuple[Texture | None, Array]:
     """Return the base colour picture and factor, both linear, of a material as trimesh holds it."""
+    channels = 4 if alpha else 3
     import trimesh
 
     if isinstance(material, trimesh.visual.material.PBRMaterial):
         image, factor = material.baseColorTexture, material.baseColorFactor
         # trimesh keeps the factor as bytes.
-        colour = np.ones(3) if factor is None else np.asarray(factor, dtype=np.float64)[:3] / 255.0
+        colour = np.ones(channels) if factor is None else np.asarray(factor, dtype=np.float64)[:channels] / 255.0
     elif isinstance(material, trimesh.visual.material.SimpleMaterial):
         # Its diffuse colour is 0.4 where the MTL gives none; what the file says stands under its own key.
         image = material.image
-        colour = np.asarray(material.kwargs.get("kd", np.ones(3)), dtype=np.float64)
+        colour = np.ones(channels)
+        colour[:3] = material.kwargs.get("kd", np.ones(3))
     else:
-        return None, np.ones(3)
+        return None, np.ones(channels)
     if image is None:
         return None, colour
     if id(image) not in pictures:
-        pictures[id(image)] = linear_light(image)
+        light = linear_light(image)
+        pictures[id(image)] = with_alpha(light, image) if alpha else light
     return pictures[id(image)], colour
 
 

@@ -30,6 +30,8 @@ class TargetMesh:
         the top left, where row 0 is. Repeats are unrolled, so a look-up need not wrap.
     texture : (h, w, 3) float32 or None
         Linear light, 0 to 1, that multiplies reflectance and radiance.
+    alpha : (h, w) float32 or None
+        Opacity on the same picture, where the material asks for it.
     closed : bool
         Watertight, outward-oriented: the target scatters and emits from its outside only; an open sheet does
         from both sides.
@@ -39,6 +41,7 @@ class TargetMesh:
     uv: Array | None
     texture: Texture | None
     closed: bool
+    alpha: Texture | None = None
 
 
 def target_mesh(target: Target, scene: Scene) -> TargetMesh:
@@ -57,23 +60,30 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
         glass = target.refractor
         body = solid_mesh(scene.resolve(glass.file), glass.units, glass.crease_deg)
         return TargetMesh(body.moved(frame(target.rotation_deg, target.position_mm)), None, None, True)
+    with_alpha = target.material.opacity == "texture_alpha"
     if target.shape is not None:
         name = str(target.shape.kind)
         pieces = [Piece(*primitive(target.shape))]
     else:
         name = str(target.file)
-        pieces = load_mesh(scene.resolve(name), target.units)
+        pieces = load_mesh(scene.resolve(name), target.units, with_alpha)
     if target.material.texture is not None:
-        picture = load_texture(scene.resolve(target.material.texture))
+        picture = load_texture(scene.resolve(target.material.texture), with_alpha)
         pieces = [_covered(piece, picture, name) for piece in pieces]
     pieces, closed = _oriented([replace(piece, mesh=welded(piece.mesh)) for piece in pieces])
     placed, texture = atlas(name, pieces)
+    alpha = None
+    if with_alpha:
+        if texture is None or texture.shape[2] < 4 or (texture[..., 3] == 1.0).all():
+            which = target.material.texture or name
+            raise MeshError(f'{which}: is opaque all over, and opacity = "texture_alpha" asks for its alpha; omit it')
+        texture, alpha = np.ascontiguousarray(texture[..., :3]), np.ascontiguousarray(texture[..., 3])
     mesh = joined(piece.mesh for piece in pieces)
     solid = facet_normals(mesh)[1] > 0.0
     if not solid.any():
         raise MeshError(f"{name}: none of its {len(solid)} facets has an area")
     mesh = Mesh(mesh.vertices, mesh.faces[solid]).moved(frame(target.rotation_deg, target.position_mm))
-    return TargetMesh(mesh, placed[solid] if placed is not None else None, texture, closed)
+    return TargetMesh(mesh, placed[solid] if placed is not None else None, texture, closed, alpha)
 
 
 def named_target(scene: Scene, number: int) -> str:
@@ -90,7 +100,7 @@ def _covered(piece: Piece, picture: Texture, name: str) -> Piece:
             f"{name}: the mesh has no texture coordinates, so its material's texture has no place on it; "
             "leave the texture out or export the mesh with UVs (OBJ, PLY, GLB)"
         )
-    return Piece(piece.mesh, piece.uv, picture)
+    return Piece(piece.mesh, piece.uv, picture, np.ones(picture.shape[2]))
 
 
 def _oriented(pieces: list[Piece]) -> tuple[list[Piece], bool]:

@@ -14,19 +14,21 @@ Texture = NDArray[np.float32]
 """(h, w, 3) linear light, 0 to 1; row 0 is the top of the picture."""
 
 
-def load_texture(path: Path) -> Texture:
+def load_texture(path: Path, alpha: bool = False) -> Texture:
     """Read a picture as linear light.
 
     Parameters
     ----------
     path : Path
         PNG, JPEG, or what else Pillow reads; grey or RGB, sRGB-coded. 16-bit grey keeps its depth, 16-bit colour is
-        read with 8. Transparency is ignored, a photograph is turned upright by its own record.
+        read with 8. A photograph is turned upright by its own record.
+    alpha : bool
+        Read its transparency too, which is ignored otherwise.
 
     Returns
     -------
     (h, w, 3) float32
-        Linear light, 0 to 1.
+        Linear light, 0 to 1; with `alpha` (h, w, 4), the last being the alpha, as it is.
 
     Raises
     ------
@@ -39,7 +41,9 @@ def load_texture(path: Path) -> Texture:
         raise FileError(f"{path}: the texture {found}; give a picture (PNG or JPEG)")
     try:
         with PIL.Image.open(path) as picture:
-            return linear_light(PIL.ImageOps.exif_transpose(picture))
+            upright = PIL.ImageOps.exif_transpose(picture)
+            light = linear_light(upright)
+            return with_alpha(light, upright) if alpha else light
     except (OSError, SyntaxError, ValueError, PIL.Image.DecompressionBombError) as error:
         unknown = isinstance(error, PIL.UnidentifiedImageError)
         reason = "not a picture" if unknown else f"a broken picture ({error})"
@@ -56,6 +60,13 @@ def linear_light(picture: PIL.Image.Image) -> Texture:
         return srgb_to_linear(np.repeat(coded[:, :, None], 3, axis=2))
     linear_of_byte = srgb_to_linear(np.arange(256) / 255.0)
     return np.take(linear_of_byte, np.asarray(picture.convert("RGB")))
+
+
+def with_alpha(light: Texture, picture: PIL.Image.Image) -> Texture:
+    """Return a picture's linear light with its alpha as a fourth channel; 1 where it has none."""
+    coded = np.asarray(picture.convert("RGBA"))[:, :, 3:]
+    opacity = coded if picture.has_transparency_data else np.full_like(coded, 255)
+    return np.concatenate([light, opacity.astype(np.float32) / np.float32(255.0)], axis=2)
 
 
 def srgb_to_linear(coded: NDArray[np.float64]) -> Texture:

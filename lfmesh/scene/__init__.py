@@ -4,7 +4,7 @@ from lfmesh.scene.camera import Camera
 from lfmesh.scene.coatings import Coating, Layer
 from lfmesh.scene.files import load, load_lens, loads
 from lfmesh.scene.lens import Element, Lens, Surface
-from lfmesh.scene.lights import DirectionalLight, DiskLight, Light, PointLight
+from lfmesh.scene.lights import DirectionalLight, DiskLight, Light, PointLight, SpotLight
 from lfmesh.scene.mla import ArrayForm, MicrolensArray
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.scene.pose import Pose
@@ -13,7 +13,7 @@ from lfmesh.scene.report import FirstOrder, first_order
 from lfmesh.scene.scene import Scene
 from lfmesh.scene.sensor import Sensor
 from lfmesh.scene.solve import solved
-from lfmesh.scene.targets import Box, Cylinder, Disk, Material, Plane, Shape, Sphere, Target
+from lfmesh.scene.targets import Box, Cylinder, Disk, Gloss, Material, Plane, Shape, Sphere, Target
 from lfmesh.scene.transport import Tessellation, Transport
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "DiskLight",
     "Element",
     "FirstOrder",
+    "Gloss",
     "Layer",
     "Lens",
     "Light",
@@ -43,6 +44,7 @@ __all__ = [
     "Sensor",
     "Shape",
     "Sphere",
+    "SpotLight",
     "Surface",
     "Target",
     "Tessellation",

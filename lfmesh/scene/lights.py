@@ -6,8 +6,10 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from lfmesh.scene.model import Fault, Model
-from lfmesh.scene.quantities import Positive, Vector
+from lfmesh.scene.quantities import FilePath, NonNegative, Number, Positive, Vector
 from lfmesh.scene.spectra import Shape
+
+HalfAngle = Annotated[float, Field(strict=True, gt=0, le=180)]
 
 
 class _Shines(Model):
@@ -18,7 +20,7 @@ class _Shines(Model):
 
 
 class PointLight(_Shines):
-    """A point that shines alike in every direction."""
+    """A point that shines alike in every direction, or by an angular profile."""
 
     kind: Literal["point"] = "point"
     """Which light this is."""
@@ -27,6 +29,16 @@ class PointLight(_Shines):
     power_w: Positive
     """Power into all directions together, in W: at each wavelength of `transport.wavelengths_nm`, or with
     bands over the whole range of wavelengths from the first band's beginning to the last one's end."""
+    profile: FilePath | None = None
+    """An IES file (LM-63, type C), relative to the scene file: the shape of the intensity over the directions, scaled
+    to `power_w`. Its vertical angles start at -y, down, its horizontal ones at +x, towards -z."""
+    rotation_deg: Vector = (0.0, 0.0, 0.0)
+    """Rotations of the profile about x, then y, then z, in degrees."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a rotation of what looks alike from all sides."""
+        if self.profile is None and any(self.rotation_deg):
+            yield Fault(("rotation_deg",), list(self.rotation_deg), "turns a profile, and none is given; omit it")
 
 
 class _Directed(_Shines):
@@ -63,4 +75,43 @@ class DiskLight(_Directed):
     bands over the whole range of wavelengths from the first band's beginning to the last one's end."""
 
 
-Light = Annotated[PointLight | DirectionalLight | DiskLight, Field(discriminator="kind")]
+class SpotLight(_Directed):
+    """A point that shines into a cone, evenly but for a soft edge, or by an angular profile."""
+
+    kind: Literal["spot"] = "spot"
+    """Which light this is."""
+    position_mm: Vector
+    """Where it stands, in mm."""
+    half_angle_deg: HalfAngle | None = None
+    """Angle between the cone's axis and its outer edge, in degrees, up to 180. Or give `profile`."""
+    edge_deg: NonNegative = 0.0
+    """Width of the soft edge inside the cone, in degrees: there the intensity falls to zero, linearly in the cosine of
+    the angle from the axis. 0 is a sharp edge."""
+    power_w: Positive
+    """Power into the cone, in W: at each wavelength of `transport.wavelengths_nm`, or with bands over the whole range
+    of wavelengths from the first band's beginning to the last one's end."""
+    profile: FilePath | None = None
+    """An IES file (LM-63, type C), relative to the scene file: the shape of the intensity over the directions, scaled
+    to `power_w`. Its vertical angles start at `direction`, its horizontal ones at the side of +x (+y where `direction`
+    is along x), counter-clockwise as seen against `direction`'s arrow, from behind the lamp."""
+    turn_deg: Number = 0.0
+    """Turn of the profile about `direction`, counter-clockwise as seen from behind the lamp, in degrees."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a cone that is missing, or given twice, or softer than it is wide."""
+        yield from super().faults()
+        if self.profile is None:
+            if self.half_angle_deg is None:
+                yield Fault(("half_angle_deg",), None, "missing: give the half angle of the cone, or profile")
+            elif self.edge_deg > self.half_angle_deg:
+                yield Fault(("edge_deg",), self.edge_deg, f"must be at most half_angle_deg = {self.half_angle_deg:g}")
+            if self.turn_deg:
+                yield Fault(("turn_deg",), self.turn_deg, "turns a profile, and none is given; omit it")
+        else:
+            if self.half_angle_deg is not None:
+                yield Fault(("half_angle_deg",), self.half_angle_deg, "a profile is given too; give one of them")
+            if self.edge_deg:
+                yield Fault(("edge_deg",), self.edge_deg, "softens a cone, and a profile is given; omit it")
+
+
+Light = Annotated[PointLight | DirectionalLight | DiskLight | SpotLight, Field(discriminator="kind")]

@@ -11,6 +11,7 @@ from pydantic import Field, PrivateAttr
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.optics.glass import complex_index, refractive_index
+from lfmesh.optics.metals import metal_index
 from lfmesh.scene.bands import Passband, passband, preset
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.coatings import Coating, name_fault, unknown_fault
@@ -304,6 +305,14 @@ class Scene(Model):
                 media.append((("targets", i, "refractor", "glass"), target.refractor.medium))
         if self.camera.mla is not None:
             media.append((("camera", "mla", "glass"), self.camera.mla.medium))
+        for i, target in enumerate(self.targets):
+            gloss = target.material.gloss
+            for wavelength in self.transport.wavelengths_nm if gloss is not None and gloss.metal is not None else ():
+                try:
+                    metal_index(gloss.metal or "" if gloss is not None else "", wavelength)
+                except GlassError as error:
+                    yield Fault(("targets", i, "material", "gloss", "metal"), None, str(error))
+                    break
         for where, medium in media:
             for wavelength in self._checked_nm():
                 try:

@@ -6,10 +6,13 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from lfmesh.scene.model import Fault, Model
-from lfmesh.scene.quantities import FilePath, Positive, Text, Vector
+from lfmesh.scene.quantities import FilePath, GlossIndex, MetalName, Opacity, Positive, Text, Vector
 from lfmesh.scene.refractor import Refractor, Units, mesh_file_faults
 from lfmesh.scene.spectra import Kelvin, Radiance, Reflectance, Spectrum, reflectance_fault
 from lfmesh.scene.spectra import Shape as SpectralShape
+
+SMALLEST_ROUGHNESS, LARGEST_ROUGHNESS = 0.01, 1.0
+"""Of a gloss: α_g."""
 
 
 class Plane(Model):
@@ -71,12 +74,41 @@ class Cylinder(Model):
 Shape = Annotated[Plane | Disk | Sphere | Box | Cylinder, Field(discriminator="kind")]
 
 
+class Gloss(Model):
+    """A rough boundary that reflects as GGX facets do: of a dielectric layer over the base, or of metal."""
+
+    index: GlossIndex | None = None
+    """Refractive index of a dielectric layer, whose transmitted light reaches the base below. Or give `metal`."""
+    metal: MetalName | None = None
+    """A metal of the catalogue: a symbol like "Al", or a page like "main/Al/Rakic". No light reaches the base, so that
+    the reflectance and the texture of the material do not count."""
+    roughness: Annotated[float, Field(strict=True, ge=SMALLEST_ROUGHNESS, le=LARGEST_ROUGHNESS)]
+    """Walter's α_g, 0.01..1; a glTF roughness r is r². Smoother ones are mirrors, which a target cannot be."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        if self.index is None and self.metal is None:
+            yield Fault(("index",), None, "missing: give the index of the layer, or metal")
+        elif self.index is not None and self.metal is not None:
+            yield Fault(("metal",), self.metal, f"index = {self.index:g} is given too; give one of them")
+
+
 class Material(Model):
-    """What a target's surface does with light: Lambertian reflection and emission."""
+    """What a target's surface does with light: Lambertian reflection, with or without gloss over it, and emission."""
+
+    opacity: Opacity = 1.0
+    """Share of the surface that is there, 0..1: the rest lets light pass straight on. "texture_alpha": as the alpha of
+    the texture, or else of the mesh file's own pictures and colours, says. A closed body that is not opaque scatters
+    and emits on its inside, too."""
+    sides: Literal["both", "front"] = "both"
+    """Sides of an open sheet that reflect and emit. "front": the side from which the corners of its facets run
+    counter-clockwise (of a plane or disk, its own +z side); the other is black. A closed body has its outside only."""
 
     reflectance: Reflectance = 0.8
-    """Share of the light that is scattered, by Lambert's law, 0..1: a number, a table
-    { wavelengths_nm = [...], values = [...] } or a CSV file with the columns wavelength_nm and value."""
+    """Share of the light that is scattered, by Lambert's law, 0..1; under `gloss`, of what reaches the base. A number,
+    a table { wavelengths_nm = [...], values = [...] } or a CSV file with the columns wavelength_nm and value."""
+    gloss: Gloss | None = None
+    """A boundary over the base that also reflects; omitted, the surface is matt."""
     radiance_w_m2_sr: Radiance = 0.0
     """The surface's own emission, the same in every direction. A number, in W/(m² sr), at each wavelength of
     `transport.wavelengths_nm`; with bands it is the radiance over the whole range of wavelengths from the first band's
@@ -89,9 +121,10 @@ class Material(Model):
     """Temperature, in K, in place of a radiance: the surface emits by Planck's law with the emissivity
     1 - reflectance. Needs bands."""
     texture: FilePath | None = None
-    """A picture, relative to the scene file; its linearised values multiply the reflectance and the
-    emission. It reads correctly from outside the body: on a shape its top lies towards +y (on faces that look along
-    ±y towards ∓z), so its right towards +x on the face towards the camera; mesh files bring their own coordinates."""
+    """A picture, relative to the scene file; its linearised values multiply the reflectance (under `gloss` that of the
+    base alone) and the emission. It reads correctly from outside the body: on a shape its top lies towards +y (on faces
+    that look along ±y towards ∓z), so its right towards +x on the face towards the camera; mesh files bring their own
+    coordinates."""
 
     @property
     def emits(self) -> bool:

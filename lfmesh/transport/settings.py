@@ -37,7 +37,8 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
         tracing=tracing,
         record=record,
         # Light may go from target to target, unless there is only a single flat sheet.
-        bounce=not tracing and (len(tables.objects.closed) > 1 or bool((tables.objects.facets["body"] >= 0).sum() > 2)),
+        bounce=not tracing
+        and (len(tables.objects.one_sided) > 1 or bool((tables.objects.facets["body"] >= 0).sum() > 2)),
         aimed=True,
         sequential=not tracing and engine_of(world.scene)[0] == "sequential",
         paths=EVERY,

@@ -87,6 +87,24 @@ SAID_BY_THE_SCENE = {
     "unknown key": ("samples = 2", "samples = 2\nsample = 2", "unknown key (did you mean 'samples'?)"),
     "nan": ("focus_mm = 500.0", "focus_mm = nan", "camera.focus_mm = nan"),
     "infinite": ("power_w = 1.0", "power_w = inf", "lights[0].power_w = inf"),
+    "spot without a cone": ('kind = "point"', 'kind = "spot"\ndirection = [0, 0, -1]', "half_angle_deg: missing"),
+    "gloss of two kinds": (
+        "[targets.material]",
+        '[targets.material]\ngloss = { index = 1.5, metal = "Al", roughness = 0.1 }',
+        "gloss.metal",
+    ),
+    "gloss as smooth as a mirror": (
+        "[targets.material]",
+        "[targets.material]\ngloss = { index = 1.5, roughness = 0.001 }",
+        "gloss.roughness = 0.001: must be 0.01 or more",
+    ),
+    "unknown metal": (
+        "[targets.material]",
+        '[targets.material]\ngloss = { metal = "Unobtainium", roughness = 0.1 }',
+        "metals are named by their symbols",
+    ),
+    "opacity above one": ("[targets.material]", "[targets.material]\nopacity = 1.5", "material.opacity"),
+    "unknown opacity": ("[targets.material]", '[targets.material]\nopacity = "alpha"', "material.opacity"),
     "negative thickness": ("thickness_mm = 4.0", "thickness_mm = -4.0", "camera.lens.surfaces[1].thickness_mm = -4"),
     "crossing surfaces": ("thickness_mm = 4.0", "thickness_mm = 0.1", "cross"),
     "unknown glass": ("index = 1.5, semi", 'glass = "SCHOTT/N-BK77", semi', "N-BK77"),
@@ -170,6 +188,16 @@ SAID_BY_THE_FILES = {
     "garbage GLB": (fill("part.glb", GARBAGE), GLB, "part.glb: broken"),
     "texture that is no picture": (fill("chart.png", b"no picture"), None, "chart.png: not a picture"),
     "truncated texture": (cut("chart.png", 0.5), None, "chart.png: "),
+    "profile that is none": (
+        fill("lamp.ies", GARBAGE),
+        ('kind = "point"', 'kind = "point"\nprofile = "lamp.ies"'),
+        "lamp.ies: has no line that begins with TILT=",
+    ),
+    "profile cut short": (
+        fill("lamp.ies", b"TILT=NONE\n1 -1 1 2 1 1 2 0 0 0\n1 1 40\n0 180\n0\n7\n"),
+        ('kind = "point"', 'kind = "point"\nprofile = "lamp.ies"'),
+        "lamp.ies: cut short",
+    ),
     "coating's table that is none": (
         fill("r.csv", GARBAGE),
         ("[camera.sensor]", 'flat_coating = "ar"\n[coatings.ar]\ntable = "r.csv"\n[camera.sensor]'),

@@ -349,3 +349,33 @@ def test_a_texture_that_is_no_picture_is_an_error(folder):
     (folder.path / "words.png").write_text("no picture")
     with pytest.raises(FileError, match=r"words\.png: not a picture"):
         folder.mesh(shape=SHAPES["plane"], material={"texture": "words.png"})
+
+
+def test_alpha_is_that_of_the_texture(folder):
+    picture = np.random.default_rng(7).integers(0, 256, (3, 5, 4)).astype(np.uint8)
+    PIL.Image.fromarray(picture).save(folder.path / "leaf.png")
+    target = folder.mesh(shape=SHAPES["plane"], material={"texture": "leaf.png", "opacity": "texture_alpha"})
+    np.testing.assert_allclose(target.alpha, picture[:, :, 3] / 255.0, rtol=1e-6)
+    plain = folder.mesh(shape=SHAPES["plane"], material={"texture": "leaf.png"})
+    assert plain.alpha is None
+    np.testing.assert_array_equal(plain.texture, target.texture)
+
+
+def test_alpha_of_a_mesh_file_is_its_pictures_times_its_colours(folder):
+    picture = np.random.default_rng(7).integers(0, 256, (3, 5, 4)).astype(np.uint8)
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=PIL.Image.fromarray(picture), baseColorFactor=[255, 255, 255, 51], alphaMode="BLEND"
+    )
+    uv = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    trimesh.Trimesh(np.eye(3), [[0, 1, 2]], visual=visual, process=False).export(folder.path / "leaf.glb")
+    target = folder.mesh(file="leaf.glb", material={"opacity": "texture_alpha"})
+    np.testing.assert_allclose(target.alpha, picture[:, :, 3] / 255.0 * 0.2, rtol=1e-6)
+    assert folder.mesh(file="leaf.glb").alpha is None
+
+
+def test_alpha_is_asked_of_no_opaque_picture(folder):
+    for values in ({"shape": SHAPES["plane"]}, {"shape": SHAPES["plane"], "material": {"texture": "chart.png"}}):
+        material = values.pop("material", {}) | {"opacity": "texture_alpha"}
+        with pytest.raises(MeshError, match="is opaque all over"):
+            folder.mesh(**values, material=material)

@@ -42,7 +42,10 @@ HEXAGONAL_ARRAY = {
 }
 GLOWING = {"reflectance": 0.0, "radiance_w_m2_sr": 1.0, "texture": "chart.png"}
 PAINTED = {"reflectance": 0.8, "texture": "chart.png"}
+BEAM = "TILT=NONE\n1 -1 1 4 3 1 1 0 0 0 1 1 1\n0 2 4 90\n0 90 180\n9 8 3 0\n9 5 1 0\n9 7 2 1\n"
 POINT = {"kind": "point", "position_mm": [20.0, -15.0, -25.0], "power_w": 1.0}
+DISK = {"kind": "disk", "position_mm": [15.0, 5.0, -40.0], "direction": [-1.0, 0.0, -1.0], "radius_mm": 4.0,
+        "power_w": 1.0}  # fmt: skip
 
 
 def plane(material: dict[str, Any]) -> dict[str, Any]:
@@ -59,6 +62,12 @@ def scene(targets: list[Any], lights: list[Any] | None = None, split: str = "tra
         lights=lights or [],
         transport={"split": split, "threads": 1},
     )
+
+
+def wall(material: dict[str, Any]) -> dict[str, Any]:
+    """A sheet beside the plane, square to it."""
+    return {"shape": {"kind": "plane", "width_mm": 8.0, "height_mm": 8.0}, "position_mm": [3.2, 0, -56.0],
+            "rotation_deg": [0.0, 90.0, 0.0], "material": material}  # fmt: skip
 
 
 def posed(part: dict[str, Any], **pose: Any) -> dict[str, Any]:
@@ -79,9 +88,46 @@ def coated(scene: lf.Scene, curved: str, flat: str) -> lf.Scene:
 
 SCENES = {
     "glow": scene([plane(GLOWING)]),
+    "glow of one side": scene([plane(GLOWING | {"sides": "front"})]),
     "glow, ghosts": scene([plane(GLOWING)], split="both"),
     "glow, ghosts by chance": scene([plane(GLOWING)], split="roulette"),
     "point lamp": scene([plane(PAINTED)], [POINT], "both"),
+    # Wider than what is lit, so that it is aimed; the profile is narrower, and sends packets by its intensity.
+    "spot": scene(
+        [plane(PAINTED)],
+        [POINT | {"kind": "spot", "direction": [-21.0, 14.0, -35.0], "half_angle_deg": 6.0, "edge_deg": 3.0}],
+    ),
+    "profile": scene(
+        [plane(PAINTED)], [POINT | {"kind": "spot", "direction": [-20.0, 15.0, -35.0], "profile": "beam.ies"}]
+    ),
+    "lacquer": scene(
+        [plane(PAINTED | {"gloss": {"index": 1.5, "roughness": 0.3}})],
+        [POINT | {"position_mm": [8.0, -6.0, -25.0]}],
+        "both",
+    ),
+    "metal under a disk lamp": scene([plane({"gloss": {"metal": "Al", "roughness": 0.25}})], [DISK]),
+    "glossy targets that light each other": scene(
+        [
+            plane(PAINTED | {"gloss": {"index": 2.0, "roughness": 0.4}}),
+            wall({"gloss": {"metal": "Cu", "roughness": 0.3}, "radiance_w_m2_sr": 1.0}),
+        ],
+    ),
+    # The sheet's holes show the plane behind it, and let the lamp's light through to it and back.
+    "a sheet with holes": scene(
+        [
+            plane(PAINTED),
+            plane({"texture": "holes.png", "opacity": "texture_alpha"}) | {"position_mm": [0.0, 0.0, -58.0]},
+        ],
+        [POINT],
+        "both",
+    ),
+    "sheer glowing sheets": scene(
+        [
+            plane(GLOWING | {"reflectance": 0.8, "opacity": 0.4}) | {"position_mm": [0.5, 0.0, -57.0]},
+            plane(PAINTED),
+            wall({"reflectance": 0.7, "radiance_w_m2_sr": 1.0, "opacity": 0.6}),
+        ],
+    ),
     "directional lamp": scene(
         [plane(PAINTED)], [{"kind": "directional", "direction": [-0.4, 0.3, -1.0], "irradiance_w_m2": 1.0}]
     ),
@@ -90,26 +136,13 @@ SCENES = {
     ),
     "disk lamp": scene(
         [plane(PAINTED)],
-        [
-            {
-                "kind": "disk",
-                "position_mm": [15.0, 5.0, -40.0],
-                "direction": [-1.0, 0.0, -1.0],
-                "radius_mm": 4.0,
-                "power_w": 1.0,
-            }
-        ],
+        [DISK],
     ),
     # The plane shows only what the glowing wall beside it and the paint of both throw to and fro.
     "targets that light each other": scene(
         [
             plane(PAINTED),
-            {
-                "shape": {"kind": "plane", "width_mm": 8.0, "height_mm": 8.0},
-                "position_mm": [3.2, 0, -56.0],
-                "rotation_deg": [0.0, 90.0, 0.0],
-                "material": {"reflectance": 0.7, "radiance_w_m2_sr": 1.0},
-            },
+            wall({"reflectance": 0.7, "radiance_w_m2_sr": 1.0}),
         ],
         split="both",
     ),
@@ -162,6 +195,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     levels = np.random.default_rng(5).integers(90, 256, (5, 6)).astype(np.uint8)
     levels[0, 0], levels[-1, 1] = 0, 255
     Picture.fromarray(levels).save(folder / "chart.png")
+    holes = np.random.default_rng(6).integers(0, 256, (5, 6, 4)).astype(np.uint8)
+    Picture.fromarray(holes).save(folder / "holes.png")
+    (folder / "beam.ies").write_text(BEAM)
     return folder
 
 

@@ -193,10 +193,37 @@ def test_disk_lamp_is_a_lambertian_disk(aside: float) -> None:
     assert_means(found[:, None], np.array([expected]), 1e-4)
 
 
-def test_light_of_a_glowing_rectangle_arrives_by_its_form_factor() -> None:
-    """E = π L F: one bounce from target to target."""
+@pytest.mark.parametrize("method", ["adjoint", "forward"])
+def test_the_other_side_of_a_one_sided_sheet_is_black(method: str) -> None:
+    """A patch that emits and reflects, and a glowing wall above it: what turns its back shows and gives no light."""
     wall = {"shape": {"kind": "plane", "width_mm": 30.0, "height_mm": 40.0}, "position_mm": [25.0, 5.0, -45.0],
             "material": {"reflectance": 0.0, "radiance_w_m2_sr": 7.0}}  # fmt: skip
+    lamp = {"kind": "point", "position_mm": [10.0, 0.0, -30.0], "power_w": 2.0}
+    settings = {"transport.method": method, "transport.samples": 64 if method == "adjoint" else 4000}
+
+    def power(scene: lf.Scene, **changes: Any) -> float:
+        return float(lf.render(scene.changed(settings | changes)).mean.sum())
+
+    front, turned = "targets[0].material.sides", "targets[0].rotation_deg"
+    for lit in (patch([], radiance=1.0), patch([lamp])):
+        if method == "adjoint" or lit.lights:
+            # Forward, packets of what emits on both sides draw their side, so that the image differs by chance.
+            assert power(lit, **{front: "front"}) == power(lit) > 0.0
+        assert power(lit, **{front: "front", turned: [0.0, 180.0, 0.0]}) == 0.0
+        assert power(lit, **{turned: [0.0, 180.0, 0.0]}) > 0.0
+    glowing, front, turned = patch([], [wall]), "targets[1].material.sides", "targets[1].rotation_deg"
+    assert power(glowing, **{front: "front"}) == 0.0
+    if method == "adjoint":
+        # Forward, hardly a packet of the wall meets the patch.
+        assert power(glowing, **{front: "front", turned: [0.0, 180.0, 0.0]}) > 0.0
+
+
+@pytest.mark.parametrize("sides", ["both", "front"])
+def test_light_of_a_glowing_rectangle_arrives_by_its_form_factor(sides: str) -> None:
+    """E = π L F: one bounce from target to target."""
+    wall = {"shape": {"kind": "plane", "width_mm": 30.0, "height_mm": 40.0}, "position_mm": [25.0, 5.0, -45.0],
+            "rotation_deg": [180.0, 0.0, 0.0],
+            "material": {"reflectance": 0.0, "radiance_w_m2_sr": 7.0, "sides": sides}}  # fmt: skip
     expected = np.pi * 7.0 * rectangle_factor(15.0, 10.0, 40.0, -15.0, 25.0)
     found = irradiances(patch([], [wall]), 32)
     assert stats.sem(found) < 0.015 * expected
@@ -268,3 +295,56 @@ def test_a_furnace_shows_no_walls(reflectance: float) -> None:
     lack = 0.002 * reflectance / (1.0 - reflectance)
     assert stats.sem(ratio) < 0.01
     assert_means(ratio[:, None], np.array([1.0 - 0.5 * lack]), 0.5 * lack)
+
+
+GLOSSES = {
+    "smoothest": {"index": 1.5, "roughness": 0.01},
+    "dense": {"index": 4.0, "roughness": 0.1},
+    "rough": {"index": 1.5, "roughness": 1.0},
+}
+
+
+@pytest.mark.parametrize("gloss", GLOSSES.values(), ids=GLOSSES)
+def test_a_furnace_shows_no_glossy_white_sphere(gloss: dict[str, float]) -> None:
+    """In a box whose black walls have one radiance, a sphere that scatters all light has that radiance, too.
+
+    But for the hole, which the sphere's nearest points see under a form factor of 9 / (π 14²) = 1.5 %, all others
+    under less; a path meets the sphere once. Roughly half of the image is sphere.
+    """
+    empty = furnace(0.0, 1.0)
+    ball = {"shape": {"kind": "sphere", "radius_mm": 6.0}, "position_mm": [0.0, 0.0, -20.5],
+            "material": {"reflectance": 1.0, "gloss": gloss}}  # fmt: skip
+    held = lf.Scene(**(empty.model_dump() | {"targets": [*empty.model_dump()["targets"], ball]}))
+    with_ball, without = (
+        np.array([image.mean.sum() for image in by_seed(scene, range(24))]) for scene in (held, empty)
+    )
+    ratio = with_ball / without
+    assert stats.sem(ratio) < 0.005
+    assert_means(ratio[:, None], np.array([1.0 - 0.005]), 0.005)
+
+
+def test_a_sheer_sheet_lets_pass_what_it_does_not_cover() -> None:
+    """A black sheet of opacity 0.3 before a glowing patch leaves 0.7 of it; three of them leave 0.343."""
+
+    def veil(z_mm: float) -> dict[str, Any]:
+        return {"shape": {"kind": "plane", "width_mm": 30.0, "height_mm": 30.0}, "position_mm": [0.0, 0.0, z_mm],
+                "material": {"reflectance": 0.0, "opacity": 0.3}}  # fmt: skip
+
+    bare, one, three = (
+        np.array([image.mean.sum() for image in by_seed(patch([], veils, radiance=1.0), range(32))])
+        for veils in ([], [veil(-30.0)], [veil(-30.0), veil(-59.9999), veil(-29.0)])
+    )
+    found = np.column_stack([one, three]) / bare[:, None]
+    assert (stats.sem(found, axis=0) < 0.01).all()
+    assert_means(found, np.array([0.7, 0.343]), 1e-6)
+
+
+def test_a_sheer_sheet_dims_a_lamp_behind_it() -> None:
+    """A sheet of opacity 0.6 between lamp and patch, beside the camera's view."""
+    lamp = {"kind": "point", "position_mm": [20.0, 0.0, -30.0], "power_w": 2.0}
+    veil = {"shape": {"kind": "plane", "width_mm": 8.0, "height_mm": 8.0}, "position_mm": [10.0, 0.0, -45.0],
+            "rotation_deg": [0.0, 40.0, 0.0], "material": {"reflectance": 0.0, "opacity": 0.6}}  # fmt: skip
+    free, dimmed = irradiances(patch([lamp]), 32), irradiances(patch([lamp], [veil]), 32)
+    found = dimmed / free
+    assert stats.sem(found) < 0.01
+    assert_means(found[:, None], np.array([0.4]), 1e-6)

@@ -55,7 +55,7 @@ EDGE = 2.0**-36
 # Dimensions of an event's random numbers.
 CHOOSE, KEEP_REFLECTED, KEEP_REFRACTED, KEEP_BOUNCE = 0, 1, 2, 3
 BOUNCE_U, BOUNCE_V, AIM_DISK, AIM_U, AIM_V, LIGHT_U, LIGHT_V, KEEP_REACHED = 4, 5, 6, 7, 8, 9, 10, 11
-EMITTER_U, EMITTER_V = 12, 13
+EMITTER_U, EMITTER_V, PASS = 12, 13, 14
 
 Array = NDArray[np.float64]
 

@@ -1,6 +1,7 @@
 """Lights in both methods: their irradiance at a point (adjoint), and the rays that they emit (forward).
 
-Only this module depends on the kind of a light: `illuminate` and `emitted` have a branch for each.
+Only this module depends on the kind of a light: `illuminate` and `emitted` have a branch for each, and so have
+`intensity` and `_drawn_by_intensity` for what shines from a point.
 """
 
 from typing import Any
@@ -9,26 +10,30 @@ import numpy as np
 
 from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.scattering import about, tangents
-from lfmesh.transport.events.crossing import LIGHT_U, LIGHT_V, clear_of
+from lfmesh.transport.events.crossing import LIGHT_U, clear_of, draw_two
 from lfmesh.transport.events.scattering import Point, evaluate
-from lfmesh.transport.packets.packet import OBJECT_FRAME, OBJECTS, SHADOW, Flow, put
-from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, start, uniform
-from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, MM2
+from lfmesh.transport.packets.packet import OBJECT_FRAME, OBJECTS, SHADOW, Flow, Options, put
+from lfmesh.transport.packets.random import start
+from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, MM2, POINT, SPOT, Profiles
 from lfmesh.transport.tables.tables import ObjectTables
 
 LIGHT_DIMENSIONS = 1 << 12
 """Distance between the dimensions of one light's random numbers and the next one's."""
+
+MOST_STEPS = 64
+"""Of Newton's method, or of halving, after which an angle is known to its last digits."""
 
 # Dimensions of the numbers that a light's packet starts from; dimension 0 chooses the light.
 PLACE_U, PLACE_V, WAY_U, WAY_V = 1, 2, 3, 4
 
 
 @inlined
-def ask_lights(objects: ObjectTables, flow: Flow, packet: Any, point: Point) -> bool:
+def ask_lights(options: Options, objects: ObjectTables, flow: Flow, packet: Any, point: Point) -> bool:
     """Send a shadow packet to every light that can reach a point (next-event estimation); tell whether there is any.
 
     Parameters
     ----------
+    options : Options
     objects : ObjectTables
     flow : Flow
     packet : PACKET
@@ -41,8 +46,11 @@ def ask_lights(objects: ObjectTables, flow: Flow, packet: Any, point: Point) -> 
     colour, ix, iy, iz = packet.colour, packet.dx, packet.dy, packet.dz
     any_light = False
     for number in range(len(objects.lights)):
-        dimension = packet.events * DIMENSIONS_PER_EVENT + LIGHT_U + LIGHT_DIMENSIONS * number
-        ux, uy, uz, reach, irradiance = illuminate(objects.lights[number], x, y, z, packet.key, dimension)
+        light = objects.lights[number]
+        u, v = 0.0, 0.0
+        if light.kind == DISK:
+            u, v = draw_two(options, packet, LIGHT_U + LIGHT_DIMENSIONS * number)
+        ux, uy, uz, reach, irradiance = illuminate(objects.profiles, light, x, y, z, u, v)
         irradiance *= objects.light_spectra[number, colour]
         cos_surface = point.nx * ux + point.ny * uy + point.nz * uz
         if cos_surface <= 0.0 or irradiance <= 0.0:
@@ -61,18 +69,18 @@ def ask_lights(objects: ObjectTables, flow: Flow, packet: Any, point: Point) -> 
 
 @inlined
 def illuminate(
-    light: Any, x: float, y: float, z: float, key: np.uint64, dimension: int
+    profiles: Profiles, light: Any, x: float, y: float, z: float, u: float, v: float
 ) -> tuple[float, float, float, float, float]:
     """Return direction, distance and irradiance of a light at a point, from a random point of the light.
 
     Parameters
     ----------
+    profiles : Profiles
     light : LIGHT
     x, y, z : float
         The point, mm, object frame.
-    key : uint64
-    dimension : int
-        Key and first dimension of the random numbers.
+    u, v : float
+        Random numbers, uniform in [0, 1), of a light that has a size.
 
     Returns
     -------
@@ -88,8 +96,8 @@ def illuminate(
         return -ax, -ay, -az, np.inf, light.power
     lx, ly, lz = light.position[0], light.position[1], light.position[2]
     if light.kind == DISK:
-        r = light.radius * np.sqrt(uniform(key, dimension))
-        phi = 2.0 * np.pi * uniform(key, dimension + LIGHT_V - LIGHT_U)
+        r = light.radius * np.sqrt(u)
+        phi = 2.0 * np.pi * v
         px, py, pz, qx, qy, qz = tangents(ax, ay, az)
         a, b = r * np.cos(phi), r * np.sin(phi)
         lx, ly, lz = lx + a * px + b * qx, ly + a * py + b * qy, lz + a * pz + b * qz
@@ -101,8 +109,55 @@ def illuminate(
         cos_light = -(ux * ax + uy * ay + uz * az)
         irradiance = max(0.0, cos_light) * light.power / (np.pi * MM2 * distance2)
     else:
-        irradiance = light.power / (4.0 * np.pi * MM2 * distance2)
+        irradiance = intensity(profiles, light, -ux, -uy, -uz) / (MM2 * distance2)
     return ux, uy, uz, reach, irradiance
+
+
+@inlined
+def intensity(profiles: Profiles, light: Any, dx: float, dy: float, dz: float) -> float:
+    """Return the radiant intensity of a light that shines from a point, W/sr.
+
+    Parameters
+    ----------
+    profiles : Profiles
+    light : LIGHT
+    dx, dy, dz : float
+        Unit direction of the light.
+    """
+    if light.kind == POINT:
+        return light.peak
+    if light.kind == SPOT:
+        ex, ey, ez = dx - light.direction[0], dy - light.direction[1], dz - light.direction[2]
+        # 1 − cos of the angle from the axis.
+        height = 0.5 * (ex * ex + ey * ey + ez * ez)
+        if height <= light.inner:
+            return light.peak
+        return light.peak * (light.outer - height) / (light.outer - light.inner) if height < light.outer else 0.0
+    return light.power * _profile_at(profiles, light, dx, dy, dz)
+
+
+@kernel
+def _profile_at(profiles: Profiles, light: Any, dx: float, dy: float, dz: float) -> float:
+    """Return the intensity of a profiled light over its power, 1/sr."""
+    axis, across = light.direction, light.across
+    x = across[0, 0] * dx + across[0, 1] * dy + across[0, 2] * dz
+    y = across[1, 0] * dx + across[1, 1] * dy + across[1, 2] * dz
+    z = axis[0] * dx + axis[1] * dy + axis[2] * dz
+    theta, phi = np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)
+    row = profiles.rows[light.profile]
+    vertical = profiles.angles[row[0] : row[0] + row[1]]
+    horizontal = profiles.angles[row[2] : row[2] + row[3]]
+    if theta < vertical[0] or theta > vertical[-1]:
+        return 0.0
+    phi = horizontal[0] + (phi - horizontal[0]) % (2.0 * np.pi)
+    i = min(max(int(np.searchsorted(vertical, theta, side="right")) - 1, 0), row[1] - 2)
+    j = min(max(int(np.searchsorted(horizontal, phi, side="right")) - 1, 0), row[3] - 2)
+    s = (theta - vertical[i]) / (vertical[i + 1] - vertical[i])
+    t = min((phi - horizontal[j]) / (horizontal[j + 1] - horizontal[j]), 1.0)
+    first = row[4] + j * row[1] + i
+    low = (1.0 - s) * profiles.intensity[first] + s * profiles.intensity[first + 1]
+    first += row[1]
+    return (1.0 - t) * low + t * ((1.0 - s) * profiles.intensity[first] + s * profiles.intensity[first + 1])
 
 
 @kernel
@@ -110,6 +165,8 @@ def emitted(
     objects: ObjectTables, light: Any, key: np.uint64
 ) -> tuple[float, float, float, float, float, float, float]:
     """Return a random ray of a light towards the sphere that is aimed at, around the targets or around glass only.
+
+    A light of a narrow cone or profile is not aimed: its rays follow its intensity, wherever that sends them.
 
     Parameters
     ----------
@@ -123,15 +180,22 @@ def emitted(
     x, y, z, dx, dy, dz : float
         Start, mm, object frame, and unit direction.
     share : float
-        Share of the packet's power that goes towards the sphere: the cone's share of all directions, weighted by
-        Lambert's law for a disk.
+        Share of the packet's power that goes this way: the density of the light's rays over that with which the ray
+        was drawn.
     """
     ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
     x, y, z = light.position[0], light.position[1], light.position[2]
     radius = objects.lit_radius
     mx, my, mz = objects.lit_middle[0], objects.lit_middle[1], objects.lit_middle[2]
     if light.kind != DISK and light.kind != DIRECTIONAL:
+        if light.kind != POINT and light.power <= light.peak * 4.0 * np.pi * _cone_share(
+            x - mx, y - my, z - mz, radius
+        ):
+            dx, dy, dz = _drawn_by_intensity(objects.profiles, light, start(key, WAY_U), start(key, WAY_V))
+            return x, y, z, dx, dy, dz, 1.0
         dx, dy, dz, share = _into_cone(x - mx, y - my, z - mz, radius, key)
+        if light.kind != POINT:
+            share *= 4.0 * np.pi * intensity(objects.profiles, light, dx, dy, dz) / light.power
         return x, y, z, dx, dy, dz, share
     r = (radius if light.kind == DIRECTIONAL else light.radius) * np.sqrt(start(key, PLACE_U))
     phi = 2.0 * np.pi * start(key, PLACE_V)
@@ -149,6 +213,105 @@ def emitted(
 
 
 @kernel
+def _drawn_by_intensity(profiles: Profiles, light: Any, u: float, v: float) -> tuple[float, float, float]:
+    """Return a random direction of a spot or a profiled light, with a density of its intensity over its power.
+
+    Parameters
+    ----------
+    profiles : Profiles
+    light : LIGHT
+    u, v : float
+        Random numbers, uniform in [0, 1).
+    """
+    axis, across = light.direction, light.across
+    if light.kind == SPOT:
+        # The number of 1 − cos of the angle if the soft edge were as bright as the inside: it fades to the right.
+        height = 0.5 * u * (light.inner + light.outer)
+        if height > light.inner:
+            rest = 2.0 * (height - light.inner) / (light.outer - light.inner)
+            height = light.outer - (light.outer - light.inner) * np.sqrt(max(0.0, 1.0 - rest))
+        px, py, pz, qx, qy, qz = tangents(axis[0], axis[1], axis[2])
+        sine, c = np.sqrt(height * (2.0 - height)), 1.0 - height
+        p, q = sine * np.cos(2.0 * np.pi * v), sine * np.sin(2.0 * np.pi * v)
+        return p * px + q * qx + c * axis[0], p * py + q * qy + c * axis[1], p * pz + q * qz + c * axis[2]
+    row = profiles.rows[light.profile]
+    vertical = profiles.angles[row[0] : row[0] + row[1]]
+    horizontal = profiles.angles[row[2] : row[2] + row[3]]
+    until = profiles.until[row[4] : row[4] + (row[1] - 1) * (row[3] - 1)]
+    cell = min(int(np.searchsorted(until, u, side="right")), len(until) - 1)
+    below = until[cell - 1] if cell > 0 else 0.0
+    # What is left of the first number is a random number of its own.
+    u = min((u - below) / (until[cell] - below), 1.0)
+    j, i = cell // (row[1] - 1), cell % (row[1] - 1)
+    low, high = vertical[i], vertical[i + 1]
+    first = row[4] + j * row[1] + i
+    a, b = profiles.intensity[first], profiles.intensity[first + 1]
+    c, d = profiles.intensity[first + row[1]], profiles.intensity[first + row[1] + 1]
+    # Between the two planes the light of a cell changes linearly; the square root inverts its integral.
+    one, other = _ring(low, high, a, b, high), _ring(low, high, c, d, high)
+    t = v * (one + other) / (one + np.sqrt(one * one * (1.0 - v) + other * other * v)) if v > 0.0 else 0.0
+    theta = _angle_in_ring(low, high, (1.0 - t) * a + t * c, (1.0 - t) * b + t * d, u)
+    phi = horizontal[j] + t * (horizontal[j + 1] - horizontal[j])
+    x, y, z = np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)
+    return (
+        x * across[0, 0] + y * across[1, 0] + z * axis[0],
+        x * across[0, 1] + y * across[1, 1] + z * axis[1],
+        x * across[0, 2] + y * across[1, 2] + z * axis[2],
+    )
+
+
+@kernel
+def _ring(low: float, high: float, a: float, b: float, theta: float) -> float:
+    """Return ∫ I sin θ dθ from `low` to `theta`, of an intensity I that is linear from a at `low` to b at `high`."""
+    slope = (b - a) / (high - low)
+    middle, half = 0.5 * (low + theta), 0.5 * (theta - low)
+    # Cosines and sines of sums, so that differences of near numbers do not cancel.
+    even = 2.0 * np.sin(middle) * np.sin(half)
+    odd = 2.0 * np.cos(middle) * np.sin(half) - 2.0 * half * np.cos(theta)
+    return a * even + slope * odd
+
+
+@kernel
+def _angle_in_ring(low: float, high: float, a: float, b: float, u: float) -> float:
+    """Return the angle up to which a share u of a ring's light goes: Newton's method between bounds."""
+    wanted = u * _ring(low, high, a, b, high)
+    slope = (b - a) / (high - low)
+    left, right = low, high
+    theta = low + u * (high - low)
+    for _ in range(MOST_STEPS):
+        excess = _ring(low, high, a, b, theta) - wanted
+        if excess > 0.0:
+            right = theta
+        else:
+            left = theta
+        density = (a + slope * (theta - low)) * np.sin(theta)
+        following = theta - excess / density if density > 0.0 else 0.5 * (left + right)
+        if not left < following < right:
+            following = 0.5 * (left + right)
+        if following == theta:
+            break
+        theta = following
+    return theta
+
+
+@kernel
+def _cone_share(x: float, y: float, z: float, radius: float) -> float:
+    """Return the share of all directions from a point that lie in the cone around a sphere.
+
+    Parameters
+    ----------
+    x, y, z : float, mm
+        The point, relative to the sphere's centre.
+    radius : float, mm
+    """
+    distance2 = x * x + y * y + z * z
+    if distance2 <= radius * radius:
+        return 1.0
+    # 1 − cos without cancellation for a far lamp.
+    return 0.5 * radius * radius / distance2 / (1.0 + np.sqrt(1.0 - radius * radius / distance2))
+
+
+@kernel
 def _into_cone(x: float, y: float, z: float, radius: float, key: np.uint64) -> tuple[float, float, float, float]:
     """Return a uniform direction from a point into the cone around a sphere, and the cone's share of 4π.
 
@@ -161,11 +324,7 @@ def _into_cone(x: float, y: float, z: float, radius: float, key: np.uint64) -> t
         Of the packet.
     """
     distance2 = x * x + y * y + z * z
-    cos_edge = -1.0
-    if distance2 > radius * radius:
-        cos_edge = np.sqrt(1.0 - radius * radius / distance2)
-    # 1 − cos without cancellation for a far lamp.
-    depth = 2.0 if cos_edge < 0.0 else radius * radius / distance2 / (1.0 + cos_edge)
+    depth = 2.0 * _cone_share(x, y, z, radius)
     cos_theta = 1.0 - depth * start(key, WAY_U)
     phi = 2.0 * np.pi * start(key, WAY_V)
     if distance2 == 0.0:

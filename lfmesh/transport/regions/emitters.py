@@ -43,7 +43,7 @@ def ask_emitters(wave: NDArray[np.void], objects: ObjectTables, options: Options
         cos_point = side * (own.normal[0] * ux + own.normal[1] * uy + own.normal[2] * uz)
         cos_facet = facet.normal[0] * ux + facet.normal[1] * uy + facet.normal[2] * uz
         # A facet in the point's own plane, to rounding, sends it no light.
-        if cos_point <= EDGE or cos_facet == 0.0 or (objects.closed[facet.body] and cos_facet > 0.0):
+        if cos_point <= EDGE or cos_facet == 0.0 or (objects.one_sided[facet.body] and cos_facet > 0.0):
             continue
         cos_facet = abs(cos_facet)
         texel = texture_at(objects, packet.facet, packet.colour, x, y, z)

@@ -72,7 +72,7 @@ from lfmesh.transport.regions.bodies import (
     set_bodies,
 )
 from lfmesh.transport.regions.lens import box_entry
-from lfmesh.transport.regions.targets import meet_target, share_with_other
+from lfmesh.transport.regions.targets import meet_target, passes, share_with_other
 from lfmesh.transport.tables.tables import OPAQUE, AimTables, LensTables, ObjectTables, body_row
 
 Array = NDArray[np.float64]
@@ -148,6 +148,9 @@ def shade_objects(
                 lose(options, flow, frames, packet, LOST_CONTRADICTION, objects.lost_slot[body])
                 continue
             facet = facets[max(prim, 0)]
+        if prim >= 0 and _is_sheer(objects, facet.body) and passes(objects, packet, prim, t):
+            _pass_on(options, flow, frames, objects, packet, prim, t)
+            continue
         if packet.kind == SHADOW:
             if t >= packet.limit:
                 deposit(options, flow, packet.source, packet.colour, packet.weight)
@@ -210,6 +213,33 @@ def shade_objects(
 
 
 @inlined
+def _is_sheer(objects: ObjectTables, body: int) -> bool:
+    """Tell whether light may pass straight through a target that is no glass."""
+    return body >= 0 and objects.opacity[body] < 1.0
+
+
+@kernel
+def _pass_on(
+    options: Options, flow: Flow, frames: Array, objects: ObjectTables, packet: Any, prim: int, t: float
+) -> None:
+    """Let a packet pass through a facet: the same ray is queried from behind the facet."""
+    facet = objects.facets[prim]
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    behind = t + clear_of(facet, packet.x + t * dx, packet.y + t * dy, packet.z + t * dz, dx, dy, dz)
+    if behind <= packet.query_from:
+        # The query, which began behind it, has found it once more.
+        requery(options, flow, frames, OBJECTS, packet, next_query_from(facet, packet, t), False, LOST_OUTSIDE)
+        return
+    limit = packet.limit
+    child = put(
+        flow, OBJECTS, packet, OBJECT_FRAME, packet.x, packet.y, packet.z, dx, dy, dz, packet.weight, packet.key, behind
+    )
+    child.limit = limit
+    # A ray that met nothing is queried again from its start, but once only, whatever it passes through.
+    child.tries, child.slipped = packet.tries, packet.slipped
+
+
+@inlined
 def _arrives(objects: ObjectTables, packet: Any, prim: int) -> bool:
     """Tell whether a packet meets the emitting facet that it was sent to, when the query found the facet `prim`."""
     if prim < 0 or prim == packet.row:
@@ -269,6 +299,8 @@ def _first_crossing(
             body = objects.facets[prim].body
             glass = body >= 0 and objects.medium[body] != OPAQUE
             if (glass or t > 0.0) and _in_its_medium(objects, packet, prim, along):
+                if _is_sheer(objects, body) and passes(objects, packet, prim, t):
+                    continue
                 first, nearest, steepness = prim, t, along
     return first, nearest, steepness
 

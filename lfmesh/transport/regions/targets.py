@@ -20,6 +20,7 @@ from lfmesh.transport.events.crossing import (
     BOUNCE_U,
     KEEP_BOUNCE,
     KEEP_REACHED,
+    PASS,
     barycentric,
     clear_of,
     deposit,
@@ -51,10 +52,16 @@ from lfmesh.transport.packets.packet import (
     put,
 )
 from lfmesh.transport.packets.path_class import is_estimated, is_unturned
-from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived
-from lfmesh.transport.tables.tables import AIR, AimTables, ObjectTables
+from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived, uniform
+from lfmesh.transport.tables.tables import AIR, BY_ALPHA, AimTables, ObjectTables
 
 Array = NDArray[np.float64]
+
+FACETS = 1 << 32
+"""Number of the first facet's random numbers among those that a packet's key has for its children."""
+
+KINDS = 8
+"""More than there are kinds of packets."""
 
 AIMED_CHILD = 1 << 20
 """Number of the aimed child among a packet's children, larger than any number of events."""
@@ -80,7 +87,7 @@ def meet_target(
     slot = objects.target_slot[body]
     dx, dy, dz, weight = packet.dx, packet.dy, packet.dz, packet.weight
     flow.counts[EVENTS] += 1
-    if objects.closed[body] and along > 0.0:
+    if objects.one_sided[body] and along > 0.0:
         end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, S_ABSORBED)
         return
     if is_unturned(options, packet):
@@ -148,13 +155,7 @@ def texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: float
     if height == 0:
         return 1.0
     first, width = objects.texture[body, 0], objects.texture[body, 2]
-    b, c = barycentric(objects.facets[prim], x, y, z)
-    uv = objects.uv[prim]
-    a = 1.0 - b - c
-    u = a * uv[0, 0] + b * uv[1, 0] + c * uv[2, 0]
-    v = a * uv[0, 1] + b * uv[1, 1] + c * uv[2, 1]
-    column = u * width - 0.5
-    row = (1.0 - v) * height - 0.5
+    row, column = _place_in_texture(objects, prim, x, y, z)
     left, low = int(np.floor(column)), int(np.floor(row))
     right_share, low_share = column - left, row - low
     value = 0.0
@@ -174,6 +175,65 @@ def texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: float
 
 
 @inlined
+def _place_in_texture(objects: ObjectTables, prim: int, x: float, y: float, z: float) -> tuple[float, float]:
+    """Return row and column of a facet's texture at a point, counted from the middle of the first texel."""
+    body = objects.facets[prim].body
+    b, c = barycentric(objects.facets[prim], x, y, z)
+    uv = objects.uv[prim]
+    a = 1.0 - b - c
+    u = a * uv[0, 0] + b * uv[1, 0] + c * uv[2, 0]
+    v = a * uv[0, 1] + b * uv[1, 1] + c * uv[2, 1]
+    return (1.0 - v) * objects.texture[body, 1] - 0.5, u * objects.texture[body, 2] - 0.5
+
+
+@kernel
+def opacity_at(objects: ObjectTables, prim: int, x: float, y: float, z: float) -> float:
+    """Return the opacity of a target at a point of a facet: its number, or its texture's alpha (bilinear, clamped).
+
+    Parameters
+    ----------
+    prim : int
+        Facet.
+    x, y, z : float, mm
+    """
+    body = objects.facets[prim].body
+    if objects.opacity[body] != BY_ALPHA:
+        return objects.opacity[body]
+    height, width = objects.texture[body, 1], objects.texture[body, 2]
+    row, column = _place_in_texture(objects, prim, x, y, z)
+    low, left = min(max(row, 0.0), height - 1.0), min(max(column, 0.0), width - 1.0)
+    j, k = min(int(low), max(height - 2, 0)), min(int(left), max(width - 2, 0))
+    s, t = low - j, left - k
+    place = objects.alpha_first[body] + j * width + k
+    down, right = (width if height > 1 else 0), (1 if width > 1 else 0)
+    alpha = objects.alpha
+    upper = (1.0 - t) * alpha[place] + t * alpha[place + right]
+    return (1.0 - s) * upper + s * ((1.0 - t) * alpha[place + down] + t * alpha[place + down + right])
+
+
+@kernel
+def passes(objects: ObjectTables, packet: Any, prim: int, t: float) -> bool:
+    """Tell whether a packet passes through a facet of a target that is not opaque.
+
+    The random number belongs to the packet, its kind, its event and the facet: asked again, the answer is the same. A
+    packet and those that it sends to lights share key and event, but must not share their luck.
+
+    Parameters
+    ----------
+    packet : PACKET
+    prim : int
+        Facet.
+    t : float, mm
+        Distance at which the packet meets it.
+    """
+    x, y, z = packet.x + t * packet.dx, packet.y + t * packet.dy, packet.z + t * packet.dz
+    chance = uniform(
+        derived(packet.key, FACETS + KINDS * prim + packet.kind), packet.events * DIMENSIONS_PER_EVENT + PASS
+    )
+    return chance >= opacity_at(objects, prim, x, y, z)
+
+
+@inlined
 def _gather(options: Options, flow: Flow, objects: ObjectTables, packet: Any, point: Point, scatters: bool) -> None:
     """Deposit the light that a target emits towards the packet, and send shadow packets for the light it scatters."""
     flow.book[REACHED] += packet.weight
@@ -183,7 +243,7 @@ def _gather(options: Options, flow: Flow, objects: ObjectTables, packet: Any, po
         deposit(options, flow, packet.source, packet.colour, packet.weight * share * radiance)
     lit = radiance > 0.0
     if scatters:
-        lit = ask_lights(objects, flow, packet, point) or lit
+        lit = ask_lights(options, objects, flow, packet, point) or lit
         if asks_emitters(options, objects, packet.events):
             asking = put(
                 flow, EMITTERS, packet, OBJECT_FRAME, point.x, point.y, point.z, packet.dx, packet.dy, packet.dz,

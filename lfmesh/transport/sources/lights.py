@@ -17,7 +17,7 @@ from lfmesh.transport.events.lighting import PLACE_U, PLACE_V, emitted
 from lfmesh.transport.packets.book import EMITTED, ESCAPED
 from lfmesh.transport.packets.packet import LAMP, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, Options, put
 from lfmesh.transport.packets.random import derived, start
-from lfmesh.transport.regions.targets import point_of, scatter, texture_at
+from lfmesh.transport.regions.targets import opacity_at, point_of, scatter, texture_at
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.tables.tables import AimTables, ObjectTables
 
@@ -128,7 +128,7 @@ def _from_facet(
     prim: int,
     weight: float,
 ) -> None:
-    """Emit a packet from a uniform point of a facet; of an open sheet, from either side."""
+    """Emit a packet from a uniform point of a facet; of a sheet with two sides, from either."""
     key = packet.key
     body = objects.facets[prim].body
     u, v = start(key, PLACE_U), start(key, PLACE_V)
@@ -140,9 +140,11 @@ def _from_facet(
     y = w * corner[0, 1] + u * corner[1, 1] + v * corner[2, 1]
     z = w * corner[0, 2] + u * corner[1, 2] + v * corner[2, 2]
     side = 1.0
-    if not objects.closed[body] and start(key, SIDE) < 0.5:
+    if not objects.one_sided[body] and start(key, SIDE) < 0.5:
         side = -1.0
     weight *= texture_at(objects, prim, packet.colour, x, y, z) * objects.glow[body, packet.colour]
+    if objects.opacity[body] < 1.0:
+        weight *= opacity_at(objects, prim, x, y, z)
     flow.book[EMITTED] += weight
     packet.start = weight
     packet.weight = weight

@@ -40,7 +40,7 @@ def emitter_table(objects: ObjectTables) -> Emitters:
     level = _levels(objects, bright)
     count = 4**level
     facet, piece_area = np.repeat(bright, count), np.repeat(area[bright] / count, count)
-    sides = np.where(np.append(objects.closed, True)[facets["body"]], 1.0, 2.0)
+    sides = np.where(np.append(objects.one_sided, True)[facets["body"]], 1.0, 2.0)
     power = (sides * glow)[facet] * piece_area * _texture_means(objects, bright, level)
     if power.sum() <= 0.0:
         return no_emitters()

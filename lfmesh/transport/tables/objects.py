@@ -23,12 +23,12 @@ from lfmesh.transport.tables.contacts import contacts
 from lfmesh.transport.tables.emitters import emitter_table, no_emitters
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.lens import curved
-from lfmesh.transport.tables.lights import MM2, light_table, power_towards
+from lfmesh.transport.tables.lights import MM2, light_tables, power_towards
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.scattering import scattering_tables
 from lfmesh.transport.tables.spectra import radiance_at, reflectance_at
-from lfmesh.transport.tables.tables import OPAQUE, SOURCE, Interfaces, ObjectTables
+from lfmesh.transport.tables.tables import BY_ALPHA, OPAQUE, SOURCE, Interfaces, ObjectTables
 
 
 def middle_of(targets: list[TargetMesh]) -> Array:
@@ -171,6 +171,7 @@ def object_tables(
         texels.append(values if lines.in_bands else (values @ weights.T).astype(np.float32))
         filled += height * width
     materials = [t.material for t in scene.targets]
+    alphas = [t.alpha.ravel() if t.alpha is not None else np.zeros(0, np.float32) for t in targets]
     radius = max((float(np.linalg.norm(m.vertices, axis=1).max()) for m in parts), default=0.0)
     glasses = [t.refractor for t in scene.targets]
     level = np.array([SURFACE_LEVEL[g.surface] if g is not None else 0 for g in glasses], dtype=np.int64)
@@ -183,11 +184,14 @@ def object_tables(
     reflectances = [reflectance_at(scene, i, wavelengths_nm) for i in range(len(targets))]
     radiance = np.array([radiance_at(scene, i, lines) for i in range(len(targets))]).reshape(-1, len(wavelengths_nm))
     largest = radiance.max(axis=1, keepdims=True, initial=0.0)
-    lights, light_spectra = light_table(scene, to_object, lines)
+    lights, light_spectra, profiles = light_tables(scene, to_object, lines)
     tables = ObjectTables(
         facets=facets,
         uv=uv,
-        closed=np.array([t.closed for t in targets], dtype=np.bool_),
+        one_sided=np.array(
+            [(t.closed and m.opacity == 1.0) or m.sides == "front" for t, m in zip(targets, materials, strict=True)],
+            dtype=np.bool_,
+        ),
         scattering=scattering_tables(materials, wavelengths_nm, reflectances),
         radiance=radiance,
         glow=np.divide(radiance, largest, out=np.zeros_like(radiance), where=largest > 0.0),
@@ -205,10 +209,14 @@ def object_tables(
         texture=texture,
         texels=np.concatenate(texels) if texels else np.zeros((0, weights.shape[1]), np.float32),
         texel_weights=weights if lines.in_bands else np.zeros((0, 0)),
+        opacity=np.array([BY_ALPHA if isinstance(m.opacity, str) else m.opacity for m in materials]),
+        alpha_first=np.cumsum([0, *(len(alpha) for alpha in alphas)])[:-1],
+        alpha=np.concatenate([np.zeros(0, np.float32), *alphas]),
         target_slot=book.targets,
         lost_slot=np.append(book.lost_in_targets, LOST_OUTSIDE),
         lights=lights,
         light_spectra=light_spectra,
+        profiles=profiles,
         emitters=no_emitters(),
         sources=np.zeros(0, SOURCE),
         radius=radius,
@@ -267,7 +275,7 @@ def _glowing_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:
     glow = objects.radiance.max(axis=1) if len(objects.radiance) else np.zeros(0)
     for facet in np.flatnonzero(np.append(glow > 0.0, False)[objects.facets["body"]]):
         body = objects.facets["body"][facet]
-        sides = 1.0 if objects.closed[body] else 2.0
+        sides = 1.0 if objects.one_sided[body] else 2.0
         power = np.pi * glow[body] * areas[facet] * MM2 * sides
         entries.append((-1, int(facet), power, power))
     return entries

@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.optics.gloss import gloss_parameters
+from lfmesh.optics.metals import metal_index
 from lfmesh.scene.targets import Material
 
 Array = NDArray[np.float64]
@@ -23,6 +25,7 @@ SCATTERING = np.dtype(
 )
 
 LAMBERTIAN = 0  # parameter: reflectance
+GLOSSY = 1  # parameters: see `optics.gloss`
 
 
 class ScatteringTables(NamedTuple):
@@ -52,13 +55,19 @@ def scattering_tables(
         reflectances = [np.full(len(wavelengths_nm), material.reflectance, np.float64) for material in materials]
     shares = [*reflectances, np.ones(len(wavelengths_nm))]
     for model, material, share in zip(models, [*materials, Material(reflectance=1.0)], shares, strict=True):
-        model["kind"], parameters = _model_of(material, share)
+        model["kind"], parameters = _model_of(material, share, wavelengths_nm)
         model["first"] = len(rows)
-        model["black"] = not any(parameter.any() for parameter in parameters)
-        rows += parameters
+        model["black"] = not parameters.any()
+        rows += list(parameters)
     return ScatteringTables(models, np.array(rows))
 
 
-def _model_of(material: Material, reflectance: Array) -> tuple[int, list[Array]]:
-    """Return the kind of a material's scattering model, and its parameters by wavelength."""
-    return LAMBERTIAN, [reflectance]
+def _model_of(material: Material, reflectance: Array, wavelengths_nm: tuple[float, ...]) -> tuple[int, Array]:
+    """Return the kind of a material's scattering model, and its parameters, (parameters, wavelengths)."""
+    gloss = material.gloss
+    if gloss is None:
+        return LAMBERTIAN, reflectance[None, :]
+    index = np.full(len(wavelengths_nm), gloss.index or 1.0, dtype=np.complex128)
+    if gloss.metal is not None:
+        index[:] = [metal_index(gloss.metal, wavelength) for wavelength in wavelengths_nm]
+    return GLOSSY, gloss_parameters(reflectance, index, gloss.roughness)

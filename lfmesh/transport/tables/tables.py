@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.lenslets import Lenslets
 from lfmesh.kernel import inlined
+from lfmesh.transport.tables.lights import Profiles
 from lfmesh.transport.tables.scattering import ScatteringTables
 
 Array = NDArray[np.float64]
@@ -88,6 +89,9 @@ class SensorTables(NamedTuple):
     reflectance: float  # share of the light that is reflected; the rest is detected
 
 
+BY_ALPHA = -1.0
+"""`ObjectTables.opacity` of a target whose texture has it."""
+
 OPAQUE = -1
 """`ObjectTables.medium` of a target that is not a body of glass."""
 
@@ -109,7 +113,7 @@ class ObjectTables(NamedTuple):
 
     facets: Records  # (m,) FACET; body: target t ≥ 0, or −1 for the housing
     uv: Array  # (m, 3, 2)
-    closed: NDArray[np.bool_]  # (targets,) a closed surface, which scatters and emits on its outside only
+    one_sided: NDArray[np.bool_]  # (targets,) scatters and emits on the side of its normals only; the other is black
     scattering: ScatteringTables
     radiance: Array  # (targets, wavelengths) W/(m² sr)
     glow: Array  # (targets, wavelengths) radiance relative to the largest of its target
@@ -129,10 +133,14 @@ class ObjectTables(NamedTuple):
     texture: NDArray[np.int64]  # (targets, 3): first value, height, width; height 0: none
     texels: NDArray[np.float32]  # (values, wavelengths), or (values, primaries) where there are weights
     texel_weights: Array  # (wavelengths, primaries) of the values' primaries at each wavelength; (0, 0): none
+    opacity: Array  # (targets,) share of the surface that is there; BY_ALPHA: as the texture says
+    alpha_first: NDArray[np.int64]  # (targets,) first value in `alpha`
+    alpha: NDArray[np.float32]  # (values,) opacity at the texels of such targets
     target_slot: NDArray[np.int64]  # (targets,) book slot
     lost_slot: NDArray[np.int64]  # (targets + 1,) book slot of energy lost at each target; the last: in open space
     lights: Records  # LIGHT
     light_spectra: Array  # (lights, wavelengths) power relative to that of `lights`
+    profiles: Profiles  # of lights
     emitters: Emitters
     sources: Records  # SOURCE: where the forward method starts packets
     radius: float  # mm, of a sphere about the origin that holds the targets

@@ -125,16 +125,24 @@ def _target(world: World, number: int) -> Rows:
         rows += [("radiance", f"{_spectral(material.radiance_w_m2_sr)} W/(m² sr{per})")]
     rows += [("spectrum", _spectral(material.spectrum))] if material.spectrum else []
     rows += [("temperature", f"{material.temperature_k:g} K")] if material.temperature_k else []
+    if material.gloss is not None:
+        boundary = material.gloss.metal or f"index {material.gloss.index:g}"
+        rows += [("gloss", f"{boundary}, roughness {material.gloss.roughness:g}")]
+    rows += [("opacity", str(material.opacity))] if material.opacity != 1.0 else []
+    rows += [("sides", material.sides)] if material.sides != "both" else []
     return rows + ([("texture", material.texture)] if material.texture else [])
 
 
 def _light(world: World, number: int) -> Rows:
     light = world.scene.lights[number]
-    fields = light.model_dump(exclude={"kind", "spectrum"})
+    fields = light.model_dump(exclude={"kind", "spectrum"}, exclude_defaults=True)
     values = {key: value if isinstance(value, tuple) else (value,) for key, value in fields.items()}
     return [
         ("light", f"{light.kind}, lights[{number}]"),
-        *((key, " ".join(f"{part:g}" for part in value)) for key, value in values.items()),
+        *(
+            (key, " ".join(part if isinstance(part, str) else f"{part:g}" for part in value))
+            for key, value in values.items()
+        ),
         *([("spectrum", _spectral(light.spectrum))] if light.spectrum is not None else []),
     ]
 

@@ -16,7 +16,7 @@ from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.geometry.targets import TargetMesh
 from lfmesh.geometry.tessellation import element
 from lfmesh.optics.glass import refractive_index
-from lfmesh.scene import DirectionalLight, DiskLight
+from lfmesh.scene import DirectionalLight, DiskLight, SpotLight
 from lfmesh.scene.spectra import Spectrum
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
@@ -292,10 +292,15 @@ def _lights(world: World) -> Iterator[Part]:
             arrow = pv.Arrow(start=light.position_mm, direction=along, scale=2.0 * size).triangulate()
             yield Part(name, "light", disk.merge(arrow).extract_surface(), lamp)
         else:
+            body = pv.Sphere(radius=0.25 * size, center=light.position_mm)
+            if isinstance(light, SpotLight):
+                along = np.array(light.direction) / np.linalg.norm(light.direction)
+                arrow = pv.Arrow(start=light.position_mm, direction=along, scale=2.0 * size).triangulate()
+                body = body.merge(arrow).extract_surface()
             yield Part(
                 name,
                 "light",
-                pv.Sphere(radius=0.25 * size, center=light.position_mm),
+                body,
                 lamp,
                 _spikes(light.position_mm, size),
                 "#ffd24a",

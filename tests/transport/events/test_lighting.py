@@ -1,5 +1,6 @@
 """Lights light a place as their packets do: what a point is told and what packets bring there are the same watts."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,8 +10,9 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.kernel import kernel
-from lfmesh.transport.events.lighting import emitted, illuminate
-from lfmesh.transport.packets.random import derived, run_key
+from lfmesh.optics.scattering import tangents
+from lfmesh.transport.events.lighting import emitted, illuminate, intensity
+from lfmesh.transport.packets.random import derived, run_key, uniform
 from lfmesh.transport.tables.lights import DIRECTIONAL
 from lfmesh.transport.tables.tables import ObjectTables
 from lfmesh.transport.world import build
@@ -28,7 +30,26 @@ LIGHTS: dict[str, dict[str, Any]] = {
              "radius_mm": 6.0, "power_w": 3.0},
     "disk whose back is turned to a part": {"kind": "disk", "position_mm": [1.5, 0.0, -57.0],
                                             "direction": [-1.0, 0.0, 0.0], "radius_mm": 1.0, "power_w": 3.0},
+    "spot, wider than the targets": {"kind": "spot", "position_mm": [3.0, 5.0, -30.0], "power_w": 3.0,
+                                     "direction": [0.1, 0.2, -1.0], "half_angle_deg": 35.0},
+    "spot, wider than the targets, soft": {"kind": "spot", "position_mm": [3.0, 5.0, -30.0], "power_w": 3.0,
+                                           "direction": [0.0, 0.1, -1.0], "half_angle_deg": 25.0, "edge_deg": 20.0},
+    "spot, narrower than the targets": {"kind": "spot", "position_mm": [1.0, 0.0, -20.0], "power_w": 3.0,
+                                        "direction": [0.0, 0.0, -1.0], "half_angle_deg": 5.0},
+    "spot, narrower than the targets, soft": {"kind": "spot", "position_mm": [1.0, 0.0, -20.0], "power_w": 3.0,
+                                              "direction": [0.0, 0.0, -1.0], "half_angle_deg": 5.5, "edge_deg": 3.0},
+    "profile, wider than the targets": {"kind": "point", "position_mm": [5.0, 9.0, -35.0], "power_w": 3.0,
+                                        "profile": "quarter.ies", "rotation_deg": [60.0, 0.0, -10.0]},
+    "profile, narrower than the targets": {"kind": "spot", "position_mm": [0.5, -0.5, -52.0], "power_w": 3.0,
+                                           "direction": [0.0, 0.0, -1.0], "profile": "narrow.ies", "turn_deg": 30.0},
 }  # fmt: skip
+HEAD = "IESNA:LM-63-2002\n[TEST] made for tests\nTILT=NONE\n"
+IES = {
+    "quarter.ies": HEAD + "1 1000 1 6 3 1 2 0 0 0\n1 1 40\n0 20 50 70 80 90\n0 30 90\n"
+    "200 180 90 60 70 0\n200 170 70 80 10 0\n200 90 30 20 0 0\n",
+    "narrow.ies": HEAD + "1 -1 1 5 4 1 1 0 0 0 1 1 1\n0 5 12 30 180\n0 90 200 360\n"
+    "900 800 100 5 0\n900 500 60 0 0\n900 700 200 5 0\n900 800 100 5 0\n",
+}
 SIDE = 3.0
 """Half the side of the square that is lit, mm, in the plane z = 0 of the object frame."""
 
@@ -37,19 +58,30 @@ LEVEL = 1e-3
 """Chance that this file fails though all is right, shared by its comparisons: four quarters of the square a light."""
 
 
-def tables_of(light: dict[str, Any]) -> ObjectTables:
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with profiles: one of two planes of symmetry, and a narrow one without."""
+    folder = tmp_path_factory.mktemp("profiles")
+    for name, text in IES.items():
+        (folder / name).write_text(text)
+    return folder
+
+
+def tables_of(light: dict[str, Any], folder: Path) -> ObjectTables:
     """A sphere, so that packets are aimed at all that is round the square, and the camera far off."""
     ball = {"shape": {"kind": "sphere", "radius_mm": 5.0}, "position_mm": [0.0, 0.0, -60.0]}
     scene = lf.Scene(camera={"focus_mm": 60.0, "lens": LENS, "sensor": {"pixels": [4, 4], "pixel_mm": 0.1}},
                      targets=[ball], lights=[light])  # fmt: skip
-    return build(scene).tables.objects
+    return build(scene.in_folder(folder)).tables.objects
 
 
 @kernel
-def asked(lights: NDArray[np.void], places: Array, key: np.uint64, told: Array) -> None:
+def asked(objects: ObjectTables, places: Array, key: np.uint64, told: Array) -> None:
     """Write what points of the plane z = 0 are told: irradiance of its front, of its back, W/m²."""
     for i in range(len(places)):
-        _, _, uz, _, irradiance = illuminate(lights[0], places[i, 0], places[i, 1], 0.0, derived(key, i), 5)
+        own = derived(key, i)
+        u, v = uniform(own, 5), uniform(own, 6)
+        _, _, uz, _, irradiance = illuminate(objects.profiles, objects.lights[0], places[i, 0], places[i, 1], 0.0, u, v)
         told[i] = irradiance * abs(uz)
 
 
@@ -67,12 +99,12 @@ def quarters(x: Array, y: Array, power: Array) -> Array:
 
 
 @pytest.mark.parametrize("name", LIGHTS)
-def test_packets_bring_what_points_are_told(name: str) -> None:
+def test_packets_bring_what_points_are_told(name: str, folder: Path) -> None:
     """Watts on the quarters of a square, by t-tests of two estimates."""
-    objects = tables_of(LIGHTS[name])
+    objects = tables_of(LIGHTS[name], folder)
     places = np.random.default_rng(4).uniform(-SIDE, SIDE, (COUNT, 2))
     told, rays = np.empty(COUNT), np.empty((COUNT, 7))
-    asked(objects.lights, places, run_key(1), told)
+    asked(objects, places, run_key(1), told)
     sent(objects, run_key(2), rays)
     by_points = quarters(*places.T, told * (2.0 * SIDE) ** 2 * 1e-6)
     light = objects.lights[0]
@@ -85,3 +117,76 @@ def test_packets_bring_what_points_are_told(name: str) -> None:
         # Three standard errors see ten per cent.
         assert 3.0 * np.hypot(stats.sem(one), stats.sem(other)) < 0.1 * other.mean()
         assert stats.ttest_ind(one, other, equal_var=False).pvalue > LEVEL / (4 * len(LIGHTS))
+
+
+@kernel
+def shining(objects: ObjectTables, ways: Array, found: Array) -> None:
+    """Write the intensity of the first light in directions (n, 3), W/sr."""
+    for i in range(len(ways)):
+        found[i] = intensity(objects.profiles, objects.lights[0], ways[i, 0], ways[i, 1], ways[i, 2])
+
+
+def all_round(edges: Array, axis: Array) -> tuple[Array, Array]:
+    """Return directions all round and their solid angles: Gauss-Legendre between angles from an axis, rad."""
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    middle, half = 0.5 * (edges[1:] + edges[:-1])[:, None], 0.5 * np.diff(edges)[:, None]
+    theta, w = (middle + half * nodes).ravel(), (half * weights).ravel()
+    phi = 2.0 * np.pi * (np.arange(720) + 0.5) / 720
+    axis = axis / np.linalg.norm(axis)
+    u, v = np.reshape(tangents(*axis), (2, 3))
+    sine = np.sin(theta)[:, None, None]
+    ways = sine * (np.cos(phi)[:, None] * u + np.sin(phi)[:, None] * v) + np.cos(theta)[:, None, None] * axis
+    return ways.reshape(-1, 3), np.repeat(w * np.sin(theta) * 2.0 * np.pi / 720, 720)
+
+
+@pytest.mark.parametrize("name", [name for name in LIGHTS if "spot" in name or "profile" in name])
+def test_the_intensity_of_a_spot_or_profile_adds_up_to_its_power(name: str, folder: Path) -> None:
+    light = LIGHTS[name]
+    objects = tables_of(light, folder)
+    down = objects.lights[0]["direction"]
+    edges = {"quarter.ies": [0, 20, 50, 70, 80, 90], "narrow.ies": [0, 5, 12, 30, 180]}.get(light.get("profile", ""))
+    if edges is None:
+        outer = light["half_angle_deg"]
+        edges = sorted({0.0, outer - light.get("edge_deg", 0.0), outer})
+    ways, solid_angle = all_round(np.deg2rad(np.array(edges, dtype=np.float64)), down)
+    found = np.empty(len(ways))
+    shining(objects, ways, found)
+    # The azimuths of the profile are linear between kinks, so that midpoints between them are exact but for these.
+    assert (found * solid_angle).sum() == pytest.approx(3.0, rel=1e-4 if "profile" in name else 1e-12)
+
+
+def test_a_sharp_spot_shines_evenly_into_its_cone(folder: Path) -> None:
+    """Its intensity is P / (2π (1 − cos)) inside and nothing outside."""
+    light = LIGHTS["spot, wider than the targets"]
+    objects = tables_of(light, folder)
+    axis = np.array(light["direction"])
+    ways, _ = all_round(np.deg2rad([0.0, 34.999999, 35.000001, 180.0]), axis)
+    found = np.empty(len(ways))
+    shining(objects, ways, found)
+    inside = ways @ axis / np.linalg.norm(axis) > np.cos(np.deg2rad(35.0))
+    np.testing.assert_allclose(found[inside], 3.0 / (2.0 * np.pi * (1.0 - np.cos(np.deg2rad(35.0)))), rtol=1e-13)
+    assert not found[~inside].any()
+
+
+def test_a_profile_shines_as_its_file_says(folder: Path) -> None:
+    """Ratios of intensities at angles of the file and half-way between them, about the axes that the scene says."""
+    point = {"kind": "point", "position_mm": [0.0, 9.0, -35.0], "power_w": 3.0, "profile": "narrow.ies"}
+    spot = LIGHTS["profile, narrower than the targets"]
+
+    def at(theta_deg: float, phi_deg: float) -> list[float]:
+        """Direction by the angles of the profile: nadir -y, 0 degrees +x, 90 degrees -z."""
+        theta, phi = np.deg2rad(theta_deg), np.deg2rad(phi_deg)
+        return [np.sin(theta) * np.cos(phi), -np.cos(theta), -np.sin(theta) * np.sin(phi)]
+
+    ways = np.array([at(0, 0), at(5, 0), at(5, 90), at(12, 200), at(8.5, 145), at(21, 280), at(5, -1e-7)])
+    expected = [900, 800, 500, 200, 0.25 * (500 + 60 + 700 + 200), 0.25 * (200 + 5 + 100 + 5), 800]
+    found = np.empty(len(ways))
+    shining(tables_of(point, folder), ways, found)
+    np.testing.assert_allclose(found / found[0], np.array(expected) / 900.0, rtol=1e-8)
+    # The spot: nadir along -z, seen from behind (+z) counter-clockwise from +x by 30 degrees.
+    phi = np.deg2rad(30.0 + np.array([0.0, 90.0, 200.0]))
+    sine, cosine = np.sin(np.deg2rad(12.0)), np.cos(np.deg2rad(12.0))
+    ways = np.column_stack([sine * np.cos(phi), sine * np.sin(phi), np.full(3, -cosine)])
+    found = np.empty(3)
+    shining(tables_of(spot, folder), ways, found)
+    np.testing.assert_allclose(found / found[0], [1.0, 0.6, 2.0], rtol=1e-10)

@@ -1,0 +1,374 @@
+"""Gloss: GGX facets of a dielectric or a metal over a Lambertian base.
+
+The BRDF is the sum of three parts, each symmetric in its two directions:
+
+- light that one facet reflects: F D G₂ / (4 cos cos) (Walter et al. 2007);
+- light that several facets reflect: F_ms (1 − E₁)(1 − E₁') / (π (1 − Ē₁)), where E₁ is the directional albedo of
+  facets that reflect everything, and F_ms = F̄² Ē₁ / (1 − F̄ (1 − Ē₁)) (Kulla & Conty, SIGGRAPH 2017 courses);
+- light that comes back from the base: ρ (1 − E)(1 − E') / (π (1 − Ē)), where E is the directional albedo of the two
+  other parts (Kelemen & Szirmay-Kalos, Eurographics 2001). ρ is the reflectance of the base as it shows through the
+  layer: what the layer throws back to the base on the way out is not counted apart. Metal has no base.
+
+A layer that absorbs nothing over a base of ρ = 1 so scatters all light, and so does metal that reflects all. 1 − E and
+1 − E₁ are tabulated and lowered by `MARGIN`, more than the tables' error, so that no light is gained.
+
+All kernels use the local frame of the surface, whose normal is +z; unit vectors point away from it.
+"""
+
+from collections.abc import Callable
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+
+from lfmesh.kernel import inlined, kernel
+from lfmesh.optics.microfacets import facet_density, projected_area, smith_g2, visible_normal
+
+Array = NDArray[np.float64]
+
+NODES = 256
+"""Intervals of the tables, in the square root of the cosine."""
+
+MARGIN = 2e-4
+"""By which the tables of 1 − E are lowered; their own error is below 1e-4 at a roughness of 0.01, and less above."""
+
+ORDERS = 32
+"""Chebyshev polynomials of the cosine at a facet that Fresnel's reflectance is expanded in."""
+
+ACROSS, ROUND = 48, 32
+"""Points of the quadrature over the facets that are visible, in each of its parts."""
+
+# Rows of a model's parameters.
+BASE, ALPHA, INDEX, EXTINCTION, SEVERAL, BASE_NORM, SEVERAL_NORM, TABLES = 0, 1, 2, 3, 4, 5, 6, 7
+ROWS = TABLES + 2 * (NODES + 1)
+
+LEAST_CHANCE = 0.05
+"""Of each of the two ways in which a direction is drawn."""
+
+
+def gloss_parameters(reflectance: Array, index: NDArray[np.complex128], roughness: float) -> Array:
+    """Return the parameters of a glossy target as the kernels take them, (ROWS, wavelengths).
+
+    Parameters
+    ----------
+    reflectance : (wavelengths,) float64
+        Of the base; not read for metals.
+    index : (wavelengths,) complex128
+        n + ik of the facets; with k > 0 a metal.
+    roughness : float
+        α_g.
+    """
+    rows = np.zeros((ROWS, len(index)))
+    moments = facet_moments(roughness)
+    not_one = np.maximum(1.0 - moments[0] - MARGIN, 0.0)
+    loss = _table_mean(not_one)
+    known: dict[complex, tuple[float, Array]] = {}
+    for column, n in enumerate(index):
+        if complex(n) not in known:
+            mean = _mean(partial(interface_reflectance, n.real, n.imag))
+            several = mean * mean * (1.0 - loss) / (1.0 - mean * loss)
+            through = 1.0 - _expanded(n) @ moments - several * not_one - MARGIN
+            known[complex(n)] = several, np.maximum(through, 0.0)
+        several, through = known[complex(n)]
+        rows[BASE, column] = reflectance[column] if n.imag == 0.0 else 0.0
+        rows[ALPHA, column], rows[INDEX, column], rows[EXTINCTION, column] = roughness, n.real, n.imag
+        rows[SEVERAL, column] = several
+        rows[SEVERAL_NORM, column] = several / (np.pi * loss) if loss > 0.0 else 0.0
+        rows[BASE_NORM, column] = rows[BASE, column] / (np.pi * _table_mean(through)) if through.any() else 0.0
+        rows[TABLES : TABLES + NODES + 1, column] = not_one
+        rows[TABLES + NODES + 1 :, column] = through
+    return rows
+
+
+def _expanded(n: complex) -> Array:
+    """Return Fresnel's reflectance as Chebyshev polynomials of 2c − 1, (ORDERS,)."""
+    x = np.cos(np.pi * (np.arange(ORDERS) + 0.5) / ORDERS)
+    reflectance = interface_reflectance(n.real, n.imag, 0.5 * (x + 1.0))
+    return np.asarray(chebyshev.chebfit(x, reflectance, ORDERS - 1), dtype=np.float64)
+
+
+def _mean(of_cosine: Callable[[Array], Array]) -> float:
+    """Return the mean of a function of the cosine over the hemisphere, weighted by the cosine."""
+    x, w = np.polynomial.legendre.leggauss(64)
+    c = 0.5 * (x + 1.0)
+    return float((w * c * of_cosine(c)).sum())
+
+
+def _table_mean(table: Array) -> float:
+    """Return the same mean of a table, linear in the root of the cosine: exactly, by quadrature of each interval."""
+    x, w = np.polynomial.legendre.leggauss(4)
+    t = (np.arange(NODES)[:, None] + 0.5 * (x + 1.0)) / NODES
+    share = 0.5 * (x + 1.0)
+    values = table[:-1, None] * (1.0 - share) + table[1:, None] * share
+    return float((values * 4.0 * t**3 * w).sum() * 0.5 / NODES)
+
+
+def interface_reflectance(n: float, k: float, cosine: Array) -> Array:
+    """Return Fresnel's reflectance from air for unpolarised light, at a medium of index n + ik (any shape)."""
+    return np.asarray(_reflectance(n, k, np.asarray(cosine, dtype=np.float64)))
+
+
+def _reflectance(n: Any, k: Any, c: Any) -> Any:
+    """Return Fresnel's reflectance (Born & Wolf, 14.2), for numbers in kernels and for arrays outside."""
+    s2 = 1.0 - c * c
+    t = n * n - k * k - s2
+    both = np.sqrt(t * t + 4.0 * n * n * k * k)
+    root = np.sqrt(0.5 * np.maximum(both + t, 0.0))
+    square = both + c * c
+    s = (square - 2.0 * root * c) / (square + 2.0 * root * c)
+    square = both * c * c + s2 * s2
+    return 0.5 * s * (1.0 + (square - 2.0 * root * c * s2) / (square + 2.0 * root * c * s2))
+
+
+facet_reflectance = inlined(_reflectance)
+"""Return Fresnel's reflectance from air at a facet: index n, extinction k, cosine of incidence."""
+
+
+@lru_cache(maxsize=64)
+def facet_moments(alpha: float) -> Array:
+    """Return the directional albedos of facets whose reflectance is a Chebyshev polynomial, (ORDERS, NODES + 1).
+
+    The k-th reflects T_k(2c − 1) where the cosine at the facet is c; the first so is the albedo E₁ of facets that
+    reflect everything. They are the means of T_k G₂ / G₁ over the facets that are visible, which
+    `microfacets.visible_normal` draws; the part of them that reflects below the surface is cut off along its edge, so
+    that smooth functions are left.
+
+    Parameters
+    ----------
+    alpha : float
+        Roughness α_g.
+    """
+    mu = np.maximum(np.linspace(0.0, 1.0, NODES + 1) ** 2, 1e-12)
+    moments = np.zeros((ORDERS, NODES + 1))
+    for first in range(0, NODES + 1, 32):
+        some = slice(first, first + 32)
+        all_round, none = _edge(alpha, mu[some], -1.0), _edge(alpha, mu[some], 1.0)
+        all_round = np.minimum(all_round, none)
+        moments[:, some] = _part(alpha, mu[some], np.zeros_like(none), all_round, False)
+        moments[:, some] += _part(alpha, mu[some], all_round, none, True)
+    return moments
+
+
+def _reflected(
+    alpha: float, mu: Array, cos_phi: Array | float, sin_phi: Array | float, v: Array
+) -> tuple[Array, Array]:
+    """Return the cosine at a visible facet and the cosine of the direction into which it reflects, by its numbers.
+
+    Parameters
+    ----------
+    mu : float64
+        Cosine of the direction from which it is seen.
+    cos_phi, sin_phi, v : float64
+        See `visible_normal`.
+    """
+    sine = np.sqrt(1.0 - mu * mu)
+    length = np.hypot(alpha * sine, mu)
+    sx, top = alpha * sine / length, 1.0 + mu / length
+    radius = np.sqrt(np.maximum(0.0, v * top * (2.0 - v * top)))
+    x, y, z = alpha * (radius * cos_phi + sx), alpha * radius * sin_phi, (1.0 - v) * top
+    over = 1.0 / np.maximum(np.sqrt(x * x + y * y + z * z), 1e-150)
+    cosine = (sine * x + mu * z) * over
+    return cosine, 2.0 * cosine * z * over - mu
+
+
+def _edge(alpha: float, mu: Array, cos_phi: float) -> Array:
+    """Return up to which v a facet at an azimuth reflects above the surface: by halving."""
+    low, high = np.zeros_like(mu), np.ones_like(mu)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        above = _reflected(alpha, mu, cos_phi, 0.0, middle)[1] > 0.0
+        low, high = np.where(above, middle, low), np.where(above, high, middle)
+    return low
+
+
+def _edge_azimuth(alpha: float, mu: Array, v: Array) -> Array:
+    """Return up to which azimuth a facet reflects above the surface; that is linear in the azimuth's cosine."""
+    sine = np.sqrt(1.0 - mu * mu)
+    length = np.hypot(alpha * sine, mu)
+    sx, top = alpha * sine / length, 1.0 + mu / length
+    radius2, z = np.maximum(0.0, v * top * (2.0 - v * top)), (1.0 - v) * top
+    slope = 2.0 * alpha * np.sqrt(radius2) * (sine * z - mu * alpha * sx)
+    rest = mu * (alpha * alpha * (radius2 + sx * sx) + z * z) - 2.0 * (sine * alpha * sx + mu * z) * z
+    return np.arccos(np.clip(rest / np.where(slope == 0.0, 1e-300, slope), -1.0, 1.0))
+
+
+def _part(alpha: float, mu: Array, low: Array, high: Array, cut: bool) -> Array:
+    """Return the integrals over v from `low` to `high`, and over the azimuths above the edge where it cuts them."""
+    x, w = np.polynomial.legendre.leggauss(ACROSS)
+    p = 0.5 * (x + 1.0)
+    # Points crowd at both ends, where square roots and the shadow near the horizon are.
+    place, weight = p**3 * (10.0 - 15.0 * p + 6.0 * p * p), 15.0 * (p * (1.0 - p)) ** 2 * w
+    mu, low, high = mu[:, None], low[:, None], high[:, None]
+    v, v_weight = low + (high - low) * place, (high - low) * weight
+    limit = _edge_azimuth(alpha, mu, v) if cut else np.full_like(v, np.pi)
+    x, w = np.polynomial.legendre.leggauss(ROUND)
+    p = 0.5 * (x + 1.0)
+    phi = limit[..., None] * (1.0 - (1.0 - p) ** 3)
+    phi_weight = limit[..., None] * (1.5 * (1.0 - p) ** 2 * w / np.pi)
+    mu = mu[..., None]
+    cosine, out = _reflected(alpha, mu, np.cos(phi), np.sin(phi), v[..., None])
+    out = np.maximum(out, 0.0)
+    seen_from = np.sqrt(alpha * alpha * (1.0 - mu * mu) + mu * mu)
+    seen_out = np.sqrt(alpha * alpha * (1.0 - out * out) + out * out)
+    share = out * (seen_from + mu) / (out * seen_from + mu * seen_out) * phi_weight * v_weight[..., None]
+    x2 = 2.0 * (2.0 * np.clip(cosine, 0.0, 1.0) - 1.0)
+    before, now = np.ones_like(x2), 0.5 * x2
+    moments = np.empty((ORDERS, len(mu)))
+    for order in range(ORDERS):
+        moments[order] = np.einsum("ijk,ijk->i", before, share)
+        before, now = now, x2 * now - before
+    return moments
+
+
+@inlined
+def table_at(parameters: Array, first: int, colour: int, cosine: float) -> float:
+    """Return the value of a table that is linear in the root of the cosine.
+
+    Parameters
+    ----------
+    parameters : (rows, wavelengths) float64
+    first : int
+        Row of the table's first value.
+    colour : int
+        Number of the wavelength.
+    cosine : float
+    """
+    t = np.sqrt(min(max(cosine, 0.0), 1.0)) * NODES
+    i = min(int(t), NODES - 1)
+    return (i + 1.0 - t) * parameters[first + i, colour] + (t - i) * parameters[first + i + 1, colour]
+
+
+@inlined
+def gloss_albedos(
+    parameters: Array, first: int, colour: int, texel: float, cosine: float
+) -> tuple[float, float]:  # fmt: skip
+    """Return the share of light from a direction that single facets reflect, and what the two other parts scatter.
+
+    Parameters
+    ----------
+    parameters : (rows, wavelengths) float64
+    first : int
+        Row of the model's first parameter.
+    colour : int
+        Number of the wavelength.
+    texel : float
+        Factor of the base's reflectance.
+    cosine : float
+    """
+    several = parameters[first + SEVERAL, colour] * table_at(parameters, first + TABLES, colour, cosine)
+    through = table_at(parameters, first + TABLES + NODES + 1, colour, cosine)
+    once = max(0.0, 1.0 - MARGIN - through - several)
+    return once, several + parameters[first + BASE, colour] * texel * through
+
+
+@kernel
+def gloss_brdf(
+    parameters: Array, first: int, colour: int, texel: float,
+    ix: float, iy: float, iz: float, ox: float, oy: float, oz: float,
+) -> float:  # fmt: skip
+    """Return the BRDF, 1/sr; 0 for a direction below the surface.
+
+    Parameters
+    ----------
+    parameters, first, colour, texel
+        As for `gloss_albedos`.
+    ix, iy, iz, ox, oy, oz : float
+        Unit directions, away from the surface.
+    """
+    if iz <= 0.0 or oz <= 0.0:
+        return 0.0
+    tables = first + TABLES
+    value = (
+        parameters[first + SEVERAL_NORM, colour]
+        * (table_at(parameters, tables, colour, iz) * table_at(parameters, tables, colour, oz))
+    )  # fmt: skip
+    tables += NODES + 1
+    value += (
+        parameters[first + BASE_NORM, colour] * texel
+        * (table_at(parameters, tables, colour, iz) * table_at(parameters, tables, colour, oz))
+    )  # fmt: skip
+    hx, hy, hz, cosine = _half_way(ix, iy, iz, ox, oy, oz)
+    alpha = parameters[first + ALPHA, colour]
+    reflectance = facet_reflectance(parameters[first + INDEX, colour], parameters[first + EXTINCTION, colour], cosine)
+    facets = facet_density(alpha, hx, hy, hz) * smith_g2(alpha, ix, iy, iz, ox, oy, oz)
+    return value + reflectance * facets / (4.0 * iz * oz)
+
+
+@inlined
+def _half_way(
+    ix: float, iy: float, iz: float, ox: float, oy: float, oz: float
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """Return the unit normal of the facet that reflects one direction into another, and the cosine at it."""
+    hx, hy, hz = ix + ox, iy + oy, iz + oz
+    length = np.sqrt(hx * hx + hy * hy + hz * hz)
+    if length == 0.0:
+        return 0.0, 0.0, 1.0, 0.0
+    # |i + o| is twice the cosine of half the angle between them.
+    return hx / length, hy / length, hz / length, min(0.5 * length, 1.0)
+
+
+@inlined
+def _chance_of_facet(once: float, rest: float) -> float:
+    """Return the chance with which a direction is drawn by a facet, else by the cosine."""
+    if rest <= 0.0:
+        return 1.0
+    return min(max(once / (once + rest), LEAST_CHANCE), 1.0 - LEAST_CHANCE)
+
+
+@kernel
+def gloss_direction(
+    parameters: Array, first: int, colour: int, texel: float, ix: float, iy: float, iz: float, u: float, v: float
+) -> tuple[float, float, float]:
+    """Return a random direction: reflected by a visible facet, or by Lambert's law.
+
+    What a facet reflects below the surface is mirrored at the surface, so that every draw gives a direction.
+
+    Parameters
+    ----------
+    parameters, first, colour, texel
+        As for `gloss_albedos`.
+    ix, iy, iz : float
+        Unit direction of the light that arrives, away from the surface.
+    u, v : float
+        Random numbers, uniform in [0, 1).
+    """
+    once, rest = gloss_albedos(parameters, first, colour, texel, iz)
+    chance = _chance_of_facet(once, rest)
+    if u < chance:
+        hx, hy, hz = visible_normal(parameters[first + ALPHA, colour], ix, iy, iz, u / chance, v)
+        twice = 2.0 * (ix * hx + iy * hy + iz * hz)
+        ox, oy, oz = twice * hx - ix, twice * hy - iy, abs(twice * hz - iz)
+        over = 1.0 / np.sqrt(ox * ox + oy * oy + oz * oz)
+        return ox * over, oy * over, oz * over
+    u = min((u - chance) / (1.0 - chance), 1.0)
+    radius, phi = np.sqrt(u), 2.0 * np.pi * v
+    return radius * np.cos(phi), radius * np.sin(phi), np.sqrt(max(0.0, 1.0 - u))
+
+
+@kernel
+def gloss_density(
+    parameters: Array, first: int, colour: int, texel: float,
+    ix: float, iy: float, iz: float, ox: float, oy: float, oz: float,
+) -> float:  # fmt: skip
+    """Return the density, 1/sr, with which `gloss_direction` draws a direction; 0 below the surface.
+
+    Parameters
+    ----------
+    parameters, first, colour, texel
+        As for `gloss_albedos`.
+    ix, iy, iz, ox, oy, oz : float
+        Unit directions, away from the surface.
+    """
+    if oz <= 0.0:
+        return 0.0
+    once, rest = gloss_albedos(parameters, first, colour, texel, iz)
+    chance = _chance_of_facet(once, rest)
+    alpha = parameters[first + ALPHA, colour]
+    hx, hy, hz, _ = _half_way(ix, iy, iz, ox, oy, oz)
+    facets = facet_density(alpha, hx, hy, hz)
+    if oz < iz:
+        hx, hy, hz, _ = _half_way(ix, iy, iz, ox, oy, -oz)
+        facets += facet_density(alpha, hx, hy, hz)
+    return chance * facets / (4.0 * projected_area(alpha, ix, iy, iz)) + (1.0 - chance) * oz / np.pi

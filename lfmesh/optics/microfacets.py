@@ -1,0 +1,185 @@
+"""GGX microfacets: normals, masking and shadowing after Smith, and sampling of the normals that are visible.
+
+All vectors are in the local frame of the surface, whose mean normal is +z; unit vectors point away from the surface.
+`alpha` is Walter's α_g (Walter, Marschner, Li & Torrance, EGSR 2007), above 0. Directions may point below the mean
+surface (z < 0), as those of light between two facets may; the facets' own normals have z > 0.
+"""
+
+import math
+
+import numpy as np
+
+from lfmesh.kernel import inlined
+
+
+@inlined
+def facet_density(alpha: float, mx: float, my: float, mz: float) -> float:
+    """Return D(m), 1/sr: area of the facets with a normal, per area of the mean surface (Walter et al. 2007, eq. 33).
+
+    Times the cosine m_z it integrates to one over the hemisphere.
+
+    Parameters
+    ----------
+    alpha : float
+        Roughness α_g.
+    mx, my, mz : float
+        Unit normal of a facet.
+    """
+    if mz <= 0.0:
+        return 0.0
+    a2 = alpha * alpha
+    # cos⁴ θ (α² + tan² θ)² without the digits that 1 − cos² would lose where the surface is almost smooth.
+    spread = mx * mx + my * my + a2 * mz * mz
+    return a2 / (np.pi * spread * spread)
+
+
+@inlined
+def stretched_length(alpha: float, x: float, y: float, z: float) -> float:
+    """Return the length of a direction in the space in which the facets are those of a hemisphere."""
+    return np.sqrt(alpha * alpha * (x * x + y * y) + z * z)
+
+
+@inlined
+def projected_area(alpha: float, x: float, y: float, z: float) -> float:
+    """Return σ(ω): projected area of the facets that face a direction, per area of the mean surface.
+
+    Other facets that stand in front of them are not taken off (Heitz et al., SIGGRAPH 2016).
+
+    Parameters
+    ----------
+    alpha : float
+        Roughness α_g.
+    x, y, z : float
+        Unit direction, above or below the surface.
+    """
+    length = stretched_length(alpha, x, y, z)
+    if z >= 0.0:
+        return 0.5 * (length + z)
+    # Below the surface both terms are almost equal: their difference by the difference of their squares.
+    return 0.5 * alpha * alpha * (x * x + y * y) / (length - z)
+
+
+@inlined
+def smith_lambda(alpha: float, x: float, y: float, z: float) -> float:
+    """Return Smith's Λ of a direction: infinite along the surface, 0 along +z, −1 along −z.
+
+    Parameters
+    ----------
+    alpha : float
+        Roughness α_g.
+    x, y, z : float
+        Unit direction, above or below the surface.
+    """
+    length = stretched_length(alpha, x, y, z)
+    if z >= 0.0:
+        return 0.5 * alpha * alpha * (x * x + y * y) / (z * (length + z))
+    return 0.5 * (length / z - 1.0)
+
+
+@inlined
+def smith_g1(alpha: float, x: float, y: float, z: float) -> float:
+    """Return Smith's G₁: visible share of the facets that face a direction (Walter et al. 2007, eq. 34).
+
+    Parameters
+    ----------
+    alpha : float
+        Roughness α_g.
+    x, y, z : float
+        Unit direction; 0 below the surface.
+    """
+    if z <= 0.0:
+        return 0.0
+    return 2.0 * z / (z + stretched_length(alpha, x, y, z))
+
+
+@inlined
+def smith_g2(alpha: float, ix: float, iy: float, iz: float, ox: float, oy: float, oz: float) -> float:
+    """Return Smith's G₂ of two directions above the surface: share of the facets that both see.
+
+    Facets that are seen from one direction lie high and are more likely to be seen from the other (Heitz 2014).
+
+    Parameters
+    ----------
+    alpha : float
+        Roughness α_g.
+    ix, iy, iz, ox, oy, oz : float
+        Unit directions; 0 if one is below the surface.
+    """
+    if iz <= 0.0 or oz <= 0.0:
+        return 0.0
+    length_i, length_o = stretched_length(alpha, ix, iy, iz), stretched_length(alpha, ox, oy, oz)
+    return 2.0 * iz * oz / (oz * length_i + iz * length_o)
+
+
+@inlined
+def smith_g2_through(alpha: float, ix: float, iy: float, iz: float, ox: float, oy: float, oz: float) -> float:
+    """Return Smith's G₂ of a direction above and one below: share of the facets that are seen from both sides.
+
+    A facet seen from above lies high and is less likely to be seen from below: Euler's B(1 + Λ_i, 1 + Λ_o)
+    (Heitz et al., SIGGRAPH 2016).
+
+    Parameters
+    ----------
+    alpha : float
+        Roughness α_g.
+    ix, iy, iz : float
+        Unit direction above the surface.
+    ox, oy, oz : float
+        Unit direction below it.
+    """
+    if iz <= 0.0 or oz >= 0.0:
+        return 0.0
+    lambda_i, lambda_o = smith_lambda(alpha, ix, iy, iz), smith_lambda(alpha, ox, oy, -oz)
+    if not (lambda_i < np.inf and lambda_o < np.inf):
+        return 0.0
+    return math.exp(math.lgamma(1.0 + lambda_i) + math.lgamma(1.0 + lambda_o) - math.lgamma(2.0 + lambda_i + lambda_o))
+
+
+@inlined
+def visible_normal(
+    alpha: float, x: float, y: float, z: float, u: float, v: float
+) -> tuple[float, float, float]:  # fmt: skip
+    """Return a random facet normal, each as likely as its projected area from a direction (Heitz, JCGT 7(4), 2018).
+
+    Drawn by the cap of the sphere that mirrors the stretched direction (Dupuy & Benyoub 2023), which gives Heitz's
+    density also for directions below the surface.
+
+    Parameters
+    ----------
+    alpha : float
+        Roughness α_g.
+    x, y, z : float
+        Unit direction from which the facets are seen, not −z itself.
+    u, v : float
+        Random numbers, uniform in [0, 1).
+    """
+    over = 1.0 / stretched_length(alpha, x, y, z)
+    sx, sy, sz = alpha * x * over, alpha * y * over, z * over
+    # Height in the cap above its rim at −sz, whose largest value 1 + sz has few digits near sz = −1.
+    mz = (1.0 - v) * 2.0 * projected_area(alpha, x, y, z) * over
+    height = mz - sz
+    radius, phi = np.sqrt(max(0.0, (1.0 - height) * (1.0 + height))), 2.0 * np.pi * u
+    mx, my = alpha * (radius * np.cos(phi) + sx), alpha * (radius * np.sin(phi) + sy)
+    over = 1.0 / np.sqrt(mx * mx + my * my + mz * mz)
+    return mx * over, my * over, mz * over
+
+
+@inlined
+def visible_normal_density(
+    alpha: float, x: float, y: float, z: float, mx: float, my: float, mz: float
+) -> float:  # fmt: skip
+    """Return the density, 1/sr, with which `visible_normal` draws a normal.
+
+    Parameters
+    ----------
+    alpha : float
+        Roughness α_g.
+    x, y, z : float
+        Unit direction from which the facets are seen.
+    mx, my, mz : float
+        Unit normal of a facet.
+    """
+    facing = x * mx + y * my + z * mz
+    if facing <= 0.0:
+        return 0.0
+    return facing * facet_density(alpha, mx, my, mz) / projected_area(alpha, x, y, z)

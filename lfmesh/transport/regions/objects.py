@@ -12,6 +12,7 @@ from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.levels import PATCH
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.crossing import (
+    LIGHT_U,
     MAX_TRIES,
     clear_of,
     crosses,
@@ -23,13 +24,15 @@ from lfmesh.transport.events.crossing import (
     meets_patch,
     move_packet,
     next_query_from,
+    record_interface,
     reflected,
     refracted,
     requery,
     too_deep,
     write_query,
 )
-from lfmesh.transport.events.interface import divided, is_coated, splitter
+from lfmesh.transport.events.interface import divided, is_coated, is_rough, scattered, scattered_density, splitter
+from lfmesh.transport.events.lighting import LIGHT_DIMENSIONS, illuminate
 from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import (
     ESCAPED,
@@ -42,6 +45,9 @@ from lfmesh.transport.packets.book import (
 from lfmesh.transport.packets.packet import (
     CAMERA,
     CAMERA_FRAME,
+    E_REFLECTED,
+    E_TRANSMITTED,
+    EVENTS,
     LAMP,
     LEFT_LENS,
     LENS,
@@ -62,6 +68,7 @@ from lfmesh.transport.packets.packet import (
     put,
 )
 from lfmesh.transport.packets.path_class import is_estimated
+from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT
 from lfmesh.transport.regions.bodies import (
     RANK,
     TOO_MANY,
@@ -73,7 +80,7 @@ from lfmesh.transport.regions.bodies import (
 )
 from lfmesh.transport.regions.lens import box_entry
 from lfmesh.transport.regions.targets import meet_target, share_with_other
-from lfmesh.transport.tables.tables import OPAQUE, AimTables, LensTables, ObjectTables, body_row
+from lfmesh.transport.tables.tables import AIR, OPAQUE, AimTables, LensTables, ObjectTables, body_row
 
 Array = NDArray[np.float64]
 
@@ -322,10 +329,18 @@ def _through_glass(
     if after == TOO_MANY:
         lose(options, flow, frames, packet, LOST_CONTRADICTION, objects.lost_slot[body])
         return
+    beyond = medium_of(objects, after)
+    media, own = len(objects.media.indices), objects.medium[body]
+    number = body_row(body, beyond if packet.medium == own else packet.medium, media)
+    rough = is_rough(objects.interfaces, number)
     level = objects.level[body]
     if level == PATCH:
         met, more, nx, ny, nz = meets_patch(flow, objects.patches, objects.across, facet, prim, x, y, z, dx, dy, dz)
-        if met and t + more <= 0.0:
+        if rough:
+            # A ray that scatters along a curved patch would run between it and the facets, where no query finds a way
+            # out: it starts on the facet, and only the normal is the patch's.
+            more = 0.0
+        elif met and t + more <= 0.0:
             further = next_query_from(facet, packet, t)
             requery(options, flow, frames, OBJECTS, packet, further, False, objects.lost_slot[body])
             return
@@ -341,11 +356,8 @@ def _through_glass(
     if cos_i < 0.0:
         nx, ny, nz, cos_i = -nx, -ny, -nz, -cos_i
     cos_i = min(cos_i, 1.0)
-    x, y, z = arrive(flow, objects.media, packet, x, y, z)
-    beyond = medium_of(objects, after)
     n_i, n_t = objects.media.indices[packet.medium, packet.colour], objects.media.indices[beyond, packet.colour]
-    media, own = len(objects.media.indices), objects.medium[body]
-    number = body_row(body, beyond if packet.medium == own else packet.medium, media)
+    x, y, z = arrive(flow, objects.media, packet, x, y, z)
     # A coating between equal indices counts, unless a body of a higher rank covers it.
     uncovered = (after if entering else inside) & RANK == objects.rank[body]
     if n_i == n_t and inside != 0 and after != 0 and not (uncovered and is_coated(objects.interfaces, number)):
@@ -353,6 +365,10 @@ def _through_glass(
         set_bodies(packet, after)
         clear = clear_of(facet, x, y, z, dx, dy, dz)
         put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, clear)
+        return
+    if rough:
+        place = objects, prim, inside, after, beyond, number
+        _through_rough_glass(place, options, flow, frames, packet, x, y, z, nx, ny, nz, n_i, n_t)
         return
     reflectance, transmittance, cos_t = divided(
         objects.interfaces, number, packet.colour, n_i, n_t, cos_i, not entering, packet, flow.book
@@ -366,3 +382,105 @@ def _through_glass(
         x, y, z, reflectance, transmittance,
         reflected(dx, dy, dz, nx, ny, nz), refracted(dx, dy, dz, nx, ny, nz, n_i / n_t, cos_i, cos_t),
     )  # fmt: skip
+
+
+@kernel
+def _through_rough_glass(
+    place: Any, options: Options, flow: Flow, frames: Array, packet: Any,
+    x: float, y: float, z: float, nx: float, ny: float, nz: float, n_i: float, n_t: float,
+) -> None:  # fmt: skip
+    """Gather light at a rough facet of glass, and send the packet on in a random direction, with its whole weight.
+
+    As on a target, light of lamps is found by next-event estimation, and the packet leaves as one that may reach the
+    lens without having been aimed.
+
+    Parameters
+    ----------
+    place : tuple
+        Object tables, facet, bodies before and after it, medium beyond it, and row of the interface.
+    x, y, z : float, mm
+        Point on the interface.
+    nx, ny, nz : float
+        Unit normal along the ray.
+    n_i, n_t : float
+        Refractive index before and after the interface.
+    """
+    objects, prim, inside, after, beyond, number = place
+    flow.counts[EVENTS] += 1
+    packet.facet, packet.last = NO_SURFACE, NO_SURFACE
+    if packet.kind == LAMP and not is_estimated(options, packet):
+        # Its path belongs to another class, which is estimated from the sensor.
+        flow.book[SAMPLING_REMOVED] += packet.weight
+        return
+    if options.adjoint and is_estimated(options, packet):
+        _ask_lights_at_glass(place, flow, packet, x, y, z, nx, ny, nz, n_i, n_t)
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
+    passes, dx, dy, dz = scattered(objects.interfaces, number, options, packet, n_i, n_t, dx, dy, dz, nx, ny, nz)
+    fx, fy, fz = _along_facet(objects.facets[prim], nx, ny, nz)
+    if (fx * dx + fy * dy + fz * dz > 0.0) != passes:
+        # The normal of a curved patch, or an interpolated one, differs from the facet's, which parts the media.
+        dx, dy, dz = reflected(dx, dy, dz, fx, fy, fz)
+    packet.kind = SPECULAR
+    if options.record:
+        event = E_TRANSMITTED if passes else E_REFLECTED
+        body = objects.facets[prim].body
+        packet.node = record_interface(
+            flow, frames, OBJECT_FRAME, x, y, z, packet.weight, ON_GLASS, body, event, packet.node, beyond
+        )
+    if passes:
+        packet.medium = beyond
+    place = objects, prim, inside, after
+    _send_from_glass(
+        place, options, flow, frames, packet, passes, x, y, z, dx, dy, dz, packet.weight, packet.key
+    )  # fmt: skip
+
+
+@inlined
+def _along_facet(facet: Any, nx: float, ny: float, nz: float) -> tuple[float, float, float]:
+    """Return a facet's normal, in the sense of the normal of its surface."""
+    normal = facet.normal
+    sense = 1.0 if normal[0] * nx + normal[1] * ny + normal[2] * nz > 0.0 else -1.0
+    return sense * normal[0], sense * normal[1], sense * normal[2]
+
+
+@kernel
+def _ask_lights_at_glass(
+    place: Any, flow: Flow, packet: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float,
+    n_i: float, n_t: float,
+) -> None:  # fmt: skip
+    """Send a shadow packet to every light that a rough facet of glass sees through air, on either of its sides.
+
+    Parameters
+    ----------
+    place, packet, x, y, z, nx, ny, nz, n_i, n_t
+        As for `_through_rough_glass`.
+    """
+    objects, prim, inside, after, _, number = place
+    facet = objects.facets[prim]
+    ix, iy, iz = packet.dx, packet.dy, packet.dz
+    fx, fy, fz = _along_facet(facet, nx, ny, nz)
+    for light in range(len(objects.lights)):
+        dimension = packet.events * DIMENSIONS_PER_EVENT + LIGHT_U + LIGHT_DIMENSIONS * light
+        ux, uy, uz, reach, irradiance = illuminate(objects.lights[light], x, y, z, packet.key, dimension)
+        passes = fx * ux + fy * uy + fz * uz > 0.0
+        if (after if passes else inside) != 0 or irradiance <= 0.0:
+            continue
+        density = 0.0
+        if (nx * ux + ny * uy + nz * uz > 0.0) == passes:
+            density = scattered_density(
+                objects.interfaces, number, packet, n_i, n_t, ix, iy, iz, nx, ny, nz, ux, uy, uz, light
+            )  # fmt: skip
+        mx, my, mz = reflected(ux, uy, uz, fx, fy, fz)
+        if (nx * mx + ny * my + nz * mz > 0.0) == passes:
+            # What is mirrored at the facet, see above.
+            density += scattered_density(
+                objects.interfaces, number, packet, n_i, n_t, ix, iy, iz, nx, ny, nz, mx, my, mz, light
+            )  # fmt: skip
+        if density <= 0.0:
+            continue
+        shadow = put(
+            flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, packet.weight * irradiance * density, packet.key,
+            clear_of(facet, x, y, z, ux, uy, uz),
+        )  # fmt: skip
+        shadow.kind, shadow.medium, shadow.facet, shadow.limit = SHADOW, AIR, prim, reach
+        set_bodies(shadow, 0)

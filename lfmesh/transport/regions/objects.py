@@ -11,12 +11,17 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.levels import PATCH
 from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.aiming.mixture import aimed
 from lfmesh.transport.events.crossing import (
+    AIM_DISK,
+    AIM_U,
+    AIM_V,
     LIGHT_U,
     MAX_TRIES,
     clear_of,
     crosses,
     deposit,
+    draw,
     end,
     end_here,
     facet_normal,
@@ -40,6 +45,7 @@ from lfmesh.transport.packets.book import (
     LENS_FRONT,
     LOST_CONTRADICTION,
     LOST_OUTSIDE,
+    SAMPLING_ADDED,
     SAMPLING_REMOVED,
 )
 from lfmesh.transport.packets.packet import (
@@ -68,7 +74,7 @@ from lfmesh.transport.packets.packet import (
     put,
 )
 from lfmesh.transport.packets.path_class import is_estimated
-from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT
+from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived
 from lfmesh.transport.regions.bodies import (
     RANK,
     TOO_MANY,
@@ -79,7 +85,7 @@ from lfmesh.transport.regions.bodies import (
     set_bodies,
 )
 from lfmesh.transport.regions.lens import box_entry
-from lfmesh.transport.regions.targets import meet_target, share_with_other
+from lfmesh.transport.regions.targets import AIMED_CHILD, meet_target, share_with_other
 from lfmesh.transport.tables.tables import AIR, OPAQUE, AimTables, LensTables, ObjectTables, body_row
 
 Array = NDArray[np.float64]
@@ -183,6 +189,10 @@ def shade_objects(
                     # Scattered light goes into the lens by aimed children only.
                     flow.book[SAMPLING_REMOVED] += packet.weight
                 continue
+            elif packet.kind == CAMERA and packet.facet == NO_SURFACE and not (options.adjoint or options.tracing):
+                # Aimed from rough glass: what does not go straight to the lens is the other child's.
+                flow.book[SAMPLING_REMOVED] += packet.weight
+                continue
             elif options.bounce and options.aimed and not options.adjoint and packet.facet != NO_SURFACE:
                 # It left a target, which sends two packets this way: one aimed at the lens, one not aimed.
                 into_glass = prim >= 0 and facet.body >= 0 and objects.medium[facet.body] != OPAQUE
@@ -198,7 +208,7 @@ def shade_objects(
         body = facet.body
         if body >= 0 and objects.medium[body] != OPAQUE:
             if not too_deep(options, flow, frames, packet):
-                _through_glass(options, flow, frames, objects, packet, prim, t)
+                _through_glass(options, flow, frames, objects, aim, packet, prim, t)
             continue
         x, y, z = travel(flow, objects.media, packet, t)
         weight = packet.weight
@@ -313,7 +323,7 @@ _split_at_glass = splitter(_send_from_glass)
 
 @kernel
 def _through_glass(
-    options: Options, flow: Flow, frames: Array, objects: ObjectTables, packet: Any, prim: int, t: float
+    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any, prim: int, t: float
 ) -> None:
     """Split a packet at a facet of a glass body, at distance t, by the media on both sides.
 
@@ -368,7 +378,7 @@ def _through_glass(
         return
     if rough:
         place = objects, prim, inside, after, beyond, number
-        _through_rough_glass(place, options, flow, frames, packet, x, y, z, nx, ny, nz, n_i, n_t)
+        _through_rough_glass(place, options, flow, frames, aim, packet, x, y, z, nx, ny, nz, n_i, n_t)
         return
     reflectance, transmittance, cos_t = divided(
         objects.interfaces, number, packet.colour, n_i, n_t, cos_i, not entering, packet, flow.book
@@ -386,13 +396,13 @@ def _through_glass(
 
 @kernel
 def _through_rough_glass(
-    place: Any, options: Options, flow: Flow, frames: Array, packet: Any,
+    place: Any, options: Options, flow: Flow, frames: Array, aim: AimTables, packet: Any,
     x: float, y: float, z: float, nx: float, ny: float, nz: float, n_i: float, n_t: float,
 ) -> None:  # fmt: skip
     """Gather light at a rough facet of glass, and send the packet on in a random direction, with its whole weight.
 
-    As on a target, light of lamps is found by next-event estimation, and the packet leaves as one that may reach the
-    lens without having been aimed.
+    As on a target, the adjoint method finds the light of lamps by next-event estimation. The forward method sends a
+    child aimed at the entrance pupil, which counts if it goes straight there; the other child counts if it does not.
 
     Parameters
     ----------
@@ -414,8 +424,9 @@ def _through_rough_glass(
         return
     if options.adjoint and is_estimated(options, packet):
         _ask_lights_at_glass(place, flow, packet, x, y, z, nx, ny, nz, n_i, n_t)
-    dx, dy, dz = packet.dx, packet.dy, packet.dz
-    passes, dx, dy, dz = scattered(objects.interfaces, number, options, packet, n_i, n_t, dx, dy, dz, nx, ny, nz)
+    passes, dx, dy, dz = scattered(
+        objects.interfaces, number, options, packet, n_i, n_t, packet.dx, packet.dy, packet.dz, nx, ny, nz
+    )
     fx, fy, fz = _along_facet(objects.facets[prim], nx, ny, nz)
     if (fx * dx + fy * dy + fz * dz > 0.0) != passes:
         # The normal of a curved patch, or an interpolated one, differs from the facet's, which parts the media.
@@ -427,12 +438,13 @@ def _through_rough_glass(
         packet.node = record_interface(
             flow, frames, OBJECT_FRAME, x, y, z, packet.weight, ON_GLASS, body, event, packet.node, beyond
         )
+    if options.aimed and not options.adjoint and not options.tracing:
+        _aim_from_glass(place, flow, frames, aim, packet, x, y, z, nx, ny, nz, n_i, n_t)
+        packet.kind = SCATTERED
     if passes:
         packet.medium = beyond
-    place = objects, prim, inside, after
-    _send_from_glass(
-        place, options, flow, frames, packet, passes, x, y, z, dx, dy, dz, packet.weight, packet.key
-    )  # fmt: skip
+    sent = objects, prim, inside, after
+    _send_from_glass(sent, options, flow, frames, packet, passes, x, y, z, dx, dy, dz, packet.weight, packet.key)
 
 
 @inlined
@@ -455,32 +467,88 @@ def _ask_lights_at_glass(
     place, packet, x, y, z, nx, ny, nz, n_i, n_t
         As for `_through_rough_glass`.
     """
-    objects, prim, inside, after, _, number = place
-    facet = objects.facets[prim]
-    ix, iy, iz = packet.dx, packet.dy, packet.dz
-    fx, fy, fz = _along_facet(facet, nx, ny, nz)
+    objects = place[0]
     for light in range(len(objects.lights)):
         dimension = packet.events * DIMENSIONS_PER_EVENT + LIGHT_U + LIGHT_DIMENSIONS * light
         ux, uy, uz, reach, irradiance = illuminate(objects.lights[light], x, y, z, packet.key, dimension)
-        passes = fx * ux + fy * uy + fz * uz > 0.0
-        if (after if passes else inside) != 0 or irradiance <= 0.0:
+        if irradiance <= 0.0:
             continue
-        density = 0.0
-        if (nx * ux + ny * uy + nz * uz > 0.0) == passes:
-            density = scattered_density(
-                objects.interfaces, number, packet, n_i, n_t, ix, iy, iz, nx, ny, nz, ux, uy, uz, light
-            )  # fmt: skip
-        mx, my, mz = reflected(ux, uy, uz, fx, fy, fz)
-        if (nx * mx + ny * my + nz * mz > 0.0) == passes:
-            # What is mirrored at the facet, see above.
+        density = _density_into_air(place, packet, nx, ny, nz, n_i, n_t, ux, uy, uz, light)
+        if density > 0.0:
+            weight = packet.weight * irradiance * density
+            shadow = _put_in_air(place, flow, packet, x, y, z, ux, uy, uz, weight, packet.key)
+            shadow.kind, shadow.facet, shadow.limit = SHADOW, place[1], reach
+
+
+@kernel
+def _aim_from_glass(
+    place: Any, flow: Flow, frames: Array, aim: AimTables, packet: Any,
+    x: float, y: float, z: float, nx: float, ny: float, nz: float, n_i: float, n_t: float,
+) -> None:  # fmt: skip
+    """Queue a child that is aimed at the entrance pupil, if the rough facet of glass sees it through air.
+
+    Parameters
+    ----------
+    place, packet, x, y, z, nx, ny, nz, n_i, n_t
+        As for `_through_rough_glass`.
+    """
+    px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
+    ax, ay, az, at_lens = aimed(
+        px, py, pz, aim.entrance, aim.front_radius, aim.wide_share, aim.share_without_aim,
+        draw(packet, AIM_DISK), draw(packet, AIM_U), draw(packet, AIM_V),
+    )  # fmt: skip
+    if at_lens <= 0.0:
+        return
+    ux, uy, uz = move_direction(frames, CAMERA_FRAME, OBJECT_FRAME, ax, ay, az)
+    density = _density_into_air(place, packet, nx, ny, nz, n_i, n_t, ux, uy, uz, 0)
+    if density > 0.0:
+        weight = packet.weight * density / at_lens
+        flow.book[SAMPLING_ADDED] += weight
+        key = derived(packet.key, AIMED_CHILD + packet.events)
+        child = _put_in_air(place, flow, packet, x, y, z, ux, uy, uz, weight, key)
+        child.kind, child.start = CAMERA, weight
+
+
+@kernel
+def _density_into_air(
+    place: Any, packet: Any, nx: float, ny: float, nz: float, n_i: float, n_t: float, ux: float, uy: float, uz: float,
+    light: int,
+) -> float:  # fmt: skip
+    """Return the density, 1/sr, with which a rough facet scatters a packet in a direction; 0: not into air.
+
+    Parameters
+    ----------
+    place, packet, nx, ny, nz, n_i, n_t
+        As for `_through_rough_glass`.
+    ux, uy, uz : float
+        Unit direction.
+    light : int
+        See `scattered_density`.
+    """
+    objects, prim, inside, after, _, number = place
+    fx, fy, fz = _along_facet(objects.facets[prim], nx, ny, nz)
+    passes = fx * ux + fy * uy + fz * uz > 0.0
+    if (after if passes else inside) != 0:
+        return 0.0
+    density = 0.0
+    # A direction is also what the facet makes of its mirror image, where that lies on the other side of the facet.
+    for vx, vy, vz in ((ux, uy, uz), reflected(ux, uy, uz, fx, fy, fz)):
+        if (nx * vx + ny * vy + nz * vz > 0.0) == passes:
             density += scattered_density(
-                objects.interfaces, number, packet, n_i, n_t, ix, iy, iz, nx, ny, nz, mx, my, mz, light
+                objects.interfaces, number, packet, n_i, n_t, packet.dx, packet.dy, packet.dz, nx, ny, nz, vx, vy, vz,
+                light,
             )  # fmt: skip
-        if density <= 0.0:
-            continue
-        shadow = put(
-            flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, packet.weight * irradiance * density, packet.key,
-            clear_of(facet, x, y, z, ux, uy, uz),
-        )  # fmt: skip
-        shadow.kind, shadow.medium, shadow.facet, shadow.limit = SHADOW, AIR, prim, reach
-        set_bodies(shadow, 0)
+    return density
+
+
+@inlined
+def _put_in_air(
+    place: Any, flow: Flow, packet: Any, x: float, y: float, z: float, ux: float, uy: float, uz: float,
+    weight: float, key: np.uint64,
+) -> Any:  # fmt: skip
+    """Queue a child that leaves a facet of glass into air."""
+    clear = clear_of(place[0].facets[place[1]], x, y, z, ux, uy, uz)
+    child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, weight, key, clear)
+    child.medium = AIR
+    set_bodies(child, 0)
+    return child

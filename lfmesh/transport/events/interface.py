@@ -210,6 +210,49 @@ def scattered_density(
     return ground_density(interfaces.parameters[row.first, packet.colour], n_i, n_t, a, b, c, to_a, to_b, -along, key)
 
 
+def scatterer(send: Callable[..., None]) -> Callable[..., None]:
+    """Make the function that sends a packet on whose direction `scattered` has drawn.
+
+    Parameters
+    ----------
+    send : kernel
+        As for `splitter`.
+
+    Returns
+    -------
+    send_scattered : kernel
+    """
+
+    @inlined
+    def send_scattered(
+        place: Any, options: Options, flow: Flow, frames: NDArray[Any], frame: int, packet: Any,
+        surface: int, part: int, beyond: int, x: float, y: float, z: float, passes: bool,
+        dx: float, dy: float, dz: float,
+    ) -> None:  # fmt: skip
+        """Send a packet on with its whole weight. It stays in the class of paths that it is in, as on a target.
+
+        Parameters
+        ----------
+        frame, surface, part, beyond, x, y, z
+            As for a function that `splitter` makes.
+        passes : bool
+            It is transmitted.
+        dx, dy, dz : float
+            Unit direction.
+        """
+        flow.counts[EVENTS] += 1
+        if frame == OBJECT_FRAME and passes:
+            packet.medium = beyond
+        if options.record:
+            event = E_TRANSMITTED if passes else E_REFLECTED
+            packet.node = record_interface(
+                flow, frames, frame, x, y, z, packet.weight, surface, part, event, packet.node, beyond
+            )
+        send(place, options, flow, frames, packet, passes, x, y, z, dx, dy, dz, packet.weight, packet.key)
+
+    return send_scattered
+
+
 def splitter(send: Callable[..., None]) -> Callable[..., None]:
     """Make the function that divides a packet at the interfaces of a region.
 

@@ -29,14 +29,21 @@ from lfmesh.transport.events.crossing import (
     meets_patch,
     move_packet,
     next_query_from,
-    record_interface,
     reflected,
     refracted,
     requery,
     too_deep,
     write_query,
 )
-from lfmesh.transport.events.interface import divided, is_coated, is_rough, scattered, scattered_density, splitter
+from lfmesh.transport.events.interface import (
+    divided,
+    is_coated,
+    is_rough,
+    scattered,
+    scattered_density,
+    scatterer,
+    splitter,
+)
 from lfmesh.transport.events.lighting import LIGHT_DIMENSIONS, illuminate
 from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import (
@@ -51,9 +58,6 @@ from lfmesh.transport.packets.book import (
 from lfmesh.transport.packets.packet import (
     CAMERA,
     CAMERA_FRAME,
-    E_REFLECTED,
-    E_TRANSMITTED,
-    EVENTS,
     LAMP,
     LEFT_LENS,
     LENS,
@@ -319,6 +323,7 @@ def _send_from_glass(
 
 
 _split_at_glass = splitter(_send_from_glass)
+_send_from_rough_glass = scatterer(_send_from_glass)
 
 
 @kernel
@@ -416,7 +421,6 @@ def _through_rough_glass(
         Refractive index before and after the interface.
     """
     objects, prim, inside, after, beyond, number = place
-    flow.counts[EVENTS] += 1
     packet.facet, packet.last = NO_SURFACE, NO_SURFACE
     if packet.kind == LAMP and not is_estimated(options, packet):
         # Its path belongs to another class, which is estimated from the sensor.
@@ -432,19 +436,13 @@ def _through_rough_glass(
         # The normal of a curved patch, or an interpolated one, differs from the facet's, which parts the media.
         dx, dy, dz = reflected(dx, dy, dz, fx, fy, fz)
     packet.kind = SPECULAR
-    if options.record:
-        event = E_TRANSMITTED if passes else E_REFLECTED
-        body = objects.facets[prim].body
-        packet.node = record_interface(
-            flow, frames, OBJECT_FRAME, x, y, z, packet.weight, ON_GLASS, body, event, packet.node, beyond
-        )
     if options.aimed and not options.adjoint and not options.tracing:
         _aim_from_glass(place, flow, frames, aim, packet, x, y, z, nx, ny, nz, n_i, n_t)
         packet.kind = SCATTERED
-    if passes:
-        packet.medium = beyond
-    sent = objects, prim, inside, after
-    _send_from_glass(sent, options, flow, frames, packet, passes, x, y, z, dx, dy, dz, packet.weight, packet.key)
+    _send_from_rough_glass(
+        (objects, prim, inside, after), options, flow, frames, OBJECT_FRAME, packet, ON_GLASS,
+        objects.facets[prim].body, beyond, x, y, z, passes, dx, dy, dz,
+    )  # fmt: skip
 
 
 @inlined

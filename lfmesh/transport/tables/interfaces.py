@@ -158,7 +158,8 @@ def array_faces(scene: Scene) -> list[Face]:
     names = mla.curved_coating, mla.flat_coating
     bodies = [f"coating of the mla's {side} face" for side in ("curved", "flat")]
     finishes = mla.curved_finish, mla.flat_finish
-    return [Face(*each, None, mla.medium, rough) for *each, rough in zip(where, bodies, names, finishes, strict=True)]
+    faces = zip(where, bodies, names, finishes, strict=True)
+    return [Face(place, body, name, None, mla.medium, finish) for place, body, name, finish in faces]
 
 
 def body_faces(scene: Scene, outer: Medium = None) -> list[Face]:

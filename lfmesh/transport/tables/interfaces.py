@@ -257,6 +257,29 @@ def coating_lines(scene: Scene) -> list[str]:
     return [*lines, *(f"warning: coatings.{name}: no surface has this coating" for name in unused)]
 
 
+def finish_lines(scene: Scene) -> list[str]:
+    """Describe the rough faces of a solved scene, a line for each; what a diffuse one reflects, from both sides."""
+    wavelengths_nm = scene.transport.wavelengths_nm
+    colour = wavelengths_nm.index(scene.transport.primary_nm)
+    mla = array_faces(scene) if scene.camera.mla is not None else []
+    lines = []
+    for face in (*lens_faces(scene), *mla, *body_faces(scene)):
+        if face.roughness == POLISHED:
+            continue
+        kind, name = _kind_of(scene, face, wavelengths_nm), face.body.removeprefix("coating of ")
+        said = face.roughness.in_words()
+        if kind == BARE:
+            said += "; traced as polished"
+        elif kind == DIFFUSE:
+            thin, dense = (row[colour] for row in _finish_of(scene, face, wavelengths_nm).parameters)
+            said += (
+                f": reflects {100.0 * thin:.3g} % of diffuse light from the thinner side, {100.0 * dense:.3g} % from "
+            )
+            said += "the denser"
+        lines.append(f"{'finish of ' + name:<34}{said}")
+    return lines
+
+
 def _faces_of_regions(scene: Scene) -> tuple[list[Face], list[Face], list[Face]]:
     """Return the faces of lens, array and object space in the order of their rows."""
     by_medium = [body_faces(scene, outer) for outer in MediumList.of(scene).media]

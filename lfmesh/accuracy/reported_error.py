@@ -25,6 +25,7 @@ CROPS = {
     "first_light": (-1.0, 0.5),
     "focused": (-1.0, 0.5),
     "glossy": (1.0, 0.5),
+    "ground_glass": (-1.0, 0.5),
     "hexagonal": (-1.0, 0.5),
     "lit_chart": (-1.0, 0.5),
     "lytro_class": (-2.5, 1.5),

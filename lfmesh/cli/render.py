@@ -36,7 +36,7 @@ def check(scene: SceneFile, /) -> int:
     Exits with 0 if the scene can be rendered, whatever the warnings, and with 2 if it cannot.
     """
     from lfmesh.geometry.solved_camera import first_order, mesh_lines, solved_camera
-    from lfmesh.scene import load
+    from lfmesh.scene import Finish, load
     from lfmesh.scene.glasses import glass_lines
 
     loaded = load(scene)
@@ -45,6 +45,10 @@ def check(scene: SceneFile, /) -> int:
         from lfmesh.transport.tables.interfaces import coating_lines
 
         lines += coating_lines(solved_camera(loaded).scene)
+    if any(finish != Finish() for _, finish in loaded.finishes()):
+        from lfmesh.transport.tables.interfaces import finish_lines
+
+        lines += finish_lines(solved_camera(loaded).scene)
     print("\n".join(lines))
     return 0
 

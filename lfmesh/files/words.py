@@ -133,7 +133,9 @@ def _aim(image: Image) -> list[str]:
     if image.blind is None:
         return []
     lines, proof, blind = [], image.aim, image.blind
-    if proof is None:
+    if any(finish.is_rough and where[0] == "camera" for where, finish in image.scene.finishes()):
+        said = "as surfaces of the camera scatter light, rays go anywhere on the lens"
+    elif proof is None:
         said = "no ray from the stop could be traced to the sensor"
     elif proof.holds:
         said = f"of the light through the stop it misses {percent(proof.missed)}"

@@ -261,7 +261,7 @@ def measured(scene: Scene) -> Scene:
             surfaces.append(surface)
             continue
         front, back = faces(refractor, scene)
-        shape = refractor.model_dump(exclude={"index", "glass", "coating", "priority"})
+        shape = refractor.model_dump(exclude={"index", "glass", "coating", "finish", "priority"})
         for face, side in ((front, "front"), (back, "back")):
             aperture = surface.semi_diameter_mm or face.rim_mm
             surfaces.append(
@@ -272,6 +272,7 @@ def measured(scene: Scene) -> Scene:
                     index=refractor.index if side == "front" else None,
                     glass=refractor.glass if side == "front" else None,
                     coating=refractor.coating,
+                    finish=refractor.finish,
                     semi_diameter_mm=min(aperture, (1.0 - RIM_MARGIN) * face.rim_mm),
                     mesh=MeshFace(**shape, side=side),
                 )

@@ -35,7 +35,15 @@ def facet_density(alpha: float, mx: float, my: float, mz: float) -> float:
 
 @inlined
 def stretched_length(alpha: float, x: float, y: float, z: float) -> float:
-    """Return the length of a direction in the space in which the facets are those of a hemisphere."""
+    """Return the length of a direction in the space in which the facets are those of a hemisphere.
+
+    Parameters
+    ----------
+    alpha : float
+        Roughness α_g.
+    x, y, z : float
+        Unit direction, above or below the surface.
+    """
     return np.sqrt(alpha * alpha * (x * x + y * y) + z * z)
 
 

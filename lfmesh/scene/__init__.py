@@ -3,6 +3,7 @@
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.coatings import Coating, Layer
 from lfmesh.scene.files import load, load_lens, loads
+from lfmesh.scene.finishes import Finish
 from lfmesh.scene.lens import Element, Lens, Surface
 from lfmesh.scene.lights import DirectionalLight, DiskLight, Light, PointLight, SpotLight
 from lfmesh.scene.mla import ArrayForm, MicrolensArray
@@ -26,6 +27,7 @@ __all__ = [
     "Disk",
     "DiskLight",
     "Element",
+    "Finish",
     "FirstOrder",
     "Gloss",
     "Layer",

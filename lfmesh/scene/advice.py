@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from lfmesh.scene.distance import reach_in_words
+from lfmesh.scene.model import format_path
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.scene.scene import Scene
 from lfmesh.scene.solve import image_plane_mm
@@ -28,7 +29,18 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
         *_coverage(scene),
         *_targets(scene, facts),
         *_light(scene),
+        *_rough_camera(scene),
     )
+
+
+def _rough_camera(scene: Scene) -> Iterator[str]:
+    """Say what is not done, and what not found, where surfaces of the camera scatter light."""
+    rough = [format_path(where) for where, finish in scene.finishes() if finish.is_rough and where[0] == "camera"]
+    if not rough:
+        return
+    yield f"{rough[0]} scatters light: rays are not aimed through the camera, and the picture needs many samples"
+    if scene.lights:
+        yield f"{rough[0]} scatters light, but what lamps shed on the lens itself is left out of the picture"
 
 
 def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from lfmesh.optics.glass import AIR
 from lfmesh.scene.coatings import UNCOATED
+from lfmesh.scene.finishes import POLISHED, AnyFinish, both_given
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.pose import Pose
 from lfmesh.scene.quantities import Flag, GlassName, Index, NonNegative, Number, Positive, Radius, Text, Whole
@@ -39,6 +40,8 @@ class Surface(Model):
     """Whether this surface's aperture is the aperture stop of the lens."""
     coating: Text = UNCOATED
     """Name of a coating of the scene, or "none": bare."""
+    finish: AnyFinish = POLISHED
+    """"polished", "diffuse" or { kind = "ground", roughness = 0.1 }."""
     conic: Number = 0.0
     """Conic constant: 0 sphere, −1 paraboloid, below −1 hyperboloid, above −1 ellipsoid."""
     asphere_mm: tuple[Number, ...] = ()
@@ -92,12 +95,13 @@ class Surface(Model):
             )
         if self.index is not None and self.glass is not None:
             yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
+        yield from both_given(self.coating, self.finish, "finish")
 
     def _element_faults(self) -> Iterator[Fault]:
         own = {"radius_mm": math.inf, "index": None, "glass": None, "stop": False, "conic": 0.0, "asphere_mm": ()}
-        for key, value in {**own, "coating": UNCOATED, "mesh": None}.items():
+        for key, value in {**own, "coating": UNCOATED, "finish": POLISHED, "mesh": None}.items():
             if getattr(self, key) != value:
-                beside = "; the refractor has a coating of its own" if key == "coating" else ""
+                beside = f"; the refractor has a {key} of its own" if key in ("coating", "finish") else ""
                 yield Fault((key,), getattr(self, key), f"omit it: the refractor is a whole element{beside}")
         if self.refractor is not None and self.refractor.priority != 0:
             yield Fault(
@@ -203,10 +207,11 @@ class Lens(Model):
             )
             return
         for i, surface in enumerate(self.surfaces):
-            if surface.coating != UNCOATED and self.is_pure_stop(i) and surface.mesh is None:
-                yield Fault(
-                    ("surfaces", i, "coating"), surface.coating, "omit it: a stop without glass is no interface"
-                )
+            if self.is_pure_stop(i) and surface.mesh is None:
+                given = {"coating": surface.coating} if surface.coating != UNCOATED else {}
+                given |= {"finish": surface.finish.kind} if surface.finish != POLISHED else {}
+                for key, value in given.items():
+                    yield Fault(("surfaces", i, key), value, "omit it: a stop without glass is no interface")
         yield from self._stop_faults()
         yield from self._spacing_faults()
         yield from self._element_faults()

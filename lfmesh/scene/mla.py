@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from lfmesh.scene.coatings import UNCOATED
+from lfmesh.scene.finishes import POLISHED, AnyFinish, both_given
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.pose import Pose
 from lfmesh.scene.quantities import GlassName, Index, NonNegative, Number, OneOrMore, Pair, Positive, Text, Whole
@@ -54,6 +55,10 @@ class MicrolensArray(Model):
     """Name of the coating of the curved face, or "none": bare."""
     flat_coating: Text = UNCOATED
     """Name of the coating of the flat face, or "none": bare."""
+    curved_finish: AnyFinish = POLISHED
+    """Finish of the curved face: "polished", "diffuse" or { kind = "ground", roughness = 0.1 }."""
+    flat_finish: AnyFinish = POLISHED
+    """Finish of the flat face."""
     curved_side: Literal["lens", "sensor"] = "lens"
     """Which way the curved face looks."""
     distance_mm: Positive | None = None
@@ -106,6 +111,8 @@ class MicrolensArray(Model):
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""
+        yield from both_given(self.curved_coating, self.curved_finish, "curved_finish")
+        yield from both_given(self.flat_coating, self.flat_finish, "flat_finish")
         if self.radius_mm is not None and self.focal_length_mm is not None:
             yield Fault(("focal_length_mm",), list(self.focal_length_mm), "radius_mm is given too; give one of them")
         elif self.radius_mm is None and self.focal_length_mm is None:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from lfmesh.scene.coatings import UNCOATED
+from lfmesh.scene.finishes import POLISHED, AnyFinish, both_given
 from lfmesh.scene.model import Fault, Model, nearest
 from lfmesh.scene.quantities import FilePath, GlassName, Index, Text
 
@@ -59,6 +60,8 @@ class Refractor(MeshShape):
     """Catalogue glass, like "SCHOTT/N-BK7"."""
     coating: Text = UNCOATED
     """Name of the coating of its whole surface, or "none": bare."""
+    finish: AnyFinish = POLISHED
+    """Finish of its whole surface: "polished", "diffuse" or { kind = "ground", roughness = 0.1 }."""
     priority: Priority = 0
     """In object space: where bodies overlap, the one of the highest priority is there, and of equal ones that which
     lies inside the other. So water that reaches a little into the glass round it touches that everywhere."""
@@ -75,6 +78,7 @@ class Refractor(MeshShape):
             yield Fault(("index",), None, "missing: give the index of the glass, or glass")
         elif self.index is not None and self.glass is not None:
             yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
+        yield from both_given(self.coating, self.finish, "finish")
 
 
 class MeshFace(MeshShape):

@@ -15,6 +15,7 @@ from lfmesh.optics.metals import metal_index
 from lfmesh.scene.bands import Passband, passband, preset
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.coatings import Coating, name_fault, unknown_fault
+from lfmesh.scene.finishes import Finish
 from lfmesh.scene.inputs import found
 from lfmesh.scene.lights import Light
 from lfmesh.scene.model import Fault, Location, Model
@@ -276,6 +277,20 @@ class Scene(Model):
                 list(wavelengths_nm),
                 "camera.sensor.bands is given too; give one of them",
             )
+
+    def finishes(self) -> Iterator[tuple[Location, Finish]]:
+        """Yield where surfaces give a finish, and the finish."""
+        for i, surface in enumerate(self.camera.lens.surfaces):
+            where: Location = ("camera", "lens", "surfaces", i)
+            yield (*where, "finish"), surface.finish
+            if surface.refractor is not None:
+                yield (*where, "refractor", "finish"), surface.refractor.finish
+        if self.camera.mla is not None:
+            yield ("camera", "mla", "curved_finish"), self.camera.mla.curved_finish
+            yield ("camera", "mla", "flat_finish"), self.camera.mla.flat_finish
+        for i, target in enumerate(self.targets):
+            if target.refractor is not None:
+                yield ("targets", i, "refractor", "finish"), target.refractor.finish
 
     def _coating_faults(self) -> Iterator[Fault]:
         for name, coating in self.coatings.items():

@@ -14,6 +14,7 @@ from lfmesh.geometry.division import divided
 from lfmesh.geometry.element_poses import pose_of
 from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.lenslets import mla_mesh
+from lfmesh.geometry.levels import SURFACE_LEVEL
 from lfmesh.geometry.mesh import Array, Mesh, joined
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.geometry.surface import sag, surface
@@ -39,13 +40,14 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.refused_glass import ClosedGapWarning, closed_gaps, refuse_untraceable_glass
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.tables.frames import frame_table
-from lfmesh.transport.tables.interfaces import coatings_in_book, interface_tables
+from lfmesh.transport.tables.interfaces import InterfaceTables, coatings_in_book, interface_tables
 from lfmesh.transport.tables.lens import lens_tables, mla_tables
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, refuse_targets_inside
 from lfmesh.transport.tables.surroundings import Surroundings, surroundings_of
 from lfmesh.transport.tables.tables import (
+    ROUGH,
     SensorTables,
     Tables,
 )
@@ -192,6 +194,22 @@ def book_of(scene: Scene, shape: LensShape) -> Book:
     return Book.of_bodies(len(shape.elements), targets, spaces, coatings_in_book(scene))
 
 
+def _refuse_rough_patches(scene: Scene, shape: LensShape, interfaces: InterfaceTables) -> None:
+    """Refuse rough faces of lens and array of which light that runs along them might not find a way out."""
+    curved = "smooth", "patch"
+    lens = shape.surfaces["level"][interfaces.lens.rows["kind"] >= ROUGH]
+    if np.isin(lens, [SURFACE_LEVEL[name] for name in curved]).any():
+        raise SceneError(
+            'camera.lens: a rough surface of the lens must be exact or of flat facets; take surface = "flat" (in '
+            "transport, or beside the mesh's file), or polish it"
+        )
+    if interfaces.mla.rough and scene.transport.surface in curved:
+        raise SceneError(
+            f'transport.surface = "{scene.transport.surface}": a rough face of camera.mla must be exact or of flat '
+            'facets; take "exact" or "flat", or polish it'
+        )
+
+
 def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> World:
     """Build a scene: its meshes, Embree scenes and tables.
 
@@ -228,6 +246,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     book = book_of(scene, shape)
 
     interfaces, known = interface_tables(scene, wavelengths_nm, book), MediumList.of(scene)
+    _refuse_rough_patches(scene, shape, interfaces)
     lens_mesh, lens = lens_tables(scene, shape, wavelengths_nm, book, interfaces.lens, known)
     mla_mesh_, mla = mla_tables(scene, wavelengths_nm, interfaces.mla, known)
     middle = middle_of(targets)

@@ -15,7 +15,7 @@ from lfmesh.geometry.tessellation import on_circles
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aiming.aim_proof import AimProof, CameraTables, decentred, proven
-from lfmesh.transport.aiming.lenslet_view import aim_through_lenslets, apex_z, grid, unmeasured_light
+from lfmesh.transport.aiming.lenslet_view import NOTHING_SEEN, aim_through_lenslets, apex_z, grid, unmeasured_light
 from lfmesh.transport.aiming.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
 from lfmesh.transport.aiming.pupil import paraxial_opening, real_opening, unknown_opening, viewpoints
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
@@ -66,6 +66,8 @@ def aim_table(
     seen = np.concatenate(
         [frame.points(moves[WORLD_FRAME, CAMERA_FRAME], t.mesh.vertices) for t in targets] or [np.zeros((0, 3))]
     )
+    if lens.interfaces.rough or mla.interfaces.rough:
+        return _anywhere(scene, lens, mla, seen, moves), None
     key = digest(scene.camera, scene.transport.split, report, lens, mla, sensor, seen, moves, analytic)
     with _access:
         if key in _kept:
@@ -122,6 +124,22 @@ def _found(
         # The surfaces that fit the meshes tell how much wider poses make the openings, but prove nothing.
         return (proven(aim, through, from_targets)[0] if posed else aim), None
     return proven(aim, through, from_targets)
+
+
+def _anywhere(scene: Scene, lens: LensTables, mla: MlaTables, seen: Array, moves: Array) -> AimTables:
+    """Return the aim tables of a camera in which light is scattered, so that it may come from anywhere on the lens."""
+    width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
+    behind = frame.points(moves[SENSOR_FRAME, CAMERA_FRAME], grid(width, height, 0.0))
+    radii = widest_disk(lens, seen, front=True), widest_disk(lens, behind, front=False)
+    planes = float(lens.box_low[2]), float(lens.box_high[2])
+    openings = unknown_opening(planes[0], to_sensor=True), unknown_opening(planes[1], to_sensor=False)
+    cells = mla.lenslets.lattice.columns * mla.lenslets.lattice.rows if mla.present else 1
+    return before_array(scene, openings, radii)._replace(
+        wide_share=1.0,
+        share_without_aim=1.0,
+        slope=np.zeros((cells, 2)),
+        slope_radius2=np.full(cells, NOTHING_SEEN),
+    )
 
 
 def before_array(scene: Scene, openings: tuple[Opening, Opening], radii: tuple[float, float]) -> AimTables:

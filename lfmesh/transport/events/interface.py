@@ -10,16 +10,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import inlined, pasted
+from lfmesh.kernel import inlined, kernel, pasted
 from lfmesh.optics.fresnel import fresnel, transmittance
+from lfmesh.optics.scattering import lambertian, tangents
 from lfmesh.optics.share_table import coated_shares
-from lfmesh.transport.events.crossing import record_interface, split_shares
+from lfmesh.transport.events.crossing import BOUNCE_U, CHOOSE, draw, draw_two, record_interface, split_shares
+from lfmesh.transport.events.ground import ground_density, ground_direction
 from lfmesh.transport.packets.packet import E_REFLECTED, E_TRANSMITTED, EVENTS, OBJECT_FRAME, Flow, Options
 from lfmesh.transport.packets.path_class import turns_off_image_path
 from lfmesh.transport.packets.random import derived
-from lfmesh.transport.tables.tables import ABSORBING, BARE, Interfaces
+from lfmesh.transport.tables.tables import ABSORBING, BARE, DIFFUSE, ROUGH, Interfaces
 
 Array = NDArray[np.float64]
+
+IN_WALK, IN_DENSITY = 1 << 21, 1 << 22
+"""With the number of the event, numbers of the keys of random walks between facets; see `regions.targets.AIMED_CHILD`
+and the number of events itself for the other keys that a packet's key gives."""
 
 
 @inlined
@@ -126,6 +132,125 @@ def transmitted_share(
         See `optics.fresnel.transmittance`. Under total reflection the result is meaningless.
     """
     return transmittance(n_i, n_t, cos_i, cos_t, s, p, over)
+
+
+@inlined
+def is_rough(interfaces: Interfaces, number: int) -> bool:
+    """Tell whether an interface scatters light."""
+    return interfaces.rows[number].kind >= ROUGH
+
+
+@kernel
+def scattered(
+    interfaces: Interfaces, number: int, options: Options, packet: Any, n_i: float, n_t: float,
+    dx: float, dy: float, dz: float, nx: float, ny: float, nz: float,
+) -> tuple[bool, float, float, float]:  # fmt: skip
+    """Return whether a rough interface transmits a packet, and the direction in which it leaves, both by chance.
+
+    No power is lost, so that the packet keeps its weight. In basic radiance the process is symmetric: importance from
+    the sensor is scattered as flux is. Counts the event.
+
+    Parameters
+    ----------
+    interfaces : Interfaces
+        Of the region.
+    number : int
+        Row of the interface.
+    options : Options
+    packet : PACKET
+    n_i, n_t : float
+        Refractive index before and after the interface.
+    dx, dy, dz : float
+        Unit direction.
+    nx, ny, nz : float
+        Unit normal along the ray.
+    """
+    choice = draw(packet, CHOOSE)
+    packet.events += 1
+    u, v = draw_two(options, packet, BOUNCE_U)
+    row = interfaces.rows[number]
+    if row.kind == DIFFUSE:
+        passes = choice >= interfaces.parameters[row.first + (1 if n_i > n_t else 0), packet.colour]
+        sense = 1.0 if passes else -1.0
+        ox, oy, oz = lambertian(sense * nx, sense * ny, sense * nz, u, v)
+        return passes, ox, oy, oz
+    px, py, pz, qx, qy, qz = tangents(-nx, -ny, -nz)
+    a, b, c = dx * px + dy * py + dz * pz, dx * qx + dy * qy + dz * qz, -(dx * nx + dy * ny + dz * nz)
+    key = derived(packet.key, IN_WALK + packet.events)
+    alpha = interfaces.parameters[row.first, packet.colour]
+    passes, a, b, c = ground_direction(alpha, n_i, n_t, a, b, c, u, v, key)
+    return passes, a * px + b * qx - c * nx, a * py + b * qy - c * ny, a * pz + b * qz - c * nz
+
+
+@kernel
+def scattered_density(
+    interfaces: Interfaces, number: int, packet: Any, n_i: float, n_t: float,
+    dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, ox: float, oy: float, oz: float, light: int,
+) -> float:  # fmt: skip
+    """Return the density, 1/sr, with which `scattered` draws a direction; of ground interfaces, in the mean only.
+
+    Parameters
+    ----------
+    interfaces, number, packet, n_i, n_t, dx, dy, dz, nx, ny, nz
+        As for `scattered`.
+    ox, oy, oz : float
+        Unit direction in which light leaves.
+    light : int
+        Tells apart the directions that are asked for at one event.
+    """
+    row = interfaces.rows[number]
+    along = ox * nx + oy * ny + oz * nz
+    if row.kind == DIFFUSE:
+        reflected_share = interfaces.parameters[row.first + (1 if n_i > n_t else 0), packet.colour]
+        return (1.0 - reflected_share if along > 0.0 else reflected_share) * abs(along) / np.pi
+    px, py, pz, qx, qy, qz = tangents(-nx, -ny, -nz)
+    a, b, c = dx * px + dy * py + dz * pz, dx * qx + dy * qy + dz * qz, -(dx * nx + dy * ny + dz * nz)
+    to_a, to_b = ox * px + oy * py + oz * pz, ox * qx + oy * qy + oz * qz
+    key = derived(derived(packet.key, IN_DENSITY + packet.events), light)
+    return ground_density(interfaces.parameters[row.first, packet.colour], n_i, n_t, a, b, c, to_a, to_b, -along, key)
+
+
+def scatterer(send: Callable[..., None]) -> Callable[..., None]:
+    """Make the function that sends a packet on whose direction `scattered` has drawn.
+
+    Parameters
+    ----------
+    send : kernel
+        As for `splitter`.
+
+    Returns
+    -------
+    send_scattered : kernel
+    """
+
+    @inlined
+    def send_scattered(
+        place: Any, options: Options, flow: Flow, frames: NDArray[Any], frame: int, packet: Any,
+        surface: int, part: int, beyond: int, x: float, y: float, z: float, passes: bool,
+        dx: float, dy: float, dz: float,
+    ) -> None:  # fmt: skip
+        """Send a packet on with its whole weight. It stays in the class of paths that it is in, as on a target.
+
+        Parameters
+        ----------
+        frame, surface, part, beyond, x, y, z
+            As for a function that `splitter` makes.
+        passes : bool
+            It is transmitted.
+        dx, dy, dz : float
+            Unit direction.
+        """
+        flow.counts[EVENTS] += 1
+        if frame == OBJECT_FRAME and passes:
+            packet.medium = beyond
+        if options.record:
+            event = E_TRANSMITTED if passes else E_REFLECTED
+            packet.node = record_interface(
+                flow, frames, frame, x, y, z, packet.weight, surface, part, event, packet.node, beyond
+            )
+        send(place, options, flow, frames, packet, passes, x, y, z, dx, dy, dz, packet.weight, packet.key)
+
+    return send_scattered
 
 
 def splitter(send: Callable[..., None]) -> Callable[..., None]:

@@ -46,12 +46,7 @@ def ask_lights(options: Options, objects: ObjectTables, flow: Flow, packet: Any,
     colour, ix, iy, iz = packet.colour, packet.dx, packet.dy, packet.dz
     any_light = False
     for number in range(len(objects.lights)):
-        light = objects.lights[number]
-        u, v = 0.0, 0.0
-        if light.kind == DISK:
-            u, v = draw_two(options, packet, LIGHT_U + LIGHT_DIMENSIONS * number)
-        ux, uy, uz, reach, irradiance = illuminate(objects.profiles, light, x, y, z, u, v)
-        irradiance *= objects.light_spectra[number, colour]
+        ux, uy, uz, reach, irradiance = from_light(options, objects, packet, number, x, y, z)
         cos_surface = point.nx * ux + point.ny * uy + point.nz * uz
         if cos_surface <= 0.0 or irradiance <= 0.0:
             continue
@@ -65,6 +60,30 @@ def ask_lights(options: Options, objects: ObjectTables, flow: Flow, packet: Any,
         shadow.facet = point.prim
         shadow.limit = reach
     return any_light
+
+
+@inlined
+def from_light(
+    options: Options, objects: ObjectTables, packet: Any, number: int, x: float, y: float, z: float
+) -> tuple[float, float, float, float, float]:
+    """Return what `illuminate` does, from the point of a light that a packet draws, at the packet's wavelength.
+
+    Parameters
+    ----------
+    options : Options
+    objects : ObjectTables
+    packet : PACKET
+    number : int
+        Of the light.
+    x, y, z : float
+        The point, mm, object frame.
+    """
+    light = objects.lights[number]
+    u, v = 0.0, 0.0
+    if light.kind == DISK:
+        u, v = draw_two(options, packet, LIGHT_U + LIGHT_DIMENSIONS * number)
+    ux, uy, uz, reach, irradiance = illuminate(objects.profiles, light, x, y, z, u, v)
+    return ux, uy, uz, reach, irradiance * objects.light_spectra[number, packet.colour]
 
 
 @inlined

@@ -3,16 +3,17 @@
 A path is the sequence of what it meets between sensor and light, in whichever direction it is traced. Two questions,
 in this order, give its class:
 
-1. Does light of a lamp (`[[lights]]`) meet glass in object space before the first target that scatters it? A lamp is a
-   point, a direction, or a disk that rays cannot hit, and a straight line to it (next-event estimation) is blocked by
-   glass, so a path from the sensor never finds it. The class is `LAMP_THROUGH_GLASS`, traced forward from the lamp.
-   Every other path ends, seen from the sensor, on a target that emits, or on a target that a straight line in air
-   joins to a lamp.
+1. Does light of a lamp (`[[lights]]`) meet smooth glass in object space before the first target, or rough glass, that
+   scatters it? A lamp is a point, a direction, or a disk that rays cannot hit, and a straight line to it (next-event
+   estimation) is blocked by glass, so a path from the sensor never finds it. The class is `LAMP_THROUGH_GLASS`, traced
+   forward from the lamp. Every other path ends, seen from the sensor, on a target that emits, or on a target or rough
+   glass that a straight line in air joins to a lamp.
 2. Does the path leave the image path anywhere between the sensor and that end? Then its class is `OFF_IMAGE_PATH`;
    else it is on the image path, as the sequential engine follows it. A path leaves the image path by a reflection in
    lens or array, by a reflection at glass in object space where it could have been refracted (total reflection there
    continues the image path), and where it meets curved faces of the array twice in one passage. Where on the path that
-   happens does not matter: targets may scatter it before and after.
+   happens does not matter: targets and rough glass may scatter it before and after, which by itself changes nothing.
+   Rough surfaces of lens and array are traced by the mesh engine, which estimates `EVERY` path at once.
 
 `EVERY` stands for all paths that a method can find: forward all, adjoint all but `LAMP_THROUGH_GLASS`. Light that is in
 no class is named in transport/README.md, "Limits": light of a lamp that reaches the sensor, or through the lens a

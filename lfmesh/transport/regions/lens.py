@@ -26,7 +26,7 @@ from lfmesh.transport.events.crossing import (
     too_deep,
     write_query,
 )
-from lfmesh.transport.events.interface import divided, splitter
+from lfmesh.transport.events.interface import divided, is_rough, scattered, scatterer, splitter
 from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import HOUSING, LOST_CONTRADICTION, STOP
 from lfmesh.transport.packets.packet import (
@@ -81,6 +81,7 @@ from lfmesh.transport.regions.lens_block import (
     meet_conics,
     meet_in_order,
     set_asphere,
+    set_child,
     set_conic,
     set_facet,
     set_only_conic,
@@ -552,6 +553,7 @@ def _send_child(
 
 
 _split = splitter(_send_child)
+_send_scattered = scatterer(_send_child)
 
 
 @inlined
@@ -565,6 +567,17 @@ def _send_on(
     reflectance, transmittance = block[REFLECTANCE + i], block[TRANSMITTANCE + i]
     if lens.interfaces.coated:
         n_i, n_t = block[N_I + i], block[N_T + i]
+        if is_rough(lens.interfaces, k):
+            passes, dx, dy, dz = scattered(
+                lens.interfaces, k, options, packet, n_i, n_t, packet.dx, packet.dy, packet.dz,
+                block[NX + i], block[NY + i], block[NZ + i],
+            )  # fmt: skip
+            set_child(block, REFRACTED + i if passes else REFLECTED + i, i, dx, dy, dz)
+            _send_scattered(
+                (block, i, k, packet.space, lens, has_mla), options, flow, frames, CAMERA_FRAME, packet, k, NO_SURFACE,
+                lens.medium[k + 1 if k == packet.space else k], x, y, z, passes, dx, dy, dz,
+            )  # fmt: skip
+            return
         reflectance, transmittance, _ = divided(
             lens.interfaces, k, packet.colour, n_i, n_t, incidence(block, i), k != packet.space, packet, flow.book
         )

@@ -323,9 +323,9 @@ def split_block(block: Array) -> None:
         reflectance, transmittance, cos_t = bare_shares(n_i, n_t, cos_i)
         block[REFLECTANCE + i], block[TRANSMITTANCE + i] = reflectance, transmittance
         ux, uy, uz = reflected(dx, dy, dz, nx, ny, nz)
-        _set_child(block, REFLECTED + i, i, ux, uy, uz)
+        set_child(block, REFLECTED + i, i, ux, uy, uz)
         ux, uy, uz = refracted(dx, dy, dz, nx, ny, nz, n_i / n_t, cos_i, cos_t)
-        _set_child(block, REFRACTED + i, i, ux, uy, uz)
+        set_child(block, REFRACTED + i, i, ux, uy, uz)
 
 
 @inlined
@@ -336,7 +336,19 @@ def incidence(block: Array, i: int) -> float:
 
 
 @inlined
-def _set_child(block: Array, child: int, i: int, ux: float, uy: float, uz: float) -> None:
+def set_child(block: Array, child: int, i: int, ux: float, uy: float, uz: float) -> None:
+    """Enter the direction of a child, and the distance at which its query starts.
+
+    Parameters
+    ----------
+    block : (ROWS · BLOCK,) float64
+    child : int
+        `REFLECTED` or `REFRACTED`, plus the place.
+    i : int
+        Place in the block.
+    ux, uy, uz : float
+        Unit direction.
+    """
     block[child + ALONG_X], block[child + ALONG_Y], block[child + ALONG_Z] = ux, uy, uz
     block[child + CLEAR] = safely_behind(
         block[FACET_X + i], block[FACET_Y + i], block[FACET_Z + i], block[OFFSET + i], block[SIZE + i],

@@ -32,7 +32,7 @@ from lfmesh.transport.events.crossing import (
     too_deep,
     write_query,
 )
-from lfmesh.transport.events.interface import divided, splitter
+from lfmesh.transport.events.interface import divided, is_rough, scattered, scatterer, splitter
 from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import LOST_IN_MLA, MLA_EDGE, MLA_MOUNT, MLA_WALL
 from lfmesh.transport.packets.packet import (
@@ -138,6 +138,7 @@ def _send_from_flat_face(
 
 
 _split_at_flat_face = splitter(_send_from_flat_face)
+_scatter_at_flat_face = scatterer(_send_from_flat_face)
 
 
 @kernel
@@ -165,6 +166,14 @@ def through_plate(
             if met[i] != NO_SURFACE:
                 packet = wave[first + i]
                 outward = packet.space == GLASS
+                if mla.interfaces.rough and is_rough(mla.interfaces, FLAT_ROW):
+                    passes, dx, dy, dz = _scattered_at_face(block, i, packet, mla, FLAT_ROW, options)
+                    _scatter_at_flat_face(
+                        (mla, lens_surfaces, outward), options, flow, frames, MLA_FRAME, packet, FLAT_FACE, NO_SURFACE,
+                        AIR if outward else mla.medium, block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i],
+                        passes, dx, dy, dz,
+                    )  # fmt: skip
+                    continue
                 reflectance, transmittance = _shares_at_face(block, i, packet, mla, FLAT_ROW, outward, flow)
                 r, t = rows.REFLECTED + i, rows.REFRACTED + i
                 _split_at_flat_face(
@@ -229,6 +238,17 @@ def _shares_at_face(
         mla.interfaces, number, packet.colour, n_i, n_t, incidence(block, i), outward, packet, flow.book
     )
     return reflectance, transmittance
+
+
+@inlined
+def _scattered_at_face(
+    block: Array, i: int, packet: Any, mla: MlaTables, number: int, options: Options
+) -> tuple[bool, float, float, float]:
+    """Return whether a rough face transmits a packet of a block, and the direction in which it leaves."""
+    return scattered(
+        mla.interfaces, number, options, packet, block[rows.N_I + i], block[rows.N_T + i],
+        packet.dx, packet.dy, packet.dz, block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i],
+    )  # fmt: skip
 
 
 @inlined
@@ -485,6 +505,7 @@ def _send_from_curved_face(
 
 
 _split_at_curved_face = splitter(_send_from_curved_face)
+_scatter_at_curved_face = scatterer(_send_from_curved_face)
 
 
 @inlined
@@ -499,6 +520,14 @@ def _through_face(
         packet.stray = 1
     packet.last = LEFT_FACE
     cell = packet.row * mla.lenslets.lattice.columns + packet.column
+    if mla.interfaces.rough and is_rough(mla.interfaces, CURVED_ROW):
+        passes, dx, dy, dz = _scattered_at_face(block, i, packet, mla, CURVED_ROW, options)
+        _scatter_at_curved_face(
+            (mla, lens_surfaces, inward, prim), options, flow, frames, MLA_FRAME, packet, CURVED_FACE, cell,
+            mla.medium if inward else AIR, block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i],
+            passes, dx, dy, dz,
+        )  # fmt: skip
+        return
     reflectance, transmittance = _shares_at_face(block, i, packet, mla, CURVED_ROW, not inward, flow)
     r, t = rows.REFLECTED + i, rows.REFRACTED + i
     _split_at_curved_face(

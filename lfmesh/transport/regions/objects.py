@@ -11,11 +11,16 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.levels import PATCH
 from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.aiming.mixture import aimed
 from lfmesh.transport.events.crossing import (
+    AIM_DISK,
+    AIM_U,
+    AIM_V,
     MAX_TRIES,
     clear_of,
     crosses,
     deposit,
+    draw,
     end,
     end_here,
     facet_normal,
@@ -29,7 +34,16 @@ from lfmesh.transport.events.crossing import (
     too_deep,
     write_query,
 )
-from lfmesh.transport.events.interface import divided, is_coated, splitter
+from lfmesh.transport.events.interface import (
+    divided,
+    is_coated,
+    is_rough,
+    scattered,
+    scattered_density,
+    scatterer,
+    splitter,
+)
+from lfmesh.transport.events.lighting import from_light
 from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import (
     ESCAPED,
@@ -37,6 +51,7 @@ from lfmesh.transport.packets.book import (
     LENS_FRONT,
     LOST_CONTRADICTION,
     LOST_OUTSIDE,
+    SAMPLING_ADDED,
     SAMPLING_REMOVED,
 )
 from lfmesh.transport.packets.packet import (
@@ -62,6 +77,7 @@ from lfmesh.transport.packets.packet import (
     put,
 )
 from lfmesh.transport.packets.path_class import is_estimated
+from lfmesh.transport.packets.random import derived
 from lfmesh.transport.regions.bodies import (
     RANK,
     TOO_MANY,
@@ -72,8 +88,8 @@ from lfmesh.transport.regions.bodies import (
     set_bodies,
 )
 from lfmesh.transport.regions.lens import box_entry
-from lfmesh.transport.regions.targets import meet_target, passes, share_with_other
-from lfmesh.transport.tables.tables import OPAQUE, AimTables, LensTables, ObjectTables, body_row
+from lfmesh.transport.regions.targets import AIMED_CHILD, meet_target, passes, share_with_other
+from lfmesh.transport.tables.tables import AIR, OPAQUE, AimTables, LensTables, ObjectTables, body_row
 
 Array = NDArray[np.float64]
 
@@ -179,6 +195,10 @@ def shade_objects(
                     # Scattered light goes into the lens by aimed children only.
                     flow.book[SAMPLING_REMOVED] += packet.weight
                 continue
+            elif packet.kind == CAMERA and packet.facet == NO_SURFACE and not (options.adjoint or options.tracing):
+                # Aimed from rough glass: what does not go straight to the lens is the other child's.
+                flow.book[SAMPLING_REMOVED] += packet.weight
+                continue
             elif options.bounce and options.aimed and not options.adjoint and packet.facet != NO_SURFACE:
                 # It left a target, which sends two packets this way: one aimed at the lens, one not aimed.
                 into_glass = prim >= 0 and facet.body >= 0 and objects.medium[facet.body] != OPAQUE
@@ -194,7 +214,7 @@ def shade_objects(
         body = facet.body
         if body >= 0 and objects.medium[body] != OPAQUE:
             if not too_deep(options, flow, frames, packet):
-                _through_glass(options, flow, frames, objects, packet, prim, t)
+                _through_glass(options, flow, frames, objects, aim, packet, prim, t)
             continue
         x, y, z = travel(flow, objects.media, packet, t)
         weight = packet.weight
@@ -334,11 +354,12 @@ def _send_from_glass(
 
 
 _split_at_glass = splitter(_send_from_glass)
+_send_from_rough_glass = scatterer(_send_from_glass)
 
 
 @kernel
 def _through_glass(
-    options: Options, flow: Flow, frames: Array, objects: ObjectTables, packet: Any, prim: int, t: float
+    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any, prim: int, t: float
 ) -> None:
     """Split a packet at a facet of a glass body, at distance t, by the media on both sides.
 
@@ -354,10 +375,18 @@ def _through_glass(
     if after == TOO_MANY:
         lose(options, flow, frames, packet, LOST_CONTRADICTION, objects.lost_slot[body])
         return
+    beyond = medium_of(objects, after)
+    media, own = len(objects.media.indices), objects.medium[body]
+    number = body_row(body, beyond if packet.medium == own else packet.medium, media)
+    rough = is_rough(objects.interfaces, number)
     level = objects.level[body]
     if level == PATCH:
         met, more, nx, ny, nz = meets_patch(flow, objects.patches, objects.across, facet, prim, x, y, z, dx, dy, dz)
-        if met and t + more <= 0.0:
+        if rough:
+            # A ray that scatters along a curved patch would run between it and the facets, where no query finds a way
+            # out: it starts on the facet, and only the normal is the patch's.
+            more = 0.0
+        elif met and t + more <= 0.0:
             further = next_query_from(facet, packet, t)
             requery(options, flow, frames, OBJECTS, packet, further, False, objects.lost_slot[body])
             return
@@ -373,11 +402,8 @@ def _through_glass(
     if cos_i < 0.0:
         nx, ny, nz, cos_i = -nx, -ny, -nz, -cos_i
     cos_i = min(cos_i, 1.0)
-    x, y, z = arrive(flow, objects.media, packet, x, y, z)
-    beyond = medium_of(objects, after)
     n_i, n_t = objects.media.indices[packet.medium, packet.colour], objects.media.indices[beyond, packet.colour]
-    media, own = len(objects.media.indices), objects.medium[body]
-    number = body_row(body, beyond if packet.medium == own else packet.medium, media)
+    x, y, z = arrive(flow, objects.media, packet, x, y, z)
     # A coating between equal indices counts, unless a body of a higher rank covers it.
     uncovered = (after if entering else inside) & RANK == objects.rank[body]
     if n_i == n_t and inside != 0 and after != 0 and not (uncovered and is_coated(objects.interfaces, number)):
@@ -385,6 +411,10 @@ def _through_glass(
         set_bodies(packet, after)
         clear = clear_of(facet, x, y, z, dx, dy, dz)
         put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, clear)
+        return
+    if rough:
+        place = objects, prim, inside, after, beyond, number
+        _through_rough_glass(place, options, flow, frames, aim, packet, x, y, z, nx, ny, nz, n_i, n_t)
         return
     reflectance, transmittance, cos_t = divided(
         objects.interfaces, number, packet.colour, n_i, n_t, cos_i, not entering, packet, flow.book
@@ -398,3 +428,155 @@ def _through_glass(
         x, y, z, reflectance, transmittance,
         reflected(dx, dy, dz, nx, ny, nz), refracted(dx, dy, dz, nx, ny, nz, n_i / n_t, cos_i, cos_t),
     )  # fmt: skip
+
+
+@kernel
+def _through_rough_glass(
+    place: Any, options: Options, flow: Flow, frames: Array, aim: AimTables, packet: Any,
+    x: float, y: float, z: float, nx: float, ny: float, nz: float, n_i: float, n_t: float,
+) -> None:  # fmt: skip
+    """Gather light at a rough facet of glass, and send the packet on in a random direction, with its whole weight.
+
+    As on a target, the adjoint method finds the light of lamps by next-event estimation. The forward method sends a
+    child aimed at the entrance pupil, which counts if it goes straight there; the other child counts if it does not.
+
+    Parameters
+    ----------
+    place : tuple
+        Object tables, facet, bodies before and after it, medium beyond it, and row of the interface.
+    x, y, z : float, mm
+        Point on the interface.
+    nx, ny, nz : float
+        Unit normal along the ray.
+    n_i, n_t : float
+        Refractive index before and after the interface.
+    """
+    objects, prim, inside, after, beyond, number = place
+    packet.facet, packet.last = NO_SURFACE, NO_SURFACE
+    if packet.kind == LAMP and not is_estimated(options, packet):
+        # Its path belongs to another class, which is estimated from the sensor.
+        flow.book[SAMPLING_REMOVED] += packet.weight
+        return
+    if options.adjoint and is_estimated(options, packet):
+        _ask_lights_at_glass(place, options, flow, packet, x, y, z, nx, ny, nz, n_i, n_t)
+    passes, dx, dy, dz = scattered(
+        objects.interfaces, number, options, packet, n_i, n_t, packet.dx, packet.dy, packet.dz, nx, ny, nz
+    )
+    fx, fy, fz = _along_facet(objects.facets[prim], nx, ny, nz)
+    if (fx * dx + fy * dy + fz * dz > 0.0) != passes:
+        # The normal of a curved patch, or an interpolated one, differs from the facet's, which parts the media.
+        dx, dy, dz = reflected(dx, dy, dz, fx, fy, fz)
+    packet.kind = SPECULAR
+    if options.aimed and not options.adjoint and not options.tracing:
+        _aim_from_glass(place, flow, frames, aim, packet, x, y, z, nx, ny, nz, n_i, n_t)
+        packet.kind = SCATTERED
+    _send_from_rough_glass(
+        (objects, prim, inside, after), options, flow, frames, OBJECT_FRAME, packet, ON_GLASS,
+        objects.facets[prim].body, beyond, x, y, z, passes, dx, dy, dz,
+    )  # fmt: skip
+
+
+@inlined
+def _along_facet(facet: Any, nx: float, ny: float, nz: float) -> tuple[float, float, float]:
+    """Return a facet's normal, in the sense of the normal of its surface."""
+    normal = facet.normal
+    sense = 1.0 if normal[0] * nx + normal[1] * ny + normal[2] * nz > 0.0 else -1.0
+    return sense * normal[0], sense * normal[1], sense * normal[2]
+
+
+@kernel
+def _ask_lights_at_glass(
+    place: Any, options: Options, flow: Flow, packet: Any,
+    x: float, y: float, z: float, nx: float, ny: float, nz: float, n_i: float, n_t: float,
+) -> None:  # fmt: skip
+    """Send a shadow packet to every light that a rough facet of glass sees through air, on either of its sides.
+
+    Parameters
+    ----------
+    place, options, packet, x, y, z, nx, ny, nz, n_i, n_t
+        As for `_through_rough_glass`.
+    """
+    objects = place[0]
+    for light in range(len(objects.lights)):
+        ux, uy, uz, reach, irradiance = from_light(options, objects, packet, light, x, y, z)
+        if irradiance <= 0.0:
+            continue
+        density = _density_into_air(place, packet, nx, ny, nz, n_i, n_t, ux, uy, uz, light)
+        if density > 0.0:
+            weight = packet.weight * irradiance * density
+            shadow = _put_in_air(place, flow, packet, x, y, z, ux, uy, uz, weight, packet.key)
+            shadow.kind, shadow.facet, shadow.limit = SHADOW, place[1], reach
+
+
+@kernel
+def _aim_from_glass(
+    place: Any, flow: Flow, frames: Array, aim: AimTables, packet: Any,
+    x: float, y: float, z: float, nx: float, ny: float, nz: float, n_i: float, n_t: float,
+) -> None:  # fmt: skip
+    """Queue a child that is aimed at the entrance pupil, if the rough facet of glass sees it through air.
+
+    Parameters
+    ----------
+    place, packet, x, y, z, nx, ny, nz, n_i, n_t
+        As for `_through_rough_glass`.
+    """
+    px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
+    ax, ay, az, at_lens = aimed(
+        px, py, pz, aim.entrance, aim.front_radius, aim.wide_share, aim.share_without_aim,
+        draw(packet, AIM_DISK), draw(packet, AIM_U), draw(packet, AIM_V),
+    )  # fmt: skip
+    if at_lens <= 0.0:
+        return
+    ux, uy, uz = move_direction(frames, CAMERA_FRAME, OBJECT_FRAME, ax, ay, az)
+    density = _density_into_air(place, packet, nx, ny, nz, n_i, n_t, ux, uy, uz, 0)
+    if density > 0.0:
+        weight = packet.weight * density / at_lens
+        flow.book[SAMPLING_ADDED] += weight
+        key = derived(packet.key, AIMED_CHILD + packet.events)
+        child = _put_in_air(place, flow, packet, x, y, z, ux, uy, uz, weight, key)
+        child.kind, child.start = CAMERA, weight
+
+
+@kernel
+def _density_into_air(
+    place: Any, packet: Any, nx: float, ny: float, nz: float, n_i: float, n_t: float, ux: float, uy: float, uz: float,
+    light: int,
+) -> float:  # fmt: skip
+    """Return the density, 1/sr, with which a rough facet scatters a packet in a direction; 0: not into air.
+
+    Parameters
+    ----------
+    place, packet, nx, ny, nz, n_i, n_t
+        As for `_through_rough_glass`.
+    ux, uy, uz : float
+        Unit direction.
+    light : int
+        See `scattered_density`.
+    """
+    objects, prim, inside, after, _, number = place
+    fx, fy, fz = _along_facet(objects.facets[prim], nx, ny, nz)
+    passes = fx * ux + fy * uy + fz * uz > 0.0
+    if (after if passes else inside) != 0:
+        return 0.0
+    density = 0.0
+    # A direction is also what the facet makes of its mirror image, where that lies on the other side of the facet.
+    for vx, vy, vz in ((ux, uy, uz), reflected(ux, uy, uz, fx, fy, fz)):
+        if (nx * vx + ny * vy + nz * vz > 0.0) == passes:
+            density += scattered_density(
+                objects.interfaces, number, packet, n_i, n_t, packet.dx, packet.dy, packet.dz, nx, ny, nz, vx, vy, vz,
+                light,
+            )  # fmt: skip
+    return density
+
+
+@inlined
+def _put_in_air(
+    place: Any, flow: Flow, packet: Any, x: float, y: float, z: float, ux: float, uy: float, uz: float,
+    weight: float, key: np.uint64,
+) -> Any:  # fmt: skip
+    """Queue a child that leaves a facet of glass into air."""
+    clear = clear_of(place[0].facets[place[1]], x, y, z, ux, uy, uz)
+    child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, weight, key, clear)
+    child.medium = AIR
+    set_bodies(child, 0)
+    return child

@@ -11,14 +11,28 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.optics.glass import refractive_index
 from lfmesh.optics.share_table import looked_up
+from lfmesh.optics.walsh import diffuse_reflectance
 from lfmesh.scene import Scene
 from lfmesh.scene.coatings import UNCOATED
+from lfmesh.scene.finishes import POLISHED
+from lfmesh.scene.finishes import Finish as Roughness
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.tables.coatings import absorbs, coating_table
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import Medium, MediumList
-from lfmesh.transport.tables.tables import ABSORBING, BARE, COATED, INTERFACE, NO_SLOT, Interfaces
+from lfmesh.transport.tables.tables import (
+    ABSORBING,
+    BARE,
+    COATED,
+    DIFFUSE,
+    GROUND,
+    INTERFACE,
+    NO_SLOT,
+    ROUGH,
+    Interfaces,
+)
 
 
 class Kind(NamedTuple):
@@ -43,6 +57,8 @@ KINDS = (
     Kind("smooth and bare", is_smooth=True),
     Kind("coated", is_smooth=True),
     Kind("coated with layers that absorb", is_smooth=True, is_lossless=False),
+    Kind("diffuse", is_smooth=False),
+    Kind("ground", is_smooth=False),
 )
 """Kinds by their number in the table."""
 
@@ -62,6 +78,8 @@ class Face(NamedTuple):
         Name of its coating, or "none".
     outer, inner : Medium
         Media on the side that the layers of its coating begin with, and on the other.
+    roughness : Finish
+        Of the scene.
     """
 
     where: str
@@ -69,6 +87,7 @@ class Face(NamedTuple):
     coating: str = UNCOATED
     outer: Medium = None
     inner: Medium = None
+    roughness: Roughness = POLISHED
 
 
 class Finish(NamedTuple):
@@ -125,7 +144,8 @@ def lens_faces(scene: Scene) -> list[Face]:
         if surface.medium is None and before is not None:
             sides = (surface.medium, before)
         if not lens.is_pure_stop(i):
-            faces.append(Face(f"camera.lens.surfaces[{i}]", f"coating of lens surface {i}", surface.coating, *sides))
+            names = f"camera.lens.surfaces[{i}]", f"coating of lens surface {i}", surface.coating
+            faces.append(Face(*names, *sides, surface.finish))
         before = surface.medium
     return faces
 
@@ -138,7 +158,9 @@ def array_faces(scene: Scene) -> list[Face]:
         return [Face(each) for each in where]
     names = mla.curved_coating, mla.flat_coating
     bodies = [f"coating of the mla's {side} face" for side in ("curved", "flat")]
-    return [Face(*each, None, mla.medium) for each in zip(where, bodies, names, strict=True)]
+    finishes = mla.curved_finish, mla.flat_finish
+    faces = zip(where, bodies, names, finishes, strict=True)
+    return [Face(place, body, name, None, mla.medium, finish) for place, body, name, finish in faces]
 
 
 def body_faces(scene: Scene, outer: Medium = None) -> list[Face]:
@@ -150,10 +172,13 @@ def body_faces(scene: Scene, outer: Medium = None) -> list[Face]:
     bodies = [(i, target.refractor.medium) for i, target in enumerate(scene.targets) if target.refractor is not None]
     for i, target in enumerate(scene.targets):
         glass = target.refractor
-        coating, inner = (glass.coating, glass.medium) if glass is not None else (UNCOATED, None)
+        coating, inner, rough = UNCOATED, None, POLISHED
+        if glass is not None:
+            coating, inner, rough = glass.coating, glass.medium, glass.finish
         if outer is not None and outer not in [medium for other, medium in bodies if other != i]:
-            coating = UNCOATED
-        faces.append(Face(f"targets[{i}]", f"coating of {target.name or f'targets[{i}]'}", coating, outer, inner))
+            coating, rough = UNCOATED, POLISHED
+        body = f"coating of {target.name or f'targets[{i}]'}"
+        faces.append(Face(f"targets[{i}]", body, coating, outer, inner, rough))
     return faces
 
 
@@ -206,7 +231,7 @@ def coating_errors(scene: Scene) -> dict[str, float]:
     wavelengths_nm = Lines.of(scene).wavelengths_nm
     for faces in _faces_of_regions(scene):
         for face, finish in zip(faces, _finishes(scene, faces, wavelengths_nm), strict=True):
-            if finish.kind != BARE:
+            if face.coating != UNCOATED:
                 errors[face.coating] = max(errors.get(face.coating, 0.0), finish.error)
     return errors
 
@@ -216,15 +241,13 @@ def coating_lines(scene: Scene) -> list[str]:
 
     Reflectances are those at the primary wavelength, from the thinner of the two media and by the angle there.
     """
-    # Of bands, all but the primary wavelength are random.
-    wavelengths_nm = scene.transport.wavelengths_nm if scene.camera.sensor.bands is None else (scene.primary_nm,)
-    colour = wavelengths_nm.index(scene.primary_nm)
+    wavelengths_nm, colour = _shown_nm(scene)
     mla = array_faces(scene) if scene.camera.mla is not None else []
     lines, used = [], set()
     for face in (*lens_faces(scene), *mla, *body_faces(scene)):
-        finish = _finish_of(scene, face, wavelengths_nm)
-        if finish.kind == BARE:
+        if face.coating == UNCOATED:
             continue
+        finish = _finish_of(scene, face, wavelengths_nm)
         used.add(face.coating)
         values = np.asarray(finish.parameters)
         shown = [looked_up(values, 0, finish.pieces, colour, np.sqrt(np.cos(np.radians(a)))) for a in _SHOWN_DEG]
@@ -233,6 +256,35 @@ def coating_lines(scene: Scene) -> list[str]:
         lines.append(f"{face.body:<34}{face.coating}: reflects {shares} degrees; {error}")
     unused = [name for name in scene.coatings if name not in used]
     return [*lines, *(f"warning: coatings.{name}: no surface has this coating" for name in unused)]
+
+
+def _shown_nm(scene: Scene) -> tuple[tuple[float, ...], int]:
+    """Return the wavelengths that faces are described at, and the number of the primary one."""
+    # Of bands, all but the primary wavelength are random.
+    wavelengths_nm = scene.transport.wavelengths_nm if scene.camera.sensor.bands is None else (scene.primary_nm,)
+    return wavelengths_nm, wavelengths_nm.index(scene.primary_nm)
+
+
+def finish_lines(scene: Scene) -> list[str]:
+    """Describe the rough faces of a solved scene, a line for each; what a diffuse one reflects, from both sides."""
+    wavelengths_nm, colour = _shown_nm(scene)
+    mla = array_faces(scene) if scene.camera.mla is not None else []
+    lines = []
+    for face in (*lens_faces(scene), *mla, *body_faces(scene)):
+        if face.roughness == POLISHED:
+            continue
+        kind, name = _kind_of(scene, face, wavelengths_nm), face.body.removeprefix("coating of ")
+        said = face.roughness.in_words()
+        if kind == BARE:
+            said += "; traced as polished"
+        elif kind == DIFFUSE:
+            thin, dense = (row[colour] for row in _finish_of(scene, face, wavelengths_nm).parameters)
+            said += (
+                f": reflects {100.0 * thin:.3g} % of diffuse light from the thinner side, {100.0 * dense:.3g} % from "
+            )
+            said += "the denser"
+        lines.append(f"{'finish of ' + name:<34}{said}")
+    return lines
 
 
 def _faces_of_regions(scene: Scene) -> tuple[list[Face], list[Face], list[Face]]:
@@ -248,6 +300,10 @@ def _finishes(scene: Scene, faces: list[Face], wavelengths_nm: tuple[float, ...]
 
 def _kind_of(scene: Scene, face: Face, wavelengths_nm: Sequence[float]) -> int:
     """Return the number of a face's kind."""
+    if face.roughness.is_rough:
+        # Facets between equal indices do nothing; a diffuse face scatters what it transmits all the same.
+        matched = all(n_outer == n_inner for n_outer, n_inner in _indices(face, wavelengths_nm))
+        return DIFFUSE if face.roughness.kind == "diffuse" else BARE if matched else GROUND
     if face.coating == UNCOATED:
         return BARE
     return ABSORBING if absorbs(scene, face.coating, wavelengths_nm) else COATED
@@ -258,8 +314,19 @@ def _finish_of(scene: Scene, face: Face, wavelengths_nm: tuple[float, ...]) -> F
     kind = _kind_of(scene, face, wavelengths_nm)
     if kind == BARE:
         return Finish(face.where, kind)
+    if kind == DIFFUSE:
+        sides = [sorted(pair) for pair in _indices(face, wavelengths_nm)]
+        shares = [(diffuse_reflectance(thin, dense), diffuse_reflectance(dense, thin)) for thin, dense in sides]
+        return Finish(face.where, kind, np.transpose(shares))
+    if kind == GROUND:
+        return Finish(face.where, kind, [[face.roughness.roughness or 0.0] * len(wavelengths_nm)])
     table = coating_table(scene, face.coating, face.outer, face.inner, wavelengths_nm)
     return Finish(face.where, kind, table.values, table.pieces, table.error)
+
+
+def _indices(face: Face, wavelengths_nm: Sequence[float]) -> list[tuple[float, float]]:
+    """Return the refractive indices on both sides of a face, for each wavelength."""
+    return [(refractive_index(face.outer, w), refractive_index(face.inner, w)) for w in wavelengths_nm]
 
 
 def _table(finishes: list[Finish], slots: list[int], colours: int) -> Interfaces:
@@ -274,4 +341,5 @@ def _table(finishes: list[Finish], slots: list[int], colours: int) -> Interfaces
         rows=rows,
         parameters=np.concatenate([np.zeros((0, colours)), *parameters]),
         coated=bool((rows["kind"] != BARE).any()),
+        rough=bool((rows["kind"] >= ROUGH).any()),
     )

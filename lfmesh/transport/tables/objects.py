@@ -28,7 +28,7 @@ from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.scattering import scattering_tables
 from lfmesh.transport.tables.spectra import radiance_at, reflectance_at
-from lfmesh.transport.tables.tables import BY_ALPHA, OPAQUE, SOURCE, Interfaces, ObjectTables
+from lfmesh.transport.tables.tables import AIR, BY_ALPHA, OPAQUE, ROUGH, SOURCE, Interfaces, ObjectTables
 
 
 def middle_of(targets: list[TargetMesh]) -> Array:
@@ -180,7 +180,7 @@ def object_tables(
     by_rank = np.zeros(int(ranks.max(initial=0)) + 1, np.int64)
     by_rank[ranks[ranks > 0]] = np.flatnonzero(ranks)
     first, partners, near = contacts([target.mesh for target in targets], ranks > 0)
-    _refuse_touched_coatings(scene, bodies, first)
+    _refuse_touched_finishes(scene, bodies, first)
     reflectances = [reflectance_at(scene, i, wavelengths_nm) for i in range(len(targets))]
     radiance = np.array([radiance_at(scene, i, lines) for i in range(len(targets))]).reshape(-1, len(wavelengths_nm))
     largest = radiance.max(axis=1, keepdims=True, initial=0.0)
@@ -228,8 +228,8 @@ def object_tables(
     return mesh, tables._replace(emitters=emitter_table(tables), sources=sources)
 
 
-def _refuse_touched_coatings(scene: Scene, bodies: NDArray[np.int64], first: NDArray[np.int64]) -> None:
-    """Refuse a coated body of glass that touches another: which of the two faces is met would be left to chance."""
+def _refuse_touched_finishes(scene: Scene, bodies: NDArray[np.int64], first: NDArray[np.int64]) -> None:
+    """Refuse a coated or rough body of glass that touches another: which of the two faces is met would be chance."""
     if not len(first):
         return
     touching = np.unique(bodies[np.flatnonzero(np.diff(first) > 0)])
@@ -240,16 +240,25 @@ def _refuse_touched_coatings(scene: Scene, bodies: NDArray[np.int64], first: NDA
                 f'targets[{i}].refractor.coating = "{glass.coating}": a coated body must not touch another body of '
                 "glass; leave a gap between them, or the coating out"
             )
+        if glass is not None and glass.finish.is_rough:
+            raise SceneError(
+                f"targets[{i}].refractor.finish = {glass.finish.in_words()}: a rough body must not touch another body "
+                "of glass; leave a gap between them, or polish it"
+            )
 
 
 def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
     """Return tables with which the forward method starts packets from lamps alone, aimed at the glass.
 
-    None where no packet need start: without lamps, without glass, or without a target that scatters.
+    None where no packet need start: without lamps, without smooth glass, or without anything that scatters.
     """
     glass = objects.medium != OPAQUE
-    facets = np.append(glass, False)[objects.facets["body"]]
-    if not len(objects.lights) or not facets.any() or objects.scattering.models["black"][:-1][~glass].all():
+    # A body's row with air tells whether it is rough.
+    kinds = objects.interfaces.rows["kind"].reshape(len(glass), len(objects.media.indices))
+    rough = glass & (kinds[:, AIR] >= ROUGH)
+    facets = np.append(glass & ~rough, False)[objects.facets["body"]]
+    black = objects.scattering.models["black"][:-1][~glass].all() and not rough.any()
+    if not len(objects.lights) or not facets.any() or black:
         return None
     corners = objects.facets["corners"][facets].reshape(-1, 3)
     middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))

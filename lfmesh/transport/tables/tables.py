@@ -20,6 +20,7 @@ class Interfaces(NamedTuple):
     rows: Records  # (n,) INTERFACE
     parameters: Array  # (parameters of all, wavelengths); those of an interface begin in its `first` row
     coated: bool = False  # whether any of them is not bare
+    rough: bool = False  # whether any of them scatters light
 
 
 class Media(NamedTuple):
@@ -208,8 +209,11 @@ class Tables(NamedTuple):
 NO_SLOT = -1
 """In place of a slot of the book, in tables by which no packet is traced."""
 
-BARE, COATED, ABSORBING = 0, 1, 2
-"""Kinds of interfaces, see `tables.interfaces.KINDS`."""
+BARE, COATED, ABSORBING, DIFFUSE, GROUND = range(5)
+"""Kinds of interfaces, see `tables.interfaces.KINDS`; rough ones come last."""
+
+ROUGH = DIFFUSE
+"""First kind of rough interfaces, which scatter light."""
 
 INTERFACE = np.dtype(
     [

@@ -1,0 +1,160 @@
+"""Ground glass: light at an interface of GGX microfacets, each a smooth piece that reflects and refracts by Fresnel.
+
+Single events at facets are those of Walter et al. (EGSR 2007). Light that a facet sends to another facet is followed
+through as many as it meets, by the random walk of Heitz, Hanika, d'Eon & Dachsbacher (SIGGRAPH 2016), with Smith's
+model: every facet met is independent of the last one, and what counts of a height is only the share of the surface that
+lies below it. So no light is lost. A ray that is refracted walks on below the surface, which is the same surface turned
+over.
+
+All in the local frame of the surface: +z is the mean normal on the side from which the light comes.
+"""
+
+import numpy as np
+
+from lfmesh.kernel import inlined, kernel
+from lfmesh.optics.fresnel import fresnel
+from lfmesh.optics.microfacets import facet_density, projected_area, smith_lambda, visible_normal
+from lfmesh.transport.packets.random import uniform
+
+MOST_FACETS = 512
+"""Facets after which a walk is broken off; about three are usual, and each is left for the open with some chance."""
+
+LOWEST = 2.0**-53
+"""Least share of the surface below a ray, so that one in the deepest valley can leave it again."""
+
+NUMBERS = 4
+"""Random numbers for each facet: height, normal (two), and whether it reflects."""
+
+
+@kernel
+def ground_direction(
+    alpha: float, n_i: float, n_t: float, x: float, y: float, z: float, u: float, v: float, key: np.uint64
+) -> tuple[bool, float, float, float]:  # fmt: skip
+    """Return whether light passes a ground interface, and the unit direction in which it leaves.
+
+    Parameters
+    ----------
+    alpha : float
+        Roughness α_g.
+    n_i, n_t : float
+        Refractive index on the side of the light and on the other.
+    x, y, z : float
+        Unit direction of the light, z < 0.
+    u, v : float
+        Random numbers, uniform in [0, 1), for the normal of the first facet.
+    key : uint64
+        Of the other random numbers.
+    """
+    below, refracts = 1.0, False
+    for facet in range(MOST_FACETS):
+        height = uniform(key, NUMBERS * facet)
+        leaves, below = _next_height(alpha, below, x, y, z, height)
+        if leaves:
+            break
+        if facet > 0:
+            u, v = uniform(key, NUMBERS * facet + 1), uniform(key, NUMBERS * facet + 2)
+        mx, my, mz = visible_normal(alpha, -x, -y, -z, u, v)
+        x, y, z, passes = _at_facet(n_i, n_t, x, y, z, mx, my, mz, uniform(key, NUMBERS * facet + 3))
+        if passes:
+            # Over to the other side, which from now on is the upper one.
+            refracts, n_i, n_t, z, below = not refracts, n_t, n_i, -z, max(1.0 - below, LOWEST)
+    z = abs(z)
+    return refracts, x, y, -z if refracts else z
+
+
+@kernel
+def ground_density(
+    alpha: float, n_i: float, n_t: float, x: float, y: float, z: float, ox: float, oy: float, oz: float,
+    key: np.uint64,
+) -> float:  # fmt: skip
+    """Return a random number whose mean is the density, 1/sr, with which `ground_direction` draws a direction.
+
+    At each facet of a random walk, what it sends straight that way and out is added.
+
+    Parameters
+    ----------
+    alpha, n_i, n_t, x, y, z
+        As for `ground_direction`.
+    ox, oy, oz : float
+        Unit direction in which light leaves, below the surface if oz < 0.
+    key : uint64
+        Of the random numbers.
+    """
+    below, refracts, found = 1.0, False, 0.0
+    for facet in range(MOST_FACETS):
+        leaves, below = _next_height(alpha, below, x, y, z, uniform(key, NUMBERS * facet))
+        if leaves:
+            break
+        # The direction asked for, as the side sees it on which the ray is.
+        side_z = -oz if refracts else oz
+        found += _straight(alpha, n_i, n_t, -x, -y, -z, ox, oy, side_z, below)
+        u, v = uniform(key, NUMBERS * facet + 1), uniform(key, NUMBERS * facet + 2)
+        mx, my, mz = visible_normal(alpha, -x, -y, -z, u, v)
+        x, y, z, passes = _at_facet(n_i, n_t, x, y, z, mx, my, mz, uniform(key, NUMBERS * facet + 3))
+        if passes:
+            refracts, n_i, n_t, z, below = not refracts, n_t, n_i, -z, max(1.0 - below, LOWEST)
+    return found
+
+
+@inlined
+def _next_height(alpha: float, below: float, x: float, y: float, z: float, u: float) -> tuple[bool, float]:
+    """Return whether a ray leaves the surface and, if not, the share of the surface below the facet that it meets.
+
+    Parameters
+    ----------
+    below : float
+        Share of the surface below its start.
+    u : float
+        Random number.
+    """
+    slant = smith_lambda(alpha, x, y, z)
+    if z > 0.0 and (slant == 0.0 or u < below**slant):
+        return True, below
+    # Both upwards (Λ > 0) and downwards (Λ < 0); 1 − u is above 0.
+    return False, min(below * (u if z > 0.0 else 1.0 - u) ** (-1.0 / slant), 1.0)
+
+
+@inlined
+def _at_facet(
+    n_i: float, n_t: float, x: float, y: float, z: float, mx: float, my: float, mz: float, choice: float
+) -> tuple[float, float, float, bool]:
+    """Reflect or refract a direction at a facet, by chance after Fresnel; tell whether it was refracted."""
+    facing = min(-(x * mx + y * my + z * mz), 1.0)
+    reflectance, _, cos_t = fresnel(n_i, n_t, max(facing, 0.0))
+    if choice < reflectance:
+        a, b = 1.0, 2.0 * facing
+    else:
+        a = n_i / n_t
+        b = a * facing - cos_t
+    x, y, z = a * x + b * mx, a * y + b * my, a * z + b * mz
+    scale = 1.0 / np.sqrt(x * x + y * y + z * z)
+    return x * scale, y * scale, z * scale, choice >= reflectance
+
+
+@inlined
+def _straight(
+    alpha: float, n_i: float, n_t: float, ix: float, iy: float, iz: float, ox: float, oy: float, oz: float,
+    below: float,
+) -> float:  # fmt: skip
+    """Return the density, 1/sr, with which a facet sends light in a direction, times the chance that it gets out.
+
+    `ix, iy, iz` points to where the light at the facet comes from. Walter et al. 2007, eq. 13-17, with visible normals.
+    """
+    if oz > 0.0:
+        hx, hy, hz = ix + ox, iy + oy, iz + oz
+    else:
+        hx, hy, hz = n_i * ix + n_t * ox, n_i * iy + n_t * oy, n_i * iz + n_t * oz
+    length2 = hx * hx + hy * hy + hz * hz
+    if length2 == 0.0 or hz == 0.0:
+        return 0.0
+    scale = (1.0 if hz > 0.0 else -1.0) / np.sqrt(length2)
+    hx, hy, hz = hx * scale, hy * scale, hz * scale
+    facing, leaving = ix * hx + iy * hy + iz * hz, ox * hx + oy * hy + oz * hz
+    if facing <= 0.0 or (leaving > 0.0) != (oz > 0.0):
+        return 0.0
+    reflectance, transmittance, _ = fresnel(n_i, n_t, min(facing, 1.0))
+    per_normal = facet_density(alpha, hx, hy, hz) / projected_area(alpha, ix, iy, iz)
+    if oz > 0.0:
+        return reflectance * per_normal * 0.25 * below ** smith_lambda(alpha, ox, oy, oz)
+    per_normal *= facing * n_t * n_t * -leaving / length2
+    return transmittance * per_normal * max(1.0 - below, LOWEST) ** smith_lambda(alpha, ox, oy, -oz)

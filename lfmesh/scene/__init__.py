@@ -4,7 +4,7 @@ from lfmesh.scene.camera import Camera
 from lfmesh.scene.coatings import Coating, Layer
 from lfmesh.scene.files import load, load_lens, loads
 from lfmesh.scene.lens import Element, Lens, Surface
-from lfmesh.scene.lights import DirectionalLight, DiskLight, Light, PointLight
+from lfmesh.scene.lights import CircularPolarisation, DirectionalLight, DiskLight, Light, LinearPolarisation, PointLight
 from lfmesh.scene.mla import ArrayForm, MicrolensArray
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.scene.pose import Pose
@@ -20,6 +20,7 @@ __all__ = [
     "ArrayForm",
     "Box",
     "Camera",
+    "CircularPolarisation",
     "Coating",
     "Cylinder",
     "DirectionalLight",
@@ -30,6 +31,7 @@ __all__ = [
     "Layer",
     "Lens",
     "Light",
+    "LinearPolarisation",
     "Material",
     "MeshFace",
     "MeshShape",

@@ -1,12 +1,47 @@
 """Light sources besides emitting targets, all in the world frame."""
 
+import math
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
 from pydantic import Field
 
 from lfmesh.scene.model import Fault, Model
-from lfmesh.scene.quantities import Positive, Vector
+from lfmesh.scene.quantities import Number, Positive, Vector
+
+
+class LinearPolarisation(Model):
+    """A field along a line."""
+
+    kind: Literal["linear"] = "linear"
+    """Which state this is."""
+    angle_deg: Number
+    """Angle of the field, in degrees: from the part of the world's x axis that is square to the ray (of its y axis,
+    for a ray along x), counter-clockwise as seen by somebody whom the light comes to."""
+
+    @property
+    def stokes(self) -> tuple[float, float, float]:
+        """Q, U and V over I."""
+        angle = math.radians(2.0 * self.angle_deg)
+        return math.cos(angle), math.sin(angle), 0.0
+
+
+class CircularPolarisation(Model):
+    """A field that turns."""
+
+    kind: Literal["circular"] = "circular"
+    """Which state this is."""
+    handedness: Literal["right", "left"] = "right"
+    """"right": somebody whom the light comes to sees the field turn counter-clockwise (IEEE, IAU); "left":
+    clockwise."""
+
+    @property
+    def stokes(self) -> tuple[float, float, float]:
+        """Q, U and V over I."""
+        return 0.0, 0.0, 1.0 if self.handedness == "right" else -1.0
+
+
+Polarisation = Annotated[LinearPolarisation | CircularPolarisation, Field(discriminator="kind")]
 
 
 class PointLight(Model):
@@ -18,6 +53,8 @@ class PointLight(Model):
     """Where it stands, in mm."""
     power_w: Positive
     """Power into all directions together, in W per wavelength sample."""
+    polarisation: Polarisation | None = None
+    """State of polarisation, complete; omitted, the light is unpolarised. Needs `transport.polarisation`."""
 
 
 class _Directed(Model):
@@ -37,6 +74,8 @@ class DirectionalLight(_Directed):
     """Which light this is."""
     irradiance_w_m2: Positive
     """On a plane square to the direction, in W/m² per wavelength sample."""
+    polarisation: Polarisation | None = None
+    """State of polarisation, complete; omitted, the light is unpolarised. Needs `transport.polarisation`."""
 
 
 class DiskLight(_Directed):

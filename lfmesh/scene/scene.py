@@ -147,6 +147,7 @@ class Scene(Model):
         if not glasses:
             yield from self._lenslet_faults()
         yield from self._coating_faults()
+        yield from self._polarisation_faults()
         yield from self._memory_faults()
 
     def coating_uses(self) -> Iterator[tuple[Location, str]]:
@@ -177,6 +178,35 @@ class Scene(Model):
         for where, name in self.coating_uses():
             if why := unknown_fault(name, tuple(self.coatings)):
                 yield Fault(where, name, why)
+
+    def _polarisation_faults(self) -> Iterator[Fault]:
+        """Yield what asks for polarised light where there is none, or has no known phases where there is."""
+        if not self.transport.polarisation:
+            states: list[tuple[Location, Any]] = [
+                (("lights", i, "polarisation"), getattr(light, "polarisation", None))
+                for i, light in enumerate(self.lights)
+            ]
+            for where, value in ((("camera", "polariser_deg"), self.camera.polariser_deg), *states):
+                if value is not None:
+                    yield Fault(where, value, "needs transport.polarisation = true")
+            return
+        for where, name in self.coating_uses():
+            coating = self.coatings.get(name)
+            if coating is not None and coating.layers is None:
+                given = "reflectance" if coating.reflectance is not None else "table"
+                yield Fault(
+                    where,
+                    name,
+                    f"transport.polarisation needs the phases of this coating, which its {given} does not tell; give "
+                    "it layers",
+                )
+        if self.camera.sensor.reflectance > 0.0:
+            yield Fault(
+                ("camera", "sensor", "reflectance"),
+                self.camera.sensor.reflectance,
+                "transport.polarisation needs the phases of what is reflected, which a share does not tell; leave "
+                "reflectance out",
+            )
 
     def _glass_faults(self) -> Iterator[Fault]:
         media: list[tuple[Location, float | str | None]] = [

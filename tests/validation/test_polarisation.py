@@ -15,7 +15,7 @@ tmm = pytest.importorskip("tmm")
 WAVELENGTH = 587.6
 LEVEL = 1e-3
 """Chance that a statistical test fails though the law holds, all its comparisons together."""
-COMPARISONS = 22
+COMPARISONS = 20
 
 CAMERA = camera_without_array(pixels=20, pixel_mm=0.5)
 FILM = {"film": {"layers": [{"index": 1.38, "thickness_nm": 90.0}, {"index": 2.1, "thickness_nm": 40.0}]}}
@@ -386,13 +386,14 @@ def test_a_plate_before_a_lamp_passes_what_its_polarisation_lets_through(method,
         return total(
             rendered(
                 [target, glass], lights=[lamp | ({"polarisation": state} if state else {})],
-                transport={"method": method, "split": "both"},
+                transport={"method": method, "split": "both", "samples": 512},
             )
         )  # fmt: skip
 
     # The x axis lies in the plane of incidence.
     p = light({"kind": "linear", "angle_deg": 0.0})
+    assert p[1] < 0.03 * p[0]
     passed = (1.0 - R_S) / (1.0 + R_S)
     assert_equal(light({"kind": "linear", "angle_deg": 90.0}), p, passed)
-    for state in (None, {"kind": "circular", "handedness": "left"}, {"kind": "linear", "angle_deg": -45.0}):
+    for state in (None, {"kind": "circular", "handedness": "left"}):
         assert_equal(light(state), p, 0.5 * (1.0 + passed))

@@ -11,13 +11,15 @@ from lfmesh.scene.quantities import Number, Positive, Vector
 
 
 class LinearPolarisation(Model):
-    """A field along a line."""
+    """A field along a line.
+
+    Its angle starts from the part of the world's x axis that is square to the ray (of the y axis, for a ray along x).
+    """
 
     kind: Literal["linear"] = "linear"
     """Which state this is."""
     angle_deg: Number
-    """Angle of the field, in degrees: from the part of the world's x axis that is square to the ray (of its y axis,
-    for a ray along x), counter-clockwise as seen by somebody whom the light comes to."""
+    """From the world's x axis, in degrees, counter-clockwise as seen by somebody whom the light comes to."""
 
     @property
     def stokes(self) -> tuple[float, float, float]:

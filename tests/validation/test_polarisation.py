@@ -397,3 +397,33 @@ def test_a_plate_before_a_lamp_passes_what_its_polarisation_lets_through(method,
     assert_equal(light({"kind": "linear", "angle_deg": 90.0}), p, passed)
     for state in (None, {"kind": "circular", "handedness": "left"}):
         assert_equal(light(state), p, 0.5 * (1.0 + passed))
+
+
+def test_states_stay_sound_where_the_plane_of_incidence_is_hardly_defined(tmp_path):
+    """Rays along the normal to rounding, along the surface, and about the critical angle, from inside and outside."""
+    n = 1.5
+    glass = world([plate(tmp_path / "plate.obj", 10.0, 0.0, [0.0, 0.0, -200.0], index=n)])
+    critical = np.arcsin(1.0 / n)
+    near = [0.0, 1e-300, 1e-17, 1e-12, 1e-9, 1e-5]
+    angles = [*near, *(0.5 * np.pi - np.array([1e-12, 1e-9, 1e-5, 1e-2]))]
+    angles += [critical + sign * size for sign in (-1.0, 1.0) for size in near[2:]]
+    draw = np.random.default_rng(11)
+    azimuths = draw.uniform(0.0, 2.0 * np.pi, len(angles))
+    d = np.column_stack(
+        [np.sin(angles) * np.cos(azimuths), np.sin(angles) * np.sin(azimuths), -np.cos(angles)]
+    )  # fmt: skip
+    states = np.array([stokes_of(draw.normal(size=2) + 1j * draw.normal(size=2)) for _ in angles])
+    for start in ([0.1, 0.2, -195.0 + 1e-6], [0.1, 0.2, -199.0]):
+        paths = lf.trace(glass, np.tile(start, (len(d), 1)), d, max_events=4, weight_cutoff=0.0, stokes=states)
+        assert abs(paths.ledger.imbalance) < 1e-12
+        kept = paths.weight > 0.0
+        assert np.isfinite(paths.stokes).all()
+        assert np.isfinite(paths.reference).all()
+        assert np.allclose(np.linalg.norm(degree(paths.stokes[kept]), axis=1), 1.0, rtol=0.0, atol=1e-12)
+        assert np.abs((paths.reference * paths.direction).sum(axis=1))[kept].max() < 1e-12
+        # Through both faces along the normal a state stays as it is.
+        along = np.flatnonzero((paths.source < 4) & (paths.events == (2 if start[2] > -195.0 else 1)))
+        along = along[paths.direction[along, 2] < 0.0]
+        assert len(along) == 4
+        found = referred(paths, X)[along]
+        assert found / found[:, :1] == pytest.approx(states[:4] / states[:4, :1], abs=1e-11)

@@ -28,6 +28,8 @@ DIMENSIONLESS = {
     "transport/render/order_check.py": {"LARGEST_MM"},
     "transport/events/crossing.py": {"EDGE", "FLOAT32_GRAIN"},
     "transport/events/ground.py": {"LOWEST"},
+    "transport/events/polarisation.py": {"NORMAL2"},
+    "transport/trace.py": {"ROUNDING"},
     "transport/packets/ledger.py": {"LOST_LIMIT"},
     "transport/sequential/reflections.py": {"NEAR"},
     "transport/aiming/lenslet_aim.py": {"EXACT"},

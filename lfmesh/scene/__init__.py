@@ -5,7 +5,15 @@ from lfmesh.scene.coatings import Coating, Layer
 from lfmesh.scene.files import load, load_lens, loads
 from lfmesh.scene.finishes import Finish
 from lfmesh.scene.lens import Element, Lens, Surface
-from lfmesh.scene.lights import DirectionalLight, DiskLight, Light, PointLight, SpotLight
+from lfmesh.scene.lights import (
+    CircularPolarisation,
+    DirectionalLight,
+    DiskLight,
+    Light,
+    LinearPolarisation,
+    PointLight,
+    SpotLight,
+)
 from lfmesh.scene.mla import ArrayForm, MicrolensArray
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.scene.pose import Pose
@@ -21,6 +29,7 @@ __all__ = [
     "ArrayForm",
     "Box",
     "Camera",
+    "CircularPolarisation",
     "Coating",
     "Cylinder",
     "DirectionalLight",
@@ -33,6 +42,7 @@ __all__ = [
     "Layer",
     "Lens",
     "Light",
+    "LinearPolarisation",
     "Material",
     "MeshFace",
     "MeshShape",

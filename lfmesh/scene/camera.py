@@ -6,7 +6,7 @@ from lfmesh.scene.lens import Lens
 from lfmesh.scene.mla import MicrolensArray
 from lfmesh.scene.model import Model
 from lfmesh.scene.pose import Pose
-from lfmesh.scene.quantities import Positive
+from lfmesh.scene.quantities import Number, Positive
 from lfmesh.scene.sensor import Sensor
 
 
@@ -24,5 +24,9 @@ class Camera(Model):
     """The microlens array; omitted in a conventional camera."""
     sensor: Sensor
     """The sensor."""
+    polariser_deg: Number | None = None
+    """An ideal linear polariser right before the sensor: the angle of the field that it transmits, in degrees, from the
+    sensor's x axis towards its y axis (counter-clockwise as seen from behind the camera). It absorbs the field along
+    the axis square to that, as dichroic sheets do. Needs `transport.polarisation`."""
     pose: Pose = Field(default_factory=Pose)
     """Where the camera stands in the world; omitted, the world frame is the camera frame."""

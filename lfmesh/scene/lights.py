@@ -1,5 +1,6 @@
 """Light sources besides emitting targets, all in the world frame."""
 
+import math
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
@@ -10,6 +11,42 @@ from lfmesh.scene.quantities import FilePath, NonNegative, Number, Positive, Vec
 from lfmesh.scene.spectra import Shape
 
 HalfAngle = Annotated[float, Field(strict=True, gt=0, le=180)]
+
+
+class LinearPolarisation(Model):
+    """A field along a line.
+
+    Its angle starts from the part of the world's x axis that is square to the ray (of the y axis, for a ray along x).
+    """
+
+    kind: Literal["linear"] = "linear"
+    """Which state this is."""
+    angle_deg: Number
+    """From the world's x axis, in degrees, counter-clockwise as seen by somebody whom the light comes to."""
+
+    @property
+    def stokes(self) -> tuple[float, float, float]:
+        """Q, U and V over I."""
+        angle = math.radians(2.0 * self.angle_deg)
+        return math.cos(angle), math.sin(angle), 0.0
+
+
+class CircularPolarisation(Model):
+    """A field that turns."""
+
+    kind: Literal["circular"] = "circular"
+    """Which state this is."""
+    handedness: Literal["right", "left"] = "right"
+    """"right": somebody whom the light comes to sees the field turn counter-clockwise (IEEE, IAU); "left":
+    clockwise."""
+
+    @property
+    def stokes(self) -> tuple[float, float, float]:
+        """Q, U and V over I."""
+        return 0.0, 0.0, 1.0 if self.handedness == "right" else -1.0
+
+
+Polarisation = Annotated[LinearPolarisation | CircularPolarisation, Field(discriminator="kind")]
 
 
 class _Shines(Model):
@@ -29,6 +66,8 @@ class PointLight(_Shines):
     power_w: Positive
     """Power into all directions together, in W: at each wavelength of `transport.wavelengths_nm`, or with
     bands over the whole range of wavelengths from the first band's beginning to the last one's end."""
+    polarisation: Polarisation | None = None
+    """State of polarisation, complete; omitted, the light is unpolarised. Needs `transport.polarisation`."""
     profile: FilePath | None = None
     """An IES file (LM-63, type C), relative to the scene file: the shape of the intensity over the directions, scaled
     to `power_w`. Its vertical angles start at -y, down, its horizontal ones at +x, towards -z."""
@@ -59,6 +98,8 @@ class DirectionalLight(_Directed):
     irradiance_w_m2: Positive
     """On a plane square to the direction, in W/m²: at each wavelength of `transport.wavelengths_nm`, or with bands over
     the whole range of wavelengths from the first band's beginning to the last one's end."""
+    polarisation: Polarisation | None = None
+    """State of polarisation, complete; omitted, the light is unpolarised. Needs `transport.polarisation`."""
 
 
 class DiskLight(_Directed):

@@ -222,6 +222,7 @@ class Scene(Model):
         yield from self._coating_faults()
         yield from self._band_faults()
         yield from self._spectrum_faults()
+        yield from self._polarisation_faults()
         yield from self._memory_faults()
 
     def coating_uses(self) -> Iterator[tuple[Location, str]]:
@@ -307,6 +308,47 @@ class Scene(Model):
             if why := unknown_fault(name, tuple(self.coatings)):
                 yield Fault(where, name, why)
 
+    def _polarisation_faults(self) -> Iterator[Fault]:
+        """Yield what asks for polarised light where there is none, or has no known phases where there is."""
+        if not self.transport.polarisation:
+            states: list[tuple[Location, Any]] = [
+                (("lights", i, "polarisation"), getattr(light, "polarisation", None))
+                for i, light in enumerate(self.lights)
+            ]
+            for where, value in ((("camera", "polariser_deg"), self.camera.polariser_deg), *states):
+                if value is not None:
+                    yield Fault(where, value, "needs transport.polarisation = true")
+            return
+        for where, name in self.coating_uses():
+            coating = self.coatings.get(name)
+            if coating is not None and coating.layers is None:
+                given = "reflectance" if coating.reflectance is not None else "table"
+                yield Fault(
+                    where,
+                    name,
+                    f"transport.polarisation needs the phases of this coating, which its {given} does not tell; give "
+                    "it layers",
+                )
+        for where, finish in self.finishes():
+            if finish.is_rough:
+                yield Fault(
+                    where, finish.kind, "transport.polarisation follows light at polished faces only; polish it"
+                )
+        for i, target in enumerate(self.targets):
+            if target.material.gloss is not None:
+                yield Fault(
+                    ("targets", i, "material", "gloss"),
+                    None,
+                    "transport.polarisation knows matt targets and glass, which a gloss is neither of; leave it out",
+                )
+        if self.camera.sensor.reflectance > 0.0:
+            yield Fault(
+                ("camera", "sensor", "reflectance"),
+                self.camera.sensor.reflectance,
+                "transport.polarisation needs the phases of what is reflected, which a share does not tell; leave "
+                "reflectance out",
+            )
+
     def _glass_faults(self) -> Iterator[Fault]:
         media: list[tuple[Location, float | str | None]] = [
             (("camera", "lens", "surfaces", i, "glass"), surface.medium)
@@ -322,7 +364,7 @@ class Scene(Model):
             media.append((("camera", "mla", "glass"), self.camera.mla.medium))
         for i, target in enumerate(self.targets):
             gloss = target.material.gloss
-            for wavelength in self.transport.wavelengths_nm if gloss is not None and gloss.metal is not None else ():
+            for wavelength in self._checked_nm() if gloss is not None and gloss.metal is not None else ():
                 try:
                     metal_index(gloss.metal or "" if gloss is not None else "", wavelength)
                 except GlassError as error:

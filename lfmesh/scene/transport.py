@@ -7,7 +7,7 @@ from pydantic import Field
 
 from lfmesh.optics.curve import LONGEST_NM, SHORTEST_NM
 from lfmesh.scene.model import Fault, Model
-from lfmesh.scene.quantities import Count, Positive, Whole
+from lfmesh.scene.quantities import Count, Flag, Positive, Whole
 
 PRIMARY_NM = 587.6
 """Wavelength of a scene that gives none: the d line of helium."""
@@ -55,6 +55,9 @@ class Transport(Model):
     """With `target_error`: per pixel, in all, at most."""
     max_events: Annotated[Count, Field(le=MOST_EVENTS)] = 64
     """Surfaces a packet may meet before it is cut."""
+    polarisation: Flag = False
+    """Carry the polarisation of light: Stokes vectors through lens, array and glass, whose coatings are layers. Targets
+    depolarise. Traced by the mesh engine."""
     weight_cutoff: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.3
     """Share of its starting weight below which a child plays Russian roulette (no unit). A ray that is not aimed at a
     lenslet weighs far more than one that is; the latter's weight counts."""

@@ -45,6 +45,8 @@ def obstacle_of(scene: Scene, surface: str, max_events: int) -> str | None:
         Surface level, as in `transport.surface`.
     max_events : int
     """
+    if scene.transport.polarisation:
+        return "transport.polarisation is the mesh engine's"
     if surface != "exact":
         return f'surface = "{surface}" is a mesh\'s'
     lens = scene.camera.lens

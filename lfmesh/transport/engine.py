@@ -38,6 +38,8 @@ from lfmesh.transport.packets.packet import (
     OBJECTS,
     PACKET,
     PLATE,
+    POLARISED,
+    POLARISED_END,
     STATIONS,
     TOPS,
     WORLD_FRAME,
@@ -90,18 +92,20 @@ class Workspace:
         self.tables = tables or world.tables
         self.options = options
         self.chunk = chunk
-        self.stacks = np.zeros((STATIONS + 1, 2 * chunk), PACKET)
+        polarised = self.tables.polarised is not None
+        packet, ended = (POLARISED, POLARISED_END) if polarised else (PACKET, END)
+        self.stacks = np.zeros((STATIONS + 1, 2 * chunk), packet)
         self.rows = np.arange(STATIONS + 1)
         self.tops = np.zeros(TOPS, np.int64)
         self.origins = np.zeros((chunk, 3), np.float32)
         self.directions = np.zeros((chunk, 3), np.float32)
         self.deposits = np.zeros(0, DEPOSIT)
-        self.ended = np.zeros(0, END)
+        self.ended = np.zeros(0, ended)
         self.nodes = np.zeros(0, NODE)
         # Vertices recorded in earlier chunks, set by the caller that collects them.
         self.recorded = 0
         self._kept: dict[type, Any] = {}
-        self.template = np.zeros(1, PACKET)
+        self.template = np.zeros(1, packet)
         self.book = np.zeros(len(world.slots))
         self.counts = np.zeros(COUNTERS, np.int64)
         self.film = np.zeros((0, 1))
@@ -166,6 +170,7 @@ class Workspace:
             deposits=self.deposits,
             ended=self.ended,
             nodes=self.nodes,
+            polarised=self.tables.polarised,
         )
 
     def ends(self) -> NDArray[np.void]:
@@ -272,7 +277,7 @@ class Workspace:
         children = max(2, len(self.world.tables.objects.lights) + 2)
         need = int(self.tops[:STATIONS].max()) + children * packets
         if need > self.stacks.shape[1]:
-            larger = np.zeros((STATIONS + 1, max(need, 2 * self.stacks.shape[1])), PACKET)
+            larger = np.zeros((STATIONS + 1, max(need, 2 * self.stacks.shape[1])), self.stacks.dtype)
             # Only waiting packets are copied: memory that is never written to is not allocated by the system.
             for row, top in zip(self.rows[:STATIONS], self.tops[:STATIONS], strict=True):
                 larger[row, :top] = self.stacks[row, :top]

@@ -17,6 +17,7 @@ from lfmesh.geometry.tessellation import mesh_sag
 from lfmesh.scene.transport import MOST_EVENTS
 from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.engine import CHUNK, Workspace
+from lfmesh.transport.events.polarisation import across
 from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
 from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
@@ -42,8 +43,14 @@ from lfmesh.transport.sources.glass_round import glass_round
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.interfaces import interface_tables
+from lfmesh.transport.tables.polarisation import polarisation_tables
 from lfmesh.transport.tables.tables import Records, Tables
 from lfmesh.transport.world import World
+
+X_AXIS = (1.0, 0.0, 0.0)
+
+ROUNDING = 1e-12
+"""Share of I by which the polarised part of a given Stokes vector may exceed it."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +85,11 @@ class Paths:
     body : list of str
         Name of the body that each ended on.
     ledger : Ledger
+    stokes : (n, 4) float64, optional
+        I, Q, U and V of the packets of a scene with `transport.polarisation`; I is the weight. For the conventions see
+        `optics.polarisation`.
+    reference : (n, 3) float64, unit, world frame, optional
+        The direction that Q and U refer to, square to `direction`.
     """
 
     position: NDArray[np.float64]
@@ -91,6 +103,8 @@ class Paths:
     _node: NDArray[np.int64]
     _nodes: NDArray[np.void]
     _world: World
+    stokes: NDArray[np.float64] | None = None
+    reference: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return len(self.weight)
@@ -122,12 +136,13 @@ class Paths:
 
 
 class Settings(TypedDict, total=False):
-    """Settings of `trace`; those left out or None are taken from the scene's transport settings."""
+    """Further settings of `trace`. Those of transport that are left out or None are taken from the scene's."""
 
     surface: str | None
     engine: str
     max_events: int | None
     weight_cutoff: float | None
+    reference: ArrayLike
 
 
 def trace(
@@ -138,6 +153,7 @@ def trace(
     split: str = "both",
     record: bool = False,
     *,
+    stokes: ArrayLike | None = None,
     seed: int = 0,
     threads: int = 0,
     **settings: Unpack[Settings],
@@ -159,6 +175,9 @@ def trace(
         Follow both children at an interface, one at random, or the refracted one with weight T.
     record : bool
         Keep every vertex, see `Paths.vertices`.
+    stokes : (4,) or (n, 4) float64, optional
+        I, Q, U and V of the rays, in a scene with `transport.polarisation`; weights then begin at I. Omitted, the rays
+        are unpolarised, with I = 1. For the conventions see `optics.polarisation`.
     seed : int
         Seed of the roulette.
     threads : int
@@ -170,6 +189,9 @@ def trace(
     max_events : int
     weight_cutoff : float
         In place of the scene's transport settings.
+    reference : (3,) or (n, 3) float64
+        Direction that Q and U of `stokes` refer to, world frame: its part square to the ray counts. For rays along it,
+        y takes its place. The x axis if left out.
     engine : {"mesh", "sequential"}
         "sequential" meets the exact surfaces of lens and array in their order, many times quicker: refracted rays only
         (`split="transmit"`), nothing recorded, and a ray that total reflection turns off the image path has no packet.
@@ -184,11 +206,12 @@ def trace(
     Raises
     ------
     LfmeshError
-        Rays have the wrong shape, no direction, values that are not finite, or start inside the array; or a setting is
-        out of range.
+        Rays have the wrong shape, no direction, values that are not finite, or start inside the array; Stokes vectors
+        are not those of light, or the scene has none; or a setting is out of range.
     """
     p, d = _arrays(origins, directions)
-    options = _options(world, record, split, **settings)
+    of_transport: dict[str, Any] = {name: value for name, value in settings.items() if name != "reference"}
+    options = _options(world, record, split, **of_transport)
     for name, value, valid, wish in (
         ("wavelength_nm", wavelength_nm, 0.0 < wavelength_nm < np.inf, "a positive number"),
         ("seed", seed, 0 <= seed < 2**63, "a whole number from 0 to 2^63 − 1"),
@@ -197,7 +220,12 @@ def trace(
         if not valid:
             raise LfmeshError(f"{name} = {value!r}: must be {wish}")
     tables = _at_level(world, at_wavelength(world, wavelength_nm), options.surface)
-    call = _Call(world, tables, options, descendant(0x7472616365, seed), threads)
+    states = None
+    if stokes is not None:
+        if not world.scene.transport.polarisation:
+            raise LfmeshError("stokes: the scene needs transport.polarisation = true")
+        states = _states(stokes, settings.get("reference", X_AXIS), _unit_directions(p, d))
+    call = _Call(world, tables, options, descendant(0x7472616365, seed), threads, states)
     p = before_faces(world, p, d)
     paths = _in_blocks(call, p, d) if options.sequential else _as_packets(call, p, d)
     lost = paths.ledger.loss_in_words()
@@ -256,6 +284,34 @@ def _arrays(origins: ArrayLike, directions: ArrayLike) -> tuple[NDArray[np.float
     return np.ascontiguousarray(p), np.ascontiguousarray(d)
 
 
+class _States(NamedTuple):
+    """States of polarisation of rays: I; Q, U and V over I; reference directions square to the rays, world frame."""
+
+    power: NDArray[np.float64]
+    stokes: NDArray[np.float64]
+    reference: NDArray[np.float64]
+
+
+def _states(stokes: ArrayLike, reference: ArrayLike, d: NDArray[np.float64]) -> _States:
+    """Return the states of rays with unit directions; refuse Stokes vectors that no light has."""
+    try:
+        given = np.broadcast_to(np.asarray(stokes, dtype=np.float64), (len(d), 4))
+        axis = np.broadcast_to(np.asarray(reference, dtype=np.float64), d.shape)
+    except (TypeError, ValueError) as error:
+        raise LfmeshError(f"stokes must be (4,) or (n, 4) numbers, reference (3,) or (n, 3): {error}") from None
+    size = np.linalg.norm(given[:, 1:], axis=1)
+    bad = ~(np.isfinite(given).all(axis=1) & (given[:, 0] > 0.0) & (size <= given[:, 0] * (1.0 + ROUNDING)))
+    bad_axis = ~(np.isfinite(axis).all(axis=1) & (axis != 0.0).any(axis=1))
+    if bad.any():
+        i = int(np.flatnonzero(bad)[0])
+        raise LfmeshError(f"ray {i}: stokes = {given[i].tolist()}: must be finite, with I > 0 and I² ≥ Q² + U² + V²")
+    if bad_axis.any():
+        i = int(np.flatnonzero(bad_axis)[0])
+        raise LfmeshError(f"ray {i}: reference = {axis[i].tolist()}: must be finite, with a direction")
+    shares = given[:, 1:] / np.maximum(given[:, 0], size)[:, None]
+    return _States(given[:, 0].copy(), shares, across(d, axis))
+
+
 def _unit_directions(p: NDArray[np.float64], d: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the directions with unit length; refuse rays that are none."""
     length = np.linalg.norm(d, axis=1, keepdims=True)
@@ -278,6 +334,7 @@ def at_wavelength(world: World, wavelength_nm: float) -> Tables:
         lens=tables.lens._replace(media=media, interfaces=interfaces.lens),
         mla=tables.mla._replace(media=media, interfaces=interfaces.mla),
         objects=tables.objects._replace(media=media, interfaces=interfaces.objects),
+        polarised=polarisation_tables(world.scene, (wavelength_nm,), tables.frames, world.book),
     )
 
 
@@ -365,14 +422,14 @@ def _kept(work: Workspace, _: range) -> tuple[Records, Records, NDArray[np.float
 def joined_records(parts: Iterable[tuple[Records, Records]]) -> tuple[Records, Records]:
     """Join the ends and the vertices that several chunks recorded into one table each, with numbers adjusted."""
     shift = 0
-    all_ended, all_nodes = [np.zeros(0, END)], [np.zeros(0, NODE)]
+    all_ended, all_nodes = [], [np.zeros(0, NODE)]
     for ended, nodes in parts:
         ended["node"] += np.where(ended["node"] >= 0, shift, 0)
         nodes["parent"] += np.where(nodes["parent"] >= 0, shift, 0)
         shift += len(nodes)
         all_ended.append(ended)
         all_nodes.append(nodes)
-    return np.concatenate(all_ended), np.concatenate(all_nodes)
+    return np.concatenate(all_ended or [np.zeros(0, END)]), np.concatenate(all_nodes)
 
 
 class _Call(NamedTuple):
@@ -383,6 +440,7 @@ class _Call(NamedTuple):
     options: Options
     key: np.uint64
     threads: int
+    states: _States | None = None
 
     def ended(
         self, p: NDArray[np.float64], d: NDArray[np.float64], numbers: NDArray[np.int64]
@@ -401,7 +459,11 @@ class _Call(NamedTuple):
         station, space, p, d = located(world, p, d, numbers)
         if self.options.sequential:
             _refuse_starts_in_the_lens(station, space, len(self.tables.lens.surfaces), numbers)
-        source = RaySource(p, d, station, space, np.ones(len(p)), self.key, inside=inside if inside.any() else None)
+        power, stokes, reference = self.states if self.states is not None else (np.ones(len(p)), None, None)
+        source = RaySource(
+            p, d, station, space, power, self.key, inside=inside if inside.any() else None, stokes=stokes,
+            reference=reference,
+        )  # fmt: skip
         launcher = Launcher(lambda: Workspace(world, self.options, tables=self.tables))
         parts = launcher.traced(source, _kept, self.threads, CHUNK)
         ended, nodes = joined_records(part[:2] for part in parts)
@@ -417,6 +479,12 @@ class _Call(NamedTuple):
 def _as_packets(call: _Call, p: NDArray[np.float64], d: NDArray[np.float64]) -> Paths:
     """Trace rays as packets, whose children may be many."""
     ended, nodes, book, counts = call.ended(p, _unit_directions(p, d), np.arange(len(p)))
+    stokes = reference = None
+    if call.tables.polarised is not None:
+        stokes, reference = np.zeros((len(ended), 4)), np.zeros((len(ended), 3))
+        if len(ended):
+            stokes[:, 0], stokes[:, 1:] = ended["weight"], ended["weight"][:, None] * ended["stokes"]
+            reference[:] = ended["reference"]
     return Paths(
         ended["position"].copy(),
         ended["direction"].copy(),
@@ -429,6 +497,8 @@ def _as_packets(call: _Call, p: NDArray[np.float64], d: NDArray[np.float64]) -> 
         ended["node"].copy(),
         nodes,
         call.world,
+        stokes,
+        reference,
     )
 
 

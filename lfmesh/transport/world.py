@@ -45,6 +45,7 @@ from lfmesh.transport.tables.lens import lens_tables, mla_tables
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, refuse_targets_inside
+from lfmesh.transport.tables.polarisation import polarisation_tables
 from lfmesh.transport.tables.surroundings import Surroundings, surroundings_of
 from lfmesh.transport.tables.tables import (
     ROUGH,
@@ -265,6 +266,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     aim, proof = unaimed(scene, lens), None
     if aimed:
         aim, proof = aim_table(scene, report, lens, mla, sensor, targets, moves, analytic=bool(shape.analytic.all()))
-    tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=aim)
+    polarised = polarisation_tables(scene, wavelengths_nm, moves, book)
+    tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=aim, polarised=polarised)
     finders = (Finder(lens_mesh), Finder(mla_mesh_), Finder(*divided(object_mesh, objects.facets["body"])))
     return World(scene, report, tables, finders, book, shape, targets, housing, lines, proof)

@@ -39,6 +39,7 @@ from lfmesh.transport.packets.packet import (
     WORLD_FRAME,
     Flow,
     Options,
+    keep_state,
     put,
 )
 from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived, uniform
@@ -316,6 +317,7 @@ def _keep_end(
     kept.node = node
     kept.body = slot
     kept.colour = packet.colour
+    keep_state(flow.polarised, packet, kept)
     flow.tops[ENDED] += 1
 
 

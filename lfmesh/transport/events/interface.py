@@ -16,6 +16,7 @@ from lfmesh.optics.scattering import lambertian, tangents
 from lfmesh.optics.share_table import coated_shares
 from lfmesh.transport.events.crossing import BOUNCE_U, CHOOSE, draw, draw_two, record_interface, split_shares
 from lfmesh.transport.events.ground import ground_density, ground_direction
+from lfmesh.transport.events.polarisation import become_child
 from lfmesh.transport.packets.packet import E_REFLECTED, E_TRANSMITTED, EVENTS, OBJECT_FRAME, Flow, Options
 from lfmesh.transport.packets.path_class import turns_off_image_path
 from lfmesh.transport.packets.random import derived
@@ -306,6 +307,7 @@ def splitter(send: Callable[..., None]) -> Callable[..., None]:
             if options.record:
                 event = E_TRANSMITTED if refracts else E_REFLECTED
                 packet.node = record_interface(flow, frames, frame, x, y, z, weight, surface, part, event, node, beyond)
+            become_child(flow.polarised, packet, refracts)
             child_key = key if refracts else derived(key, packet.events)
             send(place, options, flow, frames, packet, refracts, x, y, z, dx, dy, dz, weight, child_key)
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import pasted
+from lfmesh.kernel import inlined, pasted
 
 # Stations: what a packet waits for. Embree is asked at OBJECTS, LENS_MESH and CELLS_MESH, and in a run that finds no
 # surface by its order at LENS and CELLS too.
@@ -145,9 +145,42 @@ def _with_field(record: np.dtype[np.void], name: str, form: str, place: str) -> 
     )
 
 
+def _with_vectors(record: np.dtype[np.void], *vectors: tuple[str, tuple[int, ...]]) -> np.dtype[np.void]:
+    """Return a record type with float64 vectors behind its fields, given by their names and shapes."""
+    own = dict(record.fields or {})
+    size = record.itemsize
+    for name, shape in vectors:
+        own[name] = (np.dtype(("f8", shape)), size)
+        size += 8 * shape[0]
+    return np.dtype(
+        {
+            "names": list(own),
+            "formats": [field[0] for field in own.values()],
+            "offsets": [field[1] for field in own.values()],
+            "itemsize": size,
+        }
+    )
+
+
 PACKET = _with_field(_BASE_RECORD, "density", "f4", "row")
 """The packet's record. In object space, where a packet is in no cell of the array, `density` takes the place of `row`:
 the density, 1/sr, with which the scattering model of the target that it left draws its direction."""
+
+_STATE = (
+    ("stokes", (3,)),  # Q, U and V over I; in the adjoint method of the light's course turned round
+    ("reference", (3,)),  # unit, square to the direction, world frame; any direction where the state is unpolarised
+)
+"""State of polarisation, see `optics.polarisation` for its conventions."""
+
+_CHILDREN = (
+    ("s_axis", (3,)),  # reference direction of both
+    ("reflected", (3,)),  # `stokes` of each
+    ("refracted", (3,)),
+)
+"""States of the children at the interface that a packet is being divided at."""
+
+POLARISED = _with_vectors(PACKET, *_STATE, *_CHILDREN)
+"""The record of a packet in a scene with polarised light."""
 
 SAMPLE_SHIFT = 40
 PIXEL_MASK = (1 << SAMPLE_SHIFT) - 1
@@ -169,6 +202,9 @@ END = np.dtype(
         ("colour", "i8"),
     ]
 )
+
+POLARISED_END = _with_vectors(END, *_STATE)
+"""The end of a packet in a scene with polarised light."""
 
 NODE = np.dtype(
     [
@@ -197,6 +233,8 @@ class Flow(NamedTuple):
     deposits: NDArray[np.void]  # forward: what fell on which pixel
     ended: NDArray[np.void]  # tracing or recording: how every packet ended
     nodes: NDArray[np.void]  # recording: every vertex
+    # PolarisationTables where packets are POLARISED, else None: code for the other case is not even compiled.
+    polarised: Any = None
 
 
 class Options(NamedTuple):
@@ -223,6 +261,22 @@ class Options(NamedTuple):
 
 # Options.split
 BOTH, ROULETTE, TRANSMIT = 0, 1, 2
+
+
+@inlined
+def keep_state(polarised: Any, packet: Any, kept: Any) -> None:
+    """Copy the state of polarisation of a packet, where packets have one, to another packet or to an end.
+
+    Parameters
+    ----------
+    polarised : PolarisationTables or None
+    packet : POLARISED
+    kept : POLARISED or POLARISED_END
+    """
+    if polarised is None:
+        return
+    for i in range(3):
+        kept.stokes[i], kept.reference[i] = packet.stokes[i], packet.reference[i]
 
 
 @pasted
@@ -265,5 +319,6 @@ def put(
     packet.column, packet.row, packet.facet, packet.last = column, cell_row, facet, last
     packet.colour, packet.space, packet.events, packet.medium = colour, space, events, medium
     packet.tries, packet.kind, packet.frame, packet.stray, packet.slipped = 0, kind, frame, stray, 0
+    keep_state(flow.polarised, parent, packet)
     flow.tops[station] = top + 1
     return packet

@@ -27,6 +27,7 @@ from lfmesh.transport.events.crossing import (
     write_query,
 )
 from lfmesh.transport.events.interface import divided, is_rough, scattered, scatterer, splitter
+from lfmesh.transport.events.polarisation import IN_LENS, shares_by_state
 from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import HOUSING, LOST_CONTRADICTION, STOP
 from lfmesh.transport.packets.packet import (
@@ -581,6 +582,11 @@ def _send_on(
         reflectance, transmittance, _ = divided(
             lens.interfaces, k, packet.colour, n_i, n_t, incidence(block, i), k != packet.space, packet, flow.book
         )
+    reflectance, transmittance = shares_by_state(
+        flow.polarised, IN_LENS, k, k != packet.space, block[N_I + i], block[N_T + i], incidence(block, i),
+        (block[NX + i], block[NY + i], block[NZ + i]), frames, CAMERA_FRAME, packet, flow.book,
+        reflectance, transmittance,
+    )  # fmt: skip
     _split(
         (block, i, k, packet.space, lens, has_mla), options, flow, frames, CAMERA_FRAME, packet, k, NO_SURFACE,
         lens.medium[k + 1 if k == packet.space else k], x, y, z, reflectance, transmittance,

@@ -33,6 +33,7 @@ from lfmesh.transport.events.crossing import (
     write_query,
 )
 from lfmesh.transport.events.interface import divided, is_rough, scattered, scatterer, splitter
+from lfmesh.transport.events.polarisation import IN_ARRAY, shares_by_state
 from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import LOST_IN_MLA, MLA_EDGE, MLA_MOUNT, MLA_WALL
 from lfmesh.transport.packets.packet import (
@@ -174,7 +175,7 @@ def through_plate(
                         passes, dx, dy, dz,
                     )  # fmt: skip
                     continue
-                reflectance, transmittance = _shares_at_face(block, i, packet, mla, FLAT_ROW, outward, flow)
+                reflectance, transmittance = _shares_at_face(block, i, packet, mla, frames, FLAT_ROW, outward, flow)
                 r, t = rows.REFLECTED + i, rows.REFRACTED + i
                 _split_at_flat_face(
                     (mla, lens_surfaces, outward), options, flow, frames, MLA_FRAME, packet, FLAT_FACE, NO_SURFACE,
@@ -228,16 +229,20 @@ def _reaches_flat_face(
 
 @inlined
 def _shares_at_face(
-    block: Array, i: int, packet: Any, mla: MlaTables, number: int, outward: bool, flow: Flow
+    block: Array, i: int, packet: Any, mla: MlaTables, frames: Array, number: int, outward: bool, flow: Flow
 ) -> tuple[float, float]:
     """Return what a packet of a block reflects and transmits at a face, of what a coating leaves of it."""
-    if not mla.interfaces.coated:
-        return block[rows.REFLECTANCE + i], block[rows.TRANSMITTANCE + i]
-    n_i, n_t = block[rows.N_I + i], block[rows.N_T + i]
-    reflectance, transmittance, _ = divided(
-        mla.interfaces, number, packet.colour, n_i, n_t, incidence(block, i), outward, packet, flow.book
-    )
-    return reflectance, transmittance
+    reflectance, transmittance = block[rows.REFLECTANCE + i], block[rows.TRANSMITTANCE + i]
+    if mla.interfaces.coated:
+        n_i, n_t = block[rows.N_I + i], block[rows.N_T + i]
+        reflectance, transmittance, _ = divided(
+            mla.interfaces, number, packet.colour, n_i, n_t, incidence(block, i), outward, packet, flow.book
+        )
+    return shares_by_state(
+        flow.polarised, IN_ARRAY, number, outward, block[rows.N_I + i], block[rows.N_T + i], incidence(block, i),
+        (block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i]), frames, MLA_FRAME, packet, flow.book,
+        reflectance, transmittance,
+    )  # fmt: skip
 
 
 @inlined
@@ -528,7 +533,7 @@ def _through_face(
             passes, dx, dy, dz,
         )  # fmt: skip
         return
-    reflectance, transmittance = _shares_at_face(block, i, packet, mla, CURVED_ROW, not inward, flow)
+    reflectance, transmittance = _shares_at_face(block, i, packet, mla, frames, CURVED_ROW, not inward, flow)
     r, t = rows.REFLECTED + i, rows.REFRACTED + i
     _split_at_curved_face(
         (mla, lens_surfaces, inward, prim), options, flow, frames, MLA_FRAME, packet, CURVED_FACE, cell,

@@ -44,6 +44,7 @@ from lfmesh.transport.events.interface import (
     splitter,
 )
 from lfmesh.transport.events.lighting import from_light
+from lfmesh.transport.events.polarisation import IN_OBJECTS, shares_by_state
 from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import (
     ESCAPED,
@@ -419,6 +420,10 @@ def _through_glass(
     reflectance, transmittance, cos_t = divided(
         objects.interfaces, number, packet.colour, n_i, n_t, cos_i, not entering, packet, flow.book
     )
+    reflectance, transmittance = shares_by_state(
+        flow.polarised, IN_OBJECTS, number, not entering, n_i, n_t, cos_i, (nx, ny, nz), frames, OBJECT_FRAME, packet,
+        flow.book, reflectance, transmittance,
+    )  # fmt: skip
     packet.facet = NO_SURFACE
     packet.last = NO_SURFACE
     if packet.kind != LAMP:

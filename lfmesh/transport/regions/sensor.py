@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.crossing import deposit, end, end_here, move_packet, record, split_shares, too_deep
+from lfmesh.transport.events.polarisation import through_polariser
 from lfmesh.transport.packets.book import BESIDE_SENSOR, HOUSING, ON_SENSOR, UNFOLLOWED
 from lfmesh.transport.packets.packet import (
     E_REFLECTED,
@@ -48,6 +49,8 @@ def onto_sensor(
         packet = wave[i]
         move_packet(frames, packet, SENSOR_FRAME)
         pixel, x, y = _pixel_met(packet, sensor)
+        if pixel != NOWHERE:
+            packet.weight = through_polariser(flow.polarised, packet, packet.weight, SENSOR_FRAME, frames, flow.book)
         _end_on(pixel, x, y, packet.weight, packet, frames, options, flow)
 
 

@@ -32,6 +32,7 @@ from lfmesh.transport.events.crossing import (
 )
 from lfmesh.transport.events.emission import asks_emitters, share_by_chance
 from lfmesh.transport.events.lighting import ask_lights
+from lfmesh.transport.events.polarisation import depolarise
 from lfmesh.transport.events.scattering import Point, albedo, density, evaluate, sample
 from lfmesh.transport.packets.book import ESCAPED, LIT, REACHED, SAMPLING_ADDED, SAMPLING_REMOVED
 from lfmesh.transport.packets.packet import (
@@ -292,6 +293,7 @@ def scatter(
         return
     packet.facet = point.prim
     packet.last = NO_SURFACE
+    depolarise(flow.polarised, packet)
     if options.record:
         body = objects.facets[point.prim].body
         packet.node = record(

@@ -63,7 +63,8 @@ class Ahead:
         self._process: subprocess.Popen[bytes] | None = None
         alone = engine_of(scene)[0] == "sequential"
         kernels = (shade_objects,) if alone else (shade_objects, shade_lens, shade_cells)
-        if processors() > 1 and not any(map(is_cached, kernels)):
+        # The kernels of polarised light are others, and few scenes have it.
+        if processors() > 1 and not scene.transport.polarisation and not any(map(is_cached, kernels)):
             code = _CHILD.format(path=sys.path, module=__name__, stations=IN_OBJECT_SPACE if alone else EVERYWHERE)
             try:
                 self._process = subprocess.Popen(

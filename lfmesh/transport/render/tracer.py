@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.transport.engine import CHUNK, Workspace
-from lfmesh.transport.packets.packet import COUNTERS, DEPOSITS, PACKET
+from lfmesh.transport.packets.packet import COUNTERS, DEPOSITS
 from lfmesh.transport.packets.random import descendant, run_key
 from lfmesh.transport.render.adaptive import Counts
 from lfmesh.transport.render.blind_check import CHUNK as BLIND_CHUNK
@@ -257,7 +257,7 @@ class Tracer:
         work.sampled = []
         self._source(chunk, key, 0).launch(work, range(count))
         work.run()
-        packets = np.concatenate([*work.sampled, np.zeros(0, PACKET)])
+        packets = np.concatenate([*work.sampled, np.zeros(0, work.stacks.dtype)])
         some = draw.choice(len(packets), min(SAMPLE, len(packets)), replace=False)
         return compare(self.world, part.options, part.tables, packets[np.sort(some)])
 

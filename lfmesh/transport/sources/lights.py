@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lfmesh.kernel import kernel
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.events.lighting import PLACE_U, PLACE_V, emitted
+from lfmesh.transport.events.polarisation import polarise_as_light
 from lfmesh.transport.packets.book import EMITTED, ESCAPED
 from lfmesh.transport.packets.packet import LAMP, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, Options, put
 from lfmesh.transport.packets.random import derived, start
@@ -114,6 +115,7 @@ def _from_lamp(objects: ObjectTables, flow: Flow, packet: Any, number: int, weig
     if towards <= 0.0:
         return
     packet.start = towards
+    polarise_as_light(flow.polarised, packet, number, dx, dy, dz)
     put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, towards, packet.key, 0.0)
 
 

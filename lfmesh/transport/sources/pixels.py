@@ -33,6 +33,7 @@ from lfmesh.transport.aiming.lenslet_aim import (
 )
 from lfmesh.transport.aiming.mixture import aimed
 from lfmesh.transport.engine import Workspace
+from lfmesh.transport.events.polarisation import behind_polariser
 from lfmesh.transport.packets.book import EMITTED
 from lfmesh.transport.packets.packet import (
     CAMERA,
@@ -129,7 +130,7 @@ class PixelSource(Source):
             work.options = work.options._replace(stream=self.key, each=self.samples)
         tables, options, pixels = work.tables, work.options, self.pixels[part.start : part.stop]
         begin = np.zeros(len(pixels), np.int64) if self.begin is None else self.begin[part.start : part.stop]
-        room = work.kept(StartRoom, lambda: start_room(tables.aim))
+        room = work.kept(StartRoom, lambda: start_room(tables.aim, work.stacks.dtype))
         if options.sequential and options.adjoint:
             launch_along_image_path(
                 pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
@@ -157,8 +158,8 @@ class StartRoom(NamedTuple):
     packets: NDArray[np.void]  # (STARTS,) PACKET
 
 
-def start_room(aim: AimTables) -> StartRoom:
-    """Return working memory for a launch."""
+def start_room(aim: AimTables, record: np.dtype[np.void] = PACKET) -> StartRoom:
+    """Return working memory for a launch, with the packets' record type."""
     table = (DISCRETE + 1, STARTS)
     most = most_listed(aim)
     return StartRoom(
@@ -170,7 +171,7 @@ def start_room(aim: AimTables) -> StartRoom:
         np.zeros(STARTS, np.uint64),
         np.zeros((most + 1, LISTED)),
         np.zeros((2, most + 1), np.int64),
-        np.zeros(STARTS, PACKET),
+        np.zeros(STARTS, record),
     )
 
 
@@ -256,9 +257,13 @@ def launch_adjoint(
         )  # fmt: skip
         for i in range(count):
             if bundle[ENDED_ON + i] == 0.0:
+                weight = behind_polariser(
+                    flow.polarised, room.packets[i], bundle[WEIGHT + i], bundle[DX + i], bundle[DY + i], bundle[DZ + i],
+                    frames, flow.book,
+                )  # fmt: skip
                 put(
                     flow, station, room.packets[i], SENSOR_FRAME, bundle[X + i], bundle[Y + i], bundle[Z + i],
-                    bundle[DX + i], bundle[DY + i], bundle[DZ + i], bundle[WEIGHT + i], room.keys[i], 0.0,
+                    bundle[DX + i], bundle[DY + i], bundle[DZ + i], weight, room.keys[i], 0.0,
                 )  # fmt: skip
 
 

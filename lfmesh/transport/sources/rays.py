@@ -5,14 +5,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry import frame
 from lfmesh.kernel import kernel
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.events.crossing import FLOAT32_GRAIN
+from lfmesh.transport.events.polarisation import across
 from lfmesh.transport.packets.book import EMITTED
-from lfmesh.transport.packets.packet import CAMERA, CAMERA_FRAME, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, put
+from lfmesh.transport.packets.packet import (
+    CAMERA,
+    CAMERA_FRAME,
+    NO_SURFACE,
+    OBJECT_FRAME,
+    OBJECTS,
+    STATIONS,
+    WORLD_FRAME,
+    Flow,
+    put,
+)
 from lfmesh.transport.packets.random import derived
 from lfmesh.transport.sources.glass_round import start_inside
 from lfmesh.transport.sources.source import Source
+from lfmesh.transport.tables.tables import Records
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -37,6 +50,9 @@ class RaySource(Source):
     inside : (n,) int64, optional
         Bodies of glass that each ray starts in, from `glass_round`; the rays that wait elsewhere than in object space
         have none.
+    stokes, reference : (n, 3) float64, optional
+        In scenes with polarised light: Q, U and V over I, and the reference direction, world frame, square to the ray.
+        Omitted, the rays are unpolarised.
     """
 
     position: Array
@@ -47,6 +63,8 @@ class RaySource(Source):
     key: np.uint64
     away: float = 0.0
     inside: Numbers | None = None
+    stokes: Array | None = None
+    reference: Array | None = None
 
     def __len__(self) -> int:
         return len(self.position)
@@ -57,14 +75,27 @@ class RaySource(Source):
         tables = work.tables
         reach = float(np.abs(tables.frames[CAMERA_FRAME, OBJECT_FRAME][:, 3]).sum())
         reach += float(tables.objects.facets["size"].max(initial=0.0))
-        waiting = int(work.tops[OBJECTS])
+        waiting = work.tops[:STATIONS].copy()
         launch_rays(
             part.start, self.position[some], self.direction[some], self.station[some], self.space[some],
             self.weight[some], self.away, reach, tables.lens.medium, self.key, work.flow(), work.template,
         )  # fmt: skip
         if self.inside is not None:
-            started = work.stacks[work.rows[OBJECTS], waiting : work.tops[OBJECTS]]
+            started = work.stacks[work.rows[OBJECTS], waiting[OBJECTS] : work.tops[OBJECTS]]
             start_inside(started, self.inside[started["source"]], work.tables.objects)
+        if work.tables.polarised is not None:
+            for station in np.flatnonzero(work.tops[:STATIONS] > waiting):
+                self._polarise(work.stacks[work.rows[station], waiting[station] : work.tops[station]], work)
+
+    def _polarise(self, started: Records, work: Workspace) -> None:
+        """Give rays that have been queued their states of polarisation."""
+        number = started["source"]
+        started["stokes"] = 0.0 if self.stokes is None else self.stokes[number]
+        if self.reference is None:
+            to_world = work.tables.frames[CAMERA_FRAME, WORLD_FRAME]
+            started["reference"] = across(frame.directions(to_world, self.direction[number]))
+        else:
+            started["reference"] = self.reference[number]
 
 
 @kernel

@@ -57,7 +57,7 @@ def absorbs(scene: Scene, name: str, wavelengths_nm: Sequence[float]) -> bool:
     wavelengths_nm : sequence of float
     """
     layers = scene.coatings[name].layers or ()
-    return any(_stack(layers, wavelength).absorbs for wavelength in wavelengths_nm)
+    return any(stack_of(layers, wavelength).absorbs for wavelength in wavelengths_nm)
 
 
 def coating_table(
@@ -92,7 +92,7 @@ def _tabulated(
 ) -> CoatingTable:  # fmt: skip
     """Return the table of a coating; `stamp` only tells versions of its file apart."""
     measured = read_reflectance(path) if path is not None else None
-    lossy = any(_stack(coating.layers or (), wavelength).absorbs for wavelength in wavelengths_nm)
+    lossy = any(stack_of(coating.layers or (), wavelength).absorbs for wavelength in wavelengths_nm)
     tables: list[ShareTable] = []
     try:
         # All wavelengths have the same pieces: those of the one that needs the most.
@@ -133,7 +133,7 @@ def _at_wavelength(
             )
         return tabulated(lambda u, total: measured.at(wavelength_nm, u * u)[None], False, least, ALLOWED_MEASURED)
     n_outer, n_inner = refractive_index(outer, wavelength_nm), refractive_index(inner, wavelength_nm)
-    stack = _stack(coating.layers or (), wavelength_nm)
+    stack = stack_of(coating.layers or (), wavelength_nm)
     if n_outer > n_inner:
         stack = stack.reversed
     thin, dense = min(n_outer, n_inner), max(n_outer, n_inner)
@@ -164,8 +164,14 @@ def _under_total_reflection(thin: float, dense: float, stack: Stack, wavelength_
     return between(dense, thin, stack.reversed, wavelength_nm, k_dense, k_thin)[0]
 
 
-def _stack(layers: Sequence[Layer], wavelength_nm: float) -> Stack:
-    """Return layers as they are at a wavelength, in the order of the scene."""
+def stack_of(layers: Sequence[Layer], wavelength_nm: float) -> Stack:
+    """Return layers as they are at a wavelength, in the order of the scene.
+
+    Parameters
+    ----------
+    layers : sequence of Layer
+    wavelength_nm : float
+    """
     return Stack(
         tuple(
             complex_index(layer.glass, wavelength_nm)

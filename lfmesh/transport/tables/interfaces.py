@@ -62,6 +62,9 @@ KINDS = (
 )
 """Kinds by their number in the table."""
 
+POLARISER = "polariser"
+"""What the ledger calls the polariser before the sensor."""
+
 _SHOWN_DEG = (0.0, 30.0, 60.0)
 
 
@@ -80,6 +83,8 @@ class Face(NamedTuple):
         Media on the side that the layers of its coating begin with, and on the other.
     roughness : Finish
         Of the scene.
+    begins_behind : bool
+        Of a lens surface: the side that the layers begin with is the one towards the sensor.
     """
 
     where: str
@@ -88,6 +93,7 @@ class Face(NamedTuple):
     outer: Medium = None
     inner: Medium = None
     roughness: Roughness = POLISHED
+    begins_behind: bool = False
 
 
 class Finish(NamedTuple):
@@ -140,12 +146,11 @@ def lens_faces(scene: Scene) -> list[Face]:
     lens = scene.camera.lens
     faces, before = [], None
     for i, surface in enumerate(lens.surfaces):
-        sides = (before, surface.medium)
-        if surface.medium is None and before is not None:
-            sides = (surface.medium, before)
+        behind = surface.medium is None and before is not None
+        outer, inner = (surface.medium, before) if behind else (before, surface.medium)
         if not lens.is_pure_stop(i):
             names = f"camera.lens.surfaces[{i}]", f"coating of lens surface {i}", surface.coating
-            faces.append(Face(*names, *sides, surface.finish))
+            faces.append(Face(*names, outer, inner, surface.finish, behind))
         before = surface.medium
     return faces
 
@@ -183,9 +188,10 @@ def body_faces(scene: Scene, outer: Medium = None) -> list[Face]:
 
 
 def coatings_in_book(scene: Scene) -> list[str]:
-    """Return what the ledger calls the coatings of a scene, one for each coated face or body."""
+    """Return what the ledger calls the coatings of a scene, one for each coated face or body, and its polariser."""
     faces = (*lens_faces(scene), *array_faces(scene), *body_faces(scene))
-    return [face.body for face in faces if face.coating != UNCOATED]
+    polariser = [POLARISER] if scene.camera.polariser_deg is not None else []
+    return [*(face.body for face in faces if face.coating != UNCOATED), *polariser]
 
 
 def refused_in_order(scene: Scene) -> str | None:
@@ -214,9 +220,9 @@ def interface_tables(scene: Scene, wavelengths_nm: tuple[float, ...], book: Book
     SceneError, FileError
         A coating cannot be tabulated.
     """
-    lens, mla, bodies = (_finishes(scene, faces, wavelengths_nm) for faces in _faces_of_regions(scene))
+    lens, mla, bodies = (_finishes(scene, faces, wavelengths_nm) for faces in faces_of_regions(scene))
     slots = book.coatings if book is not None else {}
-    faces = _faces_of_regions(scene)
+    faces = faces_of_regions(scene)
     return InterfaceTables(
         *(
             _table(own, [slots.get(face.body, NO_SLOT) for face in its], len(wavelengths_nm))
@@ -229,7 +235,7 @@ def coating_errors(scene: Scene) -> dict[str, float]:
     """Return the largest error of interpolation of each coating that a scene uses, over its faces, by its name."""
     errors: dict[str, float] = {}
     wavelengths_nm = Lines.of(scene).wavelengths_nm
-    for faces in _faces_of_regions(scene):
+    for faces in faces_of_regions(scene):
         for face, finish in zip(faces, _finishes(scene, faces, wavelengths_nm), strict=True):
             if face.coating != UNCOATED:
                 errors[face.coating] = max(errors.get(face.coating, 0.0), finish.error)
@@ -287,8 +293,8 @@ def finish_lines(scene: Scene) -> list[str]:
     return lines
 
 
-def _faces_of_regions(scene: Scene) -> tuple[list[Face], list[Face], list[Face]]:
-    """Return the faces of lens, array and object space in the order of their rows."""
+def faces_of_regions(scene: Scene) -> tuple[list[Face], list[Face], list[Face]]:
+    """Return the faces of lens, array and object space in the order of their rows in `interface_tables`."""
     by_medium = [body_faces(scene, outer) for outer in MediumList.of(scene).media]
     bodies = [faces[i] for i in range(len(scene.targets)) for faces in by_medium]
     return lens_faces(scene), array_faces(scene), bodies
@@ -306,6 +312,9 @@ def _kind_of(scene: Scene, face: Face, wavelengths_nm: Sequence[float]) -> int:
         return DIFFUSE if face.roughness.kind == "diffuse" else BARE if matched else GROUND
     if face.coating == UNCOATED:
         return BARE
+    if scene.transport.polarisation:
+        # What layers take from polarised packets depends on their state, see `tables.polarisation`.
+        return COATED
     return ABSORBING if absorbs(scene, face.coating, wavelengths_nm) else COATED
 
 

@@ -1,6 +1,6 @@
 """The built scene as kernels read it: flat tables of surfaces, facets, media, frames, materials and lights."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -204,6 +204,7 @@ class Tables(NamedTuple):
     objects: ObjectTables
     frames: Array  # (5, 5, 3, 4): frames[a, b] moves from frame a into frame b
     aim: AimTables
+    polarised: Any = None  # PolarisationTables where packets carry a state of polarisation
 
 
 NO_SLOT = -1

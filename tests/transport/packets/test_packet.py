@@ -1,9 +1,27 @@
 """What becomes of a packet on its way from stack to stack."""
 
 import numpy as np
+import pytest
 
+import lfmesh as lf
 from lfmesh.kernel import kernel
-from lfmesh.transport.packets.packet import DEPOSIT, END, LENS, NODE, PACKET, PLATE, STATIONS, TOPS, Flow, put
+from lfmesh.transport.engine import Workspace
+from lfmesh.transport.packets.packet import (
+    DEPOSIT,
+    END,
+    LENS,
+    NODE,
+    PACKET,
+    PLATE,
+    POLARISED,
+    POLARISED_END,
+    STATIONS,
+    TOPS,
+    Flow,
+    put,
+)
+from lfmesh.transport.settings import options_of
+from tests.cameras import camera_without_array
 
 GIVEN = {
     "x": 1.0, "y": 2.0, "z": 3.0, "dx": 0.0, "dy": 0.6, "dz": 0.8,
@@ -32,3 +50,17 @@ def test_a_child_inherits_all_that_it_is_not_given():
         assert child[name] == GIVEN.get(name, parents[name][0]), name
     assert flow.tops[PLATE] == 1
     assert flow.tops[LENS] == 0
+
+
+CACHE_LINE = 64
+
+
+@pytest.mark.parametrize(("polarisation", "records"), [(False, (PACKET, END)), (True, (POLARISED, POLARISED_END))])
+def test_packets_have_a_state_only_where_the_scene_asks_for_it(polarisation, records):
+    scene = lf.Scene(camera=camera_without_array(), transport={"polarisation": polarisation})
+    world = lf.build(scene, aimed=False)
+    work = Workspace(world, options_of(world), 1)
+    assert (work.stacks.dtype, work.ended.dtype) == records
+    assert work.template.dtype == records[0]
+    assert (work.flow().polarised is not None) == polarisation
+    assert PACKET.itemsize == 2 * CACHE_LINE

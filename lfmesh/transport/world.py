@@ -59,7 +59,7 @@ class World:
 
     def __init__(
         self, scene: Scene, report: FirstOrder, tables: Tables, finders: tuple[Finder, Finder, Finder],
-        book: Book, lens: LensShape, targets: list[TargetMesh], housing: Mesh, lines: Lines,
+        book: Book, lens: LensShape, targets: list[TargetMesh], housing: Mesh,
         aim_proof: AimProof | None = None,
     ) -> None:  # fmt: skip
         self.scene = scene
@@ -72,7 +72,7 @@ class World:
         self.targets = targets
         self.housing = housing
         self.media = MediumList.of(scene)
-        self.lines = lines
+        self.lines = Lines.of(scene)
         self.aim_proof = aim_proof
 
     def reseeded(self, seed: int) -> "World":
@@ -248,4 +248,4 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
         aim, proof = aim_table(scene, report, lens, mla, sensor, targets, moves, analytic=bool(shape.analytic.all()))
     tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=aim)
     finders = (Finder(lens_mesh), Finder(mla_mesh_), Finder(*divided(object_mesh, objects.facets["body"])))
-    return World(scene, report, tables, finders, book, shape, targets, housing, lines, proof)
+    return World(scene, report, tables, finders, book, shape, targets, housing, proof)

@@ -86,9 +86,16 @@ class Curve:
 
 
 def gaussian(center_nm: float, fwhm_nm: float, first_nm: float, last_nm: float, pieces: int = 2048) -> Curve:
-    """Return a Gaussian with a peak of 1 between two wavelengths, as a table of `pieces` pieces.
+    """Return a Gaussian with a peak of 1 between two wavelengths, as a table.
 
-    Over three full widths the table is within 2e-6 of the Gaussian.
+    Parameters
+    ----------
+    center_nm, fwhm_nm : float, nm
+        Wavelength of the peak, and full width at half maximum.
+    first_nm, last_nm : float, nm
+        Ends of the table.
+    pieces : int
+        Of the table. Over three full widths 2048 are within 2e-6 of the Gaussian.
     """
     w = np.linspace(first_nm, last_nm, pieces + 1)
     return Curve(w, np.exp2(-((2.0 * (w - center_nm) / fwhm_nm) ** 2)))
@@ -137,7 +144,14 @@ def read_curve(path: Path, column: str, most: float = math.inf) -> Curve:
 
 
 def curve_fault(wavelengths_nm: Sequence[float], values: Sequence[float], most: float = math.inf) -> str | None:
-    """Return what keeps a table from being a curve; None if it is one."""
+    """Return what keeps a table from being a curve; None if it is one.
+
+    Parameters
+    ----------
+    wavelengths_nm, values : sequence of float
+    most : float
+        Largest value that is valid.
+    """
     if len(wavelengths_nm) != len(values):
         return f"{len(wavelengths_nm)} wavelengths and {len(values)} values; each wavelength needs one value"
     if len(wavelengths_nm) < 2:

@@ -62,7 +62,7 @@ class World:
 
     def __init__(
         self, scene: Scene, report: FirstOrder, tables: Tables, finders: tuple[Finder, Finder, Finder],
-        book: Book, lens: LensShape, targets: list[TargetMesh], housing: Mesh, lines: Lines,
+        book: Book, lens: LensShape, targets: list[TargetMesh], housing: Mesh,
         aim_proof: AimProof | None = None,
     ) -> None:  # fmt: skip
         self.scene = scene
@@ -75,7 +75,7 @@ class World:
         self.targets = targets
         self.housing = housing
         self.media = MediumList.of(scene)
-        self.lines = lines
+        self.lines = Lines.of(scene)
         self.aim_proof = aim_proof
 
     def reseeded(self, seed: int) -> "World":
@@ -269,4 +269,4 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     polarised = polarisation_tables(scene, wavelengths_nm, moves, book)
     tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=aim, polarised=polarised)
     finders = (Finder(lens_mesh), Finder(mla_mesh_), Finder(*divided(object_mesh, objects.facets["body"])))
-    return World(scene, report, tables, finders, book, shape, targets, housing, lines, proof)
+    return World(scene, report, tables, finders, book, shape, targets, housing, proof)

@@ -183,9 +183,14 @@ class Lines:
         return self.columns.shape[1]
 
     def turns(self, replicate: int, channel: int, *, few: bool = False) -> Iterator[Turn]:
-        """Yield the lines of a channel in a replicate; `few`: only some, evenly spread, for work that is a small part.
+        """Yield the lines of a channel in a replicate.
 
-        Each line is traced by itself, and short waves of packets take longer.
+        Parameters
+        ----------
+        replicate, channel : int
+        few : bool
+            Only some of them, evenly spread, for a small part of the light: each line is traced by itself, and short
+            waves of packets take longer.
         """
         replicate %= len(self.columns)
         columns, offset = self.columns[replicate, channel], int(self.offsets[replicate, channel])

@@ -15,6 +15,13 @@ Array = NDArray[np.float64]
 def reflectance_at(scene: Scene, number: int, wavelengths_nm: tuple[float, ...]) -> Array:
     """Return the reflectance of a target at some wavelengths, (wavelengths,).
 
+    Parameters
+    ----------
+    scene : Scene
+    number : int
+        Of the target.
+    wavelengths_nm : (wavelengths,) tuple of float
+
     Raises
     ------
     SceneError, FileError
@@ -33,6 +40,13 @@ def reflectance_at(scene: Scene, number: int, wavelengths_nm: tuple[float, ...])
 
 def radiance_at(scene: Scene, number: int, lines: Lines) -> Array:
     """Return the radiance of a target that each line stands for, (lines,), W/(m² sr).
+
+    Parameters
+    ----------
+    scene : Scene
+    number : int
+        Of the target.
+    lines : Lines
 
     Raises
     ------
@@ -55,6 +69,17 @@ def radiance_at(scene: Scene, number: int, lines: Lines) -> Array:
 
 def spread(scene: Scene, total: float, shape: Spectrum | None, lines: Lines, where: str) -> Array:
     """Return what each line stands for of a power that is spread by a spectrum, (lines,), in the unit of the power.
+
+    Parameters
+    ----------
+    scene : Scene
+    total : float
+        The power.
+    shape : Spectrum or None
+        Evenly spread if None.
+    lines : Lines
+    where : str
+        Place of the spectrum in the scene, for messages.
 
     Raises
     ------

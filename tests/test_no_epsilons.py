@@ -37,7 +37,7 @@ DIMENSIONLESS = {
     "transport/tables/lens.py": {"STEEPER"},
     "transport/refused_glass.py": {"A_LITTLE_INSIDE", "JUST_BESIDE"},
     "transport/tables/contacts.py": {"CUT"},
-    "transport/tables/lights.py": {"MM2"},
+    "transport/tables/lights.py": {"ALONG_X", "MM2"},
     "transport/packets/random.py": {"_UNIT"},
     "transport/packets/sobol.py": {"_UNIT"},
 }

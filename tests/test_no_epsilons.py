@@ -41,7 +41,7 @@ DIMENSIONLESS = {
     "transport/refused_glass.py": {"A_LITTLE_INSIDE", "JUST_BESIDE"},
     "transport/tables/contacts.py": {"CUT"},
     "transport/sources/face_starts.py": {"ON_FACE"},
-    "transport/tables/lights.py": {"MM2"},
+    "transport/tables/lights.py": {"ALONG_X", "MM2"},
     "transport/packets/random.py": {"_UNIT"},
     "transport/packets/sobol.py": {"_UNIT"},
 }

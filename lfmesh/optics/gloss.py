@@ -106,7 +106,15 @@ def _table_mean(table: Array) -> float:
 
 
 def interface_reflectance(n: float, k: float, cosine: Array) -> Array:
-    """Return Fresnel's reflectance from air for unpolarised light, at a medium of index n + ik (any shape)."""
+    """Return Fresnel's reflectance from air for unpolarised light, at a medium of index n + ik.
+
+    Parameters
+    ----------
+    n, k : float
+        Index and extinction coefficient.
+    cosine : float64, any shape
+        Of incidence.
+    """
     return np.asarray(_reflectance(n, k, np.asarray(cosine, dtype=np.float64)))
 
 

@@ -305,22 +305,23 @@ GLOSSES = {
 
 
 @pytest.mark.parametrize("gloss", GLOSSES.values(), ids=GLOSSES)
-def test_a_furnace_shows_no_glossy_white_sphere(gloss: dict[str, float]) -> None:
-    """In a box whose black walls have one radiance, a sphere that scatters all light has that radiance, too.
+def test_a_furnace_shows_no_glossy_white_sheet(gloss: dict[str, float]) -> None:
+    """In a box whose black walls have one radiance, a tilted sheet that scatters all light has that radiance, too.
 
-    But for the hole, which the sphere's nearest points see under a form factor of 9 / (π 14²) = 1.5 %, all others
-    under less; a path meets the sphere once. Roughly half of the image is sphere.
+    It fills the picture, and throws its highlight aside. From there the hole, which is dark, has a form factor of
+    9 cos 45° / (π 27²) = 0.3 %; facets of the largest roughness throw a little more than that back to where they are
+    seen from.
     """
     empty = furnace(0.0, 1.0)
-    ball = {"shape": {"kind": "sphere", "radius_mm": 6.0}, "position_mm": [0.0, 0.0, -20.5],
-            "material": {"reflectance": 1.0, "gloss": gloss}}  # fmt: skip
-    held = lf.Scene(**(empty.model_dump() | {"targets": [*empty.model_dump()["targets"], ball]}))
-    with_ball, without = (
+    sheet = {"shape": {"kind": "plane", "width_mm": 14.0, "height_mm": 14.0}, "position_mm": [0.0, 0.0, -28.0],
+             "rotation_deg": [0.0, 45.0, 0.0], "material": {"reflectance": 1.0, "gloss": gloss}}  # fmt: skip
+    held = lf.Scene(**(empty.model_dump() | {"targets": [*empty.model_dump()["targets"], sheet]}))
+    with_sheet, without = (
         np.array([image.mean.sum() for image in by_seed(scene, range(24))]) for scene in (held, empty)
     )
-    ratio = with_ball / without
-    assert stats.sem(ratio) < 0.005
-    assert_means(ratio[:, None], np.array([1.0 - 0.005]), 0.005)
+    ratio = with_sheet / without
+    assert stats.sem(ratio) < 0.001
+    assert_means(ratio[:, None], np.array([1.0 - 0.0025]), 0.0025)
 
 
 def test_a_sheer_sheet_lets_pass_what_it_does_not_cover() -> None:

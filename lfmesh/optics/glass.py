@@ -71,6 +71,17 @@ def glass_in_words(name: str) -> str:
     return f"{_short(page)}{_in_brackets(page)}"
 
 
+def glass_name(name: str) -> str:
+    """Return the name of a glass with its maker or catalogue, such as "SCHOTT/N-BK7" for "NBK7_SCHOTT".
+
+    Raises
+    ------
+    GlassError
+        As in `refractive_index`.
+    """
+    return _short(_find(name))
+
+
 def find_glass(name: str) -> Page:
     """Return the catalogue's shelf, book and page of a glass name, upper or lower case.
 

@@ -37,8 +37,12 @@ def named_glass(name: str, catalogues: list[str]) -> tuple[str, str]:
         return full, ""
     try:
         find_glass(name)
-    except GlassError as error:
-        raise GlassError(str(error)) from None
+    except GlassError:
+        stem, _, maker = name.partition("_")
+        if not maker:
+            raise
+        # Names close to a CODE V name are found by maker and glass.
+        find_glass(f"{maker}/{stem}")
     if not catalogues:
         return name, ""
     return name, f"not in {', '.join(catalogues)}; the catalogue has it as {glass_in_words(name)}"

@@ -1,7 +1,7 @@
 """Glasses that lens files name: found in the catalogue or refused, never guessed."""
 
 from lfmesh.errors import GlassError
-from lfmesh.optics.glass import D_LINE_NM, find_glass, glass_in_words, refractive_index
+from lfmesh.optics.glass import D_LINE_NM, MAKERS, find_glass, glass_in_words, refractive_index
 
 NEAR_D_NM = 0.5
 """A wavelength this close to the d line has the index nd."""
@@ -39,7 +39,7 @@ def named_glass(name: str, catalogues: list[str]) -> tuple[str, str]:
         find_glass(name)
     except GlassError:
         stem, _, maker = name.partition("_")
-        if not maker:
+        if maker.upper() not in MAKERS:
             raise
         # Names close to a CODE V name are found by maker and glass.
         find_glass(f"{maker}/{stem}")

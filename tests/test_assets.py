@@ -14,7 +14,7 @@ from lfmesh.scene import FirstOrder, Scene, Surface, first_order, load, loads, s
 
 ASSETS = Path(__file__).resolve().parents[1] / "assets"
 SCENES = sorted((ASSETS / "scenes").glob("*.toml"))
-LENSES = sorted((ASSETS / "lenses").glob("*.toml"))
+LENSES = sorted((ASSETS / "lenses").rglob("*.toml"))
 
 PUBLISHED = {
     # lens: wavelength in nm; EFL, BFL (None: not published) and the agreement to be expected, in mm
@@ -71,7 +71,7 @@ def camera_with(lens: str, wavelength_nm: float) -> Scene:
         [camera]
         focus_mm = 3000.0
         [camera.lens]
-        file = "lenses/{lens}.toml"
+        file = "lib:{lens}"
         [camera.sensor]
         pixels = [64, 64]
         pixel_mm = 0.01

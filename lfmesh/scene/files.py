@@ -141,16 +141,21 @@ def _lens_path(file: str, folder: Path) -> Path:
     if not file.startswith(LIBRARY):
         return folder / file
     name = file.removeprefix(LIBRARY).strip()
-    names = library()
-    if name not in names:
-        raise SceneError(f"no lens {file!r}{nearest(name, names)}; lfmesh lens list shows the library")
-    return asset_path(f"lenses/{name}.toml")
+    known = _library()
+    if name not in known:
+        raise SceneError(f"no lens {file!r}{nearest(name, known)}; lfmesh lens list shows the library")
+    return known[name]
 
 
 def library() -> list[str]:
     """Return the names of the lenses that come with lfmesh; "lib:" before one stands for its file."""
+    return sorted(_library())
+
+
+def _library() -> dict[str, Path]:
+    """Return the files of the lenses that come with lfmesh: those of the examples, and the catalogue beside them."""
     try:
-        return sorted(path.stem for path in asset_path("lenses").glob("*.toml"))
+        return {path.stem: path for path in asset_path("lenses").rglob("*.toml")}
     except FileError as error:
         raise SceneError(str(error)) from None
 

@@ -8,6 +8,7 @@ import cyclopts
 from cyclopts import App
 
 import lfmesh
+from lfmesh.cli.printing import lens_files_as_notes
 from lfmesh.errors import LfmeshError
 
 CASE_FAILED = 1
@@ -61,7 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code: 0, 2 for wrong input (one message on standard error), 130 after Ctrl-C.
     """
     try:
-        code = app(arguments, exit_on_error=False, print_error=False)
+        with lens_files_as_notes():
+            code = app(arguments, exit_on_error=False, print_error=False)
         sys.stdout.flush()
         return code if isinstance(code, int) else 0
     except cyclopts.CycloptsError as error:

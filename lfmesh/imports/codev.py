@@ -57,7 +57,15 @@ _FIELDS = {"AN": "angle", "OB": "object", "IM": "image", "RI": "image"}
 def read(
     path: Path, lines: list[str] | None = None, glasses: Mapping[str, str | float] | None = None
 ) -> tuple[Lens, Report]:
-    """Return the lens of a CODE V file, and what became of its commands; parameters as in `zemax.read`.
+    """Return the lens of a CODE V file, and what became of its commands.
+
+    Parameters
+    ----------
+    path : Path
+    lines : list of str, optional
+        Its text, in place of reading it.
+    glasses : mapping, optional
+        Catalogue glass or index by the name that the file uses.
 
     Raises
     ------

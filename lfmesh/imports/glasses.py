@@ -62,6 +62,13 @@ def unlike(name: str, index_d: float) -> str:
 def model_glass(index_d: float, abbe: float, wavelengths_nm: list[float]) -> Medium:
     """Return a glass that is given by nd and Vd alone.
 
+    Parameters
+    ----------
+    index_d, abbe : float
+        nd, and Vd; a Vd of 0 says that it does not disperse.
+    wavelengths_nm : list of float
+        Light that the file uses.
+
     Raises
     ------
     GlassError

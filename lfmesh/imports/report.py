@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 
-from lfmesh.errors import SceneError
+from lfmesh.errors import LensFileWarning, SceneError
 
 _MOST_SHOWN = 60
 """Characters of a line that a message quotes."""
@@ -25,10 +25,6 @@ class Verdict(Enum):
     """A command that this reader does not know: the lens is made without it."""
     REFUSED = "refused"
     """It changes the image in a way that the lens cannot have."""
-
-
-class LensFileWarning(UserWarning):
-    """A lens file was read with approximations, or holds lines that the reader does not know."""
 
 
 @dataclass(frozen=True)
@@ -65,11 +61,32 @@ class Report:
     notes: list[str] = field(default_factory=list)
 
     def add(self, number: int, text: str, verdict: Verdict, how: str = "") -> None:
-        """Enter what became of a line."""
+        """Enter what became of a line.
+
+        Parameters
+        ----------
+        number : int
+            From 1.
+        text : str
+            The line, or the command on it.
+        verdict : Verdict
+        how : str
+            What was done with it, or why nothing was.
+        """
         self.lines.append(Line(number, text, verdict, how))
 
     def refuse(self, number: int, text: str, why: str) -> None:
-        """Enter a line that makes the file unusable; `raise_refusals` speaks of all of them at once."""
+        """Enter a line that makes the file unusable; `raise_refusals` speaks of all of them at once.
+
+        Parameters
+        ----------
+        number : int
+            From 1.
+        text : str
+            The line, or the command on it.
+        why : str
+            What the lens cannot have.
+        """
         self.add(number, text, Verdict.REFUSED, why)
 
     def of(self, verdict: Verdict) -> list[Line]:

@@ -9,6 +9,17 @@ from lfmesh.scene import load_lens, loads
 from lfmesh.scene.files import library
 from tests.imports.files import SINGLET_SEQ, SINGLET_ZMX
 
+SCENE = """
+schema_version = 1
+[camera]
+focus_mm = 500.0
+[camera.lens]
+file = "{}"
+[camera.sensor]
+pixels = [32, 32]
+pixel_mm = 0.02
+"""
+
 
 def test_every_lens_of_the_library_is_listed_with_its_focal_length_and_source(capsys):
     assert main(["lens", "list"]) == 0
@@ -18,21 +29,11 @@ def test_every_lens_of_the_library_is_listed_with_its_focal_length_and_source(ca
 
 
 def test_a_scene_names_a_lens_of_the_library():
-    text = """
-        schema_version = 1
-        [camera]
-        focus_mm = 500.0
-        [camera.lens]
-        file = "lib:{}"
-        [camera.sensor]
-        pixels = [32, 32]
-        pixel_mm = 0.02
-    """
-    assert loads(text.format("tessar_50mm")).camera.lens == load_lens("lib:tessar_50mm")
+    assert loads(SCENE.format("lib:tessar_50mm")).camera.lens == load_lens("lib:tessar_50mm")
     with pytest.raises(Exception, match=r"no lens 'lib:tesar_50mm' \(did you mean 'tessar_50mm'\?\)"):
-        loads(text.format("tesar_50mm"))
+        loads(SCENE.format("lib:tesar_50mm"))
     with pytest.raises(Exception, match="no lens"):
-        loads(text.format("../lenses/tessar_50mm"))
+        loads(SCENE.format("lib:../lenses/tessar_50mm"))
 
 
 def test_conversion_says_what_became_of_the_lines(tmp_path: Path, capsys):
@@ -51,6 +52,15 @@ def test_a_glass_may_be_replaced_in_conversion(tmp_path: Path, capsys):
     assert "SCHOTT/N-BK7" in capsys.readouterr().err
     assert main([*words, "--glass", "BK7_SCHOTT=SCHOTT/N-BK7"]) == 0
     assert load_lens(tmp_path / "out.zmx").surfaces[0].glass == "SCHOTT/N-BK7"
+
+
+def test_a_command_notes_what_is_doubtful_in_the_scenes_lens_file(tmp_path: Path, capsys):
+    (tmp_path / "in.zmx").write_text(SINGLET_ZMX.replace("CLAP 0 6.25 0", "SQAP 3 4 0"))
+    (tmp_path / "scene.toml").write_text(SCENE.format("in.zmx"))
+    assert main(["check", str(tmp_path / "scene.toml")]) == 0
+    err = " ".join(capsys.readouterr().err.split())
+    assert err.startswith("Note: ")
+    assert err.endswith("line 40: SQAP 3 4 0: approximated: a rectangular aperture: the circle round it")
 
 
 @pytest.mark.parametrize(

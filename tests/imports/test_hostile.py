@@ -52,7 +52,7 @@ def test_surfaces_without_end_are_refused(tmp_path, ending, line):
 
 
 @pytest.mark.parametrize(("ending", "text"), [(".zmx", SINGLET_ZMX), (".seq", SINGLET_SEQ)])
-@pytest.mark.filterwarnings("ignore::lfmesh.imports.report.LensFileWarning")
+@pytest.mark.filterwarnings("ignore::lfmesh.errors.LensFileWarning")
 def test_any_cut_of_a_file_is_a_lens_or_one_clear_error(tmp_path, ending, text):
     path = tmp_path / f"lens{ending}"
     for end in range(0, len(text), 7):
@@ -61,7 +61,7 @@ def test_any_cut_of_a_file_is_a_lens_or_one_clear_error(tmp_path, ending, text):
 
 
 @pytest.mark.parametrize(("ending", "text"), [(".zmx", SINGLET_ZMX), (".seq", SINGLET_SEQ)])
-@pytest.mark.filterwarnings("ignore::lfmesh.imports.report.LensFileWarning")
+@pytest.mark.filterwarnings("ignore::lfmesh.errors.LensFileWarning")
 def test_changed_words_make_a_lens_or_one_clear_error(tmp_path, ending, text):
     draw = np.random.default_rng(2)
     path = tmp_path / f"lens{ending}"

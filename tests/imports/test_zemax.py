@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from lfmesh.errors import SceneError
-from lfmesh.imports.report import LensFileWarning, Verdict
+from lfmesh.errors import LensFileWarning, SceneError
+from lfmesh.imports.report import Verdict
 from lfmesh.imports.zemax import read
 from lfmesh.optics.glass import D_LINE_NM
 from lfmesh.scene import Paraxial, load_lens, loads

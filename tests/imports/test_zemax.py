@@ -96,6 +96,26 @@ def test_apertures_that_the_file_leaves_open_pass_the_beams_of_its_fields():
     assert squeezed.surfaces[1].semi_diameter_mm == pytest.approx(1.05 * max(chief + 0.75 * edge, edge), rel=1e-12)
 
 
+def test_before_the_stop_the_lower_edge_of_a_beam_decides():
+    """The chief ray meets the front below the axis, so that its lower part needs more than the axis."""
+    text = (
+        SINGLET_ZMX.replace("  STOP\n", "").replace("SURF 2\n", "SURF 2\n  STOP\n").replace("  DIAM 5.2 0 0 0 1\n", "")
+    )
+    text = text.replace("VCYN 0 0 0 0", "VCYN 0 0.25 0 0").replace("VDYN 0 0 0 0", "VDYN 0 -0.25 0 0")
+    lens = lens_of(text)
+    pupil_mm, _ = Paraxial.of(lens, D_LINE_NM).entrance_pupil(1.0)
+    chief = -pupil_mm * math.tan(math.radians(7.0))
+    assert chief < 0
+    assert lens.surfaces[0].semi_diameter_mm == pytest.approx(1.05 * (5.0 - chief), rel=1e-12)
+
+
+def test_a_plane_before_the_lens_adds_to_the_distance_of_the_object():
+    near = changed("DISZ INFINITY", "DISZ 200").replace("ENPD 10", "OBNA 0.02 0")
+    parted = near.replace("DISZ 200", "DISZ 196").replace("SURF 1\n", "SURF 1\n  CURV 0.0\n  DISZ 4\nSURF 2\n", 1)
+    assert lens_of(parted) == lens_of(near)
+    assert "object: 200 mm before the first surface (camera.focus_mm)" in report_of(parted).notes
+
+
 def test_planes_without_effect_are_left_out_and_their_distances_kept():
     dummies = changed("SURF 1\n", "SURF 1\n  CURV 0.0\n  DISZ 4\nSURF 2\n").replace("DISZ 50", "DISZ 20")
     dummies = dummies.replace("  CLAP 0 6.25 0\n", "  CLAP 0 6.25 0\nSURF 9\n  CURV 0.0\n  DISZ 30\n")

@@ -19,3 +19,7 @@ class GlassError(LfmeshError):
 
 class FileError(LfmeshError):
     """A run folder, image or texture cannot be read or written."""
+
+
+class LensFileWarning(UserWarning):
+    """A lens file was read with approximations, or holds lines that the reader does not know."""

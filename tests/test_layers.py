@@ -16,7 +16,7 @@ PACKAGE = ROOT / "lfmesh"
 
 FOUNDATION = ["assets", "compiling", "errors", "kernel", "kernel_cache", "templates", "vector"]
 ORDER = [
-    *["optics", "scene", "geometry", "transport"],
+    *["optics", "scene", "geometry", "imports", "transport"],
     *["analysis", "lightfield", "files", "view", "accuracy", "study", "cli", "__main__"],
 ]
 """Each may import those before it, and the foundation."""

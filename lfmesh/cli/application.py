@@ -8,6 +8,7 @@ import cyclopts
 from cyclopts import App
 
 import lfmesh
+from lfmesh.cli.printing import lens_files_as_notes
 from lfmesh.errors import LfmeshError
 
 CASE_FAILED = 1
@@ -34,6 +35,8 @@ Examples:
     lfmesh expose run/ --bayer RGGB      what a detector with noise counts
     lfmesh export run/ --format hci -o hci/   files of other people's tools
     lfmesh compare scene.toml -o cmp/    beside two other kinds of camera
+    lfmesh lens list                     lenses that come with lfmesh
+    lfmesh lens convert in.zmx out.toml  other programs' lens files, and back
     lfmesh view scene.toml               lens, array, sensor and rays in 3D
     lfmesh accuracy -o report/           speed against error, in tables, figures
     lfmesh schema > scene.schema.json    for completion in an editor
@@ -59,7 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code: 0, 2 for wrong input (one message on standard error), 130 after Ctrl-C.
     """
     try:
-        code = app(arguments, exit_on_error=False, print_error=False)
+        with lens_files_as_notes():
+            code = app(arguments, exit_on_error=False, print_error=False)
         sys.stdout.flush()
         return code if isinstance(code, int) else 0
     except cyclopts.CycloptsError as error:

@@ -6,6 +6,9 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+from lfmesh.errors import LensFileWarning
 
 COLUMNS = 80
 """Width of what is printed, on a terminal or not."""
@@ -25,6 +28,24 @@ def warnings_as_notes(kind: type[UserWarning] = UserWarning) -> Iterator[None]:
         yield
     for warning in caught:
         say_note(warning.message)
+
+
+@contextmanager
+def lens_files_as_notes() -> Iterator[None]:
+    """Print what is doubtful in lens files as notes, when they are read; other warnings go their usual way."""
+    usual = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *rest: Any, **options: Any) -> None:
+        if issubclass(category, LensFileWarning):
+            say_note(message)
+        else:
+            usual(message, category, *rest, **options)
+
+    warnings.showwarning = show
+    try:
+        yield
+    finally:
+        warnings.showwarning = usual
 
 
 def say_note(note: object) -> None:

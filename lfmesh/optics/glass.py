@@ -21,7 +21,7 @@ F_LINE_NM, D_LINE_NM, C_LINE_NM = 486.1327, 587.5618, 656.2725
 SAME_INDEX = 1e-5
 """Difference of index up to which two makers' glasses are one: catalogues print five digits."""
 
-_MAKERS = ("SCHOTT", "OHARA", "HOYA", "HIKARI", "CDGM", "SUMITA", "LZOS")
+MAKERS = ("SCHOTT", "OHARA", "HOYA", "HIKARI", "CDGM", "SUMITA", "LZOS")
 """Makers in the order in which their glasses are proposed where several have the name."""
 
 Page = tuple[str, str, str]
@@ -69,6 +69,17 @@ def glass_in_words(name: str) -> str:
     """Describe a glass: its name with the catalogue, index nd and Abbe number Vd, where its data reach the visible."""
     page = _find(name)
     return f"{_short(page)}{_in_brackets(page)}"
+
+
+def glass_name(name: str) -> str:
+    """Return the name of a glass with its maker or catalogue, such as "SCHOTT/N-BK7" for "NBK7_SCHOTT".
+
+    Raises
+    ------
+    GlassError
+        As in `refractive_index`.
+    """
+    return _short(_find(name))
 
 
 def find_glass(name: str) -> Page:
@@ -194,7 +205,7 @@ def _maker(page: Page) -> str:
 def _rank(page: Page) -> tuple[int, Page]:
     """Return the place of a glass among others that match as well: by maker, then by name."""
     maker = _maker(page)
-    return _MAKERS.index(maker) if maker in _MAKERS else len(_MAKERS), page
+    return MAKERS.index(maker) if maker in MAKERS else len(MAKERS), page
 
 
 @cache

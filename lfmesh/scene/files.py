@@ -6,12 +6,17 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from lfmesh.errors import SceneError
+from lfmesh.assets import asset_path
+from lfmesh.errors import FileError, SceneError
 from lfmesh.scene.lens import Lens
-from lfmesh.scene.model import fault_lines
+from lfmesh.scene.lens_readers import reader_of
+from lfmesh.scene.model import fault_lines, nearest
 from lfmesh.scene.scene import Scene
 
 _LENS = "camera.lens"
+
+LIBRARY = "lib:"
+"""What the name of a lens that comes with lfmesh starts with, in place of a path."""
 
 
 def load(path: str | Path) -> Scene:
@@ -39,8 +44,21 @@ def loads(text: str, folder: str | Path = ".") -> Scene:
 
 
 def load_lens(path: str | Path) -> Lens:
-    """Read a lens file: the keys of `[camera.lens]` at its top level; errors as in `load`."""
-    path = Path(path)
+    """Read a lens: a TOML file with the keys of `[camera.lens]` at its top level, a lens file of another program.
+
+    Parameters
+    ----------
+    path : str or Path
+        A `.toml`, `.zmx` or `.seq` file, or "lib:" and the name of a lens that comes with lfmesh.
+
+    Raises
+    ------
+    SceneError
+        As in `load`; and where a file of another program holds what the lens cannot have.
+    """
+    path = _lens_path(str(path), Path())
+    if reader := reader_of(path):
+        return reader(path)
     data = _read(path)
     try:
         return Lens.model_validate(data)
@@ -52,7 +70,7 @@ def with_lens_file(lens: Lens, folder: Path) -> Lens:
     """Return a lens whose `file` is replaced by what it holds; stop size, names and poses given beside it win."""
     if lens.file is None:
         return lens
-    held = load_lens(folder / lens.file)
+    held = load_lens(_lens_path(lens.file, folder))
     beside = {key: value for key in ("name", "source") if (value := getattr(lens, key)) is not None}
     if lens.stop_semi_diameter_mm is not None or lens.f_number is not None:
         beside |= {"stop_semi_diameter_mm": lens.stop_semi_diameter_mm, "f_number": lens.f_number}
@@ -107,7 +125,7 @@ def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[st
         return [], {}
     file = lens.pop("file")
     try:
-        held = _read(folder / file)
+        held = _lens_table(_lens_path(file, folder))
     except SceneError as error:
         return [f'{_LENS}.file = "{file}": {error}'], {}
     if "file" in held:
@@ -116,6 +134,36 @@ def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[st
         held = {key: value for key, value in held.items() if key not in ("stop_semi_diameter_mm", "f_number")}
     camera["lens"] = {**held, **lens}  # type: ignore[index]
     return [], {f"{_LENS}.surfaces": file}
+
+
+def _lens_path(file: str, folder: Path) -> Path:
+    """Return the path of a lens file, or of the lens of the library that is named."""
+    if not file.startswith(LIBRARY):
+        return folder / file
+    name = file.removeprefix(LIBRARY).strip()
+    known = _library()
+    if name not in known:
+        raise SceneError(f"no lens {file!r}{nearest(name, known)}; lfmesh lens list shows the library")
+    return known[name]
+
+
+def library() -> list[str]:
+    """Return the names of the lenses that come with lfmesh; "lib:" before one stands for its file."""
+    return sorted(_library())
+
+
+def _library() -> dict[str, Path]:
+    """Return the files of the lenses that come with lfmesh: those of the examples, and the catalogue beside them."""
+    try:
+        return {path.stem: path for path in asset_path("lenses").rglob("*.toml")}
+    except FileError as error:
+        raise SceneError(str(error)) from None
+
+
+def _lens_table(path: Path) -> dict[str, Any]:
+    """Return the keys of a lens file, whatever program it is of."""
+    reader = reader_of(path)
+    return _read(path) if reader is None else reader(path).model_dump(exclude_defaults=True)
 
 
 def _refused(name: str, faults: list[str]) -> SceneError:

@@ -14,13 +14,16 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import load_lens
+from lfmesh.scene.files import library
 
 EXTENDED = np.longdouble
 POSITION_MM = 1e-9
 WEIGHT = 1e-12
-LENSES = sorted(path.stem for path in asset_path("lenses").glob("*.toml"))
+LENSES = library()
 # Half field in degrees up to which each lens is asked: the published one where there is one.
 HALF_FIELD_DEG = {"double_gauss_50mm": 22.0, "cooke_triplet_50mm": 20.0, "ball_10mm": 20.0}
+# Rays of 2500 on the front that reach the sensor, at least; a fisheye's front is far wider than its pupil.
+LEAST = {"fisheye_10mm": 10}
 TRANSMITTED, REFLECTED = "transmitted", "reflected"
 
 
@@ -146,7 +149,7 @@ def scene_of(name, **transport):
     return lf.solved(
         lf.Scene(
             camera=lf.Camera(
-                lens=load_lens(asset_path(f"lenses/{name}.toml")),
+                lens=load_lens(f"lib:{name}"),
                 sensor=lf.Sensor(pixels=(4000, 4000), pixel_mm=0.02, distance_mm=30.0),
             ),
             transport=lf.Transport(**transport),
@@ -217,7 +220,7 @@ def test_every_lens_at_every_field(name):
     for seed, share in enumerate((0.0, 0.35, 0.7, 1.0)):
         interfaces = interfaces_of(scene, 587.6)
         origins, directions = bundle(interfaces, share * half_field, 2500, seed)
-        assert assert_equal_where_they_land(world, scene, 587.6, origins, directions) > 100
+        assert assert_equal_where_they_land(world, scene, 587.6, origins, directions) > LEAST.get(name, 100)
 
 
 @pytest.mark.parametrize("wavelength_nm", [450.0, 550.0, 700.0])

@@ -1,0 +1,71 @@
+"""Lenses: `lfmesh lens list` and `lfmesh lens convert`."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+from lfmesh.cli.application import app
+from lfmesh.cli.printing import wrapped
+from lfmesh.errors import LfmeshError
+
+lens_app = App(name="lens", help="Lenses that come with lfmesh, and lens files of other programs.")
+app.command(lens_app)
+
+
+@lens_app.command(name="list")
+def list_lenses() -> int:
+    """List the lenses that come with lfmesh: name, focal length, f-number, what it is, where it was published.
+
+    In a scene file: [camera.lens] file = "lib:cooke_triplet_50mm".
+    """
+    from lfmesh.imports.catalogue import entries
+
+    for entry in entries():
+        print(wrapped(str(entry)))
+    return 0
+
+
+@lens_app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh lens convert singlet.zmx singlet.toml
+    lfmesh lens convert old.seq new.toml --glass BK7=SCHOTT/N-BK7
+    lfmesh lens convert lib:cooke_triplet_50mm triplet.zmx
+"""
+)
+def convert(
+    source: Annotated[str, Parameter(name="in", help='Lens file: .zmx, .seq or .toml; or "lib:" and a name.')],
+    target: Annotated[Path, Parameter(name="out", help="Lens file to write: .toml, .zmx or .seq.")],
+    /,
+    *,
+    glass: Annotated[
+        list[str] | None,
+        Parameter(help="NAME=GLASS or NAME=INDEX, in place of a name that the catalogue does not have; repeatable."),
+    ] = None,
+    every_line: Annotated[bool, Parameter(name="--lines", negative=(), help="Say what became of every line.")] = False,
+) -> int:
+    """Read a lens file of another program, say what became of its lines, and write it in another format."""
+    from lfmesh.imports import read_lens_file, write_lens_file
+
+    lens, report = read_lens_file(source, _glasses(glass or []))
+    notes = write_lens_file(lens, target)
+    for line in (*report.text(every_line), *notes):
+        print(wrapped(line))
+    print(f"  {target}")
+    return 0
+
+
+def _glasses(given: list[str]) -> dict[str, str | float]:
+    """Return the glass or index by the name in the file, as --glass gives them."""
+    glasses: dict[str, str | float] = {}
+    for pair in given:
+        name, sign, medium = pair.partition("=")
+        if not (name and sign and medium):
+            raise LfmeshError(f"--glass {pair}: write NAME=GLASS or NAME=INDEX, such as BK7=SCHOTT/N-BK7")
+        try:
+            glasses[name] = float(medium)
+        except ValueError:
+            glasses[name] = medium
+    return glasses

@@ -1,0 +1,414 @@
+"""CODE V sequence files (`.seq`): the sequential, centred, refracting part of the language.
+
+The reader is this program's own, for the reasons that `lfmesh.imports.zemax` gives.
+
+The language: commands separated by `;` or line ends, `&` continues a line, `!` starts a comment. `SO`, `S` and `SI` are
+the object, a surface, and the image: curvature or radius (RDM), thickness, glass. Other commands qualify the last
+surface, or the one that they name (`CIR S3 12`). Lengths are in the unit of DIM, wavelengths nm.
+"""
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+from lfmesh.errors import SceneError
+from lfmesh.imports.numbers import number, numbers
+from lfmesh.imports.prescription import FieldPoint, FileSurface, Prescription, lens_of
+from lfmesh.imports.report import Report, Verdict
+from lfmesh.imports.text import command_names, read_lines
+from lfmesh.scene.lens import Lens
+
+MOST_SURFACES = 1000
+
+_UNITS_MM = {"M": 1.0, "MM": 1.0, "C": 10.0, "CM": 10.0, "I": 25.4, "IN": 25.4}
+
+COEFFICIENTS = "ABCDEFGHJ"
+"""Of r⁴, r⁶, ... r²⁰."""
+
+_WITHOUT_EFFECT = command_names(
+    "LEN GO CA INI WTW WTF TEM PRE SLB CCY THC CUM THM GLC KC AC BC CC DC EC FC GC HC JC DER CLS PIM CVS "
+    "ADC BDC CDC XDC YDC ZDC CPR POL SPH ORD AFI UM UMY HMY IMY"
+)
+"""Labels, weights, what an optimisation may vary, solves whose present value stands in the surface's line, drawing."""
+
+_REFUSED = {
+    **dict.fromkeys(["DIF", "HOR", "HWL", "HCT", "HCO", "HCC", "GRT", "GRO"], "diffractive surfaces are not supported"),
+    **dict.fromkeys(["XTO", "YTO", "CYL", "AAS", "RDX", "CUX", "KX", "KY"], "toroids and biconics are not supported"),
+    **dict.fromkeys(["SPS", "QBF", "QCN", "ODD", "XYP", "ZRN", "UDS"], "special surfaces are not supported"),
+    **dict.fromkeys(["GRN", "URN", "GRC"], "gradient indices are not supported"),
+    **dict.fromkeys(["REX", "REY"], "rectangular apertures are not supported"),
+    **dict.fromkeys(["ELX", "ELY"], "elliptical apertures are not supported"),
+    **dict.fromkeys(["ADX", "ADY"], "decentred apertures are not supported"),
+    **dict.fromkeys(["NSS", "ENS"], "non-sequential groups are not supported"),
+    **dict.fromkeys(["BEN", "GLB"], "folded and global axes are not supported"),
+}
+
+_MOVES = command_names("ADE BDE CDE XDE YDE ZDE")
+
+_RIGID = command_names("DAR REV RET")
+"""How a decentre works; nothing without one."""
+
+_SURFACE_NAME = re.compile(r"S(O|I|S|\d+)(\.\.\S+)?$")
+
+_FIELDS = {"AN": "angle", "OB": "object", "IM": "image", "RI": "image"}
+
+
+def read(
+    path: Path, lines: list[str] | None = None, glasses: Mapping[str, str | float] | None = None
+) -> tuple[Lens, Report]:
+    """Return the lens of a CODE V file, and what became of its commands.
+
+    Parameters
+    ----------
+    path : Path
+    lines : list of str, optional
+        Its text, in place of reading it.
+    glasses : mapping, optional
+        Catalogue glass or index by the name that the file uses.
+
+    Raises
+    ------
+    SceneError
+        The file cannot be read, or holds what the lens cannot have.
+    """
+    reader = _Reader(Report(path))
+    for at, words in commands(read_lines(path) if lines is None else lines):
+        reader.take(at, words)
+    return lens_of(reader.finished(), reader.report, glasses), reader.report
+
+
+def commands(lines: list[str]) -> Iterator[tuple[int, list[str]]]:
+    """Yield the commands of a file: the line that each starts on, from 1, and its words; quoted words keep a quote."""
+    held, start = "", 0
+    for at, line in enumerate(lines, 1):
+        text = _without_comment(line).rstrip()
+        start = start if held else at
+        if text.endswith("&"):
+            held += text[:-1] + " "
+            continue
+        for part in _split(held + text):
+            words = re.findall(r"'[^']*'?|\"[^\"]*\"?|[^\s'\"]+(?:'[^']*')?", part)
+            if words:
+                yield start, words
+        held = ""
+
+
+def _without_comment(line: str) -> str:
+    quote = ""
+    for i, sign in enumerate(line):
+        if quote:
+            quote = "" if sign == quote else quote
+        elif sign == "!":
+            return line[:i]
+        elif sign in "'\"" and (i == 0 or line[i - 1].isspace()):
+            quote = sign
+    return line
+
+
+def _split(text: str) -> list[str]:
+    """Split at semicolons outside quotes."""
+    return re.findall(r"(?:'[^']*'?|\"[^\"]*\"?|[^;'\"])+", text)
+
+
+class _Reader:
+    """Reads command by command; one without a method of its name is looked up in the tables above."""
+
+    def __init__(self, report: Report) -> None:
+        self.report = report
+        self.made = Prescription(primary=-1)
+        self.radii: bool | None = None
+        self.in_private_glass = False
+        self.private: list[str] = []
+        self.fields: dict[str, list[float]] = {}
+        self.reference: int | None = None
+        self.ended = False
+        self.at, self.text = 0, ""
+
+    def take(self, at: int, words: list[str]) -> None:
+        """Read one command."""
+        self.at, self.text = at, " ".join(words)
+        command, rest = words[0].upper(), words[1:]
+        try:
+            if self.in_private_glass:
+                self._private_glass(command, words)
+            elif _SURFACE_NAME.match(command) or command == "S":
+                self._surface_line(command, rest)
+            elif command in _MOVES:
+                self._moved(rest)
+            elif command in _RIGID:
+                self._without_effect()
+            elif command[:1] in "XY" and command[1:] in _FIELDS and len(command) == 3:
+                self._of_fields(command[0].lower(), _FIELDS[command[1:]], rest)
+            elif command in ("VUY", "VLY"):
+                self.fields[command.lower()] = numbers(rest)
+                self._taken()
+            elif command in COEFFICIENTS and len(command) == 1:
+                self._coefficient(COEFFICIENTS.index(command), rest)
+            elif command in _REFUSED:
+                if any(map(_nonzero, rest)) or not rest:
+                    self.report.refuse(at, self.text, _REFUSED[command])
+            else:
+                self._other(command, rest)
+        except (ValueError, IndexError) as error:
+            self.report.refuse(at, self.text, str(error) if isinstance(error, ValueError) else "it is cut short")
+
+    def _other(self, command: str, words: list[str]) -> None:
+        method: Callable[[list[str]], None] | None = getattr(self, f"_on_{command.lower()}", None)
+        if method is not None:
+            method(words)
+        elif command in _WITHOUT_EFFECT or command.startswith(("VUX", "VLX", "PIK")):
+            self._without_effect()
+        else:
+            self.report.add(self.at, self.text, Verdict.UNKNOWN)
+
+    def finished(self) -> Prescription:
+        """Return what was read, with what only the whole file shows."""
+        made = self.made
+        if not made.surfaces:
+            raise SceneError(f"{self.report.path}: no CODE V lens file: it has no line S")
+        if not self.ended:
+            raise SceneError(f"{self.report.path}: cut short: it has no image surface SI")
+        if self.radii is None:
+            first = made.surfaces[min(1, len(made.surfaces) - 1)]
+            how = "no RDM in the file: the first numbers of surfaces count as curvatures, CODE V's old default"
+            self.report.add(first.line, "S", Verdict.APPROXIMATED, how)
+        lines = made.wavelengths_nm
+        middle = len(lines) // 2
+        made.primary = max(0, min(self.reference - 1 if self.reference is not None else middle, len(lines) - 1))
+        count = max((len(values) for key, values in self.fields.items() if key in "xy"), default=0)
+        for i in range(count):
+            up, low = (1.0 - self._entry(key, i) for key in ("vuy", "vly"))
+            made.fields.append(FieldPoint(self._entry("x", i), self._entry("y", i), up, low))
+        return made
+
+    def _entry(self, key: str, i: int) -> float:
+        values = self.fields.get(key, [])
+        return values[i] if i < len(values) else 0.0
+
+    def _taken(self, how: str = "") -> None:
+        self.report.add(self.at, self.text, Verdict.TAKEN, how)
+
+    def _without_effect(self) -> None:
+        self.report.add(self.at, self.text, Verdict.WITHOUT_EFFECT)
+
+    def _named(self, words: list[str]) -> tuple[FileSurface, list[str]]:
+        """Return the surface that a command speaks of, and the rest of its words."""
+        if words and (found := _SURFACE_NAME.match(words[0].upper())):
+            place = found[1]
+            if found[2] or place == "S":
+                raise ValueError("commands for several surfaces are not supported")
+            number_of = {"O": 0, "I": len(self.made.surfaces) - 1}.get(place)
+            return self.made.surfaces[int(place) if number_of is None else number_of], words[1:]
+        if not self.made.surfaces:
+            raise ValueError("it stands before the first surface")
+        return self.made.surfaces[-1], words
+
+    # Surfaces.
+
+    def _surface_line(self, command: str, words: list[str]) -> None:
+        if command not in ("S", "SO", "SI"):
+            raise ValueError("lines that change a surface that is there already are not supported; write S")
+        if len(self.made.surfaces) >= MOST_SURFACES:
+            raise SceneError(f"{self.report.path}: line {self.at}: more than {MOST_SURFACES} surfaces")
+        if not self.made.surfaces and command != "SO":
+            raise ValueError("the object, SO, must come first")
+        if self.ended:
+            raise ValueError("a surface behind the image, SI")
+        surface = FileSurface(self.at, self.text)
+        self.made.surfaces.append(surface)
+        self.ended = command == "SI"
+        if words:
+            self._bend(surface, number(words[0]))
+        if len(words) > 1:
+            surface.thickness = number(words[1])
+        if len(words) > 2:
+            self._glass(surface, words[2])
+        if len(words) > 3:
+            self._glass(surface, words[3])
+        self._taken()
+
+    def _bend(self, surface: FileSurface, value: float) -> None:
+        if self.radii:
+            value = 1.0 / value if value else 0.0
+        surface.curvature = value
+
+    def _glass(self, surface: FileSurface, name: str) -> None:
+        if name.upper() == "REFL":
+            raise ValueError("mirrors are not supported: the lens refracts")
+        if name.upper() in ("REFR", "AIR"):
+            return
+        if re.fullmatch(r"\d{3,}\.\d+", name):
+            digits, abbe = name.split(".")
+            surface.model = 1.0 + float(f"0.{digits}"), float(f"{abbe[:2]}.{abbe[2:] or '0'}")
+        else:
+            surface.glass = name.strip("'\"")
+
+    def _moved(self, words: list[str]) -> None:
+        _, rest = self._named(words)
+        if any(numbers(rest)):
+            raise ValueError("tilted and decentred surfaces are not supported")
+        self._taken()
+
+    def _coefficient(self, place: int, words: list[str]) -> None:
+        surface, rest = self._named(words)
+        asphere = surface.asphere
+        asphere += [0.0] * (place + 1 - len(asphere))
+        asphere[place] = number(rest[0])
+        self._taken()
+
+    def _on_sto(self, words: list[str]) -> None:
+        surface, _ = self._named(words)
+        for other in self.made.surfaces:
+            other.stop = False
+        surface.stop = True
+        self._taken()
+
+    def _on_k(self, words: list[str]) -> None:
+        surface, rest = self._named(words)
+        surface.conic = number(rest[0])
+        self._taken()
+
+    def _on_asp(self, _: list[str]) -> None:
+        self._taken()
+
+    _on_con = _on_asp
+
+    def _on_cuf(self, words: list[str]) -> None:
+        _, rest = self._named(words)
+        if number(rest[0]):
+            raise ValueError("Fresnel surfaces are not supported")
+        self._taken()
+
+    def _on_rdy(self, words: list[str]) -> None:
+        surface, rest = self._named(words)
+        value = number(rest[0])
+        surface.curvature = 1.0 / value if value else 0.0
+        self._taken()
+
+    def _on_cuy(self, words: list[str]) -> None:
+        surface, rest = self._named(words)
+        if _is_number(rest[0]):
+            surface.curvature = number(rest[0])
+            self._taken()
+        else:
+            self._taken("a solve: the present value")
+
+    def _on_thi(self, words: list[str]) -> None:
+        surface, rest = self._named(words)
+        if _is_number(rest[0]):
+            surface.thickness = number(rest[0])
+            self._taken()
+        else:
+            self._taken("a solve: the present value")
+
+    def _on_gla(self, words: list[str]) -> None:
+        surface, rest = self._named(words)
+        self._glass(surface, rest[0])
+        self._taken()
+
+    _on_gl1 = _on_gla
+
+    def _on_cir(self, words: list[str]) -> None:
+        surface, rest = self._named(words)
+        kind = rest[0].upper()
+        if kind in ("OBS", "HOL"):
+            raise ValueError("obscurations and holes are not supported")
+        if kind == "EDG":
+            self.report.add(self.at, self.text, Verdict.WITHOUT_EFFECT, "the edge of the glass, not its clear aperture")
+            return
+        value = abs(number(rest[1] if kind == "CLR" else rest[0]))
+        surface.aperture = value or None
+        self._taken()
+
+    # The file as a whole.
+
+    def _on_rdm(self, words: list[str]) -> None:
+        self.radii = not (words and words[0].upper().startswith("N"))
+        self._taken()
+
+    def _on_tit(self, words: list[str]) -> None:
+        self.made.name = " ".join(words).strip("'\" ") or None
+        self._taken()
+
+    _on_title = _on_tit
+
+    def _on_dim(self, words: list[str]) -> None:
+        unit = words[0].upper()
+        if unit not in _UNITS_MM:
+            raise ValueError(f"unit {unit} is unknown; known are {', '.join(_UNITS_MM)}")
+        self.made.unit_mm = _UNITS_MM[unit]
+        self._taken()
+
+    def _on_epd(self, words: list[str]) -> None:
+        self._pupil("epd", words)
+
+    def _on_fno(self, words: list[str]) -> None:
+        self._pupil("working_f_number", words)
+
+    def _on_na(self, words: list[str]) -> None:
+        self._pupil("image_na", words)
+
+    def _on_nao(self, words: list[str]) -> None:
+        self._pupil("object_na", words)
+
+    def _pupil(self, kind: str, words: list[str]) -> None:
+        value = number(words[0])
+        if value <= 0:
+            raise ValueError("it must be above 0")
+        self.made.pupil = kind, value
+        self._taken()
+
+    def _on_wl(self, words: list[str]) -> None:
+        values = numbers(words)
+        if not values or min(values) <= 0:
+            raise ValueError("a wavelength must be above 0")
+        self.made.wavelengths_nm = values
+        self._taken()
+
+    def _on_ref(self, words: list[str]) -> None:
+        self.reference = int(number(words[0]))
+        self._taken()
+
+    def _of_fields(self, axis: str, kind: str, words: list[str]) -> None:
+        self.fields[axis] = numbers(words)
+        if any(self.fields[axis]) or axis == "y":
+            self.made.field_kind = kind
+        self._taken()
+
+    def _on_zoo(self, words: list[str]) -> None:
+        how = "zoom positions: the surfaces are taken as they stand in the file"
+        self.report.add(self.at, " ".join(["ZOO", *words]), Verdict.APPROXIMATED, how)
+
+    def _on_prv(self, _: list[str]) -> None:
+        self.in_private_glass = True
+        self._taken("a private glass; its table is used where it is one index")
+
+    def _private_glass(self, command: str, words: list[str]) -> None:
+        """Read the table of a private glass: PWL with wavelengths, then each glass with its indices."""
+        if command == "END":
+            self.in_private_glass = False
+            self._taken()
+        elif command == "PWL":
+            self._taken()
+        else:
+            self.private.append(words[0].strip("'\""))
+            values = numbers(words[1:])
+            if values and max(values) == min(values):
+                self.made.indices[self.private[-1]] = values[0]
+                self._taken()
+            else:
+                how = "a private glass with dispersion; refused where a surface has it"
+                self.report.add(self.at, self.text, Verdict.UNKNOWN, how)
+
+
+def _nonzero(word: str) -> bool:
+    return not _is_number(word) or float(word) != 0 or not math.isfinite(float(word))
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

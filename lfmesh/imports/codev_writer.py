@@ -1,0 +1,69 @@
+"""Writing a lens as a CODE V sequence: object at infinity, image in the paraxial focus of the d line."""
+
+import math
+
+from lfmesh.errors import SceneError
+from lfmesh.imports.codev import COEFFICIENTS
+from lfmesh.imports.writing import check_writable, entrance_pupil_mm, maker_and_name, stop_radius_mm
+from lfmesh.optics.glass import D_LINE_NM
+from lfmesh.scene.lens import Lens, Surface
+from lfmesh.scene.paraxial import Paraxial
+
+
+def written(lens: Lens) -> tuple[bytes, list[str]]:
+    """Return a lens as the bytes of a `.seq` file, and what it does not hold.
+
+    Raises
+    ------
+    SceneError
+        The format cannot hold the lens.
+    """
+    notes = check_writable(lens, "CODE V")
+    lines = ["RDM;LEN", f"TITLE '{_quoted(lens.name or 'lens')}'"]
+    if lens.source:
+        lines.append(f"! {' '.join(lens.source.split())}")
+        notes.append("the source stands in a comment")
+    radius = stop_radius_mm(lens)
+    if lens.f_number is not None:
+        lines.append(f"FNO {lens.f_number!r}")
+    else:
+        lines.append(f"EPD {entrance_pupil_mm(lens, radius or 1.0)!r}")
+    lines += ["DIM M", f"WL {D_LINE_NM!r}", "REF 1", "XAN 0.0", "YAN 0.0"]
+    private = {surface.index: f"N{i}" for i, surface in enumerate(lens.surfaces) if isinstance(surface.medium, float)}
+    if private:
+        # Of two wavelengths, so that the table is seen to be one index.
+        lines += ["PRV", "PWL 1000.0 400.0", *(f"'{name}' {n!r} {n!r}" for n, name in private.items()), "END"]
+    lines.append("SO 0.0 0.1e14")
+    image_mm = Paraxial.of(lens, D_LINE_NM).bfl_mm
+    for i, surface in enumerate(lens.surfaces):
+        last = i == len(lens.surfaces) - 1
+        distance = image_mm if last and math.isfinite(image_mm) else surface.thickness_mm or 0.0
+        glass = ""
+        if surface.glass is not None:
+            maker, name = maker_and_name(surface.glass, "CODE V")
+            glass = f" {''.join(sign for sign in name if sign.isalnum())}_{maker}"
+        elif surface.medium is not None:
+            glass = f" '{private[surface.index]}'"
+        radius_mm = 0.0 if math.isinf(surface.radius_mm) else surface.radius_mm
+        lines.append(f"S {radius_mm!r} {distance!r}{glass}")
+        lines += _qualified(i, surface, radius if surface.stop else surface.semi_diameter_mm)
+    return "\r\n".join([*lines, "SI 0.0 0.0", "GO", ""]).encode(), notes
+
+
+def _qualified(number: int, surface: Surface, aperture_mm: float | None) -> list[str]:
+    """Return what follows the line of a surface."""
+    if len(surface.asphere_mm) > len(COEFFICIENTS):
+        raise SceneError(f"surfaces[{number}].asphere_mm: CODE V's asphere has {len(COEFFICIENTS)} terms from r⁴")
+    lines = ["  STO"] if surface.stop else []
+    if aperture_mm is not None:
+        lines.append(f"  CIR {aperture_mm!r}")
+    if surface.asphere_mm:
+        terms = (f"{letter} {value!r}" for letter, value in zip(COEFFICIENTS, surface.asphere_mm, strict=False))
+        lines += ["  ASP", f"  K {surface.conic!r}", f"  {'; '.join(terms)}"]
+    elif surface.conic:
+        lines += ["  CON", f"  K {surface.conic!r}"]
+    return lines
+
+
+def _quoted(text: str) -> str:
+    return " ".join(text.replace("'", "’").split())

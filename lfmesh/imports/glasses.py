@@ -1,0 +1,82 @@
+"""Glasses that lens files name: found in the catalogue or refused, never guessed."""
+
+from lfmesh.errors import GlassError
+from lfmesh.optics.glass import D_LINE_NM, MAKERS, find_glass, glass_in_words, refractive_index
+
+NEAR_D_NM = 0.5
+"""A wavelength this close to the d line has the index nd."""
+
+UNLIKE = 2e-3
+"""Difference between the catalogue's nd and the one that a file gives beside the name, above which it is said."""
+
+Medium = float | str
+"""Index without dispersion, or name of a catalogue glass."""
+
+
+def named_glass(name: str, catalogues: list[str]) -> tuple[str, str]:
+    """Return the catalogue's name of a glass, and what to say where it is not from one of the file's catalogues.
+
+    Parameters
+    ----------
+    name : str
+        As the file writes it: "N-BK7", "NBK7_SCHOTT".
+    catalogues : list of str
+        Makers whose glasses the file uses, the first first; empty where it does not say.
+
+    Raises
+    ------
+    GlassError
+        There is no such glass; the message names close ones.
+    """
+    for maker in catalogues:
+        full = f"{maker}/{name}"
+        try:
+            find_glass(full)
+        except GlassError:
+            continue
+        return full, ""
+    try:
+        find_glass(name)
+    except GlassError:
+        stem, _, maker = name.partition("_")
+        if maker.upper() not in MAKERS:
+            raise
+        # Names close to a CODE V name are found by maker and glass.
+        find_glass(f"{maker}/{stem}")
+    if not catalogues:
+        return name, ""
+    return name, f"not in {', '.join(catalogues)}; the catalogue has it as {glass_in_words(name)}"
+
+
+def unlike(name: str, index_d: float) -> str:
+    """Return what to say where a file's nd is not that of the glass it names; nothing where it is."""
+    try:
+        known = refractive_index(name, D_LINE_NM)
+    except GlassError:
+        return ""
+    if abs(known - index_d) <= UNLIKE:
+        return ""
+    return f"the file gives nd = {index_d:.6g}, the catalogue {known:.6g}, which is taken"
+
+
+def model_glass(index_d: float, abbe: float, wavelengths_nm: list[float]) -> Medium:
+    """Return a glass that is given by nd and Vd alone.
+
+    Parameters
+    ----------
+    index_d, abbe : float
+        nd, and Vd; a Vd of 0 says that it does not disperse.
+    wavelengths_nm : list of float
+        Light that the file uses.
+
+    Raises
+    ------
+    GlassError
+        The file uses it at other wavelengths than the d line, where nd and Vd do not tell its index.
+    """
+    if abbe == 0 or (wavelengths_nm and all(abs(line - D_LINE_NM) <= NEAR_D_NM for line in wavelengths_nm)):
+        return index_d
+    raise GlassError(
+        f"glass given by nd = {index_d:.6g}, Vd = {abbe:.4g} alone: its index at the file's wavelengths is not known; "
+        "name a catalogue glass, or give --glass with an index"
+    )

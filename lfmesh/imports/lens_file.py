@@ -1,0 +1,80 @@
+"""Lens files by their ending: reading with and without the report, and writing."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from lfmesh.errors import SceneError
+from lfmesh.imports import codev, codev_writer, zemax, zemax_writer
+from lfmesh.imports.report import Report
+from lfmesh.scene import load_lens, toml
+from lfmesh.scene.lens import Lens
+
+_READERS = {".zmx": zemax.read, ".seq": codev.read}
+_WRITERS = {".zmx": zemax_writer.written, ".seq": codev_writer.written}
+
+
+def read_lens(path: Path) -> Lens:
+    """Return the lens of a `.zmx` or `.seq` file, with a LensFileWarning of what is not exactly the file's.
+
+    Raises
+    ------
+    SceneError
+        The file cannot be read, or holds what the lens cannot have.
+    """
+    lens, report = read_lens_file(path)
+    report.warn()
+    return lens
+
+
+def read_lens_file(path: str | Path, glasses: Mapping[str, str | float] | None = None) -> tuple[Lens, Report]:
+    """Return the lens of a file, and what became of its lines.
+
+    Parameters
+    ----------
+    path : str or Path
+        A `.zmx`, `.seq` or `.toml` file; or "lib:" and the name of a lens that comes with lfmesh.
+    glasses : mapping, optional
+        Catalogue glass or index by the name that a `.zmx` or `.seq` file uses, in place of looking the name up.
+
+    Raises
+    ------
+    SceneError
+        The file cannot be read, or holds what the lens cannot have.
+    """
+    name = str(path)
+    path = Path(path)
+    reader = _READERS.get(path.suffix.lower())
+    if reader is not None and not name.startswith("lib:"):
+        return reader(path, glasses=glasses)
+    if glasses:
+        raise SceneError(f"{name}: glasses can be replaced in {' and '.join(_READERS)} files only")
+    return load_lens(name), Report(path)
+
+
+def write_lens_file(lens: Lens, path: str | Path) -> list[str]:
+    """Write a lens as TOML, Zemax or CODE V file, by the ending of its path.
+
+    Returns
+    -------
+    notes : list of str
+        What the file does not hold.
+
+    Raises
+    ------
+    SceneError
+        The ending is unknown, the format cannot hold the lens, or the file cannot be written.
+    """
+    path = Path(path)
+    ending = path.suffix.lower()
+    notes: list[str] = []
+    if ending == ".toml":
+        data = toml.dump(lens).encode()
+    elif ending in _WRITERS:
+        data, notes = _WRITERS[ending](lens)
+    else:
+        raise SceneError(f"{path}: a lens is written to .toml, {' or '.join(_WRITERS)}")
+    try:
+        path.write_bytes(data)
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be written: {error.strerror}") from None
+    return notes

@@ -1,0 +1,25 @@
+"""Numbers in lens files: finite, and said to be wrong with their line where they are not."""
+
+import math
+
+
+def number(word: str) -> float:
+    """Return a finite number.
+
+    Raises
+    ------
+    ValueError
+        The word is none; the message says so.
+    """
+    try:
+        value = float(word)
+    except ValueError:
+        raise ValueError(f"{word[:30]!r} is no number") from None
+    if not math.isfinite(value):
+        raise ValueError(f"{word[:30]!r} is no finite number")
+    return value
+
+
+def numbers(words: list[str]) -> list[float]:
+    """Return some words as numbers; errors as in `number`."""
+    return [number(word) for word in words]

@@ -1,0 +1,124 @@
+"""What became of each line of a file that was imported: taken, approximated, without effect, unknown or refused."""
+
+import warnings
+from collections import Counter
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+
+from lfmesh.errors import LensFileWarning, SceneError
+
+_MOST_SHOWN = 60
+"""Characters of a line that a message quotes."""
+
+_MOST_FAULTS = 20
+
+
+class Verdict(Enum):
+    """What became of a line."""
+
+    TAKEN = "taken"
+    APPROXIMATED = "approximated"
+    WITHOUT_EFFECT = "without effect"
+    """It does not change where light goes: names, merit functions, colours of drawings."""
+    UNKNOWN = "unknown"
+    """A command that this reader does not know: the lens is made without it."""
+    REFUSED = "refused"
+    """It changes the image in a way that the lens cannot have."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of the file, or a command on it, and what became of it."""
+
+    number: int
+    """From 1."""
+    text: str
+    verdict: Verdict
+    how: str = ""
+
+    def __str__(self) -> str:
+        shown = self.text if len(self.text) <= _MOST_SHOWN else f"{self.text[: _MOST_SHOWN - 3]}..."
+        return f"line {self.number}: {shown}: {self.verdict.value}{f': {self.how}' if self.how else ''}"
+
+
+@dataclass
+class Report:
+    """What became of the lines of one file.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    lines : list of Line
+        In the order of reading; a line may stand here again when it turns out later what becomes of it.
+    notes : list of str
+        What the file says beside the lens: wavelengths, fields, where the object and the image are.
+    """
+
+    path: Path
+    lines: list[Line] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def add(self, number: int, text: str, verdict: Verdict, how: str = "") -> None:
+        """Enter what became of a line.
+
+        Parameters
+        ----------
+        number : int
+            From 1.
+        text : str
+            The line, or the command on it.
+        verdict : Verdict
+        how : str
+            What was done with it, or why nothing was.
+        """
+        self.lines.append(Line(number, text, verdict, how))
+
+    def refuse(self, number: int, text: str, why: str) -> None:
+        """Enter a line that makes the file unusable; `raise_refusals` speaks of all of them at once.
+
+        Parameters
+        ----------
+        number : int
+            From 1.
+        text : str
+            The line, or the command on it.
+        why : str
+            What the lens cannot have.
+        """
+        self.add(number, text, Verdict.REFUSED, why)
+
+    def of(self, verdict: Verdict) -> list[Line]:
+        """Return the lines with one verdict."""
+        return [line for line in self.lines if line.verdict is verdict]
+
+    def raise_refusals(self) -> None:
+        """Raise a SceneError that names every refused line, if there is one."""
+        refused = [f"line {line.number}: {_cut(line.text)}: {line.how}" for line in self.of(Verdict.REFUSED)]
+        if len(refused) == 1:
+            raise SceneError(f"{self.path}: {refused[0]}")
+        if refused:
+            beyond = [f"and {len(refused) - _MOST_FAULTS} more"] if len(refused) > _MOST_FAULTS else []
+            listed = [f"  {line}" for line in refused[:_MOST_FAULTS] + beyond]
+            raise SceneError("\n".join([f"{self.path}: {len(refused)} faults", *listed]))
+
+    def warn(self) -> None:
+        """Warn of what was approximated and of what is unknown, in one warning."""
+        doubtful = [str(line) for line in self.lines if line.verdict in (Verdict.APPROXIMATED, Verdict.UNKNOWN)]
+        if doubtful:
+            beyond = [f"and {len(doubtful) - _MOST_FAULTS} more"] if len(doubtful) > _MOST_FAULTS else []
+            text = "; ".join([*doubtful[:_MOST_FAULTS], *beyond])
+            warnings.warn(f"{self.path}: {text}", LensFileWarning, stacklevel=2)
+
+    def text(self, every_line: bool = False) -> list[str]:
+        """Return the report as lines: what needs a look, or with `every_line` everything, then counts and notes."""
+        look = (Verdict.APPROXIMATED, Verdict.UNKNOWN, Verdict.REFUSED)
+        listed = [str(line) for line in self.lines if every_line or line.verdict in look]
+        counts = Counter(line.verdict for line in self.lines)
+        summary = ", ".join(f"{counts[verdict]} {verdict.value}" for verdict in Verdict if counts[verdict])
+        return [*listed, f"lines: {summary}", *self.notes]
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= _MOST_SHOWN else f"{text[: _MOST_SHOWN - 3]}..."

@@ -1,0 +1,63 @@
+"""Text of files that other programs wrote: UTF-8, UTF-16 with or without its mark, or Latin-1; never too much of it."""
+
+from pathlib import Path
+
+from lfmesh.errors import SceneError
+
+MOST_BYTES = 8_000_000
+MOST_LINES = 100_000
+"""Far above any lens file, and read in well under a second."""
+
+_MARKS = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be", b"\xef\xbb\xbf": "utf-8"}
+
+
+def command_names(text: str) -> frozenset[str]:
+    """Return the names in a text, set apart by spaces."""
+    return frozenset(text.split())
+
+
+def read_lines(path: Path) -> list[str]:
+    """Return the lines of a text file.
+
+    Raises
+    ------
+    SceneError
+        The file cannot be read, is too large, or is no text.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read: {error.strerror}") from None
+    if len(data) > MOST_BYTES:
+        raise SceneError(f"{path}: larger than {MOST_BYTES // 1_000_000} MB; a lens file has some kilobytes")
+    text = _decoded(data, path)
+    lines = text.splitlines()
+    if len(lines) > MOST_LINES:
+        raise SceneError(f"{path}: more than {MOST_LINES} lines; a lens file has hundreds")
+    return lines
+
+
+def _decoded(data: bytes, path: Path) -> str:
+    """Decode by the mark at the start, else by where zero bytes stand, else as UTF-8 or Latin-1."""
+    mark = next((mark for mark in _MARKS if data.startswith(mark)), b"")
+    encoding = _MARKS.get(mark, "utf-8")
+    if not mark:
+        # UTF-16 of plain text has a zero in every pair of bytes.
+        if data[1:400:2] and not any(data[1:400:2]):
+            encoding = "utf-16-le"
+        elif data[0:400:2] and not any(data[0:400:2]):
+            encoding = "utf-16-be"
+    body = data[len(mark) :]
+    try:
+        text = body.decode(encoding)
+    except UnicodeDecodeError as error:
+        if encoding != "utf-8":
+            raise SceneError(
+                f"{path}: byte {len(mark) + error.start} is no {encoding}: the file is cut short"
+            ) from None
+        text = body.decode("latin-1")
+    strange = sum(sign < " " and sign not in "\t\r\n\f\x1a" for sign in text)
+    if strange:
+        raise SceneError(f"{path}: no text: it holds {strange} control characters; a lens file is plain text")
+    return text

@@ -1,0 +1,60 @@
+"""What lens files of other programs can hold of a lens, for the writers of both formats."""
+
+from lfmesh.errors import GlassError, SceneError
+from lfmesh.optics.glass import D_LINE_NM, find_glass, glass_name
+from lfmesh.scene.coatings import UNCOATED
+from lfmesh.scene.lens import Lens
+from lfmesh.scene.paraxial import Paraxial
+from lfmesh.scene.pose import Pose
+
+
+def check_writable(lens: Lens, program: str) -> list[str]:
+    """Return what a file will not hold.
+
+    Raises
+    ------
+    SceneError
+        The lens has parts without which it would be another lens.
+    """
+    for i, surface in enumerate(lens.surfaces):
+        if surface.refractor is not None or surface.mesh is not None:
+            raise SceneError(f"surfaces[{i}]: a mesh cannot be written as a {program} surface")
+    for i, element in enumerate(lens.elements):
+        if element.pose != Pose():
+            raise SceneError(f"elements[{i}]: tilted and decentred elements cannot be written to {program} files yet")
+    coated = [str(i) for i, surface in enumerate(lens.surfaces) if surface.coating != UNCOATED]
+    return [f"coatings of surfaces {', '.join(coated)} are not in the file"] if coated else []
+
+
+def maker_and_name(glass: str, program: str) -> tuple[str, str]:
+    """Return maker and name of a catalogue glass, such as ("SCHOTT", "N-BK7").
+
+    Raises
+    ------
+    SceneError
+        It is no maker's glass, by whose name the other program would know it.
+    """
+    try:
+        shelf, book, name = find_glass(glass)
+        full = glass_name(glass)
+    except GlassError as error:
+        raise SceneError(str(error)) from None
+    if shelf != "specs":
+        raise SceneError(f"glass {full!r}: no maker's glass; a {program} file cannot name it")
+    return book.split("-")[0].upper(), name
+
+
+def stop_radius_mm(lens: Lens) -> float | None:
+    """Return the radius of the stop, in mm; None where the f-number sets it, or no surface is the stop."""
+    stop = lens.stop_index
+    return None if stop is None else lens.aperture_mm(stop)
+
+
+def entrance_pupil_mm(lens: Lens, radius_mm: float) -> float:
+    """Return the diameter of the entrance pupil that a stop of this radius makes at the d line."""
+    return Paraxial.of(lens, D_LINE_NM).entrance_pupil(radius_mm)[1]
+
+
+def curvature(radius_mm: float) -> float:
+    """Return 1/radius; 0 for a plane."""
+    return 1.0 / radius_mm

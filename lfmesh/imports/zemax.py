@@ -1,0 +1,412 @@
+"""Zemax lens files (`.zmx`): the sequential, centred, refracting part of the format.
+
+The reader is this program's own. ray-optics and Optiland read the format, too, but put n = 1.5 or a model in place of a
+glass that they do not find, drop apertures, and pass over commands that they do not know; ray-optics also evaluates a
+file beside the lens file as Python, and asks the network for glasses. Here every line has a verdict, and what would
+change the image is refused. ray-optics serves the tests as truth.
+
+The format: one command a line, its name first; `SURF n` starts a surface, whose commands are indented. Lengths are in
+the unit of UNIT, curvatures its reciprocal, wavelengths µm. Aperture stops are given by the pupil (ENPD, FNUM, OBNA) or
+by the stop's own size (FLOA). DIAM is the semi-diameter that rays fill, and stops nothing; CLAP and FLAP do.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from lfmesh.errors import SceneError
+from lfmesh.imports.numbers import number, numbers
+from lfmesh.imports.prescription import FieldPoint, FileSurface, Prescription, lens_of
+from lfmesh.imports.report import Report, Verdict
+from lfmesh.imports.text import command_names, read_lines
+from lfmesh.scene.lens import Lens
+
+MOST_SURFACES = 1000
+
+_UNITS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0, "M": 1000.0}
+
+_FIELD_KINDS = {0: "angle", 1: "object", 2: "image", 3: "image"}
+
+_WITHOUT_EFFECT = command_names(
+    "VERS AUTH PFIL LANG MOFF RAIM PUSH SDMA OMMA ROPD HYPR PICB POLS GLRS GSTD NSCD COFN BLNK TOL DBDT FWGN FWGT WWGT "
+    "WWGN WAVN VANN GFAC COMM SLAB HIDE MIRR MEMA OEMA POPS COAT PZUP MAZH VDSZ VPAR PPAR PRAM STKP FCOM BRDF SSID "
+    "TCED TCEX TCMM WFNO RCMF FIMP XDAF"
+)
+"""Names, settings of the program, solves whose present value stands in the line, coatings, drawing, mechanics."""
+
+_REFUSED_TYPES = {
+    "ODDASPHE": "odd aspheres are not supported",
+    "ODDASPHERE": "odd aspheres are not supported",
+    "XASPHERE": "extended aspheres are not supported",
+    "XODDASPH": "extended odd aspheres are not supported",
+    "QED_TYPE": "Forbes (Q-type) aspheres are not supported",
+    "TOROIDAL": "toroids are not supported",
+    "BICONICX": "biconic surfaces are not supported",
+    "BICONIC": "biconic surfaces are not supported",
+    "XPOLYNOM": "surfaces without rotational symmetry are not supported",
+    "SZERNSAG": "surfaces without rotational symmetry are not supported",
+    "PARAXIAL": "a paraxial lens has no glass",
+    "DGRATING": "gratings are not supported",
+    "BINARY_1": "diffractive surfaces are not supported",
+    "BINARY_2": "diffractive surfaces are not supported",
+    "NONSEQCO": "non-sequential groups are not supported",
+    "FRESNELS": "Fresnel surfaces are not supported",
+    "IRREGULA": "irregular surfaces are not supported",
+}
+
+_APERTURES_REFUSED = {
+    "OBSC": "a central obscuration",
+    "SQOB": "a rectangular obscuration",
+    "ELOB": "an elliptical obscuration",
+    "ELAP": "an elliptical aperture",
+    "SPID": "a spider",
+    "UDAD": "an aperture drawn by the user",
+    "UDOB": "an obscuration drawn by the user",
+}
+
+_THERMAL = 20.0, 1.0
+
+
+def read(
+    path: Path, lines: list[str] | None = None, glasses: Mapping[str, str | float] | None = None
+) -> tuple[Lens, Report]:
+    """Return the lens of a Zemax file, and what became of its lines.
+
+    Parameters
+    ----------
+    path : Path
+    lines : list of str, optional
+        Its text, in place of reading it.
+    glasses : mapping, optional
+        Catalogue glass or index by the name that the file uses.
+
+    Raises
+    ------
+    SceneError
+        The file cannot be read, or holds what the lens cannot have.
+    """
+    reader = _Reader(Report(path))
+    for at, line in enumerate(read_lines(path) if lines is None else lines, 1):
+        reader.take(at, line)
+    return lens_of(reader.finished(), reader.report, glasses), reader.report
+
+
+class _Reader:
+    """Reads line by line; a command without a method of its name is looked up in the tables above."""
+
+    def __init__(self, report: Report) -> None:
+        self.report = report
+        self.made = Prescription()
+        self.kind = "STANDARD"
+        self.catalogues: list[str] = []
+        self.notes: list[str] = []
+        self.waves: dict[int, float] = {}
+        self.count = 0
+        self.fields: dict[str, list[float]] = {}
+        self.at, self.text = 0, ""
+
+    def take(self, at: int, line: str) -> None:
+        """Read one line."""
+        words = line.split()
+        if not words:
+            return
+        self.at, self.text = at, line.strip()
+        command, rest = words[0].upper(), words[1:]
+        method: Callable[[list[str]], None] | None = getattr(self, f"_on_{command.lower()}", None)
+        inside = line[:1] in " \t"
+        try:
+            if method is not None:
+                method(rest)
+            elif command in _APERTURES_REFUSED and inside:
+                self._refuse(f"{_APERTURES_REFUSED[command]} is not supported; only circular apertures are")
+            elif command in _WITHOUT_EFFECT or (self.made.surfaces and not inside):
+                # What follows the surfaces are merit functions, configurations and tolerances.
+                self._without_effect()
+            else:
+                self.report.add(at, self.text, Verdict.UNKNOWN)
+        except (ValueError, IndexError) as error:
+            self._refuse(str(error) if isinstance(error, ValueError) else "it is cut short")
+
+    def finished(self) -> Prescription:
+        """Return what was read, with what only the whole file shows."""
+        made = self.made
+        if not made.surfaces:
+            raise SceneError(f"{self.report.path}: no Zemax lens file: it has no line SURF")
+        used = [line for number, line in sorted(self.waves.items()) if not self.count or number <= self.count]
+        made.wavelengths_nm = list(dict.fromkeys(used))
+        if made.wavelengths_nm and self.waves:
+            primary = self.waves.get(made.primary, used[0])
+            made.primary = made.wavelengths_nm.index(primary) if primary in made.wavelengths_nm else 0
+        made.makers = self.catalogues
+        made.source = " ".join(self.notes).strip() or None
+        made.fields = self._field_points()
+        return made
+
+    def _field_points(self) -> list[FieldPoint]:
+        x, y = self.fields.get("x", []), self.fields.get("y", [])
+        points = []
+        for i in range(max(len(x), len(y))):
+            squeeze, shift = self._entry("vcy", i), self._entry("vdy", i)
+            point = FieldPoint(self._entry("x", i), self._entry("y", i), 1 - squeeze + shift, 1 - squeeze - shift)
+            points.append(point)
+        return list(dict.fromkeys(points))
+
+    def _entry(self, key: str, i: int) -> float:
+        values = self.fields.get(key, [])
+        return values[i] if i < len(values) else 0.0
+
+    @property
+    def _surface(self) -> FileSurface:
+        if not self.made.surfaces:
+            raise ValueError("it stands before the first SURF")
+        return self.made.surfaces[-1]
+
+    def _taken(self, how: str = "") -> None:
+        self.report.add(self.at, self.text, Verdict.TAKEN, how)
+
+    def _approximated(self, how: str) -> None:
+        self.report.add(self.at, self.text, Verdict.APPROXIMATED, how)
+
+    def _without_effect(self) -> None:
+        self.report.add(self.at, self.text, Verdict.WITHOUT_EFFECT)
+
+    def _refuse(self, why: str) -> None:
+        self.report.refuse(self.at, self.text, why)
+
+    # The file as a whole.
+
+    def _on_mode(self, words: list[str]) -> None:
+        if words[0].upper() != "SEQ":
+            self._refuse("only sequential files are supported")
+        else:
+            self._taken()
+
+    def _on_name(self, words: list[str]) -> None:
+        self.made.name = " ".join(words) or None
+        self._taken()
+
+    def _on_note(self, words: list[str]) -> None:
+        if words and words[0] == "0":
+            self.notes.append(" ".join(words[1:]))
+        self._taken()
+
+    def _on_unit(self, words: list[str]) -> None:
+        unit = words[0].upper()
+        if unit not in _UNITS_MM:
+            raise ValueError(f"unit {unit} is unknown; known are {', '.join(_UNITS_MM)}")
+        self.made.unit_mm = _UNITS_MM[unit]
+        self._taken()
+
+    def _on_enpd(self, words: list[str]) -> None:
+        self._pupil("epd", words)
+
+    def _on_fnum(self, words: list[str]) -> None:
+        self._pupil("working_f_number" if len(words) > 1 and number(words[1]) else "f_number", words)
+
+    def _on_obna(self, words: list[str]) -> None:
+        if len(words) > 1 and number(words[1]):
+            self.made.pupil = "object_na", math.sin(math.radians(number(words[0])))
+            self._taken("the half angle of the cone")
+        else:
+            self._pupil("object_na", words)
+
+    def _on_floa(self, _: list[str]) -> None:
+        self.made.pupil = "stop", 0.0
+        self._taken()
+
+    def _pupil(self, kind: str, words: list[str]) -> None:
+        value = number(words[0])
+        if value <= 0:
+            raise ValueError("it must be above 0")
+        self.made.pupil = kind, value
+        self._taken()
+
+    def _on_envd(self, words: list[str]) -> None:
+        if len(words) > 1 and tuple(numbers(words[:2])) != _THERMAL:
+            self._approximated("indices are those of the catalogue, at its own temperature and pressure")
+        else:
+            self._taken()
+
+    def _on_gcat(self, words: list[str]) -> None:
+        # Catalogues of a certain date are named like SUMITA_AUG2011.
+        self.catalogues = [word.upper().split("_")[0] for word in words]
+        self._taken()
+
+    def _on_ftyp(self, words: list[str]) -> None:
+        kind = int(number(words[0]))
+        self.made.field_kind = _FIELD_KINDS.get(kind, "angle")
+        if len(words) > 3:
+            self.count = int(number(words[3]))
+            self.fields["count"] = [number(words[2])]
+        if kind not in _FIELD_KINDS:
+            self._approximated("fields of an unknown kind count as angles, for apertures that the file leaves open")
+        else:
+            self._taken()
+
+    def _of_fields(self, key: str, words: list[str]) -> None:
+        values = numbers(words)
+        if "count" in self.fields:
+            values = values[: max(1, int(self.fields["count"][0]))]
+        self.fields[key] = values
+        self._taken()
+
+    def _on_xfln(self, words: list[str]) -> None:
+        self._of_fields("x", words)
+
+    def _on_yfln(self, words: list[str]) -> None:
+        self._of_fields("y", words)
+
+    _on_xfld, _on_yfld = _on_xfln, _on_yfln
+
+    def _on_vcyn(self, words: list[str]) -> None:
+        self._of_fields("vcy", words)
+
+    def _on_vdyn(self, words: list[str]) -> None:
+        self._of_fields("vdy", words)
+
+    def _on_vdxn(self, _: list[str]) -> None:
+        self._without_effect()
+
+    _on_vcxn = _on_vdxn
+
+    def _on_wavm(self, words: list[str]) -> None:
+        self._wave(int(number(words[0])), number(words[1]))
+
+    def _on_wavl(self, words: list[str]) -> None:
+        for i, value in enumerate(numbers(words), 1):
+            self._wave(i, value)
+
+    def _wave(self, place: int, micrometres: float) -> None:
+        if micrometres <= 0:
+            raise ValueError("a wavelength must be above 0")
+        # Micrometres with up to ten digits; the product would bring rounding into the eleventh.
+        self.waves[place] = float(f"{micrometres * 1000.0:.10g}")
+        self._taken()
+
+    def _on_pwav(self, words: list[str]) -> None:
+        self.made.primary = int(number(words[0]))
+        self._taken()
+
+    def _on_mnum(self, words: list[str]) -> None:
+        if int(number(words[0])) > 1:
+            self._approximated(f"{words[0]} configurations: the surfaces are taken as they stand in the file")
+        else:
+            self._without_effect()
+
+    # Surfaces.
+
+    def _on_surf(self, _: list[str]) -> None:
+        if len(self.made.surfaces) >= MOST_SURFACES:
+            raise SceneError(f"{self.report.path}: line {self.at}: more than {MOST_SURFACES} surfaces")
+        self.made.surfaces.append(FileSurface(self.at, self.text))
+        self.kind = "STANDARD"
+        self._taken()
+
+    def _on_type(self, words: list[str]) -> None:
+        self.kind = words[0].upper()
+        if self.kind in ("STANDARD", "EVENASPH", "COORDBRK"):
+            self._taken()
+        else:
+            why = _REFUSED_TYPES.get(self.kind, f"surfaces of type {self.kind} are not supported")
+            self._refuse(f"{why}; STANDARD and EVENASPH are")
+
+    def _on_stop(self, _: list[str]) -> None:
+        self._surface.stop = True
+        self._taken()
+
+    def _on_curv(self, words: list[str]) -> None:
+        self._surface.curvature = number(words[0])
+        self._taken(self._solve(words[1:2]))
+
+    def _on_disz(self, words: list[str]) -> None:
+        if words[0].upper().startswith("INF"):
+            if len(self.made.surfaces) > 1:
+                raise ValueError("only the object may stand at infinity")
+            self._surface.thickness = math.inf
+        else:
+            self._surface.thickness = number(words[0])
+        self._taken()
+
+    @staticmethod
+    def _solve(words: list[str]) -> str:
+        return "a solve or pickup: its present value" if words and words[0] not in ("0", "1") else ""
+
+    def _on_glas(self, words: list[str]) -> None:
+        name, surface = words[0], self._surface
+        if name.upper() == "MIRROR":
+            self._refuse("mirrors are not supported: the lens refracts")
+            return
+        surface.glass_line = self.at, self.text
+        values = numbers(words[3:5]) if len(words) > 4 else []
+        if name == "___BLANK" or (len(words) > 1 and words[1] == "1"):
+            if len(values) < 2:
+                raise ValueError("a model glass needs nd and Vd")
+            if len(words) > 5 and number(words[5]):
+                self._approximated("the deviation of its partial dispersion is not used")
+            surface.model = values[0], values[1]
+        else:
+            surface.glass = name
+            # Files of catalogue glasses carry 1.5 and 40 where the program never wrote what it knows.
+            if values and values[0] not in (0.0, 1.5):
+                surface.stated_index = values[0]
+        self._taken(self._solve(["2"] if len(words) > 1 and words[1] == "2" else []))
+
+    def _on_coni(self, words: list[str]) -> None:
+        self._surface.conic = number(words[0])
+        self._taken()
+
+    def _on_parm(self, words: list[str]) -> None:
+        place, value = int(number(words[0])), number(words[1])
+        if not value:
+            self._taken()
+        elif self.kind == "EVENASPH" and 2 <= place <= 8:
+            asphere = self._surface.asphere
+            asphere += [0.0] * (place - 1 - len(asphere))
+            asphere[place - 2] = value
+            self._taken()
+        elif self.kind == "EVENASPH" and place == 1:
+            self._refuse("a term in r² beside the curvature is not supported; put it into the curvature")
+        elif self.kind == "COORDBRK":
+            if place != 6:
+                self._refuse("a coordinate break that moves or tilts: decentred and folded axes are not supported")
+        elif self.kind == "STANDARD":
+            self._without_effect()
+        # Parameters of a refused type are refused with it.
+
+    def _on_xdat(self, words: list[str]) -> None:
+        if self.kind in ("STANDARD", "EVENASPH", "COORDBRK") and len(words) > 1 and number(words[1]):
+            self.report.add(self.at, self.text, Verdict.UNKNOWN)
+
+    def _on_diam(self, words: list[str]) -> None:
+        self._surface.extent = abs(number(words[0])) or None
+        self._taken()
+
+    def _on_clap(self, words: list[str]) -> None:
+        inner, outer = numbers(words[:2])
+        if inner > 0:
+            self._refuse("a ring-shaped aperture is not supported: its middle is dark")
+        elif outer > 0:
+            self._surface.aperture = outer
+            self._taken()
+        else:
+            self._taken("the semi-diameter")
+            self._surface.aperture = self._surface.extent
+
+    _on_flap = _on_clap
+
+    def _on_sqap(self, words: list[str]) -> None:
+        half = numbers(words[:2])
+        self._surface.aperture = math.hypot(*half)
+        self._approximated("a rectangular aperture: the circle round it")
+
+    def _on_obdc(self, words: list[str]) -> None:
+        if any(numbers(words[:2])):
+            self._refuse("a decentred aperture is not supported")
+        else:
+            self._taken()
+
+    def _on_scbd(self, words: list[str]) -> None:
+        if any(numbers(words[2:])):
+            self._refuse("a decentred or tilted surface is not supported")
+        else:
+            self._taken()

@@ -1,0 +1,92 @@
+"""Writing a lens as a Zemax file, with the object at infinity and the image in the paraxial focus of the d line."""
+
+import math
+
+from lfmesh.errors import GlassError, SceneError
+from lfmesh.imports.glasses import named_glass
+from lfmesh.imports.writing import check_writable, curvature, maker_and_name, stop_radius_mm
+from lfmesh.optics.glass import D_LINE_NM, glass_name
+from lfmesh.scene.lens import Lens, Surface
+from lfmesh.scene.paraxial import Paraxial
+
+_MOST_TERMS = 7
+"""Even aspheres have the powers r⁴ to r¹⁶."""
+
+
+def written(lens: Lens) -> tuple[bytes, list[str]]:
+    """Return a lens as the bytes of a `.zmx` file (UTF-16, as the program writes it), and what it does not hold.
+
+    Raises
+    ------
+    SceneError
+        The format cannot hold the lens.
+    """
+    notes = check_writable(lens, "Zemax")
+    makers = _makers(lens)
+    lines = ["VERS 140124 0 0", "MODE SEQ"]
+    if lens.name:
+        lines.append(f"NAME {' '.join(lens.name.split())}")
+    if lens.source:
+        lines.append(f"NOTE 0 {' '.join(lens.source.split())}")
+    lines += ["PFIL 0 0 0", "UNIT MM X W X CM MR CPMM"]
+    radius = stop_radius_mm(lens)
+    lines.append(f"FNUM {lens.f_number!r} 0" if lens.f_number is not None else "FLOA")
+    if makers:
+        lines.append(f"GCAT {' '.join(makers)}")
+    lines += [
+        "ENVD 20 1 0",
+        "FTYP 0 0 1 1 0 0 0",
+        "XFLN 0",
+        "YFLN 0",
+        "FWGN 1",
+        f"WAVM 1 {D_LINE_NM / 1000!r} 1",
+        "PWAV 1",
+    ]
+    lines += ["SURF 0", "  TYPE STANDARD", "  CURV 0.0", "  DISZ INFINITY"]
+    image_mm = Paraxial.of(lens, D_LINE_NM).bfl_mm
+    for i, surface in enumerate(lens.surfaces):
+        lines += _surface(i, surface, radius if surface.stop else surface.semi_diameter_mm)
+        last = i == len(lens.surfaces) - 1
+        distance = image_mm if last and math.isfinite(image_mm) else surface.thickness_mm or 0.0
+        lines.append(f"  DISZ {distance!r}")
+    lines += [f"SURF {len(lens.surfaces) + 1}", "  TYPE STANDARD", "  CURV 0.0", "  DISZ 0"]
+    return ("\ufeff" + "\r\n".join([*lines, "MNUM 1 1", ""])).encode("utf-16-le"), notes
+
+
+def _surface(number: int, surface: Surface, aperture_mm: float | None) -> list[str]:
+    terms = len(surface.asphere_mm)
+    if terms > _MOST_TERMS:
+        raise SceneError(
+            f"surfaces[{number}].asphere_mm: {terms} terms; Zemax's even asphere has {_MOST_TERMS} from r⁴"
+        )
+    lines = [f"SURF {number + 1}"]
+    if surface.stop:
+        lines.append("  STOP")
+    lines.append("  TYPE EVENASPH" if terms else "  TYPE STANDARD")
+    lines.append(f"  CURV {curvature(surface.radius_mm)!r} 0 0 0 0")
+    lines += [f"  PARM {place} {value!r}" for place, value in enumerate((0, *surface.asphere_mm), 1) if terms]
+    if surface.glass is not None:
+        lines.append(f"  GLAS {maker_and_name(surface.glass, 'Zemax')[1]} 0 0 1.5 40 0 0 0 0 0 0")
+    elif surface.medium is not None:
+        # A model glass of Abbe number 0 does not disperse.
+        lines.append(f"  GLAS ___BLANK 1 0 {surface.index!r} 0 0 0 0 0 0 0")
+    if surface.conic:
+        lines.append(f"  CONI {surface.conic!r}")
+    if aperture_mm is not None:
+        lines += [f"  DIAM {aperture_mm!r} 1 0 0 1", f"  FLAP 0 {aperture_mm!r} 0"]
+    return lines
+
+
+def _makers(lens: Lens) -> list[str]:
+    """Return the makers of a lens's glasses in an order in which each name is found at its own maker."""
+    glasses = list(dict.fromkeys(surface.glass for surface in lens.surfaces if surface.glass is not None))
+    named = [(glass, *maker_and_name(glass, "Zemax")) for glass in glasses]
+    makers = list(dict.fromkeys(maker for _, maker, _ in named))
+    for turn in range(max(1, len(makers))):
+        order = makers[turn:] + makers[:turn]
+        try:
+            if all(glass_name(named_glass(name, order)[0]) == glass_name(glass) for glass, _, name in named):
+                return order
+        except GlassError:
+            continue
+    raise SceneError(f"glasses {', '.join(glasses)}: a Zemax file cannot tell their makers apart")

@@ -1,0 +1,128 @@
+"""CODE V sequences: the same laws as for Zemax files, and the language's own traps."""
+
+from pathlib import Path
+
+import pytest
+
+from lfmesh.errors import SceneError
+from lfmesh.imports import zemax
+from lfmesh.imports.codev import commands, read
+from lfmesh.imports.report import Verdict
+from lfmesh.scene import load_lens
+from tests.imports.files import SINGLET_SEQ, SINGLET_ZMX
+
+FILE = Path("lens.seq")
+
+
+def lens_of(text, **options):
+    return read(FILE, text.splitlines(), **options)[0]
+
+
+def report_of(text):
+    return read(FILE, text.splitlines())[1]
+
+
+def changed(old, new):
+    assert SINGLET_SEQ.count(old) == 1
+    return SINGLET_SEQ.replace(old, new)
+
+
+def refusal_of(text):
+    with pytest.raises(SceneError) as error:
+        lens_of(text)
+    return str(error.value)
+
+
+def test_the_same_lens_as_in_a_zemax_file():
+    there, _ = zemax.read(Path("lens.zmx"), SINGLET_ZMX.splitlines())
+    assert lens_of(SINGLET_SEQ).model_copy(update={"source": there.source}) == there
+
+
+def test_curvatures_in_place_of_radii():
+    text = changed("RDM;LEN", "RDM N;LEN").replace("S 50.0 5.0", "S 0.02 5.0").replace("S -80.0", "S -0.0125")
+    assert lens_of(text) == lens_of(SINGLET_SEQ)
+    guessed = text.replace("RDM N;", "")
+    assert lens_of(guessed) == lens_of(SINGLET_SEQ)
+    (line,) = report_of(guessed).of(Verdict.APPROXIMATED)
+    assert line.how.startswith("no RDM in the file")
+
+
+def test_commands_are_cut_at_semicolons_and_joined_by_ampersands():
+    lines = ["s 1 & ! cut", "2; k 3 ! c; d", "TITLE 'a; b ! c'", 'SLB "x"']
+    assert [(at, words) for at, words in commands(lines)] == [
+        (1, ["s", "1", "2"]),
+        (1, ["k", "3"]),
+        (3, ["TITLE", "'a; b ! c'"]),
+        (4, ["SLB", '"x"']),
+    ]
+
+
+def test_a_command_may_name_its_surface():
+    moved = (
+        changed("  CIR 6.25\n", "").replace("  STO\n", "").replace("SI 0.0 0.0\n", "SI 0.0 0.0\nCIR S2 6.25\nSTO S1\n")
+    )
+    assert lens_of(moved) == lens_of(SINGLET_SEQ)
+    assert (
+        lens_of(moved + "RDY S1 40\nTHI S1 4\nGLA S1 1.0.0\n".replace("GLA S1 1.0.0\n", "")).surfaces[0].radius_mm == 40
+    )
+
+
+def test_without_a_stop_the_first_surface_is_it():
+    assert lens_of(changed("  STO\n", "")) == lens_of(SINGLET_SEQ)
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("C", 10.0), ("I", 25.4)])
+def test_units(unit, scale):
+    one, other = lens_of(SINGLET_SEQ), lens_of(changed("DIM M", f"DIM {unit}"))
+    for a, b in zip(one.surfaces, other.surfaces, strict=True):
+        assert b.sag_mm(3.0 * scale) == pytest.approx(scale * a.sag_mm(3.0), rel=1e-13)
+
+
+def test_a_private_glass_of_one_index_is_that_index():
+    text = changed("SO 0.0", "PRV\nPWL 650 550&\n 450\n'MINE' 1.6 1.6 1.6\nEND\nSO 0.0").replace(
+        "NBK7_SCHOTT", "'MINE'"
+    )
+    assert lens_of(text).surfaces[0].index == 1.6
+    assert "'MINE': not in the catalogue" in refusal_of(text.replace("1.6 1.6 1.6", "1.6 1.61 1.62"))
+
+
+def test_a_fictitious_glass_at_the_d_line_alone_is_its_index():
+    text = changed("NBK7_SCHOTT", "516800.641700")
+    assert "nd = 1.5168, Vd = 64.17 alone" in refusal_of(text)
+    single = text.replace("WL 656.2725 587.5618 486.1327", "WL 587.6").replace("REF 2", "REF 1")
+    assert lens_of(single).surfaces[0].index == pytest.approx(1.5168, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("NBK7_SCHOTT", "REFL", "mirrors are not supported"),
+        ("NBK7_SCHOTT", "SK19_SCHOTT", "not in the catalogue"),
+        ("  CIR 6.25", "  CIR OBS 2.0", "obscurations and holes"),
+        ("  CIR 6.25", "  ADE 5.0", "tilted and decentred"),
+        ("  CIR 6.25", "  DIF DOE", "diffractive"),
+        ("  CIR 6.25", "  XTO", "toroids"),
+        ("  CIR 6.25", "  REX 3.0; REY 4.0", "rectangular apertures"),
+        ("A 1e-6", "A one", "'one' is no number"),
+        ("DIM M", "DIM F", "unit F is unknown"),
+    ],
+)
+def test_what_changes_the_image_is_refused_with_its_line(old, new, reason):
+    message = refusal_of(changed(old, new))
+    assert message.startswith("lens.seq: ")
+    assert reason in message
+    assert "line " in message
+
+
+def test_a_decentre_of_zero_is_nothing():
+    assert lens_of(changed("  CIR 6.25", "  CIR 6.25\n  ADE 0.0; YDE 0; DAR")) == lens_of(SINGLET_SEQ)
+
+
+def test_a_file_that_is_cut_short_says_so():
+    assert refusal_of(changed("SI 0.0 0.0\nGO\n", "")) == "lens.seq: cut short: it has no image surface SI"
+
+
+def test_a_path_loads_by_its_ending(tmp_path):
+    path = tmp_path / "Lens.SEQ"
+    path.write_text(SINGLET_SEQ)
+    assert load_lens(path) == lens_of(SINGLET_SEQ)

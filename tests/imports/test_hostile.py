@@ -1,0 +1,99 @@
+"""Garbage under the name of a lens file ends in one clear line, quickly."""
+
+import time
+
+import numpy as np
+import pytest
+
+from lfmesh.errors import SceneError
+from lfmesh.scene import load_lens
+from tests.imports.files import SINGLET_SEQ, SINGLET_ZMX
+
+GARBAGE = {
+    "empty": (b"", "it has no line S"),
+    "zeros": (bytes(100_000), "no text"),
+    "noise": (np.random.default_rng(1).bytes(200_000), "no text"),
+    "large": (b"x " * 5_000_000, "larger than 8 MB"),
+    "lines": (b"\n" * 2_000_000, "more than 100000 lines"),
+    "words": (b"CURV " + b"9" * 4_000_000, "it has no line S|before the first"),
+    "half of UTF-16": (SINGLET_ZMX.encode("utf-16")[:-1], "cut short"),
+    "a picture": (b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 10, "no text"),
+}
+
+
+def outcome(path):
+    """The message of the error that reading ends in; the path where there is none."""
+    try:
+        load_lens(path)
+    except SceneError as error:
+        return str(error)
+    return str(path)
+
+
+@pytest.mark.parametrize("ending", [".zmx", ".seq"])
+@pytest.mark.parametrize("kind", GARBAGE)
+def test_garbage_is_one_line(tmp_path, ending, kind):
+    data, reason = GARBAGE[kind]
+    path = tmp_path / f"lens{ending}"
+    path.write_bytes(data)
+    start = time.monotonic()
+    with pytest.raises(SceneError, match=reason) as error:
+        load_lens(path)
+    assert len(str(error.value)) < 600
+    assert time.monotonic() - start < 20.0
+
+
+@pytest.mark.parametrize(("ending", "line"), [(".zmx", "SURF 1\n"), (".seq", "S 1 1\n")])
+def test_surfaces_without_end_are_refused(tmp_path, ending, line):
+    path = tmp_path / f"lens{ending}"
+    path.write_text(("SO 0 1e14\n" if ending == ".seq" else "") + 5000 * line)
+    with pytest.raises(SceneError, match="more than 1000 surfaces"):
+        load_lens(path)
+
+
+@pytest.mark.parametrize(("ending", "text"), [(".zmx", SINGLET_ZMX), (".seq", SINGLET_SEQ)])
+@pytest.mark.filterwarnings("ignore::lfmesh.errors.LensFileWarning")
+def test_any_cut_of_a_file_is_a_lens_or_one_clear_error(tmp_path, ending, text):
+    path = tmp_path / f"lens{ending}"
+    for end in range(0, len(text), 7):
+        path.write_text(text[:end])
+        assert str(path) in outcome(path)
+
+
+@pytest.mark.parametrize(("ending", "text"), [(".zmx", SINGLET_ZMX), (".seq", SINGLET_SEQ)])
+@pytest.mark.filterwarnings("ignore::lfmesh.errors.LensFileWarning")
+def test_changed_words_make_a_lens_or_one_clear_error(tmp_path, ending, text):
+    draw = np.random.default_rng(2)
+    path = tmp_path / f"lens{ending}"
+    words = text.split(" ")
+    strange = [
+        "-1",
+        "0",
+        "1e400",
+        "nan",
+        "1e-320",
+        "STOP",
+        "'",
+        '"',
+        "&",
+        ";",
+        "S",
+        "\n",
+        "99999999999999999999",
+        "S1..3",
+    ]
+    for _ in range(300):
+        new = list(words)
+        for place in draw.integers(len(new), size=draw.integers(1, 4)):
+            new[place] = strange[draw.integers(len(strange))]
+        path.write_text(" ".join(new))
+        assert str(path) in outcome(path)
+
+
+def test_a_folder_and_a_missing_file(tmp_path):
+    for name in ("missing.zmx", "folder.zmx"):
+        path = tmp_path / name
+        if name.startswith("folder"):
+            path.mkdir()
+        with pytest.raises(SceneError, match="cannot be read"):
+            load_lens(path)

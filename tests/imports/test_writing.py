@@ -1,0 +1,69 @@
+"""TOML to another program's file and back is the same lens; what a format cannot hold is refused or said."""
+
+import pytest
+
+from lfmesh.errors import SceneError
+from lfmesh.imports import read_lens_file, write_lens_file
+from lfmesh.optics.glass import glass_name
+from lfmesh.scene import Element, Lens, Pose, Surface, load_lens
+from lfmesh.scene.files import library
+
+ENDINGS = (".zmx", ".seq", ".toml")
+
+
+def with_full_names(lens):
+    """The lens with each glass named by its maker."""
+    surfaces = tuple(
+        s.model_copy(update={"glass": glass_name(s.glass)}) if s.glass is not None else s for s in lens.surfaces
+    )
+    return lens.model_copy(update={"surfaces": surfaces})
+
+
+def assert_same(lens, again):
+    """Equal to the last digit, but for a stop that comes back from its entrance pupil."""
+    assert len(again.surfaces) == len(lens.surfaces)
+    for a, b in zip(lens.surfaces, again.surfaces, strict=True):
+        assert b.model_copy(update={"semi_diameter_mm": None}) == a.model_copy(update={"semi_diameter_mm": None})
+        assert b.semi_diameter_mm == (pytest.approx(a.semi_diameter_mm, rel=1e-14) if a.semi_diameter_mm else None)
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+@pytest.mark.parametrize("name", library())
+def test_every_lens_of_the_library_comes_back(tmp_path, name, ending):
+    lens = with_full_names(load_lens(f"lib:{name}"))
+    path = tmp_path / f"lens{ending}"
+    notes = write_lens_file(lens, path)
+    again, _ = read_lens_file(path)
+    assert_same(lens, again)
+    assert again.name == lens.name
+    assert again.source == lens.source or (ending == ".seq" and notes == ["the source stands in a comment"])
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_an_f_number_and_aspheres_come_back(tmp_path, ending):
+    lens = Lens(
+        name="fast",
+        surfaces=(
+            Surface(radius_mm=41.7, thickness_mm=6.1, index=1.6, semi_diameter_mm=12.0, conic=-0.7, asphere_mm=(1e-6,)),
+            Surface(radius_mm=-77.3, thickness_mm=3.0, semi_diameter_mm=11.5, asphere_mm=(0.0, 2e-9, -1e-12)),
+            Surface(stop=True),
+        ),
+        f_number=2.8,
+    )
+    path = tmp_path / f"lens{ending}"
+    write_lens_file(lens, path)
+    again, _ = read_lens_file(path)
+    assert_same(lens, again)
+    assert again.f_number == 2.8
+
+
+def test_tilted_elements_are_not_written():
+    surfaces = load_lens("lib:ball_10mm").surfaces
+    lens = Lens(surfaces=surfaces, elements=(Element(surfaces=(0, 1), pose=Pose(tilt_deg=(1.0, 0.0, 0.0))),))
+    with pytest.raises(SceneError, match="tilted and decentred elements cannot be written"):
+        write_lens_file(lens, "never.zmx")
+
+
+def test_an_unknown_ending_is_refused():
+    with pytest.raises(SceneError, match=r"written to \.toml, \.zmx or \.seq"):
+        write_lens_file(load_lens("lib:ball_10mm"), "lens.len")

@@ -10,6 +10,7 @@ from lfmesh.scene.quantities import Count, Positive, Whole
 
 MOST_EVENTS = 2**15 - 1
 """What a packet counts in 16 bits."""
+MOST_THREADS = 1024
 
 
 class Tessellation(Model):
@@ -56,9 +57,9 @@ class Transport(Model):
     lenslet weighs far more than one that is; the latter's weight counts."""
     wavelengths_nm: tuple[Annotated[Positive, Field(ge=100, le=20000)], ...] = Field(default=(587.6,), min_length=1)
     """Wavelength samples, in nm; the middle one is the primary."""
-    seed: Annotated[Whole, Field(lt=2**63)] = 0
+    seed: Whole = 0
     """Of the random numbers."""
-    threads: Whole = 0
+    threads: Annotated[Whole, Field(le=MOST_THREADS)] = 0
     """0: all there are; the result is the same for any number."""
 
     @property

@@ -54,8 +54,10 @@ def accuracy(
         prepare(output)
     with status() as say:
         report = measure(given, quick=quick, progress=say)
+    # Written first: it is not lost if nothing can be printed.
+    paths = report.write(output) if output is not None else ()
     report.print(Console(width=COLUMNS))
-    list_files(report.write(output) if output is not None else ())
+    list_files(paths)
     return 0
 
 

@@ -44,6 +44,7 @@ from lfmesh.lightfield.calibration import Calibration
 from lfmesh.lightfield.upright import UPRIGHT, Upright
 from lfmesh.scene import Scene
 from lfmesh.scene.inputs import COPIES
+from lfmesh.scene.literals import shown_path
 from lfmesh.transport.aiming.aim_proof import AimProof
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import Refinement
@@ -396,6 +397,7 @@ def _writable(path: Path) -> Iterator[list[Path]]:
 
     Every OSError, here or in the body, is the user's: a full disk, a missing right.
     """
+    _refuse_unwritable_name(path)
     recover(path)
     _refuse_foreign(path)
     made: list[Path] = []
@@ -414,6 +416,17 @@ def _writable(path: Path) -> Iterator[list[Path]]:
         if isinstance(error, OSError):
             raise _cannot_write(path, error) from None
         raise
+
+
+def _refuse_unwritable_name(path: Path) -> None:
+    """Refuse a name that OpenEXR and JSON cannot hold, before anything is computed that would be lost."""
+    try:
+        path.absolute().as_posix().encode("utf-8")
+    except UnicodeEncodeError:
+        shown = os.fsencode(path).decode("utf-8", errors="backslashreplace")
+        raise FileError(f"{shown} cannot be written: its path is no UTF-8; choose another folder") from None
+    if "\0" in str(path):
+        raise FileError(f"{shown_path(path)} cannot be written: a file's name holds no NUL character")
 
 
 def _refuse_foreign(path: Path) -> None:

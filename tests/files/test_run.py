@@ -336,3 +336,9 @@ def test_saving_copies_a_large_film_few_times(image_of: Build, tmp_path: Path) -
             tracemalloc.stop()
     # Mean and standard error as float32 are one film; the noise's median needs two, and masks of a byte a pixel.
     assert peaks[1] - peaks[0] < 3.0 * 8 * (sides[1] ** 2 - sides[0] ** 2)
+
+
+def test_an_image_is_shown_in_one_short_line(image_of: Build) -> None:
+    shown = repr(image_of())
+    assert shown.startswith("<Image: 80 × 60 pixels, 1 wavelength, 8 of 8 replicates, 64 samples a pixel, ")
+    assert len(shown) < 150

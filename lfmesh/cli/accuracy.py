@@ -28,7 +28,7 @@ def accuracy(
     /,
     *,
     output: Annotated[
-        Path | None, Parameter(name=["--output", "-o"], help="Folder for the HTML page and the tables as CSV.")
+        Path | None, Parameter(name=["--out", "--output", "-o"], help="Folder for the HTML page and the tables as CSV.")
     ] = None,
     quick: Annotated[bool, Parameter(negative=(), help="Fewer meshes, rays and samples.")] = False,
     hard: Annotated[bool, Parameter(negative=(), help="Run the hard cases instead, one line each.")] = False,

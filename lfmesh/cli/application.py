@@ -66,7 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code if isinstance(code, int) else 0
     except cyclopts.CycloptsError as error:
-        return _complain(f"{_one_paragraph(str(error))}\nSee: lfmesh --help")
+        command = " ".join(["lfmesh", *(error.command_chain or ())])
+        return _complain(f"{_one_paragraph(str(error))}\nSee: {command} --help")
     except LfmeshError as error:
         return _complain(str(error))
     except KeyboardInterrupt:

@@ -12,6 +12,10 @@ KERNELS = {"kernel", "inlined", "pasted"}
 """Decorators of what numba compiles, which takes tables apart before it is called."""
 
 
+def test_completion_offers_public_names_only() -> None:
+    assert dir(lfmesh) == sorted(lfmesh.__all__)
+
+
 def crowded(source: str) -> Iterator[tuple[str, int]]:
     """Yield the functions with too many parameters, kernels excepted, and how many they have."""
     for node in ast.walk(ast.parse(source)):

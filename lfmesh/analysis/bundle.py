@@ -134,7 +134,14 @@ class LensRays:
         return follow_sequence(lens, path if faces is None else path.until(faces), *self.starts(slope, entry))
 
     def at_stop(self, slope: Array, entry: Array, wavelength_nm: float) -> Array:
-        """Return where rays cross the surface of the stop, in its own frame, (n, 2) mm; NaN where they do not come."""
+        """Return where rays cross the surface of the stop, in its own frame, (n, 2) mm; NaN where they do not come.
+
+        Parameters
+        ----------
+        slope, entry : (n, 2) float64
+            As for `starts`.
+        wavelength_nm : float
+        """
         arrived = self._followed(slope, entry, wavelength_nm, self._faces_to_stop)
         p = frames.points(self._into_stop, arrived.position)
         if self.world.scene.camera.lens.is_pure_stop(self._stop):

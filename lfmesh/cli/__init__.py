@@ -9,7 +9,17 @@ body, under `lfmesh.cli.interrupts.defer_interrupt` if that brings numba, Embree
 examples of `application.py` and in the README.
 """
 
-from lfmesh.cli import accuracy, compare, export, lens, lightfield, render, schema, view  # noqa: F401  # adds their commands
+from lfmesh.cli import (  # noqa: F401  # adds their commands
+    accuracy,
+    compare,
+    export,
+    lens,
+    lens_sheet,
+    lightfield,
+    render,
+    schema,
+    view,
+)
 from lfmesh.cli.application import app, main
 
 __all__ = ["app", "main"]

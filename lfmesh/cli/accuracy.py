@@ -28,7 +28,7 @@ def accuracy(
     /,
     *,
     output: Annotated[
-        Path | None, Parameter(name=["--output", "-o"], help="Folder for the HTML page and the tables as CSV.")
+        Path | None, Parameter(name=["--out", "--output", "-o"], help="Folder for the HTML page and the tables as CSV.")
     ] = None,
     quick: Annotated[bool, Parameter(negative=(), help="Fewer meshes, rays and samples.")] = False,
     hard: Annotated[bool, Parameter(negative=(), help="Run the hard cases instead, one line each.")] = False,
@@ -54,8 +54,10 @@ def accuracy(
         prepare(output)
     with status() as say:
         report = measure(given, quick=quick, progress=say)
+    # Written first: it is not lost if nothing can be printed.
+    paths = report.write(output) if output is not None else ()
     report.print(Console(width=COLUMNS))
-    list_files(report.write(output) if output is not None else ())
+    list_files(paths)
     return 0
 
 

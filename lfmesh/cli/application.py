@@ -3,6 +3,8 @@
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
 
 import cyclopts
 from cyclopts import App
@@ -61,26 +63,59 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         The exit code: 0, 2 for wrong input (one message on standard error), 130 after Ctrl-C.
     """
+    _open_streams()
     try:
         with lens_files_as_notes():
             code = app(arguments, exit_on_error=False, print_error=False)
         sys.stdout.flush()
         return code if isinstance(code, int) else 0
     except cyclopts.CycloptsError as error:
-        return _complain(f"{_one_paragraph(str(error))}\nSee: lfmesh --help")
+        command = " ".join(["lfmesh", *(error.command_chain or ())])
+        return _complain(f"{_one_paragraph(str(error))}\nSee: {command} --help")
     except LfmeshError as error:
         return _complain(str(error))
     except KeyboardInterrupt:
         print("\nStopped before anything was finished; nothing was written.", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        # Our reader went away, as in `lfmesh schema | head`; Python must not flush into it at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        # Our reader went away, as in `lfmesh schema | head`.
+        _give_up_output()
         return BROKEN_PIPE
+    except OSError as error:
+        if error.filename is None:
+            _give_up_output()
+        where = "what is printed" if error.filename is None else str(error.filename)
+        return _complain(f"{where}: cannot be written or read: {error.strerror or error}")
+
+
+def _open_streams() -> None:
+    """Make printing safe: closed streams lead nowhere, and characters that a stream lacks are escaped.
+
+    Nothing that was computed may be lost because it cannot be printed.
+    """
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            # The lowest number is free, and a file that took it would get what libraries print.
+            os.open(os.devnull, os.O_RDWR)
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115  # for the whole process
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _give_up_output() -> None:
+    """Lead standard output nowhere: Python must not flush into it at exit, which would fail again."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _complain(message: str) -> int:
-    print(f"lfmesh: {message}", file=sys.stderr)
+    with suppress(OSError):
+        print(f"lfmesh: {message}", file=sys.stderr, flush=True)
     return WRONG_INPUT
 
 

@@ -47,7 +47,9 @@ def compare(
     # That planes beyond the refocus range are blurred is what is measured.
     with status() as say, warnings_as_notes(LostEnergyWarning):
         comparison = comparing.compare(loaded, reduction=reduction, steps=steps, progress=say)
+    # Written first: it is not lost if nothing can be printed.
+    paths = comparing.write(comparison, out)
     for words, *values in comparison.rows():
         print(f"{words:<23}" + "".join(f"{value:<24}" for value in values).rstrip())
-    list_files(comparing.write(comparison, out))
+    list_files(paths)
     return 0

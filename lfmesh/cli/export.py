@@ -35,7 +35,7 @@ def export(
     out: Annotated[Path, Parameter(name=["--out", "-o"], help="Folder to write: new or empty.")],
     depth: Annotated[
         Path | None,
-        Parameter(help="With hci: EXR of the middle view's distances in mm, in its channel truth or else Z."),
+        Parameter(help="With hci: EXR of the middle view's distances in mm, channel truth or Z; may be the run's."),
     ] = None,
 ) -> int:
     """Write a run for other people's tools: a folder with their files, and export.json, which says what means what."""
@@ -48,11 +48,16 @@ def export(
     if kind == "plenopticam" or kind == "plenpy":
         paths = _exported_raw(run, out, kind)
     else:
-        depth_mm = exr.read_map(depth, ("truth", "Z")) if depth is not None else None
+        depth_mm = exr.read_map(_found(depth, run), ("truth", "Z")) if depth is not None else None
         field = field_of(run)
         paths = export_field(field, out, kind, depth_mm=depth_mm)
     print(f"  {out}: {len(paths)} files; {paths[-1].name} says what means what")
     return 0
+
+
+def _found(depth: Path, folder: Path) -> Path:
+    """Return where a depth file is: at its path, or else in the run."""
+    return depth if depth.exists() or not (folder / depth).is_file() else folder / depth
 
 
 def _exported_raw(folder: Path, out: Path, kind: Literal["plenopticam", "plenpy"]) -> list[Path]:

@@ -49,8 +49,10 @@ def decode(
     from lfmesh.files import field as field_files
 
     field = _decoded(run, centres, white, views)
+    # Saved first: it is not lost if nothing can be printed.
+    paths = field_files.save_field(field, run)
     print(wrapped(_field_in_words(field)))
-    list_files(field_files.save_field(field, run))
+    list_files(paths)
     return 0
 
 

@@ -130,7 +130,7 @@ def read(path: Path, part_names: Sequence[str], optional: Sequence[str] = ()) ->
                 for part in file.parts
             }
             headers = {part.name(): dict(part.header) for part in file.parts}
-    except (RuntimeError, OSError):
+    except Exception:  # of a damaged file OpenEXR's readers may raise anything
         raise FileError(f"{path} is not a readable OpenEXR file: it is truncated, damaged or something else") from None
     missing = [name for name in part_names if name not in pixels]
     if missing:
@@ -140,10 +140,13 @@ def read(path: Path, part_names: Sequence[str], optional: Sequence[str] = ()) ->
     if not isinstance(text, str):
         raise FileError(f"{path} was not written by lfmesh: its part {part_names[0]!r} has no attribute {METADATA!r}")
     metadata = _parse(path, text)
-    wavelengths_nm = tuple(metadata.pop("wavelengths_nm"))
+    wavelengths_nm = _numbers(path, metadata.pop("wavelengths_nm"))
     channels = [channel_name(wavelength) for wavelength in wavelengths_nm]
     if any(set(pixels[name]) != set(channels) for name in part_names):
         raise FileError(f"{path} is damaged: its channels must be {', '.join(channels)}")
+    shapes = {pixels[name][channel].shape for name in part_names for channel in channels}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 2:
+        raise FileError(f"{path} is damaged: its channels differ in size")
     return SpectralImage(
         parts={name: np.stack([pixels[name][channel] for channel in channels], axis=2) for name in part_names},
         wavelengths_nm=wavelengths_nm,
@@ -166,16 +169,23 @@ def read_map(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
             channels = file.parts[0].channels if file.parts else {}
             found = next((name for name in names if name in channels), None)
             pixels = channels[found].pixels.astype(np.float32) if found is not None else None
-    except (RuntimeError, OSError):
+    except Exception:  # as in read
         raise FileError(f"{path} is not a readable OpenEXR file: it is truncated, damaged or something else") from None
     if pixels is None:
         raise FileError(f"{path} has no channel {' or '.join(names)}")
     return np.asarray(pixels)
 
 
+def _numbers(path: Path, wavelengths_nm: Any) -> tuple[float, ...]:
+    numbers = wavelengths_nm if isinstance(wavelengths_nm, list) else []
+    if not numbers or not all(isinstance(number, int | float) for number in numbers):
+        raise FileError(f"{path} is damaged: its wavelengths_nm must be a list of numbers")
+    return tuple(numbers)
+
+
 def _parse(path: Path, text: str) -> dict[str, Any]:
     try:
         metadata: Mapping[str, Any] = json.loads(text)
         return {"wavelengths_nm": metadata["wavelengths_nm"], **metadata}
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         raise FileError(f"{path} is damaged: its attribute {METADATA!r} is not the JSON that lfmesh writes") from None

@@ -78,17 +78,17 @@ def open_field(folder: Path) -> LightField | None:
     metadata = spectral.metadata
     version = metadata.get("lightfield_format")
     if version != FORMAT:
-        reason = run.WHY_OTHERS_ARE_REFUSED.get(version or 0)
+        reason = run.WHY_OTHERS_ARE_REFUSED.get(version) if isinstance(version, int) else None
         raise FileError(
             f"{path} has light field format {version}; this lfmesh {lfmesh.__version__} reads {FORMAT}"
             + (f": {reason}; decode the run again" if reason else "")
         )
     if metadata.get("raw_sha256") != digest:
         return None
-    try:
+    with run.fitting(path, "decode the run again"):
         axes = {name: np.asarray(metadata[name], dtype=np.float64) for name in _AXES}
         rows, columns = metadata["views"]
-        return LightField(
+        field = LightField(
             data=from_mosaic(spectral.parts["views"], (rows, columns)),
             stderr=from_mosaic(spectral.parts["stderr"], (rows, columns)),
             **axes,
@@ -98,5 +98,9 @@ def open_field(folder: Path) -> LightField | None:
             sampling=metadata["sampling"],
             sharing=from_mosaic(spectral.parts["sharing"], (rows, columns))[0, 0, :, :, 0].copy(),
         )
-    except (KeyError, TypeError, ValueError):
-        raise FileError(f"{path} is damaged: its views and axes do not fit; decode the run again") from None
+        lengths = tuple(len(axis) if axis.ndim == 1 else -1 for axis in axes.values())
+        if field.data.shape[:4] != lengths:
+            raise ValueError(f"its views are {field.data.shape[:4]}, its axes {lengths} long")
+        if not all(np.isfinite(axis).all() for axis in axes.values()):
+            raise ValueError("its axes hold what is no finite number")
+    return field

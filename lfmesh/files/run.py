@@ -17,11 +17,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lfmesh
-from lfmesh.errors import FileError
+from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files import exr, words
 from lfmesh.files.calibration import write_calibration
 from lfmesh.files.checkpoint import CHECKPOINT
-from lfmesh.files.folder import STAGING, Change, Entry, Manifest, commit, is_safe, manifest_of, recover, saved, staged
+from lfmesh.files.folder import (
+    MANIFEST,
+    STAGING,
+    Change,
+    Entry,
+    Manifest,
+    commit,
+    is_safe,
+    manifest_of,
+    recover,
+    saved,
+    staged,
+)
 from lfmesh.files.inputs import within
 from lfmesh.files.json_values import plain_json
 from lfmesh.files.lenslets import lenslet_means, paint
@@ -32,6 +44,7 @@ from lfmesh.lightfield.calibration import Calibration
 from lfmesh.lightfield.upright import UPRIGHT, Upright
 from lfmesh.scene import Scene
 from lfmesh.scene.inputs import COPIES
+from lfmesh.scene.literals import shown_path
 from lfmesh.transport.aiming.aim_proof import AimProof
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import Refinement
@@ -151,12 +164,14 @@ def open_run(folder: str | os.PathLike[str]) -> Image:
     """
     path = Path(folder)
     report = report_of(path)
+    _refuse_change(path, RAW)
     spectral = exr.read(path / RAW, PARTS, [HITS])
     metadata = spectral.metadata
     _refuse_damage(path / RAW, spectral)
     if metadata["pixels_sha256"] != report.get("pixels_sha256"):
         raise FileError(f"{path} mixes two runs, {RAW} and {REPORT} do not belong together; render it again")
-    return _image_from(spectral, path)
+    _refuse_change(path, REPORT)
+    return _image_from(spectral, path / RAW)
 
 
 def save_white(white: Image, calibration: Calibration, folder: str | os.PathLike[str]) -> Path:
@@ -202,7 +217,7 @@ def open_white(folder: str | os.PathLike[str]) -> Image | None:
         return None
     spectral = exr.read(path / WHITE, PARTS, [HITS])
     _refuse_damage(path / WHITE, spectral)
-    return _image_from(spectral, path)
+    return _image_from(spectral, path / WHITE)
 
 
 @contextmanager
@@ -285,12 +300,78 @@ def pixels_digest(folder: Path) -> str:
     return str(report_of(folder).get("pixels_sha256"))
 
 
+def _refuse_change(folder: Path, name: str) -> None:
+    """Refuse a file that is not the one saved, before its contents are looked at.
+
+    Readers of files with a few wrong bits may do anything.
+    """
+    if saved(folder, name) is None:
+        raise FileError(f"{folder / MANIFEST} does not name {name}, without which there is no run; render it again")
+
+
+@contextmanager
+def fitting(path: Path, advice: str) -> Iterator[None]:
+    """Turn what goes wrong with the metadata of a file into one line that names the file.
+
+    Parameters
+    ----------
+    path : Path
+    advice : str
+        What to do, such as "render the scene again".
+    """
+    try:
+        yield
+    except (
+        LfmeshError,
+        KeyError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        IndexError,
+        ArithmeticError,
+        RecursionError,
+    ) as e:
+        what = (
+            f"{e.args[0]!r} is missing" if isinstance(e, KeyError) else f"{str(e).splitlines()[0] if str(e) else e!r}"
+        )
+        raise FileError(f"{path} is damaged: {what[:200]}; {advice}") from None
+
+
 def _refuse_damage(path: Path, spectral: exr.SpectralImage) -> None:
     if spectral.metadata.get("pixels_sha256") != _digest(*spectral.parts.values()):
         raise FileError(f"{path} is damaged: its pixels are not those that were saved")
 
 
-def _image_from(spectral: exr.SpectralImage, folder: Path) -> Image:
+def _image_from(spectral: exr.SpectralImage, path: Path) -> Image:
+    """Return the image of a file whose pixels are those that were saved."""
+    with fitting(path, "render the scene again"):
+        image = _image_of(spectral, path.parent)
+        _refuse_impossible(image)
+    return image
+
+
+def _refuse_impossible(image: Image) -> None:
+    """Raise a ValueError where an image's numbers cannot be those of a render."""
+    columns, rows = image.scene.camera.sensor.pixels
+    shape = (rows, columns, len(image.scene.transport.wavelengths_nm))
+    if image.mean.shape != shape:
+        raise ValueError(f"its pixels are {image.mean.shape}, and its scene's sensor has {shape}")
+    if not np.isfinite(image.mean).all() or (image.mean < 0.0).any():
+        raise ValueError("it has pixels that are negative, infinite or no number")
+    # A single replicate has no spread, and NaN stands for its error.
+    if np.isinf(image.stderr).any() or (image.stderr < 0.0).any():
+        raise ValueError("it has standard errors that are negative or infinite")
+    for name in ("seconds", "samples"):
+        value = getattr(image, name)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(f"{name} is {value!r}, no number")
+    if isinstance(image.replicates, bool) or not isinstance(image.replicates, int) or image.replicates < 0:
+        raise ValueError(f"replicates_finished is {image.replicates!r}, no count")
+    if not isinstance(image.engine, str) or not isinstance(image.coatings, dict):
+        raise ValueError("engine or coatings are not what lfmesh writes")
+
+
+def _image_of(spectral: exr.SpectralImage, folder: Path) -> Image:
     metadata = spectral.metadata
     return Image(
         mean=spectral.parts["raw"].astype(np.float64),
@@ -316,6 +397,7 @@ def _writable(path: Path) -> Iterator[list[Path]]:
 
     Every OSError, here or in the body, is the user's: a full disk, a missing right.
     """
+    _refuse_unwritable_name(path)
     recover(path)
     _refuse_foreign(path)
     made: list[Path] = []
@@ -334,6 +416,17 @@ def _writable(path: Path) -> Iterator[list[Path]]:
         if isinstance(error, OSError):
             raise _cannot_write(path, error) from None
         raise
+
+
+def _refuse_unwritable_name(path: Path) -> None:
+    """Refuse a name that OpenEXR and JSON cannot hold, before anything is computed that would be lost."""
+    try:
+        path.absolute().as_posix().encode("utf-8")
+    except UnicodeEncodeError:
+        shown = os.fsencode(path).decode("utf-8", errors="backslashreplace")
+        raise FileError(f"{shown} cannot be written: its path is no UTF-8; choose another folder") from None
+    if "\0" in str(path):
+        raise FileError(f"{shown_path(path)} cannot be written: a file's name holds no NUL character")
 
 
 def _refuse_foreign(path: Path) -> None:
@@ -372,8 +465,8 @@ def _held_by(path: Path) -> dict[str, Entry | None]:
         manifest = None
     if manifest is not None:
         return dict(manifest)
-    files = (_read_report(path) or {}).get("files", [])
-    ours = [name for name in files if is_safe(name) and _OURS.fullmatch(name)]
+    files = (_read_report(path) or {}).get("files")
+    ours = [] if not isinstance(files, list) else [name for name in files if is_safe(name) and _OURS.fullmatch(name)]
     return {name: None for name in ours if (path / name).is_file()}
 
 
@@ -486,7 +579,10 @@ def scene_metadata(scene: Scene, home: Path) -> dict[str, Any]:
 def scene_from(metadata: dict[str, Any], folder: Path) -> Scene:
     """Return the scene as rendered, without asking whether its meshes and textures still exist."""
     scene = Scene(**tomllib.loads(metadata["scene_toml"])).in_folder(folder / metadata["scene_folder"])
-    return scene.with_digests(metadata.get("inputs", {}))
+    inputs = metadata.get("inputs", {})
+    if not isinstance(inputs, dict) or not all(isinstance(digest, str) for digest in inputs.values()):
+        raise ValueError("inputs are not digests by path")
+    return scene.with_digests(inputs)
 
 
 def _micro_images(scene: Scene) -> Lattice | None:

@@ -5,6 +5,7 @@ it, an OFF that is cut short a smaller mesh), so what it returns is held against
 """
 
 import json
+import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,13 +16,19 @@ import numpy as np
 
 from lfmesh.errors import MeshError
 from lfmesh.geometry.mesh import Array, Mesh
-from lfmesh.geometry.texture import Texture, linear_light, with_alpha
+from lfmesh.geometry.texture import FORMATS, MOST_PIXELS, Texture, linear_light, why_no_file, with_alpha
 
 MM_PER_UNIT = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3, "inch": 25.4, "foot": 304.8}
 """Units of length a target may name."""
 
 UNIT_OF_FORMAT = {".glb": "m", ".gltf": "m"}
 """glTF 2.0, section 3.4: all linear distances are metres."""
+
+FARTHEST_MM = 1e15
+"""What a coordinate may be: that of a scene's own numbers."""
+
+MOST_ENTRIES = 10**9
+"""Of one accessor of a glTF file: more than memory holds, and more than a mesh needs."""
 
 ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf")
 
@@ -78,8 +85,7 @@ def load_mesh(path: Path, units: str | None = None, alpha: bool = False) -> list
     if ending not in ENDINGS:
         raise MeshError(f"{path}: not a kind of mesh file that can be read; valid are {', '.join(ENDINGS)}")
     if not path.is_file():
-        found = "is a folder" if path.is_dir() else "does not exist"
-        raise MeshError(f"{path}: the mesh file {found}")
+        raise MeshError(f"{path}: the mesh file {why_no_file(path)}")
     pieces = _read(path, ending, units, alpha)
     facets = sum(len(piece.mesh.faces) for piece in pieces)
     if facets == 0:
@@ -88,6 +94,10 @@ def load_mesh(path: Path, units: str | None = None, alpha: bool = False) -> list
         bad = int((~np.isfinite(piece.mesh.vertices[piece.mesh.faces])).any(axis=(1, 2)).sum())
         if bad:
             raise MeshError(f"{path}: {bad} of {facets} facets have a corner that is no finite number")
+        if np.abs(piece.mesh.vertices[piece.mesh.faces]).max(initial=0.0) > FARTHEST_MM:
+            raise MeshError(f"{path}: has a corner farther than {FARTHEST_MM:g} mm from the origin of its frame")
+        if piece.uv is not None and not np.isfinite(piece.uv).all():
+            raise MeshError(f"{path}: has a place in its picture that is no finite number")
     return pieces
 
 
@@ -110,7 +120,7 @@ def companions(path: Path) -> list[str]:
         try:
             document = json.loads(path.read_bytes())
             uris = [entry.get("uri", "") for key in ("buffers", "images") for entry in document.get(key, [])]
-        except (ValueError, AttributeError, TypeError):
+        except (ValueError, AttributeError, TypeError, RecursionError):
             return []
         names += [unquote(uri) for uri in uris if uri and not uri.startswith("data:")]
     return [name for name in dict.fromkeys(names) if (path.parent / name).is_file()]
@@ -127,6 +137,8 @@ def _read(path: Path, ending: str, units: str | None, alpha: bool) -> list[Piece
     unit = _agreed(path, UNIT_OF_FORMAT.get(ending), units)
     if ending == ".obj":
         _check_obj(path)
+    elif ending in UNIT_OF_FORMAT:
+        _check_gltf(path, _gltf_document(path, ending))
     try:
         scene = trimesh.load_scene(path, process=False)
         # By the identity of trimesh's image, so that geometries that share a picture keep sharing it.
@@ -136,8 +148,10 @@ def _read(path: Path, ending: str, units: str | None, alpha: bool) -> list[Piece
             for transform, name in (scene.graph[node] for node in scene.graph.nodes_geometry)
             if isinstance(scene.geometry[name], trimesh.Trimesh)
         ]
+    except MeshError:
+        raise
     except Exception as error:  # a broken file may raise anything inside trimesh's parsers
-        reason = f"{type(error).__name__}: {error}".splitlines()[0]
+        reason = _shortened(f"{type(error).__name__}: {error}".splitlines()[0])
         raise MeshError(f"{path}: broken, or not a {ending[1:].upper()} file ({reason})") from None
     if ending == ".off":
         _check_off_count(path, sum(len(piece.mesh.faces) for piece in pieces))
@@ -162,6 +176,9 @@ def _piece(geometry: Any, transform: Array, scale: float, pictures: dict[int, Te
     """Return one geometry of trimesh's scene, transformed and in mm."""
     vertices = np.asarray(geometry.vertices, dtype=np.float64)
     faces = np.asarray(geometry.faces, dtype=np.int64)
+    if len(faces) and not 0 <= faces.min() <= faces.max() < len(vertices):
+        wrong = faces.min() if faces.min() < 0 else faces.max()
+        raise ValueError(f"a facet names vertex {wrong}, and there are {len(vertices)}, counted from 0")
     # Coordinate by coordinate: a matrix product may round equal vertices differently and open their seam.
     with np.errstate(invalid="ignore"):
         moved = transform[:3, 3] + sum(vertices[:, [k]] * transform[:3, k] for k in range(3))
@@ -211,6 +228,10 @@ def _colour(material: Any, pictures: dict[int, Texture], alpha: bool) -> tuple[T
         return None, np.ones(channels)
     if image is None:
         return None, colour
+    if image.format is not None and image.format not in FORMATS:
+        raise ValueError(f"its picture is {image.format}; valid are {', '.join(FORMATS)}")
+    if image.size[0] * image.size[1] > MOST_PIXELS:
+        raise ValueError(f"its picture has {image.size[0]} × {image.size[1]} pixels; {MOST_PIXELS} are the most")
     if id(image) not in pictures:
         light = linear_light(image)
         pictures[id(image)] = with_alpha(light, image) if alpha else light
@@ -230,12 +251,72 @@ def _check_obj(path: Path) -> None:
         raise MeshError(f"{path}: line {line}: a facet names vertex 0; OBJ counts from 1 (or back from -1)")
     for name in _MATERIAL_FILE.findall(text):
         library = path.parent / name
+        _check_inside(path, name, "material file")
         if not library.is_file():
             raise MeshError(f"{path}: its material file {name} is not there; add it or delete the mtllib line")
         for value in _PICTURE_FILE.findall(library.read_text(encoding="utf-8", errors="replace")):
             picture = _picture_name(value)
+            _check_inside(path, (Path(name).parent / picture).as_posix(), "picture")
             if not (library.parent / picture).is_file():
                 raise MeshError(f"{library}: its picture {picture} is not there; add it or delete the map_Kd line")
+
+
+def _check_inside(path: Path, name: str, kind: str) -> None:
+    """Raise if a file that a mesh names lies outside its folder: a mesh from elsewhere must not open other files."""
+    inside = "\0" not in name and Path(os.path.normpath(path.parent / name)).is_relative_to(
+        os.path.normpath(path.parent)
+    )
+    if not inside:
+        raise MeshError(f"{path}: its {kind} {name!r} is outside the mesh's folder; put it beside the mesh")
+    try:
+        irregular = (path.parent / name).exists() and not (path.parent / name).is_file()
+    except OSError as error:
+        raise MeshError(f"{path}: its {kind} {_shortened(name)!r}: {error.strerror}") from None
+    if irregular:
+        raise MeshError(f"{path}: its {kind} {name} is no regular file")
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= 200 else f"{text[:197]}..."
+
+
+def _gltf_document(path: Path, ending: str) -> dict[str, Any]:
+    """Return the JSON of a glTF or GLB file (glTF 2.0, section 4.4: after the header of 12 bytes the first chunk)."""
+    content = path.read_bytes()
+    try:
+        if ending == ".glb":
+            if content[:4] != b"glTF" or content[16:20] != b"JSON":
+                raise ValueError("its header is not that of a GLB file")
+            content = content[20 : 20 + int.from_bytes(content[12:16], "little")]
+        document = json.loads(content)
+        if not isinstance(document, dict):
+            raise ValueError("its JSON is no object")
+        return document
+    except (ValueError, RecursionError) as error:
+        reason = _shortened(f"{type(error).__name__}: {error}".splitlines()[0])
+        raise MeshError(f"{path}: broken, or not a {ending[1:].upper()} file ({reason})") from None
+
+
+def _check_gltf(path: Path, document: dict[str, Any]) -> None:
+    """Raise what trimesh does not look at: files that are not there or none, and tables larger than memory."""
+    for key, kind in (("buffers", "buffer"), ("images", "picture")):
+        for entry in _objects(document, key):
+            uri = entry.get("uri")
+            if not isinstance(uri, str) or uri.startswith("data:"):
+                continue
+            name = unquote(uri)
+            _check_inside(path, name, kind)
+            if not (path.parent / name).is_file():
+                raise MeshError(f"{path}: its {kind} {name} is not there; put it beside the mesh")
+    for accessor in _objects(document, "accessors"):
+        count = accessor.get("count")
+        if not isinstance(count, int) or not 0 <= count <= MOST_ENTRIES:
+            raise MeshError(f"{path}: broken: an accessor counts {_shortened(repr(count))} entries")
+
+
+def _objects(document: dict[str, Any], key: str) -> list[dict[str, Any]]:
+    entries = document.get(key, [])
+    return [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list) else []
 
 
 def _check_off_count(path: Path, facets: int) -> None:

@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.geometry import frame
 from lfmesh.kernel import inlined, kernel
+from lfmesh.scene.lens import MOST_ASPHERE_TERMS
 
-MAX_ASPHERE_TERMS = 10
+MAX_ASPHERE_TERMS = MOST_ASPHERE_TERMS
 
 SURFACE = np.dtype(
     [

@@ -1,5 +1,8 @@
 """Pictures on targets: files to linear light."""
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +17,25 @@ Texture = NDArray[np.float32]
 """(h, w, 3) linear light, 0 to 1; row 0 is the top of the picture."""
 
 
+FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "GIF")
+"""What is opened, as Pillow names it, whatever a file's name ends in. Pillow knows more: PostScript, for which it
+starts another program, and formats whose readers break on damaged files."""
+
+MOST_PIXELS = 2**26
+"""Of one picture: as linear light they take 0.8 GB."""
+
+_BAND_PIXELS = 2**20
+"""Pixels that are converted at a time, so that only the result takes memory."""
+
+
 def load_texture(path: Path, alpha: bool = False) -> Texture:
     """Read a picture as linear light.
 
     Parameters
     ----------
     path : Path
-        PNG, JPEG, or what else Pillow reads; grey or RGB, sRGB-coded. 16-bit grey keeps its depth, 16-bit colour is
-        read with 8. A photograph is turned upright by its own record.
+        PNG, JPEG, TIFF, BMP, WebP or GIF of up to 67 million pixels; grey or RGB, sRGB-coded. 16-bit grey keeps its
+        depth, 16-bit colour is read with 8. A photograph is turned upright by its own record.
     alpha : bool
         Read its transparency too, which is ignored otherwise.
 
@@ -33,21 +47,53 @@ def load_texture(path: Path, alpha: bool = False) -> Texture:
     Raises
     ------
     FileError
-        The file is not there or is no picture.
+        The file is not there, is no picture, is broken, or has too many pixels.
     """
     path = Path(path)
     if not path.is_file():
-        found = "is a folder" if path.is_dir() else "does not exist"
-        raise FileError(f"{path}: the texture {found}; give a picture (PNG or JPEG)")
+        raise FileError(f"{path}: the texture {why_no_file(path)}; give a picture (PNG or JPEG)")
     try:
-        with PIL.Image.open(path) as picture:
+        with opened(path) as picture:
             upright = PIL.ImageOps.exif_transpose(picture)
             light = linear_light(upright)
             return with_alpha(light, upright) if alpha else light
-    except (OSError, SyntaxError, ValueError, PIL.Image.DecompressionBombError) as error:
+    except FileError:
+        raise
+    except Exception as error:  # a damaged file may raise anything inside Pillow's readers
         unknown = isinstance(error, PIL.UnidentifiedImageError)
-        reason = "not a picture" if unknown else f"a broken picture ({error})"
-        raise FileError(f"{path}: {reason}; a texture is a PNG or JPEG") from None
+        reason = f"{error}" if str(error) else type(error).__name__
+        reason = "not a picture" if unknown else f"a broken picture ({reason.splitlines()[0]})"
+        raise FileError(f"{path}: {reason}; a texture is one of {', '.join(FORMATS)}") from None
+
+
+def why_no_file(path: Path) -> str:
+    """Return in words why a path is no file that can be read."""
+    if path.is_dir():
+        return "is a folder"
+    return "is no regular file" if path.exists() else "does not exist"
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[PIL.Image.Image]:
+    """Open a picture of one of `FORMATS`; its pixels are not read yet.
+
+    Raises
+    ------
+    FileError
+        It has more than `MOST_PIXELS`.
+    """
+    with warnings.catch_warnings():
+        # Pillow's own limit is higher, and its warning would stand before the refusal.
+        warnings.simplefilter("ignore", PIL.Image.DecompressionBombWarning)
+        try:
+            picture = PIL.Image.open(path, formats=FORMATS)
+        except PIL.Image.DecompressionBombError:
+            raise FileError(f"{path}: has more than {MOST_PIXELS} pixels; give a smaller picture") from None
+    with picture:
+        width, height = picture.size
+        if width * height > MOST_PIXELS:
+            raise FileError(f"{path}: has {width} × {height} pixels; give a picture of {MOST_PIXELS} at most")
+        yield picture
 
 
 def linear_light(picture: PIL.Image.Image) -> Texture:
@@ -55,11 +101,16 @@ def linear_light(picture: PIL.Image.Image) -> Texture:
 
     16-bit grey is taken as it is; every other mode as 8-bit RGB, without its transparency.
     """
-    if picture.mode.startswith("I;16"):
-        coded = np.asarray(picture, dtype=np.float64) / 65535.0
-        return srgb_to_linear(np.repeat(coded[:, :, None], 3, axis=2))
-    linear_of_byte = srgb_to_linear(np.arange(256) / 255.0)
-    return np.take(linear_of_byte, np.asarray(picture.convert("RGB")))
+    deep = picture.mode.startswith("I;16")
+    linear_of_code = srgb_to_linear(np.arange(65536) / 65535.0 if deep else np.arange(256) / 255.0)
+    coded = np.asarray(picture if deep else picture.convert("RGB"))
+    height, width = coded.shape[:2]
+    linear = np.empty((height, width, 3), np.float32)
+    rows = max(1, _BAND_PIXELS // max(1, width))
+    for start in range(0, height, rows):
+        band = linear_of_code[coded[start : start + rows]]
+        linear[start : start + rows] = band[:, :, None] if deep else band
+    return linear
 
 
 def with_alpha(light: Texture, picture: PIL.Image.Image) -> Texture:

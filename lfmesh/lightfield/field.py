@@ -64,6 +64,13 @@ class LightField:
     sampling: str
     sharing: Samples
 
+    def __repr__(self) -> str:
+        v, u, t, s, channels = self.data.shape
+        return (
+            f"<LightField: {u} × {v} views of {s} × {t} samples, {channels} wavelength{'s' if channels > 1 else ''}, "
+            f"{self.unit}>"
+        )
+
     @cached_property
     def model(self) -> RayModel:
         """The camera's map between shift and distance: first-order optics, moved to the best focus of its bundles."""

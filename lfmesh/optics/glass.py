@@ -239,7 +239,7 @@ def _suggestion(name: str) -> str:
     names = _catalogue()
     wanted = name.strip().upper()
     bare = _letters(wanted.rsplit("/", 1)[-1])
-    for maker in _MAKERS:
+    for maker in MAKERS:
         # CODE V writes the maker behind the name.
         bare = (bare.removesuffix(maker) or bare).removeprefix(maker) or bare
     makers_glasses = [known for known in names if known.count("/") <= 1]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from lfmesh.scene.distance import reach_in_words
 from lfmesh.scene.model import format_path
-from lfmesh.scene.paraxial import Paraxial
+from lfmesh.scene.paraxial import Paraxial, quotient
 from lfmesh.scene.scene import Scene
 from lfmesh.scene.solve import image_plane_mm
 from lfmesh.scene.targets import Box, Cylinder, Disk, Plane, Sphere, Target
@@ -94,11 +94,17 @@ def _micro_images(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
     mla = scene.camera.mla
     if mla is None or diameter is None or pitch is None or microlens is None:
         return
-    if abs(facts.working_f_number / microlens - 1) > _F_NUMBER_TOLERANCE:
+    if abs(quotient(facts.working_f_number, microlens) - 1) > _F_NUMBER_TOLERANCE:
         yield (
             f"the f-numbers do not match: the lens works at f/{facts.working_f_number:.3g}, the "
             f"microlenses at f/{microlens:.3g}"
         )
+    if pitch <= 0:
+        yield (
+            "the lens's exit pupil lies between array and sensor: the micro-images fall on one another and tell no "
+            "directions"
+        )
+        return
     if diameter > pitch * (1 + _TOUCHING_TOLERANCE):
         yield (
             f"micro-images overlap: they are {diameter:.4g} pixels wide and {pitch:.4g} apart; stop the lens "
@@ -181,10 +187,10 @@ def _half_field(z_mm: float, facts: "FirstOrder") -> tuple[float, float]:
     """Half width and height seen at a plane, by the chief rays through the middle of the entrance pupil."""
     focus_z, pupil_z = -facts.object_distance_mm, facts.entrance_pupil_z_mm
     if not math.isfinite(focus_z):
-        scale = abs(z_mm - pupil_z) / abs(facts.efl_mm)
+        scale = quotient(abs(z_mm - pupil_z), abs(facts.efl_mm))
         width, height = (size * scale for size in facts.field_of_view_mm)
     else:
-        scale = abs((z_mm - pupil_z) / (focus_z - pupil_z)) if math.isfinite(pupil_z) else 1.0
+        scale = abs(quotient(z_mm - pupil_z, focus_z - pupil_z)) if math.isfinite(pupil_z) else 1.0
         width, height = (size * scale for size in facts.field_of_view_mm)
     # The pupil is not a point: off the plane in focus, the edge of the field is as soft as the beam is wide
     # there.

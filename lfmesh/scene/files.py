@@ -10,10 +10,16 @@ from lfmesh.assets import asset_path
 from lfmesh.errors import FileError, SceneError
 from lfmesh.scene.lens import Lens
 from lfmesh.scene.lens_readers import reader_of
-from lfmesh.scene.model import fault_lines, nearest
+from lfmesh.scene.literals import LONGEST_BITS, literal, shown_path
+from lfmesh.scene.model import fault_lines, format_path, listed, nearest
+from lfmesh.scene.quantities import path_fault
 from lfmesh.scene.scene import Scene
 
+DEEPEST_TABLE = 32
+"""Tables and lists in one another that a file may have; scenes have some six."""
+
 _LENS = "camera.lens"
+_TOO_DEEP = "tables or lists stand too deep in one another; no scene needs that"
 
 LIBRARY = "lib:"
 """What the name of a lens that comes with lfmesh starts with, in place of a path."""
@@ -80,19 +86,52 @@ def with_lens_file(lens: Lens, folder: Path) -> Lens:
 
 
 def _read(path: Path) -> dict[str, Any]:
+    if why := path_fault(str(path)):
+        raise SceneError(f"{shown_path(path)}: {why}")
     try:
         return _parse(path.read_bytes().decode("utf-8"), str(path))
     except OSError as error:
-        raise SceneError(f"{path}: cannot be read: {error.strerror}") from None
+        raise SceneError(f"{shown_path(path)}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise SceneError(f"{path}: byte {error.start} is no UTF-8; a scene file is UTF-8 text") from None
 
 
 def _parse(text: str, name: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(text)
+        data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"{name}: not valid TOML: {error}") from None
+    except RecursionError:
+        raise SceneError(f"{name}: {_TOO_DEEP}") from None
+    except ValueError:
+        # Python refuses to read integers of more than some 4300 digits, and dates that no calendar has.
+        raise SceneError(f"{name}: holds an integer of thousands of digits, or an impossible date or time") from None
+    _check_bounds(data, name)
+    return data
+
+
+def _check_bounds(data: dict[str, Any], name: str) -> None:
+    """Refuse nesting and integers that no validator or message can deal with; as a loop, since nesting is its subject.
+
+    Raises
+    ------
+    SceneError
+        Naming where they stand.
+    """
+    level: list[tuple[tuple[str | int, ...], Any]] = [((), data)]
+    for _ in range(DEEPEST_TABLE):
+        inside: list[tuple[tuple[str | int, ...], Any]] = []
+        for where, value in level:
+            if isinstance(value, dict):
+                inside += [((*where, key), item) for key, item in value.items()]
+            elif isinstance(value, list):
+                inside += [((*where, number), item) for number, item in enumerate(value)]
+            elif isinstance(value, int) and value.bit_length() > LONGEST_BITS:
+                raise SceneError(f"{name}: {format_path(where)} = {literal(value)}: no value of a scene is that large")
+        level = inside
+        if not level:
+            return
+    raise SceneError(f"{name}: {format_path(level[0][0][:3])}: {_TOO_DEEP}")
 
 
 def _scene(data: dict[str, Any], folder: Path, name: str) -> Scene:
@@ -127,9 +166,9 @@ def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[st
     try:
         held = _lens_table(_lens_path(file, folder))
     except SceneError as error:
-        return [f'{_LENS}.file = "{file}": {error}'], {}
+        return [f"{_LENS}.file = {literal(file)}: {error}"], {}
     if "file" in held:
-        return [f'{_LENS}.file = "{file}": a lens file holds surfaces itself and may not name another'], {}
+        return [f"{_LENS}.file = {literal(file)}: a lens file holds surfaces itself and may not name another"], {}
     if "stop_semi_diameter_mm" in lens or "f_number" in lens:
         held = {key: value for key, value in held.items() if key not in ("stop_semi_diameter_mm", "f_number")}
     camera["lens"] = {**held, **lens}  # type: ignore[index]
@@ -169,4 +208,4 @@ def _lens_table(path: Path) -> dict[str, Any]:
 def _refused(name: str, faults: list[str]) -> SceneError:
     if len(faults) == 1:
         return SceneError(f"{name}: {faults[0]}")
-    return SceneError("\n".join([f"{name}: {len(faults)} faults", *(f"  {line}" for line in faults)]))
+    return SceneError("\n".join([f"{name}: {len(faults)} faults", *(f"  {line}" for line in listed(faults))]))

@@ -10,12 +10,27 @@ from lfmesh.scene.coatings import UNCOATED
 from lfmesh.scene.finishes import POLISHED, AnyFinish, both_given
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.pose import Pose
-from lfmesh.scene.quantities import Flag, GlassName, Index, NonNegative, Number, Positive, Radius, Text, Whole
+from lfmesh.scene.quantities import (
+    LARGEST,
+    Coefficient,
+    Flag,
+    GlassName,
+    Index,
+    NonNegative,
+    Number,
+    Positive,
+    Radius,
+    Text,
+    Whole,
+)
 from lfmesh.scene.refractor import MeshFace, Refractor
 
 MOST_TILT_DEG = 45.0
 """Angle between the axis of a posed element and that of the lens, which a pose must stay below: light that comes along
 the axis of the lens then still crosses the element's surfaces in their order."""
+
+MOST_ASPHERE_TERMS = 10
+"""Terms of an asphere, up to r²²."""
 
 # Sags of neighbouring surfaces are compared at this many heights.
 _HEIGHTS = 256
@@ -44,7 +59,7 @@ class Surface(Model):
     """"polished", "diffuse" or { kind = "ground", roughness = 0.1 }."""
     conic: Number = 0.0
     """Conic constant: 0 sphere, −1 paraboloid, below −1 hyperboloid, above −1 ellipsoid."""
-    asphere_mm: tuple[Number, ...] = ()
+    asphere_mm: tuple[Coefficient, ...] = Field(default=(), max_length=MOST_ASPHERE_TERMS)
     """Even aspheric coefficients of r⁴, r⁶, r⁸, ..., in mm⁻³, mm⁻⁵, mm⁻⁷, ..., so that the sag is in mm."""
 
     refractor: Refractor | None = None
@@ -78,7 +93,7 @@ class Surface(Model):
         """
         c, r2 = self.curvature_per_mm, height_mm * height_mm
         root = math.sqrt(max(0.0, 1 - (1 + self.conic) * c * c * r2))
-        terms = (a * r2 ** (j + 2) for j, a in enumerate(self.asphere_mm))
+        terms = (_term_mm(a, height_mm, 2 * j + 4) for j, a in enumerate(self.asphere_mm))
         return c * r2 / (1 + root) + sum(terms)
 
     def faults(self) -> Iterator[Fault]:
@@ -93,6 +108,14 @@ class Surface(Model):
                 f"with radius_mm = {self.radius_mm:g} and conic = {self.conic:g} the surface ends "
                 f"{self.reach_mm:.6g} mm from the axis; give that at most",
             )
+        for j, coefficient in enumerate(self.asphere_mm if self.semi_diameter_mm is not None else ()):
+            sag = abs(_term_mm(coefficient, self.semi_diameter_mm or 0.0, 2 * j + 4))
+            if not sag <= LARGEST:
+                yield Fault(
+                    ("asphere_mm", j),
+                    coefficient,
+                    f"times r^{2 * j + 4} this makes a sag of more than {LARGEST:g} mm inside the clear aperture",
+                )
         if self.index is not None and self.glass is not None:
             yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
         yield from both_given(self.coating, self.finish, "finish")
@@ -107,6 +130,14 @@ class Surface(Model):
             yield Fault(
                 ("refractor", "priority"), self.refractor.priority, "omit it: elements of a lens do not overlap"
             )
+
+
+def _term_mm(coefficient: float, height_mm: float, power: int) -> float:
+    """Return one term of an asphere's sag, infinite where it is larger than any float."""
+    try:
+        return coefficient * height_mm**power
+    except OverflowError:
+        return math.copysign(math.inf, coefficient) if coefficient else 0.0
 
 
 class Element(Model):

@@ -5,9 +5,23 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+LONGEST_BITS = 1024
+"""Integers with more binary digits are described, not written out."""
 
-def literal(value: Any) -> str:
+
+DEEPEST = 8
+"""Lists and tables further inside are not written out."""
+
+
+def shown_path(path: object) -> str:
+    """Return a path for a message: on one line, whatever characters it holds."""
+    return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in str(path))
+
+
+def literal(value: Any, depth: int = 0) -> str:
     """Return a number, text, list or inline table as TOML; anything else as Python shows it."""
+    if depth > DEEPEST and isinstance(value, Mapping | list | tuple):
+        return "..."
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -15,8 +29,11 @@ def literal(value: Any) -> str:
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, float) and math.isinf(value):
         return "inf" if value > 0 else "-inf"
+    if isinstance(value, int) and abs(value).bit_length() > LONGEST_BITS:
+        # Python refuses to write integers of thousands of digits in decimals.
+        return f"an integer of some {round(abs(value).bit_length() * math.log10(2))} digits"
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {literal(item)}" for key, item in value.items()) + " }"
+        return "{ " + ", ".join(f"{key} = {literal(item, depth + 1)}" for key, item in value.items()) + " }"
     if isinstance(value, list | tuple):
-        return f"[{', '.join(literal(item) for item in value)}]"
+        return f"[{', '.join(literal(item, depth + 1) for item in value)}]"
     return repr(value)

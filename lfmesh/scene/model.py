@@ -19,12 +19,18 @@ from pydantic import (
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from lfmesh.errors import SceneError
-from lfmesh.scene.literals import literal
+from lfmesh.scene.literals import literal, shown_path
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
 else:
     ModelMetaclass = type(BaseModel)
+
+MOST_FAULTS = 20
+"""Faults that one message lists."""
+
+LONGEST_KEY = 60
+"""Characters of a key that a message shows."""
 
 Location = tuple[str | int, ...]
 
@@ -44,7 +50,7 @@ class _ModelClass(ModelMetaclass):
         try:
             return super().__call__(*args, **values)
         except ValidationError as error:
-            raise SceneError("\n".join(fault_lines(error, values, prefix=cls.__name__))) from None
+            raise SceneError("\n".join(listed(fault_lines(error, values, prefix=cls.__name__)))) from None
 
 
 class Model(BaseModel, metaclass=_ModelClass):
@@ -101,12 +107,24 @@ def fault_lines(
     return lines
 
 
+def listed(lines: list[str]) -> list[str]:
+    """Return the first faults of a list, and how many more there are."""
+    more = len(lines) - MOST_FAULTS
+    return [*lines[:MOST_FAULTS], f"and {more} more"] if more > 0 else lines
+
+
 def format_path(location: Iterable[str | int], prefix: str = "") -> str:
     """Write a location the way a reader of the file would: `targets[0].shape.radius_mm`."""
     path = prefix
     for step in location:
-        path += f"[{step}]" if isinstance(step, int) else f".{step}" if path else step
+        key = step if isinstance(step, int) else _short_key(step)
+        path += f"[{key}]" if isinstance(step, int) else f".{key}" if path else str(key)
     return path
+
+
+def _short_key(key: str) -> str:
+    text = shown_path(key)
+    return text if len(text) <= LONGEST_KEY else f"{text[: LONGEST_KEY - 3]}..."
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:

@@ -204,6 +204,13 @@ class Paraxial:
         return self.length_mm - _ratio(m.b, m.d), abs(_ratio(2 * stop_radius_mm, m.d))
 
 
+def quotient(numerator: float, denominator: float) -> float:
+    """Divide, with x/0 = inf of the sign of x, and 0/0 = nan."""
+    if denominator == 0:
+        return math.copysign(math.inf, numerator) if numerator else math.nan
+    return numerator / denominator
+
+
 def _ratio(numerator: float, denominator: float) -> float:
     """Divide, with x/0 = inf of the sign of x.
 

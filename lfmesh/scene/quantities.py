@@ -12,11 +12,27 @@ from lfmesh.errors import GlassError
 from lfmesh.optics.glass import find_glass
 from lfmesh.optics.metals import find_metal
 
-Number = Annotated[float, Field(strict=True)]
-Positive = Annotated[float, Field(strict=True, gt=0)]
-NonNegative = Annotated[float, Field(strict=True, ge=0)]
-Whole = Annotated[int, Field(strict=True, ge=0)]
-Count = Annotated[int, Field(strict=True, ge=1)]
+LARGEST = 1e15
+"""Largest magnitude of a number in a scene, in its unit: products of a few of them stay far from overflow."""
+SMALLEST = 1e-30
+"""Smallest positive number where 0 is not allowed: its reciprocal, squared, stays far from overflow."""
+LARGEST_COUNT = 2**31 - 1
+LARGEST_WHOLE = 2**63 - 1
+
+
+def _not_vanishing(value: float) -> float:
+    if abs(value) < SMALLEST:
+        raise ValueError(f"must be {SMALLEST:g} or more")
+    return value
+
+
+Number = Annotated[float, Field(strict=True, ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[float, Field(strict=True, gt=0, le=LARGEST), AfterValidator(_not_vanishing)]
+NonNegative = Annotated[float, Field(strict=True, ge=0, le=LARGEST)]
+Whole = Annotated[int, Field(strict=True, ge=0, le=LARGEST_WHOLE)]
+Count = Annotated[int, Field(strict=True, ge=1, le=LARGEST_COUNT)]
+Coefficient = Annotated[float, Field(strict=True)]
+"""A number of any magnitude: coefficients of high powers are tiny or huge."""
 Flag = Annotated[bool, Field(strict=True)]
 Text = Annotated[str, Field(strict=True)]
 FractionOfOne = Annotated[float, Field(strict=True, ge=0, le=1)]
@@ -30,13 +46,24 @@ Pair = tuple[Count, Count]
 def _not_flat_by_zero(radius_mm: float) -> float:
     if math.isnan(radius_mm) or radius_mm == 0:
         raise ValueError("must be a number other than 0; inf is a flat surface")
+    if math.isfinite(radius_mm) and not SMALLEST <= abs(radius_mm) <= LARGEST:
+        raise ValueError(f"must lie between {SMALLEST:g} and {LARGEST:g} in magnitude; inf is a flat surface")
     return radius_mm
 
 
 def _bends(value: float) -> float:
     if value == 0:
         raise ValueError("must not be 0; positive converges, negative diverges")
+    if abs(value) < SMALLEST:
+        raise ValueError(f"must be {SMALLEST:g} or more in magnitude")
     return value
+
+
+def _not_empty(values: tuple[float, ...]) -> tuple[float, ...]:
+    # pydantic's own least length is counted without the values that are refused, and would be a second fault.
+    if not values:
+        raise ValueError("must not be empty")
+    return values
 
 
 def _known_glass(name: str) -> str:
@@ -55,11 +82,25 @@ def _known_metal(name: str) -> str:
     return name
 
 
+def path_fault(path: str) -> str | None:
+    """Return why no file can have this name; None if one can."""
+    return "a file's name holds no NUL character" if "\0" in path else None
+
+
 def _existing(path: str, info: ValidationInfo) -> str:
     """Look for a file, where it is known which folder its path starts from."""
+    if why := path_fault(path):
+        raise ValueError(why)
     folder = (info.context or {}).get("folder")
-    if folder is not None and not (folder / path).is_file():
-        raise ValueError(f"no such file; looked for {folder / path}")
+    if folder is None:
+        return path
+    try:
+        present = (folder / path).is_file()
+    except OSError as error:
+        raise ValueError(f"cannot be looked for: {error.strerror}") from None
+    if not present:
+        kind = "is no regular file" if (folder / path).exists() else "no such file; looked for"
+        raise ValueError(f"{kind} {folder / path}" if kind.startswith("no") else f"{folder / path} {kind}")
     return path
 
 
@@ -96,7 +137,8 @@ FilePath = Annotated[str, Field(strict=True), AfterValidator(_existing)]
 
 OneOrMore = Annotated[
     tuple[Annotated[Number, AfterValidator(_bends)], ...],
-    Field(min_length=1, max_length=3),
+    Field(max_length=3),
+    AfterValidator(_not_empty),
     BeforeValidator(_as_list),
     WithJsonSchema(
         {

@@ -16,6 +16,13 @@ UNITS_IN_FILE = (".glb", ".gltf")
 UNITS_MISSING = (".stl", ".obj", ".ply", ".off")
 """Formats that carry no unit."""
 
+WAYS_IN = dict.fromkeys(
+    (".step", ".stp", ".iges", ".igs"),
+    "is no mesh: let the CAD program save it as STL or GLB, fine enough for its curves (FreeCAD: Mesh, Create mesh "
+    "from shape)",
+) | {".3mf": "is not read: save it as STL or GLB, from the slicer or with trimesh"}
+"""How to get other files of bodies in."""
+
 Units = Literal["um", "mm", "cm", "m", "inch", "foot"]
 FacetLevel = Literal["flat", "smooth", "patch"]
 Priority = Annotated[int, Field(strict=True, ge=-1000, le=1000)]
@@ -27,6 +34,9 @@ def mesh_file_faults(file: str, units: str | None) -> Iterator[Fault]:
     ending = Path(file).suffix.lower()
     known = (*UNITS_MISSING, *UNITS_IN_FILE)
     if ending not in known:
+        if ending in WAYS_IN:
+            yield Fault(("file",), file, f"{WAYS_IN[ending]}; must end in one of {', '.join(known)}")
+            return
         yield Fault(("file",), file, f"must end in one of {', '.join(known)}{nearest(ending, known)}")
     elif units is None and ending in UNITS_MISSING:
         yield Fault(("units",), None, f'missing: {ending[1:].upper()} files carry no unit; give units = "mm", say')

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 
 from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera import Camera
-from lfmesh.scene.paraxial import Paraxial
+from lfmesh.scene.paraxial import Paraxial, quotient
 from lfmesh.scene.scene import Scene
 from lfmesh.scene.solve import air_thickness_mm, image_plane_mm, solved
 
@@ -234,8 +234,8 @@ def _micro_image(
     to_sensor = lenslet_to_sensor_mm(camera, wavelength_nm)
     return (
         to_sensor / pitch,
-        pitch / pixel * (1 + to_sensor / pupil_to_image_mm),
-        to_sensor / f_number / pixel,
+        pitch / pixel * (1 + quotient(to_sensor, pupil_to_image_mm)),
+        quotient(to_sensor, f_number) / pixel,
     )
 
 
@@ -249,16 +249,16 @@ def _refocus_range(
         depth = pixel * f_number
     else:
         depth = camera.mla.pitch_mm * lenslet_to_sensor_mm(camera, wavelength_nm) / pixel
-    share = depth / pupil_to_image_mm
+    share = quotient(depth, pupil_to_image_mm)
     image = image_plane_mm(camera, wavelength_nm)
     near = lens.object_mm(image + depth / (1 - share)) if share < 1 else -lens.ffl_mm
-    far = lens.object_mm(image - depth / (1 + share))
+    far = lens.object_mm(image - quotient(depth, 1 + share))
     # Past infinity the conjugates come round as virtual objects, with negative distances.
     return near if near > 0 else math.inf, far if far > near > 0 else math.inf
 
 
 def _on_object(size_mm: float, magnification: float) -> float:
-    return size_mm / abs(magnification) if magnification else math.inf
+    return quotient(size_mm, abs(magnification))
 
 
 def _field_of_view_mm(camera: Camera, magnification: float) -> tuple[float, float]:

@@ -14,6 +14,7 @@ PRIMARY_NM = 587.6
 
 MOST_EVENTS = 2**15 - 1
 """What a packet counts in 16 bits."""
+MOST_THREADS = 1024
 
 
 class Tessellation(Model):
@@ -65,9 +66,9 @@ class Transport(Model):
         default=(PRIMARY_NM,), min_length=1
     )
     """Wavelength samples, in nm; the middle one is the primary. Not used with `camera.sensor.bands`."""
-    seed: Annotated[Whole, Field(lt=2**63)] = 0
+    seed: Whole = 0
     """Of the random numbers."""
-    threads: Whole = 0
+    threads: Annotated[Whole, Field(le=MOST_THREADS)] = 0
     """0: all there are; the result is the same for any number."""
 
     def faults(self) -> Iterator[Fault]:

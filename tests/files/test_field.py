@@ -5,6 +5,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -12,8 +13,8 @@ import PIL.Image
 import pytest
 
 import lfmesh as lf
-from lfmesh.files import photographs, run
-from lfmesh.files.field import FIELD, open_field, save_field
+from lfmesh.files import exr, photographs, run
+from lfmesh.files.field import FIELD, PARTS, open_field, save_field
 from lfmesh.files.folder import MANIFEST
 from lfmesh.lightfield.photograph import all_in_focus
 
@@ -140,6 +141,18 @@ def test_damage_and_other_versions_are_told_in_one_line(folder: Path, monkeypatc
     with pytest.raises(lf.FileError, match=r"no complete run: raw\.exr missing"):
         save_field(field, folder)
     assert not [name for name in files_of(folder) if name.startswith(".lfmesh")]
+
+
+@pytest.mark.parametrize("values", [[0.0], [[0.0]], "missing", None, "text"])
+def test_axes_that_do_not_fit_the_views_are_refused(folder: Path, values: Any) -> None:
+    save_field(lf.decode(lf.open_run(folder)), folder)
+    spectral = exr.read(folder / FIELD, PARTS)
+    metadata = {key: value for key, value in (spectral.metadata | {"s_mm": values}).items() if value != "missing"}
+    exr.write(folder / FIELD, exr.SpectralImage(spectral.parts, spectral.wavelengths_nm, metadata))
+    (folder / "manifest.json").unlink()
+    with pytest.raises(lf.FileError, match=r"lightfield\.exr is damaged: .* decode the run again$") as caught:
+        open_field(folder)
+    assert "\n" not in str(caught.value)
 
 
 def test_a_failure_while_adding_leaves_the_run_as_it_was(folder: Path) -> None:

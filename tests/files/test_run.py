@@ -66,6 +66,10 @@ def test_hits_are_kept_as_whole_numbers_and_guarded_like_pixels(image_of: Build,
         file.parts[2].channels["S0.587,6nm"].pixels[0, 0] += 1
         file.write(str(tmp_path / "changed.exr"))
     (tmp_path / "changed.exr").replace(tmp_path / "raw.exr")
+    with pytest.raises(FileError, match=r"raw\.exr is truncated or damaged: it is not what was saved"):
+        run.open_run(tmp_path)
+    # Without a manifest, as older versions wrote none, the pixels' own digest tells.
+    (tmp_path / "manifest.json").unlink()
     with pytest.raises(FileError, match="pixels are not those that were saved"):
         run.open_run(tmp_path)
 
@@ -311,6 +315,10 @@ def test_pixels_changed_by_another_program_are_noticed(image_of: Build, tmp_path
         file.parts[0].channels["S0.587,6nm"].pixels[0, 0] *= 1.001
         file.write(str(tmp_path / "changed.exr"))
     (tmp_path / "changed.exr").replace(tmp_path / "raw.exr")
+    with pytest.raises(FileError, match=r"raw\.exr is truncated or damaged: it is not what was saved"):
+        run.open_run(tmp_path)
+    # Without a manifest, as older versions wrote none, the pixels' own digest tells.
+    (tmp_path / "manifest.json").unlink()
     with pytest.raises(FileError, match="pixels are not those that were saved"):
         run.open_run(tmp_path)
 
@@ -328,3 +336,9 @@ def test_saving_copies_a_large_film_few_times(image_of: Build, tmp_path: Path) -
             tracemalloc.stop()
     # Mean and standard error as float32 are one film; the noise's median needs two, and masks of a byte a pixel.
     assert peaks[1] - peaks[0] < 3.0 * 8 * (sides[1] ** 2 - sides[0] ** 2)
+
+
+def test_an_image_is_shown_in_one_short_line(image_of: Build) -> None:
+    shown = repr(image_of())
+    assert shown.startswith("<Image: 80 × 60 pixels, 1 wavelength, 8 of 8 replicates, 64 samples a pixel, ")
+    assert len(shown) < 150

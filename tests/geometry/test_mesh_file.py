@@ -3,6 +3,7 @@
 import base64
 import io
 import json
+import os
 
 import numpy as np
 import PIL.Image
@@ -213,6 +214,27 @@ def test_mtl_pictures_and_colours(tmp_path):
     assert corners == {(0, 0, 0): (0, 0), (1, 0, 0): (1, 0), (0, 1, 0): (0, 1)}
 
 
+POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EndComments\nshowpage\n%%EOF\n"
+
+
+def gltf_of_three_corners(folder):
+    """Return a glTF and a GLB file whose one facet names a vertex that is not there."""
+    document = json.loads(save_gltf(folder / "index.gltf").read_text())
+    uri = document["buffers"][0]["uri"]
+    blob = bytearray(base64.b64decode(uri.split(",")[1]))
+    at = blob.rindex(np.array([0, 1, 2], "<u4").tobytes())
+    blob[at : at + 12] = np.array([0, 1, 9], "<u4").tobytes()
+    document["buffers"][0]["uri"] = uri.split(",")[0] + "," + base64.b64encode(blob).decode()
+    text = json.dumps(document)
+    del document["buffers"][0]["uri"]
+    chunk = json.dumps(document).encode()
+    chunk += b" " * (-len(chunk) % 4)
+    blob += b"\0" * (-len(blob) % 4)
+    words = lambda *numbers: np.array(numbers, "<u4").tobytes()  # noqa: E731
+    glb = words(0x46546C67, 2, 28 + len(chunk) + len(blob), len(chunk), 0x4E4F534A) + chunk
+    return {"gltf": text.encode(), "glb": glb + words(len(blob), 0x004E4942) + bytes(blob)}
+
+
 def broken_files(folder):
     """Yield files that are not usable, with a word of the reason each must be given."""
     body = box()
@@ -239,6 +261,37 @@ def broken_files(folder):
     write("chart.mtl", "newmtl a\nmap_Kd gone.png\n")
     yield write("chart.obj", "mtllib chart.mtl\n" + TRIANGLE + "f 1/1 2/2 3/3\n"), "gone.png is not there"
     yield write("points.ply", trimesh.PointCloud(np.eye(3)).export(file_type="ply")), "no facets"
+    corners = "0 0 0\n1 0 0\n0 1 0\n"
+    header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    for index in (-1, 3, 7):
+        facets = f"element face 1\nproperty list uchar int vertex_indices\nend_header\n{corners}3 0 1 {index}\n"
+        yield write(f"index{index}.ply", header + facets), f"names vertex {index}, and there are 3|broken"
+    write("secret.txt", "newmtl a\n")
+    (folder / "inner").mkdir()
+    for name in ("../secret.txt", str(folder / "secret.txt")):
+        yield write("inner/outside.obj", f"mtllib {name}\n" + TRIANGLE + "f 1 2 3\n"), "outside the mesh's folder"
+    write("outside.mtl", "newmtl a\nmap_Kd ../secret.txt\n")
+    yield write("picture.obj", "mtllib outside.mtl\n" + TRIANGLE + "f 1 2 3\n"), "outside the mesh's folder"
+    yield write("far.obj", TRIANGLE.replace("1 0 0", "1e200 0 0") + "f 1 2 3\n"), "farther than"
+    for ending, whole in gltf_of_three_corners(folder).items():
+        yield write(f"index.{ending}", whole), "names vertex 9, and there are 3|broken"
+    document = json.loads(save_gltf(folder / "document.gltf").read_text())
+    document["buffers"][0]["uri"] = "gone.bin"
+    yield write("buffer.gltf", json.dumps(document)), "its buffer gone.bin is not there"
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(folder / "pipe.bin")
+        document["buffers"][0]["uri"] = "pipe.bin"
+        yield write("pipe.gltf", json.dumps(document)), "no regular file"
+        os.mkfifo(folder / "pipe.stl")
+        yield folder / "pipe.stl", "no regular file"
+    document = json.loads(save_gltf(folder / "document.gltf").read_text())
+    document["accessors"][0]["count"] = 10**15
+    yield write("count.gltf", json.dumps(document)), "an accessor counts 1000000000000000 entries"
+    yield write("nested.gltf", "[" * 100_000), "broken"
+    postscript = "data:image/png;base64," + base64.b64encode(POSTSCRIPT).decode()
+    document = json.loads(save_gltf(folder / "document.gltf", picture=np.zeros((1, 1, 3), np.uint8)).read_text())
+    document["images"][0]["uri"] = postscript
+    yield write("postscript.gltf", json.dumps(document)), "its picture is EPS"
     yield folder / "missing.stl", "does not exist"
     (folder / "folder.stl").mkdir()
     yield folder / "folder.stl", "is a folder"

@@ -5,6 +5,7 @@ import PIL.Image
 import pytest
 
 from lfmesh.errors import FileError
+from lfmesh.geometry import texture
 from lfmesh.geometry.texture import load_texture, srgb_to_linear
 
 RNG = np.random.default_rng(21)
@@ -81,3 +82,39 @@ def test_what_is_no_picture_is_named(tmp_path):
         message = str(raised.value)
         assert str(tmp_path / name) in message
         assert "\n" not in message
+
+
+def test_no_other_program_is_started_for_a_picture(tmp_path):
+    """Pillow reads PostScript by Ghostscript, whatever a file is called."""
+    (tmp_path / "t.png").write_bytes(
+        b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EndComments\nshowpage\n%%EOF\n"
+    )
+    with PIL.Image.open(tmp_path / "t.png") as picture:
+        assert picture.format == "EPS"
+    with pytest.raises(FileError, match="not a picture"):
+        load_texture(tmp_path / "t.png")
+
+
+def test_a_picture_with_too_many_pixels_is_refused_before_it_is_decoded(tmp_path, monkeypatch, recwarn):
+    picture = PIL.Image.new("1", (64, 32))
+    picture.save(tmp_path / "t.png")
+    assert load_texture(tmp_path / "t.png").shape == (32, 64, 3)
+    monkeypatch.setattr(PIL.Image.Image, "load", lambda *_: pytest.fail("decoded"))
+    monkeypatch.setattr(texture, "MOST_PIXELS", 2047)
+    with pytest.raises(FileError, match="has 64 × 32 pixels; give a picture of 2047 at most"):
+        load_texture(tmp_path / "t.png")
+    for limit in (1500, 1000):
+        # Pillow's own limits: of the one it warns, at twice the other it refuses.
+        monkeypatch.setattr(PIL.Image, "MAX_IMAGE_PIXELS", limit)
+        with pytest.raises(FileError, match="2047"):
+            load_texture(tmp_path / "t.png")
+    assert not recwarn.list
+
+
+def test_bands_of_a_large_picture_join_without_a_seam(tmp_path, monkeypatch):
+    samples = RNG.integers(0, 256, size=(23, 7, 3)).astype(np.uint8)
+    PIL.Image.fromarray(samples).save(tmp_path / "t.png")
+    whole = load_texture(tmp_path / "t.png")
+    monkeypatch.setattr(texture, "_BAND_PIXELS", 14)
+    np.testing.assert_array_equal(load_texture(tmp_path / "t.png"), whole)
+    np.testing.assert_array_equal(whole, srgb_to_linear(samples / 255.0))

@@ -80,6 +80,14 @@ class Image:
     order: OrderCheck | None = None
     coatings: dict[str, float] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        rows, columns, channels = self.mean.shape
+        return (
+            f"<Image: {columns} × {rows} pixels, {channels} wavelength{'s' if channels > 1 else ''}, "
+            f"{self.replicates} of {self.scene.transport.replicates} replicates, {self.samples:g} samples a pixel, "
+            f"{self.mean.sum():.4g} W in all>"
+        )
+
     @property
     def complete(self) -> bool:
         """Whether all replicates are finished."""

@@ -1,5 +1,6 @@
 """The rays in the page: launching them, the 3D view, the path table with its filter, and what is picked."""
 
+import math
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
@@ -360,4 +361,6 @@ def _number(value: Any, name: str) -> float:
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise LfmeshError(f"{name} = {value!r}: must be a number")
+    if not math.isfinite(value):
+        raise LfmeshError(f"{name} = {value!r}: must be a finite number")
     return float(value)

@@ -40,6 +40,7 @@ import operator
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,9 +92,16 @@ NO_PLACE = {
 
 OF_ARRAY = {CURVED, FLAT, "mla edge", "mla wall", "mla mount"}
 
+LONGEST = 20_000
+"""Characters of an expression."""
+
+MOST_DIGITS = 12
+"""Of the number of a row or column."""
+
+# Quantifiers that give nothing back: else digits without an end would be tried in every division.
 _TOKEN = re.compile(
     r"""\s*(?:
-        (?P<number>\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?)(?![\w.])
+        (?P<number>\d++\.?+\d*+(?:[eE][-+]?\d++)?|\.\d++(?:[eE][-+]?\d++)?)(?![\w.])
       | (?P<text>"[^"]*"|'[^']*')
       | (?P<name>[^\W\d]\w*(?:\[\d+\])?(?:\.[^\W\d]\w*)?)
       | (?P<sign>==|!=|<=|>=|[<>():,+-])
@@ -129,6 +137,9 @@ def parse(expression: str, rays: Rays) -> Mask:
     FilterError
         The expression cannot be read, or names something that the scene has not got.
     """
+    if len(expression) > LONGEST:
+        reason = f"an expression of {len(expression)} characters; {LONGEST} are the most, and this is how it begins"
+        raise FilterError(expression[:60], 0, reason)
     if not expression.strip():
         return np.ones(len(rays), np.bool_)
     reader = _Reader(expression, rays)
@@ -210,7 +221,7 @@ class _Reader:
         if token.text in FUNCTIONS:
             return self.met(FUNCTIONS[token.text])
         if token.text not in FIELDS:
-            if token.text in places(self.rays):
+            if token.text in self.places:
                 raise self.mistake(token, f"{token.text} is a surface: ask hits({token.text}), or reflects, transmits")
             valid = ["ghost", *FUNCTIONS, *FIELDS]
             raise self.mistake(token, f"nothing is called {token.text!r} here{self.valid(token.text, valid)}")
@@ -232,7 +243,7 @@ class _Reader:
             raise self.mistake(token, "the name of a surface is missing: lens[0].front, mla, stop, sensor, ...")
         self.at += 1
         name = token.text.strip("\"'") if token.kind == "text" else token.text
-        known = places(self.rays)
+        known = self.places
         if name not in known:
             raise self.mistake(token, f"the scene has no {name!r}{self.valid(name, _listed(self.rays), known)}")
         return known[name]
@@ -316,8 +327,15 @@ class _Reader:
         token = self.next
         if not token.text.isdecimal():
             raise self.mistake(token, f"the number of a {axis} is missing, a whole one from 0 on")
+        if len(token.text) > MOST_DIGITS:
+            raise self.mistake(token, f"the number of a {axis} has {MOST_DIGITS} digits at most")
         self.at += 1
         return int(token.text)
+
+    @cached_property
+    def places(self) -> dict[str, list[int]]:
+        """Every name of a surface or part, with its numbers."""
+        return places(self.rays)
 
     @property
     def next(self) -> _Token:

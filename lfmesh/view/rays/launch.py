@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
+from lfmesh.scene.literals import literal
 from lfmesh.transport.aiming.aim_table import opening_seen, widest_disk
 from lfmesh.transport.aiming.pupil import opening_from
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
@@ -47,6 +48,9 @@ class Settings:
         """Return how many rays the wavelength at a place of `colours` has."""
         return len(range(place, self.count, len(self.colours)))
 
+
+MOST_RAYS = 1_000_000
+"""Of a launch: each keeps two vertices or more, and more of them are not kept."""
 
 INTENSITY_W_SR = 1.0
 """Radiant intensity of a field point."""
@@ -414,6 +418,8 @@ def _settings(
     """Return checked settings."""
     if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
         raise LfmeshError(f"count = {count!r}: must be a whole number of rays, at least 1")
+    if count > MOST_RAYS:
+        raise LfmeshError(f"count = {literal(int(count))}: paths of {MOST_RAYS:,} rays at most can be kept; give fewer")
     if split not in SPLIT_MODE:
         raise LfmeshError(f"split = {split!r}: use one of {', '.join(SPLIT_MODE)}")
     cutoff = world.scene.transport.weight_cutoff if weight_cutoff is None else weight_cutoff

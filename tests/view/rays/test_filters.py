@@ -205,6 +205,9 @@ MISTAKES = {
     "pixel == (1, 2:3)": (14, ["')' is missing"]),
     "__import__('os')": (0, ["nothing is called '__import__'"]),
     "3 < power": (0, ["a condition is missing"]),
+    f"pixel == ({'9' * 5000}, 1)": (10, ["12 digits at most"]),
+    f"pixel in (0:{'9' * 19}, 1)": (12, ["12 digits at most"]),
+    f"power < {'1' * 15_000}x": (8, ["neither a number nor a name"]),
     "(" * 3000: (100, ["more than 100"]),
     "not " * 3000 + "ghost": (400, ["more than 100"]),
 }
@@ -223,6 +226,18 @@ def test_a_mistake_is_pointed_at(rays, expression):
     assert reason == error.reason
     assert quoted[2:] == expression
     assert caret.index("^") - 2 == position
+
+
+def test_a_number_of_any_length_is_read_as_a_float(rays):
+    assert parse(f"power < {'9' * 5000}", rays).all()
+    assert not parse(f"power < -{'9' * 5000}", rays).any()
+    np.testing.assert_array_equal(parse(f"events > 3.{'0' * 5000}", rays), parse("events > 3", rays))
+
+
+def test_an_expression_without_an_end_is_refused(rays):
+    with pytest.raises(FilterError, match="an expression of 60005 characters; 20000 are the most") as caught:
+        parse("ghost" + " or ghost".ljust(10) * 6000, rays)
+    assert len(str(caught.value)) < 300
 
 
 def test_what_the_scene_has_not_got_is_a_mistake():

@@ -1,0 +1,39 @@
+"""Where a command line went wrong, the way on is named."""
+
+from pathlib import Path
+
+import pytest
+
+from lfmesh.cli import main
+from lfmesh.cli.export import _found
+from lfmesh.errors import SceneError
+from lfmesh.scene import loads
+from tests.cameras import bench_camera
+
+
+@pytest.mark.parametrize(
+    ("line", "command"),
+    [("rendr", "lfmesh"), ("render s.toml -o run --sampls 3", "lfmesh render"), ("export run", "lfmesh export")],
+)
+def test_an_error_in_arguments_points_to_the_commands_help(
+    line: str, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(line.split()) == 2
+    assert capsys.readouterr().err.endswith(f"\nSee: {command} --help\n")
+
+
+@pytest.mark.parametrize("file", ["part.step", "part.STP", "part.3mf", "part.igs"])
+def test_files_of_cad_that_are_not_read_name_the_way_in(file: str, tmp_path: Path) -> None:
+    (tmp_path / file).touch()
+    with pytest.raises(SceneError, match="STL or GLB"):
+        loads(f'{bench_camera(4, 4)}[[targets]]\nfile = "{file}"\n', tmp_path)
+
+
+def test_the_depth_of_the_run_is_found_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "depth.exr").touch()
+    assert _found(Path("depth.exr"), Path("run")) == Path("run/depth.exr")
+    (tmp_path / "depth.exr").touch()
+    assert _found(Path("depth.exr"), Path("run")) == Path("depth.exr")
+    assert _found(Path("gone.exr"), Path("run")) == Path("gone.exr")

@@ -1,0 +1,118 @@
+"""Mesh files and pictures with bytes changed at random are read or refused by one line that names the file."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+import PIL.Image
+import pytest
+import trimesh
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry.mesh_file import UNIT_OF_FORMAT, load_mesh
+from lfmesh.geometry.texture import load_texture
+
+
+def exported(ending: str) -> bytes:
+    body = trimesh.creation.box(extents=(1.0, 2.0, 3.0))
+    whole = body.export(file_type=ending)
+    return whole if isinstance(whole, bytes) else whole.encode()
+
+
+def gltf() -> bytes:
+    files = trimesh.creation.box(extents=(1.0, 2.0, 3.0)).export(file_type="gltf", embed_buffers=True)
+    return files["model.gltf"]
+
+
+def picture(format_name: str) -> bytes:
+    pixels = (np.arange(16 * 16 * 3).reshape(16, 16, 3) % 251).astype(np.uint8)
+    stream = io.BytesIO()
+    PIL.Image.fromarray(pixels).save(stream, format=format_name)
+    return stream.getvalue()
+
+
+WHOLE = {
+    **{ending: exported(ending) for ending in ("stl", "obj", "ply", "off", "glb")},
+    "gltf": gltf(),
+    **{name: picture(name) for name in ("png", "jpeg", "tiff", "bmp", "webp", "gif")},
+}
+PICTURES = ("png", "jpeg", "tiff", "bmp", "webp", "gif")
+
+# Whole numbers that stand for a count, an index or an offset once they are put there.
+LARGE = [
+    b"\xff\xff\xff\xff",
+    b"\xff\xff\xff\x7f",
+    b"\x00\x00\x00\x80",
+    b"\x00\x00\x00\x00",
+    b"9",
+    b"-",
+    b"99999999",
+    b"nan",
+]
+
+damages = st.lists(
+    st.tuples(st.floats(0.0, 1.0), st.one_of(st.sampled_from(LARGE), st.binary(min_size=1, max_size=4))),
+    min_size=1,
+    max_size=3,
+)
+
+
+def damaged(whole: bytes, damage: list[tuple[float, bytes]], kept: float) -> bytes:
+    content = bytearray(whole)
+    for share, patch in damage:
+        # Headers are short, and all that can go wrong is in them: most places are near the start.
+        place = int(share**3 * len(content))
+        content[place : place + len(patch)] = patch
+    return bytes(content[: max(1, int(kept * len(content)))])
+
+
+def is_read_or_refused(folder: Path, ending: str, content: bytes) -> None:
+    path = folder / f"file.{ending}"
+    path.write_bytes(content)
+    try:
+        if ending in PICTURES:
+            texture = load_texture(path)
+            assert ((texture >= 0) & (texture <= 1)).all()
+        else:
+            for piece in load_mesh(path, None if f".{ending}" in UNIT_OF_FORMAT else "mm"):
+                assert np.isfinite(piece.mesh.vertices[piece.mesh.faces]).all()
+    except LfmeshError as error:
+        message = str(error)
+        assert message.startswith(str(path))
+        assert len(message.splitlines()) == 1
+        assert len(message) < 500 + len(str(path))
+
+
+kept = st.one_of(st.just(1.0), st.just(1.0), st.floats(0.0, 1.0))
+unhurried = settings(
+    deadline=None, derandomize=True, database=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+
+
+@pytest.mark.parametrize("ending", WHOLE)
+def test_the_files_that_are_damaged_are_whole(tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"file.{ending}"
+    path.write_bytes(WHOLE[ending])
+    if ending in PICTURES:
+        assert load_texture(path).shape == (16, 16, 3)
+    else:
+        assert sum(len(piece.mesh.faces) for piece in load_mesh(path, None if ending.startswith("gl") else "mm")) == 12
+
+
+@settings(unhurried, max_examples=250)
+@given(st.sampled_from(sorted(WHOLE)), damages, kept)
+def test_a_damaged_mesh_or_picture_is_read_or_refused(
+    tmp_path: Path, ending: str, damage: list[tuple[float, bytes]], kept: float
+) -> None:
+    is_read_or_refused(tmp_path, ending, damaged(WHOLE[ending], damage, kept))
+
+
+@pytest.mark.long
+@settings(unhurried, max_examples=5_000)
+@given(st.sampled_from(sorted(WHOLE)), damages, kept)
+def test_many_damaged_meshes_and_pictures_are_read_or_refused(
+    tmp_path: Path, ending: str, damage: list[tuple[float, bytes]], kept: float
+) -> None:
+    is_read_or_refused(tmp_path, ending, damaged(WHOLE[ending], damage, kept))

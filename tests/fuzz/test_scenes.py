@@ -1,0 +1,122 @@
+"""Scene files with values put in at random are read and reported on, or refused by a `SceneError`."""
+
+import re
+import tomllib
+
+import pytest
+import tomlkit
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lfmesh.errors import LfmeshError
+from lfmesh.scene import loads
+from lfmesh.scene.report import first_order
+from tests.cameras import bench_camera
+
+SCENE = f"""name = "bench"
+{bench_camera(4, 4)}[camera.mla.pose]
+shift_mm = [0.0, 0.0, 0.0]
+[[targets]]
+shape = {{ kind = "plane", width_mm = 60.0, height_mm = 60.0 }}
+position_mm = [0.0, 0.0, -540.0]
+rotation_deg = [0.0, 0.0, 0.0]
+[targets.material]
+reflectance = 0.8
+[[lights]]
+kind = "point"
+position_mm = [100.0, -100.0, -50.0]
+power_w = 1.0
+[transport]
+samples = 2
+replicates = 2
+max_events = 64
+weight_cutoff = 0.3
+wavelengths_nm = [587.6]
+seed = 0
+threads = 0
+"""
+
+VALUES = [
+    (match.start(1), match.end(1))
+    for match in re.finditer(r"(?<=[=\[,{ ]) *(-?[0-9]+(?:\.[0-9]+)?|\"[^\"]*\")(?=[\n,}\] ])", SCENE)
+]
+"""Where numbers and texts stand in it."""
+
+HARSH = [
+    *["0", "0.0", "-0.0", "1", "-1", "1e-300", "5e-324", "1e-40", "1e-9", "1e9", "1e15", "1e16", "1e200", "-1e200"],
+    *["1e300", "1.7e308", "nan", "inf", "-inf", "true", '""', '"\\u0000"', '"a\\nb"', f'"{"n" * 300}"', "[]", "{}"],
+    *["1979-05-27", "9223372036854775807", "9223372036854775808", "9" * 4000, "9" * 5000, f"0x{'f' * 9000}"],
+    *["[" * 5000 + "]" * 5000, f"[{{ {'a.' * 3000}b = 1 }}]", "[1, [2, [3]]]", "'''x'''"],
+]
+
+KEYS = ["asphere_mm = [1e300, -1e300]", "asphere_mm = [0.0, 1e200]", "conic = 1e15", "conic = -1e15", "file = '\\0'"]
+
+numbers = st.one_of(
+    st.floats(allow_nan=False, allow_infinity=False).map(repr),
+    st.floats(-100.0, 100.0).map(repr),
+    st.integers().map(str),
+)
+literals = st.one_of(st.sampled_from(HARSH), numbers)
+edits = st.lists(st.tuples(st.sampled_from(VALUES), literals), min_size=1, max_size=4, unique_by=lambda edit: edit[0])
+
+
+def changed(edits: list[tuple[tuple[int, int], str]]) -> str:
+    text = SCENE
+    for (start, end), value in sorted(edits, reverse=True):
+        text = text[:start] + value + text[end:]
+    return text
+
+
+def is_read_or_refused(text: str) -> None:
+    """Insist on a report, or on one refusal of bounded length."""
+    try:
+        lines = first_order(loads(text)).lines()
+    except LfmeshError as error:
+        message = str(error)
+        assert message
+        assert len(message.splitlines()) <= 22
+        assert all(len(line) < 1000 for line in message.splitlines())
+    else:
+        assert lines
+
+
+def test_the_scene_that_is_changed_at_random_is_valid() -> None:
+    assert len(VALUES) > 40
+    assert tomllib.loads(SCENE)
+    assert first_order(loads(SCENE)).lines()
+
+
+@settings(max_examples=300, deadline=None, derandomize=True, database=None)
+@given(edits)
+def test_a_scene_with_random_values_is_read_or_refused(edits: list[tuple[tuple[int, int], str]]) -> None:
+    is_read_or_refused(changed(edits))
+
+
+@pytest.mark.long
+@settings(max_examples=5_000, deadline=None, derandomize=True, database=None)
+@given(edits)
+def test_many_scenes_with_random_values_are_read_or_refused(edits: list[tuple[tuple[int, int], str]]) -> None:
+    is_read_or_refused(changed(edits))
+
+
+lengths = st.one_of(st.integers(1, 200).map(lambda n: n / 8), st.floats(0.01, 60.0))
+
+
+def with_array(mla: dict[str, object], sensor_mm: float, pixel_mm: float) -> str:
+    """Return the scene with an array in another place."""
+    tables = tomllib.loads(SCENE)
+    tables["camera"]["mla"] = mla
+    tables["camera"]["sensor"] |= {"distance_mm": sensor_mm, "pixel_mm": pixel_mm}
+    del tables["camera"]["focus_mm"]
+    text = tomlkit.dumps(tables)
+    assert tomllib.loads(text) == tables
+    return text
+
+
+@settings(max_examples=100, deadline=None, derandomize=True, database=None)
+@given(*[lengths] * 6, st.sampled_from(["lens", "sensor"]), st.floats(1.0, 10.0))
+def test_ordinary_arrays_and_sensors_are_reported_on_or_refused(
+    pitch: float, focal: float, thickness: float, distance: float, sensor: float, pixel: float, side: str, index: float
+) -> None:
+    mla = {"count": [4, 4], "pitch_mm": pitch, "focal_length_mm": focal, "index": index, "thickness_mm": thickness}
+    is_read_or_refused(with_array(mla | {"distance_mm": distance, "curved_side": side}, sensor, pixel))

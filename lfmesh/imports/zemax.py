@@ -1,9 +1,9 @@
 """Zemax lens files (`.zmx`): the sequential, centred, refracting part of the format.
 
-The reader is this program's own. ray-optics and Optiland read the format, too, but put n = 1.5 or a model in place of a
-glass that they do not find, drop apertures, and pass over commands that they do not know; ray-optics also evaluates a
-file beside the lens file as Python, and asks the network for glasses. Here every line has a verdict, and what would
-change the image is refused. ray-optics serves the tests as truth.
+The reader is this program's own. ray-optics and Optiland read the format, too, but put n = 1.5, a model or another
+maker's glass (K-SK15 for N-SK15) in place of one that they do not find, and pass over commands that they do not know;
+ray-optics also evaluates a file beside the lens file as Python, and asks the network for glasses. Here every line has
+a verdict, and what would change the image is refused. ray-optics serves the tests as truth.
 
 The format: one command a line, its name first; `SURF n` starts a surface, whose commands are indented. Lengths are in
 the unit of UNIT, curvatures its reciprocal, wavelengths µm. Aperture stops are given by the pupil (ENPD, FNUM, OBNA) or

@@ -13,8 +13,8 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.errors import SceneError
-from lfmesh.imports import read_lens_file
-from lfmesh.scene import Paraxial
+from lfmesh.imports import read_lens_file, write_lens_file
+from lfmesh.scene import Paraxial, load_lens
 
 SPEC = find_spec("rayoptics")
 pytestmark = pytest.mark.skipif(SPEC is None, reason="needs ray-optics")
@@ -148,6 +148,19 @@ def test_real_rays_are_those_of_ray_optics(name):
     assert here.sum() > 60
     difference = paths.position[here, :2] - np.array(landed)[paths.source[here], :2]
     assert np.abs(difference).max() < 1e-6
+
+
+@pytest.mark.parametrize("ending", [".zmx", ".seq"])
+@pytest.mark.parametrize("name", ["edmund_55278_52mm", "double_gauss_100mm", "asphere_100mm"])
+def test_ray_optics_reads_what_is_written(tmp_path, name, ending):
+    lens = load_lens(f"lib:{name}")
+    path = tmp_path / f"lens{ending}"
+    write_lens_file(lens, path)
+    truth = truth_of(path)
+    paraxial = Paraxial.of(lens, truth.wavelength_nm)
+    assert truth.wavelength_nm == pytest.approx(587.5618)
+    assert truth.efl_mm == pytest.approx(paraxial.efl_mm, rel=1e-6)
+    assert truth.bfl_mm == pytest.approx(paraxial.bfl_mm, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", REFUSED)

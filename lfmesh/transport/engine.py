@@ -64,6 +64,10 @@ MOST_VERTICES = 2_000_000
 """Largest number of recorded vertices, which take 150 MB, and a few times that as paths. Without roulette, the children
 of a single ray can exceed it."""
 
+MOST_ENDS = 4_000_000
+"""Largest number of packets in which the rays of a chunk may end. Without roulette each ray may have as many as its
+reflections have sequences, without an end that anybody waits for."""
+
 T = TypeVar("T")
 
 
@@ -285,7 +289,13 @@ class Workspace:
         if not self.options.adjoint and not self.options.tracing:
             self.deposits = _grown(self.deposits, int(self.tops[DEPOSITS]) + packets)
         if self.options.tracing or self.options.record:
-            self.ended = _grown(self.ended, int(self.tops[ENDED]) + 2 * packets)
+            ends = int(self.tops[ENDED]) + 2 * packets
+            if ends > MOST_ENDS:
+                raise LfmeshError(
+                    f"{self.chunk:,} rays or fewer end in more than {MOST_ENDS:,} packets: give weight_cutoff a larger "
+                    f"value than {self.options.cutoff:g}, or max_events a smaller one than {self.options.max_events}"
+                )
+            self.ended = _grown(self.ended, ends)
         if self.options.record:
             need = int(self.tops[NODES]) + 4 * packets
             if self.recorded + need > MOST_VERTICES:

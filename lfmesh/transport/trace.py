@@ -14,7 +14,8 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.surface import in_place
 from lfmesh.geometry.tessellation import mesh_sag
-from lfmesh.scene.transport import MOST_EVENTS
+from lfmesh.scene.literals import literal
+from lfmesh.scene.transport import MOST_EVENTS, MOST_THREADS
 from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.events.polarisation import across
@@ -210,15 +211,18 @@ def trace(
         are not those of light, or the scene has none; or a setting is out of range.
     """
     p, d = _arrays(origins, directions)
+    given = {name: value for name, value in settings.items() if value is not None}
+    _check_whole(seed=seed, threads=threads, **{name: given[name] for name in ("max_events",) if name in given})
+    _check_numbers(wavelength_nm=wavelength_nm, **{name: given[name] for name in ("weight_cutoff",) if name in given})
     of_transport: dict[str, Any] = {name: value for name, value in settings.items() if name != "reference"}
     options = _options(world, record, split, **of_transport)
     for name, value, valid, wish in (
         ("wavelength_nm", wavelength_nm, 0.0 < wavelength_nm < np.inf, "a positive number"),
         ("seed", seed, 0 <= seed < 2**63, "a whole number from 0 to 2^63 − 1"),
-        ("threads", threads, threads >= 0, "a whole number, 0 for all"),
+        ("threads", threads, 0 <= threads <= MOST_THREADS, f"a whole number up to {MOST_THREADS}, 0 for all"),
     ):
         if not valid:
-            raise LfmeshError(f"{name} = {value!r}: must be {wish}")
+            raise LfmeshError(f"{name} = {_shown(value)}: must be {wish}")
     tables = _at_level(world, at_wavelength(world, wavelength_nm), options.surface)
     states = None
     if stokes is not None:
@@ -234,6 +238,27 @@ def trace(
     return paths
 
 
+def _check_whole(**values: object) -> None:
+    """Raise where a setting that counts is no whole number."""
+    for name, value in values.items():
+        whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        if not whole:
+            raise LfmeshError(f"{name} = {_shown(value)}: must be a whole number")
+
+
+def _check_numbers(**values: object) -> None:
+    """Raise where a setting is no number."""
+    for name, value in values.items():
+        number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+        if not number:
+            raise LfmeshError(f"{name} = {_shown(value)}: must be a number")
+
+
+def _shown(value: object) -> str:
+    text = literal(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
 def _options(
     world: World, record: bool, split: str, surface: str | None = None, engine: str = "mesh",
     max_events: int | None = None, weight_cutoff: float | None = None,
@@ -243,12 +268,15 @@ def _options(
     level = transport.surface if surface is None else surface
     depth = transport.max_events if max_events is None else max_events
     cutoff = transport.weight_cutoff if weight_cutoff is None else weight_cutoff
+    for name, word in (("split", split), ("surface", level), ("engine", engine)):
+        if not isinstance(word, str):
+            raise LfmeshError(f"{name} = {_shown(word)}: must be text")
     if split not in SPLIT_MODE:
         raise LfmeshError(f"split = {split!r}: use one of {', '.join(SPLIT_MODE)}")
     if level not in SURFACE_LEVEL:
         raise LfmeshError(f"surface = {level!r}: use one of {', '.join(SURFACE_LEVEL)}")
     if not 1 <= depth <= MOST_EVENTS:
-        raise LfmeshError(f"max_events = {depth!r}: must be from 1 to {MOST_EVENTS}")
+        raise LfmeshError(f"max_events = {_shown(depth)}: must be from 1 to {MOST_EVENTS}")
     if not 0.0 <= cutoff <= 1.0:
         raise LfmeshError(f"weight_cutoff = {cutoff!r}: must be from 0 to 1")
     if engine not in ("mesh", "sequential"):
@@ -277,7 +305,7 @@ def _arrays(origins: ArrayLike, directions: ArrayLike) -> tuple[NDArray[np.float
     try:
         p = np.atleast_2d(np.asarray(origins, dtype=np.float64))
         d = np.atleast_2d(np.asarray(directions, dtype=np.float64))
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise LfmeshError(f"origins and directions must be (n, 3) numbers: {error}") from error
     if p.ndim != 2 or p.shape[1] != 3 or p.shape != d.shape:
         raise LfmeshError(f"origins {p.shape} and directions {d.shape}: both must be (n, 3)")
@@ -314,7 +342,8 @@ def _states(stokes: ArrayLike, reference: ArrayLike, d: NDArray[np.float64]) -> 
 
 def _unit_directions(p: NDArray[np.float64], d: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the directions with unit length; refuse rays that are none."""
-    length = np.linalg.norm(d, axis=1, keepdims=True)
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(d, axis=1, keepdims=True)
     bad = ~(np.isfinite(p).all(axis=1) & np.isfinite(length[:, 0]) & (length[:, 0] > 0.0))
     if bad.any():
         i = int(np.flatnonzero(bad)[0])

@@ -12,6 +12,7 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.geometry.surface import sag
 from lfmesh.scene import load_lens
+from lfmesh.transport import engine as engine_module
 from lfmesh.transport import trace as trace_module
 from lfmesh.transport.engine import CHUNK, Workspace
 
@@ -297,12 +298,40 @@ FORWARD = [[0.0, 0.0, 1.0]]
         ([[0.0, 0.0, -9.0]], FORWARD, {"max_events": 2**15}, "max_events = 32768"),
         ([[0.0, 0.0, -9.0]], FORWARD, {"threads": -1}, "threads = -1"),
         ([[0.0, 0.0, -9.0]], FORWARD, {"seed": -1}, "seed = -1"),
+        ([[0.0, 0.0, -9.0]], FORWARD, {"seed": None}, "seed = None: must be a whole number"),
+        ([[0.0, 0.0, -9.0]], FORWARD, {"wavelength_nm": None}, "wavelength_nm = None: must be a number"),
+        ([[0.0, 0.0, -9.0]], FORWARD, {"seed": "a"}, 'seed = "a": must be a whole number'),
+        ([[0.0, 0.0, -9.0]], FORWARD, {"seed": 1.5}, "seed = 1.5: must be a whole number"),
+        ([[0.0, 0.0, -9.0]], FORWARD, {"seed": True}, "seed = true: must be a whole number"),
+        ([[0.0, 0.0, -9.0]], FORWARD, {"seed": 10**6000}, "seed = an integer of some 6000 digits"),
+        ([[0.0, 0.0, -9.0]], FORWARD, {"threads": 1.0}, "threads = 1.0: must be a whole number"),
+        ([[0.0, 0.0, -9.0]], FORWARD, {"threads": 10**9}, "threads = 1000000000: must be a whole number up to 1024"),
+        ([[0.0, 0.0, -9.0]], FORWARD, {"max_events": 1.5}, "max_events = 1.5: must be a whole number"),
+        ([[0.0, 0.0, -9.0]], FORWARD, {"wavelength_nm": "a"}, 'wavelength_nm = "a": must be a number'),
+        ([[0.0, 0.0, -9.0]], FORWARD, {"wavelength_nm": [500.0]}, r"wavelength_nm = \[500.0\]: must be a number"),
+        ([[0.0, 0.0, -9.0]], FORWARD, {"weight_cutoff": "a"}, 'weight_cutoff = "a": must be a number'),
+        ([[0.0, 0.0, -9.0]], FORWARD, {"split": ["both"]}, "split = .*: must be text"),
+        ([[0.0, 0.0, -9.0]], FORWARD, {"engine": 3}, "engine = 3: must be text"),
+        ([[0.0, 0.0, 10**400]], FORWARD, {}, "origins .* numbers"),
     ],
 )
 def test_input_that_is_no_ray_is_refused_in_one_message(world, origins, directions, options, says):
     with pytest.raises(lf.LfmeshError, match=says) as refusal:
         lf.trace(world, origins, directions, **options)
     assert "\n" not in str(refusal.value)
+
+
+def test_a_tree_of_reflections_without_an_end_is_refused_in_bounded_memory(world, monkeypatch):
+    monkeypatch.setattr(engine_module, "MOST_ENDS", 50_000)
+    origins, directions = rays_into_the_lens(20)
+    assert len(lf.trace(world, origins, directions, split="both", weight_cutoff=0.0, max_events=9)) < 50_000
+    with pytest.raises(lf.LfmeshError, match="end in more than 50,000 packets: give weight_cutoff a larger"):
+        lf.trace(world, origins, directions, split="both", weight_cutoff=0.0, max_events=64)
+
+
+def test_whole_numbers_of_numpy_are_whole_numbers(world):
+    whole = {"seed": np.uint64(3), "threads": np.int64(1), "max_events": np.int32(20)}
+    assert len(lf.trace(world, [[0.0, 0.0, -9.0]], FORWARD, wavelength_nm=np.float32(550), **whole))
 
 
 def test_a_path_that_was_not_recorded_is_refused(world):

@@ -146,18 +146,22 @@ def _with_field(record: np.dtype[np.void], name: str, form: str, place: str) -> 
 
 
 def _with_vectors(record: np.dtype[np.void], *vectors: tuple[str, tuple[int, ...]]) -> np.dtype[np.void]:
-    """Return a record type with float64 vectors behind its fields, given by their names and shapes."""
-    own = dict(record.fields or {})
-    size = record.itemsize
+    """Return a record type with float64 vectors before its fields, given by their names and shapes.
+
+    Not behind them: for numba the longer record would be a kind of the shorter one, and kernels that were compiled for
+    that would take it.
+    """
+    own, size = {}, 0
     for name, shape in vectors:
         own[name] = (np.dtype(("f8", shape)), size)
         size += 8 * shape[0]
+    own |= {name: (field[0], field[1] + size) for name, field in (record.fields or {}).items()}
     return np.dtype(
         {
             "names": list(own),
             "formats": [field[0] for field in own.values()],
             "offsets": [field[1] for field in own.values()],
-            "itemsize": size,
+            "itemsize": size + record.itemsize,
         }
     )
 

@@ -20,6 +20,8 @@ Mask = NDArray[np.bool_]
 
 CROPS = {
     "aquarium": (-1.0, 0.5),
+    "coated": (-1.0, 0.5),
+    "color_checker": (-1.0, 0.5),
     "conventional": (-1.0, 0.5),
     "emitting_plane": (-0.5, 0.5),
     "first_light": (-1.0, 0.5),
@@ -29,6 +31,7 @@ CROPS = {
     "hexagonal": (-1.0, 0.5),
     "lit_chart": (-1.0, 0.5),
     "lytro_class": (-2.5, 1.5),
+    "polarised": (-1.0, 0.5),
 }
 """The middle of a crop of each scene in assets, mm on the sensor: edges, smooth parts and shadows are in it."""
 

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from lfmesh.cli.application import app
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import RunFolder, Whole
-from lfmesh.cli.printing import list_files, warnings_as_notes, wrapped
+from lfmesh.cli.printing import list_files, say_note, warnings_as_notes, wrapped
 from lfmesh.errors import LfmeshError
 
 if TYPE_CHECKING:
@@ -191,6 +191,8 @@ def expose(
         seed=seed,
     )
     image = runs.open_run(run)
+    if bayer is not None and len(image.wavelengths_nm) == 1:
+        say_note("the image has a single wavelength: its mosaic tells brightness, not colour")
     exposed = (detector.filling(image) if exposure_s is None else detector).expose(image)
     brightest, saturated = exposed.expected_e.max(), exposed.saturated.mean()
     line = f"{exposed.detector.exposure_s:.3g} s: up to {brightest:.3g} electrons a pixel, {saturated:.2%} saturated."

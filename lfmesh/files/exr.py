@@ -13,6 +13,7 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from lfmesh.errors import FileError
+from lfmesh.scene.bands import channel_labels
 
 METADATA = "lfmesh"
 """Attribute of the first part that holds the metadata as JSON: EXR floats are float32, its lists get lost."""
@@ -26,7 +27,7 @@ class SpectralImage:
     ----------
     parts : dict of (H, W, wavelengths) float32, or uint32 for counts
     wavelengths_nm : tuple of float
-        One a channel of every part.
+        One a channel of every part; of bands their `Centroids`, whose names the channels take.
     metadata : dict
         Plain JSON values.
     """
@@ -53,10 +54,13 @@ def write(path: Path, image: SpectralImage) -> None:
     FileError
         The file cannot be written, or two wavelengths are equal.
     """
-    names = [channel_name(wavelength) for wavelength in image.wavelengths_nm]
+    labels = list(channel_labels(image.wavelengths_nm))
+    names = labels or [channel_name(wavelength) for wavelength in image.wavelengths_nm]
     if len(set(names)) != len(names):
         raise FileError(f"{path}: every wavelength must differ from the others, got {list(image.wavelengths_nm)}")
     metadata = {**image.metadata, "wavelengths_nm": list(image.wavelengths_nm)}
+    if labels:
+        metadata["bands"] = labels
     parts = []
     for number, (name, pixels) in enumerate(image.parts.items()):
         header: dict[str, Any] = {
@@ -141,7 +145,7 @@ def read(path: Path, part_names: Sequence[str], optional: Sequence[str] = ()) ->
         raise FileError(f"{path} was not written by lfmesh: its part {part_names[0]!r} has no attribute {METADATA!r}")
     metadata = _parse(path, text)
     wavelengths_nm = _numbers(path, metadata.pop("wavelengths_nm"))
-    channels = [channel_name(wavelength) for wavelength in wavelengths_nm]
+    channels = _names(path, metadata.pop("bands", None)) or [channel_name(each) for each in wavelengths_nm]
     if any(set(pixels[name]) != set(channels) for name in part_names):
         raise FileError(f"{path} is damaged: its channels must be {', '.join(channels)}")
     shapes = {pixels[name][channel].shape for name in part_names for channel in channels}
@@ -174,6 +178,13 @@ def read_map(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
     if pixels is None:
         raise FileError(f"{path} has no channel {' or '.join(names)}")
     return np.asarray(pixels)
+
+
+def _names(path: Path, bands: Any) -> list[str]:
+    names = bands if isinstance(bands, list) else []
+    if bands is not None and not (names and all(isinstance(name, str) for name in names)):
+        raise FileError(f"{path} is damaged: its bands must be a list of names")
+    return names
 
 
 def _numbers(path: Path, wavelengths_nm: Any) -> tuple[float, ...]:

@@ -86,15 +86,18 @@ def open_field(folder: Path) -> LightField | None:
     if metadata.get("raw_sha256") != digest:
         return None
     with run.fitting(path, "decode the run again"):
+        scene = run.scene_from(metadata, folder)
+        of_scene = scene.wavelengths_nm
         axes = {name: np.asarray(metadata[name], dtype=np.float64) for name in _AXES}
         rows, columns = metadata["views"]
         field = LightField(
             data=from_mosaic(spectral.parts["views"], (rows, columns)),
             stderr=from_mosaic(spectral.parts["stderr"], (rows, columns)),
             **axes,
-            wavelengths_nm=spectral.wavelengths_nm,
+            # Those of a scene know their bands.
+            wavelengths_nm=of_scene if of_scene == spectral.wavelengths_nm else spectral.wavelengths_nm,
             unit=metadata["unit"],
-            scene=run.scene_from(metadata, folder),
+            scene=scene,
             sampling=metadata["sampling"],
             sharing=from_mosaic(spectral.parts["sharing"], (rows, columns))[0, 0, :, :, 0].copy(),
         )

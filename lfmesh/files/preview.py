@@ -8,6 +8,7 @@ import PIL.Image
 from numpy.typing import NDArray
 
 from lfmesh.files.colour import srgb_encode, to_display
+from lfmesh.scene.bands import channel_labels
 
 WHITE_PERCENTILE = 99.5
 """Of the pixels that got light: a few glints must not darken the whole picture."""
@@ -101,7 +102,8 @@ def write_linear16(
 ) -> tuple[list[str], float]:
     """Write 16-bit grey PNGs of linear counts from an upright image.
 
-    One wavelength gives ``linear16.png``, several give ``linear16_486.1nm.png`` and so on, all to one scale.
+    One wavelength gives ``linear16.png``, several give ``linear16_486.1nm.png`` and so on, bands ``linear16_R.png``,
+    all to one scale.
     The brightest pixel has the count 65535, so nothing is clipped.
 
     Parameters
@@ -124,7 +126,8 @@ def write_linear16(
     if len(wavelengths_nm) == 1:
         names = ["linear16.png"]
     else:
-        names = [f"linear16_{wavelength:.10g}nm.png" for wavelength in wavelengths_nm]
+        labels = channel_labels(wavelengths_nm) or [f"{wavelength:.10g}nm" for wavelength in wavelengths_nm]
+        names = [f"linear16_{label}.png" for label in labels]
     for channel, name in enumerate(names):
         plane = np.ascontiguousarray(counts[:, :, channel])
         PIL.Image.fromarray(plane).save(folder / name, format="PNG")

@@ -21,6 +21,7 @@ from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files import exr, words
 from lfmesh.files.calibration import write_calibration
 from lfmesh.files.checkpoint import CHECKPOINT
+from lfmesh.files.colour import white_in_words
 from lfmesh.files.folder import (
     MANIFEST,
     STAGING,
@@ -353,7 +354,7 @@ def _image_from(spectral: exr.SpectralImage, path: Path) -> Image:
 def _refuse_impossible(image: Image) -> None:
     """Raise a ValueError where an image's numbers cannot be those of a render."""
     columns, rows = image.scene.camera.sensor.pixels
-    shape = (rows, columns, len(image.scene.transport.wavelengths_nm))
+    shape = (rows, columns, image.scene.channels)
     if image.mean.shape != shape:
         raise ValueError(f"its pixels are {image.mean.shape}, and its scene's sensor has {shape}")
     if not np.isfinite(image.mean).all() or (image.mean < 0.0).any():
@@ -496,12 +497,13 @@ def _write_all(image: Image, folder: Path, home: Path) -> None:
     (folder / SCENE).write_text(scene.dump_toml(), encoding="utf-8")
     upright = Upright.of(image.scene).picture
     white = write_preview(folder / PREVIEW, upright(image.mean), image.wavelengths_nm, upright(image.stderr))
-    pictures: dict[str, Any] = {PREVIEW: {"orientation": UPRIGHT, "encoding": "sRGB", "white_w": white}}
+    shown = {"orientation": UPRIGHT, "encoding": "sRGB", "white_point": white_in_words(image.wavelengths_nm)}
+    pictures: dict[str, Any] = {PREVIEW: {**shown, "white_w": white}}
     grid = _micro_images(image.scene)
     if grid is not None:
         view = upright(paint(lenslet_means(image.mean, grid), grid))
         white = write_preview(folder / VIEW, view, image.wavelengths_nm)
-        pictures[VIEW] = {"orientation": UPRIGHT, "encoding": "sRGB", "white_w": white}
+        pictures[VIEW] = {**shown, "white_w": white}
     linear_names, watts_per_count = write_linear16(folder, upright(image.mean), image.wavelengths_nm)
     for name in linear_names:
         pictures[name] = {

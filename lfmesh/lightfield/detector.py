@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.lightfield.upright import Upright
 from lfmesh.optics.cie import PLANCK_J_S, SPEED_OF_LIGHT_M_S
+from lfmesh.scene.bands import RGB_NM, channel_labels
 from lfmesh.transport.render.image import Image
 
 Array = NDArray[np.float64]
-
-PASSBANDS_NM = {"R": (600.0, 90.0), "G": (540.0, 90.0), "B": (460.0, 90.0)}
-"""Centre and full width at half maximum of the colour filters, Gaussians with a peak of 1."""
 
 PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 
@@ -43,6 +41,8 @@ class Exposed:
     detector : Detector
     upright : Upright
         How to turn them upright.
+    wavelengths_nm : tuple of float
+        Of the image's channels.
     """
 
     counts: NDArray[np.uint16]
@@ -50,6 +50,7 @@ class Exposed:
     saturated: NDArray[np.bool_]
     detector: "Detector"
     upright: Upright
+    wavelengths_nm: tuple[float, ...]
 
     @property
     def electrons(self) -> Array:
@@ -131,19 +132,53 @@ class Detector:
             raise LfmeshError("no exposure time fills the wells: the image is black")
         return replace(self, exposure_s=self.exposure_s * share * self.full_well_e / bright)
 
-    def expected_e(self, image: Image) -> Array:
-        """Return the photoelectrons expected in each pixel, (H, W): power · time / (hc/λ) · efficiency · filter."""
-        wavelengths_m = 1e-9 * np.asarray(image.wavelengths_nm)
-        photons_per_joule = wavelengths_m / (PLANCK_J_S * SPEED_OF_LIGHT_M_S)
+    def electrons_per_watt(self, wavelengths_nm: tuple[float, ...]) -> Array:
+        """Return the photoelectrons that a watt in each channel of an image makes, (filters, channels).
+
+        Power · time / (hc/λ) · efficiency · filter. A row for red, green and blue with a mosaic, else one. With bands
+        named R, G and B each filter sees the band of its name, at its centroid; single wavelengths pass the Gaussian
+        filters `RGB_NM`.
+
+        Parameters
+        ----------
+        wavelengths_nm : tuple of float
+            Of the channels.
+
+        Raises
+        ------
+        LfmeshError
+            The bands are not those of the filters.
+        """
+        photons_per_joule = 1e-9 * np.asarray(wavelengths_nm) / (PLANCK_J_S * SPEED_OF_LIGHT_M_S)
         weights = self.exposure_s * self.quantum_efficiency * photons_per_joule
+        names = channel_labels(wavelengths_nm)
         if self.bayer is None:
-            return np.asarray(image.mean @ weights)
+            if len(names) > 1:
+                raise LfmeshError(
+                    f"camera.sensor.bands = {', '.join(names)}: a detector without filters sees one band, or single "
+                    "wavelengths; give bayer, with bands named R, G and B"
+                )
+            return np.asarray(weights[None])
+        if not names:
+            return np.asarray(weights * [transmittance(colour, wavelengths_nm) for colour in RGB_NM])
+        if not set(RGB_NM) <= set(names):
+            raise LfmeshError(
+                f"bayer = {self.bayer!r}: its filters see the bands R, G and B, and the sensor's bands are named "
+                f"{', '.join(names)}"
+            )
+        return np.asarray(weights * [[name == colour for name in names] for colour in RGB_NM])
+
+    def expected_e(self, image: Image) -> Array:
+        """Return the photoelectrons expected in each pixel, (H, W): see `electrons_per_watt`."""
+        by_filter = self.electrons_per_watt(image.wavelengths_nm)
+        if self.bayer is None:
+            return np.asarray(image.mean @ by_filter[0])
         electrons = np.empty(image.mean.shape[:2])
         upright = Upright.of(image.scene).picture
         picture, light = upright(electrons), upright(image.mean)
         for place, colour in enumerate(self.bayer):
             pixels = np.s_[place // 2 :: 2, place % 2 :: 2]
-            picture[pixels] = light[pixels] @ (weights * transmittance(colour, image.wavelengths_nm))
+            picture[pixels] = light[pixels] @ by_filter[list(RGB_NM).index(colour)]
         return electrons
 
     def expose(self, image: Image) -> Exposed:
@@ -152,7 +187,7 @@ class Detector:
         Parameters
         ----------
         image : Image
-            Not changed. Its wavelength samples are taken as lines that carry all of the power.
+            Not changed. Single wavelengths are taken as lines that carry all of the power.
         """
         random = np.random.Generator(np.random.Philox(self.seed))
         expected = self.expected_e(image)
@@ -161,12 +196,19 @@ class Detector:
         saturated = collected >= self.full_well_e
         read = np.minimum(collected, self.full_well_e) + random.normal(0.0, self.read_noise_e, collected.shape)
         counts = np.clip(np.rint(self.black_level + read / self.electrons_per_count), 0, self.white_level)
-        return Exposed(counts.astype(np.uint16), expected, np.asarray(saturated), self, Upright.of(image.scene))
+        return Exposed(
+            counts.astype(np.uint16),
+            expected,
+            np.asarray(saturated),
+            self,
+            Upright.of(image.scene),
+            image.wavelengths_nm,
+        )
 
 
 def transmittance(colour: str, wavelengths_nm: tuple[float, ...]) -> Array:
     """Return the transmittance of a colour filter at each wavelength, (n,)."""
-    centre, width = PASSBANDS_NM[colour]
+    centre, width = RGB_NM[colour]
     return np.asarray(np.exp2(-((2.0 * (np.asarray(wavelengths_nm) - centre) / width) ** 2)))
 
 

@@ -93,6 +93,29 @@ class Passband(NamedTuple):
     response: Curve
 
 
+class Centroids(tuple[float, ...]):
+    """Wavelengths of channels that are bands: the centroids of their responses, nm, with the bands themselves.
+
+    Attributes
+    ----------
+    bands : tuple of Passband
+    """
+
+    bands: tuple[Passband, ...]
+
+    @classmethod
+    def of(cls, bands: tuple[Passband, ...]) -> "Centroids":
+        """Return the centroids of some bands."""
+        centroids = cls(band.response.centroid_nm for band in bands)
+        centroids.bands = bands
+        return centroids
+
+
+def channel_labels(wavelengths_nm: tuple[float, ...]) -> tuple[str, ...]:
+    """Return what files call the channels of an image: the names of bands; else none."""
+    return tuple(band.name for band in wavelengths_nm.bands) if isinstance(wavelengths_nm, Centroids) else ()
+
+
 def preset(name: str) -> tuple[Passband, ...]:
     """Return the bands of a preset: "rgb" or "xyz"."""
     first, last = VISIBLE_NM

@@ -12,7 +12,7 @@ from pydantic import Field, PrivateAttr
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.optics.glass import complex_index, refractive_index
 from lfmesh.optics.metals import metal_index
-from lfmesh.scene.bands import Passband, passband, preset
+from lfmesh.scene.bands import Centroids, Passband, passband, preset
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.coatings import Coating, name_fault, unknown_fault
 from lfmesh.scene.finishes import Finish
@@ -110,8 +110,9 @@ class Scene(Model):
 
     @property
     def wavelengths_nm(self) -> tuple[float, ...]:
-        """Wavelength of each channel, nm; of a band the centroid of its response."""
-        return tuple(band.response.centroid_nm for band in self.passbands) or self.transport.wavelengths_nm
+        """Wavelength of each channel, nm; of bands their `Centroids`."""
+        bands = self.passbands
+        return Centroids.of(bands) if bands else self.transport.wavelengths_nm
 
     @property
     def primary_nm(self) -> float:

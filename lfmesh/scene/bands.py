@@ -37,7 +37,7 @@ class Band(Model):
 
     name: Text
     """What the channel is called: letters, digits, _ and -."""
-    center_nm: Annotated[Positive, Field(ge=SHORTEST_NM, le=LONGEST_NM)] | None = None
+    center_nm: Annotated[float, Field(strict=True, ge=SHORTEST_NM, le=LONGEST_NM)] | None = None
     """Wavelength of the peak of a Gaussian response, which is 1, in nm."""
     fwhm_nm: Positive | None = None
     """Full width of the Gaussian at half its maximum, in nm. It is cut off at one and a half times that to each side,

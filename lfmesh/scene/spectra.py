@@ -15,7 +15,7 @@ from lfmesh.scene.inputs import file_stamp
 from lfmesh.scene.model import Fault, Location, Model, nearest
 from lfmesh.scene.quantities import FilePath, FractionOfOne, NonNegative, Number, Positive, Text
 
-Kelvin = Annotated[Positive, Field(ge=1.0, le=1e6)]
+Kelvin = Annotated[float, Field(strict=True, ge=1.0, le=1e6)]
 """A temperature of a black body, in K."""
 
 PIECES = 4096

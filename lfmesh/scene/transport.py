@@ -62,7 +62,7 @@ class Transport(Model):
     weight_cutoff: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.3
     """Share of its starting weight below which a child plays Russian roulette (no unit). A ray that is not aimed at a
     lenslet weighs far more than one that is; the latter's weight counts."""
-    wavelengths_nm: tuple[Annotated[Positive, Field(ge=SHORTEST_NM, le=LONGEST_NM)], ...] = Field(
+    wavelengths_nm: tuple[Annotated[float, Field(strict=True, ge=SHORTEST_NM, le=LONGEST_NM)], ...] = Field(
         default=(PRIMARY_NM,), min_length=1
     )
     """Wavelength samples, in nm; the middle one is the primary. Not used with `camera.sensor.bands`."""

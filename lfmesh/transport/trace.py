@@ -223,13 +223,13 @@ def trace(
     ):
         if not valid:
             raise LfmeshError(f"{name} = {_shown(value)}: must be {wish}")
-    tables = _at_level(world, at_wavelength(world, wavelength_nm), options.surface)
+    tables = _at_level(world, at_wavelength(world, float(wavelength_nm)), options.surface)
     states = None
     if stokes is not None:
         if not world.scene.transport.polarisation:
             raise LfmeshError("stokes: the scene needs transport.polarisation = true")
         states = _states(stokes, settings.get("reference", X_AXIS), _unit_directions(p, d))
-    call = _Call(world, tables, options, descendant(0x7472616365, seed), threads, states)
+    call = _Call(world, tables, options, descendant(0x7472616365, int(seed)), int(threads), states)
     p = before_faces(world, p, d)
     paths = _in_blocks(call, p, d) if options.sequential else _as_packets(call, p, d)
     lost = paths.ledger.loss_in_words()
@@ -266,8 +266,9 @@ def _options(
     """Return the scene's settings with those of the call in their place."""
     transport = world.scene.transport
     level = transport.surface if surface is None else surface
-    depth = transport.max_events if max_events is None else max_events
-    cutoff = transport.weight_cutoff if weight_cutoff is None else weight_cutoff
+    # Plain numbers: for others numba would compile the kernels once more.
+    depth = int(transport.max_events if max_events is None else max_events)
+    cutoff = float(transport.weight_cutoff if weight_cutoff is None else weight_cutoff)
     for name, word in (("split", split), ("surface", level), ("engine", engine)):
         if not isinstance(word, str):
             raise LfmeshError(f"{name} = {_shown(word)}: must be text")

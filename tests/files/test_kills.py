@@ -20,7 +20,7 @@ from lfmesh.files import exr, run
 from lfmesh.files.checkpoint import CHECKPOINT
 from lfmesh.files.depth import ESTIMATE, FIGURE, PIXELS, VIEWS
 from lfmesh.files.exports.export import NOTE
-from lfmesh.files.exposed import COUNTS, FACTS
+from lfmesh.files.exposed import COUNTS, FACTS, PREVIEW
 from lfmesh.files.field import FIELD, open_field
 from lfmesh.files.field import VIEWS as FIELD_VIEWS
 from lfmesh.files.folder import MANIFEST, STAGING, manifest_of
@@ -124,7 +124,7 @@ ADDED = {
     "white": {run.WHITE, run.WHITE_PREVIEW, run.CALIBRATION},
     "decode": {FIELD, FIELD_VIEWS},
     "refocus": {"refocused_480mm.exr", "refocused_480mm.png"},
-    "expose": {COUNTS, FACTS},
+    "expose": {COUNTS, FACTS, PREVIEW},
 }
 DEPTH = ({VIEWS, PIXELS}, {ESTIMATE, FIGURE})
 """Added in two changes."""

@@ -1,7 +1,7 @@
 """Angular profiles of lamps, read from IES files (IES LM-63).
 
-The readers on the package index (photompy, luxpy) warn where a file contradicts itself and go on, and load a plotting
-library; a file that is short of a number or has angles out of order is refused here.
+A file that is short of a number or has angles out of order is refused: a profile that was filled up would light the
+scene wrongly without a word.
 """
 
 from dataclasses import dataclass

@@ -42,18 +42,31 @@ def sag(surface: Any, r2: Array) -> Array:
     return z + sum(a * r2 ** (m + 2) for m, a in enumerate(surface.asphere_mm))
 
 
+def slope_of(surface: Any, r2: Array) -> Array:
+    """Derivative of the sag by r²."""
+    h = 1e-6
+    low = np.maximum(r2 - h, 0.0)
+    return (sag(surface, r2 + h) - sag(surface, low)) / (r2 + h - low)
+
+
 def meet(rays: Rays, surface: Any, vertex_z: float) -> Array:
     """Move rays onto a surface by Newton's method, end those outside its aperture; return unit normals towards +z."""
     t = (vertex_z - rays.p[:, 2]) / rays.d[:, 2]
+    going = np.flatnonzero(rays.power > 0.0)
     for _ in range(25):
-        p = rays.p + t[:, None] * rays.d
-        r2, h = p[:, 0] ** 2 + p[:, 1] ** 2, 1e-6
-        slope = (sag(surface, r2 + h) - sag(surface, np.maximum(r2 - h, 0.0))) / (r2 + h - np.maximum(r2 - h, 0.0))
+        d = rays.d[going]
+        p = rays.p[going] + t[going, None] * d
+        r2 = p[:, 0] ** 2 + p[:, 1] ** 2
         height = p[:, 2] - vertex_z - sag(surface, r2)
-        rate = rays.d[:, 2] - 2.0 * slope * (p[:, 0] * rays.d[:, 0] + p[:, 1] * rays.d[:, 1])
-        t = t - height / rate
+        rate = d[:, 2] - 2.0 * slope_of(surface, r2) * (p[:, 0] * d[:, 0] + p[:, 1] * d[:, 1])
+        step = height / rate
+        t[going] -= step
+        going = going[~(np.abs(step) < 1e-13)]
+        if len(going) == 0:
+            break
     rays.p = rays.p + t[:, None] * rays.d
     r2 = rays.p[:, 0] ** 2 + rays.p[:, 1] ** 2
+    slope = slope_of(surface, r2)
     aperture = surface.semi_diameter_mm or np.inf
     met = np.abs(rays.p[:, 2] - vertex_z - sag(surface, r2)) < 1e-9
     rays.power = np.where((r2 <= aperture**2) & met, rays.power, 0.0)

@@ -98,13 +98,14 @@ def _of_pixels(world: World, samples: int) -> tuple[Samples, Samples, Samples]:
     mean, spread, seen = np.empty((3, pixels), np.float32)
     sequential = image_path_engine(world.scene) == "sequential"
     options = options_of(world, tracing=True, split=TRANSMIT, sequential=sequential)
+    tables = world.aimed_tables
     source = PixelSource(np.arange(pixels), samples, descendant(0x6465707468, world.scene.transport.seed))
 
     def keep(work: Workspace, part: range) -> None:
         some = slice(part.start, part.stop)
         mean[some], spread[some], seen[some] = _moments(_sums(world, work.ends(), part))
 
-    Launcher(lambda: Workspace(world, options)).traced(source, keep, world.scene.transport.threads)
+    Launcher(lambda: Workspace(world, options, tables=tables)).traced(source, keep, world.scene.transport.threads)
     shape = (sensor.rows, sensor.columns)
     return mean.reshape(shape), spread.reshape(shape), seen.reshape(shape)
 

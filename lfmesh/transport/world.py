@@ -49,6 +49,7 @@ from lfmesh.transport.tables.polarisation import polarisation_tables
 from lfmesh.transport.tables.surroundings import Surroundings, surroundings_of
 from lfmesh.transport.tables.tables import (
     ROUGH,
+    AimTables,
     SensorTables,
     Tables,
 )
@@ -58,12 +59,18 @@ if TYPE_CHECKING:
 
 
 class World:
-    """A scene that rays can be traced through. Made by `build`."""
+    """A scene that rays can be traced through. Made by `build`.
+
+    Attributes
+    ----------
+    tables : Tables
+        As kernels read them, without an aim: rays are sent all over the lens.
+    """
 
     def __init__(
         self, scene: Scene, report: FirstOrder, tables: Tables, finders: tuple[Finder, Finder, Finder],
         book: Book, lens: LensShape, targets: list[TargetMesh], housing: Mesh,
-        aim_proof: AimProof | None = None,
+        find_aim: Callable[[], tuple[AimTables, AimProof | None]],
     ) -> None:  # fmt: skip
         self.scene = scene
         self.first_order = report
@@ -76,7 +83,26 @@ class World:
         self.housing = housing
         self.media = MediumList.of(scene)
         self.lines = Lines.of(scene)
-        self.aim_proof = aim_proof
+        self._find_aim = find_aim
+
+    @cached_property
+    def _aim_and_proof(self) -> tuple[AimTables, AimProof | None]:
+        return self._find_aim()
+
+    @cached_property
+    def aim(self) -> AimTables:
+        """Where rays have to go to pass the lens, found when first asked for: rays that are given need no aim."""
+        return self._aim_and_proof[0]
+
+    @property
+    def aim_proof(self) -> AimProof | None:
+        """What the aim leaves out, as rays from the stop measure it; None for a world without aim."""
+        return self._aim_and_proof[1]
+
+    @property
+    def aimed_tables(self) -> Tables:
+        """The tables with the aim."""
+        return self.tables._replace(aim=self.aim)
 
     def reseeded(self, seed: int) -> "World":
         """Return the same world with another seed for renders; built again only where it has bands.
@@ -86,6 +112,8 @@ class World:
         scene = self.scene.changed({"transport.seed": seed})
         if self.lines.in_bands:
             return build(scene)
+        # The aim does not depend on the seed: found here, it is found once for all copies.
+        _ = self._aim_and_proof
         world = copy(self)
         world.scene = scene
         return world
@@ -221,7 +249,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     rings : int, optional
         Number of rings of triangles on each lens surface, in place of the scene's tessellation.
     aimed : bool
-        Find out where rays have to go to pass the lens. If not, they are sent all over it.
+        Find out where rays have to go to pass the lens, when that is first needed. If not, they are sent all over it.
 
     Returns
     -------
@@ -263,10 +291,14 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     object_mesh, objects = object_tables(scene, targets, housing, moves, book, lines, interfaces.objects, known, ranks)
     columns, rows = scene.camera.sensor.pixels
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
-    aim, proof = unaimed(scene, lens), None
-    if aimed:
-        aim, proof = aim_table(scene, report, lens, mla, sensor, targets, moves, analytic=bool(shape.analytic.all()))
+    anywhere = unaimed(scene, lens)
+
+    def find_aim() -> tuple[AimTables, AimProof | None]:
+        if not aimed:
+            return anywhere, None
+        return aim_table(scene, report, lens, mla, sensor, targets, moves, analytic=bool(shape.analytic.all()))
+
     polarised = polarisation_tables(scene, wavelengths_nm, moves, book)
-    tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=aim, polarised=polarised)
+    tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=anywhere, polarised=polarised)
     finders = (Finder(lens_mesh), Finder(mla_mesh_), Finder(*divided(object_mesh, objects.facets["body"])))
-    return World(scene, report, tables, finders, book, shape, targets, housing, proof)
+    return World(scene, report, tables, finders, book, shape, targets, housing, find_aim)

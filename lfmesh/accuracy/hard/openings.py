@@ -42,9 +42,9 @@ def _pinhole(radius: float) -> Outcome:
     world = build(scene)
     report = solved_camera(scene).report
     z = scene.camera.lens.vertices_mm[-1] + SENSOR_MM
-    found = opening_from(world.tables.aim.exit, 0.0, 0.0, z)[2]
+    found = opening_from(world.aim.exit, 0.0, 0.0, z)[2]
     # The exit pupil is the stop itself; seen from the sensor's middle in the lens's last plane.
-    plane = world.tables.aim.exit.plane_z
+    plane = world.aim.exit.plane_z
     true = 0.5 * report.exit_pupil_diameter_mm * (z - plane) / (z - report.exit_pupil_z_mm)
     outcome = _proof(scene)
     return Outcome(

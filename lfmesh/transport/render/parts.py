@@ -86,7 +86,7 @@ class Part:
 
 def parts_of(world: World, *, aimed: bool = True) -> tuple[Part, ...]:
     """Return the parts of a scene's image, which is their sum."""
-    options, tables = options_of(world, aimed=aimed), world.tables
+    options, tables = options_of(world, aimed=aimed), world.aimed_tables
     lamps = lamp_parts(world) if options.adjoint else ()
     if engine_of(world.scene)[0] != "both":
         return (Part(0, options, tables), *lamps)
@@ -120,13 +120,12 @@ def lamp_parts(world: World) -> tuple[Part, ...]:
     if objects is None:
         return ()
     options = options_of(world)._replace(adjoint=False, paths=LAMP_THROUGH_GLASS)
-    return (Part(2, options, world.tables._replace(objects=objects), book=LAMP_BOOK),)
+    return (Part(2, options, world.aimed_tables._replace(objects=objects), book=LAMP_BOOK),)
 
 
 def blind_part(world: World) -> Part:
     """Return a part that estimates all paths with rays that are not aimed, to check the other parts."""
-    options, tables = options_of(world), world.tables
-    return Part(3, options, tables._replace(aim=without_aim(tables.aim)), accounts=False)
+    return Part(3, options_of(world), world.tables._replace(aim=without_aim(world.aim)), accounts=False)
 
 
 def in_words(scene: Scene, parts: tuple[Part, ...]) -> str:

@@ -251,7 +251,7 @@ def from_light(
     objects = world.tables.objects
     sources = objects.sources[objects.sources["light"] == number].copy()
     sources["share"] = sources["until"] = 1.0
-    tables = world.tables._replace(objects=objects._replace(sources=sources))
+    tables = world.aimed_tables._replace(objects=objects._replace(sources=sources))
     return _from_sources(world, tables, settings)
 
 
@@ -297,7 +297,7 @@ def as_in_run(
         return _from_pixels(world, range(sensor.rows), range(sensor.columns), settings)
     if not len(world.tables.objects.sources):
         raise LfmeshError("nothing shines: the scene has neither lights nor targets with radiance_w_m2_sr")
-    return _from_sources(world, world.tables, replace(settings, count=min(settings.count, most)))
+    return _from_sources(world, world.aimed_tables, replace(settings, count=min(settings.count, most)))
 
 
 def _from_pixels(world: World, rows: range, columns: range, settings: Settings) -> Rays:
@@ -314,7 +314,8 @@ def _from_pixels(world: World, rows: range, columns: range, settings: Settings) 
         )
         pixels = np.asarray(rows)[row] * world.tables.sensor.columns + np.asarray(columns)[column]
         starts = PixelSource(pixels, max(1, round(rays / box)), descendant(run_key(settings.seed), 0, colour))
-        ended, nodes = traced(world, at_wavelength(world, wavelength), options, starts, place)
+        tables = at_wavelength(world, wavelength)._replace(aim=world.aim)
+        ended, nodes = traced(world, tables, options, starts, place)
         # Of pixels drawn by chance, each stands for several.
         for table in (ended, nodes):
             table["weight"] *= box / max(len(pixels), 1)
@@ -361,8 +362,8 @@ def _disk_seen(world: World, point: Floats, aim: str) -> tuple[float, float, flo
     opening = opening_seen(
         world.first_order, lens, point[None], wide, bool(world.lens_shape.analytic.all()), front=True
     )
-    if world.tables.aim.entrance.known:
-        opening = opening._replace(decentre=world.tables.aim.entrance.decentre * [[1.0], [0.0]])
+    if world.aim.entrance.known:
+        opening = opening._replace(decentre=world.aim.entrance.decentre * [[1.0], [0.0]])
     x, y, radius = opening_from(opening, *point)
     if aim == "lens" or not opening.known or radius <= 0.0:
         return 0.0, 0.0, opening.plane_z, wide

@@ -44,7 +44,7 @@ def test_the_aim_of_a_random_camera_holds_all_light(seed: int, random_camera: Ra
     world = lf.build(random_camera(seed))
     assert world.aim_proof is not None
     assert world.aim_proof.holds, world.aim_proof
-    assert max(missed(world, world.tables.aim)) <= 2.0 * ALLOWED
+    assert max(missed(world, world.aim)) <= 2.0 * ALLOWED
 
 
 @pytest.mark.long
@@ -53,7 +53,7 @@ def test_the_aim_of_many_random_cameras_holds_all_light(seed: int, random_camera
     world = lf.build(random_camera(seed))
     assert world.aim_proof is not None
     assert world.aim_proof.holds, world.aim_proof
-    assert max(missed(world, world.tables.aim)) <= 2.0 * ALLOWED
+    assert max(missed(world, world.aim)) <= 2.0 * ALLOWED
 
 
 NARROWER = {
@@ -70,17 +70,17 @@ def test_rays_from_the_stop_find_what_a_narrower_aim_misses(name: str, emitting_
     world = lf.build(
         lf.load(asset_path("scenes/first_light.toml")).changed({"targets": [emitting_plane], "lights": []})
     )
-    assert max(missed(world, world.tables.aim)) <= ALLOWED
-    assert max(missed(world, NARROWER[name](world.tables.aim))) > 5.0 * ALLOWED
+    assert max(missed(world, world.aim)) <= ALLOWED
+    assert max(missed(world, NARROWER[name](world.aim))) > 5.0 * ALLOWED
 
 
 def test_rays_from_the_stop_find_what_a_narrower_pupil_misses_without_an_array(emitting_plane: dict[str, Any]) -> None:
     scene = lf.load(asset_path("scenes/conventional.toml")).changed({"targets": [emitting_plane], "lights": []})
     world = lf.build(scene)
-    narrower = world.tables.aim._replace(
-        exit=world.tables.aim.exit._replace(radius=0.97 * world.tables.aim.exit.radius)
+    narrower = world.aim._replace(
+        exit=world.aim.exit._replace(radius=0.97 * world.aim.exit.radius)
     )
-    assert missed(world, world.tables.aim)[0] <= ALLOWED
+    assert missed(world, world.aim)[0] <= ALLOWED
     assert missed(world, narrower)[0] > 5.0 * ALLOWED
 
 
@@ -94,7 +94,7 @@ def test_lenslets_near_hemispheres_are_searched_among_few_cells() -> None:
     world = lf.build(scene)
     assert world.aim_proof is not None
     assert world.aim_proof.holds
-    assert world.tables.aim.search <= 6
+    assert world.aim.search <= 6
 
 
 @pytest.mark.parametrize("side", ["exit", "entrance"])
@@ -102,7 +102,7 @@ def test_an_opening_that_is_taken_for_closed_is_opened_again(side: str, emitting
     """As if the search for the pupil had found nothing: rays from the stop come through, and open it."""
     scene = lf.load(asset_path("scenes/conventional.toml")).changed({"targets": [emitting_plane], "lights": []})
     world = lf.build(scene)
-    aim, tables = world.tables.aim, world.tables
+    aim, tables = world.aim, world.tables
     opening = getattr(aim, side)
     closed = aim._replace(**{side: opening._replace(radius=np.full_like(opening.radius, -1.0))})
     through = CameraTables(tables.lens, tables.mla, tables.sensor, tables.frames)
@@ -123,7 +123,7 @@ def test_a_small_piece_of_a_sensor_far_off_the_axis_has_its_aim_proven() -> None
     assert world.aim_proof.holds
     assert world.aim_proof.rays > 10_000
     # Micro-images touch: where the view of one lenslet ends, the opening is partly hidden, and the next one shows it.
-    shown = world.tables.aim.shown
+    shown = world.aim.shown
     assert shown[:40].min() > 0.8
     assert ((shown > 0.0) & (shown < 0.8)).any()
     assert shown[-2] == 0.0

@@ -26,7 +26,7 @@ def scene() -> lf.Scene:
 )
 def test_what_does_not_change_where_rays_go_leaves_the_aim_as_it_is(scene: lf.Scene, changes: dict[str, Any]) -> None:
     first, second = lf.build(scene), lf.build(scene.changed(changes))
-    assert second.tables.aim is first.tables.aim
+    assert second.aim is first.aim
     assert second.aim_proof is first.aim_proof
 
 
@@ -46,7 +46,7 @@ def test_what_does_not_change_where_rays_go_leaves_the_aim_as_it_is(scene: lf.Sc
 )
 def test_what_may_change_where_rays_go_has_an_aim_of_its_own(scene: lf.Scene, changes: dict[str, Any]) -> None:
     first, second = lf.build(scene), lf.build(scene.changed(changes))
-    assert second.tables.aim is not first.tables.aim
+    assert second.aim is not first.aim
 
 
 def test_cameras_without_end_do_not_fill_the_memory(scene: lf.Scene) -> None:

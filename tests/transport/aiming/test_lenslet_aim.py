@@ -65,7 +65,7 @@ class Starts:
 
     def __init__(self, world: World, samples: int, **aim: float) -> None:
         self.samples = samples
-        self._tables = world.tables._replace(aim=world.tables.aim._replace(**aim))
+        self._tables = world.tables._replace(aim=world.aim._replace(**aim))
         self._work = Workspace(world, options_of(world)._replace(sequential=False), tables=self._tables)
 
     def drawn(self, pixel: int, seed: int, times: int) -> tuple[Array, Array]:
@@ -153,7 +153,7 @@ def test_lenslets_that_see_half_of_space_are_aimed_at_no_worse_than_by_chance(ra
         for seed in range(16):
             world = lf.build(scene.changed({"transport.samples": 32, "transport.seed": seed}))
             if not aimed:
-                world.tables = world.tables._replace(aim=without_aim(world.tables.aim))
+                world.aim = without_aim(world.aim)
             found.append(float(Renderer(world, check=False).image().mean.sum()))
     assert np.var(sums[True], ddof=1) < stats.f.isf(1e-3, 15, 15) * np.var(sums[False], ddof=1)
 

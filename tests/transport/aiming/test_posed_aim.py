@@ -35,7 +35,7 @@ def test_the_aim_of_a_random_camera_with_poses_holds_all_light(seed: int, random
     world = lf.build(posed_at_random(random_camera(seed), seed))
     assert world.aim_proof is not None
     assert world.aim_proof.holds, world.aim_proof
-    assert max(missed(world, world.tables.aim)) <= 2.0 * ALLOWED
+    assert max(missed(world, world.aim)) <= 2.0 * ALLOWED
 
 
 @pytest.mark.long
@@ -44,7 +44,7 @@ def test_the_aim_of_many_random_cameras_with_poses_holds_all_light(seed: int, ra
     world = lf.build(posed_at_random(random_camera(seed), seed))
     assert world.aim_proof is not None
     assert world.aim_proof.holds, world.aim_proof
-    assert max(missed(world, world.tables.aim)) <= 2.0 * ALLOWED
+    assert max(missed(world, world.aim)) <= 2.0 * ALLOWED
 
 
 @pytest.mark.parametrize("scene", ["first_light", "conventional"])
@@ -66,7 +66,7 @@ def test_openings_are_decentred_rather_than_widened(scene: str) -> None:
     world = lf.build(plain.changed({"camera.lens.elements": [pose]}))
     assert world.aim_proof is not None
     assert world.aim_proof.holds
-    before, after = lf.build(plain).tables.aim, world.tables.aim
+    before, after = lf.build(plain).aim, world.aim
     for side in ("entrance", "exit"):
         assert getattr(after, side).radius.max() < 1.03 * getattr(before, side).radius.max()
     assert max(missed(world, after)) <= 2.0 * ALLOWED
@@ -79,6 +79,6 @@ def test_openings_are_decentred_rather_than_widened(scene: str) -> None:
 
 
 def test_a_lens_without_poses_has_centred_openings() -> None:
-    aim = lf.build(lf.load(asset_path("scenes/first_light.toml"))).tables.aim
+    aim = lf.build(lf.load(asset_path("scenes/first_light.toml"))).aim
     assert not aim.entrance.decentre.any()
     assert not aim.exit.decentre.any()

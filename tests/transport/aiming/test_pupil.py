@@ -102,7 +102,7 @@ def images(of: lf.Scene, first: int, change: Change = lambda aim: aim) -> Array:
 
 
 def changed(world: World, change: Change) -> World:
-    world.tables = world.tables._replace(aim=change(world.tables.aim))
+    world.aim = change(world.aim)
     return world
 
 
@@ -152,9 +152,9 @@ def test_fewer_rays_are_sent_in_vain(name: str) -> None:
 def test_the_opening_holds_what_real_rays_pass_and_little_more() -> None:
     """Rays from points of the sensor to a grid on the lens's back, by the mesh engine, against the table."""
     world = lf.build(scene(None))
-    opening = world.tables.aim.exit
+    opening = world.aim.exit
     z = world.tables.frames[SENSOR_FRAME, CAMERA_FRAME][2, 3]
-    grid = np.linspace(-1.0, 1.0, 61) * world.tables.aim.back_radius
+    grid = np.linspace(-1.0, 1.0, 61) * world.aim.back_radius
     for height in (0.0, 0.7, 1.6, 2.4, 3.1):
         x, y = 0.6 * height, -0.8 * height
         to = np.array([(a, b, opening.plane_z) for a in grid for b in grid])
@@ -172,8 +172,8 @@ def test_the_opening_holds_what_real_rays_pass_and_little_more() -> None:
 def test_nothing_is_sent_from_where_the_lens_shows_no_opening() -> None:
     world = lf.build(scene(None, samples=256))
     z = world.tables.frames[SENSOR_FRAME, CAMERA_FRAME][2, 3]
-    assert opening_from(world.tables.aim.exit, 40.0, 0.0, z)[2] < 0.0
-    assert opening_from(world.tables.aim.exit, 0.0, 0.0, z)[2] > 0.0
+    assert opening_from(world.aim.exit, 40.0, 0.0, z)[2] < 0.0
+    assert opening_from(world.aim.exit, 0.0, 0.0, z)[2] > 0.0
 
 
 PLATES = {
@@ -196,7 +196,7 @@ def test_no_path_through_a_lenslets_corner_goes_past_the_cells_aimed_at(name: st
     of = lf.load(asset_path(f"scenes/{file}.toml"))
     small = {"camera.mla.count": (24, 24), "camera.sensor.pixels": (240, 240), "transport.split": "transmit"}
     world = lf.build(of.changed(small | {"targets": [], "lights": []} | changes))
-    array, aim, moves = world.tables.mla, world.tables.aim, world.tables.frames
+    array, aim, moves = world.tables.mla, world.aim, world.tables.frames
     lattice = array.lenslets.lattice
     random = np.random.default_rng(5)
     rays = 200_000

@@ -109,7 +109,7 @@ def test_a_run_whose_aim_misses_most_of_the_light_says_so(changes: dict[str, Any
     assert image.blind.agrees
     assert image.blind.smallest_deficit is not None
     world = lf.build(scene)
-    world.tables = world.tables._replace(aim=half_a_pupil(world.tables.aim))
+    world.aim = half_a_pupil(world.aim)
     wrong = Renderer(world).image()
     assert wrong.mean.sum() < 0.5 * image.mean.sum()
     assert wrong.blind is not None

@@ -84,6 +84,9 @@ def test_a_million_rays_land_on_the_truth(file: Path, monkeypatch: pytest.Monkey
 def test_every_level_converges_with_its_order(lens: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Flat facets with order one, interpolated normals two, quadratic patches three, over three refinements."""
     monkeypatch.setattr("lfmesh.accuracy.lens_accuracy.LEVELS", tuple(ORDERS))
+    # Its speed is not asked for.
+    monkeypatch.setattr("lfmesh.accuracy.lens_accuracy.TIMED_RUNS", 1)
+    monkeypatch.setattr("lfmesh.accuracy.lens_accuracy.TIMED_SECONDS", 0.0)
     study = study_lens(lens_scene(asset_path(f"lenses/{lens}.toml")), rings=(6, 12, 24, 48), rays=1 << 11)
     for level, order in ORDERS.items():
         rows = study.of(LENS_ALONE, level)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import lfmesh as lf
+from lfmesh.transport.render.render import Renderer
 from tests.cameras import close_up_camera
 
 LEVEL = 1e-3
@@ -99,18 +100,12 @@ def test_pixels_see_a_whole_hemisphere() -> None:
 def test_roulette_does_not_bias(method: str) -> None:
     """Cutoffs from almost none to the harshest: strips of the image and its sum by Welch's t-test, Bonferroni."""
     cutoffs = (0.01, 0.1, 1.0)
+    settings = {"method": method, "split": "both", "samples": 24, "replicates": 1}
+    worlds = [lf.build(crowded(weight_cutoff=cutoff, **settings)) for cutoff in cutoffs]
     images = [
-        np.array(
-            [
-                lf.render(
-                    crowded(method=method, split="both", weight_cutoff=cutoff, samples=24, replicates=1,
-                            seed=100 * which + k)
-                ).mean[..., 0]
-                for k in range(24)
-            ]
-        )
-        for which, cutoff in enumerate(cutoffs)
-    ]  # fmt: skip
+        np.array([Renderer(world.reseeded(100 * which + k)).image().mean[..., 0] for k in range(24)])
+        for which, world in enumerate(worlds)
+    ]
     sums = [stack.sum(axis=(1, 2)) for stack in images]
     for total in sums:
         assert stats.sem(total) < 0.03 * total.mean()

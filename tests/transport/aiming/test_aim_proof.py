@@ -77,9 +77,7 @@ def test_rays_from_the_stop_find_what_a_narrower_aim_misses(name: str, emitting_
 def test_rays_from_the_stop_find_what_a_narrower_pupil_misses_without_an_array(emitting_plane: dict[str, Any]) -> None:
     scene = lf.load(asset_path("scenes/conventional.toml")).changed({"targets": [emitting_plane], "lights": []})
     world = lf.build(scene)
-    narrower = world.aim._replace(
-        exit=world.aim.exit._replace(radius=0.97 * world.aim.exit.radius)
-    )
+    narrower = world.aim._replace(exit=world.aim.exit._replace(radius=0.97 * world.aim.exit.radius))
     assert missed(world, world.aim)[0] <= ALLOWED
     assert missed(world, narrower)[0] > 5.0 * ALLOWED
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from functools import lru_cache
 
 from pydantic import Field
 
@@ -130,6 +131,16 @@ class Surface(Model):
             yield Fault(
                 ("refractor", "priority"), self.refractor.priority, "omit it: elements of a lens do not overlap"
             )
+
+
+@lru_cache(maxsize=1024)
+def _thickness_to_touch(front: Surface, back: Surface, radius_mm: float) -> tuple[float, float]:
+    """Return the distance of two vertices at which their surfaces touch inside a radius, and the height there, mm.
+
+    Kept, as a study asks for the same pair of surfaces at thousands of points.
+    """
+    heights = [radius_mm * k / _HEIGHTS for k in range(_HEIGHTS + 1)]
+    return max((front.sag_mm(h) - back.sag_mm(h), h) for h in heights)
 
 
 def _term_mm(coefficient: float, height_mm: float, power: int) -> float:
@@ -314,8 +325,7 @@ class Lens(Model):
             highest, lowest = max(0.0, front.sag_mm(radius)), min(0.0, back.sag_mm(radius))
             if highest - lowest <= (front.thickness_mm or 0.0):
                 return
-        heights = [radius * k / _HEIGHTS for k in range(_HEIGHTS + 1)]
-        needed, height = max((front.sag_mm(h) - back.sag_mm(h), h) for h in heights)
+        needed, height = _thickness_to_touch(front, back, radius)
         given = front.thickness_mm or 0.0
         # Elements may touch; what rounding makes of that is no crossing.
         if needed > given + 1e-9 * (1 + given):

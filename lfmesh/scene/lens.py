@@ -134,12 +134,20 @@ class Surface(Model):
 
 
 @lru_cache(maxsize=1024)
-def _thickness_to_touch(front: Surface, back: Surface, radius_mm: float) -> tuple[float, float]:
-    """Return the distance of two vertices at which their surfaces touch inside a radius, and the height there, mm.
+def _thickness_to_touch(front: Surface, back: Surface, apertures_mm: tuple[float, ...]) -> tuple[float, float]:
+    """Return the distance of two vertices at which their surfaces touch inside an aperture, and the height there, mm.
 
-    Kept, as a study asks for the same pair of surfaces at thousands of points.
+    No more than the distance that is given, where bounds tell that they do not. Kept, as a study asks for the same pair
+    at thousands of points.
     """
-    heights = [radius_mm * k / _HEIGHTS for k in range(_HEIGHTS + 1)]
+    radius = min(*apertures_mm, front.reach_mm, back.reach_mm)
+    given = front.thickness_mm or 0.0
+    if not front.asphere_mm and not back.asphere_mm:
+        # A conic rises or falls all the way to its rim: between these bounds nothing can cross.
+        highest, lowest = max(0.0, front.sag_mm(radius)), min(0.0, back.sag_mm(radius))
+        if highest - lowest <= given:
+            return given, 0.0
+    heights = [radius * k / _HEIGHTS for k in range(_HEIGHTS + 1)]
     return max((front.sag_mm(h) - back.sag_mm(h), h) for h in heights)
 
 
@@ -319,13 +327,7 @@ class Lens(Model):
         apertures = [a for a in (self.aperture_mm(number), self.aperture_mm(number + 1)) if a is not None]
         if not apertures:
             return
-        radius = min(*apertures, front.reach_mm, back.reach_mm)
-        if not front.asphere_mm and not back.asphere_mm:
-            # A conic rises or falls all the way to its rim: between these bounds nothing can cross.
-            highest, lowest = max(0.0, front.sag_mm(radius)), min(0.0, back.sag_mm(radius))
-            if highest - lowest <= (front.thickness_mm or 0.0):
-                return
-        needed, height = _thickness_to_touch(front, back, radius)
+        needed, height = _thickness_to_touch(front, back, tuple(apertures))
         given = front.thickness_mm or 0.0
         # Elements may touch; what rounding makes of that is no crossing.
         if needed > given + 1e-9 * (1 + given):

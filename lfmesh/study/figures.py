@@ -28,10 +28,12 @@ ARROWS = 16
 def axis_figure(table: Table, axis: int, columns: Sequence[Column]) -> str:
     """Return a figure of some columns against an axis, a panel each; one standard error to either side.
 
-    Points at which only this axis differs from the reference are joined; all others are grey dots.
+    Points at which only this axis differs from the reference are joined; all others are grey dots, unless axes vary one
+    at a time: then they would only stand above the reference.
     """
     joined = [row for row in table.along(axis) if row.estimates]
-    others = [row for row in table.rows if row.estimates and row not in joined]
+    alone = table.plan.study.design == "one_at_a_time"
+    others = [] if alone else [row for row in table.rows if row.estimates and row not in joined]
     values = [table.value_of(row, axis) for row in (*joined, *others)]
     numeric = all(map(is_number, values))
     names = list(dict.fromkeys(map(str, values)))

@@ -9,6 +9,7 @@ from markupsafe import Markup
 import lfmesh
 from lfmesh.scene.literals import literal
 from lfmesh.study import figures
+from lfmesh.study.axes import is_number
 from lfmesh.study.metrics import METRICS, Column
 from lfmesh.study.table import CONFIDENCE, Row, Sensitivity, Table
 from lfmesh.templates import filled
@@ -21,7 +22,7 @@ MOST_ROWS = 300
 MOST_FIELDS = 4
 """Fields of displacements that are drawn of a metric: those of the points with the largest."""
 
-NO_FIGURE = ("_x_px", "_y_px")
+NO_FIGURE = ("_x_px", "_y_px", "_w_per_pixel")
 """Columns, by the end of their name, that are in the table alone."""
 
 
@@ -51,6 +52,7 @@ def page(table: Table) -> str:
             for i in drawn
             if columns
         ],
+        overview=_overview(table, columns, drawn),
         efficiency=Markup(figures.efficiency_figure(table)) if table.efficiency() else "",
         pictures=_pictures(table, done),
         fields=_fields(table, done),
@@ -85,6 +87,28 @@ def _in_short(table: Table, done: list[Row], sensitivities: list[Sensitivity]) -
         row, value, error = max(efficiency, key=lambda each: each[1])
         lines.append(f"Most efficient: {plan.label(row.point)}, 1/(noise² · time) = {written(value, error)} 1/s.")
     return lines
+
+
+def _overview(table: Table, columns: list[Column], axes: list[int]) -> dict[str, Any]:
+    """Return the worst value of every metric along each axis by itself, the axis that does most harm first."""
+    judged = [column for column in columns if column.worse]
+    if not judged or len(axes) < 2:
+        return {}
+    lines: list[tuple[float, list[str]]] = []
+    for i in axes:
+        rows = [row for row in table.along(i) if row.estimates and row.point.number]
+        worst = [ranked[-1].estimates[column.name] for column in judged if (ranked := _ranked(rows, column))]
+        if not rows or len(worst) < len(judged):
+            continue
+        values = [table.value_of(row, i) for row in rows]
+        numbers = [float(value) for value in values if is_number(value)]
+        span = f"{min(numbers):g} to {max(numbers):g}" if numbers else ", ".join(map(str, dict.fromkeys(values)))
+        axis = table.plan.axes[i]
+        harm = worst[0].value if judged[0].worse == "low" else -worst[0].value
+        lines.append((harm, [axis.label or axis.path, span, *(written(each.value, each.stderr) for each in worst)]))
+    lines.sort(key=lambda line: line[0])
+    heading = ["parameter", "from, to", *(f"worst {column.title}" for column in judged)]
+    return {"heading": heading, "rows": [cells for _, cells in lines]}
 
 
 def _first(table: Table) -> Column | None:

@@ -17,7 +17,7 @@ from lfmesh.study.pool import Result, here, in_pool
 from lfmesh.study.study_file import StudyFile, read_study
 from lfmesh.study.study_folder import StudyFolder, read_facts, refuse_other
 from lfmesh.study.table import Table, table_of
-from lfmesh.study.unit import Outcome, Unit, reference_films, unpacked
+from lfmesh.study.unit import Outcome, Unit, reference_films, run_unit, unpacked
 
 TABLE, PAGE, TIMES, PARQUET = "table.csv", "report.html", "times.csv", "table.parquet"
 
@@ -386,13 +386,19 @@ def probe(plan: Plan, workers: int | None = None) -> Probe:
     workers = default_workers(len(plan.units)) if workers is None else max(workers, 1)
     unit = _reference_unit(plan, max(1, _cores() // workers))
     reference_films(replace(unit, replicates=range(1)))
-    times = []
+    times, content = [], b""
     for count in PROBE_SHARES:
         began = time.perf_counter()
-        reference_films(replace(unit, replicates=range(count)))
+        content = reference_films(replace(unit, replicates=range(count)))
         times.append(time.perf_counter() - began)
+    # The metrics of so few replicates; the jackknife takes one estimate for each, and one more.
+    few = replace(unit, replicates=range(PROBE_SHARES[1]))
+    run_unit(few, content)
+    began = time.perf_counter()
+    run_unit(few, content)
+    compared = (time.perf_counter() - began) * (len(unit.replicates) + 1) / (PROBE_SHARES[1] + 1)
     each = max(0.0, (times[1] - times[0]) / (PROBE_SHARES[1] - PROBE_SHARES[0]))
-    one = max(times[0] - each, 0.0) + each * len(unit.replicates)
+    one = max(times[0] - each, 0.0) + each * len(unit.replicates) + compared
     columns, rows = plan.base.camera.sensor.pixels
     film = 8.0 * columns * rows * plan.base.channels * len(unit.replicates) * len(pictures_of(plan.metrics))
     # The camera's own films, the reference's, and what comparing them takes.

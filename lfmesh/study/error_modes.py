@@ -145,7 +145,7 @@ def template_text(name: str, scene: Scene, path: Path, folder: Path) -> str:
     document = tomlkit.document()
     document.add(tomlkit.comment(f"{ABOUT[name]}, each by itself around the camera of {path.name}."))
     document.add(tomlkit.comment("Edit what varies; lfmesh study --dry-run says what it will take."))
-    document.add("scene", os.path.relpath(path, folder or Path()))
+    document.add("scene", os.path.relpath(str(path), str(folder)))
     document.add("metrics", list(ready.metrics))
     document.add("design", "one_at_a_time")
     document.add("paired", True)

@@ -4,6 +4,7 @@ import base64
 import io
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,7 @@ def axis_figure(table: Table, axis: int, columns: Sequence[Column]) -> str:
         panel.set_xlabel(table.plan.axes[axis].label or table.plan.axes[axis].path)
 
     title = table.plan.axes[axis].path
-    return _panels([(column.title, lambda panel, c=column: draw(panel, c)) for column in columns], title)
+    return _panels([(column.title, partial(draw, column=column)) for column in columns], title)
 
 
 def efficiency_figure(table: Table) -> str:

@@ -22,7 +22,7 @@ from lfmesh.scene import Scene
 from lfmesh.study.pictures import Camera, Films, edge_scene, image_of
 from lfmesh.study.resolution import edge_mtf50
 from lfmesh.study.similarity import structural_similarity
-from lfmesh.study.statistics import Estimate, combined, independent_product, inner_products, pseudo_values
+from lfmesh.study.statistics import Estimate, Numbers, combined, independent_product, inner_products, pseudo_values
 from lfmesh.transport.render.image import Image
 
 Array = NDArray[np.float64]
@@ -125,7 +125,7 @@ def _psnr(pair: Comparison) -> Array:
     differences = inner_products(list(pair.films["scene"] - pair.reference_films["scene"]))
     peak = pair.brightest**2 or math.nan
 
-    def estimate(use: Array) -> Array:
+    def estimate(use: Numbers) -> Array:
         return np.array([independent_product(differences[np.ix_(use, use)]) / peak])
 
     return _from_replicates(estimate, pair)
@@ -134,7 +134,7 @@ def _psnr(pair: Comparison) -> Array:
 def _ncc(pair: Comparison) -> Array:
     n, products = pair.replicates, pair.products
 
-    def estimate(use: Array) -> Array:
+    def estimate(use: Numbers) -> Array:
         own = independent_product(products[np.ix_(use, use)])
         other = independent_product(products[np.ix_(use + n, use + n)])
         both = independent_product(products[np.ix_(use, use + n)])
@@ -147,7 +147,7 @@ def _ssim(pair: Comparison) -> Array:
     own, other = pair.films["scene"].sum(axis=3), pair.reference_films["scene"].sum(axis=3)
     brightest = float(other.mean(axis=0).max())
 
-    def estimate(use: Array) -> Array:
+    def estimate(use: Numbers) -> Array:
         return np.array([structural_similarity(own[use].mean(axis=0), other[use].mean(axis=0), brightest)])
 
     return _from_replicates(estimate, pair)
@@ -157,7 +157,7 @@ def _light(pair: Comparison) -> Array:
     own = pair.films["scene"].mean(axis=(1, 2, 3))
     other = pair.reference_films["scene"].mean(axis=(1, 2, 3))
 
-    def estimate(use: Array) -> Array:
+    def estimate(use: Numbers) -> Array:
         mean = own[use].mean()
         return np.array([mean, mean / other[use].mean()])
 
@@ -168,7 +168,7 @@ def _ghosts(pair: Comparison) -> Array:
     both = pair.films["scene"].mean(axis=(1, 2, 3))
     alone = pair.films["image path"].mean(axis=(1, 2, 3))
 
-    def estimate(use: Array) -> Array:
+    def estimate(use: Numbers) -> Array:
         return np.array([1.0 - alone[use].mean() / both[use].mean()])
 
     return _from_replicates(estimate, pair)
@@ -177,7 +177,7 @@ def _ghosts(pair: Comparison) -> Array:
 def _noise(pair: Comparison) -> Array:
     products = inner_products(list(pair.films["scene"]))
 
-    def estimate(use: Array) -> Array:
+    def estimate(use: Numbers) -> Array:
         own = products[np.ix_(use, use)]
         signal = independent_product(own)
         # Of the mean of all replicates, whatever number the estimate is from.
@@ -190,7 +190,7 @@ def _centres(pair: Comparison) -> Array:
     """Compare the centres that both white images show."""
     scene, nominal = pair.camera.scene, pair.reference.scene
 
-    def estimate(use: Array) -> Array:
+    def estimate(use: Numbers) -> Array:
         own = estimate_centres(image_of(scene, pair.films["white"][use]), nominal)
         other = estimate_centres(image_of(nominal, pair.reference_films["white"][use]), nominal)
         if len(use) == pair.replicates:
@@ -225,7 +225,7 @@ def _mtf50(pair: Comparison) -> Array:
     nominal = edge_scene(pair.reference)
     films, white = pair.films["edge"], pair.films["white"]
 
-    def estimate(use: Array) -> Array:
+    def estimate(use: Numbers) -> Array:
         seen = estimate_centres(image_of(pair.reference.scene, white[use]), pair.reference.scene)
         image = image_of(nominal, films[use])
         return np.array([_sharpness(image, nominal, pair, centres) for centres in (pair.reference_chief_rays, seen)])
@@ -244,7 +244,7 @@ def _sharpness(image: Image, nominal: Scene, pair: Comparison, centres: Calibrat
     return edge_mtf50(middle) * height
 
 
-def _from_replicates(estimate: Callable[[Array], Array], pair: Comparison) -> Array:
+def _from_replicates(estimate: Callable[[Numbers], Array], pair: Comparison) -> Array:
     return pseudo_values(estimate, pair.replicates)
 
 

@@ -22,6 +22,9 @@ MOST_ROWS = 300
 MOST_FIELDS = 4
 """Fields of displacements that are drawn of a metric: those of the points with the largest."""
 
+LEAST_PX = 1e-6
+"""Where nothing moves by more, there is nothing to draw."""
+
 NO_FIGURE = ("_x_px", "_y_px", "_w_per_pixel")
 """Columns, by the end of their name, that are in the table alone."""
 
@@ -84,8 +87,8 @@ def _in_short(table: Table, done: list[Row], sensitivities: list[Sensitivity]) -
         for each in sorted(known, key=lambda one: -abs(one.slope.value))[:3]
     ]
     if efficiency := table.efficiency():
-        row, value, error = max(efficiency, key=lambda each: each[1])
-        lines.append(f"Most efficient: {plan.label(row.point)}, 1/(noise² · time) = {written(value, error)} 1/s.")
+        row, rate, error = max(efficiency, key=lambda one: one[1])
+        lines.append(f"Most efficient: {plan.label(row.point)}, 1/(noise² · time) = {written(rate, error)} 1/s.")
     return lines
 
 
@@ -142,9 +145,9 @@ def _fields(table: Table, done: list[Row]) -> list[dict[str, Any]]:
         column = f"{name}_rms_px"
         if not any(each.name == column for each in METRICS[name].columns):
             continue
-        rows = [row for row in done if row.point.number and name in row.maps]
+        rows = [row for row in done if row.point.number and row.estimates[column].value > LEAST_PX]
         rows.sort(key=lambda row: -row.estimates[column].value)
-        for row in rows[:MOST_FIELDS]:
+        for row in (row for row in rows[:MOST_FIELDS] if name in row.maps):
             title = f"point {row.point.number}, {'white images' if name == 'centres' else 'chief rays'}"
             drawing = Markup(figures.field_figure(row, name, title))
             fields.append({"figure": drawing, "words": table.plan.label(row.point)})

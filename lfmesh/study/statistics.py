@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+"""Of replicates."""
 
 
-def pseudo_values(estimate: Callable[[Array], Array], replicates: int) -> Array:
+def pseudo_values(estimate: Callable[[Numbers], Array], replicates: int) -> Array:
     """Return the jackknife pseudo-values of an estimate (Quenouille 1956, Tukey 1958), (replicates, columns).
 
     Their mean is the estimate without its bias of first order, their standard error that of the estimate.

@@ -64,6 +64,7 @@ if TYPE_CHECKING:
         loads,
         solved,
     )
+    from lfmesh.study.study import Study
     from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
     from lfmesh.transport.render.image import Image
     from lfmesh.transport.render.progress import Progress
@@ -117,6 +118,7 @@ __all__ = [
     "Sphere",
     "SpotLight",
     "Status",
+    "Study",
     "Surface",
     "Target",
     "Tessellation",
@@ -190,6 +192,7 @@ _HOMES = {
             "solved",
         ],
     ],
+    "lfmesh.study.study": ["Study"],
     "lfmesh.transport.render.image": ["Image"],
     "lfmesh.transport.packets.ledger": ["Ledger", "LostEnergyWarning"],
     "lfmesh.transport.render.progress": ["Progress"],

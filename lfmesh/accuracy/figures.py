@@ -230,10 +230,10 @@ def _svg(draw: Callable[[Any], None], title: str, size: tuple[float, float] = SI
         finish(axes, title)
         text = io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
-    return _inline(text.getvalue())
+    return inline_svg(text.getvalue())
 
 
-def _inline(svg: str) -> str:
+def inline_svg(svg: str) -> str:
     """Return the <svg> element alone: inside HTML it needs no names of XML dialects, which look like addresses."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)

@@ -18,6 +18,7 @@ from lfmesh.cli import (  # noqa: F401  # adds their commands
     lightfield,
     render,
     schema,
+    study,
     view,
 )
 from lfmesh.cli.application import app, main

@@ -37,6 +37,7 @@ Examples:
     lfmesh expose run/ --bayer RGGB      what a detector with noise counts
     lfmesh export run/ --format hci -o hci/   files of other people's tools
     lfmesh compare scene.toml -o cmp/    beside two other kinds of camera
+    lfmesh study study.toml -o out/      many cameras: errors and tolerances
     lfmesh lens list                     lenses that come with lfmesh
     lfmesh lens convert in.zmx out.toml  other programs' lens files, and back
     lfmesh view scene.toml               lens, array, sensor and rays in 3D

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from functools import lru_cache
 
 from pydantic import Field
 
@@ -130,6 +131,24 @@ class Surface(Model):
             yield Fault(
                 ("refractor", "priority"), self.refractor.priority, "omit it: elements of a lens do not overlap"
             )
+
+
+@lru_cache(maxsize=1024)
+def _thickness_to_touch(front: Surface, back: Surface, apertures_mm: tuple[float, ...]) -> tuple[float, float]:
+    """Return the distance of two vertices at which their surfaces touch inside an aperture, and the height there, mm.
+
+    No more than the distance that is given, where bounds tell that they do not. Kept, as a study asks for the same pair
+    at thousands of points.
+    """
+    radius = min(*apertures_mm, front.reach_mm, back.reach_mm)
+    given = front.thickness_mm or 0.0
+    if not front.asphere_mm and not back.asphere_mm:
+        # A conic rises or falls all the way to its rim: between these bounds nothing can cross.
+        highest, lowest = max(0.0, front.sag_mm(radius)), min(0.0, back.sag_mm(radius))
+        if highest - lowest <= given:
+            return given, 0.0
+    heights = [radius * k / _HEIGHTS for k in range(_HEIGHTS + 1)]
+    return max((front.sag_mm(h) - back.sag_mm(h), h) for h in heights)
 
 
 def _term_mm(coefficient: float, height_mm: float, power: int) -> float:
@@ -308,14 +327,7 @@ class Lens(Model):
         apertures = [a for a in (self.aperture_mm(number), self.aperture_mm(number + 1)) if a is not None]
         if not apertures:
             return
-        radius = min(*apertures, front.reach_mm, back.reach_mm)
-        if not front.asphere_mm and not back.asphere_mm:
-            # A conic rises or falls all the way to its rim: between these bounds nothing can cross.
-            highest, lowest = max(0.0, front.sag_mm(radius)), min(0.0, back.sag_mm(radius))
-            if highest - lowest <= (front.thickness_mm or 0.0):
-                return
-        heights = [radius * k / _HEIGHTS for k in range(_HEIGHTS + 1)]
-        needed, height = max((front.sag_mm(h) - back.sag_mm(h), h) for h in heights)
+        needed, height = _thickness_to_touch(front, back, tuple(apertures))
         given = front.thickness_mm or 0.0
         # Elements may touch; what rounding makes of that is no crossing.
         if needed > given + 1e-9 * (1 + given):

@@ -177,18 +177,19 @@ class Scene(Model):
         SceneError
             The changed scene is not valid.
         """
-        data = self.model_dump()
+        # What no path leads through stays the model that it is, and is not checked again.
+        data = _opened(self)
         for path, value in values.items():
-            *parents, last = (int(s) if s.isdigit() else s for s in path.replace("]", "").replace("[", ".").split("."))
+            *parents, last = steps_of(path)
             place: Any = data
             for step in parents:
-                if isinstance(place, dict) and place.get(step) is None:
-                    place[step] = {}
-                elif isinstance(place, dict) and isinstance(place[step], tuple):
-                    place[step] = list(place[step])
+                missing = isinstance(place, dict) and place.get(step) is None
+                place[step] = {} if missing else _opened(place[step])
                 place = place[step]
             place[last] = value
-        return Scene(**data).in_folder(self._folder).with_digests(self._digests)
+        scene = Scene(**data)
+        scene._folder, scene._digests = self._folder, dict(self._digests)
+        return scene
 
     def dump_toml(self) -> str:
         """Return the scene as TOML that loads to an equal scene; defaults are left out."""
@@ -414,6 +415,20 @@ class Scene(Model):
                 f"the lenslets take {_gigabytes(lenslets)} of memory, and this machine has "
                 f"{_gigabytes(_physical_memory())}",
             )
+
+
+def steps_of(path: str) -> list[str | int]:
+    """Return the keys and numbers of a path such as "targets[0].position_mm"."""
+    return [int(s) if s.isdigit() else s for s in path.replace("]", "").replace("[", ".").split(".")]
+
+
+def _opened(value: Any) -> Any:
+    """Return a model as a table of its fields, a tuple as a list, a table as a copy; what they hold stays as it is."""
+    if isinstance(value, Model):
+        return {key: getattr(value, key) for key in type(value).model_fields}
+    if isinstance(value, dict):
+        return dict(value)
+    return list(value) if isinstance(value, tuple) else value
 
 
 def _physical_memory() -> int:

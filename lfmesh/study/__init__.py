@@ -1,1 +1,1 @@
-"""Studies: what the engine costs, how wrong it is, and what breaks it."""
+"""Studies: many cameras against a reference, and kinds of camera side by side."""

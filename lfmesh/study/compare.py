@@ -26,7 +26,7 @@ from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.lightfield.refocus import refocus
 from lfmesh.lightfield.upright import Upright
 from lfmesh.lightfield.white import white_image
-from lfmesh.scene import Scene
+from lfmesh.scene import FirstOrder, Scene
 from lfmesh.study.resolution import edge_mtf50, point_width
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.render import render
@@ -252,16 +252,32 @@ def _in_front(model: RayModel, share: float) -> float:
     return distance if 0.0 < distance < 1e6 else 1e6
 
 
-def _edge(camera: _Camera, distance_mm: float, focus_mm: float) -> Focus:
-    """Measure a bright half-plane whose edge runs through the axis."""
-    width = 4.0 * max(solved_camera(camera.scene).report.field_of_view_mm) * max(1.0, distance_mm / focus_mm)
+def edge_plane(report: FirstOrder, distance_mm: float, focus_mm: float | None = None) -> dict[str, Any]:
+    """Return the target of a bright half-plane whose edge, a little slanted, runs through the axis.
+
+    Parameters
+    ----------
+    report : FirstOrder
+        Of the camera, whose field the plane fills.
+    distance_mm : float
+        Of the plane.
+    focus_mm : float, optional
+        Distance at which the camera's field of view is known; that of its plane in focus if omitted.
+    """
+    focus = report.object_distance_mm if focus_mm is None else focus_mm
+    width = 4.0 * max(report.field_of_view_mm) * max(1.0, distance_mm / focus)
     turn = math.radians(EDGE_DEG)
-    plane = {
+    return {
         "shape": {"kind": "plane", "width_mm": width, "height_mm": width},
         "position_mm": (0.5 * width * math.cos(turn), 0.5 * width * math.sin(turn), -distance_mm),
         "rotation_deg": (0.0, 0.0, EDGE_DEG),
         "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0},
     }
+
+
+def _edge(camera: _Camera, distance_mm: float, focus_mm: float) -> Focus:
+    """Measure a bright half-plane whose edge runs through the axis."""
+    plane = edge_plane(solved_camera(camera.scene).report, distance_mm, focus_mm)
     image = camera.taken([plane])
     as_taken = _sharpness(camera, image, focus_mm)
     refocused = math.nan if camera.name == CONVENTIONAL else _sharpness(camera, image, distance_mm)

@@ -1,0 +1,172 @@
+"""Many cameras: `lfmesh study`, `lfmesh study merge`."""
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import App, Parameter
+
+from lfmesh.cli.application import CASE_FAILED, INTERRUPTED, app
+from lfmesh.cli.interrupts import defer_interrupt
+from lfmesh.cli.options import Whole
+from lfmesh.cli.printing import list_files, say_note
+from lfmesh.cli.progress import status
+from lfmesh.errors import LfmeshError
+
+if TYPE_CHECKING:
+    from lfmesh.study.study import Progress, Study
+    from lfmesh.study.table import Table
+
+study_app = App(
+    name="study",
+    help="Many cameras: errors and parameters against metrics, with error bars.",
+    help_epilogue="""\
+Examples:
+
+    lfmesh study --template assembly scene.toml -o study.toml
+    lfmesh study study.toml --dry-run
+    lfmesh study study.toml -o out/
+    lfmesh study study.toml -o out/          again: go on where it stopped
+    lfmesh study study.toml -o a/ --shard 1/3
+    lfmesh study merge study.toml a/ b/ c/ -o out/
+    lfmesh study study.toml -o out/ --dask tcp://10.0.0.1:8786
+""",
+)
+app.command(study_app)
+
+StudyPath = Annotated[Path, Parameter(name="study", help="Study file (TOML); with --template a scene file.")]
+
+
+@study_app.default
+def study(
+    study: StudyPath,
+    /,
+    *,
+    out: Annotated[
+        Path | None, Parameter(name=["--out", "-o"], help="Folder of the study; with --template the file to write.")
+    ] = None,
+    dry_run: Annotated[bool, Parameter(negative=(), help="List points, memory and time, and compute nothing.")] = False,
+    template: Annotated[
+        str | None, Parameter(help="Write a study: assembly, manufacturing, packets-and-splits or sensor.")
+    ] = None,
+    workers: Annotated[Whole | None, Parameter(help="Processes; 0: this one alone.")] = None,
+    dask: Annotated[str | None, Parameter(help='Address of a dask scheduler, or "local".')] = None,
+    shard: Annotated[str | None, Parameter(help="Only a share of the units: 1/3, 2/3 or 3/3.")] = None,
+    parquet: Annotated[bool, Parameter(negative=(), help="Also write the table as Parquet.")] = False,
+) -> int:
+    """Compare many cameras with a reference: table.csv, report.html and a log in a folder.
+
+    What is finished is kept whatever happens; the same command goes on. Exits with 1 if a point could not be traced.
+    """
+    if template is not None:
+        return _write_template(template, study, out)
+    with defer_interrupt():
+        from lfmesh.study.study import Study
+
+    loaded = Study.load(study)
+    if dry_run:
+        return _plan(loaded, workers)
+    if out is None:
+        raise LfmeshError("study needs --out, the folder to write: lfmesh study study.toml -o out/")
+    try:
+        with status() as say:
+            table = loaded.run(
+                out, workers=workers, dask=dask, shard=_shard(shard), progress=lambda now: say(_in_words(now))
+            )
+    except KeyboardInterrupt:
+        print(f"\nStopped; what is finished is kept in {out}, and the same command goes on.")
+        return INTERRUPTED
+    return _report(table, out, parquet)
+
+
+@study_app.command(help_epilogue="")
+def merge(
+    study: StudyPath,
+    /,
+    *folders: Annotated[Path, Parameter(help="Folders of the shares.")],
+    out: Annotated[Path, Parameter(name=["--out", "-o"], help="Folder for all of it.")],
+    parquet: Annotated[bool, Parameter(negative=(), help="Also write the table as Parquet.")] = False,
+) -> int:
+    """Put the shares of a study together; the table is bitwise that of a study that was not divided."""
+    with defer_interrupt():
+        from lfmesh.study.study import Study
+
+    return _report(Study.load(study).merge(folders, out), out, parquet)
+
+
+def _shard(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    found = re.fullmatch(r"(\d+)/(\d+)", text)
+    if found is None or not 1 <= int(found[1]) <= int(found[2]):
+        raise LfmeshError(f'--shard {text}: give the number of a share and how many there are, such as "1/3"')
+    return int(found[1]), int(found[2])
+
+
+def _write_template(name: str, scene: Path, out: Path | None) -> int:
+    with defer_interrupt():
+        from lfmesh.scene import load
+        from lfmesh.study.error_modes import template_text
+
+    if out is None:
+        raise LfmeshError("--template needs --out, the study file to write: -o study.toml")
+    from lfmesh.files.whole import write_whole
+
+    write_whole(out, template_text(name, load(scene), scene, out.parent))
+    list_files([out])
+    return 0
+
+
+def _plan(loaded: "Study", workers: int | None) -> int:
+    from lfmesh.files.words import duration
+    from lfmesh.study.study import probe
+
+    plan = loaded.plan
+    for point in plan.points[:LISTED]:
+        print(f"  {point.number:>6}  {plan.label(point)}")
+    if len(plan.points) > LISTED:
+        print(f"  and {len(plan.points) - LISTED} more")
+    found = probe(plan, workers)
+    print(
+        f"{found.points} points, {found.units} units in {found.workers} processes, {', '.join(plan.metrics)}: about "
+        f"{duration(found.seconds)} ({found.unit_seconds:.2g} s a unit), {found.bytes / 1e9:.2g} GB of memory"
+    )
+    return 0
+
+
+LISTED = 40
+"""Points that a dry run names."""
+
+
+def _in_words(now: "Progress") -> str:
+    from lfmesh.files.words import duration
+
+    words = f"{now.done} of {now.total} units"
+    if now.new and now.seconds:
+        words += f", {60.0 * now.new / now.seconds:.3g} a minute"
+    if now.seconds_left is not None:
+        words += f", {duration(now.seconds_left)} left"
+    if now.failed:
+        words += f", {now.failed} points failed"
+    return words + (f"; best {now.best}; worst {now.worst}" if now.best else "")
+
+
+def _report(table: "Table", out: Path, parquet: bool) -> int:
+    from lfmesh.study.study import PAGE, PARQUET, TABLE
+
+    files = [out / TABLE, out / PAGE]
+    if parquet:
+        from lfmesh.files.whole import write_whole
+
+        write_whole(out / PARQUET, table.to_parquet())
+        files.append(out / PARQUET)
+    for row in table.failed:
+        if row.fault != "not done":
+            say_note(f"point {row.point.number}, {table.plan.label(row.point)}: {row.fault}")
+    missing = sum(row.fault == "not done" for row in table.rows)
+    done = len(table.rows) - len(table.failed)
+    print(
+        f"{done} of {len(table.rows)} points are done" + (f", {missing} of other shares are not." if missing else ".")
+    )
+    list_files(files)
+    return CASE_FAILED if len(table.failed) > missing else 0

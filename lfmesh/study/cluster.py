@@ -1,0 +1,91 @@
+"""Units on a cluster, through the scheduler of dask.distributed."""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from lfmesh.errors import LfmeshError
+from lfmesh.study.pool import Result, computed
+from lfmesh.study.unit import Unit
+
+LOCAL = "local"
+"""In place of a scheduler's address: a cluster on this machine."""
+
+AHEAD = 2
+"""Units given to the scheduler for each thread of its workers: it need not wait for us, and memory stays flat."""
+
+RETRIES = 1
+"""A unit whose worker dies is tried again so many times."""
+
+
+def in_dask(units: Iterable[tuple[Unit, Path]], address: str, workers: int) -> Iterator[Result]:
+    """Compute units with dask, and yield them as they are done.
+
+    Outcomes come back to this process, which writes them: workers need no folder in common with it.
+
+    Parameters
+    ----------
+    units : iterable of (Unit, Path)
+    address : str
+        Of a scheduler, such as "tcp://10.0.0.1:8786", or "local".
+    workers : int
+        Number of processes of a local cluster.
+
+    Raises
+    ------
+    LfmeshError
+        dask.distributed is not installed, or there is no scheduler at the address.
+    """
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise LfmeshError('--dask needs dask.distributed: pip install "lfmesh[cluster]"') from None
+    if address == LOCAL:
+        with (
+            LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
+            Client(cluster) as client,
+        ):
+            yield from _through(client, units)
+        return
+    try:
+        client = Client(address, timeout="10s")
+    except (OSError, TimeoutError, ValueError) as error:
+        raise LfmeshError(f"--dask {address}: no scheduler answers there: {error}") from None
+    with client:
+        yield from _through(client, units)
+
+
+def _through(client: Any, units: Iterable[tuple[Unit, Path]]) -> Iterator[Result]:
+    from distributed import as_completed
+
+    references: dict[Path, Any] = {}
+    running = as_completed()
+    owners: dict[str, Unit] = {}
+    waiting = iter(units)
+
+    def submit() -> bool:
+        job = next(waiting, None)
+        if job is None:
+            return False
+        unit, path = job
+        if path not in references:
+            references[path] = client.scatter(path.read_bytes(), broadcast=True, hash=False)
+        future = client.submit(computed, unit, references[path], pure=False, retries=RETRIES)
+        owners[future.key] = unit
+        running.add(future)
+        return True
+
+    threads = max(1, sum(client.nthreads().values()))
+    for _ in range(AHEAD * threads):
+        if not submit():
+            break
+    for future in running:
+        unit = owners.pop(future.key)
+        if future.status == "finished":
+            content, reason = future.result()
+        else:
+            error = future.exception()
+            content, reason = None, f"its worker died or the unit was cancelled: {type(error).__name__}: {error}"
+        future.release()
+        submit()
+        yield Result(unit, content, reason)

@@ -1,0 +1,47 @@
+"""Fields of a scene by their path: what stands there, and what a path that leads nowhere may have meant."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from lfmesh.scene import Scene
+from lfmesh.scene.model import Model, format_path, nearest
+from lfmesh.scene.scene import steps_of
+
+
+def value_at(scene: Scene, path: str) -> Any:
+    """Return the value of a field, such as that of "camera.mla.pose.tilt_deg[0]".
+
+    Raises
+    ------
+    KeyError
+        No field has this path; the message says where it ends, and what is valid there.
+    """
+    place: Any = scene
+    done: list[str | int] = []
+    for step in steps_of(path):
+        where = format_path(done) or "the scene"
+        if isinstance(place, Model):
+            place = _field(place, step, where)
+        elif isinstance(place, Mapping):
+            if step not in place:
+                raise KeyError(f"{where} has no {step!r}{nearest(str(step), map(str, place))}")
+            place = place[step]
+        elif isinstance(place, tuple):
+            if not isinstance(step, int):
+                raise KeyError(f"{where} is a list: a number must follow, such as {where}[0]")
+            if step >= len(place):
+                raise KeyError(f"{where} has {len(place)} entries, numbered from 0: there is no [{step}]")
+            place = place[step]
+        elif place is None:
+            raise KeyError(f"the scene has no {where}")
+        else:
+            raise KeyError(f"{where} is a single value, {place!r}: nothing can follow")
+        done.append(step)
+    return place
+
+
+def _field(model: Model, step: str | int, where: str) -> Any:
+    fields = type(model).model_fields
+    if not isinstance(step, str) or step not in fields:
+        raise KeyError(f"{where} has no field {step!r}{nearest(str(step), fields)}; valid here: {', '.join(fields)}")
+    return getattr(model, step)

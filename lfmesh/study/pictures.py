@@ -1,0 +1,103 @@
+"""The pictures that metrics are made of: the scene, a white plane, an edge, one film for each replicate."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.lightfield.white import white_scene
+from lfmesh.scene import Scene
+from lfmesh.study.compare import edge_plane, measuring
+from lfmesh.transport.packets.ledger import Ledger
+from lfmesh.transport.render.image import Image
+from lfmesh.transport.render.tracer import Tracer
+from lfmesh.transport.world import build
+
+Array = NDArray[np.float64]
+Films = Mapping[str, Array]
+"""By the name of a picture the light of each replicate, (replicates, H, W, channels) float64, W."""
+
+FARTHEST_MM = 1e6
+"""No edge stands farther off."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera of a study, solved, and where its edge stands."""
+
+    scene: Scene
+    edge_distance_mm: float = FARTHEST_MM
+
+
+def films(camera: Camera, names: Sequence[str], replicates: Sequence[int]) -> dict[str, Array]:
+    """Trace some replicates of some pictures; each is bitwise that of `lf.render` of the same scene.
+
+    Parameters
+    ----------
+    camera : Camera
+    names : sequence of str
+        Of `PICTURES`.
+    replicates : sequence of int
+
+    Raises
+    ------
+    LfmeshError
+        The scene cannot be built.
+    """
+    return {name: _films(PICTURES[name](camera), replicates) for name in names}
+
+
+def _films(scene: Scene, replicates: Sequence[int]) -> Array:
+    tracer = Tracer(build(scene), check=False)
+    films = []
+    for replicate in replicates:
+        tally = tracer.layout.tally()
+        tally.restart(replicate)
+        tally.merge([tracer.piece(replicate, tracer.plan.whole())])
+        power = tally.film.power if tally.lamps is None else tally.film.power + tally.lamps.power
+        films.append(power.reshape(tracer.shape))
+    return np.stack(films)
+
+
+def image_of(scene: Scene, films: Array) -> Image:
+    """Return the image of some replicates, as if its camera were that of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    films : (n, H, W, channels) float64, W
+    """
+    count = len(films)
+    stderr = films.std(axis=0, ddof=1) / math.sqrt(count) if count > 1 else np.full(films.shape[1:], np.nan)
+    return Image(films.mean(axis=0), stderr, scene, Ledger(), 0.0, count, float(scene.transport.samples), "")
+
+
+def _itself(camera: Camera) -> Scene:
+    return camera.scene
+
+
+def _white(camera: Camera) -> Scene:
+    return white_scene(camera.scene)
+
+
+def _image_path(camera: Camera) -> Scene:
+    return camera.scene.changed({"transport.split": "transmit"})
+
+
+def edge_scene(camera: Camera) -> Scene:
+    """Return a scene of a bright half-plane whose edge, a little slanted, runs through the axis."""
+    solved = solved_camera(camera.scene)
+    plane = edge_plane(solved.report, camera.edge_distance_mm)
+    return measuring(solved.scene).changed({"targets": [plane]})
+
+
+PICTURES: dict[str, Callable[[Camera], Scene]] = {
+    "scene": _itself,
+    "white": _white,
+    "image path": _image_path,
+    "edge": edge_scene,
+}
+"""Scene of each picture."""

@@ -1,0 +1,180 @@
+"""Units in processes of this machine, any of which may die without ending the study."""
+
+import multiprocessing as mp
+import os
+import signal
+from collections import deque
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any
+
+from lfmesh.study.unit import Unit, run_unit
+
+TRIES = 2
+"""A unit whose process dies is tried again, up to so many times in all."""
+
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+"""For libraries of linear algebra, whose last bits may depend on it, and which would start threads of their own."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """A unit that is done or given up.
+
+    Attributes
+    ----------
+    unit : Unit
+    content : bytes or None
+        Its outcome; None if there is none.
+    reason : str
+        Why there is none, or "".
+    deaths : int
+        Processes that died over it.
+    """
+
+    unit: Unit
+    content: bytes | None
+    reason: str = ""
+    deaths: int = 0
+
+
+def here(units: Iterable[tuple[Unit, Path]]) -> Iterator[Result]:
+    """Compute units in this process, one after the other."""
+    for unit, reference in units:
+        yield Result(unit, *computed(unit, reference))
+
+
+def computed(unit: Unit, reference: Path | bytes) -> tuple[bytes | None, str]:
+    """Return a unit's outcome, or None and why there is none."""
+    try:
+        return run_unit(unit, reference), ""
+    except Exception as error:
+        # Whatever a library raises at one point, the other points go on.
+        return None, f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+@dataclass
+class _Worker:
+    process: Any
+    pipe: Connection
+    unit: tuple[Unit, Path] | None = None
+
+
+def in_pool(units: Iterable[tuple[Unit, Path]], workers: int) -> Iterator[Result]:
+    """Compute units in processes, and yield them as they are done.
+
+    Parameters
+    ----------
+    units : iterable of (Unit, Path)
+        With the file of the reference's films; taken from as workers become free.
+    workers : int
+        Number of processes.
+    """
+    waiting = iter(units)
+    again: deque[tuple[Unit, Path]] = deque()
+    deaths: dict[tuple[int, int], int] = {}
+    team: list[_Worker] = []
+
+    def next_job() -> tuple[Unit, Path] | None:
+        return again.popleft() if again else next(waiting, None)
+
+    def give_work(worker: _Worker) -> None:
+        worker.unit = next_job()
+        if worker.unit is not None:
+            # A process that died meanwhile is noticed below.
+            with suppress(OSError):
+                worker.pipe.send(worker.unit)
+
+    try:
+        idle = workers
+        while True:
+            for worker in team:
+                if worker.unit is None:
+                    give_work(worker)
+            while idle and (job := next_job()) is not None:
+                again.appendleft(job)
+                team.append(_started())
+                give_work(team[-1])
+                idle -= 1
+            busy = [worker for worker in team if worker.unit is not None]
+            if not busy:
+                return
+            ready = wait([worker.pipe for worker in busy])
+            for worker in busy:
+                if worker.pipe not in ready:
+                    continue
+                assert worker.unit is not None
+                job, worker.unit = worker.unit, None
+                key = job[0].point, job[0].batch
+                try:
+                    content, reason = worker.pipe.recv()
+                except (EOFError, OSError):
+                    worker.process.join()
+                    team.remove(worker)
+                    idle += 1
+                    deaths[key] = deaths.get(key, 0) + 1
+                    if deaths[key] < TRIES:
+                        again.append(job)
+                    else:
+                        yield Result(job[0], None, _death_in_words(worker.process.exitcode), deaths[key])
+                    continue
+                give_work(worker)
+                yield Result(job[0], content, reason, deaths.get(key, 0))
+    finally:
+        for worker in team:
+            _end(worker)
+
+
+def _started() -> _Worker:
+    context = mp.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_serve, args=(theirs,), daemon=True, name="lfmesh study")
+    with _environment(ONE_THREAD):
+        process.start()
+    theirs.close()
+    return _Worker(process, ours)
+
+
+def _end(worker: _Worker) -> None:
+    """End a process that this one has started, whatever it is doing."""
+    worker.pipe.close()
+    if worker.process.is_alive():
+        worker.process.terminate()
+    worker.process.join()
+
+
+def _serve(pipe: Connection) -> None:
+    """Compute units until the other end is closed."""
+    # Ctrl-C in a terminal reaches all processes; the one that started this decides.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    while True:
+        try:
+            unit, reference = pipe.recv()
+            pipe.send(computed(unit, reference))
+        except (EOFError, OSError):
+            return
+
+
+@contextmanager
+def _environment(values: dict[str, str]) -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _death_in_words(code: int | None) -> str:
+    if code is not None and code < 0:
+        name = signal.Signals(-code).name
+        hint = ": perhaps the memory was used up" if -code == signal.SIGKILL else ""
+        return f"its process was ended by {name}, {TRIES} times{hint}"
+    return f"its process ended with exit code {code}, {TRIES} times"

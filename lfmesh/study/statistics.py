@@ -1,0 +1,107 @@
+"""Estimates from replicates: jackknife, products of independent images, lines with confidence intervals."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+"""Of replicates."""
+
+
+def pseudo_values(estimate: Callable[[Numbers], Array], replicates: int) -> Array:
+    """Return the jackknife pseudo-values of an estimate (Quenouille 1956, Tukey 1958), (replicates, columns).
+
+    Their mean is the estimate without its bias of first order, their standard error that of the estimate.
+
+    Parameters
+    ----------
+    estimate : callable
+        Given the numbers of the replicates to use, (n,) int64, returns (columns,) float64.
+    replicates : int
+    """
+    numbers = np.arange(replicates)
+    whole = np.asarray(estimate(numbers), dtype=np.float64)
+    without = np.stack([np.asarray(estimate(np.delete(numbers, k)), dtype=np.float64) for k in numbers])
+    return replicates * whole - (replicates - 1) * without
+
+
+def inner_products(images: Sequence[Array]) -> Array:
+    """Return the means of the products of images, pixel by pixel, as a symmetric matrix.
+
+    Without a matrix product: the bits of that may depend on the number of threads.
+    """
+    flat = [image.reshape(-1) for image in images]
+    products = np.empty((len(flat), len(flat)))
+    for i, one in enumerate(flat):
+        for j in range(i + 1):
+            products[i, j] = products[j, i] = float((one * flat[j]).mean())
+    return products
+
+
+def independent_product(products: Array) -> float:
+    """Return the mean of a matrix of products of replicates without its diagonal: noise is independent there."""
+    n = len(products)
+    return float((products.sum() - np.trace(products)) / (n * (n - 1)))
+
+
+class Estimate(NamedTuple):
+    """A value and its standard error; NaN where it has none."""
+
+    value: float
+    stderr: float
+
+
+def combined(pseudo: Array) -> Estimate:
+    """Return the mean of pseudo-values and its standard error; 0 for a single value, which is exact.
+
+    Parameters
+    ----------
+    pseudo : (n,) float64
+    """
+    if len(pseudo) == 1:
+        return Estimate(float(pseudo[0]), 0.0)
+    return Estimate(float(pseudo.mean()), float(pseudo.std(ddof=1) / math.sqrt(len(pseudo))))
+
+
+class Slope(NamedTuple):
+    """The derivative of a quantity by a parameter, with its 95 % confidence interval."""
+
+    value: float
+    low: float
+    high: float
+    points: int
+
+
+LEAST_POINTS = 3
+"""Points of a line whose slope has an interval."""
+
+
+def slope(x: Array, y: Array, stderr: Array) -> Slope | None:
+    """Fit a straight line by least squares, and return its slope.
+
+    The interval has Student's quantile and covers both the standard errors of the points and, where they scatter more
+    than these explain, how far they lie beside the line.
+
+    Parameters
+    ----------
+    x, y, stderr : (n,) float64
+    """
+    from scipy.stats import t as student
+
+    known = np.isfinite(x) & np.isfinite(y) & np.isfinite(stderr)
+    x, y, stderr = x[known], y[known], stderr[known]
+    n = len(x)
+    if n < LEAST_POINTS or not np.ptp(x) > 0.0:
+        return None
+    off = x - x.mean()
+    spread = float((off**2).sum())
+    value = float((off * y).sum() / spread)
+    residual = y - y.mean() - value * off
+    scatter = float((residual**2).sum()) / (n - 2) / spread
+    noise = float(((off * stderr) ** 2).sum()) / spread**2
+    reach = float(student.ppf(0.975, n - 2)) * math.sqrt(max(scatter, noise))
+    return Slope(value, value - reach, value + reach, n)

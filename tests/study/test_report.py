@@ -1,0 +1,74 @@
+"""The report stands by itself, and a designer finds in it what was asked."""
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import lfmesh as lf
+from tests.conftest import chromium
+from tests.study.studies import SHIFT, shifted, small_scene
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("study")
+    axes = [
+        {"path": SHIFT, "values": [-0.05, 0.05], "label": "decentre / mm"},
+        {"path": "transport.split", "values": ["roulette"]},
+    ]
+    lf.Study(small_scene(), axes=axes, metrics=["psnr", "light", "chief_rays"], name="Two <axes>").run(
+        folder, workers=0
+    )
+    return folder
+
+
+def test_the_page_asks_for_nothing_from_outside(folder: Path) -> None:
+    page = (folder / "report.html").read_text()
+    assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
+    assert not re.findall(r"(?:https?:)?//[\w.]", re.sub(r"data:image/png;base64,[\w+/=]*", "", page))
+    assert "@import" not in page
+    assert "<script" not in page
+
+
+def test_it_shows_figures_pictures_fields_and_all_points(folder: Path) -> None:
+    page = (folder / "report.html").read_text()
+    assert "Two &lt;axes&gt;" in page
+    # A figure for each axis, and a field for each of two points that move; the third moves nothing.
+    assert page.count("<svg") == 4
+    assert page.count('<img src="data:image/png;base64,') == 3
+    assert "decentre / mm" in page
+    assert "Which error matters" in page
+    for heading in ("Metric against parameter", "Where micro-images move", "All points"):
+        assert heading in page
+    assert page.count("±") > 5
+
+
+def test_a_worst_point_is_named_first(folder: Path) -> None:
+    page = (folder / "report.html").read_text()
+    found = re.search(r"Worst by PSNR / dB: ([^,<]*),", page)
+    assert found is not None
+    assert found[1] in (f"{SHIFT} = -0.05", f"{SHIFT} = 0.05")
+
+
+def test_parquet_holds_the_table(tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    table = shifted(3, ("chief_rays",)).run(tmp_path, workers=0)
+    (tmp_path / "table.parquet").write_bytes(table.to_parquet())
+    read = parquet.read_table(tmp_path / "table.parquet").to_pydict()
+    assert read["point"] == [0, 1, 2, 3]
+    assert read["chief_rays_x_px"] == list(table.values("chief_rays_x_px"))
+
+
+@pytest.mark.browser
+def test_a_browser_shows_the_page_without_errors(folder: Path, tmp_path: Path) -> None:
+    program = chromium()
+    assert program is not None
+    shot = tmp_path / "page.png"
+    command = [program, "--headless", "--no-sandbox", "--disable-gpu", "--window-size=900,600"]
+    done = subprocess.run(
+        [*command, f"--screenshot={shot}", f"file://{folder / 'report.html'}"], capture_output=True, timeout=120
+    )
+    assert done.returncode == 0
+    assert shot.stat().st_size > 10_000

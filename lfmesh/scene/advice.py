@@ -8,7 +8,7 @@ from lfmesh.scene.distance import reach_in_words
 from lfmesh.scene.model import format_path
 from lfmesh.scene.paraxial import Paraxial, quotient
 from lfmesh.scene.scene import Scene
-from lfmesh.scene.solve import image_plane_mm
+from lfmesh.scene.solve import focus_wished_mm, image_plane_mm
 from lfmesh.scene.targets import Box, Cylinder, Disk, Plane, Sphere, Target
 
 if TYPE_CHECKING:
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 # Differences below these shares are ordinary tolerances of a design, not worth a word.
 _F_NUMBER_TOLERANCE = 0.1
 _TOUCHING_TOLERANCE = 0.02
+# Of the distance in focus, or of a hundred focal lengths where it is farther.
+_FOCUS_TOLERANCE = 1e-3
 
 
 def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
@@ -44,7 +46,7 @@ def _rough_camera(scene: Scene) -> Iterator[str]:
 
 
 def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
-    focus, distance = scene.camera.focus_mm, facts.object_distance_mm
+    focus, distance = focus_wished_mm(scene.camera, scene.primary_nm), facts.object_distance_mm
     plane = "array" if scene.camera.mla is not None else "sensor"
     # Of a relay with an image inside, the focal length is negative too, but the rear focal point lies behind it.
     if facts.efl_mm < 0 and facts.bfl_mm < 0:
@@ -57,12 +59,15 @@ def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
         )
     elif focus is not None and focus <= -facts.ffl_mm:
         yield (
-            f"focus_mm = {focus:g} is inside the focal length: the front focal point lies "
+            f"focus_mm = {scene.camera.focus_mm:g} is inside the focal length: the front focal point lies "
             f"{-facts.ffl_mm:.4g} mm before the lens"
         )
-    elif focus is not None and abs(focus - distance) > 1e-3 * focus:
+    elif focus is not None and abs(quotient(1, focus) - quotient(1, distance)) > _FOCUS_TOLERANCE * max(
+        quotient(1, focus), quotient(0.01, abs(facts.efl_mm))
+    ):
+        beyond = scene.camera.focus_mm - focus if focus < math.inf else 0.0
         yield (
-            f"focus_mm = {focus:g}, but the distances given focus on {distance:.6g} mm; omit "
+            f"focus_mm = {scene.camera.focus_mm:g}, but the distances given focus on {distance + beyond:.6g} mm; omit "
             f"{'mla' if scene.camera.mla is not None else 'sensor'}.distance_mm to have it solved"
         )
 

@@ -46,7 +46,8 @@ def _rough_camera(scene: Scene) -> Iterator[str]:
 
 
 def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
-    focus, distance = focus_wished_mm(scene.camera, scene.primary_nm), facts.object_distance_mm
+    given, distance = scene.camera.focus_mm or math.inf, facts.object_distance_mm
+    focus = focus_wished_mm(scene.camera, scene.primary_nm)
     plane = "array" if scene.camera.mla is not None else "sensor"
     # Of a relay with an image inside, the focal length is negative too, but the rear focal point lies behind it.
     if facts.efl_mm < 0 and facts.bfl_mm < 0:
@@ -59,15 +60,15 @@ def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
         )
     elif focus is not None and focus <= -facts.ffl_mm:
         yield (
-            f"focus_mm = {scene.camera.focus_mm:g} is inside the focal length: the front focal point lies "
+            f"focus_mm = {given:g} is inside the focal length: the front focal point lies "
             f"{-facts.ffl_mm:.4g} mm before the lens"
         )
     elif focus is not None and abs(quotient(1, focus) - quotient(1, distance)) > _FOCUS_TOLERANCE * max(
         quotient(1, focus), quotient(0.01, abs(facts.efl_mm))
     ):
-        beyond = scene.camera.focus_mm - focus if focus < math.inf else 0.0
+        beyond = given - focus if focus < math.inf else 0.0
         yield (
-            f"focus_mm = {scene.camera.focus_mm:g}, but the distances given focus on {distance + beyond:.6g} mm; omit "
+            f"focus_mm = {given:g}, but the distances given focus on {distance + beyond:.6g} mm; omit "
             f"{'mla' if scene.camera.mla is not None else 'sensor'}.distance_mm to have it solved"
         )
 

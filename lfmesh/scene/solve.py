@@ -120,7 +120,8 @@ def _focused_image_mm(camera: Camera, omitted: str, wavelength_nm: float) -> flo
     if math.isinf(image) or image <= 0:
         nearest = -lens.ffl_mm
         wish = (
-            f"the front focal point lies {nearest:.6g} mm before the lens; give {at_least(nearest * (1 + BEYOND))} or more"
+            f"the front focal point lies {nearest:.6g} mm before the lens; give "
+            f"{at_least(nearest * (1 + BEYOND))} or more"
             if lens.efl_mm > 0 and math.isfinite(nearest)
             else f"the lens has a focal length of {lens.efl_mm:.6g} mm; a camera needs a converging one"
         )

@@ -166,7 +166,7 @@ def _targets(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
         elif _outside(x, y, z, reach, facts):
             yield (
                 f"{name} is out of the field: at z = {z:g} mm the camera sees "
-                f"{' × '.join(f'{2 * half:.4g}' for half in _half_field(z, facts))} mm round the axis"
+                f"{' × '.join(f'{2 * half:.4g}' for half in half_field_mm(z, facts))} mm round the axis"
             )
         elif not facts.near_mm <= -z + reach or not -z - reach <= facts.far_mm:
             kind = "can be refocused" if facts.microlens_f_number is not None else "is sharp"
@@ -189,8 +189,8 @@ def _reach_mm(target: Target) -> float | None:
             return None
 
 
-def _half_field(z_mm: float, facts: "FirstOrder") -> tuple[float, float]:
-    """Half width and height seen at a plane, by the chief rays through the middle of the entrance pupil."""
+def half_field_mm(z_mm: float, facts: "FirstOrder") -> tuple[float, float]:
+    """Return half the width and height seen at a plane, in mm, by the chief rays of the entrance pupil's middle."""
     focus_z, pupil_z = -facts.object_distance_mm, facts.entrance_pupil_z_mm
     if not math.isfinite(focus_z):
         scale = quotient(abs(z_mm - pupil_z), abs(facts.efl_mm))
@@ -205,7 +205,7 @@ def _half_field(z_mm: float, facts: "FirstOrder") -> tuple[float, float]:
 
 
 def _outside(x: float, y: float, z: float, reach: float, facts: "FirstOrder") -> bool:
-    half_width, half_height = _half_field(z, facts)
+    half_width, half_height = half_field_mm(z, facts)
     return abs(x) - reach > half_width or abs(y) - reach > half_height
 
 

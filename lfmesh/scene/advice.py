@@ -32,7 +32,18 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
         *_targets(scene, facts),
         *_light(scene),
         *_rough_camera(scene),
+        *_samples(scene),
     )
+
+
+def _samples(scene: Scene) -> Iterator[str]:
+    """Say how many samples are taken where the replicates cannot share those asked for."""
+    transport = scene.transport
+    if transport.samples % transport.replicates:
+        yield (
+            f"samples = {transport.samples} cannot be shared by {transport.replicates} replicates: rounded up to "
+            f"{transport.samples_each * transport.replicates}"
+        )
 
 
 def _rough_camera(scene: Scene) -> Iterator[str]:

@@ -250,7 +250,9 @@ def compare(
             edges.append(_edge(camera, distance, focus))
         say(f"{name}: points")
         results.append(_result(camera, edges, focus, standard))
-    return Comparison(focus, standard.transport.samples, tuple(results), tuple(pictures))
+    return Comparison(
+        focus, standard.transport.samples_each * standard.transport.replicates, tuple(results), tuple(pictures)
+    )
 
 
 def _in_front(model: RayModel, share: float) -> float:

@@ -10,6 +10,7 @@ import cyclopts
 from cyclopts import App
 
 import lfmesh
+from lfmesh.cli.interrupts import Terminated, terminate_as_interrupt
 from lfmesh.cli.printing import lens_files_as_notes
 from lfmesh.errors import LfmeshError
 
@@ -17,6 +18,8 @@ CASE_FAILED = 1
 WRONG_INPUT = 2
 INTERRUPTED = 130
 """128 + SIGINT, what a shell expects after Ctrl-C."""
+TERMINATED = 143
+"""128 + SIGTERM."""
 BROKEN_PIPE = 141
 """128 + SIGPIPE."""
 
@@ -66,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     _open_streams()
     try:
-        with lens_files_as_notes():
+        with terminate_as_interrupt(), lens_files_as_notes():
             code = app(arguments, exit_on_error=False, print_error=False)
         sys.stdout.flush()
         return code if isinstance(code, int) else 0
@@ -75,9 +78,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(f"{_one_paragraph(str(error))}\nSee: {command} --help")
     except LfmeshError as error:
         return _complain(str(error))
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
         print("\nStopped before anything was finished; nothing was written.", file=sys.stderr)
-        return INTERRUPTED
+        return TERMINATED if isinstance(stop, Terminated) else INTERRUPTED
     except BrokenPipeError:
         # Our reader went away, as in `lfmesh schema | head`.
         _give_up_output()

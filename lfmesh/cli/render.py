@@ -1,16 +1,18 @@
 """From a scene file to a run folder: `lfmesh demo`, `check`, `render`, `white`."""
 
+import tempfile
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from lfmesh.cli.application import INTERRUPTED, app
+from lfmesh.cli.application import INTERRUPTED, WRONG_INPUT, app
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Overrides, RunFolder, SceneFile, as_option, overridden
 from lfmesh.cli.printing import list_files, say_note, warnings_as_notes, wrapped
 from lfmesh.cli.progress import progress
-from lfmesh.errors import LfmeshError
+from lfmesh.errors import FileError, LfmeshError
 
 if TYPE_CHECKING:
     from lfmesh.scene import Scene
@@ -31,10 +33,13 @@ def demo(
 
 @app.command(help_epilogue="")
 def check(scene: SceneFile, /) -> int:
-    """Check a scene file and print its first-order optics, with warnings in plain words.
+    """Check a scene file and print its first-order optics and where its targets stand, with warnings in plain words.
+
+    Loads every mesh and picture, and traces nothing.
 
     Exits with 0 if the scene can be rendered, whatever the warnings, and with 2 if it cannot.
     """
+    from lfmesh.geometry.placement import placements
     from lfmesh.geometry.solved_camera import first_order, mesh_lines, solved_camera
     from lfmesh.scene import Finish, load
     from lfmesh.scene.glasses import glass_lines
@@ -49,6 +54,8 @@ def check(scene: SceneFile, /) -> int:
         from lfmesh.transport.tables.interfaces import finish_lines
 
         lines += finish_lines(solved_camera(loaded).scene)
+    for placement in placements(loaded):
+        lines += placement.lines()
     print("\n".join(lines))
     return 0
 
@@ -155,13 +162,38 @@ def _traced(scene: "Scene", folder: Path, saved: "dict[str, Any] | None") -> int
     # The summary says what light was lost.
     with progress() as report, warnings_as_notes(CheckpointWarning):
         image = trace_image(scene, progress=report, saved=saved, keep=keep)
-    run.save(image, folder)
+    place = _saved(image, folder)
     for line in words.summary(image):
         print(wrapped(line))
-    print(_whereabouts(image, folder))
+    print(_whereabouts(image, place))
     if not image.complete:
         print(f"  lfmesh render --resume {folder} goes on with it.")
+    if place != folder:
+        return WRONG_INPUT
     return 0 if image.complete else INTERRUPTED
+
+
+def _saved(image: "Image", folder: Path) -> Path:
+    """Save a run, and return where: what was traced is not lost because its folder, or the disk, takes no more."""
+    from lfmesh.files import run
+
+    try:
+        run.save(image, folder)
+        return folder
+    except (OSError, FileError) as error:
+        why = error.strerror or str(error) if isinstance(error, OSError) else str(error)
+    other = Path(tempfile.mkdtemp(prefix="lfmesh-"))
+    try:
+        run.save(image, other)
+    except (OSError, FileError):
+        with suppress(OSError):
+            other.rmdir()
+        kept = (
+            f"; lfmesh render --resume {folder} goes on from what is kept there" if run.has_checkpoint(folder) else ""
+        )
+        raise FileError(f"{folder}: the run cannot be saved: {why}, nor in {other.parent}{kept}") from None
+    say_note(f"{folder}: the run cannot be saved: {why}. It is in {other}; move it from there.")
+    return other
 
 
 def _white(folder: Path, overrides: Overrides | None) -> int:

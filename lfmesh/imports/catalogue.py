@@ -47,5 +47,5 @@ def _entry(name: str) -> Entry:
     f_number = lens.f_number
     if f_number is None:
         radius = lens.aperture_mm(paraxial.stop) or 1.0
-        f_number = abs(paraxial.efl_mm) / paraxial.entrance_pupil(radius)[1]
+        f_number = abs(paraxial.efl_mm) / (lens.epd_mm or paraxial.entrance_pupil(radius)[1])
     return Entry(name, lens, paraxial.efl_mm, f_number)

@@ -27,7 +27,7 @@ def written(lens: Lens) -> tuple[bytes, list[str]]:
     if lens.f_number is not None:
         lines.append(f"FNO {lens.f_number!r}")
     else:
-        lines.append(f"EPD {entrance_pupil_mm(lens, radius or 1.0)!r}")
+        lines.append(f"EPD {lens.epd_mm or entrance_pupil_mm(lens, radius or 1.0)!r}")
     lines += ["DIM M", f"WL {D_LINE_NM!r}", "REF 1", "XAN 0.0", "YAN 0.0"]
     private = {surface.index: f"N{i}" for i, surface in enumerate(lens.surfaces) if isinstance(surface.medium, float)}
     if private:

@@ -30,7 +30,10 @@ def written(lens: Lens) -> tuple[bytes, list[str]]:
         lines.append(f"NOTE 0 {' '.join(lens.source.split())}")
     lines += ["PFIL 0 0 0", "UNIT MM X W X CM MR CPMM"]
     radius = stop_radius_mm(lens)
-    lines.append(f"FNUM {lens.f_number!r} 0" if lens.f_number is not None else "FLOA")
+    if lens.epd_mm is not None:
+        lines.append(f"ENPD {lens.epd_mm!r}")
+    else:
+        lines.append(f"FNUM {lens.f_number!r} 0" if lens.f_number is not None else "FLOA")
     if makers:
         lines.append(f"GCAT {' '.join(makers)}")
     lines += [

@@ -8,7 +8,7 @@ from lfmesh.scene.distance import reach_in_words
 from lfmesh.scene.model import format_path
 from lfmesh.scene.paraxial import Paraxial, quotient
 from lfmesh.scene.scene import Scene
-from lfmesh.scene.solve import image_plane_mm
+from lfmesh.scene.solve import focus_wished_mm, image_plane_mm
 from lfmesh.scene.targets import Box, Cylinder, Disk, Plane, Sphere, Target
 
 if TYPE_CHECKING:
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 # Differences below these shares are ordinary tolerances of a design, not worth a word.
 _F_NUMBER_TOLERANCE = 0.1
 _TOUCHING_TOLERANCE = 0.02
+# Of the distance in focus, or of a hundred focal lengths where it is farther.
+_FOCUS_TOLERANCE = 1e-3
 
 
 def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
@@ -30,7 +32,18 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
         *_targets(scene, facts),
         *_light(scene),
         *_rough_camera(scene),
+        *_samples(scene),
     )
+
+
+def _samples(scene: Scene) -> Iterator[str]:
+    """Say how many samples are taken where the replicates cannot share those asked for."""
+    transport = scene.transport
+    if transport.samples % transport.replicates:
+        yield (
+            f"samples = {transport.samples} cannot be shared by {transport.replicates} replicates: rounded up to "
+            f"{transport.samples_each * transport.replicates}"
+        )
 
 
 def _rough_camera(scene: Scene) -> Iterator[str]:
@@ -44,7 +57,8 @@ def _rough_camera(scene: Scene) -> Iterator[str]:
 
 
 def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
-    focus, distance = scene.camera.focus_mm, facts.object_distance_mm
+    given, distance = scene.camera.focus_mm or math.inf, facts.object_distance_mm
+    focus = focus_wished_mm(scene.camera, scene.primary_nm)
     plane = "array" if scene.camera.mla is not None else "sensor"
     # Of a relay with an image inside, the focal length is negative too, but the rear focal point lies behind it.
     if facts.efl_mm < 0 and facts.bfl_mm < 0:
@@ -57,12 +71,15 @@ def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
         )
     elif focus is not None and focus <= -facts.ffl_mm:
         yield (
-            f"focus_mm = {focus:g} is inside the focal length: the front focal point lies "
+            f"focus_mm = {given:g} is inside the focal length: the front focal point lies "
             f"{-facts.ffl_mm:.4g} mm before the lens"
         )
-    elif focus is not None and abs(focus - distance) > 1e-3 * focus:
+    elif focus is not None and abs(quotient(1, focus) - quotient(1, distance)) > _FOCUS_TOLERANCE * max(
+        quotient(1, focus), quotient(0.01, abs(facts.efl_mm))
+    ):
+        beyond = given - focus if focus < math.inf else 0.0
         yield (
-            f"focus_mm = {focus:g}, but the distances given focus on {distance:.6g} mm; omit "
+            f"focus_mm = {given:g}, but the distances given focus on {distance + beyond:.6g} mm; omit "
             f"{'mla' if scene.camera.mla is not None else 'sensor'}.distance_mm to have it solved"
         )
 
@@ -160,7 +177,7 @@ def _targets(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
         elif _outside(x, y, z, reach, facts):
             yield (
                 f"{name} is out of the field: at z = {z:g} mm the camera sees "
-                f"{' × '.join(f'{2 * half:.4g}' for half in _half_field(z, facts))} mm round the axis"
+                f"{' × '.join(f'{2 * half:.4g}' for half in half_field_mm(z, facts))} mm round the axis"
             )
         elif not facts.near_mm <= -z + reach or not -z - reach <= facts.far_mm:
             kind = "can be refocused" if facts.microlens_f_number is not None else "is sharp"
@@ -183,8 +200,8 @@ def _reach_mm(target: Target) -> float | None:
             return None
 
 
-def _half_field(z_mm: float, facts: "FirstOrder") -> tuple[float, float]:
-    """Half width and height seen at a plane, by the chief rays through the middle of the entrance pupil."""
+def half_field_mm(z_mm: float, facts: "FirstOrder") -> tuple[float, float]:
+    """Return half the width and height seen at a plane, in mm, by the chief rays of the entrance pupil's middle."""
     focus_z, pupil_z = -facts.object_distance_mm, facts.entrance_pupil_z_mm
     if not math.isfinite(focus_z):
         scale = quotient(abs(z_mm - pupil_z), abs(facts.efl_mm))
@@ -199,7 +216,7 @@ def _half_field(z_mm: float, facts: "FirstOrder") -> tuple[float, float]:
 
 
 def _outside(x: float, y: float, z: float, reach: float, facts: "FirstOrder") -> bool:
-    half_width, half_height = _half_field(z, facts)
+    half_width, half_height = half_field_mm(z, facts)
     return abs(x) - reach > half_width or abs(y) - reach > half_height
 
 

@@ -1,12 +1,14 @@
 """The camera: lens, microlens array (or none), sensor, and where they stand."""
 
+from typing import Literal
+
 from pydantic import Field
 
 from lfmesh.scene.lens import Lens
 from lfmesh.scene.mla import MicrolensArray
 from lfmesh.scene.model import Model
 from lfmesh.scene.pose import Pose
-from lfmesh.scene.quantities import Number, Positive
+from lfmesh.scene.quantities import Number, ObjectDistance
 from lfmesh.scene.sensor import Sensor
 
 
@@ -16,8 +18,12 @@ class Camera(Model):
     The camera frame is right-handed with its origin at the first vertex of the lens and z towards the sensor.
     """
 
-    focus_mm: Positive | None = None
-    """Distance of the object plane in front of the first vertex, in mm; solves the omitted distances."""
+    focus_mm: ObjectDistance | None = None
+    """Distance of the object plane in front of the first vertex (or of the sensor, by `focus_from`), in mm; solves the
+    omitted distances. inf focuses on infinity."""
+    focus_from: Literal["first_vertex", "sensor"] = "first_vertex"
+    """Where `focus_mm` is measured from. "sensor", as the distance scales of photographic lenses: of the two object
+    planes at that distance it means the farther one, whose image is no larger than the object."""
     lens: Lens
     """The main lens."""
     mla: MicrolensArray | None = None

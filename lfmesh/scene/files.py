@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from lfmesh.assets import asset_path
 from lfmesh.errors import FileError, SceneError
-from lfmesh.scene.lens import Lens
+from lfmesh.scene.lens import STOP_SIZES, Lens
 from lfmesh.scene.lens_readers import reader_of
 from lfmesh.scene.literals import LONGEST_BITS, literal, shown_path
 from lfmesh.scene.model import fault_lines, format_path, listed, nearest
@@ -78,8 +78,8 @@ def with_lens_file(lens: Lens, folder: Path) -> Lens:
         return lens
     held = load_lens(_lens_path(lens.file, folder))
     beside = {key: value for key in ("name", "source") if (value := getattr(lens, key)) is not None}
-    if lens.stop_semi_diameter_mm is not None or lens.f_number is not None:
-        beside |= {"stop_semi_diameter_mm": lens.stop_semi_diameter_mm, "f_number": lens.f_number}
+    if lens.stop_size:
+        beside |= {key: getattr(lens, key) for key in STOP_SIZES}
     if lens.elements:
         beside["elements"] = lens.elements
     return Lens(**{**held.model_dump(), **beside})
@@ -169,8 +169,8 @@ def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[st
         return [f"{_LENS}.file = {literal(file)}: {error}"], {}
     if "file" in held:
         return [f"{_LENS}.file = {literal(file)}: a lens file holds surfaces itself and may not name another"], {}
-    if "stop_semi_diameter_mm" in lens or "f_number" in lens:
-        held = {key: value for key, value in held.items() if key not in ("stop_semi_diameter_mm", "f_number")}
+    if any(key in lens for key in STOP_SIZES):
+        held = {key: value for key, value in held.items() if key not in STOP_SIZES}
     camera["lens"] = {**held, **lens}  # type: ignore[index]
     return [], {f"{_LENS}.surfaces": file}
 

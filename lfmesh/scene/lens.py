@@ -9,6 +9,7 @@ from pydantic import Field
 from lfmesh.optics.glass import AIR
 from lfmesh.scene.coatings import UNCOATED
 from lfmesh.scene.finishes import POLISHED, AnyFinish, both_given
+from lfmesh.scene.literals import at_least, at_most
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.pose import Pose
 from lfmesh.scene.quantities import (
@@ -29,6 +30,9 @@ from lfmesh.scene.refractor import MeshFace, Refractor
 MOST_TILT_DEG = 45.0
 """Angle between the axis of a posed element and that of the lens, which a pose must stay below: light that comes along
 the axis of the lens then still crosses the element's surfaces in their order."""
+
+STOP_SIZES = ("stop_semi_diameter_mm", "f_number", "epd_mm")
+"""Keys that give the stop its size in place of the prescription."""
 
 MOST_ASPHERE_TERMS = 10
 """Terms of an asphere, up to r²²."""
@@ -107,7 +111,7 @@ class Surface(Model):
                 ("semi_diameter_mm",),
                 self.semi_diameter_mm,
                 f"with radius_mm = {self.radius_mm:g} and conic = {self.conic:g} the surface ends "
-                f"{self.reach_mm:.6g} mm from the axis; give that at most",
+                f"{self.reach_mm:.6g} mm from the axis; give {at_most(self.reach_mm)} at most",
             )
         for j, coefficient in enumerate(self.asphere_mm if self.semi_diameter_mm is not None else ()):
             sag = abs(_term_mm(coefficient, self.semi_diameter_mm or 0.0, 2 * j + 4))
@@ -201,9 +205,11 @@ class Lens(Model):
     surfaces: tuple[Surface, ...] = ()
     """The surfaces, from the object to the sensor; the first vertex is the origin of the camera frame."""
     stop_semi_diameter_mm: Positive | None = None
-    """Radius of the aperture stop, in mm, in place of the one in the prescription."""
+    """Radius of the aperture stop, in mm, in place of the one in the prescription. Or give `f_number` or `epd_mm`."""
     f_number: Positive | None = None
     """Sets the radius of the stop so that focal length / entrance pupil diameter is this number (no unit)."""
+    epd_mm: Positive | None = None
+    """Sets the radius of the stop so that the entrance pupil has this diameter, in mm."""
     elements: tuple[Element, ...] = ()
     """Rigid groups of surfaces with a pose of their own: tilted and decentred elements."""
 
@@ -232,11 +238,17 @@ class Lens(Model):
         return surface.stop and bare and before == surface.medium
 
     def aperture_mm(self, number: int) -> float | None:
-        """Return the clear radius of surface `number`, in mm; None where `f_number` decides it."""
+        """Return the clear radius of surface `number`, in mm; None where the size of the pupil decides it."""
         surface = self.surfaces[number]
         if surface.stop and self.stop_semi_diameter_mm is not None:
             return self.stop_semi_diameter_mm
-        return None if surface.stop and self.f_number is not None else surface.semi_diameter_mm
+        return None if surface.stop and self.stop_size else surface.semi_diameter_mm
+
+    @property
+    def stop_size(self) -> dict[str, float]:
+        """What sizes the stop in place of the prescription, by its key: nothing, or one entry."""
+        sizes = {key: getattr(self, key) for key in STOP_SIZES}
+        return {key: size for key, size in sizes.items() if size is not None}
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between surfaces."""
@@ -274,14 +286,11 @@ class Lens(Model):
         stops = [i for i, surface in enumerate(self.surfaces) if surface.stop]
         if len(stops) > 1:
             yield Fault(("surfaces", stops[1], "stop"), True, f"surfaces[{stops[0]}] is the stop already; keep one")
-        if self.f_number is not None and self.stop_semi_diameter_mm is not None:
-            yield Fault(
-                ("f_number",),
-                self.f_number,
-                f"stop_semi_diameter_mm = {self.stop_semi_diameter_mm:g} is given too; give one of them",
-            )
+        sizes = list(self.stop_size.items())
+        for key, size in sizes[1:]:
+            yield Fault((key,), size, f"{sizes[0][0]} = {sizes[0][1]:g} is given too; give one of them")
         for i, surface in enumerate(self.surfaces):
-            sized = surface.stop and (self.stop_semi_diameter_mm is not None or self.f_number is not None)
+            sized = surface.stop and bool(self.stop_size)
             if surface.semi_diameter_mm is None and not sized and surface.refractor is None:
                 yield Fault(("surfaces", i, "semi_diameter_mm"), None, "missing: the radius of the clear aperture")
 
@@ -335,6 +344,6 @@ class Lens(Model):
                 ("surfaces", number, "thickness_mm"),
                 given,
                 f"surfaces {number} and {number + 1} cross inside their clear aperture, by "
-                f"{needed - given:.4g} mm at {height:.4g} mm from the axis; give {needed:.6g} or more, or "
+                f"{needed - given:.4g} mm at {height:.4g} mm from the axis; give {at_least(needed)} or more, or "
                 "smaller semi-diameters",
             )

@@ -37,3 +37,23 @@ def literal(value: Any, depth: int = 0) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(literal(item, depth + 1) for item in value)}]"
     return repr(value)
+
+
+def at_least(value: float) -> str:
+    """Return a number in six digits, rounded up: where `value` or more is valid, so is what is written."""
+    return _rounded(value, math.inf)
+
+
+def at_most(value: float) -> str:
+    """Return a number in six digits, rounded down: where `value` or less is valid, so is what is written."""
+    return _rounded(value, -math.inf)
+
+
+def _rounded(value: float, towards: float) -> str:
+    if not math.isfinite(value) or value == 0:
+        return f"{value:g}"
+    text = f"{value:.6g}"
+    if float(text) >= value if towards > 0 else float(text) <= value:
+        return text
+    step = 10.0 ** (math.floor(math.log10(abs(value))) - 5)
+    return f"{value + math.copysign(step, towards):.6g}"

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from lfmesh.scene.coatings import UNCOATED
 from lfmesh.scene.finishes import POLISHED, AnyFinish, both_given
+from lfmesh.scene.literals import at_least
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.pose import Pose
 from lfmesh.scene.quantities import GlassName, Index, NonNegative, Number, OneOrMore, Pair, Positive, Text, Whole
@@ -94,20 +95,39 @@ class MicrolensArray(Model):
         """From a lenslet's axis to the farthest corner of its cell, in mm."""
         return self.pitch_mm / math.sqrt(3.0 if self.layout == "hexagonal" else 2.0)
 
-    def cap_fault(self, radius_mm: float) -> str | None:
-        """Return why a face of this radius cannot be cut into the plate; None if it can."""
+    def cap_fault(self, radius_mm: float, scale: float = 1.0) -> str | None:
+        """Return why a face of this radius cannot be cut into the plate, and what can; None if it can.
+
+        Parameters
+        ----------
+        radius_mm : float
+        scale : float
+            What the user gives, over the radius.
+        """
         if abs(radius_mm) < self.corner_mm:
             return (
                 f"a sphere of radius {abs(radius_mm):.6g} mm does not reach the corner of its cell, "
-                f"{self.corner_mm:.6g} mm from the axis: a larger radius or a smaller pitch_mm"
+                f"{self.corner_mm:.6g} mm from the axis: {self._least(radius_mm, scale)} or a smaller pitch_mm"
             )
         depth = abs(radius_mm) - math.sqrt(radius_mm**2 - self.corner_mm**2)
         if radius_mm > 0 and depth > self.thickness_mm:
             return (
                 f"the curved face is {depth:.6g} mm deep at the corner of its cell, more than "
-                f"thickness_mm = {self.thickness_mm:g}: a thicker plate or a larger radius"
+                f"thickness_mm = {self.thickness_mm:g}: a plate of {at_least(depth)} mm or more, or "
+                f"{self._least(radius_mm, scale)}"
             )
         return None
+
+    def _least(self, radius_mm: float, scale: float) -> str:
+        """Return in words the smallest radius of this sign, or what it follows from by `scale`, that a face can have.
+
+        Of a cap as deep as the plate, R = (corner² + t²) / 2t, if that is less than half a sphere.
+        """
+        corner, thickness = self.corner_mm, self.thickness_mm
+        least = (corner**2 + thickness**2) / (2 * thickness) if radius_mm > 0 and thickness < corner else corner
+        # As much as the rounding of the sagitta of a deep cap.
+        words = at_least(abs(scale) * least * (1 + 1e-9))
+        return f"give {words} or more" if radius_mm * scale > 0 else f"give -{words} or less"
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""

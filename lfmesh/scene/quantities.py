@@ -51,6 +51,12 @@ def _not_flat_by_zero(radius_mm: float) -> float:
     return radius_mm
 
 
+def _a_distance_or_infinity(value: float) -> float:
+    if not value > 0 or (math.isfinite(value) and not SMALLEST <= value <= LARGEST):
+        raise ValueError(f"must be {LARGEST:g} or less, and above 0; inf is an object at infinity")
+    return value
+
+
 def _bends(value: float) -> float:
     if value == 0:
         raise ValueError("must not be 0; positive converges, negative diverges")
@@ -118,6 +124,9 @@ def _as_list(value: Any) -> Any:
 
 Radius = Annotated[float, Field(strict=True, allow_inf_nan=True), AfterValidator(_not_flat_by_zero)]
 """A radius of curvature in mm, of either sign; inf is flat."""
+
+ObjectDistance = Annotated[float, Field(strict=True, allow_inf_nan=True), AfterValidator(_a_distance_or_infinity)]
+"""A distance of objects in mm, above 0; inf is at infinity."""
 
 GlassName = Annotated[str, Field(strict=True), AfterValidator(_known_glass)]
 """A glass of the catalogue."""

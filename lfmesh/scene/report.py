@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
 
 from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera import Camera
@@ -12,6 +13,17 @@ from lfmesh.scene.solve import air_thickness_mm, image_plane_mm, solved
 
 AIRY_RING = 1.2196698912665045
 """First zero of the Bessel function J₁ over π."""
+
+
+@dataclass(frozen=True)
+class AtWavelength:
+    """Paraxial properties of the lens at one wavelength, or at the centroid of a band."""
+
+    wavelength_nm: float
+    efl_mm: float
+    bfl_mm: float
+    image_shift_mm: float
+    """How far behind that of the primary wavelength the image of the plane in focus lies."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +83,15 @@ class FirstOrder:
     field."""
     far_mm: float
     """The farthest one; inf where it reaches infinity."""
+    view_spacing_mm: float | None = None
+    """Distance of neighbouring views, a pixel of a micro-image apart, on the entrance pupil: their stereo baseline."""
+    views_across: float | None = None
+    """Views side by side on the diameter of the pupil."""
+    refocused_mm: tuple[tuple[float, float, float], ...] = ()
+    """Planes refocused to, with the nearest and farthest distance that is then sharp to a lenslet: the near end of the
+    refocus range, the plane in focus, the far end. Of a photograph of all views."""
+    by_wavelength: tuple[AtWavelength, ...] = ()
+    """The lens at each wavelength or band, if there are several."""
     poses: tuple[str, ...] = ()
     """Lens elements with a pose, a line each; every figure of this report is that of the lens without them."""
     warnings: tuple[str, ...] = ()
@@ -113,6 +134,22 @@ class FirstOrder:
             *([("Airy disk, lenslet", f"{self.microlens_airy_disk_px:.3g} pixels")] if mla else []),
             ("refocus range" if mla else "depth of field", f"{_mm(self.near_mm)} to {_mm(self.far_mm)}"),
         ]
+        if self.view_spacing_mm is not None:
+            rows.append(
+                ("views", f"{_mm(self.view_spacing_mm)} apart on the entrance pupil, {self.views_across:.3g} across")
+            )
+        rows += [
+            ("depth of field", f"{_mm(near)} to {_mm(far)} when refocused to {_mm(plane)}")
+            for plane, near, far in self.refocused_mm
+        ]
+        rows += [
+            (
+                f"at {at.wavelength_nm:.6g} nm",
+                f"effective focal length {_mm(at.efl_mm)}, back {_mm(at.bfl_mm)}, "
+                f"image {1e3 * at.image_shift_mm:+.4g} µm",
+            )
+            for at in self.by_wavelength
+        ]
         rows += [("posed element", text) for text in self.poses]
         if self.poses:
             rows.append(("", "the figures above are those of the lens without poses"))
@@ -121,9 +158,10 @@ class FirstOrder:
     def __str__(self) -> str:
         return "\n".join(self.lines())
 
-    def as_dict(self) -> dict[str, float | tuple[float, float] | tuple[str, ...] | None]:
-        """Return the fields by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+    def as_dict(self) -> dict[str, Any]:
+        """Return the fields by name, as plain values."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return values | {"by_wavelength": tuple(asdict(at) for at in self.by_wavelength)}
 
 
 def first_order(scene: Scene) -> FirstOrder:
@@ -170,7 +208,17 @@ def report_of_solved(scene: Scene) -> FirstOrder:
     f_number = 1 / (2 * abs(angle)) if angle else math.inf
     micro = _micro_image(camera, wavelength, pupil_to_image, f_number)
     blur = camera.mla.pitch_mm if camera.mla is not None else camera.sensor.pixel_mm
-    near, far = _refocus_range(camera, lens, wavelength, pupil_to_image, f_number)
+    depth = _refocus_depth_mm(camera, wavelength, f_number)
+
+    def reach(behind_mm: float, before_mm: float) -> tuple[float, float]:
+        return _distances(lens, image, pupil_to_image, behind_mm, before_mm)
+
+    near, far = reach(depth, -depth)
+    refocused: tuple[tuple[float, float, float], ...] = ()
+    if camera.mla is not None:
+        sharp = camera.mla.pitch_mm * f_number
+        planes = ((near, depth), (distance, 0.0), (far, -depth))
+        refocused = tuple((plane, *reach(at + sharp, at - sharp)) for plane, at in planes)
     longest = scene.reach_nm[1]
     facts = FirstOrder(
         wavelength_nm=wavelength,
@@ -198,6 +246,10 @@ def report_of_solved(scene: Scene) -> FirstOrder:
         microlens_airy_disk_px=airy_disk_mm(longest, micro[0]) / camera.sensor.pixel_mm if micro else None,
         near_mm=near,
         far_mm=far,
+        view_spacing_mm=quotient(entrance_diameter, micro[2]) if micro else None,
+        views_across=micro[2] if micro else None,
+        refocused_mm=refocused,
+        by_wavelength=tuple(_by_wavelength(scene, lens, distance)),
         poses=tuple(_pose_lines(camera)),
     )
     return replace(facts, warnings=warnings(scene, facts))
@@ -239,22 +291,50 @@ def _micro_image(
     )
 
 
-def _refocus_range(
-    camera: Camera, lens: Paraxial, wavelength_nm: float, pupil_to_image_mm: float, f_number: float
-) -> tuple[float, float]:
-    """Return the nearest and farthest object distance that `first_order` calls in range, in mm."""
+def _refocus_depth_mm(camera: Camera, wavelength_nm: float, f_number: float) -> float:
+    """Return how deep the range that can be refocused is to each side of the image plane, for a distant pupil, in mm.
+
+    Without an array: the depth in which the blur is a pixel; the pupil's diameter takes the place of the view spacing.
+    """
     pixel = camera.sensor.pixel_mm
     if camera.mla is None:
-        # A blur of one pixel: the pupil's diameter takes the place of the view spacing.
-        depth = pixel * f_number
-    else:
-        depth = camera.mla.pitch_mm * lenslet_to_sensor_mm(camera, wavelength_nm) / pixel
-    share = quotient(depth, pupil_to_image_mm)
-    image = image_plane_mm(camera, wavelength_nm)
-    near = lens.object_mm(image + depth / (1 - share)) if share < 1 else -lens.ffl_mm
-    far = lens.object_mm(image - quotient(depth, 1 + share))
+        return pixel * f_number
+    return camera.mla.pitch_mm * lenslet_to_sensor_mm(camera, wavelength_nm) / pixel
+
+
+def _distances(
+    lens: Paraxial, image_mm: float, pupil_to_image_mm: float, behind_mm: float, before_mm: float
+) -> tuple[float, float]:
+    """Return the nearest and the farthest object distance that two image points are the images of, in mm.
+
+    The points lie where views a distance u apart on the pupil shift against each other by u t / D on the image plane, D
+    from the pupil: t / (1 - t/D) behind it. For a distant pupil t is the distance itself.
+
+    Parameters
+    ----------
+    lens : Paraxial
+    image_mm : float
+        Of the image plane behind the last vertex.
+    pupil_to_image_mm : float
+    behind_mm, before_mm : float
+        t of the two.
+    """
+    share = quotient(behind_mm, pupil_to_image_mm)
+    near = lens.object_mm(image_mm + behind_mm / (1 - share)) if share < 1 else -lens.ffl_mm
+    far = lens.object_mm(image_mm + quotient(before_mm, 1 - quotient(before_mm, pupil_to_image_mm)))
     # Past infinity the conjugates come round as virtual objects, with negative distances.
     return near if near > 0 else math.inf, far if far > near > 0 else math.inf
+
+
+def _by_wavelength(scene: Scene, primary: Paraxial, distance_mm: float) -> Iterator[AtWavelength]:
+    """Yield the lens at each wavelength of a scene that has several."""
+    wavelengths_nm = scene.wavelengths_nm
+    if len(wavelengths_nm) < 2:
+        return
+    image = primary.image_mm(distance_mm)
+    for wavelength in wavelengths_nm:
+        lens = Paraxial.of(scene.camera.lens, wavelength)
+        yield AtWavelength(wavelength, lens.efl_mm, lens.bfl_mm, lens.image_mm(distance_mm) - image)
 
 
 def _on_object(size_mm: float, magnification: float) -> float:

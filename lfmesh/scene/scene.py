@@ -389,7 +389,7 @@ class Scene(Model):
         n = refractive_index(mla.medium, self.primary_nm)
         for focal_length in mla.focal_length_mm or ():
             radius = focal_length * (n - 1)
-            if why := mla.cap_fault(radius):
+            if why := mla.cap_fault(radius, 1 / (n - 1)):
                 yield Fault(
                     ("camera", "mla", "focal_length_mm"),
                     focal_length,

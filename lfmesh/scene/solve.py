@@ -8,18 +8,23 @@ from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.files import with_lens_file
 from lfmesh.scene.lens import Lens
+from lfmesh.scene.literals import at_least, at_most
 from lfmesh.scene.mla import MicrolensArray
 from lfmesh.scene.model import Model
 from lfmesh.scene.paraxial import Paraxial
+from lfmesh.scene.quantities import SMALLEST
 from lfmesh.scene.scene import Scene
 
 M = TypeVar("M", bound=Model)
+
+BEYOND = 1e-6
+"""How far inside a limit that is itself not valid an advised value lies, relative."""
 
 
 def solved(scene: Scene) -> Scene:
     """Return a copy of a scene with nothing left to solve.
 
-    The lens file is inlined; exactly one surface is the stop and has its semi-diameter; `f_number` and
+    The lens file is inlined; exactly one surface is the stop and has its semi-diameter; `f_number`, `epd_mm` and
     `stop_semi_diameter_mm` are used up; the array has radii instead of focal lengths; the array and the
     sensor have their distances. All of it is paraxial, at the primary wavelength. A solved scene comes back
     as it is.
@@ -109,16 +114,74 @@ def _focused_image_mm(camera: Camera, omitted: str, wavelength_nm: float) -> flo
     if camera.focus_mm is None:
         raise SceneError(f"{omitted}: missing; give it, or camera.focus_mm to solve it from")
     lens = Paraxial.of(camera.lens, wavelength_nm)
+    if camera.focus_from == "sensor":
+        return _image_by_track_mm(camera, lens, wavelength_nm)
     image = lens.image_mm(camera.focus_mm)
     if math.isinf(image) or image <= 0:
         nearest = -lens.ffl_mm
         wish = (
-            f"give more than {nearest:.6g}, where the front focal point lies"
+            f"the front focal point lies {nearest:.6g} mm before the lens; give "
+            f"{at_least(nearest * (1 + BEYOND))} or more"
             if lens.efl_mm > 0 and math.isfinite(nearest)
             else f"the lens has a focal length of {lens.efl_mm:.6g} mm; a camera needs a converging one"
         )
         raise SceneError(f"camera.focus_mm = {camera.focus_mm:g}: no real image behind the lens; {wish}")
     return image
+
+
+def _image_by_track_mm(camera: Camera, lens: Paraxial, wavelength_nm: float) -> float:
+    """Return the image distance of an object `focus_mm` before the sensor.
+
+    With the distances x and x' from the focal points, x x' = f² (Newton): of the two that leave x + x' as it is, the
+    object's is the larger one.
+    """
+    assert camera.focus_mm is not None
+    rest = -lens.ffl_mm + lens.length_mm + lens.bfl_mm + _behind_image_mm(camera, wavelength_nm)
+    focal = abs(lens.efl_mm)
+    if not math.isfinite(rest) or not math.isfinite(focal):
+        raise SceneError(f"camera.focus_mm = {camera.focus_mm:g}: the lens is afocal; give the distances instead")
+    if math.isinf(camera.focus_mm):
+        image = lens.bfl_mm
+    else:
+        both = camera.focus_mm - rest
+        if both < 2 * focal:
+            raise SceneError(
+                f"camera.focus_mm = {camera.focus_mm:g}: no plane this far before the sensor is imaged onto it; give "
+                f"{at_least(rest + 2 * focal)} or more"
+            )
+        image = lens.bfl_mm + 2 * focal**2 / (both + math.sqrt(both**2 - 4 * focal**2))
+    if image <= 0:
+        raise SceneError(f"camera.focus_mm = {camera.focus_mm:g}: the image would lie inside the lens; focus nearer")
+    return image
+
+
+def _behind_image_mm(camera: Camera, wavelength_nm: float) -> float:
+    """Return the distance from the plane that the lens focuses on to the sensor, which an array may keep apart.
+
+    Of a camera whose distance behind the lens is not known yet.
+    """
+    mla = camera.mla
+    if mla is None:
+        return 0.0
+    behind = camera.sensor.distance_mm
+    if behind is None:
+        behind = _focal_plane_mm(mla, wavelength_nm)
+    # The lens focuses on the apexes, which it may see through the plate, as t/n behind the flat face.
+    seen = air_thickness_mm(mla, wavelength_nm) if mla.curved_side == "sensor" else 0.0
+    return mla.thickness_mm - seen + behind
+
+
+def focus_wished_mm(camera: Camera, wavelength_nm: float) -> float | None:
+    """Return how far before the first vertex the object plane lies that `focus_mm` names, for a solved camera."""
+    if camera.focus_mm is None or camera.focus_from == "first_vertex":
+        return camera.focus_mm
+    lens = Paraxial.of(camera.lens, wavelength_nm)
+    return (
+        camera.focus_mm
+        - lens.length_mm
+        - image_plane_mm(camera, wavelength_nm)
+        - _behind_image_mm(camera, wavelength_nm)
+    )
 
 
 def _focal_plane_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
@@ -130,7 +193,7 @@ def _focal_plane_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
             "the first lenslet type diverges"
             if focal_length < 0
             else f"the lenslets' focal length of {focal_length:.6g} mm ends inside their plate; with "
-            f"thickness_mm below {mla.thickness_mm * focal_length / air:.6g} it would not"
+            f"thickness_mm at most {at_most(mla.thickness_mm * focal_length / air * (1 - BEYOND))} it would not"
         )
         raise SceneError(f"camera.sensor.distance_mm: missing, and there is no focal plane to put it in: {why}")
     return focal_length - air
@@ -155,8 +218,16 @@ def _with_stop(camera: Camera, wavelength_nm: float) -> Lens:
                 f"camera.lens.f_number = {lens.f_number:g}: an afocal or telecentric lens has none; give "
                 "stop_semi_diameter_mm"
             )
+    elif lens.epd_mm is not None:
+        surfaces = _with_surface(lens, number, stop=True)
+        radius = abs(Paraxial.of(_changed(lens, surfaces=surfaces), wavelength_nm).to_stop.a) * lens.epd_mm / 2
+        if not radius >= SMALLEST:
+            raise SceneError(
+                f"camera.lens.epd_mm = {lens.epd_mm:g}: the entrance pupil lies at infinity, without a diameter; give "
+                "stop_semi_diameter_mm"
+            )
     surfaces = _with_surface(lens, number, stop=True, semi_diameter_mm=radius)
-    return _changed(lens, surfaces=surfaces, stop_semi_diameter_mm=None, f_number=None)
+    return _changed(lens, surfaces=surfaces, stop_semi_diameter_mm=None, f_number=None, epd_mm=None)
 
 
 def _limiting_surface(camera: Camera, wavelength_nm: float) -> int:

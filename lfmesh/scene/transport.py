@@ -47,7 +47,8 @@ class Transport(Model):
     split: Literal["both", "roulette", "transmit"] = "both"
     """At an interface follow both children, one by chance, or the refracted one alone."""
     samples: Count = 64
-    """Adjoint: per pixel, in all replicates; forward: packets in all = samples · pixels."""
+    """Adjoint: per pixel, in all replicates; forward: packets in all = samples · pixels. Rounded up to a multiple of
+    `replicates`."""
     replicates: Count = 8
     """Independent randomisations that share the samples; their spread is the standard error."""
     target_error: Annotated[Positive, Field(lt=1)] | None = None
@@ -71,17 +72,13 @@ class Transport(Model):
     threads: Annotated[Whole, Field(le=MOST_THREADS)] = 0
     """0: all there are; the result is the same for any number."""
 
+    @property
+    def samples_each(self) -> int:
+        """Samples of a pixel in each replicate."""
+        return -(-self.samples // self.replicates)
+
     def faults(self) -> Iterator[Fault]:
-        """Yield samples that the replicates cannot share, and wavelengths given twice."""
-        if self.samples % self.replicates:
-            above = -(-self.samples // self.replicates) * self.replicates
-            below = above - self.replicates
-            valid = f"{below} or {above}" if below else f"{above}"
-            yield Fault(
-                ("samples",),
-                self.samples,
-                f"must be a multiple of replicates = {self.replicates}: give {valid}",
-            )
+        """Yield what keeps pixels from being refined, and wavelengths given twice."""
         if self.target_error is not None:
             yield from self._unfit_for_refinement(self.target_error)
         if len(set(self.wavelengths_nm)) < len(self.wavelengths_nm):
@@ -99,7 +96,11 @@ class Transport(Model):
             yield Fault(
                 ("replicates",), self.replicates, "must be 2 or more with target_error: their spread is the error"
             )
-        if self.max_samples < self.samples:
+        every = self.samples_each * self.replicates
+        if self.max_samples < every:
+            rounded = "" if every == self.samples else f", rounded up to {every}"
             yield Fault(
-                ("max_samples",), self.max_samples, f"must not be below samples = {self.samples}, which all pixels get"
+                ("max_samples",),
+                self.max_samples,
+                f"must not be below samples = {self.samples}{rounded}, which all pixels get",
             )

@@ -197,7 +197,14 @@ def three_cameras(scene: Scene, reduction: float = 3.0) -> dict[str, Scene]:
             "camera.mla is missing: give the scene of a plenoptic camera; its array is taken out to compare"
         )
     distance = solved_camera(scene).report.object_distance_mm
-    conventional = scene.changed({"camera.mla": None, "camera.focus_mm": distance, "camera.sensor.distance_mm": None})
+    conventional = scene.changed(
+        {
+            "camera.mla": None,
+            "camera.focus_mm": distance,
+            "camera.focus_from": "first_vertex",
+            "camera.sensor.distance_mm": None,
+        }
+    )
     return {CONVENTIONAL: solved_camera(conventional).scene, STANDARD: scene, FOCUSED: focused(scene, reduction)}
 
 
@@ -243,7 +250,9 @@ def compare(
             edges.append(_edge(camera, distance, focus))
         say(f"{name}: points")
         results.append(_result(camera, edges, focus, standard))
-    return Comparison(focus, standard.transport.samples, tuple(results), tuple(pictures))
+    return Comparison(
+        focus, standard.transport.samples_each * standard.transport.replicates, tuple(results), tuple(pictures)
+    )
 
 
 def _in_front(model: RayModel, share: float) -> float:

@@ -68,6 +68,10 @@ MOST_ENDS = 4_000_000
 """Largest number of packets in which the rays of a chunk may end. Without roulette each ray may have as many as its
 reflections have sequences, without an end that anybody waits for."""
 
+MOST_EVENTS_EACH = 20_000
+"""Events that a packet of a render may have with all its children, on the average of a chunk. Reflections followed
+down to 1e-4 of the light need a few thousand; without roulette they double with every other surface."""
+
 T = TypeVar("T")
 
 
@@ -205,9 +209,24 @@ class Workspace:
                 self.tops[NODES] = top + len(fresh)
 
     def run(self) -> None:
-        """Trace until every stack is empty."""
+        """Trace until every stack is empty.
+
+        Raises
+        ------
+        LfmeshError
+            The packets have children without an end that anybody waits for.
+        """
+        handled, most = 0, MOST_EVENTS_EACH * max(1, int(self.tops[:STATIONS].sum()))
         while self.tops[:STATIONS].any():
-            self.advance(int(np.argmax(self.tops[:STATIONS])))
+            station = int(np.argmax(self.tops[:STATIONS]))
+            handled += min(int(self.tops[station]), self.chunk)
+            if handled > most:
+                raise LfmeshError(
+                    f"packets have more than {MOST_EVENTS_EACH:,} events each with all their children: give "
+                    f"weight_cutoff a larger value than {self.options.cutoff:g}, or max_events a smaller one than "
+                    f"{self.options.max_events}"
+                )
+            self.advance(station)
 
     def advance(self, station: int) -> None:
         """Process the next wave of a station: the top of its stack, at most a chunk."""

@@ -127,7 +127,6 @@ SAID_BY_THE_SCENE = {
     "absurd array": ("count = [4, 4]", "count = [4000000, 4000000]", " GB of memory"),
     "refractor": ('units = "mm"\n', 'units = "mm"\nrefractor = { glass = "SCHOTT/N-BK7" }\n', "targets[0].refractor"),
     "half a file": ('[[lights]]\nkind = "point"', '[[lights]\nkind = "point"', "not valid TOML"),
-    "more samples than replicates divide": ("samples = 2", "samples = 3", "must be a multiple of replicates = 2"),
 }
 """What the scene file alone shows; `check` says it too."""
 

@@ -4,8 +4,11 @@ import json
 import math
 import os
 import re
+import shutil
+import signal
 import subprocess
 import sys
+import time
 import types
 from collections.abc import Callable
 from pathlib import Path
@@ -133,7 +136,6 @@ WRONG_ARGUMENTS = {
     "fraction": ("render scene.toml -o run --samples 4.5", '"4.5" is no whole number'),
     "negative": ("render scene.toml -o run --samples -8", "--samples = -8"),
     "zero replicates": ("render scene.toml -o run --replicates 0", "--replicates = 0"),
-    "uneven replicates": ("render scene.toml -o run --samples 12", "must be a multiple of replicates = 8"),
     "no wavelength": ("render scene.toml -o run --wavelengths-nm green", '"green"'),
     "nan": ("render scene.toml -o run --wavelengths-nm nan", "--wavelengths-nm"),
     "missing file": ("render none.toml -o run", "none.toml"),
@@ -216,6 +218,68 @@ def test_ctrl_c_keeps_the_finished_replicates(
     image = lfmesh.open_run("run")
     assert (image.complete, image.replicates, image.samples) == (False, 3, 24.0)
     assert json.loads(Path("run/report.json").read_text())["complete"] is False
+
+
+def test_sigterm_ends_a_render_as_ctrl_c_does(
+    renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The renderer is interrupted, which keeps the replicates that are finished; with none, the exit code says why."""
+    caught: list[BaseException] = []
+
+    def killed(self: Renderer, scene: Scene, *_: object, **__: object) -> Image:
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(5.0)
+        except KeyboardInterrupt as stop:
+            caught.append(stop)
+            raise
+        raise AssertionError("not interrupted")
+
+    monkeypatch.setattr(Renderer, "__call__", killed)
+    assert main(["render", "scene.toml", "-o", "run"]) == 143
+    assert len(caught) == 1
+    assert "nothing was written" in capsys.readouterr().err
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+
+
+def test_a_full_disk_loses_no_finished_render(
+    renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=16k", "tmpfs", disk], capture_output=True, check=False
+    )
+    if mounted.returncode != 0:
+        pytest.skip("no right to mount a small disk")
+    try:
+        assert main(["render", "scene.toml", "-o", str(disk / "run")]) == 2
+        said = " ".join(capsys.readouterr().err.split())
+    finally:
+        subprocess.run(["umount", disk], check=True)
+    found = re.search(r"cannot be saved: (.*) It is in (\S+); move it", said)
+    assert found is not None, said
+    assert "No space left" in found[1]
+    assert lfmesh.open_run(found[2]).complete
+    shutil.rmtree(found[2])
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_tracing(
+    renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "ro,size=16k", "tmpfs", disk], capture_output=True, check=False
+    )
+    if mounted.returncode != 0:
+        pytest.skip("no right to mount a disk")
+    try:
+        assert main(["render", "scene.toml", "-o", str(disk / "run")]) == 2
+    finally:
+        subprocess.run(["umount", disk], check=True)
+    assert "Read-only file system" in capsys.readouterr().err
+    assert renderer.scene is None
 
 
 def test_ctrl_c_with_nothing_finished_writes_nothing(

@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from datetime import timedelta
 
 import pytest
 import tomlkit
@@ -9,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lfmesh.errors import LfmeshError
+from lfmesh.geometry.placement import placements
 from lfmesh.scene import loads
 from lfmesh.scene.report import first_order
 from tests.cameras import bench_camera
@@ -70,7 +72,10 @@ def changed(edits: list[tuple[tuple[int, int], str]]) -> str:
 def is_read_or_refused(text: str) -> None:
     """Insist on a report, or on one refusal of bounded length."""
     try:
-        lines = first_order(loads(text)).lines()
+        scene = loads(text)
+        lines = first_order(scene).lines()
+        for placement in placements(scene):
+            lines += placement.lines()
     except LfmeshError as error:
         message = str(error)
         assert message
@@ -93,7 +98,7 @@ def test_a_scene_with_random_values_is_read_or_refused(edits: list[tuple[tuple[i
 
 
 @pytest.mark.long
-@settings(max_examples=5_000, deadline=None, derandomize=True, database=None)
+@settings(max_examples=20_000, deadline=timedelta(seconds=20), derandomize=True, database=None)
 @given(edits)
 def test_many_scenes_with_random_values_are_read_or_refused(edits: list[tuple[tuple[int, int], str]]) -> None:
     is_read_or_refused(changed(edits))

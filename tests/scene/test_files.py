@@ -242,8 +242,6 @@ WRONG = [
     ({"targets[0].units": "mm"}, r"targets\[0\]\.units = \"mm\": only for a mesh file"),
     ({"targets[0].shape": None, "targets[0].file": "a.STL"}, r"targets\[0\]\.units: missing: STL files"),
     ({"targets[0].shape": None, "targets[0].file": "a.stk"}, r"must end in one of .*did you mean '\.st"),
-    ({"transport.samples": 10, "transport.replicates": 4}, r"samples = 10: .*replicates = 4: give 8 or 12"),
-    ({"transport.samples": 2, "transport.replicates": 4}, r"samples = 2: .*replicates = 4: give 4$"),
     ({"transport.wavelengths_nm": (500.0, 500.0)}, r"must not hold a wavelength twice"),
     ({"camera.mla.layout": 6}, r"layout = 6: must be 'square' or 'hexagonal'"),
     ({"schema_version": 2}, r"schema_version = 2: must be 1"),
@@ -276,7 +274,7 @@ def test_surfaces_may_touch_but_not_cross() -> None:
     # At the rim each is 10 − √75 mm from its vertex plane, and they curve into the gap.
     needed = 2 * (10 - 75**0.5)
     doublet(needed + 1e-6)
-    with pytest.raises(SceneError, match=r"surfaces 1 and 2 cross .* at 5 mm from the axis; give 2\.67949 or more"):
+    with pytest.raises(SceneError, match=r"surfaces 1 and 2 cross .* at 5 mm from the axis; give 2\.6795 or more"):
         doublet(needed - 1e-6)
 
 

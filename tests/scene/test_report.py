@@ -1,5 +1,6 @@
 """The first-order report, each figure by a second way, and its warnings."""
 
+import json
 import math
 
 import pytest
@@ -123,6 +124,53 @@ def test_a_conventional_camera_samples_by_pixels(scene: Scene) -> None:
         assert away * facts.exit_pupil_diameter_mm == pytest.approx(0.012, rel=1e-9)
 
 
+@pytest.mark.parametrize("side", ["lens", "sensor"])
+def test_refocused_photographs_are_sharp_while_a_point_spreads_over_a_lenslet(scene: Scene, side: str) -> None:
+    """Lines from both edges of the exit pupil to the image point, shifted for the refocused plane, a pitch apart."""
+    ready = solved(scene.changed({"camera.mla.curved_side": side}))
+    facts = first_order(ready)
+    lens = Paraxial.of(ready.camera.lens, 587.6)
+
+    def crossing(distance: float) -> float:
+        """Where the line from the pupil's upper edge to the axial image of an object crosses the image plane."""
+        image_z = lens.length_mm + lens.image_mm(distance)
+        share = (image_z - facts.image_z_mm) / (image_z - facts.exit_pupil_z_mm)
+        return 0.5 * facts.exit_pupil_diameter_mm * share
+
+    planes = (facts.near_mm, facts.object_distance_mm, facts.far_mm)
+    assert tuple(row[0] for row in facts.refocused_mm) == planes
+    for plane, near, far in facts.refocused_mm:
+        assert near < plane < far
+        for end in (near, far):
+            if math.isfinite(end):
+                assert 2 * abs(crossing(end) - crossing(plane)) == pytest.approx(0.12, rel=1e-9)
+
+
+def test_views_a_pixel_apart_are_that_far_apart_on_the_entrance_pupil(scene: Scene) -> None:
+    """Light that meets an apex on the axis, a pixel aside behind it, followed back to the stop at the first vertex."""
+    ready = solved(scene)
+    facts = first_order(ready)
+    m = Paraxial.of(ready.camera.lens, 587.6).whole
+    slope = ready.camera.sensor.pixel_mm / 0.7
+    behind = -slope * ready.camera.mla.distance_mm
+    assert abs(m.d * behind - m.b * slope) == pytest.approx(facts.view_spacing_mm, rel=1e-9)
+
+
+def test_the_lens_at_each_wavelength_and_band(scene: Scene) -> None:
+    glass = {f"camera.lens.surfaces[1].{key}": value for key, value in (("index", None), ("glass", "SCHOTT/N-BK7"))}
+    lines = scene.changed({**glass, "transport.wavelengths_nm": (486.1, 587.6, 656.3)})
+    facts = first_order(lines)
+    alone = [first_order(lines.changed({"transport.wavelengths_nm": (nm,)})) for nm in (486.1, 587.6, 656.3)]
+    assert [at.efl_mm for at in facts.by_wavelength] == [one.efl_mm for one in alone]
+    blue, green, red = (at.image_shift_mm for at in facts.by_wavelength)
+    assert blue < green == 0.0 < red
+    assert sum(line.startswith("at ") for line in facts.lines()) == 3
+    json.dumps(facts.as_dict())
+    bands = scene.changed({**glass, "camera.sensor.bands": "rgb"})
+    assert [at.wavelength_nm for at in first_order(bands).by_wavelength] == list(bands.wavelengths_nm)
+    assert first_order(scene).by_wavelength == ()
+
+
 @pytest.fixture
 def telecentric(scene: Scene) -> Scene:
     """The camera with its stop in the front focal plane, so that the exit pupil is at infinity."""
@@ -175,6 +223,7 @@ WARNED = [
     ({"camera.sensor.pixel_mm": 0.08, "camera.sensor.pixels": (48, 36)}, "too few to tell directions"),
     ({"targets": ()}, "no targets"),
     ({"lights": ()}, "nothing shines"),
+    ({"transport.samples": 12}, "samples = 12 cannot be shared by 8 replicates: rounded up to 16"),
 ]
 
 
@@ -212,7 +261,8 @@ def test_an_emitting_target_needs_no_lamp(scene: Scene) -> None:
 def test_the_report_has_a_line_for_every_figure(scene: Scene) -> None:
     lines = first_order(matched(scene)).lines()
     # Principal planes, pupils (two figures each), refocus range and the lens's Airy disk (three figures) share lines;
-    # no element has a pose.
+    # so do the two of the views. Three refocused planes have a line each; no element has a pose; one wavelength has no
+    # line of its own.
     assert len(lines) == len(FirstOrder.__dataclass_fields__) - 8
     assert any(line.startswith("effective focal length 60.67") for line in lines)
 

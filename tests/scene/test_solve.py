@@ -1,11 +1,12 @@
 """Solving: what is omitted follows from first-order optics, checked by paraxial rays traced one by one."""
 
 import math
+import re
 
 import pytest
 
 from lfmesh.errors import SceneError
-from lfmesh.scene import Pose, Scene, solved
+from lfmesh.scene import Pose, Scene, first_order, loads, solved
 
 
 def trace(scene: Scene, height: float, angle: float) -> tuple[float, float]:
@@ -93,6 +94,66 @@ def test_f_number_sets_the_entrance_pupil(scene: Scene) -> None:
     assert ready.camera.lens.f_number is None
 
 
+def test_epd_is_the_diameter_of_the_entrance_pupil(scene: Scene) -> None:
+    """Of a stop behind the lens: the paraxial ray along the axis at half the diameter meets the stop's edge."""
+    surfaces = scene.camera.lens.surfaces
+    behind = (
+        surfaces[1],
+        surfaces[2].model_copy(update={"thickness_mm": 5.0}),
+        surfaces[0].model_copy(update={"thickness_mm": None, "semi_diameter_mm": None}),
+    )
+    ready = solved(scene.changed({"camera.lens": {"surfaces": behind, "epd_mm": 7.0}}))
+    edge, _ = trace(ready, 3.5, 0.0)
+    assert ready.camera.lens.surfaces[2].semi_diameter_mm == pytest.approx(edge, rel=1e-12)
+    assert ready.camera.lens.epd_mm is None
+    assert first_order(ready).entrance_pupil_diameter_mm == pytest.approx(7.0, rel=1e-12)
+
+
+@pytest.mark.parametrize(("first", "second"), [("f_number", "epd_mm"), ("stop_semi_diameter_mm", "epd_mm")])
+def test_the_stop_has_one_size(scene: Scene, first: str, second: str) -> None:
+    with pytest.raises(SceneError, match=f"{second} = 4.0: {first} = 3 is given too"):
+        scene.changed({f"camera.lens.{first}": 3.0, f"camera.lens.{second}": 4.0})
+
+
+@pytest.mark.parametrize("side", ["lens", "sensor"])
+def test_focus_at_infinity_gathers_parallel_light_on_the_apexes(scene: Scene, side: str) -> None:
+    ready = solved(scene.changed({"camera.mla.curved_side": side, "camera.focus_mm": math.inf}))
+    assert apex_height(ready, 3.0, 0.0) == pytest.approx(0.0, abs=1e-12)
+    facts = first_order(ready)
+    assert facts.object_distance_mm > 1e9
+    assert not any("focus_mm" in warning for warning in facts.warnings)
+    assert loads(ready.dump_toml()).camera.focus_mm == math.inf
+
+
+@pytest.mark.parametrize("side", ["lens", "sensor", None])
+def test_focus_from_the_sensor_is_the_distance_of_object_and_sensor(scene: Scene, side: str | None) -> None:
+    changes: dict[str, object] = {"camera.mla": None} if side is None else {"camera.mla.curved_side": side}
+    ready = solved(scene.changed(changes | {"camera.focus_mm": 400.0, "camera.focus_from": "sensor"}))
+    mla = ready.camera.mla
+    behind = mla.distance_mm + mla.thickness_mm if mla is not None else 0.0
+    sensor_z = ready.camera.lens.vertices_mm[-1] + behind + ready.camera.sensor.distance_mm
+    # A ray from the point of the axis that far before the sensor comes to the axis again where the lens focuses.
+    start = (400.0 - sensor_z) * 0.01
+    if mla is not None:
+        assert apex_height(ready, start, 0.01) == pytest.approx(0.0, abs=1e-12)
+    else:
+        height, angle = trace(ready, start, 0.01)
+        assert height + angle * ready.camera.sensor.distance_mm == pytest.approx(0.0, abs=1e-12)
+    facts = first_order(ready)
+    assert abs(facts.magnification) < 1.0
+    assert not any("focus_mm" in warning for warning in facts.warnings)
+
+
+def test_a_focus_nearer_to_the_sensor_than_four_focal_lengths_is_refused_with_the_nearest(scene: Scene) -> None:
+    near = scene.changed({"camera.focus_mm": 200.0, "camera.focus_from": "sensor"})
+    with pytest.raises(SceneError, match=r"focus_mm = 200: no plane .* give ([0-9.]+) or more") as refused:
+        solved(near)
+    nearest = float(re.search(r"give ([0-9.]+) or more", str(refused.value))[1])
+    facts = first_order(near.changed({"camera.focus_mm": nearest}))
+    # There, the image is as large as the object.
+    assert facts.magnification == pytest.approx(-1.0, rel=5e-3)
+
+
 def test_stop_size_overrides_the_prescription(scene: Scene) -> None:
     lens = solved(scene.changed({"camera.lens.stop_semi_diameter_mm": 2.5})).camera.lens
     assert lens.surfaces[0].semi_diameter_mm == 2.5
@@ -137,13 +198,13 @@ def test_given_distances_stay(scene: Scene) -> None:
 IMPOSSIBLE = [
     ({"camera.focus_mm": None}, r"camera\.mla\.distance_mm: missing; give it, or camera\.focus_mm"),
     ({"camera.focus_mm": None, "camera.mla": None}, r"camera\.sensor\.distance_mm: missing; give it, or"),
-    ({"camera.focus_mm": 40.0}, r"focus_mm = 40: no real image.*give more than 57\.3258"),
+    ({"camera.focus_mm": 40.0}, r"focus_mm = 40: no real image.*57\.3258 mm before the lens; give 57\.326 or more"),
     (
         {"camera.lens.surfaces[1].radius_mm": -60.0, "camera.lens.surfaces[2].radius_mm": 60.0},
         "converging one",
     ),
     ({"camera.mla.focal_length_mm": -0.7}, r"sensor\.distance_mm: missing.*diverges"),
-    ({"camera.mla.thickness_mm": 2.0}, r"ends inside their plate; with thickness_mm below 1\.05 it"),
+    ({"camera.mla.thickness_mm": 2.0}, r"ends inside their plate; with thickness_mm at most 1\.04999 it"),
     ({"camera.lens": {"file": "none.toml"}}, r"none\.toml: cannot be read"),
 ]
 

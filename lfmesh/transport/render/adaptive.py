@@ -89,7 +89,7 @@ def second_stage(mean: Array, variance: Array, scene: Scene) -> tuple[Counts, fl
     """
     transport = scene.transport
     assert transport.target_error is not None
-    first = transport.samples // transport.replicates
+    first = transport.samples_each
     room = transport.max_samples // transport.replicates - first
     top = room.bit_length() if room > 0 else 0
     rows, columns = mean.shape[:2]

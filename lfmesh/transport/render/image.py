@@ -124,7 +124,7 @@ class Image:
         if self.hits is None:
             raise LfmeshError("an image without hits has no upper bound: it was not rendered, or by an older lfmesh")
         transport = self.scene.transport
-        samples = transport.samples // transport.replicates * self.replicates
+        samples = transport.samples_each * self.replicates
         if transport.method == "forward":
             samples *= self.mean.shape[0] * self.mean.shape[1]
         return upper_bound(self.mean, self.stderr, self.hits, self.replicates, samples)

@@ -68,7 +68,7 @@ class Tracer:
         sensor = self.world.tables.sensor
         self.shape = sensor.rows, sensor.columns, self.world.lines.channels
         self.adjoint = transport.method == "adjoint"
-        self.samples = transport.samples // transport.replicates
+        self.samples = transport.samples_each
         self.parts = parts_of(self.world, aimed=self.aimed)
         self.threads = transport.threads or os.cpu_count() or 1
         self.seed = run_key(transport.seed)

@@ -329,7 +329,7 @@ def _from_sources(world: World, tables: Tables, settings: Settings) -> Rays:
     options = options_of(
         world, record=True, split=settings.split, cutoff=settings.cutoff, adjoint=False, sequential=False
     )
-    one = tables.sensor.rows * tables.sensor.columns * (transport.samples // transport.replicates)
+    one = tables.sensor.rows * tables.sensor.columns * transport.samples_each
     parts = []
     for place, (colour, _) in enumerate(settings.colours):
         total = settings.rays_of(place)

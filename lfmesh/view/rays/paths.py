@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame as frames
+from lfmesh.scene.solve import focus_wished_mm
 from lfmesh.transport.packets.packet import CAMERA_FRAME, NO_SURFACE, SENSOR_FRAME, WORLD_FRAME, Event, Status
 from lfmesh.transport.tables.tables import Records
 from lfmesh.transport.world import World
@@ -240,7 +241,7 @@ def _points_of_camera(world: World) -> Floats:
 def _points_of_scene(world: World) -> Floats:
     """Return points round camera, targets, lights and the plane of focus, world frame."""
     points = [_points_of_camera(world)]
-    focus = world.scene.camera.focus_mm
+    focus = focus_wished_mm(world.scene.camera, world.scene.primary_nm)
     if focus is not None and np.isfinite(focus):
         points.append(frames.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], [[0.0, 0.0, -focus]]))
     points += [target.mesh.vertices for target in world.targets]

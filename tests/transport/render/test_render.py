@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import lfmesh as lf
+from lfmesh.errors import LfmeshError
+from lfmesh.transport import engine
 from lfmesh.transport.render.render import Renderer
 from tests.cameras import close_up_camera
 from tests.renders import by_seed
@@ -289,6 +291,21 @@ def test_reflections_have_samples_of_their_own_which_split_as_often_as_they_will
     # 16 of the image path and one for two of these off it.
     assert 16 < image.hits.max() <= 24
     assert alone.hits.max() == 16
+
+
+def test_samples_that_replicates_cannot_share_are_rounded_up() -> None:
+    asked, rounded = (lf.render(scene(split="transmit", samples=n, replicates=4)) for n in (13, 16))
+    np.testing.assert_array_equal(asked.mean, rounded.mean)
+    assert asked.samples == 16
+
+
+def test_trees_of_reflections_without_an_end_are_refused_in_a_render(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "MOST_EVENTS_EACH", 300)
+    lf.render(scene(split="both", samples=1, replicates=1, engine="mesh"))
+    with pytest.raises(
+        LfmeshError, match=r"300 events each .* give weight_cutoff a larger value than 0, or max_events"
+    ):
+        lf.render(scene(split="both", samples=1, replicates=1, weight_cutoff=0.0, max_events=64, engine="mesh"))
 
 
 @pytest.mark.parametrize("split", ["transmit", "both"])

@@ -113,7 +113,8 @@ def _sensor(world: World) -> Rows:
 
 def _target(world: World, number: int) -> Rows:
     target = world.scene.targets[number]
-    what = target.shape.kind if target.shape else target.file or (target.refractor.file if target.refractor else "")
+    glass = target.refractor
+    what = target.shape.kind if target.shape else target.file or (glass.file if glass is not None else None) or "box"
     rows = [("target", f"{target.name or f'targets[{number}]'}, {what}")]
     rows += [("position", " ".join(f"{value:g}" for value in target.position_mm) + " mm")]
     if target.refractor is not None:

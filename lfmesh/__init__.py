@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from lfmesh.lightfield.patches import patches_in_focus, render_patches
     from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph, all_in_focus
     from lfmesh.lightfield.ray_model import RayModel
+    from lfmesh.lightfield.reconstruction import Reconstruction, reconstruct, volume_quality
     from lfmesh.lightfield.refocus import focal_stack, refocus
     from lfmesh.lightfield.white import white_image
     from lfmesh.scene import (
@@ -110,6 +111,7 @@ __all__ = [
     "Pose",
     "Progress",
     "RayModel",
+    "Reconstruction",
     "Refractor",
     "Scene",
     "SceneError",
@@ -143,6 +145,7 @@ __all__ = [
     "open_run",
     "open_white",
     "patches_in_focus",
+    "reconstruct",
     "refocus",
     "render",
     "render_patches",
@@ -151,6 +154,7 @@ __all__ = [
     "show",
     "solved",
     "trace",
+    "volume_quality",
     "white_image",
 ]
 
@@ -172,6 +176,7 @@ _HOMES = {
     "lfmesh.lightfield.patches": ["patches_in_focus", "render_patches"],
     "lfmesh.lightfield.photograph": ["AllInFocus", "FocalStack", "Photograph", "all_in_focus"],
     "lfmesh.lightfield.ray_model": ["RayModel"],
+    "lfmesh.lightfield.reconstruction": ["Reconstruction", "reconstruct", "volume_quality"],
     "lfmesh.lightfield.refocus": ["focal_stack", "refocus"],
     "lfmesh.lightfield.white": ["white_image"],
     "lfmesh.scene": [

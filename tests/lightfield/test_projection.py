@@ -122,11 +122,15 @@ def test_a_grid_in_a_tank_is_seen_along_the_refracted_rays():
     }  # fmt: skip
     grid = box()
     scene = camera(tanks=[tank])
-    rays = Projector(camera(), grid)
-    world = Projector(scene, grid).world
+    rays = Projector(scene, grid)
+    world = rays.world
     expected = np.zeros((len(PIXELS), grid.voxels))
-    origin, direction, _, weight, pixel = pieces(rays, PIXELS)
-    paths = lf.trace(world, origin, direction, split="transmit", record=True)
+    found = pieces(rays, PIXELS)
+    # Those that start at the lens, before the tank.
+    at_lens = found[0][:, 2] > -10.0
+    origin, direction, _, weight, pixel = (column[at_lens] for column in found)
+    # A ray that starts on the lens would be refracted by it.
+    paths = lf.trace(world, origin + direction, direction, split="transmit", record=True)
     for k in range(len(paths)):
         ray = paths.source[k]
         way = paths.vertices(k)
@@ -230,23 +234,30 @@ def test_hdf5_holds_the_same(tmp_path):
     assert read.wavelength_nm == made.wavelength_nm
 
 
+def wider(seed):
+    """Return the scene of a camera with 10 × 10 lenslets."""
+    scene = camera(samples=128, seed=seed)
+    return scene.changed({"camera.mla.count": [10, 10], "camera.sensor.pixels": [50, 50]})
+
+
 def blobs(grid):
-    """Return two Gaussian balls of different size and brightness."""
-    at = grid.centres_mm()
-    far, near = (np.square(at - np.array(place)).sum(axis=-1) for place in ((-1.5, 0.5, -66.0), (1.6, -0.6, -54.0)))
+    """Return two Gaussian balls of different size and brightness, one behind the other and beside it."""
+    at = (grid.centres_mm() - [0.0, 0.0, -60.0]) / [1.0, 1.0, 5.0]
+    far, near = (np.square(at - np.array(place)).sum(axis=-1) for place in ((-1.4, 0.8, -2.4), (1.6, -1.0, 2.4)))
     return np.exp(-far / 4.0) + 0.6 * np.exp(-near / 3.0)
 
 
-@pytest.mark.parametrize(("method", "least"), [("nnls", 0.8), ("mart", 0.8), ("sart", 0.8)])
+@pytest.mark.parametrize(("method", "least"), [("nnls", 0.97), ("mart", 0.97), ("sart", 0.95)])
 def test_two_blobs_are_found_again_in_an_image_of_other_rays(method, least):
-    grid = box((5, 5, 5), (9.0, 9.0, 25.0), rotation_deg=(0.0, 0.0, 0.0), position_mm=(0.0, 0.0, -60.0))
+    grid = box((6, 6, 4), (9.0, 9.0, 32.0), rotation_deg=(0.0, 0.0, 0.0), position_mm=(0.0, 0.0, -60.0))
     true = blobs(grid)
-    image = projection_matrix(camera(samples=256, seed=7), grid).image(true)
-    found = lf.reconstruct(projection_matrix(camera(samples=256, seed=8), grid), image, method)
+    image = projection_matrix(wider(7), grid).image(true)
+    found = lf.reconstruct(projection_matrix(wider(8), grid), image, method)
     assert found.volume.shape == grid.shape
     assert found.quality(true) > least
-    # A volume without structure in depth, or none at all, is no match.
-    assert lf.volume_quality(np.ones(grid.shape), true) < least - 0.1
+    # A volume without structure in depth is no such match.
+    smeared = np.broadcast_to(found.volume.mean(axis=2, keepdims=True), grid.shape)
+    assert lf.volume_quality(smeared, true) < 0.8
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from lfmesh.analysis.analysis import LensAnalysis, analyse
     from lfmesh.errors import FileError, GlassError, LfmeshError, MeshError, SceneError
     from lfmesh.files.exports.export import export_field, export_raw
+    from lfmesh.files.matrix import open_projection_matrix, write_projection_matrix
     from lfmesh.files.run import open_run, open_white, save, save_white
     from lfmesh.geometry.solved_camera import first_order
     from lfmesh.lightfield.calibration import Calibration, calibrate
@@ -32,8 +33,11 @@ if TYPE_CHECKING:
     from lfmesh.lightfield.object_rays import object_rays
     from lfmesh.lightfield.patches import patches_in_focus, render_patches
     from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph, all_in_focus
+    from lfmesh.lightfield.projection import ProjectionMatrix, projection_matrix
     from lfmesh.lightfield.ray_model import RayModel
+    from lfmesh.lightfield.reconstruction import Reconstruction, reconstruct, volume_quality
     from lfmesh.lightfield.refocus import focal_stack, refocus
+    from lfmesh.lightfield.voxel_box import VoxelBox
     from lfmesh.lightfield.white import white_image
     from lfmesh.scene import (
         ArrayForm,
@@ -46,6 +50,7 @@ if TYPE_CHECKING:
         FirstOrder,
         Gloss,
         Lens,
+        Liquid,
         Material,
         MicrolensArray,
         Plane,
@@ -57,9 +62,11 @@ if TYPE_CHECKING:
         Sphere,
         SpotLight,
         Surface,
+        Tank,
         Target,
         Tessellation,
         Transport,
+        Wall,
         load,
         loads,
         solved,
@@ -100,6 +107,7 @@ __all__ = [
     "LensAnalysis",
     "LfmeshError",
     "LightField",
+    "Liquid",
     "LostEnergyWarning",
     "Material",
     "MeshError",
@@ -110,7 +118,9 @@ __all__ = [
     "PointLight",
     "Pose",
     "Progress",
+    "ProjectionMatrix",
     "RayModel",
+    "Reconstruction",
     "Refractor",
     "Scene",
     "SceneError",
@@ -120,9 +130,12 @@ __all__ = [
     "Status",
     "Study",
     "Surface",
+    "Tank",
     "Target",
     "Tessellation",
     "Transport",
+    "VoxelBox",
+    "Wall",
     "__version__",
     "all_in_focus",
     "analyse",
@@ -142,9 +155,12 @@ __all__ = [
     "load",
     "loads",
     "object_rays",
+    "open_projection_matrix",
     "open_run",
     "open_white",
     "patches_in_focus",
+    "projection_matrix",
+    "reconstruct",
     "refocus",
     "render",
     "render_patches",
@@ -153,13 +169,16 @@ __all__ = [
     "show",
     "solved",
     "trace",
+    "volume_quality",
     "white_image",
+    "write_projection_matrix",
 ]
 
 _HOMES = {
     "lfmesh.analysis.analysis": ["LensAnalysis", "analyse"],
     "lfmesh.errors": ["FileError", "GlassError", "LfmeshError", "MeshError", "SceneError"],
     "lfmesh.files.exports.export": ["export_field", "export_raw"],
+    "lfmesh.files.matrix": ["open_projection_matrix", "write_projection_matrix"],
     "lfmesh.files.run": ["open_run", "open_white", "save", "save_white"],
     "lfmesh.geometry.solved_camera": ["first_order"],
     "lfmesh.lightfield.calibration": ["Calibration", "calibrate"],
@@ -173,8 +192,11 @@ _HOMES = {
     "lfmesh.lightfield.focused": ["focused"],
     "lfmesh.lightfield.patches": ["patches_in_focus", "render_patches"],
     "lfmesh.lightfield.photograph": ["AllInFocus", "FocalStack", "Photograph", "all_in_focus"],
+    "lfmesh.lightfield.projection": ["ProjectionMatrix", "projection_matrix"],
     "lfmesh.lightfield.ray_model": ["RayModel"],
+    "lfmesh.lightfield.reconstruction": ["Reconstruction", "reconstruct", "volume_quality"],
     "lfmesh.lightfield.refocus": ["focal_stack", "refocus"],
+    "lfmesh.lightfield.voxel_box": ["VoxelBox"],
     "lfmesh.lightfield.white": ["white_image"],
     "lfmesh.scene": [
         *["Scene", "Camera", "Lens", "Surface", "MicrolensArray", "ArrayForm", "Sensor", "Pose", "Target"],
@@ -186,6 +208,9 @@ _HOMES = {
             "Transport",
             "Tessellation",
             "Refractor",
+            "Liquid",
+            "Tank",
+            "Wall",
             "FirstOrder",
             "load",
             "loads",

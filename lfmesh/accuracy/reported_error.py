@@ -32,6 +32,7 @@ CROPS = {
     "lit_chart": (-1.0, 0.5),
     "lytro_class": (-2.5, 1.5),
     "polarised": (-1.0, 0.5),
+    "tank": (-1.0, 0.5),
 }
 """The middle of a crop of each scene in assets, mm on the sensor: edges, smooth parts and shadows are in it."""
 

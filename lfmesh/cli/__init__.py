@@ -16,6 +16,7 @@ from lfmesh.cli import (  # noqa: F401  # adds their commands
     lens,
     lens_sheet,
     lightfield,
+    matrix,
     render,
     schema,
     study,

@@ -41,11 +41,14 @@ def check(scene: SceneFile, /) -> int:
     """
     from lfmesh.geometry.placement import placements
     from lfmesh.geometry.solved_camera import first_order, mesh_lines, solved_camera
+    from lfmesh.geometry.tanks import tank_lines
     from lfmesh.scene import Finish, load
     from lfmesh.scene.glasses import glass_lines
 
     loaded = load(scene)
     lines = [*first_order(loaded).lines(), *mesh_lines(loaded), *glass_lines(solved_camera(loaded).scene)]
+    if loaded.tanks:
+        lines += tank_lines(loaded)
     if loaded.coatings:
         from lfmesh.transport.tables.interfaces import coating_lines
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lfmesh.geometry.mesh import Array, Index, Mesh
+from lfmesh.geometry.mesh import Array, Index, Mesh, facet_normals
 from lfmesh.geometry.tessellation import disk_pattern, revolved
 from lfmesh.geometry.weld import welded
 from lfmesh.scene.targets import Box, Cylinder, Disk, Plane, Shape, Sphere
@@ -55,6 +55,12 @@ def box(shape: Box) -> Primitive:
     faces = np.concatenate([_TWO_FACETS + 4 * k for k in range(len(_BOX_FACES))])
     uv = np.tile(_uv(_SQUARE)[_TWO_FACETS], (len(_BOX_FACES), 1, 1))
     return Primitive(welded(Mesh(vertices, faces)), uv)
+
+
+def box_of_glass(size_mm: tuple[float, float, float]) -> Mesh:
+    """Return a box of twelve facets, with the facets' own normals at their corners."""
+    mesh = box(Box(size_mm=size_mm)).mesh
+    return Mesh(mesh.vertices, mesh.faces, np.repeat(facet_normals(mesh)[0][:, None, :], 3, axis=1))
 
 
 def sphere(shape: Sphere) -> Primitive:

@@ -184,7 +184,7 @@ def _faces(path: Path, stamp: tuple[object, ...], units: str | None, crease_deg:
 
 def faces(shape: MeshShape, scene: Scene) -> tuple[Face, Face]:
     """Return the front and the back face of a lens element given as a mesh."""
-    path = scene.resolve(shape.file).resolve()
+    path = scene.resolve(str(shape.file)).resolve()
     return _faces(path, file_stamp(path), shape.units, shape.crease_deg)
 
 
@@ -261,7 +261,7 @@ def measured(scene: Scene) -> Scene:
             surfaces.append(surface)
             continue
         front, back = faces(refractor, scene)
-        shape = refractor.model_dump(exclude={"index", "glass", "coating", "finish", "priority"})
+        shape = refractor.model_dump(include=set(MeshShape.model_fields))
         for face, side in ((front, "front"), (back, "back")):
             aperture = surface.semi_diameter_mm or face.rim_mm
             surfaces.append(

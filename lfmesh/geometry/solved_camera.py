@@ -14,6 +14,7 @@ import numpy as np
 
 from lfmesh.geometry.lens_shape import PIXEL_SHARE, LensShape, lens_shape
 from lfmesh.geometry.refractors import measured
+from lfmesh.geometry.tanks import with_tanks
 from lfmesh.scene import FirstOrder, Paraxial, Scene, Tessellation, solved
 from lfmesh.scene.files import with_lens_file
 from lfmesh.scene.inputs import file_stamp, files_of
@@ -92,7 +93,7 @@ def solved_camera(scene: Scene) -> SolvedCamera:
         if camera is not None:
             _kept.move_to_end(key)
             return camera
-    ready = solved(measured(scene))
+    ready = with_tanks(solved(measured(scene)))
     if _key(scene, lens) != key:
         # A file changed while it was read: what was read belongs to neither key.
         return SolvedCamera(ready)

@@ -9,7 +9,7 @@ from lfmesh.geometry.atlas import atlas
 from lfmesh.geometry.frame import frame
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, joined
 from lfmesh.geometry.mesh_file import Piece, load_mesh
-from lfmesh.geometry.primitives import primitive
+from lfmesh.geometry.primitives import box_of_glass, primitive
 from lfmesh.geometry.refractors import solid_mesh
 from lfmesh.geometry.texture import Texture, load_texture
 from lfmesh.geometry.vertex_normals import is_closed
@@ -58,7 +58,10 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
     """
     if target.refractor is not None:
         glass = target.refractor
-        body = solid_mesh(scene.resolve(glass.file), glass.units, glass.crease_deg)
+        if glass.box_mm is not None:
+            body = box_of_glass(glass.box_mm)
+        else:
+            body = solid_mesh(scene.resolve(str(glass.file)), glass.units, glass.crease_deg)
         return TargetMesh(body.moved(frame(target.rotation_deg, target.position_mm)), None, None, True)
     with_alpha = target.material.opacity == "texture_alpha"
     if target.shape is not None:

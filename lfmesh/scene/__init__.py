@@ -22,6 +22,7 @@ from lfmesh.scene.report import FirstOrder, first_order
 from lfmesh.scene.scene import Scene
 from lfmesh.scene.sensor import Sensor
 from lfmesh.scene.solve import solved
+from lfmesh.scene.tank import Liquid, Tank, Wall
 from lfmesh.scene.targets import Box, Cylinder, Disk, Gloss, Material, Plane, Shape, Sphere, Target
 from lfmesh.scene.transport import Tessellation, Transport
 
@@ -43,6 +44,7 @@ __all__ = [
     "Lens",
     "Light",
     "LinearPolarisation",
+    "Liquid",
     "Material",
     "MeshFace",
     "MeshShape",
@@ -58,9 +60,11 @@ __all__ = [
     "Sphere",
     "SpotLight",
     "Surface",
+    "Tank",
     "Target",
     "Tessellation",
     "Transport",
+    "Wall",
     "first_order",
     "load",
     "load_lens",

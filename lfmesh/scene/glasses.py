@@ -14,7 +14,9 @@ def glass_lines(scene: Scene) -> list[str]:
         places.setdefault(scene.camera.mla.glass, []).append("mla")
     for i, target in enumerate(scene.targets):
         if target.refractor is not None and target.refractor.glass is not None:
-            places.setdefault(target.refractor.glass, []).append(f"targets[{i}]")
+            # A tank's bodies are called after it.
+            name = target.name if target.refractor.box_mm is not None else None
+            places.setdefault(target.refractor.glass, []).append(name or f"targets[{i}]")
     for name, coating in scene.coatings.items():
         for layer in coating.layers or ():
             if layer.glass is not None and f"coating {name}" not in places.get(layer.glass, []):

@@ -131,6 +131,8 @@ class Surface(Model):
             if getattr(self, key) != value:
                 beside = f"; the refractor has a {key} of its own" if key in ("coating", "finish") else ""
                 yield Fault((key,), getattr(self, key), f"omit it: the refractor is a whole element{beside}")
+        if self.refractor is not None and self.refractor.box_mm is not None:
+            yield Fault(("refractor", "box_mm"), self.refractor.box_mm, "only in front of the camera; give file")
         if self.refractor is not None and self.refractor.priority != 0:
             yield Fault(
                 ("refractor", "priority"), self.refractor.priority, "omit it: elements of a lens do not overlap"

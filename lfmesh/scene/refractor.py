@@ -9,7 +9,7 @@ from pydantic import Field
 from lfmesh.scene.coatings import UNCOATED
 from lfmesh.scene.finishes import POLISHED, AnyFinish, both_given
 from lfmesh.scene.model import Fault, Model, nearest
-from lfmesh.scene.quantities import FilePath, GlassName, Index, Text
+from lfmesh.scene.quantities import FilePath, GlassName, Index, Positive, Text
 
 UNITS_IN_FILE = (".glb", ".gltf")
 """Formats whose standard fixes the unit of length."""
@@ -45,7 +45,7 @@ def mesh_file_faults(file: str, units: str | None) -> Iterator[Fault]:
 class MeshShape(Model):
     """The mesh that gives glass its shape."""
 
-    file: FilePath
+    file: FilePath | None = None
     """A mesh file (STL, OBJ, PLY, OFF, GLB), relative to the scene file."""
     units: Units | None = None
     """Unit of length of the mesh file; required where the format carries none."""
@@ -58,12 +58,17 @@ class MeshShape(Model):
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""
-        yield from mesh_file_faults(self.file, self.units)
+        if self.file is None:
+            yield Fault(("file",), None, "missing: A mesh file (STL, OBJ, PLY, OFF, GLB), relative to the scene file")
+        else:
+            yield from mesh_file_faults(self.file, self.units)
 
 
 class Refractor(MeshShape):
-    """A closed body of glass, its shape a mesh."""
+    """A closed body of glass, its shape a mesh or, in object space, a box."""
 
+    box_mm: tuple[Positive, Positive, Positive] | None = None
+    """In object space, in place of a mesh file: a box, centred, with edges of these lengths along x, y, z, in mm."""
     index: Index | None = None
     """Refractive index of the glass. Or give `glass`."""
     glass: GlassName | None = None
@@ -81,9 +86,19 @@ class Refractor(MeshShape):
         """What the body is made of: an index or the name of a glass."""
         return self.index if self.index is not None else self.glass or 1.0
 
+    @property
+    def level(self) -> FacetLevel:
+        """What its facets stand for; those of a box for themselves."""
+        return "flat" if self.box_mm is not None else self.surface
+
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""
-        yield from super().faults()
+        if self.box_mm is None:
+            yield from super().faults()
+        else:
+            for key, default in (("file", None), ("units", None), ("surface", "patch"), ("crease_deg", None)):
+                if getattr(self, key) != default:
+                    yield Fault((key,), getattr(self, key), "box_mm is given too; omit it, or give a mesh file")
         if self.index is None and self.glass is None:
             yield Fault(("index",), None, "missing: give the index of the glass, or glass")
         elif self.index is not None and self.glass is not None:

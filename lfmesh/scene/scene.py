@@ -21,6 +21,7 @@ from lfmesh.scene.lights import Light
 from lfmesh.scene.model import Fault, Location, Model
 from lfmesh.scene.quantities import Text
 from lfmesh.scene.spectra import Spectrum, curve_of
+from lfmesh.scene.tank import Tank
 from lfmesh.scene.targets import Target
 from lfmesh.scene.transport import PRIMARY_NM, Transport
 
@@ -46,6 +47,8 @@ class Scene(Model):
     """Lens, microlens array and sensor."""
     targets: tuple[Target, ...] = ()
     """The bodies in front of the camera."""
+    tanks: tuple[Tank, ...] = ()
+    """Boxes of windows and liquid in front of the camera."""
     lights: tuple[Light, ...] = ()
     """What lights them."""
     coatings: dict[str, Coating] = Field(default_factory=dict)
@@ -362,6 +365,9 @@ class Scene(Model):
         for i, target in enumerate(self.targets):
             if target.refractor is not None:
                 media.append((("targets", i, "refractor", "glass"), target.refractor.medium))
+        for i, tank in enumerate(self.tanks):
+            media += [(("tanks", i, "wall", "glass"), tank.wall.medium)]
+            media += [(("tanks", i, "liquid", "glass"), tank.liquid.medium)]
         if self.camera.mla is not None:
             media.append((("camera", "mla", "glass"), self.camera.mla.medium))
         for i, target in enumerate(self.targets):

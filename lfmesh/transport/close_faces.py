@@ -125,7 +125,7 @@ def refuse_close_faces(scene: Scene, targets: list[TargetMesh], bodies: list[int
 
 def _is_curved(target: Target) -> bool:
     """Tell whether a target is glass whose facets stand for a curved surface."""
-    return target.refractor is not None and SURFACE_LEVEL[target.refractor.surface] != FLAT
+    return target.refractor is not None and SURFACE_LEVEL[target.refractor.level] != FLAT
 
 
 def _close_places(own: _Face, other: _Face, near: float) -> _Close | None:

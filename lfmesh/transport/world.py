@@ -282,7 +282,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     moves = frame_table(scene, middle)
     refuse_collisions(scene, lens, mla, moves)
     housing = housing_mesh(scene, shape)
-    refuse_targets_inside(targets, housing, moves)
+    refuse_targets_inside(scene, targets, housing, moves)
     ranks = refuse_untraceable_glass(
         scene, targets, frame.points(moves[CAMERA_FRAME, WORLD_FRAME], shape.caps[0].vertices)
     )

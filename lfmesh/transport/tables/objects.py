@@ -8,7 +8,7 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, facet_table, joined
-from lfmesh.geometry.targets import TargetMesh
+from lfmesh.geometry.targets import TargetMesh, named_target
 from lfmesh.geometry.tessellation import (
     mesh_sag,
     on_circles,
@@ -63,11 +63,12 @@ def housing_mesh(scene: Scene, shape: LensShape) -> Mesh:
     return Mesh(mesh.vertices, mesh.faces[facet_normals(mesh)[1] > 0.0])
 
 
-def refuse_targets_inside(targets: list[TargetMesh], housing: Mesh, moves: Array) -> None:
+def refuse_targets_inside(scene: Scene, targets: list[TargetMesh], housing: Mesh, moves: Array) -> None:
     """Refuse a target that reaches into the camera.
 
     Parameters
     ----------
+    scene : Scene
     targets : list of TargetMesh
         World frame.
     housing : Mesh
@@ -92,8 +93,9 @@ def refuse_targets_inside(targets: list[TargetMesh], housing: Mesh, moves: Array
         for facet in corners[near]:
             within = _between(facet, front, end)
             if len(within) and _distance_to_axis(within) < barrel:
+                name = f"targets[{i}]" if scene.targets[i].refractor is None else named_target(scene, i)
                 raise SceneError(
-                    f"targets[{i}] reaches into the camera, at z = {within[:, 2].mean():.6g} mm in the camera frame; "
+                    f"{name} reaches into the camera, at z = {within[:, 2].mean():.6g} mm in the camera frame; "
                     f"move it in front of z = {front:.6g} mm or beside the barrel (radius {barrel:.6g} mm)"
                 )
 
@@ -174,7 +176,7 @@ def object_tables(
     alphas = [t.alpha.ravel() if t.alpha is not None else np.zeros(0, np.float32) for t in targets]
     radius = max((float(np.linalg.norm(m.vertices, axis=1).max()) for m in parts), default=0.0)
     glasses = [t.refractor for t in scene.targets]
-    level = np.array([SURFACE_LEVEL[g.surface] if g is not None else 0 for g in glasses], dtype=np.int64)
+    level = np.array([SURFACE_LEVEL[g.level] if g is not None else 0 for g in glasses], dtype=np.int64)
     patches, across = curved(bool((level == PATCH).any()), mesh)
     # Target of each rank, from 1; the entry of rank 0 is not used.
     by_rank = np.zeros(int(ranks.max(initial=0)) + 1, np.int64)

@@ -57,7 +57,7 @@ def _surface(surface: Surface, number: int) -> str:
     words += [f"conic {surface.conic:g}"] if surface.conic else []
     words += ["asphere " + ", ".join(f"{a:.4g}" for a in surface.asphere_mm)] if any(surface.asphere_mm) else []
     words += [f"semi-diameter {surface.semi_diameter_mm:.6g} mm"] if surface.semi_diameter_mm else []
-    words += ["mesh " + surface.mesh.file] if surface.mesh is not None else []
+    words += [f"mesh {surface.mesh.file}"] if surface.mesh is not None else []
     return ", ".join(words)
 
 
@@ -113,7 +113,8 @@ def _sensor(world: World) -> Rows:
 
 def _target(world: World, number: int) -> Rows:
     target = world.scene.targets[number]
-    what = target.shape.kind if target.shape else target.file or (target.refractor.file if target.refractor else "")
+    glass = target.refractor
+    what = str(target.shape.kind if target.shape else target.file or (glass and glass.file) or "box")
     rows = [("target", f"{target.name or f'targets[{number}]'}, {what}")]
     rows += [("position", " ".join(f"{value:g}" for value in target.position_mm) + " mm")]
     if target.refractor is not None:

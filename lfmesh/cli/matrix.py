@@ -1,0 +1,85 @@
+"""The projection matrix of a camera: `lfmesh matrix`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from lfmesh.cli.application import app
+from lfmesh.cli.interrupts import defer_interrupt
+from lfmesh.cli.options import Overrides, SceneFile, Whole, overridden
+from lfmesh.cli.printing import list_files, warnings_as_notes, wrapped
+from lfmesh.cli.progress import status
+from lfmesh.errors import LfmeshError
+
+if TYPE_CHECKING:
+    from lfmesh.lightfield.voxel_box import VoxelBox
+
+Triple = tuple[float, float, float]
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh matrix scene.toml --counts 64 64 64 --size-mm 20 20 20 --position-mm 0 0 -500 -o m.npz
+    lfmesh matrix scene.toml --grid flame.npz --position-mm 0 0 -500 -o m.h5 --split transmit
+"""
+)
+def matrix(
+    scene: SceneFile,
+    /,
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"], help="File to write: .npz, or .h5 with h5py.")],
+    grid: Annotated[Path | None, Parameter(help="Voxel grid (.npz) with spacing_mm and origin_mm.")] = None,
+    counts: Annotated[
+        tuple[Whole, Whole, Whole] | None, Parameter(help="Voxels along x, y, z, with --size-mm.")
+    ] = None,
+    size_mm: Annotated[Triple | None, Parameter(help="Edges of the box of voxels.")] = None,
+    position_mm: Annotated[Triple, Parameter(help="Where the box or grid has its origin; a box its middle.")] = (
+        0.0,
+        0.0,
+        0.0,
+    ),
+    rotation_deg: Annotated[Triple, Parameter(help="Rotations of the box about x, then y, then z.")] = (0.0, 0.0, 0.0),
+    channel: Annotated[Whole, Parameter(help="Number of the wavelength or band; one matrix each.")] = 0,
+    threshold: Annotated[
+        float, Parameter(help="Entries below this share of the largest one of their pixel are dropped.")
+    ] = 1e-6,
+    overrides: Overrides | None = None,
+) -> int:
+    """Write what every pixel detects of every voxel of an emitting grid: a sparse matrix with standard errors.
+
+    The same command goes on with one that was cut short, to the same bits.
+    """
+    with defer_interrupt():
+        from lfmesh.files.matrix import open_projection_matrix, write_projection_matrix
+        from lfmesh.scene import load
+    loaded = overridden(load(scene), overrides)
+    box = _box(grid, counts, size_mm, position_mm, rotation_deg)
+    with status() as report, warnings_as_notes():
+        write_projection_matrix(
+            loaded, box, out, channel=channel, threshold=threshold, say=lambda line: print(wrapped(line), flush=True),
+            progress=lambda done, total: report(f"{100 * done // total} % of the pixels"),
+        )  # fmt: skip
+    made = open_projection_matrix(out)
+    dropped = f"; {made.dropped_share:.2g} of their sum dropped, below {threshold:g} of their row's largest"
+    print(wrapped(f"{made.matrix.nnz:,} entries at {made.wavelength_nm:.6g} nm{dropped if threshold else ''}."))
+    list_files([out])
+    return 0
+
+
+def _box(
+    grid: Path | None, counts: tuple[int, int, int] | None, size_mm: Triple | None, position_mm: Triple,
+    rotation_deg: Triple,
+) -> "VoxelBox":  # fmt: skip
+    """Return the box of voxels that was asked for."""
+    from lfmesh.lightfield.voxel_box import VoxelBox, read_box
+
+    if grid is not None:
+        if counts is not None or size_mm is not None:
+            raise LfmeshError(f"--grid {grid} says itself where its voxels lie: leave out --counts and --size-mm")
+        return VoxelBox.of(read_box(grid), position_mm, rotation_deg)
+    if counts is None or size_mm is None:
+        raise LfmeshError("a matrix needs --grid with a file, or --counts and --size-mm of a box")
+    return VoxelBox.of_size(counts, size_mm, position_mm, rotation_deg)

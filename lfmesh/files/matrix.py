@@ -1,0 +1,276 @@
+"""Projection matrices on disk: streamed in blocks of pixels, gone on with where a run was cut short.
+
+Beside the file that is to be stands a folder with the finished blocks, which goes when the file is complete. Only one
+block is in memory at a time. An `.npz` is what `scipy.sparse.load_npz` reads, with the axes and errors as further
+arrays; HDF5 has the same arrays as data sets.
+"""
+
+import json
+import shutil
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+import lfmesh
+from lfmesh.errors import FileError, LfmeshError
+from lfmesh.files.folder import staged_file
+from lfmesh.files.inputs import pinned
+from lfmesh.files.whole import make_like_any_other
+from lfmesh.lightfield.projection import (
+    NOT_SEEN,
+    THRESHOLD,
+    ProjectionMatrix,
+    Projector,
+    computed,
+    pixels_of,
+    size_in_words,
+)
+from lfmesh.lightfield.voxel_box import VoxelBox
+from lfmesh.scene import Scene
+
+NUMPY, HDF5 = (".npz",), (".h5", ".hdf5")
+
+FACTS, WHOLE = "facts.json", "whole"
+"""Files in the folder of blocks: what they are blocks of, and the file that they are joined into."""
+
+PER_ROW = {"row_error": "row_stderr", "dropped": "dropped"}
+PER_ENTRY = {"value": "data", "column": "indices", "error": "stderr"}
+"""Arrays of a block, and what they are called in the file."""
+
+UNIT = "mm^3 sr: W on a pixel for 1 W/(mm^3 sr) of a voxel"
+
+Say = Callable[[str], None]
+
+
+def write_projection_matrix(
+    scene: Scene, grid: Any, path: str | Path, *, channel: int = 0, pixels: ArrayLike | None = None,
+    threshold: float = THRESHOLD, say: Say | None = None, progress: Callable[[int, int], None] | None = None,
+) -> Path:  # fmt: skip
+    """Trace a projection matrix into a file, block after block; see `lf.projection_matrix`.
+
+    Called again after it was cut short, it goes on where it was, to the same bits.
+
+    Parameters
+    ----------
+    scene, grid, channel, pixels, threshold
+        As for `lf.projection_matrix`.
+    path : Path
+        Ends in `.npz`, or in `.h5` or `.hdf5`, which needs h5py.
+    say : callable, optional
+        Called with lines for the user: the expected size, first of all.
+    progress : callable, optional
+        Called with the number of finished pixels and that of all.
+
+    Returns
+    -------
+    Path
+        Of the file.
+
+    Raises
+    ------
+    FileError
+        The file cannot be written, there is too little room for it, or the blocks beside it are of another matrix.
+    LfmeshError
+        As from `lf.projection_matrix`.
+    """
+    path = Path(path)
+    _check_ending(path)
+    if not path.parent.is_dir() or path.is_dir():
+        why = "it is a folder" if path.is_dir() else f"there is no folder {path.parent}"
+        raise FileError(f"{path} cannot be written: {why}")
+    projector = Projector(pinned(scene), grid, channel, threshold)
+    chosen = pixels_of(projector, pixels)
+    size = size_in_words(projector, chosen)
+    if say is not None:
+        say(size.words)
+    # Blocks and the file itself stand beside each other until the file is whole.
+    free = shutil.disk_usage(path.parent).free
+    if 2.0 * size.bytes > free:
+        raise FileError(f"{path}: {size.words}, and while it is written twice that; {free / 1e9:.3g} GB are free")
+    parts = path.with_name(path.name + ".parts")
+    blocks = list(projector.blocks(chosen))
+    with _told(path):
+        done = _begin(parts, _facts(projector, chosen), len(blocks))
+        if done and say is not None:
+            say(f"goes on after {done} of {len(blocks)} blocks that are there")
+        finished = sum(len(block) for block in blocks[:done])
+        for number, block in enumerate(computed(projector, blocks[done:]), start=done):
+            with staged_file(parts, _name(number)) as file:
+                np.savez(file, **block._asdict())
+            finished += len(block.entries)
+            if progress is not None:
+                progress(finished, len(chosen))
+        _join(path, parts, len(blocks), projector, chosen)
+        shutil.rmtree(parts)
+    return path
+
+
+def open_projection_matrix(path: str | Path) -> ProjectionMatrix:
+    """Read a projection matrix that `write_projection_matrix` has written.
+
+    Raises
+    ------
+    FileError
+        The file is none, or damaged.
+    """
+    from scipy.sparse import csr_array
+
+    path = Path(path)
+    _check_ending(path)
+    try:
+        if path.suffix.lower() in NUMPY:
+            with np.load(path, allow_pickle=False) as file:
+                held = {name: file[name] for name in file.files}
+        else:
+            with _h5py().File(path, "r") as file:
+                held = {name: file[name][()] for name in file}
+        rows, voxels = (int(n) for n in held["shape"])
+        counts = tuple(int(n) for n in held["grid_shape"])
+        grid = VoxelBox(
+            (counts[0], counts[1], counts[2]),
+            *(held[name] for name in ("spacing_mm", "origin_mm", "position_mm", "rotation_deg")),
+        )
+        return ProjectionMatrix(
+            csr_array((held["data"], held["indices"], held["indptr"]), shape=(rows, voxels)), held["stderr"],
+            held["row_stderr"], held["dropped"], held["pixels"], grid, float(held["threshold"]),
+            float(held["wavelength_nm"]),
+        )  # fmt: skip
+    except FileNotFoundError:
+        raise FileError(f"{path}: no such file") from None
+    except (OSError, ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile):
+        raise FileError(f"{path} is no projection matrix, or damaged") from None
+
+
+def _check_ending(path: Path) -> None:
+    if path.suffix.lower() not in (*NUMPY, *HDF5):
+        raise FileError(f"{path}: a projection matrix ends in one of {', '.join((*NUMPY, *HDF5))}")
+    if path.suffix.lower() in HDF5:
+        _h5py()
+
+
+def _h5py() -> Any:
+    try:
+        return import_module("h5py")
+    except ImportError:
+        raise LfmeshError('HDF5 needs h5py: pip install "lfmesh[data]", or take .npz') from None
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise FileError(
+            f"{path} cannot be written: {error.strerror or error}; blocks that are there are kept"
+        ) from None
+
+
+def _name(number: int) -> str:
+    return f"{number:06}.npz"
+
+
+def _facts(projector: Projector, pixels: NDArray[np.int64]) -> dict[str, Any]:
+    """Return what decides the contents of every block."""
+    grid, scene = projector.grid, projector.world.scene
+    return {
+        "lfmesh_version": lfmesh.__version__,
+        "scene": scene.digest,
+        "inputs": scene.digests,
+        "grid": [list(grid.shape), *(a.tolist() for a in (grid.spacing_mm, grid.origin_mm, grid.to_world))],
+        "channel": projector.channel,
+        "threshold": projector.threshold,
+        "pixels": [
+            len(pixels),
+            int(pixels[0]),
+            int(pixels[-1]),
+            int(pixels @ np.arange(1, len(pixels) + 1) % (1 << 61)),
+        ],
+        "pixels_at_once": projector.pixels_at_once,
+    }
+
+
+def _begin(parts: Path, facts: dict[str, Any], blocks: int) -> int:
+    """Make the folder of blocks, or find the one of a run that was cut short; return how many blocks are there."""
+    parts.mkdir(exist_ok=True)
+    file = parts / FACTS
+    if not file.exists():
+        with staged_file(parts, FACTS) as new:
+            new.write(json.dumps(facts).encode())
+        return 0
+    try:
+        held = json.loads(file.read_text(encoding="utf-8"))
+    except ValueError:
+        held = None
+    if held != facts:
+        raise FileError(f"{parts} holds blocks of another matrix, or is damaged; delete it, or give another file")
+    return next((number for number in range(blocks) if not (parts / _name(number)).exists()), blocks)
+
+
+def _join(path: Path, parts: Path, blocks: int, projector: Projector, pixels: NDArray[np.int64]) -> None:
+    """Join the blocks into the file, array by array."""
+    entries = [_array(parts, number, "entries") for number in range(blocks)]
+    end = np.concatenate([[0], np.cumsum(np.concatenate(entries))])
+    if end[-1] == 0:
+        raise LfmeshError(NOT_SEEN)
+    grid = projector.grid
+    x, y, z = grid.axes_mm
+    columns, rows = projector.world.scene.camera.sensor.pixels
+    small: dict[str, Any] = {
+        "format": np.array(b"csr"), "_is_array": np.array(True), "shape": np.array([len(pixels), grid.voxels]),
+        "indptr": end if end[-1] >= 1 << 31 else end.astype(np.int32), "pixels": pixels,
+        "sensor_pixels": np.array([columns, rows]), "grid_shape": np.array(grid.shape), "x_mm": x, "y_mm": y, "z_mm": z,
+        "spacing_mm": grid.spacing_mm, "origin_mm": grid.origin_mm, "position_mm": grid.position_mm,
+        "rotation_deg": grid.rotation_deg, "to_world": grid.to_world, "threshold": np.array(projector.threshold),
+        "wavelength_nm": np.array(projector.wavelength_nm), "unit": np.array(UNIT.encode()),
+    }  # fmt: skip
+    for own, name in PER_ROW.items():
+        small[name] = np.concatenate([_array(parts, number, own) for number in range(blocks)])
+    whole = parts / WHOLE
+    if path.suffix.lower() in NUMPY:
+        _write_npz(whole, parts, blocks, small, int(end[-1]))
+    else:
+        _write_hdf5(whole, parts, blocks, small, int(end[-1]))
+    make_like_any_other(whole)
+    whole.replace(path)
+
+
+def _array(parts: Path, number: int, name: str) -> NDArray[Any]:
+    try:
+        with np.load(parts / _name(number), allow_pickle=False) as file:
+            array: NDArray[Any] = file[name]
+            return array
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        raise FileError(f"{parts / _name(number)} is damaged; delete {parts}, and begin again") from None
+
+
+def _write_npz(whole: Path, parts: Path, blocks: int, small: dict[str, Any], entries: int) -> None:
+    with zipfile.ZipFile(whole, "w", zipfile.ZIP_STORED) as archive:
+        for name, array in small.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
+        for own, name in PER_ENTRY.items():
+            dtype = _array(parts, 0, own).dtype
+            header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": (entries,)}
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array_header_1_0(member, header)
+                for number in range(blocks):
+                    member.write(_array(parts, number, own).tobytes())
+
+
+def _write_hdf5(whole: Path, parts: Path, blocks: int, small: dict[str, Any], entries: int) -> None:
+    with _h5py().File(whole, "w") as file:
+        for name, array in small.items():
+            file.create_dataset(name, data=array)
+        for own, name in PER_ENTRY.items():
+            data = file.create_dataset(name, shape=(entries,), dtype=_array(parts, 0, own).dtype)
+            first = 0
+            for number in range(blocks):
+                array = _array(parts, number, own)
+                data[first : first + len(array)] = array
+                first += len(array)

@@ -1,0 +1,273 @@
+"""Reconstruction of what a volume emits from one image of it, by the projection matrix of the camera.
+
+Image b, matrix A and emission x belong together as b = A x, with x ≥ 0. One camera sees a volume from few directions,
+so that many volumes give the same image: the method says which of them is taken.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.kernel import kernel
+from lfmesh.scene.literals import literal
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+Array = NDArray[np.float64]
+Method = Literal["mart", "sart", "nnls"]
+
+ITERATIONS: dict[str, int] = {"mart": 20, "sart": 100, "nnls": 2000}
+"""Iterations that are done where none are given; of "nnls", the most that are."""
+
+MOST_RELAXED = 2.0
+"""Relaxation below which MART and SART converge."""
+
+MOST_DENSE = 4_000_000
+"""Entries of a matrix, zeros included, up to which "nnls" is Lawson and Hanson's method, which takes a full one."""
+
+CONVERGED = 1e-12
+"""Change of the squared residual, relative, below which "nnls" ends for larger matrices."""
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """A volume reconstructed from an image.
+
+    Attributes
+    ----------
+    volume : (nx, ny, nz) or (voxels,) float64
+        Emission of each voxel, in the unit that the matrix is per, never negative; 0 where no pixel looks. In the
+        shape of the grid, where the matrix brings one.
+    seen : like `volume`, bool
+        Whether the matrix has any entry for a voxel.
+    residual : (iterations + 1,) float64
+        ‖b − A x‖ / ‖b‖ at the start and after each iteration; of "nnls" at the end only.
+    method : str
+    """
+
+    volume: Array
+    seen: NDArray[np.bool_]
+    residual: Array
+    method: str
+
+    def quality(self, true: ArrayLike) -> float:
+        """Return the quality Q against the true volume, see `volume_quality`."""
+        return volume_quality(self.volume, true)
+
+
+def volume_quality(found: ArrayLike, true: ArrayLike) -> float:
+    """Return the normalised correlation Q of two volumes: 1 where they differ by a factor only.
+
+    Q = Σ E₁E₀ / √(ΣE₁² ΣE₀²), by G. E. Elsinga, F. Scarano, B. Wieneke & B. W. van Oudheusden, "Tomographic particle
+    image velocimetry", Exp. Fluids 41 (2006) 933-947; particle volumes with Q above 0.75 count as good there.
+
+    Parameters
+    ----------
+    found, true : arrays of the same shape
+
+    Raises
+    ------
+    LfmeshError
+        The shapes differ, or a volume is dark or not finite.
+    """
+    one, other = np.asarray(found, dtype=np.float64), np.asarray(true, dtype=np.float64)
+    if one.shape != other.shape:
+        raise LfmeshError(f"volumes of {one.shape} and {other.shape} voxels: give two of the same shape")
+    sizes = [float(np.linalg.norm(volume)) for volume in (one, other)]
+    for name, size in zip(("the first", "the second"), sizes, strict=True):
+        if not 0.0 < size < np.inf:
+            raise LfmeshError(f"{name} volume is {'dark all over' if size == 0.0 else 'not finite'}: it has no quality")
+    return float(np.vdot(one / sizes[0], other / sizes[1]))
+
+
+def reconstruct(
+    matrix: Any, image: ArrayLike, method: Method = "mart", iterations: int | None = None,
+    relaxation: float | None = None,
+) -> Reconstruction:  # fmt: skip
+    """Reconstruct the emission of a volume from an image of it.
+
+    Parameters
+    ----------
+    matrix : ProjectionMatrix, or (pixels, voxels) scipy.sparse array or matrix
+        From `lf.projection_matrix`; no entry may be negative.
+    image : (pixels,) or (H, W) float64, or (H, W, 1), W
+        One value for each row of the matrix, such as `lf.render(scene).mean`. Negative ones, which noise makes, count
+        as 0 for "mart".
+    method : {"mart", "sart", "nnls"}
+        "mart": the multiplicative algebraic reconstruction of Gordon, Bender & Herman (1970), row after row, with
+        weights over the largest of their row. For an image that a volume can have, it goes to the volume of largest
+        entropy (Lent 1977; Herman & Lent 1976). A dark pixel makes all voxels that it looks at dark.
+        "sart": the simultaneous algebraic reconstruction of Andersen & Kak (1984), all rows of the image at once, with
+        negative voxels set to 0 after each iteration. From zero it goes to least squares, a row weighted with the
+        inverse of its sum (Jiang & Wang 2003).
+        "nnls": least squares with x ≥ 0: scipy's `nnls`, for large matrices its L-BFGS-B.
+    iterations : int, optional
+        20 for "mart", 100 for "sart"; 2000 at most for "nnls".
+    relaxation : float, optional
+        Factor of each step, 0 to 2; 1 if left out. "nnls" has none.
+
+    Raises
+    ------
+    LfmeshError
+        The shapes do not fit, an entry is negative or not finite, or a setting is out of range.
+    """
+    if not isinstance(method, str) or method not in ITERATIONS:
+        raise LfmeshError(f"method = {literal(method)}: use one of {', '.join(ITERATIONS)}")
+    rounds = ITERATIONS[method] if iterations is None else iterations
+    if isinstance(rounds, bool) or not isinstance(rounds, int | np.integer) or rounds < 1:
+        raise LfmeshError(f"iterations = {literal(iterations)}: must be a whole number from 1")
+    if relaxation is not None and method == "nnls":
+        raise LfmeshError(f'relaxation = {literal(relaxation)}: method = "nnls" has none; leave it out')
+    step = 1.0 if relaxation is None else relaxation
+    number = isinstance(step, int | float | np.number) and not isinstance(step, bool)
+    if not number or not 0.0 < step < MOST_RELAXED:
+        raise LfmeshError(f"relaxation = {literal(relaxation)}: must lie between 0 and {MOST_RELAXED:g}")
+    rows, shape = _rows_of(matrix)
+    b = _pixels(image, rows.shape[0])
+    seen = np.zeros(rows.shape[1], np.bool_)
+    seen[rows.indices[rows.data > 0.0]] = True
+    if not seen.any():
+        raise LfmeshError("the matrix has no entry above 0: its camera does not see the grid")
+    # By rounding alone a unit could decide: the steps are computed with entries and pixels near 1.
+    scale, level = float(rows.data.max()), float(np.abs(b).max())
+    if level == 0.0:
+        return Reconstruction(np.zeros(shape), seen.reshape(shape), np.zeros(1), method)
+    rows = rows / scale
+    solve = {"mart": _mart, "sart": _sart, "nnls": _nnls}[method]
+    x, residual = solve(rows, b / level, seen, int(rounds), float(step))
+    x[~seen] = 0.0
+    return Reconstruction(x.reshape(shape) * (level / scale), seen.reshape(shape), residual, method)
+
+
+def _rows_of(matrix: Any) -> tuple["csr_array", tuple[int, ...]]:
+    """Return a matrix by its rows, float64, without duplicates, and the shape of its volume."""
+    from scipy import sparse
+
+    sparse_one = getattr(matrix, "matrix", matrix)
+    if not sparse.issparse(sparse_one) or sparse_one.ndim != 2:
+        raise LfmeshError(
+            f"matrix is {type(matrix).__name__}: give what lf.projection_matrix returns, or a scipy.sparse array"
+        )
+    rows = sparse.csr_array(sparse_one, dtype=np.float64)
+    if not rows.has_canonical_format:
+        rows = rows.copy()
+        rows.sum_duplicates()
+    if not (np.isfinite(rows.data).all() and (rows.data >= 0.0).all()):
+        raise LfmeshError("the matrix has entries that are negative or not finite: light only adds")
+    shape = tuple(int(n) for n in matrix.grid.shape) if hasattr(matrix, "grid") else (rows.shape[1],)
+    return rows, shape
+
+
+def _pixels(image: ArrayLike, rows: int) -> Array:
+    try:
+        b = np.asarray(image, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise LfmeshError(f"image must be numbers: {error}") from None
+    if b.size != rows or (b.ndim == 3 and b.shape[2] != 1) or b.ndim > 3:
+        raise LfmeshError(
+            f"the image has the shape {b.shape} and the matrix {rows} rows, one a pixel: give {rows} values"
+        )
+    if not np.isfinite(b).all():
+        raise LfmeshError("the image has values that are not finite")
+    return np.ascontiguousarray(b.reshape(-1))
+
+
+def _residual(rows: "csr_array", b: Array, x: Array) -> float:
+    return float(np.linalg.norm(b - rows @ x) / np.linalg.norm(b))
+
+
+def _mart(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, step: float) -> tuple[Array, Array]:
+    b = np.maximum(b, 0.0)
+    # The flat volume as bright as the image.
+    sums = np.asarray(rows.sum(axis=1)).ravel()
+    x = np.where(seen, b.sum() / sums.sum(), 0.0)
+    if not b.any():
+        return np.zeros_like(x), np.zeros(1)
+    largest = rows.max(axis=1).toarray().ravel()
+    history = [_residual(rows, b, x)]
+    for _ in range(rounds):
+        mart_round(rows.indptr, rows.indices, rows.data, largest, b, step, x)
+        history.append(_residual(rows, b, x))
+    return x, np.array(history)
+
+
+@kernel
+def mart_round(
+    first: NDArray[np.int32], column: NDArray[np.int32], entry: Array, largest: Array, b: Array, step: float, x: Array
+) -> None:
+    """Multiply a volume, row after row, by (b_i / Σ a_ik x_k) to the power of the step and a_ij / max_k a_ik.
+
+    Parameters
+    ----------
+    first, column, entry
+        The matrix by rows, as in scipy's csr.
+    largest : (pixels,) float64
+        Largest entry of each row.
+    b : (pixels,) float64
+    step : float
+    x : (voxels,) float64
+        Is changed.
+    """
+    for i in range(len(b)):
+        if largest[i] <= 0.0:
+            continue
+        shown = 0.0
+        for k in range(first[i], first[i + 1]):
+            shown += entry[k] * x[column[k]]
+        if shown <= 0.0:
+            continue
+        ratio = b[i] / shown
+        for k in range(first[i], first[i + 1]):
+            if entry[k] > 0.0:
+                x[column[k]] *= ratio ** (step * entry[k] / largest[i])
+
+
+def _sart(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, step: float) -> tuple[Array, Array]:
+    over_rows = _inverse(np.asarray(rows.sum(axis=1)).ravel())
+    over_columns = step * _inverse(np.asarray(rows.sum(axis=0)).ravel())
+    columns = rows.T.tocsr()
+    x = np.zeros(rows.shape[1])
+    history = [1.0]
+    for _ in range(rounds):
+        x += over_columns * (columns @ (over_rows * (b - rows @ x)))
+        np.maximum(x, 0.0, out=x)
+        history.append(_residual(rows, b, x))
+    return x, np.array(history)
+
+
+def _inverse(sums: Array) -> Array:
+    return np.divide(1.0, sums, out=np.zeros_like(sums), where=sums > 0.0)
+
+
+def _nnls(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, _: float) -> tuple[Array, Array]:
+    from scipy import optimize
+
+    lit = np.flatnonzero(np.diff(rows.indptr))
+    part = rows[lit][:, np.flatnonzero(seen)]
+    # Columns of length 1, so that weakly seen voxels are found as soon as others.
+    length = np.sqrt(np.asarray(part.power(2).sum(axis=0)).ravel())
+    part = part.multiply(1.0 / length[None, :]).tocsr()
+    if part.shape[0] * part.shape[1] <= MOST_DENSE:
+        try:
+            found, _residual_of = optimize.nnls(part.toarray(), b[lit], maxiter=max(rounds, 3 * part.shape[1]))
+        except RuntimeError:
+            raise LfmeshError('method = "nnls" did not converge on this matrix; take "sart"') from None
+    else:
+        columns = part.T.tocsr()
+
+        def squares(y: Array) -> tuple[float, Array]:
+            off = part @ y - b[lit]
+            return 0.5 * float(off @ off), columns @ off
+
+        options = {"maxiter": rounds, "maxfun": 2 * rounds, "ftol": CONVERGED, "gtol": 0.0, "maxcor": 20}
+        bounds = optimize.Bounds(0.0, np.inf)
+        found = optimize.minimize(
+            squares, np.zeros(part.shape[1]), jac=True, method="L-BFGS-B", bounds=bounds, options=options
+        ).x
+    x = np.zeros(rows.shape[1])
+    x[seen] = found / length
+    return x, np.array([_residual(rows, b, x)])

@@ -1,0 +1,307 @@
+"""Projection matrices: rays that are the image's, chords by an independent formula, errors as large as said."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+import lfmesh as lf
+from lfmesh.errors import FileError, LfmeshError
+from lfmesh.files import matrix as files
+from lfmesh.lightfield.projection import Projector, projection_matrix
+from lfmesh.lightfield.voxel_box import VoxelBox
+from lfmesh.scene import Scene
+from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
+from tests.cameras import close_up_camera
+
+MM2 = 1e-6
+POSE = {"position_mm": (0.4, -0.3, -60.0), "rotation_deg": (20.0, -35.0, 50.0)}
+
+
+def camera(targets=(), tanks=(), **transport):
+    settings = {"samples": 8, "replicates": 4, "split": "transmit", "threads": 1, "seed": 3} | transport
+    return Scene(camera=close_up_camera(16, 16), targets=targets, tanks=tanks, transport=settings)
+
+
+def box(counts=(5, 4, 6), size=(9.0, 8.0, 14.0), **pose):
+    return VoxelBox.of_size(counts, size, **(POSE | pose))
+
+
+def plate(z_mm, radiance=2.0, side=40.0):
+    return {
+        "shape": {"kind": "plane", "width_mm": side, "height_mm": side},
+        "position_mm": [0.0, 0.0, z_mm],
+        "material": {"reflectance": 0.0, "radiance_w_m2_sr": radiance},
+    }
+
+
+def pieces(projector, pixels):
+    """Return all pieces of rays of all replicates, one after another."""
+    found = [s for r in range(projector.replicates) for s in projector._segments(pixels, r)]
+    return [np.concatenate(column) for column in zip(*found, strict=True)]
+
+
+def chords(grid, origin, direction, length):
+    """Return the chord of one ray in every voxel, (voxels,), mm: slab after slab, voxel by voxel."""
+    turn, place = grid.to_world[:, :3], grid.to_world[:, 3]
+    p, d = turn.T @ (origin - place), turn.T @ direction
+    inside = []
+    for axis in range(3):
+        low = grid.origin_mm[axis] + grid.spacing_mm[axis] * (np.arange(grid.shape[axis]) - 0.5)
+        ends = np.stack([low - p[axis], low + grid.spacing_mm[axis] - p[axis]]) / d[axis]
+        inside.append(np.sort(ends, axis=0))
+    enter, leave = (
+        pick(
+            pick(inside[0][side][:, None, None], inside[1][side][None, :, None]), inside[2][side][None, None, :]
+        )
+        for side, pick in ((0, np.maximum), (1, np.minimum))
+    )  # fmt: skip
+    return np.maximum(np.minimum(leave, length) - np.maximum(enter, 0.0), 0.0).ravel()
+
+
+PIXELS = np.array([40, 41, 100, 119, 120, 135, 136, 200])
+
+
+def test_every_entry_is_weight_times_chord_of_rays_that_end_on_its_pixel():
+    grid = box()
+    projector = Projector(camera(), grid, threshold=0.0)
+    origin, direction, length, weight, pixel = pieces(projector, PIXELS)
+    assert np.isinf(length).all()
+    expected = np.zeros((len(PIXELS), grid.voxels))
+    for o, d, t, w, number in zip(origin, direction, length, weight, pixel, strict=True):
+        expected[np.searchsorted(PIXELS, number)] += w / MM2 * chords(grid, o, d, t) / projector.replicates
+    made = projection_matrix(camera(), grid, pixels=PIXELS, threshold=0.0)
+    np.testing.assert_allclose(made.matrix.toarray(), expected, rtol=1e-11, atol=1e-13 * expected.max())
+    assert made.matrix.nnz > 100
+    # Turned round, each ray goes through lens and array to that pixel.
+    world = projector.world
+    paths = lf.trace(world, origin + 30.0 * direction, -direction, split="transmit")
+    assert (paths.status == lf.Status.SENSOR).all()
+    turn = world.tables.frames[WORLD_FRAME, SENSOR_FRAME]
+    x, y = (paths.position @ turn[:, :3].T + turn[:, 3]).T[:2] / world.scene.camera.sensor.pixel_mm + 8.0
+    column, row = pixel % 16, pixel // 16
+    for place, low in ((x, column), (y, row)):
+        assert (place > low - 1e-6).all()
+        assert (place < low + 1 + 1e-6).all()
+
+
+BANDS = [{"name": "a", "center_nm": 500.0, "fwhm_nm": 40.0}, {"name": "b", "center_nm": 600.0, "fwhm_nm": 60.0}]
+
+
+@pytest.mark.parametrize(("split", "bands"), [("transmit", None), ("both", None), ("transmit", BANDS)])
+def test_rays_carry_the_rendered_image_of_what_they_end_on(split, bands):
+    """The power of a plate that emits, to rounding: the rays are the image's own."""
+    scene = camera([plate(-60.0)], split=split)
+    if bands is not None:
+        scene = scene.changed({"camera.sensor.bands": bands})
+    channel = scene.channels - 1
+    image = lf.render(scene).mean[..., channel].ravel()
+    projector = Projector(scene, box(position_mm=(0.0, 0.0, -30.0)), channel)
+    _, _, length, weight, pixel = pieces(projector, projector.all_pixels)
+    seen = np.bincount(pixel, np.where(np.isfinite(length), 2.0 * weight, 0.0), len(image)) / projector.replicates
+    np.testing.assert_allclose(seen, image, rtol=1e-11, atol=1e-13 * image.max())
+    assert (image > 0.0).sum() > 100
+
+
+def test_a_target_hides_what_lies_behind_it_and_nothing_before_it():
+    grid = box((3, 3, 8), (9.0, 9.0, 16.0), rotation_deg=(0.0, 0.0, 0.0), position_mm=(0.0, 0.0, -60.0))
+    free = projection_matrix(camera(), grid).matrix.toarray().reshape(-1, *grid.shape)
+    half = projection_matrix(camera([plate(-60.0)]), grid).matrix.toarray().reshape(-1, *grid.shape)
+    assert free[..., :4].sum() > 0.0
+    assert not half[..., :4].any()
+    np.testing.assert_allclose(half[..., 4:], free[..., 4:], rtol=1e-9, atol=1e-12 * free.max())
+
+
+def test_a_grid_in_a_tank_is_seen_along_the_refracted_rays():
+    """Window and water: pieces between the vertices that `lf.trace` records, radiance over n² in the water."""
+    index = 1.333
+    tank = {
+        "size_mm": [40.0, 40.0, 40.0], "wall_mm": 3.0, "wall": {"index": 1.52}, "liquid": {"index": index},
+        "position_mm": [0.0, 0.0, -62.0], "rotation_deg": [8.0, -12.0, 5.0],
+    }  # fmt: skip
+    grid = box()
+    scene = camera(tanks=[tank])
+    rays = Projector(scene, grid)
+    world = rays.world
+    expected = np.zeros((len(PIXELS), grid.voxels))
+    found = pieces(rays, PIXELS)
+    # Those that start at the lens, before the tank.
+    at_lens = found[0][:, 2] > -10.0
+    origin, direction, _, weight, pixel = (column[at_lens] for column in found)
+    # A ray that starts on the lens would be refracted by it.
+    paths = lf.trace(world, origin + direction, direction, split="transmit", record=True)
+    for k in range(len(paths)):
+        ray = paths.source[k]
+        way = paths.vertices(k)
+        for here, there in pairwise(way):
+            step = there.position - here.position
+            long = np.linalg.norm(step)
+            if long == 0.0:
+                continue
+            share = here.weight * weight[ray] / MM2 / rays.replicates / index**2
+            expected[np.searchsorted(PIXELS, pixel[ray])] += share * chords(grid, here.position, step / long, long)
+    made = projection_matrix(scene, grid, pixels=PIXELS, threshold=0.0).matrix.toarray()
+    np.testing.assert_allclose(made, expected, rtol=1e-9, atol=1e-11 * expected.max())
+    without = projection_matrix(camera(), grid, pixels=PIXELS, threshold=0.0).matrix.toarray()
+    assert np.abs(made - without / index**2).max() > 0.05 * made.max()
+
+
+def test_rows_are_the_same_bits_with_any_pixels_and_threads():
+    grid = box()
+    whole = projection_matrix(camera([plate(-64.0)], split="both"), grid)
+    some = projection_matrix(camera([plate(-64.0)], split="both", threads=2), grid, pixels=PIXELS)
+    rows = whole.matrix[PIXELS]
+    np.testing.assert_array_equal(some.matrix.indices, rows.indices)
+    np.testing.assert_array_equal(some.matrix.data, rows.data)
+    np.testing.assert_array_equal(some.row_stderr, whole.row_stderr[PIXELS])
+
+
+def test_standard_errors_are_as_large_as_the_spread_between_seeds():
+    """Student's t of two matrices with 16 replicates each has the variance ν/(ν − 2), ν = 30, in each row sum."""
+    made = [projection_matrix(camera(samples=64, replicates=16, seed=seed), box()) for seed in (1, 2)]
+    sums = [np.asarray(m.matrix.sum(axis=1)).ravel() for m in made]
+    spread = np.hypot(made[0].row_stderr, made[1].row_stderr)
+    lit = spread > 0.0
+    t2 = ((sums[0] - sums[1]) / np.where(lit, spread, 1.0))[lit] ** 2
+    variance, count = 30.0 / 28.0, lit.sum()
+    assert count > 150
+    # Of t² the variance is 2 ν² (ν − 1)/((ν − 2)² (ν − 4)); five of its standard errors. Sobol' points shape the tails.
+    scatter = np.sqrt(2.0 * 30.0**2 * 29.0 / (28.0**2 * 26.0) / count)
+    assert abs(t2.mean() - variance) < 5.0 * scatter
+    entry = made[0].stderr
+    assert entry.shape == made[0].matrix.data.shape
+    assert (entry >= 0.0).all()
+    assert np.median(entry / made[0].matrix.data) < 0.5
+
+
+def test_dropped_entries_are_booked():
+    full = projection_matrix(camera(), box(), threshold=0.0)
+    thin = projection_matrix(camera(), box(), threshold=0.1)
+    assert not full.dropped.any()
+    assert full.dropped_share == 0.0
+    assert thin.matrix.nnz < full.matrix.nnz
+    largest = full.matrix.max(axis=1).toarray().ravel()
+    assert (thin.matrix.data >= 0.1 * np.repeat(largest, np.diff(thin.matrix.indptr)) * (1 - 1e-12)).all()
+    np.testing.assert_allclose(thin.matrix.sum(axis=1) + thin.dropped, full.matrix.sum(axis=1), rtol=1e-12)
+    share = thin.dropped.sum() / full.matrix.sum()
+    assert thin.dropped_share == pytest.approx(share, rel=1e-10)
+    assert 0.0 < share < 0.2
+
+
+def test_a_matrix_that_was_cut_short_goes_on_to_the_same_bytes(tmp_path, monkeypatch):
+    monkeypatch.setattr("lfmesh.lightfield.projection.RAYS_AT_ONCE", 400)
+    said = []
+    whole = lf.write_projection_matrix(camera(), box(), tmp_path / "whole.npz", say=said.append)
+    assert "256 pixels × 120 voxels: about" in said[0]
+
+    class Stop(Exception):  # noqa: N818
+        pass
+
+    def stop(done, total):
+        assert total == 256
+        if done >= 100:
+            raise Stop
+
+    with pytest.raises(Stop):
+        lf.write_projection_matrix(camera(), box(), tmp_path / "cut.npz", progress=stop)
+    assert not (tmp_path / "cut.npz").exists()
+    with pytest.raises(FileError, match=r"cut\.npz\.parts holds blocks of another matrix"):
+        lf.write_projection_matrix(camera(seed=4), box(), tmp_path / "cut.npz")
+    finished = []
+    lf.write_projection_matrix(
+        camera(), box(), tmp_path / "cut.npz", say=said.append, progress=lambda done, _: finished.append(done)
+    )
+    assert finished[0] > 100
+    assert said[-1].startswith("goes on after")
+    assert not (tmp_path / "cut.npz.parts").exists()
+    made = projection_matrix(camera(), box())
+    for path in (whole, tmp_path / "cut.npz"):
+        read = lf.open_projection_matrix(path)
+        np.testing.assert_array_equal(read.matrix.toarray(), made.matrix.toarray())
+        for name in ("stderr", "row_stderr", "dropped", "pixels"):
+            np.testing.assert_array_equal(getattr(read, name), getattr(made, name))
+        np.testing.assert_array_equal(read.grid.centres_mm(), made.grid.centres_mm())
+        np.testing.assert_array_equal(sparse.load_npz(path).toarray(), made.matrix.toarray())
+
+
+def test_hdf5_holds_the_same(tmp_path):
+    pytest.importorskip("h5py")
+    path = lf.write_projection_matrix(camera(), box(), tmp_path / "m.h5")
+    made, read = projection_matrix(camera(), box()), lf.open_projection_matrix(path)
+    np.testing.assert_array_equal(read.matrix.toarray(), made.matrix.toarray())
+    np.testing.assert_array_equal(read.stderr, made.stderr)
+    assert read.wavelength_nm == made.wavelength_nm
+
+
+def wider(seed):
+    """Return the scene of a camera with 10 × 10 lenslets."""
+    scene = camera(samples=128, seed=seed)
+    return scene.changed({"camera.mla.count": [10, 10], "camera.sensor.pixels": [50, 50]})
+
+
+def blobs(grid):
+    """Return two Gaussian balls of different size and brightness, one behind the other and beside it."""
+    at = (grid.centres_mm() - [0.0, 0.0, -60.0]) / [1.0, 1.0, 5.0]
+    far, near = (np.square(at - np.array(place)).sum(axis=-1) for place in ((-1.4, 0.8, -2.4), (1.6, -1.0, 2.4)))
+    return np.exp(-far / 4.0) + 0.6 * np.exp(-near / 3.0)
+
+
+@pytest.mark.parametrize(("method", "least"), [("nnls", 0.97), ("mart", 0.97), ("sart", 0.95)])
+def test_two_blobs_are_found_again_in_an_image_of_other_rays(method, least):
+    grid = box((6, 6, 4), (9.0, 9.0, 32.0), rotation_deg=(0.0, 0.0, 0.0), position_mm=(0.0, 0.0, -60.0))
+    true = blobs(grid)
+    image = projection_matrix(wider(7), grid).image(true)
+    found = lf.reconstruct(projection_matrix(wider(8), grid), image, method)
+    assert found.volume.shape == grid.shape
+    assert found.quality(true) > least
+    # A volume without structure in depth is no such match.
+    smeared = np.broadcast_to(found.volume.mean(axis=2, keepdims=True), grid.shape)
+    assert lf.volume_quality(smeared, true) < 0.8
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: box((0, 2, 2)), r"counts = \[0, 2, 2\]: must be three whole numbers from 1"),
+        (lambda: box((2, 2)), "must be three whole numbers"),
+        (lambda: box((2.5, 2, 2)), "must be three whole numbers"),
+        (lambda: box((10**6, 10**6, 10**6)), "voxels at most"),
+        (lambda: box(size=(1.0, -1.0, 1.0)), "size_mm = .*: must be three numbers above 0"),
+        (lambda: box(position_mm=(0.0, np.nan, 0.0)), "position_mm = .*: must be three numbers"),
+        (lambda: projection_matrix(camera(), "grid"), "grid is str, without shape"),
+        (lambda: projection_matrix(camera(), box(position_mm=(0.0, 0.0, 5.0))), "in front of the first lens vertex"),
+        (lambda: projection_matrix(camera(), box(position_mm=(500.0, 0.0, -60.0))), "no ray from these pixels meets"),
+        (lambda: projection_matrix(camera(), box(), pixels=[]), "pixels: must be increasing whole numbers"),
+        (lambda: projection_matrix(camera(), box(), pixels=[3, 3]), "pixels: must be increasing"),
+        (lambda: projection_matrix(camera(), box(), pixels=[256]), "from 0 to 255"),
+        (lambda: projection_matrix(camera(), box(), channel=1), "channel = 1: must be a whole number from 0 to 0"),
+        (lambda: projection_matrix(camera(), box(), threshold=1.0), "threshold = 1.0: must lie from 0 to below 1"),
+        (lambda: projection_matrix(camera(polarisation=True), box()), "transport.polarisation"),
+        (lambda: lf.write_projection_matrix(camera(), box(), "m.csv"), "ends in one of .npz, .h5, .hdf5"),
+        (lambda: lf.write_projection_matrix(camera(), box(), "no/such/m.npz"), "there is no folder no/such"),
+        (lambda: lf.open_projection_matrix("missing.npz"), "no such file"),
+        (lambda: projection_matrix(camera(), box()).image(np.ones(7)), r"the emission has the shape \(7,\)"),
+    ],
+)
+def test_bad_input_is_told_in_one_line(make, message):
+    with pytest.raises(LfmeshError, match=message) as refused:
+        make()
+    assert "\n" not in str(refused.value)
+
+
+def test_a_matrix_larger_than_the_memory_or_the_disk_is_refused_first(tmp_path, monkeypatch):
+    monkeypatch.setattr("lfmesh.lightfield.projection._memory", lambda: 1e3)
+    with pytest.raises(LfmeshError, match="more than this machine's memory; stream it"):
+        projection_matrix(camera(), box())
+    monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 1000})())
+    with pytest.raises(FileError, match="GB are free"):
+        lf.write_projection_matrix(camera(), box(), tmp_path / "m.npz")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_damaged_file_is_refused(tmp_path):
+    path = tmp_path / "m.npz"
+    path.write_bytes(b"nothing")
+    with pytest.raises(FileError, match="no projection matrix, or damaged"):
+        files.open_projection_matrix(path)

@@ -27,7 +27,7 @@ ROOMS = {
         *["engine", "sources"],  # packets through a world, and what starts them
         "render, trace",
     ],
-    "view": ["rays", "request", "layout", "scene3d", "output", "show", "browser"],
+    "view": ["figure_file", "rays", "request", "layout", "lens_sheet", "scene3d", "output", "show", "browser"],
     "files": ["", "exports"],
     "cli": ["application, interrupts, options, printing, progress", "", "__init__"],
 }

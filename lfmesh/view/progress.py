@@ -2,6 +2,7 @@
 
 import io
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -38,35 +39,30 @@ def _bar() -> Iterator[Callable[["Progress"], None]]:
 
 @contextmanager
 def _cell() -> Iterator[Callable[["Progress"], None]]:
-    """Yield a function that shows progress below a notebook's cell, where a line on the work done stays at the end.
+    """Yield a function that shows progress below a notebook's cell, where the time it took stays at the end.
 
     rich would show its bar itself, but asks for ipywidgets.
     """
     from IPython.display import display
     from rich.console import Console
 
-    from lfmesh.files.words import count, duration
+    from lfmesh.files.words import duration
 
-    width = 100
+    width, begun = 100, time.perf_counter()
     bar = _rich_bar(console=Console(file=io.StringIO(), width=width, force_jupyter=False), auto_refresh=False)
     task = bar.add_task("starting", total=None, rate="", left="")
     handle = display(_Html("starting"), display_id=True)
-    last: Progress | None = None
 
     def report(now: "Progress") -> None:
-        nonlocal last
-        last = now
         bar.update(task, **_told(now))
         handle.update(_Html(_html_of(bar.get_renderable(), width)))
 
+    end = "stopped"
     try:
         yield report
+        end = "traced"
     finally:
-        done = "nothing traced"
-        if last is not None:
-            done = f"{count(last.done)} packets in {duration(last.seconds)}"
-            done += "" if last.done == last.total else f", {100 * last.done // max(last.total, 1)} %: stopped"
-        handle.update(_Html(done))
+        handle.update(_Html(f"{end} after {duration(time.perf_counter() - begun)}"))
 
 
 class _Html:

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 TEMPLATE = Path(__file__).parent / "templates" / "result.html"
 
-LARGEST_PX, SMALLEST_PX = 420, 200
+LARGEST_PX, SMALLEST_PX = 360, 200
 """A picture in a notebook is reduced to the one, and a small one's pixels are enlarged until it is as large as the
 other."""
 
@@ -59,7 +59,7 @@ MOST_MEASURED = 4_000_000
 GAMMA = 1.0 / 2.2
 """Of grey pictures in figures, about that of a screen, so that the scale beside them can tell the light."""
 
-FIGURE_DPI = 110
+FIGURE_DPI = 90
 
 Floats = NDArray[np.floating]
 Rows = list[tuple[str, str]]
@@ -105,7 +105,7 @@ def _light(title: str, light: Floats, wavelengths_nm: tuple[float, ...], unit: s
 
 def _map(title: str, values: Floats, unit: str, low: float | None = None, high: float | None = None) -> Panel:
     known = values[np.isfinite(values)]
-    ends = np.percentile(known, [1.0, 99.0]) if known.size else (0.0, 1.0)
+    ends = np.percentile(known, [3.0, 97.0]) if known.size else (0.0, 1.0)
     return Panel(title, values, ends[0] if low is None else low, ends[1] if high is None else high, unit, False)
 
 

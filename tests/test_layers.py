@@ -14,7 +14,17 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "lfmesh"
 
-FOUNDATION = ["assets", "compiling", "errors", "kernel", "kernel_cache", "templates", "vector"]
+FOUNDATION = [
+    "assets",
+    "compiling",
+    "errors",
+    "kernel",
+    "kernel_cache",
+    "notebook",
+    "signatures",
+    "templates",
+    "vector",
+]
 ORDER = [
     *["optics", "scene", "geometry", "imports", "transport"],
     *["analysis", "lightfield", "files", "view", "accuracy", "study", "cli", "__main__"],
@@ -27,7 +37,10 @@ ROOMS = {
         *["engine", "sources"],  # packets through a world, and what starts them
         "render, trace",
     ],
-    "view": ["rays", "request", "layout", "scene3d", "output", "show", "browser"],
+    "view": [
+        "figure_file, progress, pictures, results",
+        *["rays", "request", "layout", "lens_sheet", "scene3d", "output", "show", "browser"],
+    ],
     "files": ["", "exports"],
     "cli": ["application, interrupts, options, printing, progress", "", "__init__"],
 }

@@ -1,8 +1,11 @@
 """Functions take few arguments: what belongs together is handed over as one value."""
 
 import ast
+import inspect
 from collections.abc import Iterator
 from pathlib import Path
+
+import pytest
 
 import lfmesh
 
@@ -14,6 +17,26 @@ KERNELS = {"kernel", "inlined", "pasted"}
 
 def test_completion_offers_public_names_only() -> None:
     assert dir(lfmesh) == sorted(lfmesh.__all__)
+
+
+@pytest.mark.parametrize("name", lfmesh.__all__)
+def test_every_public_name_lists_its_parameters(name: str) -> None:
+    public = getattr(lfmesh, name)
+    if not callable(public) or (isinstance(public, type) and issubclass(public, Exception)):
+        return
+    kinds = {parameter.kind for parameter in inspect.signature(public).parameters.values()}
+    assert not kinds & {inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL}
+
+
+def test_listed_options_are_those_that_are_taken() -> None:
+    shown, traced = (inspect.signature(function).parameters for function in (lfmesh.show, lfmesh.trace))
+    assert {"count", "preset", "screenshot"} <= shown.keys()
+    assert shown["preset"].default == "whole"
+    assert traced["engine"].default == "mesh"
+    assert {name for name, each in traced.items() if each.kind is each.KEYWORD_ONLY} == {
+        *["stokes", "seed", "threads"],
+        *["surface", "engine", "max_events", "weight_cutoff", "reference"],
+    }
 
 
 def crowded(source: str) -> Iterator[tuple[str, int]]:

@@ -12,6 +12,7 @@ from lfmesh.analysis.field_curves import FieldCurves, field_curves, paraxial_sca
 from lfmesh.analysis.spots import Spot
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.report import airy_disk_mm
 from lfmesh.transport.world import build
@@ -68,7 +69,7 @@ class Fan:
 
 
 @dataclass(frozen=True)
-class LensAnalysis:
+class LensAnalysis(Shown):
     """A lens at its image plane.
 
     Attributes
@@ -117,6 +118,12 @@ class LensAnalysis:
     def primary_nm(self) -> float:
         """The middle wavelength."""
         return self.wavelengths_nm[len(self.wavelengths_nm) // 2]
+
+    def __repr__(self) -> str:
+        facts = self.first_order
+        spots = ", ".join(f"{1e3 * spot.rms_mm:.3g}" for spot in self.spots)
+        lens = f"f = {facts.efl_mm:.5g} mm, f/{facts.working_f_number:.3g}"
+        return f"<LensAnalysis: {self.name}, {lens}, spots rms {spots} µm>"
 
     def lines(self) -> list[str]:
         """Return the key figures for a terminal, a line each."""

@@ -21,7 +21,7 @@ def sheet(
     scene: SceneFile,
     /,
     *,
-    out: Annotated[Path, Parameter(name=["--out", "-o"], help="File to write: .pdf, .svg or .png.")],
+    out: Annotated[Path, Parameter(name=["--out", "-o"], help="File to write: .pdf, .svg, .png or .html.")],
     object_mm: Annotated[
         float | None, Parameter(help="Object distance before the first vertex; inf: parallel light.")
     ] = None,
@@ -36,8 +36,9 @@ def sheet(
     """
     from lfmesh.analysis.analysis import analyse
     from lfmesh.scene import load
-    from lfmesh.view.lens_sheet import draw_lens_sheet
+    from lfmesh.view.lens_sheet import check_sheet_path, draw_lens_sheet
 
+    check_sheet_path(out)
     found = analyse(load(scene), object_mm=object_mm, height_mm=height_mm, wavelengths_nm=wavelengths_nm)
     draw_lens_sheet(found, out)
     print("\n".join([*found.lines(), f"  {out}"]))

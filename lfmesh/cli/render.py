@@ -11,8 +11,8 @@ from lfmesh.cli.application import INTERRUPTED, WRONG_INPUT, app
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Overrides, RunFolder, SceneFile, as_option, overridden
 from lfmesh.cli.printing import list_files, say_note, warnings_as_notes, wrapped
-from lfmesh.cli.progress import progress
 from lfmesh.errors import FileError, LfmeshError
+from lfmesh.view.progress import progress
 
 if TYPE_CHECKING:
     from lfmesh.scene import Scene

@@ -2,6 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from lfmesh.cli.view_options import Launches, Reports, Serving
 from lfmesh.errors import LfmeshError
@@ -11,6 +12,9 @@ from lfmesh.view.rays.path_table import path_table
 from lfmesh.view.scene3d.gl import Probe, has_display
 from lfmesh.view.scene3d.plotter import Drawing
 from lfmesh.view.show import NO_DISPLAY, Outputs, Seen, check_output, draw_seen, look
+
+GHOST_RAYS, GHOST_CUTOFF = 500, 1e-4
+"""Rays of each launch, and the cutoff of their weight, where ghosts are asked for and neither is given."""
 
 
 def run(
@@ -39,7 +43,7 @@ def run(
     if windowed and not has_display():
         raise LfmeshError(NO_DISPLAY)
     if not (outputs or windowed):
-        seen = look(subject, expression=expression, **asdict(launches))
+        seen = look(subject, expression=expression, **_launches(launches, reports))
         lines, written = _reported(reports, seen, launches.wavelength_nm)
         if serving.browser:
             print("\n".join(lines), end="\n" if lines else "", flush=True)
@@ -47,7 +51,7 @@ def run(
             lines = []
         return lines, written
     with Probe() as probe:
-        seen = look(subject, expression=expression, **asdict(launches))
+        seen = look(subject, expression=expression, **_launches(launches, reports))
         probe.check()
     lines, written = _reported(reports, seen, launches.wavelength_nm)
     view = draw_seen(seen, drawing, off_screen=not windowed)
@@ -59,6 +63,15 @@ def run(
         lines = []
         open_window(view)
     return lines, written
+
+
+def _launches(launches: Launches, reports: Reports) -> dict[str, Any]:
+    """Return the keywords of `look`; for ghosts, what is left out is chosen so that they are well known."""
+    given = asdict(launches)
+    if reports.ghosts is not None:
+        for name, value in (("count", GHOST_RAYS), ("split", "both"), ("weight_cutoff", GHOST_CUTOFF)):
+            given[name] = value if given[name] is None else given[name]
+    return given
 
 
 def _check(reports: Reports) -> None:

@@ -75,6 +75,11 @@ class Calibration:
     wavelength_nm: float
     origin: Literal["traced", "white image"]
 
+    def __repr__(self) -> str:
+        rows, columns = self.known.shape
+        known = f"{self.known.mean():.1%} known"
+        return f"<Calibration: {columns} × {rows} {self.layout} micro-images, {known}, {self.origin}>"
+
     @property
     def lattice(self) -> Lattice:
         """The lattice of the micro-images, its pitch in pixels."""

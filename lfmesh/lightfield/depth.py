@@ -19,6 +19,7 @@ from lfmesh.kernel import kernel
 from lfmesh.lightfield.field import LightField, Samples
 from lfmesh.lightfield.ray_model import ShiftMap
 from lfmesh.lightfield.view_rays import ViewRays, traced_shift
+from lfmesh.notebook import Pictured
 from lfmesh.scene.distance import reach_in_words
 
 Array = NDArray[np.float64]
@@ -37,7 +38,7 @@ LEAST_VIEWS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class DepthMap:
+class DepthMap(Pictured):
     """Depth as the middle of the exit pupil sees it, sample by sample of a view; NaN where it is not known.
 
     Attributes
@@ -58,6 +59,12 @@ class DepthMap:
     shift_mm: Array
     confidence: Array
     range_mm: tuple[float, float]
+
+    def __repr__(self) -> str:
+        height, width = self.distance_mm.shape
+        known = np.isfinite(self.distance_mm).mean()
+        nearest, farthest = self.range_mm
+        return f"<DepthMap: {width} × {height} samples, {known:.1%} known, searched {nearest:.5g} to {farthest:.5g} mm>"
 
     def error(self, truth_mm: NDArray[np.floating]) -> Array:
         """Return the relative error, (t, s); NaN where one of both is not known or infinite.

@@ -10,6 +10,7 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.decode import view_count
 from lfmesh.lightfield.view_rays import ViewRays, image_path_engine
+from lfmesh.notebook import Pictured
 from lfmesh.scene import Scene
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.packet import CAMERA_FRAME, TRANSMIT, WORLD_FRAME
@@ -28,7 +29,7 @@ MOST_SAMPLES = CHUNK
 
 
 @dataclass(frozen=True, eq=False)
-class DepthTruth:
+class DepthTruth(Pictured):
     """Distances before the first vertex of the lens, along its axis; in a target of glass, of what is seen through it.
 
     NaN where no ray passes the lens, inf where rays pass and meet nothing.
@@ -51,6 +52,11 @@ class DepthTruth:
     pixels_mm: Samples
     spread_mm: Samples
     seen: Samples
+
+    def __repr__(self) -> str:
+        v, u, t, s = self.views_mm.shape
+        known = np.isfinite(self.middle_mm).mean()
+        return f"<DepthTruth: {u} × {v} views of {s} × {t} samples, {known:.1%} of them known>"
 
 
 def depth_truth(scene: Scene, *, views: int | None = None, samples: int = 16) -> DepthTruth:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.lightfield.upright import Upright
+from lfmesh.notebook import Pictured
 from lfmesh.optics.cie import PLANCK_J_S, SPEED_OF_LIGHT_M_S
 from lfmesh.scene.bands import RGB_NM, channel_labels
 from lfmesh.transport.render.image import Image
@@ -28,7 +29,7 @@ BRIGHT_PERCENTILE = 99.5
 
 
 @dataclass(frozen=True)
-class Exposed:
+class Exposed(Pictured):
     """An exposed image, (row, column) as on the sensor.
 
     Attributes
@@ -51,6 +52,11 @@ class Exposed:
     detector: "Detector"
     upright: Upright
     wavelengths_nm: tuple[float, ...]
+
+    def __repr__(self) -> str:
+        height, width = self.counts.shape
+        full = f"{self.saturated.mean():.2%} saturated"
+        return f"<Exposed: {width} × {height} pixels, counts to {self.counts.max()}, {full}>"
 
     @property
     def electrons(self) -> Array:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.lightfield.ray_model import RayModel
+from lfmesh.notebook import Pictured
 from lfmesh.scene import Scene
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ Samples = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
-class LightField:
+class LightField(Pictured):
     """Samples of a light field, upright as an observer behind the camera sees it, views and pictures alike.
 
     An object further to the right (+x) lies at larger s, one further down (−y) at larger t. Larger u looks from further

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from lfmesh.notebook import Pictured
+
 Array = NDArray[np.float64]
 
 SHARPNESS_RADIUS = 2
@@ -13,7 +15,7 @@ SHARPNESS_RADIUS = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Photograph:
+class Photograph(Pictured):
     """What a conventional camera focused on one plane would have taken.
 
     Attributes
@@ -40,12 +42,25 @@ class Photograph:
     wavelengths_nm: tuple[float, ...]
     unit: str
 
+    def __repr__(self) -> str:
+        return (
+            f"<Photograph: {_samples(self.mean)}, focused on {self.distance_mm:.6g} mm, f/{self.f_number:.3g}, "
+            f"{self.unit}>"
+        )
+
 
 @dataclass(frozen=True, eq=False)
-class FocalStack:
+class FocalStack(Pictured):
     """Photographs of the same scene, from plane to plane."""
 
     photographs: tuple[Photograph, ...]
+
+    def __repr__(self) -> str:
+        planes = self.distances_mm
+        return (
+            f"<FocalStack: {len(planes)} photographs of {_samples(self.photographs[0].mean)}, "
+            f"{planes[0]:.6g} to {planes[-1]:.6g} mm>"
+        )
 
     @property
     def distances_mm(self) -> tuple[float, ...]:
@@ -59,7 +74,7 @@ class FocalStack:
 
 
 @dataclass(frozen=True, eq=False)
-class AllInFocus:
+class AllInFocus(Pictured):
     """The sharpest of a stack's photographs at every place.
 
     Attributes
@@ -76,6 +91,17 @@ class AllInFocus:
     distance_mm: Array
     wavelengths_nm: tuple[float, ...]
     unit: str
+
+    def __repr__(self) -> str:
+        planes = self.distance_mm
+        return (
+            f"<AllInFocus: {_samples(self.mean)}, planes from {planes.min():.6g} to {planes.max():.6g} mm, {self.unit}>"
+        )
+
+
+def _samples(mean: Array) -> str:
+    height, width, channels = mean.shape
+    return f"{width} × {height} samples, {channels} wavelength{'s' if channels > 1 else ''}"
 
 
 def all_in_focus(stack: FocalStack) -> AllInFocus:

@@ -84,13 +84,13 @@ def refuse_other_white(white: Image, image: Image, camera: Camera) -> None:
         raise LfmeshError("the white image is of another camera; render the white image of the same scene")
 
 
-def white_image(scene: Scene, progress: Callable[[Progress], None] | None = None) -> Image:
+def white_image(scene: Scene, progress: Callable[[Progress], None] | bool | None = None) -> Image:
     """Render the white image of a scene's camera, with the scene's transport settings.
 
     Parameters
     ----------
     scene : Scene
-    progress : callable, optional
+    progress : callable or bool, optional
         As for `lf.render`.
 
     Returns

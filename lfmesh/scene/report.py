@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
+from lfmesh.notebook import Shown
 from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.paraxial import Paraxial, quotient
@@ -27,7 +28,7 @@ class AtWavelength:
 
 
 @dataclass(frozen=True)
-class FirstOrder:
+class FirstOrder(Shown):
     """Paraxial properties of a camera at its primary wavelength.
 
     All z are in the camera frame, where the first lens vertex is the origin. Pupils at infinity (a
@@ -97,8 +98,14 @@ class FirstOrder:
     warnings: tuple[str, ...] = ()
     """What is likely to disappoint, in plain words."""
 
-    def lines(self) -> list[str]:
-        """Return the report, a line a property, warnings last."""
+    def __repr__(self) -> str:
+        lens = f"f = {self.efl_mm:.5g} mm, f/{self.working_f_number:.3g}"
+        span = f"in focus {_mm(self.object_distance_mm)}, sharp from {_mm(self.near_mm)} to {_mm(self.far_mm)}"
+        number = len(self.warnings)
+        return f"<FirstOrder: {lens}, {span}, {number or 'no'} warning{'' if number == 1 else 's'}>"
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the report without its warnings: the name of every property, and its value with its unit."""
         mla = self.microlens_f_number is not None
         width, height = self.field_of_view_mm
         rows = [
@@ -153,7 +160,11 @@ class FirstOrder:
         rows += [("posed element", text) for text in self.poses]
         if self.poses:
             rows.append(("", "the figures above are those of the lens without poses"))
-        return [f"{name:<23}{value}" for name, value in rows] + [f"warning: {text}" for text in self.warnings]
+        return rows
+
+    def lines(self) -> list[str]:
+        """Return the report, a line a property, warnings last."""
+        return [f"{name:<23}{value}" for name, value in self.rows()] + [f"warning: {text}" for text in self.warnings]
 
     def __str__(self) -> str:
         return "\n".join(self.lines())

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from pydantic import Field, PrivateAttr
 
 from lfmesh.errors import GlassError, SceneError
+from lfmesh.notebook import Shown
 from lfmesh.optics.glass import complex_index, refractive_index
 from lfmesh.optics.metals import metal_index
 from lfmesh.scene.bands import Centroids, Passband, passband, preset
@@ -33,7 +34,11 @@ LENSLET_BYTES = 32
 NEEDS_BANDS = "needs camera.sensor.bands: a spectrum of light has power by the nm, and single wavelengths have no width"
 
 
-class Scene(Model):
+def _number(things: tuple[object, ...], name: str) -> str:
+    return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
+
+
+class Scene(Model, Shown):
     """A camera, what stands in front of it, and how to trace it.
 
     Two scenes are equal when all their fields are; the folder that relative paths start from does not count.
@@ -59,6 +64,16 @@ class Scene(Model):
     _folder: Path = PrivateAttr(default_factory=Path.cwd)
     _digests: dict[str, str] = PrivateAttr(default_factory=dict)
     _found: dict[str, Path] = PrivateAttr(default_factory=dict)
+
+    def __repr__(self) -> str:
+        camera = self.camera
+        name = f"{self.name!r}, " if self.name else ""
+        mla = f"{camera.mla.count[0]} × {camera.mla.count[1]} lenslets, " if camera.mla is not None else ""
+        width, height = camera.sensor.pixels
+        return (
+            f"<Scene: {name}{mla}{width} × {height} pixels, {_number(self.targets, 'target')}, "
+            f"{_number(self.lights, 'light')}>"
+        )
 
     @property
     def folder(self) -> Path:

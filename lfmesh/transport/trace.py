@@ -14,8 +14,10 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.surface import in_place
 from lfmesh.geometry.tessellation import mesh_sag
+from lfmesh.notebook import Shown
 from lfmesh.scene.literals import literal
 from lfmesh.scene.transport import MOST_EVENTS, MOST_THREADS
+from lfmesh.signatures import with_keywords
 from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.events.polarisation import across
@@ -68,7 +70,7 @@ class Vertex:
 
 
 @dataclass(frozen=True)
-class Paths:
+class Paths(Shown):
     """The ends of all packets of a trace, one row for each, in the order of the input rays.
 
     Attributes
@@ -110,6 +112,11 @@ class Paths:
     def __len__(self) -> int:
         return len(self.weight)
 
+    def __repr__(self) -> str:
+        ends = [(status.name.lower(), int((self.status == status).sum())) for status in Status]
+        said = ", ".join(f"{number:,} {name}" for name, number in ends if number)
+        return f"<Paths: {len(self):,} packets{': ' if said else ''}{said}>"
+
     @cached_property
     def body(self) -> list[str]:
         """Name of the body that each ended on, made at the first use."""
@@ -146,6 +153,7 @@ class Settings(TypedDict, total=False):
     reference: ArrayLike
 
 
+@with_keywords(engine="mesh", reference=X_AXIS)
 def trace(
     world: World,
     origins: ArrayLike,

@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Callable
 from copy import copy
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from lfmesh.geometry.tessellation import (
     element,
     revolved,
 )
+from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aiming.aim_proof import AimProof
 from lfmesh.transport.aiming.aim_table import aim_table, unaimed
@@ -58,8 +59,10 @@ if TYPE_CHECKING:
     import trimesh
 
 
-class World:
+class World(Shown):
     """A scene that rays can be traced through. Made by `build`.
+
+    It is pickled as its scene, and built again from that.
 
     Attributes
     ----------
@@ -84,6 +87,24 @@ class World:
         self.media = MediumList.of(scene)
         self.lines = Lines.of(scene)
         self._find_aim = find_aim
+        self._how: dict[str, Any] = {}
+        """How it was built from its scene: keywords of `build`."""
+
+    def __repr__(self) -> str:
+        bodies = len(self.scene.targets), len(self.scene.lights)
+        name = f"{self.scene.name!r}, " if self.scene.name else ""
+        return (
+            f"<World: {name}{len(self.lens_shape.elements)} lens elements, "
+            f"{'with' if self.tables.mla.present else 'no'} microlenses, {bodies[0]} targets, {bodies[1]} lights>"
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuilt, (self.scene, self._how)
+
+    def __copy__(self) -> "World":
+        other = object.__new__(World)
+        other.__dict__.update(self.__dict__)
+        return other
 
     @cached_property
     def _aim_and_proof(self) -> tuple[AimTables, AimProof | None]:
@@ -239,6 +260,11 @@ def _refuse_rough_patches(scene: Scene, shape: LensShape, interfaces: InterfaceT
         )
 
 
+def _rebuilt(scene: Scene, how: dict[str, Any]) -> World:
+    """Build a scene again, as it was built."""
+    return build(scene, **how)
+
+
 def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> World:
     """Build a scene: its meshes, Embree scenes and tables.
 
@@ -301,4 +327,6 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     polarised = polarisation_tables(scene, wavelengths_nm, moves, book)
     tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=anywhere, polarised=polarised)
     finders = (Finder(lens_mesh), Finder(mla_mesh_), Finder(*divided(object_mesh, objects.facets["body"])))
-    return World(scene, report, tables, finders, book, shape, targets, housing, find_aim)
+    world = World(scene, report, tables, finders, book, shape, targets, housing, find_aim)
+    world._how = {"rings": rings, "aimed": aimed}
+    return world

@@ -1,10 +1,9 @@
-"""The lens sheet: what `lf.analyse` found, on one page, as PDF, SVG or PNG.
+"""The lens sheet: what `lf.analyse` found, on one page, as PDF, SVG, PNG or HTML.
 
 Ray fans and spots of three fields, longitudinal aberration, foci and distortion over the field, lateral colour,
 illumination and the geometric MTF, with the definitions of all of them.
 """
 
-import io
 import math
 import textwrap
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -20,14 +20,17 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
 from lfmesh.analysis.analysis import DEFINITIONS, LensAnalysis
-from lfmesh.errors import FileError
 from lfmesh.files.colour import spectral_srgb
 from lfmesh.files.whole import write_whole
+from lfmesh.templates import filled
+from lfmesh.view.figure_file import PICTURES, checked_kind, encoded_figure, inline_svg
 
 SHEET_IN = (14.0, 9.6)
-PNG_DPI = 150
 
-FORMATS = {".pdf": "pdf", ".svg": "svg", ".png": "png"}
+WHAT = "a lens sheet"
+ENDINGS = (*PICTURES, ".html")
+
+TEMPLATE = Path(__file__).parent / "templates" / "lens_sheet.html"
 
 FIELD_COLOURS = ("#1f4e8c", "#2a7f62", "#b4541a")
 INK, GREY = "#222222", "#666666"
@@ -66,7 +69,7 @@ def draw_lens_sheet(analysis: LensAnalysis, path: str | Path = "sheet.pdf") -> P
     analysis : LensAnalysis
         From `lf.analyse`.
     path : str or Path
-        Ends in .pdf, .svg or .png; it is written whole or not at all. The same analysis makes the same bytes.
+        Ends in .pdf, .svg, .png or .html; it is written whole or not at all. The same analysis makes the same bytes.
 
     Returns
     -------
@@ -79,22 +82,31 @@ def draw_lens_sheet(analysis: LensAnalysis, path: str | Path = "sheet.pdf") -> P
         The ending is not one of these, or the file cannot be written.
     """
     path = Path(path)
-    kind = FORMATS.get(path.suffix.lower())
-    if kind is None:
-        ending = f"ends in {path.suffix}" if path.suffix else "has no ending"
-        raise FileError(f"{path}: {ending}; a lens sheet is one of {', '.join(FORMATS)}")
-    if not path.parent.is_dir():
-        raise FileError(f"{path}: there is no folder {path.parent}; make it, or give another")
-    dates: dict[str, dict[str, Any]] = {
-        "svg": {"Date": None, "Creator": None, "Title": analysis.name},
-        "png": {"Software": None},
-        "pdf": {"CreationDate": None, "Creator": None, "Producer": None, "Title": analysis.name},
-    }
-    out = io.BytesIO()
-    with mpl.rc_context(STYLE):
-        sheet_of(analysis).savefig(out, format=kind, dpi=PNG_DPI, metadata=dates[kind])
-    write_whole(path, out.getvalue())
+    kind = checked_kind(path, WHAT, ENDINGS)
+    write_whole(path, _page(analysis) if kind == "html" else _picture(analysis, kind))
     return path
+
+
+def check_sheet_path(path: str | Path) -> None:
+    """Refuse a file that a lens sheet cannot be written to, before anything is analysed for it.
+
+    Raises
+    ------
+    FileError
+        The ending or the folder.
+    """
+    checked_kind(Path(path), WHAT, ENDINGS)
+
+
+def _picture(analysis: LensAnalysis, kind: str) -> bytes:
+    with mpl.rc_context(STYLE):
+        return encoded_figure(sheet_of(analysis), kind, analysis.name)
+
+
+def _page(analysis: LensAnalysis) -> str:
+    """Return a page of HTML that stands by itself: the key figures as text, and the sheet."""
+    drawn = Markup(inline_svg(_picture(analysis, "svg")))
+    return filled(TEMPLATE, title=analysis.name, lines=analysis.lines(), drawn=drawn)
 
 
 def sheet_of(analysis: LensAnalysis) -> Figure:

@@ -2,9 +2,8 @@
 
 import io
 import os
-import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar, Unpack
 
@@ -14,7 +13,9 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files.whole import write_whole
+from lfmesh.notebook import in_notebook
 from lfmesh.scene import Scene
+from lfmesh.signatures import with_keywords
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.world import World
 from lfmesh.view.rays.filters import parse
@@ -100,6 +101,7 @@ class Options(LaunchOptions, total=False):
     gltf: str | os.PathLike[str]
 
 
+@with_keywords(**asdict(Drawing()))
 def show(
     subject: Scene | World | Image | str | os.PathLike[str],
     rays: Rays | str | Sequence[str] | None = None,
@@ -279,10 +281,3 @@ def png(picture: PIL.Image.Image) -> bytes:
     content = io.BytesIO()
     picture.save(content, format="PNG")
     return content.getvalue()
-
-
-def in_notebook() -> bool:
-    """Tell whether this process is a notebook's kernel, which shows pictures."""
-    shell = sys.modules.get("IPython")
-    running = shell.get_ipython() if shell is not None else None
-    return running is not None and "IPKernelApp" in getattr(running, "config", {})

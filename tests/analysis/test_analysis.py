@@ -1,6 +1,8 @@
 """Figures of the lens sheet against closed forms and an independent trace."""
 
+import html
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,8 @@ from scipy.special import j1
 
 import lfmesh as lf
 from lfmesh.analysis.analysis import LINES_NM, analyse
+from lfmesh.assets import asset_path
+from lfmesh.cli import main
 from lfmesh.errors import LfmeshError
 from lfmesh.optics.glass import refractive_index
 from lfmesh.view.lens_sheet import draw_lens_sheet
@@ -159,6 +163,32 @@ def test_the_sheet_is_drawn_and_says_the_same_again(doublet: lf.LensAnalysis, tm
     assert "Coddington" in draw_lens_sheet(doublet, tmp_path / "a.svg").read_text(encoding="utf-8")
     with pytest.raises(LfmeshError, match="a lens sheet is one of"):
         draw_lens_sheet(doublet, tmp_path / "a.docx")
+
+
+def test_the_sheet_is_a_page_too_that_stands_by_itself(doublet: lf.LensAnalysis, tmp_path: Path) -> None:
+    page = draw_lens_sheet(doublet, tmp_path / "a.html").read_text(encoding="utf-8")
+    assert page == draw_lens_sheet(doublet, tmp_path / "b.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == page.count("</svg>") == 1
+    assert "<?xml" not in page
+    assert html.escape(doublet.lines()[-1]) in page
+    fetched = re.findall(r"""(?:src|href)=["']([^"']*)|url\(([^)]*)\)""", page)
+    assert fetched
+    assert all("".join(each).startswith(("#", "data:")) for each in fetched)
+
+
+def test_a_sheet_that_cannot_be_written_is_refused_before_the_lens_is_analysed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def analysed(*_: Any, **__: Any) -> None:
+        raise AssertionError("analysed")
+
+    monkeypatch.setattr("lfmesh.analysis.analysis.analyse", analysed)
+    scene = str(asset_path("scenes/first_light.toml"))
+    assert main(["lens", "sheet", scene, "-o", str(tmp_path / "sheet.docx")]) != 0
+    assert main(["lens", "sheet", scene, "-o", str(tmp_path / "none" / "sheet.html")]) != 0
+    errors = capsys.readouterr().err
+    assert "a lens sheet is one of .svg, .png, .pdf, .html" in errors
+    assert "there is no folder" in errors
 
 
 @pytest.mark.parametrize(

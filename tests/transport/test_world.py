@@ -1,5 +1,7 @@
 """What `build` makes: closed solids under their names, shared interfaces, and a place in the world for each."""
 
+import copy
+import pickle
 from itertools import product
 
 import numpy as np
@@ -235,3 +237,38 @@ def test_a_reseeded_world_renders_as_one_that_is_built_with_that_seed(split):
     assert other.scene == built.scene
     assert world.scene.transport.seed == scene.transport.seed
     assert (Renderer(world).image().mean != other.mean).any()
+
+
+def test_a_world_is_pickled_as_its_scene_and_copied(monkeypatch):
+    plane = lf.Target(shape=lf.Plane(width_mm=20.0, height_mm=10.0), position_mm=(0.0, 0.0, -100.0))
+    world = world_of(mla=array(), targets=(plane,))
+    rays = [[0.0, 1.0, -90.0]] * 50, np.random.default_rng(1).normal([0.0, 0.0, 1.0], [0.05, 0.05, 0.0], (50, 3))
+    paths = lf.trace(world, *rays)
+    pickled = pickle.dumps(world)
+    assert len(pickled) < 20_000, "the tables are not among it"
+    for same in (
+        copy.copy(world),
+        pickle.loads(pickled),
+        copy.deepcopy(world),
+        pickle.loads(pickle.dumps(paths))._world,
+    ):
+        assert same.scene == world.scene
+        again = lf.trace(same, *rays)
+        assert np.array_equal(again.position, paths.position)
+        assert np.array_equal(again.weight, paths.weight)
+    monkeypatch.setattr("lfmesh.transport.world.build", pytest.fail)
+    copied = copy.copy(world)
+    copied.scene = None
+    assert world.scene is not None
+
+
+def test_a_world_is_built_again_as_it_was_built():
+    scene = lf.load(asset_path("scenes/conventional.toml"))
+    coarse = lf.build(scene, rings=3, aimed=False)
+    again = pickle.loads(pickle.dumps(coarse))
+    assert (
+        len(again.mesh("lens[0]").faces)
+        == len(coarse.mesh("lens[0]").faces)
+        < len(lf.build(scene).mesh("lens[0]").faces)
+    )
+    assert again.aim_proof is None

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from lfmesh.notebook import Shown
+
 LOST_LIMIT = 1e-7
 """Share of the energy that may be lost to rounding without a warning."""
 
@@ -36,7 +38,7 @@ def loss_in_words(lost: float, lost_in: dict[str, float], emitted: float) -> str
 
 
 @dataclass
-class Ledger:
+class Ledger(Shown):
     """Sums over all packets of a run.
 
     `unit` is "W" in the forward method; in the adjoint one the packets carry importance, W per unit radiance
@@ -79,6 +81,13 @@ class Ledger:
     """Adjoint: the part of `reached_target` at points that a light reaches or that emit."""
     lamps: "Ledger | None" = None
     """Adjoint: ledger of the packets that lamps send towards glass, in W; None without lamps or without glass."""
+
+    def __repr__(self) -> str:
+        into = self.emitted or 1.0
+        return (
+            f"<Ledger: {self.emitted:.6g} {self.unit} emitted, {self.sensor / into:.3%} on the sensor, "
+            f"{self.lost_share:.1e} lost, {self.imbalance:.1e} not closed>"
+        )
 
     @property
     def total_in(self) -> float:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
+from lfmesh.notebook import Pictured
 from lfmesh.scene import Scene
 from lfmesh.transport.aiming.aim_proof import AimProof
 from lfmesh.transport.packets.ledger import Ledger
@@ -16,7 +17,7 @@ from lfmesh.transport.render.order_check import OrderCheck
 
 
 @dataclass
-class Image:
+class Image(Pictured):
     """A raw sensor image in W per pixel.
 
     Attributes

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.notebook import watched
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
 from lfmesh.transport.packets.packet import EVENTS
@@ -40,7 +41,7 @@ class Keeper(Protocol):
 
 def render(
     scene: Scene,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[Progress], None] | bool | None = None,
     *,
     saved: Mapping[str, NDArray[Any]] | None = None,
     keep: Keeper | None = None,
@@ -50,8 +51,9 @@ def render(
     Parameters
     ----------
     scene : Scene
-    progress : callable, optional
-        Called a few times a second, in the calling thread.
+    progress : callable or bool, optional
+        Called a few times a second, in the calling thread. True shows a bar (on standard error, or below a notebook's
+        cell), False nothing; left out, there is a bar in a notebook alone.
     saved : dict of arrays, optional
         State of an interrupted render of this scene, from `lfmesh.transport.render.tally.arrays_of`. The render
         continues from there, and its image is bitwise that of an uninterrupted one.
@@ -78,7 +80,8 @@ def render(
     with compiled_ahead(scene) as ahead:
         world = build(scene)
         ahead.join(world)
-    image = Renderer(world, progress=progress).image(saved, keep)
+    with watched(progress) as report:
+        image = Renderer(world, progress=report).image(saved, keep)
     for ledger in (image.ledger, image.ledger.lamps):
         lost = ledger.loss_in_words() if ledger is not None else None
         if lost is not None:

@@ -22,7 +22,7 @@ from lfmesh.lightfield.refocus import refocus
 from lfmesh.lightfield.upright import Upright
 from lfmesh.scene import Scene
 from lfmesh.transport.render.image import Image
-from lfmesh.view.browser.pictures import coloured, exposed, white_of
+from lfmesh.view.pictures import coloured, exposed, white_of
 
 Picture = NDArray[np.uint8]
 

@@ -12,9 +12,9 @@ from lfmesh.lightfield.upright import Upright
 from lfmesh.scene import Scene
 from lfmesh.transport.render.image import Image
 from lfmesh.view.browser.field_views import STEPS, FieldViews, Place, calibration_of_run
-from lfmesh.view.browser.pictures import data_url
 from lfmesh.view.browser.replies import Replies
 from lfmesh.view.browser.sensor_picture import SensorPicture
+from lfmesh.view.pictures import data_url
 
 SCREEN_PX = 560.0
 """About how wide the picture is on a screen."""

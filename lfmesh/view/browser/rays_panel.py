@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.transport.world import World
-from lfmesh.view.browser.pictures import figure_url
 from lfmesh.view.browser.replies import Replies
+from lfmesh.view.pictures import figure_url
 from lfmesh.view.rays import launch
 from lfmesh.view.rays.filters import FilterError, parse
 from lfmesh.view.rays.ghosts import ghost_matrix

@@ -4,7 +4,6 @@ The sheet is laid out in inches: three views, each to scale, with bands round th
 title block. Text is measured before it is placed, so that it does not overlap.
 """
 
-import io
 import math
 import warnings
 from collections.abc import Iterator, Sequence
@@ -22,13 +21,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 from matplotlib.text import Text
 
-from lfmesh.errors import FileError
 from lfmesh.files.whole import write_whole
 from lfmesh.geometry.element_poses import pose_of
 from lfmesh.geometry.frame import points
 from lfmesh.geometry.mesh import Array
 from lfmesh.scene import Scene
 from lfmesh.scene.solve import lenslet_focal_length_mm
+from lfmesh.view.figure_file import checked_kind, encoded_figure
 from lfmesh.view.layout.content import Bundle, Dimension, Layout, TargetSection, layout
 from lfmesh.view.layout.sections import in_section
 
@@ -38,9 +37,6 @@ HEADER_IN = 0.42
 MAIN_IN = 3.75
 TITLE_BLOCK_IN = 0.86
 GAP_IN = 0.12
-
-FORMATS = {".svg": "svg", ".png": "png", ".pdf": "pdf"}
-PNG_DPI = 150
 
 FIELD_COLOURS = ("#1f4e8c", "#2a7f62", "#b4541a")
 LENSLET_COLOURS = ("#6f93c4", "#1f4e8c", "#6f93c4")
@@ -105,28 +101,15 @@ def draw(scene: Scene, path: str | Path = "layout.svg") -> Path:
         The ending is not one of these, the file cannot be written, or the scene cannot be built.
     """
     path = Path(path)
-    kind = FORMATS.get(path.suffix.lower())
-    if kind is None:
-        ending = f"ends in {path.suffix}" if path.suffix else "has no ending"
-        raise FileError(f"{path}: {ending}; a drawing is one of {', '.join(FORMATS)}")
-    if not path.parent.is_dir():
-        raise FileError(f"{path}: there is no folder {path.parent}; make it, or give another")
+    kind = checked_kind(path, "a drawing")
     write_whole(path, encoded(layout(scene), kind))
     return path
 
 
 def encoded(drawn: Layout, kind: str) -> bytes:
     """Return a layout as the bytes of an svg, png or pdf file."""
-    dates: dict[str, dict[str, Any]] = {
-        "svg": {"Date": None, "Creator": None, "Title": drawn.scene.name or "layout"},
-        "png": {"Software": None},
-        "pdf": {"CreationDate": None, "Creator": None, "Producer": None, "Title": drawn.scene.name or "layout"},
-    }
     with _style():
-        figure = sheet_figure(drawn)
-        out = io.BytesIO()
-        figure.savefig(out, format=kind, dpi=PNG_DPI, metadata=dates[kind])
-    return out.getvalue()
+        return encoded_figure(sheet_figure(drawn), kind, drawn.scene.name or "layout")
 
 
 @contextmanager

@@ -4,9 +4,14 @@ Text in the picture is lost on the way, so title, launch, counts, legend and sca
 """
 
 import re
+import sys
 import tempfile
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from markupsafe import escape
 
@@ -36,6 +41,12 @@ STYLE = f"""\
 
 TEMPLATE = Path(__file__).parent / "templates" / "words.html"
 
+VTK_WASM = "trame.widgets.vtklocal"
+"""Another way to draw in a browser, which is not used here. Where trame finds it, its server fetches the compiled VTK
+from the network when it starts, and prints tracebacks where there is none."""
+
+MISSING: Any = object()
+
 FOREIGN = re.compile(r"https://kitware\.github\.io/vtk-js/icon/[^`\"']*")
 """The only thing that vtk.js would fetch: its own icons."""
 
@@ -55,7 +66,7 @@ def write_page(view: View, path: Path) -> None:
     preset = view.preset
     view.look(preset, aspect=ASPECT, angle_deg=ANGLE_DEG)
     try:
-        with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), _not_imported(VTK_WASM):
             warnings.simplefilter("ignore")
             raw = Path(folder) / "page.html"
             view.plotter.trame.export_html(raw)
@@ -63,6 +74,23 @@ def write_page(view: View, path: Path) -> None:
     finally:
         view.look(preset)
     write_whole(path, captioned(page, view))
+
+
+@contextmanager
+def _not_imported(module: str) -> Iterator[None]:
+    """Have imports of a module fail for a while."""
+    package, _, name = module.rpartition(".")
+    attributes = vars(import_module(package))
+    kept, attribute = sys.modules.get(module, MISSING), attributes.pop(name, MISSING)
+    sys.modules[module] = None  # type: ignore[assignment]  # how Python marks what cannot be imported
+    try:
+        yield
+    finally:
+        del sys.modules[module]
+        if kept is not MISSING:
+            sys.modules[module] = kept
+        if attribute is not MISSING:
+            attributes[name] = attribute
 
 
 def captioned(page: str, view: View) -> str:

@@ -7,7 +7,7 @@ Pairs of lens surfaces can be had by sequence, without noise (see `exact_ghosts`
 estimated from rays.
 """
 
-import io
+import math
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.files.whole import write_whole
+from lfmesh.view.figure_file import checked_kind, encoded_figure
 from lfmesh.view.rays.exact_ghosts import ExactGhosts
 from lfmesh.view.rays.names import CURVED, FLAT, label, lens_names
 from lfmesh.view.rays.paths import Rays
@@ -30,11 +31,17 @@ MINUS = "\N{MINUS SIGN}"
 DECADES = 6
 """Of power that the colours span below the strongest ghost."""
 
+LEAST_DECIMAL = 1e-3
+"""Percentages below it are written as powers of ten."""
+
 PRINTED = 16
 """Surfaces up to which the cells of the figure hold their numbers."""
 
 
-LETTERS_AN_INCH = 11
+SIZE_IN, DPI = (10.6, 6.5), 120
+"""It fits on a screen of 1280 x 800."""
+
+LETTERS_A_LINE = 130
 
 
 @dataclass(frozen=True)
@@ -54,6 +61,8 @@ class GhostMatrix:
     unit : str
     source : str
         Where the powers come from, in words.
+    error : (k, k) float64
+        Standard error of each power that is estimated from rays; 0 where it is integrated over the pupil.
     """
 
     names: list[str]
@@ -61,7 +70,8 @@ class GhostMatrix:
     power: NDArray[np.float64]
     total: float
     unit: str
-    source: str = "from rays"
+    source: str
+    error: NDArray[np.float64]
 
     def strongest(self, most: int = 10) -> list[tuple[str, str, float]]:
         """Return the strongest pairs: first and second surface, and the power."""
@@ -81,37 +91,38 @@ class GhostMatrix:
         from matplotlib.colors import LogNorm
         from matplotlib.figure import Figure
 
-        share = self._share()
-        largest = share.max()
+        percent = 100.0 * self._share()
+        off = 100.0 * self.error / self.total
+        largest = percent.max()
         count = len(self.labels)
-        side = 2.6 + 0.42 * count
-        figure = Figure(figsize=(side + 1.0, side), layout="constrained", dpi=120)
+        figure = Figure(figsize=SIZE_IN, layout="constrained", dpi=DPI)
         FigureCanvasAgg(figure)
         axes = figure.add_subplot()
-        norm = LogNorm(max(share[share > 0.0].min(), largest * 10.0**-DECADES) * 0.999, largest)
-        shown = np.ma.masked_equal(share, 0.0)
-        image = axes.imshow(shown, norm=norm, cmap="viridis", interpolation="nearest")
-        axes.set_xticks(range(count), self.labels, rotation=90)
-        axes.set_yticks(range(count), self.labels)
+        norm = LogNorm(max(percent[percent > 0.0].min(), largest * 10.0**-DECADES) * 0.999, largest)
+        shown = np.ma.masked_equal(percent, 0.0)
+        image = axes.imshow(shown, norm=norm, cmap="viridis", interpolation="nearest", aspect="auto")
+        small = min(10.0, 160.0 / count)
+        axes.set_xticks(range(count), self.labels, rotation=90 if count > PRINTED else 0, fontsize=small)
+        axes.set_yticks(range(count), self.labels, fontsize=small)
         axes.set_xlabel("second reflection")
         axes.set_ylabel("first reflection")
         axes.set_xticks(np.arange(count + 1) - 0.5, minor=True)
         axes.set_yticks(np.arange(count + 1) - 0.5, minor=True)
         axes.grid(which="minor", color="#dddddd", lw=0.5)
         axes.tick_params(which="minor", length=0)
-        title = f"ghosts of two reflections: {100.0 * share.sum():.2g} % of the power on the sensor"
-        lines = [line for text in (title, self.source) for line in textwrap.wrap(text, round(LETTERS_AN_INCH * side))]
+        whole = f"{percent.sum():.3g} % ± {np.hypot.reduce(off, axis=None):.1g} %"
+        title = f"ghosts of two reflections: {whole} of the power on the sensor"
+        lines = [line for text in (title, self.source) for line in textwrap.wrap(text, LETTERS_A_LINE)]
         axes.set_title("\n".join(lines), fontsize=10, loc="left")
         if count <= PRINTED:
-            for i, j in zip(*np.nonzero(share), strict=True):
-                dark = norm(share[i, j]) < 0.6
+            for i, j in zip(*np.nonzero(percent), strict=True):
+                dark = norm(percent[i, j]) < 0.6
                 axes.text(
-                    j, i, f"{np.log10(share[i, j]):.1f}".replace("-", MINUS), ha="center", va="center", fontsize=6,
-                    color="white" if dark else "black",
+                    j, i, in_cell(percent[i, j], off[i, j]), ha="center", va="center", fontsize=7.5,
+                    linespacing=1.0, color="white" if dark else "black",
                 )  # fmt: skip
-        bar = figure.colorbar(image, ax=axes, shrink=0.8)
-        numbers = " (numbers: its logarithm)" if count <= PRINTED else ""
-        bar.set_label(f"share of the power on the sensor{numbers}")
+        bar = figure.colorbar(image, ax=axes, pad=0.01, format=lambda value, _: f"{value:g}")
+        bar.set_label("share of the power on the sensor / %")
         return figure
 
     def save(self, path: str | Path) -> Path:
@@ -125,12 +136,8 @@ class GhostMatrix:
             The file cannot be written.
         """
         path = Path(path)
-        form = path.suffix.lower().lstrip(".")
-        if form not in ("png", "svg", "pdf"):
-            raise LfmeshError(f"{path}: a figure is written as .png, .svg or .pdf")
-        picture = io.BytesIO()
-        self.figure().savefig(picture, format=form)
-        write_whole(path, picture.getvalue())
+        kind = checked_kind(path, "a figure of ghosts")
+        write_whole(path, encoded_figure(self.figure(), kind, "ghosts", DPI))
         return path
 
     def _share(self) -> NDArray[np.float64]:
@@ -139,6 +146,17 @@ class GhostMatrix:
                 'no ghost of two reflections is among the rays: launch with split = "both", and more of them'
             )
         return np.asarray(self.power / self.total)
+
+
+def in_cell(percent: float, error: float) -> str:
+    """Return a share and its standard error in percent, for a cell of the figure; without one, where it has none."""
+    share = f"{percent:.2g}" if percent >= LEAST_DECIMAL else f"{percent:.0e}".replace("e-0", "e-")
+    if error <= 0.0:
+        return share.replace("-", MINUS)
+    digits = max(0, -math.floor(math.log10(error)))
+    if percent >= LEAST_DECIMAL:
+        share = f"{percent:.{digits}f}"
+    return f"{share}\n±{error:.1g}".replace("-", MINUS)
 
 
 def ghost_matrix(rays: Rays, exact: ExactGhosts | None = None) -> GhostMatrix:
@@ -156,12 +174,17 @@ def ghost_matrix(rays: Rays, exact: ExactGhosts | None = None) -> GhostMatrix:
         names += [CURVED, FLAT]
     known = rays.of_sequences(exact.by_words if exact is not None else ())
     power = np.zeros((len(names), len(names)))
-    pairs = rays.keep(rays.arrives & ~known & (rays.count_vertices(rays.reflected) == 2))
+    chosen = rays.arrives & ~known & (rays.count_vertices(rays.reflected) == 2)
+    pairs = rays.keep(chosen)
     # Numbers of lens and array come first among the surfaces, after the start.
     first, second = (pairs.surface[pairs.reflected] - 1).reshape(-1, 2).T
     if rays.from_sensor:
         first, second = second, first
     np.add.at(power, (first, second), pairs.end_power)
+    # Every path counts: rays that bring nothing to a pair are part of its spread.
+    cell = np.full(len(rays), power.size)
+    cell[chosen] = first * len(names) + second
+    error = rays.errors(cell, power.size + 1)[:-1].reshape(power.shape)
     total = float(rays.end_power[rays.arrives & ~known].sum())
     source = f"from {rays.launched:,} rays"
     if exact is not None:
@@ -170,7 +193,7 @@ def ghost_matrix(rays: Rays, exact: ExactGhosts | None = None) -> GhostMatrix:
             power[row.path.mirrors] += row.power
         within = f"by quadrature over the pupil, to {_percent(exact.error, exact.power)} of their power"
         source = f"pairs of lens surfaces {within}; others {source}"
-    return GhostMatrix(names, [label(name) for name in names], power, total, rays.unit, source)
+    return GhostMatrix(names, [label(name) for name in names], power, total, rays.unit, source, error)
 
 
 def _percent(part: float, whole: float) -> str:

@@ -54,8 +54,10 @@ class PathRow:
         The largest that the sequence makes on a pixel, in the unit of power per mm². With few paths a pixel it is
         that of single paths, and too large.
     error : float
-        How far the power may be off, in the table's unit, where it is integrated over the pupil; infinite where it is
-        an estimate from the paths.
+        Of the power, in the table's unit: the standard error, see `Rays.errors`, or how far it may be off where it is
+        integrated over the pupil.
+    exact : bool
+        Whether it is integrated over the pupil.
     """
 
     path: int
@@ -68,6 +70,7 @@ class PathRow:
     share: float
     irradiance: float
     error: float = math.inf
+    exact: bool = False
 
 
 COLUMNS = tuple(field.name for field in fields(PathRow))
@@ -171,10 +174,11 @@ class PathTable(Sequence[PathRow]):
     def lines(self, most: int = ROWS, width: int = 80) -> list[str]:
         """Return the first rows for a terminal, a line each, with sequences in their short form."""
         unit = self.rays.unit
-        head = f"{'path':>5}{'count':>8}{f'power/{unit}':>13}{'share':>8}{'max per mm²':>13}  "
+        head = f"{'path':>5}{'count':>8}{f'power/{unit}':>13}{'±':>7}{'share':>8}{'max per mm²':>13}  "
         lines = [head + "sequence"]
         for row in self.rows[:most]:
-            numbers = f"{row.path:5d}{row.count:8d}{row.power:13.3e}{_percent(row.share):>8}{row.irradiance:13.2e}  "
+            numbers = f"{row.path:5d}{row.count:8d}{row.power:13.3e}{relative_error(row):>7}{_percent(row.share):>8}"
+            numbers += f"{row.irradiance:13.2e}  "
             lines.append(numbers + _clipped(row.short, width - len(numbers)))
         rest = self.rows[most:]
         if rest:
@@ -183,7 +187,7 @@ class PathTable(Sequence[PathRow]):
         where = "between sensor and scene" if self.rays.from_sensor else "on the sensor"
         paths = sum(row.count for row in self.rows)
         whole = f"{len(self)} sequences, {paths} paths, {self.power:.4e} {unit} {where}"
-        if any(math.isfinite(row.error) for row in self.rows):
+        if any(row.exact for row in self.rows):
             lines.append("image path and ghosts of two reflections in the lens by quadrature, the others from paths")
         return [*lines, whole, *([f"Warning: {self.loss}."] if self.loss else [])]
 
@@ -219,20 +223,21 @@ def _table(
     arriving = rays.end_power * rays.arrives
     power = np.bincount(place, arriving, len(present))
     irradiance = _largest_irradiance(rays, place, arriving, len(present))
-    error = np.full(len(present), np.inf)
+    error = rays.errors(place.reshape(-1), len(present))
+    integrated = np.zeros(len(present), np.bool_)
     for row, number in enumerate(present):
         known = exact.by_words.get(rays.sequences[number]) if exact is not None else None
         if known is not None and launched is not None and count[row] == launched[number]:
-            power[row], error[row] = known.power, known.error
+            power[row], error[row], integrated[row] = known.power, known.error, True
     reflections = rays.count_vertices(rays.reflected)
     rows = [
         PathRow(
             int(number), short_form(rays, path), rays.sequences[number], int(rays.events[path]), int(reflections[path]),
             int(paths), float(watts), float(watts / total) if total > 0.0 else 0.0, float(largest),
-            float(off),
+            float(off), bool(known),
         )
-        for number, path, paths, watts, largest, off in zip(
-            present, first, count, power, irradiance, error, strict=True
+        for number, path, paths, watts, largest, off, known in zip(
+            present, first, count, power, irradiance, error, integrated, strict=True
         )
     ]  # fmt: skip
     return PathTable(rows, rays, total, loss, exact, launched)
@@ -268,6 +273,14 @@ def short_form(rays: Rays, path: int) -> str:
         return kind + (f", {names[-1]}" if rays.from_sensor else "") + (f" by {', '.join(bodies)}" if bodies else "")
     after = f" after {names[-2]}" if len(names) > 2 else ""
     return names[-1] + after + (f", by {reflections}" if mirrors else "")
+
+
+def relative_error(row: PathRow) -> str:
+    """Return a row's standard error in percent of its power; nothing where it is integrated or there is no power."""
+    if row.exact or row.power <= 0.0 or not math.isfinite(row.error):
+        return ""
+    percent = 100.0 * row.error / row.power
+    return f"{percent:.0f} %" if percent >= 9.95 else f"{percent:.1f} %"
 
 
 def _percent(share: float) -> str:

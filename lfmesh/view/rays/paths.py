@@ -32,6 +32,30 @@ OF_PATHS = ("status", "source", "pixel", "wavelength_nm", "sequence")
 """Arrays of `Rays` with a row for each vertex, and for each path."""
 
 
+def standard_errors(power: Floats, source: Ints, group: Ints, groups: int) -> Floats:
+    """Return the standard errors of sums over independent rays, (groups,); infinite with fewer than two rays.
+
+    Parameters
+    ----------
+    power : (n,) float64
+        Of each path, a share of its ray's.
+    source : (n,) int64
+        The ray of each path; the largest number is that of the last ray.
+    group : (n,) int64
+        The sum that each path belongs to.
+    groups : int
+    """
+    launched = int(source.max(initial=-1)) + 1
+    if launched < 2:
+        return np.full(groups, np.inf)
+    pairs, of_path = np.unique(group * launched + source, return_inverse=True)
+    of_ray = np.bincount(of_path.reshape(-1), power, len(pairs))
+    squares = np.bincount(pairs // launched, of_ray**2, groups)
+    sums = np.bincount(pairs // launched, of_ray, groups)
+    variance = (squares - sums**2 / launched) * launched / (launched - 1)
+    return np.sqrt(np.maximum(variance, 0.0))
+
+
 @dataclass(frozen=True)
 class Rays:
     """Every path of a set of launched rays. Path i owns the vertices offsets[i]:offsets[i + 1].
@@ -140,6 +164,20 @@ class Rays:
     def launched(self) -> int:
         """Number of launched rays that any path descends from."""
         return len(np.unique(self.source))
+
+    def errors(self, group: Ints, groups: int) -> Floats:
+        """Return the standard error of the power that groups of paths bring between scene and sensor, (groups,).
+
+        From the spread over the launched rays, each with all of its paths, taken as independent. They cover the pupil
+        more evenly than that, so that it is rather too large than too small.
+
+        Parameters
+        ----------
+        group : (n,) int64
+            Of each path.
+        groups : int
+        """
+        return standard_errors(self.end_power * self.arrives, self.source, group, groups)
 
     def of_sequences(self, words: Container[str]) -> NDArray[np.bool_]:
         """Return (n,) which paths have one of some sequences."""

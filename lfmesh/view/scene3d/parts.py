@@ -290,7 +290,7 @@ def _lights(world: World) -> Iterator[Part]:
                 center=light.position_mm, inner=0.0, outer=light.radius_mm, normal=along, c_res=48
             ).triangulate()
             arrow = pv.Arrow(start=light.position_mm, direction=along, scale=2.0 * size).triangulate()
-            yield Part(name, "light", disk.merge(arrow).extract_surface(), lamp)
+            yield Part(name, "light", disk.append_polydata(arrow), lamp)
         else:
             body = pv.Sphere(radius=0.25 * size, center=light.position_mm)
             if isinstance(light, SpotLight):

@@ -13,7 +13,7 @@ from lfmesh.files.field import save_field
 from lfmesh.scene import Scene
 from lfmesh.transport.render.image import Image
 from lfmesh.view.browser.field_views import FieldViews
-from lfmesh.view.browser.pictures import UNKNOWN
+from lfmesh.view.pictures import UNKNOWN
 
 
 @pytest.fixture(params=["square", "hexagonal"])

@@ -1,11 +1,15 @@
 """The words round a drawn page: all of them, none of them taken for markup, nothing fetched."""
 
 import re
+import subprocess
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+import lfmesh
 from lfmesh.view.output.html import captioned
 
 PAGE = """<!DOCTYPE html><html><head><title>PyVista</title><style>
@@ -16,7 +20,7 @@ PAGE = """<!DOCTYPE html><html><head><title>PyVista</title><style>
 
 @pytest.fixture
 def view() -> Any:
-    legend = SimpleNamespace(title="<wavelength>", entries=[("#ff0000", "650 nm & more")])
+    legend = SimpleNamespace(title="<wavelength>", entries=[("650 nm & more", "#ff0000")])
     return SimpleNamespace(title='a <b> "c"', caption=["6 rays <from>", "18 paths"], scale="1 mm", legend=legend)
 
 
@@ -37,3 +41,38 @@ def test_without_colours_there_is_no_legend(view: Any) -> None:
 
 def test_the_icon_is_not_fetched(view: Any) -> None:
     assert not re.search(r"https?://", captioned(PAGE, view))
+
+
+OFFLINE = """
+import socket, sys
+from lfmesh.cli import main
+connect, look_up = socket.socket.connect, socket.getaddrinfo
+def inside(host):
+    if host not in ("127.0.0.1", "localhost", "::1", "", None):
+        print("asked for", host)
+        raise OSError("no network")
+def guarded(self, address):
+    if self.family != socket.AF_UNIX:
+        inside(address[0])
+    return connect(self, address)
+def names(host, *rest, **more):
+    inside(host)
+    return look_up(host, *rest, **more)
+socket.socket.connect, socket.getaddrinfo = guarded, names
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.drawing
+def test_a_page_is_written_without_a_network(scene_file: Path, tmp_path: Path) -> None:
+    page = tmp_path / "out.html"
+    command = ["view", str(scene_file), "--rays", "field 0,0,-190", "--count", "4", "--html", str(page)]
+    done = subprocess.run(
+        [sys.executable, "-c", OFFLINE, *command],
+        capture_output=True, text=True, timeout=300, cwd=Path(lfmesh.__file__).parents[1],
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "asked for" not in done.stdout
+    assert "Traceback" not in done.stderr
+    written = page.read_text(encoding="utf-8")
+    assert re.search(r'<p style="color: #[0-9a-f]{6}">587.6 nm</p>', written), "a line of the legend says what it is"

@@ -3,13 +3,15 @@
 import numpy as np
 import PIL.Image
 import pytest
+from scipy import stats
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
 from lfmesh.transport.packets.packet import Event
-from lfmesh.view.rays.ghosts import ghost_matrix
+from lfmesh.view.rays.ghosts import ghost_matrix, in_cell
 from lfmesh.view.rays.launch import from_field_point, from_pixels
+from lfmesh.view.rays.paths import standard_errors
 
 
 @pytest.fixture(scope="module")
@@ -70,13 +72,70 @@ def test_the_figure_names_rows_columns_and_colours(rays):
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("second reflection", "first reflection")
     assert "share of the power on the sensor" in bar.get_ylabel()
     image = axes.get_images()[0]
-    np.testing.assert_allclose(image.get_array().filled(0.0), matrix.power / matrix.total)
+    np.testing.assert_allclose(image.get_array().filled(0.0), 100.0 * matrix.power / matrix.total)
     # Logarithmic: each factor of ten is as far in colour.
     norm = image.norm
     assert norm(norm.vmax) - norm(norm.vmax / 10) == pytest.approx(norm(norm.vmax / 10) - norm(norm.vmax / 100))
     numbers = {t.get_text() for t in axes.texts}
-    strongest = np.log10(matrix.power.max() / matrix.total)
-    assert f"{strongest:.1f}".replace("-", "\N{MINUS SIGN}") in numbers
+    place = np.unravel_index(matrix.power.argmax(), matrix.power.shape)
+    share, error = (100.0 * values[place] / matrix.total for values in (matrix.power, matrix.error))
+    assert in_cell(share, error) in numbers
+
+
+def test_the_figure_fits_on_a_small_screen_and_its_numbers_into_their_cells(rays):
+    figure = ghost_matrix(rays).figure()
+    width, height = figure.get_size_inches() * figure.dpi
+    assert width <= 1280
+    assert height <= 800
+    figure.canvas.draw()
+    axes = figure.axes[0]
+    cell = (
+        axes.get_window_extent().width / len(axes.get_xticks()),
+        axes.get_window_extent().height / len(axes.get_yticks()),
+    )
+    for text in axes.texts:
+        box = text.get_window_extent()
+        assert box.width < cell[0]
+        assert box.height < cell[1]
+
+
+def test_a_share_is_given_to_the_digit_of_its_error():
+    minus = "\N{MINUS SIGN}"
+    assert in_cell(0.20173, 0.0031) == "0.202\n±0.003"
+    assert in_cell(12.3, 2.0) == "12\n±2"
+    assert in_cell(0.0123, 0.0) == "0.012", "exact"
+    assert in_cell(2.1e-6, 0.0) == f"2e{minus}6"
+
+
+def test_errors_of_powers_are_what_independent_rays_scatter_by():
+    """The mean stated variance against the variance over replicates: chi-square, 3 sums, 1e-4 in all."""
+    random, replicates, launched = np.random.default_rng(5), 400, 60
+    sums, stated = np.empty((replicates, 3)), np.empty((replicates, 3))
+    for k in range(replicates):
+        # Two paths a ray in the first sum, whose powers go together; a rare one in the second; the third has none.
+        common = random.exponential(1.0, launched)
+        rare = np.where(random.random(launched) < 0.1, random.exponential(5.0, launched), 0.0)
+        power = np.concatenate([common, 0.5 * common, rare])
+        source = np.tile(np.arange(launched), 3)
+        group = np.repeat([0, 0, 1], launched)
+        sums[k] = np.bincount(group, power, 3)
+        stated[k] = standard_errors(power, source, group, 3)
+    assert (stated[:, 2] == 0.0).all()
+    ratio = (replicates - 1) * sums[:, :2].var(axis=0, ddof=1) / (stated[:, :2] ** 2).mean(axis=0)
+    low, high = stats.chi2.ppf([0.5e-4 / 3, 1 - 0.5e-4 / 3], replicates - 1)
+    # The sums are not normal: their kurtosis widens the interval.
+    excess = stats.kurtosis(sums[:, :2], axis=0)
+    wider = np.sqrt(1.0 + np.maximum(excess, 0.0) / 2.0)
+    middle = replicates - 1
+    assert (ratio > middle - wider * (middle - low)).all()
+    assert (ratio < middle + wider * (high - middle)).all()
+
+
+def test_pairs_that_only_some_rays_see_have_an_error(rays):
+    matrix = ghost_matrix(rays)
+    assert (matrix.error[matrix.power > 0.0] > 0.0).all()
+    assert (matrix.error[matrix.power == 0.0] == 0.0).all()
+    assert (matrix.error < matrix.power.max()).all()
 
 
 def test_the_figure_is_written_as_its_ending_says(tmp_path, rays):
@@ -84,7 +143,7 @@ def test_the_figure_is_written_as_its_ending_says(tmp_path, rays):
     with PIL.Image.open(matrix.save(tmp_path / "ghosts.png")) as picture:
         assert np.ptp(np.asarray(picture.convert("L"))) > 100
     assert matrix.save(tmp_path / "ghosts.svg").read_text(encoding="utf-8").startswith("<?xml")
-    with pytest.raises(lf.LfmeshError, match=r"\.png, \.svg or \.pdf"):
+    with pytest.raises(lf.LfmeshError, match=r"one of \.svg, \.png, \.pdf"):
         matrix.save(tmp_path / "ghosts.tiff")
     with pytest.raises(lf.FileError):
         matrix.save(tmp_path / "nowhere" / "ghosts.png")

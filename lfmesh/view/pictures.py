@@ -1,4 +1,4 @@
-"""Pictures for the page: 8-bit arrays as data URLs, which travel through the guarded websocket."""
+"""Pictures as 8-bit arrays, for pages and notebooks, and as data URLs, which need no file beside them."""
 
 import base64
 import io

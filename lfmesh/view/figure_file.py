@@ -1,0 +1,72 @@
+"""A matplotlib figure as a file: the ending and folder checked before anything is drawn, the same bytes every time."""
+
+import io
+import re
+from collections.abc import Collection
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lfmesh.errors import FileError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PICTURES = (".svg", ".png", ".pdf")
+"""Endings of what matplotlib writes."""
+
+PNG_DPI = 150
+
+
+def checked_kind(path: Path, what: str, endings: Collection[str] = PICTURES) -> str:
+    """Return the kind of file that a path asks for, "svg" say.
+
+    Parameters
+    ----------
+    path : Path
+    what : str
+        The drawing in words, for the message: "a lens sheet".
+    endings : collection of str
+        Those that are valid.
+
+    Raises
+    ------
+    FileError
+        The ending is none of these, or the folder does not exist.
+    """
+    ending = path.suffix.lower()
+    if ending not in endings:
+        found = f"ends in {path.suffix}" if path.suffix else "has no ending"
+        raise FileError(f"{path}: {found}; {what} is one of {', '.join(endings)}")
+    if not path.parent.is_dir():
+        raise FileError(f"{path}: there is no folder {path.parent}; make it, or give another")
+    return ending.lstrip(".")
+
+
+def encoded_figure(figure: "Figure", kind: str, title: str | None = None, dpi: float = PNG_DPI) -> bytes:
+    """Return a figure as the bytes of a file, without dates and versions: the same figure makes the same bytes.
+
+    SVG numbers its parts by `svg.hashsalt` of the style in force, which has to be set.
+
+    Parameters
+    ----------
+    figure : Figure
+    kind : {"svg", "png", "pdf"}
+    title : str, optional
+        For the file's metadata.
+    dpi : float
+        Pixels an inch, of a PNG and of what is rastered in the others.
+    """
+    metadata: dict[str, dict[str, Any]] = {
+        "svg": {"Date": None, "Creator": None, "Title": title},
+        "png": {"Software": None},
+        "pdf": {"CreationDate": None, "Creator": None, "Producer": None, "Title": title},
+    }
+    content = io.BytesIO()
+    figure.savefig(content, format=kind, dpi=dpi, metadata=metadata[kind])
+    return content.getvalue()
+
+
+def inline_svg(svg: bytes) -> str:
+    """Return an SVG file as an element that can stand in a page of HTML."""
+    text = svg.decode()
+    return re.sub(r"\s*<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)

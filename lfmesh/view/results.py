@@ -1,0 +1,492 @@
+"""How results show in notebooks and figures: pictures upright, their scale in physical units, key figures in words.
+
+Results inherit from `lfmesh.notebook`, which asks here.
+"""
+
+import io
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import singledispatch
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import PIL.Image
+from numpy.typing import NDArray
+
+from lfmesh.analysis.analysis import LensAnalysis
+from lfmesh.errors import LfmeshError
+from lfmesh.files.colour import srgb_encode, to_display
+from lfmesh.files.preview import well_known, white_point
+from lfmesh.files.words import count, duration, noise, percent
+from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.lightfield.depth import DepthMap
+from lfmesh.lightfield.depth_truth import DepthTruth
+from lfmesh.lightfield.detector import Exposed
+from lfmesh.lightfield.field import LightField
+from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph
+from lfmesh.lightfield.upright import Upright
+from lfmesh.notebook import in_notebook
+from lfmesh.scene import FirstOrder, Scene
+from lfmesh.templates import filled
+from lfmesh.transport.packets.ledger import Ledger
+from lfmesh.transport.packets.packet import Status
+from lfmesh.transport.render.image import Image
+from lfmesh.transport.trace import Paths
+from lfmesh.transport.world import World
+from lfmesh.view.figure_file import encoded_figure
+from lfmesh.view.pictures import coloured, file_url
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TEMPLATE = Path(__file__).parent / "templates" / "result.html"
+
+LARGEST_PX, SMALLEST_PX = 360, 200
+"""A picture in a notebook is reduced to the one, and a small one's pixels are enlarged until it is as large as the
+other."""
+
+MOST_PLANES = 5
+"""Photographs of a focal stack that are shown."""
+
+PANEL_IN = 4.4
+"""Width of a panel in a figure, inches."""
+
+MOST_MEASURED = 4_000_000
+"""Pixels up to which the noise of an image is measured to be shown: that takes some microseconds a pixel."""
+
+GAMMA = 1.0 / 2.2
+"""Of grey pictures in figures, about that of a screen, so that the scale beside them can tell the light."""
+
+FIGURE_DPI = 90
+
+Floats = NDArray[np.floating]
+Rows = list[tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One picture of a result.
+
+    Attributes
+    ----------
+    title : str
+    values : (H, W) or (H, W, 3) float
+        Upright; light is linear, three channels are sRGB primaries.
+    low, high : float
+        Black and white of light, or the ends of the colours of a map.
+    unit : str
+        What the scale beside the picture says.
+    is_light : bool
+        Shown as light; if not, as a map in colours.
+    size_mm : (width, height), optional
+        For the axes, which count samples where it is None.
+    place : str
+        Where the size is measured.
+    """
+
+    title: str
+    values: Floats
+    low: float
+    high: float
+    unit: str
+    is_light: bool = True
+    size_mm: tuple[float, float] | None = None
+    place: str = ""
+
+
+def _light(title: str, light: Floats, wavelengths_nm: tuple[float, ...], unit: str, **more: Any) -> Panel:
+    """Return a panel of upright (H, W, channels) light that exposes itself; `known` (H, W) pixels set the exposure."""
+    known = more.pop("known", None)
+    shown = to_display(np.nan_to_num(light).astype(np.float64), wavelengths_nm)
+    return Panel(title, shown, 0.0, white_point(shown, known), unit, **more)
+
+
+def _map(title: str, values: Floats, unit: str, low: float | None = None, high: float | None = None) -> Panel:
+    known = values[np.isfinite(values)]
+    ends = np.percentile(known, [3.0, 97.0]) if known.size else (0.0, 1.0)
+    return Panel(title, values, ends[0] if low is None else low, ends[1] if high is None else high, unit, False)
+
+
+@singledispatch
+def panels(result: object) -> list[Panel]:
+    """Return the pictures of a result, the most telling first."""
+    raise LfmeshError(f"a {type(result).__name__} has no picture")
+
+
+@panels.register
+def _(image: Image) -> list[Panel]:
+    upright = Upright.of(image.scene).picture
+    known = well_known(image.mean, image.stderr) if image.replicates > 1 else None
+    rows, columns = image.mean.shape[:2]
+    pixel = image.scene.camera.sensor.pixel_mm
+    return [
+        _light(
+            image.scene.name or "raw image", upright(image.mean), image.wavelengths_nm, "W per pixel",
+            known=None if known is None else upright(known),
+            size_mm=(columns * pixel, rows * pixel), place="on the sensor",
+        )
+    ]  # fmt: skip
+
+
+@panels.register
+def _(field: LightField) -> list[Panel]:
+    rows, columns = field.views
+    height, width = field.size
+    step_t, step_s = field.spacing_mm
+    middle = field.view(rows // 2, columns // 2)
+    return [
+        _light(
+            "the middle view", middle, field.wavelengths_nm, field.unit,
+            size_mm=(width * step_s, height * step_t), place="on the array",
+        ),
+        _light("all views", field.views_mosaic(), field.wavelengths_nm, field.unit),
+    ]  # fmt: skip
+
+
+@panels.register
+def _(photograph: Photograph) -> list[Panel]:
+    height, width = photograph.mean.shape[:2]
+    sample = photograph.sample_mm
+    title = f"focused on {photograph.distance_mm:,.5g} mm"
+    size = (width * sample, height * sample) if math.isfinite(sample) else None
+    wavelengths = photograph.wavelengths_nm
+    return [_light(title, photograph.mean, wavelengths, photograph.unit, size_mm=size, place="in the plane in focus")]
+
+
+@panels.register
+def _(stack: FocalStack) -> list[Panel]:
+    number = len(stack.photographs)
+    chosen = sorted({round(k) for k in np.linspace(0, number - 1, min(number, MOST_PLANES))})
+    return [panel for k in chosen for panel in panels(stack.photographs[k])]
+
+
+@panels.register
+def _(sharp: AllInFocus) -> list[Panel]:
+    light = _light("all in focus", sharp.mean, sharp.wavelengths_nm, sharp.unit)
+    return [light, _map("taken from the plane at", sharp.distance_mm, "mm")]
+
+
+@panels.register
+def _(depth: DepthMap) -> list[Panel]:
+    return [_map("depth", depth.distance_mm, "mm"), _map("confidence", depth.confidence, "", 0.0, 1.0)]
+
+
+@panels.register
+def _(truth: DepthTruth) -> list[Panel]:
+    return [_map("true depth", truth.middle_mm, "mm")]
+
+
+@panels.register
+def _(exposed: Exposed) -> list[Panel]:
+    counts = exposed.upright.picture(exposed.counts).astype(np.float64)
+    top = float(2**exposed.detector.bits - 1)
+    title = f"counts of {exposed.detector.bits} bits" + (", mosaic" if exposed.detector.bayer else "")
+    return [Panel(title, counts, float(exposed.detector.black_level), min(top, float(counts.max())), "counts")]
+
+
+@singledispatch
+def key_figures(result: object) -> Rows:
+    """Return what there is to know of a result in short: names and values."""
+    raise LfmeshError(f"a {type(result).__name__} has no key figures")
+
+
+def _channels(wavelengths_nm: Sequence[float], names: Sequence[str] = ()) -> tuple[str, str]:
+    if names:
+        return "bands", ", ".join(names)
+    shown = ", ".join(f"{wavelength:g}" for wavelength in wavelengths_nm)
+    return f"wavelength{'s' if len(wavelengths_nm) > 1 else ''}", f"{shown} nm"
+
+
+@key_figures.register
+def _(image: Image) -> Rows:
+    rows, columns = image.mean.shape[:2]
+    known = "not known: fewer than 2 replicates"
+    if image.mean.size > MOST_MEASURED:
+        known = "in image.error"
+    elif (measured := noise(image).relative_error) is not None:
+        known = f"{percent(measured[1])} of a lit pixel, the median"
+    return [
+        ("pixels", f"{columns} × {rows}"),
+        _channels(image.wavelengths_nm, image.channel_names),
+        ("samples", f"{image.samples:g} a pixel"),
+        ("replicates", f"{image.replicates} of {image.scene.transport.replicates}"),
+        ("standard error", known),
+        ("light on the sensor", f"{image.mean.sum():.4g} W"),
+        ("pixels with light", percent(float((image.mean > 0.0).mean()))),
+        ("energy lost", percent(image.ledger.lost_share)),
+        ("traced", f"{count(image.ledger.packets)} packets in {duration(image.seconds)}"),
+    ]
+
+
+@key_figures.register
+def _(field: LightField) -> Rows:
+    rows, columns = field.views
+    height, width = field.size
+    return [
+        ("views", f"{columns} × {rows}"),
+        ("samples of a view", f"{width} × {height}"),
+        _channels(field.wavelengths_nm, field.scene.channel_names),
+        ("unit", field.unit),
+        ("sampling", field.sampling),
+        ("samples without light", percent(float(np.isnan(field.data).mean()))),
+    ]
+
+
+@key_figures.register
+def _(photograph: Photograph) -> Rows:
+    height, width = photograph.mean.shape[:2]
+    return [
+        ("focused on", f"{photograph.distance_mm:,.6g} mm before the first vertex"),
+        ("aperture", f"f/{photograph.f_number:.3g}"),
+        ("samples", f"{width} × {height}, {photograph.sample_mm:.3g} mm each in that plane"),
+        _channels(photograph.wavelengths_nm),
+        ("unit", photograph.unit),
+    ]
+
+
+@key_figures.register
+def _(stack: FocalStack) -> Rows:
+    planes = stack.distances_mm
+    height, width = stack.photographs[0].mean.shape[:2]
+    return [
+        ("planes", f"{len(planes)}, from {min(planes):,.5g} to {max(planes):,.5g} mm"),
+        ("samples", f"{width} × {height}"),
+        _channels(stack.photographs[0].wavelengths_nm),
+        ("unit", stack.photographs[0].unit),
+    ]
+
+
+@key_figures.register
+def _(sharp: AllInFocus) -> Rows:
+    height, width = sharp.mean.shape[:2]
+    return [
+        ("samples", f"{width} × {height}"),
+        ("planes", f"{sharp.distance_mm.min():,.5g} to {sharp.distance_mm.max():,.5g} mm"),
+        _channels(sharp.wavelengths_nm),
+        ("unit", sharp.unit),
+    ]
+
+
+def _of_depth(values: Floats) -> Rows:
+    height, width = values.shape
+    known = values[np.isfinite(values)]
+    middle = f"{np.median(known):,.5g} mm" if known.size else "none"
+    return [
+        ("samples", f"{width} × {height}"),
+        ("with a depth", percent(known.size / values.size)),
+        ("median", middle),
+    ]
+
+
+@key_figures.register
+def _(depth: DepthMap) -> Rows:
+    nearest, farthest = depth.range_mm
+    return [*_of_depth(depth.distance_mm), ("searched", f"{nearest:,.5g} to {farthest:,.5g} mm")]
+
+
+@key_figures.register
+def _(truth: DepthTruth) -> Rows:
+    views_v, views_u = truth.views_mm.shape[:2]
+    return [("views", f"{views_u} × {views_v}"), *_of_depth(truth.middle_mm)]
+
+
+@key_figures.register
+def _(exposed: Exposed) -> Rows:
+    height, width = exposed.counts.shape
+    detector = exposed.detector
+    return [
+        ("pixels", f"{width} × {height}"),
+        ("exposure", f"{detector.exposure_s:g} s"),
+        ("colour filters", detector.bayer or "none"),
+        ("largest count", f"{exposed.counts.max()} of {2**detector.bits - 1}"),
+        ("full wells", percent(float(exposed.saturated.mean()))),
+    ]
+
+
+@key_figures.register
+def _(report: FirstOrder) -> Rows:
+    return report.rows()
+
+
+@key_figures.register
+def _(analysis: LensAnalysis) -> Rows:
+    facts = analysis.first_order
+    at = "infinity" if math.isinf(analysis.object_mm) else f"{analysis.object_mm:.6g} mm"
+    rows = [
+        ("focal length", f"{facts.efl_mm:.4f} mm, f/{facts.working_f_number:.3f} at work"),
+        ("object", at),
+        ("image plane", f"z = {analysis.image_z_mm:.4f} mm"),
+        _channels(analysis.wavelengths_nm),
+        ("Airy radius", f"{1e3 * analysis.airy_radius_mm:.3f} µm"),
+    ]
+    spots = zip(analysis.heights_mm, analysis.spots, strict=True)
+    return rows + [
+        (f"spot at {height:.2f} mm", f"rms {1e3 * spot.rms_mm:.2f} µm, {spot.passed:.1%} of the rays pass")
+        for height, spot in spots
+    ]
+
+
+@key_figures.register
+def _(ledger: Ledger) -> Rows:
+    ends = [("sensor", ledger.sensor), *ledger.absorbed.items(), ("left the scene", ledger.escaped)]
+    ends += [("cut by max_events", ledger.depth), ("lost to rounding", sum(ledger.lost.values()))]
+    into = ledger.emitted or 1.0
+    rows = [("emitted", f"{ledger.emitted:.6g} {ledger.unit}")]
+    rows += [(name, percent(share / into)) for name, share in sorted(ends, key=lambda end: -end[1]) if share > 0.0]
+    return [*rows, ("not closed", f"{ledger.imbalance:.1e} of what was emitted")]
+
+
+@key_figures.register
+def _(paths: Paths) -> Rows:
+    rows = [("packets", f"{len(paths):,}"), ("weight in all", f"{paths.weight.sum():.6g}")]
+    for status in Status:
+        of_status = paths.status == status
+        if of_status.any():
+            weight = paths.weight[of_status].sum()
+            rows.append((status.name.lower(), f"{int(of_status.sum()):,} packets of weight {weight:.6g}"))
+    return [*rows, ("most interfaces met", f"{int(paths.events.max(initial=0))}")]
+
+
+@key_figures.register
+def _(world: World) -> Rows:
+    mla = world.scene.camera.mla
+    targets = [target.name or f"targets[{i}]" for i, target in enumerate(world.scene.targets)]
+    return [
+        ("scene", world.scene.name or "without a name"),
+        ("lens", f"{len(world.lens_shape.elements)} elements, f = {world.first_order.efl_mm:.4g} mm"),
+        ("array", "none" if mla is None else f"{mla.count[0]} × {mla.count[1]} lenslets"),
+        ("sensor", "{} × {} pixels".format(*world.scene.camera.sensor.pixels)),
+        ("targets", ", ".join(targets) or "none"),
+        ("lights", str(len(world.scene.lights))),
+    ]
+
+
+@key_figures.register
+def _(scene: Scene) -> Rows:
+    camera = scene.camera
+    targets = [target.name or f"targets[{i}]" for i, target in enumerate(scene.targets)]
+    transport = scene.transport
+    rows = [("scene", scene.name or "without a name"), ("targets", ", ".join(targets) or "none")]
+    rows += [("lights", str(len(scene.lights))), ("sensor", "{} × {} pixels".format(*camera.sensor.pixels))]
+    if camera.mla is not None:
+        rows.append(("array", f"{camera.mla.count[0]} × {camera.mla.count[1]} lenslets"))
+    rows.append(("transport", f"{transport.method}, {transport.samples} samples, {transport.replicates} replicates"))
+    try:
+        facts = solved_camera(scene).report
+    except LfmeshError as fault:
+        return [*rows, ("cannot be solved", str(fault))]
+    focus = f"{facts.object_distance_mm:,.5g} mm"
+    return [*rows, ("focus", focus), ("lens", f"f = {facts.efl_mm:.4g} mm, f/{facts.working_f_number:.3g} at work")]
+
+
+def html_of(result: object) -> str:
+    """Return a result for a notebook: a table of key figures, beside its picture if it has one."""
+    picture, width = None, 0
+    if _has_picture(result):
+        shown = _enlarged(_pixels(panels(result)[0]))
+        picture, width = file_url(_png(shown), "image/png"), shown.width
+    warnings = getattr(result, "warnings", ())
+    kind = type(result).__name__
+    return filled(TEMPLATE, kind=kind, rows=key_figures(result), picture=picture, width=width, warnings=warnings)
+
+
+def png_of(result: object) -> bytes:
+    """Return a result's picture as a PNG, upright and small enough for a notebook."""
+    return _png(_enlarged(_pixels(panels(result)[0])))
+
+
+def _has_picture(result: object) -> bool:
+    return panels.dispatch(type(result)) is not panels.dispatch(object)
+
+
+def _pixels(panel: Panel) -> NDArray[np.uint8]:
+    """Return a panel as 8-bit sRGB (H, W) or (H, W, 3)."""
+    if not panel.is_light:
+        return coloured(panel.values, panel.low, panel.high)
+    width = panel.high - panel.low
+    return srgb_encode((panel.values - panel.low) / width) if width > 0.0 else np.zeros(panel.values.shape, np.uint8)
+
+
+def _enlarged(pixels: NDArray[np.uint8]) -> PIL.Image.Image:
+    """Return a picture of a size that suits a notebook."""
+    picture = PIL.Image.fromarray(np.ascontiguousarray(pixels))
+    longest = max(picture.size)
+    if longest > LARGEST_PX:
+        picture.thumbnail((LARGEST_PX, LARGEST_PX), PIL.Image.Resampling.BOX)
+    elif longest < SMALLEST_PX:
+        times = math.ceil(SMALLEST_PX / longest)
+        width, height = picture.size
+        picture = picture.resize((times * width, times * height), PIL.Image.Resampling.NEAREST)
+    return picture
+
+
+def _png(picture: PIL.Image.Image) -> bytes:
+    content = io.BytesIO()
+    picture.save(content, format="PNG", optimize=True)
+    return content.getvalue()
+
+
+def figure_of(result: object, make: Callable[..., "Figure"] | None = None) -> "Figure":
+    """Return the pictures of a result as a figure of matplotlib, side by side, with axes and scales.
+
+    Parameters
+    ----------
+    result : object
+    make : callable, optional
+        Makes the figure from matplotlib's keywords: `matplotlib.pyplot.figure` for one in a window.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    drawn = panels(result)
+    figure = (make or Figure)(figsize=(PANEL_IN * len(drawn), PANEL_IN), layout="constrained")
+    if make is None:
+        FigureCanvasAgg(figure)
+    for axes, panel in zip(figure.subplots(1, len(drawn), squeeze=False)[0], drawn, strict=True):
+        _draw(axes, panel)
+    return figure
+
+
+def _draw(axes: Any, panel: Panel) -> None:
+    """Draw a panel: its picture, axes in mm, and what its shades or colours mean."""
+    from matplotlib.colors import Normalize, PowerNorm
+    from matplotlib.ticker import MaxNLocator
+
+    extent = None
+    if panel.size_mm is not None:
+        width, height = panel.size_mm
+        extent = (-0.5 * width, 0.5 * width, -0.5 * height, 0.5 * height)
+        axes.set_xlabel(f"mm {panel.place}")
+    else:
+        axes.set_xticks([])
+        axes.set_yticks([])
+    axes.set_title(panel.title, fontsize=10, loc="left")
+    if panel.values.ndim == 3:
+        axes.imshow(_pixels(panel), extent=extent, interpolation="nearest")
+        return
+    high = panel.high if panel.high > panel.low else panel.low + 1.0
+    norm = PowerNorm(GAMMA, panel.low, high, clip=True) if panel.is_light else Normalize(panel.low, high)
+    axes.set_facecolor("#dddddd")
+    drawn = axes.imshow(
+        panel.values, norm=norm, cmap="gray" if panel.is_light else "viridis", extent=extent, interpolation="nearest"
+    )
+    bar = axes.figure.colorbar(drawn, ax=axes, shrink=0.75, extend="max" if panel.is_light else "neither")
+    bar.set_label(panel.unit)
+    bar.ax.yaxis.set_major_locator(MaxNLocator(4))
+    bar.ax.tick_params(labelsize=8)
+
+
+def show(result: object) -> None:
+    """Show the pictures of a result: in a notebook below the cell, else in a window until that is closed."""
+    if in_notebook():
+        from IPython.display import Image as Displayed
+        from IPython.display import display
+
+        display(Displayed(encoded_figure(figure_of(result), "png", dpi=FIGURE_DPI)))
+        return
+    from matplotlib import pyplot
+
+    figure_of(result, pyplot.figure)
+    pyplot.show()

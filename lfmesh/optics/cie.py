@@ -97,6 +97,18 @@ def planck_radiance(wavelength_nm: ArrayLike, temperature_k: float) -> Array:
     return np.asarray(1e-9 * per_metre)
 
 
+def planck_constants(wavelength_nm: ArrayLike) -> tuple[Array, Array]:
+    """Return c₁ in W/(m² sr nm) and c₂ in K of Planck's law, c₁ / (exp(c₂ / T) − 1), at some wavelengths.
+
+    Parameters
+    ----------
+    wavelength_nm : (...) array_like, nm
+    """
+    w = 1e-9 * np.asarray(wavelength_nm, dtype=np.float64)
+    first = 2e-9 * PLANCK_J_S * SPEED_OF_LIGHT_M_S**2 / w**5
+    return np.asarray(first), np.asarray(PLANCK_J_S * SPEED_OF_LIGHT_M_S / (w * BOLTZMANN_J_K))
+
+
 @cache
 def _read(name: str) -> Array:
     """Return a table of this folder; NaN where a cell is empty."""

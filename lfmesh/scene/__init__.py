@@ -14,6 +14,7 @@ from lfmesh.scene.lights import (
     PointLight,
     SpotLight,
 )
+from lfmesh.scene.media import Grid, Medium
 from lfmesh.scene.mla import ArrayForm, MicrolensArray
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.scene.pose import Pose
@@ -40,12 +41,14 @@ __all__ = [
     "Finish",
     "FirstOrder",
     "Gloss",
+    "Grid",
     "Layer",
     "Lens",
     "Light",
     "LinearPolarisation",
     "Liquid",
     "Material",
+    "Medium",
     "MeshFace",
     "MeshShape",
     "MicrolensArray",

@@ -19,6 +19,7 @@ from lfmesh.scene.coatings import Coating, name_fault, unknown_fault
 from lfmesh.scene.finishes import Finish
 from lfmesh.scene.inputs import found
 from lfmesh.scene.lights import Light
+from lfmesh.scene.media import Medium
 from lfmesh.scene.model import Fault, Location, Model
 from lfmesh.scene.quantities import Text
 from lfmesh.scene.spectra import Spectrum, curve_of
@@ -56,6 +57,8 @@ class Scene(Model, Shown):
     """Boxes of windows and liquid in front of the camera."""
     lights: tuple[Light, ...] = ()
     """What lights them."""
+    media: tuple[Medium, ...] = ()
+    """What light passes through on its way: flames, fog, smoke."""
     coatings: dict[str, Coating] = Field(default_factory=dict)
     """Coatings by the names that surfaces give."""
     transport: Transport = Field(default_factory=Transport)
@@ -161,6 +164,12 @@ class Scene(Model, Shown):
             elif material.spectrum is not None:
                 changes[f"targets[{i}].material.spectrum"] = None
         changes |= {f"lights[{i}].spectrum": None for i in range(len(self.lights))}
+        for i, medium in enumerate(self.media):
+            if medium.temperature_k is not None or isinstance(medium.emission_w_mm3_sr, Spectrum):
+                changes |= {f"media[{i}].{key}": None for key in ("temperature_k", "spectrum")}
+                changes[f"media[{i}].emission_w_mm3_sr"] = 1.0
+            elif medium.spectrum is not None:
+                changes[f"media[{i}].spectrum"] = None
         return self.changed(changes)
 
     @property
@@ -278,6 +287,12 @@ class Scene(Model, Shown):
             if material.temperature_k is not None and not in_bands:
                 yield Fault((*where, "temperature_k"), material.temperature_k, NEEDS_BANDS)
         uses += [(("lights", i, "spectrum"), light.spectrum, True) for i, light in enumerate(self.lights)]
+        for i, medium in enumerate(self.media):
+            where = ("media", i)
+            uses += [((*where, key), getattr(medium, key), False) for key in ("absorption_per_mm", "scattering_per_mm")]
+            uses += [((*where, key), getattr(medium, key), True) for key in ("emission_w_mm3_sr", "spectrum")]
+            if medium.temperature_k is not None and not in_bands:
+                yield Fault((*where, "temperature_k"), medium.temperature_k, NEEDS_BANDS)
         for where, spectrum, is_density in uses:
             if not isinstance(spectrum, Spectrum):
                 continue

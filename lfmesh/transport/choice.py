@@ -35,7 +35,7 @@ def engine_of(scene: Scene) -> tuple[str, str]:
     return "sequential", "the scene asks for the image path alone; exact surfaces in their order"
 
 
-def obstacle_of(scene: Scene, surface: str, max_events: int) -> str | None:
+def obstacle_of(scene: Scene, surface: str, max_events: int, *, tracing: bool = False) -> str | None:
     """Return why the sequential engine cannot trace a scene, in words; None if it can.
 
     Parameters
@@ -44,9 +44,13 @@ def obstacle_of(scene: Scene, surface: str, max_events: int) -> str | None:
     surface : str
         Surface level, as in `transport.surface`.
     max_events : int
+    tracing : bool
+        For given rays.
     """
     if scene.transport.polarisation:
         return "transport.polarisation is the mesh engine's"
+    if scene.media and tracing:
+        return "media are followed packet by packet"
     if surface != "exact":
         return f'surface = "{surface}" is a mesh\'s'
     lens = scene.camera.lens

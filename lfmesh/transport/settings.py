@@ -36,9 +36,13 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
         adjoint=transport.method == "adjoint" and not tracing,
         tracing=tracing,
         record=record,
-        # Light may go from target to target, unless there is only a single flat sheet.
+        # Light may go from target to target, unless there is only a single flat sheet, and no medium sends it there.
         bounce=not tracing
-        and (len(tables.objects.one_sided) > 1 or bool((tables.objects.facets["body"] >= 0).sum() > 2)),
+        and (
+            len(tables.objects.one_sided) > 1
+            or bool((tables.objects.facets["body"] >= 0).sum() > 2)
+            or (tables.objects.volumes is not None and (tables.objects.volumes.scatters or tables.objects.volumes.emit))
+        ),
         aimed=True,
         sequential=not tracing and engine_of(world.scene)[0] == "sequential",
         paths=EVERY,

@@ -291,7 +291,7 @@ def _options(
     if engine not in ("mesh", "sequential"):
         raise LfmeshError(f'engine = {engine!r}: use "mesh" or "sequential"')
     if engine == "sequential":
-        obstacle = obstacle_of(world.scene, level, depth)
+        obstacle = obstacle_of(world.scene, level, depth, tracing=True)
         if split != "transmit":
             obstacle = f"split = {split!r} follows reflections"
         elif record:

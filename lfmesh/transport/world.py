@@ -26,7 +26,7 @@ from lfmesh.geometry.tessellation import (
 from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aiming.aim_proof import AimProof
-from lfmesh.transport.aiming.aim_table import aim_table, unaimed
+from lfmesh.transport.aiming.aim_table import aim_table, targets_in_camera, unaimed
 from lfmesh.transport.collisions import refuse_collisions
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.packets.packet import (
@@ -54,6 +54,7 @@ from lfmesh.transport.tables.tables import (
     SensorTables,
     Tables,
 )
+from lfmesh.transport.tables.volumes import corners_in_camera
 
 if TYPE_CHECKING:
     import trimesh
@@ -241,7 +242,8 @@ def book_of(scene: Scene, shape: LensShape) -> Book:
     for k, medium in enumerate(shape.media[1:-1], start=1):
         element += medium is not None
         spaces[k] = f"lens[{element}]" if medium is not None else f"the air behind lens[{element}]"
-    return Book.of_bodies(len(shape.elements), targets, spaces, coatings_in_book(scene))
+    media = [medium.name or f"media[{i}]" for i, medium in enumerate(scene.media)]
+    return Book.of_bodies(len(shape.elements), targets, spaces, coatings_in_book(scene), media)
 
 
 def _refuse_rough_patches(scene: Scene, shape: LensShape, interfaces: InterfaceTables) -> None:
@@ -315,6 +317,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     for line in closed_gaps(scene, targets):
         warnings.warn(line, ClosedGapWarning, stacklevel=2)
     object_mesh, objects = object_tables(scene, targets, housing, moves, book, lines, interfaces.objects, known, ranks)
+    seen = [targets_in_camera(targets, moves), corners_in_camera(objects.volumes, moves)]
     columns, rows = scene.camera.sensor.pixels
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
     anywhere = unaimed(scene, lens)
@@ -322,7 +325,9 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     def find_aim() -> tuple[AimTables, AimProof | None]:
         if not aimed:
             return anywhere, None
-        return aim_table(scene, report, lens, mla, sensor, targets, moves, analytic=bool(shape.analytic.all()))
+        return aim_table(
+            scene, report, lens, mla, sensor, np.concatenate(seen), moves, analytic=bool(shape.analytic.all())
+        )
 
     polarised = polarisation_tables(scene, wavelengths_nm, moves, book)
     tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=anywhere, polarised=polarised)

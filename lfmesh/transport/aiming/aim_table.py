@@ -43,7 +43,7 @@ def aim_table(
     lens: LensTables,
     mla: MlaTables,
     sensor: SensorTables,
-    targets: list[TargetMesh],
+    seen: Array,
     moves: Array,
     *,
     analytic: bool,
@@ -56,16 +56,13 @@ def aim_table(
     report : FirstOrder
     lens, mla, sensor
         Tables of the scene.
-    targets : list of TargetMesh
-        World frame.
+    seen : (n, 3) float64, mm
+        Corners of targets and media, camera frame.
     moves : (5, 5, 3, 4) float64
         Between frames, see `frame_table`.
     analytic : bool
         Every surface of the lens is exact, so that the opening is found by real rays; else by first-order optics.
     """
-    seen = np.concatenate(
-        [frame.points(moves[WORLD_FRAME, CAMERA_FRAME], t.mesh.vertices) for t in targets] or [np.zeros((0, 3))]
-    )
     if lens.interfaces.rough or mla.interfaces.rough:
         return _anywhere(scene, lens, mla, seen, moves), None
     key = digest(scene.camera, scene.transport.split, report, lens, mla, sensor, seen, moves, analytic)
@@ -79,6 +76,20 @@ def aim_table(
         while len(_kept) > KEPT:
             _kept.popitem(last=False)
     return found
+
+
+def targets_in_camera(targets: list[TargetMesh], moves: Array) -> Array:
+    """Return the corners of targets, given in the world frame, in the camera frame, (n, 3) mm.
+
+    Parameters
+    ----------
+    targets : list of TargetMesh
+    moves : (5, 5, 3, 4) float64
+        Between frames, see `frame_table`.
+    """
+    return np.concatenate(
+        [frame.points(moves[WORLD_FRAME, CAMERA_FRAME], t.mesh.vertices) for t in targets] or [np.zeros((0, 3))]
+    )
 
 
 def digest(*values: Any) -> bytes:

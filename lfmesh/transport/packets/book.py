@@ -89,6 +89,8 @@ class Book:
         Slot numbers of energy lost in each target, and in each space of the lens.
     coatings : dict of str to int
         Slot numbers of the coatings, by name.
+    media : (n,) int64
+        Slot numbers of what media absorb.
     """
 
     slots: tuple[Slot, ...]
@@ -97,9 +99,13 @@ class Book:
     lost_in_targets: Slots
     lost_in_spaces: Slots
     coatings: dict[str, int] = field(default_factory=dict)
+    media: Slots = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @classmethod
-    def of_bodies(cls, elements: int, targets: list[str], spaces: list[str], coatings: Sequence[str] = ()) -> "Book":
+    def of_bodies(
+        cls, elements: int, targets: list[str], spaces: list[str], coatings: Sequence[str] = (),
+        media: Sequence[str] = (),
+    ) -> "Book":  # fmt: skip
         """Return the book of a scene.
 
         Parameters
@@ -108,8 +114,8 @@ class Book:
             Pieces of glass in the lens.
         targets, spaces : list of str
             Names of the targets, and of the spaces between the surfaces of the lens.
-        coatings : sequence of str
-            Names of the coatings.
+        coatings, media : sequence of str
+            Names of the coatings, and of media in object space.
         """
         slots = list(FIXED)
         numbers = []
@@ -122,10 +128,11 @@ class Book:
             numbers.append(np.arange(len(slots), len(slots) + len(names)))
             slots += [Slot(name, account) for name in names]
         first = len(slots)
-        slots += [Slot(name, ABSORBED) for name in coatings]
+        slots += [Slot(name, ABSORBED) for name in (*coatings, *media)]
         edges, of_targets, lost_in_targets, lost_in_spaces = numbers
         by_name = {name: first + i for i, name in enumerate(coatings)}
-        return cls(tuple(slots), edges, of_targets, lost_in_targets, lost_in_spaces, by_name)
+        of_media = np.arange(len(slots) - len(media), len(slots))
+        return cls(tuple(slots), edges, of_targets, lost_in_targets, lost_in_spaces, by_name, of_media)
 
     def __len__(self) -> int:
         return len(self.slots)

@@ -90,6 +90,7 @@ from lfmesh.transport.regions.bodies import (
 )
 from lfmesh.transport.regions.lens import box_entry
 from lfmesh.transport.regions.targets import AIMED_CHILD, meet_target, passes, share_with_other
+from lfmesh.transport.regions.volumes import is_stopped_by_media
 from lfmesh.transport.tables.tables import AIR, OPAQUE, AimTables, LensTables, ObjectTables, body_row
 
 Array = NDArray[np.float64]
@@ -167,6 +168,8 @@ def shade_objects(
             facet = facets[max(prim, 0)]
         if prim >= 0 and _is_sheer(objects, facet.body) and passes(objects, packet, prim, t):
             _pass_on(options, flow, frames, objects, packet, prim, t)
+            continue
+        if is_stopped_by_media(objects.volumes, options, flow, frames, objects, lens, aim, packet, t):
             continue
         if packet.kind == SHADOW:
             if t >= packet.limit:

@@ -12,19 +12,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.kernel import kernel
+from lfmesh.optics.scattering import about
 from lfmesh.transport.engine import Workspace
-from lfmesh.transport.events.lighting import PLACE_U, PLACE_V, emitted
+from lfmesh.transport.events.crossing import record
+from lfmesh.transport.events.lighting import PLACE_U, PLACE_V, WAY_U, WAY_V, emitted
 from lfmesh.transport.events.polarisation import polarise_as_light
+from lfmesh.transport.events.volume import coefficients, span
 from lfmesh.transport.packets.book import EMITTED, ESCAPED
-from lfmesh.transport.packets.packet import LAMP, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, Options, put
+from lfmesh.transport.packets.packet import E_START, LAMP, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, Options, put
 from lfmesh.transport.packets.random import derived, start
 from lfmesh.transport.regions.targets import opacity_at, point_of, scatter, texture_at
+from lfmesh.transport.regions.volumes import drawn_point, send_from_medium
 from lfmesh.transport.sources.source import Source
-from lfmesh.transport.tables.tables import AimTables, ObjectTables
+from lfmesh.transport.tables.lights import MM2
+from lfmesh.transport.tables.tables import FIRST_VOLUME, AimTables, ObjectTables
 
 Array = NDArray[np.float64]
 
-SOURCE_U, SIDE = 0, 5
+SOURCE_U, SIDE, PLACE_W, PLACE_T = 0, 5, 6, 7
 """Dimensions of starting numbers; those between give the packet's point on the source and its direction."""
 
 
@@ -98,7 +103,10 @@ def launch_forward(
         which = min(int(np.searchsorted(sources["until"], start(key, SOURCE_U), side="right")), len(sources) - 1)
         source = sources[which]
         weight = source.power / (source.share * total)
-        if source.light >= 0:
+        if source.facet <= FIRST_VOLUME:
+            share, medium = weight / source.power, FIRST_VOLUME - source.facet
+            _from_medium(objects.volumes, objects, aim, frames, options, flow, packet, medium, share)
+        elif source.light >= 0:
             weight *= objects.light_spectra[source.light, colour]
             _from_lamp(objects, flow, packet, source.light, weight)
         else:
@@ -117,6 +125,50 @@ def _from_lamp(objects: ObjectTables, flow: Flow, packet: Any, number: int, weig
     packet.start = towards
     polarise_as_light(flow.polarised, packet, number, dx, dy, dz)
     put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, towards, packet.key, 0.0)
+
+
+@kernel
+def _from_medium(
+    volumes: Any, objects: ObjectTables, aim: AimTables, frames: Array, options: Options, flow: Flow, packet: Any,
+    number: int, weight: float,
+) -> None:  # fmt: skip
+    """Emit a packet from a random point of a medium, drawn by about its emission, in a random direction.
+
+    Parameters
+    ----------
+    volumes : Volumes or None
+        As for `is_stopped_by_media`.
+    number : int
+        Of the medium.
+    weight : float
+        One over the number of packets that share the medium's emission.
+    """
+    if volumes is None:
+        return
+    key, colour = packet.key, packet.colour
+    x, y, z, density = drawn_point(
+        objects, number, colour, start(key, PLACE_U), start(key, PLACE_V), start(key, PLACE_W), start(key, PLACE_T)
+    )
+    first, last = span(volumes.rows[number], x, y, z, 0.0, 0.0, 1.0)
+    if not first <= 0.0 <= last or density <= 0.0:
+        return
+    emission = coefficients(volumes, number, colour, 0.0, 0.0, x, y, z, 0.0, 0.0, 1.0)[2]
+    if emission <= 0.0:
+        return
+    # W/(m² sr mm) is 10⁻⁶ W/(mm³ sr).
+    packet.weight = weight * 4.0 * np.pi * MM2 * emission / density
+    packet.start = packet.weight
+    flow.book[EMITTED] += packet.weight
+    height, phi = 1.0 - 2.0 * start(key, WAY_U), 2.0 * np.pi * start(key, WAY_V)
+    dx, dy, dz = about(0.0, 0.0, 1.0, height, phi)
+    packet.dx, packet.dy, packet.dz = dx, dy, dz
+    if options.record:
+        packet.node = record(
+            flow, frames, OBJECT_FRAME, x, y, z, packet.weight, NO_SURFACE, NO_SURFACE, E_START, NO_SURFACE
+        )
+    send_from_medium(
+        options, flow, frames, objects, aim, packet, objects.volumes.isotropic[0], x, y, z, dx, dy, dz, key
+    )
 
 
 @kernel

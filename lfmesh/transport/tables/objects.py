@@ -23,12 +23,13 @@ from lfmesh.transport.tables.contacts import contacts
 from lfmesh.transport.tables.emitters import emitter_table, no_emitters
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.lens import curved
-from lfmesh.transport.tables.lights import MM2, light_tables, power_towards
+from lfmesh.transport.tables.lights import DIRECTIONAL, MM2, light_tables, power_towards
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.scattering import scattering_tables
 from lfmesh.transport.tables.spectra import radiance_at, reflectance_at
-from lfmesh.transport.tables.tables import AIR, BY_ALPHA, OPAQUE, ROUGH, SOURCE, Interfaces, ObjectTables
+from lfmesh.transport.tables.tables import AIR, BY_ALPHA, FIRST_VOLUME, OPAQUE, ROUGH, SOURCE, Interfaces, ObjectTables
+from lfmesh.transport.tables.volumes import Volumes, power_of, reach_of, volume_tables
 
 
 def middle_of(targets: list[TargetMesh]) -> Array:
@@ -226,8 +227,31 @@ def object_tables(
         lit_middle=np.zeros(3),
         lit_radius=radius,
     )
-    sources = _sources([*_lamps(tables), *_glowing_facets(tables, mesh)])
+    volumes = volume_tables(scene, moves, lines, book.media)
+    if volumes is not None:
+        tables = _with_volumes(tables, volumes)
+    sources = _sources([*_lamps(tables), *_glowing_facets(tables, mesh), *_glowing_volumes(scene, volumes)])
     return mesh, tables._replace(emitters=emitter_table(tables), sources=sources)
+
+
+def _with_volumes(tables: ObjectTables, volumes: Volumes) -> ObjectTables:
+    """Return the tables with media, and with spheres that hold the media too.
+
+    Raises
+    ------
+    SceneError
+        Light of a direction would come through a medium without bounds.
+    """
+    reach, endless = reach_of(volumes)
+    if endless and (tables.lights["kind"] == DIRECTIONAL).any():
+        raise SceneError(
+            "media: a directional light comes from afar, and nothing of it through a medium without bounds; give "
+            "the medium bounds, or another light"
+        )
+    lit = tables.lit_radius
+    if volumes.scatters:
+        lit = np.inf if endless else max(lit, reach)
+    return tables._replace(volumes=volumes, outer_radius=max(tables.outer_radius, reach), lit_radius=lit)
 
 
 def _refuse_touched_finishes(scene: Scene, bodies: NDArray[np.int64], first: NDArray[np.int64]) -> None:
@@ -260,7 +284,8 @@ def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
     rough = glass & (kinds[:, AIR] >= ROUGH)
     facets = np.append(glass & ~rough, False)[objects.facets["body"]]
     black = objects.scattering.models["black"][:-1][~glass].all() and not rough.any()
-    if not len(objects.lights) or not facets.any() or black:
+    in_fog = objects.volumes is not None and objects.volumes.scatters
+    if not len(objects.lights) or not facets.any() or (black and not in_fog):
         return None
     corners = objects.facets["corners"][facets].reshape(-1, 3)
     middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
@@ -289,6 +314,27 @@ def _glowing_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:
         sides = 1.0 if objects.one_sided[body] else 2.0
         power = np.pi * glow[body] * areas[facet] * MM2 * sides
         entries.append((-1, int(facet), power, power))
+    return entries
+
+
+def _glowing_volumes(scene: Scene, volumes: Volumes | None) -> list[Entry]:
+    """Return the sources of emitting media.
+
+    Raises
+    ------
+    SceneError
+        The forward method would have to start light all over a medium without bounds.
+    """
+    entries = []
+    for number in range(len(scene.media) if volumes is not None else 0):
+        power = power_of(volumes, number)
+        if np.isfinite(power) and power > 0.0:
+            entries.append((-1, FIRST_VOLUME - number, power, power))
+        elif power > 0.0 and scene.transport.method == "forward":
+            raise SceneError(
+                f'media[{number}]: emits without bounds, where method = "forward" cannot start light; give it bounds, '
+                'or take method = "adjoint"'
+            )
     return entries
 
 

@@ -148,6 +148,8 @@ class ObjectTables(NamedTuple):
     outer_radius: float  # mm, of a sphere about the origin that holds targets and camera
     lit_middle: Array  # (3,) mm, centre of the sphere at which lamps' packets are aimed
     lit_radius: float  # mm, radius of that sphere
+    # Volumes of media that absorb, emit or scatter, else None: code for them is not even compiled.
+    volumes: Any = None
 
 
 class Opening(NamedTuple):
@@ -245,10 +247,13 @@ def body_row(body: int, other: int, media: int) -> int:
     return body * media + other
 
 
+FIRST_VOLUME = -2
+"""`facet` of the first medium in a table of sources; the others have smaller numbers."""
+
 SOURCE = np.dtype(
     [
         ("light", "i8"),  # number of the light, or −1
-        ("facet", "i8"),  # number of the emitting facet, or −1
+        ("facet", "i8"),  # number of the emitting facet, −1, or of a medium FIRST_VOLUME − its number
         ("until", "f8"),  # cumulative share of the power
         ("share", "f8"),
         ("power", "f8"),  # W; facets: all sides, texture value 1; directional light: through the targets' disk

@@ -1,0 +1,179 @@
+"""Voxel grids: quantities of a medium on a regular lattice, read from files.
+
+Arrays are ordered [x, y, z]. A voxel is a box of the size `spacing_mm` about its centre, and `origin_mm` is the centre
+of voxel [0, 0, 0], in the medium's own frame. A grid ends with the outer faces of its outer voxels. Between the centres
+values are trilinear, and from the outer centres to the faces constant; or each voxel has one value throughout.
+"""
+
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfmesh.errors import FileError
+
+Array = NDArray[np.float64]
+Interpolation = Literal["trilinear", "constant"]
+
+QUANTITIES = ("absorption_per_mm", "scattering_per_mm", "emission_w_mm3_sr", "temperature_k")
+"""Quantities that a grid may hold, by the names of their arrays."""
+
+PLACE = ("spacing_mm", "origin_mm")
+ENDINGS = (".npz", ".npy")
+
+
+@dataclass(frozen=True, eq=False)
+class VoxelGrid:
+    """Quantities on a regular lattice.
+
+    Attributes
+    ----------
+    values : mapping of str to (nx, ny, nz) float64
+        By the names in `QUANTITIES`, in the unit of the name.
+    spacing_mm : (3,) float64
+        Distance between the centres of neighbouring voxels along x, y and z.
+    origin_mm : (3,) float64
+        Centre of voxel [0, 0, 0].
+    interpolation : str
+        "trilinear" between the centres, or "constant" in each voxel.
+    """
+
+    values: Mapping[str, Array]
+    spacing_mm: Array
+    origin_mm: Array
+    interpolation: Interpolation = "trilinear"
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of voxels along x, y and z."""
+        nx, ny, nz = next(iter(self.values.values())).shape
+        return nx, ny, nz
+
+    @property
+    def bounds_mm(self) -> tuple[Array, Array]:
+        """Lowest and highest corner of the box that the voxels fill, (3,) each."""
+        low = self.origin_mm - 0.5 * self.spacing_mm
+        return low, low + self.spacing_mm * self.shape
+
+    @property
+    def voxel_mm3(self) -> float:
+        """Volume of a voxel."""
+        return float(np.prod(self.spacing_mm))
+
+    def centres_mm(self) -> Array:
+        """Return the centres of all voxels, (nx, ny, nz, 3)."""
+        axes = [o + s * np.arange(n) for o, s, n in zip(self.origin_mm, self.spacing_mm, self.shape, strict=True)]
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+
+def voxel_grid(
+    values: Mapping[str, ArrayLike], spacing_mm: ArrayLike, origin_mm: ArrayLike | None = None,
+    interpolation: Interpolation = "trilinear", where: str = "voxel grid",
+) -> VoxelGrid:  # fmt: skip
+    """Return a grid whose numbers have been checked.
+
+    Parameters
+    ----------
+    values : mapping of str to (nx, ny, nz) array_like
+    spacing_mm : float or (3,) array_like
+    origin_mm : (3,) array_like, optional
+        The middle of the grid lies at the origin if it is left out.
+    interpolation : str
+    where : str
+        What messages begin with.
+
+    Raises
+    ------
+    FileError
+        A name is not known, or a number is not valid.
+    """
+    spacing = (
+        np.broadcast_to(np.asarray(spacing_mm, dtype=np.float64), (3,)).copy()
+        if np.size(spacing_mm) in (1, 3)
+        else None
+    )
+    if spacing is None or not (np.isfinite(spacing).all() and (spacing > 0.0).all()):
+        raise FileError(f"{where}: spacing_mm must be one or three numbers above 0, not {_short(spacing_mm)}")
+    unknown = [name for name in values if name not in QUANTITIES]
+    if unknown:
+        raise FileError(f"{where}: no quantity is called {unknown[0]!r}; there are {', '.join(QUANTITIES)}")
+    if not values:
+        raise FileError(f"{where}: holds no quantity; there are {', '.join(QUANTITIES)}")
+    checked = {name: _checked(array, name, where) for name, array in values.items()}
+    shapes = {array.shape for array in checked.values()}
+    if len(shapes) > 1:
+        raise FileError(f"{where}: its arrays differ in shape: {', '.join(str(shape) for shape in sorted(shapes))}")
+    if "emission_w_mm3_sr" in checked and "temperature_k" in checked:
+        raise FileError(f"{where}: emission_w_mm3_sr and temperature_k are both there; give one of them")
+    shape = np.array(next(iter(shapes)))
+    origin = -0.5 * spacing * (shape - 1) if origin_mm is None else np.array(origin_mm, dtype=np.float64)
+    if origin.shape != (3,) or not np.isfinite(origin).all():
+        raise FileError(f"{where}: origin_mm must be three numbers, not {_short(origin_mm)}")
+    return VoxelGrid(checked, spacing, origin, interpolation)
+
+
+def read_voxels(
+    path: Path, spacing_mm: ArrayLike | None = None, origin_mm: ArrayLike | None = None,
+    interpolation: Interpolation = "trilinear", quantity: str | None = None,
+) -> VoxelGrid:  # fmt: skip
+    """Read a voxel grid from a file.
+
+    Parameters
+    ----------
+    path : Path
+        `.npz` with arrays named as in `QUANTITIES`, and `spacing_mm` and `origin_mm`; or `.npy` with a single array.
+    spacing_mm, origin_mm : array_like, optional
+        Of a file that does not say.
+    interpolation : str
+    quantity : str, optional
+        Name of the quantity in a `.npy` file.
+
+    Raises
+    ------
+    FileError
+        The file cannot be read, or what it holds is not valid.
+    """
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
+        raise FileError(f"{path}: a voxel grid ends in {' or '.join(ENDINGS)}")
+    try:
+        content = np.load(path, allow_pickle=False)
+        found: dict[str, Any] = {quantity or "": content} if ending == ".npy" else dict(content.items())
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        raise FileError(f"{path}: cannot be read as numpy's {ending}: {error}") from None
+    if ending == ".npy" and quantity is None:
+        raise FileError(f"{path}: missing the name of its quantity; give quantity = one of {', '.join(QUANTITIES)}")
+    for key, given in (("spacing_mm", spacing_mm), ("origin_mm", origin_mm)):
+        if key in found and given is not None:
+            raise FileError(f"{path}: holds {key} itself; leave it out beside the file")
+    spacing = found.pop("spacing_mm", spacing_mm)
+    origin = found.pop("origin_mm", origin_mm)
+    if spacing is None:
+        raise FileError(f"{path}: missing spacing_mm, the distance between its voxels")
+    unknown = [name for name in found if name not in QUANTITIES]
+    if unknown:
+        raise FileError(f"{path}: no array is called {unknown[0]!r}; there are {', '.join((*QUANTITIES, *PLACE))}")
+    return voxel_grid(found, spacing, origin, interpolation, str(path))
+
+
+def _checked(array: ArrayLike, name: str, where: str) -> Array:
+    try:
+        values = np.ascontiguousarray(array, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise FileError(f"{where}: {name} holds what is no number") from None
+    if values.ndim != 3 or 0 in values.shape:
+        raise FileError(f"{where}: {name} must be an array [x, y, z], and has the shape {np.shape(array)}")
+    bad = ~(np.isfinite(values) & (values >= 0.0))
+    if bad.any():
+        place = [int(i) for i in np.argwhere(bad)[0]]
+        value = values[tuple(place)]
+        raise FileError(f"{where}: {name} is {value:g} at voxel {place}; it must be finite and 0 or more")
+    return values
+
+
+def _short(value: object) -> str:
+    return np.array2string(np.asarray(value), threshold=4)

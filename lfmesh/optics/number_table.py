@@ -1,0 +1,64 @@
+"""Tables of numbers in CSV files whose first line names the columns."""
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import FileError
+
+Array = NDArray[np.float64]
+
+
+def read_table(path: Path, columns: Sequence[str]) -> tuple[Array, ...]:
+    """Read columns of numbers from a CSV file, quickly however long it is.
+
+    Parameters
+    ----------
+    path : Path
+        UTF-8 text; its first line names the columns, in any order, separated by commas.
+    columns : sequence of str
+        Names of all columns that it must have; it has no others.
+
+    Returns
+    -------
+    tuple of (n,) float64
+        In the order of `columns`; numbers may be infinite or NaN.
+
+    Raises
+    ------
+    FileError
+        It cannot be read, lacks a column or has one too many, or a cell is no number.
+    """
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            head = [name.strip() for name in file.readline().split(",")]
+            _refuse_other_columns(path, head, columns)
+            with warnings.catch_warnings():
+                # An empty table is the caller's to refuse.
+                warnings.simplefilter("ignore", UserWarning)
+                rows = np.loadtxt(file, delimiter=",", ndmin=2)
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise FileError(f"{path}: byte {error.start} is no UTF-8; a table is UTF-8 text") from None
+    except ValueError as error:
+        why = " ".join(str(error).split(";")[0].split())
+        raise FileError(f"{path}: below its first line, {why}") from None
+    if not rows.size:
+        return tuple(np.zeros(0) for _ in columns)
+    if rows.shape[1] != len(head):
+        raise FileError(f"{path}: its rows have {rows.shape[1]} numbers; its first line names {len(head)} columns")
+    return tuple(np.ascontiguousarray(rows[:, head.index(name)]) for name in columns)
+
+
+def _refuse_other_columns(path: Path, head: list[str], columns: Sequence[str]) -> None:
+    needed = f"its first line must name the columns {', '.join(columns)}"
+    missing = [name for name in columns if name not in head]
+    if missing:
+        raise FileError(f"{path}: has no column {' and no column '.join(missing)}; {needed}")
+    if sorted(head) != sorted(columns):
+        extra = [name for k, name in enumerate(head) if name not in columns or name in head[:k]]
+        raise FileError(f"{path}: column {extra[0][:40]!r} is unknown or twice there; {needed}, and no others")

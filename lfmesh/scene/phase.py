@@ -1,0 +1,72 @@
+"""Phase functions of scattering, by their kind and parameters."""
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.quantities import FilePath, Index, NonNegative, Positive
+
+SphereIndex = Annotated[float, Field(strict=True, gt=0, le=20)]
+
+
+class IsotropicPhase(Model):
+    """Light is scattered alike in all directions."""
+
+    kind: Literal["isotropic"] = "isotropic"
+    """Which phase function this is."""
+
+
+class HenyeyGreensteinPhase(Model):
+    """Henyey and Greenstein's phase function, by its mean cosine."""
+
+    kind: Literal["henyey_greenstein"] = "henyey_greenstein"
+    """Which phase function this is."""
+    g: Annotated[float, Field(strict=True, gt=-1, lt=1)]
+    """Mean cosine of the scattering angle (no unit), between -1, all thrown back, and 1, all straight on."""
+
+
+class RayleighPhase(Model):
+    """Spheres far smaller than the wavelength, in unpolarised light."""
+
+    kind: Literal["rayleigh"] = "rayleigh"
+    """Which phase function this is."""
+
+
+class MiePhase(Model):
+    """Homogeneous spheres of one size or of log-normally distributed sizes (Mie), in unpolarised light."""
+
+    kind: Literal["mie"] = "mie"
+    """Which phase function this is."""
+    diameter_um: Positive
+    """Diameter of the spheres, or the median of their diameters, in µm."""
+    index: SphereIndex
+    """Refractive index of the spheres."""
+    extinction: NonNegative = 0.0
+    """Extinction coefficient k of the spheres: their index is n + ik (no unit)."""
+    surrounding_index: Index = 1.0
+    """Refractive index of what the spheres are in: 1.333 of water."""
+    sigma: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.0
+    """Standard deviation of the natural logarithm of the diameter (no unit); 0: all have the same."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield spheres that are not there."""
+        if self.index == self.surrounding_index and not self.extinction:
+            yield Fault(("index",), self.index, "is that of what is round the spheres, so that they scatter nothing")
+
+
+class TabulatedPhase(Model):
+    """A phase function from a file."""
+
+    kind: Literal["table"] = "table"
+    """Which phase function this is."""
+    file: FilePath
+    """A CSV file, relative to the scene file, with the columns angle_deg, from 0 (straight on) to 180, and value, in
+    any unit; linear in the cosine of the angle between its rows."""
+
+
+Phase = Annotated[
+    IsotropicPhase | HenyeyGreensteinPhase | RayleighPhase | MiePhase | TabulatedPhase, Field(discriminator="kind")
+]
+"""A phase function, by its kind."""

@@ -1,0 +1,258 @@
+"""Packets in media of object space: what they gather and lose on their way, and where they are scattered.
+
+A packet that some light is taken from by scattering goes on with the rest, and a child starts from a random point of
+its way with what was scattered there. So the unscattered light has no noise of the medium.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.frame import move_direction, move_point
+from lfmesh.kernel import inlined, kernel
+from lfmesh.optics.phase import evaluate_phase, sampled_cosine
+from lfmesh.optics.scattering import about
+from lfmesh.transport.aiming.mixture import aimed
+from lfmesh.transport.events.crossing import deposit, end_here, record, too_deep, windowed
+from lfmesh.transport.events.lighting import from_light
+from lfmesh.transport.events.polarisation import depolarise
+from lfmesh.transport.events.volume import pass_through, scattering_point
+from lfmesh.transport.packets.book import SAMPLING_ADDED, SAMPLING_REMOVED
+from lfmesh.transport.packets.packet import (
+    CAMERA,
+    CAMERA_FRAME,
+    E_SCATTERED,
+    ENDS_AT,
+    EVENTS,
+    LAMP,
+    LEFT_LENS,
+    NO_SURFACE,
+    OBJECT_FRAME,
+    OBJECTS,
+    S_ABSORBED,
+    SCATTERED,
+    SHADOW,
+    TO_EMITTER,
+    Flow,
+    Options,
+    put,
+)
+from lfmesh.transport.packets.path_class import is_estimated, is_unturned
+from lfmesh.transport.packets.random import derived, uniform
+from lfmesh.transport.regions.bodies import bodies_round
+from lfmesh.transport.regions.lens import box_entry
+from lfmesh.transport.tables.tables import AIR, AimTables, LensTables, ObjectTables
+
+Array = NDArray[np.float64]
+
+LEFT_MEDIUM = -4
+"""`facet` of a packet that was scattered or emitted in a medium, forward: it has an aimed twin or is one."""
+
+IN_MEDIUM = 1 << 21
+"""Number of the random numbers, among those that a packet's key has for its children, for its way through media."""
+
+COSINE, AZIMUTH, KEEP, DISK, TO_U, TO_V = 3, 4, 5, 6, 7, 8
+"""Dimensions of a scattering point's random numbers, after those of `events.volume`."""
+
+
+@inlined
+def is_stopped_by_media(
+    volumes: Any, options: Options, flow: Flow, frames: Array, objects: ObjectTables, lens: LensTables, aim: AimTables,
+    packet: Any, t: float,
+) -> bool:  # fmt: skip
+    """Let a packet in air pass through the media up to what it meets; tell whether none of its light is left.
+
+    Parameters
+    ----------
+    volumes : Volumes or None
+        None: there are no media, and numba compiles nothing but the first line.
+    t : float, mm
+        Distance of the target, glass or housing that it meets; inf if none.
+    """
+    if volumes is None:
+        return False
+    if bodies_round(packet) != 0:
+        return False
+    reach = t
+    if packet.kind == SHADOW:
+        reach = min(t, packet.limit)
+    elif packet.last != LEFT_LENS:
+        px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, packet.x, packet.y, packet.z)
+        ex, ey, ez = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, packet.dx, packet.dy, packet.dz)
+        reach = min(t, box_entry(lens.box_low, lens.box_high, px, py, pz, ex, ey, ez))
+    cross_media(options, flow, frames, objects, aim, packet, reach)
+    if packet.weight > 0.0:
+        return False
+    if packet.kind != SHADOW and packet.kind != TO_EMITTER:
+        end_here(options, flow, frames, packet, volumes.rows[0].slot, S_ABSORBED)
+    return True
+
+
+@kernel
+def cross_media(
+    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any, reach: float
+) -> None:
+    """Let a packet pass through the media between its start and a distance: it gathers, is weakened, and scatters.
+
+    Parameters
+    ----------
+    reach : float, mm
+        Where it meets something; inf if nothing.
+    """
+    volumes = objects.volumes
+    asks = packet.kind == SHADOW or packet.kind == TO_EMITTER
+    colour, weight = packet.colour, packet.weight
+    x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
+    key = derived(packet.key, IN_MEDIUM + packet.events)
+    passage = pass_through(volumes, colour, x, y, z, dx, dy, dz, reach, flow.book, 0.0 if asks else weight, key)
+    packet.weight = weight * passage.transmittance
+    if asks:
+        return
+    estimated = is_estimated(options, packet)
+    if passage.light > 0.0 and options.adjoint and estimated:
+        deposit(options, flow, packet.source, colour, weight * passage.light)
+    if passage.scattered <= 0.0:
+        return
+    lost = weight * passage.scattered
+    of_twin = packet.kind == CAMERA and packet.last != LEFT_LENS and not (options.adjoint or options.tracing)
+    of_other_class = packet.kind == LAMP and not estimated
+    if of_twin or of_other_class:
+        flow.book[SAMPLING_REMOVED] += lost
+        return
+    # From here on the record stands for the child; its own weight is put back at the end.
+    left, events, node, kind, last = packet.weight, packet.events, packet.node, packet.kind, packet.last
+    facet = packet.facet
+    t, share, number = scattering_point(volumes, colour, passage, x, y, z, dx, dy, dz, key)
+    packet.weight = weight * share
+    flow.book[SAMPLING_ADDED] += packet.weight - lost
+    flow.counts[EVENTS] += 1
+    if packet.weight > 0.0 and not too_deep(options, flow, frames, packet):
+        px, py, pz = x + t * dx, y + t * dy, z + t * dz
+        scatter_in_medium(options, flow, frames, objects, aim, packet, number, px, py, pz, key, estimated)
+    packet.weight, packet.events, packet.node, packet.kind, packet.last = left, events, node, kind, last
+    packet.facet = facet
+
+
+@kernel
+def scatter_in_medium(
+    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any, number: int,
+    x: float, y: float, z: float, key: np.uint64, estimated: bool,
+) -> None:  # fmt: skip
+    """Scatter a packet's weight at a point of a medium: ask lights, aim at the camera, and send a child anywhere.
+
+    Parameters
+    ----------
+    number : int
+        Of the medium.
+    x, y, z : float, mm
+    key : uint64
+        Of the random numbers.
+    estimated : bool
+        The path so far belongs to the class that is estimated.
+    """
+    volumes = objects.volumes
+    packet.facet, packet.last = NO_SURFACE, NO_SURFACE
+    phases, phase = volumes.phases, volumes.phases.rows[number, packet.colour]
+    ix, iy, iz = packet.dx, packet.dy, packet.dz
+    if options.adjoint and estimated:
+        for light in range(len(objects.lights)):
+            ux, uy, uz, far, irradiance = from_light(options, objects, packet, light, x, y, z)
+            density = evaluate_phase(phases, phase, ix * ux + iy * uy + iz * uz)
+            if irradiance * density > 0.0:
+                lit = packet.weight * irradiance * density
+                shadow = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, lit, key, 0.0)
+                shadow.kind, shadow.limit = SHADOW, far
+    packet.events += 1
+    depolarise(flow.polarised, packet)
+    if options.record:
+        packet.node = record(
+            flow, frames, OBJECT_FRAME, x, y, z, packet.weight, ENDS_AT + volumes.rows[number].slot, number,
+            E_SCATTERED, packet.node,
+        )  # fmt: skip
+    cosine = sampled_cosine(phases, phase, uniform(key, COSINE))
+    dx, dy, dz = about(ix, iy, iz, cosine, 2.0 * np.pi * uniform(key, AZIMUTH))
+    send_from_medium(options, flow, frames, objects, aim, packet, phase, x, y, z, dx, dy, dz, key)
+
+
+@kernel
+def send_from_medium(
+    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any, phase: Any,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, key: np.uint64,
+) -> None:  # fmt: skip
+    """Queue a child in a direction that the phase function drew and, forward, one that is aimed at the camera.
+
+    Parameters
+    ----------
+    phase : PHASE
+    x, y, z : float, mm
+    dx, dy, dz : float
+        Unit direction.
+    key : uint64
+        Of the random numbers.
+    """
+    phases, weight = objects.volumes.phases, packet.weight
+    ix, iy, iz = packet.dx, packet.dy, packet.dz
+    forward = not (options.adjoint or options.tracing)
+    if forward and options.aimed:
+        px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
+        ax, ay, az, at_lens = aimed(
+            px, py, pz, aim.entrance, aim.front_radius, aim.wide_share, aim.share_without_aim,
+            uniform(key, DISK), uniform(key, TO_U), uniform(key, TO_V),
+        )  # fmt: skip
+        if at_lens > 0.0:
+            ux, uy, uz = move_direction(frames, CAMERA_FRAME, OBJECT_FRAME, ax, ay, az)
+            density = evaluate_phase(phases, phase, ix * ux + iy * uy + iz * uz)
+            to_camera = weight * density / at_lens
+            if to_camera > 0.0:
+                flow.book[SAMPLING_ADDED] += to_camera
+                twin_key = derived(key, 1)
+                twin = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, to_camera, twin_key, 0.0)
+                twin.kind, twin.start, twin.facet, twin.medium = CAMERA, to_camera, LEFT_MEDIUM, AIR
+                twin.density = density
+    cutoff = options.unturned_cutoff if is_unturned(options, packet) else options.cutoff
+    kept = windowed(flow.book, weight, cutoff * packet.start, key, KEEP)
+    if kept <= 0.0:
+        return
+    child_key = derived(key, 2)
+    child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, kept, child_key, 0.0)
+    child.kind = CAMERA if options.tracing else SCATTERED
+    child.facet = LEFT_MEDIUM if forward and options.aimed else NO_SURFACE
+    child.density = evaluate_phase(phases, phase, ix * dx + iy * dy + iz * dz)
+
+
+@inlined
+def drawn_point(
+    objects: ObjectTables, number: int, colour: int, choice: float, u: float, v: float, w: float
+) -> tuple[float, float, float, float]:
+    """Return a random point of a medium, object frame, and its density, 1/mm³; 0: the point is outside its bounds.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    number : int
+        Of the medium.
+    colour : int
+        Number of the wavelength.
+    choice, u, v, w : float
+        Random numbers, uniform in [0, 1).
+    """
+    volumes = objects.volumes
+    row = volumes.rows[number]
+    own = row.to_own
+    lx, ly, lz = row.high[0] - row.low[0], row.high[1] - row.low[1], row.high[2] - row.low[2]
+    px, py, pz = row.low[0], row.low[1], row.low[2]
+    density = 1.0 / (lx * ly * lz)
+    if row.drawn > 0:
+        until = volumes.until[row.first : row.first + row.drawn]
+        cell = min(int(np.searchsorted(until, choice, side="right")), row.drawn - 1)
+        density *= (until[cell] - (until[cell - 1] if cell > 0 else 0.0)) * row.drawn
+        ny, nz = row.cells[1], row.cells[2]
+        lx, ly, lz = row.spacing[0], row.spacing[1], row.spacing[2]
+        px, py, pz = px + (cell // (ny * nz)) * lx, py + (cell // nz % ny) * ly, pz + (cell % nz) * lz
+    px, py, pz = px + u * lx - own[0, 3], py + v * ly - own[1, 3], pz + w * lz - own[2, 3]
+    # The frame's axes are orthogonal: the transposed matrix is the inverse one.
+    x = own[0, 0] * px + own[1, 0] * py + own[2, 0] * pz
+    y = own[0, 1] * px + own[1, 1] * py + own[2, 1] * pz
+    z = own[0, 2] * px + own[1, 2] * py + own[2, 2] * pz
+    return x, y, z, density

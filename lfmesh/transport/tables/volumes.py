@@ -1,0 +1,323 @@
+"""The table of media that absorb, emit or scatter in object space, as kernels read it.
+
+A new quantity that varies by voxels has its name in `geometry.voxels`, its place in the rows here and its use in
+`events.volume`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import SceneError
+from lfmesh.geometry import frame
+from lfmesh.geometry.voxels import VoxelGrid, read_voxels
+from lfmesh.optics.cie import planck_constants, planck_radiance
+from lfmesh.optics.phase import PHASE, PhaseTables, phase_tables
+from lfmesh.scene import Box, Cylinder, Scene, Sphere
+from lfmesh.scene.media import Medium
+from lfmesh.scene.spectra import Spectrum, curve_of
+from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, WORLD_FRAME
+from lfmesh.transport.tables.lines import Lines
+from lfmesh.transport.tables.phases import phase_functions
+from lfmesh.transport.tables.spectra import spread
+
+Array = NDArray[np.float64]
+
+IN_FRONT, BOX, SPHERE, CYLINDER = range(4)
+"""Kinds of bounds."""
+
+PER_VOLUME, OF_VOXELS, OF_BODY, BY_TEMPERATURE = range(4)
+"""How a medium emits: alike everywhere, by voxels, as a body of one temperature, or of temperatures by voxels."""
+
+NOT_IN_GRID = -1
+
+W_MM3 = 1e6
+"""W/(mm² sr) in W/(m² sr)."""
+
+VOLUME = np.dtype(
+    [
+        ("bounds", "i8"),
+        ("size", "f8", (3,)),  # mm: half edges of a box; radius; radius and half height of a cylinder
+        ("to_own", "f8", (3, 4)),  # from the object frame into the medium's own
+        ("cells", "i8", (3,)),  # voxels along x, y, z; 0: no grid
+        ("constant", "i8"),  # 1: each voxel has one value throughout
+        ("origin", "f8", (3,)),  # mm, centre of voxel 0
+        ("spacing", "f8", (3,)),  # mm
+        ("low", "f8", (3,)),  # mm, box of the grid or, without one, round the bounds
+        ("high", "f8", (3,)),
+        ("absorption", "i8"),  # first of the grid's values, or NOT_IN_GRID
+        ("scattering", "i8"),
+        ("emission", "i8"),  # W/(m² sr mm), or temperature
+        ("emits", "i8"),
+        ("slot", "i8"),  # of the book
+        ("first", "i8"),  # first of `Volumes.until`
+        ("drawn", "i8"),  # number of voxels from which points are drawn; 0: they are uniform from `low` to `high`
+    ]
+)
+
+
+class Volumes(NamedTuple):
+    """Media in object space; what a grid holds is multiplied by the number of its wavelength."""
+
+    rows: NDArray[np.void]  # (n,) VOLUME
+    absorption: Array  # (n, wavelengths) 1/mm; of a grid 1
+    scattering: Array  # (n, wavelengths) 1/mm
+    emission: Array  # (n, wavelengths) W/(m² sr mm); OF_BODY: radiance of the black body, W/(m² sr)
+    planck: Array  # (2, wavelengths) of Planck's law c₁ / (exp(c₂ / T) − 1), W/(m² sr) and K
+    values: Array  # of all grids, one after the other, each [x, y, z]
+    until: Array  # of all emitting grids: up to which random number a voxel is drawn
+    phases: PhaseTables
+    isotropic: NDArray[np.void]  # (1,) PHASE, of emission
+    powers: Array  # (n,) about what each emits, W; inf: it has no bounds
+    scatters: bool
+    emit: bool
+
+
+def volume_tables(scene: Scene, moves: Array, lines: Lines, slots: NDArray[np.int64]) -> Volumes | None:
+    """Return the media of a scene; None if there are none, so that kernels are compiled without them.
+
+    Parameters
+    ----------
+    scene : Scene
+    moves : (5, 5, 3, 4) float64
+        See `frame_table`.
+    lines : Lines
+    slots : (media,) int64
+        Slots of the book.
+
+    Raises
+    ------
+    SceneError, FileError
+        A grid cannot be used, a spectrum does not reach far enough, or a medium reaches behind the lens.
+    """
+    if not scene.media:
+        return None
+    wavelengths_nm = lines.wavelengths_nm
+    rows = np.zeros(len(scene.media), VOLUME)
+    absorption, scattering, emission = np.zeros((3, len(rows), len(wavelengths_nm)))
+    values: list[Array] = [np.zeros(0)]
+    filled = 0
+    until: list[Array] = [np.zeros(0)]
+    powers = np.zeros(len(rows))
+    first, second = planck_constants(np.array(wavelengths_nm))
+    planck = np.array([first * lines.weight_nm, second])
+    for i, (row, medium) in enumerate(zip(rows, scene.media, strict=True)):
+        where = f"media[{i}]"
+        row["slot"] = slots[i]
+        own = frame.frame(medium.rotation_deg, medium.position_mm)
+        row["to_own"] = frame.compose(frame.inverse(own), moves[OBJECT_FRAME, WORLD_FRAME])
+        _set_bounds(row, medium)
+        row["low"], row["high"] = -row["size"], row["size"]
+        absorption[i] = _coefficient(scene, medium.absorption_per_mm, lines, f"{where}.absorption_per_mm")
+        scattering[i] = _coefficient(scene, medium.scattering_per_mm, lines, f"{where}.scattering_per_mm")
+        row["absorption"] = row["scattering"] = row["emission"] = NOT_IN_GRID
+        grid = _grid_of(scene, medium, where)
+        spectrum = np.zeros(len(wavelengths_nm))
+        if grid is not None:
+            row["cells"], row["constant"] = grid.shape, grid.interpolation == "constant"
+            row["origin"], row["spacing"] = grid.origin_mm, grid.spacing_mm
+            row["low"], row["high"] = grid.bounds_mm
+            for key, place in (("absorption_per_mm", "absorption"), ("scattering_per_mm", "scattering"),
+                               ("emission_w_mm3_sr", "emission"), ("temperature_k", "emission")):  # fmt: skip
+                if key in grid.values:
+                    row[place] = filled
+                    values.append(grid.values[key].ravel())
+                    filled += grid.values[key].size
+            if "absorption_per_mm" in grid.values:
+                absorption[i] = 1.0
+            if "scattering_per_mm" in grid.values:
+                scattering[i] = 1.0
+        if grid is not None and "temperature_k" in grid.values:
+            row["emits"] = BY_TEMPERATURE
+            spectrum = np.ones(len(wavelengths_nm))
+        elif medium.temperature_k is not None:
+            row["emits"] = OF_BODY
+            spectrum = planck_radiance(np.array(wavelengths_nm), medium.temperature_k) * lines.weight_nm
+        elif grid is not None and "emission_w_mm3_sr" in grid.values:
+            row["emits"] = OF_VOXELS
+            spectrum = W_MM3 * spread(scene, 1.0, medium.spectrum, lines, f"{where}.spectrum")
+        else:
+            spectrum = W_MM3 * _emission(scene, medium, lines, where)
+        emission[i] = spectrum
+        if row["bounds"] == IN_FRONT and (emission[i] > 0.0).any() and not (absorption[i] > 0.0).all():
+            raise SceneError(
+                f"{where}: a medium without bounds that emits must absorb at every wavelength; give bounds"
+            )
+        _refuse_behind_lens(row, where, moves)
+        if spectrum.any():
+            brightness = _brightness(row, grid, absorption[i], spectrum, planck)
+            powers[i] = 4.0 * np.pi / W_MM3 * brightness.sum() * np.prod(row["high"] - row["low"]) / brightness.size
+            if brightness.size > 1 and powers[i] > 0.0:
+                row["first"], row["drawn"] = sum(map(len, until)), brightness.size
+                until.append(np.cumsum(brightness) / brightness.sum())
+    phases = phase_tables(
+        [phase_functions(m.phase, wavelengths_nm, scene, f"media[{i}].phase") for i, m in enumerate(scene.media)]
+    )
+    return Volumes(
+        rows, absorption, scattering, emission, planck, np.concatenate(values), np.concatenate(until), phases,
+        np.zeros(1, PHASE), powers, bool((scattering > 0.0).any()), bool((emission > 0.0).any()),
+    )  # fmt: skip
+
+
+def _brightness(row: np.void, grid: VoxelGrid | None, absorption: Array, spectrum: Array, planck: Array) -> Array:
+    """Return what points are drawn in proportion to: the mean emission over wavelengths, (voxels,) or (1,).
+
+    Of a trilinear grid each voxel takes the largest value of its neighbours too, so that none that shines in part is
+    left out.
+    """
+    some = np.unique(np.linspace(0, len(spectrum) - 1, 8).astype(int))
+    if grid is None or (row["emission"] == NOT_IN_GRID and row["emits"] == PER_VOLUME):
+        body = absorption if row["emits"] == OF_BODY else np.ones_like(spectrum)
+        return np.array([(body * spectrum)[some].mean()])
+    ones = np.ones(grid.shape)
+    absorbs = grid.values.get("absorption_per_mm", ones)
+    emission = np.zeros(grid.shape)
+    for line in some:
+        if row["emits"] == BY_TEMPERATURE:
+            temperature = np.maximum(grid.values["temperature_k"], 1e-30)
+            with np.errstate(over="ignore"):
+                value = planck[0, line] / np.expm1(planck[1, line] / temperature)
+            emission += absorption[line] * absorbs * value
+        elif row["emits"] == OF_BODY:
+            emission += absorption[line] * absorbs * spectrum[line]
+        else:
+            emission += grid.values["emission_w_mm3_sr"] * spectrum[line]
+    if not row["constant"]:
+        for axis in range(3):
+            padded = np.pad(emission, [(1, 1) if i == axis else (0, 0) for i in range(3)], mode="edge")
+            n = emission.shape[axis]
+            emission = np.max([np.take(padded, range(k, k + n), axis) for k in range(3)], axis=0)
+    return emission.ravel() / len(some)
+
+
+def power_of(volumes: Volumes, number: int) -> float:
+    """Return about what a medium emits in all directions, W.
+
+    Parameters
+    ----------
+    volumes : Volumes
+    number : int
+        Of the medium.
+    """
+    return float(volumes.powers[number])
+
+
+def _set_bounds(row: np.void, medium: Medium) -> None:
+    match medium.bounds:
+        case Box(size_mm=size):
+            row["bounds"], row["size"] = BOX, np.multiply(0.5, size)
+        case Sphere(radius_mm=radius):
+            row["bounds"], row["size"] = SPHERE, (radius, radius, radius)
+        case Cylinder(radius_mm=radius, height_mm=height):
+            row["bounds"], row["size"] = CYLINDER, (radius, radius, 0.5 * height)
+        case _:
+            row["bounds"], row["size"] = IN_FRONT if medium.grid is None else BOX, (np.inf, np.inf, np.inf)
+
+
+def _grid_of(scene: Scene, medium: Medium, where: str) -> VoxelGrid | None:
+    """Return the voxel grid of a medium, and refuse what is given both there and beside it."""
+    given = medium.grid
+    if given is None:
+        return None
+    grid = read_voxels(
+        scene.resolve(given.file), given.spacing_mm, given.origin_mm, given.interpolation, given.quantity
+    )
+    for key in grid.values:
+        beside = getattr(medium, key)
+        if beside is not None and beside != 0.0:
+            raise SceneError(f"{where}.{key}: {given.file} holds it by voxels; give one of them")
+    own = "temperature_k" if "temperature_k" in grid.values else "emission_w_mm3_sr"
+    if own in grid.values and (medium.temperature_k is not None or medium.emission_w_mm3_sr != 0.0):
+        raise SceneError(f"{where}: {given.file} holds {own}, and the medium another emission; give one of them")
+    if own == "temperature_k" and scene.camera.sensor.bands is None:
+        raise SceneError(f"{where}.grid: temperature_k needs camera.sensor.bands: single wavelengths have no width")
+    if own == "temperature_k" and "absorption_per_mm" not in grid.values and medium.absorption_per_mm == 0.0:
+        raise SceneError(f"{where}.grid: temperature_k needs absorption_per_mm: what absorbs nothing emits nothing")
+    return grid
+
+
+def _coefficient(scene: Scene, value: float | Spectrum, lines: Lines, where: str) -> Array:
+    """Return a coefficient at each line, 1/mm."""
+    if not isinstance(value, Spectrum):
+        return np.full(len(lines.wavelengths_nm), value, np.float64)
+    ends = min(lines.wavelengths_nm), max(lines.wavelengths_nm)
+    found = curve_of(value, ends, scene, where).at(lines.wavelengths_nm)
+    if (found < 0.0).any():
+        raise SceneError(f"{where}: value {found.min():g}: a coefficient is 0 or more")
+    return found
+
+
+def _emission(scene: Scene, medium: Medium, lines: Lines, where: str) -> Array:
+    """Return the emission that each line stands for, W/(mm³ sr)."""
+    value = medium.emission_w_mm3_sr
+    if not isinstance(value, Spectrum):
+        return spread(scene, value, medium.spectrum, lines, f"{where}.spectrum")
+    curve = curve_of(value, scene.reach_nm, scene, f"{where}.emission_w_mm3_sr")
+    return np.asarray(curve.at(lines.wavelengths_nm) * lines.weight_nm)
+
+
+def corners_of(row: np.void) -> Array | None:
+    """Return the corners of a box round a medium in its own frame, (8, 3) mm; None if it has no end."""
+    low, high = -row["size"], row["size"]
+    if row["cells"][0] > 0:
+        low, high = np.maximum(low, row["low"]), np.minimum(high, row["high"])
+    if not np.isfinite(low).all():
+        return None
+    return np.array([[(low, high)[i][0], (low, high)[j][1], (low, high)[k][2]]
+                     for i in (0, 1) for j in (0, 1) for k in (0, 1)])  # fmt: skip
+
+
+def _refuse_behind_lens(row: np.void, where: str, moves: Array) -> None:
+    """Refuse a medium that reaches behind the first lens vertex; one without bounds ends there."""
+    to_camera = frame.compose(moves[OBJECT_FRAME, CAMERA_FRAME], frame.inverse(row["to_own"]))
+    corners = corners_of(row)
+    if corners is None:
+        # Its own frame becomes the camera's, in which it lies at z < 0.
+        row["to_own"] = moves[OBJECT_FRAME, CAMERA_FRAME]
+        return
+    behind = frame.points(to_camera, corners)[:, 2].max()
+    if row["bounds"] == SPHERE and row["cells"][0] == 0:
+        behind = to_camera[2, 3] + row["size"][0]
+    if row["bounds"] == CYLINDER and row["cells"][0] == 0:
+        axis = to_camera[2, :3]
+        behind = to_camera[2, 3] + row["size"][2] * abs(axis[2]) + row["size"][0] * np.hypot(axis[0], axis[1])
+    if behind > 1e-9:
+        raise SceneError(f"{where} reaches {behind:.6g} mm behind the first lens vertex; a medium stays in front of it")
+
+
+def corners_in_camera(volumes: Volumes | None, moves: Array) -> Array:
+    """Return the corners of boxes round the media that have bounds, camera frame, (n, 3) mm.
+
+    Parameters
+    ----------
+    volumes : Volumes or None
+    moves : (5, 5, 3, 4) float64
+        See `frame_table`.
+    """
+    found = [np.zeros((0, 3))]
+    for row in volumes.rows if volumes is not None else ():
+        corners = corners_of(row)
+        if corners is not None:
+            to_camera = frame.compose(moves[OBJECT_FRAME, CAMERA_FRAME], frame.inverse(row["to_own"]))
+            found.append(frame.points(to_camera, corners))
+    return np.concatenate(found)
+
+
+def reach_of(volumes: Volumes | None) -> tuple[float, bool]:
+    """Return the radius about the object frame's origin that holds all media with bounds, and whether one has none.
+
+    Parameters
+    ----------
+    volumes : Volumes or None
+    """
+    radius, endless = 0.0, False
+    for row in volumes.rows if volumes is not None else ():
+        corners = corners_of(row)
+        if corners is None:
+            endless = True
+        else:
+            radius = max(
+                radius, float(np.linalg.norm(frame.points(frame.inverse(row["to_own"]), corners), axis=1).max())
+            )
+    return radius, endless

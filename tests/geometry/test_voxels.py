@@ -1,0 +1,54 @@
+"""Voxel grids are read with their names, places and faults."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lfmesh.errors import FileError
+from lfmesh.geometry.voxels import read_voxels, voxel_grid
+
+
+def test_a_grid_is_read_with_its_place(tmp_path: Path) -> None:
+    emission = np.arange(24.0).reshape(2, 3, 4)
+    np.savez(tmp_path / "g.npz", emission_w_mm3_sr=emission, spacing_mm=[1.0, 2.0, 3.0], origin_mm=[5.0, 6.0, 7.0])
+    grid = read_voxels(tmp_path / "g.npz")
+    np.testing.assert_array_equal(grid.values["emission_w_mm3_sr"], emission)
+    low, high = grid.bounds_mm
+    np.testing.assert_allclose(low, [4.5, 5.0, 5.5])
+    np.testing.assert_allclose(high, [6.5, 11.0, 17.5])
+    np.testing.assert_allclose(grid.centres_mm()[1, 2, 3], [6.0, 10.0, 16.0])
+
+
+def test_without_an_origin_a_grid_is_centred() -> None:
+    low, high = voxel_grid({"absorption_per_mm": np.ones((3, 4, 5))}, 0.5).bounds_mm
+    np.testing.assert_allclose(low, -high)
+
+
+def test_a_bare_array_needs_its_quantity_and_spacing(tmp_path: Path) -> None:
+    np.save(tmp_path / "g.npy", np.ones((2, 2, 2)))
+    with pytest.raises(FileError, match="quantity"):
+        read_voxels(tmp_path / "g.npy", spacing_mm=1.0)
+    with pytest.raises(FileError, match="missing spacing_mm"):
+        read_voxels(tmp_path / "g.npy", quantity="temperature_k")
+
+
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ({"absorption_per_mm": np.array([[[1.0, -1.0]]])}, r"absorption_per_mm is -1 at voxel \[0, 0, 1\]"),
+        ({"absorption_per_mm": np.array([[[np.nan]]])}, "absorption_per_mm is nan"),
+        ({"absorption_per_mm": np.ones((2, 2))}, r"must be an array \[x, y, z\]"),
+        ({"absorbtion": np.ones((2, 2, 2))}, "no array is called 'absorbtion'"),
+        ({"absorption_per_mm": np.ones((2, 2, 2)), "scattering_per_mm": np.ones((2, 2, 3))}, "differ in shape"),
+        (
+            {"emission_w_mm3_sr": np.ones((2, 2, 2)), "temperature_k": np.ones((2, 2, 2))},
+            "emission_w_mm3_sr and temperature_k are both there",
+        ),
+    ],
+)
+def test_bad_grids_are_refused_in_one_line(arrays: dict[str, object], message: str, tmp_path: Path) -> None:
+    np.savez(tmp_path / "g.npz", spacing_mm=1.0, **arrays)  # type: ignore[arg-type]
+    with pytest.raises(FileError, match=message) as caught:
+        read_voxels(tmp_path / "g.npz")
+    assert "\n" not in str(caught.value)

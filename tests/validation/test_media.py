@@ -1,0 +1,157 @@
+"""Light in media against solutions of the transfer equation that do not trace rays.
+
+Sources: S. Chandrasekhar, Radiative Transfer (1950), chapter V, equation 31 and the law of diffuse reflection of a
+semi-infinite isotropic medium (chapter III, equation 112); and, for anisotropic scattering in a slab, successive orders
+of scattering on discrete ordinates, written here, for light that falls in along the normal (as in H. C. van de Hulst,
+Multiple Light Scattering, 1980, chapter 9, whose tables are not at hand).
+"""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import lfmesh as lf
+from tests.cameras import camera_without_array
+
+Array = NDArray[np.float64]
+
+TILT_DEG = 40.0
+"""Of the slab's normal from the camera's axis, about y."""
+
+
+def camera() -> dict[str, Any]:
+    """Return a camera of so few degrees that all its pixels see a slab at one angle."""
+    return camera_without_array(pixels=2, pixel_mm=0.2)
+
+
+def mean_radiance(media: list[dict[str, Any]], lights: list[dict[str, Any]], **transport: Any) -> tuple[float, float]:
+    """Return the mean radiance that the pixels see, W/(m² sr), and its standard error."""
+    settings = {"split": "transmit", "replicates": 16, "seed": 5} | transport
+    scene = lf.Scene(camera=camera(), media=media, lights=lights, transport=settings)  # type: ignore[arg-type]
+    image = lf.render(scene)
+    unit = lf.render(
+        lf.Scene(  # type: ignore[call-arg]
+            camera=camera(),  # type: ignore[arg-type]
+            targets=[{"shape": {"kind": "plane", "width_mm": 100.0, "height_mm": 100.0},  # type: ignore[arg-type]
+                      "position_mm": [0.0, 0.0, -150.0], "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0}}],
+            transport={"split": "transmit", "samples": 4096, "seed": 5},  # type: ignore[arg-type]
+        )
+    )  # fmt: skip
+    whole = unit.mean.sum()
+    return float(image.mean.sum() / whole), float(np.sqrt((image.stderr**2).sum()) / whole)
+
+
+def tilted_slab(depth_mm: float, **values: Any) -> dict[str, Any]:
+    """Return a slab whose lit face passes through the axis at z = -150."""
+    normal = np.array([np.sin(np.deg2rad(TILT_DEG)), 0.0, np.cos(np.deg2rad(TILT_DEG))])
+    middle = np.array([0.0, 0.0, -150.0 - 0.0]) - 0.5 * depth_mm * normal
+    return {
+        "bounds": {"kind": "box", "size_mm": [150.0, 150.0, depth_mm]},
+        "position_mm": middle.tolist(),
+        "rotation_deg": [0.0, TILT_DEG, 0.0],
+        **values,
+    }
+
+
+def along_normal(irradiance: float = 1.0) -> dict[str, Any]:
+    angle = np.deg2rad(TILT_DEG)
+    return {"kind": "directional", "direction": [-np.sin(angle), 0.0, -np.cos(angle)], "irradiance_w_m2": irradiance}
+
+
+@cache
+def h_function(albedo: float) -> tuple[Array, Array]:
+    """Return nodes μ and H(μ) of Chandrasekhar's equation, by iteration of its form with 1 / H."""
+    x, w = np.polynomial.legendre.leggauss(200)
+    mu, w = 0.5 * (x + 1.0), 0.5 * w
+    h = np.ones_like(mu)
+    for _ in range(2000):
+        rest = np.sqrt(1.0 - albedo) + 0.5 * albedo * (w * mu * h / (mu[:, None] + mu)).sum(axis=1)
+        new = 1.0 / rest
+        if np.abs(new - h).max() < 1e-13:
+            break
+        h = 0.5 * (h + new)
+    return mu, h
+
+
+def h_at(albedo: float, mu: float) -> float:
+    nodes, h = h_function(albedo)
+    w = 0.5 * np.polynomial.legendre.leggauss(200)[1]
+    return float(1.0 / (np.sqrt(1.0 - albedo) + 0.5 * albedo * (w * nodes * h / (mu + nodes)).sum()))
+
+
+def test_h_function_has_its_zeroth_moment() -> None:
+    h = h_function(0.8)[1]
+    w = 0.5 * np.polynomial.legendre.leggauss(200)[1]
+    # The zeroth moment of H is known in closed form.
+    assert (w * h).sum() == pytest.approx(2.0 / 0.8 * (1.0 - np.sqrt(0.2)), rel=1e-10)
+
+
+def test_semi_infinite_isotropic_medium_reflects_by_chandrasekhars_h_function() -> None:
+    albedo, mu, mu0 = 0.8, np.cos(np.deg2rad(TILT_DEG)), 1.0
+    medium = tilted_slab(120.0, scattering_per_mm=0.8, absorption_per_mm=0.2)
+    found, sigma = mean_radiance([medium], [along_normal()], samples=32768)
+    expected = albedo / (4.0 * np.pi) * mu0 / (mu + mu0) * h_at(albedo, mu) * h_at(albedo, mu0)
+    assert sigma < 0.005 * expected
+    assert abs(found - expected) < 3.0 * sigma, (found, expected, sigma)
+
+
+def slab_reflection(albedo: float, depth: float, g: float, mu: float, cells: int = 250, nodes: int = 20) -> float:
+    """Return the reflected radiance of a slab at cosine μ for unit irradiance along the normal, by scattering orders."""
+    x, w = np.polynomial.legendre.leggauss(nodes)
+    angles = np.concatenate([0.5 * (x + 1.0), [mu]])
+    weights = np.concatenate([0.5 * w, [0.0]])
+    signed = np.concatenate([angles, -angles])  # downwards positive
+    order = np.arange(2 * nodes)
+    polynomials = np.array([np.polynomial.legendre.Legendre.basis(n)(signed) for n in order])
+    moments = (2 * order + 1) * g**order
+    phase = np.einsum("n,ni,nj->ij", moments, polynomials, polynomials) / 2.0
+    # Truncated and normalised on the nodes, so that no light is made or lost.
+    both = np.concatenate([weights, weights])
+    phase /= (phase * both).sum(axis=1, keepdims=True) / 1.0
+    step = depth / cells
+    middle = (np.arange(cells) + 0.5) * step
+    beam = (moments[:, None] * polynomials).sum(axis=0) / (4.0 * np.pi)
+    faded = (np.exp(-middle + 0.5 * step) - np.exp(-middle - 0.5 * step)) / step
+    source = albedo * beam[None, :] * faded[:, None]
+    total = 0.0
+    t = np.exp(-step / angles)
+    # Mean of e^(-x/μ) over a cell, for the mean radiance in it.
+    gain = 1.0 - t
+    for _ in range(4000):
+        mean = np.zeros_like(source)
+        n = len(angles)
+        down = np.zeros(n)
+        for i in range(cells):
+            s = source[i, :n]
+            mean[i, :n] = s + (down - s) * gain * angles / step
+            down = down * t + s * gain
+        up = np.zeros(n)
+        for i in range(cells - 1, -1, -1):
+            s = source[i, n:]
+            mean[i, n:] = s + (up - s) * gain * angles / step
+            up = up * t + s * gain
+        total += up[-1]
+        source = albedo * (mean * both) @ phase.T
+        if up[-1] < 1e-7 * total:
+            break
+    return float(total)
+
+
+def test_orders_of_scattering_agree_with_the_h_function() -> None:
+    mu = np.cos(np.deg2rad(TILT_DEG))
+    expected = 0.8 / (4.0 * np.pi) / (mu + 1.0) * h_at(0.8, mu) * h_at(0.8, 1.0)
+    assert slab_reflection(0.8, 25.0, 0.0, mu) == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize(("albedo", "depth", "g"), [(0.9, 2.0, 0.0), (0.9, 4.0, 0.6)])
+def test_slab_reflects_as_discrete_ordinates_say(albedo: float, depth: float, g: float) -> None:
+    expected = slab_reflection(albedo, depth, g, float(np.cos(np.deg2rad(TILT_DEG))))
+    kappa = depth / 4.0
+    medium = tilted_slab(4.0, scattering_per_mm=albedo * kappa, absorption_per_mm=(1.0 - albedo) * kappa,
+                         phase={"kind": "henyey_greenstein", "g": g})  # fmt: skip
+    found, sigma = mean_radiance([medium], [along_normal()], samples=65536)
+    assert sigma < 0.005 * expected
+    assert abs(found - expected) < 3.0 * sigma, (found, expected, sigma)

@@ -19,6 +19,7 @@ from lfmesh.scene.finishes import Finish
 from lfmesh.scene.inputs import found
 from lfmesh.scene.lights import Light
 from lfmesh.scene.model import Fault, Location, Model
+from lfmesh.scene.particles import Particles
 from lfmesh.scene.quantities import Text
 from lfmesh.scene.spectra import Spectrum, curve_of
 from lfmesh.scene.targets import Target
@@ -48,6 +49,8 @@ class Scene(Model):
     """The bodies in front of the camera."""
     lights: tuple[Light, ...] = ()
     """What lights them."""
+    particles: tuple[Particles, ...] = ()
+    """Points in front of the camera that shine, or that light sheets light."""
     coatings: dict[str, Coating] = Field(default_factory=dict)
     """Coatings by the names that surfaces give."""
     transport: Transport = Field(default_factory=Transport)
@@ -143,6 +146,7 @@ class Scene(Model):
             elif material.spectrum is not None:
                 changes[f"targets[{i}].material.spectrum"] = None
         changes |= {f"lights[{i}].spectrum": None for i in range(len(self.lights))}
+        changes |= {f"particles[{i}].spectrum": None for i in range(len(self.particles))}
         return self.changed(changes)
 
     @property
@@ -259,6 +263,7 @@ class Scene(Model):
             if material.temperature_k is not None and not in_bands:
                 yield Fault((*where, "temperature_k"), material.temperature_k, NEEDS_BANDS)
         uses += [(("lights", i, "spectrum"), light.spectrum, True) for i, light in enumerate(self.lights)]
+        uses += [(("particles", i, "spectrum"), group.spectrum, True) for i, group in enumerate(self.particles)]
         for where, spectrum, is_density in uses:
             if not isinstance(spectrum, Spectrum):
                 continue

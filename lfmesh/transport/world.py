@@ -45,6 +45,12 @@ from lfmesh.transport.tables.lens import lens_tables, mla_tables
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, refuse_targets_inside
+from lfmesh.transport.tables.particles import (
+    ParticleTables,
+    corners_round,
+    particle_tables,
+    refuse_particles_behind,
+)
 from lfmesh.transport.tables.polarisation import polarisation_tables
 from lfmesh.transport.tables.surroundings import Surroundings, surroundings_of
 from lfmesh.transport.tables.tables import (
@@ -63,7 +69,7 @@ class World:
     def __init__(
         self, scene: Scene, report: FirstOrder, tables: Tables, finders: tuple[Finder, Finder, Finder],
         book: Book, lens: LensShape, targets: list[TargetMesh], housing: Mesh,
-        aim_proof: AimProof | None = None,
+        aim_proof: AimProof | None = None, particles: tuple[ParticleTables, ...] = (),
     ) -> None:  # fmt: skip
         self.scene = scene
         self.first_order = report
@@ -77,6 +83,7 @@ class World:
         self.media = MediumList.of(scene)
         self.lines = Lines.of(scene)
         self.aim_proof = aim_proof
+        self.particles = particles
 
     def reseeded(self, seed: int) -> "World":
         """Return the same world with another seed for renders; built again only where it has bands.
@@ -263,10 +270,13 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     object_mesh, objects = object_tables(scene, targets, housing, moves, book, lines, interfaces.objects, known, ranks)
     columns, rows = scene.camera.sensor.pixels
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
+    particles = particle_tables(scene, lines)
+    refuse_particles_behind(particles, moves, float(lens.box_low[2]))
     aim, proof = unaimed(scene, lens), None
     if aimed:
-        aim, proof = aim_table(scene, report, lens, mla, sensor, targets, moves, analytic=bool(shape.analytic.all()))
+        seen = np.concatenate([*(target.mesh.vertices for target in targets), corners_round(particles)])
+        aim, proof = aim_table(scene, report, lens, mla, sensor, seen, moves, analytic=bool(shape.analytic.all()))
     polarised = polarisation_tables(scene, wavelengths_nm, moves, book)
     tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=aim, polarised=polarised)
     finders = (Finder(lens_mesh), Finder(mla_mesh_), Finder(*divided(object_mesh, objects.facets["body"])))
-    return World(scene, report, tables, finders, book, shape, targets, housing, proof)
+    return World(scene, report, tables, finders, book, shape, targets, housing, proof, particles)

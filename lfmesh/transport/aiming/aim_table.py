@@ -10,7 +10,6 @@ import numpy as np
 from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
 from lfmesh.geometry.surface import sag
-from lfmesh.geometry.targets import TargetMesh
 from lfmesh.geometry.tessellation import on_circles
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
@@ -43,7 +42,7 @@ def aim_table(
     lens: LensTables,
     mla: MlaTables,
     sensor: SensorTables,
-    targets: list[TargetMesh],
+    points: Array,
     moves: Array,
     *,
     analytic: bool,
@@ -56,16 +55,14 @@ def aim_table(
     report : FirstOrder
     lens, mla, sensor
         Tables of the scene.
-    targets : list of TargetMesh
-        World frame.
+    points : (n, 3) float64, mm, world frame
+        From which light comes: vertices of targets, and round particles.
     moves : (5, 5, 3, 4) float64
         Between frames, see `frame_table`.
     analytic : bool
         Every surface of the lens is exact, so that the opening is found by real rays; else by first-order optics.
     """
-    seen = np.concatenate(
-        [frame.points(moves[WORLD_FRAME, CAMERA_FRAME], t.mesh.vertices) for t in targets] or [np.zeros((0, 3))]
-    )
+    seen = frame.points(moves[WORLD_FRAME, CAMERA_FRAME], points)
     if lens.interfaces.rough or mla.interfaces.rough:
         return _anywhere(scene, lens, mla, seen, moves), None
     key = digest(scene.camera, scene.transport.split, report, lens, mla, sensor, seen, moves, analytic)

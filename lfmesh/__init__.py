@@ -64,6 +64,7 @@ if TYPE_CHECKING:
         loads,
         solved,
     )
+    from lfmesh.scene.particles import Particles, displaced, particle_vectors
     from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
     from lfmesh.transport.render.image import Image
     from lfmesh.transport.render.progress import Progress
@@ -103,6 +104,7 @@ __all__ = [
     "Material",
     "MeshError",
     "MicrolensArray",
+    "Particles",
     "Paths",
     "Photograph",
     "Plane",
@@ -128,6 +130,7 @@ __all__ = [
     "calibrate",
     "decode",
     "depth_truth",
+    "displaced",
     "draw",
     "draw_lens_sheet",
     "estimate_centres",
@@ -142,6 +145,7 @@ __all__ = [
     "object_rays",
     "open_run",
     "open_white",
+    "particle_vectors",
     "patches_in_focus",
     "refocus",
     "render",
@@ -190,6 +194,7 @@ _HOMES = {
             "solved",
         ],
     ],
+    "lfmesh.scene.particles": ["Particles", "displaced", "particle_vectors"],
     "lfmesh.transport.render.image": ["Image"],
     "lfmesh.transport.packets.ledger": ["Ledger", "LostEnergyWarning"],
     "lfmesh.transport.render.progress": ["Progress"],

@@ -36,6 +36,7 @@ Examples:
     lfmesh depth run/                    true depth, and from the light field
     lfmesh expose run/ --bayer RGGB      what a detector with noise counts
     lfmesh export run/ --format hci -o hci/   files of other people's tools
+    lfmesh frames scene.toml -o pair/    image pairs of moving particles
     lfmesh compare scene.toml -o cmp/    beside two other kinds of camera
     lfmesh lens list                     lenses that come with lfmesh
     lfmesh lens convert in.zmx out.toml  other programs' lens files, and back

@@ -111,7 +111,11 @@ class Part:
 def parts_of(world: World, *, aimed: bool = True) -> tuple[Part, ...]:
     """Return the parts of a scene's image, which is their sum."""
     options, tables = options_of(world, aimed=aimed), world.tables
-    lamps = (*(lamp_parts(world) if options.adjoint else ()), *particle_parts(world))
+    particles = particle_parts(world)
+    if particles and not len(tables.objects.lights) and not tables.objects.radiance.any():
+        # Nothing else shines, so no packet need start anywhere else.
+        return particles
+    lamps = (*(lamp_parts(world) if options.adjoint else ()), *particles)
     if engine_of(world.scene)[0] != "both":
         return (Part(0, options, tables), *lamps)
     path = tables.aim._replace(wide_share=WIDE_SHARE_OF_IMAGE_PATH, share_without_aim=WIDE_SHARE_OF_IMAGE_PATH)

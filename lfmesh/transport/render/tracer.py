@@ -247,9 +247,6 @@ class Tracer:
         asking = [part for part in self.parts if part.options.in_order and not part.options.sequential]
         if not asking:
             return None
-        if not self.adjoint and not len(self.world.tables.objects.sources):
-            # Nothing starts in the method's own part.
-            asking = [part for part in asking if part.from_lamps] or asking
         part = max(asking, key=lambda each: not each.from_lamps)
         key = descendant(self.seed, ORDER_STREAM)
         draw = np.random.default_rng(int(key))

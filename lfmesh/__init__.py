@@ -71,6 +71,7 @@ if TYPE_CHECKING:
         loads,
         solved,
     )
+    from lfmesh.scene.particles import Particles, displaced, particle_vectors
     from lfmesh.study.study import Study
     from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
     from lfmesh.transport.render.image import Image
@@ -112,6 +113,7 @@ __all__ = [
     "Material",
     "MeshError",
     "MicrolensArray",
+    "Particles",
     "Paths",
     "Photograph",
     "Plane",
@@ -143,6 +145,7 @@ __all__ = [
     "calibrate",
     "decode",
     "depth_truth",
+    "displaced",
     "draw",
     "draw_lens_sheet",
     "estimate_centres",
@@ -158,6 +161,7 @@ __all__ = [
     "open_projection_matrix",
     "open_run",
     "open_white",
+    "particle_vectors",
     "patches_in_focus",
     "projection_matrix",
     "reconstruct",
@@ -217,6 +221,7 @@ _HOMES = {
             "solved",
         ],
     ],
+    "lfmesh.scene.particles": ["Particles", "displaced", "particle_vectors"],
     "lfmesh.study.study": ["Study"],
     "lfmesh.transport.render.image": ["Image"],
     "lfmesh.transport.packets.ledger": ["Ledger", "LostEnergyWarning"],

@@ -142,8 +142,8 @@ def made_on() -> str:
 
 
 def shines(scene: Scene) -> bool:
-    """Tell whether a scene has a light or a target that emits."""
-    return bool(scene.lights) or any(target.material.emits for target in scene.targets)
+    """Tell whether a scene has a light, particles or a target that emits."""
+    return bool(scene.lights or scene.particles) or any(target.material.emits for target in scene.targets)
 
 
 def _print_table(console: Console, title: str, rows: list[dict[str, str]], grouped_by: str) -> None:

@@ -31,6 +31,7 @@ CROPS = {
     "hexagonal": (-1.0, 0.5),
     "lit_chart": (-1.0, 0.5),
     "lytro_class": (-2.5, 1.5),
+    "particles": (-1.0, 0.5),
     "polarised": (-1.0, 0.5),
     "tank": (-1.0, 0.5),
 }

@@ -13,6 +13,7 @@ from lfmesh.cli import (  # noqa: F401  # adds their commands
     accuracy,
     compare,
     export,
+    frames,
     lens,
     lens_sheet,
     lightfield,

@@ -39,6 +39,7 @@ Examples:
     lfmesh depth run/                    true depth, and from the light field
     lfmesh expose run/ --bayer RGGB      what a detector with noise counts
     lfmesh export run/ --format hci -o hci/   files of other people's tools
+    lfmesh frames scene.toml -o pair/    image pairs of moving particles
     lfmesh compare scene.toml -o cmp/    beside two other kinds of camera
     lfmesh study study.toml -o out/      many cameras: errors and tolerances
     lfmesh lens list                     lenses that come with lfmesh

@@ -221,6 +221,8 @@ def _outside(x: float, y: float, z: float, reach: float, facts: "FirstOrder") ->
 
 
 def _light(scene: Scene) -> Iterator[str]:
+    if scene.particles:
+        return
     if not scene.targets:
         yield "there are no targets: the image will be black"
     elif not scene.lights and not any(target.material.emits for target in scene.targets):

@@ -21,6 +21,7 @@ from lfmesh.scene.inputs import found
 from lfmesh.scene.lights import Light
 from lfmesh.scene.media import Medium
 from lfmesh.scene.model import Fault, Location, Model
+from lfmesh.scene.particles import Particles
 from lfmesh.scene.quantities import Text
 from lfmesh.scene.spectra import Spectrum, curve_of
 from lfmesh.scene.tank import Tank
@@ -59,6 +60,8 @@ class Scene(Model, Shown):
     """What lights them."""
     media: tuple[Medium, ...] = ()
     """What light passes through on its way: flames, fog, smoke."""
+    particles: tuple[Particles, ...] = ()
+    """Points in front of the camera that shine, or that light sheets light."""
     coatings: dict[str, Coating] = Field(default_factory=dict)
     """Coatings by the names that surfaces give."""
     transport: Transport = Field(default_factory=Transport)
@@ -170,6 +173,7 @@ class Scene(Model, Shown):
                 changes[f"media[{i}].emission_w_mm3_sr"] = 1.0
             elif medium.spectrum is not None:
                 changes[f"media[{i}].spectrum"] = None
+        changes |= {f"particles[{i}].spectrum": None for i in range(len(self.particles))}
         return self.changed(changes)
 
     @property
@@ -293,6 +297,7 @@ class Scene(Model, Shown):
             uses += [((*where, key), getattr(medium, key), True) for key in ("emission_w_mm3_sr", "spectrum")]
             if medium.temperature_k is not None and not in_bands:
                 yield Fault((*where, "temperature_k"), medium.temperature_k, NEEDS_BANDS)
+        uses += [(("particles", i, "spectrum"), group.spectrum, True) for i, group in enumerate(self.particles)]
         for where, spectrum, is_density in uses:
             if not isinstance(spectrum, Spectrum):
                 continue

@@ -46,6 +46,12 @@ from lfmesh.transport.tables.lens import lens_tables, mla_tables
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, refuse_targets_inside
+from lfmesh.transport.tables.particles import (
+    ParticleTables,
+    corners_round,
+    particle_tables,
+    refuse_particles_behind,
+)
 from lfmesh.transport.tables.polarisation import polarisation_tables
 from lfmesh.transport.tables.surroundings import Surroundings, surroundings_of
 from lfmesh.transport.tables.tables import (
@@ -75,6 +81,7 @@ class World(Shown):
         self, scene: Scene, report: FirstOrder, tables: Tables, finders: tuple[Finder, Finder, Finder],
         book: Book, lens: LensShape, targets: list[TargetMesh], housing: Mesh,
         find_aim: Callable[[], tuple[AimTables, AimProof | None]],
+        particles: tuple[ParticleTables, ...] = (),
     ) -> None:  # fmt: skip
         self.scene = scene
         self.first_order = report
@@ -87,6 +94,7 @@ class World(Shown):
         self.housing = housing
         self.media = MediumList.of(scene)
         self.lines = Lines.of(scene)
+        self.particles = particles
         self._find_aim = find_aim
         self._how: dict[str, Any] = {}
         """How it was built from its scene: keywords of `build`."""
@@ -320,6 +328,9 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     seen = [targets_in_camera(targets, moves), corners_in_camera(objects.volumes, moves)]
     columns, rows = scene.camera.sensor.pixels
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
+    particles = particle_tables(scene, lines)
+    refuse_particles_behind(particles, moves, float(lens.box_low[2]))
+    seen.append(frame.points(moves[WORLD_FRAME, CAMERA_FRAME], corners_round(particles)))
     anywhere = unaimed(scene, lens)
 
     def find_aim() -> tuple[AimTables, AimProof | None]:
@@ -332,6 +343,6 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     polarised = polarisation_tables(scene, wavelengths_nm, moves, book)
     tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=anywhere, polarised=polarised)
     finders = (Finder(lens_mesh), Finder(mla_mesh_), Finder(*divided(object_mesh, objects.facets["body"])))
-    world = World(scene, report, tables, finders, book, shape, targets, housing, find_aim)
+    world = World(scene, report, tables, finders, book, shape, targets, housing, find_aim, particles)
     world._how = {"rings": rings, "aimed": aimed}
     return world

@@ -80,7 +80,7 @@ class Ledger(Shown):
     lit: float = 0.0
     """Adjoint: the part of `reached_target` at points that a light reaches or that emit."""
     lamps: "Ledger | None" = None
-    """Adjoint: ledger of the packets that lamps send towards glass, in W; None without lamps or without glass."""
+    """Ledger of the packets of particles and, adjoint, of those that lamps send towards glass, in W; None without."""
 
     def __repr__(self) -> str:
         into = self.emitted or 1.0

@@ -26,6 +26,7 @@ from lfmesh.transport.render.parts import parts_of
 from lfmesh.transport.render.tally import Film
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.lights import LightSource
+from lfmesh.transport.sources.particles import ParticleSource
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.world import World, build
 
@@ -100,6 +101,8 @@ def compile_launches(world: World) -> None:
         work.begin(Film.empty(0, 1), 0)
         if part.options.adjoint:
             PixelSource(np.zeros(0, np.int64), 1, np.uint64(0)).launch(work, range(0))
+        elif part.particles is not None:
+            ParticleSource(part.particles, 0, 0, 1, np.uint64(0), 0).launch(work, range(0))
         else:
             LightSource(0, 0, 1, np.uint64(0), 0).launch(work, range(0))
         if part.options.sequential:

@@ -4,6 +4,7 @@ Paths with reflections carry a few per cent of the light and cost ten times as m
 method estimates the two independently and adds them: the image path with the sequential engine, and all other paths,
 for which fewer samples are enough, with the mesh engine. If the scene has lamps and glass, light of lamps through glass
 is a third part, traced forward. `path_class` defines the classes; each path belongs to one of them and counts once.
+Particles are points, which no ray from the sensor meets: in both methods each entry of them is a part, traced forward.
 """
 
 from dataclasses import dataclass, replace
@@ -20,6 +21,8 @@ from lfmesh.transport.packets.path_class import LAMP_THROUGH_GLASS, OFF_IMAGE_PA
 from lfmesh.transport.render.blind_check import without_aim
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.tables.objects import aimed_at_glass
+from lfmesh.transport.tables.particles import ParticleTables
+from lfmesh.transport.tables.scattering import LAMBERTIAN, ScatteringTables
 from lfmesh.transport.tables.tables import OPAQUE, Tables
 from lfmesh.transport.world import World
 
@@ -32,7 +35,7 @@ SCATTERED_PER_FOLLOWED = 25.0
 The reflection of such a path at a lens surface, some 4 %, then has about the weight of other children."""
 
 OWN_BOOK, LAMP_BOOK, BOOKS = 0, 1, 2
-"""Rows of a run's books: the method's own packets, and in the adjoint method the packets of lamps, in W."""
+"""Rows of a run's books: the method's own packets; and those of particles and, adjoint, of lamps, in W."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,8 @@ class Part:
         The part's book accounts for all energy; from the other parts' books only `REACHED` and `LIT` are added.
     book : int
         Row of the run's books that the part's book is added to.
+    particles : ParticleTables, optional
+        What its packets start from, in place of lamps and emitting targets.
     """
 
     number: int
@@ -60,6 +65,25 @@ class Part:
     thinned: int = 1
     accounts: bool = True
     book: int = OWN_BOOK
+    particles: ParticleTables | None = None
+
+    def packets(self, pixels: int, of_image: int, replicates: int) -> int:
+        """Return the packets that a replicate of a part that is traced forward starts at each wavelength.
+
+        Parameters
+        ----------
+        pixels : int
+        of_image : int
+            Samples of a pixel in a replicate of the image.
+        replicates : int
+        """
+        if self.particles is None:
+            return pixels * self.samples(of_image)
+        return len(self.particles.points) * self.per_particle(replicates)
+
+    def per_particle(self, replicates: int) -> int:
+        """Return the packets of each of its particles in one of the replicates, at each wavelength."""
+        return 1 if self.particles is None else max(1, self.particles.samples // replicates)
 
     def samples(self, of_image: int) -> int:
         """Return the part's samples of a pixel, at least one, when the image has `of_image` samples."""
@@ -67,7 +91,7 @@ class Part:
 
     @property
     def from_lamps(self) -> bool:
-        """Whether its packets come from lamps in the adjoint method."""
+        """Whether its packets come from particles or, in the adjoint method, from lamps."""
         return self.book == LAMP_BOOK
 
     def by_meshes(self) -> "Part":
@@ -87,7 +111,11 @@ class Part:
 def parts_of(world: World, *, aimed: bool = True) -> tuple[Part, ...]:
     """Return the parts of a scene's image, which is their sum."""
     options, tables = options_of(world, aimed=aimed), world.aimed_tables
-    lamps = lamp_parts(world) if options.adjoint else ()
+    particles = particle_parts(world)
+    if particles and not (len(tables.objects.lights) or tables.objects.radiance.any() or world.scene.media):
+        # Nothing else shines, so no packet need start anywhere else.
+        return particles
+    lamps = (*(lamp_parts(world) if options.adjoint else ()), *particles)
     if engine_of(world.scene)[0] != "both":
         return (Part(0, options, tables), *lamps)
     path = tables.aim._replace(wide_share=WIDE_SHARE_OF_IMAGE_PATH, share_without_aim=WIDE_SHARE_OF_IMAGE_PATH)
@@ -123,6 +151,30 @@ def lamp_parts(world: World) -> tuple[Part, ...]:
     return (Part(2, options, world.aimed_tables._replace(objects=objects), book=LAMP_BOOK),)
 
 
+FIRST_OF_PARTICLES = 4
+"""Number of the part of the first particles."""
+
+
+def particle_parts(world: World) -> tuple[Part, ...]:
+    """Return the parts of an image that are traced from particles.
+
+    Targets hide particles. As no packet goes from particles to targets on purpose, those that fall there by chance are
+    not followed: the tables of these parts have black targets.
+    """
+    if not world.particles:
+        return ()
+    options = options_of(world)._replace(adjoint=False, bounce=False)
+    objects = world.tables.objects
+    models = objects.scattering.models.copy()
+    models["kind"], models["first"], models["black"] = LAMBERTIAN, 0, True
+    black = ScatteringTables(models, np.zeros((1, objects.scattering.parameters.shape[1])))
+    tables = world.aimed_tables._replace(objects=objects._replace(scattering=black))
+    return tuple(
+        Part(FIRST_OF_PARTICLES + number, options, tables, book=LAMP_BOOK, particles=particles)
+        for number, particles in enumerate(world.particles)
+    )
+
+
 def blind_part(world: World) -> Part:
     """Return a part that estimates all paths with rays that are not aimed, to check the other parts."""
     return Part(3, options_of(world), world.tables._replace(aim=without_aim(world.aim)), accounts=False)
@@ -131,4 +183,6 @@ def blind_part(world: World) -> Part:
 def in_words(scene: Scene, parts: tuple[Part, ...]) -> str:
     """Describe the engine of an image, the reason, and a part that is traced from lamps."""
     words = ": ".join(engine_of(scene))
-    return f"{words}; lamps' light through glass forward" if any(part.book == LAMP_BOOK for part in parts) else words
+    if any(part.from_lamps and part.particles is None for part in parts):
+        words += "; lamps' light through glass forward"
+    return f"{words}; particles forward" if any(part.particles is not None for part in parts) else words

@@ -45,6 +45,8 @@ class Chunk:
         Samples of each pixel.
     pixels : (count,) int64, or None
         Pixel numbers; None for those from `first` on.
+    owner : int
+        Pixel whose block books it.
     """
 
     number: int
@@ -56,10 +58,11 @@ class Chunk:
     packets: int
     samples: int = 1
     pixels: NDArray[np.int64] | None = None
+    owner: int = 0
 
     @property
     def from_lamps(self) -> bool:
-        """Whether its packets come from lamps in the adjoint method."""
+        """Whether its packets come from particles or, in the adjoint method, from lamps."""
         return self.part.from_lamps
 
     def pixel_numbers(self) -> NDArray[np.int64]:
@@ -81,8 +84,7 @@ class Block:
 
     def owns(self, chunk: Chunk) -> bool:
         """Whether the chunk begins in this block, which then books it."""
-        first = chunk.first if chunk.part.options.adjoint else chunk.first // chunk.samples
-        return self.first <= first < self.last
+        return self.first <= chunk.owner < self.last
 
     def touches(self, chunk: Chunk) -> bool:
         """Whether the chunk adds anything to this block."""
@@ -107,6 +109,7 @@ class Plan:
         Samples of a pixel in each replicate of the first stage.
     chunk : int
         Number of packets that start a chunk.
+    replicates : int
     """
 
     parts: tuple[Part, ...]
@@ -114,6 +117,7 @@ class Plan:
     lines: Lines
     samples: int
     chunk: int
+    replicates: int = 1
 
     def chunks(self, replicate: int, levels: Counts | None = None) -> Iterator[Chunk]:
         """Yield a replicate's chunks in the order of folding; `levels` (pixels,): of the second stage."""
@@ -124,13 +128,17 @@ class Plan:
                     pieces = self._first(part, turn) if levels is None else self._second(part, turn, levels)
                     for first, count, samples, pixels in pieces:
                         chunk = Chunk(number, part, first, count, channel, turn, count, samples, pixels)
-                        yield replace(chunk, packets=count * chunk.taken) if part.options.adjoint else chunk
+                        if part.options.adjoint:
+                            yield replace(chunk, packets=count * chunk.taken, owner=first)
+                        else:
+                            yield replace(chunk, owner=first * self.pixels // self._packets(part))
                         number += 1
 
     def _first(self, part: Part, turn: Turn) -> Iterator[Piece]:
         samples = part.samples(self.samples)
         if not part.options.adjoint:
-            packets = turn.part(self.pixels * samples)
+            packets = turn.part(self._packets(part))
+            samples = samples if part.particles is None else part.per_particle(self.replicates)
             for first in packets[:: self.chunk]:
                 yield first, min(self.chunk, packets.stop - first), samples, None
             return
@@ -163,10 +171,14 @@ class Plan:
                     some = pixels[first : first + per_chunk]
                     yield int(some[0]), len(some), samples, some
 
+    def _packets(self, part: Part) -> int:
+        """Return the packets that a replicate of the first stage starts in a part at each wavelength."""
+        return part.packets(self.pixels, self.samples, self.replicates)
+
     def packets(self, levels: Counts | None = None) -> int:
         """Return the number of packets that a replicate starts."""
         if levels is None:
-            return sum(self.lines.channels * self.pixels * part.samples(self.samples) for part in self.parts)
+            return sum(self.lines.channels * self._packets(part) for part in self.parts)
         adjoint = [part for part in self.parts if part.options.adjoint]
         return sum(self.lines.channels * total_samples(levels, part.samples) for part in adjoint)
 

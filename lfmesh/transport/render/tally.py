@@ -117,7 +117,7 @@ class ChunkTally:
     deposits : (n,) DEPOSIT
         Packets traced forward that fell on pixels.
     from_lamps : bool
-        Whether the deposits are lamps' own packets in the adjoint method.
+        Whether the deposits are packets of particles or, in the adjoint method, lamps' own.
     """
 
     number: int
@@ -157,7 +157,8 @@ class Tally:
     film : Film
         Film of all pixels.
     lamps : Film or None
-        Light of lamps' own packets, kept separate as it is not weighted with the pixels' number of samples.
+        Light of lamps' own packets and of particles, kept separate: it is not weighted with the pixels' number of
+        samples.
     book : (BOOKS, slots) float64
     work : Work
     blind : BlindSamples or None
@@ -257,7 +258,7 @@ class StageSum:
     ----------
     mean : Mean
     lamps : Mean or None
-        Mean of the light of lamps' own packets.
+        Mean of the light of lamps' own packets and of particles.
     book : (BOOKS, slots) float64
     work : Work
     blind : BlindSamples or None

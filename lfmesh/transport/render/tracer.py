@@ -23,6 +23,7 @@ from lfmesh.transport.render.parts import BOOKS, Part, blind_part, parts_of
 from lfmesh.transport.render.plan import Block, Chunk, Plan
 from lfmesh.transport.render.tally import ChunkTally, Film, Layout, Piece, Work
 from lfmesh.transport.sources.lights import LightSource
+from lfmesh.transport.sources.particles import ParticleSource
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher, Source
 from lfmesh.transport.tables.lines import Turn
@@ -89,12 +90,13 @@ class Tracer:
     @property
     def plan(self) -> Plan:
         """The chunks of the replicates."""
-        return Plan(self.parts, self.pixels, self.world.lines, self.samples, self.chunk)
+        replicates = self.world.scene.transport.replicates
+        return Plan(self.parts, self.pixels, self.world.lines, self.samples, self.chunk, replicates)
 
     @property
     def layout(self) -> Layout:
         """Sizes of all sums of the render."""
-        lamps = self.adjoint and not all(part.options.adjoint for part in self.parts)
+        lamps = any(part.from_lamps for part in self.parts)
         books = BOOKS, len(self.world.slots)
         return Layout(self.shape, books, COUNTERS, lamps, self.check and self.aimed)
 
@@ -264,6 +266,8 @@ class Tracer:
     def _source(self, chunk: Chunk, key: np.uint64, channel: int) -> Source:
         """Return the source of a chunk's packets; `channel`: column of the film."""
         turn = chunk.turn
+        if chunk.part.particles is not None:
+            return ParticleSource(chunk.part.particles, chunk.first, chunk.count, chunk.samples, key, turn.column)
         if not chunk.part.options.adjoint:
             return LightSource(chunk.first, chunk.count, self.pixels * chunk.samples, key, turn.column)
         pixels = chunk.pixel_numbers()

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry import frame as frames
 from lfmesh.scene.solve import focus_wished_mm
 from lfmesh.transport.packets.packet import CAMERA_FRAME, NO_SURFACE, SENSOR_FRAME, WORLD_FRAME, Event, Status
+from lfmesh.transport.tables.particles import corners_round
 from lfmesh.transport.tables.tables import Records
 from lfmesh.transport.world import World
 from lfmesh.view.rays.names import CURVED, label, surface_names, surface_numbers
@@ -283,6 +284,7 @@ def _points_of_scene(world: World) -> Floats:
     if focus is not None and np.isfinite(focus):
         points.append(frames.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], [[0.0, 0.0, -focus]]))
     points += [target.mesh.vertices for target in world.targets]
+    points.append(corners_round(world.particles))
     lamps = [light.position_mm for light in world.scene.lights if light.kind != "directional"]
     return np.concatenate([*points, np.array(lamps, dtype=np.float64).reshape(-1, 3)])
 

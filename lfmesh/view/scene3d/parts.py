@@ -99,7 +99,7 @@ def parts(world: World, picture: Picture | None = None, near_mm: tuple[float, fl
     """
     made = [*_lens(world), *_stop(world), *_array(world, near_mm), *_sensor(world, picture)]
     made += [_target(world, i, target) for i, target in enumerate(world.targets)]
-    return [*made, *_lights(world), *_signs(world)]
+    return [*made, *_lights(world), *_particles(world), *_signs(world)]
 
 
 def texture_of(part: Part) -> pv.Texture | None:
@@ -305,6 +305,18 @@ def _lights(world: World) -> Iterator[Part]:
                 _spikes(light.position_mm, size),
                 "#ffd24a",
             )
+
+
+MOST_POINTS = 20_000
+"""Particles of an entry that are drawn; of more, evenly many."""
+
+
+def _particles(world: World) -> Iterator[Part]:
+    for number, particles in enumerate(world.particles):
+        step = -(-len(particles.points) // MOST_POINTS)
+        cloud = pv.PolyData(np.ascontiguousarray(particles.points[::step]))
+        look = {"color": "#ffd24a", "lighting": False, "point_size": 3.0, "style": "points"}
+        yield Part(f"particles[{number}]", "light", cloud, look)
 
 
 def _spikes(centre: tuple[float, float, float], size: float) -> pv.PolyData:

@@ -1,0 +1,144 @@
+"""Particles as sources of packets, traced forward in both methods: no ray from the sensor meets a point.
+
+Each particle starts the same number of packets, aimed at the lens's opening as it sees it, by scrambled Sobol' points
+of its own. The power that it sends elsewhere is booked as escaped at once. Targets hide particles and absorb what falls
+on them: particles do not light them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.frame import move_direction, move_point
+from lfmesh.kernel import kernel
+from lfmesh.optics.phase import evaluate_phase
+from lfmesh.transport.aiming.mixture import aimed
+from lfmesh.transport.engine import Workspace
+from lfmesh.transport.events.polarisation import depolarise
+from lfmesh.transport.packets.book import EMITTED, ESCAPED
+from lfmesh.transport.packets.packet import (
+    CAMERA_FRAME,
+    NO_SURFACE,
+    OBJECT_FRAME,
+    OBJECTS,
+    SPECULAR,
+    WORLD_FRAME,
+    Flow,
+    put,
+)
+from lfmesh.transport.packets.random import derived
+from lfmesh.transport.packets.sobol import owen_sobol
+from lfmesh.transport.sources.source import Source
+from lfmesh.transport.tables.particles import ParticleTables
+from lfmesh.transport.tables.tables import AIR, AimTables
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ParticleSource(Source):
+    """Packets of particles: packet number p · n + i is sample p of particle i, so that all take each line of a band.
+
+    Attributes
+    ----------
+    particles : ParticleTables
+        n of them.
+    first, count : int
+        Number of the first packet in its replicate, and number of packets from there on.
+    samples : int
+        Packets of each particle in the replicate, all lines of a band together.
+    key : uint64
+        Key of the replicate's random numbers at this wavelength.
+    colour : int
+        Number of the wavelength.
+    """
+
+    particles: ParticleTables
+    first: int
+    count: int
+    samples: int
+    key: np.uint64
+    colour: int
+
+    def __len__(self) -> int:
+        return self.count
+
+    def launch(self, work: Workspace, part: range) -> None:
+        """Start some of the packets."""
+        tables = work.tables
+        launch_particles(
+            self.first + part.start, len(part), self.samples, self.key, self.colour,
+            self.particles, tables.aim, tables.frames, work.flow(), work.template,
+        )  # fmt: skip
+
+
+@kernel
+def launch_particles(
+    first: int, count: int, samples: int, replicate_key: np.uint64, colour: int,
+    particles: ParticleTables, aim: AimTables, frames: Array, flow: Flow, template: NDArray[np.void],
+) -> None:  # fmt: skip
+    """Start packets of particles towards the lens.
+
+    Parameters
+    ----------
+    first, count : int
+        Number of the first packet in its replicate, and number of packets from there on.
+    samples : int
+        Packets of each particle in the replicate.
+    replicate_key : uint64
+    colour : int
+        Number of the wavelength.
+    particles : ParticleTables
+    aim : AimTables
+    frames : (5, 5, 3, 4) float64
+    flow : Flow
+    template : (1,) PACKET
+        Working memory.
+    """
+    packet = template[0]
+    packet.colour = colour
+    packet.last, packet.column, packet.facet, packet.node = NO_SURFACE, NO_SURFACE, NO_SURFACE, NO_SURFACE
+    packet.medium, packet.space, packet.events, packet.stray = AIR, 0, 0, 0
+    # Nothing else is aimed: glass may bend it into the lens, and what it meets is not lit by another packet.
+    packet.kind = SPECULAR
+    depolarise(flow.polarised, packet)
+    n = len(particles.points)
+    for number in range(first, first + count):
+        i, sample = number % n, number // n
+        x, y, z = particles.points[i, 0], particles.points[i, 1], particles.points[i, 2]
+        power = particles.strength[i] * particles.scale[colour] / samples
+        flow.book[EMITTED] += power
+        own = derived(replicate_key, i)
+        px, py, pz = move_point(frames, WORLD_FRAME, CAMERA_FRAME, x, y, z)
+        ax, ay, az, at_lens = aimed(
+            px, py, pz, aim.entrance, aim.front_radius, aim.wide_share, aim.share_without_aim,
+            owen_sobol(own, sample, 2), owen_sobol(own, sample, 0), owen_sobol(own, sample, 1),
+        )  # fmt: skip
+        weight = 0.0
+        if at_lens > 0.0:
+            dx, dy, dz = move_direction(frames, CAMERA_FRAME, WORLD_FRAME, ax, ay, az)
+            along = particles.along
+            cosine = along[0] * dx + along[1] * dy + along[2] * dz
+            row = particles.phases.rows[0, colour]
+            weight = power * evaluate_phase(particles.phases, row, cosine) / at_lens
+            packet.source = number
+            packet.start = weight
+            ox, oy, oz = move_direction(frames, WORLD_FRAME, OBJECT_FRAME, dx, dy, dz)
+            x, y, z = move_point(frames, WORLD_FRAME, OBJECT_FRAME, x, y, z)
+            put(
+                flow,
+                OBJECTS,
+                packet,
+                OBJECT_FRAME,
+                x,
+                y,
+                z,
+                ox,
+                oy,
+                oz,
+                weight,
+                derived(replicate_key, n + number),
+                0.0,
+            )
+        flow.book[ESCAPED] += power - weight

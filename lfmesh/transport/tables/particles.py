@@ -1,0 +1,113 @@
+"""The table of particles as kernels read it."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import SceneError
+from lfmesh.geometry import frame
+from lfmesh.optics.phase import PhaseTables, phase_tables
+from lfmesh.scene import Scene
+from lfmesh.scene.particles import Particles, particle_places
+from lfmesh.scene.phase import MiePhase
+from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
+from lfmesh.transport.tables.lines import Lines
+from lfmesh.transport.tables.phases import phase_functions, sphere_of
+from lfmesh.transport.tables.spectra import spread
+
+Array = NDArray[np.float64]
+
+DARKEST = 1e-6
+"""Brightness, over that of the brightest in a sheet, below which particles are left out."""
+
+UM2 = 1e-6
+"""One µm² in mm²."""
+
+
+class ParticleTables(NamedTuple):
+    """The particles of an entry of `[[particles]]`."""
+
+    points: Array  # (n, 3) mm, world frame
+    strength: Array  # (n,) W/sr, or W/mm² of a light sheet
+    scale: Array  # (wavelengths,) sr or mm²: power, W, over the strength
+    along: Array  # (3,) unit, world frame: the way of the light that is scattered
+    phases: PhaseTables  # of one function
+    samples: int  # packets of each particle, all replicates together
+
+
+def particle_tables(scene: Scene, lines: Lines) -> tuple[ParticleTables, ...]:
+    """Return the particles of a scene, but for entries of which none shines.
+
+    Parameters
+    ----------
+    scene : Scene
+    lines : Lines
+
+    Raises
+    ------
+    SceneError, FileError
+        A file or a spectrum cannot be used.
+    """
+    tables = []
+    for number, group in enumerate(scene.particles):
+        where = f"particles[{number}]"
+        places, strength = particle_places(group, scene)
+        bright = strength > (DARKEST * strength.max() if group.sheet is not None else 0.0)
+        if not bright.any():
+            continue
+        functions = phase_functions(group.phase, lines.wavelengths_nm, scene, f"{where}.phase")
+        scale = spread(scene, 1.0, group.spectrum, lines, f"{where}.spectrum") * _power(group, lines, where)
+        along = np.array([0.0, 0.0, 1.0])
+        if group.sheet is not None:
+            along = np.array(group.sheet.direction) / np.linalg.norm(group.sheet.direction)
+        phases = phase_tables([functions])
+        tables.append(ParticleTables(places[bright], strength[bright], scale, along, phases, group.samples))
+    return tuple(tables)
+
+
+def _power(group: Particles, lines: Lines, where: str) -> Array:
+    """Return the power of a particle over its strength, (wavelengths,): sr of all directions, or mm² that scatter."""
+    if group.sheet is None:
+        return np.full(len(lines.wavelengths_nm), 4.0 * np.pi)
+    if isinstance(group.phase, MiePhase):
+        spheres = [sphere_of(group.phase, wavelength, f"{where}.phase") for wavelength in lines.wavelengths_nm]
+        return np.array([sphere.scattering_um2 * UM2 for sphere in spheres])
+    diameter = group.diameter_um or 0.0
+    return np.full(len(lines.wavelengths_nm), 0.25 * np.pi * diameter**2 * UM2)
+
+
+def corners_round(tables: tuple[ParticleTables, ...]) -> Array:
+    """Return the corners of boxes round the particles of each entry, (n, 3), mm, world frame."""
+    corners = [np.zeros((0, 3))]
+    for table in tables:
+        ends = np.stack([table.points.min(axis=0), table.points.max(axis=0)])
+        corners.append(np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i, j, k in np.ndindex(2, 2, 2)]))
+    return np.concatenate(corners)
+
+
+def refuse_particles_behind(tables: tuple[ParticleTables, ...], moves: Array, front_mm: float) -> None:
+    """Refuse particles that do not lie before the lens.
+
+    Parameters
+    ----------
+    tables : tuple of ParticleTables
+    moves : (5, 5, 3, 4) float64
+        See `frame_table`.
+    front_mm : float, mm
+        The lens's outermost plane, camera frame.
+
+    Raises
+    ------
+    SceneError
+        Naming the first of them.
+    """
+    for table in tables:
+        depth = frame.points(moves[WORLD_FRAME, CAMERA_FRAME], table.points)[:, 2]
+        wrong = np.flatnonzero(~(depth < front_mm))
+        if len(wrong):
+            x, y, z = table.points[wrong[0]]
+            raise SceneError(
+                f"particles: one at ({x:.6g}, {y:.6g}, {z:.6g}) mm does not lie before the lens; in the camera frame "
+                f"its z = {depth[wrong[0]]:.6g} mm must be below {front_mm:.6g}"
+            )

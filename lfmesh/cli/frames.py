@@ -9,7 +9,7 @@ from lfmesh.cli.application import app
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Overrides, SceneFile, Whole, overridden
 from lfmesh.cli.printing import list_files, say_note, warnings_as_notes
-from lfmesh.cli.progress import progress
+from lfmesh.view.progress import progress
 
 
 @app.command(

@@ -99,7 +99,7 @@ def test_semi_infinite_isotropic_medium_reflects_by_chandrasekhars_h_function() 
 
 
 def slab_reflection(albedo: float, depth: float, g: float, mu: float, cells: int = 250, nodes: int = 20) -> float:
-    """Return the reflected radiance of a slab at cosine μ for unit irradiance along the normal, by scattering orders."""
+    """Return the reflected radiance of a slab at cosine μ for unit irradiance along the normal, by orders."""
     x, w = np.polynomial.legendre.leggauss(nodes)
     angles = np.concatenate([0.5 * (x + 1.0), [mu]])
     weights = np.concatenate([0.5 * w, [0.0]])

@@ -10,6 +10,7 @@ import numpy as np
 from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
 from lfmesh.geometry.surface import sag
+from lfmesh.geometry.targets import TargetMesh
 from lfmesh.geometry.tessellation import on_circles
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
@@ -62,7 +63,6 @@ def aim_table(
     analytic : bool
         Every surface of the lens is exact, so that the opening is found by real rays; else by first-order optics.
     """
-
     if lens.interfaces.rough or mla.interfaces.rough:
         return _anywhere(scene, lens, mla, seen, moves), None
     key = digest(scene.camera, scene.transport.split, report, lens, mla, sensor, seen, moves, analytic)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cyclopts import CycloptsError
 
 import lfmesh
 from lfmesh.cli import app, main
@@ -93,6 +94,39 @@ def test_every_command_named_exists() -> None:
     assert named == known
     for program in {words[0] for words in commands()} - {"lfmesh", ".venv/bin/python"}:
         assert os.access(ROOT / program, os.X_OK), program
+
+
+def whole_commands() -> list[list[str]]:
+    """Every command of lfmesh on any page that has arguments, without the name of the program."""
+    ours = [words[1:] for words in commands() if words[0] in ("lfmesh", "tools/run") and len(words) > 2]
+    return [words for words in ours if words != ["refocus", "run/", "--distance-mm", "500", "--method"]]
+
+
+def test_every_option_of_every_command_is_one(folder: Path) -> None:
+    """They are read as the command line reads them; nothing is run."""
+    assert len(whole_commands()) > 25
+    for words in whole_commands():
+        app.parse_args(words, exit_on_error=False, print_error=False)
+    with pytest.raises(CycloptsError):
+        app.parse_args(["white", "run", "--no-such-option"], exit_on_error=False, print_error=False)
+
+
+SMALLER = {"render": ["--samples", "4", "--replicates", "2", "--split", "transmit"]}
+ELSEWHERE = {"demo", "compare", "view", "accuracy"}
+"""Run by their own tests, or by the pages' other commands; they take long, or open a window."""
+
+
+def test_the_commands_of_the_table_run_one_after_the_other(folder: Path) -> None:
+    table = [shlex.split(line)[1:] for line in re.findall(r"^\| `(lfmesh [^`]+)`", README, flags=re.MULTILINE)]
+    run = [words for words in table if words[0] not in ELSEWHERE and words != ["lens", "convert", "in.zmx", "out.toml"]]
+    assert len(run) >= 12
+    for words in run:
+        assert main([*words, *(SMALLER.get(words[0], []) if "--resume" not in words else [])]) == 0, words
+    written = {path.name for path in Path("run").iterdir()}
+    assert {"raw.exr", "white.exr", "lightfield.exr", "stack.exr", "depth.exr", "exposed.png"} <= written
+    assert Path("layout.svg").is_file()
+    assert Path("sheet.pdf").is_file()
+    assert any(Path("hci").iterdir())
 
 
 def test_every_file_named_exists() -> None:

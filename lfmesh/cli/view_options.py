@@ -58,8 +58,9 @@ class Looks:
     """How scene and rays are drawn."""
 
     colour: Annotated[
-        Literal["wavelength", "power", "events", "status", "path"], Parameter(help="What the rays' colours mean.")
-    ] = "wavelength"
+        Literal["wavelength", "power", "events", "status", "path", "field"] | None,
+        Parameter(help="What the rays' colours mean: wavelengths, or where there is one, field points."),
+    ] = None
     fade: Annotated[bool, Parameter(negative=(), help="Draw rays with less power fainter.")] = False
     preset: Annotated[
         Literal["whole", "side", "object", "lens", "array", "sensor"], Parameter(help="Where to look from.")

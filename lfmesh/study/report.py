@@ -72,6 +72,12 @@ def page(table: Table) -> str:
 def _in_short(table: Table, done: list[Row], sensitivities: list[Sensitivity]) -> list[str]:
     plan = table.plan
     lines = [f"{len(done)} of {len(plan.points)} points are done, {len(table.failed)} are not or cannot be traced."]
+    if good := table.yield_share():
+        lines.append(
+            f"Yield: {good.good} of {good.trials} cameras keep the limits, {good.value:.1%} "
+            f"({CONFIDENCE} interval {good.low:.1%} to {good.high:.1%})."
+        )
+    lines += [f"By itself, {path} breaks a limit at {literal(value)}." for path, value in table.breaking()]
     column = _first(table)
     if column is not None:
         ranked = _ranked(done, column)

@@ -105,3 +105,26 @@ def slope(x: Array, y: Array, stderr: Array) -> Slope | None:
     noise = float(((off * stderr) ** 2).sum()) / spread**2
     reach = float(student.ppf(0.975, n - 2)) * math.sqrt(max(scatter, noise))
     return Slope(value, value - reach, value + reach, n)
+
+
+class Share(NamedTuple):
+    """A share of trials that went well, with its 95 % confidence interval (Clopper and Pearson 1934)."""
+
+    good: int
+    trials: int
+    low: float
+    high: float
+
+    @property
+    def value(self) -> float:
+        """The share itself."""
+        return self.good / self.trials if self.trials else math.nan
+
+
+def share_of(good: int, trials: int) -> Share:
+    """Return how many of some independent trials went well, with the interval of their probability."""
+    from scipy.stats import beta
+
+    low = float(beta.ppf(0.025, good, trials - good + 1)) if good else 0.0
+    high = float(beta.ppf(0.975, good + 1, trials - good)) if good < trials else 1.0
+    return Share(good, trials, low, high)

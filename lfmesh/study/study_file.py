@@ -9,10 +9,10 @@ from pydantic import Field, ValidationError
 
 from lfmesh.errors import LfmeshError
 from lfmesh.scene.model import Fault, Model, fault_lines, listed, nearest
-from lfmesh.scene.quantities import Count, Flag, Positive, Text, Whole
+from lfmesh.scene.quantities import Count, Flag, Number, Positive, Text, Whole
 from lfmesh.study.axes import Axis
 from lfmesh.study.error_modes import TEMPLATES
-from lfmesh.study.metrics import METRICS
+from lfmesh.study.metrics import METRICS, columns_of
 
 Design = Literal["grid", "one_at_a_time", "latin_hypercube", "sobol"]
 
@@ -51,6 +51,9 @@ class StudyFile(Model):
     changed. Else they are solved once, for the reference camera, which is then disturbed."""
     edge_distance_mm: Positive | None = None
     """Where the edge of the metric "mtf50" stands; in the plane in focus if omitted."""
+    limits: dict[str, Number] = Field(default_factory=dict)
+    """What a good camera keeps, by the column of the table, such as "psnr_db" = 30.0: at least, or, of columns that are
+    the worse the larger they are, at most. The report has the yield."""
     axes: tuple[Axis, ...] = ()
     """What varies."""
 
@@ -71,6 +74,11 @@ class StudyFile(Model):
                 )
         if not self.metrics:
             yield Fault(("metrics",), [], "must not be empty")
+        judged = [column.name for column in columns_of(tuple(filter(METRICS.get, self.metrics))) if column.worse]
+        for name, limit in self.limits.items():
+            if name not in judged:
+                valid = f"no column that can be limited{nearest(name, judged)}; there are {', '.join(judged)}"
+                yield Fault(("limits", name), limit, valid)
         paths = [axis.path for axis in self.axes]
         for i, path in enumerate(paths):
             if path in paths[:i]:

@@ -14,7 +14,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.study.axes import is_number
 from lfmesh.study.metrics import Column, columns_of
 from lfmesh.study.plan import Plan, Point
-from lfmesh.study.statistics import Estimate, Slope, slope
+from lfmesh.study.statistics import Estimate, Share, Slope, share_of, slope
 from lfmesh.study.unit import Outcome
 
 Array = NDArray[np.float64]
@@ -173,6 +173,41 @@ class Table:
         others = [i for i in range(len(self.plan.axes)) if i != axis]
         start = self.plan.reference_values
         return [row for row in self.rows if all(self.value_of(row, i) == start[i] for i in others)]
+
+    def is_good(self, row: Row) -> bool:
+        """Whether a point keeps all limits of the study; one that cannot be traced does not."""
+        for column in self.columns:
+            limit = self.plan.study.limits.get(column.name)
+            if limit is None:
+                continue
+            value = row.estimates[column.name].value if row.estimates else math.nan
+            if not (value >= limit if column.worse == "low" else value <= limit):
+                return False
+        return True
+
+    def yield_share(self) -> Share | None:
+        """Return the share of good cameras, of those that were drawn at random; None where there are no limits.
+
+        The interval is that of independent draws: of a Latin hypercube or Sobol' points, which cover the tolerances
+        more evenly, it is wider than need be.
+        """
+        drawn = [row for row in self.rows if row.point.number and row.fault != "not done"]
+        if not self.plan.study.limits or not drawn or self.plan.study.design == "one_at_a_time":
+            return None
+        return share_of(sum(map(self.is_good, drawn)), len(drawn))
+
+    def breaking(self) -> list[tuple[str, Any]]:
+        """Return the axes that break a limit by themselves, with the value nearest to the reference's that does."""
+        found: list[tuple[str, Any]] = []
+        for i, axis in enumerate(self.plan.axes if self.plan.study.limits else ()):
+            bad = [self.value_of(row, i) for row in self.along(i) if row.point.number and not self.is_good(row)]
+            start = self.plan.reference_values[i]
+            if bad:
+                near = (
+                    min(bad, key=lambda v: abs(v - start)) if is_number(start) and all(map(is_number, bad)) else bad[0]
+                )
+                found.append((axis.path, near))
+        return found
 
     def efficiency(self) -> list[tuple[Row, float, float]]:
         """Return each row with its efficiency 1/(noise² · time), 1/s, and the standard error of that."""

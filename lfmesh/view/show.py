@@ -90,7 +90,7 @@ Taken = TypeVar("Taken", Drawing, Outputs)
 class Options(LaunchOptions, total=False):
     """The keyword arguments of `show`."""
 
-    colour: ColourBy
+    colour: ColourBy | None
     fade: bool
     preset: str
     cut: bool
@@ -130,8 +130,8 @@ def show(
         Rays a launch.
     wavelength_nm, split, weight_cutoff
         Of the launches, as the scene has them if left out.
-    colour : {"wavelength", "power", "events", "status", "path"}
-        What the rays' colours mean; the wavelength if left out.
+    colour : {"wavelength", "power", "events", "status", "path", "field"}
+        What the rays' colours mean; the wavelength if left out, or the field point where there is one wavelength.
     fade : bool
         Draw rays with less power fainter.
     preset : {"whole", "side", "object", "lens", "array", "sensor"}

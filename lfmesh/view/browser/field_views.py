@@ -30,6 +30,10 @@ STEPS = 100
 """Of the refocus slider."""
 
 
+TURN, CIRCLE = 24, 0.65
+"""Views of a parallax animation, and the radius of its circle over the pupil's."""
+
+
 class Place(NamedTuple):
     """Place of a raw pixel in the light field."""
 
@@ -114,6 +118,17 @@ class FieldViews:
     def epi(self, t: int, v: int) -> Picture:
         """Return the epipolar-plane image of a row, u down and s to the right."""
         return exposed(self.field.epi(t=t, v=v), self.field.wavelengths_nm, self._white)
+
+    def epi_of_column(self, s: int, u: int) -> Picture:
+        """Return the epipolar-plane image of a column, v down and t to the right."""
+        return exposed(self.field.epi(s=s, u=u), self.field.wavelengths_nm, self._white)
+
+    def round_trip(self) -> list[Picture]:
+        """Return the views that the viewpoint passes on a circle in the pupil."""
+        (rows, columns), angles = self.field.views, np.arange(TURN) * (2.0 * np.pi / TURN)
+        v = np.rint(0.5 * (rows - 1) * (1.0 + CIRCLE * np.sin(angles))).astype(int)
+        u = np.rint(0.5 * (columns - 1) * (1.0 + CIRCLE * np.cos(angles))).astype(int)
+        return [self.view(int(row), int(column)) for row, column in zip(v, u, strict=True)]
 
     def photograph(self, distance_mm: float) -> Picture:
         """Return a photograph focused on a plane, with all views."""

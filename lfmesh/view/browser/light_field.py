@@ -52,6 +52,7 @@ class LightFieldPanel:
         self._picture: SensorPicture | None = None
         self._views: FieldViews | None = None
         self._marked: tuple[int, int] | None = None
+        self._epi_at: Place | None = None
         self._state.update(_first_state(scene, image, folder))
         replies.on_change(["tab", "side", "centres"], self._open)
         replies.on_latest("raw_hover", self._hover)
@@ -60,6 +61,8 @@ class LightFieldPanel:
         replies.on_call("raw_move", self._moved(lambda picture, dx, dy: picture.move(dx, dy)))
         replies.on_call("raw_whole", self._moved(lambda picture: picture.whole()))
         replies.on_latest("focus", self._refocus)
+        replies.on_call("parallax", self._parallax)
+        replies.on_change(["epi_along"], self._draw_epi)
 
     @property
     def picture(self) -> SensorPicture:
@@ -68,6 +71,7 @@ class LightFieldPanel:
             columns, rows = self._scene.camera.sensor.pixels
             calibration = self._calibration if self._scene.camera.mla is not None else None
             self._picture = SensorPicture(columns, rows, Upright.of(self._scene), self._image, calibration)
+            self._picture.lit()
         return self._picture
 
     @cached_property
@@ -137,7 +141,7 @@ class LightFieldPanel:
         state.focus = views.focus_step
         self._refocus(views.focus_step)
         self._show_view(rows // 2, columns // 2)
-        self._show_epi(height // 2, rows // 2)
+        self._show_epi(Place((0, 0), rows // 2, columns // 2, height // 2, width // 2))
         self._show_depth(views)
 
     def _hover(self, x: float, y: float) -> None:
@@ -165,7 +169,7 @@ class LightFieldPanel:
         self.mark(range(row, row + 1), range(column, column + 1))
         place = self._views.place(row, column) if self._views is not None else None
         if place is not None:
-            self._show_epi(place.t, place.v)
+            self._show_epi(place)
             self._show_view(place.v, place.u)
 
     def _show_view(self, v: int, u: int) -> None:
@@ -180,13 +184,30 @@ class LightFieldPanel:
         self._state.focus_src = data_url(self._views.photograph(distance))
         self._state.focus_note = f"on {_in_mm(distance)}, all views"
 
-    def _show_epi(self, t: int, v: int) -> None:
-        assert self._views is not None
-        field = self._views.field
-        self._state.epi_src = data_url(self._views.epi(t, v))
-        height = field.size[0]
-        self._state.epi_row = f"top: {100.0 * t / height:.3f}%; height: {100.0 / height:.3f}%"
-        self._state.epi_note = f"row t {t} ({field.t_mm[t]:+.3g} mm), v {v}"
+    def _show_epi(self, place: Place) -> None:
+        self._epi_at = place
+        self._draw_epi()
+
+    def _draw_epi(self) -> None:
+        """Draw the epipolar-plane image of the row or the column through the place that was chosen."""
+        if self._views is None or self._epi_at is None:
+            return
+        state, field, (_, v, u, t, s) = self._state, self._views.field, self._epi_at
+        height, width = field.size
+        if state.epi_along == "row":
+            state.epi_src = data_url(self._views.epi(t, v))
+            state.epi_row = f"top: {100.0 * t / height:.3f}%; height: {100.0 / height:.3f}%"
+            state.epi_note = f"row t {t} ({field.t_mm[t]:+.3g} mm), v {v}"
+        else:
+            state.epi_src = data_url(self._views.epi_of_column(s, u))
+            place, wide = 100.0 * s / width, 100.0 / width
+            state.epi_row = f"top: 0; height: 100%; left: {place:.3f}%; right: auto; width: {wide:.3f}%"
+            state.epi_note = f"column s {s} ({field.s_mm[s]:+.3g} mm), u {u}"
+
+    def _parallax(self) -> None:
+        """Let the viewpoint go round in the pupil, or stop it."""
+        if self._views is not None:
+            self._state.parallax = [] if self._state.parallax else list(map(data_url, self._views.round_trip()))
 
     def _show_depth(self, views: FieldViews) -> None:
         depth = views.depth()
@@ -216,6 +237,8 @@ def _first_state(scene: Scene, image: Image | None, folder: Path | None) -> dict
         "raw_spots": False,
         "centres": True,
         "epi_row": "",
+        "epi_along": "row",
+        "parallax": [],
         "focus": 0,
         "focus_steps": STEPS,
     }

@@ -11,7 +11,7 @@ from lfmesh.view.browser.light_field import LightFieldPanel
 from lfmesh.view.browser.rays_panel import RaysPanel
 from lfmesh.view.browser.replies import Replies
 from lfmesh.view.request import Subject, sensor_picture, subject_of
-from lfmesh.view.scene3d.colours import ColourBy
+from lfmesh.view.scene3d.colours import ColourBy, default_colour
 from lfmesh.view.scene3d.plotter import Drawing, build_view
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class Page:
 
     def __init__(
         self, server: Any, subject: "Scene | World | Image | str | os.PathLike[str]", rays: "Rays | None" = None, *,
-        expression: str = "", colour: ColourBy = "wavelength", fade: bool = False, preset: str = "whole",
+        expression: str = "", colour: ColourBy | None = None, fade: bool = False, preset: str = "whole",
         cut: bool = False,
     ) -> None:  # fmt: skip
         folder = Path(subject) if isinstance(subject, str | os.PathLike) and Path(subject).is_dir() else None
@@ -77,7 +77,9 @@ class Page:
         view = build_view(seen.world, None, seen.picture, Drawing(preset=preset, cut=cut, size=SIZE))
         view.plotter.show(auto_close=False, interactive=False)
         self.light_field = LightFieldPanel(server, replies, scene, image, folder)
-        server.state.update({"expression": expression, "colour": colour, "fade": fade, "cut": cut})
+        server.state.update(
+            {"expression": expression, "colour": colour or default_colour(rays), "fade": fade, "cut": cut}
+        )
         self.rays = RaysPanel(server, replies, view, rays, self.light_field)
         # Rays from pixels have moved the place of the array that is looked at.
         view.look(preset)

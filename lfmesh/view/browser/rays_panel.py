@@ -15,7 +15,7 @@ from lfmesh.view.rays import launch
 from lfmesh.view.rays.filters import FilterError, parse
 from lfmesh.view.rays.ghosts import ghost_matrix
 from lfmesh.view.rays.history import Step, history
-from lfmesh.view.rays.path_table import PathRow, PathTable, path_table, short_form
+from lfmesh.view.rays.path_table import PathRow, PathTable, path_table, relative_error, short_form
 from lfmesh.view.request import FAR, pixels_on_array
 from lfmesh.view.scene3d.colours import ColourBy
 from lfmesh.view.scene3d.describe import describe
@@ -44,6 +44,7 @@ HEADS = {
     "count": "count",
     "power": "power / {unit}",
     "share": "share",
+    "error": "±",
     "irradiance": "peak / {unit}\N{NO-BREAK SPACE}mm⁻²",
 }
 """Columns of the path table that are shown, with their heads."""
@@ -94,7 +95,31 @@ class RaysPanel:
         replies.on_change(["cut"], self._cut)
         replies.on_change(["sort"], self._tabulate)
         replies.on_change(["side"], self._show_ghosts)
-        self._show(rays)
+        self._show(rays, self._said_in_the_form(rays))
+
+    def _said_in_the_form(self, rays: "Rays | None") -> str:
+        """Fill the form with how given rays were launched, as far as they tell; return it in words."""
+        if rays is None or not len(rays):
+            return ""
+        state, starts = self._state, np.unique(rays.position[rays.offsets[:-1]].round(9), axis=0)
+        state.count = rays.launched
+        state.split = "both" if rays.reflected.any() else "transmit"
+        different = np.unique(rays.wavelength_nm)
+        if len(different) == 1 and float(different[0]) in state.wavelengths:
+            state.wavelength = float(different[0])
+        pixels = np.unique(rays.pixel, axis=0)
+        if rays.from_sensor:
+            if len(pixels) > 1:
+                return f"from {len(pixels):,} pixels"
+            row, column = pixels[0].tolist()
+            state.update({"launch": "pixel", "row": row, "column": column})
+            return f"from the pixel in row {row}, column {column}"
+        if len(starts) > 1:
+            state.count = max(1, round(rays.launched / len(starts)))
+            return f"from {len(starts):,} points"
+        x, y, z = (float(f"{value:.6g}") for value in starts[0])
+        state.update({"launch": "point", "point_x": x, "point_y": y, "point_z": z})
+        return f"from x = {x:g}, y = {y:g}, z = {z:g} mm"
 
     def _launch(self) -> None:
         """Launch rays as the form says."""
@@ -206,7 +231,10 @@ class RaysPanel:
             self._drawn = self._rays.keep(shown)
         self._view.show_rays(self._drawn, self._state.colour, fade=bool(self._state.fade))
         self._view.write([])
-        words = [*self._view.caption, self._whence] if self._rays is not None else ["No rays."]
+        words = [*self._view.caption, self._whence] if self._rays is not None else ["No rays"]
+        # The page says it beside the picture, not on it.
+        self._view.overlay.write("", [], self._view.legend)
+        words.append(self._view.scale)
         self._state.drawn = ", ".join(filter(None, words))
         self._redraw()
 
@@ -245,9 +273,10 @@ class RaysPanel:
         others = len(found.paths) - 1
         shared = f"; {others} more path{'s share' if others > 1 else ' shares'} this segment" if others else ""
         state.picked_note = f"{rays.wavelength_nm[found.path]:.6g} nm, path {rays.sequence[found.path]}{shared}"
-        state.picked_heads = [head.format(unit=rays.unit) for head in STEP_HEADS]
+        columns = len(STEP_HEADS) if any(step.was_raised for step in steps) else len(STEP_HEADS) - 1
+        state.picked_heads = [head.format(unit=rays.unit) for head in STEP_HEADS[:columns]]
         state.picked_left = 2
-        state.picked_rows = [_step_cells(step) for step in steps]
+        state.picked_rows = [_step_cells(step)[:columns] for step in steps]
         state.picked_at = int(found.vertex) - first
         line = pv.lines_from_points(rays.position[first : rays.offsets[found.path + 1]])
         self._view.plotter.add_mesh(
@@ -332,6 +361,7 @@ def _row(row: PathRow) -> dict[str, Any]:
         "count": f"{row.count:,}",
         "power": f"{row.power:.3g}",
         "share": f"{100.0 * row.share:.3g} %",
+        "error": relative_error(row),
         "irradiance": f"{row.irradiance:.3g}",
     }
 
@@ -346,7 +376,7 @@ def _step_cells(step: Step) -> list[str]:
         *shares,
         f"{step.power:.3e}",
         step.medium,
-        ", ".join(f"{place:.4f}" for place in step.position_mm),
+        ", ".join(f"{place:.2f}" for place in step.position_mm),
         f"× {step.roulette:.4g}" if step.was_raised else "",
     ]
 

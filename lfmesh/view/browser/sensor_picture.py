@@ -22,6 +22,12 @@ MOST_CENTRES = 12_000
 LEAST_PX = 4.0
 """The closest look: so many pixels along the picture's longer side."""
 
+DARK = 50
+"""Greys up to this count as unlit: 3 % of the light that is shown as white."""
+
+MARGIN, MOST_LIT = 0.1, 0.6
+"""Round what is lit, as a share of its size; and the share of the sensor up to which the picture is zoomed to it."""
+
 BLANK = 40
 """Grey of a sensor without an image."""
 
@@ -60,6 +66,7 @@ class SensorPicture:
     ) -> None:  # fmt: skip
         self.columns, self.rows = columns, rows
         self._upright, self._shape = upright, (rows, columns)
+        self._blank = image is None
         self._picture = np.full((rows, columns), BLANK, np.uint8)
         if image is not None:
             picture, _ = displayed(image.mean, image.wavelengths_nm, image.stderr)
@@ -75,6 +82,20 @@ class SensorPicture:
     def whole(self) -> None:
         """Show all of the sensor."""
         self.part = self.all
+
+    def lit(self) -> None:
+        """Show the part that got light, with a margin; all of the sensor, if that is most of it or nothing."""
+        bright = self._picture.reshape(self.rows, self.columns, -1).max(axis=2) > DARK
+        if self.part != self.all or not bright.any() or self._blank:
+            return
+        (row, row_end), (column, column_end) = (np.flatnonzero(bright.any(axis=axis))[[0, -1]] for axis in (1, 0))
+        margin = MARGIN * max(row_end - row, column_end - column) + 1.0
+        height, width = (
+            min(end - start + 2.0 * margin, most)
+            for start, end, most in ((row, row_end, self.rows), (column, column_end, self.columns))
+        )
+        if height * width < MOST_LIT * self.rows * self.columns:
+            self.part = self._within(row - margin, column - margin, round(height), round(width))
 
     def zoom(self, x: float, y: float, enlarge: float) -> None:
         """Enlarge the part by a factor and keep a place of it where it is.

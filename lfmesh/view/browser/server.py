@@ -29,7 +29,7 @@ def serve(
     rays: "Rays | None" = None,
     *,
     expression: str = "",
-    colour: "ColourBy" = "wavelength",
+    colour: "ColourBy | None" = None,
     fade: bool = False,
     preset: str = "whole",
     cut: bool = False,
@@ -49,7 +49,7 @@ def serve(
         Drawn from the start; launched in the subject's world.
     expression : str
         Stands in the filter box from the start, see `lfmesh.view.rays.filters`.
-    colour : {"wavelength", "power", "events", "status", "path"}
+    colour : {"wavelength", "power", "events", "status", "path", "field"}, optional
     fade : bool
         Draw rays with less power fainter.
     preset : {"whole", "side", "object", "lens", "array", "sensor"}

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Rgb = NDArray[np.uint8]
 """(n, 3), sRGB."""
 
-ColourBy = Literal["wavelength", "power", "events", "status", "path"]
+ColourBy = Literal["wavelength", "power", "events", "status", "path", "field"]
 
 BACKGROUND, BACKGROUND_TOP = "#0d1117", "#1f2a38"
 TEXT, FAINT_TEXT = "#e6edf3", "#9fb0c0"
@@ -85,6 +85,7 @@ def ray_colours(
         "events": lambda: _by_number(rays.events[paths]),
         "status": lambda: _by_status(rays.status[paths]),
         "path": lambda: _by_sequence(rays, paths),
+        "field": lambda: _by_field(rays, paths),
     }
     if by not in makers:
         raise LfmeshError(f"colour = {by!r}: use one of {', '.join(get_args(ColourBy))}")
@@ -138,6 +139,33 @@ def _by_status(status: NDArray[np.int64]) -> tuple[Rgb, Legend]:
         table[code] = _bytes([colour])
     entries = tuple((Status(code).name.lower(), OF_STATUS[Status(code)]) for code in present)
     return table[status], Legend("how the path ended", entries)
+
+
+def default_colour(rays: "Rays | None") -> ColourBy:
+    """Return what colours should tell where nobody says: wavelengths or, where there is one, field points."""
+    if rays is None or not len(rays) or rays.from_sensor or len(np.unique(rays.wavelength_nm)) > 1:
+        return "wavelength"
+    return "field" if 1 < len(_starts(rays)[0]) <= MOST_ENTRIES else "wavelength"
+
+
+def _starts(rays: "Rays") -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the points that rays start from, (k, 3), and which of them each path starts from."""
+    starts = rays.position[rays.offsets[:-1]].round(9)
+    points, which = np.unique(starts, axis=0, return_inverse=True)
+    return points, which.reshape(-1)
+
+
+def _by_field(rays: "Rays", paths: NDArray[np.int64]) -> tuple[Rgb, Legend]:
+    """Colour by the point that rays start from; of many, the first ones."""
+    points, which = _starts(rays)
+    colours = [PATHS[i] if i < MOST_ENTRIES else OTHERS for i in range(len(points))]
+    entries = [
+        (", ".join(f"{value + 0.0:.4g}" for value in point) + " mm", PATHS[i])
+        for i, point in enumerate(points[:MOST_ENTRIES])
+    ]
+    if len(points) > MOST_ENTRIES:
+        entries.append((f"{len(points) - MOST_ENTRIES} other points", OTHERS))
+    return _bytes(colours)[which[paths]], Legend("from x, y, z", tuple(entries))
 
 
 def _by_sequence(rays: "Rays", paths: NDArray[np.int64]) -> tuple[Rgb, Legend]:

@@ -10,7 +10,7 @@ from vtkmodules.vtkRenderingCore import vtkMapper, vtkProp
 
 from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
-from lfmesh.view.scene3d.colours import BACKGROUND, BACKGROUND_TOP, ColourBy, Legend
+from lfmesh.view.scene3d.colours import BACKGROUND, BACKGROUND_TOP, ColourBy, Legend, default_colour
 from lfmesh.view.scene3d.gl import expect_no_display
 from lfmesh.view.scene3d.overlay import Overlay, in_words
 from lfmesh.view.scene3d.parts import Part, Picture, parts, smooth, texture_of, tick_mm
@@ -138,7 +138,7 @@ class View:
             self._draw_parts()
 
     def show_rays(
-        self, rays: "Rays | None", colour: ColourBy = "wavelength", *,
+        self, rays: "Rays | None", colour: ColourBy | None = None, *,
         fade: bool = False, most_segments: int = MOST_SEGMENTS, width: float = RAY_WIDTH,
     ) -> None:  # fmt: skip
         """Draw rays in place of those drawn before.
@@ -146,7 +146,7 @@ class View:
         Parameters
         ----------
         rays : Rays or None
-        colour : {"wavelength", "power", "events", "status", "path"}
+        colour : {"wavelength", "power", "events", "status", "path", "field"}, optional
         fade : bool
             Draw what has less power fainter.
         most_segments : int
@@ -158,7 +158,7 @@ class View:
         self.lines = self.ray_mesh = self.ray_actor = self.legend = None
         if rays is not None and len(rays):
             self.lines = ray_lines(rays, most_segments)
-            mesh, self.legend = self.lines.coloured(colour, fade=fade)
+            mesh, self.legend = self.lines.coloured(colour or default_colour(rays), fade=fade)
             self.ray_mesh = mesh
             if mesh.n_cells:
                 self.ray_actor = self.plotter.add_mesh(
@@ -245,8 +245,8 @@ class Drawing:
 
     Attributes
     ----------
-    colour : {"wavelength", "power", "events", "status", "path"}
-        What the rays' colours mean.
+    colour : {"wavelength", "power", "events", "status", "path", "field"}, optional
+        What the rays' colours mean; the wavelength if left out, or the field point where there is one wavelength.
     fade : bool
         Draw rays with less power fainter.
     preset : str
@@ -258,7 +258,7 @@ class Drawing:
         Drawn at most; where rays have more, whole paths are left out, and the caption says how many.
     """
 
-    colour: ColourBy = "wavelength"
+    colour: ColourBy | None = None
     fade: bool = False
     preset: str = "whole"
     cut: bool = False

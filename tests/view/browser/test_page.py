@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -128,7 +129,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def server(run: Path) -> Iterator[Server]:
-    served = Server(str(run), "--rays", "field 0,0,-420", "--count", "40", "--split", "both")
+    served = Server(str(run), "--rays", "field 0,1.5,-420", "--count", "36", "--split", "both")
     yield served
     served.stop()
 
@@ -151,6 +152,7 @@ class Page:
     def __init__(self, browser: Any, server: Server) -> None:
         self.requests: list[str] = []
         self.faults: list[str] = []
+        self.first: dict[str, str] = {}
         self.tab = browser.new_page(viewport={"width": 1280, "height": 800})
         self.tab.on("request", lambda request: self.requests.append(request.url))
         self.tab.on("websocket", lambda socket: self.requests.append(socket.url))
@@ -218,6 +220,8 @@ class Page:
 @pytest.fixture(scope="module")
 def page(browser: Any, server: Server) -> Iterator[Page]:
     opened = Page(browser, server)
+    fields = ("#launch", "#point-x", "#point-y", "#point-z", "#count", "#split")
+    opened.first = {name: str(opened.tab.locator(name).input_value()) for name in fields}
     opened.tab.fill("#count", "40")
     opened.tab.select_option("#split", "both")
     opened.redrawn(lambda: opened.tab.click("#preset-lens"))
@@ -248,6 +252,29 @@ def test_a_click_on_a_ray_shows_its_history(fresh: Page) -> None:
     reflectance, transmittance = float(rows[1][3]), float(rows[1][4])
     assert reflectance + transmittance == pytest.approx(1.0, abs=1e-4), "printed with four digits"
     assert fresh.tab.locator("#history tr.on").count() == 1, "the segment that was clicked is marked"
+
+
+def test_the_form_says_from_the_start_what_is_drawn(page: Page) -> None:
+    values = ("point", "0", "1.5", "-420", "36", "both")
+    assert tuple(page.first.values()) == values
+
+
+def test_a_history_fits_beside_the_view_on_a_small_screen(fresh: Page) -> None:
+    places = fresh.rays_seen(1, ANY)
+    fresh.click_view(places[len(places) // 2])
+    fresh.tab.wait_for_selector("#history tbody tr")
+    wide = "(e => e.scrollWidth - e.clientWidth)(document.querySelector('#history').parentElement)"
+    assert fresh.tab.evaluate(wide) <= 0
+
+
+def test_the_picture_is_free_of_words(fresh: Page) -> None:
+    """The upper left corner, where title and caption stand in pictures that are written."""
+    fresh.redrawn(lambda: fresh.tab.click("#preset-side"))
+    corner = fresh.picture("#view3d")[12:60, 12:300].astype(int)
+    assert corner.min(axis=2).max() < 120, "neither white nor grey: rays may be there"
+    assert "axis marked" in fresh.text("#drawn")
+    assert "x = 0" in fresh.text("#drawn")
+    fresh.redrawn(lambda: fresh.tab.click("#preset-lens"))
 
 
 def test_a_click_on_glass_shows_its_prescription(fresh: Page) -> None:
@@ -373,6 +400,33 @@ def test_the_mouse_on_the_raw_image_chooses_the_view_and_a_click_the_epi(page: P
     page.wait(f"{lenslets} === 14 * 12")
 
 
+def test_an_epi_is_of_a_row_or_of_a_column(page: Page) -> None:
+    page.tab.click("#tab-field")
+    page.wait("document.querySelector('#epi')?.src.startsWith('data:')")
+    of_row = page.tab.get_attribute("#epi", "src")
+    assert page.text("#epi-note").startswith("row t")
+    page.tab.click("#epi-column")
+    page.wait("document.querySelector('#epi').src !== old", of_row)
+    assert page.text("#epi-note").startswith("column s")
+    page.tab.click("#epi-row")
+    page.wait("document.querySelector('#epi').src === old", of_row)
+
+
+def test_parallax_goes_through_the_views_until_it_is_stopped(page: Page) -> None:
+    page.tab.click("#tab-field")
+    page.wait("document.querySelector('#view')?.src.startsWith('data:')")
+    still = page.tab.get_attribute("#view", "src")
+    page.tab.click("#parallax")
+    page.wait("document.querySelector('#view').src !== old", still)
+    shown = set()
+    for _ in range(12):
+        shown.add(page.tab.get_attribute("#view", "src"))
+        page.tab.wait_for_timeout(90)
+    assert len(shown) > 4
+    page.tab.click("#parallax")
+    page.wait("document.querySelector('#view').src === old", still)
+
+
 def test_no_request_leaves_loopback(page: Page, server: Server) -> None:
     own = f"{server.host}:{server.port}"
     abroad = [url for url in page.requests if urlsplit(url).scheme in ("http", "https", "ws", "wss")]
@@ -448,7 +502,13 @@ def test_a_taken_port_is_one_clear_line_and_ctrl_c_a_clean_end(run: Path) -> Non
     assert second.stdout == ""
     (line,) = second.stderr.strip().splitlines()
     assert str(first.port) in line
-    code, errors = first.stop()
+    with ExitStack() as held:
+        for number in range(200):
+            client = held.enter_context(socket.create_connection((first.host, first.port), timeout=5.0))
+            if number % 2:  # a slow one, in the middle of its request
+                client.sendall(b"GET /index.html HT")
+        assert first.answer().status == 200, "with 200 open sockets"
+        code, errors = first.stop()
     assert code == 0
     assert "Traceback" not in errors
 

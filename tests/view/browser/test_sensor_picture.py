@@ -105,3 +105,31 @@ def test_marks_lie_on_the_centres_of_the_micro_images(upright: Upright, camera: 
         row, column = picture.pixel(x, y)
         off = np.abs(calibration.centres_px - [column, row]).max(axis=-1)
         assert off.min() <= 0.5 + 1e-9, "in the pixel that holds the centre"
+
+
+def test_at_first_the_part_that_is_lit_is_shown(camera: Callable[[], Scene], image_of: Callable[..., Image]) -> None:
+    scene, mean = camera(), np.full((ROWS, COLUMNS), 1e-15)
+    mean[90:110, 20:50] = 1e-12
+    picture = SensorPicture(COLUMNS, ROWS, INVERTED, image_of(scene, mean))
+    picture.lit()
+    # Upright the columns are reversed: 100 to 130.
+    part = picture.part
+    assert part.row < 90 <= 110 <= part.row + part.height
+    assert part.column < 100 <= 130 <= part.column + part.width
+    assert part.height * part.width < 4 * 20 * 30
+    left, top, width, height = picture.box(range(90, 110), range(20, 50))
+    assert 0.0 < left < left + width < 1.0
+    assert 0.0 < top < top + height < 1.0
+    picture.whole()
+    assert picture.part == picture.all
+
+
+@pytest.mark.parametrize("level", [0.0, 1e-12])
+def test_a_sensor_lit_everywhere_or_nowhere_is_shown_whole(
+    level: float, camera: Callable[[], Scene], image_of: Callable[..., Image]
+) -> None:
+    picture = SensorPicture(COLUMNS, ROWS, INVERTED, image_of(camera(), np.full((ROWS, COLUMNS), level)))
+    picture.lit()
+    blank = SensorPicture(COLUMNS, ROWS, INVERTED)
+    blank.lit()
+    assert picture.part == blank.part == picture.all

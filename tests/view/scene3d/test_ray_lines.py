@@ -7,8 +7,11 @@ import pytest
 
 from lfmesh.errors import LfmeshError
 from lfmesh.transport.packets.packet import Status
+from lfmesh.transport.world import World
+from lfmesh.view.rays import launch
 from lfmesh.view.rays.paths import Rays
-from lfmesh.view.scene3d.colours import OF_STATUS, ray_colours
+from lfmesh.view.request import together
+from lfmesh.view.scene3d.colours import OF_STATUS, default_colour, ray_colours
 from lfmesh.view.scene3d.ray_lines import ray_lines
 
 
@@ -89,3 +92,16 @@ def test_an_unknown_colour_is_refused(split_rays: Rays) -> None:
     lines = ray_lines(split_rays)
     with pytest.raises(LfmeshError, match=r"colour = 'age': use one of wavelength, power, events, status, path"):
         ray_colours(split_rays, lines.path, lines.vertex, "age")  # type: ignore[arg-type]
+
+
+def test_with_one_wavelength_colours_tell_field_points_apart(world: World) -> None:
+    points = ([0.0, 0.0, -199.0], [2.0, -8.0, -199.0])
+    both = together([launch.from_field_point(world, point, 6, split="transmit") for point in points])
+    assert default_colour(both) == "field"
+    mesh, legend = ray_lines(both, 10**6).coloured("field")
+    colours = np.unique(np.asarray(mesh.cell_data["rgb"]), axis=0)
+    assert len(colours) == 2
+    assert [label for label, _ in legend.entries] == ["0, 0, -199 mm", "2, -8, -199 mm"]
+    one = launch.from_field_point(world, points[0], 6, split="transmit")
+    other = launch.from_field_point(world, points[1], 6, split="transmit", wavelength_nm=450.0)
+    assert default_colour(one) == default_colour(together([one, other])) == "wavelength"

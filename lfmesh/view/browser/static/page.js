@@ -117,10 +117,24 @@
     template: `<div @pointerdown.capture="press" @pointerup.capture="release"><slot></slot></div>`,
   };
 
+  // A picture, or several in turn.
+  const Cycle = {
+    props: { src: String, srcs: { type: Array, default: () => [] } },
+    data: () => ({ at: 0, timer: 0 }),
+    mounted() {
+      this.timer = setInterval(() => { if (this.srcs.length) this.at = (this.at + 1) % this.srcs.length; }, 90);
+    },
+    unmounted() {
+      clearInterval(this.timer);
+    },
+    template: `<img :src="srcs.length ? srcs[at % srcs.length] : src" alt="" />`,
+  };
+
   window.lfmesh_page = {
     install(app) {
       app.component("LfPicture", Picture);
       app.component("LfClicks", Clicks);
+      app.component("LfCycle", Cycle);
     },
   };
 })();

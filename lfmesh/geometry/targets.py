@@ -22,7 +22,7 @@ STEEPEST_DEG = 45.0
 """By which a vertex normal of a mesh file may stand off its facet's: more is a sharp edge, averaged by a program."""
 
 FLAT = 1e-5
-"""Difference of normals from their facets' that float32 leaves on flat facets."""
+"""Angle in rad between a vertex normal and its facet's that float32 leaves on flat facets."""
 
 
 @dataclass

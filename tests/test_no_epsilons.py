@@ -20,6 +20,7 @@ DIMENSIONLESS = {
     "geometry/patch.py": {"INSIDE", "SETTLED"},
     "geometry/refractors.py": {"FLAT_SHADED", "NO_POWER", "SLIVER"},
     "geometry/surface.py": {"SETTLED"},
+    "geometry/targets.py": {"FLAT"},
     "geometry/tessellation.py": {"FLOAT32_MARGIN"},
     "geometry/vertex_normals.py": {"IN_ONE_PLANE", "NO_FIT"},
     "transport/aiming/aim_proof.py": {"ALLOWED", "DARK", "NEAREST"},

@@ -17,6 +17,7 @@ import numpy as np
 from lfmesh.errors import MeshError
 from lfmesh.geometry.mesh import Array, Mesh
 from lfmesh.geometry.texture import FORMATS, MOST_PIXELS, Texture, linear_light, why_no_file, with_alpha
+from lfmesh.optics.gltf_material import GltfMaterial
 
 MM_PER_UNIT = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3, "inch": 25.4, "foot": 304.8}
 """Units of length a target may name."""
@@ -29,6 +30,9 @@ FARTHEST_MM = 1e15
 
 MOST_ENTRIES = 10**9
 """Of one accessor of a glTF file: more than memory holds, and more than a mesh needs."""
+
+ALPHA_MODES = ("OPAQUE", "MASK", "BLEND")
+"""Of a glTF material."""
 
 ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf")
 
@@ -48,12 +52,20 @@ class Piece:
         Base colour texture, linear light; (h, w, 4) with its alpha.
     factor : (3,) float64
         Base colour, linear, that multiplies the picture; (4,) with its alpha.
+    material : GltfMaterial or None
+        What else a glTF file says of the surface.
+    alpha_mode : str
+        "OPAQUE": the alpha does not count; "MASK": the surface is there where it is at least `alpha_cutoff`; "BLEND":
+        it is the surface's opacity.
     """
 
     mesh: Mesh
     uv: Array | None = None
     picture: Texture | None = None
     factor: Array = field(default_factory=lambda: np.ones(3))
+    material: GltfMaterial | None = None
+    alpha_mode: str = "OPAQUE"
+    alpha_cutoff: float = 0.5
 
 
 def load_mesh(path: Path, units: str | None = None, alpha: bool = False) -> list[Piece]:
@@ -190,8 +202,28 @@ def _piece(geometry: Any, transform: Array, scale: float, pictures: dict[int, Te
         faces = faces[:, ::-1]
         corners = corners[:, ::-1] if corners is not None else None
     at_corners = normals[faces] if normals is not None else None
-    picture, factor = _colour(getattr(geometry.visual, "material", None), pictures, alpha)
-    return Piece(Mesh(moved * scale, faces, at_corners), corners, picture, factor)
+    material = getattr(geometry.visual, "material", None)
+    picture, factor = _colour(material, pictures, alpha)
+    return Piece(Mesh(moved * scale, faces, at_corners), corners, picture, factor, *_gltf_material(material, factor))
+
+
+def _gltf_material(material: Any, factor: Array) -> tuple[GltfMaterial | None, str, float]:
+    """Return what a glTF file says of a surface beside its colour, and how its alpha counts."""
+    import trimesh
+
+    if not isinstance(material, trimesh.visual.material.PBRMaterial):
+        return None, "OPAQUE", 0.5
+    metallic, roughness = (
+        1.0 if value is None else float(value) for value in (material.metallicFactor, material.roughnessFactor)
+    )
+    if (image := material.metallicRoughnessTexture) is not None:
+        # glTF 2.0, section 3.9.2: roughness in the green channel, metallic in the blue one, both linear.
+        mean = np.asarray(image.convert("RGB"), dtype=np.float64).mean(axis=(0, 1)) / 255.0
+        roughness, metallic = roughness * mean[1], metallic * mean[2]
+    red, green, blue = (float(each) for each in factor[:3])
+    cutoff = 0.5 if material.alphaCutoff is None else float(material.alphaCutoff)
+    mode = material.alphaMode or "OPAQUE"
+    return GltfMaterial((red, green, blue), float(metallic), float(roughness)), mode, cutoff
 
 
 def _own_normals(geometry: Any, linear: Array) -> Array | None:
@@ -312,6 +344,32 @@ def _check_gltf(path: Path, document: dict[str, Any]) -> None:
         count = accessor.get("count")
         if not isinstance(count, int) or not 0 <= count <= MOST_ENTRIES:
             raise MeshError(f"{path}: broken: an accessor counts {_shortened(repr(count))} entries")
+    for number, material in enumerate(_objects(document, "materials")):
+        _check_material(path, f"materials[{number}]", material)
+
+
+def _check_material(path: Path, where: str, material: dict[str, Any]) -> None:
+    """Raise on a value of a material that glTF does not allow, which trimesh passes on."""
+    pbr = material.get("pbrMetallicRoughness", {})
+    if not isinstance(pbr, dict):
+        raise MeshError(f"{path}: {where}.pbrMetallicRoughness is {_shortened(repr(pbr))}; valid is an object")
+    for key in ("metallicFactor", "roughnessFactor"):
+        if not _is_share(pbr.get(key, 1.0)):
+            raise MeshError(f"{path}: {where}.{key} is {_shortened(repr(pbr[key]))}; valid are numbers from 0 to 1")
+    colour = pbr.get("baseColorFactor", [1.0] * 4)
+    if not isinstance(colour, list) or len(colour) != 4 or not all(map(_is_share, colour)):
+        raise MeshError(
+            f"{path}: {where}.baseColorFactor is {_shortened(repr(colour))}; valid are four numbers from 0 to 1"
+        )
+    mode, cutoff = material.get("alphaMode", "OPAQUE"), material.get("alphaCutoff", 0.5)
+    if mode not in ALPHA_MODES:
+        raise MeshError(f"{path}: {where}.alphaMode is {_shortened(repr(mode))}; valid are {', '.join(ALPHA_MODES)}")
+    if isinstance(cutoff, bool) or not isinstance(cutoff, int | float) or not 0.0 <= cutoff < np.inf:
+        raise MeshError(f"{path}: {where}.alphaCutoff is {_shortened(repr(cutoff))}; valid are numbers from 0")
+
+
+def _is_share(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value <= 1.0
 
 
 def _objects(document: dict[str, Any], key: str) -> list[dict[str, Any]]:

@@ -105,7 +105,7 @@ def _table_mean(table: Array) -> float:
     return float((values * 4.0 * t**3 * w).sum() * 0.5 / NODES)
 
 
-def interface_reflectance(n: float, k: float, cosine: Array) -> Array:
+def interface_reflectance(n: Array | float, k: Array | float, cosine: Array) -> Array:
     """Return Fresnel's reflectance from air for unpolarised light, at a medium of index n + ik.
 
     Parameters

@@ -166,6 +166,16 @@ class Target(Model):
     """A mesh file (STL, OBJ, PLY, OFF, GLB, glTF), relative to the scene file."""
     units: Units | None = None
     """Unit of length of the mesh file; required where the format carries none."""
+    materials: Literal["file", "colours", "ignore"] | None = None
+    """What is taken over of the mesh file's own materials. "file": those of a glTF file whole: base colour, metallic,
+    roughness and alpha, facet by facet; then the target has no `material`. "colours": their base colours and pictures
+    alone, which multiply the reflectance and the emission of `material`; its own texture replaces them. "ignore":
+    nothing. Omitted, it is "file" for glTF files where no `material` is given, as programs that show such files do, and
+    else "colours"."""
+    normals: Literal["file", "facets"] = "file"
+    """Normals by which a mesh file's surface is shaded: those at its vertices, interpolated, where the file has any
+    (OBJ, PLY, GLB, glTF), which makes a mesh look as smooth as it is meant; or those of its facets. What a ray meets,
+    on which side, and what is in shadow follows the facets."""
     position_mm: Vector = (0.0, 0.0, 0.0)
     """Where the target's own origin lies, in mm."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)
@@ -181,6 +191,7 @@ class Target(Model):
             for key in ("shape", "file", "units"):
                 if getattr(self, key) is not None:
                     yield Fault((key,), getattr(self, key), "a refractor is given too; give one of them")
+            yield from self._file_faults("glass has neither; omit it")
             if self.material != Material():
                 yield Fault(("material",), None, "glass has none: it only reflects and refracts; omit it")
             return
@@ -191,5 +202,20 @@ class Target(Model):
                 yield Fault(("shape",), None, 'missing: give shape = { kind = ... }, or file = "...", or refractor')
             elif self.units is not None:
                 yield Fault(("units",), self.units, "only for a mesh file; the sizes of a shape are in mm")
+            yield from self._file_faults("a shape has its material from the scene, and its own normals")
         else:
+            if self.materials == "file" and self.material != Material():
+                yield Fault(("material",), None, 'materials = "file" takes those of the mesh file; omit one of them')
             yield from mesh_file_faults(self.file, self.units)
+
+    def _file_faults(self, why: str) -> Iterator[Fault]:
+        """Yield that keys for mesh files are given for something else."""
+        if self.materials is not None:
+            yield Fault(("materials",), self.materials, f"only for a mesh file: {why}")
+        if self.normals != "file":
+            yield Fault(("normals",), self.normals, f"only for a mesh file: {why}")
+
+    @property
+    def takes_materials(self) -> bool:
+        """Whether a glTF file's materials are taken over whole."""
+        return self.materials == "file" or (self.materials is None and self.material == Material())

@@ -308,3 +308,26 @@ def test_every_broken_file_gets_one_line_that_names_it(tmp_path):
         assert path.stem in message
         assert "\n" not in message
         assert len(message) < 300 + len(str(path))
+
+
+@pytest.mark.parametrize(
+    ("material", "message"),
+    [
+        (
+            {"pbrMetallicRoughness": {"metallicFactor": 1.5}},
+            r"materials\[0\]\.metallicFactor is 1\.5; valid are numbers",
+        ),
+        ({"pbrMetallicRoughness": {"roughnessFactor": "rough"}}, r"roughnessFactor is 'rough'; valid are numbers"),
+        ({"pbrMetallicRoughness": {"roughnessFactor": float("nan")}}, "roughnessFactor is nan; valid are numbers"),
+        ({"pbrMetallicRoughness": {"baseColorFactor": [1.0, -0.5, 0, 1]}}, "valid are four numbers from 0 to 1"),
+        ({"pbrMetallicRoughness": [1]}, r"pbrMetallicRoughness is \[1\]; valid is an object"),
+        ({"alphaMode": "GLASS"}, "alphaMode is 'GLASS'; valid are OPAQUE, MASK, BLEND"),
+        ({"alphaMode": "MASK", "alphaCutoff": -1}, "alphaCutoff is -1; valid are numbers from 0"),
+    ],
+)
+def test_values_that_gltf_does_not_allow_are_refused(tmp_path, material, message):
+    path = save_gltf(tmp_path / "t.gltf")
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"materials": [material]}))
+    with pytest.raises(MeshError, match=message) as raised:
+        load_mesh(path)
+    assert "\n" not in str(raised.value)

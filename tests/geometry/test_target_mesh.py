@@ -7,12 +7,14 @@ import PIL.Image
 import pytest
 import trimesh
 
+import lfmesh as lf
 from lfmesh.errors import FileError, MeshError
 from lfmesh.geometry.frame import frame, points
 from lfmesh.geometry.mesh import facet_normals
 from lfmesh.geometry.primitives import primitive
 from lfmesh.geometry.targets import target_mesh
 from lfmesh.geometry.texture import srgb_to_linear
+from lfmesh.optics.gltf_material import GltfMaterial
 from lfmesh.scene import Box, Cylinder, Disk, Plane, Sphere, Target
 
 SHAPES = {
@@ -325,7 +327,7 @@ def test_several_pictures_share_one_sheet(folder):
         square.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
         scene.add_geometry(square)
     scene.export(folder.path / "t.glb")
-    target = folder.mesh(file="t.glb")
+    target = folder.mesh(file="t.glb", materials="colours")
     assert not target.closed
     for share in np.random.default_rng(33).dirichlet((1, 1, 1), size=20):
         where, seen = colours(target, share)
@@ -371,7 +373,7 @@ def test_alpha_of_a_mesh_file_is_its_pictures_times_its_colours(folder):
     trimesh.Trimesh(np.eye(3), [[0, 1, 2]], visual=visual, process=False).export(folder.path / "leaf.glb")
     target = folder.mesh(file="leaf.glb", material={"opacity": "texture_alpha"})
     np.testing.assert_allclose(target.alpha, picture[:, :, 3] / 255.0 * 0.2, rtol=1e-6)
-    assert folder.mesh(file="leaf.glb").alpha is None
+    assert folder.mesh(file="leaf.glb", materials="colours").alpha is None
 
 
 def test_alpha_is_asked_of_no_opaque_picture(folder):
@@ -379,3 +381,105 @@ def test_alpha_is_asked_of_no_opaque_picture(folder):
         material = values.pop("material", {}) | {"opacity": "texture_alpha"}
         with pytest.raises(MeshError, match="is opaque all over"):
             folder.mesh(**values, material=material)
+
+
+def board(folder, name="board.glb", **values):
+    """Save a GLB of two squares: a matt red one, and one of metal or as `values` say."""
+    scene = trimesh.Scene()
+    red = {"baseColorFactor": [255, 0, 0, 255], "metallicFactor": 0.0, "roughnessFactor": 1.0}
+    for number, values_of in enumerate([red, {"metallicFactor": 1.0, "roughnessFactor": 0.3} | values]):
+        square = trimesh.Trimesh([[0, 0, number], [1, 0, number], [0, 1, number]], [[0, 1, 2]], process=False)
+        square.visual = trimesh.visual.TextureVisuals(
+            uv=[[0, 0], [1, 0], [0, 1]], material=trimesh.visual.material.PBRMaterial(**values_of)
+        )
+        scene.add_geometry(square)
+    scene.export(folder.path / name)
+    return name
+
+
+def test_materials_of_a_gltf_file_are_taken_facet_by_facet_unless_the_scene_has_its_own(folder):
+    name = board(folder)
+    taken = folder.mesh(file=name)
+    depth = taken.mesh.vertices[taken.mesh.faces][:, 0, 2]
+    by_depth = {bool(z > 500.0): taken.materials[number] for z, number in zip(depth, taken.material_of, strict=True)}
+    assert by_depth == {False: GltfMaterial((1.0, 0.0, 0.0), 0.0, 1.0), True: GltfMaterial((1.0, 1.0, 1.0), 1.0, 0.3)}
+    assert len(taken.materials) == 2
+    assert taken.texture is None
+    assert taken.alpha is None
+    for values in ({"materials": "colours"}, {"material": {"reflectance": 0.5}}):
+        coloured = folder.mesh(file=name, **values)
+        assert coloured.materials == ()
+        assert coloured.material_of is None
+        assert {tuple(colour) for colour in colours(coloured)[1]} == {(1.0, 0.0, 0.0), (1.0, 1.0, 1.0)}
+    ignored = folder.mesh(file=name, materials="ignore")
+    assert ignored.materials == ()
+    assert ignored.texture is None
+
+
+@pytest.mark.parametrize(
+    ("mode", "alpha", "seen"), [("OPAQUE", 51, None), ("BLEND", 51, 0.2), ("MASK", 51, 0.0), ("MASK", 204, None)]
+)
+def test_alpha_counts_as_the_material_says(folder, mode, alpha, seen):
+    target = folder.mesh(file=board(folder, baseColorFactor=[255, 255, 255, alpha], alphaMode=mode))
+    found = None if target.alpha is None else target.alpha.min()
+    assert found == (seen if seen is None else pytest.approx(seen, abs=1e-6))
+
+
+def test_pictures_of_metallic_and_roughness_count_by_their_means(folder):
+    picture = np.zeros((1, 2, 3), np.uint8)
+    picture[0, 0, 1], picture[0, :, 2] = 255, [51, 102]
+    target = folder.mesh(file=board(folder, metallicRoughnessTexture=PIL.Image.fromarray(picture), roughnessFactor=0.8))
+    (white,) = (each for each in target.materials if each.base == (1.0, 1.0, 1.0))
+    assert white.roughness == pytest.approx(0.4)
+    assert white.metallic == pytest.approx(0.3)
+
+
+def test_materials_that_are_not_there_are_refused(folder):
+    trimesh.creation.box().export(folder.path / "box.stl")
+    with pytest.raises(MeshError, match=r'box\.stl: brings no materials of glTF, and materials = "file" asks for them'):
+        folder.mesh(file="box.stl", units="mm", materials="file")
+    for values, message in [
+        ({"materials": "file", "material": {"reflectance": 0.1}}, "omit one of them"),
+        ({"shape": SHAPES["box"], "file": None, "materials": "ignore"}, "only for a mesh file"),
+        ({"shape": SHAPES["box"], "file": None, "normals": "facets"}, "only for a mesh file"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            lf.Scene.model_validate(example({"file": "t.glb"} | values))
+
+
+def example(target):
+    """A scene with one target."""
+    surfaces = [{"radius_mm": 50.0, "thickness_mm": 5.0, "index": 1.5, "semi_diameter_mm": 5.0}, {"radius_mm": -50.0,
+                "semi_diameter_mm": 5.0}]  # fmt: skip
+    sensor = {"pixels": [4, 4], "pixel_mm": 0.1}
+    return {"camera": {"focus_mm": 500.0, "lens": {"surfaces": surfaces}, "sensor": sensor}, "targets": [target]}
+
+
+def ball_with_normals(folder, turn=1.0):
+    ball = trimesh.creation.icosphere(2, 10.0)
+    ball.vertex_normals = turn * ball.vertices / 10.0
+    ball.export(folder.path / "ball.ply", vertex_normal=True)
+    return {"file": "ball.ply", "units": "mm"}
+
+
+@pytest.mark.parametrize("turn", [1.0, -3.0])
+def test_vertex_normals_of_a_file_are_kept_on_the_side_of_their_facets(folder, turn):
+    """Of any length and sense; a scene may ask for those of the facets."""
+    ball = ball_with_normals(folder, turn)
+    target = folder.mesh(**ball)
+    assert target.smooth
+    radial = target.mesh.vertices[target.mesh.faces] / 10.0
+    np.testing.assert_allclose(target.mesh.corner_normals, radial, atol=1e-6)
+    assert not folder.mesh(**ball, normals="facets").smooth
+
+
+def test_normals_that_say_no_more_than_the_facets_leave_them_flat(folder):
+    """A box with normals of its faces; and one with the means of its corners, which stand off by 55 degrees."""
+    box = trimesh.creation.box()
+    for mesh in (
+        box,
+        trimesh.Trimesh(box.vertices[box.faces].reshape(-1, 3), np.arange(36).reshape(-1, 3), process=False),
+    ):
+        mesh.vertex_normals  # noqa: B018
+        mesh.export(folder.path / "box.ply", vertex_normal=True)
+        assert not folder.mesh(file="box.ply", units="mm").smooth

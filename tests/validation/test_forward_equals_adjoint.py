@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.typing import NDArray
 from PIL import Image as Picture
 from scipy import stats
@@ -42,6 +43,7 @@ HEXAGONAL_ARRAY = {
 }
 GLOWING = {"reflectance": 0.0, "radiance_w_m2_sr": 1.0, "texture": "chart.png"}
 PAINTED = {"reflectance": 0.8, "texture": "chart.png"}
+BALL = {"file": "ball.glb", "position_mm": [0.0, 0.0, -61.5]}
 BEAM = "TILT=NONE\n1 -1 1 4 3 1 1 0 0 0 1 1 1\n0 2 4 90\n0 90 180\n9 8 3 0\n9 5 1 0\n9 7 2 1\n"
 POINT = {"kind": "point", "position_mm": [20.0, -15.0, -25.0], "power_w": 1.0}
 DISK = {"kind": "disk", "position_mm": [15.0, 5.0, -40.0], "direction": [-1.0, 0.0, -1.0], "radius_mm": 4.0,
@@ -128,6 +130,11 @@ SCENES = {
             wall({"reflectance": 0.7, "radiance_w_m2_sr": 1.0, "opacity": 0.6}),
         ],
     ),
+    # Two materials in one file, one of them half metal, and interpolated normals.
+    "a ball of two materials": scene([BALL], [POINT | {"position_mm": [8.0, -6.0, -35.0]}], "both"),
+    "a smooth ball that is lit by a glowing wall": scene(
+        [BALL | {"material": {"reflectance": 0.7}}, wall({"reflectance": 0.0, "radiance_w_m2_sr": 1.0})]
+    ),
     "directional lamp": scene(
         [plane(PAINTED)], [{"kind": "directional", "direction": [-0.4, 0.3, -1.0], "irradiance_w_m2": 1.0}]
     ),
@@ -198,7 +205,26 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     holes = np.random.default_rng(6).integers(0, 256, (5, 6, 4)).astype(np.uint8)
     Picture.fromarray(holes).save(folder / "holes.png")
     (folder / "beam.ies").write_text(BEAM)
+    save_ball(folder / "ball.glb")
     return folder
+
+
+def save_ball(path: Path) -> None:
+    """Save an icosahedron with the normals of a sphere of 2 mm: one half of lacquer, the other half of metal."""
+    ball = trimesh.creation.icosphere(1, 2e-3)
+    both = trimesh.Scene()
+    left = ball.triangles_center[:, 0] < 0.0
+    for name, some, metallic in (("left", left, 0.0), ("right", ~left, 0.5)):
+        corners = ball.vertices[ball.faces[some]].reshape(-1, 3)
+        material = trimesh.visual.material.PBRMaterial(
+            baseColorFactor=[200, 200, 200, 255], metallicFactor=metallic, roughnessFactor=0.7
+        )
+        part = trimesh.Trimesh(
+            corners, np.arange(len(corners)).reshape(-1, 3), vertex_normals=corners / 2e-3, process=False
+        )
+        part.visual = trimesh.visual.TextureVisuals(uv=corners[:, :2], material=material)
+        both.add_geometry(part, geom_name=name)
+    path.write_bytes(both.export(file_type="glb", include_normals=True))
 
 
 def replicates(scene: lf.Scene, method: str, samples: int) -> Array:

@@ -4,7 +4,8 @@ Only this module depends on the kind of a model; Lambert's comes first, as most 
 light from lamps and the child that is aimed at the camera; `sample` draws the direction of a child that is not aimed;
 `density` gives the weight between the two where both could have found the same path. A model has a branch in each of
 the four functions. All models are reciprocal, so that the two methods, which follow a path in opposite directions,
-agree.
+agree. Interpolated normals are not: a point knows which of its two directions leads to the light, and the two methods
+evaluate the same number.
 
 All functions have the parameters `scattering` (the tables), `point`, `colour` (number of the wavelength), and unit
 directions along which light travels: `ix, iy, iz` towards the point, `ox, oy, oz` away from it.
@@ -15,9 +16,12 @@ from typing import NamedTuple
 import numpy as np
 
 from lfmesh.kernel import inlined, kernel
-from lfmesh.optics.gloss import gloss_albedos, gloss_brdf, gloss_density, gloss_direction
+from lfmesh.optics.gloss import ROWS, gloss_albedos, gloss_brdf, gloss_density, gloss_direction
 from lfmesh.optics.scattering import lambertian, tangents
 from lfmesh.transport.tables.scattering import LAMBERTIAN, ScatteringTables
+
+OUTLINE = 0.1
+"""Cosine at which a smooth surface is seen, over that of its facet, below which its normal is turned."""
 
 
 class Point(NamedTuple):
@@ -32,6 +36,11 @@ class Point(NamedTuple):
     nz: float
     model: int  # row of `ScatteringTables.models`
     texel: float  # value of the texture, a factor of the reflectance of the matt surface, or of the base under gloss
+    smooth: bool = False  # shaded with the normal below
+    sx: float = 0.0  # unit normal interpolated between the facet's corners
+    sy: float = 0.0
+    sz: float = 0.0
+    to_light: bool = False  # packets leave the point towards the light, else they come from it
 
 
 @inlined
@@ -48,11 +57,9 @@ def albedo(scattering: ScatteringTables, point: Point, colour: int, ix: float, i
         Unit direction towards where the light comes from.
     """
     model = scattering.models[point.model]
-    if model.kind == LAMBERTIAN:
+    if model.kind == LAMBERTIAN and not point.smooth:
         return scattering.parameters[model.first, colour] * point.texel
-    cosine = -(point.nx * ix + point.ny * iy + point.nz * iz)
-    once, rest = gloss_albedos(scattering.parameters, model.first, colour, point.texel, cosine)
-    return once + rest
+    return _other_albedo(scattering, point, colour, ix, iy, iz)
 
 
 @inlined
@@ -76,9 +83,9 @@ def evaluate(
         Unit direction in which it leaves.
     """
     model = scattering.models[point.model]
-    if model.kind == LAMBERTIAN:
+    if model.kind == LAMBERTIAN and not point.smooth:
         return scattering.parameters[model.first, colour] * point.texel / np.pi
-    return _evaluate_gloss(scattering, point, colour, ix, iy, iz, ox, oy, oz)
+    return _evaluate_other(scattering, point, colour, ix, iy, iz, ox, oy, oz)
 
 
 @inlined
@@ -95,7 +102,10 @@ def sample(
     model = scattering.models[point.model]
     if model.kind == LAMBERTIAN:
         ox, oy, oz = lambertian(point.nx, point.ny, point.nz, u, v)
-        return ox, oy, oz, scattering.parameters[model.first, colour] * point.texel
+        share = scattering.parameters[model.first, colour] * point.texel
+        if point.smooth:
+            share = np.pi * _evaluate_other(scattering, point, colour, ix, iy, iz, ox, oy, oz)
+        return ox, oy, oz, share
     return _sample_gloss(scattering, point, colour, ix, iy, iz, u, v)
 
 
@@ -120,26 +130,137 @@ def density(
 
 
 @inlined
-def _local(point: Point, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return a direction in the local frame of a point, whose z axis is the normal."""
-    ux, uy, uz, vx, vy, vz = tangents(point.nx, point.ny, point.nz)
-    return (
-        ux * x + uy * y + uz * z,
-        vx * x + vy * y + vz * z,
-        point.nx * x + point.ny * y + point.nz * z,
-    )
+def _local(nx: float, ny: float, nz: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return a direction in a local frame whose z axis is the normal nx, ny, nz."""
+    ux, uy, uz, vx, vy, vz = tangents(nx, ny, nz)
+    return ux * x + uy * y + uz * z, vx * x + vy * y + vz * z, nx * x + ny * y + nz * z
+
+
+@inlined
+def _seen_normal(point: Point, vx: float, vy: float, vz: float) -> tuple[float, float, float]:
+    """Return the unit normal of the shading frame at a point that is seen from a direction.
+
+    An interpolated normal that looks away from where the point is seen is turned towards the facet's, just so far that
+    it does not: gloss would be black there, along the outline of the body.
+
+    Parameters
+    ----------
+    vx, vy, vz : float
+        Unit direction away from the surface.
+    """
+    if not point.smooth:
+        return point.nx, point.ny, point.nz
+    seen = point.sx * vx + point.sy * vy + point.sz * vz
+    facet = point.nx * vx + point.ny * vy + point.nz * vz
+    if seen >= OUTLINE * facet or facet <= 0.0:
+        return point.sx, point.sy, point.sz
+    share = OUTLINE - seen / facet
+    x, y, z = point.sx + share * point.nx, point.sy + share * point.ny, point.sz + share * point.nz
+    over = 1.0 / np.sqrt(x * x + y * y + z * z)
+    return x * over, y * over, z * over
+
+
+@inlined
+def _smooth_light(
+    point: Point, sx: float, sy: float, sz: float, lx: float, ly: float, lz: float
+) -> float:  # fmt: skip
+    """Return the cosine of incidence by which a smooth surface counts light, over that at its facet.
+
+    The cosine at the interpolated normal, with which a facet would shine up to the line where it turns from the light
+    and be black beyond, falls smoothly to zero there: Chiang, Li and Burley, "Taming the Shadow Terminator", SIGGRAPH
+    2019 Talks. It is never larger than the cosine itself, so that no light is gained.
+
+    Parameters
+    ----------
+    sx, sy, sz : float
+        Unit normal of the shading frame.
+    lx, ly, lz : float
+        Unit direction of the light, away from the surface.
+    """
+    shaded = sx * lx + sy * ly + sz * lz
+    facet = point.nx * lx + point.ny * ly + point.nz * lz
+    if shaded <= 0.0 or facet <= 0.0:
+        return 0.0
+    both = point.nx * sx + point.ny * sy + point.nz * sz
+    share = facet / (shaded * both)
+    if share >= 1.0:
+        return shaded / facet
+    return (1.0 + share - share * share) / both
 
 
 @kernel
-def _evaluate_gloss(
+def _other_albedo(
+    scattering: ScatteringTables, point: Point, colour: int, ix: float, iy: float, iz: float
+) -> float:  # fmt: skip
+    """Return the albedo of a glossy or smooth point, see `albedo`; of gloss on smooth points to first order."""
+    model = scattering.models[point.model]
+    nx, ny, nz = _seen_normal(point, -ix, -iy, -iz)
+    light = 1.0
+    if point.smooth and not point.to_light:
+        light = _smooth_light(point, nx, ny, nz, -ix, -iy, -iz)
+    if model.kind == LAMBERTIAN:
+        return light * scattering.parameters[model.first, colour] * point.texel
+    dielectric, metal = _albedos(scattering, point, colour, -(nx * ix + ny * iy + nz * iz))
+    return light * (dielectric + metal)
+
+
+@kernel
+def _albedos(scattering: ScatteringTables, point: Point, colour: int, cosine: float) -> tuple[float, float]:
+    """Return what the dielectric and the metal share of a glossy point scatter of light from a direction."""
+    model = scattering.models[point.model]
+    dielectric, metal = 0.0, 0.0
+    if model.metal < 1.0:
+        once, rest = gloss_albedos(scattering.parameters, model.first, colour, point.texel, cosine)
+        dielectric = (1.0 - model.metal) * (once + rest)
+    if model.metal > 0.0:
+        once, rest = gloss_albedos(scattering.parameters, model.first + ROWS, colour, 1.0, cosine)
+        metal = model.metal * point.texel * (once + rest)
+    return dielectric, metal
+
+
+@kernel
+def _evaluate_other(
     scattering: ScatteringTables, point: Point, colour: int,
     ix: float, iy: float, iz: float, ox: float, oy: float, oz: float,
 ) -> float:  # fmt: skip
-    """Return the BRDF of a glossy point, see `evaluate`."""
-    first = scattering.models[point.model].first
-    ax, ay, az = _local(point, -ix, -iy, -iz)
-    bx, by, bz = _local(point, ox, oy, oz)
-    return gloss_brdf(scattering.parameters, first, colour, point.texel, ax, ay, az, bx, by, bz)
+    """Return the BRDF of a glossy or smooth point, see `evaluate`.
+
+    On a smooth point it is that of the shading frame times the cosine at which light is counted there over that at the
+    facet, the same for both directions in which a path can be followed (Veach, thesis, 1997, section 5.3).
+    """
+    model = scattering.models[point.model]
+    nx, ny, nz = point.nx, point.ny, point.nz
+    light = 1.0
+    if point.smooth:
+        if point.to_light:
+            nx, ny, nz = _seen_normal(point, -ix, -iy, -iz)
+            light = _smooth_light(point, nx, ny, nz, ox, oy, oz)
+        else:
+            nx, ny, nz = _seen_normal(point, ox, oy, oz)
+            light = _smooth_light(point, nx, ny, nz, -ix, -iy, -iz)
+        if light == 0.0:
+            return 0.0
+    if model.kind == LAMBERTIAN:
+        return light * scattering.parameters[model.first, colour] * point.texel / np.pi
+    ax, ay, az = _local(nx, ny, nz, -ix, -iy, -iz)
+    bx, by, bz = _local(nx, ny, nz, ox, oy, oz)
+    value = 0.0
+    if model.metal < 1.0:
+        value = gloss_brdf(scattering.parameters, model.first, colour, point.texel, ax, ay, az, bx, by, bz)
+    if model.metal > 0.0:
+        metal = gloss_brdf(scattering.parameters, model.first + ROWS, colour, 1.0, ax, ay, az, bx, by, bz)
+        value = (1.0 - model.metal) * value + model.metal * point.texel * metal
+    return light * value
+
+
+@kernel
+def _chance_of_metal(scattering: ScatteringTables, point: Point, colour: int, cosine: float) -> float:
+    """Return the chance with which a direction is drawn as the metal share of a glossy point reflects."""
+    model = scattering.models[point.model]
+    if model.metal == 0.0 or model.metal == 1.0:
+        return model.metal
+    dielectric, metal = _albedos(scattering, point, colour, cosine)
+    return metal / (dielectric + metal) if metal > 0.0 else 0.0
 
 
 @kernel
@@ -149,9 +270,17 @@ def _density_of_gloss(
 ) -> float:  # fmt: skip
     """Return the density of a glossy point's samples, see `density`."""
     first = scattering.models[point.model].first
-    ax, ay, az = _local(point, -ix, -iy, -iz)
-    bx, by, bz = _local(point, ox, oy, oz)
-    return gloss_density(scattering.parameters, first, colour, point.texel, ax, ay, az, bx, by, bz)
+    nx, ny, nz = _seen_normal(point, -ix, -iy, -iz)
+    ax, ay, az = _local(nx, ny, nz, -ix, -iy, -iz)
+    bx, by, bz = _local(nx, ny, nz, ox, oy, oz)
+    chance = _chance_of_metal(scattering, point, colour, az)
+    value = 0.0
+    if chance < 1.0:
+        value = gloss_density(scattering.parameters, first, colour, point.texel, ax, ay, az, bx, by, bz)
+    if chance > 0.0:
+        metal = gloss_density(scattering.parameters, first + ROWS, colour, 1.0, ax, ay, az, bx, by, bz)
+        value = (1.0 - chance) * value + chance * metal
+    return value
 
 
 @kernel
@@ -159,14 +288,23 @@ def _sample_gloss(
     scattering: ScatteringTables, point: Point, colour: int, ix: float, iy: float, iz: float, u: float, v: float
 ) -> tuple[float, float, float, float]:
     """Return a random direction from a glossy point and what it carries, see `sample`."""
-    first = scattering.models[point.model].first
-    ax, ay, az = _local(point, -ix, -iy, -iz)
-    x, y, z = gloss_direction(scattering.parameters, first, colour, point.texel, ax, ay, az, u, v)
-    ux, uy, uz, vx, vy, vz = tangents(point.nx, point.ny, point.nz)
-    ox, oy, oz = x * ux + y * vx + z * point.nx, x * uy + y * vy + z * point.ny, x * uz + y * vz + z * point.nz
-    # From the direction as it is stored, so that evaluation and density there give the same numbers.
-    chance = _density_of_gloss(scattering, point, colour, ix, iy, iz, ox, oy, oz)
-    if chance <= 0.0:
-        return ox, oy, oz, 0.0
+    first, texel = scattering.models[point.model].first, point.texel
+    nx, ny, nz = _seen_normal(point, -ix, -iy, -iz)
+    ax, ay, az = _local(nx, ny, nz, -ix, -iy, -iz)
+    chance = _chance_of_metal(scattering, point, colour, az)
+    if u < chance:
+        u, first, texel = u / chance, first + ROWS, 1.0
+    elif chance > 0.0:
+        u = min((u - chance) / (1.0 - chance), 1.0)
+    x, y, z = gloss_direction(scattering.parameters, first, colour, texel, ax, ay, az, u, v)
+    ux, uy, uz, vx, vy, vz = tangents(nx, ny, nz)
+    ox, oy, oz = x * ux + y * vx + z * nx, x * uy + y * vy + z * ny, x * uz + y * vz + z * nz
     cosine = point.nx * ox + point.ny * oy + point.nz * oz
-    return ox, oy, oz, _evaluate_gloss(scattering, point, colour, ix, iy, iz, ox, oy, oz) * cosine / chance
+    if cosine <= 0.0:
+        # Above the shading frame's horizon, and below the facet's.
+        return ox, oy, oz, 0.0
+    # From the direction as it is stored, so that evaluation and density there give the same numbers.
+    density = _density_of_gloss(scattering, point, colour, ix, iy, iz, ox, oy, oz)
+    if density <= 0.0:
+        return ox, oy, oz, 0.0
+    return ox, oy, oz, _evaluate_other(scattering, point, colour, ix, iy, iz, ox, oy, oz) * cosine / density

@@ -47,7 +47,7 @@ def ask_emitters(wave: NDArray[np.void], objects: ObjectTables, options: Options
             continue
         cos_facet = abs(cos_facet)
         texel = texture_at(objects, packet.facet, packet.colour, x, y, z)
-        point = point_of(objects, packet.facet, x, y, z, side, own.body, texel)
+        point = point_of(objects, packet.facet, x, y, z, side, objects.model[packet.facet], texel, True)
         # Over the sum of both densities: over its own one, and weighted by the balance heuristic.
         by_chance = density(objects.scattering, point, packet.colour, ix, iy, iz, ux, uy, uz)
         brdf = evaluate(objects.scattering, point, packet.colour, ix, iy, iz, ux, uy, uz)

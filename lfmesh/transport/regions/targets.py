@@ -99,7 +99,8 @@ def meet_target(
             return
         packet.weight = weight
     texel = texture_at(objects, prim, packet.colour, x, y, z)
-    point = point_of(objects, prim, x, y, z, -1.0 if along > 0.0 else 1.0, body, texel)
+    side = -1.0 if along > 0.0 else 1.0
+    point = point_of(objects, prim, x, y, z, side, objects.model[prim], texel, options.adjoint)
     share = albedo(objects.scattering, point, packet.colour, dx, dy, dz)
     if options.adjoint and is_estimated(options, packet):
         _gather(options, flow, objects, packet, point, share > 0.0)
@@ -118,7 +119,15 @@ def meet_target(
 
 @inlined
 def point_of(
-    objects: ObjectTables, prim: int, x: float, y: float, z: float, side: float, model: int, texel: float
+    objects: ObjectTables,
+    prim: int,
+    x: float,
+    y: float,
+    z: float,
+    side: float,
+    model: int,
+    texel: float,
+    to_light: bool,
 ) -> Point:
     """Return a point on one side of a facet, with its scattering model.
 
@@ -133,10 +142,37 @@ def point_of(
         Row of the scattering models.
     texel : float
         See `texture_at`.
+    to_light : bool
+        Whether packets leave it towards the light, as in the adjoint method.
     """
-    normal = objects.facets[prim].normal
+    facet = objects.facets[prim]
+    normal = facet.normal
     nx, ny, nz = side * normal[0], side * normal[1], side * normal[2]
-    return Point(prim, x, y, z, nx, ny, nz, model, texel)
+    if not objects.smooth[facet.body] or model != objects.model[prim]:
+        return Point(prim, x, y, z, nx, ny, nz, model, texel, False, nx, ny, nz, to_light)
+    sx, sy, sz = _interpolated_normal(facet, side, x, y, z)
+    return Point(prim, x, y, z, nx, ny, nz, model, texel, True, sx, sy, sz, to_light)
+
+
+@kernel
+def _interpolated_normal(facet: Any, side: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return the unit normal between the facet's corners, on one side of it.
+
+    Parameters
+    ----------
+    facet : FACET
+    side : float
+        1: the side that its normal points to, −1: the other.
+    x, y, z : float, mm
+    """
+    b, c = barycentric(facet, x, y, z)
+    at = facet.corner_normals
+    a = 1.0 - b - c
+    nx = a * at[0, 0] + b * at[1, 0] + c * at[2, 0]
+    ny = a * at[0, 1] + b * at[1, 1] + c * at[2, 1]
+    nz = a * at[0, 2] + b * at[1, 2] + c * at[2, 2]
+    over = side / np.sqrt(nx * nx + ny * ny + nz * nz)
+    return nx * over, ny * over, nz * over
 
 
 @inlined

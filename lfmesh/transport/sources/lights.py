@@ -202,5 +202,5 @@ def _from_facet(
     flow.book[EMITTED] += weight
     packet.start = weight
     packet.weight = weight
-    point = point_of(objects, prim, x, y, z, side, len(objects.scattering.models) - 1, 1.0)
+    point = point_of(objects, prim, x, y, z, side, len(objects.scattering.models) - 1, 1.0, False)
     scatter(options, flow, frames, objects, aim, packet, point, weight, weight)

@@ -14,6 +14,7 @@ from lfmesh.geometry.tessellation import (
     on_circles,
     revolved,
 )
+from lfmesh.optics.gltf_material import GltfMaterial
 from lfmesh.optics.rgb_spectra import primary_reflectances
 from lfmesh.scene import Scene
 from lfmesh.scene.coatings import UNCOATED
@@ -174,6 +175,7 @@ def object_tables(
         texels.append(values if lines.in_bands else (values @ weights.T).astype(np.float32))
         filled += height * width
     materials = [t.material for t in scene.targets]
+    models, from_files = _models_of_facets(targets, len(housing.faces))
     alphas = [t.alpha.ravel() if t.alpha is not None else np.zeros(0, np.float32) for t in targets]
     radius = max((float(np.linalg.norm(m.vertices, axis=1).max()) for m in parts), default=0.0)
     glasses = [t.refractor for t in scene.targets]
@@ -192,10 +194,15 @@ def object_tables(
         facets=facets,
         uv=uv,
         one_sided=np.array(
-            [(t.closed and m.opacity == 1.0) or m.sides == "front" for t, m in zip(targets, materials, strict=True)],
+            [
+                (t.closed and t.alpha is None and m.opacity == 1.0) or m.sides == "front"
+                for t, m in zip(targets, materials, strict=True)
+            ],
             dtype=np.bool_,
         ),
-        scattering=scattering_tables(materials, wavelengths_nm, reflectances),
+        scattering=scattering_tables(materials, wavelengths_nm, reflectances, from_files),
+        model=models,
+        smooth=np.array([t.smooth for t in targets], dtype=np.bool_),
         radiance=radiance,
         glow=np.divide(radiance, largest, out=np.zeros_like(radiance), where=largest > 0.0),
         media=known.table(wavelengths_nm),
@@ -212,7 +219,10 @@ def object_tables(
         texture=texture,
         texels=np.concatenate(texels) if texels else np.zeros((0, weights.shape[1]), np.float32),
         texel_weights=weights if lines.in_bands else np.zeros((0, 0)),
-        opacity=np.array([BY_ALPHA if isinstance(m.opacity, str) else m.opacity for m in materials]),
+        opacity=np.array(
+            [m.opacity if t.alpha is None else BY_ALPHA for t, m in zip(targets, materials, strict=True)],
+            dtype=np.float64,
+        ),
         alpha_first=np.cumsum([0, *(len(alpha) for alpha in alphas)])[:-1],
         alpha=np.concatenate([np.zeros(0, np.float32), *alphas]),
         target_slot=book.targets,
@@ -254,6 +264,26 @@ def _with_volumes(tables: ObjectTables, volumes: Volumes) -> ObjectTables:
     return tables._replace(volumes=volumes, outer_radius=max(tables.outer_radius, reach), lit_radius=lit)
 
 
+def _models_of_facets(targets: list[TargetMesh], others: int) -> tuple[NDArray[np.int64], list[GltfMaterial]]:
+    """Return the row of each facet's scattering model, and the mesh files' materials in the order of their rows.
+
+    Parameters
+    ----------
+    targets : list of TargetMesh
+    others : int
+        Number of facets after those of the targets.
+    """
+    known: dict[GltfMaterial, int] = {}
+    rows = []
+    for number, target in enumerate(targets):
+        own = np.full(len(target.mesh.faces), number)
+        if target.material_of is not None:
+            row_of = [known.setdefault(each, len(targets) + len(known)) for each in target.materials]
+            own = np.append(row_of, number)[target.material_of]
+        rows.append(own)
+    return np.concatenate([*rows, np.zeros(others)]).astype(np.int64), list(known)
+
+
 def _refuse_touched_finishes(scene: Scene, bodies: NDArray[np.int64], first: NDArray[np.int64]) -> None:
     """Refuse a coated or rough body of glass that touches another: which of the two faces is met would be chance."""
     if not len(first):
@@ -283,7 +313,8 @@ def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
     kinds = objects.interfaces.rows["kind"].reshape(len(glass), len(objects.media.indices))
     rough = glass & (kinds[:, AIR] >= ROUGH)
     facets = np.append(glass & ~rough, False)[objects.facets["body"]]
-    black = objects.scattering.models["black"][:-1][~glass].all() and not rough.any()
+    used = objects.model[np.append(~glass, False)[objects.facets["body"]]]
+    black = objects.scattering.models["black"][used].all() and not rough.any()
     in_fog = objects.volumes is not None and objects.volumes.scatters
     if not len(objects.lights) or not facets.any() or (black and not in_fog):
         return None

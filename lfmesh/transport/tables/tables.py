@@ -116,6 +116,8 @@ class ObjectTables(NamedTuple):
     uv: Array  # (m, 3, 2)
     one_sided: NDArray[np.bool_]  # (targets,) scatters and emits on the side of its normals only; the other is black
     scattering: ScatteringTables
+    model: NDArray[np.int64]  # (m,) row of the scattering model of each facet; of the housing 0
+    smooth: NDArray[np.bool_]  # (targets,) shaded with normals interpolated between the facets' corners
     radiance: Array  # (targets, wavelengths) W/(m² sr)
     glow: Array  # (targets, wavelengths) radiance relative to the largest of its target
     media: Media

@@ -12,7 +12,8 @@ from scipy import stats
 
 from lfmesh.kernel import kernel
 from lfmesh.optics.fresnel import fresnel
-from lfmesh.optics.gloss import MARGIN, gloss_parameters
+from lfmesh.optics.gloss import MARGIN, gloss_parameters, interface_reflectance
+from lfmesh.optics.gltf_material import SMALLEST_ALPHA, GltfMaterial, metal_of_reflectance
 from lfmesh.optics.scattering import tangents
 from lfmesh.scene.targets import SMALLEST_ROUGHNESS, Gloss, Material
 from lfmesh.transport.events.scattering import Point, albedo, density, evaluate, sample
@@ -31,10 +32,15 @@ MATERIALS = {
     "aluminium": Material(gloss=Gloss(metal="Al", roughness=0.3)),
     "gold": Material(gloss=Gloss(metal="Au", roughness=1.0)),
 }
-"""And after them emission, which no scene states."""
+FROM_FILES = {
+    "glTF plastic": GltfMaterial((0.8, 0.3, 0.1), 0.0, 0.5),
+    "glTF brass": GltfMaterial((0.9, 0.7, 0.3), 1.0, 0.4),
+    "glTF mixture": GltfMaterial((0.2, 0.6, 0.9), 0.3, 0.8),
+}
+"""As mesh files bring them; and after them emission, which no scene states."""
 
-NAMES = [*MATERIALS, "emission"]
-TABLES = scattering_tables(list(MATERIALS.values()), (500.0, 600.0))
+NAMES = [*MATERIALS, *FROM_FILES, "emission"]
+TABLES = scattering_tables(list(MATERIALS.values()), (500.0, 600.0), from_files=list(FROM_FILES.values()))
 WAVE = 1
 TEXEL = 0.6
 NORMALS = [np.array([0.0, 0.0, 1.0]), np.array([0.48, -0.6, -0.64])]
@@ -182,7 +188,7 @@ def test_the_albedo_is_the_share_of_light_that_all_directions_carry() -> None:
     for point, normal, way in cases():
         ways, solid_angle = over_the_side(normal, way)
         scattered = (told(point, way, ways)[1] * (ways @ normal) * solid_angle).sum()
-        error = 2.0 * MARGIN if "gloss" in repr(MATERIALS.get(NAMES[point.model])) else 0.0
+        error = 2.0 * MARGIN if "gloss" in repr(MATERIALS.get(NAMES[point.model], "gloss")) else 0.0
         assert scattered == pytest.approx(albedo(TABLES, point, WAVE, *way), rel=1e-8, abs=max(error, 1e-300)), point
         assert scattered <= 1.0
 
@@ -219,6 +225,88 @@ def test_metal_that_reflects_everything_scatters_everything() -> None:
             tell_all(ScatteringTables(models, parameters), point, ways.reshape(-1, 3), way, both)
             total = (both[:, 1] * (ways.reshape(-1, 3) @ normal) * solid_angle.ravel()).sum()
             assert 1.0 - 2.0 * MARGIN < total <= 1.0, (roughness, cosine)
+
+
+def test_metal_of_a_gltf_file_reflects_its_base_colour_squarely() -> None:
+    """And over the hemisphere what Schlick's approximation says, as glTF has it, where any metal does."""
+    assert SMALLEST_ALPHA == SMALLEST_ROUGHNESS
+    wanted = np.array([0.0, 0.04, 0.2, 0.5, 0.8, 0.95, 1.0])
+    metal = metal_of_reflectance(wanted)
+    np.testing.assert_allclose(abs((metal - 1.0) / (metal + 1.0)) ** 2, wanted, atol=2e-6)
+    x, w = np.polynomial.legendre.leggauss(200)
+    cosine = 0.5 * (x + 1.0)
+    mean = interface_reflectance(metal.real[:, None], metal.imag[:, None], cosine) @ (w * cosine)
+    difference = mean - (wanted + (1.0 - wanted) / 21.0)
+    assert abs(difference[2:-1]).max() < 1e-4
+    assert abs(difference).max() < 0.05
+
+
+@pytest.mark.parametrize("metallic", [0.0, 0.4, 1.0])
+@pytest.mark.parametrize("roughness", [0.0, 0.5, 1.0])
+def test_a_white_gltf_material_loses_and_gains_no_light(metallic: float, roughness: float) -> None:
+    tables = scattering_tables([], (550.0,), from_files=[GltfMaterial((1.0, 1.0, 1.0), metallic, roughness)])
+    normal = NORMALS[0]
+    for cosine in (1.0, 0.5, 0.05):
+        way = -direction(normal, cosine, 0.7)
+        ways, solid_angle = over_the_side(normal, way, 24, 12)
+        both = np.empty((ways[..., 0].size, 2))
+        tell_all(tables, Point(0, 0.0, 0.0, 0.0, *map(float, normal), 0, 1.0), ways.reshape(-1, 3), way, both)
+        total = (both[:, 1] * (ways.reshape(-1, 3) @ normal) * solid_angle.ravel()).sum()
+        assert 1.0 - 2.0 * MARGIN - 1e-5 < total <= 1.0, cosine
+
+
+def smooth_point(name: str, normal: Array, tilted: Array, to_light: bool) -> Point:
+    """A point whose interpolated normal is not the facet's."""
+    return point_of(name, normal)._replace(
+        smooth=True, sx=float(tilted[0]), sy=float(tilted[1]), sz=float(tilted[2]), to_light=to_light
+    )
+
+
+@pytest.mark.parametrize("name", ["matt", "lacquer", "gold", "glTF mixture"])
+def test_interpolated_normals_gain_no_light(name: str) -> None:
+    """Uniform light, seen from any direction, is not brighter for them: at most as from a flat facet, up to Lambert's.
+
+    Along the outline, too, something is seen. And the two methods evaluate the same number.
+    """
+    normal = NORMALS[0]
+    for tilt in (0.1, 0.4, np.pi / 4):
+        tilted = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
+        toward, away = (smooth_point(name, normal, tilted, to_light) for to_light in (True, False))
+        white = albedo(TABLES, point_of(name, normal)._replace(texel=1.0), WAVE, 0.0, 0.0, -1.0)
+        for azimuth in (0.0, 1.5, np.pi):
+            for cosine in (1.0, 0.5, 0.05):
+                seen = direction(normal, cosine, azimuth)
+                ways, solid_angle = over_the_side(normal, -seen, 8, 6)
+                rows = ways.reshape(-1, 3)
+                both = np.empty((len(rows), 2))
+                tell_all(TABLES, toward, rows, -seen, both)
+                total = (both[:, 1] * (rows @ normal) * solid_angle.ravel()).sum()
+                assert total > 0.02 * white
+                if name == "matt":
+                    assert total <= 0.7 * TEXEL * 1.002
+                assert total <= 1.0
+                for row in rows[:: len(rows) // 7]:
+                    there = evaluate(TABLES, toward, WAVE, *map(float, -seen), *map(float, row))
+                    assert there == evaluate(TABLES, away, WAVE, *map(float, -row), *map(float, seen))
+
+
+@pytest.mark.parametrize("name", ["matt", "lacquer", "glTF mixture"])
+@pytest.mark.parametrize("to_light", [True, False])
+def test_what_is_drawn_at_an_interpolated_normal_carries_the_brdf(name: str, to_light: bool) -> None:
+    """BRDF · cos θ over the density, in the facet's own cosine."""
+    normal, tilted = NORMALS[0], np.array([0.36, 0.0, np.sqrt(1.0 - 0.36**2)])
+    point = smooth_point(name, normal, tilted, to_light)
+    random = np.random.default_rng(5)
+    carried = 0
+    for u, v in random.random((200, 2)):
+        way = [float(x) for x in -direction(normal, 0.3, random.random() * 6.0)]
+        *out, share = sample(TABLES, point, WAVE, *way, u, v)
+        cosine = float(normal @ out)
+        if cosine > 0.0:
+            there = evaluate(TABLES, point, WAVE, *way, *out) * cosine / density(TABLES, point, WAVE, *way, *out)
+            assert share == pytest.approx(there, rel=1e-9, abs=1e-12)
+            carried += share > 0.0
+    assert carried > 50
 
 
 def test_the_smoothest_gloss_reflects_as_fresnel_says() -> None:

@@ -32,6 +32,11 @@ RMS_STEPS = (0.25, 0.5, 0.75, 1.0)
 
 AXES = "xyz"
 
+QUICK = {"transport.samples": 4, "transport.replicates": 4}
+"""Where points share their random numbers, few samples tell cameras apart."""
+IMAGE_PATH = {"transport.split": "transmit"}
+"""Reflections take most of the time, and say little about where things stand."""
+
 
 @dataclass(frozen=True)
 class Ready:
@@ -70,7 +75,7 @@ def assembly(scene: Scene) -> Ready:
             label = f"air after lens surface {i} / mm"
             axes.append(_axis(f"camera.lens.surfaces[{i}].thickness_mm", SPACING_MM, label))
     changes = {} if lens.elements else {"camera.lens.elements": [{"surfaces": surfaces} for surfaces in elements]}
-    return Ready(tuple(axes), changes, metrics)
+    return Ready(tuple(axes), {**QUICK, **IMAGE_PATH, **changes}, metrics)
 
 
 def manufacturing(scene: Scene) -> Ready:
@@ -89,7 +94,7 @@ def manufacturing(scene: Scene) -> Ready:
         ),
         _axis("camera.mla.thickness_mm", 0.02 * mla.thickness_mm, "plate thickness / mm"),
     ]
-    return Ready(tuple(axes))
+    return Ready(tuple(axes), {**QUICK, **IMAGE_PATH})
 
 
 def sensor(scene: Scene) -> Ready:
@@ -98,7 +103,8 @@ def sensor(scene: Scene) -> Ready:
         *_poses("camera.sensor", scene.camera.sensor.pixel_mm),
         _rms("camera.sensor.reflectance", 0.4, "reflectance"),
     ]
-    return Ready(tuple(axes), metrics=Ready(()).metrics if scene.camera.mla is not None else ("psnr", "ncc", "light"))
+    metrics = Ready(()).metrics if scene.camera.mla is not None else ("psnr", "ncc", "light")
+    return Ready(tuple(axes), dict(QUICK), metrics)
 
 
 def packets_and_splits(scene: Scene) -> Ready:

@@ -2,9 +2,11 @@
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from lfmesh.scene.distance import reach_in_words
+from lfmesh.scene.meridional import edge_of_stop_mm
 from lfmesh.scene.model import format_path
 from lfmesh.scene.paraxial import Paraxial, quotient
 from lfmesh.scene.scene import Scene
@@ -85,14 +87,20 @@ def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
 
 
 def _apertures(scene: Scene) -> Iterator[str]:
-    """Compare the axial beam that the stop lets through with every clear aperture."""
+    """Compare the axial beam that the stop lets through with every clear aperture, by real rays."""
     camera, wavelength = scene.camera, scene.primary_nm
     surfaces = camera.lens.surfaces
     lens = Paraxial.of(camera.lens, wavelength)
-    stop = surfaces[lens.stop]
-    radius = stop.semi_diameter_mm or math.nan
-    marginal = lens.marginal_ray(lens.object_mm(image_plane_mm(camera, wavelength)), radius)
-    for number, height in enumerate(lens.heights_mm(marginal)):
+    distance = lens.object_mm(image_plane_mm(camera, wavelength))
+    radius = surfaces[lens.stop].semi_diameter_mm or math.nan
+    marginal = lens.marginal_ray(distance, radius)
+    of_meshes = any(surface.mesh is not None or surface.refractor is not None for surface in surfaces)
+    heights = lens.heights_mm(marginal)
+    if not of_meshes and math.isfinite(marginal.height_mm) and marginal.height_mm:
+        # Coefficients beyond all bounds leave no real ray to be followed.
+        with suppress(OverflowError, ValueError):
+            heights = edge_of_stop_mm(camera.lens, wavelength, distance, marginal.height_mm)
+    for number, height in enumerate(heights):
         clear = surfaces[number].semi_diameter_mm or math.inf
         if number != lens.stop and abs(height) > clear * (1 + 1e-6):
             yield (
@@ -100,6 +108,8 @@ def _apertures(scene: Scene) -> Iterator[str]:
                 f"on surfaces[{number}], whose clear aperture is {2 * clear:.4g} mm; that surface limits the "
                 "light, not the stop"
             )
+    if not heights:
+        yield "the stop is larger than the glass: no ray along the axis reaches its edge, which limits no light"
 
 
 def _micro_images(scene: Scene, facts: "FirstOrder") -> Iterator[str]:

@@ -54,8 +54,9 @@ class Surface(Model):
     glass: GlassName | None = None
     """Catalogue glass that follows the surface, like "SCHOTT/N-BK7"."""
     semi_diameter_mm: Positive | None = None
-    """Radius of the clear aperture, in mm. Only a stop whose size `stop_semi_diameter_mm` or `f_number` sets
-    may omit it."""
+    """Radius of the clear aperture, in mm. A stop may omit it whose size `stop_semi_diameter_mm`, `f_number` or
+    `epd_mm` sets. Where a stop is marked, the others may, too: by paraxial rays they then pass the whole beam of every
+    point of the picture, with 5 % to spare, unless the surface ends or meets its neighbour before."""
     stop: Flag = False
     """Whether this surface's aperture is the aperture stop of the lens."""
     coating: Text = UNCOATED
@@ -293,8 +294,12 @@ class Lens(Model):
             yield Fault((key,), size, f"{sizes[0][0]} = {sizes[0][1]:g} is given too; give one of them")
         for i, surface in enumerate(self.surfaces):
             sized = surface.stop and bool(self.stop_size)
-            if surface.semi_diameter_mm is None and not sized and surface.refractor is None:
-                yield Fault(("surfaces", i, "semi_diameter_mm"), None, "missing: the radius of the clear aperture")
+            solved = bool(stops) and not surface.stop and surface.mesh is None
+            if surface.semi_diameter_mm is None and not sized and not solved and surface.refractor is None:
+                hint = "" if stops else "; or mark the stop, which the others follow from"
+                yield Fault(
+                    ("surfaces", i, "semi_diameter_mm"), None, f"missing: the radius of the clear aperture{hint}"
+                )
 
     def _element_faults(self) -> Iterator[Fault]:
         last = len(self.surfaces) - 1
@@ -329,6 +334,11 @@ class Lens(Model):
                 self.surfaces[last].thickness_mm,
                 "omit it at the last surface: mla.distance_mm or sensor.distance_mm gives what follows",
             )
+
+    def gap_mm(self, number: int, height_mm: float) -> float:
+        """Return the distance along z from surface `number` to the next at a height from the axis, in mm."""
+        front, back = self.surfaces[number], self.surfaces[number + 1]
+        return (front.thickness_mm or 0.0) + back.sag_mm(height_mm) - front.sag_mm(height_mm)
 
     def _crossing(self, number: int) -> Iterator[Fault]:
         """Compare the sags of a surface and the next over the aperture they share."""

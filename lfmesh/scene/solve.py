@@ -11,14 +11,20 @@ from lfmesh.scene.lens import Lens
 from lfmesh.scene.literals import at_least, at_most
 from lfmesh.scene.mla import MicrolensArray
 from lfmesh.scene.model import Model
-from lfmesh.scene.paraxial import Paraxial
-from lfmesh.scene.quantities import SMALLEST
+from lfmesh.scene.paraxial import Paraxial, Ray, quotient
+from lfmesh.scene.quantities import LARGEST, SMALLEST
 from lfmesh.scene.scene import Scene
 
 M = TypeVar("M", bound=Model)
 
 BEYOND = 1e-6
 """How far inside a limit that is itself not valid an advised value lies, relative."""
+
+SPARE = 0.05
+"""Share by which solved clear apertures are wider than the beams that they pass."""
+
+HEIGHTS = 256
+"""At which the room between two surfaces is measured."""
 
 
 def solved(scene: Scene) -> Scene:
@@ -51,6 +57,7 @@ def solved(scene: Scene) -> Scene:
     camera = _changed(camera, lens=lens, mla=mla)
     camera = _with_distances(camera, primary)
     camera = _changed(camera, lens=_with_stop(camera, primary))
+    camera = _changed(camera, lens=_with_apertures(camera, primary))
     if camera == scene.camera:
         return scene
     # Checked again: a stop made larger, or a radius from a focal length, may make surfaces cross.
@@ -228,6 +235,52 @@ def _with_stop(camera: Camera, wavelength_nm: float) -> Lens:
             )
     surfaces = _with_surface(lens, number, stop=True, semi_diameter_mm=radius)
     return _changed(lens, surfaces=surfaces, stop_semi_diameter_mm=None, f_number=None, epd_mm=None)
+
+
+def _with_apertures(camera: Camera, wavelength_nm: float) -> Lens:
+    """Give the surfaces without a clear aperture the one that passes the beams of the whole picture.
+
+    By the marginal ray of the axis and the chief ray of the picture's corner, whose heights add up, with `SPARE`.
+    """
+    lens = camera.lens
+    omitted = [i for i, s in enumerate(lens.surfaces) if s.semi_diameter_mm is None and s.refractor is None]
+    if not omitted:
+        return lens
+    paraxial = Paraxial.of(lens, wavelength_nm)
+    image = image_plane_mm(camera, wavelength_nm)
+    radius = lens.surfaces[paraxial.stop].semi_diameter_mm or math.nan
+    marginal = paraxial.heights_mm(paraxial.marginal_ray(paraxial.object_mm(image), radius))
+    behind = paraxial.from_stop(Ray(0.0, 1.0))
+    width, height = camera.sensor.size_mm
+    if camera.mla is not None:
+        width, height = min(width, camera.mla.size_mm[0]), min(height, camera.mla.size_mm[1])
+    slope = quotient(0.5 * math.hypot(width, height), abs(behind.height_mm + image * behind.angle))
+    chief = paraxial.heights_mm(Ray(-slope * paraxial.to_stop.b, slope * paraxial.to_stop.a))
+    for i in omitted:
+        surface = lens.surfaces[i]
+        wished = (1 + SPARE) * (abs(marginal[i]) + abs(chief[i]))
+        if not SMALLEST <= wished <= LARGEST:
+            raise SceneError(
+                f"camera.lens.surfaces[{i}].semi_diameter_mm: missing, and the beams that it would have to pass are "
+                f"{2 * wished:.4g} mm wide; give it"
+            )
+        wished = min(wished, surface.reach_mm * (1 - SPARE))
+        for k in (i - 1, i):
+            if 0 <= k < len(lens.surfaces) - 1:
+                wished = min(wished, _room_mm(lens, k, wished))
+        lens = _changed(lens, surfaces=_with_surface(lens, i, semi_diameter_mm=wished))
+    return lens
+
+
+def _room_mm(lens: Lens, number: int, widest_mm: float) -> float:
+    """Return the height up to which surface `number` stays before the next, with some to spare; `widest_mm` at most."""
+    front, back = lens.surfaces[number], lens.surfaces[number + 1]
+    if front.refractor is not None or back.refractor is not None:
+        return widest_mm
+    heights = [widest_mm * k / HEIGHTS for k in range(1, HEIGHTS + 1)]
+    inside = min(front.reach_mm, back.reach_mm, front.semi_diameter_mm or math.inf, back.semi_diameter_mm or math.inf)
+    crossing = (h for h in heights if h <= inside and not lens.gap_mm(number, h) > 0)
+    return next(crossing, widest_mm / (1 - SPARE)) * (1 - SPARE)
 
 
 def _limiting_surface(camera: Camera, wavelength_nm: float) -> int:

@@ -242,6 +242,8 @@ WRONG = [
     ({"targets[0].units": "mm"}, r"targets\[0\]\.units = \"mm\": only for a mesh file"),
     ({"targets[0].shape": None, "targets[0].file": "a.STL"}, r"targets\[0\]\.units: missing: STL files"),
     ({"targets[0].shape": None, "targets[0].file": "a.stk"}, r"must end in one of .*did you mean '\.st"),
+    ({"camera.focus_mm": 1e300}, r"focus_mm = 1e\+300: must be 1e\+15 or less, and above 0; inf is"),
+    ({"camera.focus_mm": 0.0}, r"focus_mm = 0\.0: must be 1e\+15 or less, and above 0"),
     ({"transport.wavelengths_nm": (500.0, 500.0)}, r"must not hold a wavelength twice"),
     ({"camera.mla.layout": 6}, r"layout = 6: must be 'square' or 'hexagonal'"),
     ({"schema_version": 2}, r"schema_version = 2: must be 1"),

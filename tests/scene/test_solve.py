@@ -195,6 +195,45 @@ def test_given_distances_stay(scene: Scene) -> None:
     assert ready.camera.sensor.distance_mm == 0.45
 
 
+def without_apertures(scene: Scene) -> Scene:
+    """The camera with its stop 3 mm before the lens and no other clear aperture."""
+    surfaces = [s.model_dump() for s in scene.camera.lens.surfaces]
+    surfaces[0]["thickness_mm"] = 3.0
+    for s in surfaces[1:]:
+        s["semi_diameter_mm"] = None
+    return scene.changed({"camera.lens.surfaces": surfaces})
+
+
+def test_omitted_apertures_pass_the_beam_of_the_corner_of_the_picture(scene: Scene) -> None:
+    """The farthest ray from the corner's conjugate through the edge of the stop, traced by paraxial steps."""
+    ready = solved(without_apertures(scene))
+    facts = first_order(ready)
+    corner = 0.5 * math.hypot(*facts.field_of_view_mm)
+    # From the far side of the field over the far edge of the stop, 400 mm behind it: to the front and the back.
+    slope = (6.0 + corner) / 400.0
+    front = 6.0 + 3.0 * slope
+    inside = (slope - front * 0.5 / 60.0) / 1.5
+    back = front + 4.0 * inside
+    _, first, second = ready.camera.lens.surfaces
+    assert first.semi_diameter_mm == pytest.approx(1.05 * front, rel=1e-9)
+    assert second.semi_diameter_mm == pytest.approx(1.05 * back, rel=1e-9)
+
+
+def test_omitted_apertures_end_where_surfaces_do_or_meet(scene: Scene) -> None:
+    open_ = without_apertures(scene)
+    thin = solved(open_.changed({"camera.lens.surfaces[1].thickness_mm": 0.5})).camera.lens
+    # Two spheres of radius 60 that are 0.5 mm apart at the axis meet at a height of √(2 · 60 · 0.25).
+    assert 0.9 * 30**0.5 < thin.surfaces[1].semi_diameter_mm < 30**0.5
+    strong = {"camera.lens.surfaces[1].radius_mm": 5.5, "camera.lens.surfaces[1].thickness_mm": 12.0}
+    steep = solved(open_.changed(strong | {"camera.mla.distance_mm": 40.0, "camera.focus_mm": None})).camera.lens
+    assert steep.surfaces[1].semi_diameter_mm <= 5.5
+
+
+def test_apertures_are_needed_where_no_stop_is_marked(scene: Scene) -> None:
+    with pytest.raises(SceneError, match=r"semi_diameter_mm: missing: .*; or mark the stop"):
+        without_apertures(scene).changed({"camera.lens.surfaces[0].stop": False})
+
+
 IMPOSSIBLE = [
     ({"camera.focus_mm": None}, r"camera\.mla\.distance_mm: missing; give it, or camera\.focus_mm"),
     ({"camera.focus_mm": None, "camera.mla": None}, r"camera\.sensor\.distance_mm: missing; give it, or"),

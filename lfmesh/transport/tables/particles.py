@@ -11,7 +11,7 @@ from lfmesh.geometry.targets import TargetMesh
 from lfmesh.geometry.winding import winding
 from lfmesh.optics.phase import PhaseTables, phase_tables
 from lfmesh.scene import Scene
-from lfmesh.scene.particles import Particles, particle_places
+from lfmesh.scene.particles import Particles, particle_places, unit
 from lfmesh.scene.phase import MiePhase
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.lines import Lines
@@ -62,7 +62,7 @@ def particle_tables(scene: Scene, lines: Lines) -> tuple[ParticleTables, ...]:
         scale = spread(scene, 1.0, group.spectrum, lines, f"{where}.spectrum") * _power(group, lines, where)
         along = np.array([0.0, 0.0, 1.0])
         if group.sheet is not None:
-            along = np.array(group.sheet.direction) / np.linalg.norm(group.sheet.direction)
+            along = unit(group.sheet.direction)
         phases = phase_tables([functions])
         tables.append(ParticleTables(places[bright], strength[bright], scale, along, phases, group.samples))
     return tuple(tables)

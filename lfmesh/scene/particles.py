@@ -57,13 +57,13 @@ class Sheet(Model):
             if not any(getattr(self, key)):
                 yield Fault((key,), list(getattr(self, key)), "must not be the zero vector")
         if any(self.normal) and any(self.direction):
-            n, d = _unit(self.normal), _unit(self.direction)
+            n, d = unit(self.normal), unit(self.direction)
             if abs(float(n @ d)) > ACROSS:
                 yield Fault(("direction",), list(self.direction), "must lie in the sheet, square to normal")
 
     def irradiance_w_mm2(self, points_mm: Array) -> Array:
         """Return the irradiance on a plane square to the light, in W/mm², at points (n, 3), mm."""
-        n, d = _unit(self.normal), _unit(self.direction)
+        n, d = unit(self.normal), unit(self.direction)
         off = points_mm - np.array(self.point_mm)
         radius = 0.5 * self.thickness_mm
         # ∫ exp(−2 s² / w²) ds = w √(π/2).
@@ -206,8 +206,10 @@ class Particles(Model):
             yield Fault(("frame",), self.frame, "needs displacement")
 
 
-def _unit(vector: Any) -> Array:
+def unit(vector: Any) -> Array:
+    """Return a vector of length 1 along another, (3,), however short or long that is."""
     v = np.array(vector, dtype=np.float64)
+    v /= np.abs(v).max()
     return np.asarray(v / np.linalg.norm(v))
 
 
@@ -316,18 +318,18 @@ def displacements(group: Particles, points: Array, scene: Resolves) -> Array:
             return np.tile(np.array(vector), (len(points), 1))
         case RotationDisplacement(center_mm=center, axis=axis, angle_deg=angle):
             off = points - np.array(center)
-            return off @ (_about(_unit(axis), np.deg2rad(angle)) - np.eye(3)).T
+            return off @ (_about(unit(axis), np.deg2rad(angle)) - np.eye(3)).T
         case VortexDisplacement(center_mm=center, axis=axis, core_mm=core, circulation_mm2=circulation):
-            unit = _unit(axis)
+            along = unit(axis)
             off = points - np.array(center)
-            off -= (off @ unit)[:, None] * unit
+            off -= (off @ along)[:, None] * along
             radius = np.linalg.norm(off, axis=1)
             # Γ (1 − exp(−r² / c²)) / (2 π r) along the circle, over the radius: its limit on the axis is Γ / (2 π c²).
             square = (radius / core) ** 2
             share = np.divide(-np.expm1(-square), square, out=np.ones_like(square), where=square > 0.0)
             angle = circulation / (2.0 * np.pi * core**2) * share
             # Along the circle itself, as a displacement along its tangent would lead out of it.
-            turned = np.cross(unit, off)
+            turned = np.cross(along, off)
             return np.sin(angle)[:, None] * turned - 2.0 * (np.sin(0.5 * angle) ** 2)[:, None] * off
         case MeasuredDisplacement(file=file):
             return _from_grid(scene, file, points)

@@ -51,6 +51,7 @@ from lfmesh.transport.tables.particles import (
     corners_round,
     particle_tables,
     refuse_particles_behind,
+    refuse_particles_in_glass,
 )
 from lfmesh.transport.tables.polarisation import polarisation_tables
 from lfmesh.transport.tables.surroundings import Surroundings, surroundings_of
@@ -330,6 +331,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
     particles = particle_tables(scene, lines)
     refuse_particles_behind(particles, moves, float(lens.box_low[2]))
+    refuse_particles_in_glass(scene, targets, particles)
     seen.append(frame.points(moves[WORLD_FRAME, CAMERA_FRAME], corners_round(particles)))
     anywhere = unaimed(scene, lens)
 

@@ -28,6 +28,22 @@ reflectance = 0.8
 kind = "point"
 position_mm = [100.0, -100.0, -50.0]
 power_w = 1.0
+[[particles]]
+count = 10
+bounds = {{ kind = "sphere", radius_mm = 3.0 }}
+position_mm = [0.0, 0.0, -500.0]
+diameter_um = 10.0
+phase = {{ kind = "henyey_greenstein", g = 0.5 }}
+displacement = {{ kind = "uniform", vector_mm = [0.1, 0.0, 0.0] }}
+frame = 1
+samples = 4
+[particles.sheet]
+point_mm = [0.0, 0.0, -500.0]
+normal = [0.0, 0.0, 1.0]
+direction = [1.0, 0.0, 0.0]
+thickness_mm = 1.0
+width_mm = 9.0
+power_w = 1.0
 [transport]
 samples = 2
 replicates = 2

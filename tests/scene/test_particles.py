@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+import trimesh
 from scipy import stats
 
 import lfmesh as lf
 from lfmesh.errors import LfmeshError
 from lfmesh.scene.particles import Particles, displacements, particle_places
+from tests.cameras import bench_camera
 
 SHEET = {
     "point_mm": (1.0, 2.0, -500.0),
@@ -169,9 +171,34 @@ def test_what_contradicts_itself_is_refused(fields, said):
 )
 def test_bad_files_are_refused_in_one_line(tmp_path, text, said):
     (tmp_path / "p.csv").write_text(text)
-    from tests.cameras import bench_camera
-
     scene = lf.loads(bench_camera(4, 4) + '[[particles]]\nfile = "p.csv"\n', tmp_path)
     with pytest.raises(LfmeshError, match=said) as raised:
         lf.build(scene)
     assert "\n" not in str(raised.value)
+
+
+def test_particles_inside_glass_are_refused(tmp_path):
+    (tmp_path / "p.csv").write_text("x_mm,y_mm,z_mm,intensity_w_sr\n40,0,-300,1\n1,2,-300,1\n")
+    scene = lf.loads(bench_camera(4, 4) + '[[particles]]\nfile = "p.csv"\n', tmp_path)
+    trimesh.creation.box((20.0, 20.0, 20.0)).export(tmp_path / "box.stl")
+    glass = {"file": "box.stl", "units": "mm", "surface": "flat", "index": 1.5}
+    block = {"refractor": glass, "position_mm": (0.0, 0.0, -300.0)}
+    with pytest.raises(LfmeshError, match=r"\(1, 2, -300\) mm lies inside the glass of targets\[0\]"):
+        lf.build(scene.changed({"targets": (block,)}))
+
+
+def test_vectors_of_a_pair_lead_from_frame_to_frame(tmp_path):
+    field = {"kind": "vortex", "center_mm": (0, 0, -500.0), "axis": (0, 1.0, 0), "core_mm": 5.0, "circulation_mm2": 9.0}
+    scene = lf.loads(bench_camera(4, 4)).changed(
+        {"particles": ({**DRAWN, "intensity_w_sr": 1.0, "displacement": field}, {**DRAWN, "intensity_w_sr": 1.0})}
+    )
+    points, steps = lf.particle_vectors(scene)
+    later = lf.displaced(scene)
+    np.testing.assert_array_equal(lf.particle_vectors(later)[0], points + steps)
+    assert np.abs(steps[:4000]).max() > 0.1
+    assert not steps[4000:].any()
+    np.testing.assert_array_equal(
+        lf.particle_vectors(lf.displaced(scene, 2))[0], lf.particle_vectors(lf.displaced(later))[0]
+    )
+    with pytest.raises(LfmeshError, match="none of the scene's particles moves"):
+        lf.displaced(scene.changed({"particles[0].displacement": None}))

@@ -99,6 +99,7 @@ def test_both_methods_trace_particles_alike_and_close_their_book(tmp_path):
     points = [(place, weight) for place, weight in zip(PLACES, (1.0, 2.0, 0.5), strict=True)]
     scene = scene_of(points, tmp_path).changed({"particles[0].samples": 64})
     adjoint, forward = (lf.render(scene.changed({"transport.method": name})) for name in ("adjoint", "forward"))
+    # Nothing else shines, so that both are the very same packets.
     np.testing.assert_array_equal(adjoint.mean, forward.mean)
     np.testing.assert_array_equal(adjoint.stderr, forward.stderr)
     book = adjoint.ledger.lamps

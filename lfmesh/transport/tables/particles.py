@@ -7,9 +7,11 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
+from lfmesh.geometry.targets import TargetMesh
+from lfmesh.geometry.winding import winding
 from lfmesh.optics.phase import PhaseTables, phase_tables
 from lfmesh.scene import Scene
-from lfmesh.scene.particles import Particles, particle_places
+from lfmesh.scene.particles import Particles, particle_places, unit
 from lfmesh.scene.phase import MiePhase
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.lines import Lines
@@ -60,7 +62,7 @@ def particle_tables(scene: Scene, lines: Lines) -> tuple[ParticleTables, ...]:
         scale = spread(scene, 1.0, group.spectrum, lines, f"{where}.spectrum") * _power(group, lines, where)
         along = np.array([0.0, 0.0, 1.0])
         if group.sheet is not None:
-            along = np.array(group.sheet.direction) / np.linalg.norm(group.sheet.direction)
+            along = unit(group.sheet.direction)
         phases = phase_tables([functions])
         tables.append(ParticleTables(places[bright], strength[bright], scale, along, phases, group.samples))
     return tuple(tables)
@@ -111,3 +113,32 @@ def refuse_particles_behind(tables: tuple[ParticleTables, ...], moves: Array, fr
                 f"particles: one at ({x:.6g}, {y:.6g}, {z:.6g}) mm does not lie before the lens; in the camera frame "
                 f"its z = {depth[wrong[0]]:.6g} mm must be below {front_mm:.6g}"
             )
+
+
+def refuse_particles_in_glass(scene: Scene, targets: list[TargetMesh], tables: tuple[ParticleTables, ...]) -> None:
+    """Refuse particles inside bodies of glass, from where no packet is started.
+
+    Parameters
+    ----------
+    scene : Scene
+    targets : list of TargetMesh
+        World frame.
+    tables : tuple of ParticleTables
+
+    Raises
+    ------
+    SceneError
+        Naming the body and the first of them.
+    """
+    for number, target in enumerate(scene.targets):
+        if target.refractor is None:
+            continue
+        mesh = targets[number].mesh
+        for table in tables:
+            inside = np.flatnonzero(winding(mesh.vertices[mesh.faces], table.points))
+            if len(inside):
+                x, y, z = table.points[inside[0]]
+                raise SceneError(
+                    f"particles: one at ({x:.6g}, {y:.6g}, {z:.6g}) mm lies inside the glass of "
+                    f"{target.name or f'targets[{number}]'}; particles must stand in air"
+                )

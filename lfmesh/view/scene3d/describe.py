@@ -28,7 +28,8 @@ def describe(world: World, name: str) -> Rows:
     if name == "mount":
         return [("mount", "absorbs what leaves the clear apertures between the elements")]
     several = {"lens": (_element, len(world.lens_shape.elements)), "targets": (_target, len(world.targets)),
-               "lights": (_light, len(world.scene.lights))}  # fmt: skip
+               "lights": (_light, len(world.scene.lights)),
+               "particles": (_particles, len(world.particles))}  # fmt: skip
     if kind in several and number.isdecimal() and int(number) < several[kind][1]:
         return several[kind][0](world, int(number))
     raise LfmeshError(f"no part is called {name!r}; there are {', '.join(world.mesh_names)}")
@@ -146,6 +147,11 @@ def _light(world: World, number: int) -> Rows:
         ),
         *([("spectrum", _spectral(light.spectrum))] if light.spectrum is not None else []),
     ]
+
+
+def _particles(world: World, number: int) -> Rows:
+    table = world.particles[number]
+    return [("particles", f"{len(table.points):,} that shine"), ("packets", f"{table.samples} each")]
 
 
 def _spectral(value: float | Spectrum) -> str:

@@ -1,11 +1,12 @@
 """The projection matrix of a camera: `lfmesh matrix`."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from lfmesh.cli.application import app
+from lfmesh.cli.application import INTERRUPTED, app
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Overrides, SceneFile, Whole, overridden
 from lfmesh.cli.printing import list_files, warnings_as_notes, wrapped
@@ -53,18 +54,20 @@ def matrix(
     The same command goes on with one that was cut short, to the same bits.
     """
     with defer_interrupt():
-        from lfmesh.files.matrix import open_projection_matrix, write_projection_matrix
+        from lfmesh.files.matrix import write_projection_matrix
         from lfmesh.scene import load
     loaded = overridden(load(scene), overrides)
     box = _box(grid, counts, size_mm, position_mm, rotation_deg)
-    with status() as report, warnings_as_notes():
-        write_projection_matrix(
-            loaded, box, out, channel=channel, threshold=threshold, say=lambda line: print(wrapped(line), flush=True),
-            progress=lambda done, total: report(f"{100 * done // total} % of the pixels"),
-        )  # fmt: skip
-    made = open_projection_matrix(out)
-    dropped = f"; {made.dropped_share:.2g} of their sum dropped, below {threshold:g} of their row's largest"
-    print(wrapped(f"{made.matrix.nnz:,} entries at {made.wavelength_nm:.6g} nm{dropped if threshold else ''}."))
+    try:
+        with status() as report, warnings_as_notes():
+            write_projection_matrix(
+                loaded, box, out, channel=channel, threshold=threshold,
+                say=lambda line: print(wrapped(line), flush=True),
+                progress=lambda done, total: report(f"{100 * done // total} % of the pixels"),
+            )  # fmt: skip
+    except KeyboardInterrupt:
+        print("\nStopped; the same command goes on after the blocks that are finished.", file=sys.stderr)
+        return INTERRUPTED
     list_files([out])
     return 0
 

@@ -106,8 +106,10 @@ def write_projection_matrix(
             finished += len(block.entries)
             if progress is not None:
                 progress(finished, len(chosen))
-        _join(path, parts, len(blocks), projector, chosen)
+        words = _join(path, parts, len(blocks), projector, chosen)
         shutil.rmtree(parts)
+        if say is not None:
+            say(words)
     return path
 
 
@@ -212,8 +214,8 @@ def _begin(parts: Path, facts: dict[str, Any], blocks: int) -> int:
     return next((number for number in range(blocks) if not (parts / _name(number)).exists()), blocks)
 
 
-def _join(path: Path, parts: Path, blocks: int, projector: Projector, pixels: NDArray[np.int64]) -> None:
-    """Join the blocks into the file, array by array."""
+def _join(path: Path, parts: Path, blocks: int, projector: Projector, pixels: NDArray[np.int64]) -> str:
+    """Join the blocks into the file, array by array; return in words what is in it."""
     entries = [_array(parts, number, "entries") for number in range(blocks)]
     end = np.concatenate([[0], np.cumsum(np.concatenate(entries))])
     if end[-1] == 0:
@@ -238,6 +240,12 @@ def _join(path: Path, parts: Path, blocks: int, projector: Projector, pixels: ND
         _write_hdf5(whole, parts, blocks, small, int(end[-1]))
     make_like_any_other(whole)
     whole.replace(path)
+    kept = sum(float(_array(parts, number, "value").sum()) for number in range(blocks))
+    left_out = float(small["dropped"].sum())
+    return (
+        f"{int(end[-1]):,} entries at {projector.wavelength_nm:.6g} nm; {left_out / (kept + left_out):.2g} of their "
+        f"sum dropped, in entries below {projector.threshold:g} of their row's largest"
+    )
 
 
 def _array(parts: Path, number: int, name: str) -> NDArray[Any]:

@@ -183,17 +183,17 @@ def sum_rows(
                 continue
             rows.column[filled] = voxel
             rows.value[filled] = total / replicates
-            rows.error[filled] = spread(total, squares, replicates)
+            rows.error[filled] = _spread(total, squares, replicates)
             filled += 1
         if not fits:
             return row
         rows.end[row], rows.dropped[row] = filled, dropped
-        rows.row_error[row] = spread(of_row, squares_of_row, replicates)
+        rows.row_error[row] = _spread(of_row, squares_of_row, replicates)
     return len(rows.end)
 
 
 @inlined
-def spread(total: float, squares: float, count: int) -> float:
+def _spread(total: float, squares: float, count: int) -> float:
     """Return the standard error of the mean of numbers, by the sums of them and of their squares; NaN for one."""
     if count < 2:
         return np.nan

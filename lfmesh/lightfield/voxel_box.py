@@ -73,6 +73,12 @@ class VoxelBox:
     ) -> "VoxelBox":
         """Return the box of a voxel grid, which has `shape`, `spacing_mm`, `origin_mm`, in a pose; or a box as it is.
 
+        Parameters
+        ----------
+        grid : VoxelBox, or a voxel grid
+        position_mm, rotation_deg : (3,) float
+            Of a voxel grid's own origin.
+
         Raises
         ------
         LfmeshError

@@ -1,12 +1,15 @@
 """Projection matrices: rays that are the image's, chords by an independent formula, errors as large as said."""
 
+import re
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import sparse
 
 import lfmesh as lf
+from lfmesh.cli import main
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files import matrix as files
 from lfmesh.lightfield.projection import Projector, projection_matrix
@@ -15,6 +18,7 @@ from lfmesh.scene import Scene
 from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
 from tests.cameras import close_up_camera
 
+ROOT = Path(__file__).resolve().parents[2]
 MM2 = 1e-6
 POSE = {"position_mm": (0.4, -0.3, -60.0), "rotation_deg": (20.0, -35.0, 50.0)}
 
@@ -213,7 +217,8 @@ def test_a_matrix_that_was_cut_short_goes_on_to_the_same_bytes(tmp_path, monkeyp
         camera(), box(), tmp_path / "cut.npz", say=said.append, progress=lambda done, _: finished.append(done)
     )
     assert finished[0] > 100
-    assert said[-1].startswith("goes on after")
+    assert said[-2].startswith("goes on after")
+    assert "of their sum dropped" in said[-1]
     assert not (tmp_path / "cut.npz.parts").exists()
     made = projection_matrix(camera(), box())
     for path in (whole, tmp_path / "cut.npz"):
@@ -305,3 +310,35 @@ def test_a_damaged_file_is_refused(tmp_path):
     path.write_bytes(b"nothing")
     with pytest.raises(FileError, match="no projection matrix, or damaged"):
         files.open_projection_matrix(path)
+
+
+@pytest.mark.long
+def test_the_example_of_the_page_prints_what_it_says(capsys, monkeypatch):
+    page = (ROOT / "lfmesh" / "lightfield" / "README.md").read_text(encoding="utf-8")
+    script = next(block for block in re.findall(r"^```python\n(.*?)^```$", page, re.M | re.S) if "reconstruct" in block)
+    monkeypatch.chdir(ROOT)
+    exec(compile(script, "README.md", "exec"), {})
+    lines = capsys.readouterr().out.strip().splitlines()
+    assert len(lines) == 2
+    for line in lines:
+        assert f"`{line}`" in page
+
+
+def test_the_command_writes_a_matrix_and_says_its_size(tmp_path, capsys):
+    scene, out = tmp_path / "scene.toml", tmp_path / "m.npz"
+    scene.write_text(camera().dump_toml())
+    place = ["--counts", "5", "4", "6", "--size-mm", "9", "8", "14", "--position-mm", "0.4", "-0.3", "-60"]
+    turned = [*place, "--rotation-deg", "20", "-35", "50", "--samples", "8"]
+    assert main(["matrix", str(scene), *turned, "-o", str(out)]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "256 pixels × 120 voxels: about" in printed
+    assert "of their sum dropped" in printed
+    made = lf.open_projection_matrix(out)
+    np.testing.assert_array_equal(made.matrix.toarray(), projection_matrix(camera(), box()).matrix.toarray())
+    # A grid in a file, whose middle is its origin.
+    np.savez(tmp_path / "grid.npz", emission_w_mm3_sr=np.ones((5, 4, 6)), spacing_mm=np.array([1.8, 2.0, 14.0 / 6.0]))
+    from_file = ["--grid", str(tmp_path / "grid.npz"), *turned[8:]]
+    assert main(["matrix", str(scene), *from_file, "-o", str(out)]) == 0
+    np.testing.assert_allclose(lf.open_projection_matrix(out).matrix.data, made.matrix.data, rtol=1e-9)
+    assert main(["matrix", str(scene), "-o", str(out)]) == 2
+    assert "--counts and --size-mm" in capsys.readouterr().err

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from pydantic import Field, PrivateAttr
 
 from lfmesh.errors import GlassError, SceneError
-from lfmesh.optics.glass import complex_index, refractive_index
+from lfmesh.optics.glass import Medium, complex_index, refractive_index
 from lfmesh.optics.metals import metal_index
 from lfmesh.scene.bands import Centroids, Passband, passband, preset
 from lfmesh.scene.camera import Camera
@@ -351,7 +351,7 @@ class Scene(Model):
             )
 
     def _glass_faults(self) -> Iterator[Fault]:
-        media: list[tuple[Location, float | str | None]] = [
+        media: list[tuple[Location, Medium]] = [
             (("camera", "lens", "surfaces", i, "glass"), surface.medium)
             for i, surface in enumerate(self.camera.lens.surfaces)
         ]

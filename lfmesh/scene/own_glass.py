@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,6 +20,9 @@ MOST_TERMS = 8
 
 MOST_ROWS = 2000
 """Rows of a table: more than any maker prints, few enough for a spline through all."""
+
+CLOSEST_NM = 1e-3
+"""Least distance of wavelengths in a table: no maker measures closer, and a spline through closer ones is noise."""
 
 AbbeNumber = Annotated[float, Field(strict=True, gt=0, le=1000)]
 
@@ -84,6 +88,8 @@ class OwnGlass(Model):
         if self.wavelengths_nm is not None and self.values is not None:
             if why := curve_fault(self.wavelengths_nm, self.values):
                 yield Fault((), None, why)
+            elif close := [w for v, w in pairwise(self.wavelengths_nm) if w - v < CLOSEST_NM]:
+                yield Fault((), None, f"wavelength {close[0]:g} nm: wavelengths stand {CLOSEST_NM:g} nm apart or more")
             elif len(self.values) > MOST_ROWS:
                 yield Fault((), None, f"{len(self.values)} values; a table of a glass has {MOST_ROWS} at most")
             for wavelength, value in zip(self.wavelengths_nm, self.values, strict=False):

@@ -100,6 +100,7 @@ def test_the_schema_has_it() -> None:
         ("{ sellmeier_b = [-3.0], sellmeier_c_um2 = [0.01] }", "at 587.6 nm: n² ="),
         ('{ table = "none.csv" }', 'glass.table = "none.csv": no such file'),
         ("{ wavelengths_nm = [700, 400], values = [1.5, 1.5] }", "wavelengths must increase"),
+        ("{ wavelengths_nm = [400, 400.00000000000006, 700], values = [1.5, 1.5, 1.5] }", "stand 0.001 nm apart"),
         ("{ wavelengths_nm = [400, 700], values = [1.5] }", "each wavelength needs one value"),
         ("{ wavelengths_nm = [400, 700], values = [0.5, 1.5] }", "value 0.5 at 400 nm: an index is from 1 to 10"),
         ("{ wavelengths_nm = [400, 500], values = [1.5, 1.5] }", "its table reaches from 400 to 500 nm"),

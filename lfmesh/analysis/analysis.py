@@ -249,7 +249,7 @@ def analyse(
 def _wavelengths(scene: Scene, given: tuple[float, ...] | None) -> tuple[float, ...]:
     """Return the wavelengths of an analysis, in nm, ascending."""
     waves = tuple(sorted(scene.wavelengths_nm if given is None else map(float, given)))
-    disperses = any(isinstance(surface.medium, str) for surface in scene.camera.lens.surfaces)
+    disperses = any(surface.glass is not None for surface in scene.camera.lens.surfaces)
     if given is None and len(waves) == 1 and disperses:
         waves = LINES_NM
     if len(waves) % 2 == 0:

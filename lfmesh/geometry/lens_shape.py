@@ -18,6 +18,7 @@ from lfmesh.geometry.tessellation import (
     rim_radius,
     rings_for,
 )
+from lfmesh.optics.glass import Medium
 from lfmesh.scene import Scene
 
 LEAST_RINGS = 5
@@ -44,7 +45,7 @@ class LensShape:
     caps: list[Mesh]
     closures: list[Mesh]
     """closures[k] joins the rims of surfaces k and k + 1 and faces the axis."""
-    media: list[float | str | None]
+    media: list[Medium]
     """What fills each space: K + 1 entries, air first and last."""
     analytic: NDArray[np.bool_]
     """Whether each surface has an analytic parent, or is a mesh from a file."""
@@ -68,7 +69,7 @@ def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
     """
     prescription = scene.camera.lens
     numbers = [i for i in range(len(prescription.surfaces)) if not prescription.is_pure_stop(i)]
-    media: list[float | str | None] = [None]
+    media: list[Medium] = [None]
     records = []
     for i in numbers:
         s = prescription.surfaces[i]

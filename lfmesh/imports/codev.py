@@ -12,7 +12,8 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from lfmesh.errors import SceneError
+from lfmesh.errors import GlassError, SceneError
+from lfmesh.imports.glasses import private_glass
 from lfmesh.imports.numbers import number, numbers
 from lfmesh.imports.prescription import FieldPoint, FileSurface, Prescription, lens_of
 from lfmesh.imports.report import Report, Verdict
@@ -120,6 +121,7 @@ class _Reader:
         self.radii: bool | None = None
         self.in_private_glass = False
         self.private: list[str] = []
+        self.private_nm: list[float] = []
         self.fields: dict[str, list[float]] = {}
         self.reference: int | None = None
         self.ended = False
@@ -382,7 +384,7 @@ class _Reader:
 
     def _on_prv(self, _: list[str]) -> None:
         self.in_private_glass = True
-        self._taken("a private glass; its table is used where it is one index")
+        self._taken("a private glass")
 
     def _private_glass(self, command: str, words: list[str]) -> None:
         """Read the table of a private glass: PWL with wavelengths, then each glass with its indices."""
@@ -390,15 +392,15 @@ class _Reader:
             self.in_private_glass = False
             self._taken()
         elif command == "PWL":
+            self.private_nm = numbers(words[1:])
             self._taken()
         else:
             self.private.append(words[0].strip("'\""))
-            values = numbers(words[1:])
-            if values and max(values) == min(values):
-                self.made.indices[self.private[-1]] = values[0]
+            try:
+                self.made.indices[self.private[-1]] = private_glass(self.private_nm, numbers(words[1:]))
                 self._taken()
-            else:
-                how = "a private glass with dispersion; refused where a surface has it"
+            except GlassError as error:
+                how = f"a private glass, refused where a surface has it: {error}"
                 self.report.add(self.at, self.text, Verdict.UNKNOWN, how)
 
 

@@ -2,11 +2,12 @@
 
 import math
 
-from lfmesh.errors import SceneError
+from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.codev import COEFFICIENTS
-from lfmesh.imports.writing import check_writable, entrance_pupil_mm, maker_and_name, stop_radius_mm
-from lfmesh.optics.glass import D_LINE_NM
+from lfmesh.imports.writing import check_writable, entrance_pupil_mm, maker_and_name, stop_radius_mm, table_of
+from lfmesh.optics.glass import D_LINE_NM, Medium
 from lfmesh.scene.lens import Lens, Surface
+from lfmesh.scene.own_glass import OwnGlass
 from lfmesh.scene.paraxial import Paraxial
 
 
@@ -29,25 +30,46 @@ def written(lens: Lens) -> tuple[bytes, list[str]]:
     else:
         lines.append(f"EPD {lens.epd_mm or entrance_pupil_mm(lens, radius or 1.0)!r}")
     lines += ["DIM M", f"WL {D_LINE_NM!r}", "REF 1", "XAN 0.0", "YAN 0.0"]
-    private = {surface.index: f"N{i}" for i, surface in enumerate(lens.surfaces) if isinstance(surface.medium, float)}
+    plain = dict.fromkeys(surface.index for surface in lens.surfaces if isinstance(surface.medium, float))
+    private: dict[Medium, str] = {index: f"N{i}" for i, index in enumerate(plain)}
     if private:
         # Of two wavelengths, so that the table is seen to be one index.
         lines += ["PRV", "PWL 1000.0 400.0", *(f"'{name}' {n!r} {n!r}" for n, name in private.items()), "END"]
+    lines += _dispersive(lens, private, notes)
     lines.append("SO 0.0 0.1e14")
     image_mm = Paraxial.of(lens, D_LINE_NM).bfl_mm
     for i, surface in enumerate(lens.surfaces):
         last = i == len(lens.surfaces) - 1
         distance = image_mm if last and math.isfinite(image_mm) else surface.thickness_mm or 0.0
         glass = ""
-        if surface.glass is not None:
+        if isinstance(surface.glass, str):
             maker, name = maker_and_name(surface.glass, "CODE V")
             glass = f" {''.join(sign for sign in name if sign.isalnum())}_{maker}"
         elif surface.medium is not None:
-            glass = f" '{private[surface.index]}'"
+            glass = f" '{private[surface.medium]}'"
         radius_mm = 0.0 if math.isinf(surface.radius_mm) else surface.radius_mm
         lines.append(f"S {radius_mm!r} {distance!r}{glass}")
         lines += _qualified(i, surface, radius if surface.stop else surface.semi_diameter_mm)
     return "\r\n".join([*lines, "SI 0.0 0.0", "GO", ""]).encode(), notes
+
+
+def _dispersive(lens: Lens, private: dict[Medium, str], notes: list[str]) -> list[str]:
+    """Return the tables of glasses without a name, whose names are put into `private`."""
+    lines = []
+    for surface in lens.surfaces:
+        glass = surface.glass
+        if not isinstance(glass, OwnGlass) or glass in private:
+            continue
+        private[glass] = f"G{len(private)}"
+        try:
+            wavelengths_nm, indices = table_of(glass)
+        except GlassError as error:
+            raise SceneError(f"{glass.in_words()}: it cannot be tabulated: {error}") from None
+        lines += ["PRV", f"PWL {' '.join(map(repr, wavelengths_nm))}"]
+        lines += [f"'{private[glass]}' {' '.join(map(repr, indices))}", "END"]
+        if glass.values is None:
+            notes.append(f"{glass.in_words()} is written as a table of its indices")
+    return lines
 
 
 def _qualified(number: int, surface: Surface, aperture_mm: float | None) -> list[str]:

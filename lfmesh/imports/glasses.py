@@ -1,16 +1,14 @@
 """Glasses that lens files name: found in the catalogue or refused, never guessed."""
 
-from lfmesh.errors import GlassError
+from lfmesh.errors import GlassError, SceneError
 from lfmesh.optics.glass import D_LINE_NM, MAKERS, find_glass, glass_in_words, refractive_index
-
-NEAR_D_NM = 0.5
-"""A wavelength this close to the d line has the index nd."""
+from lfmesh.scene.own_glass import OwnGlass
 
 UNLIKE = 2e-3
 """Difference between the catalogue's nd and the one that a file gives beside the name, above which it is said."""
 
-Medium = float | str
-"""Index without dispersion, or name of a catalogue glass."""
+Medium = float | str | OwnGlass
+"""Index without dispersion, name of a catalogue glass, or a glass by its dispersion."""
 
 
 def named_glass(name: str, catalogues: list[str]) -> tuple[str, str]:
@@ -72,11 +70,33 @@ def model_glass(index_d: float, abbe: float, wavelengths_nm: list[float]) -> Med
     Raises
     ------
     GlassError
-        The file uses it at other wavelengths than the d line, where nd and Vd do not tell its index.
+        There is no such glass, or nd and Vd do not tell its index at one of these wavelengths.
     """
-    if abbe == 0 or (wavelengths_nm and all(abs(line - D_LINE_NM) <= NEAR_D_NM for line in wavelengths_nm)):
+    if abbe == 0:
         return index_d
-    raise GlassError(
-        f"glass given by nd = {index_d:.6g}, Vd = {abbe:.4g} alone: its index at the file's wavelengths is not known; "
-        "name a catalogue glass, or give --glass with an index"
-    )
+    try:
+        glass = OwnGlass(nd=index_d, vd=abbe)
+    except SceneError as error:
+        raise GlassError(f"glass given by nd = {index_d:.6g}, Vd = {abbe:.4g}: {error}") from None
+    for line in wavelengths_nm:
+        glass.index_at(line)
+    return glass
+
+
+def private_glass(wavelengths_nm: list[float], indices: list[float]) -> Medium:
+    """Return a glass that a file gives by a table; an index where it does not disperse.
+
+    Raises
+    ------
+    GlassError
+        The table is none.
+    """
+    if indices and max(indices) == min(indices):
+        return indices[0]
+    if len(wavelengths_nm) != len(indices):
+        raise GlassError(f"{len(indices)} indices for {len(wavelengths_nm)} wavelengths")
+    rows = sorted(zip(wavelengths_nm, indices, strict=True))
+    try:
+        return OwnGlass(wavelengths_nm=tuple(w for w, _ in rows), values=tuple(n for _, n in rows))
+    except SceneError as error:
+        raise GlassError(str(error)) from None

@@ -78,7 +78,7 @@ class Prescription:
     makers : list of str
         Glass catalogues that the file uses, the first first.
     indices : dict
-        Index by name of the materials without dispersion that the file defines itself.
+        Index, or glass, by name of the materials that the file defines itself.
     """
 
     surfaces: list[FileSurface] = field(default_factory=list)
@@ -91,7 +91,7 @@ class Prescription:
     field_kind: str = "angle"
     fields: list[FieldPoint] = field(default_factory=list)
     makers: list[str] = field(default_factory=list)
-    indices: dict[str, float] = field(default_factory=dict)
+    indices: dict[str, Medium] = field(default_factory=dict)
 
     @property
     def primary_nm(self) -> float:
@@ -162,7 +162,7 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
         values: dict[str, object] = {
             "radius_mm": radii[i],
             "thickness_mm": made.gaps_mm[i] if i < len(made.gaps_mm) else None,
-            "glass": medium if isinstance(medium, str) else None,
+            "glass": None if isinstance(medium, float) else medium,
             "index": medium if isinstance(medium, float) else None,
             "semi_diameter_mm": size,
             "stop": i == stop,
@@ -223,7 +223,7 @@ def _media(prescription: Prescription, report: Report, glasses: Mapping[str, str
             elif surface.model is not None:
                 medium = model_glass(*surface.model, prescription.wavelengths_nm)
                 if surface.model[1]:
-                    how = "its nd stands for it, without dispersion"
+                    how = "the normal glass of its nd and Vd"
                     report.add(at, text, Verdict.APPROXIMATED, how)
         except GlassError as error:
             report.refuse(at, text, str(error))

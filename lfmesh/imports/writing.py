@@ -4,6 +4,7 @@ from lfmesh.errors import GlassError, SceneError
 from lfmesh.optics.glass import D_LINE_NM, find_glass, glass_name
 from lfmesh.scene.coatings import UNCOATED
 from lfmesh.scene.lens import Lens
+from lfmesh.scene.own_glass import OwnGlass
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.scene.pose import Pose
 
@@ -24,6 +25,30 @@ def check_writable(lens: Lens, program: str) -> list[str]:
             raise SceneError(f"elements[{i}]: tilted and decentred elements cannot be written to {program} files yet")
     coated = [str(i) for i, surface in enumerate(lens.surfaces) if surface.coating != UNCOATED]
     return [f"coatings of surfaces {', '.join(coated)} are not in the file"] if coated else []
+
+
+PRIVATE_NM = (
+    365.0146,
+    404.6561,
+    435.8343,
+    486.1327,
+    546.074,
+    D_LINE_NM,
+    656.2725,
+    706.5188,
+    768.195,
+    852.11,
+    930.0,
+    1013.98,
+)
+"""Wavelengths of the table that stands for a glass without a name: spectral lines, and one in a gap between them."""
+
+
+def table_of(glass: OwnGlass) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return wavelengths, in nm, and indices that stand for a glass without a name."""
+    if glass.wavelengths_nm is not None and glass.values is not None:
+        return glass.wavelengths_nm, glass.values
+    return PRIVATE_NM, tuple(glass.index_at(line) for line in PRIVATE_NM)
 
 
 def maker_and_name(glass: str, program: str) -> tuple[str, str]:

@@ -7,6 +7,7 @@ from lfmesh.imports.glasses import named_glass
 from lfmesh.imports.writing import check_writable, curvature, maker_and_name, stop_radius_mm
 from lfmesh.optics.glass import D_LINE_NM, glass_name
 from lfmesh.scene.lens import Lens, Surface
+from lfmesh.scene.own_glass import OwnGlass
 from lfmesh.scene.paraxial import Paraxial
 
 _MOST_TERMS = 7
@@ -68,7 +69,13 @@ def _surface(number: int, surface: Surface, aperture_mm: float | None) -> list[s
     lines.append("  TYPE EVENASPH" if terms else "  TYPE STANDARD")
     lines.append(f"  CURV {curvature(surface.radius_mm)!r} 0 0 0 0")
     lines += [f"  PARM {place} {value!r}" for place, value in enumerate((0, *surface.asphere_mm), 1) if terms]
-    if surface.glass is not None:
+    if isinstance(surface.glass, OwnGlass):
+        if surface.glass.nd is None:
+            raise SceneError(
+                f"surfaces[{number}].glass: a Zemax file has no place for a {surface.glass.in_words()}; write .seq"
+            )
+        lines.append(f"  GLAS ___BLANK 1 0 {surface.glass.nd!r} {surface.glass.vd!r} 0 0 0 0 0 0")
+    elif surface.glass is not None:
         lines.append(f"  GLAS {maker_and_name(surface.glass, 'Zemax')[1]} 0 0 1.5 40 0 0 0 0 0 0")
     elif surface.medium is not None:
         # A model glass of Abbe number 0 does not disperse.
@@ -82,7 +89,7 @@ def _surface(number: int, surface: Surface, aperture_mm: float | None) -> list[s
 
 def _makers(lens: Lens) -> list[str]:
     """Return the makers of a lens's glasses in an order in which each name is found at its own maker."""
-    glasses = list(dict.fromkeys(surface.glass for surface in lens.surfaces if surface.glass is not None))
+    glasses = list(dict.fromkeys(surface.glass for surface in lens.surfaces if isinstance(surface.glass, str)))
     named = [(glass, *maker_and_name(glass, "Zemax")) for glass in glasses]
     makers = list(dict.fromkeys(maker for _, maker, _ in named))
     for turn in range(max(1, len(makers))):

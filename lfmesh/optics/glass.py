@@ -9,7 +9,7 @@ is used.
 
 import difflib
 from functools import cache
-from typing import Any
+from typing import Any, Protocol
 
 from lfmesh.errors import GlassError
 
@@ -28,15 +28,32 @@ Page = tuple[str, str, str]
 """Shelf, book and page: how the catalogue files a material."""
 
 
-def refractive_index(medium: float | str | None, wavelength_nm: float) -> float:
+class Dispersion(Protocol):
+    """A glass that is no catalogue's, by its dispersion."""
+
+    def index_at(self, wavelength_nm: float) -> float:
+        """Return the refractive index at a wavelength, relative to air."""
+
+    def in_words(self) -> str:
+        """Describe the glass."""
+
+    def __hash__(self) -> int:
+        """Return a hash: tables are kept by their media."""
+
+
+Medium = float | str | Dispersion | None
+"""A refractive index, the name of a glass, a glass by its dispersion, or air."""
+
+
+def refractive_index(medium: Medium, wavelength_nm: float) -> float:
     """Return the real refractive index of a medium, relative to air.
 
     Parameters
     ----------
-    medium : float, str or None
+    medium : float, str, Dispersion or None
         An index (returned as it is), a glass name ("SCHOTT/N-BK7", "HIKARI/SK16", "OHARA/S-BSL7", as CODE V writes
         it "NBK7_SCHOTT", or the bare name where all makers that have it give the same indices; "shelf/book/page"
-        reaches the rest of the catalogue), or None for air (1.0).
+        reaches the rest of the catalogue), a glass by its dispersion, or None for air (1.0).
     wavelength_nm : float
 
     Raises
@@ -49,7 +66,7 @@ def refractive_index(medium: float | str | None, wavelength_nm: float) -> float:
         return AIR
     if isinstance(medium, str):
         return _catalogue_index(medium, float(wavelength_nm))
-    return float(medium)
+    return float(medium) if isinstance(medium, float | int) else medium.index_at(float(wavelength_nm))
 
 
 def complex_index(name: str, wavelength_nm: float) -> complex:
@@ -65,8 +82,10 @@ def complex_index(name: str, wavelength_nm: float) -> complex:
     return _catalogue_film(name, float(wavelength_nm))
 
 
-def glass_in_words(name: str) -> str:
+def glass_in_words(name: str | Dispersion) -> str:
     """Describe a glass: its name with the catalogue, index nd and Abbe number Vd, where its data reach the visible."""
+    if not isinstance(name, str):
+        return name.in_words()
     page = _find(name)
     return f"{_short(page)}{_in_brackets(page)}"
 
@@ -167,6 +186,8 @@ def _catalogue() -> dict[str, list[Page]]:
 @cache
 def _find(name: str) -> Page:
     wanted = name.strip().upper()
+    if "" in wanted.split("/"):
+        raise GlassError(f"glass {name!r}: nothing stands before or after a /; {_suggestion(name)}")
     pages = _catalogue().get(wanted) or _other_spellings().get(_letters(wanted), [])
     if not pages:
         raise GlassError(f"glass {name!r}: not in the catalogue; {_suggestion(name)}")

@@ -12,6 +12,7 @@ from lfmesh.scene.lens import STOP_SIZES, Lens
 from lfmesh.scene.lens_readers import reader_of
 from lfmesh.scene.literals import LONGEST_BITS, literal, shown_path
 from lfmesh.scene.model import fault_lines, format_path, listed, nearest
+from lfmesh.scene.own_glass import with_tables_beside
 from lfmesh.scene.quantities import path_fault
 from lfmesh.scene.scene import Scene
 
@@ -65,7 +66,7 @@ def load_lens(path: str | Path) -> Lens:
     path = _lens_path(str(path), Path())
     if reader := reader_of(path):
         return reader(path)
-    data = _read(path)
+    data = with_tables_beside(_read(path), path.parent)
     try:
         return Lens.model_validate(data)
     except ValidationError as error:
@@ -202,7 +203,11 @@ def _library() -> dict[str, Path]:
 def _lens_table(path: Path) -> dict[str, Any]:
     """Return the keys of a lens file, whatever program it is of."""
     reader = reader_of(path)
-    return _read(path) if reader is None else reader(path).model_dump(exclude_defaults=True)
+    return (
+        with_tables_beside(_read(path), path.parent)
+        if reader is None
+        else reader(path).model_dump(exclude_defaults=True)
+    )
 
 
 def _refused(name: str, faults: list[str]) -> SceneError:

@@ -1,12 +1,15 @@
 """The glasses that a scene names, in words."""
 
 from lfmesh.optics.glass import glass_in_words
+from lfmesh.scene.own_glass import OwnGlass
 from lfmesh.scene.scene import Scene
+
+Glass = str | OwnGlass
 
 
 def glass_lines(scene: Scene) -> list[str]:
     """Describe every glass of a solved scene, a line each: where it is, its name with the catalogue, nd and Vd."""
-    places: dict[str, list[str]] = {}
+    places: dict[Glass, list[str]] = {}
     for i, surface in enumerate(scene.camera.lens.surfaces):
         if surface.glass is not None:
             places.setdefault(surface.glass, []).append(f"surface {i}")

@@ -6,17 +6,17 @@ from functools import lru_cache
 
 from pydantic import Field
 
-from lfmesh.optics.glass import AIR
+from lfmesh.optics.glass import AIR, Medium
 from lfmesh.scene.coatings import UNCOATED
 from lfmesh.scene.finishes import POLISHED, AnyFinish, both_given
 from lfmesh.scene.literals import at_least, at_most
 from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.own_glass import Glass
 from lfmesh.scene.pose import Pose
 from lfmesh.scene.quantities import (
     LARGEST,
     Coefficient,
     Flag,
-    GlassName,
     Index,
     NonNegative,
     Number,
@@ -51,8 +51,9 @@ class Surface(Model):
     """Distance from this vertex to the next, in mm. Omit it at the last surface only."""
     index: Index | None = None
     """Refractive index of what follows the surface. Neither `index` nor `glass`: air."""
-    glass: GlassName | None = None
-    """Catalogue glass that follows the surface, like "SCHOTT/N-BK7"."""
+    glass: Glass | None = None
+    """Glass that follows the surface: of the catalogue, like "SCHOTT/N-BK7", or by its dispersion, like
+    { nd = 1.5168, vd = 64.17 }."""
     semi_diameter_mm: Positive | None = None
     """Radius of the clear aperture, in mm. A stop may omit it whose size `stop_semi_diameter_mm`, `f_number` or
     `epd_mm` sets. Where a stop is marked, the others may, too: by paraxial rays they then pass the whole beam of every
@@ -76,7 +77,7 @@ class Surface(Model):
     optics."""
 
     @property
-    def medium(self) -> float | str | None:
+    def medium(self) -> Medium:
         """What follows the surface: an index, the name of a glass, or None for air."""
         if self.index is not None:
             return None if self.index == AIR else self.index

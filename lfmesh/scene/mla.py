@@ -6,12 +6,14 @@ from typing import Literal
 
 from pydantic import Field
 
+from lfmesh.optics.glass import Medium
 from lfmesh.scene.coatings import UNCOATED
 from lfmesh.scene.finishes import POLISHED, AnyFinish, both_given
 from lfmesh.scene.literals import at_least
 from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.own_glass import Glass
 from lfmesh.scene.pose import Pose
-from lfmesh.scene.quantities import GlassName, Index, NonNegative, Number, OneOrMore, Pair, Positive, Text, Whole
+from lfmesh.scene.quantities import Index, NonNegative, Number, OneOrMore, Pair, Positive, Text, Whole
 
 
 class ArrayForm(Model):
@@ -48,8 +50,9 @@ class MicrolensArray(Model):
     """Radius of the curved face, in mm: positive converges, whichever way the face looks; a list as above."""
     index: Index | None = None
     """Refractive index of the plate. Or give `glass`."""
-    glass: GlassName | None = None
-    """Catalogue glass of the plate, like "SCHOTT/N-BK7"."""
+    glass: Glass | None = None
+    """Glass of the plate: of the catalogue, like "SCHOTT/N-BK7", or by its dispersion, like { nd = 1.5168,
+    vd = 64.17 }."""
     thickness_mm: Positive
     """From the apex of the curved face to the flat face, in mm."""
     curved_coating: Text = UNCOATED
@@ -71,7 +74,7 @@ class MicrolensArray(Model):
     """Manufacturing error."""
 
     @property
-    def medium(self) -> float | str:
+    def medium(self) -> Medium:
         """What the plate is made of: an index or the name of a glass."""
         return self.index if self.index is not None else self.glass or 1.0
 

@@ -6,10 +6,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from lfmesh.optics.glass import Medium
 from lfmesh.scene.coatings import UNCOATED
 from lfmesh.scene.finishes import POLISHED, AnyFinish, both_given
 from lfmesh.scene.model import Fault, Model, nearest
-from lfmesh.scene.quantities import FilePath, GlassName, Index, Positive, Text
+from lfmesh.scene.own_glass import Glass
+from lfmesh.scene.quantities import FilePath, Index, Positive, Text
 
 UNITS_IN_FILE = (".glb", ".gltf")
 """Formats whose standard fixes the unit of length."""
@@ -71,8 +73,8 @@ class Refractor(MeshShape):
     """In object space, in place of a mesh file: a box, centred, with edges of these lengths along x, y, z, in mm."""
     index: Index | None = None
     """Refractive index of the glass. Or give `glass`."""
-    glass: GlassName | None = None
-    """Catalogue glass, like "SCHOTT/N-BK7"."""
+    glass: Glass | None = None
+    """Glass: of the catalogue, like "SCHOTT/N-BK7", or by its dispersion, like { nd = 1.5168, vd = 64.17 }."""
     coating: Text = UNCOATED
     """Name of the coating of its whole surface, or "none": bare."""
     finish: AnyFinish = POLISHED
@@ -82,7 +84,7 @@ class Refractor(MeshShape):
     lies inside the other. So water that reaches a little into the glass round it touches that everywhere."""
 
     @property
-    def medium(self) -> float | str:
+    def medium(self) -> Medium:
         """What the body is made of: an index or the name of a glass."""
         return self.index if self.index is not None else self.glass or 1.0
 

@@ -11,6 +11,7 @@ from pydantic import Field, PrivateAttr
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.notebook import Shown
+from lfmesh.optics.glass import Medium as GlassOrAir
 from lfmesh.optics.glass import complex_index, refractive_index
 from lfmesh.optics.metals import metal_index
 from lfmesh.scene.bands import Centroids, Passband, passband, preset
@@ -390,7 +391,7 @@ class Scene(Model, Shown):
             )
 
     def _glass_faults(self) -> Iterator[Fault]:
-        media: list[tuple[Location, float | str | None]] = [
+        media: list[tuple[Location, GlassOrAir]] = [
             (("camera", "lens", "surfaces", i, "glass"), surface.medium)
             for i, surface in enumerate(self.camera.lens.surfaces)
         ]

@@ -4,7 +4,8 @@ from collections.abc import Iterator
 from typing import Literal
 
 from lfmesh.scene.model import Fault, Model
-from lfmesh.scene.quantities import GlassName, Index, NonNegative, Positive, Text, Vector
+from lfmesh.scene.own_glass import Glass
+from lfmesh.scene.quantities import Index, NonNegative, Positive, Text, Vector
 
 Side = Literal["top", "front"]
 
@@ -14,7 +15,7 @@ class Wall(Model):
 
     index: Index | None = None
     """Refractive index. Or give `glass`."""
-    glass: GlassName | None = None
+    glass: Glass | None = None
     """Catalogue glass, like "SCHOTT/N-BK7"."""
 
     @property

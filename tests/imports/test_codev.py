@@ -9,6 +9,7 @@ from lfmesh.imports import zemax
 from lfmesh.imports.codev import commands, read
 from lfmesh.imports.report import Verdict
 from lfmesh.scene import load_lens
+from lfmesh.scene.own_glass import OwnGlass
 from tests.imports.files import SINGLET_SEQ, SINGLET_ZMX
 
 FILE = Path("lens.seq")
@@ -83,14 +84,16 @@ def test_a_private_glass_of_one_index_is_that_index():
         "NBK7_SCHOTT", "'MINE'"
     )
     assert lens_of(text).surfaces[0].index == 1.6
-    assert "'MINE': not in the catalogue" in refusal_of(text.replace("1.6 1.6 1.6", "1.6 1.61 1.62"))
+    dispersive = text.replace("1.6 1.6 1.6", "1.6 1.61 1.62")
+    table = OwnGlass(wavelengths_nm=(450.0, 550.0, 650.0), values=(1.62, 1.61, 1.6))
+    assert lens_of(dispersive).surfaces[0].glass == table
+    assert "'MINE': not in the catalogue" in refusal_of(text.replace("1.6 1.6 1.6", "1.6 1.61"))
 
 
-def test_a_fictitious_glass_at_the_d_line_alone_is_its_index():
-    text = changed("NBK7_SCHOTT", "516800.641700")
-    assert "nd = 1.5168, Vd = 64.17 alone" in refusal_of(text)
-    single = text.replace("WL 656.2725 587.5618 486.1327", "WL 587.6").replace("REF 2", "REF 1")
-    assert lens_of(single).surfaces[0].index == pytest.approx(1.5168, rel=1e-15)
+def test_a_fictitious_glass_is_the_normal_one_of_its_nd_and_vd():
+    glass = lens_of(changed("NBK7_SCHOTT", "516800.641700")).surfaces[0].glass
+    assert glass.nd == pytest.approx(1.5168, rel=1e-15)
+    assert glass.vd == 64.17
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from lfmesh.imports import read_lens_file, write_lens_file
 from lfmesh.optics.glass import glass_name
 from lfmesh.scene import Element, Lens, Pose, Surface, load_lens
 from lfmesh.scene.files import library
+from lfmesh.scene.own_glass import OwnGlass
 
 ENDINGS = (".zmx", ".seq", ".toml")
 
@@ -55,6 +56,37 @@ def test_an_f_number_and_aspheres_come_back(tmp_path, ending):
     again, _ = read_lens_file(path)
     assert_same(lens, again)
     assert again.f_number == 2.8
+
+
+OWN = (
+    OwnGlass(nd=1.62, vd=36.4),
+    OwnGlass(wavelengths_nm=(400.0, 600.0, 800.0), values=(1.53, 1.52, 1.51)),
+    OwnGlass(sellmeier_b=(1.1, 0.2), sellmeier_c_um2=(0.01, 100.0)),
+)
+
+
+def of_own_glass(glass):
+    """A plano-convex lens of a glass that no catalogue has."""
+    front = Surface(radius_mm=41.7, thickness_mm=6.1, glass=glass, semi_diameter_mm=12.0, stop=True)
+    return Lens(name="own", surfaces=(front, Surface(semi_diameter_mm=12.0)))
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+@pytest.mark.parametrize("glass", OWN, ids=("model", "table", "sellmeier"))
+def test_glasses_of_no_catalogue_come_back_or_are_refused(tmp_path, ending, glass):
+    lens, path = of_own_glass(glass), tmp_path / f"lens{ending}"
+    if ending == ".zmx" and glass.nd is None:
+        with pytest.raises(SceneError, match=r"surfaces\[0\].glass: a Zemax file has no place for"):
+            write_lens_file(lens, path)
+        return
+    write_lens_file(lens, path)
+    again = read_lens_file(path)[0].surfaces[0].glass
+    if ending != ".seq" or glass.values is not None:
+        assert again == glass
+    else:
+        # A table of a formula gives its values between the lines again to some digits.
+        for wavelength_nm in (410.0, 520.0, 620.0, 900.0):
+            assert again.index_at(wavelength_nm) == pytest.approx(glass.index_at(wavelength_nm), abs=2e-5)
 
 
 def test_tilted_elements_are_not_written():

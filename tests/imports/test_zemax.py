@@ -11,6 +11,7 @@ from lfmesh.imports.report import Verdict
 from lfmesh.imports.zemax import read
 from lfmesh.optics.glass import D_LINE_NM
 from lfmesh.scene import Paraxial, load_lens, loads
+from lfmesh.scene.own_glass import OwnGlass
 from tests.imports.files import SINGLET_ZMX
 
 FILE = Path("lens.zmx")
@@ -148,7 +149,7 @@ def test_encodings_and_line_ends(tmp_path, encoding, ending):
     [
         ("GLAS N-BK7", "GLAS MIRROR", "mirrors are not supported"),
         ("GLAS N-BK7", "GLAS N-BK77", "not in the catalogue; close to it are SCHOTT/N-BK7"),
-        ("GLAS N-BK7 0 0", "GLAS ___BLANK 1 0", "glass given by nd = 1.5168, Vd = 64.17 alone"),
+        ("GLAS N-BK7 0 0 1.5168 64", "GLAS ___BLANK 1 0 1.5168 -64", "glass given by nd = 1.5168, Vd = -64.17"),
         ("TYPE EVENASPH", "TYPE ODDASPHE", "odd aspheres"),
         ("TYPE EVENASPH", "TYPE GRINSUR1", "surfaces of type GRINSUR1"),
         ("PARM 1 0", "PARM 1 1e-4", "a term in r²"),
@@ -189,12 +190,16 @@ def test_all_refusals_are_named_at_once():
     assert len(message.splitlines()) == 3
 
 
-def test_a_model_glass_at_the_d_line_alone_is_its_index():
-    text = changed("GLAS N-BK7 0 0", "GLAS ___BLANK 1 0").replace("FTYP 0 0 2 3", "FTYP 0 0 2 1")
-    text = text.replace("WAVM 1 0.4861327", "WAVM 1 0.5875618").replace("PWAV 2", "PWAV 1")
+def test_a_model_glass_is_the_normal_one_of_its_nd_and_vd():
+    text = changed("GLAS N-BK7 0 0", "GLAS ___BLANK 1 0")
     lens, report = lens_of(text), report_of(text)
-    assert lens.surfaces[0].index == 1.5168
-    assert [line.how for line in report.of(Verdict.APPROXIMATED)] == ["its nd stands for it, without dispersion"]
+    assert lens.surfaces[0].glass == OwnGlass(nd=1.5168, vd=64.17)
+    assert [line.how for line in report.of(Verdict.APPROXIMATED)] == ["the normal glass of its nd and Vd"]
+
+
+def test_a_model_glass_beyond_what_nd_and_vd_tell_is_refused():
+    text = changed("GLAS N-BK7 0 0", "GLAS ___BLANK 1 0").replace("WAVM 1 0.4861327", "WAVM 1 1.55")
+    assert "at 1550 nm: nd and Vd tell the index from 350 to 1100 nm" in refusal_of(text)
 
 
 def test_a_glass_is_taken_from_the_catalogue_that_the_file_names():

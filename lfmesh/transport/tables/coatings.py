@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.optics.coatings import Stack, between, beyond
-from lfmesh.optics.glass import complex_index, refractive_index
+from lfmesh.optics.glass import Medium, complex_index, refractive_index
 from lfmesh.optics.reflectance_table import ReflectanceTable, read_reflectance
 from lfmesh.optics.share_table import ALLOWED_MEASURED, ShareTable, TooManyPiecesError, constant, tabulated
 from lfmesh.scene import Coating, Layer, Scene
 from lfmesh.scene.inputs import file_stamp
-from lfmesh.transport.tables.media import Medium
 
 Array = NDArray[np.float64]
 
@@ -110,12 +109,19 @@ def _tabulated(
             ) from None
         raise SceneError(
             f"coatings.{name}: its reflectance changes too fast with the angle for a table (error "
-            f"{error.args[0]:.1g}): the layers are too thick in all, or light resonates between layers of a lower "
-            "index than both glasses"
+            f"{error.args[0]:.1g}): {_size(coating)}; give fewer or thinner layers, and none of a lower index than "
+            "both glasses that light resonates between"
         ) from None
     values = np.stack([table.coefficients.ravel() for table in tables], axis=1)
     values.setflags(write=False)
     return CoatingTable(values, tables[0].pieces, lossy, max(table.error for table in tables))
+
+
+def _size(coating: Coating) -> str:
+    """Describe how large a stack is."""
+    layers = coating.layers or ()
+    total_um = sum(layer.thickness_nm for layer in layers) / 1000.0
+    return f"it has {len(layers)} layer{'' if len(layers) == 1 else 's'}, {total_um:.4g} µm in all"
 
 
 def _at_wavelength(

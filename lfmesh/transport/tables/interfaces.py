@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.optics.glass import refractive_index
+from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.optics.share_table import looked_up
 from lfmesh.optics.walsh import diffuse_reflectance
 from lfmesh.scene import Scene
@@ -21,7 +21,7 @@ from lfmesh.scene.finishes import Finish as Roughness
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.tables.coatings import absorbs, coating_table
 from lfmesh.transport.tables.lines import Lines
-from lfmesh.transport.tables.media import Medium, MediumList
+from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.tables import (
     ABSORBING,
     BARE,

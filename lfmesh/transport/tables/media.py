@@ -7,12 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lfmesh.optics.glass import refractive_index
+from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.scene import Scene
 from lfmesh.transport.tables.tables import Media
-
-Medium = float | str | None
-"""A refractive index, the name of a glass, or air."""
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,10 @@ from lfmesh.geometry.lattice import centre
 from lfmesh.geometry.lenslets import shape_of
 from lfmesh.geometry.levels import EXACT
 from lfmesh.geometry.surface import in_place, normals
-from lfmesh.optics.glass import refractive_index
+from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.transport.events.interface import shares
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME, Event
 from lfmesh.transport.tables.interfaces import InterfaceTables, interface_tables
-from lfmesh.transport.tables.media import Medium
 from lfmesh.transport.tables.tables import AIR, CURVED_ROW, FLAT_ROW, Interfaces, body_row
 from lfmesh.view.rays.names import CURVED, FLAT, label, target_names
 from lfmesh.view.rays.paths import Rays
@@ -233,4 +232,6 @@ def _medium_beyond(rays: Rays, vertex: int) -> Medium:
 def _in_words(medium: Medium) -> str:
     if medium is None:
         return "air"
-    return medium if isinstance(medium, str) else f"n = {medium:g}"
+    if isinstance(medium, float | int):
+        return f"n = {medium:g}"
+    return medium if isinstance(medium, str) else medium.in_words()

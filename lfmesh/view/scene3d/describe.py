@@ -3,7 +3,7 @@
 import math
 
 from lfmesh.errors import LfmeshError
-from lfmesh.optics.glass import refractive_index
+from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.scene import Surface
 from lfmesh.scene.spectra import Spectrum
 from lfmesh.transport.world import World
@@ -73,10 +73,12 @@ def _poses(world: World, numbers: tuple[int, int]) -> Rows:
     ]
 
 
-def _medium(world: World, medium: float | str | None) -> str:
+def _medium(world: World, medium: Medium) -> str:
     wavelength = world.scene.primary_nm
     index = f"n = {refractive_index(medium, wavelength):.6g} at {wavelength:g} nm"
-    return f"{medium}, {index}" if isinstance(medium, str) else index
+    if medium is None or isinstance(medium, float | int):
+        return index
+    return f"{medium if isinstance(medium, str) else medium.in_words()}, {index}"
 
 
 def _stop(world: World) -> Rows:

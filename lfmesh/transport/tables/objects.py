@@ -323,8 +323,10 @@ def _glowing_volumes(scene: Scene, volumes: Volumes | None) -> list[Entry]:
     SceneError
         The forward method would have to start light all over a medium without bounds.
     """
-    entries = []
-    for number in range(len(scene.media) if volumes is not None else 0):
+    entries: list[Entry] = []
+    if volumes is None:
+        return entries
+    for number in range(len(scene.media)):
         power = power_of(volumes, number)
         if np.isfinite(power) and power > 0.0:
             entries.append((-1, FIRST_VOLUME - number, power, power))

@@ -231,9 +231,9 @@ def _outside(x: float, y: float, z: float, reach: float, facts: "FirstOrder") ->
 
 
 def _light(scene: Scene) -> Iterator[str]:
-    if scene.particles:
+    if scene.particles or any(medium.may_emit for medium in scene.media):
         return
-    if not scene.targets:
+    if not scene.targets and not any(medium.may_scatter for medium in scene.media):
         yield "there are no targets: the image will be black"
     elif not scene.lights and not any(target.material.emits for target in scene.targets):
         yield "nothing shines: no lights, and no target with radiance_w_m2_sr; the image will be black"

@@ -108,6 +108,16 @@ class Medium(Model):
                         "emission_w_mm3_sr")  # fmt: skip
 
     @property
+    def may_emit(self) -> bool:
+        """Whether it emits light; a grid, whose file says so, may."""
+        return self.grid is not None or self.temperature_k is not None or self.emission_w_mm3_sr != 0.0
+
+    @property
+    def may_scatter(self) -> bool:
+        """Whether it scatters light; a grid, whose file says so, may."""
+        return self.grid is not None or self.scattering_per_mm != 0.0
+
+    @property
     def acts(self) -> bool:
         """Whether it does anything to light without a grid."""
         return bool(self.absorption_per_mm or self.scattering_per_mm or self.emission_w_mm3_sr)

@@ -3,7 +3,8 @@
 import pytest
 
 from lfmesh.errors import SceneError
-from lfmesh.scene import Medium
+from lfmesh.scene import Medium, Scene, first_order
+from tests.cameras import camera_without_array
 
 
 def test_a_grid_may_be_given_by_its_path() -> None:
@@ -27,3 +28,13 @@ def test_a_grid_may_be_given_by_its_path() -> None:
 def test_impossible_media_are_refused(values: dict[str, object], message: str) -> None:
     with pytest.raises(SceneError, match=message):
         Medium(**values)  # type: ignore[arg-type]
+
+
+def test_a_medium_that_shines_is_no_reason_for_a_black_image() -> None:
+    def said(**medium: object) -> str:
+        values = {"bounds": {"kind": "sphere", "radius_mm": 5.0}, "position_mm": [0.0, 0.0, -150.0], **medium}
+        return " ".join(first_order(Scene(camera=camera_without_array(), media=[values])).warnings)  # type: ignore[arg-type]
+
+    assert "will be black" in said(absorption_per_mm=0.1)
+    assert "will be black" in said(scattering_per_mm=0.1)
+    assert "will be black" not in said(emission_w_mm3_sr=1e-8)

@@ -32,6 +32,12 @@ PER_VOLUME, OF_VOXELS, OF_BODY, BY_TEMPERATURE = range(4)
 
 NOT_IN_GRID = -1
 
+ROUNDING_MM = 1e-9
+"""Distance behind the first lens vertex that a medium which ends there may seem to have."""
+
+COLDEST_K = 1e-30
+"""In place of 0 K, at which Planck's law has no value: nothing shines there either."""
+
 W_MM3 = 1e6
 """W/(mm² sr) in W/(m² sr)."""
 
@@ -175,7 +181,7 @@ def _brightness(row: np.void, grid: VoxelGrid | None, absorption: Array, spectru
     emission = np.zeros(grid.shape)
     for line in some:
         if row["emits"] == BY_TEMPERATURE:
-            temperature = np.maximum(grid.values["temperature_k"], 1e-30)
+            temperature = np.maximum(grid.values["temperature_k"], COLDEST_K)
             with np.errstate(over="ignore"):
                 value = planck[0, line] / np.expm1(planck[1, line] / temperature)
             emission += absorption[line] * absorbs * value
@@ -282,7 +288,7 @@ def _refuse_behind_lens(row: np.void, where: str, moves: Array) -> None:
     if row["bounds"] == CYLINDER and row["cells"][0] == 0:
         axis = to_camera[2, :3]
         behind = to_camera[2, 3] + row["size"][2] * abs(axis[2]) + row["size"][0] * np.hypot(axis[0], axis[1])
-    if behind > 1e-9:
+    if behind > ROUNDING_MM:
         raise SceneError(f"{where} reaches {behind:.6g} mm behind the first lens vertex; a medium stays in front of it")
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import Literal
 
+from lfmesh.optics.glass import Medium
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.own_glass import Glass
 from lfmesh.scene.quantities import Index, NonNegative, Positive, Text, Vector
@@ -19,8 +20,8 @@ class Wall(Model):
     """Catalogue glass, like "SCHOTT/N-BK7"."""
 
     @property
-    def medium(self) -> float | str:
-        """An index or the name of a glass."""
+    def medium(self) -> Medium:
+        """An index or a glass."""
         return self.index if self.index is not None else self.glass or 1.0
 
     def faults(self) -> Iterator[Fault]:

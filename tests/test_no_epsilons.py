@@ -39,6 +39,8 @@ DIMENSIONLESS = {
     "transport/regions/lens_block.py": {"SETTLED"},
     "transport/regions/mla.py": {"ROUNDED", "UNSURE"},
     "transport/tables/lens.py": {"STEEPER"},
+    "transport/tables/particles.py": {"DARKEST", "UM2"},
+    "transport/tables/volumes.py": {"COLDEST_K", "ROUNDING"},
     "transport/refused_glass.py": {"A_LITTLE_INSIDE", "JUST_BESIDE"},
     "transport/tables/contacts.py": {"CUT"},
     "transport/sources/face_starts.py": {"ON_FACE"},

@@ -174,8 +174,8 @@ class Projector:
         self.grid = VoxelBox.of(grid)
         _check(scene, channel, threshold)
         self.channel, self.threshold = int(channel), float(threshold)
-        # What the scene's lights and targets send is no part of the matrix.
-        self.world = build(scene.changed({"transport.method": "adjoint", "lights": ()}))
+        # What lights, targets, media and particles of the scene send is no part of the matrix.
+        self.world = build(scene.changed({"transport.method": "adjoint", "lights": (), "media": (), "particles": ()}))
         front = frames.points(self.world.tables.frames[WORLD_FRAME, CAMERA_FRAME], self.grid.corners_mm())[:, 2].max()
         if not front < 0.0:
             raise LfmeshError(

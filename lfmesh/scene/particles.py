@@ -289,7 +289,16 @@ def _about(axis: Array, angle: float) -> Array:
 
 
 def displaced_places(group: Particles, points: Array, scene: Resolves) -> Array:
-    """Return the places of particles after all displacements up to their frame; parameters as `particle_places`."""
+    """Return the places of particles after all displacements up to their frame.
+
+    Parameters
+    ----------
+    group : Particles
+    points : (n, 3) float64, mm
+        In the first frame, world frame.
+    scene : Resolves
+        Whose files the displacement may name.
+    """
     for _ in range(group.frame):
         points = points + displacements(group, points, scene)
     return points
@@ -416,6 +425,12 @@ def particle_vectors(scene: "Scene") -> tuple[Array, Array]:
 
 def write_vectors(path: Path, points: Array, steps: Array) -> None:
     """Write places and displacements as CSV, in the columns that `displacement = { kind = "file" }` reads.
+
+    Parameters
+    ----------
+    path : Path
+    points, steps : (n, 3) float64, mm
+        World frame.
 
     Raises
     ------

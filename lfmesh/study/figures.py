@@ -31,6 +31,12 @@ def axis_figure(table: Table, axis: int, columns: Sequence[Column]) -> str:
 
     Points at which only this axis differs from the reference are joined; all others are grey dots, unless axes vary one
     at a time: then they would only stand above the reference.
+
+    Parameters
+    ----------
+    table : Table
+    axis : int
+    columns : sequence of Column
     """
     joined = [row for row in table.along(axis) if row.estimates]
     alone = table.plan.study.design == "one_at_a_time"
@@ -82,7 +88,15 @@ def efficiency_figure(table: Table) -> str:
 
 
 def field_figure(row: Row, name: str, title: str) -> str:
-    """Return a figure of the displacements of the centres over the array, as arrows, upright as on the sensor."""
+    """Return a figure of the displacements of the centres over the array, as arrows, upright as on the sensor.
+
+    Parameters
+    ----------
+    row : Row
+    name : str
+        Of the map.
+    title : str
+    """
     field = row.maps[name]
     step = max(1, -(-max(field.shape[:2]) // ARROWS))
     some = field[step // 2 :: step, step // 2 :: step]

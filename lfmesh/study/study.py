@@ -1,5 +1,6 @@
 """A study from its file to its table: `lf.Study`."""
 
+import inspect
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -10,6 +11,7 @@ from typing import Any
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files.whole import write_whole
 from lfmesh.scene import Scene
+from lfmesh.signatures import Function
 from lfmesh.study.cluster import in_dask
 from lfmesh.study.metrics import columns_of, pictures_of
 from lfmesh.study.plan import Plan, load_scenes, plan_of
@@ -60,6 +62,19 @@ class Progress:
 Report = Callable[[Progress], None]
 
 
+def _lists_settings(init: Function) -> Function:
+    """Give the constructor of a study a signature that lists the keys of a study file, for help and completion."""
+    signature = inspect.signature(init)
+    *named, _ = signature.parameters.values()
+    own = {"scene", "scenes", "axes"}
+    more = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=field.get_default(call_default_factory=True))
+        for name, field in StudyFile.model_fields.items() if name not in own
+    ]  # fmt: skip
+    init.__signature__ = signature.replace(parameters=[*named, *more])  # type: ignore[attr-defined]
+    return init
+
+
 class Study:
     """Many cameras, compared with a reference.
 
@@ -83,6 +98,7 @@ class Study:
     >>> table = study.run("out/")
     """
 
+    @_lists_settings
     def __init__(self, scene: Scene | Sequence[Scene], axes: Sequence[Mapping[str, Any]] = (), **settings: Any) -> None:
         if isinstance(scene, Scene):
             study = StudyFile(scene="scene", axes=tuple(axes), **settings)
@@ -184,7 +200,17 @@ class Run:
         self.new = 0
 
     def complete(self, workers: int | None, dask: str | None, shard: Shard | None) -> Table:
-        """Compute what is missing, and write the table."""
+        """Compute what is missing, and write the table.
+
+        Parameters
+        ----------
+        workers : int, optional
+            Processes of the pool.
+        dask : str, optional
+            Address of a scheduler, or "local", in place of the pool.
+        shard : (int, int), optional
+            Number of this part, from 1, and of all parts.
+        """
         units = self.plan.units if shard is None else self.plan.units[shard[0] - 1 :: shard[1]]
         missing = self._missing(units)
         self.folder.log("started", units=len(units), missing=len(missing), shard=shard)

@@ -84,6 +84,11 @@ class StudyFolder:
     def keep(self, point: int, batch: int, content: bytes) -> None:
         """Write the outcome of a unit: temporary file, sync, rename.
 
+        Parameters
+        ----------
+        point, batch : int
+        content : bytes
+
         Raises
         ------
         OSError
@@ -152,6 +157,15 @@ def read_facts(path: Path) -> dict[str, Any] | None:
 
 def refuse_other(known: dict[str, Any], digest: str, path: Path) -> None:
     """Refuse a folder that holds another study.
+
+    Parameters
+    ----------
+    known : dict
+        What the folder says of its study.
+    digest : str
+        Of the study that is wanted.
+    path : Path
+        The folder.
 
     Raises
     ------

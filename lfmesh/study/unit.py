@@ -182,6 +182,15 @@ def packed(outcome: Outcome, study: str) -> bytes:
 def unpacked(content: bytes, study: str, point: int, batch: int, metrics: tuple[str, ...]) -> Outcome:
     """Return an outcome from its bytes.
 
+    Parameters
+    ----------
+    content : bytes
+    study : str
+        Digest of the study.
+    point, batch : int
+        Of the unit.
+    metrics : tuple of str
+
     Raises
     ------
     FileError
@@ -228,7 +237,15 @@ def _films_in(arrays: Mapping[str, NDArray[Any]]) -> tuple[Films, float]:
 
 
 def is_reference(content: bytes, study: str, batch: int) -> bool:
-    """Whether bytes are whole films of a study's reference."""
+    """Whether bytes are whole films of a study's reference.
+
+    Parameters
+    ----------
+    content : bytes
+    study : str
+        Digest of the study.
+    batch : int
+    """
     try:
         facts = json.loads(str(_arrays_of(content)["facts"]))
         return (facts["study"], facts["batch"], facts["format"]) == (study, batch, FORMAT)

@@ -82,7 +82,6 @@ class World(Shown):
         self, scene: Scene, report: FirstOrder, tables: Tables, finders: tuple[Finder, Finder, Finder],
         book: Book, lens: LensShape, targets: list[TargetMesh], housing: Mesh,
         find_aim: Callable[[], tuple[AimTables, AimProof | None]],
-        particles: tuple[ParticleTables, ...] = (),
     ) -> None:  # fmt: skip
         self.scene = scene
         self.first_order = report
@@ -95,7 +94,7 @@ class World(Shown):
         self.housing = housing
         self.media = MediumList.of(scene)
         self.lines = Lines.of(scene)
-        self.particles = particles
+        self.particles: tuple[ParticleTables, ...] = ()
         self._find_aim = find_aim
         self._how: dict[str, Any] = {}
         """How it was built from its scene: keywords of `build`."""
@@ -345,6 +344,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     polarised = polarisation_tables(scene, wavelengths_nm, moves, book)
     tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=anywhere, polarised=polarised)
     finders = (Finder(lens_mesh), Finder(mla_mesh_), Finder(*divided(object_mesh, objects.facets["body"])))
-    world = World(scene, report, tables, finders, book, shape, targets, housing, find_aim, particles)
+    world = World(scene, report, tables, finders, book, shape, targets, housing, find_aim)
+    world.particles = particles
     world._how = {"rings": rings, "aimed": aimed}
     return world

@@ -32,8 +32,8 @@ PER_VOLUME, OF_VOXELS, OF_BODY, BY_TEMPERATURE = range(4)
 
 NOT_IN_GRID = -1
 
-ROUNDING_MM = 1e-9
-"""Distance behind the first lens vertex that a medium which ends there may seem to have."""
+ROUNDING = 1e-12
+"""How far behind the first lens vertex a medium which ends there may seem to reach, relative to its farthest corner."""
 
 COLDEST_K = 1e-30
 """In place of 0 K, at which Planck's law has no value: nothing shines there either."""
@@ -282,13 +282,14 @@ def _refuse_behind_lens(row: np.void, where: str, moves: Array) -> None:
         # Its own frame becomes the camera's, in which it lies at z < 0.
         row["to_own"] = moves[OBJECT_FRAME, CAMERA_FRAME]
         return
-    behind = frame.points(to_camera, corners)[:, 2].max()
+    placed = frame.points(to_camera, corners)
+    behind = placed[:, 2].max()
     if row["bounds"] == SPHERE and row["cells"][0] == 0:
         behind = to_camera[2, 3] + row["size"][0]
     if row["bounds"] == CYLINDER and row["cells"][0] == 0:
         axis = to_camera[2, :3]
         behind = to_camera[2, 3] + row["size"][2] * abs(axis[2]) + row["size"][0] * np.hypot(axis[0], axis[1])
-    if behind > ROUNDING_MM:
+    if behind > ROUNDING * np.abs(placed).max():
         raise SceneError(f"{where} reaches {behind:.6g} mm behind the first lens vertex; a medium stays in front of it")
 
 

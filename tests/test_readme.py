@@ -37,7 +37,7 @@ def commands(*pages: str) -> list[list[str]]:
     for page in pages or PAGES.values():
         lines += [line for block in blocks("sh", page) for line in block.replace("\\\n", " ").splitlines()]
         lines += re.findall(r"`((?:tools/|lfmesh )[^`]+)`", page)
-    return [shlex.split(line) for line in lines]
+    return [words for line in lines if (words := shlex.split(line, comments=True))]
 
 
 @pytest.fixture
@@ -112,8 +112,8 @@ def test_every_option_of_every_command_is_one(folder: Path) -> None:
 
 
 SMALLER = {"render": ["--samples", "4", "--replicates", "2", "--split", "transmit"]}
-ELSEWHERE = {"demo", "compare", "view", "accuracy"}
-"""Run by their own tests, or by the pages' other commands; they take long, or open a window."""
+ELSEWHERE = {"demo", "compare", "view", "accuracy", "frames", "study", "matrix"}
+"""Run by their own tests, or by the pages' other commands; they take long, open a window, or need other scenes."""
 
 
 def test_the_commands_of_the_table_run_one_after_the_other(folder: Path) -> None:

@@ -180,7 +180,7 @@ def layout(scene: Scene) -> Layout:
     drawn, facts = camera.scene, camera.report
     glass_targets = [t.model_dump() for t in drawn.targets if t.refractor is not None]
     unpolarised = {"transport.polarisation": False, "camera.polariser_deg": None}
-    world = build(drawn.changed({"targets": glass_targets, "lights": (), **unpolarised}))
+    world = build(drawn.changed({"targets": glass_targets, "lights": (), "media": (), "particles": (), **unpolarised}))
     distance = focus_distance_mm(drawn, given=scene.camera.focus_mm is not None and _is_solved(scene))
     aim = Aim(world, distance)
     moves = world.tables.frames

@@ -149,11 +149,11 @@ def test_a_formula_on_a_grid_converges_with_the_second_order(tmp_path: Path) -> 
     ends = [(100.0 - 85.0 - 10.0) / -d[2], (100.0 - 85.0 + 10.0) / -d[2]]
     exact = solve_ivp(along, ends, [0.0, 0.0], rtol=1e-11, atol=1e-13, max_step=0.1).y[:, -1]
     errors = []
-    for n in (17, 33, 65):
+    for n in (33, 65, 129):
         found = passage(smooth_grid(tmp_path, n), START, DIRECTION, np.inf)
         errors.append([-np.log(found.transmittance) / exact[0] - 1.0, found.light / exact[1] - 1.0])
     orders = np.log2(np.abs(np.array(errors))[:-1] / np.abs(np.array(errors))[1:])
-    assert (np.abs(orders[-1] - 2.0) < 0.2).all(), (errors, orders)
+    assert (np.abs(orders - 2.0) < 0.2).all(), (errors, orders)
     assert np.abs(errors[-1]).max() < 1e-3
 
 

@@ -57,7 +57,13 @@ def test_the_command_writes_a_picture_a_page_and_a_model(
 def _check_page(page: str) -> None:
     """It has its words, and asks no server for anything."""
     body = page[page.index("<body>") : page.index("<script", page.index("<body>"))]
-    for words in ("<h1>bench</h1>", "6 rays each from field 0,0,-200", "18 paths", "0, 0, -200 mm", "axis marked every"):
+    for words in (
+        "<h1>bench</h1>",
+        "6 rays each from field 0,0,-200",
+        "18 paths",
+        "0, 0, -200 mm",
+        "axis marked every",
+    ):
         assert words in body
     assert "<title>bench</title>" in page
     assert not FETCHES.findall(page)

@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Callable
 from copy import copy
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -67,6 +67,14 @@ if TYPE_CHECKING:
     import trimesh
 
 
+class Bodies(NamedTuple):
+    """What the meshes are made from."""
+
+    lens: LensShape
+    targets: list[TargetMesh]
+    housing: Mesh
+
+
 class World(Shown):
     """A scene that rays can be traced through. Made by `build`.
 
@@ -80,8 +88,8 @@ class World(Shown):
 
     def __init__(
         self, scene: Scene, report: FirstOrder, tables: Tables, finders: tuple[Finder, Finder, Finder],
-        book: Book, lens: LensShape, targets: list[TargetMesh], housing: Mesh,
-        find_aim: Callable[[], tuple[AimTables, AimProof | None]],
+        book: Book, bodies: Bodies, particles: tuple[ParticleTables, ...],
+        find_aim: Callable[[], tuple[AimTables, AimProof | None]], how: dict[str, Any],
     ) -> None:  # fmt: skip
         self.scene = scene
         self.first_order = report
@@ -89,14 +97,12 @@ class World(Shown):
         self.finders = finders
         self.book = book
         self.slots = book.names
-        self.lens_shape = lens
-        self.targets = targets
-        self.housing = housing
+        self.lens_shape, self.targets, self.housing = bodies
         self.media = MediumList.of(scene)
         self.lines = Lines.of(scene)
-        self.particles: tuple[ParticleTables, ...] = ()
+        self.particles = particles
         self._find_aim = find_aim
-        self._how: dict[str, Any] = {}
+        self._how = how
         """How it was built from its scene: keywords of `build`."""
 
     def __repr__(self) -> str:
@@ -141,7 +147,7 @@ class World(Shown):
         """
         scene = self.scene.changed({"transport.seed": seed})
         if self.lines.in_bands:
-            return build(scene)
+            return build(scene, **self._how)
         # The aim does not depend on the seed: found here, it is found once for all copies.
         _ = self._aim_and_proof
         world = copy(self)
@@ -325,26 +331,22 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     for line in closed_gaps(scene, targets):
         warnings.warn(line, ClosedGapWarning, stacklevel=2)
     object_mesh, objects = object_tables(scene, targets, housing, moves, book, lines, interfaces.objects, known, ranks)
-    seen = [targets_in_camera(targets, moves), corners_in_camera(objects.volumes, moves)]
     columns, rows = scene.camera.sensor.pixels
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
     particles = particle_tables(scene, lines)
     refuse_particles_behind(particles, moves, float(lens.box_low[2]))
     refuse_particles_in_glass(scene, targets, particles)
-    seen.append(frame.points(moves[WORLD_FRAME, CAMERA_FRAME], corners_round(particles)))
     anywhere = unaimed(scene, lens)
 
     def find_aim() -> tuple[AimTables, AimProof | None]:
         if not aimed:
             return anywhere, None
-        return aim_table(
-            scene, report, lens, mla, sensor, np.concatenate(seen), moves, analytic=bool(shape.analytic.all())
-        )
+        grains = frame.points(moves[WORLD_FRAME, CAMERA_FRAME], corners_round(particles))
+        seen = np.concatenate([targets_in_camera(targets, moves), corners_in_camera(objects.volumes, moves), grains])
+        return aim_table(scene, report, lens, mla, sensor, seen, moves, analytic=bool(shape.analytic.all()))
 
     polarised = polarisation_tables(scene, wavelengths_nm, moves, book)
     tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=anywhere, polarised=polarised)
     finders = (Finder(lens_mesh), Finder(mla_mesh_), Finder(*divided(object_mesh, objects.facets["body"])))
-    world = World(scene, report, tables, finders, book, shape, targets, housing, find_aim)
-    world.particles = particles
-    world._how = {"rings": rings, "aimed": aimed}
-    return world
+    how = {"rings": rings, "aimed": aimed}
+    return World(scene, report, tables, finders, book, Bodies(shape, targets, housing), particles, find_aim, how)

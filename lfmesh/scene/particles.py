@@ -81,42 +81,36 @@ class UniformDisplacement(Model):
     """From one frame to the next, in mm."""
 
 
-class RotationDisplacement(Model):
+class _AboutAxis(Model):
+    center_mm: Vector
+    """A point of the axis, in mm."""
+    axis: Vector
+    """Direction of the axis; of any length but 0."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield an axis without direction."""
+        if not any(self.axis):
+            yield Fault(("axis",), list(self.axis), "must not be the zero vector")
+
+
+class RotationDisplacement(_AboutAxis):
     """All particles turn about an axis together."""
 
     kind: Literal["rotation"] = "rotation"
     """Which field this is."""
-    center_mm: Vector
-    """A point of the axis, in mm."""
-    axis: Vector
-    """Direction of the axis; of any length but 0."""
     angle_deg: Number
     """From one frame to the next, in degrees, counter-clockwise as seen against the axis's arrow."""
 
-    def faults(self) -> Iterator[Fault]:
-        """Yield an axis without direction."""
-        if not any(self.axis):
-            yield Fault(("axis",), list(self.axis), "must not be the zero vector")
 
-
-class VortexDisplacement(Model):
+class VortexDisplacement(_AboutAxis):
     """A vortex of Lamb and Oseen: particles go round an axis on circles, fastest near the core's radius."""
 
     kind: Literal["vortex"] = "vortex"
     """Which field this is."""
-    center_mm: Vector
-    """A point of the axis, in mm."""
-    axis: Vector
-    """Direction of the axis; of any length but 0."""
     core_mm: Positive
     """Radius of the core, in mm: along circles the displacement is Γ (1 − exp(−r² / core²)) / (2 π r)."""
     circulation_mm2: Number
     """Γ, in mm² from one frame to the next; its sign as that of an angle about the axis."""
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield an axis without direction."""
-        if not any(self.axis):
-            yield Fault(("axis",), list(self.axis), "must not be the zero vector")
 
 
 class MeasuredDisplacement(Model):

@@ -47,7 +47,7 @@ def _fill(block: Any, entries: dict[str, Any]) -> None:
     tables = {key: value for key, value in entries.items() if _is_table(value, key) or _is_tables(value, key)}
     for key, value in entries.items():
         if key not in tables:
-            block.add(key, _in_line(value))
+            block.add(key, in_line(value))
             if key in _A_LINE_EACH and isinstance(value[0], dict):
                 block[key].multiline(True)
     for key, value in tables.items():
@@ -67,17 +67,17 @@ def _array_of_tables(items: list[dict[str, Any]]) -> Any:
     return array
 
 
-def _in_line(value: Any) -> Any:
+def in_line(value: Any) -> Any:
     """Return a value, a list or a table as it stands in one line."""
     if isinstance(value, dict):
         line = tomlkit.inline_table()
         for key, item in value.items():
-            line.add(key, _in_line(item))
+            line.add(key, in_line(item))
         return line
     if isinstance(value, list):
         array = tomlkit.array()
         for item in value:
-            array.append(_in_line(item))
+            array.append(in_line(item))
         return array
     return tomlkit.item(value)
 

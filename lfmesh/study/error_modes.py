@@ -15,6 +15,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.scene import Lens, Scene
 from lfmesh.scene.model import nearest
+from lfmesh.scene.toml import in_line
 from lfmesh.study.axes import Axis
 
 STEPS = (-1.0, -0.5, 0.5, 1.0)
@@ -157,7 +158,7 @@ def template_text(name: str, scene: Scene, path: Path, folder: Path) -> str:
     document.add("paired", True)
     changes = tomlkit.table()
     for key, value in ready.changes.items():
-        changes.add(key, _in_line(value))
+        changes.add(key, in_line(value))
     if ready.changes:
         document.add("changes", changes)
     axes = tomlkit.aot()
@@ -180,21 +181,6 @@ ABOUT = {
     "sensor": "Errors of the sensor's place, and its reflectance",
 }
 """What each template varies."""
-
-
-def _in_line(value: Any) -> Any:
-    """Return a value as tomlkit writes it on a line: tables in lists as inline tables."""
-    if isinstance(value, dict):
-        table = tomlkit.inline_table()
-        for key, item in value.items():
-            table.add(key, _in_line(item))
-        return table
-    if isinstance(value, list):
-        array = tomlkit.array()
-        for item in value:
-            array.append(_in_line(item))
-        return array
-    return value
 
 
 def _poses(body: str, pixel_mm: float) -> list[Axis]:

@@ -10,7 +10,8 @@ import subprocess
 import sys
 import time
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -242,21 +243,25 @@ def test_sigterm_ends_a_render_as_ctrl_c_does(
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
 
 
+@contextmanager
+def mounted_disk(folder: Path, options: str) -> Iterator[Path]:
+    """Mount a disk in memory; skip the test where that is not allowed."""
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", folder]
+    if subprocess.run(command, capture_output=True, check=False).returncode != 0:
+        pytest.skip("no right to mount a disk")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", folder], check=True)
+
+
 def test_a_full_disk_loses_no_finished_render(
     renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=16k", "tmpfs", disk], capture_output=True, check=False
-    )
-    if mounted.returncode != 0:
-        pytest.skip("no right to mount a small disk")
-    try:
+    with mounted_disk(tmp_path / "disk", "size=16k") as disk:
         assert main(["render", "scene.toml", "-o", str(disk / "run")]) == 2
         said = " ".join(capsys.readouterr().err.split())
-    finally:
-        subprocess.run(["umount", disk], check=True)
     found = re.search(r"cannot be saved: (.*) It is in (\S+); move it", said)
     assert found is not None, said
     assert "No space left" in found[1]
@@ -267,17 +272,8 @@ def test_a_full_disk_loses_no_finished_render(
 def test_a_folder_that_cannot_be_written_is_refused_before_tracing(
     renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "ro,size=16k", "tmpfs", disk], capture_output=True, check=False
-    )
-    if mounted.returncode != 0:
-        pytest.skip("no right to mount a disk")
-    try:
+    with mounted_disk(tmp_path / "disk", "ro,size=16k") as disk:
         assert main(["render", "scene.toml", "-o", str(disk / "run")]) == 2
-    finally:
-        subprocess.run(["umount", disk], check=True)
     assert "Read-only file system" in capsys.readouterr().err
     assert renderer.scene is None
 

@@ -5,6 +5,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from pyarrow import parquet
 
 import lfmesh as lf
 from tests.conftest import chromium
@@ -53,7 +54,6 @@ def test_a_worst_point_is_named_first(folder: Path) -> None:
 
 
 def test_parquet_holds_the_table(tmp_path: Path) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet")
     table = shifted(3, ("chief_rays",)).run(tmp_path, workers=0)
     (tmp_path / "table.parquet").write_bytes(table.to_parquet())
     read = parquet.read_table(tmp_path / "table.parquet").to_pydict()

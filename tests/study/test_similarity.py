@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from skimage import metrics
 
 from lfmesh.study.similarity import structural_similarity
 
@@ -27,7 +28,6 @@ def test_a_change_of_brightness_alone_costs_what_the_formula_says() -> None:
 
 
 def test_it_agrees_with_scikit_image() -> None:
-    metrics = pytest.importorskip("skimage.metrics")
     one, noisy = pictures()
     expected = metrics.structural_similarity(
         one, noisy, data_range=1.3, gaussian_weights=True, sigma=1.5, use_sample_covariance=False

@@ -82,7 +82,6 @@ def test_three_shards_give_the_same_table(tmp_path: Path, table: str) -> None:
 
 
 def test_a_dask_cluster_gives_the_same_table(tmp_path: Path, table: str) -> None:
-    pytest.importorskip("distributed")
     shifted().run(tmp_path, workers=2, dask="local")
     assert (tmp_path / "table.csv").read_text() == table
 

@@ -29,8 +29,8 @@ CASES = {
     "errors": ["--quick", "--scene", "lit_chart", "--side", "16", "--reference", "64"],
     "startup": ["--quick"],
 }
-# Start-up compiles all kernels twice, the other commit's tree once more.
-LONG = ("startup", "against")
+# Start-up compiles all kernels twice, the other commit's tree once more; scaling starts a process for each size.
+LONG = ("startup", "against", "scaling")
 COMMANDS = [pytest.param(command, marks=pytest.mark.long) if command in LONG else command for command in CASES]
 TABLES = {
     "lens": {"lens": "COLUMNS"},

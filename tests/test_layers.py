@@ -16,6 +16,7 @@ PACKAGE = ROOT / "lfmesh"
 
 FOUNDATION = [
     "assets",
+    "cluster",
     "compiling",
     "errors",
     "kernel",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import cyclopts
 from cyclopts import Parameter
 
-from lfmesh.errors import SceneError
+from lfmesh.errors import LfmeshError, SceneError
 
 if TYPE_CHECKING:
     from lfmesh.scene import Scene
@@ -26,7 +26,19 @@ def _whole(_: object, tokens: Sequence[cyclopts.Token]) -> int:
 Whole = Annotated[int, Parameter(converter=_whole, n_tokens=1)]
 
 SceneFile = Annotated[Path, Parameter(name="scene", help="Scene file (TOML).")]
+Dask = Annotated[str | None, Parameter(help='Address of a dask scheduler, or "local": work on its workers.')]
+Shard = Annotated[str | None, Parameter(help="Only a share of the work: 1/3, 2/3 or 3/3.")]
 RunFolder = Annotated[Path, Parameter(name="run", help="Run folder of a light-field camera, from lfmesh render.")]
+
+
+def share_of(text: str | None) -> tuple[int, int] | None:
+    """Read the number of a share and how many there are, such as "1/3"."""
+    if text is None:
+        return None
+    found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
+    if found is None or not 1 <= int(found[1]) <= int(found[2]):
+        raise LfmeshError(f'--shard {text}: give the number of a share and how many there are, such as "1/3"')
+    return int(found[1]), int(found[2])
 
 
 @Parameter(name="*")

@@ -9,8 +9,9 @@ from cyclopts import Parameter
 
 from lfmesh.cli.application import INTERRUPTED, WRONG_INPUT, app
 from lfmesh.cli.interrupts import defer_interrupt
-from lfmesh.cli.options import Overrides, RunFolder, SceneFile, as_option, overridden
+from lfmesh.cli.options import Dask, Overrides, RunFolder, SceneFile, Shard, as_option, overridden, share_of
 from lfmesh.cli.printing import list_files, say_note, warnings_as_notes, wrapped
+from lfmesh.cli.progress import status
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.view.progress import progress
 
@@ -71,6 +72,9 @@ Examples:
     lfmesh render scene.toml -o run/ --samples 256 --threads 4
     lfmesh render scene.toml -o run/ --wavelengths-nm 486.1 587.6 656.3
     lfmesh render --resume run/          go on with a render that was cut short
+    lfmesh render scene.toml -o a/ --shard 1/3
+    lfmesh render --merge a/ b/ c/ -o run/
+    lfmesh render scene.toml -o run/ --dask tcp://10.0.0.1:8786
 """
 )
 def render(
@@ -86,20 +90,39 @@ def render(
     with_white: Annotated[
         bool, Parameter(name="--white", negative=(), help="Also do what lfmesh white does, for decoding.")
     ] = False,
+    dask: Dask = None,
+    shard: Shard = None,
+    merge: Annotated[
+        list[Path] | None,
+        Parameter(help="Folders of the shares of a render: put them together.", consume_multiple=True, negative=()),
+    ] = None,
     overrides: Overrides | None = None,
 ) -> int:
     """Render a scene into a run folder: raw.exr with its standard error, previews, report.json.
 
     Ctrl-C keeps the replicates that are finished as a valid run, marked as incomplete. --resume goes on with it, or
     with what a render that was killed had kept, to the same bits as without the break.
+
+    --shard traces a part on this machine, and --merge makes the run of all parts; --dask divides the work among the
+    workers of a cluster. The bits are those of a single machine.
     """
+    ways = {"--resume": resume, "--merge": merge, "--shard": shard, "--dask": dask}
+    if len(given := [name for name, value in ways.items() if value is not None]) > 1:
+        raise LfmeshError(f"{' and '.join(given)} do not go together: give one of them")
+    if merge is not None:
+        code = _merged(merge, scene, out, overrides)
+        return _white(out, None) if with_white and out is not None and code == 0 else code
     if resume is not None:
         code = _resume(resume, scene, out, overrides)
         return _white(resume, None) if with_white and code == 0 else code
     if scene is None or out is None:
         missing = "a scene file" if scene is None else "--out, the run folder to write"
         raise LfmeshError(f"render needs {missing}: lfmesh render scene.toml -o run/, or lfmesh render --resume run/")
-    code = _render(scene, out, overrides)
+    if (share := share_of(shard)) is not None:
+        if with_white:
+            raise LfmeshError("--white is for the whole run: give it with --merge")
+        return _share(scene, out, share, overrides)
+    code = _render(scene, out, overrides, dask)
     return _white(out, None) if with_white and code == 0 else code
 
 
@@ -112,7 +135,46 @@ def white(run: RunFolder, /, *, overrides: Overrides | None = None) -> int:
     return _white(run, overrides)
 
 
-def _render(scene_file: Path, folder: Path, overrides: Overrides | None) -> int:
+def _share(scene_file: Path, folder: Path, share: tuple[int, int], overrides: Overrides | None) -> int:
+    """Trace a share of a render into a folder of pieces."""
+    from lfmesh.geometry.solved_camera import first_order
+    from lfmesh.scene import load
+
+    scene = overridden(load(scene_file), overrides)
+    for note in first_order(scene).warnings:
+        say_note(note)
+    with defer_interrupt():
+        from lfmesh.files.inputs import pinned
+        from lfmesh.files.shares import trace_share
+
+    number, shares = share
+    with status() as say, warnings_as_notes():
+        count = trace_share(pinned(scene), folder, number, shares, lambda done, total: say(f"{done} of {total} pieces"))
+    print(f"{folder} holds the {count} pieces of share {number}/{shares}; when all shares are there:")
+    print(f"  lfmesh render --merge {folder} ... -o run/")
+    return 0
+
+
+def _merged(folders: list[Path], scene: Path | None, out: Path | None, overrides: Overrides | None) -> int:
+    """Make the run of all shares of a render."""
+    beside = [
+        *(["the scene"] if scene else []),
+        *(as_option(name) for name in (overrides.given() if overrides else {})),
+    ]
+    if beside:
+        raise LfmeshError(f"--merge takes scene and settings from the shares: leave out {', '.join(beside)}")
+    if out is None:
+        raise LfmeshError("--merge needs --out, the run folder to write: lfmesh render --merge a/ b/ -o run/")
+    with defer_interrupt():
+        from lfmesh.files import run, shares
+
+    run.prepare(out)
+    with warnings_as_notes():
+        image = shares.merged(folders)
+    return _told(image, out)
+
+
+def _render(scene_file: Path, folder: Path, overrides: Overrides | None, dask: str | None = None) -> int:
     from lfmesh.geometry.solved_camera import first_order
     from lfmesh.scene import load
 
@@ -131,7 +193,7 @@ def _render(scene_file: Path, folder: Path, overrides: Overrides | None) -> int:
         )
     for note in notes:
         say_note(note)
-    return _traced(scene, folder, None)
+    return _traced(scene, folder, None, dask)
 
 
 def _resume(folder: Path, scene: Path | None, out: Path | None, overrides: Overrides | None) -> int:
@@ -152,10 +214,20 @@ def _resume(folder: Path, scene: Path | None, out: Path | None, overrides: Overr
     return _traced(overridden(kept.scene, threads), folder, kept.arrays)
 
 
-def _traced(scene: "Scene", folder: Path, saved: "dict[str, Any] | None") -> int:
-    """Render into a run folder, from the start or from where a checkpoint was `saved`."""
+def _traced(scene: "Scene", folder: Path, saved: "dict[str, Any] | None", dask: str | None = None) -> int:
+    """Render into a run folder.
+
+    Parameters
+    ----------
+    scene : Scene
+    folder : Path
+    saved : dict of arrays, or None
+        Of a checkpoint, to go on from.
+    dask : str, optional
+        Address of a scheduler.
+    """
     with defer_interrupt():
-        from lfmesh.files import run, words
+        from lfmesh.files import run
         from lfmesh.files.checkpoint import Checkpoints, CheckpointWarning
         from lfmesh.files.inputs import pinned
         from lfmesh.transport.render.render import render as trace_image
@@ -164,7 +236,19 @@ def _traced(scene: "Scene", folder: Path, saved: "dict[str, Any] | None") -> int
     keep = Checkpoints(folder, run.scene_metadata(scene, folder))
     # The summary says what light was lost.
     with progress() as report, warnings_as_notes(CheckpointWarning):
-        image = trace_image(scene, progress=report, saved=saved, keep=keep)
+        if dask is None:
+            image = trace_image(scene, progress=report, saved=saved, keep=keep)
+        else:
+            from lfmesh.transport.render.on_cluster import render_on_cluster
+
+            image = render_on_cluster(scene, dask, progress=report, saved=saved, keep=keep)
+    return _told(image, folder)
+
+
+def _told(image: "Image", folder: Path) -> int:
+    """Save a run, and say what it holds."""
+    from lfmesh.files import words
+
     place = _saved(image, folder)
     for line in words.summary(image):
         print(wrapped(line))

@@ -1,6 +1,5 @@
 """Many cameras: `lfmesh study`, `lfmesh study merge`."""
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,7 +7,7 @@ from cyclopts import App, Parameter
 
 from lfmesh.cli.application import CASE_FAILED, INTERRUPTED, app
 from lfmesh.cli.interrupts import defer_interrupt
-from lfmesh.cli.options import Whole
+from lfmesh.cli.options import Dask, Shard, Whole, share_of
 from lfmesh.cli.printing import list_files, say_note
 from lfmesh.cli.progress import status
 from lfmesh.errors import LfmeshError
@@ -50,8 +49,8 @@ def study(
         str | None, Parameter(help="Write a study: assembly, manufacturing, packets-and-splits or sensor.")
     ] = None,
     workers: Annotated[Whole | None, Parameter(help="Processes; 0: this one alone.")] = None,
-    dask: Annotated[str | None, Parameter(help='Address of a dask scheduler, or "local".')] = None,
-    shard: Annotated[str | None, Parameter(help="Only a share of the units: 1/3, 2/3 or 3/3.")] = None,
+    dask: Dask = None,
+    shard: Shard = None,
     parquet: Annotated[bool, Parameter(negative=(), help="Also write the table as Parquet.")] = False,
 ) -> int:
     """Compare many cameras with a reference: table.csv, report.html and a log in a folder.
@@ -71,7 +70,7 @@ def study(
     try:
         with status() as say:
             table = loaded.run(
-                out, workers=workers, dask=dask, shard=_shard(shard), progress=lambda now: say(_in_words(now))
+                out, workers=workers, dask=dask, shard=share_of(shard), progress=lambda now: say(_in_words(now))
             )
     except KeyboardInterrupt:
         print(f"\nStopped; what is finished is kept in {out}, and the same command goes on.")
@@ -92,15 +91,6 @@ def merge(
         from lfmesh.study.study import Study
 
     return _report(Study.load(study).merge(folders, out), out, parquet)
-
-
-def _shard(text: str | None) -> tuple[int, int] | None:
-    if text is None:
-        return None
-    found = re.fullmatch(r"(\d+)/(\d+)", text)
-    if found is None or not 1 <= int(found[1]) <= int(found[2]):
-        raise LfmeshError(f'--shard {text}: give the number of a share and how many there are, such as "1/3"')
-    return int(found[1]), int(found[2])
 
 
 def _write_template(name: str, scene: Path, out: Path | None) -> int:

@@ -18,7 +18,7 @@ from lfmesh.scene.bands import Centroids, Passband, passband, preset
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.coatings import Coating, name_fault, unknown_fault
 from lfmesh.scene.finishes import Finish
-from lfmesh.scene.inputs import found
+from lfmesh.scene.inputs import file_stamp, found
 from lfmesh.scene.lights import Light
 from lfmesh.scene.media import Medium
 from lfmesh.scene.model import Fault, Location, Model
@@ -70,7 +70,7 @@ class Scene(Model, Shown):
 
     _folder: Path = PrivateAttr(default_factory=Path.cwd)
     _digests: dict[str, str] = PrivateAttr(default_factory=dict)
-    _found: dict[str, Path] = PrivateAttr(default_factory=dict)
+    _found: dict[str, tuple[Path, tuple[object, ...]]] = PrivateAttr(default_factory=dict)
 
     def __repr__(self) -> str:
         camera = self.camera
@@ -98,9 +98,11 @@ class Scene(Model, Shown):
         name, place = str(path), self._folder / path
         if name not in self._digests:
             return place
-        if name not in self._found:
-            self._found[name] = found(place, self._digests[name], self._folder)
-        return self._found[name]
+        known = self._found.get(name)
+        if known is None or file_stamp(known[0]) != known[1]:
+            file = found(place, self._digests[name], self._folder)
+            known = self._found[name] = file, file_stamp(file)
+        return known[0]
 
     @property
     def passbands(self) -> tuple[Passband, ...]:

@@ -4,18 +4,12 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from lfmesh.errors import LfmeshError
+from lfmesh.cluster import RETRIES, connected, threads_of
 from lfmesh.study.pool import Result, computed
 from lfmesh.study.unit import Unit
 
-LOCAL = "local"
-"""In place of a scheduler's address: a cluster on this machine."""
-
 AHEAD = 2
 """Units given to the scheduler for each thread of its workers: it need not wait for us, and memory stays flat."""
-
-RETRIES = 1
-"""A unit whose worker dies is tried again so many times."""
 
 
 def in_dask(units: Iterable[tuple[Unit, Path]], address: str, workers: int) -> Iterator[Result]:
@@ -36,22 +30,7 @@ def in_dask(units: Iterable[tuple[Unit, Path]], address: str, workers: int) -> I
     LfmeshError
         dask.distributed is not installed, or there is no scheduler at the address.
     """
-    try:
-        from distributed import Client, LocalCluster
-    except ImportError:
-        raise LfmeshError('--dask needs dask.distributed: pip install "lfmesh[cluster]"') from None
-    if address == LOCAL:
-        with (
-            LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
-            Client(cluster) as client,
-        ):
-            yield from _through(client, units)
-        return
-    try:
-        client = Client(address, timeout="10s")
-    except (OSError, TimeoutError, ValueError) as error:
-        raise LfmeshError(f"--dask {address}: no scheduler answers there: {error}") from None
-    with client:
+    with connected(address, workers) as client:
         yield from _through(client, units)
 
 
@@ -75,8 +54,7 @@ def _through(client: Any, units: Iterable[tuple[Unit, Path]]) -> Iterator[Result
         running.add(future)
         return True
 
-    threads = max(1, sum(client.nthreads().values()))
-    for _ in range(AHEAD * threads):
+    for _ in range(AHEAD * threads_of(client)):
         if not submit():
             break
     for future in running:

@@ -1,16 +1,20 @@
 """Jobs: pieces of a render that other processes trace, folded to the same bits as in a single process."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import groupby
+from typing import Any
+
+from numpy.typing import NDArray
 
 from lfmesh.scene import Scene, loads
 from lfmesh.transport.engine import CHUNK
 from lfmesh.transport.render.adaptive import Counts
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.plan import Block
-from lfmesh.transport.render.render import Clock, folded, number_of
+from lfmesh.transport.render.progress import Progress
+from lfmesh.transport.render.render import Clock, Keeper, folded, number_of
 from lfmesh.transport.render.tally import Piece, Tally
 from lfmesh.transport.render.tracer import Tracer
 from lfmesh.transport.world import build
@@ -26,6 +30,8 @@ class Job:
         The scene as TOML.
     folder : str
         Folder that paths in the scene are relative to.
+    digests : tuple of (str, str)
+        Files that the scene reads, and the SHA-256 that they must have.
     replicate : int
         Numbered through, from the first stage to the second.
     block : Block
@@ -33,15 +39,24 @@ class Job:
         Number of packets that start a chunk.
     levels : (pixels,) uint8, or None
         Samples of each pixel in a second stage, see `lfmesh.transport.render.adaptive.samples_of`.
+    threads : int, optional
+        In place of the scene's.
     """
 
     scene: str
     folder: str
+    digests: tuple[tuple[str, str], ...]
     replicate: int
     block: Block
     chunk: int
     levels: Counts | None = None
+    threads: int | None = None
 
+
+Reduce = Callable[[Iterable[Job]], Iterable[Piece]]
+"""Traces jobs, which come replicate by replicate, and returns the pieces of each replicate before those of the next."""
+
+Report = Callable[[Progress], None]
 
 Map = Callable[[Callable[[Job], Piece], Iterable[Job]], Iterable[Piece]]
 """Python's own `map`, or that of an executor: results in the order of the jobs."""
@@ -49,12 +64,37 @@ Map = Callable[[Callable[[Job], Piece], Iterable[Job]], Iterable[Piece]]
 
 def traced(job: Job) -> Piece:
     """Trace a job; a process that traces several jobs of a scene builds its world once."""
-    return _tracer(job.scene, job.folder, job.chunk).piece(job.replicate, job.block, job.levels)
+    tracer = _tracer(job.scene, job.folder, job.digests, job.chunk, job.threads)
+    return tracer.piece(job.replicate, job.block, job.levels)
 
 
 @lru_cache(maxsize=1)
-def _tracer(scene: str, folder: str, chunk: int) -> Tracer:
-    return Tracer(build(loads(scene, folder)), chunk)
+def _tracer(scene: str, folder: str, digests: tuple[tuple[str, str], ...], chunk: int, threads: int | None) -> Tracer:
+    loaded = loads(scene, folder).with_digests(dict(digests))
+    return Tracer(build(loaded if threads is None else loaded.changed({"transport.threads": threads})), chunk)
+
+
+def jobs_of(
+    scene: Scene, replicates: Iterable[int], cut: Sequence[Block], chunk: int = CHUNK, levels: Counts | None = None
+) -> Iterator[Job]:
+    """Yield the jobs of some replicates, all blocks of one before those of the next.
+
+    Parameters
+    ----------
+    scene : Scene
+    replicates : iterable of int
+        Numbered through, from the first stage to the second.
+    cut : sequence of Block
+        Blocks that make up the sensor.
+    chunk : int
+        Number of packets that start a chunk; the bits of the image depend on it.
+    levels : (pixels,) uint8, optional
+        Of the second stage.
+    """
+    text, folder, digests = scene.dump_toml(), str(scene.folder.resolve()), tuple(sorted(scene.digests.items()))
+    for replicate in replicates:
+        for block in cut:
+            yield Job(text, folder, digests, replicate, block, chunk, levels)
 
 
 def render_in_jobs(scene: Scene, mapped: Map, blocks: int = 1, chunk: int = CHUNK) -> Image:
@@ -64,25 +104,54 @@ def render_in_jobs(scene: Scene, mapped: Map, blocks: int = 1, chunk: int = CHUN
     ----------
     scene : Scene
     mapped : callable
-        `map`, the `map` of a process pool, or its like on a cluster.
+        `map`, or the `map` of a process pool.
     blocks : int
         Approximate number of jobs for each replicate.
     chunk : int
         Number of packets that start a chunk; the bits of the image depend on it.
     """
+    return reduced(scene, lambda jobs: mapped(traced, jobs), blocks, chunk)
+
+
+def reduced(
+    scene: Scene, reduce: Reduce, blocks: int = 1, chunk: int = CHUNK, keep: Keeper | None = None,
+    saved: Mapping[str, NDArray[Any]] | None = None, progress: Report | None = None,
+) -> Image:  # fmt: skip
+    """Render a scene in jobs whose pieces may come back joined; the image is bitwise that of `lf.render`.
+
+    Parameters
+    ----------
+    scene : Scene
+    reduce : callable
+        See `Reduce`.
+    blocks : int
+        Approximate number of jobs for each replicate.
+    chunk : int
+        Number of packets that start a chunk; the bits of the image depend on it.
+    keep : Keeper, optional
+        Called with the state after every replicate.
+    saved : dict of arrays, optional
+        State that `keep` was given, to go on from.
+    progress : callable, optional
+        Called after every replicate.
+    """
     tracer = Tracer(build(scene), chunk)
-    text, folder = scene.dump_toml(), str(scene.folder)
     replicates = scene.transport.replicates
+    state = tracer.layout.state(saved)
+    clock = Clock(state)
 
     def tallies(first: int, levels: Counts | None) -> Iterator[Tally]:
         cut = tracer.plan.blocks(blocks, second=levels is not None)
         numbers = [number_of(number, replicates, levels) for number in range(first, replicates)]
-        jobs = (Job(text, folder, number, block, chunk, levels) for number in numbers for block in cut)
         tally = tracer.layout.tally()
-        for number, pieces in groupby(mapped(traced, jobs), lambda piece: piece.replicate):
+        pieces = reduce(jobs_of(scene, numbers, cut, chunk, levels))
+        for number, of_replicate in groupby(pieces, lambda piece: piece.replicate):
             tally.restart(number)
-            tally.merge(pieces)
+            tally.merge(of_replicate)
             yield tally
+            if progress is not None:
+                one, done = tracer.plan.packets(levels), number % replicates + 1
+                stage = "tracing" if levels is None else "refining"
+                progress(Progress(done * one, replicates * one, clock.seconds, done, replicates, stage))
 
-    state = tracer.layout.state()
-    return folded(tracer, state, tallies, Clock(state))
+    return folded(tracer, state, tallies, clock, keep)

@@ -5,7 +5,7 @@ arrays, which can be pickled, and saved and loaded with `arrays_of` and `filled`
 chunk by chunk and replicate by replicate, so that the result does not depend on which process traced what and when.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
@@ -145,6 +145,23 @@ class Piece:
     film: Film
     chunks: list[ChunkTally]
     blind: BlindSamples | None = None
+
+
+def joined(pieces: Sequence[Piece]) -> Piece:
+    """Return neighbouring pieces of a replicate as one; that adds nothing up, so that the bits are the same.
+
+    Parameters
+    ----------
+    pieces : sequence of Piece
+        In the order of their pixels.
+    """
+    films = [piece.film for piece in pieces]
+    film = Film(
+        np.concatenate([film.power for film in films]), np.concatenate([film.hits for film in films]), films[0].origin
+    )
+    chunks = [chunk for piece in pieces for chunk in piece.chunks]
+    blind = next((piece.blind for piece in pieces if piece.blind is not None), None)
+    return Piece(pieces[0].replicate, film, chunks, blind)
 
 
 @dataclass

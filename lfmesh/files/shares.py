@@ -1,0 +1,293 @@
+"""Shares of a render on disk: what each machine has traced, and the image that all shares make together.
+
+share/render.json       which render, and into how many pieces it is cut
+share/pieces/*.npz      one file for each piece, written whole or not at all
+
+Shares may have a folder each, or one in common. The image is bitwise that of a render that was not divided.
+"""
+
+import json
+import math
+import time
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import lfmesh
+from lfmesh.errors import FileError, LfmeshError
+from lfmesh.files.folder import recover, staged_file
+from lfmesh.files.run import scene_from, scene_metadata
+from lfmesh.scene import Scene
+from lfmesh.transport.render.blind_check import BlindSamples
+from lfmesh.transport.render.image import Image
+from lfmesh.transport.render.jobs import Job, jobs_of, reduced
+from lfmesh.transport.render.tally import ChunkTally, Film, Piece, Work, arrays_of, filled
+from lfmesh.transport.render.tracer import Tracer
+from lfmesh.transport.world import build
+
+FACTS, PIECES = "render.json", "pieces"
+
+FORMAT = 1
+"""Of the folder; a reader refuses any other."""
+
+SECONDS = "tracing_seconds"
+"""Of a piece, by the clock."""
+
+Arrays = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Cut:
+    """The division of a render among shares.
+
+    Attributes
+    ----------
+    scene : Scene
+        With the digests of its files.
+    shares : int
+    """
+
+    scene: Scene
+    shares: int
+
+    @property
+    def blocks(self) -> int:
+        """Blocks of a replicate, about, so that all shares have as many pieces."""
+        return self.shares // math.gcd(self.shares, self.scene.transport.replicates)
+
+    def jobs(self, tracer: Tracer) -> list[Job]:
+        """Return all jobs, replicate by replicate."""
+        return list(jobs_of(self.scene, range(self.scene.transport.replicates), tracer.plan.blocks(self.blocks)))
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What must be the same for all shares."""
+        return {
+            "format": FORMAT,
+            "lfmesh_version": lfmesh.__version__,
+            "scene": self.scene.changed({"transport.threads": 0}).digest,
+            "files": sorted(self.scene.digests.values()),
+            "shares": self.shares,
+        }
+
+
+def trace_share(
+    scene: Scene, folder: Path, share: int, shares: int, progress: Callable[[int, int], None] | None = None
+) -> int:
+    """Trace the pieces of a share that its folder does not hold yet, and return how many there are in all.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the digests of its files, see `lfmesh.files.inputs.pinned`.
+    folder : Path
+        New, or one in which a share of this render was begun.
+    share, shares : int
+        Number of the share, from 1, and how many there are.
+    progress : callable, optional
+        Called with the number of finished pieces and that of all.
+
+    Raises
+    ------
+    FileError
+        The folder cannot be written, or holds pieces of another render.
+    LfmeshError
+        The scene cannot be divided.
+    """
+    if scene.transport.target_error is not None:
+        raise LfmeshError(
+            "transport.target_error: where noisy pixels get more samples is known when all shares are done: leave it "
+            "out, or take --dask"
+        )
+    cut = Cut(scene, shares)
+    _begin(folder, cut)
+    tracer = Tracer(build(scene))
+    mine = cut.jobs(tracer)[share - 1 :: shares]
+    for done, job in enumerate(mine):
+        if progress is not None:
+            progress(done, len(mine))
+        name = _name(job)
+        if not _is_whole(folder / PIECES / name):
+            began = time.perf_counter()
+            arrays = _packed(tracer.piece(job.replicate, job.block))
+            arrays[SECONDS] = np.array(time.perf_counter() - began)
+            try:
+                with staged_file(folder / PIECES, name) as file:
+                    np.savez(file, **arrays)  # type: ignore[arg-type]
+            except OSError as error:
+                raise FileError(
+                    f"{folder / PIECES / name} cannot be written: {error.strerror or error}; pieces that are there are "
+                    "kept"
+                ) from None
+    if progress is not None:
+        progress(len(mine), len(mine))
+    return len(mine)
+
+
+def merged(folders: Sequence[Path]) -> Image:
+    """Put the shares of a render together; its time is the sum of theirs.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        Of all shares, in any order.
+
+    Raises
+    ------
+    FileError
+        A folder is none of a share, or of another render; or a piece is missing or damaged.
+    """
+    held = [_facts(folder) for folder in folders]
+    for folder, facts in zip(folders, held, strict=True):
+        if facts["cut"] != held[0]["cut"]:
+            raise FileError(f"{folder} holds a share of another render than {folders[0]}")
+    scene = scene_from(held[0], folders[0])
+    cut = Cut(scene, held[0]["cut"]["shares"])
+    tracer = Tracer(build(scene))
+    places = [_found(folders, job) for job in cut.jobs(tracer)]
+    missing = sorted({number % cut.shares + 1 for number, place in enumerate(places) if place is None})
+    if missing:
+        one = missing[0]
+        raise FileError(
+            f"{sum(place is None for place in places)} of {len(places)} pieces are missing, of share "
+            f"{', '.join(f'{number}/{cut.shares}' for number in missing)}: name their folder, or trace them: "
+            f"lfmesh render scene.toml -o folder/ --shard {one}/{cut.shares}"
+        )
+
+    seconds = 0.0
+
+    def read(jobs: Iterable[Job]) -> Iterator[Piece]:
+        nonlocal seconds
+        for job, place in zip(jobs, places, strict=True):
+            assert place is not None
+            piece, own = _unpacked(place, job, tracer)
+            seconds += own
+            yield piece
+
+    image = reduced(scene, read, cut.blocks)
+    return replace(image, seconds=seconds, timings=image.timings | {SECONDS: seconds})
+
+
+def _begin(folder: Path, cut: Cut) -> None:
+    """Make the folder of a share, or see that it is one of this render."""
+    try:
+        (folder / PIECES).mkdir(parents=True, exist_ok=True)
+        recover(folder)
+        recover(folder / PIECES)
+        if not (folder / FACTS).exists():
+            others = [path.name for path in folder.iterdir() if path.name != PIECES]
+            if others:
+                raise FileError(f"{folder} holds {others[0]}, no share of a render: give a new folder")
+            facts = {"cut": cut.facts, **scene_metadata(cut.scene, folder)}
+            with staged_file(folder, FACTS) as file:
+                file.write((json.dumps(facts, ensure_ascii=False, indent=1) + "\n").encode())
+            return
+    except OSError as error:
+        raise FileError(f"{folder}: cannot be written: {error.strerror or error}") from None
+    if _facts(folder)["cut"] != cut.facts:
+        raise FileError(
+            f"{folder} holds pieces of another render: the scene, a file that it reads, its settings or the number of "
+            "shares have changed since; give another folder, or put back what it was"
+        )
+
+
+def _facts(folder: Path) -> dict[str, Any]:
+    try:
+        facts: dict[str, Any] = json.loads((folder / FACTS).read_text(encoding="utf-8"))
+        version = facts["cut"]["format"], facts["cut"]["lfmesh_version"]
+        known = isinstance(facts["cut"]["shares"], int) and isinstance(facts["scene_toml"], str)
+    except FileNotFoundError:
+        raise FileError(f"{folder} holds no share of a render: there is no {FACTS} in it") from None
+    except (OSError, ValueError, KeyError, TypeError):
+        known = False
+    if not known:
+        raise FileError(f"{folder / FACTS} is damaged: delete the folder, and trace its share again")
+    if version != (FORMAT, lfmesh.__version__):
+        raise FileError(
+            f"{folder} was written by lfmesh {version[1]} (format {version[0]}); this lfmesh {lfmesh.__version__} may "
+            "not go on to the same bits: trace its share again"
+        )
+    return facts
+
+
+def _name(job: Job) -> str:
+    return f"replicate{job.replicate:04d}-pixel{job.block.first:09d}.npz"
+
+
+def _found(folders: Sequence[Path], job: Job) -> Path | None:
+    places = (folder / PIECES / _name(job) for folder in folders)
+    return next((place for place in places if place.exists()), None)
+
+
+def _is_whole(path: Path) -> bool:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return "number" in file.files
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error):
+        return False
+
+
+def _packed(piece: Piece) -> Arrays:
+    """Return a piece as named arrays."""
+    chunks = piece.chunks
+    arrays: Arrays = {
+        "replicate": np.array(piece.replicate),
+        **arrays_of(piece.film, "film"),
+        "number": np.array([chunk.number for chunk in chunks], np.int64),
+        "book": np.array([chunk.book for chunk in chunks]),
+        "counts": np.array([chunk.work.counts for chunk in chunks]),
+        "packets": np.array([(chunk.work.packets, chunk.work.queries) for chunk in chunks], np.int64),
+        "seconds": np.array([(chunk.work.embree_seconds, chunk.work.thread_seconds) for chunk in chunks]),
+        "from_lamps": np.array([chunk.from_lamps for chunk in chunks], np.bool_),
+        "fallen": np.array([len(chunk.deposits) for chunk in chunks], np.int64),
+    }
+    if chunks:
+        arrays["deposits"] = np.concatenate([chunk.deposits for chunk in chunks])
+    return arrays | (arrays_of(piece.blind, "blind") if piece.blind is not None else {})
+
+
+def _unpacked(path: Path, job: Job, tracer: Tracer) -> tuple[Piece, float]:
+    """Read a piece, and the seconds that it took.
+
+    Raises
+    ------
+    FileError
+        The file is damaged, or of another piece.
+    """
+    pixels = job.block.last - job.block.first
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            held = {name: file[name] for name in file.files}
+        film: Film = filled(Film.empty(pixels, tracer.channels), held, "film")
+        blind: BlindSamples | None = None
+        if any(name.startswith("blind.") for name in held):
+            blind = filled(BlindSamples(*tracer.shape), held, "blind")
+        ends = np.cumsum(held["fallen"])
+        chunks = [
+            ChunkTally(
+                int(number),
+                held["book"][i],
+                Work(
+                    held["counts"][i],
+                    int(held["packets"][i, 0]),
+                    int(held["packets"][i, 1]),
+                    float(held["seconds"][i, 0]),
+                    float(held["seconds"][i, 1]),
+                ),
+                held["deposits"][ends[i] - held["fallen"][i] : ends[i]],
+                bool(held["from_lamps"][i]),
+            )
+            for i, number in enumerate(held["number"])
+        ]
+        if int(held["replicate"]) != job.replicate or film.origin != job.block.first:
+            raise ValueError("another piece")
+        seconds = float(held[SECONDS])
+    except (OSError, ValueError, KeyError, IndexError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
+        raise FileError(f"{path} is damaged: delete it, and run its share again") from None
+    return Piece(job.replicate, film, chunks, blind), seconds

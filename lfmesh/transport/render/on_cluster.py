@@ -1,0 +1,96 @@
+"""Renders on a cluster, through the scheduler of dask.distributed.
+
+Workers trace blocks of replicates, and join the pieces of a replicate in a tree, so that one piece of each replicate
+comes back. They read the scene's files at the same paths as this process, and refuse files that differ.
+"""
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from itertools import groupby
+from typing import Any
+
+from numpy.typing import NDArray
+
+from lfmesh.cluster import LOCAL, RETRIES, connected, threads_of
+from lfmesh.errors import LfmeshError
+from lfmesh.scene import Scene
+from lfmesh.transport.render.image import Image
+from lfmesh.transport.render.jobs import Job, reduced, traced
+from lfmesh.transport.render.progress import Progress
+from lfmesh.transport.render.render import Keeper
+from lfmesh.transport.render.tally import Piece, joined
+
+JOBS = 2
+"""Jobs of a replicate for each thread of the workers, about: the slowest keeps the others waiting for less."""
+
+AHEAD = 4
+"""Jobs given to the scheduler for each thread of the workers: it need not wait for us, and memory stays flat."""
+
+WIDTH = 4
+"""Pieces that a worker joins at a time."""
+
+
+def render_on_cluster(
+    scene: Scene, address: str = LOCAL, workers: int | None = None, *,
+    progress: Callable[[Progress], None] | None = None, saved: Mapping[str, NDArray[Any]] | None = None,
+    keep: Keeper | None = None,
+) -> Image:  # fmt: skip
+    """Render a scene with dask; the image is bitwise that of `lf.render`.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its files have the digests that `lfmesh.files.inputs.pinned` notes, if it was given there.
+    address : str
+        Of a scheduler, such as "tcp://10.0.0.1:8786", or "local".
+    workers : int, optional
+        Processes of a local cluster; as many as this machine has cores if omitted.
+    progress : callable, optional
+        Called after every replicate.
+    saved, keep
+        As for `lf.render`.
+
+    Raises
+    ------
+    LfmeshError
+        dask.distributed is not installed, no scheduler answers, or a worker cannot trace the scene.
+    """
+    with connected(address, workers or os.cpu_count() or 1) as client:
+        threads = threads_of(client)
+        blocks = max(1, -(-JOBS * threads // scene.transport.replicates))
+        return reduced(scene, partial(_pieces, client), blocks, keep=keep, saved=saved, progress=progress)
+
+
+def _pieces(client: Any, jobs: Iterable[Job]) -> Iterator[Piece]:
+    """Yield a piece of each replicate."""
+    waiting: deque[tuple[Any, int]] = deque()
+    submit = partial(client.submit, pure=False, retries=RETRIES)
+    for _, own in groupby(jobs, key=lambda job: job.replicate):
+        # A worker's thread is a core.
+        tree = [submit(traced, replace(job, threads=1)) for job in own]
+        count = len(tree)
+        while len(tree) > 1:
+            tree = [submit(_joined, *tree[i : i + WIDTH]) for i in range(0, len(tree), WIDTH)]
+        waiting.append((tree[0], count))
+        while sum(count for _, count in waiting) > AHEAD * threads_of(client):
+            yield _result(waiting.popleft()[0])
+    while waiting:
+        yield _result(waiting.popleft()[0])
+
+
+def _joined(*pieces: Piece) -> Piece:
+    return joined(pieces)
+
+
+def _result(future: Any) -> Piece:
+    try:
+        piece: Piece = future.result()
+    except LfmeshError:
+        raise
+    except Exception as error:
+        raise LfmeshError(f"a worker could not trace its part: {type(error).__name__}: {error}") from error
+    future.release()
+    return piece

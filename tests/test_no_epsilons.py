@@ -34,6 +34,7 @@ DIMENSIONLESS = {
     "transport/packets/ledger.py": {"LOST_LIMIT"},
     "transport/sequential/reflections.py": {"NEAR"},
     "transport/aiming/lenslet_aim.py": {"EXACT"},
+    "transport/aiming/pupil.py": {"BEYOND"},
     "transport/aiming/ray_aiming.py": {"ARRIVED", "TOLERANCE"},
     "transport/aiming/lenslet_view.py": {"ROUNDING"},
     "transport/regions/lens_block.py": {"SETTLED"},

@@ -47,6 +47,8 @@ def check(scene: SceneFile, /) -> int:
     from lfmesh.scene.glasses import glass_lines
 
     loaded = load(scene)
+    with defer_interrupt():
+        from lfmesh.transport.world import build
     lines = [*first_order(loaded).lines(), *mesh_lines(loaded), *glass_lines(solved_camera(loaded).scene)]
     if loaded.tanks:
         lines += tank_lines(loaded)
@@ -60,6 +62,9 @@ def check(scene: SceneFile, /) -> int:
         lines += finish_lines(solved_camera(loaded).scene)
     for placement in placements(loaded):
         lines += placement.lines()
+    # What a render would refuse.
+    with warnings_as_notes():
+        build(loaded)
     print("\n".join(lines))
     return 0
 

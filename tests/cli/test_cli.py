@@ -341,6 +341,24 @@ def test_check_prints_the_first_order_report_and_warnings_are_no_error(
     assert max(len(line) for line in out.splitlines()) <= 110
 
 
+@pytest.mark.parametrize(
+    "beside",
+    [
+        "[[particles]]\ncount = 3\nseed = 1\nbounds = { kind = 'sphere', radius_mm = 1.0 }\n"
+        "position_mm = [0, 0, 40]\nintensity_w_sr = 1e-3\n",
+        "[[media]]\nbounds = { kind = 'sphere', radius_mm = 1.0 }\nposition_mm = [0, 0, 40]\nabsorption_per_mm = 0.1\n",
+    ],
+    ids=["particles behind the lens", "a medium behind the lens"],
+)
+def test_check_refuses_what_a_render_would(beside: str, scene_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene_file.write_text(SCENE + beside)
+    said = []
+    for command in (["check", "scene.toml"], ["render", "scene.toml", "-o", "run"]):
+        assert main(command) == 2
+        said.append(capsys.readouterr().err)
+    assert said[0] == said[1]
+
+
 def test_warnings_are_said_before_rendering(
     renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -41,6 +41,9 @@ ANGLES = 33
 DISTANCES = 6
 """Distances at which it is measured if the points do not all lie in one plane, evenly spaced in their inverse."""
 
+BEYOND = 1.0 + 2.0**-40
+"""Factor on the widest tangent: beyond the table the lens counts as closed, and rounding must not put a point there."""
+
 SEARCH = 49
 """Rays along the meridian of the outermost plane with which the search for the opening begins."""
 
@@ -112,7 +115,7 @@ def viewpoints(plane_z: float, wide_radius: float, points: Array, *, to_sensor: 
     many = DISTANCES if far - near > 1e-9 * far else 1
     inverse = np.linspace(1.0 / far, 1.0 / near, many)
     # If all points lie on the axis, the table still needs a width.
-    widest = float(tangent.max()) or 1.0
+    widest = float(tangent.max()) * BEYOND or 1.0
     return Viewpoints(plane_z, wide_radius, to_sensor, np.linspace(0.0, widest, ANGLES), 1.0 / inverse)
 
 

@@ -14,11 +14,11 @@ from lfmesh.assets import asset_path
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lattice import Lattice
 from lfmesh.transport.aiming.lenslet_aim import LISTED, cells_that_show, list_cells, most_listed, spread_on_faces
-from lfmesh.transport.aiming.pupil import opening_from, unknown_opening
+from lfmesh.transport.aiming.pupil import opening_from, real_opening, unknown_opening, viewpoints
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.tables.tables import AimTables
-from lfmesh.transport.world import World
+from lfmesh.transport.world import World, build
 
 Array = NDArray[np.float64]
 
@@ -167,6 +167,20 @@ def test_the_opening_holds_what_real_rays_pass_and_little_more() -> None:
         off = np.hypot(passed[:, 0] - cx, passed[:, 1] - cy)
         assert off.max() <= radius
         assert radius <= 1.15 * off.max() + (grid[1] - grid[0])
+
+
+def test_a_point_by_itself_sees_the_lens() -> None:
+    """The table ends at the widest of the points that it is made for, which must not fall beyond it by rounding."""
+    places = np.random.default_rng(5).uniform((-5.0, -5.0, -90.0), (5.0, 5.0, -50.0), (150, 3))
+    lens = build(scene(None)).tables.lens
+    dark = []
+    for place in places:
+        seen = viewpoints(float(lens.box_low[2]), 3.5, place[None], to_sensor=True)
+        assert seen is not None
+        opening = real_opening(seen, lens, 6.0, 2.2)
+        if not opening_from(opening, *place)[2] > 0.0:
+            dark.append(place)
+    assert not dark
 
 
 def test_nothing_is_sent_from_where_the_lens_shows_no_opening() -> None:

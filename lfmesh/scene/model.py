@@ -136,8 +136,13 @@ def nearest(name: str, valid: Iterable[str]) -> str:
 def _plain(data: Any) -> Any:
     """Turn NumPy scalars and arrays into numbers and lists, so that scripts may pass either."""
     if isinstance(data, Mapping):
-        return {key: value.tolist() if hasattr(value, "tolist") else value for key, value in data.items()}
+        return {key: _plain_value(value) for key, value in data.items()}
     return data
+
+
+def _plain_value(value: Any) -> Any:
+    # Models, of which most values are in a scene that is changed, are slow to say that they have no such method.
+    return value.tolist() if not isinstance(value, Model) and hasattr(value, "tolist") else value
 
 
 def _as_error(cls: type[Model], faults: Iterable[Fault]) -> ValidationError:

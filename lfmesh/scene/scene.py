@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -461,9 +462,10 @@ class Scene(Model, Shown):
             )
 
 
-def steps_of(path: str) -> list[str | int]:
+@lru_cache(maxsize=4096)
+def steps_of(path: str) -> tuple[str | int, ...]:
     """Return the keys and numbers of a path such as "targets[0].position_mm"."""
-    return [int(s) if s.isdigit() else s for s in path.replace("]", "").replace("[", ".").split(".")]
+    return tuple(int(s) if s.isdigit() else s for s in path.replace("]", "").replace("[", ".").split("."))
 
 
 def _opened(value: Any) -> Any:
@@ -475,6 +477,7 @@ def _opened(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
+@cache
 def _physical_memory() -> int:
     """Bytes of memory in this machine."""
     try:

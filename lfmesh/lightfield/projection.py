@@ -6,7 +6,8 @@ chord times weight, divided by the square of the refractive index there, as radi
 """
 
 import os
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -18,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.voxels import read_voxels
 from lfmesh.lightfield.chords import Room, Rows, room_for, sum_rows
 from lfmesh.lightfield.voxel_box import VoxelBox
 from lfmesh.scene import Scene
@@ -68,6 +70,10 @@ ENTRY_BYTES = 16
 
 ENTRIES_AT_FIRST = 64
 """For each row of a block, before its memory grows."""
+
+
+class ClearAirWarning(UserWarning):
+    """A scene has media that take light away, and its projection matrix does not know them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +179,13 @@ class Projector:
     def __init__(self, scene: Scene, grid: Any, channel: int = 0, threshold: float = THRESHOLD) -> None:
         self.grid = VoxelBox.of(grid)
         _check(scene, channel, threshold)
+        if dimming := _dimming(scene):
+            warnings.warn(
+                f"{', '.join(dimming)}: what media absorb and scatter is not in a projection matrix, whose voxels are "
+                "seen as through clear air",
+                ClearAirWarning,
+                stacklevel=3,
+            )
         self.channel, self.threshold = int(channel), float(threshold)
         # What lights, targets, media and particles of the scene send is no part of the matrix.
         self.world = build(scene.changed({"transport.method": "adjoint", "lights": (), "media": (), "particles": ()}))
@@ -410,6 +423,22 @@ def _check(scene: Scene, channel: int, threshold: float) -> None:
         raise LfmeshError("transport.polarisation: a projection matrix is one of unpolarised light; leave it out")
     if any(finish.is_rough for _, finish in scene.finishes()):
         raise LfmeshError("a rough finish scatters light: a projection matrix takes polished faces only")
+
+
+def _dimming(scene: Scene) -> list[str]:
+    """Return the names of media that absorb or scatter."""
+    names = []
+    for number, medium in enumerate(scene.media):
+        given = medium.grid
+        voxels: Mapping[str, Array] = {}
+        if given is not None:
+            path = scene.resolve(given.file)
+            voxels = read_voxels(path, given.spacing_mm, given.origin_mm, given.interpolation, given.quantity).values
+        own = (medium.absorption_per_mm, medium.scattering_per_mm)
+        held = (voxels.get(key) for key in ("absorption_per_mm", "scattering_per_mm"))
+        if any(value != 0.0 for value in own) or any(array is not None and array.any() for array in held):
+            names.append(medium.name or f"media[{number}]")
+    return names
 
 
 def _workspace(world: Any, part: Part) -> Workspace:

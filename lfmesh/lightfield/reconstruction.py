@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.kernel import kernel
 from lfmesh.scene.literals import literal
+from lfmesh.transport.render.image import Image
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -88,7 +89,7 @@ def volume_quality(found: ArrayLike, true: ArrayLike) -> float:
 
 
 def reconstruct(
-    matrix: Any, image: ArrayLike, method: Method = "mart", iterations: int | None = None,
+    matrix: Any, image: Image | ArrayLike, method: Method = "mart", iterations: int | None = None,
     relaxation: float | None = None,
 ) -> Reconstruction:  # fmt: skip
     """Reconstruct the emission of a volume from an image of it.
@@ -97,9 +98,9 @@ def reconstruct(
     ----------
     matrix : ProjectionMatrix, or (pixels, voxels) scipy.sparse array or matrix
         From `lf.projection_matrix`; no entry may be negative.
-    image : (pixels,) or (H, W) float64, or (H, W, 1), W
-        One value for each row of the matrix, such as `lf.render(scene).mean`. Negative ones, which noise makes, count
-        as 0 for "mart".
+    image : Image, or (pixels,), (H, W) or (H, W, 1) float64, W
+        One value for each row of the matrix: what `lf.render(scene)` returns, or its `mean`. Negative ones, which
+        noise makes, count as 0 for "mart".
     method : {"mart", "sart", "nnls"}
         "mart": the multiplicative algebraic reconstruction of Gordon, Bender & Herman (1970), row after row, with
         weights over the largest of the matrix. For an image that a volume can have, it goes to the volume of largest
@@ -131,7 +132,7 @@ def reconstruct(
     if not number or not 0.0 < step < MOST_RELAXED:
         raise LfmeshError(f"relaxation = {literal(relaxation)}: must lie between 0 and {MOST_RELAXED:g}")
     rows, shape = _rows_of(matrix)
-    b = _pixels(image, rows.shape[0])
+    b = _pixels(image.mean if isinstance(image, Image) else image, rows.shape[0])
     seen = np.zeros(rows.shape[1], np.bool_)
     seen[rows.indices[rows.data > 0.0]] = True
     if not seen.any():

@@ -295,6 +295,24 @@ def test_bad_input_is_told_in_one_line(make, message):
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize(
+    ("medium", "dims"),
+    [
+        ({"absorption_per_mm": 0.01}, True),
+        ({"grid": {"file": "smoke.npz"}}, True),
+        ({"grid": {"file": "flame.npz"}}, False),
+        ({"bounds": {"kind": "sphere", "radius_mm": 1.0}, "emission_w_mm3_sr": 1.0}, False),
+    ],
+)
+def test_media_that_a_matrix_leaves_out_are_named(medium, dims, tmp_path, recwarn):
+    ones = np.ones((2, 2, 2))
+    np.savez(tmp_path / "smoke.npz", scattering_per_mm=ones, spacing_mm=1.0)
+    np.savez(tmp_path / "flame.npz", emission_w_mm3_sr=ones, spacing_mm=1.0)
+    scene = camera().changed({"media": [medium | {"name": "cloud", "position_mm": [0, 0, -60.0]}]}).in_folder(tmp_path)
+    projection_matrix(scene, box(), pixels=[100])
+    assert [str(warning.message).startswith("cloud:") for warning in recwarn] == [True] * dims
+
+
 def test_a_matrix_larger_than_the_memory_or_the_disk_is_refused_first(tmp_path, monkeypatch):
     monkeypatch.setattr("lfmesh.lightfield.projection._memory", lambda: 1e3)
     with pytest.raises(LfmeshError, match="more than this machine's memory; stream it"):

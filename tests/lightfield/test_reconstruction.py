@@ -7,6 +7,7 @@ from scipy import optimize, sparse
 import lfmesh as lf
 from lfmesh.errors import LfmeshError
 from lfmesh.lightfield import reconstruction
+from tests.cameras import close_up_camera
 
 
 def system(rows, columns, seed, density=0.5):
@@ -28,6 +29,19 @@ def test_a_round_of_mart_is_the_formula_row_after_row():
         x = np.array([x[j] * ratio ** (0.8 * full[i, j] / full.max()) for j in range(9)])
     found = lf.reconstruct(sparse.csr_array(full), b, "mart", 1, 0.8)
     np.testing.assert_allclose(found.volume, x, rtol=1e-12)
+
+
+def test_what_a_render_returns_is_an_image():
+    scene = lf.Scene(
+        camera=close_up_camera(4, 4),
+        targets=[{"shape": {"kind": "plane", "width_mm": 9.0, "height_mm": 9.0}, "position_mm": [0, 0, -60.0],
+                  "material": {"radiance_w_m2_sr": 1.0}}],
+        transport={"samples": 8, "split": "transmit"},
+    )  # fmt: skip
+    image, matrix = lf.render(scene), sparse.csr_array(np.eye(16))
+    np.testing.assert_array_equal(
+        lf.reconstruct(matrix, image, "nnls").volume, lf.reconstruct(matrix, image.mean, "nnls").volume
+    )
 
 
 def test_a_round_of_sart_is_the_formula():

@@ -27,6 +27,7 @@ CASES = {
     "image": ["--quick", str(ROOT / "assets/scenes/emitting_plane.toml"), "--pixels", "16", "--samples", "4"],
     "against": ["--quick", "HEAD", str(ROOT / "assets/scenes/emitting_plane.toml")],
     "errors": ["--quick", "--scene", "lit_chart", "--side", "16", "--reference", "64"],
+    "paired": ["--quick", "--shift-um", "20"],
     "startup": ["--quick"],
 }
 # Start-up compiles all kernels twice, the other commit's tree once more; scaling starts a process for each size.
@@ -39,6 +40,7 @@ TABLES = {
     "image": {"image": "COLUMNS", "small_camera": "PEER_COLUMNS"},
     "against": {"against": "COLUMNS"},
     "errors": {"errors": "COLUMNS"},
+    "paired": {"paired": "COLUMNS", "needed": "NEED_COLUMNS"},
     "startup": {"startup": "COLUMNS"},
 }
 
@@ -166,6 +168,7 @@ MISTAKES = [
     ("image", ["--runs", "1"], "2 or more"),
     ("lens", ["--rays", "0"], "0 is not positive"),
     ("against", ["no-such-commit"], "no-such-commit"),
+    ("paired", ["--shift-um", "-1"], "--shift-um -1"),
 ]
 
 RUN_ALL = """

@@ -21,10 +21,10 @@ from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]
 
-ON_PIXEL, ON_LENSLET = 2, 6
+ON_PIXEL, ON_LENSLET = 2, 4
 """Gauss points along each side of a pixel, and of a lenslet; half of the latter in each of a hexagon's three strips."""
 
-CHUNK = 2048
+CHUNK = 512
 """Pixels whose rays are in memory at a time."""
 
 M2_PER_MM2 = 1e-6
@@ -153,7 +153,7 @@ def _curved_face(plate: Plate, numbers: NDArray[np.int64], at: Array) -> tuple[A
 
 def _moments(count: int, pixel: NDArray[np.int64], weight: Array, four: Array) -> Bundles:
     """Return sums, means and covariances of rays by the pixel that each belongs to."""
-    total = np.bincount(pixel, weight, count)
+    total = np.asarray(np.bincount(pixel, weight, count), dtype=np.float64)
     mean, covariance = np.full((count, 4), np.nan), np.full((count, 4, 4), np.nan)
     lit = total > 0.0
     for i in range(4):

@@ -57,9 +57,9 @@ def test_files_hold_the_map_and_the_views(camera: Callable[..., Scene], tmp_path
     h5py = pytest.importorskip("h5py")
     scene = camera().changed({**SMALL, **POSED})
     (tmp_path / "scene.toml").write_text(scene.dump_toml())
-    for name in ("camera.exr", "camera.h5"):
-        assert main(["camera-model", str(tmp_path / "scene.toml"), "-o", str(tmp_path / name)]) == 0
+    assert main(["camera-model", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "camera.exr")]) == 0
     model = lf.camera_model(scene)
+    lf.write_camera_model(model, tmp_path / "camera.h5")
     with OpenEXR.File(str(tmp_path / "camera.exr"), separate_channels=True) as file:
         pixels = {name: channel.pixels.astype(np.float64) for name, channel in file.parts[0].channels.items()}
         facts: dict[str, Any] = json.loads(file.parts[0].header["lfmesh"])

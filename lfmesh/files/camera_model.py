@@ -138,7 +138,9 @@ def _metadata(model: CameraModel) -> dict[str, Any]:
 
 def _plain(values: NDArray[np.float64]) -> list[Any]:
     """Return an array as lists, with None for what is no number."""
-    return np.where(np.isfinite(values), values.astype(object), None).tolist()
+    plain = values.astype(object)
+    plain[~np.isfinite(values)] = None
+    return list(plain.tolist())
 
 
 def _write_hdf5(path: Path, model: CameraModel) -> None:

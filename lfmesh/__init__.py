@@ -18,11 +18,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from lfmesh.analysis.analysis import LensAnalysis, analyse
     from lfmesh.errors import FileError, GlassError, LfmeshError, MeshError, SceneError
+    from lfmesh.files.camera_model import write_camera_model
     from lfmesh.files.exports.export import export_field, export_raw
     from lfmesh.files.matrix import open_projection_matrix, write_projection_matrix
     from lfmesh.files.run import open_run, open_white, save, save_white
     from lfmesh.geometry.solved_camera import first_order
     from lfmesh.lightfield.calibration import Calibration, calibrate
+    from lfmesh.lightfield.camera_model import CameraModel, camera_model
     from lfmesh.lightfield.centres import estimate_centres
     from lfmesh.lightfield.decode import decode
     from lfmesh.lightfield.depth import DepthMap, estimate_depth
@@ -89,6 +91,7 @@ __all__ = [
     "Box",
     "Calibration",
     "Camera",
+    "CameraModel",
     "Cylinder",
     "DepthMap",
     "DepthTruth",
@@ -143,6 +146,7 @@ __all__ = [
     "analyse",
     "build",
     "calibrate",
+    "camera_model",
     "decode",
     "depth_truth",
     "displaced",
@@ -175,17 +179,20 @@ __all__ = [
     "trace",
     "volume_quality",
     "white_image",
+    "write_camera_model",
     "write_projection_matrix",
 ]
 
 _HOMES = {
     "lfmesh.analysis.analysis": ["LensAnalysis", "analyse"],
     "lfmesh.errors": ["FileError", "GlassError", "LfmeshError", "MeshError", "SceneError"],
+    "lfmesh.files.camera_model": ["write_camera_model"],
     "lfmesh.files.exports.export": ["export_field", "export_raw"],
     "lfmesh.files.matrix": ["open_projection_matrix", "write_projection_matrix"],
     "lfmesh.files.run": ["open_run", "open_white", "save", "save_white"],
     "lfmesh.geometry.solved_camera": ["first_order"],
     "lfmesh.lightfield.calibration": ["Calibration", "calibrate"],
+    "lfmesh.lightfield.camera_model": ["CameraModel", "camera_model"],
     "lfmesh.lightfield.centres": ["estimate_centres"],
     "lfmesh.lightfield.decode": ["decode"],
     "lfmesh.lightfield.depth": ["DepthMap", "estimate_depth"],

@@ -11,6 +11,7 @@ examples of `application.py` and in the README.
 
 from lfmesh.cli import (  # noqa: F401  # adds their commands
     accuracy,
+    camera_model,
     compare,
     export,
     frames,

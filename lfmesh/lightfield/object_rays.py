@@ -88,7 +88,9 @@ def _through_apexes(scene: Scene, plate: Plate, apexes: Array, pixels: Array) ->
     on_sensor = (pixels - 0.5 * (np.asarray(sensor.pixels) - 1.0)) * sensor.pixel_mm
     points = frames.points(plate.moves[SENSOR_FRAME, MLA_FRAME], np.column_stack([on_sensor, np.zeros(len(pixels))]))
     glass = plate.lenslets.thickness if plate.curved_to_lens else 0.0
-    slope = _slopes_across(apexes - points[:, :2], np.abs(points[:, 2]) - glass, glass, plate.glass)
+    slope, _ = slopes_across(
+        apexes - points[:, :2], np.abs(points[:, 2]) - glass, np.full(len(points), glass), plate.glass
+    )
     # The array's z axis runs into the glass: towards the lens it is negative where the curved face looks there.
     in_array = np.column_stack([slope, np.full(len(slope), -1.0 if plate.curved_to_lens else 1.0)])
     in_array /= np.linalg.norm(in_array, axis=1, keepdims=True)
@@ -100,26 +102,33 @@ def _through_apexes(scene: Scene, plate: Plate, apexes: Array, pixels: Array) ->
     return frames.points(to_camera, first), frames.directions(to_camera, in_array)
 
 
-def _slopes_across(offset: Array, air_mm: Array, glass_mm: float, index: float) -> Array:
+def slopes_across(offset: Array, air_mm: Array, glass_mm: Array, index: float) -> tuple[Array, Array]:
     """Return the slopes in air, (n, 2), of rays with a given offset across air and a plate; NaN where none has it.
+
+    With them the derivatives of the offset by the slope, (n, 2, 2) mm.
 
     Parameters
     ----------
     offset : (n, 2) float64, mm
-    air_mm : (n,) float64
-    glass_mm, index : float
-        Thickness and refractive index of the plate.
+    air_mm, glass_mm : (n,) float64
+        Thickness of the air and of the plate.
+    index : float
+        Refractive index of the plate.
     """
     more = index * index - 1.0
 
     def landing(slope: Array, which: NDArray[np.int64]) -> Array:
         in_glass = np.sqrt(index * index + more * np.square(slope).sum(axis=1))
-        return slope * (air_mm[which] + glass_mm / in_glass)[:, None]
+        return slope * (air_mm[which] + glass_mm[which] / in_glass)[:, None]
 
     # First order gives slopes that are too small, and less is added the larger they are: steps come from below.
     guess = offset / (air_mm + glass_mm / index)[:, None]
-    in_glass = np.sqrt(index * index + more * np.square(guess).sum(axis=1))
-    derivative = (air_mm + glass_mm / in_glass)[:, None, None] * np.eye(2)
-    derivative -= (glass_mm * more / in_glass**3)[:, None, None] * guess[:, :, None] * guess[:, None, :]
-    aimed = aim_rays(landing, offset, guess, derivative, air_mm + glass_mm)
-    return np.where(aimed.arrived[:, None], aimed.start, np.nan)
+
+    def derivative(slope: Array) -> Array:
+        in_glass = np.sqrt(index * index + more * np.square(slope).sum(axis=1))
+        along = (air_mm + glass_mm / in_glass)[:, None, None] * np.eye(2)
+        return along - (glass_mm * more / in_glass**3)[:, None, None] * slope[:, :, None] * slope[:, None, :]
+
+    aimed = aim_rays(landing, offset, guess, derivative(guess), air_mm + glass_mm)
+    slopes = np.where(aimed.arrived[:, None], aimed.start, np.nan)
+    return slopes, derivative(slopes)

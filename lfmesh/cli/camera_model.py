@@ -1,0 +1,49 @@
+"""The rays of pixels and the pinholes of views: `lfmesh camera-model`."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from lfmesh.cli.application import app
+from lfmesh.cli.interrupts import defer_interrupt
+from lfmesh.cli.options import SceneFile, Whole
+from lfmesh.cli.printing import list_files, warnings_as_notes, wrapped
+from lfmesh.cli.progress import status
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh camera-model scene.toml -o camera.exr
+    lfmesh camera-model scene.toml -o camera.h5 --distances-mm 300 500 900
+"""
+)
+def camera_model(
+    scene: SceneFile,
+    /,
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"], help="File to write: .exr, or .h5 with h5py.")],
+    views: Annotated[Whole | None, Parameter(help="Along each axis; as many as a micro-image has pixels.")] = None,
+    distances_mm: Annotated[
+        list[float] | None,
+        Parameter(help="Distances at which the views are pinholes.", consume_multiple=True, negative=()),
+    ] = None,
+) -> int:
+    """Write the ray in object space of every pixel, and every view as a pinhole camera in OpenCV's convention."""
+    with defer_interrupt():
+        from lfmesh.files.camera_model import check_model_path, write_camera_model
+        from lfmesh.lightfield import camera_model as models
+        from lfmesh.scene import load
+    check_model_path(out)
+    loaded = load(scene)
+    with status() as report, warnings_as_notes():
+        report("tracing pixels and views")
+        model = models.camera_model(
+            loaded, views=views, distances_mm=None if distances_mm is None else tuple(distances_mm)
+        )
+        write_camera_model(model, out)
+    print(wrapped(model.in_words))
+    list_files([out])
+    return 0

@@ -252,7 +252,7 @@ class Tracer:
         draw = np.random.default_rng(int(key))
         pixels = np.unique(draw.integers(0, self.pixels, STARTS)) if part.options.adjoint else None
         count = STARTS if pixels is None else len(pixels)
-        turn = Turn(0, 1, 0, 0, self.shape[1])
+        turn = Turn(0, 1, 0, 0, np.uint64(0))
         chunk = Chunk(0, part, 0, count, 0, turn, count, 1, pixels)
         work = Workspace(self.world, part.options, STARTS, part.tables)
         work.begin(Film.empty(self.pixels if part.options.adjoint else 0, 1, 0), count)

@@ -4,8 +4,10 @@ Without bands each wavelength of the scene is a line and a channel of the image.
 replicate has lines of its own in each band, drawn by the band's response. They come in pairs, one pair for each of
 several intervals with equal integrals of the response, and lie at random but symmetrically in it (antithetic
 stratified sampling), so that what is linear over an interval is integrated exactly. A path has one line. The samples
-of a pixel take the lines in turn, and those of the next pixel begin with another, so that few samples cover the band.
-As the replicates' lines are independent, the spread of the replicates holds the noise of the wavelengths.
+of a pixel take the lines in turn. Where they are too few for all, as many neighbouring pixels of a row as it takes
+share them, in an order that is drawn anew for each such group and replicate: what one of them lacks of the band the
+next one has, and no pattern of pixels sees the same part of it. As the replicates' lines are independent, the spread of
+the replicates holds the noise of the wavelengths.
 """
 
 from collections.abc import Iterator
@@ -17,7 +19,7 @@ from numpy.typing import NDArray
 
 from lfmesh.optics.curve import Curve
 from lfmesh.scene import Scene
-from lfmesh.transport.packets.random import descendant, run_key, start
+from lfmesh.transport.packets.random import GOLDEN, descendant, run_key, start
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -50,16 +52,16 @@ class Turn:
     column : int
         Of the tables.
     offset : int
-        Line with which the first pixel begins.
-    width : int
-        Number of pixels in a row of the sensor.
+        Line with which the packets of lights begin.
+    key : uint64
+        Of the random numbers that decide which pixels take which lines.
     """
 
     line: int
     lines: int
     column: int
     offset: int
-    width: int
+    key: np.uint64
 
     def shares(self, samples: int) -> int:
         """Return the number of lines that a pixel takes for some samples, each for as many of them."""
@@ -67,12 +69,12 @@ class Turn:
 
     def takes(self, pixels: Numbers, samples: int) -> NDArray[np.bool_]:
         """Whether pixels, (n,), with so many samples take the line."""
-        return (self.line - self._first_line(pixels)) % (self.lines // self.shares(samples)) == 0
+        return (self.line - self._first_line(pixels, samples)) % (self.lines // self.shares(samples)) == 0
 
     def begin(self, pixels: Numbers, samples: int) -> Numbers:
         """Return the number of the first sample of each pixel, (n,), that takes the line; as many follow for all."""
         shares = self.shares(samples)
-        place = (self.line - self._first_line(pixels)) % self.lines // (self.lines // shares)
+        place = (self.line - self._first_line(pixels, samples)) % self.lines // (self.lines // shares)
         return np.asarray(place * (samples // shares), np.int64)
 
     def part(self, total: int) -> range:
@@ -84,9 +86,37 @@ class Turn:
         first = ahead // (self.lines // shares) * (total // shares)
         return range(first, first + total // shares)
 
-    def _first_line(self, pixels: Numbers) -> Numbers:
-        """Return the line that the first samples of pixels take: another one for the neighbours in row and column."""
-        return np.asarray(self.offset + pixels + pixels // self.width, np.int64)
+    def _first_line(self, pixels: Numbers, samples: int) -> Numbers:
+        """Return the line that the first samples of pixels take.
+
+        Pixels come in groups in which each takes other lines: the bits of its place, turned round so that neighbours
+        take lines far apart, and flipped at random for each group.
+        """
+        together = self.lines // self.shares(samples)
+        random = _hashed(self.key, pixels // together) % np.uint64(self.lines)
+        drawn = random.astype(np.int64)
+        return (_reversed(pixels % together, together) ^ (drawn % together)) + drawn // together * together
+
+
+def _hashed(key: np.uint64, numbers: Numbers) -> NDArray[np.uint64]:
+    """Return hashes of numbers, (n,), as `random.derived` has them."""
+    with np.errstate(over="ignore"):
+        return _mixed(_mixed(np.asarray(key + GOLDEN)) ^ (numbers.astype(np.uint64) * GOLDEN))
+
+
+def _mixed(z: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Return `random.mix` of an array."""
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+def _reversed(numbers: Numbers, count: int) -> Numbers:
+    """Return whole numbers below a power of two with their bits in reverse order."""
+    turned, rest = np.zeros_like(numbers), numbers
+    while count > 1:
+        turned, rest, count = 2 * turned + rest % 2, rest // 2, count // 2
+    return turned
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +132,9 @@ class Lines:
     columns : (replicates, channels, lines) int64
         Column of each line; without bands a single replicate stands for all.
     offsets : (replicates, channels) int64
-        Line with which the first pixel begins.
-    width : int
-        Number of pixels in a row of the sensor.
+        Line with which the packets of lights begin.
+    keys : (replicates, channels) uint64
+        Of the random numbers that decide which pixels take which lines.
     span_nm : (float, float) or None
         Ends of the range that the bands reach over; None without bands.
     """
@@ -113,7 +143,7 @@ class Lines:
     weight_nm: Array
     columns: Numbers
     offsets: Numbers
-    width: int
+    keys: NDArray[np.uint64]
     span_nm: tuple[float, float] | None
 
     @classmethod
@@ -125,11 +155,12 @@ class Lines:
         FileError
             The file of a response cannot be used.
         """
-        bands, width = scene.passbands, scene.camera.sensor.pixels[0]
+        bands = scene.passbands
         if not bands:
             single = scene.transport.wavelengths_nm
             alone = np.arange(len(single)).reshape(1, -1, 1)
-            return cls(single, np.ones(len(single)), alone, np.zeros((1, len(single)), np.int64), width, None)
+            none = np.zeros((1, len(single)), np.int64)
+            return cls(single, np.ones(len(single)), alone, none, none.astype(np.uint64), None)
         transport = scene.transport
         # A second stage has replicates of its own.
         replicates = transport.replicates * (1 if transport.target_error is None else 2)
@@ -138,17 +169,19 @@ class Lines:
             count //= 2
         drawn = np.empty((replicates, len(bands), count))
         offsets = np.empty((replicates, len(bands)), np.int64)
+        keys = np.empty(offsets.shape, np.uint64)
         for replicate in range(replicates):
             for channel, band in enumerate(bands):
                 key = descendant(run_key(transport.seed), LINES_STREAM, replicate, channel)
                 drawn[replicate, channel] = band.response.quantile_nm(_shares(key, count))
                 offsets[replicate, channel] = int(count * start(key, count))
+                keys[replicate, channel] = descendant(key, count)
         order = np.argsort(drawn, axis=None, kind="stable")
         columns = np.empty(order.size, np.int64)
         columns[order] = np.arange(order.size)
         areas = np.broadcast_to(np.array([[[band.response.area_nm] for band in bands]]), drawn.shape)
         return cls(
-            tuple(drawn.ravel()[order].tolist()), areas.ravel()[order], columns.reshape(drawn.shape), offsets, width,
+            tuple(drawn.ravel()[order].tolist()), areas.ravel()[order], columns.reshape(drawn.shape), offsets, keys,
             scene.reach_nm,
         )  # fmt: skip
 
@@ -194,10 +227,11 @@ class Lines:
         """
         replicate %= len(self.columns)
         columns, offset = self.columns[replicate, channel], int(self.offsets[replicate, channel])
+        key = self.keys[replicate, channel]
         step = max(1, len(columns) // FEW) if few else 1
         columns, offset = columns[offset % step :: step], offset // step
         for line, column in enumerate(columns):
-            yield Turn(line, len(columns), int(column), offset, self.width)
+            yield Turn(line, len(columns), int(column), offset, key)
 
     def nearest(self, wavelength_nm: float) -> int:
         """Return the column whose wavelength is nearest to another."""

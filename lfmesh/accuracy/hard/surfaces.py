@@ -18,7 +18,7 @@ from lfmesh.scene.finishes import SMOOTHEST
 from lfmesh.transport.events.ground import ground_direction
 from lfmesh.transport.packets.random import derived, run_key, uniform
 from lfmesh.transport.tables.lines import Lines
-from lfmesh.transport.trace import Status, trace
+from lfmesh.transport.trace import trace
 from lfmesh.transport.world import build
 
 DRAWN = 20_000
@@ -83,12 +83,14 @@ def _grazed(finish: object) -> Outcome:
         d = np.column_stack([across * np.cos(turn), across * np.sin(turn), -cosine])
         ends.append(trace(world, np.array([0.0, 0.0, -58.5]) - 5.0 * d, d, split="transmit", max_events=32_000))
     met = [int((paths.events > 0).sum()) for paths in ends]
-    # Light that is left over when the events run out would be booked neither as escaped nor as absorbed.
-    whole = [float(paths.weight[paths.status != Status.LOST].sum()) for paths in ends]
+    # Only light that comes into the lens, beyond z = 0, is weakened there.
+    whole = [int(((paths.weight == 1.0) | (paths.position[:, 2] > 0.0)).sum()) for paths in ends]
+    unscathed = [int((paths.weight == 1.0).sum()) for paths in ends]
+    at_depth = sum(paths.ledger.depth for paths in ends)
     return outcome(
-        ends, f"{count} rays of each index meet the plate and leave it whole",
-        f"{met} meet it, {whole} leave it", all(m == count for m in met)
-        and all(abs(w - count) < 1e-9 * count for w in whole),
+        ends, f"{count} rays of each index meet the plate, and leave it whole",
+        f"{met} meet it, {whole} leave it whole, {at_depth:g} cut by depth",
+        met == whole == [count] * len(ends) and at_depth == 0.0 and min(unscathed) > 0.9 * count,
     )  # fmt: skip
 
 

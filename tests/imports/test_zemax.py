@@ -225,7 +225,7 @@ def test_a_glass_from_elsewhere_than_the_files_catalogues_is_said():
         ("PMMA", "organic/poly_methyl_methacrylate/Sultanova", 1.4917),
         ("POLYCARB", "organic/polycarbonate/Sultanova", 1.5855),
         ("SAPPHIRE", "main/Al2O3/Malitson-o", 1.7682),
-        ("ZNSE", "main/ZnSe/Connolly", 2.6244),
+        ("MGF2", "main/MgF2/Dodge-o", 1.3777),
     ],
 )
 def test_crystals_and_plastics_are_taken_and_said(name, glass, nd):

@@ -6,7 +6,7 @@ A case passes when every ray has the right answer, or ends as LOST, which the le
 import warnings
 from collections.abc import Callable, Iterable
 
-from lfmesh.accuracy.hard import aim, arrays, emitters, gloss, interfaces, lenses, meshes, openings, tanks
+from lfmesh.accuracy.hard import aim, arrays, emitters, gloss, interfaces, lenses, meshes, openings, surfaces, tanks
 from lfmesh.accuracy.hard.outcome import Outcome
 from lfmesh.transport.packets.ledger import LostEnergyWarning
 
@@ -67,6 +67,12 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     tanks.film_of_air_in_water,
     emitters.emitter_on_the_surface,
     gloss.gloss_at_its_ends,
+    surfaces.ground_at_its_ends,
+    surfaces.diffuse_grazed,
+    surfaces.ground_grazed,
+    surfaces.coating_at_its_ends,
+    surfaces.polarisation_at_its_ends,
+    surfaces.bands_at_their_ends,
     lenses.diverging_newton,
     lenses.two_roots,
     lenses.hyperboloid,

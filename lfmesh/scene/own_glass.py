@@ -6,7 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Discriminator, Field, Tag, ValidationInfo, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationInfo, model_validator
 
 from lfmesh.errors import FileError, GlassError
 from lfmesh.optics.curve import curve_fault, read_curve
@@ -154,9 +154,19 @@ def _kind(value: Any) -> str:
     return "<own>" if isinstance(value, Mapping | OwnGlass) else "<name>"
 
 
+def _name_or_table(value: Any) -> Any:
+    """Refuse what is neither, before either says what it would need."""
+    if isinstance(value, str | Mapping | OwnGlass):
+        return value
+    return _refuse(
+        'must be a name, like "SCHOTT/N-BK7", or a table, like { nd = 1.5168, vd = 64.17 }; a number stands in index'
+    )
+
+
 Glass = Annotated[
     Annotated[GlassName, Tag("<name>")] | Annotated[OwnGlass, Tag("<own>")],
     Discriminator(_kind),
+    BeforeValidator(_name_or_table),
 ]
 """A glass of the catalogue by its name, or a glass by its dispersion."""
 

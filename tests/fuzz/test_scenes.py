@@ -15,8 +15,13 @@ from lfmesh.scene import loads
 from lfmesh.scene.report import first_order
 from tests.cameras import bench_camera
 
+BENCH = bench_camera(4, 4).replace(
+    "thickness_mm = 4.0, index = 1.5", "thickness_mm = 4.0, glass = { nd = 1.5, vd = 60.0 }"
+)
+BENCH = BENCH.replace("\nindex = 1.5", '\nglass = "SCHOTT/N-BK7"')
+
 SCENE = f"""name = "bench"
-{bench_camera(4, 4)}[camera.mla.pose]
+{BENCH}[camera.mla.pose]
 shift_mm = [0.0, 0.0, 0.0]
 [[targets]]
 shape = {{ kind = "plane", width_mm = 60.0, height_mm = 60.0 }}
@@ -24,6 +29,12 @@ position_mm = [0.0, 0.0, -540.0]
 rotation_deg = [0.0, 0.0, 0.0]
 [targets.material]
 reflectance = 0.8
+[[tanks]]
+size_mm = [20.0, 20.0, 20.0]
+wall_mm = 2.0
+position_mm = [0.0, 0.0, -300.0]
+wall = {{ glass = {{ sellmeier_b = [1.1, 0.2], sellmeier_c_um2 = [0.01, 100.0] }} }}
+liquid = {{ glass = {{ wavelengths_nm = [400.0, 550.0, 700.0], values = [1.34, 1.33, 1.32] }} }}
 [[lights]]
 kind = "point"
 position_mm = [100.0, -100.0, -50.0]
@@ -106,6 +117,7 @@ def is_read_or_refused(text: str) -> None:
 def test_the_scene_that_is_changed_at_random_is_valid() -> None:
     assert len(VALUES) > 40
     assert tomllib.loads(SCENE)
+    assert SCENE.count("glass = ") == 4
     assert first_order(loads(SCENE)).lines()
 
 

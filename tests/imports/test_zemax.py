@@ -9,7 +9,7 @@ import pytest
 from lfmesh.errors import LensFileWarning, SceneError
 from lfmesh.imports.report import Verdict
 from lfmesh.imports.zemax import read
-from lfmesh.optics.glass import D_LINE_NM
+from lfmesh.optics.glass import D_LINE_NM, refractive_index
 from lfmesh.scene import Paraxial, load_lens, loads
 from lfmesh.scene.own_glass import OwnGlass
 from tests.imports.files import SINGLET_ZMX
@@ -217,6 +217,24 @@ def test_a_glass_is_taken_from_the_catalogue_that_the_file_names():
 def test_a_glass_from_elsewhere_than_the_files_catalogues_is_said():
     (line,) = report_of(changed("GCAT SCHOTT", "GCAT LIGHTPATH")).of(Verdict.APPROXIMATED)
     assert line.how == "not in LIGHTPATH; the catalogue has it as SCHOTT/N-BK7 (nd 1.51680, Vd 64.17)"
+
+
+@pytest.mark.parametrize(
+    ("name", "glass", "nd"),
+    [
+        ("PMMA", "organic/poly_methyl_methacrylate/Sultanova", 1.4917),
+        ("POLYCARB", "organic/polycarbonate/Sultanova", 1.5855),
+        ("SAPPHIRE", "main/Al2O3/Malitson-o", 1.7682),
+        ("MGF2", "main/MgF2/Dodge-o", 1.3777),
+    ],
+)
+def test_crystals_and_plastics_are_taken_and_said(name, glass, nd):
+    """The indices are those that data sheets of lens makers print, to the digits in which samples agree."""
+    text = changed("GLAS N-BK7", f"GLAS {name}").replace("1.5168 64.17", f"{nd} 30.0")
+    assert lens_of(text).surfaces[0].glass == glass
+    (line,) = report_of(text).of(Verdict.APPROXIMATED)
+    assert line.how.startswith(f"{name}: no maker's glass; taken as {glass} (nd ")
+    assert refractive_index(glass, D_LINE_NM) == pytest.approx(nd, abs=2e-3)
 
 
 def test_a_glass_that_the_user_names_replaces_the_files():

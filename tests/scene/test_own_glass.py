@@ -93,6 +93,8 @@ def test_the_schema_has_it() -> None:
         ("{ nd = 1.5 }", "glass.vd: missing"),
         ("{ nd = nan, vd = 60.0 }", "glass.nd = nan: must be a finite number"),
         ("{}", "a glass needs nd with vd"),
+        ("3", 'glass = 3: must be a name, like "SCHOTT/N-BK7", or a table, like { nd = 1.5168, vd = 64.17 }'),
+        ("true", "glass = true: must be a name"),
         ("{ nd = 1.5, vd = 60.0, sellmeier_b = [1.0] }", "glass.sellmeier_b = [1.0]: nd is given too"),
         ("{ sellmeier_b = [1.0], sellmeier_c_um2 = [0.01, 0.02] }", "2 coefficients beside 1"),
         ("{ sellmeier_b = [1.0], sellmeier_c_um2 = [-0.01] }", "are 0 or more"),

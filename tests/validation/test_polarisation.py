@@ -9,6 +9,7 @@ from scipy import optimize, stats
 
 import lfmesh as lf
 from tests.cameras import camera_without_array, close_up_camera
+from tests.validation.bodies import prism
 
 tmm = pytest.importorskip("tmm")
 
@@ -20,27 +21,6 @@ COMPARISONS = 20
 CAMERA = camera_without_array(pixels=20, pixel_mm=0.5)
 FILM = {"film": {"layers": [{"index": 1.38, "thickness_nm": 90.0}, {"index": 2.1, "thickness_nm": 40.0}]}}
 SUN = {"sun": {"layers": [{"index": 1.7, "extinction": 0.2, "thickness_nm": 60.0}]}}
-
-
-def body(path, vertices, faces, position, **glass):
-    """A body of glass, its vertices written with all digits."""
-    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in np.asarray(vertices, np.float64).tolist()]
-    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
-    path.write_text("\n".join(lines))
-    return {
-        "refractor": {"file": str(path), "units": "mm", "surface": "flat"} | glass, "position_mm": list(position),
-    }  # fmt: skip
-
-
-def prism(path, outline, width, position, **glass):
-    """A body whose convex outline in x and z, counter-clockwise as seen from −y, is extruded along y."""
-    n, outline = len(outline), np.asarray(outline, np.float64)
-    vertices = [(x, y, z) for y in (-0.5 * width, 0.5 * width) for x, z in outline]
-    faces = [(0, k, k + 1) for k in range(1, n - 1)] + [(n, n + k + 1, n + k) for k in range(1, n - 1)]
-    for k in range(n):
-        m = (k + 1) % n
-        faces += [(k, n + k, n + m), (k, n + m, m)]
-    return body(path, vertices, faces, position, **glass)
 
 
 def plate(path, thickness, angle, position, size=80.0, **glass):

@@ -78,6 +78,42 @@ def test_forward_equals_adjoint(name: str) -> None:
     assert p.min() > LEVEL / len(p), (one, other, both)
 
 
+def test_a_lamps_light_off_a_target_comes_through_ground_glass_alike_in_both_methods() -> None:
+    """Two-sided z-tests, as above: a lamp beside the camera lights a matt sheet that is seen through a ground front."""
+    lamp = {"kind": "point", "position_mm": (6.0, 4.0, -14.0), "power_w": 1.0}
+    matt = {"reflectance": 0.9, "radiance_w_m2_sr": 0.0}
+    given = scene(CAMERAS["front of the lens, ground"], samples=1024, replicates=32)
+    given = given.changed({"lights": [lamp], "targets[0].material": matt})
+    (one, error), (other, its_error) = squares(given), squares(given.changed({"transport.method": "forward"}))
+    both = np.hypot(error, its_error)
+    assert both[-1] < 0.08 * one[-1]
+    p = 2.0 * stats.norm.sf(np.abs(one - other) / both)
+    assert p.min() > LEVEL / len(p), (one, other, both)
+
+
+LAMPS: dict[str, dict[str, Any]] = {
+    "point": {"kind": "point", "position_mm": (1.0, 0.5, -20.0), "power_w": 1.0},
+    "disk": {"kind": "disk", "position_mm": (0.0, 0.0, -20.0), "direction": (0.0, 0.0, 1.0), "radius_mm": 3.0,
+             "power_w": 1.0},
+    "directional": {"kind": "directional", "direction": (0.0, 0.0, 1.0), "irradiance_w_m2": 1.0},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", LAMPS)
+def test_what_lamps_shed_on_a_rough_lens_is_in_neither_method_and_is_said(kind: str) -> None:
+    """A lamp in the field adds nothing in either method, and a warning says so, unless the camera is polished."""
+    dark = scene(CAMERAS["front of the lens, ground"], samples=64, replicates=4)
+    dark = dark.changed({"targets[0].material.radiance_w_m2_sr": 0.0, "targets[0].position_mm": (0.0, 0.0, -40.0)})
+    lit = dark.changed({"lights": [LAMPS[kind]], "targets[0].material.reflectance": 0.0})
+    for method in ("adjoint", "forward"):
+        assert lf.render(lit.changed({"transport.method": method})).mean.sum() == 0.0
+    said = "camera.lens.surfaces[0].finish scatters light, but what lamps shed on the lens itself is left out"
+    assert any(said in line for line in lf.first_order(lit).warnings)
+    assert not any("lamps shed" in line for line in lf.first_order(dark).warnings)
+    polished = lit.changed({"camera.lens.surfaces[0].finish": "polished"})
+    assert not any("lamps shed" in line for line in lf.first_order(polished).warnings)
+
+
 def test_the_mesh_engine_is_taken_and_says_why() -> None:
     given = scene({"camera.mla.flat_finish": "diffuse"})
     assert engine_of(given) == ("mesh", "camera.mla, its flat face is diffuse")

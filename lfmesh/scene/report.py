@@ -92,8 +92,8 @@ class FirstOrder(Shown):
     """Planes refocused to, with the nearest and farthest distance that is then sharp to a lenslet: the near end of the
     refocus range, the plane in focus, the far end. Of a photograph of all views."""
     cover_shift_mm: float | None = None
-    """How far the sensor's cover moves the image away from the lens, t (1 - 1/n); None without a cover. The sensor stays
-    where the scene puts it; the other figures are those behind the cover."""
+    """How far the sensor's cover moves the image away from the lens, t (1 - 1/n); None without a cover. The sensor
+    stays where the scene puts it; the other figures are those behind the cover."""
     by_wavelength: tuple[AtWavelength, ...] = ()
     """The lens at each wavelength or band, if there are several."""
     poses: tuple[str, ...] = ()
@@ -282,7 +282,7 @@ def airy_disk_mm(wavelength_nm: float, f_number: float) -> float:
 
 
 def lenslet_to_sensor_mm(camera: Camera, wavelength_nm: float) -> float:
-    """Return the distance from a lenslet's rear principal plane to the sensor of a solved camera, reduced to air, in mm.
+    """Return the distance from a lenslet's rear principal plane to the sensor of a solved camera, as in air, in mm.
 
     The rear principal plane of a plano-convex lenslet lies t/n inside its flat face when light leaves there,
     and at the apex when it leaves through the curved face.

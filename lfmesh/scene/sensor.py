@@ -26,8 +26,8 @@ class Sensor(Model):
     """Share of the light that the pixels' surface reflects, as a mirror does and at any angle; they detect the rest.
     What is reflected may come back. Beside the pixels all light is absorbed."""
     cover: Cover | None = None
-    """Cover glass before the pixels. It lies between the array, or the lens, and the sensor, and does not move the sensor:
-    it moves the image away from the lens, by t (1 - 1/n), which a `distance_mm` that is omitted follows."""
+    """Cover glass before the pixels. It lies between the array, or the lens, and the sensor, and does not move the
+    sensor: it moves the image away from the lens, by t (1 - 1/n), which a `distance_mm` that is omitted follows."""
     bands: Bands | None = None
     """Channels of the image, each a range of wavelengths, in place of `transport.wavelengths_nm`: a list of bands, or
     "rgb" (Gaussians at 600, 540 and 460 nm, 90 nm wide at half maximum, from 380 to 780 nm) or "xyz" (the CIE 1931
@@ -44,8 +44,8 @@ class Sensor(Model):
             yield Fault(
                 ("cover", "thickness_mm"),
                 self.cover.thickness_mm,
-                f"with gap_mm = {self.cover.gap_mm:g} the cover begins {self.cover.height_mm:.6g} mm before the sensor, "
-                f"which has distance_mm = {self.distance_mm:g} of room; thickness_mm and gap_mm together must be less",
+                f"with gap_mm = {self.cover.gap_mm:g} the cover begins {self.cover.height_mm:.6g} mm before the "
+                f"sensor, which has distance_mm = {self.distance_mm:g} of room; thickness_mm and gap_mm together must be less",
             )
 
     @property

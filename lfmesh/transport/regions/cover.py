@@ -1,7 +1,7 @@
 """The sensor's cover glass: a plate parallel to the sensor, whose two faces divide every packet that meets them.
 
 Sensor frame: the pixels lie at z = 0 and light arrives with dz > 0, so that the plate's front face lies at
-z = -(gap + thickness) and its rear face at z = -gap. Packets wait at the sensor's station both before the plate, in it and
+z = -(gap + thickness) and its rear face at z = -gap. Packets wait at the sensor's station before the plate, in it and
 behind it; their height and sense of travel say which of the three planes comes next. In the adjoint method they start
 here too.
 """

@@ -241,7 +241,8 @@ def interface_tables(scene: Scene, wavelengths_nm: tuple[float, ...], book: Book
     return InterfaceTables(
         *(
             _table(
-                _finishes(scene, its, wavelengths_nm), [slots.get(face.body, NO_SLOT) for face in its],
+                _finishes(scene, its, wavelengths_nm),
+                [slots.get(face.body, NO_SLOT) for face in its],
                 len(wavelengths_nm),
             )
             for its in faces
@@ -312,7 +313,7 @@ def finish_lines(scene: Scene) -> list[str]:
 
 
 def faces_of_regions(scene: Scene) -> tuple[list[Face], list[Face], list[Face], list[Face]]:
-    """Return the faces of lens, array, object space and the sensor's cover in the order of their rows in `interface_tables`."""
+    """Return the faces of lens, array, object space and sensor cover, in the order of their rows in the tables."""
     by_medium = [body_faces(scene, outer) for outer in MediumList.of(scene).media]
     bodies = [faces[i] for i in range(len(scene.targets)) for faces in by_medium]
     return lens_faces(scene), array_faces(scene), bodies, cover_faces(scene)

@@ -141,8 +141,8 @@ def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[fl
     shape = world.lens_shape
     if not is_exact(world):
         raise LfmeshError(
-            'ghosts by sequence need exact surfaces: transport.surface = "exact", no mesh glass, and no cover before the '
-            "sensor"
+            'ghosts by sequence need exact surfaces: transport.surface = "exact", no mesh glass, and no cover '
+            "before the sensor"
         )
     points = frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], np.atleast_2d(np.asarray(points_mm, float)))
     if (points[:, 2] >= world.tables.lens.box_low[2]).any():

@@ -65,8 +65,8 @@ def test_rays_pass_the_cover_by_snells_law(seed):
         frame.points(move, np.array([[0.0, 0.0, -z]]))[0]
         for z in (cover["gap_mm"] + cover["thickness_mm"], cover["gap_mm"], 0.0)
     )
-    start = np.column_stack([random.uniform(-0.5, 0.5, (200, 2)), np.full(200, -cover["gap_mm"] - 1.001)])
-    start[:, 2] = -(cover["gap_mm"] + cover["thickness_mm"]) - 0.01
+    above = -(cover["gap_mm"] + cover["thickness_mm"]) - 0.01
+    start = np.column_stack([random.uniform(-0.5, 0.5, (200, 2)), np.full(200, above)])
     steep = np.column_stack([random.uniform(-0.8, 0.8, (200, 2)), np.ones(200)])
     origins = frame.points(move, start)
     directions = frame.directions(move, steep / np.linalg.norm(steep, axis=1, keepdims=True))
@@ -106,8 +106,10 @@ def test_both_faces_have_the_coating():
 def test_recorded_vertices_name_the_faces():
     world = lf.build(before_nothing())
     paths = lf.trace(world, [[0.0, 0.0, 4.0]], [[0.1, 0.0, 1.0]], split="transmit", record=True)
-    names = [world.surface_name(number) for number in paths.nodes["surface"] if number >= 0]
-    assert names[:2] == ["cover front face", "cover rear face"]
+    path = paths.vertices(0)
+    assert [vertex.surface for vertex in path] == ["start", "cover front face", "cover rear face", "sensor"]
+    sensor_z = world.tables.frames[SENSOR_FRAME, WORLD_FRAME][2, 3]
+    assert [sensor_z - vertex.position[2] for vertex in path[1:]] == pytest.approx([0.8, 0.3, 0.0], abs=1e-12)
 
 
 def test_a_ray_that_starts_in_the_gap_meets_the_rear_face_first():

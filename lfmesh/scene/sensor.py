@@ -41,11 +41,12 @@ class Sensor(Model):
         if self.bands is not None:
             yield from band_faults(self.bands)
         if self.cover is not None and self.distance_mm is not None and self.cover.height_mm >= self.distance_mm:
+            height, room = self.cover.height_mm, self.distance_mm
             yield Fault(
                 ("cover", "thickness_mm"),
                 self.cover.thickness_mm,
-                f"with gap_mm = {self.cover.gap_mm:g} the cover begins {self.cover.height_mm:.6g} mm before the "
-                f"sensor, which has distance_mm = {self.distance_mm:g} of room; thickness_mm and gap_mm together must be less",
+                f"with gap_mm = {self.cover.gap_mm:g} the cover begins {height:.6g} mm before the sensor, which has "
+                f"distance_mm = {room:.6g} of room; thickness_mm and gap_mm together must be less",
             )
 
     @property

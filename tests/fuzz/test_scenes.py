@@ -16,7 +16,9 @@ from lfmesh.scene.report import first_order
 from tests.cameras import bench_camera
 
 SCENE = f"""name = "bench"
-{bench_camera(4, 4)}[camera.mla.pose]
+{bench_camera(4, 4)}reflectance = 0.1
+cover = {{ thickness_mm = 0.2, gap_mm = 0.1, index = 1.5, coating = "none" }}
+[camera.mla.pose]
 shift_mm = [0.0, 0.0, 0.0]
 [[targets]]
 shape = {{ kind = "plane", width_mm = 60.0, height_mm = 60.0 }}

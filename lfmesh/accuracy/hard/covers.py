@@ -65,7 +65,7 @@ def grazing_a_cover() -> Outcome:
     draw = np.random.default_rng(4)
     angle, phi = LEAST_RAD * 10.0 ** draw.uniform(0.0, 2.0, COUNT), draw.uniform(0.0, 2.0 * np.pi, COUNT)
     d = np.column_stack([np.cos(angle) * np.cos(phi), np.cos(angle) * np.sin(phi), np.sin(angle)])
-    # Behind the plate the angle θ comes from a refraction near the critical angle, where a rounding error ε of the cosine
-    # inside makes one of ε n² / θ; the landing is gap / θ away from where the ray leaves the plate.
+    # Behind the plate the angle θ comes from a refraction near the critical angle, where a rounding error ε of the
+    # cosine inside makes one of ε n² / θ; the landing is gap / θ away from where the ray leaves the plate.
     index, gap, rounding = 1.5, 1.0, np.finfo(np.float64).eps * 1.5**2
     return _through(2.0, gap, index, d, tolerance=gap * rounding / LEAST_RAD**3, relative=rounding / LEAST_RAD**2)

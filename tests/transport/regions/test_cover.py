@@ -161,7 +161,7 @@ def total_error(image):
 def test_forward_equals_adjoint(array):
     """With all reflections between array, cover and sensor."""
     adjoint = lf.render(lit(array, 0.4, samples=256, seed=1))
-    forward = lf.render(lit(array, 0.4, samples=1024, seed=2, method="forward"))
+    forward = lf.render(lit(array, 0.4, samples=4096, seed=2, method="forward"))
     agree(forward, adjoint, 2)
 
 

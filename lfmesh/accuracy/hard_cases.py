@@ -6,7 +6,19 @@ A case passes when every ray has the right answer, or ends as LOST, which the le
 import warnings
 from collections.abc import Callable, Iterable
 
-from lfmesh.accuracy.hard import aim, arrays, emitters, gloss, interfaces, lenses, meshes, openings, surfaces, tanks
+from lfmesh.accuracy.hard import (
+    aim,
+    arrays,
+    covers,
+    emitters,
+    gloss,
+    interfaces,
+    lenses,
+    meshes,
+    openings,
+    surfaces,
+    tanks,
+)
 from lfmesh.accuracy.hard.outcome import Outcome
 from lfmesh.transport.packets.ledger import LostEnergyWarning
 
@@ -47,6 +59,11 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     arrays.square_borders,
     arrays.hexagonal_borders,
     arrays.across_cells,
+    covers.cover_of_air,
+    covers.cover_of_index_4,
+    covers.cover_of_1_nm,
+    covers.cover_of_10_m,
+    covers.grazing_a_cover,
     meshes.target_100_m,
     meshes.target_1_mm,
     meshes.duplicate_faces,

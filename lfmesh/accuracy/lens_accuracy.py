@@ -158,7 +158,12 @@ def lens_alone(scene: Scene) -> Scene:
     if camera.mla is None:
         return scene
     return scene.changed(
-        {"camera.mla": None, "camera.sensor.distance_mm": camera.mla.distance_mm, "camera.sensor.pose": {}}
+        {
+            "camera.mla": None,
+            "camera.sensor.distance_mm": camera.mla.distance_mm,
+            "camera.sensor.pose": {},
+            "camera.sensor.cover": None,
+        }
     )
 
 

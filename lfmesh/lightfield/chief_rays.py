@@ -60,12 +60,14 @@ class ChiefRays(NamedTuple):
 
 
 class Plate(NamedTuple):
-    """What a chief ray sees of the array: its glass, and which face it meets first."""
+    """What a chief ray sees of the array, its glass and which face it meets first, and of the sensor's cover."""
 
     lenslets: Lenslets
     glass: float
     curved_to_lens: bool
     moves: Array
+    cover_mm: float = 0.0  # thickness of the cover; 0: none
+    cover_index: float = 1.0
 
     @property
     def apexes(self) -> Array:
@@ -105,7 +107,22 @@ class Plate(NamedTuple):
             leaves = leaves + (self.lenslets.thickness / inside[:, 2])[:, None] * inside
         p = frames.points(self.moves[MLA_FRAME, SENSOR_FRAME], leaves)
         d = frames.directions(self.moves[MLA_FRAME, SENSOR_FRAME], d)
-        return p[:, :2] - (p[:, 2] / d[:, 2])[:, None] * d[:, :2]
+        landed = p[:, :2] - (p[:, 2] / d[:, 2])[:, None] * d[:, :2]
+        return landed if self.cover_mm == 0.0 else landed + self.moved_by_cover(d)
+
+    def moved_by_cover(self, direction: Array) -> Array:
+        """Return how far the cover moves rays sideways on their way to the sensor, (n, 2) mm in the sensor's frame.
+
+        In a plate of thickness t a ray goes t tan θ' sideways in place of t tan θ, with sin θ = n sin θ'.
+
+        Parameters
+        ----------
+        direction : (n, 3) float64
+            In air, unit, sensor frame.
+        """
+        across, along = direction[:, :2], np.abs(direction[:, 2])
+        in_glass = np.sqrt(self.cover_index**2 - np.einsum("ij,ij->i", across, across))
+        return self.cover_mm * (1.0 / in_glass - 1.0 / along)[:, None] * across
 
     def inside(self, direction: Array) -> Array:
         """Return unit directions (array frame) in the glass, by Snell's law at a face square to the axis."""
@@ -128,7 +145,9 @@ def plate_of(scene: Scene) -> Plate:
     primary = scene.primary_nm
     _, tables = mla_tables(scene, (primary,), interface_tables(scene, (primary,)).mla, MediumList.of(scene))
     moves = frame_table(scene, np.zeros(3))
-    return Plate(tables.lenslets, refractive_index(mla.medium, primary), tables.curved_to_lens, moves)
+    cover = scene.camera.sensor.cover
+    covered = (0.0, 1.0) if cover is None else (cover.thickness_mm, refractive_index(cover.medium, primary))
+    return Plate(tables.lenslets, refractive_index(mla.medium, primary), tables.curved_to_lens, moves, *covered)
 
 
 def chief_rays(scene: Scene) -> ChiefRays:

@@ -21,6 +21,9 @@ from lfmesh.transport.trace import Status, trace
 
 Array = NDArray[np.float64]
 
+MOST_STEPS = 20
+"""Steps by which the ray through a cover is found; each takes off a few digits, the more the less it is inclined."""
+
 
 class ObjectRays(NamedTuple):
     """Rays in object space, world frame; NaN where the lens or its stop lets none through.
@@ -86,14 +89,26 @@ def _through_apexes(scene: Scene, plate: Plate, apexes: Array, pixels: Array) ->
     """Return where rays from pixels through apexes enter the air before the array, and their directions."""
     sensor = scene.camera.sensor
     on_sensor = (pixels - 0.5 * (np.asarray(sensor.pixels) - 1.0)) * sensor.pixel_mm
-    points = frames.points(plate.moves[SENSOR_FRAME, MLA_FRAME], np.column_stack([on_sensor, np.zeros(len(pixels))]))
     glass = plate.lenslets.thickness if plate.curved_to_lens else 0.0
-    slope, _ = slopes_across(
-        apexes - points[:, :2], np.abs(points[:, 2]) - glass, np.full(len(points), glass), plate.glass
-    )
-    # The array's z axis runs into the glass: towards the lens it is negative where the curved face looks there.
-    in_array = np.column_stack([slope, np.full(len(slope), -1.0 if plate.curved_to_lens else 1.0)])
-    in_array /= np.linalg.norm(in_array, axis=1, keepdims=True)
+    # Seen through a cover, a pixel appears nearer, and off its place by what is of third order in the angle.
+    nearer = plate.cover_mm * (1.0 - 1.0 / plate.cover_index)
+    seen = np.column_stack([on_sensor, np.full(len(pixels), -nearer)])
+    for _ in range(MOST_STEPS if nearer > 0.0 else 1):
+        points = frames.points(plate.moves[SENSOR_FRAME, MLA_FRAME], seen)
+        slope, _ = slopes_across(
+            apexes - points[:, :2], np.abs(points[:, 2]) - glass, np.full(len(points), glass), plate.glass
+        )
+        # The array's z axis runs into the glass: towards the lens it is negative where the curved face looks there.
+        in_array = np.column_stack([slope, np.full(len(slope), -1.0 if plate.curved_to_lens else 1.0)])
+        in_array /= np.linalg.norm(in_array, axis=1, keepdims=True)
+        if nearer > 0.0:
+            to_lens = frames.directions(plate.moves[MLA_FRAME, SENSOR_FRAME], in_array)
+            off = plate.moved_by_cover(to_lens) + nearer * to_lens[:, :2] / np.abs(to_lens[:, 2:])
+            moved = on_sensor + off
+            still = np.array_equal(moved, seen[:, :2], equal_nan=True)
+            seen[:, :2] = moved
+            if still:
+                break
     first = np.column_stack([apexes, np.zeros(len(apexes))])
     if not plate.curved_to_lens:
         inside = plate.inside(in_array)

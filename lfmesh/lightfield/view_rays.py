@@ -74,7 +74,7 @@ class ViewRays:
         paths = trace(
             self.world, frames.points(to_world, (starts - room * along)[known]),
             frames.directions(to_world, -along[known]), self.world.scene.primary_nm,
-            split="transmit", engine=image_path_engine(self.world.scene), threads=transport.threads,
+            split="transmit", engine=image_path_engine(self.world.scene, tracing=True), threads=transport.threads,
         )  # fmt: skip
         return paths, known[paths.source]
 
@@ -139,7 +139,8 @@ def _in_object_space(world: World, paths: Paths, which: NDArray[np.bool_]) -> tu
     return slope, p[:, :2] - p[:, 2:] * slope
 
 
-def image_path_engine(scene: Scene) -> str:
-    """Return the quickest engine that follows a scene's image path."""
+def image_path_engine(scene: Scene, *, tracing: bool = False) -> str:
+    """Return the quickest engine that follows a scene's image path, or with `tracing` given rays along it."""
     transport = scene.transport
-    return "sequential" if obstacle_of(scene, transport.surface, transport.max_events) is None else "mesh"
+    obstacle = obstacle_of(scene, transport.surface, transport.max_events, tracing=tracing)
+    return "sequential" if obstacle is None else "mesh"

@@ -10,7 +10,7 @@ from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.paraxial import Paraxial, quotient
 from lfmesh.scene.scene import Scene
-from lfmesh.scene.solve import air_thickness_mm, image_plane_mm, solved
+from lfmesh.scene.solve import air_thickness_mm, cover_shift_mm, image_plane_mm, solved
 
 AIRY_RING = 1.2196698912665045
 """First zero of the Bessel function J₁ over π."""
@@ -91,6 +91,9 @@ class FirstOrder(Shown):
     refocused_mm: tuple[tuple[float, float, float], ...] = ()
     """Planes refocused to, with the nearest and farthest distance that is then sharp to a lenslet: the near end of the
     refocus range, the plane in focus, the far end. Of a photograph of all views."""
+    cover_shift_mm: float | None = None
+    """How far the sensor's cover moves the image away from the lens, t (1 - 1/n); None without a cover. The sensor
+    stays where the scene puts it; the other figures are those behind the cover."""
     by_wavelength: tuple[AtWavelength, ...] = ()
     """The lens at each wavelength or band, if there are several."""
     poses: tuple[str, ...] = ()
@@ -124,6 +127,8 @@ class FirstOrder(Shown):
             ("magnification", f"{self.magnification:.6g}"),
             ("working f-number", f"{self.working_f_number:.4g}"),
         ]
+        if self.cover_shift_mm is not None:
+            rows.append(("sensor's cover", f"moves the image {_um(self.cover_shift_mm)} away from the lens"))
         if mla:
             rows += [
                 ("microlens f-number", f"{self.microlens_f_number:.4g}"),
@@ -260,6 +265,7 @@ def report_of_solved(scene: Scene) -> FirstOrder:
         view_spacing_mm=quotient(entrance_diameter, micro[2]) if micro else None,
         views_across=micro[2] if micro else None,
         refocused_mm=refocused,
+        cover_shift_mm=cover_shift_mm(camera.sensor, wavelength) if camera.sensor.cover is not None else None,
         by_wavelength=tuple(_by_wavelength(scene, lens, distance)),
         poses=tuple(_pose_lines(camera)),
     )
@@ -276,7 +282,7 @@ def airy_disk_mm(wavelength_nm: float, f_number: float) -> float:
 
 
 def lenslet_to_sensor_mm(camera: Camera, wavelength_nm: float) -> float:
-    """Return the distance from a lenslet's rear principal plane to the sensor of a solved camera, in mm.
+    """Return the distance from a lenslet's rear principal plane to the sensor of a solved camera, as in air, in mm.
 
     The rear principal plane of a plano-convex lenslet lies t/n inside its flat face when light leaves there,
     and at the apex when it leaves through the curved face.
@@ -284,7 +290,7 @@ def lenslet_to_sensor_mm(camera: Camera, wavelength_nm: float) -> float:
     if camera.mla is None or camera.sensor.distance_mm is None:
         return math.nan
     inside = air_thickness_mm(camera.mla, wavelength_nm) if camera.mla.curved_side == "lens" else 0.0
-    return camera.sensor.distance_mm + inside
+    return camera.sensor.distance_mm - cover_shift_mm(camera.sensor, wavelength_nm) + inside
 
 
 def _micro_image(

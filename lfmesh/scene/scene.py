@@ -272,6 +272,8 @@ class Scene(Model, Shown):
         if self.camera.mla is not None:
             yield ("camera", "mla", "curved_coating"), self.camera.mla.curved_coating
             yield ("camera", "mla", "flat_coating"), self.camera.mla.flat_coating
+        if self.camera.sensor.cover is not None:
+            yield ("camera", "sensor", "cover", "coating"), self.camera.sensor.cover.coating
         for i, target in enumerate(self.targets):
             if target.refractor is not None:
                 yield ("targets", i, "refractor", "coating"), target.refractor.coating
@@ -385,6 +387,10 @@ class Scene(Model, Shown):
                     None,
                     "transport.polarisation knows matt targets and glass, which a gloss is neither of; leave it out",
                 )
+        if self.camera.sensor.cover is not None:
+            yield Fault(
+                ("camera", "sensor", "cover"), None, "transport.polarisation stops at the array; leave the cover out"
+            )
         if self.camera.sensor.reflectance > 0.0:
             yield Fault(
                 ("camera", "sensor", "reflectance"),
@@ -409,6 +415,8 @@ class Scene(Model, Shown):
             media += [(("tanks", i, "liquid", "glass"), tank.liquid.medium)]
         if self.camera.mla is not None:
             media.append((("camera", "mla", "glass"), self.camera.mla.medium))
+        if self.camera.sensor.cover is not None:
+            media.append((("camera", "sensor", "cover", "glass"), self.camera.sensor.cover.medium))
         for i, target in enumerate(self.targets):
             gloss = target.material.gloss
             for wavelength in self._checked_nm() if gloss is not None and gloss.metal is not None else ():

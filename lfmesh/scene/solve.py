@@ -14,6 +14,7 @@ from lfmesh.scene.model import Model
 from lfmesh.scene.paraxial import Paraxial, Ray, quotient
 from lfmesh.scene.quantities import LARGEST, SMALLEST
 from lfmesh.scene.scene import Scene
+from lfmesh.scene.sensor import Sensor
 
 M = TypeVar("M", bound=Model)
 
@@ -69,6 +70,13 @@ def air_thickness_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
     return mla.thickness_mm / refractive_index(mla.medium, wavelength_nm)
 
 
+def cover_shift_mm(sensor: Sensor, wavelength_nm: float) -> float:
+    """Return how far the sensor's cover moves the image away from the lens, t (1 - 1/n), in mm; 0 without a cover."""
+    if sensor.cover is None:
+        return 0.0
+    return sensor.cover.thickness_mm * (1.0 - 1.0 / refractive_index(sensor.cover.medium, wavelength_nm))
+
+
 def lenslet_focal_length_mm(mla: MicrolensArray, wavelength_nm: float) -> tuple[float, ...]:
     """Return the focal lengths of the lenslet types of a solved array, R / (n − 1), in mm."""
     n = refractive_index(mla.medium, wavelength_nm)
@@ -82,7 +90,7 @@ def image_plane_mm(camera: Camera, wavelength_nm: float) -> float:
     the plate, t/n behind that face.
     """
     if camera.mla is None:
-        return camera.sensor.distance_mm or math.nan
+        return (camera.sensor.distance_mm or math.nan) - cover_shift_mm(camera.sensor, wavelength_nm)
     seen = air_thickness_mm(camera.mla, wavelength_nm) if camera.mla.curved_side == "sensor" else 0.0
     return (camera.mla.distance_mm or math.nan) + seen
 
@@ -99,7 +107,7 @@ def _with_distances(camera: Camera, wavelength_nm: float) -> Camera:
     if mla is None:
         if sensor.distance_mm is None:
             distance = _focused_image_mm(camera, "camera.sensor.distance_mm", wavelength_nm)
-            sensor = _changed(sensor, distance_mm=distance)
+            sensor = _changed(sensor, distance_mm=distance + cover_shift_mm(sensor, wavelength_nm))
         return _changed(camera, sensor=sensor)
     if mla.distance_mm is None:
         distance = _focused_image_mm(camera, "camera.mla.distance_mm", wavelength_nm)
@@ -112,7 +120,8 @@ def _with_distances(camera: Camera, wavelength_nm: float) -> Camera:
             )
         mla = _changed(mla, distance_mm=distance)
     if sensor.distance_mm is None:
-        sensor = _changed(sensor, distance_mm=_focal_plane_mm(mla, wavelength_nm))
+        behind = _focal_plane_mm(mla, wavelength_nm) + cover_shift_mm(sensor, wavelength_nm)
+        sensor = _changed(sensor, distance_mm=behind)
     return _changed(camera, mla=mla, sensor=sensor)
 
 
@@ -168,11 +177,12 @@ def _behind_image_mm(camera: Camera, wavelength_nm: float) -> float:
     Of a camera whose distance behind the lens is not known yet.
     """
     mla = camera.mla
+    shift = cover_shift_mm(camera.sensor, wavelength_nm)
     if mla is None:
-        return 0.0
+        return shift
     behind = camera.sensor.distance_mm
     if behind is None:
-        behind = _focal_plane_mm(mla, wavelength_nm)
+        behind = _focal_plane_mm(mla, wavelength_nm) + shift
     # The lens focuses on the apexes, which it may see through the plate, as t/n behind the flat face.
     seen = air_thickness_mm(mla, wavelength_nm) if mla.curved_side == "sensor" else 0.0
     return mla.thickness_mm - seen + behind

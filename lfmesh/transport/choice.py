@@ -53,6 +53,8 @@ def obstacle_of(scene: Scene, surface: str, max_events: int, *, tracing: bool = 
         return "media are followed packet by packet"
     if surface != "exact":
         return f'surface = "{surface}" is a mesh\'s'
+    if scene.camera.sensor.cover is not None and tracing:
+        return "light is followed through the sensor's cover packet by packet"
     lens = scene.camera.lens
     for i, element in enumerate(lens.surfaces):
         if element.mesh is not None:
@@ -61,6 +63,8 @@ def obstacle_of(scene: Scene, surface: str, max_events: int, *, tracing: bool = 
     if refused is not None:
         return refused
     interfaces = len(lens.surfaces) + (0 if scene.camera.mla is None else 2)
+    if scene.camera.sensor.cover is not None:
+        interfaces += 2
     if interfaces >= max_events:
         return f"max_events = {max_events} cuts paths inside the lens"
     return None

@@ -34,9 +34,11 @@ def refuse_collisions(scene: Scene, lens: LensTables, mla: MlaTables, moves: Arr
         The message says by how much they intersect.
     """
     width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
-    sensor = np.array([[x, y, 0.0] for x in (-width, width) for y in (-height, height)])
+    cover = scene.camera.sensor.cover
+    front = -cover.height_mm if cover is not None else 0.0
+    sensor = np.array([[x, y, front] for x in (-width, width) for y in (-height, height)])
     if mla.present:
-        _refuse_sensor_in_array(mla, frame.points(moves[SENSOR_FRAME, MLA_FRAME], sensor))
+        _refuse_sensor_in_array(mla, frame.points(moves[SENSOR_FRAME, MLA_FRAME], sensor), cover is not None)
         half_width, half_height = mla.lenslets.lattice.half_extent
         depths = mla.lenslets.top, mla.lenslets.thickness
         slab = [[x, y, z] for x in (-half_width, half_width) for y in (-half_height, half_height) for z in depths]
@@ -45,8 +47,8 @@ def refuse_collisions(scene: Scene, lens: LensTables, mla: MlaTables, moves: Arr
         _refuse_in_lens("camera.sensor", lens, frame.points(moves[SENSOR_FRAME, CAMERA_FRAME], sensor))
 
 
-def _refuse_sensor_in_array(mla: MlaTables, corners: Array) -> None:
-    """Refuse a sensor whose corners (4, 3) (array frame) are not all beyond the array's face on its side."""
+def _refuse_sensor_in_array(mla: MlaTables, corners: Array, covered: bool) -> None:
+    """Refuse a sensor, or its cover, whose corners (4, 3) (array frame) are not all beyond the array's rear face."""
     inside = np.clip(corners[:, :2], *(np.array([[-1.0], [1.0]]) * mla.lenslets.lattice.half_extent))
     # Of a sensor larger than the array only the part behind the array can intersect it.
     plane = np.linalg.lstsq(np.column_stack([corners[:, :2], np.ones(4)]), corners[:, 2], rcond=None)[0]
@@ -54,8 +56,9 @@ def _refuse_sensor_in_array(mla: MlaTables, corners: Array) -> None:
     gap = (z - mla.lenslets.thickness if mla.curved_to_lens else mla.lenslets.top - z).min()
     if gap <= 0.0:
         raise SceneError(
-            f"camera.mla.pose, camera.sensor.pose: the array reaches {-gap:.4g} mm through the sensor's plane; "
-            "give smaller shifts and tilts, or a larger camera.sensor.distance_mm"
+            f"camera.mla.pose, camera.sensor.pose: the array reaches {-gap:.4g} mm through the sensor's "
+            f"{'cover' if covered else 'plane'}; give smaller shifts and tilts, "
+            f"{'a thinner camera.sensor.cover, ' if covered else ''}or a larger camera.sensor.distance_mm"
         )
 
 

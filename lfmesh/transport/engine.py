@@ -46,6 +46,7 @@ from lfmesh.transport.packets.packet import (
     Flow,
     Options,
 )
+from lfmesh.transport.regions.cover import through_cover
 from lfmesh.transport.regions.emitters import ask_emitters
 from lfmesh.transport.regions.lens import admit_to_lens, shade_lens
 from lfmesh.transport.regions.lens_block import empty_block
@@ -267,10 +268,18 @@ class Workspace:
             ask_emitters(wave, tables.objects, options, flow)
         elif station == PLATE:
             through_plate(wave, self.mla_block, self.numbers, mla, frames, lens_surfaces, options, flow)
+        elif tables.cover is not None:
+            through_cover(wave, tables.sensor, tables.cover, mla.present, lens_surfaces, frames, options, self.flow())
         elif tables.sensor.reflectance > 0.0:
             onto_reflecting_sensor(wave, tables.sensor, mla.present, lens_surfaces, frames, options, flow)
         else:
             onto_sensor(wave, tables.sensor, frames, options, flow)
+
+    def move_waiting(self, station: int, to: int) -> None:
+        """Let the packets that wait at one station wait at another, where none does."""
+        rows, tops = self.rows, self.tops
+        rows[station], rows[to] = rows[to], rows[station]
+        tops[to], tops[station] = tops[station], 0
 
     def _sample(self, wave: NDArray[np.void]) -> None:
         if self.sampled is not None:

@@ -368,11 +368,15 @@ def at_wavelength(world: World, wavelength_nm: float) -> Tables:
     """Return the tables of a world with media and interfaces at one wavelength."""
     tables, media = world.tables, world.media.table((wavelength_nm,))
     interfaces = interface_tables(world.scene, (wavelength_nm,), world.book)
+    cover = tables.cover
+    if cover is not None:
+        cover = cover._replace(media=media, interfaces=interfaces.cover)
     return tables._replace(
         lens=tables.lens._replace(media=media, interfaces=interfaces.lens),
         mla=tables.mla._replace(media=media, interfaces=interfaces.mla),
         objects=tables.objects._replace(media=media, interfaces=interfaces.objects),
         polarised=polarisation_tables(world.scene, (wavelength_nm,), tables.frames, world.book),
+        cover=cover,
     )
 
 
@@ -435,6 +439,10 @@ def located(
     else:
         forward = frame.directions(tables.frames[CAMERA_FRAME, SENSOR_FRAME], d)[:, 2] > 0.0
         station[after] = np.where(forward, SENSOR, LENS)[after]
+    if tables.cover is not None:
+        # In the cover and behind it too.
+        behind_front = frame.points(tables.frames[CAMERA_FRAME, SENSOR_FRAME], p)[:, 2] > tables.cover.front_z
+        station[after & behind_front] = SENSOR
     space[after] = count
     # Beside the lens there is air, whichever surfaces lie before the point.
     space[station == OBJECTS] = 0

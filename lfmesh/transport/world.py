@@ -40,6 +40,7 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.refused_glass import ClosedGapWarning, closed_gaps, refuse_untraceable_glass
 from lfmesh.transport.regions.embree import Finder
+from lfmesh.transport.tables.cover import apparent_frames, cover_tables
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.interfaces import InterfaceTables, coatings_in_book, interface_tables
 from lfmesh.transport.tables.lens import lens_tables, mla_tables
@@ -323,6 +324,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     middle = middle_of(targets)
     moves = frame_table(scene, middle)
     refuse_collisions(scene, lens, mla, moves)
+    seen_moves = apparent_frames(scene, moves)
     housing = housing_mesh(scene, shape)
     refuse_targets_inside(scene, targets, housing, moves)
     ranks = refuse_untraceable_glass(
@@ -343,10 +345,13 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
             return anywhere, None
         grains = frame.points(moves[WORLD_FRAME, CAMERA_FRAME], corners_round(particles))
         seen = np.concatenate([targets_in_camera(targets, moves), corners_in_camera(objects.volumes, moves), grains])
-        return aim_table(scene, report, lens, mla, sensor, seen, moves, analytic=bool(shape.analytic.all()))
+        return aim_table(scene, report, lens, mla, sensor, seen, seen_moves, analytic=bool(shape.analytic.all()))
 
     polarised = polarisation_tables(scene, wavelengths_nm, moves, book)
     tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=anywhere, polarised=polarised)
+    cover = cover_tables(scene, wavelengths_nm, interfaces.cover, known)
+    if cover is not None:
+        tables = tables._replace(cover=cover, apparent=seen_moves)
     finders = (Finder(lens_mesh), Finder(mla_mesh_), Finder(*divided(object_mesh, objects.facets["body"])))
     how = {"rings": rings, "aimed": aimed}
     return World(scene, report, tables, finders, book, Bodies(shape, targets, housing), particles, find_aim, how)

@@ -21,7 +21,9 @@ BENCH = bench_camera(4, 4).replace(
 BENCH = BENCH.replace("\nindex = 1.5", '\nglass = "SCHOTT/N-BK7"')
 
 SCENE = f"""name = "bench"
-{BENCH}[camera.mla.pose]
+{BENCH}reflectance = 0.1
+cover = {{ thickness_mm = 0.2, gap_mm = 0.1, index = 1.5, coating = "none" }}
+[camera.mla.pose]
 shift_mm = [0.0, 0.0, 0.0]
 [[targets]]
 shape = {{ kind = "plane", width_mm = 60.0, height_mm = 60.0 }}

@@ -92,6 +92,9 @@ def test_what_cannot_be_written_is_refused(
 def test_a_conventional_camera_has_no_camera_model(camera: Callable[..., Scene]) -> None:
     with pytest.raises(lf.LfmeshError, match="a conventional camera"):
         lf.camera_model(camera().changed({"camera.mla": None}))
+    cover = {"thickness_mm": 0.01, "gap_mm": 0.01, "index": 1.5}
+    with pytest.raises(lf.LfmeshError, match=r"camera\.sensor\.cover"):
+        lf.camera_model(camera().changed({"camera.sensor.cover": cover}))
 
 
 @pytest.mark.parametrize("hexagonal", [False, True])

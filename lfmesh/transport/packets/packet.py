@@ -92,8 +92,8 @@ EVENT_OF_STATUS = np.array([LAST_EVENT[status] for status in Status], dtype=np.i
 # Numbers in a recorded vertex's `surface`: below FACES_AT a refracting surface of the lens, then one of FACES;
 # ENDS_AT + slot: where a packet ended.
 FACES_AT, ENDS_AT = 1000, 2000
-FACES = ("mla curved face", "mla flat face", "target", "glass")
-CURVED_FACE, FLAT_FACE, ON_TARGET, ON_GLASS = range(FACES_AT, FACES_AT + len(FACES))
+FACES = ("mla curved face", "mla flat face", "target", "glass", "cover front face", "cover rear face")
+CURVED_FACE, FLAT_FACE, ON_TARGET, ON_GLASS, COVER_FRONT, COVER_REAR = range(FACES_AT, FACES_AT + len(FACES))
 
 NO_SURFACE = -1
 LEFT_LENS = -2

@@ -72,40 +72,58 @@ def onto_reflecting_sensor(
     options : Options
     flow : Flow
     """
+    station = PLATE if has_mla else LENS
     for i in range(len(wave)):
         packet = wave[i]
         move_packet(frames, packet, SENSOR_FRAME)
-        pixel, x, y = _pixel_met(packet, sensor)
-        if pixel < 0:
-            _end_on(pixel, x, y, packet.weight, packet, frames, options, flow)
-            continue
-        if too_deep(options, flow, frames, packet):
-            continue
-        flow.counts[EVENTS] += 1
-        if options.sequential:
-            # The image path ends here.
-            reflected, detected = 0.0, packet.weight * (1.0 - sensor.reflectance)
-            flow.book[UNFOLLOWED] += packet.weight * sensor.reflectance
-        else:
-            reflected, detected = split_shares(
-                options, flow.book, packet, sensor.reflectance, 1.0 - sensor.reflectance
+        onto_pixel(packet, sensor, station, lens_surfaces, frames, options, flow)
+
+
+@inlined
+def onto_pixel(
+    packet: Any, sensor: SensorTables, station: int, lens_surfaces: int, frames: NDArray[np.float64],
+    options: Options, flow: Flow,
+) -> None:  # fmt: skip
+    """End a packet (sensor frame) in the sensor's plane with what the pixel detects, and send back what it reflects.
+
+    Parameters
+    ----------
+    packet : PACKET
+    sensor : SensorTables
+    station : int
+        Where what is reflected waits.
+    lens_surfaces : int
+        Number of refracting surfaces of the lens.
+    """
+    pixel, x, y = _pixel_met(packet, sensor)
+    if pixel < 0 or sensor.reflectance == 0.0:
+        _end_on(pixel, x, y, packet.weight, packet, frames, options, flow)
+        return
+    if too_deep(options, flow, frames, packet):
+        return
+    flow.counts[EVENTS] += 1
+    if options.sequential:
+        # The image path ends here.
+        reflected, detected = 0.0, packet.weight * (1.0 - sensor.reflectance)
+        flow.book[UNFOLLOWED] += packet.weight * sensor.reflectance
+    else:
+        reflected, detected = split_shares(options, flow.book, packet, sensor.reflectance, 1.0 - sensor.reflectance)
+    packet.events += 1
+    if detected > 0.0:
+        _end_on(pixel, x, y, detected, packet, frames, options, flow)
+    if reflected > 0.0:
+        if options.record:
+            packet.node = record(
+                flow, frames, SENSOR_FRAME, x, y, 0.0, reflected, ENDS_AT + ON_SENSOR, NO_SURFACE, E_REFLECTED,
+                packet.node,
             )  # fmt: skip
-        packet.events += 1
-        if detected > 0.0:
-            _end_on(pixel, x, y, detected, packet, frames, options, flow)
-        if reflected > 0.0:
-            if options.record:
-                packet.node = record(
-                    flow, frames, SENSOR_FRAME, x, y, 0.0, reflected, ENDS_AT + ON_SENSOR, NO_SURFACE, E_REFLECTED,
-                    packet.node,
-                )  # fmt: skip
-            # It goes on as packets start at a pixel, but off the image path.
-            child = put(
-                flow, PLATE if has_mla else LENS, packet, SENSOR_FRAME, x, y, 0.0, packet.dx, packet.dy, -packet.dz,
-                reflected, derived(packet.key, packet.events), 0.0,
-            )  # fmt: skip
-            child.space, child.stray = lens_surfaces, 1
-            child.last, child.facet, child.column = NO_SURFACE, NO_SURFACE, NO_SURFACE
+        # It goes on as packets start at a pixel, but off the image path.
+        child = put(
+            flow, station, packet, SENSOR_FRAME, x, y, 0.0, packet.dx, packet.dy, -packet.dz,
+            reflected, derived(packet.key, packet.events), 0.0,
+        )  # fmt: skip
+        child.space, child.stray = lens_surfaces, 1
+        child.last, child.facet, child.column = NO_SURFACE, NO_SURFACE, NO_SURFACE
 
 
 @inlined

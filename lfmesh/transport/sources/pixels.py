@@ -44,6 +44,7 @@ from lfmesh.transport.packets.packet import (
     PACKET,
     PLATE,
     SAMPLE_SHIFT,
+    SENSOR,
     SENSOR_FRAME,
     Flow,
     Options,
@@ -131,7 +132,8 @@ class PixelSource(Source):
         tables, options, pixels = work.tables, work.options, self.pixels[part.start : part.stop]
         begin = np.zeros(len(pixels), np.int64) if self.begin is None else self.begin[part.start : part.stop]
         room = work.kept(StartRoom, lambda: start_room(tables.aim, work.stacks.dtype))
-        if options.sequential and options.adjoint:
+        seen = tables.frames if tables.apparent is None else tables.apparent
+        if options.sequential and options.adjoint and tables.cover is None:
             launch_along_image_path(
                 pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
                 tables.lens, tables.mla, tables.aim, tables.frames, work.bundle, work.numbers, options, work.flow(),
@@ -140,8 +142,11 @@ class PixelSource(Source):
         else:
             launch_adjoint(
                 pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
-                tables.mla, tables.aim, tables.frames, len(tables.lens.surfaces), work.bundle, work.flow(), room,
+                tables.mla, tables.aim, seen, len(tables.lens.surfaces), work.bundle, work.flow(), room,
             )  # fmt: skip
+            if tables.cover is not None:
+                # Without a cover a pixel's light meets the array first, or the lens.
+                work.move_waiting(PLATE if tables.mla.present else LENS, SENSOR)
 
 
 class StartRoom(NamedTuple):

@@ -131,11 +131,14 @@ class InterfaceTables(NamedTuple):
     objects : Interfaces
         For each target one row for each medium that may be on its outside, see `tables.body_row`; rows of opaque
         targets are not used.
+    cover : Interfaces
+        Front and rear face of the sensor's cover; none without one.
     """
 
     lens: Interfaces
     mla: Interfaces
     objects: Interfaces
+    cover: Interfaces
 
 
 def lens_faces(scene: Scene) -> list[Face]:
@@ -168,6 +171,18 @@ def array_faces(scene: Scene) -> list[Face]:
     return [Face(place, body, name, None, mla.medium, finish) for place, body, name, finish in faces]
 
 
+def cover_faces(scene: Scene) -> list[Face]:
+    """Return the faces of the sensor's cover, the one towards the lens first; none without a cover."""
+    cover = scene.camera.sensor.cover
+    if cover is None:
+        return []
+    return [
+        Face(f"camera.sensor.cover, its {side} face", f"coating of the cover's {side} face", cover.coating, None,
+             cover.medium)
+        for side in ("front", "rear")
+    ]  # fmt: skip
+
+
 def body_faces(scene: Scene, outer: Medium = None) -> list[Face]:
     """Return the surfaces of the targets with a medium on their outside.
 
@@ -189,14 +204,15 @@ def body_faces(scene: Scene, outer: Medium = None) -> list[Face]:
 
 def coatings_in_book(scene: Scene) -> list[str]:
     """Return what the ledger calls the coatings of a scene, one for each coated face or body, and its polariser."""
-    faces = (*lens_faces(scene), *array_faces(scene), *body_faces(scene))
+    faces = (*lens_faces(scene), *array_faces(scene), *body_faces(scene), *cover_faces(scene))
     polariser = [POLARISER] if scene.camera.polariser_deg is not None else []
     return [*(face.body for face in faces if face.coating != UNCOATED), *polariser]
 
 
 def refused_in_order(scene: Scene) -> str | None:
     """Describe the first surface of lens or array that the sequential engine cannot trace; None if it can trace all."""
-    faces = (*lens_faces(scene), *(array_faces(scene) if scene.camera.mla is not None else ()))
+    array = array_faces(scene) if scene.camera.mla is not None else ()
+    faces = (*lens_faces(scene), *array, *cover_faces(scene))
     wavelengths_nm = Lines.of(scene).wavelengths_nm
     for face in faces:
         kind = KINDS[_kind_of(scene, face, wavelengths_nm)]
@@ -220,13 +236,16 @@ def interface_tables(scene: Scene, wavelengths_nm: tuple[float, ...], book: Book
     SceneError, FileError
         A coating cannot be tabulated.
     """
-    lens, mla, bodies = (_finishes(scene, faces, wavelengths_nm) for faces in faces_of_regions(scene))
     slots = book.coatings if book is not None else {}
     faces = faces_of_regions(scene)
     return InterfaceTables(
         *(
-            _table(own, [slots.get(face.body, NO_SLOT) for face in its], len(wavelengths_nm))
-            for own, its in zip((lens, mla, bodies), faces, strict=True)
+            _table(
+                _finishes(scene, its, wavelengths_nm),
+                [slots.get(face.body, NO_SLOT) for face in its],
+                len(wavelengths_nm),
+            )
+            for its in faces
         )
     )
 
@@ -250,7 +269,7 @@ def coating_lines(scene: Scene) -> list[str]:
     wavelengths_nm, colour = _shown_nm(scene)
     mla = array_faces(scene) if scene.camera.mla is not None else []
     lines, used = [], set()
-    for face in (*lens_faces(scene), *mla, *body_faces(scene)):
+    for face in (*lens_faces(scene), *mla, *body_faces(scene), *cover_faces(scene)):
         if face.coating == UNCOATED:
             continue
         finish = _finish_of(scene, face, wavelengths_nm)
@@ -293,11 +312,11 @@ def finish_lines(scene: Scene) -> list[str]:
     return lines
 
 
-def faces_of_regions(scene: Scene) -> tuple[list[Face], list[Face], list[Face]]:
-    """Return the faces of lens, array and object space in the order of their rows in `interface_tables`."""
+def faces_of_regions(scene: Scene) -> tuple[list[Face], list[Face], list[Face], list[Face]]:
+    """Return the faces of lens, array, object space and sensor cover, in the order of their rows in the tables."""
     by_medium = [body_faces(scene, outer) for outer in MediumList.of(scene).media]
     bodies = [faces[i] for i in range(len(scene.targets)) for faces in by_medium]
-    return lens_faces(scene), array_faces(scene), bodies
+    return lens_faces(scene), array_faces(scene), bodies, cover_faces(scene)
 
 
 def _finishes(scene: Scene, faces: list[Face], wavelengths_nm: tuple[float, ...]) -> list[Finish]:

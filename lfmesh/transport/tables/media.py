@@ -29,8 +29,9 @@ class MediumList:
         """Return the media of a scene."""
         lens = [surface.medium for surface in scene.camera.lens.surfaces]
         mla = [scene.camera.mla.medium] if scene.camera.mla is not None else []
+        cover = [scene.camera.sensor.cover.medium] if scene.camera.sensor.cover is not None else []
         bodies = [target.refractor.medium for target in scene.targets if target.refractor is not None]
-        return cls(tuple(dict.fromkeys([None, *lens, *mla, *bodies])))
+        return cls(tuple(dict.fromkeys([None, *lens, *mla, *bodies, *cover])))
 
     def number(self, medium: Medium) -> int:
         """Return the number of a medium."""

@@ -209,6 +209,9 @@ class Tables(NamedTuple):
     frames: Array  # (5, 5, 3, 4): frames[a, b] moves from frame a into frame b
     aim: AimTables
     polarised: Any = None  # PolarisationTables where packets carry a state of polarisation
+    cover: Any = None  # CoverTables where the sensor has a cover
+    # (5, 5, 3, 4) as `frames`, with the sensor where it appears to be through its cover, if it has one: for aiming
+    apparent: Any = None
 
 
 NO_SLOT = -1

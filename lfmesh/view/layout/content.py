@@ -150,6 +150,8 @@ class Layout:
     array : (4, 2) float64 or None
         Section of the array's plate.
     sensor : (2, 2) float64
+    cover : (4, 2) float64 or None
+        Section of the sensor's cover, drawn as wide as the sensor.
     targets : list of TargetSection
     detail : Detail
     """
@@ -162,6 +164,7 @@ class Layout:
     bundles: list[Bundle]
     mla: Array | None
     sensor: Array
+    cover: Array | None
     targets: list[TargetSection]
     detail: Detail
 
@@ -195,6 +198,7 @@ def layout(scene: Scene) -> Layout:
         _field_bundles(drawn, facts, aim),
         _array_section(drawn, moves),
         _sensor_section(drawn, moves),
+        _cover_section(drawn, moves),
         _target_sections(drawn, moves),
         _detail(drawn, world, aim),
     )
@@ -277,6 +281,15 @@ def _array_section(scene: Scene, moves: Array) -> Array | None:
 def _sensor_section(scene: Scene, moves: Array) -> Array:
     cut = cut_through("camera.sensor", moves[SENSOR_FRAME, CAMERA_FRAME], scene.camera.sensor.size_mm)
     return cut.section(np.array([cut.low, cut.high]))
+
+
+def _cover_section(scene: Scene, moves: Array) -> Array | None:
+    cover = scene.camera.sensor.cover
+    if cover is None:
+        return None
+    cut = cut_through("camera.sensor", moves[SENSOR_FRAME, CAMERA_FRAME], scene.camera.sensor.size_mm)
+    ends = np.array([cut.low, cut.high])
+    return np.concatenate([cut.section(ends, -cover.height_mm), cut.section(ends[::-1], -cover.gap_mm)])
 
 
 def _target_sections(scene: Scene, moves: Array) -> list[TargetSection]:

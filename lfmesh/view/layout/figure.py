@@ -514,6 +514,8 @@ def _draw_lens(view: View, drawn: Layout, line: float = 0.7) -> None:
     view.lines(marks, linewidths=2.0 * line, zorder=4)
     if drawn.mla is not None:
         view.area(drawn.mla, fc=GLASS, lw=0.5 * line, zorder=2)
+    if drawn.cover is not None:
+        view.area(drawn.cover, fc=GLASS, lw=0.5 * line, zorder=2)
     view.lines([drawn.sensor], linewidths=2.2 * line, zorder=4)
 
 
@@ -602,6 +604,8 @@ def _detail_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, 
     view.axis()
     if detail.plate is not None:
         view.area(detail.plate, fc=(*mpl.colors.to_rgb(GLASS), 0.45), lw=0.7, zorder=2)
+    if drawn.cover is not None:
+        view.area(drawn.cover, fc=(*mpl.colors.to_rgb(GLASS), 0.3), lw=0.7, zorder=2)
     colours = LENSLET_COLOURS if len(detail.bundles) == 3 else FIELD_COLOURS[:1] * len(detail.bundles)
     view.rays(detail.bundles, colours, 0.6)
     view.lines([detail.sensor], linewidths=1.4, zorder=4)

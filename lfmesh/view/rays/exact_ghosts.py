@@ -140,7 +140,10 @@ def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[fl
     """
     shape = world.lens_shape
     if not is_exact(world):
-        raise LfmeshError('ghosts by sequence need exact surfaces: transport.surface = "exact", and no mesh glass')
+        raise LfmeshError(
+            'ghosts by sequence need exact surfaces: transport.surface = "exact", no mesh glass, and no cover '
+            "before the sensor"
+        )
     points = frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], np.atleast_2d(np.asarray(points_mm, float)))
     if (points[:, 2] >= world.tables.lens.box_low[2]).any():
         raise LfmeshError("ghosts by sequence: a field point must lie in front of the lens")
@@ -166,7 +169,10 @@ def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[fl
 
 
 def is_exact(world: World) -> bool:
-    """Tell whether all surfaces of lens and array are followed as the exact ones."""
+    """Tell whether all surfaces of lens and array are followed as the exact ones, and no cover is before the sensor."""
+    if world.tables.cover is not None:
+        # Its two faces and the sensor behind it are in no sequence; the recorded paths have them.
+        return False
     shape = world.lens_shape
     return bool(shape.analytic.all() and (shape.surfaces["level"] == EXACT).all())
 

@@ -108,10 +108,14 @@ def _array(world: World) -> Rows:
 def _sensor(world: World) -> Rows:
     sensor = world.scene.camera.sensor
     width, height = sensor.size_mm
-    return [
+    rows = [
         ("sensor", f"{sensor.pixels[0]} × {sensor.pixels[1]} pixels of {1e3 * sensor.pixel_mm:g} µm"),
         ("size", f"{width:.5g} mm × {height:.5g} mm"),
     ]
+    if sensor.cover is not None:
+        glass = _medium(world, sensor.cover.medium)
+        rows.append(("cover", f"{sensor.cover.thickness_mm:g} mm of {glass}, {sensor.cover.gap_mm:g} mm before it"))
+    return rows
 
 
 def _target(world: World, number: int) -> Rows:

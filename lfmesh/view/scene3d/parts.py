@@ -217,6 +217,15 @@ def _sensor(world: World, picture: Picture | None) -> Iterator[Part]:
     pixels.active_texture_coordinates = place * (world.scene.camera.sensor.pixels if tiled else (1, 1))
     drawn = _bare_pixel() if picture is None else picture
     yield Part("sensor", "sensor", pixels, {"lighting": False}, picture=drawn, tiled=tiled)
+    cover = world.scene.camera.sensor.cover
+    if cover is not None:
+        x, y = (0.5 * size for size in world.scene.camera.sensor.size_mm)
+        box = pv.Box(bounds=(-x, x, -y, y, -cover.height_mm, -cover.gap_mm)).triangulate()
+        place = frames.points(world.tables.frames[SENSOR_FRAME, WORLD_FRAME], box.points)
+        plate = polydata(place, box.regular_faces)
+        glass = {"color": tint(refractive_index(cover.medium, world.scene.primary_nm)), "opacity": 0.2}
+        edges = plate.extract_feature_edges(CREASE_DEG)
+        yield Part("sensor", "sensor", plate, glass, edges, "#79d0dc", label="sensor cover")
     board = _chip(world)
     edges = board.extract_feature_edges(CREASE_DEG)
     green = "#4fae86"

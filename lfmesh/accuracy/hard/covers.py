@@ -1,0 +1,71 @@
+"""The sensor's cover glass at the limits of its thickness, its index and the angle of incidence."""
+
+import numpy as np
+
+from lfmesh.accuracy.hard.outcome import SINGLET, Outcome, case, disk, lens_scene, on_sensor, sensor_z, tilted
+from lfmesh.accuracy.hard.truth import Array, transmittance
+from lfmesh.transport.trace import trace
+from lfmesh.transport.world import build
+
+COUNT = 10_000
+LEAST_RAD = 1e-3
+"""The smallest angle at which a ray grazes a cover."""
+
+START_MM = 5.0
+"""From the last vertex of the lens to where rays start."""
+
+
+def _through(
+    thickness: float, gap: float, index: float, directions: Array, *, distance: float = 40.0,
+    tolerance: float = 1e-12, relative: float = 1e-12,
+) -> Outcome:  # fmt: skip
+    """Trace rays from behind the lens through a cover of a thickness, a gap behind it and an index onto the sensor."""
+    cover = {"thickness_mm": thickness, "gap_mm": gap, "index": index}
+    scene = lens_scene(SINGLET, sensor_mm=1e13, distance=distance).changed({"camera.sensor.cover": cover})
+    z = scene.camera.lens.vertices_mm[-1] + START_MM
+    starts = np.column_stack([disk(5.0, COUNT, 3), np.full(COUNT, z)])
+    paths = trace(build(scene), starts, directions, split="transmit")
+    across, cosine = directions[:, :2], directions[:, 2]
+    # From the sine: of rays that graze the plate the root of the other cosine loses nothing.
+    inside = np.sqrt(index**2 - np.square(across).sum(axis=1))
+    air = sensor_z(scene) - z - thickness
+    landing = starts[:, :2] + across * (air / cosine + thickness / inside)[:, None]
+    share = transmittance(1.0, index, cosine, inside / index) * transmittance(index, 1.0, inside / index, cosine)
+    truth = np.column_stack([landing, np.full(COUNT, sensor_z(scene))])
+    return on_sensor(paths, truth, share, tolerance, relative=relative)
+
+
+@case
+def cover_of_air() -> Outcome:
+    """Pass a cover of index 1, which is none."""
+    return _through(2.0, 1.0, 1.0, tilted(COUNT, 1.0))
+
+
+@case
+def cover_of_index_4() -> Outcome:
+    """Pass a cover of germanium's index."""
+    return _through(2.0, 1.0, 4.0, tilted(COUNT, 1.0))
+
+
+@case
+def cover_of_1_nm() -> Outcome:
+    """Pass a cover of 1 nm that lies 1 nm before the sensor."""
+    return _through(1e-6, 1e-6, 1.5, tilted(COUNT, 1.0))
+
+
+@case
+def cover_of_10_m() -> Outcome:
+    """Pass a cover of 10 m."""
+    return _through(1e4, 1.0, 1.5, tilted(COUNT, 1.0), distance=1.1e4, tolerance=1e-8)
+
+
+@case
+def grazing_a_cover() -> Outcome:
+    """Graze a cover, down to a milliradian, and land far from the axis."""
+    draw = np.random.default_rng(4)
+    angle, phi = LEAST_RAD * 10.0 ** draw.uniform(0.0, 2.0, COUNT), draw.uniform(0.0, 2.0 * np.pi, COUNT)
+    d = np.column_stack([np.cos(angle) * np.cos(phi), np.cos(angle) * np.sin(phi), np.sin(angle)])
+    # Behind the plate the angle θ comes from a refraction near the critical angle, where a rounding error ε of the
+    # cosine inside makes one of ε n² / θ; the landing is gap / θ away from where the ray leaves the plate.
+    index, gap, rounding = 1.5, 1.0, np.finfo(np.float64).eps * 1.5**2
+    return _through(2.0, gap, index, d, tolerance=gap * rounding / LEAST_RAD**3, relative=rounding / LEAST_RAD**2)

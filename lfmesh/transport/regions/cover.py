@@ -1,0 +1,137 @@
+"""The sensor's cover glass: a plate parallel to the sensor, whose two faces divide every packet that meets them.
+
+Sensor frame: the pixels lie at z = 0 and light arrives with dz > 0, so that the plate's front face lies at
+z = -(gap + thickness) and its rear face at z = -gap. Packets wait at the sensor's station before the plate, in it and
+behind it; their height and sense of travel say which of the three planes comes next. In the adjoint method they start
+here too.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.events.crossing import end_here, move_packet, refracted, too_deep
+from lfmesh.transport.events.interface import divided, splitter
+from lfmesh.transport.events.travel import travel
+from lfmesh.transport.packets.book import HOUSING, UNFOLLOWED
+from lfmesh.transport.packets.packet import (
+    COVER_FRONT,
+    COVER_REAR,
+    EVENTS,
+    LENS,
+    NO_SURFACE,
+    PLATE,
+    S_ABSORBED,
+    SENSOR,
+    SENSOR_FRAME,
+    Flow,
+    Options,
+    put,
+)
+from lfmesh.transport.regions.sensor import onto_pixel
+from lfmesh.transport.tables.cover import FRONT_ROW, REAR_ROW, CoverTables
+from lfmesh.transport.tables.tables import AIR, SensorTables
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def through_cover(
+    wave: NDArray[np.void], sensor: SensorTables, cover: CoverTables, has_mla: bool, lens_surfaces: int, frames: Array,
+    options: Options, flow: Flow,
+) -> None:  # fmt: skip
+    """Take each packet of a wave to the next face of the cover and divide it there, to a pixel, or out to the array.
+
+    Parameters
+    ----------
+    wave : (n,) PACKET
+    sensor : SensorTables
+    cover : CoverTables
+    has_mla : bool
+    lens_surfaces : int
+        Number of refracting surfaces of the lens.
+    frames : (5, 5, 3, 4) float64
+    options : Options
+    flow : Flow
+    """
+    outside = PLATE if has_mla else LENS
+    for i in range(len(wave)):
+        packet = wave[i]
+        move_packet(frames, packet, SENSOR_FRAME)
+        z, down = packet.z, packet.dz > 0.0
+        if packet.dz == 0.0:
+            end_here(options, flow, frames, packet, HOUSING, S_ABSORBED)
+        elif down and z >= cover.rear_z:
+            onto_pixel(packet, sensor, SENSOR, lens_surfaces, frames, options, flow)
+        elif not down and z <= cover.front_z:
+            _leave(flow, packet, outside, lens_surfaces, z, packet.x, packet.y, packet.dx, packet.dy, packet.dz,
+                   packet.weight, packet.key)  # fmt: skip
+        elif not too_deep(options, flow, frames, packet):
+            at_front = z < cover.front_z if down else z <= cover.rear_z
+            _meet_face(packet, at_front, cover, outside, lens_surfaces, frames, options, flow)
+
+
+@inlined
+def _leave(
+    flow: Flow, packet: Any, outside: int, lens_surfaces: int, z: float, x: float, y: float,
+    dx: float, dy: float, dz: float, weight: float, key: np.uint64,
+) -> None:  # fmt: skip
+    """Queue a packet that is before the cover and flies away from it, as packets start at a pixel without a cover."""
+    child = put(flow, outside, packet, SENSOR_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
+    child.space, child.last, child.facet, child.column = lens_surfaces, NO_SURFACE, NO_SURFACE, NO_SURFACE
+
+
+@inlined
+def _send_from_face(
+    place: Any, options: Options, flow: Flow, frames: Array, packet: Any, refracts: bool,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64,
+) -> None:  # fmt: skip
+    """Queue a child of a packet at a face of the cover."""
+    at_front, outside, lens_surfaces = place
+    if at_front and dz < 0.0:
+        _leave(flow, packet, outside, lens_surfaces, z, x, y, dx, dy, dz, weight, key)
+    else:
+        put(flow, SENSOR, packet, SENSOR_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
+
+
+_split_at_face = splitter(_send_from_face)
+
+
+@inlined
+def _meet_face(
+    packet: Any, at_front: bool, cover: CoverTables, outside: int, lens_surfaces: int, frames: Array,
+    options: Options, flow: Flow,
+) -> None:  # fmt: skip
+    """Divide a packet at the face of the cover that it meets next."""
+    down = packet.dz > 0.0
+    entering = at_front == down
+    sense = 1.0 if down else -1.0
+    z = cover.front_z if at_front else cover.rear_z
+    x, y, _ = travel(flow, cover.media, packet, (z - packet.z) / packet.dz)
+    glass = cover.media.indices[cover.medium, packet.colour]
+    n_i, n_t = (1.0, glass) if entering else (glass, 1.0)
+    cos_i = min(abs(packet.dz), 1.0)
+    number = FRONT_ROW if at_front else REAR_ROW
+    reflectance, transmittance, cos_t = divided(
+        cover.interfaces, number, packet.colour, n_i, n_t, cos_i, not entering, packet, flow.book
+    )
+    bent = refracted(packet.dx, packet.dy, packet.dz, 0.0, 0.0, sense, n_i / n_t, cos_i, cos_t)
+    place = (at_front, outside, lens_surfaces)
+    if options.sequential:
+        # Only what both faces transmit is on the image path.
+        flow.counts[EVENTS] += 1
+        packet.events += 1
+        flow.book[UNFOLLOWED] += packet.weight * reflectance
+        if transmittance > 0.0:
+            weight = packet.weight * transmittance
+            _send_from_face(
+                place, options, flow, frames, packet, True, x, y, z, bent[0], bent[1], bent[2], weight, packet.key
+            )
+        return
+    surface = COVER_FRONT if at_front else COVER_REAR
+    _split_at_face(
+        place, options, flow, frames, SENSOR_FRAME, packet, surface, NO_SURFACE, cover.medium if entering else AIR,
+        x, y, z, reflectance, transmittance, (packet.dx, packet.dy, -packet.dz), bent,
+    )  # fmt: skip

@@ -1,0 +1,52 @@
+"""Micro-images and pixel rays behind the sensor's cover: the closed form of a plate against traced rays."""
+
+import numpy as np
+
+import lfmesh as lf
+from lfmesh.geometry import frame
+from lfmesh.lightfield.chief_rays import plate_of
+from lfmesh.lightfield.object_rays import object_rays
+from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from tests.cameras import close_up_camera
+
+COVER = {"thickness_mm": 0.6, "gap_mm": 0.2, "index": 1.6}
+
+
+def camera(cover=COVER):
+    table = close_up_camera()
+    table["sensor"] |= {"cover": cover, "pose": {"tilt_deg": [3.0, -2.0, 0.0]}}
+    return lf.build(lf.Scene(camera=table))
+
+
+def test_chief_rays_land_where_traced_rays_do():
+    """From just behind the array, in the directions that chief rays have there."""
+    world = camera()
+    plate = plate_of(world.scene)
+    random = np.random.default_rng(1)
+    count = len(plate.apexes)
+    slopes = np.column_stack([random.uniform(-0.3, 0.3, (count, 2)), np.ones(count)])
+    directions = slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
+    to_world = world.tables.frames[MLA_FRAME, WORLD_FRAME]
+    thickness = plate.lenslets.thickness
+    inside = plate.inside(directions)
+    behind = np.column_stack([plate.apexes + thickness * inside[:, :2] / inside[:, 2:], np.full(count, thickness)])
+    behind += 1e-3 * directions
+    paths = lf.trace(
+        world, frame.points(to_world, behind), frame.directions(to_world, directions), split="transmit"
+    )  # fmt: skip
+    landed = frame.points(world.tables.frames[WORLD_FRAME, SENSOR_FRAME], paths.position)[np.argsort(paths.source), :2]
+    np.testing.assert_allclose(plate.landing(directions), landed, rtol=0.0, atol=1e-9)
+
+
+def test_rays_of_pixels_are_the_way_back():
+    """A ray from object space along a pixel's ray meets that pixel: lenslets at their apexes do not bend it."""
+    world = camera()
+    lenslets = np.array([[1, 1], [2, 1], [1, 2], [2, 2]])
+    pixels = np.array([[6.2, 7.1], [12.0, 6.8], [7.4, 12.3], [13.0, 12.9]])
+    rays = object_rays(world.scene, lenslets, pixels)
+    paths = lf.trace(world, rays.origin + 5.0 * rays.direction, -rays.direction, split="transmit")
+    assert (paths.status == lf.Status.SENSOR).all()
+    landed = frame.points(world.tables.frames[WORLD_FRAME, SENSOR_FRAME], paths.position)[np.argsort(paths.source), :2]
+    sensor = world.scene.camera.sensor
+    expected = (pixels - 0.5 * (np.array(sensor.pixels) - 1.0)) * sensor.pixel_mm
+    np.testing.assert_allclose(landed, expected, rtol=0.0, atol=1e-6)

@@ -180,7 +180,8 @@ def _within_range(name: str, page: Page, wavelength_nm: float, quantity: str) ->
     # The package converts µm to nm and back; a wavelength at the very end may miss it by rounding.
     rounding = 1e-9 * wavelength_nm
     if not shortest - rounding <= wavelength_nm <= longest + rounding:
-        raise GlassError(f"glass {name!r} at {wavelength_nm:g} nm: its data reach from {shortest:g} to {longest:g} nm")
+        data = "data reach" if quantity == "n" else "extinction is known"
+        raise GlassError(f"glass {name!r} at {wavelength_nm:g} nm: its {data} from {shortest:g} to {longest:g} nm")
 
 
 @cache

@@ -24,7 +24,7 @@ LEVEL = 1e-3
 
 CENTRE = np.array([0.0, 0.0, -300.0])
 DENSE = "SCHOTT/N-SF6"
-VIOLET_NM = 385.0
+VIOLET_NM = 372.0
 """Where 10 mm of this glass transmit about half."""
 
 
@@ -102,7 +102,7 @@ def test_a_coefficient_by_wavelength_is_that_of_the_ray() -> None:
     spectrum = {"wavelengths_nm": [400.0, 600.0, 700.0], "values": [0.3, 0.1, 0.0]}
     built = world(body((90.0, 90.0, 5.0), 1.5, absorption_per_mm=spectrum), wavelengths_nm=[450.0, 650.0])
     for wavelength, alpha in ((400.0, 0.3), (500.0, 0.2), (650.0, 0.05), (700.0, 0.0)):
-        got = lf.trace(built, CENTRE + np.array([0.0, 0.0, -9.0]), [[0.0, 0.0, 1.0]], wavelength, split="transmit")
+        got = lf.trace(built, CENTRE + np.array([0.0, 0.0, 9.0]), [[0.0, 0.0, -1.0]], wavelength, split="transmit")
         np.testing.assert_allclose(got.weight, [fresnel(1.0, 1.5, 1.0)[1] ** 2 * np.exp(-5.0 * alpha)], rtol=1e-12)
 
 
@@ -147,7 +147,7 @@ def test_a_camera_transmits_by_the_lengths_of_rays_in_its_glasses(curved_side: s
     for i, path in enumerate(whole):
         points = np.array([vertex.position for vertex in paths.vertices(path)])
         share[i] = np.exp(-alphas @ np.linalg.norm(np.diff(points, axis=0), axis=1))
-    assert 0.1 < share.min() < share.max() < 0.8
+    assert 0.02 < share.min() < share.max() < 0.8
     for engine in ("mesh", "sequential"):
         got = lf.trace(dyed, p, d, VIOLET_NM, split="transmit", engine=engine)
         arrived = got.status == lf.Status.SENSOR
@@ -166,8 +166,17 @@ def test_both_engines_enter_the_same_in_the_book() -> None:
     random = np.random.default_rng(14)
     p = np.column_stack([random.uniform(-9.0, 9.0, (2000, 2)), np.full(2000, -40.0)])
     to = np.column_stack([random.uniform(-6.0, 6.0, (2000, 2)), np.zeros(2000)])
+    # The mesh engine follows light that total reflection turns off the image path, which the sequential one does not.
+    mesh, blocks = (
+        lf.trace(dyed, p, to - p, VIOLET_NM, split="transmit", engine=engine) for engine in ("mesh", "sequential")
+    )
+    _, a, b = np.intersect1d(mesh.source, blocks.source, return_indices=True)
+    same = (mesh.events[a] == blocks.events[b]) & (np.abs(mesh.position[a] - blocks.position[b]).max(axis=1) < 1e-9)
+    assert same.mean() > 0.95
+    np.testing.assert_allclose(mesh.weight[a][same], blocks.weight[b][same], rtol=1e-11)
+    some = mesh.source[a][same]
     ledgers = [
-        lf.trace(dyed, p, to - p, VIOLET_NM, split="transmit", engine=engine).ledger
+        lf.trace(dyed, p[some], (to - p)[some], VIOLET_NM, split="transmit", engine=engine).ledger
         for engine in ("mesh", "sequential")
     ]
     for name in ("inside lens[0]", "inside lens[1], mla", "inside lens[2]", "mla mount", "stop", "mla edge"):
@@ -188,7 +197,7 @@ def tank(alpha: float, lights: list[dict[str, Any]], glow: float = 0.0, **transp
         ],
         tanks=[{
             "size_mm": [16.0, 14.0, 18.0], "wall_mm": 1.0, "position_mm": [0, 0, -54.0],
-            "wall": {"index": 1.52, "absorption_per_mm": 0.5 * alpha},
+            "wall": {"index": 1.52, "absorption_per_mm": 5.0 * alpha},
             "liquid": {"index": 1.333, "absorption_per_mm": alpha},
         }],
         lights=lights,
@@ -196,44 +205,58 @@ def tank(alpha: float, lights: list[dict[str, Any]], glow: float = 0.0, **transp
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("lights", "glow"),
-    [
-        ([{"kind": "point", "position_mm": [-4.0, 3.0, -55.0], "power_w": 1.0}], 0.0),
-        ([{"kind": "point", "position_mm": [4.0, -6.0, -30.0], "power_w": 1.0}], 0.0),
-        ([], 1.0),
-    ],
-    ids=["lamp in the water", "lamp before the window", "glowing wall"],
-)
-def test_forward_equals_adjoint_in_dyed_water(lights: list[dict[str, Any]], glow: float) -> None:
-    """Welch's t-test on the sum of the picture, a comparison for each scene; the water takes most of the light."""
+def test_forward_equals_adjoint_in_dyed_water() -> None:
+    """Welch's t-test on the sum of the picture, which sees the water of either leg: a third of the light each."""
+    lamp = {"kind": "point", "position_mm": [4.0, -6.0, -30.0], "power_w": 1.0}
     sums, count = {}, 24
-    for method, samples, first in (("adjoint", 24, 0), ("forward", 96, 10_000)):
-        dyed = tank(0.06, lights, glow, method=method, samples=samples, replicates=1)
+    for method, samples, first in (("adjoint", 48, 0), ("forward", 96, 10_000)):
+        dyed = tank(0.03, [lamp], method=method, samples=samples, replicates=1)
         images = list(by_seed(dyed, range(first, first + count)))
         sums[method] = np.array([image.mean.sum() for image in images])
         for image in images:
             assert abs(image.ledger.imbalance) < 1e-12
-            inside = image.ledger.absorbed if image.ledger.lamps is None else image.ledger.lamps.absorbed
-            assert inside["inside tanks[0] liquid"] > 0.0
+            for ledger in (image.ledger, image.ledger.lamps):
+                if ledger is not None:
+                    assert ledger.absorbed["inside tanks[0] wall"] > 0.0
+                    assert ledger.absorbed["inside tanks[0] liquid"] > 0.0
     error = np.hypot(*(each.std(ddof=1) / each.mean() for each in sums.values())) / np.sqrt(count)
-    assert 3.0 * error < 0.15
+    assert 3.0 * error < 0.2
     p = stats.ttest_ind(sums["adjoint"], sums["forward"], equal_var=False).pvalue
-    assert p > LEVEL / 3, {method: each.mean() for method, each in sums.items()}
+    assert p > LEVEL, {method: each.mean() for method, each in sums.items()}
+
+
+def dyed_share(**changes: Any) -> float:
+    """Return what 0.05 per mm of water leave of the light of a scene: the same samples with and without it."""
+    images = [lf.render(tank(alpha, [], samples=32, replicates=1).changed(changes)) for alpha in (0.0, 0.05)]
+    return float(images[1].mean.sum() / images[0].mean.sum())
 
 
 def test_a_glow_in_dyed_water_is_seen_through_its_depth() -> None:
-    """The same samples with and without dye: each pixel between the shares of the shortest and of a slant way."""
-    images = []
-    for alpha in (0.0, 0.05):
-        scene = tank(alpha, [], samples=32, replicates=1, split="transmit")
-        scene = scene.changed({"targets[0].material.radiance_w_m2_sr": 1.0, "targets[1].position_mm": [0, 0, -62.0],
-                               "targets[1].rotation_deg": [0, 0, 0]})  # fmt: skip
-        images.append(lf.render(scene).mean[..., 0])
-    share = images[1].sum() / images[0].sum()
-    # 14 mm of water and a window of 1 mm with half the coefficient; the camera's cone is within 15 degrees in water.
-    straight = 0.05 * (60.0 - 46.0) + 0.025
+    """Between the shares of the shortest way and of a slant one."""
+    share = dyed_share(**{
+        "targets[0].material.radiance_w_m2_sr": 1.0, "targets[1].position_mm": [0, 0, -61.5],
+        "targets[1].rotation_deg": [0, 0, 0], "transport.split": "transmit",
+    })  # fmt: skip
+    # 14 mm of water and a window of 1 mm; the camera sees it within 15 degrees in the water.
+    straight = 0.05 * (60.0 - 46.0) + 0.25
     assert np.exp(-straight / np.cos(np.deg2rad(15.0))) < share < np.exp(-straight)
+
+
+def test_a_glow_lights_others_through_dyed_water() -> None:
+    """A small glowing sheet above the chart's middle: the light that the chart throws back has also come down to it."""
+    seen = dyed_share(**{
+        "targets[0].material.radiance_w_m2_sr": 1.0, "targets[0].material.reflectance": 0.0,
+        "targets[0].shape": {"kind": "plane", "width_mm": 1.0, "height_mm": 1.0},
+        "targets[1].position_mm": [0, 0, -61.5], "targets[1].rotation_deg": [0, 0, 0],
+    })  # fmt: skip
+    lit = dyed_share(**{
+        "targets[0].shape": {"kind": "plane", "width_mm": 1.0, "height_mm": 1.0},
+        "targets[1].material": {"radiance_w_m2_sr": 1.0, "reflectance": 0.0, "sides": "front"},
+        "targets[1].shape": {"kind": "plane", "width_mm": 0.5, "height_mm": 0.5},
+        "targets[1].position_mm": [4.0, 0, -57.0], "targets[1].rotation_deg": [0.0, -120.0, 0.0],
+    })  # fmt: skip
+    # From 3.5 to 5.4 mm between any two of their points, besides what the wall and its light meet at the window.
+    assert np.exp(-0.05 * 5.8) < lit / seen < np.exp(-0.05 * 4.0)
 
 
 @pytest.mark.long

@@ -173,8 +173,8 @@ def shade_objects(
             continue
         if packet.kind == SHADOW:
             if t >= packet.limit:
-                share = transmitted(objects.media.absorption, packet.medium, packet.colour, packet.limit)
-                deposit(options, flow, packet.source, packet.colour, packet.weight * share)
+                # Straight from a lamp, and lamps stand in air, which absorbs nothing.
+                deposit(options, flow, packet.source, packet.colour, packet.weight)
             continue
         if packet.last != LEFT_LENS:
             px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)

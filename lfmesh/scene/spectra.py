@@ -85,15 +85,11 @@ Shape = Annotated[Spectrum, BeforeValidator(_of_text, json_schema_input_type=str
 
 
 def coefficient_faults(value: float | Spectrum, where: Location) -> Iterator[Fault]:
-    """Yield what keeps a spectrum from being a coefficient; values in files are checked when they are read."""
+    """Yield what keeps a spectrum from being a coefficient: light is none."""
     if not isinstance(value, Spectrum):
         return
     if value.name is not None or value.blackbody_k is not None:
         yield Fault(where, None, "a coefficient is a number, a table or a file, in 1/mm")
-    for at, number in zip(value.wavelengths_nm or (), value.values or (), strict=False):
-        if number < 0.0:
-            yield Fault(where, None, f"value {number:g} at {at:g} nm: it must be 0 or more")
-            return
 
 
 class Resolves(Protocol):

@@ -35,11 +35,14 @@ def test_a_glass_of_unknown_transmittance_is_refused_in_one_line(glass: Any, mes
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        (-1.0, r"absorption_per_mm = -1.0: must be at least 0"),
+        (-1.0, r"absorption_per_mm.*-1.0: must be"),
         (float("nan"), r"absorption_per_mm"),
         (True, r"absorption_per_mm"),
         ({"blackbody_k": 3000.0}, r"absorption_per_mm: a coefficient is a number, a table or a file"),
-        ({"wavelengths_nm": [400.0, 700.0], "values": [0.1, -0.1]}, r"value -0.1 at 700 nm: it must be 0 or more"),
+        (
+            {"wavelengths_nm": [400.0, 700.0], "values": [0.1, -0.1]},
+            r"value -0.1 at 700 nm: it must be a finite number, 0 or more",
+        ),
         ({"wavelengths_nm": [600.0, 700.0], "values": [0.1, 0.1]}, r"reaches from 600 to 700 nm"),
     ],
 )
@@ -53,7 +56,8 @@ def test_a_coefficient_that_cannot_be_is_refused_in_one_line(value: Any, message
 def test_a_scene_that_absorbs_is_written_and_read_again() -> None:
     dye = {"wavelengths_nm": [400.0, 700.0], "values": [0.1, 0.2]}
     tank = {"size_mm": [9.0, 9.0, 9.0], "wall_mm": 1.0, "position_mm": [0, 0, -50.0],
-            "wall": {"index": 1.5, "absorption_per_mm": 0.1}, "liquid": {"index": 1.3, "absorption_per_mm": dye}}  # fmt: skip
+            "wall": {"index": 1.5, "absorption_per_mm": 0.1},
+            "liquid": {"index": 1.3, "absorption_per_mm": dye}}  # fmt: skip
     scene = lf.Scene(camera=camera("SCHOTT/N-BK7"), tanks=[tank])
     assert lf.loads(scene.dump_toml()) == scene
 

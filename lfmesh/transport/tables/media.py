@@ -11,7 +11,6 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.errors import SceneError
 from lfmesh.optics.glass import Medium, absorption_per_mm, refractive_index
 from lfmesh.scene import Refractor, Scene
 from lfmesh.scene.spectra import Spectrum, curve_of
@@ -116,8 +115,6 @@ class MediumList:
         if isinstance(dye, Spectrum):
             where = f"{self.places(number, ())}: absorption_per_mm"
             curve = curve_of(dye, (min(wavelengths_nm), max(wavelengths_nm)), self.scene, where)
-            if curve.values.min() < 0.0:
-                raise SceneError(f"{where}: value {curve.values.min():g}: a coefficient is 0 or more")
             return curve.at(wavelengths_nm)
         if isinstance(dye, str):
             return np.array([absorption_per_mm(str(medium), wavelength_nm) for wavelength_nm in wavelengths_nm])

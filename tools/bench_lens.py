@@ -324,7 +324,8 @@ class Blocks:
     def run(self, _: Any) -> None:
         """Take all blocks through the lens."""
         lens = self.world.tables.lens
-        list(self.pool.map(lambda part: through_blocks(part, lens), np.array_split(self.blocks, self.threads)))
+        book = np.zeros(len(self.world.slots))
+        list(self.pool.map(lambda part: through_blocks(part, lens, book), np.array_split(self.blocks, self.threads)))
 
     def landing(self) -> tuple[Array, Array]:
         """Return where the rays meet the sensor's plane, and their weights."""
@@ -336,10 +337,10 @@ class Blocks:
 
 
 @kernel
-def through_blocks(blocks: Array, lens: LensTables) -> None:
+def through_blocks(blocks: Array, lens: LensTables, book: Array) -> None:
     # To numba a block by its number is contiguous, one that it iterates over is not, and its loops are no vectors.
     for i in range(len(blocks)):
-        through_lens(blocks[i], lens, 0, True)
+        through_lens(blocks[i], lens, 0, True, book)
 
 
 def alone(level: str) -> str:

@@ -82,6 +82,8 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     tanks.water_behind_a_window,
     tanks.glass_of_the_waters_index,
     tanks.film_of_air_in_water,
+    tanks.glass_from_clear_to_black,
+    tanks.total_reflection_in_absorbing_glass,
     emitters.emitter_on_the_surface,
     gloss.gloss_at_its_ends,
     surfaces.ground_at_its_ends,

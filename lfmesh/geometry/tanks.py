@@ -36,7 +36,12 @@ def tank_bodies(tank: Tank, name: str) -> tuple[Target, Target]:
             name=f"{name} {part}",
             position_mm=tuple(position.tolist()),
             rotation_deg=tank.rotation_deg,
-            refractor=Refractor(box_mm=tuple(edges.tolist()), index=matter.index, glass=matter.glass),
+            refractor=Refractor(
+                box_mm=tuple(edges.tolist()),
+                index=matter.index,
+                glass=matter.glass,
+                absorption_per_mm=matter.absorption_per_mm,
+            ),
         )
         for matter, part, edges, position in pieces
     )

@@ -111,7 +111,8 @@ def camera_model(
     Raises
     ------
     LfmeshError
-        A conventional camera, one with a cover, one that lets no light through, a number of views or a distance that makes no sense.
+        A conventional camera, one with a cover, one that lets no light through, a number of views or a distance that
+        makes no sense.
     """
     scene = image_or_scene.scene if isinstance(image_or_scene, Image) else image_or_scene
     bare = scene.changed({"targets": (), "lights": (), "tanks": (), "media": (), "particles": ()})

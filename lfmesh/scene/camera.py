@@ -8,7 +8,7 @@ from lfmesh.scene.lens import Lens
 from lfmesh.scene.mla import MicrolensArray
 from lfmesh.scene.model import Model
 from lfmesh.scene.pose import Pose
-from lfmesh.scene.quantities import Number, ObjectDistance
+from lfmesh.scene.quantities import Flag, Number, ObjectDistance
 from lfmesh.scene.sensor import Sensor
 
 
@@ -30,6 +30,9 @@ class Camera(Model):
     """The microlens array; omitted in a conventional camera."""
     sensor: Sensor
     """The sensor."""
+    absorption: Flag = False
+    """Whether the glasses of lens, array and sensor cover absorb light, by their internal transmittance in the catalogue.
+    A glass without it is refused; what has an index, or a dispersion of its own, stays clear."""
     polariser_deg: Number | None = None
     """An ideal linear polariser right before the sensor: the angle of the field that it transmits, in degrees, from the
     sensor's x axis towards its y axis (counter-clockwise as seen from behind the camera). It absorbs the field along

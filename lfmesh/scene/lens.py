@@ -135,6 +135,11 @@ class Surface(Model):
                 yield Fault((key,), getattr(self, key), f"omit it: the refractor is a whole element{beside}")
         if self.refractor is not None and self.refractor.box_mm is not None:
             yield Fault(("refractor", "box_mm"), self.refractor.box_mm, "only in front of the camera; give file")
+        if self.refractor is not None and self.refractor.absorption_per_mm != 0.0:
+            yield Fault(
+                ("refractor", "absorption_per_mm"), None,
+                "only in front of the camera; camera.absorption = true takes that of the catalogue's glasses",
+            )  # fmt: skip
         if self.refractor is not None and self.refractor.priority != 0:
             yield Fault(
                 ("refractor", "priority"), self.refractor.priority, "omit it: elements of a lens do not overlap"

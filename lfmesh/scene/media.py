@@ -8,12 +8,9 @@ from pydantic import BeforeValidator, Field
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.phase import IsotropicPhase, Phase
 from lfmesh.scene.quantities import FilePath, Positive, Text, Vector
-from lfmesh.scene.spectra import Kelvin, Radiance, Spectrum
+from lfmesh.scene.spectra import Coefficient, Kelvin, Radiance, Spectrum, coefficient_faults
 from lfmesh.scene.spectra import Shape as SpectralShape
 from lfmesh.scene.targets import Box, Cylinder, Sphere
-
-Coefficient = Radiance
-"""A coefficient in 1/mm: a number, or by wavelength."""
 
 Bounds = Annotated[Box | Sphere | Cylinder, Field(discriminator="kind")]
 
@@ -78,14 +75,7 @@ class Medium(Model):
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""
         for key in ("absorption_per_mm", "scattering_per_mm"):
-            value = getattr(self, key)
-            if isinstance(value, Spectrum):
-                if value.name is not None or value.blackbody_k is not None:
-                    yield Fault((key,), None, "a coefficient is a number, a table or a file, in 1/mm")
-                for at, number in zip(value.wavelengths_nm or (), value.values or (), strict=False):
-                    if number < 0.0:
-                        yield Fault((key,), None, f"value {number:g} at {at:g} nm: it must be 0 or more")
-                        break
+            yield from coefficient_faults(getattr(self, key), (key,))
         emission = self.emission_w_mm3_sr
         if isinstance(emission, Spectrum):
             if emission.name is not None:

@@ -12,6 +12,7 @@ from lfmesh.scene.finishes import POLISHED, AnyFinish, both_given
 from lfmesh.scene.model import Fault, Model, nearest
 from lfmesh.scene.own_glass import Glass
 from lfmesh.scene.quantities import FilePath, Index, Positive, Text
+from lfmesh.scene.spectra import Coefficient, coefficient_faults
 
 UNITS_IN_FILE = (".glb", ".gltf")
 """Formats whose standard fixes the unit of length."""
@@ -75,6 +76,8 @@ class Refractor(MeshShape):
     """Refractive index of the glass. Or give `glass`."""
     glass: Glass | None = None
     """Glass: of the catalogue, like "SCHOTT/N-BK7", or by its dispersion, like { nd = 1.5168, vd = 64.17 }."""
+    absorption_per_mm: Coefficient = 0.0
+    """In object space: absorption coefficient of the glass, in 1/mm; a number, or by wavelength."""
     coating: Text = UNCOATED
     """Name of the coating of its whole surface, or "none": bare."""
     finish: AnyFinish = POLISHED
@@ -105,6 +108,7 @@ class Refractor(MeshShape):
             yield Fault(("index",), None, "missing: give the index of the glass, or glass")
         elif self.index is not None and self.glass is not None:
             yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
+        yield from coefficient_faults(self.absorption_per_mm, ("absorption_per_mm",))
         yield from both_given(self.coating, self.finish, "finish")
 
 

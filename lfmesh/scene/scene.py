@@ -13,7 +13,7 @@ from pydantic import Field, PrivateAttr
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.notebook import Shown
 from lfmesh.optics.glass import Medium as GlassOrAir
-from lfmesh.optics.glass import complex_index, refractive_index
+from lfmesh.optics.glass import absorption_per_mm, complex_index, refractive_index
 from lfmesh.optics.metals import metal_index
 from lfmesh.scene.bands import Centroids, Passband, passband, preset
 from lfmesh.scene.camera import Camera
@@ -259,6 +259,7 @@ class Scene(Model, Shown):
         yield from self._coating_faults()
         yield from self._band_faults()
         yield from self._spectrum_faults()
+        yield from self._absorption_faults() if not glasses else ()
         yield from self._polarisation_faults()
         yield from self._memory_faults()
 
@@ -296,6 +297,14 @@ class Scene(Model, Shown):
             uses += [((*where, key), getattr(material, key), True) for key in ("radiance_w_m2_sr", "spectrum")]
             if material.temperature_k is not None and not in_bands:
                 yield Fault((*where, "temperature_k"), material.temperature_k, NEEDS_BANDS)
+            if target.refractor is not None:
+                where = ("targets", i, "refractor", "absorption_per_mm")
+                uses.append((where, target.refractor.absorption_per_mm, False))
+        for i, tank in enumerate(self.tanks):
+            uses += [
+                (("tanks", i, key, "absorption_per_mm"), getattr(tank, key).absorption_per_mm, False)
+                for key in ("wall", "liquid")
+            ]
         uses += [(("lights", i, "spectrum"), light.spectrum, True) for i, light in enumerate(self.lights)]
         for i, medium in enumerate(self.media):
             where = ("media", i)
@@ -431,6 +440,34 @@ class Scene(Model, Shown):
                     refractive_index(medium, wavelength)
                 except GlassError as error:
                     yield Fault(where, None, str(error))
+                    break
+
+    def _absorption_faults(self) -> Iterator[Fault]:
+        """Yield glasses of the camera whose internal transmittance is asked for and not known."""
+        if not self.camera.absorption:
+            return
+        media: list[tuple[Location, GlassOrAir]] = [
+            (("camera", "lens", "surfaces", i, "glass"), surface.medium)
+            for i, surface in enumerate(self.camera.lens.surfaces)
+        ]
+        for i, surface in enumerate(self.camera.lens.surfaces):
+            if surface.refractor is not None:
+                media.append((("camera", "lens", "surfaces", i, "refractor", "glass"), surface.refractor.medium))
+        if self.camera.mla is not None:
+            media.append((("camera", "mla", "glass"), self.camera.mla.medium))
+        named = [(where, medium) for where, medium in media if isinstance(medium, str)]
+        if not named and self.camera.lens.file is None:
+            yield Fault(
+                ("camera", "absorption"), True,
+                "neither lens nor array has a glass of the catalogue; give such a glass by name, or leave absorption "
+                "out",
+            )  # fmt: skip
+        for where, glass in named:
+            for wavelength in self._checked_nm():
+                try:
+                    absorption_per_mm(glass, wavelength)
+                except GlassError as error:
+                    yield Fault(where, glass, f"camera.absorption: {error}; leave it out, or take another glass")
                     break
 
     def _lenslet_faults(self) -> Iterator[Fault]:

@@ -77,8 +77,19 @@ Radiance = Annotated[
 ]
 """A radiance: a number in W/(m² sr), or by wavelength in W/(m² sr nm)."""
 
+Coefficient = Radiance
+"""A coefficient in 1/mm: a number, or by wavelength."""
+
 Shape = Annotated[Spectrum, BeforeValidator(_of_text, json_schema_input_type=str | Spectrum)]
 """How a power is spread by wavelength, in any unit."""
+
+
+def coefficient_faults(value: float | Spectrum, where: Location) -> Iterator[Fault]:
+    """Yield what keeps a spectrum from being a coefficient: light is none."""
+    if not isinstance(value, Spectrum):
+        return
+    if value.name is not None or value.blackbody_k is not None:
+        yield Fault(where, None, "a coefficient is a number, a table or a file, in 1/mm")
 
 
 class Resolves(Protocol):

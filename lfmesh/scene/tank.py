@@ -6,7 +6,8 @@ from typing import Literal
 from lfmesh.optics.glass import Medium
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.own_glass import Glass
-from lfmesh.scene.quantities import Index, NonNegative, Positive, Text, Vector
+from lfmesh.scene.quantities import Index, Positive, Text, Vector
+from lfmesh.scene.spectra import Coefficient, coefficient_faults
 
 Side = Literal["top", "front"]
 
@@ -18,6 +19,8 @@ class Wall(Model):
     """Refractive index. Or give `glass`."""
     glass: Glass | None = None
     """Catalogue glass, like "SCHOTT/N-BK7"."""
+    absorption_per_mm: Coefficient = 0.0
+    """Absorption coefficient, in 1/mm; a number, or by wavelength."""
 
     @property
     def medium(self) -> Medium:
@@ -30,19 +33,11 @@ class Wall(Model):
             yield Fault(("index",), None, "missing: give the index, or glass")
         elif self.index is not None and self.glass is not None:
             yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
+        yield from coefficient_faults(self.absorption_per_mm, ("absorption_per_mm",))
 
 
 class Liquid(Wall):
     """What a tank is filled with."""
-
-    absorption_per_mm: NonNegative = 0.0
-    """Absorption coefficient, in 1/mm. Only 0 so far: liquids are clear."""
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
-        yield from super().faults()
-        if self.absorption_per_mm != 0.0:
-            yield Fault(("absorption_per_mm",), self.absorption_per_mm, "must be 0: liquids do not absorb yet")
 
 
 class Tank(Model):

@@ -55,6 +55,7 @@ from lfmesh.transport.regions.objects import admit_to_objects, shade_objects
 from lfmesh.transport.regions.sensor import onto_reflecting_sensor, onto_sensor
 from lfmesh.transport.sequential.image_path import follow_image_path
 from lfmesh.transport.sequential.lens_bundle import BLOCK, empty_bundle
+from lfmesh.transport.tables.media import clear
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.world import World
 
@@ -263,7 +264,8 @@ class Workspace:
         elif station == OBJECTS:
             admit_to_objects(wave, origins, directions, frames)
             found = self._find(OBJECTS, count)
-            shade_objects(wave, found, tables.objects, lens, tables.aim, frames, options, flow)
+            # Of the lens only its box is of interest there: one compiled kernel for all lenses.
+            shade_objects(wave, found, tables.objects, clear(lens), tables.aim, frames, options, flow)
         elif station == EMITTERS:
             ask_emitters(wave, tables.objects, options, flow)
         elif station == PLATE:

@@ -47,7 +47,7 @@ from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.interfaces import interface_tables
 from lfmesh.transport.tables.polarisation import polarisation_tables
-from lfmesh.transport.tables.tables import Records, Tables
+from lfmesh.transport.tables.tables import Media, Records, Tables
 from lfmesh.transport.world import World
 
 X_AXIS = (1.0, 0.0, 0.0)
@@ -239,7 +239,8 @@ def trace(
         states = _states(stokes, settings.get("reference", X_AXIS), _unit_directions(p, d))
     call = _Call(world, tables, options, descendant(0x7472616365, int(seed)), int(threads), states)
     p = before_faces(world, p, d)
-    paths = _in_blocks(call, p, d) if options.sequential else _as_packets(call, p, d)
+    in_blocks = options.sequential and not _absorbs(call.tables)
+    paths = _in_blocks(call, p, d) if in_blocks else _as_packets(call, p, d)
     lost = paths.ledger.loss_in_words()
     if lost is not None:
         warnings.warn(lost, LostEnergyWarning, stacklevel=2)
@@ -366,15 +367,19 @@ def _unit_directions(p: NDArray[np.float64], d: NDArray[np.float64]) -> NDArray[
 
 def at_wavelength(world: World, wavelength_nm: float) -> Tables:
     """Return the tables of a world with media and interfaces at one wavelength."""
-    tables, media = world.tables, world.media.table((wavelength_nm,))
+    tables = world.tables
+
+    def media(within: Any) -> Media:
+        return world.media.table((wavelength_nm,), world.book, np.ravel(within).tolist())
+
     interfaces = interface_tables(world.scene, (wavelength_nm,), world.book)
     cover = tables.cover
     if cover is not None:
         cover = cover._replace(media=media, interfaces=interfaces.cover)
     return tables._replace(
-        lens=tables.lens._replace(media=media, interfaces=interfaces.lens),
-        mla=tables.mla._replace(media=media, interfaces=interfaces.mla),
-        objects=tables.objects._replace(media=media, interfaces=interfaces.objects),
+        lens=tables.lens._replace(media=media(tables.lens.medium), interfaces=interfaces.lens),
+        mla=tables.mla._replace(media=media(tables.mla.medium), interfaces=interfaces.mla),
+        objects=tables.objects._replace(media=media(tables.objects.medium), interfaces=interfaces.objects),
         polarised=polarisation_tables(world.scene, (wavelength_nm,), tables.frames, world.book),
         cover=cover,
     )
@@ -520,6 +525,11 @@ class _Call(NamedTuple):
     def ledger(self, book: NDArray[np.float64], counts: NDArray[np.int64], rays: int) -> Ledger:
         """Return the ledger of so many rays."""
         return ledger_of(book, counts, self.world, rays, "of the rays' power")
+
+
+def _absorbs(tables: Tables) -> bool:
+    """Whether lens or array absorb, in which the power of a ray that is traced twice would be entered twice."""
+    return tables.lens.media.absorption is not None or tables.mla.media.absorption is not None
 
 
 def _as_packets(call: _Call, p: NDArray[np.float64], d: NDArray[np.float64]) -> Paths:

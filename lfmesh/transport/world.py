@@ -45,7 +45,7 @@ from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.interfaces import InterfaceTables, coatings_in_book, interface_tables
 from lfmesh.transport.tables.lens import lens_tables, mla_tables
 from lfmesh.transport.tables.lines import Lines
-from lfmesh.transport.tables.media import MediumList
+from lfmesh.transport.tables.media import MediumList, clear
 from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, refuse_targets_inside
 from lfmesh.transport.tables.particles import (
     ParticleTables,
@@ -258,7 +258,9 @@ def book_of(scene: Scene, shape: LensShape) -> Book:
         element += medium is not None
         spaces[k] = f"lens[{element}]" if medium is not None else f"the air behind lens[{element}]"
     media = [medium.name or f"media[{i}]" for i, medium in enumerate(scene.media)]
-    return Book.of_bodies(len(shape.elements), targets, spaces, coatings_in_book(scene), media)
+    known, elements = MediumList.of(scene), [shape.media[k + 1] for k in shape.elements]
+    absorbers = [known.places(number, elements) for number in known.absorbing]
+    return Book.of_bodies(len(shape.elements), targets, spaces, coatings_in_book(scene), media, absorbers)
 
 
 def _refuse_rough_patches(scene: Scene, shape: LensShape, interfaces: InterfaceTables) -> None:
@@ -320,7 +322,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     interfaces, known = interface_tables(scene, wavelengths_nm, book), MediumList.of(scene)
     _refuse_rough_patches(scene, shape, interfaces)
     lens_mesh, lens = lens_tables(scene, shape, wavelengths_nm, book, interfaces.lens, known)
-    mla_mesh_, mla = mla_tables(scene, wavelengths_nm, interfaces.mla, known)
+    mla_mesh_, mla = mla_tables(scene, wavelengths_nm, interfaces.mla, known, book)
     middle = middle_of(targets)
     moves = frame_table(scene, middle)
     refuse_collisions(scene, lens, mla, moves)
@@ -338,18 +340,20 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     particles = particle_tables(scene, lines)
     refuse_particles_behind(particles, moves, float(lens.box_low[2]))
     refuse_particles_in_glass(scene, targets, particles)
-    anywhere = unaimed(scene, lens)
+    # Absorption weakens light, and does not change where it has to go.
+    anywhere = unaimed(scene, clear(lens))
 
     def find_aim() -> tuple[AimTables, AimProof | None]:
         if not aimed:
             return anywhere, None
         grains = frame.points(moves[WORLD_FRAME, CAMERA_FRAME], corners_round(particles))
         seen = np.concatenate([targets_in_camera(targets, moves), corners_in_camera(objects.volumes, moves), grains])
-        return aim_table(scene, report, lens, mla, sensor, seen, seen_moves, analytic=bool(shape.analytic.all()))
+        exact = bool(shape.analytic.all())
+        return aim_table(scene, report, clear(lens), clear(mla), sensor, seen, seen_moves, analytic=exact)
 
     polarised = polarisation_tables(scene, wavelengths_nm, moves, book)
     tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=anywhere, polarised=polarised)
-    cover = cover_tables(scene, wavelengths_nm, interfaces.cover, known)
+    cover = cover_tables(scene, wavelengths_nm, interfaces.cover, known, book)
     if cover is not None:
         tables = tables._replace(cover=cover, apparent=seen_moves)
     finders = (Finder(lens_mesh), Finder(mla_mesh_), Finder(*divided(object_mesh, objects.facets["body"])))

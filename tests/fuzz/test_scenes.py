@@ -41,6 +41,12 @@ liquid = {{ glass = {{ wavelengths_nm = [400.0, 550.0, 700.0], values = [1.34, 1
 kind = "point"
 position_mm = [100.0, -100.0, -50.0]
 power_w = 1.0
+[[tanks]]
+size_mm = [20.0, 20.0, 20.0]
+wall_mm = 1.0
+position_mm = [0.0, 0.0, -300.0]
+wall = {{ index = 1.52, absorption_per_mm = 0.01 }}
+liquid = {{ index = 1.333, absorption_per_mm = {{ wavelengths_nm = [400.0, 700.0], values = [0.0, 0.1] }} }}
 [[particles]]
 count = 10
 bounds = {{ kind = "sphere", radius_mm = 3.0 }}

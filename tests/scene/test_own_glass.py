@@ -71,7 +71,7 @@ def test_first_order_and_the_tables_of_rays_know_it() -> None:
         "sellmeier_c_um2 = [0.00600069867, 0.0200179144, 103.560653] }"
     )
     assert lf.first_order(formula).efl_mm == pytest.approx(lf.first_order(named).efl_mm, rel=1e-12)
-    media = [MediumList.of(scene).table((486.1, 656.3)).indices for scene in (named, formula)]
+    media = [MediumList.of(scene).table((486.1, 656.3), None, ()).indices for scene in (named, formula)]
     assert media[0] == pytest.approx(media[1], abs=1e-13)
 
 

@@ -1,4 +1,4 @@
-"""Bodies of glass that touch and nest: windows before water, and glass that cannot be seen in it."""
+"""Bodies of glass that touch and nest, and that absorb: windows before water, glass unseen in it, black glass."""
 
 import tempfile
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from lfmesh.accuracy.hard.outcome import SINGLET, Outcome, case, lens_scene, outcome
+from lfmesh.accuracy.hard.outcome import SINGLET, Outcome, case, disk, lens_scene, outcome
 from lfmesh.accuracy.hard.truth import Array, Interface, at_plane, through
 from lfmesh.scene import Plane, Refractor, Target
 from lfmesh.transport.trace import Paths, Status, trace
@@ -110,3 +110,47 @@ def film_of_air_in_water() -> Outcome:
         f"{int(landed[through_film].sum())} do, {int(landed[turned].sum())} others; error {error:.1e} mm",
         bool(landed[through_film].all()) and not landed[turned].any() and len(paths) == len(o) and error <= 1e-9,
     )
+
+
+@case
+def glass_from_clear_to_black() -> Outcome:
+    """Look through plates that absorb next to nothing, and all of the light, at angles up to 89 degrees."""
+    thickness, o, d = 5.0, *_away(2_000, 89.0, 34)
+    cosine = np.sqrt(1.0 - (1.0 - d[:, 2] ** 2) / GLASS**2)
+    behind = through([Interface(np.inf, 20.0, GLASS), Interface(np.inf, 25.0, 1.0)], _mirrored(o), _mirrored(d))
+    worst, traces = 0.0, []
+    for alpha in (0.0, 5e-324, 1e-18, 1e-6, 1.0, 140.0, 1e15):
+        plate = Refractor(box_mm=(2 * SIDES, 2 * SIDES, thickness), index=GLASS, absorption_per_mm=alpha)
+        target = Target(refractor=plate, position_mm=(0.0, 0.0, -20.0 - 0.5 * thickness))
+        traces.append(trace(build(lens_scene(SINGLET, targets=(target,))), o, d, split="transmit"))
+        got = np.bincount(traces[-1].source, traces[-1].weight, minlength=len(o))
+        depth = np.minimum(alpha * thickness / cosine, 800.0)
+        true = behind.weight * np.exp(-depth)
+        # A product's rounding is that of its exponent, and below the smallest normal number digits are lost.
+        worst = max(worst, float((np.abs(got - true) / (1e-300 + true * (1.0 + depth))).max()))
+    return outcome(
+        traces, "T² exp(−α d / cos θ') at seven α from 0 to 1e15 per mm, within 1e-11",
+        f"within {worst:.1e}; {len(traces[-1])} rays come through the blackest plate",
+        worst <= 1e-11 and len(traces[-1]) == 0,
+    )  # fmt: skip
+
+
+@case
+def total_reflection_in_absorbing_glass() -> Outcome:
+    """Send light through a bar by total reflection at its sides: it decays with its length, not with its events."""
+    length, index, alpha, count = 200.0, 1.7, 0.01, 500
+    bar = Refractor(box_mm=(2.0, 3.0, length), index=index, absorption_per_mm=alpha)
+    target = Target(refractor=bar, position_mm=(0.0, 0.0, -300.0))
+    _, d = _away(count, 70.0, 35)
+    entry = np.column_stack([disk(0.9, count, 36), np.full(count, 0.5 * length - 300.0)])
+    paths = trace(build(lens_scene(SINGLET, targets=(target,))), entry - d, d, split="transmit", max_events=200)
+    out = np.abs(paths.position[:, 2] + 300.0 + 0.5 * length) < 1e-9
+    ends = through([Interface(np.inf, 1.0, index), Interface(np.inf, 2.0, 1.0)], np.zeros((count, 3)), _mirrored(d))
+    cosine = np.sqrt(1.0 - (1.0 - d[:, 2] ** 2) / index**2)
+    true = ends.weight * np.exp(-alpha * length / cosine)
+    loss = np.abs(np.bincount(paths.source[out], paths.weight[out], minlength=count) / true - 1.0).max()
+    return outcome(
+        paths, f"{count} rays come out, their power within 1e-10",
+        f"{int(out.sum())} do, after up to {int(paths.events.max(initial=0))} events; error {loss:.1e}",
+        int(out.sum()) == count and loss <= 1e-10,
+    )  # fmt: skip

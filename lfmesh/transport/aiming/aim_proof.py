@@ -492,7 +492,8 @@ def _follow_both_ways(
                 _keep_object_side(bundle, count, first, to_objects)
                 continue
             if mla.present:
-                through_mla(bundle, count, mla, colour, frames, True)
+                # Aimed at are clear media, of which nothing is entered in a book.
+                through_mla(bundle, count, mla, colour, frames, True, bundle)
             normalise(bundle)
             move_bundle(bundle, frames[CAMERA_FRAME, SENSOR_FRAME])
             _keep_sensor_side(bundle, count, first, to_sensor)

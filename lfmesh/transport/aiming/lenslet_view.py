@@ -118,7 +118,7 @@ def _at_few_indices(mla: MlaTables) -> MlaTables:
     indices = np.unique(mla.media.indices[mla.medium])
     if len(indices) > MOST_INDICES:
         indices = indices[np.linspace(0, len(indices) - 1, MOST_INDICES).round().astype(np.int64)]
-    return mla._replace(media=mla.media._replace(indices=indices[None]), medium=0)
+    return mla._replace(media=mla.media._replace(indices=indices[None], absorption=None), medium=0)
 
 
 def _off_by_facets(mla: MlaTables) -> float:

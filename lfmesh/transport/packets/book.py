@@ -91,6 +91,8 @@ class Book:
         Slot numbers of the coatings, by name.
     media : (n,) int64
         Slot numbers of what media absorb.
+    absorbers : (n,) int64
+        Slot numbers of what glasses and liquids absorb.
     """
 
     slots: tuple[Slot, ...]
@@ -100,11 +102,12 @@ class Book:
     lost_in_spaces: Slots
     coatings: dict[str, int] = field(default_factory=dict)
     media: Slots = field(default_factory=lambda: np.zeros(0, np.int64))
+    absorbers: Slots = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @classmethod
     def of_bodies(
         cls, elements: int, targets: list[str], spaces: list[str], coatings: Sequence[str] = (),
-        media: Sequence[str] = (),
+        media: Sequence[str] = (), absorbers: Sequence[str] = (),
     ) -> "Book":  # fmt: skip
         """Return the book of a scene.
 
@@ -114,8 +117,8 @@ class Book:
             Pieces of glass in the lens.
         targets, spaces : list of str
             Names of the targets, and of the spaces between the surfaces of the lens.
-        coatings, media : sequence of str
-            Names of the coatings, and of media in object space.
+        coatings, media, absorbers : sequence of str
+            Names of the coatings, of media in object space, and of the bodies inside which glasses absorb.
         """
         slots = list(FIXED)
         numbers = []
@@ -128,11 +131,13 @@ class Book:
             numbers.append(np.arange(len(slots), len(slots) + len(names)))
             slots += [Slot(name, account) for name in names]
         first = len(slots)
-        slots += [Slot(name, ABSORBED) for name in (*coatings, *media)]
+        within = [f"inside {name}" for name in absorbers]
+        slots += [Slot(name, ABSORBED) for name in (*coatings, *media, *within)]
         edges, of_targets, lost_in_targets, lost_in_spaces = numbers
         by_name = {name: first + i for i, name in enumerate(coatings)}
-        of_media = np.arange(len(slots) - len(media), len(slots))
-        return cls(tuple(slots), edges, of_targets, lost_in_targets, lost_in_spaces, by_name, of_media)
+        until = first + len(coatings) + len(media)
+        of_media, of_absorbers = np.arange(first + len(coatings), until), np.arange(until, len(slots))
+        return cls(tuple(slots), edges, of_targets, lost_in_targets, lost_in_spaces, by_name, of_media, of_absorbers)
 
     def __len__(self) -> int:
         return len(self.slots)

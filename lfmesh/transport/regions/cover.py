@@ -109,7 +109,7 @@ def _meet_face(
     entering = at_front == down
     sense = 1.0 if down else -1.0
     z = cover.front_z if at_front else cover.rear_z
-    x, y, _ = travel(flow, cover.media, packet, (z - packet.z) / packet.dz)
+    x, y, _ = travel(flow, cover.media, packet, AIR if entering else cover.medium, (z - packet.z) / packet.dz)
     glass = cover.media.indices[cover.medium, packet.colour]
     n_i, n_t = (1.0, glass) if entering else (glass, 1.0)
     cos_i = min(abs(packet.dz), 1.0)

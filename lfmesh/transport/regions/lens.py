@@ -523,13 +523,13 @@ def _is_cut(
         cuts, at = stop_cuts(lens, x, y, z, dx, dy, dz)
         # A ray that a user starts behind the stop does not cross it.
         if cuts and (packet.last != NO_SURFACE or space == 0 or space == len(lens.surfaces) or -t < at < 0.0):
-            x, y, z = arrive(flow, lens.media, packet, x + at * dx, y + at * dy, z + at * dz)
+            x, y, z = arrive(flow, lens.media, packet, lens.medium[packet.space], x + at * dx, y + at * dy, z + at * dz)
             end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, STOP, S_ABSORBED)
             return True
     aperture = lens.surfaces[k].aperture
     if _radius2(lens.surfaces[k], x, y, z) > aperture * aperture:
         slot = lens.mount_slot[k]
-        x, y, z = arrive(flow, lens.media, packet, x, y, z)
+        x, y, z = arrive(flow, lens.media, packet, lens.medium[packet.space], x, y, z)
         end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
         return True
     return False
@@ -564,7 +564,7 @@ def _send_on(
 ) -> None:  # fmt: skip
     """Divide a packet of a block at surface `k`."""
     r, t = REFLECTED + i, REFRACTED + i
-    x, y, z = arrive(flow, lens.media, packet, block[PX + i], block[PY + i], block[PZ + i])
+    x, y, z = arrive(flow, lens.media, packet, lens.medium[packet.space], block[PX + i], block[PY + i], block[PZ + i])
     reflectance, transmittance = block[REFLECTANCE + i], block[TRANSMITTANCE + i]
     if lens.interfaces.coated:
         n_i, n_t = block[N_I + i], block[N_T + i]
@@ -605,7 +605,7 @@ def _meets_ring(options: Options, flow: Flow, frames: Array, lens: LensTables, p
         cuts, at = stop_cuts(lens, x, y, z, dx, dy, dz)
         if cuts and 0.0 < at < t:
             slot, t = STOP, at
-    x, y, z = travel(flow, lens.media, packet, t)
+    x, y, z = travel(flow, lens.media, packet, lens.medium[packet.space], t)
     end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
 
 

@@ -34,7 +34,7 @@ from lfmesh.transport.events.crossing import (
 )
 from lfmesh.transport.events.interface import divided, is_rough, scattered, scatterer, splitter
 from lfmesh.transport.events.polarisation import IN_ARRAY, shares_by_state
-from lfmesh.transport.events.travel import arrive, travel
+from lfmesh.transport.events.travel import arrive, transmitted, travel
 from lfmesh.transport.packets.book import LOST_IN_MLA, MLA_EDGE, MLA_MOUNT, MLA_WALL
 from lfmesh.transport.packets.packet import (
     CELLS,
@@ -66,6 +66,23 @@ UNSURE = 1e-9
 
 ROUNDED = 1e-12
 """Share of its way to the border of a cell, or of the layer, by which a hit may lie beyond it from rounding."""
+
+
+@inlined
+def _medium_of(mla: MlaTables, packet: Any) -> int:
+    """Return the number of the medium that a packet is in."""
+    return mla.medium if packet.space == GLASS else AIR
+
+
+@inlined
+def _left_in_glass(absorption: Any, flow: Flow, medium: int, colour: int, weight: float, distance: float) -> float:
+    """Return what is left of a weight behind a distance in the glass; the rest is entered in the book."""
+    if absorption is None:
+        return weight
+    left = weight * transmitted(absorption, medium, colour, distance)
+    if left < weight:
+        flow.book[absorption.slot[medium]] += weight - left
+    return left
 
 
 @inlined
@@ -116,6 +133,8 @@ def into_layer(
     if space == GLASS:
         held = stays_inside(lenslets.lattice, x, y, x + t * dx, y + t * dy)
     if not held:
+        if space == GLASS:
+            weight = _left_in_glass(mla.media.absorption, flow, mla.medium, packet.colour, weight, t)
         end(
             options, flow, frames, packet, MLA_FRAME, x + t * dx, y + t * dy, z + t * dz, dx, dy, dz,
             weight, MLA_MOUNT if space == BEFORE else MLA_EDGE, S_ABSORBED,
@@ -209,7 +228,7 @@ def _reaches_flat_face(
         return NO_SURFACE
     dx, dy, dz = packet.dx, packet.dy, packet.dz
     t = (thickness - packet.z) / dz
-    x, y, _ = travel(flow, mla.media, packet, t)
+    x, y, _ = travel(flow, mla.media, packet, _medium_of(mla, packet), t)
     outward = packet.space == GLASS
     if outward:
         held = stays_inside(lenslets.lattice, packet.x, packet.y, x, y)
@@ -422,7 +441,9 @@ def _meets_face(
         )  # fmt: skip
         return NO_SURFACE
     if met and t <= sideways * (1.0 + slack):
-        block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i] = travel(flow, mla.media, packet, t)
+        block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i] = travel(
+            flow, mla.media, packet, _medium_of(mla, packet), t
+        )
         if not in_order:
             if nx * dx + ny * dy + nz * dz < 0.0:
                 nx, ny, nz = -nx, -ny, -nz
@@ -475,7 +496,7 @@ def _walk(options: Options, flow: Flow, frames: Array, mla: MlaTables, packet: A
         if in_glass == inward:
             slot = MLA_WALL
     if slot >= 0:
-        px, py, pz = arrive(flow, mla.media, packet, px, py, pz)
+        px, py, pz = arrive(flow, mla.media, packet, _medium_of(mla, packet), px, py, pz)
         end(options, flow, frames, packet, MLA_FRAME, px, py, pz, dx, dy, dz, packet.weight, slot, S_ABSORBED)
         return
     child = put(flow, CELLS, packet, MLA_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, sideways)

@@ -45,7 +45,7 @@ from lfmesh.transport.events.interface import (
 )
 from lfmesh.transport.events.lighting import from_light
 from lfmesh.transport.events.polarisation import IN_OBJECTS, shares_by_state
-from lfmesh.transport.events.travel import arrive, travel
+from lfmesh.transport.events.travel import arrive, transmitted, travel
 from lfmesh.transport.packets.book import (
     ESCAPED,
     HOUSING,
@@ -173,6 +173,7 @@ def shade_objects(
             continue
         if packet.kind == SHADOW:
             if t >= packet.limit:
+                # Straight from a lamp, and lamps stand in air, which absorbs nothing.
                 deposit(options, flow, packet.source, packet.colour, packet.weight)
             continue
         if packet.last != LEFT_LENS:
@@ -182,7 +183,8 @@ def shade_objects(
             if packet.kind == TO_EMITTER:
                 # A scattered packet that comes to the lens first goes into it, and keeps its full weight.
                 if not enters and _arrives(objects, packet, prim):
-                    deposit(options, flow, packet.source, packet.colour, packet.weight)
+                    share = transmitted(objects.media.absorption, packet.medium, packet.colour, t)
+                    deposit(options, flow, packet.source, packet.colour, packet.weight * share)
                 continue
             if enters and packet.kind == LAMP:
                 # Through the opening it meets the inside of the housing, and ends; else it passes beside the lens.
@@ -220,7 +222,7 @@ def shade_objects(
             if not too_deep(options, flow, frames, packet):
                 _through_glass(options, flow, frames, objects, aim, packet, prim, t)
             continue
-        x, y, z = travel(flow, objects.media, packet, t)
+        x, y, z = travel(flow, objects.media, packet, packet.medium, t)
         weight = packet.weight
         slot = HOUSING if body < 0 else objects.target_slot[body]
         if body < 0 or options.tracing:
@@ -407,7 +409,7 @@ def _through_glass(
         nx, ny, nz, cos_i = -nx, -ny, -nz, -cos_i
     cos_i = min(cos_i, 1.0)
     n_i, n_t = objects.media.indices[packet.medium, packet.colour], objects.media.indices[beyond, packet.colour]
-    x, y, z = arrive(flow, objects.media, packet, x, y, z)
+    x, y, z = arrive(flow, objects.media, packet, packet.medium, x, y, z)
     # A coating between equal indices counts, unless a body of a higher rank covers it.
     uncovered = (after if entering else inside) & RANK == objects.rank[body]
     if n_i == n_t and inside != 0 and after != 0 and not (uncovered and is_coated(objects.interfaces, number)):

@@ -175,7 +175,7 @@ def follow_rays(
             _pass_over(bundle, count, some)
         for way in range(_FROM_OBJECTS, _WAYS):
             if ways & (1 << way) != 0:
-                _follow_way(bundle, count, way, tables, around)
+                _follow_way(bundle, count, way, tables, around, book)
                 _keep(bundle, count, way, tables.sensor.reflectance, some, book, counts)
 
 
@@ -322,17 +322,17 @@ def _pass_over(bundle: Array, count: int, ends: Ends) -> None:
 
 
 @kernel
-def _follow_way(bundle: Array, count: int, way: int, tables: Tables, around: Surroundings) -> None:
+def _follow_way(bundle: Array, count: int, way: int, tables: Tables, around: Surroundings, book: Array) -> None:
     """Take the rays of a block that have one way to its end."""
     frames = tables.frames
     _load_way(bundle, 1.0 * way)
     to_sensor = way <= _ON_SENSOR
     if way == _FROM_OBJECTS:
-        through_lens(bundle, tables.lens, 0, True)
+        through_lens(bundle, tables.lens, 0, True, book)
     if tables.mla.present and way in (_FROM_OBJECTS, _TO_SENSOR, _BACK):
-        through_mla(bundle, count, tables.mla, 0, frames, to_sensor)
+        through_mla(bundle, count, tables.mla, 0, frames, to_sensor, book)
     if not to_sensor:
-        through_lens(bundle, tables.lens, 0, False)
+        through_lens(bundle, tables.lens, 0, False, book)
     if way != _ON_SENSOR:
         normalise(bundle)
     if to_sensor:

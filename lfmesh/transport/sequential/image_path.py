@@ -5,6 +5,8 @@ light, and light that total reflection or a neighbouring lenslet turns off the p
 booked.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,9 +14,10 @@ from lfmesh.geometry.lattice import cell_of, centre, is_inside, leaves_at, neigh
 from lfmesh.geometry.lenslets import are_alike, cap_sag, shape_of
 from lfmesh.geometry.surface import conic_distance
 from lfmesh.geometry.tessellation import OVERREACH
-from lfmesh.kernel import kernel
+from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.crossing import end, move_packet, refracted
 from lfmesh.transport.events.interface import shares
+from lfmesh.transport.events.travel import transmitted
 from lfmesh.transport.packets.book import HOUSING, MLA_EDGE, MLA_MOUNT, MLA_WALL, STOP, UNFOLLOWED
 from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
@@ -46,9 +49,11 @@ from lfmesh.transport.sequential.lens_bundle import (
     X,
     Y,
     Z,
+    absorb_since_start,
     load,
     move_bundle,
     normalise,
+    note_start,
     pad,
     through_stop,
     through_surface,
@@ -127,13 +132,13 @@ def follow_block(
     at_lens = station != PLATE
     if to_sensor:
         if at_lens:
-            through_lens(bundle, lens, colour, True)
+            through_lens(bundle, lens, colour, True, flow.book)
         if mla.present:
-            through_mla(bundle, count, mla, colour, frames, to_sensor)
+            through_mla(bundle, count, mla, colour, frames, to_sensor, flow.book)
     else:
         if not at_lens:
-            through_mla(bundle, count, mla, colour, frames, to_sensor)
-        through_lens(bundle, lens, colour, False)
+            through_mla(bundle, count, mla, colour, frames, to_sensor, flow.book)
+        through_lens(bundle, lens, colour, False, flow.book)
     normalise(bundle)
     _hand_on(wave, to_sensor, count, frames, bundle, numbers, options, flow)
 
@@ -175,7 +180,7 @@ def _hand_on(
 
 
 @kernel
-def through_lens(bundle: Array, lens: LensTables, colour: int, to_sensor: bool) -> None:
+def through_lens(bundle: Array, lens: LensTables, colour: int, to_sensor: bool, book: Array) -> None:
     """Take a bundle (camera frame) through all surfaces of the lens and through its stop.
 
     Parameters
@@ -186,10 +191,13 @@ def through_lens(bundle: Array, lens: LensTables, colour: int, to_sensor: bool) 
         Number of the wavelength.
     to_sensor : bool
         Direction of travel.
+    book : (slots,) float64
+        For light that the glasses absorb.
     """
-    last = len(lens.surfaces)
+    absorption, last = lens.media.absorption, len(lens.surfaces)
     for step in range(last + 1):
         space = step if to_sensor else last - step
+        note_start(absorption, bundle)
         if lens.stop_space == space:
             if lens.stop_posed:
                 move_bundle(bundle, lens.stop_unpose)
@@ -206,14 +214,17 @@ def through_lens(bundle: Array, lens: LensTables, colour: int, to_sensor: bool) 
             bundle, lens, k, colour, 1.0 if to_sensor else -1.0,
             lens.surfaces[k].aperture * (1.0 + OVERREACH), lens.mount_slot[k] + 1.0, beyond,
         )  # fmt: skip
+        absorb_since_start(absorption, bundle, lens.medium[space], colour, book)
 
 
 @kernel
-def through_mla(bundle: Array, count: int, mla: MlaTables, colour: int, frames: Array, to_sensor: bool) -> None:
+def through_mla(
+    bundle: Array, count: int, mla: MlaTables, colour: int, frames: Array, to_sensor: bool, book: Array
+) -> None:
     """Take a bundle (camera frame) through the array, curved or flat face first.
 
-    Rays that meet a single lenslet are traced together; the others, and all in a coated array, one by one, from cell to
-    cell.
+    Rays that meet a single lenslet are traced together; the others, and all in an array that is coated or absorbs, one
+    by one, from cell to cell.
 
     Parameters
     ----------
@@ -226,10 +237,12 @@ def through_mla(bundle: Array, count: int, mla: MlaTables, colour: int, frames: 
     frames : (5, 5, 3, 4) float64
     to_sensor : bool
         Direction of travel.
+    book : (slots,) float64
+        For light that the array absorbs.
     """
     move_bundle(bundle, frames[CAMERA_FRAME, MLA_FRAME])
     inward = to_sensor == mla.curved_to_lens
-    if mla.interfaces.coated:
+    if mla.interfaces.coated or _absorbs(mla.media.absorption):
         for i in range(count):
             bundle[PASSED + i] = 0.0
     else:
@@ -238,22 +251,42 @@ def through_mla(bundle: Array, count: int, mla: MlaTables, colour: int, frames: 
         if bundle[ENDED_ON + i] != 0.0 or bundle[PASSED + i] > 0.0:
             continue
         if bundle[DZ + i] > 0.0:
-            through = _through_curved_face(bundle, i, mla, colour) and _through_flat_face(bundle, i, mla, colour)
+            through = _through_curved_face(bundle, i, mla, colour, book)
+            through = through and _through_flat_face(bundle, i, mla, colour, book)
         else:
-            through = _through_flat_face(bundle, i, mla, colour) and _through_curved_face(bundle, i, mla, colour)
+            through = _through_flat_face(bundle, i, mla, colour, book)
+            through = through and _through_curved_face(bundle, i, mla, colour, book)
         if not through and bundle[ENDED_ON + i] == 0.0:
             bundle[LEFT_BEHIND + i] += bundle[WEIGHT + i]
             bundle[ENDED_ON + i] = DROPPED
     move_bundle(bundle, frames[MLA_FRAME, CAMERA_FRAME])
 
 
+@inlined
+def _absorbs(absorption: Any) -> bool:
+    return absorption is not None
+
+
+@inlined
+def _absorb(absorption: Any, bundle: Array, i: int, medium: int, colour: int, t: float, book: Array) -> None:
+    """Take from a ray what the array's glass absorbs over a distance."""
+    if absorption is None:
+        return
+    left = bundle[WEIGHT + i] * transmitted(absorption, medium, colour, t)
+    if left < bundle[WEIGHT + i]:
+        book[absorption.slot[medium]] += bundle[WEIGHT + i] - left
+        bundle[WEIGHT + i] = left
+
+
 @kernel
-def _through_flat_face(bundle: Array, i: int, mla: MlaTables, colour: int) -> bool:
+def _through_flat_face(bundle: Array, i: int, mla: MlaTables, colour: int, book: Array) -> bool:
     lattice = mla.lenslets.lattice
     x, y, dz = bundle[X + i], bundle[Y + i], bundle[DZ + i]
     t = (mla.lenslets.thickness - bundle[Z + i]) / dz
     if not t > 0.0:
         return _ends(bundle, i, 0.0, MLA_MOUNT)
+    if dz > 0.0:
+        _absorb(mla.media.absorption, bundle, i, mla.medium, colour, t, book)
     to_x, to_y = x + t * bundle[DX + i], y + t * bundle[DY + i]
     if dz > 0.0:
         held = stays_inside(lattice, x, y, to_x, to_y)
@@ -267,7 +300,7 @@ def _through_flat_face(bundle: Array, i: int, mla: MlaTables, colour: int) -> bo
 
 
 @kernel
-def _through_curved_face(bundle: Array, i: int, mla: MlaTables, colour: int) -> bool:
+def _through_curved_face(bundle: Array, i: int, mla: MlaTables, colour: int, book: Array) -> bool:
     """Refract a ray at the face of the lenslet that it meets, and follow it out of the layer of faces."""
     lenslets = mla.lenslets
     lattice = lenslets.lattice
@@ -279,8 +312,12 @@ def _through_curved_face(bundle: Array, i: int, mla: MlaTables, colour: int) -> 
     at_x, at_y = x + t * bundle[DX + i], y + t * bundle[DY + i]
     column, row = cell_of(lattice, at_x, at_y)
     if not (is_inside(lattice, column, row) if inward else stays_inside(lattice, x, y, at_x, at_y)):
+        if not inward:
+            _absorb(mla.media.absorption, bundle, i, mla.medium, colour, t, book)
         return _ends(bundle, i, t, MLA_MOUNT if inward else MLA_EDGE)
     fate, t, column, row = _next_in_layer(bundle, i, mla, inward, column, row, t)
+    if not inward:
+        _absorb(mla.media.absorption, bundle, i, mla.medium, colour, t, book)
     if fate >= 0:
         return _ends(bundle, i, t, fate)
     if fate != MEETS_FACE:
@@ -298,6 +335,8 @@ def _through_curved_face(bundle: Array, i: int, mla: MlaTables, colour: int) -> 
         return False
     fate, t, column, row = _next_in_layer(bundle, i, mla, not inward, column, row, 0.0)
     if fate >= 0:
+        if inward:
+            _absorb(mla.media.absorption, bundle, i, mla.medium, colour, t, book)
         return _ends(bundle, i, t, fate)
     return fate == LEAVES_LAYER
 

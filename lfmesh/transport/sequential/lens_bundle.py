@@ -27,6 +27,9 @@ WEIGHT, LEFT_BEHIND, MET, ENDED_ON = 6 * BLOCK, 7 * BLOCK, 8 * BLOCK, 9 * BLOCK
 # Working rows: distance, radius², sag and half slope of an asphere's terms.
 _T, _R2, _SAG, _SLOPE = 10 * BLOCK, 11 * BLOCK, 12 * BLOCK, 13 * BLOCK
 _SETTLED = 14 * BLOCK
+# Working rows of absorbing media: position, weight, power not followed and end before a surface.
+_FROM_X, _FROM_Y, _FROM_Z, _FROM_WEIGHT = 16 * BLOCK, 17 * BLOCK, 18 * BLOCK, 19 * BLOCK
+_FROM_LEFT_BEHIND, _FROM_ENDED_ON = 20 * BLOCK, 21 * BLOCK
 # First of the rows that other modules may use as working memory.
 SCRATCH = 10 * BLOCK
 ROWS = 26
@@ -124,6 +127,56 @@ def through_stop(bundle: Array, stop_z: float, radius: float, slot: float) -> No
         bundle[Y + i] = select(ends, y, bundle[Y + i])
         bundle[Z + i] = select(ends, stop_z, bundle[Z + i])
         bundle[ENDED_ON + i] = select(ends, slot + 1.0, bundle[ENDED_ON + i])
+
+
+@kernel
+def note_start(absorption: Any, bundle: Array) -> None:
+    """Note where rays are before they travel to the next surface; nothing where no medium absorbs.
+
+    Parameters
+    ----------
+    absorption : Absorption or None
+    bundle : (ROWS · BLOCK,) float64
+    """
+    if absorption is None:
+        return
+    for i in range(BLOCK):
+        bundle[_FROM_X + i], bundle[_FROM_Y + i], bundle[_FROM_Z + i] = bundle[X + i], bundle[Y + i], bundle[Z + i]
+        bundle[_FROM_WEIGHT + i], bundle[_FROM_LEFT_BEHIND + i] = bundle[WEIGHT + i], bundle[LEFT_BEHIND + i]
+        bundle[_FROM_ENDED_ON + i] = bundle[ENDED_ON + i]
+
+
+@kernel
+def absorb_since_start(absorption: Any, bundle: Array, medium: int, colour: int, book: Array) -> None:
+    """Take from rays what a medium absorbs between `note_start` and the surface at which they have been divided since.
+
+    What the surface has left behind becomes less by the same share as what goes on.
+
+    Parameters
+    ----------
+    absorption : Absorption or None
+    bundle : (ROWS · BLOCK,) float64
+    medium, colour : int
+        Numbers of the medium and of the wavelength.
+    book : (slots,) float64
+    """
+    if absorption is None:
+        return
+    coefficient = absorption.per_mm[medium, colour]
+    if not coefficient > 0.0:
+        return
+    absorbed = 0.0
+    for i in range(BLOCK):
+        x, y = bundle[X + i] - bundle[_FROM_X + i], bundle[Y + i] - bundle[_FROM_Y + i]
+        z = bundle[Z + i] - bundle[_FROM_Z + i]
+        share = np.exp(-coefficient * np.sqrt(x * x + y * y + z * z))
+        # The moves of posed surfaces shift rays that have ended by rounding errors.
+        share = select(bundle[_FROM_ENDED_ON + i] == 0.0, share, 1.0)
+        behind = bundle[_FROM_LEFT_BEHIND + i]
+        absorbed += bundle[_FROM_WEIGHT + i] * (1.0 - share)
+        bundle[LEFT_BEHIND + i] = behind + (bundle[LEFT_BEHIND + i] - behind) * share
+        bundle[WEIGHT + i] *= share
+    book[absorption.slot[medium]] += absorbed
 
 
 @kernel

@@ -26,18 +26,20 @@ from lfmesh.transport.sequential.lens_bundle import (
     X,
     Y,
     Z,
+    absorb_since_start,
     distances_to,
     empty_bundle,
     load,
     mirror_at_surface,
     move_bundle,
     normalise,
+    note_start,
     pad,
     through_stop,
     through_surface,
 )
 from lfmesh.transport.sequential.sequences import Itinerary
-from lfmesh.transport.tables.tables import LensTables, MlaTables
+from lfmesh.transport.tables.tables import LensTables, Media, MlaTables
 from lfmesh.vector import both, select
 
 Array = NDArray[np.float64]
@@ -55,7 +57,7 @@ class Arrived(NamedTuple):
 
     position: Array  # (n, 3) mm, on that surface; of a ray that does not pass, where it left the sequence
     direction: Array  # (n, 3) unit
-    weight: Array  # (n,) share of the power: the product of R and T on the way; 0: does not pass
+    weight: Array  # (n,) share of the power: the product of R, T and what glass transmits; 0: does not pass
 
 
 def follow_sequence(lens: LensTables, path: Itinerary, p: Array, d: Array, colour: int = 0) -> Arrived:
@@ -74,7 +76,7 @@ def follow_sequence(lens: LensTables, path: Itinerary, p: Array, d: Array, colou
     rays = Arrived(np.array(p, dtype=np.float64, order="C"), np.array(d, dtype=np.float64, order="C"), np.empty(len(p)))
     _follow(
         rays, lens, np.array(path.faces, np.int64), np.array(path.reflected, np.bool_), path.to_sensor, colour,
-        empty_bundle(_BUNDLE_ROWS),
+        empty_bundle(_BUNDLE_ROWS), _book_for(lens.media),
     )  # fmt: skip
     return rays
 
@@ -91,13 +93,18 @@ def follow_through_mla(rays: Arrived, mla: MlaTables, frames: Array, colour: int
     colour : int
         Number of the wavelength.
     """
-    _through_mla(rays, mla, frames, colour, empty_bundle(_BUNDLE_ROWS))
+    _through_mla(rays, mla, frames, colour, empty_bundle(_BUNDLE_ROWS), _book_for(mla.media))
+
+
+def _book_for(media: Media) -> Array:
+    """Return a book with a slot for each medium that absorbs; what is entered in it is not used."""
+    return np.zeros(1 + int(media.absorption.slot.max()) if media.absorption is not None else 0)
 
 
 @kernel
 def _follow(
     rays: Arrived, lens: LensTables, faces: NDArray[np.int64], reflected: NDArray[np.bool_], to_sensor: bool,
-    colour: int, bundle: Array,
+    colour: int, bundle: Array, book: Array,
 ) -> None:  # fmt: skip
     for first in range(0, len(rays.weight), BLOCK):
         count = min(BLOCK, len(rays.weight) - first)
@@ -105,13 +112,13 @@ def _follow(
             p, d = rays.position[first + i], rays.direction[first + i]
             load(bundle, i, p[0], p[1], p[2], d[0], d[1], d[2], 1.0)
         pad(bundle, count)
-        _along(bundle, lens, faces, reflected, to_sensor, colour)
+        _along(bundle, lens, faces, reflected, to_sensor, colour, book)
         normalise(bundle)
         _store(bundle, rays, first, count)
 
 
 @kernel
-def _through_mla(rays: Arrived, mla: MlaTables, frames: Array, colour: int, bundle: Array) -> None:
+def _through_mla(rays: Arrived, mla: MlaTables, frames: Array, colour: int, bundle: Array, book: Array) -> None:
     for first in range(0, len(rays.weight), BLOCK):
         count = min(BLOCK, len(rays.weight) - first)
         for i in range(count):
@@ -120,7 +127,7 @@ def _through_mla(rays: Arrived, mla: MlaTables, frames: Array, colour: int, bund
             if not rays.weight[first + i] > 0.0 or not d[2] > 0.0:
                 bundle[ENDED_ON + i] = DROPPED
         pad(bundle, count)
-        through_mla(bundle, count, mla, colour, frames, True)
+        through_mla(bundle, count, mla, colour, frames, True, book)
         normalise(bundle)
         _store(bundle, rays, first, count)
 
@@ -137,13 +144,15 @@ def _store(bundle: Array, rays: Arrived, first: int, count: int) -> None:
 @kernel
 def _along(
     bundle: Array, lens: LensTables, faces: NDArray[np.int64], reflected: NDArray[np.bool_], to_sensor: bool,
-    colour: int,
+    colour: int, book: Array,
 ) -> None:  # fmt: skip
     """Take a bundle (camera frame) along a sequence of surfaces of the lens."""
     space, last = 0 if to_sensor else len(lens.surfaces), -1
     for step in range(len(faces) + 1):
         ends = step == len(faces)
         k = last if ends else faces[step]
+        within = space
+        note_start(lens.media.absorption, bundle)
         if lens.stop_space == space and (ends or k != last):
             if lens.stop_posed:
                 move_bundle(bundle, lens.stop_unpose)
@@ -161,6 +170,7 @@ def _along(
         else:
             through_surface(bundle, lens, k, colour, sense, rim, mount, beyond)
             space = k + 1 if sense > 0.0 else k
+        absorb_since_start(lens.media.absorption, bundle, lens.medium[within], colour, book)
         if last >= 0 and last != k:
             _end_returned(bundle)
         surface = lens.surfaces[k]

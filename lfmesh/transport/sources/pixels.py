@@ -70,6 +70,7 @@ from lfmesh.transport.sequential.lens_bundle import (
 )
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.tables.lights import MM2
+from lfmesh.transport.tables.media import clear
 from lfmesh.transport.tables.tables import AimTables, LensTables, MlaTables, SensorTables
 
 Array = NDArray[np.float64]
@@ -142,7 +143,7 @@ class PixelSource(Source):
         else:
             launch_adjoint(
                 pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
-                tables.mla, tables.aim, seen, len(tables.lens.surfaces), work.bundle, work.flow(), room,
+                clear(tables.mla), tables.aim, seen, len(tables.lens.surfaces), work.bundle, work.flow(), room,
             )  # fmt: skip
             if tables.cover is not None:
                 # Without a cover a pixel's light meets the array first, or the lens.

@@ -8,6 +8,7 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
 from lfmesh.scene import Scene
 from lfmesh.scene.solve import cover_shift_mm
+from lfmesh.transport.packets.book import Book
 from lfmesh.transport.packets.packet import SENSOR_FRAME
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.tables import Interfaces, Media
@@ -27,7 +28,7 @@ class CoverTables(NamedTuple):
 
 
 def cover_tables(
-    scene: Scene, wavelengths_nm: tuple[float, ...], interfaces: Interfaces, known: MediumList
+    scene: Scene, wavelengths_nm: tuple[float, ...], interfaces: Interfaces, known: MediumList, book: Book
 ) -> CoverTables | None:
     """Return the cover of a scene's sensor; None without one.
 
@@ -38,13 +39,14 @@ def cover_tables(
     interfaces : Interfaces
         Of the cover.
     known : MediumList
+    book : Book
     """
     cover = scene.camera.sensor.cover
     if cover is None:
         return None
-    return CoverTables(
-        -cover.height_mm, -cover.gap_mm, known.table(wavelengths_nm), known.number(cover.medium), interfaces
-    )
+    medium = known.in_camera(cover.medium)
+    media = known.table(wavelengths_nm, book, (medium,))
+    return CoverTables(-cover.height_mm, -cover.gap_mm, media, medium, interfaces)
 
 
 def apparent_frames(scene: Scene, moves: Array) -> Array:

@@ -65,7 +65,8 @@ def lens_tables(
     slack = 1e-9 * np.abs(caps).max()
     first, last = shape.surfaces[0], shape.surfaces[-1]
     patches_, across = curved(bool((shape.surfaces["level"] == PATCH).any()), mesh)
-    media, medium = known.table(wavelengths_nm), np.array([known.number(each) for each in shape.media])
+    medium = np.array([known.in_camera(each) for each in shape.media])
+    media = known.table(wavelengths_nm, book, medium.tolist())
     order, by_roots, ordered = surface_order(shape)
     return mesh, LensTables(
         surfaces=shape.surfaces,
@@ -202,8 +203,9 @@ def _pure_stop(scene: Scene, shape: LensShape) -> tuple[int, float, float, frame
 
 
 def mla_tables(
-    scene: Scene, wavelengths_nm: tuple[float, ...], interfaces: Interfaces, known: MediumList
-) -> tuple[Mesh, MlaTables]:
+    scene: Scene, wavelengths_nm: tuple[float, ...], interfaces: Interfaces, known: MediumList,
+    book: Book | None = None,
+) -> tuple[Mesh, MlaTables]:  # fmt: skip
     """Return one cell for each lenslet type, side by side, as one mesh for Embree, and the tables of the array.
 
     Parameters
@@ -214,8 +216,12 @@ def mla_tables(
         `CURVED_ROW` and `FLAT_ROW`.
     known : MediumList
         The media of the scene.
+    book : Book, optional
+        Without it, the array is clear.
     """
-    mla, media = scene.camera.mla, known.table(wavelengths_nm)
+    mla = scene.camera.mla
+    medium = known.in_camera(mla.medium) if mla is not None else AIR
+    media = known.table(wavelengths_nm, book, (medium,))
     if mla is None:
         nothing = lenslets(Lattice(False, 1.0, 1, 1), np.array([np.inf]), 1.0)
         empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
@@ -237,7 +243,7 @@ def mla_tables(
         Mesh(np.add(c.vertices, [kind * shift, 0.0, 0.0]), c.faces, c.corner_normals) for kind, c in enumerate(cells)
     )
     is_curved, to_lens = scene.transport.surface == "patch", mla.curved_side == "lens"
-    return mesh, _cells(is_curved, True, shapes, mesh, shift, media, known.number(mla.medium), interfaces, to_lens)
+    return mesh, _cells(is_curved, True, shapes, mesh, shift, media, medium, interfaces, to_lens)
 
 
 def _cells(

@@ -1,15 +1,28 @@
 """The media of a scene: air, and the glasses of lens, array and bodies in object space, each with a number.
 
-Packets carry the number of the medium that they travel in; the properties of media are the fields of `Media`.
+Packets carry the number of the medium that they travel in; the properties of media are the fields of `Media`. Glasses
+of one index that absorb differently are different media.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Literal, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lfmesh.optics.glass import Medium, refractive_index
-from lfmesh.scene import Scene
-from lfmesh.transport.tables.tables import Media
+from lfmesh.optics.glass import Medium, absorption_per_mm, refractive_index
+from lfmesh.scene import Refractor, Scene
+from lfmesh.scene.spectra import Spectrum, curve_of
+from lfmesh.transport.packets.book import Book
+from lfmesh.transport.tables.tables import NO_SLOT, Absorption, LensTables, Media, MlaTables
+
+Array = NDArray[np.float64]
+
+Dye = float | Spectrum | Literal["catalogue"]
+"""Absorption coefficient of a medium, 1/mm, or "catalogue": by the glass's internal transmittance."""
+
+CLEAR: Dye = 0.0
 
 
 @dataclass(frozen=True)
@@ -18,29 +31,107 @@ class MediumList:
 
     Attributes
     ----------
+    scene : Scene
     media : tuple of Medium
         Air first.
+    dyes : tuple of Dye
+        What each absorbs.
     """
 
+    scene: Scene
     media: tuple[Medium, ...]
+    dyes: tuple[Dye, ...]
 
     @classmethod
     def of(cls, scene: Scene) -> "MediumList":
         """Return the media of a scene."""
-        lens = [surface.medium for surface in scene.camera.lens.surfaces]
-        mla = [scene.camera.mla.medium] if scene.camera.mla is not None else []
-        cover = [scene.camera.sensor.cover.medium] if scene.camera.sensor.cover is not None else []
-        bodies = [target.refractor.medium for target in scene.targets if target.refractor is not None]
-        return cls(tuple(dict.fromkeys([None, *lens, *mla, *bodies, *cover])))
+        camera = scene.camera
+        inside = [surface.medium for surface in camera.lens.surfaces]
+        inside += [camera.mla.medium] if camera.mla is not None else []
+        inside += [camera.sensor.cover.medium] if camera.sensor.cover is not None else []
+        bodies = [target.refractor for target in scene.targets if target.refractor is not None]
+        found = [(None, CLEAR), *((medium, _dye_in_camera(scene, medium)) for medium in inside)]
+        found += [(body.medium, body.absorption_per_mm) for body in bodies]
+        distinct = tuple(dict.fromkeys(found))
+        return cls(scene, tuple(medium for medium, _ in distinct), tuple(dye for _, dye in distinct))
 
-    def number(self, medium: Medium) -> int:
-        """Return the number of a medium."""
-        return self.media.index(medium)
+    def in_camera(self, medium: Medium) -> int:
+        """Return the number of a medium of the lens, the array or the sensor's cover."""
+        return self._number(medium, _dye_in_camera(self.scene, medium))
 
-    def table(self, wavelengths_nm: tuple[float, ...]) -> Media:
-        """Return the media at some wavelengths, as kernels read them."""
-        return Media(
-            indices=np.array(
-                [[refractive_index(medium, wavelength_nm) for wavelength_nm in wavelengths_nm] for medium in self.media]
-            )
+    def of_body(self, body: Refractor) -> int:
+        """Return the number of the medium of a body of glass."""
+        return self._number(body.medium, body.absorption_per_mm)
+
+    def _number(self, medium: Medium, dye: Dye) -> int:
+        return list(zip(self.media, self.dyes, strict=True)).index((medium, dye))
+
+    @property
+    def absorbing(self) -> tuple[int, ...]:
+        """Numbers of the media that absorb."""
+        return tuple(number for number, dye in enumerate(self.dyes) if dye != CLEAR)
+
+    def places(self, number: int, elements: Iterable[Medium]) -> str:
+        """Return the names of the bodies that a medium fills, as in "lens[0], mla".
+
+        Parameters
+        ----------
+        number : int
+        elements : iterable of Medium
+            Glasses of the elements of the lens, in order.
+        """
+        names = [f"lens[{i}]" for i, medium in enumerate(elements) if self.in_camera(medium) == number]
+        mla = self.scene.camera.mla
+        names += ["mla"] if mla is not None and self.in_camera(mla.medium) == number else []
+        cover = self.scene.camera.sensor.cover
+        names += ["cover"] if cover is not None and self.in_camera(cover.medium) == number else []
+        for i, target in enumerate(self.scene.targets):
+            if target.refractor is not None and self.of_body(target.refractor) == number:
+                names.append(target.name or f"targets[{i}]")
+        return ", ".join(names)
+
+    def table(self, wavelengths_nm: tuple[float, ...], book: Book | None, within: Iterable[int]) -> Media:
+        """Return the media at some wavelengths, as kernels of a region read them.
+
+        Parameters
+        ----------
+        wavelengths_nm : tuple of float
+        book : Book or None
+            None: no light is absorbed.
+        within : iterable of int
+            Media of the region.
+        """
+        indices = np.array(
+            [[refractive_index(medium, wavelength_nm) for wavelength_nm in wavelengths_nm] for medium in self.media]
         )
+        absorbing = self.absorbing
+        if book is None or not set(absorbing) & set(within):
+            return Media(indices)
+        slot = np.full(len(self.media), NO_SLOT)
+        slot[list(absorbing)] = book.absorbers
+        per_mm = np.array([self._absorption(number, wavelengths_nm) for number in range(len(self.media))])
+        return Media(indices, Absorption(per_mm, slot))
+
+    def _absorption(self, number: int, wavelengths_nm: tuple[float, ...]) -> Array:
+        """Return the absorption coefficient of a medium at some wavelengths, 1/mm."""
+        medium, dye = self.media[number], self.dyes[number]
+        if isinstance(dye, Spectrum):
+            where = f"{self.places(number, ())}: absorption_per_mm"
+            curve = curve_of(dye, (min(wavelengths_nm), max(wavelengths_nm)), self.scene, where)
+            return curve.at(wavelengths_nm)
+        if isinstance(dye, str):
+            return np.array([absorption_per_mm(str(medium), wavelength_nm) for wavelength_nm in wavelengths_nm])
+        return np.full(len(wavelengths_nm), dye, np.float64)
+
+
+def _dye_in_camera(scene: Scene, medium: Medium) -> Dye:
+    """Return what a medium of the camera absorbs: glasses of the catalogue alone, where the camera asks for it."""
+    return "catalogue" if scene.camera.absorption and isinstance(medium, str) else CLEAR
+
+
+Region = TypeVar("Region", LensTables, MlaTables)
+
+
+def clear(tables: Region) -> Region:
+    """Return the tables of a region with media that do not absorb."""
+    return tables._replace(media=tables.media._replace(absorption=None))

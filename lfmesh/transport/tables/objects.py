@@ -179,6 +179,7 @@ def object_tables(
     alphas = [t.alpha.ravel() if t.alpha is not None else np.zeros(0, np.float32) for t in targets]
     radius = max((float(np.linalg.norm(m.vertices, axis=1).max()) for m in parts), default=0.0)
     glasses = [t.refractor for t in scene.targets]
+    medium = np.array([known.of_body(g) if g is not None else OPAQUE for g in glasses], dtype=np.int64)
     level = np.array([SURFACE_LEVEL[g.level] if g is not None else 0 for g in glasses], dtype=np.int64)
     patches, across = curved(bool((level == PATCH).any()), mesh)
     # Target of each rank, from 1; the entry of rank 0 is not used.
@@ -205,8 +206,8 @@ def object_tables(
         smooth=np.array([t.smooth for t in targets], dtype=np.bool_),
         radiance=radiance,
         glow=np.divide(radiance, largest, out=np.zeros_like(radiance), where=largest > 0.0),
-        media=known.table(wavelengths_nm),
-        medium=np.array([known.number(g.medium) if g is not None else OPAQUE for g in glasses], dtype=np.int64),
+        media=known.table(wavelengths_nm, book, medium.tolist()),
+        medium=medium,
         interfaces=interfaces,
         rank=ranks,
         by_rank=by_rank,

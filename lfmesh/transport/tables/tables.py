@@ -23,10 +23,19 @@ class Interfaces(NamedTuple):
     rough: bool = False  # whether any of them scatters light
 
 
+class Absorption(NamedTuple):
+    """What media absorb."""
+
+    per_mm: Array  # (media, wavelengths) absorption coefficients, 1/mm
+    slot: NDArray[np.int64]  # (media,) of the book; NO_SLOT where a medium is clear
+
+
 class Media(NamedTuple):
     """Media that rays travel through, one row for each (see `tables.media`)."""
 
     indices: Array  # (media, wavelengths) refractive indices
+    # Absorption where a medium of the region absorbs, else None: code for the other case is not even compiled.
+    absorption: Any = None
 
 
 AIR = 0

@@ -198,7 +198,7 @@ def _row_of_body(rays: Rays, body: int, medium: Medium, other: Medium) -> int:
     """Return the row of the interface of a body of glass between two media, one of them its own."""
     known, glass = rays.world.media, rays.world.scene.targets[body].refractor
     own = glass.medium if glass is not None else None
-    return body_row(body, known.number(other if medium == own else medium), len(known.media))
+    return body_row(body, known.media.index(other if medium == own else medium), len(known.media))
 
 
 def _of_lens(rays: Rays, vertex: int, k: int) -> Vector:

@@ -25,7 +25,7 @@ SCENE = lf.Scene(
 def test_a_medium_has_one_number_wherever_it_is() -> None:
     known = MediumList.of(SCENE)
     assert known.media == (None, "SCHOTT/N-BK7", 1.6)
-    assert known.number(None) == AIR
+    assert known.in_camera(None) == AIR
     tables = lf.build(SCENE).tables
     assert tables.lens.medium.tolist() == [AIR, 1, 2, AIR]
     assert tables.mla.medium == 1

@@ -6,7 +6,7 @@ A case passes when every ray has the right answer, or ends as LOST, which the le
 import warnings
 from collections.abc import Callable, Iterable
 
-from lfmesh.accuracy.hard import aim, arrays, emitters, gloss, interfaces, lenses, meshes, openings, tanks
+from lfmesh.accuracy.hard import aim, arrays, emitters, gloss, interfaces, lenses, media, meshes, openings, tanks
 from lfmesh.accuracy.hard.outcome import Outcome
 from lfmesh.transport.packets.ledger import LostEnergyWarning
 
@@ -66,6 +66,14 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     tanks.glass_of_the_waters_index,
     tanks.film_of_air_in_water,
     emitters.emitter_on_the_surface,
+    media.depths_of_absorption,
+    media.depths_of_scattering,
+    media.sharp_phase_functions,
+    media.one_voxel,
+    media.plane_of_voxels,
+    media.along_faces_of_cells,
+    media.medium_at_the_lens,
+    media.hottest_and_coldest_gas,
     gloss.gloss_at_its_ends,
     lenses.diverging_newton,
     lenses.two_roots,

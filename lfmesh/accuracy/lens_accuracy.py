@@ -149,7 +149,7 @@ class LensStudy:
 def bare(scene: Scene) -> Scene:
     """Return a solved scene with nothing but its camera, which stands in the world frame."""
     scene = solved_camera(scene).scene
-    return scene.changed({"targets": [], "lights": [], "camera.pose": {}, "transport.engine": "auto"})
+    return scene.camera_alone({"camera.pose": {}, "transport.engine": "auto"})
 
 
 def lens_alone(scene: Scene) -> Scene:

@@ -219,7 +219,7 @@ def analyse(
     height = _used_height_mm(camera.scene) if height_mm is None else float(height_mm)
     if not 0.0 < height < math.inf:
         raise LfmeshError(f"height_mm = {height}: must be above 0 and finite")
-    world = build(camera.scene.changed({"targets": (), "lights": ()}))
+    world = build(camera.scene.camera_alone())
     rays = LensRays(world, object_mm, facts.image_z_mm)
     heights = height * np.array(FIELDS)
     primary = waves[len(waves) // 2]

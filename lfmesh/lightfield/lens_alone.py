@@ -30,10 +30,8 @@ def lens_alone(scene: Scene) -> World:
     assert mla.distance_mm is not None
     # So wide that whatever leaves the lens towards the array meets it.
     wide = 100.0 * (max(mla.size_mm) + max(sensor.size_mm) + mla.distance_mm)
-    alone = scene.changed(
+    alone = scene.camera_alone(
         {
-            "targets": (),
-            "lights": (),
             "camera.pose": {},
             "camera.mla": None,
             "camera.sensor": {"pixels": (2, 2), "pixel_mm": wide, "distance_mm": mla.distance_mm},

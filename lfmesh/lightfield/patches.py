@@ -163,7 +163,7 @@ def _photograph(camera: _Focused, distance_mm: float, step_mm: float) -> Photogr
 def _focused(image: Image, white: Image | None) -> _Focused:
     scene = solved_camera(image.scene).scene
     model = RayModel.of(scene)
-    calibration, geometry, radius = _geometry(scene.changed({"targets": (), "lights": ()}))
+    calibration, geometry, radius = _geometry(scene.camera_alone())
     light, spread, unit = image.mean, image.stderr, "W per pixel"
     if white is not None:
         light, spread = _divided(image, white, scene)

@@ -39,7 +39,7 @@ class ViewRays:
     @classmethod
     def of_camera(cls, scene: Scene) -> "ViewRays":
         """Return the rays of a solved scene's camera, with nothing before it."""
-        return cls(build(scene.changed({"targets": (), "lights": ()})))
+        return cls(build(scene.camera_alone()))
 
     def trace(self, v: float, u: float, every: tuple[int, int] = (1, 1)) -> tuple[Paths, NDArray[np.int64]]:
         """Trace one view.

@@ -51,11 +51,10 @@ def white_scene(scene: Scene) -> Scene:
         "rotation_deg": pose.tilt_deg,
         "material": {"reflectance": 0.0, "radiance_w_m2_sr": RADIANCE},
     }
-    return scene.changed(
+    return scene.camera_alone(
         {
             "name": f"{scene.name}, white".lstrip(", "),
             "targets": (plane,),
-            "lights": (),
             "transport.method": "adjoint",
         }
     )

@@ -31,8 +31,8 @@ class Camera(Model):
     sensor: Sensor
     """The sensor."""
     absorption: Flag = False
-    """Whether the glasses of lens, array and sensor cover absorb light, by their internal transmittance in the catalogue.
-    A glass without it is refused; what has an index, or a dispersion of its own, stays clear."""
+    """Whether the glasses of lens, array and sensor cover absorb light, by the catalogue's internal transmittance. A
+    glass without it is refused; what has an index, or a dispersion of its own, stays clear."""
     polariser_deg: Number | None = None
     """An ideal linear polariser right before the sensor: the angle of the field that it transmits, in degrees, from the
     sensor's x axis towards its y axis (counter-clockwise as seen from behind the camera). It absorbs the field along

@@ -226,6 +226,17 @@ class Scene(Model, Shown):
         scene._folder, scene._digests = self._folder, dict(self._digests)
         return scene
 
+    def camera_alone(self, values: dict[str, Any] | None = None) -> "Scene":
+        """Return a copy with nothing before the camera: no targets, lights, media, particles and tanks.
+
+        Parameters
+        ----------
+        values : dict, optional
+            What else is replaced, as in `changed`.
+        """
+        empty: dict[str, Any] = dict.fromkeys(("targets", "lights", "media", "particles", "tanks"), ())
+        return self.changed(empty | (values or {}))
+
     def dump_toml(self) -> str:
         """Return the scene as TOML that loads to an equal scene; defaults are left out."""
         from lfmesh.scene import toml  # with a library that most scenes, which are only read, need not wait for

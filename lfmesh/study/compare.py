@@ -173,14 +173,8 @@ class _Camera:
 
 def measuring(scene: Scene) -> Scene:
     """Return a camera's scene with the transport that measurements need: one wavelength, no reflections."""
-    return scene.changed(
-        {
-            "targets": (),
-            "lights": (),
-            "transport.split": "transmit",
-            "transport.method": "adjoint",
-        }
-    ).at_line(scene.primary_nm)
+    values = {"transport.split": "transmit", "transport.method": "adjoint"}
+    return scene.camera_alone(values).at_line(scene.primary_nm)
 
 
 def three_cameras(scene: Scene, reduction: float = 3.0) -> dict[str, Scene]:

@@ -51,3 +51,32 @@ def test_the_brightest_pixels_hold_what_their_lenslets_gather(camera: Callable[.
     media = [1.0, *(s.index or 1.0 for s in surfaces), 1.5, 1.0]
     passed = np.prod([1.0 - ((a - b) / (a + b)) ** 2 for a, b in pairwise(media)])
     assert seen == pytest.approx(gathered * passed, rel=0.05)
+
+
+def test_nothing_else_of_the_scene_shines_or_stands_before_the_camera(camera: Callable[..., Scene]) -> None:
+    """A fog, particles or a tank would dim the white image, or shine in it; all who ask for the camera alone say so."""
+    alone = camera().camera_alone()
+    ball = {"kind": "sphere", "radius_mm": 9.0}
+    sheet = {
+        "point_mm": [0.0, 0.0, -400.0],
+        "normal": [0.0, 0.0, 1.0],
+        "direction": [1.0, 0.0, 0.0],
+        "thickness_mm": 9.0,
+        "width_mm": 9.0,
+        "power_w": 1.0,
+    }
+    place = {"position_mm": [0.0, 0.0, -400.0]}
+    full = alone.changed(
+        {
+            "targets": [{"shape": ball, **place}],
+            "lights": [{"kind": "point", "position_mm": [0.0, 90.0, -90.0], "power_w": 1.0}],
+            "media": [{"absorption_per_mm": 0.01, "emission_w_mm3_sr": 1e-6}],
+            "particles": [{"count": 9, "bounds": ball, "diameter_um": 9.0, "sheet": sheet, **place}],
+            "tanks": [{"size_mm": [60.0, 60.0, 60.0], "wall_mm": 2.0, "wall": {"index": 1.5}, "liquid": {"index": 1.3},
+                       "position_mm": [0.0, 0.0, -100.0]}],
+        }
+    )  # fmt: skip
+    assert full != alone
+    assert full.camera_alone() == alone
+    assert white_scene(full) == white_scene(alone)
+    assert lf.analyse(full, across=8).lines() == lf.analyse(alone, across=8).lines()

@@ -1,9 +1,9 @@
 """Light in media against solutions of the transfer equation that do not trace rays.
 
 Sources: S. Chandrasekhar, Radiative Transfer (1950), chapter V, equation 31 and the law of diffuse reflection of a
-semi-infinite isotropic medium (chapter III, equation 112); and, for anisotropic scattering in a slab, successive orders
-of scattering on discrete ordinates, written here, for light that falls in along the normal (as in H. C. van de Hulst,
-Multiple Light Scattering, 1980, chapter 9, whose tables are not at hand).
+semi-infinite isotropic medium (chapter III, equation 112); for slabs, adding and doubling of thin layers (H. C. van de
+Hulst, Multiple Light Scattering, 1980, chapter 4), written here, as his tables are not at hand; for light that is
+scattered once, the integral along the line of sight.
 """
 
 from functools import cache
@@ -23,25 +23,38 @@ TILT_DEG = 40.0
 """Of the slab's normal from the camera's axis, about y."""
 
 
-def camera() -> dict[str, Any]:
+SAMPLES = 65536
+"""Of a pixel, where light is scattered many times."""
+
+
+def camera(small_stop: bool = False) -> dict[str, Any]:
     """Return a camera of so few degrees that all its pixels see a slab at one angle."""
-    return camera_without_array(pixels=2, pixel_mm=0.2)
+    camera = camera_without_array(pixels=2, pixel_mm=0.2)
+    if small_stop:
+        camera["lens"]["stop_semi_diameter_mm"] = 0.6
+    return camera
 
 
-def mean_radiance(media: list[dict[str, Any]], lights: list[dict[str, Any]], **transport: Any) -> tuple[float, float]:
+@cache
+def power_of_one(small_stop: bool) -> float:
+    """Return the power that the pixels receive of a radiance of 1 W/(m² sr) everywhere, W."""
+    scene = lf.Scene(
+        camera=camera(small_stop),  # type: ignore[arg-type]
+        targets=[{"shape": {"kind": "plane", "width_mm": 100.0, "height_mm": 100.0},  # type: ignore[list-item]
+                  "position_mm": [0.0, 0.0, -150.0], "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0}}],
+        transport={"split": "transmit", "samples": 4096, "seed": 5},  # type: ignore[arg-type]
+    )  # fmt: skip
+    return float(lf.render(scene).mean.sum())
+
+
+def mean_radiance(
+    media: list[dict[str, Any]], lights: list[dict[str, Any]], small_stop: bool = False, **transport: Any
+) -> tuple[float, float]:
     """Return the mean radiance that the pixels see, W/(m² sr), and its standard error."""
     settings = {"split": "transmit", "replicates": 16, "seed": 5} | transport
-    scene = lf.Scene(camera=camera(), media=media, lights=lights, transport=settings)  # type: ignore[arg-type]
+    scene = lf.Scene(camera=camera(small_stop), media=media, lights=lights, transport=settings)  # type: ignore[arg-type]
     image = lf.render(scene)
-    unit = lf.render(
-        lf.Scene(  # type: ignore[call-arg]
-            camera=camera(),  # type: ignore[arg-type]
-            targets=[{"shape": {"kind": "plane", "width_mm": 100.0, "height_mm": 100.0},  # type: ignore[arg-type]
-                      "position_mm": [0.0, 0.0, -150.0], "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0}}],
-            transport={"split": "transmit", "samples": 4096, "seed": 5},  # type: ignore[arg-type]
-        )
-    )  # fmt: skip
-    whole = unit.mean.sum()
+    whole = power_of_one(small_stop)
     return float(image.mean.sum() / whole), float(np.sqrt((image.stderr**2).sum()) / whole)
 
 
@@ -57,9 +70,11 @@ def tilted_slab(depth_mm: float, **values: Any) -> dict[str, Any]:
     }
 
 
-def along_normal(irradiance: float = 1.0) -> dict[str, Any]:
-    angle = np.deg2rad(TILT_DEG)
-    return {"kind": "directional", "direction": [-np.sin(angle), 0.0, -np.cos(angle)], "irradiance_w_m2": irradiance}
+def along_normal(behind: bool = False) -> dict[str, Any]:
+    """Return a light of 1 W/m² that falls on a slab along its normal, on the face that is seen or on the other one."""
+    angle, sense = np.deg2rad(TILT_DEG), 1.0 if behind else -1.0
+    direction = [sense * np.sin(angle), 0.0, sense * np.cos(angle)]
+    return {"kind": "directional", "direction": direction, "irradiance_w_m2": 1.0}
 
 
 @cache
@@ -99,63 +114,107 @@ def test_semi_infinite_isotropic_medium_reflects_by_chandrasekhars_h_function() 
     assert abs(found - expected) < 3.0 * sigma, (found, expected, sigma)
 
 
-def slab_reflection(albedo: float, depth: float, g: float, mu: float, cells: int = 250, nodes: int = 20) -> float:
-    """Return a slab's reflected radiance at cosine μ for unit irradiance along the normal, by orders of scattering."""
+@cache
+def slab_radiance(albedo: float, depth: float, g: float, mu: float, nodes: int = 24) -> tuple[Array, Array]:
+    """Return what a slab reflects and transmits diffusely of unit irradiance along the normal, by adding and doubling.
+
+    Each is the radiance at the cosine μ, and the flux through the face. Layers are doubled from one so thin that light
+    is scattered in it once (van de Hulst 1980, section 4.2). The cosines 1 and μ are nodes of no weight.
+    """
     x, w = np.polynomial.legendre.leggauss(nodes)
-    angles = np.concatenate([0.5 * (x + 1.0), [mu]])
-    weights = np.concatenate([0.5 * w, [0.0]])
-    signed = np.concatenate([angles, -angles])  # downwards positive
+    angles = np.concatenate([0.5 * (x + 1.0), [mu, 1.0]])
+    weights = np.concatenate([0.5 * w, [0.0, 0.0]])
     order = np.arange(2 * nodes)
-    polynomials = np.array([np.polynomial.legendre.Legendre.basis(n)(signed) for n in order])
+    polynomials = np.array([np.polynomial.legendre.Legendre.basis(n)(angles) for n in order])
     moments = (2 * order + 1) * g**order
-    phase = np.einsum("n,ni,nj->ij", moments, polynomials, polynomials) / 2.0
+    # Phase functions, means over the azimuth, for light that goes on towards the same face, and towards the other one.
+    on, back = (np.einsum("n,ni,nj->ij", moments * sign**order, polynomials, polynomials) / 2.0 for sign in (1.0, -1.0))
     # Truncated and normalised on the nodes, so that no light is made or lost.
-    both = np.concatenate([weights, weights])
-    phase /= (phase * both).sum(axis=1, keepdims=True)
-    step = depth / cells
-    middle = (np.arange(cells) + 0.5) * step
-    beam = (moments[:, None] * polynomials).sum(axis=0) / (4.0 * np.pi)
-    faded = (np.exp(-middle + 0.5 * step) - np.exp(-middle - 0.5 * step)) / step
-    source = albedo * beam[None, :] * faded[:, None]
-    total = 0.0
-    t = np.exp(-step / angles)
-    # Mean of e^(-x/μ) over a cell, for the mean radiance in it.
-    gain = 1.0 - t
-    for _ in range(4000):
-        mean = np.zeros_like(source)
-        n = len(angles)
-        down = np.zeros(n)
-        for i in range(cells):
-            s = source[i, :n]
-            mean[i, :n] = s + (down - s) * gain * angles / step
-            down = down * t + s * gain
-        up = np.zeros(n)
-        for i in range(cells - 1, -1, -1):
-            s = source[i, n:]
-            mean[i, n:] = s + (up - s) * gain * angles / step
-            up = up * t + s * gain
-        total += up[-1]
-        source = albedo * (mean * both) @ phase.T
-        if up[-1] < 1e-7 * total:
-            break
-    return float(total)
+    whole = ((on + back) * weights).sum(axis=1, keepdims=True)
+    halvings = 30
+    step = depth / 2.0**halvings
+    r, t = (albedo * step * each / whole / angles[:, None] for each in (back, on))
+    beam = np.exp(-step / angles)
+    for _ in range(halvings):
+        between = r * weights @ r
+        between = np.linalg.solve(np.eye(len(angles)) - between * weights, between)
+        down = t + between * beam + between * weights @ t
+        up = r * beam + r * weights @ down
+        r = r + beam[:, None] * up + t * weights @ up
+        t = beam[:, None] * down + t * beam + t * weights @ down
+        beam = beam * beam
+    reflected, transmitted = (
+        np.array([each[-2, -1] / (2.0 * np.pi), (weights * angles * each[:, -1]).sum()]) for each in (r, t)
+    )
+    return reflected, transmitted
 
 
-def test_orders_of_scattering_agree_with_the_h_function() -> None:
+def test_adding_and_doubling_agree_with_the_h_function_and_with_known_fluxes() -> None:
     mu = np.cos(np.deg2rad(TILT_DEG))
     expected = 0.8 / (4.0 * np.pi) / (mu + 1.0) * h_at(0.8, mu) * h_at(0.8, 1.0)
-    assert slab_reflection(0.8, 25.0, 0.0, mu) == pytest.approx(expected, rel=1e-3)
+    assert slab_radiance(0.8, 40.0, 0.0, mu)[0][0] == pytest.approx(expected, rel=1e-5)
+    # Of the program iadpython, for an isotropic slab of albedo 0.9 and optical depth 1, and for a half-space.
+    reflected, transmitted = slab_radiance(0.9, 1.0, 0.0, mu)
+    assert (reflected[1], transmitted[1]) == pytest.approx((0.267410, 0.223746), abs=2e-6)
+    assert slab_radiance(0.9, 100.0, 0.0, mu)[0][1] == pytest.approx(0.414947, abs=2e-6)
+    # What nothing absorbs comes out.
+    reflected, transmitted = slab_radiance(1.0, 3.0, 0.75, mu)
+    assert reflected[1] + transmitted[1] + np.exp(-3.0) == pytest.approx(1.0, abs=1e-6)
 
 
-@pytest.mark.parametrize(("albedo", "depth", "g"), [(0.9, 2.0, 0.0), (0.9, 4.0, 0.6)])
-def test_slab_reflects_as_discrete_ordinates_say(albedo: float, depth: float, g: float) -> None:
-    expected = slab_reflection(albedo, depth, g, float(np.cos(np.deg2rad(TILT_DEG))))
+SLABS = [(0.9, 1.0, 0.0), (0.9, 2.0, 0.0), (1.0, 1.0, 0.0), (0.9, 4.0, 0.6), (0.99, 2.0, 0.75), (0.5, 0.5, -0.5)]
+"""Albedo, optical depth, asymmetry."""
+
+
+@pytest.mark.parametrize(("albedo", "depth", "g"), SLABS)
+@pytest.mark.parametrize("face", ["reflected", "transmitted"])
+def test_slab_shines_as_adding_and_doubling_say(albedo: float, depth: float, g: float, face: str) -> None:
+    """Radiance at 40 degrees from the normal, lit along it: 12 z-tests at 3 sigma, sigma below 0.5 %."""
+    mu = float(np.cos(np.deg2rad(TILT_DEG)))
+    expected = slab_radiance(albedo, depth, g, mu)[face == "transmitted"][0]
     kappa = depth / 4.0
     medium = tilted_slab(4.0, scattering_per_mm=albedo * kappa, absorption_per_mm=(1.0 - albedo) * kappa,
                          phase={"kind": "henyey_greenstein", "g": g})  # fmt: skip
-    found, sigma = mean_radiance([medium], [along_normal()], samples=65536)
+    found, sigma = mean_radiance([medium], [along_normal(behind=face == "transmitted")], samples=SAMPLES)
     assert sigma < 0.005 * expected
     assert abs(found - expected) < 3.0 * sigma, (found, expected, sigma)
+
+
+@pytest.mark.parametrize("g", [0.0, 0.7])
+def test_single_scattering_is_its_integral_along_lines_of_sight(g: float) -> None:
+    """A point lamp before a tilted slab that absorbs a million times what it scatters, so that twice is nothing.
+
+    Along a line of sight through the slab ∫ κs p(cos θ) I / r² exp(−κ (a + b)) dt, with the ways a from the point to
+    the camera and b to the lamp inside the slab; the mean over the rays of a pixel through the stop of a thin lens.
+    """
+    kappa, ks, depth = 0.2, 2e-7, 12.0
+    medium = tilted_slab(depth, absorption_per_mm=kappa - ks, scattering_per_mm=ks,
+                         phase={"kind": "henyey_greenstein", "g": g})  # fmt: skip
+    place = np.array([30.0, -20.0, -110.0])
+    lamp = {"kind": "point", "position_mm": place.tolist(), "power_w": 4.0 * np.pi}
+    found, sigma = mean_radiance([medium], [lamp], small_stop=True, samples=8192)
+    normal = np.array([np.sin(np.deg2rad(TILT_DEG)), 0.0, np.cos(np.deg2rad(TILT_DEG))])
+    face = np.array([0.0, 0.0, -150.0])
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    report = lf.first_order(lf.Scene(camera=camera(small_stop=True)))  # type: ignore[arg-type]
+    half = 0.2 / abs(report.magnification)
+    total = 0.0
+    for px, py in ((-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5)):
+        eye = np.array([0.0, 0.0, report.entrance_pupil_z_mm])
+        d = np.array([px * half, py * half, -150.0]) - eye
+        d /= np.linalg.norm(d)
+        near, far = ((face - shift * normal - eye) @ normal / (d @ normal) for shift in (0.0, depth))
+        t = 0.5 * (near + far) + 0.5 * (far - near) * nodes
+        points = eye + t[:, None] * d
+        to_lamp = place - points
+        r = np.linalg.norm(to_lamp, axis=1)
+        inside = (face - points) @ normal / (to_lamp @ normal / r)
+        cosine = -(to_lamp @ -d) / r
+        p = (1.0 - g * g) / (4.0 * np.pi * (1.0 + g * g - 2.0 * g * cosine) ** 1.5)
+        values = ks * p / r**2 * 1e6 * np.exp(-kappa * (t - near + inside))
+        total += 0.25 * 0.5 * (far - near) * (weights * values).sum()
+    assert sigma < 0.003 * total
+    assert abs(found - total) < 3.0 * sigma + 5e-4 * total, (found, total, sigma)
 
 
 def test_a_thin_flame_is_its_abel_integral_seen_through_a_thin_lens(tmp_path: Path) -> None:
@@ -222,21 +281,84 @@ BOTH_WAYS: dict[str, tuple[dict[str, Any], list[Any], list[Any]]] = {
 }  # fmt: skip
 
 
+def by_both_methods(camera: dict[str, Any], samples: tuple[int, int], **tables: Any) -> tuple[float, list[lf.Image]]:
+    """Return how many sigma the whole light of the adjoint image is above that of the forward one, and both images."""
+    images = []
+    for method, count in zip(("adjoint", "forward"), samples, strict=True):
+        transport = {"method": method, "samples": count, "replicates": 16, "seed": 3}
+        images.append(lf.render(lf.Scene(camera=camera, transport=transport, **tables)))  # type: ignore[arg-type]
+        assert abs(images[-1].ledger.imbalance) < 1e-11
+    a, f = (image.mean.sum() for image in images)
+    return float((a - f) / np.sqrt(sum((image.stderr**2).sum() for image in images))), images
+
+
 @pytest.mark.parametrize("case", BOTH_WAYS)
 def test_forward_equals_adjoint_with_media(case: str) -> None:
     """A z-test of the whole light at 3.3 sigma, for six scenes a level of 0.6 %; the ledgers close."""
     values, targets, lights = BOTH_WAYS[case]
     medium = {"name": "cloud", "bounds": AMONG, "position_mm": PLACE, **values}
-    sums = []
-    for method, samples in (("adjoint", 512), ("forward", 8192)):
-        scene = lf.Scene(
-            camera=camera_without_array(pixels=8),  # type: ignore[arg-type]
-            media=[medium], targets=targets, lights=lights,  # type: ignore[arg-type]
-            transport={"method": method, "samples": samples, "replicates": 16, "seed": 3},  # type: ignore[arg-type]
-        )  # fmt: skip
-        image = lf.render(scene)
-        assert abs(image.ledger.imbalance) < 1e-11
+    z, images = by_both_methods(
+        camera_without_array(pixels=8), (512, 8192), media=[medium], targets=targets, lights=lights
+    )
+    for image in images:
         assert ("cloud" in image.ledger.absorbed) == ("absorption_per_mm" in values)
-        sums.append((image.mean.sum(), (image.stderr**2).sum()))
-    (a, var_a), (f, var_f) = sums
-    assert abs(a - f) < 3.3 * np.sqrt(var_a + var_f), (a, f, np.sqrt(var_a), np.sqrt(var_f))
+    assert abs(z) < 3.3, (z, images)
+
+
+def hollow_front() -> dict[str, Any]:
+    """Return a camera whose first surface is hollow, with its stop behind the lens."""
+    camera = camera_without_array(pixels=8)
+    del camera["focus_mm"]
+    camera["sensor"]["distance_mm"] = 60.0
+    camera["lens"]["surfaces"] = [
+        {"radius_mm": -16.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 8.0},
+        {"radius_mm": -11.0, "semi_diameter_mm": 8.0, "thickness_mm": 0.5},
+        {"stop": True, "semi_diameter_mm": 6.5},
+    ]
+    return camera
+
+
+def at_the_lens(depth_mm: float) -> dict[str, Any]:
+    return {"bounds": {"kind": "box", "size_mm": [40.0, 40.0, depth_mm]}, "position_mm": [0.0, 0.0, -0.5 * depth_mm]}
+
+
+FOG = {"scattering_per_mm": 0.004, "absorption_per_mm": 0.002, "phase": HG}
+DISK = {"kind": "disk", "position_mm": [40.0, 20.0, -100.0], "direction": [-1.0, -0.5, -0.7], "radius_mm": 8.0,
+        "power_w": 1.0}  # fmt: skip
+GLOW = WALL | {"material": {"reflectance": 0.3, "radiance_w_m2_sr": 1.0}}
+SIDE = GLOW | {"position_mm": [50.0, 0.0, -130.0], "rotation_deg": [0.0, 90.0, 0.0]}
+CLOUD = {"bounds": AMONG, "position_mm": PLACE, "scattering_per_mm": 0.05, "absorption_per_mm": 0.01, "phase": HG}
+TURNED = {"bounds": {"kind": "cylinder", "radius_mm": 12.0, "height_mm": 30.0}, "position_mm": [5.0, 4.0, -135.0],
+          "rotation_deg": [70.0, 0.0, 5.0], "absorption_per_mm": 0.06, "emission_w_mm3_sr": 1e-9}  # fmt: skip
+BALL = {"shape": {"kind": "sphere", "radius_mm": 8.0}, "position_mm": [0.0, 0.0, -125.0],
+        "material": {"reflectance": 0.9}}  # fmt: skip
+MIRROR = WALL | {"rotation_deg": [0.0, 20.0, 0.0],
+                 "material": {"reflectance": 0.0, "gloss": {"metal": "Al", "roughness": 0.05}}}  # fmt: skip
+GLASS = {"refractor": {"box_mm": [8.0, 8.0, 8.0], "index": 1.5}, "position_mm": [0.0, 0.0, -130.0],
+         "rotation_deg": [20.0, 30.0, 0.0]}  # fmt: skip
+
+SURROUNDED: dict[str, tuple[dict[str, Any] | None, tuple[int, int], dict[str, Any]]] = {
+    "fog without an end and nothing in it": (None, (256, 4096), {"media": [FOG], "lights": [DISK]}),
+    "fog before a hollow lens": (
+        hollow_front(), (256, 8192), {"media": [at_the_lens(8.0) | {"absorption_per_mm": 0.5}], "targets": [GLOW]}
+    ),
+    "a cloud lit by a wall beside it": (None, (2048, 8192), {"media": [CLOUD], "targets": [SIDE]}),
+    "a cloud before a mirror": (None, (512, 8192), {"media": [CLOUD], "targets": [MIRROR], "lights": [LAMP]}),
+    "media over one another and a ball": (
+        None, (512, 8192), {"media": [CLOUD, TURNED], "targets": [BALL], "lights": [LAMP, DISK]}
+    ),
+    "glass in a shining cloud": (
+        None, (256, 4096), {"media": [CLOUD | {"emission_w_mm3_sr": 1e-8}], "targets": [GLASS]}
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", SURROUNDED)
+def test_forward_equals_adjoint_wherever_media_are(case: str) -> None:
+    """A z-test of the whole light at 3.3 sigma, for six scenes a level of 0.6 %; no light is lost."""
+    camera, samples, tables = SURROUNDED[case]
+    z, images = by_both_methods(camera or camera_without_array(pixels=8), samples, **tables)
+    for image in images:
+        assert image.mean.sum() > 0.0
+        assert sum(image.ledger.lost.values()) < 1e-7 * image.ledger.emitted
+    assert abs(z) < 3.3, (z, images)

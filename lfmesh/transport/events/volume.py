@@ -288,7 +288,8 @@ def pass_through(
         pieces, piece, from_t, size = 1, 0, t, until - t
         while piece < pieces:
             step = size / pieces
-            a = from_t + piece * step
+            # A step without an end is a single piece, and 0 · inf is no number.
+            a = from_t + piece * step if piece > 0 else from_t
             middle = 0.5 * (t + until) if until < np.inf else t
             low_t, high_t = (a + LOW * step, a + HIGH * step) if grids > 0 else (middle, middle)
             e1, e2, k1, k2, s1, s2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

@@ -90,7 +90,7 @@ from lfmesh.transport.regions.bodies import (
 )
 from lfmesh.transport.regions.lens import box_entry
 from lfmesh.transport.regions.targets import AIMED_CHILD, meet_target, passes, share_with_other
-from lfmesh.transport.regions.volumes import is_stopped_by_media
+from lfmesh.transport.regions.volumes import LEFT_MEDIUM, is_stopped_by_media
 from lfmesh.transport.tables.tables import AIR, OPAQUE, AimTables, LensTables, ObjectTables, body_row
 
 Array = NDArray[np.float64]
@@ -163,6 +163,10 @@ def shade_objects(
             body = objects.by_rank[inside & RANK] if inside != 0 else facet.body
             prim, t, along = _first_crossing(objects, packet, x, y, z, dx, dy, dz)
             if prim < 0 and (packet.column >= 0 or _comes_out_ahead(objects, packet, x, y, z, dx, dy, dz)):
+                if packet.facet == LEFT_MEDIUM:
+                    # Emitted from a point of a medium where glass is in its place.
+                    flow.book[SAMPLING_REMOVED] += packet.weight
+                    continue
                 lose(options, flow, frames, packet, LOST_CONTRADICTION, objects.lost_slot[body])
                 continue
             facet = facets[max(prim, 0)]

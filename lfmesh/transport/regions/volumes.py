@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.frame import move_direction, move_point
+from lfmesh.geometry.frame import direction_through, move_direction, move_point, point_through
+from lfmesh.geometry.surface import distance_to
 from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.phase import evaluate_phase, sampled_cosine
 from lfmesh.optics.scattering import about
@@ -52,7 +53,11 @@ LEFT_MEDIUM = -4
 IN_MEDIUM = 1 << 21
 """Number of the random numbers, among those that a packet's key has for its children, for its way through media."""
 
-COSINE, AZIMUTH, KEEP, DISK, TO_U, TO_V = 3, 4, 5, 6, 7, 8
+RETURNED = 10.0
+"""Forward, weight over that at the start to which roulette raises light that the lens sends back and a medium scatters.
+Each scattering point aims a packet at the lens, so that fog before the lens would else multiply packets without end."""
+
+COSINE, AZIMUTH, KEEP, DISK, TO_U, TO_V, RETURN = 3, 4, 5, 6, 7, 8, 9
 """Dimensions of a scattering point's random numbers, after those of `events.volume`."""
 
 
@@ -80,13 +85,31 @@ def is_stopped_by_media(
     elif packet.last != LEFT_LENS:
         px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, packet.x, packet.y, packet.z)
         ex, ey, ez = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, packet.dx, packet.dy, packet.dz)
-        reach = min(t, box_entry(lens.box_low, lens.box_high, px, py, pz, ex, ey, ez))
+        reach = min(t, _way_to_lens(lens, px, py, pz, ex, ey, ez))
     cross_media(options, flow, frames, objects, aim, packet, reach)
     if packet.weight > 0.0:
         return False
     if packet.kind != SHADOW and packet.kind != TO_EMITTER:
         end_here(options, flow, frames, packet, volumes.rows[0].slot, S_ABSORBED)
     return True
+
+
+@inlined
+def _way_to_lens(lens: LensTables, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> float:
+    """Return the distance at which a ray, in the camera frame, meets the front of the lens; inf if it passes beside it.
+
+    Where the front is hollow, the medium reaches into the hollow, beyond the border of the lens's box.
+    """
+    enters = box_entry(lens.box_low, lens.box_high, x, y, z, dx, dy, dz)
+    if enters == np.inf or lens.convex_front:
+        return enters
+    front = lens.surfaces[0]
+    x, y, z = x + enters * dx, y + enters * dy, z + enters * dz
+    if front.posed:
+        x, y, z = point_through(front.unpose, x, y, z)
+        dx, dy, dz = direction_through(front.unpose, dx, dy, dz)
+    meets, more = distance_to(front, x, y, z - front.vertex_z, dx, dy, dz, 1.0)
+    return enters + max(more, 0.0) if meets else enters
 
 
 @kernel
@@ -127,6 +150,8 @@ def cross_media(
     packet.weight = weight * share
     flow.book[SAMPLING_ADDED] += packet.weight - lost
     flow.counts[EVENTS] += 1
+    if packet.kind == CAMERA and packet.last == LEFT_LENS and not (options.adjoint or options.tracing):
+        packet.weight = windowed(flow.book, packet.weight, RETURNED * packet.start, key, RETURN)
     if packet.weight > 0.0 and not too_deep(options, flow, frames, packet):
         px, py, pz = x + t * dx, y + t * dy, z + t * dz
         scatter_in_medium(options, flow, frames, objects, aim, packet, number, px, py, pz, key, estimated)

@@ -151,6 +151,9 @@ def lamp_parts(world: World) -> tuple[Part, ...]:
     return (Part(2, options, world.aimed_tables._replace(objects=objects), book=LAMP_BOOK),)
 
 
+THROUGH_GLASS, WIDENED = 0.5, 2.0
+"""Share of particles' packets to the wide disk, and how much wider it is, where glass may shift their light aside."""
+
 FIRST_OF_PARTICLES = 4
 """Number of the part of the first particles."""
 
@@ -169,6 +172,9 @@ def particle_parts(world: World) -> tuple[Part, ...]:
     models["kind"], models["first"], models["black"] = LAMBERTIAN, 0, True
     black = ScatteringTables(models, np.zeros((1, objects.scattering.parameters.shape[1])))
     tables = world.aimed_tables._replace(objects=objects._replace(scattering=black))
+    if _has_glass(tables):
+        aim = tables.aim
+        tables = tables._replace(aim=aim._replace(wide_share=THROUGH_GLASS, front_radius=WIDENED * aim.front_radius))
     return tuple(
         Part(FIRST_OF_PARTICLES + number, options, tables, book=LAMP_BOOK, particles=particles)
         for number, particles in enumerate(world.particles)

@@ -96,6 +96,20 @@ def test_an_endless_medium_fills_the_space_before_the_lens() -> None:
     np.testing.assert_allclose(away.light, 1.0, rtol=1e-14)
 
 
+def test_fog_without_an_end_scatters_all_that_it_does_not_absorb() -> None:
+    """Ways to scattering points have the mean 1 / κ: a z-test at 4.5 sigma."""
+    volumes = volumes_of({"absorption_per_mm": 0.002, "scattering_per_mm": 0.004})
+    way = (0.0, 0.0, -5.0, 0.6, 0.0, -0.8)
+    points = []
+    for i in range(4000):
+        key = descendant(KEY, i)
+        found = Passage(*pass_through(volumes, 0, *way, np.inf, np.zeros(1), 0.0, key))
+        points.append(scattering_point(volumes, 0, found, *way, key)[:2])
+    t, share = np.array(points).T
+    np.testing.assert_allclose(share, 2.0 / 3.0, rtol=1e-13)
+    assert abs(t.mean() * 0.006 - 1.0) < 4.5 / np.sqrt(len(t))
+
+
 def test_a_constant_grid_is_exact(tmp_path: Path) -> None:
     draw = np.random.default_rng(1)
     kappa, emission = draw.uniform(0.0, 0.3, (2, 5, 4, 6))

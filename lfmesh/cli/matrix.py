@@ -1,6 +1,7 @@
 """The projection matrix of a camera: `lfmesh matrix`."""
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,6 +20,22 @@ if TYPE_CHECKING:
 Triple = tuple[float, float, float]
 
 
+@Parameter(name="*")
+@dataclass
+class Voxels:
+    """The box of voxels."""
+
+    grid: Annotated[Path | None, Parameter(help="Voxel grid (.npz) with spacing_mm and origin_mm.")] = None
+    counts: Annotated[tuple[Whole, Whole, Whole] | None, Parameter(help="Voxels along x, y, z, with --size-mm.")] = None
+    size_mm: Annotated[Triple | None, Parameter(help="Edges of the box of voxels.")] = None
+    position_mm: Annotated[Triple, Parameter(help="Where the box or grid has its origin; a box its middle.")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
+    rotation_deg: Annotated[Triple, Parameter(help="Rotations of the box about x, then y, then z.")] = (0.0, 0.0, 0.0)
+
+
 @app.command(
     help_epilogue="""\
 Examples:
@@ -32,21 +49,14 @@ def matrix(
     /,
     *,
     out: Annotated[Path, Parameter(name=["--out", "-o"], help="File to write: .npz, or .h5 with h5py.")],
-    grid: Annotated[Path | None, Parameter(help="Voxel grid (.npz) with spacing_mm and origin_mm.")] = None,
-    counts: Annotated[
-        tuple[Whole, Whole, Whole] | None, Parameter(help="Voxels along x, y, z, with --size-mm.")
-    ] = None,
-    size_mm: Annotated[Triple | None, Parameter(help="Edges of the box of voxels.")] = None,
-    position_mm: Annotated[Triple, Parameter(help="Where the box or grid has its origin; a box its middle.")] = (
-        0.0,
-        0.0,
-        0.0,
-    ),
-    rotation_deg: Annotated[Triple, Parameter(help="Rotations of the box about x, then y, then z.")] = (0.0, 0.0, 0.0),
+    voxels: Voxels | None = None,
     channel: Annotated[Whole, Parameter(help="Number of the wavelength or band; one matrix each.")] = 0,
     threshold: Annotated[
         float, Parameter(help="Entries below this share of the largest one of their pixel are dropped.")
     ] = 1e-6,
+    absorption: Annotated[
+        bool, Parameter(negative=(), help="Take from the entries what the scene's media absorb and scatter.")
+    ] = False,
     overrides: Overrides | None = None,
 ) -> int:
     """Write what every pixel detects of every voxel of an emitting grid: a sparse matrix with standard errors.
@@ -57,11 +67,11 @@ def matrix(
         from lfmesh.files.matrix import write_projection_matrix
         from lfmesh.scene import load
     loaded = overridden(load(scene), overrides)
-    box = _box(grid, counts, size_mm, position_mm, rotation_deg)
+    box = _box(voxels or Voxels())
     try:
         with status() as report, warnings_as_notes():
             write_projection_matrix(
-                loaded, box, out, channel=channel, threshold=threshold,
+                loaded, box, out, channel=channel, threshold=threshold, absorption=absorption,
                 say=lambda line: print(wrapped(line), flush=True),
                 progress=lambda done, total: report(f"{100 * done // total} % of the pixels"),
             )  # fmt: skip
@@ -72,17 +82,14 @@ def matrix(
     return 0
 
 
-def _box(
-    grid: Path | None, counts: tuple[int, int, int] | None, size_mm: Triple | None, position_mm: Triple,
-    rotation_deg: Triple,
-) -> "VoxelBox":  # fmt: skip
+def _box(given: Voxels) -> "VoxelBox":
     """Return the box of voxels that was asked for."""
     from lfmesh.lightfield.voxel_box import VoxelBox, read_box
 
-    if grid is not None:
-        if counts is not None or size_mm is not None:
-            raise LfmeshError(f"--grid {grid} says itself where its voxels lie: leave out --counts and --size-mm")
-        return VoxelBox.of(read_box(grid), position_mm, rotation_deg)
-    if counts is None or size_mm is None:
+    if given.grid is not None:
+        if given.counts is not None or given.size_mm is not None:
+            raise LfmeshError(f"--grid {given.grid} says itself where its voxels lie: leave out --counts and --size-mm")
+        return VoxelBox.of(read_box(given.grid), given.position_mm, given.rotation_deg)
+    if given.counts is None or given.size_mm is None:
         raise LfmeshError("a matrix needs --grid with a file, or --counts and --size-mm of a box")
-    return VoxelBox.of_size(counts, size_mm, position_mm, rotation_deg)
+    return VoxelBox.of_size(given.counts, given.size_mm, given.position_mm, given.rotation_deg)

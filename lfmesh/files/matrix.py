@@ -50,7 +50,8 @@ Say = Callable[[str], None]
 
 def write_projection_matrix(
     scene: Scene, grid: Any, path: str | Path, *, channel: int = 0, pixels: ArrayLike | None = None,
-    threshold: float = THRESHOLD, say: Say | None = None, progress: Callable[[int, int], None] | None = None,
+    threshold: float = THRESHOLD, absorption: bool = False, say: Say | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Path:  # fmt: skip
     """Trace a projection matrix into a file, block after block; see `lf.projection_matrix`.
 
@@ -58,7 +59,7 @@ def write_projection_matrix(
 
     Parameters
     ----------
-    scene, grid, channel, pixels, threshold
+    scene, grid, channel, pixels, threshold, absorption
         As for `lf.projection_matrix`.
     path : Path
         Ends in `.npz`, or in `.h5` or `.hdf5`, which needs h5py.
@@ -84,7 +85,7 @@ def write_projection_matrix(
     if not path.parent.is_dir() or path.is_dir():
         why = "it is a folder" if path.is_dir() else f"there is no folder {path.parent}"
         raise FileError(f"{path} cannot be written: {why}")
-    projector = Projector(pinned(scene), grid, channel, threshold)
+    projector = Projector(pinned(scene), grid, channel, threshold, absorption=absorption)
     chosen = pixels_of(projector, pixels)
     size = size_in_words(projector, chosen)
     if say is not None:
@@ -187,6 +188,7 @@ def _facts(projector: Projector, pixels: NDArray[np.int64]) -> dict[str, Any]:
         "grid": [list(grid.shape), *(a.tolist() for a in (grid.spacing_mm, grid.origin_mm, grid.to_world))],
         "channel": projector.channel,
         "threshold": projector.threshold,
+        "absorption": projector.absorption,
         "pixels": [
             len(pixels),
             int(pixels[0]),

@@ -8,6 +8,7 @@ values are trilinear, and from the outer centres to the faces constant; or each 
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,7 +24,8 @@ QUANTITIES = ("absorption_per_mm", "scattering_per_mm", "emission_w_mm3_sr", "te
 """Quantities that a grid may hold, by the names of their arrays."""
 
 PLACE = ("spacing_mm", "origin_mm")
-ENDINGS = (".npz", ".npy")
+VTK = ".vti"
+ENDINGS = (".npz", ".npy", VTK)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,12 +127,13 @@ def read_voxels(
     Parameters
     ----------
     path : Path
-        `.npz` with arrays named as in `QUANTITIES`, and `spacing_mm` and `origin_mm`; or `.npy` with a single array.
+        `.npz` with arrays named as in `QUANTITIES`, and `spacing_mm` and `origin_mm`; `.npy` with a single array; or
+        `.vti`, VTK image data, with arrays named so.
     spacing_mm, origin_mm : array_like, optional
         Of a file that does not say.
     interpolation : str
     quantity : str, optional
-        Name of the quantity in a `.npy` file.
+        Name of the quantity in a `.npy` file, or of the only array of a `.vti` file.
 
     Raises
     ------
@@ -138,15 +141,28 @@ def read_voxels(
         The file cannot be read, or what it holds is not valid.
     """
     ending = path.suffix.lower()
+    found: dict[str, Any]
     if ending not in ENDINGS:
-        raise FileError(f"{path}: a voxel grid ends in {' or '.join(ENDINGS)}")
+        raise FileError(f"{path}: a voxel grid ends in {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}")
+    if ending == VTK:
+        # With VTK, for which no other grid need wait.
+        found = import_module("lfmesh.imports.vtk_image").read_vtk_image(path, QUANTITIES, quantity)
+        return _placed(found, path, spacing_mm, origin_mm, interpolation)
     try:
         content = np.load(path, allow_pickle=False)
-        found: dict[str, Any] = {quantity or "": content} if ending == ".npy" else dict(content.items())
+        found = {quantity or "": content} if ending == ".npy" else dict(content.items())
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
         raise FileError(f"{path}: cannot be read as numpy's {ending}: {error}") from None
     if ending == ".npy" and quantity is None:
         raise FileError(f"{path}: missing the name of its quantity; give quantity = one of {', '.join(QUANTITIES)}")
+    return _placed(found, path, spacing_mm, origin_mm, interpolation)
+
+
+def _placed(
+    found: dict[str, Any], path: Path, spacing_mm: ArrayLike | None, origin_mm: ArrayLike | None,
+    interpolation: Interpolation,
+) -> VoxelGrid:  # fmt: skip
+    """Return the grid of the arrays of a file, which may hold its place as well."""
     for key, given in (("spacing_mm", spacing_mm), ("origin_mm", origin_mm)):
         if key in found and given is not None:
             raise FileError(f"{path}: holds {key} itself; leave it out beside the file")

@@ -4,12 +4,13 @@ The walk from voxel to voxel is that of J. Amanatides & A. Woo, "A fast voxel tr
 Eurographics 1987. Distances to faces are computed from the voxel's number, not summed up, so that no error grows.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.events.volume import pass_through
 
 Array = NDArray[np.float64]
 
@@ -44,12 +45,37 @@ class Rows(NamedTuple):
     dropped: Array  # (rows,) sum of the entries that were left out
 
 
+class Haze(NamedTuple):
+    """What media take of the light of rays; `volumes` is None where they are left out."""
+
+    volumes: Any
+    origin: Array  # (n, 3) of the rays, mm, object frame
+    direction: Array  # (n, 3)
+    colour: NDArray[np.int64]  # (n,) number of each ray's wavelength
+    book: Array  # (0,) no light is booked
+
+
+@kernel
+def _passed(volumes: Any, haze: Haze, ray: int, begin: float, end: float) -> float:
+    """Return the share of the light that media, which may be None, let through on a piece of a ray."""
+    if volumes is None:
+        return 1.0
+    o, d = haze.origin[ray], haze.direction[ray]
+    x, y, z = o[0] + begin * d[0], o[1] + begin * d[1], o[2] + begin * d[2]
+    passage = pass_through(
+        volumes, haze.colour[ray], x, y, z, d[0], d[1], d[2], end - begin, haze.book, 0.0, np.uint64(0)
+    )
+    return passage.transmittance
+
+
 @inlined
 def walk(
     px: float, py: float, pz: float, dx: float, dy: float, dz: float, length: float, weight: float,
-    nx: int, ny: int, nz: int, room: Room, touched: int,
+    nx: int, ny: int, nz: int, haze: Haze, ray: int, room: Room, touched: int,
 ) -> int:  # fmt: skip
     """Add weight times chord to every voxel that a ray passes; return how many voxels its replicate has met so far.
+
+    What media take on the way counts too: of a voxel's own light as if it took evenly all along the chord.
 
     Parameters
     ----------
@@ -60,6 +86,9 @@ def walk(
     weight : float
     nx, ny, nz : int
         Voxels of the grid.
+    haze : Haze
+    ray : int
+        Number of the ray.
     room : Room
     touched : int
         How many voxels the replicate has met before.
@@ -84,6 +113,7 @@ def walk(
     j = min(max(int(np.floor(py + enter * dy)), 0), ny - 1)
     k = min(max(int(np.floor(pz + enter * dz)), 0), nz - 1)
     here = enter
+    left = weight * _passed(haze.volumes, haze, ray, 0.0, enter)
     while True:
         to_x = ((i + 1 if dx > 0.0 else i) - px) / dx if dx != 0.0 else np.inf
         to_y = ((j + 1 if dy > 0.0 else j) - py) / dy if dy != 0.0 else np.inf
@@ -95,7 +125,14 @@ def walk(
             if room.own[voxel] == 0.0:
                 room.first_touched[touched] = voxel
                 touched += 1
-            room.own[voxel] += weight * (there - here)
+            if haze.volumes is None:
+                room.own[voxel] += weight * (there - here)
+            else:
+                passed = _passed(haze.volumes, haze, ray, here, there)
+                # The mean of exp(-τ) over the chord.
+                mean = (passed - 1.0) / np.log(passed) if 0.0 < passed < 1.0 else passed
+                room.own[voxel] += left * mean * (there - here)
+                left *= passed
             here = there
         if ahead >= leave:
             return touched
@@ -116,7 +153,7 @@ def walk(
 @kernel
 def sum_rows(
     begin: int, p: Array, d: Array, length: Array, weight: Array, first: NDArray[np.int64], replicates: int,
-    nx: int, ny: int, nz: int, threshold: float, room: Room, rows: Rows,
+    nx: int, ny: int, nz: int, threshold: float, haze: Haze, room: Room, rows: Rows,
 ) -> int:  # fmt: skip
     """Sum the rays of rows into sparse rows: means over replicates with their standard errors.
 
@@ -133,6 +170,7 @@ def sum_rows(
     nx, ny, nz : int
     threshold : float
         Entries smaller than this share of the largest one of their row are dropped.
+    haze : Haze
     room : Room
     rows : Rows
 
@@ -151,7 +189,7 @@ def sum_rows(
                 if weight[ray] > 0.0:
                     touched = walk(
                         p[ray, 0], p[ray, 1], p[ray, 2], d[ray, 0], d[ray, 1], d[ray, 2], length[ray], weight[ray],
-                        nx, ny, nz, room, touched,
+                        nx, ny, nz, haze, ray, room, touched,
                     )  # fmt: skip
             of_replicate = 0.0
             for t in range(touched):

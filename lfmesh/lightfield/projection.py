@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.voxels import read_voxels
-from lfmesh.lightfield.chords import Room, Rows, room_for, sum_rows
+from lfmesh.lightfield.chords import Haze, Room, Rows, room_for, sum_rows
 from lfmesh.lightfield.voxel_box import VoxelBox
 from lfmesh.scene import Scene
 from lfmesh.scene.literals import literal
@@ -29,6 +29,7 @@ from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
     ENDED,
     LENS,
+    OBJECT_FRAME,
     OBJECTS,
     PIXEL_MASK,
     ROULETTE,
@@ -139,6 +140,8 @@ class Segments(NamedTuple):
     weight : (n,) float64, m² sr
         Over the square of the index of the medium.
     pixel : (n,) int64
+    colour : (n,) int64
+        Number of the wavelength.
     """
 
     origin: Array
@@ -146,6 +149,7 @@ class Segments(NamedTuple):
     length: Array
     weight: Array
     pixel: Numbers
+    colour: Numbers
 
 
 class Block(NamedTuple):
@@ -169,6 +173,8 @@ class Projector:
     channel : int
         Number of the wavelength or band.
     threshold : float
+    absorption : bool
+        Whether what media absorb and scatter on the way to the camera is missing from its entries.
 
     Raises
     ------
@@ -176,19 +182,30 @@ class Projector:
         The grid is not in front of the lens, or a setting is out of range.
     """
 
-    def __init__(self, scene: Scene, grid: Any, channel: int = 0, threshold: float = THRESHOLD) -> None:
+    def __init__(
+        self, scene: Scene, grid: Any, channel: int = 0, threshold: float = THRESHOLD, *, absorption: bool = False
+    ) -> None:
         self.grid = VoxelBox.of(grid)
         _check(scene, channel, threshold)
-        if dimming := _dimming(scene):
+        self.absorption = bool(absorption)
+        if not absorption and (dimming := _dimming(scene)):
             warnings.warn(
-                f"{', '.join(dimming)}: what media absorb and scatter is not in a projection matrix, whose voxels are "
-                "seen as through clear air",
+                f"{', '.join(dimming)}: what media absorb and scatter is not in this projection matrix, whose voxels "
+                "are seen as through clear air; absorption = True puts it in",
                 ClearAirWarning,
                 stacklevel=3,
             )
         self.channel, self.threshold = int(channel), float(threshold)
         # What lights, targets, media and particles of the scene send is no part of the matrix.
         self.world = build(scene.changed({"transport.method": "adjoint", "lights": (), "media": (), "particles": ()}))
+        self._volumes: Any = None
+        if absorption and scene.media:
+            if any(target.refractor is not None for target in scene.targets) or scene.tanks:
+                raise LfmeshError(
+                    "absorption: media are not followed beside glass in a projection matrix; leave it out"
+                )
+            with_media = scene.changed({"transport.method": "adjoint", "lights": (), "particles": ()})
+            self._volumes = build(with_media).tables.objects.volumes
         front = frames.points(self.world.tables.frames[WORLD_FRAME, CAMERA_FRAME], self.grid.corners_mm())[:, 2].max()
         if not front < 0.0:
             raise LfmeshError(
@@ -235,15 +252,17 @@ class Projector:
         slot = np.searchsorted(pixels, segments.pixel) * self.replicates + replicate
         order = np.argsort(slot, kind="stable")
         first = np.searchsorted(slot[order], np.arange(len(pixels) * self.replicates + 1))
-        p, d = self.grid.in_voxels(segments.origin[order], segments.direction[order])
-        return self._summed(
-            p, d, segments.length[order], segments.weight[order] / MM2, first, len(pixels),
-            room or room_for(self.grid.voxels),
-        )  # fmt: skip
+        ordered = Segments._make(column[order] for column in segments)
+        return self._summed(ordered, first, len(pixels), room or room_for(self.grid.voxels))
 
-    def _summed(
-        self, p: Array, d: Array, length: Array, weight: Array, first: Numbers, count: int, room: Room
-    ) -> Block:
+    def _summed(self, segments: Segments, first: Numbers, count: int, room: Room) -> Block:
+        p, d = self.grid.in_voxels(segments.origin, segments.direction)
+        weight = segments.weight / MM2
+        moves = self.world.tables.frames[WORLD_FRAME, OBJECT_FRAME]
+        haze = Haze(
+            self._volumes, frames.points(moves, segments.origin), frames.directions(moves, segments.direction),
+            segments.colour, np.empty(0),
+        )  # fmt: skip
         capacity = ENTRIES_AT_FIRST * count
         rows = Rows(
             np.zeros(capacity, np.int32), np.zeros(capacity), np.zeros(capacity, np.float32), np.zeros(count, np.int64),
@@ -252,8 +271,9 @@ class Projector:
         done = 0
         while True:
             done = sum_rows(
-                done, p, d, length, weight, first, self.replicates, *self.grid.shape, self.threshold, room, rows
-            )
+                done, p, d, segments.length, weight, first, self.replicates, *self.grid.shape, self.threshold, haze,
+                room, rows,
+            )  # fmt: skip
             if done == count:
                 break
             larger = max(2 * len(rows.column), self.grid.voxels)
@@ -291,14 +311,14 @@ class Projector:
 
 def projection_matrix(
     scene: Scene, grid: Any, *, channel: int = 0, pixels: ArrayLike | None = None, threshold: float = THRESHOLD,
-    say: Callable[[str], None] | None = None,
+    absorption: bool = False, say: Callable[[str], None] | None = None,
 ) -> ProjectionMatrix:  # fmt: skip
     """Trace what every pixel of a camera detects of every voxel of an emitting grid.
 
     The rays are those of the adjoint image: `transport.samples`, `replicates`, `split` and `seed` hold. With
     `split = "transmit"` they follow the image path alone; else reflections in lens and array are in the matrix, too,
     and fill it. Targets hide what lies behind them; light that they scatter is no part of it. Glass in front of the
-    camera refracts, and what emits inside it counts. Media do not absorb.
+    camera refracts, and what emits inside it counts.
 
     Parameters
     ----------
@@ -312,6 +332,9 @@ def projection_matrix(
         Numbers of the pixels, row by row of the sensor, increasing; all if left out.
     threshold : float
         Entries smaller than this share of the largest one of their row are dropped, and booked.
+    absorption : bool
+        Take from the entries what the scene's `[[media]]` absorb and scatter on the way to the camera. Left out, air
+        is clear. Light that is scattered into a ray is in no entry.
     say : callable, optional
         Called with lines for the user: the expected size, first of all.
 
@@ -323,7 +346,7 @@ def projection_matrix(
     """
     from scipy.sparse import csr_array
 
-    projector = Projector(scene, grid, channel, threshold)
+    projector = Projector(scene, grid, channel, threshold, absorption=absorption)
     chosen = pixels_of(projector, pixels)
     size = size_in_words(projector, chosen)
     if say is not None:
@@ -493,7 +516,8 @@ def _pieces(packets: NDArray[np.void], work: Workspace, frame: NDArray[Any], onl
     if only_strays:
         # The other paths belong to the part that follows the image path.
         weight = np.where(packets["stray"] != 0, weight, 0.0)
-    return Segments(p, d, np.full(len(p), np.inf), weight, packets["source"] & PIXEL_MASK)
+    pixel, colour = packets["source"] & PIXEL_MASK, packets["colour"].astype(np.int64)
+    return Segments(p, d, np.full(len(p), np.inf), weight, pixel, colour)
 
 
 def _followed(work: Workspace, only_strays: bool) -> Segments:

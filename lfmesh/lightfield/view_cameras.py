@@ -53,7 +53,15 @@ class ViewCameras(NamedTuple):
     distances_mm: Array
 
     def project(self, points_mm: Array, v: int, u: int) -> Array:
-        """Return where (n, 3) points of the world frame, mm, lie in a view: (n, 2), sample s and t."""
+        """Return where points lie in a view, (n, 2): sample s and t.
+
+        Parameters
+        ----------
+        points_mm : (n, 3) array_like
+            World frame.
+        v, u : int
+            Row and column of the view.
+        """
         seen = np.asarray(points_mm, dtype=np.float64) @ self.rotation[v, u].T + self.translation_mm[v, u]
         focal, middle = np.diag(self.intrinsics[v, u])[:2], self.intrinsics[v, u, :2, 2]
         return distorted(seen[:, :2] / seen[:, 2:], self.distortion[v, u]) * focal + middle

@@ -41,6 +41,12 @@ class VoxelBox:
     position_mm: Array
     rotation_deg: Array
 
+    def __post_init__(self) -> None:
+        with np.errstate(over="ignore", invalid="ignore"):
+            reaches = np.isfinite(self.corners_mm()).all()
+        if not reaches:
+            raise LfmeshError("the box of voxels reaches farther than numbers do: make it smaller, or bring it nearer")
+
     @classmethod
     def of_size(
         cls, counts: ArrayLike, size_mm: ArrayLike, position_mm: ArrayLike = (0.0, 0.0, 0.0),

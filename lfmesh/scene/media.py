@@ -21,9 +21,9 @@ class Grid(Model):
     file: FilePath
     """A `.npz` file, relative to the scene file, with arrays [x, y, z] named absorption_per_mm, scattering_per_mm,
     emission_w_mm3_sr or temperature_k, with spacing_mm and, if its middle is not the medium's own origin, origin_mm
-    (centre of voxel 0); or a `.npy` file with a single array."""
+    (centre of voxel 0); a `.npy` file with a single array; or VTK image data, `.vti`, with arrays named so, in mm."""
     quantity: Literal["absorption_per_mm", "scattering_per_mm", "emission_w_mm3_sr", "temperature_k"] | None = None
-    """What the array of a `.npy` file is."""
+    """What the array of a `.npy` file is, or the only one of a `.vti` file."""
     spacing_mm: tuple[Positive, Positive, Positive] | None = None
     """Distance between neighbouring voxels along x, y and z, in mm, where the file does not say."""
     origin_mm: Vector | None = None

@@ -375,7 +375,7 @@ def at_wavelength(world: World, wavelength_nm: float) -> Tables:
     interfaces = interface_tables(world.scene, (wavelength_nm,), world.book)
     cover = tables.cover
     if cover is not None:
-        cover = cover._replace(media=media, interfaces=interfaces.cover)
+        cover = cover._replace(media=media(cover.medium), interfaces=interfaces.cover)
     return tables._replace(
         lens=tables.lens._replace(media=media(tables.lens.medium), interfaces=interfaces.lens),
         mla=tables.mla._replace(media=media(tables.mla.medium), interfaces=interfaces.mla),

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import pyvista
 
 from lfmesh.errors import FileError
 from lfmesh.geometry.voxels import read_voxels, voxel_grid
@@ -52,3 +53,57 @@ def test_bad_grids_are_refused_in_one_line(arrays: dict[str, object], message: s
     with pytest.raises(FileError, match=message) as caught:
         read_voxels(tmp_path / "g.npz")
     assert "\n" not in str(caught.value)
+
+
+def vtk_image(kind: str, **arrays: np.ndarray) -> pyvista.ImageData:
+    """An image of 3 x 4 x 5 voxels, given at points or in cells."""
+    shape = np.array((3, 4, 5))
+    image = pyvista.ImageData(dimensions=shape + (kind == "cells"), spacing=(1.0, 2.0, 0.5), origin=(10.0, -3.0, 7.0))
+    data = image.cell_data if kind == "cells" else image.point_data
+    for name, array in arrays.items():
+        data[name] = array.ravel(order="F")
+    return image
+
+
+@pytest.mark.parametrize("kind", ["points", "cells"])
+def test_vtk_image_data_has_its_values_where_vtk_has_them(kind: str, tmp_path: Path) -> None:
+    """Every voxel's centre is where VTK says that its point or cell lies."""
+    values = np.arange(60.0).reshape(3, 4, 5)
+    image = vtk_image(kind, absorption_per_mm=values, beside=values)
+    image.save(tmp_path / "grid.vti")
+    grid = read_voxels(tmp_path / "grid.vti")
+    assert list(grid.values) == ["absorption_per_mm"]
+    np.testing.assert_array_equal(grid.values["absorption_per_mm"], values)
+    places = image.cell_centers().points if kind == "cells" else image.points
+    np.testing.assert_allclose(grid.centres_mm().reshape(-1, 3, order="F"), places, atol=1e-12)
+
+
+def test_the_only_array_of_vtk_image_data_may_have_any_name(tmp_path: Path) -> None:
+    values = np.ones((3, 4, 5))
+    vtk_image("points", soot=values).save(tmp_path / "grid.vti")
+    grid = read_voxels(tmp_path / "grid.vti", quantity="emission_w_mm3_sr")
+    np.testing.assert_array_equal(grid.values["emission_w_mm3_sr"], values)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "cannot be read as VTK"),
+        (b"<VTKFile type='ImageData'><ImageData></VTKFile>", "cannot be read as VTK|no quantity"),
+        (None, "holds no quantity"),
+    ],
+)
+def test_bad_vtk_image_data_is_refused_in_one_line(
+    content: bytes | None, message: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "grid.vti"
+    if content is None:
+        vtk_image("points", soot=np.ones((3, 4, 5))).save(path)
+    else:
+        path.write_bytes(content)
+    with pytest.raises(FileError, match=message) as error:
+        read_voxels(path)
+    assert "\n" not in str(error.value)
+    assert capfd.readouterr().err == ""
+    with pytest.raises(FileError, match="no such file"):
+        read_voxels(tmp_path / "nowhere.vti")

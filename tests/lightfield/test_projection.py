@@ -355,6 +355,40 @@ def test_media_that_a_matrix_leaves_out_are_named(medium, dims, tmp_path, recwar
     assert [str(warning.message).startswith("cloud:") for warning in recwarn] == [True] * dims
 
 
+@pytest.mark.parametrize("interpolation", ["constant", "trilinear"])
+def test_matrix_times_emission_is_the_image_of_a_flame_that_absorbs_in_fog(interpolation, tmp_path):
+    """The same rays, the light of each taken step by step: to rounding where voxels are the medium's own."""
+    draw = np.random.default_rng(8)
+    emission, absorption = draw.uniform(0.5, 2.0, (4, 3, 5)), draw.uniform(0.0, 0.05, (4, 3, 5))
+    arrays = {"emission_w_mm3_sr": emission, "absorption_per_mm": absorption}
+    np.savez(tmp_path / "flame.npz", spacing_mm=(2.0, 2.5, 3.0), **arrays)
+    flame = {"grid": {"file": "flame.npz", "interpolation": interpolation}, **POSE}
+    fog = {"absorption_per_mm": 0.01}
+    wall = plate(-90.0, radiance=0.0)
+    scene = camera([wall]).changed({"media": [flame, fog]}).in_folder(tmp_path)
+    grid = VoxelBox.of_size((4, 3, 5), (8.0, 7.5, 15.0), **POSE)
+    seen = projection_matrix(scene, grid, absorption=True, threshold=0.0).image(emission)
+    image = lf.render(scene).mean.ravel()
+    assert image.max() > 0.0
+    clear = projection_matrix(scene.changed({"media": ()}), grid, threshold=0.0).image(emission)
+    assert 1.5 * image.sum() < clear.sum()
+    # Between the centres of voxels a trilinear grid is another flame.
+    np.testing.assert_allclose(seen, image, rtol=1e-9 if interpolation == "constant" else 0.5, atol=1e-9 * image.max())
+
+
+def test_fog_that_scatters_dims_as_much_as_one_that_absorbs():
+    fogs = [camera().changed({"media": [{key: 0.02}]}) for key in ("absorption_per_mm", "scattering_per_mm")]
+    one, other = (projection_matrix(scene, box(), pixels=range(60, 120), absorption=True).matrix for scene in fogs)
+    np.testing.assert_allclose(one.toarray(), other.toarray(), rtol=1e-12)
+
+
+def test_media_beside_glass_are_not_followed():
+    glass = {"refractor": {"box_mm": [2.0, 2.0, 2.0], "index": 1.5}, "position_mm": [0, 0, -50.0]}
+    scene = camera([glass]).changed({"media": [{"absorption_per_mm": 0.02}]})
+    with pytest.raises(LfmeshError, match="beside glass"):
+        projection_matrix(scene, box(), absorption=True)
+
+
 def test_a_matrix_larger_than_the_memory_or_the_disk_is_refused_first(tmp_path, monkeypatch):
     monkeypatch.setattr("lfmesh.lightfield.projection._memory", lambda: 1e3)
     with pytest.raises(LfmeshError, match="more than this machine's memory; stream it"):

@@ -42,7 +42,8 @@ DISTANCES = 6
 """Distances at which it is measured if the points do not all lie in one plane, evenly spaced in their inverse."""
 
 BEYOND = 1.0 + 2.0**-40
-"""Factor on the widest tangent: beyond the table the lens counts as closed, and rounding must not put a point there."""
+"""Factor on the widest tangent of a table: beyond it the lens counts as closed, and the outermost of the points that it
+was made for must not be there by rounding."""
 
 SEARCH = 49
 """Rays along the meridian of the outermost plane with which the search for the opening begins."""
@@ -115,7 +116,7 @@ def viewpoints(plane_z: float, wide_radius: float, points: Array, *, to_sensor: 
     many = DISTANCES if far - near > 1e-9 * far else 1
     inverse = np.linspace(1.0 / far, 1.0 / near, many)
     # If all points lie on the axis, the table still needs a width.
-    widest = float(tangent.max()) * BEYOND or 1.0
+    widest = float(tangent.max()) or 1.0
     return Viewpoints(plane_z, wide_radius, to_sensor, np.linspace(0.0, widest, ANGLES), 1.0 / inverse)
 
 
@@ -394,7 +395,7 @@ def opening_from(opening: Opening, x: float, y: float, z: float) -> tuple[float,
     a = height / (distance * opening.tangent_step)
     b = (1.0 / distance - opening.nearness) / opening.nearness_step
     rows, columns = opening.radius.shape
-    if a > columns:
+    if a > columns * BEYOND:
         return 0.0, 0.0, -1.0
     column, row = min(int(a), columns - 1), min(max(int(b), 0), rows - 1)
     a, b = a - column, min(max(b - row, 0.0), 1.0)

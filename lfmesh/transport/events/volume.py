@@ -73,6 +73,31 @@ class Passage(NamedTuple):
     chance: float
 
 
+class Ray(NamedTuple):
+    """A ray in a medium's own frame, mm; the direction is a unit vector."""
+
+    x: float
+    y: float
+    z: float
+    dx: float
+    dy: float
+    dz: float
+
+
+@inlined
+def own_ray(row: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> Ray:
+    """Return a ray of the object frame in the own frame of a medium.
+
+    Parameters
+    ----------
+    row : VOLUME
+    x, y, z, dx, dy, dz : float
+    """
+    x, y, z = point_through(row.to_own, x, y, z)
+    dx, dy, dz = direction_through(row.to_own, dx, dy, dz)
+    return Ray(x, y, z, dx, dy, dz)
+
+
 @inlined
 def _slab(low: float, high: float, o: float, d: float) -> tuple[float, float]:
     """Return the distances between which a ray is between two planes of a coordinate."""
@@ -83,16 +108,9 @@ def _slab(low: float, high: float, o: float, d: float) -> tuple[float, float]:
 
 
 @kernel
-def span(row: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> tuple[float, float]:
-    """Return the distances between which a ray, in the object frame, is in a medium; the first is larger if never.
-
-    Parameters
-    ----------
-    row : VOLUME
-    x, y, z, dx, dy, dz : float
-    """
-    x, y, z = point_through(row.to_own, x, y, z)
-    dx, dy, dz = direction_through(row.to_own, dx, dy, dz)
+def span(row: Any, ray: Ray) -> tuple[float, float]:
+    """Return the distances between which a ray, in the own frame, is in a medium; the first is larger if never."""
+    x, y, z, dx, dy, dz = ray
     first, last = -np.inf, np.inf
     if row.bounds == IN_FRONT:
         return _slab(-np.inf, 0.0, z, dz) if dz != 0.0 or z < 0.0 else (np.inf, -np.inf)
@@ -129,7 +147,7 @@ def span(row: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float
 
 
 @kernel
-def cell_end(row: Any, t: float, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> float:
+def cell_end(row: Any, t: float, ray: Ray) -> float:
     """Return the distance, beyond t, at which a ray leaves the present cell of a medium's grid.
 
     Cells of a trilinear grid have the centres of eight voxels as corners.
@@ -138,11 +156,9 @@ def cell_end(row: Any, t: float, x: float, y: float, z: float, dx: float, dy: fl
     ----------
     row : VOLUME
     t : float, mm
-    x, y, z, dx, dy, dz : float
-        The ray, object frame.
+    ray : Ray
     """
-    x, y, z = point_through(row.to_own, x, y, z)
-    dx, dy, dz = direction_through(row.to_own, dx, dy, dz)
+    x, y, z, dx, dy, dz = ray
     shift = 0.5 if row.constant else 0.0
     nearest = np.inf
     for axis in range(3):
@@ -183,9 +199,8 @@ def _corner(row: Any, axis: int, p: float, middle: float) -> tuple[int, int, flo
 
 @kernel
 def coefficients(
-    volumes: Volumes, number: int, colour: int, t: float, middle: float,
-    x: float, y: float, z: float, dx: float, dy: float, dz: float,
-) -> tuple[float, float, float]:  # fmt: skip
+    volumes: Volumes, number: int, colour: int, t: float, middle: float, ray: Ray
+) -> tuple[float, float, float]:
     """Return absorption and scattering, 1/mm, and emission, W/(m² sr mm), of a medium on a ray.
 
     Parameters
@@ -197,18 +212,16 @@ def coefficients(
         Number of the wavelength.
     t, middle : float, mm
         Distance, and that of the middle of the step through a cell.
-    x, y, z, dx, dy, dz : float
-        The ray, object frame.
+    ray : Ray
+        In the medium's own frame.
     """
     row = volumes.rows[number]
     absorbs, scatters = volumes.absorption[number, colour], volumes.scattering[number, colour]
     emits, temperature = volumes.emission[number, colour], 0.0
     if row.cells[0] > 0:
-        x, y, z = point_through(row.to_own, x, y, z)
-        dx, dy, dz = direction_through(row.to_own, dx, dy, dz)
-        i0, i1, u = _corner(row, 0, x + t * dx, x + middle * dx)
-        j0, j1, v = _corner(row, 1, y + t * dy, y + middle * dy)
-        k0, k1, w = _corner(row, 2, z + t * dz, z + middle * dz)
+        i0, i1, u = _corner(row, 0, ray.x + t * ray.dx, ray.x + middle * ray.dx)
+        j0, j1, v = _corner(row, 1, ray.y + t * ray.dy, ray.y + middle * ray.dy)
+        k0, k1, w = _corner(row, 2, ray.z + t * ray.dz, ray.z + middle * ray.dz)
         ny, nz = row.cells[1], row.cells[2]
         a, b, c, d = (i0 * ny + j0) * nz, (i0 * ny + j1) * nz, (i1 * ny + j0) * nz, (i1 * ny + j1) * nz
         places = (a + k0, a + k1, b + k0, b + k1, c + k0, c + k1, d + k0, d + k1)
@@ -267,10 +280,14 @@ def pass_through(
     t, left, light, scattered = 0.0, 1.0, 0.0, 0.0
     begin, length, mean, before, own = 0.0, 0.0, 0.0, 0.0, 0.0
     choice = uniform(key, STEP) if volumes.scatters else 0.0
+    # The ray in the frame of one of the media, mostly the only one, and where it is in it.
+    known, ray, first, last = -1, Ray(x, y, z, dx, dy, dz), 0.0, 0.0
     while t < reach and left > 0.0:
         until, active, only, grids = reach, 0, -1, 0
         for number in range(len(rows)):
-            first, last = span(rows[number], x, y, z, dx, dy, dz)
+            if number != known:
+                known, ray = number, own_ray(rows[number], x, y, z, dx, dy, dz)
+                first, last = span(rows[number], ray)
             if last <= t or first >= last:
                 continue
             if first > t:
@@ -281,7 +298,7 @@ def pass_through(
             until = min(until, last)
             if rows[number].cells[0] > 0:
                 grids += 0 if rows[number].constant else 1
-                until = min(until, cell_end(rows[number], t, x, y, z, dx, dy, dz))
+                until = min(until, cell_end(rows[number], t, ray))
         if active == 0:
             t = until
             continue
@@ -296,12 +313,15 @@ def pass_through(
             for number in range(len(rows)):
                 if active == 1 and number != only:
                     continue
-                if active > 1 and not _holds(rows[number], middle, t, until, x, y, z, dx, dy, dz):
+                if number != known:
+                    known, ray = number, own_ray(rows[number], x, y, z, dx, dy, dz)
+                    first, last = span(rows[number], ray)
+                if not (first <= t and last >= until and first < last):
                     continue
-                ka, ks, j = coefficients(volumes, number, colour, low_t, middle, x, y, z, dx, dy, dz)
+                ka, ks, j = coefficients(volumes, number, colour, low_t, middle, ray)
                 e1, k1, s1 = e1 + j, k1 + ka + ks, s1 + ks
                 if grids > 0:
-                    ka, ks, j = coefficients(volumes, number, colour, high_t, middle, x, y, z, dx, dy, dz)
+                    ka, ks, j = coefficients(volumes, number, colour, high_t, middle, ray)
                 e2, k2, s2 = e2 + j, k2 + ka + ks, s2 + ks
             extinction = 0.5 * (k1 + k2)
             depth = extinction * step if extinction > 0.0 else 0.0
@@ -325,7 +345,7 @@ def pass_through(
                         choice = (choice - chance) / (1.0 - chance)
                 if weight > 0.0:
                     _enter_absorbed(
-                        volumes, colour, x, y, z, dx, dy, dz, t, until, middle, active, only, book,
+                        volumes, colour, Ray(x, y, z, dx, dy, dz), t, until, middle, active, only, book,
                         weight * stopped * left, extinction - 0.5 * (s1 + s2), extinction,
                     )  # fmt: skip
                 left *= passed
@@ -333,16 +353,6 @@ def pass_through(
         t = until
     chance = own / scattered if scattered > 0.0 else 0.0
     return Passage(left, light, scattered, begin, length, mean, before, chance)
-
-
-@inlined
-def _holds(
-    row: Any, middle: float, t: float, until: float,
-    x: float, y: float, z: float, dx: float, dy: float, dz: float,
-) -> bool:  # fmt: skip
-    """Tell whether a medium reaches all along a step."""
-    first, last = span(row, x, y, z, dx, dy, dz)
-    return first <= t and last >= until and first < last
 
 
 @inlined
@@ -360,8 +370,7 @@ def _emitted(e1: float, e2: float, k1: float, k2: float, step: float, depth: flo
 
 @kernel
 def _enter_absorbed(
-    volumes: Volumes, colour: int, x: float, y: float, z: float, dx: float, dy: float, dz: float,
-    t: float, until: float, middle: float, active: int, only: int, book: Array,
+    volumes: Volumes, colour: int, way: Ray, t: float, until: float, middle: float, active: int, only: int, book: Array,
     stopped: float, absorption: float, extinction: float,
 ) -> None:  # fmt: skip
     """Enter in the book what media absorb of the light that a step stops, each by its share in the step's middle."""
@@ -372,16 +381,29 @@ def _enter_absorbed(
         return
     total, last = 0.0, -1
     for number in range(len(rows)):
-        if _holds(rows[number], middle, t, until, x, y, z, dx, dy, dz):
-            total += coefficients(volumes, number, colour, middle, middle, x, y, z, dx, dy, dz)[0]
+        takes, ka = _absorbed_in(volumes, number, colour, way, t, until, middle)
+        if takes:
+            total += ka
             last = number
     for number in range(len(rows)):
-        if _holds(rows[number], middle, t, until, x, y, z, dx, dy, dz):
-            ka = coefficients(volumes, number, colour, middle, middle, x, y, z, dx, dy, dz)[0]
-            if total > 0.0:
-                book[rows[number].slot] += absorbed * ka / total
-            elif number == last:
-                book[rows[number].slot] += absorbed
+        takes, ka = _absorbed_in(volumes, number, colour, way, t, until, middle)
+        if takes and total > 0.0:
+            book[rows[number].slot] += absorbed * ka / total
+        elif takes and number == last:
+            book[rows[number].slot] += absorbed
+
+
+@kernel
+def _absorbed_in(
+    volumes: Volumes, number: int, colour: int, way: Ray, t: float, until: float, middle: float
+) -> tuple[bool, float]:
+    """Tell whether a medium reaches all along a step, and return its absorption in the middle, 1/mm."""
+    row = volumes.rows[number]
+    ray = own_ray(row, way.x, way.y, way.z, way.dx, way.dy, way.dz)
+    first, last = span(row, ray)
+    if not (first <= t and last >= until and first < last):
+        return False, 0.0
+    return True, coefficients(volumes, number, colour, middle, middle, ray)[0]
 
 
 @kernel
@@ -420,23 +442,25 @@ def scattering_point(
     # Optical depth up to the point, exact in a cell by Gauss's quadrature, and the coefficients there.
     total, before = 0.0, 0.0
     for number in range(len(volumes.rows)):
-        first, last = span(volumes.rows[number], x, y, z, dx, dy, dz)
+        ray = own_ray(volumes.rows[number], x, y, z, dx, dy, dz)
+        first, last = span(volumes.rows[number], ray)
         if not first <= middle <= last:
             continue
-        ks = coefficients(volumes, number, colour, t, middle, x, y, z, dx, dy, dz)[1]
+        ks = coefficients(volumes, number, colour, t, middle, ray)[1]
         total += ks
         for at in (LOW, HIGH):
             place = passage.begin + at * way
-            ka, kt, _ = coefficients(volumes, number, colour, place, middle, x, y, z, dx, dy, dz)
+            ka, kt, _ = coefficients(volumes, number, colour, place, middle, ray)
             before += 0.5 * way * (ka + kt)
     drawn = passage.extinction * np.exp(-passage.extinction * way) / stopped
     share = passage.before * total * np.exp(-before) / (drawn * passage.chance) if passage.chance > 0.0 else 0.0
     choice, which = uniform(key, WHICH) * total, 0
     for number in range(len(volumes.rows)):
-        first, last = span(volumes.rows[number], x, y, z, dx, dy, dz)
+        ray = own_ray(volumes.rows[number], x, y, z, dx, dy, dz)
+        first, last = span(volumes.rows[number], ray)
         if not first <= middle <= last:
             continue
-        ks = coefficients(volumes, number, colour, t, middle, x, y, z, dx, dy, dz)[1]
+        ks = coefficients(volumes, number, colour, t, middle, ray)[1]
         if ks > 0.0 and choice >= 0.0:
             which = number
         choice -= ks

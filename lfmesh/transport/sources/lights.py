@@ -17,7 +17,7 @@ from lfmesh.transport.engine import Workspace
 from lfmesh.transport.events.crossing import record
 from lfmesh.transport.events.lighting import PLACE_U, PLACE_V, WAY_U, WAY_V, emitted
 from lfmesh.transport.events.polarisation import polarise_as_light
-from lfmesh.transport.events.volume import coefficients, span
+from lfmesh.transport.events.volume import coefficients, own_ray, span
 from lfmesh.transport.packets.book import EMITTED, ESCAPED
 from lfmesh.transport.packets.packet import E_START, LAMP, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, Options, put
 from lfmesh.transport.packets.random import derived, start
@@ -149,10 +149,11 @@ def _from_medium(
     x, y, z, density = drawn_point(
         objects, number, colour, start(key, PLACE_U), start(key, PLACE_V), start(key, PLACE_W), start(key, PLACE_T)
     )
-    first, last = span(volumes.rows[number], x, y, z, 0.0, 0.0, 1.0)
+    ray = own_ray(volumes.rows[number], x, y, z, 0.0, 0.0, 1.0)
+    first, last = span(volumes.rows[number], ray)
     if not first <= 0.0 <= last or density <= 0.0:
         return
-    emission = coefficients(volumes, number, colour, 0.0, 0.0, x, y, z, 0.0, 0.0, 1.0)[2]
+    emission = coefficients(volumes, number, colour, 0.0, 0.0, ray)[2]
     if emission <= 0.0:
         return
     # W/(m² sr mm) is 10⁻⁶ W/(mm³ sr).

@@ -30,7 +30,7 @@ from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.scattering import scattering_tables
 from lfmesh.transport.tables.spectra import radiance_at, reflectance_at
 from lfmesh.transport.tables.tables import AIR, BY_ALPHA, FIRST_VOLUME, OPAQUE, ROUGH, SOURCE, Interfaces, ObjectTables
-from lfmesh.transport.tables.volumes import Volumes, power_of, reach_of, volume_tables
+from lfmesh.transport.tables.volumes import Volumes, reach_of, volume_tables
 
 
 def middle_of(targets: list[TargetMesh]) -> Array:
@@ -361,7 +361,7 @@ def _glowing_volumes(scene: Scene, volumes: Volumes | None) -> list[Entry]:
     if volumes is None:
         return entries
     for number in range(len(scene.media)):
-        power = power_of(volumes, number)
+        power = float(volumes.powers[number])
         if np.isfinite(power) and power > 0.0:
             entries.append((-1, FIRST_VOLUME - number, power, power))
         elif power > 0.0 and scene.transport.method == "forward":

@@ -197,18 +197,6 @@ def _brightness(row: np.void, grid: VoxelGrid | None, absorption: Array, spectru
     return emission.ravel() / len(some)
 
 
-def power_of(volumes: Volumes, number: int) -> float:
-    """Return about what a medium emits in all directions, W.
-
-    Parameters
-    ----------
-    volumes : Volumes
-    number : int
-        Of the medium.
-    """
-    return float(volumes.powers[number])
-
-
 def _set_bounds(row: np.void, medium: Medium) -> None:
     match medium.bounds:
         case Box(size_mm=size):

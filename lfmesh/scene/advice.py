@@ -34,6 +34,7 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
         *_targets(scene, facts),
         *_light(scene),
         *_rough_camera(scene),
+        *_fog(scene),
         *_samples(scene),
     )
 
@@ -56,6 +57,21 @@ def _rough_camera(scene: Scene) -> Iterator[str]:
     yield f"{rough[0]} scatters light: rays are not aimed through the camera, and the picture needs many samples"
     if scene.lights:
         yield f"{rough[0]} scatters light, but what lamps shed on the lens itself is left out of the picture"
+
+
+def _fog(scene: Scene) -> Iterator[str]:
+    """Say what of the light that media scatter is not found, or badly."""
+    for number, medium in enumerate(scene.media):
+        if medium.scattering_per_mm == 0.0:
+            continue
+        name = medium.name or f"media[{number}]"
+        if scene.transport.method == "forward" and medium.bounds is None and medium.grid is None:
+            yield (
+                f"{name} scatters light right before the lens, where the forward method finds it too seldom: the picture "
+                'may be too dark by more than its error says; method = "adjoint" has no such trouble'
+            )
+        if scene.particles:
+            yield f"{name} scatters light: what it scatters of the light of particles is in the picture only in part"
 
 
 def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:

@@ -223,6 +223,24 @@ WARNED = [
     ({"camera.sensor.pixel_mm": 0.08, "camera.sensor.pixels": (48, 36)}, "too few to tell directions"),
     ({"targets": ()}, "no targets"),
     ({"lights": ()}, "nothing shines"),
+    (
+        {"media": [{"scattering_per_mm": 0.01}], "transport.method": "forward"},
+        "media[0] scatters light right before the lens",
+    ),
+    (
+        {
+            "media": [{"name": "smoke", "scattering_per_mm": 0.01}],
+            "particles": [
+                {
+                    "count": 3,
+                    "bounds": {"kind": "sphere", "radius_mm": 1.0},
+                    "position_mm": [0.0, 0.0, -400.0],
+                    "intensity_w_sr": 1.0,
+                }
+            ],
+        },
+        "smoke scatters light: what it scatters of the light of particles",
+    ),
     ({"transport.samples": 12}, "samples = 12 cannot be shared by 8 replicates: rounded up to 16"),
 ]
 

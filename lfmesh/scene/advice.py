@@ -67,8 +67,8 @@ def _fog(scene: Scene) -> Iterator[str]:
         name = medium.name or f"media[{number}]"
         if scene.transport.method == "forward" and medium.bounds is None and medium.grid is None:
             yield (
-                f"{name} scatters light right before the lens, where the forward method finds it too seldom: the picture "
-                'may be too dark by more than its error says; method = "adjoint" has no such trouble'
+                f"{name} scatters light right before the lens, where the forward method finds it too seldom: the "
+                'picture may be too dark by more than its error says; method = "adjoint" has no such trouble'
             )
         if scene.particles:
             yield f"{name} scatters light: what it scatters of the light of particles is in the picture only in part"

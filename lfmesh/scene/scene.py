@@ -466,12 +466,14 @@ class Scene(Model, Shown):
                 media.append((("camera", "lens", "surfaces", i, "refractor", "glass"), surface.refractor.medium))
         if self.camera.mla is not None:
             media.append((("camera", "mla", "glass"), self.camera.mla.medium))
+        if self.camera.sensor.cover is not None:
+            media.append((("camera", "sensor", "cover", "glass"), self.camera.sensor.cover.medium))
         named = [(where, medium) for where, medium in media if isinstance(medium, str)]
         if not named and self.camera.lens.file is None:
             yield Fault(
                 ("camera", "absorption"), True,
-                "neither lens nor array has a glass of the catalogue; give such a glass by name, or leave absorption "
-                "out",
+                "neither lens, array nor cover has a glass of the catalogue; give such a glass by name, or leave "
+                "absorption out",
             )  # fmt: skip
         for where, glass in named:
             for wavelength in self._checked_nm():

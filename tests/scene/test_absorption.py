@@ -22,13 +22,24 @@ def camera(glass: Any, **keys: Any) -> dict[str, Any]:
     [
         ("LZOS/K8", r"surfaces\[0\]\.glass.*camera\.absorption: glass 'LZOS/K8': the catalogue has no internal"),
         ("HIKARI/J-SF03HS", r"extinction is known from 280 to 290 nm; leave it out"),
-        ({"nd": 1.5, "vd": 60.0}, r"camera\.absorption = true: neither lens nor array has a glass of the catalogue"),
+        (
+            {"nd": 1.5, "vd": 60.0},
+            r"camera\.absorption = true: neither lens, array nor cover has a glass",
+        ),
     ],
 )
 def test_a_glass_of_unknown_transmittance_is_refused_in_one_line(glass: Any, message: str) -> None:
     lf.Scene(camera=camera(glass, absorption=False))
     with pytest.raises(LfmeshError, match=message) as refused:
         lf.Scene(camera=camera(glass))
+    assert "\n" not in str(refused.value)
+
+
+def test_a_cover_of_unknown_transmittance_is_refused_in_one_line() -> None:
+    given = camera("SCHOTT/N-BK7")
+    given["sensor"] = given["sensor"] | {"cover": {"thickness_mm": 0.02, "gap_mm": 0.02, "glass": "LZOS/K8"}}
+    with pytest.raises(LfmeshError, match=r"cover\.glass.*no internal") as refused:
+        lf.Scene(camera=given)
     assert "\n" not in str(refused.value)
 
 

@@ -6,6 +6,7 @@ from scipy.stats import norm
 
 import lfmesh as lf
 from lfmesh.geometry import frame
+from lfmesh.optics.glass import absorption_per_mm, refractive_index
 from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
 from tests.cameras import camera_without_array, close_up_camera
 
@@ -101,6 +102,21 @@ def test_both_faces_have_the_coating():
     scene = before_nothing(COVER | {"coating": "ar"}, coatings={"ar": {"reflectance": 0.01}})
     paths = lf.trace(lf.build(scene), [[0.0, 0.0, 4.0]], [[0.0, 0.0, 1.0]], split="transmit")
     assert paths.weight.tolist() == pytest.approx([0.99**2], rel=1e-12)
+
+
+def test_a_cover_absorbs_along_the_way_of_the_light_in_it():
+    """Violet light in dense flint at a slant: exp(-α t / cos) of what both faces let through."""
+    glass, nm = "SCHOTT/N-SF57", 380.0
+    scene = before_nothing({"thickness_mm": 2.0, "gap_mm": 0.3, "glass": glass})
+    world = lf.build(scene.changed({"camera.absorption": True}))
+    sine, cosine = np.sin(np.radians(40.0)), np.cos(np.radians(40.0))
+    paths = lf.trace(world, [[0.0, 0.0, 3.0]], [[sine, 0.0, cosine]], split="transmit", wavelength_nm=nm)
+    index = refractive_index(glass, nm)
+    inside = np.sqrt(1.0 - (sine / index) ** 2)
+    left = np.exp(-absorption_per_mm(glass, nm) * 2.0 / inside)
+    assert left < 0.9
+    assert paths.weight.tolist() == pytest.approx([(1.0 - bare(1.0, index, cosine)) ** 2 * left], rel=1e-12)
+    assert abs(paths.ledger.imbalance) < 1e-12
 
 
 def test_recorded_vertices_name_the_faces():

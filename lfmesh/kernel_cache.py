@@ -3,7 +3,8 @@
 Numba caches a kernel beside its module, or in NUMBA_CACHE_DIR, and takes it as valid while that module's file stays the
 same. But the functions that a kernel calls and the constants that it reads are compiled into it and stand in other
 files. So the cache's file names carry a digest of the kernel's module and of all modules that it imports, directly or
-not, from its own package and from lfmesh.
+not, from its own package and from lfmesh. Of the scene's models, which define no kernels, only the constants count: a
+new key of a scene file would otherwise compile everything again.
 """
 
 import glob
@@ -25,6 +26,7 @@ KEPT = 3
 """Number of older versions of a kernel that stay on disk, for checkouts that switch between branches."""
 
 _DIGITS = 12
+_WITHOUT_KERNELS = ("lfmesh.scene",)
 _IMPORT = re.compile(rb"^(?:from ([\w.]+) import (\([^)]*\)|[^\n]*)|import ([\w.]+))", re.MULTILINE)
 _WORD = re.compile(rb"\w+")
 _FILE = re.compile(rf"(\w+)\.(?:([0-9a-f]{{{_DIGITS}}})\.)?([\w.]+)-\d+\.py\w+(?:\.\d+)?\.nb[ic]")
@@ -48,7 +50,7 @@ def digest(module: ModuleType) -> str:
     Imports inside functions and for type checking do not count: kernels use nothing from them.
     """
     source = _source(module)
-    found = hashlib.sha256(source)
+    found = hashlib.sha256(_constants(module) if module.__name__.startswith(_WITHOUT_KERNELS) else source)
     for name in sorted(_imported(source)):
         other = sys.modules.get(name)
         if other is not None and _is_followed(other, module):
@@ -61,6 +63,16 @@ def _source(module: ModuleType) -> bytes:
         return Path(module.__file__ or "").read_bytes()
     except OSError:
         return b""
+
+
+def _constants(module: ModuleType) -> bytes:
+    """Return what a kernel can read from a module without kernels: numbers, texts, tuples of these, tuples' fields."""
+    held = {name: getattr(value, "_fields", value) for name, value in vars(module).items() if not name.startswith("__")}
+    return repr(sorted(item for item in held.items() if _is_constant(item[1]))).encode()
+
+
+def _is_constant(value: object) -> bool:
+    return all(map(_is_constant, value)) if isinstance(value, tuple) else isinstance(value, int | float | str | bytes)
 
 
 def _imported(source: bytes) -> set[str]:

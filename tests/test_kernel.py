@@ -4,13 +4,17 @@ import json
 import os
 import subprocess
 import sys
+from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
+import numba
 import pytest
 
+import lfmesh.geometry.surface
 import lfmesh.kernel
 from lfmesh.kernel_cache import KEPT, digest, remove_older_versions
+from lfmesh.scene import lens
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -117,6 +121,31 @@ def test_code_from_other_files_counts(tmp_path: Path, edited: str) -> None:
     (tmp_path / f"{edited}.py").write_text(text)
     expected = {"called": "7.0", "numbers_of_ours": "9.0"}[edited]
     assert [run(), run()] == [f"{expected} 0", f"{expected} 1"]
+
+
+def test_of_the_scenes_models_only_constants_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A new key of a scene file compiles no kernel again; a constant that a kernel may have taken does."""
+
+    def fresh() -> str:
+        digest.cache_clear()
+        return digest(sys.modules["lfmesh.geometry.surface"])
+
+    before = fresh()
+    with monkeypatch.context() as changed:
+        changed.setattr(lens, "Surface", type("Surface", (), {}))
+        assert fresh() == before
+        changed.setattr(lens, "MOST_ASPHERE_TERMS", lens.MOST_ASPHERE_TERMS + 1)
+        assert fresh() != before
+    assert fresh() == before
+
+
+def test_no_model_of_the_scene_defines_a_kernel_or_an_enumeration() -> None:
+    """Their digest leaves out everything but constants."""
+    for name, module in sorted(sys.modules.items()):
+        if name.startswith("lfmesh.scene"):
+            own = [value for value in vars(module).values() if getattr(value, "__module__", None) == name]
+            assert not [value for value in own if isinstance(value, numba.core.registry.CPUDispatcher)], name
+            assert not [value for value in own if isinstance(value, type) and issubclass(value, IntEnum)], name
 
 
 def test_older_versions_do_not_pile_up(tmp_path: Path) -> None:

@@ -92,7 +92,7 @@ CASES = [
             ("diffuse", plate(DIFFUSE), True, 3 * 2**18),
             ("ground 0.1", plate(ground(0.1)), False, 3 * 2**20),
             ("ground 0.5", plate(ground(0.5)), False, 3 * 2**20),
-            ("ground 1", plate(ground(1.0)), True, 3 * 2**18),
+            ("ground 1", plate(ground(1.0)), True, 2**20),
             ("gloss 0.1", sheet(0.1), False, 3 * 2**20),
             ("gloss 0.5", sheet(0.5), True, 3 * 2**18),
             ("gloss 1", sheet(1.0), True, 3 * 2**18),

@@ -53,14 +53,22 @@ def shares(
     R, T, cos_t : float
         Shares of the power; under total reflection 1, 0, 0, but R below 1 if a coating absorbs.
     """
-    return _shares(interfaces, number, colour, n_i, n_t, cos_i, False)
+    return shares_from(interfaces, number, colour, n_i, n_t, cos_i, False)
 
 
 @inlined
-def _shares(
+def shares_from(
     interfaces: Interfaces, number: int, colour: int, n_i: float, n_t: float, cos_i: float, outward: bool
 ) -> tuple[float, float, float]:
-    """Return what `shares` does; between equal indices `outward` tells from which side light comes."""
+    """Return what `shares` does for light from a stated side, which between equal indices only this tells.
+
+    Parameters
+    ----------
+    interfaces, number, colour, n_i, n_t, cos_i
+        As for `shares`.
+    outward : bool
+        Light comes from the side that the layers of a coating end with.
+    """
     reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
     row = interfaces.rows[number]
     if row.kind != BARE:
@@ -103,7 +111,7 @@ def divided(
     outward : bool
         Light comes from the side that the layers of a coating end with; between equal indices only this tells it.
     """
-    reflectance, transmittance, cos_t = _shares(interfaces, number, colour, n_i, n_t, cos_i, outward)
+    reflectance, transmittance, cos_t = shares_from(interfaces, number, colour, n_i, n_t, cos_i, outward)
     row = interfaces.rows[number]
     if row.kind == ABSORBING:
         left = reflectance + transmittance

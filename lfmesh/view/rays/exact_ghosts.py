@@ -1,14 +1,16 @@
 """Light of field points that the lens reflects twice, by sequence of surfaces, integrated over the pupil without noise.
 
 Every sequence is followed by itself through the exact surfaces, and through the array, if there is one, along the image
-path. So what the image path and the ghosts of the lens bring to the sensor has an error that can be stated, in place of
-a standard error. Ghosts that the array reflects are not among them.
+path. So what the image path and the ghosts bring to the sensor has an error that can be stated, in place of a standard
+error. The sensor's cover and a sensor that reflects are mirrors as the lens is. Left out are ghosts that the array
+reflects, and those that come back through it.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,18 +21,21 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.levels import EXACT
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.transport.aiming.aim_table import widest_disk
-from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
+from lfmesh.transport.sequential.plane_faces import count_faces, detected, follow_plane_faces
 from lfmesh.transport.sequential.reflections import Arrived, follow_sequence, follow_through_mla
 from lfmesh.transport.sequential.sequences import Itinerary, image_path, two_reflections
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
 from lfmesh.view.rays.launch import INTENSITY_W_SR
-from lfmesh.view.rays.names import CURVED, FLAT, label, lens_names
+from lfmesh.view.rays.names import label, mirror_names
 
 Floats = NDArray[np.float64]
 
 DASH, PLUS_MINUS = "\N{EN DASH}", "\N{PLUS-MINUS SIGN}"
+
+OF_LENS, OF_ARRAY = 0, 1
 
 SHOWN = 10
 """Ghosts that are printed."""
@@ -52,7 +57,8 @@ class SequencePower:
         On the sensor, of all field points and wavelengths; the error is an estimate of the quadrature's.
     focus_mm : float
         Distance from the lens' last vertex to where paraxial rays of the first field point come together, at the
-        scene's primary wavelength; negative before the vertex. NaN: the path has no paraxial rays.
+        scene's primary wavelength; negative before the vertex. NaN: the path has no paraxial rays, or is reflected
+        behind the lens.
     """
 
     path: Itinerary
@@ -65,7 +71,7 @@ class SequencePower:
 
 @dataclass(frozen=True)
 class ExactGhosts:
-    """The image path, and all ghosts of two reflections in the lens.
+    """The image path, and the ghosts of two reflections.
 
     Attributes
     ----------
@@ -76,12 +82,15 @@ class ExactGhosts:
         From the lens' last vertex to the array or, without one, to the sensor.
     with_array : bool
         Whether there is an array, whose own ghosts are left out.
+    mirrors : str
+        What reflects, in words.
     """
 
     image: SequencePower
     ghosts: list[SequencePower]
     image_plane_mm: float
     with_array: bool
+    mirrors: str
 
     @cached_property
     def by_words(self) -> dict[str, SequencePower]:
@@ -114,14 +123,16 @@ class ExactGhosts:
         what = "array" if self.with_array else "sensor"
         lines += [
             f"image path {self.image.power:.5e} W {PLUS_MINUS} {self.image.error:.0e}; two reflections in the "
-            f"lens {self.power:.4e} W {PLUS_MINUS} {self.error:.0e}",
+            f"{self.mirrors} {self.power:.4e} W {PLUS_MINUS} {self.error:.0e}",
             f"by quadrature over the pupil; focus from the last vertex, the {what} is at {self.image_plane_mm:.2f} mm",
         ]
         return lines
 
 
 def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[float] | None = None) -> ExactGhosts:
-    """Integrate what the image path and every ghost of two reflections in the lens bring to the sensor.
+    """Integrate what the image path and the ghosts of two reflections in lens, cover and sensor bring to the sensor.
+
+    Behind an array only those that stay on one side of it are followed.
 
     Each field point shines with 1 W/sr at each wavelength. Targets do not hide the lens from it.
 
@@ -141,14 +152,12 @@ def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[fl
     shape = world.lens_shape
     if not is_exact(world):
         raise LfmeshError(
-            'ghosts by sequence need exact surfaces: transport.surface = "exact", no mesh glass, and no cover '
-            "before the sensor"
+            'ghosts by sequence need exact surfaces of the lens: transport.surface = "exact", and no mesh glass in it'
         )
     points = frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], np.atleast_2d(np.asarray(points_mm, float)))
     if (points[:, 2] >= world.tables.lens.box_low[2]).any():
         raise LfmeshError("ghosts by sequence: a field point must lie in front of the lens")
-    surfaces, with_array = len(shape.surfaces), world.tables.mla.present
-    faces = surfaces + 2 * with_array
+    faces = _Faces.of(world.tables)
     tables = [at_wavelength(world, wavelength) for wavelength in wavelengths_nm or world.scene.wavelengths_nm]
     # A hollow side may be met twice; of an asphere, either.
     sides = [
@@ -157,22 +166,52 @@ def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[fl
         for behind in (False, True)
         if surface["terms"] > 0 or (surface["curvature"] > 0.0 if behind else surface["curvature"] < 0.0)
     ]
-    found = [
-        _brought(world, tables, points, path)
-        for path in (image_path(faces), *two_reflections(faces, sides))
-        if all(mirror < surfaces for mirror in path.mirrors)
-    ]
+    found = [_brought(world, tables, points, path) for path in faces.paths(sides)]
     camera = world.scene.camera
     plane = camera.mla.distance_mm if camera.mla is not None else camera.sensor.distance_mm
     ghosts = sorted(found[1:], key=lambda row: -row.power)
-    return ExactGhosts(found[0], ghosts, float(plane or math.nan), with_array)
+    return ExactGhosts(found[0], ghosts, float(plane or math.nan), faces.of_array > 0, _mirrors_in_words(world.tables))
+
+
+@dataclass(frozen=True)
+class _Faces:
+    """How many faces there are, in order from the object to the sensor."""
+
+    of_lens: int
+    of_array: int
+    planes: int  # of the sensor's cover, and a sensor that reflects
+    sensor_reflects: bool
+
+    @classmethod
+    def of(cls, tables: Tables) -> "_Faces":
+        return cls(
+            len(tables.lens.surfaces), 2 * tables.mla.present, count_faces(tables), tables.sensor.reflectance > 0.0
+        )
+
+    def paths(self, hollow: list[tuple[int, bool]]) -> list[Itinerary]:
+        """Return the image path and all with two reflections, but for those that the array reflects or that return."""
+        ends = int(self.sensor_reflects)
+        total = self.of_lens + self.of_array + self.planes
+        behind = self.of_lens + self.of_array
+        paths = [image_path(total), *two_reflections(total, hollow)]
+        kept = [
+            path for path in paths
+            if all(m < self.of_lens for m in path.mirrors) or all(m >= behind for m in path.mirrors)
+            or (self.of_array == 0)
+        ]  # fmt: skip
+        # What a sensor that reflects detects ends there.
+        return [Itinerary(path.faces[: len(path.faces) - ends], path.reflected[: len(path.faces) - ends])
+                for path in kept]  # fmt: skip
+
+
+def _mirrors_in_words(tables: Tables) -> str:
+    """Return what reflects: the lens, the sensor's cover, the sensor."""
+    behind = (["cover"] if tables.cover is not None else []) + (["sensor"] if tables.sensor.reflectance > 0.0 else [])
+    return " and ".join([", ".join(["lens", *behind[:-1]]), *behind[-1:]])
 
 
 def is_exact(world: World) -> bool:
-    """Tell whether all surfaces of lens and array are followed as the exact ones, and no cover is before the sensor."""
-    if world.tables.cover is not None:
-        # Its two faces and the sensor behind it are in no sequence; the recorded paths have them.
-        return False
+    """Tell whether all surfaces of lens and array are followed as the exact ones."""
     shape = world.lens_shape
     return bool(shape.analytic.all() and (shape.surfaces["level"] == EXACT).all())
 
@@ -180,7 +219,7 @@ def is_exact(world: World) -> bool:
 def _brought(world: World, tables: list[Tables], points: Floats, path: Itinerary) -> SequencePower:
     """Return what field points (camera frame) bring to the sensor along a path."""
     parts = [_from_point(each, point, path) for each in tables for point in points]
-    faces = _face_labels(world)
+    faces = [label(name) for name in mirror_names(world)]
     words = [
         f"{faces[face]} {'R' if mirrors else 'T'}" for face, mirrors in zip(path.faces, path.reflected, strict=True)
     ]
@@ -191,41 +230,39 @@ def _brought(world: World, tables: list[Tables], points: Floats, path: Itinerary
     )  # fmt: skip
 
 
-def _face_labels(world: World) -> list[str]:
-    """Return the labels of a camera's faces, in order from the object to the sensor."""
-    names = lens_names(world)
-    if world.tables.mla.present:
-        names += [CURVED, FLAT] if world.tables.mla.curved_to_lens else [FLAT, CURVED]
-    return [label(name) for name in names]
-
-
 def _from_point(tables: Tables, point: Floats, path: Itinerary) -> Integral:
     """Integrate the intensity that arrives on the sensor over the plane before the lens."""
-    lens, mla = tables.lens, tables.mla
-    plane_z, radius = float(lens.box_low[2]), widest_disk(lens, point[None], front=True)
-    in_lens = path.until(len(lens.surfaces))
+    plane_z, radius = float(tables.lens.box_low[2]), widest_disk(tables.lens, point[None], front=True)
 
     def irradiance(at: Floats) -> Floats:
         ray = np.column_stack([at, np.full(len(at), plane_z)]) - point
         length = np.linalg.norm(ray, axis=1)
-        arrived = follow_sequence(lens, in_lens, np.broadcast_to(point, ray.shape), ray / length[:, None])
-        if mla.present:
-            follow_through_mla(arrived, mla, tables.frames)
-        return np.asarray(INTENSITY_W_SR * _on_sensor(tables, arrived) * ray[:, 2] / length**3)
+        arrived = _follow(tables, path, np.broadcast_to(point, ray.shape), ray / length[:, None])
+        return np.asarray(INTENSITY_W_SR * detected(arrived, tables) * ray[:, 2] / length**3)
 
     return integral(irradiance, radius)
 
 
-def _on_sensor(tables: Tables, rays: Arrived) -> Floats:
-    """Return the weights of rays (camera frame), zero for those that do not arrive on a pixel."""
-    sensor = tables.sensor
-    move = tables.frames[CAMERA_FRAME, SENSOR_FRAME]
-    p, d = frames.points(move, rays.position), frames.directions(move, rays.direction)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = p[:, :2] - (p[:, 2] / d[:, 2])[:, None] * d[:, :2]
-        half = 0.5 * sensor.pixel * np.array([sensor.columns, sensor.rows])
-        arrives = (d[:, 2] > 0.0) & (p[:, 2] <= 0.0) & (np.abs(at) <= half).all(axis=1)
-    return np.where(arrives, rays.weight * (1.0 - sensor.reflectance), 0.0)
+def _follow(tables: Tables, path: Itinerary, p: Floats, d: Floats) -> Arrived:
+    """Follow rays (camera frame) along a path through lens, array, cover and sensor, part by part."""
+    count, behind = len(tables.lens.surfaces), len(tables.lens.surfaces) + 2 * tables.mla.present
+    rays, to_sensor = Arrived(np.array(p), np.array(d), np.ones(len(p))), path.to_sensor
+    for part, leg in groupby(zip(path.faces, path.reflected, strict=True), lambda met: _part(met[0], count, behind)):
+        faces, reflected = zip(*leg, strict=True)
+        if part == OF_LENS:
+            through = follow_sequence(tables.lens, Itinerary(faces, reflected, to_sensor), *rays[:2])
+            rays = through._replace(weight=np.where(rays.weight > 0.0, rays.weight * through.weight, 0.0))
+        elif part == OF_ARRAY:
+            follow_through_mla(rays, tables.mla, tables.frames)
+        else:
+            follow_plane_faces(rays, tables, tuple(face - behind for face in faces), reflected)
+        to_sensor ^= sum(reflected) % 2 == 1
+    return rays
+
+
+def _part(face: int, lens: int, behind: int) -> int:
+    """Return whether a face is `OF_LENS`, `OF_ARRAY` or, the largest number, behind both."""
+    return int(face >= lens) + int(face >= behind)
 
 
 def _focus_mm(world: World, path: Itinerary, object_mm: float) -> float:
@@ -235,7 +272,7 @@ def _focus_mm(world: World, path: Itinerary, object_mm: float) -> float:
     if not path.mirrors:
         return paraxial.image_mm(object_mm)
     first, second = path.mirrors
-    if first == second:
+    if first == second or max(first, second) >= len(numbers):
         return math.nan
     ray = paraxial.reflected_twice(numbers[first], numbers[second])(paraxial.axial_ray(object_mm))
     return -ray.height_mm / ray.angle if ray.angle else math.inf

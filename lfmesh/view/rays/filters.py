@@ -47,7 +47,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.transport.packets.packet import Event, Status
-from lfmesh.view.rays.names import CURVED, FLAT, aliases, label, target_names
+from lfmesh.view.rays.names import CURVED, FLAT, FRONT, REAR, aliases, label, target_names
 from lfmesh.view.rays.paths import Rays
 
 Mask = NDArray[np.bool_]
@@ -91,6 +91,7 @@ NO_PLACE = {
 """Names of the books that no path ends on."""
 
 OF_ARRAY = {CURVED, FLAT, "mla edge", "mla wall", "mla mount"}
+OF_COVER = {FRONT, REAR}
 
 LONGEST = 20_000
 """Characters of an expression."""
@@ -386,7 +387,9 @@ def places(rays: Rays) -> dict[str, list[int]]:
     world = rays.world
     known: dict[str, set[int]] = {}
     for number, name in enumerate(rays.surfaces):
-        if name not in NO_PLACE and (name not in OF_ARRAY or world.tables.mla.present):
+        of_absent = OF_ARRAY if not world.tables.mla.present else set()
+        of_absent = of_absent | OF_COVER if world.tables.cover is None else of_absent
+        if name not in NO_PLACE | of_absent:
             known.setdefault(name, set()).add(number)
     known.update({alias: known[name] for alias, name in aliases(world).items() if name in known})
     parts: dict[str, set[int]] = {}
@@ -411,4 +414,6 @@ def _listed(rays: Rays) -> list[str]:
     known = places(rays)
     told += [name for name in known if not name.startswith(("lens[", "targets[")) and label(name) == name]
     short = {alias for alias in aliases(rays.world) if not alias.startswith("targets")}
-    return [name for name in told if name not in short] + [name for name in (CURVED, FLAT) if name in known]
+    return [name for name in told if name not in short] + [
+        name for name in (CURVED, FLAT, FRONT, REAR) if name in known
+    ]

@@ -20,7 +20,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.files.whole import write_whole
 from lfmesh.view.figure_file import checked_kind, encoded_figure
 from lfmesh.view.rays.exact_ghosts import ExactGhosts
-from lfmesh.view.rays.names import CURVED, FLAT, label, lens_names
+from lfmesh.view.rays.names import label, mirror_names
 from lfmesh.view.rays.paths import Rays
 
 if TYPE_CHECKING:
@@ -51,9 +51,10 @@ class GhostMatrix:
     Attributes
     ----------
     names : list of str
-        The surfaces, in the order from object to sensor: "lens[0].front", ..., "mla.curved", "mla.flat".
+        The surfaces, in the order from object to sensor: "lens[0].front", ..., "mla.curved", "mla.flat",
+        "cover.front", "cover.rear", "sensor"; those that the camera has.
     labels : list of str
-        In short: "L1a", ..., "MLAc", "MLAf".
+        In short: "L1a", ..., "MLAc", "MLAf", "CVa", "CVb", "sensor".
     power : (k, k) float64
         By first reflection (row) and second (column), in the order in which light meets them.
     total : float
@@ -166,18 +167,17 @@ def ghost_matrix(rays: Rays, exact: ExactGhosts | None = None) -> GhostMatrix:
     ----------
     rays : Rays
     exact : ExactGhosts, optional
-        Of the same field points: then the pairs of lens surfaces, and the image path in the total, are taken from it,
+        Of the same field points: then the pairs that it has, and the image path in the total, are taken from it,
         and the rays give the other paths alone.
     """
-    names = lens_names(rays.world)
-    if rays.world.tables.mla.present:
-        names += [CURVED, FLAT]
+    names = mirror_names(rays.world)
+    places = {name: place for place, name in enumerate(names)}
     known = rays.of_sequences(exact.by_words if exact is not None else ())
     power = np.zeros((len(names), len(names)))
     chosen = rays.arrives & ~known & (rays.count_vertices(rays.reflected) == 2)
     pairs = rays.keep(chosen)
-    # Numbers of lens and array come first among the surfaces, after the start.
-    first, second = (pairs.surface[pairs.reflected] - 1).reshape(-1, 2).T
+    place = np.array([places.get(name, -1) for name in rays.surfaces])
+    first, second = place[pairs.surface[pairs.reflected]].reshape(-1, 2).T
     if rays.from_sensor:
         first, second = second, first
     np.add.at(power, (first, second), pairs.end_power)
@@ -192,7 +192,7 @@ def ghost_matrix(rays: Rays, exact: ExactGhosts | None = None) -> GhostMatrix:
         for row in exact.ghosts:
             power[row.path.mirrors] += row.power
         within = f"by quadrature over the pupil, to {_percent(exact.error, exact.power)} of their power"
-        source = f"pairs of lens surfaces {within}; others {source}"
+        source = f"two reflections in the {exact.mirrors} {within}; others {source}"
     return GhostMatrix(names, [label(name) for name in names], power, total, rays.unit, source, error)
 
 

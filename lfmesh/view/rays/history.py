@@ -18,9 +18,10 @@ from lfmesh.geometry.surface import in_place, normals
 from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.transport.events.interface import shares
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME, Event
+from lfmesh.transport.tables.cover import FRONT_ROW, REAR_ROW
 from lfmesh.transport.tables.interfaces import InterfaceTables, interface_tables
 from lfmesh.transport.tables.tables import AIR, CURVED_ROW, FLAT_ROW, Interfaces, body_row
-from lfmesh.view.rays.names import CURVED, FLAT, label, target_names
+from lfmesh.view.rays.names import CURVED, FLAT, FRONT, REAR, SENSOR, label, target_names
 from lfmesh.view.rays.paths import Rays
 
 IN_SHORT = {Event.TRANSMITTED: "transmit", Event.REFLECTED: "reflect", Event.SCATTERED: "scatter"}
@@ -184,9 +185,10 @@ def _interface(rays: Rays, vertex: int, interfaces: InterfaceTables) -> _Interfa
         exact = name == FLAT or world.scene.transport.surface == "exact"
         normal, row = _of_array(rays, vertex, name) if exact else None, CURVED_ROW if name == CURVED else FLAT_ROW
         return _Interface(normal, interfaces.mla, row)
-    if name == "sensor":
+    if name in (SENSOR, FRONT, REAR):
         axis = frames.directions(world.tables.frames[SENSOR_FRAME, WORLD_FRAME], [[0.0, 0.0, 1.0]])
-        return _Interface(np.asarray(axis[0]))
+        row = FRONT_ROW if name == FRONT else REAR_ROW
+        return _Interface(np.asarray(axis[0]), None if name == SENSOR else interfaces.cover, row)
     if rays.event[vertex] in (Event.TRANSMITTED, Event.REFLECTED):
         body = target_names(world).index(name)
         glass = world.scene.targets[body].refractor

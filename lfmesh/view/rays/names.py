@@ -7,6 +7,8 @@
 | `surface[3]`      | S3    | surface 3 of the prescription, where it bounds no glass                       |
 | `mla.curved`      | MLAc  | the lenslets' faces                                                           |
 | `mla.flat`        | MLAf  | the other side of the array                                                   |
+| `cover.front`     | CVa   | face of the sensor's cover glass towards the lens                             |
+| `cover.rear`      | CVb   | its face towards the pixels                                                   |
 
 Ends have the names of the ledger: "sensor", "stop", "mount", "lens[0] edge", "housing", ...; targets their own.
 """
@@ -17,11 +19,24 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.transport.packets.packet import CURVED_FACE, ENDS_AT, FLAT_FACE, ON_GLASS, ON_TARGET
+from lfmesh.transport.packets.packet import (
+    COVER_FRONT,
+    COVER_REAR,
+    CURVED_FACE,
+    ENDS_AT,
+    FLAT_FACE,
+    ON_GLASS,
+    ON_TARGET,
+)
 from lfmesh.transport.world import World
 
 START = "start"
 CURVED, FLAT = "mla.curved", "mla.flat"
+FRONT, REAR = "cover.front", "cover.rear"
+SENSOR = "sensor"
+
+_BEHIND_LENS = {CURVED_FACE: CURVED, FLAT_FACE: FLAT, COVER_FRONT: FRONT, COVER_REAR: REAR}
+_IN_SHORT = {CURVED: "MLAc", FLAT: "MLAf", FRONT: "CVa", REAR: "CVb"}
 
 
 def lens_names(world: World) -> list[str]:
@@ -39,7 +54,7 @@ def lens_names(world: World) -> list[str]:
 def aliases(world: World) -> dict[str, str]:
     """Return the other names that a surface may be called by, with the one it has: labels, cemented fronts, numbers."""
     shape, names = world.lens_shape, lens_names(world)
-    other = {label(name): name for name in [*names, CURVED, FLAT]}
+    other = {label(name): name for name in [*names, *_BEHIND_LENS.values()]}
     for element, k in enumerate(shape.elements):
         other[f"lens[{element}].front"] = names[k]
         other[f"L{element + 1}a"] = names[k]
@@ -55,7 +70,17 @@ def target_names(world: World) -> list[str]:
 
 def surface_names(world: World) -> list[str]:
     """Return everything that a vertex can lie on, in the order in which `Rays.surface` counts."""
-    return [START, *lens_names(world), CURVED, FLAT, *target_names(world), *world.slots]
+    return [START, *lens_names(world), *_BEHIND_LENS.values(), *target_names(world), *world.slots]
+
+
+def mirror_names(world: World) -> list[str]:
+    """Return the names of everything in the camera that may reflect light, in order from the object to the sensor."""
+    tables, names = world.tables, lens_names(world)
+    if tables.mla.present:
+        names += [CURVED, FLAT] if tables.mla.curved_to_lens else [FLAT, CURVED]
+    if tables.cover is not None:
+        names += [FRONT, REAR]
+    return [*names, SENSOR] if tables.sensor.reflectance > 0.0 else names
 
 
 def surface_numbers(world: World, surface: NDArray[np.int64], part: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -67,12 +92,13 @@ def surface_numbers(world: World, surface: NDArray[np.int64], part: NDArray[np.i
     surface, part : (n,) int64
         As recorded, see `packet.NODE`.
     """
-    first_end = 1 + len(world.lens_shape.surfaces) + 2 + len(world.tables.objects.target_slot)
-    first_target = first_end - len(world.tables.objects.target_slot)
+    first_face = 1 + len(world.lens_shape.surfaces)
+    first_target = first_face + len(_BEHIND_LENS)
+    first_end = first_target + len(world.tables.objects.target_slot)
     on_target = (surface == ON_TARGET) | (surface == ON_GLASS)
     numbers = np.where(on_target, first_target + part, surface + 1)
-    numbers = np.where(surface == CURVED_FACE, first_target - 2, numbers)
-    numbers = np.where(surface == FLAT_FACE, first_target - 1, numbers)
+    for place, face in enumerate(_BEHIND_LENS):
+        numbers = np.where(surface == face, first_face + place, numbers)
     slot = surface - ENDS_AT
     numbers = np.where(slot >= 0, first_end + slot, numbers)
     for target, own in enumerate(world.tables.objects.target_slot):
@@ -87,4 +113,4 @@ def label(name: str) -> str:
         return f"L{int(found[1]) + 1}{'a' if found[2] == 'front' else 'b'}"
     if found := re.fullmatch(r"surface\[(\d+)\]", name):
         return f"S{found[1]}"
-    return {CURVED: "MLAc", FLAT: "MLAf"}.get(name, name)
+    return _IN_SHORT.get(name, name)

@@ -187,8 +187,9 @@ class PathTable(Sequence[PathRow]):
         where = "between sensor and scene" if self.rays.from_sensor else "on the sensor"
         paths = sum(row.count for row in self.rows)
         whole = f"{len(self)} sequences, {paths} paths, {self.power:.4e} {unit} {where}"
-        if any(row.exact for row in self.rows):
-            lines.append("image path and ghosts of two reflections in the lens by quadrature, the others from paths")
+        if self.exact is not None and any(row.exact for row in self.rows):
+            known = f"image path and ghosts of two reflections in the {self.exact.mirrors}"
+            lines.append(f"{known} by quadrature, the others from paths")
         return [*lines, whole, *([f"Warning: {self.loss}."] if self.loss else [])]
 
 

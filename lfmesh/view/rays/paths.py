@@ -18,7 +18,7 @@ from lfmesh.transport.packets.packet import CAMERA_FRAME, NO_SURFACE, SENSOR_FRA
 from lfmesh.transport.tables.particles import corners_round
 from lfmesh.transport.tables.tables import Records
 from lfmesh.transport.world import World
-from lfmesh.view.rays.names import CURVED, label, surface_names, surface_numbers
+from lfmesh.view.rays.names import CURVED, label, mirror_names, surface_names, surface_numbers
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -147,9 +147,9 @@ class Rays:
 
     @cached_property
     def reflected(self) -> NDArray[np.bool_]:
-        """(m,) whether a path was reflected there by a surface of the lens or of the array."""
-        faces = len(self.world.lens_shape.surfaces) + 2
-        return (self.event == Event.REFLECTED) & (self.surface > 0) & (self.surface <= faces)
+        """(m,) whether a path was reflected there by lens, array, the sensor's cover or the sensor."""
+        mirrors = [self.surfaces.index(name) for name in mirror_names(self.world)]
+        return (self.event == Event.REFLECTED) & np.isin(self.surface, mirrors)
 
     @cached_property
     def events(self) -> Ints:

@@ -13,6 +13,7 @@ from lfmesh.cli import main
 from lfmesh.scene import load_lens
 from lfmesh.view.rays.exact_ghosts import exact_ghosts
 from lfmesh.view.rays.ghosts import ghost_matrix
+from lfmesh.view.rays.history import history
 from lfmesh.view.rays.launch import from_field_point
 from lfmesh.view.rays.path_table import path_table
 
@@ -35,6 +36,15 @@ def scene():
 
 
 @pytest.fixture(scope="module")
+def covered(scene):
+    """The same before a cover and a sensor that reflects, without the array."""
+    changes = {"camera.mla": None, "camera.sensor.reflectance": 0.3}
+    changes["camera.sensor.cover"] = {"thickness_mm": 0.5, "gap_mm": 0.3, "index": 1.6, "coating": "ar"}
+    changes["coatings"] = {"ar": {"layers": [{"index": 1.38, "thickness_nm": 250.0}]}}
+    return scene.changed(changes | {"camera.sensor.pose": {"tilt_deg": (2.0, -1.0, 0.0)}})
+
+
+@pytest.fixture(scope="module")
 def world(scene):
     return lf.build(scene)
 
@@ -53,8 +63,11 @@ def rays(world):
     return launched(world)
 
 
-def test_image_path_and_ghosts_have_the_power_that_rays_find(world, exact):
-    rows = [exact.image, *exact.ghosts[:2]]
+@pytest.mark.parametrize("behind", ["array", "cover and sensor"])
+def test_image_path_and_ghosts_have_the_power_that_rays_find(request, behind):
+    world = lf.build(request.getfixturevalue("scene" if behind == "array" else "covered"))
+    exact = exact_ghosts(world, POINT)
+    rows = [exact.image, *exact.ghosts[: 2 if behind == "array" else 4]]
     found = []
     for seed in range(SEEDS):
         rays = launched(world, seed)
@@ -71,6 +84,48 @@ def test_image_path_and_ghosts_have_the_power_that_rays_find(world, exact):
     stated = np.array([*(row.error for row in rows), exact.error])
     assert (off < limit * error + stated).all(), (off / truth, error / truth)
     assert exact.error < 0.01 * exact.power
+
+
+def test_ghosts_between_plane_faces_have_their_reflectances(scene):
+    """Near the axis, at small angles: the closed form of two reflections at normal incidence."""
+    n, of_sensor = 1.7, 0.2
+    changes = {"camera.mla": None, "camera.lens.f_number": 100.0, "camera.sensor.reflectance": of_sensor}
+    cover = {"thickness_mm": 0.5, "gap_mm": 0.3, "index": n}
+    exact = exact_ghosts(lf.build(scene.changed(changes | {"camera.sensor.cover": cover})), (0.0, 0.0, -500.0))
+    of_face = ((n - 1.0) / (n + 1.0)) ** 2
+    between = {("CVb", "CVa"): of_face**2, ("sensor", "CVb"): of_sensor * of_face}
+    between["sensor", "CVa"] = of_sensor * of_face * (1.0 - of_face) ** 2
+    found = {row.mirrors: row.power / exact.image.power for row in exact.ghosts}
+    for mirrors, share in between.items():
+        assert found[mirrors] == pytest.approx(share, rel=1e-3)
+
+
+def test_a_cover_of_air_and_a_sensor_that_reflects_nothing_change_nothing(scene):
+    bare = exact_ghosts(lf.build(scene), POINT)
+    covered = scene.changed({"camera.sensor.cover": {"thickness_mm": 0.1, "gap_mm": 0.05, "index": 1.0}})
+    same = exact_ghosts(lf.build(covered), POINT)
+    assert same.image.power == pytest.approx(bare.image.power, rel=1e-9)
+    powers = {row.mirrors: row.power for row in same.ghosts}
+    assert not any(power for mirrors, power in powers.items() if "CVa" in mirrors or "CVb" in mirrors)
+    for row in bare.ghosts:
+        assert powers[row.mirrors] == pytest.approx(row.power, rel=1e-6)
+
+
+def test_views_and_histories_know_the_faces_of_a_cover(covered, tmp_path):
+    """The recorded power is the product of R and T of the events, worked out anew; figure, table and filters run."""
+    rays = from_field_point(lf.build(covered), POINT, 20, aim="lens", weight_cutoff=1e-6)
+    matrix = ghost_matrix(rays)
+    assert matrix.labels[-3:] == ["CVa", "CVb", "sensor"]
+    matrix.save(tmp_path / "ghosts.png")
+    table = path_table(rays).filtered("reflects(cover.rear) and reflects(sensor) and pixel in (:, :)")
+    assert table.rows[0].short == "ghost sensor–CVb"
+    chosen = np.flatnonzero(rays.any_vertex(rays.surface == rays.surfaces.index("cover.front")) & rays.arrives)
+    for path in chosen[:40]:
+        steps = history(rays, int(path))
+        assert {"CVa", "CVb"} <= {step.short for step in steps}
+        # Where no roulette was played: those far above the cutoff.
+        played = [step for step in steps if step.power > 1e-4 * steps[0].power]
+        assert all(step.roulette == pytest.approx(1.0, rel=1e-9) for step in played)
 
 
 def test_power_adds_up_over_points_and_wavelengths(world, exact):

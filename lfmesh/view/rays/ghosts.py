@@ -111,7 +111,8 @@ class GhostMatrix:
         axes.set_yticks(np.arange(count + 1) - 0.5, minor=True)
         axes.grid(which="minor", color="#dddddd", lw=0.5)
         axes.tick_params(which="minor", length=0)
-        whole = f"{percent.sum():.3g} % ± {np.hypot.reduce(off, axis=None):.1g} %"
+        noise = np.hypot.reduce(off, axis=None)
+        whole = f"{percent.sum():.3g} %" + (f" ± {noise:.1g} %" if noise > 0.0 else "")
         title = f"ghosts of two reflections: {whole} of the power on the sensor"
         lines = [line for text in (title, self.source) for line in textwrap.wrap(text, LETTERS_A_LINE)]
         axes.set_title("\n".join(lines), fontsize=10, loc="left")

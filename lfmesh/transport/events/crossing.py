@@ -514,7 +514,8 @@ def meets_patch(
 ) -> tuple[bool, float, float, float, float]:  # fmt: skip
     """Return whether a ray meets the curved patch of a facet, at what distance, and the normal there.
 
-    If it does not, the result is the facet's own plane, and is counted as a fallback.
+    If it does not, or only where it passes in the other sense (a ray that cuts off a thin slice of a ball may be led
+    to the slice's other side), the result is the facet's own plane, and is counted as a fallback.
 
     Parameters
     ----------
@@ -530,10 +531,11 @@ def meets_patch(
     """
     b, c = barycentric(facet, x, y, z)
     met, t, nx, ny, nz = hit_patch(patches, across, prim, b, c, x, y, z, dx, dy, dz)
-    if met:
+    normal = facet.normal
+    through_facet = normal[0] * dx + normal[1] * dy + normal[2] * dz
+    if met and (nx * dx + ny * dy + nz * dz) * through_facet > 0.0:
         return True, t, nx, ny, nz
     flow.counts[FALLBACKS] += 1
-    normal = facet.normal
     return False, 0.0, normal[0], normal[1], normal[2]
 
 

@@ -46,7 +46,7 @@ PRIVATE_NM = (
 
 def table_of(glass: OwnGlass) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return wavelengths, in nm, and indices that stand for a glass without a name."""
-    if glass.wavelengths_nm is not None and glass.values is not None:
+    if glass.wavelengths_nm is not None and glass.values is not None and glass.air is None:
         return glass.wavelengths_nm, glass.values
     return PRIVATE_NM, tuple(glass.index_at(line) for line in PRIVATE_NM)
 

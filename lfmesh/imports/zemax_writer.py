@@ -70,7 +70,7 @@ def _surface(number: int, surface: Surface, aperture_mm: float | None) -> list[s
     lines.append(f"  CURV {curvature(surface.radius_mm)!r} 0 0 0 0")
     lines += [f"  PARM {place} {value!r}" for place, value in enumerate((0, *surface.asphere_mm), 1) if terms]
     if isinstance(surface.glass, OwnGlass):
-        if surface.glass.nd is None:
+        if surface.glass.nd is None or surface.glass.air is not None:
             raise SceneError(
                 f"surfaces[{number}].glass: a Zemax file has no place for a {surface.glass.in_words()}; write .seq"
             )

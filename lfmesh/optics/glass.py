@@ -35,6 +35,10 @@ class Dispersion(Protocol):
     def index_at(self, wavelength_nm: float) -> float:
         """Return the refractive index at a wavelength, relative to air."""
 
+    @property
+    def catalogue_name(self) -> str | None:
+        """Its name in the catalogue, where it has one and only stands in other air."""
+
     def in_words(self) -> str:
         """Describe the glass."""
 
@@ -68,6 +72,13 @@ def refractive_index(medium: Medium, wavelength_nm: float) -> float:
     if isinstance(medium, str):
         return _catalogue_index(medium, float(wavelength_nm))
     return float(medium) if isinstance(medium, float | int) else medium.index_at(float(wavelength_nm))
+
+
+def catalogue_name(medium: Medium) -> str | None:
+    """Return the name of a glass of the catalogue; None for other media."""
+    if medium is None or isinstance(medium, float | int):
+        return None
+    return medium if isinstance(medium, str) else medium.catalogue_name
 
 
 def complex_index(name: str, wavelength_nm: float) -> complex:

@@ -4,6 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from lfmesh.scene.air import Air
 from lfmesh.scene.lens import Lens
 from lfmesh.scene.mla import MicrolensArray
 from lfmesh.scene.model import Model
@@ -33,6 +34,9 @@ class Camera(Model):
     absorption: Flag = False
     """Whether the glasses of lens, array and sensor cover absorb light, by the catalogue's internal transmittance. A
     glass without it is refused; what has an index, or a dispersion of its own, stays clear."""
+    air: Air | None = None
+    """Temperature and pressure of the air, where they are not the catalogues' 20 °C and 101.325 kPa. Every glass and
+    liquid that is not given by a plain `index` then has its index relative to this air, everywhere in the scene."""
     polariser_deg: Number | None = None
     """An ideal linear polariser right before the sensor: the angle of the field that it transmits, in degrees, from the
     sensor's x axis towards its y axis (counter-clockwise as seen from behind the camera). It absorbs the field along

@@ -1,4 +1,4 @@
-"""Glasses that no catalogue has: by nd and Vd, by Sellmeier's coefficients, or by a table."""
+"""Glasses by a table of their own: by nd and Vd, by Sellmeier's coefficients, by a table, or by name in other air."""
 
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
@@ -11,7 +11,8 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationInfo,
 from lfmesh.errors import FileError, GlassError
 from lfmesh.optics.curve import curve_fault, read_curve
 from lfmesh.optics.dispersion import model_index, sellmeier_index, table_index
-from lfmesh.optics.glass import C_LINE_NM, D_LINE_NM, F_LINE_NM
+from lfmesh.optics.glass import C_LINE_NM, D_LINE_NM, F_LINE_NM, glass_in_words, refractive_index
+from lfmesh.scene.air import Air
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.quantities import FilePath, GlassName, Index, Number, Positive
 
@@ -26,11 +27,11 @@ CLOSEST_NM = 1e-3
 
 AbbeNumber = Annotated[float, Field(strict=True, gt=0, le=1000)]
 
-_KEYS = "nd with vd, or sellmeier_b with sellmeier_c_um2, or table, or wavelengths_nm with values"
+_KEYS = "nd with vd, or sellmeier_b with sellmeier_c_um2, or table, or wavelengths_nm with values, or name"
 
 
 class OwnGlass(Model):
-    """A glass by its dispersion: `nd` with `vd`, Sellmeier's coefficients, or a table."""
+    """A glass by its dispersion: `nd` with `vd`, Sellmeier's coefficients or a table; or by name, in other air."""
 
     nd: Index | None = None
     """Index at the d line, 587.56 nm, of a normal glass whose other indices follow from `vd`."""
@@ -47,6 +48,16 @@ class OwnGlass(Model):
     """Wavelengths of a table, increasing, in nm; smooth in between, nothing outside."""
     values: tuple[Number, ...] | None = None
     """The refractive index at each of `wavelengths_nm`."""
+    name: GlassName | None = None
+    """Its name in the catalogue."""
+    air: Air | None = None
+    """The air that it stands in, where that is not the catalogues' of 20 °C and 101.325 kPa: its index is relative to
+    that air. `camera.air` sets it for all glasses."""
+
+    @property
+    def catalogue_name(self) -> str | None:
+        """Its name in the catalogue, if it has one."""
+        return self.name
 
     @model_validator(mode="before")
     @classmethod
@@ -56,7 +67,7 @@ class OwnGlass(Model):
         if (
             not isinstance(file, str)
             or "\0" in file
-            or any(data.get(key) is not None for key in data if key != "table")
+            or any(data.get(key) is not None for key in data if key not in ("table", "air"))
         ):
             return data
         path = (info.context or {}).get("folder", Path()) / file
@@ -67,11 +78,12 @@ class OwnGlass(Model):
             curve = read_curve(path, "n")
         except FileError as error:
             _refuse(str(error))
-        return {"wavelengths_nm": curve.wavelengths_nm.tolist(), "values": curve.values.tolist()}
+        rows = {"wavelengths_nm": curve.wavelengths_nm.tolist(), "values": curve.values.tolist()}
+        return rows | {key: value for key, value in data.items() if key == "air"}
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""
-        kinds = (("nd", "vd"), ("sellmeier_b", "sellmeier_c_um2"), ("table",), ("wavelengths_nm", "values"))
+        kinds = (("nd", "vd"), ("sellmeier_b", "sellmeier_c_um2"), ("table",), ("wavelengths_nm", "values"), ("name",))
         given = [kind for kind in kinds if any(getattr(self, key) is not None for key in kind)]
         if not given:
             yield Fault((), None, f"a glass needs {_KEYS}")
@@ -119,6 +131,9 @@ class OwnGlass(Model):
 
     def in_words(self) -> str:
         """Describe the glass, with nd and Vd where it reaches the visible."""
+        where = f" {self.air.in_words()}" if self.air is not None else ""
+        if self.name is not None:
+            return glass_in_words(self.name) + where
         kind = (
             "glass table"
             if self.values is not None
@@ -127,10 +142,11 @@ class OwnGlass(Model):
             else "model glass"
         )
         try:
-            f, d, c = (self.index_at(line) for line in (F_LINE_NM, D_LINE_NM, C_LINE_NM))
+            f, d, c = (_known_index(self, line) for line in (F_LINE_NM, D_LINE_NM, C_LINE_NM))
         except GlassError:
-            return kind
-        return f"{kind} (nd {d:.5f}, Vd {(d - 1.0) / (f - c):.2f})" if f > c else f"{kind} (nd {d:.5f})"
+            return kind + where
+        numbers = f"nd {d:.5f}, Vd {(d - 1.0) / (f - c):.2f}" if f > c else f"nd {d:.5f}"
+        return f"{kind} ({numbers}){where}"
 
 
 def _refuse(why: str) -> Any:
@@ -139,14 +155,24 @@ def _refuse(why: str) -> Any:
 
 @lru_cache(maxsize=4096)
 def _index(glass: OwnGlass, wavelength_nm: float) -> float:
+    index = _known_index(glass, wavelength_nm)
+    if glass.air is not None:
+        index = glass.air.index_of(index, wavelength_nm)
+    if not 1.0 <= index <= 10.0:
+        raise GlassError(f"glass at {wavelength_nm:g} nm: index {index:g}; a lens needs one from 1 to 10")
+    return index
+
+
+def _known_index(glass: OwnGlass, wavelength_nm: float) -> float:
+    """Return the index in the air of the catalogues."""
+    if glass.name is not None:
+        return refractive_index(glass.name, wavelength_nm)
     if glass.nd is not None and glass.vd is not None:
         index = model_index(glass.nd, glass.vd, wavelength_nm)
     elif glass.sellmeier_b is not None:
         index = sellmeier_index(glass.sellmeier_b, glass.sellmeier_c_um2 or (), wavelength_nm)
     else:
         index = table_index(glass.wavelengths_nm or (), glass.values or (), wavelength_nm)
-    if not 1.0 <= index <= 10.0:
-        raise GlassError(f"glass at {wavelength_nm:g} nm: index {index:g}; a lens needs one from 1 to 10")
     return index
 
 

@@ -13,7 +13,7 @@ from pydantic import Field, PrivateAttr
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.notebook import Shown
 from lfmesh.optics.glass import Medium as GlassOrAir
-from lfmesh.optics.glass import absorption_per_mm, complex_index, refractive_index
+from lfmesh.optics.glass import absorption_per_mm, catalogue_name, complex_index, refractive_index
 from lfmesh.optics.metals import metal_index
 from lfmesh.scene.bands import Centroids, Passband, passband, preset
 from lfmesh.scene.camera import Camera
@@ -468,7 +468,7 @@ class Scene(Model, Shown):
             media.append((("camera", "mla", "glass"), self.camera.mla.medium))
         if self.camera.sensor.cover is not None:
             media.append((("camera", "sensor", "cover", "glass"), self.camera.sensor.cover.medium))
-        named = [(where, medium) for where, medium in media if isinstance(medium, str)]
+        named = [(where, name) for where, medium in media if (name := catalogue_name(medium)) is not None]
         if not named and self.camera.lens.file is None:
             yield Fault(
                 ("camera", "absorption"), True,

@@ -5,6 +5,7 @@ from typing import Any, TypeVar
 
 from lfmesh.errors import SceneError
 from lfmesh.optics.glass import refractive_index
+from lfmesh.scene.air import in_its_air
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.files import with_lens_file
 from lfmesh.scene.lens import Lens
@@ -33,7 +34,7 @@ def solved(scene: Scene) -> Scene:
 
     The lens file is inlined; exactly one surface is the stop and has its semi-diameter; `f_number`, `epd_mm` and
     `stop_semi_diameter_mm` are used up; the array has radii instead of focal lengths; the array and the
-    sensor have their distances. All of it is paraxial, at the primary wavelength. A solved scene comes back
+    sensor have their distances; `camera.air` is used up, and glasses name the air round them. All of it is paraxial, at the primary wavelength. A solved scene comes back
     as it is.
 
     Raises
@@ -43,19 +44,20 @@ def solved(scene: Scene) -> Scene:
         impossible.
     """
     primary = scene.primary_nm
-    camera = scene.camera
-    lens = with_lens_file(camera.lens, scene.folder)
+    lens = with_lens_file(scene.camera.lens, scene.folder)
     for i, surface in enumerate(lens.surfaces):
         if surface.refractor is not None:
             raise SceneError(
                 f"camera.lens.surfaces[{i}].refractor: its faces are not measured yet; lf.first_order, lf.build and "
                 "lf.render do that, or see lfmesh.geometry.solved_camera"
             )
-    if lens is not camera.lens:
+    if lens is not scene.camera.lens:
         # The lens came after the scene was checked: check the two together.
         scene = scene.changed({"camera.lens": lens.model_dump()})
+    scene = in_its_air(scene)
+    camera = scene.camera
     mla = _with_radii(camera.mla, primary) if camera.mla is not None else None
-    camera = _changed(camera, lens=lens, mla=mla)
+    camera = _changed(camera, mla=mla)
     camera = _with_distances(camera, primary)
     camera = _changed(camera, lens=_with_stop(camera, primary))
     camera = _changed(camera, lens=_with_apertures(camera, primary))

@@ -11,7 +11,7 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.optics.glass import Medium, absorption_per_mm, refractive_index
+from lfmesh.optics.glass import Medium, absorption_per_mm, catalogue_name, refractive_index
 from lfmesh.scene import Refractor, Scene
 from lfmesh.scene.spectra import Spectrum, curve_of
 from lfmesh.transport.packets.book import Book
@@ -120,13 +120,15 @@ class MediumList:
             curve = curve_of(dye, (min(wavelengths_nm), max(wavelengths_nm)), self.scene, where)
             return curve.at(wavelengths_nm)
         if isinstance(dye, str):
-            return np.array([absorption_per_mm(str(medium), wavelength_nm) for wavelength_nm in wavelengths_nm])
+            return np.array(
+                [absorption_per_mm(str(catalogue_name(medium)), wavelength_nm) for wavelength_nm in wavelengths_nm]
+            )
         return np.full(len(wavelengths_nm), dye, np.float64)
 
 
 def _dye_in_camera(scene: Scene, medium: Medium) -> Dye:
     """Return what a medium of the camera absorbs: glasses of the catalogue alone, where the camera asks for it."""
-    return "catalogue" if scene.camera.absorption and isinstance(medium, str) else CLEAR
+    return "catalogue" if scene.camera.absorption and catalogue_name(medium) is not None else CLEAR
 
 
 Region = TypeVar("Region", LensTables, MlaTables)

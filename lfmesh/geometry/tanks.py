@@ -5,6 +5,7 @@ import numpy as np
 from lfmesh.geometry.frame import rotation
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Refractor, Scene, Tank, Target
+from lfmesh.scene.air import in_its_air
 from lfmesh.scene.tank import OPEN_AXIS
 
 
@@ -54,7 +55,7 @@ def tank_lines(scene: Scene) -> list[str]:
     The middle is that between its windows along its own z axis, seen along that axis, by first-order optics.
     """
     lines = []
-    for i, tank in enumerate(scene.tanks):
+    for i, tank in enumerate(in_its_air(scene).tanks):
         n_wall, n_liquid = (refractive_index(matter.medium, scene.primary_nm) for matter in (tank.wall, tank.liquid))
         window = 0.0 if tank.open == "front" else tank.wall_mm
         depth = 0.5 * tank.size_mm[2]

@@ -12,8 +12,9 @@ def air_index(wavelength_nm: float, temperature_c: float, pressure_kpa: float) -
     """Return the refractive index of dry air, relative to vacuum.
 
     F. Kohlrausch, Praktische Physik (1968), vol. 1, p. 408, as SCHOTT's TIE-19 ("Temperature coefficient of the
-    refractive index") and OpticStudio have it; within 1e-8 of Ciddor (Appl. Opt. 35, 1566, 1996) in standard air from
-    400 to 1000 nm. Humid air of 20 °C is 1e-6 lower at most.
+    refractive index") and OpticStudio have it; within 2e-8 of Ciddor (Appl. Opt. 35, 1566, 1996) at 15 °C from 300 to
+    1600 nm, within 4e-8 from 5 to 50 °C and 60 to 120 kPa, 1.2e-7 at -40 °C. Air at 20 °C full of water vapour is
+    1e-6 lower.
 
     Parameters
     ----------

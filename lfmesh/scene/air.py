@@ -10,8 +10,8 @@ from lfmesh.scene.model import Model
 if TYPE_CHECKING:
     from lfmesh.scene.scene import Scene
 
-Celsius = Annotated[float, Field(ge=-100, le=200)]
-Kilopascal = Annotated[float, Field(ge=0, le=1000)]
+Celsius = Annotated[float, Field(strict=True, ge=-100, le=200)]
+Kilopascal = Annotated[float, Field(strict=True, ge=0, le=1000)]
 
 
 class Air(Model):

@@ -15,6 +15,8 @@ def glass_lines(scene: Scene) -> list[str]:
             places.setdefault(surface.glass, []).append(f"surface {i}")
     if scene.camera.mla is not None and scene.camera.mla.glass is not None:
         places.setdefault(scene.camera.mla.glass, []).append("mla")
+    if scene.camera.sensor.cover is not None and scene.camera.sensor.cover.glass is not None:
+        places.setdefault(scene.camera.sensor.cover.glass, []).append("sensor's cover")
     for i, target in enumerate(scene.targets):
         if target.refractor is not None and target.refractor.glass is not None:
             # A tank's bodies are called after it.

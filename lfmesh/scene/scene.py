@@ -15,6 +15,7 @@ from lfmesh.notebook import Shown
 from lfmesh.optics.glass import Medium as GlassOrAir
 from lfmesh.optics.glass import absorption_per_mm, catalogue_name, complex_index, refractive_index
 from lfmesh.optics.metals import metal_index
+from lfmesh.scene.air import in_its_air
 from lfmesh.scene.bands import Centroids, Passband, passband, preset
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.coatings import Coating, name_fault, unknown_fault
@@ -489,7 +490,8 @@ class Scene(Model, Shown):
             return
         if not self._checked_nm():
             return
-        n = refractive_index(mla.medium, self.primary_nm)
+        placed = in_its_air(self).camera.mla
+        n = refractive_index(placed.medium if placed is not None else mla.medium, self.primary_nm)
         for focal_length in mla.focal_length_mm or ():
             radius = focal_length * (n - 1)
             if why := mla.cap_fault(radius, 1 / (n - 1)):

@@ -34,8 +34,8 @@ def solved(scene: Scene) -> Scene:
 
     The lens file is inlined; exactly one surface is the stop and has its semi-diameter; `f_number`, `epd_mm` and
     `stop_semi_diameter_mm` are used up; the array has radii instead of focal lengths; the array and the
-    sensor have their distances; `camera.air` is used up, and glasses name the air round them. All of it is paraxial, at the primary wavelength. A solved scene comes back
-    as it is.
+    sensor have their distances; `camera.air` is used up, and glasses name the air round them. All of it is paraxial, at
+    the primary wavelength. A solved scene comes back as it is.
 
     Raises
     ------

@@ -111,13 +111,10 @@ def camera_model(
     Raises
     ------
     LfmeshError
-        A conventional camera, one with a cover, one that lets no light through, a number of views or a distance that
-        makes no sense.
+        A conventional camera, one that lets no light through, a number of views or a distance that makes no sense.
     """
     scene = image_or_scene.scene if isinstance(image_or_scene, Image) else image_or_scene
     bare = scene.changed({"targets": (), "lights": (), "tanks": (), "media": (), "particles": ()})
-    if scene.camera.sensor.cover is not None:
-        raise LfmeshError("camera.sensor.cover: bundles of pixels are not followed through a cover yet; leave it out")
     plate = plate_of(solved_camera(bare).scene)
     rays = ViewRays.of_camera(solved_camera(bare).scene)
     distances = _distances(RayModel.of(rays.world.scene)) if distances_mm is None else np.array(distances_mm, float)

@@ -14,15 +14,12 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.chief_rays import Plate, plate_of
 from lfmesh.lightfield.lens_alone import lens_alone
+from lfmesh.lightfield.pixel_slopes import ahead, pixel_slopes
 from lfmesh.scene import Scene
-from lfmesh.transport.aiming.ray_aiming import aim_rays
-from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME
 from lfmesh.transport.trace import Status, trace
 
 Array = NDArray[np.float64]
-
-MOST_STEPS = 20
-"""Steps by which the ray through a cover is found; each takes off a few digits, the more the less it is inclined."""
 
 
 class ObjectRays(NamedTuple):
@@ -70,10 +67,10 @@ def object_rays(scene: Scene, lenslets: NDArray[np.integer], pixels_px: Array) -
     apexes = plate.apexes[lenslets[:, 1] * lattice.columns + lenslets[:, 0]]
     entry, towards_lens = _through_apexes(scene, plate, apexes, pixels)
     # From just before the array, which is as close to it as a ray may start.
-    ahead = 0.01 * (scene.camera.mla.distance_mm or 0.0) if scene.camera.mla is not None else 0.0
+    step = 0.01 * (scene.camera.mla.distance_mm or 0.0) if scene.camera.mla is not None else 0.0
     known = np.flatnonzero(np.isfinite(towards_lens).all(axis=1))
     paths = trace(
-        lens_alone(scene), (entry + ahead * towards_lens)[known], towards_lens[known], scene.primary_nm,
+        lens_alone(scene), (entry + step * towards_lens)[known], towards_lens[known], scene.primary_nm,
         split="transmit",
     )  # fmt: skip
     origin, direction = np.full((2, len(pixels), 3), np.nan)
@@ -89,61 +86,12 @@ def _through_apexes(scene: Scene, plate: Plate, apexes: Array, pixels: Array) ->
     """Return where rays from pixels through apexes enter the air before the array, and their directions."""
     sensor = scene.camera.sensor
     on_sensor = (pixels - 0.5 * (np.asarray(sensor.pixels) - 1.0)) * sensor.pixel_mm
-    glass = plate.lenslets.thickness if plate.curved_to_lens else 0.0
-    # Seen through a cover, a pixel appears nearer, and off its place by what is of third order in the angle.
-    nearer = plate.cover_mm * (1.0 - 1.0 / plate.cover_index)
-    seen = np.column_stack([on_sensor, np.full(len(pixels), -nearer)])
-    for _ in range(MOST_STEPS if nearer > 0.0 else 1):
-        points = frames.points(plate.moves[SENSOR_FRAME, MLA_FRAME], seen)
-        slope, _ = slopes_across(
-            apexes - points[:, :2], np.abs(points[:, 2]) - glass, np.full(len(points), glass), plate.glass
-        )
-        # The array's z axis runs into the glass: towards the lens it is negative where the curved face looks there.
-        in_array = np.column_stack([slope, np.full(len(slope), -1.0 if plate.curved_to_lens else 1.0)])
-        in_array /= np.linalg.norm(in_array, axis=1, keepdims=True)
-        if nearer > 0.0:
-            to_lens = frames.directions(plate.moves[MLA_FRAME, SENSOR_FRAME], in_array)
-            off = plate.moved_by_cover(to_lens) + nearer * to_lens[:, :2] / np.abs(to_lens[:, 2:])
-            moved = on_sensor + off
-            still = np.array_equal(moved, seen[:, :2], equal_nan=True)
-            seen[:, :2] = moved
-            if still:
-                break
+    glass = np.full(len(pixels), plate.lenslets.thickness if plate.curved_to_lens else 0.0)
+    in_array = ahead(plate, pixel_slopes(plate, on_sensor, apexes, glass, glass).slope)
+    in_array /= np.linalg.norm(in_array, axis=1, keepdims=True)
     first = np.column_stack([apexes, np.zeros(len(apexes))])
     if not plate.curved_to_lens:
         inside = plate.inside(in_array)
         first = first + (plate.lenslets.thickness / inside[:, 2])[:, None] * inside
     to_camera = plate.moves[MLA_FRAME, CAMERA_FRAME]
     return frames.points(to_camera, first), frames.directions(to_camera, in_array)
-
-
-def slopes_across(offset: Array, air_mm: Array, glass_mm: Array, index: float) -> tuple[Array, Array]:
-    """Return the slopes in air, (n, 2), of rays with a given offset across air and a plate; NaN where none has it.
-
-    With them the derivatives of the offset by the slope, (n, 2, 2) mm.
-
-    Parameters
-    ----------
-    offset : (n, 2) float64, mm
-    air_mm, glass_mm : (n,) float64
-        Thickness of the air and of the plate.
-    index : float
-        Refractive index of the plate.
-    """
-    more = index * index - 1.0
-
-    def landing(slope: Array, which: NDArray[np.int64]) -> Array:
-        in_glass = np.sqrt(index * index + more * np.square(slope).sum(axis=1))
-        return slope * (air_mm[which] + glass_mm[which] / in_glass)[:, None]
-
-    # First order gives slopes that are too small, and less is added the larger they are: steps come from below.
-    guess = offset / (air_mm + glass_mm / index)[:, None]
-
-    def derivative(slope: Array) -> Array:
-        in_glass = np.sqrt(index * index + more * np.square(slope).sum(axis=1))
-        along = (air_mm + glass_mm / in_glass)[:, None, None] * np.eye(2)
-        return along - (glass_mm * more / in_glass**3)[:, None, None] * slope[:, :, None] * slope[:, None, :]
-
-    aimed = aim_rays(landing, offset, guess, derivative(guess), air_mm + glass_mm)
-    slopes = np.where(aimed.arrived[:, None], aimed.start, np.nan)
-    return slopes, derivative(slopes)

@@ -1,7 +1,8 @@
 """Bundles of pixels: all light that a pixel takes through one lenslet, followed out into object space.
 
-A bundle is a fixed set of rays, from Gauss points of the pixel to Gauss points of the lenslet, traced through the array
-and the lens as `lf.trace` has them. Its sums are the étendue of the pixel and the first and second moments of its rays.
+A bundle is a fixed set of rays, from Gauss points of the pixel to Gauss points of the lenslet, traced through the
+sensor's cover, the array and the lens as `lf.trace` has them. Its sums are the étendue of the pixel and the first and
+second moments of its rays.
 """
 
 from typing import NamedTuple
@@ -13,9 +14,12 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lattice import Lattice
 from lfmesh.geometry.lenslets import type_of
 from lfmesh.lightfield.chief_rays import Plate
-from lfmesh.lightfield.object_rays import slopes_across
+from lfmesh.lightfield.pixel_slopes import ahead, pixel_slopes
 from lfmesh.lightfield.view_rays import image_path_engine
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.sequential.plane_faces import follow_plane_faces
+from lfmesh.transport.sequential.reflections import Arrived
+from lfmesh.transport.tables.cover import FRONT_ROW, REAR_ROW
 from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.world import World
 
@@ -102,39 +106,66 @@ def _chunk(world: World, plate: Plate, numbers: NDArray[np.int64], pixels: Array
 
     places = (pixels[:, None] + on_pixel - 0.5 * (np.asarray(sensor.pixels) - 1.0)) * sensor.pixel_mm
     places = np.repeat(places.reshape(-1, 2), len(on_cell), axis=0)
-    start = frames.points(moves[SENSOR_FRAME, MLA_FRAME], np.column_stack([places, np.zeros(len(places))]))
     cells = lenslets.lattice.centres().reshape(-1, 2)[numbers]
     to = (np.repeat(cells, len(on_pixel), axis=0)[:, None] + on_cell).reshape(-1, 2)
     sag, tilt = _curved_face(plate, numbers[of_pixel], to)
-    air = np.abs(start[:, 2]) - (lenslets.thickness if plate.curved_to_lens else -sag)
+    before = np.full(len(sag), lenslets.thickness) if plate.curved_to_lens else -sag
     glass = lenslets.thickness - sag if plate.curved_to_lens else np.zeros(len(sag))
-    slope, derivative = slopes_across(to - start[:, :2], air, glass, plate.glass)
+    _, slope, derivative = pixel_slopes(plate, places, to, before, glass)
     # Where the face rises, the ray that meets it moves less or more for the same change of slope.
     within = np.square(slope).sum(axis=1)
     last = -np.sqrt(plate.glass**2 + (plate.glass**2 - 1.0) * within) if plate.curved_to_lens else 1.0
     rise = 1.0 - np.einsum("ij,ij->i", slope, tilt) / last
-    ahead = np.column_stack([slope, np.full(len(slope), -1.0 if plate.curved_to_lens else 1.0)])
+    way = ahead(plate, slope)
     # The area of the lenslet as one of slopes, the slopes as a solid angle: cos³ for its size, and the
     # cosine at the sensor because the pixel is seen aslant.
-    along = 1.0 / np.linalg.norm(ahead, axis=1)
-    aslant = np.abs(frames.directions(moves[MLA_FRAME, SENSOR_FRAME], ahead)[:, 2]) * along
+    along = 1.0 / np.linalg.norm(way, axis=1)
+    aslant = np.abs(frames.directions(moves[MLA_FRAME, SENSOR_FRAME], way)[:, 2]) * along
     area = np.tile(cell_area, count * len(on_pixel)) * np.tile(np.repeat(pixel_share, len(on_cell)), count)
     etendue = sensor.pixel_mm**2 * area * rise * aslant * along**3 / np.abs(np.linalg.det(derivative))
 
     known = np.flatnonzero(np.isfinite(slope).all(axis=1))
+    unit = along[known, None] * way[known]
+    start, passed = _before_cover(world, places[known], unit)
+    halfway = start + 0.5 * (np.abs(start[:, 2]) - before[known])[:, None] * way[known]
     to_world = frames.compose(moves[CAMERA_FRAME, WORLD_FRAME], moves[MLA_FRAME, CAMERA_FRAME])
-    halfway = start + 0.5 * air[:, None] * ahead
     paths = trace(
-        world, frames.points(to_world, halfway[known]), frames.directions(to_world, (along[:, None] * ahead)[known]),
-        scene.primary_nm, split="transmit", engine=image_path_engine(scene), threads=scene.transport.threads,
+        world, frames.points(to_world, halfway), frames.directions(to_world, unit), scene.primary_nm,
+        split="transmit", engine=image_path_engine(scene, tracing=True), threads=scene.transport.threads,
     )  # fmt: skip
     out = paths.status == Status.ESCAPED
     rays = known[paths.source[out]]
+    weight = M2_PER_MM2 * etendue[rays] * passed[paths.source[out]] * paths.weight[out]
     to_camera = moves[WORLD_FRAME, CAMERA_FRAME]
     p, d = frames.points(to_camera, paths.position[out]), frames.directions(to_camera, paths.direction[out])
     slopes = d[:, :2] / d[:, 2:]
     four = np.column_stack([p[:, :2] - p[:, 2:] * slopes, slopes])
-    return _moments(count, of_pixel[rays], M2_PER_MM2 * etendue[rays] * paths.weight[out], four)
+    return _moments(count, of_pixel[rays], weight, four)
+
+
+def _before_cover(world: World, places: Array, direction: Array) -> tuple[Array, Array]:
+    """Return where rays from the sensor come into the air before its cover, (n, 3) mm, and the share that does.
+
+    Parameters
+    ----------
+    world : World
+    places : (n, 2) float64, mm
+        On the sensor.
+    direction : (n, 3) float64
+        Unit, in air; array frame, as what is returned.
+    """
+    moves, cover = world.tables.frames, world.tables.cover
+    on_sensor = np.column_stack([places, np.zeros(len(places))])
+    detected = np.full(len(places), 1.0 - world.tables.sensor.reflectance)
+    if cover is None:
+        return frames.points(moves[SENSOR_FRAME, MLA_FRAME], on_sensor), detected
+    rays = Arrived(
+        frames.points(moves[SENSOR_FRAME, CAMERA_FRAME], on_sensor),
+        frames.directions(moves[MLA_FRAME, CAMERA_FRAME], direction),
+        detected,
+    )
+    follow_plane_faces(rays, world.tables, (REAR_ROW, FRONT_ROW), (False, False))
+    return frames.points(moves[CAMERA_FRAME, MLA_FRAME], rays.position), rays.weight
 
 
 def _curved_face(plate: Plate, numbers: NDArray[np.int64], at: Array) -> tuple[Array, Array]:

@@ -1,11 +1,13 @@
 """Micro-images and pixel rays behind the sensor's cover: the closed form of a plate against traced rays."""
 
 import numpy as np
+import pytest
 
 import lfmesh as lf
 from lfmesh.geometry import frame
 from lfmesh.lightfield.chief_rays import plate_of
 from lfmesh.lightfield.object_rays import object_rays
+from lfmesh.lightfield.pixel_slopes import pixel_slopes
 from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from tests.cameras import close_up_camera
 
@@ -50,3 +52,24 @@ def test_rays_of_pixels_are_the_way_back():
     sensor = world.scene.camera.sensor
     expected = (pixels - 0.5 * (np.array(sensor.pixels) - 1.0)) * sensor.pixel_mm
     np.testing.assert_allclose(landed, expected, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("curved_side", ["lens", "sensor"])
+def test_derivatives_of_rays_through_the_cover_are_those_of_differences(curved_side):
+    """Of a sensor tilted by up to 20 degrees: slopes by the point that the ray comes to, against the inverse."""
+    table = close_up_camera()
+    table["sensor"] |= {"cover": COVER, "pose": {"tilt_deg": [20.0, -14.0, 30.0]}}
+    table["mla"] |= {"curved_side": curved_side}
+    plate = plate_of(lf.build(lf.Scene(camera=table)).scene)
+    random = np.random.default_rng(2)
+    count = len(plate.apexes)
+    on_sensor = plate.apexes + random.uniform(-0.2, 0.2, (count, 2))
+    before = np.full(count, plate.lenslets.thickness if plate.curved_to_lens else 0.0)
+    step = 1e-4
+
+    def slopes(offset):
+        return pixel_slopes(plate, on_sensor, plate.apexes + offset, before, before).slope
+
+    there = pixel_slopes(plate, on_sensor, plate.apexes, before, before)
+    by_place = np.stack([(slopes(h) - slopes(-h)) / (2.0 * step) for h in step * np.eye(2)], axis=2)
+    np.testing.assert_allclose(by_place, np.linalg.inv(there.derivative), rtol=0.0, atol=1e-6)

@@ -5,7 +5,7 @@ import numpy as np
 from lfmesh.geometry.frame import rotation
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Refractor, Scene, Tank, Target
-from lfmesh.scene.air import in_its_air
+from lfmesh.scene.glass_in_air import in_its_air
 from lfmesh.scene.tank import OPEN_AXIS
 
 

@@ -15,11 +15,11 @@ from lfmesh.notebook import Shown
 from lfmesh.optics.glass import Medium as GlassOrAir
 from lfmesh.optics.glass import absorption_per_mm, catalogue_name, complex_index, refractive_index
 from lfmesh.optics.metals import metal_index
-from lfmesh.scene.air import in_its_air
 from lfmesh.scene.bands import Centroids, Passband, passband, preset
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.coatings import Coating, name_fault, unknown_fault
 from lfmesh.scene.finishes import Finish
+from lfmesh.scene.glass_in_air import in_its_air
 from lfmesh.scene.inputs import file_stamp, found
 from lfmesh.scene.lights import Light
 from lfmesh.scene.media import Medium

@@ -5,9 +5,9 @@ from typing import Any, TypeVar
 
 from lfmesh.errors import SceneError
 from lfmesh.optics.glass import refractive_index
-from lfmesh.scene.air import in_its_air
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.files import with_lens_file
+from lfmesh.scene.glass_in_air import in_its_air
 from lfmesh.scene.lens import Lens
 from lfmesh.scene.literals import at_least, at_most
 from lfmesh.scene.mla import MicrolensArray

@@ -192,6 +192,11 @@ def where_the_light_went(image: Image) -> list[str]:
     traced = "the paths traced back from the sensor" if adjoint else "the light"
     ends = _ends(image)
     total = sum(share for _, share in ends)
+    if total <= 0.0 and ledger.lamps is not None and ledger.lamps.emitted > 0.0:
+        return [
+            f"Only particles shine: {percent(ledger.lamps.sensor / ledger.lamps.emitted)} of their light came to"
+            " the sensor."
+        ]
     if total <= 0.0:
         return ["No path left the sensor." if adjoint else "Nothing emits: the lights and targets have no power."]
     parts = [f"{percent(share / total)} {words}" for words, share in ends if share >= 0.001 * total][:4]

@@ -115,6 +115,15 @@ def test_no_light_at_all_is_said(image_of: Build, scene: Scene) -> None:
     assert "have no power" in text(image_of(forward, mean=black, stderr=black, ledger=Ledger()))
 
 
+def test_where_only_particles_shine_their_light_is_accounted_for(image_of: Build) -> None:
+    """In the adjoint method as well, whose paths from the sensor are then not traced at all."""
+    ledger, few = Ledger(unit="m² sr", lamps=Ledger(emitted=4.0, sensor=1.0)), np.zeros((60, 80, 1))
+    few[7, 9] = 1.0
+    image = image_of(mean=few, stderr=0.1 * few, ledger=ledger)
+    assert "Only particles shine: 25 % of their light came to the sensor." in text(image)
+    assert repr(ledger).startswith("<Ledger: 4 W emitted, 25.000% on the sensor")
+
+
 def test_an_interrupted_run_says_how_far_it_came(image_of: Build) -> None:
     image = image_of(replicates=1, samples=8.0)
     image.stderr[:] = np.nan

@@ -83,10 +83,14 @@ class Ledger(Shown):
     """Ledger of the packets of particles and, adjoint, of those that lamps send towards glass, in W; None without."""
 
     def __repr__(self) -> str:
-        into = self.emitted or 1.0
+        # Where only particles shine, all light is theirs.
+        parts = [part for part in (self, self.lamps) if part is not None and part.emitted > 0.0] or [self]
+        return f"<Ledger: {'; '.join(part._in_words() for part in parts)}>"
+
+    def _in_words(self) -> str:
         return (
-            f"<Ledger: {self.emitted:.6g} {self.unit} emitted, {self.sensor / into:.3%} on the sensor, "
-            f"{self.lost_share:.1e} lost, {self.imbalance:.1e} not closed>"
+            f"{self.emitted:.6g} {self.unit} emitted, {self.sensor / (self.emitted or 1.0):.3%} on the sensor, "
+            f"{self.lost_share:.1e} lost, {self.imbalance:.1e} not closed"
         )
 
     @property

@@ -246,6 +246,12 @@ CURVED_ROW, FLAT_ROW = 0, 1
 """Rows of the array's interfaces."""
 
 
+def thin_lens_power(interfaces: Interfaces, number: int) -> float:
+    """Return the power of a thin lens, 1/mm; 0 for an interface."""
+    row = interfaces.rows[number]
+    return float(interfaces.parameters[row["first"], 0]) if row["kind"] == THIN_LENS else 0.0
+
+
 @inlined
 def body_row(body: int, other: int, media: int) -> int:
     """Return the row of a target's interface with another medium.

@@ -8,7 +8,6 @@ from lfmesh.scene.own_glass import OwnGlass
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.scene.pose import Pose
 
-
 ZEMAX = "Zemax"
 
 

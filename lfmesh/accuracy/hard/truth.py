@@ -211,12 +211,8 @@ def through(interfaces: list[Interface], origins: ArrayLike, directions: ArrayLi
 
 
 def _past_thin_lens(at: Array, d: Array, focal_length: float) -> Array:
-    """Aim rays at the point of the focal plane that the parallel ray through the middle of the lens meets."""
-    if focal_length > 0.0:
-        aimed = focal_length * d / d[:, 2:] - at
-    else:
-        # They come from the point that the parallel ray through the middle meets before the lens.
-        aimed = at - focal_length * d / d[:, 2:]
+    """Aim rays at, or away from, the point of the focal plane that the parallel ray through the lens's middle meets."""
+    aimed = np.sign(focal_length) * (focal_length * d / d[:, 2:] - at)
     return np.asarray(aimed / np.linalg.norm(aimed, axis=1, keepdims=True))
 
 

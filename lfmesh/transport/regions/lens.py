@@ -620,7 +620,7 @@ def _bend_by_thin_lens(
     if surface.posed:
         dx, dy, dz = direction_through(surface.pose, dx, dy, dz)
     set_child(block, REFRACTED + i, i, dx, dy, dz)
-    if options.adjoint:
+    if options.importance:
         flow.book[THIN_LENSES] += packet.weight * (1.0 - factor)
         packet.weight *= factor
 

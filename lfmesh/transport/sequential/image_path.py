@@ -135,7 +135,7 @@ def follow_block(
     if to_sensor:
         if at_lens:
             through_lens(bundle, lens, colour, True, flow.book)
-            if options.adjoint:
+            if options.importance:
                 take_etendue(lens.interfaces, bundle, flow.book)
         if mla.present:
             through_mla(bundle, count, mla, colour, frames, to_sensor, flow.book)
@@ -143,7 +143,7 @@ def follow_block(
         if not at_lens:
             through_mla(bundle, count, mla, colour, frames, to_sensor, flow.book)
         through_lens(bundle, lens, colour, False, flow.book)
-        if options.adjoint:
+        if options.importance:
             take_etendue(lens.interfaces, bundle, flow.book)
     normalise(bundle)
     _hand_on(wave, to_sensor, count, frames, bundle, numbers, options, flow)

@@ -32,7 +32,7 @@ _SETTLED = 14 * BLOCK
 _FROM_X, _FROM_Y, _FROM_Z, _FROM_WEIGHT = 16 * BLOCK, 17 * BLOCK, 18 * BLOCK, 19 * BLOCK
 _FROM_LEFT_BEHIND, _FROM_ENDED_ON = 20 * BLOCK, 21 * BLOCK
 # Row of thin lenses: the factor by which importance has changed since `begin_etendue`.
-_ETENDUE = 22 * BLOCK
+ETENDUE = 22 * BLOCK
 # First of the rows that other modules may use as working memory.
 SCRATCH = 10 * BLOCK
 ROWS = 26
@@ -599,7 +599,7 @@ def _bend_by_thin_lens(
         ux, uy, uz, factor = through_thin_lens(interfaces, number, colour, x, y, dx, dy, dz)
         _go_on(bundle, i, t > 0.0, x, y, vertex_z, ux, uy, uz, True, 1.0, limit, rim, mount, beyond)
         passed = both(ended == 0.0, bundle[ENDED_ON + i] == 0.0)
-        bundle[_ETENDUE + i] *= select(passed, factor, 1.0)
+        bundle[ETENDUE + i] *= select(passed, factor, 1.0)
 
 
 @kernel
@@ -607,7 +607,7 @@ def begin_etendue(interfaces: Interfaces, bundle: Array) -> None:
     """Begin to count what thin lenses do to importance; nothing where the lens has none."""
     if interfaces.thin:
         for i in range(BLOCK):
-            bundle[_ETENDUE + i] = 1.0
+            bundle[ETENDUE + i] = 1.0
 
 
 @kernel
@@ -623,7 +623,7 @@ def take_etendue(interfaces: Interfaces, bundle: Array, book: Array) -> None:
     """
     if interfaces.thin:
         for i in range(BLOCK):
-            factor, weight = bundle[_ETENDUE + i], bundle[WEIGHT + i]
+            factor, weight = bundle[ETENDUE + i], bundle[WEIGHT + i]
             book[THIN_LENSES] += weight * (1.0 - factor)
             bundle[WEIGHT + i] = weight * factor
 

@@ -351,7 +351,7 @@ def _finish_of(scene: Scene, face: Face, wavelengths_nm: tuple[float, ...]) -> F
     if kind == BARE:
         return Finish(face.where, kind)
     if kind == THIN_LENS:
-        return Finish(face.where, kind, [[face.thin_lens_power_per_mm] * len(wavelengths_nm)])
+        return Finish(face.where, kind, [[face.thin_lens_power_per_mm or 0.0] * len(wavelengths_nm)])
     if kind == DIFFUSE:
         sides = [sorted(pair) for pair in _indices(face, wavelengths_nm)]
         shares = [(diffuse_reflectance(thin, dense), diffuse_reflectance(dense, thin)) for thin, dense in sides]

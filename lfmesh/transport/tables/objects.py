@@ -61,7 +61,7 @@ def housing_mesh(scene: Scene, shape: LensShape) -> Mesh:
     end = float(moves[SENSOR_FRAME, CAMERA_FRAME, 2, 3]) + 0.5 * body
     back = max(back, front)
     profile = [[rim, front], [barrel, front], [barrel, back], [body, back], [body, end], [0.0, end]]
-    mesh = revolved(np.array(profile), 6 * shape.rings)
+    mesh = revolved(np.array(profile), shape.azimuths)
     return Mesh(mesh.vertices, mesh.faces[facet_normals(mesh)[1] > 0.0])
 
 

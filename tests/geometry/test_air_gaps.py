@@ -56,7 +56,9 @@ def test_meshes_stay_on_their_side_of_the_middle_between_surfaces(where: str, po
 
 
 def test_meshes_are_not_fine_far_from_a_gap_that_closes_at_the_edge() -> None:
-    surfaces = pair(np.random.default_rng(4), "edge", 1e-4)
+    front, back = surface(25.0, aperture=10.0), surface(40.0, aperture=10.0)
+    back["vertex_z"] = 1e-3 + float(sag(front, 10.3) - sag(back, 10.3))
+    surfaces = np.array([front, back])
     circles = circles_of(surfaces, 5)
     assert circles[0].counts[-1] == circles[1].counts[-1] > 200
     for s, c in zip(surfaces, circles, strict=True):

@@ -12,6 +12,8 @@ from lfmesh.accuracy import analytic
 from lfmesh.errors import LfmeshError
 from lfmesh.imports.lens_file import read_lens_file, write_lens_file
 from lfmesh.scene import Scene
+from lfmesh.scene.meridional import heights_mm
+from lfmesh.scene.paraxial import Paraxial, Ray
 from lfmesh.transport.sequential.reflections import etendue_factors, follow_sequence
 from lfmesh.transport.sequential.sequences import image_path
 from lfmesh.view.layout.content import layout
@@ -93,6 +95,25 @@ def test_two_thin_lenses_combine_by_the_textbook_formula() -> None:
         assert np.abs(focus[:, :2] - slope[:2] / power).max() < 1e-11 * (
             abs(1 / power) + abs(back) + np.abs(paths.position).max()
         )
+
+
+def test_real_axial_rays_meet_thin_lenses_at_the_heights_of_paraxial_ones() -> None:
+    lens = scene([thin(60.0, 12.0), thin(-45.0, 7.0), thin(50.0, stop=True)], 60.0).camera.lens
+    for object_mm in (np.inf, 80.0, -30.0):
+        paraxial = Paraxial.of(lens, 587.6)
+        ray = Ray(4.0, 0.0 if np.isinf(object_mm) else 4.0 / object_mm)
+        np.testing.assert_allclose(heights_mm(lens, 587.6, object_mm, 4.0), paraxial.heights_mm(ray), rtol=1e-12)
+
+
+@pytest.mark.parametrize("size", [{"f_number": 2.5}, {"epd_mm": 20.0}, {"stop_semi_diameter_mm": 10.0}])
+def test_a_thin_lens_that_is_the_stop_takes_its_size_from_the_pupil(size: dict[str, float]) -> None:
+    surface = {"paraxial": True, "focal_length_mm": 50.0, "stop": True}
+    facts = lf.first_order(Scene(
+        camera={"lens": {"surfaces": [surface], **size}, "focus_mm": np.inf,
+                "sensor": {"pixels": [10, 10], "pixel_mm": 0.1}},
+    ))  # fmt: skip
+    assert facts.entrance_pupil_diameter_mm == pytest.approx(20.0, rel=1e-12)
+    assert facts.working_f_number == pytest.approx(2.5, rel=1e-12)
 
 
 def mixed(draw: np.random.Generator) -> list[Any]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.air_gaps import Circles, cap_on, circles_of
+from lfmesh.geometry.air_gaps import cap_on, circles_of
 from lfmesh.geometry.element_poses import closure, pose_of, refuse_crossing_elements
 from lfmesh.geometry.levels import SMOOTH, SURFACE_LEVEL
 from lfmesh.geometry.mesh import Array, Mesh
@@ -91,19 +91,16 @@ def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
     own = np.array([mesh is None for mesh in given])
     end_where_they_touch(surfaces, LEAST_RINGS)
     level = SURFACE_LEVEL[scene.transport.surface]
-    circles: list[Circles] = []
-    if rings is None:
-        rings = _rings(scene, numbers, surfaces)
-        circles = circles_of(surfaces, rings)
-    azimuths = int(circles[0].counts[-1]) if circles else 6 * rings
+    rings = rings or _rings(scene, numbers, surfaces)
+    circles = circles_of(surfaces, rings)
+    azimuths = int(circles[0].counts[-1])
     rims: list[float] = []
     caps: list[Mesh] = []
     for k, mesh in enumerate(given):
         if mesh is None:
             surfaces[k]["level"] = level
             rims.append(rim_radius(surfaces[k], azimuths // 6))
-            even = not circles or circles[k].even
-            caps.append(cap(surfaces[k], rings, rims[k]) if even else cap_on(surfaces[k], circles[k]))
+            caps.append(cap(surfaces[k], rings, rims[k]) if circles[k].even else cap_on(surfaces[k], circles[k]))
         else:
             face = face_of(mesh, scene)
             surfaces[k]["level"] = SURFACE_LEVEL[mesh.surface]

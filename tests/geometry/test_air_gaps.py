@@ -22,7 +22,7 @@ def pair(draw: np.random.Generator, where: str, gap: float, posed: bool = False)
     c = np.sort(draw.uniform(-0.6, 0.6, 2)) / aperture
     front_c, back_c = c if where == "centre" else c[::-1]
     front, back = (surface(1.0 / k, draw.uniform(-1.0, 0.3), aperture=aperture) for k in (front_c, back_c))
-    between = np.linspace(0.0, rim_radius(front, 5), 1001)
+    between = np.linspace(0.0, 1.0201 * aperture, 1001)
     back["vertex_z"] = gap + float(np.max(sag(front, between) - sag(back, between)))
     if posed:
         turn = np.deg2rad(0.02)
@@ -49,7 +49,7 @@ def test_meshes_stay_on_their_side_of_the_middle_between_surfaces(where: str, po
                 at = frame.points(surfaces[own]["pose"], at)
             off, _ = height_above(surfaces[own], at)
             away, aside = height_above(surfaces[other], at)
-            near = aside < surfaces[other]["aperture"]
+            near = aside < 1.02 * surfaces[other]["aperture"]
             assert near.sum() > 1000
             # The gap is the distance to the other surface, less the mesh's own deviation.
             assert (np.abs(off) < 0.5 * np.abs(away - off))[near].all()
@@ -57,12 +57,12 @@ def test_meshes_stay_on_their_side_of_the_middle_between_surfaces(where: str, po
 
 def test_meshes_are_not_fine_far_from_a_gap_that_closes_at_the_edge() -> None:
     front, back = surface(25.0, aperture=10.0), surface(40.0, aperture=10.0)
-    back["vertex_z"] = 1e-3 + float(sag(front, 10.3) - sag(back, 10.3))
+    back["vertex_z"] = 1e-3 + float(sag(front, 10.202) - sag(back, 10.202))
     surfaces = np.array([front, back])
     circles = circles_of(surfaces, 5)
-    assert circles[0].counts[-1] == circles[1].counts[-1] > 200
+    assert circles[0].counts[-1] == circles[1].counts[-1] > 300
     for s, c in zip(surfaces, circles, strict=True):
-        assert np.diff(c.radii)[-1] < 0.2 * np.diff(c.radii)[0]
+        assert np.diff(c.radii)[-1] < 0.1 * np.diff(c.radii)[0]
         assert len(cap_on(s, c).faces) < 5000
 
 

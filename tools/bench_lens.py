@@ -257,7 +257,7 @@ class Field:
         wavelength = scene.primary_nm
         for level in SURFACE_LEVEL:
             world = lf.build(scene.changed({"transport.surface": level}), rings=rings)
-            triangles = 6 * world.lens_shape.rings**2
+            triangles = max(len(cap.faces) for cap in world.lens_shape.caps)
             engine = EngineRun(world, self.sent, level, False, self._pool)
             self._enter(f"mesh, {level}", engine.run, triangles, engine.landing)
             self._enter(alone(level), EmbreeAlone(engine).run, triangles)

@@ -42,6 +42,8 @@ class Interface:
     turn: NDArray[np.float64] | None = None
     """Rotation of a posed element, and where the origin goes; None: the surface stands as prescribed."""
     origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    thin_power: float = 0.0
+    """Of a thin lens in place of an interface, 1/mm."""
 
 
 @dataclass(frozen=True)
@@ -138,6 +140,7 @@ class Camera:
                 Interface(
                     z, surface.curvature_per_mm, surface.conic, surface.asphere_mm,
                     surface.semi_diameter_mm or np.inf, before, after, *_placed(lens, i),
+                    surface.thin_lens_power_per_mm,
                 )
             )  # fmt: skip
             before = after
@@ -246,6 +249,9 @@ def _through_surface(rays: Rays, s: Interface) -> None:
     rays.p = p + np.array([0, 0, s.vertex_z], kind)
     if s.index_before != s.index_after:
         _refract(rays, normal, s.index_before, s.index_after)
+    if s.thin_power:
+        slopes = rays.d[:, :2] / rays.d[:, 2:] - kind(s.thin_power) * p[:, :2]
+        rays.d = np.column_stack([slopes, np.ones_like(t)]) / np.sqrt(1 + (slopes * slopes).sum(axis=1))[:, None]
     if s.turn is not None:
         rays.p, rays.d = _outof_frame(rays.p, rays.d, s.turn, s.origin)
 

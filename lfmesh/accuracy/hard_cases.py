@@ -44,6 +44,7 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     meshes.corner_cube,
     meshes.trapped_light,
     lenses.cemented_triplet,
+    lenses.thin_lenses_at_every_angle,
     lenses.gap_10_um,
     lenses.gap_1_um,
     lenses.gap_100_nm,

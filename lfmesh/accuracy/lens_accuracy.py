@@ -321,7 +321,7 @@ def _measured(
         way=way,
         surface=level,
         rings=rings,
-        triangles=6 * rings * rings,
+        triangles=max(len(cap.faces) for cap in world.lens_shape.caps),
         rms_mm=rms,
         max_mm=float(off.max(initial=0.0)),
         rms_px=rms / scene.camera.sensor.pixel_mm,

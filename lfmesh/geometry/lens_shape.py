@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.air_gaps import cap_on, circles_of
 from lfmesh.geometry.element_poses import closure, pose_of, refuse_crossing_elements
 from lfmesh.geometry.levels import SMOOTH, SURFACE_LEVEL
 from lfmesh.geometry.mesh import Array, Mesh
@@ -40,7 +41,9 @@ class LensShape:
     surfaces: NDArray[np.void]
     """(K,) SURFACE, with their poses."""
     rings: int
-    """Rings of triangles a cap."""
+    """Rings of triangles a cap, where no neighbour comes near."""
+    azimuths: int
+    """Points on the rim of a cap."""
     rims: list[float]
     caps: list[Mesh]
     closures: list[Mesh]
@@ -89,13 +92,15 @@ def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
     end_where_they_touch(surfaces, LEAST_RINGS)
     level = SURFACE_LEVEL[scene.transport.surface]
     rings = rings or _rings(scene, numbers, surfaces)
+    circles = circles_of(surfaces, rings)
+    azimuths = int(circles[0].counts[-1])
     rims: list[float] = []
     caps: list[Mesh] = []
     for k, mesh in enumerate(given):
         if mesh is None:
             surfaces[k]["level"] = level
-            rims.append(rim_radius(surfaces[k], rings))
-            caps.append(cap(surfaces[k], rings, rims[k]))
+            rims.append(rim_radius(surfaces[k], azimuths // 6))
+            caps.append(cap(surfaces[k], rings, rims[k]) if circles[k].even else cap_on(surfaces[k], circles[k]))
         else:
             face = face_of(mesh, scene)
             surfaces[k]["level"] = SURFACE_LEVEL[mesh.surface]
@@ -103,14 +108,15 @@ def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
             rims.append((1.0 - 0.2 * RIM_MARGIN) * face.rim_mm)
             shift = surfaces[k]["vertex_z"] - face.vertex_z
             caps.append(Mesh(np.add(face.mesh.vertices, [0.0, 0.0, shift]), face.mesh.faces, face.mesh.corner_normals))
-    closures = [closure(prescription, surfaces, rims, numbers, k, 6 * rings) for k in range(len(numbers) - 1)]
+    closures = [closure(prescription, surfaces, rims, numbers, k, azimuths) for k in range(len(numbers) - 1)]
     errors = landing_errors(scene, numbers, surfaces, caps, level)
     caps = [mesh.moved(s["pose"]) if s["posed"] else mesh for mesh, s in zip(caps, surfaces, strict=True)]
-    return LensShape(numbers, surfaces, rings, rims, caps, closures, media, own, np.where(own, errors, np.nan))
+    errors = np.where(own, errors, np.nan)
+    return LensShape(numbers, surfaces, rings, azimuths, rims, caps, closures, media, own, errors)
 
 
 def _rings(scene: Scene, numbers: list[int], surfaces: NDArray[np.void]) -> int:
-    """Choose the coarsest meshes that do not cross and keep to the tolerance.
+    """Choose the coarsest meshes that keep to the tolerance.
 
     The user's, if there is one; else, but for `exact`, a tenth of a pixel at the sensor.
     """

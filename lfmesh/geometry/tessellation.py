@@ -108,7 +108,20 @@ def cap(surface: Any, rings: int, rim: float) -> Mesh:
     rim : float, mm
     """
     ring, azimuth, faces = disk_pattern(rings)
-    r = ring_radii(surface, rings, rim)[ring]
+    return disk_mesh(surface, ring_radii(surface, rings, rim)[ring], azimuth, faces)
+
+
+def disk_mesh(surface: Any, r: Array, azimuth: Array, faces: Index) -> Mesh:
+    """Return the mesh of a surface with given vertices and faces, in the frame of the lens, with exact corner normals.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    r : (v,) float64, mm
+    azimuth : (v,) float64, rad
+    faces : (f, 3) int64
+        Facing +z.
+    """
     x, y = r * np.cos(azimuth), r * np.sin(azimuth)
     vertices = np.column_stack([x, y, mesh_sag(surface, r) + surface["vertex_z"]])
     inside = np.minimum(1.0, np.divide(last_radius(surface), r, out=np.ones_like(r), where=r > 0.0))
@@ -208,10 +221,7 @@ def chord_error(surface: Any, rings: int, rim: float) -> float:
 
 
 def rings_for(surfaces: NDArray[np.void], least: int, tolerance_mm: float = np.inf) -> int:
-    """Return how many rings keep every mesh clear of its neighbours and within a sag tolerance.
-
-    Two neighbouring meshes must not cross: the errors of both together stay below half of the smallest gap between
-    their surfaces inside the smaller rim.
+    """Return how many rings keep every mesh within a sag tolerance.
 
     Parameters
     ----------
@@ -225,11 +235,7 @@ def rings_for(surfaces: NDArray[np.void], least: int, tolerance_mm: float = np.i
     while rings < MAX_RINGS:
         rims = [rim_radius(s, rings) for s in surfaces]
         errors = [chord_error(s, rings, rim) for s, rim in zip(surfaces, rims, strict=True)]
-        fits = max(errors, default=0.0) <= tolerance_mm
-        for k in range(len(surfaces) - 1):
-            gap = smallest_gap(surfaces[k], surfaces[k + 1], min(rims[k], rims[k + 1]))
-            fits = fits and errors[k] + errors[k + 1] <= 0.5 * gap
-        if fits:
+        if max(errors, default=0.0) <= tolerance_mm:
             break
         rings = max(rings + 1, int(rings * 1.2))
     return min(rings, MAX_RINGS)
@@ -259,20 +265,6 @@ def _gap_at(front: Any, back: Any, radius: float) -> float:
     if not stand_together(front, back):
         return smallest_gap_on(front, back, np.array([radius]))
     return float(back["vertex_z"] + sag(back, radius) - front["vertex_z"] - sag(front, radius))
-
-
-def smallest_gap(front: Any, back: Any, radius: float) -> float:
-    """Return the smallest distance along z between two surfaces out to a radius, mm.
-
-    Parameters
-    ----------
-    front, back : SURFACE record
-    radius : float, mm
-    """
-    r = np.linspace(0.0, min(radius, reach(front), reach(back)), 257)
-    if not stand_together(front, back):
-        return smallest_gap_on(front, back, r)
-    return float((back["vertex_z"] + sag(back, r) - front["vertex_z"] - sag(front, r)).min())
 
 
 def stand_together(front: Any, back: Any) -> bool:

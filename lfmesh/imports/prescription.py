@@ -50,6 +50,8 @@ class FileSurface:
     extent: float | None = None
     """Radius that rays of the file's fields fill: what its program computed and draws."""
     stop: bool = False
+    focal_length: float | None = None
+    """Of a thin lens in the surface's place; NaN: not given."""
 
 
 @dataclass(frozen=True)
@@ -143,6 +145,7 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
             gaps_mm=tuple(made.gaps_mm),
             indices=(AIR, *(refractive_index(medium, prescription.primary_nm) for medium in made.media)),
             stop=stop,
+            thin_powers=tuple(_thin_power(surface) / unit for surface in made.kept),
         )
     except GlassError as error:
         raise SceneError(f"{report.path}: {error}") from None
@@ -166,6 +169,8 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
             "index": medium if isinstance(medium, float) else None,
             "semi_diameter_mm": size,
             "stop": i == stop,
+            "paraxial": surface.focal_length is not None,
+            "focal_length_mm": None if surface.focal_length is None else surface.focal_length * unit,
             "conic": surface.conic,
             "asphere_mm": tuple(coefficients),
         }
@@ -194,6 +199,11 @@ def shortest_radius(curvature: float) -> float:
         if rounded and 1.0 / rounded == curvature:
             return rounded
     return radius
+
+
+def _thin_power(surface: FileSurface) -> float:
+    """Return the power of a thin lens, in the reciprocal of the file's unit; 0 for other surfaces."""
+    return 0.0 if surface.focal_length is None else 1.0 / surface.focal_length
 
 
 def _count(prescription: Prescription) -> str:
@@ -239,12 +249,15 @@ def _merged(prescription: Prescription, media: list[Medium | None], report: Repo
     if media[0] is not None:
         report.refuse(prescription.surfaces[0].line, "object", "it stands in a medium; the lens must start in air")
     inner = prescription.surfaces[1:-1]
+    for surface in inner:
+        if surface.focal_length is not None and not surface.focal_length * surface.focal_length > 0:
+            report.refuse(surface.line, surface.text, "a paraxial lens without its focal length, PARM 1")
     if inner and not any(surface.stop for surface in inner):
         inner[0].stop = True
     before: Medium | None = None
     left_out = []
     for i, surface in enumerate(inner, 1):
-        kept = surface.stop or surface.aperture is not None or media[i] != before
+        kept = surface.stop or surface.aperture is not None or media[i] != before or surface.focal_length is not None
         if kept:
             made.kept.append(surface)
             made.media.append(media[i])

@@ -8,6 +8,8 @@ from lfmesh.scene.own_glass import OwnGlass
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.scene.pose import Pose
 
+ZEMAX = "Zemax"
+
 
 def check_writable(lens: Lens, program: str) -> list[str]:
     """Return what a file will not hold.
@@ -18,6 +20,8 @@ def check_writable(lens: Lens, program: str) -> list[str]:
         The lens has parts without which it would be another lens.
     """
     for i, surface in enumerate(lens.surfaces):
+        if surface.paraxial and program != ZEMAX:
+            raise SceneError(f"surfaces[{i}].paraxial: a {program} file holds no thin lens; write .zmx")
         if surface.refractor is not None or surface.mesh is not None:
             raise SceneError(f"surfaces[{i}]: a mesh cannot be written as a {program} surface")
     for i, element in enumerate(lens.elements):

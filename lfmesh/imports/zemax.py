@@ -45,7 +45,6 @@ _REFUSED_TYPES = {
     "BICONIC": "biconic surfaces are not supported",
     "XPOLYNOM": "surfaces without rotational symmetry are not supported",
     "SZERNSAG": "surfaces without rotational symmetry are not supported",
-    "PARAXIAL": "a paraxial lens has no glass",
     "DGRATING": "gratings are not supported",
     "BINARY_1": "diffractive surfaces are not supported",
     "BINARY_2": "diffractive surfaces are not supported",
@@ -306,9 +305,12 @@ class _Reader:
         self.kind = words[0].upper()
         if self.kind in ("STANDARD", "EVENASPH", "COORDBRK"):
             self._taken()
+        elif self.kind == "PARAXIAL":
+            self._surface.focal_length = math.nan
+            self._taken("a thin lens")
         else:
             why = _REFUSED_TYPES.get(self.kind, f"surfaces of type {self.kind} are not supported")
-            self._refuse(f"{why}; STANDARD and EVENASPH are")
+            self._refuse(f"{why}; STANDARD, EVENASPH and PARAXIAL are")
 
     def _on_stop(self, _: list[str]) -> None:
         self._surface.stop = True
@@ -369,12 +371,15 @@ class _Reader:
         elif self.kind == "COORDBRK":
             if place != 6:
                 self._refuse("a coordinate break that moves or tilts: decentred and folded axes are not supported")
-        elif self.kind == "STANDARD":
+        elif self.kind == "PARAXIAL" and place == 1:
+            self._surface.focal_length = value
+            self._taken()
+        elif self.kind in ("STANDARD", "PARAXIAL"):
             self._without_effect()
         # Parameters of a refused type are refused with it.
 
     def _on_xdat(self, words: list[str]) -> None:
-        if self.kind in ("STANDARD", "EVENASPH", "COORDBRK") and len(words) > 1 and number(words[1]):
+        if self.kind in ("STANDARD", "EVENASPH", "COORDBRK", "PARAXIAL") and len(words) > 1 and number(words[1]):
             self.report.add(self.at, self.text, Verdict.UNKNOWN)
 
     def _on_diam(self, words: list[str]) -> None:

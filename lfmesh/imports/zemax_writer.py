@@ -4,7 +4,7 @@ import math
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.glasses import named_glass
-from lfmesh.imports.writing import check_writable, curvature, maker_and_name, stop_radius_mm
+from lfmesh.imports.writing import ZEMAX, check_writable, curvature, maker_and_name, stop_radius_mm
 from lfmesh.optics.glass import D_LINE_NM, glass_name
 from lfmesh.scene.lens import Lens, Surface
 from lfmesh.scene.own_glass import OwnGlass
@@ -22,7 +22,7 @@ def written(lens: Lens) -> tuple[bytes, list[str]]:
     SceneError
         The format cannot hold the lens.
     """
-    notes = check_writable(lens, "Zemax")
+    notes = check_writable(lens, ZEMAX)
     makers = _makers(lens)
     lines = ["VERS 140124 0 0", "MODE SEQ"]
     if lens.name:
@@ -66,7 +66,10 @@ def _surface(number: int, surface: Surface, aperture_mm: float | None) -> list[s
     lines = [f"SURF {number + 1}"]
     if surface.stop:
         lines.append("  STOP")
-    lines.append("  TYPE EVENASPH" if terms else "  TYPE STANDARD")
+    if surface.focal_length_mm is not None and math.isfinite(surface.focal_length_mm):
+        lines += ["  TYPE PARAXIAL", f"  PARM 1 {surface.focal_length_mm!r}"]
+    else:
+        lines.append("  TYPE EVENASPH" if terms else "  TYPE STANDARD")
     lines.append(f"  CURV {curvature(surface.radius_mm)!r} 0 0 0 0")
     lines += [f"  PARM {place} {value!r}" for place, value in enumerate((0, *surface.asphere_mm), 1) if terms]
     if isinstance(surface.glass, OwnGlass):

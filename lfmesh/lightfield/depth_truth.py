@@ -103,7 +103,7 @@ def _of_pixels(world: World, samples: int) -> tuple[Samples, Samples, Samples]:
     pixels = sensor.rows * sensor.columns
     mean, spread, seen = np.empty((3, pixels), np.float32)
     sequential = image_path_engine(world.scene) == "sequential"
-    options = options_of(world, tracing=True, split=TRANSMIT, sequential=sequential)
+    options = options_of(world, tracing=True, split=TRANSMIT, sequential=sequential, importance=True)
     tables = world.aimed_tables
     source = PixelSource(np.arange(pixels), samples, descendant(0x6465707468, world.scene.transport.seed))
 

@@ -18,9 +18,9 @@ from lfmesh.lightfield.pixel_slopes import ahead, pixel_slopes
 from lfmesh.lightfield.view_rays import image_path_engine
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.sequential.plane_faces import follow_plane_faces
-from lfmesh.transport.sequential.reflections import Arrived
+from lfmesh.transport.sequential.reflections import Arrived, etendue_factors
 from lfmesh.transport.tables.cover import FRONT_ROW, REAR_ROW
-from lfmesh.transport.trace import Status, trace
+from lfmesh.transport.trace import Status, at_wavelength, trace
 from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]
@@ -138,6 +138,10 @@ def _chunk(world: World, plate: Plate, numbers: NDArray[np.int64], pixels: Array
     weight = M2_PER_MM2 * etendue[rays] * passed[paths.source[out]] * paths.weight[out]
     to_camera = moves[WORLD_FRAME, CAMERA_FRAME]
     p, d = frames.points(to_camera, paths.position[out]), frames.directions(to_camera, paths.direction[out])
+    # Light that comes the other way; its start is moved out of the lens.
+    lens = at_wavelength(world, scene.primary_nm).lens
+    away = float(np.linalg.norm(lens.box_high - lens.box_low))
+    weight /= etendue_factors(lens, p + away * d, -d)
     slopes = d[:, :2] / d[:, 2:]
     four = np.column_stack([p[:, :2] - p[:, 2:] * slopes, slopes])
     return _moments(count, of_pixel[rays], weight, four)

@@ -17,6 +17,7 @@ from lfmesh.scene.quantities import (
     LARGEST,
     Coefficient,
     Flag,
+    FocalLength,
     Index,
     NonNegative,
     Number,
@@ -69,6 +70,11 @@ class Surface(Model):
     asphere_mm: tuple[Coefficient, ...] = Field(default=(), max_length=MOST_ASPHERE_TERMS)
     """Even aspheric coefficients of r⁴, r⁶, r⁸, ..., in mm⁻³, mm⁻⁵, mm⁻⁷, ..., so that the sag is in mm."""
 
+    paraxial: Flag = False
+    """An ideal thin lens in place of an interface: flat, in air, without reflections. It needs `focal_length_mm`."""
+    focal_length_mm: FocalLength | None = None
+    """Focal length of a `paraxial` surface, in mm: positive converges, negative diverges; inf does not bend light."""
+
     refractor: Refractor | None = None
     """In place of all of the above but `thickness_mm` and `semi_diameter_mm`: a whole element whose shape is a mesh,
     its axis the mesh's z axis. `thickness_mm` is then the distance from its last vertex to what follows."""
@@ -87,6 +93,11 @@ class Surface(Model):
     def curvature_per_mm(self) -> float:
         """1/radius; 0 for a flat surface."""
         return 0.0 if math.isinf(self.radius_mm) else 1.0 / self.radius_mm
+
+    @property
+    def thin_lens_power_per_mm(self) -> float:
+        """Power of a `paraxial` surface, 1/mm; 0 for every other."""
+        return 0.0 if self.focal_length_mm is None else 1.0 / self.focal_length_mm
 
     @property
     def reach_mm(self) -> float:
@@ -108,6 +119,8 @@ class Surface(Model):
         if self.refractor is not None:
             yield from self._element_faults()
             return
+        if self.paraxial or self.focal_length_mm is not None:
+            yield from self._thin_lens_faults()
         if self.semi_diameter_mm is not None and self.semi_diameter_mm > self.reach_mm * (1 + 1e-12):
             yield Fault(
                 ("semi_diameter_mm",),
@@ -127,8 +140,23 @@ class Surface(Model):
             yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
         yield from both_given(self.coating, self.finish, "finish")
 
+    def _thin_lens_faults(self) -> Iterator[Fault]:
+        """Yield what is wrong with a thin lens, or with a surface that is half one."""
+        if not self.paraxial:
+            yield Fault(("focal_length_mm",), self.focal_length_mm, "only a thin lens has one; add paraxial = true")
+            return
+        if self.focal_length_mm is None:
+            yield Fault(("focal_length_mm",), None, "missing: the focal length of the thin lens")
+        own = {"radius_mm": math.inf, "index": None, "glass": None, "conic": 0.0, "asphere_mm": (), "mesh": None}
+        for key, value in {**own, "coating": UNCOATED, "finish": POLISHED}.items():
+            given = getattr(self, key)
+            if given != value:
+                shown = given.kind if key == "finish" else None if key == "mesh" else given
+                yield Fault((key,), shown, "omit it: a paraxial surface is a flat thin lens in air")
+
     def _element_faults(self) -> Iterator[Fault]:
         own = {"radius_mm": math.inf, "index": None, "glass": None, "stop": False, "conic": 0.0, "asphere_mm": ()}
+        own |= {"paraxial": False, "focal_length_mm": None}
         for key, value in {**own, "coating": UNCOATED, "finish": POLISHED, "mesh": None}.items():
             if getattr(self, key) != value:
                 beside = f"; the refractor has a {key} of its own" if key in ("coating", "finish") else ""
@@ -244,7 +272,7 @@ class Lens(Model):
         surface = self.surfaces[number]
         before = self.surfaces[number - 1].medium if number else None
         bare = surface.curvature_per_mm == 0 and not any(surface.asphere_mm)
-        return surface.stop and bare and before == surface.medium
+        return surface.stop and bare and not surface.paraxial and before == surface.medium
 
     def aperture_mm(self, number: int) -> float | None:
         """Return the clear radius of surface `number`, in mm; None where the size of the pupil decides it."""
@@ -283,6 +311,14 @@ class Lens(Model):
                 given |= {"finish": surface.finish.kind} if surface.finish != POLISHED else {}
                 for key, value in given.items():
                     yield Fault(("surfaces", i, key), value, "omit it: a stop without glass is no interface")
+        for i, surface in enumerate(self.surfaces[1:], start=1):
+            if surface.paraxial and self.surfaces[i - 1].medium is not None:
+                medium = self.surfaces[i - 1].medium
+                yield Fault(
+                    ("surfaces", i, "paraxial"), True,
+                    f"surfaces[{i - 1}] puts {medium if isinstance(medium, str) else 'glass'} before it; a thin lens "
+                    "stands in air",
+                )  # fmt: skip
         yield from self._stop_faults()
         yield from self._spacing_faults()
         yield from self._element_faults()

@@ -47,6 +47,9 @@ def heights_mm(lens: Lens, wavelength_nm: float, object_mm: float, height_mm: fl
         y, sag = met
         z = vertex + sag
         heights.append(y)
+        if surface.paraxial:
+            angle = math.atan(math.tan(angle) - y * surface.thin_lens_power_per_mm)
+            continue
         # The normal is inclined by the angle whose tangent is the slope of the sag, towards the axis.
         normal = -math.atan(_slope(surface, y))
         sine = index / after * math.sin(angle - normal)

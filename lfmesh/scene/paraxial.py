@@ -65,12 +65,15 @@ class Paraxial:
         Before the first surface and after each.
     stop : int
         Number of the surface whose aperture is the stop.
+    thin_powers : tuple of float, 1/mm
+        Of the surfaces that are thin lenses; 0 for the others. Empty: there is none.
     """
 
     curvatures: tuple[float, ...]
     gaps_mm: tuple[float, ...]
     indices: tuple[float, ...]
     stop: int
+    thin_powers: tuple[float, ...] = ()
 
     @classmethod
     def of(cls, lens: Lens, wavelength_nm: float) -> "Paraxial":
@@ -80,11 +83,14 @@ class Paraxial:
             gaps_mm=tuple(surface.thickness_mm or 0.0 for surface in lens.surfaces[:-1]),
             indices=(AIR, *(refractive_index(surface.medium, wavelength_nm) for surface in lens.surfaces)),
             stop=lens.stop_index or 0,
+            thin_powers=tuple(surface.thin_lens_power_per_mm for surface in lens.surfaces),
         )
 
     def refraction(self, number: int) -> Matrix:
         """Matrix of surface `number` alone."""
         power = (self.indices[number + 1] - self.indices[number]) * self.curvatures[number]
+        if self.thin_powers:
+            power += self.thin_powers[number]
         return Matrix(1.0, 0.0, -power, 1.0)
 
     def heights_mm(self, ray: Ray) -> list[float]:

@@ -51,6 +51,14 @@ def _not_flat_by_zero(radius_mm: float) -> float:
     return radius_mm
 
 
+def _a_focal_length(value: float) -> float:
+    if math.isnan(value) or value == 0:
+        raise ValueError("must be a number other than 0; positive converges, negative diverges")
+    if math.isfinite(value) and not SMALLEST <= abs(value) <= LARGEST:
+        raise ValueError(f"must lie between {SMALLEST:g} and {LARGEST:g} in magnitude, or be inf")
+    return value
+
+
 def _a_distance_or_infinity(value: float) -> float:
     if not value > 0 or (math.isfinite(value) and not SMALLEST <= value <= LARGEST):
         raise ValueError(f"must be {LARGEST:g} or less, and above 0; inf is an object at infinity")
@@ -124,6 +132,9 @@ def _as_list(value: Any) -> Any:
 
 Radius = Annotated[float, Field(strict=True, allow_inf_nan=True), AfterValidator(_not_flat_by_zero)]
 """A radius of curvature in mm, of either sign; inf is flat."""
+
+FocalLength = Annotated[float, Field(strict=True, allow_inf_nan=True), AfterValidator(_a_focal_length)]
+"""A focal length in mm, of either sign; inf has no power."""
 
 ObjectDistance = Annotated[float, Field(strict=True, allow_inf_nan=True), AfterValidator(_a_distance_or_infinity)]
 """A distance of objects in mm, above 0; inf is at infinity."""

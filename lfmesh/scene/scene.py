@@ -401,6 +401,13 @@ class Scene(Model, Shown):
                 yield Fault(
                     where, finish.kind, "transport.polarisation follows light at polished faces only; polish it"
                 )
+        for i, surface in enumerate(self.camera.lens.surfaces):
+            if surface.paraxial:
+                yield Fault(
+                    ("camera", "lens", "surfaces", i, "paraxial"),
+                    True,
+                    "transport.polarisation follows light at real interfaces only; give the lens radii and glass",
+                )
         for i, target in enumerate(self.targets):
             if target.material.gloss is not None:
                 yield Fault(

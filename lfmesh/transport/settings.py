@@ -48,6 +48,7 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
         paths=EVERY,
         unturned_cutoff=transport.weight_cutoff,
         first_source=0,
+        importance=transport.method == "adjoint" and not tracing,
         in_order=not tracing
         and transport.engine != "mesh"
         and (bool(tables.lens.ordered.any()) or (tables.mla.present and transport.surface == "exact")),

@@ -1,5 +1,6 @@
 """Scene files with values put in at random are read and reported on, or refused by a `SceneError`."""
 
+import math
 import re
 import tomllib
 from datetime import timedelta
@@ -163,3 +164,27 @@ def test_ordinary_arrays_and_sensors_are_reported_on_or_refused(
 ) -> None:
     mla = {"count": [4, 4], "pitch_mm": pitch, "focal_length_mm": focal, "index": index, "thickness_mm": thickness}
     is_read_or_refused(with_array(mla | {"distance_mm": distance, "curved_side": side}, sensor, pixel))
+
+
+focal_lengths = st.one_of(
+    lengths, lengths.map(lambda f: -f), st.sampled_from([1e-29, -1e15, 1e300, 0.0, math.inf, -math.inf])
+)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True, database=None)
+@given(st.lists(st.tuples(focal_lengths, lengths, lengths), min_size=1, max_size=3), st.booleans(), lengths)
+def test_thin_lenses_are_reported_on_or_refused(
+    lenses: list[tuple[float, float, float]], with_stop: bool, focus: float
+) -> None:
+    tables = tomllib.loads(SCENE)
+    surfaces: list[dict[str, object]] = [
+        {"paraxial": True, "focal_length_mm": f, "thickness_mm": gap, "semi_diameter_mm": radius}
+        for f, gap, radius in lenses
+    ]
+    if with_stop:
+        surfaces.insert(0, {"stop": True, "thickness_mm": 1.0, "semi_diameter_mm": 4.0})
+    else:
+        surfaces[0]["stop"] = True
+    surfaces[-1].pop("thickness_mm")
+    tables["camera"] |= {"lens": {"surfaces": surfaces}, "focus_mm": 10.0 * focus}
+    is_read_or_refused(tomlkit.dumps(tables))

@@ -34,6 +34,20 @@ def _air_gap(gap: float, meniscus: bool = True) -> Outcome:
 
 
 @case
+def thin_lenses_at_every_angle() -> Outcome:
+    """Meet thin lenses of f/0.3 on either side of glass, at up to 80 degrees and to their rims."""
+    surfaces = [
+        Surface(paraxial=True, focal_length_mm=6.0, thickness_mm=2.0, semi_diameter_mm=10.0, stop=True),
+        Surface(radius_mm=30.0, thickness_mm=4.0, index=1.7, semi_diameter_mm=10.0),
+        Surface(radius_mm=-30.0, thickness_mm=2.0, semi_diameter_mm=10.0),
+        Surface(paraxial=True, focal_length_mm=-6.0, semi_diameter_mm=10.0),
+    ]
+    d = tilted(20_000, 5.6)
+    o = np.column_stack([disk(9.99, 20_000), np.zeros(20_000)]) - 5.0 * d
+    return through_lens(lens_scene(surfaces, sensor_mm=1e4), o, d, 1e-9)
+
+
+@case
 def gap_10_um() -> Outcome:
     """Leave 10 µm of air between curved faces."""
     return _air_gap(0.01)

@@ -112,10 +112,13 @@ def faces_of(scene: Scene) -> list[Interface]:
     """Return the lens as the truth takes it; a stop that bends nothing is left out."""
     lens = scene.camera.lens
     return [
-        Interface(s.radius_mm, z, s.index or 1.0, s.conic, s.asphere_mm, 1.01 * (s.semi_diameter_mm or 10.0))
+        Interface(
+            s.radius_mm, z, s.index or 1.0, s.conic, s.asphere_mm, 1.01 * (s.semi_diameter_mm or 10.0),
+            s.focal_length_mm or np.inf,
+        )
         for k, (s, z) in enumerate(zip(lens.surfaces, lens.vertices_mm, strict=True))
         if not lens.is_pure_stop(k)
-    ]
+    ]  # fmt: skip
 
 
 def disk(radius: float, count: int, seed: int = 0) -> Array:

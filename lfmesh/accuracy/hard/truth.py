@@ -30,6 +30,8 @@ class Interface:
     conic: float = 0.0
     asphere: tuple[float, ...] = ()
     reach: float = 10.0
+    focal_length: float = np.inf
+    """Of a thin lens in the surface's place, mm."""
 
     @property
     def curvature(self) -> float:
@@ -199,11 +201,19 @@ def through(interfaces: list[Interface], origins: ArrayLike, directions: ArrayLi
     for face in interfaces:
         at = face.meet(p, d)
         d, share = refracted(d, face.normal(at), n_i, face.index)
+        if np.isfinite(face.focal_length):
+            d = _past_thin_lens(at, d, face.focal_length)
         p = np.add(at, [0.0, 0.0, face.z])
         weight = weight * share
         heights.append(np.hypot(at[:, 0], at[:, 1]))
         n_i = face.index
     return Bundle(p, d, weight, np.stack(heights, axis=1) if heights else np.zeros((len(p), 0)))
+
+
+def _past_thin_lens(at: Array, d: Array, focal_length: float) -> Array:
+    """Aim rays at, or away from, the point of the focal plane that the parallel ray through the lens's middle meets."""
+    aimed = np.sign(focal_length) * (focal_length * d / d[:, 2:] - at)
+    return np.asarray(aimed / np.linalg.norm(aimed, axis=1, keepdims=True))
 
 
 def at_plane(p: Array, d: Array, z: float) -> Array:

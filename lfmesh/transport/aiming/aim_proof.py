@@ -50,7 +50,7 @@ from lfmesh.transport.sequential.lens_bundle import (
     pad,
     through_surface,
 )
-from lfmesh.transport.tables.tables import AimTables, LensTables, MlaTables, Opening, SensorTables
+from lfmesh.transport.tables.tables import AimTables, LensTables, MlaTables, Opening, SensorTables, thin_lens_power
 
 Array = NDArray[np.float64]
 
@@ -430,7 +430,7 @@ def _to_plane(lens: LensTables, space: int, z: float, plane_z: float) -> tuple[f
     for k in range(space, len(surfaces)):
         heights = heights + (float(surfaces[k]["vertex_z"]) - z) * slopes
         z = float(surfaces[k]["vertex_z"])
-        power = (indices[k + 1] - indices[k]) * surfaces[k]["curvature"]
+        power = (indices[k + 1] - indices[k]) * surfaces[k]["curvature"] + thin_lens_power(lens.interfaces, k)
         slopes = (indices[k] * slopes - power * heights) / indices[k + 1]
     heights = heights + (plane_z - z) * slopes
     return float(heights[0]), float(heights[1])

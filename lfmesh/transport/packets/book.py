@@ -63,6 +63,7 @@ LOST_IN_MLA = _slot("mla", LOST_IN)
 LOST_OUTSIDE = _slot("the open", LOST_IN)
 # Absorbers that every scene has.
 UNFOLLOWED = _slot("reflections not followed")
+THIN_LENSES = _slot("étendue of thin lenses")
 BESIDE_SENSOR = _slot("beside the sensor")
 HOUSING = _slot("housing")
 STOP = _slot("stop")

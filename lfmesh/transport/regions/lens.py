@@ -26,10 +26,18 @@ from lfmesh.transport.events.crossing import (
     too_deep,
     write_query,
 )
-from lfmesh.transport.events.interface import divided, is_rough, scattered, scatterer, splitter
+from lfmesh.transport.events.interface import (
+    divided,
+    is_rough,
+    is_thin_lens,
+    scattered,
+    scatterer,
+    splitter,
+    through_thin_lens,
+)
 from lfmesh.transport.events.polarisation import IN_LENS, shares_by_state
 from lfmesh.transport.events.travel import arrive, travel
-from lfmesh.transport.packets.book import HOUSING, LOST_CONTRADICTION, STOP
+from lfmesh.transport.packets.book import HOUSING, LOST_CONTRADICTION, STOP, THIN_LENSES
 from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
     LEFT_LENS,
@@ -579,9 +587,12 @@ def _send_on(
                 lens.medium[k + 1 if k == packet.space else k], x, y, z, passes, dx, dy, dz,
             )  # fmt: skip
             return
-        reflectance, transmittance, _ = divided(
-            lens.interfaces, k, packet.colour, n_i, n_t, incidence(block, i), k != packet.space, packet, flow.book
-        )
+        if is_thin_lens(lens.interfaces, k):
+            _bend_by_thin_lens(block, i, packet, k, lens, options, flow, x, y, z)
+        else:
+            reflectance, transmittance, _ = divided(
+                lens.interfaces, k, packet.colour, n_i, n_t, incidence(block, i), k != packet.space, packet, flow.book
+            )
     reflectance, transmittance = shares_by_state(
         flow.polarised, IN_LENS, k, k != packet.space, block[N_I + i], block[N_T + i], incidence(block, i),
         (block[NX + i], block[NY + i], block[NZ + i]), frames, CAMERA_FRAME, packet, flow.book,
@@ -593,6 +604,25 @@ def _send_on(
         (block[r + ALONG_X], block[r + ALONG_Y], block[r + ALONG_Z]),
         (block[t + ALONG_X], block[t + ALONG_Y], block[t + ALONG_Z]),
     )  # fmt: skip
+
+
+@kernel
+def _bend_by_thin_lens(
+    block: Array, i: int, packet: Any, k: int, lens: LensTables, options: Options, flow: Flow,
+    x: float, y: float, z: float,
+) -> None:  # fmt: skip
+    """Enter the direction behind a thin lens for the refracted child; let importance change by the étendue."""
+    surface, dx, dy, dz = lens.surfaces[k], packet.dx, packet.dy, packet.dz
+    if surface.posed:
+        x, y, z = point_through(surface.unpose, x, y, z)
+        dx, dy, dz = direction_through(surface.unpose, dx, dy, dz)
+    dx, dy, dz, factor = through_thin_lens(lens.interfaces, k, packet.colour, x, y, dx, dy, dz)
+    if surface.posed:
+        dx, dy, dz = direction_through(surface.pose, dx, dy, dz)
+    set_child(block, REFRACTED + i, i, dx, dy, dz)
+    if options.importance:
+        flow.book[THIN_LENSES] += packet.weight * (1.0 - factor)
+        packet.weight *= factor
 
 
 @kernel

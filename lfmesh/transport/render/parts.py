@@ -147,7 +147,7 @@ def lamp_parts(world: World) -> tuple[Part, ...]:
     objects = aimed_at_glass(world.tables.objects)
     if objects is None:
         return ()
-    options = options_of(world)._replace(adjoint=False, paths=LAMP_THROUGH_GLASS)
+    options = options_of(world)._replace(adjoint=False, importance=False, paths=LAMP_THROUGH_GLASS)
     return (Part(2, options, world.aimed_tables._replace(objects=objects), book=LAMP_BOOK),)
 
 
@@ -166,7 +166,7 @@ def particle_parts(world: World) -> tuple[Part, ...]:
     """
     if not world.particles:
         return ()
-    options = options_of(world)._replace(adjoint=False, bounce=False)
+    options = options_of(world)._replace(adjoint=False, importance=False, bounce=False)
     objects = world.tables.objects
     models = objects.scattering.models.copy()
     models["kind"], models["first"], models["black"] = LAMBERTIAN, 0, True

@@ -50,11 +50,13 @@ from lfmesh.transport.sequential.lens_bundle import (
     Y,
     Z,
     absorb_since_start,
+    begin_etendue,
     load,
     move_bundle,
     normalise,
     note_start,
     pad,
+    take_etendue,
     through_stop,
     through_surface,
 )
@@ -133,12 +135,16 @@ def follow_block(
     if to_sensor:
         if at_lens:
             through_lens(bundle, lens, colour, True, flow.book)
+            if options.importance:
+                take_etendue(lens.interfaces, bundle, flow.book)
         if mla.present:
             through_mla(bundle, count, mla, colour, frames, to_sensor, flow.book)
     else:
         if not at_lens:
             through_mla(bundle, count, mla, colour, frames, to_sensor, flow.book)
         through_lens(bundle, lens, colour, False, flow.book)
+        if options.importance:
+            take_etendue(lens.interfaces, bundle, flow.book)
     normalise(bundle)
     _hand_on(wave, to_sensor, count, frames, bundle, numbers, options, flow)
 
@@ -195,6 +201,7 @@ def through_lens(bundle: Array, lens: LensTables, colour: int, to_sensor: bool, 
         For light that the glasses absorb.
     """
     absorption, last = lens.media.absorption, len(lens.surfaces)
+    begin_etendue(lens.interfaces, bundle)
     for step in range(last + 1):
         space = step if to_sensor else last - step
         note_start(absorption, bundle)

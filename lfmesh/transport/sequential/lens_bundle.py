@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from lfmesh.geometry.surface import NEWTON_STEPS, SETTLED, distance_to
 from lfmesh.kernel import kernel, pasted
 from lfmesh.optics.fresnel import amplitude_sums
-from lfmesh.transport.events.interface import is_coated, shares, transmitted_share
+from lfmesh.transport.events.interface import is_coated, is_thin_lens, shares, through_thin_lens, transmitted_share
+from lfmesh.transport.packets.book import THIN_LENSES
 from lfmesh.transport.tables.tables import Interfaces, LensTables
 from lfmesh.vector import both, fused, select
 
@@ -30,6 +31,8 @@ _SETTLED = 14 * BLOCK
 # Working rows of absorbing media: position, weight, power not followed and end before a surface.
 _FROM_X, _FROM_Y, _FROM_Z, _FROM_WEIGHT = 16 * BLOCK, 17 * BLOCK, 18 * BLOCK, 19 * BLOCK
 _FROM_LEFT_BEHIND, _FROM_ENDED_ON = 20 * BLOCK, 21 * BLOCK
+# Row of thin lenses: the factor by which importance has changed since `begin_etendue`.
+ETENDUE = 22 * BLOCK
 # First of the rows that other modules may use as working memory.
 SCRATCH = 10 * BLOCK
 ROWS = 26
@@ -222,6 +225,9 @@ def _through_in_place(
         _through_sphere(bundle, lens.interfaces, k, colour, c, z, limit, sense, n_i, n_t, rim, mount, beyond)
         return
     _meet(bundle, surface, sense)
+    if is_thin_lens(lens.interfaces, k):
+        _bend_by_thin_lens(bundle, lens.interfaces, k, colour, z, limit, rim, mount, beyond)
+        return
     if coated:
         _bend_at_coating(bundle, lens.interfaces, k, colour, c, conic, z, limit, sense, n_i, n_t, rim, mount, beyond)
         return
@@ -578,6 +584,48 @@ def _bend_at_coating(
             bundle, i, meets, x, y, z, eta * dx + g * nx, eta * dy + g * ny, eta * dz + g * scale,
             transmittance > 0.0, transmittance, limit, rim, mount, beyond,
         )  # fmt: skip
+
+
+@kernel
+def _bend_by_thin_lens(
+    bundle: Array, interfaces: Interfaces, number: int, colour: int, vertex_z: float, limit: float,
+    rim: float, mount: float, beyond: float,
+) -> None:  # fmt: skip
+    """Take a bundle, whose distances `_meet` has found, through a thin lens."""
+    for i in range(BLOCK):
+        t, ended = bundle[_T + i], bundle[ENDED_ON + i]
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        x, y = bundle[X + i] + t * dx, bundle[Y + i] + t * dy
+        ux, uy, uz, factor = through_thin_lens(interfaces, number, colour, x, y, dx, dy, dz)
+        _go_on(bundle, i, t > 0.0, x, y, vertex_z, ux, uy, uz, True, 1.0, limit, rim, mount, beyond)
+        passed = both(ended == 0.0, bundle[ENDED_ON + i] == 0.0)
+        bundle[ETENDUE + i] *= select(passed, factor, 1.0)
+
+
+@kernel
+def begin_etendue(interfaces: Interfaces, bundle: Array) -> None:
+    """Begin to count what thin lenses do to importance; nothing where the lens has none."""
+    if interfaces.thin:
+        for i in range(BLOCK):
+            bundle[ETENDUE + i] = 1.0
+
+
+@kernel
+def take_etendue(interfaces: Interfaces, bundle: Array, book: Array) -> None:
+    """Change the weights, of importance, by what thin lenses have done since `begin_etendue`, and enter it in the book.
+
+    Parameters
+    ----------
+    interfaces : Interfaces
+        Of the lens.
+    bundle : (ROWS · BLOCK,) float64
+    book : (slots,) float64
+    """
+    if interfaces.thin:
+        for i in range(BLOCK):
+            factor, weight = bundle[ETENDUE + i], bundle[WEIGHT + i]
+            book[THIN_LENSES] += weight * (1.0 - factor)
+            bundle[WEIGHT + i] = weight * factor
 
 
 @kernel

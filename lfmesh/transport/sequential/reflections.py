@@ -20,6 +20,7 @@ from lfmesh.transport.sequential.lens_bundle import (
     DY,
     DZ,
     ENDED_ON,
+    ETENDUE,
     LEFT_BEHIND,
     ROWS,
     WEIGHT,
@@ -27,6 +28,7 @@ from lfmesh.transport.sequential.lens_bundle import (
     Y,
     Z,
     absorb_since_start,
+    begin_etendue,
     distances_to,
     empty_bundle,
     load,
@@ -99,6 +101,38 @@ def follow_through_mla(rays: Arrived, mla: MlaTables, frames: Array, colour: int
 def _book_for(media: Media) -> Array:
     """Return a book with a slot for each medium that absorbs; what is entered in it is not used."""
     return np.zeros(1 + int(media.absorption.slot.max()) if media.absorption is not None else 0)
+
+
+def etendue_factors(lens: LensTables, p: Array, d: Array, colour: int = 0) -> Array:
+    """Return by what thin lenses divide the radiance of rays (n,) from object space to behind the lens.
+
+    Parameters
+    ----------
+    lens : LensTables
+    p, d : (n, 3) float64
+        Position, mm, before the lens, and unit direction; camera frame.
+    colour : int
+        Number of the wavelength.
+    """
+    factors = np.ones(len(p))
+    if lens.interfaces.thin:
+        _etendue_factors(np.ascontiguousarray(p), np.ascontiguousarray(d), lens, colour, empty_bundle(), factors)
+    return factors
+
+
+@kernel
+def _etendue_factors(p: Array, d: Array, lens: LensTables, colour: int, bundle: Array, factors: Array) -> None:
+    for first in range(0, len(p), BLOCK):
+        count = min(BLOCK, len(p) - first)
+        for i in range(count):
+            at, to = p[first + i], d[first + i]
+            load(bundle, i, at[0], at[1], at[2], to[0], to[1], to[2], 1.0)
+        pad(bundle, count)
+        begin_etendue(lens.interfaces, bundle)
+        for k in range(len(lens.surfaces)):
+            through_surface(bundle, lens, k, colour, 1.0, np.inf, DROPPED, DROPPED)
+        for i in range(count):
+            factors[first + i] = bundle[ETENDUE + i]
 
 
 @kernel

@@ -31,6 +31,7 @@ from lfmesh.transport.tables.tables import (
     INTERFACE,
     NO_SLOT,
     ROUGH,
+    THIN_LENS,
     Interfaces,
 )
 
@@ -57,6 +58,7 @@ KINDS = (
     Kind("smooth and bare", is_smooth=True),
     Kind("coated", is_smooth=True),
     Kind("coated with layers that absorb", is_smooth=True, is_lossless=False),
+    Kind("a thin lens", is_smooth=True),
     Kind("diffuse", is_smooth=False),
     Kind("ground", is_smooth=False),
 )
@@ -85,6 +87,8 @@ class Face(NamedTuple):
         Of the scene.
     begins_behind : bool
         Of a lens surface: the side that the layers begin with is the one towards the sensor.
+    thin_lens_power_per_mm : float, optional
+        Power of a thin lens, which stands in place of an interface.
     """
 
     where: str
@@ -94,6 +98,7 @@ class Face(NamedTuple):
     inner: Medium = None
     roughness: Roughness = POLISHED
     begins_behind: bool = False
+    thin_lens_power_per_mm: float | None = None
 
 
 class Finish(NamedTuple):
@@ -153,7 +158,8 @@ def lens_faces(scene: Scene) -> list[Face]:
         outer, inner = (surface.medium, before) if behind else (before, surface.medium)
         if not lens.is_pure_stop(i):
             names = f"camera.lens.surfaces[{i}]", f"coating of lens surface {i}", surface.coating
-            faces.append(Face(*names, outer, inner, surface.finish, behind))
+            power = surface.thin_lens_power_per_mm if surface.paraxial else None
+            faces.append(Face(*names, outer, inner, surface.finish, behind, power))
         before = surface.medium
     return faces
 
@@ -325,6 +331,8 @@ def _finishes(scene: Scene, faces: list[Face], wavelengths_nm: tuple[float, ...]
 
 def _kind_of(scene: Scene, face: Face, wavelengths_nm: Sequence[float]) -> int:
     """Return the number of a face's kind."""
+    if face.thin_lens_power_per_mm is not None:
+        return THIN_LENS
     if face.roughness.is_rough:
         # Facets between equal indices do nothing; a diffuse face scatters what it transmits all the same.
         matched = all(n_outer == n_inner for n_outer, n_inner in _indices(face, wavelengths_nm))
@@ -342,6 +350,8 @@ def _finish_of(scene: Scene, face: Face, wavelengths_nm: tuple[float, ...]) -> F
     kind = _kind_of(scene, face, wavelengths_nm)
     if kind == BARE:
         return Finish(face.where, kind)
+    if kind == THIN_LENS:
+        return Finish(face.where, kind, [[face.thin_lens_power_per_mm or 0.0] * len(wavelengths_nm)])
     if kind == DIFFUSE:
         sides = [sorted(pair) for pair in _indices(face, wavelengths_nm)]
         shares = [(diffuse_reflectance(thin, dense), diffuse_reflectance(dense, thin)) for thin, dense in sides]
@@ -370,4 +380,5 @@ def _table(finishes: list[Finish], slots: list[int], colours: int) -> Interfaces
         parameters=np.concatenate([np.zeros((0, colours)), *parameters]),
         coated=bool((rows["kind"] != BARE).any()),
         rough=bool((rows["kind"] >= ROUGH).any()),
+        thin=bool((rows["kind"] == THIN_LENS).any()),
     )

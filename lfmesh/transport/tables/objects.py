@@ -51,7 +51,7 @@ def housing_mesh(scene: Scene, shape: LensShape) -> Mesh:
         # The hole in the plate and the barrel are as wide as poses ask for, and no rim stands behind the plate.
         first, *others = (on_circles(s, np.array([r]))[0] for s, r in zip(shape.surfaces, shape.rims, strict=True))
         rim = float(np.hypot(first[:, 0], first[:, 1]).max())
-        barrel = 1.05 * max(rim, *(float(np.hypot(line[:, 0], line[:, 1]).max()) for line in others))
+        barrel = 1.05 * max([rim, *(float(np.hypot(line[:, 0], line[:, 1]).max()) for line in others)])
         front, back = float(first[:, 2].max()), float((others or [first])[-1][:, 2].max())
     moves = frame_table(scene, np.zeros(3))
     corners = [np.multiply(0.5, scene.camera.sensor.size_mm)]
@@ -61,7 +61,7 @@ def housing_mesh(scene: Scene, shape: LensShape) -> Mesh:
     end = float(moves[SENSOR_FRAME, CAMERA_FRAME, 2, 3]) + 0.5 * body
     back = max(back, front)
     profile = [[rim, front], [barrel, front], [barrel, back], [body, back], [body, end], [0.0, end]]
-    mesh = revolved(np.array(profile), 6 * shape.rings)
+    mesh = revolved(np.array(profile), shape.azimuths)
     return Mesh(mesh.vertices, mesh.faces[facet_normals(mesh)[1] > 0.0])
 
 

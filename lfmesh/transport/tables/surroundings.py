@@ -65,7 +65,7 @@ def surroundings_of(
     on_plate = z <= plate + FLOAT32_MARGIN * float(np.abs(housing.vertices).max())
     # The opening is a polygon, whose sides are nearer to the axis than its corners; Embree has it in the object frame.
     rounding = FLOAT32_MARGIN * float(np.abs(points(frames[CAMERA_FRAME, OBJECT_FRAME], housing.vertices)).max())
-    opening = float(radius[on_plate].min()) * np.cos(np.pi / (6 * shape.rings)) - rounding
+    opening = float(radius[on_plate].min()) * np.cos(np.pi / shape.azimuths) - rounding
     before = min(low - slack, plate)
     # A box that reached behind the plate could be entered from the side only through the housing.
     starts = before if lens.box_low[2] <= plate else -np.inf

@@ -20,6 +20,7 @@ class Interfaces(NamedTuple):
     rows: Records  # (n,) INTERFACE
     parameters: Array  # (parameters of all, wavelengths); those of an interface begin in its `first` row
     coated: bool = False  # whether any of them is not bare
+    thin: bool = False  # whether any of them is a thin lens
     rough: bool = False  # whether any of them scatters light
 
 
@@ -226,7 +227,7 @@ class Tables(NamedTuple):
 NO_SLOT = -1
 """In place of a slot of the book, in tables by which no packet is traced."""
 
-BARE, COATED, ABSORBING, DIFFUSE, GROUND = range(5)
+BARE, COATED, ABSORBING, THIN_LENS, DIFFUSE, GROUND = range(6)
 """Kinds of interfaces, see `tables.interfaces.KINDS`; rough ones come last."""
 
 ROUGH = DIFFUSE
@@ -243,6 +244,12 @@ INTERFACE = np.dtype(
 
 CURVED_ROW, FLAT_ROW = 0, 1
 """Rows of the array's interfaces."""
+
+
+def thin_lens_power(interfaces: Interfaces, number: int) -> float:
+    """Return the power of a thin lens, 1/mm; 0 for an interface."""
+    row = interfaces.rows[number]
+    return float(interfaces.parameters[row["first"], 0]) if row["kind"] == THIN_LENS else 0.0
 
 
 @inlined

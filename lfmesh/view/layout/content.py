@@ -20,11 +20,13 @@ from lfmesh.transport.world import World, build
 from lfmesh.view.layout.sections import (
     Cut,
     Glass,
+    ThinLens,
     curved_face,
     cut_through,
     lens_glass,
     mesh_section,
     sag_at_rim,
+    thin_lenses,
 )
 from lfmesh.view.rays.aimed_rays import Aim, AimedRay
 
@@ -144,6 +146,7 @@ class Layout:
     distance_mm : float
         The plane that the rays come from: what is sharpest.
     glass : list of Glass
+    thin : list of ThinLens
     stop : (2,) float64
         z and height of the stop's upper rim.
     bundles : list of Bundle
@@ -160,6 +163,7 @@ class Layout:
     facts: FirstOrder
     distance_mm: float
     glass: list[Glass]
+    thin: list[ThinLens]
     stop: Array
     bundles: list[Bundle]
     mla: Array | None
@@ -194,6 +198,7 @@ def layout(scene: Scene) -> Layout:
         facts,
         distance,
         lens_glass(shape, indices),
+        thin_lenses(shape, drawn.camera.lens),
         _stop_rim(drawn, world),
         _field_bundles(drawn, facts, aim),
         _array_section(drawn, moves),

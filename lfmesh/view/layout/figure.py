@@ -30,6 +30,7 @@ from lfmesh.scene.solve import lenslet_focal_length_mm
 from lfmesh.view.figure_file import checked_kind, encoded_figure
 from lfmesh.view.layout.content import Bundle, Dimension, Layout, TargetSection, layout
 from lfmesh.view.layout.sections import in_section
+from lfmesh.view.rays.names import label
 
 SHEET_IN = (13.0, 9.4)
 MARGIN_IN = 0.3
@@ -453,7 +454,7 @@ def _main_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, fl
     """Draw the camera in its meridional section, with a part of the beams before it."""
     camera = drawn.scene.camera
     ends = np.concatenate([drawn.sensor, *([] if drawn.mla is None else [drawn.mla])])
-    outlines = np.concatenate([glass.outline for glass in drawn.glass] + [ends])
+    outlines = np.concatenate([*_lens_lines(drawn), ends])
     front, back = float(outlines[:, 0].min()), float(outlines[:, 0].max())
     tall = 1.04 * float(max(np.abs(outlines[:, 1]).max(), 1.35 * drawn.stop[1]))
     lead = LEAD * (back - front)
@@ -466,6 +467,7 @@ def _main_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, fl
     _draw_lens(view, drawn)
     view.rays(drawn.bundles, FIELD_COLOURS, 0.7)
     names = [(*_top([glass.outline]), f"L{i + 1}") for i, glass in enumerate(drawn.glass)]
+    names += [(*_top(thin.lines), f"{label(thin.name)} f = {thin.focal_length_mm:.5g} mm") for thin in drawn.thin]
     names.append((float(drawn.stop[0]), 1.3 * float(drawn.stop[1]), f"stop ⌀ {2 * drawn.stop[1]:.4g} mm"))
     if drawn.mla is not None:
         names.append((*_top([drawn.mla]), "array"))
@@ -486,6 +488,11 @@ def _main_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, fl
     _mark_detail(view, drawn)
 
 
+def _lens_lines(drawn: Layout) -> list[Array]:
+    """Return the lines of all elements of the lens."""
+    return [*(glass.outline for glass in drawn.glass), *(line for thin in drawn.thin for line in thin.lines)]
+
+
 def _middle(outline: Array) -> float:
     return float(0.5 * (outline[:, 0].min() + outline[:, 0].max()))
 
@@ -504,6 +511,8 @@ def _draw_lens(view: View, drawn: Layout, line: float = 0.7) -> None:
         # Denser glass is darker.
         depth = float(np.clip(0.25 + 0.8 * (glass.refractive_index - 1.45), 0.2, 0.7))
         view.area(glass.outline, fc=(*mpl.colors.to_rgb(GLASS), depth), lw=line, zorder=2)
+    for thin in drawn.thin:
+        view.lines(thin.lines, linewidths=1.6 * line, zorder=3)
     z, rim = drawn.stop
     bar = 0.06 * rim
     ticks = [np.array([[z, side * rim], [z, side * 1.3 * rim]]) for side in (-1.0, 1.0)]
@@ -552,7 +561,7 @@ def _object_reach(drawn: Layout) -> float | None:
 def _object_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, float]) -> None:
     """Draw everything from the farthest target to the sensor."""
     reach = _object_reach(drawn) or 1.0
-    outlines = [glass.outline for glass in drawn.glass]
+    outlines = _lens_lines(drawn)
     sections = [line for target in drawn.targets for line in target.lines]
     back = float(max(drawn.sensor[:, 0].max(), *(line[:, 0].max() for line in outlines)))
     finite = 0.0 < drawn.distance_mm < math.inf

@@ -9,17 +9,22 @@ import numpy as np
 import trimesh
 
 from lfmesh.errors import LfmeshError
+from lfmesh.geometry.frame import points
 from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.lenslets import Lenslets, shape_of
 from lfmesh.geometry.mesh import Array
 from lfmesh.geometry.surface import sag
 from lfmesh.geometry.tessellation import cap, mesh_sag, ring_profile
+from lfmesh.scene.lens import Lens
 
 PROFILE_POINTS = 121
 """Of a lens surface from the axis to its rim, crowded towards the rim."""
 
 SECTION_RINGS = 60
 """Rings of triangles of a posed lens surface whose section is drawn."""
+
+ARROW = 0.08
+"""Length of the arrow heads of a thin lens, over its semi-diameter."""
 
 LEAST_ACROSS = 1e-3
 """Sine of the angle between a rectangle and the plane that cuts it, below which they count as one."""
@@ -48,6 +53,23 @@ class Glass(NamedTuple):
     front: Array
     back: Array
     outline: Array
+
+
+class ThinLens(NamedTuple):
+    """A thin lens in section: a line with an arrow head at each end, pointing outwards if it converges, else inwards.
+
+    Attributes
+    ----------
+    name : str
+        As in the path table: "surface[0]".
+    focal_length_mm : float
+    lines : list of (n, 2) float64, mm
+        z and y of the line, and of the two arrow heads.
+    """
+
+    name: str
+    focal_length_mm: float
+    lines: list[Array]
 
 
 class Cut(NamedTuple):
@@ -149,6 +171,32 @@ def lens_glass(shape: LensShape, indices: Array) -> list[Glass]:
             outline = np.concatenate([front, edge[1:-1], back[::-1], lower[::-1][1:-1]])
         elements.append(Glass(f"lens[{number}]", float(indices[k + 1]), front, back, outline))
     return elements
+
+
+def thin_lenses(shape: LensShape, lens: Lens) -> list[ThinLens]:
+    """Cut the thin lenses of a lens by the meridional plane.
+
+    Parameters
+    ----------
+    shape : LensShape
+    lens : Lens
+        Its prescription.
+    """
+    found = []
+    for k, number in enumerate(shape.numbers):
+        focal_length, record = lens.surfaces[number].focal_length_mm, shape.surfaces[k]
+        if focal_length is None:
+            continue
+        rim = float(record["aperture"])
+        barb = ARROW * rim if focal_length > 0.0 else -ARROW * rim
+        z = np.array([-abs(barb), 0.0, abs(barb)])
+        heads = [np.array([side * (rim - barb), side * rim, side * (rim - barb)]) for side in (-1.0, 1.0)]
+        drawn = [(np.zeros(2), np.array([-rim, rim])), *((z, y) for y in heads)]
+        in_camera = [
+            points(record["pose"], np.column_stack([np.zeros_like(y), y, record["vertex_z"] + z])) for z, y in drawn
+        ]
+        found.append(ThinLens(f"surface[{number}]", focal_length, [in_section(line) for line in in_camera]))
+    return found
 
 
 def _profile(shape: LensShape, k: int) -> Array:

@@ -25,7 +25,7 @@ from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.sequential.plane_faces import count_faces, detected, follow_plane_faces
 from lfmesh.transport.sequential.reflections import Arrived, follow_sequence, follow_through_mla
 from lfmesh.transport.sequential.sequences import Itinerary, image_path, two_reflections
-from lfmesh.transport.tables.tables import Tables
+from lfmesh.transport.tables.tables import THIN_LENS, Tables
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
 from lfmesh.view.rays.launch import INTENSITY_W_SR
@@ -181,12 +181,14 @@ class _Faces:
     of_array: int
     planes: int  # of the sensor's cover, and a sensor that reflects
     sensor_reflects: bool
+    thin_lenses: frozenset[int]  # which of them are thin lenses, that reflect nothing
 
     @classmethod
     def of(cls, tables: Tables) -> "_Faces":
         return cls(
-            len(tables.lens.surfaces), 2 * tables.mla.present, count_faces(tables), tables.sensor.reflectance > 0.0
-        )
+            len(tables.lens.surfaces), 2 * tables.mla.present, count_faces(tables), tables.sensor.reflectance > 0.0,
+            frozenset(np.flatnonzero(tables.lens.interfaces.rows["kind"] == THIN_LENS).tolist()),
+        )  # fmt: skip
 
     def paths(self, hollow: list[tuple[int, bool]]) -> list[Itinerary]:
         """Return the image path and all with two reflections, but for those that the array reflects or that return."""
@@ -195,7 +197,7 @@ class _Faces:
         behind = self.of_lens + self.of_array
         paths = [image_path(total), *two_reflections(total, hollow)]
         kept = [
-            path for path in paths
+            path for path in paths if self.thin_lenses.isdisjoint(path.mirrors)
             if all(m < self.of_lens for m in path.mirrors) or all(m >= behind for m in path.mirrors)
             or (self.of_array == 0)
         ]  # fmt: skip

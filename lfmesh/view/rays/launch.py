@@ -303,7 +303,9 @@ def as_in_run(
 def _from_pixels(world: World, rows: range, columns: range, settings: Settings) -> Rays:
     """Launch rays from a box of pixels, shared among wavelengths."""
     box = len(rows) * len(columns)
-    options = options_of(world, tracing=True, record=True, split=settings.split, cutoff=settings.cutoff)
+    options = options_of(
+        world, tracing=True, record=True, split=settings.split, cutoff=settings.cutoff, importance=True
+    )
     generator = np.random.default_rng(settings.seed)
     parts = []
     for place, (colour, wavelength) in enumerate(settings.colours):
@@ -327,7 +329,13 @@ def _from_sources(world: World, tables: Tables, settings: Settings) -> Rays:
     """Launch the first packets of a forward run, shared among wavelengths, replicate by replicate."""
     transport = world.scene.transport
     options = options_of(
-        world, record=True, split=settings.split, cutoff=settings.cutoff, adjoint=False, sequential=False
+        world,
+        record=True,
+        split=settings.split,
+        cutoff=settings.cutoff,
+        adjoint=False,
+        importance=False,
+        sequential=False,
     )
     one = tables.sensor.rows * tables.sensor.columns * transport.samples_each
     parts = []

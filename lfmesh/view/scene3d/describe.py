@@ -25,6 +25,9 @@ def describe(world: World, name: str) -> Rows:
     makers = {"stop": _stop, "mla": _array, "sensor": _sensor}
     if kind in makers and not number and (kind != "mla" or world.tables.mla.present):
         return makers[kind](world)
+    thin = [i for i, surface in enumerate(world.scene.camera.lens.surfaces) if surface.paraxial]
+    if name in (f"surface[{i}]" for i in thin):
+        return _thin_lens(world, int(number))
     if name == "mount":
         return [("mount", "absorbs what leaves the clear apertures between the elements")]
     several = {"lens": (_element, len(world.lens_shape.elements)), "targets": (_target, len(world.targets)),
@@ -33,6 +36,15 @@ def describe(world: World, name: str) -> Rows:
     if kind in several and number.isdecimal() and int(number) < several[kind][1]:
         return several[kind][0](world, int(number))
     raise LfmeshError(f"no part is called {name!r}; there are {', '.join(world.mesh_names)}")
+
+
+def _thin_lens(world: World, number: int) -> Rows:
+    surface = world.scene.camera.lens.surfaces[number]
+    return [
+        ("thin lens", f"surface {number}, f = {surface.focal_length_mm:.6g} mm"),
+        ("semi-diameter", f"{surface.semi_diameter_mm:.6g} mm"),
+        *_poses(world, (number, number)),
+    ]
 
 
 def _element(world: World, number: int) -> Rows:

@@ -30,6 +30,9 @@ Picture = NDArray[np.uint8]
 RINGS = 16
 """Of triangles in a lens surface: rims look round, which `exact` surfaces do not need to be traced."""
 
+AS_THIN_LENS = 1.5
+"""Refractive index of the glass whose colour thin lenses have."""
+
 CREASE_DEG = 25.0
 """Facets that meet at a larger angle meet at an edge, which is drawn."""
 
@@ -144,6 +147,13 @@ def _lens(world: World) -> Iterator[Part]:
         body = closed(element(shape.caps[k], shape.closures[k], shape.caps[k + 1]).moved(to_world))
         look = {"color": colour, "opacity": 0.14, "specular": 0.6, "specular_power": 30}
         yield Part(f"lens[{number}]", "glass", smooth(body), look, creases_of(body), colour, solid=body)
+    surfaces = world.scene.camera.lens.surfaces
+    for k, i in enumerate(shape.numbers):
+        if surfaces[i].paraxial:
+            body = polydata(frames.points(to_world, shape.caps[k].vertices), shape.caps[k].faces)
+            rim = body.extract_feature_edges(feature_edges=False, manifold_edges=False)
+            colour = tint(AS_THIN_LENS)
+            yield Part(f"surface[{i}]", "glass", body, {"color": colour, "opacity": 0.2}, rim, colour)
     mounts = [mesh for k, mesh in enumerate(shape.closures) if shape.media[k + 1] is None]
     if mounts:
         body = smooth(closed(joined(mounts).moved(to_world)))

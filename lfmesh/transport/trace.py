@@ -517,7 +517,7 @@ class _Call(NamedTuple):
             Numbers of the rays in error messages.
         """
         world = self.world
-        inside = glass_round(world, p)
+        inside = glass_round(world.tables.objects, world.targets, p)
         station, space, p, d = located(world, p, d, numbers)
         if self.options.sequential:
             _refuse_starts_in_the_lens(station, space, len(self.tables.lens.surfaces), numbers)

@@ -52,7 +52,6 @@ from lfmesh.transport.tables.particles import (
     corners_round,
     particle_tables,
     refuse_particles_behind,
-    refuse_particles_in_glass,
 )
 from lfmesh.transport.tables.polarisation import polarisation_tables
 from lfmesh.transport.tables.surroundings import Surroundings, surroundings_of
@@ -337,9 +336,8 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     object_mesh, objects = object_tables(scene, targets, housing, moves, book, lines, interfaces.objects, known, ranks)
     columns, rows = scene.camera.sensor.pixels
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
-    particles = particle_tables(scene, lines)
+    particles = particle_tables(scene, lines, objects, targets)
     refuse_particles_behind(particles, moves, float(lens.box_low[2]))
-    refuse_particles_in_glass(scene, targets, particles)
     # Absorption weakens light, and does not change where it has to go.
     anywhere = unaimed(scene, clear(lens))
 

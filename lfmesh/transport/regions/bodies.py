@@ -99,17 +99,17 @@ def bodies_at(objects: ObjectTables, x: float, y: float, z: float) -> int:
     x, y, z : float, mm
         Not on a shell itself.
     """
-    odd = np.zeros(len(objects.by_rank), np.bool_)
-    for prim in range(len(objects.facets)):
-        facet = objects.facets[prim]
-        if facet.body < 0 or objects.rank[facet.body] == 0 or not _is_above(facet, x, y):
-            continue
-        normal = facet.normal
-        if normal[2] != 0.0 and (facet.offset - normal[0] * x - normal[1] * y) / normal[2] > z:
-            odd[objects.rank[facet.body]] = not odd[objects.rank[facet.body]]
     inside = 0
-    for rank in range(1, len(odd)):
-        if odd[rank] and inside != TOO_MANY:
+    for rank in range(1, len(objects.by_rank)):
+        body, is_in_it = objects.by_rank[rank], False
+        for prim in range(len(objects.facets)):
+            facet = objects.facets[prim]
+            if facet.body != body or not _is_above(facet, x, y):
+                continue
+            normal = facet.normal
+            if normal[2] != 0.0 and (facet.offset - normal[0] * x - normal[1] * y) / normal[2] > z:
+                is_in_it = not is_in_it
+        if is_in_it and inside != TOO_MANY:
             inside = with_body(inside, rank)
     return inside
 

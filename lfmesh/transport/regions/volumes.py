@@ -15,7 +15,7 @@ from lfmesh.geometry.levels import PATCH
 from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.phase import evaluate_phase, sampled_cosine
 from lfmesh.optics.scattering import about
-from lfmesh.transport.aiming.mixture import aimed
+from lfmesh.transport.aiming.through_glass import aimed_from
 from lfmesh.transport.events.crossing import deposit, end_here, meets_patch, record, too_deep, windowed
 from lfmesh.transport.events.lighting import from_light
 from lfmesh.transport.events.polarisation import depolarise
@@ -244,8 +244,8 @@ def send_from_medium(
     forward = not (options.adjoint or options.tracing)
     if forward and options.aimed:
         px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
-        ax, ay, az, at_lens = aimed(
-            px, py, pz, aim.entrance, aim.front_radius, aim.wide_share, aim.share_without_aim,
+        ax, ay, az, at_lens = aimed_from(
+            aim.through, bodies_round(packet) & RANK, aim, px, py, pz,
             uniform(key, DISK), uniform(key, TO_U), uniform(key, TO_V),
         )  # fmt: skip
         if at_lens > 0.0:

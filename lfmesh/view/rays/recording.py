@@ -56,7 +56,8 @@ def from_point(world: World, point: Floats, d: Floats, watts: Floats, key: np.ui
         Of the random numbers.
     """
     rays = len(d)
-    inside = glass_round(world, frame.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], point[None]))
+    place = frame.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], point[None])
+    inside = glass_round(world.tables.objects, world.targets, place)
     return RaySource(
         np.tile(point, (rays, 1)), d, np.full(rays, OBJECTS), np.zeros(rays, np.int64), watts, key,
         OWN_SURFACE * float(np.abs(point).sum()), np.full(rays, inside[0]),

@@ -26,15 +26,15 @@ LATTICE = np.dtype(
         ("step", "f8", (3,)),  # mm between nodes
         ("count", "i8", (3,)),  # nodes along each axis
         ("first", "i8"),  # first of the nodes
-        ("slack", "f8"),  # mm, largest distance by which rays were seen to miss the point that they were aimed at
     ]
 )
 
 WIDENED = 2.0
 """Radius of the wide disk over that of the wide disk that points in air are aimed at."""
 
-VALUES = 9
-"""Of a node: whether it is known; slopes of its ray; slopes where that leaves; slopes for each mm of the opening."""
+VALUES = 10
+"""Of a node: whether it is known; slopes of its ray; slopes where that leaves; slopes for each mm of the opening; by how
+much rays from near it miss the points that they are aimed at, mm."""
 
 
 class GlassAim(NamedTuple):
@@ -95,7 +95,7 @@ def way_out(through: GlassAim, place: int, x: float, y: float, z: float) -> Way:
         c = min(max((pz - low[2]) / step[2], 0.0), count[2] - 1.0)
         i, j, k = min(int(a), count[0] - 2), min(int(b), count[1] - 2), min(int(c), count[2] - 2)
         a, b, c = a - i, b - j, c - k
-        whole, sx, sy, ex, ey, xx, xy, yx, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        whole, sx, sy, ex, ey, xx, xy, yx, yy, slack = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for corner in range(8):
             di, dj, dk = corner & 1, corner >> 1 & 1, corner >> 2
             node = through.nodes[lattice.first + ((i + di) * count[1] + j + dj) * count[2] + k + dk]
@@ -103,11 +103,12 @@ def way_out(through: GlassAim, place: int, x: float, y: float, z: float) -> Way:
             whole += share
             sx, sy, ex, ey = sx + share * node[1], sy + share * node[2], ex + share * node[3], ey + share * node[4]
             xx, xy, yx, yy = xx + share * node[5], xy + share * node[6], yx + share * node[7], yy + share * node[8]
+            slack += share * node[9]
         if whole > 0.0:
             over = 1.0 / whole
             return Way(
                 True, sx * over, sy * over, ex * over, ey * over, xx * over, xy * over, yx * over, yy * over,
-                lattice.slack,
+                slack * over,
             )  # fmt: skip
     return Way(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 

@@ -79,7 +79,7 @@ def glass_aim(world: World) -> GlassAim | None:
         lattice["first"] = sum(map(len, nodes[:-1]))
         alone = GlassAim(lattices[number : number + 1].copy(), nodes[-1])
         alone.lattices["first"] = 0
-        lattice["slack"] = SLACK * _largest_miss(world, alone, places, rank)
+        nodes[-1][:, -1] = SLACK * _misses(world, alone, places, rank)
     return GlassAim(lattices, np.concatenate(nodes))
 
 
@@ -129,31 +129,36 @@ def _central_rays(world: World, places: Array, inside: Numbers, rank: int) -> Ar
             met = np.linalg.norm(point, axis=1) < HIT * wide
             # To first order the ray through the very middle.
             slope = slope - np.einsum("nij,nj->ni", inverse, point)
-            rows = np.concatenate([np.ones((len(some), 1)), slope, left, inverse.reshape(-1, 4)], axis=1)
+            columns = [np.ones((len(some), 1)), slope, left, inverse.reshape(-1, 4), np.zeros((len(some), 1))]
+            rows = np.concatenate(columns, axis=1)
             nodes[some[met]] = rows[met]
             break
         slope = slope - np.einsum("nij,nj->ni", inverse, point)
     return nodes
 
 
-def _largest_miss(world: World, alone: GlassAim, places: Array, rank: int) -> float:
-    """Return the largest distance by which rays from between the nodes miss the points they are aimed at, mm."""
+def _misses(world: World, alone: GlassAim, places: Array, rank: int) -> Array:
+    """Return the largest distance by which rays from round each node miss the points they are aimed at, (n,) mm."""
     cells = places.reshape(NODES, NODES, NODES, 3)
     middles = 0.5 * (cells[:-1, :-1, :-1] + cells[1:, 1:, 1:]).reshape(-1, 3)
     inside = glass_round(world.tables.objects, world.targets, _to_world(world, middles))
     ways = [way_out(alone, rank, *point) for point in middles]
     some = np.flatnonzero((inside & RANK == rank) & np.array([way.known for way in ways]))
+    missed = np.zeros(len(middles))
     if not len(some):
-        return 0.0
+        return np.zeros(len(places))
     way = Way(*np.array([ways[i] for i in some], dtype=np.float64).T)
     start, change = np.stack([way.sx, way.sy], axis=-1), np.array([[way.xx, way.xy], [way.yx, way.yy]])
-    radius, worst = 0.5 * world.aim.front_radius, 0.0
+    radius = 0.5 * world.aim.front_radius
     for x, y in ((0.0, 0.0), (radius, 0.0), (-radius, 0.0), (0.0, radius), (0.0, -radius)):
         goal = np.array([x, y])
         landed = _landed(world, middles[some], start + np.einsum("ijn,j->ni", change, goal), inside[some])
-        missed = np.linalg.norm(landed.point - goal, axis=1)[landed.known]
-        worst = max(worst, float(missed.max(initial=0.0)))
-    return worst
+        miss = np.where(landed.known, np.linalg.norm(landed.point - goal, axis=1), world.aim.front_radius)
+        missed[some] = np.maximum(missed[some], miss)
+    # Each node has the largest of the cells round it.
+    padded = np.pad(missed.reshape(NODES - 1, NODES - 1, NODES - 1), 1)
+    shifted = [padded[i : i + NODES, j : j + NODES, k : k + NODES] for i, j, k in np.ndindex(2, 2, 2)]
+    return np.asarray(np.max(shifted, axis=0).ravel())
 
 
 def _landed(world: World, places: Array, slope: Array, inside: Numbers) -> Landed:

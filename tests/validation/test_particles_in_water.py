@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 import lfmesh as lf
+from lfmesh.geometry import frame
 from lfmesh.geometry.frame import rotation
-from tests.validation.test_particles import MICRO_IMAGE, PIXELS, micro_images, scene_of
+from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
+from tests.validation.test_particles import PIXELS, micro_images, scene_of
 
 Array = NDArray[np.float64]
 
@@ -56,6 +58,7 @@ def out_of_tank(point: Array, d: Array, tilt_deg: float) -> tuple[Array, Array, 
 
 def truth_of(scene: lf.Scene, point: Array, intensity: float, tilt_deg: float, absorbs: float) -> Array:
     """Return power and squared error of it by pixel, (2, pixels, pixels)."""
+
     def landing(slope: Array) -> Array:
         d = np.column_stack([slope, np.ones(len(slope))])
         p, out, _, _ = out_of_tank(point, d / np.linalg.norm(d, axis=1)[:, None], tilt_deg)
@@ -78,9 +81,6 @@ def truth_of(scene: lf.Scene, point: Array, intensity: float, tilt_deg: float, a
     air = lf.build(scene.changed({"tanks": (), "particles": ()}))
     paths = lf.trace(air, p, out, split="transmit")
     fell = paths.status == lf.Status.SENSOR
-    from lfmesh.geometry import frame
-    from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
-
     at = frame.points(air.tables.frames[WORLD_FRAME, SENSOR_FRAME], paths.position[fell])
     columns, rows = (np.floor(at[:, axis] / scene.camera.sensor.pixel_mm + 0.5 * PIXELS).astype(int) for axis in (0, 1))
     watts = (paths.weight * power[paths.source])[fell]
@@ -101,11 +101,10 @@ def test_centres_of_light_are_where_snell_sends_them(point, tilt_deg, tmp_path):
     scene = bare.changed({"tanks": [tank(tilt_deg, absorbs)], "particles[0].samples": 1 << 17})
     image = lf.render(scene)
     truth = truth_of(scene, np.array(point), 2.5, tilt_deg, absorbs)
-    power, centre = micro_images(image.mean[..., 0])
+    _, centre = micro_images(image.mean[..., 0])
     true_power, true_centre = micro_images(truth[0])
     lit = true_power > 0.01 * true_power.sum()
     assert lit.sum() >= 2
-    print(np.abs(centre[:, lit]-true_centre[:, lit]).max(), lit.sum(), image.mean.sum()/truth[0].sum()-1, np.sqrt((image.stderr**2).sum())/image.mean.sum(), (image.hits>0).sum())
     np.testing.assert_allclose(centre[:, lit], true_centre[:, lit], rtol=0.0, atol=0.05)
     error = np.sqrt((image.stderr**2).sum() + truth[1].sum())
     assert abs(image.mean.sum() - truth[0].sum()) < 4.0 * error

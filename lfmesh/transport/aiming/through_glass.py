@@ -172,9 +172,7 @@ def aimed_from(
             density = _density(aim, way, disks, px, py, sx, sy)
             over = 1.0 / np.sqrt(1.0 + sx * sx + sy * sy)
             return sx * over, sy * over, over, density
-    return aimed(
-        x, y, z, aim.entrance, aim.front_radius, aim.wide_share, aim.share_without_aim, choice, u, v
-    )
+    return aimed(x, y, z, aim.entrance, aim.front_radius, aim.wide_share, aim.share_without_aim, choice, u, v)
 
 
 @kernel

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import direction_through, move_direction, move_point, point_through
-from lfmesh.geometry.surface import distance_to
 from lfmesh.geometry.levels import PATCH
+from lfmesh.geometry.surface import distance_to
 from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.phase import evaluate_phase, sampled_cosine
 from lfmesh.optics.scattering import about
@@ -147,9 +147,7 @@ def cross_media(
     colour, weight = packet.colour, packet.weight
     x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
     key = derived(packet.key, IN_MEDIUM + packet.events)
-    passage = pass_through(
-        volumes, place, colour, x, y, z, dx, dy, dz, reach, flow.book, 0.0 if asks else weight, key
-    )
+    passage = pass_through(volumes, place, colour, x, y, z, dx, dy, dz, reach, flow.book, 0.0 if asks else weight, key)
     packet.weight = weight * passage.transmittance
     if asks:
         return
@@ -158,7 +156,7 @@ def cross_media(
         # Radiance over n² is conserved on the way out of glass and liquids.
         index = objects.media.indices[packet.medium, colour]
         deposit(options, flow, packet.source, colour, weight * passage.light / (index * index))
-    if passage.scattered <= 0.0:
+    if passage.scattered <= 0.0 or not volumes.scatters:
         return
     lost = weight * passage.scattered
     of_twin = packet.kind == CAMERA and packet.last != LEFT_LENS and not (options.adjoint or options.tracing)

@@ -121,9 +121,7 @@ def _central_rays(world: World, places: Array, inside: Numbers, rank: int) -> Ar
         change = np.stack([(each.point - middle.point) / NUDGE for each in landed[1:]], axis=-1)
         known = np.all([each.known for each in landed], axis=0)
         known[known] = np.abs(np.linalg.det(change[known])) > 0.0
-        some, slope, change, point, left = (
-            array[known] for array in (some, slope, change, middle.point, middle.slope)
-        )
+        some, slope, change, point, left = (array[known] for array in (some, slope, change, middle.point, middle.slope))
         inverse = np.linalg.inv(change)
         if step == STEPS - 1 or (np.linalg.norm(point, axis=1) < HIT * wide).all():
             met = np.linalg.norm(point, axis=1) < HIT * wide
@@ -192,8 +190,9 @@ def _landed(world: World, places: Array, slope: Array, inside: Numbers) -> Lande
     for name, into in (("xyz", origin), (("dx", "dy", "dz"), way)):
         into[entered["source"]] = np.stack([entered[axis] for axis in name], axis=-1)
     moves = world.tables.frames
-    origin, way = frame.points(moves[OBJECT_FRAME, CAMERA_FRAME], origin), frame.directions(
-        moves[OBJECT_FRAME, CAMERA_FRAME], way
+    origin, way = (
+        frame.points(moves[OBJECT_FRAME, CAMERA_FRAME], origin),
+        frame.directions(moves[OBJECT_FRAME, CAMERA_FRAME], way),
     )
     origin[beside["source"]] = frame.points(moves[WORLD_FRAME, CAMERA_FRAME], beside["position"])
     way[beside["source"]] = frame.directions(moves[WORLD_FRAME, CAMERA_FRAME], beside["direction"])

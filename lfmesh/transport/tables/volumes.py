@@ -87,7 +87,7 @@ class Volumes(NamedTuple):
     phases: PhaseTables
     isotropic: NDArray[np.void]  # (1,) PHASE, of emission
     powers: Array  # (n,) about what each emits, W; inf: it has no bounds
-    scatters: bool
+    scatters: bool  # what they scatter is followed; else they take it away
     emit: bool
 
 

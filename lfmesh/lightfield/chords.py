@@ -52,9 +52,9 @@ class Haze(NamedTuple):
     origin: Array  # (n, 3) of the rays, mm, object frame
     direction: Array  # (n, 3)
     colour: NDArray[np.int64]  # (n,) number of each ray's wavelength
+    book: Array  # (0,) no light is booked
     place: NDArray[np.int64]  # (n,) rank of the body that each is in; 0: air
     per_mm: Array  # (n,) absorption coefficient of the glass or liquid round each, 1/mm
-    book: Array  # (0,) no light is booked
 
 
 @kernel

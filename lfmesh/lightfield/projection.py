@@ -382,7 +382,9 @@ def projection_matrix(
 
 def not_seen(projector: Projector) -> str:
     """Say that a matrix would be empty."""
-    names = ", ".join(f'"{name}"' for name, _ in projector.world.scene.bodies())
+    names = ", ".join(
+        f'"{name}"' for name in {number: name for name, number in projector.world.scene.bodies()}.values()
+    )
     other = f"; what lies in a body needs inside, one of {names}" if names else ""
     where = f" in {projector.inside}" if projector.inside is not None else " in air" if names else ""
     return (

@@ -315,7 +315,7 @@ class Scene(Model, Shown):
         numbers = [number for own, number in bodies if own == name]
         if len(numbers) == 1:
             return numbers[0]
-        known = ", ".join(f'"{own}"' for own, _ in bodies)
+        known = ", ".join(f'"{own}"' for own in {number: own for own, number in bodies}.values())
         if numbers:
             raise SceneError(f"{len(numbers)} bodies have this name; give each its own")
         raise SceneError(f"no body of glass or liquid has this name; there {f'are {known}' if known else 'is none'}")

@@ -90,7 +90,10 @@ def _index_round(group: Particles, objects: ObjectTables, inside: NDArray[np.int
     where : str
         Place of the particles in the scene, for messages.
     """
-    numbers = np.unique(np.where(inside == 0, AIR, objects.medium[objects.by_rank[inside & RANK]]))
+    in_glass = inside[inside != 0]
+    numbers = np.unique(objects.medium[objects.by_rank[in_glass & RANK]]) if len(in_glass) else np.array([AIR])
+    if 0 < len(in_glass) < len(inside):
+        numbers = np.append(numbers, AIR)
     indices = objects.media.indices[numbers]
     if isinstance(group.phase, MiePhase) and group.phase.surrounding_index is None and (indices != indices[0]).any():
         found = ", ".join(f"{index:.6g}" for index in indices[:, 0])

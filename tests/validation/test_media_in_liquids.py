@@ -4,6 +4,7 @@ Ways in the water follow from Snell's law in vectors, shares from Fresnel's equa
 `test_particles_in_water`.
 """
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +87,7 @@ def test_dye_in_a_ball_of_glass_follows_its_curved_faces(tmp_path: Path) -> None
         way = ends[0].vertices(k)
         inside = sum(
             np.linalg.norm(b.position - a.position)
-            for a, b in zip(way[1:], way[2:], strict=False)
+            for a, b in pairwise(way)
             if "glass" in a.surface and "glass" in b.surface
         )
         assert ends[0].weight[k] / ends[1].weight[k] == pytest.approx(np.exp(-kappa * inside), rel=1e-11)

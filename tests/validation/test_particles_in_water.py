@@ -66,7 +66,7 @@ def truth_of(scene: lf.Scene, point: Array, intensity: float, tilt_deg: float, a
 
     slope = -point[:2] / -point[2]
     for _ in range(12):
-        here = landing(np.array([slope, slope + [1e-4, 0.0], slope + [0.0, 1e-4]]))
+        here = landing(slope + 1e-4 * np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]))
         change = (here[1:] - here[0]).T / 1e-4
         slope = slope - np.linalg.solve(change, here[0])
     # Slopes in an ellipse that holds all of the lens's opening.

@@ -121,7 +121,8 @@ def _central_rays(world: World, places: Array, inside: Numbers, rank: int) -> Ar
         change = np.stack([(each.point - middle.point) / NUDGE for each in landed[1:]], axis=-1)
         known = np.all([each.known for each in landed], axis=0)
         known[known] = np.abs(np.linalg.det(change[known])) > 0.0
-        some, slope, change, point, left = (array[known] for array in (some, slope, change, middle.point, middle.slope))
+        some, slope, change = some[known], slope[known], change[known]
+        point, left = middle.point[known], middle.slope[known]
         inverse = np.linalg.inv(change)
         if step == STEPS - 1 or (np.linalg.norm(point, axis=1) < HIT * wide).all():
             met = np.linalg.norm(point, axis=1) < HIT * wide

@@ -38,6 +38,7 @@ class ParticleTables(NamedTuple):
     along: Array  # (3,) unit, world frame: the way of the light that is scattered
     phases: PhaseTables  # of one function
     samples: int  # packets of each particle, all replicates together
+    entry: int  # of the scene's
     inside: NDArray[np.int64]  # (n,) bodies of glass or liquid round each, as packets hold them
 
 
@@ -74,7 +75,9 @@ def particle_tables(
         if group.sheet is not None:
             along = unit(group.sheet.direction)
         phases = phase_tables([functions])
-        tables.append(ParticleTables(places[bright], strength[bright], scale, along, phases, group.samples, inside))
+        tables.append(
+            ParticleTables(places[bright], strength[bright], scale, along, phases, group.samples, number, inside)
+        )
     return tuple(tables)
 
 

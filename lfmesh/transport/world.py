@@ -40,6 +40,7 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.refused_glass import ClosedGapWarning, closed_gaps, refuse_untraceable_glass
 from lfmesh.transport.regions.embree import Finder
+from lfmesh.transport.sources.glass_round import places_round
 from lfmesh.transport.tables.cover import apparent_frames, cover_tables
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.interfaces import InterfaceTables, coatings_in_book, interface_tables
@@ -336,7 +337,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     object_mesh, objects = object_tables(scene, targets, housing, moves, book, lines, interfaces.objects, known, ranks)
     columns, rows = scene.camera.sensor.pixels
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
-    particles = particle_tables(scene, lines, objects, targets)
+    particles = particle_tables(scene, lines, objects.media, lambda points: places_round(objects, targets, points))
     refuse_particles_behind(particles, moves, float(lens.box_low[2]))
     # Absorption weakens light, and does not change where it has to go.
     anywhere = unaimed(scene, clear(lens))

@@ -195,7 +195,7 @@ def test_spheres_that_one_entry_has_in_air_and_in_glass_are_refused(tmp_path):
         }
     )
     with pytest.raises(
-        LfmeshError, match=r"particles\[0\]: its particles lie in media of the refractive indices 1.5, 1,"
+        LfmeshError, match=r"particles\[0\]: its particles lie in media of the refractive indices 1, 1.5,"
     ):
         lf.build(lit)
     told = lit.changed({"particles[0].phase.surrounding_index": 1.5})

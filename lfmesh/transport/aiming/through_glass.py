@@ -33,8 +33,8 @@ WIDENED = 2.0
 """Radius of the wide disk over that of the wide disk that points in air are aimed at."""
 
 VALUES = 10
-"""Of a node: whether it is known; slopes of its ray; slopes where that leaves; slopes for each mm of the opening; by how
-much rays from near it miss the points that they are aimed at, mm."""
+"""Of a node: whether it is known; slopes of its ray; slopes where that leaves; slopes for each mm of the opening; by
+how much rays from near it miss the points that they are aimed at, mm."""
 
 
 class GlassAim(NamedTuple):

@@ -8,7 +8,7 @@ from lfmesh.geometry.mesh import Array
 from lfmesh.geometry.targets import TargetMesh
 from lfmesh.geometry.winding import winding
 from lfmesh.transport.regions.bodies import BITS, LOW, LOW_BITS, MOST_AT_ONCE, RANK
-from lfmesh.transport.tables.tables import ObjectTables
+from lfmesh.transport.tables.tables import AIR, ObjectTables
 
 
 def glass_round(objects: ObjectTables, targets: list[TargetMesh], points: Array) -> NDArray[np.int64]:
@@ -51,6 +51,24 @@ def glass_round(objects: ObjectTables, targets: list[TargetMesh], points: Array)
         count[within] += 1
     inside[near] = number[of_point.reshape(-1)]
     return inside
+
+
+def places_round(
+    objects: ObjectTables, targets: list[TargetMesh], points: Array
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the bodies that points are in, as `glass_round` does, and the numbers of the media there, (n,) int64 each.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    targets : list of TargetMesh
+        World frame.
+    points : (n, 3) float64, mm, world frame
+    """
+    inside = glass_round(objects, targets, points)
+    media, some = np.full(len(points), AIR), np.flatnonzero(inside)
+    media[some] = objects.medium[objects.by_rank[inside[some] & RANK]]
+    return inside, media
 
 
 def start_inside(packets: NDArray[np.void], inside: NDArray[np.int64], objects: ObjectTables) -> None:

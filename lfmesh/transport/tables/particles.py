@@ -1,5 +1,6 @@
 """The table of particles as kernels read it."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -7,20 +8,18 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
-from lfmesh.geometry.targets import TargetMesh
 from lfmesh.optics.phase import PhaseTables, phase_tables
 from lfmesh.scene import Scene
 from lfmesh.scene.particles import Particles, particle_places, unit
 from lfmesh.scene.phase import MiePhase
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
-from lfmesh.transport.regions.bodies import RANK
-from lfmesh.transport.sources.glass_round import glass_round
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.phases import phase_functions, sphere_of
 from lfmesh.transport.tables.spectra import spread
-from lfmesh.transport.tables.tables import AIR, ObjectTables
+from lfmesh.transport.tables.tables import Media
 
 Array = NDArray[np.float64]
+Numbers = NDArray[np.int64]
 
 DARKEST = 1e-6
 """Brightness, over that of the brightest in a sheet, below which particles are left out."""
@@ -39,11 +38,11 @@ class ParticleTables(NamedTuple):
     phases: PhaseTables  # of one function
     samples: int  # packets of each particle, all replicates together
     entry: int  # of the scene's
-    inside: NDArray[np.int64]  # (n,) bodies of glass or liquid round each, as packets hold them
+    inside: Numbers  # (n,) bodies of glass or liquid round each, as packets hold them
 
 
 def particle_tables(
-    scene: Scene, lines: Lines, objects: ObjectTables, targets: list[TargetMesh]
+    scene: Scene, lines: Lines, media: Media, places: Callable[[Array], tuple[Numbers, Numbers]]
 ) -> tuple[ParticleTables, ...]:
     """Return the particles of a scene, but for entries of which none shines.
 
@@ -51,9 +50,11 @@ def particle_tables(
     ----------
     scene : Scene
     lines : Lines
-    objects : ObjectTables
-    targets : list of TargetMesh
-        World frame.
+    media : Media
+        Of object space.
+    places : callable
+        Returns, for points (n, 3) in mm, world frame, the bodies that they are in, as packets hold them, and the
+        numbers of the media there.
 
     Raises
     ------
@@ -63,12 +64,12 @@ def particle_tables(
     tables = []
     for number, group in enumerate(scene.particles):
         where = f"particles[{number}]"
-        places, strength = particle_places(group, scene)
+        points, strength = particle_places(group, scene)
         bright = strength > (DARKEST * strength.max() if group.sheet is not None else 0.0)
         if not bright.any():
             continue
-        inside = glass_round(objects, targets, places[bright])
-        index = _index_round(group, objects, inside, where)
+        inside, numbers = places(points[bright])
+        index = _index_round(group, media, numbers, where)
         functions = phase_functions(group.phase, lines.wavelengths_nm, scene, f"{where}.phase", index)
         scale = spread(scene, 1.0, group.spectrum, lines, f"{where}.spectrum") * _power(group, lines, where, index)
         along = np.array([0.0, 0.0, 1.0])
@@ -76,28 +77,24 @@ def particle_tables(
             along = unit(group.sheet.direction)
         phases = phase_tables([functions])
         tables.append(
-            ParticleTables(places[bright], strength[bright], scale, along, phases, group.samples, number, inside)
+            ParticleTables(points[bright], strength[bright], scale, along, phases, group.samples, number, inside)
         )
     return tuple(tables)
 
 
-def _index_round(group: Particles, objects: ObjectTables, inside: NDArray[np.int64], where: str) -> Array:
+def _index_round(group: Particles, media: Media, numbers: Numbers, where: str) -> Array:
     """Return the refractive index of what is round particles, (wavelengths,); of spheres it must be the same for all.
 
     Parameters
     ----------
     group : Particles
-    objects : ObjectTables
-    inside : (n,) int64
-        See `ParticleTables`.
+    media : Media
+    numbers : (n,) int64
+        Of the medium round each.
     where : str
         Place of the particles in the scene, for messages.
     """
-    in_glass = inside[inside != 0]
-    numbers = np.unique(objects.medium[objects.by_rank[in_glass & RANK]]) if len(in_glass) else np.array([AIR])
-    if 0 < len(in_glass) < len(inside):
-        numbers = np.append(numbers, AIR)
-    indices = objects.media.indices[numbers]
+    indices = media.indices[np.unique(numbers)]
     if isinstance(group.phase, MiePhase) and group.phase.surrounding_index is None and (indices != indices[0]).any():
         found = ", ".join(f"{index:.6g}" for index in indices[:, 0])
         raise SceneError(

@@ -29,7 +29,8 @@ def describe(world: World, name: str) -> Rows:
         return [("mount", "absorbs what leaves the clear apertures between the elements")]
     several = {"lens": (_element, len(world.lens_shape.elements)), "targets": (_target, len(world.targets)),
                "lights": (_light, len(world.scene.lights)),
-               "particles": (_particles, len(world.scene.particles)), "media": (_medium_round, len(world.scene.media))}  # fmt: skip
+               "particles": (_particles, len(world.scene.particles)),
+               "media": (_medium_round, len(world.scene.media))}  # fmt: skip
     if kind in several and number.isdecimal() and int(number) < several[kind][1]:
         return several[kind][0](world, int(number))
     raise LfmeshError(f"no part is called {name!r}; there are {', '.join(world.mesh_names)}")

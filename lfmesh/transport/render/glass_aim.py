@@ -26,8 +26,8 @@ from lfmesh.transport.packets.packet import (
     WORLD_FRAME,
 )
 from lfmesh.transport.regions.bodies import RANK
+from lfmesh.transport.regions.glass_round import glass_round
 from lfmesh.transport.settings import options_of
-from lfmesh.transport.sources.glass_round import glass_round
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.world import World
 

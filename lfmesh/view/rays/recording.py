@@ -7,7 +7,7 @@ from lfmesh.geometry import frame
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.events.crossing import FLOAT32_GRAIN
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECTS, WORLD_FRAME, Options
-from lfmesh.transport.sources.glass_round import glass_round
+from lfmesh.transport.regions.glass_round import glass_round
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher, Source
 from lfmesh.transport.tables.tables import Records, Tables

@@ -57,6 +57,9 @@ def matrix(
     absorption: Annotated[
         bool, Parameter(negative=(), help="Take from the entries what the scene's media absorb and scatter.")
     ] = False,
+    inside: Annotated[
+        str | None, Parameter(help='Body of glass or liquid that the grid is in, such as "tanks[0] liquid".')
+    ] = None,
     overrides: Overrides | None = None,
 ) -> int:
     """Write what every pixel detects of every voxel of an emitting grid: a sparse matrix with standard errors.
@@ -72,7 +75,7 @@ def matrix(
         with status() as report, warnings_as_notes():
             write_projection_matrix(
                 loaded, box, out, channel=channel, threshold=threshold, absorption=absorption,
-                say=lambda line: print(wrapped(line), flush=True),
+                inside=inside, say=lambda line: print(wrapped(line), flush=True),
                 progress=lambda done, total: report(f"{100 * done // total} % of the pixels"),
             )  # fmt: skip
     except KeyboardInterrupt:

@@ -23,11 +23,11 @@ from lfmesh.files.folder import staged_file
 from lfmesh.files.inputs import pinned
 from lfmesh.files.whole import make_like_any_other
 from lfmesh.lightfield.projection import (
-    NOT_SEEN,
     THRESHOLD,
     ProjectionMatrix,
     Projector,
     computed,
+    not_seen,
     pixels_of,
     size_in_words,
 )
@@ -50,7 +50,7 @@ Say = Callable[[str], None]
 
 def write_projection_matrix(
     scene: Scene, grid: Any, path: str | Path, *, channel: int = 0, pixels: ArrayLike | None = None,
-    threshold: float = THRESHOLD, absorption: bool = False, say: Say | None = None,
+    threshold: float = THRESHOLD, absorption: bool = False, inside: str | None = None, say: Say | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:  # fmt: skip
     """Trace a projection matrix into a file, block after block; see `lf.projection_matrix`.
@@ -59,7 +59,7 @@ def write_projection_matrix(
 
     Parameters
     ----------
-    scene, grid, channel, pixels, threshold, absorption
+    scene, grid, channel, pixels, threshold, absorption, inside
         As for `lf.projection_matrix`.
     path : Path
         Ends in `.npz`, or in `.h5` or `.hdf5`, which needs h5py.
@@ -85,7 +85,7 @@ def write_projection_matrix(
     if not path.parent.is_dir() or path.is_dir():
         why = "it is a folder" if path.is_dir() else f"there is no folder {path.parent}"
         raise FileError(f"{path} cannot be written: {why}")
-    projector = Projector(pinned(scene), grid, channel, threshold, absorption=absorption)
+    projector = Projector(pinned(scene), grid, channel, threshold, absorption=absorption, inside=inside)
     chosen = pixels_of(projector, pixels)
     size = size_in_words(projector, chosen)
     if say is not None:
@@ -189,6 +189,7 @@ def _facts(projector: Projector, pixels: NDArray[np.int64]) -> dict[str, Any]:
         "channel": projector.channel,
         "threshold": projector.threshold,
         "absorption": projector.absorption,
+        "inside": projector.inside,
         "pixels": [
             len(pixels),
             int(pixels[0]),
@@ -221,7 +222,7 @@ def _join(path: Path, parts: Path, blocks: int, projector: Projector, pixels: ND
     entries = [_array(parts, number, "entries") for number in range(blocks)]
     end = np.concatenate([[0], np.cumsum(np.concatenate(entries))])
     if end[-1] == 0:
-        raise LfmeshError(NOT_SEEN)
+        raise LfmeshError(not_seen(projector))
     grid = projector.grid
     x, y, z = grid.axes_mm
     columns, rows = projector.world.scene.camera.sensor.pixels

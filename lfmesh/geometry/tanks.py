@@ -13,13 +13,8 @@ def with_tanks(scene: Scene) -> Scene:
     """Return the scene with two bodies of glass, after its targets, in place of each of its tanks."""
     if not scene.tanks:
         return scene
-    bodies = [body for i, tank in enumerate(scene.tanks) for body in tank_bodies(tank, name_of(tank, i))]
+    bodies = [body for i, tank in enumerate(scene.tanks) for body in tank_bodies(tank, tank.called(i))]
     return scene.model_copy(update={"targets": (*scene.targets, *bodies), "tanks": ()})
-
-
-def name_of(tank: Tank, number: int) -> str:
-    """Return what a tank is called in reports."""
-    return tank.name or f"tanks[{number}]"
 
 
 def tank_bodies(tank: Tank, name: str) -> tuple[Target, Target]:
@@ -63,7 +58,7 @@ def tank_lines(scene: Scene) -> list[str]:
         size = " × ".join(f"{length:g}" for length in tank.size_mm)
         state = f"open at the {tank.open}" if tank.open is not None else "closed"
         lines.append(
-            f"{name_of(tank, i):<23}{size} mm, {state}, walls of {tank.wall_mm:g} mm (n = {n_wall:.6g}), liquid n = "
+            f"{tank.called(i):<23}{size} mm, {state}, walls of {tank.wall_mm:g} mm (n = {n_wall:.6g}), liquid n = "
             f"{n_liquid:.6g}; its middle, {depth:g} mm behind its front, is seen {seen:.6g} mm behind it"
         )
     return lines

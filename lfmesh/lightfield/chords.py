@@ -46,26 +46,29 @@ class Rows(NamedTuple):
 
 
 class Haze(NamedTuple):
-    """What media take of the light of rays; `volumes` is None where they are left out."""
+    """What media, glass and liquids take of the light of rays; `volumes` is None where media are left out."""
 
     volumes: Any
     origin: Array  # (n, 3) of the rays, mm, object frame
     direction: Array  # (n, 3)
     colour: NDArray[np.int64]  # (n,) number of each ray's wavelength
     book: Array  # (0,) no light is booked
+    place: NDArray[np.int64]  # (n,) rank of the body that each is in; 0: air
+    per_mm: Array  # (n,) absorption coefficient of the glass or liquid round each, 1/mm
 
 
 @kernel
 def _passed(volumes: Any, haze: Haze, ray: int, begin: float, end: float) -> float:
-    """Return the share of the light that media, which may be None, let through on a piece of a ray."""
+    """Return the share of the light that media, which may be None, and glass let through on a piece of a ray."""
+    clear = np.exp(-haze.per_mm[ray] * (end - begin))
     if volumes is None:
-        return 1.0
+        return clear
     o, d = haze.origin[ray], haze.direction[ray]
     x, y, z = o[0] + begin * d[0], o[1] + begin * d[1], o[2] + begin * d[2]
     passage = pass_through(
-        volumes, haze.colour[ray], x, y, z, d[0], d[1], d[2], end - begin, haze.book, 0.0, np.uint64(0)
+        volumes, haze.place[ray], haze.colour[ray], x, y, z, d[0], d[1], d[2], end - begin, haze.book, 0.0, np.uint64(0)
     )
-    return passage.transmittance
+    return passage.transmittance * clear
 
 
 @inlined
@@ -125,7 +128,7 @@ def walk(
             if room.own[voxel] == 0.0:
                 room.first_touched[touched] = voxel
                 touched += 1
-            if haze.volumes is None:
+            if haze.volumes is None and haze.per_mm[ray] == 0.0:
                 room.own[voxel] += weight * (there - here)
             else:
                 passed = _passed(haze.volumes, haze, ray, here, there)

@@ -9,7 +9,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfmesh.errors import LfmeshError
+from lfmesh.errors import LfmeshError, SceneError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.voxels import read_voxels
 from lfmesh.lightfield.chords import Haze, Room, Rows, room_for, sum_rows
@@ -43,13 +43,14 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.path_class import OFF_IMAGE_PATH
 from lfmesh.transport.packets.random import descendant
+from lfmesh.transport.regions.bodies import RANK
 from lfmesh.transport.regions.objects import admit_to_objects
 from lfmesh.transport.render.parts import Part
 from lfmesh.transport.render.tracer import Tracer
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.lights import MM2
-from lfmesh.transport.world import build
+from lfmesh.transport.world import World, build
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -142,6 +143,10 @@ class Segments(NamedTuple):
     pixel : (n,) int64
     colour : (n,) int64
         Number of the wavelength.
+    place : (n,) int64
+        Rank of the body of glass or liquid that each is in; 0: air.
+    per_mm : (n,) float64
+        Absorption coefficient of that body, 1/mm.
     """
 
     origin: Array
@@ -150,6 +155,8 @@ class Segments(NamedTuple):
     weight: Array
     pixel: Numbers
     colour: Numbers
+    place: Numbers
+    per_mm: Array
 
 
 class Block(NamedTuple):
@@ -175,6 +182,8 @@ class Projector:
     threshold : float
     absorption : bool
         Whether what media absorb and scatter on the way to the camera is missing from its entries.
+    inside : str, optional
+        Name of the body of glass or liquid that the grid is in; it is in air if left out.
 
     Raises
     ------
@@ -183,11 +192,12 @@ class Projector:
     """
 
     def __init__(
-        self, scene: Scene, grid: Any, channel: int = 0, threshold: float = THRESHOLD, *, absorption: bool = False
-    ) -> None:
+        self, scene: Scene, grid: Any, channel: int = 0, threshold: float = THRESHOLD, *, absorption: bool = False,
+        inside: str | None = None,
+    ) -> None:  # fmt: skip
         self.grid = VoxelBox.of(grid)
         _check(scene, channel, threshold)
-        self.absorption = bool(absorption)
+        self.absorption, self.inside = bool(absorption), inside
         if not absorption and (dimming := _dimming(scene)):
             warnings.warn(
                 f"{', '.join(dimming)}: what media absorb and scatter is not in this projection matrix, whose voxels "
@@ -197,15 +207,10 @@ class Projector:
             )
         self.channel, self.threshold = int(channel), float(threshold)
         # What lights, targets, media and particles of the scene send is no part of the matrix.
-        self.world = build(scene.changed({"transport.method": "adjoint", "lights": (), "media": (), "particles": ()}))
-        self._volumes: Any = None
-        if absorption and scene.media:
-            if any(target.refractor is not None for target in scene.targets) or scene.tanks:
-                raise LfmeshError(
-                    "absorption: media are not followed beside glass in a projection matrix; leave it out"
-                )
-            with_media = scene.changed({"transport.method": "adjoint", "lights": (), "particles": ()})
-            self._volumes = build(with_media).tables.objects.volumes
+        alone: dict[str, Any] = {"transport.method": "adjoint", "lights": (), "particles": ()}
+        self.world = build(scene.changed(alone | ({} if absorption else {"media": ()})))
+        self._volumes = self.world.tables.objects.volumes
+        self._place = _place_of(self.world, inside)
         front = frames.points(self.world.tables.frames[WORLD_FRAME, CAMERA_FRAME], self.grid.corners_mm())[:, 2].max()
         if not front < 0.0:
             raise LfmeshError(
@@ -213,7 +218,7 @@ class Projector:
                 "vertex, where z is below 0"
             )
         self.tracer = Tracer(self.world, check=False)
-        self.parts = [part for part in self.tracer.parts if part.options.adjoint]
+        self.parts = [_without_scattered(part) for part in self.tracer.parts if part.options.adjoint]
         self.replicates = self.world.scene.transport.replicates
         self.wavelength_nm = self.world.scene.wavelengths_nm[self.channel]
         # Emission of 1 W/(mm³ sr), of a band over the whole range of wavelengths, as lines have it.
@@ -261,7 +266,7 @@ class Projector:
         moves = self.world.tables.frames[WORLD_FRAME, OBJECT_FRAME]
         haze = Haze(
             self._volumes, frames.points(moves, segments.origin), frames.directions(moves, segments.direction),
-            segments.colour, np.empty(0),
+            segments.colour, np.empty(0), segments.place, segments.per_mm,
         )  # fmt: skip
         capacity = ENTRIES_AT_FIRST * count
         rows = Rows(
@@ -306,19 +311,21 @@ class Projector:
                 for some in source.parts(CHUNK):
                     work = self._launchers[part.number].launch(source, some)
                     segments = _in_object_space(work, part)
-                    yield segments._replace(weight=segments.weight * self._power[turn.column])
+                    power = np.where(segments.place == self._place, self._power[turn.column], 0.0)
+                    yield segments._replace(weight=segments.weight * power)
 
 
 def projection_matrix(
     scene: Scene, grid: Any, *, channel: int = 0, pixels: ArrayLike | None = None, threshold: float = THRESHOLD,
-    absorption: bool = False, say: Callable[[str], None] | None = None,
+    absorption: bool = False, inside: str | None = None, say: Callable[[str], None] | None = None,
 ) -> ProjectionMatrix:  # fmt: skip
     """Trace what every pixel of a camera detects of every voxel of an emitting grid.
 
     The rays are those of the adjoint image: `transport.samples`, `replicates`, `split` and `seed` hold. With
     `split = "transmit"` they follow the image path alone; else reflections in lens and array are in the matrix, too,
     and fill it. Targets hide what lies behind them; light that they scatter is no part of it. Glass in front of the
-    camera refracts, and what emits inside it counts.
+    camera refracts, and what it absorbs is missing from the entries. As with `[[media]]`, voxels count where they are
+    in air or, with `inside`, in one body of glass or liquid.
 
     Parameters
     ----------
@@ -335,6 +342,8 @@ def projection_matrix(
     absorption : bool
         Take from the entries what the scene's `[[media]]` absorb and scatter on the way to the camera. Left out, air
         is clear. Light that is scattered into a ray is in no entry.
+    inside : str, optional
+        Name of the body of glass or liquid that the grid is in, such as "tanks[0] liquid". Left out, it is in air.
     say : callable, optional
         Called with lines for the user: the expected size, first of all.
 
@@ -346,7 +355,7 @@ def projection_matrix(
     """
     from scipy.sparse import csr_array
 
-    projector = Projector(scene, grid, channel, threshold, absorption=absorption)
+    projector = Projector(scene, grid, channel, threshold, absorption=absorption, inside=inside)
     chosen = pixels_of(projector, pixels)
     size = size_in_words(projector, chosen)
     if say is not None:
@@ -358,7 +367,7 @@ def projection_matrix(
     column = np.concatenate([block.column for block in done])
     value = np.concatenate([block.value for block in done])
     if not len(value):
-        raise LfmeshError(NOT_SEEN)
+        raise LfmeshError(not_seen(projector))
     return ProjectionMatrix(
         csr_array((value, column, end), shape=(len(chosen), projector.grid.voxels)),
         np.concatenate([block.error for block in done]),
@@ -371,7 +380,36 @@ def projection_matrix(
     )
 
 
-NOT_SEEN = "no ray from these pixels meets the grid: the matrix would be empty; move the grid into the camera's view"
+def not_seen(projector: Projector) -> str:
+    """Say that a matrix would be empty."""
+    names = ", ".join(
+        f'"{name}"' for name in {number: name for name, number in projector.world.scene.bodies()}.values()
+    )
+    other = f"; what lies in a body needs inside, one of {names}" if names else ""
+    where = f" in {projector.inside}" if projector.inside is not None else " in air" if names else ""
+    return (
+        f"no ray from these pixels meets the grid{where}: the matrix would be empty; move the grid into the camera's "
+        f"view{other}"
+    )
+
+
+def _place_of(world: World, inside: str | None) -> int:
+    """Return the rank of the body that a grid is in; 0: air."""
+    if inside is None:
+        return 0
+    try:
+        return int(world.tables.objects.rank[world.scene.body_named(inside)])
+    except SceneError as error:
+        raise LfmeshError(f"inside = {literal(inside)}: {error}") from None
+
+
+def _without_scattered(part: Part) -> Part:
+    """Return a part in which what media scatter is lost, as what they absorb is."""
+    objects = part.tables.objects
+    if objects.volumes is None:
+        return part
+    volumes = objects.volumes._replace(scatters=False)
+    return replace(part, tables=part.tables._replace(objects=objects._replace(volumes=volumes)))
 
 
 class Size(NamedTuple):
@@ -517,7 +555,11 @@ def _pieces(packets: NDArray[np.void], work: Workspace, frame: NDArray[Any], onl
         # The other paths belong to the part that follows the image path.
         weight = np.where(packets["stray"] != 0, weight, 0.0)
     pixel, colour = packets["source"] & PIXEL_MASK, packets["colour"].astype(np.int64)
-    return Segments(p, d, np.full(len(p), np.inf), weight, pixel, colour)
+    absorption = work.tables.objects.media.absorption
+    per_mm = np.zeros(len(p)) if absorption is None else absorption.per_mm[packets["medium"], packets["colour"]]
+    # Only packets in object space are in bodies, whose numbers have the place of a cell of the array.
+    place = np.where((frame == OBJECT_FRAME) & (packets["column"] >= 0), packets["column"] & RANK, 0)
+    return Segments(p, d, np.full(len(p), np.inf), weight, pixel, colour, place.astype(np.int64), per_mm)
 
 
 def _followed(work: Workspace, only_strays: bool) -> Segments:

@@ -40,16 +40,20 @@ AnyGrid = Annotated[Grid, BeforeValidator(_of_path, json_schema_input_type=str |
 
 
 class Medium(Model):
-    """A body of gas, smoke or fog that absorbs, scatters or emits light. Where media overlap, they add.
+    """Gas, smoke, fog or dye that absorbs, scatters or emits light. Where media overlap, they add.
 
-    It is outside all glass: a body of glass in it displaces it.
+    It is in air or, with `inside`, in one body of glass or liquid; all other bodies displace it.
     """
 
     name: Text | None = None
     """What the medium is called in reports."""
     bounds: Bounds | None = None
-    """A box, sphere or cylinder, about the medium's own origin. Omitted: where its grid is or, without a grid,
-    everywhere in front of the first lens vertex, so that the camera looks into it from its edge."""
+    """A box, sphere or cylinder, about the medium's own origin. Omitted: where its grid is or, without a grid, all of
+    the body that it is inside, or else everywhere in front of the first lens vertex, so that the camera looks into it
+    from its edge."""
+    inside: Text | None = None
+    """The body of glass or liquid that it is in, by its name in reports: "tanks[0] liquid", or the name of a target
+    with a refractor. Omitted: it is in air."""
     grid: AnyGrid | None = None
     """Voxels with quantities that vary in space; a number beside it gives a quantity that the grid does not hold."""
     absorption_per_mm: Coefficient = 0.0
@@ -89,7 +93,7 @@ class Medium(Model):
             if self.absorption_per_mm == 0.0 and self.grid is None:
                 yield Fault(("temperature_k",), self.temperature_k, "needs absorption_per_mm: what absorbs nothing "
                             "emits nothing")  # fmt: skip
-        endless = self.bounds is None and self.grid is None
+        endless = self.bounds is None and self.grid is None and self.inside is None
         if endless and emission != 0.0 and self.absorption_per_mm == 0.0:
             yield Fault(("emission_w_mm3_sr",), None, "a medium without bounds that emits and absorbs nothing is "
                         "infinitely bright; give bounds, or absorption_per_mm")  # fmt: skip

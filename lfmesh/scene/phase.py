@@ -45,8 +45,9 @@ class MiePhase(Model):
     """Refractive index of the spheres."""
     extinction: NonNegative = 0.0
     """Extinction coefficient k of the spheres: their index is n + ik (no unit)."""
-    surrounding_index: Index = 1.0
-    """Refractive index of what the spheres are in: 1.333 of water."""
+    surrounding_index: Index | None = None
+    """Refractive index of what the spheres are in: 1.333 of water. Omitted: that of the place where they are, air or
+    the liquid of a tank."""
     sigma: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.0
     """Standard deviation of the natural logarithm of the diameter (no unit); 0: all have the same."""
 

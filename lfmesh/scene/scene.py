@@ -269,6 +269,7 @@ class Scene(Model, Shown):
         if not glasses:
             yield from self._lenslet_faults()
         yield from self._coating_faults()
+        yield from self._body_faults()
         yield from self._band_faults()
         yield from self._spectrum_faults()
         yield from self._absorption_faults() if not glasses else ()
@@ -290,6 +291,43 @@ class Scene(Model, Shown):
         for i, target in enumerate(self.targets):
             if target.refractor is not None:
                 yield ("targets", i, "refractor", "coating"), target.refractor.coating
+
+    def bodies(self) -> tuple[tuple[str, int], ...]:
+        """Return the names of all bodies of glass and liquid, and their numbers among targets, tanks' bodies last."""
+        found = []
+        for i, target in enumerate(self.targets):
+            if target.refractor is not None:
+                found += [(f"targets[{i}]", i), *([(target.name, i)] if target.name is not None else [])]
+        for k, tank in enumerate(self.tanks):
+            first = len(self.targets) + 2 * k
+            found += [(f"{tank.called(k)} wall", first), (f"{tank.called(k)} liquid", first + 1)]
+        return tuple(found)
+
+    def body_named(self, name: str) -> int:
+        """Return the number of a body of glass or liquid among the targets, where tanks' bodies come last.
+
+        Raises
+        ------
+        SceneError
+            There is no such body, or more than one.
+        """
+        bodies = self.bodies()
+        numbers = [number for own, number in bodies if own == name]
+        if len(numbers) == 1:
+            return numbers[0]
+        known = ", ".join(f'"{own}"' for own in {number: own for own, number in bodies}.values())
+        if numbers:
+            raise SceneError(f"{len(numbers)} bodies have this name; give each its own")
+        raise SceneError(f"no body of glass or liquid has this name; there {f'are {known}' if known else 'is none'}")
+
+    def _body_faults(self) -> Iterator[Fault]:
+        """Yield media in bodies that are not there."""
+        for i, medium in enumerate(self.media):
+            if medium.inside is not None:
+                try:
+                    self.body_named(medium.inside)
+                except SceneError as error:
+                    yield Fault(("media", i, "inside"), medium.inside, str(error))
 
     def _checked_nm(self) -> tuple[float, ...]:
         """Wavelengths at which glasses are looked for before anything is built; none if they stand in a file."""

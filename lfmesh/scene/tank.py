@@ -61,6 +61,10 @@ class Tank(Model):
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     """Rotations about x, then y, then z, in degrees."""
 
+    def called(self, number: int) -> str:
+        """Return what the tank is called in reports, by its number in the scene."""
+        return self.name or f"tanks[{number}]"
+
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""
         for axis, length in enumerate(self.size_mm):

@@ -86,6 +86,9 @@ def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Arr
     _refuse_wrong_shells(parts, names)
     refuse_close_faces(scene, targets, bodies)
     holders = _holders(parts, names, priority)
+    # A body inside another of its priority is also inside all bodies that enclose that one, and so inside more.
+    order = sorted(bodies, key=lambda i: (priority[i], len(holders[i])))
+    parts = {i: parts[i] for i in reversed(order)}
     _refuse_crowds(parts, names)
     _refuse_covered_faces(scene, targets, bodies)
     _refuse_camera_inside(parts, names, front)
@@ -96,9 +99,8 @@ def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Arr
         first = [facets[0] for facets in shells(meshes[i])]
         body = _holding(parts, meshes[i].vertices[meshes[i].faces[first]].mean(axis=1))
         if body is not None:
-            raise SceneError(f"{names[i]} emits inside the glass of {names[body]}; {FORWARD_IN_GLASS}")
-    # A body inside another of its priority is also inside all bodies that enclose that one, and so inside more.
-    ranks[sorted(bodies, key=lambda i: (priority[i], len(holders[i])))] = np.arange(1, len(bodies) + 1)
+            raise SceneError(f"{names[i]} emits inside {names[body]}; {FORWARD_IN_GLASS}")
+    ranks[order] = np.arange(1, len(bodies) + 1)
     return ranks
 
 
@@ -129,9 +131,7 @@ def _refuse_cuts(meshes: dict[int, Mesh], names: dict[int, str], priority: dict[
         )
     if not {one, other} <= glass:
         body, emitter = (one, other) if one in glass else (other, one)
-        raise SceneError(
-            f"{names[emitter]} emits partly inside the glass of {names[body]}, {where}; {FORWARD_IN_GLASS}"
-        )
+        raise SceneError(f"{names[emitter]} emits partly inside {names[body]}, {where}; {FORWARD_IN_GLASS}")
     raise SceneError(
         f"{names[one]} and {names[other]}: these glass bodies cut each other {where}, and both have priority = "
         f"{priority[one]}; give the one that is to fill what they share the higher one, or move one"
@@ -396,12 +396,12 @@ def _refuse_lamp_inside(parts: Shells, names: dict[int, str], number: int, light
     if body is not None:
         size = f" with radius_mm = {light.radius_mm:g}" if isinstance(light, DiskLight) else ""
         raise SceneError(
-            f"lights[{number}].position_mm = {list(light.position_mm)}{size} lies inside the glass of "
+            f"lights[{number}].position_mm = {list(light.position_mm)}{size} lies inside "
             f"{names[body]}; a lamp must stand in air: move it, or give the body a hollow round it, a surface that "
             "faces inwards"
         )
 
 
 def _holding(parts: Shells, points: Array) -> int | None:
-    """Return the number of the body in whose glass any of the points lies."""
+    """Return the body that any of the points lies in; of several the one that comes first, by rank from the highest."""
     return next((i for i, own in parts.items() if (_turns(own, points) != 0).any()), None)

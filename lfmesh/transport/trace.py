@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, TypedDict, Unpack
 
@@ -39,13 +39,14 @@ from lfmesh.transport.packets.packet import (
     Status,
 )
 from lfmesh.transport.packets.random import descendant
+from lfmesh.transport.regions.glass_round import glass_round
 from lfmesh.transport.sequential.given_rays import ENDED, GONE, REFUSED, UNSURE, followed
 from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
 from lfmesh.transport.sources.face_starts import before_faces
-from lfmesh.transport.sources.glass_round import glass_round
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.interfaces import interface_tables
+from lfmesh.transport.tables.objects import with_volumes
 from lfmesh.transport.tables.polarisation import polarisation_tables
 from lfmesh.transport.tables.tables import Media, Records, Tables
 from lfmesh.transport.world import World
@@ -376,10 +377,20 @@ def at_wavelength(world: World, wavelength_nm: float) -> Tables:
     cover = tables.cover
     if cover is not None:
         cover = cover._replace(media=media(cover.medium), interfaces=interfaces.cover)
+    objects = tables.objects._replace(media=media(tables.objects.medium), interfaces=interfaces.objects)
+    emitting = objects.volumes
+    if emitting is not None:
+        # What media emit has a width in wavelength; what they take, and how they scatter, is that of this wavelength.
+        dark = {"emission_w_mm3_sr": 0.0, "temperature_k": None, "spectrum": None}
+        scene = world.scene.model_copy(update={"media": tuple(m.model_copy(update=dark) for m in world.scene.media)})
+        line = replace(world.lines, wavelengths_nm=(wavelength_nm,), weight_nm=np.ones(1))
+        objects = with_volumes(objects, scene, world.targets, tables.frames, world.book, line)
+        own = {name: getattr(objects.volumes, name) for name in ("absorption", "scattering", "phases")}
+        objects = objects._replace(volumes=emitting._replace(**own))
     return tables._replace(
         lens=tables.lens._replace(media=media(tables.lens.medium), interfaces=interfaces.lens),
         mla=tables.mla._replace(media=media(tables.mla.medium), interfaces=interfaces.mla),
-        objects=tables.objects._replace(media=media(tables.objects.medium), interfaces=interfaces.objects),
+        objects=objects,
         polarised=polarisation_tables(world.scene, (wavelength_nm,), tables.frames, world.book),
         cover=cover,
     )
@@ -506,7 +517,7 @@ class _Call(NamedTuple):
             Numbers of the rays in error messages.
         """
         world = self.world
-        inside = glass_round(world, p)
+        inside = glass_round(world.tables.objects, world.targets, p)
         station, space, p, d = located(world, p, d, numbers)
         if self.options.sequential:
             _refuse_starts_in_the_lens(station, space, len(self.tables.lens.surfaces), numbers)

@@ -40,6 +40,7 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.refused_glass import ClosedGapWarning, closed_gaps, refuse_untraceable_glass
 from lfmesh.transport.regions.embree import Finder
+from lfmesh.transport.regions.glass_round import places_round
 from lfmesh.transport.tables.cover import apparent_frames, cover_tables
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.interfaces import InterfaceTables, coatings_in_book, interface_tables
@@ -52,7 +53,6 @@ from lfmesh.transport.tables.particles import (
     corners_round,
     particle_tables,
     refuse_particles_behind,
-    refuse_particles_in_glass,
 )
 from lfmesh.transport.tables.polarisation import polarisation_tables
 from lfmesh.transport.tables.surroundings import Surroundings, surroundings_of
@@ -337,9 +337,8 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     object_mesh, objects = object_tables(scene, targets, housing, moves, book, lines, interfaces.objects, known, ranks)
     columns, rows = scene.camera.sensor.pixels
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
-    particles = particle_tables(scene, lines)
+    particles = particle_tables(scene, lines, objects.media, lambda points: places_round(objects, targets, points))
     refuse_particles_behind(particles, moves, float(lens.box_low[2]))
-    refuse_particles_in_glass(scene, targets, particles)
     # Absorption weakens light, and does not change where it has to go.
     anywhere = unaimed(scene, clear(lens))
 

@@ -60,6 +60,7 @@ media = st.fixed_dictionaries(
         "position_mm": places,
         "rotation_deg": turns,
         "grid": grids,
+        "inside": st.sampled_from([*[None] * 9, "tanks[0] liquid"]),
     }
 )
 

@@ -187,7 +187,7 @@ def test_a_grid_in_a_tank_is_seen_along_the_refracted_rays():
                 continue
             share = here.weight * weight[ray] / MM2 / rays.replicates / index**2
             expected[np.searchsorted(PIXELS, pixel[ray])] += share * chords(grid, here.position, step / long, long)
-    made = projection_matrix(scene, grid, pixels=PIXELS, threshold=0.0).matrix.toarray()
+    made = projection_matrix(scene, grid, pixels=PIXELS, threshold=0.0, inside="tanks[0] liquid").matrix.toarray()
     np.testing.assert_allclose(made, expected, rtol=1e-9, atol=1e-11 * expected.max())
     without = projection_matrix(camera(), grid, pixels=PIXELS, threshold=0.0).matrix.toarray()
     assert np.abs(made - without / index**2).max() > 0.05 * made.max()
@@ -382,11 +382,41 @@ def test_fog_that_scatters_dims_as_much_as_one_that_absorbs():
     np.testing.assert_allclose(one.toarray(), other.toarray(), rtol=1e-12)
 
 
-def test_media_beside_glass_are_not_followed():
-    glass = {"refractor": {"box_mm": [2.0, 2.0, 2.0], "index": 1.5}, "position_mm": [0, 0, -50.0]}
-    scene = camera([glass]).changed({"media": [{"absorption_per_mm": 0.02}]})
-    with pytest.raises(LfmeshError, match="beside glass"):
-        projection_matrix(scene, box(), absorption=True)
+TANK = {
+    "size_mm": [40.0, 40.0, 30.0], "wall_mm": 3.0, "wall": {"index": 1.52, "absorption_per_mm": 0.02},
+    "liquid": {"index": 1.333, "absorption_per_mm": 0.03}, "position_mm": [0.0, 0.0, -58.0],
+    "rotation_deg": [8.0, -12.0, 5.0],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("dye", [0.0, 0.04])
+def test_matrix_times_emission_is_the_image_of_what_shines_in_water(dye, tmp_path):
+    """The grid is cut by the tank's walls, which displace it; water, window and dye absorb, and fog before the tank."""
+    emission = np.random.default_rng(8).uniform(0.5, 2.0, (4, 3, 5))
+    np.savez(tmp_path / "glow.npz", spacing_mm=(2.0, 2.5, 6.0), emission_w_mm3_sr=emission)
+    pose = {"position_mm": (0.5, -0.4, -52.0), "rotation_deg": (3.0, 2.0, 10.0)}
+    inside = "tanks[0] liquid"
+    glow = {"grid": {"file": "glow.npz", "interpolation": "constant"}, "inside": inside, **pose}
+    dimming = [{"inside": inside, "scattering_per_mm": dye}, {"absorption_per_mm": 0.01}] if dye else []
+    # The medium that shines scatters nothing into the image: the dye is an absorber there.
+    absorbing = [{key.replace("scattering", "absorption"): value for key, value in each.items()} for each in dimming]
+    scene = camera(tanks=[TANK]).in_folder(tmp_path)
+    grid = VoxelBox.of_size((4, 3, 5), (8.0, 7.5, 30.0), **pose)
+    with_media = scene.changed({"media": dimming})
+    seen = projection_matrix(with_media, grid, absorption=bool(dye), threshold=0.0, inside=inside).image(emission)
+    image = lf.render(scene.changed({"media": [glow, *absorbing]})).mean.ravel()
+    assert image.max() > 0.0
+    np.testing.assert_allclose(seen, image, rtol=1e-9, atol=1e-9 * image.max())
+
+
+def test_a_grid_in_water_needs_its_place():
+    scene = camera(tanks=[TANK])
+    with pytest.raises(
+        LfmeshError, match=r'meets the grid in air: .* inside, one of "tanks\[0\] wall", "tanks\[0\] liq'
+    ):
+        projection_matrix(scene, box(position_mm=(0.0, 0.0, -58.0), size=(2.0, 2.0, 2.0)))
+    with pytest.raises(LfmeshError, match=r'inside = "water": no body'):
+        projection_matrix(scene, box(), inside="water")
 
 
 def test_a_matrix_larger_than_the_memory_or_the_disk_is_refused_first(tmp_path, monkeypatch):

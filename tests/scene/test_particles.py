@@ -177,14 +177,29 @@ def test_bad_files_are_refused_in_one_line(tmp_path, text, said):
     assert "\n" not in str(raised.value)
 
 
-def test_particles_inside_glass_are_refused(tmp_path):
-    (tmp_path / "p.csv").write_text("x_mm,y_mm,z_mm,intensity_w_sr\n40,0,-300,1\n1,2,-300,1\n")
-    scene = lf.loads(bench_camera(4, 4) + '[[particles]]\nfile = "p.csv"\n', tmp_path)
+def test_spheres_that_one_entry_has_in_air_and_in_glass_are_refused(tmp_path):
+    (tmp_path / "p.csv").write_text("x_mm,y_mm,z_mm\n40,0,-300\n1,2,-300\n")
+    scene = lf.loads(bench_camera(4, 4) + '[[particles]]\nfile = "p.csv"\nintensity_w_sr = 1.0\n', tmp_path)
     trimesh.creation.box((20.0, 20.0, 20.0)).export(tmp_path / "box.stl")
     glass = {"file": "box.stl", "units": "mm", "surface": "flat", "index": 1.5}
     block = {"refractor": glass, "position_mm": (0.0, 0.0, -300.0)}
-    with pytest.raises(LfmeshError, match=r"\(1, 2, -300\) mm lies inside the glass of targets\[0\]"):
-        lf.build(scene.changed({"targets": (block,)}))
+    sheet = {"point_mm": (0, 0, -300), "normal": (0, 0, 1), "direction": (1, 0, 0), "thickness_mm": 9.0,
+             "width_mm": 99.0, "power_w": 1.0}  # fmt: skip
+    mie = {"kind": "mie", "diameter_um": 2.0, "index": 1.6}
+    lit = scene.changed(
+        {
+            "targets": (block,),
+            "particles[0].intensity_w_sr": None,
+            "particles[0].sheet": sheet,
+            "particles[0].phase": mie,
+        }
+    )
+    with pytest.raises(
+        LfmeshError, match=r"particles\[0\]: its particles lie in media of the refractive indices 1, 1.5,"
+    ):
+        lf.build(lit)
+    told = lit.changed({"particles[0].phase.surrounding_index": 1.5})
+    assert (lf.build(told).particles[0].inside > 0).tolist() == [False, True]
 
 
 def test_vectors_of_a_pair_lead_from_frame_to_frame(tmp_path):

@@ -1,4 +1,4 @@
-"""Light on its way through media: what they absorb, emit and scatter along a straight line.
+"""Light on its way through media: what they absorb, emit and scatter along a straight line in one body, or in air.
 
 A line is divided where it enters or leaves a medium and where it crosses from one voxel cell into the next. Along a
 step between two such places the sum of all coefficients is constant, or a cubic polynomial (trilinear along a line), of
@@ -236,9 +236,10 @@ def coefficients(
             else:
                 temperature = value
     if row.emits == BY_TEMPERATURE:
-        emits = 0.0
         if temperature > 0.0:
-            emits = absorbs * volumes.planck[0, colour] / np.expm1(volumes.planck[1, colour] / temperature)
+            emits *= absorbs * volumes.planck[0, colour] / np.expm1(volumes.planck[1, colour] / temperature)
+        else:
+            emits = 0.0
     elif row.emits == OF_BODY:
         emits *= absorbs
     return absorbs, scatters, emits
@@ -256,14 +257,16 @@ def _trilinear(values: Array, first: int, places: Any, u: float, v: float, w: fl
 
 @kernel
 def pass_through(
-    volumes: Volumes, colour: int, x: float, y: float, z: float, dx: float, dy: float, dz: float, reach: float,
-    book: Array, weight: float, key: np.uint64,
+    volumes: Volumes, place: int, colour: int, x: float, y: float, z: float, dx: float, dy: float, dz: float,
+    reach: float, book: Array, weight: float, key: np.uint64,
 ) -> Passage:  # fmt: skip
-    """Follow a ray through all media, and enter in the book what each absorbs.
+    """Follow a ray through all media of one body, or of air, and enter in the book what each absorbs.
 
     Parameters
     ----------
     volumes : Volumes
+    place : int
+        Rank of the body of glass or liquid that the ray is in; 0: air.
     colour : int
         Number of the wavelength.
     x, y, z, dx, dy, dz : float
@@ -285,6 +288,8 @@ def pass_through(
     while t < reach and left > 0.0:
         until, active, only, grids = reach, 0, -1, 0
         for number in range(len(rows)):
+            if rows[number].inside != place:
+                continue
             if number != known:
                 known, ray = number, own_ray(rows[number], x, y, z, dx, dy, dz)
                 first, last = span(rows[number], ray)
@@ -311,7 +316,7 @@ def pass_through(
             low_t, high_t = (a + LOW * step, a + HIGH * step) if grids > 0 else (middle, middle)
             e1, e2, k1, k2, s1, s2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for number in range(len(rows)):
-                if active == 1 and number != only:
+                if rows[number].inside != place or (active == 1 and number != only):
                     continue
                 if number != known:
                     known, ray = number, own_ray(rows[number], x, y, z, dx, dy, dz)
@@ -345,7 +350,7 @@ def pass_through(
                         choice = (choice - chance) / (1.0 - chance)
                 if weight > 0.0:
                     _enter_absorbed(
-                        volumes, colour, Ray(x, y, z, dx, dy, dz), t, until, middle, active, only, book,
+                        volumes, place, colour, Ray(x, y, z, dx, dy, dz), t, until, middle, active, only, book,
                         weight * stopped * left, extinction - 0.5 * (s1 + s2), extinction,
                     )  # fmt: skip
                 left *= passed
@@ -370,8 +375,8 @@ def _emitted(e1: float, e2: float, k1: float, k2: float, step: float, depth: flo
 
 @kernel
 def _enter_absorbed(
-    volumes: Volumes, colour: int, way: Ray, t: float, until: float, middle: float, active: int, only: int, book: Array,
-    stopped: float, absorption: float, extinction: float,
+    volumes: Volumes, place: int, colour: int, way: Ray, t: float, until: float, middle: float, active: int, only: int,
+    book: Array, stopped: float, absorption: float, extinction: float,
 ) -> None:  # fmt: skip
     """Enter in the book what media absorb of the light that a step stops, each by its share in the step's middle."""
     rows = volumes.rows
@@ -381,12 +386,12 @@ def _enter_absorbed(
         return
     total, last = 0.0, -1
     for number in range(len(rows)):
-        takes, ka = _absorbed_in(volumes, number, colour, way, t, until, middle)
+        takes, ka = _absorbed_in(volumes, place, number, colour, way, t, until, middle)
         if takes:
             total += ka
             last = number
     for number in range(len(rows)):
-        takes, ka = _absorbed_in(volumes, number, colour, way, t, until, middle)
+        takes, ka = _absorbed_in(volumes, place, number, colour, way, t, until, middle)
         if takes and total > 0.0:
             book[rows[number].slot] += absorbed * ka / total
         elif takes and number == last:
@@ -395,10 +400,12 @@ def _enter_absorbed(
 
 @kernel
 def _absorbed_in(
-    volumes: Volumes, number: int, colour: int, way: Ray, t: float, until: float, middle: float
+    volumes: Volumes, place: int, number: int, colour: int, way: Ray, t: float, until: float, middle: float
 ) -> tuple[bool, float]:
     """Tell whether a medium reaches all along a step, and return its absorption in the middle, 1/mm."""
     row = volumes.rows[number]
+    if row.inside != place:
+        return False, 0.0
     ray = own_ray(row, way.x, way.y, way.z, way.dx, way.dy, way.dz)
     first, last = span(row, ray)
     if not (first <= t and last >= until and first < last):
@@ -408,7 +415,7 @@ def _absorbed_in(
 
 @kernel
 def scattering_point(
-    volumes: Volumes, colour: int, passage: Passage,
+    volumes: Volumes, place: int, colour: int, passage: Passage,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, key: np.uint64,
 ) -> tuple[float, float, int]:  # fmt: skip
     """Return the distance of a random scattering point on a ray, the share that scatters there, and the medium.
@@ -416,6 +423,8 @@ def scattering_point(
     Parameters
     ----------
     volumes : Volumes
+    place : int
+        As in `pass_through`.
     colour : int
         Number of the wavelength.
     passage : Passage
@@ -444,7 +453,7 @@ def scattering_point(
     for number in range(len(volumes.rows)):
         ray = own_ray(volumes.rows[number], x, y, z, dx, dy, dz)
         first, last = span(volumes.rows[number], ray)
-        if not first <= middle <= last:
+        if volumes.rows[number].inside != place or not first <= middle <= last:
             continue
         ks = coefficients(volumes, number, colour, t, middle, ray)[1]
         total += ks
@@ -458,7 +467,7 @@ def scattering_point(
     for number in range(len(volumes.rows)):
         ray = own_ray(volumes.rows[number], x, y, z, dx, dy, dz)
         first, last = span(volumes.rows[number], ray)
-        if not first <= middle <= last:
+        if volumes.rows[number].inside != place or not first <= middle <= last:
             continue
         ks = coefficients(volumes, number, colour, t, middle, ray)[1]
         if ks > 0.0 and choice >= 0.0:

@@ -87,6 +87,49 @@ def medium_of(objects: ObjectTables, inside: int) -> int:
 
 
 @kernel
+def bodies_at(objects: ObjectTables, x: float, y: float, z: float) -> int:
+    """Return the bodies that a point of the object frame is in, as packets hold them; `TOO_MANY` if there is no room.
+
+    A line from the point along z crosses the shell of each an odd number of times. Whether it passes one side of an
+    edge or the other is computed alike for both facets of the edge.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    x, y, z : float, mm
+        Not on a shell itself.
+    """
+    inside = 0
+    for rank in range(1, len(objects.by_rank)):
+        body, is_in_it = objects.by_rank[rank], False
+        for prim in range(len(objects.facets)):
+            facet = objects.facets[prim]
+            if facet.body != body or not _is_above(facet, x, y):
+                continue
+            normal = facet.normal
+            if normal[2] != 0.0 and (facet.offset - normal[0] * x - normal[1] * y) / normal[2] > z:
+                is_in_it = not is_in_it
+        if is_in_it and inside != TOO_MANY:
+            inside = with_body(inside, rank)
+    return inside
+
+
+@inlined
+def _is_above(facet: Any, x: float, y: float) -> bool:
+    """Tell whether a line along z through a point of the xy plane crosses a facet."""
+    within = False
+    corner = facet.corners
+    for i in range(3):
+        j = (i + 1) % 3
+        if (corner[i, 1] > y) != (corner[j, 1] > y):
+            low, high = (i, j) if corner[i, 1] < corner[j, 1] else (j, i)
+            share = (y - corner[low, 1]) / (corner[high, 1] - corner[low, 1])
+            if x < corner[low, 0] + share * (corner[high, 0] - corner[low, 0]):
+                within = not within
+    return within
+
+
+@kernel
 def beyond_facet(
     objects: ObjectTables, inside: int, prim: int, enters: bool,
     x: float, y: float, z: float, dx: float, dy: float, dz: float,

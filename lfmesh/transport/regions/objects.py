@@ -173,7 +173,7 @@ def shade_objects(
         if prim >= 0 and _is_sheer(objects, facet.body) and passes(objects, packet, prim, t):
             _pass_on(options, flow, frames, objects, packet, prim, t)
             continue
-        if is_stopped_by_media(objects.volumes, options, flow, frames, objects, lens, aim, packet, t):
+        if is_stopped_by_media(objects.volumes, options, flow, frames, objects, lens, aim, packet, prim, t):
             continue
         if packet.kind == SHADOW:
             if t >= packet.limit:

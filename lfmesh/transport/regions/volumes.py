@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import direction_through, move_direction, move_point, point_through
+from lfmesh.geometry.levels import PATCH
 from lfmesh.geometry.surface import distance_to
 from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.phase import evaluate_phase, sampled_cosine
 from lfmesh.optics.scattering import about
-from lfmesh.transport.aiming.mixture import aimed
-from lfmesh.transport.events.crossing import deposit, end_here, record, too_deep, windowed
+from lfmesh.transport.aiming.through_glass import aimed_from
+from lfmesh.transport.events.crossing import deposit, end_here, meets_patch, record, too_deep, windowed
 from lfmesh.transport.events.lighting import from_light
 from lfmesh.transport.events.polarisation import depolarise
 from lfmesh.transport.events.volume import pass_through, scattering_point
@@ -41,9 +42,9 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.path_class import is_estimated, is_unturned
 from lfmesh.transport.packets.random import derived, uniform
-from lfmesh.transport.regions.bodies import bodies_round
+from lfmesh.transport.regions.bodies import RANK, bodies_round
 from lfmesh.transport.regions.lens import box_entry
-from lfmesh.transport.tables.tables import AIR, AimTables, LensTables, ObjectTables
+from lfmesh.transport.tables.tables import OPAQUE, AimTables, LensTables, ObjectTables
 
 Array = NDArray[np.float64]
 
@@ -64,34 +65,49 @@ COSINE, AZIMUTH, KEEP, DISK, TO_U, TO_V, RETURN = 3, 4, 5, 6, 7, 8, 9
 @inlined
 def is_stopped_by_media(
     volumes: Any, options: Options, flow: Flow, frames: Array, objects: ObjectTables, lens: LensTables, aim: AimTables,
-    packet: Any, t: float,
+    packet: Any, prim: int, t: float,
 ) -> bool:  # fmt: skip
-    """Let a packet in air pass through the media up to what it meets; tell whether none of its light is left.
+    """Let a packet pass through the media where it is, up to what it meets; tell whether none of its light is left.
 
     Parameters
     ----------
     volumes : Volumes or None
         None: there are no media, and numba compiles nothing but the first line.
+    prim : int
+        Facet of the target, glass or housing that it meets; −1: none.
     t : float, mm
-        Distance of the target, glass or housing that it meets; inf if none.
+        Distance of the facet; inf if none.
     """
     if volumes is None:
         return False
-    if bodies_round(packet) != 0:
-        return False
+    place = bodies_round(packet) & RANK
+    t = _distance_to_glass(flow, objects, packet, prim, t)
     reach = t
     if packet.kind == SHADOW:
         reach = min(t, packet.limit)
-    elif packet.last != LEFT_LENS:
+    elif packet.last != LEFT_LENS and place == 0:
         px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, packet.x, packet.y, packet.z)
         ex, ey, ez = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, packet.dx, packet.dy, packet.dz)
         reach = min(t, _way_to_lens(lens, px, py, pz, ex, ey, ez))
-    cross_media(options, flow, frames, objects, aim, packet, reach)
+    cross_media(options, flow, frames, objects, aim, packet, place, reach)
     if packet.weight > 0.0:
         return False
     if packet.kind != SHADOW and packet.kind != TO_EMITTER:
         end_here(options, flow, frames, packet, volumes.rows[0].slot, S_ABSORBED)
     return True
+
+
+@inlined
+def _distance_to_glass(flow: Flow, objects: ObjectTables, packet: Any, prim: int, t: float) -> float:
+    """Return the distance of what a packet meets: for a curved face of glass that of the face, not of its facet."""
+    body = objects.facets[max(prim, 0)].body
+    if prim < 0 or body < 0 or objects.medium[body] == OPAQUE or objects.level[body] != PATCH:
+        return t
+    x, y, z = packet.x + t * packet.dx, packet.y + t * packet.dy, packet.z + t * packet.dz
+    met, more, _, _, _ = meets_patch(
+        flow, objects.patches, objects.across, objects.facets[prim], prim, x, y, z, packet.dx, packet.dy, packet.dz
+    )
+    return max(t + more, 0.0) if met else t
 
 
 @inlined
@@ -114,12 +130,15 @@ def _way_to_lens(lens: LensTables, x: float, y: float, z: float, dx: float, dy: 
 
 @kernel
 def cross_media(
-    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any, reach: float
-) -> None:
+    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any, place: int,
+    reach: float,
+) -> None:  # fmt: skip
     """Let a packet pass through the media between its start and a distance: it gathers, is weakened, and scatters.
 
     Parameters
     ----------
+    place : int
+        Rank of the body of glass or liquid that the packet is in; 0: air.
     reach : float, mm
         Where it meets something; inf if nothing.
     """
@@ -128,14 +147,16 @@ def cross_media(
     colour, weight = packet.colour, packet.weight
     x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
     key = derived(packet.key, IN_MEDIUM + packet.events)
-    passage = pass_through(volumes, colour, x, y, z, dx, dy, dz, reach, flow.book, 0.0 if asks else weight, key)
+    passage = pass_through(volumes, place, colour, x, y, z, dx, dy, dz, reach, flow.book, 0.0 if asks else weight, key)
     packet.weight = weight * passage.transmittance
     if asks:
         return
     estimated = is_estimated(options, packet)
     if passage.light > 0.0 and options.adjoint and estimated:
-        deposit(options, flow, packet.source, colour, weight * passage.light)
-    if passage.scattered <= 0.0:
+        # Radiance over n² is conserved on the way out of glass and liquids.
+        index = objects.media.indices[packet.medium, colour]
+        deposit(options, flow, packet.source, colour, weight * passage.light / (index * index))
+    if passage.scattered <= 0.0 or not volumes.scatters:
         return
     lost = weight * passage.scattered
     of_twin = packet.kind == CAMERA and packet.last != LEFT_LENS and not (options.adjoint or options.tracing)
@@ -146,7 +167,7 @@ def cross_media(
     # From here on the record stands for the child; its own weight is put back at the end.
     left, events, node, kind, last = packet.weight, packet.events, packet.node, packet.kind, packet.last
     facet = packet.facet
-    t, share, number = scattering_point(volumes, colour, passage, x, y, z, dx, dy, dz, key)
+    t, share, number = scattering_point(volumes, place, colour, passage, x, y, z, dx, dy, dz, key)
     packet.weight = weight * share
     flow.book[SAMPLING_ADDED] += packet.weight - lost
     flow.counts[EVENTS] += 1
@@ -180,7 +201,7 @@ def scatter_in_medium(
     packet.facet, packet.last = NO_SURFACE, NO_SURFACE
     phases, phase = volumes.phases, volumes.phases.rows[number, packet.colour]
     ix, iy, iz = packet.dx, packet.dy, packet.dz
-    if options.adjoint and estimated:
+    if options.adjoint and estimated and bodies_round(packet) == 0:
         for light in range(len(objects.lights)):
             ux, uy, uz, far, irradiance = from_light(options, objects, packet, light, x, y, z)
             density = evaluate_phase(phases, phase, ix * ux + iy * uy + iz * uz)
@@ -221,8 +242,8 @@ def send_from_medium(
     forward = not (options.adjoint or options.tracing)
     if forward and options.aimed:
         px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
-        ax, ay, az, at_lens = aimed(
-            px, py, pz, aim.entrance, aim.front_radius, aim.wide_share, aim.share_without_aim,
+        ax, ay, az, at_lens = aimed_from(
+            aim.through, bodies_round(packet) & RANK, aim, px, py, pz,
             uniform(key, DISK), uniform(key, TO_U), uniform(key, TO_V),
         )  # fmt: skip
         if at_lens > 0.0:
@@ -233,7 +254,7 @@ def send_from_medium(
                 flow.book[SAMPLING_ADDED] += to_camera
                 twin_key = derived(key, 1)
                 twin = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, to_camera, twin_key, 0.0)
-                twin.kind, twin.start, twin.facet, twin.medium = CAMERA, to_camera, LEFT_MEDIUM, AIR
+                twin.kind, twin.start, twin.facet, twin.medium = CAMERA, to_camera, LEFT_MEDIUM, packet.medium
                 twin.density = density
     cutoff = options.unturned_cutoff if is_unturned(options, packet) else options.cutoff
     kept = windowed(flow.book, weight, cutoff * packet.start, key, KEEP)

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 
 from lfmesh.scene import Scene
 from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_STRAYS
+from lfmesh.transport.aiming.through_glass import GlassAim
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.packets.book import LIT, REACHED
 from lfmesh.transport.packets.packet import BOTH, TRANSMIT, Options
 from lfmesh.transport.packets.path_class import LAMP_THROUGH_GLASS, OFF_IMAGE_PATH
 from lfmesh.transport.render.blind_check import without_aim
+from lfmesh.transport.render.glass_aim import glass_aim
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.tables.objects import aimed_at_glass
 from lfmesh.transport.tables.particles import ParticleTables
@@ -111,11 +113,14 @@ class Part:
 def parts_of(world: World, *, aimed: bool = True) -> tuple[Part, ...]:
     """Return the parts of a scene's image, which is their sum."""
     options, tables = options_of(world, aimed=aimed), world.aimed_tables
-    particles = particle_parts(world)
+    through = glass_aim(world) if world.particles or world.scene.media else None
+    particles = particle_parts(world, through)
     if particles and not (len(tables.objects.lights) or tables.objects.radiance.any() or world.scene.media):
         # Nothing else shines, so no packet need start anywhere else.
         return particles
-    lamps = (*(lamp_parts(world) if options.adjoint else ()), *particles)
+    lamps = (*(lamp_parts(world, through) if options.adjoint else ()), *particles)
+    if not options.adjoint:
+        tables = _aimed_through(tables, through)
     if engine_of(world.scene)[0] != "both":
         return (Part(0, options, tables), *lamps)
     path = tables.aim._replace(wide_share=WIDE_SHARE_OF_IMAGE_PATH, share_without_aim=WIDE_SHARE_OF_IMAGE_PATH)
@@ -142,13 +147,26 @@ def _has_glass(tables: Tables) -> bool:
     return bool((tables.objects.medium != OPAQUE).any())
 
 
-def lamp_parts(world: World) -> tuple[Part, ...]:
-    """Return the part of an adjoint image that is traced from lamps, or nothing if the scene has no such light."""
+def _aimed_through(tables: Tables, through: GlassAim | None) -> Tables:
+    """Return tables with which light from inside glass and liquids is aimed at the lens."""
+    return tables._replace(aim=tables.aim._replace(through=through))
+
+
+def lamp_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
+    """Return the part of an adjoint image that is traced from lamps, or nothing if the scene has no such light.
+
+    Parameters
+    ----------
+    world : World
+    through : GlassAim or None
+        See `glass_aim`.
+    """
     objects = aimed_at_glass(world.tables.objects)
     if objects is None:
         return ()
     options = options_of(world)._replace(adjoint=False, importance=False, paths=LAMP_THROUGH_GLASS)
-    return (Part(2, options, world.aimed_tables._replace(objects=objects), book=LAMP_BOOK),)
+    tables = _aimed_through(world.aimed_tables._replace(objects=objects), through)
+    return (Part(2, options, tables, book=LAMP_BOOK),)
 
 
 THROUGH_GLASS, WIDENED = 0.5, 2.0
@@ -158,11 +176,17 @@ FIRST_OF_PARTICLES = 4
 """Number of the part of the first particles."""
 
 
-def particle_parts(world: World) -> tuple[Part, ...]:
+def particle_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
     """Return the parts of an image that are traced from particles.
 
     Targets hide particles. As no packet goes from particles to targets on purpose, those that fall there by chance are
     not followed: the tables of these parts have black targets.
+
+    Parameters
+    ----------
+    world : World
+    through : GlassAim or None
+        See `glass_aim`.
     """
     if not world.particles:
         return ()
@@ -171,7 +195,7 @@ def particle_parts(world: World) -> tuple[Part, ...]:
     models = objects.scattering.models.copy()
     models["kind"], models["first"], models["black"] = LAMBERTIAN, 0, True
     black = ScatteringTables(models, np.zeros((1, objects.scattering.parameters.shape[1])))
-    tables = world.aimed_tables._replace(objects=objects._replace(scattering=black))
+    tables = _aimed_through(world.aimed_tables._replace(objects=objects._replace(scattering=black)), through)
     if _has_glass(tables):
         aim = tables.aim
         tables = tables._replace(aim=aim._replace(wide_share=THROUGH_GLASS, front_radius=WIDENED * aim.front_radius))

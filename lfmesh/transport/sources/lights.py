@@ -21,11 +21,12 @@ from lfmesh.transport.events.volume import coefficients, own_ray, span
 from lfmesh.transport.packets.book import EMITTED, ESCAPED
 from lfmesh.transport.packets.packet import E_START, LAMP, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, Options, put
 from lfmesh.transport.packets.random import derived, start
+from lfmesh.transport.regions.bodies import RANK, TOO_MANY, bodies_at, medium_of, set_bodies
 from lfmesh.transport.regions.targets import opacity_at, point_of, scatter, texture_at
 from lfmesh.transport.regions.volumes import drawn_point, send_from_medium
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.tables.lights import MM2
-from lfmesh.transport.tables.tables import FIRST_VOLUME, AimTables, ObjectTables
+from lfmesh.transport.tables.tables import AIR, FIRST_VOLUME, AimTables, ObjectTables
 
 Array = NDArray[np.float64]
 
@@ -91,11 +92,12 @@ def launch_forward(
     packet = template[0]
     packet.colour = colour
     packet.last = NO_SURFACE
-    packet.column = NO_SURFACE
     for number in range(first, first + count):
         key = derived(replicate_key, number)
         packet.source = number
         packet.key = key
+        packet.medium = AIR
+        set_bodies(packet, 0)
         packet.events = 0
         packet.kind = LAMP
         packet.facet = NO_SURFACE
@@ -153,6 +155,12 @@ def _from_medium(
     first, last = span(volumes.rows[number], ray)
     if not first <= 0.0 <= last or density <= 0.0:
         return
+    if len(objects.by_rank) > 1:
+        inside = bodies_at(objects, x, y, z)
+        if inside == TOO_MANY or inside & RANK != volumes.rows[number].inside:
+            return
+        packet.medium = medium_of(objects, inside)
+        set_bodies(packet, inside)
     emission = coefficients(volumes, number, colour, 0.0, 0.0, ray)[2]
     if emission <= 0.0:
         return

@@ -2,7 +2,7 @@
 
 Each particle starts the same number of packets, aimed at the lens's opening as it sees it, by scrambled Sobol' points
 of its own. The power that it sends elsewhere is booked as escaped at once. Targets hide particles and absorb what falls
-on them: particles do not light them.
+on them: particles do not light them. Particles inside liquids are aimed by where the lens appears to be from there.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.kernel import kernel
 from lfmesh.optics.phase import evaluate_phase
-from lfmesh.transport.aiming.mixture import aimed
+from lfmesh.transport.aiming.through_glass import aimed_from
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.events.polarisation import depolarise
 from lfmesh.transport.packets.book import EMITTED, ESCAPED
@@ -29,9 +29,10 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.random import derived
 from lfmesh.transport.packets.sobol import owen_sobol
+from lfmesh.transport.regions.bodies import RANK, medium_of, set_bodies
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.tables.particles import ParticleTables
-from lfmesh.transport.tables.tables import AIR, AimTables
+from lfmesh.transport.tables.tables import AIR, AimTables, ObjectTables
 
 Array = NDArray[np.float64]
 
@@ -69,14 +70,15 @@ class ParticleSource(Source):
         tables = work.tables
         launch_particles(
             self.first + part.start, len(part), self.samples, self.key, self.colour,
-            self.particles, tables.aim, tables.frames, work.flow(), work.template,
+            self.particles, tables.objects, tables.aim, tables.frames, work.flow(), work.template,
         )  # fmt: skip
 
 
 @kernel
 def launch_particles(
     first: int, count: int, samples: int, replicate_key: np.uint64, colour: int,
-    particles: ParticleTables, aim: AimTables, frames: Array, flow: Flow, template: NDArray[np.void],
+    particles: ParticleTables, objects: ObjectTables, aim: AimTables, frames: Array, flow: Flow,
+    template: NDArray[np.void],
 ) -> None:  # fmt: skip
     """Start packets of particles towards the lens.
 
@@ -90,6 +92,7 @@ def launch_particles(
     colour : int
         Number of the wavelength.
     particles : ParticleTables
+    objects : ObjectTables
     aim : AimTables
     frames : (5, 5, 3, 4) float64
     flow : Flow
@@ -100,6 +103,7 @@ def launch_particles(
     packet.colour = colour
     packet.last, packet.column, packet.facet, packet.node = NO_SURFACE, NO_SURFACE, NO_SURFACE, NO_SURFACE
     packet.medium, packet.space, packet.events, packet.stray = AIR, 0, 0, 0
+    in_glass = bool(particles.inside.any())
     # Nothing else is aimed: glass may bend it into the lens, and what it meets is not lit by another packet.
     packet.kind = SPECULAR
     depolarise(flow.polarised, packet)
@@ -111,8 +115,8 @@ def launch_particles(
         flow.book[EMITTED] += power
         own = derived(replicate_key, i)
         px, py, pz = move_point(frames, WORLD_FRAME, CAMERA_FRAME, x, y, z)
-        ax, ay, az, at_lens = aimed(
-            px, py, pz, aim.entrance, aim.front_radius, aim.wide_share, aim.share_without_aim,
+        ax, ay, az, at_lens = aimed_from(
+            aim.through, int(particles.inside[i]) & RANK, aim, px, py, pz,
             owen_sobol(own, sample, 2), owen_sobol(own, sample, 0), owen_sobol(own, sample, 1),
         )  # fmt: skip
         weight = 0.0
@@ -122,6 +126,9 @@ def launch_particles(
             cosine = along[0] * dx + along[1] * dy + along[2] * dz
             row = particles.phases.rows[0, colour]
             weight = power * evaluate_phase(particles.phases, row, cosine) / at_lens
+            if in_glass:
+                set_bodies(packet, particles.inside[i])
+                packet.medium = medium_of(objects, particles.inside[i])
             packet.source = number
             packet.start = weight
             ox, oy, oz = move_direction(frames, WORLD_FRAME, OBJECT_FRAME, dx, dy, dz)

@@ -23,7 +23,7 @@ from lfmesh.transport.packets.packet import (
     put,
 )
 from lfmesh.transport.packets.random import derived
-from lfmesh.transport.sources.glass_round import start_inside
+from lfmesh.transport.regions.glass_round import start_inside
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.tables.tables import Records
 

@@ -23,6 +23,7 @@ from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, SENSOR_F
 from lfmesh.transport.tables.contacts import contacts
 from lfmesh.transport.tables.emitters import emitter_table, no_emitters
 from lfmesh.transport.tables.frames import frame_table
+from lfmesh.transport.tables.hosts import hosts_of
 from lfmesh.transport.tables.lens import curved
 from lfmesh.transport.tables.lights import DIRECTIONAL, MM2, light_tables, power_towards
 from lfmesh.transport.tables.lines import Lines
@@ -238,21 +239,37 @@ def object_tables(
         lit_middle=np.zeros(3),
         lit_radius=radius,
     )
-    volumes = volume_tables(scene, moves, lines, book.media)
-    if volumes is not None:
-        tables = _with_volumes(tables, volumes)
-    sources = _sources([*_lamps(tables), *_glowing_facets(tables, mesh), *_glowing_volumes(scene, volumes)])
+    tables = with_volumes(tables, scene, targets, moves, book, lines)
+    sources = _sources([*_lamps(tables), *_glowing_facets(tables, mesh), *_glowing_volumes(scene, tables.volumes)])
     return mesh, tables._replace(emitters=emitter_table(tables), sources=sources)
 
 
-def _with_volumes(tables: ObjectTables, volumes: Volumes) -> ObjectTables:
+def with_volumes(
+    tables: ObjectTables, scene: Scene, targets: list[TargetMesh], moves: Array, book: Book, lines: Lines
+) -> ObjectTables:
     """Return the tables with media, and with spheres that hold the media too.
+
+    Parameters
+    ----------
+    tables : ObjectTables
+        Without media, at the wavelengths of the lines.
+    scene : Scene
+    targets : list of TargetMesh
+        World frame.
+    moves : (5, 5, 3, 4) float64
+        See `frame_table`.
+    book : Book
+    lines : Lines
 
     Raises
     ------
     SceneError
-        Light of a direction would come through a medium without bounds.
+        Media cannot be used, or light of a direction would come through a medium without bounds.
     """
+    hosts = hosts_of(scene, targets, tables.rank, tables.medium, tables.media)
+    volumes, media = volume_tables(scene, moves, lines, book.media, hosts)
+    if volumes is None:
+        return tables
     reach, endless = reach_of(volumes)
     if endless and (tables.lights["kind"] == DIRECTIONAL).any():
         raise SceneError(
@@ -262,7 +279,7 @@ def _with_volumes(tables: ObjectTables, volumes: Volumes) -> ObjectTables:
     lit = tables.lit_radius
     if volumes.scatters:
         lit = np.inf if endless else max(lit, reach)
-    return tables._replace(volumes=volumes, outer_radius=max(tables.outer_radius, reach), lit_radius=lit)
+    return tables._replace(media=media, volumes=volumes, outer_radius=max(tables.outer_radius, reach), lit_radius=lit)
 
 
 def _models_of_facets(targets: list[TargetMesh], others: int) -> tuple[NDArray[np.int64], list[GltfMaterial]]:

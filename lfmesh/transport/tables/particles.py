@@ -1,5 +1,6 @@
 """The table of particles as kernels read it."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -7,8 +8,6 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
-from lfmesh.geometry.targets import TargetMesh
-from lfmesh.geometry.winding import winding
 from lfmesh.optics.phase import PhaseTables, phase_tables
 from lfmesh.scene import Scene
 from lfmesh.scene.particles import Particles, particle_places, unit
@@ -17,8 +16,10 @@ from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.phases import phase_functions, sphere_of
 from lfmesh.transport.tables.spectra import spread
+from lfmesh.transport.tables.tables import Media
 
 Array = NDArray[np.float64]
+Numbers = NDArray[np.int64]
 
 DARKEST = 1e-6
 """Brightness, over that of the brightest in a sheet, below which particles are left out."""
@@ -36,44 +37,80 @@ class ParticleTables(NamedTuple):
     along: Array  # (3,) unit, world frame: the way of the light that is scattered
     phases: PhaseTables  # of one function
     samples: int  # packets of each particle, all replicates together
+    entry: int  # of the scene's
+    inside: Numbers  # (n,) bodies of glass or liquid round each, as packets hold them
 
 
-def particle_tables(scene: Scene, lines: Lines) -> tuple[ParticleTables, ...]:
+def particle_tables(
+    scene: Scene, lines: Lines, media: Media, places: Callable[[Array], tuple[Numbers, Numbers]]
+) -> tuple[ParticleTables, ...]:
     """Return the particles of a scene, but for entries of which none shines.
 
     Parameters
     ----------
     scene : Scene
     lines : Lines
+    media : Media
+        Of object space.
+    places : callable
+        Returns, for points (n, 3) in mm, world frame, the bodies that they are in, as packets hold them, and the
+        numbers of the media there.
 
     Raises
     ------
     SceneError, FileError
-        A file or a spectrum cannot be used.
+        A file or a spectrum cannot be used, or particles of one entry scatter in different media.
     """
     tables = []
     for number, group in enumerate(scene.particles):
         where = f"particles[{number}]"
-        places, strength = particle_places(group, scene)
+        points, strength = particle_places(group, scene)
         bright = strength > (DARKEST * strength.max() if group.sheet is not None else 0.0)
         if not bright.any():
             continue
-        functions = phase_functions(group.phase, lines.wavelengths_nm, scene, f"{where}.phase")
-        scale = spread(scene, 1.0, group.spectrum, lines, f"{where}.spectrum") * _power(group, lines, where)
+        inside, numbers = places(points[bright])
+        index = _index_round(group, media, numbers, where)
+        functions = phase_functions(group.phase, lines.wavelengths_nm, scene, f"{where}.phase", index)
+        scale = spread(scene, 1.0, group.spectrum, lines, f"{where}.spectrum") * _power(group, lines, where, index)
         along = np.array([0.0, 0.0, 1.0])
         if group.sheet is not None:
             along = unit(group.sheet.direction)
         phases = phase_tables([functions])
-        tables.append(ParticleTables(places[bright], strength[bright], scale, along, phases, group.samples))
+        tables.append(
+            ParticleTables(points[bright], strength[bright], scale, along, phases, group.samples, number, inside)
+        )
     return tuple(tables)
 
 
-def _power(group: Particles, lines: Lines, where: str) -> Array:
+def _index_round(group: Particles, media: Media, numbers: Numbers, where: str) -> Array:
+    """Return the refractive index of what is round particles, (wavelengths,); of spheres it must be the same for all.
+
+    Parameters
+    ----------
+    group : Particles
+    media : Media
+    numbers : (n,) int64
+        Of the medium round each.
+    where : str
+        Place of the particles in the scene, for messages.
+    """
+    indices = media.indices[np.unique(numbers)]
+    if isinstance(group.phase, MiePhase) and group.phase.surrounding_index is None and (indices != indices[0]).any():
+        found = ", ".join(f"{index:.6g}" for index in indices[:, 0])
+        raise SceneError(
+            f"{where}: its particles lie in media of the refractive indices {found}, by which spheres scatter "
+            "differently; give an entry to each medium, or phase.surrounding_index"
+        )
+    return np.asarray(indices[0])
+
+
+def _power(group: Particles, lines: Lines, where: str, index: Array) -> Array:
     """Return the power of a particle over its strength, (wavelengths,): sr of all directions, or mm² that scatter."""
     if group.sheet is None:
         return np.full(len(lines.wavelengths_nm), 4.0 * np.pi)
     if isinstance(group.phase, MiePhase):
-        spheres = [sphere_of(group.phase, wavelength, f"{where}.phase") for wavelength in lines.wavelengths_nm]
+        pairs = zip(lines.wavelengths_nm, index.tolist(), strict=True)
+        spheres = [sphere_of(group.phase, wavelength, f"{where}.phase", n) for wavelength, n in pairs]
         return np.array([sphere.scattering_um2 * UM2 for sphere in spheres])
     diameter = group.diameter_um or 0.0
     return np.full(len(lines.wavelengths_nm), 0.25 * np.pi * diameter**2 * UM2)
@@ -113,32 +150,3 @@ def refuse_particles_behind(tables: tuple[ParticleTables, ...], moves: Array, fr
                 f"particles: one at ({x:.6g}, {y:.6g}, {z:.6g}) mm does not lie before the lens; in the camera frame "
                 f"its z = {depth[wrong[0]]:.6g} mm must be below {front_mm:.6g}"
             )
-
-
-def refuse_particles_in_glass(scene: Scene, targets: list[TargetMesh], tables: tuple[ParticleTables, ...]) -> None:
-    """Refuse particles inside bodies of glass, from where no packet is started.
-
-    Parameters
-    ----------
-    scene : Scene
-    targets : list of TargetMesh
-        World frame.
-    tables : tuple of ParticleTables
-
-    Raises
-    ------
-    SceneError
-        Naming the body and the first of them.
-    """
-    for number, target in enumerate(scene.targets):
-        if target.refractor is None:
-            continue
-        mesh = targets[number].mesh
-        for table in tables:
-            inside = np.flatnonzero(winding(mesh.vertices[mesh.faces], table.points))
-            if len(inside):
-                x, y, z = table.points[inside[0]]
-                raise SceneError(
-                    f"particles: one at ({x:.6g}, {y:.6g}, {z:.6g}) mm lies inside the glass of "
-                    f"{target.name or f'targets[{number}]'}; particles must stand in air"
-                )

@@ -1,5 +1,8 @@
 """Phase functions of a scene at its wavelengths."""
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from lfmesh.errors import SceneError
 from lfmesh.optics.mie import MieSphere, mie_sphere
 from lfmesh.optics.phase import PhaseFunction, henyey_greenstein, isotropic, rayleigh, read_phase
@@ -7,7 +10,7 @@ from lfmesh.scene import Scene
 from lfmesh.scene.phase import HenyeyGreensteinPhase, MiePhase, Phase, RayleighPhase, TabulatedPhase
 
 
-def sphere_of(phase: MiePhase, wavelength_nm: float, where: str) -> MieSphere:
+def sphere_of(phase: MiePhase, wavelength_nm: float, where: str, surrounding: float = 1.0) -> MieSphere:
     """Return what the spheres of a phase function do to light.
 
     Parameters
@@ -16,21 +19,26 @@ def sphere_of(phase: MiePhase, wavelength_nm: float, where: str) -> MieSphere:
     wavelength_nm : float, nm
     where : str
         Place of the phase function in the scene, for messages.
+    surrounding : float
+        Refractive index of what is round the spheres, where the phase function does not say it.
 
     Raises
     ------
     SceneError
-        The spheres are too large.
+        The spheres are too large, or those of what is round them.
     """
     index = complex(phase.index, phase.extinction)
+    round_them = phase.surrounding_index if phase.surrounding_index is not None else float(surrounding)
+    if index == round_them:
+        raise SceneError(f"{where}.index = {phase.index:g}: is that of what is round the spheres; they scatter nothing")
     try:
-        return mie_sphere(phase.diameter_um, index, wavelength_nm, phase.surrounding_index, phase.sigma)
+        return mie_sphere(phase.diameter_um, index, wavelength_nm, round_them, phase.sigma)
     except ValueError as error:
         raise SceneError(f"{where}.diameter_um = {phase.diameter_um:g}: {error}") from None
 
 
 def phase_functions(
-    phase: Phase, wavelengths_nm: tuple[float, ...], scene: Scene, where: str
+    phase: Phase, wavelengths_nm: tuple[float, ...], scene: Scene, where: str, surrounding: ArrayLike = 1.0
 ) -> tuple[PhaseFunction, ...]:
     """Return a phase function at some wavelengths.
 
@@ -41,6 +49,8 @@ def phase_functions(
     scene : Scene
     where : str
         Its place in the scene, for messages.
+    surrounding : float or (wavelengths,) float64
+        Refractive index of what scatters in the medium, where the phase function does not say it.
 
     Raises
     ------
@@ -49,7 +59,9 @@ def phase_functions(
     """
     match phase:
         case MiePhase():
-            return tuple(sphere_of(phase, wavelength, where).phase for wavelength in wavelengths_nm)
+            indices = np.broadcast_to(surrounding, len(wavelengths_nm)).tolist()
+            pairs = zip(wavelengths_nm, indices, strict=True)
+            return tuple(sphere_of(phase, wavelength, where, index).phase for wavelength, index in pairs)
         case HenyeyGreensteinPhase(g=g):
             function = henyey_greenstein(g)
         case RayleighPhase():

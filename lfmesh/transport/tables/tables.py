@@ -207,6 +207,8 @@ class AimTables(NamedTuple):
     )
     cell_margin: float  # mm by which aimed cells are larger than the lattice's, as meshes of their faces deviate
     search: int  # number of cells to each side of the chief ray's that may show the opening
+    # GlassAim where light starts inside glass or liquids, else None: code for it is not even compiled.
+    through: Any = None
 
 
 class Tables(NamedTuple):

@@ -16,11 +16,14 @@ from lfmesh.optics.cie import planck_constants, planck_radiance
 from lfmesh.optics.phase import PHASE, PhaseTables, phase_tables
 from lfmesh.scene import Box, Cylinder, Scene, Sphere
 from lfmesh.scene.media import Medium
+from lfmesh.scene.phase import IsotropicPhase
 from lfmesh.scene.spectra import Spectrum, curve_of
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, WORLD_FRAME
+from lfmesh.transport.tables.hosts import Hosts
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.phases import phase_functions
 from lfmesh.transport.tables.spectra import spread
+from lfmesh.transport.tables.tables import Media
 
 Array = NDArray[np.float64]
 
@@ -38,11 +41,15 @@ ROUNDING = 1e-12
 COLDEST_K = 1e-30
 """In place of 0 K, at which Planck's law has no value: nothing shines there either."""
 
+BEYOND_BODY = 1.01
+"""Size of the box round a body that a medium fills, over the body's own: it ends nowhere in the body."""
+
 W_MM3 = 1e6
 """W/(mm² sr) in W/(m² sr)."""
 
 VOLUME = np.dtype(
     [
+        ("inside", "i8"),  # rank of the body of glass or liquid that it is in; 0: air
         ("bounds", "i8"),
         ("size", "f8", (3,)),  # mm: half edges of a box; radius; radius and half height of a cylinder
         ("to_own", "f8", (3, 4)),  # from the object frame into the medium's own
@@ -64,24 +71,30 @@ VOLUME = np.dtype(
 
 
 class Volumes(NamedTuple):
-    """Media in object space; what a grid holds is multiplied by the number of its wavelength."""
+    """Media in object space; what a grid holds is multiplied by the number of its wavelength.
+
+    Behind those of the scene stand glasses and liquids that absorb and have a medium in them.
+    """
 
     rows: NDArray[np.void]  # (n,) VOLUME
     absorption: Array  # (n, wavelengths) 1/mm; of a grid 1
     scattering: Array  # (n, wavelengths) 1/mm
-    emission: Array  # (n, wavelengths) W/(m² sr mm); OF_BODY: radiance of the black body, W/(m² sr)
+    # (n, wavelengths) W/(m² sr mm); OF_BODY: radiance of the black body, W/(m² sr); BY_TEMPERATURE: n² of the place
+    emission: Array
     planck: Array  # (2, wavelengths) of Planck's law c₁ / (exp(c₂ / T) − 1), W/(m² sr) and K
     values: Array  # of all grids, one after the other, each [x, y, z]
     until: Array  # of all emitting grids: up to which random number a voxel is drawn
     phases: PhaseTables
     isotropic: NDArray[np.void]  # (1,) PHASE, of emission
     powers: Array  # (n,) about what each emits, W; inf: it has no bounds
-    scatters: bool
+    scatters: bool  # what they scatter is followed; else they take it away
     emit: bool
 
 
-def volume_tables(scene: Scene, moves: Array, lines: Lines, slots: NDArray[np.int64]) -> Volumes | None:
-    """Return the media of a scene; None if there are none, so that kernels are compiled without them.
+def volume_tables(
+    scene: Scene, moves: Array, lines: Lines, slots: NDArray[np.int64], hosts: Hosts
+) -> tuple[Volumes | None, Media]:
+    """Return the media of a scene, None if there are none, and the media of its bodies without those among them.
 
     Parameters
     ----------
@@ -91,16 +104,20 @@ def volume_tables(scene: Scene, moves: Array, lines: Lines, slots: NDArray[np.in
     lines : Lines
     slots : (media,) int64
         Slots of the book.
+    hosts : Hosts
+        Bodies that media may be in.
 
     Raises
     ------
     SceneError, FileError
-        A grid cannot be used, a spectrum does not reach far enough, or a medium reaches behind the lens.
+        A grid cannot be used, a spectrum does not reach far enough, a medium reaches behind the lens or is nowhere.
     """
     if not scene.media:
-        return None
+        return None, hosts.media
     wavelengths_nm = lines.wavelengths_nm
-    rows = np.zeros(len(scene.media), VOLUME)
+    holding = [scene.body_named(m.inside) if m.inside is not None else None for m in scene.media]
+    absorbing = hosts.absorbing({body for body in holding if body is not None})
+    rows = np.zeros(len(scene.media) + len(absorbing), VOLUME)
     absorption, scattering, emission = np.zeros((3, len(rows), len(wavelengths_nm)))
     values: list[Array] = [np.zeros(0)]
     filled = 0
@@ -108,12 +125,15 @@ def volume_tables(scene: Scene, moves: Array, lines: Lines, slots: NDArray[np.in
     powers = np.zeros(len(rows))
     first, second = planck_constants(np.array(wavelengths_nm))
     planck = np.array([first * lines.weight_nm, second])
-    for i, (row, medium) in enumerate(zip(rows, scene.media, strict=True)):
+    for i, (medium, body) in enumerate(zip(scene.media, holding, strict=True)):
+        row = rows[i]
         where = f"media[{i}]"
         row["slot"] = slots[i]
         own = frame.frame(medium.rotation_deg, medium.position_mm)
         row["to_own"] = frame.compose(frame.inverse(own), moves[OBJECT_FRAME, WORLD_FRAME])
         _set_bounds(row, medium)
+        if body is not None and medium.bounds is None and medium.grid is None:
+            _fill(row, hosts, body, moves)
         row["low"], row["high"] = -row["size"], row["size"]
         absorption[i] = _coefficient(scene, medium.absorption_per_mm, lines, f"{where}.absorption_per_mm")
         scattering[i] = _coefficient(scene, medium.scattering_per_mm, lines, f"{where}.scattering_per_mm")
@@ -145,25 +165,41 @@ def volume_tables(scene: Scene, moves: Array, lines: Lines, slots: NDArray[np.in
             spectrum = W_MM3 * spread(scene, 1.0, medium.spectrum, lines, f"{where}.spectrum")
         else:
             spectrum = W_MM3 * _emission(scene, medium, lines, where)
+        if body is not None:
+            row["inside"] = hosts.rank[body]
+            if row["emits"] in (OF_BODY, BY_TEMPERATURE):
+                # Kirchhoff: a black body's radiance in a medium is n² times that in air.
+                spectrum = spectrum * hosts.index_of(body) ** 2
         emission[i] = spectrum
         if row["bounds"] == IN_FRONT and (emission[i] > 0.0).any() and not (absorption[i] > 0.0).all():
             raise SceneError(
                 f"{where}: a medium without bounds that emits must absorb at every wavelength; give bounds"
             )
-        _refuse_behind_lens(row, where, moves)
+        if body is None:
+            _refuse_behind_lens(row, where, moves)
+        _refuse_displaced(row, where, moves, hosts, body)
         if spectrum.any():
             brightness = _brightness(row, grid, absorption[i], spectrum, planck)
             powers[i] = 4.0 * np.pi / W_MM3 * brightness.sum() * np.prod(row["high"] - row["low"]) / brightness.size
             if brightness.size > 1 and powers[i] > 0.0:
                 row["first"], row["drawn"] = sum(map(len, until)), brightness.size
                 until.append(np.cumsum(brightness) / brightness.sum())
-    phases = phase_tables(
-        [phase_functions(m.phase, wavelengths_nm, scene, f"media[{i}].phase") for i, m in enumerate(scene.media)]
-    )
-    return Volumes(
+    for i, body in enumerate(absorbing, start=len(scene.media)):
+        per_mm, rows[i]["slot"] = hosts.absorption_of(body)
+        absorption[i], rows[i]["inside"] = per_mm, hosts.rank[body]
+        rows[i]["absorption"] = rows[i]["scattering"] = rows[i]["emission"] = NOT_IN_GRID
+        _fill(rows[i], hosts, body, moves)
+    functions = [
+        phase_functions(m.phase, wavelengths_nm, scene, f"media[{i}].phase", hosts.index_of(body))
+        for i, (m, body) in enumerate(zip(scene.media, holding, strict=True))
+    ]
+    functions += [phase_functions(IsotropicPhase(), wavelengths_nm, scene, "")] * len(absorbing)
+    phases = phase_tables(functions)
+    volumes = Volumes(
         rows, absorption, scattering, emission, planck, np.concatenate(values), np.concatenate(until), phases,
         np.zeros(1, PHASE), powers, bool((scattering > 0.0).any()), bool((emission > 0.0).any()),
     )  # fmt: skip
+    return volumes, hosts.without_absorption(absorbing)
 
 
 def _brightness(row: np.void, grid: VoxelGrid | None, absorption: Array, spectrum: Array, planck: Array) -> Array:
@@ -207,6 +243,39 @@ def _set_bounds(row: np.void, medium: Medium) -> None:
             row["bounds"], row["size"] = CYLINDER, (radius, radius, 0.5 * height)
         case _:
             row["bounds"], row["size"] = IN_FRONT if medium.grid is None else BOX, (np.inf, np.inf, np.inf)
+
+
+def _fill(row: np.void, hosts: Hosts, body: int, moves: Array) -> None:
+    """Let a medium reach over a box round a body: it is where packets are in that body."""
+    low, high = hosts.boxes_mm[body]
+    middle = frame.frame((0.0, 0.0, 0.0), tuple((0.5 * (low + high)).tolist()))
+    row["to_own"] = frame.compose(frame.inverse(middle), moves[OBJECT_FRAME, WORLD_FRAME])
+    row["bounds"], row["size"] = BOX, 0.5 * BEYOND_BODY * (high - low)
+    row["low"], row["high"] = -row["size"], row["size"]
+
+
+def _refuse_displaced(row: np.void, where: str, moves: Array, hosts: Hosts, body: int | None) -> None:
+    """Refuse a medium in air that lies in a body, which displaces it, and one in a body that it lies beside."""
+    corners = corners_of(row)
+    if corners is None:
+        return
+    if row["cells"][0] == 0 and row["bounds"] == SPHERE:
+        corners = row["size"][0] * np.concatenate([np.eye(3), -np.eye(3)])
+    elif row["cells"][0] == 0 and row["bounds"] == CYLINDER:
+        corners = corners * np.array([np.sqrt(0.5), np.sqrt(0.5), 1.0])
+    to_world = frame.compose(moves[OBJECT_FRAME, WORLD_FRAME], frame.inverse(row["to_own"]))
+    placed = frame.points(to_world, np.concatenate([corners, corners.mean(axis=0)[None]]))
+    if body is not None:
+        low, high = hosts.boxes_mm[body]
+        if (placed.max(axis=0) < low).any() or (placed.min(axis=0) > high).any():
+            raise SceneError(f"{where}: lies wholly outside {hosts.names[body]}, which it is inside: move it")
+        return
+    displaces = hosts.top_round(placed)
+    if (displaces >= 0).all():
+        name = hosts.names[displaces[0]]
+        raise SceneError(
+            f'{where}: lies inside {name}, which displaces what is in air; give inside = "{name}", or move it'
+        )
 
 
 def _grid_of(scene: Scene, medium: Medium, where: str) -> VoxelGrid | None:

@@ -7,7 +7,7 @@ from lfmesh.geometry import frame
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.events.crossing import FLOAT32_GRAIN
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECTS, WORLD_FRAME, Options
-from lfmesh.transport.sources.glass_round import glass_round
+from lfmesh.transport.regions.glass_round import glass_round
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher, Source
 from lfmesh.transport.tables.tables import Records, Tables
@@ -56,7 +56,8 @@ def from_point(world: World, point: Floats, d: Floats, watts: Floats, key: np.ui
         Of the random numbers.
     """
     rays = len(d)
-    inside = glass_round(world, frame.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], point[None]))
+    place = frame.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], point[None])
+    inside = glass_round(world.tables.objects, world.targets, place)
     return RaySource(
         np.tile(point, (rays, 1)), d, np.full(rays, OBJECTS), np.zeros(rays, np.int64), watts, key,
         OWN_SURFACE * float(np.abs(point).sum()), np.full(rays, inside[0]),

@@ -32,7 +32,8 @@ def describe(world: World, name: str) -> Rows:
         return [("mount", "absorbs what leaves the clear apertures between the elements")]
     several = {"lens": (_element, len(world.lens_shape.elements)), "targets": (_target, len(world.targets)),
                "lights": (_light, len(world.scene.lights)),
-               "particles": (_particles, len(world.particles))}  # fmt: skip
+               "particles": (_particles, len(world.scene.particles)),
+               "media": (_medium_round, len(world.scene.media))}  # fmt: skip
     if kind in several and number.isdecimal() and int(number) < several[kind][1]:
         return several[kind][0](world, int(number))
     raise LfmeshError(f"no part is called {name!r}; there are {', '.join(world.mesh_names)}")
@@ -167,8 +168,22 @@ def _light(world: World, number: int) -> Rows:
     ]
 
 
+def _medium_round(world: World, number: int) -> Rows:
+    medium = world.scene.media[number]
+    keys = ("absorption_per_mm", "scattering_per_mm", "emission_w_mm3_sr")
+    values = [(key, getattr(medium, key)) for key in keys]
+    return [
+        ("medium", medium.name or f"media[{number}]"),
+        ("inside", medium.inside or "air"),
+        *((key, _spectral(value)) for key, value in values if value),
+        *([("grid", medium.grid.file)] if medium.grid is not None else []),
+    ]
+
+
 def _particles(world: World, number: int) -> Rows:
-    table = world.particles[number]
+    table = next((each for each in world.particles if each.entry == number), None)
+    if table is None:
+        return [("particles", "none of them shines")]
     return [("particles", f"{len(table.points):,} that shine"), ("packets", f"{table.samples} each")]
 
 

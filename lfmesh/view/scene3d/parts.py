@@ -22,6 +22,7 @@ from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAM
 from lfmesh.transport.world import World
 from lfmesh.view.scene3d import array_shape
 from lfmesh.view.scene3d.colours import tint
+from lfmesh.view.scene3d.outlines import outline_of_medium, outline_of_sheet
 from lfmesh.view.scene3d.ray_lines import line_segments
 
 Array = NDArray[np.float64]
@@ -58,7 +59,7 @@ class Part:
     name : str
         As `World.mesh_names` has it: "lens[0]", "stop", "mla", "sensor", "targets[0]", ...; "lights[0]", "axis", ...
     kind : str
-        "glass", "mount", "stop", "array", "sensor", "target", "light" or "sign".
+        "glass", "mount", "stop", "array", "sensor", "target", "light", "medium" or "sign".
     mesh : pyvista.PolyData
     look : dict
         Of `pyvista.Plotter.add_mesh`.
@@ -102,7 +103,7 @@ def parts(world: World, picture: Picture | None = None, near_mm: tuple[float, fl
     """
     made = [*_lens(world), *_stop(world), *_array(world, near_mm), *_sensor(world, picture)]
     made += [_target(world, i, target) for i, target in enumerate(world.targets)]
-    return [*made, *_lights(world), *_particles(world), *_signs(world)]
+    return [*made, *_lights(world), *_particles(world), *_media(world), *_signs(world)]
 
 
 def texture_of(part: Part) -> pv.Texture | None:
@@ -331,11 +332,25 @@ MOST_POINTS = 20_000
 
 
 def _particles(world: World) -> Iterator[Part]:
-    for number, particles in enumerate(world.particles):
+    for particles in world.particles:
         step = -(-len(particles.points) // MOST_POINTS)
         cloud = pv.PolyData(np.ascontiguousarray(particles.points[::step]))
         look = {"color": "#ffd24a", "lighting": False, "point_size": 3.0, "style": "points"}
-        yield Part(f"particles[{number}]", "light", cloud, look)
+        name = f"particles[{particles.entry}]"
+        yield Part(name, "light", cloud, look)
+        sheet = outline_of_sheet(world.scene.particles[particles.entry], particles.points)
+        if len(sheet):
+            look = {"color": "#7fe36b", "line_width": 1, "lighting": False}
+            yield Part(name, "light", line_segments(sheet), look, label=f"{name} sheet")
+
+
+def _media(world: World) -> Iterator[Part]:
+    """Yield the outlines of media that have bounds or a grid."""
+    for number in range(len(world.scene.media)):
+        lines = outline_of_medium(world, number)
+        if len(lines):
+            look = {"color": "#d9a0ff", "line_width": 1, "lighting": False}
+            yield Part(f"media[{number}]", "medium", line_segments(lines), look)
 
 
 def _spikes(centre: tuple[float, float, float], size: float) -> pv.PolyData:

@@ -12,7 +12,9 @@ from lfmesh.geometry.frame import IDENTITY
 from lfmesh.scene import Scene
 from lfmesh.transport.events.volume import Passage, pass_through, scattering_point
 from lfmesh.transport.packets.random import descendant
+from lfmesh.transport.tables.hosts import Hosts
 from lfmesh.transport.tables.lines import Lines
+from lfmesh.transport.tables.tables import Media
 from lfmesh.transport.tables.volumes import Volumes, volume_tables
 from tests.cameras import camera_without_array
 
@@ -22,7 +24,9 @@ KEY = np.uint64(5)
 
 def volumes_of(*media: dict[str, Any], folder: Path | None = None, **changes: Any) -> Volumes:
     scene = Scene(camera=camera_without_array(), media=media, **changes)  # type: ignore[arg-type]
-    found = volume_tables(scene.in_folder(folder or "."), MOVES, Lines.of(scene), np.arange(len(media)))
+    lines, none = Lines.of(scene), np.zeros(0, np.int64)
+    air = Hosts([], none, none, Media(np.ones((1, len(lines.wavelengths_nm)))), [])
+    found, _ = volume_tables(scene.in_folder(folder or "."), MOVES, lines, np.arange(len(media)), air)
     assert found is not None
     return found
 
@@ -30,7 +34,7 @@ def volumes_of(*media: dict[str, Any], folder: Path | None = None, **changes: An
 def passage(volumes: Volumes, p: Any, d: Any, reach: float, book: Any = None, colour: int = 0) -> Passage:
     d = np.array(d, dtype=float) / np.linalg.norm(d)
     book = np.zeros(len(volumes.rows)) if book is None else book
-    return Passage(*pass_through(volumes, colour, *map(float, p), *d.tolist(), reach, book, 1.0, KEY))
+    return Passage(*pass_through(volumes, 0, colour, *map(float, p), *d.tolist(), reach, book, 1.0, KEY))
 
 
 def slab(thickness: float, **values: Any) -> dict[str, Any]:
@@ -103,8 +107,8 @@ def test_fog_without_an_end_scatters_all_that_it_does_not_absorb() -> None:
     points = []
     for i in range(4000):
         key = descendant(KEY, i)
-        found = Passage(*pass_through(volumes, 0, *way, np.inf, np.zeros(1), 0.0, key))
-        points.append(scattering_point(volumes, 0, found, *way, key)[:2])
+        found = Passage(*pass_through(volumes, 0, 0, *way, np.inf, np.zeros(1), 0.0, key))
+        points.append(scattering_point(volumes, 0, 0, found, *way, key)[:2])
     t, share = np.array(points).T
     np.testing.assert_allclose(share, 2.0 / 3.0, rtol=1e-13)
     assert abs(t.mean() * 0.006 - 1.0) < 4.5 / np.sqrt(len(t))
@@ -209,8 +213,8 @@ def test_scattering_points_have_the_density_of_single_scattering(n: int, tmp_pat
     for i in range(20000):
         key = descendant(KEY, i)
         book = np.zeros(1)
-        found = Passage(*pass_through(volumes, 0, *START, *d, np.inf, book, 0.0, key))
-        t, share, _ = scattering_point(volumes, 0, found, *START, *d, key)
+        found = Passage(*pass_through(volumes, 0, 0, *START, *d, np.inf, book, 0.0, key))
+        t, share, _ = scattering_point(volumes, 0, 0, found, *START, *d, key)
         points.append((t, share))
     t, share = np.array(points).T
     np.testing.assert_allclose(found.scattered, density.sum(), rtol=5e-3 if n else 1e-4)

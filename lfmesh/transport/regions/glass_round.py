@@ -1,22 +1,24 @@
-"""Bodies of glass round the points at which rays start: a ray from inside a tank starts in its water."""
+"""Bodies of glass round the points at which light starts: a ray from inside a tank starts in its water."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.mesh import Array
+from lfmesh.geometry.targets import TargetMesh
 from lfmesh.geometry.winding import winding
 from lfmesh.transport.regions.bodies import BITS, LOW, LOW_BITS, MOST_AT_ONCE, RANK
-from lfmesh.transport.tables.tables import ObjectTables
-from lfmesh.transport.world import World
+from lfmesh.transport.tables.tables import AIR, ObjectTables
 
 
-def glass_round(world: World, points: Array) -> NDArray[np.int64]:
+def glass_round(objects: ObjectTables, targets: list[TargetMesh], points: Array) -> NDArray[np.int64]:
     """Return the bodies of glass that points are in, (n,) int64 as packets hold them; 0: none.
 
     Parameters
     ----------
-    world : World
+    objects : ObjectTables
+    targets : list of TargetMesh
+        World frame.
     points : (n, 3) float64, mm, world frame
 
     Raises
@@ -24,12 +26,11 @@ def glass_round(world: World, points: Array) -> NDArray[np.int64]:
     LfmeshError
         A point is in more bodies at once than packets can keep.
     """
-    objects = world.tables.objects
     inside = np.zeros(len(points), np.int64)
     bodies = np.flatnonzero(objects.rank)
     if not len(bodies) or not len(points):
         return inside
-    meshes = {body: world.targets[body].mesh for body in bodies}
+    meshes = {body: targets[body].mesh for body in bodies}
     low = np.min([mesh.vertices.min(axis=0) for mesh in meshes.values()], axis=0)
     high = np.max([mesh.vertices.max(axis=0) for mesh in meshes.values()], axis=0)
     # Most rays start far from all glass, and many at few points.
@@ -43,13 +44,31 @@ def glass_round(world: World, points: Array) -> NDArray[np.int64]:
         if (count[within] == MOST_AT_ONCE).any():
             x, y, z = places[within & (count == MOST_AT_ONCE)][0]
             raise LfmeshError(
-                f"a ray starts at ({x:.4g}, {y:.4g}, {z:.4g}) mm, in more than {MOST_AT_ONCE} bodies of glass at once; "
-                f"a ray can be in {MOST_AT_ONCE}"
+                f"light starts at ({x:.4g}, {y:.4g}, {z:.4g}) mm, in more than {MOST_AT_ONCE} bodies of glass at once; "
+                f"it can be in {MOST_AT_ONCE}"
             )
         number[within] |= objects.rank[body] << (BITS * count[within])
         count[within] += 1
     inside[near] = number[of_point.reshape(-1)]
     return inside
+
+
+def places_round(
+    objects: ObjectTables, targets: list[TargetMesh], points: Array
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the bodies that points are in, as `glass_round` does, and the numbers of the media there, (n,) int64 each.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    targets : list of TargetMesh
+        World frame.
+    points : (n, 3) float64, mm, world frame
+    """
+    inside = glass_round(objects, targets, points)
+    media, some = np.full(len(points), AIR), np.flatnonzero(inside)
+    media[some] = objects.medium[objects.by_rank[inside[some] & RANK]]
+    return inside, media
 
 
 def start_inside(packets: NDArray[np.void], inside: NDArray[np.int64], objects: ObjectTables) -> None:

@@ -1,0 +1,88 @@
+"""Bodies of glass and liquid in object space as places: which points they hold, and what is known of them there."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.mesh import Array
+from lfmesh.geometry.targets import TargetMesh
+from lfmesh.geometry.winding import winding
+from lfmesh.scene import Scene
+from lfmesh.transport.tables.tables import OPAQUE, Media
+
+Numbers = NDArray[np.int64]
+
+
+class Hosts(NamedTuple):
+    """The targets of a scene that are bodies of glass or liquid; the others have rank 0."""
+
+    names: list[str]  # as users name them
+    rank: Numbers  # (targets,) see `ObjectTables.rank`
+    medium: Numbers  # (targets,) number of the medium; OPAQUE for other targets
+    media: Media
+    corners: list[Array]  # (m, 3, 3) mm, world frame, of the facets of each target
+
+    @property
+    def boxes_mm(self) -> list[tuple[Array, Array]]:
+        """Lowest and highest corner of each target, world frame."""
+        return [(facets.min(axis=(0, 1)), facets.max(axis=(0, 1))) for facets in self.corners]
+
+    def index_of(self, body: int | None) -> Array:
+        """Return the refractive index of a body, None for air, at each wavelength."""
+        return self.media.indices[0 if body is None else self.medium[body]]
+
+    def absorbing(self, bodies: set[int]) -> list[int]:
+        """Return all bodies of the media of some bodies, as far as these media absorb."""
+        absorption = self.media.absorption
+        if absorption is None:
+            return []
+        numbers = {int(self.medium[body]) for body in bodies}
+        return [
+            body
+            for body, number in enumerate(self.medium.tolist())
+            if number in numbers and (absorption.per_mm[number] > 0.0).any()
+        ]
+
+    def absorption_of(self, body: int) -> tuple[Array, int]:
+        """Return the absorption coefficient of an absorbing body at each wavelength, 1/mm, and its slot of the book."""
+        number = self.medium[body]
+        return self.media.absorption.per_mm[number], int(self.media.absorption.slot[number])
+
+    def without_absorption(self, bodies: list[int]) -> Media:
+        """Return the media with those of some bodies clear."""
+        if not bodies:
+            return self.media
+        per_mm = self.media.absorption.per_mm.copy()
+        per_mm[self.medium[bodies]] = 0.0
+        return self.media._replace(absorption=self.media.absorption._replace(per_mm=per_mm))
+
+    def top_round(self, points: Array) -> Numbers:
+        """Return the body of the highest rank that points are in, (n,); −1: none.
+
+        Parameters
+        ----------
+        points : (n, 3) float64, mm, world frame
+        """
+        found, rank = np.full(len(points), -1), np.zeros(len(points), np.int64)
+        for body in np.flatnonzero(self.rank):
+            takes = (winding(self.corners[body], points) != 0) & (self.rank[body] > rank)
+            found[takes], rank[takes] = body, self.rank[body]
+        return found
+
+
+def hosts_of(scene: Scene, targets: list[TargetMesh], ranks: Numbers, medium: Numbers, media: Media) -> Hosts:
+    """Return the bodies of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    targets : list of TargetMesh
+        World frame.
+    ranks, medium : (targets,) int64
+        See `ObjectTables`.
+    media : Media
+    """
+    names = [target.name or f"targets[{i}]" for i, target in enumerate(scene.targets)]
+    corners = [target.mesh.vertices[target.mesh.faces] for target in targets]
+    return Hosts(names, np.where(medium == OPAQUE, 0, ranks), medium, media, corners)

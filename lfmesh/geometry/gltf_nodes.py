@@ -1,7 +1,7 @@
 """The node tree of a glTF file: what stands in its scene, where, and the meshes of each object.
 
-glTF 2.0, section 3.5: nodes form a strict tree; a node's matrix, or its translation, rotation and scale, place it in its
-parent. trimesh gets a copy of the document in which every primitive is a mesh of its own, named after its place in the
+glTF 2.0, section 3.5: nodes form a strict tree; a node's matrix, or its translation, rotation and scale, place it in
+its parent. trimesh gets a copy of the document in which every primitive is a mesh of its own, named after its place in the
 file and not moved: which of them an object has, and its place, are read here.
 """
 
@@ -188,7 +188,7 @@ def _alone(path: Path, document: dict[str, Any], mesh: int, number: int) -> dict
         where = f"{path}: the base colour texture of meshes[{mesh}].primitives[{number}]"
         moved = base.get("extensions", {}).get("KHR_texture_transform", {})
         if moved.get("rotation", 0.0) != 0.0:
-            raise MeshError(f"{where} is turned by KHR_texture_transform; only offset and scale are taken: turn its UVs")
+            raise MeshError(f"{where} is turned by KHR_texture_transform; offset and scale are taken: turn its UVs")
         for key, default in (("offset", [0.0, 0.0]), ("scale", [1.0, 1.0])):
             _numbers(path, f"{key} of KHR_texture_transform", moved.get(key, default), 2)
         asked = f"TEXCOORD_{moved.get('texCoord', base.get('texCoord', 0))}"

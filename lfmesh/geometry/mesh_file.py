@@ -69,9 +69,7 @@ class Piece:
     alpha_cutoff: float = 0.5
 
 
-def load_mesh(
-    path: Path, units: str | None = None, alpha: bool = False, node: str | int | None = None
-) -> list[Piece]:
+def load_mesh(path: Path, units: str | None = None, alpha: bool = False, node: str | int | None = None) -> list[Piece]:
     """Read a mesh file.
 
     Parameters
@@ -159,9 +157,7 @@ def _read(path: Path, ending: str, units: str | None, alpha: bool, node: str | i
         placed = _placed(path) if document is None else _placed_nodes(path, document, node)
         # By the identity of trimesh's image, so that geometries that share a picture keep sharing it.
         pictures: dict[int, Texture] = {}
-        pieces = [
-            _piece(geometry, transform, MM_PER_UNIT[unit], pictures, alpha) for geometry, transform in placed
-        ]
+        pieces = [_piece(geometry, transform, MM_PER_UNIT[unit], pictures, alpha) for geometry, transform in placed]
     except MeshError:
         raise
     except Exception as error:  # a broken file may raise anything inside trimesh's parsers

@@ -1,8 +1,8 @@
 """The node tree of a glTF file: what stands in its scene, where, and the meshes of each object.
 
 glTF 2.0, section 3.5: nodes form a strict tree; a node's matrix, or its translation, rotation and scale, place it in
-its parent. trimesh gets a copy of the document in which every primitive is a mesh of its own, named after its place in the
-file and not moved: which of them an object has, and its place, are read here.
+its parent. trimesh gets a copy of the document in which every primitive is a mesh of its own, named after its place in
+the file and not moved: which of them an object has, and its place, are read here.
 """
 
 import io

@@ -26,7 +26,7 @@ class GltfFile(Model):
     """A glTF file that something is taken from."""
 
     file: FilePath
-    """A GLB or glTF file, relative to the scene file; its origin and axes are those of the world, its unit the metre."""
+    """A GLB or glTF file, relative to the scene file; its origin and axes are those of the world, its unit is m."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield a file of another kind."""

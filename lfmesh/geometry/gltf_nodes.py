@@ -7,6 +7,7 @@ the file and not moved: which of them an object has, and its place, are read her
 
 import io
 import json
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -80,6 +81,8 @@ def nodes_of(path: Path, document: dict[str, Any]) -> list[Node]:
         return []
     scenes = _list(path, document, "scenes")
     scene = scenes[_number(path, "scene", document.get("scene", 0), len(scenes))]
+    if not isinstance(scene.get("nodes", []), list):
+        raise MeshError(f"{path}: broken: its scene's nodes are no list")
     waiting: list[tuple[int, Array]] = [
         (_number(path, "a node of its scene", child, len(entries)), np.eye(4)) for child in scene.get("nodes", [])
     ]
@@ -90,20 +93,22 @@ def nodes_of(path: Path, document: dict[str, Any]) -> list[Node]:
             raise MeshError(f"{path}: broken: nodes[{number}] stands twice in its node tree, as a loop does")
         entry = entries[number]
         found[number] = parent @ _own_matrix(path, number, entry)
-        children = entry.get("children", [])
-        if not isinstance(children, list):
-            raise MeshError(f"{path}: broken: nodes[{number}].children is no list")
         waiting += [
-            (_number(path, f"a child of nodes[{number}]", child, len(entries)), found[number]) for child in children
+            (_number(path, f"a child of nodes[{number}]", child, len(entries)), found[number])
+            for child in entry.get("children", [])
         ]
-    names = [entries[number].get("name") for number in found]
-    told = {name for name in names if isinstance(name, str) and 0 < len(name) <= LONGEST_NAME and name.isprintable()}
-    unique = {name for name in told if names.count(name) == 1} if len(told) < len(names) else told
+    names = {number: _own_name(entries[number]) for number in found}
+    often = Counter(names.values())
     return [
-        Node(number, entries[number].get("name") if entries[number].get("name") in unique else None, matrix,
-             entries[number])
+        Node(number, name if (name := names[number]) and often[name] == 1 else None, matrix, entries[number])
         for number, matrix in sorted(found.items())
-    ]  # fmt: skip
+    ]
+
+
+def _own_name(entry: dict[str, Any]) -> str | None:
+    """Return the name of a node, where it has one by which it can be called."""
+    name = entry.get("name")
+    return name if isinstance(name, str) and 0 < len(name) <= LONGEST_NAME and name.isprintable() else None
 
 
 def node_called(path: Path, nodes: Iterable[Node], key: str | int) -> Node:
@@ -229,15 +234,64 @@ def not_read(path: Path, document: dict[str, Any], node: Node) -> Iterator[str]:
                 yield f"primitive {number} is {MODES.get(mode, f'of mode {mode!r}')}"
 
 
-def check_required(path: Path, document: dict[str, Any]) -> None:
-    """Raise if the file requires an extension that would go unread."""
-    required = document.get("extensionsRequired", [])
-    for name in required if isinstance(required, list) else [required]:
+def check_document(path: Path, document: dict[str, Any]) -> None:
+    """Raise if a part of the document is of another kind than glTF's, or an extension is required that goes unread.
+
+    Raises
+    ------
+    MeshError
+        Naming the part.
+    """
+    for key in _LISTS_OF_OBJECTS:
+        _list(path, document, key)
+    waiting: list[tuple[str, Any]] = [("", document)]
+    while waiting:
+        where, value = waiting.pop()
+        if isinstance(value, list):
+            waiting += [(f"{where}[{number}]", item) for number, item in enumerate(value)]
+        elif isinstance(value, dict):
+            for key, item in value.items():
+                place = f"{where}.{key}" if where else key
+                if key in _KINDS and not isinstance(item, _KINDS[key]):
+                    kind = {dict: "an object", list: "a list", int: "a whole number"}[_KINDS[key]]
+                    raise MeshError(f"{path}: broken: {place[-LONGEST_NAME:]} is no {kind.split(' ', 1)[1]}")
+                if key != "extras":
+                    inside = item.values() if key == "extensions" else ()
+                    if any(not isinstance(each, dict) for each in inside):
+                        raise MeshError(f"{path}: broken: {place[-LONGEST_NAME:]} holds one that is no object")
+                    waiting.append((place, item))
+    for name in document.get("extensionsRequired", []):
         if name not in TAKEN_EXTENSIONS:
             raise MeshError(
                 f"{path}: requires the extension {str(name)[:LONGEST_NAME]!r}, which is not read; valid are "
                 f"{', '.join(TAKEN_EXTENSIONS)}: export without it"
             )
+
+
+_LISTS_OF_OBJECTS = (
+    "nodes",
+    "scenes",
+    "meshes",
+    "materials",
+    "accessors",
+    "bufferViews",
+    "buffers",
+    "images",
+    "textures",
+)
+
+_KINDS: dict[str, type] = {
+    "extensions": dict,
+    "pbrMetallicRoughness": dict,
+    "baseColorTexture": dict,
+    "attributes": dict,
+    "primitives": list,
+    "children": list,
+    "extensionsRequired": list,
+    "mode": int,
+    "texCoord": int,
+}
+"""Of the values of keys, wherever they stand."""
 
 
 def _own_matrix(path: Path, number: int, entry: dict[str, Any]) -> Array:

@@ -15,7 +15,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from lfmesh.errors import MeshError
-from lfmesh.geometry.gltf_nodes import check_required, load_primitives, node_called, nodes_of, primitives_of
+from lfmesh.geometry.gltf_nodes import check_document, load_primitives, node_called, nodes_of, primitives_of
 from lfmesh.geometry.mesh import Array, Mesh
 from lfmesh.geometry.texture import FORMATS, MOST_PIXELS, Texture, linear_light, why_no_file, with_alpha
 from lfmesh.optics.gltf_material import GltfMaterial
@@ -359,7 +359,7 @@ def gltf_document(path: Path) -> dict[str, Any]:
 
 def _check_gltf(path: Path, document: dict[str, Any]) -> None:
     """Raise what trimesh does not look at: files that are not there or none, and tables larger than memory."""
-    check_required(path, document)
+    check_document(path, document)
     for key, kind in (("buffers", "buffer"), ("images", "picture")):
         for entry in _objects(document, key):
             uri = entry.get("uri")

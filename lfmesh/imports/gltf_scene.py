@@ -105,7 +105,9 @@ class GltfScene:
             if (number := _extension(node.entry, "KHR_lights_punctual").get("light")) is not None:
                 known = _extension(self.document, "KHR_lights_punctual").get("lights", [])
                 if not (isinstance(known, list) and isinstance(number, int) and 0 <= number < len(known)):
-                    raise MeshError(f"{self.path}: broken: {node.place} names light {number!r}, which is not there")
+                    raise MeshError(
+                        f"{self.path}: broken: {node.place} names light {repr(number)[:60]}, which is not there"
+                    )
                 light, how = light_of(f"{self.path}: {node.place}", node, known[number], lighting, scene)
                 for each in how:
                     self._enter(node.place, Verdict.APPROXIMATED, each)

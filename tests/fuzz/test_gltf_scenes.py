@@ -102,20 +102,20 @@ def test_the_scene_that_is_damaged_is_whole(tmp_path: Path) -> None:
     assert [each.facets for each in placements(scene)] == [2, 4]
 
 
-@settings(unhurried, max_examples=200)
+@settings(unhurried, max_examples=60)
 @given(changes)
 def test_a_changed_document_is_taken_or_refused(tmp_path: Path, changes: list[tuple[float, Any]]) -> None:
     is_taken_or_refused(tmp_path, changed(whole(tmp_path), changes))
 
 
 @pytest.mark.long
-@settings(unhurried, max_examples=5_000)
+@settings(unhurried, max_examples=3_000)
 @given(changes)
 def test_many_changed_documents_are_taken_or_refused(tmp_path: Path, changes: list[tuple[float, Any]]) -> None:
     is_taken_or_refused(tmp_path, changed(whole(tmp_path), changes))
 
 
-@settings(unhurried, max_examples=50)
+@settings(unhurried, max_examples=40)
 @given(damages, kept)
 def test_a_damaged_scene_is_taken_or_refused(tmp_path: Path, damage: list[tuple[float, bytes]], kept: float) -> None:
     is_taken_or_refused(tmp_path, damaged(whole(tmp_path).bytes(), damage, kept))

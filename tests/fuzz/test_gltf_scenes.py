@@ -89,7 +89,7 @@ def changed(glb: Glb, changes: list[tuple[float, Any]]) -> bytes:
         ways = list(places(tree))
         *way, last = ways[int(share * len(ways))]
         holder = functools.reduce(lambda value, key: value[key], way, tree)
-        holder[last] = junk
+        holder[last] = copy.deepcopy(junk)
     return Glb(tree, glb.data).bytes()
 
 

@@ -114,6 +114,13 @@ def _own_name(entry: dict[str, Any]) -> str | None:
 def node_called(path: Path, nodes: Iterable[Node], key: str | int) -> Node:
     """Return the node with a name or number.
 
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    nodes : iterable of Node
+    key : str or int
+
     Raises
     ------
     MeshError
@@ -128,7 +135,21 @@ def node_called(path: Path, nodes: Iterable[Node], key: str | int) -> Node:
 
 
 def primitives_of(path: Path, document: dict[str, Any], node: Node) -> list[tuple[int, int]]:
-    """Return mesh and number of the primitives of a node that have facets."""
+    """Return mesh and number of the primitives of a node that have facets.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    document : dict
+        Its JSON.
+    node : Node
+
+    Raises
+    ------
+    MeshError
+        The node names a mesh that is not there.
+    """
     if "mesh" not in node.entry:
         return []
     meshes = _list(path, document, "meshes")
@@ -142,6 +163,15 @@ def primitives_of(path: Path, document: dict[str, Any], node: Node) -> list[tupl
 
 def load_primitives(path: Path, document: dict[str, Any], wanted: Iterable[tuple[int, int]]) -> dict[Any, Any]:
     """Return trimesh's geometry of primitives, by mesh and number, with the places in the picture they are meant for.
+
+    Parameters
+    ----------
+    path : Path
+        The file, whose buffers and pictures are read.
+    document : dict
+        Its JSON.
+    wanted : iterable of (int, int)
+        Mesh and number of each primitive.
 
     Raises
     ------
@@ -226,7 +256,16 @@ def _place_picture(geometry: Any, base: dict[str, Any]) -> None:
 
 
 def not_read(path: Path, document: dict[str, Any], node: Node) -> Iterator[str]:
-    """Yield what of a node's mesh has no facets, or facets that cannot be read."""
+    """Yield what of a node's mesh has no facets, or facets that cannot be read.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    document : dict
+        Its JSON.
+    node : Node
+    """
     if "mesh" in node.entry:
         mesh = document["meshes"][node.entry["mesh"]]
         for number, primitive in enumerate(_list(path, mesh, "primitives")):

@@ -22,4 +22,4 @@ class FileError(LfmeshError):
 
 
 class LensFileWarning(UserWarning):
-    """A lens file was read with approximations, or holds lines that the reader does not know."""
+    """A lens file or glTF scene was read with approximations, or holds what the reader does not know."""

@@ -15,6 +15,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from lfmesh.errors import MeshError
+from lfmesh.geometry.gltf_nodes import check_document, load_primitives, node_called, nodes_of, primitives_of
 from lfmesh.geometry.mesh import Array, Mesh
 from lfmesh.geometry.texture import FORMATS, MOST_PIXELS, Texture, linear_light, why_no_file, with_alpha
 from lfmesh.optics.gltf_material import GltfMaterial
@@ -68,7 +69,7 @@ class Piece:
     alpha_cutoff: float = 0.5
 
 
-def load_mesh(path: Path, units: str | None = None, alpha: bool = False) -> list[Piece]:
+def load_mesh(path: Path, units: str | None = None, alpha: bool = False, node: str | int | None = None) -> list[Piece]:
     """Read a mesh file.
 
     Parameters
@@ -80,6 +81,8 @@ def load_mesh(path: Path, units: str | None = None, alpha: bool = False) -> list
         unit, and naming a different one is an error: a mesh is not rescaled against its own file.
     alpha : bool
         Read the alpha of pictures and colours, too.
+    node : str or int, optional
+        Of a GLB or glTF file: the node, by its name or number, whose own mesh alone is read, where the file places it.
 
     Returns
     -------
@@ -98,7 +101,9 @@ def load_mesh(path: Path, units: str | None = None, alpha: bool = False) -> list
         raise MeshError(f"{path}: not a kind of mesh file that can be read; valid are {', '.join(ENDINGS)}")
     if not path.is_file():
         raise MeshError(f"{path}: the mesh file {why_no_file(path)}")
-    pieces = _read(path, ending, units, alpha)
+    if node is not None and ending not in UNIT_OF_FORMAT:
+        raise MeshError(f"{path}: node = {node!r}: only {' and '.join(UNIT_OF_FORMAT)} files have nodes; omit it")
+    pieces = _read(path, ending, units, alpha, node)
     facets = sum(len(piece.mesh.faces) for piece in pieces)
     if facets == 0:
         raise MeshError(f"{path}: holds no facets: empty, cut short, or not a {ending[1:].upper()} file")
@@ -143,23 +148,16 @@ def _picture_name(value: str) -> str:
     return value.split()[-1] if value.startswith("-") else value
 
 
-def _read(path: Path, ending: str, units: str | None, alpha: bool) -> list[Piece]:
-    import trimesh
-
+def _read(path: Path, ending: str, units: str | None, alpha: bool, node: str | int | None) -> list[Piece]:
     unit = _agreed(path, UNIT_OF_FORMAT.get(ending), units)
     if ending == ".obj":
         _check_obj(path)
-    elif ending in UNIT_OF_FORMAT:
-        _check_gltf(path, _gltf_document(path, ending))
+    document = gltf_document(path) if ending in UNIT_OF_FORMAT else None
     try:
-        scene = trimesh.load_scene(path, process=False)
+        placed = _placed(path) if document is None else _placed_nodes(path, document, node)
         # By the identity of trimesh's image, so that geometries that share a picture keep sharing it.
         pictures: dict[int, Texture] = {}
-        pieces = [
-            _piece(scene.geometry[name], transform, MM_PER_UNIT[unit], pictures, alpha)
-            for transform, name in (scene.graph[node] for node in scene.graph.nodes_geometry)
-            if isinstance(scene.geometry[name], trimesh.Trimesh)
-        ]
+        pieces = [_piece(geometry, transform, MM_PER_UNIT[unit], pictures, alpha) for geometry, transform in placed]
     except MeshError:
         raise
     except Exception as error:  # a broken file may raise anything inside trimesh's parsers
@@ -168,6 +166,28 @@ def _read(path: Path, ending: str, units: str | None, alpha: bool) -> list[Piece
     if ending == ".off":
         _check_off_count(path, sum(len(piece.mesh.faces) for piece in pieces))
     return pieces
+
+
+def _placed(path: Path) -> list[tuple[Any, Array]]:
+    """Return trimesh's geometries of a file with their transforms."""
+    import trimesh
+
+    scene = trimesh.load_scene(path, process=False)
+    each = (scene.graph[node] for node in scene.graph.nodes_geometry)
+    return [
+        (scene.geometry[name], transform)
+        for transform, name in each
+        if isinstance(scene.geometry[name], trimesh.Trimesh)
+    ]
+
+
+def _placed_nodes(path: Path, document: dict[str, Any], key: str | int | None) -> list[tuple[Any, Array]]:
+    """Return the geometries of a glTF file, or of one of its nodes, with their transforms."""
+    nodes = nodes_of(path, document)
+    taken = nodes if key is None else [node_called(path, nodes, key)]
+    parts = {node.number: primitives_of(path, document, node) for node in taken}
+    made = load_primitives(path, document, (part for each in parts.values() for part in each))
+    return [(made[part], node.to_scene) for node in taken for part in parts[node.number] if part in made]
 
 
 def _agreed(path: Path, own: str | None, units: str | None) -> str:
@@ -312,8 +332,15 @@ def _shortened(text: str) -> str:
     return text if len(text) <= 200 else f"{text[:197]}..."
 
 
-def _gltf_document(path: Path, ending: str) -> dict[str, Any]:
-    """Return the JSON of a glTF or GLB file (glTF 2.0, section 4.4: after the header of 12 bytes the first chunk)."""
+def gltf_document(path: Path) -> dict[str, Any]:
+    """Return the JSON of a glTF or GLB file (glTF 2.0, section 4.4: after the header of 12 bytes the first chunk).
+
+    Raises
+    ------
+    MeshError
+        It is broken, names files that are not there, or requires an extension that would go unread.
+    """
+    ending = path.suffix.lower()
     content = path.read_bytes()
     try:
         if ending == ".glb":
@@ -323,14 +350,16 @@ def _gltf_document(path: Path, ending: str) -> dict[str, Any]:
         document = json.loads(content)
         if not isinstance(document, dict):
             raise ValueError("its JSON is no object")
-        return document
     except (ValueError, RecursionError) as error:
         reason = _shortened(f"{type(error).__name__}: {error}".splitlines()[0])
         raise MeshError(f"{path}: broken, or not a {ending[1:].upper()} file ({reason})") from None
+    _check_gltf(path, document)
+    return document
 
 
 def _check_gltf(path: Path, document: dict[str, Any]) -> None:
     """Raise what trimesh does not look at: files that are not there or none, and tables larger than memory."""
+    check_document(path, document)
     for key, kind in (("buffers", "buffer"), ("images", "picture")):
         for entry in _objects(document, key):
             uri = entry.get("uri")

@@ -89,7 +89,7 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
     else:
         name = str(target.file)
         may_take = target.takes_materials and Path(name).suffix.lower() in UNIT_OF_FORMAT
-        pieces = load_mesh(scene.resolve(name), target.units, asks_alpha or may_take)
+        pieces = load_mesh(scene.resolve(name), target.units, asks_alpha or may_take, target.node)
         taken = may_take and any(piece.material is not None for piece in pieces)
         if target.materials == "file" and not taken:
             raise MeshError(f'{name}: brings no materials of glTF, and materials = "file" asks for them; omit it')

@@ -29,17 +29,21 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Line:
-    """A line of the file, or a command on it, and what became of it."""
+    """A line of the file, a command on it, or a part of a file without lines, and what became of it."""
 
     number: int
-    """From 1."""
+    """From 1; 0 in a file without lines."""
     text: str
     verdict: Verdict
     how: str = ""
 
     def __str__(self) -> str:
-        shown = self.text if len(self.text) <= _MOST_SHOWN else f"{self.text[: _MOST_SHOWN - 3]}..."
-        return f"line {self.number}: {shown}: {self.verdict.value}{f': {self.how}' if self.how else ''}"
+        return f"{self.place}: {self.verdict.value}{f': {self.how}' if self.how else ''}"
+
+    @property
+    def place(self) -> str:
+        """Where it stands, and what it says."""
+        return f"line {self.number}: {_cut(self.text)}" if self.number else _cut(self.text)
 
 
 @dataclass
@@ -66,7 +70,7 @@ class Report:
         Parameters
         ----------
         number : int
-            From 1.
+            From 1; 0 in a file without lines.
         text : str
             The line, or the command on it.
         verdict : Verdict
@@ -95,7 +99,7 @@ class Report:
 
     def raise_refusals(self) -> None:
         """Raise a SceneError that names every refused line, if there is one."""
-        refused = [f"line {line.number}: {_cut(line.text)}: {line.how}" for line in self.of(Verdict.REFUSED)]
+        refused = [f"{line.place}: {line.how}" for line in self.of(Verdict.REFUSED)]
         if len(refused) == 1:
             raise SceneError(f"{self.path}: {refused[0]}")
         if refused:

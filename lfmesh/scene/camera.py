@@ -5,6 +5,7 @@ from typing import Literal
 from pydantic import Field
 
 from lfmesh.scene.air import Air
+from lfmesh.scene.gltf_keys import GltfPose, or_table
 from lfmesh.scene.lens import Lens
 from lfmesh.scene.mla import MicrolensArray
 from lfmesh.scene.model import Model
@@ -41,5 +42,6 @@ class Camera(Model):
     """An ideal linear polariser right before the sensor: the angle of the field that it transmits, in degrees, from the
     sensor's x axis towards its y axis (counter-clockwise as seen from behind the camera). It absorbs the field along
     the axis square to that, as dichroic sheets do. Needs `transport.polarisation`."""
-    pose: Pose = Field(default_factory=Pose)
-    """Where the camera stands in the world; omitted, the world frame is the camera frame."""
+    pose: Pose = Field(default_factory=Pose, json_schema_extra=or_table(GltfPose))
+    """Where the camera stands in the world; omitted, the world frame is the camera frame. In a file also
+    { file = "scene.glb" }: where a camera of a glTF file stands."""

@@ -7,7 +7,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from lfmesh.assets import asset_path
-from lfmesh.errors import FileError, SceneError
+from lfmesh.errors import FileError, LfmeshError, SceneError
+from lfmesh.scene.gltf_keys import reader as gltf_reader
+from lfmesh.scene.gltf_keys import take_keys
 from lfmesh.scene.lens import STOP_SIZES, Lens
 from lfmesh.scene.lens_readers import reader_of
 from lfmesh.scene.literals import LONGEST_BITS, literal, shown_path
@@ -137,16 +139,23 @@ def _check_bounds(data: dict[str, Any], name: str) -> None:
 
 def _scene(data: dict[str, Any], folder: Path, name: str) -> Scene:
     lens_faults, origin = _inline_lens(data, folder)
+    gltf, gltf_faults = take_keys(data, folder)
     try:
         scene = Scene.model_validate(data, context={"folder": folder})
     except ValidationError as error:
         faults = fault_lines(error, data, origin=origin)
         if lens_faults:
             faults = lens_faults + [line for line in faults if not line.startswith(f"{_LENS}.surfaces: missing")]
-        raise _refused(name, faults) from None
-    if lens_faults:
-        raise _refused(name, lens_faults)
-    return scene.in_folder(folder)
+        raise _refused(name, gltf_faults + faults) from None
+    if lens_faults or gltf_faults:
+        raise _refused(name, lens_faults + gltf_faults)
+    scene = scene.in_folder(folder)
+    if gltf is None:
+        return scene
+    try:
+        return gltf_reader()(scene, gltf)
+    except LfmeshError as error:
+        raise _refused(name, str(error).split("\n")) from None
 
 
 def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[str, str]]:

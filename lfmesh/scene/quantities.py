@@ -152,6 +152,9 @@ Opacity = Annotated[
 ]
 """A share from 0 to 1, or the name of where it stands."""
 
+NodeKey = Annotated[Text | Whole, Field(union_mode="left_to_right")]
+"""A node of a glTF file, by its name or its number from 0."""
+
 FilePath = Annotated[str, Field(strict=True), AfterValidator(_existing)]
 """A file, relative to the scene file."""
 

@@ -20,6 +20,7 @@ from lfmesh.scene.camera import Camera
 from lfmesh.scene.coatings import Coating, name_fault, unknown_fault
 from lfmesh.scene.finishes import Finish
 from lfmesh.scene.glass_in_air import in_its_air
+from lfmesh.scene.gltf_keys import GltfLights, GltfTargets, or_table
 from lfmesh.scene.inputs import file_stamp, found
 from lfmesh.scene.lights import Light
 from lfmesh.scene.media import Medium
@@ -55,12 +56,12 @@ class Scene(Model, Shown):
     """What the scene is called."""
     camera: Camera
     """Lens, microlens array and sensor."""
-    targets: tuple[Target, ...] = ()
-    """The bodies in front of the camera."""
+    targets: tuple[Target, ...] = Field(default=(), json_schema_extra=or_table(GltfTargets))
+    """The bodies in front of the camera; in a file also { file = "scene.glb" }: every object of a glTF file."""
     tanks: tuple[Tank, ...] = ()
     """Boxes of windows and liquid in front of the camera."""
-    lights: tuple[Light, ...] = ()
-    """What lights them."""
+    lights: tuple[Light, ...] = Field(default=(), json_schema_extra=or_table(GltfLights))
+    """What lights them; in a file also { file = "scene.glb" }: every light of a glTF file."""
     media: tuple[Medium, ...] = ()
     """What light passes through on its way: flames, fog, smoke."""
     particles: tuple[Particles, ...] = ()

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from lfmesh.scene.model import Fault, Model
-from lfmesh.scene.quantities import FilePath, GlossIndex, MetalName, Opacity, Positive, Text, Vector
+from lfmesh.scene.quantities import FilePath, GlossIndex, MetalName, NodeKey, Opacity, Positive, Text, Vector
 from lfmesh.scene.refractor import Refractor, Units, mesh_file_faults
 from lfmesh.scene.spectra import Kelvin, Radiance, Reflectance, Spectrum, reflectance_fault
 from lfmesh.scene.spectra import Shape as SpectralShape
@@ -164,6 +164,9 @@ class Target(Model):
     """A primitive shape. Or give `file`."""
     file: FilePath | None = None
     """A mesh file (STL, OBJ, PLY, OFF, GLB, glTF), relative to the scene file."""
+    node: NodeKey | None = None
+    """One object of a GLB or glTF file alone: the node's name, or its number where it has no name of its own. It
+    stands where the file places it, before `rotation_deg` and `position_mm`; nodes below it are not taken along."""
     units: Units | None = None
     """Unit of length of the mesh file; required where the format carries none."""
     materials: Literal["file", "colours", "ignore"] | None = None
@@ -188,7 +191,7 @@ class Target(Model):
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""
         if self.refractor is not None:
-            for key in ("shape", "file", "units"):
+            for key in ("shape", "file", "node", "units"):
                 if getattr(self, key) is not None:
                     yield Fault((key,), getattr(self, key), "a refractor is given too; give one of them")
             yield from self._file_faults("glass has neither; omit it")
@@ -202,6 +205,8 @@ class Target(Model):
                 yield Fault(("shape",), None, 'missing: give shape = { kind = ... }, or file = "...", or refractor')
             elif self.units is not None:
                 yield Fault(("units",), self.units, "only for a mesh file; the sizes of a shape are in mm")
+            if self.node is not None:
+                yield Fault(("node",), self.node, "only for a GLB or glTF file; omit it")
             yield from self._file_faults("a shape has its material from the scene, and its own normals")
         else:
             if self.materials == "file" and self.material != Material():

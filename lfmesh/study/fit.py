@@ -1,6 +1,6 @@
 """Fit of a camera to its white image: the assembly errors with their errors, and what the picture cannot tell apart.
 
-Least squares on the centroids of the micro-images. Directions in which they tell less than what is plausible anyway
+Least squares on the places of the micro-images. Directions in which they tell less than what is plausible anyway
 are found by the singular values of the derivative; along these the scene's own values are kept, and what is known is
 reported as a combination.
 """
@@ -8,7 +8,7 @@ reported as a combination.
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +18,12 @@ from scipy.optimize import least_squares
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.calibration import calibrate
-from lfmesh.lightfield.centres import find_centroids
 from lfmesh.lightfield.detector import Exposed
+from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.scene import Scene
 from lfmesh.study.fit_model import FitModel, Parameter, parameters_of
-from lfmesh.study.white_picture import Orientation, background_of, light_of
+from lfmesh.study.micro_image_phase import micro_image_places
+from lfmesh.study.white_picture import Orientation, light_of
 from lfmesh.transport.render.image import Image
 
 Array = NDArray[np.float64]
@@ -33,20 +34,17 @@ SAMPLES = 128
 ROUNDS = 10
 """Simulated white images at most."""
 
-SETTLED = 0.1
+SETTLED = 0.25
 """Of a standard error: a fit that moves less from one simulated image to the next is done."""
 
-FIRST_SIGMA_PX = 0.05
-"""What centroids lie beside chief rays before any image was simulated."""
+FIRST_SIGMA_PX = 0.02
+"""About what micro-images lie beside chief rays as long as no image was simulated."""
 
 OUTLIER = 6.0
 """Standard deviations (of a normal law, from the median) beyond which a micro-image is left out: dust, a dead lenslet."""
 
 WORST = 0.05
 """Of the pitch of the micro-images: residuals of more, rms, are no fit."""
-
-BACKGROUND = 0.02
-"""Of the bright: light in the dark of the picture above this share is mentioned."""
 
 
 @dataclass(frozen=True)
@@ -108,14 +106,12 @@ class Fit:
     pitch_px, pitch_error_px : float
         Mean distance of neighbouring micro-images as fitted, and its standard error.
     residuals_px : (rows, columns, 2) float64
-        Centroids less those of the fitted camera's simulated image, by lenslet as on the sensor; NaN: not used.
+        Micro-images less those of the fitted camera's simulated image, by lenslet as on the sensor; NaN: not used.
     sigma_px : float
-        Standard deviation of a coordinate of a centroid, from the residuals: the noise of both images, and whatever
-        single lenslets do.
+        Standard deviation of a coordinate of a micro-image's place, from the residuals: the noise of both images, and
+        whatever single lenslets do.
     left_out : int
         Micro-images that lie far beside the fit.
-    background : float
-        Light in the dark of the picture, over the bright, which the simulated image does not have.
     """
 
     scene: Scene
@@ -127,7 +123,6 @@ class Fit:
     residuals_px: Array
     sigma_px: float
     left_out: int
-    background: float
 
     def __repr__(self) -> str:
         return f"<Fit: {len(self.estimates)} parameters, {self.used} micro-images, {self.rms_px:.3g} pixels rms>"
@@ -151,15 +146,9 @@ class Fit:
     @property
     def notes(self) -> tuple[str, ...]:
         """What a user should know before trusting the values, a sentence each."""
-        notes = []
-        if self.background > BACKGROUND:
-            notes.append(
-                f"the dark of the picture holds {self.background:.1%} of its bright, and that of the simulated one does "
-                "not: subtract the black level, give linear counts"
-            )
-        if self.left_out:
-            notes.append(f"{self.left_out} micro-images lie far beside the fit and were left out")
-        return tuple(notes)
+        if not self.left_out:
+            return ()
+        return (f"{self.left_out} micro-images lie far beside the fit and were left out",)
 
 
 def fit(
@@ -174,7 +163,7 @@ def fit(
     Parameters
     ----------
     white : Image, Exposed or (H, W) or (H, W, channels) array
-        White image, linear in light, without black level. Arrays are pictures.
+        White image, linear in light; a constant black level does no harm. Arrays are pictures.
     scene : Scene
         The camera as designed.
     also : mapping, optional
@@ -204,13 +193,13 @@ class _Search:
 
     def __init__(self, model: FitModel, light: Array, say: Callable[[str], None]) -> None:
         self.model, self.light, self.say = model, light, say
-        found = find_centroids(light, model.scene)
-        self.pitch = found.pitch
-        self.measured = np.where(found.known[..., None], found.centres_px, np.nan)
+        self.pitch = RayModel.of(model.scene).micro_image_pitch_px
+        self.measured = micro_image_places(light, model.scene)
         self.steps = np.zeros(len(model.parameters))
         self.beside = np.zeros_like(self.measured)
         self.sigma = FIRST_SIGMA_PX
-        self.outliers = np.zeros(found.known.shape, bool)
+        self.traced: tuple[Array, Array] | None = None
+        self.outliers = np.zeros(self.measured.shape[:2], bool)
 
     def run(self) -> Fit:
         self.say("tracing derivatives")
@@ -218,16 +207,14 @@ class _Search:
         self._fit(derivative)
         for number in range(1, ROUNDS + 1):
             self.say(f"simulating white image {number}")
-            simulated = self.model.simulated(self.steps)
-            self.beside = self.model.beside(simulated, self.steps)
-            if number <= 2:
+            self.beside = self.model.beside(self.model.simulated(self.steps), self.steps)
+            if number == 1:
                 derivative = self.model.derivative(self.steps)
             before = self.steps
             split = self._fit(derivative)
             moved = (self.steps - before)[split.free] / np.sqrt(np.diag(split.covariance))
-            print(np.round(moved,2), self.sigma, split.free, self.outliers.sum())
             if number > 1 and np.abs(moved).max() < SETTLED:
-                return self._result(derivative, split, background_of(self.light, simulated))
+                return self._result(derivative, split)
         raise LfmeshError(
             f"the fit did not settle in {ROUNDS} simulated images; give more samples, or check the scene against the "
             "camera"
@@ -254,7 +241,25 @@ class _Search:
             if (far == self.outliers).all():
                 break
             self.outliers = far
-        return Split.of(rows, self.sigma, split)
+        return Split.of(rows, self.sigma, split, self._meat(derivative, used))
+
+    def _meat(self, derivative: Array, used: NDArray[np.bool_]) -> Array:
+        """Return the covariance of the derivative's product with the residuals, (p, p).
+
+        What is found of one micro-image shares pixels with its neighbours: residuals of neighbours are correlated.
+        The products of residuals are averaged over the array, by the distance in columns and rows.
+        """
+        residuals = np.where(used[..., None], self.residuals(self.steps), 0.0)
+        slopes = np.where(used[..., None, None], derivative, 0.0)
+        meat = np.zeros((len(self.steps), len(self.steps)))
+        for rows, columns in NEIGHBOURS:
+            here, there = _overlap(used.shape, rows, columns)
+            pairs = max((used[here] & used[there]).sum(), 1)
+            for axis in (0, 1):
+                product = (residuals[here][..., axis] * residuals[there][..., axis]).sum() / pairs
+                meat += product * np.einsum("rcp,rcq->pq", slopes[here][..., axis, :], slopes[there][..., axis, :])
+        freedom = 2.0 * used.sum() / max(2.0 * used.sum() - len(self.steps), 1.0)
+        return freedom * 0.5 * (meat + meat.T)
 
     def _with(self, free: Array, split: "Split") -> Array:
         steps = np.zeros_like(self.steps)
@@ -262,7 +267,10 @@ class _Search:
         return steps
 
     def residuals(self, steps: Array) -> Array:
-        return np.asarray(self.measured - self.beside - self.model.centres(steps))
+        """Return where micro-images lie beside those of a camera, (rows, columns, 2) pixels."""
+        if self.traced is None or not np.array_equal(self.traced[0], steps):
+            self.traced = (steps.copy(), self.model.centres(steps))
+        return np.asarray(self.measured - self.beside - self.traced[1])
 
     def _used(self, derivative: Array) -> NDArray[np.bool_]:
         known = np.isfinite(self.residuals(self.steps)).all(axis=-1) & np.isfinite(derivative).all(axis=(-1, -2))
@@ -280,7 +288,7 @@ class _Search:
                 "best fit; check layout, count, pitch and pixels of the scene, and --orientation"
             )
 
-    def _result(self, derivative: Array, split: "Split", background: float) -> Fit:
+    def _result(self, derivative: Array, split: "Split") -> Fit:
         parameters, reach = self.model.parameters, self.model.reach
         used = self._used(derivative)
         covariance = np.full((len(reach), len(reach)), np.nan)
@@ -306,7 +314,6 @@ class _Search:
             residuals_px=np.where(used[..., None], self.residuals(self.steps), np.nan),
             sigma_px=self.sigma,
             left_out=int(self.outliers.sum()),
-            background=background,
         )
 
     def _pitch_slopes(self, derivative: Array, used: NDArray[np.bool_]) -> Array:
@@ -326,6 +333,18 @@ class _Search:
                 parts[parameters[kept].path] = float(part)
             found.append(Combination(parts, float(self.steps[i] * parameters[i].reach), float(errors[i])))
         return tuple(found)
+
+
+NEIGHBOURS = [(rows, columns) for rows in (-1, 0, 1) for columns in (-1, 0, 1)]
+"""Distances of micro-images, rows and columns, over which their errors are correlated."""
+
+
+def _overlap(shape: tuple[int, ...], rows: int, columns: int) -> tuple[Any, Any]:
+    """Return the indices of all lenslets that have one at a distance, and of that one."""
+    height, width = shape
+    here = np.s_[max(-rows, 0) : height - max(rows, 0), max(-columns, 0) : width - max(columns, 0)]
+    there = np.s_[max(rows, 0) : height + min(rows, 0), max(columns, 0) : width + min(columns, 0)]
+    return here, there
 
 
 @dataclass(frozen=True)
@@ -350,7 +369,7 @@ class Split:
     covariance: Array
 
     @classmethod
-    def of(cls, rows: Array, sigma: float, like: "Split | None" = None) -> "Split":
+    def of(cls, rows: Array, sigma: float, like: "Split | None" = None, meat: Array | None = None) -> "Split":
         """Split parameters by the singular values of a derivative.
 
         A direction whose standard error is above the plausible range itself is not determined.
@@ -363,6 +382,8 @@ class Split:
             Standard deviation of a residual, pixels.
         like : Split, optional
             Keep what it keeps.
+        meat : (p, p) float64, optional
+            Covariance of the derivative's product with the residuals; that of independent ones if omitted.
         """
         _, singular, directions = np.linalg.svd(rows, full_matrices=False)
         lost = singular <= sigma
@@ -376,8 +397,8 @@ class Split:
         free = [i for i in range(rows.shape[1]) if i not in kept]
         if not free:
             raise LfmeshError("the picture's micro-images scatter so much that they determine nothing")
-        normal = rows[:, free].T @ rows[:, free]
-        covariance = sigma**2 * np.linalg.inv(normal)
+        inverse = np.linalg.inv(rows[:, free].T @ rows[:, free])
+        covariance = sigma**2 * inverse if meat is None else inverse @ meat[np.ix_(free, free)] @ inverse
         traded = unknown[:, free].T @ np.linalg.inv(unknown[:, kept].T) if kept else np.zeros((len(free), 0))
         errors = np.sqrt(np.diag(covariance))
         shaken = np.abs(traded).sum(axis=1) > errors if kept else np.zeros(len(free), bool)

@@ -1,7 +1,7 @@
 """What a fit of a camera varies, and where the micro-images of a camera then are.
 
-A centroid on a white image lies beside the chief ray: pixels cut the borders of a micro-image, and light falls off
-over it. The fit compares like with like: to the chief rays it adds what the same search finds beside them on a
+What is found on a white image lies beside the chief rays: pixels sample the borders of a micro-image, and light falls
+off over it. The fit compares like with like: to the chief rays it adds what the same search finds beside them on a
 simulated white image of the camera.
 """
 
@@ -13,17 +13,20 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError, SceneError
 from lfmesh.lightfield.calibration import calibrate
-from lfmesh.lightfield.centres import find_centroids
 from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.lightfield.white import white_image
 from lfmesh.scene import Scene
 from lfmesh.study.axes import is_number
+from lfmesh.study.micro_image_phase import micro_image_places
 from lfmesh.study.paths import value_at
 
 Array = NDArray[np.float64]
 
 TILT_DEG, PITCH_ERROR = 1.0, 0.01
 """Largest plausible tilt or rotation, and pitch error, of an array."""
+
+DISTANCE = 0.2
+"""Largest plausible error of the distance from lenslets to sensor, over that distance."""
 
 STEP = 0.05
 """Of the range: half of what a central difference spans. Centres are nearly linear in all that is fitted."""
@@ -77,7 +80,7 @@ def parameters_of(scene: Scene, also: Mapping[str, float] | None = None) -> tupl
         ("array: tilt about y", f"{pose}.tilt_deg[1]", "deg", TILT_DEG),
         ("array: shift in x", f"{pose}.shift_mm[0]", "mm", mla.pitch_mm),
         ("array: shift in y", f"{pose}.shift_mm[1]", "mm", mla.pitch_mm),
-        ("array: distance", f"{pose}.shift_mm[2]", "mm", gap),
+        ("array: distance", f"{pose}.shift_mm[2]", "mm", DISTANCE * gap),
         ("array: pitch error", f"{form}.pitch_error", "", PITCH_ERROR),
     )
     listed = [Parameter(name, path, unit, float(value_at(scene, path)), reach) for name, path, unit, reach in own]
@@ -162,7 +165,7 @@ class FitModel:
         return np.ascontiguousarray(white_image(camera.changed(settings)).mean.sum(axis=2))
 
     def beside(self, light: Array, steps: Array) -> Array:
-        """Return how far the centroids of a simulated white image lie beside the chief rays, (rows, columns, 2) pixels.
+        """Return how far micro-images of a simulated white image lie beside the chief rays, (rows, columns, 2) pixels.
 
         Parameters
         ----------
@@ -170,5 +173,4 @@ class FitModel:
             From `simulated` at the same steps.
         steps : (p,) float64
         """
-        found = find_centroids(light, self.scene)
-        return np.where(found.known[..., None], found.centres_px - self.centres(steps), np.nan)
+        return np.asarray(micro_image_places(light, self.scene) - self.centres(steps))

@@ -59,24 +59,12 @@ def light_of(white: Image | Exposed | NDArray[Any], scene: Scene, orientation: O
     return np.ascontiguousarray(light, np.float64)
 
 
-def background_of(light: Array, simulated: Array) -> float:
-    """Return the light in the dark of a picture that a simulated one does not have, over the bright; about 0.
-
-    Parameters
-    ----------
-    light, simulated : (H, W) float64
-    """
-    terms = np.column_stack([np.ones(light.size), simulated.ravel() / np.percentile(simulated, 99.0)])
-    (dark, bright), *_ = np.linalg.lstsq(terms, light.ravel(), rcond=None)
-    return float(dark / (dark + bright))
-
-
 def _exposed(exposed: Exposed) -> Array:
     detector = exposed.detector
     if detector.bayer is not None:
         raise LfmeshError(f"bayer = {detector.bayer!r}: a fit takes a white image without a mosaic of colour filters")
     _refuse_saturated(float(exposed.saturated.mean()), "their full well")
-    return np.asarray(exposed.electrons - detector.dark_current_e_s * detector.exposure_s)
+    return exposed.electrons
 
 
 def _picture(picture: NDArray[Any], scene: Scene, orientation: Orientation) -> Array:

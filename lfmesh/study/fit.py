@@ -34,6 +34,9 @@ SAMPLES = 128
 ROUNDS = 10
 """Simulated white images at most."""
 
+ASIDE = 0.5
+"""Of the range: how far what is kept is moved to see what that does to the micro-images."""
+
 SETTLED = 0.25
 """Of a standard error: a fit that moves less from one simulated image to the next is done."""
 
@@ -199,33 +202,69 @@ class _Search:
         self.beside = np.zeros_like(self.measured)
         self.sigma = FIRST_SIGMA_PX
         self.traced: tuple[Array, Array] | None = None
+        self.unseen = np.zeros((*self.measured.shape, 0))
         self.outliers = np.zeros(self.measured.shape[:2], bool)
 
+    @property
+    def count(self) -> int:
+        """Number of parameters; what follows in `steps` belongs to `unseen`."""
+        return len(self.model.parameters)
+
     def run(self) -> Fit:
+        """Fit until the camera no longer moves.
+
+        Raises
+        ------
+        LfmeshError
+            As `fit`.
+        """
         self.say("tracing derivatives")
         derivative = self.model.derivative(self.steps)
-        self._fit(derivative)
+        split = self._fit(derivative)
         for number in range(1, ROUNDS + 1):
             self.say(f"simulating white image {number}")
-            self.beside = self.model.beside(self.model.simulated(self.steps), self.steps)
+            steps = self.steps[: self.count]
+            self.beside = self.model.beside(self.model.simulated(steps), steps)
             if number == 1:
-                derivative = self.model.derivative(self.steps)
+                derivative = self.model.derivative(steps)
+                split = self._fit(derivative)
+                self.say("simulating what is kept")
+                self.unseen = self._unseen(split)
+                derivative = np.concatenate([derivative, self.unseen], axis=-1)
+                self.steps = np.concatenate([self.steps, np.zeros(self.unseen.shape[-1])])
+                continue
             before = self.steps
-            split = self._fit(derivative)
+            split = self._fit(derivative, split)
             moved = (self.steps - before)[split.free] / np.sqrt(np.diag(split.covariance))
-            if number > 1 and np.abs(moved).max() < SETTLED:
+            if np.abs(moved).max() < SETTLED:
                 return self._result(derivative, split)
         raise LfmeshError(
             f"the fit did not settle in {ROUNDS} simulated images; give more samples, or check the scene against the "
             "camera"
         )
 
-    def _fit(self, derivative: Array) -> "Split":
+    def _unseen(self, split: "Split") -> Array:
+        """Return what the search finds beside chief rays if kept parameters change, (rows, columns, 2, kept) pixels.
+
+        Chief rays land in the same places then, but micro-images have another size, which their pixels sample
+        differently. The fit takes this pattern along, so that it is not taken for an error of the array.
+        """
+        patterns = []
+        for column, kept in enumerate(split.kept):
+            way = np.zeros(self.count)
+            way[kept] = 1.0
+            way[split.free] = split.traded[:, column]
+            ends = [self.steps + sign * ASIDE * way for sign in (1.0, -1.0)]
+            up, down = (self.model.beside(self.model.simulated(end), end) for end in ends)
+            patterns.append((up - down) / (2.0 * ASIDE))
+        return np.stack(patterns, axis=-1) if patterns else self.unseen
+
+    def _fit(self, derivative: Array, like: "Split | None" = None) -> "Split":
         """Move to the least squares with the present offsets, and take their scatter as the noise."""
         for _ in range(2):
             used = self._used(derivative)
             rows = derivative[used].reshape(-1, derivative.shape[-1])
-            split = Split.of(rows, self.sigma)
+            split = Split.of(rows, self.sigma, like)
             solved = least_squares(
                 lambda free, used=used, split=split: self.residuals(self._with(free, split))[used].ravel(),
                 self.steps[split.free],
@@ -268,9 +307,10 @@ class _Search:
 
     def residuals(self, steps: Array) -> Array:
         """Return where micro-images lie beside those of a camera, (rows, columns, 2) pixels."""
-        if self.traced is None or not np.array_equal(self.traced[0], steps):
-            self.traced = (steps.copy(), self.model.centres(steps))
-        return np.asarray(self.measured - self.beside - self.traced[1])
+        own = steps[: self.count]
+        if self.traced is None or not np.array_equal(self.traced[0], own):
+            self.traced = (own.copy(), self.model.centres(own))
+        return np.asarray(self.measured - self.beside - self.traced[1] - self.unseen @ steps[self.count :])
 
     def _used(self, derivative: Array) -> NDArray[np.bool_]:
         known = np.isfinite(self.residuals(self.steps)).all(axis=-1) & np.isfinite(derivative).all(axis=(-1, -2))
@@ -291,8 +331,10 @@ class _Search:
     def _result(self, derivative: Array, split: "Split") -> Fit:
         parameters, reach = self.model.parameters, self.model.reach
         used = self._used(derivative)
+        own = np.array([i for i in split.free if i < self.count])
+        ours = split.covariance[: len(own), : len(own)]
         covariance = np.full((len(reach), len(reach)), np.nan)
-        covariance[np.ix_(split.free, split.free)] = split.covariance
+        covariance[np.ix_(own, own)] = ours
         covariance *= np.outer(reach, reach)
         errors = np.sqrt(np.diag(covariance))
         together = tuple(parameters[i].path for i in split.group)
@@ -300,17 +342,17 @@ class _Search:
             Estimate(
                 each, each.start + float(step) * each.reach, float(error), together if i in split.group else ()
             )
-            for i, (each, step, error) in enumerate(zip(parameters, self.steps, errors, strict=True))
+            for i, (each, step, error) in enumerate(zip(parameters, self.steps[: self.count], errors, strict=True))
         )  # fmt: skip
-        fitted = self.model.at(self.steps)
-        slopes = self._pitch_slopes(derivative, used)[split.free]
+        fitted = self.model.at(self.steps[: self.count])
+        slopes = self._pitch_slopes(derivative, used)[own]
         return Fit(
             scene=fitted,
             estimates=estimates,
             covariance=covariance,
             combinations=self._combinations(split, errors),
             pitch_px=calibrate(fitted).pitch_px,
-            pitch_error_px=float(np.sqrt(slopes @ split.covariance @ slopes)),
+            pitch_error_px=float(np.sqrt(slopes @ ours @ slopes)),
             residuals_px=np.where(used[..., None], self.residuals(self.steps), np.nan),
             sigma_px=self.sigma,
             left_out=int(self.outliers.sum()),
@@ -386,21 +428,18 @@ class Split:
             Covariance of the derivative's product with the residuals; that of independent ones if omitted.
         """
         _, singular, directions = np.linalg.svd(rows, full_matrices=False)
-        lost = singular <= sigma
-        unknown = directions[lost] if like is None else directions[len(singular) - len(like.kept) :]
-        if like is not None:
-            kept = like.kept
-        else:
-            # The parameters that hold most of the unknown directions stand for them.
-            _, _, order = qr(unknown, mode="economic", pivoting=True) if len(unknown) else (None, None, [])
-            kept = sorted(int(i) for i in order[: len(unknown)])
+        unknown = directions[singular <= sigma]
+        # The parameters that hold most of the unknown directions stand for them.
+        _, _, order = qr(unknown, mode="economic", pivoting=True) if len(unknown) else (None, None, [])
+        kept = like.kept if like is not None else sorted(int(i) for i in order[: len(unknown)])
         free = [i for i in range(rows.shape[1]) if i not in kept]
         if not free:
             raise LfmeshError("the picture's micro-images scatter so much that they determine nothing")
         inverse = np.linalg.inv(rows[:, free].T @ rows[:, free])
         covariance = sigma**2 * inverse if meat is None else inverse @ meat[np.ix_(free, free)] @ inverse
+        if like is not None:
+            return cls(free, kept, like.group, like.traded, covariance)
         traded = unknown[:, free].T @ np.linalg.inv(unknown[:, kept].T) if kept else np.zeros((len(free), 0))
-        errors = np.sqrt(np.diag(covariance))
-        shaken = np.abs(traded).sum(axis=1) > errors if kept else np.zeros(len(free), bool)
+        shaken = np.abs(traded).sum(axis=1) > np.sqrt(np.diag(covariance))
         group = tuple(sorted((*kept, *(i for i, far in zip(free, shaken, strict=True) if far))))
         return cls(free, kept, group, traded, covariance)

@@ -104,7 +104,8 @@ class Fit:
         With the fitted values; distances that `focus_mm` had solved stand as numbers.
     estimates : tuple of Estimate
     covariance : (p, p) float64
-        Of the values, in their units; NaN for those that were kept.
+        Of the values, in their units; NaN for those that were kept. It holds the noise, and what kept values anywhere
+        in their range would do to the light within micro-images.
     combinations : tuple of Combination
     pitch_px, pitch_error_px : float
         Mean distance of neighbouring micro-images as fitted, and its standard error.
@@ -205,11 +206,6 @@ class _Search:
         self.unseen = np.zeros((*self.measured.shape, 0))
         self.outliers = np.zeros(self.measured.shape[:2], bool)
 
-    @property
-    def count(self) -> int:
-        """Number of parameters; what follows in `steps` belongs to `unseen`."""
-        return len(self.model.parameters)
-
     def run(self) -> Fit:
         """Fit until the camera no longer moves.
 
@@ -223,15 +219,12 @@ class _Search:
         split = self._fit(derivative)
         for number in range(1, ROUNDS + 1):
             self.say(f"simulating white image {number}")
-            steps = self.steps[: self.count]
-            self.beside = self.model.beside(self.model.simulated(steps), steps)
+            self.beside = self.model.beside(self.model.simulated(self.steps), self.steps)
             if number == 1:
-                derivative = self.model.derivative(steps)
+                derivative = self.model.derivative(self.steps)
                 split = self._fit(derivative)
                 self.say("simulating what is kept")
                 self.unseen = self._unseen(split)
-                derivative = np.concatenate([derivative, self.unseen], axis=-1)
-                self.steps = np.concatenate([self.steps, np.zeros(self.unseen.shape[-1])])
                 continue
             before = self.steps
             split = self._fit(derivative, split)
@@ -246,12 +239,12 @@ class _Search:
     def _unseen(self, split: "Split") -> Array:
         """Return what the search finds beside chief rays if kept parameters change, (rows, columns, 2, kept) pixels.
 
-        Chief rays land in the same places then, but micro-images have another size, which their pixels sample
-        differently. The fit takes this pattern along, so that it is not taken for an error of the array.
+        Chief rays land in the same places then, but micro-images have another size: pixels sample them differently, and
+        the light in them is spread otherwise. What that may do to the fitted ones is part of their errors.
         """
         patterns = []
         for column, kept in enumerate(split.kept):
-            way = np.zeros(self.count)
+            way = np.zeros(len(self.steps))
             way[kept] = 1.0
             way[split.free] = split.traded[:, column]
             ends = [self.steps + sign * ASIDE * way for sign in (1.0, -1.0)]
@@ -286,7 +279,8 @@ class _Search:
         """Return the covariance of the derivative's product with the residuals, (p, p).
 
         What is found of one micro-image shares pixels with its neighbours: residuals of neighbours are correlated.
-        The products of residuals are averaged over the array, by the distance in columns and rows.
+        The products of residuals are averaged over the array, by the distance in columns and rows. What is kept may lie
+        anywhere in its range.
         """
         residuals = np.where(used[..., None], self.residuals(self.steps), 0.0)
         slopes = np.where(used[..., None, None], derivative, 0.0)
@@ -297,8 +291,11 @@ class _Search:
             for axis in (0, 1):
                 product = (residuals[here][..., axis] * residuals[there][..., axis]).sum() / pairs
                 meat += product * np.einsum("rcp,rcq->pq", slopes[here][..., axis, :], slopes[there][..., axis, :])
+        known = used & np.isfinite(self.unseen).all(axis=(-1, -2))
+        # The variance of a uniform law of half width 1, in ranges, is 1/3.
+        moved = np.einsum("nip,nik->pk", derivative[known], self.unseen[known]) / math.sqrt(3.0)
         freedom = 2.0 * used.sum() / max(2.0 * used.sum() - len(self.steps), 1.0)
-        return freedom * 0.5 * (meat + meat.T)
+        return freedom * 0.5 * (meat + meat.T) + moved @ moved.T
 
     def _with(self, free: Array, split: "Split") -> Array:
         steps = np.zeros_like(self.steps)
@@ -307,10 +304,9 @@ class _Search:
 
     def residuals(self, steps: Array) -> Array:
         """Return where micro-images lie beside those of a camera, (rows, columns, 2) pixels."""
-        own = steps[: self.count]
-        if self.traced is None or not np.array_equal(self.traced[0], own):
-            self.traced = (own.copy(), self.model.centres(own))
-        return np.asarray(self.measured - self.beside - self.traced[1] - self.unseen @ steps[self.count :])
+        if self.traced is None or not np.array_equal(self.traced[0], steps):
+            self.traced = (steps.copy(), self.model.centres(steps))
+        return np.asarray(self.measured - self.beside - self.traced[1])
 
     def _used(self, derivative: Array) -> NDArray[np.bool_]:
         known = np.isfinite(self.residuals(self.steps)).all(axis=-1) & np.isfinite(derivative).all(axis=(-1, -2))
@@ -331,10 +327,8 @@ class _Search:
     def _result(self, derivative: Array, split: "Split") -> Fit:
         parameters, reach = self.model.parameters, self.model.reach
         used = self._used(derivative)
-        own = np.array([i for i in split.free if i < self.count])
-        ours = split.covariance[: len(own), : len(own)]
         covariance = np.full((len(reach), len(reach)), np.nan)
-        covariance[np.ix_(own, own)] = ours
+        covariance[np.ix_(split.free, split.free)] = split.covariance
         covariance *= np.outer(reach, reach)
         errors = np.sqrt(np.diag(covariance))
         together = tuple(parameters[i].path for i in split.group)
@@ -342,17 +336,17 @@ class _Search:
             Estimate(
                 each, each.start + float(step) * each.reach, float(error), together if i in split.group else ()
             )
-            for i, (each, step, error) in enumerate(zip(parameters, self.steps[: self.count], errors, strict=True))
+            for i, (each, step, error) in enumerate(zip(parameters, self.steps, errors, strict=True))
         )  # fmt: skip
-        fitted = self.model.at(self.steps[: self.count])
-        slopes = self._pitch_slopes(derivative, used)[own]
+        fitted = self.model.at(self.steps)
+        slopes = self._pitch_slopes(derivative, used)[split.free]
         return Fit(
             scene=fitted,
             estimates=estimates,
             covariance=covariance,
             combinations=self._combinations(split, errors),
             pitch_px=calibrate(fitted).pitch_px,
-            pitch_error_px=float(np.sqrt(slopes @ ours @ slopes)),
+            pitch_error_px=float(np.sqrt(slopes @ split.covariance @ slopes)),
             residuals_px=np.where(used[..., None], self.residuals(self.steps), np.nan),
             sigma_px=self.sigma,
             left_out=int(self.outliers.sum()),

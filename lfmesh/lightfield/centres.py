@@ -128,9 +128,7 @@ def _fitted(ideal: Array, centres: Array, known: NDArray[np.bool_]) -> Array:
     return np.asarray(terms @ fit)
 
 
-def _own_shifts(
-    light: Array, centres: Array, pitch: float, hexagonal: bool
-) -> tuple[Array, NDArray[np.bool_], float]:
+def _own_shifts(light: Array, centres: Array, pitch: float, hexagonal: bool) -> tuple[Array, NDArray[np.bool_], float]:
     """Return how far single micro-images stand beside the lattice, pixels, which are known, and the drag of cells.
 
     A cell beside its micro-image loses light on one side and takes a neighbour's on the other, which drags the

@@ -135,7 +135,9 @@ class Fit:
         for each in self.estimates:
             if path in (each.parameter.path, each.parameter.name):
                 return each
-        raise KeyError(f"{path!r} was not fitted; there are {', '.join(each.parameter.path for each in self.estimates)}")
+        raise KeyError(
+            f"{path!r} was not fitted; there are {', '.join(each.parameter.path for each in self.estimates)}"
+        )
 
     @property
     def used(self) -> int:

@@ -65,7 +65,9 @@ def deviations(found: lf.Fit, truth: dict[str, float]) -> NDArray[np.float64]:
 def chi_square(found: lf.Fit, truth: dict[str, float]) -> float:
     paths = [each.parameter.path for each in found.estimates]
     (both,) = found.combinations
-    known = [i for i, each in enumerate(found.estimates) if not each.together] + [paths.index(next(iter(both.coefficients)))]
+    known = [i for i, each in enumerate(found.estimates) if not each.together] + [
+        paths.index(next(iter(both.coefficients)))
+    ]
     beside = deviations(found, truth)
     return float(beside @ np.linalg.solve(found.covariance[np.ix_(known, known)], beside))
 
@@ -89,7 +91,9 @@ def test_known_errors_come_back_within_their_intervals(found: lf.Fit, taken: Any
     # Intervals that hold anything would pass: a turn of the array shows to some thousandths of a degree.
     assert found["array: rotation"].standard_error < 0.01
     assert found["array: shift in x"].standard_error < 0.001
-    assert found.pitch_px == pytest.approx(lf.calibrate(taken[0].changed(truth)).pitch_px, abs=4.0 * found.pitch_error_px)
+    assert found.pitch_px == pytest.approx(
+        lf.calibrate(taken[0].changed(truth)).pitch_px, abs=4.0 * found.pitch_error_px
+    )
 
 
 def test_pitch_and_distance_are_only_known_together(found: lf.Fit, taken: Any) -> None:

@@ -74,6 +74,7 @@ if TYPE_CHECKING:
         solved,
     )
     from lfmesh.scene.particles import Particles, displaced, particle_vectors
+    from lfmesh.study.fit import Fit, fit
     from lfmesh.study.study import Study
     from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
     from lfmesh.transport.render.image import Image
@@ -102,6 +103,7 @@ __all__ = [
     "Exposed",
     "FileError",
     "FirstOrder",
+    "Fit",
     "FocalStack",
     "GlassError",
     "Gloss",
@@ -157,6 +159,7 @@ __all__ = [
     "export_field",
     "export_raw",
     "first_order",
+    "fit",
     "focal_stack",
     "focused",
     "load",
@@ -229,6 +232,7 @@ _HOMES = {
         ],
     ],
     "lfmesh.scene.particles": ["Particles", "displaced", "particle_vectors"],
+    "lfmesh.study.fit": ["Fit", "fit"],
     "lfmesh.study.study": ["Study"],
     "lfmesh.transport.render.image": ["Image"],
     "lfmesh.transport.packets.ledger": ["Ledger", "LostEnergyWarning"],

@@ -14,6 +14,7 @@ from lfmesh.cli import (  # noqa: F401  # adds their commands
     camera_model,
     compare,
     export,
+    fit,
     frames,
     lens,
     lens_sheet,

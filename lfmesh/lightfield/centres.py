@@ -1,5 +1,7 @@
 """Centres of the micro-images, found on a white image as the owner of a real camera has to."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,21 +56,69 @@ def estimate_centres(white: Image, scene: Scene | None = None) -> Calibration:
         A conventional camera, a black image, or one without dark between the micro-images.
     """
     scene = solved_camera(white.scene if scene is None else scene).scene
+    light = np.ascontiguousarray(white.mean.sum(axis=2))
+    found = find_centroids(light, scene)
+    own = _without_noise(found, light, np.nan_to_num((white.stderr**2).sum(axis=2)))
+    return calibration_of(scene, continued(found.lattice + own, found.known), found.known, "white image")
+
+
+class Centroids(NamedTuple):
+    """Centroids of the micro-images of a white image, not smoothed.
+
+    Attributes
+    ----------
+    lattice : (rows, columns, 2) float64, pixels
+        The lattice that fits them best, by its points.
+    shifts : (rows, columns, 2) float64, pixels
+        How far each lies beside its point of the lattice; 0 where it is not known.
+    known : (rows, columns) bool
+    drag : float
+        By how much of its own motion a cell drags the centroid in it along; `shifts` are corrected for it.
+    pitch : float
+        Width of the cells, pixels.
+    hexagonal : bool
+    """
+
+    lattice: Array
+    shifts: Array
+    known: NDArray[np.bool_]
+    drag: float
+    pitch: float
+    hexagonal: bool
+
+    @property
+    def centres_px(self) -> Array:
+        """(rows, columns, 2): the centroids."""
+        return np.asarray(self.lattice + self.shifts)
+
+
+def find_centroids(light: Array, scene: Scene) -> Centroids:
+    """Find the centroids of the micro-images.
+
+    Parameters
+    ----------
+    light : (H, W) float64
+        White image in any unit that is proportional to light, C-contiguous, in the orientation of the raw image.
+    scene : Scene
+        Solved.
+
+    Raises
+    ------
+    LfmeshError
+        As `estimate_centres`.
+    """
     model = RayModel.of(scene)
     mla = scene.camera.mla
     assert mla is not None
-    light = np.ascontiguousarray(white.mean.sum(axis=2))
-    ideal = Lattice(mla.layout == "hexagonal", 1.0, *mla.count).centres()
-    middle = 0.5 * (np.asarray(light.shape[::-1]) - 1.0)
-    nominal = model.micro_image_pitch_px
-    hexagonal = mla.layout == "hexagonal"
-    centres = nominal * ideal + middle
+    hexagonal, nominal = mla.layout == "hexagonal", model.micro_image_pitch_px
+    ideal = Lattice(hexagonal, 1.0, *mla.count).centres()
+    centres = nominal * ideal + 0.5 * (np.asarray(light.shape[::-1]) - 1.0)
     centres = centres + _phase_shift(light, centres, nominal, hexagonal)
     for _ in range(ROUNDS):
         moved, known = _centroids(light, centres, nominal, hexagonal)
         centres = _fitted(ideal, moved, known)
-    own = _own_shifts(white, light, centres, nominal, hexagonal)
-    return calibration_of(scene, continued(centres + own, known), known, "white image")
+    shifts, known, drag = _own_shifts(light, centres, nominal, hexagonal)
+    return Centroids(centres, shifts, known, drag, nominal, hexagonal)
 
 
 def _fitted(ideal: Array, centres: Array, known: NDArray[np.bool_]) -> Array:
@@ -78,22 +128,28 @@ def _fitted(ideal: Array, centres: Array, known: NDArray[np.bool_]) -> Array:
     return np.asarray(terms @ fit)
 
 
-def _own_shifts(white: Image, light: Array, centres: Array, pitch: float, hexagonal: bool) -> Array:
-    """Return how far single micro-images stand beside the lattice, (rows, columns, 2) pixels; 0 where not known.
+def _own_shifts(light: Array, centres: Array, pitch: float, hexagonal: bool) -> tuple[Array, NDArray[np.bool_], float]:
+    """Return how far single micro-images stand beside the lattice, pixels, which are known, and the drag of cells.
 
     A cell beside its micro-image loses light on one side and takes a neighbour's on the other, which drags the
-    centroid along: how much is seen by moving all cells. What the noise of the pixels alone would scatter is taken
-    out in proportion (Wiener's filter), so that a perfect array is not made to look a bad one.
+    centroid along: how much is seen by moving all cells.
     """
     probe = PROBE * pitch
     moved, known = _centroids(light, centres, pitch, hexagonal)
     dragged = [_centroids(light, centres + step, pitch, hexagonal)[0] - centres for step in (probe, -probe)]
     drag = float((dragged[0] - dragged[1])[known].mean()) / (2.0 * probe)
-    shifts = np.where(known[..., None], (moved - centres) / max(1.0 - drag, LEAST_PULL), 0.0)
-    seen = float((shifts[known] ** 2).mean())
-    variance = np.nan_to_num((white.stderr**2).sum(axis=2))
-    noise = float((_centroid_variance(light, variance, centres, pitch, hexagonal)[known]).mean()) / (1.0 - drag) ** 2
-    return shifts * max(0.0, 1.0 - noise / seen) if seen > 0.0 else shifts
+    return np.where(known[..., None], (moved - centres) / max(1.0 - drag, LEAST_PULL), 0.0), known, drag
+
+
+def _without_noise(found: Centroids, light: Array, variance: Array) -> Array:
+    """Return the shifts of single micro-images with what the pixels' noise alone would scatter taken out in proportion.
+
+    Wiener's filter, so that a perfect array is not made to look a bad one.
+    """
+    seen = float((found.shifts[found.known] ** 2).mean())
+    centroid = _centroid_variance(light, variance, found.lattice, found.pitch, found.hexagonal)
+    noise = float(centroid[found.known].mean()) / (1.0 - found.drag) ** 2
+    return found.shifts * max(0.0, 1.0 - noise / seen) if seen > 0.0 else found.shifts
 
 
 def _phase_shift(light: Array, centres: Array, pitch: float, hexagonal: bool) -> Array:

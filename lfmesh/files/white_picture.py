@@ -1,0 +1,53 @@
+"""A white image from a file: a picture that a camera took, an EXR, or a run folder of ours."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL
+from numpy.typing import NDArray
+
+from lfmesh.errors import FileError
+from lfmesh.files import exr, run
+from lfmesh.geometry.texture import FORMATS, opened, why_no_file
+from lfmesh.transport.render.image import Image
+
+CHANNELS = ("Y", "G", "R")
+"""Of an EXR that is not ours: the first that is there."""
+
+
+def read_white(path: Path) -> Image | NDArray[Any]:
+    """Read a white image.
+
+    Parameters
+    ----------
+    path : Path
+        A run folder with a white image or the white.exr in it; another EXR, of which luminance or green is taken; or a
+        picture, whose counts are taken as they are, (H, W) or (H, W, 3). 16-bit grey keeps its depth, 16-bit colour is
+        read with 8.
+
+    Raises
+    ------
+    FileError
+        The file is not there, is no picture, or is broken; the run has no white image.
+    """
+    folder = path.parent if path.name == run.WHITE else path
+    if folder.is_dir():
+        image = run.open_white(folder)
+        if image is None:
+            raise FileError(f"{folder} has no white.exr; make it with lfmesh white {folder}, or give a picture")
+        return image
+    if not path.is_file():
+        raise FileError(f"{path}: the white image {why_no_file(path)}; give a picture (PNG or TIFF), an EXR or a run")
+    if path.suffix.lower() == ".exr":
+        return exr.read_map(path, CHANNELS)
+    try:
+        with opened(path) as picture:
+            deep = picture.mode.startswith(("I", "F"))
+            return np.asarray(picture if deep else picture.convert("L" if picture.mode in ("1", "L", "LA") else "RGB"))
+    except FileError:
+        raise
+    except Exception as error:  # a damaged file may raise anything inside Pillow's readers
+        unknown = isinstance(error, PIL.UnidentifiedImageError)
+        reason = "not a picture" if unknown else "a broken picture"
+        raise FileError(f"{path}: {reason}; a white image is one of {', '.join(FORMATS)}, an EXR or a run") from None

@@ -181,10 +181,11 @@ class Study:
 
 def default_workers(units: int) -> int:
     """Return how many processes share the cores of this machine: no more than there are units."""
-    return max(1, min(_cores(), units))
+    return max(1, min(cores(), units))
 
 
-def _cores() -> int:
+def cores() -> int:
+    """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -217,7 +218,7 @@ class Run:
         self._say(len(units))
         if workers is None:
             workers = default_workers(len(missing))
-        threads = max(1, _cores() // max(workers, 1)) if dask is None else 1
+        threads = max(1, cores() // max(workers, 1)) if dask is None else 1
         try:
             for result in self._results(missing, threads, workers, dask):
                 self._take(result)
@@ -410,7 +411,7 @@ PROCESS_BYTES = 4e8
 def probe(plan: Plan, workers: int | None = None) -> Probe:
     """Estimate time and memory of a study from a short trace of its reference."""
     workers = default_workers(len(plan.units)) if workers is None else max(workers, 1)
-    unit = _reference_unit(plan, max(1, _cores() // workers))
+    unit = _reference_unit(plan, max(1, cores() // workers))
     reference_films(replace(unit, replicates=range(1)))
     times, content = [], b""
     for count in PROBE_SHARES:

@@ -180,8 +180,11 @@ def _traced(scene: Scene, threads: int) -> Image:
 def _whole(folder: Path, digest: str, write: Callable[[Path], dict[str, Any]]) -> None:
     """Make a folder beside its place, and move it there when it is complete, with what was warned about."""
     try:
-        with staged(folder.parent) as staging, warnings.catch_warnings(record=True) as warned:
+        # As deep as its place, so that relative paths stay what they are.
+        with staged(folder.parent.parent) as outer, warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always", UserWarning)
+            staging = outer / folder.name
+            staging.mkdir()
             facts = write(staging)
             notes = list(dict.fromkeys(str(w.message) for w in warned if issubclass(w.category, UserWarning)))
             if notes:

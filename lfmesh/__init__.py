@@ -74,6 +74,7 @@ if TYPE_CHECKING:
         solved,
     )
     from lfmesh.scene.particles import Particles, displaced, particle_vectors
+    from lfmesh.study.dataset import Dataset
     from lfmesh.study.study import Study
     from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
     from lfmesh.transport.render.image import Image
@@ -93,6 +94,7 @@ __all__ = [
     "Camera",
     "CameraModel",
     "Cylinder",
+    "Dataset",
     "DepthMap",
     "DepthTruth",
     "Detector",
@@ -229,6 +231,7 @@ _HOMES = {
         ],
     ],
     "lfmesh.scene.particles": ["Particles", "displaced", "particle_vectors"],
+    "lfmesh.study.dataset": ["Dataset"],
     "lfmesh.study.study": ["Study"],
     "lfmesh.transport.render.image": ["Image"],
     "lfmesh.transport.packets.ledger": ["Ledger", "LostEnergyWarning"],

@@ -42,6 +42,7 @@ Examples:
     lfmesh frames scene.toml -o pair/    image pairs of moving particles
     lfmesh compare scene.toml -o cmp/    beside two other kinds of camera
     lfmesh study study.toml -o out/      many cameras: errors and tolerances
+    lfmesh dataset template.toml -o data/   many scenes drawn from one
     lfmesh lens list                     lenses that come with lfmesh
     lfmesh lens convert in.zmx out.toml  other programs' lens files, and back
     lfmesh view scene.toml               lens, array, sensor and rays in 3D

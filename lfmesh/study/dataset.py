@@ -87,9 +87,7 @@ class Dataset:
     >>> lf.Dataset(scene, random, count=100, seed=1).make("data/")
     """
 
-    def __init__(
-        self, scene: Scene, random: Any = (), *, folder: str | Path = ".", **settings: Any
-    ) -> None:
+    def __init__(self, scene: Scene, random: Any = (), *, folder: str | Path = ".", **settings: Any) -> None:
         self._prepare(DatasetFile(scene="scene", random=tuple(random), **settings), scene, Path(folder), "dataset")
 
     @classmethod
@@ -168,7 +166,10 @@ class Dataset:
         return f" ({', '.join(f'{path} = {value}' for path, value in self.drawn(number).items())})"
 
     def drawn(self, number: int) -> dict[str, Any]:
-        """Return what is drawn for an item, by its path; every path has random numbers of its own."""
+        """Return what is drawn for an item, by its path; every path has random numbers of its own.
+
+        Files are named as from the dataset file.
+        """
         return {
             draw.path: self._drawn(draw, found, number)
             for draw, found in zip(self.file.random, self.candidates, strict=True)
@@ -179,8 +180,6 @@ class Dataset:
         share = float(np.random.default_rng([self.file.seed, number, *words]).random())
         if candidates:
             value = candidates[int(share * len(candidates))]
-            if draw.files is not None:
-                return relative(self.folder / value, self.base.folder)
         else:
             value = draw.quantile(share)
         return value + value_at(self.base, draw.path) if draw.relative else value
@@ -193,7 +192,11 @@ class Dataset:
         SceneError
             It is not valid.
         """
-        return self.base.changed({"transport.seed": seed_of(self.file.seed, number + 1), **self.drawn(number)})
+        values = {"transport.seed": seed_of(self.file.seed, number + 1), **self.drawn(number)}
+        for draw in self.file.random:
+            if draw.files is not None:
+                values[draw.path] = relative(self.folder / values[draw.path], self.base.folder)
+        return self.base.changed(values)
 
     def camera_scene(self, scene: Scene) -> Scene:
         """Return the camera of an item's scene by itself, at the origin, with the template's random numbers."""

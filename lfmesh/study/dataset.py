@@ -178,10 +178,7 @@ class Dataset:
     def _drawn(self, draw: Draw, candidates: tuple[Any, ...], number: int) -> Any:
         words = np.frombuffer(hashlib.sha256(draw.path.encode()).digest(), "<u4").tolist()
         share = float(np.random.default_rng([self.file.seed, number, *words]).random())
-        if candidates:
-            value = candidates[int(share * len(candidates))]
-        else:
-            value = draw.quantile(share)
+        value = candidates[int(share * len(candidates))] if candidates else draw.quantile(share)
         return value + value_at(self.base, draw.path) if draw.relative else value
 
     def scene(self, number: int) -> Scene:
@@ -213,7 +210,9 @@ class Dataset:
                 self._digests(found, self.folder) if draw.files is not None else None
                 for draw, found in zip(self.file.random, self.candidates, strict=True)
             ],
-            **{"seed": self.file.seed, "parts": sorted(self.file.parts), "views": self.file.views},
+            "seed": self.file.seed,
+            "parts": sorted(self.file.parts),
+            "views": self.file.views,
         }
         return _sha256(facts)
 

@@ -67,9 +67,9 @@ class Draw(Model):
         if self.files is None:
             return self.values or ()
         pattern = f"{self.files}/*" if (folder / self.files).is_dir() else self.files
-        return tuple(
-            name for name in sorted(glob.glob(pattern, root_dir=folder, recursive=True)) if (folder / name).is_file()
-        )
+        # Path.glob takes no absolute pattern.
+        names = glob.glob(pattern, root_dir=folder, recursive=True)  # noqa: PTH207
+        return tuple(name for name in sorted(names) if (folder / name).is_file())
 
     def quantile(self, share: float) -> float:
         """Return the number below which a share of the distribution lies."""

@@ -91,7 +91,7 @@ def test_every_item_has_what_was_drawn(whole: Path) -> None:
         assert image.scene.targets[0].position_mm[2] == line["drawn"][DEPTH]
         assert Path(str(image.scene.targets[0].material.texture)).name == Path(line["drawn"][TEXTURE]).name
         # The plane faces the camera: its depth is everywhere where it stands.
-        depth = exr.read_maps(place / "depth_views.exr")[0]["Z"]
+        depth = exr.read_map(place / "depth_views.exr", ["Z"])
         known = depth[np.isfinite(depth)]
         assert known.size
         assert known == pytest.approx(-line["drawn"][DEPTH], rel=1e-5)

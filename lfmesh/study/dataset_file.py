@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import Field
 
 from lfmesh.scene.model import Fault, Model, nearest
@@ -76,7 +77,7 @@ class Draw(Model):
         if self.log_uniform is not None:
             low, high = map(math.log, self.log_uniform)
             return min(max(math.exp(low + share * (high - low)), self.log_uniform[0]), self.log_uniform[1])
-        return float(Axis(path=self.path, uniform=self.uniform, normal=self.normal).quantiles(share)[()])
+        return float(Axis(path=self.path, uniform=self.uniform, normal=self.normal).quantiles(np.array(share))[()])
 
 
 class DatasetFile(Model):

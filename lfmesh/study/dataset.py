@@ -27,7 +27,7 @@ from lfmesh.study.dataset_item import CAMERAS, ITEMS, Item, facts_of, make_camer
 from lfmesh.study.paths import value_at
 from lfmesh.study.plan import in_a_line, path_faults, seed_of
 from lfmesh.study.pool import here, in_pool
-from lfmesh.study.study import Progress, Report, Shard, cores, default_workers
+from lfmesh.study.study import Progress, Report, Shard, cores, default_workers, lists_settings
 from lfmesh.study.study_file import refused
 from lfmesh.study.study_folder import append_event
 from lfmesh.transport.world import build
@@ -74,7 +74,7 @@ class Dataset:
     folder : Path, optional
         From which the patterns of `files` start; the current one if omitted.
     **settings
-        The other keys of a dataset file: count, seed, parts, views, changes.
+        The other keys of a dataset file: count, seed, parts, views, changes, ...
 
     Raises
     ------
@@ -87,6 +87,7 @@ class Dataset:
     >>> lf.Dataset(scene, random, count=100, seed=1).make("data/")
     """
 
+    @lists_settings(DatasetFile, {"scene", "random"})
     def __init__(self, scene: Scene, random: Any = (), *, folder: str | Path = ".", **settings: Any) -> None:
         self._prepare(DatasetFile(scene="scene", random=tuple(random), **settings), scene, Path(folder), "dataset")
 

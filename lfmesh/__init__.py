@@ -74,6 +74,7 @@ if TYPE_CHECKING:
         solved,
     )
     from lfmesh.scene.particles import Particles, displaced, particle_vectors
+    from lfmesh.study.dataset import Dataset
     from lfmesh.study.fit import Fit, fit
     from lfmesh.study.study import Study
     from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
@@ -94,6 +95,7 @@ __all__ = [
     "Camera",
     "CameraModel",
     "Cylinder",
+    "Dataset",
     "DepthMap",
     "DepthTruth",
     "Detector",
@@ -232,6 +234,7 @@ _HOMES = {
         ],
     ],
     "lfmesh.scene.particles": ["Particles", "displaced", "particle_vectors"],
+    "lfmesh.study.dataset": ["Dataset"],
     "lfmesh.study.fit": ["Fit", "fit"],
     "lfmesh.study.study": ["Study"],
     "lfmesh.transport.render.image": ["Image"],

@@ -13,6 +13,7 @@ from lfmesh.cli import (  # noqa: F401  # adds their commands
     accuracy,
     camera_model,
     compare,
+    dataset,
     export,
     fit,
     frames,

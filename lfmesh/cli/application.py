@@ -43,6 +43,7 @@ Examples:
     lfmesh compare scene.toml -o cmp/    beside two other kinds of camera
     lfmesh study study.toml -o out/      many cameras: errors and tolerances
     lfmesh fit white.png scene.toml -o fitted/   errors of a real camera
+    lfmesh dataset template.toml -o data/   many scenes drawn from one
     lfmesh lens list                     lenses that come with lfmesh
     lfmesh lens convert in.zmx out.toml  other programs' lens files, and back
     lfmesh view scene.toml               lens, array, sensor and rays in 3D

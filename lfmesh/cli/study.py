@@ -70,7 +70,7 @@ def study(
     try:
         with status() as say:
             table = loaded.run(
-                out, workers=workers, dask=dask, shard=share_of(shard), progress=lambda now: say(_in_words(now))
+                out, workers=workers, dask=dask, shard=share_of(shard), progress=lambda now: say(progress_in_words(now))
             )
     except KeyboardInterrupt:
         print(f"\nStopped; what is finished is kept in {out}, and the same command goes on.")
@@ -128,16 +128,24 @@ LISTED = 40
 """Points that a dry run names."""
 
 
-def _in_words(now: "Progress") -> str:
+def progress_in_words(now: "Progress", things: str = "units", failing: str = "points") -> str:
+    """Return how far a study or dataset is.
+
+    Parameters
+    ----------
+    now : Progress
+    things, failing : str
+        What is counted, and what may fail.
+    """
     from lfmesh.files.words import duration
 
-    words = f"{now.done} of {now.total} units"
+    words = f"{now.done} of {now.total} {things}"
     if now.new and now.seconds:
         words += f", {60.0 * now.new / now.seconds:.3g} a minute"
     if now.seconds_left is not None:
         words += f", {duration(now.seconds_left)} left"
     if now.failed:
-        words += f", {now.failed} points failed"
+        words += f", {now.failed} {failing} failed"
     return words + (f"; best {now.best}; worst {now.worst}" if now.best else "")
 
 

@@ -172,7 +172,7 @@ def plan_of(study: StudyFile, base: Scene | Sequence[Scene], name: str = "study"
         ready = TEMPLATES[study.template](solved_camera(first).scene)
         first = first.changed(ready.changes)
         axes = (*ready.axes, *axes)
-    faults = [*_path_faults(study.changes, first, "changes")]
+    faults = [*path_faults(study.changes, first, "changes")]
     if not faults and study.changes:
         first = first.changed(study.changes)
     ready_scene = solved_camera(first).scene
@@ -182,7 +182,7 @@ def plan_of(study: StudyFile, base: Scene | Sequence[Scene], name: str = "study"
         ready_scene = ready_scene.changed(dict.fromkeys(omitted, None))
     for i, axis in enumerate(axes):
         faults += [
-            f"axes[{i}].{line}" for line in _path_faults({axis.path: None}, ready_scene, "path", refocus=study.refocus)
+            f"axes[{i}].{line}" for line in path_faults({axis.path: None}, ready_scene, "path", refocus=study.refocus)
         ]
         if not faults and axis.relative and not is_number(value_at(ready_scene, axis.path)):
             found = value_at(ready_scene, axis.path)
@@ -218,7 +218,19 @@ def _is_omitted(scene: Scene, path: str) -> bool:
         return False
 
 
-def _path_faults(paths: dict[str, Any], scene: Scene, prefix: str, *, refocus: bool = True) -> Iterator[str]:
+def path_faults(paths: dict[str, Any], scene: Scene, prefix: str, *, refocus: bool = True) -> Iterator[str]:
+    """Yield which paths lead nowhere.
+
+    Parameters
+    ----------
+    paths : dict
+        By path, with any values.
+    scene : Scene
+    prefix : str
+        What messages call a path.
+    refocus : bool
+        Whether distances are solved at every point.
+    """
     for path in paths:
         try:
             value_at(scene, path)
@@ -295,7 +307,7 @@ def _point_faults(plan: Plan) -> Iterator[str]:
             scene = plan.scene_of(point)
             (solved_camera(scene).scene if _has_meshes(scene) else solved(scene))
         except LfmeshError as error:
-            yield f"point {point.number} ({plan.label(point)}): {_in_a_line(error)}"
+            yield f"point {point.number} ({plan.label(point)}): {in_a_line(error)}"
             continue
         except (KeyError, IndexError, TypeError, ValueError) as error:
             yield f"point {point.number} ({plan.label(point)}): cannot be set: {error}"
@@ -319,7 +331,8 @@ def _sizes(scene: Scene) -> dict[str, tuple[int, int]]:
     return sizes | ({"camera.mla.count": camera.mla.count} if camera.mla is not None else {})
 
 
-def _in_a_line(error: LfmeshError) -> str:
+def in_a_line(error: LfmeshError) -> str:
+    """Return an error of several lines as one."""
     return "; ".join(line.strip().removeprefix("Scene.") for line in str(error).splitlines())
 
 

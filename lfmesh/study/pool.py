@@ -9,9 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any
-
-from lfmesh.study.unit import Unit, run_unit
+from typing import Any, Protocol
 
 TRIES = 2
 """A unit whose process dies is tried again, up to so many times in all."""
@@ -20,13 +18,28 @@ ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OMP_NUM_THRE
 """For libraries of linear algebra, whose last bits may depend on it, and which would start threads of their own."""
 
 
+class Work(Protocol):
+    """A unit of work: it can be pickled, is known by two numbers, and is computed from a file or the bytes of one."""
+
+    @property
+    def point(self) -> int:
+        """First number."""
+
+    @property
+    def batch(self) -> int:
+        """Second number."""
+
+    def compute(self, given: bytes | Path) -> bytes:
+        """Return the outcome."""
+
+
 @dataclass(frozen=True)
 class Result:
     """A unit that is done or given up.
 
     Attributes
     ----------
-    unit : Unit
+    unit : Work
     content : bytes or None
         Its outcome; None if there is none.
     reason : str
@@ -35,22 +48,22 @@ class Result:
         Processes that died over it.
     """
 
-    unit: Unit
+    unit: Work
     content: bytes | None
     reason: str = ""
     deaths: int = 0
 
 
-def here(units: Iterable[tuple[Unit, Path]]) -> Iterator[Result]:
+def here(units: Iterable[tuple[Work, Path]]) -> Iterator[Result]:
     """Compute units in this process, one after the other."""
     for unit, reference in units:
         yield Result(unit, *computed(unit, reference))
 
 
-def computed(unit: Unit, reference: Path | bytes) -> tuple[bytes | None, str]:
+def computed(unit: Work, reference: Path | bytes) -> tuple[bytes | None, str]:
     """Return a unit's outcome, or None and why there is none."""
     try:
-        return run_unit(unit, reference), ""
+        return unit.compute(reference), ""
     except Exception as error:
         # Whatever a library raises at one point, the other points go on.
         return None, f"{type(error).__name__}: {' '.join(str(error).split())}"
@@ -60,25 +73,25 @@ def computed(unit: Unit, reference: Path | bytes) -> tuple[bytes | None, str]:
 class _Worker:
     process: Any
     pipe: Connection
-    unit: tuple[Unit, Path] | None = None
+    unit: tuple[Work, Path] | None = None
 
 
-def in_pool(units: Iterable[tuple[Unit, Path]], workers: int) -> Iterator[Result]:
+def in_pool(units: Iterable[tuple[Work, Path]], workers: int) -> Iterator[Result]:
     """Compute units in processes, and yield them as they are done.
 
     Parameters
     ----------
-    units : iterable of (Unit, Path)
-        With the file of the reference's films; taken from as workers become free.
+    units : iterable of (Work, Path)
+        With the file that each is computed from; taken from as workers become free.
     workers : int
         Number of processes.
     """
     waiting = iter(units)
-    again: deque[tuple[Unit, Path]] = deque()
+    again: deque[tuple[Work, Path]] = deque()
     deaths: dict[tuple[int, int], int] = {}
     team: list[_Worker] = []
 
-    def next_job() -> tuple[Unit, Path] | None:
+    def next_job() -> tuple[Work, Path] | None:
         return again.popleft() if again else next(waiting, None)
 
     def give_work(worker: _Worker) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files.whole import write_whole
 from lfmesh.scene import Scene
+from lfmesh.scene.model import Model
 from lfmesh.signatures import Function
 from lfmesh.study.cluster import in_dask
 from lfmesh.study.metrics import columns_of, pictures_of
@@ -62,17 +63,31 @@ class Progress:
 Report = Callable[[Progress], None]
 
 
-def _lists_settings(init: Function) -> Function:
-    """Give the constructor of a study a signature that lists the keys of a study file, for help and completion."""
-    signature = inspect.signature(init)
-    *named, _ = signature.parameters.values()
-    own = {"scene", "scenes", "axes"}
-    more = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=field.get_default(call_default_factory=True))
-        for name, field in StudyFile.model_fields.items() if name not in own
-    ]  # fmt: skip
-    init.__signature__ = signature.replace(parameters=[*named, *more])  # type: ignore[attr-defined]
-    return init
+def lists_settings(kind: type[Model], own: set[str]) -> Callable[[Function], Function]:
+    """Give a constructor a signature that lists the keys of a file, for help and completion.
+
+    Parameters
+    ----------
+    kind : type of Model
+        What the file holds.
+    own : set of str
+        Keys that are not settings.
+    """
+
+    def decorate(init: Function) -> Function:
+        signature = inspect.signature(init)
+        *named, _ = signature.parameters.values()
+        more = [
+            inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=field.get_default(call_default_factory=True)
+            )
+            for name, field in kind.model_fields.items()
+            if name not in own
+        ]
+        init.__signature__ = signature.replace(parameters=[*named, *more])  # type: ignore[attr-defined]
+        return init
+
+    return decorate
 
 
 class Study:
@@ -98,7 +113,7 @@ class Study:
     >>> table = study.run("out/")
     """
 
-    @_lists_settings
+    @lists_settings(StudyFile, {"scene", "scenes", "axes"})
     def __init__(self, scene: Scene | Sequence[Scene], axes: Sequence[Mapping[str, Any]] = (), **settings: Any) -> None:
         if isinstance(scene, Scene):
             study = StudyFile(scene="scene", axes=tuple(axes), **settings)
@@ -181,10 +196,11 @@ class Study:
 
 def default_workers(units: int) -> int:
     """Return how many processes share the cores of this machine: no more than there are units."""
-    return max(1, min(_cores(), units))
+    return max(1, min(cores(), units))
 
 
-def _cores() -> int:
+def cores() -> int:
+    """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -217,7 +233,7 @@ class Run:
         self._say(len(units))
         if workers is None:
             workers = default_workers(len(missing))
-        threads = max(1, _cores() // max(workers, 1)) if dask is None else 1
+        threads = max(1, cores() // max(workers, 1)) if dask is None else 1
         try:
             for result in self._results(missing, threads, workers, dask):
                 self._take(result)
@@ -410,7 +426,7 @@ PROCESS_BYTES = 4e8
 def probe(plan: Plan, workers: int | None = None) -> Probe:
     """Estimate time and memory of a study from a short trace of its reference."""
     workers = default_workers(len(plan.units)) if workers is None else max(workers, 1)
-    unit = _reference_unit(plan, max(1, _cores() // workers))
+    unit = _reference_unit(plan, max(1, cores() // workers))
     reference_films(replace(unit, replicates=range(1)))
     times, content = [], b""
     for count in PROBE_SHARES:

@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from pydantic import Field, ValidationError
 
@@ -14,6 +14,7 @@ from lfmesh.study.axes import Axis
 from lfmesh.study.error_modes import TEMPLATES
 from lfmesh.study.metrics import METRICS, columns_of
 
+Tables = TypeVar("Tables", bound=Model)
 Design = Literal["grid", "one_at_a_time", "latin_hypercube", "sobol"]
 
 
@@ -121,6 +122,22 @@ def read_study(path: Path) -> StudyFile:
     LfmeshError
         It cannot be read, is no TOML, or no valid study: one line for each fault.
     """
+    return read_tables(path, StudyFile)
+
+
+def read_tables(path: Path, kind: type[Tables]) -> Tables:
+    """Read a TOML file that holds one model.
+
+    Parameters
+    ----------
+    path : Path
+    kind : type of Model
+
+    Raises
+    ------
+    LfmeshError
+        It cannot be read, is no TOML, or no valid model: one line for each fault.
+    """
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -128,7 +145,7 @@ def read_study(path: Path) -> StudyFile:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
         raise LfmeshError(f"{path}: not valid TOML: {error}") from None
     try:
-        return StudyFile.model_validate(data)
+        return kind.model_validate(data)
     except ValidationError as error:
         raise refused(str(path), fault_lines(error, data)) from None
 

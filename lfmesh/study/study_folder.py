@@ -118,19 +118,32 @@ class StudyFolder:
 
     def log(self, event: str, **values: Any) -> None:
         """Add a line to the log; a log that cannot be written stops nothing."""
-        line = json.dumps(plain_json({"time": round(time.time(), 3), "event": event, **values}), ensure_ascii=False)
-        with suppress(OSError), (self.path / LOG).open("a+b") as file:
-            # A process that was killed may have left half a line.
-            file.seek(0, os.SEEK_END)
-            if file.tell():
-                file.seek(-1, os.SEEK_END)
-                line = line if file.read(1) == b"\n" else "\n" + line
-            file.write(line.encode() + b"\n")
+        append_event(self.path, event, **values)
 
     @staticmethod
     def _write(folder: Path, name: str, content: bytes) -> None:
         with staged_file(folder, name) as file:
             file.write(content)
+
+
+def append_event(folder: Path, event: str, **values: Any) -> None:
+    """Add a line to the log in a folder; a log that cannot be written stops nothing.
+
+    Parameters
+    ----------
+    folder : Path
+    event : str
+    **values
+        What it is about.
+    """
+    line = json.dumps(plain_json({"time": round(time.time(), 3), "event": event, **values}), ensure_ascii=False)
+    with suppress(OSError), (folder / LOG).open("a+b") as file:
+        # A process that was killed may have left half a line.
+        file.seek(0, os.SEEK_END)
+        if file.tell():
+            file.seek(-1, os.SEEK_END)
+            line = line if file.read(1) == b"\n" else "\n" + line
+        file.write(line.encode() + b"\n")
 
 
 def unit_name(point: int, batch: int) -> str:

@@ -60,6 +60,10 @@ class Unit:
     replicates: range
     threads: int = 0
 
+    def compute(self, given: "Reference") -> bytes:
+        """Return the unit's outcome as bytes, given the reference's films."""
+        return run_unit(self, given)
+
 
 @dataclass
 class Outcome:

@@ -1,0 +1,77 @@
+"""Many scenes from one template: `lfmesh dataset`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from lfmesh.cli.application import CASE_FAILED, INTERRUPTED, app
+from lfmesh.cli.interrupts import defer_interrupt
+from lfmesh.cli.options import Shard, Whole, share_of
+from lfmesh.cli.printing import list_files, say_note
+from lfmesh.cli.progress import status
+from lfmesh.cli.study import LISTED, progress_in_words
+from lfmesh.errors import LfmeshError
+
+if TYPE_CHECKING:
+    from lfmesh.study.dataset import Dataset
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh dataset template.toml --count 100 --dry-run
+    lfmesh dataset template.toml -o data/ --count 100 --seed 1
+    lfmesh dataset template.toml -o data/ --count 200 --seed 1   100 more
+    lfmesh dataset template.toml -o data/ --count 100 --shard 1/3
+"""
+)
+def dataset(
+    template: Annotated[Path, Parameter(name="template", help="Dataset file (TOML).")],
+    /,
+    *,
+    out: Annotated[Path | None, Parameter(name=["--out", "-o"], help="Folder of the dataset.")] = None,
+    count: Annotated[Whole | None, Parameter(help="Number of items, in place of the file's.")] = None,
+    seed: Annotated[Whole | None, Parameter(help="Of the draws, in place of the file's.")] = None,
+    dry_run: Annotated[bool, Parameter(negative=(), help="List what is drawn, and render nothing.")] = False,
+    workers: Annotated[Whole | None, Parameter(help="Processes; 0: this one alone.")] = None,
+    shard: Shard = None,
+) -> int:
+    """Render many scenes drawn from one template: raw image, views, true depth and camera of each.
+
+    What is finished is kept whatever happens; the same command goes on. Exits with 1 if an item could not be made.
+    """
+    with defer_interrupt():
+        from lfmesh.study.dataset import Dataset
+
+    share = share_of(shard)
+    loaded = Dataset.load(template, count=count, seed=seed)
+    if dry_run:
+        return _plan(loaded)
+    if out is None:
+        raise LfmeshError("dataset needs --out, the folder to write: lfmesh dataset template.toml -o data/")
+    try:
+        with status() as say:
+            made = loaded.make(
+                out, workers=workers, shard=share, progress=lambda now: say(progress_in_words(now, "items", "items"))
+            )
+    except KeyboardInterrupt:
+        print(f"\nStopped; what is finished is kept in {out}, and the same command goes on.")
+        return INTERRUPTED
+    for number, reason in sorted(made.failed.items()):
+        say_note(f"item {number}: {reason}")
+    if made.warned:
+        say_note(f"{made.warned} items have warnings, which their lines of the index hold")
+    print(f"{made.done} of {made.count} items are done.")
+    list_files([made.index])
+    return CASE_FAILED if made.failed else 0
+
+
+def _plan(loaded: "Dataset") -> int:
+    for number in range(min(len(loaded), LISTED)):
+        print(f"  {number:>6}  {', '.join(f'{path} = {value}' for path, value in loaded.drawn(number).items())}")
+    if len(loaded) > LISTED:
+        print(f"  and {len(loaded) - LISTED} more")
+    print(f"{len(loaded)} items, all valid: raw images, {', '.join(loaded.file.parts) or 'nothing else'}")
+    return 0

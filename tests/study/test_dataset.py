@@ -1,0 +1,167 @@
+"""An item of a dataset follows from template, seed and number alone, however the dataset was made."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image as Picture
+from scipy.stats import kstest
+
+import lfmesh as lf
+from lfmesh.cli import main
+from lfmesh.files import exr, run
+from tests.study.studies import small_scene
+
+DEPTH = "targets[0].position_mm[2]"
+TEXTURE = "targets[0].material.texture"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A template, two textures and a dataset file."""
+    place = tmp_path_factory.mktemp("template")
+    (place / "scene.toml").write_text(small_scene(samples=4, replicates=2).dump_toml())
+    (place / "textures").mkdir()
+    for name, grey in (("dark", 40), ("light", 200)):
+        Picture.fromarray(np.full((4, 4), grey, np.uint8)).save(place / "textures" / f"{name}.png")
+    (place / "dataset.toml").write_text(
+        'scene = "scene.toml"\nviews = 3\n'
+        f'[[random]]\npath = "{DEPTH}"\nuniform = [-70.0, -50.0]\n'
+        f'[[random]]\npath = "{TEXTURE}"\nfiles = "textures"\n'
+        '[[random]]\npath = "camera.pose.shift_mm[0]"\nuniform = [-1.0, 1.0]\n'
+    )
+    return place
+
+
+@pytest.fixture(scope="module")
+def whole(folder: Path) -> Path:
+    """The dataset that all tests here compare with."""
+    assert (
+        main(["dataset", str(folder / "dataset.toml"), "-o", str(folder / "all"), "--count", "3", "--workers", "0"])
+        == 0
+    )
+    return folder / "all"
+
+
+def index_of(data: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (data / "index.jsonl").read_text().splitlines()]
+
+
+def numbers(draw: dict[str, Any], count: int, seed: int = 0) -> list[float]:
+    dataset = lf.Dataset(small_scene(), [{"path": DEPTH, **draw}], count=1, seed=seed)
+    return [dataset.drawn(number)[DEPTH] for number in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("draw", "law", "parameters"),
+    [
+        ({"uniform": (-70.0, -50.0)}, "uniform", (-70.0, 20.0)),
+        ({"normal": (-60.0, 3.0)}, "norm", (-60.0, 3.0)),
+        ({"uniform": (-5.0, 5.0), "relative": True}, "uniform", (-65.0, 10.0)),
+    ],
+)
+def test_draws_have_their_distribution(draw: dict[str, Any], law: str, parameters: tuple[float, ...]) -> None:
+    """Kolmogorov and Smirnov's test of 2000 draws, at a level of 1e-4."""
+    assert kstest(numbers(draw, 2000), law, parameters).pvalue > 1e-4
+
+
+def test_items_do_not_depend_on_their_count_or_on_other_draws() -> None:
+    draw, other = (
+        {"path": DEPTH, "uniform": (-70.0, -50.0)},
+        {"path": "targets[0].position_mm[0]", "normal": (0.0, 1.0)},
+    )
+    few, many = (lf.Dataset(small_scene(), [draw], count=n) for n in (2, 9))
+    more = lf.Dataset(small_scene(), [other, draw], count=2)
+    assert few.scene(1) == many.scene(1)
+    assert few.digest == many.digest
+    assert more.drawn(1)[DEPTH] == few.drawn(1)[DEPTH]
+    assert more.drawn(1)[DEPTH] != lf.Dataset(small_scene(), [draw], count=2, seed=1).drawn(1)[DEPTH]
+    assert len({many.scene(i).transport.seed for i in range(9)}) == 9
+
+
+def test_every_item_has_what_was_drawn(whole: Path) -> None:
+    lines = index_of(whole)
+    assert [line["item"] for line in lines] == [0, 1, 2]
+    for line in lines:
+        place = whole / line["folder"]
+        image = lf.open_run(place)
+        assert image.scene.targets[0].position_mm[2] == line["drawn"][DEPTH]
+        assert Path(str(image.scene.targets[0].material.texture)).name == Path(line["drawn"][TEXTURE]).name
+        # The plane faces the camera: its depth is everywhere where it stands.
+        depth = exr.read_map(place / "depth_views.exr", ["Z"])
+        known = depth[np.isfinite(depth)]
+        assert known.size
+        assert known == pytest.approx(-line["drawn"][DEPTH], rel=1e-5)
+        assert run.pixels_digest(place) == line["pixels_sha256"]
+        assert (place / "lightfield.exr").is_file()
+
+
+def test_a_camera_that_only_moves_has_one_white_image(whole: Path) -> None:
+    (camera,) = (whole / "cameras").iterdir()
+    assert {line["camera"] for line in index_of(whole)} == {f"cameras/{camera.name}"}
+    assert {"raw.exr", "calibration.json", "camera.exr"} <= {path.name for path in camera.iterdir()}
+
+
+def test_an_item_is_the_render_of_its_scene(folder: Path, whole: Path) -> None:
+    dataset = lf.Dataset.load(folder / "dataset.toml", count=2)
+    mine = lf.render(dataset.scene(1))
+    assert np.array_equal(lf.open_run(whole / "items/000001").mean, mine.mean.astype(np.float32))
+
+
+def test_shards_in_one_folder_and_damage_give_the_same_index(folder: Path, whole: Path) -> None:
+    command = ["dataset", str(folder / "dataset.toml"), "-o", str(folder / "parts"), "--workers", "0", "--count"]
+    (folder / "parts").mkdir()
+    shutil.copytree(whole / "cameras", folder / "parts" / "cameras")
+    assert main([*command, "3", "--shard", "2/2"]) == 0
+    assert [line["item"] for line in index_of(folder / "parts")] == [1]
+    before = (folder / "parts/items/000001/raw.exr").stat().st_mtime_ns
+    assert main([*command, "2"]) == 0
+    shutil.copy(folder / "parts/items/000001/item.json", folder / "parts/items/000000/item.json")
+    (folder / "parts/items/.lfmesh-1-cut-short").mkdir()
+    assert main([*command, "3"]) == 0
+    assert (folder / "parts/index.jsonl").read_bytes() == (whole / "index.jsonl").read_bytes()
+    assert (folder / "parts/items/000001/raw.exr").stat().st_mtime_ns == before
+    assert "unreadable" in (folder / "parts/log.jsonl").read_text()
+
+
+def test_another_seed_is_refused_in_a_folder(folder: Path, whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = (whole / "dataset.json").read_bytes()
+    assert main(["dataset", str(folder / "dataset.toml"), "-o", str(whole), "--count", "3", "--seed", "1"]) == 2
+    assert "holds another dataset" in capsys.readouterr().err
+    assert (whole / "dataset.json").read_bytes() == before
+
+
+def test_a_dry_run_lists_and_writes_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dataset", str(folder / "dataset.toml"), "-o", str(folder / "none"), "--count", "2", "--dry-run"]) == 0
+    assert "textures/" in capsys.readouterr().out
+    assert not (folder / "none").exists()
+
+
+@pytest.mark.parametrize(
+    ("draw", "message"),
+    [
+        ({"path": DEPTH}, "says nothing to draw from"),
+        ({"path": DEPTH, "uniform": (2.0, 1.0)}, "is empty"),
+        ({"path": DEPTH, "uniform": (1.0, 2.0), "values": [1.0]}, "values and uniform are given"),
+        ({"path": DEPTH, "normal": (1.0, 0.0)}, "must be above 0"),
+        ({"path": "targets[1].position_mm[2]", "uniform": (1.0, 2.0)}, "there is no [1]"),
+        ({"path": TEXTURE, "files": "*.nothing"}, "there is no such file"),
+        ({"path": TEXTURE, "files": "*.png", "relative": True}, "only numbers"),
+        ({"path": "name", "uniform": (0.0, 1.0), "relative": True}, "no number to add to"),
+        ({"path": "targets[0].material.reflectance", "uniform": (2.0, 3.0)}, "item 0"),
+        ({"path": "camera.mla.pitch_mm", "values": [-1.0]}, "item 1"),
+    ],
+)
+def test_what_cannot_be_drawn_is_said_in_a_line(draw: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(lf.LfmeshError) as error:
+        lf.Dataset(small_scene(), [draw], folder=tmp_path, count=2)
+    assert message in str(error.value)
+
+
+def test_a_file_that_is_no_picture_is_named_before_anything_is_rendered(tmp_path: Path) -> None:
+    (tmp_path / "broken.png").write_text("no picture")
+    with pytest.raises(lf.LfmeshError, match=r"item 0 .*broken\.png"):
+        lf.Dataset(small_scene(), [{"path": TEXTURE, "files": "*.png"}], folder=tmp_path, count=1)

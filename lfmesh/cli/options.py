@@ -70,7 +70,11 @@ class Overrides:
         Parameter(help="At an interface: follow both children, one by chance, or the refracted one."),
     ] = None
     replicates: Annotated[
-        Whole | None, Parameter(help="Independent parts of the samples; their spread is the standard error.")
+        Whole | None,
+        Parameter(
+            help="Independent parts of the samples; their spread is the standard error. 8 if neither this nor the "
+            "scene says, 4 with split transmit."
+        ),
     ] = None
     seed: Annotated[Whole | None, Parameter(help="Of the random numbers.")] = None
     threads: Annotated[Whole | None, Parameter(help="0: all cores; the result is the same for any number.")] = None

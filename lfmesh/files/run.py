@@ -46,6 +46,7 @@ from lfmesh.lightfield.upright import UPRIGHT, Upright
 from lfmesh.scene import Scene
 from lfmesh.scene.inputs import COPIES
 from lfmesh.scene.literals import shown_path
+from lfmesh.scene.transport import REPLICATES
 from lfmesh.transport.aiming.aim_proof import AimProof
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import Refinement
@@ -580,7 +581,10 @@ def scene_metadata(scene: Scene, home: Path) -> dict[str, Any]:
 
 def scene_from(metadata: dict[str, Any], folder: Path) -> Scene:
     """Return the scene as rendered, without asking whether its meshes and textures still exist."""
-    scene = Scene(**tomllib.loads(metadata["scene_toml"])).in_folder(folder / metadata["scene_folder"])
+    table = tomllib.loads(metadata["scene_toml"])
+    # Files written when every scene without replicates had 8 do not name them.
+    table.setdefault("transport", {}).setdefault("replicates", REPLICATES)
+    scene = Scene(**table).in_folder(folder / metadata["scene_folder"])
     inputs = metadata.get("inputs", {})
     if not isinstance(inputs, dict) or not all(isinstance(digest, str) for digest in inputs.values()):
         raise ValueError("inputs are not digests by path")

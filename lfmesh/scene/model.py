@@ -32,6 +32,9 @@ MOST_FAULTS = 20
 LONGEST_KEY = 60
 """Characters of a key that a message shows."""
 
+NOT_TRIED = "default_factory_not_called"
+"""What pydantic calls a default that depends on a field with a fault, which is reported by itself."""
+
 Location = tuple[str | int, ...]
 
 
@@ -76,7 +79,9 @@ class Model(BaseModel, metaclass=_ModelClass):
         try:
             model = handler(_plain(data))
         except ValidationError as error:
-            raise _as_error(cls, [_restated(detail, cls) for detail in error.errors()]) from None
+            raise _as_error(
+                cls, [_restated(detail, cls) for detail in error.errors() if detail["type"] != NOT_TRIED]
+            ) from None
         faults = list(model.faults())
         if faults:
             raise _as_error(cls, faults)

@@ -575,9 +575,17 @@ def steps_of(path: str) -> tuple[str | int, ...]:
 
 
 def _opened(value: Any) -> Any:
-    """Return a model as a table of its fields, a tuple as a list, a table as a copy; what they hold stays as it is."""
+    """Return a model as a table of its fields, a tuple as a list, a table as a copy; what they hold stays as it is.
+
+    Left out is a default that follows from other fields: with those it changes.
+    """
     if isinstance(value, Model):
-        return {key: getattr(value, key) for key in type(value).model_fields}
+        fields = type(value).model_fields.items()
+        return {
+            key: getattr(value, key)
+            for key, field in fields
+            if key in value.model_fields_set or not field.default_factory_takes_validated_data
+        }
     if isinstance(value, dict):
         return dict(value)
     return list(value) if isinstance(value, tuple) else value

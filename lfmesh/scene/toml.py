@@ -15,11 +15,15 @@ _A_LINE_EACH = ("surfaces", "layers")
 
 
 def table(model: Model) -> dict[str, Any]:
-    """Return a model as plain tables, lists and values, in file order, without what has its default."""
+    """Return a model as plain tables, lists and values, in file order, without what has its default.
+
+    A default that follows from other fields is written, so that the scene stays the same should the rule ever change.
+    """
     entries: dict[str, Any] = {}
     for key, field in type(model).model_fields.items():
         value = getattr(model, key)
-        if value is None or (key not in _ALWAYS and value == field.get_default(call_default_factory=True)):
+        always = key in _ALWAYS or field.default_factory_takes_validated_data
+        if value is None or (not always and value == field.get_default(call_default_factory=True)):
             continue
         entries[key] = _entry(value)
     return entries

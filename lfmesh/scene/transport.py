@@ -1,7 +1,7 @@
 """Transport settings: method, accuracy and effort."""
 
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -15,6 +15,15 @@ PRIMARY_NM = 587.6
 MOST_EVENTS = 2**15 - 1
 """What a packet counts in 16 bits."""
 MOST_THREADS = 1024
+
+REPLICATES, REPLICATES_OF_IMAGE_PATH = 8, 4
+"""Replicates of a scene that gives none; with split = "transmit" few of many samples, because a replicate's points are
+one Sobol' set."""
+
+
+def _usual_replicates(before: dict[str, Any]) -> int:
+    """Return the replicates of a scene that gives none, by the fields before."""
+    return REPLICATES_OF_IMAGE_PATH if before["split"] == "transmit" else REPLICATES
 
 
 class Tessellation(Model):
@@ -49,8 +58,9 @@ class Transport(Model):
     samples: Count = 64
     """Adjoint: per pixel, in all replicates; forward: packets in all = samples · pixels. Rounded up to a multiple of
     `replicates`."""
-    replicates: Count = 8
-    """Independent randomisations that share the samples; their spread is the standard error."""
+    replicates: Count = Field(default_factory=_usual_replicates)
+    """Independent randomisations that share the samples; their spread is the standard error. 8 if omitted, 4 with
+    split = "transmit"."""
     target_error: Annotated[Positive, Field(lt=1)] | None = None
     """Adjoint: relative standard error (no unit) up to which pixels get more than `samples`, in a second stage."""
     max_samples: Count = 4096

@@ -84,10 +84,10 @@ def _in_words(found: "Fit") -> list[str]:
             error += ", if what is kept is right"
         lines.append(f"{each.parameter.name:<22}{each.value:>12.6g} {each.parameter.unit:<4}{error}")
     lines.append(f"{'micro-image pitch':<22}{found.pitch_px:>12.7g} px  ± {found.pitch_error_px:.2g}")
-    for each in found.combinations:
+    for both in found.combinations:
         terms = " ".join(
-            f"{factor:+.5g} Δ {path}" if factor != 1.0 else f"Δ {path}" for path, factor in each.coefficients.items()
+            f"{factor:+.5g} Δ {path}" if factor != 1.0 else f"Δ {path}" for path, factor in both.coefficients.items()
         )
-        lines.append(wrapped(f"Only known together: {terms} = {each.value:.6g} ± {each.standard_error:.2g}"))
+        lines.append(wrapped(f"Only known together: {terms} = {both.value:.6g} ± {both.standard_error:.2g}"))
     lines.append(f"Residuals {found.rms_px:.3g} pixels rms, {found.used} micro-images.")
     return lines

@@ -44,7 +44,7 @@ FIRST_SIGMA_PX = 0.02
 """About what micro-images lie beside chief rays as long as no image was simulated."""
 
 OUTLIER = 6.0
-"""Standard deviations (of a normal law, from the median) beyond which a micro-image is left out: dust, a dead lenslet."""
+"""Standard deviations of a normal law, off the median, beyond which a micro-image is left out: dust, a dead lenslet."""
 
 WORST = 0.05
 """Of the pitch of the micro-images: residuals of more, rms, are no fit."""
@@ -355,7 +355,7 @@ class _Search:
         )
 
     def _pitch_slopes(self, derivative: Array, used: NDArray[np.bool_]) -> Array:
-        """Return the derivative of the pitch, the scale of the similarity from lattice to centres, by the parameters."""
+        """Return the derivative of the pitch, the scale from lattice to centres, by the parameters."""
         lattice = calibrate(self.model.scene).lattice
         ideal = lattice.centres()[used] / lattice.pitch
         ideal = ideal - ideal.mean(axis=0)
@@ -431,11 +431,11 @@ class Split:
         free = [i for i in range(rows.shape[1]) if i not in kept]
         if not free:
             raise LfmeshError("the picture's micro-images scatter so much that they determine nothing")
-        inverse = np.linalg.inv(rows[:, free].T @ rows[:, free])
-        covariance = sigma**2 * inverse if meat is None else inverse @ meat[np.ix_(free, free)] @ inverse
+        inverse: Array = np.linalg.inv(rows[:, free].T @ rows[:, free]).astype(np.float64)
+        covariance: Array = sigma**2 * inverse if meat is None else inverse @ meat[np.ix_(free, free)] @ inverse
         if like is not None:
             return cls(free, kept, like.group, like.traded, covariance)
-        traded = unknown[:, free].T @ np.linalg.inv(unknown[:, kept].T) if kept else np.zeros((len(free), 0))
+        traded: Array = unknown[:, free].T @ np.linalg.inv(unknown[:, kept].T) if kept else np.zeros((len(free), 0))
         shaken = np.abs(traded).sum(axis=1) > np.sqrt(np.diag(covariance))
         group = tuple(sorted((*kept, *(i for i, far in zip(free, shaken, strict=True) if far))))
         return cls(free, kept, group, traded, covariance)

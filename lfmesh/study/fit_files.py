@@ -41,7 +41,7 @@ def write_fit(fit: Fit, folder: Path) -> list[Path]:
     except OSError as error:
         raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None
     # All is made before the first file is written.
-    contents = {
+    contents: dict[str, str | bytes] = {
         SCENE: within(fit.scene, folder).dump_toml(),
         VALUES: json.dumps(plain_json(facts(fit)), indent=1, ensure_ascii=False) + "\n",
         PICTURE: residuals_picture(fit),

@@ -144,9 +144,10 @@ class FitModel:
 
     def derivative(self, steps: Array) -> Array:
         """Return the derivative of the centres by the parameters in ranges, (rows, columns, 2, p) pixels."""
-        columns = []
-        for unit in STEP * np.eye(len(steps)):
-            columns.append((self.centres(steps + unit) - self.centres(steps - unit)) / (2.0 * STEP))
+        columns = [
+            (self.centres(steps + unit) - self.centres(steps - unit)) / (2.0 * STEP)
+            for unit in STEP * np.eye(len(steps))
+        ]
         return np.stack(columns, axis=-1)
 
     def simulated(self, steps: Array) -> Array:

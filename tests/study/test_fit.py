@@ -1,4 +1,4 @@
-"""A camera's assembly errors come back from its white image within the errors that the fit states, or it says why not."""
+"""A camera's assembly errors come back from its white image within the errors the fit states, or it says why not."""
 
 import json
 from pathlib import Path
@@ -131,7 +131,8 @@ def test_files_of_a_fit(found: lf.Fit, taken: Any, tmp_path: Path) -> None:
     values = json.loads(table.read_text())
     assert values["known_together"][0]["coefficients"].keys() == {PITCH, DISTANCE}
     by_path = {each["path"]: each for each in values["parameters"]}
-    assert by_path[DISTANCE]["kept"] and by_path[DISTANCE]["standard_error"] is None
+    assert by_path[DISTANCE]["kept"]
+    assert by_path[DISTANCE]["standard_error"] is None
     assert np.shape(values["covariance"]) == (7, 7)
     assert len(np.unique(np.asarray(PIL.Image.open(picture)))) > 10
 

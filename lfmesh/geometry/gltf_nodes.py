@@ -7,6 +7,7 @@ the file and not moved: which of them an object has, and its place, are read her
 
 import io
 import json
+import reprlib
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -293,7 +294,8 @@ def check_document(path: Path, document: dict[str, Any]) -> None:
                 place = f"{where}.{key}" if where else key
                 if key in _KINDS and not isinstance(item, _KINDS[key]):
                     kind = {dict: "an object", list: "a list", int: "a whole number"}[_KINDS[key]]
-                    raise MeshError(f"{path}: broken: {place[-LONGEST_NAME:]} is no {kind.split(' ', 1)[1]}")
+                    shown = reprlib.repr(item)[:LONGEST_NAME]
+                    raise MeshError(f"{path}: broken: {place[-LONGEST_NAME:]} is {shown}; valid is {kind}")
                 if key != "extras":
                     inside = item.values() if key == "extensions" else ()
                     if any(not isinstance(each, dict) for each in inside):

@@ -45,10 +45,11 @@ from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
 from lfmesh.transport.sources.face_starts import before_faces
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher
+from lfmesh.transport.tables.hosts import hosts_of
 from lfmesh.transport.tables.interfaces import interface_tables
-from lfmesh.transport.tables.objects import with_volumes
 from lfmesh.transport.tables.polarisation import polarisation_tables
 from lfmesh.transport.tables.tables import Media, Records, Tables
+from lfmesh.transport.tables.volumes import volumes_at
 from lfmesh.transport.world import World
 
 X_AXIS = (1.0, 0.0, 0.0)
@@ -378,15 +379,12 @@ def at_wavelength(world: World, wavelength_nm: float) -> Tables:
     if cover is not None:
         cover = cover._replace(media=media(cover.medium), interfaces=interfaces.cover)
     objects = tables.objects._replace(media=media(tables.objects.medium), interfaces=interfaces.objects)
-    emitting = objects.volumes
-    if emitting is not None:
+    if objects.volumes is not None:
         # What media emit has a width in wavelength; what they take, and how they scatter, is that of this wavelength.
-        dark = {"emission_w_mm3_sr": 0.0, "temperature_k": None, "spectrum": None}
-        scene = world.scene.model_copy(update={"media": tuple(m.model_copy(update=dark) for m in world.scene.media)})
         line = replace(world.lines, wavelengths_nm=(wavelength_nm,), weight_nm=np.ones(1))
-        objects = with_volumes(objects, scene, world.targets, tables.frames, world.book, line)
-        own = {name: getattr(objects.volumes, name) for name in ("absorption", "scattering", "phases")}
-        objects = objects._replace(volumes=emitting._replace(**own))
+        hosts = hosts_of(world.scene, world.targets, objects.rank, objects.medium, objects.media)
+        volumes, own = volumes_at(objects.volumes, world.scene, line, hosts)
+        objects = objects._replace(volumes=volumes, media=own)
     return tables._replace(
         lens=tables.lens._replace(media=media(tables.lens.medium), interfaces=interfaces.lens),
         mla=tables.mla._replace(media=media(tables.mla.medium), interfaces=interfaces.mla),

@@ -272,7 +272,7 @@ def broken_scenes() -> dict[str, tuple[Glb, str]]:
     put("stands twice in its node tree, as", nodes=[{"children": [1]}, {"children": [2]}, {"children": [1]}])
     put("and there are 1, counted from 0", nodes=[{"mesh": 0, "children": [7]}])
     put("nodes is no list of objects", nodes={"a": 1})
-    put("nodes[0].children is no list", nodes=[{"mesh": 0, "children": 3}])
+    put("nodes[0].children is 3; valid is a list", nodes=[{"mesh": 0, "children": 3}])
     put("nodes[0].matrix is [1.0]; valid are 16 finite numbers", nodes=[{"mesh": 0, "matrix": [1.0]}])
     put("is no affine one", nodes=[{"mesh": 0, "matrix": [1.0] * 16}])
     put("nodes[0].scale is", nodes=[{"mesh": 0, "scale": [1.0, float("nan"), 1.0]}])

@@ -189,17 +189,58 @@ def volume_tables(
         absorption[i], rows[i]["inside"] = per_mm, hosts.rank[body]
         rows[i]["absorption"] = rows[i]["scattering"] = rows[i]["emission"] = NOT_IN_GRID
         _fill(rows[i], hosts, body, moves)
-    functions = [
-        phase_functions(m.phase, wavelengths_nm, scene, f"media[{i}].phase", hosts.index_of(body))
-        for i, (m, body) in enumerate(zip(scene.media, holding, strict=True))
-    ]
-    functions += [phase_functions(IsotropicPhase(), wavelengths_nm, scene, "")] * len(absorbing)
-    phases = phase_tables(functions)
+    phases = _phases(scene, lines, holding, hosts, len(absorbing))
     volumes = Volumes(
         rows, absorption, scattering, emission, planck, np.concatenate(values), np.concatenate(until), phases,
         np.zeros(1, PHASE), powers, bool((scattering > 0.0).any()), bool((emission > 0.0).any()),
     )  # fmt: skip
     return volumes, hosts.without_absorption(absorbing)
+
+
+def volumes_at(volumes: Volumes, scene: Scene, lines: Lines, hosts: Hosts) -> tuple[Volumes, Media]:
+    """Return media that take and scatter light as at other lines, and emit as before; no file is read again.
+
+    Parameters
+    ----------
+    volumes : Volumes
+        Of the scene.
+    scene : Scene
+    lines : Lines
+    hosts : Hosts
+        With the media of bodies at these lines.
+
+    Returns
+    -------
+    Volumes
+    Media
+        As of `volume_tables`.
+    """
+    rows, count = volumes.rows, len(scene.media)
+    absorption, scattering = np.zeros((2, len(rows), len(lines.wavelengths_nm)))
+    for i, medium in enumerate(scene.media):
+        for key, own in (("absorption_per_mm", absorption), ("scattering_per_mm", scattering)):
+            in_grid = rows[key.removesuffix("_per_mm")][i] != NOT_IN_GRID
+            own[i] = 1.0 if in_grid else _coefficient(scene, getattr(medium, key), lines, f"media[{i}].{key}")
+    bodies = [int(np.flatnonzero(hosts.rank == inside)[0]) for inside in rows["inside"][count:]]
+    if hosts.media.absorption is not None:
+        for i, body in enumerate(bodies, start=count):
+            absorption[i] = hosts.absorption_of(body)[0]
+    holding = [scene.body_named(m.inside) if m.inside is not None else None for m in scene.media]
+    moved = volumes._replace(
+        absorption=absorption, scattering=scattering, phases=_phases(scene, lines, holding, hosts, len(bodies)),
+        scatters=volumes.scatters or bool((scattering > 0.0).any()),
+    )  # fmt: skip
+    return moved, hosts.without_absorption(bodies if hosts.media.absorption is not None else [])
+
+
+def _phases(scene: Scene, lines: Lines, holding: list[int | None], hosts: Hosts, more: int) -> PhaseTables:
+    """Return the phase functions of the media, each in its body, and of more that do not scatter."""
+    functions = [
+        phase_functions(m.phase, lines.wavelengths_nm, scene, f"media[{i}].phase", hosts.index_of(body))
+        for i, (m, body) in enumerate(zip(scene.media, holding, strict=True))
+    ]
+    functions += [phase_functions(IsotropicPhase(), lines.wavelengths_nm, scene, "")] * more
+    return phase_tables(functions)
 
 
 def _brightness(row: np.void, grid: VoxelGrid | None, absorption: Array, spectrum: Array, planck: Array) -> Array:

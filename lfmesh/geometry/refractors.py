@@ -69,7 +69,13 @@ class Face:
     rim_mm: float
 
 
-def solid_mesh(path: Path, units: str | None, crease_deg: float | None) -> Mesh:
+def solid_mesh(
+    path: Path,
+    units: str | None,
+    crease_deg: float | None,
+    node: str | int | None = None,
+    tolerance_mm: float | None = None,
+) -> Mesh:
     """Load a closed body of glass: outward-oriented, with corner normals.
 
     The normals are the file's where it has them. Where it has none, or only its facets' own, or where `crease_deg`
@@ -82,6 +88,10 @@ def solid_mesh(path: Path, units: str | None, crease_deg: float | None) -> Mesh:
         Needed where the format carries none.
     crease_deg : float, optional
         Angle between facets above which their edge is a crease.
+    node : str or int, optional
+        The body of the file that is meant, where it has several.
+    tolerance_mm : float, optional
+        Of a STEP file: how far a facet may lie off its surface.
 
     Raises
     ------
@@ -91,7 +101,7 @@ def solid_mesh(path: Path, units: str | None, crease_deg: float | None) -> Mesh:
     """
     import trimesh
 
-    pieces = [piece.mesh for piece in load_mesh(path, units)]
+    pieces = [piece.mesh for piece in load_mesh(path, units, node=node, tolerance_mm=tolerance_mm)]
     brings_normals = all(piece.corner_normals is not None for piece in pieces)
     mesh = welded(joined(pieces))
     with_area = facet_normals(mesh)[1] > 0.0

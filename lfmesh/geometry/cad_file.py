@@ -191,9 +191,6 @@ def _solid_face(told: Any, to_scene: Array) -> SolidFace | None:
     return SolidFace(point, normal / np.linalg.norm(normal), np.inf)
 
 
-def is_step(path: Path) -> bool:
-    """Return whether a file is a STEP file, by its ending."""
-    return path.suffix.lower() in STEP_ENDINGS
 
 
 def placed_3mf(path: Path, key: str | int | None) -> list[tuple[Any, Array]]:

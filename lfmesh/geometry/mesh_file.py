@@ -197,6 +197,29 @@ def _read_cad(
         return _pieces(placed, MM_PER_UNIT[UNIT_OF_FORMAT[".glb"]], alpha)
 
 
+def faces_of_step(path: Path, node: str | int | None, tolerance_mm: float | None) -> list[cad_file.SolidFace]:
+    """Return the planes and spheres that faces of a STEP file, or of one of its bodies, lie on.
+
+    Parameters
+    ----------
+    path : Path
+    node : str or int, optional
+        The body; omitted, all.
+    tolerance_mm : float, optional
+        That its mesh is made with, so that the file is opened once.
+
+    Raises
+    ------
+    MeshError
+        As `load_mesh` does.
+    """
+    with cad_file.step_as_glb(path, tolerance_mm) as glb:
+        document = cad_file.named_by_body(gltf_document(glb))
+        nodes = nodes_of(glb, document)
+        taken = nodes if node is None else [node_called(glb, nodes, node)]
+        return cad_file.solid_faces(document, [(each.to_scene, each.entry) for each in taken])
+
+
 def _pieces(placed: list[tuple[Any, Array]], scale: float, alpha: bool) -> list[Piece]:
     # By the identity of trimesh's image, so that geometries that share a picture keep sharing it.
     pictures: dict[int, Texture] = {}

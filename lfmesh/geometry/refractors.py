@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import MeshError
+from lfmesh.geometry.cad_file import STEP_ENDINGS, SolidFace
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, joined
-from lfmesh.geometry.mesh_file import load_mesh
+from lfmesh.geometry.mesh_file import faces_of_step, load_mesh
 from lfmesh.geometry.patch import neighbours
 from lfmesh.geometry.vertex_normals import estimated_corner_normals, smooth_edges, smooth_groups
 from lfmesh.geometry.weld import welded
@@ -42,6 +43,12 @@ MOST_ROUND_A_VERTEX = 64
 NO_POWER = 1e-9
 """Curvature times the rim's radius, a slope, below which a face is flat: less than the fit's rounding."""
 
+ON_SURFACE = 1e-6
+"""How far a vertex may lie off its surface, in parts of the farthest coordinate: what float32 leaves, and some more."""
+
+ON_AXIS = 1e-9
+"""Tilt in rad of a plane or sphere from the axis below which it stands square to it: CAD programs' rounding."""
+
 FIT_TERMS = 4
 """Even powers of the radius in the fit of a face: r², r⁴, r⁶, r⁸."""
 
@@ -60,6 +67,8 @@ class Face:
         Coefficients of r⁴, r⁶, ...
     rim_mm : float
         Largest radius that the face covers all round.
+    is_exact : bool
+        It is the plane or sphere about the axis that a STEP file tells: what is above stands for the whole face.
     """
 
     mesh: Mesh
@@ -67,6 +76,7 @@ class Face:
     radius_mm: float
     asphere_mm: tuple[float, ...]
     rim_mm: float
+    is_exact: bool = False
 
 
 def solid_mesh(
@@ -182,20 +192,62 @@ def _angle(a: Array, b: Array) -> Array:
 
 
 @lru_cache(maxsize=32)
-def _faces(path: Path, stamp: tuple[object, ...], units: str | None, crease_deg: float | None) -> tuple[Face, Face]:
-    mesh = solid_mesh(path, units, crease_deg)
+def _faces(path: Path, stamp: tuple[object, ...], shape: MeshShape) -> tuple[Face, Face]:
+    mesh = solid_mesh(path, shape.units, shape.crease_deg, shape.node, shape.tolerance_mm)
     assert mesh.corner_normals is not None
     groups = smooth_groups(mesh, neighbours(mesh.faces, mesh.corner_normals) >= 0)
     z, facets = _axis_crossings(mesh)
     if len(z) < 2:
         raise MeshError(f"{path}: its z axis, which must be the axis of the lens, does not pass through the body")
-    return _face(path, mesh, groups, facets[0], -1.0), _face(path, mesh, groups, facets[-1], 1.0)
+    front, back = _face(path, mesh, groups, facets[0], -1.0), _face(path, mesh, groups, facets[-1], 1.0)
+    if shape.surface != "patch" or path.suffix.lower() not in STEP_ENDINGS:
+        return front, back
+    told = faces_of_step(path, shape.node, shape.tolerance_mm)
+    return recognised(front, told), recognised(back, told)
+
+
+def recognised(face: Face, told: list[SolidFace]) -> Face:
+    """Return the exact plane or sphere that all of a face's vertices lie on; the face as it is if there is none.
+
+    Parameters
+    ----------
+    face : Face
+    told : list of SolidFace
+        Those of the body's file, in the same frame.
+    """
+    points = face.mesh.vertices[np.unique(face.mesh.faces)]
+    largest = ON_SURFACE * float(np.abs(points).max())
+    for each in told:
+        if np.isinf(each.radius):
+            if np.hypot(*each.normal[:2]) > ON_AXIS:
+                continue
+            vertex, radius = float(each.point[2] - each.normal[:2] @ each.point[:2] / each.normal[2]), np.inf
+            off = np.abs(points[:, 2] - vertex)
+        else:
+            if np.hypot(*each.point[:2]) > ON_AXIS * each.radius:
+                continue
+            # Of the sphere's two halves the one that the face is on; the centre lies towards +z of the lower one.
+            lower = np.copysign(1.0, each.point[2] - points[:, 2].mean())
+            vertex, radius = float(each.point[2] - lower * each.radius), lower * each.radius
+            off = np.abs(np.linalg.norm(points - each.point, axis=1) - each.radius)
+        if off.max() <= largest:
+            return Face(face.mesh, vertex, float(radius), (), _round_rim(face), True)
+    return face
+
+
+def _round_rim(face: Face) -> float:
+    """Return the rim's radius by its vertices where it is a circle: those lie on it, its edges within."""
+    border = np.linalg.norm(face.mesh.vertices[_border(face.mesh).ravel(), :2], axis=1)
+    is_circle = np.ptp(border) <= ON_SURFACE * border.max()
+    return float(border.mean()) if is_circle else face.rim_mm
 
 
 def faces(shape: MeshShape, scene: Scene) -> tuple[Face, Face]:
     """Return the front and the back face of a lens element given as a mesh."""
     path = scene.resolve(str(shape.file)).resolve()
-    return _faces(path, file_stamp(path), shape.units, shape.crease_deg)
+    # What it is made of does not count, so that both faces and their element share what is kept.
+    only = MeshShape(**shape.model_dump(include=set(MeshShape.model_fields)))
+    return _faces(path, file_stamp(path), only)
 
 
 def face_of(shape: MeshFace, scene: Scene) -> Face:
@@ -247,12 +299,17 @@ def _face(path: Path, mesh: Mesh, groups: np.ndarray, facet: int, outward: float
     return Face(side, float(coefficients[0]), radius, tuple(float(t) for t in a[1:] - sphere), rim)
 
 
-def _rim(mesh: Mesh) -> float:
-    """Return the radius of the largest circle about the axis that a face covers."""
+def _border(mesh: Mesh) -> Array:
+    """Return the (e, 2) vertices of the edges that bound a face."""
     edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
     key = edges[:, 0] * (len(mesh.vertices) + 1) + edges[:, 1]
     back = edges[:, 1] * (len(mesh.vertices) + 1) + edges[:, 0]
-    border = edges[~np.isin(key, back)]
+    return np.asarray(edges[~np.isin(key, back)])
+
+
+def _rim(mesh: Mesh) -> float:
+    """Return the radius of the largest circle about the axis that a face covers."""
+    border = _border(mesh)
     a, b = mesh.vertices[border[:, 0], :2], mesh.vertices[border[:, 1], :2]
     d = b - a
     share = np.clip(-(a * d).sum(axis=1) / np.maximum((d * d).sum(axis=1), np.finfo(np.float64).tiny), 0.0, 1.0)
@@ -274,6 +331,7 @@ def measured(scene: Scene) -> Scene:
         shape = refractor.model_dump(include=set(MeshShape.model_fields))
         for face, side in ((front, "front"), (back, "back")):
             aperture = surface.semi_diameter_mm or face.rim_mm
+            largest = face.rim_mm if face.is_exact else (1.0 - RIM_MARGIN) * face.rim_mm
             surfaces.append(
                 Surface(
                     radius_mm=face.radius_mm,
@@ -283,8 +341,8 @@ def measured(scene: Scene) -> Scene:
                     glass=refractor.glass if side == "front" else None,
                     coating=refractor.coating,
                     finish=refractor.finish,
-                    semi_diameter_mm=min(aperture, (1.0 - RIM_MARGIN) * face.rim_mm),
-                    mesh=MeshFace(**shape, side=side),
+                    semi_diameter_mm=min(aperture, largest),
+                    mesh=None if face.is_exact else MeshFace(**shape, side=side),
                 )
             )
     first = [0, *np.cumsum([1 if s.refractor is None else 2 for s in lens.surfaces]).tolist()]

@@ -29,8 +29,11 @@ MOST_MODEL_BYTES = 2**28
 MOST_PLACED_FACETS = 3_000_000
 """Of all bodies of a 3MF model together, as often as they stand in it."""
 
-DEEPEST = 50
-"""Components within components."""
+DEEPEST, MOST_PLACED = 50, 100_000
+"""Components within components, and objects in all, as often as they stand in a 3MF file."""
+
+FINEST_MM = 1e-6
+"""Tolerance: above the precision that OpenCASCADE calculates with, 1e-7 mm."""
 
 TURN_RAD = 0.1
 """How far a facet's edge may turn on a curved face."""
@@ -75,7 +78,7 @@ def check_step(content: bytes) -> None:
     defined = set(map(int, _DEFINED.findall(bare)))
     missing = sorted(set(map(int, _NAMED.findall(bare))) - defined)
     if missing:
-        raise UnusableError(f"broken: {len(missing)} of its entities are named and not there, the first is #{missing[0]}")
+        raise UnusableError(f"broken: {len(missing)} entities are named and not there, the first is #{missing[0]}")
 
 
 def step_to_glb(content: bytes, tolerance_mm: float | None) -> bytes:
@@ -91,7 +94,9 @@ def step_to_glb(content: bytes, tolerance_mm: float | None) -> bytes:
         return made
 
     if tolerance_mm is None:
-        tolerance_mm = DEFAULT_TOLERANCE * _diagonal_mm(meshed(COARSE_MM))
+        tolerance_mm = max(DEFAULT_TOLERANCE * _diagonal_mm(meshed(COARSE_MM)), FINEST_MM)
+    if tolerance_mm < FINEST_MM:
+        raise UnusableError(f"tolerance_mm = {tolerance_mm:g} is finer than {FINEST_MM:g}, the finest")
     return meshed(tolerance_mm)
 
 
@@ -135,18 +140,13 @@ def read_3mf(path: Path) -> dict[str, Any]:
     if unit not in MM_PER_UNIT:
         raise UnusableError(f"its unit is {unit[:40]!r}; valid are {', '.join(MM_PER_UNIT)}")
     objects = {_need(each, "id"): _object(each) for each in root.iter() if _tag(each) == "object"}
-    names: list[str] = []
-    arrays: dict[str, Any] = {}
-    facets = 0
+    build = _Build(objects)
     for item in (each for each in root.iter() if _tag(each) == "item"):
-        for name, vertices, faces in _placed(objects, _need(item, "objectid"), _transform(item), 0):
-            facets += len(faces)
-            if facets > MOST_PLACED_FACETS:
-                raise UnusableError(f"has more than {MOST_PLACED_FACETS} facets, as often as its bodies stand in it")
-            arrays[f"vertices_{len(names)}"] = vertices * MM_PER_UNIT[unit]
-            arrays[f"faces_{len(names)}"] = faces
-            names.append(name)
-    return arrays | {"names": np.array(names, dtype=np.str_)}
+        build.place(_need(item, "objectid"), _transform(item))
+    arrays: dict[str, Any] = {"names": np.array([name for name, _, _ in build.bodies], dtype=np.str_)}
+    for k, (_, vertices, faces) in enumerate(build.bodies):
+        arrays |= {f"vertices_{k}": vertices * MM_PER_UNIT[unit], f"faces_{k}": faces}
+    return arrays
 
 
 def _model_part(package: zipfile.ZipFile) -> str:
@@ -216,25 +216,44 @@ def _object(element: ElementTree.Element) -> Object3mf:
     return Object3mf(name, np.array(points, dtype=np.float64).reshape(-1, 3), faces, parts)
 
 
-def _placed(
-    objects: dict[str, Object3mf], key: str, place: Array, depth: int
-) -> list[tuple[str, Array, NDArray[np.int64]]]:
-    """Return name, vertices and facets of the bodies that an object stands for, transformed."""
-    if key not in objects:
-        raise UnusableError(f"broken: its model names object {key[:40]!r}, which is not there")
-    if depth > DEEPEST:
-        raise UnusableError(f"its components stand in one another more than {DEEPEST} deep, as in a loop")
-    one = objects[key]
-    made = []
-    if len(one.faces):
-        faces = one.faces[:, ::-1] if np.linalg.det(place[:3]) < 0.0 else one.faces
-        made.append((one.name, one.vertices @ place[:3] + place[3], faces))
-    for part, own in one.parts:
-        whole = np.vstack([own[:3] @ place[:3], own[3] @ place[:3] + place[3]])
-        made += [(one.name, vertices, faces) for _, vertices, faces in _placed(objects, part, whole, depth + 1)]
-        if sum(len(faces) for _, _, faces in made) > MOST_PLACED_FACETS:
-            raise UnusableError(f"has more than {MOST_PLACED_FACETS} facets, as often as its bodies stand in it")
-    return made
+class _Build:
+    """The bodies that stand in a 3MF file: name, vertices and facets of each, placed."""
+
+    def __init__(self, objects: dict[str, Object3mf]) -> None:
+        self.objects = objects
+        self.bodies: list[tuple[str, Array, NDArray[np.int64]]] = []
+        self.placed = self.facets = 0
+
+    def place(self, key: str, place: Array, name: str | None = None, depth: int = 0) -> None:
+        """Add an object and its components; `name` is that of the object that it is a component of, if it is one.
+
+        Parameters
+        ----------
+        key : str
+            Of the object.
+        place : (4, 3) float64
+            Affine transform of points as rows.
+        name : str, optional
+        depth : int
+            Of components within components.
+        """
+        if key not in self.objects:
+            raise UnusableError(f"broken: its model names object {key[:40]!r}, which is not there")
+        one = self.objects[key]
+        self.placed += 1
+        self.facets += len(one.faces)
+        if depth > DEEPEST:
+            raise UnusableError(f"its components stand in one another more than {DEEPEST} deep, as in a loop")
+        if self.placed > MOST_PLACED or self.facets > MOST_PLACED_FACETS:
+            raise UnusableError(
+                f"has more than {MOST_PLACED} objects or {MOST_PLACED_FACETS} facets, counted as placed"
+            )
+        name = name or one.name
+        if len(one.faces):
+            faces = one.faces[:, ::-1] if np.linalg.det(place[:3]) < 0.0 else one.faces
+            self.bodies.append((name, one.vertices @ place[:3] + place[3], faces))
+        for part, own in one.parts:
+            self.place(part, np.vstack([own[:3] @ place[:3], own[3] @ place[:3] + place[3]]), name, depth + 1)
 
 
 def main(arguments: list[str]) -> None:

@@ -5,7 +5,6 @@ each is opened by `cad_child` in a process of its own, within limits; what it ma
 """
 
 import io
-import json
 import subprocess
 import sys
 import tempfile
@@ -69,9 +68,7 @@ def bodies_of_3mf(path: Path) -> list[tuple[str, Array, Array]]:
         The file is broken, or opening it takes more than the limits.
     """
     with np.load(io.BytesIO(_opened(path.resolve(), file_stamp(path), None)), allow_pickle=False) as arrays:
-        return [
-            (str(name), arrays[f"vertices_{k}"], arrays[f"faces_{k}"]) for k, name in enumerate(arrays["names"])
-        ]
+        return [(str(name), arrays[f"vertices_{k}"], arrays[f"faces_{k}"]) for k, name in enumerate(arrays["names"])]
 
 
 @contextmanager
@@ -189,8 +186,6 @@ def _solid_face(told: Any, to_scene: Array) -> SolidFace | None:
         return SolidFace(point, np.zeros(3), MM_PER_METRE * float(told["radius"]) * float(np.linalg.norm(linear[:, 0])))
     normal = linear @ np.asarray(told["normal"], dtype=np.float64)
     return SolidFace(point, normal / np.linalg.norm(normal), np.inf)
-
-
 
 
 def placed_3mf(path: Path, key: str | int | None) -> list[tuple[Any, Array]]:

@@ -1,7 +1,8 @@
 """Meshes from files: STL, OBJ, PLY, OFF, GLB, glTF, STEP and 3MF, in mm, with their colours and vertex normals.
 
-trimesh reads them; STEP and 3MF files are made into meshes by `cad_file` before. It passes over some broken files in silence (an STL of garbage is an empty scene to
-it, an OFF that is cut short a smaller mesh), so what it returns is held against what the file says.
+trimesh reads them; `cad_file` makes meshes of STEP and 3MF files before. trimesh passes over some broken files in
+silence (an STL of garbage is an empty scene to it, an OFF that is cut short a smaller mesh), so what it returns is held
+against what the file says.
 """
 
 import json
@@ -186,9 +187,7 @@ def _read(path: Path, ending: str, units: str | None, alpha: bool, node: str | i
     return pieces
 
 
-def _read_cad(
-    path: Path, ending: str, alpha: bool, node: str | int | None, tolerance_mm: float | None
-) -> list[Piece]:
+def _read_cad(path: Path, ending: str, alpha: bool, node: str | int | None, tolerance_mm: float | None) -> list[Piece]:
     """Return the pieces of a STEP or 3MF file, whose own process has checked it."""
     if ending == ".3mf":
         return _pieces(cad_file.placed_3mf(path, node), 1.0, alpha)

@@ -77,7 +77,9 @@ class MeshShape(BodyFile):
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""
         if self.file is None:
-            yield Fault(("file",), None, "missing: A mesh file (STL, OBJ, PLY, OFF, GLB, STEP), relative to the scene file")
+            yield Fault(
+                ("file",), None, "missing: a mesh file (STL, OBJ, PLY, OFF, GLB, STEP), relative to the scene file"
+            )
         else:
             yield from self.file_faults()
 

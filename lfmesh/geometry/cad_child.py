@@ -53,7 +53,7 @@ class UnusableError(Exception):
     """What is wrong with the file, in one line."""
 
 
-def limit(mebibytes: int, seconds: int, output_mebibytes: int) -> None:
+def _limit(mebibytes: int, seconds: int, output_mebibytes: int) -> None:
     """Limit this process's memory, time on the processor and written files, where the system can."""
     try:
         import resource
@@ -264,7 +264,7 @@ def main(arguments: list[str]) -> None:
     """
     path, out, tolerance = Path(arguments[0]), Path(arguments[1]), float(arguments[2])
     memory, output, seconds = map(int, arguments[3:])
-    limit(memory, seconds, output)
+    _limit(memory, seconds, output)
     try:
         if path.suffix.lower() == ".3mf":
             with out.open("wb") as file:

@@ -134,6 +134,9 @@ def _reason(code: int, errors: bytes) -> str:
         return f"has more facets than fit into {MOST_OUTPUT_MEBIBYTES} MiB; {_COARSER}"
     if code in (-24, -9):
         return f"opening it took more than {MOST_SECONDS} s or {MOST_MEBIBYTES} MiB, the most; {_COARSER}"
+    if code < 0:
+        # OpenCASCADE may crash where it gets no memory, as it may on a file that it does not expect.
+        return f"broken, or needs more than {MOST_MEBIBYTES} MiB, the most; {_COARSER}"
     last = lines[-1][:200] if lines else f"ended with {code}"
     return f"broken, or of a kind that cannot be read (the program that opened it: {last})"
 

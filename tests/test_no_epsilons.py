@@ -19,7 +19,7 @@ DIMENSIONLESS = {
     "geometry/element_poses.py": {"TOUCHING"},
     "geometry/mesh_file.py": {"MM_PER_UNIT"},
     "geometry/patch.py": {"INSIDE", "SETTLED"},
-    "geometry/refractors.py": {"FLAT_SHADED", "NO_POWER", "ON_AXIS", "ON_SURFACE", "SLIVER"},
+    "geometry/refractors.py": {"FLAT_SHADED", "NO_POWER", "ON_AXIS", "ON_SURFACE", "SAME_NORMAL", "SLIVER"},
     "geometry/surface.py": {"SETTLED"},
     "geometry/targets.py": {"FLAT"},
     "geometry/tessellation.py": {"FLOAT32_MARGIN"},

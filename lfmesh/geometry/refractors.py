@@ -16,7 +16,7 @@ from lfmesh.geometry.cad_file import STEP_ENDINGS, SolidFace
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, joined
 from lfmesh.geometry.mesh_file import faces_of_step, load_mesh
 from lfmesh.geometry.patch import neighbours
-from lfmesh.geometry.vertex_normals import estimated_corner_normals, smooth_edges, smooth_groups
+from lfmesh.geometry.vertex_normals import edge_partners, estimated_corner_normals, smooth_edges, smooth_groups
 from lfmesh.geometry.weld import welded
 from lfmesh.scene import Element, Lens, MeshFace, MeshShape, Scene, Surface
 from lfmesh.scene.files import with_lens_file
@@ -42,6 +42,9 @@ MOST_ROUND_A_VERTEX = 64
 
 NO_POWER = 1e-9
 """Curvature times the rim's radius, a slope, below which a face is flat: less than the fit's rounding."""
+
+SAME_NORMAL = 1e-6
+"""Difference of unit normals that float32 leaves, and some more."""
 
 ON_SURFACE = 1e-6
 """How far a vertex may lie off its surface, in parts of the farthest coordinate: what float32 leaves, and some more."""
@@ -155,7 +158,29 @@ def _normals_of_file(path: Path, mesh: Mesh) -> Array | None:
                 "any, or give crease_deg to have them estimated"
             )
     tells_more = np.linalg.norm(normals - own, axis=2).max() > FLAT_SHADED
-    return np.asarray(normals) if tells_more else None
+    return _without_seams(mesh.faces, np.asarray(normals)) if tells_more else None
+
+
+def _without_seams(faces: NDArray[np.int64], normals: Array) -> Array:
+    """Return corner normals (m, 3, 3) that are equal across an edge where they differ by rounding alone.
+
+    A CAD program closes a sphere at a seam, and calculates the normals at its two sides by themselves.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    first, second = edge_partners(faces)
+    f, e = np.divmod(first, 3)
+    g, h = np.divmod(second, 3)
+    # The partner runs the other way: its end is this edge's start.
+    one = np.concatenate([3 * f + e, 3 * f + (e + 1) % 3])
+    other = np.concatenate([3 * g + (h + 1) % 3, 3 * g + h])
+    each = normals.reshape(-1, 3)
+    alike = np.linalg.norm(each[one] - each[other], axis=1) <= SAME_NORMAL
+    links = coo_array((np.ones(alike.sum()), (one[alike], other[alike])), shape=(len(each), len(each)))
+    group = connected_components(links, directed=False)[1]
+    _, leader = np.unique(group, return_index=True)
+    return np.asarray(each[leader[group]].reshape(normals.shape))
 
 
 def _too_far_off(mesh: Mesh, normals: Array, own: Array) -> NDArray[np.bool_]:
@@ -199,23 +224,24 @@ def _faces(path: Path, stamp: tuple[object, ...], shape: MeshShape) -> tuple[Fac
     z, facets = _axis_crossings(mesh)
     if len(z) < 2:
         raise MeshError(f"{path}: its z axis, which must be the axis of the lens, does not pass through the body")
-    front, back = _face(path, mesh, groups, facets[0], -1.0), _face(path, mesh, groups, facets[-1], 1.0)
-    if shape.surface != "patch" or path.suffix.lower() not in STEP_ENDINGS:
-        return front, back
-    told = faces_of_step(path, shape.node, shape.tolerance_mm)
-    return recognised(front, told), recognised(back, told)
+    told: list[SolidFace] = []
+    if shape.surface == "patch" and path.suffix.lower() in STEP_ENDINGS:
+        told = faces_of_step(path, shape.node, shape.tolerance_mm)
+    front, back = _side(mesh, groups, facets[0], -1.0), _side(mesh, groups, facets[-1], 1.0)
+    return recognised(front, told) or _fitted(path, front), recognised(back, told) or _fitted(path, back)
 
 
-def recognised(face: Face, told: list[SolidFace]) -> Face:
-    """Return the exact plane or sphere that all of a face's vertices lie on; the face as it is if there is none.
+def recognised(side: Mesh, told: list[SolidFace]) -> Face | None:
+    """Return the exact plane or sphere about the axis that all vertices of a lens's face lie on, if there is one.
 
     Parameters
     ----------
-    face : Face
+    side : Mesh
+        The face.
     told : list of SolidFace
         Those of the body's file, in the same frame.
     """
-    points = face.mesh.vertices[np.unique(face.mesh.faces)]
+    points = side.vertices[np.unique(side.faces)]
     largest = ON_SURFACE * float(np.abs(points).max())
     for each in told:
         if np.isinf(each.radius):
@@ -231,15 +257,15 @@ def recognised(face: Face, told: list[SolidFace]) -> Face:
             vertex, radius = float(each.point[2] - lower * each.radius), lower * each.radius
             off = np.abs(np.linalg.norm(points - each.point, axis=1) - each.radius)
         if off.max() <= largest:
-            return Face(face.mesh, vertex, float(radius), (), _round_rim(face), True)
-    return face
+            return Face(side, vertex, float(radius), (), _round_rim(side), True)
+    return None
 
 
-def _round_rim(face: Face) -> float:
+def _round_rim(side: Mesh) -> float:
     """Return the rim's radius by its vertices where it is a circle: those lie on it, its edges within."""
-    border = np.linalg.norm(face.mesh.vertices[_border(face.mesh).ravel(), :2], axis=1)
+    border = np.linalg.norm(side.vertices[_border(side).ravel(), :2], axis=1)
     is_circle = np.ptp(border) <= ON_SURFACE * border.max()
-    return float(border.mean()) if is_circle else face.rim_mm
+    return float(border.mean()) if is_circle else _rim(side)
 
 
 def faces(shape: MeshShape, scene: Scene) -> tuple[Face, Face]:
@@ -271,15 +297,18 @@ def _axis_crossings(mesh: Mesh) -> tuple[Array, list[int]]:
     return z[order], [int(f) for f in found[order]]
 
 
-def _face(path: Path, mesh: Mesh, groups: np.ndarray, facet: int, outward: float) -> Face:
+def _side(mesh: Mesh, groups: np.ndarray, facet: int, outward: float) -> Mesh:
     """Return the smooth face round a facet, those of its facets that look its way along z."""
     normals, _ = facet_normals(mesh)
     chosen = np.flatnonzero((groups == groups[facet]) & (normals[:, 2] * outward > 0.05))
     part = welded(Mesh(mesh.vertices, mesh.faces[chosen], None))
     assert mesh.corner_normals is not None
     side = Mesh(part.vertices, part.faces, mesh.corner_normals[chosen])
-    if outward < 0.0:
-        side = side.flipped()
+    return side.flipped() if outward < 0.0 else side
+
+
+def _fitted(path: Path, side: Mesh) -> Face:
+    """Return a face with its vertex, curvature and asphere, fitted to its vertices."""
     used = np.unique(side.faces)
     r2 = np.square(side.vertices[used, :2]).sum(axis=1)
     rim = _rim(side)

@@ -41,8 +41,8 @@ TURN_RAD = 0.1
 COARSE_MM = 1e12
 """Tolerance of the first mesh, which tells the size of the bodies."""
 
-DEFAULT_TOLERANCE = 1e-4
-"""Of the diagonal of the box round a file's bodies."""
+DEFAULT_TOLERANCE = 3e-4
+"""Of the diagonal of the largest body's box. Much finer facets of glass are slivers, which float32 tilts."""
 
 _STRINGS_AND_COMMENTS = re.compile(rb"'(?:[^']|'')*'|/\*.*?\*/", re.DOTALL)
 _DEFINED = re.compile(rb"#\s*(\d+)\s*=")

@@ -79,7 +79,7 @@ def step_as_glb(path: Path, tolerance_mm: float | None) -> Iterator[Path]:
     ----------
     path : Path
     tolerance_mm : float, optional
-        How far a facet may lie off its surface; omitted, 1e-4 of the size of the largest body.
+        How far a facet may lie off its surface; omitted, 3e-4 of the size of the largest body.
 
     Raises
     ------

@@ -97,7 +97,7 @@ def load_mesh(
         Of a GLB or glTF file: the node, by its name or number, whose own mesh alone is read, where the file places it.
         Of a STEP or 3MF file: the body.
     tolerance_mm : float, optional
-        Of a STEP file: how far a facet may lie off its surface; omitted, 1e-4 of the size of the largest body.
+        Of a STEP file: how far a facet may lie off its surface; omitted, 3e-4 of the size of the largest body.
 
     Returns
     -------

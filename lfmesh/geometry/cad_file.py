@@ -113,30 +113,43 @@ def _opened(path: Path, stamp: tuple[object, ...], tolerance_mm: float | None) -
         try:
             done = subprocess.run(command, capture_output=True, timeout=MOST_SECONDS, check=False)
         except subprocess.TimeoutExpired:
-            raise MeshError(f"{path}: opening it took more than {MOST_SECONDS} s, the most; {_COARSER}") from None
+            raise MeshError(f"{path}: opening it took more than {MOST_SECONDS} s, the most; {_way_out(path)}") from None
         if done.returncode == 0 and out.is_file():
             return out.read_bytes()
-    raise MeshError(f"{path}: {_reason(done.returncode, done.stderr)}")
+    raise MeshError(f"{path}: {_reason(path, done.returncode, done.stderr)}")
 
 
-_COARSER = "give a larger tolerance_mm, or save its bodies as STL or GLB"
+def _way_out(path: Path) -> str:
+    """Return what to do about a file that asks for too much."""
+    if path.suffix.lower() in STEP_ENDINGS:
+        return "give a larger tolerance_mm, or save its bodies as STL or GLB"
+    return "save it with fewer facets"
 
 
-def _reason(code: int, errors: bytes) -> str:
-    """Return why the child failed: what it says, or what its end tells."""
+def _reason(path: Path, code: int, errors: bytes) -> str:
+    """Return why the child failed on a file: what it says, or what its end tells.
+
+    Parameters
+    ----------
+    path : Path
+    code : int
+        It ended with.
+    errors : bytes
+        It wrote.
+    """
     lines = errors.decode("utf-8", errors="replace").splitlines()
     said = next((line.removeprefix("unusable: ") for line in lines if line.startswith("unusable: ")), None)
     if said == "memory" or any("bad_alloc" in line or "MemoryError" in line for line in lines):
-        return f"opening it took more than {MOST_MEBIBYTES} MiB, the most; {_COARSER}"
+        return f"opening it took more than {MOST_MEBIBYTES} MiB, the most; {_way_out(path)}"
     if said is not None:
         return said
     if any("File too large" in line for line in lines) or code == -25:
-        return f"has more facets than fit into {MOST_OUTPUT_MEBIBYTES} MiB; {_COARSER}"
+        return f"has more facets than fit into {MOST_OUTPUT_MEBIBYTES} MiB; {_way_out(path)}"
     if code in (-24, -9):
-        return f"opening it took more than {MOST_SECONDS} s or {MOST_MEBIBYTES} MiB, the most; {_COARSER}"
+        return f"opening it took more than {MOST_SECONDS} s or {MOST_MEBIBYTES} MiB, the most; {_way_out(path)}"
     if code < 0:
         # OpenCASCADE may crash where it gets no memory, as it may on a file that it does not expect.
-        return f"broken, or needs more than {MOST_MEBIBYTES} MiB, the most; {_COARSER}"
+        return f"broken, or needs more than {MOST_MEBIBYTES} MiB, the most; {_way_out(path)}"
     last = lines[-1][:200] if lines else f"ended with {code}"
     return f"broken, or of a kind that cannot be read (the program that opened it: {last})"
 

@@ -186,6 +186,7 @@ def test_bodies_of_a_step_file_go_by_name_and_have_volumes_by_the_caps_formula()
     assert "valid are 'doublet', 'L1', 'L2'" in refusal(path, node="L3")
 
 
+@pytest.mark.long
 @needs_cascadio
 def test_facets_lie_within_the_tolerance():
     for tolerance in (0.2, 0.01):

@@ -15,10 +15,11 @@ SMALL = 1e-3
 
 DIMENSIONLESS = {
     "geometry/atlas.py": {"_NOISE"},
+    "geometry/cad_child.py": {"DEFAULT_TOLERANCE", "FINEST_MM", "MM_PER_UNIT"},
     "geometry/element_poses.py": {"TOUCHING"},
     "geometry/mesh_file.py": {"MM_PER_UNIT"},
     "geometry/patch.py": {"INSIDE", "SETTLED"},
-    "geometry/refractors.py": {"FLAT_SHADED", "NO_POWER", "SLIVER"},
+    "geometry/refractors.py": {"FLAT_SHADED", "NO_POWER", "ON_AXIS", "ON_SURFACE", "SAME_NORMAL", "SLIVER"},
     "geometry/surface.py": {"SETTLED"},
     "geometry/targets.py": {"FLAT"},
     "geometry/tessellation.py": {"FLOAT32_MARGIN"},
@@ -51,7 +52,8 @@ DIMENSIONLESS = {
 }
 """Constants that have a small value: ratios, angles, weights, conversions of units.
 
-`LARGEST_MM` is the one length: it compares two results for the report, and moves or decides no ray.
+Two are lengths. `LARGEST_MM` compares two results for the report, and moves or decides no ray. `FINEST_MM` bounds what
+OpenCASCADE, which calculates to 1e-7 mm whatever the scale, can be asked for.
 """
 
 FILES = sorted(path for part in ("geometry", "transport") for path in (PACKAGE / part).rglob("*.py"))

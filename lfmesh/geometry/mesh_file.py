@@ -1,7 +1,8 @@
-"""Meshes from files: STL, OBJ, PLY, OFF, GLB and glTF, in mm, with their colours and vertex normals.
+"""Meshes from files: STL, OBJ, PLY, OFF, GLB, glTF, STEP and 3MF, in mm, with their colours and vertex normals.
 
-trimesh reads them. It passes over some broken files in silence (an STL of garbage is an empty scene to
-it, an OFF that is cut short a smaller mesh), so what it returns is held against what the file says.
+trimesh reads them; `cad_file` makes meshes of STEP and 3MF files before. trimesh passes over some broken files in
+silence (an STL of garbage is an empty scene to it, an OFF that is cut short a smaller mesh), so what it returns is held
+against what the file says.
 """
 
 import json
@@ -15,6 +16,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from lfmesh.errors import MeshError
+from lfmesh.geometry import cad_file
 from lfmesh.geometry.gltf_nodes import check_document, load_primitives, node_called, nodes_of, primitives_of
 from lfmesh.geometry.mesh import Array, Mesh
 from lfmesh.geometry.texture import FORMATS, MOST_PIXELS, Texture, linear_light, why_no_file, with_alpha
@@ -36,6 +38,10 @@ ALPHA_MODES = ("OPAQUE", "MASK", "BLEND")
 """Of a glTF material."""
 
 ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf")
+"""Of files that trimesh reads."""
+
+NODE_ENDINGS = (*UNIT_OF_FORMAT, *cad_file.ENDINGS)
+"""Of files with bodies that have names."""
 
 
 @dataclass(frozen=True)
@@ -69,13 +75,19 @@ class Piece:
     alpha_cutoff: float = 0.5
 
 
-def load_mesh(path: Path, units: str | None = None, alpha: bool = False, node: str | int | None = None) -> list[Piece]:
+def load_mesh(
+    path: Path,
+    units: str | None = None,
+    alpha: bool = False,
+    node: str | int | None = None,
+    tolerance_mm: float | None = None,
+) -> list[Piece]:
     """Read a mesh file.
 
     Parameters
     ----------
     path : Path
-        STL, OBJ (with MTL), PLY, OFF, GLB or glTF.
+        STL, OBJ (with MTL), PLY, OFF, GLB, glTF, STEP or 3MF.
     units : str, optional
         Unit of length, a key of `MM_PER_UNIT`. Needed for STL, OBJ, PLY and OFF. The other formats fix their
         unit, and naming a different one is an error: a mesh is not rescaled against its own file.
@@ -83,6 +95,9 @@ def load_mesh(path: Path, units: str | None = None, alpha: bool = False, node: s
         Read the alpha of pictures and colours, too.
     node : str or int, optional
         Of a GLB or glTF file: the node, by its name or number, whose own mesh alone is read, where the file places it.
+        Of a STEP or 3MF file: the body.
+    tolerance_mm : float, optional
+        Of a STEP file: how far a facet may lie off its surface; omitted, 3e-4 of the size of the largest body.
 
     Returns
     -------
@@ -97,13 +112,19 @@ def load_mesh(path: Path, units: str | None = None, alpha: bool = False, node: s
     """
     path = Path(path)
     ending = path.suffix.lower()
-    if ending not in ENDINGS:
-        raise MeshError(f"{path}: not a kind of mesh file that can be read; valid are {', '.join(ENDINGS)}")
+    if ending not in (*ENDINGS, *cad_file.ENDINGS):
+        valid = ", ".join((*ENDINGS, *cad_file.ENDINGS))
+        raise MeshError(f"{path}: not a kind of mesh file that can be read; valid are {valid}")
     if not path.is_file():
         raise MeshError(f"{path}: the mesh file {why_no_file(path)}")
-    if node is not None and ending not in UNIT_OF_FORMAT:
-        raise MeshError(f"{path}: node = {node!r}: only {' and '.join(UNIT_OF_FORMAT)} files have nodes; omit it")
-    pieces = _read(path, ending, units, alpha, node)
+    if node is not None and ending not in NODE_ENDINGS:
+        raise MeshError(f"{path}: node = {node!r}: only {', '.join(NODE_ENDINGS)} files have nodes; omit it")
+    if ending in cad_file.ENDINGS:
+        if units is not None:
+            raise MeshError(f"{path}: units = {units!r}: the file names its own; leave units out")
+        pieces = _read_cad(path, ending, alpha, node, tolerance_mm)
+    else:
+        pieces = _read(path, ending, units, alpha, node)
     facets = sum(len(piece.mesh.faces) for piece in pieces)
     if facets == 0:
         raise MeshError(f"{path}: holds no facets: empty, cut short, or not a {ending[1:].upper()} file")
@@ -155,9 +176,7 @@ def _read(path: Path, ending: str, units: str | None, alpha: bool, node: str | i
     document = gltf_document(path) if ending in UNIT_OF_FORMAT else None
     try:
         placed = _placed(path) if document is None else _placed_nodes(path, document, node)
-        # By the identity of trimesh's image, so that geometries that share a picture keep sharing it.
-        pictures: dict[int, Texture] = {}
-        pieces = [_piece(geometry, transform, MM_PER_UNIT[unit], pictures, alpha) for geometry, transform in placed]
+        pieces = _pieces(placed, MM_PER_UNIT[unit], alpha)
     except MeshError:
         raise
     except Exception as error:  # a broken file may raise anything inside trimesh's parsers
@@ -166,6 +185,44 @@ def _read(path: Path, ending: str, units: str | None, alpha: bool, node: str | i
     if ending == ".off":
         _check_off_count(path, sum(len(piece.mesh.faces) for piece in pieces))
     return pieces
+
+
+def _read_cad(path: Path, ending: str, alpha: bool, node: str | int | None, tolerance_mm: float | None) -> list[Piece]:
+    """Return the pieces of a STEP or 3MF file, whose own process has checked it."""
+    if ending == ".3mf":
+        return _pieces(cad_file.placed_3mf(path, node), 1.0, alpha)
+    with cad_file.step_as_glb(path, tolerance_mm) as glb:
+        placed = _placed_nodes(glb, cad_file.named_by_body(gltf_document(glb)), node)
+        return _pieces(placed, MM_PER_UNIT[UNIT_OF_FORMAT[".glb"]], alpha)
+
+
+def faces_of_step(path: Path, node: str | int | None, tolerance_mm: float | None) -> list[cad_file.SolidFace]:
+    """Return the planes and spheres that faces of a STEP file, or of one of its bodies, lie on.
+
+    Parameters
+    ----------
+    path : Path
+    node : str or int, optional
+        The body; omitted, all.
+    tolerance_mm : float, optional
+        That its mesh is made with, so that the file is opened once.
+
+    Raises
+    ------
+    MeshError
+        As `load_mesh` does.
+    """
+    with cad_file.step_as_glb(path, tolerance_mm) as glb:
+        document = cad_file.named_by_body(gltf_document(glb))
+        nodes = nodes_of(glb, document)
+        taken = nodes if node is None else [node_called(glb, nodes, node)]
+        return cad_file.solid_faces(document, [(each.to_scene, each.entry) for each in taken])
+
+
+def _pieces(placed: list[tuple[Any, Array]], scale: float, alpha: bool) -> list[Piece]:
+    # By the identity of trimesh's image, so that geometries that share a picture keep sharing it.
+    pictures: dict[int, Texture] = {}
+    return [_piece(geometry, transform, scale, pictures, alpha) for geometry, transform in placed]
 
 
 def _placed(path: Path) -> list[tuple[Any, Array]]:

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import MeshError
+from lfmesh.geometry.cad_file import STEP_ENDINGS, SolidFace
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, joined
-from lfmesh.geometry.mesh_file import load_mesh
+from lfmesh.geometry.mesh_file import faces_of_step, load_mesh
 from lfmesh.geometry.patch import neighbours
-from lfmesh.geometry.vertex_normals import estimated_corner_normals, smooth_edges, smooth_groups
+from lfmesh.geometry.vertex_normals import edge_partners, estimated_corner_normals, smooth_edges, smooth_groups
 from lfmesh.geometry.weld import welded
 from lfmesh.scene import Element, Lens, MeshFace, MeshShape, Scene, Surface
 from lfmesh.scene.files import with_lens_file
@@ -42,6 +43,15 @@ MOST_ROUND_A_VERTEX = 64
 NO_POWER = 1e-9
 """Curvature times the rim's radius, a slope, below which a face is flat: less than the fit's rounding."""
 
+SAME_NORMAL = 1e-6
+"""Difference of unit normals that float32 leaves, and some more."""
+
+ON_SURFACE = 1e-6
+"""How far a vertex may lie off its surface, in parts of the farthest coordinate: what float32 leaves, and some more."""
+
+ON_AXIS = 1e-9
+"""Tilt in rad of a plane or sphere from the axis below which it stands square to it: CAD programs' rounding."""
+
 FIT_TERMS = 4
 """Even powers of the radius in the fit of a face: r², r⁴, r⁶, r⁸."""
 
@@ -60,6 +70,8 @@ class Face:
         Coefficients of r⁴, r⁶, ...
     rim_mm : float
         Largest radius that the face covers all round.
+    is_exact : bool
+        It is the plane or sphere about the axis that a STEP file tells: what is above stands for the whole face.
     """
 
     mesh: Mesh
@@ -67,9 +79,16 @@ class Face:
     radius_mm: float
     asphere_mm: tuple[float, ...]
     rim_mm: float
+    is_exact: bool = False
 
 
-def solid_mesh(path: Path, units: str | None, crease_deg: float | None) -> Mesh:
+def solid_mesh(
+    path: Path,
+    units: str | None,
+    crease_deg: float | None,
+    node: str | int | None = None,
+    tolerance_mm: float | None = None,
+) -> Mesh:
     """Load a closed body of glass: outward-oriented, with corner normals.
 
     The normals are the file's where it has them. Where it has none, or only its facets' own, or where `crease_deg`
@@ -82,6 +101,10 @@ def solid_mesh(path: Path, units: str | None, crease_deg: float | None) -> Mesh:
         Needed where the format carries none.
     crease_deg : float, optional
         Angle between facets above which their edge is a crease.
+    node : str or int, optional
+        The body of the file that is meant, where it has several.
+    tolerance_mm : float, optional
+        Of a STEP file: how far a facet may lie off its surface.
 
     Raises
     ------
@@ -91,7 +114,7 @@ def solid_mesh(path: Path, units: str | None, crease_deg: float | None) -> Mesh:
     """
     import trimesh
 
-    pieces = [piece.mesh for piece in load_mesh(path, units)]
+    pieces = [piece.mesh for piece in load_mesh(path, units, node=node, tolerance_mm=tolerance_mm)]
     brings_normals = all(piece.corner_normals is not None for piece in pieces)
     mesh = welded(joined(pieces))
     with_area = facet_normals(mesh)[1] > 0.0
@@ -135,7 +158,29 @@ def _normals_of_file(path: Path, mesh: Mesh) -> Array | None:
                 "any, or give crease_deg to have them estimated"
             )
     tells_more = np.linalg.norm(normals - own, axis=2).max() > FLAT_SHADED
-    return np.asarray(normals) if tells_more else None
+    return _without_seams(mesh.faces, np.asarray(normals)) if tells_more else None
+
+
+def _without_seams(faces: NDArray[np.int64], normals: Array) -> Array:
+    """Return corner normals (m, 3, 3) that are equal across an edge where they differ by rounding alone.
+
+    A CAD program closes a sphere at a seam, and calculates the normals at its two sides by themselves.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    first, second = edge_partners(faces)
+    f, e = np.divmod(first, 3)
+    g, h = np.divmod(second, 3)
+    # The partner runs the other way: its end is this edge's start.
+    one = np.concatenate([3 * f + e, 3 * f + (e + 1) % 3])
+    other = np.concatenate([3 * g + (h + 1) % 3, 3 * g + h])
+    each = normals.reshape(-1, 3)
+    alike = np.linalg.norm(each[one] - each[other], axis=1) <= SAME_NORMAL
+    links = coo_array((np.ones(alike.sum()), (one[alike], other[alike])), shape=(len(each), len(each)))
+    group = connected_components(links, directed=False)[1]
+    _, leader = np.unique(group, return_index=True)
+    return np.asarray(each[leader[group]].reshape(normals.shape))
 
 
 def _too_far_off(mesh: Mesh, normals: Array, own: Array) -> NDArray[np.bool_]:
@@ -172,20 +217,63 @@ def _angle(a: Array, b: Array) -> Array:
 
 
 @lru_cache(maxsize=32)
-def _faces(path: Path, stamp: tuple[object, ...], units: str | None, crease_deg: float | None) -> tuple[Face, Face]:
-    mesh = solid_mesh(path, units, crease_deg)
+def _faces(path: Path, stamp: tuple[object, ...], shape: MeshShape) -> tuple[Face, Face]:
+    mesh = solid_mesh(path, shape.units, shape.crease_deg, shape.node, shape.tolerance_mm)
     assert mesh.corner_normals is not None
     groups = smooth_groups(mesh, neighbours(mesh.faces, mesh.corner_normals) >= 0)
     z, facets = _axis_crossings(mesh)
     if len(z) < 2:
         raise MeshError(f"{path}: its z axis, which must be the axis of the lens, does not pass through the body")
-    return _face(path, mesh, groups, facets[0], -1.0), _face(path, mesh, groups, facets[-1], 1.0)
+    told: list[SolidFace] = []
+    if shape.surface == "patch" and path.suffix.lower() in STEP_ENDINGS:
+        told = faces_of_step(path, shape.node, shape.tolerance_mm)
+    front, back = _side(mesh, groups, facets[0], -1.0), _side(mesh, groups, facets[-1], 1.0)
+    return recognised(front, told) or _fitted(path, front), recognised(back, told) or _fitted(path, back)
+
+
+def recognised(side: Mesh, told: list[SolidFace]) -> Face | None:
+    """Return the exact plane or sphere about the axis that all vertices of a lens's face lie on, if there is one.
+
+    Parameters
+    ----------
+    side : Mesh
+        The face.
+    told : list of SolidFace
+        Those of the body's file, in the same frame.
+    """
+    points = side.vertices[np.unique(side.faces)]
+    largest = ON_SURFACE * float(np.abs(points).max())
+    for each in told:
+        if np.isinf(each.radius):
+            if np.hypot(*each.normal[:2]) > ON_AXIS:
+                continue
+            vertex, radius = float(each.point[2] - each.normal[:2] @ each.point[:2] / each.normal[2]), np.inf
+            off = np.abs(points[:, 2] - vertex)
+        else:
+            if np.hypot(*each.point[:2]) > ON_AXIS * each.radius:
+                continue
+            # Of the sphere's two halves the one that the face is on; the centre lies towards +z of the lower one.
+            lower = np.copysign(1.0, each.point[2] - points[:, 2].mean())
+            vertex, radius = float(each.point[2] - lower * each.radius), lower * each.radius
+            off = np.abs(np.linalg.norm(points - each.point, axis=1) - each.radius)
+        if off.max() <= largest:
+            return Face(side, vertex, float(radius), (), _round_rim(side), True)
+    return None
+
+
+def _round_rim(side: Mesh) -> float:
+    """Return the rim's radius by its vertices where it is a circle: those lie on it, its edges within."""
+    border = np.linalg.norm(side.vertices[_border(side).ravel(), :2], axis=1)
+    is_circle = np.ptp(border) <= ON_SURFACE * border.max()
+    return float(border.mean()) if is_circle else _rim(side)
 
 
 def faces(shape: MeshShape, scene: Scene) -> tuple[Face, Face]:
     """Return the front and the back face of a lens element given as a mesh."""
     path = scene.resolve(str(shape.file)).resolve()
-    return _faces(path, file_stamp(path), shape.units, shape.crease_deg)
+    # What it is made of does not count, so that both faces and their element share what is kept.
+    only = MeshShape(**shape.model_dump(include=set(MeshShape.model_fields)))
+    return _faces(path, file_stamp(path), only)
 
 
 def face_of(shape: MeshFace, scene: Scene) -> Face:
@@ -209,15 +297,18 @@ def _axis_crossings(mesh: Mesh) -> tuple[Array, list[int]]:
     return z[order], [int(f) for f in found[order]]
 
 
-def _face(path: Path, mesh: Mesh, groups: np.ndarray, facet: int, outward: float) -> Face:
+def _side(mesh: Mesh, groups: np.ndarray, facet: int, outward: float) -> Mesh:
     """Return the smooth face round a facet, those of its facets that look its way along z."""
     normals, _ = facet_normals(mesh)
     chosen = np.flatnonzero((groups == groups[facet]) & (normals[:, 2] * outward > 0.05))
     part = welded(Mesh(mesh.vertices, mesh.faces[chosen], None))
     assert mesh.corner_normals is not None
     side = Mesh(part.vertices, part.faces, mesh.corner_normals[chosen])
-    if outward < 0.0:
-        side = side.flipped()
+    return side.flipped() if outward < 0.0 else side
+
+
+def _fitted(path: Path, side: Mesh) -> Face:
+    """Return a face with its vertex, curvature and asphere, fitted to its vertices."""
     used = np.unique(side.faces)
     r2 = np.square(side.vertices[used, :2]).sum(axis=1)
     rim = _rim(side)
@@ -237,12 +328,17 @@ def _face(path: Path, mesh: Mesh, groups: np.ndarray, facet: int, outward: float
     return Face(side, float(coefficients[0]), radius, tuple(float(t) for t in a[1:] - sphere), rim)
 
 
-def _rim(mesh: Mesh) -> float:
-    """Return the radius of the largest circle about the axis that a face covers."""
+def _border(mesh: Mesh) -> Array:
+    """Return the (e, 2) vertices of the edges that bound a face."""
     edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
     key = edges[:, 0] * (len(mesh.vertices) + 1) + edges[:, 1]
     back = edges[:, 1] * (len(mesh.vertices) + 1) + edges[:, 0]
-    border = edges[~np.isin(key, back)]
+    return np.asarray(edges[~np.isin(key, back)])
+
+
+def _rim(mesh: Mesh) -> float:
+    """Return the radius of the largest circle about the axis that a face covers."""
+    border = _border(mesh)
     a, b = mesh.vertices[border[:, 0], :2], mesh.vertices[border[:, 1], :2]
     d = b - a
     share = np.clip(-(a * d).sum(axis=1) / np.maximum((d * d).sum(axis=1), np.finfo(np.float64).tiny), 0.0, 1.0)
@@ -264,6 +360,7 @@ def measured(scene: Scene) -> Scene:
         shape = refractor.model_dump(include=set(MeshShape.model_fields))
         for face, side in ((front, "front"), (back, "back")):
             aperture = surface.semi_diameter_mm or face.rim_mm
+            largest = face.rim_mm if face.is_exact else (1.0 - RIM_MARGIN) * face.rim_mm
             surfaces.append(
                 Surface(
                     radius_mm=face.radius_mm,
@@ -273,8 +370,8 @@ def measured(scene: Scene) -> Scene:
                     glass=refractor.glass if side == "front" else None,
                     coating=refractor.coating,
                     finish=refractor.finish,
-                    semi_diameter_mm=min(aperture, (1.0 - RIM_MARGIN) * face.rim_mm),
-                    mesh=MeshFace(**shape, side=side),
+                    semi_diameter_mm=min(aperture, largest),
+                    mesh=None if face.is_exact else MeshFace(**shape, side=side),
                 )
             )
     first = [0, *np.cumsum([1 if s.refractor is None else 2 for s in lens.surfaces]).tolist()]

@@ -79,7 +79,9 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
         if glass.box_mm is not None:
             body = box_of_glass(glass.box_mm)
         else:
-            body = solid_mesh(scene.resolve(str(glass.file)), glass.units, glass.crease_deg)
+            body = solid_mesh(
+                scene.resolve(str(glass.file)), glass.units, glass.crease_deg, glass.node, glass.tolerance_mm
+            )
         return TargetMesh(body.moved(frame(target.rotation_deg, target.position_mm)), None, None, True)
     asks_alpha = target.material.opacity == "texture_alpha"
     taken = False
@@ -89,7 +91,7 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
     else:
         name = str(target.file)
         may_take = target.takes_materials and Path(name).suffix.lower() in UNIT_OF_FORMAT
-        pieces = load_mesh(scene.resolve(name), target.units, asks_alpha or may_take, target.node)
+        pieces = load_mesh(scene.resolve(name), target.units, asks_alpha or may_take, target.node, target.tolerance_mm)
         taken = may_take and any(piece.material is not None for piece in pieces)
         if target.materials == "file" and not taken:
             raise MeshError(f'{name}: brings no materials of glTF, and materials = "file" asks for them; omit it')

@@ -11,19 +11,19 @@ from lfmesh.scene.coatings import UNCOATED
 from lfmesh.scene.finishes import POLISHED, AnyFinish, both_given
 from lfmesh.scene.model import Fault, Model, nearest
 from lfmesh.scene.own_glass import Glass
-from lfmesh.scene.quantities import FilePath, Index, Positive, Text
+from lfmesh.scene.quantities import FilePath, Index, NodeKey, Positive, Text
 from lfmesh.scene.spectra import Coefficient, coefficient_faults
 
-UNITS_IN_FILE = (".glb", ".gltf")
-"""Formats whose standard fixes the unit of length."""
+STEP_ENDINGS = (".step", ".stp")
+NODE_ENDINGS = (".glb", ".gltf", *STEP_ENDINGS, ".3mf")
+"""Formats of bodies with names, whose standard fixes the unit of length, or whose files name it."""
 UNITS_MISSING = (".stl", ".obj", ".ply", ".off")
 """Formats that carry no unit."""
 
 WAYS_IN = dict.fromkeys(
-    (".step", ".stp", ".iges", ".igs"),
-    "is no mesh: let the CAD program save it as STL or GLB, fine enough for its curves (FreeCAD: Mesh, Create mesh "
-    "from shape)",
-) | {".3mf": "is not read: save it as STL or GLB, from the slicer or with trimesh"}
+    (".iges", ".igs"),
+    "is not read: let the CAD program save it as STEP, or as STL or GLB, fine enough for its curves",
+)
 """How to get other files of bodies in."""
 
 Units = Literal["um", "mm", "cm", "m", "inch", "foot"]
@@ -32,26 +32,41 @@ Priority = Annotated[int, Field(strict=True, ge=-1000, le=1000)]
 CreaseAngle = Annotated[float, Field(strict=True, gt=0, lt=180)]
 
 
-def mesh_file_faults(file: str, units: str | None) -> Iterator[Fault]:
-    """Yield what is wrong with a mesh file's name and unit."""
-    ending = Path(file).suffix.lower()
-    known = (*UNITS_MISSING, *UNITS_IN_FILE)
-    if ending not in known:
-        if ending in WAYS_IN:
-            yield Fault(("file",), file, f"{WAYS_IN[ending]}; must end in one of {', '.join(known)}")
-            return
-        yield Fault(("file",), file, f"must end in one of {', '.join(known)}{nearest(ending, known)}")
-    elif units is None and ending in UNITS_MISSING:
-        yield Fault(("units",), None, f'missing: {ending[1:].upper()} files carry no unit; give units = "mm", say')
-
-
-class MeshShape(Model):
-    """The mesh that gives glass its shape."""
+class BodyFile(Model):
+    """Which body of a mesh file is meant, and how a STEP file's curved faces become facets."""
 
     file: FilePath | None = None
-    """A mesh file (STL, OBJ, PLY, OFF, GLB), relative to the scene file."""
+    """A mesh file (STL, OBJ, PLY, OFF, GLB, glTF, STEP, 3MF), relative to the scene file."""
+    node: NodeKey | None = None
+    """One object of a GLB, glTF, STEP or 3MF file alone: the name of the node or body, or its number where it has no
+    name of its own. It stands where the file places it; nodes below it are not taken along."""
     units: Units | None = None
     """Unit of length of the mesh file; required where the format carries none."""
+    tolerance_mm: Positive | None = None
+    """Of a STEP file: how far a facet may lie off its surface, in mm. Omitted: 3e-4 of the largest body's diagonal."""
+
+    def file_faults(self) -> Iterator[Fault]:
+        """Yield what is wrong with the mesh file's name and what is said of it."""
+        file = str(self.file)
+        ending = Path(file).suffix.lower()
+        known = (*UNITS_MISSING, *NODE_ENDINGS)
+        if ending not in known:
+            if ending in WAYS_IN:
+                yield Fault(("file",), file, f"{WAYS_IN[ending]}; must end in one of {', '.join(known)}")
+                return
+            yield Fault(("file",), file, f"must end in one of {', '.join(known)}{nearest(ending, known)}")
+            return
+        if self.units is None and ending in UNITS_MISSING:
+            yield Fault(("units",), None, f'missing: {ending[1:].upper()} files carry no unit; give units = "mm", say')
+        if self.node is not None and ending not in NODE_ENDINGS:
+            yield Fault(("node",), self.node, f"omit it: only {', '.join(NODE_ENDINGS)} files have bodies with names")
+        if self.tolerance_mm is not None and ending not in STEP_ENDINGS:
+            yield Fault(("tolerance_mm",), self.tolerance_mm, "omit it: only the faces of STEP files are curved")
+
+
+class MeshShape(BodyFile):
+    """The mesh that gives glass its shape."""
+
     surface: FacetLevel = "patch"
     """What a facet stands for: itself, itself with smooth normals, or a curved patch."""
     crease_deg: CreaseAngle | None = None
@@ -62,9 +77,11 @@ class MeshShape(Model):
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""
         if self.file is None:
-            yield Fault(("file",), None, "missing: A mesh file (STL, OBJ, PLY, OFF, GLB), relative to the scene file")
+            yield Fault(
+                ("file",), None, "missing: a mesh file (STL, OBJ, PLY, OFF, GLB, STEP), relative to the scene file"
+            )
         else:
-            yield from mesh_file_faults(self.file, self.units)
+            yield from self.file_faults()
 
 
 class Refractor(MeshShape):
@@ -101,8 +118,8 @@ class Refractor(MeshShape):
         if self.box_mm is None:
             yield from super().faults()
         else:
-            for key, default in (("file", None), ("units", None), ("surface", "patch"), ("crease_deg", None)):
-                if getattr(self, key) != default:
+            for key in MeshShape.model_fields:
+                if getattr(self, key) != MeshShape.model_fields[key].default:
                     yield Fault((key,), getattr(self, key), "box_mm is given too; omit it, or give a mesh file")
         if self.index is None and self.glass is None:
             yield Fault(("index",), None, "missing: give the index of the glass, or glass")

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from lfmesh.scene.model import Fault, Model
-from lfmesh.scene.quantities import FilePath, GlossIndex, MetalName, NodeKey, Opacity, Positive, Text, Vector
-from lfmesh.scene.refractor import Refractor, Units, mesh_file_faults
+from lfmesh.scene.quantities import FilePath, GlossIndex, MetalName, Opacity, Positive, Text, Vector
+from lfmesh.scene.refractor import BodyFile, Refractor
 from lfmesh.scene.spectra import Kelvin, Radiance, Reflectance, Spectrum, reflectance_fault
 from lfmesh.scene.spectra import Shape as SpectralShape
 
@@ -155,20 +155,13 @@ class Material(Model):
                 yield Fault(("texture",), self.texture, "omit it: a surface with temperature_k has one emissivity")
 
 
-class Target(Model):
+class Target(BodyFile):
     """A body in front of the camera: a shape or a mesh file, in the world frame."""
 
     name: Text | None = None
     """What the target is called in reports."""
     shape: Shape | None = None
     """A primitive shape. Or give `file`."""
-    file: FilePath | None = None
-    """A mesh file (STL, OBJ, PLY, OFF, GLB, glTF), relative to the scene file."""
-    node: NodeKey | None = None
-    """One object of a GLB or glTF file alone: the node's name, or its number where it has no name of its own. It
-    stands where the file places it, before `rotation_deg` and `position_mm`; nodes below it are not taken along."""
-    units: Units | None = None
-    """Unit of length of the mesh file; required where the format carries none."""
     materials: Literal["file", "colours", "ignore"] | None = None
     """What is taken over of the mesh file's own materials. "file": those of a glTF file whole: base colour, metallic,
     roughness and alpha, facet by facet; then the target has no `material`. "colours": their base colours and pictures
@@ -191,7 +184,7 @@ class Target(Model):
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""
         if self.refractor is not None:
-            for key in ("shape", "file", "node", "units"):
+            for key in ("shape", *BodyFile.model_fields):
                 if getattr(self, key) is not None:
                     yield Fault((key,), getattr(self, key), "a refractor is given too; give one of them")
             yield from self._file_faults("glass has neither; omit it")
@@ -206,12 +199,14 @@ class Target(Model):
             elif self.units is not None:
                 yield Fault(("units",), self.units, "only for a mesh file; the sizes of a shape are in mm")
             if self.node is not None:
-                yield Fault(("node",), self.node, "only for a GLB or glTF file; omit it")
+                yield Fault(("node",), self.node, "only for a GLB, glTF, STEP or 3MF file; omit it")
+            if self.tolerance_mm is not None:
+                yield Fault(("tolerance_mm",), self.tolerance_mm, "only for a STEP file; omit it")
             yield from self._file_faults("a shape has its material from the scene, and its own normals")
         else:
             if self.materials == "file" and self.material != Material():
                 yield Fault(("material",), None, 'materials = "file" takes those of the mesh file; omit one of them')
-            yield from mesh_file_faults(self.file, self.units)
+            yield from self.file_faults()
 
     def _file_faults(self, why: str) -> Iterator[Fault]:
         """Yield that keys for mesh files are given for something else."""

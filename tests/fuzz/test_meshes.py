@@ -1,6 +1,8 @@
 """Mesh files and pictures with bytes changed at random are read or refused by one line that names the file."""
 
 import io
+import zipfile
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lfmesh.errors import LfmeshError
-from lfmesh.geometry.mesh_file import UNIT_OF_FORMAT, load_mesh
+from lfmesh.geometry.mesh_file import NODE_ENDINGS, load_mesh
 from lfmesh.geometry.texture import load_texture
 
 
@@ -76,13 +78,33 @@ def is_read_or_refused(folder: Path, ending: str, content: bytes) -> None:
             texture = load_texture(path)
             assert ((texture >= 0) & (texture <= 1)).all()
         else:
-            for piece in load_mesh(path, None if f".{ending}" in UNIT_OF_FORMAT else "mm"):
+            for piece in load_mesh(path, None if f".{ending}" in NODE_ENDINGS else "mm"):
                 assert np.isfinite(piece.mesh.vertices[piece.mesh.faces]).all()
     except LfmeshError as error:
         message = str(error)
         assert message.startswith(str(path))
         assert len(message.splitlines()) == 1
         assert len(message) < 500 + len(str(path))
+
+
+SOLIDS = Path(__file__).resolve().parents[1] / "solids"
+
+
+def three_mf() -> bytes:
+    """Return a box as a 3MF file, its model not compressed, so that damage is met by the reader of models."""
+    body = trimesh.creation.box(extents=(1.0, 2.0, 3.0))
+    points = "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in body.vertices)
+    facets = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in body.faces)
+    kind = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as package:
+        package.writestr("_rels/.rels", f'<R><Relationship Target="/m" Type="{kind}"/></R>')
+        package.writestr(
+            "m",
+            f'<model><object id="1"><mesh><vertices>{points}</vertices><triangles>{facets}</triangles></mesh></object>'
+            '<item objectid="1"/></model>',
+        )
+    return stream.getvalue()
 
 
 kept = st.one_of(st.just(1.0), st.just(1.0), st.floats(0.0, 1.0))
@@ -116,3 +138,20 @@ def test_many_damaged_meshes_and_pictures_are_read_or_refused(
     tmp_path: Path, ending: str, damage: list[tuple[float, bytes]], kept: float
 ) -> None:
     is_read_or_refused(tmp_path, ending, damaged(WHOLE[ending], damage, kept))
+
+
+@settings(unhurried, max_examples=8)
+@given(damages, kept)
+def test_a_damaged_3mf_file_is_read_or_refused(tmp_path: Path, damage: list[tuple[float, bytes]], kept: float) -> None:
+    is_read_or_refused(tmp_path, "3mf", damaged(three_mf(), damage, kept))
+
+
+@pytest.mark.long
+@pytest.mark.skipif(find_spec("cascadio") is None, reason="cascadio, of the extra cad, is not there")
+@settings(unhurried, max_examples=150)
+@given(st.sampled_from(["3mf", "step"]), damages, kept)
+def test_many_damaged_solids_are_read_or_refused(
+    tmp_path: Path, ending: str, damage: list[tuple[float, bytes]], kept: float
+) -> None:
+    whole = three_mf() if ending == "3mf" else (SOLIDS / "biconvex.step").read_bytes()
+    is_read_or_refused(tmp_path, ending, damaged(whole, damage, kept))

@@ -295,7 +295,7 @@ def broken_files(folder):
     yield folder / "missing.stl", "does not exist"
     (folder / "folder.stl").mkdir()
     yield folder / "folder.stl", "is a folder"
-    yield write("part.step", "ISO-10303-21;"), r"valid are \.stl, \.obj"
+    yield write("part.igs", "S      1"), r"valid are \.stl, \.obj"
     yield write("part", "x"), r"valid are \.stl, \.obj"
 
 

@@ -48,6 +48,7 @@ def check(scene: SceneFile, /) -> int:
 
     loaded = load(scene)
     with defer_interrupt():
+        from lfmesh.transport.tables.lamp_lines import lamp_lines
         from lfmesh.transport.world import build
     lines = [*first_order(loaded).lines(), *mesh_lines(loaded), *glass_lines(solved_camera(loaded).scene)]
     if loaded.tanks:
@@ -64,7 +65,8 @@ def check(scene: SceneFile, /) -> int:
         lines += placement.lines()
     # What a render would refuse.
     with warnings_as_notes():
-        build(loaded)
+        world = build(loaded)
+    lines += lamp_lines(loaded, world.targets)
     print("\n".join(lines))
     return 0
 

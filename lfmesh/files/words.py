@@ -202,7 +202,7 @@ def where_the_light_went(image: Image) -> list[str]:
     parts = [f"{percent(share / total)} {words}" for words, share in ends if share >= 0.001 * total][:4]
     lines = [f"Of {traced}, {', '.join(parts)}."]
     if adjoint and ledger.emitted > 0.0:
-        lines.append(_reached(ledger))
+        lines.append(_reached(ledger, image.scene))
     return lines
 
 
@@ -324,8 +324,15 @@ def _ended(name: str) -> str:
     return f"ended on {name}" if name.startswith("targets[") else f"ended on the {name}"
 
 
-def _reached(ledger: Ledger) -> str:
+def _reached(ledger: Ledger, scene: Scene) -> str:
     if ledger.reached_target <= 0.0:
+        opaque = [f"targets[{i}]" for i, target in enumerate(scene.targets) if target.refractor is None]
+        black = sum(ledger.absorbed.get(name, 0.0) for name in opaque)
+        if black > 0.0:
+            return (
+                f"{percent(black / ledger.emitted)} of them met a target from its black side, which neither emits nor "
+                "scatters; none reached another side."
+            )
         if ledger.escaped <= 0.0:
             return "None of them reached a target, none even got out of the lens."
         return (

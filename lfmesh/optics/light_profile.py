@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
 
 from lfmesh.errors import FileError
 
@@ -34,11 +35,21 @@ class LightProfile:
         Angles about the nadir, counter-clockwise as seen from above the lamp, increasing over a whole turn.
     intensity : (h, v) float64, 1/sr
         Intensity over the lamp's power: it integrates to one over all directions.
+    flux_lm : float
+        Integral of the file's own intensities.
     """
 
     vertical: Array
     horizontal: Array
     intensity: Array
+    flux_lm: float
+
+    def at(self, theta: Array, phi: Array) -> Array:
+        """Return the intensity in directions, 1/sr: angles (n,) from the nadir and about it, in the profile's turn."""
+        look_up = RegularGridInterpolator(
+            (self.horizontal, self.vertical), self.intensity, bounds_error=False, fill_value=0.0
+        )
+        return np.asarray(look_up(np.column_stack([phi, theta])))
 
     def shares(self) -> Array:
         """Return the share of the power in each cell between neighbouring angles, (h − 1, v − 1)."""
@@ -83,7 +94,9 @@ def read_profile(path: Path) -> LightProfile:
         raise FileError(f"{path}: its intensities must be 0 or above, and not all 0")
     horizontal, candela = _all_round(path, horizontal, candela)
     theta, phi = np.deg2rad(vertical), np.deg2rad(horizontal)
-    return LightProfile(theta, phi, candela / _cell_integrals(theta, phi, candela).sum())
+    flux = float(_cell_integrals(theta, phi, candela).sum())
+    # Multiplier and ballast factor.
+    return LightProfile(theta, phi, candela / flux, flux * float(head[2] * head[10]))
 
 
 _COUNTED = ((3, "vertical"), (4, "horizontal"))

@@ -51,6 +51,14 @@ class Spectrum(Model):
             near = nearest(self.name, NAMED)
             yield Fault(("name",), self.name, f"no illuminant has this name{near}; there are {', '.join(NAMED)}")
 
+    def in_words(self) -> str:
+        """Return its name, file, temperature or range."""
+        if self.blackbody_k is not None:
+            return f"black body of {self.blackbody_k:g} K"
+        if self.wavelengths_nm is not None:
+            return f"table from {self.wavelengths_nm[0]:g} to {self.wavelengths_nm[-1]:g} nm"
+        return str(self.file or self.name)
+
 
 def _of_text(value: Any) -> Any:
     """Let text stand for a file, if it ends in .csv, or for the name of an illuminant."""

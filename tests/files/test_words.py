@@ -99,6 +99,13 @@ def test_a_black_adjoint_picture_says_that_no_light_reaches_the_target(image_of:
     assert "None of them reached a target" in text(image_of(mean=black, stderr=black, ledger=nowhere))
 
 
+def test_a_picture_from_within_a_target_says_that_its_inside_is_black(image_of: Build) -> None:
+    ledger = Ledger(emitted=1.0, escaped=0.1, absorbed={"targets[0]": 0.75, "stop": 0.15})
+    said = text(image_of(mean=np.zeros((60, 80, 1)), stderr=np.zeros((60, 80, 1)), ledger=ledger))
+    assert "75 % of them met a target from its black side" in said
+    assert "None of them reached a target" not in said
+
+
 def test_a_well_lit_picture_does_not_speak_of_losses(image_of: Build) -> None:
     assert "ended on" not in text(image_of())
 

@@ -95,7 +95,7 @@ def light_tables(scene: Scene, to_object: Array, lines: Lines) -> tuple[NDArray[
         elif not isinstance(light, DirectionalLight) and light.profile is not None:
             profile = read_profile(scene.resolve(light.profile))
             row["kind"], row["profile"], row["peak"] = PROFILED, len(profiles), row["power"] * profile.intensity.max()
-            x, y, down = frame.directions(to_object, _axes(light))
+            x, y, down = frame.directions(to_object, axes_of(light))
             row["direction"], row["across"] = down, (x, y)
             profiles.append(profile)
         elif isinstance(light, SpotLight) and light.half_angle_deg is not None:
@@ -110,7 +110,7 @@ def light_tables(scene: Scene, to_object: Array, lines: Lines) -> tuple[NDArray[
     return table, spectra, _profile_tables(profiles)
 
 
-def _axes(light: Light) -> Array:
+def axes_of(light: Light) -> Array:
     """Return the directions of a profile's horizontal angles 0 and 90 degrees and of its vertical angle 0, world."""
     if not isinstance(light, SpotLight):
         turn = frame.rotation(getattr(light, "rotation_deg", (0.0, 0.0, 0.0)))

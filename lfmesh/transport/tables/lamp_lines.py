@@ -1,0 +1,100 @@
+"""What a check says of lamps: their angular profiles, their spectra, and what of their light the bands take."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.targets import TargetMesh
+from lfmesh.optics.light_profile import LightProfile, read_profile
+from lfmesh.scene import Scene
+from lfmesh.scene.lights import PointLight, SpotLight
+from lfmesh.scene.spectra import curve_of
+from lfmesh.transport.tables.lights import axes_of
+
+Array = NDArray[np.float64]
+
+
+def lamp_lines(scene: Scene, targets: list[TargetMesh]) -> list[str]:
+    """Describe the profiles and spectra of a scene's lamps, warnings last.
+
+    Parameters
+    ----------
+    scene : Scene
+    targets : list of TargetMesh
+        World frame.
+
+    Raises
+    ------
+    SceneError, FileError
+        A profile or spectrum cannot be used.
+    """
+    lines = []
+    for number, light in enumerate(scene.lights):
+        where = f"lights[{number}]"
+        if isinstance(light, PointLight | SpotLight) and light.profile is not None:
+            profile = read_profile(scene.resolve(light.profile))
+            lines.append(f"{where} profile: {light.profile}, {_in_words(profile, light.power_w)}")
+            if targets and not _shines_on(profile, light, targets):
+                lines.append(f"warning: {where}: its profile sends no light towards a corner of any target")
+        if scene.passbands:
+            lines.append(f"{where} spectrum: {_spectrum(scene, number)}")
+    return lines
+
+
+def _in_words(profile: LightProfile, power_w: float) -> str:
+    """Return where a profile shines and how brightly, in the power of its light and in the units of its file."""
+    lit = np.rad2deg(profile.vertical[profile.intensity.any(axis=0)])
+    peak = profile.intensity.max()
+    at = np.rad2deg(profile.vertical[int(np.argmax(profile.intensity.max(axis=0)))])
+    return (
+        f"lit from {lit[0]:g} to {lit[-1]:g} degrees, brightest at {at:g}: {peak * power_w:.4g} W/sr of "
+        f"{power_w:g} W; in the file {peak * profile.flux_lm:.4g} cd of {profile.flux_lm:.4g} lm"
+    )
+
+
+def _shines_on(profile: LightProfile, light: PointLight | SpotLight, targets: list[TargetMesh]) -> bool:
+    """Return whether a profile shines towards a corner or the middle of any facet."""
+    x, y, down = axes_of(light)
+    for target in targets:
+        corners = target.mesh.vertices[target.mesh.faces]
+        points = np.concatenate([target.mesh.vertices, corners.mean(axis=1)]) - np.array(light.position_mm)
+        far = np.linalg.norm(points, axis=1)
+        points = points[far > 0.0] / far[far > 0.0, None]
+        if not len(points):
+            return True
+        theta = np.arccos(np.clip(points @ down, -1.0, 1.0))
+        first = profile.horizontal[0]
+        phi = (np.arctan2(points @ y, points @ x) - first) % (2.0 * np.pi) + first
+        if (profile.at(theta, phi) > 0.0).any():
+            return True
+    return False
+
+
+def _spectrum(scene: Scene, number: int) -> str:
+    """Return the name of a lamp's spectrum and the share of its power, over the bands' span, that each band takes."""
+    spectrum = scene.lights[number].spectrum
+    first, last = scene.reach_nm
+    name = "even" if spectrum is None else spectrum.in_words()
+    return f"{name}, {first:g} to {last:g} nm; the bands take " + ", ".join(
+        f"{band} {100.0 * share:.3g} %" for band, share in _shares(scene, number)
+    )
+
+
+def _shares(scene: Scene, number: int) -> Iterator[tuple[str, float]]:
+    """Yield each band's name and the share of a lamp's power that it takes."""
+    spectrum = scene.lights[number].spectrum
+    first, last = scene.reach_nm
+    shape = None if spectrum is None else curve_of(spectrum, scene.reach_nm, scene, f"lights[{number}].spectrum")
+    whole = last - first if shape is None else shape.integral(first, last)
+    for band in scene.passbands:
+        response = band.response
+        knots = response.wavelengths_nm if shape is None else np.union1d(response.wavelengths_nm, shape.wavelengths_nm)
+        begin, end = response.ends_nm
+        knots = knots[(knots >= begin) & (knots <= end)]
+        # A product of two straight pieces is a parabola, which Simpson's rule integrates exactly.
+        w = np.sort(np.concatenate([knots, 0.5 * (knots[:-1] + knots[1:])]))
+        values = response.at(w) * (1.0 if shape is None else shape.at(w))
+        steps = np.diff(knots) / 6.0
+        taken = (steps * (values[:-1:2] + 4.0 * values[1::2] + values[2::2])).sum()
+        yield band.name, float(taken / whole)

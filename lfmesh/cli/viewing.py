@@ -6,7 +6,7 @@ from typing import Any
 
 from lfmesh.cli.view_options import Launches, Reports, Serving
 from lfmesh.errors import LfmeshError
-from lfmesh.view.rays.exact_ghosts import exact_ghosts, is_exact
+from lfmesh.view.rays.exact_ghosts import exact_of
 from lfmesh.view.rays.ghosts import ghost_matrix
 from lfmesh.view.rays.path_table import path_table
 from lfmesh.view.scene3d.gl import Probe, has_display
@@ -44,7 +44,7 @@ def run(
         raise LfmeshError(NO_DISPLAY)
     if not (outputs or windowed):
         seen = look(subject, expression=expression, **_launches(launches, reports))
-        lines, written = _reported(reports, seen, launches.wavelength_nm)
+        lines, written = _reported(reports, seen)
         if serving.browser:
             print("\n".join(lines), end="\n" if lines else "", flush=True)
             _serve(subject, seen, expression or "", drawing, serving)
@@ -53,7 +53,7 @@ def run(
     with Probe() as probe:
         seen = look(subject, expression=expression, **_launches(launches, reports))
         probe.check()
-    lines, written = _reported(reports, seen, launches.wavelength_nm)
+    lines, written = _reported(reports, seen)
     view = draw_seen(seen, drawing, off_screen=not windowed)
     written += outputs.write(view)
     if windowed:
@@ -81,23 +81,13 @@ def _check(reports: Reports) -> None:
             check_output(option, path)
 
 
-def _reported(reports: Reports, seen: Seen, wavelength_nm: float | None) -> tuple[list[str], list[Path]]:
-    """Return the lines to print of the rays and the files written.
-
-    Parameters
-    ----------
-    reports : Reports
-    seen : Seen
-    wavelength_nm : float or None
-        Of the launches; None: those of the scene.
-    """
+def _reported(reports: Reports, seen: Seen) -> tuple[list[str], list[Path]]:
+    """Return the lines to print of the rays and the files written."""
     if not reports:
         return [], []
     if seen.all_rays is None or seen.rays is None:
         raise LfmeshError('--rays none: there are no paths to report; leave it out, or give "field 0,0,-500", say')
-    exact = None
-    if reports.ghosts is not None and seen.points_mm and is_exact(seen.subject.world):
-        exact = exact_ghosts(seen.subject.world, seen.points_mm, None if wavelength_nm is None else [wavelength_nm])
+    exact = exact_of(seen.all_rays) if reports.ghosts is not None else None
     table = path_table(seen.all_rays, exact).filtered(seen.chosen)
     lines = table.lines() if reports.table else []
     written = []

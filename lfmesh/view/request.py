@@ -20,8 +20,8 @@ from lfmesh.scene import Scene, load
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.world import World, build
-from lfmesh.view.rays.launch import field_points, launch
-from lfmesh.view.rays.paths import OF_PATHS, OF_VERTICES, Rays
+from lfmesh.view.rays.launch import launch
+from lfmesh.view.rays.paths import OF_PATHS, OF_VERTICES, FieldPoints, Rays
 
 Picture = NDArray[np.uint8]
 
@@ -123,8 +123,6 @@ class Launched:
     rays: Rays | None
     caption: tuple[str, ...]
     near_mm: tuple[float, float]
-    points_mm: tuple[tuple[float, float, float], ...] = ()
-    """The field points (world frame) that all rays come from; none where some were launched otherwise."""
 
 
 def launched(
@@ -163,7 +161,7 @@ def launched(
     split = split or world.scene.transport.split
     how = "refracted only" if split == "transmit" else f"split: {split}"
     words = f"{number} rays{' each' if len(given) > 1 else ''} from {'; '.join(given)}; {how}"
-    return Launched(rays, (words,), pixels_on_array(rays), field_points(given))
+    return Launched(rays, (words,), pixels_on_array(rays))
 
 
 def first_look(world: World) -> list[str]:
@@ -221,7 +219,16 @@ def together(parts: Sequence[Rays]) -> Rays:
             [[0], *(part.offsets[1:] + start for part, start in zip(parts, vertices, strict=False))]
         ),
         sequences=sequences,
+        field=_all_points(parts),
     )
+
+
+def _all_points(parts: Sequence[Rays]) -> FieldPoints | None:
+    """Return the field points of several launches; None if one has none, or other wavelengths than the first."""
+    fields = [part.field for part in parts if part.field is not None]
+    if len(fields) < len(parts) or len({each.wavelengths_nm for each in fields}) > 1:
+        return None
+    return FieldPoints(tuple(point for each in fields for point in each.points_mm), fields[0].wavelengths_nm)
 
 
 def pixels_on_array(rays: Rays) -> tuple[float, float]:

@@ -45,8 +45,6 @@ class Seen:
     chosen: NDArray[np.bool_]
     caption: tuple[str, ...]
     near_mm: tuple[float, float]
-    points_mm: tuple[tuple[float, float, float], ...] = ()
-    """As of `Launched`."""
 
 
 @dataclass(frozen=True)
@@ -209,7 +207,7 @@ def look(
         chosen = parse(expression, shown.rays)
         kept = shown.rays.keep(chosen)
         caption += (f"filter: {expression.strip()}; {int(chosen.sum()):,} of {len(chosen):,} paths pass",)
-    return Seen(what, shown.rays, kept, chosen, caption, shown.near_mm, shown.points_mm)
+    return Seen(what, shown.rays, kept, chosen, caption, shown.near_mm)
 
 
 def draw_seen(seen: Seen, drawing: Drawing, *, off_screen: bool = True) -> View:

@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.transport.world import World
+from lfmesh.view.browser.ghost_rows import GHOST_HEADS, ghost_cells, origin_in_words
 from lfmesh.view.browser.replies import Replies
 from lfmesh.view.pictures import figure_url
 from lfmesh.view.rays import launch
+from lfmesh.view.rays.exact_ghosts import ExactGhosts, exact_of
 from lfmesh.view.rays.filters import FilterError, parse
 from lfmesh.view.rays.ghosts import ghost_matrix
 from lfmesh.view.rays.history import Step, history
@@ -78,6 +80,7 @@ class RaysPanel:
         self._drawn: Rays | None = None
         self._kept: NDArray[np.bool_] = np.zeros(0, np.bool_)
         self._table: PathTable | None = None
+        self._exact: ExactGhosts | None = None
         self._state.update(_first_state(view.world, view.presets))
         for name, answer in (
             ("launch", self._launch),
@@ -173,7 +176,7 @@ class RaysPanel:
 
     def _show(self, rays: "Rays | None", whence: str = "") -> None:
         """Show other rays, through the filter if it fits them; `whence` they come, in words."""
-        self._rays, self._whence = rays, whence
+        self._rays, self._whence, self._exact = rays, whence, None
         self._state.chosen = None
         self._forget_pick()
         if rays is None:
@@ -202,7 +205,7 @@ class RaysPanel:
         """Fill the path table."""
         if self._rays is None:
             return
-        self._table = path_table(self._rays).filtered(self._kept).sorted(self._state.sort)
+        self._table = path_table(self._rays, self._exact).filtered(self._kept).sorted(self._state.sort)
         self._state.rows = [_row(row) for row in self._table.rows[:MOST_ROWS]]
         unit = self._rays.unit
         self._state.heads = [[name, head.format(unit=unit)] for name, head in HEADS.items()]
@@ -211,6 +214,8 @@ class RaysPanel:
         self._state.table_note = f"{len(self._table):,} sequences; power at the sensor. Click one to draw it alone." + (
             f" {rest:,} more are in the CSV." if rest else ""
         )
+        if any(row.exact for row in self._table):
+            self._state.table_note += " Those without ± are integrated over the pupil."
 
     def _choose(self, number: int) -> None:
         """Draw one sequence alone; all again, if it was."""
@@ -297,12 +302,22 @@ class RaysPanel:
         """Draw the ghosts by pair of surfaces, when that tab is looked at."""
         if self._state.side != "ghosts" or self._rays is None:
             return
-        state = self._state
-        state.ghosts_src = state.ghosts_note = ""
+        state, rays = self._state, self._rays
+        state.update({"ghosts_src": "", "ghosts_note": "", "ghost_rows": []})
+        if self._exact is None:
+            # It takes seconds, which only those who look at ghosts shall wait.
+            self._exact = exact_of(rays)
+            self._tabulate()
+        whole = bool(self._kept.all())
+        matrix = ghost_matrix(rays.keep(self._kept), self._exact if whole else None)
         try:
-            state.ghosts_src = figure_url(ghost_matrix(self._rays.keep(self._kept)).figure())
+            state.ghosts_src = figure_url(matrix.figure())
         except LfmeshError as none:
             state.ghosts_note = str(none)
+            return
+        state.ghost_heads = [head.format(unit=rays.unit) for head in GHOST_HEADS]
+        state.ghost_rows = [ghost_cells(pair) for pair in matrix.pairs()[:MOST_ROWS]]
+        state.ghosts_note = origin_in_words(rays, is_whole=whole)
 
 
 def _first_state(world: World, presets: list[str]) -> dict[str, Any]:
@@ -343,6 +358,8 @@ def _first_state(world: World, presets: list[str]) -> dict[str, Any]:
         "table_note": "",
         "ghosts_src": "",
         "ghosts_note": "",
+        "ghost_heads": [],
+        "ghost_rows": [],
         "picked": "",
         "picked_note": "",
         "picked_heads": [],

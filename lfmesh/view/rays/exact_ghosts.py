@@ -25,11 +25,13 @@ from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.sequential.plane_faces import count_faces, detected, follow_plane_faces
 from lfmesh.transport.sequential.reflections import Arrived, follow_sequence, follow_through_mla
 from lfmesh.transport.sequential.sequences import Itinerary, image_path, two_reflections
+from lfmesh.transport.tables.interfaces import refused_in_order
 from lfmesh.transport.tables.tables import THIN_LENS, Tables
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
 from lfmesh.view.rays.launch import INTENSITY_W_SR
 from lfmesh.view.rays.names import label, mirror_names
+from lfmesh.view.rays.paths import Rays
 
 Floats = NDArray[np.float64]
 
@@ -147,13 +149,11 @@ def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[fl
     Raises
     ------
     LfmeshError
-        The lens has surfaces that are not followed exactly, or a point is not in front of it.
+        The scene has what sequences are not followed through, see `refusal`, or a point is not in front of the lens.
     """
     shape = world.lens_shape
-    if not is_exact(world):
-        raise LfmeshError(
-            'ghosts by sequence need exact surfaces of the lens: transport.surface = "exact", and no mesh glass in it'
-        )
+    if (obstacle := refusal(world)) is not None:
+        raise LfmeshError(f"ghosts by sequence: {obstacle}")
     points = frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], np.atleast_2d(np.asarray(points_mm, float)))
     if (points[:, 2] >= world.tables.lens.box_low[2]).any():
         raise LfmeshError("ghosts by sequence: a field point must lie in front of the lens")
@@ -212,10 +212,27 @@ def _mirrors_in_words(tables: Tables) -> str:
     return " and ".join([", ".join(["lens", *behind[:-1]]), *behind[-1:]])
 
 
-def is_exact(world: World) -> bool:
-    """Tell whether all surfaces of lens and array are followed as the exact ones."""
-    shape = world.lens_shape
-    return bool(shape.analytic.all() and (shape.surfaces["level"] == EXACT).all())
+def refusal(world: World) -> str | None:
+    """Say why ghosts cannot be followed by sequence through a scene; None if they can."""
+    scene, shape = world.scene, world.lens_shape
+    if not (shape.analytic.all() and (shape.surfaces["level"] == EXACT).all()):
+        return 'they need exact surfaces of the lens: transport.surface = "exact", and no mesh glass in it'
+    if scene.transport.polarisation:
+        return "transport.polarisation = true: sequences are followed without polarisation"
+    for name in ("media", "particles", "tanks"):
+        if getattr(scene, name):
+            return f"{name} stand between field points and lens, through which sequences are not followed"
+    return refused_in_order(scene)
+
+
+def exact_of(rays: Rays) -> ExactGhosts | None:
+    """Return `exact_ghosts` of the points and wavelengths of a launch; None where it cannot be had.
+
+    It can be had of rays from field points alone, in a scene that has no `refusal`.
+    """
+    if rays.field is None or refusal(rays.world) is not None:
+        return None
+    return exact_ghosts(rays.world, rays.field.points_mm, rays.field.wavelengths_nm)
 
 
 def _brought(world: World, tables: list[Tables], points: Floats, path: Itinerary) -> SequencePower:

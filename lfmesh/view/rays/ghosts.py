@@ -11,7 +11,7 @@ import math
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.files.whole import write_whole
 from lfmesh.view.figure_file import checked_kind, encoded_figure
-from lfmesh.view.rays.exact_ghosts import ExactGhosts
+from lfmesh.view.rays.exact_ghosts import DASH, ExactGhosts
 from lfmesh.view.rays.names import label, mirror_names
 from lfmesh.view.rays.paths import Rays
 
@@ -44,6 +44,16 @@ SIZE_IN, DPI = (10.6, 6.5), 120
 LETTERS_A_LINE = 130
 
 
+class GhostPair(NamedTuple):
+    """A pair of surfaces that reflect, with what it brings to the sensor."""
+
+    label: str  # as "L3b–L1a", in the order in which light meets them
+    power: float
+    error: float  # standard error and the quadrature's together
+    share: float  # of the power on the sensor
+    integrated: float  # share of its own power that is integrated over the pupil
+
+
 @dataclass(frozen=True)
 class GhostMatrix:
     """Power at the sensor of two-reflection paths.
@@ -64,6 +74,8 @@ class GhostMatrix:
         Where the powers come from, in words.
     error : (k, k) float64
         Standard error of each power that is estimated from rays; 0 where it is integrated over the pupil.
+    integrated, quadrature_error : (k, k) float64
+        What of each power is integrated over the pupil, and the error of that.
     """
 
     names: list[str]
@@ -73,6 +85,27 @@ class GhostMatrix:
     unit: str
     source: str
     error: NDArray[np.float64]
+    integrated: NDArray[np.float64]
+    quadrature_error: NDArray[np.float64]
+
+    def pairs(self) -> list[GhostPair]:
+        """Return the pairs with power, from the strongest to the weakest.
+
+        Raises
+        ------
+        LfmeshError
+            There is no ghost of two reflections.
+        """
+        share, off = self._share(), np.hypot(self.error, self.quadrature_error)
+        order = np.argsort(-self.power, axis=None, kind="stable")
+        places = [divmod(int(place), len(self.names)) for place in order]
+        return [
+            GhostPair(
+                f"{self.labels[i]}{DASH}{self.labels[j]}", float(self.power[i, j]), float(off[i, j]),
+                float(share[i, j]), float(self.integrated[i, j] / self.power[i, j]),
+            )
+            for i, j in places if self.power[i, j] > 0.0
+        ]  # fmt: skip
 
     def strongest(self, most: int = 10) -> list[tuple[str, str, float]]:
         """Return the strongest pairs: first and second surface, and the power."""
@@ -188,13 +221,19 @@ def ghost_matrix(rays: Rays, exact: ExactGhosts | None = None) -> GhostMatrix:
     error = rays.errors(cell, power.size + 1)[:-1].reshape(power.shape)
     total = float(rays.end_power[rays.arrives & ~known].sum())
     source = f"from {rays.launched:,} rays"
+    integrated, quadrature_error = np.zeros_like(power), np.zeros_like(power)
     if exact is not None:
+        if not rays.reflected.any():
+            source = "left out, as no ray was followed through a reflection"
         total += exact.image.power + exact.power
         for row in exact.ghosts:
-            power[row.path.mirrors] += row.power
+            integrated[row.path.mirrors] += row.power
+            quadrature_error[row.path.mirrors] += row.error
+        power += integrated
         within = f"by quadrature over the pupil, to {_percent(exact.error, exact.power)} of their power"
         source = f"two reflections in the {exact.mirrors} {within}; others {source}"
-    return GhostMatrix(names, [label(name) for name in names], power, total, rays.unit, source, error)
+    return GhostMatrix(names, [label(name) for name in names], power, total, rays.unit, source, error,
+                       integrated, quadrature_error)  # fmt: skip
 
 
 def _percent(part: float, whole: float) -> str:

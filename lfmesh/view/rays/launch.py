@@ -25,7 +25,7 @@ from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.tables.tables import Records, Tables
 from lfmesh.transport.trace import at_wavelength, joined_records
 from lfmesh.transport.world import World
-from lfmesh.view.rays.paths import Rays, assembled
+from lfmesh.view.rays.paths import FieldPoints, Rays, assembled
 from lfmesh.view.rays.recording import from_point, traced
 
 Floats = NDArray[np.float64]
@@ -119,7 +119,9 @@ def from_field_point(
         watts = INTENSITY_W_SR * solid_angle
         starts = from_point(world, point, ray / length[:, None], watts, descendant(_KEY, seed, colour))
         parts.append(traced(world, at_wavelength(world, wavelength), options, starts, place))
-    return _assembled(world, parts, settings)
+    x, y, z = np.asarray(position_mm, dtype=np.float64).tolist()
+    field = FieldPoints(((x, y, z),), tuple(wavelength for _, wavelength in settings.colours))
+    return replace(_assembled(world, parts, settings), field=field)
 
 
 def from_pixel(
@@ -498,14 +500,6 @@ def launch(
     if kind == "pixels":
         return from_pixels(world, range(*whole[:2]), range(*whole[2:]), count, **more)
     return from_light(world, whole[0], count, **more) if kind == "light" else as_in_run(world, count, **more)
-
-
-def field_points(specs: Sequence[str]) -> tuple[tuple[float, float, float], ...]:
-    """Return the field points, mm, world frame, of launches in words; none if one of them launches otherwise."""
-    read = [_read_spec(spec) for spec in specs]
-    if any(kind != "field" for kind, _ in read):
-        return ()
-    return tuple((float(x), float(y), float(z)) for _, (x, y, z) in read)
 
 
 def _read_spec(spec: str) -> tuple[str, list[str]]:

@@ -7,7 +7,7 @@ Both children of a split share their first vertices, so those stand in several p
 from collections.abc import Container
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +57,20 @@ def standard_errors(power: Floats, source: Ints, group: Ints, groups: int) -> Fl
     return np.sqrt(np.maximum(variance, 0.0))
 
 
+class FieldPoints(NamedTuple):
+    """What rays were launched from, where that is field points alone.
+
+    Attributes
+    ----------
+    points_mm : tuple of (x, y, z), mm, world frame
+    wavelengths_nm : tuple of float
+        Of each of them.
+    """
+
+    points_mm: tuple[tuple[float, float, float], ...]
+    wavelengths_nm: tuple[float, ...]
+
+
 @dataclass(frozen=True)
 class Rays:
     """Every path of a set of launched rays. Path i owns the vertices offsets[i]:offsets[i + 1].
@@ -92,6 +106,8 @@ class Rays:
         On the curved faces the lenslet, row by row; −1 elsewhere.
     beyond : (m,) int64
         Number in `world.media` of what is on the far side of an interface, and round a start; −1 elsewhere.
+    field : FieldPoints, optional
+        The field points that all of them were launched from; None if some were launched otherwise.
     """
 
     position: Floats
@@ -110,6 +126,7 @@ class Rays:
     world: World
     lenslet: Ints
     beyond: Ints
+    field: FieldPoints | None = None
 
     def __len__(self) -> int:
         return len(self.status)

@@ -19,6 +19,7 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
+from lfmesh.view.rays.exact_ghosts import exact_ghosts
 
 pytestmark = [pytest.mark.drawing, pytest.mark.browser]
 
@@ -361,6 +362,31 @@ def test_pixels_clicked_and_areas_drawn_launch_their_rays(fresh: Page) -> None:
     every = fresh.text("#kept").split()[2]
     fresh.redrawn(lambda: fresh.tab.click("#apply"))
     assert fresh.text("#kept").split()[0] == every, "all of them start in the area"
+
+
+def test_ghosts_are_those_of_the_sequences(fresh: Page, run: Path) -> None:
+    fresh.tab.click("#side-ghosts")
+    fresh.tab.wait_for_selector("#ghost-table tbody tr")
+    fresh.settle()
+    rows = [row.split("\t") for row in fresh.tab.locator("#ghost-table tbody tr").all_inner_texts()]
+    point = [float(fresh.tab.input_value(f"#point-{axis}")) for axis in "xyz"]
+    exact = exact_ghosts(lf.build(lf.open_run(run).scene), point)
+    found = {cells[0]: cells for cells in rows}
+    for row in exact.ghosts[:3]:
+        cells = found["\N{EN DASH}".join(row.mirrors)]
+        assert cells[4].startswith("quadrature")
+        assert float(cells[1]) == pytest.approx(row.power, rel=0.02), "rays through several lenslets are added"
+    assert any(cells[4] == "rays" and "MLA" in cells[0] for cells in rows)
+    assert "quadrature" in fresh.text("#ghosts-note")
+    fresh.tab.click("#side-paths")
+    image = fresh.tab.locator("#paths tbody tr", has_text="image path").first.locator("td")
+    assert image.nth(5).inner_text() == "", "no standard error"
+    assert float(image.nth(3).inner_text()) == pytest.approx(exact.image.power, rel=1e-2)
+    fresh.tab.fill("#filter", "ghost")
+    fresh.redrawn(lambda: fresh.tab.click("#apply"))
+    fresh.tab.click("#side-ghosts")
+    fresh.wait("document.querySelector('#ghosts-note')?.innerText.includes('filter')")
+    assert not any("quadrature" in row for row in fresh.tab.locator("#ghost-table tbody tr").all_inner_texts())
 
 
 def test_refocusing_changes_the_picture(page: Page) -> None:

@@ -2,6 +2,7 @@
 
 import csv
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,14 +12,16 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.cli import main
 from lfmesh.scene import load_lens
-from lfmesh.view.rays.exact_ghosts import exact_ghosts
+from lfmesh.view.rays.exact_ghosts import exact_ghosts, exact_of
 from lfmesh.view.rays.ghosts import ghost_matrix
 from lfmesh.view.rays.history import history
-from lfmesh.view.rays.launch import from_field_point
+from lfmesh.view.rays.launch import from_field_point, from_pixels
 from lfmesh.view.rays.path_table import path_table
+from lfmesh.view.request import together
 
 POINT = (4.0, 3.0, -300.0)
 SEEDS = 8
+COVER = {"thickness_mm": 0.1, "gap_mm": 0.05, "index": 1.5}
 LEVEL = 1e-3
 """Of all comparisons together."""
 
@@ -175,9 +178,61 @@ def test_the_path_table_has_exact_powers_and_says_of_which_rows(rays, exact, tmp
     assert all(row.power == table[row.path].power for row in whole)
 
 
+def test_pairs_tell_what_of_them_is_integrated(rays, exact):
+    matrix = ghost_matrix(rays, exact)
+    pairs = {pair.label: pair for pair in matrix.pairs()}
+    assert sum(pair.power for pair in pairs.values()) == pytest.approx(matrix.power.sum(), rel=1e-12)
+    of_array = [pair for name, pair in pairs.items() if "MLA" in name]
+    assert of_array
+    assert all(pair.integrated == 0.0 and pair.error > 0.0 for pair in of_array)
+    for row in exact.ghosts[:5]:
+        pair = pairs["\N{EN DASH}".join(row.mirrors)]
+        assert pair.integrated == pytest.approx(row.power / pair.power, rel=1e-12)
+        assert pair.error >= row.error
+    assert all(pair.integrated == 0.0 for pair in ghost_matrix(rays).pairs())
+
+
+def test_without_reflected_rays_the_pairs_of_the_array_are_said_to_be_left_out(world, exact):
+    matrix = ghost_matrix(launched(world, split="transmit"), exact)
+    assert "left out" in matrix.source
+    assert matrix.power.sum() == pytest.approx(exact.power, rel=1e-12)
+
+
+def test_launches_know_their_field_points_and_wavelengths(world, rays, exact):
+    of_rays = exact_of(rays)
+    assert [row.power for row in of_rays.ghosts] == [row.power for row in exact.ghosts]
+    other = from_field_point(world, (-3.0, 1.0, -320.0), 5, wavelength_nm=450.0)
+    assert other.field == (((-3.0, 1.0, -320.0),), (450.0,))
+    assert together([rays, other]).field is None, "of other wavelengths"
+    again = from_field_point(world, (-3.0, 1.0, -320.0), 5)
+    both = together([rays, again]).keep(np.zeros(len(rays) + len(again), np.bool_))
+    assert both.field == ((POINT, (-3.0, 1.0, -320.0)), rays.field.wavelengths_nm)
+    pixels = from_pixels(world, range(2), range(2), 8)
+    assert pixels.field is None
+    assert exact_of(pixels) is None
+
+
 def test_surfaces_that_are_not_exact_are_refused(scene):
     with pytest.raises(lf.LfmeshError, match="exact surfaces"):
         exact_ghosts(lf.build(scene.changed({"transport.surface": "smooth"})), POINT)
+
+
+ABSORBING = {"layers": [{"index": 1.5, "extinction": 0.5, "thickness_nm": 100.0}]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"transport.polarisation": True}, "polarisation"),
+        ({"media": [{"absorption_per_mm": 0.001}]}, "media"),
+        ({"coatings": {"dark": ABSORBING}, "camera.sensor.cover": COVER | {"coating": "dark"}}, "absorb"),
+    ],
+)
+def test_what_sequences_are_not_followed_through_is_refused_by_name(scene, rays, changes, named):
+    world = lf.build(scene.changed(changes))
+    with pytest.raises(lf.LfmeshError, match=named):
+        exact_ghosts(world, POINT)
+    assert exact_of(replace(rays, world=world)) is None
 
 
 def test_a_point_behind_the_front_of_the_lens_is_refused(world):

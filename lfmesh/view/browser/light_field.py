@@ -2,18 +2,14 @@
 
 import math
 from collections.abc import Callable
-from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 from lfmesh.errors import LfmeshError
-from lfmesh.lightfield.calibration import Calibration
 from lfmesh.lightfield.upright import Upright
-from lfmesh.scene import Scene
-from lfmesh.transport.render.image import Image
-from lfmesh.view.browser.field_views import STEPS, FieldViews, Place, calibration_of_run
+from lfmesh.view.browser.field_views import STEPS, FieldViews, Place
 from lfmesh.view.browser.replies import Replies
 from lfmesh.view.browser.sensor_picture import SensorPicture
+from lfmesh.view.browser.subject import PageSubject
 from lfmesh.view.pictures import data_url
 
 SCREEN_PX = 560.0
@@ -36,24 +32,17 @@ class LightFieldPanel:
     ----------
     server : trame_server.Server
     replies : Replies
-    scene : Scene
-        Solved.
-    image : Image, optional
-        The run's.
-    folder : Path, optional
-        The run's.
+    subject : PageSubject
     """
 
-    def __init__(
-        self, server: Any, replies: Replies, scene: Scene, image: Image | None = None, folder: Path | None = None
-    ) -> None:
+    def __init__(self, server: Any, replies: Replies, subject: PageSubject) -> None:
         self._state = server.state
-        self._scene, self._image, self._folder = scene, image, folder
+        self._subject, self._scene, self._image = subject, subject.scene, subject.image
         self._picture: SensorPicture | None = None
         self._views: FieldViews | None = None
         self._marked: tuple[int, int] | None = None
         self._epi_at: Place | None = None
-        self._state.update(_first_state(scene, image, folder))
+        self._state.update(_first_state(subject))
         replies.on_change(["tab", "side", "centres"], self._open)
         replies.on_latest("raw_hover", self._hover)
         replies.on_call("raw_pick", self._pick)
@@ -69,15 +58,10 @@ class LightFieldPanel:
         """The sensor's picture; made when it is first looked at."""
         if self._picture is None:
             columns, rows = self._scene.camera.sensor.pixels
-            calibration = self._calibration if self._scene.camera.mla is not None else None
+            calibration = self._subject.calibration if self._scene.camera.mla is not None else None
             self._picture = SensorPicture(columns, rows, Upright.of(self._scene), self._image, calibration)
             self._picture.lit()
         return self._picture
-
-    @cached_property
-    def _calibration(self) -> Calibration:
-        """Places of the micro-images; tracing them takes seconds for a large array."""
-        return calibration_of_run(self._scene, self._folder)
 
     def mark(self, rows: range, columns: range) -> None:
         """Mark pixels in the sensor's picture."""
@@ -93,10 +77,8 @@ class LightFieldPanel:
         """Fill a tab when it is opened for the first time."""
         state = self._state
         if state.tab == "field" and state.has_field and self._views is None:
-            assert self._image is not None
-            assert self._folder is not None
             try:
-                self._views = FieldViews(self._image, self._folder, self._calibration)
+                self._views = self._subject.field_views
             except LfmeshError as fault:
                 state.has_field, state.field_note = False, str(fault)
                 return
@@ -219,9 +201,10 @@ class LightFieldPanel:
         self._state.depth_note = "from the light field; grey: unknown"
 
 
-def _first_state(scene: Scene, image: Image | None, folder: Path | None) -> dict[str, Any]:
+def _first_state(subject: PageSubject) -> dict[str, Any]:
     """Return the panel's variables before anything is shown."""
-    has_field = image is not None and folder is not None and scene.camera.mla is not None
+    scene, folder = subject.scene, subject.folder
+    has_field = subject.image is not None and folder is not None and scene.camera.mla is not None
     names = ["raw_src", "raw_note", "raw_under", "view_src", "view_note", "focus_src", "focus_note", "focus_near"]
     names += ["focus_far", "epi_src", "epi_note", "depth_src", "depth_low", "depth_high", "depth_note", "field_size"]
     return {

@@ -9,6 +9,7 @@ import socket
 import sys
 import webbrowser
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from lfmesh.errors import LfmeshError
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from lfmesh.scene import Scene
     from lfmesh.transport.render.image import Image
     from lfmesh.transport.world import World
+    from lfmesh.view.browser.sessions import Sessions
     from lfmesh.view.rays.paths import Rays
     from lfmesh.view.scene3d.colours import ColourBy
 
@@ -39,7 +41,8 @@ def serve(
 ) -> None:
     """Serve the viewer as a web page until Ctrl-C.
 
-    Prints one line with the page's address, which holds the token that lets a browser in.
+    Prints one line with the page's address, which holds the token that lets a browser in. Each tab that opens it has a
+    state of its own, see `lfmesh.view.browser.sessions`.
 
     Parameters
     ----------
@@ -81,23 +84,37 @@ def serve(
     with Probe() as probe:
         _refuse_taken(host, port)
         from lfmesh.view.browser.guard import Guard, is_loopback
-        from lfmesh.view.browser.page import Page
+        from lfmesh.view.browser.page import Page, say
+        from lfmesh.view.browser.sessions import Sessions
+        from lfmesh.view.browser.subject import PageSubject
 
         probe.check()
     if not is_loopback(host):
         _warn_of_others(host)
     # trame reads sys.argv for options of its own, some of which have the names of ours.
     os.environ.setdefault("TRAME_ARGS", "")
+    read = PageSubject.read(subject, rays)
+    fill = partial(Page, subject=read, expression=expression, colour=colour, fade=fade, preset=preset, cut=cut)
+    sessions = Sessions(fill, say)
+    # It sends files, and hands websockets on to the sessions.
     server = trame_server.Server("lfmesh")
     server.client_type = "vue3"
-    Page(server, subject, rays, expression=expression, colour=colour, fade=fade, preset=preset, cut=cut)
+    sessions.add_files(server)
     guard = Guard(host)
-    server.controller.on_server_bind.add(lambda site: site.app.middlewares.append(guard.answer))
-    asyncio.run(_serve(server, guard.token, host, port, open_browser))
+    server.controller.on_server_bind.add(lambda site: site.app.middlewares.extend([guard.answer, sessions.answer]))
+    asyncio.run(_serve(server, sessions, guard.token, host, port, open_browser))
 
 
-async def _serve(server: Any, token: str, host: str, port: int, open_browser: bool) -> None:
-    """Run the server until it is interrupted or fails."""
+async def _serve(server: Any, sessions: "Sessions", token: str, host: str, port: int, open_browser: bool) -> None:
+    """Run the server until it is interrupted or fails.
+
+    Parameters
+    ----------
+    server : trame_server.Server
+    sessions : Sessions
+    token, host, port, open_browser
+        As of `serve`.
+    """
     # Browsers leave in the middle of an answer whenever a page is closed; faults of ours are reported by `Replies`.
     logging.getLogger("wslink").setLevel(logging.CRITICAL)
     loop, end = asyncio.get_running_loop(), asyncio.Event()
@@ -121,6 +138,7 @@ async def _serve(server: Any, token: str, host: str, port: int, open_browser: bo
     )  # fmt: skip
     ended = asyncio.ensure_future(end.wait())
     await asyncio.wait({serving, ended}, return_when=asyncio.FIRST_COMPLETED)
+    await sessions.close()
     if ended.done():
         await server.stop()
     ended.cancel()

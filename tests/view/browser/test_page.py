@@ -19,6 +19,7 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
+from lfmesh.view.browser import sessions
 from lfmesh.view.rays.exact_ghosts import exact_ghosts
 
 pytestmark = [pytest.mark.drawing, pytest.mark.browser]
@@ -105,15 +106,15 @@ class Server:
         connection.endheaders()
         return connection.getresponse()
 
-    def websocket(self, **headers: str) -> int:
-        """Open the websocket; return the status: 101 where it is granted."""
+    def websocket(self, **headers: str) -> http.client.HTTPResponse:
+        """Open the websocket; the status is 101 where it is granted."""
         wish = {
             "Connection": "Upgrade",
             "Upgrade": "websocket",
             "Sec-WebSocket-Version": "13",
             "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
         }
-        return self.answer("/ws", **wish, **headers).status
+        return self.answer("/ws", **wish, **headers)
 
     @property
     def cookie(self) -> str:
@@ -449,6 +450,68 @@ def test_parallax_goes_through_the_views_until_it_is_stopped(page: Page) -> None
     page.wait("document.querySelector('#view').src === old", still)
 
 
+def test_each_page_has_its_own_camera_rays_filter_and_history(fresh: Page, browser: Any, server: Server) -> None:
+    places = fresh.rays_seen(1, ANY)
+    fresh.click_view(places[len(places) // 2])
+    fresh.tab.wait_for_selector("#history tbody tr")
+    fresh.settle()
+
+    def seen(page: Page) -> list[str]:
+        values = [page.tab.locator(name).input_value() for name in ("#point-y", "#count", "#filter", "#colour")]
+        return [*values, *map(page.text, ("#kept", "#paths", "#picked", "#drawn", "#history"))]
+
+    words, picture = seen(fresh), fresh.picture("#view3d")
+    other = Page(browser, server)
+    try:
+        assert other.tab.locator("#history").count() == 0, "it starts as the command line says"
+        assert other.tab.input_value("#count") == "36"
+        other.tab.fill("#point-y", "-4")
+        other.redrawn(lambda: other.tab.click("#go"))
+        other.tab.fill("#filter", "ghost")
+        other.redrawn(lambda: other.tab.click("#apply"))
+        other.redrawn(lambda: other.tab.select_option("#colour", "power"))
+        other.redrawn(lambda: other.tab.click("#preset-side"))
+        other.tab.click("#tab-field")
+        other.tab.wait_for_selector("#refocused[src^=data]")
+        other.settle()
+        assert seen(fresh) == words
+        assert fresh.tab.locator("#tab-rays.on").count() == 1
+        np.testing.assert_array_equal(fresh.picture("#view3d"), picture)
+        theirs = other.text("#kept")
+        fresh.tab.fill("#filter", "not ghost")
+        fresh.redrawn(lambda: fresh.tab.click("#apply"))
+        other.tab.click("#tab-rays")
+        assert other.text("#kept") == theirs
+        assert other.tab.input_value("#filter") == "ghost"
+    finally:
+        other.tab.close()
+    fresh.tab.fill("#filter", "")
+    fresh.redrawn(lambda: fresh.tab.click("#apply"))
+
+
+def test_pages_are_limited_and_those_that_are_left_make_room(page: Page, browser: Any, server: Server) -> None:
+    ours = f"http://{server.host}:{server.port}"
+    held = [server.websocket(Origin=ours) for _ in range(sessions.MOST_SOCKETS + 2)]
+    assert [answer.status for answer in held[-3:]] == [503, 503, 503]
+    assert {answer.status for answer in held[:-3]} == {101}, "one more is the page of the other tests"
+    for answer in held[sessions.MOST_PAGES + 2 :]:
+        answer.close()
+    late = browser.new_page()
+    try:
+        late.goto(server.url)
+        late.wait_for_selector("#fault")
+        assert "Close one of them" in late.inner_text("#fault")
+        for answer in held:
+            answer.close()
+        late.reload()
+        late.wait_for_selector("#paths tbody tr")
+    finally:
+        late.close()
+    page.tab.click("#tab-rays")
+    page.redrawn(lambda: page.tab.click("#preset-side"))
+    page.redrawn(lambda: page.tab.click("#preset-lens"))
+
+
 def test_no_request_leaves_loopback(page: Page, server: Server) -> None:
     own = f"{server.host}:{server.port}"
     abroad = [url for url in page.requests if urlsplit(url).scheme in ("http", "https", "ws", "wss")]
@@ -467,9 +530,9 @@ def test_the_browser_itself_would_let_no_request_out(page: Page) -> None:
 
 def test_other_origins_are_refused(server: Server) -> None:
     ours = f"http://{server.host}:{server.port}"
-    assert server.websocket(Origin=ours) == 101
+    assert server.websocket(Origin=ours).status == 101
     for origin in ("http://evil.example", f"http://evil.example:{server.port}", "null", f"http://{server.host}:1"):
-        assert server.websocket(Origin=origin) == 403, origin
+        assert server.websocket(Origin=origin).status == 403, origin
         assert server.answer(Origin=origin).status == 403, origin
 
 
@@ -477,7 +540,7 @@ def test_names_that_are_pointed_at_loopback_are_refused(server: Server) -> None:
     assert server.answer().status == 200
     for host in ("evil.example", f"evil.example:{server.port}", f"127.0.0.1.evil.example:{server.port}"):
         assert server.answer(Host=host).status == 403, host
-        assert server.websocket(Host=host, Origin=f"http://{host}") == 403, host
+        assert server.websocket(Host=host, Origin=f"http://{host}").status == 403, host
 
 
 def test_whoever_does_not_have_the_token_is_refused(server: Server) -> None:
@@ -486,7 +549,7 @@ def test_whoever_does_not_have_the_token_is_refused(server: Server) -> None:
         refusal = server.answer(Cookie=cookie)
         assert refusal.status == 403
         assert b"token" in refusal.read()
-        assert server.websocket(Cookie=cookie, Origin=ours) == 403
+        assert server.websocket(Cookie=cookie, Origin=ours).status == 403
     assert server.answer("/?token=guess", Cookie="").status == 403
     admitted = server.answer(f"/?token={server.token}", Cookie="")
     assert admitted.status == 302

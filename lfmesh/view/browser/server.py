@@ -118,6 +118,7 @@ async def _serve(server: Any, sessions: "Sessions", token: str, host: str, port:
     # Browsers leave in the middle of an answer whenever a page is closed; faults of ours are reported by `Replies`.
     logging.getLogger("wslink").setLevel(logging.CRITICAL)
     loop, end = asyncio.get_running_loop(), asyncio.Event()
+    loop.set_exception_handler(_report)
     for number in (signal.SIGINT, signal.SIGTERM):
         # Not to be had on Windows, where Ctrl-C still raises KeyboardInterrupt.
         with suppress(NotImplementedError, RuntimeError, ValueError):
@@ -146,6 +147,12 @@ async def _serve(server: Any, sessions: "Sessions", token: str, host: str, port:
         await serving
     except OSError as fault:
         raise _cannot_bind(fault, host, port) from None
+
+
+def _report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Report what went wrong outside of any answer, but for pages that were closed while something was sent to them."""
+    if not isinstance(context.get("exception"), ConnectionResetError):
+        loop.default_exception_handler(context)
 
 
 def _is_in_event_loop() -> bool:

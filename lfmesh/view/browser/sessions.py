@@ -5,6 +5,8 @@ itself, with a page of its own; what it draws stands once in memory, see `subjec
 one that is left or reloaded, or whose browser does not answer any more, takes nothing.
 """
 
+import asyncio
+import gc
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -24,6 +26,9 @@ MOST_PAGES = 8
 
 MOST_SOCKETS = 64
 """Open websockets, those of pages that say only that there are too many included."""
+
+COLLECT_SECONDS = 1.0
+"""After so long the memory of a closed page is free."""
 
 FULL = f"lfmesh serves {MOST_PAGES} pages at a time, which are open. Close one of them, then load this one again."
 
@@ -88,7 +93,7 @@ class Sessions:
 
     def __init__(self, fill: Callable[[Any], Shown], refuse: Callable[[Any, str], None]) -> None:
         self._fill, self._refuse = fill, refuse
-        self._number = 0
+        self._number, self._collects = 0, False
         self._open: set[_Session] = set()
         # The first page stands ready: what is wrong with it is found before the server starts.
         self._ready: _Session | None = self._new()
@@ -113,6 +118,8 @@ class Sessions:
         finally:
             self._open.discard(session)
             session.close()
+            if session.shown is not None:
+                self._collect_later()
 
     async def close(self) -> None:
         """Close all pages."""
@@ -120,6 +127,16 @@ class Sessions:
             await session.disconnect()
         if self._ready is not None:
             self._ready.close()
+
+    def _collect_later(self) -> None:
+        """Free the memory of closed pages, of several at once: page and server hold each other, some 80 MB."""
+        if not self._collects:
+            self._collects = True
+            asyncio.get_running_loop().call_later(COLLECT_SECONDS, self._collect)
+
+    def _collect(self) -> None:
+        self._collects = False
+        gc.collect()
 
     def _new(self) -> _Session:
         """Return a session with a page, or with words where there are too many."""

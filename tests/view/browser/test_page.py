@@ -460,7 +460,7 @@ def test_each_page_has_its_own_camera_rays_filter_and_history(fresh: Page, brows
         values = [page.tab.locator(name).input_value() for name in ("#point-y", "#count", "#filter", "#colour")]
         return [*values, *map(page.text, ("#kept", "#paths", "#picked", "#drawn", "#history"))]
 
-    words, picture = seen(fresh), fresh.picture("#view3d")
+    words, picture = seen(fresh), fresh.tab.get_attribute("#view3d img", "src")
     other = Page(browser, server)
     try:
         assert other.tab.locator("#history").count() == 0, "it starts as the command line says"
@@ -476,7 +476,7 @@ def test_each_page_has_its_own_camera_rays_filter_and_history(fresh: Page, brows
         other.settle()
         assert seen(fresh) == words
         assert fresh.tab.locator("#tab-rays.on").count() == 1
-        np.testing.assert_array_equal(fresh.picture("#view3d"), picture)
+        assert fresh.tab.get_attribute("#view3d img", "src") == picture, "it was not drawn again"
         theirs = other.text("#kept")
         fresh.tab.fill("#filter", "not ghost")
         fresh.redrawn(lambda: fresh.tab.click("#apply"))
@@ -607,9 +607,14 @@ def test_the_page_starts_as_the_command_line_says(browser: Any, run: Path) -> No
         assert opened.tab.locator("#fade").is_checked()
         assert opened.tab.locator("#cut").is_checked()
         assert opened.tab.locator("#filter").input_value() == "not ghost"
+        opened.tab.fill("#filter", "")
+        opened.tab.reload()
+        opened.tab.wait_for_selector("#paths tbody tr")
+        assert opened.tab.locator("#filter").input_value() == "not ghost", "a page that is loaded again begins anew"
     finally:
+        code, errors = served.stop()
         opened.tab.close()
-        served.stop()
+    assert (code, errors) == (0, ""), "with a page that is open"
 
 
 def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -57,11 +57,13 @@ class ViewRays:
         sample : (n,) int64
             Of every packet in `Paths`, its place in the flattened (t, s) samples.
         """
-        along = self._directions(v, u)
+        slopes = self._slopes + self._slope_step * np.array([u, v]) * self._upright.senses
+        along = np.concatenate([slopes, np.ones((*slopes.shape[:2], 1))], axis=2)
+        along /= np.linalg.norm(along, axis=2, keepdims=True)
         entry = self._plate.entries(along.reshape(-1, 3)).reshape(along.shape)
         starts, along = (
-            self.of_samples(entry)[:: every[0], :: every[1]],
-            self.of_samples(along)[:: every[0], :: every[1]],
+            self._of_samples(entry)[:: every[0], :: every[1]],
+            self._of_samples(along)[:: every[0], :: every[1]],
         )
         starts, along = starts.reshape(-1, 3), along.reshape(-1, 3)
         known = np.flatnonzero(np.isfinite(starts).all(axis=1) & np.isfinite(along).all(axis=1))
@@ -76,32 +78,13 @@ class ViewRays:
         )  # fmt: skip
         return paths, known[paths.source]
 
-    def _directions(self, v: float, u: float) -> Array:
-        """Return unit directions before the array of a view's rays, (rows, columns, 3), camera frame."""
-        slopes = self._slopes + self._slope_step * np.array([u, v]) * self._upright.senses
-        along = np.concatenate([slopes, np.ones((*slopes.shape[:2], 1))], axis=2)
-        return np.asarray(along / np.linalg.norm(along, axis=2, keepdims=True))
-
-    def landing_px(self, v: float, u: float) -> Array:
-        """Return where a view's rays land, (rows, columns, 2) pixels: as `Calibration.centres_px` for the middle one.
-
-        Parameters
-        ----------
-        v, u : float
-            Which, as `trace` takes it.
-        """
-        along = self._directions(v, u)
-        landing = self._plate.landing(along.reshape(-1, 3)).reshape(*along.shape[:2], 2)
-        sensor = self.world.scene.camera.sensor
-        return np.asarray(landing / sensor.pixel_mm + 0.5 * (np.array(sensor.pixels) - 1.0))
-
     @property
     def size(self) -> tuple[int, int]:
         """Height and width of a view, in samples."""
         return len(self.sampling.t_mm), len(self.sampling.s_mm)
 
-    def of_samples(self, values: Array) -> Array:
-        """Interpolate values of lenslets, (rows, columns, n), at the samples of a view, (t, s, n)."""
+    def _of_samples(self, values: Array) -> Array:
+        """Interpolate values of lenslets, (rows, columns, 3), at the samples of a view, (t, s, 3)."""
         parity, row = self.sampling.rows & 1, self.sampling.rows[:, None]
         left, share = self.sampling.columns[parity], self.sampling.share[parity][..., None]
         right = np.minimum(left + 1, values.shape[1] - 1)

@@ -173,7 +173,7 @@ OFF = np.iinfo(np.int64).min
 
 
 def _numbered(places: Array) -> tuple[NDArray[np.int64], Array]:
-    """Number places by going from neighbour to neighbour, from the middle outwards; `OFF` for those off the grid."""
+    """Count places, going from neighbour to neighbour, from the middle outwards; `OFF` for those off the grid."""
     numbers, steps = np.full((len(places), 2), OFF), np.zeros((len(places), 2, 2))
     seed = int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))
     away = places - places[seed]

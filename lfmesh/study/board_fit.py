@@ -213,6 +213,7 @@ class _Adjustment:
         self.spread = view_spread(self.decoded, by_white.scene, self.place)
         self.used = np.ones(len(self.place), bool)
         self.sigma = FIRST_SIGMA
+        self.model_pull = np.zeros(0)
 
     def run(self) -> BoardFit:
         """Fit until the camera no longer moves.
@@ -297,6 +298,7 @@ class _Adjustment:
         jacobian = solved.jac[:rows].reshape(-1, 2, len(start))
         left = solved.fun[:rows].reshape(-1, 2)
         hessian = np.asarray(solved.jac.T @ solved.jac)
+        self.model_pull = self._beside_bundles(base, start, jacobian)
         return start, hessian, self._scores(jacobian, left, np.linalg.inv(hessian))
 
     def _in_samples(self, rays: RayMap, values: Array) -> tuple[Array, Array]:
@@ -335,12 +337,25 @@ class _Adjustment:
             scores.append(own.T @ free)
         return np.array(scores)
 
+    def _beside_bundles(self, steps: Array, values: Array, jacobian: Array) -> Array:
+        """Return what the fit would move by if samples showed the mean rays of their bundles, (p + 6 b,).
+
+        A corner's place follows rays somewhere between those through the apexes and the means: the difference is taken
+        as a standard deviation.
+        """
+        camera = self.model.at(steps)
+        rays = [RayMap.of(camera, self.decoded, self.reach, of_bundles=whole) for whole in (False, True)]
+        terms, per_sample = self._in_samples(rays[0], values)
+        apex, mean = (self._beside(terms, each.coefficients, values, per_sample)[self.used] for each in rays)
+        return np.asarray(np.einsum("nip,ni->p", jacobian, mean - apex) / self.sigma)
+
     def _covariance(self, hessian: Array, scores: Array) -> Array:
         """Return the covariance of steps and poses, by corners: what disturbs one is shared by its views."""
         inverse = np.linalg.inv(hessian)
         meat = scores.T @ scores
         count = len(self.expected)
         meat[:count, :count] += self.precision
+        meat += np.outer(self.model_pull, self.model_pull)
         return np.asarray(inverse @ meat @ inverse)
 
     def _result(self, rays: RayMap, slopes: Array, base: Array, values: Array, covariance: Array) -> BoardFit:
@@ -368,8 +383,8 @@ class _Adjustment:
         )  # fmt: skip
 
 
-DERIVATIVES = 2
-"""Rounds in which the derivative is traced anew: it hardly changes with the camera."""
+DERIVATIVES = 1
+"""Rounds in which the derivative is traced: it hardly changes with the camera."""
 
 KEPT = 0.5
 """Of the standard deviation of what is plausible anyway: a parameter with more left is not determined."""

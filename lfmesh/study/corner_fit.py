@@ -152,7 +152,6 @@ def _search(shape: Array, offsets: Array, values: Array, inside: NDArray[np.bool
     residual : (n,) float64
         Root mean square.
     """
-
     active = np.flatnonzero(inside.any(axis=1))
     shape = shape.copy()
     damping = np.full(len(shape), 1e-3)

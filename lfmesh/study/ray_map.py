@@ -1,7 +1,7 @@
-"""Rays of a camera's views in object space as a smooth function of sample and view: a polynomial fitted to traced ones.
+"""Rays of a camera's samples in object space as a smooth function of sample and view: a polynomial fit.
 
-Views and samples are those of another camera, the one by which a picture was decoded: a ray belongs to the pixel that
-it lands on, and so to the view that this pixel has there.
+Views and samples are those of another camera, the one by which a picture was decoded: a sample is a place on the
+sensor. Its ray goes through the apex of the lenslet. The mean of all rays that it gathers lies a little beside that.
 """
 
 from dataclasses import dataclass
@@ -14,20 +14,24 @@ from scipy.ndimage import uniform_filter
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.lightfield.calibration import Calibration
-from lfmesh.lightfield.decode import sampling_of, view_count
+from lfmesh.lightfield.chief_rays import plate_of
+from lfmesh.lightfield.decode import Sampling, sampling_of, view_count
+from lfmesh.lightfield.object_rays import object_rays
+from lfmesh.lightfield.pixel_bundles import bundles
 from lfmesh.lightfield.upright import Upright
-from lfmesh.lightfield.view_rays import ViewRays
 from lfmesh.scene import Scene
-from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
-from lfmesh.transport.trace import Status
+from lfmesh.transport.world import build
 
 Array = NDArray[np.float64]
 
 DEGREE = 5
 """Of the polynomial in s, t, u and v."""
 
-VIEWS, ACROSS = 7, 8
-"""Along each axis: the views that are traced, and the samples in each."""
+VIEWS, ACROSS = 8, 7
+"""Along each axis: the views that are traced, and the lenslets."""
+
+WHOLE = 0.95
+"""Of the most light of a bundle: the lens cuts those with less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +56,7 @@ class RayMap:
     rms: Array
 
     @classmethod
-    def of(cls, scene: Scene, decoded: Calibration, reach: float) -> "RayMap":
+    def of(cls, scene: Scene, decoded: Calibration, reach: float, *, of_bundles: bool = False) -> "RayMap":
         """Trace a camera's rays.
 
         Parameters
@@ -63,32 +67,26 @@ class RayMap:
             By which samples and views are counted.
         reach : float
             Views from the middle one, along each axis.
+        of_bundles : bool
+            The mean ray of all that a pixel gathers, in place of the one through the lenslet's apex.
 
         Raises
         ------
         LfmeshError
             The lens lets hardly any of the rays through.
         """
-        rays = ViewRays.of_camera(scene)
-        height, width = rays.size
-        every = max(1, height // ACROSS), max(1, width // ACROSS)
-        t, s = (index.ravel() for index in np.mgrid[0 : height : every[0], 0 : width : every[1]])
-        senses, size = np.array(Upright.of(scene).senses), np.array([width, height], float)
-        to_camera = rays.world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
-        places, values = [], []
-        # Chebyshev's points keep a polynomial tame up to the border.
-        for v, u in np.array(np.meshgrid(*[_chebyshev(VIEWS) * reach] * 2)).reshape(2, -1).T:
-            paths, sample = rays.trace(float(v), float(u), every)
-            out = paths.status == Status.ESCAPED
-            # Rays that land on a pixel belong to the view which that pixel has by the calibration.
-            beside = rays.of_samples((rays.landing_px(float(v), float(u)) - decoded.centres_px) * senses)
-            view = beside[:: every[0], :: every[1]].reshape(-1, 2)[sample[out]]
-            p = frames.points(to_camera, paths.position[out])
-            d = frames.directions(to_camera, paths.direction[out])
-            slope = d[:, :2] / d[:, 2:]
-            places.append(np.column_stack([s[sample[out]], t[sample[out]], view]))
-            values.append(np.column_stack([p[:, :2] - p[:, 2:] * slope, slope]))
-        place, value = np.concatenate(places), np.concatenate(values)
+        upright = Upright.of(scene)
+        sampling = sampling_of(decoded, upright)
+        size = np.array([len(sampling.s_mm), len(sampling.t_mm)], np.float64)
+        rows, columns, samples = _lenslets(sampling, decoded.known)
+        views = np.stack(np.meshgrid(*[_chebyshev(VIEWS) * reach] * 2), axis=-1).reshape(-1, 2)
+        pixels = decoded.centres_px[rows, columns][:, None] + views * np.array(upright.senses)
+        numbers = np.repeat(np.column_stack([columns, rows]), len(views), axis=0)
+        place = np.column_stack([np.repeat(samples, len(views), axis=0), np.tile(views, (len(rows), 1))])
+        trace = _mean_rays if of_bundles else _apex_rays
+        value = trace(scene, numbers, pixels.reshape(-1, 2))
+        whole = np.isfinite(value).all(axis=1)
+        place, value = place[whole], value[whole]
         terms = _terms(_scaled(place, size, reach))
         if len(terms) < 4 * terms.shape[1]:
             raise LfmeshError("camera: the lens lets hardly any ray of the views through; check it with lfmesh check")
@@ -98,8 +96,8 @@ class RayMap:
     def terms(self, place: Array, spread: Array) -> Array:
         """Return the (n, terms) monomials by which the coefficients are to be multiplied, for the mean ray of a sample.
 
-        The mean over a pixel, or over the two between which a sample is interpolated, is that of two views a standard
-        deviation to either side, exact up to cubes: of u and v, as aberrations of the lens are.
+        The mean over the pixels between which a sample is interpolated is taken as that of two views, a standard
+        deviation to either side: exact for cubes of u and v, as the aberrations of the lens are.
 
         Parameters
         ----------
@@ -116,7 +114,9 @@ class RayMap:
 
 
 def view_spread(decoded: Calibration, scene: Scene, place: Array) -> Array:
-    """Return the standard deviation of u and v within samples, (n, 2), in views: pixels, and interpolation of them.
+    """Return the standard deviation of u and v within samples, (n, 2), in views.
+
+    Samples are means over pixels, and interpolated between them.
 
     Parameters
     ----------
@@ -141,6 +141,41 @@ def view_spread(decoded: Calibration, scene: Scene, place: Array) -> Array:
 
 AROUND = 5
 """Samples along each axis whose interpolation counts for a corner."""
+
+
+def _apex_rays(scene: Scene, lenslets: NDArray[np.int64], pixels: Array) -> Array:
+    """Return the rays of pixels through the apexes of lenslets, (n, 4), NaN where the lens stops them."""
+    rays = object_rays(scene, lenslets, pixels)
+    own = scene.camera.pose
+    to_camera = frames.inverse(frames.frame(own.tilt_deg, own.shift_mm))
+    p, d = frames.points(to_camera, rays.origin), frames.directions(to_camera, rays.direction)
+    slope = d[:, :2] / d[:, 2:]
+    return np.column_stack([p[:, :2] - p[:, 2:] * slope, slope])
+
+
+def _mean_rays(scene: Scene, lenslets: NDArray[np.int64], pixels: Array) -> Array:
+    """Return the mean rays of the bundles of pixels, (n, 4), NaN where the lens cuts them."""
+    plate = plate_of(scene)
+    numbers = lenslets[:, 1] * plate.lenslets.lattice.columns + lenslets[:, 0]
+    found = bundles(build(scene.camera_alone()), plate, numbers, pixels)
+    return np.where(found.weight[:, None] > WHOLE * found.weight.max(initial=0.0), found.mean, np.nan)
+
+
+def _lenslets(sampling: Sampling, known: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Return rows and columns of some lenslets all over the array, (n,), and their samples s and t, (n, 2)."""
+    t = np.unique(np.linspace(0, len(sampling.t_mm) - 1, ACROSS).astype(np.int64))
+    rows, columns, samples = [], [], []
+    for each in t:
+        row = int(sampling.rows[each])
+        at = sampling.columns[row & 1] + sampling.share[row & 1]
+        order = np.argsort(at)
+        column = np.unique(np.linspace(np.ceil(at.min()), np.floor(at.max()), ACROSS).astype(np.int64))
+        column = column[known[row, column]]
+        rows.append(np.full(len(column), row))
+        columns.append(column)
+        s = np.interp(column, at[order], order.astype(np.float64))
+        samples.append(np.column_stack([s, np.full(len(column), float(each))]))
+    return np.concatenate(rows), np.concatenate(columns), np.concatenate(samples)
 
 
 def _chebyshev(count: int) -> Array:

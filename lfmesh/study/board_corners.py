@@ -37,7 +37,7 @@ LEAST_CORNERS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Corners:
+class BoardCorners:
     """Where corners of a board lie in views.
 
     Attributes
@@ -58,12 +58,12 @@ class Corners:
     sample: Array
 
     def __repr__(self) -> str:
-        return f"<Corners: {len(np.unique(self.corner))} corners of a board, {len(self.corner)} places in views>"
+        return f"<BoardCorners: {len(np.unique(self.corner))} corners of a board, {len(self.corner)} places in views>"
 
 
 def find_corners(
     views: Array, usable: NDArray[np.bool_], square_mm: float, columns: int | None = None, rows: int | None = None
-) -> Corners:
+) -> BoardCorners:
     """Find the corners of a checkerboard, those between four squares, in every view.
 
     Parameters
@@ -75,7 +75,7 @@ def find_corners(
     square_mm : float
         Side of a square.
     columns, rows : int, optional
-        Corners along x and y of the board; as many as are seen, if omitted.
+        BoardCorners along x and y of the board; as many as are seen, if omitted.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def find_corners(
     span = numbers.max(axis=0) + numbers.min(axis=0)
     board_mm = square_mm * (numbers - 0.5 * span)
     halves = 0.5 * (np.array(views.shape[1::-1]) - 1.0)
-    return Corners(corner, board_mm[corner], np.column_stack([u, v]) - halves, seen[v, u, corner])
+    return BoardCorners(corner, board_mm[corner], np.column_stack([u, v]) - halves, seen[v, u, corner])
 
 
 def _labelled(view: Array) -> tuple[Array, NDArray[np.int64], Array]:
@@ -231,7 +231,7 @@ def _followed(views: Array, middle: tuple[int, int], places: Array, steps: Array
     seen = np.full((*views.shape[:2], len(places), 2), np.nan)
     where = np.full(len(places), middle[0]), np.full(len(places), middle[1])
     seen[middle] = np.where(_whole(views, *where, places, axes, reach)[:, None], places, np.nan)
-    from_middle = np.stack(np.indices(views.shape[:2]), axis=-1) - np.array(middle)
+    from_middle = np.moveaxis(np.indices(views.shape[:2]), 0, -1) - np.array(middle)
     ring = np.abs(from_middle).max(axis=-1)
     for number in range(1, int(ring.max()) + 1):
         start = _expected(seen, places, ring, from_middle, number)
@@ -252,9 +252,9 @@ def _expected(
     """Return where corners are to be looked for in the views of a ring: the shift from view to view is nearly even."""
     known = np.isfinite(seen[..., 0])
     v, u, corner = np.nonzero(known & (ring < number)[..., None])
-    shift = np.zeros((2, 2))
+    shift: NDArray[np.floating] = np.zeros((2, 2))
     if number > 1:
-        shift, *_ = np.linalg.lstsq(from_middle[v, u].astype(np.float64), seen[v, u, corner] - middle[corner])
+        shift = np.linalg.lstsq(from_middle[v, u].astype(np.float64), seen[v, u, corner] - middle[corner])[0]
     expected = middle + (from_middle @ shift)[:, :, None]
     return np.where((ring == number)[..., None, None], expected, np.nan)
 

@@ -18,9 +18,9 @@ from lfmesh.lightfield.calibration import calibrate
 from lfmesh.lightfield.detector import Exposed
 from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.scene import Scene
-from lfmesh.study.board_corners import Corners
+from lfmesh.study.board_corners import BoardCorners
 from lfmesh.study.board_pictures import Board, corners_of
-from lfmesh.study.board_pose import Pose, first_pose, pose_of, world_pose
+from lfmesh.study.board_pose import BoardPose, first_pose, pose_of, world_pose
 from lfmesh.study.fit import SAMPLES, Estimate, Fit, fit
 from lfmesh.study.fit_model import STEP, FitModel, parameters_of
 from lfmesh.study.ray_map import RayMap, view_spread
@@ -47,6 +47,12 @@ OUTLIER = 6.0
 FIRST_SIGMA = 0.05
 """Samples: standard deviation of a place before any was fitted."""
 
+MODEL_ERROR = 0.002
+"""Samples at the border: what may go evenly over field and views in the places of corners beside those of the model.
+
+At the true camera and pose, rendered boards leave slopes of 0.0005 to 0.004 over the field and the views.
+"""
+
 WORST = 0.5
 """Samples: residuals of more, rms, are no fit."""
 
@@ -65,9 +71,9 @@ class BoardFit:
         Of the camera's parameters, by all pictures. Kept: the pictures leave more than half of what is plausible.
     covariance : (p + 6 b, p + 6 b) float64
         Of the values in their units, then of position (mm) and rotation (degrees) of each board.
-    poses : tuple of Pose
+    poses : tuple of BoardPose
         Of the boards, world frame.
-    corners : tuple of Corners
+    corners : tuple of BoardCorners
         Of the boards, as seen.
     residuals : tuple of (n, 2) float64
         Of each place, in samples along s and t: the place less that of the fitted camera; NaN: left out.
@@ -77,8 +83,8 @@ class BoardFit:
     white: Fit
     estimates: tuple[Estimate, ...]
     covariance: Array
-    poses: tuple[Pose, ...]
-    corners: tuple[Corners, ...]
+    poses: tuple[BoardPose, ...]
+    corners: tuple[BoardCorners, ...]
     residuals: tuple[Array, ...]
 
     def __repr__(self) -> str:
@@ -114,6 +120,12 @@ class BoardFit:
             for corner in np.unique(seen.corner[np.isfinite(residuals[:, 0])])
         ]
         return float(np.sqrt(np.mean(np.square(means))))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know before trusting the values, a sentence each."""
+        more = (f"{self.left_out} places of corners lie far beside the fit and were left out",) if self.left_out else ()
+        return (*self.white.notes, *more)
 
     def traded(self, board: int) -> tuple[float, float]:
         """Return how far a board's distance moves with the focus, in mm a mm, and its standard error at a known focus.
@@ -197,7 +209,9 @@ def with_boards(
 class _Adjustment:
     """The rounds of a fit to boards: each traces the rays of the camera that the one before found."""
 
-    def __init__(self, by_white: Fit, model: FitModel, seen: Sequence[Corners], say: Callable[[str], None]) -> None:
+    def __init__(
+        self, by_white: Fit, model: FitModel, seen: Sequence[BoardCorners], say: Callable[[str], None]
+    ) -> None:
         self.by_white, self.model, self.seen, self.say = by_white, model, seen, say
         self.decoded = calibrate(by_white.scene)
         self.reach = max(float(np.abs(each.view).max()) for each in seen) + 0.5
@@ -213,7 +227,7 @@ class _Adjustment:
         self.spread = view_spread(self.decoded, by_white.scene, self.place)
         self.used = np.ones(len(self.place), bool)
         self.sigma = FIRST_SIGMA
-        self.model_pull = np.zeros(0)
+        self.model_pulls = np.zeros((0, 0))
 
     def run(self) -> BoardFit:
         """Fit until the camera no longer moves.
@@ -298,7 +312,7 @@ class _Adjustment:
         jacobian = solved.jac[:rows].reshape(-1, 2, len(start))
         left = solved.fun[:rows].reshape(-1, 2)
         hessian = np.asarray(solved.jac.T @ solved.jac)
-        self.model_pull = self._beside_bundles(base, start, jacobian)
+        self.model_pulls = self._model_pulls(base, start, jacobian)
         return start, hessian, self._scores(jacobian, left, np.linalg.inv(hessian))
 
     def _in_samples(self, rays: RayMap, values: Array) -> tuple[Array, Array]:
@@ -337,17 +351,24 @@ class _Adjustment:
             scores.append(own.T @ free)
         return np.array(scores)
 
-    def _beside_bundles(self, steps: Array, values: Array, jacobian: Array) -> Array:
-        """Return what the fit would move by if samples showed the mean rays of their bundles, (p + 6 b,).
+    def _model_pulls(self, steps: Array, values: Array, jacobian: Array) -> Array:
+        """Return what errors of the model pull at the values, (k, p + 6 b); each is taken as a standard deviation.
 
-        A corner's place follows rays somewhere between those through the apexes and the means: the difference is taken
-        as a standard deviation.
+        A corner's place follows rays somewhere between those through the apexes and the mean rays of the bundles: the
+        first is the difference. The others are `MODEL_ERROR`, going evenly over the field and the views.
         """
         camera = self.model.at(steps)
         rays = [RayMap.of(camera, self.decoded, self.reach, of_bundles=whole) for whole in (False, True)]
         terms, per_sample = self._in_samples(rays[0], values)
         apex, mean = (self._beside(terms, each.coefficients, values, per_sample)[self.used] for each in rays)
-        return np.asarray(np.einsum("nip,ni->p", jacobian, mean - apex) / self.sigma)
+        half = 0.5 * (rays[0].size - 1.0)
+        ones = np.ones(self.used.sum())
+        field = [ones, *((self.place[self.used, :2] - half) / half).T]
+        views = [ones, *(self.place[self.used, 2:] / self.reach).T]
+        patterns = [mean - apex]
+        for even in (one * other for one in field for other in views):
+            patterns += [MODEL_ERROR * np.outer(even, axis) for axis in np.eye(2)]
+        return np.stack([np.einsum("nip,ni->p", jacobian, each) / self.sigma for each in patterns])
 
     def _covariance(self, hessian: Array, scores: Array) -> Array:
         """Return the covariance of steps and poses, by corners: what disturbs one is shared by its views."""
@@ -355,7 +376,7 @@ class _Adjustment:
         meat = scores.T @ scores
         count = len(self.expected)
         meat[:count, :count] += self.precision
-        meat += np.outer(self.model_pull, self.model_pull)
+        meat += self.model_pulls.T @ self.model_pulls
         return np.asarray(inverse @ meat @ inverse)
 
     def _result(self, rays: RayMap, slopes: Array, base: Array, values: Array, covariance: Array) -> BoardFit:
@@ -372,7 +393,7 @@ class _Adjustment:
             place, turn = world_pose(values[at], scene)
             to_units[at, at] = turn
             errors = np.sqrt(np.diag(turn @ covariance[at, at] @ turn.T))
-            poses.append(Pose(tuple(place[:3].tolist()), tuple(place[3:].tolist()), tuple(errors.tolist())))
+            poses.append(BoardPose(tuple(place[:3].tolist()), tuple(place[3:].tolist()), tuple(errors.tolist())))
         covariance = to_units @ covariance @ to_units.T
         errors = np.sqrt(np.diag(covariance))
         return BoardFit(

@@ -14,7 +14,7 @@ from lfmesh.lightfield.decode import sampling_of, sorted_views, view_count
 from lfmesh.lightfield.detector import Exposed
 from lfmesh.lightfield.upright import Upright
 from lfmesh.scene import Scene
-from lfmesh.study.board_corners import Corners, find_corners
+from lfmesh.study.board_corners import BoardCorners, find_corners
 from lfmesh.study.white_picture import Orientation, light_of
 from lfmesh.transport.render.image import Image
 
@@ -39,8 +39,8 @@ class Board:
     square_mm : float, optional
         Side of a square; with a picture.
     columns, rows : int, optional
-        Corners between four squares, along x and y of the board: all must be seen. Omitted: as many as are.
-    corners : Corners, optional
+        BoardCorners between four squares, along x and y of the board: all must be seen. Omitted: as many as are.
+    corners : BoardCorners, optional
         In place of a picture.
     """
 
@@ -48,7 +48,7 @@ class Board:
     square_mm: float | None = None
     columns: int | None = None
     rows: int | None = None
-    corners: Corners | None = None
+    corners: BoardCorners | None = None
 
     def __post_init__(self) -> None:
         if (self.picture is None) == (self.corners is None):
@@ -77,7 +77,9 @@ def fully_lit(by_white: Array) -> NDArray[np.bool_]:
     return np.asarray((smooth > WHOLE * full) & np.isfinite(by_white))
 
 
-def corners_of(boards: Sequence[Board], scene: Scene, white: Array, orientation: Orientation) -> tuple[Corners, ...]:
+def corners_of(
+    boards: Sequence[Board], scene: Scene, white: Array, orientation: Orientation
+) -> tuple[BoardCorners, ...]:
     """Return the corners of boards, in the views that the scene's calibration decodes.
 
     Parameters
@@ -102,13 +104,13 @@ def corners_of(boards: Sequence[Board], scene: Scene, white: Array, orientation:
     found = []
     for number, board in enumerate(boards, 1):
         try:
-            if board.corners is not None:
-                found.append(board.corners)
+            if board.picture is None or board.square_mm is None:
+                found += [] if board.corners is None else [board.corners]
                 continue
             light = light_of(board.picture, scene, orientation, "picture of the board")
             seen = sorted_views(light, calibration, count, sampling, upright)
             ratio = np.divide(seen, by_white, out=np.full_like(seen, np.nan), where=usable)
-            found.append(find_corners(ratio, usable, float(board.square_mm or 0.0), board.columns, board.rows))
+            found.append(find_corners(ratio, usable, board.square_mm, board.columns, board.rows))
         except LfmeshError as error:
             raise LfmeshError(str(error).replace("board", f"board {number}", 1)) from None
     return tuple(found)

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Pose:
+class BoardPose:
     """Where a board stands, as `position_mm` and `rotation_deg` of a target have it.
 
     Attributes

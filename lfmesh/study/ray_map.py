@@ -91,7 +91,12 @@ class RayMap:
         if len(terms) < 4 * terms.shape[1]:
             raise LfmeshError("camera: the lens lets hardly any ray of the views through; check it with lfmesh check")
         coefficients, *_ = np.linalg.lstsq(terms, value, rcond=None)
-        return cls(coefficients, size, reach, np.sqrt(np.mean((terms @ coefficients - value) ** 2, axis=0)))
+        return cls(
+            np.asarray(coefficients, np.float64),
+            size,
+            reach,
+            np.sqrt(np.mean((terms @ coefficients - value) ** 2, axis=0)),
+        )
 
     def terms(self, place: Array, spread: Array) -> Array:
         """Return the (n, terms) monomials by which the coefficients are to be multiplied, for the mean ray of a sample.

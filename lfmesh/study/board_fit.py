@@ -6,7 +6,7 @@ What the white image says of the camera enters as it is known, with its errors a
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -227,7 +227,6 @@ class _Adjustment:
         self.spread = view_spread(self.decoded, by_white.scene, self.place)
         self.used = np.ones(len(self.place), bool)
         self.sigma = FIRST_SIGMA
-        self.model_pulls = np.zeros((0, 0))
 
     def run(self) -> BoardFit:
         """Fit until the camera no longer moves.
@@ -248,11 +247,13 @@ class _Adjustment:
             if number <= DERIVATIVES:
                 slopes = self._derivative(steps)
             base = steps
-            values, hessian, scores = self._solve(rays, slopes, base, np.concatenate([steps, poses]))
-            covariance = self._covariance(hessian, scores)
+            solution = self._solve(rays, slopes, base, np.concatenate([steps, poses]))
+            values = solution.values
+            covariance = self._covariance(solution, np.zeros((0, len(values))))
             moved = np.abs(values[: len(steps)] - base) / np.sqrt(np.diag(covariance))[: len(steps)]
             steps, poses = values[: len(steps)], values[len(steps) :]
             if moved.max() < SETTLED and number > 1:
+                covariance = self._covariance(solution, self._model_pulls(base, solution))
                 return self._result(rays, slopes, base, values, covariance)
             rays = self._map(steps)
         raise LfmeshError(
@@ -275,17 +276,8 @@ class _Adjustment:
             axis=-1,
         )
 
-    def _solve(self, rays: RayMap, slopes: Array, base: Array, start: Array) -> tuple[Array, Array, Array]:
-        """Fit camera and poses.
-
-        Returns
-        -------
-        values : (p + 6 b,) float64
-        hessian : (p + 6 b, p + 6 b) float64
-            Of half the sum of squares.
-        scores : (corners, p + 6 b) float64
-            What each corner's residuals would pull at the values if it had not been fitted.
-        """
+    def _solve(self, rays: RayMap, slopes: Array, base: Array, start: Array) -> "_Solution":
+        """Fit camera and poses to the rays of a camera and their derivative."""
         root = np.linalg.cholesky(self.precision).T
         for last in (False, True):
             terms, per_sample = self._in_samples(rays, start)
@@ -312,8 +304,7 @@ class _Adjustment:
         jacobian = solved.jac[:rows].reshape(-1, 2, len(start))
         left = solved.fun[:rows].reshape(-1, 2)
         hessian = np.asarray(solved.jac.T @ solved.jac)
-        self.model_pulls = self._model_pulls(base, start, jacobian)
-        return start, hessian, self._scores(jacobian, left, np.linalg.inv(hessian))
+        return _Solution(start, jacobian, hessian, self._scores(jacobian, left, np.linalg.inv(hessian)))
 
     def _in_samples(self, rays: RayMap, values: Array) -> tuple[Array, Array]:
         """Return the ray map's terms, and what takes a distance on the board to samples at each place, (n, 2, 2)."""
@@ -351,7 +342,7 @@ class _Adjustment:
             scores.append(own.T @ free)
         return np.array(scores)
 
-    def _model_pulls(self, steps: Array, values: Array, jacobian: Array) -> Array:
+    def _model_pulls(self, steps: Array, solution: "_Solution") -> Array:
         """Return what errors of the model pull at the values, (k, p + 6 b); each is taken as a standard deviation.
 
         A corner's place follows rays somewhere between those through the apexes and the mean rays of the bundles: the
@@ -359,8 +350,8 @@ class _Adjustment:
         """
         camera = self.model.at(steps)
         rays = [RayMap.of(camera, self.decoded, self.reach, of_bundles=whole) for whole in (False, True)]
-        terms, per_sample = self._in_samples(rays[0], values)
-        apex, mean = (self._beside(terms, each.coefficients, values, per_sample)[self.used] for each in rays)
+        terms, per_sample = self._in_samples(rays[0], solution.values)
+        apex, mean = (self._beside(terms, each.coefficients, solution.values, per_sample)[self.used] for each in rays)
         half = 0.5 * (rays[0].size - 1.0)
         ones = np.ones(self.used.sum())
         field = [ones, *((self.place[self.used, :2] - half) / half).T]
@@ -368,15 +359,15 @@ class _Adjustment:
         patterns = [mean - apex]
         for even in (one * other for one in field for other in views):
             patterns += [MODEL_ERROR * np.outer(even, axis) for axis in np.eye(2)]
-        return np.stack([np.einsum("nip,ni->p", jacobian, each) / self.sigma for each in patterns])
+        return np.stack([np.einsum("nip,ni->p", solution.jacobian, each) / self.sigma for each in patterns])
 
-    def _covariance(self, hessian: Array, scores: Array) -> Array:
+    def _covariance(self, solution: "_Solution", pulls: Array) -> Array:
         """Return the covariance of steps and poses, by corners: what disturbs one is shared by its views."""
-        inverse = np.linalg.inv(hessian)
-        meat = scores.T @ scores
+        inverse = np.linalg.inv(solution.hessian)
+        meat = solution.scores.T @ solution.scores
         count = len(self.expected)
         meat[:count, :count] += self.precision
-        meat += self.model_pulls.T @ self.model_pulls
+        meat += pulls.T @ pulls
         return np.asarray(inverse @ meat @ inverse)
 
     def _result(self, rays: RayMap, slopes: Array, base: Array, values: Array, covariance: Array) -> BoardFit:
@@ -402,6 +393,27 @@ class _Adjustment:
                 for i, (step, error) in enumerate(zip(values[:count], errors[:count], strict=True))
             ), covariance, tuple(poses), tuple(self.seen), tuple(own[self.board == i] for i in range(len(self.seen))),
         )  # fmt: skip
+
+
+class _Solution(NamedTuple):
+    """A solved round.
+
+    Attributes
+    ----------
+    values : (p + 6 b,) float64
+        Steps of the camera's parameters, and poses.
+    jacobian : (n, 2, p + 6 b) float64
+        Of the residuals over their standard deviation.
+    hessian : (p + 6 b, p + 6 b) float64
+        Of half the sum of squares.
+    scores : (corners, p + 6 b) float64
+        What each corner's residuals would pull at the values if it had not been fitted.
+    """
+
+    values: Array
+    jacobian: Array
+    hessian: Array
+    scores: Array
 
 
 DERIVATIVES = 1

@@ -90,7 +90,8 @@ class RayMap:
         terms = _terms(_scaled(place, size, reach))
         if len(terms) < 4 * terms.shape[1]:
             raise LfmeshError("camera: the lens lets hardly any ray of the views through; check it with lfmesh check")
-        coefficients, *_ = np.linalg.lstsq(terms, value, rcond=None)
+        q, r = np.linalg.qr(terms)
+        coefficients = np.linalg.solve(r, q.T @ value)
         return cls(
             np.asarray(coefficients, np.float64),
             size,

@@ -25,7 +25,7 @@ Examples:
     lfmesh fit run/ scene.toml -o fitted/             the white image of a run
     lfmesh fit white.tif scene.toml -o fitted/ --orientation sensor
     lfmesh fit white.png scene.toml -o fitted/ --also camera.sensor.distance_mm=0.05
-    lfmesh fit white.png scene.toml -o fitted/ --board near.png --board far.png --square-mm 5
+    lfmesh fit white.png scene.toml -o fitted/ --board near.png --board far.png --square-mm 5 --grid 7 5
     lfmesh fit white.png scene.toml -o fitted/ --corners corners.csv
 """
 )
@@ -49,8 +49,10 @@ def fit(
         Parameter(help="Picture of a checkerboard, or a run: fits focus and pose too; may be repeated.", negative=()),
     ] = None,
     square_mm: Annotated[float | None, Parameter(help="Side of the boards' squares.")] = None,
-    columns: Annotated[Whole | None, Parameter(help="Corners between four squares along x; all must be seen.")] = None,
-    rows: Annotated[Whole | None, Parameter(help="The same along y.")] = None,
+    grid: Annotated[
+        tuple[Whole, Whole] | None,
+        Parameter(help="Corners between four squares, along x and y; all must be seen.", negative=()),
+    ] = None,
     corners: Annotated[
         list[Path] | None, Parameter(help="List of a board's corners (CSV), in place of a picture.", negative=())
     ] = None,
@@ -61,9 +63,10 @@ def fit(
     With boards, focus and poses are fitted to their corners: board_residuals.png.
     """
     further = dict(map(_further, also or []))
-    if not board and (square_mm, columns, rows) != (None, None, None):
-        raise LfmeshError("--square-mm, --columns and --rows tell of a checkerboard; give its picture with --board")
+    if not board and (square_mm, grid) != (None, None):
+        raise LfmeshError("--square-mm and --grid tell of a checkerboard; give its picture with --board")
     if board or corners:
+        columns, rows = grid or (None, None)
         size = {"square_mm": square_mm, "columns": columns, "rows": rows}
         return _with_boards(
             white,

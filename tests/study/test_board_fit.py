@@ -149,7 +149,7 @@ def test_the_command_writes_scene_values_and_pictures(
     asked: list[Any] = []
     monkeypatch.setattr("lfmesh.study.board_fit.fit_boards", lambda *given, **options: asked.append(given) or found[0])
     command = ["fit", str(white), str(scene), "-o", str(tmp_path / "out"), "--board", str(board), "--square-mm", "5.5"]
-    assert main([*command, "--columns", "4", "--rows", "4"]) == 0
+    assert main([*command, "--grid", "4", "4"]) == 0
     (given,) = asked[0][2]
     assert (given.square_mm, given.columns, given.rows) == (5.5, 4, 4)
     said = capsys.readouterr().out

@@ -88,7 +88,7 @@ def by_white(taken: Taken) -> tuple[lf.Fit, NDArray[np.float64]]:
 
 @pytest.fixture(scope="module")
 def found(taken: Taken, by_white: Any) -> list[lf.BoardFit]:
-    boards = [lf.Board(exposed(taken.board, seed), SQUARE_MM, CORNERS, CORNERS) for seed in (11, 12)]
+    boards = [lf.Board(exposed(taken.board, seed), SQUARE_MM, CORNERS, CORNERS) for seed in (11,)]
     return [with_boards(by_white[0], taken.scene, by_white[1], [board]) for board in boards]
 
 
@@ -105,7 +105,7 @@ def test_focus_and_pose_come_back_within_their_intervals(found: list[lf.BoardFit
 
 def test_a_board_of_another_size_moves_away(taken: Taken, by_white: Any) -> None:
     """Squares 1 % larger: the shift from view to view, which depends on the distance, no longer goes with the size."""
-    board = lf.Board(exposed(taken.board, 11), 1.01 * SQUARE_MM)
+    board = lf.Board(exposed(taken.board, 12), 1.01 * SQUARE_MM)
     found = with_boards(by_white[0], taken.scene, by_white[1], [board])
     beside, covariance = deviations(found, taken)
     assert beside @ np.linalg.solve(covariance, beside) > chi2.ppf(1.0 - LEVEL, 7)

@@ -74,6 +74,9 @@ if TYPE_CHECKING:
         solved,
     )
     from lfmesh.scene.particles import Particles, displaced, particle_vectors
+    from lfmesh.study.board_corners import BoardCorners
+    from lfmesh.study.board_fit import BoardFit, fit_boards
+    from lfmesh.study.board_pictures import Board
     from lfmesh.study.dataset import Dataset
     from lfmesh.study.fit import Fit, fit
     from lfmesh.study.study import Study
@@ -90,6 +93,9 @@ if TYPE_CHECKING:
 __all__ = [
     "AllInFocus",
     "ArrayForm",
+    "Board",
+    "BoardCorners",
+    "BoardFit",
     "Box",
     "Calibration",
     "Camera",
@@ -162,6 +168,7 @@ __all__ = [
     "export_raw",
     "first_order",
     "fit",
+    "fit_boards",
     "focal_stack",
     "focused",
     "load",
@@ -235,6 +242,9 @@ _HOMES = {
     ],
     "lfmesh.scene.particles": ["Particles", "displaced", "particle_vectors"],
     "lfmesh.study.dataset": ["Dataset"],
+    "lfmesh.study.board_corners": ["BoardCorners"],
+    "lfmesh.study.board_fit": ["BoardFit", "fit_boards"],
+    "lfmesh.study.board_pictures": ["Board"],
     "lfmesh.study.fit": ["Fit", "fit"],
     "lfmesh.study.study": ["Study"],
     "lfmesh.transport.render.image": ["Image"],

@@ -1,7 +1,7 @@
 """The camera behind a picture: `lfmesh fit`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -13,7 +13,8 @@ from lfmesh.cli.progress import status
 from lfmesh.errors import LfmeshError
 
 if TYPE_CHECKING:
-    from lfmesh.study.fit import Fit
+    from lfmesh.study.board_fit import BoardFit
+    from lfmesh.study.fit import Estimate, Fit
 
 
 @app.command(
@@ -24,6 +25,8 @@ Examples:
     lfmesh fit run/ scene.toml -o fitted/             the white image of a run
     lfmesh fit white.tif scene.toml -o fitted/ --orientation sensor
     lfmesh fit white.png scene.toml -o fitted/ --also camera.sensor.distance_mm=0.05
+    lfmesh fit white.png scene.toml -o fitted/ --board near.png --board far.png --square-mm 5 --grid 7 5
+    lfmesh fit white.png scene.toml -o fitted/ --corners corners.csv
 """
 )
 def fit(
@@ -41,12 +44,37 @@ def fit(
         Parameter(help="PATH=CHANGE: fit this field too; its largest plausible change.", negative=()),
     ] = None,
     samples: Annotated[Whole, Parameter(help="Per pixel, of the simulated white images.")] = 128,
+    board: Annotated[
+        list[Path] | None,
+        Parameter(help="Picture of a checkerboard, or a run: fits focus and pose too; may be repeated.", negative=()),
+    ] = None,
+    square_mm: Annotated[float | None, Parameter(help="Side of the boards' squares.")] = None,
+    grid: Annotated[
+        tuple[Whole, Whole] | None,
+        Parameter(help="Corners between four squares, along x and y; all must be seen.", negative=()),
+    ] = None,
+    corners: Annotated[
+        list[Path] | None, Parameter(help="List of a board's corners (CSV), in place of a picture.", negative=())
+    ] = None,
 ) -> int:
     """Estimate the assembly errors of a real camera from its white image: fitted.toml, fit.json, residuals.png.
 
     Pictures are linear in light. What a white image cannot tell apart is kept as in the scene, and reported together.
+    With boards, focus and poses are fitted to their corners: board_residuals.png.
     """
     further = dict(map(_further, also or []))
+    if not board and (square_mm, grid) != (None, None):
+        raise LfmeshError("--square-mm and --grid tell of a checkerboard; give its picture with --board")
+    if board or corners:
+        columns, rows = grid or (None, None)
+        size = {"square_mm": square_mm, "columns": columns, "rows": rows}
+        return _with_boards(
+            white,
+            scene,
+            out,
+            (board or [], corners or [], size),
+            {"also": further, "orientation": orientation, "samples": samples},
+        )
     with defer_interrupt():
         from lfmesh.files.white_picture import read_white
         from lfmesh.scene import load
@@ -76,13 +104,57 @@ def _further(text: str) -> tuple[str, float]:
         ) from None
 
 
+def _with_boards(
+    white: Path, scene: Path, out: Path, boards: tuple[list[Path], list[Path], dict[str, Any]], options: dict[str, Any]
+) -> int:
+    with defer_interrupt():
+        from lfmesh.files.white_picture import read_picture, read_white
+        from lfmesh.scene import load
+        from lfmesh.study.board_files import read_corners, write_board_fit
+        from lfmesh.study.board_fit import fit_boards
+        from lfmesh.study.board_pictures import Board
+
+    pictures, lists, size = boards
+    every = [Board(picture=read_picture(path, "picture of the board"), **size) for path in pictures]
+    every += [Board(corners=read_corners(path)) for path in lists]
+    with status() as say:
+        found = fit_boards(read_white(white), load(scene), every, progress=say, **options)
+    paths = write_board_fit(found, out)
+    for line in _boards_in_words(found, [*pictures, *lists]):
+        print(line)
+    for note in found.notes:
+        say_note(note)
+    list_files(paths)
+    return 0
+
+
+def _boards_in_words(found: "BoardFit", names: list[Path]) -> list[str]:
+    lines = list(map(_estimate, found.estimates))
+    for number, (name, pose) in enumerate(zip(names, found.poses, strict=True)):
+        for kind, unit, part in (("position", "mm", 0), ("rotation", "deg", 3)):
+            values = (pose.position_mm, pose.rotation_deg)[part // 3]
+            errors = pose.standard_error[part : part + 3]
+            known = ", ".join(f"{value:.6g} ± {error:.2g}" for value, error in zip(values, errors, strict=True))
+            lines.append(f"{name.name}: {kind} {known} {unit}")
+        slope, error = found.traded(number)
+        together = f"z of {name.name} {-slope:+.4g} Δ camera.mla.distance_mm, to ± {error:.2g} mm"
+        lines.append(wrapped(f"Only known together: {together}"))
+    lines.append(
+        f"Residuals {found.rms:.3g} samples of a view rms, {found.used} places of corners; "
+        f"{found.corner_rms:.2g} in the mean of each corner."
+    )
+    return lines
+
+
+def _estimate(each: "Estimate") -> str:
+    error = "kept, not determined" if each.kept else f"± {each.standard_error:.2g}"
+    if each.together and not each.kept:
+        error += ", if what is kept is right"
+    return f"{each.parameter.name:<22}{each.value:>12.6g} {each.parameter.unit:<4}{error}"
+
+
 def _in_words(found: "Fit") -> list[str]:
-    lines = []
-    for each in found.estimates:
-        error = "kept, not determined" if each.kept else f"± {each.standard_error:.2g}"
-        if each.together and not each.kept:
-            error += ", if what is kept is right"
-        lines.append(f"{each.parameter.name:<22}{each.value:>12.6g} {each.parameter.unit:<4}{error}")
+    lines = list(map(_estimate, found.estimates))
     lines.append(f"{'micro-image pitch':<22}{found.pitch_px:>12.7g} px  ± {found.pitch_error_px:.2g}")
     for both in found.combinations:
         terms = " ".join(

@@ -37,8 +37,29 @@ def read_white(path: Path) -> Image | NDArray[Any]:
         if image is None:
             raise FileError(f"{folder} has no white.exr; make it with lfmesh white {folder}, or give a picture")
         return image
+    return _picture(path, "white image")
+
+
+def read_picture(path: Path, what: str) -> Image | NDArray[Any]:
+    """Read another picture that the camera took: a run folder of ours, an EXR or a picture, as `read_white`.
+
+    Parameters
+    ----------
+    path : Path
+    what : str
+        What it shows, for errors.
+
+    Raises
+    ------
+    FileError
+        The file is not there, is no picture, or is broken.
+    """
+    return run.open_run(path) if path.is_dir() else _picture(path, what)
+
+
+def _picture(path: Path, what: str) -> NDArray[Any]:
     if not path.is_file():
-        raise FileError(f"{path}: the white image {why_no_file(path)}; give a picture (PNG or TIFF), an EXR or a run")
+        raise FileError(f"{path}: the {what} {why_no_file(path)}; give a picture (PNG or TIFF), an EXR or a run")
     if path.suffix.lower() == ".exr":
         return exr.read_map(path, CHANNELS)
     try:
@@ -50,4 +71,4 @@ def read_white(path: Path) -> Image | NDArray[Any]:
     except Exception as error:  # a damaged file may raise anything inside Pillow's readers
         unknown = isinstance(error, PIL.UnidentifiedImageError)
         reason = "not a picture" if unknown else "a broken picture"
-        raise FileError(f"{path}: {reason}; a white image is one of {', '.join(FORMATS)}, an EXR or a run") from None
+        raise FileError(f"{path}: {reason}; a {what} is one of {', '.join(FORMATS)}, an EXR or a run") from None

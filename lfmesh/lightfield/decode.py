@@ -185,13 +185,37 @@ def _centred(count: int, step: float) -> Array:
 def _sorted_pixels(
     image: Image, calibration: Calibration, count: int, sampling: Sampling, upright: Upright
 ) -> tuple[Samples, Samples]:
-    shape = (count, count, len(sampling.t_mm), len(sampling.s_mm), image.mean.shape[2])
+    return _as_views(image.mean, image.stderr, calibration, count, sampling, upright)
+
+
+def _as_views(
+    mean: Array, spread: Array, calibration: Calibration, count: int, sampling: Sampling, upright: Upright
+) -> tuple[Samples, Samples]:
+    shape = (count, count, len(sampling.t_mm), len(sampling.s_mm), mean.shape[2])
     data, stderr = np.empty(shape, np.float32), np.empty(shape, np.float32)
     _sort_pixels(
-        image.mean, image.stderr, calibration.centres_px, sampling.rows, sampling.columns, sampling.share,
-        *upright.senses, data, stderr,
+        mean, spread, calibration.centres_px, sampling.rows, sampling.columns, sampling.share, *upright.senses, data,
+        stderr,
     )  # fmt: skip
     return data, stderr
+
+
+def sorted_views(light: Array, calibration: Calibration, count: int, sampling: Sampling, upright: Upright) -> Array:
+    """Return a raw image of one channel as views, (v, u, t, s); NaN where the sensor has no pixel.
+
+    Parameters
+    ----------
+    light : (H, W) float64
+        As it lies on the sensor.
+    calibration : Calibration
+    count : int
+        Views along each axis.
+    sampling : Sampling
+    upright : Upright
+    """
+    values = np.ascontiguousarray(light[..., None])
+    data, _ = _as_views(values, np.zeros_like(values), calibration, count, sampling, upright)
+    return data[..., 0].astype(np.float64)
 
 
 def _sharing(calibration: Calibration, count: int, sampling: Sampling) -> Samples:

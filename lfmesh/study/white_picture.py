@@ -22,8 +22,10 @@ SATURATED = 0.01
 """Share of the pixels at the highest count above which a picture is refused."""
 
 
-def light_of(white: Image | Exposed | NDArray[Any], scene: Scene, orientation: Orientation) -> Array:
-    """Return the light of a white image, (H, W) as on the sensor.
+def light_of(
+    white: Image | Exposed | NDArray[Any], scene: Scene, orientation: Orientation, name: str = "white image"
+) -> Array:
+    """Return the light of a white image or another picture, (H, W) as on the sensor.
 
     Parameters
     ----------
@@ -32,6 +34,8 @@ def light_of(white: Image | Exposed | NDArray[Any], scene: Scene, orientation: O
         Solved.
     orientation : {"upright", "upside_down", "sensor"}
         Of an array.
+    name : str
+        What the picture is, for errors.
 
     Raises
     ------
@@ -43,38 +47,36 @@ def light_of(white: Image | Exposed | NDArray[Any], scene: Scene, orientation: O
     if isinstance(white, Image):
         light = white.mean.sum(axis=2)
     elif isinstance(white, Exposed):
-        light = _exposed(white)
+        light = _exposed(white, name)
     else:
-        light = _picture(np.asarray(white), scene, orientation)
+        light = _picture(np.asarray(white), scene, orientation, name)
     columns, rows = scene.camera.sensor.pixels
     if light.shape != (rows, columns):
         height, width = light.shape
-        raise LfmeshError(
-            f"the white image has {width} × {height} pixels, and camera.sensor.pixels = [{columns}, {rows}]"
-        )
+        raise LfmeshError(f"the {name} has {width} × {height} pixels, and camera.sensor.pixels = [{columns}, {rows}]")
     if not np.isfinite(light).all():
-        raise LfmeshError("the white image has pixels that are infinite or no number")
+        raise LfmeshError(f"the {name} has pixels that are infinite or no number")
     if not light.max() > 0.0:
-        raise LfmeshError("the white image is black")
+        raise LfmeshError(f"the {name} is black")
     return np.ascontiguousarray(light, np.float64)
 
 
-def _exposed(exposed: Exposed) -> Array:
+def _exposed(exposed: Exposed, name: str) -> Array:
     detector = exposed.detector
     if detector.bayer is not None:
-        raise LfmeshError(f"bayer = {detector.bayer!r}: a fit takes a white image without a mosaic of colour filters")
-    _refuse_saturated(float(exposed.saturated.mean()), "their full well")
+        raise LfmeshError(f"bayer = {detector.bayer!r}: a fit takes a {name} without a mosaic of colour filters")
+    _refuse_saturated(float(exposed.saturated.mean()), "their full well", name)
     return exposed.electrons
 
 
-def _picture(picture: NDArray[Any], scene: Scene, orientation: Orientation) -> Array:
+def _picture(picture: NDArray[Any], scene: Scene, orientation: Orientation, name: str) -> Array:
     if picture.ndim not in (2, 3) or not (np.issubdtype(picture.dtype, np.number) and np.isrealobj(picture)):
         raise LfmeshError(
-            f"the white image is an array of shape {picture.shape} and type {picture.dtype}: it must be (H, W) or "
+            f"the {name} is an array of shape {picture.shape} and type {picture.dtype}: it must be (H, W) or "
             "(H, W, channels) real numbers"
         )
     if np.issubdtype(picture.dtype, np.integer) and picture.size and picture.max() in FULL:
-        _refuse_saturated(float((picture == picture.max()).mean()), f"{picture.max()}, the highest count")
+        _refuse_saturated(float((picture == picture.max()).mean()), f"{picture.max()}, the highest count", name)
     light = np.asarray(picture, np.float64)
     if light.ndim == 3:
         light = light.sum(axis=2)
@@ -83,6 +85,6 @@ def _picture(picture: NDArray[Any], scene: Scene, orientation: Orientation) -> A
     return np.asarray(Upright.of(scene).picture(light if orientation == "upright" else light[::-1, ::-1]))
 
 
-def _refuse_saturated(share: float, at: str) -> None:
+def _refuse_saturated(share: float, at: str, name: str) -> None:
     if share > SATURATED:
-        raise LfmeshError(f"{share:.1%} of the white image's pixels are at {at}: it is saturated, expose it less")
+        raise LfmeshError(f"{share:.1%} of the {name}'s pixels are at {at}: it is saturated, expose it less")

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
 
 from lfmesh.errors import FileError
 
@@ -46,6 +45,8 @@ class LightProfile:
 
     def at(self, theta: Array, phi: Array) -> Array:
         """Return the intensity in directions, 1/sr: angles (n,) from the nadir and about it, in the profile's turn."""
+        from scipy.interpolate import RegularGridInterpolator
+
         look_up = RegularGridInterpolator(
             (self.horizontal, self.vertical), self.intensity, bounds_error=False, fill_value=0.0
         )

@@ -112,25 +112,46 @@ def solid_mesh(
         The file cannot be used, its body is not closed, or its normals are not those of its facets; a refractor is
         not repaired in silence.
     """
-    import trimesh
-
     pieces = [piece.mesh for piece in load_mesh(path, units, node=node, tolerance_mm=tolerance_mm)]
     brings_normals = all(piece.corner_normals is not None for piece in pieces)
-    mesh = welded(joined(pieces))
+    mesh = _closed(path, joined(pieces), brings_normals, "a refractor")
+    normals = _normals_of_file(path, mesh) if crease_deg is None else None
+    if normals is None:
+        normals = estimated_corner_normals(mesh, smooth_groups(mesh, smooth_edges(mesh, crease_deg)))
+    return Mesh(mesh.vertices, mesh.faces, normals)
+
+
+def bounding_mesh(path: Path, units: str | None) -> Mesh:
+    """Load a closed mesh that bounds something: outward-oriented, of flat facets.
+
+    Parameters
+    ----------
+    path : Path
+    units : str, optional
+        Needed where the format carries none.
+
+    Raises
+    ------
+    MeshError
+        The file cannot be used, or its body is not closed.
+    """
+    return _closed(path, joined(piece.mesh for piece in load_mesh(path, units)), False, "what bounds a medium")
+
+
+def _closed(path: Path, mesh: Mesh, keeps_normals: bool, what_it_is: str) -> Mesh:
+    """Return a mesh welded, without facets that have no area and with its outside outside; refuse an open one."""
+    import trimesh
+
+    mesh = welded(mesh)
     with_area = facet_normals(mesh)[1] > 0.0
-    given = mesh.corner_normals[with_area] if mesh.corner_normals is not None and brings_normals else None
+    given = mesh.corner_normals[with_area] if mesh.corner_normals is not None and keeps_normals else None
     mesh = Mesh(mesh.vertices, mesh.faces[with_area], given)
     body = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     if not body.is_watertight or not body.is_winding_consistent:
         open_edges = 3 * len(mesh.faces) - 2 * len(body.face_adjacency)
         what = f"{open_edges} of its edges join no second facet" if open_edges else "its facets do not all face one way"
-        raise MeshError(f"{path}: a refractor must be a closed body; {what}; mend it and export again")
-    if body.volume < 0.0:
-        mesh = mesh.flipped()
-    normals = _normals_of_file(path, mesh) if crease_deg is None else None
-    if normals is None:
-        normals = estimated_corner_normals(mesh, smooth_groups(mesh, smooth_edges(mesh, crease_deg)))
-    return Mesh(mesh.vertices, mesh.faces, normals)
+        raise MeshError(f"{path}: {what_it_is} must be a closed body; {what}; mend it and export again")
+    return mesh.flipped() if body.volume < 0.0 else mesh
 
 
 def _normals_of_file(path: Path, mesh: Mesh) -> Array | None:

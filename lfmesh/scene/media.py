@@ -8,11 +8,35 @@ from pydantic import BeforeValidator, Field
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.phase import IsotropicPhase, Phase
 from lfmesh.scene.quantities import FilePath, Positive, Text, Vector
+from lfmesh.scene.refractor import Units, mesh_file_faults
 from lfmesh.scene.spectra import Coefficient, Kelvin, Radiance, Spectrum, coefficient_faults
 from lfmesh.scene.spectra import Shape as SpectralShape
 from lfmesh.scene.targets import Box, Cylinder, Sphere
 
-Bounds = Annotated[Box | Sphere | Cylinder, Field(discriminator="kind")]
+
+class MeshBounds(Model):
+    """A closed mesh, which what it bounds fills up to its flat facets."""
+
+    kind: Literal["mesh"] = "mesh"
+    """Which shape this is; may be left out beside `file`."""
+    file: FilePath
+    """A mesh file (STL, OBJ, PLY, OFF, GLB), relative to the scene file."""
+    units: Units | None = None
+    """Unit of length of the mesh file; required where the format carries none."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong with the file's name and unit."""
+        yield from mesh_file_faults(self.file, self.units)
+
+
+Bounds = Annotated[Box | Sphere | Cylinder | MeshBounds, Field(discriminator="kind")]
+
+
+def _of_file(value: Any) -> Any:
+    return {"kind": "mesh", **value} if isinstance(value, dict) and "file" in value else value
+
+
+AnyBounds = Annotated[Bounds, BeforeValidator(_of_file, json_schema_input_type=Bounds)]
 
 
 class Grid(Model):
@@ -47,8 +71,8 @@ class Medium(Model):
 
     name: Text | None = None
     """What the medium is called in reports."""
-    bounds: Bounds | None = None
-    """A box, sphere or cylinder, about the medium's own origin. Omitted: where its grid is or, without a grid, all of
+    bounds: AnyBounds | None = None
+    """A box, sphere or cylinder, or the closed mesh of a `file`, about the medium's own origin. Omitted: where its grid is or, without a grid, all of
     the body that it is inside, or else everywhere in front of the first lens vertex, so that the camera looks into it
     from its edge."""
     inside: Text | None = None

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import direction_through, point_through
+from lfmesh.geometry.shell_tree import next_crossing
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.packets.random import uniform
 from lfmesh.transport.tables.volumes import (
@@ -25,6 +26,7 @@ from lfmesh.transport.tables.volumes import (
     IN_FRONT,
     OF_BODY,
     OF_VOXELS,
+    SHELL,
     Volumes,
 )
 
@@ -108,8 +110,39 @@ def _slab(low: float, high: float, o: float, d: float) -> tuple[float, float]:
 
 
 @kernel
-def span(row: Any, ray: Ray) -> tuple[float, float]:
-    """Return the distances between which a ray, in the own frame, is in a medium; the first is larger if never."""
+def span(shells: Any, row: Any, ray: Ray, t: float) -> tuple[float, float, float]:
+    """Return the distances between which a ray, in the own frame, is in a medium, as they are seen from one distance.
+
+    Parameters
+    ----------
+    shells : ShellTree or None
+        None: no mesh bounds a medium, and numba compiles nothing for it.
+    row : VOLUME
+    ray : Ray
+    t : float, mm
+
+    Returns
+    -------
+    first, last : float, mm
+        The first is larger if the ray is never in it.
+    holds : float, mm
+        Distance beyond t up to which this is so: the next crossing of a mesh, else inf.
+    """
+    holds = np.inf
+    if shells is not None:
+        if row.bounds == SHELL:
+            inside, holds = next_crossing(
+                shells, row.nodes[0], row.nodes[1], t, ray.x, ray.y, ray.z, ray.dx, ray.dy, ray.dz
+            )
+            if not inside:
+                return np.inf, -np.inf, holds
+    first, last = _span(row, ray)
+    return first, last, holds
+
+
+@kernel
+def _span(row: Any, ray: Ray) -> tuple[float, float]:
+    """Return the distances between which a ray is in the bounds of a medium, but for those of a mesh, and its grid."""
     x, y, z, dx, dy, dz = ray
     first, last = -np.inf, np.inf
     if row.bounds == IN_FRONT:
@@ -119,7 +152,7 @@ def span(row: Any, ray: Ray) -> tuple[float, float]:
             o, d = (x, y, z)[axis], (dx, dy, dz)[axis]
             a, b = _slab(-row.size[axis], row.size[axis], o, d)
             first, last = max(first, a), min(last, b)
-    else:
+    elif row.bounds != SHELL:
         cut = 0.0 if row.bounds == CYLINDER else 1.0
         a = dx * dx + dy * dy + cut * dz * dz
         middle = -(x * dx + y * dy + cut * z * dz)
@@ -284,15 +317,16 @@ def pass_through(
     begin, length, mean, before, own = 0.0, 0.0, 0.0, 0.0, 0.0
     choice = uniform(key, STEP) if volumes.scatters else 0.0
     # The ray in the frame of one of the media, mostly the only one, and where it is in it.
-    known, ray, first, last = -1, Ray(x, y, z, dx, dy, dz), 0.0, 0.0
+    known, ray, first, last, holds = -1, Ray(x, y, z, dx, dy, dz), 0.0, 0.0, np.inf
     while t < reach and left > 0.0:
         until, active, only, grids = reach, 0, -1, 0
         for number in range(len(rows)):
             if rows[number].inside != place:
                 continue
-            if number != known:
+            if number != known or holds <= t:
                 known, ray = number, own_ray(rows[number], x, y, z, dx, dy, dz)
-                first, last = span(rows[number], ray)
+                first, last, holds = span(volumes.shells, rows[number], ray, t)
+            until = min(until, holds)
             if last <= t or first >= last:
                 continue
             if first > t:
@@ -320,7 +354,7 @@ def pass_through(
                     continue
                 if number != known:
                     known, ray = number, own_ray(rows[number], x, y, z, dx, dy, dz)
-                    first, last = span(rows[number], ray)
+                    first, last, holds = span(volumes.shells, rows[number], ray, t)
                 if not (first <= t and last >= until and first < last):
                     continue
                 ka, ks, j = coefficients(volumes, number, colour, low_t, middle, ray)
@@ -407,7 +441,7 @@ def _absorbed_in(
     if row.inside != place:
         return False, 0.0
     ray = own_ray(row, way.x, way.y, way.z, way.dx, way.dy, way.dz)
-    first, last = span(row, ray)
+    first, last, _ = span(volumes.shells, row, ray, middle)
     if not (first <= t and last >= until and first < last):
         return False, 0.0
     return True, coefficients(volumes, number, colour, middle, middle, ray)[0]
@@ -452,7 +486,7 @@ def scattering_point(
     total, before = 0.0, 0.0
     for number in range(len(volumes.rows)):
         ray = own_ray(volumes.rows[number], x, y, z, dx, dy, dz)
-        first, last = span(volumes.rows[number], ray)
+        first, last, _ = span(volumes.shells, volumes.rows[number], ray, middle)
         if volumes.rows[number].inside != place or not first <= middle <= last:
             continue
         ks = coefficients(volumes, number, colour, t, middle, ray)[1]
@@ -466,7 +500,7 @@ def scattering_point(
     choice, which = uniform(key, WHICH) * total, 0
     for number in range(len(volumes.rows)):
         ray = own_ray(volumes.rows[number], x, y, z, dx, dy, dz)
-        first, last = span(volumes.rows[number], ray)
+        first, last, _ = span(volumes.shells, volumes.rows[number], ray, middle)
         if volumes.rows[number].inside != place or not first <= middle <= last:
             continue
         ks = coefficients(volumes, number, colour, t, middle, ray)[1]

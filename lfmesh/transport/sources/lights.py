@@ -152,7 +152,7 @@ def _from_medium(
         objects, number, colour, start(key, PLACE_U), start(key, PLACE_V), start(key, PLACE_W), start(key, PLACE_T)
     )
     ray = own_ray(volumes.rows[number], x, y, z, 0.0, 0.0, 1.0)
-    first, last = span(volumes.rows[number], ray)
+    first, last, _ = span(volumes.shells, volumes.rows[number], ray, 0.0)
     if not first <= 0.0 <= last or density <= 0.0:
         return
     if len(objects.by_rank) > 1:

@@ -4,18 +4,20 @@ A new quantity that varies by voxels has its name in `geometry.voxels`, its plac
 `events.volume`.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
+from lfmesh.geometry.refractors import bounding_mesh
+from lfmesh.geometry.shell_tree import tree_of
 from lfmesh.geometry.voxels import VoxelGrid, read_voxels
 from lfmesh.optics.cie import planck_constants, planck_radiance
 from lfmesh.optics.phase import PHASE, PhaseTables, phase_tables
 from lfmesh.scene import Box, Cylinder, Scene, Sphere
-from lfmesh.scene.media import Medium
+from lfmesh.scene.media import Medium, MeshBounds
 from lfmesh.scene.phase import IsotropicPhase
 from lfmesh.scene.spectra import Spectrum, curve_of
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, WORLD_FRAME
@@ -27,7 +29,7 @@ from lfmesh.transport.tables.tables import Media
 
 Array = NDArray[np.float64]
 
-IN_FRONT, BOX, SPHERE, CYLINDER = range(4)
+IN_FRONT, BOX, SPHERE, CYLINDER, SHELL = range(5)
 """Kinds of bounds."""
 
 PER_VOLUME, OF_VOXELS, OF_BODY, BY_TEMPERATURE = range(4)
@@ -52,6 +54,8 @@ VOLUME = np.dtype(
         ("inside", "i8"),  # rank of the body of glass or liquid that it is in; 0: air
         ("bounds", "i8"),
         ("size", "f8", (3,)),  # mm: half edges of a box; radius; radius and half height of a cylinder
+        ("box", "f8", (2, 3)),  # mm, lowest and highest corner of the bounds
+        ("nodes", "i8", (2,)),  # of a mesh: its first node in `Volumes.shells`, and the one after its last
         ("to_own", "f8", (3, 4)),  # from the object frame into the medium's own
         ("cells", "i8", (3,)),  # voxels along x, y, z; 0: no grid
         ("constant", "i8"),  # 1: each voxel has one value throughout
@@ -89,6 +93,7 @@ class Volumes(NamedTuple):
     powers: Array  # (n,) about what each emits, W; inf: it has no bounds
     scatters: bool  # what they scatter is followed; else they take it away
     emit: bool
+    shells: Any = None  # ShellTree of the meshes that bound media; None: code for them is not even compiled
 
 
 def volume_tables(
@@ -125,6 +130,8 @@ def volume_tables(
     powers = np.zeros(len(rows))
     first, second = planck_constants(np.array(wavelengths_nm))
     planck = np.array([first * lines.weight_nm, second])
+    shells: list[Array] = []
+    with_shell: list[int] = []
     for i, (medium, body) in enumerate(zip(scene.media, holding, strict=True)):
         row = rows[i]
         where = f"media[{i}]"
@@ -132,9 +139,14 @@ def volume_tables(
         own = frame.frame(medium.rotation_deg, medium.position_mm)
         row["to_own"] = frame.compose(frame.inverse(own), moves[OBJECT_FRAME, WORLD_FRAME])
         _set_bounds(row, medium)
+        corners = None
+        if isinstance(medium.bounds, MeshBounds):
+            corners = _shell(scene, medium.bounds, row)
+            shells.append(corners)
+            with_shell.append(i)
         if body is not None and medium.bounds is None and medium.grid is None:
             _fill(row, hosts, body, moves)
-        row["low"], row["high"] = -row["size"], row["size"]
+        row["low"], row["high"] = row["box"]
         absorption[i] = _coefficient(scene, medium.absorption_per_mm, lines, f"{where}.absorption_per_mm")
         scattering[i] = _coefficient(scene, medium.scattering_per_mm, lines, f"{where}.scattering_per_mm")
         row["absorption"] = row["scattering"] = row["emission"] = NOT_IN_GRID
@@ -176,8 +188,8 @@ def volume_tables(
                 f"{where}: a medium without bounds that emits must absorb at every wavelength; give bounds"
             )
         if body is None:
-            _refuse_behind_lens(row, where, moves)
-        _refuse_displaced(row, where, moves, hosts, body)
+            _refuse_behind_lens(row, where, moves, corners)
+        _refuse_displaced(row, where, moves, hosts, body, corners)
         if spectrum.any():
             brightness = _brightness(row, grid, absorption[i], spectrum, planck)
             powers[i] = 4.0 * np.pi / W_MM3 * brightness.sum() * np.prod(row["high"] - row["low"]) / brightness.size
@@ -190,9 +202,13 @@ def volume_tables(
         rows[i]["absorption"] = rows[i]["scattering"] = rows[i]["emission"] = NOT_IN_GRID
         _fill(rows[i], hosts, body, moves)
     phases = _phases(scene, lines, holding, hosts, len(absorbing))
+    tree = None
+    if shells:
+        tree, ends = tree_of(shells)
+        rows["nodes"][with_shell] = ends
     volumes = Volumes(
         rows, absorption, scattering, emission, planck, np.concatenate(values), np.concatenate(until), phases,
-        np.zeros(1, PHASE), powers, bool((scattering > 0.0).any()), bool((emission > 0.0).any()),
+        np.zeros(1, PHASE), powers, bool((scattering > 0.0).any()), bool((emission > 0.0).any()), tree,
     )  # fmt: skip
     return volumes, hosts.without_absorption(absorbing)
 
@@ -284,6 +300,16 @@ def _set_bounds(row: np.void, medium: Medium) -> None:
             row["bounds"], row["size"] = CYLINDER, (radius, radius, 0.5 * height)
         case _:
             row["bounds"], row["size"] = IN_FRONT if medium.grid is None else BOX, (np.inf, np.inf, np.inf)
+    row["box"] = -row["size"], row["size"]
+
+
+def _shell(scene: Scene, bounds: MeshBounds, row: np.void) -> Array:
+    """Let a closed mesh bound a medium; return the corners of its facets in the medium's own frame, (m, 3, 3) mm."""
+    mesh = bounding_mesh(scene.resolve(bounds.file), bounds.units)
+    corners = np.asarray(mesh.vertices[mesh.faces])
+    row["bounds"] = SHELL
+    row["box"] = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    return corners
 
 
 def _fill(row: np.void, hosts: Hosts, body: int, moves: Array) -> None:
@@ -292,15 +318,20 @@ def _fill(row: np.void, hosts: Hosts, body: int, moves: Array) -> None:
     middle = frame.frame((0.0, 0.0, 0.0), tuple((0.5 * (low + high)).tolist()))
     row["to_own"] = frame.compose(frame.inverse(middle), moves[OBJECT_FRAME, WORLD_FRAME])
     row["bounds"], row["size"] = BOX, 0.5 * BEYOND_BODY * (high - low)
-    row["low"], row["high"] = -row["size"], row["size"]
+    row["box"] = -row["size"], row["size"]
+    row["low"], row["high"] = row["box"]
 
 
-def _refuse_displaced(row: np.void, where: str, moves: Array, hosts: Hosts, body: int | None) -> None:
+def _refuse_displaced(
+    row: np.void, where: str, moves: Array, hosts: Hosts, body: int | None, shell: Array | None
+) -> None:  # fmt: skip
     """Refuse a medium in air that lies in a body, which displaces it, and one in a body that it lies beside."""
     corners = corners_of(row)
     if corners is None:
         return
-    if row["cells"][0] == 0 and row["bounds"] == SPHERE:
+    if row["cells"][0] == 0 and shell is not None:
+        corners = shell.reshape(-1, 3)
+    elif row["cells"][0] == 0 and row["bounds"] == SPHERE:
         corners = row["size"][0] * np.concatenate([np.eye(3), -np.eye(3)])
     elif row["cells"][0] == 0 and row["bounds"] == CYLINDER:
         corners = corners * np.array([np.sqrt(0.5), np.sqrt(0.5), 1.0])
@@ -363,7 +394,7 @@ def _emission(scene: Scene, medium: Medium, lines: Lines, where: str) -> Array:
 
 def corners_of(row: np.void) -> Array | None:
     """Return the corners of a box round a medium in its own frame, (8, 3) mm; None if it has no end."""
-    low, high = -row["size"], row["size"]
+    low, high = row["box"]
     if row["cells"][0] > 0:
         low, high = np.maximum(low, row["low"]), np.minimum(high, row["high"])
     if not np.isfinite(low).all():
@@ -372,7 +403,7 @@ def corners_of(row: np.void) -> Array | None:
                      for i in (0, 1) for j in (0, 1) for k in (0, 1)])  # fmt: skip
 
 
-def _refuse_behind_lens(row: np.void, where: str, moves: Array) -> None:
+def _refuse_behind_lens(row: np.void, where: str, moves: Array, shell: Array | None) -> None:
     """Refuse a medium that reaches behind the first lens vertex; one without bounds ends there."""
     to_camera = frame.compose(moves[OBJECT_FRAME, CAMERA_FRAME], frame.inverse(row["to_own"]))
     corners = corners_of(row)
@@ -380,7 +411,7 @@ def _refuse_behind_lens(row: np.void, where: str, moves: Array) -> None:
         # Its own frame becomes the camera's, in which it lies at z < 0.
         row["to_own"] = moves[OBJECT_FRAME, CAMERA_FRAME]
         return
-    placed = frame.points(to_camera, corners)
+    placed = frame.points(to_camera, corners if shell is None or row["cells"][0] > 0 else shell.reshape(-1, 3))
     behind = placed[:, 2].max()
     if row["bounds"] == SPHERE and row["cells"][0] == 0:
         behind = to_camera[2, 3] + row["size"][0]

@@ -20,6 +20,7 @@ DIMENSIONLESS = {
     "geometry/mesh_file.py": {"MM_PER_UNIT"},
     "geometry/patch.py": {"INSIDE", "SETTLED"},
     "geometry/refractors.py": {"FLAT_SHADED", "NO_POWER", "ON_AXIS", "ON_SURFACE", "SAME_NORMAL", "SLIVER"},
+    "geometry/shell_tree.py": {"MARGIN"},
     "geometry/surface.py": {"SETTLED"},
     "geometry/targets.py": {"FLAT"},
     "geometry/tessellation.py": {"FLOAT32_MARGIN"},

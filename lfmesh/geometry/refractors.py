@@ -135,6 +135,12 @@ def bounding_mesh(path: Path, units: str | None) -> Mesh:
     MeshError
         The file cannot be used, or its body is not closed.
     """
+    path = path.resolve()
+    return _bounding_mesh(path, file_stamp(path), units)
+
+
+@lru_cache(maxsize=32)
+def _bounding_mesh(path: Path, stamp: tuple[object, ...], units: str | None) -> Mesh:
     return _closed(path, joined(piece.mesh for piece in load_mesh(path, units)), False, "what bounds a medium")
 
 

@@ -9,7 +9,7 @@ Transactions on Graphics 9 (1990) 66-104). So no line slips through an edge or a
 """
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,7 +85,7 @@ def _nodes(corners: Array, order: NDArray[np.int64]) -> Iterator[tuple[Array, Ar
 
 
 @inlined
-def _meets_box(node: NDArray[np.void], ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> bool:
+def _meets_box(node: Any, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> bool:
     first, last = -np.inf, np.inf
     for axis in range(3):
         o, d = (ox, oy, oz)[axis], (dx, dy, dz)[axis]
@@ -173,8 +173,7 @@ def next_crossing(
             height = (u * az + v * bz + w * cz) / whole_area if whole_area != 0.0 else (az + bz + cz) / 3.0
             at = shift + height * sk
             if at > t:
-                # The origin is left of all edges where the facet, seen against the third axis, runs counter-clockwise:
-                # its outside looks along that axis.
+                # Left of all its edges, the line sees the outside of the facet look along the third axis.
                 beyond += sense if left else -sense
                 ahead = min(ahead, at)
         node += 1

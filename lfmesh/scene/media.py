@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.model import Fault, Model, kind_of
 from lfmesh.scene.phase import IsotropicPhase, Phase
 from lfmesh.scene.quantities import FilePath, Positive, Text, Vector
 from lfmesh.scene.refractor import Units, mesh_file_faults
@@ -33,7 +33,7 @@ Bounds = Annotated[Box | Sphere | Cylinder | MeshBounds, Field(discriminator="ki
 
 
 def _of_file(value: Any) -> Any:
-    return {"kind": "mesh", **value} if isinstance(value, dict) and "file" in value else value
+    return {**value, "kind": kind_of(value)} if isinstance(value, dict) and "file" in value else value
 
 
 AnyBounds = Annotated[Bounds, BeforeValidator(_of_file, json_schema_input_type=Bounds)]
@@ -72,9 +72,9 @@ class Medium(Model):
     name: Text | None = None
     """What the medium is called in reports."""
     bounds: AnyBounds | None = None
-    """A box, sphere or cylinder, or the closed mesh of a `file`, about the medium's own origin. Omitted: where its grid is or, without a grid, all of
-    the body that it is inside, or else everywhere in front of the first lens vertex, so that the camera looks into it
-    from its edge."""
+    """A box, sphere or cylinder, or a closed mesh by its `file`, about the medium's own origin. Omitted: where its grid
+    is or, without a grid, all of the body that it is inside, or else everywhere in front of the first lens vertex, so
+    that the camera looks into it from its edge."""
     inside: Text | None = None
     """The body of glass or liquid that it is in, by its name in reports: "tanks[0] liquid", or the name of a target
     with a refractor. Omitted: it is in air."""

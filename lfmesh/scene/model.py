@@ -231,13 +231,18 @@ def _restated(detail: ErrorDetails, cls: type[Model]) -> Fault:
     return Fault(where, value, valid)
 
 
+def kind_of(table: Mapping[str, Any]) -> Any:
+    """Return what the `kind` of a table says; of one with a file and without `kind`, "mesh"."""
+    return table.get("kind", "mesh" if "file" in table else None)
+
+
 def _without_tags(location: Location, data: Any) -> Location:
     """Drop the tags of discriminated unions, which are no keys of the file."""
     kept: list[str | int] = []
     for step in location:
         if isinstance(step, str) and step.startswith("<"):
             continue
-        if isinstance(data, Mapping) and step not in data and data.get("kind") == step:
+        if isinstance(data, Mapping) and step not in data and kind_of(data) == step:
             continue
         kept.append(step)
         try:

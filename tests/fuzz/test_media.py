@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -32,6 +33,11 @@ bounds = st.one_of(
     st.builds(lambda *s: {"kind": "box", "size_mm": list(s)}, lengths, lengths, lengths),
     st.builds(lambda r: {"kind": "sphere", "radius_mm": r}, lengths),
     st.builds(lambda r, h: {"kind": "cylinder", "radius_mm": r, "height_mm": h}, lengths, lengths),
+    st.builds(
+        lambda file, units: {"file": file, "units": units},
+        st.sampled_from(["ball.off", "ball.off", "open.off", "none.off", "ball.txt", ""]),
+        st.sampled_from(["mm", "mm", "cm", "um", "m", None, "mile"]),
+    ),
 )
 shapes = st.one_of(st.tuples(*[st.integers(1, 4)] * 3), st.sampled_from([(), (3,), (2, 2), (0, 2, 2), (2, 2, 2, 2)]))
 grids = st.one_of(
@@ -65,6 +71,9 @@ media = st.fixed_dictionaries(
 )
 
 
+BALL: str = trimesh.creation.icosahedron().apply_scale(8.0).export(file_type="off")
+
+
 def in_one_line(error: LfmeshError) -> None:
     lines = str(error).splitlines()
     assert 1 <= len(lines) <= 22
@@ -91,6 +100,8 @@ def is_passed_or_refused(drawn: list[dict[str, Any]], seed: int) -> None:
     draw = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
+        (folder / "ball.off").write_text(BALL)
+        (folder / "open.off").write_text(BALL.replace("20 0\n", "19 0\n").rsplit("\n", 2)[0] + "\n")
         try:
             volumes = volumes_of(*[written(medium, folder, k) for k, medium in enumerate(drawn)], folder=folder)
         except LfmeshError as error:

@@ -130,12 +130,13 @@ def span(shells: Any, row: Any, ray: Ray, t: float) -> tuple[float, float, float
     """
     holds = np.inf
     if shells is not None:
+        inside = True
         if row.bounds == SHELL:
             inside, holds = next_crossing(
                 shells, row.nodes[0], row.nodes[1], t, ray.x, ray.y, ray.z, ray.dx, ray.dy, ray.dz
             )
-            if not inside:
-                return np.inf, -np.inf, holds
+        if not inside:
+            return np.inf, -np.inf, holds
     first, last = _span(row, ray)
     return first, last, holds
 

@@ -5,6 +5,7 @@ import math
 from lfmesh.errors import LfmeshError
 from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.scene import Surface
+from lfmesh.scene.media import MeshBounds
 from lfmesh.scene.spectra import Spectrum
 from lfmesh.transport.world import World
 from lfmesh.view.rays.names import label, lens_names
@@ -176,6 +177,7 @@ def _medium_round(world: World, number: int) -> Rows:
         ("medium", medium.name or f"media[{number}]"),
         ("inside", medium.inside or "air"),
         *((key, _spectral(value)) for key, value in values if value),
+        *([("bounds", medium.bounds.file)] if isinstance(medium.bounds, MeshBounds) else []),
         *([("grid", medium.grid.file)] if medium.grid is not None else []),
     ]
 

@@ -4,9 +4,10 @@ import numpy as np
 
 from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
+from lfmesh.geometry.shell_tree import ShellTree
 from lfmesh.scene.particles import Particles, unit
 from lfmesh.transport.packets.packet import OBJECT_FRAME, WORLD_FRAME
-from lfmesh.transport.tables.volumes import CYLINDER, SPHERE, corners_of
+from lfmesh.transport.tables.volumes import CYLINDER, SHELL, SPHERE, corners_of
 from lfmesh.transport.world import World
 
 POINTS = 48
@@ -25,7 +26,9 @@ def outline_of_medium(world: World, number: int) -> Array:
         return np.zeros((0, 2, 3))
     to_world = frame.compose(world.tables.frames[OBJECT_FRAME, WORLD_FRAME], frame.inverse(row["to_own"]))
     radius, half = row["size"][0], row["size"][2]
-    if row["cells"][0] > 0 or row["bounds"] not in (SPHERE, CYLINDER):
+    if row["cells"][0] == 0 and row["bounds"] == SHELL:
+        lines = _edges(volumes.shells, *row["nodes"])
+    elif row["cells"][0] > 0 or row["bounds"] not in (SPHERE, CYLINDER):
         lines = corners[np.array(EDGES)]
     elif row["bounds"] == SPHERE:
         circle = _circle(radius, 0.0)
@@ -36,6 +39,18 @@ def outline_of_medium(world: World, number: int) -> Array:
         sides = np.stack([np.column_stack([rim, np.full(4, z)]) for z in (-half, half)], axis=1)
         lines = np.concatenate([_circle(radius, -half), _circle(radius, half), sides])
     return frame.points(to_world, lines.reshape(-1, 3)).reshape(-1, 2, 3)
+
+
+def _edges(shells: ShellTree, begin: int, end: int) -> Array:
+    """Return the edges of the shell with these nodes, (n, 2, 3) mm; of each edge one of its two senses."""
+    leaves = shells.nodes[begin:end]
+    leaves = leaves[leaves["count"] > 0]
+    facets = shells.corners[leaves["first"][0] : leaves["first"][-1] + leaves["count"][-1]]
+    edges = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2).reshape(-1, 2, 3)
+    # The first coordinate in which the ends differ decides.
+    steps = edges[:, 1] - edges[:, 0]
+    sense = np.take_along_axis(steps, (steps != 0.0).argmax(axis=1)[:, None], axis=1)[:, 0]
+    return np.asarray(edges[sense > 0.0])
 
 
 def _circle(radius: float, z: float) -> Array:

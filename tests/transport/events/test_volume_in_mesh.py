@@ -9,8 +9,8 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from lfmesh.geometry.frame import rotation
 from lfmesh.errors import LfmeshError
+from lfmesh.geometry.frame import rotation
 from lfmesh.geometry.shell_tree import LEAF, next_crossing, tree_of
 from lfmesh.transport.tables.volumes import Volumes
 from tests.transport.events.test_volume import passage, slab, volumes_of
@@ -47,9 +47,7 @@ def test_chords_of_random_boxes_and_hulls_are_those_of_their_planes(tmp_path: Pa
     for number in range(6):
         points = draw.normal(size=(8 * 3**number, 3)) * draw.uniform(2.0, 8.0, 3)
         if number == 0:
-            points = draw.uniform(1.0, 8.0, 3) * np.array(
-                [[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]
-            )
+            points = draw.uniform(1.0, 8.0, 3) * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)
         if number == 1:
             points = trimesh.creation.icosphere(3, 6.0).vertices
         mesh = trimesh.convex.convex_hull(points)
@@ -92,7 +90,9 @@ def test_no_line_slips_through_an_edge_or_a_corner(tmp_path: Path) -> None:
         for way in ways:
             d = way / np.linalg.norm(way)
             # A line in a face or an edge, whose way in the body is not defined, may count or not.
-            lies_in_face = any(abs(n @ d) < 1e-12 and abs(c - n @ aim) < 1e-12 for n, c in zip(planes, offsets))
+            lies_in_face = any(
+                abs(n @ d) < 1e-12 and abs(c - n @ aim) < 1e-12 for n, c in zip(planes, offsets, strict=True)
+            )
             expected = chord_of_planes(planes, offsets, aim, d)
             found = depth(volumes, place + aim - 32.0 * way, d)
             if lies_in_face:
@@ -172,7 +172,7 @@ def test_trees_hold_every_facet_once() -> None:
         ("round the camera", r"media\[0\] reaches .* mm behind the first lens vertex"),
         ("missing", r"none\.stl: the mesh file"),
         ("unit", r"units: missing: STL files carry no unit"),
-        ("ending", r"media\[0\]\.bounds.*file = \"body\.txt\": must end in one of"),
+        ("ending", r"media\[0\]\.bounds\.file = \"body\.txt\": must end in one of"),
         ("kind", r"bounds"),
     ],
 )

@@ -121,7 +121,9 @@ def solid_mesh(
     return Mesh(mesh.vertices, mesh.faces, normals)
 
 
-def bounding_mesh(path: Path, units: str | None) -> Mesh:
+def bounding_mesh(
+    path: Path, units: str | None, node: str | int | None = None, tolerance_mm: float | None = None
+) -> Mesh:  # fmt: skip
     """Load a closed mesh that bounds something: outward-oriented, of flat facets.
 
     Parameters
@@ -129,6 +131,10 @@ def bounding_mesh(path: Path, units: str | None) -> Mesh:
     path : Path
     units : str, optional
         Needed where the format carries none.
+    node : str or int, optional
+        The body of the file that is meant, where it has several.
+    tolerance_mm : float, optional
+        Of a STEP file: how far a facet may lie off its surface.
 
     Raises
     ------
@@ -136,12 +142,15 @@ def bounding_mesh(path: Path, units: str | None) -> Mesh:
         The file cannot be used, or its body is not closed.
     """
     path = path.resolve()
-    return _bounding_mesh(path, file_stamp(path), units)
+    return _bounding_mesh(path, file_stamp(path), units, node, tolerance_mm)
 
 
 @lru_cache(maxsize=32)
-def _bounding_mesh(path: Path, stamp: tuple[object, ...], units: str | None) -> Mesh:
-    return _closed(path, joined(piece.mesh for piece in load_mesh(path, units)), False, "what bounds a medium")
+def _bounding_mesh(
+    path: Path, stamp: tuple[object, ...], units: str | None, node: str | int | None, tolerance_mm: float | None
+) -> Mesh:  # fmt: skip
+    pieces = load_mesh(path, units, node=node, tolerance_mm=tolerance_mm)
+    return _closed(path, joined(piece.mesh for piece in pieces), False, "what bounds a medium")
 
 
 def _closed(path: Path, mesh: Mesh, keeps_normals: bool, what_it_is: str) -> Mesh:

@@ -8,25 +8,24 @@ from pydantic import BeforeValidator, Field
 from lfmesh.scene.model import Fault, Model, kind_of
 from lfmesh.scene.phase import IsotropicPhase, Phase
 from lfmesh.scene.quantities import FilePath, Positive, Text, Vector
-from lfmesh.scene.refractor import Units, mesh_file_faults
+from lfmesh.scene.refractor import BodyFile
 from lfmesh.scene.spectra import Coefficient, Kelvin, Radiance, Spectrum, coefficient_faults
 from lfmesh.scene.spectra import Shape as SpectralShape
 from lfmesh.scene.targets import Box, Cylinder, Sphere
 
 
-class MeshBounds(Model):
+class MeshBounds(BodyFile):
     """A closed mesh, which what it bounds fills up to its flat facets."""
 
     kind: Literal["mesh"] = "mesh"
     """Which shape this is; may be left out beside `file`."""
-    file: FilePath
-    """A mesh file (STL, OBJ, PLY, OFF, GLB), relative to the scene file."""
-    units: Units | None = None
-    """Unit of length of the mesh file; required where the format carries none."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong with the file's name and unit."""
-        yield from mesh_file_faults(self.file, self.units)
+        """Yield what is wrong with the file's name and what is said of it."""
+        if self.file is None:
+            yield Fault(("file",), None, "missing: a closed mesh (STL, OBJ, PLY, OFF, GLB, STEP)")
+        else:
+            yield from self.file_faults()
 
 
 Bounds = Annotated[Box | Sphere | Cylinder | MeshBounds, Field(discriminator="kind")]

@@ -30,7 +30,7 @@ AT_LENS = 3e-9
 """The same at the lens, whose box begins a billionth of its size before the glass: there the medium ends."""
 
 ALONG = 1e-12
-"""Of a plane's unit normal the part along a line below which the line runs along the plane."""
+"""Part of a face's unit normal along a line, and mm beside the face, below which the line lies in the face."""
 
 KOLMOGOROV = 2.2
 """Distance between two distributions, over the root of the number, which is larger by chance once in 8,000 times."""
@@ -164,24 +164,24 @@ def plane_of_voxels() -> Outcome:
 
 @case
 def mesh_round_a_medium() -> Outcome:
-    """Cross a medium in a ball of 1,280 facets at its vertices, and in a box at its edges and their ends."""
+    """Cross media along lines through all vertices of a ball of 1,280 facets and through diagonals of a box's faces."""
     traces, found, depth = [], [], []
     kappa = 0.05
     ball, box = trimesh.creation.icosphere(3, 8.0), trimesh.creation.box((8.0, 6.0, 4.0))
-    for mesh, aims in ((ball, ball.vertices), (box, np.vstack([box.vertices, 0.5 * box.vertices]))):
-        inner = aims[(np.abs(aims[:, :2]) < 0.999 * mesh.extents[:2].min() / 2.0).all(axis=1)]
+    for mesh, aims in ((ball, ball.vertices), (box, 0.5 * box.vertices)):
+        planes = ConvexHull(mesh.vertices).equations
+        across = np.abs(planes[:, 2]) > ALONG
+        # A line within a face may count or not.
+        aims = aims[(aims @ planes[~across, :3].T + planes[~across, 3] < -ALONG).all(axis=1)]
         with tempfile.TemporaryDirectory(prefix="lfmesh-") as folder:
             mesh.export(Path(folder) / "shell.off", digits=17)
             medium = {"bounds": {"file": "shell.off", "units": "mm"}, "position_mm": [0.0, 0.0, MIDDLE]}
             world = build(_in_front(medium | {"absorption_per_mm": kappa}, folder=Path(folder)))
-            traces.append(_away(world, inner[:, 0], inner[:, 1]))
-        hull = ConvexHull(mesh.vertices).equations
-        found.append(_straight(traces[-1], len(inner)))
-        # Along z a line is within a plane n·x + c ≤ 0 from one side of −(n_x x + n_y y + c) / n_z.
-        across = np.abs(hull[:, 2]) > ALONG
-        ends = -(inner[:, :2] @ hull[across, :2].T + hull[across, 3]) / hull[across, 2]
-        up = hull[across, 2] > 0.0
-        depth.append(kappa * np.maximum(ends[:, up].min(axis=1) - ends[:, ~up].max(axis=1), 0.0))
+        traces.append(_away(world, aims[:, 0], aims[:, 1]))
+        found.append(_straight(traces[-1], len(aims)))
+        ends = -(aims[:, :2] @ planes[across, :2].T + planes[across, 3]) / planes[across, 2]
+        up = planes[across, 2] > 0.0
+        depth.append(kappa * (ends[:, up].min(axis=1) - ends[:, ~up].max(axis=1)))
     return _compared(traces, np.concatenate(found), np.concatenate(depth), "through closed meshes")
 
 

@@ -305,7 +305,7 @@ def _set_bounds(row: np.void, medium: Medium) -> None:
 
 def _shell(scene: Scene, bounds: MeshBounds, row: np.void) -> Array:
     """Let a closed mesh bound a medium; return the corners of its facets in the medium's own frame, (m, 3, 3) mm."""
-    mesh = bounding_mesh(scene.resolve(bounds.file), bounds.units)
+    mesh = bounding_mesh(scene.resolve(str(bounds.file)), bounds.units, bounds.node, bounds.tolerance_mm)
     corners = np.asarray(mesh.vertices[mesh.faces])
     row["bounds"] = SHELL
     row["box"] = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))

@@ -177,7 +177,7 @@ def _medium_round(world: World, number: int) -> Rows:
         ("medium", medium.name or f"media[{number}]"),
         ("inside", medium.inside or "air"),
         *((key, _spectral(value)) for key, value in values if value),
-        *([("bounds", medium.bounds.file)] if isinstance(medium.bounds, MeshBounds) else []),
+        *([("bounds", str(medium.bounds.file))] if isinstance(medium.bounds, MeshBounds) else []),
         *([("grid", medium.grid.file)] if medium.grid is not None else []),
     ]
 

@@ -77,13 +77,27 @@ def depth_truth(scene: Scene, *, views: int | None = None, samples: int = 16) ->
     """
     if not 1 <= samples <= MOST_SAMPLES:
         raise LfmeshError(f"samples = {samples}: must be from 1 to {MOST_SAMPLES}")
-    scene = solved_camera(scene).scene
-    scene = scene.changed({"lights": ()}).at_line(scene.primary_nm)
-    rays = ViewRays(build(scene))
+    rays = _rays_of(scene)
     count = view_count(rays.calibration, views)
     places = np.arange(count) - 0.5 * (count - 1)
     views_mm = np.stack([np.stack([_of_view(rays, v, u) for u in places]) for v in places])
     return DepthTruth(views_mm, _of_view(rays, 0.0, 0.0), *_of_pixels(rays.world, samples))
+
+
+def middle_depth_mm(scene: Scene) -> Samples:
+    """Trace `DepthTruth.middle_mm` alone.
+
+    Raises
+    ------
+    LfmeshError
+        A conventional camera.
+    """
+    return _of_view(_rays_of(scene), 0.0, 0.0)
+
+
+def _rays_of(scene: Scene) -> ViewRays:
+    scene = solved_camera(scene).scene
+    return ViewRays(build(scene.changed({"lights": ()}).at_line(scene.primary_nm)))
 
 
 def _of_view(rays: ViewRays, v: float, u: float) -> Samples:

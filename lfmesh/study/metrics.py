@@ -17,8 +17,13 @@ from numpy.typing import NDArray
 from lfmesh.lightfield.calibration import Calibration, calibrate
 from lfmesh.lightfield.centres import estimate_centres
 from lfmesh.lightfield.decode import decode
+from lfmesh.lightfield.field import LightField
 from lfmesh.lightfield.refocus import refocus
+from lfmesh.lightfield.white import white_scene
 from lfmesh.scene import Scene
+from lfmesh.study.compare import measuring
+from lfmesh.study.depth_error import depth_errors_mm, textured, true_depth_mm
+from lfmesh.study.edge_focus import edge_shift_mm
 from lfmesh.study.pictures import Camera, Films, edge_scene, image_of
 from lfmesh.study.resolution import edge_mtf50
 from lfmesh.study.similarity import structural_similarity
@@ -244,6 +249,63 @@ def _sharpness(image: Image, nominal: Scene, pair: Comparison, centres: Calibrat
     return edge_mtf50(middle) * height
 
 
+def _refocus(pair: Comparison) -> Array:
+    """Compare the distances at which an edge is refocused, with the nominal geometry and with centres found anew."""
+    nominal = pair.reference.scene
+    cameras = (pair.films, pair.reference_films)
+
+    def estimate(use: Numbers) -> Array:
+        traced, found = [], []
+        for films in cameras:
+            seen = estimate_centres(image_of(nominal, films["white"][use]), nominal)
+            traced.append(_refocused_mm(films, use, nominal, pair.reference_chief_rays))
+            found.append(_refocused_mm(films, use, nominal, seen))
+        shift, mended = traced[0] - traced[1], found[0] - found[1]
+        return np.array([traced[0], shift, shift**2, mended, mended**2])
+
+    return _from_replicates(estimate, pair)
+
+
+def _refocused_mm(films: Films, use: Numbers, nominal: Scene, centres: Calibration) -> float:
+    """Return at which distance the photograph of the edge is sharpest; NaN where that is no real one."""
+    edge, white = measuring(nominal), measuring(white_scene(nominal))
+    light = image_of(white, films["white"][use].sum(axis=3, keepdims=True))
+    field = decode(image_of(edge, films["edge"][use]), edge, white=light, calibration=centres)
+    distance = field.model.distance_mm(edge_shift_mm(field))
+    return distance if 0.0 < distance < math.inf else math.nan
+
+
+def _depth(pair: Comparison) -> Array:
+    """Compare the depth that the picture shows with the truth, decoded to plan and with centres found anew."""
+    nominal = pair.reference.scene
+    every = np.arange(pair.replicates)
+    where = textured(_divided(pair.reference_films, every, nominal, pair.reference_chief_rays))
+    truth = true_depth_mm(pair.camera.scene)
+
+    def estimate(use: Numbers) -> Array:
+        seen = estimate_centres(image_of(nominal, pair.films["white"][use]), nominal)
+        fields = (_divided(pair.films, use, nominal, centres) for centres in (pair.reference_chief_rays, seen))
+        errors = [depth_errors_mm(field, truth, where) for field in fields]
+        return np.array([value for error in errors for value in (np.median(error), np.median(np.abs(error)))])
+
+    return _from_replicates(estimate, pair)
+
+
+def _divided(films: Films, use: Numbers, nominal: Scene, centres: Calibration) -> LightField:
+    """Return the light field of the scene, divided by the white one."""
+    white = image_of(white_scene(nominal), films["white"][use])
+    return decode(image_of(nominal, films["scene"][use]), nominal, white=white, calibration=centres)
+
+
+def _crosstalk(pair: Comparison) -> Array:
+    own, others = (pair.films["lenslets"][..., i].sum(axis=(1, 2)) for i in (0, 1))
+
+    def estimate(use: Numbers) -> Array:
+        return np.array([others[use].sum() / (own[use] + others[use]).sum()])
+
+    return _from_replicates(estimate, pair)
+
+
 def _from_replicates(estimate: Callable[[Numbers], Array], pair: Comparison) -> Array:
     return pseudo_values(estimate, pair.replicates)
 
@@ -255,6 +317,13 @@ def _movement(prefix: str, words: str) -> tuple[Column, ...]:
         Column(f"{prefix}_rms_px", f"{words}: displacement, rms / pixels", "root", magnitude=True, worse="high"),
         Column(f"{prefix}_pitch_ratio", f"{words}: pitch over the reference's"),
         Column(f"{prefix}_turn_deg", f"{words}: rotation / deg"),
+    )
+
+
+def _depths(prefix: str, words: str) -> tuple[Column, ...]:
+    return (
+        Column(f"{prefix}_bias_mm", f"depth less the true one, {words}: median / mm"),
+        Column(f"{prefix}_error_mm", f"depth error, {words}: median of its size / mm", magnitude=True, worse="high"),
     )
 
 
@@ -286,6 +355,33 @@ METRICS: Mapping[str, Metric] = {
         ),
         ("edge", "white"),
         _mtf50,
+        needs_mla=True,
+    ),
+    "refocus": Metric(
+        (
+            Column("refocus_mm", "refocus distance, decoded as built to plan / mm"),
+            Column("refocus_shift_mm", "refocus distance less the reference's / mm"),
+            Column("refocus_error_mm", "size of this shift / mm", "root", magnitude=True, worse="high"),
+            Column("refocus_calibrated_shift_mm", "refocus shift, calibrated by its white image / mm"),
+            Column("refocus_calibrated_error_mm", "size of this shift / mm", "root", magnitude=True, worse="high"),
+        ),
+        ("edge", "white"),
+        _refocus,
+        needs_mla=True,
+    ),
+    "depth": Metric(
+        (
+            *_depths("depth", "decoded as built to plan"),
+            *_depths("depth_calibrated", "calibrated by its white image"),
+        ),
+        ("scene", "white"),
+        _depth,
+        needs_mla=True,
+    ),
+    "crosstalk": Metric(
+        (Column("crosstalk_share", "share of light in micro-images through other lenslets", worse="high"),),
+        ("lenslets",),
+        _crosstalk,
         needs_mla=True,
     ),
     "noise": Metric((Column("noise", "noise, rms over rms of the image", "root", worse="high"),), ("scene",), _noise),

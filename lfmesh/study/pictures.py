@@ -11,6 +11,7 @@ from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.white import white_scene
 from lfmesh.scene import Scene
 from lfmesh.study.compare import edge_plane, measuring
+from lfmesh.study.crosstalk import lenslet_light
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.tracer import Tracer
@@ -24,6 +25,10 @@ FARTHEST_MM = 1e6
 """No edge stands farther off."""
 
 
+LENSLETS = "lenslets"
+"""No picture: light of a white surround in each micro-image, through its own lenslet and through others."""
+
+
 @dataclass(frozen=True)
 class Camera:
     """A camera of a study, solved, and where its edge stands."""
@@ -33,13 +38,13 @@ class Camera:
 
 
 def films(camera: Camera, names: Sequence[str], replicates: Sequence[int]) -> dict[str, Array]:
-    """Trace some replicates of some pictures; each is bitwise that of `lf.render` of the same scene.
+    """Trace some replicates of some pictures; each of `PICTURES` is bitwise that of `lf.render` of the same scene.
 
     Parameters
     ----------
     camera : Camera
     names : sequence of str
-        Of `PICTURES`.
+        Of `PICTURES`, or "lenslets" for `lenslet_light`.
     replicates : sequence of int
 
     Raises
@@ -47,7 +52,13 @@ def films(camera: Camera, names: Sequence[str], replicates: Sequence[int]) -> di
     LfmeshError
         The scene cannot be built.
     """
-    return {name: _films(PICTURES[name](camera), replicates) for name in names}
+    return {name: _film_of(camera, name, replicates) for name in names}
+
+
+def _film_of(camera: Camera, name: str, replicates: Sequence[int]) -> Array:
+    if name == LENSLETS:
+        return lenslet_light(camera.scene, replicates)
+    return _films(PICTURES[name](camera), replicates)
 
 
 def _films(scene: Scene, replicates: Sequence[int]) -> Array:

@@ -51,7 +51,7 @@ class StudyFile(Model):
     """Solve the distances that the scene omits anew at every point, as for a camera that is focused after it was
     changed. Else they are solved once, for the reference camera, which is then disturbed."""
     edge_distance_mm: Positive | None = None
-    """Where the edge of the metric "mtf50" stands; in the plane in focus if omitted."""
+    """Where the edge of the metrics "mtf50" and "refocus" stands; in the plane in focus if omitted."""
     limits: dict[str, Number] = Field(default_factory=dict)
     """What a good camera keeps, by the column of the table, such as "psnr_db" = 30.0: at least, or, of columns that are
     the worse the larger they are, at most. The report has the yield."""

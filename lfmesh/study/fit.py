@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
 from scipy.optimize import least_squares
 
 from lfmesh.errors import LfmeshError
@@ -21,6 +20,7 @@ from lfmesh.lightfield.calibration import calibrate
 from lfmesh.lightfield.detector import Exposed
 from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.scene import Scene
+from lfmesh.study.fit_errors import Split, neighbours_meat
 from lfmesh.study.fit_model import FitModel, Parameter, parameters_of
 from lfmesh.study.micro_image_phase import micro_image_places
 from lfmesh.study.white_picture import Orientation, light_of
@@ -34,11 +34,8 @@ SAMPLES = 128
 ROUNDS = 10
 """Simulated white images at most."""
 
-ASIDE = 0.5
-"""Of the range: how far what is kept is moved to see what that does to the micro-images."""
-
 SETTLED = 0.25
-"""Of a standard error: a fit that moves less from one simulated image to the next is done."""
+"""Of a standard error, rms over the directions: a fit that another simulated image moves less is done."""
 
 FIRST_SIGMA_PX = 0.02
 """About what micro-images lie beside chief rays as long as no image was simulated."""
@@ -202,10 +199,10 @@ class _Search:
         self.pitch = RayModel.of(model.scene).micro_image_pitch_px
         self.measured = micro_image_places(light, model.scene)
         self.steps = np.zeros(len(model.parameters))
-        self.beside = np.zeros_like(self.measured)
+        self.simulated: list[tuple[Array, Array]] = []
+        self.slopes = np.zeros((*self.measured.shape, len(self.steps)))
         self.sigma = FIRST_SIGMA_PX
         self.traced: tuple[Array, Array] | None = None
-        self.unseen = np.zeros((*self.measured.shape, 0))
         self.outliers = np.zeros(self.measured.shape[:2], bool)
 
     def run(self) -> Fit:
@@ -217,53 +214,43 @@ class _Search:
             As `fit`.
         """
         self.say("tracing derivatives")
+        self._fit(self.model.derivative(self.steps))
+        self._simulate(1)
         derivative = self.model.derivative(self.steps)
         split = self._fit(derivative)
-        for number in range(1, ROUNDS + 1):
-            self.say(f"simulating white image {number}")
-            self.beside = self.model.beside(self.model.simulated(self.steps), self.steps)
-            if number == 1:
-                derivative = self.model.derivative(self.steps)
-                split = self._fit(derivative)
-                self.say("simulating what is kept")
-                self.unseen = self._unseen(split)
-                continue
+        self.say("simulating what chief rays do not show")
+        self.slopes = self.model.beside_slopes(self.steps, derivative[self._used(derivative)])
+        # That one was taken before much was known.
+        self.simulated.clear()
+        for number in range(2, ROUNDS + 1):
+            self._simulate(number)
+            derivative = self.model.derivative(self.steps)
             before = self.steps
             split = self._fit(derivative, split)
-            moved = (self.steps - before)[split.free] / np.sqrt(np.diag(split.covariance))
-            if np.abs(moved).max() < SETTLED:
+            moved = (self.steps - before)[split.free]
+            if number > 2 and moved @ np.linalg.solve(split.covariance, moved) < SETTLED**2 * len(moved):
                 return self._result(derivative, split)
         raise LfmeshError(
             f"the fit did not settle in {ROUNDS} simulated images; give more samples, or check the scene against the "
             "camera"
         )
 
-    def _unseen(self, split: "Split") -> Array:
-        """Return what the search finds beside chief rays if kept parameters change, (rows, columns, 2, kept) pixels.
+    def _simulate(self, number: int) -> None:
+        self.say(f"simulating white image {number}")
+        beside = self.model.beside(self.model.simulated(self.steps, number), self.steps)
+        self.simulated.append((self.steps.copy(), beside))
 
-        Chief rays land in the same places then, but micro-images have another size: pixels sample them differently, and
-        the light in them is spread otherwise. What that may do to the fitted ones is part of their errors.
-        """
-        patterns = []
-        for column, kept in enumerate(split.kept):
-            way = np.zeros(len(self.steps))
-            way[kept] = 1.0
-            way[split.free] = split.traded[:, column]
-            ends = [self.steps + sign * ASIDE * way for sign in (1.0, -1.0)]
-            up, down = (self.model.beside(self.model.simulated(end), end) for end in ends)
-            patterns.append((up - down) / (2.0 * ASIDE))
-        return np.stack(patterns, axis=-1) if patterns else self.unseen
-
-    def _fit(self, derivative: Array, like: "Split | None" = None) -> "Split":
+    def _fit(self, derivative: Array, like: Split | None = None) -> Split:
         """Move to the least squares with the present offsets, and take their scatter as the noise."""
+        slopes = derivative + self.slopes
         for _ in range(2):
             used = self._used(derivative)
-            rows = derivative[used].reshape(-1, derivative.shape[-1])
-            split = Split.of(rows, self.sigma, like)
+            split = Split.of(_rows(derivative, used), self.sigma, like)
+            rows = _rows(slopes, used)[:, split.free]
             solved = least_squares(
                 lambda free, used=used, split=split: self.residuals(self._with(free, split))[used].ravel(),
                 self.steps[split.free],
-                jac=lambda _, rows=rows, split=split: -rows[:, split.free],
+                jac=lambda _, rows=rows: -rows,
                 method="trf", x_scale="jac",
             )  # fmt: skip
             self.steps = self._with(solved.x, split)
@@ -275,31 +262,25 @@ class _Search:
             if (far == self.outliers).all():
                 break
             self.outliers = far
-        return Split.of(rows, self.sigma, split, self._meat(derivative, used))
+        split = Split.of(_rows(derivative, used), self.sigma, split)
+        return split.known_to(self._covariance(slopes, used, split))
 
-    def _meat(self, derivative: Array, used: NDArray[np.bool_]) -> Array:
-        """Return the covariance of the derivative's product with the residuals, (p, p).
+    def _covariance(self, slopes: Array, used: NDArray[np.bool_], split: Split) -> Array:
+        """Return the covariance of what is fitted: of noise, and of what is kept, which may lie anywhere in its range.
 
-        What is found of one micro-image shares pixels with its neighbours: residuals of neighbours are correlated.
-        The products of residuals are averaged over the array, by the distance in columns and rows. What is kept may lie
-        anywhere in its range.
+        Chief rays land in the same places whatever is kept, but micro-images have another size then: pixels sample
+        them differently, and the light in them is spread otherwise.
         """
-        residuals = np.where(used[..., None], self.residuals(self.steps), 0.0)
-        slopes = np.where(used[..., None, None], derivative, 0.0)
-        meat = np.zeros((len(self.steps), len(self.steps)))
-        for rows, columns in NEIGHBOURS:
-            here, there = _overlap(used.shape, rows, columns)
-            pairs = max((used[here] & used[there]).sum(), 1)
-            for axis in (0, 1):
-                product = (residuals[here][..., axis] * residuals[there][..., axis]).sum() / pairs
-                meat += product * np.einsum("rcp,rcq->pq", slopes[here][..., axis, :], slopes[there][..., axis, :])
-        known = used & np.isfinite(self.unseen).all(axis=(-1, -2))
+        slopes = np.where(used[..., None, None], slopes, 0.0)
+        free = slopes[..., split.free]
+        inverse = np.linalg.inv(np.einsum("rcip,rciq->pq", free, free))
+        noise = inverse @ neighbours_meat(self.residuals(self.steps), free, used) @ inverse
+        unseen = slopes[..., split.kept] + free @ split.traded
         # The variance of a uniform law of half width 1, in ranges, is 1/3.
-        moved = np.einsum("nip,nik->pk", derivative[known], self.unseen[known]) / math.sqrt(3.0)
-        freedom = 2.0 * used.sum() / max(2.0 * used.sum() - len(self.steps), 1.0)
-        return freedom * 0.5 * (meat + meat.T) + moved @ moved.T
+        moved = inverse @ np.einsum("rcip,rcik->pk", free, unseen) / math.sqrt(3.0)
+        return np.asarray(noise + moved @ moved.T)
 
-    def _with(self, free: Array, split: "Split") -> Array:
+    def _with(self, free: Array, split: Split) -> Array:
         steps = np.zeros_like(self.steps)
         steps[split.free] = free
         return steps
@@ -308,7 +289,14 @@ class _Search:
         """Return where micro-images lie beside those of a camera, (rows, columns, 2) pixels."""
         if self.traced is None or not np.array_equal(self.traced[0], steps):
             self.traced = (steps.copy(), self.model.centres(steps))
-        return np.asarray(self.measured - self.beside - self.traced[1])
+        return np.asarray(self.measured - self._beside(steps) - self.traced[1])
+
+    def _beside(self, steps: Array) -> Array:
+        """Return how far micro-images lie beside chief rays: the mean of what all simulated images say."""
+        if not self.simulated:
+            return np.zeros_like(self.measured)
+        each = [beside + self.slopes @ (steps - at) for at, beside in self.simulated]
+        return np.asarray(np.mean(each, axis=0))
 
     def _used(self, derivative: Array) -> NDArray[np.bool_]:
         known = np.isfinite(self.residuals(self.steps)).all(axis=-1) & np.isfinite(derivative).all(axis=(-1, -2))
@@ -326,7 +314,7 @@ class _Search:
                 "best fit; check layout, count, pitch and pixels of the scene, and --orientation"
             )
 
-    def _result(self, derivative: Array, split: "Split") -> Fit:
+    def _result(self, derivative: Array, split: Split) -> Fit:
         parameters, reach = self.model.parameters, self.model.reach
         used = self._used(derivative)
         covariance = np.full((len(reach), len(reach)), np.nan)
@@ -361,7 +349,7 @@ class _Search:
         ideal = ideal - ideal.mean(axis=0)
         return np.asarray(np.einsum("ni,nip->p", ideal, derivative[used]) / (ideal**2).sum())
 
-    def _combinations(self, split: "Split", errors: Array) -> tuple[Combination, ...]:
+    def _combinations(self, split: Split, errors: Array) -> tuple[Combination, ...]:
         """Return each fitted parameter of the group with the parts of those that were kept."""
         parameters, found = self.model.parameters, []
         for i in (i for i in split.group if i in split.free):
@@ -373,69 +361,5 @@ class _Search:
         return tuple(found)
 
 
-NEIGHBOURS = [(rows, columns) for rows in (-1, 0, 1) for columns in (-1, 0, 1)]
-"""Distances of micro-images, rows and columns, over which their errors are correlated."""
-
-
-def _overlap(shape: tuple[int, ...], rows: int, columns: int) -> tuple[Any, Any]:
-    """Return the indices of all lenslets that have one at a distance, and of that one."""
-    height, width = shape
-    here = np.s_[max(-rows, 0) : height - max(rows, 0), max(-columns, 0) : width - max(columns, 0)]
-    there = np.s_[max(rows, 0) : height + min(rows, 0), max(columns, 0) : width + min(columns, 0)]
-    return here, there
-
-
-@dataclass(frozen=True)
-class Split:
-    """Which parameters can be fitted, and which have to be kept since the picture cannot tell them apart.
-
-    Attributes
-    ----------
-    free, kept : list of int
-    group : tuple of int
-        Those that are not known by themselves: what was kept, and what would change with it.
-    traded : (free, kept) float64
-        By how much a fitted one changes with a kept one if the picture stays the same; both in ranges.
-    covariance : (free, free) float64
-        In ranges.
-    """
-
-    free: list[int]
-    kept: list[int]
-    group: tuple[int, ...]
-    traded: Array
-    covariance: Array
-
-    @classmethod
-    def of(cls, rows: Array, sigma: float, like: "Split | None" = None, meat: Array | None = None) -> "Split":
-        """Split parameters by the singular values of a derivative.
-
-        A direction whose standard error is above the plausible range itself is not determined.
-
-        Parameters
-        ----------
-        rows : (n, p) float64
-            Derivative of the residuals, pixels a range.
-        sigma : float
-            Standard deviation of a residual, pixels.
-        like : Split, optional
-            Keep what it keeps.
-        meat : (p, p) float64, optional
-            Covariance of the derivative's product with the residuals; that of independent ones if omitted.
-        """
-        _, singular, directions = np.linalg.svd(rows, full_matrices=False)
-        unknown = directions[singular <= sigma]
-        # The parameters that hold most of the unknown directions stand for them.
-        _, _, order = qr(unknown, mode="economic", pivoting=True) if len(unknown) else (None, None, [])
-        kept = like.kept if like is not None else sorted(int(i) for i in order[: len(unknown)])
-        free = [i for i in range(rows.shape[1]) if i not in kept]
-        if not free:
-            raise LfmeshError("the picture's micro-images scatter so much that they determine nothing")
-        inverse: Array = np.linalg.inv(rows[:, free].T @ rows[:, free]).astype(np.float64)
-        covariance: Array = sigma**2 * inverse if meat is None else inverse @ meat[np.ix_(free, free)] @ inverse
-        if like is not None:
-            return cls(free, kept, like.group, like.traded, covariance)
-        traded: Array = unknown[:, free].T @ np.linalg.inv(unknown[:, kept].T) if kept else np.zeros((len(free), 0))
-        shaken = np.abs(traded).sum(axis=1) > np.sqrt(np.diag(covariance))
-        group = tuple(sorted((*kept, *(i for i, far in zip(free, shaken, strict=True) if far))))
-        return cls(free, kept, group, traded, covariance)
+def _rows(derivative: Array, used: NDArray[np.bool_]) -> Array:
+    return np.asarray(derivative[used].reshape(-1, derivative.shape[-1]))

@@ -28,6 +28,18 @@ TILT_DEG, PITCH_ERROR = 1.0, 0.01
 DISTANCE = 0.2
 """Largest plausible error of the distance from lenslets to sensor, over that distance."""
 
+ASIDE = 0.5
+"""Of the range: how far a camera is moved to see what chief rays do not show."""
+
+HARDLY_PX = 0.1
+"""Directions along which this moves chief rays by less, rms, need to be looked at."""
+
+SLOPE_IMAGE = 1
+"""Number of the simulated images that are compared for it: the same random numbers, so that noise is partly shared."""
+
+DEGREE = 3
+"""Of the polynomial in columns and rows."""
+
 STEP = 0.05
 """Of the range: half of what a central difference spans. Centres are nearly linear in all that is fitted."""
 
@@ -150,17 +162,21 @@ class FitModel:
         ]
         return np.stack(columns, axis=-1)
 
-    def simulated(self, steps: Array) -> Array:
+    def simulated(self, steps: Array, number: int) -> Array:
         """Return a simulated white image of the camera, (H, W), as the raw image lies.
 
-        Its random numbers are others than those of a render of the same scene.
+        Parameters
+        ----------
+        steps : (p,) float64
+        number : int
+            From 1. Each has its own random numbers, which are others than those of a render of the same scene.
         """
         camera = self.at(steps)
         settings = {
             "transport.samples": self.samples,
             "transport.split": "transmit",
             "transport.replicates": 2,
-            "transport.seed": camera.transport.seed + 1,
+            "transport.seed": camera.transport.seed + number,
             "transport.target_error": None,
         }
         return np.ascontiguousarray(white_image(camera.changed(settings)).mean.sum(axis=2))
@@ -175,3 +191,40 @@ class FitModel:
         steps : (p,) float64
         """
         return np.asarray(micro_image_places(light, self.scene) - self.centres(steps))
+
+    def beside_slopes(self, steps: Array, derivative: Array) -> Array:
+        """Return how places beside the chief rays change with the parameters in ranges, (rows, columns, 2, p) pixels.
+
+        Only along directions that hardly move chief rays; along the others it is a small part of what they move. From
+        one micro-image to the next it depends on how pixels lie in them, which averages out: only what changes slowly
+        over the array is kept, a polynomial.
+
+        Parameters
+        ----------
+        steps : (p,) float64
+        derivative : (lenslets, 2, p) float64
+            Of the chief rays' places.
+        """
+        rows = derivative.reshape(-1, len(steps))
+        _, singular, directions = np.linalg.svd(rows, full_matrices=False)
+        slopes = np.zeros((*self.centres(steps).shape, len(steps)))
+        for way in directions[ASIDE * singular < HARDLY_PX * np.sqrt(len(rows))]:
+            ends = [steps + sign * ASIDE * way for sign in (1.0, -1.0)]
+            up, down = (self.beside(self.simulated(end, SLOPE_IMAGE), end) for end in ends)
+            slopes += smooth((up - down) / (2.0 * ASIDE))[..., None] * way
+        return slopes
+
+
+def smooth(values: Array) -> Array:
+    """Return the polynomials of columns and rows nearest to values, (rows, columns, 2); NaN says nothing.
+
+    Parameters
+    ----------
+    values : (rows, columns, 2) float64
+    """
+    height, width, _ = values.shape
+    y, x = np.meshgrid(np.linspace(-1.0, 1.0, height), np.linspace(-1.0, 1.0, width), indexing="ij")
+    terms = np.stack([x**i * y**j for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)], axis=-1)
+    known = np.isfinite(values).all(axis=-1)
+    fitted, *_ = np.linalg.lstsq(terms[known], values[known], rcond=None)
+    return np.asarray(terms @ fitted)

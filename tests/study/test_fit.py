@@ -16,7 +16,7 @@ from lfmesh.geometry.lattice import Lattice
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.lightfield.upright import Upright
-from lfmesh.study.fit import Split
+from lfmesh.study.fit_errors import Split
 from lfmesh.study.micro_image_phase import micro_image_places
 from lfmesh.study.white_picture import light_of
 from tests.cameras import as_text, bench_camera, camera_without_array

@@ -21,7 +21,7 @@ from lfmesh.lightfield.detector import Exposed
 from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.scene import Scene
 from lfmesh.study.fit_errors import Split, neighbours_meat
-from lfmesh.study.fit_model import FitModel, Parameter, parameters_of
+from lfmesh.study.fit_model import FitModel, Parameter, parameters_of, smooth
 from lfmesh.study.micro_image_phase import micro_image_places
 from lfmesh.study.white_picture import Orientation, light_of
 from lfmesh.transport.render.image import Image
@@ -200,7 +200,8 @@ class _Search:
         self.measured = micro_image_places(light, model.scene)
         self.steps = np.zeros(len(model.parameters))
         self.simulated: list[tuple[Array, Array]] = []
-        self.slopes = np.zeros((*self.measured.shape, len(self.steps)))
+        # How places beside the chief rays change with the parameters, as simulated and without its noise.
+        self.seen = self.slopes = np.zeros((*self.measured.shape, len(self.steps)))
         self.sigma = FIRST_SIGMA_PX
         self.traced: tuple[Array, Array] | None = None
         self.outliers = np.zeros(self.measured.shape[:2], bool)
@@ -219,7 +220,8 @@ class _Search:
         derivative = self.model.derivative(self.steps)
         split = self._fit(derivative)
         self.say("simulating what chief rays do not show")
-        self.slopes = self.model.beside_slopes(self.steps, derivative[self._used(derivative)])
+        self.seen = self.model.beside_slopes(self.steps, derivative[self._used(derivative)])
+        self.slopes = smooth(self.seen)
         # That one was taken before much was known.
         self.simulated.clear()
         for number in range(2, ROUNDS + 1):
@@ -275,9 +277,10 @@ class _Search:
         free = slopes[..., split.free]
         inverse = np.linalg.inv(np.einsum("rcip,rciq->pq", free, free))
         noise = inverse @ neighbours_meat(self.residuals(self.steps), free, used) @ inverse
-        unseen = slopes[..., split.kept] + free @ split.traded
+        unseen = self.seen[..., split.kept] + self.seen[..., split.free] @ split.traded
+        known = np.isfinite(unseen).all(axis=(-1, -2))
         # The variance of a uniform law of half width 1, in ranges, is 1/3.
-        moved = inverse @ np.einsum("rcip,rcik->pk", free, unseen) / math.sqrt(3.0)
+        moved = inverse @ np.einsum("nip,nik->pk", free[known], unseen[known]) / math.sqrt(3.0)
         return np.asarray(noise + moved @ moved.T)
 
     def _with(self, free: Array, split: Split) -> Array:

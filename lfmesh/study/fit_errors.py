@@ -19,9 +19,9 @@ NEIGHBOURS = [(rows, columns) for rows in (-1, 0, 1) for columns in (-1, 0, 1)]
 def neighbours_meat(residuals: Array, slopes: Array, used: NDArray[np.bool_]) -> Array:
     """Return the covariance of the derivative's product with the errors of places, (p, p).
 
-    What is found of one micro-image shares pixels with its neighbours: errors of neighbours are correlated. The
-    products of residuals are averaged over the array, by the distance in columns and rows, and what the fit has taken
-    out of them is added: that of independent errors.
+    What is found of one micro-image shares pixels with its neighbours, which a pixel moves the same way: errors of
+    neighbours are correlated, and not negatively. The products of residuals are averaged over the array, by the
+    distance in columns and rows, and what the fit has taken out of them is added: that of independent errors.
 
     Parameters
     ----------
@@ -40,7 +40,8 @@ def neighbours_meat(residuals: Array, slopes: Array, used: NDArray[np.bool_]) ->
         for axis in (0, 1):
             products = np.einsum("rcp,rcq->pq", slopes[here][..., axis, :], slopes[there][..., axis, :])
             taken_out = variance * (inverse * products).sum()
-            meat += ((left[here][..., axis] * left[there][..., axis]).sum() + taken_out) / pairs * products
+            together = (left[here][..., axis] * left[there][..., axis]).sum() + taken_out
+            meat += max(together, 0.0) / pairs * products
     return np.asarray(0.5 * (meat + meat.T))
 
 

@@ -195,9 +195,8 @@ class FitModel:
     def beside_slopes(self, steps: Array, derivative: Array) -> Array:
         """Return how places beside the chief rays change with the parameters in ranges, (rows, columns, 2, p) pixels.
 
-        Only along directions that hardly move chief rays; along the others it is a small part of what they move. From
-        one micro-image to the next it depends on how pixels lie in them, which averages out: only what changes slowly
-        over the array is kept, a polynomial.
+        Only along directions that hardly move chief rays; along the others it is a small part of what they move. Noise
+        is that of the simulated images.
 
         Parameters
         ----------
@@ -211,20 +210,22 @@ class FitModel:
         for way in directions[ASIDE * singular < HARDLY_PX * np.sqrt(len(rows))]:
             ends = [steps + sign * ASIDE * way for sign in (1.0, -1.0)]
             up, down = (self.beside(self.simulated(end, SLOPE_IMAGE), end) for end in ends)
-            slopes += smooth((up - down) / (2.0 * ASIDE))[..., None] * way
+            slopes += ((up - down) / (2.0 * ASIDE))[..., None] * way
         return slopes
 
 
 def smooth(values: Array) -> Array:
-    """Return the polynomials of columns and rows nearest to values, (rows, columns, 2); NaN says nothing.
+    """Return the polynomials of columns and rows nearest to values over the array, (rows, columns, ...).
 
     Parameters
     ----------
-    values : (rows, columns, 2) float64
+    values : (rows, columns, ...) float64
+        NaN says nothing.
     """
-    height, width, _ = values.shape
+    height, width = values.shape[:2]
     y, x = np.meshgrid(np.linspace(-1.0, 1.0, height), np.linspace(-1.0, 1.0, width), indexing="ij")
     terms = np.stack([x**i * y**j for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)], axis=-1)
-    known = np.isfinite(values).all(axis=-1)
-    fitted, *_ = np.linalg.lstsq(terms[known], values[known], rcond=None)
-    return np.asarray(terms @ fitted)
+    several = values.reshape(height, width, -1)
+    known = np.isfinite(several).all(axis=-1)
+    fitted, *_ = np.linalg.lstsq(terms[known], several[known], rcond=None)
+    return np.asarray((terms @ fitted).reshape(values.shape))

@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -261,13 +262,21 @@ def test_a_reader_waits_for_a_change_that_is_being_made(image_of: Build, tmp_pat
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)
         (tmp_path / JOURNAL).write_text('{"staging": ".lfmesh-x", "files": [], "removed": ["raw.exr"], "moved": {}}')
+        ready, tell = os.pipe()
         child = os.fork()
         if child == 0:
+            # The lock is the parent's alone only once no other handle of it is open.
+            os.close(handle)
+            os.write(tell, b"x")
             recover(tmp_path)
             os._exit(0)
+        os.read(ready, 1)
+        time.sleep(0.1)
         assert os.waitpid(child, os.WNOHANG) == (0, 0)
         assert (tmp_path / "raw.exr").exists()
         (tmp_path / JOURNAL).unlink()
+        os.close(ready)
+        os.close(tell)
     finally:
         os.close(handle)
     os.waitpid(child, 0)

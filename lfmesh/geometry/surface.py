@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.geometry import frame
 from lfmesh.kernel import inlined, kernel
-from lfmesh.scene.lens import MOST_ASPHERE_TERMS
+from lfmesh.scene.qcon import MOST_ASPHERE_TERMS
 
 MAX_ASPHERE_TERMS = MOST_ASPHERE_TERMS
 

@@ -74,13 +74,14 @@ def _dispersive(lens: Lens, private: dict[Medium, str], notes: list[str]) -> lis
 
 def _qualified(number: int, surface: Surface, aperture_mm: float | None) -> list[str]:
     """Return what follows the line of a surface."""
-    if len(surface.asphere_mm) > len(COEFFICIENTS):
-        raise SceneError(f"surfaces[{number}].asphere_mm: CODE V's asphere has {len(COEFFICIENTS)} terms from r⁴")
+    if len(surface.terms_mm) > len(COEFFICIENTS):
+        key = "asphere_mm" if surface.qcon is None else "qcon"
+        raise SceneError(f"surfaces[{number}].{key}: CODE V's asphere has {len(COEFFICIENTS)} terms from r⁴")
     lines = ["  STO"] if surface.stop else []
     if aperture_mm is not None:
         lines.append(f"  CIR {aperture_mm!r}")
-    if surface.asphere_mm:
-        terms = (f"{letter} {value!r}" for letter, value in zip(COEFFICIENTS, surface.asphere_mm, strict=False))
+    if surface.terms_mm:
+        terms = (f"{letter} {value!r}" for letter, value in zip(COEFFICIENTS, surface.terms_mm, strict=False))
         lines += ["  ASP", f"  K {surface.conic!r}", f"  {'; '.join(terms)}"]
     elif surface.conic:
         lines += ["  CON", f"  K {surface.conic!r}"]

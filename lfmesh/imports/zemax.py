@@ -20,6 +20,7 @@ from lfmesh.imports.prescription import FieldPoint, FileSurface, Prescription, l
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import command_names, read_lines
 from lfmesh.scene.lens import Lens
+from lfmesh.scene.qcon import MOST_ASPHERE_TERMS
 
 MOST_SURFACES = 1000
 
@@ -34,12 +35,12 @@ _WITHOUT_EFFECT = command_names(
 )
 """Names, settings of the program, solves whose present value stands in the line, coatings, drawing, mechanics."""
 
+_ASPHERES = ("EVENASPH", "ODDASPHE", "XASPHERE")
+"""Odd aspheres whose odd terms are all 0, and extended ones: terms of r over a radius of their own, in XDAT."""
+
 _REFUSED_TYPES = {
-    "ODDASPHE": "odd aspheres are not supported",
-    "ODDASPHERE": "odd aspheres are not supported",
-    "XASPHERE": "extended aspheres are not supported",
     "XODDASPH": "extended odd aspheres are not supported",
-    "QED_TYPE": "Forbes (Q-type) aspheres are not supported",
+    "QED_TYPE": "Forbes (Q-type) aspheres are not read; a scene's surface has them as qcon",
     "TOROIDAL": "toroids are not supported",
     "BICONICX": "biconic surfaces are not supported",
     "BICONIC": "biconic surfaces are not supported",
@@ -96,7 +97,7 @@ class _Reader:
     def __init__(self, report: Report) -> None:
         self.report = report
         self.made = Prescription()
-        self.kind = "STANDARD"
+        self.kind, self.norm_radius = "STANDARD", 1.0
         self.catalogues: list[str] = []
         self.notes: list[str] = []
         self.waves: dict[int, float] = {}
@@ -298,19 +299,19 @@ class _Reader:
         if len(self.made.surfaces) >= MOST_SURFACES:
             raise SceneError(f"{self.report.path}: line {self.at}: more than {MOST_SURFACES} surfaces")
         self.made.surfaces.append(FileSurface(self.at, self.text))
-        self.kind = "STANDARD"
+        self.kind, self.norm_radius = "STANDARD", 1.0
         self._taken()
 
     def _on_type(self, words: list[str]) -> None:
         self.kind = words[0].upper()
-        if self.kind in ("STANDARD", "EVENASPH", "COORDBRK"):
+        if self.kind in ("STANDARD", "COORDBRK", *_ASPHERES):
             self._taken()
         elif self.kind == "PARAXIAL":
             self._surface.focal_length = math.nan
             self._taken("a thin lens")
         else:
             why = _REFUSED_TYPES.get(self.kind, f"surfaces of type {self.kind} are not supported")
-            self._refuse(f"{why}; STANDARD, EVENASPH and PARAXIAL are")
+            self._refuse(f"{why}; STANDARD, {', '.join(_ASPHERES)} and PARAXIAL are")
 
     def _on_stop(self, _: list[str]) -> None:
         self._surface.stop = True
@@ -361,13 +362,12 @@ class _Reader:
         place, value = int(number(words[0])), number(words[1])
         if not value:
             self._taken()
-        elif self.kind == "EVENASPH" and 2 <= place <= 8:
-            asphere = self._surface.asphere
-            asphere += [0.0] * (place - 1 - len(asphere))
-            asphere[place - 2] = value
-            self._taken()
-        elif self.kind == "EVENASPH" and place == 1:
-            self._refuse("a term in r² beside the curvature is not supported; put it into the curvature")
+        elif self.kind == "EVENASPH" and 1 <= place <= 8:
+            self._add_term(2 * place, value)
+        elif self.kind == "ODDASPHE" and 1 <= place <= 8:
+            self._add_term(place, value)
+        elif self.kind in _ASPHERES:
+            self._refuse(f"parameter {place} of {self.kind} is unknown")
         elif self.kind == "COORDBRK":
             if place != 6:
                 self._refuse("a coordinate break that moves or tilts: decentred and folded axes are not supported")
@@ -378,9 +378,38 @@ class _Reader:
             self._without_effect()
         # Parameters of a refused type are refused with it.
 
+    def _add_term(self, power: int, value: float) -> None:
+        """Let the sag have a term in a power of r."""
+        if power == 2:
+            self._refuse("a term in r² beside the curvature is not supported; put it into the curvature")
+        elif power % 2:
+            self._refuse(f"a term in r^{power}: odd aspheres are not supported")
+        elif power > 2 * MOST_ASPHERE_TERMS + 2:
+            self._refuse(f"a term in r^{power}: aspheres reach up to r^{2 * MOST_ASPHERE_TERMS + 2}")
+        else:
+            asphere, place = self._surface.asphere, power // 2 - 2
+            asphere += [0.0] * (place + 1 - len(asphere))
+            asphere[place] = value
+            self._taken()
+
     def _on_xdat(self, words: list[str]) -> None:
-        if self.kind in ("STANDARD", "EVENASPH", "COORDBRK", "PARAXIAL") and len(words) > 1 and number(words[1]):
-            self.report.add(self.at, self.text, Verdict.UNKNOWN)
+        if len(words) < 2 or not number(words[1]):
+            return
+        place, value = int(number(words[0])), number(words[1])
+        if self.kind != "XASPHERE":
+            if self.kind in ("STANDARD", "COORDBRK", "PARAXIAL", *_ASPHERES):
+                self.report.add(self.at, self.text, Verdict.UNKNOWN)
+        elif place == 1:
+            self._taken()
+        elif place == 2:
+            if value > 0.0:
+                self.norm_radius = value
+                self._taken()
+            else:
+                self._refuse("the radius in which heights are counted must be above 0")
+        else:
+            power = 2 * (place - 2)
+            self._add_term(power, value / self.norm_radius**power)
 
     def _on_diam(self, words: list[str]) -> None:
         self._surface.extent = abs(number(words[0])) or None

@@ -58,11 +58,10 @@ def written(lens: Lens) -> tuple[bytes, list[str]]:
 
 
 def _surface(number: int, surface: Surface, aperture_mm: float | None) -> list[str]:
-    terms = len(surface.asphere_mm)
+    terms = len(surface.terms_mm)
     if terms > _MOST_TERMS:
-        raise SceneError(
-            f"surfaces[{number}].asphere_mm: {terms} terms; Zemax's even asphere has {_MOST_TERMS} from r⁴"
-        )
+        key = "asphere_mm" if surface.qcon is None else "qcon"
+        raise SceneError(f"surfaces[{number}].{key}: {terms} terms; Zemax's even asphere has {_MOST_TERMS} from r⁴")
     lines = [f"SURF {number + 1}"]
     if surface.stop:
         lines.append("  STOP")
@@ -71,7 +70,7 @@ def _surface(number: int, surface: Surface, aperture_mm: float | None) -> list[s
     else:
         lines.append("  TYPE EVENASPH" if terms else "  TYPE STANDARD")
     lines.append(f"  CURV {curvature(surface.radius_mm)!r} 0 0 0 0")
-    lines += [f"  PARM {place} {value!r}" for place, value in enumerate((0, *surface.asphere_mm), 1) if terms]
+    lines += [f"  PARM {place} {value!r}" for place, value in enumerate((0, *surface.terms_mm), 1) if terms]
     if isinstance(surface.glass, OwnGlass):
         if surface.glass.nd is None or surface.glass.air is not None:
             raise SceneError(

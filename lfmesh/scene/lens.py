@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from functools import lru_cache
+from itertools import zip_longest
 
 from pydantic import Field
 
@@ -13,6 +14,7 @@ from lfmesh.scene.literals import at_least, at_most
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.own_glass import Glass
 from lfmesh.scene.pose import Pose
+from lfmesh.scene.qcon import MOST_ASPHERE_TERMS, Qcon
 from lfmesh.scene.quantities import (
     LARGEST,
     Coefficient,
@@ -34,9 +36,6 @@ the axis of the lens then still crosses the element's surfaces in their order.""
 
 STOP_SIZES = ("stop_semi_diameter_mm", "f_number", "epd_mm")
 """Keys that give the stop its size in place of the prescription."""
-
-MOST_ASPHERE_TERMS = 10
-"""Terms of an asphere, up to r²²."""
 
 # Sags of neighbouring surfaces are compared at this many heights.
 _HEIGHTS = 256
@@ -69,6 +68,9 @@ class Surface(Model):
     """Conic constant: 0 sphere, −1 paraboloid, below −1 hyperboloid, above −1 ellipsoid."""
     asphere_mm: tuple[Coefficient, ...] = Field(default=(), max_length=MOST_ASPHERE_TERMS)
     """Even aspheric coefficients of r⁴, r⁶, r⁸, ..., in mm⁻³, mm⁻⁵, mm⁻⁷, ..., so that the sag is in mm."""
+    qcon: Qcon | None = None
+    """Forbes' strong asphere in place of, or beside, `asphere_mm`, such as
+    { norm_radius_mm = 5.0, coefficients_mm = [0.1, -0.02] }."""
 
     paraxial: Flag = False
     """An ideal thin lens in place of an interface: flat, in air, without reflections. It needs `focal_length_mm`."""
@@ -95,6 +97,13 @@ class Surface(Model):
         return 0.0 if math.isinf(self.radius_mm) else 1.0 / self.radius_mm
 
     @property
+    def terms_mm(self) -> tuple[float, ...]:
+        """Coefficients of r⁴, r⁶, ... of all that the surface deviates from its conic by, in mm⁻³, mm⁻⁵, ..."""
+        if self.qcon is None:
+            return self.asphere_mm
+        return tuple(a + b for a, b in zip_longest(self.asphere_mm, self.qcon.asphere_mm, fillvalue=0.0))
+
+    @property
     def thin_lens_power_per_mm(self) -> float:
         """Power of a `paraxial` surface, 1/mm; 0 for every other."""
         return 0.0 if self.focal_length_mm is None else 1.0 / self.focal_length_mm
@@ -107,11 +116,11 @@ class Surface(Model):
     def sag_mm(self, height_mm: float) -> float:
         """Return z of the surface above its vertex plane, at a height from the axis, both in mm.
 
-        The standard form of ISO 10110-12: c r² / (1 + √(1 − (1 + k) c² r²)) + Σ A_j r^(2j+4).
+        The standard form of ISO 10110-12: c r² / (1 + √(1 − (1 + k) c² r²)) + Σ A_j r^(2j+4), with `terms_mm`.
         """
         c, r2 = self.curvature_per_mm, height_mm * height_mm
         root = math.sqrt(max(0.0, 1 - (1 + self.conic) * c * c * r2))
-        terms = (_term_mm(a, height_mm, 2 * j + 4) for j, a in enumerate(self.asphere_mm))
+        terms = (_term_mm(a, height_mm, 2 * j + 4) for j, a in enumerate(self.terms_mm))
         return c * r2 / (1 + root) + sum(terms)
 
     def faults(self) -> Iterator[Fault]:
@@ -136,9 +145,16 @@ class Surface(Model):
                     coefficient,
                     f"times r^{2 * j + 4} this makes a sag of more than {LARGEST:g} mm inside the clear aperture",
                 )
+        if self.qcon is not None and not self._rim_mm() <= LARGEST:
+            yield Fault(("qcon",), None, f"makes a sag of more than {LARGEST:g} mm inside the clear aperture")
         if self.index is not None and self.glass is not None:
             yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
         yield from both_given(self.coating, self.finish, "finish")
+
+    def _rim_mm(self) -> float:
+        """Return how far Forbes' terms move the rim of the clear aperture, or of their own."""
+        at = self.semi_diameter_mm or (self.qcon.norm_radius_mm if self.qcon is not None else 0.0)
+        return max(abs(_term_mm(a, at, 2 * j + 4)) for j, a in enumerate(self.terms_mm))
 
     def _thin_lens_faults(self) -> Iterator[Fault]:
         """Yield what is wrong with a thin lens, or with a surface that is half one."""
@@ -147,20 +163,21 @@ class Surface(Model):
             return
         if self.focal_length_mm is None:
             yield Fault(("focal_length_mm",), None, "missing: the focal length of the thin lens")
-        own = {"radius_mm": math.inf, "index": None, "glass": None, "conic": 0.0, "asphere_mm": (), "mesh": None}
-        for key, value in {**own, "coating": UNCOATED, "finish": POLISHED}.items():
+        own = {"radius_mm": math.inf, "index": None, "glass": None, "conic": 0.0, "asphere_mm": (), "qcon": None}
+        for key, value in {**own, "mesh": None, "coating": UNCOATED, "finish": POLISHED}.items():
             given = getattr(self, key)
             if given != value:
-                shown = given.kind if key == "finish" else None if key == "mesh" else given
+                shown = given.kind if key == "finish" else None if key in ("mesh", "qcon") else given
                 yield Fault((key,), shown, "omit it: a paraxial surface is a flat thin lens in air")
 
     def _element_faults(self) -> Iterator[Fault]:
         own = {"radius_mm": math.inf, "index": None, "glass": None, "stop": False, "conic": 0.0, "asphere_mm": ()}
-        own |= {"paraxial": False, "focal_length_mm": None}
+        own |= {"qcon": None, "paraxial": False, "focal_length_mm": None}
         for key, value in {**own, "coating": UNCOATED, "finish": POLISHED, "mesh": None}.items():
             if getattr(self, key) != value:
                 beside = f"; the refractor has a {key} of its own" if key in ("coating", "finish") else ""
-                yield Fault((key,), getattr(self, key), f"omit it: the refractor is a whole element{beside}")
+                shown = None if key == "qcon" else getattr(self, key)
+                yield Fault((key,), shown, f"omit it: the refractor is a whole element{beside}")
         if self.refractor is not None and self.refractor.box_mm is not None:
             yield Fault(("refractor", "box_mm"), self.refractor.box_mm, "only in front of the camera; give file")
         if self.refractor is not None and self.refractor.absorption_per_mm != 0.0:
@@ -183,7 +200,7 @@ def _thickness_to_touch(front: Surface, back: Surface, apertures_mm: tuple[float
     """
     radius = min(*apertures_mm, front.reach_mm, back.reach_mm)
     given = front.thickness_mm or 0.0
-    if not front.asphere_mm and not back.asphere_mm:
+    if not front.terms_mm and not back.terms_mm:
         # A conic rises or falls all the way to its rim: between these bounds nothing can cross.
         highest, lowest = max(0.0, front.sag_mm(radius)), min(0.0, back.sag_mm(radius))
         if highest - lowest <= given:
@@ -271,7 +288,7 @@ class Lens(Model):
         """Return whether surface `number` only stops light: marked, flat, the same medium on both sides."""
         surface = self.surfaces[number]
         before = self.surfaces[number - 1].medium if number else None
-        bare = surface.curvature_per_mm == 0 and not any(surface.asphere_mm)
+        bare = surface.curvature_per_mm == 0 and not any(surface.terms_mm)
         return surface.stop and bare and not surface.paraxial and before == surface.medium
 
     def aperture_mm(self, number: int) -> float | None:

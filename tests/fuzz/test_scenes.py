@@ -89,7 +89,11 @@ HARSH = [
     *["{ sellmeier_b = [1e15, -1e15], sellmeier_c_um2 = [0.0, 1e15] }", "{ wavelengths_nm = [], values = [] }"],
 ]
 
-KEYS = ["asphere_mm = [1e300, -1e300]", "asphere_mm = [0.0, 1e200]", "conic = 1e15", "conic = -1e15", "file = '\\0'"]
+KEYS = [
+    *["asphere_mm = [1e300, -1e300]", "asphere_mm = [0.0, 1e200]", "conic = 1e15", "conic = -1e15", "file = '\\0'"],
+    "qcon = { norm_radius_mm = 1e-9, coefficients_mm = [1.0, -1e9] }",
+    "qcon = { norm_radius_mm = 5.0, coefficients_mm = [0.1, 1e300] }",
+]
 
 numbers = st.one_of(
     st.floats(allow_nan=False, allow_infinity=False).map(repr),

@@ -150,7 +150,8 @@ def test_encodings_and_line_ends(tmp_path, encoding, ending):
         ("GLAS N-BK7", "GLAS MIRROR", "mirrors are not supported"),
         ("GLAS N-BK7", "GLAS N-BK77", "not in the catalogue; close to it are SCHOTT/N-BK7"),
         ("GLAS N-BK7 0 0 1.5168 64", "GLAS ___BLANK 1 0 1.5168 -64", "glass given by nd = 1.5168, Vd = -64.17"),
-        ("TYPE EVENASPH", "TYPE ODDASPHE", "odd aspheres"),
+        ("PARM 2 1e-6", "PARM 9 1e-6", "parameter 9 of EVENASPH is unknown"),
+        ("TYPE EVENASPH", "TYPE QED_TYPE", "a scene's surface has them as qcon"),
         ("TYPE EVENASPH", "TYPE GRINSUR1", "surfaces of type GRINSUR1"),
         ("PARM 1 0", "PARM 1 1e-4", "a term in r²"),
         ("CLAP 0 6.25 0", "CLAP 1 6.25 0", "its middle is dark"),
@@ -296,3 +297,40 @@ def test_a_scene_says_what_is_wrong_with_its_lens_file(tmp_path):
     (tmp_path / "lens.zmx").write_text(changed("GLAS N-BK7", "GLAS MIRROR"))
     with pytest.raises(SceneError, match=r'camera\.lens\.file = "lens\.zmx": .*mirrors are not supported'):
         loads(SCENE.format("lens.zmx", ""), tmp_path)
+
+
+def aspheric(kind: str, *lines: str) -> str:
+    """Return the singlet with other terms on its second surface."""
+    text = SINGLET_ZMX.replace("TYPE EVENASPH", f"TYPE {kind}").replace("  PARM 1 0\n  PARM 2 1e-6\n", "")
+    return text.replace("  PARM 3 -2e-9\n", "".join(f"  {line}\n" for line in lines))
+
+
+def test_an_odd_asphere_of_even_terms_is_an_even_one() -> None:
+    """OpticStudio's parameter n of an odd asphere goes with r^n, of an even one with r^2n."""
+    odd = aspheric("ODDASPHE", "PARM 1 0", "PARM 4 1e-6", "PARM 6 -2e-9")
+    assert lens_of(odd).surfaces == lens_of(SINGLET_ZMX).surfaces
+
+
+@pytest.mark.parametrize(("unit", "mm"), [("MM", 1.0), ("IN", 25.4)])
+def test_an_extended_asphere_counts_its_height_in_its_own_radius(unit: str, mm: float) -> None:
+    """Terms a₂ ρ⁴ + a₃ ρ⁶, ρ = r / 6, are 1e-6 r⁴ − 2e-9 r⁶ in the file's unit."""
+    terms = ("XDAT 1 3 0 0", "XDAT 2 6 0 0", "XDAT 3 0 0 0", f"XDAT 4 {1e-6 * 6**4} 0 0", f"XDAT 5 {-2e-9 * 6**6} 0 0")
+    surface = lens_of(aspheric("XASPHERE", *terms).replace("UNIT MM", f"UNIT {unit}")).surfaces[1]
+    assert surface.asphere_mm == pytest.approx((1e-6 * mm**-3, -2e-9 * mm**-5), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("kind", "line", "reason"),
+    [
+        ("ODDASPHE", "PARM 3 1e-4", "a term in r^3: odd aspheres are not supported"),
+        ("ODDASPHE", "PARM 2 1e-4", "a term in r²"),
+        ("XASPHERE", "XDAT 3 1e-4 0 0", "a term in r²"),
+        ("XASPHERE", "XDAT 14 1e-4 0 0", "a term in r^24: aspheres reach up to r^22"),
+        ("XASPHERE", "XDAT 2 -6 0 0", "above 0"),
+        ("XASPHERE", "PARM 2 1e-4", "parameter 2 of XASPHERE is unknown"),
+    ],
+)
+def test_terms_that_no_even_asphere_has_are_refused(kind: str, line: str, reason: str) -> None:
+    message = refusal_of(aspheric(kind, line))
+    assert line in message
+    assert reason in message

@@ -1,0 +1,48 @@
+"""Forbes' strong aspheres, "Q-con": a polynomial beside the conic whose terms are orthogonal over the aperture.
+
+G. W. Forbes, "Shape specification for axially symmetric optical surfaces", Opt. Express 15 (2007) 5218-5226: with
+u = r / ρ, the sag beside the conic is u⁴ Σ a_m Q_m(u²), where Q_m(x) is the Jacobi polynomial P_m^(0,4)(2x − 1). It is
+traced as the even asphere that it is.
+"""
+
+import math
+from functools import lru_cache
+
+from pydantic import Field
+
+from lfmesh.scene.model import Model
+from lfmesh.scene.quantities import Coefficient, Positive
+
+MOST_ASPHERE_TERMS = 10
+"""Terms of an asphere, up to r²²."""
+
+
+class Qcon(Model):
+    """Deviation from the conic by Forbes' coefficients."""
+
+    norm_radius_mm: Positive
+    """Height at which every polynomial is 1, in mm: about the radius of the clear aperture."""
+    coefficients_mm: tuple[Coefficient, ...] = Field(min_length=1, max_length=MOST_ASPHERE_TERMS)
+    """a₀, a₁, ..., in mm."""
+
+    @property
+    def asphere_mm(self) -> tuple[float, ...]:
+        """Coefficients of r⁴, r⁶, ..., in mm⁻³, mm⁻⁵, ...
+
+        Up to ρ, rounding moves the sag by less than 1e-8 of the largest a_m with ten of them, 1e-13 with four.
+        """
+        return _even_terms(self.norm_radius_mm, self.coefficients_mm)
+
+
+@lru_cache(maxsize=256)
+def _even_terms(norm_radius: float, coefficients: tuple[float, ...]) -> tuple[float, ...]:
+    count = len(coefficients)
+    terms = []
+    for k in range(count):
+        # Exact: (−1)^(m + k) C(m, k) C(m + k + 4, m) is the coefficient of x^k in Q_m.
+        parts = ((-1) ** (m + k) * math.comb(m, k) * math.comb(m + k + 4, m) * coefficients[m] for m in range(k, count))
+        try:
+            terms.append(math.fsum(parts) / norm_radius ** (2 * k + 4))
+        except (OverflowError, ZeroDivisionError):
+            terms.append(math.inf)
+    return tuple(terms)

@@ -1,8 +1,9 @@
-"""Make the pictures of the README.
+"""Make the pictures of the README, and those of scenes with media.
 
 From a run of the demo, one that was refocused, a report of its accuracy, a scene to be seen in 3D, or several of them:
 tools/run demo -o run, tools/run accuracy assets/scenes/first_light.toml -o report, then
-tools/make_pictures.py run report assets/scenes/first_light.toml.
+tools/make_pictures.py run report assets/scenes/first_light.toml. From runs of the flame, the particles and the tank,
+tools/run render assets/scenes/flame.toml -o flame --white: their views.
 """
 
 import sys
@@ -57,6 +58,9 @@ VIEWS: dict[str, dict[str, Any]] = {
     },
 }
 """What lf.show shows of a scene."""
+MEDIA = ("flame", "particles", "tank")
+"""Names of scenes of which the view is a picture."""
+
 VIEW_PX = (960, 600)
 VIEW_COLOURS = 64
 """Of the palette that keeps these pictures small."""
@@ -75,6 +79,12 @@ def from_run(run: Path) -> None:
         small = view.resize((SIDE_PX, SIDE_PX), Image.Resampling.LANCZOS).convert("RGB")
         draw_axes(small)
         small.save(PICTURES / "view.png", optimize=True)
+
+
+def from_media(run: Path, name: str) -> None:
+    """Write the view of a scene with media."""
+    with Image.open(run / "preview_view.png") as view:
+        view.convert("L").resize((SIDE_PX, SIDE_PX)).save(PICTURES / f"{name}.png", optimize=True)
 
 
 def draw_axes(picture: Image.Image) -> None:
@@ -132,6 +142,8 @@ if __name__ == "__main__":
             from_scene(folder)
         elif (folder / LENS_CSV).is_file():
             from_report(folder)
+        elif (name := load(folder / "scene.toml").name) in MEDIA:
+            from_media(folder, name)
         elif (folder / NEAR).is_file():
             from_photographs(folder)
         else:

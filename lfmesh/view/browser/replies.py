@@ -8,6 +8,8 @@ from typing import Any
 
 from lfmesh.errors import LfmeshError
 
+OWN_MISTAKE = "lfmesh made a mistake of its own; the terminal says where."
+
 
 class Replies:
     """Ties methods to what the page asks for.
@@ -60,7 +62,7 @@ class Replies:
                 self._server.state.fault = str(fault)
                 return None
             except Exception:
-                self._server.state.fault = "lfmesh made a mistake of its own; the terminal says where."
+                self._server.state.fault = OWN_MISTAKE
                 traceback.print_exc()
                 return None
 

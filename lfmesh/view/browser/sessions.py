@@ -7,17 +7,20 @@ one that is left or reloaded, or whose browser does not answer any more, takes n
 
 import asyncio
 import gc
+import traceback
 from collections.abc import Callable
 from typing import Any, Protocol
 
-import trame_client
+import trame_client.module
 import trame_server
 from aiohttp import web
 from trame_server.protocol import CoreServer
 from trame_vtk.modules import vtk
 from wslink.backends.aiohttp import AioHttpWsHandler, create_webserver
 
+from lfmesh.errors import LfmeshError
 from lfmesh.view.browser.guard import Handler
+from lfmesh.view.browser.replies import OWN_MISTAKE
 
 WEBSOCKET = "/ws"
 
@@ -111,7 +114,7 @@ class Sessions:
             return await handler(request)
         if len(self._open) >= MOST_SOCKETS:
             return web.Response(status=503, text=FULL + "\n")
-        session, self._ready = self._ready or self._new(), None
+        session, self._ready = self._ready or self._next(), None
         self._open.add(session)
         try:
             return await session.answer(request, self._host.port)
@@ -138,11 +141,22 @@ class Sessions:
         self._collects = False
         gc.collect()
 
-    def _new(self) -> _Session:
-        """Return a session with a page, or with words where there are too many."""
-        self._number += 1
-        pages = sum(session.shown is not None for session in self._open)
-        return _Session(self._number, self._fill if pages < MOST_PAGES else self._say_full)
+    def _next(self) -> _Session:
+        """Return a session with a page, or with words where there are too many or it cannot be made."""
+        if sum(session.shown is not None for session in self._open) >= MOST_PAGES:
+            return self._that_says(FULL)
+        try:
+            return self._new()
+        except LfmeshError as fault:
+            return self._that_says(str(fault))
+        except Exception:
+            traceback.print_exc()
+            return self._that_says(OWN_MISTAKE)
 
-    def _say_full(self, server: Any) -> None:
-        self._refuse(server, FULL)
+    def _new(self) -> _Session:
+        self._number += 1
+        return _Session(self._number, self._fill)
+
+    def _that_says(self, words: str) -> _Session:
+        self._number += 1
+        return _Session(self._number, lambda server: self._refuse(server, words))

@@ -383,7 +383,7 @@ def at_wavelength(world: World, wavelength_nm: float) -> Tables:
         # What media emit has a width in wavelength; what they take, and how they scatter, is that of this wavelength.
         line = replace(world.lines, wavelengths_nm=(wavelength_nm,), weight_nm=np.ones(1))
         hosts = hosts_of(world.scene, world.targets, objects.rank, objects.medium, objects.media)
-        volumes, own = volumes_at(objects.volumes, world.scene, line, hosts)
+        volumes, own = volumes_at(objects.volumes, world.scene, tables.frames, line, hosts)
         objects = objects._replace(volumes=volumes, media=own)
     return tables._replace(
         lens=tables.lens._replace(media=media(tables.lens.medium), interfaces=interfaces.lens),

@@ -167,3 +167,26 @@ def test_spheres_in_water_scatter_by_the_index_of_water() -> None:
     ]
     np.testing.assert_array_equal(tables[0].phases.values, tables[1].phases.values)
     assert not np.array_equal(tables[0].phases.values, tables[2].phases.values)
+
+
+@pytest.mark.parametrize("wavelengths_nm", [(587.6, 450.0), (450.0, 587.6)])
+def test_water_absorbs_at_the_wavelength_of_the_trace(wavelengths_nm: tuple[float, float]) -> None:
+    """Fog in water that is clear at one wavelength, traced at the other: bitwise as in a scene of that one."""
+    alpha = {"wavelengths_nm": [400.0, 500.0, 700.0], "values": [0.05, 0.0, 0.0]}
+    water = tank(liquid={"index": 1.333, "absorption_per_mm": alpha})
+    fog = [{"inside": LIQUID, "scattering_per_mm": 0.03}]
+    draw = np.random.default_rng(1)
+    origins = np.column_stack([draw.uniform(-3.0, 3.0, (500, 2)), np.full(500, -20.0)])
+    ways = np.column_stack([draw.uniform(-0.05, 0.05, (500, 2)), -np.ones(500)])
+    of_scene, traced = wavelengths_nm
+    other, own = (
+        lf.trace(
+            lf.build(scene(fog, tanks=[water], transport={"wavelengths_nm": [each]})),
+            origins, ways, traced, split="transmit",
+        )
+        for each in (of_scene, traced)
+    )  # fmt: skip
+    assert other.weight.tobytes() == own.weight.tobytes()
+    assert other.ledger.absorbed == own.ledger.absorbed
+    assert ("inside tanks[0] liquid" in own.ledger.absorbed) == (traced == 450.0)
+    assert abs(own.ledger.imbalance) < 1e-12

@@ -196,11 +196,8 @@ def volume_tables(
             if brightness.size > 1 and powers[i] > 0.0:
                 row["first"], row["drawn"] = sum(map(len, until)), brightness.size
                 until.append(np.cumsum(brightness) / brightness.sum())
-    for i, body in enumerate(absorbing, start=len(scene.media)):
-        per_mm, rows[i]["slot"] = hosts.absorption_of(body)
-        absorption[i], rows[i]["inside"] = per_mm, hosts.rank[body]
-        rows[i]["absorption"] = rows[i]["scattering"] = rows[i]["emission"] = NOT_IN_GRID
-        _fill(rows[i], hosts, body, moves)
+    count = len(scene.media)
+    rows[count:], absorption[count:] = _of_bodies(absorbing, hosts, moves, len(wavelengths_nm))
     phases = _phases(scene, lines, holding, hosts, len(absorbing))
     tree = None
     if shells:
@@ -213,7 +210,7 @@ def volume_tables(
     return volumes, hosts.without_absorption(absorbing)
 
 
-def volumes_at(volumes: Volumes, scene: Scene, lines: Lines, hosts: Hosts) -> tuple[Volumes, Media]:
+def volumes_at(volumes: Volumes, scene: Scene, moves: Array, lines: Lines, hosts: Hosts) -> tuple[Volumes, Media]:
     """Return media that take and scatter light as at other lines, and emit as before; no file is read again.
 
     Parameters
@@ -221,7 +218,8 @@ def volumes_at(volumes: Volumes, scene: Scene, lines: Lines, hosts: Hosts) -> tu
     volumes : Volumes
         Of the scene.
     scene : Scene
-    lines : Lines
+    moves, lines
+        As of `volume_tables`.
     hosts : Hosts
         With the media of bodies at these lines.
 
@@ -231,22 +229,37 @@ def volumes_at(volumes: Volumes, scene: Scene, lines: Lines, hosts: Hosts) -> tu
     Media
         As of `volume_tables`.
     """
-    rows, count = volumes.rows, len(scene.media)
-    absorption, scattering = np.zeros((2, len(rows), len(lines.wavelengths_nm)))
+    count, wide = len(scene.media), len(lines.wavelengths_nm)
+    holding = [scene.body_named(m.inside) if m.inside is not None else None for m in scene.media]
+    # A body may absorb at these lines that is clear at those of the scene, and the other way round.
+    absorbing = hosts.absorbing({body for body in holding if body is not None})
+    added, taken = _of_bodies(absorbing, hosts, moves, wide)
+    rows = np.concatenate([volumes.rows[:count], added])
+    absorption, scattering = np.zeros((2, len(rows), wide))
+    absorption[count:] = taken
     for i, medium in enumerate(scene.media):
         for key, own in (("absorption_per_mm", absorption), ("scattering_per_mm", scattering)):
             in_grid = rows[key.removesuffix("_per_mm")][i] != NOT_IN_GRID
             own[i] = 1.0 if in_grid else _coefficient(scene, getattr(medium, key), lines, f"media[{i}].{key}")
-    bodies = [int(np.flatnonzero(hosts.rank == inside)[0]) for inside in rows["inside"][count:]]
-    if hosts.media.absorption is not None:
-        for i, body in enumerate(bodies, start=count):
-            absorption[i] = hosts.absorption_of(body)[0]
-    holding = [scene.body_named(m.inside) if m.inside is not None else None for m in scene.media]
+    emission, powers = np.zeros((len(rows), volumes.emission.shape[1])), np.zeros(len(rows))
+    emission[:count], powers[:count] = volumes.emission[:count], volumes.powers[:count]
     moved = volumes._replace(
-        absorption=absorption, scattering=scattering, phases=_phases(scene, lines, holding, hosts, len(bodies)),
+        rows=rows, absorption=absorption, scattering=scattering, emission=emission, powers=powers,
+        phases=_phases(scene, lines, holding, hosts, len(absorbing)),
         scatters=volumes.scatters or bool((scattering > 0.0).any()),
     )  # fmt: skip
-    return moved, hosts.without_absorption(bodies if hosts.media.absorption is not None else [])
+    return moved, hosts.without_absorption(absorbing)
+
+
+def _of_bodies(bodies: list[int], hosts: Hosts, moves: Array, wide: int) -> tuple[NDArray[np.void], Array]:
+    """Return rows of media that absorb as bodies do, in place of these, and their coefficients at each wavelength."""
+    rows, absorption = np.zeros(len(bodies), VOLUME), np.zeros((len(bodies), wide))
+    for row, own, body in zip(rows, absorption, bodies, strict=True):
+        own[:], row["slot"] = hosts.absorption_of(body)
+        row["inside"] = hosts.rank[body]
+        row["absorption"] = row["scattering"] = row["emission"] = NOT_IN_GRID
+        _fill(row, hosts, body, moves)
+    return rows, absorption
 
 
 def _phases(scene: Scene, lines: Lines, holding: list[int | None], hosts: Hosts, more: int) -> PhaseTables:

@@ -14,7 +14,7 @@ from lfmesh.scene.literals import at_least, at_most
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.own_glass import Glass
 from lfmesh.scene.pose import Pose
-from lfmesh.scene.qbfs import LARGEST_ERROR_MM, EvenForm, Qbfs
+from lfmesh.scene.qbfs import EvenForm, Qbfs
 from lfmesh.scene.qcon import MOST_ASPHERE_TERMS, Qcon
 from lfmesh.scene.quantities import (
     LARGEST,
@@ -201,10 +201,10 @@ class Surface(Model):
                 f"with radius_mm = {self.radius_mm:g} its sphere, or that at its vertex, ends inside norm_radius_mm = "
                 f"{rho:g}; give a longer radius or smaller coefficients",
             )  # fmt: skip
-        elif not form.error_mm <= LARGEST_ERROR_MM:
+        elif not form.error_mm <= (most := qbfs.largest_error_mm):
             yield Fault(
                 ("qbfs",), None,
-                f"{MOST_ASPHERE_TERMS} even terms give its sag to {form.error_mm:.2g} mm only; {LARGEST_ERROR_MM:g} mm "
+                f"{MOST_ASPHERE_TERMS} even terms give its sag to {form.error_mm:.2g} mm only; {most:g} mm "
                 "is the limit; give a longer radius, fewer or smaller coefficients",
             )  # fmt: skip
 

@@ -7,6 +7,7 @@ the recurrence of "Robust, efficient computational methods for axially symmetric
 """
 
 import math
+import sys
 from dataclasses import dataclass
 from decimal import Decimal, localcontext
 from functools import lru_cache
@@ -17,11 +18,11 @@ from lfmesh.scene.model import Model
 from lfmesh.scene.qcon import MOST_ASPHERE_TERMS
 from lfmesh.scene.quantities import Coefficient, Positive
 
-LARGEST_ERROR_MM = 1e-9
-"""A surface that no even asphere gives to within this, in mm, is refused."""
+_LARGEST_ERROR = 1e-9
+"""A surface that no even asphere gives to within this, in mm or in ρ where that is less than 1 mm, is refused."""
 
-_WANTED_ERROR_MM = 1e-11
-"""No terms are added to those that give the sag to within this."""
+_WANTED = 0.01
+"""No terms are added to those that give the sag to within this share of the largest error."""
 
 _DIGITS = 50
 _CHECKED = 64
@@ -35,9 +36,15 @@ class Qbfs(Model):
     coefficients_mm: tuple[Coefficient, ...] = Field(min_length=1, max_length=MOST_ASPHERE_TERMS)
     """a₀, a₁, ..., in mm."""
 
+    @property
+    def largest_error_mm(self) -> float:
+        """How far the sag of the even form may be from the formula's."""
+        return _LARGEST_ERROR * min(1.0, self.norm_radius_mm)
+
     def even_form(self, curvature_per_mm: float) -> "EvenForm | None":
         """Return the even asphere that is this deviation from a sphere; None where a sphere ends below ρ."""
-        return _even_form(curvature_per_mm, self.norm_radius_mm, self.coefficients_mm)
+        wanted = _WANTED * self.largest_error_mm
+        return _even_form(curvature_per_mm, self.norm_radius_mm, self.coefficients_mm, wanted)
 
 
 @dataclass(frozen=True)
@@ -73,7 +80,10 @@ def _sphere(curvature: Decimal, conic: int, r2: Decimal) -> Decimal:
 
 
 @lru_cache(maxsize=256)
-def _even_form(curvature: float, norm_radius: float, coefficients: tuple[float, ...]) -> EvenForm | None:
+def _even_form(
+    curvature: float, norm_radius: float, coefficients: tuple[float, ...], wanted_mm: float
+) -> EvenForm | None:
+    """Return the even form with the fewest terms that reach the wanted error, or with the least error."""
     with localcontext() as context:
         context.prec = _DIGITS
         c, rho = Decimal(curvature), Decimal(norm_radius)
@@ -97,11 +107,19 @@ def _even_form(curvature: float, norm_radius: float, coefficients: tuple[float, 
             terms = _interpolated(nodes, [beyond(x) / x**2 for x in nodes])
             found = tuple(float(term / rho ** (2 * k + 4)) for k, term in enumerate(terms))
             error = max(abs(_float_sum(terms, x) - z) for x, z in zip(places, true, strict=True))
+            if not _within_floats(found, rho):
+                error = math.inf
             if best is None or not error >= best.error_mm:
                 best = EvenForm(radius, conic, found, error)
-            if error <= _WANTED_ERROR_MM:
+            if error <= wanted_mm:
                 break
         return best
+
+
+def _within_floats(asphere: tuple[float, ...], rho: Decimal) -> bool:
+    """Return whether neither a coefficient nor a power of ρ leaves the floats."""
+    highest = float(rho ** (2 * len(asphere) + 2))
+    return all(map(math.isfinite, asphere)) and sys.float_info.min <= highest <= sys.float_info.max
 
 
 def _float_sum(terms: list[Decimal], x: Decimal) -> float:

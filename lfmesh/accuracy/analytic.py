@@ -138,7 +138,7 @@ class Camera:
             after = refractive_index(surface.medium, wavelength_nm)
             interfaces.append(
                 Interface(
-                    z, surface.curvature_per_mm, surface.conic, surface.terms_mm,
+                    z, surface.curvature_per_mm, surface.vertex_conic, surface.terms_mm,
                     surface.semi_diameter_mm or np.inf, before, after, *_placed(lens, i),
                     surface.thin_lens_power_per_mm,
                 )

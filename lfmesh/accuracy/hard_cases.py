@@ -103,6 +103,7 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     surfaces.polarisation_at_its_ends,
     surfaces.bands_at_their_ends,
     lenses.diverging_newton,
+    lenses.mild_asphere_of_a_deep_sphere,
     lenses.two_roots,
     lenses.hyperboloid,
     lenses.oblate,

@@ -67,7 +67,7 @@ def refuse_crossing_elements(lens: Lens) -> None:
     records = []
     for number, s in enumerate(lens.surfaces):
         record = surface(
-            s.radius_mm, s.conic, s.terms_mm,
+            s.vertex_radius_mm, s.vertex_conic, s.terms_mm,
             vertex_z=lens.vertices_mm[number], aperture=s.semi_diameter_mm or np.inf,
         )  # fmt: skip
         put_in_pose(record, pose_of(lens, number))

@@ -79,7 +79,7 @@ def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
         media.append(s.medium)
         records.append(
             surface(
-                s.radius_mm, s.conic, s.terms_mm,
+                s.vertex_radius_mm, s.vertex_conic, s.terms_mm,
                 vertex_z=prescription.vertices_mm[i], aperture=s.semi_diameter_mm or np.inf, stop=s.stop,
             )
         )  # fmt: skip

@@ -47,7 +47,7 @@ def written(lens: Lens) -> tuple[bytes, list[str]]:
             glass = f" {''.join(sign for sign in name if sign.isalnum())}_{maker}"
         elif surface.medium is not None:
             glass = f" '{private[surface.medium]}'"
-        radius_mm = 0.0 if math.isinf(surface.radius_mm) else surface.radius_mm
+        radius_mm = 0.0 if math.isinf(surface.vertex_radius_mm) else surface.vertex_radius_mm
         lines.append(f"S {radius_mm!r} {distance!r}{glass}")
         lines += _qualified(i, surface, radius if surface.stop else surface.semi_diameter_mm)
     return "\r\n".join([*lines, "SI 0.0 0.0", "GO", ""]).encode(), notes
@@ -75,16 +75,16 @@ def _dispersive(lens: Lens, private: dict[Medium, str], notes: list[str]) -> lis
 def _qualified(number: int, surface: Surface, aperture_mm: float | None) -> list[str]:
     """Return what follows the line of a surface."""
     if len(surface.terms_mm) > len(COEFFICIENTS):
-        key = "asphere_mm" if surface.qcon is None else "qcon"
+        key = surface.terms_key
         raise SceneError(f"surfaces[{number}].{key}: CODE V's asphere has {len(COEFFICIENTS)} terms from r⁴")
     lines = ["  STO"] if surface.stop else []
     if aperture_mm is not None:
         lines.append(f"  CIR {aperture_mm!r}")
     if surface.terms_mm:
         terms = (f"{letter} {value!r}" for letter, value in zip(COEFFICIENTS, surface.terms_mm, strict=False))
-        lines += ["  ASP", f"  K {surface.conic!r}", f"  {'; '.join(terms)}"]
-    elif surface.conic:
-        lines += ["  CON", f"  K {surface.conic!r}"]
+        lines += ["  ASP", f"  K {surface.vertex_conic!r}", f"  {'; '.join(terms)}"]
+    elif surface.vertex_conic:
+        lines += ["  CON", f"  K {surface.vertex_conic!r}"]
     return lines
 
 

@@ -40,7 +40,7 @@ _ASPHERES = ("EVENASPH", "ODDASPHE", "XASPHERE")
 
 _REFUSED_TYPES = {
     "XODDASPH": "extended odd aspheres are not supported",
-    "QED_TYPE": "Forbes (Q-type) aspheres are not read; a scene's surface has them as qcon",
+    "QED_TYPE": "Forbes (Q-type) aspheres are not read; a scene's surface has them as qcon and qbfs",
     "TOROIDAL": "toroids are not supported",
     "BICONICX": "biconic surfaces are not supported",
     "BICONIC": "biconic surfaces are not supported",

@@ -60,7 +60,7 @@ def written(lens: Lens) -> tuple[bytes, list[str]]:
 def _surface(number: int, surface: Surface, aperture_mm: float | None) -> list[str]:
     terms = len(surface.terms_mm)
     if terms > _MOST_TERMS:
-        key = "asphere_mm" if surface.qcon is None else "qcon"
+        key = surface.terms_key
         raise SceneError(f"surfaces[{number}].{key}: {terms} terms; Zemax's even asphere has {_MOST_TERMS} from r⁴")
     lines = [f"SURF {number + 1}"]
     if surface.stop:
@@ -69,7 +69,7 @@ def _surface(number: int, surface: Surface, aperture_mm: float | None) -> list[s
         lines += ["  TYPE PARAXIAL", f"  PARM 1 {surface.focal_length_mm!r}"]
     else:
         lines.append("  TYPE EVENASPH" if terms else "  TYPE STANDARD")
-    lines.append(f"  CURV {curvature(surface.radius_mm)!r} 0 0 0 0")
+    lines.append(f"  CURV {curvature(surface.vertex_radius_mm)!r} 0 0 0 0")
     lines += [f"  PARM {place} {value!r}" for place, value in enumerate((0, *surface.terms_mm), 1) if terms]
     if isinstance(surface.glass, OwnGlass):
         if surface.glass.nd is None or surface.glass.air is not None:
@@ -82,8 +82,8 @@ def _surface(number: int, surface: Surface, aperture_mm: float | None) -> list[s
     elif surface.medium is not None:
         # A model glass of Abbe number 0 does not disperse.
         lines.append(f"  GLAS ___BLANK 1 0 {surface.index!r} 0 0 0 0 0 0 0")
-    if surface.conic:
-        lines.append(f"  CONI {surface.conic!r}")
+    if surface.vertex_conic:
+        lines.append(f"  CONI {surface.vertex_conic!r}")
     if aperture_mm is not None:
         lines += [f"  DIAM {aperture_mm!r} 1 0 0 1", f"  FLAP 0 {aperture_mm!r} 0"]
     return lines

@@ -14,6 +14,7 @@ from lfmesh.scene.literals import at_least, at_most
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.own_glass import Glass
 from lfmesh.scene.pose import Pose
+from lfmesh.scene.qbfs import EvenForm, Qbfs
 from lfmesh.scene.qcon import MOST_ASPHERE_TERMS, Qcon
 from lfmesh.scene.quantities import (
     LARGEST,
@@ -71,6 +72,9 @@ class Surface(Model):
     qcon: Qcon | None = None
     """Forbes' strong asphere in place of, or beside, `asphere_mm`, such as
     { norm_radius_mm = 5.0, coefficients_mm = [0.1, -0.02] }."""
+    qbfs: Qbfs | None = None
+    """Forbes' mild asphere, with the same keys, without `conic`, `asphere_mm` and `qcon`: a deviation along the normal
+    of the sphere of `radius_mm`, which is then the best-fit sphere; at the vertex the surface has another radius."""
 
     paraxial: Flag = False
     """An ideal thin lens in place of an interface: flat, in air, without reflections. It needs `focal_length_mm`."""
@@ -93,15 +97,39 @@ class Surface(Model):
 
     @property
     def curvature_per_mm(self) -> float:
-        """1/radius; 0 for a flat surface."""
-        return 0.0 if math.isinf(self.radius_mm) else 1.0 / self.radius_mm
+        """Curvature at the vertex; 0 for a flat surface."""
+        return 0.0 if math.isinf(self.vertex_radius_mm) else 1.0 / self.vertex_radius_mm
+
+    @property
+    def vertex_radius_mm(self) -> float:
+        """Radius of curvature at the vertex: `radius_mm`, where no `qbfs` deviates from it there."""
+        form = self._qbfs_form
+        return self.radius_mm if form is None else form.radius_mm
+
+    @property
+    def vertex_conic(self) -> float:
+        """Conic constant of the conic that `terms_mm` are added to."""
+        form = self._qbfs_form
+        return self.conic if form is None else form.conic
+
+    @property
+    def _qbfs_form(self) -> EvenForm | None:
+        return None if self.qbfs is None else self.qbfs.even_form(1.0 / self.radius_mm)
 
     @property
     def terms_mm(self) -> tuple[float, ...]:
         """Coefficients of r⁴, r⁶, ... of all that the surface deviates from its conic by, in mm⁻³, mm⁻⁵, ..."""
+        form = self._qbfs_form
+        if form is not None:
+            return form.asphere_mm
         if self.qcon is None:
             return self.asphere_mm
         return tuple(a + b for a, b in zip_longest(self.asphere_mm, self.qcon.asphere_mm, fillvalue=0.0))
+
+    @property
+    def terms_key(self) -> str:
+        """Name of the key that `terms_mm` come from."""
+        return "qbfs" if self.qbfs is not None else "asphere_mm" if self.qcon is None else "qcon"
 
     @property
     def thin_lens_power_per_mm(self) -> float:
@@ -111,7 +139,8 @@ class Surface(Model):
     @property
     def reach_mm(self) -> float:
         """Height at which the conic turns back and ends; inf where it never does."""
-        return abs(self.radius_mm) / math.sqrt(1 + self.conic) if self.conic > -1 else math.inf
+        conic = self.vertex_conic
+        return abs(self.vertex_radius_mm) / math.sqrt(1 + conic) if conic > -1 else math.inf
 
     def sag_mm(self, height_mm: float) -> float:
         """Return z of the surface above its vertex plane, at a height from the axis, both in mm.
@@ -119,7 +148,7 @@ class Surface(Model):
         The standard form of ISO 10110-12: c r² / (1 + √(1 − (1 + k) c² r²)) + Σ A_j r^(2j+4), with `terms_mm`.
         """
         c, r2 = self.curvature_per_mm, height_mm * height_mm
-        root = math.sqrt(max(0.0, 1 - (1 + self.conic) * c * c * r2))
+        root = math.sqrt(max(0.0, 1 - (1 + self.vertex_conic) * c * c * r2))
         terms = (_term_mm(a, height_mm, 2 * j + 4) for j, a in enumerate(self.terms_mm))
         return c * r2 / (1 + root) + sum(terms)
 
@@ -130,6 +159,8 @@ class Surface(Model):
             return
         if self.paraxial or self.focal_length_mm is not None:
             yield from self._thin_lens_faults()
+        elif self.qbfs is not None:
+            yield from self._qbfs_faults(self.qbfs)
         if self.semi_diameter_mm is not None and self.semi_diameter_mm > self.reach_mm * (1 + 1e-12):
             yield Fault(
                 ("semi_diameter_mm",),
@@ -151,6 +182,32 @@ class Surface(Model):
             yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
         yield from both_given(self.coating, self.finish, "finish")
 
+    def _qbfs_faults(self, qbfs: Qbfs) -> Iterator[Fault]:
+        """Yield what Forbes' mild asphere does not go with, and why it has no even form."""
+        rho, omit = qbfs.norm_radius_mm, "omit it: qbfs deviates from a sphere, by all its terms"
+        for key, value in {"conic": self.conic, "asphere_mm": self.asphere_mm}.items():
+            if value:
+                yield Fault((key,), value, omit)
+        if self.qcon is not None:
+            yield Fault(("qcon",), None, omit)
+        if self.semi_diameter_mm is None:
+            yield Fault(("semi_diameter_mm",), None, f"missing: qbfs needs one, of {rho:g} mm at most")
+        elif self.semi_diameter_mm > rho:
+            yield Fault(("semi_diameter_mm",), self.semi_diameter_mm, f"qbfs ends at norm_radius_mm = {rho:g}")
+        form = self._qbfs_form
+        if form is None:
+            yield Fault(
+                ("qbfs",), None,
+                f"with radius_mm = {self.radius_mm:g} its sphere, or that at its vertex, ends inside norm_radius_mm = "
+                f"{rho:g}; give a longer radius or smaller coefficients",
+            )  # fmt: skip
+        elif not form.error_mm <= (most := qbfs.largest_error_mm):
+            yield Fault(
+                ("qbfs",), None,
+                f"{MOST_ASPHERE_TERMS} even terms give its sag to {form.error_mm:.2g} mm only; {most:g} mm "
+                "is the limit; give a longer radius, fewer or smaller coefficients",
+            )  # fmt: skip
+
     def _rim_mm(self) -> float:
         """Return how far Forbes' terms move the rim of the clear aperture, or of their own."""
         at = self.semi_diameter_mm or (self.qcon.norm_radius_mm if self.qcon is not None else 0.0)
@@ -164,19 +221,20 @@ class Surface(Model):
         if self.focal_length_mm is None:
             yield Fault(("focal_length_mm",), None, "missing: the focal length of the thin lens")
         own = {"radius_mm": math.inf, "index": None, "glass": None, "conic": 0.0, "asphere_mm": (), "qcon": None}
+        own |= {"qbfs": None}
         for key, value in {**own, "mesh": None, "coating": UNCOATED, "finish": POLISHED}.items():
             given = getattr(self, key)
             if given != value:
-                shown = given.kind if key == "finish" else None if key in ("mesh", "qcon") else given
+                shown = given.kind if key == "finish" else None if key in ("mesh", "qcon", "qbfs") else given
                 yield Fault((key,), shown, "omit it: a paraxial surface is a flat thin lens in air")
 
     def _element_faults(self) -> Iterator[Fault]:
         own = {"radius_mm": math.inf, "index": None, "glass": None, "stop": False, "conic": 0.0, "asphere_mm": ()}
-        own |= {"qcon": None, "paraxial": False, "focal_length_mm": None}
+        own |= {"qcon": None, "qbfs": None, "paraxial": False, "focal_length_mm": None}
         for key, value in {**own, "coating": UNCOATED, "finish": POLISHED, "mesh": None}.items():
             if getattr(self, key) != value:
                 beside = f"; the refractor has a {key} of its own" if key in ("coating", "finish") else ""
-                shown = None if key == "qcon" else getattr(self, key)
+                shown = None if key in ("qcon", "qbfs") else getattr(self, key)
                 yield Fault((key,), shown, f"omit it: the refractor is a whole element{beside}")
         if self.refractor is not None and self.refractor.box_mm is not None:
             yield Fault(("refractor", "box_mm"), self.refractor.box_mm, "only in front of the camera; give file")
@@ -353,6 +411,11 @@ class Lens(Model):
             yield Fault((key,), size, f"{sizes[0][0]} = {sizes[0][1]:g} is given too; give one of them")
         for i, surface in enumerate(self.surfaces):
             sized = surface.stop and bool(self.stop_size)
+            if sized and surface.qbfs is not None:
+                yield Fault(
+                    ("surfaces", i, "qbfs"), None,
+                    f"ends at norm_radius_mm; size this stop by semi_diameter_mm, not {sizes[0][0]}",
+                )  # fmt: skip
             solved = bool(stops) and not surface.stop and surface.mesh is None
             if surface.semi_diameter_mm is None and not sized and not solved and surface.refractor is None:
                 hint = "" if stops else "; or mark the stop, which the others follow from"

@@ -113,6 +113,6 @@ def _meet(surface: Surface, y: float, z: float, slope: float) -> tuple[float, fl
 def _slope(surface: Surface, height: float) -> float:
     """Return the derivative of the sag."""
     c = surface.curvature_per_mm
-    root = math.sqrt(max(1e-300, 1 - (1 + surface.conic) * c * c * height * height))
+    root = math.sqrt(max(1e-300, 1 - (1 + surface.vertex_conic) * c * c * height * height))
     terms = ((2 * j + 4) * a * height ** (2 * j + 3) for j, a in enumerate(surface.terms_mm))
     return c * height / root + sum(terms)

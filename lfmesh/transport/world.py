@@ -231,7 +231,9 @@ class World(Shown):
         z = self.scene.camera.lens.vertices_mm[number]
         inner = surfaces[number].semi_diameter_mm or 0.0
         outer = max(1.3 * inner, *self.lens_shape.rims)
-        record = surface(surfaces[number].radius_mm, surfaces[number].conic, surfaces[number].terms_mm, aperture=inner)
+        record = surface(
+            surfaces[number].vertex_radius_mm, surfaces[number].vertex_conic, surfaces[number].terms_mm, aperture=inner
+        )
         z += float(sag(record, inner))
         ring = revolved(np.array([[outer, z], [inner, z]]), 96)
         return ring.moved(pose_of(self.scene.camera.lens, number)).solid()

@@ -93,6 +93,9 @@ KEYS = [
     *["asphere_mm = [1e300, -1e300]", "asphere_mm = [0.0, 1e200]", "conic = 1e15", "conic = -1e15", "file = '\\0'"],
     "qcon = { norm_radius_mm = 1e-9, coefficients_mm = [1.0, -1e9] }",
     "qcon = { norm_radius_mm = 5.0, coefficients_mm = [0.1, 1e300] }",
+    "qbfs = { norm_radius_mm = 1e-9, coefficients_mm = [1.0, -1e9] }",
+    "qbfs = { norm_radius_mm = 1e9, coefficients_mm = [1e-9] }",
+    "qbfs = { norm_radius_mm = 30.0, coefficients_mm = [0.1, 1e300] }",
 ]
 
 numbers = st.one_of(

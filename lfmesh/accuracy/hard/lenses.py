@@ -188,6 +188,18 @@ def diverging_newton() -> Outcome:
 
 
 @case
+def mild_asphere_of_a_deep_sphere() -> Outcome:
+    """Meet Forbes' mild asphere up to its rim, where its sphere is inclined by 36 degrees."""
+    qbfs = {"norm_radius_mm": 5.0, "coefficients_mm": (0.3, -0.1, 0.05, -0.02)}
+    surfaces = [
+        Surface(radius_mm=8.5, thickness_mm=6.0, index=1.6, semi_diameter_mm=5.0, stop=True, qbfs=qbfs),
+        Surface(radius_mm=-60.0, semi_diameter_mm=8.0),
+    ]
+    o, d = _bundle(5000, 4.99, 0.3)
+    return through_lens(lens_scene(surfaces, distance=8.0), o, d, 1e-10, relative=1e-10)
+
+
+@case
 def two_roots() -> Outcome:
     """Meet the ring-shaped ridge of an asphere with flat rays that cross it up to four times in one aperture."""
     ridge = Surface(

@@ -113,7 +113,7 @@ def faces_of(scene: Scene) -> list[Interface]:
     lens = scene.camera.lens
     return [
         Interface(
-            s.radius_mm, z, s.index or 1.0, s.conic, s.terms_mm, 1.01 * (s.semi_diameter_mm or 10.0),
+            s.vertex_radius_mm, z, s.index or 1.0, s.vertex_conic, s.terms_mm, 1.01 * (s.semi_diameter_mm or 10.0),
             s.focal_length_mm or np.inf,
         )
         for k, (s, z) in enumerate(zip(lens.surfaces, lens.vertices_mm, strict=True))

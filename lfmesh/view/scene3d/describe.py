@@ -68,8 +68,11 @@ def _element(world: World, number: int) -> Rows:
 
 
 def _surface(surface: Surface, number: int) -> str:
-    words = [f"surface {number}", "flat" if math.isinf(surface.radius_mm) else f"R {surface.radius_mm:.6g} mm"]
-    words += [f"conic {surface.conic:g}"] if surface.conic else []
+    words = [
+        f"surface {number}",
+        "flat" if math.isinf(surface.vertex_radius_mm) else f"R {surface.vertex_radius_mm:.6g} mm",
+    ]
+    words += [f"conic {surface.vertex_conic:g}"] if surface.vertex_conic else []
     words += ["asphere " + ", ".join(f"{a:.4g}" for a in surface.terms_mm)] if any(surface.terms_mm) else []
     words += [f"semi-diameter {surface.semi_diameter_mm:.6g} mm"] if surface.semi_diameter_mm else []
     words += [f"mesh {surface.mesh.file}"] if surface.mesh is not None else []

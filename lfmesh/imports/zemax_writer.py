@@ -1,6 +1,7 @@
 """Writing a lens as a Zemax file, with the object at infinity and the image in the paraxial focus of the d line."""
 
 import math
+from collections.abc import Sequence
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.glasses import named_glass
@@ -11,7 +12,7 @@ from lfmesh.scene.own_glass import OwnGlass
 from lfmesh.scene.paraxial import Paraxial
 
 _MOST_TERMS = 7
-"""Even aspheres have the powers r⁴ to r¹⁶."""
+"""Even aspheres have the powers r⁴ to r¹⁶; those of more terms are written as extended ones."""
 
 
 def written(lens: Lens) -> tuple[bytes, list[str]]:
@@ -58,19 +59,14 @@ def written(lens: Lens) -> tuple[bytes, list[str]]:
 
 
 def _surface(number: int, surface: Surface, aperture_mm: float | None) -> list[str]:
-    terms = len(surface.terms_mm)
-    if terms > _MOST_TERMS:
-        key = surface.terms_key
-        raise SceneError(f"surfaces[{number}].{key}: {terms} terms; Zemax's even asphere has {_MOST_TERMS} from r⁴")
     lines = [f"SURF {number + 1}"]
     if surface.stop:
         lines.append("  STOP")
     if surface.focal_length_mm is not None and math.isfinite(surface.focal_length_mm):
         lines += ["  TYPE PARAXIAL", f"  PARM 1 {surface.focal_length_mm!r}"]
     else:
-        lines.append("  TYPE EVENASPH" if terms else "  TYPE STANDARD")
+        lines += _terms(surface.terms_mm)
     lines.append(f"  CURV {curvature(surface.vertex_radius_mm)!r} 0 0 0 0")
-    lines += [f"  PARM {place} {value!r}" for place, value in enumerate((0, *surface.terms_mm), 1) if terms]
     if isinstance(surface.glass, OwnGlass):
         if surface.glass.nd is None or surface.glass.air is not None:
             raise SceneError(
@@ -87,6 +83,18 @@ def _surface(number: int, surface: Surface, aperture_mm: float | None) -> list[s
     if aperture_mm is not None:
         lines += [f"  DIAM {aperture_mm!r} 1 0 0 1", f"  FLAP 0 {aperture_mm!r} 0"]
     return lines
+
+
+def _terms(terms_mm: Sequence[float]) -> list[str]:
+    """Return the type of a surface, and its coefficients from r⁴ up after that of r²."""
+    if not terms_mm:
+        return ["  TYPE STANDARD"]
+    with_square = (0.0, *terms_mm)
+    if len(terms_mm) <= _MOST_TERMS:
+        return ["  TYPE EVENASPH", *(f"  PARM {place} {value!r}" for place, value in enumerate(with_square, 1))]
+    # Heights are counted in units of 1 mm.
+    extended = (len(with_square), 1.0, *with_square)
+    return ["  TYPE XASPHERE", *(f"  XDAT {place} {value!r} 0 0" for place, value in enumerate(extended, 1))]
 
 
 def _makers(lens: Lens) -> list[str]:

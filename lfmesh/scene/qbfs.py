@@ -7,7 +7,6 @@ the recurrence of "Robust, efficient computational methods for axially symmetric
 """
 
 import math
-import sys
 from dataclasses import dataclass
 from decimal import Decimal, localcontext
 from functools import lru_cache
@@ -15,7 +14,7 @@ from functools import lru_cache
 from pydantic import Field
 
 from lfmesh.scene.model import Model
-from lfmesh.scene.qcon import MOST_ASPHERE_TERMS
+from lfmesh.scene.qcon import MOST_ASPHERE_TERMS, within_floats
 from lfmesh.scene.quantities import Coefficient, Positive
 
 _LARGEST_ERROR = 1e-9
@@ -107,19 +106,13 @@ def _even_form(
             terms = _interpolated(nodes, [beyond(x) / x**2 for x in nodes])
             found = tuple(float(term / rho ** (2 * k + 4)) for k, term in enumerate(terms))
             error = max(abs(_float_sum(terms, x) - z) for x, z in zip(places, true, strict=True))
-            if not _within_floats(found, rho):
+            if not within_floats(found, norm_radius):
                 error = math.inf
             if best is None or not error >= best.error_mm:
                 best = EvenForm(radius, conic, found, error)
             if error <= wanted_mm:
                 break
         return best
-
-
-def _within_floats(asphere: tuple[float, ...], rho: Decimal) -> bool:
-    """Return whether neither a coefficient nor a power of ρ leaves the floats."""
-    highest = float(rho ** (2 * len(asphere) + 2))
-    return all(map(math.isfinite, asphere)) and sys.float_info.min <= highest <= sys.float_info.max
 
 
 def _float_sum(terms: list[Decimal], x: Decimal) -> float:

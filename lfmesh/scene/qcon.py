@@ -6,6 +6,7 @@ traced as the even asphere that it is.
 """
 
 import math
+import sys
 from functools import lru_cache
 
 from pydantic import Field
@@ -32,6 +33,15 @@ class Qcon(Model):
         Up to ρ, rounding moves the sag by less than 1e-8 of the largest a_m with ten of them, 1e-13 with four.
         """
         return _even_terms(self.norm_radius_mm, self.coefficients_mm)
+
+
+def within_floats(asphere_mm: tuple[float, ...], norm_radius_mm: float) -> bool:
+    """Return whether neither a coefficient nor a power of the height at the rim leaves the floats or loses digits."""
+    try:
+        highest = norm_radius_mm ** (2 * len(asphere_mm) + 2)
+    except OverflowError:
+        return False
+    return all(map(math.isfinite, asphere_mm)) and sys.float_info.min <= highest
 
 
 @lru_cache(maxsize=256)

@@ -114,6 +114,13 @@ def test_what_is_no_asphere_is_refused(qcon: dict[str, object], message: str) ->
         lf.Surface(radius_mm=30.0, semi_diameter_mm=5.0, index=1.5, qcon=qcon)
 
 
+def test_powers_of_a_tiny_radius_that_vanish_are_refused() -> None:
+    """They would leave terms out without a word."""
+    own = {"norm_radius_mm": 1e-22, "coefficients_mm": [1e-30] * 7}
+    with pytest.raises(SceneError, match="norm_radius_mm = 1e-22: its powers"):
+        lf.Surface(radius_mm=30.0, semi_diameter_mm=1e-22, index=1.5, qcon=own)
+
+
 def test_an_ideal_lens_and_a_refractor_have_no_asphere() -> None:
     own = {"norm_radius_mm": 5.0, "coefficients_mm": [0.1]}
     with pytest.raises(SceneError, match="qcon: omit it"):
@@ -131,3 +138,12 @@ def test_files_of_other_programs_have_the_even_terms(tmp_path: Path, ending: str
     read, _ = read_lens_file(tmp_path / f"lens.{ending}")
     assert read.surfaces[0].asphere_mm == pytest.approx(front.terms_mm, rel=1e-12)
     assert read.surfaces[0].qcon is None
+
+
+def test_many_terms_are_written_as_an_extended_asphere(tmp_path: Path) -> None:
+    own = {"norm_radius_mm": 4.0, "coefficients_mm": [0.02, -0.01, 0.003, 1e-3, 2e-4, 1e-4, 3e-5, -1e-5, 1e-6, 2e-6]}
+    front = lf.Surface(radius_mm=20.0, thickness_mm=3.0, index=1.5, semi_diameter_mm=4.0, stop=True, qcon=own)
+    lens = lf.Lens(surfaces=(front, lf.Surface(radius_mm=-40.0, semi_diameter_mm=4.0)))
+    write_lens_file(lens, tmp_path / "lens.zmx")
+    read, _ = read_lens_file(tmp_path / "lens.zmx")
+    assert read.surfaces[0].asphere_mm == front.terms_mm

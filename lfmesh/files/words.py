@@ -133,7 +133,7 @@ def _aim(image: Image) -> list[str]:
     if image.blind is None:
         return []
     lines, proof, blind = [], image.aim, image.blind
-    if any(finish.is_rough and where[0] == "camera" for where, finish in image.scene.finishes()):
+    if image.scene.rough_in_camera():
         said = "as surfaces of the camera scatter light, rays go anywhere on the lens"
     elif proof is None:
         said = "no ray from the stop could be traced to the sensor"

@@ -51,12 +51,12 @@ def _samples(scene: Scene) -> Iterator[str]:
 
 def _rough_camera(scene: Scene) -> Iterator[str]:
     """Say what is not done, and what not found, where surfaces of the camera scatter light."""
-    rough = [format_path(where) for where, finish in scene.finishes() if finish.is_rough and where[0] == "camera"]
+    rough = [format_path(where) for where in scene.rough_in_camera()]
     if not rough:
         return
     yield f"{rough[0]} scatters light: rays are not aimed through the camera, and the picture needs many samples"
     if scene.lights:
-        yield f"{rough[0]} scatters light, but what lamps shed on the lens itself is left out of the picture"
+        yield f"{rough[0]} scatters light of lamps too: that is traced from the lamps on, and needs many samples"
 
 
 def _fog(scene: Scene) -> Iterator[str]:

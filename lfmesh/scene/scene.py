@@ -385,6 +385,10 @@ class Scene(Model, Shown):
                 "camera.sensor.bands is given too; give one of them",
             )
 
+    def rough_in_camera(self) -> list[Location]:
+        """Return where lens and array are given a finish that scatters light."""
+        return [where for where, finish in self.finishes() if finish.is_rough and where[0] == "camera"]
+
     def finishes(self) -> Iterator[tuple[Location, Finish]]:
         """Yield where surfaces give a finish, and the finish."""
         for i, surface in enumerate(self.camera.lens.surfaces):

@@ -3,10 +3,12 @@
 The camera is small, as rays are not aimed in a camera whose glass scatters.
 """
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from scipy import stats
 
 import lfmesh as lf
@@ -91,27 +93,100 @@ def test_a_lamps_light_off_a_target_comes_through_ground_glass_alike_in_both_met
     assert p.min() > LEVEL / len(p), (one, other, both)
 
 
-LAMPS: dict[str, dict[str, Any]] = {
-    "point": {"kind": "point", "position_mm": (1.0, 0.5, -20.0), "power_w": 1.0},
-    "disk": {"kind": "disk", "position_mm": (0.0, 0.0, -20.0), "direction": (0.0, 0.0, 1.0), "radius_mm": 3.0,
-             "power_w": 1.0},
-    "directional": {"kind": "directional", "direction": (0.0, 0.0, 1.0), "irradiance_w_m2": 1.0},
-}  # fmt: skip
+BLACK = {"reflectance": 0.0, "radiance_w_m2_sr": 0.0}
+RADIUS_MM, POWER_W = 3.0, 1.0
+DISK_LAMP = {"kind": "disk", "position_mm": (0.0, 0.0, -20.0), "direction": (0.0, 0.0, 1.0), "radius_mm": RADIUS_MM,
+             "power_w": POWER_W}  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", LAMPS)
-def test_what_lamps_shed_on_a_rough_lens_is_in_neither_method_and_is_said(kind: str) -> None:
-    """A lamp in the field adds nothing in either method, and a warning says so, unless the camera is polished."""
+def agree(first: lf.Scene, second: lf.Scene) -> None:
+    """Assert that two scenes give one picture: two-sided z-tests, as above."""
+    (one, error), (other, its_error) = squares(first), squares(second)
+    both = np.hypot(error, its_error)
+    assert both[-1] < 0.08 * one[-1], (one, both)
+    p = 2.0 * stats.norm.sf(np.abs(one - other) / both)
+    assert p.min() > LEVEL / len(p), (one, other, both)
+
+
+def glowing_disk() -> dict[str, Any]:
+    """The disk lamp as a target that rays from the sensor meet: power over π times its area is its radiance."""
+    radiance = POWER_W / (np.pi**2 * RADIUS_MM**2 * 1e-6)
+    return {
+        "shape": {"kind": "disk", "radius_mm": RADIUS_MM},
+        "position_mm": (0.0, 0.0, -20.0),
+        "material": {"reflectance": 0.0, "radiance_w_m2_sr": radiance},
+    }
+
+
+@pytest.mark.parametrize("method", ["adjoint", "forward"])
+@pytest.mark.parametrize("name", CAMERAS)
+def test_a_disk_lamp_before_a_rough_camera_shines_as_a_glowing_disk(name: str, method: str) -> None:
+    """All light meets the rough surface, so the lamp, traced forward, is the disk that rays from the sensor find."""
+    more = 4 if "diffuse" in name else 1
+    bare = scene(CAMERAS[name], samples=more * 1024, replicates=32)
+    lamp = bare.changed({"lights": [DISK_LAMP], "targets[0].material": BLACK, "targets[0].position_mm": (0, 0, -40)})
+    agree(bare.changed({"targets": [glowing_disk()]}), lamp.changed({"transport.method": method}))
+
+
+@pytest.mark.parametrize("method", ["adjoint", "forward"])
+def test_a_lamp_shines_through_smooth_glass_on_a_rough_camera(method: str, tmp_path: Path) -> None:
+    """As above, with a plate between: light that it bends or reflects into the lens is there, and only once."""
+    bare = scene(CAMERAS["front of the lens, ground"], samples=4096, replicates=32)
+    plate_mesh = trimesh.creation.box((12.0, 12.0, 2.0), trimesh.transformations.translation_matrix((0.0, 0.0, -8.0)))
+    plate_mesh.export(tmp_path / "plate.stl")
+    plate = {"refractor": {"file": str(tmp_path / "plate.stl"), "units": "mm", "index": 1.5}}
+    lamp = bare.changed({"lights": [DISK_LAMP], "targets": [plate]})
+    agree(bare.changed({"targets": [glowing_disk(), plate]}), lamp.changed({"transport.method": method}))
+
+
+@pytest.mark.parametrize("method", ["adjoint", "forward"])
+def test_a_point_lamp_lights_a_diffuse_front_and_a_sheet_as_a_glowing_ball_does(method: str) -> None:
+    """The irradiance by a ball of one radiance is that of its centre, π L R²/d² cos θ, wherever all of it is seen."""
+    bare = scene({"camera.lens.surfaces[0].finish": "diffuse"}, samples=8192, replicates=32)
+    place, radius = (5.0, 0.0, -16.0), 1.0
+    matt = {"reflectance": 0.9, "radiance_w_m2_sr": 0.0}
+    sheet = {
+        "shape": {"kind": "plane", "width_mm": 6.0, "height_mm": 6.0},
+        "position_mm": (0.5, 0.0, -20.0),
+        "material": matt,
+    }
+    ball = {
+        "shape": {"kind": "sphere", "radius_mm": radius},
+        "position_mm": place,
+        "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0 / (4.0 * np.pi**2 * radius**2 * 1e-6)},
+    }
+    lamp = {"kind": "point", "position_mm": place, "power_w": 1.0}
+    lit = bare.changed({"targets": [sheet], "lights": [lamp], "transport.method": method})
+    agree(bare.changed({"targets": [sheet, ball]}), lit)
+
+
+def test_far_lamps_are_as_bright_as_directional_light_and_small_disks_as_points() -> None:
+    """A lamp at 100 m and light of its irradiance; a disk's intensity on its axis, P/π, and a point's, P/4π."""
+    dark = scene(CAMERAS["curved face of the array, ground"], samples=512, replicates=32)
+    dark = dark.changed({"targets[0].material": BLACK, "targets[0].position_mm": (0.0, 0.0, -40.0)})
+    far = {"kind": "point", "position_mm": (0.0, 0.0, -1e5), "power_w": 4.0 * np.pi * 1e4}
+    along = {"kind": "directional", "direction": (0.0, 0.0, 1.0), "irradiance_w_m2": 1.0}
+    dark_behind = dark.changed({"targets[0].position_mm": (50.0, 0.0, -40.0)})
+    agree(dark_behind.changed({"lights": [far]}), dark_behind.changed({"lights": [along], "transport.seed": 7}))
+    small = DISK_LAMP | {"radius_mm": 0.01, "position_mm": (0.0, 0.0, -35.0)}
+    point = {"kind": "point", "position_mm": (0.0, 0.0, -35.0), "power_w": 4.0 * POWER_W}
+    agree(dark.changed({"lights": [small]}), dark.changed({"lights": [point], "transport.seed": 7}))
+
+
+def test_lamps_on_a_rough_lens_are_said_and_a_polished_one_shows_none() -> None:
+    """A lamp in the field shines on a rough front alone: its own image, which nothing scatters, is left out."""
     dark = scene(CAMERAS["front of the lens, ground"], samples=64, replicates=4)
-    dark = dark.changed({"targets[0].material.radiance_w_m2_sr": 0.0, "targets[0].position_mm": (0.0, 0.0, -40.0)})
-    lit = dark.changed({"lights": [LAMPS[kind]], "targets[0].material.reflectance": 0.0})
-    for method in ("adjoint", "forward"):
-        assert lf.render(lit.changed({"transport.method": method})).mean.sum() == 0.0
-    said = "camera.lens.surfaces[0].finish scatters light, but what lamps shed on the lens itself is left out"
+    dark = dark.changed({"targets[0].material": BLACK, "targets[0].position_mm": (0.0, 0.0, -40.0)})
+    lit = dark.changed({"lights": [DISK_LAMP]})
+    assert lf.render(lit).mean.sum() > 0.0
+    assert "lamps' light on the camera's rough surfaces forward" in lf.render(lit).engine
+    said = "camera.lens.surfaces[0].finish scatters light of lamps too"
     assert any(said in line for line in lf.first_order(lit).warnings)
-    assert not any("lamps shed" in line for line in lf.first_order(dark).warnings)
+    assert not any("of lamps too" in line for line in lf.first_order(dark).warnings)
     polished = lit.changed({"camera.lens.surfaces[0].finish": "polished"})
-    assert not any("lamps shed" in line for line in lf.first_order(polished).warnings)
+    assert not any("of lamps too" in line for line in lf.first_order(polished).warnings)
+    for method in ("adjoint", "forward"):
+        assert lf.render(polished.changed({"transport.method": method})).mean.sum() == 0.0
 
 
 def test_the_mesh_engine_is_taken_and_says_why() -> None:

@@ -17,7 +17,16 @@ from lfmesh.optics.share_table import coated_shares
 from lfmesh.transport.events.crossing import BOUNCE_U, CHOOSE, draw, draw_two, record_interface, split_shares
 from lfmesh.transport.events.ground import ground_density, ground_direction
 from lfmesh.transport.events.polarisation import become_child
-from lfmesh.transport.packets.packet import E_REFLECTED, E_TRANSMITTED, EVENTS, OBJECT_FRAME, Flow, Options
+from lfmesh.transport.packets.packet import (
+    CAMERA,
+    E_REFLECTED,
+    E_TRANSMITTED,
+    EVENTS,
+    LAMP,
+    OBJECT_FRAME,
+    Flow,
+    Options,
+)
 from lfmesh.transport.packets.path_class import turns_off_image_path
 from lfmesh.transport.packets.random import derived
 from lfmesh.transport.tables.tables import ABSORBING, BARE, DIFFUSE, ROUGH, THIN_LENS, Interfaces
@@ -283,6 +292,9 @@ def scatterer(send: Callable[..., None]) -> Callable[..., None]:
             Unit direction.
         """
         flow.counts[EVENTS] += 1
+        if packet.kind == LAMP:
+            # See `path_class.LAMP_ON_CAMERA`; rough glass in object space has already changed the kind.
+            packet.kind = CAMERA
         if frame == OBJECT_FRAME and passes:
             packet.medium = beyond
         if options.record:

@@ -77,7 +77,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.path_class import is_estimated
+from lfmesh.transport.packets.path_class import LAMP_ON_CAMERA, is_estimated
 from lfmesh.transport.packets.random import derived
 from lfmesh.transport.regions.bodies import (
     RANK,
@@ -190,16 +190,17 @@ def shade_objects(
                     share = transmitted(objects.media.absorption, packet.medium, packet.colour, t)
                     deposit(options, flow, packet.source, packet.colour, packet.weight * share)
                 continue
-            if enters and packet.kind == LAMP:
+            if enters and packet.kind == LAMP and options.paths != LAMP_ON_CAMERA:
                 # Through the opening it meets the inside of the housing, and ends; else it passes beside the lens.
                 if prim >= 0 and facet.body < 0:
                     flow.book[LENS_FRONT] += packet.weight
                     continue
             elif enters:
-                by_itself = packet.kind == SPECULAR or (packet.kind == SCATTERED and not options.aimed)
+                from_lamp = packet.kind == LAMP
+                by_itself = packet.kind == SPECULAR or from_lamp or (packet.kind == SCATTERED and not options.aimed)
                 if options.adjoint or packet.kind == CAMERA or by_itself:
                     child = put(flow, LENS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, 0.0)
-                    child.kind = CAMERA
+                    child.kind = LAMP if from_lamp else CAMERA
                     child.space = 0
                 else:
                     # Scattered light goes into the lens by aimed children only.

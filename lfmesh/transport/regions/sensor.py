@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.crossing import deposit, end, end_here, move_packet, record, split_shares, too_deep
 from lfmesh.transport.events.polarisation import through_polariser
-from lfmesh.transport.packets.book import BESIDE_SENSOR, HOUSING, ON_SENSOR, UNFOLLOWED
+from lfmesh.transport.packets.book import BESIDE_SENSOR, HOUSING, ON_SENSOR, SAMPLING_REMOVED, UNFOLLOWED
 from lfmesh.transport.packets.packet import (
     E_REFLECTED,
     ENDS_AT,
     EVENTS,
+    LAMP,
     LENS,
     NO_SURFACE,
     PLATE,
@@ -149,6 +150,10 @@ def _end_on(
     """End a packet on a pixel, beside the sensor or, where it does not meet the sensor's plane, where it is."""
     if pixel == NOWHERE:
         end_here(options, flow, frames, packet, HOUSING, S_ABSORBED)
+        return
+    if packet.kind == LAMP:
+        # The image of a lamp, which nothing has scattered, is in no class of paths.
+        flow.book[SAMPLING_REMOVED] += weight
         return
     slot, status = (ON_SENSOR, S_SENSOR) if pixel >= 0 else (BESIDE_SENSOR, S_ABSORBED)
     if pixel >= 0 and not options.adjoint and not options.tracing:

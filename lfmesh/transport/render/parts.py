@@ -3,8 +3,9 @@
 Paths with reflections carry a few per cent of the light and cost ten times as much as the image path. So the adjoint
 method estimates the two independently and adds them: the image path with the sequential engine, and all other paths,
 for which fewer samples are enough, with the mesh engine. If the scene has lamps and glass, light of lamps through glass
-is a third part, traced forward. `path_class` defines the classes; each path belongs to one of them and counts once.
-Particles are points, which no ray from the sensor meets: in both methods each entry of them is a part, traced forward.
+is a third part, traced forward; so is, in both methods, light of lamps on a camera with rough surfaces. `path_class`
+defines the classes; each path belongs to one of them and counts once. Particles are points, which no ray from the
+sensor meets: in both methods each entry of them is a part, traced forward.
 """
 
 from dataclasses import dataclass, replace
@@ -18,11 +19,11 @@ from lfmesh.transport.aiming.through_glass import GlassAim
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.packets.book import LIT, REACHED
 from lfmesh.transport.packets.packet import BOTH, TRANSMIT, Options
-from lfmesh.transport.packets.path_class import LAMP_THROUGH_GLASS, OFF_IMAGE_PATH
+from lfmesh.transport.packets.path_class import LAMP_ON_CAMERA, LAMP_THROUGH_GLASS, OFF_IMAGE_PATH
 from lfmesh.transport.render.blind_check import without_aim
 from lfmesh.transport.render.glass_aim import glass_aim
 from lfmesh.transport.settings import options_of
-from lfmesh.transport.tables.objects import aimed_at_glass
+from lfmesh.transport.tables.objects import aimed_at_camera, aimed_at_glass
 from lfmesh.transport.tables.particles import ParticleTables
 from lfmesh.transport.tables.scattering import LAMBERTIAN, ScatteringTables
 from lfmesh.transport.tables.tables import OPAQUE, Tables
@@ -118,7 +119,8 @@ def parts_of(world: World, *, aimed: bool = True) -> tuple[Part, ...]:
     if particles and not (len(tables.objects.lights) or tables.objects.radiance.any() or world.scene.media):
         # Nothing else shines, so no packet need start anywhere else.
         return particles
-    lamps = (*(lamp_parts(world, through) if options.adjoint else ()), *particles)
+    lamps = lamp_parts(world, through) if options.adjoint else ()
+    lamps = (*lamps, *camera_parts(world, through, accounts=not lamps), *particles)
     if not options.adjoint:
         tables = _aimed_through(tables, through)
     if engine_of(world.scene)[0] != "both":
@@ -169,6 +171,28 @@ def lamp_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
     return (Part(2, options, tables, book=LAMP_BOOK),)
 
 
+def camera_parts(world: World, through: GlassAim | None, *, accounts: bool) -> tuple[Part, ...]:
+    """Return the part of an image for light of lamps that rough surfaces of the camera scatter first, if there is any.
+
+    Parameters
+    ----------
+    world : World
+    through : GlassAim or None
+        See `glass_aim`.
+    accounts : bool
+        No other part accounts for the power of the lamps.
+    """
+    if not world.scene.rough_in_camera():
+        return ()
+    objects = aimed_at_camera(world.tables.objects, world.tables.lens, world.tables.frames)
+    if objects is None:
+        return ()
+    options = options_of(world)._replace(adjoint=False, importance=False, paths=LAMP_ON_CAMERA)
+    tables = _aimed_through(world.aimed_tables._replace(objects=objects), through)
+    number = FIRST_OF_PARTICLES + len(world.particles)
+    return (Part(number, options, tables, accounts=accounts, book=LAMP_BOOK),)
+
+
 THROUGH_GLASS, WIDENED = 0.5, 2.0
 """Share of particles' packets to the wide disk, and how much wider it is, where glass may shift their light aside."""
 
@@ -213,6 +237,8 @@ def blind_part(world: World) -> Part:
 def in_words(scene: Scene, parts: tuple[Part, ...]) -> str:
     """Describe the engine of an image, the reason, and a part that is traced from lamps."""
     words = ": ".join(engine_of(scene))
-    if any(part.from_lamps and part.particles is None for part in parts):
+    if any(part.options.paths == LAMP_THROUGH_GLASS for part in parts):
         words += "; lamps' light through glass forward"
+    if any(part.options.paths == LAMP_ON_CAMERA for part in parts):
+        words += "; lamps' light on the camera's rough surfaces forward"
     return f"{words}; particles forward" if any(part.particles is not None for part in parts) else words

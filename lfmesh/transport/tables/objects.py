@@ -30,7 +30,17 @@ from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.scattering import scattering_tables
 from lfmesh.transport.tables.spectra import radiance_at, reflectance_at
-from lfmesh.transport.tables.tables import AIR, BY_ALPHA, FIRST_VOLUME, OPAQUE, ROUGH, SOURCE, Interfaces, ObjectTables
+from lfmesh.transport.tables.tables import (
+    AIR,
+    BY_ALPHA,
+    FIRST_VOLUME,
+    OPAQUE,
+    ROUGH,
+    SOURCE,
+    Interfaces,
+    LensTables,
+    ObjectTables,
+)
 from lfmesh.transport.tables.volumes import Volumes, reach_of, volume_tables
 
 
@@ -326,20 +336,50 @@ def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
 
     None where no packet need start: without lamps, without smooth glass, or without anything that scatters.
     """
-    glass = objects.medium != OPAQUE
-    # A body's row with air tells whether it is rough.
-    kinds = objects.interfaces.rows["kind"].reshape(len(glass), len(objects.media.indices))
-    rough = glass & (kinds[:, AIR] >= ROUGH)
-    facets = np.append(glass & ~rough, False)[objects.facets["body"]]
+    glass, rough, facets = _glass(objects)
     used = objects.model[np.append(~glass, False)[objects.facets["body"]]]
     black = objects.scattering.models["black"][used].all() and not rough.any()
     in_fog = objects.volumes is not None and objects.volumes.scatters
     if not len(objects.lights) or not facets.any() or (black and not in_fog):
         return None
-    corners = objects.facets["corners"][facets].reshape(-1, 3)
+    return _aimed_at(objects, objects.facets["corners"][facets].reshape(-1, 3))
+
+
+def aimed_at_camera(objects: ObjectTables, lens: LensTables, frames: Array) -> ObjectTables | None:
+    """Return tables with which the forward method starts packets from lamps alone, aimed at the front of the lens.
+
+    Smooth glass in object space may bend light into the lens, so that it is aimed at too. None without lamps.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    lens : LensTables
+    frames : (5, 5, 3, 4) float64
+        See `frame_table`.
+    """
+    if not len(objects.lights):
+        return None
+    front = lens.facets["corners"][lens.facets["body"] == 0].reshape(-1, 3)
+    move = frames[CAMERA_FRAME, OBJECT_FRAME]
+    front = front @ move[:, :3].T + move[:, 3]
+    return _aimed_at(objects, np.vstack([front, objects.facets["corners"][_glass(objects)[2]].reshape(-1, 3)]))
+
+
+def _glass(objects: ObjectTables) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Tell which bodies are of glass and which of these are rough, and which facets are of smooth glass."""
+    glass = objects.medium != OPAQUE
+    # A body's row with air tells whether it is rough.
+    kinds = objects.interfaces.rows["kind"].reshape(len(glass), len(objects.media.indices))
+    rough = glass & (kinds[:, AIR] >= ROUGH)
+    return glass, rough, np.append(glass & ~rough, False)[objects.facets["body"]]
+
+
+def _aimed_at(objects: ObjectTables, corners: Array) -> ObjectTables:
+    """Return tables whose only sources are lamps, aimed at the sphere round some points, mm, object frame."""
     middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     radius = float(np.linalg.norm(corners - middle, axis=1).max())
-    objects = objects._replace(lit_middle=middle, lit_radius=radius)
+    outer = max(objects.outer_radius, float(np.linalg.norm(middle)) + radius)
+    objects = objects._replace(lit_middle=middle, lit_radius=radius, outer_radius=outer)
     return objects._replace(sources=_sources(_lamps(objects)))
 
 

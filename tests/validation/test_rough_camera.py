@@ -167,6 +167,17 @@ def test_far_lamps_are_as_bright_as_directional_light_and_small_disks_as_points(
     agree(dark.changed({"lights": [small]}), dark.changed({"lights": [point], "transport.seed": 7}))
 
 
+@pytest.mark.parametrize("distance_mm", [1e7, 1e9, 1e11])
+def test_lamps_however_far_light_a_rough_front_as_directional_light_does(distance_mm: float) -> None:
+    """Of one irradiance; seen from there, the angle of the lens is far below the rounding of a cosine."""
+    dark = scene(CAMERAS["curved face of the array, ground"], samples=512, replicates=32)
+    dark = dark.changed({"targets[0].material": BLACK, "targets[0].position_mm": (50.0, 0.0, -40.0)})
+    power_w = 1e-3 * 4.0 * np.pi * (1e-3 * distance_mm) ** 2
+    far = {"kind": "point", "position_mm": (0.0, 0.0, -distance_mm), "power_w": power_w}
+    along = {"kind": "directional", "direction": (0.0, 0.0, 1.0), "irradiance_w_m2": 1e-3}
+    agree(dark.changed({"lights": [far]}), dark.changed({"lights": [along], "transport.seed": 7}))
+
+
 def test_a_rough_camera_without_targets_shows_lamps_and_is_not_called_black() -> None:
     given = scene(CAMERAS["front of the lens, ground"], samples=64, replicates=4).changed({"targets": []})
     assert any("there are no targets" in line for line in lf.first_order(given).warnings)

@@ -22,8 +22,9 @@ def test_a_far_lamp_beside_a_near_one_lights_a_sheet_alike_in_both_methods(dista
 
 
 def test_a_far_lamps_light_is_absorbed_all_the_way() -> None:
-    """In a medium without bounds: 200 mm of 0.005/mm, most of them farther away than anything else."""
-    lamp = {"kind": "point", "position_mm": (120.5, 0.0, 140.0), "power_w": 1.0}
-    dim = {"absorption_per_mm": 0.005}
-    given = scene({"targets[0].material": MATT, "lights": [lamp], "media": [dim]}, samples=2048, replicates=32)
+    """In a medium without bounds, which ends at the lens: two metres of it, most of them beyond everything else."""
+    lamp = {"kind": "point", "position_mm": (2000.0, 0.0, 15.0), "power_w": 1.0}
+    dim = {"absorption_per_mm": 0.0005}
+    changes = {"targets[0].material": MATT, "targets[0].rotation_deg": (0.0, 40.0, 0.0), "media": [dim]}
+    given = scene(changes | {"lights": [lamp]}, samples=2048, replicates=32)
     agree(given, given.changed({"transport.method": "forward"}))

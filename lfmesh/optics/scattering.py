@@ -32,8 +32,32 @@ def about(nx: float, ny: float, nz: float, cos_theta: float, phi: float) -> tupl
     phi : float
         rad.
     """
-    ux, uy, uz, vx, vy, vz = tangents(nx, ny, nz)
     sin_theta = np.sqrt(max(0.0, (1.0 - cos_theta) * (1.0 + cos_theta)))
+    return _turned(nx, ny, nz, cos_theta, sin_theta, phi)
+
+
+@kernel
+def near(nx: float, ny: float, nz: float, height: float, phi: float) -> tuple[float, float, float]:
+    """Return what `about` does, given 1 − cos θ, which tells angles apart whose cosines are 1 to rounding.
+
+    Parameters
+    ----------
+    nx, ny, nz : float
+        The axis.
+    height : float
+        1 − cos θ.
+    phi : float
+        rad.
+    """
+    return _turned(nx, ny, nz, 1.0 - height, np.sqrt(height * (2.0 - height)), phi)
+
+
+@kernel
+def _turned(
+    nx: float, ny: float, nz: float, cos_theta: float, sin_theta: float, phi: float
+) -> tuple[float, float, float]:
+    """Return what `about` does, given both cosine and sine of θ."""
+    ux, uy, uz, vx, vy, vz = tangents(nx, ny, nz)
     a, b = sin_theta * np.cos(phi), sin_theta * np.sin(phi)
     return (
         a * ux + b * vx + cos_theta * nx,

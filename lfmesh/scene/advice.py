@@ -50,7 +50,7 @@ def _samples(scene: Scene) -> Iterator[str]:
 
 
 def _rough_camera(scene: Scene) -> Iterator[str]:
-    """Say what is not done, and what not found, where surfaces of the camera scatter light."""
+    """Say what makes a picture noisy where surfaces of the camera scatter light."""
     rough = [format_path(where) for where in scene.rough_in_camera()]
     if not rough:
         return
@@ -247,7 +247,8 @@ def _outside(x: float, y: float, z: float, reach: float, facts: "FirstOrder") ->
 
 
 def _light(scene: Scene) -> Iterator[str]:
-    if scene.particles or any(medium.may_emit for medium in scene.media):
+    lit_itself = bool(scene.lights and scene.rough_in_camera())
+    if scene.particles or lit_itself or any(medium.may_emit for medium in scene.media):
         return
     if not scene.targets and not any(medium.may_scatter for medium in scene.media):
         yield "there are no targets: the image will be black"

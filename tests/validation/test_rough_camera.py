@@ -58,7 +58,8 @@ def scene(changes: dict[str, Any], width_mm: float = 6.0, **transport: Any) -> l
 def squares(given: lf.Scene) -> tuple[np.ndarray, np.ndarray]:
     """Return the light in squares of pixels and in all of them, and its standard errors, W; pixels are independent."""
     image = lf.render(given)
-    assert abs(image.ledger.imbalance) < 1e-12
+    for ledger in (image.ledger, image.ledger.lamps):
+        assert ledger is None or abs(ledger.imbalance) < 1e-12
     assert sum(image.ledger.lost.values()) <= 1e-7 * image.ledger.emitted
 
     def sums(values: np.ndarray) -> np.ndarray:
@@ -68,44 +69,37 @@ def squares(given: lf.Scene) -> tuple[np.ndarray, np.ndarray]:
     return sums(image.mean[..., 0]), np.sqrt(sums(image.stderr[..., 0] ** 2))
 
 
+def agree(first: lf.Scene, second: lf.Scene) -> None:
+    """Assert that two scenes give one picture: two-sided z-tests, the squares and the whole."""
+    (one, error), (other, its_error) = squares(first), squares(second)
+    both = np.hypot(error, its_error)
+    assert both[-1] < 0.08 * one[-1], (one, both)
+    p = 2.0 * stats.norm.sf(np.abs(one - other) / both)
+    assert p.min() > LEVEL / len(p), (one, other, both)
+
+
 @pytest.mark.parametrize("name", CAMERAS)
 def test_forward_equals_adjoint(name: str) -> None:
     """Two-sided z-tests of the squares and of the whole."""
     more = 4 if "diffuse" in name else 1
     given = scene(CAMERAS[name], samples=more * 512, replicates=32)
-    (one, error), (other, its_error) = squares(given), squares(given.changed({"transport.method": "forward"}))
-    both = np.hypot(error, its_error)
-    assert both[-1] < 0.08 * one[-1]
-    p = 2.0 * stats.norm.sf(np.abs(one - other) / both)
-    assert p.min() > LEVEL / len(p), (one, other, both)
+    agree(given, given.changed({"transport.method": "forward"}))
 
 
 def test_a_lamps_light_off_a_target_comes_through_ground_glass_alike_in_both_methods() -> None:
-    """Two-sided z-tests, as above: a lamp beside the camera lights a matt sheet that is seen through a ground front."""
-    lamp = {"kind": "point", "position_mm": (6.0, 4.0, -14.0), "power_w": 1.0}
+    """Two-sided z-tests, as above: a lamp lights a matt sheet, not the ground front through which the sheet is seen."""
+    lamp = {"kind": "spot", "position_mm": (6.0, 4.0, -14.0), "direction": (-5.5, -4.0, -6.0), "half_angle_deg": 40.0}
+    lamp |= {"power_w": 1.0}
     matt = {"reflectance": 0.9, "radiance_w_m2_sr": 0.0}
     given = scene(CAMERAS["front of the lens, ground"], samples=1024, replicates=32)
     given = given.changed({"lights": [lamp], "targets[0].material": matt})
-    (one, error), (other, its_error) = squares(given), squares(given.changed({"transport.method": "forward"}))
-    both = np.hypot(error, its_error)
-    assert both[-1] < 0.08 * one[-1]
-    p = 2.0 * stats.norm.sf(np.abs(one - other) / both)
-    assert p.min() > LEVEL / len(p), (one, other, both)
+    agree(given, given.changed({"transport.method": "forward"}))
 
 
 BLACK = {"reflectance": 0.0, "radiance_w_m2_sr": 0.0}
 RADIUS_MM, POWER_W = 3.0, 1.0
 DISK_LAMP = {"kind": "disk", "position_mm": (0.0, 0.0, -20.0), "direction": (0.0, 0.0, 1.0), "radius_mm": RADIUS_MM,
              "power_w": POWER_W}  # fmt: skip
-
-
-def agree(first: lf.Scene, second: lf.Scene) -> None:
-    """Assert that two scenes give one picture: two-sided z-tests, as above."""
-    (one, error), (other, its_error) = squares(first), squares(second)
-    both = np.hypot(error, its_error)
-    assert both[-1] < 0.08 * one[-1], (one, both)
-    p = 2.0 * stats.norm.sf(np.abs(one - other) / both)
-    assert p.min() > LEVEL / len(p), (one, other, both)
 
 
 def glowing_disk() -> dict[str, Any]:
@@ -171,6 +165,25 @@ def test_far_lamps_are_as_bright_as_directional_light_and_small_disks_as_points(
     small = DISK_LAMP | {"radius_mm": 0.01, "position_mm": (0.0, 0.0, -35.0)}
     point = {"kind": "point", "position_mm": (0.0, 0.0, -35.0), "power_w": 4.0 * POWER_W}
     agree(dark.changed({"lights": [small]}), dark.changed({"lights": [point], "transport.seed": 7}))
+
+
+@pytest.mark.parametrize("distance_mm", [1e7, 1e9, 1e11])
+def test_lamps_however_far_light_a_rough_front_as_directional_light_does(distance_mm: float) -> None:
+    """Of one irradiance; seen from there, the angle of the lens is far below the rounding of a cosine."""
+    dark = scene(CAMERAS["curved face of the array, ground"], samples=512, replicates=32)
+    dark = dark.changed({"targets[0].material": BLACK, "targets[0].position_mm": (50.0, 0.0, -40.0)})
+    power_w = 1e-3 * 4.0 * np.pi * (1e-3 * distance_mm) ** 2
+    far = {"kind": "point", "position_mm": (0.0, 0.0, -distance_mm), "power_w": power_w}
+    along = {"kind": "directional", "direction": (0.0, 0.0, 1.0), "irradiance_w_m2": 1e-3}
+    agree(dark.changed({"lights": [far]}), dark.changed({"lights": [along], "transport.seed": 7}))
+
+
+def test_a_rough_camera_without_targets_shows_lamps_and_is_not_called_black() -> None:
+    given = scene(CAMERAS["front of the lens, ground"], samples=64, replicates=4).changed({"targets": []})
+    assert any("there are no targets" in line for line in lf.first_order(given).warnings)
+    lit = given.changed({"lights": [DISK_LAMP]})
+    assert not any("there are no targets" in line for line in lf.first_order(lit).warnings)
+    assert lf.render(lit).mean.sum() > 0.0
 
 
 def test_lamps_on_a_rough_lens_are_said_and_a_polished_one_shows_none() -> None:

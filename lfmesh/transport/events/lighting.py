@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lfmesh.kernel import inlined, kernel
-from lfmesh.optics.scattering import about, tangents
+from lfmesh.optics.scattering import near, tangents
 from lfmesh.transport.events.crossing import LIGHT_U, clear_of, draw_two
 from lfmesh.transport.events.scattering import Point, evaluate
 from lfmesh.transport.packets.packet import OBJECT_FRAME, OBJECTS, SHADOW, Flow, Options, put
@@ -249,10 +249,7 @@ def _drawn_by_intensity(profiles: Profiles, light: Any, u: float, v: float) -> t
         if height > light.inner:
             rest = 2.0 * (height - light.inner) / (light.outer - light.inner)
             height = light.outer - (light.outer - light.inner) * np.sqrt(max(0.0, 1.0 - rest))
-        px, py, pz, qx, qy, qz = tangents(axis[0], axis[1], axis[2])
-        sine, c = np.sqrt(height * (2.0 - height)), 1.0 - height
-        p, q = sine * np.cos(2.0 * np.pi * v), sine * np.sin(2.0 * np.pi * v)
-        return p * px + q * qx + c * axis[0], p * py + q * qy + c * axis[1], p * pz + q * qz + c * axis[2]
+        return near(axis[0], axis[1], axis[2], height, 2.0 * np.pi * v)
     row = profiles.rows[light.profile]
     vertical = profiles.angles[row[0] : row[0] + row[1]]
     horizontal = profiles.angles[row[2] : row[2] + row[3]]
@@ -344,11 +341,11 @@ def _into_cone(x: float, y: float, z: float, radius: float, key: np.uint64) -> t
     """
     distance2 = x * x + y * y + z * z
     depth = 2.0 * _cone_share(x, y, z, radius)
-    cos_theta = 1.0 - depth * start(key, WAY_U)
+    height = depth * start(key, WAY_U)
     phi = 2.0 * np.pi * start(key, WAY_V)
     if distance2 == 0.0:
-        dx, dy, dz = about(0.0, 0.0, 1.0, cos_theta, phi)
+        dx, dy, dz = near(0.0, 0.0, 1.0, height, phi)
     else:
         scale = -1.0 / np.sqrt(distance2)
-        dx, dy, dz = about(x * scale, y * scale, z * scale, cos_theta, phi)
+        dx, dy, dz = near(x * scale, y * scale, z * scale, height, phi)
     return dx, dy, dz, 0.5 * depth

@@ -80,7 +80,8 @@ class Ledger(Shown):
     lit: float = 0.0
     """Adjoint: the part of `reached_target` at points that a light reaches or that emit."""
     lamps: "Ledger | None" = None
-    """Ledger of the packets of particles and, adjoint, of those that lamps send towards glass, in W; None without."""
+    """Ledger of the packets of particles, of those that lamps send to a rough camera and, adjoint, towards glass, in W;
+    a lamp that sends both counts twice in `emitted`. None without."""
 
     def __repr__(self) -> str:
         # Where only particles shine, all light is theirs.

@@ -196,11 +196,12 @@ def shade_objects(
                     flow.book[LENS_FRONT] += packet.weight
                     continue
             elif enters:
-                from_lamp = packet.kind == LAMP
-                by_itself = packet.kind == SPECULAR or from_lamp or (packet.kind == SCATTERED and not options.aimed)
+                unaimed = packet.kind == SPECULAR or packet.kind == LAMP
+                by_itself = unaimed or (packet.kind == SCATTERED and not options.aimed)
                 if options.adjoint or packet.kind == CAMERA or by_itself:
                     child = put(flow, LENS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, 0.0)
-                    child.kind = LAMP if from_lamp else CAMERA
+                    if packet.kind != LAMP:
+                        child.kind = CAMERA
                     child.space = 0
                 else:
                     # Scattered light goes into the lens by aimed children only.

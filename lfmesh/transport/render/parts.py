@@ -26,7 +26,7 @@ from lfmesh.transport.settings import options_of
 from lfmesh.transport.tables.objects import aimed_at_camera, aimed_at_glass
 from lfmesh.transport.tables.particles import ParticleTables
 from lfmesh.transport.tables.scattering import LAMBERTIAN, ScatteringTables
-from lfmesh.transport.tables.tables import OPAQUE, Tables
+from lfmesh.transport.tables.tables import OPAQUE, ObjectTables, Tables
 from lfmesh.transport.world import World
 
 IMAGE_PATHS_PER_STRAY, WITH_GLASS = 4, 2
@@ -38,7 +38,7 @@ SCATTERED_PER_FOLLOWED = 25.0
 The reflection of such a path at a lens surface, some 4 %, then has about the weight of other children."""
 
 OWN_BOOK, LAMP_BOOK, BOOKS = 0, 1, 2
-"""Rows of a run's books: the method's own packets; and those of particles and, adjoint, of lamps, in W."""
+"""Rows of a run's books: the method's own packets; and those of other parts that start at particles or lamps, in W."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class Part:
 
     @property
     def from_lamps(self) -> bool:
-        """Whether its packets come from particles or, in the adjoint method, from lamps."""
+        """Whether its packets come from particles or lamps and are not the method's own."""
         return self.book == LAMP_BOOK
 
     def by_meshes(self) -> "Part":
@@ -120,7 +120,7 @@ def parts_of(world: World, *, aimed: bool = True) -> tuple[Part, ...]:
         # Nothing else shines, so no packet need start anywhere else.
         return particles
     lamps = lamp_parts(world, through) if options.adjoint else ()
-    lamps = (*lamps, *camera_parts(world, through, accounts=not lamps), *particles)
+    lamps = (*lamps, *camera_parts(world, through), *particles)
     if not options.adjoint:
         tables = _aimed_through(tables, through)
     if engine_of(world.scene)[0] != "both":
@@ -166,12 +166,10 @@ def lamp_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
     objects = aimed_at_glass(world.tables.objects)
     if objects is None:
         return ()
-    options = options_of(world)._replace(adjoint=False, importance=False, paths=LAMP_THROUGH_GLASS)
-    tables = _aimed_through(world.aimed_tables._replace(objects=objects), through)
-    return (Part(2, options, tables, book=LAMP_BOOK),)
+    return (_from_lamps(2, world, objects, through, LAMP_THROUGH_GLASS),)
 
 
-def camera_parts(world: World, through: GlassAim | None, *, accounts: bool) -> tuple[Part, ...]:
+def camera_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
     """Return the part of an image for light of lamps that rough surfaces of the camera scatter first, if there is any.
 
     Parameters
@@ -179,18 +177,20 @@ def camera_parts(world: World, through: GlassAim | None, *, accounts: bool) -> t
     world : World
     through : GlassAim or None
         See `glass_aim`.
-    accounts : bool
-        No other part accounts for the power of the lamps.
     """
     if not world.scene.rough_in_camera():
         return ()
     objects = aimed_at_camera(world.tables.objects, world.tables.lens, world.tables.frames)
     if objects is None:
         return ()
-    options = options_of(world)._replace(adjoint=False, importance=False, paths=LAMP_ON_CAMERA)
+    return (_from_lamps(FIRST_OF_PARTICLES + len(world.particles), world, objects, through, LAMP_ON_CAMERA),)
+
+
+def _from_lamps(number: int, world: World, objects: ObjectTables, through: GlassAim | None, paths: int) -> Part:
+    """Return a part that is traced forward from lamps, with tables that say where they are aimed."""
+    options = options_of(world)._replace(adjoint=False, importance=False, paths=paths)
     tables = _aimed_through(world.aimed_tables._replace(objects=objects), through)
-    number = FIRST_OF_PARTICLES + len(world.particles)
-    return (Part(number, options, tables, accounts=accounts, book=LAMP_BOOK),)
+    return Part(number, options, tables, book=LAMP_BOOK)
 
 
 THROUGH_GLASS, WIDENED = 0.5, 2.0

@@ -30,6 +30,9 @@ from lfmesh.transport.tables.tables import AIR, FIRST_VOLUME, AimTables, ObjectT
 
 Array = NDArray[np.float64]
 
+CLEAR_OF_ALL = 2.0
+"""Distance from the origin, in radii of the sphere that holds everything, beyond which no packet of a lamp starts."""
+
 SOURCE_U, SIDE, PLACE_W, PLACE_T = 0, 5, 6, 7
 """Dimensions of starting numbers; those between give the packet's point on the source and its direction."""
 
@@ -125,6 +128,10 @@ def _from_lamp(objects: ObjectTables, flow: Flow, packet: Any, number: int, weig
     if towards <= 0.0:
         return
     packet.start = towards
+    # Embree's numbers are too coarse far away. The lamp's light comes to all that it may meet from nearer by.
+    ahead = -(x * dx + y * dy + z * dz) - CLEAR_OF_ALL * objects.outer_radius
+    if ahead > 0.0:
+        x, y, z = x + ahead * dx, y + ahead * dy, z + ahead * dz
     polarise_as_light(flow.polarised, packet, number, dx, dy, dz)
     put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, towards, packet.key, 0.0)
 

@@ -163,7 +163,9 @@ def power_towards(light: Any, middle: Array, radius: float) -> tuple[float, floa
     distance = float(np.linalg.norm(light["position"] - middle))
     seen = 1.0
     if distance > radius:
-        seen = 0.5 * (1.0 - np.sqrt(1.0 - (radius / distance) ** 2))
+        # 0.5 · (1 − cos) without cancellation for a far lamp.
+        ratio2 = (radius / distance) ** 2
+        seen = 0.5 * ratio2 / (1.0 + np.sqrt(1.0 - ratio2))
     if light["kind"] == DISK:
         return light["power"] * seen, light["power"]
     return min(light["power"], light["peak"] * 4.0 * np.pi * seen), light["power"]

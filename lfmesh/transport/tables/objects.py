@@ -289,7 +289,8 @@ def with_volumes(
     lit = tables.lit_radius
     if volumes.scatters:
         lit = np.inf if endless else max(lit, reach)
-    return tables._replace(media=media, volumes=volumes, outer_radius=max(tables.outer_radius, reach), lit_radius=lit)
+    outer = np.inf if endless else max(tables.outer_radius, reach)
+    return tables._replace(media=media, volumes=volumes, outer_radius=outer, lit_radius=lit)
 
 
 def _models_of_facets(targets: list[TargetMesh], others: int) -> tuple[NDArray[np.int64], list[GltfMaterial]]:
@@ -378,8 +379,7 @@ def _aimed_at(objects: ObjectTables, corners: Array) -> ObjectTables:
     """Return tables whose only sources are lamps, aimed at the sphere round some points, mm, object frame."""
     middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     radius = float(np.linalg.norm(corners - middle, axis=1).max())
-    outer = max(objects.outer_radius, float(np.linalg.norm(middle)) + radius)
-    objects = objects._replace(lit_middle=middle, lit_radius=radius, outer_radius=outer)
+    objects = objects._replace(lit_middle=middle, lit_radius=radius)
     return objects._replace(sources=_sources(_lamps(objects)))
 
 

@@ -157,7 +157,7 @@ class ObjectTables(NamedTuple):
     emitters: Emitters
     sources: Records  # SOURCE: where the forward method starts packets
     radius: float  # mm, of a sphere about the origin that holds the targets
-    outer_radius: float  # mm, of a sphere about the origin that holds targets and camera
+    outer_radius: float  # mm, of a sphere about the origin that holds targets, camera and media; inf: not all media
     lit_middle: Array  # (3,) mm, centre of the sphere at which lamps' packets are aimed
     lit_radius: float  # mm, radius of that sphere
     # Volumes of media that absorb, emit or scatter, else None: code for them is not even compiled.

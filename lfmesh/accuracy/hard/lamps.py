@@ -1,0 +1,77 @@
+"""Lamps that shine onto a rough surface of the camera from as near and as far as they may stand."""
+
+import numpy as np
+
+from lfmesh.accuracy.hard.outcome import Outcome, case
+from lfmesh.scene import Camera, Lens, Scene, Sensor, Surface, Target
+from lfmesh.scene.lights import PointLight
+from lfmesh.scene.targets import Material, Plane
+from lfmesh.transport.render.render import Renderer
+from lfmesh.transport.world import build
+
+DISTANCES_MM = (1e-9, 1e-4, 0.1, 1.0, 100.0, 1e5)
+APERTURE_MM, TO_SENSOR_MM, WINDOW_MM, SENSOR_MM = 6.0, 5.0, 1.0, 4.0
+ALMOST_AIR = 1.0 + 1e-9
+"""Index of a window that reflects nothing and bends nothing, but scatters at its front."""
+
+SAMPLES, REPLICATES = 2048, 16
+MOST_SIGMAS, LARGEST_SIGMA = 4.0, 0.015
+
+
+def _scene(distance_mm: float) -> Scene:
+    """Return a lamp on the axis before an opal window, with the sensor close behind."""
+    window = (
+        Surface(
+            thickness_mm=WINDOW_MM, index=ALMOST_AIR, semi_diameter_mm=APERTURE_MM, finish="diffuse", stop=True
+        ),
+        Surface(semi_diameter_mm=4.0 * APERTURE_MM),
+    )  # fmt: skip
+    sensor = Sensor(pixels=(8, 8), pixel_mm=SENSOR_MM / 8, distance_mm=TO_SENSOR_MM - WINDOW_MM)
+    black = Target(
+        shape=Plane(width_mm=1.0, height_mm=1.0), position_mm=(0.0, 0.0, -2e5), material=Material(reflectance=0.0)
+    )
+    return Scene(
+        camera=Camera(lens=Lens(surfaces=window), sensor=sensor),
+        targets=(black,),
+        lights=(PointLight(kind="point", position_mm=(0.0, 0.0, -distance_mm), power_w=1.0),),
+    ).changed({"transport.samples": SAMPLES, "transport.replicates": REPLICATES})
+
+
+def _expected(distance_mm: float) -> float:
+    """Return the power on the sensor by quadrature: each ring of the window scatters what falls on it evenly."""
+    nodes, weights = np.polynomial.legendre.leggauss(48)
+    widest = 0.5 * np.arctan2(APERTURE_MM, distance_mm)
+    angles = widest * (nodes + 1.0)
+    rings, radii = widest * weights * 0.5 * np.sin(angles), distance_mm * np.tan(angles)
+    half = 0.5 * SENSOR_MM
+    x, y = np.meshgrid(half * nodes, half * nodes)
+    areas = half * half * np.outer(weights, weights)
+    phi = 2.0 * np.pi * (np.arange(32) + 0.5) / 32
+    total = 0.0
+    for ring, radius in zip(rings, radii, strict=True):
+        to2 = (
+            TO_SENSOR_MM**2
+            + (x - radius * np.cos(phi)[:, None, None]) ** 2
+            + (y - radius * np.sin(phi)[:, None, None]) ** 2
+        )
+        total += ring * (TO_SENSOR_MM**2 / (np.pi * to2**2) * areas).sum() / len(phi)
+    return float(total)
+
+
+@case
+def lamps_at_an_opal_front() -> Outcome:
+    """Light a window that scatters by a lamp from 1 pm to 100 m before it."""
+    found, errors, expected, lost = [], [], [], 0.0
+    for distance in DISTANCES_MM:
+        image = Renderer(build(_scene(distance))).image()
+        found.append(float(image.mean.sum()))
+        errors.append(float(np.sqrt((image.stderr**2).sum())))
+        expected.append(_expected(distance))
+        lost = max(lost, image.ledger.lost_share)
+    sigmas = np.array(errors) / expected
+    off = np.abs(np.array(found) / expected - 1.0) / sigmas
+    passed = bool((off < MOST_SIGMAS).all() and (sigmas < LARGEST_SIGMA).all())
+    return Outcome(
+        "", f"the integral over the window within {MOST_SIGMAS:g} σ, σ below {LARGEST_SIGMA:.1%}",
+        f"off by {off.max():.1f} σ at most, σ = {sigmas.max():.1%}", passed, lost, float(len(found)), 0,
+    )  # fmt: skip

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array, Mesh
-from lfmesh.geometry.surface import put_in_pose, reach, surface
+from lfmesh.geometry.surface import put_in_pose, reach, surface_of
 from lfmesh.geometry.tessellation import (
     height_above,
     on_circles,
@@ -66,10 +66,7 @@ def refuse_crossing_elements(lens: Lens) -> None:
     """
     records = []
     for number, s in enumerate(lens.surfaces):
-        record = surface(
-            s.vertex_radius_mm, s.vertex_conic, s.terms_mm,
-            vertex_z=lens.vertices_mm[number], aperture=s.semi_diameter_mm or np.inf,
-        )  # fmt: skip
+        record = surface_of(s, vertex_z=lens.vertices_mm[number], aperture=s.semi_diameter_mm or np.inf)
         put_in_pose(record, pose_of(lens, number))
         records.append(record)
     for number, (front, back) in enumerate(pairwise(records)):

@@ -45,6 +45,8 @@ class FileSurface:
     conic: float = 0.0
     asphere: list[float] = field(default_factory=list)
     """Coefficients of r⁴, r⁶, ..."""
+    odd: list[float] = field(default_factory=list)
+    """Coefficients of r³, r⁵, ..."""
     aperture: float | None = None
     """Radius beyond which the file's program stops light."""
     extent: float | None = None
@@ -160,8 +162,10 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
     for i, (surface, medium) in enumerate(zip(made.kept, made.media, strict=True)):
         size = None if i == stop and f_number is not None else apertures[i]
         coefficients = [a * unit ** (-2 * j - 3) for j, a in enumerate(surface.asphere)]
-        while coefficients and coefficients[-1] == 0.0:
-            coefficients.pop()
+        odd = [a * unit ** (-2 * j - 2) for j, a in enumerate(surface.odd)]
+        for terms in (coefficients, odd):
+            while terms and terms[-1] == 0.0:
+                terms.pop()
         values: dict[str, object] = {
             "radius_mm": radii[i],
             "thickness_mm": made.gaps_mm[i] if i < len(made.gaps_mm) else None,
@@ -173,6 +177,7 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
             "focal_length_mm": None if surface.focal_length is None else surface.focal_length * unit,
             "conic": surface.conic,
             "asphere_mm": tuple(coefficients),
+            "odd_asphere_mm": tuple(odd),
         }
         surfaces.append({key: value for key, value in values.items() if value is not None})
     try:

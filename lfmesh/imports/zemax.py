@@ -36,7 +36,7 @@ _WITHOUT_EFFECT = command_names(
 """Names, settings of the program, solves whose present value stands in the line, coatings, drawing, mechanics."""
 
 _ASPHERES = ("EVENASPH", "ODDASPHE", "XASPHERE")
-"""Odd aspheres whose odd terms are all 0, and extended ones: terms of r over a radius of their own, in XDAT."""
+"""Even aspheres, odd ones, and extended even ones: terms of r over a radius of their own, in XDAT."""
 
 _REFUSED_TYPES = {
     "XODDASPH": "extended odd aspheres are not supported",
@@ -382,14 +382,15 @@ class _Reader:
         """Let the sag have a term in a power of r."""
         if power == 2:
             self._refuse("a term in r² beside the curvature is not supported; put it into the curvature")
-        elif power % 2:
-            self._refuse(f"a term in r^{power}: odd aspheres are not supported")
+        elif power == 1:
+            self._refuse("a term in r makes a cone, which is not supported: it has no normal at its vertex")
         elif power > 2 * MOST_ASPHERE_TERMS + 2:
             self._refuse(f"a term in r^{power}: aspheres reach up to r^{2 * MOST_ASPHERE_TERMS + 2}")
         else:
-            asphere, place = self._surface.asphere, power // 2 - 2
-            asphere += [0.0] * (place + 1 - len(asphere))
-            asphere[place] = value
+            terms = self._surface.odd if power % 2 else self._surface.asphere
+            place = (power - 3) // 2
+            terms += [0.0] * (place + 1 - len(terms))
+            terms[place] = value
             self._taken()
 
     def _on_xdat(self, words: list[str]) -> None:

@@ -14,6 +14,9 @@ from lfmesh.scene.paraxial import Paraxial
 _MOST_TERMS = 7
 """Even aspheres have the powers r⁴ to r¹⁶; those of more terms are written as extended ones."""
 
+_LAST_ODD_POWER = 8
+"""Odd aspheres have the powers from r to this."""
+
 
 def written(lens: Lens) -> tuple[bytes, list[str]]:
     """Return a lens as the bytes of a `.zmx` file (UTF-16, as the program writes it), and what it does not hold.
@@ -65,7 +68,7 @@ def _surface(number: int, surface: Surface, aperture_mm: float | None) -> list[s
     if surface.focal_length_mm is not None and math.isfinite(surface.focal_length_mm):
         lines += ["  TYPE PARAXIAL", f"  PARM 1 {surface.focal_length_mm!r}"]
     else:
-        lines += _terms(surface.terms_mm)
+        lines += _odd_terms(number, surface) if any(surface.odd_asphere_mm) else _terms(surface.terms_mm)
     lines.append(f"  CURV {curvature(surface.vertex_radius_mm)!r} 0 0 0 0")
     if isinstance(surface.glass, OwnGlass):
         if surface.glass.nd is None or surface.glass.air is not None:
@@ -95,6 +98,17 @@ def _terms(terms_mm: Sequence[float]) -> list[str]:
     # Heights are counted in units of 1 mm.
     extended = (len(with_square), 1.0, *with_square)
     return ["  TYPE XASPHERE", *(f"  XDAT {place} {value!r} 0 0" for place, value in enumerate(extended, 1))]
+
+
+def _odd_terms(number: int, surface: Surface) -> list[str]:
+    """Return the type of a surface with odd powers, and its coefficients by their powers."""
+    terms = sorted((power, a) for power, a in surface.powers_mm if a)
+    if terms[-1][0] > _LAST_ODD_POWER:
+        raise SceneError(
+            f"surfaces[{number}].odd_asphere_mm: Zemax's odd asphere has powers up to r^{_LAST_ODD_POWER}, even ones "
+            f"too, not r^{terms[-1][0]}"
+        )
+    return ["  TYPE ODDASPHE", *(f"  PARM {power} {a!r}" for power, a in terms)]
 
 
 def _makers(lens: Lens) -> list[str]:

@@ -69,6 +69,9 @@ class Surface(Model):
     """Conic constant: 0 sphere, −1 paraboloid, below −1 hyperboloid, above −1 ellipsoid."""
     asphere_mm: tuple[Coefficient, ...] = Field(default=(), max_length=MOST_ASPHERE_TERMS)
     """Even aspheric coefficients of r⁴, r⁶, r⁸, ..., in mm⁻³, mm⁻⁵, mm⁻⁷, ..., so that the sag is in mm."""
+    odd_asphere_mm: tuple[Coefficient, ...] = Field(default=(), max_length=MOST_ASPHERE_TERMS)
+    """Odd aspheric coefficients of r³, r⁵, r⁷, ..., in mm⁻², mm⁻⁴, mm⁻⁶, ..., beside the even ones. None of r: that
+    would be a cone, without a normal at the vertex."""
     qcon: Qcon | None = None
     """Forbes' strong asphere in place of, or beside, `asphere_mm`, such as
     { norm_radius_mm = 5.0, coefficients_mm = [0.1, -0.02] }."""
@@ -145,12 +148,19 @@ class Surface(Model):
     def sag_mm(self, height_mm: float) -> float:
         """Return z of the surface above its vertex plane, at a height from the axis, both in mm.
 
-        The standard form of ISO 10110-12: c r² / (1 + √(1 − (1 + k) c² r²)) + Σ A_j r^(2j+4), with `terms_mm`.
+        The standard form of ISO 10110-12: c r² / (1 + √(1 − (1 + k) c² r²)) + Σ A_j r^(2j+4) + Σ B_j r^(2j+3), with
+        `terms_mm` and `odd_asphere_mm`.
         """
         c, r2 = self.curvature_per_mm, height_mm * height_mm
         root = math.sqrt(max(0.0, 1 - (1 + self.vertex_conic) * c * c * r2))
-        terms = (_term_mm(a, height_mm, 2 * j + 4) for j, a in enumerate(self.terms_mm))
+        terms = (_term_mm(a, abs(height_mm), power) for power, a in self.powers_mm)
         return c * r2 / (1 + root) + sum(terms)
+
+    @property
+    def powers_mm(self) -> tuple[tuple[int, float], ...]:
+        """Each power of r that is added to the conic, with its coefficient."""
+        even = ((2 * j + 4, a) for j, a in enumerate(self.terms_mm))
+        return (*even, *((2 * j + 3, a) for j, a in enumerate(self.odd_asphere_mm)))
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong with this surface by itself."""
@@ -168,14 +178,18 @@ class Surface(Model):
                 f"with radius_mm = {self.radius_mm:g} and conic = {self.conic:g} the surface ends "
                 f"{self.reach_mm:.6g} mm from the axis; give {at_most(self.reach_mm)} at most",
             )
-        for j, coefficient in enumerate(self.asphere_mm if self.semi_diameter_mm is not None else ()):
-            sag = abs(_term_mm(coefficient, self.semi_diameter_mm or 0.0, 2 * j + 4))
-            if not sag <= LARGEST:
-                yield Fault(
-                    ("asphere_mm", j),
-                    coefficient,
-                    f"times r^{2 * j + 4} this makes a sag of more than {LARGEST:g} mm inside the clear aperture",
-                )
+        for key, coefficients, lowest in (
+            ("asphere_mm", self.asphere_mm, 4),
+            ("odd_asphere_mm", self.odd_asphere_mm, 3),
+        ):
+            for j, coefficient in enumerate(coefficients if self.semi_diameter_mm is not None else ()):
+                power = lowest + 2 * j
+                if not abs(_term_mm(coefficient, self.semi_diameter_mm or 0.0, power)) <= LARGEST:
+                    yield Fault(
+                        (key, j),
+                        coefficient,
+                        f"times r^{power} this makes a sag of more than {LARGEST:g} mm inside the clear aperture",
+                    )
         if self.qcon is not None and not self._rim_mm() <= LARGEST:
             yield Fault(("qcon",), None, f"makes a sag of more than {LARGEST:g} mm inside the clear aperture")
         elif self.qcon is not None and not within_floats(self.qcon.asphere_mm, self.qcon.norm_radius_mm):
@@ -187,7 +201,8 @@ class Surface(Model):
     def _qbfs_faults(self, qbfs: Qbfs) -> Iterator[Fault]:
         """Yield what Forbes' mild asphere does not go with, and why it has no even form."""
         rho, omit = qbfs.norm_radius_mm, "omit it: qbfs deviates from a sphere, by all its terms"
-        for key, value in {"conic": self.conic, "asphere_mm": self.asphere_mm}.items():
+        own = {"conic": self.conic, "asphere_mm": self.asphere_mm, "odd_asphere_mm": self.odd_asphere_mm}
+        for key, value in own.items():
             if value:
                 yield Fault((key,), value, omit)
         if self.qcon is not None:
@@ -223,7 +238,7 @@ class Surface(Model):
         if self.focal_length_mm is None:
             yield Fault(("focal_length_mm",), None, "missing: the focal length of the thin lens")
         own = {"radius_mm": math.inf, "index": None, "glass": None, "conic": 0.0, "asphere_mm": (), "qcon": None}
-        own |= {"qbfs": None}
+        own |= {"qbfs": None, "odd_asphere_mm": ()}
         for key, value in {**own, "mesh": None, "coating": UNCOATED, "finish": POLISHED}.items():
             given = getattr(self, key)
             if given != value:
@@ -232,7 +247,7 @@ class Surface(Model):
 
     def _element_faults(self) -> Iterator[Fault]:
         own = {"radius_mm": math.inf, "index": None, "glass": None, "stop": False, "conic": 0.0, "asphere_mm": ()}
-        own |= {"qcon": None, "qbfs": None, "paraxial": False, "focal_length_mm": None}
+        own |= {"qcon": None, "qbfs": None, "odd_asphere_mm": (), "paraxial": False, "focal_length_mm": None}
         for key, value in {**own, "coating": UNCOATED, "finish": POLISHED, "mesh": None}.items():
             if getattr(self, key) != value:
                 beside = f"; the refractor has a {key} of its own" if key in ("coating", "finish") else ""
@@ -260,7 +275,7 @@ def _thickness_to_touch(front: Surface, back: Surface, apertures_mm: tuple[float
     """
     radius = min(*apertures_mm, front.reach_mm, back.reach_mm)
     given = front.thickness_mm or 0.0
-    if not front.terms_mm and not back.terms_mm:
+    if not front.powers_mm and not back.powers_mm:
         # A conic rises or falls all the way to its rim: between these bounds nothing can cross.
         highest, lowest = max(0.0, front.sag_mm(radius)), min(0.0, back.sag_mm(radius))
         if highest - lowest <= given:
@@ -348,7 +363,7 @@ class Lens(Model):
         """Return whether surface `number` only stops light: marked, flat, the same medium on both sides."""
         surface = self.surfaces[number]
         before = self.surfaces[number - 1].medium if number else None
-        bare = surface.curvature_per_mm == 0 and not any(surface.terms_mm)
+        bare = surface.curvature_per_mm == 0 and not any(a for _, a in surface.powers_mm)
         return surface.stop and bare and not surface.paraxial and before == surface.medium
 
     def aperture_mm(self, number: int) -> float | None:

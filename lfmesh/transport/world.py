@@ -17,7 +17,7 @@ from lfmesh.geometry.lenslets import mla_mesh
 from lfmesh.geometry.levels import SURFACE_LEVEL
 from lfmesh.geometry.mesh import Array, Mesh, joined
 from lfmesh.geometry.solved_camera import solved_camera
-from lfmesh.geometry.surface import sag, surface
+from lfmesh.geometry.surface import sag, surface_of
 from lfmesh.geometry.targets import TargetMesh, target_mesh
 from lfmesh.geometry.tessellation import (
     element,
@@ -231,10 +231,7 @@ class World(Shown):
         z = self.scene.camera.lens.vertices_mm[number]
         inner = surfaces[number].semi_diameter_mm or 0.0
         outer = max(1.3 * inner, *self.lens_shape.rims)
-        record = surface(
-            surfaces[number].vertex_radius_mm, surfaces[number].vertex_conic, surfaces[number].terms_mm, aperture=inner
-        )
-        z += float(sag(record, inner))
+        z += float(sag(surface_of(surfaces[number], aperture=inner), inner))
         ring = revolved(np.array([[outer, z], [inner, z]]), 96)
         return ring.moved(pose_of(self.scene.camera.lens, number)).solid()
 

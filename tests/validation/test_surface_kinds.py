@@ -1,0 +1,184 @@
+"""Aspheres with odd powers: rays through random lenses, against roots by Brent's method and Snell's law."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+import lfmesh as lf
+from lfmesh.errors import SceneError
+from lfmesh.imports import read_lens_file, write_lens_file
+
+Array = NDArray[np.float64]
+Sag = Callable[[Any, Any], Any]
+
+SEMI = 4.0
+SCAN = 200
+
+
+def conic(c: float, k: float, r2: Any) -> Any:
+    return c * r2 / (1.0 + np.sqrt(1.0 - (1.0 + k) * c * c * r2))
+
+
+def odd(draw: np.random.Generator, size: float = 1.0) -> tuple[dict[str, Any], Sag]:
+    """Return a random surface with odd and even powers, as keys of a scene and as the formula of its sag."""
+    radius, k = draw.choice([-1.0, 1.0]) * draw.uniform(9.0, 80.0), draw.uniform(-3.0, 0.8)
+    odds = draw.normal(size=3) * 0.12 / SEMI ** np.array([3.0, 5.0, 7.0])
+    evens = draw.normal(size=2) * 0.1 / SEMI ** np.array([4.0, 6.0])
+    keys = {"radius_mm": radius * size, "conic": k, "odd_asphere_mm": odds / size ** np.array([2.0, 4.0, 6.0])}
+    keys["asphere_mm"] = evens / size ** np.array([3.0, 5.0])
+
+    def sag(x: Any, y: Any) -> Any:
+        r2 = (x * x + y * y) / size**2
+        r = np.sqrt(r2)
+        terms = sum(b * r**n for b, n in zip(odds, (3, 5, 7), strict=True))
+        return size * (conic(1.0 / radius, k, r2) + terms + evens[0] * r2**2 + evens[1] * r2**3)
+
+    return keys, sag
+
+
+KINDS = {"odd": odd}
+
+
+def gradient(sag: Sag, x: float, y: float) -> tuple[float, float]:
+    """Return the derivatives of a sag by a complex step, which loses no digits."""
+    h = 1e-30
+    return float(np.imag(sag(complex(x, h), complex(y)))) / h, float(np.imag(sag(complex(x), complex(y, h)))) / h
+
+
+def refracted(d: Array, normal: Array, n_i: float, n_t: float) -> Array:
+    """Return n_t d' − n_i d parallel to the normal, |d'| = 1."""
+    along = n_i * float(d @ normal)
+    root = np.sqrt(n_t**2 - n_i**2 + along**2)
+    return np.asarray((n_i * d + (np.copysign(root, along) - along) * normal) / n_t)
+
+
+class Face:
+    """A surface of the truth: its vertex, sag, the indices on both sides, and the pose of its element."""
+
+    def __init__(self, z: float, sag: Sag, before: float, after: float, pose: dict[str, Any] | None = None) -> None:
+        self.z, self.sag, self.indices = z, sag, (before, after)
+        self.turn, self.shift = np.eye(3), np.zeros(3)
+        if pose is not None:
+            self.turn = Rotation.from_euler("xyz", pose["tilt_deg"], degrees=True).as_matrix()
+            self.shift = np.asarray(pose["shift_mm"])
+
+    def through(self, p: Array, d: Array, size: float) -> tuple[Array, Array]:
+        """Return point and direction of a ray behind this face; elements turn about the first vertex, the origin."""
+        q, e = self.turn.T @ (p - self.shift), self.turn.T @ d
+
+        def above(t: float) -> float:
+            at = q + t * e
+            return float(at[2] - self.z - self.sag(at[0], at[1]))
+
+        # From 2 mm before the vertex plane to 2 mm behind it, as far as the surface exists.
+        ends = np.sort((self.z + np.array([-2.0, 2.0]) * size - q[2]) / e[2])
+        steps = np.linspace(max(ends[0], 0.0), ends[1], SCAN)
+        with np.errstate(invalid="ignore"):
+            height = np.array([above(t) for t in steps])
+        k = int(np.argmax(height[:-1] * height[1:] <= 0.0))
+        t = brentq(above, steps[k], steps[k + 1], xtol=1e-15 * size, rtol=1e-15)
+        at = q + t * e
+        by_x, by_y = gradient(self.sag, at[0], at[1])
+        normal = np.array([-by_x, -by_y, 1.0]) / np.sqrt(1.0 + by_x**2 + by_y**2)
+        n_i, n_t = self.indices if e[2] > 0.0 else self.indices[::-1]
+        return self.turn @ at + self.shift, self.turn @ refracted(e, normal, n_i, n_t)
+
+
+def camera(front: dict[str, Any], back: dict[str, Any], index: float, size: float = 1.0) -> dict[str, Any]:
+    """Return a camera with a lens of two surfaces, 5 mm thick, and a sensor 10 mm behind it."""
+    first = {"thickness_mm": 5.0 * size, "index": index, "semi_diameter_mm": SEMI * size, "stop": True, **front}
+    lens = {"surfaces": [first, {"semi_diameter_mm": SEMI * size, **back}]}
+    return {"lens": lens, "sensor": {"pixels": (400, 400), "pixel_mm": 0.1 * size, "distance_mm": 10.0 * size}}
+
+
+def rays(draw: np.random.Generator, count: int, size: float, *, backwards: bool) -> tuple[Array, Array]:
+    """Return rays towards the middle of the lens, from before it or from between it and the sensor."""
+    start = np.column_stack([draw.uniform(-2.0, 2.0, (count, 2)), np.full(count, 13.0 if backwards else -9.0)])
+    aim = np.column_stack([draw.uniform(-2.2, 2.2, (count, 2)), np.full(count, 5.0 if backwards else 0.0)])
+    d = aim - start
+    return start * size, d / np.linalg.norm(d, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("backwards", [False, True], ids=["to the sensor", "to the objects"])
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("kind", KINDS)
+def test_rays_are_those_of_the_formula(kind: str, seed: int, backwards: bool) -> None:
+    """Of both engines: 1e-9 mm and 1e-9 in direction, on lenses from 0.04 to 400 mm wide, half of them posed."""
+    draw = np.random.default_rng([seed, backwards, sorted(KINDS).index(kind)])
+    size, index = 10.0 ** (2 * (seed - 1)) if kind != "all" else 1.0, float(draw.uniform(1.3, 1.9))
+    (front, front_sag), (back, back_sag) = KINDS[kind](draw, size), KINDS[kind](draw, size)
+    pose = None
+    given = camera(front, back, index, size)
+    if seed % 2:
+        pose = {"shift_mm": size * draw.uniform(-0.2, 0.2, 3), "tilt_deg": draw.uniform(-4.0, 4.0, 3)}
+        given["lens"]["elements"] = [{"surfaces": [0, 1], "pose": pose}]
+    faces = [Face(0.0, front_sag, 1.0, index, pose), Face(5.0 * size, back_sag, index, 1.0, pose)]
+    world = lf.build(lf.Scene(camera=given))
+    p, d = rays(draw, 40, size, backwards=backwards)
+    true_p, true_d = [], []
+    for at, to in zip(p, d, strict=True):
+        for face in reversed(faces) if backwards else faces:
+            at, to = face.through(at, to, size)
+        true_p.append(at)
+        true_d.append(to)
+    for engine in ("mesh", "sequential"):
+        paths = lf.trace(world, p, d, split="transmit", record=engine == "mesh", engine=engine)
+        ends = lf.Status.ESCAPED if backwards else lf.Status.SENSOR
+        arrived = np.flatnonzero(paths.status == ends)
+        assert len(arrived) > 25
+        for path in arrived:
+            source = paths.source[path]
+            np.testing.assert_allclose(paths.direction[path], true_d[source], atol=1e-9)
+            off = np.cross(paths.position[path] - true_p[source], true_d[source])
+            assert np.linalg.norm(off) < 1e-9 * max(size, 1.0)
+            if engine == "mesh":
+                left = paths.vertices(path)[2].position
+                np.testing.assert_allclose(left, true_p[source], atol=1e-9 * max(size, 1.0))
+
+
+def test_without_odd_powers_an_odd_asphere_is_the_even_one() -> None:
+    draw = np.random.default_rng(3)
+    even = {"radius_mm": 14.0, "conic": -0.4, "asphere_mm": (2e-4, -3e-6)}
+    p, d = rays(draw, 200, 1.0, backwards=False)
+    found = []
+    # A coefficient this small moves nothing, but makes the kernels take the way of odd powers.
+    for odds in ((), (1e-300,)):
+        world = lf.build(lf.Scene(camera=camera({**even, "odd_asphere_mm": odds}, {"radius_mm": -30.0}, 1.6)))
+        found.append(lf.trace(world, p, d, split="transmit"))
+    np.testing.assert_array_equal(found[0].status, found[1].status)
+    np.testing.assert_allclose(found[0].position, found[1].position, atol=1e-13)
+    np.testing.assert_allclose(found[0].weight, found[1].weight, rtol=1e-13)
+
+
+def refused(message: str, **keys: Any) -> None:
+    with pytest.raises(SceneError, match=message):
+        lf.Surface(**{"radius_mm": 30.0, "semi_diameter_mm": 5.0, "index": 1.5, **keys})
+
+
+def test_odd_powers_that_no_surface_can_have_are_refused() -> None:
+    refused("odd_asphere_mm", odd_asphere_mm=[0.0] * 11)
+    refused(r"odd_asphere_mm\[1\] = 1e\+300: times r\^5", odd_asphere_mm=[0.0, 1e300])
+    refused("odd_asphere_mm", odd_asphere_mm=["a"])
+    refused("odd_asphere_mm.*omit it", odd_asphere_mm=[1e-4], qbfs={"norm_radius_mm": 5.0, "coefficients_mm": [0.1]})
+    refused("odd_asphere_mm.*omit it", odd_asphere_mm=[1e-4], paraxial=True, focal_length_mm=50.0, radius_mm=np.inf)
+
+
+def test_zemax_files_have_odd_powers(tmp_path: Any) -> None:
+    """Written and read they are the same; CODE V's, and powers beyond r⁸, are refused."""
+    own = {"odd_asphere_mm": (1e-4, -2e-6), "asphere_mm": (3e-5,), "conic": -0.5, "radius_mm": 20.0}
+    lens = lf.Scene(camera=camera(own, {"radius_mm": -40.0}, 1.5)).camera.lens
+    write_lens_file(lens, tmp_path / "lens.zmx")
+    read, _ = read_lens_file(tmp_path / "lens.zmx")
+    front = read.surfaces[0]
+    assert (front.odd_asphere_mm, front.asphere_mm, front.conic) == ((1e-4, -2e-6), (3e-5,), -0.5)
+    with pytest.raises(SceneError, match="odd_asphere_mm: not written to CODE V"):
+        write_lens_file(lens, tmp_path / "lens.seq")
+    own["odd_asphere_mm"] = (0.0, 0.0, 0.0, 1e-9)
+    lens = lf.Scene(camera=camera(own, {"radius_mm": -40.0}, 1.5)).camera.lens
+    with pytest.raises(SceneError, match=r"odd_asphere_mm: Zemax's odd asphere has powers up to r\^8"):
+        write_lens_file(lens, tmp_path / "lens.zmx")

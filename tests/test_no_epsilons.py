@@ -21,7 +21,7 @@ DIMENSIONLESS = {
     "geometry/patch.py": {"INSIDE", "SETTLED"},
     "geometry/refractors.py": {"FLAT_SHADED", "NO_POWER", "ON_AXIS", "ON_SURFACE", "SAME_NORMAL", "SLIVER"},
     "geometry/shell_tree.py": {"MARGIN"},
-    "geometry/surface.py": {"BEFORE_END", "SETTLED"},
+    "geometry/surface.py": {"SETTLED"},
     "geometry/targets.py": {"FLAT"},
     "geometry/tessellation.py": {"FLOAT32_MARGIN"},
     "geometry/vertex_normals.py": {"IN_ONE_PLANE", "NO_FIT"},

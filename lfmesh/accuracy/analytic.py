@@ -137,6 +137,11 @@ class Camera:
                     f"camera.lens.surfaces[{i}]: a mesh from a file has no analytic surface to measure its error "
                     "against; give a lens with radii"
                 )
+            if surface.section_key is not None:
+                raise LfmeshError(
+                    f"camera.lens.surfaces[{i}].{surface.section_key}: the truth that errors are measured against has "
+                    "surfaces of revolution alone"
+                )
             after = refractive_index(surface.medium, wavelength_nm)
             interfaces.append(
                 Interface(

@@ -26,12 +26,6 @@ MAX_ASPHERE_TERMS = MOST_ASPHERE_TERMS
 CONIC_AND_EVEN, WITH_ODD, BICONIC, TOROID = range(4)
 """Kinds of surfaces: the first two are surfaces of revolution."""
 
-AZIMUTHS_OF_END = 1024
-"""Azimuths in a quarter turn at which it is sought how far a toroid reaches."""
-
-BEFORE_END = 1e-5
-"""Share of that by which a toroid counts as ended before, for the azimuths in between."""
-
 Array = NDArray[np.float64]
 
 SURFACE = np.dtype(
@@ -47,7 +41,7 @@ SURFACE = np.dtype(
         ("conic_x", "f8"),
         ("vertex_z", "f8"),
         ("aperture", "f8"),  # semi-diameter of the clear aperture
-        ("end", "f8"),  # radius at which it touches a neighbour, and ends
+        ("end", "f8"),  # radius at which it touches a neighbour, or a toroid turns back, and ends
         ("stop", "i8"),  # 1: outside the aperture is the stop, 0: the mount
         ("level", "i8"),  # what a facet of its mesh stands for; the tracer says what the number means
         ("posed", "i8"),  # 1: it stands off its place in the prescription
@@ -117,7 +111,7 @@ def surface(
     record["curvature_x"], record["conic_x"] = 0.0 if np.isinf(radius_x_mm) else 1.0 / radius_x_mm, conic_x
     record["vertex_z"] = vertex_z
     record["aperture"] = aperture
-    record["end"] = _end_of_toroid(record) if kind == TOROID else np.inf
+    record["end"] = np.inf
     record["stop"] = stop
     record["pose"] = record["unpose"] = frame.IDENTITY
     return record
@@ -132,7 +126,15 @@ def surface_of(of: Surface, **where: Any) -> np.void:
     **where
         `vertex_z`, `aperture` and `stop`, as for `surface`.
     """
-    return surface(of.vertex_radius_mm, of.vertex_conic, of.terms_mm, odd_mm=of.odd_asphere_mm, **where)
+    shape: dict[str, Any] = {}
+    if of.biconic is not None:
+        shape = {"kind": BICONIC, "radius_x_mm": of.biconic.radius_x_mm, "conic_x": of.biconic.conic_x}
+    elif of.toroid is not None:
+        shape = {"kind": TOROID, "radius_x_mm": of.toroid.radius_x_mm}
+    record = surface(of.vertex_radius_mm, of.vertex_conic, of.terms_mm, odd_mm=of.odd_asphere_mm, **shape, **where)
+    if of.toroid is not None:
+        record["end"] = of.reach_mm
+    return record
 
 
 def is_revolved(surface: Any) -> bool:
@@ -261,27 +263,6 @@ def reach(surface: Any) -> float:
     return min(float(1.0 / np.sqrt(own)) if own > 0.0 else np.inf, float(surface["end"]))
 
 
-def _end_of_toroid(surface: Any) -> float:
-    """Return the radius within which a toroid exists at all azimuths, a little less than measured, mm."""
-    cx = float(surface["curvature_x"])
-    if cx == 0.0:
-        return np.inf
-    phi = np.linspace(0.0, 0.5 * np.pi, AZIMUTHS_OF_END + 1)
-
-    def exists(r: float) -> bool:
-        with np.errstate(invalid="ignore", over="ignore"):
-            return bool((1.0 - cx * _curve(surface, r * np.sin(phi))[0] > abs(cx) * r * np.cos(phi)).all())
-
-    # From the radius of x, beyond which it never exists, inwards.
-    trial = np.linspace(0.0, 1.0 / abs(cx), AZIMUTHS_OF_END + 1)[1:]
-    first = next((k for k, r in enumerate(trial) if not exists(float(r))), len(trial) - 1)
-    low, high = float(trial[first - 1]) if first else 0.0, float(trial[first])
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if exists(middle) else (low, middle)
-    return low * (1.0 - BEFORE_END)
-
-
 @kernel
 def sag_at(s: Any, r2: float) -> float:
     """Return the sag of a conic with even terms at squared radius r² (scalar; NaN where the surface does not reach)."""
@@ -296,7 +277,7 @@ def sag_at(s: Any, r2: float) -> float:
 
 @kernel
 def half_slope_at(s: Any, r2: float) -> float:
-    """Return dz/d(r²) of a conic with even terms: the gradient of the sag is twice this times (x, y), on the axis too."""
+    """Return dz/d(r²) of a conic with even terms: twice this times (x, y) is the gradient, on the axis too."""
     c = s.curvature
     slope = 0.5 * c / np.sqrt(1.0 - (1.0 + s.conic) * c * c * r2)
     power = r2

@@ -16,6 +16,7 @@ from lfmesh.imports.report import Report, Verdict
 from lfmesh.optics.glass import AIR, D_LINE_NM, glass_name, refractive_index
 from lfmesh.scene.lens import Lens, Surface
 from lfmesh.scene.paraxial import Paraxial, Ray
+from lfmesh.scene.sections import AZIMUTHS
 
 MARGIN = 0.05
 """Share by which a clear aperture that follows from the fields is larger than the paraxial rays need."""
@@ -424,7 +425,9 @@ def _radius_of_contact(front: Surface, back: Surface, most: float) -> float:
     most = min(most, front.reach_mm, back.reach_mm)
     for k in range(1, 257):
         height = most * k / 256
-        if front.sag_mm(height) - back.sag_mm(height) > (front.thickness_mm or 0.0):
+        if max(a - b for a, b in zip(*(s.sags_mm(height, AZIMUTHS) for s in (front, back)), strict=True)) > (
+            front.thickness_mm or 0.0
+        ):
             return most * (k - 1) / 256
     return math.inf
 

@@ -41,7 +41,48 @@ def odd(draw: np.random.Generator, size: float = 1.0) -> tuple[dict[str, Any], S
     return keys, sag
 
 
-KINDS = {"odd": odd}
+def curve(draw: np.random.Generator) -> tuple[float, float]:
+    """Return a random curvature, now and then 0, and a conic constant."""
+    return float(draw.choice([-1.0, 0.0, 1.0], p=[0.4, 0.2, 0.4]) / draw.uniform(8.0, 80.0)), float(
+        draw.uniform(-3.0, 0.8)
+    )
+
+
+def radius(c: float, size: float) -> float:
+    return size / c if c else np.inf
+
+
+def biconic(draw: np.random.Generator, size: float = 1.0) -> tuple[dict[str, Any], Sag]:
+    """Return a random biconic, by OpticStudio's formula."""
+    (cx, kx), (cy, ky) = curve(draw), curve(draw)
+    keys = {"radius_mm": radius(cy, size), "conic": ky, "biconic": {"radius_x_mm": radius(cx, size), "conic_x": kx}}
+
+    def sag(x: Any, y: Any) -> Any:
+        x2, y2 = (x / size) ** 2, (y / size) ** 2
+        root = np.sqrt(1.0 - (1.0 + kx) * cx * cx * x2 - (1.0 + ky) * cy * cy * y2)
+        return size * (cx * x2 + cy * y2) / (1.0 + root)
+
+    return keys, sag
+
+
+def toroid(draw: np.random.Generator, size: float = 1.0) -> tuple[dict[str, Any], Sag]:
+    """Return a random toroid: points at the distance |R − f(y)| from the line x = 0, z = R."""
+    (cx, _), (cy, ky) = curve(draw), curve(draw)
+    evens = draw.normal(size=2) * 0.1 / SEMI ** np.array([4.0, 6.0])
+    keys = {"radius_mm": radius(cy, size), "conic": ky, "asphere_mm": evens / size ** np.array([3.0, 5.0])}
+    keys["toroid"] = {"radius_x_mm": radius(cx, size)}
+
+    def sag(x: Any, y: Any) -> Any:
+        x2, y2 = (x / size) ** 2, (y / size) ** 2
+        f = conic(cy, ky, y2) + evens[0] * y2**2 + evens[1] * y2**3
+        if cx == 0.0:
+            return size * f
+        return size * (1.0 / cx - np.sign(cx) * np.sqrt((1.0 / cx - f) ** 2 - x2))
+
+    return keys, sag
+
+
+KINDS = {"odd": odd, "biconic": biconic, "toroid": toroid}
 
 
 def gradient(sag: Sag, x: float, y: float) -> tuple[float, float]:

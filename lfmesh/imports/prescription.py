@@ -7,7 +7,7 @@ a size open.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 from lfmesh.errors import GlassError, SceneError
@@ -48,6 +48,10 @@ class FileSurface:
     """Coefficients of r⁴, r⁶, ..."""
     odd: list[float] = field(default_factory=list)
     """Coefficients of r³, r⁵, ..."""
+    section: str | None = None
+    """"biconic" or "toroid", where the section x–z is another one: the other shape is that of y–z."""
+    curvature_x: float = 0.0
+    conic_x: float = 0.0
     aperture: float | None = None
     """Radius beyond which the file's program stops light."""
     extent: float | None = None
@@ -180,6 +184,9 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
             "asphere_mm": tuple(coefficients),
             "odd_asphere_mm": tuple(odd),
         }
+        if surface.section is not None:
+            across: dict[str, float] = {"radius_x_mm": shortest_radius(surface.curvature_x / unit)}
+            values[surface.section] = across | ({"conic_x": surface.conic_x} if surface.section == "biconic" else {})
         surfaces.append({key: value for key, value in values.items() if value is not None})
     try:
         surfaces = _without_crossings(surfaces, made, report)
@@ -347,6 +354,10 @@ def _apertures_mm(
     unit = prescription.unit_mm
     given = [surface.aperture or surface.extent for surface in made.kept]
     needed = _needed_mm(prescription, made, paraxial, stop_mm)
+    if any(surface.section for surface in made.kept):
+        curvatures = tuple((s.curvature_x if s.section else s.curvature) / unit for s in made.kept)
+        across = _needed_mm(prescription, made, replace(paraxial, curvatures=curvatures), stop_mm)
+        needed = [max(sizes) for sizes in zip(needed, across, strict=True)]
     apertures, computed = [], []
     for i, (surface, size) in enumerate(zip(made.kept, given, strict=True)):
         if i == paraxial.stop:
@@ -354,9 +365,7 @@ def _apertures_mm(
         elif size:
             apertures.append(size * unit)
         else:
-            reach = abs(unit / surface.curvature) / math.sqrt(1 + surface.conic) if (
-                surface.curvature and surface.conic > -1
-            ) else math.inf  # fmt: skip
+            reach = unit * min(_reach(surface.curvature, surface.conic), _reach(surface.curvature_x, surface.conic_x))
             apertures.append(min(needed[i] * (1 + MARGIN), 0.999 * reach))
             computed.append(str(i))
     if computed:
@@ -365,6 +374,11 @@ def _apertures_mm(
             f"paraxial marginal and chief rays, with {MARGIN:.0%} to spare"
         )
     return apertures
+
+
+def _reach(curvature: float, conic: float) -> float:
+    """Return the height at which a conic ends."""
+    return 1.0 / abs(curvature) / math.sqrt(1 + conic) if curvature and conic > -1 else math.inf
 
 
 def _needed_mm(prescription: Prescription, made: _Made, paraxial: Paraxial, stop_mm: float) -> list[float]:

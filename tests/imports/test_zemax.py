@@ -320,6 +320,25 @@ def test_odd_powers_are_those_of_their_parameters() -> None:
 
 
 @pytest.mark.parametrize(("unit", "mm"), [("MM", 1.0), ("IN", 25.4)])
+def test_another_section_in_x_is_a_biconic_or_toroid(unit: str, mm: float) -> None:
+    """Parameter 1 is the radius in x, where 0 is flat; a toroid's y⁴ has the coefficient of parameter 3."""
+    terms = ("PARM 1 50", "PARM 2 -0.7")
+    surface = lens_of(aspheric("BICONICX", *terms).replace("UNIT MM", f"UNIT {unit}")).surfaces[1]
+    assert surface.biconic is not None
+    assert (surface.biconic.radius_x_mm, surface.biconic.conic_x) == (pytest.approx(50.0 * mm, rel=1e-14), -0.7)
+    terms = ("PARM 1 -40", "PARM 2 0", "PARM 3 1e-6", "XDAT 1 0 0 0", "XDAT 2 1 0 0")
+    surface = lens_of(aspheric("TOROIDAL", *terms).replace("UNIT MM", f"UNIT {unit}")).surfaces[1]
+    assert surface.toroid is not None
+    assert surface.toroid.radius_x_mm == pytest.approx(-40.0 * mm, rel=1e-14)
+    assert surface.asphere_mm == pytest.approx((1e-6 * mm**-3,), rel=1e-12)
+    for kind in ("TOROIDAL", "BICONICX"):
+        surface = lens_of(aspheric(kind, "PARM 1 0")).surfaces[1]
+        section = surface.toroid or surface.biconic
+        assert section is not None
+        assert math.isinf(section.radius_x_mm)
+
+
+@pytest.mark.parametrize(("unit", "mm"), [("MM", 1.0), ("IN", 25.4)])
 def test_an_extended_asphere_counts_its_height_in_its_own_radius(unit: str, mm: float) -> None:
     """Terms a₂ ρ⁴ + a₃ ρ⁶, ρ = r / 6, are 1e-6 r⁴ − 2e-9 r⁶ in the file's unit."""
     terms = ("XDAT 1 3 0 0", "XDAT 2 6 0 0", "XDAT 3 0 0 0", f"XDAT 4 {1e-6 * 6**4} 0 0", f"XDAT 5 {-2e-9 * 6**6} 0 0")
@@ -332,6 +351,10 @@ def test_an_extended_asphere_counts_its_height_in_its_own_radius(unit: str, mm: 
     [
         ("ODDASPHE", "PARM 1 1e-4", "a term in r makes a cone"),
         ("ODDASPHE", "PARM 2 1e-4", "a term in r²"),
+        ("TOROIDAL", "PARM 2 1e-4", "a term in r²"),
+        ("TOROIDAL", "PARM 9 1e-4", "parameter 9 of TOROIDAL is unknown"),
+        ("TOROIDAL", "XDAT 3 1e-4 0 0", "Zernike terms of a toroid are not supported"),
+        ("BICONICX", "PARM 3 1e-4", "parameter 3 of BICONICX is unknown"),
         ("XASPHERE", "XDAT 3 1e-4 0 0", "a term in r²"),
         ("XASPHERE", "XDAT 14 1e-4 0 0", "a term in r^24: aspheres reach up to r^22"),
         ("XASPHERE", "XDAT 2 -6 0 0", "above 0"),

@@ -44,6 +44,8 @@ class Interface:
     origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     thin_power: float = 0.0
     """Of a thin lens in place of an interface, 1/mm."""
+    odd: tuple[float, ...] = ()
+    """Coefficients of r³, r⁵, ..."""
 
 
 @dataclass(frozen=True)
@@ -135,12 +137,17 @@ class Camera:
                     f"camera.lens.surfaces[{i}]: a mesh from a file has no analytic surface to measure its error "
                     "against; give a lens with radii"
                 )
+            if surface.section_key is not None:
+                raise LfmeshError(
+                    f"camera.lens.surfaces[{i}].{surface.section_key}: the truth that errors are measured against has "
+                    "surfaces of revolution alone"
+                )
             after = refractive_index(surface.medium, wavelength_nm)
             interfaces.append(
                 Interface(
                     z, surface.curvature_per_mm, surface.vertex_conic, surface.terms_mm,
                     surface.semi_diameter_mm or np.inf, before, after, *_placed(lens, i),
-                    surface.thin_lens_power_per_mm,
+                    surface.thin_lens_power_per_mm, surface.odd_asphere_mm,
                 )
             )  # fmt: skip
             before = after
@@ -239,7 +246,7 @@ def _through_surface(rays: Rays, s: Interface) -> None:
         rays.p, rays.d = _into_frame(rays, s.turn, s.origin)
     p = rays.p - np.array([0, 0, s.vertex_z], kind)
     t = _conic_transfer(p, rays.d, kind(s.curvature), kind(s.conic))
-    if any(s.asphere):
+    if any(s.asphere) or any(s.odd):
         t = _asphere_transfer(p, rays.d, s, t)
     p = p + t[:, None] * rays.d
     r2 = p[:, 0] ** 2 + p[:, 1] ** 2
@@ -272,6 +279,8 @@ def _sag(s: Interface, r2: Array) -> Array:
     z = c * r2 / (1 + np.sqrt(1 - (1 + k) * c * c * r2))
     for j, a in enumerate(s.asphere):
         z = z + kind(a) * r2 ** (j + 2)
+    for j, b in enumerate(s.odd):
+        z = z + kind(b) * np.sqrt(r2) * r2 ** (j + 1)
     return z
 
 
@@ -282,6 +291,8 @@ def _sag_rate(s: Interface, r2: Array) -> Array:
     rate = c / (2 * np.sqrt(1 - (1 + k) * c * c * r2))
     for j, a in enumerate(s.asphere):
         rate = rate + (j + 2) * kind(a) * r2 ** (j + 1)
+    for j, b in enumerate(s.odd):
+        rate = rate + kind(j + 1.5) * kind(b) * np.sqrt(r2) * r2**j
     return rate
 
 

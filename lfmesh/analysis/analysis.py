@@ -208,10 +208,16 @@ def analyse(
     Raises
     ------
     LfmeshError
-        The lens has surfaces that are meshes, no ray passes it, or a value is out of range.
+        The lens has surfaces that are meshes or not of revolution, no ray passes it, or a value is out of range.
     """
     camera = solved_camera(scene)
     facts = camera.report
+    if (number := camera.scene.camera.lens.number_off_revolution) is not None:
+        key = camera.scene.camera.lens.surfaces[number].section_key
+        raise LfmeshError(
+            f"camera.lens.surfaces[{number}].{key}: the lens sheet is that of surfaces of revolution, whose fields lie "
+            "along one line; trace rays or render instead"
+        )
     object_mm = facts.object_distance_mm if object_mm is None else float(object_mm)
     waves = _wavelengths(scene, wavelengths_nm)
     if not 4 <= across <= 1000:

@@ -13,17 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.mesh import Array, Index, Mesh
-from lfmesh.geometry.surface import reach, sag, slope
+from lfmesh.geometry.surface import is_revolved, reach
 from lfmesh.geometry.tessellation import (
     FLOAT32_MARGIN,
     MAX_RINGS,
+    QUARTER,
     disk_mesh,
     height_above,
+    mesh_heights,
     mesh_sag,
     on_circles,
     rim_radius,
     ring_radii,
     stand_together,
+    steepness,
 )
 
 SHARE = 0.125
@@ -133,7 +136,7 @@ def _gap(one: Any, other: Any, r: Array, sense: float, rim: float) -> Array:
         1: the other stands behind it, −1: before it.
     rim : float, mm
     """
-    if stand_together(one, other):
+    if stand_together(one, other) and is_revolved(one) and is_revolved(other):
         away = other["vertex_z"] + mesh_sag(other, r) - one["vertex_z"] - mesh_sag(one, r)
         return np.where(r <= rim * (1.0 + FLOAT32_MARGIN), sense * away, np.inf)
     height, aside = height_above(other, on_circles(one, r))
@@ -152,11 +155,21 @@ def _circles(surface: Any, rings: int, rim: float, allowed: Callable[[Array], Ar
     least = allowed(r)
     least = np.minimum(least, np.minimum(np.append(least[1:], np.inf), np.append(np.inf, least[:-1])))
     # A chord lies inside its circle by r (1 − cos(π/n)), which the slope turns into a deviation along z.
-    depth = np.abs(slope(surface, np.minimum(r, 0.999 * reach(surface)))) * r
+    depth = steepness(surface, np.minimum(r, 0.999 * reach(surface))) * r
     with np.errstate(divide="ignore", invalid="ignore"):
         needed = np.pi / np.arccos(np.clip(1.0 - least / depth, -1.0, 1.0))
+        if not is_revolved(surface):
+            # Along the circle the surface rises and falls too: as a chord's depth, that goes with its length squared.
+            needed = np.maximum(needed, np.pi * np.sqrt(0.5 * _waviness(surface, r) / least))
     needed = np.where(depth > 0.0, np.minimum(6 * np.ceil(needed / 6), 6 * MAX_RINGS), 0)
     return Circles(r, np.maximum(counts, needed.astype(np.int64)))
+
+
+def _waviness(surface: Any, r: Array) -> Array:
+    """Return the largest second derivative of z by the azimuth on circles of radii (n,), mm."""
+    phi = np.linspace(0.0, 0.5 * np.pi, QUARTER)
+    z = mesh_heights(surface, np.multiply.outer(r, np.cos(phi)), np.multiply.outer(r, np.sin(phi)))
+    return np.asarray(np.abs(np.diff(z, 2, axis=1)).max(axis=1) / phi[1] ** 2)
 
 
 def _divided(surface: Any, low: float, high: float, allowed: Callable[[Array], Array], finest: float) -> list[float]:
@@ -171,8 +184,10 @@ def _divided(surface: Any, low: float, high: float, allowed: Callable[[Array], A
         Width that is divided no further.
     """
     at = np.array([low, 0.5 * (low + high), high])
-    z, limit = mesh_sag(surface, at), allowed(at)
-    deviation = abs(float(sag(surface, min(at[1], reach(surface)))) - 0.5 * float(z[0] + z[2]))
+    limit = allowed(at)
+    phi = np.linspace(0.0, 0.5 * np.pi, 1 if is_revolved(surface) else QUARTER)[:, None]
+    z = mesh_heights(surface, np.cos(phi) * at, np.sin(phi) * at)
+    deviation = float(np.abs(z[:, 1] - 0.5 * (z[:, 0] + z[:, 2])).max())
     if high - low <= finest or deviation <= limit.min():
         return [high]
     wish = np.sqrt(deviation / limit[1]) if limit[1] > 0.0 else np.inf

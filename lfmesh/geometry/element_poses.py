@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array, Mesh
-from lfmesh.geometry.surface import put_in_pose, reach, surface
+from lfmesh.geometry.surface import is_revolved, put_in_pose, reach, surface_of
 from lfmesh.geometry.tessellation import (
+    ANNULUS_LEAN,
     height_above,
+    mesh_heights,
     on_circles,
     revolved,
     ring_profile,
@@ -66,10 +68,7 @@ def refuse_crossing_elements(lens: Lens) -> None:
     """
     records = []
     for number, s in enumerate(lens.surfaces):
-        record = surface(
-            s.vertex_radius_mm, s.vertex_conic, s.terms_mm,
-            vertex_z=lens.vertices_mm[number], aperture=s.semi_diameter_mm or np.inf,
-        )  # fmt: skip
+        record = surface_of(s, vertex_z=lens.vertices_mm[number], aperture=s.semi_diameter_mm or np.inf)
         put_in_pose(record, pose_of(lens, number))
         records.append(record)
     for number, (front, back) in enumerate(pairwise(records)):
@@ -116,6 +115,8 @@ def closure(lens: Lens, surfaces: NDArray[np.void], rims: list[float], numbers: 
         Azimuths.
     """
     front, back = surfaces[k], surfaces[k + 1]
+    if not (is_revolved(front) and is_revolved(back)):
+        return _closure_off_revolution(lens, front, rims[k], back, rims[k + 1], (numbers[k], numbers[k + 1]), count)
     profile = ring_profile(front, rims[k], back, rims[k + 1])
     if stand_together(front, back):
         ring = revolved(profile, count)
@@ -142,6 +143,37 @@ def closure(lens: Lens, surfaces: NDArray[np.void], rims: list[float], numbers: 
     raise SceneError(
         f"{_refusal(lens, numbers[k], 0.0).split(': surfaces')[0]}: the edge between surfaces {numbers[k]} and "
         f"{numbers[k + 1]} cuts one of them; give smaller shifts and tilts, or more room between them"
+    )
+
+
+def _closure_off_revolution(
+    lens: Lens, front: Any, front_rim: float, back: Any, back_rim: float, numbers: tuple[int, int], count: int
+) -> Mesh:
+    """Return the ring between two surfaces one of which is a biconic or toroid, whose rim goes up and down."""
+    first, last = (on_circles(s, np.array([r]), count)[0] for s, r in ((front, front_rim), (back, back_rim)))
+    narrow, rim, wide = (front, front_rim, back_rim) if front_rim < back_rim else (back, back_rim, front_rim)
+    turn = 0
+    if not stand_together(front, back):
+        turn = int(np.argmin([np.square(first - np.roll(last, -n, axis=0)).sum() for n in range(count)]))
+    last = np.roll(last, -turn, axis=0)
+    trials = [np.stack([first, last])]
+    if front_rim != back_rim:
+        # As with surfaces of revolution, a cylinder and an annulus that leans a little.
+        phi = 2 * np.pi * np.arange(count) / count
+        x, y = np.cos(phi), np.sin(phi)
+        other = back if narrow is front else front
+        z = mesh_heights(narrow, rim * x, rim * y) + narrow["vertex_z"]
+        lean = mesh_heights(other, wide * x, wide * y) + other["vertex_z"] - z
+        corner = np.column_stack([wide * x, wide * y, z + ANNULUS_LEAN * lean])
+        corner = frame.points(narrow["pose"], corner) if narrow["posed"] else corner
+        trials.insert(0, np.stack([first, corner if narrow is front else np.roll(corner, -turn, axis=0), last]))
+    apart = last[:, 2] >= first[:, 2] - abs(back_rim - front_rim)
+    for lines in trials:
+        if apart.all() and _clears(lines, front, front_rim, back, back_rim):
+            return strip(lines)
+    raise SceneError(
+        f"the rims of surfaces {numbers[0]} and {numbers[1]} cross; give more thickness, smaller semi-diameters"
+        + (", or smaller shifts and tilts" if front["posed"] or back["posed"] else "")
     )
 
 

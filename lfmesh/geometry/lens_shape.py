@@ -11,7 +11,7 @@ from lfmesh.geometry.levels import SMOOTH, SURFACE_LEVEL
 from lfmesh.geometry.mesh import Array, Mesh
 from lfmesh.geometry.mesh_error import facet_errors, landing_errors
 from lfmesh.geometry.refractors import RIM_MARGIN, face_of
-from lfmesh.geometry.surface import put_in_pose, surface
+from lfmesh.geometry.surface import put_in_pose, surface_of
 from lfmesh.geometry.tessellation import (
     MAX_RINGS,
     cap,
@@ -78,11 +78,8 @@ def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
         s = prescription.surfaces[i]
         media.append(s.medium)
         records.append(
-            surface(
-                s.vertex_radius_mm, s.vertex_conic, s.terms_mm,
-                vertex_z=prescription.vertices_mm[i], aperture=s.semi_diameter_mm or np.inf, stop=s.stop,
-            )
-        )  # fmt: skip
+            surface_of(s, vertex_z=prescription.vertices_mm[i], aperture=s.semi_diameter_mm or np.inf, stop=s.stop)
+        )
         put_in_pose(records[-1], pose_of(prescription, i))
     surfaces = np.array(records)
     if prescription.elements:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from lfmesh.geometry.levels import EXACT, FLAT, PATCH, SMOOTH
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals
 from lfmesh.geometry.patch import patch_points, patches
-from lfmesh.geometry.surface import normals, sag, slope
+from lfmesh.geometry.surface import heights, normals
+from lfmesh.geometry.tessellation import steepness
 from lfmesh.scene import Scene
 from lfmesh.scene.paraxial import Matrix, Paraxial, gap
 
@@ -48,7 +49,7 @@ def facet_errors(surface: Any, cap: Mesh, level: int) -> tuple[float, float]:
     inside = x * x + y * y <= float(surface["aperture"]) ** 2
     exact = normals(surface, x[inside], y[inside])
     tilt = np.linalg.norm(used.reshape(-1, 3)[inside] - exact, axis=1)
-    height = points[..., 2].ravel()[inside] - surface["vertex_z"] - sag(surface, np.hypot(x, y)[inside])
+    height = points[..., 2].ravel()[inside] - surface["vertex_z"] - heights(surface, x[inside], y[inside])
     return _rms(tilt), _rms(height)
 
 
@@ -63,7 +64,18 @@ def landing_errors(scene: Scene, numbers: list[int], surfaces: NDArray[np.void],
         Place of each refracting surface in the prescription.
     """
     lens = scene.camera.lens
-    paraxial = Paraxial.of(lens, scene.primary_nm)
+    errors = _landing_errors(scene, Paraxial.of(lens, scene.primary_nm), numbers, surfaces, caps, level)
+    if lens.number_off_revolution is None:
+        return errors
+    across = Paraxial.of(lens, scene.primary_nm, section_x=True)
+    return np.maximum(errors, _landing_errors(scene, across, numbers, surfaces, caps, level))
+
+
+def _landing_errors(
+    scene: Scene, paraxial: Paraxial, numbers: list[int], surfaces: NDArray[np.void], caps: list[Mesh], level: int
+) -> Array:
+    """Do what `landing_errors` does in one section of the lens."""
+    lens = scene.camera.lens
     distance = (scene.camera.mla or scene.camera.sensor).distance_mm or 0.0
     to_image: Matrix = gap(distance)
     carried = {}
@@ -77,11 +89,12 @@ def landing_errors(scene: Scene, numbers: list[int], surfaces: NDArray[np.void],
         tilt, height = facet_errors(surface, cap, level)
         n_i, n_t = paraxial.indices[number], paraxial.indices[number + 1]
         # A typical ray meets the surface half-way out, at the slope it has there.
-        incidence = abs(float(slope(surface, 0.5 * surface["aperture"])))
+        incidence = float(steepness(surface, 0.5 * surface["aperture"]))
         sideways = height * incidence * abs(n_t - n_i) / n_t
         if level in (FLAT, SMOOTH):
             # The facet's point has the normal of a place further out by the way between facet and surface.
-            tilt = float(np.hypot(tilt, abs(surface["curvature"]) * height * incidence))
+            bent = max(abs(surface["curvature"]), abs(surface["curvature_x"]))
+            tilt = float(np.hypot(tilt, bent * height * incidence))
         bend = abs(carried[number].b * (n_t - n_i)) * tilt
         errors.append(np.hypot(bend, abs(carried[number].a) * sideways))
     return np.array(errors)

@@ -1,11 +1,14 @@
-"""Exact surfaces of revolution: plane, conic, even asphere. Sag, normal and where a ray meets them.
+"""Exact surfaces: plane, conic, asphere, biconic, toroid. Sag, normal and where a ray meets them.
 
 A surface is one record of `SURFACE`; its coordinates have the origin at the vertex and z along the axis, so a table
-of them (one a refracting surface) is what the kernels read. The sag is
+of them (one a refracting surface) is what the kernels read. Of a surface of revolution the sag is
 
-    z(r) = c r² / (1 + sqrt(1 − (1 + k) c² r²)) + a₄ r⁴ + a₆ r⁶ + ...
+    z(r) = c r² / (1 + sqrt(1 − (1 + k) c² r²)) + a₄ r⁴ + a₆ r⁶ + ... + b₃ r³ + b₅ r⁵ + ...
 
-with curvature c = 1 / radius and conic constant k (ISO 10110-12).
+with curvature c = 1 / radius and conic constant k (ISO 10110-12). A biconic has a curvature and a conic constant each
+in x and in y; in a toroid the curve z(y) turns about a line parallel to y, at the radius 1 / c_x behind the vertex.
+
+Where a surface that is no conic ends, `form_at` goes on without a step: a search for a root needs a height everywhere.
 """
 
 from typing import Any
@@ -15,19 +18,30 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.geometry import frame
 from lfmesh.kernel import inlined, kernel
+from lfmesh.scene.lens import Surface
 from lfmesh.scene.qcon import MOST_ASPHERE_TERMS
 
 MAX_ASPHERE_TERMS = MOST_ASPHERE_TERMS
+
+CONIC_AND_EVEN, WITH_ODD, BICONIC, TOROID = range(4)
+"""Kinds of surfaces: the first two are surfaces of revolution."""
+
+Array = NDArray[np.float64]
 
 SURFACE = np.dtype(
     [
         ("curvature", "f8"),
         ("conic", "f8"),
         ("asphere", "f8", (MAX_ASPHERE_TERMS,)),
-        ("terms", "i8"),
+        ("terms", "i8"),  # of the even powers; of a surface that is no conic 1 at least
+        ("kind", "i8"),  # CONIC_AND_EVEN, WITH_ODD, BICONIC or TOROID
+        ("odd", "f8", (MAX_ASPHERE_TERMS,)),
+        ("odd_terms", "i8"),
+        ("curvature_x", "f8"),  # of a biconic and a toroid, whose `curvature` and `conic` are those in y
+        ("conic_x", "f8"),
         ("vertex_z", "f8"),
         ("aperture", "f8"),  # semi-diameter of the clear aperture
-        ("end", "f8"),  # radius at which it touches a neighbour, and ends
+        ("end", "f8"),  # radius at which it touches a neighbour, or a toroid turns back, and ends
         ("stop", "i8"),  # 1: outside the aperture is the stop, 0: the mount
         ("level", "i8"),  # what a facet of its mesh stands for; the tracer says what the number means
         ("posed", "i8"),  # 1: it stands off its place in the prescription
@@ -56,6 +70,10 @@ def surface(
     conic: float = 0.0,
     asphere_mm: ArrayLike = (),
     *,
+    odd_mm: ArrayLike = (),
+    kind: int = CONIC_AND_EVEN,
+    radius_x_mm: float = np.inf,
+    conic_x: float = 0.0,
     vertex_z: float = 0.0,
     aperture: float = np.inf,
     stop: bool = False,
@@ -68,7 +86,13 @@ def surface(
         inf: flat.
     conic : float
     asphere_mm : (terms,) float64
-        Coefficients of r⁴, r⁶, ..., in mm⁻³, mm⁻⁵, ...
+        Coefficients of r⁴, r⁶, ..., in mm⁻³, mm⁻⁵, ...; of a toroid, of y⁴, y⁶, ...
+    odd_mm : (odd_terms,) float64
+        Coefficients of r³, r⁵, ..., in mm⁻², mm⁻⁴, ...
+    kind : int
+        BICONIC or TOROID, whose `radius_mm` and `conic` are those in y; others follow from the terms.
+    radius_x_mm, conic_x : float
+        Radius of a biconic or toroid in x, and conic constant of a biconic.
     vertex_z : float, mm
     aperture : float, mm
         Radius of the clear aperture.
@@ -79,8 +103,12 @@ def surface(
     record["curvature"] = 0.0 if np.isinf(radius_mm) else 1.0 / radius_mm
     record["conic"] = conic
     coefficients = np.trim_zeros(np.asarray(asphere_mm, dtype=np.float64), "b")
-    record["terms"] = len(coefficients)
     record["asphere"][: len(coefficients)] = coefficients
+    odd = np.trim_zeros(np.asarray(odd_mm, dtype=np.float64), "b")
+    record["odd"][: len(odd)], record["odd_terms"] = odd, len(odd)
+    record["kind"] = kind if kind != CONIC_AND_EVEN or not len(odd) else WITH_ODD
+    record["terms"] = max(len(coefficients), 1 if record["kind"] != CONIC_AND_EVEN else 0)
+    record["curvature_x"], record["conic_x"] = 0.0 if np.isinf(radius_x_mm) else 1.0 / radius_x_mm, conic_x
     record["vertex_z"] = vertex_z
     record["aperture"] = aperture
     record["end"] = np.inf
@@ -89,13 +117,38 @@ def surface(
     return record
 
 
+def surface_of(of: Surface, **where: Any) -> np.void:
+    """Return the `SURFACE` record of a surface of a prescription.
+
+    Parameters
+    ----------
+    of : Surface
+    **where
+        `vertex_z`, `aperture` and `stop`, as for `surface`.
+    """
+    shape: dict[str, Any] = {}
+    if of.biconic is not None:
+        shape = {"kind": BICONIC, "radius_x_mm": of.biconic.radius_x_mm, "conic_x": of.biconic.conic_x}
+    elif of.toroid is not None:
+        shape = {"kind": TOROID, "radius_x_mm": of.toroid.radius_x_mm}
+    record = surface(of.vertex_radius_mm, of.vertex_conic, of.terms_mm, odd_mm=of.odd_asphere_mm, **shape, **where)
+    if of.toroid is not None:
+        record["end"] = of.reach_mm
+    return record
+
+
+def is_revolved(surface: Any) -> bool:
+    """Tell whether a `SURFACE` record is a surface of revolution."""
+    return int(surface["kind"]) <= WITH_ODD
+
+
 def put_in_pose(record: Any, pose: frame.Frame) -> None:
     """Let a `SURFACE` record stand off its place, by a rigid motion (3, 4) of the lens as prescribed."""
     record["posed"] = not np.array_equal(pose, frame.IDENTITY)
     record["pose"], record["unpose"] = pose, frame.inverse(pose)
 
 
-def in_place(record: Any, points: ArrayLike) -> NDArray[np.float64]:
+def in_place(record: Any, points: ArrayLike) -> Array:
     """Return points (n, 3) of the camera frame as the surface sees them where the prescription has it.
 
     Parameters
@@ -107,34 +160,87 @@ def in_place(record: Any, points: ArrayLike) -> NDArray[np.float64]:
     return frame.points(record["unpose"], p) if record["posed"] else p
 
 
-def sag(surface: Any, r: ArrayLike) -> NDArray[np.float64]:
-    """Return the sag in mm at the radii `r` (any shape, mm); NaN where the surface does not reach."""
-    r2 = np.square(np.asarray(r, dtype=np.float64))
-    c, k = surface["curvature"], surface["conic"]
-    with np.errstate(invalid="ignore"):
-        z = c * r2 / (1.0 + np.sqrt(1.0 - (1.0 + k) * c * c * r2))
-    power = r2
-    for a in surface["asphere"][: surface["terms"]]:
-        power = power * r2
-        z = z + a * power
-    return z
+def sag(surface: Any, r: ArrayLike) -> Array:
+    """Return the sag of a surface of revolution in mm at the radii `r` (any shape, mm); NaN where it does not reach."""
+    _need_revolved(surface)
+    return _curve(surface, np.asarray(r, dtype=np.float64))[0]
 
 
-def slope(surface: Any, r: ArrayLike) -> NDArray[np.float64]:
-    """Return dz/dr at the radii `r`."""
-    r = np.asarray(r, dtype=np.float64)
+def slope(surface: Any, r: ArrayLike) -> Array:
+    """Return dz/dr of a surface of revolution at the radii `r`."""
+    _need_revolved(surface)
+    return _curve(surface, np.asarray(r, dtype=np.float64))[1]
+
+
+def _need_revolved(surface: Any) -> None:
+    if not is_revolved(surface):
+        raise TypeError("a biconic or toroid has no sag by radius alone; ask for `heights`")
+
+
+def _curve(surface: Any, r: Array) -> tuple[Array, Array]:
+    """Return z and dz/dr by the curvature, conic constant and terms of a record; NaN where the conic does not reach."""
     r2 = r * r
     c, k = surface["curvature"], surface["conic"]
     with np.errstate(invalid="ignore", divide="ignore"):
-        result = c * r / np.sqrt(1.0 - (1.0 + k) * c * c * r2)
-    power = r
+        root = np.sqrt(1.0 - (1.0 + k) * c * c * r2)
+        z, rate = c * r2 / (1.0 + root), c * r / root
+    power = r2
     for term, a in enumerate(surface["asphere"][: surface["terms"]]):
+        rate = rate + (2 * term + 4) * a * (r * power)
         power = power * r2
-        result = result + (2 * term + 4) * a * power
-    return result
+        z = z + a * power
+    power = np.abs(r)
+    for term, a in enumerate(surface["odd"][: surface["odd_terms"]]):
+        rate = rate + (2 * term + 3) * a * (r * power)
+        power = power * r2
+        z = z + a * power
+    return np.asarray(z), np.asarray(rate)
 
 
-def normals(surface: Any, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+def heights(surface: Any, x: ArrayLike, y: ArrayLike) -> Array:
+    """Return z of any surface above its vertex, mm; NaN where it does not reach.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    x, y : float64 of one shape, mm
+    """
+    return _form(surface, np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))[0]
+
+
+def gradients(surface: Any, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
+    """Return dz/dx and dz/dy of any surface.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    x, y : float64 of one shape, mm
+    """
+    return _form(surface, np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))[1:]
+
+
+def _form(surface: Any, x: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Return z, dz/dx and dz/dy of any surface."""
+    cx, c = float(surface["curvature_x"]), float(surface["curvature"])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        if surface["kind"] == BICONIC:
+            a, b = (1.0 + surface["conic_x"]) * cx * cx, (1.0 + surface["conic"]) * c * c
+            q, root = cx * x * x + c * y * y, np.sqrt(1.0 - a * x * x - b * y * y)
+            z, more = q / (1.0 + root), q / (root * (1.0 + root) ** 2)
+            return z, 2.0 * cx * x / (1.0 + root) + a * x * more, 2.0 * c * y / (1.0 + root) + b * y * more
+        if surface["kind"] == TOROID:
+            f, rate = _curve(surface, y)
+            u = 1.0 - cx * f
+            root = np.sqrt(u * u - cx * cx * x * x)
+            z = np.where(u > 0.0, f + cx * x * x / (u + root), np.nan)
+            return z, cx * x / root, rate * u / root
+        r = np.hypot(x, y)
+        z, rate = _curve(surface, r)
+    radial = np.divide(rate, r, out=np.zeros_like(r), where=r > 0.0)
+    return z, radial * x, radial * y
+
+
+def normals(surface: Any, x: ArrayLike, y: ArrayLike) -> Array:
     """Return (n, 3) unit normals, towards +z, at the points (x, y) of the surface.
 
     Parameters
@@ -142,24 +248,24 @@ def normals(surface: Any, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
     surface : SURFACE record
     x, y : (n,) float64, mm
     """
-    x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    r = np.hypot(x, y)
-    tilt = slope(surface, r)
-    radial = np.divide(tilt, r, out=np.zeros_like(r), where=r > 0)
-    n = np.stack([-radial * x, -radial * y, np.ones_like(x)], axis=-1)
+    by_x, by_y = gradients(surface, x, y)
+    n = np.stack([-by_x, -by_y, np.ones_like(by_x)], axis=-1)
     return np.asarray(n / np.linalg.norm(n, axis=-1, keepdims=True))
 
 
 def reach(surface: Any) -> float:
-    """Return the largest radius at which the surface exists, mm; inf when it has no rim of its own."""
-    c, k = surface["curvature"], surface["conic"]
-    own = float(1.0 / (abs(c) * np.sqrt(1.0 + k))) if c != 0.0 and k > -1.0 else np.inf
-    return min(own, float(surface["end"]))
+    """Return the largest radius within which the surface exists everywhere, mm; inf when it has no rim of its own."""
+    own = 0.0
+    if surface["curvature"] != 0.0:
+        own = max(own, float((1.0 + surface["conic"]) * surface["curvature"] ** 2))
+    if surface["kind"] == BICONIC:
+        own = max(own, float((1.0 + surface["conic_x"]) * surface["curvature_x"] ** 2))
+    return min(float(1.0 / np.sqrt(own)) if own > 0.0 else np.inf, float(surface["end"]))
 
 
 @kernel
 def sag_at(s: Any, r2: float) -> float:
-    """Return the sag at squared radius r² (scalar; NaN where the surface does not reach)."""
+    """Return the sag of a conic with even terms at squared radius r² (scalar; NaN where the surface does not reach)."""
     c = s.curvature
     z = c * r2 / (1.0 + np.sqrt(1.0 - (1.0 + s.conic) * c * c * r2))
     power = r2
@@ -171,7 +277,7 @@ def sag_at(s: Any, r2: float) -> float:
 
 @kernel
 def half_slope_at(s: Any, r2: float) -> float:
-    """Return dz/d(r²), which the axis does not trouble: the gradient of the sag is twice this times (x, y)."""
+    """Return dz/d(r²) of a conic with even terms: twice this times (x, y) is the gradient, on the axis too."""
     c = s.curvature
     slope = 0.5 * c / np.sqrt(1.0 - (1.0 + s.conic) * c * c * r2)
     power = r2
@@ -179,6 +285,72 @@ def half_slope_at(s: Any, r2: float) -> float:
         slope += (i + 2) * s.asphere[i] * power
         power *= r2
     return slope
+
+
+@kernel
+def form_at(s: Any, x: float, y: float) -> tuple[float, float, float]:
+    """Return z, dz/dx and dz/dy of a surface of any kind; beyond its end, of how it goes on.
+
+    Parameters
+    ----------
+    s : SURFACE record
+    x, y : float, mm
+    """
+    if s.kind == BICONIC:
+        return _biconic_at(s.curvature_x, s.conic_x, s.curvature, s.conic, x, y)
+    if s.kind == TOROID:
+        return _toroid_at(s, x, y)
+    r2 = x * x + y * y
+    z, g = _even_curve_at(s, r2)
+    r = np.sqrt(r2)
+    for i in range(s.odd_terms):
+        g += (2 * i + 3) * s.odd[i] * r
+        r *= r2
+        z += s.odd[i] * r
+    return z, g * x, g * y
+
+
+@kernel
+def _even_curve_at(s: Any, r2: float) -> tuple[float, float]:
+    """Return z at squared radius r² and its derivative by r over r, by the conic and the even terms."""
+    c = s.curvature
+    root2 = 1.0 - (1.0 + s.conic) * c * c * r2
+    root = np.sqrt(root2) if root2 > 0.0 else 0.0
+    z, g = c * r2 / (1.0 + root), (c / root if root2 > 0.0 else 2.0 * c)
+    power = r2
+    for i in range(s.terms):
+        g += (2 * i + 4) * s.asphere[i] * power
+        power *= r2
+        z += s.asphere[i] * power
+    return z, g
+
+
+@kernel
+def _biconic_at(cx: float, kx: float, cy: float, ky: float, x: float, y: float) -> tuple[float, float, float]:
+    """Return z, dz/dx and dz/dy of a biconic: (cx x² + cy y²) / (1 + √(1 − (1 + kx) cx² x² − (1 + ky) cy² y²))."""
+    a, b = (1.0 + kx) * cx * cx, (1.0 + ky) * cy * cy
+    q, root2 = cx * x * x + cy * y * y, 1.0 - a * x * x - b * y * y
+    if not root2 > 0.0:
+        return q, 2.0 * cx * x, 2.0 * cy * y
+    root = np.sqrt(root2)
+    over = 1.0 / (1.0 + root)
+    z = q * over
+    more = z * over / root
+    return z, x * (2.0 * cx * over + a * more), y * (2.0 * cy * over + b * more)
+
+
+@kernel
+def _toroid_at(s: Any, x: float, y: float) -> tuple[float, float, float]:
+    """Return z, dz/dx and dz/dy of a toroid: with the curve f(y), c_x ((z − f)² + 2 f (z − f) + x²) = 2 (z − f)."""
+    f, g = _even_curve_at(s, y * y)
+    cx = s.curvature_x
+    u = 1.0 - cx * f
+    root2 = u * u - cx * cx * x * x
+    if u > 0.0 and root2 > 0.0:
+        root = np.sqrt(root2)
+        return f + cx * x * x / (u + root), cx * x / root, g * y * u / root
+    slope = np.copysign(1.0, cx * x)
+    return f + slope * x, slope, g * y
 
 
 @inlined
@@ -197,9 +369,12 @@ def normal_at(s: Any, x: float, y: float, z: float) -> tuple[float, float, float
         if s.conic == 0.0:
             # A sphere's is of unit length as it stands, to the rounding of the point.
             return nx, ny, nz
-    else:
+    elif s.kind == CONIC_AND_EVEN:
         g = 2.0 * half_slope_at(s, x * x + y * y)
         nx, ny, nz = -g * x, -g * y, 1.0
+    else:
+        _, gx, gy = form_at(s, x, y)
+        nx, ny, nz = -gx, -gy, 1.0
     scale = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz)
     return nx * scale, ny * scale, nz * scale
 
@@ -264,6 +439,8 @@ def distance_to(
 def _height(s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, t: float) -> float:
     """Return how far the ray's point at t stands above the surface, along z."""
     px, py = x + t * dx, y + t * dy
+    if s.kind != CONIC_AND_EVEN:
+        return z + t * dz - form_at(s, px, py)[0]
     return z + t * dz - sag_at(s, px * px + py * py)
 
 
@@ -271,6 +448,9 @@ def _height(s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: floa
 def _rate(s: Any, x: float, y: float, dx: float, dy: float, dz: float, t: float) -> float:
     """Return the derivative of `_height` by t."""
     px, py = x + t * dx, y + t * dy
+    if s.kind != CONIC_AND_EVEN:
+        _, gx, gy = form_at(s, px, py)
+        return dz - gx * dx - gy * dy
     return dz - 2.0 * half_slope_at(s, px * px + py * py) * (px * dx + py * dy)
 
 

@@ -1,4 +1,4 @@
-"""From exact surfaces of revolution to meshes: caps, the rings that close the space between two caps, solids.
+"""From exact surfaces to meshes: caps, the rings that close the space between two caps, solids.
 
 All caps of one lens have the same number of rings of triangles, so that the rims of neighbouring surfaces have the
 same number of vertices at the same azimuths and a ring joins them without a gap.
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array, Index, Mesh, facet_normals, joined
-from lfmesh.geometry.surface import in_place, normals, reach, sag, slope
+from lfmesh.geometry.surface import gradients, heights, in_place, is_revolved, normals, reach, sag, slope
 
 OVERREACH = 0.02
 """How far a mesh reaches beyond its clear aperture, relative; the aperture itself is cut in float64."""
@@ -26,6 +26,16 @@ MAX_RINGS = 120
 
 AZIMUTHS = 96
 """Points on a circle of a surface at which its gap to another is measured that stands askew to it."""
+
+QUARTER = 25
+"""Azimuths of a quarter turn by which a biconic or toroid is judged, which is symmetric about x and y."""
+
+QUADRATIC = 4.0 / 3.0
+"""Largest deviation of a triangle from a quadratic surface over its deviation at the middles of its edges: that of an
+equilateral one from a paraboloid, whose middle lies as far off as a circle's that goes round it."""
+
+HIGHER_ORDERS = 1.25
+"""Factor on that for what a surface has beyond quadratic terms within a facet."""
 
 ANNULUS_LEAN = 0.05
 """Rise of a ring's annulus over the length of its cylinder."""
@@ -81,6 +91,40 @@ def mesh_sag(surface: Any, r: ArrayLike) -> Array:
     return sag(surface, np.minimum(r, last_radius(surface)))
 
 
+def mesh_heights(surface: Any, x: ArrayLike, y: ArrayLike, most: float = np.inf) -> Array:
+    """Return z above the vertex that a mesh has at points (x, y) of one shape: beyond the end, that of its end.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    x, y : float64, mm
+    most : float, mm
+        Radius beyond which z is that of this radius.
+    """
+    x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    r, most = np.hypot(x, y), min(most, last_radius(surface))
+    if is_revolved(surface):
+        return sag(surface, np.minimum(r, most))
+    inside = np.minimum(1.0, np.divide(most, r, out=np.ones_like(r), where=r > 0.0))
+    return heights(surface, inside * x, inside * y)
+
+
+def steepness(surface: Any, r: ArrayLike) -> Array:
+    """Return the largest slope that a surface has at radii (n,), at any azimuth.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    r : (n,) float64, mm
+    """
+    r = np.asarray(r, dtype=np.float64)
+    if is_revolved(surface):
+        return np.abs(slope(surface, r))
+    phi = np.linspace(0.0, 0.5 * np.pi, QUARTER)
+    by_x, by_y = gradients(surface, np.multiply.outer(r, np.cos(phi)), np.multiply.outer(r, np.sin(phi)))
+    return np.asarray(np.hypot(by_x, by_y).max(axis=-1))
+
+
 def ring_radii(surface: Any, rings: int, rim: float) -> Array:
     """Return (rings + 1,) radii equally spaced along the meridian's arc, so that steep rims get their share.
 
@@ -92,7 +136,12 @@ def ring_radii(surface: Any, rings: int, rim: float) -> Array:
     """
     # Sampled in the angle of a quarter turn, whose points crowd at the rim, where a hemisphere's slope runs away.
     fine = min(rim, last_radius(surface)) * np.sin(np.linspace(0.0, 0.5 * np.pi, 2049))
-    arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(fine), np.diff(sag(surface, fine))))])
+    if is_revolved(surface):
+        rise = np.diff(sag(surface, fine))
+    else:
+        phi = np.linspace(0.0, 0.5 * np.pi, QUARTER)[:, None]
+        rise = np.abs(np.diff(heights(surface, np.cos(phi) * fine, np.sin(phi) * fine))).max(axis=0)
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(fine), rise))])
     radii = np.interp(np.linspace(0.0, arc[-1], rings + 1), arc, fine)
     radii[-1] = rim
     return radii
@@ -123,7 +172,8 @@ def disk_mesh(surface: Any, r: Array, azimuth: Array, faces: Index) -> Mesh:
         Facing +z.
     """
     x, y = r * np.cos(azimuth), r * np.sin(azimuth)
-    vertices = np.column_stack([x, y, mesh_sag(surface, r) + surface["vertex_z"]])
+    z = mesh_sag(surface, r) if is_revolved(surface) else mesh_heights(surface, x, y)
+    vertices = np.column_stack([x, y, z + surface["vertex_z"]])
     inside = np.minimum(1.0, np.divide(last_radius(surface), r, out=np.ones_like(r), where=r > 0.0))
     return Mesh(vertices, faces, normals(surface, inside * x, inside * y)[faces])
 
@@ -208,6 +258,8 @@ def chord_error(surface: Any, rings: int, rim: float) -> float:
     rings : int
     rim : float, mm
     """
+    if not is_revolved(surface):
+        return _facet_error(surface, cap(surface, rings, rim))
     r = ring_radii(surface, rings, rim)
     middle = 0.5 * (r[1:] + r[:-1])
     z = mesh_sag(surface, r)
@@ -218,6 +270,18 @@ def chord_error(surface: Any, rings: int, rim: float) -> float:
         np.abs(slope(surface, np.minimum(r[1:], 0.999 * reach(surface)))) * r[1:] * (1 - np.cos(np.pi / (6 * i)))
     ).max()
     return float(radial + around)
+
+
+def _facet_error(surface: Any, mesh: Mesh) -> float:
+    """Return a bound of the distance along z between a surface and its mesh, mm, by the middles of all edges.
+
+    Of a quadratic surface a triangle is off the most on an edge, where the surface is a saddle there or the triangle
+    obtuse as its curvature sees it; else by up to `QUADRATIC` times that.
+    """
+    corners = mesh.vertices[mesh.faces]
+    middles = 0.5 * (corners + np.roll(corners, -1, axis=1))
+    off = middles[..., 2] - surface["vertex_z"] - mesh_heights(surface, middles[..., 0], middles[..., 1])
+    return float(QUADRATIC * HIGHER_ORDERS * np.abs(off).max())
 
 
 def rings_for(surfaces: NDArray[np.void], least: int, tolerance_mm: float = np.inf) -> int:
@@ -262,7 +326,7 @@ def end_where_they_touch(surfaces: NDArray[np.void], rings: int) -> None:
 
 
 def _gap_at(front: Any, back: Any, radius: float) -> float:
-    if not stand_together(front, back):
+    if not (stand_together(front, back) and is_revolved(front) and is_revolved(back)):
         return smallest_gap_on(front, back, np.array([radius]))
     return float(back["vertex_z"] + sag(back, radius) - front["vertex_z"] - sag(front, radius))
 
@@ -282,8 +346,12 @@ def on_circles(record: Any, r: Array, azimuths: int = AZIMUTHS) -> Array:
     azimuths : int
     """
     phi = 2 * np.pi * np.arange(azimuths) / azimuths
-    z = np.broadcast_to((record["vertex_z"] + mesh_sag(record, r))[:, None], (len(r), azimuths))
-    points = np.stack([np.multiply.outer(r, np.cos(phi)), np.multiply.outer(r, np.sin(phi)), z], axis=-1)
+    x, y = np.multiply.outer(r, np.cos(phi)), np.multiply.outer(r, np.sin(phi))
+    if is_revolved(record):
+        z = np.broadcast_to((record["vertex_z"] + mesh_sag(record, r))[:, None], x.shape)
+    else:
+        z = mesh_heights(record, x, y) + record["vertex_z"]
+    points = np.stack([x, y, z], axis=-1)
     return frame.points(record["pose"], points) if record["posed"] else points
 
 
@@ -297,11 +365,11 @@ def height_above(record: Any, points: Array) -> tuple[Array, Array]:
     """
     p = in_place(record, points)
     r = np.hypot(p[..., 0], p[..., 1])
-    return p[..., 2] - record["vertex_z"] - mesh_sag(record, r), r
+    return p[..., 2] - record["vertex_z"] - mesh_heights(record, p[..., 0], p[..., 1]), r
 
 
 def smallest_gap_on(front: Any, back: Any, r: Array) -> float:
-    """Return the smallest gap between two surfaces that poses have moved against each other, mm.
+    """Return the smallest gap between two surfaces, not both of revolution about one axis, mm.
 
     Parameters
     ----------

@@ -74,6 +74,8 @@ def _dispersive(lens: Lens, private: dict[Medium, str], notes: list[str]) -> lis
 
 def _qualified(number: int, surface: Surface, aperture_mm: float | None) -> list[str]:
     """Return what follows the line of a surface."""
+    if any(surface.odd_asphere_mm):
+        raise SceneError(f"surfaces[{number}].odd_asphere_mm: not written to CODE V files; write .zmx")
     if len(surface.terms_mm) > len(COEFFICIENTS):
         key = surface.terms_key
         raise SceneError(f"surfaces[{number}].{key}: CODE V's asphere has {len(COEFFICIENTS)} terms from r⁴")

@@ -7,7 +7,7 @@ a size open.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 from lfmesh.errors import GlassError, SceneError
@@ -16,6 +16,7 @@ from lfmesh.imports.report import Report, Verdict
 from lfmesh.optics.glass import AIR, D_LINE_NM, glass_name, refractive_index
 from lfmesh.scene.lens import Lens, Surface
 from lfmesh.scene.paraxial import Paraxial, Ray
+from lfmesh.scene.sections import AZIMUTHS
 
 MARGIN = 0.05
 """Share by which a clear aperture that follows from the fields is larger than the paraxial rays need."""
@@ -45,6 +46,12 @@ class FileSurface:
     conic: float = 0.0
     asphere: list[float] = field(default_factory=list)
     """Coefficients of r⁴, r⁶, ..."""
+    odd: list[float] = field(default_factory=list)
+    """Coefficients of r³, r⁵, ..."""
+    section: str | None = None
+    """"biconic" or "toroid", where the section x–z is another one: the other shape is that of y–z."""
+    curvature_x: float = 0.0
+    conic_x: float = 0.0
     aperture: float | None = None
     """Radius beyond which the file's program stops light."""
     extent: float | None = None
@@ -160,8 +167,10 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
     for i, (surface, medium) in enumerate(zip(made.kept, made.media, strict=True)):
         size = None if i == stop and f_number is not None else apertures[i]
         coefficients = [a * unit ** (-2 * j - 3) for j, a in enumerate(surface.asphere)]
-        while coefficients and coefficients[-1] == 0.0:
-            coefficients.pop()
+        odd = [a * unit ** (-2 * j - 2) for j, a in enumerate(surface.odd)]
+        for terms in (coefficients, odd):
+            while terms and terms[-1] == 0.0:
+                terms.pop()
         values: dict[str, object] = {
             "radius_mm": radii[i],
             "thickness_mm": made.gaps_mm[i] if i < len(made.gaps_mm) else None,
@@ -173,7 +182,11 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
             "focal_length_mm": None if surface.focal_length is None else surface.focal_length * unit,
             "conic": surface.conic,
             "asphere_mm": tuple(coefficients),
+            "odd_asphere_mm": tuple(odd),
         }
+        if surface.section is not None:
+            across: dict[str, float] = {"radius_x_mm": shortest_radius(surface.curvature_x / unit)}
+            values[surface.section] = across | ({"conic_x": surface.conic_x} if surface.section == "biconic" else {})
         surfaces.append({key: value for key, value in values.items() if value is not None})
     try:
         surfaces = _without_crossings(surfaces, made, report)
@@ -341,6 +354,10 @@ def _apertures_mm(
     unit = prescription.unit_mm
     given = [surface.aperture or surface.extent for surface in made.kept]
     needed = _needed_mm(prescription, made, paraxial, stop_mm)
+    if any(surface.section for surface in made.kept):
+        curvatures = tuple((s.curvature_x if s.section else s.curvature) / unit for s in made.kept)
+        across = _needed_mm(prescription, made, replace(paraxial, curvatures=curvatures), stop_mm)
+        needed = [max(sizes) for sizes in zip(needed, across, strict=True)]
     apertures, computed = [], []
     for i, (surface, size) in enumerate(zip(made.kept, given, strict=True)):
         if i == paraxial.stop:
@@ -348,9 +365,7 @@ def _apertures_mm(
         elif size:
             apertures.append(size * unit)
         else:
-            reach = abs(unit / surface.curvature) / math.sqrt(1 + surface.conic) if (
-                surface.curvature and surface.conic > -1
-            ) else math.inf  # fmt: skip
+            reach = unit * min(_reach(surface.curvature, surface.conic), _reach(surface.curvature_x, surface.conic_x))
             apertures.append(min(needed[i] * (1 + MARGIN), 0.999 * reach))
             computed.append(str(i))
     if computed:
@@ -359,6 +374,11 @@ def _apertures_mm(
             f"paraxial marginal and chief rays, with {MARGIN:.0%} to spare"
         )
     return apertures
+
+
+def _reach(curvature: float, conic: float) -> float:
+    """Return the height at which a conic ends."""
+    return 1.0 / abs(curvature) / math.sqrt(1 + conic) if curvature and conic > -1 else math.inf
 
 
 def _needed_mm(prescription: Prescription, made: _Made, paraxial: Paraxial, stop_mm: float) -> list[float]:
@@ -419,7 +439,9 @@ def _radius_of_contact(front: Surface, back: Surface, most: float) -> float:
     most = min(most, front.reach_mm, back.reach_mm)
     for k in range(1, 257):
         height = most * k / 256
-        if front.sag_mm(height) - back.sag_mm(height) > (front.thickness_mm or 0.0):
+        if max(a - b for a, b in zip(*(s.sags_mm(height, AZIMUTHS) for s in (front, back)), strict=True)) > (
+            front.thickness_mm or 0.0
+        ):
             return most * (k - 1) / 256
     return math.inf
 

@@ -22,6 +22,8 @@ def check_writable(lens: Lens, program: str) -> list[str]:
     for i, surface in enumerate(lens.surfaces):
         if surface.paraxial and program != ZEMAX:
             raise SceneError(f"surfaces[{i}].paraxial: a {program} file holds no thin lens; write .zmx")
+        if surface.section_key is not None and program != ZEMAX:
+            raise SceneError(f"surfaces[{i}].{surface.section_key}: not written to {program} files; write .zmx")
         if surface.refractor is not None or surface.mesh is not None:
             raise SceneError(f"surfaces[{i}]: a mesh cannot be written as a {program} surface")
     for i, element in enumerate(lens.elements):

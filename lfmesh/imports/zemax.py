@@ -36,14 +36,18 @@ _WITHOUT_EFFECT = command_names(
 """Names, settings of the program, solves whose present value stands in the line, coatings, drawing, mechanics."""
 
 _ASPHERES = ("EVENASPH", "ODDASPHE", "XASPHERE")
-"""Odd aspheres whose odd terms are all 0, and extended ones: terms of r over a radius of their own, in XDAT."""
+"""Even aspheres, odd ones, and extended even ones: terms of r over a radius of their own, in XDAT."""
+
+_SECTIONS = {"BICONICX": "biconic", "TOROIDAL": "toroid"}
+"""Surfaces with another section in x: parameter 1 is its radius, 0 that of a flat one, and of a biconic parameter 2
+its conic constant; a toroid has the coefficients of y², y⁴, ... from parameter 2 on."""
+
+_LAST_OF_TOROID = 8
+"""Parameter of a toroid's y¹⁴."""
 
 _REFUSED_TYPES = {
     "XODDASPH": "extended odd aspheres are not supported",
     "QED_TYPE": "Forbes (Q-type) aspheres are not read; a scene's surface has them as qcon and qbfs",
-    "TOROIDAL": "toroids are not supported",
-    "BICONICX": "biconic surfaces are not supported",
-    "BICONIC": "biconic surfaces are not supported",
     "XPOLYNOM": "surfaces without rotational symmetry are not supported",
     "SZERNSAG": "surfaces without rotational symmetry are not supported",
     "DGRATING": "gratings are not supported",
@@ -306,12 +310,15 @@ class _Reader:
         self.kind = words[0].upper()
         if self.kind in ("STANDARD", "COORDBRK", *_ASPHERES):
             self._taken()
+        elif self.kind in _SECTIONS:
+            self._surface.section = _SECTIONS[self.kind]
+            self._taken()
         elif self.kind == "PARAXIAL":
             self._surface.focal_length = math.nan
             self._taken("a thin lens")
         else:
             why = _REFUSED_TYPES.get(self.kind, f"surfaces of type {self.kind} are not supported")
-            self._refuse(f"{why}; STANDARD, {', '.join(_ASPHERES)} and PARAXIAL are")
+            self._refuse(f"{why}; STANDARD, {', '.join((*_ASPHERES, *_SECTIONS))} and PARAXIAL are")
 
     def _on_stop(self, _: list[str]) -> None:
         self._surface.stop = True
@@ -366,7 +373,15 @@ class _Reader:
             self._add_term(2 * place, value)
         elif self.kind == "ODDASPHE" and 1 <= place <= 8:
             self._add_term(place, value)
-        elif self.kind in _ASPHERES:
+        elif self.kind in _SECTIONS and place == 1:
+            self._surface.curvature_x = 1.0 / value
+            self._taken()
+        elif self.kind == "BICONICX" and place == 2:
+            self._surface.conic_x = value
+            self._taken()
+        elif self.kind == "TOROIDAL" and 2 <= place <= _LAST_OF_TOROID:
+            self._add_term(2 * place - 2, value)
+        elif self.kind in (*_ASPHERES, *_SECTIONS):
             self._refuse(f"parameter {place} of {self.kind} is unknown")
         elif self.kind == "COORDBRK":
             if place != 6:
@@ -382,22 +397,29 @@ class _Reader:
         """Let the sag have a term in a power of r."""
         if power == 2:
             self._refuse("a term in r² beside the curvature is not supported; put it into the curvature")
-        elif power % 2:
-            self._refuse(f"a term in r^{power}: odd aspheres are not supported")
+        elif power == 1:
+            self._refuse("a term in r makes a cone, which is not supported: it has no normal at its vertex")
         elif power > 2 * MOST_ASPHERE_TERMS + 2:
             self._refuse(f"a term in r^{power}: aspheres reach up to r^{2 * MOST_ASPHERE_TERMS + 2}")
         else:
-            asphere, place = self._surface.asphere, power // 2 - 2
-            asphere += [0.0] * (place + 1 - len(asphere))
-            asphere[place] = value
+            terms = self._surface.odd if power % 2 else self._surface.asphere
+            place = (power - 3) // 2
+            terms += [0.0] * (place + 1 - len(terms))
+            terms[place] = value
             self._taken()
 
     def _on_xdat(self, words: list[str]) -> None:
         if len(words) < 2 or not number(words[1]):
             return
         place, value = int(number(words[0])), number(words[1])
-        if self.kind != "XASPHERE":
-            if self.kind in ("STANDARD", "COORDBRK", "PARAXIAL", *_ASPHERES):
+        if self.kind == "TOROIDAL":
+            # The number of terms, and the radius that heights are counted in, come before the coefficients.
+            if place > 2:
+                self._refuse("Zernike terms of a toroid are not supported")
+            else:
+                self._taken()
+        elif self.kind != "XASPHERE":
+            if self.kind in ("STANDARD", "COORDBRK", "PARAXIAL", "BICONICX", *_ASPHERES):
                 self.report.add(self.at, self.text, Verdict.UNKNOWN)
         elif place == 1:
             self._taken()

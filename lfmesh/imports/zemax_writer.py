@@ -14,6 +14,12 @@ from lfmesh.scene.paraxial import Paraxial
 _MOST_TERMS = 7
 """Even aspheres have the powers r⁴ to r¹⁶; those of more terms are written as extended ones."""
 
+_MOST_OF_TOROID = 6
+"""A toroid has the powers y² to y¹⁴."""
+
+_LAST_ODD_POWER = 8
+"""Odd aspheres have the powers from r to this."""
+
 
 def written(lens: Lens) -> tuple[bytes, list[str]]:
     """Return a lens as the bytes of a `.zmx` file (UTF-16, as the program writes it), and what it does not hold.
@@ -65,7 +71,7 @@ def _surface(number: int, surface: Surface, aperture_mm: float | None) -> list[s
     if surface.focal_length_mm is not None and math.isfinite(surface.focal_length_mm):
         lines += ["  TYPE PARAXIAL", f"  PARM 1 {surface.focal_length_mm!r}"]
     else:
-        lines += _terms(surface.terms_mm)
+        lines += _shape(number, surface)
     lines.append(f"  CURV {curvature(surface.vertex_radius_mm)!r} 0 0 0 0")
     if isinstance(surface.glass, OwnGlass):
         if surface.glass.nd is None or surface.glass.air is not None:
@@ -95,6 +101,35 @@ def _terms(terms_mm: Sequence[float]) -> list[str]:
     # Heights are counted in units of 1 mm.
     extended = (len(with_square), 1.0, *with_square)
     return ["  TYPE XASPHERE", *(f"  XDAT {place} {value!r} 0 0" for place, value in enumerate(extended, 1))]
+
+
+def _shape(number: int, surface: Surface) -> list[str]:
+    """Return the type of a surface and its parameters."""
+    if surface.biconic is not None:
+        section = surface.biconic
+        return ["  TYPE BICONICX", f"  PARM 1 {_of_flat(section.radius_x_mm)!r}", f"  PARM 2 {section.conic_x!r}"]
+    if surface.toroid is not None:
+        if len(surface.terms_mm) > _MOST_OF_TOROID:
+            raise SceneError(f"surfaces[{number}].asphere_mm: Zemax's toroid has {_MOST_OF_TOROID} terms from y⁴")
+        terms = (_of_flat(surface.toroid.radius_x_mm), 0.0, *surface.terms_mm)
+        return ["  TYPE TOROIDAL", *(f"  PARM {place} {value!r}" for place, value in enumerate(terms, 1))]
+    return _odd_terms(number, surface) if any(surface.odd_asphere_mm) else _terms(surface.terms_mm)
+
+
+def _of_flat(radius_mm: float) -> float:
+    """Return a radius as a parameter, where 0 stands for a flat section."""
+    return 0.0 if math.isinf(radius_mm) else radius_mm
+
+
+def _odd_terms(number: int, surface: Surface) -> list[str]:
+    """Return the type of a surface with odd powers, and its coefficients by their powers."""
+    terms = sorted((power, a) for power, a in surface.powers_mm if a)
+    if terms[-1][0] > _LAST_ODD_POWER:
+        raise SceneError(
+            f"surfaces[{number}].odd_asphere_mm: Zemax's odd asphere has powers up to r^{_LAST_ODD_POWER}, even ones "
+            f"too, not r^{terms[-1][0]}"
+        )
+    return ["  TYPE ODDASPHE", *(f"  PARM {power} {a!r}" for power, a in terms)]
 
 
 def _makers(lens: Lens) -> list[str]:

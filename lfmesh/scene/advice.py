@@ -27,6 +27,7 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
     """Return the warnings of a solved scene, given its first-order facts."""
     return (
         *_focus(scene, facts),
+        *_sections(facts),
         *_apertures(scene),
         *_micro_images(scene, facts),
         *_diffraction(facts),
@@ -102,6 +103,24 @@ def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
         )
 
 
+def _sections(facts: "FirstOrder") -> Iterator[str]:
+    """Say that a lens has another power in x than in y, and what that makes of a point."""
+    if facts.efl_x_mm is None or facts.image_x_shift_mm is None:
+        return
+    if facts.efl_x_mm != facts.efl_mm:
+        yield (
+            f"the lens is anamorphic: its focal length is {facts.efl_mm:.5g} mm in y and {facts.efl_x_mm:.5g} mm in x; "
+            "first-order figures, and what decoding, refocusing and depth take from them, are those in y"
+        )
+    # The blur of a point in x, against the Airy disk, below which nobody sees it.
+    blur = abs(facts.image_x_shift_mm) / facts.working_f_number if facts.working_f_number else math.inf
+    if blur > facts.airy_disk_mm:
+        yield (
+            f"the lens is astigmatic: the plane in focus in y has its image in x {facts.image_x_shift_mm:+.4g} mm "
+            "behind the array or sensor"
+        )
+
+
 def _apertures(scene: Scene) -> Iterator[str]:
     """Compare the axial beam that the stop lets through with every clear aperture, by real rays."""
     camera, wavelength = scene.camera, scene.primary_nm
@@ -116,6 +135,10 @@ def _apertures(scene: Scene) -> Iterator[str]:
         # Coefficients beyond all bounds leave no real ray to be followed.
         with suppress(OverflowError, ValueError):
             heights = edge_of_stop_mm(camera.lens, wavelength, distance, marginal.height_mm)
+    if camera.lens.number_off_revolution is not None:
+        across = Paraxial.of(camera.lens, wavelength, section_x=True)
+        in_x = across.heights_mm(across.marginal_ray(distance, radius))
+        heights = [max(abs(y), abs(x)) for y, x in zip(heights, in_x, strict=False)]
     for number, height in enumerate(heights):
         clear = surfaces[number].semi_diameter_mm or math.inf
         if number != lens.stop and abs(height) > clear * (1 + 1e-6):

@@ -1,4 +1,4 @@
-"""The main lens: a list of rotationally symmetric surfaces, from the object to the sensor."""
+"""The main lens: a list of surfaces, from the object to the sensor."""
 
 import math
 from collections.abc import Iterator
@@ -30,6 +30,7 @@ from lfmesh.scene.quantities import (
     Whole,
 )
 from lfmesh.scene.refractor import MeshFace, Refractor
+from lfmesh.scene.sections import AZIMUTHS, Biconic, Toroid, biconic_sag_mm, curvature, toroid_reach_mm, toroid_sag_mm
 
 MOST_TILT_DEG = 45.0
 """Angle between the axis of a posed element and that of the lens, which a pose must stay below: light that comes along
@@ -38,8 +39,12 @@ the axis of the lens then still crosses the element's surfaces in their order.""
 STOP_SIZES = ("stop_semi_diameter_mm", "f_number", "epd_mm")
 """Keys that give the stop its size in place of the prescription."""
 
-# Sags of neighbouring surfaces are compared at this many heights.
+# Sags of neighbouring surfaces are compared at this many heights; at fewer where they are to be at many azimuths.
 _HEIGHTS = 256
+_HEIGHTS_ALL_ROUND = 64
+
+# Keys whose values are tables, too long for a message.
+_TABLES = ("mesh", "qcon", "qbfs", "biconic", "toroid")
 
 
 class Surface(Model):
@@ -69,12 +74,22 @@ class Surface(Model):
     """Conic constant: 0 sphere, −1 paraboloid, below −1 hyperboloid, above −1 ellipsoid."""
     asphere_mm: tuple[Coefficient, ...] = Field(default=(), max_length=MOST_ASPHERE_TERMS)
     """Even aspheric coefficients of r⁴, r⁶, r⁸, ..., in mm⁻³, mm⁻⁵, mm⁻⁷, ..., so that the sag is in mm."""
+    odd_asphere_mm: tuple[Coefficient, ...] = Field(default=(), max_length=MOST_ASPHERE_TERMS)
+    """Odd aspheric coefficients of r³, r⁵, r⁷, ..., in mm⁻², mm⁻⁴, mm⁻⁶, ..., beside the even ones. None of r: that
+    would be a cone, without a normal at the vertex."""
     qcon: Qcon | None = None
     """Forbes' strong asphere in place of, or beside, `asphere_mm`, such as
     { norm_radius_mm = 5.0, coefficients_mm = [0.1, -0.02] }."""
     qbfs: Qbfs | None = None
     """Forbes' mild asphere, with the same keys, without `conic`, `asphere_mm` and `qcon`: a deviation along the normal
     of the sphere of `radius_mm`, which is then the best-fit sphere; at the vertex the surface has another radius."""
+
+    biconic: Biconic | None = None
+    """Another section in x: `radius_mm` and `conic` are then those of the section y–z, and this gives those of the
+    section x–z, such as { radius_x_mm = 40.0, conic_x = -1.0 }."""
+    toroid: Toroid | None = None
+    """A circle in x: the curve of `radius_mm`, `conic` and `asphere_mm` (of y⁴, y⁶, ...) in the section y–z turns about
+    a line parallel to y, such as { radius_x_mm = 40.0 }; inf shifts it along x, a cylinder."""
 
     paraxial: Flag = False
     """An ideal thin lens in place of an interface: flat, in air, without reflections. It needs `focal_length_mm`."""
@@ -137,20 +152,75 @@ class Surface(Model):
         return 0.0 if self.focal_length_mm is None else 1.0 / self.focal_length_mm
 
     @property
+    def curvature_x_per_mm(self) -> float:
+        """Curvature at the vertex in the section x–z."""
+        section = self.biconic or self.toroid
+        return self.curvature_per_mm if section is None else curvature(section.radius_x_mm)
+
+    @property
+    def section_key(self) -> str | None:
+        """Name of the key that makes the section x–z another one; None: the surface is one of revolution."""
+        return "biconic" if self.biconic is not None else "toroid" if self.toroid is not None else None
+
+    @property
     def reach_mm(self) -> float:
-        """Height at which the conic turns back and ends; inf where it never does."""
-        conic = self.vertex_conic
-        return abs(self.vertex_radius_mm) / math.sqrt(1 + conic) if conic > -1 else math.inf
+        """Height up to which the surface exists at every azimuth; inf where it never ends."""
+        if self.toroid is not None:
+            return _toroid_reach_mm(self)
+        reach = _reach_of_conic_mm(self.vertex_radius_mm, self.vertex_conic)
+        if self.biconic is not None:
+            return min(reach, _reach_of_conic_mm(self.biconic.radius_x_mm, self.biconic.conic_x))
+        return reach
+
+    def sags_mm(self, height_mm: float, azimuths: int = 1) -> tuple[float, ...]:
+        """Return z above the vertex plane at a height from the axis, at so many azimuths from the y axis to the x axis.
+
+        One is enough for a surface of revolution; a biconic or toroid is symmetric about both axes.
+
+        Parameters
+        ----------
+        height_mm : float, mm
+        azimuths : int
+        """
+        if self.section_key is None:
+            return (self.sag_mm(height_mm),) * azimuths
+        turns = [0.5 * math.pi * k / max(1, azimuths - 1) for k in range(azimuths)]
+        return tuple(self.sag_at_mm(height_mm * math.sin(turn), height_mm * math.cos(turn)) for turn in turns)
+
+    def sag_at_mm(self, x_mm: float, y_mm: float) -> float:
+        """Return z of the surface above its vertex plane at a point, all in mm.
+
+        Parameters
+        ----------
+        x_mm, y_mm : float
+        """
+        if self.biconic is not None:
+            section = self.biconic
+            return biconic_sag_mm(
+                self.curvature_x_per_mm, section.conic_x, self.curvature_per_mm, self.conic, x_mm, y_mm
+            )
+        if self.toroid is not None:
+            return toroid_sag_mm(self.curvature_x_per_mm, self.sag_mm(y_mm), x_mm)
+        return self.sag_mm(math.hypot(x_mm, y_mm))
 
     def sag_mm(self, height_mm: float) -> float:
         """Return z of the surface above its vertex plane, at a height from the axis, both in mm.
 
-        The standard form of ISO 10110-12: c r² / (1 + √(1 − (1 + k) c² r²)) + Σ A_j r^(2j+4), with `terms_mm`.
+        Of a biconic or toroid it is that of the section y–z.
+
+        The standard form of ISO 10110-12: c r² / (1 + √(1 − (1 + k) c² r²)) + Σ A_j r^(2j+4) + Σ B_j r^(2j+3), with
+        `terms_mm` and `odd_asphere_mm`.
         """
         c, r2 = self.curvature_per_mm, height_mm * height_mm
         root = math.sqrt(max(0.0, 1 - (1 + self.vertex_conic) * c * c * r2))
-        terms = (_term_mm(a, height_mm, 2 * j + 4) for j, a in enumerate(self.terms_mm))
+        terms = (_term_mm(a, abs(height_mm), power) for power, a in self.powers_mm)
         return c * r2 / (1 + root) + sum(terms)
+
+    @property
+    def powers_mm(self) -> tuple[tuple[int, float], ...]:
+        """Each power of r that is added to the conic, with its coefficient."""
+        even = ((2 * j + 4, a) for j, a in enumerate(self.terms_mm))
+        return (*even, *((2 * j + 3, a) for j, a in enumerate(self.odd_asphere_mm)))
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong with this surface by itself."""
@@ -161,21 +231,27 @@ class Surface(Model):
             yield from self._thin_lens_faults()
         elif self.qbfs is not None:
             yield from self._qbfs_faults(self.qbfs)
+        if self.section_key is not None:
+            yield from self._section_faults(self.section_key)
         if self.semi_diameter_mm is not None and self.semi_diameter_mm > self.reach_mm * (1 + 1e-12):
             yield Fault(
                 ("semi_diameter_mm",),
                 self.semi_diameter_mm,
-                f"with radius_mm = {self.radius_mm:g} and conic = {self.conic:g} the surface ends "
-                f"{self.reach_mm:.6g} mm from the axis; give {at_most(self.reach_mm)} at most",
+                f"with {self._shape_in_words()} the surface ends {self.reach_mm:.6g} mm from the axis; give "
+                f"{at_most(self.reach_mm)} at most",
             )
-        for j, coefficient in enumerate(self.asphere_mm if self.semi_diameter_mm is not None else ()):
-            sag = abs(_term_mm(coefficient, self.semi_diameter_mm or 0.0, 2 * j + 4))
-            if not sag <= LARGEST:
-                yield Fault(
-                    ("asphere_mm", j),
-                    coefficient,
-                    f"times r^{2 * j + 4} this makes a sag of more than {LARGEST:g} mm inside the clear aperture",
-                )
+        for key, coefficients, lowest in (
+            ("asphere_mm", self.asphere_mm, 4),
+            ("odd_asphere_mm", self.odd_asphere_mm, 3),
+        ):
+            for j, coefficient in enumerate(coefficients if self.semi_diameter_mm is not None else ()):
+                power = lowest + 2 * j
+                if not abs(_term_mm(coefficient, self.semi_diameter_mm or 0.0, power)) <= LARGEST:
+                    yield Fault(
+                        (key, j),
+                        coefficient,
+                        f"times r^{power} this makes a sag of more than {LARGEST:g} mm inside the clear aperture",
+                    )
         if self.qcon is not None and not self._rim_mm() <= LARGEST:
             yield Fault(("qcon",), None, f"makes a sag of more than {LARGEST:g} mm inside the clear aperture")
         elif self.qcon is not None and not within_floats(self.qcon.asphere_mm, self.qcon.norm_radius_mm):
@@ -187,7 +263,8 @@ class Surface(Model):
     def _qbfs_faults(self, qbfs: Qbfs) -> Iterator[Fault]:
         """Yield what Forbes' mild asphere does not go with, and why it has no even form."""
         rho, omit = qbfs.norm_radius_mm, "omit it: qbfs deviates from a sphere, by all its terms"
-        for key, value in {"conic": self.conic, "asphere_mm": self.asphere_mm}.items():
+        own = {"conic": self.conic, "asphere_mm": self.asphere_mm, "odd_asphere_mm": self.odd_asphere_mm}
+        for key, value in own.items():
             if value:
                 yield Fault((key,), value, omit)
         if self.qcon is not None:
@@ -210,6 +287,25 @@ class Surface(Model):
                 "is the limit; give a longer radius, fewer or smaller coefficients",
             )  # fmt: skip
 
+    def _shape_in_words(self) -> str:
+        """Return the keys that say where the surface ends, with their values."""
+        y = f"radius_mm = {self.radius_mm:g} and conic = {self.conic:g}"
+        if self.biconic is not None:
+            return f"{y}, radius_x_mm = {self.biconic.radius_x_mm:g} and conic_x = {self.biconic.conic_x:g}"
+        return y if self.toroid is None else f"{y}, radius_x_mm = {self.toroid.radius_x_mm:g}"
+
+    def _section_faults(self, key: str) -> Iterator[Fault]:
+        """Yield what another section in x does not go with."""
+        if self.biconic is not None and self.toroid is not None:
+            yield Fault(("toroid",), None, "biconic is given too; give one of them")
+        evens = {"asphere_mm": self.asphere_mm} if key == "biconic" else {}
+        for name, value in {**evens, "odd_asphere_mm": self.odd_asphere_mm}.items():
+            if value:
+                yield Fault((name,), value, f"omit it: a {key} has no such terms")
+        for name in ("qcon", "qbfs", "mesh"):
+            if getattr(self, name) is not None:
+                yield Fault((name,), None, f"omit it: it does not go with a {key}")
+
     def _rim_mm(self) -> float:
         """Return how far Forbes' terms move the rim of the clear aperture, or of their own."""
         at = self.semi_diameter_mm or (self.qcon.norm_radius_mm if self.qcon is not None else 0.0)
@@ -223,20 +319,21 @@ class Surface(Model):
         if self.focal_length_mm is None:
             yield Fault(("focal_length_mm",), None, "missing: the focal length of the thin lens")
         own = {"radius_mm": math.inf, "index": None, "glass": None, "conic": 0.0, "asphere_mm": (), "qcon": None}
-        own |= {"qbfs": None}
+        own |= {"qbfs": None, "odd_asphere_mm": (), "biconic": None, "toroid": None}
         for key, value in {**own, "mesh": None, "coating": UNCOATED, "finish": POLISHED}.items():
             given = getattr(self, key)
             if given != value:
-                shown = given.kind if key == "finish" else None if key in ("mesh", "qcon", "qbfs") else given
+                shown = given.kind if key == "finish" else None if key in _TABLES else given
                 yield Fault((key,), shown, "omit it: a paraxial surface is a flat thin lens in air")
 
     def _element_faults(self) -> Iterator[Fault]:
         own = {"radius_mm": math.inf, "index": None, "glass": None, "stop": False, "conic": 0.0, "asphere_mm": ()}
-        own |= {"qcon": None, "qbfs": None, "paraxial": False, "focal_length_mm": None}
+        own |= {"qcon": None, "qbfs": None, "odd_asphere_mm": (), "paraxial": False, "focal_length_mm": None}
+        own |= {"biconic": None, "toroid": None}
         for key, value in {**own, "coating": UNCOATED, "finish": POLISHED, "mesh": None}.items():
             if getattr(self, key) != value:
                 beside = f"; the refractor has a {key} of its own" if key in ("coating", "finish") else ""
-                shown = None if key in ("qcon", "qbfs") else getattr(self, key)
+                shown = None if key in _TABLES else getattr(self, key)
                 yield Fault((key,), shown, f"omit it: the refractor is a whole element{beside}")
         if self.refractor is not None and self.refractor.box_mm is not None:
             yield Fault(("refractor", "box_mm"), self.refractor.box_mm, "only in front of the camera; give file")
@@ -260,13 +357,34 @@ def _thickness_to_touch(front: Surface, back: Surface, apertures_mm: tuple[float
     """
     radius = min(*apertures_mm, front.reach_mm, back.reach_mm)
     given = front.thickness_mm or 0.0
-    if not front.terms_mm and not back.terms_mm:
+    if front.section_key is not None or back.section_key is not None:
+        heights = [radius * k / _HEIGHTS_ALL_ROUND for k in range(_HEIGHTS_ALL_ROUND + 1)]
+        return max((-_gap_round_mm(front, back, h), h) for h in heights)
+    if not front.powers_mm and not back.powers_mm:
         # A conic rises or falls all the way to its rim: between these bounds nothing can cross.
         highest, lowest = max(0.0, front.sag_mm(radius)), min(0.0, back.sag_mm(radius))
         if highest - lowest <= given:
             return given, 0.0
     heights = [radius * k / _HEIGHTS for k in range(_HEIGHTS + 1)]
     return max((front.sag_mm(h) - back.sag_mm(h), h) for h in heights)
+
+
+def _gap_round_mm(front: Surface, back: Surface, height_mm: float) -> float:
+    """Return the smallest difference of sags, back less front, at a height, over the azimuths that tell."""
+    around = 1 if front.section_key is None and back.section_key is None else AZIMUTHS
+    sags = zip(front.sags_mm(height_mm, around), back.sags_mm(height_mm, around), strict=True)
+    return min(of_back - of_front for of_front, of_back in sags)
+
+
+def _reach_of_conic_mm(radius_mm: float, conic: float) -> float:
+    """Return the height at which a conic turns back and ends."""
+    return abs(radius_mm) / math.sqrt(1 + conic) if conic > -1 else math.inf
+
+
+@lru_cache(maxsize=256)
+def _toroid_reach_mm(surface: Surface) -> float:
+    most = _reach_of_conic_mm(surface.vertex_radius_mm, surface.vertex_conic)
+    return toroid_reach_mm(surface.curvature_x_per_mm, surface.sag_mm, most)
 
 
 def _term_mm(coefficient: float, height_mm: float, power: int) -> float:
@@ -348,7 +466,8 @@ class Lens(Model):
         """Return whether surface `number` only stops light: marked, flat, the same medium on both sides."""
         surface = self.surfaces[number]
         before = self.surfaces[number - 1].medium if number else None
-        bare = surface.curvature_per_mm == 0 and not any(surface.terms_mm)
+        bare = surface.curvature_per_mm == surface.curvature_x_per_mm == 0
+        bare = bare and not any(a for _, a in surface.powers_mm)
         return surface.stop and bare and not surface.paraxial and before == surface.medium
 
     def aperture_mm(self, number: int) -> float | None:
@@ -459,10 +578,18 @@ class Lens(Model):
                 "omit it at the last surface: mla.distance_mm or sensor.distance_mm gives what follows",
             )
 
+    @property
+    def number_off_revolution(self) -> int | None:
+        """The first surface with another section in x than in y; None where all are surfaces of revolution."""
+        return next((i for i, surface in enumerate(self.surfaces) if surface.section_key is not None), None)
+
     def gap_mm(self, number: int, height_mm: float) -> float:
-        """Return the distance along z from surface `number` to the next at a height from the axis, in mm."""
+        """Return the distance along z from surface `number` to the next at a height from the axis, in mm.
+
+        The smallest over all azimuths.
+        """
         front, back = self.surfaces[number], self.surfaces[number + 1]
-        return (front.thickness_mm or 0.0) + back.sag_mm(height_mm) - front.sag_mm(height_mm)
+        return (front.thickness_mm or 0.0) + _gap_round_mm(front, back, height_mm)
 
     def _crossing(self, number: int) -> Iterator[Fault]:
         """Compare the sags of a surface and the next over the aperture they share."""

@@ -114,5 +114,5 @@ def _slope(surface: Surface, height: float) -> float:
     """Return the derivative of the sag."""
     c = surface.curvature_per_mm
     root = math.sqrt(max(1e-300, 1 - (1 + surface.vertex_conic) * c * c * height * height))
-    terms = ((2 * j + 4) * a * height ** (2 * j + 3) for j, a in enumerate(surface.terms_mm))
-    return c * height / root + sum(terms)
+    terms = (power * a * abs(height) ** (power - 1) for power, a in surface.powers_mm)
+    return c * height / root + math.copysign(1.0, height) * sum(terms)

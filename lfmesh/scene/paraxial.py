@@ -76,10 +76,20 @@ class Paraxial:
     thin_powers: tuple[float, ...] = ()
 
     @classmethod
-    def of(cls, lens: Lens, wavelength_nm: float) -> "Paraxial":
-        """Read a prescription; without a marked stop, the first surface counts as the stop."""
+    def of(cls, lens: Lens, wavelength_nm: float, *, section_x: bool = False) -> "Paraxial":
+        """Read a prescription; without a marked stop, the first surface counts as the stop.
+
+        Parameters
+        ----------
+        lens : Lens
+        wavelength_nm : float
+        section_x : bool
+            In the section x–z, which only biconics and toroids make another one, in place of y–z.
+        """
         return cls(
-            curvatures=tuple(surface.curvature_per_mm for surface in lens.surfaces),
+            curvatures=tuple(
+                surface.curvature_x_per_mm if section_x else surface.curvature_per_mm for surface in lens.surfaces
+            ),
             gaps_mm=tuple(surface.thickness_mm or 0.0 for surface in lens.surfaces[:-1]),
             indices=(AIR, *(refractive_index(surface.medium, wavelength_nm) for surface in lens.surfaces)),
             stop=lens.stop_index or 0,

@@ -96,6 +96,11 @@ class FirstOrder(Shown):
     stays where the scene puts it; the other figures are those behind the cover."""
     by_wavelength: tuple[AtWavelength, ...] = ()
     """The lens at each wavelength or band, if there are several."""
+    efl_x_mm: float | None = None
+    """Effective focal length in the section x–z, where a biconic or toroid makes it another than in y–z, for which all
+    other figures are."""
+    image_x_shift_mm: float | None = None
+    """How far behind the image plane the section x–z has the image of the plane in focus."""
     poses: tuple[str, ...] = ()
     """Lens elements with a pose, a line each; every figure of this report is that of the lens without them."""
     warnings: tuple[str, ...] = ()
@@ -162,6 +167,10 @@ class FirstOrder(Shown):
             )
             for at in self.by_wavelength
         ]
+        if self.efl_x_mm is not None and self.image_x_shift_mm is not None:
+            shift = f"image {1e3 * self.image_x_shift_mm:+.4g} µm"
+            rows.append(("section x–z", f"effective focal length {_mm(self.efl_x_mm)}, {shift}"))
+            rows.append(("", "the figures above are those of the section y–z"))
         rows += [("posed element", text) for text in self.poses]
         if self.poses:
             rows.append(("", "the figures above are those of the lens without poses"))
@@ -269,6 +278,9 @@ def report_of_solved(scene: Scene) -> FirstOrder:
         by_wavelength=tuple(_by_wavelength(scene, lens, distance)),
         poses=tuple(_pose_lines(camera)),
     )
+    if camera.lens.number_off_revolution is not None:
+        across = Paraxial.of(camera.lens, wavelength, section_x=True)
+        facts = replace(facts, efl_x_mm=across.efl_mm, image_x_shift_mm=across.image_mm(distance) - image)
     return replace(facts, warnings=warnings(scene, facts))
 
 

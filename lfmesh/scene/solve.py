@@ -258,19 +258,15 @@ def _with_apertures(camera: Camera, wavelength_nm: float) -> Lens:
     omitted = [i for i, s in enumerate(lens.surfaces) if s.semi_diameter_mm is None and s.refractor is None]
     if not omitted:
         return lens
-    paraxial = Paraxial.of(lens, wavelength_nm)
     image = image_plane_mm(camera, wavelength_nm)
-    radius = lens.surfaces[paraxial.stop].semi_diameter_mm or math.nan
-    marginal = paraxial.heights_mm(paraxial.marginal_ray(paraxial.object_mm(image), radius))
-    behind = paraxial.from_stop(Ray(0.0, 1.0))
-    width, height = camera.sensor.size_mm
-    if camera.mla is not None:
-        width, height = min(width, camera.mla.size_mm[0]), min(height, camera.mla.size_mm[1])
-    slope = quotient(0.5 * math.hypot(width, height), abs(behind.height_mm + image * behind.angle))
-    chief = paraxial.heights_mm(Ray(-slope * paraxial.to_stop.b, slope * paraxial.to_stop.a))
+    object_mm = Paraxial.of(lens, wavelength_nm).object_mm(image)
+    sections = (False,) if lens.number_off_revolution is None else (False, True)
+    beams = [
+        _beam_mm(camera, Paraxial.of(lens, wavelength_nm, section_x=section), object_mm, image) for section in sections
+    ]
     for i in omitted:
         surface = lens.surfaces[i]
-        wished = (1 + SPARE) * (abs(marginal[i]) + abs(chief[i]))
+        wished = (1 + SPARE) * max(beam[i] for beam in beams)
         if not SMALLEST <= wished <= LARGEST:
             raise SceneError(
                 f"camera.lens.surfaces[{i}].semi_diameter_mm: missing, and the beams that it would have to pass are "
@@ -282,6 +278,20 @@ def _with_apertures(camera: Camera, wavelength_nm: float) -> Lens:
                 wished = min(wished, _room_mm(lens, k, wished))
         lens = _changed(lens, surfaces=_with_surface(lens, i, semi_diameter_mm=wished))
     return lens
+
+
+def _beam_mm(camera: Camera, paraxial: Paraxial, object_mm: float, image: float) -> list[float]:
+    """Return the height up to which the beams of the whole picture fill each surface, by paraxial rays."""
+    lens = camera.lens
+    radius = lens.surfaces[paraxial.stop].semi_diameter_mm or math.nan
+    marginal = paraxial.heights_mm(paraxial.marginal_ray(object_mm, radius))
+    behind = paraxial.from_stop(Ray(0.0, 1.0))
+    width, height = camera.sensor.size_mm
+    if camera.mla is not None:
+        width, height = min(width, camera.mla.size_mm[0]), min(height, camera.mla.size_mm[1])
+    slope = quotient(0.5 * math.hypot(width, height), abs(behind.height_mm + image * behind.angle))
+    chief = paraxial.heights_mm(Ray(-slope * paraxial.to_stop.b, slope * paraxial.to_stop.a))
+    return [abs(beam) + abs(axis) for beam, axis in zip(marginal, chief, strict=True)]
 
 
 def _room_mm(lens: Lens, number: int, widest_mm: float) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
+from lfmesh.geometry.surface import is_revolved
 from lfmesh.geometry.tessellation import on_circles
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
@@ -68,7 +69,7 @@ def _refuse_in_lens(what: str, lens: LensTables, corners: Array) -> None:
     # A body smaller than a concave last surface may reach into the hollow of that surface.
     beyond_rim = np.hypot(corners[:, 0], corners[:, 1]).max() >= last["aperture"]
     end = last["vertex_z"]
-    if last["posed"]:
+    if last["posed"] or not is_revolved(last):
         circles = on_circles(last, np.linspace(0.0, float(last["aperture"]), CIRCLES)).reshape(-1, 3)
         across = np.hypot(circles[:, 0], circles[:, 1]) <= np.hypot(corners[:, 0], corners[:, 1]).max()
         end = circles[across, 2].max(initial=-np.inf)

@@ -13,7 +13,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame
 from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.surface import in_place
-from lfmesh.geometry.tessellation import mesh_sag
+from lfmesh.geometry.tessellation import mesh_heights
 from lfmesh.notebook import Shown
 from lfmesh.scene.literals import literal
 from lfmesh.scene.transport import MOST_EVENTS, MOST_THREADS
@@ -430,8 +430,7 @@ def located(
     behind = np.zeros(len(p), np.int64)
     for s, rim in zip(shape.surfaces, shape.rims, strict=True):
         q = in_place(s, p)
-        from_axis = np.hypot(q[:, 0], q[:, 1]) if s["posed"] else r
-        behind += q[:, 2] > s["vertex_z"] + mesh_sag(s, np.minimum(from_axis, rim))
+        behind += q[:, 2] > s["vertex_z"] + mesh_heights(s, q[:, 0], q[:, 1], rim)
     count = len(shape.surfaces)
     inside = (behind > 0) & (behind < count) & (r <= max(shape.rims))
     station = np.full(len(p), OBJECTS)

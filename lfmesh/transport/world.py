@@ -17,7 +17,6 @@ from lfmesh.geometry.lenslets import mla_mesh
 from lfmesh.geometry.levels import SURFACE_LEVEL
 from lfmesh.geometry.mesh import Array, Mesh, joined
 from lfmesh.geometry.solved_camera import solved_camera
-from lfmesh.geometry.surface import sag, surface
 from lfmesh.geometry.targets import TargetMesh, target_mesh
 from lfmesh.geometry.tessellation import (
     element,
@@ -25,6 +24,7 @@ from lfmesh.geometry.tessellation import (
 )
 from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
+from lfmesh.scene.sections import AZIMUTHS
 from lfmesh.transport.aiming.aim_proof import AimProof
 from lfmesh.transport.aiming.aim_table import aim_table, targets_in_camera, unaimed
 from lfmesh.transport.collisions import refuse_collisions
@@ -231,10 +231,7 @@ class World(Shown):
         z = self.scene.camera.lens.vertices_mm[number]
         inner = surfaces[number].semi_diameter_mm or 0.0
         outer = max(1.3 * inner, *self.lens_shape.rims)
-        record = surface(
-            surfaces[number].vertex_radius_mm, surfaces[number].vertex_conic, surfaces[number].terms_mm, aperture=inner
-        )
-        z += float(sag(record, inner))
+        z += max(surfaces[number].sags_mm(inner, AZIMUTHS))
         ring = revolved(np.array([[outer, z], [inner, z]]), 96)
         return ring.moved(pose_of(self.scene.camera.lens, number)).solid()
 

@@ -96,6 +96,9 @@ KEYS = [
     "qbfs = { norm_radius_mm = 1e-9, coefficients_mm = [1.0, -1e9] }",
     "qbfs = { norm_radius_mm = 1e9, coefficients_mm = [1e-9] }",
     "qbfs = { norm_radius_mm = 30.0, coefficients_mm = [0.1, 1e300] }",
+    *["odd_asphere_mm = [1e300, -1e300]", "odd_asphere_mm = [0.0, 0.0, 1e-9]"],
+    *["biconic = { radius_x_mm = 1e-9 }", "biconic = { radius_x_mm = -30.0, conic_x = 1e15 }", "toroid = {}"],
+    *["toroid = { radius_x_mm = inf }", "toroid = { radius_x_mm = -1e-9 }", "toroid = { radius_x_mm = 25.0 }"],
 ]
 
 numbers = st.one_of(
@@ -148,6 +151,12 @@ def test_a_scene_with_random_values_is_read_or_refused(edits: list[tuple[tuple[i
 @given(edits)
 def test_many_scenes_with_random_values_are_read_or_refused(edits: list[tuple[tuple[int, int], str]]) -> None:
     is_read_or_refused(changed(edits))
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_a_lens_surface_with_a_harsh_key_is_read_or_refused(key: str) -> None:
+    assert "thickness_mm = 4.0, " in SCENE
+    is_read_or_refused(SCENE.replace("thickness_mm = 4.0, ", f"thickness_mm = 4.0, {key}, ", 1))
 
 
 lengths = st.one_of(st.integers(1, 200).map(lambda n: n / 8), st.floats(0.01, 60.0))

@@ -311,6 +311,33 @@ def test_an_odd_asphere_of_even_terms_is_an_even_one() -> None:
     assert lens_of(odd).surfaces == lens_of(SINGLET_ZMX).surfaces
 
 
+def test_odd_powers_are_those_of_their_parameters() -> None:
+    """1e-4 r³ − 2e-7 r⁵ in inches: the coefficient of r^n goes with 25.4^(1 − n)."""
+    text = aspheric("ODDASPHE", "PARM 3 1e-4", "PARM 4 1e-6", "PARM 5 -2e-7").replace("UNIT MM", "UNIT IN")
+    surface = lens_of(text).surfaces[1]
+    assert surface.odd_asphere_mm == pytest.approx((1e-4 * 25.4**-2, -2e-7 * 25.4**-4), rel=1e-12)
+    assert surface.asphere_mm == pytest.approx((1e-6 * 25.4**-3,), rel=1e-12)
+
+
+@pytest.mark.parametrize(("unit", "mm"), [("MM", 1.0), ("IN", 25.4)])
+def test_another_section_in_x_is_a_biconic_or_toroid(unit: str, mm: float) -> None:
+    """Parameter 1 is the radius in x, where 0 is flat; a toroid's y⁴ has the coefficient of parameter 3."""
+    terms = ("PARM 1 50", "PARM 2 -0.7")
+    surface = lens_of(aspheric("BICONICX", *terms).replace("UNIT MM", f"UNIT {unit}")).surfaces[1]
+    assert surface.biconic is not None
+    assert (surface.biconic.radius_x_mm, surface.biconic.conic_x) == (pytest.approx(50.0 * mm, rel=1e-14), -0.7)
+    terms = ("PARM 1 -40", "PARM 2 0", "PARM 3 1e-6", "XDAT 1 0 0 0", "XDAT 2 1 0 0")
+    surface = lens_of(aspheric("TOROIDAL", *terms).replace("UNIT MM", f"UNIT {unit}")).surfaces[1]
+    assert surface.toroid is not None
+    assert surface.toroid.radius_x_mm == pytest.approx(-40.0 * mm, rel=1e-14)
+    assert surface.asphere_mm == pytest.approx((1e-6 * mm**-3,), rel=1e-12)
+    for kind in ("TOROIDAL", "BICONICX"):
+        surface = lens_of(aspheric(kind, "PARM 1 0")).surfaces[1]
+        section = surface.toroid or surface.biconic
+        assert section is not None
+        assert math.isinf(section.radius_x_mm)
+
+
 @pytest.mark.parametrize(("unit", "mm"), [("MM", 1.0), ("IN", 25.4)])
 def test_an_extended_asphere_counts_its_height_in_its_own_radius(unit: str, mm: float) -> None:
     """Terms a₂ ρ⁴ + a₃ ρ⁶, ρ = r / 6, are 1e-6 r⁴ − 2e-9 r⁶ in the file's unit."""
@@ -322,8 +349,12 @@ def test_an_extended_asphere_counts_its_height_in_its_own_radius(unit: str, mm: 
 @pytest.mark.parametrize(
     ("kind", "line", "reason"),
     [
-        ("ODDASPHE", "PARM 3 1e-4", "a term in r^3: odd aspheres are not supported"),
+        ("ODDASPHE", "PARM 1 1e-4", "a term in r makes a cone"),
         ("ODDASPHE", "PARM 2 1e-4", "a term in r²"),
+        ("TOROIDAL", "PARM 2 1e-4", "a term in r²"),
+        ("TOROIDAL", "PARM 9 1e-4", "parameter 9 of TOROIDAL is unknown"),
+        ("TOROIDAL", "XDAT 3 1e-4 0 0", "Zernike terms of a toroid are not supported"),
+        ("BICONICX", "PARM 3 1e-4", "parameter 3 of BICONICX is unknown"),
         ("XASPHERE", "XDAT 3 1e-4 0 0", "a term in r²"),
         ("XASPHERE", "XDAT 14 1e-4 0 0", "a term in r^24: aspheres reach up to r^22"),
         ("XASPHERE", "XDAT 2 -6 0 0", "above 0"),

@@ -15,6 +15,7 @@ from lfmesh.accuracy.hard.outcome import (
 )
 from lfmesh.accuracy.hard.truth import Array
 from lfmesh.scene import Surface
+from lfmesh.scene.sections import Biconic, Toroid
 from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.world import build
 
@@ -197,6 +198,46 @@ def mild_asphere_of_a_deep_sphere() -> Outcome:
     ]
     o, d = _bundle(5000, 4.99, 0.3)
     return through_lens(lens_scene(surfaces, distance=8.0), o, d, 1e-10, relative=1e-10)
+
+
+@case
+def odd_powers() -> Outcome:
+    """Meet a ring-shaped ridge of odd powers, r³ and r⁵, at up to 30 degrees and to the rim."""
+    surfaces = [
+        Surface(
+            radius_mm=25.0, odd_asphere_mm=(4e-3, -6e-5), thickness_mm=5.0, index=1.6, semi_diameter_mm=8.0, stop=True
+        ),
+        Surface(radius_mm=-60.0, odd_asphere_mm=(-1e-4,), semi_diameter_mm=12.0),
+    ]
+    o, d = _bundle(5000, 7.99, 0.6)
+    return through_lens(lens_scene(surfaces, distance=10.0), o, d, 1e-10, relative=1e-10)
+
+
+@case
+def deep_toroid() -> Outcome:
+    """Meet a toroid up to 0.99 of where its circle in x turns back, and behind it a cylinder."""
+    surfaces = [
+        Surface(
+            radius_mm=8.0, toroid=Toroid(radius_x_mm=5.0), thickness_mm=9.0, index=1.3, semi_diameter_mm=4.95, stop=True
+        ),
+        Surface(toroid=Toroid(radius_x_mm=-40.0), semi_diameter_mm=9.0),
+    ]
+    o, d = _bundle(5000, 4.94, 0.05)
+    return through_lens(lens_scene(surfaces, distance=5.0, sensor_mm=60.0), o, d, 1e-9, relative=1e-8)
+
+
+@case
+def steep_saddles() -> Outcome:
+    """Meet saddles that rise in x and fall in y by up to 30 degrees, with rays of up to 30 degrees."""
+    saddle = Biconic(radius_x_mm=11.0, conic_x=-1.5)
+    surfaces = [
+        Surface(
+            radius_mm=-12.0, conic=0.3, biconic=saddle, thickness_mm=12.0, index=1.4, semi_diameter_mm=6.0, stop=True
+        ),
+        Surface(radius_mm=70.0, toroid=Toroid(radius_x_mm=-14.0), semi_diameter_mm=10.0),
+    ]
+    o, d = _bundle(5000, 5.99, 0.6)
+    return through_lens(lens_scene(surfaces, distance=12.0, sensor_mm=100.0), o, d, 1e-10, relative=1e-10)
 
 
 @case

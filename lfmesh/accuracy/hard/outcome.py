@@ -114,11 +114,18 @@ def faces_of(scene: Scene) -> list[Interface]:
     return [
         Interface(
             s.vertex_radius_mm, z, s.index or 1.0, s.vertex_conic, s.terms_mm, 1.01 * (s.semi_diameter_mm or 10.0),
-            s.focal_length_mm or np.inf,
+            s.focal_length_mm or np.inf, s.odd_asphere_mm, _across(s),
         )
         for k, (s, z) in enumerate(zip(lens.surfaces, lens.vertices_mm, strict=True))
         if not lens.is_pure_stop(k)
     ]  # fmt: skip
+
+
+def _across(surface: Surface) -> tuple[str, float, float] | None:
+    """Return the section x–z of a surface as the truth takes it."""
+    if surface.biconic is not None:
+        return "biconic", surface.biconic.radius_x_mm, surface.biconic.conic_x
+    return None if surface.toroid is None else ("toroid", surface.toroid.radius_x_mm, 0.0)
 
 
 def disk(radius: float, count: int, seed: int = 0) -> Array:

@@ -1,7 +1,7 @@
 """Sequential tracing in plain NumPy: the truth that the hard cases are held against.
 
 It shares no code with the engine: no mesh, no Embree, no kernels. Surfaces come in a known order, a conic is met by
-Welford's quadratic (Aberrations of Optical Systems, 1986, section 4.5), an asphere by marching and bisection.
+Welford's quadratic (Aberrations of Optical Systems, 1986, section 4.5), any other surface by marching and bisection.
 """
 
 from dataclasses import dataclass
@@ -16,13 +16,19 @@ BISECTIONS = 200
 MARCH = 1024
 """Steps in which a ray is followed through an asphere's layer, so that of several crossings the first is found."""
 
+LAYER = 129
+"""Radii, and a quarter as many azimuths, at which it is sampled how thick that layer is."""
+
+STEP = 1e-30
+"""Imaginary step, mm, whose effect over the step is a derivative without rounding."""
+
 BORDER = 1e-9
 """Width of a cell's border, over the pitch, on which either lenslet's answer is right."""
 
 
 @dataclass(frozen=True)
 class Interface:
-    """A surface of revolution at `z` and the index behind it; `radius` may be inf. An asphere ends at `reach`."""
+    """A surface at `z` and the index behind it; `radius` may be inf. What is no conic ends at `reach`."""
 
     radius: float
     z: float
@@ -32,6 +38,14 @@ class Interface:
     reach: float = 10.0
     focal_length: float = np.inf
     """Of a thin lens in the surface's place, mm."""
+    odd: tuple[float, ...] = ()
+    across: tuple[str, float, float] | None = None
+    """"biconic" or "toroid", radius and conic constant in x; `radius` and `conic` are then those in y."""
+
+    @property
+    def is_conic(self) -> bool:
+        """Whether the surface has a quadratic."""
+        return not self.asphere and not self.odd and self.across is None
 
     @property
     def curvature(self) -> float:
@@ -43,15 +57,33 @@ class Interface:
         c = self.curvature
         with np.errstate(invalid="ignore"):
             z = c * r2 / (1.0 + np.sqrt(1.0 - (1.0 + self.conic) * c * c * r2))
-        return z + sum(a * r2 ** (j + 2) for j, a in enumerate(self.asphere))
+        z = z + sum(a * r2 ** (j + 2) for j, a in enumerate(self.asphere))
+        return z + sum(b * np.sqrt(r2) ** (2 * j + 3) for j, b in enumerate(self.odd))
+
+    def height(self, x: Array, y: Array) -> Array:
+        """Return the height above the vertex at points of one shape, which may be complex."""
+        if self.across is None:
+            return self.sag(x * x + y * y)
+        kind, radius, conic = self.across
+        c_x, c_y = (0.0 if np.isinf(r) else 1.0 / r for r in (radius, self.radius))
+        with np.errstate(invalid="ignore"):
+            if kind == "toroid":
+                f = self.sag(y * y)
+                return f if c_x == 0.0 else 1.0 / c_x - np.sign(c_x) * np.sqrt((1.0 / c_x - f) ** 2 - x * x)
+            inside = 1.0 - (1.0 + conic) * (c_x * x) ** 2 - (1.0 + self.conic) * (c_y * y) ** 2
+            return np.asarray((c_x * x * x + c_y * y * y) / (1.0 + np.sqrt(inside)))
 
     def normal(self, p: Array) -> Array:
         """Return (n, 3) unit normals, towards +z at the vertex, at points relative to the vertex."""
         c, q = self.curvature, 1.0 + self.conic
         x, y, z = p.T
         r2 = x * x + y * y
-        if not self.asphere:
+        if self.is_conic:
             n = np.stack([-c * x, -c * y, 1.0 - c * q * z], axis=1)
+        elif self.odd or self.across is not None:
+            by_x = np.imag(self.height(x + 1j * STEP, y + 0j)) / STEP
+            by_y = np.imag(self.height(x + 0j, y + 1j * STEP)) / STEP
+            n = np.stack([-by_x, -by_y, np.ones_like(x)], axis=1)
         else:
             g = c / np.sqrt(1.0 - q * c * c * r2)
             g = g + sum(2.0 * (j + 2) * a * r2 ** (j + 1) for j, a in enumerate(self.asphere))
@@ -61,7 +93,7 @@ class Interface:
     def meet(self, p: Array, d: Array) -> Array:
         """Return (n, 3) the points, relative to the vertex, where rays meet the sheet of the vertex; NaN: nowhere."""
         at = p - [0.0, 0.0, self.z]
-        if self.asphere:
+        if not self.is_conic:
             return np.asarray(at + self._first_crossing(at, d)[:, None] * d)
         # To the vertex plane, so that the quadratic's terms stay small.
         at = at - (at[:, 2] / d[:, 2])[:, None] * d
@@ -81,7 +113,8 @@ class Interface:
         p, d : (n, 3)
             Relative to the vertex.
         """
-        layer = self.sag(np.linspace(0.0, self.reach, MARCH) ** 2)
+        r, phi = np.linspace(0.0, self.reach, LAYER)[:, None], np.linspace(0.0, 0.5 * np.pi, LAYER // 4)
+        layer = self.height(r * np.cos(phi), r * np.sin(phi))
         slab = np.array([np.nanmin(layer) - 1e-3, np.nanmax(layer) + 1e-3])
         ahead = np.sign(d[:, 2])
 
@@ -89,7 +122,9 @@ class Interface:
             """Tell by the sign whether points have not passed yet; NaN: they lie outside the cylinder."""
             at = p[:, None] + t[..., None] * d[:, None]
             r2 = at[..., 0] ** 2 + at[..., 1] ** 2
-            return np.where(r2 <= self.reach**2, ahead[:, None] * (self.sag(r2) - at[..., 2]), np.nan)
+            return np.where(
+                r2 <= self.reach**2, ahead[:, None] * (self.height(at[..., 0], at[..., 1]) - at[..., 2]), np.nan
+            )
 
         # The way through the slab, and within the cylinder.
         entry, leaving = np.sort((slab - p[:, 2:]) / d[:, 2:], axis=1).T
@@ -126,7 +161,7 @@ class Interface:
         t = np.linspace(0.0, length, 2 * MARCH)
         at = origins[:, None] + t[:, None] * directions[:, None] - [0.0, 0.0, self.z]
         r2 = at[..., 0] ** 2 + at[..., 1] ** 2
-        height = np.where(r2 <= self.reach**2, at[..., 2] - self.sag(r2), np.nan)
+        height = np.where(r2 <= self.reach**2, at[..., 2] - self.height(at[..., 0], at[..., 1]), np.nan)
         with np.errstate(invalid="ignore"):
             changes = height[:, :-1] * height[:, 1:] < 0.0
             first = np.cumsum(changes, axis=1) == 1

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import directions, move_direction, move_point, points
 from lfmesh.geometry.lattice import cell_of, centre
 from lfmesh.geometry.lenslets import shape_of
-from lfmesh.geometry.surface import sag
+from lfmesh.geometry.tessellation import QUARTER, mesh_heights
 from lfmesh.kernel import kernel
 from lfmesh.transport.aiming.lenslet_aim import (
     HALF_DIAGONAL,
@@ -443,7 +443,8 @@ def _stop_of(lens: LensTables) -> tuple[int, float, float, float, Array]:
     surfaces = lens.surfaces
     k = int(np.argmax(surfaces["stop"] == 1))
     aperture = float(surfaces[k]["aperture"])
-    depth = abs(float(sag(surfaces[k], aperture)))
+    phi = np.linspace(0.0, 0.5 * np.pi, QUARTER)
+    depth = float(np.abs(mesh_heights(surfaces[k], aperture * np.cos(phi), aperture * np.sin(phi))).max())
     return k, float(surfaces[k]["vertex_z"]), aperture, depth, np.array(surfaces[k]["pose"])
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
-from lfmesh.geometry.surface import sag
+from lfmesh.geometry.surface import is_revolved
 from lfmesh.geometry.targets import TargetMesh
 from lfmesh.geometry.tessellation import on_circles
 from lfmesh.optics.glass import refractive_index
@@ -122,12 +122,12 @@ def _found(
         apexes = grid(*lattice.half_extent, apex_z(mla, glass)[1])
         behind = frame.points(moves[MLA_FRAME, CAMERA_FRAME], apexes)
     from_targets = viewpoints(float(lens.box_low[2]), front_radius, seen, to_sensor=True)
-    posed = has_poses(lens)
+    posed = has_poses(lens) or not all(map(is_revolved, lens.surfaces))
     entrance = opening_seen(report, lens, seen, front_radius, analytic, front=True)
     exit_ = opening_seen(report, lens, behind, back_radius, analytic, front=False)
     through = CameraTables(lens, mla, sensor, moves)
     if posed:
-        # Poses move the disks of the openings; the proof widens them.
+        # Poses move the disks of the openings, and other sections open other field angles; the proof widens them.
         entrance, exit_ = decentred(entrance, exit_, through)
     aim = before_array(scene, (entrance, exit_), (front_radius, back_radius))
     aim = aim_through_lenslets(scene, report, mla, aim, moves, glass) if mla.present else aim
@@ -210,7 +210,7 @@ def opening_seen(
 ) -> Opening:
     """Return the opening of one side of the lens, without the poses of its elements, as seen from points.
 
-    The table of an opening is that of a lens of revolution.
+    The table of an opening is that of a lens of revolution; of others it has the section x–z.
 
     Parameters
     ----------
@@ -254,11 +254,8 @@ def widest_disk(lens: LensTables, p: Array, *, front: bool) -> float:
     plane = lens.box_low[2] if front else lens.box_high[2]
     outer = surfaces[0] if front else surfaces[-1]
     rim = float(max(abs(lens.box_low[0]), abs(lens.box_high[0]), abs(lens.box_low[1]), abs(lens.box_high[1])))
-    edge = float(outer["vertex_z"] + sag(outer, outer["aperture"]))
-    depth = abs(max(outer["vertex_z"], edge) - plane) if front else abs(plane - min(outer["vertex_z"], edge))
-    if outer["posed"]:
-        z = on_circles(outer, np.array([0.0, outer["aperture"]]))[..., 2]
-        depth = abs(float(z.max() if front else z.min()) - plane)
+    z = on_circles(outer, np.array([0.0, outer["aperture"]]))[..., 2]
+    depth = abs(float(z.max() if front else z.min()) - plane)
     distance = np.maximum((plane - p[:, 2]) if front else (p[:, 2] - plane), depth)
     spread = (np.hypot(p[:, 0], p[:, 1]) + rim) * np.divide(
         depth, distance, out=np.zeros_like(distance), where=distance > 0

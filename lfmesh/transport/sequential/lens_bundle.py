@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.surface import NEWTON_STEPS, SETTLED, distance_to
+from lfmesh.geometry.surface import CONIC_AND_EVEN, NEWTON_STEPS, SETTLED, distance_to, form_at
 from lfmesh.kernel import kernel, pasted
 from lfmesh.optics.fresnel import amplitude_sums
 from lfmesh.transport.events.interface import is_coated, is_thin_lens, shares, through_thin_lens, transmitted_share
@@ -27,6 +27,8 @@ X, Y, Z, DX, DY, DZ = 0, BLOCK, 2 * BLOCK, 3 * BLOCK, 4 * BLOCK, 5 * BLOCK
 WEIGHT, LEFT_BEHIND, MET, ENDED_ON = 6 * BLOCK, 7 * BLOCK, 8 * BLOCK, 9 * BLOCK
 # Working rows: distance, radius², sag and half slope of an asphere's terms.
 _T, _R2, _SAG, _SLOPE = 10 * BLOCK, 11 * BLOCK, 12 * BLOCK, 13 * BLOCK
+# In place of the last two, of surfaces of other kinds: derivatives of the sag by x and y.
+_GX, _GY = _SAG, _SLOPE
 _SETTLED = 14 * BLOCK
 # Working rows of absorbing media: position, weight, power not followed and end before a surface.
 _FROM_X, _FROM_Y, _FROM_Z, _FROM_WEIGHT = 16 * BLOCK, 17 * BLOCK, 18 * BLOCK, 19 * BLOCK
@@ -225,6 +227,9 @@ def _through_in_place(
         _through_sphere(bundle, lens.interfaces, k, colour, c, z, limit, sense, n_i, n_t, rim, mount, beyond)
         return
     _meet(bundle, surface, sense)
+    if surface.kind != CONIC_AND_EVEN:
+        _turn_along_gradient(bundle, lens.interfaces, k, colour, limit, sense, n_i, n_t, rim, mount, beyond, False)
+        return
     if is_thin_lens(lens.interfaces, k):
         _bend_by_thin_lens(bundle, lens.interfaces, k, colour, z, limit, rim, mount, beyond)
         return
@@ -253,11 +258,15 @@ def mirror_at_surface(
     into = 1 if sense > 0.0 else 0
     indices, medium = lens.media.indices, lens.medium
     n_i, n_t = indices[medium[k + 1 - into], colour], indices[medium[k + into], colour]
+    limit = surface.aperture * surface.aperture
     _meet(bundle, surface, sense)
-    _mirror_along_slope(
-        bundle, lens.interfaces, k, colour, surface.curvature, surface.conic, surface.vertex_z,
-        surface.aperture * surface.aperture, sense, n_i, n_t, rim, mount, beyond,
-    )  # fmt: skip
+    if surface.kind != CONIC_AND_EVEN:
+        _turn_along_gradient(bundle, lens.interfaces, k, colour, limit, sense, n_i, n_t, rim, mount, beyond, True)
+    else:
+        _mirror_along_slope(
+            bundle, lens.interfaces, k, colour, surface.curvature, surface.conic, surface.vertex_z, limit, sense, n_i,
+            n_t, rim, mount, beyond,
+        )  # fmt: skip
     if surface.posed:
         move_bundle(bundle, surface.pose)
 
@@ -282,7 +291,13 @@ def distances_to(bundle: Array, surface: Any, sense: float, row: int) -> None:
 
 @kernel
 def _meet(bundle: Array, surface: Any, sense: float) -> None:
-    """Leave the distance to a surface in `_T`, and what its asphere's terms add there in `_SAG` and `_SLOPE`."""
+    """Leave the distance to a surface in `_T`, and what its asphere's terms add there in `_SAG` and `_SLOPE`.
+
+    Of other surfaces than conics with even terms the latter hold the derivatives of the sag by x and y.
+    """
+    if surface.kind != CONIC_AND_EVEN:
+        _meet_by_form(bundle, surface, sense)
+        return
     _meet_conic(bundle, surface.curvature, surface.conic, surface.vertex_z, sense)
     if surface.terms > 0:
         _meet_asphere(bundle, surface)
@@ -490,6 +505,22 @@ def _meet_asphere(bundle: Array, surface: Any) -> None:
 
 
 @kernel
+def _meet_by_form(bundle: Array, surface: Any, sense: float) -> None:
+    """Do what `_meet` does, ray by ray: by the search in a bracket from where a ray crosses the plane of the vertex."""
+    for i in range(BLOCK):
+        bundle[_T + i], bundle[_GX + i], bundle[_GY + i] = -1.0, 0.0, 0.0
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        if bundle[ENDED_ON + i] != 0.0 or dz == 0.0:
+            continue
+        at = (surface.vertex_z - bundle[Z + i]) / dz
+        x, y = bundle[X + i] + at * dx, bundle[Y + i] + at * dy
+        meets, t = distance_to(surface, x, y, 0.0, dx, dy, dz, sense)
+        if meets:
+            bundle[_T + i] = at + t
+            _, bundle[_GX + i], bundle[_GY + i] = form_at(surface, x + t * dx, y + t * dy)
+
+
+@kernel
 def _asphere_terms(bundle: Array, terms: int, asphere: Array) -> None:
     """Leave r², and the sag and the half slope dz/d(r²) of an asphere's terms at the distances `_T`, by Horner."""
     _begin_terms(bundle)
@@ -583,6 +614,32 @@ def _bend_at_coating(
         _go_on(
             bundle, i, meets, x, y, z, eta * dx + g * nx, eta * dy + g * ny, eta * dz + g * scale,
             transmittance > 0.0, transmittance, limit, rim, mount, beyond,
+        )  # fmt: skip
+
+
+@kernel
+def _turn_along_gradient(
+    bundle: Array, interfaces: Interfaces, number: int, colour: int, limit: float, sense: float, n_i: float, n_t: float,
+    rim: float, mount: float, beyond: float, mirrors: bool,
+) -> None:  # fmt: skip
+    """Refract or mirror rays, bare or coated, at a surface of which `_meet` has left distance and gradient."""
+    eta = n_i / n_t
+    for i in range(BLOCK):
+        t, gx, gy = bundle[_T + i], bundle[_GX + i], bundle[_GY + i]
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        scale = sense / np.sqrt(gx * gx + gy * gy + 1.0)
+        nx, ny = -gx * scale, -gy * scale
+        cos_i = min(nx * dx + ny * dy + scale * dz, 1.0)
+        meets = t > 0.0 and cos_i > 0.0
+        share, g, on = 0.0, -2.0 * cos_i, 1.0
+        if meets and bundle[ENDED_ON + i] == 0.0:
+            reflectance, transmittance, cos_t = shares(interfaces, number, colour, n_i, n_t, cos_i)
+            share = reflectance if mirrors else transmittance
+            if not mirrors:
+                on, g = eta, cos_t - eta * cos_i
+        _go_on(
+            bundle, i, meets, bundle[X + i] + t * dx, bundle[Y + i] + t * dy, bundle[Z + i] + t * dz,
+            on * dx + g * nx, on * dy + g * ny, on * dz + g * scale, share > 0.0, share, limit, rim, mount, beyond,
         )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array, facet_normals
-from lfmesh.geometry.surface import in_place, sag
+from lfmesh.geometry.surface import heights, in_place
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 
@@ -65,7 +65,7 @@ def _on_lens(world: World, points: Array) -> Array:
         q = in_place(surface, points)
         r = np.hypot(q[:, 0], q[:, 1])
         near = np.flatnonzero(r <= rim)
-        on[near] |= np.abs(q[near, 2] - surface["vertex_z"] - sag(surface, r[near])) <= grain[near]
+        on[near] |= np.abs(q[near, 2] - surface["vertex_z"] - heights(surface, q[near, 0], q[near, 1])) <= grain[near]
     return on
 
 

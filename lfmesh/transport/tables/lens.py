@@ -11,6 +11,7 @@ from lfmesh.geometry.lenslets import OFFSET, Lenslets, cell_mesh, lenslets
 from lfmesh.geometry.levels import EXACT, PATCH
 from lfmesh.geometry.mesh import Array, Mesh, facet_table, joined
 from lfmesh.geometry.patch import neighbours, patches
+from lfmesh.geometry.surface import CONIC_AND_EVEN
 from lfmesh.geometry.tessellation import FLOAT32_MARGIN, OVERREACH
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.book import MOUNT, STOP, Book
@@ -155,6 +156,8 @@ def _free_radius(ring: Mesh, rim: float) -> float:
 def least_dz(surface: np.void, rim: float) -> float:
     """Return the |dz| above which a ray is steeper than a surface is anywhere inside its rim; inf: there is none.
 
+    Blocks of rays that are traced so know conics and even terms alone.
+
     Such a ray runs to one side of the surface only, whose height it changes in one sense. In the camera frame: the
     tilt of the surface is added to its slope.
 
@@ -164,8 +167,10 @@ def least_dz(surface: np.void, rim: float) -> float:
     rim : float, mm
         Radius that its mesh reaches.
     """
+    if surface["level"] != EXACT or surface["kind"] != CONIC_AND_EVEN:
+        return np.inf
     steepest = steepest_slope(surface, rim)
-    if surface["level"] != EXACT or not steepest < np.inf:
+    if not steepest < np.inf:
         return np.inf
     angle = np.arctan(steepest) + np.arcsin(min(1.0, float(np.hypot(*surface["pose"][:2, 2]))))
     return float(np.sin(angle)) + STEEPER if angle < 0.5 * np.pi else np.inf

@@ -8,12 +8,9 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, facet_table, joined
+from lfmesh.geometry.surface import is_revolved
 from lfmesh.geometry.targets import TargetMesh, named_target
-from lfmesh.geometry.tessellation import (
-    mesh_sag,
-    on_circles,
-    revolved,
-)
+from lfmesh.geometry.tessellation import mesh_sag, on_circles, revolved
 from lfmesh.optics.gltf_material import GltfMaterial
 from lfmesh.optics.rgb_spectra import primary_reflectances
 from lfmesh.scene import Scene
@@ -56,9 +53,10 @@ def housing_mesh(scene: Scene, shape: LensShape) -> Mesh:
     """Return the camera's housing: a plate around the first rim, the barrel, and the body around array and sensor."""
     rim = shape.rims[0]
     barrel = 1.05 * max(shape.rims)
-    front = float(shape.surfaces[0]["vertex_z"] + mesh_sag(shape.surfaces[0], shape.rims[0]))
-    back = float(shape.surfaces[-1]["vertex_z"] + mesh_sag(shape.surfaces[-1], shape.rims[-1]))
-    if shape.surfaces["posed"].any():
+    if not shape.surfaces["posed"].any() and all(map(is_revolved, shape.surfaces)):
+        front = float(shape.surfaces[0]["vertex_z"] + mesh_sag(shape.surfaces[0], shape.rims[0]))
+        back = float(shape.surfaces[-1]["vertex_z"] + mesh_sag(shape.surfaces[-1], shape.rims[-1]))
+    else:
         # The hole in the plate and the barrel are as wide as poses ask for, and no rim stands behind the plate.
         first, *others = (on_circles(s, np.array([r]))[0] for s, r in zip(shape.surfaces, shape.rims, strict=True))
         rim = float(np.hypot(first[:, 0], first[:, 1]).max())

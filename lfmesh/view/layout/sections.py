@@ -13,8 +13,8 @@ from lfmesh.geometry.frame import points
 from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.lenslets import Lenslets, shape_of
 from lfmesh.geometry.mesh import Array
-from lfmesh.geometry.surface import sag
-from lfmesh.geometry.tessellation import cap, mesh_sag, ring_profile
+from lfmesh.geometry.surface import heights, is_revolved
+from lfmesh.geometry.tessellation import cap, mesh_heights, ring_profile
 from lfmesh.scene.lens import Lens
 
 PROFILE_POINTS = 121
@@ -162,7 +162,8 @@ def lens_glass(shape: LensShape, indices: Array) -> list[Glass]:
     elements = []
     for number, k in enumerate(shape.elements):
         front, back = _profile(shape, k), _profile(shape, k + 1)
-        if shape.surfaces["posed"][k : k + 2].any():
+        both = shape.surfaces[k : k + 2]
+        if both["posed"].any() or not all(map(is_revolved, both)):
             # Neither symmetric nor of revolution: corner to corner will do for the edges.
             outline = np.concatenate([front, back[::-1]])
         else:
@@ -216,7 +217,7 @@ def _profile(shape: LensShape, k: int) -> Array:
         return line if line[0, 1] < line[-1, 1] else line[::-1]
     rim = shape.rims[k]
     y = rim * np.sin(np.linspace(-0.5 * np.pi, 0.5 * np.pi, 2 * PROFILE_POINTS - 1))
-    return np.column_stack([shape.surfaces[k]["vertex_z"] + mesh_sag(shape.surfaces[k], np.abs(y)), y])
+    return np.column_stack([shape.surfaces[k]["vertex_z"] + mesh_heights(shape.surfaces[k], np.zeros_like(y), y), y])
 
 
 def _edge(shape: LensShape, k: int) -> Array:
@@ -227,7 +228,8 @@ def _edge(shape: LensShape, k: int) -> Array:
 
 def sag_at_rim(shape: LensShape, k: int) -> float:
     """Return z of a surface at its clear aperture."""
-    return float(shape.surfaces[k]["vertex_z"] + sag(shape.surfaces[k], shape.surfaces[k]["aperture"]))
+    record = shape.surfaces[k]
+    return float(record["vertex_z"] + heights(record, 0.0, record["aperture"]))
 
 
 def mesh_section(mesh: trimesh.Trimesh, x: float = 0.0) -> list[Array]:

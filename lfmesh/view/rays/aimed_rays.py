@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.element_poses import pose_of
 from lfmesh.geometry.solved_camera import solved_camera
-from lfmesh.geometry.surface import sag
-from lfmesh.geometry.surface import slope as steepness
-from lfmesh.geometry.tessellation import mesh_sag
+from lfmesh.geometry.surface import gradients, heights, in_place
+from lfmesh.geometry.tessellation import on_circles
 from lfmesh.transport.aiming.ray_aiming import aim_rays
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.trace import Status, trace
@@ -173,7 +172,8 @@ class Aim:
     def _ended_before_lens(self, points: Array, direction: Array, *, escaped: bool) -> Array:
         """Return a path that misses the first surface, as far as the plane of that surface's rim."""
         front = self.world.lens_shape.surfaces[0]
-        z = float(front["vertex_z"] + mesh_sag(front, self.world.lens_shape.rims[0]))
+        rim = np.array([self.world.lens_shape.rims[0]])
+        z = float(in_place(front, on_circles(front, rim))[..., 2].max())
         before = points[points[:, 2] < z]
         if (len(before) == len(points) and not escaped) or not len(before):
             return points
@@ -249,10 +249,9 @@ def _met(surface: np.void, p: Array, ahead: Array) -> Array:
     """Return where the line through a point near a surface meets it, (3,), by Newton's method; NaN: nowhere."""
     ahead = ahead / np.linalg.norm(ahead)
     for _ in range(8):
-        r = float(np.hypot(p[0], p[1]))
-        height = p[2] - surface["vertex_z"] - sag(surface, r)
-        radial = float(p[:2] @ ahead[:2]) / r if r > 0.0 else 0.0
-        p = p - height / (ahead[2] - steepness(surface, r) * radial) * ahead
+        height = p[2] - surface["vertex_z"] - heights(surface, p[0], p[1])
+        by_x, by_y = gradients(surface, p[0], p[1])
+        p = p - height / (ahead[2] - by_x * ahead[0] - by_y * ahead[1]) * ahead
     return p
 
 

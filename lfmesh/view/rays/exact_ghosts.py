@@ -219,6 +219,9 @@ def refusal(world: World) -> str | None:
         return 'they need exact surfaces of the lens: transport.surface = "exact", and no mesh glass in it'
     if scene.transport.polarisation:
         return "transport.polarisation = true: sequences are followed without polarisation"
+    if (number := scene.camera.lens.number_off_revolution) is not None:
+        key = scene.camera.lens.surfaces[number].section_key
+        return f"camera.lens.surfaces[{number}].{key}: sequences are followed through surfaces of revolution alone"
     for name in ("media", "particles", "tanks"):
         if getattr(scene, name):
             return f"{name} stand between field points and lens, through which sequences are not followed"

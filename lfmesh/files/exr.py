@@ -1,5 +1,6 @@
 """Spectral images in OpenEXR: several parts, one channel a wavelength, exact metadata as JSON."""
 
+import errno
 import io
 import json
 import os
@@ -78,7 +79,13 @@ def write(path: Path, image: SpectralImage) -> None:
     try:
         OpenEXR.File(parts).write(str(path))
     except (RuntimeError, OSError) as error:
-        raise FileError(f"{path} cannot be written: {error}") from None
+        raise FileError(f"{path} cannot be written: {_reason(error)}") from None
+
+
+def _reason(error: Exception) -> str:
+    """Return why a file could not be written, without OpenEXR's account of where, which names the file again."""
+    full = os.strerror(errno.ENOSPC)
+    return full if full in str(error) else str(error)
 
 
 def write_maps(path: Path, maps: Mapping[str, NDArray[np.floating]], metadata: Mapping[str, Any]) -> None:
@@ -106,7 +113,7 @@ def write_maps(path: Path, maps: Mapping[str, NDArray[np.floating]], metadata: M
     try:
         OpenEXR.File(header, channels).write(str(path))
     except (RuntimeError, OSError) as error:
-        raise FileError(f"{path} cannot be written: {error}") from None
+        raise FileError(f"{path} cannot be written: {_reason(error)}") from None
 
 
 def read(path: Path, part_names: Sequence[str], optional: Sequence[str] = ()) -> SpectralImage:

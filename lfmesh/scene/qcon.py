@@ -39,7 +39,9 @@ class Qcon(Model):
         used = [m for m, coefficient in enumerate(self.coefficients_mm) if coefficient]
         try:
             u = height_mm / self.norm_radius_mm
-            return max((abs(math.fsum(a * u ** (2 * k + 4) for k, a in enumerate(_powers(m)))) for m in used), default=0.0)
+            return max(
+                (abs(math.fsum(a * u ** (2 * k + 4) for k, a in enumerate(_powers(m)))) for m in used), default=0.0
+            )
         except OverflowError:
             return math.inf
 

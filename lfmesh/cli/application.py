@@ -47,7 +47,7 @@ Examples:
     lfmesh lens list                     lenses that come with lfmesh
     lfmesh lens convert in.zmx out.toml  other programs' lens files, and back
     lfmesh view scene.toml               lens, array, sensor and rays in 3D
-    lfmesh matrix scene.toml --counts 64 64 64 ...   what each pixel sees of voxels
+    lfmesh matrix scene.toml --counts 64 64 64 ...   what pixels see of voxels
     lfmesh camera-model scene.toml -o camera.exr   ray of every pixel, views
     lfmesh accuracy -o report/           speed against error, in tables, figures
     lfmesh schema > scene.schema.json    for completion in an editor

@@ -51,7 +51,7 @@ def fit(
     square_mm: Annotated[float | None, Parameter(help="Side of the boards' squares.")] = None,
     grid: Annotated[
         tuple[Whole, Whole] | None,
-        Parameter(help="Corners between four squares, along x and y; all must be seen.", negative=()),
+        Parameter(help="Corners between four squares, along x and y; the outer ones must be seen.", negative=()),
     ] = None,
     corners: Annotated[
         list[Path] | None, Parameter(help="List of a board's corners (CSV), in place of a picture.", negative=())

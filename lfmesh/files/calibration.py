@@ -89,7 +89,7 @@ def read_calibration(path: Path) -> Calibration:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
-    except ValueError:
+    except (ValueError, RecursionError):
         raise FileError(f"{path} is damaged or no calibration: it is not JSON") from None
     version = document.get("format") if isinstance(document, dict) else None
     if version != FORMAT:
@@ -112,7 +112,7 @@ def read_calibration(path: Path) -> Calibration:
             }
         )  # fmt: skip
         whole = calibration.centres_px.shape == (*calibration.known.shape, 2) == (*calibration.kinds.shape, 2)
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         whole = False
     if not whole:
         raise FileError(f"{path} is damaged or incomplete: it must hold {', '.join(MEANINGS)}")

@@ -77,6 +77,8 @@ def write_camera_model(model: CameraModel, path: str | Path) -> Path:
         unfinished.replace(path)
     except OSError as error:
         raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
+    except FileError as error:
+        raise FileError(str(error).replace(str(unfinished), str(path))) from None
     finally:
         unfinished.unlink(missing_ok=True)
     return path

@@ -1,9 +1,11 @@
 """Spectral images in OpenEXR: several parts, one channel a wavelength, exact metadata as JSON."""
 
+import errno
 import io
 import json
-from collections.abc import Mapping, Sequence
-from contextlib import redirect_stdout
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -77,7 +79,13 @@ def write(path: Path, image: SpectralImage) -> None:
     try:
         OpenEXR.File(parts).write(str(path))
     except (RuntimeError, OSError) as error:
-        raise FileError(f"{path} cannot be written: {error}") from None
+        raise FileError(f"{path} cannot be written: {_reason(error)}") from None
+
+
+def _reason(error: Exception) -> str:
+    """Return why a file could not be written, without OpenEXR's account of where, which names the file again."""
+    full = os.strerror(errno.ENOSPC)
+    return full if full in str(error) else str(error)
 
 
 def write_maps(path: Path, maps: Mapping[str, NDArray[np.floating]], metadata: Mapping[str, Any]) -> None:
@@ -105,7 +113,7 @@ def write_maps(path: Path, maps: Mapping[str, NDArray[np.floating]], metadata: M
     try:
         OpenEXR.File(header, channels).write(str(path))
     except (RuntimeError, OSError) as error:
-        raise FileError(f"{path} cannot be written: {error}") from None
+        raise FileError(f"{path} cannot be written: {_reason(error)}") from None
 
 
 def read(path: Path, part_names: Sequence[str], optional: Sequence[str] = ()) -> SpectralImage:
@@ -127,8 +135,7 @@ def read(path: Path, part_names: Sequence[str], optional: Sequence[str] = ()) ->
     if not path.is_file():
         raise FileError(f"{path} does not exist")
     try:
-        # OpenEXR reports a truncated part on standard output and then leaves it out.
-        with redirect_stdout(io.StringIO()), OpenEXR.File(str(path), separate_channels=True) as file:
+        with _opened(path) as file:
             pixels = {
                 part.name(): {name: channel.pixels.copy() for name, channel in part.channels.items()}
                 for part in file.parts
@@ -169,7 +176,7 @@ def read_map(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
     if not path.is_file():
         raise FileError(f"{path} does not exist")
     try:
-        with redirect_stdout(io.StringIO()), OpenEXR.File(str(path), separate_channels=True) as file:
+        with _opened(path) as file:
             channels = file.parts[0].channels if file.parts else {}
             found = next((name for name in names if name in channels), None)
             pixels = channels[found].pixels.astype(np.float32) if found is not None else None
@@ -178,6 +185,32 @@ def read_map(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
     if pixels is None:
         raise FileError(f"{path} has no channel {' or '.join(names)}")
     return np.asarray(pixels)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """Open a file for reading, without what OpenEXR says of a damaged one; a truncated part it leaves out."""
+    with redirect_stdout(io.StringIO()), _without_stderr(), OpenEXR.File(str(path), separate_channels=True) as file:
+        yield file
+
+
+@contextmanager
+def _without_stderr() -> Iterator[None]:
+    """Lead nowhere what libraries write to the process's standard error, past Python's."""
+    try:
+        kept = os.dup(2)
+    except OSError:
+        # There is none.
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(nowhere)
+        os.close(kept)
 
 
 def _names(path: Path, bands: Any) -> list[str]:

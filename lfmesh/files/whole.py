@@ -11,6 +11,8 @@ from lfmesh.errors import FileError
 def write_whole(path: Path, content: str | bytes) -> None:
     """Write a file next to where it belongs and move it there when it is complete; text as UTF-8.
 
+    What is there and no regular file, such as /dev/stdout or a pipe, is written into, and stays what it is.
+
     Raises
     ------
     FileError
@@ -21,6 +23,9 @@ def write_whole(path: Path, content: str | bytes) -> None:
     try:
         if path.is_dir():
             raise FileError(f"{path} cannot be written: it is a folder; give the name of a file")
+        if path.exists() and not path.is_file():
+            path.write_bytes(data)
+            return
         handle, staging = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
         with os.fdopen(handle, "wb") as file:
             file.write(data)

@@ -85,15 +85,17 @@ def opened(path: Path) -> Iterator[PIL.Image.Image]:
     with warnings.catch_warnings():
         # Pillow's own limit is higher, and its warning would stand before the refusal.
         warnings.simplefilter("ignore", PIL.Image.DecompressionBombWarning)
+        # What it makes of a damaged file is read or refused; its guesses at the metadata concern nobody.
+        warnings.filterwarnings("ignore", module=r"PIL\.")
         try:
             picture = PIL.Image.open(path, formats=FORMATS)
         except PIL.Image.DecompressionBombError:
             raise FileError(f"{path}: has more than {MOST_PIXELS} pixels; give a smaller picture") from None
-    with picture:
-        width, height = picture.size
-        if width * height > MOST_PIXELS:
-            raise FileError(f"{path}: has {width} × {height} pixels; give a picture of {MOST_PIXELS} at most")
-        yield picture
+        with picture:
+            width, height = picture.size
+            if width * height > MOST_PIXELS:
+                raise FileError(f"{path}: has {width} × {height} pixels; give a picture of {MOST_PIXELS} at most")
+            yield picture
 
 
 def linear_light(picture: PIL.Image.Image) -> Texture:

@@ -5,7 +5,6 @@ of voxel [0, 0, 0], in the medium's own frame. A grid ends with the outer faces 
 values are trilinear, and from the outer centres to the faces constant; or each voxel has one value throughout.
 """
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -148,14 +147,28 @@ def read_voxels(
         # With VTK, for which no other grid need wait.
         found = import_module("lfmesh.imports.vtk_image").read_vtk_image(path, QUANTITIES, quantity)
         return _placed(found, path, spacing_mm, origin_mm, interpolation)
-    try:
-        content = np.load(path, allow_pickle=False)
-        found = {quantity or "": content} if ending == ".npy" else dict(content.items())
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise FileError(f"{path}: cannot be read as numpy's {ending}: {error}") from None
+    found = _numpy_arrays(path, quantity)
     if ending == ".npy" and quantity is None:
         raise FileError(f"{path}: missing the name of its quantity; give quantity = one of {', '.join(QUANTITIES)}")
     return _placed(found, path, spacing_mm, origin_mm, interpolation)
+
+
+def _numpy_arrays(path: Path, quantity: str | None) -> dict[str, Any]:
+    """Return the arrays of a `.npz` file, or that of a `.npy` file."""
+    ending = path.suffix.lower()
+    try:
+        content = np.load(path, allow_pickle=False)
+        if isinstance(content, np.ndarray) == (ending == ".npz"):
+            raise ValueError(f"it is a .{'npy' if ending == '.npz' else 'npz'} by its content")
+        return {quantity or "": content} if ending == ".npy" else dict(content.items())
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except MemoryError:
+        raise FileError(f"{path}: announces more numbers than there is memory for") from None
+    except Exception as error:
+        # Of a damaged file numpy's readers, and those of zip archives below them, may raise anything.
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise FileError(f"{path}: cannot be read as numpy's {ending}: {why}") from None
 
 
 def _placed(

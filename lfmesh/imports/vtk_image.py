@@ -1,14 +1,33 @@
 """VTK image data (.vti): voxel grids of media, as ParaView and pyvista write them."""
 
+import math
+import re
+import subprocess
+import sys
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lfmesh.errors import FileError
+from lfmesh.imports import vtk_child
+from lfmesh.scene.inputs import file_stamp
 
 NOT_TURNED = 1e-9
 """Largest entry by which the axes of an image may differ from x, y and z."""
+
+
+HEAD = 1 << 20
+"""Bytes at the beginning of a file in which it says how large it is."""
+
+LIBRARY_BYTES, BYTES_A_POINT, BYTES_A_BYTE = 4 << 30, 64, 20
+"""Memory that reading a file may take: whatever it holds, for each point, for each byte of the file."""
+
+MOST_SECONDS = 600
+"""To read it."""
+
+_EXTENT = re.compile(rb"""WholeExtent\s*=\s*["']([^"']*)["']""")
 
 
 def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None) -> dict[str, Any]:
@@ -35,6 +54,8 @@ def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None) -> 
 
     if not path.is_file():
         raise FileError(f"{path}: cannot be read as VTK image data: no such file")
+    if not _is_survived(path.resolve(), file_stamp(path)):
+        raise FileError(f"{path}: cannot be read as VTK image data: it is damaged")
     # VTK says on standard error what is wrong with a file, line by line, and returns something empty.
     shown = vtkObject.GetGlobalWarningDisplay()
     vtkObject.GlobalWarningDisplayOff()
@@ -76,3 +97,21 @@ def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None) -> 
     # VTK counts x fastest.
     read: dict[str, Any] = {name: array.reshape(tuple(shape), order="F") for name, array in arrays.items()}
     return read | {"spacing_mm": spacing, "origin_mm": first}
+
+
+@lru_cache(maxsize=64)
+def _is_survived(path: Path, stamp: tuple[object, ...]) -> bool:
+    """Whether VTK can read a file, the one with this stamp, without crashing and in the memory that it may need."""
+    # In words that are no numbers there are no points: VTK is told to keep to what every file may take.
+    with path.open("rb") as file:
+        found = _EXTENT.search(file.read(HEAD))
+    words = found[1].split() if found else []
+    extent = [int(word) for word in words] if all(re.fullmatch(rb"-?[0-9]{1,18}", word) for word in words) else []
+    points = math.prod(extent[i + 1] - extent[i] + 1 for i in (0, 2, 4)) if len(extent) == 6 else 0
+    most = LIBRARY_BYTES + BYTES_A_POINT * max(points, 0) + BYTES_A_BYTE * path.stat().st_size
+    # Not by -m: see `geometry.cad_file`.
+    command = [sys.executable, "-P", vtk_child.__file__, str(path), str(min(most, sys.maxsize))]
+    try:
+        return subprocess.run(command, capture_output=True, timeout=MOST_SECONDS, check=False).returncode == 0
+    except subprocess.TimeoutExpired:
+        return False

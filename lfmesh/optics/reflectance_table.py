@@ -63,7 +63,10 @@ def read_reflectance(path: Path) -> ReflectanceTable:
         raise FileError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise FileError(f"{path}: byte {error.start} is no UTF-8; a table of reflectance is UTF-8 text") from None
-    rows = [row for row in csv.reader(text.splitlines()) if any(cell.strip() for cell in row)]
+    try:
+        rows = [row for row in csv.reader(text.splitlines()) if any(cell.strip() for cell in row)]
+    except csv.Error as error:
+        raise FileError(f"{path}: no CSV: {error}") from None
     head = [cell.strip() for cell in rows[0]] if rows else []
     if sorted(head) != sorted(COLUMNS):
         raise FileError(f"{path}: its first line must name the columns {', '.join(COLUMNS)}")

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 # Differences below these shares are ordinary tolerances of a design, not worth a word.
 _F_NUMBER_TOLERANCE = 0.1
 _TOUCHING_TOLERANCE = 0.02
+# Of a polynomial over its norm radius, where 1 is its largest.
+_GROWTH = 1.5
 # Of the distance in focus, or of a hundred focal lengths where it is farther.
 _FOCUS_TOLERANCE = 1e-3
 
@@ -29,6 +31,7 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
         *_focus(scene, facts),
         *_sections(facts),
         *_apertures(scene),
+        *_beyond_norm(scene),
         *_micro_images(scene, facts),
         *_diffraction(facts),
         *_coverage(scene),
@@ -149,6 +152,21 @@ def _apertures(scene: Scene) -> Iterator[str]:
             )
     if not heights:
         yield "the stop is larger than the glass: no ray along the axis reaches its edge, which limits no light"
+
+
+def _beyond_norm(scene: Scene) -> Iterator[str]:
+    """Name strong aspheres whose clear aperture reaches to where their polynomials have grown."""
+    for number, surface in enumerate(scene.camera.lens.surfaces):
+        rim = surface.semi_diameter_mm
+        if surface.qcon is None or rim is None or not rim > surface.qcon.norm_radius_mm:
+            continue
+        growth = surface.qcon.growth(rim)
+        if growth > _GROWTH:
+            yield (
+                f"surfaces[{number}] is clear up to {rim:g} mm, and its qcon has norm_radius_mm = "
+                f"{surface.qcon.norm_radius_mm:g}: beyond that its polynomials grow, at the rim to {growth:.3g} times "
+                "what they are there"
+            )
 
 
 def _micro_images(scene: Scene, facts: "FirstOrder") -> Iterator[str]:

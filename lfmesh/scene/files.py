@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from lfmesh.assets import asset_path
 from lfmesh.errors import FileError, LfmeshError, SceneError
+from lfmesh.scene.file_kinds import FileKind, mistaken_for
 from lfmesh.scene.gltf_keys import reader as gltf_reader
 from lfmesh.scene.gltf_keys import take_keys
 from lfmesh.scene.lens import STOP_SIZES, Lens
@@ -44,7 +45,9 @@ def load(path: str | Path) -> Scene:
         among them.
     """
     path = Path(path)
-    return _scene(_read(path), path.resolve().parent, str(path))
+    data = _read(path)
+    _refuse_other_kind("scene", data, path)
+    return _scene(data, path.resolve().parent, str(path))
 
 
 def loads(text: str, folder: str | Path = ".") -> Scene:
@@ -69,6 +72,7 @@ def load_lens(path: str | Path) -> Lens:
     if reader := reader_of(path):
         return reader(path)
     data = with_tables_beside(_read(path), path.parent)
+    _refuse_other_kind("lens", data, path)
     try:
         return Lens.model_validate(data)
     except ValidationError as error:
@@ -97,6 +101,11 @@ def _read(path: Path) -> dict[str, Any]:
         raise SceneError(f"{shown_path(path)}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise SceneError(f"{path}: byte {error.start} is no UTF-8; a scene file is UTF-8 text") from None
+
+
+def _refuse_other_kind(wanted: FileKind, data: dict[str, Any], path: Path) -> None:
+    if words := mistaken_for(wanted, data):
+        raise SceneError(f"{path}: {words}")
 
 
 def _parse(text: str, name: str) -> dict[str, Any]:

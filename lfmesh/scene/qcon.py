@@ -7,7 +7,7 @@ traced as the even asphere that it is.
 
 import math
 import sys
-from functools import lru_cache
+from functools import cache, lru_cache
 
 from pydantic import Field
 
@@ -22,7 +22,7 @@ class Qcon(Model):
     """Deviation from the conic by Forbes' coefficients."""
 
     norm_radius_mm: Positive
-    """Height at which every polynomial is 1, in mm: about the radius of the clear aperture."""
+    """Height at which every polynomial is 1, in mm: about the radius of the clear aperture; beyond it they grow."""
     coefficients_mm: tuple[Coefficient, ...] = Field(min_length=1, max_length=MOST_ASPHERE_TERMS)
     """a₀, a₁, ..., in mm."""
 
@@ -33,6 +33,17 @@ class Qcon(Model):
         Up to ρ, rounding moves the sag by less than 1e-8 of the largest a_m with ten of them, 1e-13 with four.
         """
         return _even_terms(self.norm_radius_mm, self.coefficients_mm)
+
+    def growth(self, height_mm: float) -> float:
+        """Return the largest term u⁴ Q_m(u²) at a height, of those that have a coefficient; 1 at the norm radius."""
+        used = [m for m, coefficient in enumerate(self.coefficients_mm) if coefficient]
+        try:
+            u = height_mm / self.norm_radius_mm
+            return max(
+                (abs(math.fsum(a * u ** (2 * k + 4) for k, a in enumerate(_powers(m)))) for m in used), default=0.0
+            )
+        except OverflowError:
+            return math.inf
 
 
 def within_floats(asphere_mm: tuple[float, ...], norm_radius_mm: float) -> bool:
@@ -49,10 +60,15 @@ def _even_terms(norm_radius: float, coefficients: tuple[float, ...]) -> tuple[fl
     count = len(coefficients)
     terms = []
     for k in range(count):
-        # Exact: (−1)^(m + k) C(m, k) C(m + k + 4, m) is the coefficient of x^k in Q_m.
-        parts = ((-1) ** (m + k) * math.comb(m, k) * math.comb(m + k + 4, m) * coefficients[m] for m in range(k, count))
+        parts = (_powers(m)[k] * coefficients[m] for m in range(k, count))
         try:
             terms.append(math.fsum(parts) / norm_radius ** (2 * k + 4))
         except (OverflowError, ZeroDivisionError):
             terms.append(math.inf)
     return tuple(terms)
+
+
+@cache
+def _powers(m: int) -> tuple[int, ...]:
+    """Return the coefficients of 1, x, x², ... in Q_m, exactly."""
+    return tuple((-1) ** (m + k) * math.comb(m, k) * math.comb(m + k + 4, m) for k in range(m + 1))

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 from collections.abc import Iterator
 from functools import cache, lru_cache
 from pathlib import Path
@@ -572,10 +573,14 @@ class Scene(Model, Shown):
             )
 
 
+_NUMBER = re.compile(r"[0-9]{1,9}")
+"""Of an entry in a path; no list is longer."""
+
+
 @lru_cache(maxsize=4096)
 def steps_of(path: str) -> tuple[str | int, ...]:
     """Return the keys and numbers of a path such as "targets[0].position_mm"."""
-    return tuple(int(s) if s.isdigit() else s for s in path.replace("]", "").replace("[", ".").split("."))
+    return tuple(int(s) if _NUMBER.fullmatch(s) else s for s in path.replace("]", "").replace("[", ".").split("."))
 
 
 def _opened(value: Any) -> Any:

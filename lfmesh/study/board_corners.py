@@ -216,12 +216,21 @@ def _stated(numbers: NDArray[np.int64], columns: int | None, rows: int | None) -
     stated = (columns or found[0], rows or found[1])
     if found != stated and found == stated[::-1]:
         numbers, found = np.column_stack([numbers[:, 1], found[0] - 1 - numbers[:, 0]]), stated
-    if found != stated or (None not in (columns, rows) and len(numbers) != stated[0] * stated[1]):
+    if found != stated or (None not in (columns, rows) and not _ends_are_seen(numbers)):
         raise LfmeshError(
             f"board: {len(numbers)} corners in {found[0]} columns and {found[1]} rows are seen in the middle view, and "
-            f"columns = {stated[0]}, rows = {stated[1]}: corners between four squares count, and all must be in view"
+            f"columns = {stated[0]}, rows = {stated[1]}: corners between four squares count, and all must be in view, "
+            "but for few of the outer ones"
         )
     return np.asarray(numbers)
+
+
+def _ends_are_seen(numbers: NDArray[np.int64]) -> bool:
+    """Whether most corners of the first and the last column and row are there, so that none can be another's."""
+    last = numbers.max(axis=0)
+    return all(
+        2 * np.count_nonzero(numbers[:, axis] == end) > last[1 - axis] + 1 for axis in (0, 1) for end in (0, last[axis])
+    )
 
 
 def _followed(views: Array, middle: tuple[int, int], places: Array, steps: Array) -> Array:

@@ -39,7 +39,8 @@ class Board:
     square_mm : float, optional
         Side of a square; with a picture.
     columns, rows : int, optional
-        BoardCorners between four squares, along x and y of the board: all must be seen. Omitted: as many as are.
+        Corners between four squares, along x and y of the board, of whose outer columns and rows most must be seen.
+        Omitted: as many as are seen.
     corners : BoardCorners, optional
         In place of a picture.
     """

@@ -25,7 +25,7 @@ from lfmesh.study.axes import is_number
 from lfmesh.study.dataset_file import DatasetFile, Draw, read_dataset
 from lfmesh.study.dataset_item import CAMERAS, ITEMS, Item, facts_of, make_camera
 from lfmesh.study.paths import value_at
-from lfmesh.study.plan import in_a_line, path_faults, seed_of
+from lfmesh.study.plan import MOST_POINTS, in_a_line, path_faults, seed_of
 from lfmesh.study.pool import here, in_pool
 from lfmesh.study.study import Progress, Report, Shard, cores, default_workers, lists_settings
 from lfmesh.study.study_file import refused
@@ -124,6 +124,8 @@ class Dataset:
     def _prepare(self, file: DatasetFile, scene: Scene, folder: Path, name: str) -> None:
         self.file, self.folder, self.base = file, folder, scene
         faults = [] if file.count is not None else ["count: missing: the number of items"]
+        if len(self) > MOST_POINTS:
+            faults.append(f"count = {file.count}: a dataset has {MOST_POINTS:,} items at most; make several")
         faults += path_faults(file.changes, scene, "changes")
         if not faults and file.changes:
             self.base = scene.changed(file.changes)

@@ -3,6 +3,7 @@
 import hashlib
 import itertools
 import json
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -23,6 +24,9 @@ from lfmesh.study.metrics import METRICS
 from lfmesh.study.paths import value_at
 from lfmesh.study.pictures import FARTHEST_MM, Camera
 from lfmesh.study.study_file import StudyFile, refused
+
+MOST_POINTS = 1_000_000
+"""Of a study, or items of a dataset: each is checked before anything is traced, some thousands a second."""
 
 LEAST_REPLICATES = 3
 """Replicates of a batch: with one left out, two are left whose noise is independent."""
@@ -188,6 +192,7 @@ def plan_of(study: StudyFile, base: Scene | Sequence[Scene], name: str = "study"
             found = value_at(ready_scene, axis.path)
             faults.append(f"axes[{i}].relative: {axis.path} is {found!r} in the reference camera, no number to add to")
     faults += _metric_faults(study, ready_scene)
+    faults += _count_faults(study, axes)
     if faults:
         raise refused(name, faults)
     points = [Point(i, ()) for i in range(len(scenes))] if scenes else list(_points(study, axes, ready_scene))
@@ -256,6 +261,19 @@ def _metric_faults(study: StudyFile, scene: Scene) -> Iterator[str]:
     for name in study.metrics:
         if METRICS[name].needs_mla and scene.camera.mla is None:
             yield f"metrics: {name} needs a camera with a microlens array"
+
+
+def _count_faults(study: StudyFile, axes: tuple[Axis, ...]) -> Iterator[str]:
+    """Yield what is wrong with the number of points, before they are made."""
+    each = [len(axis.values) if axis.values is not None else axis.count or 1 for axis in axes]
+    if study.count is not None:
+        field, points = "count", study.count
+    elif study.design == "grid":
+        field, points = "axes", math.prod(each)
+    else:
+        field, points = "axes", sum(each)
+    if points > MOST_POINTS and not study.scenes:
+        yield f'{field}: design = "{study.design}" makes {points:,} points; a study has {MOST_POINTS:,} at most'
 
 
 def _points(study: StudyFile, axes: tuple[Axis, ...], base: Scene) -> Iterator[Point]:

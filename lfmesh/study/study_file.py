@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeVar
 from pydantic import Field, ValidationError
 
 from lfmesh.errors import LfmeshError
+from lfmesh.scene.file_kinds import mistaken_for
 from lfmesh.scene.model import Fault, Model, fault_lines, listed, nearest
 from lfmesh.scene.quantities import Count, Flag, Number, Positive, Text, Whole
 from lfmesh.study.axes import Axis
@@ -144,6 +145,8 @@ def read_tables(path: Path, kind: type[Tables]) -> Tables:
         raise LfmeshError(f"{path}: cannot be read: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
         raise LfmeshError(f"{path}: not valid TOML: {error}") from None
+    if words := mistaken_for("study" if kind is StudyFile else "dataset", data):
+        raise LfmeshError(f"{path}: {words}")
     try:
         return kind.model_validate(data)
     except ValidationError as error:

@@ -74,8 +74,17 @@ class StudyFolder:
             return False
 
     def keep_reference(self, batch: int, content: bytes) -> None:
-        """Write the films of a batch."""
-        self._write(self.path / REFERENCE, self.reference_path(batch).name, content)
+        """Write the films of a batch.
+
+        Raises
+        ------
+        FileError
+            They cannot be written; nothing of them is left.
+        """
+        try:
+            self._write(self.path / REFERENCE, self.reference_path(batch).name, content)
+        except OSError as error:
+            raise FileError(f"{self.reference_path(batch)} cannot be written: {error.strerror or error}") from None
 
     def unit_path(self, point: int, batch: int) -> Path:
         """Return the file of a unit."""

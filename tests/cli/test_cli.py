@@ -112,6 +112,8 @@ def test_render_writes_a_run_and_says_where(
         assert (Path("run") / name).is_file()
     assert lfmesh.open_run("run").complete
     assert max(len(line) for line in out.splitlines()) <= 80
+    broken = [line for line in out.splitlines() if line == "voxels"]
+    assert not broken, "lines of the examples are not broken"
 
 
 def test_options_override_the_transport_table(renderer: Renderer, scene_file: Path) -> None:
@@ -377,7 +379,11 @@ def test_schema_is_the_scenes_json_schema(capsys: pytest.CaptureFixture[str]) ->
     assert {"camera", "targets", "lights", "transport"} <= set(schema["properties"])
 
 
-@pytest.mark.parametrize("command", ["", "demo", "check", "render", "white", "decode", "refocus", "schema"])
+HELPED = ["", "demo", "check", "render", "white", "decode", "refocus", "schema", "study", "fit", "dataset", "matrix"]
+HELPED += ["lens", "lens list", "lens convert", "lens sheet", "frames", "camera-model", "compare", "view", "export"]
+
+
+@pytest.mark.parametrize("command", HELPED)
 def test_help_fits_80_columns(
     command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,5 +1,6 @@
 """Where a command line went wrong, the way on is named."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -37,3 +38,35 @@ def test_the_depth_of_the_run_is_found_by_its_name(tmp_path: Path, monkeypatch: 
     (tmp_path / "depth.exr").touch()
     assert _found(Path("depth.exr"), Path("run")) == Path("depth.exr")
     assert _found(Path("gone.exr"), Path("run")) == Path("gone.exr")
+
+
+KINDS = {
+    "scene.toml": bench_camera(4, 4),
+    "lens.toml": "surfaces = [{ radius_mm = 20.0, semi_diameter_mm = 4.0, stop = true }]\n",
+    "study.toml": 'scene = "scene.toml"\nmetrics = ["light"]\n',
+    "data.toml": 'scene = "scene.toml"\nrandom = []\n',
+}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("check lens.toml", "lens.toml: is a lens file, and a scene file is needed: .*camera.lens"),
+        ("check study.toml", "study.toml: is a study file, .*: lfmesh study takes it"),
+        ("check data.toml", "data.toml: is a dataset file, .*: lfmesh dataset takes it"),
+        ("study scene.toml -o out", "scene.toml: is a scene file, and a study file is needed: .*--template assembly"),
+        ("study data.toml -o out", "is a dataset file"),
+        ("dataset scene.toml -o out", "scene.toml: is a scene file, and a dataset file is needed"),
+        ("lens convert scene.toml out.zmx", "scene.toml: is a scene file, and a lens file is needed"),
+    ],
+)
+def test_a_file_of_another_kind_is_named_with_what_takes_it(
+    words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, content in KINDS.items():
+        (tmp_path / name).write_text(content)
+    assert main(words.split()) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.search(said, line)
+    assert not (tmp_path / "out").exists()

@@ -4,6 +4,7 @@ import json
 import math
 
 import pytest
+from scipy.special import eval_jacobi
 
 from lfmesh.scene import FirstOrder, Plane, Scene, Surface, Target, first_order, solved
 from lfmesh.scene.paraxial import Paraxial
@@ -250,6 +251,30 @@ def test_warnings_say_what_is_likely_to_disappoint(scene: Scene, values: dict[st
     facts = first_order(matched(scene).changed(values))
     assert any(words in warning for warning in facts.warnings), facts.warnings
     assert f"warning: {facts.warnings[0]}" in str(facts)
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "rim", "growth"),
+    [
+        ((0.01,), 5.0, None),
+        ((0.01,), 5.2, None),
+        ((0.01,), 6.0, 1.2**4),
+        ((0.0, 0.0, 0.0, 1e-4), 5.2, 1.04**4 * eval_jacobi(3, 0, 4, 2.0 * 1.04**2 - 1.0)),
+        ((0.01, 0.0, 0.0, 0.0, 1e-4), 6.0, 1.2**4 * eval_jacobi(4, 0, 4, 2.0 * 1.2**2 - 1.0)),
+        ((0.01, 0.0, 0.0, 0.0, 0.0), 5.2, None),
+    ],
+)
+def test_a_strong_asphere_that_is_clear_beyond_its_norm_radius_is_named(
+    scene: Scene, coefficients: tuple[float, ...], rim: float, growth: float | None
+) -> None:
+    qcon = {"norm_radius_mm": 5.0, "coefficients_mm": coefficients}
+    surface = "camera.lens.surfaces[1]"
+    changed = scene.changed({f"{surface}.qcon": qcon, f"{surface}.semi_diameter_mm": rim})
+    said = [line for line in first_order(changed).warnings if "norm_radius_mm" in line]
+    assert len(said) == (growth is not None)
+    if growth is not None:
+        assert said[0].startswith(f"surfaces[1] is clear up to {rim:g} mm")
+        assert f"{growth:.3g} times" in said[0]
 
 
 def test_a_lens_that_diverges_is_told_from_a_relay(scene: Scene) -> None:

@@ -76,6 +76,29 @@ def test_corners_are_numbered_and_followed_through_the_views(degrees: float, sla
         assert np.abs(found.sample[own] - expected).max() < 0.03
 
 
+def test_a_board_of_known_size_may_lack_few_of_its_corners() -> None:
+    """A light spot lies on a corner; without a whole column it could be another board's."""
+    to_board = turned(12.0, 5.0, (14.0, 14.0))
+    picture = pictured(29, to_board, squares=2.5)
+    whole = find_corners(picture[None, None], np.ones((1, 1, 29, 29), bool), 1.0)
+    count = len(whole.board_mm)
+    columns, rows = np.ptp(whole.board_mm, axis=0).astype(int) + 1
+    hidden = np.ones((1, 1, 29, 29), bool)
+    at = np.rint(whole.sample[np.argmin(np.linalg.norm(whole.board_mm - [0.5, 0.5], axis=1))]).astype(int)
+    hidden[0, 0, at[1] - 2 : at[1] + 3, at[0] - 2 : at[0] + 3] = False
+    found = find_corners(picture[None, None], hidden, 1.0, int(columns), int(rows))
+    assert len(found.board_mm) < count
+    for place, board in zip(found.sample, found.board_mm, strict=True):
+        same = np.linalg.norm(whole.board_mm - board, axis=1).argmin()
+        assert np.abs(whole.sample[same] - place).max() < 0.1
+    hidden = np.ones((1, 1, 29, 29), bool)
+    for corner in whole.sample[np.argsort(whole.board_mm[:, 0])[: (int(rows) + 1) // 2]]:
+        s, t = np.rint(corner).astype(int)
+        hidden[0, 0, t - 2 : t + 3, max(s - 2, 0) : s + 3] = False
+    with pytest.raises(lf.LfmeshError, match="but for few of the outer ones"):
+        find_corners(picture[None, None], hidden, 1.0, int(columns), int(rows))
+
+
 @pytest.mark.parametrize(
     ("views", "counts", "words"),
     [

@@ -184,6 +184,21 @@ def test_a_full_disk_ends_nothing(tmp_path: Path, table: str, monkeypatch: pytes
     assert Counter(events(tmp_path, "begun"))[1, 0] == 1
 
 
+def test_a_disk_that_has_no_room_for_the_reference_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not as an output that cannot be printed, which the errors of nameless files are taken for."""
+
+    usual = studying.StudyFolder._write
+
+    def full(folder: Path, name: str, content: bytes) -> None:
+        if name.startswith("batch"):
+            raise OSError(28, "No space left on device")
+        usual(folder, name, content)
+
+    monkeypatch.setattr(studying.StudyFolder, "_write", staticmethod(full))
+    with pytest.raises(lf.LfmeshError, match=r"batch000\.npz cannot be written: No space left"):
+        shifted(1).run(tmp_path, workers=0)
+
+
 def units(study: lf.Study, count: int, folder: Path) -> list[tuple[Unit, Path]]:
     plan = study.plan
     reference = plan.camera_of(plan.points[0])

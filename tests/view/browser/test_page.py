@@ -489,6 +489,54 @@ def test_each_page_has_its_own_camera_rays_filter_and_history(fresh: Page, brows
     fresh.redrawn(lambda: fresh.tab.click("#apply"))
 
 
+def test_a_tab_that_is_loaded_again_finds_its_page_as_it_was_left(browser: Any, server: Server) -> None:
+    own = Page(browser, server)
+    try:
+        for axis, value in (("x", "0.5"), ("y", "-3")):
+            own.tab.fill(f"#point-{axis}", value)
+        own.redrawn(lambda: own.tab.click("#go"))
+        own.tab.fill("#filter", "ghost")
+        own.redrawn(lambda: own.tab.click("#apply"))
+        own.redrawn(lambda: own.tab.select_option("#colour", "power"))
+        own.redrawn(lambda: own.tab.click("#preset-side"))
+        box = own.tab.locator("#view3d").bounding_box()
+        own.tab.mouse.move(box["x"] + 200, box["y"] + 200)
+        own.tab.mouse.down()
+        own.tab.mouse.move(box["x"] + 300, box["y"] + 240, steps=4)
+        own.redrawn(own.tab.mouse.up)
+        own.tab.click("#tab-field")
+        own.tab.wait_for_selector("#refocused[src^=data]")
+        own.tab.locator("#focus").fill("20")
+        own.settle()
+        names = ("#point-x", "#point-y", "#filter", "#colour", "#count", "#focus")
+
+        def left() -> list[Any]:
+            values: list[Any] = [own.tab.locator(name).input_value() for name in names]
+            return [*values, *(own.tab.text_content(name) for name in ("#kept", "#paths", "#drawn", "#focus-note"))]
+
+        before = left()
+        own.tab.click("#tab-rays")
+        own.settle()
+        turned = own.picture("#view3d").astype(float)
+        for _ in range(2):
+            own.tab.click("#tab-field")
+            own.settle()
+            own.tab.reload()
+            own.tab.wait_for_selector("#tab-field.on")
+            own.tab.wait_for_selector("#refocused[src^=data]")
+            assert left() == before
+            own.tab.click("#tab-rays")
+            own.wait("document.querySelector('#view3d img')?.naturalWidth > 100")
+            own.settle()
+            assert np.abs(own.picture("#view3d") - turned).mean() < 1.0, "the camera and what it sees"
+        own.tab.fill("#filter", "")
+        own.redrawn(lambda: own.tab.click("#apply"))
+        assert "paths" in own.text("#kept")
+        assert "sessionURL" not in own.tab.url
+    finally:
+        own.tab.close()
+
+
 def test_pages_are_limited_and_those_that_are_left_make_room(page: Page, browser: Any, server: Server) -> None:
     ours = f"http://{server.host}:{server.port}"
     held = [server.websocket(Origin=ours) for _ in range(sessions.MOST_SOCKETS + 2)]
@@ -608,9 +656,10 @@ def test_the_page_starts_as_the_command_line_says(browser: Any, run: Path) -> No
         assert opened.tab.locator("#cut").is_checked()
         assert opened.tab.locator("#filter").input_value() == "not ghost"
         opened.tab.fill("#filter", "")
-        opened.tab.reload()
+        opened.redrawn(lambda: opened.tab.click("#apply"))
+        opened.tab.goto(served.url)
         opened.tab.wait_for_selector("#paths tbody tr")
-        assert opened.tab.locator("#filter").input_value() == "not ghost", "a page that is loaded again begins anew"
+        assert opened.tab.locator("#filter").input_value() == "not ghost", "whose address is opened again begins anew"
     finally:
         code, errors = served.stop()
         opened.tab.close()

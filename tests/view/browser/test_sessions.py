@@ -1,5 +1,6 @@
-"""Pages that cannot be made are words, and the server goes on."""
+"""Pages that cannot be made are words, and the server goes on; pages that are left wait for their tab, a while."""
 
+import asyncio
 from typing import Any
 
 import pytest
@@ -43,3 +44,61 @@ def test_a_later_page_that_fails_says_why(
     assert ("KeyError" in capsys.readouterr().err) == isinstance(fault, KeyError)
     with pytest.raises(type(fault)):
         Sessions(fill, refuse)
+
+
+class Shown:
+    """A page that tells whether it is closed."""
+
+    def __init__(self) -> None:
+        self.closed = False
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def names(count: int) -> list[str]:
+    return [f"{number:032x}" for number in range(count)]
+
+
+def test_pages_that_are_left_are_given_up_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
+    from lfmesh.view.browser import sessions
+
+    monkeypatch.setattr(sessions, "WAIT_SECONDS", 0.2)
+
+    async def leave() -> tuple[bool, bool, bool, bool]:
+        all_pages = sessions.Sessions(lambda _server: Shown(), lambda _server, _words: None)
+        left, returned = all_pages._next(), all_pages._next()
+        for name, session in zip(names(2), (left, returned), strict=True):
+            all_pages._keep(name, session)
+        at_once = left.shown.closed  # type: ignore[union-attr]
+        await asyncio.sleep(0.1)
+        all_pages._left.pop(names(2)[1]).stay()
+        await asyncio.sleep(0.05)
+        all_pages._keep(names(2)[1], returned)
+        await asyncio.sleep(0.1)
+        found = at_once, left.shown.closed, returned.shown.closed  # type: ignore[union-attr]
+        await all_pages.close()
+        return *found, returned.shown.closed  # type: ignore[union-attr]
+
+    assert asyncio.run(leave()) == (False, True, False, True)
+
+
+def test_pages_that_are_left_make_room_the_oldest_first() -> None:
+    from lfmesh.view.browser import sessions
+
+    async def leave() -> tuple[list[bool], int]:
+        all_pages = sessions.Sessions(lambda _server: Shown(), lambda _server, _words: None)
+        left = [all_pages._next() for _ in range(sessions.MOST_PAGES)]
+        for name, session in zip(names(len(left)), left, strict=True):
+            all_pages._keep(name, session)
+        for _ in range(2):
+            all_pages._open.add(all_pages._next())
+        found = [session.shown.closed for session in left]  # type: ignore[union-attr]
+        kept = len(all_pages._left)
+        for session in all_pages._left.values():
+            session.stay()
+        return found, kept
+
+    closed, kept = asyncio.run(leave())
+    assert closed == [True, True] + [False] * (sessions.MOST_PAGES - 2)
+    assert kept == sessions.MOST_PAGES - 2

@@ -440,7 +440,7 @@ def _profile(mla: LensletArray, cell: NDArray[np.int64], c: Array, q: Array) -> 
     r2 = (across * across).sum(axis=1)
     root = np.sqrt(1 - (1 + mla.conic.reshape(-1)[cell].astype(kind)) * c * c * r2)
     sag, steep = c * r2 / (1 + root), c / root
-    for j, a in enumerate(mla.terms.reshape(-1, mla.terms.shape[-1])[cell].astype(kind).T):
+    for j, a in enumerate(mla.terms.reshape(mla.conic.size, mla.terms.shape[-1])[cell].astype(kind).T):
         sag = sag + a * r2 ** (j + 2)
         steep = steep + (2 * j + 4) * a * r2 ** (j + 1)
     return sag, steep[:, None] * across

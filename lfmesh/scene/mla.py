@@ -127,9 +127,12 @@ class MicrolensArray(Model):
         return conic, self.asphere_mm[kind if len(self.asphere_mm) > 1 else 0]
 
     @property
-    def is_spherical(self) -> bool:
-        """Whether all lenslets are spheres."""
-        return self.cylinder_axis is None and not any(self.conic) and not any(map(any, self.asphere_mm))
+    def profile_words(self) -> str:
+        """What the lenslets are where they are no spheres, as "aspheres" or "cylinders along y"; else nothing."""
+        kind = "aspheres" if any(map(any, self.asphere_mm)) else "conics" if any(self.conic) else ""
+        if self.cylinder_axis is None:
+            return kind
+        return f"{'a' if kind else ''}cylinders along {self.cylinder_axis}"
 
     def cap_fault(self, radius_mm: float, scale: float = 1.0, kind: int = 0) -> str | None:
         """Return why a face of this radius cannot be cut into the plate, and what can; None if it can.

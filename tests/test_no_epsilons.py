@@ -18,6 +18,7 @@ DIMENSIONLESS = {
     "geometry/cad_child.py": {"DEFAULT_TOLERANCE", "FINEST_MM", "MM_PER_UNIT"},
     "geometry/element_poses.py": {"TOUCHING"},
     "geometry/mesh_file.py": {"MM_PER_UNIT"},
+    "geometry/lenslet_profile.py": {"SETTLED"},
     "geometry/patch.py": {"INSIDE", "SETTLED"},
     "geometry/refractors.py": {"FLAT_SHADED", "NO_POWER", "ON_AXIS", "ON_SURFACE", "SAME_NORMAL", "SLIVER"},
     "geometry/shell_tree.py": {"MARGIN"},

@@ -79,7 +79,7 @@ class Rays:
 
 @dataclass(frozen=True)
 class LensletArray:
-    """The microlens array: every lenslet's sphere, and where the array stands.
+    """The microlens array: every lenslet's face, and where the array stands.
 
     Attributes
     ----------
@@ -88,6 +88,11 @@ class LensletArray:
     curvature : (rows, columns) float64, 1/mm
     apex : (rows, columns, 2) float64, mm
     centre : (rows, columns, 2) float64, mm
+    conic : (rows, columns) float64
+    terms : (rows, columns, n) float64
+        Coefficients of r⁴, r⁶, ...
+    bends : (2,) float64
+        1 for each of x and y, but 0 for that along cylinders.
     """
 
     turn: NDArray[np.float64]
@@ -100,6 +105,14 @@ class LensletArray:
     curvature: NDArray[np.float64]
     apex: NDArray[np.float64]
     centre: NDArray[np.float64]
+    conic: NDArray[np.float64]
+    terms: NDArray[np.float64]
+    bends: NDArray[np.float64]
+
+    @property
+    def spherical(self) -> bool:
+        """Whether all lenslets are spheres."""
+        return not self.conic.any() and not self.terms.any() and bool(self.bends.all())
 
 
 @dataclass(frozen=True)
@@ -336,11 +349,14 @@ def _lenslet_array(scene: Scene, face_z: float, wavelength_nm: float) -> Lenslet
     drawn = lenslets(
         lattice, np.asarray(mla.radius_mm, np.float64), mla.thickness_mm,
         decenter_mm=mla.form.decenter_mm, radius_error=mla.form.radius_error, seed=mla.form.seed,
+        conic=mla.conic, asphere_mm=mla.asphere_mm, cylinder_axis=mla.cylinder_axis,
     )  # fmt: skip
     row, column = np.indices((lattice.rows, lattice.columns))
     kinds = mla.types
     if kinds == 1:
         kind = np.zeros_like(row)
+    elif mla.cylinder_axis is not None:
+        kind = (column if mla.cylinder_axis == "y" else row) % kinds
     elif lattice.hexagonal:
         kind = (column - row // 2 + 2 * row) % 3 if kinds == 3 else (column + row) % 2
     else:
@@ -360,9 +376,15 @@ def _lenslet_array(scene: Scene, face_z: float, wavelength_nm: float) -> Lenslet
         origin = origin + turn @ [0.0, 0.0, mla.thickness_mm]
         turn = turn @ np.diag([1.0, 1.0, -1.0])
     index = refractive_index(mla.medium, wavelength_nm)
+    profiles = [mla.profile_of(k) for k in range(kinds)]
+    terms = np.zeros((kinds, max(len(given) for _, given in profiles)))
+    for own, (_, given) in zip(terms, profiles, strict=True):
+        own[: len(given)] = given
     return LensletArray(
-        turn, origin, to_lens, index, mla.thickness_mm, lattice.hexagonal, lattice.pitch, curvature, apex, centre
-    )
+        turn, origin, to_lens, index, mla.thickness_mm, lattice.hexagonal, lattice.pitch, curvature, apex, centre,
+        np.array([conic for conic, _ in profiles])[kind], terms[kind],
+        np.array([mla.cylinder_axis != "x", mla.cylinder_axis != "y"], np.float64),
+    )  # fmt: skip
 
 
 def _through_mla(rays: Rays, mla: LensletArray) -> None:
@@ -388,7 +410,7 @@ def _through_flat_face(rays: Rays, mla: LensletArray, before: float, after: floa
 
 
 def _through_lenslets(rays: Rays, mla: LensletArray, before: float, after: float) -> None:
-    """Refract the rays at the sphere of the lenslet in whose cell they meet it.
+    """Refract the rays at the face of the lenslet in whose cell they meet it.
 
     A ray whose cell does not settle crosses the wall between unlike lenslets; it is left out.
     """
@@ -402,7 +424,10 @@ def _through_lenslets(rays: Rays, mla: LensletArray, before: float, after: float
         apex = mla.apex.reshape(-1, 2)[flat].astype(kind)
         c = mla.curvature.reshape(-1)[flat].astype(kind)
         p = np.column_stack([rays.p[:, :2] - apex, rays.p[:, 2]])
-        t = _conic_transfer(p, rays.d * np.sign(rays.d[:, 2:]), c, kind(0)) * np.sign(rays.d[:, 2])
+        if mla.spherical:
+            t = _conic_transfer(p, rays.d * np.sign(rays.d[:, 2:]), c, kind(0)) * np.sign(rays.d[:, 2])
+        else:
+            t = _profile_transfer(p, rays.d, mla, flat, c)
         q = p + t[:, None] * rays.d
         hit = np.column_stack([q[:, :2] + apex, q[:, 2]])
         there = _nearest_cell(mla, hit)
@@ -412,8 +437,37 @@ def _through_lenslets(rays: Rays, mla: LensletArray, before: float, after: float
         cell = there
     rays.alive &= settled
     rays.p = hit
-    normal = np.column_stack([-c[:, None] * q[:, :2], 1 - c * q[:, 2]]) * np.sign(rays.d[:, 2:])
+    normal = np.column_stack([-c[:, None] * q[:, :2], 1 - c * q[:, 2]])
+    if not mla.spherical:
+        normal = np.column_stack([-_profile(mla, flat, c, q)[1], np.ones_like(c)])
+    normal = normal * np.sign(rays.d[:, 2:])
     _refract(rays, normal, before, after)
+
+
+def _profile(mla: LensletArray, cell: NDArray[np.int64], c: Array, q: Array) -> tuple[Array, Array]:
+    """Return the sag and the slopes (n, 2) of lenslets that are no spheres, at points from their apexes."""
+    kind = q.dtype.type
+    across = q[:, :2] * mla.bends.astype(kind)
+    r2 = (across * across).sum(axis=1)
+    root = np.sqrt(1 - (1 + mla.conic.reshape(-1)[cell].astype(kind)) * c * c * r2)
+    sag, steep = c * r2 / (1 + root), c / root
+    for j, a in enumerate(mla.terms.reshape(mla.conic.size, mla.terms.shape[-1])[cell].astype(kind).T):
+        sag = sag + a * r2 ** (j + 2)
+        steep = steep + (2 * j + 4) * a * r2 ** (j + 1)
+    return sag, steep[:, None] * across
+
+
+def _profile_transfer(p: Array, d: Array, mla: LensletArray, cell: NDArray[np.int64], c: Array) -> Array:
+    """Return the distances to the faces of lenslets that are no spheres, by Newton's method from the apexes."""
+    t = -p[:, 2] / d[:, 2]
+    for _ in range(NEWTON_STEPS):
+        q = p + t[:, None] * d
+        sag, slopes = _profile(mla, cell, c, q)
+        step = (q[:, 2] - sag) / (d[:, 2] - (slopes * d[:, :2]).sum(axis=1))
+        t = t - step
+        if not np.any(np.abs(step) > 4 * np.finfo(t.dtype).eps * (1 + np.abs(t))):
+            break
+    return np.asarray(t)
 
 
 def _nearest_cell(mla: LensletArray, p: Array) -> NDArray[np.int64]:

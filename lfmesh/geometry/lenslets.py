@@ -1,25 +1,38 @@
 """The microlens array's shape, in its own frame: z runs from the curved face into the glass, apexes at z = 0.
 
-Every lenslet is the same spherical cap on its own cell, up to three types (multi-focus), and may carry form errors
-(decentre, radius). Only one cell a type is a mesh for Embree (`cell_mesh`); `mla_mesh` builds them all, for export,
-for drawing, and as the truth that the folded array is tested against.
+Every lenslet is the same cap on its own cell, up to three types (multi-focus), and may carry form errors (decentre,
+radius). It is a sphere, or has a `lenslet_profile`: a conic with even terms, of revolution or a cylinder. Only one cell
+a type is a mesh for Embree (`cell_mesh`); `mla_mesh` builds them all, for export, for drawing, and as the truth that
+the folded array is tested against.
 """
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry.lattice import Lattice
+from lfmesh.geometry.lenslet_profile import (
+    fill_shapes,
+    first_crossing,
+    is_steeper,
+    profile_of,
+    profile_shape,
+    sag_slope_bend,
+)
 from lfmesh.geometry.mesh import Array, Index, Mesh, joined
-from lfmesh.kernel import kernel
+from lfmesh.kernel import inlined, kernel
 
 if TYPE_CHECKING:
     import trimesh
 
 SUBDIVISIONS = 6
 """Triangles along a cell's side (square) or from its centre to a corner (hexagonal)."""
+
+DEPTH_SAMPLES = 4096
+"""Intervals of the distance from the apex at whose ends the depth of a face that is no sphere is measured."""
 
 OFFSET = 8.0
 """Cells of different types stand this many pitches apart in their common Embree scene."""
@@ -41,6 +54,8 @@ class Lenslets(NamedTuple):
         Curvature of each lenslet over its type's; empty when all are one.
     top, valley : float, mm
         The layer between the smallest and the largest z of the curved face.
+    profile : Profile
+        None where all are spheres: code for other faces is then not even compiled.
     """
 
     lattice: Lattice
@@ -50,6 +65,7 @@ class Lenslets(NamedTuple):
     stretch: Array
     top: float
     valley: float
+    profile: Any = None
 
     @property
     def alike(self) -> bool:
@@ -71,6 +87,9 @@ def lenslets(
     decenter_mm: float = 0.0,
     radius_error: float = 0.0,
     seed: int = 0,
+    conic: Sequence[float] = (0.0,),
+    asphere_mm: Sequence[Sequence[float]] = ((),),
+    cylinder_axis: str | None = None,
 ) -> Lenslets:
     """Draw the shape of a microlens array with its form errors: normal, of the rms given.
 
@@ -86,6 +105,12 @@ def lenslets(
     radius_error : float
         Rms relative error of the radii.
     seed : int
+    conic : (types,) or (1,) float
+        Conic constant of each type, or of all.
+    asphere_mm : (types, n) or (1, n) float
+        Coefficients of r⁴, r⁶, ... of each type, or of all; not all need be given.
+    cylinder_axis : str, optional
+        "x" or "y", along which the lenslets are cylinders, each over a whole row or column of cells.
 
     Raises
     ------
@@ -97,16 +122,25 @@ def lenslets(
     # Both are drawn whichever is asked for, so that switching one error on leaves the other as it was.
     shift = draw.normal(size=(cells, 2)) * (decenter_mm / np.sqrt(2.0))
     stretch = 1.0 / (1.0 + radius_error * draw.normal(size=cells))
+    shift, stretch = _along_cylinders(lattice, cylinder_axis, shift), _along_cylinders(lattice, cylinder_axis, stretch)
     curvature = 1.0 / np.asarray(radius_mm, dtype=np.float64)
     steepest = stretch.max() if radius_error else 1.0
-    corner = lattice.circumradius + (np.linalg.norm(shift, axis=1).max() if decenter_mm else 0.0)
-    if stretch.min() <= 0.0 or np.abs(curvature).max() * steepest * corner >= 1.0:
+    widest = lattice.circumradius if cylinder_axis is None else 0.5 * lattice.pitch
+    corner = widest + (np.linalg.norm(shift, axis=1).max() if decenter_mm else 0.0)
+    conics, terms = _of_each_type(len(curvature), conic, asphere_mm)
+    squash = 1.0 + conics
+    if stretch.min() <= 0.0 or (squash * (np.abs(curvature) * steepest * corner) ** 2).max() >= 1.0:
         raise SceneError(
             f"camera.mla.form: decenter_mm = {decenter_mm:g} and radius_error = {radius_error:g} (seed {seed}) leave "
-            f"a lenslet whose sphere ends inside its cell, {corner:.4g} mm from its apex; give smaller errors or "
-            "larger radii"
+            f"a lenslet whose {'conic' if conics.any() else 'sphere'} ends inside its cell, {corner:.4g} mm from its "
+            "apex; give smaller errors or larger radii"
         )
+    profile = None
     depths = [_cap_depth(c * steepest, corner) for c in curvature]
+    if cylinder_axis is not None or conics.any() or terms.any():
+        between = (float(stretch.min()), float(stretch.max())) if radius_error else (1.0, 1.0)
+        profile = profile_of(curvature, conics, terms, cylinder_axis, corner, between)
+        depths = _profile_depths(curvature, conics, terms, corner, between)
     if max(depths) >= thickness_mm:
         raise SceneError(
             f"camera.mla.thickness_mm = {thickness_mm:g}: the lenslets are {max(depths):.4g} mm deep at their corners "
@@ -120,7 +154,41 @@ def lenslets(
         stretch=stretch if radius_error else np.zeros(0),
         top=float(min(0.0, *depths)),
         valley=float(max(0.0, *depths)),
+        profile=profile,
     )
+
+
+def _along_cylinders(lattice: Lattice, cylinder_axis: str | None, values: Array) -> Array:
+    """Return values of cells, row by row, such that all cells of a cylinder have those of its first."""
+    if cylinder_axis is None:
+        return values
+    of_cells = values.reshape(lattice.rows, lattice.columns, *values.shape[1:])
+    first = of_cells[:1] if cylinder_axis == "y" else of_cells[:, :1]
+    return np.ascontiguousarray(np.broadcast_to(first, of_cells.shape).reshape(values.shape))
+
+
+def _of_each_type(types: int, conic: Sequence[float], asphere_mm: Sequence[Sequence[float]]) -> tuple[Array, Array]:
+    """Return the (types,) conic constants and the (types, n) coefficients of an array's types."""
+    conics = np.array(np.broadcast_to(np.asarray(conic, np.float64), (types,)))
+    terms = np.zeros((len(asphere_mm), max(map(len, asphere_mm))))
+    for row, given in zip(terms, asphere_mm, strict=True):
+        row[: len(given)] = given
+    return conics, np.ascontiguousarray(np.broadcast_to(terms, (types, terms.shape[1])))
+
+
+def _profile_depths(
+    curvature: Array, conics: Array, terms: Array, corner: float, stretch: tuple[float, float]
+) -> list[float]:
+    """Return the least and the largest sag of each type, with a margin for what lies between the samples."""
+    depths = []
+    rho = np.linspace(0.0, corner, DEPTH_SAMPLES + 1)
+    for c, k, a in zip(curvature, conics, terms, strict=True):
+        # The sag grows with the curvature at every distance.
+        for bent in stretch:
+            sag, _, bend = sag_slope_bend(np.asarray(c * bent), k, a, rho)
+            between = bend.max() * (corner / DEPTH_SAMPLES) ** 2 / 8.0
+            depths += [sag.min() - between, sag.max() + between]
+    return depths
 
 
 def _cap_depth(curvature: float, radius: float) -> float:
@@ -148,7 +216,15 @@ def type_of(mla: Lenslets, column: int, row: int) -> int:
     if mla.lattice.hexagonal:
         # Axial coordinates make the three types a regular colouring: no two of a kind touch.
         return (column - (row >> 1) + 2 * row) % types if types == 3 else (column + row) % types
-    return (column + row) % types
+    return _across_cylinders(mla.profile, column, row) % types
+
+
+@inlined
+def _across_cylinders(profile: Any, column: int, row: int) -> int:
+    """Return the number of a cylinder; of lenslets of revolution column + row."""
+    if profile is None:
+        return column + row
+    return (column if profile.weight_x > 0.0 else 0) + (row if profile.weight_y > 0.0 else 0)
 
 
 @kernel
@@ -180,29 +256,153 @@ def cap_sag(curvature: float, r2: float) -> float:
     return curvature * r2 / (1.0 + np.sqrt(1.0 - curvature * curvature * r2))
 
 
-@kernel
-def border_sag(lattice: Lattice, curvature: float, x: float, y: float, side: int) -> float:
-    """Return the z of a cell's mesh at a point of one of its sides: on the chord between two vertices of the border.
+@inlined
+def is_spherical(profile: Any) -> bool:
+    """Tell whether the lenslets of a profile, or of none, are spheres."""
+    return profile is None
 
-    The side is numbered as in `leaves_at`, by either of the cells that share it.
+
+@kernel
+def face_sag(mla: Lenslets, column: int, row: int, curvature: float, x: float, y: float) -> float:
+    """Return the sag of a lenslet at a point from its apex.
 
     Parameters
     ----------
-    lattice : Lattice
+    mla : Lenslets
+    column, row : int
+        Of the lenslet.
     curvature : float, 1/mm
+        From `shape_of`.
+    x, y : float, mm
+    """
+    return _sag_by(mla.profile, mla, column, row, curvature, x, y)
+
+
+@inlined
+def _sag_by(profile: Any, mla: Lenslets, column: int, row: int, curvature: float, x: float, y: float) -> float:
+    if profile is None:
+        return cap_sag(curvature, x * x + y * y)
+    return profile_shape(profile, type_of(mla, column, row), curvature, x, y)[0]
+
+
+@inlined
+def face_normal(
+    mla: Lenslets, column: int, row: int, curvature: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Return the unit normal of a lenslet, towards +z, at a point of its face, from its apex.
+
+    Parameters
+    ----------
+    mla : Lenslets
+    column, row : int
+        Of the lenslet.
+    curvature : float, 1/mm
+        From `shape_of`.
+    x, y, z : float, mm
+    """
+    return _normal_by(mla.profile, mla, column, row, curvature, x, y, z)
+
+
+@inlined
+def _normal_by(
+    profile: Any, mla: Lenslets, column: int, row: int, curvature: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    if profile is None:
+        return -curvature * x, -curvature * y, 1.0 - curvature * z
+    _, gx, gy = profile_shape(profile, type_of(mla, column, row), curvature, x, y)
+    scale = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
+    return -gx * scale, -gy * scale, scale
+
+
+@inlined
+def meets_profile(
+    profile: Any, mla: Lenslets, column: int, row: int, x: float, y: float, z: float,
+    dx: float, dy: float, dz: float, in_air: bool, begin: float, end: float,
+) -> tuple[bool, float]:  # fmt: skip
+    """Return whether, and where, a ray first crosses the face of a lenslet that is no sphere; of a sphere False.
+
+    Parameters
+    ----------
+    profile : Profile, or None
+        That of `mla`.
+    mla : Lenslets
+    column, row : int
+        Of the lenslet.
+    x, y, z : float, mm
+        Where distances are counted from, from the cell's centre.
+    dx, dy, dz : float
+    in_air : bool
+        The ray is in the air before the face; else in the glass.
+    begin, end : float, mm
+        Distances between which it is in the cell.
+    """
+    if profile is None:
+        return False, 0.0
+    curvature, ex, ey = shape_of(mla, column, row)
+    return first_crossing(
+        profile, type_of(mla, column, row), curvature, x - ex, y - ey, z, dx, dy, dz, 1.0 if in_air else -1.0,
+        begin, end,
+    )  # fmt: skip
+
+
+@inlined
+def leaves_face(profile: Any, mla: Lenslets, column: int, row: int, dx: float, dy: float, dz: float) -> bool:
+    """Tell whether a ray that starts on a lenslet's face, out of the layer of faces, cannot meet that lenslet again.
+
+    A sphere it cannot; of other faces that is known of directions steeper than they are anywhere.
+
+    Parameters
+    ----------
+    profile : Profile, or None
+        That of `mla`.
+    mla : Lenslets
+    column, row : int
+        Of the lenslet.
+    dx, dy, dz : float
+    """
+    if profile is None:
+        return True
+    return is_steeper(profile, type_of(mla, column, row), dx, dy, dz)
+
+
+@kernel
+def border_sag(mla: Lenslets, column: int, row: int, x: float, y: float, side: int) -> float:
+    """Return the z of a cell's mesh at a point of one of its sides: on the chord between two vertices of the border.
+
+    The side is numbered as in `leaves_at`, by either of the cells that share it. Form errors do not count.
+
+    Parameters
+    ----------
+    mla : Lenslets
+    column, row : int
+        Of the cell.
     x, y : float, mm
         From the cell's centre.
     side : int
     """
+    lattice = mla.lattice
+    curvature = mla.curvature[type_of(mla, column, row)]
     segments = border_segments(lattice.hexagonal)
     angle = side * np.pi / (3.0 if lattice.hexagonal else 2.0)
     step = lattice.pitch / (np.sqrt(3.0) if lattice.hexagonal else 1.0) / segments
-    along = (np.cos(angle) * y - np.sin(angle) * x) / step + 0.5 * segments
+    nx, ny, half = np.cos(angle), np.sin(angle), 0.5 * lattice.pitch
+    along = (nx * y - ny * x) / step + 0.5 * segments
     low = np.floor(along)
-    apothem2 = 0.25 * lattice.pitch**2
-    z_low = cap_sag(curvature, apothem2 + ((low - 0.5 * segments) * step) ** 2)
-    z_high = cap_sag(curvature, apothem2 + ((low + 1.0 - 0.5 * segments) * step) ** 2)
+    a, b = (low - 0.5 * segments) * step, (low + 1.0 - 0.5 * segments) * step
+    z_low = _border_vertex(mla.profile, mla, column, row, curvature, half, a, nx, ny)
+    z_high = _border_vertex(mla.profile, mla, column, row, curvature, half, b, nx, ny)
     return z_low + (along - low) * (z_high - z_low)
+
+
+@inlined
+def _border_vertex(
+    profile: Any, mla: Lenslets, column: int, row: int, curvature: float, half: float, along: float,
+    nx: float, ny: float,
+) -> float:  # fmt: skip
+    """Return the sag at a distance along a side from its middle."""
+    if profile is None:
+        return cap_sag(curvature, half * half + along * along)
+    return face_sag(mla, column, row, curvature, half * nx - along * ny, half * ny + along * nx)
 
 
 @kernel
@@ -242,13 +442,27 @@ def _merged(points: Array, faces: Index, scale: float) -> tuple[Array, Index]:
     return points[first], inverse.reshape(-1)[faces]
 
 
-def _cap_points(curvature: float, apex: Array, relative: Array, centre: Array) -> tuple[Array, Array]:
-    """Return the vertices of one lenslet over points of its cell, and their normals towards +z."""
-    from_apex = relative - apex
+def faces_at(mla: Lenslets, kind: int, curvature: float, from_apex: Array) -> tuple[Array, Array]:
+    """Return the sag (n,) of lenslets of a type, mm, and their unit normals (n, 3) towards +z.
+
+    Parameters
+    ----------
+    mla : Lenslets
+    kind : int
+        The type.
+    curvature : float, 1/mm
+        With the error of the lenslet.
+    from_apex : (n, 2) float64, mm
+        Points, from the apex.
+    """
+    if mla.profile is not None:
+        z, normal = np.zeros(len(from_apex)), np.zeros((len(from_apex), 3))
+        fill_shapes(mla.profile, kind, curvature, np.ascontiguousarray(from_apex, np.float64), z, normal)
+        return z, normal
     r2 = np.einsum("ij,ij->i", from_apex, from_apex)
     z = curvature * r2 / (1.0 + np.sqrt(1.0 - curvature**2 * r2))
     normal = np.column_stack([-curvature * from_apex, 1.0 - curvature * z])
-    return np.column_stack([relative + centre, z]), normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    return z, normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
 def cell_mesh(mla: Lenslets, kind: int) -> Mesh:
@@ -264,7 +478,8 @@ def cell_mesh(mla: Lenslets, kind: int) -> Mesh:
     apothem = 0.5 * mla.lattice.pitch
     parts = []
     for centre in centres:
-        vertices, normals = _cap_points(float(mla.curvature[kind]), np.zeros(2), pattern, centre)
+        z, normals = faces_at(mla, kind, float(mla.curvature[kind]), pattern)
+        vertices = np.column_stack([pattern + centre, z])
         near = _cell_norm(mla.lattice, vertices[:, :2]) <= apothem * (1.0 + 1e-9)
         keep = faces[near[faces].any(axis=1)]
         parts.append(Mesh(vertices, keep, normals[keep]))
@@ -293,8 +508,8 @@ def mla_mesh(mla: Lenslets, subdivisions: int = SUBDIVISIONS) -> "trimesh.Trimes
     solids = []
     for centre, column, row in zip(centres.reshape(-1, 2), columns.flat, rows.flat, strict=True):
         curvature, ex, ey = shape_of(mla, int(column), int(row))
-        vertices, _ = _cap_points(curvature, np.array([ex, ey]), pattern, centre)
-        solids.append(vertices)
+        z, _ = faces_at(mla, type_of(mla, int(column), int(row)), curvature, pattern - [ex, ey])
+        solids.append(np.column_stack([pattern + centre, z]))
     count = len(pattern)
     if mla.alike:
         all_points = np.concatenate(solids)

@@ -17,7 +17,7 @@ from lfmesh.geometry.lenslets import Lenslets
 from lfmesh.geometry.solved_camera import SolvedCamera, solved_camera
 from lfmesh.lightfield.lens_alone import lens_alone
 from lfmesh.optics.glass import refractive_index
-from lfmesh.scene import Scene
+from lfmesh.scene import MicrolensArray, Scene
 from lfmesh.transport.aiming.ray_aiming import aim_rays
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.frames import frame_table
@@ -131,17 +131,33 @@ class Plate(NamedTuple):
         return np.column_stack([across, np.copysign(along, direction[:, 2])])
 
 
+def refuse_cylinders(mla: MicrolensArray) -> None:
+    """Refuse an array whose light field has directions across its lenslets only.
+
+    Raises
+    ------
+    LfmeshError
+        The message says what takes such an array.
+    """
+    if mla.cylinder_axis is not None:
+        raise LfmeshError(
+            f'camera.mla.cylinder_axis = "{mla.cylinder_axis}": cylindrical lenslets make lines, not micro-images, and '
+            "are not decoded or calibrated; render, check, draw and view take them, and lf.white_image"
+        )
+
+
 def plate_of(scene: Scene) -> Plate:
     """Return the array of a scene as chief rays see it.
 
     Raises
     ------
     LfmeshError
-        A conventional camera.
+        A conventional camera, or one with cylindrical lenslets.
     """
     mla = scene.camera.mla
     if mla is None:
         raise LfmeshError("camera.mla is missing: a conventional camera has no lenslets to calibrate or decode by")
+    refuse_cylinders(mla)
     primary = scene.primary_nm
     _, tables = mla_tables(scene, (primary,), interface_tables(scene, (primary,)).mla, MediumList.of(scene))
     moves = frame_table(scene, np.zeros(3))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lattice import Lattice
-from lfmesh.geometry.lenslets import type_of
+from lfmesh.geometry.lenslets import Lenslets, faces_at, type_of
 from lfmesh.lightfield.chief_rays import Plate
 from lfmesh.lightfield.pixel_slopes import ahead, pixel_slopes
 from lfmesh.lightfield.view_rays import image_path_engine
@@ -181,9 +181,20 @@ def _curved_face(plate: Plate, numbers: NDArray[np.int64], at: Array) -> tuple[A
     if len(lenslets.stretch):
         curvature = curvature * lenslets.stretch[numbers]
     aside = at - plate.apexes[numbers]
+    if lenslets.profile is not None:
+        return _profiled_face(lenslets, kinds[np.unique(numbers, return_inverse=True)[1]], curvature, aside)
     r2 = np.square(aside).sum(axis=1)
     root = np.sqrt(1.0 - curvature * curvature * r2)
     return curvature * r2 / (1.0 + root), (curvature / root)[:, None] * aside
+
+
+def _profiled_face(lenslets: Lenslets, kinds: NDArray[np.int64], curvature: Array, aside: Array) -> tuple[Array, Array]:
+    """Return sag and slopes of lenslets that are no spheres, as `_curved_face` does."""
+    sag, normals = np.empty(len(aside)), np.empty((len(aside), 3))
+    for kind, c in set(zip(kinds.tolist(), curvature.tolist(), strict=True)):
+        of = (kinds == kind) & (curvature == c)
+        sag[of], normals[of] = faces_at(lenslets, kind, c, aside[of])
+    return sag, -normals[:, :2] / normals[:, 2:]
 
 
 def _moments(count: int, pixel: NDArray[np.int64], weight: Array, four: Array) -> Bundles:

@@ -1,4 +1,4 @@
-"""The microlens array: plano-convex (or plano-concave) lenslets on one plate."""
+"""The microlens array: plano-convex (or plano-concave) lenslets on one plate, spheres, aspheres or cylinders."""
 
 import math
 from collections.abc import Iterator
@@ -12,8 +12,21 @@ from lfmesh.scene.finishes import POLISHED, AnyFinish, both_given
 from lfmesh.scene.literals import at_least
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.own_glass import Glass
+from lfmesh.scene.per_type import ConicPerType, TermsPerType
 from lfmesh.scene.pose import Pose
-from lfmesh.scene.quantities import Index, NonNegative, Number, OneOrMore, Pair, Positive, Text, Whole
+from lfmesh.scene.quantities import (
+    Index,
+    NonNegative,
+    Number,
+    OneOrMore,
+    Pair,
+    Positive,
+    Text,
+    Whole,
+)
+
+_HEIGHTS = 256
+"""Distances from the axis at which the depth of an aspheric lenslet is checked."""
 
 
 class ArrayForm(Model):
@@ -48,6 +61,14 @@ class MicrolensArray(Model):
     `radius_mm`."""
     radius_mm: OneOrMore | None = None
     """Radius of the curved face, in mm: positive converges, whichever way the face looks; a list as above."""
+    conic: ConicPerType = (0.0,)
+    """Conic constant of the lenslets: 0 sphere, −1 paraboloid, below −1 hyperboloid; a list: one a type."""
+    asphere_mm: TermsPerType = ((),)
+    """Even aspheric coefficients of r⁴, r⁶, ..., in mm⁻³, mm⁻⁵, ..., positive into the glass; a list of lists: one a
+    type."""
+    cylinder_axis: Literal["x", "y"] | None = None
+    """The axis along which the lenslets are cylinders, over a whole column ("y") or row ("x") of a square layout, as on
+    a lenticular sheet. Omitted: surfaces of revolution."""
     index: Index | None = None
     """Refractive index of the plate. Or give `glass`."""
     glass: Glass | None = None
@@ -95,10 +116,25 @@ class MicrolensArray(Model):
 
     @property
     def corner_mm(self) -> float:
-        """From a lenslet's axis to the farthest corner of its cell, in mm."""
+        """From a lenslet's axis to the farthest corner of its cell, in mm; of a cylinder from its line of apexes."""
+        if self.cylinder_axis is not None:
+            return self.pitch_mm / 2
         return self.pitch_mm / math.sqrt(3.0 if self.layout == "hexagonal" else 2.0)
 
-    def cap_fault(self, radius_mm: float, scale: float = 1.0) -> str | None:
+    def profile_of(self, kind: int) -> tuple[float, tuple[float, ...]]:
+        """Return the conic constant and the even terms of a type of lenslet."""
+        conic = self.conic[kind if len(self.conic) > 1 else 0]
+        return conic, self.asphere_mm[kind if len(self.asphere_mm) > 1 else 0]
+
+    @property
+    def profile_words(self) -> str:
+        """What the lenslets are where they are no spheres, as "aspheres" or "cylinders along y"; else nothing."""
+        kind = "aspheres" if any(map(any, self.asphere_mm)) else "conics" if any(self.conic) else ""
+        if self.cylinder_axis is None:
+            return kind
+        return f"{'a' if kind else ''}cylinders along {self.cylinder_axis}"
+
+    def cap_fault(self, radius_mm: float, scale: float = 1.0, kind: int = 0) -> str | None:
         """Return why a face of this radius cannot be cut into the plate, and what can; None if it can.
 
         Parameters
@@ -106,7 +142,11 @@ class MicrolensArray(Model):
         radius_mm : float
         scale : float
             What the user gives, over the radius.
+        kind : int
+            Type of the lenslet, whose conic constant and terms count.
         """
+        if kind < self.types and (self.profile_of(kind)[0] or any(self.profile_of(kind)[1])):
+            return self._profile_fault(radius_mm, *self.profile_of(kind))
         if abs(radius_mm) < self.corner_mm:
             return (
                 f"a sphere of radius {abs(radius_mm):.6g} mm does not reach the corner of its cell, "
@@ -120,6 +160,45 @@ class MicrolensArray(Model):
                 f"{self._least(radius_mm, scale)}"
             )
         return None
+
+    def _profile_fault(self, radius_mm: float, conic: float, terms: tuple[float, ...]) -> str | None:
+        """Return why a conic with even terms cannot be cut into the plate; None if it can."""
+        corner = self.corner_mm
+        if (1 + conic) * corner**2 >= radius_mm**2:
+            return (
+                f"with conic = {conic:g} and a radius of {abs(radius_mm):.6g} mm the lenslets end "
+                f"{abs(radius_mm) / math.sqrt(1 + conic):.6g} mm from the axis, before the corner of their cells, "
+                f"{corner:.6g} mm from it: give a larger radius or a smaller pitch_mm"
+            )
+        heights = [self._sag_mm(radius_mm, conic, terms, corner * i / _HEIGHTS) for i in range(_HEIGHTS + 1)]
+        deep, high = max(heights), -min(heights)
+        if not deep <= self.thickness_mm:
+            return (
+                f"with conic and asphere_mm the curved face is up to {deep:.6g} mm deep in its cell, more than "
+                f"thickness_mm = {self.thickness_mm:g}: give a thicker plate, a larger radius or smaller coefficients"
+            )
+        if not high <= self.pitch_mm:
+            return (
+                f"with conic and asphere_mm the curved face rises up to {high:.6g} mm over its apexes, more than "
+                f"pitch_mm = {self.pitch_mm:g}: give a larger radius or smaller coefficients"
+            )
+        return None
+
+    @staticmethod
+    def _sag_mm(radius_mm: float, conic: float, terms: tuple[float, ...], height_mm: float) -> float:
+        """Return the depth of a lenslet's face at a height from its axis, by ISO 10110-12."""
+        c, r2 = 1 / radius_mm, height_mm * height_mm
+        conic_sag = c * r2 / (1 + math.sqrt(max(0.0, 1 - (1 + conic) * c * c * r2)))
+        return conic_sag + sum(a * r2 ** (j + 2) for j, a in enumerate(terms))
+
+    def _profile_faults(self) -> Iterator[Fault]:
+        """Yield what is wrong with the profiles of the lenslets."""
+        for key, given in (("conic", self.conic), ("asphere_mm", self.asphere_mm)):
+            if len(given) > 1 and len(given) != self.types:
+                why = f"give one for each of the {self.types} types of radii, or one for all; not {len(given)}"
+                yield Fault((key,), list(given), why)
+        if self.cylinder_axis is not None and self.layout != "square":
+            yield Fault(("cylinder_axis",), self.cylinder_axis, 'cylinders need layout = "square"')
 
     def _least(self, radius_mm: float, scale: float) -> str:
         """Return in words the smallest radius of this sign, or what it follows from by `scale`, that a face can have.
@@ -140,8 +219,10 @@ class MicrolensArray(Model):
             yield Fault(("focal_length_mm",), list(self.focal_length_mm), "radius_mm is given too; give one of them")
         elif self.radius_mm is None and self.focal_length_mm is None:
             yield Fault(("focal_length_mm",), None, "missing: give focal_length_mm or radius_mm")
-        for radius in self.radius_mm or ():
-            if why := self.cap_fault(radius):
+        shapes = list(self._profile_faults())
+        yield from shapes
+        for kind, radius in enumerate(self.radius_mm or () if not shapes else ()):
+            if why := self.cap_fault(radius, kind=kind):
                 yield Fault(("radius_mm",), radius, why)
         yield from self._medium_faults()
 

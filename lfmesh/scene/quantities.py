@@ -4,13 +4,15 @@ All are strict: a number in quotes or a boolean is a slip, not a number.
 """
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator, ValidationInfo, WithJsonSchema
 
 from lfmesh.errors import GlassError
 from lfmesh.optics.glass import find_glass
 from lfmesh.optics.metals import find_metal
+
+T = TypeVar("T")
 
 LARGEST = 1e15
 """Largest magnitude of a number in a scene, in its unit: products of a few of them stay far from overflow."""
@@ -73,7 +75,8 @@ def _bends(value: float) -> float:
     return value
 
 
-def _not_empty(values: tuple[float, ...]) -> tuple[float, ...]:
+def not_empty(values: tuple[T, ...]) -> tuple[T, ...]:
+    """Refuse an empty list."""
     # pydantic's own least length is counted without the values that are refused, and would be a second fault.
     if not values:
         raise ValueError("must not be empty")
@@ -125,7 +128,7 @@ def _share_or_alpha(value: Any) -> Any:
     return float(value) if number else value
 
 
-def _as_list(value: Any) -> Any:
+def as_list(value: Any) -> Any:
     """Let a single number stand for a list of one."""
     return value if value is None or isinstance(value, list | tuple) else [value]
 
@@ -161,8 +164,8 @@ FilePath = Annotated[str, Field(strict=True), AfterValidator(_existing)]
 OneOrMore = Annotated[
     tuple[Annotated[Number, AfterValidator(_bends)], ...],
     Field(max_length=3),
-    AfterValidator(_not_empty),
-    BeforeValidator(_as_list),
+    AfterValidator(not_empty),
+    BeforeValidator(as_list),
     WithJsonSchema(
         {
             "anyOf": [

@@ -543,9 +543,9 @@ class Scene(Model, Shown):
             return
         placed = in_its_air(self).camera.mla
         n = refractive_index(placed.medium if placed is not None else mla.medium, self.primary_nm)
-        for focal_length in mla.focal_length_mm or ():
+        for kind, focal_length in enumerate(mla.focal_length_mm or ()):
             radius = focal_length * (n - 1)
-            if why := mla.cap_fault(radius, 1 / (n - 1)):
+            if why := mla.cap_fault(radius, 1 / (n - 1), kind):
                 yield Fault(
                     ("camera", "mla", "focal_length_mm"),
                     focal_length,

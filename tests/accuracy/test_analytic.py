@@ -249,3 +249,38 @@ def test_tilted_and_decentred_elements_land_where_the_tracer_has_them() -> None:
     assert there.sum() > 300
     assert np.abs(paths.position[there][:, :2] - landing.position[paths.source[there]]).max() < FEW_ROUNDINGS_MM
     assert np.abs(paths.weight[there] - landing.weight[paths.source[there]]).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("side", "mla"),
+    [
+        (
+            "lens",
+            {
+                "layout": "hexagonal",
+                "focal_length_mm": [0.375, 0.45, -0.5],
+                "conic": [-1.5, 0.0, 0.2],
+                "asphere_mm": [[], [0.4], [-0.3, 1.0]],
+            },
+        ),
+        ("sensor", {"conic": -2.0, "form": {"decenter_mm": 0.003, "radius_error": 0.05, "seed": 2}}),
+        ("lens", {"focal_length_mm": [0.375, 0.5], "conic": -1.0, "cylinder_axis": "x"}),
+    ],
+    ids=["three aspheres", "hyperboloids with form errors", "acylinders"],
+)
+def test_lenslets_that_are_no_spheres_land_where_the_tracer_has_them(side: str, mla: dict[str, Any]) -> None:
+    """Two programs that share no code bend rays at the same faces."""
+    changes = {f"camera.mla.{key}": value for key, value in mla.items()} | {"camera.mla.curved_side": side}
+    scene = lf.load(asset_path("scenes/focused.toml")).changed(changes | {"targets": [], "lights": []})
+    draw = np.random.default_rng(4)
+    origins = np.column_stack([draw.uniform(-20.0, 20.0, (1000, 2)), np.full(1000, -300.0)])
+    ahead = np.column_stack([draw.uniform(-7.0, 7.0, (1000, 2)), np.full(1000, 10.0)]) - origins
+    landing = analytic.Camera.of(scene, 587.6).land(origins, ahead)
+    paths = lf.trace(lf.build(scene, aimed=False), origins, ahead, split="transmit")
+    there = np.isin(paths.body, ["sensor", "beside the sensor"])
+    both = there & landing.arrives[paths.source]
+    assert both.sum() > 300
+    # What only one of them has at the sensor crosses the layer of faces from cell to cell.
+    assert both.sum() > 0.98 * max(there.sum(), landing.arrives.sum())
+    assert np.abs(paths.position[both][:, :2] - landing.position[paths.source[both]]).max() < FEW_ROUNDINGS_MM
+    assert np.abs(paths.weight[both] - landing.weight[paths.source[both]]).max() < 1e-12

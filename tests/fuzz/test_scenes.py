@@ -182,6 +182,27 @@ def test_ordinary_arrays_and_sensors_are_reported_on_or_refused(
     is_read_or_refused(with_array(mla | {"distance_mm": distance, "curved_side": side}, sensor, pixel))
 
 
+numbers = st.one_of(st.floats(-3.0, 1.0), st.sampled_from([1e15, -1e15, 1e300, math.inf, 0.0]))
+coefficients = st.lists(st.one_of(numbers, st.floats(-1e6, 1e6)), max_size=4)
+
+
+@settings(max_examples=100, deadline=None, derandomize=True, database=None)
+@given(
+    st.lists(lengths, min_size=1, max_size=3),
+    st.one_of(numbers, st.lists(numbers, max_size=4)),
+    st.one_of(coefficients, st.lists(coefficients, max_size=4)),
+    st.sampled_from([None, "x", "y", "z"]),
+    st.sampled_from(["square", "hexagonal"]),
+    st.floats(0.0, 0.2),
+)
+def test_lenslets_of_any_profile_are_reported_on_or_refused(
+    radii: list[float], conic: object, terms: object, axis: str | None, layout: str, error: float
+) -> None:
+    mla = {"count": [4, 4], "pitch_mm": 2.0, "radius_mm": radii, "index": 1.5, "thickness_mm": 1.0, "layout": layout}
+    mla |= {"conic": conic, "asphere_mm": terms, "distance_mm": 60.0, "form": {"radius_error": error}}
+    is_read_or_refused(with_array(mla | ({"cylinder_axis": axis} if axis else {}), 3.0, 0.5))
+
+
 focal_lengths = st.one_of(
     lengths, lengths.map(lambda f: -f), st.sampled_from([1e-29, -1e15, 1e300, 0.0, math.inf, -math.inf])
 )

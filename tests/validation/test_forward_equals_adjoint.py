@@ -43,6 +43,11 @@ HEXAGONAL_ARRAY = {
 }
 GLOWING = {"reflectance": 0.0, "radiance_w_m2_sr": 1.0, "texture": "chart.png"}
 PAINTED = {"reflectance": 0.8, "texture": "chart.png"}
+ASPHERIC_ARRAY = HEXAGONAL_ARRAY | {
+    # The second type turns back before its corner, where the first is a hyperboloid.
+    "conic": [-2.25, 0.0, -1.0],
+    "asphere_mm": [[], [-1.6, 2.0], [0.2]],
+}
 BALL = {"file": "ball.glb", "position_mm": [0.0, 0.0, -61.5]}
 BEAM = "TILT=NONE\n1 -1 1 4 3 1 1 0 0 0 1 1 1\n0 2 4 90\n0 90 180\n9 8 3 0\n9 5 1 0\n9 7 2 1\n"
 POINT = {"kind": "point", "position_mm": [20.0, -15.0, -25.0], "power_w": 1.0}
@@ -172,6 +177,11 @@ SCENES = {
     "coated lens and array": coated(scene([plane(GLOWING)], split="both"), "film", "mirror"),
     "coatings that absorb": coated(scene([plane(GLOWING)], split="both"), "sun", "film"),
     "conventional camera": scene([plane(GLOWING)], split="both", mla=None),
+    "aspheric lenslets of three types": scene([plane(GLOWING)], split="both", mla=ASPHERIC_ARRAY),
+    "cylindrical lenslets": scene(
+        [plane(GLOWING)],
+        mla=SQUARE_ARRAY | {"conic": -1.0, "cylinder_axis": "y", "form": {"decenter_mm": 0.03, "radius_error": 0.05}},
+    ),
     "hexagonal multi-focus array, curved towards the sensor": scene([plane(GLOWING)], mla=HEXAGONAL_ARRAY),
     "tilted and decentred lens and stop": scene(
         [plane(GLOWING)],

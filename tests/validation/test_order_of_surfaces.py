@@ -285,6 +285,12 @@ ARRAYS: dict[str, dict[str, Any]] = {
     "three types": {"layout": "hexagonal", "focal_length_mm": [0.7, 1.0, 1.4]},
     "form errors": {"form": {"pitch_error": 1e-3, "decenter_mm": 0.01, "radius_error": 0.05, "seed": 3}},
     "posed": {"pose": {"shift_mm": [0.01, 0.02, 0.03], "tilt_deg": [0.5, -0.3, 2.0]}},
+    "aspheres": {"layout": "hexagonal", "conic": -1.5, "asphere_mm": [-30.0, 900.0]},
+    "acylinders with form errors": {
+        "conic": -2.0,
+        "cylinder_axis": "x",
+        "form": {"decenter_mm": 0.01, "radius_error": 0.05, "seed": 3},
+    },
 }
 
 

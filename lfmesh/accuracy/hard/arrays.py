@@ -21,7 +21,8 @@ def _array(
     pose = pose or Pose()
     mla = MicrolensArray(
         layout="hexagonal" if plate.hexagonal else "square", count=(plate.columns, plate.rows), pitch_mm=plate.pitch,
-        radius_mm=(plate.radius,), index=plate.index, thickness_mm=plate.thickness, distance_mm=BEHIND_LENS, pose=pose,
+        radius_mm=(plate.radius,), conic=(plate.conic,), asphere_mm=(plate.asphere,), index=plate.index,
+        thickness_mm=plate.thickness, distance_mm=BEHIND_LENS, pose=pose,
     )  # fmt: skip
     lens_end = sum(surface.thickness_mm or 0.0 for surface in SINGLET)
     scene = lens_scene(
@@ -105,9 +106,9 @@ def lytro_size() -> Outcome:
     return _array(plate, o, d)
 
 
-def _borders(hexagonal: bool) -> Outcome:
+def _borders(hexagonal: bool, conic: float = 0.0) -> Outcome:
     """Aim rays into the planes of cell borders, along them, and through the corners where cells meet."""
-    plate = Plate(hexagonal, 0.125, 33, 33, 0.15, 0.3, 1.5, 0.3)
+    plate = Plate(hexagonal, 0.125, 33, 33, 0.15, 0.3, 1.5, 0.3, conic=conic)
     draw = np.random.default_rng(11)
     n = 3000
     column, row = draw.integers(8, 25, n), draw.integers(8, 25, n)
@@ -152,3 +153,19 @@ def across_cells() -> Outcome:
     d = np.column_stack([slope * np.cos(phi), slope * np.sin(phi), np.ones(n)])
     start = np.column_stack([disk(2.0, n, 13), np.zeros(n)]) - 0.5 * d
     return _array(plate, start, d, around=7, tolerance=1e-8, relative=1e-8)
+
+
+@case
+def lenslets_that_turn_back() -> Outcome:
+    """Cross hexagonal aspheres that are deepest at 0.8 of the way to their corners, at slopes up to 0.8."""
+    pitch, radius = 0.125, 0.2
+    deepest = 0.8 * pitch / np.sqrt(3.0)
+    plate = Plate(True, pitch, 65, 65, radius, 0.3, 1.5, 0.3, conic=-1.0, asphere=(-0.25 / (radius * deepest**2),))
+    o, d = _cone(8_000, 3.0, 0.8)
+    return _array(plate, o, d, around=2, tolerance=1e-11, relative=1e-10)
+
+
+@case
+def borders_of_hyperbolic_lenslets() -> Outcome:
+    """Aim rays along the cell borders and through the cell corners of a square array of hyperboloids."""
+    return _borders(False, conic=-2.25)

@@ -277,6 +277,8 @@ class Plate:
     thickness: float
     index: float
     to_sensor: float
+    conic: float = 0.0
+    asphere: tuple[float, ...] = ()
 
     def centres(self, column: NDArray[np.int64], row: NDArray[np.int64]) -> Array:
         """Return (..., 2) centres of cells."""
@@ -299,7 +301,7 @@ class Plate:
     def land(self, origins: Array, directions: Array, around: int = 3) -> tuple[Array, Array]:
         """Return where rays that come from before the array may meet the sensor, and their weights there.
 
-        Every lenslet near the crossing is tried by itself: its sphere is met inside its own Voronoi cell, and of
+        Every lenslet near the crossing is tried by itself: its face is met inside its own Voronoi cell, and of
         several the first counts. On a border, to rounding, there are two or three right answers.
 
         Parameters
@@ -319,7 +321,8 @@ class Plate:
         start = at_plane(origins, d, 0.0)
         column, row = self._cells_near(start, around)
         centre = self.centres(column, row)
-        face = Interface(self.radius, 0.0)
+        corner = self.pitch / np.sqrt(3.0 if self.hexagonal else 2.0)
+        face = Interface(self.radius, 0.0, conic=self.conic, asphere=self.asphere, reach=1.001 * corner)
         met, entered, normals = [], [], []
         for k in range(centre.shape[1]):
             exists = (column[:, k] >= 0) & (column[:, k] < self.columns) & (row[:, k] >= 0) & (row[:, k] < self.rows)

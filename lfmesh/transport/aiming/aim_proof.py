@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import directions, move_direction, move_point, points
 from lfmesh.geometry.lattice import cell_of, centre
-from lfmesh.geometry.lenslets import shape_of
+from lfmesh.geometry.lenslets import shape_of, type_of
 from lfmesh.geometry.tessellation import QUARTER, mesh_heights
 from lfmesh.kernel import kernel
 from lfmesh.transport.aiming.lenslet_aim import (
@@ -25,7 +25,7 @@ from lfmesh.transport.aiming.lenslet_aim import (
     half_width_to,
     list_cells,
     most_listed,
-    on_face,
+    on_lenslet,
     path_to_apexes,
     spread_on_faces,
 )
@@ -637,7 +637,10 @@ def _measure_in_cells(
                 cell = r * lattice.columns + c
                 cx, cy = centre(lattice, c, r)
                 curvature, ex, ey = shape_of(mla.lenslets, c, r)
-                met, ax, ay, _, _ = on_face(curvature, px - cx - ex, py - cy - ey, gx, gy)
+                kind = type_of(mla.lenslets, c, r)
+                met, ax, ay = on_lenslet(
+                    mla.lenslets, kind, curvature, px - cx - ex, py - cy - ey, gx, gy, mla.curved_to_lens
+                )
                 a, b = (cx - x) * over - aim.slope[cell, 0], (cy - y) * over - aim.slope[cell, 1]
                 slope, place = np.sqrt(a * a + b * b), half_width_to(lattice, ax + ex, ay + ey) / half
                 if not met or aim.slope_radius2[cell] <= 0.0 or max(place, 1.0) > max(out[i], 1.0):

@@ -12,13 +12,14 @@ all bring the same. Whether a direction meets a face is computed exactly: the fa
 crosses the sphere, and a ray aimed at a point of the face reaches it through the plate.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice, cell_of, centre, half_hexagon
-from lfmesh.geometry.lenslets import shape_of
+from lfmesh.geometry.lenslet_profile import is_steeper, next_fall, profile_shape
+from lfmesh.geometry.lenslets import Lenslets, is_spherical, shape_of, type_of
 from lfmesh.kernel import inlined, kernel, pasted
 from lfmesh.optics.scattering import lambertian
 from lfmesh.transport.packets.random import derived, uniform
@@ -39,12 +40,15 @@ MARGIN_SHARE = 0.02
 FEW = 2.0
 """Expected number of a pixel's main rays below which the role of each ray is drawn at random."""
 
-LISTED = 10
+LISTED = 11
 """Number of values of a lenslet in the list of those that may show the opening, see `list_cells`."""
 
 SOLID_ANGLE, CHANCE = 8, 9
-"""The last of these values: the relative probabilities with which margin rays, by solid angle, and main rays choose the
+"""Two of these values: the relative probabilities with which margin rays, by solid angle, and main rays choose the
 lenslet."""
+
+KIND = 10
+"""The last of them: the type of a lenslet that is no sphere."""
 
 ALIKE = 3
 """Number of cells to each side of the chief ray's up to which all are taken to have the same solid angle."""
@@ -167,8 +171,8 @@ def list_cells(
         Largest distance of the other points from it.
     near : (n, LISTED) float64
         Filled with a row for each lenslet: centre (0, 1), centre of the opening that it sees (2, 3) and the square of
-        its radius (4), in slopes, curvature (5), decentre of the apex (6, 7), relative solid angle (8); the last place
-        is for `cells_that_show`.
+        its radius (4), in slopes, curvature (5), decentre of the apex (6, 7), relative solid angle (8), a place for
+        `cells_that_show` (9), and the type (10) where lenslets are no spheres.
 
     Returns
     -------
@@ -196,6 +200,8 @@ def list_cells(
             near[count, 5], near[count, 6] = c, r
             count += a * a + b * b <= limit * limit and radius2 >= 0.0
     for i in range(count):
+        if not is_spherical(mla.lenslets.profile):
+            near[i, KIND] = type_of(mla.lenslets, int(near[i, 5]), int(near[i, 6]))
         near[i, 5], near[i, 6], near[i, 7] = shape_of(mla.lenslets, int(near[i, 5]), int(near[i, 6]))
         near[i, SOLID_ANGLE] = 1.0
     if aim.search > ALIKE:
@@ -388,12 +394,12 @@ def through_a_lenslet(
         u, v = _point_of_cell(lattice.hexagonal, numbers[CELL_U], numbers[CELL_V])
         u, v = u * width, v * width
         curvature, ax, ay = near[chosen, 5], u - near[chosen, 6], v - near[chosen, 7]
-        level2 = 1.0 - curvature * curvature * (ax * ax + ay * ay)
-        if level2 <= 0.0:
-            # In the margin around the cell the sphere may have ended.
+        profile, kind = mla.lenslets.profile, near[chosen, KIND]
+        exists, sag, tilt, tilt_x, tilt_y, level = _face_over(profile, kind, curvature, ax, ay)
+        if not exists:
+            # In the margin around the cell the face may have ended.
             return 0.0, 0.0, 0.0, 0.0
-        level = np.sqrt(level2)
-        plate = depth + growth * curvature * (ax * ax + ay * ay) / (1.0 + level)
+        plate = depth + growth * sag
         dx, dy = near[chosen, 0] + u - x, near[chosen, 1] + v - y
         r = np.sqrt(dx * dx + dy * dy)
         s = slope_to(r, air, plate, glass)
@@ -405,9 +411,10 @@ def through_a_lenslet(
             q2 = glass * glass + (glass * glass - 1.0) * s2
             q = np.sqrt(q2)
             layer = mla.lenslets.valley - mla.lenslets.top
-            if half_width_to(lattice, u, v) + layer * s / q < 0.5 * lattice.pitch:
+            stays = half_width_to(lattice, u, v) + layer * s / q < 0.5 * lattice.pitch
+            if stays and _meets_once(profile, kind, sx, sy, q):
                 # The ray stays in its cell throughout the layer of faces, so it meets no other lenslet.
-                turned = 1.0 - growth * curvature * (sx * ax + sy * ay) / (q * level)
+                turned = 1.0 - growth * tilt * (sx * tilt_x + sy * tilt_y) / (q * level)
                 if turned <= 0.0:
                     return 0.0, 0.0, 0.0, 0.0
                 spread = spread_on_face(air, plate, glass, s2, q2, q, turned)
@@ -532,6 +539,15 @@ def spread_on_faces(
     for i in range(maybe):
         cell = cells[0, i]
         ex, ey = near[cell, 6], near[cell, 7]
+        if not is_spherical(mla.lenslets.profile):
+            on_face_, on_wider = _spread_on_profile(
+                mla.lenslets.profile, mla.lenslets, near[cell, KIND], near[cell, 5], ex, ey,
+                px - near[cell, 0] - ex, py - near[cell, 1] - ey, gx, gy, aim.cell_margin,
+                (air, depth, growth, glass, s2, q2, q),
+            )  # fmt: skip
+            drawn += on_wider * near[cell, SOLID_ANGLE]
+            on_faces += on_face_ * near[cell, CHANCE]
+            continue
         met, ax, ay, sag, turned = on_face(
             near[cell, 5], px - near[cell, 0] - ex, py - near[cell, 1] - ey, growth * gx, growth * gy
         )  # fmt: skip
@@ -542,6 +558,114 @@ def spread_on_faces(
         drawn += spread * near[cell, SOLID_ANGLE] * (out <= half + aim.cell_margin)
         on_faces += spread * near[cell, CHANCE] * (out <= half)
     return on_faces, drawn
+
+
+@inlined
+def _face_over(
+    profile: Any, kind: float, curvature: float, ax: float, ay: float
+) -> tuple[bool, float, float, float, float, float]:
+    """Return whether a lenslet has a face over a point, its sag there, and its slope.
+
+    The slope along x is the third value times the fourth over the last; along y it is the third times the fifth over
+    the last, which of a sphere is the cosine of its inclination.
+    """
+    if profile is None:
+        r2 = ax * ax + ay * ay
+        level2 = 1.0 - curvature * curvature * r2
+        if level2 <= 0.0:
+            return False, 0.0, 0.0, 0.0, 0.0, 1.0
+        level = np.sqrt(level2)
+        return True, curvature * r2 / (1.0 + level), curvature, ax, ay, level
+    rho2 = profile.weight_x * ax * ax + profile.weight_y * ay * ay
+    if rho2 > profile.domain * profile.domain:
+        return False, 0.0, 0.0, 0.0, 0.0, 1.0
+    sag, gx, gy = profile_shape(profile, int(kind), curvature, ax, ay)
+    return True, sag, 1.0, gx, gy, 1.0
+
+
+@inlined
+def _meets_once(profile: Any, kind: float, sx: float, sy: float, q: float) -> bool:
+    """Tell whether a ray of these slopes, q times as much as at the face, crosses the face of its cell only once."""
+    if profile is None:
+        return True
+    return is_steeper(profile, int(kind), sx, sy, q)
+
+
+@inlined
+def _spread_on_profile(
+    profile: Any, lenslets: Lenslets, kind: float, curvature: float, ex: float, ey: float, ax: float, ay: float,
+    gx: float, gy: float, margin: float, way: tuple[float, float, float, float, float, float, float],
+) -> tuple[float, float]:  # fmt: skip
+    """Return area over solid angle where a line crosses the face of a cell, and that of the cell with its margin.
+
+    Of a face that is no sphere, which a line may cross more than once: each crossing could have drawn it.
+
+    Parameters
+    ----------
+    ex, ey : float, mm
+        The apex, from the cell's centre.
+    ax, ay : float, mm
+        The line at the height of the apexes, from the apex.
+    gx, gy : float
+        Its slopes, away from the sensor.
+    margin : float, mm
+    way : (7,) float
+        Thickness of air and of glass, sense in which the sag changes that, index, and slopes as `spread_on_face` takes
+        them.
+    """
+    if profile is None:
+        return 0.0, 0.0
+    air, depth, growth, glass, s2, q2, q = way
+    half, side, begin = 0.5 * lenslets.lattice.pitch, 0.0, lenslets.top
+    on_face_, on_wider = 0.0, 0.0
+    while True:
+        falls, z, turned = next_fall(
+            profile, int(kind), curvature, ax, ay, growth * gx, growth * gy, side, begin, lenslets.valley
+        )
+        if not falls:
+            return on_face_, on_wider
+        out = half_width_to(lenslets.lattice, ax + growth * gx * z + ex, ay + growth * gy * z + ey)
+        spread = spread_on_face(air, depth + growth * z, glass, s2, q2, q, turned)
+        on_wider += spread * (out <= half + margin)
+        on_face_ += spread * (out <= half)
+        begin, side = z, -1.0
+
+
+@inlined
+def on_lenslet(
+    lenslets: Lenslets, kind: int, curvature: float, ax: float, ay: float, gx: float, gy: float, from_glass: bool
+) -> tuple[bool, float, float]:  # fmt: skip
+    """Return whether a line (a + g z, z) passes a lenslet's face, and the point, from the apex; see `on_face`.
+
+    Parameters
+    ----------
+    lenslets : Lenslets
+    kind : int
+        Type of the lenslet.
+    curvature : float, 1/mm
+    ax, ay : float, mm
+    gx, gy : float
+    from_glass : bool
+        Of several crossings take the one that a ray in the glass meets first, else one in the air.
+    """
+    return _on_lenslet_by(lenslets.profile, lenslets, kind, curvature, ax, ay, gx, gy, from_glass)
+
+
+@inlined
+def _on_lenslet_by(
+    profile: Any, lenslets: Lenslets, kind: int, curvature: float, ax: float, ay: float, gx: float, gy: float,
+    from_glass: bool,
+) -> tuple[bool, float, float]:  # fmt: skip
+    if profile is None:
+        met, px, py, _, _ = on_face(curvature, ax, ay, gx, gy)
+        return met, px, py
+    falls, z, _ = next_fall(profile, kind, curvature, ax, ay, gx, gy, 0.0, lenslets.top, lenslets.valley)
+    met, at = falls, z
+    while falls and from_glass:
+        falls, z, _ = next_fall(profile, kind, curvature, ax, ay, gx, gy, -1.0, at, lenslets.valley)
+        if falls:
+            at = z
+    return met, ax + gx * at, ay + gy * at
 
 
 @inlined

@@ -4,11 +4,13 @@ Real rays from the opening's border through every lenslet measure how far from t
 views must hold every path, as one outside them would have the large weight of the few rays that go anywhere.
 """
 
+from typing import Any
+
 import numpy as np
 
 from lfmesh.geometry import frame
 from lfmesh.geometry.lattice import ROW_SPACING, centre
-from lfmesh.geometry.lenslets import border_segments, cap_sag, shape_of
+from lfmesh.geometry.lenslets import Lenslets, border_segments, face_normal, face_sag, shape_of
 from lfmesh.geometry.mesh import Array
 from lfmesh.kernel import inlined, kernel
 from lfmesh.scene import FirstOrder, Scene
@@ -128,7 +130,13 @@ def _off_by_facets(mla: MlaTables) -> float:
     """
     lattice = mla.lenslets.lattice
     chord = lattice.circumradius / border_segments(lattice.hexagonal)
-    return ROUNDING * lattice.pitch + float(np.abs(mla.lenslets.curvature).max()) * chord**2 / 8.0
+    return ROUNDING * lattice.pitch + _largest_curvature(mla.lenslets) * chord**2 / 8.0
+
+
+def _largest_curvature(lenslets: Lenslets) -> float:
+    """Return a bound of the curvature of the faces of an array's types, 1/mm."""
+    profile = lenslets.profile
+    return float(np.abs(lenslets.curvature).max() if profile is None else profile.bend.max())
 
 
 def _search(aim: AimTables, mla: MlaTables, distance: float) -> int:
@@ -221,27 +229,40 @@ def _view_through_cells(
             sx, sy = _slope(moves, mx - x, my - y, opening.plane_z - z, toward)
             curvature, ex, ey = shape_of(lenslets, column, row)
             power = power_of_curvature * curvature
-            sx, sy = sx - power * ex, sy - power * ey
+            bends_x, bends_y = _bends_along(lenslets.profile)
+            sx, sy = sx - bends_x * power * ex, sy - bends_y * power * ey
             furthest = 0.0
             for point in range(1 + ZONES * len(corners)):
                 zone, corner = (point + len(corners) - 1) // len(corners) / ZONES, point % len(corners)
                 ux, uy = zone * corners[corner, 0], zone * corners[corner, 1]
                 off = _farthest_landing(
-                    mla, opening, moves, curvature, ux - ex, uy - ey, cx, cy, cx + ux, cy + uy, sensor_z, sx, sy
-                )
+                    mla, opening, moves, column, row, curvature, ux - ex, uy - ey, cx, cy, cx + ux, cy + uy, sensor_z,
+                    sx, sy,
+                )  # fmt: skip
                 furthest = max(furthest, off)
             slope[cell, 0], slope[cell, 1], slope_radius[cell] = sx, sy, VIEW_MARGIN * furthest
 
 
 @inlined
+def _bends_along(profile: Any) -> tuple[float, float]:
+    """Return 1 for each of the directions x and y in which lenslets have power, 0 for the other one of cylinders."""
+    if profile is None:
+        return 1.0, 1.0
+    return profile.weight_x, profile.weight_y
+
+
+@inlined
 def _farthest_landing(
-    mla: MlaTables, opening: Opening, moves: Array, curvature: float, ux: float, uy: float, cx: float, cy: float,
-    x: float, y: float, sensor_z: float, sx: float, sy: float,
+    mla: MlaTables, opening: Opening, moves: Array, column: int, row: int, curvature: float, ux: float, uy: float,
+    cx: float, cy: float, x: float, y: float, sensor_z: float, sx: float, sy: float,
 ) -> float:  # fmt: skip
     """Return the largest distance, in slope, from the centre of a cell's view at which rays through a point land.
 
     Parameters
     ----------
+    column, row : int
+        Of the cell.
+    curvature : float, 1/mm
     ux, uy : float, mm
         The point of the face, relative to its apex.
     cx, cy, x, y : float, mm
@@ -250,7 +271,8 @@ def _farthest_landing(
         Slope at which the cell's centre sees the opening.
     """
     to_sensor = 1.0 if mla.curved_to_lens else -1.0
-    sag = cap_sag(curvature, ux * ux + uy * uy)
+    sag = face_sag(mla.lenslets, column, row, curvature, ux, uy)
+    normal = face_normal(mla.lenslets, column, row, curvature, ux, uy, sag)
     sx0, sy0, sz0 = frame.move_point(moves, SENSOR_FRAME, MLA_FRAME, 0.0, 0.0, 0.0)
     mx, my, mz = frame.move_direction(moves, SENSOR_FRAME, MLA_FRAME, 0.0, 0.0, 1.0)
     furthest = 0.0
@@ -269,7 +291,7 @@ def _farthest_landing(
             dx, dy, dz = px - ox - radius * hx, py - oy - radius * hy, pz - opening.plane_z
             dx, dy, dz = frame.move_direction(moves, CAMERA_FRAME, MLA_FRAME, dx, dy, dz)
             through, at_x, at_y, at_z, dx, dy, dz = _through_lenslet(
-                mla.lenslets.thickness, curvature, glass, to_sensor, ux, uy, sag, x, y, dx, dy, dz
+                mla.lenslets.thickness, normal, glass, to_sensor, sag, x, y, dx, dy, dz
             )
             if not through:
                 continue
@@ -282,13 +304,13 @@ def _farthest_landing(
 
 @inlined
 def _through_lenslet(
-    thickness: float, curvature: float, glass: float, to_sensor: float, ux: float, uy: float, sag: float,
+    thickness: float, normal: tuple[float, float, float], glass: float, to_sensor: float, sag: float,
     x: float, y: float, dx: float, dy: float, dz: float,
 ) -> tuple[bool, float, float, float, float, float, float]:  # fmt: skip
     """Trace a ray through a point of a lenslet's face; return whether it gets through, its exit point and direction."""
     scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
     dx, dy, dz = dx * scale, dy * scale, dz * scale
-    nx, ny, nz = -curvature * ux * to_sensor, -curvature * uy * to_sensor, (1.0 - curvature * sag) * to_sensor
+    nx, ny, nz = normal[0] * to_sensor, normal[1] * to_sensor, normal[2] * to_sensor
     if to_sensor > 0.0:
         one, dx, dy, dz = _refract_if_possible(dx, dy, dz, nx, ny, nz, 1.0 / glass)
         t = (thickness - sag) / dz

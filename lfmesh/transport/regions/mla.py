@@ -7,7 +7,7 @@ Below the layer the glass is one plate. The flat face is one plane and needs no 
 
 Where the lenslets are exact spheres, a ray of a cell can only meet the one sphere of that cell, the cell's sides and
 the borders of the layer, so that their distances decide, without a query. What they do not decide goes to the station
-of the cells' meshes.
+of the cells' meshes. Other exact profiles are met by steps that miss no crossing, which always decides.
 """
 
 from typing import Any
@@ -16,7 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.lattice import cell_of, centre, is_inside, leaves_at, neighbour, stays_inside
-from lfmesh.geometry.lenslets import are_alike, border_sag, cap_sag, shape_of, type_of
+from lfmesh.geometry.lenslets import (
+    are_alike,
+    border_sag,
+    face_normal,
+    face_sag,
+    is_spherical,
+    leaves_face,
+    meets_profile,
+    shape_of,
+    type_of,
+)
 from lfmesh.geometry.levels import EXACT, PATCH
 from lfmesh.geometry.surface import conic_distance
 from lfmesh.kernel import inlined, kernel
@@ -337,7 +347,7 @@ def shade_cells(
     """
     for first in range(0, len(wave), BLOCK):
         count = min(BLOCK, len(wave) - first)
-        if in_order:
+        if in_order and is_spherical(mla.lenslets.profile):
             for i in range(count):
                 _enter_cell(block, i, wave[first + i], mla)
             meet_in_order(block)
@@ -391,7 +401,18 @@ def _meets_face(
         layer = ((lenslets.valley if dz > 0.0 else lenslets.top) - z) / dz
     at_facet, slack = packet.query_from, ROUNDED
     met, sure, t, nx, ny, nz = False, True, 0.0, 0.0, 0.0, 1.0
-    if in_order:
+    by_profile = options.surface == EXACT and not is_spherical(lenslets.profile)
+    if by_profile:
+        met, t = meets_profile(
+            lenslets.profile, lenslets, column, row, x - cx, y - cy, z, dx, dy, dz, inward,
+            packet.query_from, min(sideways, layer),
+        )  # fmt: skip
+        if met:
+            curvature, ex, ey = shape_of(lenslets, column, row)
+            nx, ny, nz = face_normal(
+                lenslets, column, row, curvature, x + t * dx - cx - ex, y + t * dy - cy - ey, z + t * dz
+            )
+    elif in_order:
         met, t = block[rows.HELD + i] > 0.0, block[rows.AT + i]
         nearer = min(sideways, layer)
         sure = not met or abs(t - nearer) > UNSURE * abs(nearer)
@@ -444,7 +465,7 @@ def _meets_face(
         block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i] = travel(
             flow, mla.media, packet, _medium_of(mla, packet), t
         )
-        if not in_order:
+        if by_profile or not in_order:
             if nx * dx + ny * dy + nz * dz < 0.0:
                 nx, ny, nz = -nx, -ny, -nz
             block[rows.DX + i], block[rows.DY + i], block[rows.DZ + i] = dx, dy, dz
@@ -488,10 +509,9 @@ def _walk(options: Options, flow: Flow, frames: Array, mla: MlaTables, packet: A
         curvature, ex, ey = shape_of(lenslets, column, row)
         cx, cy = centre(lattice, column, row)
         if options.surface == EXACT:
-            face = cap_sag(curvature, (px - cx - ex) ** 2 + (py - cy - ey) ** 2)
+            face = face_sag(lenslets, column, row, curvature, px - cx - ex, py - cy - ey)
         else:
-            curvature = lenslets.curvature[type_of(lenslets, column, row)]
-            face = border_sag(lattice, curvature, px - cx, py - cy, side)
+            face = border_sag(lenslets, column, row, px - cx, py - cy, side)
         in_glass = pz > face
         if in_glass == inward:
             slot = MLA_WALL
@@ -510,21 +530,23 @@ def _send_from_curved_face(
 ) -> None:  # fmt: skip
     """Queue a child of a packet at a curved face, which the parent met from the air (`inward`) or from the glass.
 
-    A child cannot meet its own lenslet again, which is a single sphere. So it is through if it leaves the layer before
-    it leaves the cell; else it may meet a neighbouring lenslet.
+    A child cannot meet its own lenslet again, which is a single sphere, or less steep than the child. So it is through
+    if it leaves the layer before it leaves the cell; else it may meet a neighbouring lenslet.
     """
     mla, lens_surfaces, inward, prim = place
     lenslets = mla.lenslets
     cx, cy = centre(lenslets.lattice, packet.column, packet.row)
     packet.space = GLASS if refracts == inward else BEFORE
     sideways, _ = leaves_at(lenslets.lattice, x - cx, y - cy, dx, dy)
+    if not leaves_face(lenslets.profile, lenslets, packet.column, packet.row, dx, dy, dz):
+        sideways = -np.inf
     if packet.space == BEFORE and dz < 0.0 and (lenslets.top - z) / dz <= sideways:
         leave_mla(flow, packet, x, y, z, dx, dy, dz, weight, key, mla.curved_to_lens, lens_surfaces)
     elif packet.space == GLASS and dz > 0.0 and (lenslets.valley - z) / dz <= sideways:
         put(flow, PLATE, packet, MLA_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
     else:
         clear = 0.0
-        if prim >= 0:
+        if prim >= 0 and (is_spherical(lenslets.profile) or options.surface != EXACT):
             fold_x, fold_y = fold_of(mla, packet.column, packet.row)
             clear = clear_of(mla.facets[prim], x - fold_x, y - fold_y, z, dx, dy, dz)
         put(flow, CELLS, packet, MLA_FRAME, x, y, z, dx, dy, dz, weight, key, clear)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.lattice import cell_of, centre, is_inside, leaves_at, neighbour, stays_inside
-from lfmesh.geometry.lenslets import are_alike, cap_sag, shape_of
+from lfmesh.geometry.lenslets import are_alike, face_normal, face_sag, is_spherical, meets_profile, shape_of
 from lfmesh.geometry.surface import conic_distance
 from lfmesh.geometry.tessellation import OVERREACH
 from lfmesh.kernel import inlined, kernel
@@ -230,8 +230,8 @@ def through_mla(
 ) -> None:
     """Take a bundle (camera frame) through the array, curved or flat face first.
 
-    Rays that meet a single lenslet are traced together; the others, and all in an array that is coated or absorbs, one
-    by one, from cell to cell.
+    Rays that meet a single lenslet are traced together; the others, and all in an array that is coated or absorbs, or
+    whose lenslets are no spheres, one by one, from cell to cell.
 
     Parameters
     ----------
@@ -249,7 +249,7 @@ def through_mla(
     """
     move_bundle(bundle, frames[CAMERA_FRAME, MLA_FRAME])
     inward = to_sensor == mla.curved_to_lens
-    if mla.interfaces.coated or _absorbs(mla.media.absorption):
+    if mla.interfaces.coated or _absorbs(mla.media.absorption) or not is_spherical(mla.lenslets.profile):
         for i in range(count):
             bundle[PASSED + i] = 0.0
     else:
@@ -335,8 +335,9 @@ def _through_curved_face(bundle: Array, i: int, mla: MlaTables, colour: int, boo
     cx, cy = centre(lattice, column, row)
     curvature, ex, ey = shape_of(lenslets, column, row)
     sense = 1.0 if inward else -1.0
-    nx, ny = -curvature * (bundle[X + i] - cx - ex), -curvature * (bundle[Y + i] - cy - ey)
-    nz = 1.0 - curvature * bundle[Z + i]
+    nx, ny, nz = face_normal(
+        lenslets, column, row, curvature, bundle[X + i] - cx - ex, bundle[Y + i] - cy - ey, bundle[Z + i]
+    )
     bends = _bend(bundle, i, mla, CURVED_ROW, colour, inward, sense * nx, sense * ny, sense * nz)
     if not bends or (bundle[DZ + i] > 0.0) != inward:
         return False
@@ -373,12 +374,19 @@ def _next_in_layer(
         cx, cy = centre(lattice, column, row)
         curvature, ex, ey = shape_of(lenslets, column, row)
         leaves, side = leaves_at(lattice, x - cx, y - cy, dx, dy)
-        met, more = conic_distance(
-            curvature, 0.0, x + t * dx - cx - ex, y + t * dy - cy - ey, z + t * dz, dx, dy, dz, 1.0 if in_air else -1.0
-        )
-        hit = t + more
-        # A hit beyond the layer is on the sphere's other half.
-        if met and 0.0 < hit <= leaves and curvature * (z + hit * dz) < 1.0:
+        if is_spherical(lenslets.profile):
+            met, more = conic_distance(
+                curvature, 0.0, x + t * dx - cx - ex, y + t * dy - cy - ey, z + t * dz, dx, dy, dz,
+                1.0 if in_air else -1.0,
+            )  # fmt: skip
+            hit = t + more
+            # A hit beyond the layer is on the sphere's other half.
+            met = met and 0.0 < hit <= leaves and curvature * (z + hit * dz) < 1.0
+        else:
+            met, hit = meets_profile(
+                lenslets.profile, lenslets, column, row, x - cx, y - cy, z, dx, dy, dz, in_air, t, min(leaves, out)
+            )
+        if met:
             return MEETS_FACE, hit, column, row
         if out < leaves:
             return LEAVES_LAYER, out, column, row
@@ -389,8 +397,8 @@ def _next_in_layer(
         if not are_alike(lenslets):
             cx, cy = centre(lattice, column, row)
             curvature, ex, ey = shape_of(lenslets, column, row)
-            px, py = x + t * dx - cx - ex, y + t * dy - cy - ey
-            if (z + t * dz > cap_sag(curvature, px * px + py * py)) == in_air:
+            face = face_sag(lenslets, column, row, curvature, x + t * dx - cx - ex, y + t * dy - cy - ey)
+            if (z + t * dz > face) == in_air:
                 return MLA_WALL, t, column, row
 
 

@@ -241,6 +241,9 @@ def mla_tables(
         decenter_mm=mla.form.decenter_mm,
         radius_error=mla.form.radius_error,
         seed=mla.form.seed,
+        conic=mla.conic,
+        asphere_mm=mla.asphere_mm,
+        cylinder_axis=mla.cylinder_axis,
     )
     shift = OFFSET * lattice.pitch
     cells = [cell_mesh(shapes, kind) for kind in range(mla.types)]

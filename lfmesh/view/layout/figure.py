@@ -667,9 +667,10 @@ def _facts(drawn: Layout) -> list[list[tuple[float, str, str]]]:
     pixels = f"{sensor.pixels[0]} × {sensor.pixels[1]} pixels of {_length(sensor.pixel_mm)}"
     if mla is None:
         return [first, [(4.0, "microlens array", "none: a conventional camera"), (4.0, "sensor", pixels)]]
+    profile = f" {mla.profile_words}," if mla.profile_words else ", curved side"
     focal = ", ".join(f"{f:.4g}" for f in lenslet_focal_length_mm(mla, facts.wavelength_nm))
     second = [
-        (2.4, "microlens array", f"{mla.count[0]} × {mla.count[1]} {mla.layout}, curved side to the {mla.curved_side}"),
+        (2.4, "microlens array", f"{mla.count[0]} × {mla.count[1]} {mla.layout}{profile} to the {mla.curved_side}"),
         (1.2, "pitch", _length(mla.pitch_mm)),
         (1.8, "lenslet focal length", f"{focal} mm"),
         (1.2, "lenslet f-number", f"f/{facts.microlens_f_number:.3g}"),

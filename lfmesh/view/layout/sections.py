@@ -11,7 +11,7 @@ import trimesh
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.frame import points
 from lfmesh.geometry.lens_shape import LensShape
-from lfmesh.geometry.lenslets import Lenslets, shape_of
+from lfmesh.geometry.lenslets import Lenslets, faces_at, shape_of, type_of
 from lfmesh.geometry.mesh import Array
 from lfmesh.geometry.surface import heights, is_revolved
 from lfmesh.geometry.tessellation import cap, mesh_heights, ring_profile
@@ -291,6 +291,6 @@ def curved_face(cut: Cut, mla: Lenslets, s: Array) -> Array:
             row, column = divmod(int(cell), mla.lattice.columns)
             curvature, ex, ey = shape_of(mla, column, row)
             there = nearest == cell
-            r2 = np.square(p[there] - centres[cell] - (ex, ey)).sum(axis=1)
-            height[there] = curvature * r2 / (1.0 + np.sqrt(1.0 - curvature**2 * r2))
+            kind = type_of(mla, column, row)
+            height[there] = faces_at(mla, kind, curvature, p[there] - centres[cell] - (ex, ey))[0]
     return height

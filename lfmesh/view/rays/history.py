@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lattice import centre
-from lfmesh.geometry.lenslets import shape_of
+from lfmesh.geometry.lenslets import faces_at, shape_of, type_of
 from lfmesh.geometry.levels import EXACT
 from lfmesh.geometry.surface import in_place, normals
 from lfmesh.optics.glass import Medium, refractive_index
@@ -221,8 +221,8 @@ def _of_array(rays: Rays, vertex: int, name: str) -> Vector:
         cx, cy = centre(lenslets.lattice, column, row)
         curvature, ex, ey = shape_of(lenslets, column, row)
         p = frames.points(moves[WORLD_FRAME, MLA_FRAME], rays.position[vertex][None])[0]
-        normal = normal - curvature * (p - [cx + ex, cy + ey, 0.0])
-        normal /= np.linalg.norm(normal)
+        kind = type_of(lenslets, column, row)
+        normal = faces_at(lenslets, kind, curvature, p[None, :2] - [cx + ex, cy + ey])[1][0]
     return np.asarray(frames.directions(moves[MLA_FRAME, WORLD_FRAME], normal[None])[0])
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice, cell_of
-from lfmesh.geometry.lenslets import Lenslets, cell_pattern, shape_of
+from lfmesh.geometry.lenslets import Lenslets, cell_pattern, faces_at, shape_of, type_of
 
 MOST_LENSLETS = 10_000
 """A larger array is drawn as a plate."""
@@ -77,16 +77,12 @@ def caps(mla: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> 
     pattern, faces = cell_pattern(lattice, int(np.clip(fineness, COARSEST, FINEST)))
     shapes = _shapes(mla, columns, rows)
     centres = lattice.centres()[rows, columns]
-    from_apex = pattern[None] - shapes[:, None, 1:]
-    curvature = shapes[:, None, 0]
-    r2 = (from_apex**2).sum(axis=2)
-    z = curvature * r2 / (1.0 + np.sqrt(1.0 - curvature**2 * r2))
+    z, normals = _faces(mla, columns, rows, shapes, pattern)
     points = np.dstack([pattern[None] + centres[:, None], z]).reshape(-1, 3)
-    normals = np.dstack([curvature[..., None] * from_apex, curvature * z - 1.0]).reshape(-1, 3)
     starts = len(pattern) * np.arange(len(columns))
     return Caps(
         points,
-        normals / np.linalg.norm(normals, axis=1, keepdims=True),
+        -normals.reshape(-1, 3),
         (faces[None] + starts[:, None, None]).reshape(-1, 3),
         np.repeat(rows * lattice.columns + columns, len(faces)),
     )
@@ -105,9 +101,7 @@ def borders(mla: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) 
     share = np.arange(SIDE_LINES)[:, None] / SIDE_LINES
     outline = np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
     shapes = _shapes(mla, columns, rows)
-    r2 = ((outline[None] - shapes[:, None, 1:]) ** 2).sum(axis=2)
-    curvature = shapes[:, None, 0]
-    z = curvature * r2 / (1.0 + np.sqrt(1.0 - curvature**2 * r2))
+    z, _ = _faces(mla, columns, rows, shapes, outline)
     points = np.dstack([outline[None] + mla.lattice.centres()[rows, columns][:, None], z])
     return np.stack([points, np.roll(points, -1, axis=1)], axis=2).reshape(-1, 2, 3)
 
@@ -117,6 +111,21 @@ def _shapes(mla: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) 
     if mla.alike:
         return np.tile([mla.curvature[0], 0.0, 0.0], (len(columns), 1))
     return np.array([shape_of(mla, int(column), int(row)) for column, row in zip(columns, rows, strict=True)])
+
+
+def _faces(
+    mla: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64], shapes: NDArray[np.float64],
+    places: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
+    """Return the sag (n, m) of n lenslets over m places of a cell, and the normals there, (n, m, 3), towards +z."""
+    if mla.alike:
+        z, normals = faces_at(mla, 0, float(mla.curvature[0]), places)
+        return np.tile(z, (len(columns), 1)), np.tile(normals, (len(columns), 1, 1))
+    faces = [
+        faces_at(mla, type_of(mla, int(column), int(row)), float(shape[0]), places - shape[1:])
+        for column, row, shape in zip(columns, rows, shapes, strict=True)
+    ]
+    return np.array([z for z, _ in faces]), np.array([normals for _, normals in faces])
 
 
 def face_corners(mla: Lenslets, z_mm: float) -> NDArray[np.float64]:

@@ -119,8 +119,9 @@ def _array(world: World) -> Rows:
     mla = world.scene.camera.mla
     assert mla is not None
     shapes = ("focal length", mla.focal_length_mm) if mla.focal_length_mm else ("radius", mla.radius_mm or ())
+    profile = f", {mla.profile_words}" if mla.profile_words else ""
     return [
-        ("array", f"{mla.layout}, {mla.count[0]} × {mla.count[1]} lenslets"),
+        ("array", f"{mla.layout}, {mla.count[0]} × {mla.count[1]} lenslets{profile}"),
         ("pitch", f"{mla.pitch_mm:g} mm"),
         (shapes[0], ", ".join(f"{value:g}" for value in shapes[1]) + " mm"),
         ("glass", _medium(world, mla.medium)),

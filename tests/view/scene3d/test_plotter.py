@@ -177,7 +177,14 @@ def test_a_large_array_is_a_plate_with_real_lenslets_where_they_are_looked_at(vi
     assert abs(bounds.x_max) <= 0.5 * (PATCH + 2) * of.lattice.pitch
 
 
-@pytest.mark.parametrize("form", ["", "form = { decenter_mm = 0.05, radius_error = 0.05, seed = 3 }"])
+@pytest.mark.parametrize(
+    "form",
+    [
+        "",
+        "form = { decenter_mm = 0.05, radius_error = 0.05, seed = 3 }",
+        "conic = [-1.5, 0.2]\nasphere_mm = [[], [0.1]]\nform = { decenter_mm = 0.05 }",
+    ],
+)
 @pytest.mark.parametrize("layout", ["square", "hexagonal"])
 def test_drawn_lenslets_are_those_of_the_whole_mesh(layout: str, form: str) -> None:
     text = SCENE.replace("count = [12, 10]", f'layout = "{layout}"\n{form}\ncount = [12, 10]')

@@ -603,6 +603,46 @@ def _jittered(packet: Any, x: float, y: float, z: float) -> tuple[float, float, 
 
 
 @kernel
+def box_entry(low: Array, high: Array, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> float:
+    """Return the distance at which a ray enters a box: 0 from inside, inf if it misses.
+
+    Parameters
+    ----------
+    low, high : (3,) float64, mm
+        Corners of the box.
+    x, y, z : float, mm
+    dx, dy, dz : float
+    """
+    near, far = 0.0, np.inf
+    for axis in range(3):
+        p = x if axis == 0 else (y if axis == 1 else z)
+        d = dx if axis == 0 else (dy if axis == 1 else dz)
+        if d == 0.0:
+            if p < low[axis] or p > high[axis]:
+                return np.inf
+        else:
+            a, b = (low[axis] - p) / d, (high[axis] - p) / d
+            near, far = max(near, min(a, b)), min(far, max(a, b))
+    return near if near <= far else np.inf
+
+
+@inlined
+def at_box(packet: Any) -> tuple[float, float, float]:
+    """Return the point where a packet from object space came into the box of the lens, where its `limit` is.
+
+    If it meets nothing of the lens it goes on from there: from where it started, it might meet the target that it left,
+    and would cross the media on its way once more.
+
+    Parameters
+    ----------
+    packet : PACKET
+        In the camera frame.
+    """
+    t = max(packet.limit, 0.0)
+    return packet.x + t * packet.dx, packet.y + t * packet.dy, packet.z + t * packet.dz
+
+
+@kernel
 def move_packet(frames: Array, packet: Any, there: int) -> None:
     """Transform a packet's ray into the frame `there`.
 

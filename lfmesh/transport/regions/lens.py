@@ -14,6 +14,8 @@ from lfmesh.geometry.surface import conic_distance, distance_to, normal_at
 from lfmesh.geometry.tessellation import OVERREACH
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.crossing import (
+    at_box,
+    box_entry,
     crosses,
     end,
     end_here,
@@ -110,30 +112,6 @@ GRAZING = 1e-2
 
 NEARBY_TRIES = 4
 """Number of refused facets near the start (the packet's own facet and its neighbours) that are queried from behind."""
-
-
-@kernel
-def box_entry(low: Array, high: Array, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> float:
-    """Return the distance at which a ray enters a box: 0 from inside, inf if it misses.
-
-    Parameters
-    ----------
-    low, high : (3,) float64, mm
-        Corners of the box.
-    x, y, z : float, mm
-    dx, dy, dz : float
-    """
-    near, far = 0.0, np.inf
-    for axis in range(3):
-        p = x if axis == 0 else (y if axis == 1 else z)
-        d = dx if axis == 0 else (dy if axis == 1 else dz)
-        if d == 0.0:
-            if p < low[axis] or p > high[axis]:
-                return np.inf
-        else:
-            a, b = (low[axis] - p) / d, (high[axis] - p) / d
-            near, far = max(near, min(a, b)), min(far, max(a, b))
-    return near if near <= far else np.inf
 
 
 @kernel
@@ -828,9 +806,11 @@ def _reach(surface: Any) -> float:
 def _leaves(options: Options, flow: Flow, frames: Array, lens: LensTables, has_mla: bool, packet: Any) -> None:
     """Send a packet that met nothing out of the lens, or end it on the housing behind the lens."""
     if packet.space == 0 or packet.dz > 0.0:
+        from_outside = packet.space == 0 and packet.last == NO_SURFACE
+        x, y, z = at_box(packet) if from_outside else (packet.x, packet.y, packet.z)
         leave_lens(
-            options, flow, frames, lens, has_mla, packet, packet.x, packet.y, packet.z,
-            packet.dx, packet.dy, packet.dz, packet.weight, packet.key, packet.space, packet.limit,
+            options, flow, frames, lens, has_mla, packet, x, y, z, packet.dx, packet.dy, packet.dz, packet.weight,
+            packet.key, packet.space, 0.0 if from_outside else packet.limit,
         )  # fmt: skip
     else:
         end_here(options, flow, frames, packet, HOUSING, S_ABSORBED)

@@ -17,6 +17,7 @@ from lfmesh.transport.events.crossing import (
     AIM_U,
     AIM_V,
     MAX_TRIES,
+    box_entry,
     clear_of,
     crosses,
     deposit,
@@ -88,7 +89,6 @@ from lfmesh.transport.regions.bodies import (
     medium_of,
     set_bodies,
 )
-from lfmesh.transport.regions.lens import box_entry
 from lfmesh.transport.regions.targets import AIMED_CHILD, meet_target, passes, share_with_other
 from lfmesh.transport.regions.volumes import LEFT_MEDIUM, is_stopped_by_media
 from lfmesh.transport.tables.tables import AIR, OPAQUE, AimTables, LensTables, ObjectTables, body_row

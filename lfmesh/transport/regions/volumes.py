@@ -16,7 +16,15 @@ from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.phase import evaluate_phase, sampled_cosine
 from lfmesh.optics.scattering import about
 from lfmesh.transport.aiming.through_glass import aimed_from
-from lfmesh.transport.events.crossing import deposit, end_here, meets_patch, record, too_deep, windowed
+from lfmesh.transport.events.crossing import (
+    box_entry,
+    deposit,
+    end_here,
+    meets_patch,
+    record,
+    too_deep,
+    windowed,
+)
 from lfmesh.transport.events.lighting import from_light
 from lfmesh.transport.events.polarisation import depolarise
 from lfmesh.transport.events.volume import pass_through, scattering_point
@@ -43,7 +51,6 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.packets.path_class import is_estimated, is_unturned
 from lfmesh.transport.packets.random import derived, uniform
 from lfmesh.transport.regions.bodies import RANK, bodies_round
-from lfmesh.transport.regions.lens import box_entry
 from lfmesh.transport.tables.tables import OPAQUE, AimTables, LensTables, ObjectTables
 
 Array = NDArray[np.float64]

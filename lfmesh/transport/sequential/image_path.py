@@ -15,7 +15,7 @@ from lfmesh.geometry.lenslets import are_alike, face_normal, face_sag, is_spheri
 from lfmesh.geometry.surface import conic_distance
 from lfmesh.geometry.tessellation import OVERREACH
 from lfmesh.kernel import inlined, kernel
-from lfmesh.transport.events.crossing import end, move_packet, refracted
+from lfmesh.transport.events.crossing import at_box, box_entry, end, move_packet, refracted
 from lfmesh.transport.events.interface import shares
 from lfmesh.transport.events.travel import transmitted
 from lfmesh.transport.packets.book import HOUSING, MLA_EDGE, MLA_MOUNT, MLA_WALL, STOP, UNFOLLOWED
@@ -91,15 +91,13 @@ def follow_image_path(
             packet = wave[i]
             if packet.frame != CAMERA_FRAME:
                 move_packet(frames, packet, CAMERA_FRAME)
+                if station == LENS:
+                    packet.limit = _way_to_box(lens, packet)
             if (packet.dz > 0.0) != to_sensor:
                 continue
             if station == LENS and packet.space == 0 and not to_sensor:
                 # It comes from object space and flies away from the lens, back into object space.
-                child = put(
-                    flow, OBJECTS, packet, CAMERA_FRAME, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz,
-                    packet.weight, packet.key, 0.0,
-                )  # fmt: skip
-                child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
+                _pass_beside(flow, packet, packet.weight)
                 continue
             load(
                 bundle, count, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz, packet.weight
@@ -174,15 +172,31 @@ def _hand_on(
             child = put(flow, station, packet, frame, x, y, z, dx, dy, dz, weight, packet.key, 0.0)
             child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
         elif ended == BESIDE:
-            x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
-            child = put(flow, OBJECTS, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, weight, packet.key, 0.0)
-            child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
+            _pass_beside(flow, packet, weight)
         elif ended != DROPPED:
             end(
                 options, flow, frames, packet, frame, x, y, z, dx, dy, dz, weight, int(ended) - 1, S_ABSORBED
             )  # fmt: skip
     flow.counts[EVENTS] += events
     flow.book[UNFOLLOWED] += left_behind
+
+
+@inlined
+def _way_to_box(lens: LensTables, packet: Any) -> float:
+    """Return the distance at which a packet from object space enters the box of the lens; nothing is in its way."""
+    t = box_entry(lens.box_low, lens.box_high, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz)
+    # By rounding, a ray along the border may miss the box that it was found to enter.
+    return t if t < np.inf else 0.0
+
+
+@inlined
+def _pass_beside(flow: Flow, packet: Any, weight: float) -> None:
+    """Queue a packet from object space (camera frame) that met nothing of the lens for object space."""
+    x, y, z = at_box(packet)
+    child = put(
+        flow, OBJECTS, packet, CAMERA_FRAME, x, y, z, packet.dx, packet.dy, packet.dz, weight, packet.key, 0.0
+    )  # fmt: skip
+    child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
 
 
 @kernel

@@ -83,6 +83,9 @@ def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
     focus = focus_wished_mm(scene.camera, scene.primary_nm)
     plane = "array" if scene.camera.mla is not None else "sensor"
     # Of a relay with an image inside, the focal length is negative too, but the rear focal point lies behind it.
+    if facts.efl_x_mm is not None and math.isinf(facts.efl_mm):
+        # A cylinder without power in y: it has no plane in focus there.
+        return
     if facts.efl_mm < 0 and facts.bfl_mm < 0:
         yield f"the lens diverges (focal length {facts.efl_mm:.4g} mm): it forms no real image of an object"
     elif distance < 0:
@@ -111,16 +114,20 @@ def _sections(facts: "FirstOrder") -> Iterator[str]:
     if facts.efl_x_mm is None or facts.image_x_shift_mm is None:
         return
     if facts.efl_x_mm != facts.efl_mm:
+        in_y, in_x = (
+            f"{length:.5g} mm" if math.isfinite(length) else "infinite" for length in (facts.efl_mm, facts.efl_x_mm)
+        )
         yield (
-            f"the lens is anamorphic: its focal length is {facts.efl_mm:.5g} mm in y and {facts.efl_x_mm:.5g} mm in x; "
+            f"the lens is anamorphic: its focal length is {in_y} in y and {in_x} in x; "
             "first-order figures, and what decoding, refocusing and depth take from them, are those in y"
         )
     # The blur of a point in x, against the Airy disk, below which nobody sees it.
     blur = abs(facts.image_x_shift_mm) / facts.working_f_number if facts.working_f_number else math.inf
     if blur > facts.airy_disk_mm:
+        side = "behind" if facts.image_x_shift_mm > 0 else "before"
         yield (
-            f"the lens is astigmatic: the plane in focus in y has its image in x {facts.image_x_shift_mm:+.4g} mm "
-            "behind the array or sensor"
+            "the lens is astigmatic: the plane in focus in y has its image in x "
+            f"{abs(facts.image_x_shift_mm):.4g} mm {side} the array or sensor"
         )
 
 

@@ -73,7 +73,8 @@ class Surface(Model):
     conic: Number = 0.0
     """Conic constant: 0 sphere, −1 paraboloid, below −1 hyperboloid, above −1 ellipsoid."""
     asphere_mm: tuple[Coefficient, ...] = Field(default=(), max_length=MOST_ASPHERE_TERMS)
-    """Even aspheric coefficients of r⁴, r⁶, r⁸, ..., in mm⁻³, mm⁻⁵, mm⁻⁷, ..., so that the sag is in mm."""
+    """Even aspheric coefficients of r⁴, r⁶, r⁸, ..., in mm⁻³, mm⁻⁵, mm⁻⁷, ..., so that the sag is in mm; of a toroid
+    those of y⁴, y⁶, y⁸, ..."""
     odd_asphere_mm: tuple[Coefficient, ...] = Field(default=(), max_length=MOST_ASPHERE_TERMS)
     """Odd aspheric coefficients of r³, r⁵, r⁷, ..., in mm⁻², mm⁻⁴, mm⁻⁶, ..., beside the even ones. None of r: that
     would be a cone, without a normal at the vertex."""

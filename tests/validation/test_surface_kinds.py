@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import lfmesh as lf
 from lfmesh.errors import SceneError
 from lfmesh.imports import read_lens_file, write_lens_file
+from lfmesh.view.layout.sections import lens_glass
 
 Array = NDArray[np.float64]
 Sag = Callable[[Any, Any], Any]
@@ -375,6 +376,18 @@ def test_reflections_lose_no_light() -> None:
     assert paths.weight.sum() == pytest.approx(1000.0, rel=1e-2)
     assert world.mesh("lens[0]").is_watertight
     assert world.mesh("lens[1]").is_watertight
+
+
+def test_layouts_show_the_section_y_z_and_the_edge_of_the_mesh() -> None:
+    """Front of a toroid, 26 mm and 1e-5 y⁴; the edge is a cylinder at the wider rim, to the depth of its chords."""
+    narrow = {**TORIC, "semi_diameter_mm": 3.0}
+    world = lf.build(lf.Scene(camera=camera(narrow, SADDLE, 1.6)))
+    (glass,) = lens_glass(world.lens_shape, np.array([1.0, 1.6, 1.0]))
+    z, y = glass.front.T
+    np.testing.assert_allclose(z, conic(1.0 / 26.0, 0.0, y * y) + 1e-5 * y**4, atol=1e-9)
+    rim = world.lens_shape.rims[1]
+    assert rim * np.cos(np.pi / world.lens_shape.azimuths) - 1e-6 <= glass.outline[:, 1].max() <= rim + 1e-6
+    assert 3.0 < glass.front[-1, 1] < 3.2
 
 
 def test_what_no_section_can_have_is_refused() -> None:

@@ -162,8 +162,7 @@ def lens_glass(shape: LensShape, indices: Array) -> list[Glass]:
     elements = []
     for number, k in enumerate(shape.elements):
         front, back = _profile(shape, k), _profile(shape, k + 1)
-        both = shape.surfaces[k : k + 2]
-        if both["posed"].any() or not all(map(is_revolved, both)):
+        if shape.surfaces["posed"][k : k + 2].any():
             # Neither symmetric nor of revolution: corner to corner will do for the edges.
             outline = np.concatenate([front, back[::-1]])
         else:
@@ -223,6 +222,13 @@ def _profile(shape: LensShape, k: int) -> Array:
 def _edge(shape: LensShape, k: int) -> Array:
     """Return the upper edge of the element behind surface k, (z, y) from its front rim to its back rim."""
     front, back = shape.surfaces[k], shape.surfaces[k + 1]
+    if not (is_revolved(front) and is_revolved(back)):
+        ends = np.stack([_profile(shape, k)[-1], _profile(shape, k + 1)[-1]])
+        ring = shape.closures[k]
+        lines = mesh_section(trimesh.Trimesh(ring.vertices, ring.faces, process=False)) if len(ring.faces) else []
+        upper = max((line for line in lines if line[:, 1].mean() > 0.0), key=len, default=ends)
+        back_to_front = np.linalg.norm(upper[0] - ends[0]) > np.linalg.norm(upper[-1] - ends[0])
+        return upper[::-1] if back_to_front else upper
     return ring_profile(front, shape.rims[k], back, shape.rims[k + 1])[:, ::-1]
 
 

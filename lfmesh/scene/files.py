@@ -19,6 +19,9 @@ from lfmesh.scene.own_glass import with_tables_beside
 from lfmesh.scene.quantities import path_fault
 from lfmesh.scene.scene import Scene
 
+MOST_BYTES = 20_000_000
+"""Of a TOML file: tables of spectra and the like may stand in it."""
+
 DEEPEST_TABLE = 32
 """Tables and lists in one another that a file may have; scenes have some six."""
 
@@ -96,11 +99,29 @@ def _read(path: Path) -> dict[str, Any]:
     if why := path_fault(str(path)):
         raise SceneError(f"{shown_path(path)}: {why}")
     try:
-        return _parse(path.read_bytes().decode("utf-8"), str(path))
+        return _parse(read_text(path), str(path))
     except OSError as error:
         raise SceneError(f"{shown_path(path)}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise SceneError(f"{path}: byte {error.start} is no UTF-8; a scene file is UTF-8 text") from None
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a TOML file, UTF-8.
+
+    Raises
+    ------
+    OSError
+        It cannot be read.
+    SceneError
+        It has more than `MOST_BYTES`, as a device that never ends.
+    UnicodeDecodeError
+    """
+    with path.open("rb") as file:
+        data = file.read(MOST_BYTES + 1)
+    if len(data) > MOST_BYTES:
+        raise SceneError(f"{shown_path(path)}: larger than {MOST_BYTES // 1_000_000} MB; it has some kilobytes at most")
+    return data.decode("utf-8")
 
 
 def _refuse_other_kind(wanted: FileKind, data: dict[str, Any], path: Path) -> None:

@@ -543,6 +543,13 @@ class Scene(Model, Shown):
             return
         placed = in_its_air(self).camera.mla
         n = refractive_index(placed.medium if placed is not None else mla.medium, self.primary_nm)
+        if not n > 1.0:
+            medium = "index" if mla.index is not None else "glass"
+            yield Fault(
+                ("camera", "mla", medium), getattr(mla, medium),
+                f"has the index {n:.6g} beside the air; it must be above 1 to bend light as lenslets do",
+            )  # fmt: skip
+            return
         for kind, focal_length in enumerate(mla.focal_length_mm or ()):
             radius = focal_length * (n - 1)
             if why := mla.cap_fault(radius, 1 / (n - 1), kind):

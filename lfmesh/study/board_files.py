@@ -49,6 +49,10 @@ def read_corners(path: Path) -> BoardCorners:
     FileError
         It cannot be read, lacks a column, has a line that is no numbers, or too few corners.
     """
+    if path.exists() and not path.is_file():
+        raise FileError(
+            f"{path}: the list of corners cannot be read: it is {'a folder' if path.is_dir() else 'no file'}"
+        )
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)

@@ -27,7 +27,7 @@ from lfmesh.study.dataset_item import CAMERAS, ITEMS, Item, facts_of, make_camer
 from lfmesh.study.paths import value_at
 from lfmesh.study.plan import MOST_POINTS, in_a_line, path_faults, seed_of
 from lfmesh.study.pool import here, in_pool
-from lfmesh.study.study import Progress, Report, Shard, cores, default_workers, lists_settings
+from lfmesh.study.study import Progress, Report, Shard, check_workers, cores, default_workers, lists_settings
 from lfmesh.study.study_file import refused
 from lfmesh.study.study_folder import append_event
 from lfmesh.transport.world import build
@@ -108,6 +108,8 @@ class Dataset:
         """
         path = Path(path)
         file = read_dataset(path)
+        if count is not None and count < 1:
+            raise LfmeshError(f"count = {count}: must be 1 or more")
         given = {key: value for key, value in (("count", count), ("seed", seed)) if value is not None}
         if given:
             file = DatasetFile(**{key: getattr(file, key) for key in DatasetFile.model_fields} | given)
@@ -260,6 +262,7 @@ class Dataset:
         LfmeshError
             The folder holds another dataset or cannot be written.
         """
+        check_workers(workers)
         return _Making(self, Path(folder), progress).complete(workers, shard)
 
     def summary(self) -> dict[str, Any]:

@@ -174,6 +174,7 @@ class Study:
         LfmeshError
             The folder holds another study or cannot be written.
         """
+        check_workers(workers)
         return Run(self.plan, Path(folder), progress).complete(workers, dask, shard)
 
     def table(self, folder: str | Path) -> Table:
@@ -192,6 +193,12 @@ class Study:
         for folder in map(Path, folders):
             run.take(folder)
         return run.written()
+
+
+def check_workers(workers: int | None) -> None:
+    """Refuse a number of processes that is below 0."""
+    if workers is not None and workers < 0:
+        raise LfmeshError(f"workers = {workers}: must be 0, this process alone, or more")
 
 
 def default_workers(units: int) -> int:

@@ -7,8 +7,9 @@ import pytest
 
 from lfmesh.cli import main
 from lfmesh.cli.export import _found
-from lfmesh.errors import SceneError
+from lfmesh.errors import LfmeshError, SceneError
 from lfmesh.scene import loads
+from lfmesh.study.board_files import read_corners
 from tests.cameras import bench_camera
 
 
@@ -69,4 +70,50 @@ def test_a_file_of_another_kind_is_named_with_what_takes_it(
     assert main(words.split()) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert re.search(said, line)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("check {}", "larger than 20 MB"),
+        ("study {} -o out", "larger than 20 MB"),
+        (
+            "fit scene.toml scene.toml -o out --corners {}",
+            "/dev/zero: the list of corners cannot be read: it is no file",
+        ),
+    ],
+)
+def test_a_file_that_never_ends_is_refused(
+    words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if not Path("/dev/zero").exists():
+        pytest.skip("there is no /dev/zero")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.toml").write_text(KINDS["scene.toml"])
+    assert main(words.format("/dev/zero").split()) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+
+
+def test_a_list_of_corners_that_is_no_file_is_refused() -> None:
+    with pytest.raises(LfmeshError, match="it is a folder"):
+        read_corners(Path(__file__).parent)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [("study study.toml -o out --workers -1", "workers = -1"), ("dataset data.toml -o out --count 0", "count = 0")],
+)
+def test_a_number_of_processes_or_items_that_makes_no_sense_is_refused(
+    words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.toml").write_text(KINDS["scene.toml"])
+    axis = '[[axes]]\npath = "camera.mla.pose.shift_mm[0]"\nvalues = [0.01]\n'
+    (tmp_path / "study.toml").write_text('scene = "scene.toml"\nmetrics = ["light"]\n' + axis)
+    draw = '[[random]]\npath = "camera.mla.pose.shift_mm[0]"\nvalues = [0.01]\n'
+    (tmp_path / "data.toml").write_text('scene = "scene.toml"\n' + draw)
+    assert main(words.split()) == 2
+    assert capsys.readouterr().err.startswith(f"lfmesh: {said}: must be")
     assert not (tmp_path / "out").exists()

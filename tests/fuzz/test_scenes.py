@@ -159,6 +159,13 @@ def test_a_lens_surface_with_a_harsh_key_is_read_or_refused(key: str) -> None:
     is_read_or_refused(SCENE.replace("thickness_mm = 4.0, ", f"thickness_mm = 4.0, {key}, ", 1))
 
 
+def test_lenslets_of_a_glass_that_bends_no_light_are_refused() -> None:
+    text = BENCH.replace('glass = "SCHOTT/N-BK7"', "glass = { nd = 1.0, vd = 60.0 }")
+    assert text != BENCH
+    with pytest.raises(LfmeshError, match=r"camera\.mla\.glass: has the index 1 beside the air"):
+        loads(text)
+
+
 lengths = st.one_of(st.integers(1, 200).map(lambda n: n / 8), st.floats(0.01, 60.0))
 
 

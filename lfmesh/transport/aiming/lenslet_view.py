@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.lattice import ROW_SPACING, centre
 from lfmesh.geometry.lenslets import Lenslets, border_segments, face_normal, face_sag, shape_of
@@ -91,6 +92,11 @@ def aim_through_lenslets(
     sensor_z, lens_z = apex_z(mla, glass)
     middle = np.array([[0.0, 0.0, lens_z]])
     to_pupil = float(frame.points(moves[MLA_FRAME, CAMERA_FRAME], middle)[0, 2]) - report.exit_pupil_z_mm
+    if to_pupil == 0.0:
+        raise SceneError(
+            "camera.mla: the lens's exit pupil lies in the lenslets, where no light can be aimed at it; move the "
+            "array, or bring surfaces nearer than billions of mm, whose places are lost in rounding"
+        )
     vergence = 1.0 / to_pupil if np.isfinite(to_pupil) else 0.0
     pupil = [0.0, 0.0, report.exit_pupil_z_mm if np.isfinite(to_pupil) else scene.camera.lens.vertices_mm[-1]]
     pupil_x, pupil_y, _ = frame.points(moves[CAMERA_FRAME, MLA_FRAME], [pupil])[0]

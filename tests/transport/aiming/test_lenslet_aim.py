@@ -1,5 +1,6 @@
 """Paths start in all directions, with the density that their weights say; none through a lenslet next to its own."""
 
+import re
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.world import World
+from tests.cameras import bench_camera
 
 Array = NDArray[np.float64]
 
@@ -184,3 +186,12 @@ def test_the_ray_to_a_point_goes_there_by_snells_law(has_air: bool, has_plate: b
         # In how far sideways it goes, which tells steep slopes badly where nearly all of the way is in the plate.
         reached = air * found + plate * np.tan(np.arcsin(found / np.hypot(1.0, found) / glass))
         assert abs(reached - sideways) <= 1e-7 * sideways
+
+
+def test_an_exit_pupil_in_the_lenslets_is_refused() -> None:
+    """A stop 1e15 mm before the array: their distance, and that of the exit pupil, is lost in rounding."""
+    far = re.sub(r"(stop = true, thickness_mm = )[0-9.]+", r"\g<1>1e15", bench_camera(4, 4))
+    assert far != bench_camera(4, 4)
+    world = lf.build(lf.loads(far))
+    with pytest.raises(lf.LfmeshError, match="exit pupil lies in the lenslets"):
+        world.aim  # noqa: B018  # found when it is asked for

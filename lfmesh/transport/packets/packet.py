@@ -119,13 +119,15 @@ _BASE_RECORD = np.dtype(
         ("last", "i2"),  # lens surface it left
         ("colour", "i2"),  # number of the wavelength
         ("space", "i2"),  # space between two surfaces it travels in; for object space see `regions.bodies`
-        ("events", "i2"),
-        ("medium", "i2"),  # medium at its start and in object space; in lens and array its space gives the medium
+        # What an event writes stands between fields that `put` does not copy: the compiler copies neighbours at once,
+        # and the processor waits for a number that is read as part of a longer one just after it was written.
         ("tries", "i1"),  # queries of this ray whose result was refused
-        ("kind", "i1"),
         ("frame", "i1"),
-        ("stray", "i1"),  # 1: has left the image path, see `path_class`
+        ("medium", "i2"),  # medium at its start and in object space; in lens and array its space gives the medium
+        ("kind", "i1"),
         ("slipped", "i1"),  # 1: its ray slipped between facets, and its query's origin is shifted
+        ("events", "i2"),
+        ("stray", "i1"),  # 1: has left the image path, see `path_class`
     ],
     align=True,
 )  # fmt: skip

@@ -89,6 +89,7 @@ from lfmesh.transport.regions.lens_block import (
     Z,
     incidence,
     meet_aspheres,
+    meet_aspheres_at_facets,
     meet_conics,
     meet_in_order,
     set_asphere,
@@ -237,18 +238,15 @@ def shade_lens(
     in_order : bool
         Whether surfaces are found by their order.
     """
+    most_terms = _most_terms(lens)
     for first in range(0, len(wave), BLOCK):
         count = min(BLOCK, len(wave) - first)
         if in_order:
-            terms = 0.0
             for i in range(count):
-                _prepare_in_order(block, i, wave[first + i], lens, options)
-                terms += block[TERMS + i]
+                _prepare_in_order(block, i, wave[first + i], lens, options, most_terms)
             meet_in_order(block)
-            if terms > 0.0:
-                for i in range(count, BLOCK):
-                    block[TERMS + i] = 0.0
-                meet_aspheres(block)
+            if most_terms > 0 and _at_aspheres(block, count) > 0:
+                meet_aspheres(block, most_terms)
             for i in range(count):
                 packet = wave[first + i]
                 if not block[HELD + i] > 0.0:
@@ -259,8 +257,12 @@ def shade_lens(
                     met[i] = _meets_the_one_ahead(block, i, packet, lens, has_mla, frames, options, flow)
         else:
             for i in range(count):
-                met[i] = _prepare(block, i, wave[first + i], found[first + i], lens, options)
-            meet_conics(block)
+                met[i] = _prepare(block, i, wave[first + i], found[first + i], lens, options, most_terms)
+            curved = _at_aspheres(block, count) if most_terms > 0 else 0
+            if curved < count:
+                meet_conics(block)
+            if curved > 0:
+                meet_aspheres_at_facets(block, most_terms)
             for i in range(count):
                 if not block[HELD + i] > 0.0:
                     prim = found[first + i]
@@ -271,8 +273,30 @@ def shade_lens(
                 _send_on(block, i, wave[first + i], met[i], lens, has_mla, frames, options, flow)
 
 
+@kernel
+def _most_terms(lens: LensTables) -> int:
+    """Return the number of terms of the lens's most complicated asphere; 0 without any."""
+    most = 0
+    for k in range(len(lens.surfaces)):
+        most = max(most, lens.surfaces[k].terms)
+    return most
+
+
+@kernel
+def _at_aspheres(block: Array, count: int) -> int:
+    """Return how many of the packets in a block are at aspheres, and clear the places beyond the packets."""
+    curved = 0
+    for i in range(count):
+        curved += 1 if block[TERMS + i] > 0.0 else 0
+    for i in range(count, BLOCK):
+        block[TERMS + i] = 0.0
+    return curved
+
+
 @inlined
-def _prepare_in_order(block: Array, i: int, packet: Any, lens: LensTables, options: Options) -> None:
+def _prepare_in_order(
+    block: Array, i: int, packet: Any, lens: LensTables, options: Options, most_terms: int
+) -> None:  # fmt: skip
     """Enter a packet in the block for `meet_in_order`, unless it has to be looked at singly."""
     block[SENSE + i], block[SIZE + i], block[TERMS + i] = 0.0, 0.0, 0.0
     space, colour, last_space = packet.space, packet.colour, len(lens.surfaces)
@@ -281,7 +305,7 @@ def _prepare_in_order(block: Array, i: int, packet: Any, lens: LensTables, optio
     if packet.events >= options.max_events:
         return
     if not lens.by_roots[space]:
-        _prepare_the_one_ahead(block, i, packet, lens)
+        _prepare_the_one_ahead(block, i, packet, lens, most_terms)
         return
     if lens.stop_space == space and stop_cuts(lens, x, y, z, dx, dy, dz)[0]:
         return
@@ -295,7 +319,7 @@ def _prepare_in_order(block: Array, i: int, packet: Any, lens: LensTables, optio
 
 
 @inlined
-def _prepare_the_one_ahead(block: Array, i: int, packet: Any, lens: LensTables) -> None:
+def _prepare_the_one_ahead(block: Array, i: int, packet: Any, lens: LensTables, most_terms: int) -> None:
     """Enter a packet that is steeper than the surfaces of its space in the block, with the surface ahead.
 
     In the frame of that surface, if it is posed.
@@ -319,7 +343,7 @@ def _prepare_the_one_ahead(block: Array, i: int, packet: Any, lens: LensTables) 
         block, i, surface.curvature, 1.0 + surface.conic, surface.vertex_z, reach * reach,
         1.0 if packet.dz > 0.0 else -1.0,
     )  # fmt: skip
-    set_asphere(block, i, surface)
+    set_asphere(block, i, surface, most_terms)
     _set_sides(block, i, packet, k, lens)
     block[NEXT_N + i], block[NEXT_NUMBER + i] = block[N_T + i], k
 
@@ -390,15 +414,21 @@ def _decide_in_order(
 
 
 @inlined
-def _prepare(block: Array, i: int, packet: Any, prim: int, lens: LensTables, options: Options) -> int:
-    """Enter a packet in the block if the facet found is of a conic of its space; return the surface or `NO_SURFACE`."""
-    block[SENSE + i] = 0.0
+def _prepare(
+    block: Array, i: int, packet: Any, prim: int, lens: LensTables, options: Options, most_terms: int
+) -> int:  # fmt: skip
+    """Enter a packet in the block if the facet found is of an exact surface of its space; return the surface.
+
+    `NO_SURFACE`: it has to be looked at singly. So has a ray at an asphere that is not steeper than that anywhere, as
+    it may cross it more than once.
+    """
+    block[SENSE + i], block[TERMS + i] = 0.0, 0.0
     if prim < 0 or packet.events >= options.max_events:
         return NO_SURFACE
     facet = lens.facets[prim]
     k, space, last_space = facet.body, packet.space, len(lens.surfaces)
     forward = k == space
-    if k < 0 or not (forward or k == space - 1) or not _is_conic(lens.surfaces[k]) or lens.surfaces[k].posed:
+    if k < 0 or not (forward or k == space - 1) or lens.surfaces[k].level != EXACT or lens.surfaces[k].posed:
         return NO_SURFACE
     outside = space == 0 or space == last_space
     if not outside and packet.last != 2 * space - 1 - k:
@@ -406,11 +436,15 @@ def _prepare(block: Array, i: int, packet: Any, prim: int, lens: LensTables, opt
         return NO_SURFACE
     x, y, z = packet.x, packet.y, packet.z
     dx, dy, dz = packet.dx, packet.dy, packet.dz
+    sense = 1.0 if forward else -1.0
+    if lens.surfaces[k].terms > 0 and not sense * dz > lens.order[space, 11 if forward else 10]:
+        return NO_SURFACE
     if lens.stop_space == space and packet.last != k and stop_cuts(lens, x, y, z, dx, dy, dz)[0]:
         return NO_SURFACE
     set_ray(block, i, packet)
     set_facet(block, i, facet)
-    set_conic(block, i, lens.surfaces[k], 1.0 if forward else -1.0)
+    set_conic(block, i, lens.surfaces[k], sense)
+    set_asphere(block, i, lens.surfaces[k], most_terms)
     _set_sides(block, i, packet, k, lens)
     return k
 
@@ -522,6 +556,18 @@ def _is_cut(
 
 
 @inlined
+def _leaves_for_good(lens: LensTables, into: int, dz: float) -> bool:
+    """Tell whether a ray from an outermost surface goes into a space outside the lens and cannot meet it again.
+
+    As the surface bulges outwards, or the ray is steeper than it is anywhere.
+    """
+    last = len(lens.surfaces)
+    return (into == 0 and (lens.convex_front or -dz > lens.order[0, 11])) or (
+        into == last and (lens.convex_back or dz > lens.order[last, 10])
+    )
+
+
+@inlined
 def _send_child(
     place: Any, options: Options, flow: Flow, frames: Array, packet: Any, refracts: bool,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, key: np.uint64,
@@ -529,7 +575,7 @@ def _send_child(
     """Queue a child of a packet at surface `k`; if it cannot meet the lens again, send it out of the lens."""
     block, i, k, space, lens, has_mla = place
     into = (k + 1 if k == space else k) if refracts else space
-    if (into == 0 and lens.convex_front) or (into == len(lens.surfaces) and lens.convex_back):
+    if _leaves_for_good(lens, into, dz):
         packet.space = into
         leave_lens(options, flow, frames, lens, has_mla, packet, x, y, z, dx, dy, dz, weight, key, into, 0.0)
     else:

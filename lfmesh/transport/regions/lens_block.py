@@ -45,15 +45,15 @@ NEXT_CURVATURE, NEXT_SQUASH, NEXT_VERTEX_Z, NEXT_APERTURE2 = 38 * BLOCK, 39 * BL
 NEXT_N, NEXT_NUMBER, FREE2, STARTS_ON = 42 * BLOCK, 43 * BLOCK, 44 * BLOCK, 45 * BLOCK
 # The distance at which `meet_in_order` finds the hit.
 AT = 46 * BLOCK
-# For `meet_aspheres`: number of terms, 0 for a conic, and the coefficients of all of `SURFACE`.
-TERMS, COEFFICIENTS = 47 * BLOCK, 48 * BLOCK
-ROWS = 48 + MAX_ASPHERE_TERMS
+# For aspheres: number of terms, 0 for a conic; squared radius, sum of the terms and of their slopes; coefficients.
+TERMS, _RADIUS2, _SAG, _SLOPE, COEFFICIENTS = 47 * BLOCK, 48 * BLOCK, 49 * BLOCK, 50 * BLOCK, 51 * BLOCK
+ROWS = 51 + MAX_ASPHERE_TERMS
 
 NEWTON_STEPS = 12
-"""Newton's method takes four or five; what takes more goes to the meshes."""
+"""Newton's method takes three to five; what takes more is looked at singly."""
 
-SETTLED = 2e-15
-"""Newton step, over the size of the coordinates, that counts as rounding."""
+SETTLED = 1e-14
+"""Last Newton step, over the size of the coordinates: the point after it is exact, the normal as good as that."""
 
 
 def empty_block() -> Array:
@@ -235,8 +235,8 @@ def meet_in_order(block: Array) -> None:
 
 
 @inlined
-def set_asphere(block: Array, i: int, surface: Any) -> None:
-    """Enter the terms of the surface whose conic `set_only_conic` entered; of a conic, that there are none.
+def set_asphere(block: Array, i: int, surface: Any, terms: int) -> None:
+    """Enter the terms of the surface whose conic has been entered; of a conic, that there are none.
 
     Parameters
     ----------
@@ -244,68 +244,142 @@ def set_asphere(block: Array, i: int, surface: Any) -> None:
     i : int
         Place in the block.
     surface : SURFACE
+    terms : int
+        Most terms that any packet of the block may have.
     """
     block[TERMS + i] = surface.terms
     if surface.terms > 0:
-        for m in range(MAX_ASPHERE_TERMS):
+        # They are added in pairs.
+        for m in range((terms + 1) // 2 * 2):
             block[COEFFICIENTS + m * BLOCK + i] = surface.asphere[m]
 
 
 @kernel
-def meet_aspheres(block: Array) -> None:
+def meet_aspheres(block: Array, terms: int) -> None:
     """Replace the hits that `meet_in_order` found on the conic parts of aspheres by those on the aspheres.
 
     By Newton's method, all rays at once while any moves. Held are hits where it settles; the caller has to know that
     the ray crosses the asphere only once.
+
+    Parameters
+    ----------
+    block : (ROWS · BLOCK,) float64
+    terms : int
+        Most terms that a surface has.
     """
     for i in range(BLOCK):
         t, curved = block[AT + i] - block[FROM + i], block[TERMS + i] > 0.0
         flat = (block[VERTEX_Z + i] - block[Z + i]) / block[DZ + i] - block[FROM + i]
         block[AT + i] = select(curved, select(abs(t) < np.inf, t, flat), block[AT + i])
+    _settle(block, terms)
+
+
+@kernel
+def meet_aspheres_at_facets(block: Array, terms: int) -> None:
+    """Replace the hits that `meet_conics` found on the conic parts of aspheres by those on the aspheres.
+
+    As `meet_aspheres`, from where the ray crosses the facet that was found; in the sense of the facet only.
+
+    Parameters
+    ----------
+    block : (ROWS · BLOCK,) float64
+    terms : int
+        Most terms that a surface has.
+    """
+    for i in range(BLOCK):
+        nx, ny, nz = block[FACET_X + i], block[FACET_Y + i], block[FACET_Z + i]
+        along = nx * block[DX + i] + ny * block[DY + i] + nz * block[DZ + i]
+        above = nx * block[X + i] + ny * block[Y + i] + nz * block[Z + i] - block[OFFSET + i]
+        curved, begin = block[TERMS + i] > 0.0, block[FROM + i]
+        start = select(along * block[SENSE + i] > 0.0, -above / along - begin, np.nan)
+        block[AT + i] = select(curved, start, block[AT + i])
+        block[NEXT_CURVATURE + i] = select(curved, block[CURVATURE + i], block[NEXT_CURVATURE + i])
+    _settle(block, terms)
+
+
+@kernel
+def _settle(block: Array, terms: int) -> None:
+    """Let Newton's method lead the rays from the distances `AT`, counted from `FROM`, to their aspheres."""
     moving = BLOCK
     for _ in range(NEWTON_STEPS):
         if moving == 0:
             break
+        _add_terms(block, terms)
         moving = _newton_step(block)
+    _set_hits(block)
+
+
+@kernel
+def _add_terms(block: Array, terms: int) -> None:
+    """Find the sums of the aspheres' terms, over r⁴, and half their slope, over r³, at the distances `AT`."""
+    pairs = (terms + 1) // 2
+    _add_last_terms(block, COEFFICIENTS + 2 * (pairs - 1) * BLOCK, 2.0 * pairs)
+    for pair in range(pairs - 2, -1, -1):
+        _add_two_terms(block, COEFFICIENTS + 2 * pair * BLOCK, 2.0 * pair + 2.0)
+
+
+@kernel
+def _add_last_terms(block: Array, row: int, half_power: float) -> None:
     for i in range(BLOCK):
-        block[AT + i] = select(block[TERMS + i] > 0.0, block[AT + i] + block[FROM + i], block[AT + i])
+        t = block[AT + i] + block[FROM + i]
+        x, y = block[X + i] + t * block[DX + i], block[Y + i] + t * block[DY + i]
+        r2, a, b = x * x + y * y, block[row + i], block[row + BLOCK + i]
+        block[_RADIUS2 + i] = r2
+        block[_SAG + i] = b * r2 + a
+        block[_SLOPE + i] = (half_power + 1.0) * b * r2 + half_power * a
+
+
+@kernel
+def _add_two_terms(block: Array, row: int, half_power: float) -> None:
+    for i in range(BLOCK):
+        r2, a, b = block[_RADIUS2 + i], block[row + i], block[row + BLOCK + i]
+        block[_SAG + i] = (block[_SAG + i] * r2 + b) * r2 + a
+        block[_SLOPE + i] = (block[_SLOPE + i] * r2 + (half_power + 1.0) * b) * r2 + half_power * a
 
 
 @kernel
 def _newton_step(block: Array) -> int:
-    """Find height and slope at the distances `AT`, counted from `FROM`; move on the rays that have not settled."""
+    """Move the rays by a step; return how many have not settled. Leaves the whole slope over r in `_SLOPE`."""
     moving = 0
     for i in range(BLOCK):
         dx, dy, dz = block[DX + i], block[DY + i], block[DZ + i]
-        begin, t, sense = block[FROM + i], block[AT + i], select(block[DZ + i] > 0.0, 1.0, -1.0)
-        c, q, vertex_z = block[NEXT_CURVATURE + i], block[SQUASH + i], block[VERTEX_Z + i]
-        c = select(sense > 0.0, c, block[CURVATURE + i])
-        x, y = block[X + i] + begin * dx + t * dx, block[Y + i] + begin * dy + t * dy
-        z = block[Z + i] + begin * dz - vertex_z + t * dz
-        r2 = x * x + y * y
-        sag, slope = 0.0, 0.0
-        for m in range(MAX_ASPHERE_TERMS - 1, -1, -1):
-            a = block[COEFFICIENTS + m * BLOCK + i]
-            sag, slope = sag * r2 + a, slope * r2 + (m + 2.0) * a
+        start_z, t, vertex_z = block[Z + i], block[AT + i] + block[FROM + i], block[VERTEX_Z + i]
+        c, q = select(dz > 0.0, block[NEXT_CURVATURE + i], block[CURVATURE + i]), block[SQUASH + i]
+        x, y, z = block[X + i] + t * dx, block[Y + i] + t * dy, start_z - vertex_z + t * dz
+        r2 = block[_RADIUS2 + i]
         steep = np.sqrt(1.0 - q * c * c * r2)
-        height = z - c * r2 / (1.0 + steep) - r2 * r2 * sag
-        slope = c / steep + 2.0 * r2 * slope
+        height = z - c * r2 / (1.0 + steep) - r2 * r2 * block[_SAG + i]
+        slope = c / steep + 2.0 * r2 * block[_SLOPE + i]
+        step = height / (dz - slope * (x * dx + y * dy))
+        limit = SETTLED * (abs(x) + abs(y) + abs(start_z) + abs(vertex_z) + abs(t))
+        settled = abs(step) <= limit
+        block[_SLOPE + i] = slope
+        block[_RADIUS2 + i] = select(settled, r2, np.inf)
+        block[AT + i] -= select(block[TERMS + i] > 0.0, step, 0.0)
+        # Neither has settled nor moves where the surface has ended, and the step is no number.
+        moving += 1 if both(block[TERMS + i] > 0.0, abs(step) > limit) else 0
+    return moving
+
+
+@kernel
+def _set_hits(block: Array) -> None:
+    """Enter the points on the aspheres and the normals there, where the last step has settled."""
+    for i in range(BLOCK):
+        dx, dy, dz = block[DX + i], block[DY + i], block[DZ + i]
+        t, r2, slope = block[AT + i] + block[FROM + i], block[_RADIUS2 + i], block[_SLOPE + i]
+        x, y, z = block[X + i] + t * dx, block[Y + i] + t * dy, block[Z + i] + t * dz
         nx, ny = -slope * x, -slope * y
-        step = height / (nx * dx + ny * dy + dz)
-        settled = abs(step) <= SETTLED * (abs(x) + abs(y) + abs(z) + abs(t))
-        scale = sense / np.sqrt(nx * nx + ny * ny + 1.0)
+        scale = select(dz > 0.0, 1.0, -1.0) / np.sqrt(nx * nx + ny * ny + 1.0)
         curved = block[TERMS + i] > 0.0
-        held = both(both(settled, block[SENSE + i] > 0.0), both(begin + t > 0.0, r2 <= block[APERTURE2 + i]))
+        held = both(block[SENSE + i] != 0.0, both(t > 0.0, r2 <= block[APERTURE2 + i]))
         block[PX + i] = select(curved, x, block[PX + i])
         block[PY + i] = select(curved, y, block[PY + i])
-        block[PZ + i] = select(curved, z + vertex_z, block[PZ + i])
+        block[PZ + i] = select(curved, z, block[PZ + i])
         block[NX + i] = select(curved, nx * scale, block[NX + i])
         block[NY + i] = select(curved, ny * scale, block[NY + i])
         block[NZ + i] = select(curved, scale, block[NZ + i])
         block[HELD + i] = select(curved, select(held, 1.0, 0.0), block[HELD + i])
-        block[AT + i] = select(both(curved, not settled), t - step, t)
-        moving += 1 if both(curved, not settled) else 0
-    return moving
+        block[AT + i] = select(curved, t, block[AT + i])
 
 
 @kernel

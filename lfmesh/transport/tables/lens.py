@@ -105,12 +105,13 @@ def surface_order(shape: LensShape) -> tuple[Array, NDArray[np.bool_], NDArray[n
 
     Returns
     -------
-    order : (K + 1, 10) float64
+    order : (K + 1, 12) float64
         Of the surface towards the object and then of the one towards the sensor: curvature, 1 + conic constant, z of
         the vertex, squared radius of the aperture; NaN where there is no such surface. Then the squared radius of a
         cylinder about the axis that the ring of the space does not enter: a straight line between two points in it
-        does not meet the ring. Last, the |dz| above which a ray crosses each surface of the space at most once, and in
-        the sense of dz, so that it can only meet the one ahead; inf: no ray is known to.
+        does not meet the ring. Then the |dz| above which a ray crosses each surface of the space at most once, and in
+        the sense of dz, so that it can only meet the one ahead; inf: no ray is known to. Last, that |dz| of the surface
+        towards the object alone, and of the one towards the sensor.
     by_roots : (K + 1,) bool
         Whether the surfaces of the space are exact conics without a pose, so that their roots decide which a ray meets
         first.
@@ -120,7 +121,7 @@ def surface_order(shape: LensShape) -> tuple[Array, NDArray[np.bool_], NDArray[n
     """
     count, surfaces = len(shape.caps), shape.surfaces
     conic = (surfaces["level"] == EXACT) & (surfaces["terms"] == 0)
-    order = np.full((count + 1, 10), np.nan)
+    order = np.full((count + 1, 12), np.nan)
     order[:, 8] = np.inf
     each = (surfaces["curvature"], 1.0 + surfaces["conic"], surfaces["vertex_z"], surfaces["aperture"] ** 2)
     order[1:, :4] = order[:-1, 4:8] = np.stack(each, axis=1)
@@ -129,7 +130,8 @@ def surface_order(shape: LensShape) -> tuple[Array, NDArray[np.bool_], NDArray[n
     free = [_free_radius(ring, rim) for ring, rim in zip(shape.closures, smaller, strict=True)]
     order[1:-1, 8] = ((1.0 - 2.0 * FLOAT32_MARGIN) * np.array(free)) ** 2
     least = np.array([least_dz(s, rim) for s, rim in zip(surfaces, shape.rims, strict=True)])
-    order[:, 9] = np.maximum([0.0, *least], [*least, 0.0])
+    order[:, 10], order[:, 11] = [0.0, *least], [*least, 0.0]
+    order[:, 9] = np.maximum(order[:, 10], order[:, 11])
     by_roots = _everywhere(conic & (surfaces["posed"] == 0))
     return order, by_roots, _everywhere(conic) | (order[:, 9] < 1.0)
 

@@ -71,7 +71,7 @@ class LensTables(NamedTuple):
     convex_front: bool  # a ray that leaves the first surface towards the object cannot meet the lens again
     convex_back: bool
     lost_slot: NDArray[np.int64]  # (K + 1,) book slot of energy lost in each space
-    order: Array  # (K + 1, 10) the conics of each space and what rays it holds for, see `tables.lens.surface_order`
+    order: Array  # (K + 1, 12) the conics of each space and what rays it holds for, see `tables.lens.surface_order`
     ordered: NDArray[np.bool_]  # (K + 1,) whether there are rays in a space whose surface is known without a mesh
     by_roots: NDArray[np.bool_]  # (K + 1,) whether all surfaces of a space are exact conics without a pose
 

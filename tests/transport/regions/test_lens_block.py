@@ -214,7 +214,7 @@ def test_steep_rays_meet_aspheres_where_these_are():
     for _ in range(20):
         block, met, normal, way = ready_aspheres(draw)
         lb.meet_in_order(block)
-        lb.meet_aspheres(block)
+        lb.meet_aspheres(block, 10)
         held = rows(block, lb.HELD)[:, 0] == 1.0
         missed += (~held).sum()
         curved += (rows(block, lb.TERMS)[:, 0] > 0).sum()
@@ -229,8 +229,47 @@ def test_steep_rays_meet_aspheres_where_these_are():
         rows(again, lb.APERTURE2)[:, 0] = np.square(met[:, :2]).sum(axis=1) * (1.0 - 1e-9)
         rows(again, lb.NEXT_APERTURE2)[:] = rows(again, lb.APERTURE2)
         lb.meet_in_order(again)
-        lb.meet_aspheres(again)
+        lb.meet_aspheres(again, 10)
         assert (rows(again, lb.HELD) == 0.0).all()
     assert curved > 300
     # A ray may not settle where it is hardly steeper than the surface.
     assert missed < 0.02 * 20 * lb.BLOCK
+
+
+def test_steep_rays_meet_aspheres_from_facets_beside_them():
+    draw = np.random.default_rng(8)
+    curved = missed = 0
+    for _ in range(20):
+        block, met, normal, way = ready_aspheres(draw)
+        rays = rows(block, lb.DX, 3)
+        sense = np.sign(rays[:, 2])
+        # A plane through a point close to the hit, whose normal looks along +z, as those of facets do.
+        plane = unit(normal * sense[:, None] + draw.uniform(-0.02, 0.02, (lb.BLOCK, 3)))
+        rows(block, lb.FACET_X, 3)[:] = plane
+        rows(block, lb.OFFSET)[:, 0] = np.sum(plane * met, axis=1) + draw.uniform(-0.02, 0.02, lb.BLOCK)
+        rows(block, lb.SENSE)[:, 0] = sense
+        either = np.where(sense > 0.0, rows(block, lb.NEXT_CURVATURE)[:, 0], rows(block, lb.CURVATURE)[:, 0])
+        rows(block, lb.CURVATURE)[:, 0] = either
+        aspheres = rows(block, lb.TERMS)[:, 0] > 0
+        wrong = lb.empty_block()
+        wrong[:] = block
+        rows(wrong, lb.SENSE)[:] *= -1.0
+        lb.meet_aspheres_at_facets(wrong, 10)
+        assert (rows(wrong, lb.HELD)[aspheres] == 0.0).all()
+        narrow = lb.empty_block()
+        narrow[:] = block
+        rows(narrow, lb.APERTURE2)[:, 0] = np.square(met[:, :2]).sum(axis=1) * (1.0 - 1e-9)
+        lb.meet_aspheres_at_facets(narrow, 10)
+        assert (rows(narrow, lb.HELD)[aspheres] == 0.0).all()
+        rows(block, lb.APERTURE2)[:] = (10.0 + 1e-9) ** 2
+        lb.meet_aspheres_at_facets(block, 10)
+        held = (rows(block, lb.HELD)[:, 0] == 1.0) & aspheres
+        cosine = np.sum(normal * rays, axis=1)
+        missed += (aspheres & ~held).sum()
+        curved += held.sum()
+        tolerance = 100 * 80 * EPSILON / cosine[held]
+        assert (np.abs(rows(block, lb.PX, 3) - met).max(axis=1)[held] < tolerance).all()
+        assert (np.abs(rows(block, lb.NX, 3) - normal).max(axis=1)[held] < tolerance).all()
+        assert (np.abs(rows(block, lb.AT)[:, 0] - way)[held] < tolerance).all()
+    assert curved > 300
+    assert missed < 0.02 * curved

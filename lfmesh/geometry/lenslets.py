@@ -136,8 +136,9 @@ def lenslets(
             "apex; give smaller errors or larger radii"
         )
     profile = None
-    depths = [_cap_depth(c * steepest, corner) for c in curvature]
-    if cylinder_axis is not None or conics.any() or terms.any():
+    if cylinder_axis is None and not conics.any() and not terms.any():
+        depths = [_cap_depth(c * steepest, corner) for c in curvature]
+    else:
         between = (float(stretch.min()), float(stretch.max())) if radius_error else (1.0, 1.0)
         profile = profile_of(curvature, conics, terms, cylinder_axis, corner, between)
         depths = _profile_depths(curvature, conics, terms, corner, between)

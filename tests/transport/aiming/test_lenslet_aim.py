@@ -50,6 +50,10 @@ ARRAYS: dict[str, dict[str, Any]] = {
     "concave": SQUARE | {"radius_mm": -0.6},
     "near hemispheres": SQUARE | {"radius_mm": 0.36},
     "near hemispheres, to the sensor": HEXAGONAL | {"radius_mm": 0.293, "curved_side": "sensor"},
+    # They turn back at 0.6 of the way to their corners, so that some flat rays cross them more than once.
+    "aspheres that turn back": SQUARE | {"radius_mm": 0.4, "conic": -1.0, "asphere_mm": [-14.0]},
+    "steep aspheres": SQUARE | {"radius_mm": 0.3, "conic": -2.0, "asphere_mm": [10.0]},
+    "acylinders towards the sensor": SQUARE | {"curved_side": "sensor", "conic": -2.0, "cylinder_axis": "y"} | FORM,
 }
 
 

@@ -104,9 +104,17 @@ def test_scene_loads_and_has_no_fault_of_layout(path: Path) -> None:
 
 def test_the_promised_scenes_are_there() -> None:
     promised = {"first_light", "lit_chart", "conventional", "hexagonal", "emitting_plane", "lytro_class", "focused"}
-    assert {"aquarium", "coated", "color_checker", "glossy", "ground_glass", "polarised", "tank", *promised} <= set(
-        names(SCENES)
-    )
+    assert {
+        "aquarium",
+        "coated",
+        "color_checker",
+        "cover_glass",
+        "glossy",
+        "ground_glass",
+        "polarised",
+        "tank",
+        *promised,
+    } <= set(names(SCENES))
 
 
 def test_the_lytro_class_array_covers_its_sensor() -> None:

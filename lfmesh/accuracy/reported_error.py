@@ -23,6 +23,7 @@ CROPS = {
     "coated": (-1.0, 0.5),
     "color_checker": (-1.0, 0.5),
     "conventional": (-1.0, 0.5),
+    "cover_glass": (-1.0, 0.5),
     "emitting_plane": (-0.5, 0.5),
     "first_light": (-1.0, 0.5),
     "flame": (0.0, 0.5),

@@ -16,10 +16,13 @@ Cells = NDArray[np.int64]
 Function = Callable[[Array], Array]
 
 CELLS = 64
-"""Cells along a side of the square round the disk at first. A region narrower than one of them may be missed."""
+"""Cells along a side of the square round the disk at first."""
 
 HALVINGS = 4
 """How often cells at an edge are divided."""
+
+SEARCHES = 5
+"""How often the side of a dark cell is halved to find light between two kinds of darkness."""
 
 BISECTIONS = 10
 """Of the side of a cell, to find where an edge crosses it."""
@@ -45,7 +48,12 @@ class Integral(NamedTuple):
 
 
 def integral(function: Function, radius: float) -> Integral:
-    """Integrate a function that is not negative and zero outside a disk about the origin.
+    """Integrate a function that is positive within a region and not beyond, nor outside a disk about the origin.
+
+    Where it is not positive, its value may be any negative number that tells apart why: the function is not integrated
+    there. A region narrower than the first cells is found where such numbers differ on its two sides; it may be missed
+    where they do not, or where it is narrower than a 32nd of a cell. What is found and yet passes between all points
+    of the smallest cells counts as error.
 
     The error that is stated is the sum of two: inside the region a third of the difference between the trapezoidal rule
     and the midpoint rule, whose mean weighted 1 : 2 is the result; along the edge what the last halving of the cells
@@ -64,16 +72,25 @@ def integral(function: Function, radius: float) -> Integral:
     parts_before = np.zeros(0)
     first = 2.0 * radius / (CELLS - 1)
     origin = -radius - first * np.array(SHIFT)
+    searched = followed = np.ones(len(cells), bool)
+    there: list[NDArray[np.int64]] = []
+    asleep: list[NDArray[np.int64]] = []
     for halving in range(HALVINGS + 1):
         side = first / (1 << halving)
-        corners = _at_corners(function, cells, side, origin)
+        seen = _look(function, cells, searched, side, origin)
+        while len(woken := _woken(seen, there, asleep)) > 0:
+            more = _halved(woken)
+            seen = _joined(seen, _look(function, more, np.ones(len(more), bool), side, origin))
+            followed = np.append(followed, np.zeros(len(more), bool))
+            parts_before = np.append(parts_before, np.zeros(len(woken)))
+        cells, corners, kinds, between = seen
         lit = (corners > 0.0).sum(axis=1)
         least, most = corners.min(axis=1), corners.max(axis=1)
-        rough = (lit > 0) & ((lit < 4) | (most - least > SMOOTH * most))
+        rough = (between > 0.0) | ((lit > 0) & ((lit < 4) | (most - least > SMOOTH * most)))
         smooth = np.flatnonzero((lit == 4) & ~rough)
         middles = function((cells[smooth] + 0.5) * side + origin)
         # A hole within the cell is an edge, too.
-        rough[smooth[middles == 0.0]] = True
+        rough[smooth[middles <= 0.0]] = True
         smooth, middles = smooth[middles > 0.0], middles[middles > 0.0]
         mean = corners[smooth].mean(axis=1)
         parts = np.zeros(len(cells))
@@ -86,11 +103,130 @@ def integral(function: Function, radius: float) -> Integral:
             off = parts.reshape(-1, 4).sum(axis=1) - parts_before
             edge = abs(float(off.sum())) + float(np.sqrt((off * off).sum()))
             blur = side * side * float(most[rough].sum()) / (1 << BISECTIONS)
-            return Integral(value + float(parts[rough].sum()), within + edge + blur)
-        divided = rough | _beside_lit(cells, lit)
+            unseen = side * side * float(between.sum())
+            return Integral(value + float(parts[rough].sum()), within + edge + blur + unseen)
+        # Where three ways to be dark come together may be light that no side of the cell meets.
+        knots = followed & (kinds > 2)
+        divided = rough | knots | _beside_lit(cells, lit)
+        there.append(np.sort(_names(cells)))
+        asleep.append(np.sort(_names(cells[(lit == 0) & ~divided])))
         parts_before = parts[divided]
-        cells = (2 * cells[divided][:, None] + [[0, 0], [0, 1], [1, 0], [1, 1]]).reshape(-1, 2)
+        searched, followed = np.repeat(rough[divided], 4), np.repeat(knots[divided], 4)
+        cells = _halved(cells[divided])
     raise AssertionError
+
+
+class _Seen(NamedTuple):
+    """Cells of one size, and what is seen of each."""
+
+    cells: Cells  # (n, 2) numbers of their place; but for the largest, the four quarters of each cell in a row
+    corners: Array  # (n, 4) values at their corners, in order round the cell; 0 where it is dark
+    kinds: NDArray[np.int64]  # (n,) in how many ways the corners of a dark cell are dark; 0: it is not dark
+    between: Array  # (n,) largest value found on the sides of a dark cell; 0: none
+
+
+def _look(function: Function, cells: Cells, searched: NDArray[np.bool_], side: float, origin: Array) -> _Seen:
+    """Evaluate a function at the corners of cells, and search the sides of some that are dark in several ways."""
+    corners = _at_corners(function, cells, side, origin)
+    kinds = np.where((corners <= 0.0).all(axis=1), _kinds(corners), 0)
+    between = _between_dark(function, cells, corners, searched & (kinds > 1), side, origin)
+    return _Seen(cells, np.maximum(corners, 0.0), kinds, between)
+
+
+def _joined(one: _Seen, other: _Seen) -> _Seen:
+    return _Seen(*(np.concatenate(pair) for pair in zip(one, other, strict=True)))
+
+
+def _halved(cells: Cells) -> Cells:
+    """Return the four quarters of each cell, one cell after the other."""
+    return np.asarray((2 * cells[:, None] + [[0, 0], [0, 1], [1, 0], [1, 1]]).reshape(-1, 2))
+
+
+def _names(cells: Cells) -> NDArray[np.int64]:
+    """Return a number for each cell, by its place."""
+    return np.asarray(((cells[:, 0] + 1) << 32) + cells[:, 1] + 1)
+
+
+def _among(names: NDArray[np.int64], known: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which names are among those of an array in ascending order."""
+    if len(known) == 0:
+        return np.zeros(len(names), bool)
+    return np.asarray(known[np.searchsorted(known, names).clip(max=len(known) - 1)] == names)
+
+
+def _woken(seen: _Seen, there: list[NDArray[np.int64]], asleep: list[NDArray[np.int64]]) -> Cells:
+    """Return the cells, of twice the size, that were left as dark and into which the lit region reaches after all.
+
+    Parameters
+    ----------
+    seen : _Seen
+    there, asleep : list of (m,) int64
+        For each size, from the largest to twice that of `seen`: the cells that there were, and those left as dark, by
+        their names in ascending order.
+    """
+    if not there:
+        return np.zeros((0, 2), np.int64)
+    lit = seen.cells[(seen.kinds == 0) | (seen.between > 0.0)]
+    # Of its eight neighbours, those at its corners lie in all cells of twice the size that it touches.
+    touched = (lit[:, None] + [[-1, -1], [-1, 1], [1, -1], [1, 1]]).reshape(-1, 2) >> 1
+    names = np.setdiff1d(np.unique(_names(touched)), _names(seen.cells[::4] >> 1), assume_unique=True)
+    parents = np.stack([(names >> 32) - 1, (names & 0xFFFFFFFF) - 1], axis=-1)
+    wakes, open_ = np.zeros(len(parents), bool), np.ones(len(parents), bool)
+    for up, (all_of_them, dark) in enumerate(zip(reversed(there), reversed(asleep), strict=True)):
+        # The smallest of the cells that held it tells what has become of it.
+        names = _names(parents >> up)
+        held = open_ & _among(names, all_of_them)
+        wakes |= held & _among(names, dark)
+        open_ &= ~held
+    return np.asarray(parents[wakes])
+
+
+def _kinds(corners: Array) -> NDArray[np.int64]:
+    """Return how many different values the corners of each cell have, (n,)."""
+    ranked = np.sort(corners, axis=1)
+    return np.asarray(1 + (ranked[:, 1:] != ranked[:, :-1]).sum(axis=1))
+
+
+def _between_dark(
+    function: Function, cells: Cells, corners: Array, searched: NDArray[np.bool_], side: float, origin: Array
+) -> Array:
+    """Search the sides of dark cells, whose corners are dark in several ways, for light between these.
+
+    Parameters
+    ----------
+    cells : (n, 2) int64
+    corners : (n, 4) float64
+        Values at their corners, in order round the cell.
+    searched : (n,) bool
+        Which cells are searched.
+
+    Returns
+    -------
+    value : (n,) float64
+        Largest value found on the sides of each cell; 0: none, or not searched.
+    """
+    value, mixed = np.zeros(len(cells)), np.flatnonzero(searched)
+    if len(mixed) == 0:
+        return value
+    ends = cells[mixed][:, None] + _CORNERS
+    # Sides that cells share are searched once: each is known by its lower end and its sense.
+    low, high = np.minimum(ends, np.roll(ends, -1, axis=1)), np.maximum(ends, np.roll(ends, -1, axis=1))
+    width = int(high.max()) + 1
+    name = 2 * (low[..., 0] * width + low[..., 1]) + (high[..., 0] > low[..., 0])
+    differ = corners[mixed] != np.roll(corners[mixed], -1, axis=1)
+    _, first, place = np.unique(name[differ], return_index=True, return_inverse=True)
+    a, b = ends[differ][first].astype(float), np.roll(ends, -1, axis=1)[differ][first].astype(float)
+    at_a, found = corners[mixed][differ][first], np.zeros(len(first))
+    for _ in range(SEARCHES):
+        middle = 0.5 * (a + b)
+        here = function(middle * side + origin)
+        found = np.maximum(found, here)
+        same = (here == at_a)[:, None]
+        a, b = np.where(same, middle, a), np.where(same, b, middle)
+    of_sides = np.zeros(differ.shape)
+    of_sides[differ] = found[place]
+    value[mixed] = of_sides.max(axis=1)
+    return value
 
 
 def _beside_lit(cells: Cells, lit: NDArray[np.int64]) -> NDArray[np.bool_]:

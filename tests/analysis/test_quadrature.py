@@ -65,5 +65,49 @@ def test_a_hole_in_the_middle_of_a_cell_is_found():
     assert abs(found.value - (all_of_it - area)) < found.error
 
 
+def strip(width, turn, off):
+    """A strip through the disk, and beside it two ways to be dark; and its area."""
+    along = np.array([np.cos(turn), np.sin(turn)])
+
+    def function(p):
+        across = p @ along - off
+        inside = (p**2).sum(axis=1) < (0.9 * RADIUS) ** 2
+        return np.where((np.abs(across) < 0.5 * width) & inside, 1.0, np.where(across > 0.0, -1.0, -2.0))
+
+    return function, 2.0 * width * np.sqrt((0.9 * RADIUS) ** 2 - off * off)
+
+
+def test_strips_narrower_than_cells_are_integrated_to_the_stated_error():
+    """Down to a 16th of a cell, where they pass between all points of the first cells and most of the smallest."""
+    draw = np.random.default_rng(3)
+    cell = 2.0 * RADIUS / (CELLS - 1)
+    for width in 2.0 ** draw.uniform(-4.0, 2.0, 60) * cell:
+        function, area = strip(width, draw.uniform(0.0, np.pi), draw.uniform(-5.0, 5.0))
+        found = integral(function, RADIUS)
+        assert abs(found.value - area) < found.error + 0.01 * area, width / cell
+        assert found.error < (0.1 if width > 0.25 * cell else 2.0) * area, width / cell
+
+
+def test_a_spot_within_a_cell_is_found_where_ways_to_be_dark_meet():
+    draw = np.random.default_rng(4)
+    cell = 2.0 * RADIUS / (CELLS - 1)
+    for _ in range(30):
+        middle, spot = draw.uniform(-5.0, 5.0, 2), draw.uniform(0.15, 0.45) * cell
+
+        def function(p, middle=middle, spot=spot):
+            u = p - middle
+            return np.where((u**2).sum(axis=1) < spot * spot, 1.0, -1.0 - (u > 0.0) @ [1.0, 2.0])
+
+        found = integral(function, RADIUS)
+        assert abs(found.value - np.pi * spot * spot) < found.error
+        assert found.error < 0.1 * found.value
+
+
+def test_what_is_found_between_the_smallest_cells_counts_as_error():
+    function, area = strip(2.0 * RADIUS / (CELLS - 1) / 30.0, 0.0, 0.123)
+    found = integral(function, RADIUS)
+    assert abs(found.value - area) < found.error
+
+
 def test_nothing_is_nothing():
     assert integral(lambda p: np.zeros(len(p)), RADIUS) == (0.0, 0.0)

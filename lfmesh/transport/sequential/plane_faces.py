@@ -7,6 +7,7 @@ sensor. Between the cover's faces is its glass; everywhere else is air.
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfmesh.geometry import frame as frames
 from lfmesh.kernel import kernel
@@ -62,6 +63,23 @@ def detected(rays: Arrived, tables: Tables, colour: int = 0) -> Array:
     p, d = frames.points(move, rays.position), frames.directions(move, rays.direction)
     _, arrives = _on_pixels(p, d, tables.sensor)
     return np.where(arrives, rays.weight * (1.0 - tables.sensor.reflectance), 0.0)
+
+
+def beside_pixels(rays: Arrived, tables: Tables) -> NDArray[np.int64]:
+    """Return on which of the eight sides of the pixels rays (camera frame) pass the sensor's plane; 0: on a pixel.
+
+    Parameters
+    ----------
+    rays : Arrived
+        Behind the last face; those that fly away from the sensor are on a ninth side.
+    tables : Tables
+    """
+    move, sensor = tables.frames[CAMERA_FRAME, SENSOR_FRAME], tables.sensor
+    p, d = frames.points(move, rays.position), frames.directions(move, rays.direction)
+    at, _ = _on_pixels(p, d, sensor)
+    half = 0.5 * sensor.pixel * np.array([sensor.columns, sensor.rows])
+    side = (np.where(np.abs(at) > half, np.where(at > 0.0, 1, 2), 0) * [1, 3]).sum(axis=1)
+    return np.asarray(np.where((d[:, 2] > 0.0) & (p[:, 2] <= 0.0), side, 9))
 
 
 def _move(rays: Arrived, move: Array) -> None:

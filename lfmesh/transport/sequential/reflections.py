@@ -22,6 +22,7 @@ from lfmesh.transport.sequential.lens_bundle import (
     ENDED_ON,
     ETENDUE,
     LEFT_BEHIND,
+    MET,
     ROWS,
     WEIGHT,
     X,
@@ -62,7 +63,9 @@ class Arrived(NamedTuple):
     weight: Array  # (n,) share of the power: the product of R, T and what glass transmits; 0: does not pass
 
 
-def follow_sequence(lens: LensTables, path: Itinerary, p: Array, d: Array, colour: int = 0) -> Arrived:
+def follow_sequence(
+    lens: LensTables, path: Itinerary, p: Array, d: Array, colour: int = 0, ways: Array | None = None
+) -> Arrived:
     """Follow rays along a sequence of surfaces of the lens.
 
     Parameters
@@ -74,11 +77,13 @@ def follow_sequence(lens: LensTables, path: Itinerary, p: Array, d: Array, colou
         Position, mm, before the lens as the sequence runs, and unit direction; camera frame.
     colour : int
         Number of the wavelength.
+    ways : (n,) float64, optional
+        Filled with numbers that tell apart where, and on what, rays leave the sequence; the same for all that pass.
     """
     rays = Arrived(np.array(p, dtype=np.float64, order="C"), np.array(d, dtype=np.float64, order="C"), np.empty(len(p)))
     _follow(
         rays, lens, np.array(path.faces, np.int64), np.array(path.reflected, np.bool_), path.to_sensor, colour,
-        empty_bundle(_BUNDLE_ROWS), _book_for(lens.media),
+        empty_bundle(_BUNDLE_ROWS), _book_for(lens.media), np.empty(len(p)) if ways is None else ways,
     )  # fmt: skip
     return rays
 
@@ -138,7 +143,7 @@ def _etendue_factors(p: Array, d: Array, lens: LensTables, colour: int, bundle: 
 @kernel
 def _follow(
     rays: Arrived, lens: LensTables, faces: NDArray[np.int64], reflected: NDArray[np.bool_], to_sensor: bool,
-    colour: int, bundle: Array, book: Array,
+    colour: int, bundle: Array, book: Array, ways: Array,
 ) -> None:  # fmt: skip
     for first in range(0, len(rays.weight), BLOCK):
         count = min(BLOCK, len(rays.weight) - first)
@@ -149,6 +154,10 @@ def _follow(
         _along(bundle, lens, faces, reflected, to_sensor, colour, book)
         normalise(bundle)
         _store(bundle, rays, first, count)
+        for i in range(count):
+            ended = bundle[ENDED_ON + i]
+            on = 1.0 if ended == STOP + 1.0 else (2.0 if ended == DROPPED else 0.0)
+            ways[first + i] = 3.0 * bundle[MET + i] + on
 
 
 @kernel

@@ -22,7 +22,12 @@ from lfmesh.geometry.levels import EXACT
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.transport.aiming.aim_table import widest_disk
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
-from lfmesh.transport.sequential.plane_faces import count_faces, detected, follow_plane_faces
+from lfmesh.transport.sequential.plane_faces import (
+    beside_pixels,
+    count_faces,
+    detected,
+    follow_plane_faces,
+)
 from lfmesh.transport.sequential.reflections import Arrived, follow_sequence, follow_through_mla
 from lfmesh.transport.sequential.sequences import Itinerary, image_path, two_reflections
 from lfmesh.transport.tables.interfaces import refused_in_order
@@ -259,27 +264,48 @@ def _from_point(tables: Tables, point: Floats, path: Itinerary) -> Integral:
     def irradiance(at: Floats) -> Floats:
         ray = np.column_stack([at, np.full(len(at), plane_z)]) - point
         length = np.linalg.norm(ray, axis=1)
-        arrived = _follow(tables, path, np.broadcast_to(point, ray.shape), ray / length[:, None])
-        return np.asarray(INTENSITY_W_SR * detected(arrived, tables) * ray[:, 2] / length**3)
+        arrived, ways = _follow(tables, path, np.broadcast_to(point, ray.shape), ray / length[:, None])
+        light = INTENSITY_W_SR * detected(arrived, tables) * ray[:, 2] / length**3
+        dark = np.flatnonzero(~(light > 0.0))
+        light[dark] = -_darkness(Arrived(*(part[dark] for part in arrived)), ways[dark], tables)
+        return np.asarray(light)
 
     return integral(irradiance, radius)
 
 
-def _follow(tables: Tables, path: Itinerary, p: Floats, d: Floats) -> Arrived:
-    """Follow rays (camera frame) along a path through lens, array, cover and sensor, part by part."""
+def _darkness(arrived: Arrived, ways: Floats, tables: Tables) -> Floats:
+    """Return numbers that tell apart why rays bring no light: what they ended on, on which side, or beside the sensor.
+
+    Light passes between two sides of an aperture or of the sensor, so that a border between two of the numbers may hide
+    a narrow lit region.
+    """
+    side = 2 * (arrived.position[:, 0] > 0.0) + (arrived.position[:, 1] > 0.0)
+    beside = 4 + beside_pixels(arrived, tables)
+    return np.asarray(14.0 * ways + np.where(arrived.weight > 0.0, beside, side))
+
+
+def _follow(tables: Tables, path: Itinerary, p: Floats, d: Floats) -> tuple[Arrived, Floats]:
+    """Follow rays (camera frame) along a path through lens, array, cover and sensor, part by part.
+
+    Also returns numbers that tell apart the parts, and the surfaces of the lens, at which rays leave the path.
+    """
     count, behind = len(tables.lens.surfaces), len(tables.lens.surfaces) + 2 * tables.mla.present
     rays, to_sensor = Arrived(np.array(p), np.array(d), np.ones(len(p))), path.to_sensor
+    ways, way = np.zeros(len(p)), np.empty(len(p))
     for part, leg in groupby(zip(path.faces, path.reflected, strict=True), lambda met: _part(met[0], count, behind)):
         faces, reflected = zip(*leg, strict=True)
+        passed = rays.weight > 0.0
+        way[:] = 0.0
         if part == OF_LENS:
-            through = follow_sequence(tables.lens, Itinerary(faces, reflected, to_sensor), *rays[:2])
+            through = follow_sequence(tables.lens, Itinerary(faces, reflected, to_sensor), *rays[:2], ways=way)
             rays = through._replace(weight=np.where(rays.weight > 0.0, rays.weight * through.weight, 0.0))
         elif part == OF_ARRAY:
             follow_through_mla(rays, tables.mla, tables.frames)
         else:
             follow_plane_faces(rays, tables, tuple(face - behind for face in faces), reflected)
         to_sensor ^= sum(reflected) % 2 == 1
-    return rays
+        ways[passed] += 1.0 + way[passed]
+    return rays, ways
 
 
 def _part(face: int, lens: int, behind: int) -> int:

@@ -89,6 +89,28 @@ def test_image_path_and_ghosts_have_the_power_that_rays_find(request, behind):
     assert exact.error < 0.01 * exact.power
 
 
+def test_a_small_sensor_gets_its_share_of_what_a_larger_one_gets():
+    """The lit part of the pupil is narrow, as ghosts spread over much more than the sensor."""
+
+    def behind_triplet(side_mm, shift_mm=(0.0, 0.0, 0.0)):
+        lens = load_lens(asset_path("lenses/cooke_triplet_50mm.toml"))
+        sensor = lf.Sensor(pixels=(10, 10), pixel_mm=side_mm / 10, pose={"shift_mm": shift_mm})
+        return lf.build(lf.Scene(camera=lf.Camera(lens=lens, focus_mm=500.0, sensor=sensor)), aimed=False)
+
+    whole = exact_ghosts(behind_triplet(1.0), POINT)
+    quarters = [
+        exact_ghosts(behind_triplet(0.5, (x, y, 0.0)), POINT) for x in (-0.25, 0.25) for y in (-0.25, 0.25)
+    ]  # fmt: skip
+    lit = 0
+    for words, row in whole.by_words.items():
+        parts = [quarter.by_words[words] for quarter in quarters]
+        stated = row.error + sum(part.error for part in parts)
+        assert abs(sum(part.power for part in parts) - row.power) <= 2.0 * stated, words
+        assert stated < 0.01 * row.power or row.power == 0.0
+        lit += row.power > 0.0
+    assert lit == 16
+
+
 def test_ghosts_between_plane_faces_have_their_reflectances(scene):
     """Near the axis, at small angles: the closed form of two reflections at normal incidence."""
     n, of_sensor = 1.7, 0.2

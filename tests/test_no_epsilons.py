@@ -32,6 +32,7 @@ DIMENSIONLESS = {
     "transport/render/order_check.py": {"LARGEST_MM"},
     "transport/events/crossing.py": {"EDGE", "FLOAT32_GRAIN"},
     "transport/events/ground.py": {"LOWEST"},
+    "transport/events/lamps_on_line.py": {"NARROWEST"},
     "transport/events/polarisation.py": {"NORMAL2"},
     "transport/trace.py": {"ROUNDING"},
     "transport/packets/ledger.py": {"LOST_LIMIT"},

@@ -594,6 +594,11 @@ def _followed(work: Workspace, only_strays: bool) -> Segments:
         work.tops[LENS] = 0
     ended = work.ended[: work.tops[ENDED]]
     stopped = np.isin(ended["status"], (S_TARGET, S_ABSORBED))
+    if (volumes := work.tables.objects.volumes) is not None:
+        # Of what media take whole, as fog without bounds does, the end is where the piece began; it goes on, and dims.
+        faded = stopped & (ended["body"] == volumes.rows["slot"][0])
+        found.length[ended["node"][faded]] = np.inf
+        ended, stopped = ended[~faded], stopped[~faded]
     way = ended["position"] - found.origin[ended["node"]]
     found.length[ended["node"][stopped]] = np.linalg.norm(way[stopped], axis=1)
     # The last piece of what is lost, or cut off after too many events, has no known end: it is left out.

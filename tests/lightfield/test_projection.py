@@ -382,6 +382,31 @@ def test_fog_that_scatters_dims_as_much_as_one_that_absorbs():
     np.testing.assert_allclose(one.toarray(), other.toarray(), rtol=1e-12)
 
 
+@pytest.mark.parametrize("absorption_per_mm", [0.0, 0.05])
+def test_matrix_times_emission_is_the_image_of_a_flame_in_fog_behind_and_beside_glass(absorption_per_mm, tmp_path):
+    """A tilted plate covers part of the view; fog lies before and behind it, and the flame absorbs by voxels."""
+    draw = np.random.default_rng(4)
+    emission, absorption = draw.uniform(0.5, 2.0, (4, 3, 5)), draw.uniform(0.0, 0.05, (4, 3, 5))
+    np.savez(
+        tmp_path / "flame.npz", spacing_mm=(2.0, 2.5, 3.0), emission_w_mm3_sr=emission, absorption_per_mm=absorption
+    )
+    flame = {"grid": {"file": "flame.npz", "interpolation": "constant"}, **POSE}
+    fog = {"absorption_per_mm": 0.01}
+    glass = {"box_mm": [20.0, 30.0, 4.0], "index": 1.5, "absorption_per_mm": absorption_per_mm}
+    window = {"refractor": glass, "position_mm": [10.3, 0.0, -40.0], "rotation_deg": [10.0, 15.0, 0.0]}
+    scene = camera([window]).changed({"media": [flame, fog]}).in_folder(tmp_path)
+    grid = VoxelBox.of_size((4, 3, 5), (8.0, 7.5, 15.0), **POSE)
+    seen = projection_matrix(scene, grid, absorption=True, threshold=0.0).image(emission)
+    image = lf.render(scene).mean.ravel()
+    lit = image > 0.0
+    assert lit.sum() > 100
+    np.testing.assert_allclose(seen, image, rtol=1e-9, atol=1e-9 * image.max())
+    without = projection_matrix(scene.changed({"targets": ()}), grid, absorption=True, threshold=0.0).image(emission)
+    changed = np.abs(without[lit] / seen[lit] - 1.0) > 0.02
+    assert changed.sum() > 10
+    assert (~changed).sum() > 10
+
+
 TANK = {
     "size_mm": [40.0, 40.0, 30.0], "wall_mm": 3.0, "wall": {"index": 1.52, "absorption_per_mm": 0.02},
     "liquid": {"index": 1.333, "absorption_per_mm": 0.03}, "position_mm": [0.0, 0.0, -58.0],

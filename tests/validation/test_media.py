@@ -218,6 +218,51 @@ def test_single_scattering_is_its_integral_along_lines_of_sight(g: float) -> Non
     assert abs(found - total) < 3.0 * sigma + 5e-4 * total, (found, total, sigma)
 
 
+@pytest.mark.parametrize(("g", "absorption", "depth"), [(0.0, 0.01, 120.0), (0.7, 0.01, 120.0), (0.0, 1e-7, 60.0)])
+def test_single_scattering_past_a_lamp_in_the_medium_is_its_integral_along_lines_of_sight(
+    g: float, absorption: float, depth: float
+) -> None:
+    """Two lamps in a slab that hardly scatters, one 2 mm beside lines of sight of 120 mm, the other bright and farther.
+
+    As above, from both lamps, by even steps of the angle at which a lamp sees the line: mean over pixels and pupil.
+    """
+    ks, front = 1e-7, 90.0
+    medium = {"bounds": {"kind": "box", "size_mm": [200.0, 200.0, depth]}, "position_mm": [0, 0, -front - 0.5 * depth],
+              "absorption_per_mm": absorption - ks, "scattering_per_mm": ks,
+              "phase": {"kind": "henyey_greenstein", "g": g}}  # fmt: skip
+    lamps = [((2.0, 1.0, -130.0), 1.0), ((-25.0, 10.0, -140.0), 3.0)]
+    lights = [{"kind": "point", "position_mm": place, "power_w": 4.0 * np.pi * i} for place, i in lamps]
+    found, sigma = mean_radiance([medium], lights, small_stop=True, samples=24576)
+    report = lf.first_order(lf.Scene(camera=camera(small_stop=True)))  # type: ignore[arg-type]
+    half, radius = 0.2 / abs(report.magnification), 0.5 * report.entrance_pupil_diameter_mm
+    across = half * (np.arange(8) - 3.5) / 4.0
+    turn = 2.0 * np.pi * np.arange(6) / 6.0
+    pupil = np.sqrt(0.5) * radius * np.stack([np.cos(turn), np.sin(turn), np.zeros(6)], axis=1)
+    eyes = pupil + np.array([0.0, 0.0, report.entrance_pupil_z_mm])
+    nodes, weights = np.polynomial.legendre.leggauss(64)
+    values = []
+    for eye in eyes:
+        for px, py in np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2):
+            d = np.array([px, py, -150.0]) - eye
+            d /= np.linalg.norm(d)
+            near, far = ((-z - eye[2]) / d[2] for z in (front, front + depth))
+            value = 0.0
+            for place, intensity in lamps:
+                s = (place - eye) @ d
+                h = np.linalg.norm(place - eye - s * d)
+                low, high = np.arctan2(near - s, h), np.arctan2(far - s, h)
+                theta = 0.5 * (low + high) + 0.5 * (high - low) * nodes
+                t, r = s + h * np.tan(theta), h / np.cos(theta)
+                # The light goes on along the line from the lamp to the point, and is seen against the line of sight.
+                p = (1.0 - g * g) / (4.0 * np.pi * (1.0 + g * g - 2.0 * g * (s - t) / r) ** 1.5)
+                each = ks * p * intensity * 1e6 / h * np.exp(-absorption * (t - near + r))
+                value += 0.5 * (high - low) * (weights * each).sum()
+            values.append(value)
+    expected = float(np.mean(values))
+    assert sigma < 0.004 * expected
+    assert abs(found - expected) < 3.0 * sigma + 5e-4 * expected, (found, expected, sigma)
+
+
 def test_a_thin_flame_is_its_abel_integral_seen_through_a_thin_lens(tmp_path: Path) -> None:
     """Emission j(r) = j₀ exp(−r²/s²) about an upright axis in the plane in focus.
 

@@ -63,6 +63,10 @@ class Passage(NamedTuple):
         Transmittance up to the step.
     chance : float
         Share of `scattered` with which the step was drawn.
+    first, last : float, mm
+        Between these distances light is scattered.
+    densest : float
+        Largest share of the light that is scattered per length at the begin of a step, 1/mm.
     """
 
     transmittance: float
@@ -73,6 +77,9 @@ class Passage(NamedTuple):
     extinction: float
     before: float
     chance: float
+    first: float
+    last: float
+    densest: float
 
 
 class Ray(NamedTuple):
@@ -316,6 +323,7 @@ def pass_through(
     rows = volumes.rows
     t, left, light, scattered = 0.0, 1.0, 0.0, 0.0
     begin, length, mean, before, own = 0.0, 0.0, 0.0, 0.0, 0.0
+    scatters_from, scatters_to, densest = 0.0, 0.0, 0.0
     choice = uniform(key, STEP) if volumes.scatters else 0.0
     # The ray in the frame of one of the media, mostly the only one, and where it is in it.
     known, ray, first, last, holds = -1, Ray(x, y, z, dx, dy, dz), 0.0, 0.0, np.inf
@@ -375,6 +383,10 @@ def pass_through(
             if depth > 0.0:
                 share = 0.5 * (s1 + s2) / extinction * stopped * left
                 if share > 0.0:
+                    if scattered == 0.0:
+                        scatters_from = a
+                    scatters_to = a + step
+                    densest = max(densest, left * max(s1, s2))
                     scattered += share
                     chance = share / scattered
                     # Reservoir sampling with a single random number, of which what is left is used again.
@@ -392,7 +404,7 @@ def pass_through(
             piece += 1
         t = until
     chance = own / scattered if scattered > 0.0 else 0.0
-    return Passage(left, light, scattered, begin, length, mean, before, chance)
+    return Passage(left, light, scattered, begin, length, mean, before, chance, scatters_from, scatters_to, densest)
 
 
 @inlined
@@ -452,7 +464,7 @@ def _absorbed_in(
 def scattering_point(
     volumes: Volumes, place: int, colour: int, passage: Passage,
     x: float, y: float, z: float, dx: float, dy: float, dz: float, key: np.uint64,
-) -> tuple[float, float, int]:  # fmt: skip
+) -> tuple[float, float, float, int]:  # fmt: skip
     """Return the distance of a random scattering point on a ray, the share that scatters there, and the medium.
 
     Parameters
@@ -474,6 +486,8 @@ def scattering_point(
     t : float, mm
     share : float
         Of the light that set out; its mean is `passage.scattered`.
+    density : float
+        Of the light that is scattered there, over that which set out, 1/mm.
     number : int
         Of the medium.
     """
@@ -493,11 +507,11 @@ def scattering_point(
         ks = coefficients(volumes, number, colour, t, middle, ray)[1]
         total += ks
         for at in (LOW, HIGH):
-            place = passage.begin + at * way
-            ka, kt, _ = coefficients(volumes, number, colour, place, middle, ray)
+            ka, kt, _ = coefficients(volumes, number, colour, passage.begin + at * way, middle, ray)
             before += 0.5 * way * (ka + kt)
     drawn = passage.extinction * np.exp(-passage.extinction * way) / stopped
-    share = passage.before * total * np.exp(-before) / (drawn * passage.chance) if passage.chance > 0.0 else 0.0
+    density = passage.before * total * np.exp(-before)
+    share = density / (drawn * passage.chance) if passage.chance > 0.0 else 0.0
     choice, which = uniform(key, WHICH) * total, 0
     for number in range(len(volumes.rows)):
         ray = own_ray(volumes.rows[number], x, y, z, dx, dy, dz)
@@ -508,4 +522,53 @@ def scattering_point(
         if ks > 0.0 and choice >= 0.0:
             which = number
         choice -= ks
-    return t, share, which
+    return t, share, density, which
+
+
+@kernel
+def scattered_at(
+    volumes: Volumes, place: int, colour: int, t: float,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, book: Array, key: np.uint64,
+) -> tuple[float, int]:  # fmt: skip
+    """Return the light that is scattered at a distance on a ray, over that which set out, 1/mm, and a random medium.
+
+    Parameters
+    ----------
+    volumes, place, colour
+        As in `pass_through`.
+    t : float, mm
+        Less than the ray's length.
+    x, y, z, dx, dy, dz : float
+        The ray, mm, object frame.
+    book : (slots,) float64
+        Nothing is entered.
+    key : uint64
+        As in `pass_through`.
+    """
+    total = 0.0
+    for number in range(len(volumes.rows)):
+        total += _scattering_at(volumes, place, number, colour, t, x, y, z, dx, dy, dz)
+    if total <= 0.0:
+        return 0.0, 0
+    choice, which = uniform(key, WHICH) * total, 0
+    for number in range(len(volumes.rows)):
+        ks = _scattering_at(volumes, place, number, colour, t, x, y, z, dx, dy, dz)
+        if ks > 0.0 and choice >= 0.0:
+            which = number
+        choice -= ks
+    left = pass_through(volumes, place, colour, x, y, z, dx, dy, dz, t, book, 0.0, key).transmittance
+    return left * total, which
+
+
+@kernel
+def _scattering_at(
+    volumes: Volumes, place: int, number: int, colour: int, t: float,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float,
+) -> float:  # fmt: skip
+    """Return the scattering coefficient of a medium at a distance on a ray, 1/mm; 0 outside of it."""
+    row = volumes.rows[number]
+    if row.inside != place:
+        return 0.0
+    ray = own_ray(row, x, y, z, dx, dy, dz)
+    first, last, _ = span(volumes.shells, row, ray, t)
+    return coefficients(volumes, number, colour, t, t, ray)[1] if first <= t <= last else 0.0

@@ -25,9 +25,10 @@ from lfmesh.transport.events.crossing import (
     too_deep,
     windowed,
 )
+from lfmesh.transport.events.lamps_on_line import density_by_angle, distance_by_angle, lamps_on_line, passes_lamp
 from lfmesh.transport.events.lighting import from_light
 from lfmesh.transport.events.polarisation import depolarise
-from lfmesh.transport.events.volume import pass_through, scattering_point
+from lfmesh.transport.events.volume import Passage, pass_through, scattered_at, scattering_point
 from lfmesh.transport.packets.book import SAMPLING_ADDED, SAMPLING_REMOVED
 from lfmesh.transport.packets.packet import (
     CAMERA,
@@ -65,7 +66,10 @@ RETURNED = 10.0
 """Forward, weight over that at the start to which roulette raises light that the lens sends back and a medium scatters.
 Each scattering point aims a packet at the lens, so that fog before the lens would else multiply packets without end."""
 
-COSINE, AZIMUTH, KEEP, DISK, TO_U, TO_V, RETURN = 3, 4, 5, 6, 7, 8, 9
+NEAR = 0.125
+"""Distance of a lamp from a line, over the length on which the line's light is scattered, below which it is near."""
+
+COSINE, AZIMUTH, KEEP, DISK, TO_U, TO_V, RETURN, BY_LAMP = 3, 4, 5, 6, 7, 8, 9, 10
 """Dimensions of a scattering point's random numbers, after those of `events.volume`."""
 
 
@@ -174,25 +178,96 @@ def cross_media(
     # From here on the record stands for the child; its own weight is put back at the end.
     left, events, node, kind, last = packet.weight, packet.events, packet.node, packet.kind, packet.last
     facet = packet.facet
-    t, share, number = scattering_point(volumes, place, colour, passage, x, y, z, dx, dy, dz, key)
+    t, share, density, number = scattering_point(volumes, place, colour, passage, x, y, z, dx, dy, dz, key)
     packet.weight = weight * share
     flow.book[SAMPLING_ADDED] += packet.weight - lost
     flow.counts[EVENTS] += 1
     if packet.kind == CAMERA and packet.last == LEFT_LENS and not (options.adjoint or options.tracing):
         packet.weight = windowed(flow.book, packet.weight, RETURNED * packet.start, key, RETURN)
     if packet.weight > 0.0 and not too_deep(options, flow, frames, packet):
+        if options.adjoint and estimated and bodies_round(packet) == 0 and len(objects.lights) > 0:
+            _ask_lamps(options, flow, objects, packet, passage, place, weight, t, share, density, number, key)
         px, py, pz = x + t * dx, y + t * dy, z + t * dz
-        scatter_in_medium(options, flow, frames, objects, aim, packet, number, px, py, pz, key, estimated)
+        scatter_in_medium(options, flow, frames, objects, aim, packet, number, px, py, pz, key)
     packet.weight, packet.events, packet.node, packet.kind, packet.last = left, events, node, kind, last
     packet.facet = facet
+
+
+@inlined
+def _ask_lamps(
+    options: Options, flow: Flow, objects: ObjectTables, packet: Any, passage: Passage, place: int, weight: float,
+    t: float, share: float, density: float, number: int, key: np.uint64,
+) -> None:  # fmt: skip
+    """Send a shadow packet to every light from a random point of a packet's way through media.
+
+    The point is that which was drawn by what is scattered there. On a line past a near lamp, whose 1 / r² would be
+    unbounded there, a second one is drawn by the light that arrives, and each counts its share of the two densities
+    (balance heuristic, Veach & Guibas 1995).
+
+    Parameters
+    ----------
+    packet : PACKET
+        At the start of its way; its own weight is not used.
+    passage : Passage
+    weight : float
+        Of the packet at its start.
+    t, share, density, number
+        What `scattering_point` returned.
+    key : uint64
+        Of the random numbers.
+    """
+    lights, spectra, colour = objects.lights, objects.light_spectra, packet.colour
+    x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
+    first, last = passage.first, passage.last
+    near = NEAR * passage.scattered / passage.densest
+    points = 2 if passes_lamp(lights, spectra, colour, x, y, z, dx, dy, dz, first, last, near) else 1
+    whole = lamps_on_line(lights, spectra, colour, x, y, z, dx, dy, dz, first, last) if points == 2 else 0.0
+    for point in range(points):
+        if point == 1:
+            choice = whole * uniform(key, BY_LAMP)
+            t = distance_by_angle(lights, spectra, colour, x, y, z, dx, dy, dz, first, last, choice)
+            density, number = scattered_at(objects.volumes, place, colour, t, x, y, z, dx, dy, dz, flow.book, key)
+        if points == 2 and density > 0.0:
+            own = density / passage.scattered
+            by_lamp = density_by_angle(lights, spectra, colour, x, y, z, dx, dy, dz, t) / whole
+            share = (density if point == 1 else share * own) / (own + by_lamp)
+        if density > 0.0:
+            _ask_lamps_from(options, flow, objects, packet, weight * share, number, x + t * dx, y + t * dy, z + t * dz)
+
+
+@kernel
+def _ask_lamps_from(
+    options: Options, flow: Flow, objects: ObjectTables, packet: Any, weight: float, number: int,
+    x: float, y: float, z: float,
+) -> None:  # fmt: skip
+    """Send a shadow packet to every light from a point of a medium.
+
+    Parameters
+    ----------
+    packet : PACKET
+        On its way to the point.
+    weight : float
+        That is scattered there.
+    number : int
+        Of the medium.
+    x, y, z : float, mm
+    """
+    phases, phase = objects.volumes.phases, objects.volumes.phases.rows[number, packet.colour]
+    for light in range(len(objects.lights)):
+        ux, uy, uz, far, irradiance = from_light(options, objects, packet, light, x, y, z)
+        scattered = evaluate_phase(phases, phase, packet.dx * ux + packet.dy * uy + packet.dz * uz)
+        if irradiance * scattered > 0.0:
+            lit = weight * irradiance * scattered
+            shadow = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, lit, packet.key, 0.0)
+            shadow.kind, shadow.limit, shadow.facet, shadow.last = SHADOW, far, NO_SURFACE, NO_SURFACE
 
 
 @kernel
 def scatter_in_medium(
     options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any, number: int,
-    x: float, y: float, z: float, key: np.uint64, estimated: bool,
+    x: float, y: float, z: float, key: np.uint64,
 ) -> None:  # fmt: skip
-    """Scatter a packet's weight at a point of a medium: ask lights, aim at the camera, and send a child anywhere.
+    """Scatter a packet's weight at a point of a medium: aim at the camera, and send a child anywhere.
 
     Parameters
     ----------
@@ -201,21 +276,11 @@ def scatter_in_medium(
     x, y, z : float, mm
     key : uint64
         Of the random numbers.
-    estimated : bool
-        The path so far belongs to the class that is estimated.
     """
     volumes = objects.volumes
     packet.facet, packet.last = NO_SURFACE, NO_SURFACE
     phases, phase = volumes.phases, volumes.phases.rows[number, packet.colour]
     ix, iy, iz = packet.dx, packet.dy, packet.dz
-    if options.adjoint and estimated and bodies_round(packet) == 0:
-        for light in range(len(objects.lights)):
-            ux, uy, uz, far, irradiance = from_light(options, objects, packet, light, x, y, z)
-            density = evaluate_phase(phases, phase, ix * ux + iy * uy + iz * uz)
-            if irradiance * density > 0.0:
-                lit = packet.weight * irradiance * density
-                shadow = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, lit, key, 0.0)
-                shadow.kind, shadow.limit = SHADOW, far
     packet.events += 1
     depolarise(flow.polarised, packet)
     if options.record:

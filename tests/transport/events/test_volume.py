@@ -214,7 +214,7 @@ def test_scattering_points_have_the_density_of_single_scattering(n: int, tmp_pat
         key = descendant(KEY, i)
         book = np.zeros(1)
         found = Passage(*pass_through(volumes, 0, 0, *START, *d, np.inf, book, 0.0, key))
-        t, share, _ = scattering_point(volumes, 0, 0, found, *START, *d, key)
+        t, share, _, _ = scattering_point(volumes, 0, 0, found, *START, *d, key)
         points.append((t, share))
     t, share = np.array(points).T
     np.testing.assert_allclose(found.scattered, density.sum(), rtol=5e-3 if n else 1e-4)
@@ -223,3 +223,25 @@ def test_scattering_points_have_the_density_of_single_scattering(n: int, tmp_pat
         expected = (density * (middle / 20.0) ** power).sum()
         z = (values.mean() - expected) / (values.std() / np.sqrt(len(values)) + 1e-9 + 1e-4 * expected)
         assert abs(z) < 4.5, (power, values.mean(), expected)
+
+
+def test_media_that_overlap_scatter_as_one_of_their_sum() -> None:
+    """Where the sum is constant, a scattering point carries just what is scattered; each medium has its share."""
+    volumes = volumes_of(
+        slab(20.0, scattering_per_mm=0.02, absorption_per_mm=0.01), slab(20.0, scattering_per_mm=0.06),
+        slab(20.0, absorption_per_mm=0.03),
+    )  # fmt: skip
+    sole = volumes_of(slab(20.0, scattering_per_mm=0.08, absorption_per_mm=0.04))
+    d = DIRECTION / np.linalg.norm(DIRECTION)
+    chosen = np.zeros(3)
+    for i in range(4000):
+        key = descendant(KEY, i)
+        found = Passage(*pass_through(volumes, 0, 0, *START, *d, np.inf, np.zeros(3), 0.0, key))
+        t, share, _, which = scattering_point(volumes, 0, 0, found, *START, *d, key)
+        one = Passage(*pass_through(sole, 0, 0, *START, *d, np.inf, np.zeros(1), 0.0, key))
+        np.testing.assert_allclose((t, share), scattering_point(sole, 0, 0, one, *START, *d, key)[:2], rtol=1e-12)
+        np.testing.assert_allclose(share, one.scattered, rtol=1e-12)
+        chosen[which] += 1
+    # Binomial, at 4 sigma.
+    assert chosen[2] == 0
+    assert abs(chosen[0] / 4000 - 0.25) < 4.0 * np.sqrt(0.25 * 0.75 / 4000)

@@ -1,0 +1,159 @@
+"""Distances on a line by the light that lamps send there: equiangular sampling (Kulla & Fajardo, EGSR 2012).
+
+The irradiance of a point at distance h from a line falls along it as 1 / (h² + s²), so that distances of that density
+are those of even steps of the angle at which the point sees them. Of several lamps the densities add, each by its
+intensity. A disk is taken for a point as far off the line as its radius adds to h; a spot or a profile as one of its
+largest intensity. Both change where samples go, not what they count. Directional light is the same all along a line.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.tables.lights import DIRECTIONAL, DISK
+
+Array = NDArray[np.float64]
+
+NARROWEST = 2.0**-26
+"""Least distance of a lamp from a line, over that from the line's start: nearer ones are told apart by no rounding."""
+
+
+@kernel
+def passes_lamp(
+    lights: NDArray[np.void], spectra: Array, colour: int,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, first: float, last: float, within: float,
+) -> bool:  # fmt: skip
+    """Tell whether a part of a line comes near a lamp.
+
+    Parameters
+    ----------
+    lights : (lamps,) LIGHT
+    spectra : (lamps, wavelengths) float64
+    colour : int
+        Number of the wavelength.
+    x, y, z, dx, dy, dz : float
+        The line, mm, object frame.
+    first, last : float, mm
+        Its part; the last may be inf.
+    within : float, mm
+        Distance of the lamp that is near.
+    """
+    for number in range(len(lights)):
+        power, s, h = _seen_from_lamp(lights, spectra, number, colour, x, y, z, dx, dy, dz)
+        past = min(max(s, first), last) - s
+        if power > 0.0 and h * h + past * past < within * within:
+            return True
+    return False
+
+
+@kernel
+def lamps_on_line(
+    lights: NDArray[np.void], spectra: Array, colour: int,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, first: float, last: float,
+) -> float:  # fmt: skip
+    """Return the integral of `density_by_angle` over a part of a line, W/(sr mm); 0: there is no lamp.
+
+    Parameters
+    ----------
+    lights, spectra, colour, x, y, z, dx, dy, dz, first, last
+        As for `passes_lamp`.
+    """
+    whole = 0.0
+    for number in range(len(lights)):
+        power, s, h = _seen_from_lamp(lights, spectra, number, colour, x, y, z, dx, dy, dz)
+        if power > 0.0:
+            whole += power * _angle(s, h, first, last) / h
+    return whole
+
+
+@kernel
+def distance_by_angle(
+    lights: NDArray[np.void], spectra: Array, colour: int,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, first: float, last: float, choice: float,
+) -> float:  # fmt: skip
+    """Return a distance on a part of a line, drawn by `density_by_angle`.
+
+    Parameters
+    ----------
+    lights, spectra, colour, x, y, z, dx, dy, dz, first, last
+        As for `passes_lamp`.
+    choice : float
+        Uniform below the integral.
+    """
+    t = first
+    for number in range(len(lights)):
+        power, s, h = _seen_from_lamp(lights, spectra, number, colour, x, y, z, dx, dy, dz)
+        if power <= 0.0:
+            continue
+        own = power * _angle(s, h, first, last) / h
+        t = s + h * np.tan(np.arctan2(first - s, h) + min(choice / own, 1.0) * _angle(s, h, first, last))
+        if choice < own:
+            break
+        choice -= own
+    return min(max(t, first), last)
+
+
+@kernel
+def density_by_angle(
+    lights: NDArray[np.void],
+    spectra: Array,
+    colour: int,
+    x: float,
+    y: float,
+    z: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    t: float,
+) -> float:
+    """Return what all lamps send to a distance on a line, W/(sr mm²): the density of `distance_by_angle`, unnormalised.
+
+    Parameters
+    ----------
+    lights, spectra, colour, x, y, z, dx, dy, dz
+        As for `passes_lamp`.
+    t : float, mm
+    """
+    total = 0.0
+    for number in range(len(lights)):
+        power, s, h = _seen_from_lamp(lights, spectra, number, colour, x, y, z, dx, dy, dz)
+        if power > 0.0:
+            total += power / (h * h + (t - s) * (t - s))
+    return total
+
+
+@inlined
+def _angle(s: float, h: float, first: float, last: float) -> float:
+    """Return the angle at which a point at distance s along a line and h from it sees a part of the line, rad."""
+    return np.arctan2(last - s, h) - np.arctan2(first - s, h)
+
+
+@inlined
+def _seen_from_lamp(
+    lights: NDArray[np.void],
+    spectra: Array,
+    number: int,
+    colour: int,
+    x: float,
+    y: float,
+    z: float,
+    dx: float,
+    dy: float,
+    dz: float,
+) -> tuple[float, float, float]:
+    """Return a lamp's intensity, W/sr, the distance on a line that is nearest to it, and its distance there, mm."""
+    light: Any = lights[number]
+    if light.kind == DIRECTIONAL:
+        return 0.0, 0.0, 1.0
+    px, py, pz = light.position[0] - x, light.position[1] - y, light.position[2] - z
+    s = px * dx + py * dy + pz * dz
+    ex, ey, ez = px - s * dx, py - s * dy, pz - s * dz
+    h2, power = ex * ex + ey * ey + ez * ez, light.peak
+    if light.kind == DISK:
+        h2, power = h2 + light.radius * light.radius, light.power / np.pi
+    least = NARROWEST * (abs(px) + abs(py) + abs(pz))
+    h = max(np.sqrt(h2), least)
+    # A line that starts in a point lamp itself has no angles.
+    return power * spectra[number, colour] if h > 0.0 else 0.0, s, h

@@ -134,7 +134,7 @@ class SpotLight(_Directed):
     profile: FilePath | None = None
     """An IES file (LM-63, type C), relative to the scene file: the shape of the intensity over the directions, scaled
     to `power_w`. Its vertical angles start at `direction`, its horizontal ones at the side of +x (+y where `direction`
-    is along x), counter-clockwise as seen against `direction`'s arrow, from behind the lamp."""
+    is along x), counter-clockwise as seen from behind the lamp, by an eye that looks along `direction`."""
     turn_deg: Number = 0.0
     """Turn of the profile about `direction`, counter-clockwise as seen from behind the lamp, in degrees."""
 

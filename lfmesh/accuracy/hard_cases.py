@@ -96,6 +96,7 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     media.along_faces_of_cells,
     media.medium_at_the_lens,
     media.hottest_and_coldest_gas,
+    media.lamp_beside_the_line,
     gloss.gloss_at_its_ends,
     surfaces.ground_at_its_ends,
     surfaces.diffuse_grazed,

@@ -262,3 +262,37 @@ def hottest_and_coldest_gas() -> Outcome:
         "", f"{expected:.4f} of a black wall's light, or a little more aslant", ", ".join(f"{s:.4f}" for s in shares),
         passed, 0.0, 1.0, 0,
     )  # fmt: skip
+
+
+@case
+def lamp_beside_the_line() -> Outcome:
+    """Look through thin fog along lines that pass a lamp at 0.1 to 100 mm, where the light that is scattered peaks."""
+    scattering, thickness, power = 1e-6, 200.0, 2.0
+    changes: dict[str, Any] = {
+        "camera.sensor.pixels": (2, 2),
+        "camera.sensor.pixel_mm": 1e-3,
+        "transport.samples": 256,
+        "transport.replicates": 8,
+        "transport.split": "transmit",
+    }
+    surfaces = surfaces_of(((50.0, 4.0, 1.5168), (-50.0, 0.0, 1.0)), aperture=5e-3)
+    wall = Target(
+        shape=Plane(width_mm=1e3, height_mm=1e3), position_mm=(0.0, 0.0, CHART_AT),
+        material=Material(reflectance=0.0, radiance_w_m2_sr=1.0),
+    )  # fmt: skip
+    glowing = float(render(lens_scene(surfaces).changed({"targets": [wall], **changes})).mean.sum())
+    worst, widest = 0.0, 0.0
+    for aside in (0.1, 1.0, 10.0, 100.0):
+        lamp = {"kind": "point", "position_mm": [aside, 0.0, MIDDLE], "power_w": power}
+        fog = _in_front(_slab(thickness, scattering_per_mm=scattering), surfaces=surfaces, lights=[lamp], **changes)
+        image = render(fog)
+        angle = 2.0 * np.arctan(0.5 * thickness / aside)
+        # The integral of σ P / (4π)² r² along the line, per mm²; lengths of radiances are metres.
+        expected = 1e6 * scattering * power * angle / ((4.0 * np.pi) ** 2 * aside)
+        sigma = float(np.sqrt((image.stderr**2).sum())) / glowing / expected
+        off = abs(float(image.mean.sum()) / glowing / expected - 1.0)
+        worst, widest = max(worst, off / sigma), max(widest, sigma)
+    return Outcome(
+        "", "the integral of 1 / r² along the line within 4 σ, σ below 2 %", f"off by {worst:.1f} σ, σ = {widest:.1%}",
+        bool(worst < 4.0 and widest < 0.02), 0.0, 4.0, 0,
+    )  # fmt: skip

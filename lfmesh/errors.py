@@ -1,20 +1,21 @@
 """The one exception family: everything a user can cause ends in an `LfmeshError` with one clear message."""
 
-LONGEST_LINE = 1500
-"""Of a message, in characters: a value of a broken file may be any long."""
+from typing import ClassVar
 
 
 class LfmeshError(Exception):
     """A mistake the user can mend: the message names the field or file, the value, and what is valid."""
 
+    longest_line: ClassVar[int] = 1500
+    """Most characters of a line of its message: a value of a broken file may be of any length."""
+
     def __str__(self) -> str:
         """Return the message, without the middle of lines that are too long to be read."""
-        return "\n".join(map(_shortened, super().__str__().split("\n")))
+        return "\n".join(_shortened(line, self.longest_line) for line in super().__str__().split("\n"))
 
 
-def _shortened(line: str) -> str:
-    half = LONGEST_LINE // 2
-    return line if len(line) <= LONGEST_LINE else f"{line[:half]} … {line[-half:]}"
+def _shortened(line: str, most: int) -> str:
+    return line if len(line) <= most else f"{line[: most // 2]} … {line[-(most // 2) :]}"
 
 
 class SceneError(LfmeshError):

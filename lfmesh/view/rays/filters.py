@@ -123,6 +123,9 @@ class FilterError(LfmeshError):
         What is wrong, and what would be right, in one sentence.
     """
 
+    # The caret stands below its place only if neither line is shortened.
+    longest_line = LONGEST + 4
+
     def __init__(self, expression: str, position: int, reason: str) -> None:
         self.expression, self.position, self.reason = expression, position, reason
         # Line breaks would put the caret under the wrong place.

@@ -83,7 +83,7 @@ if TYPE_CHECKING:
     from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
     from lfmesh.transport.render.image import Image
     from lfmesh.transport.render.progress import Progress
-    from lfmesh.transport.render.render import render
+    from lfmesh.transport.render.render import MissedLightWarning, render
     from lfmesh.transport.trace import Paths, Status, trace
     from lfmesh.transport.world import build
     from lfmesh.view.layout.figure import draw
@@ -126,6 +126,7 @@ __all__ = [
     "Material",
     "MeshError",
     "MicrolensArray",
+    "MissedLightWarning",
     "Particles",
     "Paths",
     "Photograph",
@@ -250,7 +251,7 @@ _HOMES = {
     "lfmesh.transport.render.image": ["Image"],
     "lfmesh.transport.packets.ledger": ["Ledger", "LostEnergyWarning"],
     "lfmesh.transport.render.progress": ["Progress"],
-    "lfmesh.transport.render.render": ["render"],
+    "lfmesh.transport.render.render": ["MissedLightWarning", "render"],
     "lfmesh.transport.trace": ["Paths", "Status", "trace"],
     "lfmesh.transport.world": ["build"],
     "lfmesh.view.layout.figure": ["draw"],

@@ -38,6 +38,7 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
         *_targets(scene, facts),
         *_light(scene),
         *_rough_camera(scene),
+        *too_dark(scene),
         *_fog(scene),
         *_samples(scene),
     )
@@ -63,18 +64,23 @@ def _rough_camera(scene: Scene) -> Iterator[str]:
         yield f"{rough[0]} scatters light of lamps too: that is traced from the lamps on, and needs many samples"
 
 
-def _fog(scene: Scene) -> Iterator[str]:
-    """Say what of the light that media scatter is not found, or badly."""
+def too_dark(scene: Scene) -> Iterator[str]:
+    """Say what light a render finds so seldom that its picture is darker than the stated error allows."""
     for number, medium in enumerate(scene.media):
-        if medium.scattering_per_mm == 0.0:
-            continue
-        name = medium.name or f"media[{number}]"
-        if scene.transport.method == "forward" and medium.bounds is None and medium.grid is None:
+        everywhere = medium.scattering_per_mm != 0.0 and medium.bounds is None and medium.grid is None
+        if everywhere and scene.transport.method == "forward":
             yield (
-                f"{name} scatters light right before the lens, where the forward method finds it too seldom: the "
-                'picture may be too dark by more than its error says; method = "adjoint" has no such trouble'
+                f"{medium.name or f'media[{number}]'} scatters light right before the lens, where the forward method "
+                "finds it too seldom: the picture may be too dark by more than its error says; "
+                'method = "adjoint" has no such trouble'
             )
-        if scene.particles:
+
+
+def _fog(scene: Scene) -> Iterator[str]:
+    """Say what of the light of particles that media scatter is not found."""
+    for number, medium in enumerate(scene.media):
+        if medium.scattering_per_mm != 0.0 and scene.particles:
+            name = medium.name or f"media[{number}]"
             yield f"{name} scatters light: what it scatters of the light of particles is in the picture only in part"
 
 

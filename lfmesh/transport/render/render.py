@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lfmesh.notebook import watched
 from lfmesh.scene import Scene
+from lfmesh.scene.advice import too_dark
 from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
 from lfmesh.transport.packets.packet import EVENTS
 from lfmesh.transport.render.adaptive import Counts, Refinement, combine, samples_of, second_stage, total_samples
@@ -30,6 +31,10 @@ PROGRESS_SECONDS = 0.2
 
 Tallies = Callable[[int, Counts | None], Iterator[Tally]]
 """Yields the tallies of a stage's replicates in order, given the first number and, for the second stage, `levels`."""
+
+
+class MissedLightWarning(UserWarning):
+    """Light is found so seldom that the picture may be darker than its error says; the message says what to change."""
 
 
 class Keeper(Protocol):
@@ -69,6 +74,8 @@ def render(
     -----
     LostEnergyWarning
         More energy was lost than rounding explains; the warning names the bodies in which.
+    MissedLightWarning
+        The picture may be too dark by more than its standard error.
 
     Raises
     ------
@@ -77,6 +84,8 @@ def render(
     LfmeshError
         The scene cannot be built, or `saved` is of another one.
     """
+    for line in too_dark(scene):
+        warnings.warn(line, MissedLightWarning, stacklevel=2)
     with compiled_ahead(scene) as ahead:
         world = build(scene)
         ahead.join(world)

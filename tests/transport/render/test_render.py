@@ -1,5 +1,6 @@
 """The film: independent of threads and chunks, honest about its error, kept when a run is cut short."""
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -314,3 +315,16 @@ def test_a_pixel_may_have_more_samples_than_a_chunk(split: str) -> None:
     small, large = Renderer(world, chunk=16).image(), Renderer(world).image()
     np.testing.assert_allclose(small.mean, large.mean, rtol=1e-12, atol=1e-15 * large.mean.max())
     np.testing.assert_array_equal(small.hits, large.hits)
+
+
+@pytest.mark.parametrize("method", ["forward", "adjoint"])
+def test_fog_that_the_forward_method_finds_too_seldom_is_warned_of(method: str) -> None:
+    """Its light comes from right before the lens: a law of the method, not of the number of packets."""
+    fog = {"scattering_per_mm": 1e-3}
+    given = scene(method=method, samples=2, replicates=2, split="transmit").changed({"media": [fog]})
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        lf.render(given)
+    missed = [str(each.message) for each in caught if issubclass(each.category, lf.MissedLightWarning)]
+    assert len(missed) == (method == "forward")
+    assert all(line.startswith("media[0] scatters light right before the lens") for line in missed)

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
 from lfmesh.scene.qcon import MOST_ASPHERE_TERMS
-from lfmesh.scene.quantities import Coefficient, Number, as_list, not_empty
+from lfmesh.scene.quantities import Coefficient, Number, as_list, not_empty, number_per_type_schema
 
 
 def as_list_of_lists(value: Any) -> Any:
@@ -20,14 +20,7 @@ ConicPerType = Annotated[
     Field(max_length=3),
     AfterValidator(not_empty),
     BeforeValidator(as_list),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"type": "number"},
-                {"type": "array", "items": {"type": "number"}, "minItems": 1, "maxItems": 3},
-            ]
-        }
-    ),
+    number_per_type_schema,
 ]
 """A conic constant, or a list of up to three: one a lenslet type."""
 

@@ -161,18 +161,21 @@ NodeKey = Annotated[Text | Whole, Field(union_mode="left_to_right")]
 FilePath = Annotated[str, Field(strict=True), AfterValidator(_existing)]
 """A file, relative to the scene file."""
 
+number_per_type_schema = WithJsonSchema(
+    {
+        "anyOf": [
+            {"type": "number"},
+            {"type": "array", "items": {"type": "number"}, "minItems": 1, "maxItems": 3},
+        ]
+    }
+)
+"""What an editor is told of a number, or a list of up to three: one a lenslet type."""
+
 OneOrMore = Annotated[
     tuple[Annotated[Number, AfterValidator(_bends)], ...],
     Field(max_length=3),
     AfterValidator(not_empty),
     BeforeValidator(as_list),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"type": "number"},
-                {"type": "array", "items": {"type": "number"}, "minItems": 1, "maxItems": 3},
-            ]
-        }
-    ),
+    number_per_type_schema,
 ]
 """A number other than 0, or a list of up to three: one a lenslet type."""

@@ -71,7 +71,10 @@ def _tile(name: str, pieces: list[Piece]) -> tuple[Texture, list[Array]]:
     height, width = first.picture.shape[:2]
     if height * width * int(repeats.prod()) > MAX_TEXELS:
         raise _too_large(name, (height * int(repeats[1]), width * int(repeats[0])))
-    picture = np.tile(first.picture * first.factor.astype(np.float32), (repeats[1], repeats[0], 1))
+    # A picture that is used as it is, as most are, is not copied.
+    picture = first.picture if (first.factor == 1.0).all() else first.picture * first.factor.astype(np.float32)
+    if repeats.prod() > 1:
+        picture = np.tile(picture, (repeats[1], repeats[0], 1))
     size = np.array([width, height], dtype=np.float64)
     return picture, [np.clip(xy, 0.0, repeats) * size for xy in folded]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import FileError
 
 Texture = NDArray[np.float32]
-"""(h, w, 3) linear light, 0 to 1; row 0 is the top of the picture."""
+"""(h, w, 3) linear light, 0 to 1; row 0 is the top of the picture. Not to be written to: see `is_grey`."""
 
 
 FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "GIF")
@@ -101,18 +101,25 @@ def opened(path: Path) -> Iterator[PIL.Image.Image]:
 def linear_light(picture: PIL.Image.Image) -> Texture:
     """Return a Pillow image as (h, w, 3) linear light.
 
-    16-bit grey is taken as it is; every other mode as 8-bit RGB, without its transparency.
+    Grey of 16 bits is taken as it is; every other mode with 8 bits, without its transparency. Of grey light the three
+    channels are one array in memory, which cannot be written to.
     """
     deep = picture.mode.startswith("I;16")
     linear_of_code = srgb_to_linear(np.arange(65536) / 65535.0 if deep else np.arange(256) / 255.0)
-    coded = np.asarray(picture if deep else picture.convert("RGB"))
+    coded = np.asarray(picture if deep or picture.mode == "L" else picture.convert("RGB"))
     height, width = coded.shape[:2]
-    linear = np.empty((height, width, 3), np.float32)
+    linear = np.empty(coded.shape, np.float32)
     rows = max(1, _BAND_PIXELS // max(1, width))
     for start in range(0, height, rows):
-        band = linear_of_code[coded[start : start + rows]]
-        linear[start : start + rows] = band[:, :, None] if deep else band
-    return linear
+        band = slice(start, start + rows)
+        # Every code is in the table; without "clip", numpy writes to a copy of the band first.
+        np.take(linear_of_code, coded[band], out=linear[band], mode="clip")
+    return linear if linear.ndim == 3 else np.broadcast_to(linear[:, :, None], (height, width, 3))
+
+
+def is_grey(light: Texture) -> bool:
+    """Tell whether all channels of a texture are one array in memory, as those of a grey picture are."""
+    return light.strides[2] == 0
 
 
 def with_alpha(light: Texture, picture: PIL.Image.Image) -> Texture:

@@ -196,19 +196,20 @@ def texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: float
     row, column = _place_in_texture(objects, prim, x, y, z)
     left, low = int(np.floor(column)), int(np.floor(row))
     right_share, low_share = column - left, row - low
+    # No views of rows: a view counts its references, which costs more than what is read.
+    in_bands = len(objects.texel_weights) > 0
     value = 0.0
     for j in range(2):
         for k in range(2):
             r = min(max(low + j, 0), height - 1)
             s = min(max(left + k, 0), width - 1)
             share = (low_share if j else 1.0 - low_share) * (right_share if k else 1.0 - right_share)
-            texel = objects.texels[first + r * width + s]
-            if len(objects.texel_weights) == 0:
-                value += share * texel[colour]
+            texel = first + r * width + s
+            if in_bands:
+                for primary in range(objects.texel_weights.shape[1]):
+                    value += share * objects.texels[texel, primary] * objects.texel_weights[colour, primary]
             else:
-                weights = objects.texel_weights[colour]
-                for primary in range(len(weights)):
-                    value += share * texel[primary] * weights[primary]
+                value += share * objects.texels[texel, colour]
     return value
 
 

@@ -11,6 +11,7 @@ from lfmesh.geometry.mesh import Array, Mesh, facet_normals, facet_table, joined
 from lfmesh.geometry.surface import is_revolved
 from lfmesh.geometry.targets import TargetMesh, named_target
 from lfmesh.geometry.tessellation import mesh_sag, on_circles, revolved
+from lfmesh.geometry.texture import Texture, is_grey
 from lfmesh.optics.gltf_material import GltfMaterial
 from lfmesh.optics.rgb_spectra import primary_reflectances
 from lfmesh.scene import Scene
@@ -179,9 +180,7 @@ def object_tables(
         uv[bodies == i] = target.uv
         height, width = target.texture.shape[:2]
         texture[i] = filled, height, width
-        values = target.texture.reshape(-1, 3)
-        # Bands have hundreds of wavelengths: too many to keep the values at each.
-        texels.append(values if lines.in_bands else (values @ weights.T).astype(np.float32))
+        texels.append(_texels(target.texture, weights, lines.in_bands))
         filled += height * width
     materials = [t.material for t in scene.targets]
     models, from_files = _models_of_facets(targets, len(housing.faces))
@@ -250,6 +249,25 @@ def object_tables(
     tables = with_volumes(tables, scene, targets, moves, book, lines)
     sources = _sources([*_lamps(tables), *_glowing_facets(tables, mesh), *_glowing_volumes(scene, tables.volumes)])
     return mesh, tables._replace(emitters=emitter_table(tables), sources=sources)
+
+
+def _texels(texture: Texture, weights: Array, in_bands: bool) -> NDArray[np.float32]:
+    """Return the texels of a texture, row by row, at every wavelength, or their primaries.
+
+    Parameters
+    ----------
+    texture : (h, w, 3) float32
+    weights : (wavelengths, 3) float64
+        See `primary_reflectances`.
+    in_bands : bool
+        Bands have hundreds of wavelengths: too many to keep the values at each.
+    """
+    if in_bands:
+        return texture.reshape(-1, 3)
+    if is_grey(texture):
+        # The three reflectances sum to 1 at every wavelength.
+        return np.repeat(texture[:, :, 0].reshape(-1, 1), len(weights), axis=1)
+    return texture.reshape(-1, 3) @ weights.T.astype(np.float32)
 
 
 def with_volumes(

@@ -103,4 +103,5 @@ def _refuse_irregular(state: os.stat_result, path: str) -> None:
 
 def _why_irregular(mode: int) -> str:
     kind = _KINDS.get(stat.S_IFMT(mode), "something else")
-    return f"is no regular file but {kind}"
+    way = ": save what comes through it as a file" if stat.S_ISFIFO(mode) else ""
+    return f"is no regular file but {kind}{way}"

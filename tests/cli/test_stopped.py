@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -67,3 +69,20 @@ def test_what_is_finished_is_said_and_gone_on_from(
             assert main(words.split()) == SIGNALS[number]
         assert capsys.readouterr().err.endswith(said)
     assert main(words.split()) == 0
+
+
+AT_AN_IMPORT = """
+import os, signal, sys
+class Pressed:
+    def find_spec(name, *_):
+        if name == "cyclopts":
+            os.kill(os.getpid(), signal.SIGINT)
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.meta_path.insert(0, Pressed)
+import lfmesh.cli
+"""
+
+
+def test_ctrl_c_while_the_program_starts_is_no_traceback() -> None:
+    done = subprocess.run([sys.executable, "-c", AT_AN_IMPORT], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

@@ -23,7 +23,7 @@ MATRIX = "matrix scene.toml --counts 2 2 2 --size-mm 4 4 4 --position-mm 0 0 -54
 COMMANDS = {
     MATRIX: ("lfmesh.files.matrix.computed", "block", "m.npz.parts"),
     "study study.toml -o out --workers 0": ("lfmesh.study.study.here", "unit", "out"),
-    "dataset data.toml -o out --count 3 --workers 0": ("lfmesh.study.dataset.here", "item", "out"),
+    "dataset data.toml -o out --count 2 --workers 0": ("lfmesh.study.dataset.here", "item", "out"),
 }
 """What yields the parts of their work, what these are called, and where they are kept."""
 

@@ -118,7 +118,7 @@ tanks = st.fixed_dictionaries(
     optional={"open": st.sampled_from(["top", "front"]), "rotation_deg": turns},
 )
 media = st.fixed_dictionaries(
-    {"position_mm": near(-55.0), "absorption_per_mm": coefficients},
+    {"position_mm": near(-55.0), "absorption_per_mm": st.sampled_from([1e-9, 3.0]) | st.floats(1e-4, 0.2)},
     optional={
         "bounds": bodies | st.just({"file": "ball.off", "units": "mm"}),
         "scattering_per_mm": coefficients,

@@ -22,6 +22,7 @@ FOUNDATION = [
     "kernel",
     "kernel_cache",
     "notebook",
+    "regular_file",
     "signatures",
     "templates",
     "vector",

@@ -147,7 +147,7 @@ def test_every_page_is_named_in_the_readme() -> None:
 
 
 def test_the_readme_is_read_in_one_go() -> None:
-    assert len(README.splitlines()) <= 135
+    assert len(README.splitlines()) <= 125
 
 
 def test_every_part_of_a_page_that_is_linked_is_there() -> None:

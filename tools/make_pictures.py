@@ -6,13 +6,16 @@ tools/make_pictures.py run report assets/scenes/first_light.toml. From runs of t
 tools/run render assets/scenes/flame.toml -o flame --white: their views.
 """
 
+import io
 import sys
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.figure import Figure
-from PIL import Image, ImageDraw, ImageFont
+from matplotlib.ticker import MaxNLocator
+from PIL import Image
 
 import lfmesh
 from lfmesh.accuracy import figures
@@ -29,10 +32,12 @@ DETAIL_PX = 80
 """Eight lenslets, enlarged to the side of the other pictures."""
 DETAIL_CORNER = (280, 160)
 
-AXES_PX, AXIS_PX = 26, 36
-"""Distance of the axes' origin from the picture's edges, and their length."""
-AXES_FONT_PX = 15
-AXES_COLOUR = "#c22b1f"
+PICTURE_DPI = 100
+LEFT_PX, BELOW_PX, MARGIN_PX = 58, 44, 10
+"""Round a picture, for the numbers at its axes."""
+AXES_FONT = 9.0
+PICTURE_COLOURS = 128
+"""Of the palette that keeps these pictures small."""
 
 NEAR, FAR = "refocused_430mm.png", "refocused_600mm.png"
 
@@ -71,35 +76,63 @@ FIGURE_DPI = 120
 
 def from_run(run: Path) -> None:
     """Write the raw image, a detail of it, and the view, all of one size."""
-    with Image.open(run / "preview.png") as raw, Image.open(run / "preview_view.png") as view:
-        x, y = DETAIL_CORNER
-        detail = raw.crop((x, y, x + DETAIL_PX, y + DETAIL_PX)).resize((SIDE_PX, SIDE_PX), Image.Resampling.NEAREST)
-        detail.save(PICTURES / "micro_images.png", optimize=True)
-        raw.crop((160, 160, 160 + SIDE_PX, 160 + SIDE_PX)).save(PICTURES / "raw.png", optimize=True)
-        small = view.resize((SIDE_PX, SIDE_PX), Image.Resampling.LANCZOS).convert("RGB")
-        draw_axes(small)
-        small.save(PICTURES / "view.png", optimize=True)
+    scene = load(run / "scene.toml")
+    pixel = scene.camera.sensor.pixel_mm
+    with Image.open(run / "preview.png") as raw:
+        middle = raw.width // 2 - SIDE_PX // 2
+        for name, (x, y, side) in {
+            "micro_images": (*DETAIL_CORNER, DETAIL_PX),
+            "raw": (middle, middle, SIDE_PX),
+        }.items():
+            left, top = (x - raw.width / 2) * pixel, (raw.height / 2 - y) * pixel
+            extent = (left, left + side * pixel, top - side * pixel, top)
+            write_with_axes(raw.crop((x, y, x + side, y + side)), extent, "mm on the sensor", name)
+    write_view(run, "view")
+
+
+def write_view(run: Path, name: str) -> None:
+    """Write the middle view of a run, with axes in the plane in focus."""
+    scene = load(run / "scene.toml")
+    report = lfmesh.first_order(scene)
+    half = [0.5 * count * scene.camera.mla.pitch_mm / abs(report.magnification) for count in scene.camera.mla.count]
+    with Image.open(run / "preview_view.png") as view:
+        extent = (-half[0], half[0], -half[1], half[1])
+        write_with_axes(view, extent, f"mm in the plane in focus, at {report.object_distance_mm:.0f} mm", name)
+
+
+def write_with_axes(picture: Image.Image, extent: tuple[float, float, float, float], what: str, name: str) -> None:
+    """Write an upright picture with axes: x to the right, y up.
+
+    Parameters
+    ----------
+    picture : Image
+    extent : (left, right, bottom, top)
+        Of the picture, mm.
+    what : str
+        What the numbers at the axes are.
+    name : str
+        Of the file, without its ending.
+    """
+    with mpl.rc_context({"font.size": AXES_FONT}):
+        width, height = LEFT_PX + SIDE_PX + MARGIN_PX, BELOW_PX + SIDE_PX + MARGIN_PX
+        figure = Figure(figsize=(width / PICTURE_DPI, height / PICTURE_DPI))
+        # As many pixels of the file as the picture has, or a whole number of times as many: lenslets stay alike.
+        axes = figure.add_axes((LEFT_PX / width, BELOW_PX / height, SIDE_PX / width, SIDE_PX / height))
+        axes.imshow(np.asarray(picture.convert("RGB")), extent=extent, interpolation="nearest")
+        axes.set(xlabel=f"x, {what}", ylabel="y, mm")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+        buffer = io.BytesIO()
+        figure.savefig(buffer, dpi=PICTURE_DPI)
+    with Image.open(buffer) as drawn:
+        colours = drawn.convert("RGB").quantize(PICTURE_COLOURS, dither=Image.Dither.NONE)
+        colours.save(PICTURES / f"{name}.png", optimize=True)
 
 
 def from_media(run: Path, name: str) -> None:
     """Write the view of a scene with media."""
     with Image.open(run / "preview_view.png") as view:
         view.convert("L").resize((SIDE_PX, SIDE_PX)).save(PICTURES / f"{name}.png", optimize=True)
-
-
-def draw_axes(picture: Image.Image) -> None:
-    """Draw the camera's axes into the lower left corner: x to the right, y up, z towards whoever looks."""
-    draw, font = ImageDraw.Draw(picture), ImageFont.load_default(AXES_FONT_PX)
-    x, y = AXES_PX, picture.height - AXES_PX
-    right, up = x + AXIS_PX, y - AXIS_PX
-    draw.line([(x, up), (x, y), (right, y)], fill=AXES_COLOUR, width=3)
-    draw.polygon([(right + 4, y), (right - 6, y - 5), (right - 6, y + 5)], fill=AXES_COLOUR)
-    draw.polygon([(x, up - 4), (x - 5, up + 6), (x + 5, up + 6)], fill=AXES_COLOUR)
-    # The point of an arrow that comes out of the picture.
-    draw.ellipse([x - 6, y - 6, x + 6, y + 6], fill="white", outline=AXES_COLOUR, width=3)
-    draw.ellipse([x - 2, y - 2, x + 2, y + 2], fill=AXES_COLOUR)
-    for name, at in (("x", (right + 12, y)), ("y", (x, up - 14)), ("z", (x - 14, y + 8))):
-        draw.text(at, name, fill=AXES_COLOUR, font=font, anchor="mm")
 
 
 def from_photographs(run: Path) -> None:

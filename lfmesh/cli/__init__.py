@@ -9,23 +9,30 @@ body, under `lfmesh.cli.interrupts.defer_interrupt` if that brings numba, Embree
 examples of `application.py` and in the README.
 """
 
-from lfmesh.cli import (  # noqa: F401  # adds their commands
-    accuracy,
-    camera_model,
-    compare,
-    dataset,
-    export,
-    fit,
-    frames,
-    lens,
-    lens_sheet,
-    lightfield,
-    matrix,
-    render,
-    schema,
-    study,
-    view,
-)
-from lfmesh.cli.application import app, main
+from lfmesh.cli.interrupts import defer_interrupt
+
+try:
+    # A third of a second, in which Ctrl-C is no traceback either.
+    with defer_interrupt():
+        from lfmesh.cli import (  # noqa: F401  # adds their commands
+            accuracy,
+            camera_model,
+            compare,
+            dataset,
+            export,
+            fit,
+            frames,
+            lens,
+            lens_sheet,
+            lightfield,
+            matrix,
+            render,
+            schema,
+            study,
+            view,
+        )
+        from lfmesh.cli.application import app, main
+except KeyboardInterrupt:
+    raise SystemExit(130) from None
 
 __all__ = ["app", "main"]

@@ -11,7 +11,7 @@ from cyclopts import App
 
 import lfmesh
 from lfmesh.cli.interrupts import Terminated, terminate_as_interrupt
-from lfmesh.cli.printing import lens_files_as_notes
+from lfmesh.cli.printing import lens_files_as_notes, wrapped
 from lfmesh.errors import LfmeshError
 
 CASE_FAILED = 1
@@ -85,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(str(error))
     except KeyboardInterrupt as stop:
         print("\nStopped before anything was finished; nothing was written.", file=sys.stderr)
-        return TERMINATED if isinstance(stop, Terminated) else INTERRUPTED
+        return code_of(stop)
     except BrokenPipeError:
         # Our reader went away, as in `lfmesh schema | head`.
         _give_up_output()
@@ -95,6 +95,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _give_up_output()
         where = "what is printed" if error.filename is None else str(error.filename)
         return _complain(f"{where}: cannot be written or read: {error.strerror or error}")
+
+
+def code_of(stop: KeyboardInterrupt) -> int:
+    """Return the exit code of what Ctrl-C or SIGTERM has ended."""
+    return TERMINATED if isinstance(stop, Terminated) else INTERRUPTED
+
+
+def stopped(stop: KeyboardInterrupt, out: Path, done: int, things: str) -> int:
+    """Say what a command that goes on when it is given again can go on from; return its exit code."""
+    if done:
+        kept = f"{done} {things if done > 1 else things.removesuffix('s')} kept in {out}; the same command goes on."
+    else:
+        kept = f"none of its {things} is finished; the same command begins with the first."
+    print("\n" + wrapped(f"Stopped: {kept}"), file=sys.stderr)
+    return code_of(stop)
 
 
 def _open_streams() -> None:

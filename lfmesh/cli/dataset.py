@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from lfmesh.cli.application import CASE_FAILED, INTERRUPTED, app
+from lfmesh.cli.application import CASE_FAILED, app, stopped
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Shard, Whole, share_of
 from lfmesh.cli.printing import list_files, say_note
@@ -15,6 +15,7 @@ from lfmesh.errors import LfmeshError
 
 if TYPE_CHECKING:
     from lfmesh.study.dataset import Dataset
+    from lfmesh.study.study import Progress
 
 
 @app.command(
@@ -51,14 +52,18 @@ def dataset(
         return _plan(loaded)
     if out is None:
         raise LfmeshError("dataset needs --out, the folder to write: lfmesh dataset template.toml -o data/")
+    done = 0
     try:
         with status() as say:
-            made = loaded.make(
-                out, workers=workers, shard=share, progress=lambda now: say(progress_in_words(now, "items", "items"))
-            )
-    except KeyboardInterrupt:
-        print(f"\nStopped; what is finished is kept in {out}, and the same command goes on.")
-        return INTERRUPTED
+
+            def report(now: "Progress") -> None:
+                nonlocal done
+                done = now.done
+                say(progress_in_words(now, "items", "items"))
+
+            made = loaded.make(out, workers=workers, shard=share, progress=report)
+    except KeyboardInterrupt as stop:
+        return stopped(stop, out, done, "items")
     for number, reason in sorted(made.failed.items()):
         say_note(f"item {number}: {reason}")
     if made.warned:

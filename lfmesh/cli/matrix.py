@@ -1,13 +1,12 @@
 """The projection matrix of a camera: `lfmesh matrix`."""
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from lfmesh.cli.application import INTERRUPTED, app
+from lfmesh.cli.application import app, stopped
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Overrides, SceneFile, Whole, overridden
 from lfmesh.cli.printing import list_files, warnings_as_notes, wrapped
@@ -67,7 +66,7 @@ def matrix(
     The same command goes on with one that was cut short, to the same bits.
     """
     with defer_interrupt():
-        from lfmesh.files.matrix import write_projection_matrix
+        from lfmesh.files.matrix import blocks_folder, finished_blocks, write_projection_matrix
         from lfmesh.scene import load
     loaded = overridden(load(scene), overrides)
     box = _box(voxels or Voxels())
@@ -78,9 +77,8 @@ def matrix(
                 inside=inside, say=lambda line: print(wrapped(line), flush=True),
                 progress=lambda done, total: report(f"{100 * done // total} % of the pixels"),
             )  # fmt: skip
-    except KeyboardInterrupt:
-        print("\nStopped; the same command goes on after the blocks that are finished.", file=sys.stderr)
-        return INTERRUPTED
+    except KeyboardInterrupt as stop:
+        return stopped(stop, blocks_folder(out), finished_blocks(out), "blocks")
     list_files([out])
     return 0
 

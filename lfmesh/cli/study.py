@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
-from lfmesh.cli.application import CASE_FAILED, INTERRUPTED, app
+from lfmesh.cli.application import CASE_FAILED, app, stopped
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Dask, Shard, Whole, share_of
 from lfmesh.cli.printing import list_files, say_note
@@ -67,14 +67,18 @@ def study(
         return _plan(loaded, workers)
     if out is None:
         raise LfmeshError("study needs --out, the folder to write: lfmesh study study.toml -o out/")
+    done = 0
     try:
         with status() as say:
-            table = loaded.run(
-                out, workers=workers, dask=dask, shard=share_of(shard), progress=lambda now: say(progress_in_words(now))
-            )
-    except KeyboardInterrupt:
-        print(f"\nStopped; what is finished is kept in {out}, and the same command goes on.")
-        return INTERRUPTED
+
+            def report(now: "Progress") -> None:
+                nonlocal done
+                done = now.done
+                say(progress_in_words(now))
+
+            table = loaded.run(out, workers=workers, dask=dask, shard=share_of(shard), progress=report)
+    except KeyboardInterrupt as stop:
+        return stopped(stop, out, done, "units")
     return _report(table, out, parquet)
 
 

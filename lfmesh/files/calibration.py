@@ -11,6 +11,7 @@ import lfmesh
 from lfmesh.errors import FileError
 from lfmesh.lightfield.calibration import Calibration
 from lfmesh.lightfield.upright import ON_SENSOR
+from lfmesh.regular_file import read_text
 
 FORMAT = 2
 """Of the file; a reader refuses any other."""
@@ -86,7 +87,7 @@ def read_calibration(path: Path) -> Calibration:
         The file is missing, damaged, or of another format.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(read_text(path))
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
     except (ValueError, RecursionError):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 import lfmesh
 from lfmesh.errors import FileError
 from lfmesh.files.folder import staged_file
+from lfmesh.regular_file import read_arrays
 from lfmesh.scene import Scene
 from lfmesh.transport.render.tally import RenderState, arrays_of
 
@@ -99,8 +100,7 @@ def read(folder: Path, scene_from: Callable[[dict[str, Any], Path], Scene]) -> C
     """
     path = folder / CHECKPOINT
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        arrays = read_arrays(path)
         facts = json.loads(str(arrays.pop(_FACTS)))
         version = facts["format"], facts["lfmesh_version"]
         scene = scene_from(facts, folder) if version == (FORMAT, lfmesh.__version__) else None

@@ -15,6 +15,7 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from lfmesh.errors import FileError
+from lfmesh.regular_file import why_no_file
 from lfmesh.scene.bands import channel_labels
 
 METADATA = "lfmesh"
@@ -133,7 +134,7 @@ def read(path: Path, part_names: Sequence[str], optional: Sequence[str] = ()) ->
         The file is missing, no EXR, not lfmesh's, or truncated.
     """
     if not path.is_file():
-        raise FileError(f"{path} does not exist")
+        raise FileError(f"{path} {why_no_file(path)}")
     try:
         with _opened(path) as file:
             pixels = {
@@ -174,7 +175,7 @@ def read_map(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
         The file is missing, no EXR, truncated, or has none of the channels.
     """
     if not path.is_file():
-        raise FileError(f"{path} does not exist")
+        raise FileError(f"{path} {why_no_file(path)}")
     try:
         with _opened(path) as file:
             channels = file.parts[0].channels if file.parts else {}

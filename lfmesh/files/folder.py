@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import lfmesh
 from lfmesh.errors import FileError
 from lfmesh.files.whole import make_like_any_other
+from lfmesh.regular_file import read_text
 from lfmesh.scene.inputs import COPIES, digest_of
 
 # Windows has none.
@@ -75,7 +76,7 @@ def manifest_of(folder: Path) -> Manifest | None:
     """
     path = folder / MANIFEST
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(read_text(path))
         if document["format"] != FORMAT:
             raise FileError(
                 f"{path} has format {document['format']}, written by lfmesh {document['lfmesh_version']}; this lfmesh"
@@ -251,7 +252,7 @@ def _finish(folder: Path) -> None:
     """Do what the journal says; each step may have been done before."""
     path = folder / JOURNAL
     try:
-        journal = json.loads(path.read_text(encoding="utf-8"))
+        journal = json.loads(read_text(path))
         staging = folder / str(journal["staging"])
         files, removed, moved = journal["files"], journal["removed"], dict(journal["moved"])
     except (ValueError, KeyError, TypeError):

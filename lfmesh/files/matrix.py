@@ -32,6 +32,7 @@ from lfmesh.lightfield.projection import (
     size_in_words,
 )
 from lfmesh.lightfield.voxel_box import VoxelBox
+from lfmesh.regular_file import open_regular, read_arrays, read_text
 from lfmesh.scene import Scene
 
 NUMPY, HDF5 = (".npz",), (".h5", ".hdf5")
@@ -94,7 +95,7 @@ def write_projection_matrix(
     free = shutil.disk_usage(path.parent).free
     if 2.0 * size.bytes > free:
         raise FileError(f"{path}: {size.words}, and while it is written twice that; {free / 1e9:.3g} GB are free")
-    parts = path.with_name(path.name + ".parts")
+    parts = blocks_folder(path)
     blocks = list(projector.blocks(chosen))
     with _told(path):
         done = _begin(parts, _facts(projector, chosen), len(blocks))
@@ -114,6 +115,16 @@ def write_projection_matrix(
     return path
 
 
+def blocks_folder(path: Path) -> Path:
+    """Return the folder of the blocks of the file that is to be at `path`."""
+    return path.with_name(path.name + ".parts")
+
+
+def finished_blocks(path: Path) -> int:
+    """Return how many blocks of a matrix that was cut short stand beside the file that is to be."""
+    return sum(1 for block in blocks_folder(path).glob("*.npz") if block.stem.isdigit())
+
+
 def open_projection_matrix(path: str | Path) -> ProjectionMatrix:
     """Read a projection matrix that `write_projection_matrix` has written.
 
@@ -128,10 +139,9 @@ def open_projection_matrix(path: str | Path) -> ProjectionMatrix:
     _check_ending(path)
     try:
         if path.suffix.lower() in NUMPY:
-            with np.load(path, allow_pickle=False) as file:
-                held = {name: file[name] for name in file.files}
+            held: dict[str, Any] = read_arrays(path)
         else:
-            with _h5py().File(path, "r") as file:
+            with open_regular(path), _h5py().File(path, "r") as file:
                 held = {name: file[name][()] for name in file}
         rows, voxels = (int(n) for n in held["shape"])
         counts = tuple(int(n) for n in held["grid_shape"])
@@ -209,7 +219,7 @@ def _begin(parts: Path, facts: dict[str, Any], blocks: int) -> int:
             new.write(json.dumps(facts).encode())
         return 0
     try:
-        held = json.loads(file.read_text(encoding="utf-8"))
+        held = json.loads(read_text(file))
     except ValueError:
         held = None
     if held != facts:
@@ -253,7 +263,7 @@ def _join(path: Path, parts: Path, blocks: int, projector: Projector, pixels: ND
 
 def _array(parts: Path, number: int, name: str) -> NDArray[Any]:
     try:
-        with np.load(parts / _name(number), allow_pickle=False) as file:
+        with open_regular(parts / _name(number)) as opened, np.load(opened, allow_pickle=False) as file:
             array: NDArray[Any] = file[name]
             return array
     except (ValueError, KeyError, EOFError, zipfile.BadZipFile):

@@ -43,6 +43,7 @@ from lfmesh.geometry.lattice import Lattice
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.calibration import Calibration
 from lfmesh.lightfield.upright import UPRIGHT, Upright
+from lfmesh.regular_file import read_text
 from lfmesh.scene import Scene
 from lfmesh.scene.inputs import COPIES
 from lfmesh.scene.literals import shown_path
@@ -452,7 +453,7 @@ def _cannot_write(path: Path, error: OSError) -> FileError:
 def _read_report(path: Path) -> dict[str, Any] | None:
     """Return report.json of a run folder, None where there is none that lfmesh wrote."""
     try:
-        report = json.loads((path / REPORT).read_text(encoding="utf-8"))
+        report = json.loads(read_text(path / REPORT))
     except (OSError, ValueError):
         return None
     ours = isinstance(report, dict) and "lfmesh_version" in report and isinstance(report.get("format"), int)

@@ -23,6 +23,7 @@ import lfmesh
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files.folder import recover, staged_file
 from lfmesh.files.run import scene_from, scene_metadata
+from lfmesh.regular_file import open_regular, read_arrays, read_text
 from lfmesh.scene import Scene
 from lfmesh.transport.render.blind_check import BlindSamples
 from lfmesh.transport.render.image import Image
@@ -199,7 +200,7 @@ def _begin(folder: Path, cut: Cut) -> None:
 
 def _facts(folder: Path) -> dict[str, Any]:
     try:
-        facts: dict[str, Any] = json.loads((folder / FACTS).read_text(encoding="utf-8"))
+        facts: dict[str, Any] = json.loads(read_text(folder / FACTS))
         version = facts["cut"]["format"], facts["cut"]["lfmesh_version"]
         known = isinstance(facts["cut"]["shares"], int) and isinstance(facts["scene_toml"], str)
     except FileNotFoundError:
@@ -227,7 +228,7 @@ def _found(folders: Sequence[Path], job: Job) -> Path | None:
 
 def _is_whole(path: Path) -> bool:
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with open_regular(path) as opened, np.load(opened, allow_pickle=False) as file:
             return "number" in file.files
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error):
         return False
@@ -262,8 +263,7 @@ def _unpacked(path: Path, job: Job, tracer: Tracer) -> tuple[Piece, float]:
     """
     pixels = job.block.last - job.block.first
     try:
-        with np.load(path, allow_pickle=False) as file:
-            held = {name: file[name] for name in file.files}
+        held = read_arrays(path)
         film: Film = filled(Film.empty(pixels, tracer.channels), held, "film")
         blind: BlindSamples | None = None
         if any(name.startswith("blind.") for name in held):

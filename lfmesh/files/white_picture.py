@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import FileError
 from lfmesh.files import exr, run
-from lfmesh.geometry.texture import FORMATS, opened, why_no_file
+from lfmesh.geometry.texture import FORMATS, opened
+from lfmesh.regular_file import why_no_file
 from lfmesh.transport.render.image import Image
 
 CHANNELS = ("Y", "G", "R")

@@ -18,6 +18,7 @@ import numpy as np
 
 from lfmesh.errors import MeshError
 from lfmesh.geometry.mesh import Array
+from lfmesh.regular_file import read_bytes
 
 MOST_NODES = 100_000
 """Of one file."""
@@ -193,7 +194,7 @@ def load_primitives(path: Path, document: dict[str, Any], wanted: Iterable[tuple
     text = json.dumps(flat).encode()
     text += b" " * (-len(text) % 4)
     if path.suffix.lower() == ".glb":
-        content = path.read_bytes()
+        content = read_bytes(path)
         rest = content[20 + int.from_bytes(content[12:16], "little") :]
         length = 20 + len(text) + len(rest)
         header = b"glTF" + content[4:8] + length.to_bytes(4, "little") + len(text).to_bytes(4, "little") + b"JSON"

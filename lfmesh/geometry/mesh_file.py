@@ -19,8 +19,9 @@ from lfmesh.errors import MeshError
 from lfmesh.geometry import cad_file
 from lfmesh.geometry.gltf_nodes import check_document, load_primitives, node_called, nodes_of, primitives_of
 from lfmesh.geometry.mesh import Array, Mesh
-from lfmesh.geometry.texture import FORMATS, MOST_PIXELS, Texture, linear_light, why_no_file, with_alpha
+from lfmesh.geometry.texture import FORMATS, MOST_PIXELS, Texture, linear_light, with_alpha
 from lfmesh.optics.gltf_material import GltfMaterial
+from lfmesh.regular_file import read_bytes, read_text, why_no_file
 
 MM_PER_UNIT = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3, "inch": 25.4, "foot": 304.8}
 """Units of length a target may name."""
@@ -147,16 +148,16 @@ def companions(path: Path) -> list[str]:
     names: list[str] = []
     ending = path.suffix.lower()
     if ending == ".obj":
-        for name in _MATERIAL_FILE.findall(path.read_text(encoding="utf-8", errors="replace")):
+        for name in _MATERIAL_FILE.findall(read_text(path, errors="replace")):
             names.append(name)
             library = path.parent / name
             if library.is_file():
-                text = library.read_text(encoding="utf-8", errors="replace")
+                text = read_text(library, errors="replace")
                 pictures = [_picture_name(value) for value in _PICTURE_FILE.findall(text)]
                 names += [(Path(name).parent / picture).as_posix() for picture in pictures]
     elif ending == ".gltf":
         try:
-            document = json.loads(path.read_bytes())
+            document = json.loads(read_bytes(path))
             uris = [entry.get("uri", "") for key in ("buffers", "images") for entry in document.get(key, [])]
         except (ValueError, AttributeError, TypeError, RecursionError):
             return []
@@ -354,7 +355,7 @@ _PICTURE_FILE = re.compile(r"^[ \t]*map_Kd[ \t]+(.+?)\s*$", re.MULTILINE)
 
 def _check_obj(path: Path) -> None:
     """Raise what trimesh passes over: a corner numbered 0, a material file or picture that is not there."""
-    text = path.read_text(encoding="utf-8", errors="replace")
+    text = read_text(path, errors="replace")
     if zero := _FACET_OF_VERTEX_ZERO.search(text):
         line = text.count("\n", 0, zero.start()) + 1
         raise MeshError(f"{path}: line {line}: a facet names vertex 0; OBJ counts from 1 (or back from -1)")
@@ -363,7 +364,7 @@ def _check_obj(path: Path) -> None:
         _check_inside(path, name, "material file")
         if not library.is_file():
             raise MeshError(f"{path}: its material file {name} is not there; add it or delete the mtllib line")
-        for value in _PICTURE_FILE.findall(library.read_text(encoding="utf-8", errors="replace")):
+        for value in _PICTURE_FILE.findall(read_text(library, errors="replace")):
             picture = _picture_name(value)
             _check_inside(path, (Path(name).parent / picture).as_posix(), "picture")
             if not (library.parent / picture).is_file():
@@ -398,7 +399,7 @@ def gltf_document(path: Path) -> dict[str, Any]:
         It is broken, names files that are not there, or requires an extension that would go unread.
     """
     ending = path.suffix.lower()
-    content = path.read_bytes()
+    content = read_bytes(path)
     try:
         if ending == ".glb":
             if content[:4] != b"glTF" or content[16:20] != b"JSON":
@@ -465,7 +466,7 @@ def _objects(document: dict[str, Any], key: str) -> list[dict[str, Any]]:
 
 def _check_off_count(path: Path, facets: int) -> None:
     """Raise if fewer facets were read than the file's header counts."""
-    lines = (line.split("#")[0] for line in path.read_text(errors="replace").splitlines())
+    lines = (line.split("#")[0] for line in read_text(path, errors="replace").splitlines())
     numbers = [word for line in lines for word in line.split() if not word.upper().endswith("OFF")]
     promised = int(numbers[1])
     if facets < promised:

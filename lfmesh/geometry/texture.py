@@ -12,6 +12,7 @@ import PIL.ImageOps
 from numpy.typing import NDArray
 
 from lfmesh.errors import FileError
+from lfmesh.regular_file import why_no_file
 
 Texture = NDArray[np.float32]
 """(h, w, 3) linear light, 0 to 1; row 0 is the top of the picture. Not to be written to: see `is_grey`."""
@@ -64,13 +65,6 @@ def load_texture(path: Path, alpha: bool = False) -> Texture:
         reason = f"{error}" if str(error) else type(error).__name__
         reason = "not a picture" if unknown else f"a broken picture ({reason.splitlines()[0]})"
         raise FileError(f"{path}: {reason}; a texture is one of {', '.join(FORMATS)}") from None
-
-
-def why_no_file(path: Path) -> str:
-    """Return in words why a path is no file that can be read."""
-    if path.is_dir():
-        return "is a folder"
-    return "is no regular file" if path.exists() else "does not exist"
 
 
 @contextmanager

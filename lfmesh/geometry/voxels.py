@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import FileError
+from lfmesh.regular_file import open_regular
 
 Array = NDArray[np.float64]
 Interpolation = Literal["trilinear", "constant"]
@@ -157,10 +158,11 @@ def _numpy_arrays(path: Path, quantity: str | None) -> dict[str, Any]:
     """Return the arrays of a `.npz` file, or that of a `.npy` file."""
     ending = path.suffix.lower()
     try:
-        content = np.load(path, allow_pickle=False)
-        if isinstance(content, np.ndarray) == (ending == ".npz"):
-            raise ValueError(f"it is a .{'npy' if ending == '.npz' else 'npz'} by its content")
-        return {quantity or "": content} if ending == ".npy" else dict(content.items())
+        with open_regular(path) as file:
+            content = np.load(file, allow_pickle=False)
+            if isinstance(content, np.ndarray) == (ending == ".npz"):
+                raise ValueError(f"it is a .{'npy' if ending == '.npz' else 'npz'} by its content")
+            return {quantity or "": content} if ending == ".npy" else dict(content.items())
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror or error}") from None
     except MemoryError:

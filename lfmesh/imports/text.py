@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from lfmesh.errors import SceneError
+from lfmesh.regular_file import open_regular
 
 MOST_BYTES = 8_000_000
 MOST_LINES = 100_000
@@ -25,7 +26,7 @@ def read_lines(path: Path) -> list[str]:
         The file cannot be read, is too large, or is no text.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             data = file.read(MOST_BYTES + 1)
     except OSError as error:
         raise SceneError(f"{path}: cannot be read: {error.strerror}") from None

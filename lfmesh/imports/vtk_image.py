@@ -12,6 +12,7 @@ import numpy as np
 
 from lfmesh.errors import FileError
 from lfmesh.imports import vtk_child
+from lfmesh.regular_file import open_regular, why_no_file
 from lfmesh.scene.inputs import file_stamp
 
 NOT_TURNED = 1e-9
@@ -53,7 +54,7 @@ def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None) -> 
     from vtkmodules.vtkCommonCore import vtkObject
 
     if not path.is_file():
-        raise FileError(f"{path}: cannot be read as VTK image data: no such file")
+        raise FileError(f"{path}: cannot be read as VTK image data: it {why_no_file(path)}")
     if not _is_survived(path.resolve(), file_stamp(path)):
         raise FileError(f"{path}: cannot be read as VTK image data: it is damaged")
     # VTK says on standard error what is wrong with a file, line by line, and returns something empty.
@@ -103,7 +104,7 @@ def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None) -> 
 def _is_survived(path: Path, stamp: tuple[object, ...]) -> bool:
     """Whether VTK can read a file, the one with this stamp, without crashing and in the memory that it may need."""
     # In words that are no numbers there are no points: VTK is told to keep to what every file may take.
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         found = _EXTENT.search(file.read(HEAD))
     words = found[1].split() if found else []
     extent = [int(word) for word in words] if all(re.fullmatch(rb"-?[0-9]{1,18}", word) for word in words) else []

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.frame import Frame
+from lfmesh.regular_file import read_arrays
 from lfmesh.scene.literals import literal
 
 Array = NDArray[np.float64]
@@ -167,8 +168,7 @@ def read_box(path: Path) -> GridFile:
         The file cannot be read, or does not say.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            held = {name: file[name] for name in file.files}
+        held = read_arrays(path)
     except FileNotFoundError:
         raise FileError(f"{path}: no such file") from None
     except Exception:  # of a damaged file numpy's readers, and those of zip archives below them, may raise anything

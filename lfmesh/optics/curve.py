@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import FileError
+from lfmesh.regular_file import read_text
 
 Array = NDArray[np.float64]
 
@@ -119,7 +120,7 @@ def read_curve(path: Path, column: str, most: float = math.inf) -> Curve:
         It cannot be read, or a number is missing or not valid.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path, "utf-8-sig")
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:

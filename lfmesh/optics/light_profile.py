@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import FileError
+from lfmesh.regular_file import read_text
 
 Array = NDArray[np.float64]
 
@@ -66,7 +67,7 @@ def read_profile(path: Path) -> LightProfile:
         It cannot be read; a number is missing, too many, or out of its range; its photometry is of another type.
     """
     try:
-        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+        lines = read_text(path, "utf-8-sig", "replace").splitlines()
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror}") from None
     tilt = next((i for i, line in enumerate(lines) if line.strip().upper().startswith("TILT=")), None)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import FileError
+from lfmesh.regular_file import read_text
 
 Array = NDArray[np.float64]
 
@@ -58,7 +59,7 @@ def read_reflectance(path: Path) -> ReflectanceTable:
         It cannot be read; a number is missing or out of its range; angles are missing.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path, "utf-8-sig")
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:

@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from lfmesh.assets import asset_path
 from lfmesh.errors import FileError, LfmeshError, SceneError
+from lfmesh.regular_file import open_regular
 from lfmesh.scene.file_kinds import FileKind, mistaken_for
 from lfmesh.scene.gltf_keys import reader as gltf_reader
 from lfmesh.scene.gltf_keys import take_keys
@@ -117,7 +118,7 @@ def read_text(path: Path) -> str:
         It has more than `MOST_BYTES`, as a device that never ends.
     UnicodeDecodeError
     """
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         data = file.read(MOST_BYTES + 1)
     if len(data) > MOST_BYTES:
         raise SceneError(f"{shown_path(path)}: larger than {MOST_BYTES // 1_000_000} MB; it has some kilobytes at most")

@@ -9,6 +9,7 @@ from typing import Any, get_args
 from pydantic import AfterValidator, BaseModel
 
 from lfmesh.errors import FileError
+from lfmesh.regular_file import open_regular
 from lfmesh.scene.quantities import FilePath
 
 COPIES = "inputs"
@@ -51,7 +52,7 @@ def _names_a_file(annotation: Any) -> bool:
 
 def digest_of(path: Path) -> str:
     """Return the SHA-256 of a file's bytes."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator, Val
 from lfmesh.errors import GlassError
 from lfmesh.optics.glass import find_glass
 from lfmesh.optics.metals import find_metal
+from lfmesh.regular_file import why_no_file
 
 T = TypeVar("T")
 
@@ -116,8 +117,9 @@ def _existing(path: str, info: ValidationInfo) -> str:
     except OSError as error:
         raise ValueError(f"cannot be looked for: {error.strerror}") from None
     if not present:
-        kind = "is no regular file" if (folder / path).exists() else "no such file; looked for"
-        raise ValueError(f"{kind} {folder / path}" if kind.startswith("no") else f"{folder / path} {kind}")
+        if (folder / path).exists():
+            raise ValueError(f"{folder / path} {why_no_file(folder / path)}")
+        raise ValueError(f"no such file; looked for {folder / path}")
     return path
 
 

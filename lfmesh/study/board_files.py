@@ -13,6 +13,7 @@ from lfmesh.accuracy.figures import finish
 from lfmesh.errors import FileError
 from lfmesh.files.inputs import within
 from lfmesh.files.json_values import plain_json
+from lfmesh.regular_file import open_text
 from lfmesh.study.board_corners import LEAST_CORNERS, BoardCorners
 from lfmesh.study.board_fit import BoardFit
 from lfmesh.study.fit_files import (
@@ -49,12 +50,8 @@ def read_corners(path: Path) -> BoardCorners:
     FileError
         It cannot be read, lacks a column, has a line that is no numbers, or too few corners.
     """
-    if path.exists() and not path.is_file():
-        raise FileError(
-            f"{path}: the list of corners cannot be read: it is {'a folder' if path.is_dir() else 'no file'}"
-        )
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
+        with open_text(path, "utf-8-sig", newline="") as file:
             reader = csv.DictReader(file)
             missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
             if missing:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from lfmesh.cluster import RETRIES, connected, threads_of
+from lfmesh.regular_file import read_bytes
 from lfmesh.study.pool import Result, computed
 from lfmesh.study.unit import Unit
 
@@ -48,7 +49,7 @@ def _through(client: Any, units: Iterable[tuple[Unit, Path]]) -> Iterator[Result
             return False
         unit, path = job
         if path not in references:
-            references[path] = client.scatter(path.read_bytes(), broadcast=True, hash=False)
+            references[path] = client.scatter(read_bytes(path), broadcast=True, hash=False)
         future = client.submit(computed, unit, references[path], pure=False, retries=RETRIES)
         owners[future.key] = unit
         running.add(future)

@@ -18,6 +18,7 @@ from lfmesh.files.json_values import plain_json
 from lfmesh.files.paths import relative
 from lfmesh.files.whole import write_whole
 from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.regular_file import read_text
 from lfmesh.scene import Scene, load
 from lfmesh.scene.inputs import digest_of, files_of
 from lfmesh.scene.toml import table
@@ -294,7 +295,7 @@ class _Making:
 
     def _refuse_other(self) -> None:
         try:
-            known = json.loads((self.folder / FACTS).read_text(encoding="utf-8"))
+            known = json.loads(read_text(self.folder / FACTS))
             same = [known[key] for key in ("format", "lfmesh_version", "digest")]
         except FileNotFoundError:
             return

@@ -26,6 +26,7 @@ from lfmesh.lightfield.camera_model import camera_model
 from lfmesh.lightfield.decode import decode
 from lfmesh.lightfield.depth_truth import depth_truth
 from lfmesh.lightfield.white import white_scene
+from lfmesh.regular_file import read_text
 from lfmesh.scene import Scene
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.render import render
@@ -157,7 +158,7 @@ def facts_of(folder: Path, digest: str) -> dict[str, Any] | None:
     if not folder.exists():
         return None
     try:
-        facts: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        facts: dict[str, Any] = json.loads(read_text(path))
         known, sizes = facts.pop("digest"), dict(facts.pop("files"))
         version = facts.pop("lfmesh_version")
     except (OSError, ValueError, KeyError, TypeError, AttributeError):

@@ -10,6 +10,7 @@ from typing import Any
 
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files.whole import write_whole
+from lfmesh.regular_file import read_bytes
 from lfmesh.scene import Scene
 from lfmesh.scene.model import Model
 from lfmesh.signatures import Function
@@ -398,7 +399,7 @@ class Run:
             except FileError as error:
                 self.folder.log("unreadable", point=point, batch=batch, reason=str(error))
                 continue
-            self.folder.keep(point, batch, source.unit_path(point, batch).read_bytes())
+            self.folder.keep(point, batch, read_bytes(source.unit_path(point, batch)))
 
 
 @dataclass(frozen=True)

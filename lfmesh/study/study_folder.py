@@ -18,6 +18,7 @@ import lfmesh
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files.folder import recover, staged_file
 from lfmesh.files.json_values import plain_json
+from lfmesh.regular_file import read_bytes, read_text
 from lfmesh.study.plan import Plan, summary_of
 from lfmesh.study.unit import Outcome, is_reference, unpacked
 
@@ -69,7 +70,7 @@ class StudyFolder:
     def has_reference(self, batch: int) -> bool:
         """Whether the films of a batch are there and whole."""
         try:
-            return is_reference(self.reference_path(batch).read_bytes(), self.plan.digest, batch)
+            return is_reference(read_bytes(self.reference_path(batch)), self.plan.digest, batch)
         except OSError:
             return False
 
@@ -115,7 +116,7 @@ class StudyFolder:
         """
         path = self.unit_path(point, batch)
         try:
-            content = path.read_bytes()
+            content = read_bytes(path)
         except FileNotFoundError:
             return None
         except OSError as error:
@@ -169,7 +170,7 @@ def read_facts(path: Path) -> dict[str, Any] | None:
         Its description is damaged.
     """
     try:
-        known: dict[str, Any] = json.loads((path / FACTS).read_text(encoding="utf-8"))
+        known: dict[str, Any] = json.loads(read_text(path / FACTS))
     except FileNotFoundError:
         return None
     except (OSError, ValueError):
@@ -210,7 +211,7 @@ def refuse_other(known: dict[str, Any], digest: str, path: Path) -> None:
 def logged(path: Path) -> Iterator[dict[str, Any]]:
     """Yield the events of a log, without lines that were cut short."""
     try:
-        lines = (path / LOG).read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = read_text(path / LOG, errors="replace").splitlines()
     except OSError:
         return
     for line in lines:

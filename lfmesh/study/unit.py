@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.lightfield.upright import Upright
+from lfmesh.regular_file import read_bytes
 from lfmesh.study.metrics import METRICS, Comparison, columns_of, pictures_of
 from lfmesh.study.pictures import Camera, Films, films
 
@@ -230,7 +231,7 @@ def opened_reference(reference: Reference) -> tuple[Films, float]:
 @lru_cache(maxsize=2)
 def _opened_file(path: Path) -> tuple[Films, float]:
     try:
-        return _films_in(_arrays_of(path.read_bytes()))
+        return _films_in(_arrays_of(read_bytes(path)))
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror or error}") from None
 

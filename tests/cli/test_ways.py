@@ -76,11 +76,11 @@ def test_a_file_of_another_kind_is_named_with_what_takes_it(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("check {}", "larger than 20 MB"),
-        ("study {} -o out", "larger than 20 MB"),
+        ("check {}", "/dev/zero: cannot be read: it is no regular file but a device"),
+        ("study {} -o out", "/dev/zero: cannot be read: it is no regular file but a device"),
         (
             "fit scene.toml scene.toml -o out --corners {}",
-            "/dev/zero: the list of corners cannot be read: it is no file",
+            "/dev/zero: the list of corners cannot be read: it is no regular file but a device",
         ),
     ],
 )
@@ -97,7 +97,7 @@ def test_a_file_that_never_ends_is_refused(
 
 
 def test_a_list_of_corners_that_is_no_file_is_refused() -> None:
-    with pytest.raises(LfmeshError, match="it is a folder"):
+    with pytest.raises(LfmeshError, match="Is a directory"):
         read_corners(Path(__file__).parent)
 
 

@@ -105,5 +105,5 @@ def test_bad_vtk_image_data_is_refused_in_one_line(
         read_voxels(path)
     assert "\n" not in str(error.value)
     assert capfd.readouterr().err == ""
-    with pytest.raises(FileError, match="no such file"):
+    with pytest.raises(FileError, match="it does not exist"):
         read_voxels(tmp_path / "nowhere.vti")

@@ -1,0 +1,88 @@
+"""What a command says that was stopped, by Ctrl-C or SIGTERM, is true: whether there is something to go on from."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lfmesh.cli import main
+from tests.cameras import bench_camera
+
+SCENE = f"{bench_camera(8, 8)}[transport]\nsamples = 4\nreplicates = 4\n"
+STUDY = (
+    'scene = "scene.toml"\nmetrics = ["light"]\n[[axes]]\npath = "camera.mla.pose.shift_mm[0]"\nvalues = [0.1, 0.2]\n'
+)
+DATASET = 'scene = "scene.toml"\n[[random]]\npath = "camera.mla.pose.shift_mm[0]"\nvalues = [0.1, 0.2]\n'
+
+MATRIX = "matrix scene.toml --counts 2 2 2 --size-mm 4 4 4 --position-mm 0 0 -540 -o m.npz"
+COMMANDS = {
+    MATRIX: ("lfmesh.files.matrix.computed", "block", "m.npz.parts"),
+    "study study.toml -o out --workers 0": ("lfmesh.study.study.here", "unit", "out"),
+    "dataset data.toml -o out --count 2 --workers 0": ("lfmesh.study.dataset.here", "item", "out"),
+}
+"""What yields the parts of their work, what these are called, and where they are kept."""
+
+SIGNALS = {signal.SIGINT: 130, signal.SIGTERM: 143}
+
+
+@pytest.fixture
+def _files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("lfmesh.lightfield.projection.RAYS_AT_ONCE", 400)
+    for name, text in (("scene.toml", SCENE), ("study.toml", STUDY), ("data.toml", DATASET)):
+        (tmp_path / name).write_text(text)
+
+
+def stop_after(parts: int, number: signal.Signals, place: str, patch: pytest.MonkeyPatch) -> None:
+    """Send a signal when some parts of the work are done."""
+    module, name = place.rsplit(".", 1)
+    usual = getattr(__import__(module, fromlist=[name]), name)
+
+    def cut(*given: Any) -> Iterator[Any]:
+        computed = usual(*given)
+        for _ in range(parts):
+            yield next(computed)
+        os.kill(os.getpid(), number)
+        yield from computed
+
+    patch.setattr(place, cut)
+
+
+@pytest.mark.usefixtures("_files")
+@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("words", COMMANDS)
+def test_what_is_finished_is_said_and_gone_on_from(
+    words: str, number: signal.Signals, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place, part, folder = COMMANDS[words]
+    for done, said in (
+        (0, f"Stopped: none of its {part}s is finished; the same command begins with the first.\n"),
+        (1, f"Stopped: 1 {part} kept in {folder}; the same command goes on.\n"),
+    ):
+        with monkeypatch.context() as patch:
+            stop_after(done, number, place, patch)
+            assert main(words.split()) == SIGNALS[number]
+        assert capsys.readouterr().err.endswith(said)
+    assert main(words.split()) == 0
+
+
+AT_AN_IMPORT = """
+import os, signal, sys
+class Pressed:
+    def find_spec(name, *_):
+        if name == "cyclopts":
+            os.kill(os.getpid(), signal.SIGINT)
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.meta_path.insert(0, Pressed)
+import lfmesh.cli
+"""
+
+
+def test_ctrl_c_while_the_program_starts_is_no_traceback() -> None:
+    done = subprocess.run([sys.executable, "-c", AT_AN_IMPORT], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

@@ -10,7 +10,7 @@ from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.paraxial import Paraxial, quotient
 from lfmesh.scene.scene import Scene
-from lfmesh.scene.solve import air_thickness_mm, cover_shift_mm, image_plane_mm, solved
+from lfmesh.scene.solve import cover_shift_mm, image_plane_mm, rear_principal_mm, solved
 
 AIRY_RING = 1.2196698912665045
 """First zero of the Bessel function J₁ over π."""
@@ -297,11 +297,11 @@ def lenslet_to_sensor_mm(camera: Camera, wavelength_nm: float) -> float:
     """Return the distance from a lenslet's rear principal plane to the sensor of a solved camera, as in air, in mm.
 
     The rear principal plane of a plano-convex lenslet lies t/n inside its flat face when light leaves there,
-    and at the apex when it leaves through the curved face.
+    and at the apex when it leaves through the curved face; for two curved faces see `lenslet_optics`.
     """
     if camera.mla is None or camera.sensor.distance_mm is None:
         return math.nan
-    inside = air_thickness_mm(camera.mla, wavelength_nm) if camera.mla.curved_side == "lens" else 0.0
+    inside = rear_principal_mm(camera.mla, wavelength_nm)
     return camera.sensor.distance_mm - cover_shift_mm(camera.sensor, wavelength_nm) + inside
 
 

@@ -1,0 +1,185 @@
+"""Plates with lenslets on both faces, against traces written here, thick-lens formulas, and each other.
+
+The truth knows nothing of folding, of cells' meshes, of mirrored frames or of the engines' steps: on each face it
+samples the height of the ray over the whole array, finds where that changes its sign (Brent's method), and bends the
+ray there by Snell's law.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lfmesh as lf
+from lfmesh.transport.packets.packet import Status
+from tests.validation.test_lenslet_profiles import PITCH_MM, SENSOR_MM, Face, bent, cell_samples, scene_of
+
+POSITION_MM = 1e-9
+COUNT = 60
+LENS_TO_ARRAY_MM = 30.0
+
+
+@dataclass(frozen=True)
+class Side:
+    """One face of the plate, in the frame whose z runs from its apexes into the glass."""
+
+    face: Face
+    layer: tuple[float, float]
+
+    def step(self, p: np.ndarray, d: np.ndarray, index: float) -> Any:
+        """Point, direction and share behind the face of a ray that comes to it; a word for one that does not pass."""
+        inward = d[2] > 0.0
+        ends = sorted((border - p[2]) / d[2] for border in self.layer)
+        what, t, cell = self.face.crossing(p, d, max(ends[0], 0.0), ends[1])
+        if what != "face":
+            return what
+        p = p + t * d
+        next_ = bent(d, self.face.normal(cell, p[0], p[1]), *((1.0, index) if inward else (index, 1.0)))
+        if next_ is None:
+            return "total"
+        d, share = next_
+        if (d[2] > 0.0) != inward:
+            return "turned"
+        end = (self.layer[1 if inward else 0] - p[2]) / d[2]
+        return "again" if self.face.crossing(p, d, 1e-7, end)[0] != "none" else (p, d, share)
+
+
+@dataclass(frozen=True)
+class Plate:
+    """Both faces; z runs from the apexes of the lens's side to those of the sensor's, which are shifted against it."""
+
+    lens: Side
+    sensor: Side
+    shift: np.ndarray
+    thickness: float
+    index: float
+
+    def landing(self, p: np.ndarray, d: np.ndarray, behind: float) -> Any:
+        """Point, direction and share at a distance behind the plate; a word for a ray that does not get there."""
+        to_sensor, weight = d[2] > 0.0, 1.0
+        for side in ("lens", "sensor") if to_sensor else ("sensor", "lens"):
+            origin = np.zeros(3) if side == "lens" else np.array([*self.shift, self.thickness])
+            turn = np.array([1.0, 1.0, 1.0 if side == "lens" else -1.0])
+            passed = getattr(self, side).step((p - origin) * turn, d * turn, self.index)
+            if isinstance(passed, str):
+                return passed
+            p, d, weight = passed[0] * turn + origin, passed[1] * turn, weight * passed[2]
+        to = self.thickness + behind if to_sensor else -behind
+        return p + (to - p[2]) / d[2] * d, d, weight
+
+
+def side_of(face: Face) -> Side:
+    heights = [face.sag(c, *p) for c in range(64) for p in cell_samples(face, c)]
+    low, high = min(heights), max(heights)
+    margin = 1e-3 + 0.05 * (high - low)
+    return Side(face, (low - margin, high + margin))
+
+
+def random_side(draw: np.random.Generator, layout: str, axis: str | None, types: int, plain: bool) -> Face:
+    corner = 0.5 * PITCH_MM if axis else PITCH_MM / np.sqrt(3.0 if layout == "hexagonal" else 2.0)
+    radius, conic, terms = [], [], []
+    for _ in range(types):
+        r = corner * draw.uniform(1.3, 4.0) * draw.choice([1.0, 1.0, -1.0])
+        wave = np.zeros(0) if plain else draw.uniform(-1.0, 1.0, size=2)
+        radius.append(r)
+        conic.append(0.0 if plain else draw.uniform(-4.0, 0.3))
+        terms.append(tuple(w * 0.25 * corner**2 / abs(r) / corner ** (2 * j + 4) for j, w in enumerate(wave)))
+    return Face(layout, tuple(radius), tuple(conic), tuple(terms), axis)
+
+
+def random_plate(number: int) -> tuple[lf.Scene, Plate]:
+    """Spheres, aspheres, crossed and parallel cylinders, both layouts, types, both signs, both sides, with decentre."""
+    draw = np.random.default_rng([number, 51])
+    layout = "hexagonal" if number % 3 == 1 else "square"
+    axes = (None, None)
+    if number % 3 == 2:
+        axes = (("x", "y"), ("y", "x"), ("y", "y"), (None, "x"))[number // 3 % 4]
+    types = 1 if number % 4 != 3 else 3 if layout == "hexagonal" else 2
+    curved = random_side(draw, layout, axes[0], types, plain=number % 2 == 0)
+    back = random_side(draw, layout, axes[1], 1, plain=number % 4 in (0, 3))
+    shift = draw.uniform(-0.4, 0.4, size=2) * PITCH_MM if number % 5 else np.zeros(2)
+    sides = side_of(curved), side_of(back)
+    thickness = 1.05 * sum(max(0.0, side.layer[1]) for side in sides) + draw.uniform(0.0, 0.3)
+    index = draw.uniform(1.3, 1.9)
+    looks = "sensor" if number // 2 % 2 else "lens"
+    scene = scene_of(
+        looks, layout=layout, radius_mm=curved.radius, conic=curved.conic, asphere_mm=curved.terms,
+        cylinder_axis=curved.axis, index=index, thickness_mm=thickness,
+        back=lf.BackFace(
+            radius_mm=back.radius[0], conic=back.conic[0], asphere_mm=back.terms[0], cylinder_axis=back.axis,
+            decenter_mm=tuple(shift),
+        ),
+    )  # fmt: skip
+    if looks == "lens":
+        return scene, Plate(*sides, shift, thickness, index)
+    return scene, Plate(sides[1], sides[0], -shift, thickness, index)
+
+
+def starts(
+    plate: Plate, draw: np.random.Generator, to_sensor: bool, angles_deg: tuple[float, float] = (0.0, 30.0)
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rays close before either side, in the plate's frame."""
+    at = np.column_stack([draw.uniform(-2.0, 2.0, size=(COUNT, 2)) * PITCH_MM, np.zeros(COUNT)])
+    at[:, 2] = 0.0 if to_sensor else plate.thickness
+    angle, turn = np.deg2rad(draw.uniform(*angles_deg, COUNT)), draw.uniform(0.0, 2.0 * np.pi, COUNT)
+    d = np.column_stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)])
+    d[:, 2] *= 1.0 if to_sensor else -1.0
+    return at - 0.5 * d, d
+
+
+def origin_of(scene: lf.Scene, plate: Plate) -> np.ndarray:
+    """Place of the plate's frame in the camera: the curved face is the one that stands where the scene puts it."""
+    z = scene.camera.lens.vertices_mm[-1] + LENS_TO_ARRAY_MM
+    shift = np.zeros(2) if scene.camera.mla.curved_side == "lens" else -plate.shift
+    return np.array([*shift, z])
+
+
+@pytest.mark.parametrize("number", range(12))
+def test_rays_land_where_an_independent_trace_lands_them(number):
+    scene, plate = random_plate(number)
+    world = lf.build(scene, aimed=False)
+    draw = np.random.default_rng([number, 52])
+    at = origin_of(scene, plate)
+    o, d = starts(plate, draw, to_sensor=True)
+    expected = [plate.landing(p, q, SENSOR_MM) for p, q in zip(o, d, strict=True)]
+    arrives = np.array([not isinstance(e, str) for e in expected])
+    assert arrives.sum() > 0.6 * COUNT
+    truth = np.array([e[0] for e in expected if not isinstance(e, str)]) + at
+    weight = np.array([e[2] for e in expected if not isinstance(e, str)])
+    for engine in ("mesh", "sequential"):
+        # Of light that is reflected totally, the mesh engine follows what may come back by a second total reflection.
+        ends = ("wall", "beside") if engine == "mesh" else ("wall", "beside", "total", "turned", "again")
+        lost = np.array([e in ends for e in expected])
+        paths = lf.trace(world, o + at, d, split="transmit", engine=engine)
+        on = paths.status == Status.SENSOR
+        found, weights = np.full((COUNT, 3), np.nan), np.full(COUNT, np.nan)
+        found[paths.source[on]], weights[paths.source[on]] = paths.position[on], paths.weight[on]
+        np.testing.assert_allclose(found[arrives], truth, rtol=0, atol=POSITION_MM)
+        np.testing.assert_allclose(weights[arrives], weight, rtol=1e-9)
+        assert np.isnan(weights[lost]).all()
+
+
+@pytest.mark.parametrize("number", range(12))
+def test_rays_from_the_sensor_leave_the_plate_as_an_independent_trace_lets_them(number):
+    scene, plate = random_plate(number)
+    world = lf.build(scene, aimed=False)
+    at = origin_of(scene, plate)
+    # Steep enough for most of them to miss the lens, and to end on its mount on a straight line from the plate.
+    o, d = starts(plate, np.random.default_rng([number, 53]), to_sensor=False, angles_deg=(15.0, 32.0))
+    expected = [plate.landing(p, q, LENS_TO_ARRAY_MM - 2.0) for p, q in zip(o, d, strict=True)]
+    beside = np.array([not isinstance(e, str) and np.hypot(*(e[0][:2] + at[:2])) > 7.0 for e in expected])
+    assert beside.sum() > 0.25 * COUNT
+    truth = np.array([e[0] for e, b in zip(expected, beside, strict=True) if b]) + at
+    way = np.array([e[1] for e, b in zip(expected, beside, strict=True) if b])
+    weight = np.array([e[2] for e, b in zip(expected, beside, strict=True) if b])
+    for engine in ("mesh", "sequential"):
+        paths = lf.trace(world, o + at, d, split="transmit", engine=engine)
+        found, weights = np.full((COUNT, 3), np.nan), np.full(COUNT, np.nan)
+        directions = np.full((COUNT, 3), np.nan)
+        found[paths.source], weights[paths.source] = paths.position, paths.weight
+        directions[paths.source] = paths.direction
+        t = ((found[beside] - truth) * way).sum(axis=1)
+        np.testing.assert_allclose(found[beside], truth + t[:, None] * way, rtol=0, atol=POSITION_MM)
+        np.testing.assert_allclose(directions[beside], way, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(weights[beside], weight, rtol=1e-9)

@@ -183,3 +183,97 @@ def test_rays_from_the_sensor_leave_the_plate_as_an_independent_trace_lets_them(
         np.testing.assert_allclose(found[beside], truth + t[:, None] * way, rtol=0, atol=POSITION_MM)
         np.testing.assert_allclose(directions[beside], way, rtol=0, atol=1e-10)
         np.testing.assert_allclose(weights[beside], weight, rtol=1e-9)
+
+
+def focal_point(section: str, first: float, second: float, thickness: float, index: float) -> float:
+    """Distance of the paraxial focus behind a plate, by the thick-lens formula as a chain of two refractions.
+
+    A cylinder bends rays in one section only; the radii are those of `section`, inf where the face is flat there.
+    """
+    vergence = (index - 1.0) / first
+    vergence /= 1.0 - thickness / index * vergence
+    return 1.0 / (vergence + (index - 1.0) / second)
+
+
+@pytest.mark.parametrize("engine", ["mesh", "sequential"])
+@pytest.mark.parametrize("looks", ["lens", "sensor"])
+@pytest.mark.parametrize(
+    ("axes", "radii", "thickness"),
+    [((None, None), (0.4, 0.5), 0.3), ((None, None), (0.4, -0.9), 0.25), (("x", "y"), (0.25, 0.15), 0.3),
+     (("y", "x"), (0.3, 0.4), 0.2), (("y", "y"), (0.5, 0.4), 0.3)],
+)  # fmt: skip
+def test_collimated_light_crosses_the_axis_where_the_thick_lens_formula_says(axes, radii, thickness, looks, engine):
+    index = 1.5
+    scene = scene_of(
+        looks, radius_mm=(radii[0],), cylinder_axis=axes[0], thickness_mm=thickness, index=index,
+        back=lf.BackFace(radius_mm=radii[1], cylinder_axis=axes[1]),
+    )  # fmt: skip
+    world = lf.build(scene, aimed=False)
+    z = scene.camera.lens.vertices_mm[-1] + LENS_TO_ARRAY_MM
+    # Close to the axis of the lenslet in column 4, row 4, where third order is far below the tolerance.
+    off, centre = 1e-5 * PITCH_MM, 0.5 * PITCH_MM
+    o = np.array([[centre + off, centre, z - 0.1], [centre, centre + off, z - 0.1]])
+    paths = lf.trace(world, o, np.array([[0.0, 0.0, 1.0]] * 2), split="transmit", engine=engine)
+    assert (paths.status == Status.SENSOR).all()
+    for number, section in enumerate("xy"):
+        bends = [np.inf if axis == section else radius for axis, radius in zip(axes, radii, strict=True)]
+        first, second = bends if looks == "lens" else bends[::-1]
+        ray = int(np.flatnonzero(paths.source == number)[0])
+        across, d = paths.position[ray, number] - centre, paths.direction[ray]
+        if np.isinf(first) and np.isinf(second):
+            assert abs(d[number]) < 1e-14
+            continue
+        crosses = paths.position[ray, 2] - across / d[number] * d[2] - z - thickness
+        expected = focal_point(section, first, second, thickness, index)
+        assert crosses == pytest.approx(expected, rel=1e-6)
+        facts = {at.section: at for at in lf.first_order(scene).lenslet_sections}
+        assert facts.get(section, facts.get("")).focus_behind_mm == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_sensor_of_a_scene_without_distance_stands_in_that_focus():
+    scene = scene_of(radius_mm=(0.4,), back=lf.BackFace(radius_mm=0.5)).changed({"camera.sensor.distance_mm": None})
+    behind = lf.solved(scene).camera.sensor.distance_mm
+    assert behind == pytest.approx(focal_point("x", 0.4, 0.5, 0.3, 1.5), rel=1e-12)
+
+
+def flat_back(radius_mm: float) -> lf.Scene:
+    return scene_of(back=lf.BackFace(radius_mm=radius_mm)).changed(
+        {
+            "camera.sensor.pixels": [16, 16], "camera.sensor.pixel_mm": 0.05, "camera.sensor.distance_mm": 0.3,
+            "transport": {"samples": 16, "replicates": 2},
+            "targets": [
+                {
+                    "shape": {"kind": "plane", "width_mm": 400.0, "height_mm": 400.0},
+                    "position_mm": [0.0, 0.0, -500.0],
+                    "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0},
+                }
+            ],
+        }
+    )  # fmt: skip
+
+
+def test_a_back_face_without_curvature_is_the_flat_one_to_the_last_bit():
+    plain = flat_back(np.inf).changed({"camera.mla.back": None})
+    np.testing.assert_array_equal(lf.render(flat_back(np.inf)).mean, lf.render(plain).mean)
+
+
+def test_a_face_that_becomes_flat_gives_the_picture_of_the_flat_one():
+    """Rays of both land in the same place, and carry the same light, to rounding of a radius of 10 km."""
+    draw = np.random.default_rng(7)
+    at = np.column_stack([draw.uniform(-2.0, 2.0, size=(200, 2)) * PITCH_MM, np.zeros(200)])
+    angle, turn = np.deg2rad(draw.uniform(0.0, 25.0, 200)), draw.uniform(0.0, 2.0 * np.pi, 200)
+    d = np.column_stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)])
+    found = []
+    for back in (lf.BackFace(radius_mm=1e10), None):
+        scene = scene_of(back=back)
+        z = scene.camera.lens.vertices_mm[-1] + LENS_TO_ARRAY_MM
+        world = lf.build(scene, aimed=False)
+        for engine in ("mesh", "sequential"):
+            paths = lf.trace(world, at - 0.5 * d + [0.0, 0.0, z], d, split="transmit", engine=engine)
+            on = paths.status == Status.SENSOR
+            order = np.argsort(paths.source[on], kind="stable")
+            found.append((paths.source[on][order], paths.position[on][order], paths.weight[on][order]))
+    for source, position, weight in found[1:]:
+        np.testing.assert_array_equal(source, found[0][0])
+        np.testing.assert_allclose(position, found[0][1], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(weight, found[0][2], rtol=1e-9)

@@ -8,9 +8,9 @@ from typing import Any
 from lfmesh.notebook import Shown
 from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera import Camera
+from lfmesh.scene.lenslet_optics import lenslet_optics, sections
 from lfmesh.scene.paraxial import Paraxial, quotient
 from lfmesh.scene.scene import Scene
-from lfmesh.scene.lenslet_optics import lenslet_optics, sections
 from lfmesh.scene.solve import cover_shift_mm, image_plane_mm, rear_principal_mm, solved
 
 AIRY_RING = 1.2196698912665045

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
+from lfmesh.accuracy.analytic import Camera
 from lfmesh.transport.packets.packet import Status
 from tests.validation.test_lenslet_profiles import PITCH_MM, SENSOR_MM, Face, bent, cell_samples, scene_of
 
@@ -277,3 +278,117 @@ def test_a_face_that_becomes_flat_gives_the_picture_of_the_flat_one():
         np.testing.assert_array_equal(source, found[0][0])
         np.testing.assert_allclose(position, found[0][1], rtol=0, atol=1e-9)
         np.testing.assert_allclose(weight, found[0][2], rtol=1e-9)
+
+
+CAMERA = {
+    "focus_mm": 500.0,
+    "lens": {
+        "surfaces": [
+            {"radius_mm": 29.0, "thickness_mm": 4.0, "index": 1.6, "semi_diameter_mm": 8.0},
+            {"radius_mm": -60.0, "thickness_mm": 1.0, "semi_diameter_mm": 8.0},
+            {"stop": True, "thickness_mm": 0.0, "semi_diameter_mm": 4.0},
+        ]
+    },
+    "mla": {
+        "count": [8, 8], "pitch_mm": 0.125, "radius_mm": 0.5, "index": 1.5, "thickness_mm": 0.3, "distance_mm": 30.0,
+        "back": {"radius_mm": 0.5},
+    },
+    "sensor": {"pixels": [40, 40], "pixel_mm": 0.025},
+}  # fmt: skip
+GLOW = {
+    "shape": {"kind": "plane", "width_mm": 200.0, "height_mm": 200.0}, "position_mm": [0.0, 0.0, -500.0],
+    "material": {"radiance_w_m2_sr": 1.0, "reflectance": 0.3},
+}  # fmt: skip
+
+
+def glowing(**transport: Any) -> lf.Scene:
+    settings = {"samples": 16, "replicates": 2, "split": "both", "engine": "mesh", **transport}
+    return lf.Scene(camera=CAMERA, targets=[GLOW], transport=settings)
+
+
+@pytest.mark.parametrize("method", ["adjoint", "forward"])
+def test_energy_closes_with_all_reflections(method):
+    ledger = lf.render(glowing(method=method)).ledger
+    assert abs(ledger.imbalance) <= 1e-12
+    assert ledger.lost_share < 1e-7
+    assert ledger.absorbed["mla mount"] > 0.0
+
+
+def test_all_reflections_are_there_and_named_after_their_faces():
+    world = lf.build(glowing(), aimed=False)
+    z = world.scene.camera.lens.vertices_mm[-1] + LENS_TO_ARRAY_MM
+    o, d = np.array([[0.07, 0.05, z - 1.0]]), np.array([[0.0, 0.0, 1.0]])
+    whole = lf.trace(world, o, d, split="both", weight_cutoff=0.0, max_events=12, record=True)
+    names = {vertex.surface for packet in range(len(whole)) for vertex in whole.vertices(packet)}
+    assert {"mla curved face", "mla back face"} <= names
+    assert "mla flat face" not in names
+
+
+def test_the_mesh_of_the_plate_is_closed_and_holds_its_glass():
+    """Of caps over squares, by quadrature of the sphere's sag; facets of chords leave a little of it out."""
+    scene = glowing()
+    mesh = lf.build(scene, aimed=False).mesh("mla")
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    u = (np.arange(400) + 0.5) / 400 * PITCH_MM - 0.5 * PITCH_MM
+    r2 = u[:, None] ** 2 + u**2
+    mean_sag = (r2 / (0.5 + np.sqrt(0.25 - r2))).mean()
+    assert 0.9975 < mesh.volume / (0.3 - 2.0 * mean_sag) < 1.0
+    aside = scene.changed({"camera.mla.back": {"radius_mm": 0.5, "decenter_mm": [0.02, 0.03]}})
+    leaning = lf.build(aside, aimed=False).mesh("mla")
+    np.testing.assert_allclose(leaning.bounds[1, :2] - mesh.bounds[1, :2], [0.02, 0.03], atol=1e-12)
+
+
+@pytest.mark.parametrize("number", [0, 2, 4, 8])
+def test_the_truth_of_the_accuracy_command_is_the_same(number):
+    scene, _ = random_plate(number)
+    world = lf.build(scene, aimed=False)
+    draw = np.random.default_rng([number, 54])
+    # Close to the axis, so that the lens sends them onto the array, which is 1 mm wide.
+    o = np.column_stack([draw.uniform(-0.8, 0.8, size=(200, 2)), np.full(200, -1.0)])
+    d = np.column_stack([draw.uniform(-0.005, 0.005, size=(200, 2)), np.ones(200)])
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    truth = Camera.of(scene, 587.6).land(o, d)
+    paths = lf.trace(world, o, d, split="transmit", engine="sequential")
+    on = paths.status == Status.SENSOR
+    both = truth.arrives[paths.source[on]]
+    assert both.sum() > 60
+    np.testing.assert_allclose(
+        paths.position[on][both][:, :2], truth.position[paths.source[on][both]], rtol=0, atol=1e-9
+    )
+
+
+def test_decoding_refuses_the_plate_in_one_line():
+    with pytest.raises(lf.LfmeshError, match=r"camera\.mla\.back: arrays with lenslets on both faces are not decoded"):
+        lf.RayModel.of(lf.solved(glowing()))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"camera.mla.back.radius_mm": 0.05}, "camera.mla.back.radius_mm = 0.05: the lenslets end 0.05 mm"),
+        (
+            {"camera.mla.back.radius_mm": 0.1, "camera.mla.radius_mm": 0.09, "camera.mla.thickness_mm": 0.1},
+            "so that they meet in the plate: give thickness_mm",
+        ),
+        ({"camera.mla.radius_mm": None, "camera.mla.focal_length_mm": 0.5}, "camera.mla.focal_length_mm = .0.5.: a f"),
+        (
+            {"camera.mla.back.cylinder_axis": "x", "camera.mla.layout": "hexagonal"},
+            'camera.mla.back.cylinder_axis = "x": cylinders need layout = "square"',
+        ),
+        ({"camera.mla.back.decenter_mm": [0.1, 0.0]}, "camera.mla.back.decenter_mm = .0.1, 0.0.: at most half the pit"),
+        ({"camera.mla.back.asphere_mm": [-1e4]}, "camera.mla.back.radius_mm = 0.5: the face rises up to"),
+        ({"camera.mla.back.radius_mm": 0}, "camera.mla.back.radius_mm = 0: must be a number other than 0"),
+        ({"camera.mla.back.radius_mm": float("nan")}, "camera.mla.back.radius_mm"),
+    ],
+)
+def test_what_cannot_be_a_plate_is_refused_in_one_line(changes, words):
+    with pytest.raises(lf.SceneError, match=words) as caught:
+        glowing().changed(changes)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_form_errors_that_let_the_faces_meet_are_refused():
+    thin = {"camera.mla.thickness_mm": 0.0161, "camera.mla.form": {"decenter_mm": 0.01, "radius_error": 0.05}}
+    with pytest.raises(lf.SceneError, match="would meet in the plate"):
+        lf.build(glowing().changed(thin), aimed=False)

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from lfmesh.lightfield.white import white_image
     from lfmesh.scene import (
         ArrayForm,
+        BackFace,
         Box,
         Camera,
         Cylinder,
@@ -93,6 +94,7 @@ if TYPE_CHECKING:
 __all__ = [
     "AllInFocus",
     "ArrayForm",
+    "BackFace",
     "Board",
     "BoardCorners",
     "BoardFit",
@@ -223,7 +225,7 @@ _HOMES = {
     "lfmesh.lightfield.voxel_box": ["VoxelBox"],
     "lfmesh.lightfield.white": ["white_image"],
     "lfmesh.scene": [
-        *["Scene", "Camera", "Lens", "Surface", "MicrolensArray", "ArrayForm", "Sensor", "Pose", "Target"],
+        *["Scene", "Camera", "Lens", "Surface", "MicrolensArray", "ArrayForm", "BackFace", "Sensor", "Pose", "Target"],
         *["Material", "Plane", "Disk", "Sphere", "Box", "Cylinder", "PointLight", "DirectionalLight"],
         *[
             "Gloss",

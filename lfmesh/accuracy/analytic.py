@@ -8,7 +8,7 @@ precision is the truth's own error.
 Camera frame throughout: z along the axis from object to sensor, origin at the first vertex, mm.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lattice import Lattice
 from lfmesh.geometry.lenslets import lenslets
 from lfmesh.optics.glass import AIR, refractive_index
-from lfmesh.scene import Lens, Scene, solved
+from lfmesh.scene import BackFace, Lens, Scene, solved
 
 Array = NDArray[np.floating[Any]]
 
@@ -93,6 +93,8 @@ class LensletArray:
         Coefficients of r⁴, r⁶, ...
     bends : (2,) float64
         1 for each of x and y, but 0 for that along cylinders.
+    back : LensletArray or None
+        Lenslets on the other face, in a frame of their own, which looks the other way.
     """
 
     turn: NDArray[np.float64]
@@ -108,6 +110,7 @@ class LensletArray:
     conic: NDArray[np.float64]
     terms: NDArray[np.float64]
     bends: NDArray[np.float64]
+    back: "LensletArray | None" = None
 
     @property
     def spherical(self) -> bool:
@@ -380,15 +383,38 @@ def _lenslet_array(scene: Scene, face_z: float, wavelength_nm: float) -> Lenslet
     terms = np.zeros((kinds, max(len(given) for _, given in profiles)))
     for own, (_, given) in zip(terms, profiles, strict=True):
         own[: len(given)] = given
-    return LensletArray(
+    face = LensletArray(
         turn, origin, to_lens, index, mla.thickness_mm, lattice.hexagonal, lattice.pitch, curvature, apex, centre,
         np.array([conic for conic, _ in profiles])[kind], terms[kind],
         np.array([mla.cylinder_axis != "x", mla.cylinder_axis != "y"], np.float64),
     )  # fmt: skip
+    return face if mla.back is None else replace(face, back=_other_face(face, mla.back))
+
+
+def _other_face(face: LensletArray, back: BackFace) -> LensletArray:
+    """Return the lenslets on the other face, all alike, in their own frame."""
+    alike = np.ones(face.curvature.shape)
+    return replace(
+        face,
+        turn=face.turn @ np.diag([1.0, 1.0, -1.0]),
+        origin=face.origin + face.turn @ [*back.decenter_mm, face.thickness],
+        curvature=alike / back.radius_mm,
+        apex=face.centre,
+        conic=back.conic * alike,
+        terms=np.multiply.outer(alike, np.array(back.asphere_mm or (0.0,))),
+        bends=np.array([back.cylinder_axis != "x", back.cylinder_axis != "y"], np.float64),
+    )
 
 
 def _through_mla(rays: Rays, mla: LensletArray) -> None:
     """Take the rays through both faces of the array, in whichever order they come."""
+    if mla.back is not None:
+        order = (mla, mla.back) if mla.curved_to_lens else (mla.back, mla)
+        for face, (before, after) in zip(order, ((AIR, mla.index), (mla.index, AIR)), strict=True):
+            rays.p, rays.d = _into_frame(rays, face.turn, face.origin)
+            _through_lenslets(rays, face, before, after)
+            rays.p, rays.d = _outof_frame(rays.p, rays.d, face.turn, face.origin)
+        return
     rays.p, rays.d = _into_frame(rays, mla.turn, mla.origin)
     if mla.curved_to_lens:
         _through_lenslets(rays, mla, AIR, mla.index)

@@ -495,13 +495,27 @@ def _cell_norm(lattice: Lattice, p: Array) -> Array:
     return np.abs(p @ np.stack([np.cos(turn), np.sin(turn)])).max(axis=1)
 
 
-def mla_mesh(mla: Lenslets, subdivisions: int = SUBDIVISIONS) -> "trimesh.Trimesh":
+def mla_mesh(
+    mla: Lenslets, subdivisions: int = SUBDIVISIONS, back: Lenslets | None = None, shift_mm: Array | None = None
+) -> "trimesh.Trimesh":
     """Return the whole array as a closed mesh.
 
     Where all lenslets are alike it is one shell. Unlike neighbours meet in steps, so each lenslet is then a closed
     prism of its own and the prisms stand side by side.
+
+    Parameters
+    ----------
+    mla : Lenslets
+    subdivisions : int
+    back : Lenslets, optional
+        On the other face, in a frame of their own that looks the other way. Flat if omitted.
+    shift_mm : (2,) float64, optional
+        Of their frame, in x and y.
     """
     import trimesh
+
+    if back is not None:
+        return _between_faces(mla, back, np.zeros(2) if shift_mm is None else shift_mm, subdivisions)
 
     pattern, faces = cell_pattern(mla.lattice, subdivisions)
     centres = mla.lattice.centres()
@@ -525,16 +539,54 @@ def mla_mesh(mla: Lenslets, subdivisions: int = SUBDIVISIONS) -> "trimesh.Trimes
     return trimesh.util.concatenate([_prism(v[:, :2], faces, v[:, 2], mla.thickness) for v in solids])
 
 
-def _prism(flat: Array, faces: Index, z: Array, thickness: float) -> "trimesh.Trimesh":
-    """Close a height field with side walls and a flat face, outward-oriented."""
+def _between_faces(mla: Lenslets, back: Lenslets, shift_mm: Array, subdivisions: int) -> "trimesh.Trimesh":
+    """Return an array with lenslets on both faces: its cells' closed prisms side by side, one shell if all are alike.
+
+    Where the second face is out of place, the prisms lean by that much.
+    """
     import trimesh
 
-    count = len(flat)
+    pattern, faces = cell_pattern(mla.lattice, subdivisions)
+    centres = mla.lattice.centres()
+    rows, columns = np.indices(centres.shape[:2])
+    count = len(pattern)
+    fronts: list[Array] = []
+    backs: list[Array] = []
+    for centre, column, row in zip(centres.reshape(-1, 2), columns.flat, rows.flat, strict=True):
+        for lenslets_, into in ((mla, fronts), (back, backs)):
+            curvature, ex, ey = shape_of(lenslets_, int(column), int(row))
+            kind = type_of(lenslets_, int(column), int(row))
+            z, _ = faces_at(lenslets_, kind, curvature, pattern - [ex, ey])
+            into.append(np.column_stack([pattern + centre, z]))
+    for each in backs:
+        each[:, :2] += shift_mm
+        each[:, 2] = mla.thickness - each[:, 2]
+    if not (mla.alike and back.alike):
+        return trimesh.util.concatenate([_shell(a, b, faces) for a, b in zip(fronts, backs, strict=True)])
+    front, other = np.concatenate(fronts), np.concatenate(backs)
+    every = np.concatenate([faces + i * count for i in range(len(fronts))])
+    flat, merged = _merged(front[:, :2], every, mla.lattice.pitch)
+    sheets = np.zeros((2, len(flat), 3))
+    sheets[0, merged], sheets[1, merged] = front[every], other[every]
+    return _shell(sheets[0], sheets[1], merged)
+
+
+def _shell(front: Array, back: Array, faces: Index) -> "trimesh.Trimesh":
+    """Close two sheets of the same triangles, which look towards +z, with side walls, outward-oriented."""
+    import trimesh
+
+    count = len(front)
     directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     key = directed[:, 0] * count + directed[:, 1]
     border = directed[~np.isin(key, directed[:, 1] * count + directed[:, 0])]
     a, b = border[:, 0], border[:, 1]
     walls = np.concatenate([np.column_stack([a, b, b + count]), np.column_stack([a, b + count, a + count])])
-    vertices = np.concatenate([np.column_stack([flat, z]), np.column_stack([flat, np.full(count, thickness)])])
-    # `faces` look towards +z: into the glass on the curved face, outward on the flat one.
-    return trimesh.Trimesh(vertices, np.concatenate([faces[:, ::-1], faces + count, walls]), process=False)
+    # They look into the glass on the first sheet, outward on the other one.
+    all_faces = np.concatenate([faces[:, ::-1], faces + count, walls])
+    return trimesh.Trimesh(np.concatenate([front, back]), all_faces, process=False)
+
+
+def _prism(flat: Array, faces: Index, z: Array, thickness: float) -> "trimesh.Trimesh":
+    """Close a height field with side walls and a flat face, outward-oriented."""
+    front, back = np.column_stack([flat, z]), np.column_stack([flat, np.full(len(flat), thickness)])
+    return _shell(front, back, faces)

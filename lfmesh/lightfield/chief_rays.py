@@ -131,8 +131,8 @@ class Plate(NamedTuple):
         return np.column_stack([across, np.copysign(along, direction[:, 2])])
 
 
-def refuse_cylinders(mla: MicrolensArray) -> None:
-    """Refuse an array whose light field has directions across its lenslets only.
+def refuse_undecodable(mla: MicrolensArray) -> None:
+    """Refuse an array whose light field has directions across its lenslets only, or with lenslets on both faces.
 
     Raises
     ------
@@ -144,6 +144,11 @@ def refuse_cylinders(mla: MicrolensArray) -> None:
             f'camera.mla.cylinder_axis = "{mla.cylinder_axis}": cylindrical lenslets make lines, not micro-images, and '
             "are not decoded or calibrated; render, check, draw and view take them, and lf.white_image"
         )
+    if mla.has_back:
+        raise LfmeshError(
+            "camera.mla.back: arrays with lenslets on both faces are not decoded or calibrated, as chief rays are "
+            "known through a flat face only; render, check, draw and view take them, and lf.white_image"
+        )
 
 
 def plate_of(scene: Scene) -> Plate:
@@ -152,12 +157,12 @@ def plate_of(scene: Scene) -> Plate:
     Raises
     ------
     LfmeshError
-        A conventional camera, or one with cylindrical lenslets.
+        A conventional camera, or one with cylindrical lenslets, or lenslets on both faces.
     """
     mla = scene.camera.mla
     if mla is None:
         raise LfmeshError("camera.mla is missing: a conventional camera has no lenslets to calibrate or decode by")
-    refuse_cylinders(mla)
+    refuse_undecodable(mla)
     primary = scene.primary_nm
     _, tables = mla_tables(scene, (primary,), interface_tables(scene, (primary,)).mla, MediumList.of(scene))
     moves = frame_table(scene, np.zeros(3))

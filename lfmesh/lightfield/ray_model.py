@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.solved_camera import SolvedCamera, solved_camera
-from lfmesh.lightfield.chief_rays import refuse_cylinders
+from lfmesh.lightfield.chief_rays import refuse_undecodable
 from lfmesh.lightfield.lens_alone import focus_shift
 from lfmesh.scene import Scene
 from lfmesh.scene.report import lenslet_to_sensor_mm
@@ -113,7 +113,7 @@ class RayModel:
         mla = camera.mla
         if mla is None:
             raise LfmeshError("camera.mla is missing: a conventional camera records no light field")
-        refuse_cylinders(mla)
+        refuse_undecodable(mla)
         if not math.isfinite(facts.efl_mm):
             raise LfmeshError("camera.lens is afocal: it has no focal length to tell distances by")
         array_z = facts.image_z_mm + mla.pose.shift_mm[2]

@@ -1,5 +1,6 @@
 """Scenes: the models of a scene file, reading and writing it, and its first-order optics."""
 
+from lfmesh.scene.back_face import BackFace
 from lfmesh.scene.camera import Camera
 from lfmesh.scene.coatings import Coating, Layer
 from lfmesh.scene.files import load, load_lens, loads
@@ -29,6 +30,7 @@ from lfmesh.scene.transport import Tessellation, Transport
 
 __all__ = [
     "ArrayForm",
+    "BackFace",
     "Box",
     "Camera",
     "CircularPolarisation",

@@ -1,4 +1,4 @@
-"""The microlens array: plano-convex (or plano-concave) lenslets on one plate, spheres, aspheres or cylinders."""
+"""The microlens array: lenslets on one face of a plate, or on both, spheres, aspheres or cylinders."""
 
 import math
 from collections.abc import Iterator
@@ -7,8 +7,10 @@ from typing import Literal
 from pydantic import Field
 
 from lfmesh.optics.glass import Medium
+from lfmesh.scene.back_face import BackFace
 from lfmesh.scene.coatings import UNCOATED
 from lfmesh.scene.finishes import POLISHED, AnyFinish, both_given
+from lfmesh.scene.lenslet_depth import highest_and_deepest_mm, profile_words
 from lfmesh.scene.literals import at_least
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.own_glass import Glass
@@ -24,9 +26,6 @@ from lfmesh.scene.quantities import (
     Text,
     Whole,
 )
-
-_HEIGHTS = 256
-"""Distances from the axis at which the depth of an aspheric lenslet is checked."""
 
 
 class ArrayForm(Model):
@@ -48,7 +47,7 @@ class ArrayForm(Model):
 
 
 class MicrolensArray(Model):
-    """A plate with one curved and one flat face."""
+    """A plate with one curved face and one that is flat, or curved too."""
 
     layout: Literal["square", "hexagonal"] = "square"
     """"square", or "hexagonal": rows pitch · √3/2 apart, every second one shifted by half a pitch."""
@@ -75,17 +74,20 @@ class MicrolensArray(Model):
     """Glass of the plate: of the catalogue, like "SCHOTT/N-BK7", or by its dispersion, like { nd = 1.5168,
     vd = 64.17 }."""
     thickness_mm: Positive
-    """From the apex of the curved face to the flat face, in mm."""
+    """From the apex of the curved face to the flat face, or to the apexes of `back`, in mm."""
     curved_coating: Text = UNCOATED
     """Name of the coating of the curved face, or "none": bare."""
     flat_coating: Text = UNCOATED
-    """Name of the coating of the flat face, or "none": bare."""
+    """Name of the coating of the flat face, or of that of `back`; "none": bare."""
     curved_finish: AnyFinish = POLISHED
     """Finish of the curved face: "polished", "diffuse" or { kind = "ground", roughness = 0.1 }."""
     flat_finish: AnyFinish = POLISHED
-    """Finish of the flat face."""
+    """Finish of the flat face, or of that of `back`."""
     curved_side: Literal["lens", "sensor"] = "lens"
     """Which way the curved face looks."""
+    back: BackFace | None = None
+    """Lenslets on the other face too, one behind each of the curved face's, such as { radius_mm = 0.5 }. With it the
+    curved face is given by `radius_mm`."""
     distance_mm: Positive | None = None
     """From the last lens vertex to the array's face nearest the lens (the apexes where the curved face looks
     there), in mm. Omitted: solved from `focus_mm`."""
@@ -121,6 +123,16 @@ class MicrolensArray(Model):
             return self.pitch_mm / 2
         return self.pitch_mm / math.sqrt(3.0 if self.layout == "hexagonal" else 2.0)
 
+    @property
+    def has_back(self) -> bool:
+        """Whether both faces have lenslets."""
+        return self.back is not None and not self.back.is_flat
+
+    @property
+    def frame_side(self) -> Literal["lens", "sensor"]:
+        """The side of the face from which the array's frame runs into the glass: of two curved ones the sensor's."""
+        return "sensor" if self.has_back else self.curved_side
+
     def profile_of(self, kind: int) -> tuple[float, tuple[float, ...]]:
         """Return the conic constant and the even terms of a type of lenslet."""
         conic = self.conic[kind if len(self.conic) > 1 else 0]
@@ -129,10 +141,7 @@ class MicrolensArray(Model):
     @property
     def profile_words(self) -> str:
         """What the lenslets are where they are no spheres, as "aspheres" or "cylinders along y"; else nothing."""
-        kind = "aspheres" if any(map(any, self.asphere_mm)) else "conics" if any(self.conic) else ""
-        if self.cylinder_axis is None:
-            return kind
-        return f"{'a' if kind else ''}cylinders along {self.cylinder_axis}"
+        return profile_words(self.conic, self.asphere_mm, self.cylinder_axis)
 
     def cap_fault(self, radius_mm: float, scale: float = 1.0, kind: int = 0) -> str | None:
         """Return why a face of this radius cannot be cut into the plate, and what can; None if it can.
@@ -170,8 +179,7 @@ class MicrolensArray(Model):
                 f"{abs(radius_mm) / math.sqrt(1 + conic):.6g} mm from the axis, before the corner of their cells, "
                 f"{corner:.6g} mm from it: give a larger radius or a smaller pitch_mm"
             )
-        heights = [self._sag_mm(radius_mm, conic, terms, corner * i / _HEIGHTS) for i in range(_HEIGHTS + 1)]
-        deep, high = max(heights), -min(heights)
+        high, deep = highest_and_deepest_mm(radius_mm, conic, terms, corner)
         if not deep <= self.thickness_mm:
             return (
                 f"with conic and asphere_mm the curved face is up to {deep:.6g} mm deep in its cell, more than "
@@ -183,13 +191,6 @@ class MicrolensArray(Model):
                 f"pitch_mm = {self.pitch_mm:g}: give a larger radius or smaller coefficients"
             )
         return None
-
-    @staticmethod
-    def _sag_mm(radius_mm: float, conic: float, terms: tuple[float, ...], height_mm: float) -> float:
-        """Return the depth of a lenslet's face at a height from its axis, by ISO 10110-12."""
-        c, r2 = 1 / radius_mm, height_mm * height_mm
-        conic_sag = c * r2 / (1 + math.sqrt(max(0.0, 1 - (1 + conic) * c * c * r2)))
-        return conic_sag + sum(a * r2 ** (j + 2) for j, a in enumerate(terms))
 
     def _profile_faults(self) -> Iterator[Fault]:
         """Yield what is wrong with the profiles of the lenslets."""
@@ -220,11 +221,25 @@ class MicrolensArray(Model):
         elif self.radius_mm is None and self.focal_length_mm is None:
             yield Fault(("focal_length_mm",), None, "missing: give focal_length_mm or radius_mm")
         shapes = list(self._profile_faults())
-        yield from shapes
         for kind, radius in enumerate(self.radius_mm or () if not shapes else ()):
             if why := self.cap_fault(radius, kind=kind):
-                yield Fault(("radius_mm",), radius, why)
+                shapes.append(Fault(("radius_mm",), radius, why))
+        yield from shapes
+        if self.back is not None:
+            yield from self._back_faults(self.back, sound=not shapes)
         yield from self._medium_faults()
+
+    def _back_faults(self, back: BackFace, *, sound: bool) -> Iterator[Fault]:
+        """Yield what is wrong with the second face; `sound`: the shape of the first is without fault."""
+        if self.focal_length_mm is not None and not back.is_flat:
+            why = "a focal length does not say what each face of camera.mla.back and this one does: give radius_mm"
+            yield Fault(("focal_length_mm",), list(self.focal_length_mm), why)
+        depth = None
+        if sound and self.radius_mm is not None:
+            corner = self.corner_mm
+            each = [highest_and_deepest_mm(r, *self.profile_of(k), corner)[1] for k, r in enumerate(self.radius_mm)]
+            depth = max(each)
+        yield from back.faults_in(self.layout, self.pitch_mm, self.thickness_mm, depth)
 
     def _medium_faults(self) -> Iterator[Fault]:
         if self.index is None and self.glass is None:

@@ -8,9 +8,10 @@ from typing import Any
 from lfmesh.notebook import Shown
 from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera import Camera
+from lfmesh.scene.lenslet_optics import lenslet_optics, sections
 from lfmesh.scene.paraxial import Paraxial, quotient
 from lfmesh.scene.scene import Scene
-from lfmesh.scene.solve import air_thickness_mm, cover_shift_mm, image_plane_mm, solved
+from lfmesh.scene.solve import cover_shift_mm, image_plane_mm, rear_principal_mm, solved
 
 AIRY_RING = 1.2196698912665045
 """First zero of the Bessel function J₁ over π."""
@@ -25,6 +26,21 @@ class AtWavelength:
     bfl_mm: float
     image_shift_mm: float
     """How far behind that of the primary wavelength the image of the plane in focus lies."""
+
+
+@dataclass(frozen=True)
+class LensletSection:
+    """Lenslets of the first type in one section through their axis."""
+
+    section: str
+    """"x": the section x–z, "y": the section y–z; "": all, of lenslets of revolution."""
+    focal_length_mm: float
+    """Of both faces of the plate; inf where neither bends rays."""
+    focus_behind_mm: float
+    """Of collimated light, behind the array's face towards the sensor."""
+    micro_image_pitch_px: float | None
+    """As those of the report, in this section; None where rays are not bent, so that there is no micro-image."""
+    micro_image_diameter_px: float | None
 
 
 @dataclass(frozen=True)
@@ -101,6 +117,9 @@ class FirstOrder(Shown):
     other figures are."""
     image_x_shift_mm: float | None = None
     """How far behind the image plane the section x–z has the image of the plane in focus."""
+    lenslet_sections: tuple["LensletSection", ...] = ()
+    """Lenslets section by section, where they are cylinders, and those of two faces; empty for others. The figures of
+    the lenslets above are those of the section in which the curved face bends rays."""
     poses: tuple[str, ...] = ()
     """Lens elements with a pose, a line each; every figure of this report is that of the lens without them."""
     warnings: tuple[str, ...] = ()
@@ -140,6 +159,7 @@ class FirstOrder(Shown):
                 ("micro-image pitch", f"{self.micro_image_pitch_px:.6g} pixels"),
                 ("micro-image diameter", f"{self.micro_image_diameter_px:.4g} pixels"),
             ]
+            rows += [_section_row(at) for at in self.lenslet_sections]
         rows += [
             ("object sampling", f"{_mm(self.object_sampling_mm)} a {'lenslet' if mla else 'pixel'}"),
             ("field of view", f"{_mm(width)} × {_mm(height)}"),
@@ -186,7 +206,8 @@ class FirstOrder(Shown):
     def as_dict(self) -> dict[str, Any]:
         """Return the fields by name, as plain values."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return values | {"by_wavelength": tuple(asdict(at) for at in self.by_wavelength)}
+        nested = {name: tuple(asdict(at) for at in values[name]) for name in ("by_wavelength", "lenslet_sections")}
+        return values | nested
 
 
 def first_order(scene: Scene) -> FirstOrder:
@@ -276,6 +297,7 @@ def report_of_solved(scene: Scene) -> FirstOrder:
         refocused_mm=refocused,
         cover_shift_mm=cover_shift_mm(camera.sensor, wavelength) if camera.sensor.cover is not None else None,
         by_wavelength=tuple(_by_wavelength(scene, lens, distance)),
+        lenslet_sections=tuple(_lenslet_sections(camera, wavelength, exit_z, lens.length_mm, f_number)),
         poses=tuple(_pose_lines(camera)),
     )
     if camera.lens.number_off_revolution is not None:
@@ -297,11 +319,11 @@ def lenslet_to_sensor_mm(camera: Camera, wavelength_nm: float) -> float:
     """Return the distance from a lenslet's rear principal plane to the sensor of a solved camera, as in air, in mm.
 
     The rear principal plane of a plano-convex lenslet lies t/n inside its flat face when light leaves there,
-    and at the apex when it leaves through the curved face.
+    and at the apex when it leaves through the curved face; for two curved faces see `lenslet_optics`.
     """
     if camera.mla is None or camera.sensor.distance_mm is None:
         return math.nan
-    inside = air_thickness_mm(camera.mla, wavelength_nm) if camera.mla.curved_side == "lens" else 0.0
+    inside = rear_principal_mm(camera.mla, wavelength_nm)
     return camera.sensor.distance_mm - cover_shift_mm(camera.sensor, wavelength_nm) + inside
 
 
@@ -317,6 +339,38 @@ def _micro_image(
         to_sensor / pitch,
         pitch / pixel * (1 + quotient(to_sensor, pupil_to_image_mm)),
         quotient(to_sensor, f_number) / pixel,
+    )
+
+
+def _lenslet_sections(
+    camera: Camera, wavelength_nm: float, exit_z_mm: float, lens_length_mm: float, f_number: float
+) -> Iterator[LensletSection]:  # fmt: skip
+    """Yield the lenslets section by section, where they are cylinders or stand on both faces."""
+    mla, sensor = camera.mla, camera.sensor
+    if mla is None or not (len(sections(mla)) > 1 or mla.has_back):
+        return
+    for section in sections(mla):
+        at = lenslet_optics(mla, wavelength_nm, section=section)
+        pitch = diameter = None
+        if at.power_per_mm != 0.0:
+            inside = (sensor.distance_mm or math.nan) - cover_shift_mm(sensor, wavelength_nm) + at.rear_principal_mm
+            pupil = lens_length_mm + (mla.distance_mm or math.nan) + at.front_principal_mm - exit_z_mm
+            apart = mla.pitch_mm if section == "x" else mla.row_pitch_mm
+            pitch = apart / sensor.pixel_mm * (1 + (quotient(inside, pupil) if math.isfinite(exit_z_mm) else 0.0))
+            diameter = quotient(inside, f_number) / sensor.pixel_mm
+        name = section if len(sections(mla)) > 1 else ""
+        yield LensletSection(name, at.focal_length_mm, at.focus_behind_mm, pitch, diameter)
+
+
+def _section_row(at: LensletSection) -> tuple[str, str]:
+    """Return a row of the report about the lenslets in one section."""
+    name = f"lenslets, {at.section}–z" if at.section else "lenslets, both faces"
+    if at.micro_image_pitch_px is None:
+        return name, "no power: light lands on lines"
+    return (
+        name,
+        f"focal length {_mm(at.focal_length_mm)}, focus {_mm(at.focus_behind_mm)} behind the array; "
+        f"micro-images {at.micro_image_diameter_px:.4g} pixels wide, {at.micro_image_pitch_px:.6g} apart",
     )
 
 

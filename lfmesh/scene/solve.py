@@ -9,6 +9,7 @@ from lfmesh.scene.camera import Camera
 from lfmesh.scene.files import with_lens_file
 from lfmesh.scene.glass_in_air import in_its_air
 from lfmesh.scene.lens import Lens
+from lfmesh.scene.lenslet_optics import lenslet_optics
 from lfmesh.scene.literals import at_least, at_most
 from lfmesh.scene.mla import MicrolensArray
 from lfmesh.scene.model import Model
@@ -80,21 +81,43 @@ def cover_shift_mm(sensor: Sensor, wavelength_nm: float) -> float:
 
 
 def lenslet_focal_length_mm(mla: MicrolensArray, wavelength_nm: float) -> tuple[float, ...]:
-    """Return the focal lengths of the lenslet types of a solved array, R / (n − 1), in mm."""
+    """Return the focal lengths of the lenslet types of a solved array, in mm: R / (n − 1), or those of both faces.
+
+    Of cylinders, in the section in which the curved face bends rays.
+    """
+    if mla.has_back:
+        return tuple(lenslet_optics(mla, wavelength_nm, kind).focal_length_mm for kind in range(mla.types))
     n = refractive_index(mla.medium, wavelength_nm)
     return tuple(radius / (n - 1) for radius in mla.radius_mm or ())
+
+
+def front_principal_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
+    """Return how far behind the array's face towards the lens its lenslets' front principal points lie, as in air, mm.
+
+    Where only one face is curved, they are its apexes, which the lens may see through the plate, as t/n behind the flat
+    face. The lens focuses on the plane of these points.
+    """
+    if mla.has_back:
+        return lenslet_optics(mla, wavelength_nm).front_principal_mm
+    return air_thickness_mm(mla, wavelength_nm) if mla.curved_side == "sensor" else 0.0
+
+
+def rear_principal_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
+    """Return how far before the array's face towards the sensor the rear principal points lie, as in air, in mm."""
+    if mla.has_back:
+        return lenslet_optics(mla, wavelength_nm).rear_principal_mm
+    return air_thickness_mm(mla, wavelength_nm) if mla.curved_side == "lens" else 0.0
 
 
 def image_plane_mm(camera: Camera, wavelength_nm: float) -> float:
     """Return the distance from the last vertex to the plane that the lens focuses on, in mm of air.
 
-    With an array it is the plane of the apexes; where the flat face looks at the lens, these are seen through
-    the plate, t/n behind that face.
+    With an array it is the plane of the lenslets' front principal points: of the apexes of a single curved face; where
+    the flat one looks at the lens, these are seen through the plate, t/n behind that face.
     """
     if camera.mla is None:
         return (camera.sensor.distance_mm or math.nan) - cover_shift_mm(camera.sensor, wavelength_nm)
-    seen = air_thickness_mm(camera.mla, wavelength_nm) if camera.mla.curved_side == "sensor" else 0.0
-    return (camera.mla.distance_mm or math.nan) + seen
+    return (camera.mla.distance_mm or math.nan) + front_principal_mm(camera.mla, wavelength_nm)
 
 
 def _with_radii(mla: MicrolensArray, wavelength_nm: float) -> MicrolensArray:
@@ -113,8 +136,12 @@ def _with_distances(camera: Camera, wavelength_nm: float) -> Camera:
         return _changed(camera, sensor=sensor)
     if mla.distance_mm is None:
         distance = _focused_image_mm(camera, "camera.mla.distance_mm", wavelength_nm)
-        if mla.curved_side == "sensor":
-            distance -= air_thickness_mm(mla, wavelength_nm)
+        distance -= front_principal_mm(mla, wavelength_nm)
+        if not math.isfinite(distance):
+            raise SceneError(
+                "camera.mla.distance_mm: missing, and cannot be solved: the two faces of the array make lenslets "
+                "without focal length, whose principal points lie at infinity; give it"
+            )
         if distance <= 0:
             raise SceneError(
                 f"camera.focus_mm = {camera.focus_mm:g}: the image would lie inside the lens; focus nearer "
@@ -185,9 +212,7 @@ def _behind_image_mm(camera: Camera, wavelength_nm: float) -> float:
     behind = camera.sensor.distance_mm
     if behind is None:
         behind = _focal_plane_mm(mla, wavelength_nm) + shift
-    # The lens focuses on the apexes, which it may see through the plate, as t/n behind the flat face.
-    seen = air_thickness_mm(mla, wavelength_nm) if mla.curved_side == "sensor" else 0.0
-    return mla.thickness_mm - seen + behind
+    return mla.thickness_mm - front_principal_mm(mla, wavelength_nm) + behind
 
 
 def focus_wished_mm(camera: Camera, wavelength_nm: float) -> float | None:
@@ -206,11 +231,13 @@ def focus_wished_mm(camera: Camera, wavelength_nm: float) -> float | None:
 def _focal_plane_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
     """Return the distance from the array's rear face to the focal plane of the first lenslet type."""
     focal_length = lenslet_focal_length_mm(mla, wavelength_nm)[0]
-    air = air_thickness_mm(mla, wavelength_nm) if mla.curved_side == "lens" else 0.0
-    if focal_length - air <= 0:
+    air = rear_principal_mm(mla, wavelength_nm)
+    if not 0 < focal_length - air < math.inf:
         why = (
             "the first lenslet type diverges"
-            if focal_length < 0
+            if not 0 < focal_length < math.inf
+            else "the two faces focus light inside their plate or before it; give a thinner plate or larger radii"
+            if mla.has_back
             else f"the lenslets' focal length of {focal_length:.6g} mm ends inside their plate; with "
             f"thickness_mm at most {at_most(mla.thickness_mm * focal_length / air * (1 - BEYOND))} it would not"
         )

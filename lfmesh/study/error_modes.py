@@ -3,6 +3,7 @@
 Each is made for a scene, whose pixels and lenslets give the size of the errors, and is written as a file to edit.
 """
 
+import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -95,6 +96,15 @@ def manufacturing(scene: Scene) -> Ready:
         ),
         _axis("camera.mla.thickness_mm", 0.02 * mla.thickness_mm, "plate thickness / mm"),
     ]
+    if mla.back is not None and mla.has_back:
+        radius = mla.back.radius_mm
+        shift = min(scene.camera.sensor.pixel_mm, 0.2 * mla.pitch_mm)
+        if math.isfinite(radius):
+            axes.append(_axis("camera.mla.back.radius_mm", RADIUS_ERROR * abs(radius), "radius, other face / mm"))
+        axes += [
+            _axis(f"camera.mla.back.decenter_mm[{i}]", shift, f"other face, shift {name} / mm")
+            for i, name in enumerate("xy")
+        ]
     return Ready(tuple(axes), {**QUICK, **IMAGE_PATH})
 
 

@@ -26,7 +26,7 @@ def refuse_collisions(scene: Scene, lens: LensTables, mla: MlaTables, moves: Arr
     scene : Scene
     lens : LensTables
     mla : MlaTables
-    moves : (5, 5, 3, 4) float64
+    moves : (6, 6, 3, 4) float64
         Between frames.
 
     Raises
@@ -41,11 +41,16 @@ def refuse_collisions(scene: Scene, lens: LensTables, mla: MlaTables, moves: Arr
     if mla.present:
         _refuse_sensor_in_array(mla, frame.points(moves[SENSOR_FRAME, MLA_FRAME], sensor), cover is not None)
         half_width, half_height = mla.lenslets.lattice.half_extent
-        depths = mla.lenslets.top, mla.lenslets.thickness
+        depths = mla.lenslets.top, far_end_mm(mla)
         slab = [[x, y, z] for x in (-half_width, half_width) for y in (-half_height, half_height) for z in depths]
         _refuse_in_lens("camera.mla", lens, frame.points(moves[MLA_FRAME, CAMERA_FRAME], slab))
     else:
         _refuse_in_lens("camera.sensor", lens, frame.points(moves[SENSOR_FRAME, CAMERA_FRAME], sensor))
+
+
+def far_end_mm(mla: MlaTables) -> float:
+    """Return the z, array frame, beyond which nothing of the array stands: of its flat face or other lenslets."""
+    return mla.lenslets.thickness - (0.0 if mla.back is None else mla.back.lenslets.top)
 
 
 def _refuse_sensor_in_array(mla: MlaTables, corners: Array, covered: bool) -> None:
@@ -54,7 +59,7 @@ def _refuse_sensor_in_array(mla: MlaTables, corners: Array, covered: bool) -> No
     # Of a sensor larger than the array only the part behind the array can intersect it.
     plane = np.linalg.lstsq(np.column_stack([corners[:, :2], np.ones(4)]), corners[:, 2], rcond=None)[0]
     z = inside @ plane[:2] + plane[2]
-    gap = (z - mla.lenslets.thickness if mla.curved_to_lens else mla.lenslets.top - z).min()
+    gap = (z - far_end_mm(mla) if mla.curved_to_lens else mla.lenslets.top - z).min()
     if gap <= 0.0:
         raise SceneError(
             f"camera.mla.pose, camera.sensor.pose: the array reaches {-gap:.4g} mm through the sensor's "

@@ -21,6 +21,8 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frame_moves
 from lfmesh.geometry.levels import EXACT
 from lfmesh.transport.packets.packet import (
+    BACK_CELLS,
+    BACK_CELLS_MESH,
     CELLS,
     CELLS_MESH,
     COUNTERS,
@@ -252,15 +254,16 @@ class Workspace:
             found = self._find(LENS, count)
             wave = wave[:count]
             shade_lens(wave, found, self.block, self.numbers, lens, mla.present, frames, options, flow, False)
-        elif station in (CELLS, CELLS_MESH):
-            in_order = station == CELLS and options.in_order and options.surface == EXACT
+        elif station in (CELLS, CELLS_MESH, BACK_CELLS, BACK_CELLS_MESH):
+            face = mla if station in (CELLS, CELLS_MESH) else mla.back
+            in_order = station == face.cells and options.in_order and options.surface == EXACT
             if in_order:
                 self._sample(wave)
                 found = self.unasked
             else:
-                admit_to_cells(wave, origins, directions, mla)
-                found = self._find(CELLS, count)
-            shade_cells(wave, found, self.mla_block, self.numbers, mla, frames, lens_surfaces, options, flow, in_order)
+                admit_to_cells(wave, origins, directions, face)
+                found = self._find(face.cells, count)
+            shade_cells(wave, found, self.mla_block, self.numbers, face, frames, lens_surfaces, options, flow, in_order)
         elif station == OBJECTS:
             admit_to_objects(wave, origins, directions, frames)
             found = self._find(OBJECTS, count)

@@ -19,6 +19,7 @@ from lfmesh.scene.literals import literal
 from lfmesh.scene.transport import MOST_EVENTS, MOST_THREADS
 from lfmesh.signatures import with_keywords
 from lfmesh.transport.choice import obstacle_of
+from lfmesh.transport.collisions import far_end_mm
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.events.polarisation import across
 from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
@@ -47,6 +48,7 @@ from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.hosts import hosts_of
 from lfmesh.transport.tables.interfaces import interface_tables
+from lfmesh.transport.tables.media import with_media
 from lfmesh.transport.tables.polarisation import polarisation_tables
 from lfmesh.transport.tables.tables import Media, Records, Tables
 from lfmesh.transport.tables.volumes import volumes_at
@@ -387,7 +389,7 @@ def at_wavelength(world: World, wavelength_nm: float) -> Tables:
         objects = objects._replace(volumes=volumes, media=own)
     return tables._replace(
         lens=tables.lens._replace(media=media(tables.lens.medium), interfaces=interfaces.lens),
-        mla=tables.mla._replace(media=media(tables.mla.medium), interfaces=interfaces.mla),
+        mla=with_media(tables.mla, media(tables.mla.medium), interfaces=interfaces.mla),
         objects=objects,
         polarised=polarisation_tables(world.scene, (wavelength_nm,), tables.frames, world.book),
         cover=cover,
@@ -442,7 +444,7 @@ def located(
         q = frame.points(tables.frames[CAMERA_FRAME, MLA_FRAME], p)
         e = frame.directions(tables.frames[CAMERA_FRAME, MLA_FRAME], d)
         lenslets = tables.mla.lenslets
-        within = after & (q[:, 2] > lenslets.top) & (q[:, 2] < lenslets.thickness)
+        within = after & (q[:, 2] > lenslets.top) & (q[:, 2] < far_end_mm(tables.mla))
         if within.any():
             number = np.flatnonzero(within)[0] if numbers is None else numbers[within][0]
             raise LfmeshError(f"ray {int(number)} starts inside the microlens array; start it before or behind")

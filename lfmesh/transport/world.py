@@ -30,11 +30,14 @@ from lfmesh.transport.aiming.aim_table import aim_table, targets_in_camera, unai
 from lfmesh.transport.collisions import refuse_collisions
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.packets.packet import (
+    BACK_FRAME,
     CAMERA_FRAME,
     ENDS_AT,
     FACES,
     FACES_AT,
+    LENS,
     MLA_FRAME,
+    OBJECTS,
     SENSOR_FRAME,
     WORLD_FRAME,
 )
@@ -88,7 +91,7 @@ class World(Shown):
     """
 
     def __init__(
-        self, scene: Scene, report: FirstOrder, tables: Tables, finders: tuple[Finder, Finder, Finder],
+        self, scene: Scene, report: FirstOrder, tables: Tables, finders: dict[int, Finder],
         book: Book, bodies: Bodies, particles: tuple[ParticleTables, ...],
         find_aim: Callable[[], tuple[AimTables, AimProof | None]], how: dict[str, Any],
     ) -> None:  # fmt: skip
@@ -191,9 +194,7 @@ class World(Shown):
                 joined(self._mounts()).solid(), self.tables.frames[CAMERA_FRAME, WORLD_FRAME]
             ),
             "stop": lambda: self._in_world(self._stop(), self.tables.frames[CAMERA_FRAME, WORLD_FRAME]),
-            "mla": lambda: self._in_world(
-                mla_mesh(self.tables.mla.lenslets), self.tables.frames[MLA_FRAME, WORLD_FRAME]
-            ),
+            "mla": lambda: self._in_world(self._array(), self.tables.frames[MLA_FRAME, WORLD_FRAME]),
             "sensor": lambda: self._in_world(self._sensor(), self.tables.frames[SENSOR_FRAME, WORLD_FRAME]),
             "housing": lambda: self._in_world(self.housing.solid(), self.tables.frames[CAMERA_FRAME, WORLD_FRAME]),
             "targets": lambda: self.targets[int(number)].mesh.solid(),
@@ -223,6 +224,13 @@ class World(Shown):
     def _mounts(self) -> list[Mesh]:
         shape = self.lens_shape
         return [mesh for k, mesh in enumerate(shape.closures) if shape.media[k + 1] is None]
+
+    def _array(self) -> "trimesh.Trimesh":
+        """Return the array in its own frame."""
+        mla = self.tables.mla
+        if mla.back is None:
+            return mla_mesh(mla.lenslets)
+        return mla_mesh(mla.lenslets, back=mla.back.lenslets, shift_mm=self.tables.frames[BACK_FRAME, MLA_FRAME][:2, 3])
 
     def _stop(self) -> "trimesh.Trimesh":
         """Return the annulus around the stop's aperture."""
@@ -319,7 +327,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     interfaces, known = interface_tables(scene, wavelengths_nm, book), MediumList.of(scene)
     _refuse_rough_patches(scene, shape, interfaces)
     lens_mesh, lens = lens_tables(scene, shape, wavelengths_nm, book, interfaces.lens, known)
-    mla_mesh_, mla = mla_tables(scene, wavelengths_nm, interfaces.mla, known, book)
+    cells, mla = mla_tables(scene, wavelengths_nm, interfaces.mla, known, book)
     middle = middle_of(targets)
     moves = frame_table(scene, middle)
     refuse_collisions(scene, lens, mla, moves)
@@ -352,6 +360,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     cover = cover_tables(scene, wavelengths_nm, interfaces.cover, known, book)
     if cover is not None:
         tables = tables._replace(cover=cover, apparent=seen_moves)
-    finders = (Finder(lens_mesh), Finder(mla_mesh_), Finder(*divided(object_mesh, objects.facets["body"])))
+    finders = {LENS: Finder(lens_mesh), OBJECTS: Finder(*divided(object_mesh, objects.facets["body"]))}
+    finders |= {station: Finder(mesh) for station, mesh in cells.items()}
     how = {"rings": rings, "aimed": aimed}
     return World(scene, report, tables, finders, book, Bodies(shape, targets, housing), particles, find_aim, how)

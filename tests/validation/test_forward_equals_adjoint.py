@@ -48,6 +48,7 @@ ASPHERIC_ARRAY = HEXAGONAL_ARRAY | {
     "conic": [-2.25, 0.0, -1.0],
     "asphere_mm": [[], [-1.6, 2.0], [0.2]],
 }
+TWO_FACES = {key: value for key, value in SQUARE_ARRAY.items() if key != "focal_length_mm"} | {"radius_mm": 1.3}
 BALL = {"file": "ball.glb", "position_mm": [0.0, 0.0, -61.5]}
 BEAM = "TILT=NONE\n1 -1 1 4 3 1 1 0 0 0 1 1 1\n0 2 4 90\n0 90 180\n9 8 3 0\n9 5 1 0\n9 7 2 1\n"
 POINT = {"kind": "point", "position_mm": [20.0, -15.0, -25.0], "power_w": 1.0}
@@ -181,6 +182,18 @@ SCENES = {
     "cylindrical lenslets": scene(
         [plane(GLOWING)],
         mla=SQUARE_ARRAY | {"conic": -1.0, "cylinder_axis": "y", "form": {"decenter_mm": 0.03, "radius_error": 0.05}},
+    ),
+    "lenslets on both faces": scene(
+        [plane(GLOWING)],
+        split="both",
+        mla=TWO_FACES | {"back": {"radius_mm": 2.5, "decenter_mm": [0.06, -0.03]}},
+    ),
+    "crossed cylinders, the second ones towards the lens": scene(
+        [plane(GLOWING)],
+        split="both",
+        mla=TWO_FACES
+        | {"curved_side": "sensor", "cylinder_axis": "y"}
+        | {"back": {"radius_mm": 1.5, "conic": -1.0, "cylinder_axis": "x"}},
     ),
     "hexagonal multi-focus array, curved towards the sensor": scene([plane(GLOWING)], mla=HEXAGONAL_ARRAY),
     "tilted and decentred lens and stop": scene(

@@ -15,8 +15,9 @@ from lfmesh.geometry.tessellation import on_circles
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aiming.aim_proof import AimProof, CameraTables, decentred, proven
-from lfmesh.transport.aiming.lenslet_view import NOTHING_SEEN, aim_through_lenslets, apex_z, grid, unmeasured_light
+from lfmesh.transport.aiming.lenslet_view import aim_through_lenslets, apex_z, grid, unmeasured_light
 from lfmesh.transport.aiming.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
+from lfmesh.transport.aiming.plate_view import NOTHING_SEEN
 from lfmesh.transport.aiming.pupil import paraxial_opening, real_opening, unknown_opening, viewpoints
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.tables import (
@@ -58,7 +59,7 @@ def aim_table(
         Tables of the scene.
     seen : (n, 3) float64, mm
         From which light comes: corners of targets and media, and round particles, camera frame.
-    moves : (5, 5, 3, 4) float64
+    moves : (6, 6, 3, 4) float64
         Between frames, see `frame_table`.
     analytic : bool
         Every surface of the lens is exact, so that the opening is found by real rays; else by first-order optics.
@@ -84,7 +85,7 @@ def targets_in_camera(targets: list[TargetMesh], moves: Array) -> Array:
     Parameters
     ----------
     targets : list of TargetMesh
-    moves : (5, 5, 3, 4) float64
+    moves : (6, 6, 3, 4) float64
         Between frames, see `frame_table`.
     """
     return np.concatenate(

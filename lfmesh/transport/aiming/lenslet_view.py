@@ -15,16 +15,14 @@ from lfmesh.geometry.lenslets import Lenslets, border_segments, face_normal, fac
 from lfmesh.geometry.mesh import Array
 from lfmesh.kernel import inlined, kernel
 from lfmesh.scene import FirstOrder, Scene
+from lfmesh.transport.aiming.plate_view import refract_if_possible, views_through_plate
 from lfmesh.transport.aiming.pupil import opening_from
-from lfmesh.transport.events.crossing import refracted
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
+from lfmesh.transport.tables.media import with_media
 from lfmesh.transport.tables.tables import AimTables, MlaTables, Opening, SensorTables
 
 ZONES = 2
 """Number of points of a lenslet, from its centre to each corner, at which the view is measured."""
-
-NOTHING_SEEN = -1.0
-"""In place of the squared radius of a lenslet's view: the lenslet does not show the opening."""
 
 VIEW_MARGIN = 1.02
 """Factor on the radius of a view, for what lies between the rays by which it is measured."""
@@ -62,8 +60,13 @@ def grid(half_width: float, half_height: float, z: float) -> Array:
 
 
 def apex_z(mla: MlaTables, glass: float) -> tuple[float, float]:
-    """Return z (array frame) of the lenslets' apexes as the sensor and as the lens sees them; one through the plate."""
+    """Return z (array frame) of the lenslets' apexes as the sensor and as the lens sees them; one through the plate.
+
+    Where both faces have lenslets, each sees those of its own side.
+    """
     thickness = mla.lenslets.thickness
+    if mla.back is not None:
+        return 0.0, thickness
     through_plate = thickness - thickness / glass
     return (through_plate, 0.0) if mla.curved_to_lens else (0.0, through_plate)
 
@@ -83,7 +86,7 @@ def aim_through_lenslets(
     report : FirstOrder
     mla : MlaTables
     aim : AimTables
-    moves : (5, 5, 3, 4) float64
+    moves : (6, 6, 3, 4) float64
         Between frames.
     glass : float
         Refractive index of the lenslets.
@@ -105,9 +108,14 @@ def aim_through_lenslets(
     distance = np.abs(corners[:, 2] - sensor_z)
     cells = lattice.columns * lattice.rows
     slope, slope_radius = np.zeros((cells, 2)), np.zeros(cells)
-    _view_through_cells(
-        _at_few_indices(mla), aim.exit, moves, lens_z, sensor_z, glass - 1.0, lattice.corners(), slope, slope_radius
-    )
+    few = _at_few_indices(mla)
+    if mla.back is not None:
+        views_through_plate(few, aim.exit, moves, sensor_z, slope, slope_radius)
+        slope_radius = VIEW_MARGIN * slope_radius
+    else:
+        _view_through_cells(
+            few, aim.exit, moves, lens_z, sensor_z, glass - 1.0, lattice.corners(), slope, slope_radius
+        )  # fmt: skip
     seen = slope_radius > 0.0
     aim = aim._replace(
         lenslet_z=sensor_z,
@@ -126,7 +134,7 @@ def _at_few_indices(mla: MlaTables) -> MlaTables:
     indices = np.unique(mla.media.indices[mla.medium])
     if len(indices) > MOST_INDICES:
         indices = indices[np.linspace(0, len(indices) - 1, MOST_INDICES).round().astype(np.int64)]
-    return mla._replace(media=mla.media._replace(indices=indices[None], absorption=None), medium=0)
+    return with_media(mla, mla.media._replace(indices=indices[None], absorption=None), medium=0)
 
 
 def _off_by_facets(mla: MlaTables) -> float:
@@ -318,26 +326,13 @@ def _through_lenslet(
     dx, dy, dz = dx * scale, dy * scale, dz * scale
     nx, ny, nz = normal[0] * to_sensor, normal[1] * to_sensor, normal[2] * to_sensor
     if to_sensor > 0.0:
-        one, dx, dy, dz = _refract_if_possible(dx, dy, dz, nx, ny, nz, 1.0 / glass)
+        one, dx, dy, dz = refract_if_possible(dx, dy, dz, nx, ny, nz, 1.0 / glass)
         t = (thickness - sag) / dz
-        other, ex, ey, ez = _refract_if_possible(dx, dy, dz, 0.0, 0.0, to_sensor, glass)
+        other, ex, ey, ez = refract_if_possible(dx, dy, dz, 0.0, 0.0, to_sensor, glass)
         return one and other, x + t * dx, y + t * dy, thickness, ex, ey, ez
-    one, dx, dy, dz = _refract_if_possible(dx, dy, dz, 0.0, 0.0, to_sensor, 1.0 / glass)
-    other, dx, dy, dz = _refract_if_possible(dx, dy, dz, nx, ny, nz, glass)
+    one, dx, dy, dz = refract_if_possible(dx, dy, dz, 0.0, 0.0, to_sensor, 1.0 / glass)
+    other, dx, dy, dz = refract_if_possible(dx, dy, dz, nx, ny, nz, glass)
     return one and other, x, y, sag, dx, dy, dz
-
-
-@inlined
-def _refract_if_possible(
-    dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, eta: float
-) -> tuple[bool, float, float, float]:
-    """Return whether a ray is refracted at a face whose normal points along it, and the refracted direction."""
-    cos_i = dx * nx + dy * ny + dz * nz
-    cos2_t = 1.0 - eta * eta * (1.0 - cos_i * cos_i)
-    if cos_i <= 0.0 or cos2_t <= 0.0:
-        return False, dx, dy, dz
-    ux, uy, uz = refracted(dx, dy, dz, nx, ny, nz, eta, cos_i, np.sqrt(cos2_t))
-    return True, ux, uy, uz
 
 
 @kernel

@@ -270,7 +270,7 @@ def end_here(options: Options, flow: Flow, frames: Array, packet: Any, slot: int
     ----------
     options : Options
     flow : Flow
-    frames : (5, 5, 3, 4) float64
+    frames : (6, 6, 3, 4) float64
     packet : PACKET
     slot : int
         Of the book that its weight is entered in.
@@ -474,7 +474,7 @@ def too_deep(options: Options, flow: Flow, frames: Array, packet: Any) -> bool:
     ----------
     options : Options
     flow : Flow
-    frames : (5, 5, 3, 4) float64
+    frames : (6, 6, 3, 4) float64
     packet : PACKET
     """
     if packet.events < options.max_events:
@@ -648,7 +648,7 @@ def move_packet(frames: Array, packet: Any, there: int) -> None:
 
     Parameters
     ----------
-    frames : (5, 5, 3, 4) float64
+    frames : (6, 6, 3, 4) float64
     packet : PACKET
     there : int
         Number of the frame.

@@ -53,7 +53,7 @@ def shares_by_state(
         Refractive index before and behind the interface, and cosine of the angle of incidence.
     normal : (3,) float
         Unit normal, along the ray.
-    frames : (5, 5, 3, 4) float64
+    frames : (6, 6, 3, 4) float64
     frame : int
         Of the normal and the packet.
     packet : POLARISED
@@ -170,7 +170,7 @@ def through_polariser(polarised: Any, packet: Any, weight: float, frame: int, fr
         Of the packet.
     frame : int
         Of the packet.
-    frames : (5, 5, 3, 4) float64
+    frames : (6, 6, 3, 4) float64
     book : (slots,) float64
         What is absorbed is entered here.
     """
@@ -196,7 +196,7 @@ def behind_polariser(
         Of the packet at the pixel, which takes in light of any state.
     dx, dy, dz : float
         Unit direction, sensor frame.
-    frames : (5, 5, 3, 4) float64
+    frames : (6, 6, 3, 4) float64
     book : (slots,) float64
     """
     if polarised is None:

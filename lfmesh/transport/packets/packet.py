@@ -11,20 +11,24 @@ from numpy.typing import NDArray
 
 from lfmesh.kernel import inlined, pasted
 
-# Stations: what a packet waits for. Embree is asked at OBJECTS, LENS_MESH and CELLS_MESH, and in a run that finds no
-# surface by its order at LENS and CELLS too.
+# Stations: what a packet waits for. Embree is asked at OBJECTS, at those with MESH in their name, and in a run that
+# finds no surface by its order at LENS, CELLS and BACK_CELLS too.
 LENS = 0  # a surface of the main lens
 CELLS = 1  # the curved face of the array, in its cell
 OBJECTS = 2  # a target, or the way into the lens
-PLATE = 3  # the array from outside its layer of curved faces: entry, or the flat face
+PLATE = 3  # the array from outside its layers of curved faces: entry, or the flat face
 SENSOR = 4  # a pixel
 LENS_MESH = 5  # a surface of the main lens, by its mesh where the order of the surfaces does not decide
 EMITTERS = 6  # a point of a target that emitting targets may light
 CELLS_MESH = 7  # the curved face in its cell, by its mesh where distances do not decide
-STATIONS = 8
+BACK_CELLS = 8  # the lenslets of the array's other face, where it has two curved ones, in their cell
+BACK_CELLS_MESH = 9  # the same by the mesh
+STATIONS = 10
 
 # Frames. A packet says in which frame its ray is given; its station moves it into the station's own.
 CAMERA_FRAME, MLA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME = 0, 1, 2, 3, 4
+BACK_FRAME = 5  # of the lenslets on the array's other face
+FRAMES = 6
 
 # Kinds of packet.
 CAMERA = 0  # on the camera's path: leaves the sensor (adjoint), or was aimed at the lens (forward)
@@ -92,8 +96,10 @@ EVENT_OF_STATUS = np.array([LAST_EVENT[status] for status in Status], dtype=np.i
 # Numbers in a recorded vertex's `surface`: below FACES_AT a refracting surface of the lens, then one of FACES;
 # ENDS_AT + slot: where a packet ended.
 FACES_AT, ENDS_AT = 1000, 2000
-FACES = ("mla curved face", "mla flat face", "target", "glass", "cover front face", "cover rear face")
-CURVED_FACE, FLAT_FACE, ON_TARGET, ON_GLASS, COVER_FRONT, COVER_REAR = range(FACES_AT, FACES_AT + len(FACES))
+FACES = (
+    "mla curved face", "mla flat face", "target", "glass", "cover front face", "cover rear face", "mla back face",
+)  # fmt: skip
+CURVED_FACE, FLAT_FACE, ON_TARGET, ON_GLASS, COVER_FRONT, COVER_REAR, BACK_FACE = range(FACES_AT, FACES_AT + len(FACES))
 
 NO_SURFACE = -1
 LEFT_LENS = -2

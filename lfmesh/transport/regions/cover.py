@@ -52,7 +52,7 @@ def through_cover(
     has_mla : bool
     lens_surfaces : int
         Number of refracting surfaces of the lens.
-    frames : (5, 5, 3, 4) float64
+    frames : (6, 6, 3, 4) float64
     options : Options
     flow : Flow
     """

@@ -47,9 +47,7 @@ from lfmesh.transport.events.polarisation import IN_ARRAY, shares_by_state
 from lfmesh.transport.events.travel import arrive, transmitted, travel
 from lfmesh.transport.packets.book import LOST_IN_MLA, MLA_EDGE, MLA_MOUNT, MLA_WALL
 from lfmesh.transport.packets.packet import (
-    CELLS,
-    CELLS_MESH,
-    CURVED_FACE,
+    BACK_FRAME,
     FLAT_FACE,
     LEFT_FACE,
     LENS,
@@ -64,7 +62,7 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.regions import lens_block as rows
 from lfmesh.transport.regions.lens_block import BLOCK, incidence, meet_in_order, set_only_conic, set_ray, split_block
-from lfmesh.transport.tables.tables import AIR, CURVED_ROW, FLAT_ROW, MlaTables
+from lfmesh.transport.tables.tables import AIR, FLAT_ROW, MlaTables
 
 Array = NDArray[np.float64]
 
@@ -97,7 +95,7 @@ def _left_in_glass(absorption: Any, flow: Flow, medium: int, colour: int, weight
 
 @inlined
 def leave_mla(
-    flow: Flow, packet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float,
+    flow: Flow, packet: Any, frame: int, x: float, y: float, z: float, dx: float, dy: float, dz: float,
     weight: float, key: np.uint64, to_lens: bool, lens_surfaces: int,
 ) -> None:  # fmt: skip
     """Queue a packet that has left the array, for the lens or for the sensor.
@@ -106,8 +104,10 @@ def leave_mla(
     ----------
     flow : Flow
     packet : PACKET
+    frame : int
+        Of the face that it left.
     x, y, z : float, mm
-        Where it left, array frame.
+        Where it left.
     dx, dy, dz : float
     weight : float
     key : uint64
@@ -117,7 +117,7 @@ def leave_mla(
     lens_surfaces : int
         Number of refracting surfaces of the lens.
     """
-    child = put(flow, LENS if to_lens else SENSOR, packet, MLA_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
+    child = put(flow, LENS if to_lens else SENSOR, packet, frame, x, y, z, dx, dy, dz, weight, key, 0.0)
     child.space = lens_surfaces
 
 
@@ -146,11 +146,11 @@ def into_layer(
         if space == GLASS:
             weight = _left_in_glass(mla.media.absorption, flow, mla.medium, packet.colour, weight, t)
         end(
-            options, flow, frames, packet, MLA_FRAME, x + t * dx, y + t * dy, z + t * dz, dx, dy, dz,
+            options, flow, frames, packet, mla.frame, x + t * dx, y + t * dy, z + t * dz, dx, dy, dz,
             weight, MLA_MOUNT if space == BEFORE else MLA_EDGE, S_ABSORBED,
         )  # fmt: skip
         return
-    child = put(flow, CELLS, packet, MLA_FRAME, x, y, z, dx, dy, dz, weight, key, t)
+    child = put(flow, mla.cells, packet, mla.frame, x, y, z, dx, dy, dz, weight, key, t)
     child.space, child.column, child.row = space, column, row
 
 
@@ -162,7 +162,7 @@ def _send_from_flat_face(
     """Queue a child of a packet at the flat face, which the parent met from the glass (`outward`) or from the air."""
     mla, lens_surfaces, outward = place
     if refracts == outward:
-        leave_mla(flow, packet, x, y, z, dx, dy, dz, weight, key, not mla.curved_to_lens, lens_surfaces)
+        leave_mla(flow, packet, MLA_FRAME, x, y, z, dx, dy, dz, weight, key, not mla.curved_to_lens, lens_surfaces)
     else:
         into_layer(options, flow, frames, mla, packet, x, y, z, dx, dy, dz, weight, key, GLASS)
 
@@ -222,6 +222,8 @@ def _reaches_flat_face(
     """Enter a packet in the block where it meets the flat face; `NO_SURFACE`: it has ended or is in the layer."""
     lenslets = mla.lenslets
     thickness = lenslets.thickness
+    if _goes_to_lenslets(mla.back, mla, packet, frames, options, flow):
+        return NO_SURFACE
     if packet.frame != MLA_FRAME:
         move_packet(frames, packet, MLA_FRAME)
         if packet.dz > 0.0 and packet.z <= lenslets.valley:
@@ -257,6 +259,49 @@ def _reaches_flat_face(
 
 
 @inlined
+def _goes_to_lenslets(back: Any, mla: MlaTables, packet: Any, frames: Array, options: Options, flow: Flow) -> bool:
+    """Queue a packet in the layer of faces that it goes to, in an array with lenslets on both; else return False.
+
+    Parameters
+    ----------
+    back : MlaTables, or None
+        That of `mla`.
+    """
+    if back is None:
+        return False
+    in_glass = packet.frame == MLA_FRAME or packet.frame == BACK_FRAME
+    if packet.last == LEFT_FACE:
+        packet.last = NO_SURFACE
+    if packet.frame == MLA_FRAME:
+        move_packet(frames, packet, BACK_FRAME)
+        _into_next_layer(options, flow, frames, back, packet, GLASS)
+        return True
+    move_packet(frames, packet, MLA_FRAME)
+    if in_glass:
+        _into_next_layer(options, flow, frames, mla, packet, GLASS)
+    elif packet.dz > 0.0 and packet.z <= mla.lenslets.valley:
+        _into_next_layer(options, flow, frames, mla, packet, BEFORE)
+    else:
+        move_packet(frames, packet, BACK_FRAME)
+        if packet.dz > 0.0 and packet.z <= back.lenslets.valley:
+            _into_next_layer(options, flow, frames, back, packet, BEFORE)
+        else:
+            end_here(options, flow, frames, packet, MLA_MOUNT, S_ABSORBED)
+    return True
+
+
+@kernel
+def _into_next_layer(
+    options: Options, flow: Flow, frames: Array, mla: MlaTables, packet: Any, space: int
+) -> None:  # fmt: skip
+    """Take a packet, which is given in the frame of the lenslets, into their layer of faces."""
+    into_layer(
+        options, flow, frames, mla, packet, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz,
+        packet.weight, packet.key, space,
+    )  # fmt: skip
+
+
+@inlined
 def _shares_at_face(
     block: Array, i: int, packet: Any, mla: MlaTables, frames: Array, number: int, outward: bool, flow: Flow
 ) -> tuple[float, float]:
@@ -269,7 +314,7 @@ def _shares_at_face(
         )
     return shares_by_state(
         flow.polarised, IN_ARRAY, number, outward, block[rows.N_I + i], block[rows.N_T + i], incidence(block, i),
-        (block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i]), frames, MLA_FRAME, packet, flow.book,
+        (block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i]), frames, mla.frame, packet, flow.book,
         reflectance, transmittance,
     )  # fmt: skip
 
@@ -373,8 +418,8 @@ def _enter_cell(block: Array, i: int, packet: Any, mla: MlaTables) -> None:
     set_ray(block, i, packet)
     block[rows.X + i], block[rows.Y + i] = packet.x - cx - ex, packet.y - cy - ey
     set_only_conic(block, i, curvature, 1.0, 0.0, np.inf, 1.0 if inward else -1.0)
-    _set_sides(block, i, packet, mla, not inward, CURVED_ROW)
-    block[rows.NEXT_N + i], block[rows.NEXT_NUMBER + i] = block[rows.N_T + i], CURVED_ROW
+    _set_sides(block, i, packet, mla, not inward, mla.row)
+    block[rows.NEXT_N + i], block[rows.NEXT_NUMBER + i] = block[rows.N_T + i], mla.row
 
 
 @inlined
@@ -458,7 +503,7 @@ def _meets_face(
                 )
     if not sure:
         put(
-            flow, CELLS_MESH, packet, MLA_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, packet.query_from
+            flow, mla.cells_mesh, packet, mla.frame, x, y, z, dx, dy, dz, packet.weight, packet.key, packet.query_from
         )  # fmt: skip
         return NO_SURFACE
     if met and t <= sideways * (1.0 + slack):
@@ -470,25 +515,25 @@ def _meets_face(
                 nx, ny, nz = -nx, -ny, -nz
             block[rows.DX + i], block[rows.DY + i], block[rows.DZ + i] = dx, dy, dz
             block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i] = nx, ny, nz
-            _set_sides(block, i, packet, mla, not inward, CURVED_ROW)
-        return CURVED_ROW
+            _set_sides(block, i, packet, mla, not inward, mla.row)
+        return mla.row
     if options.surface != EXACT and prim >= 0 and not met and at_facet < min(sideways, layer):
         further = next_query_from(mla.facets[prim], packet, at_facet)
-        requery(options, flow, frames, CELLS_MESH, packet, further, False, LOST_IN_MLA)
+        requery(options, flow, frames, mla.cells_mesh, packet, further, False, LOST_IN_MLA)
     elif options.surface != EXACT and prim < 0 and packet.tries == 0:
         # Embree misses facets when a ray is aimed exactly at a vertex.
-        requery(options, flow, frames, CELLS_MESH, packet, packet.query_from, True, LOST_IN_MLA)
+        requery(options, flow, frames, mla.cells_mesh, packet, packet.query_from, True, LOST_IN_MLA)
     elif sideways <= layer:
         _walk(options, flow, frames, mla, packet, sideways, side)
     elif dz < 0.0 and inward:
         leave_mla(
-            flow, packet, x, y, z, dx, dy, dz, packet.weight, packet.key, mla.curved_to_lens,
+            flow, packet, mla.frame, x, y, z, dx, dy, dz, packet.weight, packet.key, mla.curved_to_lens,
             lens_surfaces,
         )  # fmt: skip
     elif dz > 0.0 and not inward:
-        put(flow, PLATE, packet, MLA_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, 0.0)
+        put(flow, PLATE, packet, mla.frame, x, y, z, dx, dy, dz, packet.weight, packet.key, 0.0)
     else:
-        requery(options, flow, frames, CELLS_MESH, packet, packet.query_from, True, LOST_IN_MLA)
+        requery(options, flow, frames, mla.cells_mesh, packet, packet.query_from, True, LOST_IN_MLA)
     return NO_SURFACE
 
 
@@ -517,9 +562,9 @@ def _walk(options: Options, flow: Flow, frames: Array, mla: MlaTables, packet: A
             slot = MLA_WALL
     if slot >= 0:
         px, py, pz = arrive(flow, mla.media, packet, _medium_of(mla, packet), px, py, pz)
-        end(options, flow, frames, packet, MLA_FRAME, px, py, pz, dx, dy, dz, packet.weight, slot, S_ABSORBED)
+        end(options, flow, frames, packet, mla.frame, px, py, pz, dx, dy, dz, packet.weight, slot, S_ABSORBED)
         return
-    child = put(flow, CELLS, packet, MLA_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, sideways)
+    child = put(flow, mla.cells, packet, mla.frame, x, y, z, dx, dy, dz, packet.weight, packet.key, sideways)
     child.column, child.row = column, row
 
 
@@ -541,15 +586,15 @@ def _send_from_curved_face(
     if not leaves_face(lenslets.profile, lenslets, packet.column, packet.row, dx, dy, dz):
         sideways = -np.inf
     if packet.space == BEFORE and dz < 0.0 and (lenslets.top - z) / dz <= sideways:
-        leave_mla(flow, packet, x, y, z, dx, dy, dz, weight, key, mla.curved_to_lens, lens_surfaces)
+        leave_mla(flow, packet, mla.frame, x, y, z, dx, dy, dz, weight, key, mla.curved_to_lens, lens_surfaces)
     elif packet.space == GLASS and dz > 0.0 and (lenslets.valley - z) / dz <= sideways:
-        put(flow, PLATE, packet, MLA_FRAME, x, y, z, dx, dy, dz, weight, key, 0.0)
+        put(flow, PLATE, packet, mla.frame, x, y, z, dx, dy, dz, weight, key, 0.0)
     else:
         clear = 0.0
         if prim >= 0 and (is_spherical(lenslets.profile) or options.surface != EXACT):
             fold_x, fold_y = fold_of(mla, packet.column, packet.row)
             clear = clear_of(mla.facets[prim], x - fold_x, y - fold_y, z, dx, dy, dz)
-        put(flow, CELLS, packet, MLA_FRAME, x, y, z, dx, dy, dz, weight, key, clear)
+        put(flow, mla.cells, packet, mla.frame, x, y, z, dx, dy, dz, weight, key, clear)
 
 
 _split_at_curved_face = splitter(_send_from_curved_face)
@@ -568,18 +613,18 @@ def _through_face(
         packet.stray = 1
     packet.last = LEFT_FACE
     cell = packet.row * mla.lenslets.lattice.columns + packet.column
-    if mla.interfaces.rough and is_rough(mla.interfaces, CURVED_ROW):
-        passes, dx, dy, dz = _scattered_at_face(block, i, packet, mla, CURVED_ROW, options)
+    if mla.interfaces.rough and is_rough(mla.interfaces, mla.row):
+        passes, dx, dy, dz = _scattered_at_face(block, i, packet, mla, mla.row, options)
         _scatter_at_curved_face(
-            (mla, lens_surfaces, inward, prim), options, flow, frames, MLA_FRAME, packet, CURVED_FACE, cell,
+            (mla, lens_surfaces, inward, prim), options, flow, frames, mla.frame, packet, mla.face, cell,
             mla.medium if inward else AIR, block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i],
             passes, dx, dy, dz,
         )  # fmt: skip
         return
-    reflectance, transmittance = _shares_at_face(block, i, packet, mla, frames, CURVED_ROW, not inward, flow)
+    reflectance, transmittance = _shares_at_face(block, i, packet, mla, frames, mla.row, not inward, flow)
     r, t = rows.REFLECTED + i, rows.REFRACTED + i
     _split_at_curved_face(
-        (mla, lens_surfaces, inward, prim), options, flow, frames, MLA_FRAME, packet, CURVED_FACE, cell,
+        (mla, lens_surfaces, inward, prim), options, flow, frames, mla.frame, packet, mla.face, cell,
         mla.medium if inward else AIR, block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i],
         reflectance, transmittance,
         (block[r + rows.ALONG_X], block[r + rows.ALONG_Y], block[r + rows.ALONG_Z]),

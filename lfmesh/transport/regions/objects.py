@@ -107,7 +107,7 @@ def admit_to_objects(
     wave : (n,) PACKET
     origins, directions : (n, 3) float32
         Written.
-    frames : (5, 5, 3, 4) float64
+    frames : (6, 6, 3, 4) float64
     """
     for i in range(len(wave)):
         move_packet(frames, wave[i], OBJECT_FRAME)

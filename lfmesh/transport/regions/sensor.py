@@ -42,7 +42,7 @@ def onto_sensor(
     wave : (n,) PACKET
     sensor : SensorTables
         That reflects nothing.
-    frames : (5, 5, 3, 4) float64
+    frames : (6, 6, 3, 4) float64
     options : Options
     flow : Flow
     """
@@ -69,7 +69,7 @@ def onto_reflecting_sensor(
     has_mla : bool
     lens_surfaces : int
         Number of refracting surfaces of the lens.
-    frames : (5, 5, 3, 4) float64
+    frames : (6, 6, 3, 4) float64
     options : Options
     flow : Flow
     """

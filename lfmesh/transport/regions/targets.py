@@ -406,7 +406,7 @@ def share_with_other(flow: Flow, frames: Array, aim: AimTables, packet: Any) -> 
     Parameters
     ----------
     flow : Flow
-    frames : (5, 5, 3, 4) float64
+    frames : (6, 6, 3, 4) float64
     aim : AimTables
     packet : PACKET
     """

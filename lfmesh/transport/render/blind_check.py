@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.transport.aiming.lenslet_view import NOTHING_SEEN
+from lfmesh.transport.aiming.plate_view import NOTHING_SEEN
 from lfmesh.transport.aiming.pupil import unknown_opening
 from lfmesh.transport.tables.tables import AimTables
 

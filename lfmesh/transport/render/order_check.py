@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import (
+    BACK_CELLS,
+    BACK_CELLS_MESH,
+    BACK_FRAME,
     CELLS,
     CELLS_MESH,
     LENS,
@@ -92,7 +95,7 @@ def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.
     options : Options
     tables : Tables
     packets : (n,) PACKET
-        In the camera frame those that wait for a surface of the lens, in the array's those in a cell.
+        In the camera frame those that wait for a surface of the lens, in those of the array's faces those in a cell.
     """
     options = options._replace(tracing=True, record=False, sequential=False)
     given = packets.copy()
@@ -120,9 +123,14 @@ def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.
 
 def _outcomes(work: Workspace, packets: NDArray[np.void]) -> tuple[NDArray[np.void], NDArray[np.int64]]:
     """Let packets meet one surface each; return what comes of them, and the sources of those left to the meshes."""
-    in_cells = packets["frame"] == MLA_FRAME
+    frames = packets["frame"]
+    in_cells, in_back = frames == MLA_FRAME, frames == BACK_FRAME
     found, undecided = [], []
-    for station, by_mesh, given in ((LENS, LENS_MESH, packets[~in_cells]), (CELLS, CELLS_MESH, packets[in_cells])):
+    for station, by_mesh, given in (
+        (LENS, LENS_MESH, packets[~in_cells & ~in_back]),
+        (CELLS, CELLS_MESH, packets[in_cells]),
+        (BACK_CELLS, BACK_CELLS_MESH, packets[in_back]),
+    ):
         work.begin(packets=len(given))
         work.stacks[work.rows[station], : len(given)] = given
         work.tops[station] = len(given)
@@ -132,7 +140,7 @@ def _outcomes(work: Workspace, packets: NDArray[np.void]) -> tuple[NDArray[np.vo
         undecided.append(work.stacks[work.rows[by_mesh], : work.tops[by_mesh]]["source"].copy())
         while work.tops[by_mesh] > 0:
             work.advance(by_mesh)
-        found += [_taken(work, each) for each in (LENS, CELLS, PLATE, OBJECTS, SENSOR)]
+        found += [_taken(work, each) for each in (LENS, CELLS, BACK_CELLS, PLATE, OBJECTS, SENSOR)]
         ended = work.ends()
         rows = np.zeros(len(ended), _OUTCOME)
         rows["position"], rows["weight"] = ended["position"], ended["weight"]
@@ -150,7 +158,7 @@ def _taken(work: Workspace, station: int) -> NDArray[np.void]:
     rows["position"] = np.stack([children[axis] for axis in "xyz"], axis=-1)
     # The space tells the refracted from the reflected child, and in the array the cell tells where a packet goes on.
     place = children["space"].astype(np.int64)
-    if station == CELLS:
+    if station in (CELLS, BACK_CELLS):
         place += _ARRAY_SPACES * (children["column"] + _LARGEST_ROW * children["row"].astype(np.int64))
     rows["name"] = station + STATIONS * place
     rows["source"], rows["weight"] = children["source"], children["weight"]

@@ -7,12 +7,12 @@ left alone, and its fate says so; the caller traces it as a packet.
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import kernel, pasted
+from lfmesh.kernel import inlined, kernel, pasted
 from lfmesh.transport.packets.book import BESIDE_SENSOR, EMITTED, ESCAPED, HOUSING, ON_SENSOR, UNFOLLOWED
 from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
@@ -304,13 +304,21 @@ def _way_from_behind(bundle: Array, i: int, tables: Tables, around: Surroundings
     move, lenslets = tables.frames[CAMERA_FRAME, MLA_FRAME], tables.mla.lenslets
     at = move[2, 0] * x + move[2, 1] * y + move[2, 2] * z + move[2, 3]
     slope = move[2, 0] * dx + move[2, 1] * dy + move[2, 2] * dz
-    if not (at < lenslets.top or at > lenslets.thickness):
+    if not (at < lenslets.top or at > lenslets.thickness - _bulge(tables.mla.back)):
         return _UNSURE
     if (at < lenslets.top) == (slope > 0.0):
         return _TO_SENSOR if dz > 0.0 else _BACK
     if (at < lenslets.top) != tables.mla.curved_to_lens:
         return _ON_SENSOR
     return _TO_OBJECTS if dz < 0.0 else _UNSURE
+
+
+@inlined
+def _bulge(back: Any) -> float:
+    """Return the top of the layer of the other face's lenslets, mm; 0 of a flat face."""
+    if back is None:
+        return 0.0
+    return back.lenslets.top
 
 
 @kernel

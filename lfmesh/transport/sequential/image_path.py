@@ -10,8 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.frame import direction_through, point_through
 from lfmesh.geometry.lattice import cell_of, centre, is_inside, leaves_at, neighbour, stays_inside
-from lfmesh.geometry.lenslets import are_alike, face_normal, face_sag, is_spherical, meets_profile, shape_of
+from lfmesh.geometry.lenslets import (
+    Lenslets,
+    are_alike,
+    face_normal,
+    face_sag,
+    is_spherical,
+    meets_profile,
+    shape_of,
+)
 from lfmesh.geometry.surface import conic_distance
 from lfmesh.geometry.tessellation import OVERREACH
 from lfmesh.kernel import inlined, kernel
@@ -20,6 +29,7 @@ from lfmesh.transport.events.interface import shares
 from lfmesh.transport.events.travel import transmitted
 from lfmesh.transport.packets.book import HOUSING, MLA_EDGE, MLA_MOUNT, MLA_WALL, STOP, UNFOLLOWED
 from lfmesh.transport.packets.packet import (
+    BACK_FRAME,
     CAMERA_FRAME,
     EVENTS,
     LEFT_LENS,
@@ -61,7 +71,7 @@ from lfmesh.transport.sequential.lens_bundle import (
     through_surface,
 )
 from lfmesh.transport.sequential.lenslet_bundle import PASSED, through_single_lenslets
-from lfmesh.transport.tables.tables import CURVED_ROW, FLAT_ROW, LensTables, MlaTables
+from lfmesh.transport.tables.tables import FLAT_ROW, LensTables, MlaTables
 
 Array = NDArray[np.float64]
 
@@ -244,8 +254,8 @@ def through_mla(
 ) -> None:
     """Take a bundle (camera frame) through the array, curved or flat face first.
 
-    Rays that meet a single lenslet are traced together; the others, and all in an array that is coated or absorbs, or
-    whose lenslets are no spheres, one by one, from cell to cell.
+    Rays that meet a single lenslet of a face are traced together; the others, and all in an array that is coated or
+    absorbs, or whose lenslets are no spheres, one by one, from cell to cell.
 
     Parameters
     ----------
@@ -255,7 +265,7 @@ def through_mla(
     mla : MlaTables
     colour : int
         Number of the wavelength.
-    frames : (5, 5, 3, 4) float64
+    frames : (6, 6, 3, 4) float64
     to_sensor : bool
         Direction of travel.
     book : (slots,) float64
@@ -263,24 +273,54 @@ def through_mla(
     """
     move_bundle(bundle, frames[CAMERA_FRAME, MLA_FRAME])
     inward = to_sensor == mla.curved_to_lens
-    if mla.interfaces.coated or _absorbs(mla.media.absorption) or not is_spherical(mla.lenslets.profile):
+    if mla.interfaces.coated or _absorbs(mla.media.absorption) or not _of_spheres(mla.lenslets, mla.back):
         for i in range(count):
             bundle[PASSED + i] = 0.0
     else:
-        through_single_lenslets(bundle, mla, colour, inward)
+        through_single_lenslets(bundle, mla, colour, inward, frames)
     for i in range(count):
         if bundle[ENDED_ON + i] != 0.0 or bundle[PASSED + i] > 0.0:
             continue
         if bundle[DZ + i] > 0.0:
             through = _through_curved_face(bundle, i, mla, colour, book)
-            through = through and _through_flat_face(bundle, i, mla, colour, book)
+            through = through and _through_other_face(mla.back, bundle, i, mla, colour, frames, book)
         else:
-            through = _through_flat_face(bundle, i, mla, colour, book)
+            through = _through_other_face(mla.back, bundle, i, mla, colour, frames, book)
             through = through and _through_curved_face(bundle, i, mla, colour, book)
         if not through and bundle[ENDED_ON + i] == 0.0:
             bundle[LEFT_BEHIND + i] += bundle[WEIGHT + i]
             bundle[ENDED_ON + i] = DROPPED
     move_bundle(bundle, frames[MLA_FRAME, CAMERA_FRAME])
+
+
+@inlined
+def _of_spheres(lenslets: Lenslets, back: Any) -> bool:
+    """Tell whether all lenslets are spheres, those on the other face too, if there are any."""
+    if back is None:
+        return is_spherical(lenslets.profile)
+    return is_spherical(lenslets.profile) and is_spherical(back.lenslets.profile)
+
+
+@inlined
+def _through_other_face(
+    back: Any, bundle: Array, i: int, mla: MlaTables, colour: int, frames: Array, book: Array
+) -> bool:  # fmt: skip
+    """Refract a ray at the flat face, or at the lenslets that stand in its place; `back` is that of `mla`."""
+    if back is None:
+        return _through_flat_face(bundle, i, mla, colour, book)
+    _move_ray(bundle, i, frames[MLA_FRAME, BACK_FRAME])
+    through = _through_curved_face(bundle, i, back, colour, book)
+    _move_ray(bundle, i, frames[BACK_FRAME, MLA_FRAME])
+    return through
+
+
+@kernel
+def _move_ray(bundle: Array, i: int, move: Array) -> None:
+    """Move one ray of a bundle into another frame, by a (3, 4) move."""
+    x, y, z = point_through(move, bundle[X + i], bundle[Y + i], bundle[Z + i])
+    dx, dy, dz = direction_through(move, bundle[DX + i], bundle[DY + i], bundle[DZ + i])
+    bundle[X + i], bundle[Y + i], bundle[Z + i] = x, y, z
+    bundle[DX + i], bundle[DY + i], bundle[DZ + i] = dx, dy, dz
 
 
 @inlined
@@ -352,7 +392,7 @@ def _through_curved_face(bundle: Array, i: int, mla: MlaTables, colour: int, boo
     nx, ny, nz = face_normal(
         lenslets, column, row, curvature, bundle[X + i] - cx - ex, bundle[Y + i] - cy - ey, bundle[Z + i]
     )
-    bends = _bend(bundle, i, mla, CURVED_ROW, colour, inward, sense * nx, sense * ny, sense * nz)
+    bends = _bend(bundle, i, mla, mla.row, colour, inward, sense * nx, sense * ny, sense * nz)
     if not bends or (bundle[DZ + i] > 0.0) != inward:
         return False
     fate, t, column, row = _next_in_layer(bundle, i, mla, not inward, column, row, 0.0)

@@ -1,15 +1,18 @@
-"""A block of rays through the microlens array, for rays that meet a single lenslet.
+"""A block of rays through the microlens array, for rays that meet a single lenslet of each curved face.
 
 Most do. The others, close to the border of a cell or of the array, keep their state, and `image_path` walks them from
 cell to cell. All in the array frame, see `regions.mla`.
 """
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice, half_hexagon
 from lfmesh.geometry.lenslets import are_alike, shape_of
-from lfmesh.kernel import kernel, pasted
+from lfmesh.kernel import inlined, kernel, pasted
+from lfmesh.transport.packets.packet import BACK_FRAME, MLA_FRAME
 from lfmesh.transport.sequential.lens_bundle import (
     BLOCK,
     DX,
@@ -26,7 +29,7 @@ from lfmesh.transport.sequential.lens_bundle import (
     refraction,
     sphere_distance,
 )
-from lfmesh.transport.tables.tables import CURVED_ROW, FLAT_ROW, Interfaces, MlaTables
+from lfmesh.transport.tables.tables import FLAT_ROW, Interfaces, MlaTables
 from lfmesh.vector import both, select
 
 Array = NDArray[np.float64]
@@ -43,7 +46,7 @@ _APEX_X, _APEX_Y, _CURVATURE = SCRATCH + 13 * BLOCK, SCRATCH + 14 * BLOCK, SCRAT
 
 
 @kernel
-def through_single_lenslets(bundle: Array, mla: MlaTables, colour: int, inward: bool) -> None:
+def through_single_lenslets(bundle: Array, mla: MlaTables, colour: int, inward: bool, frames: Array) -> None:
     """Take the rays of a bundle that meet a single lenslet through the array; `PASSED` marks these rays.
 
     Parameters
@@ -55,26 +58,72 @@ def through_single_lenslets(bundle: Array, mla: MlaTables, colour: int, inward: 
         Number of the wavelength.
     inward : bool
         The rays meet the curved face first.
+    frames : (6, 6, 3, 4) float64
     """
-    lenslets = mla.lenslets
-    lattice, interfaces, glass = lenslets.lattice, mla.interfaces, mla.media.indices[mla.medium, colour]
-    # Between two points within the cells that are not outermost, a straight line stays over the array.
-    across, rows = (ROW_SPACING, 1.0) if lattice.hexagonal else (1.0, 0.5)
-    safe_x, safe_y = (0.5 * lattice.columns - 1.0) * lattice.pitch, (0.5 * lattice.rows - rows) * across * lattice.pitch
+    glass = mla.media.indices[mla.medium, colour]
     _begin(bundle)
     if not inward:
-        _through_flat_face(bundle, interfaces, colour, lenslets.thickness, safe_x, safe_y, -1.0, 1.0, glass)
+        _through_other_face(mla.back, bundle, mla, colour, False, glass, frames)
+    _through_lenslets(bundle, mla, colour, inward, glass)
+    if inward:
+        _through_other_face(mla.back, bundle, mla, colour, True, glass, frames)
+    _commit(bundle)
+
+
+@inlined
+def _safe_extent(lattice: Lattice) -> tuple[float, float]:
+    """Return half width and half height of the cells that are not outermost, mm.
+
+    Between two points within them, a straight line stays over the array.
+    """
+    across, rows = (ROW_SPACING, 1.0) if lattice.hexagonal else (1.0, 0.5)
+    return (0.5 * lattice.columns - 1.0) * lattice.pitch, (0.5 * lattice.rows - rows) * across * lattice.pitch
+
+
+@kernel
+def _through_lenslets(bundle: Array, mla: MlaTables, colour: int, inward: bool, glass: float) -> None:
+    """Take the tentative rays through the lenslets of one face, in its frame."""
+    lenslets, interfaces, number = mla.lenslets, mla.interfaces, mla.row
+    lattice = lenslets.lattice
+    safe_x, safe_y = _safe_extent(lattice)
     _find_cells(bundle, lattice, lenslets.top if inward else lenslets.valley)
     _look_up_shapes(bundle, mla)
     out = lenslets.valley if inward else lenslets.top
     n_i, n_t, sense = (1.0, glass, 1.0) if inward else (glass, 1.0, -1.0)
     if lattice.hexagonal:
-        _through_hexagonal_lenslet(bundle, interfaces, colour, lattice.pitch, safe_x, safe_y, out, sense, n_i, n_t)
+        _through_hexagonal_lenslet(
+            bundle, interfaces, number, colour, lattice.pitch, safe_x, safe_y, out, sense, n_i, n_t
+        )
     else:
-        _through_square_lenslet(bundle, interfaces, colour, lattice.pitch, safe_x, safe_y, out, sense, n_i, n_t)
-    if inward:
-        _through_flat_face(bundle, interfaces, colour, lenslets.thickness, safe_x, safe_y, 1.0, glass, 1.0)
-    _commit(bundle)
+        _through_square_lenslet(bundle, interfaces, number, colour, lattice.pitch, safe_x, safe_y, out, sense, n_i, n_t)
+
+
+@inlined
+def _through_other_face(
+    back: Any, bundle: Array, mla: MlaTables, colour: int, outward: bool, glass: float, frames: Array
+) -> None:
+    """Take the tentative rays through the flat face, or the lenslets in its place; `outward`: from the glass."""
+    if back is None:
+        safe_x, safe_y = _safe_extent(mla.lenslets.lattice)
+        toward, n_i, n_t = (1.0, glass, 1.0) if outward else (-1.0, 1.0, glass)
+        _through_flat_face(
+            bundle, mla.interfaces, colour, mla.lenslets.thickness, safe_x, safe_y, toward, n_i, n_t
+        )  # fmt: skip
+        return
+    _move(bundle, frames[MLA_FRAME, BACK_FRAME])
+    _through_lenslets(bundle, back, colour, not outward, glass)
+    _move(bundle, frames[BACK_FRAME, MLA_FRAME])
+
+
+@kernel
+def _move(bundle: Array, move: Array) -> None:
+    """Move the tentative rays into the frame of the array's other face, whose axes are parallel: by a (3, 4) move."""
+    shift_x, shift_y, shift_z = move[0, 3], move[1, 3], move[2, 3]
+    for i in range(BLOCK):
+        bundle[_X + i], bundle[_Y + i], bundle[_Z + i] = (
+            bundle[_X + i] + shift_x, bundle[_Y + i] + shift_y, shift_z - bundle[_Z + i],
+        )  # fmt: skip
+        bundle[_DZ + i] = -bundle[_DZ + i]
 
 
 @kernel
@@ -228,7 +277,7 @@ def _meet_face(bundle: Array, i: int, sense: float) -> tuple[bool, float, float,
 
 @kernel
 def _through_square_lenslet(
-    bundle: Array, interfaces: Interfaces, colour: int,
+    bundle: Array, interfaces: Interfaces, number: int, colour: int,
     pitch: float, safe_x: float, safe_y: float, out: float, sense: float, n_i: float, n_t: float,
 ) -> None:  # fmt: skip
     half = 0.5 * pitch
@@ -236,7 +285,7 @@ def _through_square_lenslet(
         holds, px, py, pz, nx, ny, nz, cos_i = _meet_face(bundle, i, sense)
         x, y = px - bundle[_CENTRE_X + i], py - bundle[_CENTRE_Y + i]
         holds = both(both(holds, both(abs(px) <= safe_x, abs(py) <= safe_y)), both(abs(x) <= half, abs(y) <= half))
-        _bend(bundle, interfaces, CURVED_ROW, colour, i, holds, px, py, pz, nx, ny, nz, cos_i, n_i, n_t)
+        _bend(bundle, interfaces, number, colour, i, holds, px, py, pz, nx, ny, nz, cos_i, n_i, n_t)
         t = (out - pz) / bundle[_DZ + i]
         x, y = x + t * bundle[_DX + i], y + t * bundle[_DY + i]
         holds = both(bundle[_DZ + i] * sense > 0.0, both(abs(x) <= half, abs(y) <= half))
@@ -245,7 +294,7 @@ def _through_square_lenslet(
 
 @kernel
 def _through_hexagonal_lenslet(
-    bundle: Array, interfaces: Interfaces, colour: int,
+    bundle: Array, interfaces: Interfaces, number: int, colour: int,
     pitch: float, safe_x: float, safe_y: float, out: float, sense: float, n_i: float, n_t: float,
 ) -> None:  # fmt: skip
     half = 0.5 * pitch
@@ -253,7 +302,7 @@ def _through_hexagonal_lenslet(
         holds, px, py, pz, nx, ny, nz, cos_i = _meet_face(bundle, i, sense)
         x, y = px - bundle[_CENTRE_X + i], py - bundle[_CENTRE_Y + i]
         holds = both(both(holds, both(abs(px) <= safe_x, abs(py) <= safe_y)), half_hexagon(x, y) <= half)
-        _bend(bundle, interfaces, CURVED_ROW, colour, i, holds, px, py, pz, nx, ny, nz, cos_i, n_i, n_t)
+        _bend(bundle, interfaces, number, colour, i, holds, px, py, pz, nx, ny, nz, cos_i, n_i, n_t)
         t = (out - pz) / bundle[_DZ + i]
         x, y = x + t * bundle[_DX + i], y + t * bundle[_DY + i]
         holds = both(bundle[_DZ + i] * sense > 0.0, half_hexagon(x, y) <= half)

@@ -96,7 +96,7 @@ def follow_through_mla(rays: Arrived, mla: MlaTables, frames: Array, colour: int
     rays : Arrived
         Changed in place.
     mla : MlaTables
-    frames : (5, 5, 3, 4) float64
+    frames : (6, 6, 3, 4) float64
     colour : int
         Number of the wavelength.
     """

@@ -94,7 +94,7 @@ def launch_particles(
     particles : ParticleTables
     objects : ObjectTables
     aim : AimTables
-    frames : (5, 5, 3, 4) float64
+    frames : (6, 6, 3, 4) float64
     flow : Flow
     template : (1,) PACKET
         Working memory.

@@ -58,7 +58,7 @@ def apparent_frames(scene: Scene, moves: Array) -> Array:
     Parameters
     ----------
     scene : Scene
-    moves : (5, 5, 3, 4) float64
+    moves : (6, 6, 3, 4) float64
     """
     nearer = cover_shift_mm(scene.camera.sensor, scene.primary_nm)
     if nearer == 0.0:

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.element_poses import pose_of
 from lfmesh.geometry.lattice import Lattice
@@ -13,11 +14,23 @@ from lfmesh.geometry.mesh import Array, Mesh, facet_table, joined
 from lfmesh.geometry.patch import neighbours, patches
 from lfmesh.geometry.surface import CONIC_AND_EVEN
 from lfmesh.geometry.tessellation import FLOAT32_MARGIN, OVERREACH
-from lfmesh.scene import Scene
+from lfmesh.scene import MicrolensArray, Scene
 from lfmesh.transport.packets.book import MOUNT, STOP, Book
+from lfmesh.transport.packets.packet import (
+    BACK_CELLS,
+    BACK_CELLS_MESH,
+    BACK_FACE,
+    BACK_FRAME,
+    CELLS,
+    CELLS_MESH,
+    CURVED_FACE,
+    MLA_FRAME,
+)
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.tables import (
     AIR,
+    CURVED_ROW,
+    FLAT_ROW,
     Interfaces,
     LensTables,
     Media,
@@ -212,8 +225,10 @@ def _pure_stop(scene: Scene, shape: LensShape) -> tuple[int, float, float, frame
 def mla_tables(
     scene: Scene, wavelengths_nm: tuple[float, ...], interfaces: Interfaces, known: MediumList,
     book: Book | None = None,
-) -> tuple[Mesh, MlaTables]:  # fmt: skip
-    """Return one cell for each lenslet type, side by side, as one mesh for Embree, and the tables of the array.
+) -> tuple[dict[int, Mesh], MlaTables]:  # fmt: skip
+    """Return the meshes of cells for Embree, by station, and the tables of the array.
+
+    A mesh has one cell for each lenslet type, side by side; an array with lenslets on both faces has two meshes.
 
     Parameters
     ----------
@@ -232,7 +247,7 @@ def mla_tables(
     if mla is None:
         nothing = lenslets(Lattice(False, 1.0, 1, 1), np.array([np.inf]), 1.0)
         empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
-        return empty, _cells(False, False, nothing, empty, 0.0, media, AIR, interfaces, True)
+        return {CELLS: empty}, _cells(False, False, nothing, empty, 0.0, media, AIR, interfaces, True)
     lattice = Lattice(
         mla.layout == "hexagonal", mla.pitch_mm * (1.0 + mla.form.pitch_error), mla.count[0], mla.count[1]
     )
@@ -247,19 +262,62 @@ def mla_tables(
         asphere_mm=mla.asphere_mm,
         cylinder_axis=mla.cylinder_axis,
     )
-    shift = OFFSET * lattice.pitch
-    cells = [cell_mesh(shapes, kind) for kind in range(mla.types)]
-    mesh = joined(
+    is_curved, to_lens = scene.transport.surface == "patch", mla.curved_side == "lens"
+    shift, mesh = OFFSET * lattice.pitch, _cells_side_by_side(shapes)
+    tables = _cells(is_curved, True, shapes, mesh, shift, media, medium, interfaces, to_lens)
+    if not mla.has_back:
+        return {CELLS: mesh}, tables
+    other = _back_lenslets(mla, shapes)
+    other_mesh = _cells_side_by_side(other)
+    back = _cells(is_curved, True, other, other_mesh, shift, media, medium, interfaces, not to_lens)
+    back = back._replace(row=FLAT_ROW, face=BACK_FACE)
+    if to_lens:
+        tables, back, mesh, other_mesh = back, tables, other_mesh, mesh
+    back = back._replace(frame=BACK_FRAME, cells=BACK_CELLS, cells_mesh=BACK_CELLS_MESH)
+    return {CELLS: mesh, BACK_CELLS: other_mesh}, tables._replace(back=back)
+
+
+def _back_lenslets(mla: MicrolensArray, front: Lenslets) -> Lenslets:
+    """Return the lenslets of the face opposite the curved one.
+
+    Raises
+    ------
+    SceneError
+        The layers of the two faces overlap.
+    """
+    form = mla.back
+    assert form is not None
+    other = lenslets(
+        front.lattice,
+        np.array([form.radius_mm]),
+        mla.thickness_mm,
+        conic=(form.conic,),
+        asphere_mm=(form.asphere_mm,),
+        cylinder_axis=form.cylinder_axis,
+    )
+    if front.valley + other.valley >= mla.thickness_mm:
+        raise SceneError(
+            f"camera.mla.thickness_mm = {mla.thickness_mm:g}: the lenslets of the two faces are up to "
+            f"{front.valley:.4g} mm and {other.valley:.4g} mm deep and would meet in the plate; give a thicker array, "
+            "larger radii or smaller form errors"
+        )
+    return other
+
+
+def _cells_side_by_side(shapes: Lenslets) -> Mesh:
+    """Return one cell for each lenslet type as one mesh."""
+    shift = OFFSET * shapes.lattice.pitch
+    cells = [cell_mesh(shapes, kind) for kind in range(len(shapes.curvature))]
+    return joined(
         Mesh(np.add(c.vertices, [kind * shift, 0.0, 0.0]), c.faces, c.corner_normals) for kind, c in enumerate(cells)
     )
-    is_curved, to_lens = scene.transport.surface == "patch", mla.curved_side == "lens"
-    return mesh, _cells(is_curved, True, shapes, mesh, shift, media, medium, interfaces, to_lens)
 
 
 def _cells(
     is_curved: bool, present: bool, shapes: Lenslets, mesh: Mesh, shift: float, media: Media, medium: int,
     interfaces: Interfaces, curved_to_lens: bool,
 ) -> MlaTables:  # fmt: skip
+    """Return the tables of the face of an array that `camera.mla` describes."""
     bodies = np.zeros(len(mesh.faces), np.int64)
     patches_, across = curved(is_curved, mesh)
     return MlaTables(
@@ -273,6 +331,11 @@ def _cells(
         medium=medium,
         interfaces=interfaces,
         curved_to_lens=curved_to_lens,
+        frame=MLA_FRAME,
+        cells=CELLS,
+        cells_mesh=CELLS_MESH,
+        row=CURVED_ROW,
+        face=CURVED_FACE,
     )
 
 

@@ -6,7 +6,7 @@ of one index that absorb differently are different media.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,4 +136,21 @@ Region = TypeVar("Region", LensTables, MlaTables)
 
 def clear(tables: Region) -> Region:
     """Return the tables of a region with media that do not absorb."""
-    return tables._replace(media=tables.media._replace(absorption=None))
+    media = tables.media._replace(absorption=None)
+    if isinstance(tables, MlaTables):
+        return with_media(tables, media)
+    return tables._replace(media=media)
+
+
+def with_media(mla: MlaTables, media: Media, **others: Any) -> MlaTables:
+    """Return the tables of the array, of both its faces, with other media.
+
+    Parameters
+    ----------
+    mla : MlaTables
+    media : Media
+    **others
+        Further fields that both faces share.
+    """
+    back = None if mla.back is None else mla.back._replace(media=media, **others)
+    return mla._replace(media=media, back=back, **others)

@@ -85,7 +85,7 @@ def refuse_targets_inside(scene: Scene, targets: list[TargetMesh], housing: Mesh
         World frame.
     housing : Mesh
         Camera frame.
-    moves : (5, 5, 3, 4) float64
+    moves : (6, 6, 3, 4) float64
         See `frame_table`.
 
     Raises
@@ -152,7 +152,7 @@ def object_tables(
         World frame.
     housing : Mesh
         Camera frame.
-    moves : (5, 5, 3, 4) float64
+    moves : (6, 6, 3, 4) float64
         See `frame_table`.
     book : Book
     lines : Lines
@@ -282,7 +282,7 @@ def with_volumes(
     scene : Scene
     targets : list of TargetMesh
         World frame.
-    moves : (5, 5, 3, 4) float64
+    moves : (6, 6, 3, 4) float64
         See `frame_table`.
     book : Book
     lines : Lines
@@ -371,7 +371,7 @@ def aimed_at_camera(objects: ObjectTables, lens: LensTables, frames: Array) -> O
     ----------
     objects : ObjectTables
     lens : LensTables
-    frames : (5, 5, 3, 4) float64
+    frames : (6, 6, 3, 4) float64
         See `frame_table`.
     """
     if not len(objects.lights):

@@ -131,7 +131,7 @@ def refuse_particles_behind(tables: tuple[ParticleTables, ...], moves: Array, fr
     Parameters
     ----------
     tables : tuple of ParticleTables
-    moves : (5, 5, 3, 4) float64
+    moves : (6, 6, 3, 4) float64
         See `frame_table`.
     front_mm : float, mm
         The lens's outermost plane, camera frame.

@@ -59,7 +59,7 @@ def polarisation_tables(
     ----------
     scene : Scene
     wavelengths_nm : sequence of float
-    moves : (5, 5, 3, 4) float64
+    moves : (6, 6, 3, 4) float64
         See `tables.frames`.
     book : Book
     """

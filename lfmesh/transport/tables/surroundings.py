@@ -54,7 +54,7 @@ def surroundings_of(
         Camera frame.
     targets : iterable of Mesh
         World frame.
-    frames : (5, 5, 3, 4) float64
+    frames : (6, 6, 3, 4) float64
         See `frame_table`.
     """
     caps = np.concatenate([cap.vertices for cap in shape.caps])

@@ -77,7 +77,11 @@ class LensTables(NamedTuple):
 
 
 class MlaTables(NamedTuple):
-    """The microlens array in its own frame, z from the curved face into the glass; one cell mesh for each type."""
+    """The microlens array in its own frame, z from the curved face into the glass; one cell mesh for each type.
+
+    Where both faces have lenslets, these are the tables of the one towards the sensor, and `back` those of the other
+    one, in a frame of its own whose z runs from there into the glass.
+    """
 
     present: bool
     lenslets: Lenslets
@@ -89,6 +93,13 @@ class MlaTables(NamedTuple):
     medium: int  # medium of the lenslets
     interfaces: Interfaces  # CURVED_ROW and FLAT_ROW
     curved_to_lens: bool
+    frame: int  # MLA_FRAME; of the lenslets of `back` BACK_FRAME
+    cells: int  # station at which packets wait for a face in its cell
+    cells_mesh: int  # the same, by its mesh
+    row: int  # of the lenslets' face among the interfaces
+    face: int  # number of that face in recorded vertices
+    # MlaTables of the lenslets on the other face, else None: code for them is not even compiled.
+    back: Any = None
 
 
 class SensorTables(NamedTuple):
@@ -218,11 +229,11 @@ class Tables(NamedTuple):
     mla: MlaTables
     sensor: SensorTables
     objects: ObjectTables
-    frames: Array  # (5, 5, 3, 4): frames[a, b] moves from frame a into frame b
+    frames: Array  # (6, 6, 3, 4): frames[a, b] moves from frame a into frame b
     aim: AimTables
     polarised: Any = None  # PolarisationTables where packets carry a state of polarisation
     cover: Any = None  # CoverTables where the sensor has a cover
-    # (5, 5, 3, 4) as `frames`, with the sensor where it appears to be through its cover, if it has one: for aiming
+    # (6, 6, 3, 4) as `frames`, with the sensor where it appears to be through its cover, if it has one: for aiming
     apparent: Any = None
 
 
@@ -245,7 +256,7 @@ INTERFACE = np.dtype(
 )
 
 CURVED_ROW, FLAT_ROW = 0, 1
-"""Rows of the array's interfaces."""
+"""Rows of the array's interfaces: of the face that `camera.mla` describes, and of the other one."""
 
 
 def thin_lens_power(interfaces: Interfaces, number: int) -> float:

@@ -104,7 +104,7 @@ def volume_tables(
     Parameters
     ----------
     scene : Scene
-    moves : (5, 5, 3, 4) float64
+    moves : (6, 6, 3, 4) float64
         See `frame_table`.
     lines : Lines
     slots : (media,) int64
@@ -441,7 +441,7 @@ def corners_in_camera(volumes: Volumes | None, moves: Array) -> Array:
     Parameters
     ----------
     volumes : Volumes or None
-    moves : (5, 5, 3, 4) float64
+    moves : (6, 6, 3, 4) float64
         See `frame_table`.
     """
     found = [np.zeros((0, 3))]

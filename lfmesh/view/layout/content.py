@@ -14,8 +14,14 @@ from lfmesh.geometry.targets import target_mesh
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.report import lenslet_to_sensor_mm
-from lfmesh.scene.solve import air_thickness_mm, image_plane_mm, lenslet_focal_length_mm
-from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME, Status
+from lfmesh.scene.solve import (
+    air_thickness_mm,
+    front_principal_mm,
+    image_plane_mm,
+    lenslet_focal_length_mm,
+    rear_principal_mm,
+)
+from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME, Status
 from lfmesh.transport.world import World, build
 from lfmesh.view.layout.sections import (
     Cut,
@@ -320,9 +326,11 @@ def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
     assert mla is not None
     moves, lenslets = world.tables.frames, world.tables.mla.lenslets
     to_camera = moves[MLA_FRAME, CAMERA_FRAME]
-    toward_lens = mla.curved_side == "lens"
-    # Seen from the lens through the plate, the apexes lie nearer.
+    toward_lens = mla.frame_side == "lens"
+    # Seen from the lens through the plate, the apexes lie nearer; of two curved faces it sees those of the first.
     seen_z = 0.0 if toward_lens else mla.thickness_mm - air_thickness_mm(mla, scene.primary_nm)
+    if mla.has_back:
+        seen_z = mla.thickness_mm
     at = lenslets.apexes
     apex = np.dstack([at, np.full(at.shape[:2], seen_z)]).reshape(-1, 3) @ to_camera[:, :3].T + to_camera[:, 3]
     middle = _nearest_axis(apex, lenslets.lattice.pitch)
@@ -347,7 +355,12 @@ def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
     before = min(1.25 * image, 16.0 * behind) if image is not None and image > 0.0 else 0.6 * behind
     window = _window(apex_z - before, sensor_z + 0.12 * (before + behind), float(apex[middle, 1]), mla.row_pitch_mm)
     s = _within(cut, window, mla.row_pitch_mm / LENSLET_POINTS)
-    plate = np.concatenate([cut.section(s, curved_face(cut, lenslets, s)), cut.section(s[[-1, 0]], mla.thickness_mm)])
+    other = cut.section(s[[-1, 0]], mla.thickness_mm)
+    if world.tables.mla.back is not None:
+        second = cut_through("camera.mla", moves[BACK_FRAME, CAMERA_FRAME], (2.0 * half[0], 2.0 * half[1]), x)
+        along = _within(second, window, mla.row_pitch_mm / LENSLET_POINTS)[::-1]
+        other = second.section(along, curved_face(second, world.tables.mla.back.lenslets, along))
+    plate = np.concatenate([cut.section(s, curved_face(cut, lenslets, s)), other])
     neighbour = apex[middle + step if middle + step < len(apex) else max(0, middle - step)]
     heights, lengths = _array_dimensions(scene, to_camera, apex[middle], neighbour, sensor_z, image)
     if image is None:
@@ -414,18 +427,18 @@ def _array_dimensions(
     distance = abs(float(neighbour[1] - apex[1]))
     heights = [Dimension(apex[[2, 1]], np.array([z, neighbour[1]]), f"{what} = {distance:.4g} mm")]
     # Along the axis, from the lenslet as it stands, which may be tilted.
-    into = np.array([0.0, 0.0, mla.thickness_mm]) @ to_camera[:, :3].T
+    # Of two curved faces the apex is that of the other one than the frame starts from.
+    into = np.array([0.0, 0.0, -mla.thickness_mm if mla.has_back else mla.thickness_mm]) @ to_camera[:, :3].T
     front, back = sorted((z, z + float(into[2])))
     chain = [(front, back), (back, sensor_z)]
     lengths = [(a, b, f"{b - a:.4g} mm") for a, b in chain]
     focal = lenslet_focal_length_mm(mla, scene.primary_nm)[0]
-    n = refractive_index(mla.medium, scene.primary_nm)
     # From the rear principal plane, which lies at the apex where light leaves there.
-    principal = back - mla.thickness_mm / n if mla.curved_side == "lens" else back
+    principal = back - rear_principal_mm(mla, scene.primary_nm)
     if focal > 0.0:
         lengths.append((principal, principal + focal, f"f = {focal:.4g} mm"))
     if image is not None and image > 0.0:
-        principal = front if mla.curved_side == "lens" else front + mla.thickness_mm / n
+        principal = front + front_principal_mm(mla, scene.primary_nm)
         lengths.append((principal - image, principal, f"main image {image:.4g} mm before"))
     y = float(apex[1])
     return heights, [Dimension(np.array([a, y]), np.array([b, y]), text) for a, b, text in lengths]

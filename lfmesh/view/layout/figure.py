@@ -26,6 +26,7 @@ from lfmesh.geometry.element_poses import pose_of
 from lfmesh.geometry.frame import points
 from lfmesh.geometry.mesh import Array
 from lfmesh.scene import Scene
+from lfmesh.scene.report import LensletSection
 from lfmesh.scene.solve import lenslet_focal_length_mm
 from lfmesh.view.figure_file import checked_kind, encoded_figure
 from lfmesh.view.layout.content import Bundle, Dimension, Layout, TargetSection, layout
@@ -669,15 +670,25 @@ def _facts(drawn: Layout) -> list[list[tuple[float, str, str]]]:
         return [first, [(4.0, "microlens array", "none: a conventional camera"), (4.0, "sensor", pixels)]]
     profile = f" {mla.profile_words}," if mla.profile_words else ", curved side"
     focal = ", ".join(f"{f:.4g}" for f in lenslet_focal_length_mm(mla, facts.wavelength_nm))
+    shape = ", both faces curved" if mla.has_back else f"{profile} to the {mla.curved_side}"
+    micro = f"{facts.micro_image_diameter_px:.3g} px, every {facts.micro_image_pitch_px:.5g} px"
+    if len(facts.lenslet_sections) > 1:
+        micro = ", ".join(f"{at.section}: {_micro_image(at)}" for at in facts.lenslet_sections)
+        focal = ", ".join(f"{at.section}: {at.focal_length_mm:.4g}" for at in facts.lenslet_sections)
     second = [
-        (2.4, "microlens array", f"{mla.count[0]} × {mla.count[1]} {mla.layout}{profile} to the {mla.curved_side}"),
+        (2.4, "microlens array", f"{mla.count[0]} × {mla.count[1]} {mla.layout}{shape}"),
         (1.2, "pitch", _length(mla.pitch_mm)),
         (1.8, "lenslet focal length", f"{focal} mm"),
         (1.2, "lenslet f-number", f"f/{facts.microlens_f_number:.3g}"),
-        (1.4, "micro-image", f"{facts.micro_image_diameter_px:.3g} px, every {facts.micro_image_pitch_px:.5g} px"),
+        (1.4, "micro-image", micro),
         (2.0, "sensor", pixels),
     ]
     return [first, second]
+
+
+def _micro_image(at: LensletSection) -> str:
+    """Write how wide a micro-image is in one section of the lenslets."""
+    return "a line" if at.micro_image_diameter_px is None else f"{at.micro_image_diameter_px:.3g} px"
 
 
 def _length(length_mm: float, digits: int = 4) -> str:

@@ -47,7 +47,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.transport.packets.packet import Event, Status
-from lfmesh.view.rays.names import CURVED, FLAT, FRONT, REAR, aliases, label, target_names
+from lfmesh.view.rays.names import BACK, CURVED, FLAT, FRONT, REAR, aliases, label, target_names
 from lfmesh.view.rays.paths import Rays
 
 Mask = NDArray[np.bool_]
@@ -90,7 +90,7 @@ NO_PLACE = {
 }  # fmt: skip
 """Names of the books that no path ends on."""
 
-OF_ARRAY = {CURVED, FLAT, "mla edge", "mla wall", "mla mount"}
+OF_ARRAY = {CURVED, FLAT, BACK, "mla edge", "mla wall", "mla mount"}
 OF_COVER = {FRONT, REAR}
 
 LONGEST = 20_000
@@ -390,7 +390,7 @@ def places(rays: Rays) -> dict[str, list[int]]:
     world = rays.world
     known: dict[str, set[int]] = {}
     for number, name in enumerate(rays.surfaces):
-        of_absent = OF_ARRAY if not world.tables.mla.present else set()
+        of_absent = OF_ARRAY if not world.tables.mla.present else {BACK if world.tables.mla.back is None else FLAT}
         of_absent = of_absent | OF_COVER if world.tables.cover is None else of_absent
         if name not in NO_PLACE | of_absent:
             known.setdefault(name, set()).add(number)
@@ -418,5 +418,5 @@ def _listed(rays: Rays) -> list[str]:
     told += [name for name in known if not name.startswith(("lens[", "targets[")) and label(name) == name]
     short = {alias for alias in aliases(rays.world) if not alias.startswith("targets")}
     return [name for name in told if name not in short] + [
-        name for name in (CURVED, FLAT, FRONT, REAR) if name in known
+        name for name in (CURVED, FLAT, BACK, FRONT, REAR) if name in known
     ]

@@ -17,11 +17,18 @@ from lfmesh.geometry.levels import EXACT
 from lfmesh.geometry.surface import in_place, normals
 from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.transport.events.interface import shares
-from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME, Event
+from lfmesh.transport.packets.packet import (
+    BACK_FACE,
+    CAMERA_FRAME,
+    CURVED_FACE,
+    SENSOR_FRAME,
+    WORLD_FRAME,
+    Event,
+)
 from lfmesh.transport.tables.cover import FRONT_ROW, REAR_ROW
 from lfmesh.transport.tables.interfaces import InterfaceTables, interface_tables
 from lfmesh.transport.tables.tables import AIR, CURVED_ROW, FLAT_ROW, Interfaces, body_row
-from lfmesh.view.rays.names import CURVED, FLAT, FRONT, REAR, SENSOR, label, target_names
+from lfmesh.view.rays.names import BACK, CURVED, FLAT, FRONT, REAR, SENSOR, label, target_names
 from lfmesh.view.rays.paths import Rays
 
 IN_SHORT = {Event.TRANSMITTED: "transmit", Event.REFLECTED: "reflect", Event.SCATTERED: "scatter"}
@@ -181,7 +188,7 @@ def _interface(rays: Rays, vertex: int, interfaces: InterfaceTables) -> _Interfa
         exact = shape.surfaces[k]["level"] == EXACT
         normal = _of_lens(rays, vertex, k) if exact else None
         return _Interface(normal, interfaces.lens, k)
-    if name in (CURVED, FLAT) and mla is not None:
+    if name in (CURVED, FLAT, BACK) and mla is not None:
         exact = name == FLAT or world.scene.transport.surface == "exact"
         normal, row = _of_array(rays, vertex, name) if exact else None, CURVED_ROW if name == CURVED else FLAT_ROW
         return _Interface(normal, interfaces.mla, row)
@@ -214,16 +221,19 @@ def _of_lens(rays: Rays, vertex: int, k: int) -> Vector:
 
 def _of_array(rays: Rays, vertex: int, name: str) -> Vector:
     """Return the normal of a face of the array."""
-    moves, lenslets = rays.world.tables.frames, rays.world.tables.mla.lenslets
+    moves, face = rays.world.tables.frames, rays.world.tables.mla
     normal = np.array([0.0, 0.0, 1.0])
-    if name == CURVED:
+    if name != FLAT:
+        if face.face != (CURVED_FACE if name == CURVED else BACK_FACE):
+            face = face.back
+        lenslets = face.lenslets
         row, column = divmod(int(rays.lenslet[vertex]), lenslets.lattice.columns)
         cx, cy = centre(lenslets.lattice, column, row)
         curvature, ex, ey = shape_of(lenslets, column, row)
-        p = frames.points(moves[WORLD_FRAME, MLA_FRAME], rays.position[vertex][None])[0]
+        p = frames.points(moves[WORLD_FRAME, face.frame], rays.position[vertex][None])[0]
         kind = type_of(lenslets, column, row)
         normal = faces_at(lenslets, kind, curvature, p[None, :2] - [cx + ex, cy + ey])[1][0]
-    return np.asarray(frames.directions(moves[MLA_FRAME, WORLD_FRAME], normal[None])[0])
+    return np.asarray(frames.directions(moves[face.frame, WORLD_FRAME], normal[None])[0])
 
 
 def _medium_beyond(rays: Rays, vertex: int) -> Medium:

@@ -7,6 +7,7 @@
 | `surface[3]`      | S3    | surface 3 of the prescription, where it bounds no glass                       |
 | `mla.curved`      | MLAc  | the lenslets' faces                                                           |
 | `mla.flat`        | MLAf  | the other side of the array                                                   |
+| `mla.back`        | MLAb  | the same where it has lenslets too                                            |
 | `cover.front`     | CVa   | face of the sensor's cover glass towards the lens                             |
 | `cover.rear`      | CVb   | its face towards the pixels                                                   |
 
@@ -20,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.transport.packets.packet import (
+    BACK_FACE,
     COVER_FRONT,
     COVER_REAR,
     CURVED_FACE,
@@ -31,12 +33,12 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.world import World
 
 START = "start"
-CURVED, FLAT = "mla.curved", "mla.flat"
+CURVED, FLAT, BACK = "mla.curved", "mla.flat", "mla.back"
 FRONT, REAR = "cover.front", "cover.rear"
 SENSOR = "sensor"
 
-_BEHIND_LENS = {CURVED_FACE: CURVED, FLAT_FACE: FLAT, COVER_FRONT: FRONT, COVER_REAR: REAR}
-_IN_SHORT = {CURVED: "MLAc", FLAT: "MLAf", FRONT: "CVa", REAR: "CVb"}
+_BEHIND_LENS = {CURVED_FACE: CURVED, FLAT_FACE: FLAT, COVER_FRONT: FRONT, COVER_REAR: REAR, BACK_FACE: BACK}
+_IN_SHORT = {CURVED: "MLAc", FLAT: "MLAf", FRONT: "CVa", REAR: "CVb", BACK: "MLAb"}
 
 
 def lens_names(world: World) -> list[str]:
@@ -77,10 +79,17 @@ def mirror_names(world: World) -> list[str]:
     """Return the names of everything in the camera that may reflect light, in order from the object to the sensor."""
     tables, names = world.tables, lens_names(world)
     if tables.mla.present:
-        names += [CURVED, FLAT] if tables.mla.curved_to_lens else [FLAT, CURVED]
+        other = FLAT if tables.mla.back is None else BACK
+        names += [CURVED, other] if curved_to_lens(world) else [other, CURVED]
     if tables.cover is not None:
         names += [FRONT, REAR]
     return [*names, SENSOR] if tables.sensor.reflectance > 0.0 else names
+
+
+def curved_to_lens(world: World) -> bool:
+    """Tell whether the curved face that `camera.mla` describes looks at the lens."""
+    mla = world.scene.camera.mla
+    return mla is not None and mla.curved_side == "lens"
 
 
 def surface_numbers(world: World, surface: NDArray[np.int64], part: NDArray[np.int64]) -> NDArray[np.int64]:

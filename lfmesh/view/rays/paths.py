@@ -18,7 +18,7 @@ from lfmesh.transport.packets.packet import CAMERA_FRAME, NO_SURFACE, SENSOR_FRA
 from lfmesh.transport.tables.particles import corners_round
 from lfmesh.transport.tables.tables import Records
 from lfmesh.transport.world import World
-from lfmesh.view.rays.names import CURVED, label, mirror_names, surface_names, surface_numbers
+from lfmesh.view.rays.names import BACK, CURVED, label, mirror_names, surface_names, surface_numbers
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -250,7 +250,8 @@ def assembled(world: World, ended: Records, nodes: Records, wavelengths_nm: Floa
         _within_borders(world, vertices["position"], ended, offsets), surface, event, vertices["weight"].copy(),
         offsets, ended["status"].copy(), np.unique(root, return_inverse=True)[1].reshape(-1), pixel, wavelengths_nm,
         sequence, names, [], WATT if pixels is None else ETENDUE, world,
-        np.where(surface == names.index(CURVED), vertices["part"], NO_SURFACE), vertices["beyond"].copy(),
+        np.where(np.isin(surface, [names.index(CURVED), names.index(BACK)]), vertices["part"], NO_SURFACE),
+        vertices["beyond"].copy(),
     )  # fmt: skip
     return _ranked(rays)
 

@@ -120,13 +120,17 @@ def _array(world: World) -> Rows:
     assert mla is not None
     shapes = ("focal length", mla.focal_length_mm) if mla.focal_length_mm else ("radius", mla.radius_mm or ())
     profile = f", {mla.profile_words}" if mla.profile_words else ""
-    return [
+    rows = [
         ("array", f"{mla.layout}, {mla.count[0]} × {mla.count[1]} lenslets{profile}"),
         ("pitch", f"{mla.pitch_mm:g} mm"),
         (shapes[0], ", ".join(f"{value:g}" for value in shapes[1]) + " mm"),
         ("glass", _medium(world, mla.medium)),
         ("thickness", f"{mla.thickness_mm:g} mm, curved side to the {mla.curved_side}"),
     ]
+    if mla.back is not None and mla.has_back:
+        profile = f", {mla.back.profile_words}" if mla.back.profile_words else ""
+        rows.append(("other face", f"lenslets, radius {mla.back.radius_mm:g} mm{profile}"))
+    return rows
 
 
 def _sensor(world: World) -> Rows:

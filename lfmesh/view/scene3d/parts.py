@@ -18,7 +18,8 @@ from lfmesh.geometry.tessellation import element
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import DirectionalLight, DiskLight, SpotLight
 from lfmesh.scene.spectra import Spectrum
-from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.tables.tables import MlaTables
 from lfmesh.transport.world import World
 from lfmesh.view.scene3d import array_shape
 from lfmesh.view.scene3d.colours import tint
@@ -183,11 +184,21 @@ def _stop(world: World) -> Iterator[Part]:
 def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
     if not world.tables.mla.present:
         return
-    lenslets = world.tables.mla.lenslets
-    to_world = world.tables.frames[MLA_FRAME, WORLD_FRAME]
     mla = world.scene.camera.mla
     assert mla is not None
     glass = {"color": tint(refractive_index(mla.medium, world.scene.primary_nm)), "opacity": 0.3}
+    tables = world.tables.mla
+    yield from _lenslets(world, tables, glass, near_mm)
+    if tables.back is not None:
+        yield from _lenslets(world, tables.back, glass, near_mm)
+    plate = _plate(world, tables.lenslets.valley)
+    outline = plate.extract_feature_edges(CREASE_DEG)
+    yield Part("mla", "array", plate, glass, edges=outline, edge_colour="#79d0dc", label="mla plate")
+
+
+def _lenslets(world: World, face: MlaTables, glass: dict[str, Any], near_mm: tuple[float, float]) -> Iterator[Part]:
+    """Yield the lenslets of a face of the array, and of a large array the lattice of the others."""
+    lenslets, to_world = face.lenslets, world.tables.frames[face.frame, WORLD_FRAME]
     lattice, near = lenslets.lattice, array_shape.cells_near(lenslets.lattice, near_mm)
     large = array_shape.is_large(lattice)
     curved = array_shape.caps(lenslets, *(near if large else array_shape.all_cells(lattice)))
@@ -196,26 +207,30 @@ def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
     lines = array_shape.borders(lenslets, *near)
     borders = line_segments(frames.points(to_world, lines.reshape(-1, 3)).reshape(-1, 2, 3))
     shine = {"specular": 1.0, "specular_power": 12, "smooth_shading": True}
-    yield Part("mla", "array", caps, {**glass, **shine}, edges=borders, edge_colour="#8fb9c9")
-    plate = _plate(world, lenslets.valley)
-    outline = plate.extract_feature_edges(CREASE_DEG)
-    yield Part("mla", "array", plate, glass, edges=outline, edge_colour="#79d0dc", label="mla plate")
+    back = face.frame == BACK_FRAME
+    label = "mla other lenslets" if back else ""
+    yield Part("mla", "array", caps, {**glass, **shine}, edges=borders, edge_colour="#8fb9c9", label=label)
     if large:
         picture, (width, height) = array_shape.lattice_picture(lenslets.lattice)
         corners = array_shape.face_round(lenslets, lenslets.valley, *near)
-        face = polydata(frames.points(to_world, corners), array_shape.ROUND)
-        face.active_texture_coordinates = (corners[:, :2] - lattice.centres()[0, 0]) / [width, height]
+        sheet = polydata(frames.points(to_world, corners), array_shape.ROUND)
+        sheet.active_texture_coordinates = (corners[:, :2] - lattice.centres()[0, 0]) / [width, height]
         look = {"opacity": 0.45, "lighting": False}
-        yield Part("mla", "array", face, look, label="mla lattice", picture=picture, tiled=True)
+        label = "mla other lattice" if back else "mla lattice"
+        yield Part("mla", "array", sheet, look, label=label, picture=picture, tiled=True)
 
 
 def _plate(world: World, front_mm: float) -> pv.PolyData:
-    """Return the box round the array's glass, from the valleys between its lenslets to its flat face."""
-    lenslets = world.tables.mla.lenslets
-    corners = [array_shape.face_corners(lenslets, z) for z in (front_mm, lenslets.thickness)]
+    """Return the box round the array's glass, from the valleys between its lenslets to its flat face.
+
+    Where that has lenslets too, up to the valleys between them.
+    """
+    lenslets, back = world.tables.mla.lenslets, world.tables.mla.back
+    end_mm = lenslets.thickness - (0.0 if back is None else back.lenslets.valley)
+    corners = [array_shape.face_corners(lenslets, z) for z in (front_mm, end_mm)]
     points = frames.points(world.tables.frames[MLA_FRAME, WORLD_FRAME], np.concatenate(corners))
     sides = [[i, (i + 1) % 4, (i + 1) % 4 + 4, i + 4] for i in range(4)]
-    quads = np.array([[4, 5, 6, 7], *sides])
+    quads = np.array(sides if back is not None else [[4, 5, 6, 7], *sides])
     return polydata(points, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
 
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.targets import TargetMesh
+from lfmesh.transport.collisions import far_end_mm
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 
@@ -186,7 +187,7 @@ def _near_lenslets(world: World, near_mm: tuple[float, float]) -> Array:
     lenslets = world.tables.mla.lenslets
     half = 0.5 * LENSLETS * lenslets.lattice.pitch
     x, y = near_mm
-    box = _box([x - half, y - half, lenslets.top], [x + half, y + half, lenslets.thickness])
+    box = _box([x - half, y - half, lenslets.top], [x + half, y + half, far_end_mm(world.tables.mla)])
     corners = frames.points(world.tables.frames[MLA_FRAME, CAMERA_FRAME], box)
     to_sensor = frames.points(world.tables.frames[CAMERA_FRAME, SENSOR_FRAME], corners)
     to_sensor[:, 2] = 0.0

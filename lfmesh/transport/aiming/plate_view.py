@@ -1,0 +1,173 @@
+"""Views of the lens's opening through plates with lenslets on both faces, measured by real rays.
+
+Rays go from the opening through points of every lenslet towards the lens, and land in the lenslet towards the sensor
+that they meet, which is not always the one opposite. Of each of these, the smallest box round the slopes of its rays
+gives the middle of its view, and the farthest of them its radius.
+"""
+
+import numpy as np
+
+from lfmesh.geometry import frame
+from lfmesh.geometry.lattice import cell_of, centre, is_inside
+from lfmesh.geometry.lenslets import face_normal, face_sag, shape_of, type_of
+from lfmesh.geometry.mesh import Array
+from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.aiming.lenslet_aim import on_lenslet
+from lfmesh.transport.aiming.pupil import opening_from
+from lfmesh.transport.events.crossing import refracted
+from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
+from lfmesh.transport.tables.tables import MlaTables, Opening
+
+ZONES = 2
+"""Number of points of a lenslet, from its centre to each corner, through which rays go."""
+
+INSIDE = 0.98
+"""How far towards the corners, of the way there: at a corner a ray may land in any of the lenslets that meet there."""
+
+NOTHING_SEEN = -1.0
+"""In place of the radius of a lenslet's view: the lenslet does not show the opening."""
+
+
+def views_through_plate(
+    mla: MlaTables, opening: Opening, moves: Array, sensor_z: float, slope: Array, slope_radius: Array
+) -> None:  # fmt: skip
+    """Measure the view of the opening through every lenslet towards the sensor.
+
+    Parameters
+    ----------
+    mla : MlaTables
+        With lenslets on both faces.
+    opening : Opening
+    moves : (6, 6, 3, 4) float64
+    sensor_z : float, mm
+        Height of the apexes, array frame.
+    slope : (cells, 2) float64
+        Filled with the slope, array frame, away from the sensor, of the middle of the view.
+    slope_radius : (cells,) float64
+        Filled with the radius of the view about that, in slopes; −1: the lenslet does not show the opening.
+    """
+    corners = mla.lenslets.lattice.corners()
+    low, high = np.full(slope.shape, np.inf), np.full(slope.shape, -np.inf)
+    _through_all(mla, opening, moves, sensor_z, corners, low, high, slope_radius, False)
+    seen = np.isfinite(low[:, 0])
+    slope[:] = np.where(seen[:, None], 0.5 * (low + high), 0.0)
+    slope_radius[:] = np.where(seen, 0.0, NOTHING_SEEN)
+    _through_all(mla, opening, moves, sensor_z, corners, slope, slope, slope_radius, True)
+
+
+@kernel
+def _through_all(
+    mla: MlaTables, opening: Opening, moves: Array, sensor_z: float, corners: Array, low: Array, high: Array,
+    radius: Array, has_middle: bool,
+) -> None:  # fmt: skip
+    """Send rays through all lenslets towards the lens; enter them in boxes, or in radii about the middle `low`."""
+    lattice = mla.lenslets.lattice
+    for row in range(lattice.rows):
+        for column in range(lattice.columns):
+            cx, cy = centre(lattice, column, row)
+            for point in range(1 + ZONES * len(corners)):
+                zone, corner = (point + len(corners) - 1) // len(corners) / ZONES, point % len(corners)
+                x, y = cx + INSIDE * zone * corners[corner, 0], cy + INSIDE * zone * corners[corner, 1]
+                for colour in range(mla.media.indices.shape[1]):
+                    for which in range(5):
+                        cell, a, b = _slope_through(
+                            mla, mla.back, opening, moves, sensor_z, column, row, x, y, colour, which
+                        )
+                        if cell < 0:
+                            continue
+                        if has_middle:
+                            off = np.sqrt((a - low[cell, 0]) ** 2 + (b - low[cell, 1]) ** 2)
+                            radius[cell] = max(radius[cell], off)
+                        else:
+                            low[cell, 0], low[cell, 1] = min(low[cell, 0], a), min(low[cell, 1], b)
+                            high[cell, 0], high[cell, 1] = max(high[cell, 0], a), max(high[cell, 1], b)
+
+
+@inlined
+def _slope_through(
+    mla: MlaTables, back: MlaTables, opening: Opening, moves: Array, sensor_z: float, column: int, row: int,
+    x: float, y: float, colour: int, which: int,
+) -> tuple[int, float, float]:  # fmt: skip
+    """Trace a ray through a point of a lenslet towards the lens; return the cell that it leaves, and its slope there.
+
+    The cell is −1 where the ray does not get to the sensor.
+
+    Parameters
+    ----------
+    back : MlaTables
+        The lenslets towards the lens.
+    column, row : int
+        The lenslet among them.
+    x, y : float, mm
+        The point, in their frame.
+    which : int
+        Point of the opening: its centre, or one of four of its border.
+    """
+    curvature, ex, ey = shape_of(back.lenslets, column, row)
+    cx, cy = centre(back.lenslets.lattice, column, row)
+    ux, uy = x - cx - ex, y - cy - ey
+    z = face_sag(back.lenslets, column, row, curvature, ux, uy)
+    nx, ny, nz = face_normal(back.lenslets, column, row, curvature, ux, uy, z)
+    px, py, pz = frame.move_point(moves, BACK_FRAME, CAMERA_FRAME, x, y, z)
+    ox, oy, radius = opening_from(opening, px, py, pz)
+    if not radius > 0.0:
+        return -1, 0.0, 0.0
+    if which > 0:
+        ox += radius * (0.0 if which > 2 else (1.0 if which == 1 else -1.0))
+        oy += radius * (0.0 if which <= 2 else (1.0 if which == 3 else -1.0))
+    dx, dy, dz = frame.move_direction(moves, CAMERA_FRAME, BACK_FRAME, px - ox, py - oy, pz - opening.plane_z)
+    scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
+    glass = mla.media.indices[mla.medium, colour]
+    passes, dx, dy, dz = refract_if_possible(dx * scale, dy * scale, dz * scale, nx, ny, nz, 1.0 / glass)
+    if not passes:
+        return -1, 0.0, 0.0
+    px, py, pz = frame.move_point(moves, BACK_FRAME, MLA_FRAME, x, y, z)
+    dx, dy, dz = frame.move_direction(moves, BACK_FRAME, MLA_FRAME, dx, dy, dz)
+    lenslets = mla.lenslets
+    lattice = lenslets.lattice
+    gx, gy = dx / dz, dy / dz
+    # The line at the height of the apexes, and in the middle of the layer of faces.
+    ax, ay, middle = px - pz * gx, py - pz * gy, 0.5 * (lenslets.top + lenslets.valley)
+    own_column, own_row = cell_of(lattice, ax + middle * gx, ay + middle * gy)
+    if not is_inside(lattice, own_column, own_row):
+        return -1, 0.0, 0.0
+    curvature, ex, ey = shape_of(lenslets, own_column, own_row)
+    cx, cy = centre(lattice, own_column, own_row)
+    kind = type_of(lenslets, own_column, own_row)
+    met, ux, uy = on_lenslet(lenslets, kind, curvature, ax - cx - ex, ay - cy - ey, gx, gy, True)
+    if not met:
+        return -1, 0.0, 0.0
+    z = face_sag(lenslets, own_column, own_row, curvature, ux, uy)
+    nx, ny, nz = face_normal(lenslets, own_column, own_row, curvature, ux, uy, z)
+    passes, dx, dy, dz = refract_if_possible(dx, dy, dz, -nx, -ny, -nz, glass)
+    if not passes:
+        return -1, 0.0, 0.0
+    px, py = ux + cx + ex, uy + cy + ey
+    sx, sy, sz = frame.move_point(moves, SENSOR_FRAME, MLA_FRAME, 0.0, 0.0, 0.0)
+    mx, my, mz = frame.move_direction(moves, SENSOR_FRAME, MLA_FRAME, 0.0, 0.0, 1.0)
+    t = ((sx - px) * mx + (sy - py) * my + (sz - z) * mz) / (dx * mx + dy * my + dz * mz)
+    over = 1.0 / abs(z + t * dz - sensor_z)
+    return own_row * lattice.columns + own_column, (cx - px - t * dx) * over, (cy - py - t * dy) * over
+
+
+@inlined
+def refract_if_possible(
+    dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, eta: float
+) -> tuple[bool, float, float, float]:
+    """Return whether a ray is refracted at a face whose normal points along it, and the refracted direction.
+
+    Parameters
+    ----------
+    dx, dy, dz : float
+        Unit direction.
+    nx, ny, nz : float
+        Unit normal.
+    eta : float
+        Index before the face over that behind it.
+    """
+    cos_i = dx * nx + dy * ny + dz * nz
+    cos2_t = 1.0 - eta * eta * (1.0 - cos_i * cos_i)
+    if cos_i <= 0.0 or cos2_t <= 0.0:
+        return False, dx, dy, dz
+    ux, uy, uz = refracted(dx, dy, dz, nx, ny, nz, eta, cos_i, np.sqrt(cos2_t))
+    return True, ux, uy, uz

@@ -69,7 +69,15 @@ class Entities:
         return {str(name): part for name, part in zip(words[::2], words[1::2], strict=True) if isinstance(part, list)}
 
     def simple(self, reference: Tree, name: str, least: int) -> list[Tree]:
-        """Return the arguments of an entity that must have a name, and so many of them."""
+        """Return the arguments of an entity that must have a name, and so many of them.
+
+        Parameters
+        ----------
+        reference : str
+            As the file writes it, "#" and the entity's number.
+        name : str
+        least : int
+        """
         found = self.parts(reference).get(name)
         if found is None or len(found) < least:
             raise UnreadError

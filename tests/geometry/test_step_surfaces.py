@@ -96,7 +96,9 @@ def test_a_rational_curve_and_net_are_on_their_circle_and_sphere():
         .replace("(4.,0.,0.)", "(3.,0.,3.)")
         .replace("(8.,0.,1.)", "(0.,0.,3.)")
         + "#20=SURFACE_OF_REVOLUTION('',#21,#7);#21=(BOUNDED_CURVE() "
-        f"B_SPLINE_CURVE(2,(#10,#11,#12),.UNSPECIFIED.,.F.,.F.) B_SPLINE_CURVE_WITH_KNOTS((3,3),(0.,1.),.UNSPECIFIED.) CURVE() RATIONAL_B_SPLINE_CURVE((1.,{w!r},1.)));"
+        "B_SPLINE_CURVE(2,(#10,#11,#12),.UNSPECIFIED.,.F.,.F.) "
+        "B_SPLINE_CURVE_WITH_KNOTS((3,3),(0.,1.),.UNSPECIFIED.) CURVE() "
+        f"RATIONAL_B_SPLINE_CURVE((1.,{w!r},1.)));"
     )
     (turned,) = surfaces_of(text)
     found = curve_in_box(turned["curve"], IDENTITY, lambda p: np.maximum(p[:, 0] - 1.0, 0.0))

@@ -99,12 +99,34 @@ def test_scene_loads_and_has_no_fault_of_layout(path: Path) -> None:
         # The panel is seen in the window alone.
         assert any("targets[2] (panel) is out of the field" in warning for warning in warnings)
         warnings = tuple(warning for warning in warnings if "panel" not in warning)
+    if path.stem == "anamorphic":
+        assert any("its focal length is 49.923 mm in y and 35.256 mm in x" in warning for warning in warnings)
+        warnings = tuple(warning for warning in warnings if "the lens is anamorphic" not in warning)
     assert warnings == ()
+
+
+def test_both_cylinders_of_the_anamorphic_camera_focus_on_its_sensor_at_two_thirds() -> None:
+    """Paraxial rays by hand, n u' = n u - y (n' - n) / R, in each section, from the axis at 500 mm."""
+    n, gaps = 1.5168, (500.0, 4.0, 15.0, 4.0)
+    images, magnifications = [], []
+    for radii in ((25.8, math.inf, math.inf, math.inf), (math.inf, math.inf, 18.22, math.inf)):
+        y, u, before = 0.0, 1.0, 1.0
+        for gap, radius, after in zip(gaps, radii, (n, 1.0, n, 1.0), strict=True):
+            y += gap * u
+            u, before = (before * u - y * (after - before) / radius) / after, after
+        images.append(23.0 - y / u)
+        magnifications.append(1.0 / u)
+    distance = solved(load(ASSETS / "scenes" / "anamorphic.toml")).camera.sensor.distance_mm
+    assert distance is not None
+    assert images[0] - 23.0 == pytest.approx(distance, abs=2e-4)  # the catalogue's index: 1.51680 to 1e-5
+    assert images[1] == pytest.approx(images[0], abs=0.02)  # a tenth of a pixel at f/5.6
+    assert magnifications[1] / magnifications[0] == pytest.approx(2 / 3, abs=0.02)
 
 
 def test_the_promised_scenes_are_there() -> None:
     promised = {"first_light", "lit_chart", "conventional", "hexagonal", "emitting_plane", "lytro_class", "focused"}
     assert {
+        "anamorphic",
         "aquarium",
         "coated",
         "color_checker",

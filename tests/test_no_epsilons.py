@@ -16,11 +16,24 @@ SMALL = 1e-3
 DIMENSIONLESS = {
     "geometry/atlas.py": {"_NOISE"},
     "geometry/cad_child.py": {"DEFAULT_TOLERANCE", "FINEST_MM", "MM_PER_UNIT"},
+    "geometry/cad_file.py": {"STRETCHED"},
     "geometry/element_poses.py": {"TOUCHING"},
     "geometry/mesh_file.py": {"MM_PER_UNIT"},
     "geometry/lenslet_profile.py": {"SETTLED"},
     "geometry/patch.py": {"INSIDE", "SETTLED"},
-    "geometry/refractors.py": {"FLAT_SHADED", "NO_POWER", "ON_AXIS", "ON_SURFACE", "SAME_NORMAL", "SLIVER"},
+    "geometry/optical_face.py": {
+        "BESIDE",
+        "EXACT_MM",
+        "FITTED_MM",
+        "FORM_MM",
+        "INDEPENDENT",
+        "NO_TURN",
+        "ON_AXIS",
+        "ON_SURFACE",
+    },
+    "geometry/profile_fit.py": {"FIRST_DAMPING", "FLAT_ENOUGH", "ROUNDED", "SETTLED"},
+    "geometry/refractors.py": {"FLAT_SHADED", "NO_POWER", "SAME_NORMAL", "SLIVER"},
+    "geometry/step_surfaces.py": {"SI_PREFIXES"},
     "geometry/shell_tree.py": {"MARGIN"},
     "geometry/surface.py": {"SETTLED"},
     "geometry/targets.py": {"FLAT"},
@@ -55,8 +68,9 @@ DIMENSIONLESS = {
 }
 """Constants that have a small value: ratios, angles, weights, conversions of units.
 
-Two are lengths. `LARGEST_MM` compares two results for the report, and moves or decides no ray. `FINEST_MM` bounds what
-OpenCASCADE, which calculates to 1e-7 mm whatever the scale, can be asked for.
+Some are lengths. `EXACT_MM`, `FITTED_MM` and `FORM_MM` are what is promised of a recognised surface, whatever its size;
+they decide which surface a face is, and move no ray. `LARGEST_MM` compares two results for the report, and moves or
+decides no ray. `FINEST_MM` bounds what OpenCASCADE, which calculates to 1e-7 mm whatever the scale, can be asked for.
 """
 
 FILES = sorted(path for part in ("geometry", "transport") for path in (PACKAGE / part).rglob("*.py"))

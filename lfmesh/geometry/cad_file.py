@@ -1,16 +1,16 @@
-"""STEP and 3MF files: bodies in mm, and the planes and spheres that the faces of a STEP body lie on.
+"""STEP and 3MF files: bodies in mm, and the surfaces that the faces of a STEP body lie on.
 
 Both kinds can ask for any time and memory, and what reads STEP is a large library that may crash on a broken file. So
 each is opened by `cad_child` in a process of its own, within limits; what it made is kept while the file is the same.
 """
 
 import io
+import json
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from lfmesh.errors import MeshError
-from lfmesh.geometry import cad_child
+from lfmesh.geometry import cad_child, step_surfaces
 from lfmesh.geometry.mesh import Array
+from lfmesh.geometry.optical_face import Told
 from lfmesh.scene.inputs import file_stamp
 
 STEP_ENDINGS = (".step", ".stp")
@@ -39,24 +40,8 @@ MOST_MEBIBYTES, MOST_OUTPUT_MEBIBYTES = 1536, 128
 MM_PER_METRE = 1e3
 """glTF 2.0, section 3.4: all linear distances are metres."""
 
-
-@dataclass(frozen=True)
-class SolidFace:
-    """The plane or sphere that a face of a STEP body lies on, in the file's frame.
-
-    Attributes
-    ----------
-    point : (3,) float64, mm
-        A point of the plane, or the centre of the sphere.
-    normal : (3,) float64
-        Of the plane, of unit length; zero for a sphere.
-    radius : float, mm
-        Of the sphere; infinite for a plane.
-    """
-
-    point: Array
-    normal: Array
-    radius: float
+STRETCHED = 1e-12
+"""How far a body's frame may be from a rotation: rounding."""
 
 
 def bodies_of_3mf(path: Path) -> list[tuple[str, Array, Array]]:
@@ -171,37 +156,64 @@ def named_by_body(document: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def solid_faces(document: dict[str, Any], nodes: list[tuple[Array, dict[str, Any]]]) -> list[SolidFace]:
-    """Return the planes and spheres that faces lie on, as the GLB file of a STEP file tells.
+def surfaces_of_nodes(
+    path: Path, document: dict[str, Any], nodes: list[tuple[Array, dict[str, Any]]]
+) -> list[Told]:  # fmt: skip
+    """Return the surfaces that faces of a STEP file may lie on.
+
+    OpenCASCADE tells which planes and spheres its faces lie on. Others are read from the file's own entities; which
+    body each belongs to is not, so that each is put into the frame of every body that is meant.
 
     Parameters
     ----------
+    path : Path
+        The STEP file.
     document : dict
-        The GLB file's JSON.
+        JSON of the GLB file that was made of it.
     nodes : list of ((4, 4) float64, dict)
-        Place in the scene, m, and entry of the nodes whose faces are meant.
+        Place in the scene, m, and entry of the nodes that are meant.
     """
-    found = []
+    found: list[Told] = []
+    own = _own_surfaces(path.resolve(), file_stamp(path))
     for to_scene, entry in nodes:
         if "mesh" not in entry:
             continue
+        place = np.column_stack([to_scene[:3, :3], MM_PER_METRE * to_scene[:3, 3]])
+        if not np.allclose(place[:, :3] @ place[:, :3].T, np.eye(3), rtol=0.0, atol=STRETCHED):
+            continue
         for primitive in document["meshes"][entry["mesh"]]["primitives"]:
             told = primitive.get("extensions", {}).get("TM_brep_faces", {}).get("faces", [])
-            found += [face for each in told if (face := _solid_face(each, to_scene)) is not None]
+            found += [Told(face, place) for each in told if (face := _face_of_kernel(each)) is not None]
+        found += [Told(each, place) for each in own]
     return found
 
 
-def _solid_face(told: Any, to_scene: Array) -> SolidFace | None:
-    """Return one face in the scene's frame, if it is a plane or sphere."""
+def _face_of_kernel(told: Any) -> dict[str, Any] | None:
+    """Return one face that OpenCASCADE tells, as `step_surfaces` writes surfaces, if it is a plane or sphere."""
     if not isinstance(told, dict) or told.get("type") not in ("plane", "sphere"):
         return None
     is_plane = told["type"] == "plane"
-    linear, shift = to_scene[:3, :3], to_scene[:3, 3]
-    point = MM_PER_METRE * (linear @ np.asarray(told["origin" if is_plane else "center"], dtype=np.float64) + shift)
-    if not is_plane:
-        return SolidFace(point, np.zeros(3), MM_PER_METRE * float(told["radius"]) * float(np.linalg.norm(linear[:, 0])))
-    normal = linear @ np.asarray(told["normal"], dtype=np.float64)
-    return SolidFace(point, normal / np.linalg.norm(normal), np.inf)
+    at = [MM_PER_METRE * each for each in told["origin" if is_plane else "center"]]
+    if is_plane:
+        return {"kind": "plane", "at": at, "axis": told["normal"]}
+    return {"kind": "sphere", "at": at, "radius": MM_PER_METRE * told["radius"]}
+
+
+@lru_cache(maxsize=8)
+def _own_surfaces(path: Path, stamp: tuple[object, ...]) -> list[dict[str, Any]]:
+    """Return the surfaces that `step_surfaces` reads from a file; none where it comes to no end within the limits."""
+    limits = [str(number) for number in (MOST_MEBIBYTES, MOST_SECONDS)]
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "out"
+        command = [sys.executable, "-P", step_surfaces.__file__, str(path), str(out), *limits]
+        try:
+            done = subprocess.run(command, capture_output=True, timeout=MOST_SECONDS, check=False)
+        except subprocess.TimeoutExpired:
+            return []
+        if done.returncode or not out.is_file():
+            return []
+        surfaces: list[dict[str, Any]] = json.loads(out.read_text())
+        return surfaces
 
 
 def placed_3mf(path: Path, key: str | int | None) -> list[tuple[Any, Array]]:

@@ -24,6 +24,13 @@ def rotation(tilt_deg: ArrayLike) -> NDArray[np.float64]:
     return about_z @ about_y @ about_x
 
 
+def tilt_of(turn: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Return the three angles in degrees of a rotation (3, 3), the inverse of `rotation`."""
+    x, z = np.arctan2(turn[2, 1], turn[2, 2]), np.arctan2(turn[1, 0], turn[0, 0])
+    y = np.arctan2(-turn[2, 0], np.hypot(turn[2, 1], turn[2, 2]))
+    return float(np.rad2deg(x)), float(np.rad2deg(y)), float(np.rad2deg(z))
+
+
 def frame(tilt_deg: ArrayLike = (0, 0, 0), origin_mm: ArrayLike = (0, 0, 0)) -> Frame:
     """Return the frame of a body turned by `tilt_deg` about its own origin, which lies at `origin_mm`."""
     return np.column_stack([rotation(tilt_deg), np.asarray(origin_mm, dtype=np.float64)])

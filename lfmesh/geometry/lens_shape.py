@@ -100,7 +100,7 @@ def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
             caps.append(cap(surfaces[k], rings, rims[k]) if circles[k].even else cap_on(surfaces[k], circles[k]))
         else:
             face = face_of(mesh, scene)
-            surfaces[k]["level"] = SURFACE_LEVEL[mesh.surface]
+            surfaces[k]["level"] = SURFACE_LEVEL[mesh.facets]
             # A ring that starts a little inside the rim leaves no gap to a rim that is no circle.
             rims.append((1.0 - 0.2 * RIM_MARGIN) * face.rim_mm)
             shift = surfaces[k]["vertex_z"] - face.vertex_z

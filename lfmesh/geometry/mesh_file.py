@@ -19,6 +19,7 @@ from lfmesh.errors import MeshError
 from lfmesh.geometry import cad_file
 from lfmesh.geometry.gltf_nodes import check_document, load_primitives, node_called, nodes_of, primitives_of
 from lfmesh.geometry.mesh import Array, Mesh
+from lfmesh.geometry.optical_face import Told
 from lfmesh.geometry.texture import FORMATS, MOST_PIXELS, Texture, linear_light, with_alpha
 from lfmesh.optics.gltf_material import GltfMaterial
 from lfmesh.regular_file import read_bytes, read_text, why_no_file
@@ -197,8 +198,8 @@ def _read_cad(path: Path, ending: str, alpha: bool, node: str | int | None, tole
         return _pieces(placed, MM_PER_UNIT[UNIT_OF_FORMAT[".glb"]], alpha)
 
 
-def faces_of_step(path: Path, node: str | int | None, tolerance_mm: float | None) -> list[cad_file.SolidFace]:
-    """Return the planes and spheres that faces of a STEP file, or of one of its bodies, lie on.
+def surfaces_of_step(path: Path, node: str | int | None, tolerance_mm: float | None) -> list[Told]:
+    """Return the surfaces that faces of a STEP file, or of one of its bodies, may lie on.
 
     Parameters
     ----------
@@ -217,7 +218,7 @@ def faces_of_step(path: Path, node: str | int | None, tolerance_mm: float | None
         document = cad_file.named_by_body(gltf_document(glb))
         nodes = nodes_of(glb, document)
         taken = nodes if node is None else [node_called(glb, nodes, node)]
-        return cad_file.solid_faces(document, [(each.to_scene, each.entry) for each in taken])
+        return cad_file.surfaces_of_nodes(path, document, [(each.to_scene, each.entry) for each in taken])
 
 
 def _pieces(placed: list[tuple[Any, Array]], scale: float, alpha: bool) -> list[Piece]:

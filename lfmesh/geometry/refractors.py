@@ -1,7 +1,8 @@
 """Glass from mesh files: a closed body with its normals, and the two optical faces of a lens element.
 
-The first-order optics of an element is measured on its mesh: an even polynomial in the radius, fitted to the vertices
-of each face, gives the vertex, its curvature and an asphere for the rim.
+A face is traced as the exact surface that it lies on, where that is recognised. Else the first-order optics of an
+element is measured on its mesh: an even polynomial in the radius, fitted to the vertices of each face, gives the
+vertex, its curvature and an asphere for the rim.
 """
 
 from dataclasses import dataclass
@@ -12,13 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import MeshError
-from lfmesh.geometry.cad_file import STEP_ENDINGS, SolidFace
+from lfmesh.geometry import frame
+from lfmesh.geometry.cad_file import STEP_ENDINGS
+from lfmesh.geometry.element_poses import pose_of
+from lfmesh.geometry.kernel_mesh import mended
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, joined
-from lfmesh.geometry.mesh_file import faces_of_step, load_mesh
+from lfmesh.geometry.mesh_file import load_mesh, surfaces_of_step
+from lfmesh.geometry.optical_face import ON_SURFACE, Form, Told, fitted_form, plane_through, told_form
 from lfmesh.geometry.patch import neighbours
 from lfmesh.geometry.vertex_normals import edge_partners, estimated_corner_normals, smooth_edges, smooth_groups
 from lfmesh.geometry.weld import welded
-from lfmesh.scene import Element, Lens, MeshFace, MeshShape, Scene, Surface
+from lfmesh.scene import Element, Lens, MeshFace, MeshShape, Pose, Scene, Surface
 from lfmesh.scene.files import with_lens_file
 from lfmesh.scene.inputs import file_stamp
 
@@ -46,12 +51,6 @@ NO_POWER = 1e-9
 SAME_NORMAL = 1e-6
 """Difference of unit normals that float32 leaves, and some more."""
 
-ON_SURFACE = 1e-6
-"""How far a vertex may lie off its surface, in parts of the farthest coordinate: what float32 leaves, and some more."""
-
-ON_AXIS = 1e-9
-"""Tilt in rad of a plane or sphere from the axis below which it stands square to it: CAD programs' rounding."""
-
 FIT_TERMS = 4
 """Even powers of the radius in the fit of a face: r², r⁴, r⁶, r⁸."""
 
@@ -64,22 +63,28 @@ class Face:
     ----------
     mesh : Mesh
         Facing +z, with corner normals.
-    vertex_z : float, mm
-    radius_mm : float
-    asphere_mm : tuple of float
-        Coefficients of r⁴, r⁶, ...
     rim_mm : float
         Largest radius that the face covers all round.
+    form : Form
+        The exact surface, or what is measured in its place.
     is_exact : bool
-        It is the plane or sphere about the axis that a STEP file tells: what is above stands for the whole face.
+        The form stands for the whole face.
     """
 
     mesh: Mesh
-    vertex_z: float
-    radius_mm: float
-    asphere_mm: tuple[float, ...]
     rim_mm: float
+    form: Form
     is_exact: bool = False
+
+    @property
+    def vertex_z(self) -> float:
+        """Where the z axis meets it, mm."""
+        return self.form.vertex_z
+
+    @property
+    def radius_mm(self) -> float:
+        """Radius of curvature at the vertex, in the section y–z."""
+        return float(self.form.keys["radius_mm"])
 
 
 def solid_mesh(
@@ -115,6 +120,8 @@ def solid_mesh(
     pieces = [piece.mesh for piece in load_mesh(path, units, node=node, tolerance_mm=tolerance_mm)]
     brings_normals = all(piece.corner_normals is not None for piece in pieces)
     mesh = _closed(path, joined(pieces), brings_normals, "a refractor")
+    if path.suffix.lower() in STEP_ENDINGS:
+        mesh = mended(mesh)
     normals = _normals_of_file(path, mesh) if crease_deg is None else None
     if normals is None:
         normals = estimated_corner_normals(mesh, smooth_groups(mesh, smooth_edges(mesh, crease_deg)))
@@ -260,41 +267,20 @@ def _faces(path: Path, stamp: tuple[object, ...], shape: MeshShape) -> tuple[Fac
     z, facets = _axis_crossings(mesh)
     if len(z) < 2:
         raise MeshError(f"{path}: its z axis, which must be the axis of the lens, does not pass through the body")
-    told: list[SolidFace] = []
-    if shape.surface == "patch" and path.suffix.lower() in STEP_ENDINGS:
-        told = faces_of_step(path, shape.node, shape.tolerance_mm)
+    told = None
+    if shape.surface == "exact" and path.suffix.lower() in STEP_ENDINGS:
+        told = surfaces_of_step(path, shape.node, shape.tolerance_mm)
     front, back = _side(mesh, groups, facets[0], -1.0), _side(mesh, groups, facets[-1], 1.0)
-    return recognised(front, told) or _fitted(path, front), recognised(back, told) or _fitted(path, back)
+    return _face(path, front, shape, told), _face(path, back, shape, told)
 
 
-def recognised(side: Mesh, told: list[SolidFace]) -> Face | None:
-    """Return the exact plane or sphere about the axis that all vertices of a lens's face lie on, if there is one.
-
-    Parameters
-    ----------
-    side : Mesh
-        The face.
-    told : list of SolidFace
-        Those of the body's file, in the same frame.
-    """
+def _face(path: Path, side: Mesh, shape: MeshShape, told: list[Told] | None) -> Face:
+    """Return a face with the exact surface that it lies on, or with what is measured on its facets."""
+    if shape.surface != "exact":
+        return _fitted(path, side, f'surface = "{shape.surface}" asks for facets')
     points = side.vertices[np.unique(side.faces)]
-    largest = ON_SURFACE * float(np.abs(points).max())
-    for each in told:
-        if np.isinf(each.radius):
-            if np.hypot(*each.normal[:2]) > ON_AXIS:
-                continue
-            vertex, radius = float(each.point[2] - each.normal[:2] @ each.point[:2] / each.normal[2]), np.inf
-            off = np.abs(points[:, 2] - vertex)
-        else:
-            if np.hypot(*each.point[:2]) > ON_AXIS * each.radius:
-                continue
-            # Of the sphere's two halves the one that the face is on; the centre lies towards +z of the lower one.
-            lower = np.copysign(1.0, each.point[2] - points[:, 2].mean())
-            vertex, radius = float(each.point[2] - lower * each.radius), lower * each.radius
-            off = np.abs(np.linalg.norm(points - each.point, axis=1) - each.radius)
-        if off.max() <= largest:
-            return Face(side, vertex, float(radius), (), _round_rim(side), True)
-    return None
+    form, why_not = fitted_form(points) if told is None else told_form(points, told)
+    return _fitted(path, side, why_not) if form is None else Face(side, _round_rim(side), form, True)
 
 
 def _round_rim(side: Mesh) -> float:
@@ -343,11 +329,15 @@ def _side(mesh: Mesh, groups: np.ndarray, facet: int, outward: float) -> Mesh:
     return side.flipped() if outward < 0.0 else side
 
 
-def _fitted(path: Path, side: Mesh) -> Face:
-    """Return a face with its vertex, curvature and asphere, fitted to its vertices."""
+def _fitted(path: Path, side: Mesh, why: str) -> Face:
+    """Return a face that stays facets, for a reason, with its vertex, curvature and asphere fitted to its vertices."""
     used = np.unique(side.faces)
     r2 = np.square(side.vertices[used, :2]).sum(axis=1)
     rim = _rim(side)
+    flat = plane_through(side.vertices[used])
+    if flat is not None:
+        # Its vertices may all stand on its rim.
+        return Face(side, rim, Form(flat, {"radius_mm": np.inf}, words=why))
     near = r2 <= rim * rim * (1 + 1e-9)
     if near.sum() < FIT_TERMS + 2:
         raise MeshError(f"{path}: the face on its axis has only {near.sum()} vertices; mesh it finer")
@@ -361,7 +351,8 @@ def _fitted(path: Path, side: Mesh) -> Face:
     # The asphere is what the fit has beyond the sphere's own r⁴, r⁶, r⁸.
     c = 0.0 if np.isinf(radius) else curvature
     sphere = np.array([c**3 / 8.0, c**5 / 16.0, 5.0 * c**7 / 128.0])
-    return Face(side, float(coefficients[0]), radius, tuple(float(t) for t in a[1:] - sphere), rim)
+    terms = tuple(float(t) for t in a[1:] - sphere)
+    return Face(side, rim, Form(float(coefficients[0]), {"radius_mm": radius, "asphere_mm": terms}, words=why))
 
 
 def _border(mesh: Mesh) -> Array:
@@ -387,6 +378,7 @@ def measured(scene: Scene) -> Scene:
     if all(s.refractor is None for s in lens.surfaces):
         return scene
     surfaces: list[Surface] = []
+    turns: dict[int, float] = {}
     for surface in lens.surfaces:
         refractor = surface.refractor
         if refractor is None:
@@ -397,10 +389,11 @@ def measured(scene: Scene) -> Scene:
         for face, side in ((front, "front"), (back, "back")):
             aperture = surface.semi_diameter_mm or face.rim_mm
             largest = face.rim_mm if face.is_exact else (1.0 - RIM_MARGIN) * face.rim_mm
+            if face.form.azimuth_deg:
+                turns[len(surfaces)] = face.form.azimuth_deg
             surfaces.append(
                 Surface(
-                    radius_mm=face.radius_mm,
-                    asphere_mm=face.asphere_mm,
+                    **face.form.keys,
                     thickness_mm=back.vertex_z - front.vertex_z if side == "front" else surface.thickness_mm,
                     index=refractor.index if side == "front" else None,
                     glass=refractor.glass if side == "front" else None,
@@ -417,6 +410,55 @@ def measured(scene: Scene) -> Scene:
     ]
     given = lens.model_dump(exclude={"surfaces", "file", "elements"})
     new = Lens(**given, surfaces=tuple(surfaces), elements=tuple(elements))
+    if turns:
+        new = new.model_copy(update={"elements": _turned(new, turns)})
     camera = scene.camera.model_copy(update={"lens": new})
     copy = scene.model_copy(update={"camera": camera})
     return copy.in_folder(scene.folder)
+
+
+def _turned(lens: Lens, turns: dict[int, float]) -> tuple[Element, ...]:
+    """Return the elements of a lens some of whose surfaces are turned about their own axis.
+
+    An element with such a surface becomes one for each of its surfaces.
+
+    Parameters
+    ----------
+    lens : Lens
+    turns : dict of int to float
+        Angle in degrees by the number of the surface.
+    """
+    kept = [element for element in lens.elements if not any(number in turns for number in element.surfaces)]
+    split = {n for element in lens.elements if element not in kept for n in element.surfaces} | set(turns)
+    return (*kept, *(_alone(lens, number, turns.get(number, 0.0)) for number in sorted(split)))
+
+
+def _alone(lens: Lens, number: int, turn_deg: float) -> Element:
+    """Return a surface as an element by itself that stands where its element puts it, turned about its own axis."""
+    stands = pose_of(lens, number)
+    turned = stands[:, :3] @ frame.rotation((0.0, 0.0, turn_deg))
+    vertex = np.array([0.0, 0.0, lens.vertices_mm[number]])
+    shift = frame.points(stands, [vertex])[0] - vertex
+    shift_mm = (float(shift[0]), float(shift[1]), float(shift[2]))
+    return Element(surfaces=(number,), pose=Pose(shift_mm=shift_mm, tilt_deg=frame.tilt_of(turned)))
+
+
+def face_lines(scene: Scene) -> list[str]:
+    """Return in words what each face of the lens's elements from files is traced as, and why.
+
+    Parameters
+    ----------
+    scene : Scene
+        As its file says it, with nothing measured.
+    """
+    lens = with_lens_file(scene.camera.lens, scene.folder)
+    lines, number = [], 0
+    for surface in lens.surfaces:
+        if surface.refractor is None:
+            number += 1
+            continue
+        for face in faces(surface.refractor, scene):
+            way = "exact, " if face.is_exact else "facets: "
+            lines.append(f"surface {number:<15}{way}{face.form.words}")
+            number += 1
+    return lines

@@ -13,7 +13,7 @@ from threading import Lock
 import numpy as np
 
 from lfmesh.geometry.lens_shape import PIXEL_SHARE, LensShape, lens_shape
-from lfmesh.geometry.refractors import measured
+from lfmesh.geometry.refractors import face_lines, measured
 from lfmesh.geometry.tanks import with_tanks
 from lfmesh.scene import FirstOrder, Paraxial, Scene, Tessellation, solved
 from lfmesh.scene.files import with_lens_file
@@ -114,9 +114,9 @@ def first_order(scene: Scene) -> FirstOrder:
 
 def mesh_lines(scene: Scene) -> list[str]:
     """Return in words how a scene's lens is meshed: triangles a surface, and what they cost at the sensor."""
+    lines = face_lines(scene)
     camera = solved_camera(scene)
     scene, shape = camera.scene, camera.lens_shape()
-    lines = []
     for number, cap, error, own in zip(shape.numbers, shape.caps, shape.errors_mm, shape.analytic, strict=True):
         source = f"estimated error at the sensor {1e3 * error:.3g} µm" if own else "from its file"
         lines.append(f"surface {number:<15}{len(cap.faces)} triangles, {source}")

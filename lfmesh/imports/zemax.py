@@ -40,10 +40,18 @@ _ASPHERES = ("EVENASPH", "ODDASPHE", "XASPHERE")
 
 _SECTIONS = {"BICONICX": "biconic", "TOROIDAL": "toroid"}
 """Surfaces with another section in x: parameter 1 is its radius, 0 that of a flat one, and of a biconic parameter 2
-its conic constant; a toroid has the coefficients of y², y⁴, ... from parameter 2 on."""
+its conic constant; a toroid has the coefficients of y², y⁴, ... from parameter 2 on.
 
-_LAST_OF_TOROID = 8
-"""Parameter of a toroid's y¹⁴."""
+Held against OpticStudio's online help, 24.2, "Toroidal" (parameters 0 Extrapolate, 1 radius of rotation, 2 to 8 the
+coefficients, 13 number of Zernike terms), and 26.1, "Odd Asphere" (1 to 8: r to r⁸). Of the biconic no vendor's page of
+the sequential surface was at hand: the help's biconic object has a radius in x, 0 for a flat one, as pyrate reads it;
+prysm takes parameter 1 for a curvature."""
+
+_LAST_OF_TOROID, _ZERNIKE_TERMS = 8, 13
+"""Parameters of a toroid: y¹⁴, and how many Zernike terms it has."""
+
+_OF_ZERNIKE_TERMS = 0, 14
+"""Parameters of a toroid that say nothing without these terms: whether they go on beyond their radius, and this."""
 
 _REFUSED_TYPES = {
     "XODDASPH": "extended odd aspheres are not supported",
@@ -381,6 +389,10 @@ class _Reader:
             self._taken()
         elif self.kind == "TOROIDAL" and 2 <= place <= _LAST_OF_TOROID:
             self._add_term(2 * place - 2, value)
+        elif self.kind == "TOROIDAL" and place == _ZERNIKE_TERMS:
+            self._refuse("Zernike terms of a toroid are not supported")
+        elif self.kind == "TOROIDAL" and place in _OF_ZERNIKE_TERMS:
+            self._without_effect()
         elif self.kind in (*_ASPHERES, *_SECTIONS):
             self._refuse(f"parameter {place} of {self.kind} is unknown")
         elif self.kind == "COORDBRK":

@@ -28,6 +28,7 @@ WAYS_IN = dict.fromkeys(
 
 Units = Literal["um", "mm", "cm", "m", "inch", "foot"]
 FacetLevel = Literal["flat", "smooth", "patch"]
+FaceLevel = Literal["flat", "smooth", "patch", "exact"]
 Priority = Annotated[int, Field(strict=True, ge=-1000, le=1000)]
 CreaseAngle = Annotated[float, Field(strict=True, gt=0, lt=180)]
 
@@ -67,12 +68,18 @@ class BodyFile(Model):
 class MeshShape(BodyFile):
     """The mesh that gives glass its shape."""
 
-    surface: FacetLevel = "patch"
-    """What a facet stands for: itself, itself with smooth normals, or a curved patch."""
+    surface: FaceLevel = "exact"
+    """What a facet stands for: itself, itself with smooth normals, or a curved patch. "exact": a face of a lens element
+    is the exact surface that it lies on, where that is recognised, and every other facet a patch."""
     crease_deg: CreaseAngle | None = None
     """Facets that meet at a larger angle, in degrees, meet at an edge of the body; below, on a smooth surface, whose
     normals are estimated. Omitted: what the file's own vertex normals say, where it has them, else a few times the
     angle at which most of the mesh's curved facets meet."""
+
+    @property
+    def facets(self) -> FacetLevel:
+        """What facets stand for where no exact surface is recognised."""
+        return "patch" if self.surface == "exact" else self.surface
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""
@@ -111,7 +118,7 @@ class Refractor(MeshShape):
     @property
     def level(self) -> FacetLevel:
         """What its facets stand for; those of a box for themselves."""
-        return "flat" if self.box_mm is not None else self.surface
+        return "flat" if self.box_mm is not None else self.facets
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""

@@ -172,7 +172,7 @@ def test_first_order_optics_are_measured_on_the_two_faces_of_an_element(tmp_path
     scene = Scene(camera=Camera(lens=SINGLET, sensor=Sensor(pixels=(8, 8), pixel_mm=0.1, distance_mm=20.0))).in_folder(
         tmp_path
     )
-    front, back = faces(MeshShape(file="lens.ply", units="mm"), scene)
+    front, back = faces(MeshShape(file="lens.ply", units="mm", surface="patch"), scene)
     assert front.radius_mm == pytest.approx(50.0, rel=radius)
     assert back.radius_mm == pytest.approx(-50.0, rel=radius)
     assert front.vertex_z == pytest.approx(0.0, abs=vertex)
@@ -201,7 +201,7 @@ def test_patches_from_the_exact_normals_of_a_file_image_within_20_nm_at_a_thousa
     sensor = Sensor(pixels=(100, 100), pixel_mm=0.2, distance_mm=45.0)
     truth = landing(lf.build(Scene(camera=Camera(lens=SINGLET, sensor=sensor))))
     saved(tmp_path / "lens.ply", biconvex(exact=True))
-    glass = {"file": "lens.ply", "units": "mm", "index": 1.5168}
+    glass = {"file": "lens.ply", "units": "mm", "index": 1.5168, "surface": "patch"}
     lens = Lens(surfaces=({"refractor": glass, "semi_diameter_mm": 9.9},))
     found = landing(lf.build(Scene(camera=Camera(lens=lens, sensor=sensor)).in_folder(tmp_path)))
     assert 6 * 12**2 <= 1000

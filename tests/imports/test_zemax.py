@@ -326,7 +326,16 @@ def test_another_section_in_x_is_a_biconic_or_toroid(unit: str, mm: float) -> No
     surface = lens_of(aspheric("BICONICX", *terms).replace("UNIT MM", f"UNIT {unit}")).surfaces[1]
     assert surface.biconic is not None
     assert (surface.biconic.radius_x_mm, surface.biconic.conic_x) == (pytest.approx(50.0 * mm, rel=1e-14), -0.7)
-    terms = ("PARM 1 -40", "PARM 2 0", "PARM 3 1e-6", "XDAT 1 0 0 0", "XDAT 2 1 0 0")
+    terms = (
+        "PARM 0 1",
+        "PARM 1 -40",
+        "PARM 2 0",
+        "PARM 3 1e-6",
+        "PARM 13 0",
+        "PARM 14 5",
+        "XDAT 1 0 0 0",
+        "XDAT 2 1 0 0",
+    )
     surface = lens_of(aspheric("TOROIDAL", *terms).replace("UNIT MM", f"UNIT {unit}")).surfaces[1]
     assert surface.toroid is not None
     assert surface.toroid.radius_x_mm == pytest.approx(-40.0 * mm, rel=1e-14)
@@ -353,6 +362,7 @@ def test_an_extended_asphere_counts_its_height_in_its_own_radius(unit: str, mm: 
         ("ODDASPHE", "PARM 2 1e-4", "a term in r²"),
         ("TOROIDAL", "PARM 2 1e-4", "a term in r²"),
         ("TOROIDAL", "PARM 9 1e-4", "parameter 9 of TOROIDAL is unknown"),
+        ("TOROIDAL", "PARM 13 3", "Zernike terms of a toroid are not supported"),
         ("TOROIDAL", "XDAT 3 1e-4 0 0", "Zernike terms of a toroid are not supported"),
         ("BICONICX", "PARM 3 1e-4", "parameter 3 of BICONICX is unknown"),
         ("XASPHERE", "XDAT 3 1e-4 0 0", "a term in r²"),

@@ -26,9 +26,9 @@ from lfmesh.transport.events.crossing import (
     windowed,
 )
 from lfmesh.transport.events.lamps_on_line import density_by_angle, distance_by_angle, lamps_on_line, passes_lamp
-from lfmesh.transport.events.lighting import from_light
+from lfmesh.transport.events.lighting import from_light_nearby
 from lfmesh.transport.events.polarisation import depolarise
-from lfmesh.transport.events.volume import Passage, pass_through, scattered_at, scattering_point
+from lfmesh.transport.events.volume import Passage, Ray, pass_through, scattered_at, scattering_point
 from lfmesh.transport.packets.book import SAMPLING_ADDED, SAMPLING_REMOVED
 from lfmesh.transport.packets.packet import (
     CAMERA,
@@ -218,18 +218,18 @@ def _ask_lamps(
     """
     lights, spectra, colour = objects.lights, objects.light_spectra, packet.colour
     x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
-    first, last = passage.first, passage.last
+    line, first, last = Ray(x, y, z, dx, dy, dz), passage.first, passage.last
     near = NEAR * passage.scattered / passage.densest
-    points = 2 if passes_lamp(lights, spectra, colour, x, y, z, dx, dy, dz, first, last, near) else 1
-    whole = lamps_on_line(lights, spectra, colour, x, y, z, dx, dy, dz, first, last) if points == 2 else 0.0
+    points = 2 if passes_lamp(lights, spectra, colour, line, first, last, near) else 1
+    whole = lamps_on_line(lights, spectra, colour, line, first, last) if points == 2 else 0.0
     for point in range(points):
         if point == 1:
             choice = whole * uniform(key, BY_LAMP)
-            t = distance_by_angle(lights, spectra, colour, x, y, z, dx, dy, dz, first, last, choice)
+            t = distance_by_angle(lights, spectra, colour, line, first, last, choice)
             density, number = scattered_at(objects.volumes, place, colour, t, x, y, z, dx, dy, dz, flow.book, key)
         if points == 2 and density > 0.0:
             own = density / passage.scattered
-            by_lamp = density_by_angle(lights, spectra, colour, x, y, z, dx, dy, dz, t) / whole
+            by_lamp = density_by_angle(lights, spectra, colour, line, t) / whole
             share = (density if point == 1 else share * own) / (own + by_lamp)
         if density > 0.0:
             _ask_lamps_from(options, flow, objects, packet, weight * share, number, x + t * dx, y + t * dy, z + t * dz)
@@ -254,7 +254,7 @@ def _ask_lamps_from(
     """
     phases, phase = objects.volumes.phases, objects.volumes.phases.rows[number, packet.colour]
     for light in range(len(objects.lights)):
-        ux, uy, uz, far, irradiance = from_light(options, objects, packet, light, x, y, z)
+        ux, uy, uz, far, irradiance = from_light_nearby(options, objects, packet, light, x, y, z)
         scattered = evaluate_phase(phases, phase, packet.dx * ux + packet.dy * uy + packet.dz * uz)
         if irradiance * scattered > 0.0:
             lit = weight * irradiance * scattered

@@ -98,6 +98,7 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     media.hottest_and_coldest_gas,
     media.lamp_beside_the_line,
     media.disk_lamp_on_the_line,
+    media.camera_in_glowing_fog,
     gloss.gloss_at_its_ends,
     surfaces.ground_at_its_ends,
     surfaces.diffuse_grazed,

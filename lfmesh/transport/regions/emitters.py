@@ -52,7 +52,7 @@ def ask_emitters(wave: NDArray[np.void], objects: ObjectTables, options: Options
             _ask_media(objects.volumes, objects, options, flow, packet)
 
 
-@kernel
+@inlined
 def _ask_facet(objects: ObjectTables, options: Options, flow: Flow, packet: Any) -> None:
     """Send a packet from a point to a random point of the emitting facets.
 

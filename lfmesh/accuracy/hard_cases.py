@@ -97,6 +97,8 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     media.medium_at_the_lens,
     media.hottest_and_coldest_gas,
     media.lamp_beside_the_line,
+    media.disk_lamp_on_the_line,
+    media.camera_in_glowing_fog,
     gloss.gloss_at_its_ends,
     surfaces.ground_at_its_ends,
     surfaces.diffuse_grazed,

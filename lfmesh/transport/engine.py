@@ -311,10 +311,11 @@ class Workspace:
     def reserve(self, packets: int) -> None:
         """Make room for all that a wave of packets may add: children, deposits, ends, vertices."""
         # A packet has two children at an interface; at a target one for each light, an aimed and a scattered one.
-        children = max(2, len(self.world.tables.objects.lights) + 2)
+        lights = len(self.world.tables.objects.lights)
+        children = lights + 2
         if self.tables.objects.volumes is not None:
-            # On its way a medium may scatter it too.
-            children *= 2
+            # On its way a medium may scatter it too, and ask each light from two points.
+            children += 2 * lights + 2
         need = int(self.tops[:STATIONS].max()) + children * packets
         if need > self.stacks.shape[1]:
             larger = np.zeros((STATIONS + 1, max(need, 2 * self.stacks.shape[1])), self.stacks.dtype)

@@ -2,8 +2,9 @@
 
 The irradiance of a point at distance h from a line falls along it as 1 / (h² + s²), so that distances of that density
 are those of even steps of the angle at which the point sees them. Of several lamps the densities add, each by its
-intensity. A disk is taken for a point as far off the line as its radius adds to h; a spot or a profile as one of its
-largest intensity. Both change where samples go, not what they count. Directional light is the same all along a line.
+intensity. A disk is taken for a point as far off the line as its radius adds to h, so that the density stays in a
+constant proportion to what the disk sends, which is bounded; a spot or a profile as one of its largest intensity. Both
+change where samples go, not what they count. Directional light is the same all along a line.
 """
 
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.events.volume import Ray
 from lfmesh.transport.tables.lights import DIRECTIONAL, DISK
 
 Array = NDArray[np.float64]
@@ -22,8 +24,7 @@ NARROWEST = 2.0**-26
 
 @kernel
 def passes_lamp(
-    lights: NDArray[np.void], spectra: Array, colour: int,
-    x: float, y: float, z: float, dx: float, dy: float, dz: float, first: float, last: float, within: float,
+    lights: NDArray[np.void], spectra: Array, colour: int, line: Ray, first: float, last: float, within: float
 ) -> bool:  # fmt: skip
     """Tell whether a part of a line comes near a lamp.
 
@@ -33,15 +34,15 @@ def passes_lamp(
     spectra : (lamps, wavelengths) float64
     colour : int
         Number of the wavelength.
-    x, y, z, dx, dy, dz : float
-        The line, mm, object frame.
+    line : Ray
+        In the object frame.
     first, last : float, mm
         Its part; the last may be inf.
     within : float, mm
         Distance of the lamp that is near.
     """
     for number in range(len(lights)):
-        power, s, h = _seen_from_lamp(lights, spectra, number, colour, x, y, z, dx, dy, dz)
+        power, s, h = _seen_from_lamp(lights, spectra, number, colour, line)
         past = min(max(s, first), last) - s
         if power > 0.0 and h * h + past * past < within * within:
             return True
@@ -49,20 +50,17 @@ def passes_lamp(
 
 
 @kernel
-def lamps_on_line(
-    lights: NDArray[np.void], spectra: Array, colour: int,
-    x: float, y: float, z: float, dx: float, dy: float, dz: float, first: float, last: float,
-) -> float:  # fmt: skip
+def lamps_on_line(lights: NDArray[np.void], spectra: Array, colour: int, line: Ray, first: float, last: float) -> float:
     """Return the integral of `density_by_angle` over a part of a line, W/(sr mm); 0: there is no lamp.
 
     Parameters
     ----------
-    lights, spectra, colour, x, y, z, dx, dy, dz, first, last
+    lights, spectra, colour, line, first, last
         As for `passes_lamp`.
     """
     whole = 0.0
     for number in range(len(lights)):
-        power, s, h = _seen_from_lamp(lights, spectra, number, colour, x, y, z, dx, dy, dz)
+        power, s, h = _seen_from_lamp(lights, spectra, number, colour, line)
         if power > 0.0:
             whole += power * _angle(s, h, first, last) / h
     return whole
@@ -70,21 +68,20 @@ def lamps_on_line(
 
 @kernel
 def distance_by_angle(
-    lights: NDArray[np.void], spectra: Array, colour: int,
-    x: float, y: float, z: float, dx: float, dy: float, dz: float, first: float, last: float, choice: float,
+    lights: NDArray[np.void], spectra: Array, colour: int, line: Ray, first: float, last: float, choice: float
 ) -> float:  # fmt: skip
     """Return a distance on a part of a line, drawn by `density_by_angle`.
 
     Parameters
     ----------
-    lights, spectra, colour, x, y, z, dx, dy, dz, first, last
+    lights, spectra, colour, line, first, last
         As for `passes_lamp`.
     choice : float
         Uniform below the integral.
     """
     t = first
     for number in range(len(lights)):
-        power, s, h = _seen_from_lamp(lights, spectra, number, colour, x, y, z, dx, dy, dz)
+        power, s, h = _seen_from_lamp(lights, spectra, number, colour, line)
         if power <= 0.0:
             continue
         own = power * _angle(s, h, first, last) / h
@@ -96,29 +93,18 @@ def distance_by_angle(
 
 
 @kernel
-def density_by_angle(
-    lights: NDArray[np.void],
-    spectra: Array,
-    colour: int,
-    x: float,
-    y: float,
-    z: float,
-    dx: float,
-    dy: float,
-    dz: float,
-    t: float,
-) -> float:
+def density_by_angle(lights: NDArray[np.void], spectra: Array, colour: int, line: Ray, t: float) -> float:
     """Return what all lamps send to a distance on a line, W/(sr mm²): the density of `distance_by_angle`, unnormalised.
 
     Parameters
     ----------
-    lights, spectra, colour, x, y, z, dx, dy, dz
+    lights, spectra, colour, line
         As for `passes_lamp`.
     t : float, mm
     """
     total = 0.0
     for number in range(len(lights)):
-        power, s, h = _seen_from_lamp(lights, spectra, number, colour, x, y, z, dx, dy, dz)
+        power, s, h = _seen_from_lamp(lights, spectra, number, colour, line)
         if power > 0.0:
             total += power / (h * h + (t - s) * (t - s))
     return total
@@ -132,24 +118,15 @@ def _angle(s: float, h: float, first: float, last: float) -> float:
 
 @inlined
 def _seen_from_lamp(
-    lights: NDArray[np.void],
-    spectra: Array,
-    number: int,
-    colour: int,
-    x: float,
-    y: float,
-    z: float,
-    dx: float,
-    dy: float,
-    dz: float,
+    lights: NDArray[np.void], spectra: Array, number: int, colour: int, line: Ray
 ) -> tuple[float, float, float]:
     """Return a lamp's intensity, W/sr, the distance on a line that is nearest to it, and its distance there, mm."""
     light: Any = lights[number]
     if light.kind == DIRECTIONAL:
         return 0.0, 0.0, 1.0
-    px, py, pz = light.position[0] - x, light.position[1] - y, light.position[2] - z
-    s = px * dx + py * dy + pz * dz
-    ex, ey, ez = px - s * dx, py - s * dy, pz - s * dz
+    px, py, pz = light.position[0] - line.x, light.position[1] - line.y, light.position[2] - line.z
+    s = px * line.dx + py * line.dy + pz * line.dz
+    ex, ey, ez = px - s * line.dx, py - s * line.dy, pz - s * line.dz
     h2, power = ex * ex + ey * ey + ez * ez, light.peak
     if light.kind == DISK:
         h2, power = h2 + light.radius * light.radius, light.power / np.pi

@@ -23,6 +23,9 @@ LIGHT_DIMENSIONS = 1 << 12
 MOST_STEPS = 64
 """Of Newton's method, or of halving, after which an angle is known to its last digits."""
 
+NEAR_RADII = 2.0
+"""Distance from a disk, in its radii, below which its points are drawn as they are seen too."""
+
 # Dimensions of the numbers that a light's packet starts from; dimension 0 chooses the light.
 PLACE_U, PLACE_V, WAY_U, WAY_V = 1, 2, 3, 4
 
@@ -87,6 +90,86 @@ def from_light(
 
 
 @inlined
+def _point_of_disk(light: Any, u: float, v: float) -> tuple[float, float, float]:
+    """Return a random point of a disk, uniform by area, mm, object frame."""
+    r, phi = light.radius * np.sqrt(u), 2.0 * np.pi * v
+    px, py, pz, qx, qy, qz = tangents(light.direction[0], light.direction[1], light.direction[2])
+    a, b = r * np.cos(phi), r * np.sin(phi)
+    x, y, z = light.position[0], light.position[1], light.position[2]
+    return x + a * px + b * qx, y + a * py + b * qy, z + a * pz + b * qz
+
+
+@inlined
+def from_light_nearby(
+    options: Options, objects: ObjectTables, packet: Any, number: int, x: float, y: float, z: float
+) -> tuple[float, float, float, float, float]:
+    """Return what `from_light` does, for a point that may be as near to the light as may be: in a medium.
+
+    Parameters
+    ----------
+    options, objects, packet, number, x, y, z
+        As for `from_light`.
+    """
+    light = objects.lights[number]
+    ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
+    px, py, pz = x - light.position[0], y - light.position[1], z - light.position[2]
+    radii = NEAR_RADII * light.radius
+    if light.kind != DISK or px * px + py * py + pz * pz > radii * radii:
+        return from_light(options, objects, packet, number, x, y, z)
+    height = px * ax + py * ay + pz * az
+    if height <= 0.0:
+        return 0.0, 0.0, 1.0, 0.0, 0.0
+    u, v = draw_two(options, packet, LIGHT_U + LIGHT_DIMENSIONS * number)
+    ux, uy, uz, reach, irradiance = _near_disk(light, x, y, z, height, u, v)
+    return ux, uy, uz, reach, irradiance * objects.light_spectra[number, packet.colour]
+
+
+@kernel
+def _near_disk(
+    light: Any, x: float, y: float, z: float, height: float, u: float, v: float
+) -> tuple[float, float, float, float, float]:
+    """Return direction, distance and irradiance of a near disk, from a random point by area or as it is seen.
+
+    Points of even area alone would leave cos θ / r², over that density, unbounded beside the disk. So with equal chance
+    the direction towards the disk's plane is drawn evenly, and the sum of both densities divides the light (balance
+    heuristic): what one point brings is then below four times the disk's power over π and its radius squared.
+
+    Parameters
+    ----------
+    light : LIGHT
+    x, y, z : float, mm
+        The point, object frame.
+    height : float, mm
+        Above the disk, more than 0.
+    u, v : float
+        Random numbers, uniform in [0, 1).
+
+    Returns
+    -------
+    ux, uy, uz, reach, irradiance : float
+        As of `illuminate`; the irradiance is 0 where the direction misses the disk.
+    """
+    radius2 = light.radius * light.radius
+    ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
+    if u < 0.5:
+        px, py, pz = _point_of_disk(light, 2.0 * u, v)
+        ux, uy, uz = px - x, py - y, pz - z
+        reach = np.sqrt(ux * ux + uy * uy + uz * uz)
+        ux, uy, uz = ux / reach, uy / reach, uz / reach
+        cosine = height / reach
+    else:
+        # 1 − cos θ uniform below 1.
+        ux, uy, uz = near(-ax, -ay, -az, 2.0 * u - 1.0, 2.0 * np.pi * v)
+        cosine = 2.0 - 2.0 * u
+        reach = height / cosine
+        px, py, pz = x + reach * ux, y + reach * uy, z + reach * uz
+        px, py, pz = px - light.position[0], py - light.position[1], pz - light.position[2]
+        if px * px + py * py + pz * pz > radius2:
+            return ux, uy, uz, reach, 0.0
+    return ux, uy, uz, reach, light.power / (np.pi * MM2) * cosine / (0.5 * reach * reach + 0.25 * cosine * radius2)
+
+
+@inlined
 def illuminate(
     profiles: Profiles, light: Any, x: float, y: float, z: float, u: float, v: float
 ) -> tuple[float, float, float, float, float]:
@@ -115,11 +198,7 @@ def illuminate(
         return -ax, -ay, -az, np.inf, light.power
     lx, ly, lz = light.position[0], light.position[1], light.position[2]
     if light.kind == DISK:
-        r = light.radius * np.sqrt(u)
-        phi = 2.0 * np.pi * v
-        px, py, pz, qx, qy, qz = tangents(ax, ay, az)
-        a, b = r * np.cos(phi), r * np.sin(phi)
-        lx, ly, lz = lx + a * px + b * qx, ly + a * py + b * qy, lz + a * pz + b * qz
+        lx, ly, lz = _point_of_disk(light, u, v)
     ux, uy, uz = lx - x, ly - y, lz - z
     distance2 = ux * ux + uy * uy + uz * uz
     reach = np.sqrt(distance2)

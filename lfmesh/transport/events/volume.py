@@ -108,8 +108,16 @@ def own_ray(row: Any, x: float, y: float, z: float, dx: float, dy: float, dz: fl
 
 
 @inlined
-def _slab(low: float, high: float, o: float, d: float) -> tuple[float, float]:
-    """Return the distances between which a ray is between two planes of a coordinate."""
+def slab(low: float, high: float, o: float, d: float) -> tuple[float, float]:
+    """Return the distances between which a ray is between two planes of a coordinate.
+
+    Parameters
+    ----------
+    low, high : float
+        The planes.
+    o, d : float
+        Start and direction of the ray.
+    """
     if d == 0.0:
         return (-np.inf, np.inf) if low <= o <= high else (np.inf, -np.inf)
     a, b = (low - o) / d, (high - o) / d
@@ -154,11 +162,11 @@ def _span(row: Any, ray: Ray) -> tuple[float, float]:
     x, y, z, dx, dy, dz = ray
     first, last = -np.inf, np.inf
     if row.bounds == IN_FRONT:
-        return _slab(-np.inf, 0.0, z, dz) if dz != 0.0 or z < 0.0 else (np.inf, -np.inf)
+        return slab(-np.inf, 0.0, z, dz) if dz != 0.0 or z < 0.0 else (np.inf, -np.inf)
     if row.bounds == BOX:
         for axis in range(3):
             o, d = (x, y, z)[axis], (dx, dy, dz)[axis]
-            a, b = _slab(-row.size[axis], row.size[axis], o, d)
+            a, b = slab(-row.size[axis], row.size[axis], o, d)
             first, last = max(first, a), min(last, b)
     elif row.bounds != SHELL:
         cut = 0.0 if row.bounds == CYLINDER else 1.0
@@ -177,12 +185,12 @@ def _span(row: Any, ray: Ray) -> tuple[float, float]:
         elif x * x + y * y > radius2:
             return np.inf, -np.inf
         if row.bounds == CYLINDER:
-            c, d = _slab(-row.size[2], row.size[2], z, dz)
+            c, d = slab(-row.size[2], row.size[2], z, dz)
             first, last = max(first, c), min(last, d)
     if row.cells[0] > 0:
         for axis in range(3):
             o, d = (x, y, z)[axis], (dx, dy, dz)[axis]
-            a, b = _slab(row.low[axis], row.high[axis], o, d)
+            a, b = slab(row.low[axis], row.high[axis], o, d)
             first, last = max(first, a), min(last, b)
     return first, last
 

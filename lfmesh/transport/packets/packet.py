@@ -19,7 +19,7 @@ OBJECTS = 2  # a target, or the way into the lens
 PLATE = 3  # the array from outside its layers of curved faces: entry, or the flat face
 SENSOR = 4  # a pixel
 LENS_MESH = 5  # a surface of the main lens, by its mesh where the order of the surfaces does not decide
-EMITTERS = 6  # a point of a target that emitting targets may light
+EMITTERS = 6  # a point of a target or a medium that emitting targets or media may light
 CELLS_MESH = 7  # the curved face in its cell, by its mesh where distances do not decide
 BACK_CELLS = 8  # the lenslets of the array's other face, where it has two curved ones, in their cell
 BACK_CELLS_MESH = 9  # the same by the mesh
@@ -36,7 +36,9 @@ LAMP = 1  # straight from a light
 SCATTERED = 2  # left a target in a random direction
 SPECULAR = 4  # refracted or reflected by glass in object space; may reach the lens without having been aimed
 SHADOW = 3  # tests whether a light reaches a point; carries what it adds to the pixel if so
+# Of these and further kinds the light counts that they bring, and nothing comes of them.
 TO_EMITTER = 5  # tests whether an emitting facet is seen from a point; carries what it adds to the pixel if so
+TO_MEDIUM = 6  # gathers what media emit along a straight line from a point
 
 # Counters.
 EVENTS, REQUERIES, FALLBACKS = 0, 1, 2
@@ -105,6 +107,9 @@ NO_SURFACE = -1
 LEFT_LENS = -2
 """`last` of a packet in object space that left the lens: it cannot meet the lens again on a straight line."""
 
+IN_FOG = -5
+"""`facet` of a packet, in the adjoint method, that a medium has scattered."""
+
 LEFT_FACE = -3
 """`last` of a packet that left a curved face of the array and has not left the layer of faces."""
 
@@ -119,7 +124,8 @@ _BASE_RECORD = np.dtype(
         ("key", "u8"),
         ("source", "i8"),  # sample (adjoint, see `SAMPLE_SHIFT`), packet (forward) or ray (trace) that it began as
         ("node", "i4"),  # its last recorded vertex
-        # Cell of the array. For object space see `regions.bodies` and PACKET; `row` of a TO_EMITTER: the facet.
+        # Cell of the array. For object space see `regions.bodies` and PACKET; `row` of a TO_EMITTER: the facet;
+        # of what waits at EMITTERS in a medium: the medium.
         ("column", "i4"), ("row", "i4"),
         ("facet", "i4"),  # target facet it left
         ("last", "i2"),  # lens surface it left

@@ -152,7 +152,7 @@ def shade_objects(
             # Embree lets a ray pass that is aimed exactly at a vertex.
             requery(options, flow, frames, OBJECTS, packet, packet.query_from, True, LOST_OUTSIDE)
             continue
-        if packet.kind != SHADOW and packet.kind != TO_EMITTER and not _in_its_medium(objects, packet, prim, along):
+        if packet.kind != SHADOW and packet.kind < TO_EMITTER and not _in_its_medium(objects, packet, prim, along):
             if prim >= 0 and packet.tries < MAX_TRIES and _is_in_contact(objects, prim):
                 # To rounding, a face of a body that was already entered or left where it touches another body.
                 requery(options, flow, frames, OBJECTS, packet, next_query_from(facet, packet, t), False, LOST_OUTSIDE)
@@ -305,7 +305,7 @@ def _might_have_met(
     objects: ObjectTables, packet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float
 ) -> bool:
     """Tell whether a packet outside all glass that met nothing comes from afar and passes near the targets."""
-    if packet.kind == SHADOW or packet.kind == TO_EMITTER or packet.column >= 0:
+    if packet.kind == SHADOW or packet.kind >= TO_EMITTER or packet.column >= 0:
         return False
     toward = -(x * dx + y * dy + z * dz)
     distance2, radius2 = x * x + y * y + z * z, objects.radius * objects.radius

@@ -25,17 +25,21 @@ from lfmesh.transport.events.crossing import (
     too_deep,
     windowed,
 )
+from lfmesh.transport.events.emission import asks_emitters
+from lfmesh.transport.events.glow import asks_media, share_of_line
 from lfmesh.transport.events.lamps_on_line import density_by_angle, distance_by_angle, lamps_on_line, passes_lamp
-from lfmesh.transport.events.lighting import from_light
+from lfmesh.transport.events.lighting import from_light_nearby
 from lfmesh.transport.events.polarisation import depolarise
-from lfmesh.transport.events.volume import Passage, pass_through, scattered_at, scattering_point
+from lfmesh.transport.events.volume import Passage, Ray, pass_through, scattered_at, scattering_point
 from lfmesh.transport.packets.book import SAMPLING_ADDED, SAMPLING_REMOVED
 from lfmesh.transport.packets.packet import (
     CAMERA,
     CAMERA_FRAME,
     E_SCATTERED,
+    EMITTERS,
     ENDS_AT,
     EVENTS,
+    IN_FOG,
     LAMP,
     LEFT_LENS,
     NO_SURFACE,
@@ -45,6 +49,7 @@ from lfmesh.transport.packets.packet import (
     SCATTERED,
     SHADOW,
     TO_EMITTER,
+    TO_MEDIUM,
     Flow,
     Options,
     put,
@@ -103,7 +108,7 @@ def is_stopped_by_media(
     cross_media(options, flow, frames, objects, aim, packet, place, reach)
     if packet.weight > 0.0:
         return False
-    if packet.kind != SHADOW and packet.kind != TO_EMITTER:
+    if packet.kind != SHADOW and packet.kind < TO_EMITTER:
         end_here(options, flow, frames, packet, volumes.rows[0].slot, S_ABSORBED)
     return True
 
@@ -154,19 +159,20 @@ def cross_media(
         Where it meets something; inf if nothing.
     """
     volumes = objects.volumes
-    asks = packet.kind == SHADOW or packet.kind == TO_EMITTER
+    asks = packet.kind == SHADOW or packet.kind >= TO_EMITTER
     colour, weight = packet.colour, packet.weight
     x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
     key = derived(packet.key, IN_MEDIUM + packet.events)
     passage = pass_through(volumes, place, colour, x, y, z, dx, dy, dz, reach, flow.book, 0.0 if asks else weight, key)
-    packet.weight = weight * passage.transmittance
-    if asks:
-        return
+    packet.weight = weight * passage.transmittance if packet.kind != TO_MEDIUM else 0.0
     estimated = is_estimated(options, packet)
-    if passage.light > 0.0 and options.adjoint and estimated:
+    if passage.light > 0.0 and options.adjoint and estimated and (not asks or packet.kind == TO_MEDIUM):
         # Radiance over n² is conserved on the way out of glass and liquids.
         index = objects.media.indices[packet.medium, colour]
-        deposit(options, flow, packet.source, colour, weight * passage.light / (index * index))
+        light = weight * share_of_line(volumes, packet, place) * passage.light / (index * index)
+        deposit(options, flow, packet.source, colour, light)
+    if asks:
+        return
     if passage.scattered <= 0.0 or not volumes.scatters:
         return
     lost = weight * passage.scattered
@@ -188,6 +194,8 @@ def cross_media(
         if options.adjoint and estimated and bodies_round(packet) == 0 and len(objects.lights) > 0:
             _ask_lamps(options, flow, objects, packet, passage, place, weight, t, share, density, number, key)
         px, py, pz = x + t * dx, y + t * dy, z + t * dz
+        if options.adjoint and estimated:
+            _ask_what_emits(options, flow, objects, packet, number, px, py, pz, key)
         scatter_in_medium(options, flow, frames, objects, aim, packet, number, px, py, pz, key)
     packet.weight, packet.events, packet.node, packet.kind, packet.last = left, events, node, kind, last
     packet.facet = facet
@@ -218,18 +226,18 @@ def _ask_lamps(
     """
     lights, spectra, colour = objects.lights, objects.light_spectra, packet.colour
     x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
-    first, last = passage.first, passage.last
+    line, first, last = Ray(x, y, z, dx, dy, dz), passage.first, passage.last
     near = NEAR * passage.scattered / passage.densest
-    points = 2 if passes_lamp(lights, spectra, colour, x, y, z, dx, dy, dz, first, last, near) else 1
-    whole = lamps_on_line(lights, spectra, colour, x, y, z, dx, dy, dz, first, last) if points == 2 else 0.0
+    points = 2 if passes_lamp(lights, spectra, colour, line, first, last, near) else 1
+    whole = lamps_on_line(lights, spectra, colour, line, first, last) if points == 2 else 0.0
     for point in range(points):
         if point == 1:
             choice = whole * uniform(key, BY_LAMP)
-            t = distance_by_angle(lights, spectra, colour, x, y, z, dx, dy, dz, first, last, choice)
+            t = distance_by_angle(lights, spectra, colour, line, first, last, choice)
             density, number = scattered_at(objects.volumes, place, colour, t, x, y, z, dx, dy, dz, flow.book, key)
         if points == 2 and density > 0.0:
             own = density / passage.scattered
-            by_lamp = density_by_angle(lights, spectra, colour, x, y, z, dx, dy, dz, t) / whole
+            by_lamp = density_by_angle(lights, spectra, colour, line, t) / whole
             share = (density if point == 1 else share * own) / (own + by_lamp)
         if density > 0.0:
             _ask_lamps_from(options, flow, objects, packet, weight * share, number, x + t * dx, y + t * dy, z + t * dz)
@@ -254,12 +262,34 @@ def _ask_lamps_from(
     """
     phases, phase = objects.volumes.phases, objects.volumes.phases.rows[number, packet.colour]
     for light in range(len(objects.lights)):
-        ux, uy, uz, far, irradiance = from_light(options, objects, packet, light, x, y, z)
+        ux, uy, uz, far, irradiance = from_light_nearby(options, objects, packet, light, x, y, z)
         scattered = evaluate_phase(phases, phase, packet.dx * ux + packet.dy * uy + packet.dz * uz)
         if irradiance * scattered > 0.0:
             lit = weight * irradiance * scattered
             shadow = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, lit, packet.key, 0.0)
             shadow.kind, shadow.limit, shadow.facet, shadow.last = SHADOW, far, NO_SURFACE, NO_SURFACE
+
+
+@inlined
+def _ask_what_emits(
+    options: Options, flow: Flow, objects: ObjectTables, packet: Any, number: int, x: float, y: float, z: float,
+    key: np.uint64,
+) -> None:  # fmt: skip
+    """Queue a packet at a point of a medium that asks targets and media which emit, if there are any.
+
+    Parameters
+    ----------
+    packet : PACKET
+        On its way to the point, with the weight that is scattered there.
+    number : int
+        Of the medium.
+    x, y, z : float, mm
+    key : uint64
+    """
+    if asks_emitters(options, objects, packet.events) or asks_media(objects.volumes, options):
+        dx, dy, dz = packet.dx, packet.dy, packet.dz
+        asking = put(flow, EMITTERS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, key, 0.0)
+        asking.facet, asking.row = IN_FOG, number
 
 
 @kernel
@@ -336,41 +366,6 @@ def send_from_medium(
     child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, kept, child_key, 0.0)
     child.kind = CAMERA if options.tracing else SCATTERED
     child.facet = LEFT_MEDIUM if forward and options.aimed else NO_SURFACE
+    if options.adjoint:
+        child.facet = IN_FOG
     child.density = evaluate_phase(phases, phase, ix * dx + iy * dy + iz * dz)
-
-
-@inlined
-def drawn_point(
-    objects: ObjectTables, number: int, colour: int, choice: float, u: float, v: float, w: float
-) -> tuple[float, float, float, float]:
-    """Return a random point of a medium, object frame, and its density, 1/mm³; 0: the point is outside its bounds.
-
-    Parameters
-    ----------
-    objects : ObjectTables
-    number : int
-        Of the medium.
-    colour : int
-        Number of the wavelength.
-    choice, u, v, w : float
-        Random numbers, uniform in [0, 1).
-    """
-    volumes = objects.volumes
-    row = volumes.rows[number]
-    own = row.to_own
-    lx, ly, lz = row.high[0] - row.low[0], row.high[1] - row.low[1], row.high[2] - row.low[2]
-    px, py, pz = row.low[0], row.low[1], row.low[2]
-    density = 1.0 / (lx * ly * lz)
-    if row.drawn > 0:
-        until = volumes.until[row.first : row.first + row.drawn]
-        cell = min(int(np.searchsorted(until, choice, side="right")), row.drawn - 1)
-        density *= (until[cell] - (until[cell - 1] if cell > 0 else 0.0)) * row.drawn
-        ny, nz = row.cells[1], row.cells[2]
-        lx, ly, lz = row.spacing[0], row.spacing[1], row.spacing[2]
-        px, py, pz = px + (cell // (ny * nz)) * lx, py + (cell // nz % ny) * ly, pz + (cell % nz) * lz
-    px, py, pz = px + u * lx - own[0, 3], py + v * ly - own[1, 3], pz + w * lz - own[2, 3]
-    # The frame's axes are orthogonal: the transposed matrix is the inverse one.
-    x = own[0, 0] * px + own[1, 0] * py + own[2, 0] * pz
-    y = own[0, 1] * px + own[1, 1] * py + own[2, 1] * pz
-    z = own[0, 2] * px + own[1, 2] * py + own[2, 2] * pz
-    return x, y, z, density

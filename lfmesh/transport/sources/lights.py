@@ -15,6 +15,7 @@ from lfmesh.kernel import kernel
 from lfmesh.optics.scattering import about
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.events.crossing import record
+from lfmesh.transport.events.glow import drawn_point
 from lfmesh.transport.events.lighting import PLACE_U, PLACE_V, WAY_U, WAY_V, emitted
 from lfmesh.transport.events.polarisation import polarise_as_light
 from lfmesh.transport.events.volume import coefficients, own_ray, span
@@ -23,7 +24,7 @@ from lfmesh.transport.packets.packet import E_START, LAMP, NO_SURFACE, OBJECT_FR
 from lfmesh.transport.packets.random import derived, start
 from lfmesh.transport.regions.bodies import RANK, TOO_MANY, bodies_at, medium_of, set_bodies
 from lfmesh.transport.regions.targets import opacity_at, point_of, scatter, texture_at
-from lfmesh.transport.regions.volumes import drawn_point, send_from_medium
+from lfmesh.transport.regions.volumes import send_from_medium
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.tables.tables import AIR, FIRST_VOLUME, AimTables, ObjectTables
@@ -156,7 +157,7 @@ def _from_medium(
         return
     key, colour = packet.key, packet.colour
     x, y, z, density = drawn_point(
-        objects, number, colour, start(key, PLACE_U), start(key, PLACE_V), start(key, PLACE_W), start(key, PLACE_T)
+        volumes, number, start(key, PLACE_U), start(key, PLACE_V), start(key, PLACE_W), start(key, PLACE_T)
     )
     ray = own_ray(volumes.rows[number], x, y, z, 0.0, 0.0, 1.0)
     first, last, _ = span(volumes.shells, volumes.rows[number], ray, 0.0)

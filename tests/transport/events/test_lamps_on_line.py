@@ -8,7 +8,7 @@ from scipy.integrate import quad
 from scipy.stats import kstest
 
 from lfmesh.transport.events.lamps_on_line import density_by_angle, distance_by_angle, lamps_on_line, passes_lamp
-from lfmesh.transport.events.volume import Passage, pass_through, scattered_at, scattering_point
+from lfmesh.transport.events.volume import Passage, Ray, pass_through, scattered_at, scattering_point
 from lfmesh.transport.packets.random import descendant
 from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, LIGHT, POINT
 from tests.transport.events.test_volume import slab, volumes_of
@@ -33,14 +33,14 @@ def test_distances_follow_the_light_that_arrives_on_a_line(last: float) -> None:
             *((kind, random.normal(0.0, 20.0, 3).tolist(), random.uniform(0.1, 3.0), 2.0) for kind in kinds)
         )
         d = random.normal(size=3)
-        way = (*random.normal(0.0, 5.0, 3).tolist(), *(d / np.linalg.norm(d)).tolist())
-        whole = lamps_on_line(table, spectra, 0, *way, 3.0, last)
-        points = [distance_by_angle(table, spectra, 0, *way, 3.0, last, whole * u) for u in random.random(3000)]
+        way = Ray(*random.normal(0.0, 5.0, 3).tolist(), *(d / np.linalg.norm(d)).tolist())
+        whole = lamps_on_line(table, spectra, 0, way, 3.0, last)
+        points = [distance_by_angle(table, spectra, 0, way, 3.0, last, whole * u) for u in random.random(3000)]
         assert min(points) >= 3.0
         assert max(points) <= last
 
         def density(t: float, table: Any = table, spectra: Any = spectra, way: Any = way) -> float:
-            return float(density_by_angle(table, spectra, 0, *way, t))
+            return float(density_by_angle(table, spectra, 0, way, t))
 
         grid = 3.0 + np.geomspace(1e-3, min(last, 1e5) - 3.0, 1500)
         pieces = [0.0] + [quad(density, a, b, epsrel=1e-8)[0] for a, b in zip([3.0, *grid[:-1]], grid, strict=True)]
@@ -51,19 +51,19 @@ def test_distances_follow_the_light_that_arrives_on_a_line(last: float) -> None:
 
 def test_a_lamp_is_near_where_the_part_of_the_line_is_near_it() -> None:
     table, spectra = lamps((POINT, [3.0, 0.0, 10.0], 1.0, 0.0), (DIRECTIONAL, [0.0, 0.0, 0.0], 1.0, 0.0))
-    way = 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
-    assert passes_lamp(table, spectra, 0, *way, 0.0, np.inf, 3.1)
-    assert not passes_lamp(table, spectra, 0, *way, 0.0, np.inf, 2.9)
-    assert not passes_lamp(table, spectra, 0, *way, 0.0, 6.0, 4.9)
-    assert passes_lamp(table, spectra, 0, *way, 14.0, np.inf, 5.1)
+    way = Ray(0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    assert passes_lamp(table, spectra, 0, way, 0.0, np.inf, 3.1)
+    assert not passes_lamp(table, spectra, 0, way, 0.0, np.inf, 2.9)
+    assert not passes_lamp(table, spectra, 0, way, 0.0, 6.0, 4.9)
+    assert passes_lamp(table, spectra, 0, way, 14.0, np.inf, 5.1)
 
 
 @pytest.mark.parametrize("start", [[0.0, 0.0, 0.0], [1e-300, 0.0, 0.0]])
 def test_a_lamp_on_the_line_itself_gives_finite_distances(start: list[float]) -> None:
     table, spectra = lamps((POINT, [0.0, 0.0, 20.0], 1.0, 0.0), (POINT, start, 1.0, 0.0))
-    way = (*start, 0.0, 0.0, 1.0)
-    whole = lamps_on_line(table, spectra, 0, *way, 0.0, np.inf)
-    points = [distance_by_angle(table, spectra, 0, *way, 0.0, np.inf, whole * u) for u in (0.0, 0.3, 0.5, 0.9, 1.0)]
+    way = Ray(*start, 0.0, 0.0, 1.0)
+    whole = lamps_on_line(table, spectra, 0, way, 0.0, np.inf)
+    points = [distance_by_angle(table, spectra, 0, way, 0.0, np.inf, whole * u) for u in (0.0, 0.3, 0.5, 0.9, 1.0)]
     assert np.isfinite(whole)
     assert whole > 0.0
     assert np.isfinite(points[:-1]).all()

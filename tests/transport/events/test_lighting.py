@@ -11,9 +11,9 @@ from scipy import stats
 import lfmesh as lf
 from lfmesh.kernel import kernel
 from lfmesh.optics.scattering import tangents
-from lfmesh.transport.events.lighting import emitted, illuminate, intensity
+from lfmesh.transport.events.lighting import _near_disk, emitted, illuminate, intensity
 from lfmesh.transport.packets.random import derived, run_key, uniform
-from lfmesh.transport.tables.lights import DIRECTIONAL
+from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, LIGHT
 from lfmesh.transport.tables.tables import ObjectTables
 from lfmesh.transport.world import build
 
@@ -190,3 +190,32 @@ def test_a_profile_shines_as_its_file_says(folder: Path) -> None:
     found = np.empty(3)
     shining(tables_of(spot, folder), ways, found)
     np.testing.assert_allclose(found / found[0], [1.0, 0.6, 2.0], rtol=1e-10)
+
+
+@kernel
+def told_by_disk(light: NDArray[np.void], places: Array, key: np.uint64, told: Array) -> None:
+    """Write the irradiance that `_near_disk` gives points above a disk, from random points of it."""
+    for i in range(len(places)):
+        u, v = uniform(derived(key, i), 5), uniform(derived(key, i), 6)
+        told[i] = _near_disk(light[0], places[i, 0], places[i, 1], places[i, 2], places[i, 2], u, v)[4]
+
+
+@pytest.mark.parametrize("height", [1e-9, 1e-3, 0.3, 1.9])
+@pytest.mark.parametrize("aside", [0.0, 0.7, 1.0, 1.3])
+def test_points_as_near_to_a_disk_as_may_be_are_told_its_solid_angle(height: float, aside: float) -> None:
+    """Sixteen z-tests at a level of 0.001 together; no single draw brings more than four times what is stated."""
+    light, radius, power = np.zeros(1, LIGHT), 3.0, 2.0
+    light["kind"], light["radius"], light["power"], light["direction"] = DISK, radius, power, (0.0, 0.0, 1.0)
+    told = np.empty(40_000)
+    places = np.tile([aside * radius, 0.0, height * radius], (len(told), 1))
+    told_by_disk(light, places, run_key(8), told)
+    # Solid angle of a disk over the height h: ∫ h / √(h² + ρ²) between its borders, over the turn about the foot.
+    phi = 2.0 * np.pi * (np.arange(200_000) + 0.5) / 200_000
+    root = 1.0 - (aside * np.sin(phi)) ** 2
+    chord = np.sqrt(np.maximum(root, 0.0))
+    ends = np.maximum([-aside * np.cos(phi) - chord, -aside * np.cos(phi) + chord], 0.0)
+    sides = height / np.hypot(height, ends)
+    omega = 2.0 * np.pi * np.where(root > 0.0, sides[0] - sides[1], 0.0).mean()
+    expected = power / (np.pi * np.pi * radius**2) * 1e6 * omega
+    assert told.max() <= 4.0 * power / (np.pi * radius**2) * 1e6 * (1.0 + 1e-12)
+    assert abs(told.mean() - expected) < 4.0 * told.std() / np.sqrt(len(told)) + 1e-4 * expected

@@ -1,0 +1,202 @@
+"""Emitting media as light sources: directions towards random points of them, and the density of those directions.
+
+A point that scatters finds the light of media by the packet that it scatters, which gathers all that is emitted on its
+way, and by one that it sends towards a random point of a medium, which gathers the same. A direction is drawn by the
+latter with the density ∫ t² p dt, of the density p of points along it; what either brings is divided by the sum of both
+densities of its direction (balance heuristic, Veach & Guibas, SIGGRAPH 1995), so that it counts once. As the whole line
+counts, not the point that gave the direction, neither small flames nor near ones make the variance large. Only media
+that share a body, or air, with the point are drawn; light that comes through glass is found by scattered packets alone.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.events.volume import Ray, own_ray, slab
+from lfmesh.transport.packets.packet import NO_SURFACE, SCATTERED, Options
+from lfmesh.transport.tables.volumes import Volumes
+
+Array = NDArray[np.float64]
+
+
+@inlined
+def asks_media(volumes: Any, options: Options) -> bool:
+    """Tell whether points that scatter send packets to emitting media.
+
+    Parameters
+    ----------
+    volumes : Volumes or None
+        None: there are no media, and numba compiles nothing but the first line.
+    options : Options
+    """
+    if volumes is None:
+        return False
+    return options.bounce and volumes.emit
+
+
+@inlined
+def share_of_line(volumes: Volumes, packet: Any, place: int) -> float:
+    """Return the share of the emission on its line that a packet counts.
+
+    Parameters
+    ----------
+    volumes : Volumes
+    packet : PACKET
+        At the start of the line.
+    place : int
+        Rank of the body of glass or liquid that it is in; 0: air.
+    """
+    if packet.kind != SCATTERED or packet.facet == NO_SURFACE:
+        # Straight from the camera, or by way of glass.
+        return 1.0
+    aimed = density_to_media(volumes, place, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz)
+    return packet.density / (packet.density + aimed) if aimed > 0.0 else 1.0
+
+
+@inlined
+def _power_drawn(volumes: Volumes, number: int, place: int) -> float:
+    """Return what a medium is drawn in proportion to; 0: it is elsewhere, dark, or without bounds."""
+    power = volumes.powers[number]
+    return power if volumes.rows[number].inside == place and power < np.inf else 0.0
+
+
+@kernel
+def point_of_media(
+    volumes: Volumes, place: int, choice: float, u: float, v: float, w: float
+) -> tuple[bool, float, float, float]:
+    """Return a random point of the emitting media in a body, or in air, object frame; False: there are none.
+
+    Parameters
+    ----------
+    volumes : Volumes
+    place : int
+        Rank of the body; 0: air.
+    choice, u, v, w : float
+        Random numbers, uniform in [0, 1).
+    """
+    whole = 0.0
+    for number in range(len(volumes.rows)):
+        whole += _power_drawn(volumes, number, place)
+    if whole <= 0.0:
+        return False, 0.0, 0.0, 0.0
+    rest, drawn, share = choice * whole, 0, 0.0
+    for number in range(len(volumes.rows)):
+        power = _power_drawn(volumes, number, place)
+        if power > 0.0 and rest >= 0.0:
+            # What is left of the number is a random number of its own.
+            drawn, share = number, min(rest / power, 1.0)
+        rest -= power
+    x, y, z, _ = drawn_point(volumes, drawn, share, u, v, w)
+    return True, x, y, z
+
+
+@kernel
+def density_to_media(
+    volumes: Volumes, place: int, x: float, y: float, z: float, dx: float, dy: float, dz: float
+) -> float:
+    """Return the density, 1/sr, with which `point_of_media` lies in a direction.
+
+    Parameters
+    ----------
+    volumes : Volumes
+    place : int
+        As for `point_of_media`.
+    x, y, z, dx, dy, dz : float
+        Point, mm, and unit direction, object frame.
+    """
+    whole, total = 0.0, 0.0
+    for number in range(len(volumes.rows)):
+        power = _power_drawn(volumes, number, place)
+        if power > 0.0:
+            whole += power
+            total += power * _density_in(volumes, number, own_ray(volumes.rows[number], x, y, z, dx, dy, dz))
+    return total / whole if whole > 0.0 else 0.0
+
+
+@inlined
+def _cone(first: float, last: float) -> float:
+    """Return ∫ t² dt between two distances."""
+    return (last - first) * (last * last + last * first + first * first) / 3.0
+
+
+@kernel
+def _density_in(volumes: Volumes, number: int, ray: Ray) -> float:
+    """Return the density, 1/sr, with which `drawn_point` of a medium lies along a ray in its own frame."""
+    row = volumes.rows[number]
+    first, last = 0.0, np.inf
+    for axis in range(3):
+        a, b = slab(row.low[axis], row.high[axis], (ray.x, ray.y, ray.z)[axis], (ray.dx, ray.dy, ray.dz)[axis])
+        first, last = max(first, a), min(last, b)
+    if first >= last:
+        return 0.0
+    if row.drawn == 0:
+        size = (row.high[0] - row.low[0]) * (row.high[1] - row.low[1]) * (row.high[2] - row.low[2])
+        return _cone(first, last) / size
+    i, x_end, x_step, x_way = _at_voxel(row, 0, ray.x, ray.dx, first)
+    j, y_end, y_step, y_way = _at_voxel(row, 1, ray.y, ray.dy, first)
+    k, z_end, z_step, z_way = _at_voxel(row, 2, ray.z, ray.dz, first)
+    total, t = 0.0, first
+    while t < last:
+        end = min(min(x_end, y_end), min(z_end, last))
+        cell = row.first + (i * row.cells[1] + j) * row.cells[2] + k
+        below = volumes.until[cell - 1] if cell > row.first else 0.0
+        if end > t:
+            total += (volumes.until[cell] - below) * _cone(t, end)
+        t = max(t, end)
+        if x_end <= end:
+            i, x_end = i + x_step, x_end + x_way
+        elif y_end <= end:
+            j, y_end = j + y_step, y_end + y_way
+        elif z_end <= end:
+            k, z_end = k + z_step, z_end + z_way
+        if i < 0 or j < 0 or k < 0 or i >= row.cells[0] or j >= row.cells[1] or k >= row.cells[2]:
+            break
+    return total / (row.spacing[0] * row.spacing[1] * row.spacing[2])
+
+
+@inlined
+def _at_voxel(row: Any, axis: int, o: float, d: float, t: float) -> tuple[int, float, int, float]:
+    """Return the voxel along an axis at a distance on a ray, where the ray leaves it, the step, and its length, mm."""
+    spacing = row.spacing[axis]
+    voxel = min(max(int(np.floor((o + t * d - row.low[axis]) / spacing)), 0), row.cells[axis] - 1)
+    if d == 0.0:
+        return voxel, np.inf, 0, np.inf
+    step = 1 if d > 0.0 else -1
+    end = (row.low[axis] + (voxel + (1 if d > 0.0 else 0)) * spacing - o) / d
+    return voxel, end, step, spacing / abs(d)
+
+
+@inlined
+def drawn_point(
+    volumes: Volumes, number: int, choice: float, u: float, v: float, w: float
+) -> tuple[float, float, float, float]:
+    """Return a random point of a medium, object frame, and its density, 1/mm³; 0: the point is outside its bounds.
+
+    Parameters
+    ----------
+    volumes : Volumes
+    number : int
+        Of the medium.
+    choice, u, v, w : float
+        Random numbers, uniform in [0, 1).
+    """
+    row = volumes.rows[number]
+    own = row.to_own
+    lx, ly, lz = row.high[0] - row.low[0], row.high[1] - row.low[1], row.high[2] - row.low[2]
+    px, py, pz = row.low[0], row.low[1], row.low[2]
+    density = 1.0 / (lx * ly * lz)
+    if row.drawn > 0:
+        until = volumes.until[row.first : row.first + row.drawn]
+        cell = min(int(np.searchsorted(until, choice, side="right")), row.drawn - 1)
+        density *= (until[cell] - (until[cell - 1] if cell > 0 else 0.0)) * row.drawn
+        ny, nz = row.cells[1], row.cells[2]
+        lx, ly, lz = row.spacing[0], row.spacing[1], row.spacing[2]
+        px, py, pz = px + (cell // (ny * nz)) * lx, py + (cell // nz % ny) * ly, pz + (cell % nz) * lz
+    px, py, pz = px + u * lx - own[0, 3], py + v * ly - own[1, 3], pz + w * lz - own[2, 3]
+    # The frame's axes are orthogonal: the transposed matrix is the inverse one.
+    x = own[0, 0] * px + own[1, 0] * py + own[2, 0] * pz
+    y = own[0, 1] * px + own[1, 1] * py + own[2, 1] * pz
+    z = own[0, 2] * px + own[1, 2] * py + own[2, 2] * pz
+    return x, y, z, density

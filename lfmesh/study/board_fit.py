@@ -44,6 +44,9 @@ SETTLED = 0.05
 OUTLIER = 6.0
 """Standard deviations of a normal law, off the median, beyond which a place is left out."""
 
+RESELECTED = 10
+"""Times at most, within a round, that places are left out anew: each time the fit moves, and others lie beside it."""
+
 FIRST_SIGMA = 0.05
 """Samples: standard deviation of a place before any was fitted."""
 
@@ -279,7 +282,7 @@ class _Adjustment:
     def _solve(self, rays: RayMap, slopes: Array, base: Array, start: Array) -> "_Solution":
         """Fit camera and poses to the rays of a camera and their derivative."""
         root = np.linalg.cholesky(self.precision).T
-        for last in (False, True):
+        for number in range(RESELECTED + 1):
             terms, per_sample = self._in_samples(rays, start)
 
             def residuals(values: Array, terms: Array = terms, per_sample: Array = per_sample) -> Array:
@@ -298,8 +301,10 @@ class _Adjustment:
                 )
             self.sigma = rms
             size = np.linalg.norm(own, axis=1)
-            if not last:
-                self.used = size < OUTLIER * np.median(size) / np.sqrt(2.0 * np.log(2.0))
+            used = size < OUTLIER * np.median(size) / np.sqrt(2.0 * np.log(2.0))
+            if number and (number == RESELECTED or (used == self.used).all()):
+                break
+            self.used = used
         rows = len(solved.fun) - len(base)
         jacobian = solved.jac[:rows].reshape(-1, 2, len(start))
         left = solved.fun[:rows].reshape(-1, 2)

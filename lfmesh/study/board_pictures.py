@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from lfmesh.errors import LfmeshError
-from lfmesh.lightfield.calibration import calibrate
-from lfmesh.lightfield.decode import sampling_of, sorted_views, view_count
+from lfmesh.geometry.lattice import Lattice
+from lfmesh.lightfield.calibration import Calibration, calibrate
+from lfmesh.lightfield.decode import Sampling, sampling_of, sorted_views, view_count
 from lfmesh.lightfield.detector import Exposed
 from lfmesh.lightfield.upright import Upright
 from lfmesh.scene import Scene
@@ -23,6 +24,9 @@ Array = NDArray[np.float64]
 BRIGHT, WHOLE = 0.5, 0.93
 """Of the brightest view of a lenslet, on the white image: the views that have more tell, by their median, what is full
 light; the lens cuts that of a sample with less than the second of this."""
+
+FOREIGN = 0.002
+"""Of a sample's light: what may be that of the next lenslets, which see the board elsewhere, by about a sample."""
 
 AROUND = 3
 """Samples along each axis over which the white image is averaged for that, against its noise."""
@@ -78,6 +82,55 @@ def fully_lit(by_white: Array) -> NDArray[np.bool_]:
     return np.asarray((smooth > WHOLE * full) & np.isfinite(by_white))
 
 
+def of_own_lenslets(calibration: Calibration, sampling: Sampling, upright: Upright, count: int) -> NDArray[np.bool_]:
+    """Return the samples whose pixels get no light of the next lenslets, (v, u, t, s).
+
+    Where micro-images touch or overlap, a white image does not tell: what a neighbour adds fills up what is cut.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    sampling : Sampling
+    upright : Upright
+    count : int
+        Views along each axis.
+    """
+    radius = 0.5 * calibration.lenslet_to_sensor_mm / calibration.f_number / calibration.pixel_mm
+    hexagonal = calibration.layout == "hexagonal"
+    ideal = Lattice(hexagonal, 1.0, *calibration.known.shape[::-1]).centres().reshape(-1, 2)
+    to_px = np.linalg.lstsq(np.column_stack([ideal, np.ones(len(ideal))]), calibration.centres_px.reshape(-1, 2))[0][:2]
+    turns = np.deg2rad(np.arange(0, 360, 60 if hexagonal else 90))
+    neighbours = np.column_stack([np.cos(turns), np.sin(turns)]) @ to_px
+    from_middle = np.arange(count) - 0.5 * (count - 1)
+    views = np.stack(np.meshgrid(from_middle, from_middle), axis=-1) * np.array(upright.senses)
+    parity = sampling.rows & 1
+    left, share = sampling.columns[parity], sampling.share[parity]
+    foreign = np.zeros((count, count, *left.shape))
+    for weight, column in ((1.0 - share, left), (share, np.minimum(left + 1, calibration.known.shape[1] - 1))):
+        centres = calibration.centres_px[sampling.rows[:, None], column]
+        at = centres + views[:, :, None, None]
+        first = np.floor(at)
+        for corner in np.ndindex(2, 2):
+            part = np.where(corner, at - first, 1.0 - (at - first)).prod(axis=-1)
+            pixel = first + corner - centres
+            foreign += weight * part * sum(_overlap(radius, pixel - each) for each in neighbours)
+    return np.asarray(foreign <= FOREIGN)
+
+
+def _overlap(radius: float, away: Array) -> Array:
+    """Return about which share of pixels of width 1 lies in a disk, and 0 only where none does.
+
+    Parameters
+    ----------
+    radius : float
+    away : (..., 2) float64
+        From the disk's middle to that of a pixel.
+    """
+    distance = np.linalg.norm(away, axis=-1)
+    reach = 0.5 * np.abs(away).sum(axis=-1) / distance
+    return np.asarray(np.clip(radius + reach - distance, 0.0, 1.0))
+
+
 def corners_of(
     boards: Sequence[Board], scene: Scene, white: Array, orientation: Orientation
 ) -> tuple[BoardCorners, ...]:
@@ -101,7 +154,7 @@ def corners_of(
     calibration, upright = calibrate(scene), Upright.of(scene)
     sampling, count = sampling_of(calibration, upright), view_count(calibration, None)
     by_white = sorted_views(white, calibration, count, sampling, upright)
-    usable = fully_lit(by_white)
+    usable = fully_lit(by_white) & of_own_lenslets(calibration, sampling, upright, count)
     found = []
     for number, board in enumerate(boards, 1):
         try:

@@ -190,7 +190,8 @@ class FitModel:
             From `simulated` at the same steps.
         steps : (p,) float64
         """
-        return np.asarray(micro_image_places(light, self.scene) - self.centres(steps))
+        centres = self.centres(steps)
+        return np.asarray(micro_image_places(light, self.scene, centres) - centres)
 
     def beside_slopes(self, steps: Array, derivative: Array) -> Array:
         """Return how places beside the chief rays change with the parameters in ranges, (rows, columns, 2, p) pixels.

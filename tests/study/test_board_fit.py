@@ -1,6 +1,7 @@
 """Focus and pose of a board come back from rendered pictures within the errors that the fit states."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,8 +14,10 @@ from scipy.stats import binom, chi2
 import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.lightfield.decode import sampling_of, sorted_views
+from lfmesh.lightfield.upright import Upright
 from lfmesh.study.board_fit import FOCUS, FOCUS_REACH, with_boards
-from lfmesh.study.board_pictures import fully_lit
+from lfmesh.study.board_pictures import fully_lit, of_own_lenslets
 from lfmesh.study.ray_map import RayMap
 from lfmesh.study.white_picture import light_of
 from tests.cameras import bench_camera
@@ -137,6 +140,53 @@ def test_samples_that_the_lens_cuts_are_not_used() -> None:
     assert not lit[0].any()
     assert not lit[:, 4].any()
     assert not lit[1, 1].any()
+
+
+def test_samples_with_light_of_the_next_lenslets_are_not_used() -> None:
+    """Every second micro-image is drawn, as a disk of the pupil's size: what the others' samples see is foreign."""
+    scene = camera()
+    calibration, upright = lf.calibrate(scene), Upright.of(scene)
+    sampling, count = sampling_of(calibration, upright), 10
+    radius = 0.5 * calibration.lenslet_to_sensor_mm / calibration.f_number / calibration.pixel_mm
+    fine = (np.arange(240 * 8) + 0.5) / 8.0 - 0.5
+    parity = np.indices((24, 24)).sum(axis=0) % 2
+    seen = {}
+    for slack in (0.0, 0.15):
+        drawn = np.zeros((2, 240 * 8, 240 * 8))
+        for row, column in np.ndindex(24, 24):
+            x, y = calibration.centres_px[row, column]
+            near = [np.flatnonzero(np.abs(fine - middle) < radius + 1.0) for middle in (x, y)]
+            disk = np.hypot(fine[near[0]] - x, (fine[near[1]] - y)[:, None]) < radius + slack
+            drawn[parity[row, column]][np.ix_(near[1], near[0])] += disk
+        pixels = drawn.reshape(2, 240, 8, 240, 8).mean(axis=(2, 4))
+        each = [sorted_views(light, calibration, count, sampling, upright) for light in pixels]
+        lenslet = parity[sampling.rows[:, None], sampling.columns[0]]
+        seen[slack] = np.where(lenslet == 0, each[1], each[0])
+    own = of_own_lenslets(calibration, sampling, upright, count)
+    known = np.isfinite(seen[0.0])
+    assert (seen[0.0][own & known] < 0.003).all()
+    assert (seen[0.15][~own & known] > 0.0).all()
+    # Both kinds are there: the outermost views that are lit see neighbours, the inner ones do not.
+    assert own[2:8, 2:8].all()
+    assert (seen[0.0][~own & known] > 0.05).sum() > 100
+
+
+def test_places_that_lie_beside_the_fit_are_left_out_within_few_rounds(
+    found: list[lf.BoardFit], taken: Taken, by_white: Any
+) -> None:
+    """One place in eight, those of the outermost views, is moved towards the middle by a quarter of a sample."""
+    (seen,) = found[0].corners
+    far = np.argsort(np.linalg.norm(seen.view, axis=1))[-len(seen.view) // 8 :]
+    sample = seen.sample.copy()
+    sample[far] -= 0.25 * seen.view[far] / np.linalg.norm(seen.view[far], axis=1, keepdims=True)
+    said: list[str] = []
+    board = lf.Board(corners=replace(seen, sample=sample))
+    again = with_boards(by_white[0], taken.scene, by_white[1], [board], progress=said.append)
+    assert np.isnan(again.residuals[0][far]).all()
+    assert again.left_out < 1.05 * len(far)
+    assert sum("round" in line for line in said) <= 4
+    beside, covariance = deviations(again, taken)
+    assert beside @ np.linalg.solve(covariance, beside) < chi2.ppf(1.0 - LEVEL, 7)
 
 
 def test_the_command_writes_scene_values_and_pictures(

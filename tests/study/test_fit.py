@@ -152,6 +152,49 @@ def test_places_are_the_phase_of_a_lattice_whatever_the_background() -> None:
         assert np.abs(places - truth)[known].max() < 1e-3
 
 
+def hexagonal_waves(away: NDArray[np.float64], pitch: float) -> list[NDArray[np.float64]]:
+    """Return the sums of a hexagonal lattice's three shortest cosines, and of the three next, about one of its points.
+
+    Crests of the first are pitch √3 / 2 apart, and a crest runs through rows of neighbours; of the next, pitch / 2.
+    """
+    sums = []
+    for first, apart in ((30.0, np.sqrt(0.75) * pitch), (0.0, 0.5 * pitch)):
+        angles = np.deg2rad(first + np.arange(0.0, 180.0, 60.0))
+        sums.append(sum(np.cos(2.0 * np.pi / apart * (away @ np.array([np.cos(a), np.sin(a)]))) for a in angles))
+    return sums
+
+
+def hexagonal_scene() -> tuple[lf.Scene, NDArray[np.float64], list[NDArray[np.float64]]]:
+    """Return a camera, where its micro-images lie, and the waves about them."""
+    scene = lf.loads(bench_camera(10, 10).replace("pitch_mm = 0.125", 'layout = "hexagonal"\npitch_mm = 0.125'))
+    scene = solved_camera(scene).scene
+    pitch = RayModel.of(scene).micro_image_pitch_px
+    truth = Lattice(True, pitch, 10, 10).centres() + 49.5 + np.array([0.8, -1.2])
+    pixels = np.stack(np.meshgrid(np.arange(100.0), np.arange(100.0)), axis=-1)
+    return scene, truth, hexagonal_waves(pixels - truth[0, 0], pitch)
+
+
+@pytest.mark.parametrize("shares", [(0.2, 0.1), (0.2, -0.1), (0.03, -0.1)])
+def test_hexagonal_places_are_the_phase_of_the_stronger_waves(shares: tuple[float, float]) -> None:
+    """Of disks that nearly touch, the shortest waves all but vanish, and the next are dark in the middle."""
+    scene, truth, waves = hexagonal_scene()
+    places = micro_image_places(1.0 + shares[0] * waves[0] + shares[1] * waves[1], scene, truth + 0.2)
+    known = np.isfinite(places[..., 0])
+    assert known.sum() >= 40
+    assert np.abs(places - truth)[known].max() < 1e-3
+
+
+def test_overlapping_micro_images_are_not_taken_for_the_light_between_them() -> None:
+    """Where hexagonal micro-images overlap, the light is brightest half way to their neighbours."""
+    scene, truth, waves = hexagonal_scene()
+    light = 1.0 - 0.2 * waves[0]
+    places = micro_image_places(light, scene, truth + 0.2)
+    known = np.isfinite(places[..., 0])
+    assert known.sum() >= 40
+    assert np.abs(places - truth)[known].max() < 1e-3
+    assert np.nanmin(np.linalg.norm(micro_image_places(light, scene) - truth, axis=-1)) > 1.0
+
+
 def test_equal_columns_are_not_told_apart() -> None:
     rows = np.random.default_rng(1).normal(size=(40, 3))
     rows[:, 2] = 0.5 * rows[:, 1]

@@ -161,6 +161,32 @@ def test_rays_land_where_an_independent_trace_lands_them(number):
         assert np.isnan(weights[lost]).all()
 
 
+@pytest.mark.parametrize("layout", ["square", "hexagonal"])
+@pytest.mark.parametrize("steep", [1.02, 1.5])
+def test_steep_faces_that_nearly_touch_at_their_corners(layout, steep):
+    corner = PITCH_MM / np.sqrt(3.0 if layout == "hexagonal" else 2.0)
+    radius = steep * corner
+    face = Face(layout, (radius,), (0.0,), ((),), None)
+    thickness = 2.0 * (radius - np.sqrt(radius**2 - corner**2)) * (1.0 + 1e-9)
+    scene = scene_of(
+        layout=layout, radius_mm=(radius,), thickness_mm=thickness, index=1.5, back=lf.BackFace(radius_mm=radius)
+    )  # fmt: skip
+    plate = Plate(side_of(face), side_of(face), np.zeros(2), thickness, 1.5)
+    o, d = starts(plate, np.random.default_rng(55), to_sensor=True)
+    at = origin_of(scene, plate)
+    expected = [plate.landing(p, q, SENSOR_MM) for p, q in zip(o, d, strict=True)]
+    arrives = np.array([not isinstance(e, str) for e in expected])
+    assert arrives.sum() > 15
+    truth = np.array([e[0] for e in expected if not isinstance(e, str)]) + at
+    world = lf.build(scene, aimed=False)
+    for engine in ("mesh", "sequential"):
+        paths = lf.trace(world, o + at, d, split="transmit", engine=engine)
+        on = paths.status == Status.SENSOR
+        found = np.full((COUNT, 3), np.nan)
+        found[paths.source[on]] = paths.position[on]
+        np.testing.assert_allclose(found[arrives], truth, rtol=0, atol=POSITION_MM)
+
+
 @pytest.mark.parametrize("number", range(12))
 def test_rays_from_the_sensor_leave_the_plate_as_an_independent_trace_lets_them(number):
     scene, plate = random_plate(number)

@@ -5,7 +5,7 @@ import numpy as np
 from lfmesh.accuracy.hard.outcome import SINGLET, Outcome, case, disk, lens_scene, on_sensor
 from lfmesh.accuracy.hard.truth import Array, Plate
 from lfmesh.geometry.frame import directions, frame, inverse, points
-from lfmesh.scene import MicrolensArray, Pose
+from lfmesh.scene import BackFace, MicrolensArray, Pose
 from lfmesh.transport.trace import trace
 from lfmesh.transport.world import build
 
@@ -23,6 +23,7 @@ def _array(
         layout="hexagonal" if plate.hexagonal else "square", count=(plate.columns, plate.rows), pitch_mm=plate.pitch,
         radius_mm=(plate.radius,), conic=(plate.conic,), asphere_mm=(plate.asphere,), index=plate.index,
         thickness_mm=plate.thickness, distance_mm=BEHIND_LENS, pose=pose,
+        back=BackFace(radius_mm=plate.back_radius) if np.isfinite(plate.back_radius) else None,
     )  # fmt: skip
     lens_end = sum(surface.thickness_mm or 0.0 for surface in SINGLET)
     scene = lens_scene(
@@ -104,6 +105,28 @@ def lytro_size() -> Outcome:
     plate = Plate(True, 0.014, 541, 434, 0.03, 0.1, 1.5, 0.025)
     o, d = _cone(20_000, 2.5, 0.25)
     return _array(plate, o, d)
+
+
+def _both_faces(hexagonal: bool, steep: float) -> Outcome:
+    """Cross a plate with lenslets on both faces, whose corners all but touch in the glass."""
+    corner = 0.125 / np.sqrt(3.0 if hexagonal else 2.0)
+    radius = steep * corner
+    thickness = (1.0 + 1e-9) * 2.0 * (radius - np.sqrt(radius**2 - corner**2))
+    plate = Plate(hexagonal, 0.125, 65, 65, radius, thickness, 1.3, 0.3, back_radius=radius)
+    o, d = _cone(20_000, 3.0, 0.02)
+    return _array(plate, o, d)
+
+
+@case
+def two_faces() -> Outcome:
+    """Cross square lenslets on both faces of a plate that all but touch at their corners."""
+    return _both_faces(False, 2.0)
+
+
+@case
+def two_hexagonal_faces() -> Outcome:
+    """Cross hexagonal lenslets on both faces of a plate that all but touch at their corners."""
+    return _both_faces(True, 2.5)
 
 
 def _borders(hexagonal: bool, conic: float = 0.0) -> Outcome:

@@ -279,6 +279,8 @@ class Plate:
     to_sensor: float
     conic: float = 0.0
     asphere: tuple[float, ...] = ()
+    back_radius: float = np.inf
+    """mm, positive where lenslets of the other face bulge out of the plate."""
 
     def centres(self, column: NDArray[np.int64], row: NDArray[np.int64]) -> Array:
         """Return (..., 2) centres of cells."""
@@ -340,11 +342,30 @@ class Plate:
             right = np.array(met)[k, every] <= best + BORDER * self.pitch
             point, normal = np.array(entered)[k, every], np.array(normals)[k, every]
             inside, share = refracted(d, normal, 1.0, self.index)
-            out, leaving = refracted(inside, np.broadcast_to([0.0, 0.0, 1.0], d.shape), self.index, 1.0)
-            landing = at_plane(at_plane(point, inside, self.thickness), out, self.thickness + self.to_sensor)
+            exit_point, facing = self._at_other_face(point, inside)
+            out, leaving = refracted(inside, facing, self.index, 1.0)
+            landing = at_plane(exit_point, out, self.thickness + self.to_sensor)
             landings.append(np.where((right & np.isfinite(best))[:, None], landing, np.nan))
             weights.append(share * leaving)
         return np.array(landings), np.array(weights)
+
+    def _at_other_face(self, p: Array, d: Array) -> tuple[Array, Array]:
+        """Return where rays in the glass meet the other face, and its normals; NaN where no lenslet near is met."""
+        flat = at_plane(p, d, self.thickness)
+        if not np.isfinite(self.back_radius):
+            return flat, np.broadcast_to([0.0, 0.0, 1.0], d.shape)
+        column, row = self._cells_near(np.nan_to_num(flat), 1)
+        centre = self.centres(column, row)
+        corner = self.pitch / np.sqrt(3.0 if self.hexagonal else 2.0)
+        face = Interface(-self.back_radius, 0.0, reach=1.001 * corner)
+        at, normals, nearest = np.full(d.shape, np.nan), np.full(d.shape, np.nan), np.full(len(d), np.inf)
+        for k in range(centre.shape[1]):
+            shift = np.column_stack([centre[:, k], np.full(len(d), self.thickness)])
+            hit = face.meet(p - shift, d)
+            t = np.einsum("ij,ij->i", hit + shift - p, d)
+            first = (self._depth_in_cell(hit[:, :2]) >= -BORDER) & (t < nearest)
+            at[first], normals[first], nearest[first] = (hit + shift)[first], face.normal(hit)[first], t[first]
+        return at, normals
 
     def _depth_in_cell(self, p: Array) -> Array:
         """Return how far points lie inside the cell at the origin, over the pitch; negative outside."""

@@ -114,6 +114,16 @@ def test_laws_hold_at_tilted_and_decentred_elements(world):
     assert seen[Event.REFLECTED] > 100
 
 
+def test_laws_hold_at_lenslets_on_both_faces(world):
+    """Angles are those to the face where it stands: to a flat one they would be off by degrees."""
+    array = {"camera.mla.focal_length_mm": None, "camera.mla.radius_mm": 0.3}
+    back = {"radius_mm": 0.4, "decenter_mm": [0.01, -0.02]}
+    plate = lf.build(world.scene.changed(array | {"camera.mla.back": back}))
+    seen = check_laws(from_field_point(plate, POINT, 60, aim="lens", weight_cutoff=0.003), 200)
+    assert seen[Event.TRANSMITTED] > 1000
+    assert seen[Event.REFLECTED] > 100
+
+
 @pytest.mark.parametrize("surface", ["flat", "patch"])
 def test_laws_hold_where_a_facet_stands_for_the_surface(surface):
     """The normal is then the one that bent the path, not the exact surface's, which is several mrad off it."""

@@ -70,8 +70,8 @@ DIMENSIONLESS = {
 
 Some are lengths. `EXACT_MM`, `FITTED_MM` and `FORM_MM` are what is promised of a recognised surface, whatever its size;
 they decide which surface a face is, and move no ray, nor does `SMALLEST`. `LARGEST_MM` compares two results for the
-report, and moves or decides no ray. `FINEST_MM` bounds what OpenCASCADE, which calculates to 1e-7 mm whatever the scale,
-can be asked for.
+report, and moves or decides no ray. `FINEST_MM` bounds what OpenCASCADE, which calculates to 1e-7 mm whatever the
+scale, can be asked for.
 """
 
 FILES = sorted(path for part in ("geometry", "transport") for path in (PACKAGE / part).rglob("*.py"))

@@ -33,7 +33,7 @@ DIMENSIONLESS = {
     },
     "geometry/profile_fit.py": {"FIRST_DAMPING", "FLAT_ENOUGH", "ROUNDED", "SETTLED"},
     "geometry/refractors.py": {"FLAT_SHADED", "NO_POWER", "SAME_NORMAL", "SLIVER"},
-    "geometry/step_surfaces.py": {"SI_PREFIXES"},
+    "geometry/step_surfaces.py": {"SI_PREFIXES", "SMALLEST"},
     "geometry/shell_tree.py": {"MARGIN"},
     "geometry/surface.py": {"SETTLED"},
     "geometry/targets.py": {"FLAT"},
@@ -69,8 +69,9 @@ DIMENSIONLESS = {
 """Constants that have a small value: ratios, angles, weights, conversions of units.
 
 Some are lengths. `EXACT_MM`, `FITTED_MM` and `FORM_MM` are what is promised of a recognised surface, whatever its size;
-they decide which surface a face is, and move no ray. `LARGEST_MM` compares two results for the report, and moves or
-decides no ray. `FINEST_MM` bounds what OpenCASCADE, which calculates to 1e-7 mm whatever the scale, can be asked for.
+they decide which surface a face is, and move no ray, nor does `SMALLEST`. `LARGEST_MM` compares two results for the
+report, and moves or decides no ray. `FINEST_MM` bounds what OpenCASCADE, which calculates to 1e-7 mm whatever the
+scale, can be asked for.
 """
 
 FILES = sorted(path for part in ("geometry", "transport") for path in (PACKAGE / part).rglob("*.py"))

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
 from lfmesh.geometry.profile_fit import Profile, fitted_profile
@@ -46,6 +47,9 @@ INDEPENDENT = 1e-3
 
 BESIDE = 1e-3
 """How far outside a face's box a swept curve may be sampled, in parts of its radius."""
+
+MOST_FITTED = 8
+"""Swept surfaces that are fitted where a face is: a file may put any number there, and each takes its time."""
 
 NO_TURN = 1e-12
 """Azimuth in rad below which it is the rounding of a file's digits."""
@@ -105,12 +109,21 @@ def told_form(points: Array, told: list[Told]) -> tuple[Form | None, str]:
     told : list of Told
     """
     largest = ON_SURFACE * float(np.abs(points).max())
-    nearest = np.inf
+    nearest, fitted = np.inf, 0
     for each in told:
-        for form, residual in _forms(each, points):
-            # NaN is no distance: the surface must reach to every vertex.
-            if not form.distances(points).max() <= max(largest, residual):
-                continue
+        if fitted == MOST_FITTED:
+            break
+        try:
+            # What is absurdly large or small overflows, and is no surface of this face.
+            with np.errstate(all="ignore"):
+                candidates = list(_forms(each, points))
+                fitted += len(candidates) * ("curve" in each.surface or "points" in each.surface)
+                # NaN is no distance: the surface must reach to every vertex.
+                matching = [each for each in candidates if each[0].distances(points).max() <= max(largest, each[1])]
+        except (LfmeshError, np.linalg.LinAlgError):
+            # A radius or coefficient beyond what a lens may have.
+            continue
+        for form, residual in matching:
             if residual <= EXACT_MM:
                 return form, ""
             nearest = min(nearest, residual)

@@ -9,7 +9,7 @@ from lfmesh.geometry.mesh import Array
 MOST_TERMS = 8
 """Even terms beside the conic: r⁴ to r¹⁸."""
 
-STEPS = 100
+STEPS = 50
 """Of the Gauss-Newton method, at most."""
 
 NO_BETTER = 0.5
@@ -20,6 +20,9 @@ ROUNDED = 1e-11
 
 SETTLED = 1e-15
 """Change of the sag by a step, in parts of the profile's size, after which float64 has no more digits."""
+
+FAR_OFF = 0.01
+"""Residual of an even polynomial, in parts of the profile's size, beyond which points are on no profile of a lens."""
 
 FIRST_DAMPING = 1e-4
 """Of the least squares, in parts of the scaled columns' squares."""
@@ -70,9 +73,12 @@ def fitted_profile(r: Array, z: Array) -> Profile | None:
         Heights along it.
     """
     size = float(r.max(initial=0.0))
-    if len(r) < 3 * MOST_TERMS or not size > 0.0:
+    if len(r) < 3 * MOST_TERMS or not 0.0 < size + np.abs(z).max() < np.inf or not size > 0.0:
         return None
     s, h = r / size, z / size
+    powers = np.stack([s ** (2 * j) for j in range(MOST_TERMS + 2)], axis=1)
+    if np.abs(powers @ np.linalg.lstsq(powers, h, rcond=None)[0] - h).max() > FAR_OFF:
+        return None
     sphere = _sphere_through(s, h)
     best = _refined(s, h, sphere, with_conic=False)
     for terms in range(MOST_TERMS + 1):
@@ -145,7 +151,7 @@ def _sag_and_slopes(s: Array, values: Array) -> tuple[Array, Array] | None:
     vertex, c, conic, *a = values
     s2 = s * s
     square = 1.0 - (1.0 + conic) * c * c * s2
-    if not square.min() > 0.0:
+    if not 0.0 < square.min() <= square.max() < np.inf:
         return None
     root = np.sqrt(square)
     columns = [np.ones_like(s), s2 / (root * (1.0 + root)), c**3 * s2 * s2 / (2.0 * root * (1.0 + root) ** 2)]
@@ -153,4 +159,5 @@ def _sag_and_slopes(s: Array, values: Array) -> tuple[Array, Array] | None:
     for j, each in enumerate(a):
         columns.append(s2 ** (j + 2))
         sag = sag + each * columns[-1]
-    return sag, np.stack(columns, axis=1)
+    slopes = np.stack(columns, axis=1)
+    return (sag, slopes) if np.isfinite(sag).all() and np.isfinite(slopes).all() else None

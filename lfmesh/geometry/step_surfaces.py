@@ -21,6 +21,12 @@ MOST_SURFACES, MOST_POINTS = 20_000, 2_000_000
 DEEPEST = 8
 """References within references, of a curve to the one that it is part of; a ring of them ends here."""
 
+SMALLEST = 1e-9
+"""Radius or weight: below, nothing is a lens, and squares leave float64's range."""
+
+LARGEST = 1e9
+"""Number of any kind, for the same reason."""
+
 HIGHEST_DEGREE = 25
 """Of a B-spline."""
 
@@ -135,14 +141,14 @@ def _number(word: Tree) -> float:
         value = float(word)
     except (TypeError, ValueError):
         raise UnreadError from None
-    if not math.isfinite(value):
+    if not abs(value) <= LARGEST:
         raise UnreadError
     return value
 
 
 def _positive(word: Tree) -> float:
     value = _number(word)
-    if not value > 0.0:
+    if not SMALLEST <= value <= LARGEST:
         raise UnreadError
     return value
 

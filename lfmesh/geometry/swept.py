@@ -13,14 +13,14 @@ import numpy as np
 from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
 
-ENOUGH, MOST = 129, 4096
+ENOUGH, MOST = 129, 512
 """Points that a profile is fitted to, and pieces of a curve that are looked into at a time."""
 
 PIECES = 8
 """A piece of a curve is divided into."""
 
-DEEPEST = 40
-"""Divisions, by eight each: float64 ends before."""
+DEEPEST = 14
+"""Divisions, by eight each: the last pieces are 2e-13 of the whole."""
 
 ARC_PER_CHORD = 2.0
 """A short piece of a curve is no longer than so many times the distance of its ends."""

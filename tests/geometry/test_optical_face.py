@@ -1,5 +1,8 @@
 """Each kind of surface that a STEP file may tell is recognised in any turn, by points that formulas put on it."""
 
+import time
+import warnings
+
 import numpy as np
 import pytest
 
@@ -131,3 +134,24 @@ def test_a_cylinder_that_is_not_quite_the_face_is_not_taken(surface):
     points = np.column_stack([x, y, 30.0 - np.sqrt(900.0 - x**2)])
     surface = surface | {"axis": (np.array(surface["axis"]) / np.linalg.norm(surface["axis"])).tolist()}
     assert told_form(points, [Told(surface, frame_turned(0.0))])[0] is None
+
+
+def test_absurd_curves_are_no_surface_and_end_soon():
+    """However many a file has, and whatever overflows on the way (warnings are errors here)."""
+    draw = np.random.default_rng(5)
+    x, y = disk()
+    points = np.column_stack([x, y, (x**2 + y**2) / 60.0])
+    told = []
+    for _ in range(200):
+        at, values = draw.choice([0.0, 1e-9, 30.0, -1e9, 1e5], (5, 3)), draw.choice([1e-9, 1.0, 1e9], 5)
+        curve = {
+            "kind": "spline", "degree": 2, "knots": [0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 3.0, 3.0],
+            "points": at.tolist(), "weights": values.tolist(),
+        }  # fmt: skip
+        surface = {"kind": str(draw.choice(["revolution", "extrusion"])), "at": [0.0, 0.0, 0.0], "curve": curve}
+        told.append(Told(surface | {"axis": [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]][draw.integers(2)]}, frame_turned(0.0)))
+    begun = time.process_time()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert told_form(points, told)[0] is None
+    assert time.process_time() - begun < 30.0

@@ -278,7 +278,8 @@ NEARLY = {
     "a toroid": lambda x, y: 1e-6 * x * x,
     "tilted": lambda x, y: 5e-6 * x,
     "a dent": lambda x, y: 3e-4 * ((x - 4.0) ** 2 + y * y < 1.0),
-    "rough": lambda x, y: 2e-4 * np.sin(50.0 * x + 70.0 * y),
+    # From azimuth to azimuth up and down: no part of it is smooth.
+    "rough": lambda x, y: 2e-4 * np.cos(12.0 * np.arctan2(y, x)),
 }
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 import lfmesh as lf
 from lfmesh.accuracy.hard.outcome import lens_scene, surfaces_of
@@ -67,6 +68,59 @@ def test_a_glowing_ball_lights_a_plate(radius: float, distance: float, depth: fl
     found, sigma = image.mean.mean(), np.sqrt((image.stderr**2).sum()) / image.mean.size
     assert sigma < 0.02 * expected
     assert abs(found - expected) < 3.9 * sigma, (found / expected, sigma / expected)
+
+
+def solid_angle(corners: Array, points: Array) -> Array:
+    """Return the solid angle of a rectangle as points see it, by two triangles (Van Oosterom & Strackee 1983), (n,)."""
+    total = np.zeros(len(points))
+    for triangle in (corners[[0, 1, 2]], corners[[0, 2, 3]]):
+        a, b, c = (corner - points for corner in triangle)
+        la, lb, lc = (np.linalg.norm(each, axis=1) for each in (a, b, c))
+        across = np.abs((a * np.cross(b, c)).sum(axis=1))
+        along = la * lb * lc + (a * b).sum(axis=1) * lc + (b * c).sum(axis=1) * la + (c * a).sum(axis=1) * lb
+        total += 2.0 * np.arctan2(across, along)
+    return total
+
+
+def test_thin_fog_beside_a_glowing_sheet_is_its_integral_along_the_line() -> None:
+    """Twelve random sheets of 1 to 60 mm beside the line, of both sides or one: the mean square of z as for t of 15.
+
+    Fog that scatters evenly shows σ L Ω / 4π per length, of the solid angle Ω of the sheet; dark backs show nothing.
+    """
+    ks, near, far = 1e-6, 100.0, 300.0
+    # Beside targets off the axis, a pupil of nanometres would lose a part of its rays.
+    surfaces = surfaces_of(((50.0, 4.0, 1.5168), (-50.0, 0.0, 1.0)), aperture=5e-3)
+    changes = ONE_LINE | {"camera.sensor.pixel_mm": 1e-3}
+    wall = lens_scene(surfaces).changed({"targets": [plate(reflectance=0.0, radiance_w_m2_sr=1.0)], **changes})
+    of_one = lf.render(wall).mean.mean()
+    random = np.random.default_rng(12)
+    fog = {"bounds": {"kind": "box", "size_mm": [1e3, 1e3, far - near]}, "position_mm": [0.0, 0.0, -200.0],
+           "scattering_per_mm": ks}  # fmt: skip
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    t = 0.5 * (near + far) + 0.5 * (far - near) * nodes
+    line = np.stack([0.0 * t, 0.0 * t, -t], axis=1)
+    zs = []
+    for number in range(12):
+        half = 0.5 * 10.0 ** random.uniform(0.0, 1.8, 2)
+        turn = Rotation.random(rng=random)
+        place = np.array([1.05 * np.hypot(*half) + random.exponential(10.0), 0.0, random.uniform(-260.0, -140.0)])
+        corners = place + turn.apply([[x * half[0], y * half[1], 0.0] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+        material = {"reflectance": 0.0, "radiance_w_m2_sr": 2.0, "sides": ("both", "front")[number % 2]}
+        sheet = {"shape": {"kind": "plane", "width_mm": 2.0 * half[0], "height_mm": 2.0 * half[1]},
+                 "position_mm": place.tolist(), "rotation_deg": turn.as_euler("xyz", degrees=True).tolist(),
+                 "material": material}  # fmt: skip
+        scene = lens_scene(surfaces).changed({"targets": [sheet], "media": [fog], "transport.seed": number, **changes})
+        image = lf.render(scene)
+        seen = solid_angle(corners, line)
+        if number % 2:
+            seen = np.where((line - place) @ turn.apply([0.0, 0.0, 1.0]) > 0.0, seen, 0.0)
+        expected = ks / (4.0 * np.pi) * 2.0 * 0.5 * (far - near) * (weights * seen).sum() * of_one
+        if expected > 0.0:
+            zs += ((image.mean - expected) / image.stderr).ravel().tolist()
+        else:
+            assert (image.mean == 0.0).all()
+    z = np.array(zs)
+    assert (z**2).mean() < 1.154 + 3.3 * np.sqrt(3.39 / len(z)), z
 
 
 BALL = {"name": "glow", "bounds": {"kind": "sphere", "radius_mm": 2.0}, "position_mm": [12.0, 5.0, -130.0],

@@ -76,7 +76,7 @@ def _ask_facet(objects: ObjectTables, options: Options, flow: Flow, packet: Any)
     if cos_facet == 0.0 or (objects.one_sided[facet.body] and cos_facet > 0.0):
         return
     cos_facet = abs(cos_facet)
-    scattered, by_chance, clear = _scattered_towards(objects.volumes, objects, packet, ux, uy, uz)
+    scattered, by_chance, clear = _scattered_towards(objects.volumes, objects, options, packet, ux, uy, uz)
     if scattered <= 0.0:
         return
     # Over the sum of both densities: over its own one, and weighted by the balance heuristic.
@@ -112,7 +112,7 @@ def _ask_media(volumes: Any, objects: ObjectTables, options: Options, flow: Flow
     if not found or distance == 0.0:
         return
     ux, uy, uz = ux / distance, uy / distance, uz / distance
-    scattered, by_chance, clear = _scattered_towards(volumes, objects, packet, ux, uy, uz)
+    scattered, by_chance, clear = _scattered_towards(volumes, objects, options, packet, ux, uy, uz)
     if scattered <= 0.0:
         return
     aimed = density_to_media(volumes, place, x, y, z, ux, uy, uz)
@@ -126,13 +126,16 @@ def _ask_media(volumes: Any, objects: ObjectTables, options: Options, flow: Flow
 
 @inlined
 def _scattered_towards(
-    volumes: Any, objects: ObjectTables, packet: Any, ux: float, uy: float, uz: float
+    volumes: Any, objects: ObjectTables, options: Options, packet: Any, ux: float, uy: float, uz: float
 ) -> tuple[float, float, float]:
     """Return what a point scatters in a direction, with its cosine, and the density of scattered packets, both 1/sr.
+
+    The density is that of those which roulette keeps: where hardly any are, their light would else be in single pixels.
 
     Parameters
     ----------
     volumes : Volumes or None
+    options : Options
     packet : PACKET
         As in `ask_emitters`.
     ux, uy, uz : float
@@ -150,7 +153,7 @@ def _scattered_towards(
         if packet.facet == IN_FOG:
             phase = volumes.phases.rows[packet.row, packet.colour]
             value = evaluate_phase(volumes.phases, phase, packet.dx * ux + packet.dy * uy + packet.dz * uz)
-            return value, value, 0.0
+            return value, value * _kept(options, packet, packet.weight), 0.0
     x, y, z = packet.x, packet.y, packet.z
     ix, iy, iz = packet.dx, packet.dy, packet.dz
     own = objects.facets[packet.facet]
@@ -163,4 +166,13 @@ def _scattered_towards(
     point = point_of(objects, packet.facet, x, y, z, side, objects.model[packet.facet], texel, True)
     by_chance = density(objects.scattering, point, packet.colour, ix, iy, iz, ux, uy, uz)
     brdf = evaluate(objects.scattering, point, packet.colour, ix, iy, iz, ux, uy, uz)
+    if by_chance > 0.0:
+        by_chance *= _kept(options, packet, packet.weight * brdf * cosine / by_chance)
     return brdf * cosine, by_chance, clear_of(own, x, y, z, ux, uy, uz)
+
+
+@inlined
+def _kept(options: Options, packet: Any, weight: float) -> float:
+    """Return the chance with which roulette keeps a scattered packet of that weight."""
+    floor = options.cutoff * packet.start
+    return weight / floor if weight < floor else 1.0

@@ -362,12 +362,16 @@ def _bounce(
     flow.book[SAMPLING_ADDED] += weight * share - scattered
     cutoff = options.unturned_cutoff if is_unturned(options, packet) else options.cutoff
     dimension = packet.events * DIMENSIONS_PER_EVENT + KEEP_BOUNCE
-    weight = windowed(flow.book, weight * share, cutoff * packet.start, packet.key, dimension)
+    drawn = weight * share
+    weight = windowed(flow.book, drawn, cutoff * packet.start, packet.key, dimension)
     if weight > 0.0:
         clear = clear_of(objects.facets[point.prim], x, y, z, dx, dy, dz)
         child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, packet.key, clear)
         child.kind = SCATTERED
         child.density = density(objects.scattering, point, packet.colour, ix, iy, iz, dx, dy, dz)
+        if options.adjoint:
+            # Of all that are drawn, roulette keeps few; see `regions.emitters`.
+            child.density *= drawn / weight
 
 
 @inlined

@@ -369,3 +369,6 @@ def send_from_medium(
     if options.adjoint:
         child.facet = IN_FOG
     child.density = evaluate_phase(phases, phase, ix * dx + iy * dy + iz * dz)
+    if options.adjoint:
+        # Of all that are drawn, roulette keeps few; see `regions.emitters`.
+        child.density *= weight / kept

@@ -251,6 +251,8 @@ class _Adjustment:
                 slopes = self._derivative(steps)
             base = steps
             solution = self._solve(rays, slopes, base, np.concatenate([steps, poses]))
+            if number == 1:
+                solution = self._best_turned(rays, slopes, base, solution)
             values = solution.values
             covariance = self._covariance(solution, np.zeros((0, len(values))))
             moved = np.abs(values[: len(steps)] - base) / np.sqrt(np.diag(covariance))[: len(steps)]
@@ -309,7 +311,29 @@ class _Adjustment:
         jacobian = solved.jac[:rows].reshape(-1, 2, len(start))
         left = solved.fun[:rows].reshape(-1, 2)
         hessian = np.asarray(solved.jac.T @ solved.jac)
-        return _Solution(start, jacobian, hessian, self._scores(jacobian, left, np.linalg.inv(hessian)))
+        scores = self._scores(jacobian, left, np.linalg.inv(hessian))
+        return _Solution(start, jacobian, hessian, scores, float(np.median(size)))
+
+    def _best_turned(self, rays: RayMap, slopes: Array, base: Array, solution: "_Solution") -> "_Solution":
+        """Return the better of a solution and those with a board's tilts turned over.
+
+        From far away a plane tilted one way looks as one tilted the other way: both are minima of the squares.
+        """
+        for board in range(len(self.seen)):
+            used, sigma = self.used, self.sigma
+            self.used, self.sigma = np.ones(len(self.place), bool), FIRST_SIGMA
+            start = solution.values.copy()
+            tilts = len(base) + 6 * board + 3
+            start[tilts : tilts + 2] *= -1.0
+            try:
+                other = self._solve(rays, slopes, base, start)
+            except LfmeshError:
+                other = solution
+            if other.typical < solution.typical:
+                solution = other
+            else:
+                self.used, self.sigma = used, sigma
+        return solution
 
     def _in_samples(self, rays: RayMap, values: Array) -> tuple[Array, Array]:
         """Return the ray map's terms, and what takes a distance on the board to samples at each place, (n, 2, 2)."""
@@ -413,12 +437,15 @@ class _Solution(NamedTuple):
         Of half the sum of squares.
     scores : (corners, p + 6 b) float64
         What each corner's residuals would pull at the values if it had not been fitted.
+    typical : float
+        Median distance of all places from the fit, in samples.
     """
 
     values: Array
     jacobian: Array
     hessian: Array
     scores: Array
+    typical: float
 
 
 DERIVATIVES = 1

@@ -9,6 +9,7 @@ import numpy as np
 import PIL.Image
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2
 
 import lfmesh as lf
@@ -185,6 +186,18 @@ def test_places_that_lie_beside_the_fit_are_left_out_within_few_rounds(
     assert np.isnan(again.residuals[0][far]).all()
     assert again.left_out < 1.05 * len(far)
     assert sum("round" in line for line in said) <= 4
+    beside, covariance = deviations(again, taken)
+    assert beside @ np.linalg.solve(covariance, beside) < chi2.ppf(1.0 - LEVEL, 7)
+
+
+def test_a_start_on_the_wrong_side_does_not_turn_the_tilts_over(
+    taken: Taken, by_white: Any, found: list[lf.BoardFit], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Squares seen under parallel rays look alike for both signs of the tilts: each is a minimum."""
+    turn = Rotation.from_euler("xyz", taken.pose[3:], degrees=True).as_rotvec() * (-1.0, -1.0, 1.0)
+    start = np.concatenate([taken.pose[:3], turn])
+    monkeypatch.setattr("lfmesh.study.board_fit.first_pose", lambda *_: start)
+    again = with_boards(by_white[0], taken.scene, by_white[1], [lf.Board(corners=found[0].corners[0])])
     beside, covariance = deviations(again, taken)
     assert beside @ np.linalg.solve(covariance, beside) < chi2.ppf(1.0 - LEVEL, 7)
 

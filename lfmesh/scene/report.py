@@ -38,8 +38,10 @@ class LensletSection:
     """Of both faces of the plate; inf where neither bends rays."""
     focus_behind_mm: float
     """Of collimated light, behind the array's face towards the sensor."""
+    f_number: float | None
+    """Distance from the sensor, in air, over the pitch in this section; None where rays are not bent."""
     micro_image_pitch_px: float | None
-    """As those of the report, in this section; None where rays are not bent, so that there is no micro-image."""
+    """As those of the report, in this section; None where there is no micro-image."""
     micro_image_diameter_px: float | None
 
 
@@ -351,15 +353,16 @@ def _lenslet_sections(
         return
     for section in sections(mla):
         at = lenslet_optics(mla, wavelength_nm, section=section)
-        pitch = diameter = None
+        number = pitch = diameter = None
         if at.power_per_mm != 0.0:
             inside = (sensor.distance_mm or math.nan) - cover_shift_mm(sensor, wavelength_nm) + at.rear_principal_mm
             pupil = lens_length_mm + (mla.distance_mm or math.nan) + at.front_principal_mm - exit_z_mm
             apart = mla.pitch_mm if section == "x" else mla.row_pitch_mm
             pitch = apart / sensor.pixel_mm * (1 + (quotient(inside, pupil) if math.isfinite(exit_z_mm) else 0.0))
             diameter = quotient(inside, f_number) / sensor.pixel_mm
+            number = inside / apart
         name = section if len(sections(mla)) > 1 else ""
-        yield LensletSection(name, at.focal_length_mm, at.focus_behind_mm, pitch, diameter)
+        yield LensletSection(name, at.focal_length_mm, at.focus_behind_mm, number, pitch, diameter)
 
 
 def _section_row(at: LensletSection) -> tuple[str, str]:
@@ -369,7 +372,8 @@ def _section_row(at: LensletSection) -> tuple[str, str]:
         return name, "no power: light lands on lines"
     return (
         name,
-        f"focal length {_mm(at.focal_length_mm)}, focus {_mm(at.focus_behind_mm)} behind the array; "
+        f"focal length {_mm(at.focal_length_mm)}, f/{at.f_number:.4g}, focus {_mm(at.focus_behind_mm)} behind the "
+        "array; "
         f"micro-images {at.micro_image_diameter_px:.4g} pixels wide, {at.micro_image_pitch_px:.6g} apart",
     )
 

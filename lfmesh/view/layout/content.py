@@ -361,8 +361,10 @@ def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
         along = _within(second, window, mla.row_pitch_mm / LENSLET_POINTS)[::-1]
         other = second.section(along, curved_face(second, world.tables.mla.back.lenslets, along))
     plate = np.concatenate([cut.section(s, curved_face(cut, lenslets, s)), other])
-    neighbour = apex[middle + step if middle + step < len(apex) else max(0, middle - step)]
-    heights, lengths = _array_dimensions(scene, to_camera, apex[middle], neighbour, sensor_z, image)
+    # Rays are aimed at apexes where the lens sees them, and distances measured from where they stand.
+    stands = apex + (0.0 if mla.has_back else -seen_z) * to_camera[:, 2]
+    neighbour = stands[middle + step if middle + step < len(apex) else max(0, middle - step)]
+    heights, lengths = _array_dimensions(scene, to_camera, stands[middle], neighbour, sensor_z, image)
     if image is None:
         heights += _micro_image(bundles[min(1, middle // step)], scene.camera.sensor.pixel_mm)
     return Detail(

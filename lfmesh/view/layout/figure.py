@@ -672,14 +672,17 @@ def _facts(drawn: Layout) -> list[list[tuple[float, str, str]]]:
     focal = ", ".join(f"{f:.4g}" for f in lenslet_focal_length_mm(mla, facts.wavelength_nm))
     shape = ", both faces curved" if mla.has_back else f"{profile} to the {mla.curved_side}"
     micro = f"{facts.micro_image_diameter_px:.3g} px, every {facts.micro_image_pitch_px:.5g} px"
+    number = f"f/{facts.microlens_f_number:.3g}"
     if len(facts.lenslet_sections) > 1:
+        bent = [at for at in facts.lenslet_sections if at.f_number is not None]
+        number = ", ".join(f"{at.section}: f/{at.f_number:.3g}" for at in bent)
         micro = ", ".join(f"{at.section}: {_micro_image(at)}" for at in facts.lenslet_sections)
         focal = ", ".join(f"{at.section}: {at.focal_length_mm:.4g}" for at in facts.lenslet_sections)
     second = [
         (2.4, "microlens array", f"{mla.count[0]} × {mla.count[1]} {mla.layout}{shape}"),
         (1.2, "pitch", _length(mla.pitch_mm)),
         (1.8, "lenslet focal length", f"{focal} mm"),
-        (1.2, "lenslet f-number", f"f/{facts.microlens_f_number:.3g}"),
+        (1.2, "lenslet f-number", number),
         (1.4, "micro-image", micro),
         (2.0, "sensor", pixels),
     ]

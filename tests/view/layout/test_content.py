@@ -249,6 +249,20 @@ def test_rays_of_a_lenslet_cross_at_its_apex_and_span_the_micro_image_of_first_o
     assert pixels == pytest.approx(drawn.facts.micro_image_diameter_px, rel=0.02)
 
 
+@pytest.mark.parametrize("curved_side", ["lens", "sensor"])
+def test_distances_of_the_plate_are_those_of_the_scene_whichever_side_is_curved(curved_side):
+    drawn = layout(camera("double_gauss_50mm", 4.77, **{"camera.mla.curved_side": curved_side}))
+    solved = drawn.scene.camera
+    face = solved.lens.vertices_mm[-1] + solved.mla.distance_mm
+    back, sensor = face + 0.3, face + 0.3 + solved.sensor.distance_mm
+    # The rear principal plane of a plano-convex lenslet lies at its apex, or t / n before the flat face.
+    principal = back if curved_side == "sensor" else back - 0.3 / 1.5
+    ends = [(line.start[0], line.end[0]) for line in drawn.detail.lengths]
+    np.testing.assert_allclose(ends, [(face, back), (back, sensor), (principal, principal + 0.5)], atol=1e-9)
+    told = [line.text for line in drawn.detail.lengths]
+    assert told == ["0.3 mm", f"{solved.sensor.distance_mm:.4g} mm", "f = 0.5 mm"]
+
+
 def test_the_section_of_the_lenslets_is_that_of_their_spheres():
     for name in ("first_light", "hexagonal"):
         drawn = layout(lf.load(asset_path(f"scenes/{name}.toml")))

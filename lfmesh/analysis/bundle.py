@@ -142,13 +142,19 @@ class LensRays:
             As for `starts`.
         wavelength_nm : float
         """
-        arrived = self._followed(slope, entry, wavelength_nm, self._faces_to_stop)
-        p = frames.points(self._into_stop, arrived.position)
+        if self._faces_to_stop == 0:
+            # The stop stands before the lens.
+            position, direction = self.starts(slope, entry)
+            comes = np.ones(len(position), np.bool_)
+        else:
+            arrived = self._followed(slope, entry, wavelength_nm, self._faces_to_stop)
+            position, direction, comes = arrived.position, arrived.direction, arrived.weight > 0.0
+        p = frames.points(self._into_stop, position)
         if self.world.scene.camera.lens.is_pure_stop(self._stop):
-            d = frames.directions(self._into_stop, arrived.direction)
+            d = frames.directions(self._into_stop, direction)
             z = self.world.scene.camera.lens.vertices_mm[self._stop]
             p = p + ((z - p[:, 2]) / d[:, 2])[:, None] * d
-        return np.where((arrived.weight > 0.0)[:, None], p[:, :2], np.nan)
+        return np.where(comes[:, None], p[:, :2], np.nan)
 
     def bundle(self, slope_y: float, pupil: ArrayLike, wavelength_nm: float) -> Bundle:
         """Return the rays of a field through points of the stop.

@@ -67,6 +67,17 @@ def test_a_pinhole_has_no_distortion_and_the_illumination_of_cos4(pinhole: lf.Le
     np.testing.assert_allclose(curves.illumination, cos4, atol=1e-5)
 
 
+def test_a_stop_before_the_lens_is_as_good_as_one_on_it() -> None:
+    """Under parallel light along the axis; off the axis the bundle meets another part of the lens."""
+    faces = [{"radius_mm": 20.0, "thickness_mm": 1.0, "index": 1.5, "semi_diameter_mm": 3.0}]
+    faces.append({"radius_mm": -20.0, "semi_diameter_mm": 3.0})
+    front = scene([{"stop": True, "thickness_mm": 2.0, "semi_diameter_mm": 1.0}, *faces], 19.8)
+    on_it = scene([{"stop": True, "thickness_mm": 0.0, "semi_diameter_mm": 1.0}, *faces], 19.8)
+    apart, together = (analyse(each, object_mm=math.inf, height_mm=2.0) for each in (front, on_it))
+    assert apart.spots[0].rms_mm == pytest.approx(together.spots[0].rms_mm, rel=1e-9)
+    assert apart.spots[-1].rms_mm != pytest.approx(together.spots[-1].rms_mm, rel=1e-3)
+
+
 def test_a_hyperbolic_face_is_stigmatic() -> None:
     """Collimated light through a flat face and out through a conic of −n² comes to a point (Descartes)."""
     n, radius = 1.5, 25.0

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame
@@ -29,12 +30,16 @@ ON_AXIS = 1e-9
 EXACT_MM = 1e-7
 """The largest distance of a swept curve's points from the conic with even terms that it is traced as, mm."""
 
-FITTED_MM = 1e-4
+FITTED_MM = 1e-5
 """The largest distance of a mesh's vertices from the sphere that they are traced as, mm."""
 
 FORM_MM = 3e-6
-"""The largest value of the smooth part of these distances, mm: of the polynomial of degree 4 in x and y fitted to them.
-An asphere's are smooth; digits that a file leaves out are not, and take no ray astray."""
+"""The largest value of the smooth part of these distances, mm: of the polynomial of degree 4 in x and y fitted to them,
+and of their means over neighbouring vertices. An asphere's are smooth, and so is a dent among its neighbours; digits that
+a file leaves out are not, and take no ray astray."""
+
+NEIGHBOURS = 16
+"""Vertices, itself among them, over which the distance of a vertex is averaged."""
 
 DEGREE = 4
 """Of that polynomial."""
@@ -318,7 +323,9 @@ def fitted_form(points: Array) -> tuple[Form | None, str]:
     # Signed distances along the normal.
     off = np.linalg.norm(points - [0.0, 0.0, centre], axis=1) - radius
     smooth = terms @ np.linalg.lstsq(terms, off, rcond=None)[0]
-    worst, form = float(np.abs(off).max()), float(np.abs(smooth).max())
+    _, near = cKDTree(points).query(points, k=NEIGHBOURS)
+    form = max(float(np.abs(smooth).max()), float(np.abs(off[near].mean(axis=1)).max()))
+    worst = float(np.abs(off).max())
     if not (worst <= FITTED_MM and form <= FORM_MM):
         return None, (
             f"its vertices are up to {worst:.2g} mm off the nearest sphere about the z axis, {form:.2g} mm of it "

@@ -3,9 +3,11 @@
 import json
 import math
 
+import numpy as np
 import pytest
 from scipy.special import eval_jacobi
 
+import lfmesh as lf
 from lfmesh.scene import FirstOrder, Plane, Scene, Surface, Target, first_order, solved
 from lfmesh.scene.paraxial import Paraxial
 
@@ -317,3 +319,28 @@ def test_flat_glass_has_no_focal_length(scene: Scene) -> None:
         Surface(semi_diameter_mm=5.0),
     )
     assert Paraxial.of(scene.camera.lens.model_copy(update={"surfaces": flat}), 587.6).efl_mm == -math.inf
+
+
+def test_the_field_of_an_anamorphic_lens_is_that_of_its_chief_rays_in_both_sections() -> None:
+    """A ray through the middle of a stop before the lens, traced: where it lands over where it comes from."""
+    toric = {"radius_mm": 30.0, "toroid": {"radius_x_mm": 18.0}, "thickness_mm": 3.0, "index": 1.5}
+    surfaces = (
+        {"stop": True, "thickness_mm": 4.0, "semi_diameter_mm": 1.0},
+        toric | {"semi_diameter_mm": 6.0},
+        {"radius_mm": math.inf, "semi_diameter_mm": 6.0},
+    )
+    scene = lf.Scene(
+        camera={
+            "lens": {"surfaces": surfaces},
+            "sensor": {"pixels": (80, 60), "pixel_mm": 0.05, "distance_mm": 65.0},
+        }
+    )
+    facts = lf.first_order(scene)
+    slope = 1e-4
+    for axis, (size, seen) in enumerate(zip((4.0, 3.0), facts.field_of_view_mm, strict=True)):
+        start, way = np.array([[0.0, 0.0, -1.0]]), np.array([[0.0, 0.0, 1.0]])
+        start[0, axis], way[0, axis] = -slope, slope
+        lands = lf.trace(lf.build(scene), start, way, split="transmit").position[0, axis]
+        point = -slope * facts.object_distance_mm
+        assert seen == pytest.approx(size * abs(point / lands), rel=1e-6)
+    assert facts.field_of_view_mm[0] / 4.0 != pytest.approx(facts.field_of_view_mm[1] / 3.0, rel=0.05)

@@ -278,6 +278,9 @@ NEARLY = {
     "a toroid": lambda x, y: 1e-6 * x * x,
     "tilted": lambda x, y: 5e-6 * x,
     "a dent": lambda x, y: 3e-4 * ((x - 4.0) ** 2 + y * y < 1.0),
+    # Two narrow ones: every vertex lies near the sphere, and rays there land micrometres away.
+    "a smooth dent": lambda x, y: 9e-5 * np.exp(-((x - 2.0) ** 2 + (y - 1.0) ** 2) / 0.08),
+    "a shallow one": lambda x, y: 9e-6 * np.exp(-((x - 2.0) ** 2 + (y - 1.0) ** 2) / 2.0),
     # From azimuth to azimuth up and down: no part of it is smooth.
     "rough": lambda x, y: 2e-4 * np.cos(12.0 * np.arctan2(y, x)),
 }

@@ -190,7 +190,7 @@ class ArrayRays:
         follow_through_mla(rays, tables.mla, tables.frames)
         ok = rays.weight > 0.0
         to_sensor = tables.frames[CAMERA_FRAME, SENSOR_FRAME]
-        p, d = frames.points(to_sensor, rays.position[ok]), frames.directions(to_sensor, rays.direction[ok])
+        p, d = _points(to_sensor, rays.position[ok]), _directions(to_sensor, rays.direction[ok])
         landed = p[:, :2] - (p[:, 2] / d[:, 2])[:, None] * d[:, :2]
         if self.plate.cover_mm > 0.0:
             landed = landed + self.plate.moved_by_cover(d)
@@ -204,11 +204,11 @@ class ArrayRays:
     def _lenslet(self, start: Array, before: Array, end: Array, behind: Array) -> Whole:
         """Return the numbers of the lenslets that rays met, from their lines before and behind the array."""
         move = self._tables.frames[CAMERA_FRAME, MLA_FRAME]
-        met = frames.points(move, end)
+        met = _points(move, end)
         if self.plate.curved_to_lens:
             # The ray within the glass meets the one before it on the curved face.
-            p, d = frames.points(move, start), frames.directions(move, before)
-            inside = self.plate.inside(frames.directions(move, behind))
+            p, d = _points(move, start), _directions(move, before)
+            inside = self.plate.inside(_directions(move, behind))
             between, cosine = met - p, (d * inside).sum(axis=1)
             along = (between * d).sum(axis=1) - cosine * (between * inside).sum(axis=1)
             sine2 = (np.cross(d, inside) ** 2).sum(axis=1)
@@ -219,6 +219,15 @@ class ArrayRays:
 
 
 _STEPS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+
+
+def _points(move: Array, p: Array) -> Array:
+    """Return points through a frame as `frame.points`; many small products are quicker without a matrix library."""
+    return np.asarray(_directions(move, p) + move[:, 3])
+
+
+def _directions(move: Array, d: Array) -> Array:
+    return np.stack([d[:, 0] * row[0] + d[:, 1] * row[1] + d[:, 2] * row[2] for row in move], axis=1)
 
 
 def even_points(count: int) -> Array:

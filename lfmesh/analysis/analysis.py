@@ -42,9 +42,12 @@ DEFINITIONS = (
     "rays: square grid in the stop (real ray aiming), equal areas, weighted by Fresnel's transmittance",
     "spots: all wavelengths, equal weights; rms about the centroid; GEO: largest distance from the primary chief ray",
     "fans: from the primary chief ray of the field; pupil coordinate in the stop",
+    "longitudinal aberration: where an axial point's rays cross the axis; + behind the image plane",
     "foci: rays 0.001 stop radii beside the chief ray (Coddington's, by differences); + behind the image plane",
     "distortion: chief ray over its paraxial height, primary wavelength",
-    "illumination: irradiance of a Lambertian plane's image over that on the axis",
+    "lateral colour: chief rays from the primary wavelength's",
+    "illumination: irradiance of a Lambertian plane's image over that on the axis, primary wavelength",
+    "pass: share of the stop's points, unweighted; Airy radius (circle): 1.22 λ N, primary wavelength, N at work",
     "MTF: geometric, modulus of the spot's transform, all wavelengths; no diffraction",
 )
 """Of the figures, for comparison with other programs."""

@@ -25,15 +25,8 @@ from lfmesh.transport.world import World
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-INTERLEAVED = 4
-"""The stop's grid is dealt out to moved points in so many parts along each axis."""
-
-ACROSS = 64
-"""Points on a diameter of the stop's grid as a whole."""
-
-GOLDEN = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
-"""Steps of a sequence that fills the unit cube evenly: inverse powers of the root of x⁴ = x + 1 (M. Roberts, "The
-unreasonable effectiveness of quasirandom sequences", 2018)."""
+ACROSS = 16
+"""Points on a diameter of the part of the stop's grid that each place, or position of a point, has."""
 
 
 class Landed(NamedTuple):
@@ -70,6 +63,8 @@ class MovedPoint(NamedTuple):
         Their derivatives by the object point's slope.
     weight : (n,) float64
         Above 0.
+    parts : int
+        Number of the parts along each axis.
     """
 
     part: Whole
@@ -78,6 +73,7 @@ class MovedPoint(NamedTuple):
     place_by: Array
     slope_by: Array
     weight: Array
+    parts: int
 
 
 @dataclass(frozen=True)
@@ -136,7 +132,7 @@ class ArrayRays:
         assert camera.mla is not None
         return float(camera.lens.vertices_mm[-1] + 0.5 * (camera.mla.distance_mm or 0.0))
 
-    def moved_point(self, object_mm: float, slope: Array, reach: float) -> MovedPoint:
+    def moved_point(self, object_mm: float, slope: Array, reach: float, *, parts: int) -> MovedPoint:
         """Return the rays of an object point, and by differences those of its neighbours.
 
         Parameters
@@ -147,20 +143,23 @@ class ArrayRays:
             x and y over that.
         reach : float
             Difference in slope by which derivatives are taken.
+        parts : int
+            Along each axis of the stop's grid, of which every moved point has one.
         """
-        lens, pupil = LensRays(self.world, object_mm, self.image_z_mm), pupil_grid(ACROSS)
+        lens, pupil = LensRays(self.world, object_mm, self.image_z_mm), pupil_grid(parts * ACROSS)
         three = [lens.bundle(slope + move, pupil, self.wavelength_nm) for move in reach * _STEPS]
         passes = np.logical_and.reduce([each.passes for each in three])
         place = [each.place[passes] for each in three]
         steep = [each.direction[passes, :2] / each.direction[passes, 2:] for each in three]
-        number = np.round((pupil + 1.0) * 0.5 * ACROSS - 0.5).astype(np.int64) % INTERLEAVED
+        number = np.round((pupil + 1.0) * 0.5 * parts * ACROSS - 0.5).astype(np.int64) % parts
         return MovedPoint(
-            (number[:, 0] * INTERLEAVED + number[:, 1])[passes],
+            (number[:, 0] * parts + number[:, 1])[passes],
             place[0],
             steep[0],
             np.stack([(each - place[0]) / reach for each in place[1:]], axis=2),
             np.stack([(each - steep[0]) / reach for each in steep[1:]], axis=2),
             three[0].weight[passes],
+            parts,
         )
 
     def from_object(self, rays: MovedPoint, moves: Array) -> Landed:
@@ -231,14 +230,22 @@ def _directions(move: Array, d: Array) -> Array:
 
 
 def even_points(count: int) -> Array:
-    """Return points that fill the unit square evenly, (n, 2), always the same."""
-    return np.asarray((0.5 + np.arange(count)[:, None] * np.array(GOLDEN[:2])) % 1.0)
+    """Return points that fill the unit square evenly, (n, 2), always the same; most even for powers of two."""
+    return _sequence(count)[:, :2]
+
+
+def _sequence(count: int) -> Array:
+    """Return points of Sobol's sequence in the unit cube, (n, 3), moved off its faces."""
+    from scipy.stats import qmc
+
+    power = max(0, (count - 1).bit_length())
+    found = qmc.Sobol(3, scramble=False).random_base2(power)[:count] + 0.5 / (1 << power)
+    return np.asarray(found, dtype=np.float64)
 
 
 def _dealt(rays: MovedPoint, count: int) -> tuple[Whole, Whole]:
     """Return the pairs of a point and a ray: points of the even sequence have parts of the stop's grid in turn."""
-    parts = INTERLEAVED * INTERLEAVED
+    parts = rays.parts * rays.parts
     of_part = [np.flatnonzero(rays.part == part) for part in range(parts)]
-    third = (0.5 + np.arange(count) * GOLDEN[2]) % 1.0
-    chosen = [of_part[part] for part in (parts * third).astype(np.int64)]
+    chosen = [of_part[part] for part in (parts * _sequence(count)[:, 2]).astype(np.int64)]
     return np.repeat(np.arange(count), [len(each) for each in chosen]), np.concatenate(chosen)

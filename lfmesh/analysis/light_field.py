@@ -69,7 +69,8 @@ DEFINITIONS = (
     "Fresnel's transmittance of lens and array; refracted light alone, primary wavelength",
     "cell: what lies nearer to where the chief ray of its lenslet lands than to that of any other",
     "from others: share of the light in the lenslet's cell that met another lenslet; "
-    "to others: share of the light that met the lenslet and lands outside its cell; good to about 0.1 points or a tenth of it",
+    "to others: share of the light that met the lenslet and lands outside its cell; "
+    "good to about 0.1 points or a tenth of it",
     "fields: the lenslet nearest the paraxial height, towards a corner of the array, with all its neighbours",
     "photographs: a point on the axis at each distance, primary wavelength, stop and weights as above; "
     "landing places are binned into pixels",

@@ -29,7 +29,7 @@ FOUNDATION = [
 ]
 ORDER = [
     *["optics", "scene", "geometry", "imports", "transport"],
-    *["analysis", "lightfield", "files", "view", "accuracy", "study", "cli", "__main__"],
+    *["lightfield", "analysis", "files", "view", "accuracy", "study", "cli", "__main__"],
 ]
 """Each may import those before it, and the foundation."""
 ROOMS = {

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from lfmesh.analysis.bundle import Bundle, LensRays, pupil_grid
 from lfmesh.analysis.field_curves import FieldCurves, field_curves, paraxial_scale, zone_foci
+from lfmesh.analysis.light_field import LightFieldAnalysis, analyse_light_field
 from lfmesh.analysis.spots import Spot
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.report import airy_disk_mm
-from lfmesh.transport.world import build
+from lfmesh.transport.world import World, build
 
 Array = NDArray[np.float64]
 
@@ -41,9 +42,12 @@ DEFINITIONS = (
     "rays: square grid in the stop (real ray aiming), equal areas, weighted by Fresnel's transmittance",
     "spots: all wavelengths, equal weights; rms about the centroid; GEO: largest distance from the primary chief ray",
     "fans: from the primary chief ray of the field; pupil coordinate in the stop",
+    "longitudinal aberration: where an axial point's rays cross the axis; + behind the image plane",
     "foci: rays 0.001 stop radii beside the chief ray (Coddington's, by differences); + behind the image plane",
     "distortion: chief ray over its paraxial height, primary wavelength",
-    "illumination: irradiance of a Lambertian plane's image over that on the axis",
+    "lateral colour: chief rays from the primary wavelength's",
+    "illumination: irradiance of a Lambertian plane's image over that on the axis, primary wavelength",
+    "pass: share of the stop's points, unweighted; Airy radius (circle): 1.22 λ N, primary wavelength, N at work",
     "MTF: geometric, modulus of the spot's transform, all wavelengths; no diffraction",
 )
 """Of the figures, for comparison with other programs."""
@@ -97,6 +101,10 @@ class LensAnalysis(Shown):
         Tangential, sagittal.
     airy_radius_mm : float
         1.22 λ N at the primary wavelength.
+    light_field : LightFieldAnalysis or None
+        Of a camera with an array.
+    no_light_field : str
+        Why there is none, where there is an array.
     """
 
     name: str
@@ -113,6 +121,8 @@ class LensAnalysis(Shown):
     frequencies_per_mm: Array
     mtf: Array
     airy_radius_mm: float
+    light_field: LightFieldAnalysis | None = None
+    no_light_field: str = ""
 
     @property
     def primary_nm(self) -> float:
@@ -147,6 +157,10 @@ class LensAnalysis(Shown):
                 f"{height:9.3f}{spot.chief_mm[1]:11.4f}{1e3 * spot.rms_mm:10.3f}{1e3 * spot.geo_mm:10.3f}"
                 f"{spot.passed:9.1%}{t:12.4f}{s:12.4f}{d:9.3f}{light:8.1%}"
             )
+        if self.light_field is not None:
+            lines += self.light_field.lines()
+        if self.no_light_field:
+            lines.append(f"no figures of the light field: {self.no_light_field}")
         return lines
 
     def __str__(self) -> str:
@@ -174,6 +188,7 @@ class LensAnalysis(Shown):
                 for height, spot in zip(self.heights_mm, self.spots, strict=True)
             ],
             "definitions": list(DEFINITIONS),
+            "light_field": None if self.light_field is None else self.light_field.as_dict(),
         }
 
 
@@ -231,6 +246,7 @@ def analyse(
     primary = waves[len(waves) // 2]
     slopes = heights / paraxial_scale(rays, primary)
     spots = [_spot(rays, float(slope), waves, across) for slope in slopes]
+    light_field, why_not = _light_field(world, object_mm, heights)
     zones = (np.arange(ZONES) + 1.0) / ZONES
     cut_off = 1e6 / (primary * facts.working_f_number)
     frequencies = np.linspace(0.0, FINEST_MTF * cut_off, FREQUENCIES)
@@ -249,7 +265,19 @@ def analyse(
         frequencies_per_mm=frequencies,
         mtf=np.array([[spot.mtf(frequencies, tangential=t) for t in (True, False)] for spot in spots]),
         airy_radius_mm=0.5 * airy_disk_mm(primary, facts.working_f_number),
+        light_field=light_field,
+        no_light_field=why_not,
     )
+
+
+def _light_field(world: World, object_mm: float, heights_mm: Array) -> tuple[LightFieldAnalysis | None, str]:
+    """Return the figures of the light field, or why an array has none."""
+    if world.scene.camera.mla is None:
+        return None, ""
+    try:
+        return analyse_light_field(world, object_mm, heights_mm), ""
+    except LfmeshError as error:
+        return None, str(error)
 
 
 def _wavelengths(scene: Scene, given: tuple[float, ...] | None) -> tuple[float, ...]:

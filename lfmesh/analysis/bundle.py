@@ -156,25 +156,28 @@ class LensRays:
             p = p + ((z - p[:, 2]) / d[:, 2])[:, None] * d
         return np.where(comes[:, None], p[:, :2], np.nan)
 
-    def bundle(self, slope_y: float, pupil: ArrayLike, wavelength_nm: float) -> Bundle:
+    def bundle(self, slope: ArrayLike, pupil: ArrayLike, wavelength_nm: float) -> Bundle:
         """Return the rays of a field through points of the stop.
 
         Parameters
         ----------
-        slope_y : float
-            Height of the object point over its distance; of parallel bundles the tangent of the field angle.
+        slope : float, or (2,) float64
+            Height of the object point over its distance, in the meridional plane, or its x and y over that; of parallel
+            bundles the tangent of the field angle.
         pupil : (n, 2) float
             Points of the stop, in units of its radius.
         wavelength_nm : float
         """
         pupil = np.asarray(pupil, dtype=np.float64).reshape(-1, 2)
         aim = pupil * (self.stop_radius * INSIDE)
-        slope = np.broadcast_to([0.0, slope_y], aim.shape)
+        given = np.asarray(slope, dtype=np.float64)
+        field = given if given.ndim else np.array([0.0, float(given)])
+        slope = np.broadcast_to(field, aim.shape)
 
         def landing(entry: Array, which: NDArray[np.int64]) -> Array:
             return self.at_stop(slope[which], entry, wavelength_nm)
 
-        guess = self._guess(slope_y, aim, wavelength_nm)
+        guess = self._guess(field, aim, wavelength_nm)
         aimed = aim_rays(landing, aim, guess, DIFFERENCE * self.stop_radius, self.stop_radius)
         entry = np.where(aimed.arrived[:, None], aimed.start, np.nan)
         known = np.isfinite(entry).all(axis=1)
@@ -189,25 +192,29 @@ class LensRays:
             direction[mine] = d
         return Bundle(pupil, place, entry, direction, weight)
 
-    def _guess(self, slope_y: float, aim: Array, wavelength_nm: float) -> Array:
-        """Return about where rays cross the plane of the first vertex, from a fan across the lens."""
+    def _guess(self, field: Array, aim: Array, wavelength_nm: float) -> Array:
+        """Return about where rays cross the plane of the first vertex, from a fan across the lens along the field."""
         lens = self.world.tables.lens
+        steep = float(np.hypot(*field))
+        along = field / steep if steep > 0.0 else np.array([0.0, 1.0])
         reach = widest_disk(lens, np.array([[0.0, 0.0, min(-1.0, float(lens.box_low[2]) - 1.0)]]), front=True)
-        trial = np.column_stack([np.zeros(FAN), np.linspace(-reach, reach, FAN)])
-        hits = self.at_stop(np.broadcast_to([0.0, slope_y], trial.shape), trial, wavelength_nm)[:, 1]
+        trial = np.linspace(-reach, reach, FAN)
+        fan = trial[:, None] * along
+        hits = self.at_stop(np.broadcast_to(field, fan.shape), fan, wavelength_nm) @ along
         known = np.isfinite(hits)
         to_stop = solved_camera(self.world.scene).paraxial.to_stop
         scale = to_stop.a + to_stop.b / self.object_mm
-        guess = (aim + to_stop.b * np.array([0.0, slope_y])) / scale
+        guess = (aim + to_stop.b * field) / scale
         if known.sum() > 1:
             order = np.argsort(hits[known])
-            y, entries = hits[known][order], trial[known, 1][order]
-            guess[:, 1] = np.interp(aim[:, 1], y, entries)
+            h, entries, wanted = hits[known][order], trial[known][order], aim @ along
+            better = np.interp(wanted, h, entries)
             # Beyond the outermost trials that arrive, along the line through them.
-            for end, beyond in ((0, aim[:, 1] < y[0]), (-1, aim[:, 1] > y[-1])):
+            for end, beyond in ((0, wanted < h[0]), (-1, wanted > h[-1])):
                 inner = 1 if end == 0 else -2
-                slope = (entries[end] - entries[inner]) / (y[end] - y[inner])
-                guess[beyond, 1] = entries[end] + slope * (aim[beyond, 1] - y[end])
+                slope = (entries[end] - entries[inner]) / (h[end] - h[inner])
+                better[beyond] = entries[end] + slope * (wanted[beyond] - h[end])
+            guess = guess + (better - guess @ along)[:, None] * along
         return np.asarray(guess)
 
 

@@ -1,11 +1,13 @@
-"""The lens sheet: what `lf.analyse` found, on one page, as PDF, SVG, PNG or HTML.
+"""The lens sheet: what `lf.analyse` found, as PDF, SVG, PNG or HTML.
 
 Ray fans and spots of three fields, longitudinal aberration, foci and distortion over the field, lateral colour,
-illumination and the geometric MTF, with the definitions of all of them.
+illumination and the geometric MTF, with the definitions of all of them. Below, for a camera with an array, its light
+field: cross-talk, and the MTF of photographs by depth and view.
 """
 
 import math
 import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,23 +16,29 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
 from matplotlib.gridspec import GridSpec
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
 from lfmesh.analysis.analysis import DEFINITIONS, LensAnalysis
+from lfmesh.analysis.light_field import LightFieldAnalysis
 from lfmesh.files.colour import spectral_srgb
 from lfmesh.files.whole import write_whole
 from lfmesh.templates import filled
 from lfmesh.view.figure_file import PICTURES, checked_kind, encoded_figure, inline_svg
 
 SHEET_IN = (14.0, 9.6)
+LIGHT_FIELD_IN = 4.2
+"""Height of the part on the light field."""
 
 WHAT = "a lens sheet"
 ENDINGS = (*PICTURES, ".html")
 
 TEMPLATE = Path(__file__).parent / "templates" / "lens_sheet.html"
+
+DEPTH_COLOURS = ("#8c1f1f", "#c46a1b", "#222222", "#2a7f8c", "#1f3a8c")
+"""From the nearest plane to the farthest."""
 
 FIELD_COLOURS = ("#1f4e8c", "#2a7f62", "#b4541a")
 INK, GREY = "#222222", "#666666"
@@ -41,7 +49,7 @@ UM = 1e3
 DARKEST = 0.75
 """Lines of light wavelengths are drawn this much darker than they look, to be seen on paper."""
 
-DEFINITION_COLUMNS = 62
+DEFINITION_COLUMNS = 80
 
 STYLE: Any = {
     "font.family": ["DejaVu Sans", "sans-serif"],
@@ -110,9 +118,22 @@ def _page(analysis: LensAnalysis) -> str:
 
 
 def sheet_of(analysis: LensAnalysis) -> Figure:
-    """Return the page."""
-    figure = Figure(figsize=SHEET_IN)
+    """Return the sheet."""
+    width, height = SHEET_IN
+    if analysis.light_field is None:
+        figure = Figure(figsize=SHEET_IN)
+        FigureCanvasAgg(figure)
+        _lens_part(figure, analysis)
+        return figure
+    figure = Figure(figsize=(width, height + LIGHT_FIELD_IN))
     FigureCanvasAgg(figure)
+    parts: Any = figure.subfigures(2, 1, height_ratios=(height, LIGHT_FIELD_IN))
+    _lens_part(parts[0], analysis)
+    _light_field_part(parts[1], analysis.light_field)
+    return figure
+
+
+def _lens_part(figure: Any, analysis: LensAnalysis) -> None:
     grid = GridSpec(
         3, 6, figure, left=0.045, right=0.985, top=0.885, bottom=0.055, wspace=0.42, hspace=0.42,
         height_ratios=(1.0, 1.15, 1.15),
@@ -126,11 +147,47 @@ def sheet_of(analysis: LensAnalysis) -> Figure:
     _lateral(figure.add_subplot(grid[2, 0]), analysis)
     _illumination(figure.add_subplot(grid[2, 1]), analysis)
     _mtf(figure.add_subplot(grid[2, 2:4]), analysis)
-    _definitions(figure.add_subplot(grid[2, 4:]))
-    return figure
+    missing = (f"no light field: {analysis.no_light_field}",) if analysis.no_light_field else ()
+    _definitions(figure.add_subplot(grid[2, 4:]), (*DEFINITIONS, *missing))
 
 
-def _header(figure: Figure, analysis: LensAnalysis) -> None:
+def _light_field_part(figure: Any, light_field: LightFieldAnalysis) -> None:
+    grid = GridSpec(1, 6, figure, left=0.045, right=0.985, top=0.84, bottom=0.13, wspace=0.42)
+    figure.text(0.045, 0.94, f"Light field, {light_field.wavelength_nm:.1f} nm", fontsize=10, fontweight="bold")
+    _crosstalk(figure.add_subplot(grid[0, 0]), light_field)
+    for k, part in enumerate(light_field.parts):
+        axes = figure.add_subplot(grid[0, 1 + k])
+        for number, each in enumerate(light_field.photographs):
+            at = "infinity" if math.isinf(each.distance_mm) else f"{each.distance_mm:.4g} mm"
+            colour = DEPTH_COLOURS[number % len(DEPTH_COLOURS)]
+            axes.plot(light_field.frequencies_per_mm, each.mtf[k], color=colour, label=at)
+        axes.set_xlim(0.0, light_field.frequencies_per_mm[-1])
+        axes.set_ylim(0.0, 1.0)
+        axes.grid(visible=True, linewidth=0.3)
+        axes.set_title(f"MTF of photographs, {part}")
+        axes.set_xlabel("line pairs a mm, on the array")
+        if light_field.photographs:
+            axes.legend(loc="upper right", title="plane")
+    _definitions(figure.add_subplot(grid[0, 4:]), light_field.definitions)
+
+
+def _crosstalk(axes: Axes, light_field: LightFieldAnalysis) -> None:
+    place = np.arange(len(light_field.crosstalk))
+    both = ([each.from_others for each in light_field.crosstalk], [each.to_others for each in light_field.crosstalk])
+    for side, (shares, word) in enumerate(zip(both, ("from", "to"), strict=True)):
+        bars = axes.bar(
+            place + 0.4 * side - 0.2, 100.0 * np.array(shares), 0.38, label=f"{word} others", color=FIELD_COLOURS[side]
+        )
+        axes.bar_label(bars, fmt="%.1f", fontsize=6.0)
+    axes.set_xticks(place, [f"{each.height_mm:.2f} mm" for each in light_field.crosstalk])
+    axes.margins(y=0.3)
+    axes.legend(loc="upper left")
+    axes.set_title("micro-image cross-talk")
+    axes.set_xlabel("lenslet from axis")
+    axes.set_ylabel("%")
+
+
+def _header(figure: FigureBase, analysis: LensAnalysis) -> None:
     facts = analysis.first_order
     at = "infinity" if math.isinf(analysis.object_mm) else f"{analysis.object_mm:.5g} mm"
     figure.text(0.045, 0.955, analysis.name, fontsize=13, fontweight="bold")
@@ -165,7 +222,7 @@ def _cross(axes: Axes) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(5))
 
 
-def _fans(figure: Figure, grid: GridSpec, analysis: LensAnalysis) -> None:
+def _fans(figure: FigureBase, grid: GridSpec, analysis: LensAnalysis) -> None:
     largest = max(
         float(np.nanmax(np.abs(values), initial=0.0))
         for fans in analysis.fans
@@ -268,7 +325,7 @@ def _mtf(axes: Axes, analysis: LensAnalysis) -> None:
     axes.set_xlabel("line pairs a mm")
 
 
-def _definitions(axes: Axes) -> None:
+def _definitions(axes: Axes, definitions: Sequence[str]) -> None:
     axes.set_axis_off()
-    lines = [line for each in DEFINITIONS for line in textwrap.wrap(each, DEFINITION_COLUMNS, subsequent_indent="    ")]
+    lines = [line for each in definitions for line in textwrap.wrap(each, DEFINITION_COLUMNS, subsequent_indent="    ")]
     axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=6.3, linespacing=1.35, transform=axes.transAxes)

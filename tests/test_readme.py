@@ -162,7 +162,7 @@ def test_every_table_of_the_scene_file_is_explained() -> None:
     for table in explained:
         model: object = lfmesh.Scene
         for key in table.split("."):
-            known = ("mla", "lens", "sensor", "elements", "NAME")
+            known = ("mla", "lens", "sensor", "elements", "back", "NAME")
             fields = getattr(model, "model_fields", None) or dict.fromkeys(known, 0)
             assert key in fields, f"[{table}] is no table of a scene"
             model = fields[key]

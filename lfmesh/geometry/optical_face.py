@@ -35,8 +35,8 @@ FITTED_MM = 1e-5
 
 FORM_MM = 3e-6
 """The largest value of the smooth part of these distances, mm: of the polynomial of degree 4 in x and y fitted to them,
-and of their means over neighbouring vertices. An asphere's are smooth, and so is a dent among its neighbours; digits that
-a file leaves out are not, and take no ray astray."""
+and of their means over neighbouring vertices. An asphere's are smooth, and so are a dent's; digits that a file leaves
+out are not, and take no ray astray."""
 
 NEIGHBOURS = 16
 """Vertices, itself among them, over which the distance of a vertex is averaged."""

@@ -200,7 +200,11 @@ OWN = {
     "regular_file.py",
     *["optics/cie.py", "optics/rgb_spectra.py"],  # tables that come with lfmesh
     *["kernel_cache.py", "view/browser/page.py", "view/browser/sessions.py", "view/output/html.py"],  # our own files
-    *["geometry/cad_file.py", "geometry/cad_child.py"],  # what our own process wrote, or was looked at before
+    *[
+        "geometry/cad_file.py",
+        "geometry/cad_child.py",
+        "geometry/step_surfaces.py",
+    ],  # what our own process wrote, or was looked at before
     *["accuracy/lens_accuracy.py"],  # /proc
 }
 

@@ -31,11 +31,15 @@ SIGNALS = {signal.SIGINT: 130, signal.SIGTERM: 143}
 
 
 @pytest.fixture
-def _files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("lfmesh.lightfield.projection.RAYS_AT_ONCE", 400)
     for name, text in (("scene.toml", SCENE), ("study.toml", STUDY), ("data.toml", DATASET)):
         (tmp_path / name).write_text(text)
+    # A shell ignores Ctrl-C for what it runs in the background, these tests perhaps.
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, usual)
 
 
 def stop_after(parts: int, number: signal.Signals, place: str, patch: pytest.MonkeyPatch) -> None:

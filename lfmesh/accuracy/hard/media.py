@@ -330,11 +330,9 @@ def _glowing(emission: float, **values: Any) -> dict[str, Any]:
 
 @case
 def camera_in_glowing_fog() -> Outcome:
-    """Stand in fog that glows, absorbs and scatters, between walls as bright as it: all lines of sight are alike.
-
-    So it is whatever is scattered, where the medium ends just before the lens, or touches it, and where media overlap.
-    Only the camera is dark: what it hides from the fog is below half a percent.
-    """
+    """Stand in fog that glows, absorbs and scatters, between walls as bright as it: all lines of sight are alike."""
+    # So it is whatever is scattered, where the medium ends just before the lens or touches it, and where media overlap.
+    # Only the camera is dark: what it hides from the fog is below half a percent.
     fog = {"scattering_per_mm": 0.002, "phase": {"kind": "henyey_greenstein", "g": 0.7}, **_glowing(0.01)}
     near = {"bounds": {"kind": "box", "size_mm": [5e3, 5e3, 300.0]}}
     media = {

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lfmesh.analysis.array_rays import ArrayRays, Landed, even_points
 from lfmesh.analysis.bundle import LensRays
 from lfmesh.analysis.field_curves import paraxial_scale
+from lfmesh.analysis.spots import half_contrast
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.decode import sampling_of, view_count
 from lfmesh.lightfield.depth import BORDER
@@ -182,15 +183,6 @@ class LightFieldAnalysis:
             "photographs": [asdict(each) | {"mtf": each.mtf.tolist()} for each in self.photographs],
             "definitions": list(self.definitions),
         }
-
-
-def half_contrast(frequencies: Array, mtf: Array) -> float:
-    """Return the frequency at which an MTF first falls to one half; NaN where it does not."""
-    below = np.flatnonzero(mtf < 0.5)
-    if not below.size or below[0] == 0:
-        return math.nan
-    j = int(below[0])
-    return float(np.interp(-0.5, [-mtf[j - 1], -mtf[j]], [frequencies[j - 1], frequencies[j]]))
 
 
 def analyse_light_field(world: World, object_mm: float, heights_mm: Array) -> LightFieldAnalysis:

@@ -76,3 +76,20 @@ class Spot:
         along = self.place_mm[:, 1 if tangential else 0]
         phase = np.exp(-2j * np.pi * np.multiply.outer(np.asarray(per_mm, dtype=np.float64), along))
         return np.asarray(np.abs(phase @ self.weight) / self.weight.sum())
+
+
+def half_contrast(frequencies: Array, mtf: Array) -> float:
+    """Return the frequency at which an MTF first falls to one half; NaN where it does not.
+
+    Parameters
+    ----------
+    frequencies : (f,) float64
+        Rising.
+    mtf : (f,) float64
+        At these frequencies.
+    """
+    below = np.flatnonzero(mtf < 0.5)
+    if not below.size or below[0] == 0:
+        return float("nan")
+    j = int(below[0])
+    return float(np.interp(-0.5, [-mtf[j - 1], -mtf[j]], [frequencies[j - 1], frequencies[j]]))

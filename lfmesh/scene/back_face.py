@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from lfmesh.scene.lenslet_depth import highest_and_deepest_mm, profile_words
+from lfmesh.scene.lenslet_depth import cell_corner_mm, highest_and_deepest_mm, profile_words
 from lfmesh.scene.literals import at_least
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.qcon import MOST_ASPHERE_TERMS
@@ -38,12 +38,6 @@ class BackFace(Model):
         """What the lenslets are where they are no spheres, as "aspheres" or "cylinders along y"; else nothing."""
         return profile_words((self.conic,), (self.asphere_mm,), self.cylinder_axis)
 
-    def corner_mm(self, pitch_mm: float, layout: str) -> float:
-        """Return the distance from a lenslet's axis, or of a cylinder from its line of apexes, to the cell's corner."""
-        if self.cylinder_axis is not None:
-            return pitch_mm / 2
-        return pitch_mm / math.sqrt(3.0 if layout == "hexagonal" else 2.0)
-
     def faults_in(
         self, layout: str, pitch_mm: float, thickness_mm: float, front_depth_mm: float | None
     ) -> Iterator[Fault]:  # fmt: skip
@@ -62,7 +56,7 @@ class BackFace(Model):
         if max(map(abs, self.decenter_mm)) > pitch_mm / 2:
             why = f"at most half the pitch, {pitch_mm / 2:g} mm, in x and in y: further on the next lenslets face"
             yield Fault(("back", "decenter_mm"), list(self.decenter_mm), why)
-        corner = self.corner_mm(pitch_mm, layout)
+        corner = cell_corner_mm(pitch_mm, layout, self.cylinder_axis)
         if (1 + self.conic) * corner**2 >= self.radius_mm**2:
             reach = abs(self.radius_mm) / math.sqrt(1 + self.conic)
             why = (

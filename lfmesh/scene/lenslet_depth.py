@@ -22,6 +22,21 @@ def sag_mm(radius_mm: float, conic: float, terms: Sequence[float], height_mm: fl
     return conic_sag + sum(a * r2 ** (j + 2) for j, a in enumerate(terms))
 
 
+def cell_corner_mm(pitch_mm: float, layout: str, cylinder_axis: str | None) -> float:
+    """Return the distance from a lenslet's axis to its cell's farthest corner; of a cylinder from its line of apexes.
+
+    Parameters
+    ----------
+    pitch_mm : float
+    layout : str
+        "square" or "hexagonal".
+    cylinder_axis : str or None
+    """
+    if cylinder_axis is not None:
+        return pitch_mm / 2
+    return pitch_mm / math.sqrt(3.0 if layout == "hexagonal" else 2.0)
+
+
 def profile_words(conics: Sequence[float], terms: Sequence[Sequence[float]], cylinder_axis: str | None) -> str:
     """Return what lenslets are where they are no spheres, as "aspheres" or "cylinders along y"; else nothing.
 

@@ -10,7 +10,7 @@ from lfmesh.optics.glass import Medium
 from lfmesh.scene.back_face import BackFace
 from lfmesh.scene.coatings import UNCOATED
 from lfmesh.scene.finishes import POLISHED, AnyFinish, both_given
-from lfmesh.scene.lenslet_depth import highest_and_deepest_mm, profile_words
+from lfmesh.scene.lenslet_depth import cell_corner_mm, highest_and_deepest_mm, profile_words
 from lfmesh.scene.literals import at_least
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.own_glass import Glass
@@ -119,9 +119,7 @@ class MicrolensArray(Model):
     @property
     def corner_mm(self) -> float:
         """From a lenslet's axis to the farthest corner of its cell, in mm; of a cylinder from its line of apexes."""
-        if self.cylinder_axis is not None:
-            return self.pitch_mm / 2
-        return self.pitch_mm / math.sqrt(3.0 if self.layout == "hexagonal" else 2.0)
+        return cell_corner_mm(self.pitch_mm, self.layout, self.cylinder_axis)
 
     @property
     def has_back(self) -> bool:

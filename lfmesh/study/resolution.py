@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.analysis.spots import half_contrast
+
 Array = NDArray[np.float64]
 
 OVERSAMPLING = 4
@@ -36,14 +38,10 @@ def edge_mtf50(picture: Array) -> float:
     mtf = np.abs(np.fft.rfft(spread, padded))
     if half < OVERSAMPLING or not mtf[0] > 0.0:
         return float("nan")
-    frequency = np.fft.rfftfreq(padded, 1.0 / OVERSAMPLING)
+    frequency = np.asarray(np.fft.rfftfreq(padded, 1.0 / OVERSAMPLING), dtype=np.float64)
     # The difference of neighbouring bins is itself a filter.
     mtf = mtf / mtf[0] / np.maximum(np.sinc(frequency / OVERSAMPLING), 0.1)
-    below = np.flatnonzero(mtf < 0.5)
-    if not below.size:
-        return float("nan")
-    j = int(below[0])
-    return float(np.interp(-0.5, [-mtf[j - 1], -mtf[j]], [frequency[j - 1], frequency[j]]))
+    return half_contrast(frequency, mtf)
 
 
 def _edge_profile(picture: Array) -> Array | None:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 import lfmesh as lf
 from lfmesh.analysis.array_rays import ArrayRays
-from lfmesh.analysis.light_field import analyse_light_field, half_contrast, photograph_mtf
+from lfmesh.analysis.light_field import analyse_light_field, photograph_mtf
+from lfmesh.analysis.spots import half_contrast
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.study.crosstalk import lenslet_light

@@ -77,16 +77,6 @@ def test_recognition_is_left_out_where_facets_are_asked_for():
         assert all(each.mesh is not None for each in surfaces_of(lens_of(SOLIDS / "biconvex.step", surface=surface)))
 
 
-@pytest.fixture(scope="module")
-def gmsh():
-    """The CAD kernel that writes lenses; it is a tool of tests alone."""
-    module = pytest.importorskip("gmsh", reason="gmsh, which writes random lenses as STEP, is not there")
-    module.initialize()
-    module.option.setNumber("General.Terminal", 0)
-    yield module
-    module.finalize()
-
-
 def write_lens(gmsh, path, radii, thickness, rim, tilt=0.0):
     """Write a lens with its front vertex at the origin, turned by `tilt` about x; an infinite radius is a plane."""
     gmsh.clear()

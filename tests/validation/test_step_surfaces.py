@@ -34,16 +34,6 @@ IDENTITY = np.hstack([np.eye(3), np.zeros((3, 1))])
 needs_cascadio = pytest.mark.skipif(find_spec("cascadio") is None, reason="cascadio, of the extra cad, is not there")
 
 
-@pytest.fixture(scope="module")
-def gmsh():
-    """The CAD kernel that writes lenses; it is a tool of tests alone."""
-    module = pytest.importorskip("gmsh", reason="gmsh, which writes random lenses as STEP, is not there")
-    module.initialize()
-    module.option.setNumber("General.Terminal", 0)
-    yield module
-    module.finalize()
-
-
 def scene_of(lens):
     return Scene(camera=Camera(lens=lens, sensor=SENSOR))
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame
@@ -308,6 +307,9 @@ def fitted_form(points: Array) -> tuple[Form | None, str]:
     points : (n, 3) float64, mm
         The vertices of the face.
     """
+    # Asked for where a mesh is fitted only: a render without one does not wait for it.
+    from scipy.spatial import cKDTree
+
     size = _size(points)
     flat = plane_through(points)
     if flat is not None:

@@ -307,9 +307,6 @@ def fitted_form(points: Array) -> tuple[Form | None, str]:
     points : (n, 3) float64, mm
         The vertices of the face.
     """
-    # Asked for where a mesh is fitted only: a render without one does not wait for it.
-    from scipy.spatial import cKDTree
-
     size = _size(points)
     flat = plane_through(points)
     if flat is not None:
@@ -321,6 +318,9 @@ def fitted_form(points: Array) -> tuple[Form | None, str]:
     singular = np.linalg.svd(terms / np.linalg.norm(terms, axis=0), compute_uv=False)
     if singular[-1] < INDEPENDENT * singular[0]:
         return None, "its vertices stand in too few places to tell a sphere"
+    # Asked for where a sphere is fitted only: no other render waits for it.
+    from scipy.spatial import cKDTree
+
     centre, radius = _sphere(points)
     # Signed distances along the normal.
     off = np.linalg.norm(points - [0.0, 0.0, centre], axis=1) - radius

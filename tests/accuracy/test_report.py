@@ -38,6 +38,8 @@ from lfmesh.accuracy.lens_accuracy import (
     lens_files,
     lens_scene,
     order_of,
+    release_freed_memory,
+    resident_bytes,
     study_lens,
 )
 from lfmesh.accuracy.report import AccuracyReport
@@ -110,6 +112,17 @@ def test_every_level_and_mesh_is_measured_both_ways(report: AccuracyReport) -> N
         for level in LEVELS:
             sizes = [row.table_bytes for row in study.of(way, level)]
             assert sizes == sorted(set(sizes))
+
+
+@pytest.mark.skipif(resident_bytes() == 0, reason="the system does not say what a process holds")
+def test_freed_memory_is_released_before_the_next_row_is_measured() -> None:
+    size = 1 << 26
+    circle: list[object] = [np.ones(size, np.uint8)]
+    circle.append(circle)
+    held = resident_bytes()
+    del circle
+    release_freed_memory()
+    assert held - resident_bytes() > 0.9 * size
 
 
 def test_through_the_microlenses_exact_is_exact_and_flat_takes_other_lenslets(report: AccuracyReport) -> None:

@@ -7,6 +7,7 @@ and what they weigh. A run whose shortcut deviates uses the meshes.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,6 +98,41 @@ def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.
     packets : (n,) PACKET
         In the camera frame those that wait for a surface of the lens, in those of the array's faces those in a cell.
     """
+    found = outcomes(world, options, tables, packets)
+    before = packets["weight"][found.by_order["source"]]
+    turned = np.delete(packets["stray"], found.undecided)
+    return OrderCheck(
+        compared=len(packets) - len(found.undecided),
+        reflected=int((turned == 1).sum()),
+        undecided=len(found.undecided),
+        differing=len(found.differing),
+        deviation_mm=float(found.deviation_mm.max(initial=0.0)),
+        deviation=float((np.abs(found.by_order["weight"] - found.by_mesh["weight"]) / before).max(initial=0.0)),
+    )
+
+
+class Outcomes(NamedTuple):
+    """What came of packets by both ways: children and ends, without those of packets that the order left undecided."""
+
+    by_order: NDArray[np.void]  # (m,) with the fields `source`, the packet; `position`, mm, its own frame; and `weight`
+    by_mesh: NDArray[np.void]  # (m,) the same children and ends by the meshes
+    only_by_order: NDArray[np.void]  # what the meshes do not know
+    only_by_mesh: NDArray[np.void]
+    undecided: NDArray[np.int64]  # packets that the order left to the meshes
+
+    @property
+    def differing(self) -> NDArray[np.int64]:
+        """Packets that met another surface, or ended otherwise."""
+        return np.unique(np.concatenate([self.only_by_order["source"], self.only_by_mesh["source"]]))
+
+    @property
+    def deviation_mm(self) -> NDArray[np.float64]:
+        """Distance of each pair's places, (m,)."""
+        return np.linalg.norm(self.by_order["position"] - self.by_mesh["position"], axis=1)
+
+
+def outcomes(world: World, options: Options, tables: Tables, packets: NDArray[np.void]) -> Outcomes:
+    """Process packets by the order of the surfaces and by meshes; the parameters are those of `compare`."""
     options = options._replace(tracing=True, record=False, sequential=False)
     given = packets.copy()
     given["source"] = np.arange(len(given))
@@ -104,21 +140,7 @@ def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.
     by_mesh, _ = _outcomes(Workspace(world, options._replace(in_order=False), len(given), tables), given)
     by_order, by_mesh = (found[~np.isin(found["source"], undecided)] for found in (by_order, by_mesh))
     _, a, b = np.intersect1d(by_order["name"], by_mesh["name"], assume_unique=True, return_indices=True)
-    alone = np.concatenate([np.delete(by_order["source"], a), np.delete(by_mesh["source"], b)])
-    differing = len(np.unique(alone))
-    by_order, by_mesh = by_order[a], by_mesh[b]
-    deviation_mm = np.linalg.norm(by_order["position"] - by_mesh["position"], axis=1).max(initial=0.0)
-    before = given["weight"][by_order["source"]]
-    deviation = (np.abs(by_order["weight"] - by_mesh["weight"]) / before).max(initial=0.0)
-    turned = np.delete(given["stray"], undecided)
-    return OrderCheck(
-        compared=len(given) - len(undecided),
-        reflected=int((turned == 1).sum()),
-        undecided=len(undecided),
-        differing=differing,
-        deviation_mm=float(deviation_mm),
-        deviation=float(deviation),
-    )
+    return Outcomes(by_order[a], by_mesh[b], np.delete(by_order, a), np.delete(by_mesh, b), undecided)
 
 
 def _outcomes(work: Workspace, packets: NDArray[np.void]) -> tuple[NDArray[np.void], NDArray[np.int64]]:

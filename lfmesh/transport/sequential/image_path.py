@@ -308,14 +308,14 @@ def _through_other_face(
     """Refract a ray at the flat face, or at the lenslets that stand in its place; `back` is that of `mla`."""
     if back is None:
         return _through_flat_face(bundle, i, mla, colour, book)
-    _move_ray(bundle, i, frames[MLA_FRAME, BACK_FRAME])
+    move_ray(bundle, i, frames[MLA_FRAME, BACK_FRAME])
     through = _through_curved_face(bundle, i, back, colour, book)
-    _move_ray(bundle, i, frames[BACK_FRAME, MLA_FRAME])
+    move_ray(bundle, i, frames[BACK_FRAME, MLA_FRAME])
     return through
 
 
 @kernel
-def _move_ray(bundle: Array, i: int, move: Array) -> None:
+def move_ray(bundle: Array, i: int, move: Array) -> None:
     """Move one ray of a bundle into another frame, by a (3, 4) move."""
     x, y, z = point_through(move, bundle[X + i], bundle[Y + i], bundle[Z + i])
     dx, dy, dz = direction_through(move, bundle[DX + i], bundle[DY + i], bundle[DZ + i])
@@ -341,6 +341,15 @@ def _absorb(absorption: Any, bundle: Array, i: int, medium: int, colour: int, t:
 
 @kernel
 def _through_flat_face(bundle: Array, i: int, mla: MlaTables, colour: int, book: Array) -> bool:
+    along = 1.0 if bundle[DZ + i] > 0.0 else -1.0
+    return meet_flat_face(bundle, i, mla, colour, book) and bend(
+        bundle, i, mla, FLAT_ROW, colour, along < 0.0, 0.0, 0.0, along
+    )
+
+
+@kernel
+def meet_flat_face(bundle: Array, i: int, mla: MlaTables, colour: int, book: Array) -> bool:
+    """Take a ray to the flat face; False where it ends before, or beside it."""
     lattice = mla.lenslets.lattice
     x, y, dz = bundle[X + i], bundle[Y + i], bundle[DZ + i]
     t = (mla.lenslets.thickness - bundle[Z + i]) / dz
@@ -357,32 +366,54 @@ def _through_flat_face(bundle: Array, i: int, mla: MlaTables, colour: int, book:
     if not held:
         return _ends(bundle, i, t, MLA_EDGE if dz > 0.0 else MLA_MOUNT)
     bundle[X + i], bundle[Y + i], bundle[Z + i] = to_x, to_y, mla.lenslets.thickness
-    return _bend(bundle, i, mla, FLAT_ROW, colour, dz < 0.0, 0.0, 0.0, 1.0 if dz > 0.0 else -1.0)
+    return True
 
 
 @kernel
 def _through_curved_face(bundle: Array, i: int, mla: MlaTables, colour: int, book: Array) -> bool:
     """Refract a ray at the face of the lenslet that it meets, and follow it out of the layer of faces."""
+    inward = bundle[DZ + i] > 0.0
+    met, column, row, nx, ny, nz = meet_curved_face(bundle, i, mla, colour, book)
+    if not met or not bend(bundle, i, mla, mla.row, colour, inward, nx, ny, nz) or (bundle[DZ + i] > 0.0) != inward:
+        return False
+    return leave_layer(bundle, i, mla, not inward, column, row, colour, book)
+
+
+@kernel
+def meet_curved_face(
+    bundle: Array, i: int, mla: MlaTables, colour: int, book: Array
+) -> tuple[bool, int, int, float, float, float]:
+    """Take a ray to the face of the lenslet that it meets.
+
+    Returns
+    -------
+    met : bool
+        False where it ends before, or passes through the layer of faces.
+    column, row : int
+        The lenslet's cell.
+    nx, ny, nz : float
+        Unit normal, along the ray.
+    """
     lenslets = mla.lenslets
     lattice = lenslets.lattice
     x, y, z, dz = bundle[X + i], bundle[Y + i], bundle[Z + i], bundle[DZ + i]
     inward = dz > 0.0
     if inward and z > lenslets.valley:
-        return _ends(bundle, i, 0.0, MLA_MOUNT)
+        return _ends(bundle, i, 0.0, MLA_MOUNT), 0, 0, 0.0, 0.0, 0.0
     t = max(0.0, ((lenslets.top if inward else lenslets.valley) - z) / dz)
     at_x, at_y = x + t * bundle[DX + i], y + t * bundle[DY + i]
     column, row = cell_of(lattice, at_x, at_y)
     if not (is_inside(lattice, column, row) if inward else stays_inside(lattice, x, y, at_x, at_y)):
         if not inward:
             _absorb(mla.media.absorption, bundle, i, mla.medium, colour, t, book)
-        return _ends(bundle, i, t, MLA_MOUNT if inward else MLA_EDGE)
+        return _ends(bundle, i, t, MLA_MOUNT if inward else MLA_EDGE), 0, 0, 0.0, 0.0, 0.0
     fate, t, column, row = _next_in_layer(bundle, i, mla, inward, column, row, t)
     if not inward:
         _absorb(mla.media.absorption, bundle, i, mla.medium, colour, t, book)
     if fate >= 0:
-        return _ends(bundle, i, t, fate)
+        return _ends(bundle, i, t, fate), 0, 0, 0.0, 0.0, 0.0
     if fate != MEETS_FACE:
-        return False
+        return False, 0, 0, 0.0, 0.0, 0.0
     bundle[X + i] += t * bundle[DX + i]
     bundle[Y + i] += t * bundle[DY + i]
     bundle[Z + i] += t * dz
@@ -392,12 +423,24 @@ def _through_curved_face(bundle: Array, i: int, mla: MlaTables, colour: int, boo
     nx, ny, nz = face_normal(
         lenslets, column, row, curvature, bundle[X + i] - cx - ex, bundle[Y + i] - cy - ey, bundle[Z + i]
     )
-    bends = _bend(bundle, i, mla, mla.row, colour, inward, sense * nx, sense * ny, sense * nz)
-    if not bends or (bundle[DZ + i] > 0.0) != inward:
-        return False
-    fate, t, column, row = _next_in_layer(bundle, i, mla, not inward, column, row, 0.0)
+    return True, column, row, sense * nx, sense * ny, sense * nz
+
+
+@kernel
+def leave_layer(
+    bundle: Array, i: int, mla: MlaTables, in_air: bool, column: int, row: int, colour: int, book: Array
+) -> bool:
+    """Tell whether a ray leaves the layer of faces, from a face in a cell, without meeting another one.
+
+    Parameters
+    ----------
+    in_air : bool
+        It has come into the air; else it is in the glass.
+    column, row : int
+    """
+    fate, t, column, row = _next_in_layer(bundle, i, mla, in_air, column, row, 0.0)
     if fate >= 0:
-        if inward:
+        if not in_air:
             _absorb(mla.media.absorption, bundle, i, mla.medium, colour, t, book)
         return _ends(bundle, i, t, fate)
     return fate == LEAVES_LAYER
@@ -457,7 +500,7 @@ def _next_in_layer(
 
 
 @kernel
-def _bend(
+def bend(
     bundle: Array, i: int, mla: MlaTables, face: int, colour: int, entering: bool, nx: float, ny: float, nz: float
 ) -> bool:
     """Refract a ray at a face whose normal points along it; return False under total reflection."""

@@ -4,12 +4,13 @@ Faces are counted from the lens to the sensor: the front and the rear face of th
 sensor. Between the cover's faces is its glass; everywhere else is air.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.frame import direction_through, point_through
 from lfmesh.kernel import kernel
 from lfmesh.transport.events.crossing import refracted
 from lfmesh.transport.events.interface import shares_from
@@ -49,37 +50,48 @@ def follow_plane_faces(
     _move(rays, tables.frames[SENSOR_FRAME, CAMERA_FRAME])
 
 
-def detected(rays: Arrived, tables: Tables, colour: int = 0) -> Array:
-    """Return the weights that pixels detect of rays (camera frame) that fly to the sensor from behind the last face.
+class Detected(NamedTuple):
+    """What pixels detect of rays that fly to the sensor from behind the last face.
+
+    Attributes
+    ----------
+    weight : (n,) float64
+        What is detected of each ray's.
+    side : (n,) int64
+        On which of the pixels' eight sides it passes the sensor's plane; 0: on a pixel, 9: it flies away from there.
+    """
+
+    weight: Array
+    side: NDArray[np.int64]
+
+
+def detected(rays: Arrived, tables: Tables) -> Detected:
+    """Return what pixels detect of rays (camera frame) that fly to the sensor from behind the last face.
 
     Parameters
     ----------
     rays : Arrived
     tables : Tables
-    colour : int
-        Number of the wavelength.
     """
-    move = tables.frames[CAMERA_FRAME, SENSOR_FRAME]
-    p, d = frames.points(move, rays.position), frames.directions(move, rays.direction)
-    _, arrives = _on_pixels(p, d, tables.sensor)
-    return np.where(arrives, rays.weight * (1.0 - tables.sensor.reflectance), 0.0)
+    found = Detected(np.empty(len(rays.weight)), np.empty(len(rays.weight), np.int64))
+    _detect(rays, tables.frames[CAMERA_FRAME, SENSOR_FRAME], tables.sensor, found)
+    return found
 
 
-def beside_pixels(rays: Arrived, tables: Tables) -> NDArray[np.int64]:
-    """Return on which of the eight sides of the pixels rays (camera frame) pass the sensor's plane; 0: on a pixel.
-
-    Parameters
-    ----------
-    rays : Arrived
-        Behind the last face; those that fly away from the sensor are on a ninth side.
-    tables : Tables
-    """
-    move, sensor = tables.frames[CAMERA_FRAME, SENSOR_FRAME], tables.sensor
-    p, d = frames.points(move, rays.position), frames.directions(move, rays.direction)
-    at, _ = _on_pixels(p, d, sensor)
-    half = 0.5 * sensor.pixel * np.array([sensor.columns, sensor.rows])
-    side = (np.where(np.abs(at) > half, np.where(at > 0.0, 1, 2), 0) * [1, 3]).sum(axis=1)
-    return np.asarray(np.where((d[:, 2] > 0.0) & (p[:, 2] <= 0.0), side, 9))
+@kernel
+def _detect(rays: Arrived, move: Array, sensor: SensorTables, found: Detected) -> None:
+    half_x, half_y = 0.5 * sensor.pixel * sensor.columns, 0.5 * sensor.pixel * sensor.rows
+    for i in range(len(rays.weight)):
+        p, d = rays.position[i], rays.direction[i]
+        x, y, z = point_through(move, p[0], p[1], p[2])
+        dx, dy, dz = direction_through(move, d[0], d[1], d[2])
+        side = 9
+        if dz > 0.0 and z <= 0.0:
+            x, y = x - z / dz * dx, y - z / dz * dy
+            side = 0 if abs(x) <= half_x else (1 if x > 0.0 else 2)
+            side += 0 if abs(y) <= half_y else (3 if y > 0.0 else 6)
+        found.side[i] = side
+        found.weight[i] = rays.weight[i] * (1.0 - sensor.reflectance) if side == 0 else 0.0
 
 
 def _move(rays: Arrived, move: Array) -> None:

@@ -83,7 +83,7 @@ def follow_sequence(
     rays = Arrived(np.array(p, dtype=np.float64, order="C"), np.array(d, dtype=np.float64, order="C"), np.empty(len(p)))
     _follow(
         rays, lens, np.array(path.faces, np.int64), np.array(path.reflected, np.bool_), path.to_sensor, colour,
-        empty_bundle(_BUNDLE_ROWS), _book_for(lens.media), np.empty(len(p)) if ways is None else ways,
+        empty_bundle(_BUNDLE_ROWS), book_for(lens.media), np.empty(len(p)) if ways is None else ways,
     )  # fmt: skip
     return rays
 
@@ -100,10 +100,10 @@ def follow_through_mla(rays: Arrived, mla: MlaTables, frames: Array, colour: int
     colour : int
         Number of the wavelength.
     """
-    _through_mla(rays, mla, frames, colour, empty_bundle(_BUNDLE_ROWS), _book_for(mla.media))
+    _through_mla(rays, mla, frames, colour, empty_bundle(_BUNDLE_ROWS), book_for(mla.media))
 
 
-def _book_for(media: Media) -> Array:
+def book_for(media: Media) -> Array:
     """Return a book with a slot for each medium that absorbs; what is entered in it is not used."""
     return np.zeros(1 + int(media.absorption.slot.max()) if media.absorption is not None else 0)
 
@@ -153,7 +153,7 @@ def _follow(
         pad(bundle, count)
         _along(bundle, lens, faces, reflected, to_sensor, colour, book)
         normalise(bundle)
-        _store(bundle, rays, first, count)
+        store(bundle, rays, first, count)
         for i in range(count):
             ended = bundle[ENDED_ON + i]
             on = 1.0 if ended == STOP + 1.0 else (2.0 if ended == DROPPED else 0.0)
@@ -172,11 +172,11 @@ def _through_mla(rays: Arrived, mla: MlaTables, frames: Array, colour: int, bund
         pad(bundle, count)
         through_mla(bundle, count, mla, colour, frames, True, book)
         normalise(bundle)
-        _store(bundle, rays, first, count)
+        store(bundle, rays, first, count)
 
 
 @kernel
-def _store(bundle: Array, rays: Arrived, first: int, count: int) -> None:
+def store(bundle: Array, rays: Arrived, first: int, count: int) -> None:
     for i in range(count):
         p, d = rays.position[first + i], rays.direction[first + i]
         p[0], p[1], p[2] = bundle[X + i], bundle[Y + i], bundle[Z + i]

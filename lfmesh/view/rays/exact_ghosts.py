@@ -1,9 +1,8 @@
-"""Light of field points that the lens reflects twice, by sequence of surfaces, integrated over the pupil without noise.
+"""Light of field points that the camera reflects twice, by sequence of surfaces, integrated over the pupil without noise.
 
-Every sequence is followed by itself through the exact surfaces, and through the array, if there is one, along the image
-path. So what the image path and the ghosts bring to the sensor has an error that can be stated, in place of a standard
-error. The sensor's cover and a sensor that reflects are mirrors as the lens is. Left out are ghosts that the array
-reflects, and those that come back through it.
+Every sequence is followed by itself through the exact surfaces. So what the image path and the ghosts bring to the
+sensor has an error that can be stated, in place of a standard error. Array, cover and a sensor that reflects are mirrors
+as the lens is. On no sequence are paths that meet the curved faces of two lenslets in turn.
 """
 
 import math
@@ -22,8 +21,8 @@ from lfmesh.geometry.levels import EXACT
 from lfmesh.scene.paraxial import Paraxial
 from lfmesh.transport.aiming.aim_table import widest_disk
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
+from lfmesh.transport.sequential.array_faces import follow_array_faces
 from lfmesh.transport.sequential.plane_faces import (
-    beside_pixels,
     count_faces,
     detected,
     follow_plane_faces,
@@ -88,7 +87,7 @@ class ExactGhosts:
     image_plane_mm : float
         From the lens' last vertex to the array or, without one, to the sensor.
     with_array : bool
-        Whether there is an array, whose own ghosts are left out.
+        Whether there is an array.
     mirrors : str
         What reflects, in words.
     """
@@ -137,9 +136,7 @@ class ExactGhosts:
 
 
 def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[float] | None = None) -> ExactGhosts:
-    """Integrate what the image path and the ghosts of two reflections in lens, cover and sensor bring to the sensor.
-
-    Behind an array only those that stay on one side of it are followed.
+    """Integrate what the image path and the ghosts of two reflections in the camera bring to the sensor.
 
     Each field point shines with 1 W/sr at each wavelength. Targets do not hide the lens from it.
 
@@ -196,24 +193,20 @@ class _Faces:
         )  # fmt: skip
 
     def paths(self, hollow: list[tuple[int, bool]]) -> list[Itinerary]:
-        """Return the image path and all with two reflections, but for those that the array reflects or that return."""
+        """Return the image path and all with two reflections."""
         ends = int(self.sensor_reflects)
         total = self.of_lens + self.of_array + self.planes
-        behind = self.of_lens + self.of_array
         paths = [image_path(total), *two_reflections(total, hollow)]
-        kept = [
-            path for path in paths if self.thin_lenses.isdisjoint(path.mirrors)
-            if all(m < self.of_lens for m in path.mirrors) or all(m >= behind for m in path.mirrors)
-            or (self.of_array == 0)
-        ]  # fmt: skip
+        kept = [path for path in paths if self.thin_lenses.isdisjoint(path.mirrors)]
         # What a sensor that reflects detects ends there.
         return [Itinerary(path.faces[: len(path.faces) - ends], path.reflected[: len(path.faces) - ends])
                 for path in kept]  # fmt: skip
 
 
 def _mirrors_in_words(tables: Tables) -> str:
-    """Return what reflects: the lens, the sensor's cover, the sensor."""
-    behind = (["cover"] if tables.cover is not None else []) + (["sensor"] if tables.sensor.reflectance > 0.0 else [])
+    """Return what reflects: the lens, the array, the sensor's cover, the sensor."""
+    there = {"array": tables.mla.present, "cover": tables.cover is not None, "sensor": tables.sensor.reflectance > 0.0}
+    behind = [name for name, reflects in there.items() if reflects]
     return " and ".join([", ".join(["lens", *behind[:-1]]), *behind[-1:]])
 
 
@@ -265,23 +258,21 @@ def _from_point(tables: Tables, point: Floats, path: Itinerary) -> Integral:
         ray = np.column_stack([at, np.full(len(at), plane_z)]) - point
         length = np.linalg.norm(ray, axis=1)
         arrived, ways = _follow(tables, path, np.broadcast_to(point, ray.shape), ray / length[:, None])
-        light = INTENSITY_W_SR * detected(arrived, tables) * ray[:, 2] / length**3
-        dark = np.flatnonzero(~(light > 0.0))
-        light[dark] = -_darkness(Arrived(*(part[dark] for part in arrived)), ways[dark], tables)
-        return np.asarray(light)
+        found = detected(arrived, tables)
+        light = INTENSITY_W_SR * found.weight * ray[:, 2] / length**3
+        return np.where(light > 0.0, light, -_darkness(arrived, ways, found.side))
 
     return integral(irradiance, radius)
 
 
-def _darkness(arrived: Arrived, ways: Floats, tables: Tables) -> Floats:
+def _darkness(arrived: Arrived, ways: Floats, beside: NDArray[np.int64]) -> Floats:
     """Return numbers that tell apart why rays bring no light: what they ended on, on which side, or beside the sensor.
 
     Light passes between two sides of an aperture or of the sensor, so that a border between two of the numbers may hide
     a narrow lit region.
     """
     side = 2 * (arrived.position[:, 0] > 0.0) + (arrived.position[:, 1] > 0.0)
-    beside = 4 + beside_pixels(arrived, tables)
-    return np.asarray(14.0 * ways + np.where(arrived.weight > 0.0, beside, side))
+    return np.asarray(14.0 * ways + np.where(arrived.weight > 0.0, 4 + beside, side))
 
 
 def _follow(tables: Tables, path: Itinerary, p: Floats, d: Floats) -> tuple[Arrived, Floats]:
@@ -299,8 +290,10 @@ def _follow(tables: Tables, path: Itinerary, p: Floats, d: Floats) -> tuple[Arri
         if part == OF_LENS:
             through = follow_sequence(tables.lens, Itinerary(faces, reflected, to_sensor), *rays[:2], ways=way)
             rays = through._replace(weight=np.where(rays.weight > 0.0, rays.weight * through.weight, 0.0))
-        elif part == OF_ARRAY:
+        elif part == OF_ARRAY and reflected == (False, False) and to_sensor:
             follow_through_mla(rays, tables.mla, tables.frames)
+        elif part == OF_ARRAY:
+            follow_array_faces(rays, tables.mla, tables.frames, tuple(face - count for face in faces), reflected)
         else:
             follow_plane_faces(rays, tables, tuple(face - behind for face in faces), reflected)
         to_sensor ^= sum(reflected) % 2 == 1

@@ -153,8 +153,14 @@ def test_views_and_histories_know_the_faces_of_a_cover(covered, tmp_path):
         assert all(step.roulette == pytest.approx(1.0, rel=1e-9) for step in played)
 
 
-def test_power_adds_up_over_points_and_wavelengths(world, exact):
-    other = (-3.0, 1.0, -320.0)
+def test_power_adds_up_over_points_and_wavelengths(scene):
+    singlet = lf.Lens(
+        surfaces=[
+            {"radius_mm": 30.0, "thickness_mm": 4.0, "glass": "N-BK7", "semi_diameter_mm": 6.0, "stop": True},
+            {"radius_mm": -40.0, "semi_diameter_mm": 6.0},
+        ]
+    )
+    world, other = lf.build(scene.changed({"camera.lens": singlet}), aimed=False), (-3.0, 1.0, -320.0)
     both = exact_ghosts(world, [POINT, other], [486.1, 656.3])
     parts = [exact_ghosts(world, point, [wavelength]) for point in (POINT, other) for wavelength in (486.1, 656.3)]
     assert both.image.power == pytest.approx(sum(part.image.power for part in parts), rel=1e-12)
@@ -162,12 +168,10 @@ def test_power_adds_up_over_points_and_wavelengths(world, exact):
         assert row.power == pytest.approx(sum(part.by_words[words].power for part in parts), rel=1e-12)
 
 
-def test_the_matrix_takes_lens_pairs_from_the_sequences_and_the_others_from_rays(rays, exact):
+def test_the_matrix_takes_pairs_from_the_sequences_and_other_paths_from_rays(rays, exact):
     noisy, matrix = ghost_matrix(rays), ghost_matrix(rays, exact)
-    lens = len(matrix.names) - 2
     assert matrix.names == noisy.names
-    np.testing.assert_array_equal(matrix.power[lens:], noisy.power[lens:])
-    assert noisy.power[lens:].sum() > 0.0
+    assert noisy.power[-2:].sum() > 0.0
     for row in exact.ghosts[:10]:
         at = tuple(matrix.labels.index(name) for name in row.mirrors)
         # Rays that meet two lenslets in turn are on no sequence, and are added.
@@ -204,9 +208,6 @@ def test_pairs_tell_what_of_them_is_integrated(rays, exact):
     matrix = ghost_matrix(rays, exact)
     pairs = {pair.label: pair for pair in matrix.pairs()}
     assert sum(pair.power for pair in pairs.values()) == pytest.approx(matrix.power.sum(), rel=1e-12)
-    of_array = [pair for name, pair in pairs.items() if "MLA" in name]
-    assert of_array
-    assert all(pair.integrated == 0.0 and pair.error > 0.0 for pair in of_array)
     for row in exact.ghosts[:5]:
         pair = pairs["\N{EN DASH}".join(row.mirrors)]
         assert pair.integrated == pytest.approx(row.power / pair.power, rel=1e-12)
@@ -214,7 +215,7 @@ def test_pairs_tell_what_of_them_is_integrated(rays, exact):
     assert all(pair.integrated == 0.0 for pair in ghost_matrix(rays).pairs())
 
 
-def test_without_reflected_rays_the_pairs_of_the_array_are_said_to_be_left_out(world, exact):
+def test_without_reflected_rays_other_paths_are_said_to_be_left_out(world, exact):
     matrix = ghost_matrix(launched(world, split="transmit"), exact)
     assert "left out" in matrix.source
     assert matrix.power.sum() == pytest.approx(exact.power, rel=1e-12)

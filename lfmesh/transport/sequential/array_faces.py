@@ -95,7 +95,7 @@ def _follow(
 def _at_other_face(
     back: Any, bundle: Array, i: int, mla: MlaTables, mirrors: bool, colour: int, frames: Array, book: Array
 ) -> bool:  # fmt: skip
-    """Reflect or refract a ray at the flat face, or at the lenslets that stand in its place; `back` is that of `mla`."""
+    """Reflect or refract a ray at the flat face, or at the lenslets in its place; `back` is that of `mla`."""
     if back is None:
         along = 1.0 if bundle[DZ + i] > 0.0 else -1.0
         if not meet_flat_face(bundle, i, mla, colour, book):

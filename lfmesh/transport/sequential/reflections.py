@@ -177,6 +177,7 @@ def _through_mla(rays: Arrived, mla: MlaTables, frames: Array, colour: int, bund
 
 @kernel
 def store(bundle: Array, rays: Arrived, first: int, count: int) -> None:
+    """Enter the rays of a bundle from a number on; of those that have ended, the weight is 0."""
     for i in range(count):
         p, d = rays.position[first + i], rays.direction[first + i]
         p[0], p[1], p[2] = bundle[X + i], bundle[Y + i], bundle[Z + i]

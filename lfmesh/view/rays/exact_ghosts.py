@@ -1,8 +1,8 @@
-"""Light of field points that the camera reflects twice, by sequence of surfaces, integrated over the pupil without noise.
+"""Light of field points that the camera reflects twice, by sequence of surfaces, integrated over the pupil.
 
-Every sequence is followed by itself through the exact surfaces. So what the image path and the ghosts bring to the
-sensor has an error that can be stated, in place of a standard error. Array, cover and a sensor that reflects are mirrors
-as the lens is. On no sequence are paths that meet the curved faces of two lenslets in turn.
+Every sequence is followed by itself through the exact surfaces, without noise. So what the image path and the ghosts
+bring to the sensor has an error that can be stated, in place of a standard error. Array, cover and a sensor that
+reflects are mirrors as the lens is. On no sequence are paths that meet the curved faces of two lenslets in turn.
 """
 
 import math

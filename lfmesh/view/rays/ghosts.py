@@ -3,8 +3,8 @@
 Only paths with exactly two reflections by lens or array are counted: with three, for one, light goes back to the scene,
 and the four-reflection ghosts of uncoated glass are some hundred times weaker.
 
-All pairs can be had by sequence, without noise (see `exact_ghosts`); what meets the curved faces of two lenslets in turn
-is estimated from rays.
+All pairs can be had by sequence, without noise (see `exact_ghosts`); what meets the curved faces of two lenslets in
+turn is estimated from rays.
 """
 
 import math

@@ -160,7 +160,10 @@ def test_power_adds_up_over_points_and_wavelengths(scene):
             {"radius_mm": -40.0, "semi_diameter_mm": 6.0},
         ]
     )
-    world, other = lf.build(scene.changed({"camera.lens": singlet, "camera.mla": None}), aimed=False), (-3.0, 1.0, -320.0)
+    world, other = (
+        lf.build(scene.changed({"camera.lens": singlet, "camera.mla": None}), aimed=False),
+        (-3.0, 1.0, -320.0),
+    )
     both = exact_ghosts(world, [POINT, other], [486.1, 656.3])
     parts = [exact_ghosts(world, point, [wavelength]) for point in (POINT, other) for wavelength in (486.1, 656.3)]
     assert both.image.power == pytest.approx(sum(part.image.power for part in parts), rel=1e-12)

@@ -28,6 +28,8 @@ from numba.core.compiler_machinery import LoweringPass, PassManager, register_pa
 from numba.core.dispatcher import Dispatcher
 from numba.extending import models, register_model
 
+from lfmesh.by_address import promise_unchanged
+
 
 class IntermediateLibrary(CodeLibrary):  # type: ignore[misc]
     """Code of a function that only kernels call: neither optimised nor translated to machine code."""
@@ -104,6 +106,8 @@ def prefer_wide_registers(ir_module: Any) -> None:
             if not function.is_declaration:
                 # `set.add`, as llvmlite's own `add` refuses attributes that have a value.
                 set.add(function.attributes, '"prefer-vector-width"="512"')
+    for function in ir_module.functions:
+        promise_unchanged(function)
 
 
 def merged(modules: list[bytes]) -> Any:

@@ -14,6 +14,7 @@ from numba import types
 from numba.core import cgutils
 from numba.core.datamodel import models
 from numba.core.typing.templates import AttributeTemplate
+from numba.core.typing.typeof import Purpose
 from numba.extending import (
     NativeValue,
     infer_getattr,
@@ -43,25 +44,34 @@ class Table(types.Type):  # type: ignore[misc]
             self.offsets[name] = offset
             offset += _size(member)
         self.size = offset
-        # Short, as it is part of the names of all functions that take the table; the digest keeps these apart.
-        digest = hashlib.sha256(str(self.members).encode()).hexdigest()[:12]
-        super().__init__(f"{made_from.__qualname__}({digest})")
+        # Numba compares and hashes types all the time, so a digest stands for the many types of the fields.
+        self.digest = hashlib.sha256(repr(self.members).encode()).hexdigest()
+        # Short, as it is part of the names of all functions that take the table, and telling these apart.
+        super().__init__(f"{made_from.__qualname__}({self.digest[:16]})")
 
     @property
-    def key(self) -> Any:
+    def key(self) -> tuple[type, str]:
         """What tells types apart."""
-        return self.made_from, tuple(self.members.values())
+        return self.made_from, self.digest
 
 
 def by_address(made_from: Class) -> Class:
-    """Let kernels receive the named tuples of a class by their address."""
+    """Let kernels receive the named tuples of a class by their address, with those that are among their fields."""
 
     @typeof_impl.register(made_from)
-    def type_of(value: Any, context: Any) -> Table | None:
-        members = [typeof_impl(each, context) for each in value]
-        return None if None in members else Table(made_from, tuple(map(types.unliteral, members)))
+    def type_of(value: Any, context: Any) -> types.Type | None:
+        # A constant of a module has no address that is the same in every process.
+        if context.purpose is not Purpose.argument:
+            return typeof_impl.dispatch(tuple)(value, context)
+        return _table(value, context)
 
     return made_from
+
+
+def _table(value: Any, context: Any) -> Table | None:
+    """Return the type of a named tuple that is passed by its address."""
+    members = [_table(each, context) if hasattr(each, "_fields") else typeof_impl(each, context) for each in value]
+    return None if None in members else Table(type(value), tuple(map(types.unliteral, members)))
 
 
 def _size(member: types.Type) -> int:

@@ -139,8 +139,11 @@ def _write_fields(table: Table, tuple_: Any, c: Any, address: Any) -> Any:
         if isinstance(member, Table):
             wrong = _write_fields(member, value, c, place)
         elif isinstance(member, types.Array):
-            adapt = c.pyapi.nrt_adapt_ndarray_from_python if c.context.enable_nrt else c.pyapi.numba_array_adaptor
-            wrong = cgutils.is_not_null(c.builder, adapt(value, c.builder.bitcast(place, c.pyapi.voidptr)))
+            # The tuple holds its arrays for as long as the call takes: no references are counted, whoever is called.
+            kind = ir.FunctionType(ir.IntType(32), [c.pyapi.pyobj, c.pyapi.voidptr])
+            adapt = cgutils.get_or_insert_function(c.builder.module, kind, "numba_adapt_ndarray")
+            code = c.builder.call(adapt, (value, c.builder.bitcast(place, c.pyapi.voidptr)))
+            wrong = cgutils.is_not_null(c.builder, code)
         else:
             native = c.unbox(member, value)
             c.builder.store(c.context.data_model_manager[member].as_data(c.builder, native.value), place)

@@ -3,7 +3,8 @@
 By itself numba passes every field of a named tuple as arguments of their own: a kernel that takes the tables of a scene
 has hundreds, which are packed and unpacked at every call within it, and each use of a field begins with all of them. Of
 a class marked with `by_address` the fields are written to memory once, where Python calls the kernel; all that it calls
-receives the address, and reads what it uses. Kernels can neither make nor change such a tuple.
+receives the address, and reads what it uses. No kernel changes that memory, which LLVM is told, so that nothing is read
+more often than it has to be. What a kernel itself makes of the class is a tuple as any other.
 """
 
 import hashlib
@@ -58,7 +59,7 @@ class Table(types.Type):  # type: ignore[misc]
 def by_address(made_from: Class) -> Class:
     """Let kernels receive the named tuples of a class by their address, with those that are among their fields."""
 
-    @typeof_impl.register(made_from)
+    @typeof_impl.register(made_from)  # type: ignore[untyped-decorator]
     def type_of(value: Any, context: Any) -> types.Type | None:
         # A constant of a module has no address that is the same in every process.
         if context.purpose is not Purpose.argument:
@@ -104,7 +105,7 @@ class _FieldTypes(AttributeTemplate):  # type: ignore[misc]
         return table.members.get(name)
 
 
-@lower_getattr_generic(Table)
+@lower_getattr_generic(Table)  # type: ignore[untyped-decorator]
 def _read(context: Any, builder: Any, table: Table, address: Any, name: str) -> Any:
     """Read a field."""
     member = table.members[name]
@@ -118,7 +119,7 @@ def _read(context: Any, builder: Any, table: Table, address: Any, name: str) -> 
     return builder.icmp_unsigned("!=", value, value.type(0)) if isinstance(member, types.Boolean) else value
 
 
-@unbox(Table)
+@unbox(Table)  # type: ignore[untyped-decorator]
 def _write(table: Table, tuple_: Any, c: Any) -> NativeValue:
     """Write a named tuple of Python to memory."""
     address = cgutils.alloca_once(c.builder, _block(table))

@@ -115,7 +115,7 @@ def _add_to(row: Any, table: Marked, by: float) -> None:
 @kernel
 def add(rows: NDArray[np.void], table: Marked) -> None:
     """Write to a record and to an array of a table, and read both again after each call."""
-    for i in range(3):
+    for _ in range(3):
         _add_to(rows[0], table, 1.0)
         rows[1].x += rows[0].x * table.line[1]
 

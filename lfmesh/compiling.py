@@ -13,12 +13,14 @@ successful results as well.
 """
 
 import gc
-from collections.abc import Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from operator import getitem, setitem
 from typing import Any
 
 import llvmlite.binding as llvm
+from llvmlite import ir
 from numba import types
 from numba.core import config, typed_passes, untyped_passes
 from numba.core.cgutils import normalize_ir_text
@@ -27,6 +29,8 @@ from numba.core.compiler import CompilerBase
 from numba.core.compiler_machinery import LoweringPass, PassManager, register_pass
 from numba.core.dispatcher import Dispatcher
 from numba.extending import models, register_model
+
+from lfmesh.by_address import promise_unchanged
 
 
 class IntermediateLibrary(CodeLibrary):  # type: ignore[misc]
@@ -85,6 +89,10 @@ class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
         prefer_wide_registers(ir_module)
         super().add_ir_module(ir_module)
 
+    def _optimize_functions(self, ll_module: Any) -> None:
+        """Leave functions as they are, by numba's name for optimising them one by one: that is done with the whole."""
+        ll_module.data_layout = self._codegen._data_layout
+
     def add_linking_library(self, library: CodeLibrary) -> None:
         """Link in a library that the kernel calls, and the libraries that this one calls."""
         if library not in self.taken:
@@ -104,6 +112,8 @@ def prefer_wide_registers(ir_module: Any) -> None:
             if not function.is_declaration:
                 # `set.add`, as llvmlite's own `add` refuses attributes that have a value.
                 set.add(function.attributes, '"prefer-vector-width"="512"')
+    for function in ir_module.functions:
+        promise_unchanged(function)
 
 
 def merged(modules: list[bytes]) -> Any:
@@ -195,6 +205,12 @@ def passed_as(argument: types.Type) -> types.Type:
 _contexts: dict[Any, _KernelContext] = {}
 
 
+@cache
+def _sizes_by(target: Any) -> Callable[[ir.Type], int]:
+    """Return the function that gives the size of a type of LLVM, cached: LLVM compiles a module to answer."""
+    return cache(target.get_abi_sizeof)
+
+
 @register_pass(mutates_CFG=False, analysis_only=False)
 class _MakeCallable(LoweringPass):  # type: ignore[misc]
     """Register code that has no address yet, so that kernels can call it."""
@@ -242,7 +258,8 @@ class KernelCompiler(CompilerBase):  # type: ignore[misc]
     def __init__(self, typingctx: Any, *others: Any) -> None:
         context = _contexts.setdefault(typingctx, _KernelContext(typingctx))
         super().__init__(context, *others)
-        self.state.targetctx = self.state.targetctx.subtarget(typing_context=context)
+        target = self.state.targetctx
+        self.state.targetctx = target.subtarget(typing_context=context, get_abi_sizeof=_sizes_by(target))
 
     def compile_extra(self, func: Any) -> Any:
         """Compile a function and the functions that it calls."""

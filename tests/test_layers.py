@@ -16,6 +16,7 @@ PACKAGE = ROOT / "lfmesh"
 
 FOUNDATION = [
     "assets",
+    "by_address",
     "cluster",
     "compiling",
     "errors",

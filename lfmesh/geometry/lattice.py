@@ -9,12 +9,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.by_address import by_address
 from lfmesh.kernel import kernel, pasted
 
 ROW_SPACING = np.sqrt(0.75)
 """Distance of neighbouring rows of a hexagonal lattice over its pitch."""
 
 
+@by_address
 class Lattice(NamedTuple):
     """Layout and size; `pitch` in mm is the distance of neighbouring centres."""
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.by_address import by_address
 from lfmesh.kernel import inlined, kernel
 
 Array = NDArray[np.float64]
@@ -38,6 +39,7 @@ MOST_STEPS = 1000
 """Steps towards a crossing; a ray takes some five, but for one that all but touches the face."""
 
 
+@by_address
 class Profile(NamedTuple):
     """Profiles of the types of lenslets of an array.
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.by_address import by_address
 from lfmesh.errors import SceneError
 from lfmesh.geometry.lattice import Lattice
 from lfmesh.geometry.lenslet_profile import (
@@ -38,6 +39,7 @@ OFFSET = 8.0
 """Cells of different types stand this many pitches apart in their common Embree scene."""
 
 
+@by_address
 class Lenslets(NamedTuple):
     """The lattice with what stands on it.
 

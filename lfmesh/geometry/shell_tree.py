@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.by_address import by_address
 from lfmesh.geometry.mesh import Array
 from lfmesh.kernel import inlined, kernel
 
@@ -34,6 +35,7 @@ NODE = np.dtype(
 )
 
 
+@by_address
 class ShellTree(NamedTuple):
     """Shells, each a row of nodes of which the first holds all of it; those below a node follow it."""
 

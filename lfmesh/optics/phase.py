@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lfmesh.by_address import by_address
 from lfmesh.errors import FileError
 from lfmesh.kernel import kernel
 from lfmesh.optics.number_table import read_table
@@ -33,6 +34,7 @@ PHASE = np.dtype(
 )
 
 
+@by_address
 class PhaseTables(NamedTuple):
     """Phase functions as kernels read them."""
 

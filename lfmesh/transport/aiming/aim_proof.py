@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.by_address import by_address
 from lfmesh.geometry.frame import directions, move_direction, move_point, points
 from lfmesh.geometry.lattice import cell_of, centre
 from lfmesh.geometry.lenslets import shape_of, type_of
@@ -159,6 +160,7 @@ class Rays(NamedTuple):
     colour: NDArray[np.int64]
 
 
+@by_address
 class CameraTables(NamedTuple):
     """Tables of the camera that rays from the stop go through."""
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.by_address import by_address
 from lfmesh.geometry.frame import point_through
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.aiming.mixture import aimed, aimed_density
@@ -37,6 +38,7 @@ VALUES = 10
 how much rays from near it miss the points that they are aimed at, mm."""
 
 
+@by_address
 class GlassAim(NamedTuple):
     """Rays from inside bodies to the lens's opening."""
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.by_address import by_address
 from lfmesh.kernel import inlined, pasted
 
 # Stations: what a packet waits for. Embree is asked at OBJECTS, at those with MESH in their name, and in a run that
@@ -237,6 +238,7 @@ NODE = np.dtype(
 )
 
 
+@by_address
 class Flow(NamedTuple):
     """Tables that the kernels of one chunk write to."""
 
@@ -255,6 +257,7 @@ class Flow(NamedTuple):
     polarised: Any = None
 
 
+@by_address
 class Options(NamedTuple):
     """Transport settings as kernels take them."""
 

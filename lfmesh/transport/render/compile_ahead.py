@@ -30,11 +30,19 @@ from lfmesh.transport.sources.particles import ParticleSource
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.world import World, build
 
-IN_OBJECT_SPACE = (OBJECTS,)
+ON_IMAGE_PATH = (OBJECTS, LENS)
 EVERYWHERE = (OBJECTS, LENS, LENS_MESH, CELLS, PLATE, SENSOR)
 """Stations whose kernels a render needs without and with paths off the image path."""
 
-_CHILD = "import sys; sys.path[:] = {path!r}; from {module} import compile_stations; compile_stations({stations!r})"
+_CHILD = """
+import gc, os, sys
+# It ends before its memory matters: collecting the compiler's cycles would take a tenth of its time.
+gc.disable()
+sys.path[:] = {path!r}
+from {module} import compile_stations
+compile_stations({stations!r}, sequential={alone!r})
+os._exit(0)
+"""
 
 
 @contextmanager
@@ -62,11 +70,12 @@ class Ahead:
 
     def __init__(self, scene: Scene) -> None:
         self._process: subprocess.Popen[bytes] | None = None
-        alone = engine_of(scene)[0] == "sequential"
+        self._alone = alone = engine_of(scene)[0] == "sequential"
         kernels = (shade_objects,) if alone else (shade_objects, shade_lens, shade_cells)
         # The kernels of polarised light are others, and few scenes have it.
         if processors() > 1 and not scene.transport.polarisation and not any(map(is_cached, kernels)):
-            code = _CHILD.format(path=sys.path, module=__name__, stations=IN_OBJECT_SPACE if alone else EVERYWHERE)
+            stations = ON_IMAGE_PATH if alone else EVERYWHERE
+            code = _CHILD.format(path=sys.path, module=__name__, stations=stations, alone=alone)
             try:
                 self._process = subprocess.Popen(
                     [sys.executable, "-c", code],
@@ -78,7 +87,8 @@ class Ahead:
     def join(self, world: World) -> None:
         """Compile the kernels that launch packets of a world, and wait until the other process has compiled its own."""
         if self._process is not None:
-            compile_launches(world)
+            # Each of the two compiles for half of the time: the image path is for the one that has less to do.
+            compile_launches(world, image_path=not self._alone)
             self._process.wait()
 
     def stop(self) -> None:
@@ -94,8 +104,15 @@ def processors() -> int:
     return len(available(0)) if available is not None else os.cpu_count() or 1
 
 
-def compile_launches(world: World) -> None:
-    """Compile what launches the packets of a render and takes them along the image path, by launching none."""
+def compile_launches(world: World, *, image_path: bool = True) -> None:
+    """Compile what launches the packets of a render by launching none, and what takes later ones along the image path.
+
+    Parameters
+    ----------
+    world : World
+    image_path : bool, optional
+        False leaves the second out.
+    """
     for part in parts_of(world):
         work = Workspace(world, part.options, 1, part.tables)
         work.begin(Film.empty(0, 1), 0)
@@ -105,18 +122,25 @@ def compile_launches(world: World) -> None:
             ParticleSource(part.particles, 0, 0, 1, np.uint64(0), 0).launch(work, range(0))
         else:
             LightSource(0, 0, 1, np.uint64(0), 0).launch(work, range(0))
-        if part.options.sequential:
+        if part.options.sequential and image_path:
             work.advance(LENS)
 
 
-def compile_stations(stations: tuple[int, ...]) -> None:
-    """Compile the kernels of stations by a wave without packets at each; the camera has nothing that is aimed at."""
+def compile_stations(stations: tuple[int, ...], *, sequential: bool = False) -> None:
+    """Compile the kernels of stations by a wave without packets at each; the camera has nothing that is aimed at.
+
+    Parameters
+    ----------
+    stations : tuple of int
+    sequential : bool, optional
+        At the lens that of the image path.
+    """
     world = build(Scene.model_validate(BARE), aimed=False)
     options = options_of(world)
     work = Workspace(world, options, 1)
     work.begin(Film.empty(0, 1), 0)
     for station in stations:
-        work.options = options._replace(in_order=station == LENS)
+        work.options = options._replace(in_order=station == LENS, sequential=sequential)
         work.advance(station)
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.by_address import by_address
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.kernel import kernel
 from lfmesh.transport.aiming.lenslet_aim import (
@@ -150,6 +151,7 @@ class PixelSource(Source):
                 work.move_waiting(PLATE if tables.mla.present else LENS, SENSOR)
 
 
+@by_address
 class StartRoom(NamedTuple):
     """Working memory of a launch, which draws the numbers of `STARTS` samples at a time."""
 

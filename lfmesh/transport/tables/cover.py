@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lfmesh.by_address import by_address
 from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
 from lfmesh.scene import Scene
@@ -17,6 +18,7 @@ FRONT_ROW, REAR_ROW = 0, 1
 """Rows of the cover's interfaces: the face towards the lens, and the one towards the sensor."""
 
 
+@by_address
 class CoverTables(NamedTuple):
     """The cover in the sensor's frame."""
 

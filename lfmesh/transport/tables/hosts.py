@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.by_address import by_address
 from lfmesh.geometry.mesh import Array
 from lfmesh.geometry.targets import TargetMesh
 from lfmesh.geometry.winding import winding
@@ -14,6 +15,7 @@ from lfmesh.transport.tables.tables import OPAQUE, Media
 Numbers = NDArray[np.int64]
 
 
+@by_address
 class Hosts(NamedTuple):
     """The targets of a scene that are bodies of glass or liquid; the others have rank 0."""
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.by_address import by_address
 from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.optics.share_table import looked_up
 from lfmesh.optics.walsh import diffuse_reflectance
@@ -124,6 +125,7 @@ class Finish(NamedTuple):
     error: float = 0.0
 
 
+@by_address
 class InterfaceTables(NamedTuple):
     """The interfaces of each region.
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.by_address import by_address
 from lfmesh.geometry import frame
 from lfmesh.optics.light_profile import LightProfile, read_profile
 from lfmesh.scene import Scene
@@ -39,6 +40,7 @@ MM2 = 1e-6
 """One mm² in m²."""
 
 
+@by_address
 class Profiles(NamedTuple):
     """Angular profiles of lights: intensities over the power, linear between the angles (see `LightProfile`)."""
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.by_address import by_address
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.optics.phase import PhaseTables, phase_tables
@@ -28,6 +29,7 @@ UM2 = 1e-6
 """One µm² in mm²."""
 
 
+@by_address
 class ParticleTables(NamedTuple):
     """The particles of an entry of `[[particles]]`."""
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.by_address import by_address
 from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
 from lfmesh.optics.coatings import Stack
@@ -36,6 +37,7 @@ IN_LENS, IN_ARRAY, IN_OBJECTS = 0, 1, 2
 """Regions, in the order of `PolarisationTables.begin`."""
 
 
+@by_address
 class PolarisationTables(NamedTuple):
     """What the kernels need of a scene with polarised light."""
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.by_address import by_address
 from lfmesh.optics.gloss import gloss_parameters
 from lfmesh.optics.gltf_material import GltfMaterial, gltf_parameters
 from lfmesh.optics.metals import metal_index
@@ -31,6 +32,7 @@ GLOSSY = 1  # parameters: see `optics.gloss`
 BLEND = 2  # parameters: those of a dielectric gloss, then those of a metal, see `optics.gltf_material`
 
 
+@by_address
 class ScatteringTables(NamedTuple):
     """The scattering models of all targets, and of the materials that mesh files bring."""
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lfmesh.by_address import by_address
 from lfmesh.geometry.frame import points
 from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.mesh import Array, Mesh
@@ -26,6 +27,7 @@ LENS_SLACK = 0.02
 """Distance kept from the lens, over its length: between their rings, meshes deviate from their surfaces."""
 
 
+@by_address
 class Surroundings(NamedTuple):
     """Bounds of lens, housing and targets in the camera frame, mm."""
 

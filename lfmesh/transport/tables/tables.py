@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.by_address import by_address
 from lfmesh.geometry.lenslets import Lenslets
 from lfmesh.kernel import inlined
 from lfmesh.transport.tables.lights import Profiles
@@ -14,6 +15,7 @@ Array = NDArray[np.float64]
 Records = NDArray[np.void]
 
 
+@by_address
 class Interfaces(NamedTuple):
     """Interfaces of a region (see `tables.interfaces`)."""
 
@@ -24,6 +26,7 @@ class Interfaces(NamedTuple):
     rough: bool = False  # whether any of them scatters light
 
 
+@by_address
 class Absorption(NamedTuple):
     """What media absorb."""
 
@@ -31,6 +34,7 @@ class Absorption(NamedTuple):
     slot: NDArray[np.int64]  # (media,) of the book; NO_SLOT where a medium is clear
 
 
+@by_address
 class Media(NamedTuple):
     """Media that rays travel through, one row for each (see `tables.media`)."""
 
@@ -43,6 +47,7 @@ AIR = 0
 """Number of the medium that every scene has."""
 
 
+@by_address
 class LensTables(NamedTuple):
     """The main lens in the camera frame.
 
@@ -76,6 +81,7 @@ class LensTables(NamedTuple):
     by_roots: NDArray[np.bool_]  # (K + 1,) whether all surfaces of a space are exact conics without a pose
 
 
+@by_address
 class MlaTables(NamedTuple):
     """The microlens array in its own frame, z from the curved face into the glass; one cell mesh for each type.
 
@@ -102,6 +108,7 @@ class MlaTables(NamedTuple):
     back: Any = None
 
 
+@by_address
 class SensorTables(NamedTuple):
     """The pixels, in the sensor's frame: z = 0, light arrives with dz > 0."""
 
@@ -118,6 +125,7 @@ OPAQUE = -1
 """`ObjectTables.medium` of a target that is not a body of glass."""
 
 
+@by_address
 class Emitters(NamedTuple):
     """Pieces of emitting facets, from which points are drawn as light sources (see `tables.emitters`)."""
 
@@ -130,6 +138,7 @@ class Emitters(NamedTuple):
     level: NDArray[np.int64]  # (m,) how often each facet is divided in four
 
 
+@by_address
 class ObjectTables(NamedTuple):
     """Targets, lights and the camera's housing in the object frame: world axes about the targets' middle."""
 
@@ -175,6 +184,7 @@ class ObjectTables(NamedTuple):
     volumes: Any = None
 
 
+@by_address
 class Opening(NamedTuple):
     """Effective pupil of one side of the lens: disks in a plane perpendicular to the axis, by field angle and distance.
 
@@ -193,6 +203,7 @@ class Opening(NamedTuple):
     decentre: Array
 
 
+@by_address
 class AimTables(NamedTuple):
     """Where rays are aimed. Disks are perpendicular to the axis, in the camera frame.
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.by_address import by_address
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.refractors import bounding_mesh
@@ -74,6 +75,7 @@ VOLUME = np.dtype(
 )
 
 
+@by_address
 class Volumes(NamedTuple):
     """Media in object space; what a grid holds is multiplied by the number of its wavelength.
 

@@ -19,7 +19,7 @@ import json
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.transport.regions import lens, mla, objects, sensor
-from lfmesh.transport.render.compile_ahead import EVERYWHERE, compile_launches, compile_stations
+from lfmesh.transport.render.compile_ahead import EVERYWHERE, ON_IMAGE_PATH, compile_launches, compile_stations
 from lfmesh.transport.sources import pixels
 from lfmesh.transport.sequential import image_path
 from lfmesh.transport.world import build
@@ -28,10 +28,11 @@ regions = [mla.admit_to_cells, mla.shade_cells, mla.through_plate, lens.admit_to
     objects.admit_to_objects, objects.shade_objects, sensor.onto_sensor]
 launches = [pixels.launch_adjoint, pixels.launch_along_image_path, image_path.follow_image_path]
 small = {{"camera.sensor.pixels": [8, 8], "transport.samples": 4, "transport.replicates": 2, "transport.threads": 1,
-    "transport.split": "both"}}
+    "transport.split": "{split}"}}
 scene = lf.load(asset_path("scenes/{scene}.toml")).changed(small)
-compile_stations(EVERYWHERE)
-compile_launches(build(scene))
+alone = "{split}" == "transmit"
+compile_stations(ON_IMAGE_PATH if alone else EVERYWHERE, sequential=alone)
+compile_launches(build(scene), image_path=not alone)
 before = [len(kernel.signatures) for kernel in regions + launches]
 lf.render(scene)
 print(json.dumps([before, [len(kernel.signatures) for kernel in regions + launches]]))
@@ -40,10 +41,18 @@ print(json.dumps([before, [len(kernel.signatures) for kernel in regions + launch
 
 @pytest.mark.parametrize("scene", ["first_light", "lit_chart"])
 def test_all_that_a_render_needs_is_compiled_ahead(scene: str) -> None:
-    code = SIGNATURES.format(scene=scene)
+    code = SIGNATURES.format(scene=scene, split="both")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     before, after = json.loads(done.stdout)
     assert before == after == [1] * len(before)
+
+
+def test_what_the_image_path_alone_needs_is_compiled_ahead() -> None:
+    code = SIGNATURES.format(scene="first_light", split="transmit")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    before, after = json.loads(done.stdout)
+    assert before == after
+    assert before[-2:] == [1, 1]
 
 
 def scene_of(**transport: Any) -> lf.Scene:
@@ -90,12 +99,14 @@ def test_the_process_ends_with_a_build_that_fails(monkeypatch: pytest.MonkeyPatc
     assert [process.poll() is not None for process in started] == [True]
 
 
-@pytest.mark.parametrize(("split", "stations"), [("both", compile_ahead.EVERYWHERE), ("transmit", (2,))])
+@pytest.mark.parametrize(
+    ("split", "stations", "alone"), [("both", compile_ahead.EVERYWHERE, False), ("transmit", (2, 0), True)]
+)
 def test_only_the_stations_of_the_scene_are_compiled(
-    split: str, stations: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+    split: str, stations: tuple[int, ...], alone: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     started = []
     monkeypatch.setattr(compile_ahead, "is_cached", lambda kernel: False)
     monkeypatch.setattr(compile_ahead.subprocess, "Popen", lambda command, **_: started.append(command))
     Ahead(scene_of(split=split))
-    assert f"compile_stations({stations!r})" in started[0][-1]
+    assert f"compile_stations({stations!r}, sequential={alone})" in started[0][-1]

@@ -1,0 +1,181 @@
+"""Named tuples that kernels receive as the address of a block of memory.
+
+By itself numba passes every field of a named tuple as arguments of their own: a kernel that takes the tables of a scene
+has hundreds, which are packed and unpacked at every call within it, and each use of a field begins with all of them. Of
+a class marked with `by_address` the fields are written to memory once, where Python calls the kernel; all that it calls
+receives the address, and reads what it uses. No kernel changes that memory, which LLVM is told, so that nothing is read
+more often than it has to be. What a kernel itself makes of the class is a tuple as any other.
+"""
+
+import hashlib
+from typing import Any, TypeVar
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.datamodel import models
+from numba.core.typing.templates import AttributeTemplate
+from numba.core.typing.typeof import Purpose
+from numba.extending import (
+    NativeValue,
+    infer_getattr,
+    lower_getattr_generic,
+    register_model,
+    typeof_impl,
+    unbox,
+)
+
+Class = TypeVar("Class", bound=type)
+
+_WORD = 8
+# Of memory, in bytes; as a structure, so that LLVM's type of an address tells that it is a table's.
+_UNIT = ir.LiteralStructType([ir.IntType(8 * _WORD)])
+_INDEX = ir.IntType(32)
+
+
+class Table(types.Type):  # type: ignore[misc]
+    """Type of a named tuple that is passed by its address."""
+
+    def __init__(self, made_from: type, members: tuple[types.Type, ...]) -> None:
+        self.made_from = made_from
+        self.members = dict(zip(made_from._fields, members, strict=True))  # type: ignore[attr-defined]
+        offset = 0
+        self.offsets = {}
+        for name, member in self.members.items():
+            self.offsets[name] = offset
+            offset += _size(member)
+        self.size = offset
+        # Numba compares and hashes types all the time, so a digest stands for the many types of the fields.
+        self.digest = hashlib.sha256(repr(self.members).encode()).hexdigest()
+        # Short, as it is part of the names of all functions that take the table, and telling these apart.
+        super().__init__(f"{made_from.__qualname__}({self.digest[:16]})")
+
+    @property
+    def key(self) -> tuple[type, str]:
+        """What tells types apart."""
+        return self.made_from, self.digest
+
+
+def by_address(made_from: Class) -> Class:
+    """Let kernels receive the named tuples of a class by their address, with those that are among their fields."""
+
+    @typeof_impl.register(made_from)  # type: ignore[untyped-decorator]
+    def type_of(value: Any, context: Any) -> types.Type | None:
+        # A constant of a module has no address that is the same in every process.
+        if context.purpose is not Purpose.argument:
+            return typeof_impl.dispatch(tuple)(value, context)
+        return _table(value, context)
+
+    return made_from
+
+
+def _table(value: Any, context: Any) -> Table | None:
+    """Return the type of a named tuple that is passed by its address."""
+    members = [_table(each, context) if hasattr(each, "_fields") else typeof_impl(each, context) for each in value]
+    return None if None in members else Table(type(value), tuple(map(types.unliteral, members)))
+
+
+def _size(member: types.Type) -> int:
+    """Return the number of bytes that a field takes, a multiple of a word."""
+    if isinstance(member, types.NoneType):
+        return 0
+    if isinstance(member, Table):
+        return member.size
+    if isinstance(member, types.Array):
+        return (5 + 2 * member.ndim) * _WORD
+    if isinstance(member, types.Boolean | types.Integer | types.Float):
+        return _WORD
+    raise TypeError(f"a field of a table that is passed by its address is {member}")
+
+
+@register_model(Table)
+class _TableModel(models.PrimitiveModel):  # type: ignore[misc]
+    """A table in a kernel: an address."""
+
+    def __init__(self, manager: Any, table: Table) -> None:
+        super().__init__(manager, table, _block(table).as_pointer())
+
+
+@infer_getattr
+class _FieldTypes(AttributeTemplate):  # type: ignore[misc]
+    key = Table
+
+    def generic_resolve(self, table: Table, name: str) -> types.Type | None:
+        """Return the type of a field."""
+        return table.members.get(name)
+
+
+@lower_getattr_generic(Table)  # type: ignore[untyped-decorator]
+def _read(context: Any, builder: Any, table: Table, address: Any, name: str) -> Any:
+    """Read a field."""
+    member = table.members[name]
+    if isinstance(member, types.NoneType):
+        return context.get_dummy_value()
+    place = _at(context, builder, address, table, name)
+    if isinstance(member, Table):
+        return place
+    value = builder.load(place, align=_WORD)
+    # By itself numba makes a truth value of a byte with two branches.
+    return builder.icmp_unsigned("!=", value, value.type(0)) if isinstance(member, types.Boolean) else value
+
+
+@unbox(Table)  # type: ignore[untyped-decorator]
+def _write(table: Table, tuple_: Any, c: Any) -> NativeValue:
+    """Write a named tuple of Python to memory."""
+    address = cgutils.alloca_once(c.builder, _block(table))
+    failed = _write_fields(table, tuple_, c, address)
+    with c.builder.if_then(failed, likely=False):
+        c.pyapi.err_set_string("PyExc_TypeError", f"cannot read a {table.made_from.__name__}")
+    return NativeValue(address, is_error=failed)
+
+
+def _write_fields(table: Table, tuple_: Any, c: Any, address: Any) -> Any:
+    """Write the fields of a named tuple to an address; return whether any of them was not of its type."""
+    failed = cgutils.false_bit
+    for i, (name, member) in enumerate(table.members.items()):
+        if isinstance(member, types.NoneType):
+            continue
+        value = c.pyapi.tuple_getitem(tuple_, i)
+        place = _at(c.context, c.builder, address, table, name)
+        if isinstance(member, Table):
+            wrong = _write_fields(member, value, c, place)
+        elif isinstance(member, types.Array):
+            # The tuple holds its arrays for as long as the call takes: no references are counted, whoever is called.
+            kind = ir.FunctionType(ir.IntType(32), [c.pyapi.pyobj, c.pyapi.voidptr])
+            adapt = cgutils.get_or_insert_function(c.builder.module, kind, "numba_adapt_ndarray")
+            code = c.builder.call(adapt, (value, c.builder.bitcast(place, c.pyapi.voidptr)))
+            wrong = cgutils.is_not_null(c.builder, code)
+        else:
+            native = c.unbox(member, value)
+            c.builder.store(c.context.data_model_manager[member].as_data(c.builder, native.value), place)
+            wrong = native.is_error
+        failed = c.builder.or_(failed, wrong)
+    return failed
+
+
+def _at(context: Any, builder: Any, address: Any, table: Table, name: str) -> Any:
+    """Return the address of a field."""
+    member = table.members[name]
+    kind = _block(member) if isinstance(member, Table) else context.get_data_type(member)
+    place = builder.gep(address, [_INDEX(0), _INDEX(table.offsets[name] // _WORD)], inbounds=True)
+    return builder.bitcast(place, kind.as_pointer())
+
+
+def _block(table: Table) -> ir.ArrayType:
+    """Return the type of a table's memory."""
+    return ir.ArrayType(_UNIT, table.size // _WORD)
+
+
+def promise_unchanged(function: Any) -> None:
+    """Tell LLVM of the arguments of a function that are tables that no kernel changes them, nor keeps the address."""
+    for argument in function.args:
+        if argument.name.startswith("arg.") and _is_address(argument.type):
+            # `set.update`, as llvmlite refuses some of the attributes that LLVM knows.
+            set.update(argument.attributes, ("noalias", "readonly", "captures(none)"))
+            argument.attributes.dereferenceable = argument.type.pointee.count * _WORD
+            argument.attributes.align = _WORD
+
+
+def _is_address(kind: ir.Type) -> bool:
+    """Tell whether a type of LLVM is that of a table's address, which no other argument has."""
+    return isinstance(kind, ir.PointerType) and isinstance(kind.pointee, ir.ArrayType) and kind.pointee.element == _UNIT

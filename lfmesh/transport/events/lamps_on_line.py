@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.volume import Ray
-from lfmesh.transport.tables.lights import DIRECTIONAL, DISK
+from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, SPOT
 
 Array = NDArray[np.float64]
 
@@ -108,6 +108,29 @@ def density_by_angle(lights: NDArray[np.void], spectra: Array, colour: int, line
         if power > 0.0:
             total += power / (h * h + (t - s) * (t - s))
     return total
+
+
+@inlined
+def lit_part(light: Any, line: Ray, first: float, last: float) -> tuple[float, float]:
+    """Return the part of a part of a line that is in front of a lamp: before a disk, or on a spot's side.
+
+    Parameters
+    ----------
+    light : LIGHT
+    line, first, last
+        As for `passes_lamp`; the first is the larger one where nothing is lit.
+    """
+    # A cone of more than half a turn sends light backwards too.
+    if light.kind != DISK and not (light.kind == SPOT and light.outer <= 1.0):
+        return first, last
+    ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
+    px, py, pz = line.x - light.position[0], line.y - light.position[1], line.z - light.position[2]
+    height, rise = px * ax + py * ay + pz * az, line.dx * ax + line.dy * ay + line.dz * az
+    if rise > 0.0:
+        return max(first, -height / rise), last
+    if rise < 0.0:
+        return first, min(last, -height / rise)
+    return (first, last) if height > 0.0 else (np.inf, -np.inf)
 
 
 @inlined

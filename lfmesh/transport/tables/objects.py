@@ -39,6 +39,7 @@ from lfmesh.transport.tables.tables import (
     LensTables,
     ObjectTables,
 )
+from lfmesh.transport.tables.halos import halo_tables
 from lfmesh.transport.tables.volumes import Volumes, reach_of, volume_tables
 
 
@@ -296,6 +297,7 @@ def with_volumes(
     volumes, media = volume_tables(scene, moves, lines, book.media, hosts)
     if volumes is None:
         return tables
+    volumes = volumes._replace(halos=halo_tables(volumes, tables.lights))
     reach, endless = reach_of(volumes)
     if endless and (tables.lights["kind"] == DIRECTIONAL).any():
         raise SceneError(

@@ -15,7 +15,7 @@ from lfmesh.optics.scattering import near
 from lfmesh.transport.events.crossing import EDGE, EMITTER_U, LIGHT_U, clear_of, draw_two
 from lfmesh.transport.events.emission import asks_emitters, emitting_point
 from lfmesh.transport.events.glow import asks_media, density_to_media, point_of_media
-from lfmesh.transport.events.halo import LAMP_U, LAMP_V, asks_halos, halo_chance, halo_density, all_halos, lamp_past
+from lfmesh.transport.events.halo import LAMP_U, LAMP_V, all_halos, asks_halos, halo_chance, halo_density, lamp_past
 from lfmesh.transport.events.lighting import LIGHT_DIMENSIONS, point_of_light
 from lfmesh.transport.events.scattering import density, evaluate
 from lfmesh.transport.packets.packet import (

@@ -39,7 +39,13 @@ from lfmesh.transport.events.halo import (
     past_point,
     share_past_lamp,
 )
-from lfmesh.transport.events.lamps_on_line import density_by_angle, distance_by_angle, lamps_on_line, lit_part, passes_lamp
+from lfmesh.transport.events.lamps_on_line import (
+    density_by_angle,
+    distance_by_angle,
+    lamps_on_line,
+    lit_part,
+    passes_lamp,
+)
 from lfmesh.transport.events.lighting import from_light_nearby, illuminate_from, point_of_light
 from lfmesh.transport.events.polarisation import depolarise
 from lfmesh.transport.events.volume import Passage, Ray, pass_through, scattered_at, scattering_point

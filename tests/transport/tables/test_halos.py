@@ -1,5 +1,7 @@
 """The light round lamps by its angle: integrals of phase functions, and what is drawn by them."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -33,7 +35,7 @@ def test_light_beyond_an_angle_is_the_integral_of_the_phase_function(g: float) -
 
     for angle in (0.0, 1e-3, 0.02, 0.3, 1.5, 3.0, 3.1415):
         points = sorted({min(angle + step, np.pi) for step in (0.0, 1e-3, 0.01, 0.1, 1.0, 4.0)})
-        expected = sum(quad(phase, a, b)[0] for a, b in zip(points, points[1:], strict=False))
+        expected = sum(quad(phase, a, b)[0] for a, b in pairwise(points))
         # Between its nodes the table is linear.
         assert light_beyond(halos, 0, angle) == pytest.approx(expected, rel=1e-2)
         assert phase_at(halos, 0, angle) == pytest.approx(phase(angle), rel=0.1)

@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 OFTEN = 10.0
 """Packets past lamps that a point sends, over the optical depth of scattering on the way to the lamp; at most one.
 
-In thin media a halo is of little weight. Fewer leave bright pixels in fog of a depth of 0.3, more take time in thin fog.
+In thin media a halo is of little weight. Fewer leave bright pixels in fog of a depth of 0.3, more cost time in thin.
 """
 
 LAMP_U, LAMP_V, BY_ANGLE, ALONG, LAMP, SENT = 0, 1, 2, 3, 4, 5

@@ -250,8 +250,10 @@ def _ask_lamps(
     x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
     line, first, last = Ray(x, y, z, dx, dy, dz), passage.first, passage.last
     near = NEAR * passage.scattered / passage.densest
-    points = 2 if passes_lamp(lights, spectra, colour, line, first, last, near) else 1
-    whole = lamps_on_line(lights, spectra, colour, line, first, last) if points == 2 else 0.0
+    whole = 0.0
+    if passes_lamp(lights, spectra, colour, line, first, last, near):
+        whole = lamps_on_line(lights, spectra, colour, line, first, last)
+    points = 2 if whole > 0.0 else 1
     for point in range(points):
         if point == 1:
             choice = whole * uniform(key, BY_LAMP)

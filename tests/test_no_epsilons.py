@@ -56,6 +56,7 @@ DIMENSIONLESS = {
     "transport/aiming/lenslet_view.py": {"ROUNDING"},
     "transport/regions/lens_block.py": {"SETTLED"},
     "transport/regions/mla.py": {"ROUNDED", "UNSURE"},
+    "transport/tables/halos.py": {"FINEST"},
     "transport/tables/lens.py": {"STEEPER"},
     "transport/tables/particles.py": {"DARKEST", "UM2"},
     "transport/tables/volumes.py": {"COLDEST_K", "ROUNDING"},

@@ -4,7 +4,8 @@ The irradiance of a point at distance h from a line falls along it as 1 / (h² +
 are those of even steps of the angle at which the point sees them. Of several lamps the densities add, each by its
 intensity. A disk is taken for a point as far off the line as its radius adds to h, so that the density stays in a
 constant proportion to what the disk sends, which is bounded; a spot or a profile as one of its largest intensity. Both
-change where samples go, not what they count. Directional light is the same all along a line.
+change where samples go, not what they count. None are drawn behind a disk or a spot, where it sends nothing.
+Directional light is the same all along a line.
 """
 
 from typing import Any
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.volume import Ray
-from lfmesh.transport.tables.lights import DIRECTIONAL, DISK
+from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, SPOT
 
 Array = NDArray[np.float64]
 
@@ -43,8 +44,9 @@ def passes_lamp(
     """
     for number in range(len(lights)):
         power, s, h = _seen_from_lamp(lights, spectra, number, colour, line)
-        past = min(max(s, first), last) - s
-        if power > 0.0 and h * h + past * past < within * within:
+        begin, end = lit_part(lights[number], line, first, last)
+        past = min(max(s, begin), end) - s
+        if begin < end and power > 0.0 and h * h + past * past < within * within:
             return True
     return False
 
@@ -61,8 +63,9 @@ def lamps_on_line(lights: NDArray[np.void], spectra: Array, colour: int, line: R
     whole = 0.0
     for number in range(len(lights)):
         power, s, h = _seen_from_lamp(lights, spectra, number, colour, line)
-        if power > 0.0:
-            whole += power * _angle(s, h, first, last) / h
+        begin, end = lit_part(lights[number], line, first, last)
+        if power > 0.0 and begin < end:
+            whole += power * _angle(s, h, begin, end) / h
     return whole
 
 
@@ -82,14 +85,16 @@ def distance_by_angle(
     t = first
     for number in range(len(lights)):
         power, s, h = _seen_from_lamp(lights, spectra, number, colour, line)
-        if power <= 0.0:
+        begin, end = lit_part(lights[number], line, first, last)
+        if power <= 0.0 or begin >= end:
             continue
-        own = power * _angle(s, h, first, last) / h
-        t = s + h * np.tan(np.arctan2(first - s, h) + min(choice / own, 1.0) * _angle(s, h, first, last))
+        own = power * _angle(s, h, begin, end) / h
+        t = s + h * np.tan(np.arctan2(begin - s, h) + min(choice / own, 1.0) * _angle(s, h, begin, end))
+        t = min(max(t, begin), end)
         if choice < own:
             break
         choice -= own
-    return min(max(t, first), last)
+    return t
 
 
 @kernel
@@ -105,9 +110,33 @@ def density_by_angle(lights: NDArray[np.void], spectra: Array, colour: int, line
     total = 0.0
     for number in range(len(lights)):
         power, s, h = _seen_from_lamp(lights, spectra, number, colour, line)
-        if power > 0.0:
+        begin, end = lit_part(lights[number], line, -np.inf, np.inf)
+        if power > 0.0 and begin <= t <= end:
             total += power / (h * h + (t - s) * (t - s))
     return total
+
+
+@inlined
+def lit_part(light: Any, line: Ray, first: float, last: float) -> tuple[float, float]:
+    """Return the part of a part of a line that is in front of a lamp: before a disk, or on a spot's side.
+
+    Parameters
+    ----------
+    light : LIGHT
+    line, first, last
+        As for `passes_lamp`; the first is the larger one where nothing is lit.
+    """
+    # A cone of more than half a turn sends light backwards too.
+    if light.kind != DISK and not (light.kind == SPOT and light.outer <= 1.0):
+        return first, last
+    ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
+    px, py, pz = line.x - light.position[0], line.y - light.position[1], line.z - light.position[2]
+    height, rise = px * ax + py * ay + pz * az, line.dx * ax + line.dy * ay + line.dz * az
+    if rise > 0.0:
+        return max(first, -height / rise), last
+    if rise < 0.0:
+        return first, min(last, -height / rise)
+    return (first, last) if height > 0.0 else (np.inf, -np.inf)
 
 
 @inlined

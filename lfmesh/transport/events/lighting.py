@@ -193,12 +193,43 @@ def illuminate(
     irradiance : float
         On a plane perpendicular to the direction, at the wavelength that has the most, W/m².
     """
-    ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
     if light.kind == DIRECTIONAL:
-        return -ax, -ay, -az, np.inf, light.power
-    lx, ly, lz = light.position[0], light.position[1], light.position[2]
+        return -light.direction[0], -light.direction[1], -light.direction[2], np.inf, light.power
+    lx, ly, lz = point_of_light(light, u, v)
+    return illuminate_from(profiles, light, lx, ly, lz, x, y, z)
+
+
+@inlined
+def point_of_light(light: Any, u: float, v: float) -> tuple[float, float, float]:
+    """Return a random point of a light that is somewhere, mm, object frame: of a disk uniform by area.
+
+    Parameters
+    ----------
+    light : LIGHT
+    u, v : float
+        Random numbers, uniform in [0, 1), of a light that has a size.
+    """
     if light.kind == DISK:
-        lx, ly, lz = _point_of_disk(light, u, v)
+        return _point_of_disk(light, u, v)
+    return light.position[0], light.position[1], light.position[2]
+
+
+@inlined
+def illuminate_from(
+    profiles: Profiles, light: Any, lx: float, ly: float, lz: float, x: float, y: float, z: float
+) -> tuple[float, float, float, float, float]:
+    """Return what `illuminate` does, from a given point of a light that is somewhere.
+
+    Parameters
+    ----------
+    profiles : Profiles
+    light : LIGHT
+    lx, ly, lz : float, mm
+        Point of the light, object frame.
+    x, y, z : float
+        The point that is lit, mm, object frame.
+    """
+    ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
     ux, uy, uz = lx - x, ly - y, lz - z
     distance2 = ux * ux + uy * uy + uz * uz
     reach = np.sqrt(distance2)

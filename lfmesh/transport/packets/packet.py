@@ -40,6 +40,7 @@ SHADOW = 3  # tests whether a light reaches a point; carries what it adds to the
 # Of these and further kinds the light counts that they bring, and nothing comes of them.
 TO_EMITTER = 5  # tests whether an emitting facet is seen from a point; carries what it adds to the pixel if so
 TO_MEDIUM = 6  # gathers what media emit along a straight line from a point
+TO_HALO = 7  # gathers what media scatter of a lamp's light along a straight line from a point
 
 # Counters.
 EVENTS, REQUERIES, FALLBACKS = 0, 1, 2
@@ -126,7 +127,7 @@ _BASE_RECORD = np.dtype(
         ("source", "i8"),  # sample (adjoint, see `SAMPLE_SHIFT`), packet (forward) or ray (trace) that it began as
         ("node", "i4"),  # its last recorded vertex
         # Cell of the array. For object space see `regions.bodies` and PACKET; `row` of a TO_EMITTER: the facet;
-        # of what waits at EMITTERS in a medium: the medium.
+        # of a TO_HALO: the lamp; of what waits at EMITTERS in a medium: the medium.
         ("column", "i4"), ("row", "i4"),
         ("facet", "i4"),  # target facet it left
         ("last", "i2"),  # lens surface it left

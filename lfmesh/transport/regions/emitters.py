@@ -1,6 +1,7 @@
-"""Packets from points that scatter to random points of emitting facets and media, whose light they gather.
+"""Packets from points that scatter to random points of emitting facets and media, and past lamps in scattering media.
 
-A station of its own: its kernel is compiled, and runs, only in scenes with targets or media that emit.
+A station of its own: its kernel is compiled, and runs, only in scenes with targets or media that emit, or with lamps
+and media that scatter.
 """
 
 from typing import Any
@@ -10,9 +11,12 @@ from numpy.typing import NDArray
 
 from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.phase import evaluate_phase
-from lfmesh.transport.events.crossing import EDGE, EMITTER_U, clear_of, draw_two
+from lfmesh.optics.scattering import near
+from lfmesh.transport.events.crossing import EDGE, EMITTER_U, LIGHT_U, clear_of, draw_two
 from lfmesh.transport.events.emission import asks_emitters, emitting_point
 from lfmesh.transport.events.glow import asks_media, density_to_media, point_of_media
+from lfmesh.transport.events.halo import LAMP_U, LAMP_V, all_halos, asks_halos, halo_chance, halo_density, lamp_past
+from lfmesh.transport.events.lighting import LIGHT_DIMENSIONS, point_of_light
 from lfmesh.transport.events.scattering import density, evaluate
 from lfmesh.transport.packets.packet import (
     IN_FOG,
@@ -20,6 +24,7 @@ from lfmesh.transport.packets.packet import (
     OBJECT_FRAME,
     OBJECTS,
     TO_EMITTER,
+    TO_HALO,
     TO_MEDIUM,
     Flow,
     Options,
@@ -28,10 +33,14 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.packets.random import derived, uniform
 from lfmesh.transport.regions.bodies import RANK, bodies_round
 from lfmesh.transport.regions.targets import emitted_radiance, point_of, texture_at
+from lfmesh.transport.tables.halos import drawn_angle
 from lfmesh.transport.tables.tables import ObjectTables
 
 TO_GLOW = 1 << 22
 """Number of the random numbers, among those that a packet's key has for its children, of points of emitting media."""
+
+PAST_LAMP = 1 << 23
+"""The same of packets past lamps."""
 
 
 @kernel
@@ -50,6 +59,8 @@ def ask_emitters(wave: NDArray[np.void], objects: ObjectTables, options: Options
             _ask_facet(objects, options, flow, packet)
         if asks_media(objects.volumes, options):
             _ask_media(objects.volumes, objects, options, flow, packet)
+        if asks_halos(objects.volumes, options, packet.events):
+            _ask_halo(objects.volumes, objects, options, flow, packet)
 
 
 @inlined
@@ -122,6 +133,58 @@ def _ask_media(volumes: Any, objects: ObjectTables, options: Options, flow: Flow
     weight = packet.weight * scattered / (aimed + by_chance)
     child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, weight, key, clear)
     child.kind, child.last = TO_MEDIUM, NO_SURFACE
+
+
+@inlined
+def _ask_halo(volumes: Any, objects: ObjectTables, options: Options, flow: Flow, packet: Any) -> None:
+    """Send a packet from a point in air past a lamp, to gather what media scatter of its light.
+
+    Parameters
+    ----------
+    volumes : Volumes or None
+        As for `asks_halos`.
+    packet : PACKET
+        As in `ask_emitters`.
+    """
+    if volumes is None:
+        return
+    if bodies_round(packet) == 0:
+        _ask_halo_in_air(volumes, volumes.halos, objects, options, flow, packet)
+
+
+@inlined
+def _ask_halo_in_air(
+    volumes: Any, halos: Any, objects: ObjectTables, options: Options, flow: Flow, packet: Any
+) -> None:  # fmt: skip
+    """Do what `_ask_halo` does for a point in no body of glass; `halos` : Halos or None, as for `asks_halos`."""
+    if halos is None:
+        return
+    lights, spectra, colour = objects.lights, objects.light_spectra, packet.colour
+    x, y, z = packet.x, packet.y, packet.z
+    key = derived(packet.key, PAST_LAMP + packet.events)
+    number = lamp_past(halos, lights, spectra, colour, x, y, z, key)
+    if number < 0:
+        return
+    light = lights[number]
+    px, py, pz = point_of_light(light, uniform(key, LAMP_U), uniform(key, LAMP_V))
+    px, py, pz = px - x, py - y, pz - z
+    far = np.sqrt(px * px + py * py + pz * pz)
+    u, v = draw_two(options, packet, LIGHT_U + LIGHT_DIMENSIONS * len(lights))
+    angle = drawn_angle(halos, colour, u)
+    sine = np.sin(angle)
+    if far <= 0.0 or sine <= 0.0:
+        return
+    height = 2.0 * np.sin(0.5 * angle) ** 2
+    ux, uy, uz = near(px / far, py / far, pz / far, height, 2.0 * np.pi * v)
+    scattered, by_chance, clear = _scattered_towards(volumes, objects, options, packet, ux, uy, uz)
+    if scattered <= 0.0:
+        return
+    chance = halo_chance(halos, lights, spectra, number, colour, all_halos(lights, spectra, colour, x, y, z), x, y, z)
+    weight = packet.weight * scattered / (chance * halo_density(halos, colour, angle, sine) + by_chance)
+    child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, weight, key, clear)
+    child.kind, child.last, child.row = TO_HALO, NO_SURFACE, number
+    # As of the packet that is scattered, whose line this might be.
+    child.events += 1
 
 
 @inlined

@@ -32,6 +32,7 @@ from lfmesh.transport.events.crossing import (
 )
 from lfmesh.transport.events.emission import asks_emitters, share_by_chance
 from lfmesh.transport.events.glow import asks_media
+from lfmesh.transport.events.halo import asks_halos
 from lfmesh.transport.events.lighting import ask_lights
 from lfmesh.transport.events.polarisation import depolarise
 from lfmesh.transport.events.scattering import Point, albedo, density, evaluate, sample
@@ -284,7 +285,12 @@ def _gather(options: Options, flow: Flow, objects: ObjectTables, packet: Any, po
     lit = radiance > 0.0
     if scatters:
         lit = ask_lights(options, objects, flow, packet, point) or lit
-        if asks_emitters(options, objects, packet.events) or asks_media(objects.volumes, options):
+        volumes, events = objects.volumes, packet.events
+        if (
+            asks_emitters(options, objects, events)
+            or asks_media(volumes, options)
+            or asks_halos(volumes, options, events)
+        ):
             asking = put(
                 flow, EMITTERS, packet, OBJECT_FRAME, point.x, point.y, point.z, packet.dx, packet.dy, packet.dz,
                 packet.weight, packet.key, 0.0,

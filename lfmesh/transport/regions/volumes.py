@@ -27,8 +27,26 @@ from lfmesh.transport.events.crossing import (
 )
 from lfmesh.transport.events.emission import asks_emitters
 from lfmesh.transport.events.glow import asks_media, share_of_line
-from lfmesh.transport.events.lamps_on_line import density_by_angle, distance_by_angle, lamps_on_line, passes_lamp
-from lfmesh.transport.events.lighting import from_light_nearby
+from lfmesh.transport.events.halo import (
+    ALONG,
+    BY_ANGLE,
+    LAMP_U,
+    LAMP_V,
+    all_halos,
+    asks_halos,
+    draws_halo,
+    halo_chance,
+    past_point,
+    share_past_lamp,
+)
+from lfmesh.transport.events.lamps_on_line import (
+    density_by_angle,
+    distance_by_angle,
+    lamps_on_line,
+    lit_part,
+    passes_lamp,
+)
+from lfmesh.transport.events.lighting import from_light_nearby, illuminate_from, point_of_light
 from lfmesh.transport.events.polarisation import depolarise
 from lfmesh.transport.events.volume import Passage, Ray, pass_through, scattered_at, scattering_point
 from lfmesh.transport.packets.book import SAMPLING_ADDED, SAMPLING_REMOVED
@@ -49,6 +67,7 @@ from lfmesh.transport.packets.packet import (
     SCATTERED,
     SHADOW,
     TO_EMITTER,
+    TO_HALO,
     TO_MEDIUM,
     Flow,
     Options,
@@ -57,6 +76,7 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.packets.path_class import is_estimated, is_unturned
 from lfmesh.transport.packets.random import derived, uniform
 from lfmesh.transport.regions.bodies import RANK, bodies_round
+from lfmesh.transport.tables.halos import Halos, angle_beyond, light_beyond, phase_at
 from lfmesh.transport.tables.tables import OPAQUE, AimTables, LensTables, ObjectTables
 
 Array = NDArray[np.float64]
@@ -164,16 +184,18 @@ def cross_media(
     x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
     key = derived(packet.key, IN_MEDIUM + packet.events)
     passage = pass_through(volumes, place, colour, x, y, z, dx, dy, dz, reach, flow.book, 0.0 if asks else weight, key)
-    packet.weight = weight * passage.transmittance if packet.kind != TO_MEDIUM else 0.0
+    packet.weight = weight * passage.transmittance if packet.kind < TO_MEDIUM else 0.0
     estimated = is_estimated(options, packet)
     if passage.light > 0.0 and options.adjoint and estimated and (not asks or packet.kind == TO_MEDIUM):
         # Radiance over n² is conserved on the way out of glass and liquids.
         index = objects.media.indices[packet.medium, colour]
         light = weight * share_of_line(volumes, packet, place) * passage.light / (index * index)
         deposit(options, flow, packet.source, colour, light)
-    if asks:
-        return
     if passage.scattered <= 0.0 or not volumes.scatters:
+        return
+    if packet.kind == TO_HALO:
+        _gather_halo(volumes.halos, options, flow, objects, packet, passage, place, weight, key)
+    if asks:
         return
     lost = weight * passage.scattered
     of_twin = packet.kind == CAMERA and packet.last != LEFT_LENS and not (options.adjoint or options.tracing)
@@ -228,8 +250,10 @@ def _ask_lamps(
     x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
     line, first, last = Ray(x, y, z, dx, dy, dz), passage.first, passage.last
     near = NEAR * passage.scattered / passage.densest
-    points = 2 if passes_lamp(lights, spectra, colour, line, first, last, near) else 1
-    whole = lamps_on_line(lights, spectra, colour, line, first, last) if points == 2 else 0.0
+    whole = 0.0
+    if passes_lamp(lights, spectra, colour, line, first, last, near):
+        whole = lamps_on_line(lights, spectra, colour, line, first, last)
+    points = 2 if whole > 0.0 else 1
     for point in range(points):
         if point == 1:
             choice = whole * uniform(key, BY_LAMP)
@@ -260,14 +284,100 @@ def _ask_lamps_from(
         Of the medium.
     x, y, z : float, mm
     """
-    phases, phase = objects.volumes.phases, objects.volumes.phases.rows[number, packet.colour]
+    volumes, colour = objects.volumes, packet.colour
+    phases, phase = volumes.phases, volumes.phases.rows[number, colour]
+    halos = 0.0
+    if draws_halo(packet):
+        halos = all_halos(objects.lights, objects.light_spectra, colour, packet.x, packet.y, packet.z)
     for light in range(len(objects.lights)):
         ux, uy, uz, far, irradiance = from_light_nearby(options, objects, packet, light, x, y, z)
         scattered = evaluate_phase(phases, phase, packet.dx * ux + packet.dy * uy + packet.dz * uz)
         if irradiance * scattered > 0.0:
             lit = weight * irradiance * scattered
+            if halos > 0.0 and far < np.inf:
+                lx, ly, lz = x + far * ux, y + far * uy, z + far * uz
+                lit *= _share_of_line(volumes.halos, objects, packet, light, halos, lx, ly, lz)
             shadow = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, lit, packet.key, 0.0)
             shadow.kind, shadow.limit, shadow.facet, shadow.last = SHADOW, far, NO_SURFACE, NO_SURFACE
+
+
+@inlined
+def _share_of_line(
+    halos: Any, objects: ObjectTables, packet: Any, light: int, whole: float, lx: float, ly: float, lz: float
+) -> float:  # fmt: skip
+    """Return the share that a packet, scattered at the start of its line, counts of the light of a lamp's point."""
+    if halos is None:
+        return 1.0
+    x, y, z, colour = packet.x, packet.y, packet.z, packet.colour
+    chance = halo_chance(halos, objects.lights, objects.light_spectra, light, colour, whole, x, y, z)
+    return share_past_lamp(halos, colour, chance, packet, lx, ly, lz)
+
+
+@inlined
+def _gather_halo(
+    halos: Any, options: Options, flow: Flow, objects: ObjectTables, packet: Any, passage: Passage, place: int,
+    weight: float, key: np.uint64,
+) -> None:  # fmt: skip
+    """Send a shadow packet to a lamp from a random point of the line of a packet that goes past it.
+
+    Parameters
+    ----------
+    halos : Halos or None
+        None: no packet goes past lamps, and numba compiles nothing but the first line.
+    packet : PACKET
+        At the start of the line, in no body of glass; its own weight is not used.
+    passage : Passage
+    place : int
+    weight : float
+        Of the packet at its start.
+    key : uint64
+        Of the random numbers of its way.
+    """
+    if halos is None:
+        return
+    _gather_past_lamp(halos, options, flow, objects, packet, passage, place, weight, key)
+
+
+@kernel
+def _gather_past_lamp(
+    halos: Halos, options: Options, flow: Flow, objects: ObjectTables, packet: Any, passage: Passage, place: int,
+    weight: float, key: np.uint64,
+) -> None:  # fmt: skip
+    """Do what `_gather_halo` does, in scenes with halos.
+
+    The point is drawn by the mean phase function over the angle of scattering or, with equal chance, by what is
+    scattered there: the sum of both densities divides the light (balance heuristic).
+    """
+    volumes, colour, number = objects.volumes, packet.colour, packet.row
+    light = objects.lights[number]
+    x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
+    px, py, pz = point_of_light(light, uniform(packet.key, LAMP_U), uniform(packet.key, LAMP_V))
+    s, h, _ = past_point(px, py, pz, x, y, z, dx, dy, dz)
+    first, last = lit_part(light, Ray(x, y, z, dx, dy, dz), passage.first, passage.last)
+    if first >= last:
+        return
+    begin = light_beyond(halos, colour, np.arctan2(h, s - first))
+    on_line = begin - light_beyond(halos, colour, np.arctan2(h, s - last))
+    by_angle = uniform(packet.key, BY_ANGLE) < 0.5
+    if by_angle:
+        angle = angle_beyond(halos, colour, begin - uniform(packet.key, ALONG) * on_line)
+        t = min(max(s - h / np.tan(angle), first), last)
+        density, medium = scattered_at(volumes, place, colour, t, x, y, z, dx, dy, dz, flow.book, key)
+    else:
+        t, _, density, medium = scattering_point(volumes, place, colour, passage, x, y, z, dx, dy, dz, key)
+    if density <= 0.0 or t < first or t > last or on_line <= 0.0:
+        return
+    off = t - s
+    r2 = h * h + off * off
+    drawn = 0.5 * density / passage.scattered
+    drawn += 0.5 * phase_at(halos, colour, np.arctan2(h, -off)) / on_line * h / r2
+    x, y, z = x + t * dx, y + t * dy, z + t * dz
+    ux, uy, uz, far, irradiance = illuminate_from(objects.profiles, light, px, py, pz, x, y, z)
+    scattered = evaluate_phase(volumes.phases, volumes.phases.rows[medium, colour], dx * ux + dy * uy + dz * uz)
+    lit = weight * density / drawn * scattered * irradiance * objects.light_spectra[number, colour]
+    if lit > 0.0:
+        shadow = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, lit, packet.key, 0.0)
+        shadow.kind, shadow.limit, shadow.facet, shadow.last = SHADOW, far, NO_SURFACE, NO_SURFACE
 
 
 @inlined
@@ -275,7 +385,7 @@ def _ask_what_emits(
     options: Options, flow: Flow, objects: ObjectTables, packet: Any, number: int, x: float, y: float, z: float,
     key: np.uint64,
 ) -> None:  # fmt: skip
-    """Queue a packet at a point of a medium that asks targets and media which emit, if there are any.
+    """Queue a packet at a point of a medium that asks targets and media which emit, and the light round lamps.
 
     Parameters
     ----------
@@ -286,7 +396,8 @@ def _ask_what_emits(
     x, y, z : float, mm
     key : uint64
     """
-    if asks_emitters(options, objects, packet.events) or asks_media(objects.volumes, options):
+    volumes, events = objects.volumes, packet.events
+    if asks_emitters(options, objects, events) or asks_media(volumes, options) or asks_halos(volumes, options, events):
         dx, dy, dz = packet.dx, packet.dy, packet.dz
         asking = put(flow, EMITTERS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, key, 0.0)
         asking.facet, asking.row = IN_FOG, number

@@ -21,6 +21,7 @@ from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, SENSOR_F
 from lfmesh.transport.tables.contacts import contacts
 from lfmesh.transport.tables.emitters import emitter_table, no_emitters
 from lfmesh.transport.tables.frames import frame_table
+from lfmesh.transport.tables.halos import halo_tables
 from lfmesh.transport.tables.hosts import hosts_of
 from lfmesh.transport.tables.lens import curved
 from lfmesh.transport.tables.lights import DIRECTIONAL, MM2, light_tables, power_towards
@@ -296,6 +297,7 @@ def with_volumes(
     volumes, media = volume_tables(scene, moves, lines, book.media, hosts)
     if volumes is None:
         return tables
+    volumes = volumes._replace(halos=halo_tables(volumes, tables.lights))
     reach, endless = reach_of(volumes)
     if endless and (tables.lights["kind"] == DIRECTIONAL).any():
         raise SceneError(

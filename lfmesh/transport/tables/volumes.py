@@ -96,6 +96,7 @@ class Volumes(NamedTuple):
     scatters: bool  # what they scatter is followed; else they take it away
     emit: bool
     shells: Any = None  # ShellTree of the meshes that bound media; None: code for them is not even compiled
+    halos: Any = None  # Halos of lamps, where a medium in air scatters their light, else None
 
 
 def volume_tables(

@@ -7,10 +7,16 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import kstest
 
-from lfmesh.transport.events.lamps_on_line import density_by_angle, distance_by_angle, lamps_on_line, passes_lamp
+from lfmesh.transport.events.lamps_on_line import (
+    density_by_angle,
+    distance_by_angle,
+    lamps_on_line,
+    lit_part,
+    passes_lamp,
+)
 from lfmesh.transport.events.volume import Passage, Ray, pass_through, scattered_at, scattering_point
 from lfmesh.transport.packets.random import descendant
-from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, LIGHT, POINT
+from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, LIGHT, POINT, SPOT
 from tests.transport.events.test_volume import slab, volumes_of
 
 
@@ -19,7 +25,7 @@ def lamps(*rows: tuple[int, list[float], float, float]) -> Any:
     table = np.zeros(len(rows), LIGHT)
     for row, (kind, place, power, radius) in zip(table, rows, strict=True):
         row["kind"], row["position"], row["power"], row["radius"] = kind, place, power, radius
-        row["peak"] = power / (4.0 * np.pi)
+        row["peak"], row["direction"] = power / (4.0 * np.pi), (0.0, 0.6, 0.8)
     return table, np.ones((len(rows), 1))
 
 
@@ -42,7 +48,9 @@ def test_distances_follow_the_light_that_arrives_on_a_line(last: float) -> None:
         def density(t: float, table: Any = table, spectra: Any = spectra, way: Any = way) -> float:
             return float(density_by_angle(table, spectra, 0, way, t))
 
-        grid = 3.0 + np.geomspace(1e-3, min(last, 1e5) - 3.0, 1500)
+        # The light of the disk begins or ends where the line crosses its plane.
+        ends = [end for end in lit_part(table[1], way, 3.0, last) if 3.0 < end < last]
+        grid = np.sort([*(3.0 + np.geomspace(1e-3, min(last, 1e5) - 3.0, 1500)), *ends])
         pieces = [0.0] + [quad(density, a, b, epsrel=1e-8)[0] for a, b in zip([3.0, *grid[:-1]], grid, strict=True)]
         cdf = np.cumsum(pieces)
         np.testing.assert_allclose(cdf[-1], whole, rtol=2e-3 if last == np.inf else 1e-6)
@@ -56,6 +64,18 @@ def test_a_lamp_is_near_where_the_part_of_the_line_is_near_it() -> None:
     assert not passes_lamp(table, spectra, 0, way, 0.0, np.inf, 2.9)
     assert not passes_lamp(table, spectra, 0, way, 0.0, 6.0, 4.9)
     assert passes_lamp(table, spectra, 0, way, 14.0, np.inf, 5.1)
+
+
+def test_disks_and_narrow_spots_light_their_own_side_only() -> None:
+    table, _ = lamps(*((kind, [0.0, 0.0, 10.0], 1.0, 2.0) for kind in (POINT, DISK, SPOT, SPOT)))
+    table["direction"] = 0.0, 0.0, 1.0
+    table["outer"] = 0.5, 0.5, 0.5, 1.5
+    up, down = (Ray(3.0, 0.0, 0.0, 0.6, 0.0, dz) for dz in (0.8, -0.8))
+    assert [lit_part(light, up, 1.0, 90.0)[0] for light in table] == [1.0, 12.5, 12.5, 1.0]
+    assert all(lit_part(light, up, 1.0, 90.0)[1] == 90.0 for light in table)
+    assert [np.subtract(*lit_part(light, down, 1.0, 90.0)) < 0.0 for light in table] == [True, False, False, True]
+    flat = [lit_part(table[1], Ray(0.0, 0.0, z, 1.0, 0.0, 0.0), 1.0, 90.0) for z in (9.0, 10.0, 11.0)]
+    assert [first < last for first, last in flat] == [False, False, True]
 
 
 @pytest.mark.parametrize("start", [[0.0, 0.0, 0.0], [1e-300, 0.0, 0.0]])

@@ -1,0 +1,184 @@
+"""Tables by which packets are sent past lamps in scattering media, into the light that is scattered near them.
+
+Seen from a point at the distance D of a lamp of intensity I, single scattering at an angle α from the lamp has the
+radiance κ I / (D sin α) ∫ p(ψ) dψ, from ψ = α to π, in a medium without an end of the scattering coefficient κ and the
+phase function p, less what is lost on the way: along that line the angle of scattering ψ grows from α to π, and by even
+steps of it the light that arrives is constant (equiangular sampling, Kulla & Fajardo, EGSR 2012). The tables hold that
+integral and its integral over α, of the mean phase function of all media.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernel import kernel
+from lfmesh.optics.phase import PhaseTables, evaluate_phase
+from lfmesh.transport.tables.lights import DIRECTIONAL
+from lfmesh.transport.tables.volumes import NOT_IN_GRID, Volumes, corners_of
+
+Array = NDArray[np.float64]
+
+FINEST = 2.0**-17
+"""Smallest angle, rad, that the table tells from 0, and from π: phase functions have no narrower peaks."""
+
+PIECES = 128
+"""Number of even pieces of the half circle; towards 0 and π there are as many that grow narrower by even factors."""
+
+EVEN = 0.1
+"""Share of isotropic scattering in the table, so that a phase function may have narrower peaks than the pieces."""
+
+
+class Halos(NamedTuple):
+    """Light that is scattered near lamps, by the angle from the lamp."""
+
+    angles: Array  # (n + 1,) rad, from 0 to π
+    phase: Array  # (wavelengths, n) 1/sr, mean phase function between two angles
+    beyond: Array  # (wavelengths, n + 1) its integral over the angle from each angle to π
+    below: Array  # (wavelengths, n + 1) integral of that over the angle from 0 to each angle
+    scattering: Array  # (media, wavelengths) 1/mm, largest coefficient of each medium in air
+    extent: Array  # (media,) mm, largest length of a line in each medium; inf: it has no bounds
+
+
+def halo_tables(volumes: Volumes, lights: NDArray[np.void]) -> Halos | None:
+    """Return the tables of a scene's media, None if nothing is scattered near lamps.
+
+    Parameters
+    ----------
+    volumes : Volumes
+    lights : (lamps,) LIGHT
+    """
+    rows = volumes.rows
+    scattering = np.where((rows["inside"] == 0)[:, None], volumes.scattering, 0.0)
+    if not volumes.scatters or not scattering.any() or not (lights["kind"] != DIRECTIONAL).any():
+        return None
+    for number, row in enumerate(rows):
+        if row["scattering"] != NOT_IN_GRID:
+            voxels = int(np.prod(row["cells"]))
+            scattering[number] *= volumes.values[row["scattering"] : row["scattering"] + voxels].max()
+    angles = _angles()
+    middle, half = 0.5 * (angles[1:] + angles[:-1]), 0.5 * np.diff(angles)
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    found = np.zeros((scattering.shape[1], len(middle)))
+    _mean_phase(volumes.phases, scattering, np.cos(middle[:, None] + half[:, None] * nodes), 0.5 * weights, found)
+    phase = EVEN * 0.25 / np.pi + (1.0 - EVEN) * found
+    pieces = 2.0 * half * phase
+    beyond, below = np.zeros((2, len(phase), len(angles)))
+    # From the far end, so that the small numbers there keep their digits.
+    beyond[:, :-1] = np.cumsum(pieces[:, ::-1], axis=1)[:, ::-1]
+    below[:, 1:] = np.cumsum(half * (beyond[:, 1:] + beyond[:, :-1]), axis=1)
+    return Halos(angles, phase, beyond, below, scattering, _extents(rows))
+
+
+def _angles() -> Array:
+    """Return angles from 0 to π, even in the middle and ever closer towards both ends, rad."""
+    ends = np.geomspace(FINEST, 0.5 * np.pi, PIECES, endpoint=False)
+    even = np.linspace(0.0, np.pi, PIECES + 1)
+    return np.unique(np.concatenate([even, ends, np.pi - ends]))
+
+
+def _extents(rows: NDArray[np.void]) -> Array:
+    """Return the diagonal of the box round each medium, mm."""
+    corners = [corners_of(row) for row in rows]
+    return np.array([np.inf if each is None else np.linalg.norm(each[-1] - each[0]) for each in corners])
+
+
+@kernel
+def _mean_phase(phases: PhaseTables, scattering: Array, cosines: Array, weights: Array, found: Array) -> None:
+    """Fill in the mean of the phase functions of all media that scatter, over the cosines of each piece."""
+    for colour in range(len(found)):
+        count = 0
+        for number in range(len(scattering)):
+            if scattering[number, colour] <= 0.0:
+                continue
+            count += 1
+            row = phases.rows[number, colour]
+            for piece in range(len(cosines)):
+                for node in range(len(weights)):
+                    found[colour, piece] += weights[node] * evaluate_phase(phases, row, cosines[piece, node])
+        for piece in range(len(cosines)):
+            found[colour, piece] = found[colour, piece] / count if count > 0 else 0.25 / np.pi
+
+
+@kernel
+def light_beyond(halos: Halos, colour: int, angle: float) -> float:
+    """Return the integral of the mean phase function over the angle, from an angle to π, 1/sr.
+
+    Parameters
+    ----------
+    halos : Halos
+    colour : int
+        Number of the wavelength.
+    angle : float
+        rad, 0 to π.
+    """
+    k = _piece(halos.angles, angle)
+    return halos.beyond[colour, k + 1] + halos.phase[colour, k] * max(halos.angles[k + 1] - angle, 0.0)
+
+
+@kernel
+def phase_at(halos: Halos, colour: int, angle: float) -> float:
+    """Return the mean phase function at an angle, 1/sr: the derivative of `light_beyond`, but for its sign.
+
+    Parameters
+    ----------
+    halos, colour, angle
+        As for `light_beyond`.
+    """
+    return halos.phase[colour, _piece(halos.angles, angle)]
+
+
+@kernel
+def angle_beyond(halos: Halos, colour: int, light: float) -> float:
+    """Return the angle at which `light_beyond` has a value, rad.
+
+    Parameters
+    ----------
+    halos : Halos
+    colour : int
+        Number of the wavelength.
+    light : float
+    """
+    low, high = 0, len(halos.angles) - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if halos.beyond[colour, middle] >= light:
+            low = middle
+        else:
+            high = middle
+    angle = halos.angles[low + 1] - (light - halos.beyond[colour, low + 1]) / halos.phase[colour, low]
+    return min(max(angle, halos.angles[low]), halos.angles[low + 1])
+
+
+@kernel
+def drawn_angle(halos: Halos, colour: int, u: float) -> float:
+    """Return an angle from a lamp, rad, drawn in proportion to `light_beyond`.
+
+    Parameters
+    ----------
+    halos : Halos
+    colour : int
+        Number of the wavelength.
+    u : float
+        A random number, uniform in [0, 1).
+    """
+    last = len(halos.angles) - 1
+    wanted = u * halos.below[colour, last]
+    k = _piece(halos.below[colour], wanted)
+    rest, at_begin = wanted - halos.below[colour, k], halos.beyond[colour, k]
+    # The root of b x − p x² / 2 = rest, in the form that holds for any p.
+    root = np.sqrt(max(at_begin * at_begin - 2.0 * halos.phase[colour, k] * rest, 0.0))
+    return min(halos.angles[k] + 2.0 * rest / (at_begin + root), halos.angles[k + 1])
+
+
+@kernel
+def _piece(nodes: Any, value: float) -> int:
+    """Return the piece between two of some increasing numbers that a value lies in."""
+    low, high = 0, len(nodes) - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if nodes[middle] <= value:
+            low = middle
+        else:
+            high = middle
+    return low

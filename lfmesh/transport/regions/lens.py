@@ -55,6 +55,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
+from lfmesh.transport.packets.path_class import stray_at_same_surface, stray_before_lens
 from lfmesh.transport.regions.lens_block import (
     ALONG_X,
     ALONG_Y,
@@ -209,6 +210,7 @@ def leave_lens(
     child.facet = NO_SURFACE
     if space == 0:
         child.column, child.medium = NO_SURFACE, AIR
+        child.stray = stray_before_lens(packet.stray)
 
 
 @kernel
@@ -596,6 +598,8 @@ def _send_on(
 ) -> None:  # fmt: skip
     """Divide a packet of a block at surface `k`."""
     r, t = REFLECTED + i, REFRACTED + i
+    if packet.last == k:
+        packet.stray = stray_at_same_surface(packet.stray)
     x, y, z = arrive(flow, lens.media, packet, lens.medium[packet.space], block[PX + i], block[PY + i], block[PZ + i])
     reflectance, transmittance = block[REFLECTANCE + i], block[TRANSMITTANCE + i]
     if lens.interfaces.coated:

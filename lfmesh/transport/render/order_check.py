@@ -27,6 +27,7 @@ from lfmesh.transport.packets.packet import (
     STATIONS,
     Options,
 )
+from lfmesh.transport.packets.path_class import ON_IMAGE_PATH
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.world import World
 
@@ -113,7 +114,7 @@ def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.
     turned = np.delete(given["stray"], undecided)
     return OrderCheck(
         compared=len(given) - len(undecided),
-        reflected=int((turned == 1).sum()),
+        reflected=int((turned > ON_IMAGE_PATH).sum()),
         undecided=len(undecided),
         differing=differing,
         deviation_mm=float(deviation_mm),

@@ -75,7 +75,7 @@ class Tracer:
         self.seed = run_key(transport.seed)
         self.order = self._check_order()
         if self.order is not None and not self.order.holds:
-            self.parts = tuple(part.by_meshes() for part in self.parts)
+            self.parts = parts_of(self.world, aimed=self.aimed, by_meshes=True)
 
     @property
     def pixels(self) -> int:

@@ -79,6 +79,19 @@ class OrderCheck:
         """Whether the order may replace the meshes: not where there was nothing to compare."""
         return self.compared > 0 and self.differing == 0 and self.deviation_mm <= LARGEST_MM
 
+    def joined(self, other: "OrderCheck | None") -> "OrderCheck":
+        """Return both comparisons as one."""
+        if other is None:
+            return self
+        return OrderCheck(
+            compared=self.compared + other.compared,
+            reflected=self.reflected + other.reflected,
+            undecided=self.undecided + other.undecided,
+            differing=self.differing + other.differing,
+            deviation_mm=max(self.deviation_mm, other.deviation_mm),
+            deviation=max(self.deviation, other.deviation),
+        )
+
     @property
     def words(self) -> str:
         """What was compared, and the result."""

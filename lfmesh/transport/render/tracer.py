@@ -251,7 +251,7 @@ class Tracer:
         part = next((part for part in self.parts if part.options.paths == LENS_GHOSTS), None)
         if part is None:
             return None
-        work, _ = self._sampled(part)
+        work, _ = self._sampled(part, many=True)
         while not any(work.tops[station] for station in (PLATE, LENS)):
             work.advance(SENSOR)
         return compare_ghosts(self.world, work, PLATE if work.tops[PLATE] else LENS)
@@ -272,16 +272,24 @@ class Tracer:
         some = draw.choice(len(packets), min(SAMPLE, len(packets)), replace=False)
         return compare(self.world, part.options, part.tables, packets[np.sort(some)])
 
-    def _sampled(self, part: Part) -> tuple[Workspace, np.random.Generator]:
-        """Start some packets of a part; return their workspace, and the random numbers that have drawn them."""
+    def _sampled(self, part: Part, *, many: bool = False) -> tuple[Workspace, np.random.Generator]:
+        """Start some packets of a part; return their workspace, and the random numbers that have drawn them.
+
+        Parameters
+        ----------
+        part : Part
+        many : bool
+            Several of each pixel where there are few pixels.
+        """
         key = descendant(self.seed, ORDER_STREAM)
         draw = np.random.default_rng(int(key))
         pixels = np.unique(draw.integers(0, self.pixels, STARTS)) if part.options.adjoint else None
         count = STARTS if pixels is None else len(pixels)
         turn = Turn(0, 1, 0, 0, np.uint64(0))
-        chunk = Chunk(0, part, 0, count, 0, turn, count, 1, pixels)
+        samples = max(1, STARTS // count) if many else 1
+        chunk = Chunk(0, part, 0, count, 0, turn, count * samples, samples, pixels)
         work = Workspace(self.world, part.options, STARTS, part.tables)
-        work.begin(Film.empty(self.pixels if part.options.adjoint else 0, 1, 0), count)
+        work.begin(Film.empty(self.pixels if part.options.adjoint else 0, 1, 0), count * samples)
         self._source(chunk, key, 0).launch(work, range(count))
         return work, draw
 

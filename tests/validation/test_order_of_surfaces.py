@@ -4,7 +4,6 @@ The meshes are the model. Rays come from both sides of lens or array, from withi
 and every packet of their reflections that waits for a surface of the lens, or in a cell of the array, takes both ways.
 """
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np

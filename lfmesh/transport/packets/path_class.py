@@ -18,8 +18,8 @@ in this order, give its class:
    happens does not matter: targets and rough glass may scatter it before and after, which by itself changes nothing.
    Rough surfaces of lens and array are traced by the mesh engine, which estimates `EVERY` path at once.
 
-Where the lens's ghosts are estimated by themselves, `OFF_IMAGE_PATH` is divided into `LENS_GHOSTS` and `OTHER_STRAYS`. A
-path is one of the lens's ghosts if, seen from the sensor, its first passage of the lens has two reflections, both at
+Where the lens's ghosts are estimated by themselves, `OFF_IMAGE_PATH` is divided into `LENS_GHOSTS` and `OTHER_STRAYS`.
+A path is one of the lens's ghosts if, seen from the sensor, its first passage of the lens has two reflections, both at
 refracting surfaces of the lens, and from each surface leads to the next one on either side, and if it leaves the image
 path nowhere else. (Straight after a surface a path may meet it again on its hollow side: those are other strays.)
 
@@ -99,10 +99,16 @@ def turns_off_image_path(frame: int, refracts: bool, transmittance: float) -> bo
 
 @inlined
 def is_unturned(options: Options, packet: Any) -> bool:
-    """Tell whether a packet's path is not yet off the image path, or one of the lens's ghosts, and does not count so."""
+    """Tell whether a packet does not count yet, as its path is on the image path or, of other strays, a lens's ghost."""
     if options.paths == OTHER_STRAYS:
         return packet.stray != STRAY
     return options.paths == OFF_IMAGE_PATH and packet.stray <= ON_IMAGE_PATH
+
+
+@inlined
+def is_other_ghost(options: Options, packet: Any) -> bool:
+    """Tell whether a packet, of which only other strays count, is on the path of one of the lens's ghosts so far."""
+    return options.paths == OTHER_STRAYS and packet.stray == REFLECTED_TWICE
 
 
 @inlined

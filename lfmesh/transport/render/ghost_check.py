@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 def compare_ghosts(world: World, work: Workspace, station: int) -> OrderCheck:
-    """Follow packets from the sensor along sequences of the lens, in blocks and through meshes; compare where they leave.
+    """Follow packets from the sensor along sequences of the lens, in blocks and through meshes; compare both.
 
     Parameters
     ----------

@@ -2,10 +2,12 @@
 
 Paths with reflections carry a few per cent of the light and cost ten times as much as the image path. So the adjoint
 method estimates the two independently and adds them: the image path with the sequential engine, and all other paths,
-for which fewer samples are enough, with the mesh engine. If the scene has lamps and glass, light of lamps through glass
-is a third part, traced forward; so is, in both methods, light of lamps on a camera with rough surfaces. `path_class`
-defines the classes; each path belongs to one of them and counts once. Particles are points, which no ray from the
-sensor meets: in both methods each entry of them is a part, traced forward.
+for which fewer samples are enough, with the mesh engine. Most of those are ghosts of two reflections in the lens; where
+they can be followed by their sequences of surfaces (`sequential.lens_ghosts`), they are a part of their own. If the
+scene has lamps and glass, light of lamps through glass is a third part, traced forward; so is, in both methods, light
+of lamps on a camera with rough surfaces. `path_class` defines the classes; each path belongs to one of them and counts
+once. Particles are points, which no ray from the sensor meets: in both methods each entry of them is a part, traced
+forward.
 """
 
 from dataclasses import dataclass, replace
@@ -39,8 +41,11 @@ IMAGE_PATHS_PER_STRAY, WITH_GLASS = 4, 2
 """Number of samples of the image path for each sample of the paths off it: without glass in object space, and with it,
 where reflections are part of the picture."""
 
-IMAGE_PATHS_PER_OTHER_STRAY, IMAGE_PATHS_PER_GHOST = 16, 4
-"""The same, without glass, where the lens's ghosts are estimated by themselves: for each other stray, and each ghost."""
+IMAGE_PATHS_PER_OTHER_STRAY, IMAGE_PATHS_PER_GHOST = 16, 8
+"""The same, without glass, where the lens's ghosts are a part of their own: for each other stray, and each ghost."""
+
+CUTOFF_OF_OTHER_STRAYS = 1.0 / 3.0
+"""Weight below which other strays play roulette, over `weight_cutoff`: few samples, each followed further."""
 
 SCATTERED_PER_FOLLOWED = 25.0
 """Without glass in object space: number of scattered paths, not yet off the image path, for each one that is followed.
@@ -158,10 +163,16 @@ def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
     if not ghosts or world.ghosts is None:
         return (image_path, Part(1, off_path, tables._replace(aim=strays), thinned), *lamps)
     thinned = WITH_GLASS if _has_glass(tables) else IMAGE_PATHS_PER_OTHER_STRAY
+    others = off_path._replace(paths=OTHER_STRAYS)
+    if not _has_glass(tables):
+        others = others._replace(
+            cutoff=CUTOFF_OF_OTHER_STRAYS * others.cutoff,
+            unturned_cutoff=CUTOFF_OF_OTHER_STRAYS * others.unturned_cutoff,
+        )
     of_ghosts = tables._replace(aim=tables.aim._replace(wide_share=WIDE_SHARE_OF_GHOSTS), ghosts=world.ghosts)
     return (
         image_path,
-        Part(1, off_path._replace(paths=OTHER_STRAYS), tables._replace(aim=strays), thinned),
+        Part(1, others, tables._replace(aim=strays), thinned),
         Part(4, along_path._replace(paths=LENS_GHOSTS), of_ghosts, IMAGE_PATHS_PER_GHOST, accounts=False),
         *lamps,
     )

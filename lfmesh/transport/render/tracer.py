@@ -242,7 +242,7 @@ class Tracer:
         return ChunkTally(chunk.number, chunk.part.booked(space.book), work, deposits, chunk.from_lamps)
 
     def _check_order(self) -> OrderCheck | None:
-        """Compare some packets at the lens, and the lens's ghosts, with the meshes; None if nothing is to be compared."""
+        """Compare some packets at the lens, and some of its ghosts, with the meshes; None if there are none."""
         order, ghosts = self._compared_in_order(), self._compared_ghosts()
         return ghosts if order is None else order.joined(ghosts)
 

@@ -1,15 +1,15 @@
 """Ghosts of the lens: packets from the sensor along sequences of its surfaces with two reflections, in blocks.
 
-A packet takes the image path from its pixel through the array. Where it goes on from there, one of the sequences is drawn
-for it, with probabilities that a coarse trace has found for rays that pass the lens's rear at about the same place and
-in about the same direction; its weight is divided by that probability. The packets of one sequence are followed
+A packet takes the image path from its pixel through the array. There one of the sequences is drawn for it, with
+probabilities that a coarse trace has found for rays that come to the lens at about the same place and in about the same
+direction; its weight is divided by that probability. The packets of one sequence are followed
 together through the exact surfaces, each weighted by the reflectances and transmittances that it meets. Before the lens
 they are packets like all others.
 
 Which paths these are is defined in `packets.path_class`; the sequences are all of them.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,6 @@ from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
     EVENTS,
     LEFT_LENS,
-    LENS,
     NO_SURFACE,
     OBJECT_FRAME,
     OBJECTS,
@@ -67,9 +66,9 @@ _MET = 7
 class GhostTables(NamedTuple):
     """Sequences of lens surfaces with two reflections, from the sensor to object space, and how they are drawn.
 
-    Rays that come to the lens are told apart by three numbers: the distance from the axis at which they cross a plane at
-    the lens and the plane that they come from, squared and in even intervals, and the cosine of the angle between the two
-    points as seen from the axis.
+    Rays that come to the lens are told apart by three numbers: the distances from the axis at which they cross a plane
+    at the lens and the plane that they come from, squared and in even intervals, and the cosine of the angle between
+    the two points as seen from the axis.
     """
 
     faces: NDArray[np.int64]  # (sequences, longest) surfaces that each meets in turn

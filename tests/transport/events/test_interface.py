@@ -40,8 +40,8 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.path_class import EVERY
 from lfmesh.transport.packets.path_class import (
+    EVERY,
     IN_NO_GHOST,
     ON_IMAGE_PATH,
     REFLECTED_ONCE,

@@ -99,7 +99,7 @@ def turns_off_image_path(frame: int, refracts: bool, transmittance: float) -> bo
 
 @inlined
 def is_unturned(options: Options, packet: Any) -> bool:
-    """Tell whether a packet does not count yet, as its path is on the image path or, of other strays, a lens's ghost."""
+    """Tell whether a packet does not count yet: it is on the image path or, among other strays, a ghost of the lens."""
     if options.paths == OTHER_STRAYS:
         return packet.stray != STRAY
     return options.paths == OFF_IMAGE_PATH and packet.stray <= ON_IMAGE_PATH

@@ -134,12 +134,14 @@ def measure_ways(chunks: int, rounds: int) -> list[dict[str, Any]]:
     """Trace the demo's image path and, both ways, its paths with reflections, in turn; return a row for each."""
     world = lf.build(lf.load(asset_path("scenes/first_light.toml")).changed({"transport.threads": 1}))
     tracer = Tracer(world, check=False)
-    image, reflections = tracer.parts
+    image, reflections, *ghosts = tracer.parts
     ways = {
         "image path": image,
         "reflections, by meshes": reflections.by_meshes(),
         "reflections, by order": reflections,
     }
+    if ghosts:
+        ways["ghosts of the lens"] = ghosts[0]
     launchers = {
         name: Launcher(partial(Workspace, world, part.options, CHUNK, part.tables)) for name, part in ways.items()
     }

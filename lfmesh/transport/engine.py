@@ -48,6 +48,7 @@ from lfmesh.transport.packets.packet import (
     Flow,
     Options,
 )
+from lfmesh.transport.packets.path_class import LENS_GHOSTS
 from lfmesh.transport.regions.cover import through_cover
 from lfmesh.transport.regions.emitters import ask_emitters
 from lfmesh.transport.regions.lens import admit_to_lens, shade_lens
@@ -57,6 +58,7 @@ from lfmesh.transport.regions.objects import admit_to_objects, shade_objects
 from lfmesh.transport.regions.sensor import onto_reflecting_sensor, onto_sensor
 from lfmesh.transport.sequential.image_path import follow_image_path
 from lfmesh.transport.sequential.lens_bundle import BLOCK, empty_bundle
+from lfmesh.transport.sequential.lens_ghosts import GhostRoom, follow_lens_ghosts, ghost_room
 from lfmesh.transport.tables.media import clear
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.world import World
@@ -242,7 +244,10 @@ class Workspace:
         self.reserve(count)
         flow = self.flow()
         wave = self._take(station, count)
-        if options.sequential and station in (LENS, PLATE):
+        if options.paths == LENS_GHOSTS and station in (LENS, PLATE):
+            room = self.kept(GhostRoom, lambda: ghost_room(self.chunk, len(tables.ghosts.lengths)))
+            follow_lens_ghosts(wave, station, lens, mla, tables.ghosts, frames, self.numbers, options, flow, room)
+        elif options.sequential and station in (LENS, PLATE):
             follow_image_path(wave, station, lens, mla, frames, self.bundle, self.numbers, options, flow)
         elif station == LENS and options.in_order:
             count = admit_to_lens(wave, origins, directions, lens, frames, options, flow, False)

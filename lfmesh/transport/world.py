@@ -27,6 +27,7 @@ from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.sections import AZIMUTHS
 from lfmesh.transport.aiming.aim_proof import AimProof
 from lfmesh.transport.aiming.aim_table import aim_table, targets_in_camera, unaimed
+from lfmesh.transport.aiming.ghost_aim import ghost_tables
 from lfmesh.transport.collisions import refuse_collisions
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.packets.packet import (
@@ -44,6 +45,7 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.refused_glass import ClosedGapWarning, closed_gaps, refuse_untraceable_glass
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.regions.glass_round import places_round
+from lfmesh.transport.sequential.lens_ghosts import GhostTables
 from lfmesh.transport.tables.cover import apparent_frames, cover_tables
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.interfaces import InterfaceTables, coatings_in_book, interface_tables
@@ -138,6 +140,11 @@ class World(Shown):
     def aim_proof(self) -> AimProof | None:
         """What the aim leaves out, as rays from the stop measure it; None for a world without aim."""
         return self._aim_and_proof[1]
+
+    @cached_property
+    def ghosts(self) -> GhostTables | None:
+        """Sequences of the lens's ghosts, and how they are drawn; None where they are not followed by sequence."""
+        return ghost_tables(self.aimed_tables, self.scene.transport.max_events)
 
     @property
     def aimed_tables(self) -> Tables:

@@ -278,10 +278,10 @@ def test_to_count_a_lamps_light_twice_would_be_seen(folder: Path) -> None:
     given = scene(folder, MANY_WAYS, TWO_LAMPS, samples=2048 * REPLICATES)
     world = build(given)
     whole = parts_of(world)
-    assert [part.options.adjoint for part in whole] == [True, True, False]
-    of_lamps = whole[2]
+    *of_pixels, of_lamps = whole
+    assert [part.options.adjoint for part in whole] == [True, True, True, False]
     every = replace(of_lamps, options=of_lamps.options._replace(paths=EVERY))
-    right, wrong = watts_of(world, whole), watts_of(world, (*whole[:2], every))
+    right, wrong = watts_of(world, whole), watts_of(world, (*of_pixels, every))
     assert p_value(right, wrong) < LEVEL / COMPARISONS
 
 

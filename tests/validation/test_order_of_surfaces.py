@@ -4,7 +4,6 @@ The meshes are the model. Rays come from both sides of lens or array, from withi
 and every packet of their reflections that waits for a surface of the lens, or in a cell of the array, takes both ways.
 """
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import BOTH, LENS, MLA_FRAME, PLATE, WORLD_FRAME, Options
 from lfmesh.transport.render import order_check
 from lfmesh.transport.render.order_check import LARGEST_MM, OrderCheck, compare
+from lfmesh.transport.render.parts import parts_of
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.rays import RaySource
@@ -437,7 +437,7 @@ def test_a_run_whose_order_deviates_uses_the_meshes_and_says_so() -> None:
     assert not image.order.holds
     assert any(line.startswith("Warning: surfaces of lens and array") for line in summary(image))
     honest = Renderer(lf.build(scene()))
-    honest.parts = tuple(replace(part, options=part.options._replace(in_order=False)) for part in honest.parts)
+    honest.parts = parts_of(honest.world, by_meshes=True)
     assert np.array_equal(image.mean, honest.image().mean)
 
 

@@ -27,7 +27,7 @@ from lfmesh.transport.packets.packet import (
     Flow,
     Options,
 )
-from lfmesh.transport.packets.path_class import turns_off_image_path
+from lfmesh.transport.packets.path_class import stray_after
 from lfmesh.transport.packets.random import derived
 from lfmesh.transport.tables.tables import ABSORBING, BARE, DIFFUSE, ROUGH, THIN_LENS, Interfaces
 
@@ -356,7 +356,7 @@ def splitter(send: Callable[..., None]) -> Callable[..., None]:
             if frame == OBJECT_FRAME:
                 # In lens and array it follows from the space, and a field written just before it is read is slow.
                 packet.medium = beyond if refracts else medium
-            packet.stray = 1 if turns_off_image_path(frame, refracts, transmittance) else stray
+            packet.stray = stray_after(frame, refracts, transmittance, stray)
             if options.record:
                 event = E_TRANSMITTED if refracts else E_REFLECTED
                 packet.node = record_interface(flow, frames, frame, x, y, z, weight, surface, part, event, node, beyond)

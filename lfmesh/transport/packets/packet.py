@@ -141,7 +141,7 @@ _BASE_RECORD = np.dtype(
         ("kind", "i1"),
         ("slipped", "i1"),  # 1: its ray slipped between facets, and its query's origin is shifted
         ("events", "i2"),
-        ("stray", "i1"),  # 1: has left the image path, see `path_class`
+        ("stray", "i1"),  # whether and how it has left the image path, see `path_class`
     ],
     align=True,
 )  # fmt: skip

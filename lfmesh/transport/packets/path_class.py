@@ -18,6 +18,11 @@ in this order, give its class:
    happens does not matter: targets and rough glass may scatter it before and after, which by itself changes nothing.
    Rough surfaces of lens and array are traced by the mesh engine, which estimates `EVERY` path at once.
 
+Where the lens's ghosts are estimated by themselves, `OFF_IMAGE_PATH` is divided into `LENS_GHOSTS` and `OTHER_STRAYS`.
+A path is one of the lens's ghosts if, seen from the sensor, its first passage of the lens has two reflections, both at
+refracting surfaces of the lens, and from each surface leads to the next one on either side, and if it leaves the image
+path nowhere else. (Straight after a surface a path may meet it again on its hollow side: those are other strays.)
+
 `EVERY` stands for all paths that a method can find: all but `LAMP_ON_CAMERA`, and in the adjoint method all but
 `LAMP_THROUGH_GLASS` too. Light that is in no class is named in transport/README.md, "Limits": light of a lamp that
 reaches the sensor, or through the lens a target, before anything has scattered it.
@@ -26,10 +31,51 @@ reaches the sensor, or through the lens a target, before anything has scattered 
 from typing import Any
 
 from lfmesh.kernel import inlined
-from lfmesh.transport.packets.packet import LAMP, OBJECT_FRAME, Options
+from lfmesh.transport.packets.packet import CAMERA_FRAME, LAMP, OBJECT_FRAME, Options
 
-EVERY, OFF_IMAGE_PATH, LAMP_THROUGH_GLASS, LAMP_ON_CAMERA = 0, 1, 2, 3
+EVERY, OFF_IMAGE_PATH, LAMP_THROUGH_GLASS, LAMP_ON_CAMERA, LENS_GHOSTS, OTHER_STRAYS = 0, 1, 2, 3, 4, 5
 """`Options.paths`."""
+
+IN_NO_GHOST, ON_IMAGE_PATH, STRAY, REFLECTED_ONCE, REFLECTED_TWICE = -1, 0, 1, 2, 3
+"""`stray` of a packet. Above 0: its path has left the image path, by one or by two reflections as those of the lens's
+ghosts, or otherwise. `IN_NO_GHOST`: still on the image path, but it can become none of the lens's ghosts any more."""
+
+STRAYS_OF = {OFF_IMAGE_PATH: (STRAY, REFLECTED_ONCE, REFLECTED_TWICE), OTHER_STRAYS: (STRAY,)}
+"""`stray` of the packets that count, in the classes of which not all packets do that are traced."""
+
+
+@inlined
+def stray_after(frame: int, refracts: bool, transmittance: float, stray: int) -> int:
+    """Return `stray` of a child at an interface, from its parent's.
+
+    Parameters
+    ----------
+    frame, refracts, transmittance
+        As for `turns_off_image_path`.
+    stray : int
+        Of the parent.
+    """
+    if not turns_off_image_path(frame, refracts, transmittance):
+        return stray
+    if frame == CAMERA_FRAME:
+        # In the camera's frame there are the surfaces of the lens alone.
+        if stray == ON_IMAGE_PATH:
+            return REFLECTED_ONCE
+        if stray == REFLECTED_ONCE:
+            return REFLECTED_TWICE
+    return STRAY
+
+
+@inlined
+def stray_at_same_surface(stray: int) -> int:
+    """Return `stray` of a packet that meets the surface again that it comes from, from what it was before."""
+    return IN_NO_GHOST if stray <= ON_IMAGE_PATH else STRAY
+
+
+@inlined
+def stray_before_lens(stray: int) -> int:
+    """Return `stray` of a packet that leaves the lens to object space, from what it was in the lens."""
+    return IN_NO_GHOST if stray == ON_IMAGE_PATH else stray
 
 
 @inlined
@@ -53,8 +99,16 @@ def turns_off_image_path(frame: int, refracts: bool, transmittance: float) -> bo
 
 @inlined
 def is_unturned(options: Options, packet: Any) -> bool:
-    """Tell whether a packet's path, of which only those off the image path count, is still on it."""
-    return options.paths == OFF_IMAGE_PATH and packet.stray == 0
+    """Tell whether a packet does not count yet: it is on the image path or, among other strays, a ghost of the lens."""
+    if options.paths == OTHER_STRAYS:
+        return packet.stray != STRAY
+    return options.paths == OFF_IMAGE_PATH and packet.stray <= ON_IMAGE_PATH
+
+
+@inlined
+def is_other_ghost(options: Options, packet: Any) -> bool:
+    """Tell whether a packet, of which only other strays count, is on the path of one of the lens's ghosts so far."""
+    return options.paths == OTHER_STRAYS and packet.stray == REFLECTED_TWICE
 
 
 @inlined
@@ -64,7 +118,9 @@ def is_estimated(options: Options, packet: Any) -> bool:
     Called where the class is decided: on every target (adjoint), and on the first target after the light (forward).
     """
     if options.paths == OFF_IMAGE_PATH:
-        return packet.stray != 0
+        return packet.stray > ON_IMAGE_PATH
+    if options.paths == OTHER_STRAYS:
+        return packet.stray == STRAY
     if options.paths == LAMP_THROUGH_GLASS:
         # All events of a lamp's packet so far were at glass.
         return packet.kind == LAMP and packet.events > 0

@@ -14,6 +14,7 @@ from lfmesh.geometry.surface import conic_distance, distance_to, normal_at
 from lfmesh.geometry.tessellation import OVERREACH
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.crossing import (
+    KEEP_REACHED,
     at_box,
     box_entry,
     crosses,
@@ -26,6 +27,7 @@ from lfmesh.transport.events.crossing import (
     next_query_from,
     requery,
     too_deep,
+    windowed,
     write_query,
 )
 from lfmesh.transport.events.interface import (
@@ -55,6 +57,8 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
+from lfmesh.transport.packets.path_class import is_other_ghost, is_unturned, stray_at_same_surface, stray_before_lens
+from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT
 from lfmesh.transport.regions.lens_block import (
     ALONG_X,
     ALONG_Y,
@@ -209,6 +213,7 @@ def leave_lens(
     child.facet = NO_SURFACE
     if space == 0:
         child.column, child.medium = NO_SURFACE, AIR
+        child.stray = stray_before_lens(packet.stray)
 
 
 @kernel
@@ -575,7 +580,16 @@ def _send_child(
     """Queue a child of a packet at surface `k`; if it cannot meet the lens again, send it out of the lens."""
     block, i, k, space, lens, has_mla = place
     into = (k + 1 if k == space else k) if refracts else space
-    if _leaves_for_good(lens, into, dz):
+    leaves = _leaves_for_good(lens, into, dz)
+    if (leaves and into == 0 and is_unturned(options, packet)) or (not refracts and is_other_ghost(options, packet)):
+        # It brings nothing as it is, and only few such packets continue.
+        weight = windowed(
+            flow.book, weight, options.unturned_cutoff * packet.start, key,
+            packet.events * DIMENSIONS_PER_EVENT + KEEP_REACHED,
+        )  # fmt: skip
+        if weight == 0.0:
+            return
+    if leaves:
         packet.space = into
         leave_lens(options, flow, frames, lens, has_mla, packet, x, y, z, dx, dy, dz, weight, key, into, 0.0)
     else:
@@ -596,6 +610,8 @@ def _send_on(
 ) -> None:  # fmt: skip
     """Divide a packet of a block at surface `k`."""
     r, t = REFLECTED + i, REFRACTED + i
+    if packet.last == k:
+        packet.stray = stray_at_same_surface(packet.stray)
     x, y, z = arrive(flow, lens.media, packet, lens.medium[packet.space], block[PX + i], block[PY + i], block[PZ + i])
     reflectance, transmittance = block[REFLECTANCE + i], block[TRANSMITTANCE + i]
     if lens.interfaces.coated:

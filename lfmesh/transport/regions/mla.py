@@ -60,6 +60,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
+from lfmesh.transport.packets.path_class import STRAY
 from lfmesh.transport.regions import lens_block as rows
 from lfmesh.transport.regions.lens_block import BLOCK, incidence, meet_in_order, set_only_conic, set_ray, split_block
 from lfmesh.transport.tables.tables import AIR, FLAT_ROW, MlaTables
@@ -610,7 +611,7 @@ def _through_face(
     inward = packet.space == BEFORE
     if packet.last == LEFT_FACE:
         # The second curved face in one passage is off the image path.
-        packet.stray = 1
+        packet.stray = STRAY
     packet.last = LEFT_FACE
     cell = packet.row * mla.lenslets.lattice.columns + packet.column
     if mla.interfaces.rough and is_rough(mla.interfaces, mla.row):

@@ -24,6 +24,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
+from lfmesh.transport.packets.path_class import STRAY
 from lfmesh.transport.packets.random import derived
 from lfmesh.transport.tables.tables import SensorTables
 
@@ -123,7 +124,7 @@ def onto_pixel(
             flow, station, packet, SENSOR_FRAME, x, y, 0.0, packet.dx, packet.dy, -packet.dz,
             reflected, derived(packet.key, packet.events), 0.0,
         )  # fmt: skip
-        child.space, child.stray = lens_surfaces, 1
+        child.space, child.stray = lens_surfaces, STRAY
         child.last, child.facet, child.column = NO_SURFACE, NO_SURFACE, NO_SURFACE
 
 

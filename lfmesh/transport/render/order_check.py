@@ -28,6 +28,7 @@ from lfmesh.transport.packets.packet import (
     STATIONS,
     Options,
 )
+from lfmesh.transport.packets.path_class import ON_IMAGE_PATH
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.world import World
 
@@ -79,6 +80,19 @@ class OrderCheck:
         """Whether the order may replace the meshes: not where there was nothing to compare."""
         return self.compared > 0 and self.differing == 0 and self.deviation_mm <= LARGEST_MM
 
+    def joined(self, other: "OrderCheck | None") -> "OrderCheck":
+        """Return both comparisons as one."""
+        if other is None:
+            return self
+        return OrderCheck(
+            compared=self.compared + other.compared,
+            reflected=self.reflected + other.reflected,
+            undecided=self.undecided + other.undecided,
+            differing=self.differing + other.differing,
+            deviation_mm=max(self.deviation_mm, other.deviation_mm),
+            deviation=max(self.deviation, other.deviation),
+        )
+
     @property
     def words(self) -> str:
         """What was compared, and the result."""
@@ -103,7 +117,7 @@ def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.
     turned = np.delete(packets["stray"], found.undecided)
     return OrderCheck(
         compared=len(packets) - len(found.undecided),
-        reflected=int((turned == 1).sum()),
+        reflected=int((turned > ON_IMAGE_PATH).sum()),
         undecided=len(found.undecided),
         differing=len(found.differing),
         deviation_mm=float(found.deviation_mm.max(initial=0.0)),

@@ -2,10 +2,12 @@
 
 Paths with reflections carry a few per cent of the light and cost ten times as much as the image path. So the adjoint
 method estimates the two independently and adds them: the image path with the sequential engine, and all other paths,
-for which fewer samples are enough, with the mesh engine. If the scene has lamps and glass, light of lamps through glass
-is a third part, traced forward; so is, in both methods, light of lamps on a camera with rough surfaces. `path_class`
-defines the classes; each path belongs to one of them and counts once. Particles are points, which no ray from the
-sensor meets: in both methods each entry of them is a part, traced forward.
+for which fewer samples are enough, with the mesh engine. Most of those are ghosts of two reflections in the lens; where
+they can be followed by their sequences of surfaces (`sequential.lens_ghosts`), they are a part of their own. If the
+scene has lamps and glass, light of lamps through glass is a third part, traced forward; so is, in both methods, light
+of lamps on a camera with rough surfaces. `path_class` defines the classes; each path belongs to one of them and counts
+once. Particles are points, which no ray from the sensor meets: in both methods each entry of them is a part, traced
+forward.
 """
 
 from dataclasses import dataclass, replace
@@ -14,12 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.scene import Scene
-from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_STRAYS
+from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_GHOSTS, WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_STRAYS
 from lfmesh.transport.aiming.through_glass import GlassAim
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.packets.book import LIT, REACHED
 from lfmesh.transport.packets.packet import BOTH, TRANSMIT, Options
-from lfmesh.transport.packets.path_class import LAMP_ON_CAMERA, LAMP_THROUGH_GLASS, OFF_IMAGE_PATH
+from lfmesh.transport.packets.path_class import (
+    LAMP_ON_CAMERA,
+    LAMP_THROUGH_GLASS,
+    LENS_GHOSTS,
+    OFF_IMAGE_PATH,
+    OTHER_STRAYS,
+)
 from lfmesh.transport.render.blind_check import without_aim
 from lfmesh.transport.render.glass_aim import glass_aim
 from lfmesh.transport.settings import options_of
@@ -32,6 +40,12 @@ from lfmesh.transport.world import World
 IMAGE_PATHS_PER_STRAY, WITH_GLASS = 4, 2
 """Number of samples of the image path for each sample of the paths off it: without glass in object space, and with it,
 where reflections are part of the picture."""
+
+IMAGE_PATHS_PER_OTHER_STRAY, IMAGE_PATHS_PER_GHOST = 16, 8
+"""The same, without glass, where the lens's ghosts are a part of their own: for each other stray, and each ghost."""
+
+CUTOFF_OF_OTHER_STRAYS = 1.0 / 3.0
+"""Weight below which other strays play roulette, over `weight_cutoff`: few samples, each followed further."""
 
 SCATTERED_PER_FOLLOWED = 25.0
 """Without glass in object space: number of scattered paths, not yet off the image path, for each one that is followed.
@@ -111,8 +125,23 @@ class Part:
         return kept
 
 
-def parts_of(world: World, *, aimed: bool = True) -> tuple[Part, ...]:
-    """Return the parts of a scene's image, which is their sum."""
+def parts_of(world: World, *, aimed: bool = True, by_meshes: bool = False) -> tuple[Part, ...]:
+    """Return the parts of a scene's image, which is their sum.
+
+    Parameters
+    ----------
+    world : World
+    aimed : bool
+        See `Tracer`.
+    by_meshes : bool
+        Embree finds all surfaces of lens and array, except along the image path.
+    """
+    parts = _parts_of(world, aimed=aimed, ghosts=not by_meshes)
+    return tuple(part.by_meshes() for part in parts) if by_meshes else parts
+
+
+def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
+    """Return the parts of an image; `ghosts`: with the lens's ghosts by themselves, where that can be."""
     options, tables = options_of(world, aimed=aimed), world.aimed_tables
     through = glass_aim(world) if world.particles or world.scene.media else None
     particles = particle_parts(world, through)
@@ -128,9 +157,23 @@ def parts_of(world: World, *, aimed: bool = True) -> tuple[Part, ...]:
     path = tables.aim._replace(wide_share=WIDE_SHARE_OF_IMAGE_PATH, share_without_aim=WIDE_SHARE_OF_IMAGE_PATH)
     strays = tables.aim._replace(wide_share=WIDE_SHARE_OF_STRAYS)
     thinned = WITH_GLASS if _has_glass(tables) else IMAGE_PATHS_PER_STRAY
+    along_path = options._replace(split=TRANSMIT, sequential=True)
+    off_path = _off_image_path(options, tables)
+    image_path = Part(0, along_path, tables._replace(aim=path), accounts=False)
+    if not ghosts or world.ghosts is None:
+        return (image_path, Part(1, off_path, tables._replace(aim=strays), thinned), *lamps)
+    thinned = WITH_GLASS if _has_glass(tables) else IMAGE_PATHS_PER_OTHER_STRAY
+    others = off_path._replace(paths=OTHER_STRAYS)
+    if not _has_glass(tables):
+        others = others._replace(
+            cutoff=CUTOFF_OF_OTHER_STRAYS * others.cutoff,
+            unturned_cutoff=CUTOFF_OF_OTHER_STRAYS * others.unturned_cutoff,
+        )
+    of_ghosts = tables._replace(aim=tables.aim._replace(wide_share=WIDE_SHARE_OF_GHOSTS), ghosts=world.ghosts)
     return (
-        Part(0, options._replace(split=TRANSMIT, sequential=True), tables._replace(aim=path), accounts=False),
-        Part(1, _off_image_path(options, tables), tables._replace(aim=strays), thinned),
+        image_path,
+        Part(1, others, tables._replace(aim=strays), thinned),
+        Part(4, along_path._replace(paths=LENS_GHOSTS), of_ghosts, IMAGE_PATHS_PER_GHOST, accounts=False),
         *lamps,
     )
 
@@ -196,7 +239,7 @@ def _from_lamps(number: int, world: World, objects: ObjectTables, through: Glass
 THROUGH_GLASS, WIDENED = 0.5, 2.0
 """Share of particles' packets to the wide disk, and how much wider it is, where glass may shift their light aside."""
 
-FIRST_OF_PARTICLES = 4
+FIRST_OF_PARTICLES = 5
 """Number of the part of the first particles."""
 
 

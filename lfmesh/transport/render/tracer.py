@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.transport.engine import CHUNK, Workspace
-from lfmesh.transport.packets.packet import COUNTERS, DEPOSITS
+from lfmesh.transport.packets.packet import COUNTERS, DEPOSITS, LENS, PLATE, SENSOR
+from lfmesh.transport.packets.path_class import LENS_GHOSTS
 from lfmesh.transport.packets.random import descendant, run_key
 from lfmesh.transport.render.adaptive import Counts
 from lfmesh.transport.render.blind_check import CHUNK as BLIND_CHUNK
 from lfmesh.transport.render.blind_check import BlindSamples, first_of_runs
+from lfmesh.transport.render.ghost_check import compare_ghosts
 from lfmesh.transport.render.order_check import SAMPLE, STARTS, OrderCheck, compare
 from lfmesh.transport.render.parts import BOOKS, Part, blind_part, parts_of
 from lfmesh.transport.render.plan import Block, Chunk, Plan
@@ -75,7 +77,7 @@ class Tracer:
         self.seed = run_key(transport.seed)
         self.order = self._check_order()
         if self.order is not None and not self.order.holds:
-            self.parts = tuple(part.by_meshes() for part in self.parts)
+            self.parts = parts_of(self.world, aimed=self.aimed, by_meshes=True)
 
     @property
     def pixels(self) -> int:
@@ -240,7 +242,22 @@ class Tracer:
         return ChunkTally(chunk.number, chunk.part.booked(space.book), work, deposits, chunk.from_lamps)
 
     def _check_order(self) -> OrderCheck | None:
-        """Compare a sample of the packets at the lens with the meshes; None if no part finds surfaces by their order.
+        """Compare some packets at the lens, and some of its ghosts, with the meshes; None if there are none."""
+        order, ghosts = self._compared_in_order(), self._compared_ghosts()
+        return ghosts if order is None else order.joined(ghosts)
+
+    def _compared_ghosts(self) -> OrderCheck | None:
+        """Compare some of the lens's ghosts with the meshes; None if they are not estimated by themselves."""
+        part = next((part for part in self.parts if part.options.paths == LENS_GHOSTS), None)
+        if part is None:
+            return None
+        work, _ = self._sampled(part, many=True)
+        while not any(work.tops[station] for station in (PLATE, LENS)):
+            work.advance(SENSOR)
+        return compare_ghosts(self.world, work, PLATE if work.tops[PLATE] else LENS)
+
+    def _compared_in_order(self) -> OrderCheck | None:
+        """Compare packets at the lens with the meshes; None if no part finds surfaces by their order.
 
         The sample is of the part that follows all reflections, or the only one there is.
         """
@@ -248,20 +265,33 @@ class Tracer:
         if not asking:
             return None
         part = max(asking, key=lambda each: not each.from_lamps)
+        work, draw = self._sampled(part)
+        work.sampled = []
+        work.run()
+        packets = np.concatenate([*work.sampled, np.zeros(0, work.stacks.dtype)])
+        some = draw.choice(len(packets), min(SAMPLE, len(packets)), replace=False)
+        return compare(self.world, part.options, part.tables, packets[np.sort(some)])
+
+    def _sampled(self, part: Part, *, many: bool = False) -> tuple[Workspace, np.random.Generator]:
+        """Start some packets of a part; return their workspace, and the random numbers that have drawn them.
+
+        Parameters
+        ----------
+        part : Part
+        many : bool
+            Several of each pixel where there are few pixels.
+        """
         key = descendant(self.seed, ORDER_STREAM)
         draw = np.random.default_rng(int(key))
         pixels = np.unique(draw.integers(0, self.pixels, STARTS)) if part.options.adjoint else None
         count = STARTS if pixels is None else len(pixels)
         turn = Turn(0, 1, 0, 0, np.uint64(0))
-        chunk = Chunk(0, part, 0, count, 0, turn, count, 1, pixels)
+        samples = max(1, STARTS // count) if many else 1
+        chunk = Chunk(0, part, 0, count, 0, turn, count * samples, samples, pixels)
         work = Workspace(self.world, part.options, STARTS, part.tables)
-        work.begin(Film.empty(self.pixels if part.options.adjoint else 0, 1, 0), count)
-        work.sampled = []
+        work.begin(Film.empty(self.pixels if part.options.adjoint else 0, 1, 0), count * samples)
         self._source(chunk, key, 0).launch(work, range(count))
-        work.run()
-        packets = np.concatenate([*work.sampled, np.zeros(0, work.stacks.dtype)])
-        some = draw.choice(len(packets), min(SAMPLE, len(packets)), replace=False)
-        return compare(self.world, part.options, part.tables, packets[np.sort(some)])
+        return work, draw
 
     def _source(self, chunk: Chunk, key: np.uint64, channel: int) -> Source:
         """Return the source of a chunk's packets; `channel`: column of the film."""

@@ -49,7 +49,7 @@ Array = NDArray[np.float64]
 
 # Rows beyond those of a bundle: where a leg starts, and the distance at which the ray meets its surface again.
 _FROM_X, _FROM_Y, _FROM_Z, _AGAIN = ROWS * BLOCK, (ROWS + 1) * BLOCK, (ROWS + 2) * BLOCK, (ROWS + 3) * BLOCK
-_BUNDLE_ROWS = ROWS + 4
+BUNDLE_ROWS = ROWS + 4
 
 NEAR = 1e-9
 """Distance, over the size of the coordinates, at which a ray still is on the surface that it leaves."""
@@ -83,7 +83,7 @@ def follow_sequence(
     rays = Arrived(np.array(p, dtype=np.float64, order="C"), np.array(d, dtype=np.float64, order="C"), np.empty(len(p)))
     _follow(
         rays, lens, np.array(path.faces, np.int64), np.array(path.reflected, np.bool_), path.to_sensor, colour,
-        empty_bundle(_BUNDLE_ROWS), book_for(lens.media), np.empty(len(p)) if ways is None else ways,
+        empty_bundle(BUNDLE_ROWS), book_for(lens.media), np.empty(len(p)) if ways is None else ways,
     )  # fmt: skip
     return rays
 
@@ -100,7 +100,7 @@ def follow_through_mla(rays: Arrived, mla: MlaTables, frames: Array, colour: int
     colour : int
         Number of the wavelength.
     """
-    _through_mla(rays, mla, frames, colour, empty_bundle(_BUNDLE_ROWS), book_for(mla.media))
+    _through_mla(rays, mla, frames, colour, empty_bundle(BUNDLE_ROWS), book_for(mla.media))
 
 
 def book_for(media: Media) -> Array:
@@ -151,7 +151,7 @@ def _follow(
             p, d = rays.position[first + i], rays.direction[first + i]
             load(bundle, i, p[0], p[1], p[2], d[0], d[1], d[2], 1.0)
         pad(bundle, count)
-        _along(bundle, lens, faces, reflected, to_sensor, colour, book)
+        along(bundle, lens, faces, reflected, to_sensor, colour, book)
         normalise(bundle)
         store(bundle, rays, first, count)
         for i in range(count):
@@ -186,7 +186,7 @@ def store(bundle: Array, rays: Arrived, first: int, count: int) -> None:
 
 
 @kernel
-def _along(
+def along(
     bundle: Array, lens: LensTables, faces: NDArray[np.int64], reflected: NDArray[np.bool_], to_sensor: bool,
     colour: int, book: Array,
 ) -> None:  # fmt: skip

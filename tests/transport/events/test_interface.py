@@ -40,7 +40,14 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.path_class import EVERY
+from lfmesh.transport.packets.path_class import (
+    EVERY,
+    IN_NO_GHOST,
+    ON_IMAGE_PATH,
+    REFLECTED_ONCE,
+    REFLECTED_TWICE,
+    STRAY,
+)
 from lfmesh.transport.packets.random import derived, descendant
 from lfmesh.transport.tables import interfaces as table
 from lfmesh.transport.tables.interfaces import coating_errors, interface_tables
@@ -214,20 +221,28 @@ def test_the_refracted_child_keeps_the_key_and_the_reflected_one_has_its_own():
     assert len(np.unique(made.packets["key"])) == 100
 
 
-@pytest.mark.parametrize("stray", [0, 1])
+AFTER_LENS = {
+    IN_NO_GHOST: STRAY, ON_IMAGE_PATH: REFLECTED_ONCE, REFLECTED_ONCE: REFLECTED_TWICE, REFLECTED_TWICE: STRAY,
+    STRAY: STRAY,
+}  # fmt: skip
+"""What a path becomes by a reflection at a surface of the lens."""
+
+
+@pytest.mark.parametrize("stray", AFTER_LENS)
 @pytest.mark.parametrize("frame", [CAMERA_FRAME, MLA_FRAME, OBJECT_FRAME])
 def test_a_reflection_turns_off_the_image_path_and_refraction_does_not(frame, stray):
     made = children(frame=frame, stray=stray)
-    assert made.reflected["stray"] == [1]
+    assert made.reflected["stray"] == [AFTER_LENS[stray] if frame == CAMERA_FRAME else STRAY]
     assert made.refracted["stray"] == [stray]
 
 
-@pytest.mark.parametrize("stray", [0, 1])
-@pytest.mark.parametrize(("frame", "turns"), [(CAMERA_FRAME, 1), (MLA_FRAME, 1), (OBJECT_FRAME, 0)])
-def test_total_reflection_is_the_image_paths_own_way_in_object_space_only(frame, turns, stray):
+@pytest.mark.parametrize("stray", AFTER_LENS)
+@pytest.mark.parametrize("frame", [CAMERA_FRAME, MLA_FRAME, OBJECT_FRAME])
+def test_total_reflection_is_the_image_paths_own_way_in_object_space_only(frame, stray):
     made = children(frame=frame, stray=stray, reflectance=1.0, transmittance=0.0)
     assert len(made.packets) == 1
-    assert made.reflected["stray"] == [max(turns, stray)]
+    expected = {CAMERA_FRAME: AFTER_LENS[stray], MLA_FRAME: STRAY, OBJECT_FRAME: stray}
+    assert made.reflected["stray"] == [expected[frame]]
 
 
 def test_every_child_has_a_vertex_of_its_own_from_its_parents():

@@ -289,8 +289,8 @@ def test_reflections_have_samples_of_their_own_which_split_as_often_as_they_will
     alone = lf.render(scene(split="both", samples=16, weight_cutoff=0.0, max_events=20, engine="mesh"))
     assert image.hits is not None
     assert alone.hits is not None
-    # 16 of the image path and one for two of these off it.
-    assert 16 < image.hits.max() <= 24
+    # 16 of the image path, and for two of these one of the lens's ghosts and one of other strays.
+    assert 16 < image.hits.max() <= 32
     assert alone.hits.max() == 16
 
 

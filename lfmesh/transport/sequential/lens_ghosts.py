@@ -1,0 +1,267 @@
+"""Ghosts of the lens: packets from the sensor along sequences of its surfaces with two reflections, in blocks.
+
+A packet takes the image path from its pixel through the array. There one of the sequences is drawn for it, with
+probabilities that a coarse trace has found for rays that come to the lens at about the same place and in about the same
+direction; its weight is divided by that probability. The packets of one sequence are followed
+together through the exact surfaces, each weighted by the reflectances and transmittances that it meets. Before the lens
+they are packets like all others.
+
+Which paths these are is defined in `packets.path_class`; the sequences are all of them.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.events.crossing import draw_two, move_packet
+from lfmesh.transport.packets.book import UNFOLLOWED
+from lfmesh.transport.packets.packet import (
+    CAMERA_FRAME,
+    EVENTS,
+    LEFT_LENS,
+    NO_SURFACE,
+    OBJECT_FRAME,
+    OBJECTS,
+    PLATE,
+    Flow,
+    Options,
+    put,
+)
+from lfmesh.transport.packets.path_class import REFLECTED_TWICE
+from lfmesh.transport.sequential.image_path import through_mla
+from lfmesh.transport.sequential.lens_bundle import (
+    BLOCK,
+    DX,
+    DY,
+    DZ,
+    ENDED_ON,
+    MET,
+    WEIGHT,
+    X,
+    Y,
+    Z,
+    empty_bundle,
+    load,
+    move_bundle,
+    normalise,
+    pad,
+)
+from lfmesh.transport.sequential.reflections import BUNDLE_ROWS, along
+from lfmesh.transport.tables.tables import LensTables, MlaTables
+
+Array = NDArray[np.float64]
+
+SEQUENCE = 15
+"""Dimension of the random number that draws a sequence, among those of an event."""
+
+RADII, HEIGHTS, ANGLES = 8, 8, 8
+"""Intervals by which rays are told apart that come to the lens, see `GhostTables`."""
+
+_MET = 7
+"""Row of `GhostRoom.rays` for the interfaces that a ray has met; the others are position, direction and weight."""
+
+
+class GhostTables(NamedTuple):
+    """Sequences of lens surfaces with two reflections, from the sensor to object space, and how they are drawn.
+
+    Rays that come to the lens are told apart by three numbers: the distances from the axis at which they cross a plane
+    at the lens and the plane that they come from, squared and in even intervals, and the cosine of the angle between
+    the two points as seen from the axis.
+    """
+
+    faces: NDArray[np.int64]  # (sequences, longest) surfaces that each meets in turn
+    reflected: NDArray[np.bool_]  # (sequences, longest) whether it is reflected there
+    lengths: NDArray[np.int64]  # (sequences,) surfaces that it meets
+    until: Array  # (RADII · HEIGHTS · ANGLES, sequences) cumulative chance of each for rays of each kind
+    plane_z: float  # mm, camera frame: the plane at the lens
+    from_z: float  # mm, the plane that they come from: of the array or, without one, of the sensor
+    radius: float  # mm, at which the intervals of the distance end at the lens
+    height: float  # mm, the same where they come from
+
+
+class GhostRoom(NamedTuple):
+    """Working memory for a wave of packets."""
+
+    rays: Array  # (8, n) of each packet of the wave, behind the array
+    sequence: NDArray[np.int64]  # (n,) drawn for it; −1: it has ended
+    order: NDArray[np.int64]  # (n,) packets of the wave by their sequences
+    first: NDArray[np.int64]  # (sequences + 1,) where those of each sequence begin
+    bundle: Array  # (BUNDLE_ROWS · BLOCK,)
+
+
+def ghost_room(packets: int, sequences: int) -> GhostRoom:
+    """Return working memory for waves of a number of packets."""
+    return GhostRoom(
+        np.zeros((_MET + 1, packets)),
+        np.zeros(packets, np.int64),
+        np.zeros(packets, np.int64),
+        np.zeros(sequences + 1, np.int64),
+        empty_bundle(BUNDLE_ROWS),
+    )
+
+
+@kernel
+def follow_lens_ghosts(
+    wave: NDArray[np.void], station: int, lens: LensTables, mla: MlaTables, ghosts: GhostTables, frames: Array,
+    numbers: NDArray[np.int64], options: Options, flow: Flow, room: GhostRoom,
+) -> None:  # fmt: skip
+    """Take a wave of packets that wait for the lens or the array through both, each along a sequence of its own.
+
+    Packets that come from object space end: by two reflections none gets back there.
+
+    Parameters
+    ----------
+    wave : (n,) PACKET
+    station : int
+        `LENS` or `PLATE`.
+    numbers : (BLOCK,) int64
+        Working memory.
+    """
+    _to_lens(wave, station, len(lens.surfaces), mla, ghosts, frames, numbers, options, flow, room)
+    _sort(len(wave), room)
+    for sequence in range(len(ghosts.lengths)):
+        length = ghosts.lengths[sequence]
+        faces, reflected = ghosts.faces[sequence, :length], ghosts.reflected[sequence, :length]
+        for first in range(room.first[sequence], room.first[sequence + 1], BLOCK):
+            count = min(BLOCK, room.first[sequence + 1] - first)
+            _along_sequence(wave, room.order[first : first + count], lens, faces, reflected, frames, flow, room)
+
+
+@kernel
+def _to_lens(
+    wave: NDArray[np.void], station: int, surfaces: int, mla: MlaTables, ghosts: GhostTables, frames: Array,
+    numbers: NDArray[np.int64], options: Options, flow: Flow, room: GhostRoom,
+) -> None:  # fmt: skip
+    """Take packets from the sensor to the lens, along the image path, and draw a sequence for each."""
+    bundle = room.bundle
+    count = 0
+    for i in range(len(wave)):
+        packet = wave[i]
+        room.sequence[i] = NO_SURFACE
+        if packet.frame == CAMERA_FRAME or packet.frame == OBJECT_FRAME or packet.space != surfaces:
+            flow.book[UNFOLLOWED] += packet.weight
+            continue
+        move_packet(frames, packet, CAMERA_FRAME)
+        if not packet.dz < 0.0:
+            flow.book[UNFOLLOWED] += packet.weight
+            continue
+        load(bundle, count, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz, packet.weight)
+        numbers[count] = i
+        count += 1
+        if count == BLOCK:
+            _draw_sequences(wave, station, count, mla, ghosts, frames, numbers, options, flow, room)
+            count = 0
+    if count > 0:
+        pad(bundle, count)
+        _draw_sequences(wave, station, count, mla, ghosts, frames, numbers, options, flow, room)
+
+
+@kernel
+def _draw_sequences(
+    wave: NDArray[np.void], station: int, count: int, mla: MlaTables, ghosts: GhostTables, frames: Array,
+    numbers: NDArray[np.int64], options: Options, flow: Flow, room: GhostRoom,
+) -> None:  # fmt: skip
+    """Take a block of packets through the array, and draw a sequence for each of those that come through."""
+    bundle = room.bundle
+    if station == PLATE:
+        through_mla(bundle, count, mla, wave[numbers[0]].colour, frames, False, flow.book)
+        normalise(bundle)
+    for i in range(count):
+        n = numbers[i]
+        if bundle[ENDED_ON + i] != 0.0 or not bundle[DZ + i] < 0.0:
+            continue
+        x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        packet = wave[n]
+        cell = kind_of_ray(ghosts, x, y, z, dx, dy, dz)
+        u, _ = draw_two(options, packet, SEQUENCE)
+        sequence, chance = _drawn(ghosts.until[cell], u)
+        room.sequence[n] = sequence
+        rays = room.rays
+        rays[0, n], rays[1, n], rays[2, n] = x, y, z
+        rays[3, n], rays[4, n], rays[5, n] = dx, dy, dz
+        rays[6, n], rays[_MET, n] = bundle[WEIGHT + i] / chance, bundle[MET + i]
+
+
+@inlined
+def kind_of_ray(ghosts: GhostTables, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> int:
+    """Return the row of `GhostTables.until` for a ray to the lens, camera frame."""
+    t = (ghosts.plane_z - z) / dz
+    px, py = x + t * dx, y + t * dy
+    t = (ghosts.from_z - z) / dz
+    qx, qy = x + t * dx, y + t * dy
+    p2, q2 = px * px + py * py, qx * qx + qy * qy
+    radius = min(int(RADII * p2 / (ghosts.radius * ghosts.radius)), RADII - 1)
+    height = min(int(HEIGHTS * q2 / (ghosts.height * ghosts.height)), HEIGHTS - 1)
+    lengths = np.sqrt(p2 * q2)
+    cosine = (px * qx + py * qy) / lengths if lengths > 0.0 else 1.0
+    angle = min(max(int(ANGLES * 0.5 * (1.0 - cosine)), 0), ANGLES - 1)
+    return (radius * HEIGHTS + height) * ANGLES + angle
+
+
+@inlined
+def _drawn(until: Array, u: float) -> tuple[int, float]:
+    """Return which of several things a random number draws, and its chance."""
+    low, high = 0, len(until) - 1
+    while low < high:
+        middle = (low + high) // 2
+        if u < until[middle]:
+            high = middle
+        else:
+            low = middle + 1
+    return low, until[low] - (until[low - 1] if low > 0 else 0.0)
+
+
+@kernel
+def _sort(count: int, room: GhostRoom) -> None:
+    """Sort the packets of a wave by their sequences, in their order within each."""
+    first = room.first
+    for k in range(len(first)):
+        first[k] = 0
+    for i in range(count):
+        if room.sequence[i] >= 0:
+            first[room.sequence[i]] += 1
+    total = 0
+    for k in range(len(first)):
+        total, first[k] = total + first[k], total
+    for i in range(count):
+        sequence = room.sequence[i]
+        if sequence >= 0:
+            room.order[first[sequence]] = i
+            first[sequence] += 1
+    # Each start has moved to the next sequence's.
+    for k in range(len(first) - 1, 0, -1):
+        first[k] = first[k - 1]
+    first[0] = 0
+
+
+@kernel
+def _along_sequence(
+    wave: NDArray[np.void], order: NDArray[np.int64], lens: LensTables, faces: NDArray[np.int64],
+    reflected: NDArray[np.bool_], frames: Array, flow: Flow, room: GhostRoom,
+) -> None:  # fmt: skip
+    """Take a block of packets along a sequence, and queue those that pass for object space."""
+    bundle, rays, events = room.bundle, room.rays, 0
+    for i in range(len(order)):
+        n = order[i]
+        load(bundle, i, rays[0, n], rays[1, n], rays[2, n], rays[3, n], rays[4, n], rays[5, n], rays[6, n])
+    pad(bundle, len(order))
+    along(bundle, lens, faces, reflected, False, wave[order[0]].colour, flow.book)
+    normalise(bundle)
+    move_bundle(bundle, frames[CAMERA_FRAME, OBJECT_FRAME])
+    for i in range(len(order)):
+        met = int(bundle[MET + i])
+        events += met
+        if bundle[ENDED_ON + i] != 0.0 or not bundle[WEIGHT + i] > 0.0:
+            continue
+        packet = wave[order[i]]
+        packet.events += met + int(rays[_MET, order[i]])
+        child = put(
+            flow, OBJECTS, packet, OBJECT_FRAME, bundle[X + i], bundle[Y + i], bundle[Z + i],
+            bundle[DX + i], bundle[DY + i], bundle[DZ + i], bundle[WEIGHT + i], packet.key, 0.0,
+        )  # fmt: skip
+        child.space, child.stray = 0, REFLECTED_TWICE
+        child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
+    flow.counts[EVENTS] += events

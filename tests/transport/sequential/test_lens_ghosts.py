@@ -1,0 +1,219 @@
+"""The lens's ghosts as a part of their own: each path counts once, and brings what the mesh engine finds.
+
+Estimates by other random numbers are compared by z-tests of the image's whole power, and pixel by pixel by their sum of
+squares; LEVEL is the chance that this file fails though all is right, shared by its comparisons (Bonferroni).
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import lfmesh as lf
+from lfmesh.transport.packets.path_class import EVERY, LENS_GHOSTS, OFF_IMAGE_PATH, OTHER_STRAYS
+from lfmesh.transport.render import ghost_check
+from lfmesh.transport.render.parts import Part, parts_of
+from lfmesh.transport.render.render import Renderer
+from lfmesh.transport.sequential.sequences import two_reflections
+
+LEVEL = 1e-3
+COMPARISONS = 24
+REPLICATES = 16
+
+MLA = {"count": [12, 12], "pitch_mm": 0.2, "focal_length_mm": 1.0, "index": 1.5, "thickness_mm": 0.4}
+POSED = {"surfaces": [0, 1], "pose": {"shift_mm": [0.05, 0.02, 0.0], "tilt_deg": [0.2, 0.4, 0.0]}}
+
+
+def lens(number: int) -> dict[str, Any]:
+    """Return a lens of two or three elements, drawn at random, with its stop behind the first."""
+    draw = np.random.default_rng(number)
+    surfaces: list[dict[str, Any]] = []
+    for k in range(draw.integers(2, 4)):
+        weak = draw.uniform(60.0, 200.0) * draw.choice([-1.0, 1.0])
+        surfaces += [
+            {"radius_mm": draw.uniform(30.0, 50.0), "thickness_mm": 4.0, "index": draw.uniform(1.5, 2.0)},
+            {"radius_mm": weak, "thickness_mm": draw.uniform(0.5, 2.0)},
+        ]
+        if k == 0:
+            surfaces.append({"stop": True, "thickness_mm": 1.5, "semi_diameter_mm": 5.0})
+    for surface in surfaces:
+        surface.setdefault("semi_diameter_mm", 7.0)
+    surfaces[-1]["thickness_mm"] = 0.0
+    return {"surfaces": surfaces}
+
+
+def with_first(given: dict[str, Any], **changes: Any) -> dict[str, Any]:
+    """Return a lens with its first surface changed."""
+    return {"surfaces": [given["surfaces"][0] | changes, *given["surfaces"][1:]]}
+
+
+PLANE_FACE = with_first(lens(4), radius_mm=np.inf)
+CAMERAS: dict[str, dict[str, Any]] = {
+    "one": {"lens": lens(0)},
+    "two": {"lens": lens(1), "mla": MLA},
+    "three": {"lens": lens(2), "mla": MLA | {"curved_side": "sensor"}},
+    "a plane face": {"lens": PLANE_FACE},
+    "an asphere": {"lens": with_first(lens(5), conic=-0.4, asphere_mm=[1e-6, -1e-9])},
+    "a posed element": {"lens": lens(6) | {"elements": [POSED]}},
+    "a coated surface": {"lens": with_first(lens(7), coating="ar")},
+    "a sensor that reflects, behind a cover": {
+        "lens": lens(8), "reflectance": 0.2, "cover": {"thickness_mm": 0.5, "gap_mm": 0.1, "index": 1.5},
+    },
+}  # fmt: skip
+
+
+def scene(camera: dict[str, Any], **transport: Any) -> lf.Scene:
+    """A glowing square that the lens sees small before a dark plane, and a wall that scatters light to the plane."""
+    sensor = {"pixels": [6, 6], "pixel_mm": 0.4} | {
+        key: camera[key] for key in ("reflectance", "cover") if key in camera
+    }
+    glow = {"reflectance": 0.5, "radiance_w_m2_sr": 1000.0}
+    square = {"kind": "plane", "width_mm": 60.0, "height_mm": 60.0}
+    return lf.Scene(
+        camera={"focus_mm": 300.0, "sensor": sensor} | {key: camera[key] for key in ("lens", "mla") if key in camera},
+        coatings={"ar": {"reflectance": 0.01}},
+        targets=[
+            {"shape": square, "position_mm": [20.0, 0.0, -300.0], "material": glow},
+            {"shape": square, "position_mm": [-40.0, 0.0, -280.0], "rotation_deg": [0.0, 60.0, 0.0]}
+            | {"material": {"reflectance": 0.8}},
+        ],
+        lights=[{"kind": "point", "position_mm": [50.0, 50.0, -20.0], "power_w": 20.0}],
+        transport={"samples": 1024 * REPLICATES, "replicates": REPLICATES, "threads": 2, "wavelengths_nm": [587.6]}
+        | transport,
+    )
+
+
+def image_of(world: Any, parts: tuple[Part, ...]) -> lf.Image:
+    renderer = Renderer(world, check=False)
+    renderer.parts = parts
+    return renderer.image()
+
+
+def off_path(world: Any) -> dict[int, Part]:
+    """Return the two parts off the image path, and the single one in their place, by their classes."""
+    apart, joined = parts_of(world), parts_of(world, by_meshes=True)
+    found = {part.options.paths: part for part in (*apart, *joined) if part.options.paths != EVERY}
+    assert set(found) == {LENS_GHOSTS, OTHER_STRAYS, OFF_IMAGE_PATH}
+    return found
+
+
+def p_value(one: lf.Image, other: lf.Image) -> float:
+    """Return how likely the whole powers of two images differ as much: Welch's t-test over the replicates."""
+    variances = np.array([np.square(image.stderr).sum() for image in (one, other)])
+    difference = one.mean.sum() - other.mean.sum()
+    freedom = variances.sum() ** 2 / np.square(variances).sum() * (REPLICATES - 1)
+    return float(2.0 * stats.t.sf(abs(difference) / np.sqrt(variances.sum()), freedom))
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_ghosts_and_other_strays_are_what_the_mesh_engine_finds_off_the_image_path(name: str) -> None:
+    """The ghosts by sequence alone too, against the mesh engine's share of them."""
+    world = lf.build(scene(CAMERAS[name]))
+    parts = off_path(world)
+    apart = image_of(world, (parts[OTHER_STRAYS], parts[LENS_GHOSTS]))
+    by_meshes = replace(parts[OFF_IMAGE_PATH], number=7)
+    whole = image_of(world, (by_meshes,))
+    assert p_value(apart, whole) > LEVEL / COMPARISONS
+    assert np.sqrt(np.square(whole.stderr).sum()) < 0.05 * whole.mean.sum()
+    # Walks off the image path that are none of the lens's ghosts, with the same random numbers as all walks.
+    others = image_of(world, (replace(by_meshes, options=by_meshes.options._replace(paths=OTHER_STRAYS)),))
+    ghosts = image_of(world, (parts[LENS_GHOSTS],))
+    assert p_value(ghosts, _difference(whole, others)) > LEVEL / COMPARISONS
+    assert ghosts.mean.sum() > 10.0 * np.sqrt(np.square(ghosts.stderr).sum())
+
+
+def _difference(one: lf.Image, other: lf.Image) -> lf.Image:
+    """Return the difference of two images with the error of two that are independent, which is more than it has."""
+    return replace(one, mean=one.mean - other.mean, stderr=np.hypot(one.stderr, other.stderr))
+
+
+def test_ghosts_counted_twice_would_be_seen() -> None:
+    world = lf.build(scene(CAMERAS["two"]))
+    parts = off_path(world)
+    twice = image_of(world, (replace(parts[OFF_IMAGE_PATH], number=7), parts[LENS_GHOSTS]))
+    apart = image_of(world, (parts[OTHER_STRAYS], parts[LENS_GHOSTS]))
+    assert p_value(apart, twice) < LEVEL / COMPARISONS
+
+
+@pytest.mark.parametrize("name", ["one", "two", "a posed element", "a sensor that reflects, behind a cover"])
+def test_the_image_is_that_of_the_mesh_engine(name: str) -> None:
+    given = scene(CAMERAS[name])
+    apart, by_mesh = lf.render(given), lf.render(given.changed({"transport.engine": "mesh", "transport.seed": 1}))
+    assert p_value(apart, by_mesh) > LEVEL / COMPARISONS
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_ghosts_leave_the_lens_where_the_meshes_send_them(name: str) -> None:
+    compared = Renderer(lf.build(scene(CAMERAS[name])))._compared_ghosts()
+    assert compared is not None
+    assert compared.compared > 500
+    assert compared.differing == 0
+    assert compared.deviation_mm <= 1e-10
+    assert compared.deviation <= 1e-12
+
+
+def spoil_place(sources: Any, packets: Any) -> tuple[Any, Any]:
+    """Shift the places at which packets leave the lens."""
+    packets["x"] += 1e-8
+    return sources, packets
+
+
+def spoil_fate(sources: Any, packets: Any) -> tuple[Any, Any]:
+    """Leave out one of the packets."""
+    return sources[1:], packets[1:]
+
+
+@pytest.mark.parametrize("spoil", [spoil_place, spoil_fate])
+def test_a_run_whose_ghosts_deviate_from_the_meshes_does_without_them(
+    spoil: Callable[[Any, Any], tuple[Any, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It estimates all strays together."""
+    honest = ghost_check._through_meshes
+    monkeypatch.setattr(ghost_check, "_through_meshes", lambda *given: spoil(*honest(*given)))
+    renderer = Renderer(lf.build(scene(CAMERAS["one"])))
+    assert renderer.order is not None
+    assert not renderer.order.holds
+    assert LENS_GHOSTS not in [part.options.paths for part in renderer.parts]
+    assert OFF_IMAGE_PATH in [part.options.paths for part in renderer.parts]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"transport.split": "transmit"},
+        {"transport.engine": "mesh"},
+        {"transport.max_events": 12},
+        {"coatings": {"ar": {"reflectance": 0.0}}, "camera.lens": {
+            "surfaces": [s | ({} if s.get("stop") else {"coating": "ar"}) for s in lens(0)["surfaces"]]}},
+    ],
+    ids=["no reflections", "meshes alone", "short paths", "nothing reflects"],
+)  # fmt: skip
+def test_ghosts_are_not_apart_where_there_are_none_or_they_cannot_be_followed(changes: dict[str, Any]) -> None:
+    parts = parts_of(lf.build(scene(CAMERAS["one"]).changed(changes)))
+    assert not {LENS_GHOSTS, OTHER_STRAYS} & {part.options.paths for part in parts}
+
+
+def test_the_image_is_bitwise_the_same_for_any_number_of_threads() -> None:
+    one, three = (lf.render(scene(CAMERAS["two"], threads=n, samples=64, replicates=2)) for n in (1, 3))
+    assert one.order == three.order
+    assert np.array_equal(one.mean, three.mean)
+
+
+def test_every_sequence_has_a_chance_with_every_ray() -> None:
+    """The chances of all two-reflection sequences, for rays of each kind, are positive and sum to one."""
+    world = lf.build(scene(CAMERAS["two"]))
+    ghosts = world.ghosts
+    assert ghosts is not None
+    surfaces = len(world.tables.lens.surfaces)
+    paths = {(path.reverse.faces, path.reverse.reflected) for path in two_reflections(surfaces)}
+    kept = {
+        (tuple(faces[:n].tolist()), tuple(reflected[:n].tolist()))
+        for faces, reflected, n in zip(ghosts.faces, ghosts.reflected, ghosts.lengths, strict=True)
+    }
+    assert kept == paths
+    chances = np.diff(ghosts.until, prepend=0.0, axis=1)
+    assert (chances > 0.5 * 0.1 / len(paths)).all()
+    np.testing.assert_allclose(ghosts.until[:, -1], 1.0, rtol=1e-15)

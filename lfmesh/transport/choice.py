@@ -31,7 +31,7 @@ def engine_of(scene: Scene) -> tuple[str, str]:
     if transport.split != "transmit":
         if transport.method == "forward":
             return "mesh", f'split = "{transport.split}" follows reflections'
-        return "both", "the image path through exact surfaces in their order; paths with reflections packet by packet"
+        return "both", "the image path through exact surfaces in their order; other paths packet by packet"
     return "sequential", "the scene asks for the image path alone; exact surfaces in their order"
 
 

@@ -280,6 +280,8 @@ def blind_part(world: World) -> Part:
 def in_words(scene: Scene, parts: tuple[Part, ...]) -> str:
     """Describe the engine of an image, the reason, and a part that is traced from lamps."""
     words = ": ".join(engine_of(scene))
+    if any(part.options.paths == LENS_GHOSTS for part in parts):
+        words += ", the lens's ghosts by sequence"
     if any(part.options.paths == LAMP_THROUGH_GLASS for part in parts):
         words += "; lamps' light through glass forward"
     if any(part.options.paths == LAMP_ON_CAMERA for part in parts):

@@ -21,16 +21,10 @@ from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.lamps_on_line import NARROWEST
 from lfmesh.transport.packets.packet import NO_SURFACE, SCATTERED, Options
 from lfmesh.transport.packets.random import uniform
-from lfmesh.transport.tables.halos import Halos, light_beyond
+from lfmesh.transport.tables.halos import DENSE, Halos, light_beyond
 from lfmesh.transport.tables.lights import DIRECTIONAL
 
 Array = NDArray[np.float64]
-
-DENSE = 0.1
-"""Optical depth of scattering on the way to a lamp from which on each point sends a packet past it.
-
-Below, a halo is of little weight, and its variance falls with the square of the depth: so does the share of points.
-"""
 
 LAMP_U, LAMP_V, BY_ANGLE, ALONG, LAMP, SENT = 0, 1, 2, 3, 4, 5
 """Dimensions of the random numbers of a packet past a lamp: the lamp's point, and the point on the line."""

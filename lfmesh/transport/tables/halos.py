@@ -29,6 +29,16 @@ EVEN = 0.1
 """Share of isotropic scattering in the table, so that a phase function may have narrower peaks than the pieces."""
 
 
+DENSE = 0.1
+"""Optical depth of scattering on the way to a lamp from which on each point sends a packet past it.
+
+Below, a halo is of little weight, and its variance falls with the square of the depth: so does the share of points.
+"""
+
+WORTH = 0.1
+"""Share of points that send a packet below which none does: asking each whether it does would cost more."""
+
+
 class Halos(NamedTuple):
     """Light that is scattered near lamps, by the angle from the lamp."""
 
@@ -40,13 +50,15 @@ class Halos(NamedTuple):
     extent: Array  # (media,) mm, largest length of a line in each medium; inf: it has no bounds
 
 
-def halo_tables(volumes: Volumes, lights: NDArray[np.void]) -> Halos | None:
-    """Return the tables of a scene's media, None if nothing is scattered near lamps.
+def halo_tables(volumes: Volumes, lights: NDArray[np.void], size: float) -> Halos | None:
+    """Return the tables of a scene's media, None if next to nothing is scattered near lamps.
 
     Parameters
     ----------
     volumes : Volumes
     lights : (lamps,) LIGHT
+    size : float, mm
+        Radius of a sphere about the origin that holds targets and camera.
     """
     rows = volumes.rows
     scattering = np.where((rows["inside"] == 0)[:, None], volumes.scattering, 0.0)
@@ -56,6 +68,11 @@ def halo_tables(volumes: Volumes, lights: NDArray[np.void]) -> Halos | None:
         if row["scattering"] != NOT_IN_GRID:
             voxels = int(np.prod(row["cells"]))
             scattering[number] *= volumes.values[row["scattering"] : row["scattering"] + voxels].max()
+    extents = _extents(rows)
+    far = max(size, float(np.linalg.norm(lights["position"][lights["kind"] != DIRECTIONAL], axis=1).max()))
+    depth = float((scattering * np.minimum(extents, far)[:, None]).sum(axis=0).max())
+    if min(depth / DENSE, 1.0) ** 2 < WORTH:
+        return None
     angles = _angles()
     middle, half = 0.5 * (angles[1:] + angles[:-1]), 0.5 * np.diff(angles)
     nodes, weights = np.polynomial.legendre.leggauss(8)
@@ -67,7 +84,7 @@ def halo_tables(volumes: Volumes, lights: NDArray[np.void]) -> Halos | None:
     # From the far end, so that the small numbers there keep their digits.
     beyond[:, :-1] = np.cumsum(pieces[:, ::-1], axis=1)[:, ::-1]
     below[:, 1:] = np.cumsum(half * (beyond[:, 1:] + beyond[:, :-1]), axis=1)
-    return Halos(angles, phase, beyond, below, scattering, _extents(rows))
+    return Halos(angles, phase, beyond, below, scattering, extents)
 
 
 def _angles() -> Array:

@@ -297,7 +297,7 @@ def with_volumes(
     volumes, media = volume_tables(scene, moves, lines, book.media, hosts)
     if volumes is None:
         return tables
-    volumes = volumes._replace(halos=halo_tables(volumes, tables.lights))
+    volumes = volumes._replace(halos=halo_tables(volumes, tables.lights, tables.outer_radius))
     reach, endless = reach_of(volumes)
     if endless and (tables.lights["kind"] == DIRECTIONAL).any():
         raise SceneError(

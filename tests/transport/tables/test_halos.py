@@ -20,7 +20,7 @@ def lamp(kind: int) -> np.ndarray:
 
 def halos_of(g: float) -> Halos:
     phase = {"kind": "henyey_greenstein", "g": g}
-    found = halo_tables(volumes_of(slab(10.0, scattering_per_mm=0.03, phase=phase)), lamp(POINT))
+    found = halo_tables(volumes_of(slab(10.0, scattering_per_mm=0.03, phase=phase)), lamp(POINT), 100.0)
     assert found is not None
     return found
 
@@ -62,6 +62,12 @@ def test_an_angle_is_found_again_by_the_light_beyond_it(g: float) -> None:
 
 def test_there_is_none_without_lamps_that_stand_somewhere_or_without_scattering() -> None:
     volumes = volumes_of(slab(10.0, scattering_per_mm=0.03))
-    assert halo_tables(volumes, lamp(DIRECTIONAL)) is None
-    assert halo_tables(volumes, lamp(POINT)[:0]) is None
-    assert halo_tables(volumes_of(slab(10.0, absorption_per_mm=0.03)), lamp(POINT)) is None
+    assert halo_tables(volumes, lamp(DIRECTIONAL), 100.0) is None
+    assert halo_tables(volumes, lamp(POINT)[:0], 100.0) is None
+    assert halo_tables(volumes_of(slab(10.0, absorption_per_mm=0.03)), lamp(POINT), 100.0) is None
+
+
+def test_where_next_to_no_point_would_send_a_packet_none_does() -> None:
+    """Some scattering at 3 % of the depth from which on all do; the slab is 10 mm thick, and wide."""
+    assert halo_tables(volumes_of(slab(10.0, scattering_per_mm=3e-5)), lamp(POINT), 100.0) is None
+    assert halo_tables(volumes_of(slab(10.0, scattering_per_mm=3e-3)), lamp(POINT), 100.0) is not None

@@ -27,6 +27,7 @@ CASES = {
     "image": ["--quick", str(ROOT / "assets/scenes/emitting_plane.toml"), "--pixels", "16", "--samples", "4"],
     "against": ["--quick", "HEAD", str(ROOT / "assets/scenes/emitting_plane.toml")],
     "errors": ["--quick", "--scene", "lit_chart", "--side", "16", "--reference", "64"],
+    "media": ["--quick"],
     "paired": ["--quick", "--shift-um", "20"],
     "startup": ["--quick"],
 }
@@ -40,6 +41,7 @@ TABLES = {
     "image": {"image": "COLUMNS", "small_camera": "PEER_COLUMNS"},
     "against": {"against": "COLUMNS"},
     "errors": {"errors": "COLUMNS"},
+    "media": {"render": "RENDER_COLUMNS", "particles": "PARTICLE_COLUMNS", "flame": "FLAME_COLUMNS"},
     "paired": {"paired": "COLUMNS", "needed": "NEED_COLUMNS"},
     "startup": {"startup": "COLUMNS"},
 }

@@ -27,6 +27,15 @@ PLACE = ("spacing_mm", "origin_mm")
 VTK = ".vti"
 ENDINGS = (".npz", ".npy", VTK)
 
+BEGINNINGS = {".npz": (b"PK\x03\x04", b"PK\x05\x06"), ".npy": (b"\x93NUMPY",)}
+"""First bytes of numpy's files, by their ending: zip archives, and single arrays."""
+
+WRITERS = {".npz": "numpy.savez", ".npy": "numpy.save"}
+
+_NO_NUMBERS = {"c": "complex numbers", "O": "Python objects", "S": "text", "U": "text", "V": "records",
+               "M": "dates", "m": "times"}  # fmt: skip
+"""What arrays hold that are no real numbers, by numpy's kind of their type."""
+
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
@@ -93,13 +102,10 @@ def voxel_grid(
     FileError
         A name is not known, or a number is not valid.
     """
-    spacing = (
-        np.broadcast_to(np.asarray(spacing_mm, dtype=np.float64), (3,)).copy()
-        if np.size(spacing_mm) in (1, 3)
-        else None
-    )
-    if spacing is None or not (np.isfinite(spacing).all() and (spacing > 0.0).all()):
+    spacing = _real(spacing_mm, "spacing_mm", where)
+    if spacing.size not in (1, 3) or not (np.isfinite(spacing).all() and (spacing > 0.0).all()):
         raise FileError(f"{where}: spacing_mm must be one or three numbers above 0, not {_short(spacing_mm)}")
+    spacing = np.broadcast_to(spacing.ravel(), (3,)).copy()
     unknown = [name for name in values if name not in QUANTITIES]
     if unknown:
         raise FileError(f"{where}: no quantity is called {unknown[0]!r}; there are {', '.join(QUANTITIES)}")
@@ -112,7 +118,7 @@ def voxel_grid(
     if "emission_w_mm3_sr" in checked and "temperature_k" in checked:
         raise FileError(f"{where}: emission_w_mm3_sr and temperature_k are both there; give one of them")
     shape = np.array(next(iter(shapes)))
-    origin = -0.5 * spacing * (shape - 1) if origin_mm is None else np.array(origin_mm, dtype=np.float64)
+    origin = -0.5 * spacing * (shape - 1) if origin_mm is None else _real(origin_mm, "origin_mm", where).copy()
     if origin.shape != (3,) or not np.isfinite(origin).all():
         raise FileError(f"{where}: origin_mm must be three numbers, not {_short(origin_mm)}")
     return VoxelGrid(checked, spacing, origin, interpolation)
@@ -157,12 +163,20 @@ def read_voxels(
 def _numpy_arrays(path: Path, quantity: str | None) -> dict[str, Any]:
     """Return the arrays of a `.npz` file, or that of a `.npy` file."""
     ending = path.suffix.lower()
+    name = quantity or "its array"
     try:
         with open_regular(path) as file:
+            _check_beginning(path, file.read(max(len(first) for first in BEGINNINGS[".npy"])))
+            file.seek(0)
             content = np.load(file, allow_pickle=False)
-            if isinstance(content, np.ndarray) == (ending == ".npz"):
-                raise ValueError(f"it is a .{'npy' if ending == '.npz' else 'npz'} by its content")
-            return {quantity or "": content} if ending == ".npy" else dict(content.items())
+            if ending == ".npy":
+                return {quantity or "": content}
+            arrays = {}
+            for name in content.files:
+                arrays[name] = content[name]
+            return arrays
+    except FileError:
+        raise
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror or error}") from None
     except MemoryError:
@@ -170,7 +184,19 @@ def _numpy_arrays(path: Path, quantity: str | None) -> dict[str, Any]:
     except Exception as error:
         # Of a damaged file numpy's readers, and those of zip archives below them, may raise anything.
         why = " ".join(str(error).split()) or type(error).__name__
+        if "allow_pickle" in why:
+            raise FileError(f"{path}: {name} holds {_NO_NUMBERS['O']}; it must hold real numbers") from None
         raise FileError(f"{path}: cannot be read as numpy's {ending}: {why}") from None
+
+
+def _check_beginning(path: Path, beginning: bytes) -> None:
+    """Raise if a file does not begin as its ending says: numpy would take it for pickled objects."""
+    ending = path.suffix.lower()
+    is_a = [other for other, firsts in BEGINNINGS.items() if beginning.startswith(firsts)]
+    if ending not in is_a:
+        kind = f"a {is_a[0]} file" if is_a else "no file of numpy's"
+        why = f"it is {kind} by its content" if beginning else "it is empty"
+        raise FileError(f"{path}: cannot be read as numpy's {ending}: {why}; write it with {WRITERS[ending]}")
 
 
 def _placed(
@@ -192,10 +218,7 @@ def _placed(
 
 
 def _checked(array: ArrayLike, name: str, where: str) -> Array:
-    try:
-        values = np.ascontiguousarray(array, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise FileError(f"{where}: {name} holds what is no number") from None
+    values = np.ascontiguousarray(_real(array, name, where))
     if values.ndim != 3 or 0 in values.shape:
         raise FileError(f"{where}: {name} must be an array [x, y, z], and has the shape {np.shape(array)}")
     bad = ~(np.isfinite(values) & (values >= 0.0))
@@ -204,6 +227,18 @@ def _checked(array: ArrayLike, name: str, where: str) -> Array:
         value = values[tuple(place)]
         raise FileError(f"{where}: {name} is {value:g} at voxel {place}; it must be finite and 0 or more")
     return values
+
+
+def _real(array: ArrayLike, name: str, where: str) -> Array:
+    """Return an array of float64; complex numbers and words are refused, not cast."""
+    try:
+        given = np.asarray(array)
+    except (TypeError, ValueError):
+        raise FileError(f"{where}: {name} holds no regular array; it must hold real numbers") from None
+    if given.dtype.kind not in "buif":
+        what = _NO_NUMBERS.get(given.dtype.kind, str(given.dtype))
+        raise FileError(f"{where}: {name} holds {what}; it must hold real numbers")
+    return given.astype(np.float64, copy=False)
 
 
 def _short(value: object) -> str:

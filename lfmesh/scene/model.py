@@ -183,7 +183,9 @@ def _shown(value: Any) -> str:
 
 
 def _short(limit: Any) -> str:
-    return f"{limit:g}" if isinstance(limit, int | float) else str(limit)
+    if isinstance(limit, int):
+        return f"{limit:,}" if abs(limit) >= 10_000 else str(limit)
+    return f"{limit:g}" if isinstance(limit, float) else str(limit)
 
 
 def _restated(detail: ErrorDetails, cls: type[Model]) -> Fault:

@@ -136,7 +136,7 @@ class Particles(Model):
     file: FilePath | None = None
     """A CSV file, relative to the scene file, with the columns x_mm, y_mm, z_mm and, without `sheet` and
     `intensity_w_sr`, intensity_w_sr. Or give `count` and `bounds`."""
-    count: Count | None = None
+    count: Annotated[Count, Field(le=MOST_PARTICLES)] | None = None
     """Number of particles that are drawn evenly in `bounds`."""
     bounds: Bounds | None = None
     """Body in which they are drawn: box, sphere or cylinder, as of targets."""
@@ -179,8 +179,6 @@ class Particles(Model):
             for key in ("count", "bounds"):
                 if getattr(self, key) is None:
                     yield Fault((key,), None, "missing: give file, or count and bounds")
-            if self.count is not None and self.count > MOST_PARTICLES:
-                yield Fault(("count",), self.count, f"there can be {MOST_PARTICLES:,}")
         if self.sheet is None:
             if self.file is None and self.intensity_w_sr is None:
                 yield Fault(("intensity_w_sr",), None, "missing: give it, or a light sheet")

@@ -18,6 +18,8 @@ from lfmesh.scene.quantities import FilePath, FractionOfOne, NonNegative, Number
 Kelvin = Annotated[float, Field(strict=True, ge=1.0, le=1e6)]
 """A temperature of a black body, in K."""
 
+NO_COEFFICIENT = "a coefficient is a number without quotes, a table, or the name of a .csv file, in 1/mm"
+
 PIECES = 4096
 """Pieces of a table of Planck's law over the range that is asked for."""
 
@@ -85,7 +87,15 @@ Radiance = Annotated[
 ]
 """A radiance: a number in W/(m² sr), or by wavelength in W/(m² sr nm)."""
 
-Coefficient = Radiance
+
+def _coefficient_of_text(value: Any) -> Any:
+    """Let text stand for a file; in other text an illuminant would be looked for, which is no coefficient."""
+    if isinstance(value, str) and not value.lower().endswith(".csv"):
+        raise ValueError(NO_COEFFICIENT)
+    return value
+
+
+Coefficient = Annotated[Radiance, BeforeValidator(_coefficient_of_text, json_schema_input_type=NonNegative | str | Spectrum)]
 """A coefficient in 1/mm: a number, or by wavelength."""
 
 Shape = Annotated[Spectrum, BeforeValidator(_of_text, json_schema_input_type=str | Spectrum)]
@@ -97,7 +107,7 @@ def coefficient_faults(value: float | Spectrum, where: Location) -> Iterator[Fau
     if not isinstance(value, Spectrum):
         return
     if value.name is not None or value.blackbody_k is not None:
-        yield Fault(where, None, "a coefficient is a number, a table or a file, in 1/mm")
+        yield Fault(where, None, NO_COEFFICIENT)
 
 
 class Resolves(Protocol):

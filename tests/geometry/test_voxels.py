@@ -1,5 +1,6 @@
 """Voxel grids are read with their names, places and faults."""
 
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,14 @@ def test_a_bare_array_needs_its_quantity_and_spacing(tmp_path: Path) -> None:
     [
         ({"absorption_per_mm": np.array([[[1.0, -1.0]]])}, r"absorption_per_mm is -1 at voxel \[0, 0, 1\]"),
         ({"absorption_per_mm": np.array([[[np.nan]]])}, "absorption_per_mm is nan"),
+        ({"absorption_per_mm": np.full((2, 2, 2), 1.0 + 2.0j)}, "absorption_per_mm holds complex numbers; it must hold real"),
+        ({"absorption_per_mm": np.full((2, 2, 2), None)}, "absorption_per_mm holds Python objects; it must hold real"),
+        ({"absorption_per_mm": np.full((2, 2, 2), "1.0")}, "absorption_per_mm holds text; it must hold real"),
+        ({"absorption_per_mm": np.full((2, 2, 2), "2001-01-01", "M8[D]")}, "absorption_per_mm holds dates"),
+        ({"absorption_per_mm": np.ones((2, 2, 2)), "origin_mm": [0.0, 0.0, 1.0j]}, "origin_mm holds complex numbers"),
+        ({"absorption_per_mm": np.ones((2, 2, 2)), "origin_mm": ["a", "b", "c"]}, "origin_mm holds text"),
+        ({"absorption_per_mm": np.ones((2, 2, 2)), "spacing_mm": "wide"}, "spacing_mm holds text"),
+        ({"absorption_per_mm": np.ones((2, 2, 2)), "spacing_mm": 1.0 + 1.0j}, "spacing_mm holds complex numbers"),
         ({"absorption_per_mm": np.ones((2, 2))}, r"must be an array \[x, y, z\]"),
         ({"absorbtion": np.ones((2, 2, 2))}, "no array is called 'absorbtion'"),
         ({"absorption_per_mm": np.ones((2, 2, 2)), "scattering_per_mm": np.ones((2, 2, 3))}, "differ in shape"),
@@ -49,10 +58,41 @@ def test_a_bare_array_needs_its_quantity_and_spacing(tmp_path: Path) -> None:
     ],
 )
 def test_bad_grids_are_refused_in_one_line(arrays: dict[str, object], message: str, tmp_path: Path) -> None:
-    np.savez(tmp_path / "g.npz", spacing_mm=1.0, **arrays)  # type: ignore[arg-type]
+    np.savez(tmp_path / "g.npz", **({"spacing_mm": 1.0} | arrays))  # type: ignore[arg-type]
     with pytest.raises(FileError, match=message) as caught:
         read_voxels(tmp_path / "g.npz")
     assert "\n" not in str(caught.value)
+    assert "pickle" not in str(caught.value)
+
+
+@pytest.mark.parametrize("ending", ["npz", "npy"])
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"absorption_per_mm = 1.0\n", "it is no file of numpy's by its content; write it with numpy.save"),
+        (b"", "it is empty; write it with numpy.save"),
+        (pickle.dumps(1.0), "it is no file of numpy's by its content"),
+        (b"PK\x03\x04 and no archive", "File is not a zip file|it is a .npz file by its content"),
+        (b"\x93NUMPY and no array", "cannot be read as numpy's .npy|it is a .npy file by its content"),
+    ],
+)
+def test_files_that_are_not_numpys_are_refused_in_one_line(
+    content: bytes, message: str, ending: str, tmp_path: Path
+) -> None:
+    path = tmp_path / f"g.{ending}"
+    path.write_bytes(content)
+    with pytest.raises(FileError, match=message) as caught:
+        read_voxels(path, quantity="absorption_per_mm" if ending == "npy" else None, spacing_mm=1.0)
+    assert "\n" not in str(caught.value)
+    assert "pickle" not in str(caught.value)
+
+
+def test_an_array_of_objects_is_refused_in_one_line(tmp_path: Path) -> None:
+    np.save(tmp_path / "g.npy", np.full((2, 2, 2), None))
+    with pytest.raises(FileError, match="absorption_per_mm holds Python objects; it must hold real numbers"):
+        read_voxels(tmp_path / "g.npy", spacing_mm=1.0, quantity="absorption_per_mm")
+    with pytest.raises(FileError, match="absorption_per_mm holds no regular array"):
+        voxel_grid({"absorption_per_mm": [[[1.0, 2.0], [3.0]]]}, 1.0)
 
 
 def vtk_image(kind: str, **arrays: np.ndarray) -> pyvista.ImageData:

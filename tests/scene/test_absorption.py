@@ -49,7 +49,9 @@ def test_a_cover_of_unknown_transmittance_is_refused_in_one_line() -> None:
         (-1.0, r"absorption_per_mm.*-1.0: must be"),
         (float("nan"), r"absorption_per_mm"),
         (True, r"absorption_per_mm"),
-        ({"blackbody_k": 3000.0}, r"absorption_per_mm: a coefficient is a number, a table or a file"),
+        ({"blackbody_k": 3000.0}, r"absorption_per_mm: a coefficient is a number without quotes, a table"),
+        ("lots", r'absorption_per_mm = "lots": a coefficient is a number without quotes, a table'),
+        ("0.1", r'absorption_per_mm = "0.1": a coefficient is a number without quotes, a table'),
         (
             {"wavelengths_nm": [400.0, 700.0], "values": [0.1, -0.1]},
             r"value -0.1 at 700 nm: it must be a finite number, 0 or more",

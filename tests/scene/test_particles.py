@@ -135,7 +135,8 @@ def test_frames_displace_again_and_again():
     [
         ({}, "give file, or count and bounds"),
         ({"count": 3, "bounds": BOX}, "intensity_w_sr"),
-        ({"count": 30_000_000, "bounds": BOX, "intensity_w_sr": 1.0}, "there can be"),
+        ({"count": 30_000_000, "bounds": BOX, "intensity_w_sr": 1.0}, "must be 20,000,000 or less"),
+        ({"count": 10**12, "bounds": BOX, "intensity_w_sr": 1.0}, "count = 1000000000000: must be 20,000,000 or less"),
         ({"file": "p.csv", "count": 3}, "either read or drawn"),
         ({**DRAWN, "intensity_w_sr": 1.0, "sheet": SHEET, "diameter_um": 1.0}, "one of the two"),
         ({**DRAWN, "sheet": SHEET}, "diameter_um"),

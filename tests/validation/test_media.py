@@ -44,7 +44,7 @@ def power_of_one(small_stop: bool) -> float:
         camera=camera(small_stop),  # type: ignore[arg-type]
         targets=[{"shape": {"kind": "plane", "width_mm": 100.0, "height_mm": 100.0},  # type: ignore[list-item]
                   "position_mm": [0.0, 0.0, -150.0], "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0}}],
-        transport={"split": "transmit", "samples": 4096, "seed": 5},  # type: ignore[arg-type]
+        transport={"split": "transmit", "samples": 1 << 16, "seed": 5},  # type: ignore[arg-type]
     )  # fmt: skip
     return float(lf.render(scene).mean.sum())
 

@@ -95,7 +95,9 @@ def _coefficient_of_text(value: Any) -> Any:
     return value
 
 
-Coefficient = Annotated[Radiance, BeforeValidator(_coefficient_of_text, json_schema_input_type=NonNegative | str | Spectrum)]
+Coefficient = Annotated[
+    Radiance, BeforeValidator(_coefficient_of_text, json_schema_input_type=NonNegative | str | Spectrum)
+]
 """A coefficient in 1/mm: a number, or by wavelength."""
 
 Shape = Annotated[Spectrum, BeforeValidator(_of_text, json_schema_input_type=str | Spectrum)]

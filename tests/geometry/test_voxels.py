@@ -40,7 +40,10 @@ def test_a_bare_array_needs_its_quantity_and_spacing(tmp_path: Path) -> None:
     [
         ({"absorption_per_mm": np.array([[[1.0, -1.0]]])}, r"absorption_per_mm is -1 at voxel \[0, 0, 1\]"),
         ({"absorption_per_mm": np.array([[[np.nan]]])}, "absorption_per_mm is nan"),
-        ({"absorption_per_mm": np.full((2, 2, 2), 1.0 + 2.0j)}, "absorption_per_mm holds complex numbers; it must hold real"),
+        (
+            {"absorption_per_mm": np.full((2, 2, 2), 1.0 + 2.0j)},
+            "absorption_per_mm holds complex numbers; it must hold real",
+        ),
         ({"absorption_per_mm": np.full((2, 2, 2), None)}, "absorption_per_mm holds Python objects; it must hold real"),
         ({"absorption_per_mm": np.full((2, 2, 2), "1.0")}, "absorption_per_mm holds text; it must hold real"),
         ({"absorption_per_mm": np.full((2, 2, 2), "2001-01-01", "M8[D]")}, "absorption_per_mm holds dates"),

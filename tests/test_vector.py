@@ -17,7 +17,8 @@ def kept_where_negative(values, others):
 @kernel
 def kept_by_a_branch(values, others):
     for i in range(64):
-        values[i] = others[i] if others[i] > 0.0 else values[i]
+        if others[i] > 0.0:
+            values[i] = others[i]
 
 
 @kernel

@@ -146,7 +146,13 @@ class Outcomes(NamedTuple):
 
 
 def outcomes(world: World, options: Options, tables: Tables, packets: NDArray[np.void]) -> Outcomes:
-    """Process packets by the order of the surfaces and by meshes; the parameters are those of `compare`."""
+    """Process packets that wait at lens and array by the order of the surfaces and by meshes.
+
+    Parameters
+    ----------
+    world, options, tables, packets
+        As for `compare`.
+    """
     options = options._replace(tracing=True, record=False, sequential=False)
     given = packets.copy()
     given["source"] = np.arange(len(given))

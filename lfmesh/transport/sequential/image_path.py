@@ -316,7 +316,15 @@ def _through_other_face(
 
 @kernel
 def move_ray(bundle: Array, i: int, move: Array) -> None:
-    """Move one ray of a bundle into another frame, by a (3, 4) move."""
+    """Move one ray of a bundle into another frame.
+
+    Parameters
+    ----------
+    bundle : (ROWS · BLOCK,) float64
+    i : int
+        Place of the ray.
+    move : (3, 4) float64
+    """
     x, y, z = point_through(move, bundle[X + i], bundle[Y + i], bundle[Z + i])
     dx, dy, dz = direction_through(move, bundle[DX + i], bundle[DY + i], bundle[DZ + i])
     bundle[X + i], bundle[Y + i], bundle[Z + i] = x, y, z
@@ -349,7 +357,20 @@ def _through_flat_face(bundle: Array, i: int, mla: MlaTables, colour: int, book:
 
 @kernel
 def meet_flat_face(bundle: Array, i: int, mla: MlaTables, colour: int, book: Array) -> bool:
-    """Take a ray to the flat face; False where it ends before, or beside it."""
+    """Take a ray to the flat face; False where it ends before, or beside it.
+
+    Parameters
+    ----------
+    bundle : (ROWS · BLOCK,) float64
+        In the array's frame.
+    i : int
+        Place of the ray.
+    mla : MlaTables
+    colour : int
+        Number of the wavelength.
+    book : (slots,) float64
+        For light that the array absorbs.
+    """
     lattice = mla.lenslets.lattice
     x, y, dz = bundle[X + i], bundle[Y + i], bundle[DZ + i]
     t = (mla.lenslets.thickness - bundle[Z + i]) / dz
@@ -384,6 +405,11 @@ def meet_curved_face(
     bundle: Array, i: int, mla: MlaTables, colour: int, book: Array
 ) -> tuple[bool, int, int, float, float, float]:
     """Take a ray to the face of the lenslet that it meets.
+
+    Parameters
+    ----------
+    bundle, i, mla, colour, book
+        As for `meet_flat_face`, in the frame of these lenslets.
 
     Returns
     -------
@@ -434,6 +460,8 @@ def leave_layer(
 
     Parameters
     ----------
+    bundle, i, mla, colour, book
+        As for `meet_flat_face`, in the frame of these lenslets.
     in_air : bool
         It has come into the air; else it is in the glass.
     column, row : int
@@ -503,7 +531,19 @@ def _next_in_layer(
 def bend(
     bundle: Array, i: int, mla: MlaTables, face: int, colour: int, entering: bool, nx: float, ny: float, nz: float
 ) -> bool:
-    """Refract a ray at a face whose normal points along it; return False under total reflection."""
+    """Refract a ray at a face whose normal points along it; return False under total reflection.
+
+    Parameters
+    ----------
+    bundle, i, mla, colour
+        As for `meet_flat_face`.
+    face : int
+        Row of the face among the array's interfaces.
+    entering : bool
+        The ray comes from the air.
+    nx, ny, nz : float
+        Unit normal.
+    """
     glass = mla.media.indices[mla.medium, colour]
     n_i, n_t = (1.0, glass) if entering else (glass, 1.0)
     dx, dy, dz, weight = bundle[DX + i], bundle[DY + i], bundle[DZ + i], bundle[WEIGHT + i]

@@ -187,7 +187,14 @@ def _draw_sequences(
 
 @inlined
 def kind_of_ray(ghosts: GhostTables, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> int:
-    """Return the row of `GhostTables.until` for a ray to the lens, camera frame."""
+    """Return the row of `GhostTables.until` for a ray to the lens.
+
+    Parameters
+    ----------
+    ghosts : GhostTables
+    x, y, z : float, mm, camera frame
+    dx, dy, dz : float
+    """
     t = (ghosts.plane_z - z) / dz
     px, py = x + t * dx, y + t * dy
     t = (ghosts.from_z - z) / dz

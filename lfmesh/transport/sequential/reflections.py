@@ -177,7 +177,15 @@ def _through_mla(rays: Arrived, mla: MlaTables, frames: Array, colour: int, bund
 
 @kernel
 def store(bundle: Array, rays: Arrived, first: int, count: int) -> None:
-    """Enter the rays of a bundle from a number on; of those that have ended, the weight is 0."""
+    """Enter the rays of a bundle in a table of rays; of those that have ended, the weight is 0.
+
+    Parameters
+    ----------
+    bundle : (ROWS · BLOCK,) float64
+    rays : Arrived
+        Changed in place, from number `first` on.
+    first, count : int
+    """
     for i in range(count):
         p, d = rays.position[first + i], rays.direction[first + i]
         p[0], p[1], p[2] = bundle[X + i], bundle[Y + i], bundle[Z + i]
@@ -190,7 +198,23 @@ def along(
     bundle: Array, lens: LensTables, faces: NDArray[np.int64], reflected: NDArray[np.bool_], to_sensor: bool,
     colour: int, book: Array,
 ) -> None:  # fmt: skip
-    """Take a bundle (camera frame) along a sequence of surfaces of the lens."""
+    """Take a bundle (camera frame) along a sequence of surfaces of the lens.
+
+    Parameters
+    ----------
+    bundle : (BUNDLE_ROWS · BLOCK,) float64
+    lens : LensTables
+    faces : (n,) int64
+        The surfaces, in the order in which they are met.
+    reflected : (n,) bool
+        Whether the rays are reflected at each of them.
+    to_sensor : bool
+        Direction of travel at the start.
+    colour : int
+        Number of the wavelength.
+    book : (slots,) float64
+        For light that the glasses absorb.
+    """
     space, last = 0 if to_sensor else len(lens.surfaces), -1
     for step in range(len(faces) + 1):
         ends = step == len(faces)

@@ -141,6 +141,22 @@ def test_forward_equals_adjoint_in_a_tank(case: str) -> None:
     assert all(abs(image.ledger.imbalance) < 1e-12 for image in images)
 
 
+def test_forward_passes_walls_of_the_index_of_the_water() -> None:
+    """Light of a medium behind walls of the liquid's own index: as by the adjoint method, by a z-test of the whole."""
+    water = tank(wall={"index": 1.333})
+    images = [
+        lf.render(scene(CASES["glow"][0], tanks=[water], transport=settings))
+        for settings in (
+            {"samples": samples, "replicates": 16, "method": method, "seed": 5, "split": "transmit"}
+            for method, samples in (("adjoint", 512), ("forward", 4096))
+        )
+    ]
+    sums, variances = [each.mean.sum() for each in images], [(each.stderr**2).sum() for each in images]
+    z = (sums[0] - sums[1]) / np.sqrt(sum(variances))
+    assert sums[1] > 0.0
+    assert 2.0 * stats.norm.sf(abs(z)) > LEVEL
+
+
 @pytest.mark.parametrize(
     ("medium", "message"),
     [

@@ -420,6 +420,9 @@ def _through_glass(
     uncovered = (after if entering else inside) & RANK == objects.rank[body]
     if n_i == n_t and inside != 0 and after != 0 and not (uncovered and is_coated(objects.interfaces, number)):
         packet.medium, packet.facet = beyond, NO_SURFACE
+        if packet.kind == CAMERA and not (options.adjoint or options.tracing):
+            # Its share is taken: from here on it is not the child that rough glass aims through air.
+            packet.kind = SPECULAR
         set_bodies(packet, after)
         clear = clear_of(facet, x, y, z, dx, dy, dz)
         put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, clear)

@@ -162,7 +162,7 @@ def test_noise_is_the_standard_error_of_the_image() -> None:
 
 def test_ghosts_are_what_reflections_add(tmp_path: Path) -> None:
     """Where no reflection is followed the share is exactly zero; where all are, it is there at 4 sigma."""
-    table = run(small_scene(split="both", samples=64), "transport.split", ["transmit"], ["ghosts"], tmp_path)
+    table = run(small_scene(split="both", samples=256), "transport.split", ["transmit"], ["ghosts"], tmp_path)
     followed, left_out = (row.estimates["ghost_share"] for row in table.rows)
     assert left_out == (0.0, 0.0)
     assert followed.value > 4.0 * followed.stderr > 0.0

@@ -311,7 +311,7 @@ def _off_centre(p: Array, d: Array, opening: Opening, off: Array) -> None:
     """Write how far each ray crosses the opening's plane from the centre of the disk seen from its point, (n, 2) mm."""
     for i in range(len(off)):
         cx, cy, radius = opening_from(opening, p[i, 0], p[i, 1], p[i, 2])
-        if 0.0 < radius < np.inf:
+        if radius > 0.0:
             t = (opening.plane_z - p[i, 2]) / d[i, 2]
             off[i, 0], off[i, 1] = p[i, 0] + t * d[i, 0] - cx, p[i, 1] + t * d[i, 1] - cy
 

@@ -12,9 +12,6 @@ from lfmesh.kernel import kernel
 from lfmesh.transport.aiming.pupil import opening_from
 from lfmesh.transport.tables.tables import Opening
 
-HALF_OF_ALL = 1.0 / (2.0 * np.pi)
-"""Density of directions that are even over half of the sphere, 1/sr."""
-
 WIDE_SHARE = 0.1
 """Share of rays to the wide disk where reflections are followed: ghosts come from all over it."""
 
@@ -82,7 +79,7 @@ def aimed(
     """Return a direction from a point towards the opening or the wide disk, and its density in the mixture, 1/sr.
 
     From a point that sees no opening only a share of the rays is sent, to the wide disk; for the others the density
-    is zero. From a point so near that the table does not know what it sees, rays go everywhere towards the lens.
+    is zero.
 
     Parameters
     ----------
@@ -96,11 +93,6 @@ def aimed(
         Random numbers, uniform in [0, 1).
     """
     cx, cy, radius = opening_from(opening, x, y, z)
-    if opening.known and radius == np.inf:
-        # The disk would be seen at grazing angles nearly everywhere.
-        dz, turn = 1.0 - u, 2.0 * np.pi * v
-        across = np.sqrt(1.0 - dz * dz)
-        return across * np.cos(turn), across * np.sin(turn), dz * opening.sense, HALF_OF_ALL
     narrow = opening.known and radius > 0.0
     share = 1.0
     if opening.known:
@@ -134,8 +126,6 @@ def aimed_density(
         As for `aimed`.
     """
     cx, cy, radius = opening_from(opening, x, y, z)
-    if opening.known and radius == np.inf:
-        return HALF_OF_ALL if dz * opening.sense > 0.0 else 0.0
     narrow = opening.known and radius > 0.0
     share = 1.0
     if opening.known:

@@ -41,9 +41,6 @@ ANGLES = 33
 DISTANCES = 6
 """Distances at which it is measured if the points do not all lie in one plane, evenly spaced in their inverse."""
 
-NEAREST = 0.1
-"""Distance before the lens, in radii of its wide disk, from which on a table knows what points see."""
-
 BEYOND = 1.0 + 2.0**-40
 """Factor on the widest tangent of a table: beyond it the lens counts as closed, and the outermost of the points that it
 was made for must not be there by rounding."""
@@ -112,12 +109,9 @@ def viewpoints(plane_z: float, wide_radius: float, points: Array, *, to_sensor: 
     before = distance > 1e-6 * wide_radius
     if not before.any():
         return None
-    distance, height = distance[before], np.hypot(points[before, 0], points[before, 1])
+    distance = distance[before]
+    tangent = np.hypot(points[before, 0], points[before, 1]) / distance
     near, far = float(distance.min()), float(distance.max())
-    if to_sensor:
-        # Nearer points would stretch the table so far that it knew nothing of the others, and see all of the lens.
-        near = min(max(near, NEAREST * wide_radius), far)
-    tangent = height[distance >= near] / distance[distance >= near]
     # One distance is enough if all points lie in one plane.
     many = DISTANCES if far - near > 1e-9 * far else 1
     inverse = np.linspace(1.0 / far, 1.0 / near, many)
@@ -386,9 +380,7 @@ def _opening(seen: Viewpoints, middle: Array, radius: Array) -> Opening:
 
 @inlined
 def opening_from(opening: Opening, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return centre (x, y) and radius, in the plane of the opening, of the disk seen from a point.
-
-    The radius is −1 if it sees none, and inf if it is before the lens and too near for the table: then it sees all.
+    """Return centre (x, y) and radius, in the plane of the opening, of the disk seen from a point; radius −1: none.
 
     Parameters
     ----------
@@ -403,8 +395,6 @@ def opening_from(opening: Opening, x: float, y: float, z: float) -> tuple[float,
     a = height / (distance * opening.tangent_step)
     b = (1.0 / distance - opening.nearness) / opening.nearness_step
     rows, columns = opening.radius.shape
-    if opening.sense > 0.0 and b > rows * BEYOND:
-        return 0.0, 0.0, np.inf
     if a > columns * BEYOND:
         return 0.0, 0.0, -1.0
     column, row = min(int(a), columns - 1), min(max(int(b), 0), rows - 1)

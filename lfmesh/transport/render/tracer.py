@@ -252,9 +252,11 @@ class Tracer:
         if part is None:
             return None
         work, _ = self._sampled(part, many=True)
-        while not any(work.tops[station] for station in (PLATE, LENS)):
+        while work.tops[SENSOR]:
             work.advance(SENSOR)
-        return compare_ghosts(self.world, work, PLATE if work.tops[PLATE] else LENS)
+        station = PLATE if work.tops[PLATE] else LENS
+        # Where no pixel sees an opening of the lens none waits.
+        return compare_ghosts(self.world, work, station) if work.tops[station] else None
 
     def _compared_in_order(self) -> OrderCheck | None:
         """Compare packets at the lens with the meshes; None if no part finds surfaces by their order.

@@ -211,14 +211,8 @@ def kind_of_ray(ghosts: GhostTables, x: float, y: float, z: float, dx: float, dy
 @inlined
 def _drawn(until: Array, u: float) -> tuple[int, float]:
     """Return which of several things a random number draws, and its chance."""
-    low, high = 0, len(until) - 1
-    while low < high:
-        middle = (low + high) // 2
-        if u < until[middle]:
-            high = middle
-        else:
-            low = middle + 1
-    return low, until[low] - (until[low - 1] if low > 0 else 0.0)
+    drawn = min(int(np.searchsorted(until, u, side="right")), len(until) - 1)
+    return drawn, until[drawn] - (until[drawn - 1] if drawn > 0 else 0.0)
 
 
 @kernel

@@ -191,11 +191,4 @@ def drawn_angle(halos: Halos, colour: int, u: float) -> float:
 @kernel
 def _piece(nodes: Any, value: float) -> int:
     """Return the piece between two of some increasing numbers that a value lies in."""
-    low, high = 0, len(nodes) - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        if nodes[middle] <= value:
-            low = middle
-        else:
-            high = middle
-    return low
+    return min(max(int(np.searchsorted(nodes, value, side="right")) - 1, 0), len(nodes) - 2)

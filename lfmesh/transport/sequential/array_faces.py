@@ -30,12 +30,10 @@ from lfmesh.transport.sequential.lens_bundle import (
     MET,
     WEIGHT,
     empty_bundle,
-    load,
     move_bundle,
     normalise,
-    pad,
 )
-from lfmesh.transport.sequential.reflections import Array, Arrived, book_for, store
+from lfmesh.transport.sequential.reflections import Array, Arrived, book_for, load_rays, store
 from lfmesh.transport.tables.tables import FLAT_ROW, MlaTables
 
 
@@ -68,13 +66,7 @@ def _follow(
 ) -> None:  # fmt: skip
     """Take rays to the faces in turn, of which some are `curved` and the others the array's other face."""
     for first in range(0, len(rays.weight), BLOCK):
-        count = min(BLOCK, len(rays.weight) - first)
-        for i in range(count):
-            p, d = rays.position[first + i], rays.direction[first + i]
-            load(bundle, i, p[0], p[1], p[2], d[0], d[1], d[2], rays.weight[first + i])
-            if not rays.weight[first + i] > 0.0:
-                bundle[ENDED_ON + i] = DROPPED
-        pad(bundle, count)
+        count = load_rays(bundle, rays, first)
         move_bundle(bundle, frames[CAMERA_FRAME, MLA_FRAME])
         for step in range(len(curved)):
             for i in range(count):

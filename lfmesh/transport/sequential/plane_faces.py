@@ -9,15 +9,33 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry import frame as frames
 from lfmesh.geometry.frame import direction_through, point_through
-from lfmesh.kernel import kernel
+from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.crossing import refracted
 from lfmesh.transport.events.interface import shares_from
 from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME
-from lfmesh.transport.sequential.reflections import Array, Arrived
-from lfmesh.transport.tables.cover import FRONT_ROW, REAR_ROW, CoverTables
+from lfmesh.transport.sequential.lens_bundle import (
+    BLOCK,
+    DROPPED,
+    DX,
+    DY,
+    DZ,
+    ENDED_ON,
+    MET,
+    WEIGHT,
+    X,
+    Y,
+    Z,
+    empty_bundle,
+    move_bundle,
+)
+from lfmesh.transport.sequential.reflections import Array, Arrived, load_rays, store
+from lfmesh.transport.tables.cover import FRONT_ROW, CoverTables
 from lfmesh.transport.tables.tables import AIR, SensorTables, Tables
+from lfmesh.vector import both, select
+
+SENSOR_BEHIND_COVER = 2
+"""Number of the sensor among the faces where there is a cover; without one it is the only face."""
 
 
 def count_faces(tables: Tables) -> int:
@@ -41,13 +59,56 @@ def follow_plane_faces(
     colour : int
         Number of the wavelength.
     """
-    _move(rays, tables.frames[CAMERA_FRAME, SENSOR_FRAME])
-    for face, mirrors in zip(faces, reflected, strict=True):
-        if tables.cover is not None and face in (FRONT_ROW, REAR_ROW):
-            _at_cover(rays, tables.cover, face, mirrors, colour)
-        else:
-            _mirror_at_sensor(rays, tables.sensor)
-    _move(rays, tables.frames[SENSOR_FRAME, CAMERA_FRAME])
+    _follow(
+        rays, tables.cover, tables.sensor, np.array(faces, np.int64), np.array(reflected, np.bool_), tables.frames,
+        colour, empty_bundle(),
+    )  # fmt: skip
+
+
+@kernel
+def _follow(
+    rays: Arrived, cover: Any, sensor: SensorTables, faces: NDArray[np.int64], reflected: NDArray[np.bool_],
+    frames: Array, colour: int, bundle: Array,
+) -> None:  # fmt: skip
+    for first in range(0, len(rays.weight), BLOCK):
+        count = load_rays(bundle, rays, first)
+        along_planes(bundle, cover, sensor, faces, reflected, frames, colour)
+        store(bundle, rays, first, count)
+
+
+@kernel
+def along_planes(
+    bundle: Array, cover: Any, sensor: SensorTables, faces: NDArray[np.int64], reflected: NDArray[np.bool_],
+    frames: Array, colour: int,
+) -> None:  # fmt: skip
+    """Take a bundle (camera frame) along a sequence of plane faces.
+
+    Parameters
+    ----------
+    bundle : (ROWS · BLOCK,) float64
+    cover : CoverTables, or None
+    sensor : SensorTables
+    faces : (n,) int64
+        The faces, in the order in which they are met.
+    reflected : (n,) bool
+        Whether the rays are reflected at each of them.
+    frames : (6, 6, 3, 4) float64
+    colour : int
+        Number of the wavelength.
+    """
+    move_bundle(bundle, frames[CAMERA_FRAME, SENSOR_FRAME])
+    for step in range(len(faces)):
+        _at_face(bundle, cover, sensor, faces[step], reflected[step], colour)
+    move_bundle(bundle, frames[SENSOR_FRAME, CAMERA_FRAME])
+
+
+@inlined
+def _at_face(bundle: Array, cover: Any, sensor: SensorTables, face: int, mirrors: bool, colour: int) -> None:
+    """Take rays (sensor frame) to a face, and reflect or refract them there."""
+    if cover is not None and face != SENSOR_BEHIND_COVER:
+        _at_cover(bundle, cover, face, mirrors, colour)
+    else:
+        _mirror_at_sensor(bundle, sensor)
 
 
 class Detected(NamedTuple):
@@ -94,54 +155,55 @@ def _detect(rays: Arrived, move: Array, sensor: SensorTables, found: Detected) -
         found.weight[i] = rays.weight[i] * (1.0 - sensor.reflectance) if side == 0 else 0.0
 
 
-def _move(rays: Arrived, move: Array) -> None:
-    rays.position[:] = frames.points(move, rays.position)
-    rays.direction[:] = frames.directions(move, rays.direction)
-
-
-def _on_pixels(p: Array, d: Array, sensor: SensorTables) -> tuple[Array, Any]:
-    """Return where rays (sensor frame) meet the sensor's plane, and whether that is on a pixel."""
-    half = 0.5 * sensor.pixel * np.array([sensor.columns, sensor.rows])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = p[:, :2] - (p[:, 2] / d[:, 2])[:, None] * d[:, :2]
-        return at, (d[:, 2] > 0.0) & (p[:, 2] <= 0.0) & (np.abs(at) <= half).all(axis=1)
-
-
-def _mirror_at_sensor(rays: Arrived, sensor: SensorTables) -> None:
+@kernel
+def _mirror_at_sensor(bundle: Array, sensor: SensorTables) -> None:
     """Reflect rays (sensor frame) at the pixels; beside them they end."""
-    at, arrives = _on_pixels(rays.position, rays.direction, sensor)
-    rays.weight[:] = np.where(arrives, rays.weight * sensor.reflectance, 0.0)
-    rays.position[:, :2], rays.position[:, 2] = np.where(arrives[:, None], at, 0.0), 0.0
-    rays.direction[:, 2] *= -1.0
+    half_x, half_y = 0.5 * sensor.pixel * sensor.columns, 0.5 * sensor.pixel * sensor.rows
+    for i in range(BLOCK):
+        t = -bundle[Z + i] / bundle[DZ + i]
+        x, y = bundle[X + i] + t * bundle[DX + i], bundle[Y + i] + t * bundle[DY + i]
+        held = both(abs(x) <= half_x, abs(y) <= half_y)
+        ends = both(bundle[ENDED_ON + i] == 0.0, not both(both(bundle[DZ + i] > 0.0, t >= 0.0), held))
+        bundle[X + i], bundle[Y + i], bundle[Z + i] = x, y, 0.0
+        bundle[DZ + i] = -bundle[DZ + i]
+        bundle[WEIGHT + i] *= sensor.reflectance
+        bundle[MET + i] += 1.0
+        bundle[ENDED_ON + i] = select(ends, DROPPED, bundle[ENDED_ON + i])
 
 
 @kernel
-def _at_cover(rays: Arrived, cover: CoverTables, face: int, mirrors: bool, colour: int) -> None:
+def _at_cover(bundle: Array, cover: CoverTables, face: int, mirrors: bool, colour: int) -> None:
     """Reflect or refract rays (sensor frame) at a face of the cover, weighted with R or T and what is absorbed."""
     z = cover.front_z if face == FRONT_ROW else cover.rear_z
     glass = cover.media.indices[cover.medium, colour]
-    for i in range(len(rays.weight)):
-        p, d = rays.position[i], rays.direction[i]
-        if not rays.weight[i] > 0.0 or d[2] == 0.0:
-            rays.weight[i] = 0.0
+    for i in range(BLOCK):
+        if bundle[ENDED_ON + i] != 0.0:
             continue
-        t, sense = (z - p[2]) / d[2], (1.0 if d[2] > 0.0 else -1.0)
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        t, sense = (z - bundle[Z + i]) / dz if dz != 0.0 else -1.0, (1.0 if dz > 0.0 else -1.0)
         if t < 0.0:
-            rays.weight[i] = 0.0
+            bundle[ENDED_ON + i] = DROPPED
             continue
         entering = (face == FRONT_ROW) == (sense > 0.0)
         n_i, n_t = (1.0, glass) if entering else (glass, 1.0)
         share = np.exp(-_per_mm(cover.media.absorption, AIR if entering else cover.medium, colour) * t)
-        cos_i = min(abs(d[2]), 1.0)
+        cos_i = min(abs(dz), 1.0)
         reflectance, transmittance, cos_t = shares_from(cover.interfaces, face, colour, n_i, n_t, cos_i, not entering)
-        p[0], p[1], p[2] = p[0] + t * d[0], p[1] + t * d[1], z
+        bundle[X + i] += t * dx
+        bundle[Y + i] += t * dy
+        bundle[Z + i] = z
+        bundle[MET + i] += 1.0
         if mirrors:
-            rays.weight[i] *= share * reflectance
-            d[2] = -d[2]
+            bundle[WEIGHT + i] *= share * reflectance
+            bundle[DZ + i] = -dz
         else:
-            rays.weight[i] *= share * transmittance
+            bundle[WEIGHT + i] *= share * transmittance
             if transmittance > 0.0:
-                d[0], d[1], d[2] = refracted(d[0], d[1], d[2], 0.0, 0.0, sense, n_i / n_t, cos_i, cos_t)
+                bundle[DX + i], bundle[DY + i], bundle[DZ + i] = refracted(
+                    dx, dy, dz, 0.0, 0.0, sense, n_i / n_t, cos_i, cos_t
+                )  # fmt: skip
+            else:
+                bundle[ENDED_ON + i] = DROPPED
 
 
 @kernel

@@ -163,16 +163,40 @@ def _follow(
 @kernel
 def _through_mla(rays: Arrived, mla: MlaTables, frames: Array, colour: int, bundle: Array, book: Array) -> None:
     for first in range(0, len(rays.weight), BLOCK):
-        count = min(BLOCK, len(rays.weight) - first)
-        for i in range(count):
-            p, d = rays.position[first + i], rays.direction[first + i]
-            load(bundle, i, p[0], p[1], p[2], d[0], d[1], d[2], rays.weight[first + i])
-            if not rays.weight[first + i] > 0.0 or not d[2] > 0.0:
-                bundle[ENDED_ON + i] = DROPPED
-        pad(bundle, count)
+        count = load_rays(bundle, rays, first)
+        drop_backward(bundle, True)
         through_mla(bundle, count, mla, colour, frames, True, book)
         normalise(bundle)
         store(bundle, rays, first, count)
+
+
+@kernel
+def drop_backward(bundle: Array, to_sensor: bool) -> None:
+    """End rays of a bundle that do not travel in the direction in which their sequence goes on."""
+    for i in range(BLOCK):
+        _drop(bundle, i, (bundle[DZ + i] > 0.0) != to_sensor)
+
+
+@kernel
+def load_rays(bundle: Array, rays: Arrived, first: int) -> int:
+    """Load rays of a table from number `first` on into a bundle; return how many it holds.
+
+    Those of weight 0 have ended.
+
+    Parameters
+    ----------
+    bundle : (ROWS · BLOCK,) float64
+    rays : Arrived
+    first : int
+    """
+    count = min(BLOCK, len(rays.weight) - first)
+    for i in range(count):
+        p, d = rays.position[first + i], rays.direction[first + i]
+        load(bundle, i, p[0], p[1], p[2], d[0], d[1], d[2], rays.weight[first + i])
+        if not rays.weight[first + i] > 0.0:
+            bundle[ENDED_ON + i] = DROPPED
+    pad(bundle, count)
+    return count
 
 
 @kernel

@@ -1,11 +1,16 @@
 """Paths through the camera as sequences: the faces that light meets in turn, and at which of them it is reflected.
 
-The faces of a camera are numbered from the object to the sensor: the refracting surfaces of the lens, then the two
-faces of the array, if there is one. A ghost of two reflections is a sequence like the image path, only longer.
+The faces of a camera are numbered from the object to the sensor: the refracting surfaces of the lens; the two faces of
+the array, if there is one; the two of the sensor's cover, if it has one; the sensor, if it reflects. A ghost of two
+reflections is a sequence like the image path, only longer.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby
+
+LENS_LEG, ARRAY_LEG, PLANES_LEG = 0, 1, 2
+"""Parts of the camera: the lens; the array; the plane faces of the sensor and its cover."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,71 @@ class Itinerary:
         """Return the part of a path before it first meets a face; for an array, its first face gives the lens' part."""
         end = self.faces.index(face) if face in self.faces else len(self.faces)
         return Itinerary(self.faces[:end], self.reflected[:end], self.to_sensor)
+
+
+@dataclass(frozen=True)
+class Leg:
+    """Consecutive faces of a path in one part of the camera.
+
+    Attributes
+    ----------
+    part : int
+        `LENS_LEG`, `ARRAY_LEG` or `PLANES_LEG`.
+    faces : tuple of int
+        Counted within the part, from the object to the sensor.
+    reflected : tuple of bool
+        Whether the path is reflected at each of them.
+    to_sensor : bool
+        Direction in which the leg begins.
+    """
+
+    part: int
+    faces: tuple[int, ...]
+    reflected: tuple[bool, ...]
+    to_sensor: bool
+
+
+@dataclass(frozen=True)
+class Faces:
+    """How many faces a camera has in each part, in their order from the object to the sensor.
+
+    Attributes
+    ----------
+    of_lens, of_array, planes : int
+    sensor_reflects : bool
+        The last of the planes is the sensor, where every path ends that is detected.
+    """
+
+    of_lens: int
+    of_array: int
+    planes: int
+    sensor_reflects: bool
+
+    def paths(self, hollow: Sequence[tuple[int, bool]] = ()) -> Iterator[Itinerary]:
+        """Yield the image path and all paths with two reflections, from object space to the sensor.
+
+        Parameters
+        ----------
+        hollow : sequence of (int, bool)
+            As for `two_reflections`.
+        """
+        ends, total = int(self.sensor_reflects), self.of_lens + self.of_array + self.planes
+        for path in (image_path(total), *two_reflections(total, hollow)):
+            yield Itinerary(path.faces[: len(path.faces) - ends], path.reflected[: len(path.faces) - ends])
+
+    def part(self, face: int) -> int:
+        """Return the part of the camera that a face belongs to."""
+        return LENS_LEG if face < self.of_lens else ARRAY_LEG if face < self.of_lens + self.of_array else PLANES_LEG
+
+    def legs(self, path: Itinerary) -> list[Leg]:
+        """Return a path part by part."""
+        begin = {LENS_LEG: 0, ARRAY_LEG: self.of_lens, PLANES_LEG: self.of_lens + self.of_array}
+        legs, to_sensor = [], path.to_sensor
+        for part, met in groupby(zip(path.faces, path.reflected, strict=True), lambda met: self.part(met[0])):
+            faces, reflected = zip(*met, strict=True)
+            legs.append(Leg(part, tuple(face - begin[part] for face in faces), reflected, to_sensor))
+            to_sensor ^= sum(reflected) % 2 == 1
+        return legs
 
 
 def image_path(faces: int) -> Itinerary:

@@ -9,7 +9,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,7 +27,7 @@ from lfmesh.transport.sequential.plane_faces import (
     follow_plane_faces,
 )
 from lfmesh.transport.sequential.reflections import Arrived, follow_sequence, follow_through_mla
-from lfmesh.transport.sequential.sequences import Itinerary, image_path, two_reflections
+from lfmesh.transport.sequential.sequences import ARRAY_LEG, LENS_LEG, Faces, Itinerary
 from lfmesh.transport.tables.interfaces import refused_in_order
 from lfmesh.transport.tables.tables import THIN_LENS, Tables
 from lfmesh.transport.trace import at_wavelength
@@ -40,8 +39,6 @@ from lfmesh.view.rays.paths import Rays
 Floats = NDArray[np.float64]
 
 DASH, PLUS_MINUS = "\N{EN DASH}", "\N{PLUS-MINUS SIGN}"
-
-OF_LENS, OF_ARRAY = 0, 1
 
 SHOWN = 10
 """Ghosts that are printed."""
@@ -159,7 +156,6 @@ def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[fl
     points = frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], np.atleast_2d(np.asarray(points_mm, float)))
     if (points[:, 2] >= world.tables.lens.box_low[2]).any():
         raise LfmeshError("ghosts by sequence: a field point must lie in front of the lens")
-    faces = _Faces.of(world.tables)
     tables = [at_wavelength(world, wavelength) for wavelength in wavelengths_nm or world.scene.wavelengths_nm]
     # A hollow side may be met twice; of an asphere, either.
     sides = [
@@ -168,39 +164,24 @@ def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[fl
         for behind in (False, True)
         if surface["terms"] > 0 or (surface["curvature"] > 0.0 if behind else surface["curvature"] < 0.0)
     ]
-    found = [_brought(world, tables, points, path) for path in faces.paths(sides)]
+    found = [_brought(world, tables, points, path) for path in _paths(world.tables, sides)]
     camera = world.scene.camera
     plane = camera.mla.distance_mm if camera.mla is not None else camera.sensor.distance_mm
     ghosts = sorted(found[1:], key=lambda row: -row.power)
-    return ExactGhosts(found[0], ghosts, float(plane or math.nan), faces.of_array > 0, _mirrors_in_words(world.tables))
+    return ExactGhosts(found[0], ghosts, float(plane or math.nan), camera.mla is not None, _mirrors_in_words(world.tables))
 
 
-@dataclass(frozen=True)
-class _Faces:
-    """How many faces there are, in order from the object to the sensor."""
+def _faces(tables: Tables) -> Faces:
+    """Return how many faces lens, array, cover and sensor have."""
+    return Faces(
+        len(tables.lens.surfaces), 2 * tables.mla.present, count_faces(tables), tables.sensor.reflectance > 0.0
+    )
 
-    of_lens: int
-    of_array: int
-    planes: int  # of the sensor's cover, and a sensor that reflects
-    sensor_reflects: bool
-    thin_lenses: frozenset[int]  # which of them are thin lenses, that reflect nothing
 
-    @classmethod
-    def of(cls, tables: Tables) -> "_Faces":
-        return cls(
-            len(tables.lens.surfaces), 2 * tables.mla.present, count_faces(tables), tables.sensor.reflectance > 0.0,
-            frozenset(np.flatnonzero(tables.lens.interfaces.rows["kind"] == THIN_LENS).tolist()),
-        )  # fmt: skip
-
-    def paths(self, hollow: list[tuple[int, bool]]) -> list[Itinerary]:
-        """Return the image path and all with two reflections."""
-        ends = int(self.sensor_reflects)
-        total = self.of_lens + self.of_array + self.planes
-        paths = [image_path(total), *two_reflections(total, hollow)]
-        kept = [path for path in paths if self.thin_lenses.isdisjoint(path.mirrors)]
-        # What a sensor that reflects detects ends there.
-        return [Itinerary(path.faces[: len(path.faces) - ends], path.reflected[: len(path.faces) - ends])
-                for path in kept]  # fmt: skip
+def _paths(tables: Tables, hollow: list[tuple[int, bool]]) -> list[Itinerary]:
+    """Return the image path and all with two reflections; a thin lens reflects nothing."""
+    thin = frozenset(np.flatnonzero(tables.lens.interfaces.rows["kind"] == THIN_LENS).tolist())
+    return [path for path in _faces(tables).paths(hollow) if thin.isdisjoint(path.mirrors)]
 
 
 def _mirrors_in_words(tables: Tables) -> str:
@@ -280,30 +261,23 @@ def _follow(tables: Tables, path: Itinerary, p: Floats, d: Floats) -> tuple[Arri
 
     Also returns numbers that tell apart the parts, and the surfaces of the lens, at which rays leave the path.
     """
-    count, behind = len(tables.lens.surfaces), len(tables.lens.surfaces) + 2 * tables.mla.present
-    rays, to_sensor = Arrived(np.array(p), np.array(d), np.ones(len(p))), path.to_sensor
+    rays = Arrived(np.array(p), np.array(d), np.ones(len(p)))
     ways, way = np.zeros(len(p)), np.empty(len(p))
-    for part, leg in groupby(zip(path.faces, path.reflected, strict=True), lambda met: _part(met[0], count, behind)):
-        faces, reflected = zip(*leg, strict=True)
+    for leg in _faces(tables).legs(path):
         passed = rays.weight > 0.0
         way[:] = 0.0
-        if part == OF_LENS:
-            through = follow_sequence(tables.lens, Itinerary(faces, reflected, to_sensor), *rays[:2], ways=way)
+        if leg.part == LENS_LEG:
+            along = Itinerary(leg.faces, leg.reflected, leg.to_sensor)
+            through = follow_sequence(tables.lens, along, *rays[:2], ways=way)
             rays = through._replace(weight=np.where(rays.weight > 0.0, rays.weight * through.weight, 0.0))
-        elif part == OF_ARRAY and reflected == (False, False) and to_sensor:
+        elif leg.part == ARRAY_LEG and leg.reflected == (False, False) and leg.to_sensor:
             follow_through_mla(rays, tables.mla, tables.frames)
-        elif part == OF_ARRAY:
-            follow_array_faces(rays, tables.mla, tables.frames, tuple(face - count for face in faces), reflected)
+        elif leg.part == ARRAY_LEG:
+            follow_array_faces(rays, tables.mla, tables.frames, leg.faces, leg.reflected)
         else:
-            follow_plane_faces(rays, tables, tuple(face - behind for face in faces), reflected)
-        to_sensor ^= sum(reflected) % 2 == 1
+            follow_plane_faces(rays, tables, leg.faces, leg.reflected)
         ways[passed] += 1.0 + way[passed]
     return rays, ways
-
-
-def _part(face: int, lens: int, behind: int) -> int:
-    """Return whether a face is `OF_LENS`, `OF_ARRAY` or, the largest number, behind both."""
-    return int(face >= lens) + int(face >= behind)
 
 
 def _focus_mm(world: World, path: Itinerary, object_mm: float) -> float:

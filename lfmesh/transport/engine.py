@@ -40,6 +40,7 @@ from lfmesh.transport.packets.packet import (
     OBJECTS,
     PACKET,
     PLATE,
+    SENSOR,
     POLARISED,
     POLARISED_END,
     STATIONS,
@@ -48,7 +49,7 @@ from lfmesh.transport.packets.packet import (
     Flow,
     Options,
 )
-from lfmesh.transport.packets.path_class import LENS_GHOSTS
+from lfmesh.transport.packets.path_class import GHOSTS
 from lfmesh.transport.regions.cover import through_cover
 from lfmesh.transport.regions.emitters import ask_emitters
 from lfmesh.transport.regions.lens import admit_to_lens, shade_lens
@@ -58,7 +59,7 @@ from lfmesh.transport.regions.objects import admit_to_objects, shade_objects
 from lfmesh.transport.regions.sensor import onto_reflecting_sensor, onto_sensor
 from lfmesh.transport.sequential.image_path import follow_image_path
 from lfmesh.transport.sequential.lens_bundle import BLOCK, empty_bundle
-from lfmesh.transport.sequential.lens_ghosts import GhostRoom, follow_lens_ghosts, ghost_room
+from lfmesh.transport.sequential.ghosts import GhostRoom, follow_ghosts, ghost_room
 from lfmesh.transport.tables.media import clear
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.world import World
@@ -244,9 +245,11 @@ class Workspace:
         self.reserve(count)
         flow = self.flow()
         wave = self._take(station, count)
-        if options.paths == LENS_GHOSTS and station in (LENS, PLATE):
+        if options.paths == GHOSTS and station in (LENS, PLATE, SENSOR):
             room = self.kept(GhostRoom, lambda: ghost_room(self.chunk, len(tables.ghosts.lengths)))
-            follow_lens_ghosts(wave, station, lens, mla, tables.ghosts, frames, self.numbers, options, flow, room)
+            follow_ghosts(
+                wave, lens, mla, tables.sensor, tables.cover, tables.ghosts, frames, self.numbers, options, flow, room
+            )
         elif options.sequential and station in (LENS, PLATE):
             follow_image_path(wave, station, lens, mla, frames, self.bundle, self.numbers, options, flow)
         elif station == LENS and options.in_order:

@@ -1,4 +1,4 @@
-"""How the lens's ghosts are drawn: by the light that each sequence brings, as a coarse trace finds it.
+"""How ghosts are drawn: by the light that each sequence brings, as a coarse trace finds it.
 
 The trace decides only how often a sequence is followed, never what light there is: each is drawn by every ray with some
 chance, and weighted by its inverse.
@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from lfmesh.geometry.levels import EXACT
 from lfmesh.geometry.surface import CONIC_AND_EVEN
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
-from lfmesh.transport.sequential.lens_ghosts import ANGLES, HEIGHTS, RADII, GhostTables
-from lfmesh.transport.sequential.reflections import follow_sequence
-from lfmesh.transport.sequential.sequences import Itinerary, two_reflections
+from lfmesh.transport.sequential.ghosts import ANGLES, HEIGHTS, RADII, GhostTables, weights_along
+from lfmesh.transport.sequential.lens_bundle import empty_bundle
+from lfmesh.transport.sequential.plane_faces import count_faces
+from lfmesh.transport.sequential.reflections import BUNDLE_ROWS, book_for
+from lfmesh.transport.sequential.sequences import ARRAY_LEG, LENS_LEG, Faces, Itinerary
 from lfmesh.transport.tables.tables import Tables
 
 Array = NDArray[np.float64]
@@ -24,14 +26,12 @@ SHARE_OF_ALL, SHARE_OF_EACH = 0.2, 0.1
 """Share of the chances that goes by the light that sequences bring over all kinds of rays, and the share that all have
 alike: for what the few rays of a kind have missed."""
 
-COVER_FACES, ARRAY_FACES = 2, 2
-
 
 def ghost_tables(tables: Tables, max_events: int) -> GhostTables | None:
-    """Return how the lens's ghosts are drawn; None where they are not followed by sequence.
+    """Return how ghosts are drawn; None where they are not followed by sequence.
 
-    That is where a surface is none of revolution, or a thin lens, where `max_events` might cut a sequence, and where no
-    light comes along any.
+    That is where a surface of the lens is none of revolution, or a thin lens, and where no light comes along any of the
+    sequences that `max_events` allows.
 
     Parameters
     ----------
@@ -41,26 +41,50 @@ def ghost_tables(tables: Tables, max_events: int) -> GhostTables | None:
         As in `Options`.
     """
     lens = tables.lens
-    count = len(lens.surfaces)
-    paths = [path.reverse for path in two_reflections(count)]
     known = (lens.surfaces["level"] == EXACT) & (lens.surfaces["kind"] == CONIC_AND_EVEN)
-    if not paths or not known.all() or lens.interfaces.thin or lens.interfaces.rough:
+    if not known.all() or lens.interfaces.thin or lens.interfaces.rough:
         return None
-    longest = max(len(path.faces) for path in paths)
-    if longest + COVER_FACES + ARRAY_FACES >= max_events:
+    of = Faces(len(lens.surfaces), 2 * tables.mla.present, count_faces(tables), tables.sensor.reflectance > 0.0)
+    image_path, *twice = of.paths()
+    # The array itself reflects nothing on them.
+    paths = [path.reverse for path in twice if all(of.part(face) != ARRAY_LEG for face in path.mirrors)]
+    paths = [path for path in paths if len(path.faces) <= max_events]
+    if not paths:
         return None
-    faces, reflected = np.zeros((len(paths), longest), np.int64), np.zeros((len(paths), longest), np.bool_)
-    for row, path in enumerate(paths):
-        faces[row, : len(path.faces)], reflected[row, : len(path.faces)] = path.faces, path.reflected
-    from_z, height = _where_from(tables)
-    ghosts = GhostTables(
-        faces, reflected, np.array([len(path.faces) for path in paths]), np.zeros((0, len(paths))),
-        tables.aim.exit.plane_z, from_z, tables.aim.back_radius, height,
-    )  # fmt: skip
-    light = _light(tables, ghosts, paths)
+    ghosts = _without_chances(tables, of, image_path, paths)
+    light = _light(tables, ghosts)
     if not light.any():
         return None
-    return ghosts._replace(until=_cumulative(light))
+    return ghosts._replace(until=_cumulative(light, ghosts.from_pixel))
+
+
+def _without_chances(tables: Tables, of: Faces, image_path: Itinerary, paths: list[Itinerary]) -> GhostTables:
+    """Return the tables of sequences, from the sensor, with no chances yet."""
+    behind = [leg for leg in of.legs(image_path) if leg.part != LENS_LEG]
+    to_lens = [leg for leg in of.legs(image_path.reverse) if leg.part != LENS_LEG]
+    legs, first, from_pixel = [*to_lens, *behind], [], []
+    for path in paths:
+        own = of.legs(path)
+        begins_in_lens = own[: len(to_lens)] == to_lens
+        first.append(len(legs))
+        from_pixel.append(not begins_in_lens)
+        legs += own[len(to_lens) if begins_in_lens else 0 :]
+    steps = np.cumsum([0, *(len(leg.faces) for leg in legs)])
+    from_z, height = _where_from(tables)
+    return GhostTables(
+        faces=np.array([face for leg in legs for face in leg.faces], np.int64),
+        reflected=np.array([mirrors for leg in legs for mirrors in leg.reflected], np.bool_),
+        legs=np.array([(leg.part, *steps[k : k + 2], leg.to_sensor) for k, leg in enumerate(legs)], np.int64),
+        to_lens=len(to_lens),
+        first=np.array([*first, len(legs)], np.int64),
+        from_pixel=np.array(from_pixel, np.bool_),
+        lengths=np.array([len(path.faces) for path in paths], np.int64),
+        until=np.zeros((0, len(paths))),
+        plane_z=tables.aim.exit.plane_z,
+        from_z=from_z,
+        radius=tables.aim.back_radius,
+        height=height,
+    )
 
 
 def _where_from(tables: Tables) -> tuple[float, float]:
@@ -74,13 +98,17 @@ def _where_from(tables: Tables) -> tuple[float, float]:
     return float(move[2, 3]), max(float(np.hypot(*corner[:2])) for corner in corners)
 
 
-def _light(tables: Tables, ghosts: GhostTables, paths: list[Itinerary]) -> Array:
+def _light(tables: Tables, ghosts: GhostTables) -> Array:
     """Return the root mean square of the weights of rays of each kind along each sequence, (kinds, sequences)."""
     p, d = _rays(ghosts)
+    camera = tables.lens, tables.mla, tables.sensor, tables.cover
+    media = [tables.lens.media, tables.mla.media, *([] if tables.cover is None else [tables.cover.media])]
+    book, bundle = max((book_for(each) for each in media), key=len), empty_bundle(BUNDLE_ROWS)
     colour = tables.lens.media.indices.shape[1] // 2
-    squares = [follow_sequence(tables.lens, path, p, d, colour).weight ** 2 for path in paths]
-    means = np.array(squares).reshape(len(paths), -1, RAYS_OF_A_KIND).mean(axis=2)
-    return np.sqrt(means.T)
+    weights = np.zeros((len(ghosts.lengths), len(p)))
+    for sequence, row in enumerate(weights):
+        weights_along(sequence, p, d, camera, ghosts, tables.frames, colour, bundle, book, row)
+    return np.sqrt((weights.reshape(len(weights), -1, RAYS_OF_A_KIND) ** 2).mean(axis=2).T)
 
 
 def _rays(ghosts: GhostTables) -> tuple[Array, Array]:
@@ -98,11 +126,15 @@ def _rays(ghosts: GhostTables) -> tuple[Array, Array]:
     return p, d / np.linalg.norm(d, axis=1)[:, None]
 
 
-def _cumulative(light: Array) -> Array:
-    """Return the cumulative chances of the sequences for each kind of ray from the light that they bring."""
+def _cumulative(light: Array, from_pixel: NDArray[np.bool_]) -> Array:
+    """Return the cumulative chances of the sequences for each kind of ray from the light that they bring.
+
+    In the last row, for rays that do not come to the lens, those that begin at the pixel share all chances.
+    """
     of_all = light.sum(axis=0) / light.sum()
     of_kind = light.sum(axis=1, keepdims=True)
     own = np.where(of_kind > 0.0, light / np.where(of_kind > 0.0, of_kind, 1.0), of_all)
     chances = (1.0 - SHARE_OF_ALL - SHARE_OF_EACH) * own + SHARE_OF_ALL * of_all + SHARE_OF_EACH / light.shape[1]
-    until = np.cumsum(chances, axis=1)
-    return np.ascontiguousarray(until / until[:, -1:])
+    lost = np.where(from_pixel, of_all + SHARE_OF_EACH / light.shape[1], 0.0)
+    until = np.cumsum(np.vstack([chances, lost]), axis=1)
+    return np.ascontiguousarray(until / np.where(until[:, -1:] > 0.0, until[:, -1:], 1.0))

@@ -154,6 +154,23 @@ def windowed(book: Array, weight: float, floor: float, key: np.uint64, dimension
 
 
 @inlined
+def thinned(options: Options, book: Array, packet: Any, weight: float, key: np.uint64) -> float:
+    """Return the weight of a packet that brings nothing as it is, and of which few continue; 0: it ends.
+
+    Parameters
+    ----------
+    options : Options
+    book : (slots,) float64
+    packet : PACKET
+    weight : float
+    key : uint64
+        Of its random numbers.
+    """
+    dimension = packet.events * DIMENSIONS_PER_EVENT + KEEP_REACHED
+    return windowed(book, weight, options.unturned_cutoff * packet.start, key, dimension)
+
+
+@inlined
 def split_shares(
     options: Options, book: Array, packet: Any, reflectance: float, transmittance: float
 ) -> tuple[float, float]:

@@ -18,10 +18,12 @@ in this order, give its class:
    happens does not matter: targets and rough glass may scatter it before and after, which by itself changes nothing.
    Rough surfaces of lens and array are traced by the mesh engine, which estimates `EVERY` path at once.
 
-Where the lens's ghosts are estimated by themselves, `OFF_IMAGE_PATH` is divided into `LENS_GHOSTS` and `OTHER_STRAYS`.
-A path is one of the lens's ghosts if, seen from the sensor, its first passage of the lens has two reflections, both at
-refracting surfaces of the lens, and from each surface leads to the next one on either side, and if it leaves the image
-path nowhere else. (Straight after a surface a path may meet it again on its hollow side: those are other strays.)
+Where ghosts are estimated by themselves, `OFF_IMAGE_PATH` is divided into `GHOSTS` and `OTHER_STRAYS`. A path is one of
+the ghosts if, seen from the sensor, it leaves the camera first after exactly two reflections, each at a refracting
+surface of the lens, at a face of the sensor's cover or at the sensor; if from each surface of the lens it leads to the
+next one on either side, and through the array, wherever it passes it, by one lenslet of each face; and if it leaves the
+image path nowhere else. (Straight after a surface a path may meet it again on its hollow side: those are other strays,
+as are paths that the array reflects.)
 
 `EVERY` stands for all paths that a method can find: all but `LAMP_ON_CAMERA`, and in the adjoint method all but
 `LAMP_THROUGH_GLASS` too. Light that is in no class is named in transport/README.md, "Limits": light of a lamp that
@@ -31,14 +33,14 @@ reaches the sensor, or through the lens a target, before anything has scattered 
 from typing import Any
 
 from lfmesh.kernel import inlined
-from lfmesh.transport.packets.packet import CAMERA_FRAME, LAMP, OBJECT_FRAME, Options
+from lfmesh.transport.packets.packet import CAMERA_FRAME, LAMP, OBJECT_FRAME, SENSOR_FRAME, Options
 
-EVERY, OFF_IMAGE_PATH, LAMP_THROUGH_GLASS, LAMP_ON_CAMERA, LENS_GHOSTS, OTHER_STRAYS = 0, 1, 2, 3, 4, 5
+EVERY, OFF_IMAGE_PATH, LAMP_THROUGH_GLASS, LAMP_ON_CAMERA, GHOSTS, OTHER_STRAYS = 0, 1, 2, 3, 4, 5
 """`Options.paths`."""
 
 IN_NO_GHOST, ON_IMAGE_PATH, STRAY, REFLECTED_ONCE, REFLECTED_TWICE = -1, 0, 1, 2, 3
-"""`stray` of a packet. Above 0: its path has left the image path, by one or by two reflections as those of the lens's
-ghosts, or otherwise. `IN_NO_GHOST`: still on the image path, but it can become none of the lens's ghosts any more."""
+"""`stray` of a packet. Above 0: its path has left the image path, by one or by two reflections as those of ghosts, or
+otherwise. `IN_NO_GHOST`: still on the image path, but it can become none of the ghosts any more."""
 
 STRAYS_OF = {OFF_IMAGE_PATH: (STRAY, REFLECTED_ONCE, REFLECTED_TWICE), OTHER_STRAYS: (STRAY,)}
 """`stray` of the packets that count, in the classes of which not all packets do that are traced."""
@@ -57,13 +59,16 @@ def stray_after(frame: int, refracts: bool, transmittance: float, stray: int) ->
     """
     if not turns_off_image_path(frame, refracts, transmittance):
         return stray
-    if frame == CAMERA_FRAME:
-        # In the camera's frame there are the surfaces of the lens alone.
-        if stray == ON_IMAGE_PATH:
-            return REFLECTED_ONCE
-        if stray == REFLECTED_ONCE:
-            return REFLECTED_TWICE
-    return STRAY
+    # In the camera's frame there are the surfaces of the lens alone, in the sensor's those of its cover.
+    return stray_after_mirror(stray) if frame == CAMERA_FRAME or frame == SENSOR_FRAME else STRAY
+
+
+@inlined
+def stray_after_mirror(stray: int) -> int:
+    """Return `stray` of a packet that lens, cover or sensor has reflected, from what it was before."""
+    if stray == ON_IMAGE_PATH:
+        return REFLECTED_ONCE
+    return REFLECTED_TWICE if stray == REFLECTED_ONCE else STRAY
 
 
 @inlined
@@ -99,7 +104,7 @@ def turns_off_image_path(frame: int, refracts: bool, transmittance: float) -> bo
 
 @inlined
 def is_unturned(options: Options, packet: Any) -> bool:
-    """Tell whether a packet does not count yet: it is on the image path or, among other strays, a ghost of the lens."""
+    """Tell whether a packet does not count yet: it is on the image path or, among other strays, on that of a ghost."""
     if options.paths == OTHER_STRAYS:
         return packet.stray != STRAY
     return options.paths == OFF_IMAGE_PATH and packet.stray <= ON_IMAGE_PATH
@@ -107,7 +112,7 @@ def is_unturned(options: Options, packet: Any) -> bool:
 
 @inlined
 def is_other_ghost(options: Options, packet: Any) -> bool:
-    """Tell whether a packet, of which only other strays count, is on the path of one of the lens's ghosts so far."""
+    """Tell whether a packet, of which only other strays count, is on the path of one of the ghosts so far."""
     return options.paths == OTHER_STRAYS and packet.stray == REFLECTED_TWICE
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.kernel import inlined, kernel
-from lfmesh.transport.events.crossing import end_here, move_packet, refracted, too_deep
+from lfmesh.transport.events.crossing import end_here, move_packet, refracted, thinned, too_deep
 from lfmesh.transport.events.interface import divided, splitter
 from lfmesh.transport.events.travel import travel
 from lfmesh.transport.packets.book import HOUSING, UNFOLLOWED
@@ -30,6 +30,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
+from lfmesh.transport.packets.path_class import is_other_ghost
 from lfmesh.transport.regions.sensor import onto_pixel
 from lfmesh.transport.tables.cover import FRONT_ROW, REAR_ROW, CoverTables
 from lfmesh.transport.tables.tables import AIR, SensorTables
@@ -90,6 +91,10 @@ def _send_from_face(
 ) -> None:  # fmt: skip
     """Queue a child of a packet at a face of the cover."""
     at_front, outside, lens_surfaces = place
+    if not refracts and is_other_ghost(options, packet):
+        weight = thinned(options, flow.book, packet, weight, key)
+        if weight == 0.0:
+            return
     if at_front and dz < 0.0:
         _leave(flow, packet, outside, lens_surfaces, z, x, y, dx, dy, dz, weight, key)
     else:

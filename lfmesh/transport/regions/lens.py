@@ -14,7 +14,6 @@ from lfmesh.geometry.surface import conic_distance, distance_to, normal_at
 from lfmesh.geometry.tessellation import OVERREACH
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.crossing import (
-    KEEP_REACHED,
     at_box,
     box_entry,
     crosses,
@@ -27,7 +26,7 @@ from lfmesh.transport.events.crossing import (
     next_query_from,
     requery,
     too_deep,
-    windowed,
+    thinned,
     write_query,
 )
 from lfmesh.transport.events.interface import (
@@ -58,7 +57,6 @@ from lfmesh.transport.packets.packet import (
     put,
 )
 from lfmesh.transport.packets.path_class import is_other_ghost, is_unturned, stray_at_same_surface, stray_before_lens
-from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT
 from lfmesh.transport.regions.lens_block import (
     ALONG_X,
     ALONG_Y,
@@ -582,11 +580,7 @@ def _send_child(
     into = (k + 1 if k == space else k) if refracts else space
     leaves = _leaves_for_good(lens, into, dz)
     if (leaves and into == 0 and is_unturned(options, packet)) or (not refracts and is_other_ghost(options, packet)):
-        # It brings nothing as it is, and only few such packets continue.
-        weight = windowed(
-            flow.book, weight, options.unturned_cutoff * packet.start, key,
-            packet.events * DIMENSIONS_PER_EVENT + KEEP_REACHED,
-        )  # fmt: skip
+        weight = thinned(options, flow.book, packet, weight, key)
         if weight == 0.0:
             return
     if leaves:

@@ -6,7 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.kernel import inlined, kernel
-from lfmesh.transport.events.crossing import deposit, end, end_here, move_packet, record, split_shares, too_deep
+from lfmesh.transport.events.crossing import (
+    deposit,
+    end,
+    end_here,
+    move_packet,
+    record,
+    split_shares,
+    thinned,
+    too_deep,
+)
 from lfmesh.transport.events.polarisation import through_polariser
 from lfmesh.transport.packets.book import BESIDE_SENSOR, HOUSING, ON_SENSOR, SAMPLING_REMOVED, UNFOLLOWED
 from lfmesh.transport.packets.packet import (
@@ -24,7 +33,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.path_class import STRAY
+from lfmesh.transport.packets.path_class import is_other_ghost, stray_after_mirror
 from lfmesh.transport.packets.random import derived
 from lfmesh.transport.tables.tables import SensorTables
 
@@ -120,11 +129,16 @@ def onto_pixel(
                 packet.node,
             )  # fmt: skip
         # It goes on as packets start at a pixel, but off the image path.
+        packet.stray = stray_after_mirror(packet.stray)
+        key = derived(packet.key, packet.events)
+        if is_other_ghost(options, packet):
+            reflected = thinned(options, flow.book, packet, reflected, key)
+            if reflected == 0.0:
+                return
         child = put(
-            flow, station, packet, SENSOR_FRAME, x, y, 0.0, packet.dx, packet.dy, -packet.dz,
-            reflected, derived(packet.key, packet.events), 0.0,
+            flow, station, packet, SENSOR_FRAME, x, y, 0.0, packet.dx, packet.dy, -packet.dz, reflected, key, 0.0
         )  # fmt: skip
-        child.space, child.stray = lens_surfaces, STRAY
+        child.space = lens_surfaces
         child.last, child.facet, child.column = NO_SURFACE, NO_SURFACE, NO_SURFACE
 
 

@@ -19,7 +19,6 @@ from lfmesh.transport.events.crossing import (
     AIM_V,
     BOUNCE_U,
     KEEP_BOUNCE,
-    KEEP_REACHED,
     PASS,
     barycentric,
     clear_of,
@@ -28,6 +27,7 @@ from lfmesh.transport.events.crossing import (
     draw_two,
     end,
     record,
+    thinned,
     windowed,
 )
 from lfmesh.transport.events.emission import asks_emitters, share_by_chance
@@ -96,8 +96,7 @@ def meet_target(
         return
     if is_unturned(options, packet):
         # It gathers nothing here, and only few such packets continue: roulette comes before the work of scattering.
-        dimension = packet.events * DIMENSIONS_PER_EVENT + KEEP_REACHED
-        weight = windowed(flow.book, weight, options.unturned_cutoff * packet.start, packet.key, dimension)
+        weight = thinned(options, flow.book, packet, weight, packet.key)
         if weight == 0.0:
             return
         packet.weight = weight

@@ -1,7 +1,8 @@
-"""Proof of the lens's ghosts: some of a run's own, followed along their sequences and traced through the meshes too.
+"""Proof of the ghosts: some of a run's own, followed along their sequences and traced through the meshes too.
 
-The meshes are the model, and sequences in blocks (`sequential.lens_ghosts`) a shortcut. Each ray is traced surface by
-surface through the meshes; of the two children at a surface the one that its sequence asks for goes on.
+The meshes are the model, and sequences in blocks (`sequential.ghosts`) a shortcut. Each packet is traced from its pixel
+through the meshes, face by face; of the two children at a face the one that its sequence asks for goes on. Which that
+is, `stray` tells: so this proves, too, that the classes of paths are what the sequences are.
 """
 
 import numpy as np
@@ -9,54 +10,48 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
 from lfmesh.transport.engine import Workspace
-from lfmesh.transport.packets.packet import (
-    BOTH,
-    CAMERA_FRAME,
-    LENS,
-    LENS_MESH,
-    NO_SURFACE,
-    OBJECT_FRAME,
-    OBJECTS,
-    WORLD_FRAME,
-)
-from lfmesh.transport.packets.path_class import EVERY
+from lfmesh.transport.packets.packet import BOTH, CAMERA_FRAME, OBJECT_FRAME, OBJECTS, STATIONS
+from lfmesh.transport.packets.path_class import EVERY, ON_IMAGE_PATH, REFLECTED_ONCE, REFLECTED_TWICE
 from lfmesh.transport.render.order_check import OrderCheck
-from lfmesh.transport.sequential.lens_ghosts import GhostRoom, GhostTables, ghost_room
+from lfmesh.transport.sequential.ghosts import GhostRoom, GhostTables, ghost_room
 from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]
 
 
-def compare_ghosts(world: World, work: Workspace, station: int) -> OrderCheck:
-    """Follow packets from the sensor along sequences of the lens, in blocks and through meshes; compare both.
+def compare_ghosts(world: World, work: Workspace) -> OrderCheck | None:
+    """Follow packets along sequences of faces, in blocks and through meshes; compare both. None where none waits.
 
     Parameters
     ----------
     world : World
     work : Workspace
-        Of the part of the image that follows the lens's ghosts. Its packets wait, before lens or array.
-    station : int
-        Where they wait.
+        Of the part of the image that follows ghosts. Its packets have left their pixels, and wait at one station.
     """
-    ghosts = work.tables.ghosts
+    station = int(np.argmax(work.tops[:STATIONS]))
     count = int(work.tops[station])
+    if count == 0:
+        return None
+    ghosts = work.tables.ghosts
     packets = work.stacks[work.rows[station], :count].copy()
     packets["source"] = np.arange(count)
     work.stacks[work.rows[station], :count] = packets
     work.advance(station)
     room = work.kept(GhostRoom, lambda: ghost_room(work.chunk, len(ghosts.lengths)))
     drawn = np.flatnonzero(room.sequence[:count] >= 0)
-    rays, sequence = room.rays[:, drawn], room.sequence[drawn]
+    sequence = room.sequence[drawn]
+    packets = packets[drawn]
+    packets["weight"] /= room.chance[drawn]
     found = work.stacks[work.rows[OBJECTS], : work.tops[OBJECTS]]
     move = work.tables.frames[OBJECT_FRAME, CAMERA_FRAME]
     of_block = np.searchsorted(drawn, found["source"])
     p, d = frame.points(move, _vectors(found, "")), frame.directions(move, _vectors(found, "d"))
-    of_mesh, there = _through_meshes(world, work, packets[drawn], rays, sequence, ghosts)
+    of_mesh, there = _through_meshes(world, work, packets, station, sequence, ghosts)
     _, a, b = np.intersect1d(of_block, of_mesh, assume_unique=True, return_indices=True)
     length = float(np.max(work.tables.lens.box_high - work.tables.lens.box_low))
     apart = np.linalg.norm(p[a] - _vectors(there[b], ""), axis=1)
     turned = length * np.linalg.norm(d[a] - _vectors(there[b], "d"), axis=1)
-    weights = np.abs(found["weight"][a] - there["weight"][b]) / rays[6, of_block[a]]
+    weights = np.abs(found["weight"][a] - there["weight"][b]) / packets["weight"][of_block[a]]
     return OrderCheck(
         compared=len(drawn),
         reflected=len(drawn),
@@ -68,50 +63,50 @@ def compare_ghosts(world: World, work: Workspace, station: int) -> OrderCheck:
 
 
 def _through_meshes(
-    world: World, work: Workspace, packets: NDArray[np.void], rays: Array, sequence: NDArray[np.int64],
+    world: World, work: Workspace, packets: NDArray[np.void], station: int, sequence: NDArray[np.int64],
     ghosts: GhostTables,
 ) -> tuple[NDArray[np.int64], NDArray[np.void]]:  # fmt: skip
-    """Trace rays behind the array (8, n) along their sequences; return which leave the lens, and their packets."""
+    """Trace packets that wait at a station along their sequences; return which leave the lens, and what they are then.
+
+    Their places and directions are in the camera frame.
+    """
     options = work.options._replace(
         tracing=True, sequential=False, in_order=False, split=BOTH, cutoff=0.0, paths=EVERY, importance=False
     )
-    tables = work.tables._replace(ghosts=None)
-    mesh = Workspace(world, options, len(packets), tables)
+    mesh = Workspace(world, options, max(len(packets), 1), work.tables._replace(ghosts=None))
     mesh.begin(packets=len(packets))
-    to_world = tables.frames[CAMERA_FRAME, WORLD_FRAME]
-    p, d = frame.points(to_world, rays[:3].T), frame.directions(to_world, rays[3:6].T)
-    for axis, name in enumerate("xyz"):
-        packets[name], packets[f"d{name}"] = p[:, axis], d[:, axis]
-    packets["source"], packets["weight"], packets["events"] = np.arange(len(packets)), rays[6], 0
-    packets["frame"], packets["last"], packets["space"] = WORLD_FRAME, NO_SURFACE, len(tables.lens.surfaces)
-    mesh.stacks[mesh.rows[LENS], : len(packets)] = packets
-    mesh.tops[LENS] = len(packets)
-    while mesh.tops[LENS] or mesh.tops[LENS_MESH]:
-        for station in (LENS, LENS_MESH):
-            waiting = mesh.stacks[mesh.rows[station], : mesh.tops[station]]
-            kept = waiting[_on_sequence(waiting, sequence, ghosts)]
+    packets["source"] = np.arange(len(packets))
+    mesh.stacks[mesh.rows[station], : len(packets)] = packets
+    mesh.tops[station] = len(packets)
+    turns = _reflections(ghosts)[sequence]
+    inside = np.array([each for each in range(STATIONS) if each != OBJECTS])
+    while mesh.tops[inside].any():
+        for each in inside:
+            waiting = mesh.stacks[mesh.rows[each], : mesh.tops[each]]
+            kept = waiting[_on_sequence(waiting, turns)]
             waiting[: len(kept)] = kept
-            mesh.tops[station] = len(kept)
+            mesh.tops[each] = len(kept)
             if len(kept):
-                mesh.advance(station)
+                mesh.advance(int(each))
     out = mesh.stacks[mesh.rows[OBJECTS], : mesh.tops[OBJECTS]]
-    out = out[out["events"] == ghosts.lengths[sequence[out["source"]]]]
+    out = out[_on_sequence(out, turns) & (out["events"] == ghosts.lengths[sequence[out["source"]]])]
     return out["source"].astype(np.int64), out
 
 
-def _on_sequence(
-    packets: NDArray[np.void], sequence: NDArray[np.int64], ghosts: GhostTables
-) -> NDArray[np.bool_]:  # fmt: skip
-    """Return which packets are where their sequence has led them; those that have met no surface yet are."""
-    number = sequence[packets["source"]]
-    step = packets["events"].astype(np.int64) - 1
-    within = step < ghosts.lengths[number]
-    at = np.clip(step, 0, ghosts.lengths[number] - 1)
-    face = ghosts.faces[number, at]
-    turns = np.cumsum(ghosts.reflected, axis=1)[number, at]
-    # Towards the object but for what a first reflection has sent back.
-    space = np.where(turns == 1, face + 1, face)
-    return np.asarray((step < 0) | (within & (packets["last"] == face) & (packets["space"] == space)))
+def _reflections(ghosts: GhostTables) -> NDArray[np.int64]:
+    """Return after how many faces each sequence has been reflected once and twice, (sequences, 2)."""
+    turns = []
+    for number, length in enumerate(ghosts.lengths):
+        legs = ghosts.legs[ghosts.first[number] : ghosts.first[number + 1]]
+        reflected = np.concatenate([ghosts.reflected[leg[1] : leg[2]] for leg in legs])
+        turns.append(1 + np.flatnonzero(reflected) + length - len(reflected))
+    return np.array(turns)
+
+
+def _on_sequence(packets: NDArray[np.void], turns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which packets have been reflected at the faces of their sequence, and at no other."""
+    times = (packets["events"][:, None] >= turns[packets["source"]]).sum(axis=1)
+    return np.asarray(packets["stray"] == np.array([ON_IMAGE_PATH, REFLECTED_ONCE, REFLECTED_TWICE])[times])
 
 
 def _vectors(packets: NDArray[np.void], kind: str) -> Array:

@@ -3,7 +3,7 @@
 Paths with reflections carry a few per cent of the light and cost ten times as much as the image path. So the adjoint
 method estimates the two independently and adds them: the image path with the sequential engine, and all other paths,
 for which fewer samples are enough, with the mesh engine. Most of those are ghosts of two reflections in the lens; where
-they can be followed by their sequences of surfaces (`sequential.lens_ghosts`), they are a part of their own. If the
+they can be followed by their sequences of surfaces (`sequential.ghosts`), they are a part of their own. If the
 scene has lamps and glass, light of lamps through glass is a third part, traced forward; so is, in both methods, light
 of lamps on a camera with rough surfaces. `path_class` defines the classes; each path belongs to one of them and counts
 once. Particles are points, which no ray from the sensor meets: in both methods each entry of them is a part, traced
@@ -24,7 +24,7 @@ from lfmesh.transport.packets.packet import BOTH, TRANSMIT, Options
 from lfmesh.transport.packets.path_class import (
     LAMP_ON_CAMERA,
     LAMP_THROUGH_GLASS,
-    LENS_GHOSTS,
+    GHOSTS,
     OFF_IMAGE_PATH,
     OTHER_STRAYS,
 )
@@ -173,7 +173,7 @@ def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
     return (
         image_path,
         Part(1, others, tables._replace(aim=strays), thinned),
-        Part(4, along_path._replace(paths=LENS_GHOSTS), of_ghosts, IMAGE_PATHS_PER_GHOST, accounts=False),
+        Part(4, along_path._replace(paths=GHOSTS), of_ghosts, IMAGE_PATHS_PER_GHOST, accounts=False),
         *lamps,
     )
 
@@ -280,7 +280,7 @@ def blind_part(world: World) -> Part:
 def in_words(scene: Scene, parts: tuple[Part, ...]) -> str:
     """Describe the engine of an image, the reason, and a part that is traced from lamps."""
     words = ": ".join(engine_of(scene))
-    if any(part.options.paths == LENS_GHOSTS for part in parts):
+    if any(part.options.paths == GHOSTS for part in parts):
         words += ", the lens's ghosts by sequence"
     if any(part.options.paths == LAMP_THROUGH_GLASS for part in parts):
         words += "; lamps' light through glass forward"

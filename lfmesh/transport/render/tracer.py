@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.transport.engine import CHUNK, Workspace
-from lfmesh.transport.packets.packet import COUNTERS, DEPOSITS, LENS, PLATE, SENSOR
-from lfmesh.transport.packets.path_class import LENS_GHOSTS
+from lfmesh.transport.packets.packet import COUNTERS, DEPOSITS
+from lfmesh.transport.packets.path_class import GHOSTS
 from lfmesh.transport.packets.random import descendant, run_key
 from lfmesh.transport.render.adaptive import Counts
 from lfmesh.transport.render.blind_check import CHUNK as BLIND_CHUNK
@@ -242,21 +242,18 @@ class Tracer:
         return ChunkTally(chunk.number, chunk.part.booked(space.book), work, deposits, chunk.from_lamps)
 
     def _check_order(self) -> OrderCheck | None:
-        """Compare some packets at the lens, and some of its ghosts, with the meshes; None if there are none."""
+        """Compare some packets at the lens, and some ghosts, with the meshes; None if there are none."""
         order, ghosts = self._compared_in_order(), self._compared_ghosts()
         return ghosts if order is None else order.joined(ghosts)
 
     def _compared_ghosts(self) -> OrderCheck | None:
-        """Compare some of the lens's ghosts with the meshes; None if they are not estimated by themselves."""
-        part = next((part for part in self.parts if part.options.paths == LENS_GHOSTS), None)
+        """Compare some ghosts with the meshes; None if they are not estimated by themselves."""
+        part = next((part for part in self.parts if part.options.paths == GHOSTS), None)
         if part is None:
             return None
         work, _ = self._sampled(part, many=True)
-        while work.tops[SENSOR]:
-            work.advance(SENSOR)
-        station = PLATE if work.tops[PLATE] else LENS
         # Where no pixel sees an opening of the lens none waits.
-        return compare_ghosts(self.world, work, station) if work.tops[station] else None
+        return compare_ghosts(self.world, work)
 
     def _compared_in_order(self) -> OrderCheck | None:
         """Compare packets at the lens with the meshes; None if no part finds surfaces by their order.

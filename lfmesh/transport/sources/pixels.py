@@ -51,7 +51,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.path_class import LENS_GHOSTS
+from lfmesh.transport.packets.path_class import GHOSTS
 from lfmesh.transport.packets.random import derived, start
 from lfmesh.transport.packets.sobol import scramble, scramble_seed, sobol, step
 from lfmesh.transport.sequential.image_path import follow_block
@@ -136,7 +136,7 @@ class PixelSource(Source):
         begin = np.zeros(len(pixels), np.int64) if self.begin is None else self.begin[part.start : part.stop]
         room = work.kept(StartRoom, lambda: start_room(tables.aim, work.stacks.dtype))
         seen = tables.frames if tables.apparent is None else tables.apparent
-        if options.sequential and options.adjoint and tables.cover is None and options.paths != LENS_GHOSTS:
+        if options.sequential and options.adjoint and tables.cover is None and options.paths != GHOSTS:
             launch_along_image_path(
                 pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
                 tables.lens, tables.mla, tables.aim, tables.frames, work.bundle, work.numbers, options, work.flow(),

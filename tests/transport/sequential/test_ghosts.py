@@ -13,7 +13,7 @@ import pytest
 from scipy import stats
 
 import lfmesh as lf
-from lfmesh.transport.packets.path_class import EVERY, LENS_GHOSTS, OFF_IMAGE_PATH, OTHER_STRAYS
+from lfmesh.transport.packets.path_class import EVERY, GHOSTS, OFF_IMAGE_PATH, OTHER_STRAYS
 from lfmesh.transport.render import ghost_check
 from lfmesh.transport.render.parts import Part, parts_of
 from lfmesh.transport.render.render import Renderer
@@ -96,7 +96,7 @@ def off_path(world: Any) -> dict[int, Part]:
     """Return the two parts off the image path, and the single one in their place, by their classes."""
     apart, joined = parts_of(world), parts_of(world, by_meshes=True)
     found = {part.options.paths: part for part in (*apart, *joined) if part.options.paths != EVERY}
-    assert set(found) == {LENS_GHOSTS, OTHER_STRAYS, OFF_IMAGE_PATH}
+    assert set(found) == {GHOSTS, OTHER_STRAYS, OFF_IMAGE_PATH}
     return found
 
 
@@ -113,14 +113,14 @@ def test_ghosts_and_other_strays_are_what_the_mesh_engine_finds_off_the_image_pa
     """The ghosts by sequence alone too, against the mesh engine's share of them."""
     world = lf.build(scene(CAMERAS[name]))
     parts = off_path(world)
-    apart = image_of(world, (parts[OTHER_STRAYS], parts[LENS_GHOSTS]))
+    apart = image_of(world, (parts[OTHER_STRAYS], parts[GHOSTS]))
     by_meshes = replace(parts[OFF_IMAGE_PATH], number=7)
     whole = image_of(world, (by_meshes,))
     assert p_value(apart, whole) > LEVEL / COMPARISONS
     assert np.sqrt(np.square(whole.stderr).sum()) < 0.05 * whole.mean.sum()
     # Walks off the image path that are none of the lens's ghosts, with the same random numbers as all walks.
     others = image_of(world, (replace(by_meshes, options=by_meshes.options._replace(paths=OTHER_STRAYS)),))
-    ghosts = image_of(world, (parts[LENS_GHOSTS],))
+    ghosts = image_of(world, (parts[GHOSTS],))
     assert p_value(ghosts, _difference(whole, others)) > LEVEL / COMPARISONS
     assert ghosts.mean.sum() > 10.0 * np.sqrt(np.square(ghosts.stderr).sum())
 
@@ -133,8 +133,8 @@ def _difference(one: lf.Image, other: lf.Image) -> lf.Image:
 def test_ghosts_counted_twice_would_be_seen() -> None:
     world = lf.build(scene(CAMERAS["two"]))
     parts = off_path(world)
-    twice = image_of(world, (replace(parts[OFF_IMAGE_PATH], number=7), parts[LENS_GHOSTS]))
-    apart = image_of(world, (parts[OTHER_STRAYS], parts[LENS_GHOSTS]))
+    twice = image_of(world, (replace(parts[OFF_IMAGE_PATH], number=7), parts[GHOSTS]))
+    apart = image_of(world, (parts[OTHER_STRAYS], parts[GHOSTS]))
     assert p_value(apart, twice) < LEVEL / COMPARISONS
 
 
@@ -176,7 +176,7 @@ def test_a_run_whose_ghosts_deviate_from_the_meshes_does_without_them(
     renderer = Renderer(lf.build(scene(CAMERAS["one"])))
     assert renderer.order is not None
     assert not renderer.order.holds
-    assert LENS_GHOSTS not in [part.options.paths for part in renderer.parts]
+    assert GHOSTS not in [part.options.paths for part in renderer.parts]
     assert OFF_IMAGE_PATH in [part.options.paths for part in renderer.parts]
 
 
@@ -193,7 +193,7 @@ def test_a_run_whose_ghosts_deviate_from_the_meshes_does_without_them(
 )  # fmt: skip
 def test_ghosts_are_not_apart_where_there_are_none_or_they_cannot_be_followed(changes: dict[str, Any]) -> None:
     parts = parts_of(lf.build(scene(CAMERAS["one"]).changed(changes)))
-    assert not {LENS_GHOSTS, OTHER_STRAYS} & {part.options.paths for part in parts}
+    assert not {GHOSTS, OTHER_STRAYS} & {part.options.paths for part in parts}
 
 
 def test_the_image_is_bitwise_the_same_for_any_number_of_threads() -> None:

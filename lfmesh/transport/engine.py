@@ -40,9 +40,9 @@ from lfmesh.transport.packets.packet import (
     OBJECTS,
     PACKET,
     PLATE,
-    SENSOR,
     POLARISED,
     POLARISED_END,
+    SENSOR,
     STATIONS,
     TOPS,
     WORLD_FRAME,
@@ -57,9 +57,9 @@ from lfmesh.transport.regions.lens_block import empty_block
 from lfmesh.transport.regions.mla import admit_to_cells, shade_cells, through_plate
 from lfmesh.transport.regions.objects import admit_to_objects, shade_objects
 from lfmesh.transport.regions.sensor import onto_reflecting_sensor, onto_sensor
+from lfmesh.transport.sequential.ghosts import GhostRoom, follow_ghosts, ghost_room
 from lfmesh.transport.sequential.image_path import follow_image_path
 from lfmesh.transport.sequential.lens_bundle import BLOCK, empty_bundle
-from lfmesh.transport.sequential.ghosts import GhostRoom, follow_ghosts, ghost_room
 from lfmesh.transport.tables.media import clear
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.world import World

@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 RAYS_OF_A_KIND = 16
 """Rays of the coarse trace for each kind of ray that is told apart."""
 
+SHARE_OF_DISK = 0.1
+"""Share of the rays of a camera without an array that go anywhere on the disk at the lens."""
+
 SHARE_OF_ALL, SHARE_OF_EACH = 0.2, 0.1
 """Share of the chances that goes by the light that sequences bring over all kinds of rays, and the share that all have
 alike: for what the few rays of a kind have missed."""
@@ -55,7 +58,7 @@ def ghost_tables(tables: Tables, max_events: int) -> GhostTables | None:
     light = _light(tables, ghosts)
     if not light.any():
         return None
-    return ghosts._replace(until=_cumulative(light, ghosts.from_pixel))
+    return ghosts._replace(until=_cumulative(light, ghosts.from_pixel), cells=_cells(light))
 
 
 def _without_chances(tables: Tables, of: Faces, image_path: Itinerary, paths: list[Itinerary]) -> GhostTables:
@@ -80,6 +83,7 @@ def _without_chances(tables: Tables, of: Faces, image_path: Itinerary, paths: li
         from_pixel=np.array(from_pixel, np.bool_),
         lengths=np.array([len(path.faces) for path in paths], np.int64),
         until=np.zeros((0, len(paths))),
+        cells=np.zeros((HEIGHTS, 0)),
         plane_z=tables.aim.exit.plane_z,
         from_z=from_z,
         radius=tables.aim.back_radius,
@@ -138,3 +142,14 @@ def _cumulative(light: Array, from_pixel: NDArray[np.bool_]) -> Array:
     lost = np.where(from_pixel, of_all + SHARE_OF_EACH / light.shape[1], 0.0)
     until = np.cumsum(np.vstack([chances, lost]), axis=1)
     return np.ascontiguousarray(until / np.where(until[:, -1:] > 0.0, until[:, -1:], 1.0))
+
+
+def _cells(light: Array) -> Array:
+    """Return the cumulative chances of the cells at the lens, for each height, from the light of all sequences."""
+    edges = np.arccos(1.0 - 2.0 * np.arange(ANGLES + 1) / ANGLES)
+    area = np.broadcast_to(np.diff(edges) / edges[-1] / RADII, (RADII, ANGLES)).ravel()
+    found = light.sum(axis=1).reshape(RADII, HEIGHTS, ANGLES).transpose(1, 0, 2).reshape(HEIGHTS, -1) * area
+    total = found.sum(axis=1, keepdims=True)
+    own = np.where(total > 0.0, found / np.where(total > 0.0, total, 1.0), area)
+    until = np.cumsum((1.0 - SHARE_OF_DISK) * own + SHARE_OF_DISK * area, axis=1)
+    return np.ascontiguousarray(until / until[:, -1:])

@@ -60,7 +60,7 @@ def stray_after(frame: int, refracts: bool, transmittance: float, stray: int) ->
     if not turns_off_image_path(frame, refracts, transmittance):
         return stray
     # In the camera's frame there are the surfaces of the lens alone, in the sensor's those of its cover.
-    return stray_after_mirror(stray) if frame == CAMERA_FRAME or frame == SENSOR_FRAME else STRAY
+    return stray_after_mirror(stray) if frame in (CAMERA_FRAME, SENSOR_FRAME) else STRAY
 
 
 @inlined

@@ -25,8 +25,8 @@ from lfmesh.transport.events.crossing import (
     move_packet,
     next_query_from,
     requery,
-    too_deep,
     thinned,
+    too_deep,
     write_query,
 )
 from lfmesh.transport.events.interface import (

@@ -22,9 +22,9 @@ from lfmesh.transport.choice import engine_of
 from lfmesh.transport.packets.book import LIT, REACHED
 from lfmesh.transport.packets.packet import BOTH, TRANSMIT, Options
 from lfmesh.transport.packets.path_class import (
+    GHOSTS,
     LAMP_ON_CAMERA,
     LAMP_THROUGH_GLASS,
-    GHOSTS,
     OFF_IMAGE_PATH,
     OTHER_STRAYS,
 )

@@ -81,11 +81,13 @@ class GhostTables(NamedTuple):
     legs: NDArray[np.int64]
     to_lens: int  # number of legs from the sensor to the lens
     first: NDArray[np.int64]  # (sequences + 1,) first leg of each that packets follow
-    from_pixel: NDArray[np.bool_]  # (sequences,) they follow it from the pixel on; else from where they come to the lens
+    from_pixel: NDArray[np.bool_]  # (sequences,) whether that is from the pixel on; else it is from behind the lens on
     lengths: NDArray[np.int64]  # (sequences,) faces that it meets
     # (RADII · HEIGHTS · ANGLES + 1, sequences) cumulative chance of each for rays of each kind; the last row: for those
     # that do not come to the lens
     until: Array
+    # (HEIGHTS, RADII · ANGLES) cumulative chance with which a ray from each height goes to each cell at the lens
+    cells: Array
     plane_z: float  # mm, camera frame: the plane at the lens
     from_z: float  # mm, the plane that they come from: of the array or, without one, of the sensor
     radius: float  # mm, at which the intervals of the distance end at the lens
@@ -256,15 +258,19 @@ def weights_along(
     weights : (n,) float64
         Filled; 0: the ray does not pass.
     """
+    from_pixel = ghosts.from_pixel[sequence]
     for first in range(0, len(p), BLOCK):
         count = min(BLOCK, len(p) - first)
-        sense = -1.0 if ghosts.from_pixel[sequence] else 1.0
         for i in range(count):
             at, to = p[first + i], d[first + i]
-            load(bundle, i, at[0], at[1], at[2], sense * to[0], sense * to[1], sense * to[2], 1.0)
+            # Back to the pixel that it comes from, from the plane at the lens.
+            t, sense = ((ghosts.plane_z - at[2]) / to[2], -1.0) if from_pixel else (0.0, 1.0)
+            load(
+                bundle, i, at[0] + t * to[0], at[1] + t * to[1], at[2] + t * to[2],
+                sense * to[0], sense * to[1], sense * to[2], 1.0,
+            )  # fmt: skip
         pad(bundle, count)
-        if ghosts.from_pixel[sequence]:
-            # Back to the pixel that it comes from.
+        if from_pixel:
             follow_legs(bundle, count, ghosts.to_lens, ghosts.first[0], camera, ghosts, frames, colour, book)
             for i in range(BLOCK):
                 bundle[DX + i], bundle[DY + i], bundle[DZ + i] = -bundle[DX + i], -bundle[DY + i], -bundle[DZ + i]
@@ -292,11 +298,17 @@ def kind_of_ray(ghosts: GhostTables, x: float, y: float, z: float, dx: float, dy
     qx, qy = x + t * dx, y + t * dy
     p2, q2 = px * px + py * py, qx * qx + qy * qy
     radius = min(int(RADII * p2 / (ghosts.radius * ghosts.radius)), RADII - 1)
-    height = min(int(HEIGHTS * q2 / (ghosts.height * ghosts.height)), HEIGHTS - 1)
+    height = interval_of_height(ghosts, q2)
     lengths = np.sqrt(p2 * q2)
     cosine = (px * qx + py * qy) / lengths if lengths > 0.0 else 1.0
     angle = min(max(int(ANGLES * 0.5 * (1.0 - cosine)), 0), ANGLES - 1)
     return (radius * HEIGHTS + height) * ANGLES + angle
+
+
+@inlined
+def interval_of_height(ghosts: GhostTables, squared: float) -> int:
+    """Return the interval of a squared distance from the axis, mm², in the plane that rays come from."""
+    return min(int(HEIGHTS * squared / (ghosts.height * ghosts.height)), HEIGHTS - 1)
 
 
 @inlined

@@ -34,6 +34,9 @@ from lfmesh.transport.tables.cover import FRONT_ROW, CoverTables
 from lfmesh.transport.tables.tables import AIR, SensorTables, Tables
 from lfmesh.vector import both, select
 
+ON_FACE = 1e-9
+"""Distance, mm, by which rounding may put a ray beyond the face on which it starts."""
+
 SENSOR_BEHIND_COVER = 2
 """Number of the sensor among the faces where there is a cover; without one it is the only face."""
 
@@ -163,7 +166,7 @@ def _mirror_at_sensor(bundle: Array, sensor: SensorTables) -> None:
         t = -bundle[Z + i] / bundle[DZ + i]
         x, y = bundle[X + i] + t * bundle[DX + i], bundle[Y + i] + t * bundle[DY + i]
         held = both(abs(x) <= half_x, abs(y) <= half_y)
-        ends = both(bundle[ENDED_ON + i] == 0.0, not both(both(bundle[DZ + i] > 0.0, t >= 0.0), held))
+        ends = both(bundle[ENDED_ON + i] == 0.0, not both(both(bundle[DZ + i] > 0.0, t >= -ON_FACE), held))
         bundle[X + i], bundle[Y + i], bundle[Z + i] = x, y, 0.0
         bundle[DZ + i] = -bundle[DZ + i]
         bundle[WEIGHT + i] *= sensor.reflectance
@@ -181,7 +184,7 @@ def _at_cover(bundle: Array, cover: CoverTables, face: int, mirrors: bool, colou
             continue
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
         t, sense = (z - bundle[Z + i]) / dz if dz != 0.0 else -1.0, (1.0 if dz > 0.0 else -1.0)
-        if t < 0.0:
+        if t < -ON_FACE:
             bundle[ENDED_ON + i] = DROPPED
             continue
         entering = (face == FRONT_ROW) == (sense > 0.0)

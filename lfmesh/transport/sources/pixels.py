@@ -7,12 +7,10 @@ left out; the radiance of a target that emits inside glass is divided by n² ins
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.by_address import by_address
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.kernel import kernel
 from lfmesh.transport.aiming.lenslet_aim import (
@@ -20,7 +18,6 @@ from lfmesh.transport.aiming.lenslet_aim import (
     CELL_V,
     DISCRETE,
     HALF_DIAGONAL,
-    LISTED,
     PIXEL_U,
     PIXEL_V,
     WHICH_CELL,
@@ -29,7 +26,6 @@ from lfmesh.transport.aiming.lenslet_aim import (
     glass_before_faces,
     lenslet_ahead,
     list_cells,
-    most_listed,
     through_a_lenslet,
 )
 from lfmesh.transport.aiming.mixture import aimed
@@ -37,12 +33,9 @@ from lfmesh.transport.engine import Workspace
 from lfmesh.transport.events.polarisation import behind_polariser
 from lfmesh.transport.packets.book import EMITTED
 from lfmesh.transport.packets.packet import (
-    CAMERA,
     CAMERA_FRAME,
     LENS,
     MLA_FRAME,
-    NO_SURFACE,
-    PACKET,
     PLATE,
     SAMPLE_SHIFT,
     SENSOR,
@@ -52,11 +45,9 @@ from lfmesh.transport.packets.packet import (
     put,
 )
 from lfmesh.transport.packets.path_class import GHOSTS
-from lfmesh.transport.packets.random import derived, start
-from lfmesh.transport.packets.sobol import scramble, scramble_seed, sobol, step
+from lfmesh.transport.packets.random import derived
 from lfmesh.transport.sequential.image_path import follow_block
 from lfmesh.transport.sequential.lens_bundle import (
-    BLOCK,
     DROPPED,
     DX,
     DY,
@@ -70,16 +61,14 @@ from lfmesh.transport.sequential.lens_bundle import (
     move_bundle,
     pad,
 )
+from lfmesh.transport.sources.ghost_pixels import launch_to_cells
+from lfmesh.transport.sources.pixel_starts import STARTS, StartRoom, begin_launch, draw_numbers, start_room
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.tables.media import clear
 from lfmesh.transport.tables.tables import AimTables, LensTables, MlaTables, SensorTables
 
 Array = NDArray[np.float64]
-
-STARTS = BLOCK
-"""Samples whose numbers are drawn together: as many as a bundle of the sequential engine holds."""
-
 
 @dataclass(frozen=True, eq=False)
 class PixelSource(Source):
@@ -136,7 +125,14 @@ class PixelSource(Source):
         begin = np.zeros(len(pixels), np.int64) if self.begin is None else self.begin[part.start : part.stop]
         room = work.kept(StartRoom, lambda: start_room(tables.aim, work.stacks.dtype))
         seen = tables.frames if tables.apparent is None else tables.apparent
-        if options.sequential and options.adjoint and tables.cover is None and options.paths != GHOSTS:
+        if options.paths == GHOSTS and not tables.mla.present:
+            launch_to_cells(
+                pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
+                tables.ghosts, seen, len(tables.lens.surfaces), work.flow(), room,
+            )  # fmt: skip
+            if tables.cover is not None:
+                work.move_waiting(LENS, SENSOR)
+        elif options.sequential and options.adjoint and tables.cover is None and options.paths != GHOSTS:
             launch_along_image_path(
                 pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
                 tables.lens, tables.mla, tables.aim, tables.frames, work.bundle, work.numbers, options, work.flow(),
@@ -150,82 +146,6 @@ class PixelSource(Source):
             if tables.cover is not None:
                 # Without a cover a pixel's light meets the array first, or the lens.
                 work.move_waiting(PLATE if tables.mla.present else LENS, SENSOR)
-
-
-@by_address
-class StartRoom(NamedTuple):
-    """Working memory of a launch, which draws the numbers of `STARTS` samples at a time."""
-
-    point: NDArray[np.uint32]  # (6,) Sobol' point of the last sample, not yet scrambled
-    seeds: NDArray[np.uint32]  # (6,) seeds of the scrambling for its pixel
-    points: NDArray[np.uint32]  # (6, STARTS)
-    scrambling: NDArray[np.uint32]  # (6, STARTS)
-    numbers: Array  # (6, STARTS) starting numbers of each sample
-    keys: NDArray[np.uint64]  # (STARTS,)
-    near: Array  # (most + 1, LISTED) lenslets that may show the opening to some point of a pixel, see `list_cells`
-    cells: NDArray[np.int64]  # (2, most + 1) lenslets that may show it to one point, see `cells_that_show`
-    packets: NDArray[np.void]  # (STARTS,) PACKET
-
-
-def start_room(aim: AimTables, record: np.dtype[np.void] = PACKET) -> StartRoom:
-    """Return working memory for a launch, with the packets' record type."""
-    table = (DISCRETE + 1, STARTS)
-    most = most_listed(aim)
-    return StartRoom(
-        np.zeros(table[0], np.uint32),
-        np.zeros(table[0], np.uint32),
-        np.zeros(table, np.uint32),
-        np.zeros(table, np.uint32),
-        np.zeros(table),
-        np.zeros(STARTS, np.uint64),
-        np.zeros((most + 1, LISTED)),
-        np.zeros((2, most + 1), np.int64),
-        np.zeros(STARTS, record),
-    )
-
-
-@kernel
-def _draw_numbers(
-    room: StartRoom, stratified: bool, replicate_key: np.uint64, pixels: NDArray[np.int64], begin: NDArray[np.int64],
-    taken: int, which: int, place: int, count: int,
-) -> None:  # fmt: skip
-    """Draw the starting numbers of `count` samples: from each pixel's own Sobol' set, or at random.
-
-    Parameters
-    ----------
-    stratified : bool
-        From Sobol' sets.
-    pixels, begin : (n,) int64
-    taken : int
-        See `launch_adjoint`.
-    which, place : int
-        Index in `pixels`, and place among the samples taken of that pixel, of the first sample.
-    """
-    pixel_key = derived(replicate_key, pixels[which])
-    for i in range(count):
-        sample = begin[which] + place
-        room.keys[i] = derived(pixel_key, sample)
-        if stratified:
-            if place == 0:
-                for dimension in range(len(room.seeds)):
-                    # Points come in Gray-code order, see `sobol.step`.
-                    room.point[dimension] = sobol(sample ^ (sample >> 1), dimension)
-                    room.seeds[dimension] = scramble_seed(pixel_key, dimension)
-            else:
-                step(room.point, sample)
-            for dimension in range(len(room.seeds)):
-                room.points[dimension, i], room.scrambling[dimension, i] = room.point[dimension], room.seeds[dimension]
-        else:
-            for dimension in range(len(room.seeds)):
-                room.numbers[dimension, i] = start(room.keys[i], dimension)
-        place += 1
-        if place == taken:
-            which, place = which + 1, 0
-            # After the last pixel this key is not used; the modulus keeps the index valid.
-            pixel_key = derived(replicate_key, pixels[which % len(pixels)])
-    if stratified:
-        for dimension in range(len(room.seeds)):
-            scramble(room.points[dimension], room.scrambling[dimension], room.numbers[dimension])
 
 
 @kernel
@@ -254,12 +174,12 @@ def launch_adjoint(
     bundle : (ROWS · BLOCK,) float64
         Working memory.
     """
-    _begin(room, colour, lens_surfaces)
+    begin_launch(room, colour, lens_surfaces)
     station = PLATE if mla.present else LENS
     which, place = 0, 0
     for first in range(0, len(pixels) * taken, STARTS):
         count = min(STARTS, len(pixels) * taken - first)
-        _draw_numbers(room, stratified, replicate_key, pixels, begin, taken, which, place, count)
+        draw_numbers(room, stratified, replicate_key, pixels, begin, taken, which, place, count)
         which, place = _aim_rays(
             room, bundle, pixels, begin, taken, which, place, samples, count, replicate_key, colour, sensor, mla, aim,
             frames, flow.book,
@@ -289,14 +209,14 @@ def launch_along_image_path(
     bundle, numbers
         Working memory, see `image_path.follow_image_path`.
     """
-    _begin(room, colour, len(lens.surfaces))
+    begin_launch(room, colour, len(lens.surfaces))
     station = PLATE if mla.present else LENS
     for i in range(STARTS):
         numbers[i] = i
     which, place = 0, 0
     for first in range(0, len(pixels) * taken, STARTS):
         count = min(STARTS, len(pixels) * taken - first)
-        _draw_numbers(room, stratified, replicate_key, pixels, begin, taken, which, place, count)
+        draw_numbers(room, stratified, replicate_key, pixels, begin, taken, which, place, count)
         which, place = _aim_rays(
             room, bundle, pixels, begin, taken, which, place, samples, count, replicate_key, colour, sensor, mla, aim,
             frames, flow.book,
@@ -304,20 +224,6 @@ def launch_along_image_path(
         pad(bundle, count)
         move_bundle(bundle, frames[SENSOR_FRAME, CAMERA_FRAME])
         follow_block(room.packets, station, False, count, lens, mla, frames, bundle, numbers, options, flow)
-
-
-@kernel
-def _begin(room: StartRoom, colour: int, lens_surfaces: int) -> None:
-    """Set the fields that all packets of a launch have in common."""
-    for i in range(STARTS):
-        packet = room.packets[i]
-        packet.colour = colour
-        packet.last = NO_SURFACE
-        packet.column = NO_SURFACE
-        packet.facet = NO_SURFACE
-        packet.node = NO_SURFACE
-        packet.kind = CAMERA
-        packet.space = lens_surfaces
 
 
 @kernel

@@ -168,7 +168,8 @@ def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[fl
     camera = world.scene.camera
     plane = camera.mla.distance_mm if camera.mla is not None else camera.sensor.distance_mm
     ghosts = sorted(found[1:], key=lambda row: -row.power)
-    return ExactGhosts(found[0], ghosts, float(plane or math.nan), camera.mla is not None, _mirrors_in_words(world.tables))
+    with_array, mirrors = camera.mla is not None, _mirrors_in_words(world.tables)
+    return ExactGhosts(found[0], ghosts, float(plane or math.nan), with_array, mirrors)
 
 
 def _faces(tables: Tables) -> Faces:

@@ -1,4 +1,4 @@
-"""The lens's ghosts as a part of their own: each path counts once, and brings what the mesh engine finds.
+"""Ghosts as a part of the image of their own: each path counts once, and brings what the mesh engine finds.
 
 Estimates by other random numbers are compared by z-tests of the image's whole power, and pixel by pixel by their sum of
 squares; LEVEL is the chance that this file fails though all is right, shared by its comparisons (Bonferroni).
@@ -17,10 +17,9 @@ from lfmesh.transport.packets.path_class import EVERY, GHOSTS, OFF_IMAGE_PATH, O
 from lfmesh.transport.render import ghost_check
 from lfmesh.transport.render.parts import Part, parts_of
 from lfmesh.transport.render.render import Renderer
-from lfmesh.transport.sequential.sequences import two_reflections
 
 LEVEL = 1e-3
-COMPARISONS = 24
+COMPARISONS = 34
 REPLICATES = 16
 
 MLA = {"count": [12, 12], "pitch_mm": 0.2, "focal_length_mm": 1.0, "index": 1.5, "thickness_mm": 0.4}
@@ -62,6 +61,13 @@ CAMERAS: dict[str, dict[str, Any]] = {
     "a sensor that reflects, behind a cover": {
         "lens": lens(8), "reflectance": 0.2, "cover": {"thickness_mm": 0.5, "gap_mm": 0.1, "index": 1.5},
     },
+    "a cover alone": {"lens": lens(9), "cover": {"thickness_mm": 1.5, "gap_mm": 2.0, "index": 1.9}},
+    "a sensor that reflects, behind an array": {"lens": lens(10), "mla": MLA, "reflectance": 0.3},
+    "array, cover, and a sensor that reflects": {
+        "lens": lens(11), "mla": MLA | {"curved_side": "sensor", "layout": "hexagonal"}, "reflectance": 0.3,
+        "cover": {"thickness_mm": 0.1, "gap_mm": 0.05, "index": 1.7},
+    },
+    "paths that end early": {"lens": lens(12), "reflectance": 0.2, "max_events": 12},
 }  # fmt: skip
 
 
@@ -70,6 +76,7 @@ def scene(camera: dict[str, Any], **transport: Any) -> lf.Scene:
     sensor = {"pixels": [6, 6], "pixel_mm": 0.4} | {
         key: camera[key] for key in ("reflectance", "cover") if key in camera
     }
+    events = {key: camera[key] for key in ("max_events",) if key in camera}
     glow = {"reflectance": 0.5, "radiance_w_m2_sr": 1000.0}
     square = {"kind": "plane", "width_mm": 60.0, "height_mm": 60.0}
     return lf.Scene(
@@ -82,7 +89,7 @@ def scene(camera: dict[str, Any], **transport: Any) -> lf.Scene:
         ],
         lights=[{"kind": "point", "position_mm": [50.0, 50.0, -20.0], "power_w": 20.0}],
         transport={"samples": 1024 * REPLICATES, "replicates": REPLICATES, "threads": 2, "wavelengths_nm": [587.6]}
-        | transport,
+        | events | transport,
     )
 
 
@@ -118,7 +125,7 @@ def test_ghosts_and_other_strays_are_what_the_mesh_engine_finds_off_the_image_pa
     whole = image_of(world, (by_meshes,))
     assert p_value(apart, whole) > LEVEL / COMPARISONS
     assert np.sqrt(np.square(whole.stderr).sum()) < 0.05 * whole.mean.sum()
-    # Walks off the image path that are none of the lens's ghosts, with the same random numbers as all walks.
+    # Walks off the image path that are no ghosts, with the same random numbers as all walks.
     others = image_of(world, (replace(by_meshes, options=by_meshes.options._replace(paths=OTHER_STRAYS)),))
     ghosts = image_of(world, (parts[GHOSTS],))
     assert p_value(ghosts, _difference(whole, others)) > LEVEL / COMPARISONS
@@ -138,7 +145,13 @@ def test_ghosts_counted_twice_would_be_seen() -> None:
     assert p_value(apart, twice) < LEVEL / COMPARISONS
 
 
-@pytest.mark.parametrize("name", ["one", "two", "a posed element", "a sensor that reflects, behind a cover"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "one", "two", "a posed element", "a sensor that reflects, behind a cover",
+        "array, cover, and a sensor that reflects", "paths that end early",
+    ],
+)  # fmt: skip
 def test_the_image_is_that_of_the_mesh_engine(name: str) -> None:
     given = scene(CAMERAS[name])
     apart, by_mesh = lf.render(given), lf.render(given.changed({"transport.engine": "mesh", "transport.seed": 1}))
@@ -185,7 +198,7 @@ def test_a_run_whose_ghosts_deviate_from_the_meshes_does_without_them(
     [
         {"transport.split": "transmit"},
         {"transport.engine": "mesh"},
-        {"transport.max_events": 12},
+        {"transport.max_events": 5},
         {"coatings": {"ar": {"reflectance": 0.0}}, "camera.lens": {
             "surfaces": [s | ({} if s.get("stop") else {"coating": "ar"}) for s in lens(0)["surfaces"]]}},
     ],
@@ -202,18 +215,28 @@ def test_the_image_is_bitwise_the_same_for_any_number_of_threads() -> None:
     assert np.array_equal(one.mean, three.mean)
 
 
-def test_every_sequence_has_a_chance_with_every_ray() -> None:
-    """The chances of all two-reflection sequences, for rays of each kind, are positive and sum to one."""
-    world = lf.build(scene(CAMERAS["two"]))
-    ghosts = world.ghosts
+@pytest.mark.parametrize("name", ["two", "a cover alone", "array, cover, and a sensor that reflects"])
+def test_every_sequence_has_a_chance_with_every_ray(name: str) -> None:
+    """The chances of all paths with two reflections, but for those at the array, are positive and sum to one."""
+    world = lf.build(scene(CAMERAS[name]))
+    ghosts, tables = world.ghosts, world.tables
     assert ghosts is not None
-    surfaces = len(world.tables.lens.surfaces)
-    paths = {(path.reverse.faces, path.reverse.reflected) for path in two_reflections(surfaces)}
-    kept = {
-        (tuple(faces[:n].tolist()), tuple(reflected[:n].tolist()))
-        for faces, reflected, n in zip(ghosts.faces, ghosts.reflected, ghosts.lengths, strict=True)
-    }
-    assert kept == paths
+    lens, array = len(tables.lens.surfaces), 2 if "mla" in CAMERAS[name] else 0
+    planes = (2 if "cover" in CAMERAS[name] else 0) + (1 if "reflectance" in CAMERAS[name] else 0)
+    pairs = [
+        (first, second)
+        for first in range(lens + array + planes)
+        for second in range(first)
+        if not {first, second} & set(range(lens, lens + array))
+    ]
+    assert len(ghosts.lengths) == len(pairs)
+    # From the sensor, which every path leaves and none meets at its end.
+    total = lens + array + planes - ("reflectance" in CAMERAS[name])
+    assert sorted(ghosts.lengths.tolist()) == sorted(total + 2 * (first - second) for first, second in pairs)
     chances = np.diff(ghosts.until, prepend=0.0, axis=1)
-    assert (chances > 0.5 * 0.1 / len(paths)).all()
-    np.testing.assert_allclose(ghosts.until[:, -1], 1.0, rtol=1e-15)
+    assert (chances[:-1] > 0.5 * 0.1 / len(pairs)).all()
+    assert (chances[-1] > 0.0).tolist() == ghosts.from_pixel.tolist()
+    assert ghosts.from_pixel.sum() == (0 if planes < 2 else planes * (planes - 1) // 2)
+    np.testing.assert_allclose(ghosts.until[:-1, -1], 1.0, rtol=1e-15)
+    assert (np.diff(ghosts.cells, prepend=0.0, axis=1) > 0.0).all()
+    np.testing.assert_allclose(ghosts.cells[:, -1], 1.0, rtol=1e-15)

@@ -1,0 +1,110 @@
+"""Numbers by which samples of pixels start, and working memory for launches, which draw them in blocks."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.by_address import by_address
+from lfmesh.kernel import kernel
+from lfmesh.transport.aiming.lenslet_aim import DISCRETE, LISTED, most_listed
+from lfmesh.transport.packets.packet import CAMERA, NO_SURFACE, PACKET
+from lfmesh.transport.packets.random import derived, start
+from lfmesh.transport.packets.sobol import scramble, scramble_seed, sobol, step
+from lfmesh.transport.sequential.lens_bundle import BLOCK
+from lfmesh.transport.tables.tables import AimTables
+
+Array = NDArray[np.float64]
+
+STARTS = BLOCK
+"""Samples whose numbers are drawn together: as many as a bundle of the sequential engine holds."""
+
+
+@by_address
+class StartRoom(NamedTuple):
+    """Working memory of a launch, which draws the numbers of `STARTS` samples at a time."""
+
+    point: NDArray[np.uint32]  # (6,) Sobol' point of the last sample, not yet scrambled
+    seeds: NDArray[np.uint32]  # (6,) seeds of the scrambling for its pixel
+    points: NDArray[np.uint32]  # (6, STARTS)
+    scrambling: NDArray[np.uint32]  # (6, STARTS)
+    numbers: Array  # (6, STARTS) starting numbers of each sample
+    keys: NDArray[np.uint64]  # (STARTS,)
+    near: Array  # (most + 1, LISTED) lenslets that may show the opening to some point of a pixel, see `list_cells`
+    cells: NDArray[np.int64]  # (2, most + 1) lenslets that may show it to one point, see `cells_that_show`
+    packets: NDArray[np.void]  # (STARTS,) PACKET
+
+
+def start_room(aim: AimTables, record: np.dtype[np.void] = PACKET) -> StartRoom:
+    """Return working memory for a launch, with the packets' record type."""
+    table = (DISCRETE + 1, STARTS)
+    most = most_listed(aim)
+    return StartRoom(
+        np.zeros(table[0], np.uint32),
+        np.zeros(table[0], np.uint32),
+        np.zeros(table, np.uint32),
+        np.zeros(table, np.uint32),
+        np.zeros(table),
+        np.zeros(STARTS, np.uint64),
+        np.zeros((most + 1, LISTED)),
+        np.zeros((2, most + 1), np.int64),
+        np.zeros(STARTS, record),
+    )
+
+
+@kernel
+def draw_numbers(
+    room: StartRoom, stratified: bool, replicate_key: np.uint64, pixels: NDArray[np.int64], begin: NDArray[np.int64],
+    taken: int, which: int, place: int, count: int,
+) -> None:  # fmt: skip
+    """Draw the starting numbers of `count` samples: from each pixel's own Sobol' set, or at random.
+
+    Parameters
+    ----------
+    stratified : bool
+        From Sobol' sets.
+    pixels, begin : (n,) int64
+    taken : int
+        See `launch_adjoint`.
+    which, place : int
+        Index in `pixels`, and place among the samples taken of that pixel, of the first sample.
+    """
+    pixel_key = derived(replicate_key, pixels[which])
+    for i in range(count):
+        sample = begin[which] + place
+        room.keys[i] = derived(pixel_key, sample)
+        if stratified:
+            if place == 0:
+                for dimension in range(len(room.seeds)):
+                    # Points come in Gray-code order, see `sobol.step`.
+                    room.point[dimension] = sobol(sample ^ (sample >> 1), dimension)
+                    room.seeds[dimension] = scramble_seed(pixel_key, dimension)
+            else:
+                step(room.point, sample)
+            for dimension in range(len(room.seeds)):
+                room.points[dimension, i], room.scrambling[dimension, i] = room.point[dimension], room.seeds[dimension]
+        else:
+            for dimension in range(len(room.seeds)):
+                room.numbers[dimension, i] = start(room.keys[i], dimension)
+        place += 1
+        if place == taken:
+            which, place = which + 1, 0
+            # After the last pixel this key is not used; the modulus keeps the index valid.
+            pixel_key = derived(replicate_key, pixels[which % len(pixels)])
+    if stratified:
+        for dimension in range(len(room.seeds)):
+            scramble(room.points[dimension], room.scrambling[dimension], room.numbers[dimension])
+
+
+@kernel
+def begin_launch(room: StartRoom, colour: int, lens_surfaces: int) -> None:
+    """Set the fields that all packets of a launch have in common."""
+    for i in range(STARTS):
+        packet = room.packets[i]
+        packet.colour = colour
+        packet.last = NO_SURFACE
+        packet.column = NO_SURFACE
+        packet.facet = NO_SURFACE
+        packet.node = NO_SURFACE
+        packet.kind = CAMERA
+        packet.space = lens_surfaces

@@ -23,6 +23,7 @@ from lfmesh.transport.render.ghost_check import compare_ghosts
 from lfmesh.transport.render.order_check import SAMPLE, STARTS, OrderCheck, compare
 from lfmesh.transport.render.parts import BOOKS, Part, blind_part, parts_of
 from lfmesh.transport.render.plan import Block, Chunk, Plan
+from lfmesh.transport.render.shares import Measured, measured, shared
 from lfmesh.transport.render.tally import ChunkTally, Film, Layout, Piece, Work
 from lfmesh.transport.sources.lights import LightSource
 from lfmesh.transport.sources.particles import ParticleSource
@@ -31,8 +32,9 @@ from lfmesh.transport.sources.source import Launcher, Source
 from lfmesh.transport.tables.lines import Turn
 from lfmesh.transport.world import World
 
-ORDER_STREAM = 1 << 20
-"""Number of the random numbers of the packets by which the order of the surfaces is checked; replicates have others."""
+ORDER_STREAM, SHARES_STREAM = 1 << 20, 1 << 21
+"""Numbers of the random numbers of the packets by which the order of the surfaces is checked, and of those by which the
+parts' shares of the samples are found; replicates have others."""
 
 Waiting = deque[tuple[Chunk, Future[ChunkTally], Film | None]]
 """Chunks given to the pool, in order, with their future results and, where it is not that of the run, their film."""
@@ -78,6 +80,10 @@ class Tracer:
         self.order = self._check_order()
         if self.order is not None and not self.order.holds:
             self.parts = parts_of(self.world, aimed=self.aimed, by_meshes=True)
+        if self.adjoint:
+            self.parts = shared(self.parts, self.pixels, self.samples, transport.replicates, self._measured)
+            # This thread traces nothing more.
+            self._launchers.clear()
 
     @property
     def pixels(self) -> int:
@@ -270,6 +276,21 @@ class Tracer:
         packets = np.concatenate([*work.sampled, np.zeros(0, work.stacks.dtype)])
         some = draw.choice(len(packets), min(SAMPLE, len(packets)), replace=False)
         return compare(self.world, part.options, part.tables, packets[np.sort(some)])
+
+    def _measured(self, part: Part, count: int, samples: int) -> Measured:
+        """Measure the variance and the cost of a part by some samples of some pixels."""
+        key = descendant(self.seed, SHARES_STREAM)
+        pixels = np.unique(np.random.default_rng(int(key)).integers(0, self.pixels, count))
+        turn = Turn(0, 1, 0, 0, np.uint64(0))
+        chunk = Chunk(0, part, 0, len(pixels), 0, turn, len(pixels) * samples, samples, pixels)
+        sets, counts, queries = np.zeros((2, len(pixels))), np.zeros(COUNTERS, np.int64), 0
+        for number, light in enumerate(sets):
+            film = Film.empty(self.pixels, 1, 0)
+            source = self._source(chunk, descendant(descendant(key, number), part.number), 0)
+            work = self._launcher(part).trace(source, film=film)
+            light[:] = film.power[pixels, 0]
+            counts, queries = counts + work.counts, queries + work.queries
+        return measured(part, sets, samples, counts, queries)
 
     def _sampled(self, part: Part, *, many: bool = False) -> tuple[Workspace, np.random.Generator]:
         """Start some packets of a part; return their workspace, and the random numbers that have drawn them.

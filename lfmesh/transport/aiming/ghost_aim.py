@@ -9,13 +9,15 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.levels import EXACT
 from lfmesh.geometry.surface import CONIC_AND_EVEN
+from lfmesh.transport.aiming.lenslet_view import with_wider_views
+from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_GHOSTS
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.sequential.ghosts import ANGLES, HEIGHTS, RADII, GhostTables, weights_along
 from lfmesh.transport.sequential.lens_bundle import empty_bundle
 from lfmesh.transport.sequential.plane_faces import count_faces
 from lfmesh.transport.sequential.reflections import BUNDLE_ROWS, book_for
 from lfmesh.transport.sequential.sequences import ARRAY_LEG, LENS_LEG, Faces, Itinerary
-from lfmesh.transport.tables.tables import Tables
+from lfmesh.transport.tables.tables import AimTables, Tables
 
 Array = NDArray[np.float64]
 
@@ -153,3 +155,30 @@ def _cells(light: Array) -> Array:
     own = np.where(total > 0.0, found / np.where(total > 0.0, total, 1.0), area)
     until = np.cumsum((1.0 - SHARE_OF_DISK) * own + SHARE_OF_DISK * area, axis=1)
     return np.ascontiguousarray(until / until[:, -1:])
+
+
+def aim_at_ghosts(tables: Tables, ghosts: GhostTables) -> AimTables:
+    """Return where the packets of ghosts are aimed.
+
+    What the sensor or its cover reflects comes through an array mostly from beside the lens's opening, often from the
+    whole lens: then lenslets are chosen by the light of ghosts, in rings about the middle of the lens's view.
+
+    Parameters
+    ----------
+    tables : Tables
+        With the aim of the image path.
+    ghosts : GhostTables
+    """
+    aim = tables.aim._replace(wide_share=WIDE_SHARE_OF_GHOSTS)
+    known = aim.exit.radius > 0.0
+    reflects = tables.cover is not None or tables.sensor.reflectance > 0.0
+    if not (tables.mla.present and reflects and known.any()):
+        return aim
+    wider = ghosts.radius / float(np.median(aim.exit.radius[known]))
+    if not wider > 1.0:
+        return aim
+    rings = len(aim.shown) - 1
+    light = np.diff(ghosts.cells, prepend=0.0, axis=1).reshape(HEIGHTS, RADII, ANGLES).sum(axis=(0, 2))
+    shown = np.interp((np.arange(rings) + 0.5) / rings * RADII - 0.5, np.arange(RADII), light)
+    wide = with_wider_views(aim, tables.mla, tables.frames, tables.sensor, wider)
+    return wide._replace(shown=np.append(shown / shown.max(), 0.0))

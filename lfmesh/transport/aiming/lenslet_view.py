@@ -192,7 +192,18 @@ def fitted_views(
     else:
         # Rays at the lenslets' borders were reflected totally or left at grazing angles, so the views are not measured.
         radius2 = np.full_like(aim.slope_radius2, furthest * furthest)
-    aim = aim._replace(slope_radius2=np.where(seen, radius2, -1.0))
+    return _with_views(aim, mla, moves, sensor, np.where(seen, radius2, -1.0))
+
+
+def with_wider_views(aim: AimTables, mla: MlaTables, moves: Array, sensor: SensorTables, by: float) -> AimTables:
+    """Return the aim with lenslets' views that are wider by a factor."""
+    seen = aim.slope_radius2 > 0.0
+    return _with_views(aim, mla, moves, sensor, np.where(seen, by * by * aim.slope_radius2, -1.0))
+
+
+def _with_views(aim: AimTables, mla: MlaTables, moves: Array, sensor: SensorTables, slope_radius2: Array) -> AimTables:
+    """Return the aim with lenslets' views of given squared radii."""
+    aim = aim._replace(slope_radius2=slope_radius2)
     width, height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
     corners = frame.points(moves[SENSOR_FRAME, MLA_FRAME], grid(width, height, 0.0))
     return aim._replace(search=_search(aim, mla, np.abs(corners[:, 2] - aim.lenslet_z).max()))

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.scene import Scene
-from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_GHOSTS, WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_STRAYS
+from lfmesh.transport.aiming.ghost_aim import aim_at_ghosts
+from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_STRAYS
 from lfmesh.transport.aiming.through_glass import GlassAim
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.packets.book import LIT, REACHED
@@ -169,7 +170,7 @@ def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
             cutoff=CUTOFF_OF_OTHER_STRAYS * others.cutoff,
             unturned_cutoff=CUTOFF_OF_OTHER_STRAYS * others.unturned_cutoff,
         )
-    of_ghosts = tables._replace(aim=tables.aim._replace(wide_share=WIDE_SHARE_OF_GHOSTS), ghosts=world.ghosts)
+    of_ghosts = tables._replace(aim=aim_at_ghosts(tables, world.ghosts), ghosts=world.ghosts)
     return (
         image_path,
         Part(1, others, tables._replace(aim=strays), thinned),

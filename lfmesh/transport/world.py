@@ -143,7 +143,7 @@ class World(Shown):
 
     @cached_property
     def ghosts(self) -> GhostTables | None:
-        """Sequences of the lens's ghosts, and how they are drawn; None where they are not followed by sequence."""
+        """Sequences of the camera's ghosts, and how they are drawn; None where they are not followed by sequence."""
         return ghost_tables(self.aimed_tables, self.scene.transport.max_events)
 
     @property

@@ -2,12 +2,12 @@
 
 Paths with reflections carry a few per cent of the light and cost ten times as much as the image path. So the adjoint
 method estimates the two independently and adds them: the image path with the sequential engine, and all other paths,
-for which fewer samples are enough, with the mesh engine. Most of those are ghosts of two reflections in the lens; where
-they can be followed by their sequences of surfaces (`sequential.ghosts`), they are a part of their own. If the
-scene has lamps and glass, light of lamps through glass is a third part, traced forward; so is, in both methods, light
-of lamps on a camera with rough surfaces. `path_class` defines the classes; each path belongs to one of them and counts
-once. Particles are points, which no ray from the sensor meets: in both methods each entry of them is a part, traced
-forward.
+for which fewer samples are enough, with the mesh engine. Most of those are ghosts of two reflections; where they can be
+followed by their sequences of surfaces (`sequential.ghosts`), they are a part of their own. How many fewer samples,
+`shares` measures. If the scene has lamps and glass, light of lamps through glass is a further part, traced forward; so
+is, in both methods, light of lamps on a camera with rough surfaces. `path_class` defines the classes; each path belongs
+to one of them and counts once. Particles are points, which no ray from the sensor meets: in both methods each entry of
+them is a part, traced forward.
 """
 
 from dataclasses import dataclass, replace
@@ -43,7 +43,7 @@ IMAGE_PATHS_PER_STRAY, WITH_GLASS = 4, 2
 where reflections are part of the picture."""
 
 IMAGE_PATHS_PER_OTHER_STRAY, IMAGE_PATHS_PER_GHOST = 16, 8
-"""The same, without glass, where the lens's ghosts are a part of their own: for each other stray, and each ghost."""
+"""The same, without glass, where ghosts are a part of their own: for each other stray, and each ghost."""
 
 CUTOFF_OF_OTHER_STRAYS = 1.0 / 3.0
 """Weight below which other strays play roulette, over `weight_cutoff`: few samples, each followed further."""
@@ -142,7 +142,7 @@ def parts_of(world: World, *, aimed: bool = True, by_meshes: bool = False) -> tu
 
 
 def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
-    """Return the parts of an image; `ghosts`: with the lens's ghosts by themselves, where that can be."""
+    """Return the parts of an image; `ghosts`: with ghosts by themselves, where that can be."""
     options, tables = options_of(world, aimed=aimed), world.aimed_tables
     through = glass_aim(world) if world.particles or world.scene.media else None
     particles = particle_parts(world, through)
@@ -282,7 +282,7 @@ def in_words(scene: Scene, parts: tuple[Part, ...]) -> str:
     """Describe the engine of an image, the reason, and a part that is traced from lamps."""
     words = ": ".join(engine_of(scene))
     if any(part.options.paths == GHOSTS for part in parts):
-        words += ", the lens's ghosts by sequence"
+        words += ", ghosts by sequence"
     if any(part.options.paths == LAMP_THROUGH_GLASS for part in parts):
         words += "; lamps' light through glass forward"
     if any(part.options.paths == LAMP_ON_CAMERA for part in parts):

@@ -70,6 +70,7 @@ from lfmesh.transport.tables.tables import AimTables, LensTables, MlaTables, Sen
 
 Array = NDArray[np.float64]
 
+
 @dataclass(frozen=True, eq=False)
 class PixelSource(Source):
     """Pixels of the sensor, all with the same number of samples.

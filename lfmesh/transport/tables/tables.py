@@ -246,7 +246,7 @@ class Tables(NamedTuple):
     cover: Any = None  # CoverTables where the sensor has a cover
     # (6, 6, 3, 4) as `frames`, with the sensor where it appears to be through its cover, if it has one: for aiming
     apparent: Any = None
-    ghosts: Any = None  # GhostTables where the lens's ghosts are estimated by themselves
+    ghosts: Any = None  # GhostTables where ghosts are estimated by themselves
 
 
 NO_SLOT = -1

@@ -89,7 +89,8 @@ def scene(camera: dict[str, Any], **transport: Any) -> lf.Scene:
         ],
         lights=[{"kind": "point", "position_mm": [50.0, 50.0, -20.0], "power_w": 20.0}],
         transport={"samples": 1024 * REPLICATES, "replicates": REPLICATES, "threads": 2, "wavelengths_nm": [587.6]}
-        | events | transport,
+        | events
+        | transport,
     )
 
 

@@ -196,7 +196,18 @@ def fitted_views(
 
 
 def with_wider_views(aim: AimTables, mla: MlaTables, moves: Array, sensor: SensorTables, by: float) -> AimTables:
-    """Return the aim with lenslets' views that are wider by a factor."""
+    """Return the aim with lenslets' views that are wider.
+
+    Parameters
+    ----------
+    aim : AimTables
+    mla : MlaTables
+    moves : (6, 6, 3, 4) float64
+        Between frames.
+    sensor : SensorTables
+    by : float
+        Factor on the radius of the views.
+    """
     seen = aim.slope_radius2 > 0.0
     return _with_views(aim, mla, moves, sensor, np.where(seen, by * by * aim.slope_radius2, -1.0))
 

@@ -29,13 +29,10 @@ from lfmesh.transport.sequential.lens_bundle import (
     empty_bundle,
     move_bundle,
 )
-from lfmesh.transport.sequential.reflections import Array, Arrived, load_rays, store
+from lfmesh.transport.sequential.reflections import NEAR, Array, Arrived, load_rays, store
 from lfmesh.transport.tables.cover import FRONT_ROW, CoverTables
 from lfmesh.transport.tables.tables import AIR, SensorTables, Tables
 from lfmesh.vector import both, select
-
-ON_FACE = 1e-9
-"""Distance, mm, by which rounding may put a ray beyond the face on which it starts."""
 
 SENSOR_BEHIND_COVER = 2
 """Number of the sensor among the faces where there is a cover; without one it is the only face."""
@@ -166,7 +163,7 @@ def _mirror_at_sensor(bundle: Array, sensor: SensorTables) -> None:
         t = -bundle[Z + i] / bundle[DZ + i]
         x, y = bundle[X + i] + t * bundle[DX + i], bundle[Y + i] + t * bundle[DY + i]
         held = both(abs(x) <= half_x, abs(y) <= half_y)
-        ends = both(bundle[ENDED_ON + i] == 0.0, not both(both(bundle[DZ + i] > 0.0, t >= -ON_FACE), held))
+        ends = both(bundle[ENDED_ON + i] == 0.0, not both(both(bundle[DZ + i] > 0.0, t >= 0.0), held))
         bundle[X + i], bundle[Y + i], bundle[Z + i] = x, y, 0.0
         bundle[DZ + i] = -bundle[DZ + i]
         bundle[WEIGHT + i] *= sensor.reflectance
@@ -184,7 +181,7 @@ def _at_cover(bundle: Array, cover: CoverTables, face: int, mirrors: bool, colou
             continue
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
         t, sense = (z - bundle[Z + i]) / dz if dz != 0.0 else -1.0, (1.0 if dz > 0.0 else -1.0)
-        if t < -ON_FACE:
+        if t < -NEAR * (abs(bundle[X + i]) + abs(bundle[Y + i]) + abs(bundle[Z + i])):
             bundle[ENDED_ON + i] = DROPPED
             continue
         entering = (face == FRONT_ROW) == (sense > 0.0)

@@ -98,7 +98,16 @@ def draw_numbers(
 
 @kernel
 def begin_launch(room: StartRoom, colour: int, lens_surfaces: int) -> None:
-    """Set the fields that all packets of a launch have in common."""
+    """Set the fields that all packets of a launch have in common.
+
+    Parameters
+    ----------
+    room : StartRoom
+    colour : int
+        Number of the wavelength.
+    lens_surfaces : int
+        Number of refracting surfaces of the lens.
+    """
     for i in range(STARTS):
         packet = room.packets[i]
         packet.colour = colour

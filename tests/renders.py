@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import lfmesh as lf
 from lfmesh.transport.render.order_check import OrderCheck
 from lfmesh.transport.render.render import Renderer
+from lfmesh.transport.world import World
 
 
 @dataclass
 class _Checked(Renderer):
-    """A render of a world whose surfaces another seed has compared with the meshes, which takes longer than a picture."""
+    """A render of a world that another seed has compared with its meshes, which takes longer than a small picture."""
 
     found: OrderCheck | None = None
 
@@ -19,12 +20,15 @@ class _Checked(Renderer):
 
 
 def by_seed(scene: lf.Scene, seeds: Iterable[int]) -> Iterator[lf.Image]:
-    """Yield the image of every seed, with the pixels and the ledger of `lf.render`.
+    """Yield the image of every seed, with the pixels and the ledger of `lf.render`; the scene is built once for all."""
+    return of_world(lf.build(scene), seeds)
 
-    The scene is built once for all of them, the first alone compares the order of its surfaces and its ghosts with the
-    meshes, and none has `blind`.
+
+def of_world(world: World, seeds: Iterable[int]) -> Iterator[lf.Image]:
+    """Yield the image of every seed.
+
+    The first alone compares the order of surfaces and the ghosts with the meshes, and none has `blind`.
     """
-    world = lf.build(scene)
     found: list[OrderCheck | None] = []
     for seed in seeds:
         one = world.reseeded(seed)

@@ -14,8 +14,8 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.optics.cie import named_spectrum, planck_radiance
-from lfmesh.transport.render.render import Renderer
 from tests.cameras import close_up_camera
+from tests.renders import by_seed
 
 LEVEL = 1e-3
 
@@ -60,8 +60,7 @@ def spread_of_seeds(scene: lf.Scene, seeds: range, side: int) -> tuple[NDArray[n
 
     Lines are common to the pixels of a block, whose errors do not add up as those of single pixels do.
     """
-    world = lf.build(scene)
-    sums = np.array([blocks(Renderer(world.reseeded(seed)).image().mean, side) for seed in seeds])
+    sums = np.array([blocks(image.mean, side) for image in by_seed(scene, seeds)])
     return sums.mean(axis=0), sums.var(axis=0, ddof=1) / len(sums)
 
 
@@ -144,7 +143,7 @@ def test_a_band_has_the_axial_colour_of_its_wavelengths() -> None:
     def by_ring(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.bincount(ring, values.ravel())
 
-    sums = np.array([by_ring(lf.render(band.changed({"transport.seed": seed})).mean) for seed in range(6)])
+    sums = np.array([by_ring(image.mean) for image in by_seed(band, range(6))])
     mean, variance = sums.mean(axis=0), sums.var(axis=0, ddof=1) / len(sums)
     expected, known = by_ring((lines.mean * weight).sum(axis=2)), by_ring(((lines.stderr * weight) ** 2).sum(axis=2))
     t = np.abs(mean - expected) / np.sqrt(variance + known)
@@ -169,7 +168,7 @@ def test_a_hot_surface_shines_by_plancks_law() -> None:
     white = lf.render(lf.Scene(camera=camera, targets=[known], transport=settings | {"seed": 50}))
     camera["sensor"]["bands"] = "rgb"
     scene = lf.Scene(camera=camera, targets=[hot], transport=settings)
-    sums = np.array([lf.render(scene.changed({"transport.seed": seed})).mean.sum(axis=(0, 1)) for seed in range(8)])
+    sums = np.array([image.mean.sum(axis=(0, 1)) for image in by_seed(scene, range(8))])
     reference, its_error = white.mean.sum(), np.sqrt((white.stderr**2).sum())
     found, error = sums.mean(axis=0) / reference, sums.std(axis=0, ddof=1) / np.sqrt(len(sums)) / reference
     sigma = np.hypot(error / found, its_error / reference)
@@ -191,8 +190,8 @@ def test_the_reported_error_holds_the_noise_of_the_wavelengths() -> None:
         {"camera.sensor.bands": [{**BAND, "fwhm_nm": 120.0}], "lights[0].spectrum": "FL11",
          "targets[0].material.reflectance": 0.8}
     )  # fmt: skip
-    world, seeds = lf.build(scene), 16
-    images = [Renderer(world.reseeded(seed)).image() for seed in range(seeds)]
+    seeds = 16
+    images = list(by_seed(scene, range(seeds)))
     totals = np.array([image.mean for image in images])
     lit = totals.mean(axis=0) > 0.2 * totals.mean(axis=0).max()
     true = totals.var(axis=0, ddof=1)[lit].mean()

@@ -17,9 +17,9 @@ from scipy import stats
 import lfmesh as lf
 from lfmesh.geometry.primitives import primitive
 from lfmesh.scene.targets import Sphere
-from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.tables.emitters import no_emitters
 from lfmesh.transport.world import World, build
+from tests.renders import of_world
 from tests.validation.test_every_path_once import GLOW, MIRROR, SCREEN, WHITE, accepted, folder, scene, sheet
 from tests.validation.test_radiometry import (
     LEVEL,
@@ -57,7 +57,7 @@ def by_chance(world: World) -> World:
 
 def powers(world: World, seeds: range) -> Array:
     """Return the power on the sensor by so many seeds, W."""
-    return np.array([Renderer(world.reseeded(seed)).image().mean.sum() for seed in seeds])
+    return np.array([image.mean.sum() for image in of_world(world, seeds)])
 
 
 def glowing_square(side: float, x: float, y: float, z: float, **rest: Any) -> dict[str, Any]:

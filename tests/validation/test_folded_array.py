@@ -55,14 +55,25 @@ def vector(x, y, z):
 
 
 @compiled
+def dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+# Of these two and `dot`, which meet every facet of the mesh, no result lies in memory of its own.
+@compiled
+def minus(a, b):
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@compiled
 def crossed(a, b):
-    return vector(a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @compiled
 def turned(d, normal, n_i, n_t, refracts):
     """Direction after an interface and its share of the power; a share of 0 is refraction beyond the critical angle."""
-    cos_i = normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2]
+    cos_i = dot(normal, d)
     if cos_i < 0.0:
         normal, cos_i = -normal, -cos_i
     sin2_t = (n_i / n_t) ** 2 * (1.0 - cos_i * cos_i)
@@ -75,7 +86,7 @@ def turned(d, normal, n_i, n_t, refracts):
         return d - 2.0 * cos_i * normal, 0.5 * (r_s * r_s + r_p * r_p)
     t_s, t_p = 2.0 * n_i * cos_i / s, 2.0 * n_i * cos_i / p
     on = n_i / n_t * (d - cos_i * normal) + cos_t * normal
-    return on / np.sqrt(np.sum(on * on)), n_t * cos_t / (n_i * cos_i) * 0.5 * (t_s * t_s + t_p * t_p)
+    return on / np.sqrt(dot(on, on)), n_t * cos_t / (n_i * cos_i) * 0.5 * (t_s * t_s + t_p * t_p)
 
 
 @compiled
@@ -132,9 +143,9 @@ def meets_sphere(whole, cell, p, d, medium):
     """Where a ray crosses a lenslet's sphere out of its medium, on the half with the apex; inf where it does not."""
     radius = 1.0 / whole.curvature[cell]
     centre = vector(whole.centre[cell, 0] + whole.apex[cell, 0], whole.centre[cell, 1] + whole.apex[cell, 1], radius)
-    to_foot = np.sum((centre - p) * d)
+    to_foot = dot(centre - p, d)
     foot = p + to_foot * d - centre
-    square = radius * radius - np.sum(foot * foot)
+    square = radius * radius - dot(foot, foot)
     if square < 0.0:
         return np.inf, centre
     # Into the glass along the normal towards +z, out of it against that.
@@ -221,7 +232,7 @@ def first_facet(whole, p, d, start, end, sense, left):
         if enters > min(leaves, nearest) + 1e-9 or leaves < start - 1e-9:
             continue
         for f in range(whole.first[cell], whole.first[cell + 1]):
-            if f != left and np.sum(whole.normals[f] * d) * sense > 0.0:
+            if f != left and dot(whole.normals[f], d) * sense > 0.0:
                 t = facet_distance(whole, f, p, d)
                 if start < t < nearest:
                     nearest, facet = t, f
@@ -232,20 +243,20 @@ def first_facet(whole, p, d, start, end, sense, left):
 def facet_distance(whole, f, p, d):
     """Distance to a facet along a ray; inf where it passes by."""
     a = whole.corners[f, 0]
-    e1, e2 = whole.corners[f, 1] - a, whole.corners[f, 2] - a
+    e1, e2 = minus(whole.corners[f, 1], a), minus(whole.corners[f, 2], a)
     cross = crossed(d, e2)
-    determinant = np.sum(cross * e1)
+    determinant = dot(cross, e1)
     if determinant == 0.0:
         return np.inf
-    s = p - a
-    u = np.sum(s * cross) / determinant
+    s = minus(p, a)
+    u = dot(s, cross) / determinant
     if u < 0.0 or u > 1.0:
         return np.inf
     other = crossed(s, e1)
-    v = np.sum(d * other) / determinant
+    v = dot(d, other) / determinant
     if v < 0.0 or u + v > 1.0:
         return np.inf
-    return np.sum(e2 * other) / determinant
+    return dot(e2, other) / determinant
 
 
 @compiled
@@ -253,10 +264,9 @@ def interpolated(whole, f, q):
     """Normal at a point of a facet, from its corners' by the areas of the triangles opposite them."""
     normal = np.zeros(3)
     for k in range(3):
-        b, c = whole.corners[f, (k + 1) % 3] - q, whole.corners[f, (k + 2) % 3] - q
-        cross = crossed(b, c)
-        normal += np.sqrt(np.sum(cross * cross)) * whole.corner_normals[f, k]
-    return normal / np.sqrt(np.sum(normal * normal))
+        cross = crossed(minus(whole.corners[f, (k + 1) % 3], q), minus(whole.corners[f, (k + 2) % 3], q))
+        normal += np.sqrt(dot(cross, cross)) * whole.corner_normals[f, k]
+    return normal / np.sqrt(dot(normal, normal))
 
 
 @compiled

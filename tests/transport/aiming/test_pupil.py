@@ -92,10 +92,9 @@ def shrunk(aim: AimTables) -> AimTables:
 def images(of: lf.Scene, first: int, change: Change = lambda aim: aim) -> Array:
     """Return REPLICATES images of as many seeds, (n, H, W), with the aim changed."""
     world = lf.build(of)
-    aimed = changed(world, change)
+    renderer = Renderer(changed(world, change), check=False)
     found = []
     for seed in range(first, first + REPLICATES):
-        renderer = Renderer(aimed)
         renderer.seed = np.uint64(seed * 7919 + 1)
         found.append(renderer.image().mean[..., 0])
     return np.array(found)

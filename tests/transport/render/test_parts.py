@@ -157,7 +157,7 @@ ADAPTIVE = {"transport.target_error": 0.0005, "transport.max_samples": 8192}
 def test_adaptive_sampling_leaves_what_lamps_send_as_it_is(lamp_behind_glass: lf.Scene) -> None:
     """Added to the second stage too, or weighted with the pixels' samples, it would be brighter or dimmer."""
     refined, plain = (
-        [lf.render(lamp_behind_glass.changed({**changes, "transport.seed": seed})) for seed in range(first, first + 12)]
+        list(by_seed(lamp_behind_glass.changed(changes), range(first, first + 12)))
         for changes, first in ((ADAPTIVE, 0), ({}, 100))
     )
     assert all(image.refinement is not None and image.refinement.refined_share > 0.5 for image in refined)

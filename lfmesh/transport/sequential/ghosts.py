@@ -297,10 +297,11 @@ def kind_of_ray(ghosts: GhostTables, x: float, y: float, z: float, dx: float, dy
     t = (ghosts.from_z - z) / dz
     qx, qy = x + t * dx, y + t * dy
     p2, q2 = px * px + py * py, qx * qx + qy * qy
-    radius = min(int(RADII * p2 / (ghosts.radius * ghosts.radius)), RADII - 1)
+    # Of rays that graze the planes the distances may be larger than any integer.
+    radius = int(min(RADII * p2 / (ghosts.radius * ghosts.radius), RADII - 1.0))
     height = interval_of_height(ghosts, q2)
     lengths = np.sqrt(p2 * q2)
-    cosine = (px * qx + py * qy) / lengths if lengths > 0.0 else 1.0
+    cosine = (px * qx + py * qy) / lengths if 0.0 < lengths < np.inf else 1.0
     angle = min(max(int(ANGLES * 0.5 * (1.0 - cosine)), 0), ANGLES - 1)
     return (radius * HEIGHTS + height) * ANGLES + angle
 
@@ -308,7 +309,7 @@ def kind_of_ray(ghosts: GhostTables, x: float, y: float, z: float, dx: float, dy
 @inlined
 def interval_of_height(ghosts: GhostTables, squared: float) -> int:
     """Return the interval of a squared distance from the axis, mm², in the plane that rays come from."""
-    return min(int(HEIGHTS * squared / (ghosts.height * ghosts.height)), HEIGHTS - 1)
+    return int(min(HEIGHTS * squared / (ghosts.height * ghosts.height), HEIGHTS - 1.0))
 
 
 @inlined

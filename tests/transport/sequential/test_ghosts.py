@@ -17,6 +17,7 @@ from lfmesh.transport.packets.path_class import EVERY, GHOSTS, OFF_IMAGE_PATH, O
 from lfmesh.transport.render import ghost_check
 from lfmesh.transport.render.parts import Part, parts_of
 from lfmesh.transport.render.render import Renderer
+from lfmesh.transport.sequential.ghosts import kind_of_ray
 
 LEVEL = 1e-3
 COMPARISONS = 34
@@ -241,3 +242,11 @@ def test_every_sequence_has_a_chance_with_every_ray(name: str) -> None:
     np.testing.assert_allclose(ghosts.until[:-1, -1], 1.0, rtol=1e-15)
     assert (np.diff(ghosts.cells, prepend=0.0, axis=1) > 0.0).all()
     np.testing.assert_allclose(ghosts.cells[:, -1], 1.0, rtol=1e-15)
+
+
+@pytest.mark.parametrize("dz", [-1e-12, -1e-160, -5e-324])
+def test_rays_that_graze_the_lens_are_of_a_kind(dz: float) -> None:
+    """Where they cross the planes is farther than any integer, or than any number."""
+    ghosts = lf.build(scene(CAMERAS["two"])).ghosts
+    assert ghosts is not None
+    assert 0 <= kind_of_ray(ghosts, 1.0, 0.0, 5.0, 1.0, 1e-3, dz) < len(ghosts.until) - 1

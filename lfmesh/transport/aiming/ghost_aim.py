@@ -4,6 +4,8 @@ The trace decides only how often a sequence is followed, never what light there 
 chance, and weighted by its inverse.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +14,7 @@ from lfmesh.geometry.surface import CONIC_AND_EVEN
 from lfmesh.transport.aiming.lenslet_view import with_wider_views
 from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_GHOSTS
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
-from lfmesh.transport.sequential.ghosts import ANGLES, HEIGHTS, RADII, GhostTables, weights_along
+from lfmesh.transport.sequential.ghosts import ANGLES, HEIGHTS, RADII, WITHIN_OPENING, GhostTables, weights_along
 from lfmesh.transport.sequential.lens_bundle import empty_bundle
 from lfmesh.transport.sequential.plane_faces import count_faces
 from lfmesh.transport.sequential.reflections import BUNDLE_ROWS, book_for
@@ -60,7 +62,12 @@ def ghost_tables(tables: Tables, max_events: int) -> GhostTables | None:
     light = _light(tables, ghosts)
     if not light.any():
         return None
-    return ghosts._replace(until=_cumulative(light, ghosts.from_pixel), cells=_cells(light))
+    area = _areas(ghosts)
+    weighted = light.reshape(RADII, HEIGHTS, ANGLES, -1) * area[:, None, :, None]
+    of_all = weighted.sum(axis=(0, 1, 2)) / weighted.sum()
+    return ghosts._replace(
+        until=_cumulative(light, of_all, ghosts.from_pixel), cells=_cells(weighted.sum(axis=3), area)
+    )
 
 
 def _without_chances(tables: Tables, of: Faces, image_path: Itinerary, paths: list[Itinerary]) -> GhostTables:
@@ -76,6 +83,7 @@ def _without_chances(tables: Tables, of: Faces, image_path: Itinerary, paths: li
         legs += own[len(to_lens) if begins_in_lens else 0 :]
     steps = np.cumsum([0, *(len(leg.faces) for leg in legs)])
     from_z, height = _where_from(tables)
+    opening = _opening(tables.aim)
     return GhostTables(
         faces=np.array([face for leg in legs for face in leg.faces], np.int64),
         reflected=np.array([mirrors for leg in legs for mirrors in leg.reflected], np.bool_),
@@ -88,6 +96,11 @@ def _without_chances(tables: Tables, of: Faces, image_path: Itinerary, paths: li
         cells=np.zeros((HEIGHTS, 0)),
         plane_z=tables.aim.exit.plane_z,
         from_z=from_z,
+        rings=np.append(
+            np.linspace(0.0, opening**2, WITHIN_OPENING, endpoint=False),
+            np.linspace(opening**2, tables.aim.back_radius**2, RADII - WITHIN_OPENING + 1),
+        ),
+        opening=opening,
         radius=tables.aim.back_radius,
         height=height,
     )
@@ -102,6 +115,17 @@ def _where_from(tables: Tables) -> tuple[float, float]:
         half = 0.5 * sensor.pixel * sensor.columns, 0.5 * sensor.pixel * sensor.rows
     corners = [move[:, :3] @ [x, y, 0.0] + move[:, 3] for x in (-half[0], half[0]) for y in (-half[1], half[1])]
     return float(move[2, 3]), max(float(np.hypot(*corner[:2])) for corner in corners)
+
+
+def _opening(aim: AimTables) -> float:
+    """Return the distance from the axis, mm, that holds the lens's opening, and of which some is left outside."""
+    seen = aim.exit.radius > 0.0
+    if not seen.any():
+        return math.sqrt(0.5) * aim.back_radius
+    # Centres are of the corners of the intervals that the radii are of.
+    middle = np.abs(aim.exit.middle)
+    farthest = np.maximum.reduce([middle[:-1, :-1], middle[1:, :-1], middle[:-1, 1:], middle[1:, 1:]])
+    return float(min((farthest + aim.exit.radius)[seen].max(), math.sqrt(0.5) * aim.back_radius))
 
 
 def _light(tables: Tables, ghosts: GhostTables) -> Array:
@@ -122,7 +146,7 @@ def _rays(ghosts: GhostTables) -> tuple[Array, Array]:
     shape = (RADII, HEIGHTS, ANGLES, RAYS_OF_A_KIND)
     draw = np.random.default_rng(0)
     at = np.indices(shape)[:3] + draw.random((3, *shape))
-    r = ghosts.radius * np.sqrt(at[0].ravel() / RADII)
+    r = np.sqrt(np.interp(at[0].ravel(), np.arange(RADII + 1), ghosts.rings))
     height = ghosts.height * np.sqrt(at[1].ravel() / HEIGHTS)
     angle = np.arccos(1.0 - 2.0 * at[2].ravel() / ANGLES) * draw.choice([-1.0, 1.0], r.shape)
     turn = 2.0 * np.pi * draw.random(r.shape)
@@ -132,12 +156,18 @@ def _rays(ghosts: GhostTables) -> tuple[Array, Array]:
     return p, d / np.linalg.norm(d, axis=1)[:, None]
 
 
-def _cumulative(light: Array, from_pixel: NDArray[np.bool_]) -> Array:
+def _cumulative(light: Array, of_all: Array, from_pixel: NDArray[np.bool_]) -> Array:
     """Return the cumulative chances of the sequences for each kind of ray from the light that they bring.
 
     In the last row, for rays that do not come to the lens, those that begin at the pixel share all chances.
+
+    Parameters
+    ----------
+    light : (kinds, sequences) float64
+    of_all : (sequences,) float64
+        Share of the light of all kinds.
+    from_pixel : (sequences,) bool
     """
-    of_all = light.sum(axis=0) / light.sum()
     of_kind = light.sum(axis=1, keepdims=True)
     own = np.where(of_kind > 0.0, light / np.where(of_kind > 0.0, of_kind, 1.0), of_all)
     chances = (1.0 - SHARE_OF_ALL - SHARE_OF_EACH) * own + SHARE_OF_ALL * of_all + SHARE_OF_EACH / light.shape[1]
@@ -146,14 +176,26 @@ def _cumulative(light: Array, from_pixel: NDArray[np.bool_]) -> Array:
     return np.ascontiguousarray(until / np.where(until[:, -1:] > 0.0, until[:, -1:], 1.0))
 
 
-def _cells(light: Array) -> Array:
-    """Return the cumulative chances of the cells at the lens, for each height, from the light of all sequences."""
+def _areas(ghosts: GhostTables) -> Array:
+    """Return the share of each cell in the disk at the lens, (RADII, ANGLES)."""
     edges = np.arccos(1.0 - 2.0 * np.arange(ANGLES + 1) / ANGLES)
-    area = np.broadcast_to(np.diff(edges) / edges[-1] / RADII, (RADII, ANGLES)).ravel()
-    found = light.sum(axis=1).reshape(RADII, HEIGHTS, ANGLES).transpose(1, 0, 2).reshape(HEIGHTS, -1) * area
-    total = found.sum(axis=1, keepdims=True)
+    return np.asarray(np.outer(np.diff(ghosts.rings) / ghosts.rings[-1], np.diff(edges) / edges[-1]))
+
+
+def _cells(light: Array, area: Array) -> Array:
+    """Return the cumulative chances of the cells at the lens for each height, (HEIGHTS, RADII · ANGLES).
+
+    Parameters
+    ----------
+    light : (RADII, HEIGHTS, ANGLES) float64
+        Of all sequences.
+    area : (RADII, ANGLES) float64
+        Shares of the disk.
+    """
+    found = light.transpose(1, 0, 2)
+    total = found.sum(axis=(1, 2), keepdims=True)
     own = np.where(total > 0.0, found / np.where(total > 0.0, total, 1.0), area)
-    until = np.cumsum((1.0 - SHARE_OF_DISK) * own + SHARE_OF_DISK * area, axis=1)
+    until = np.cumsum(((1.0 - SHARE_OF_DISK) * own + SHARE_OF_DISK * area).reshape(HEIGHTS, -1), axis=1)
     return np.ascontiguousarray(until / until[:, -1:])
 
 
@@ -179,6 +221,7 @@ def aim_at_ghosts(tables: Tables, ghosts: GhostTables) -> AimTables:
         return aim
     rings = len(aim.shown) - 1
     light = np.diff(ghosts.cells, prepend=0.0, axis=1).reshape(HEIGHTS, RADII, ANGLES).sum(axis=(0, 2))
-    shown = np.interp((np.arange(rings) + 0.5) / rings * RADII - 0.5, np.arange(RADII), light)
+    middles = 0.5 * (ghosts.rings[1:] + ghosts.rings[:-1])
+    shown = np.interp((np.arange(rings) + 0.5) / rings * ghosts.rings[-1], middles, light / np.diff(ghosts.rings))
     wide = with_wider_views(aim, tables.mla, tables.frames, tables.sensor, wider)
     return wide._replace(shown=np.append(shown / shown.max(), 0.0))

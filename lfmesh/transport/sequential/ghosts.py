@@ -61,6 +61,9 @@ SEQUENCE = 15
 RADII, HEIGHTS, ANGLES = 8, 8, 8
 """Intervals by which rays are told apart that come to the lens, see `GhostTables`."""
 
+WITHIN_OPENING = 4
+"""Number of the intervals of the distance at the lens that lie in its opening, which may be small."""
+
 _MET = 7
 """Row of `GhostRoom.rays` for the interfaces that a ray has met; the others are position, direction and weight."""
 
@@ -71,7 +74,8 @@ class GhostTables(NamedTuple):
 
     Each sequence is cut into legs in lens, array, and cover and sensor. Rays that come to the lens are told apart by
     three numbers: the distances from the axis at which they cross a plane at the lens and the plane that they come
-    from, squared and in even intervals, and the cosine of the angle between the two points as seen from the axis.
+    from, squared and in even intervals, at the lens within its opening and outside; and the cosine of the angle between
+    the two points as seen from the axis.
     """
 
     faces: NDArray[np.int64]  # (steps,) faces that each leg meets in turn, counted within its part
@@ -90,6 +94,8 @@ class GhostTables(NamedTuple):
     cells: Array
     plane_z: float  # mm, camera frame: the plane at the lens
     from_z: float  # mm, the plane that they come from: of the array or, without one, of the sensor
+    rings: Array  # (RADII + 1,) mm², squared distances at which the intervals of the distance begin and end at the lens
+    opening: float  # mm, distance from the axis that holds the lens's opening as seen from that plane
     radius: float  # mm, at which the intervals of the distance end at the lens
     height: float  # mm, the same where they come from
 
@@ -297,13 +303,23 @@ def kind_of_ray(ghosts: GhostTables, x: float, y: float, z: float, dx: float, dy
     t = (ghosts.from_z - z) / dz
     qx, qy = x + t * dx, y + t * dy
     p2, q2 = px * px + py * py, qx * qx + qy * qy
-    # Of rays that graze the planes the distances may be larger than any integer.
-    radius = int(min(RADII * p2 / (ghosts.radius * ghosts.radius), RADII - 1.0))
+    radius = interval_of_radius(ghosts, p2)
     height = interval_of_height(ghosts, q2)
     lengths = np.sqrt(p2 * q2)
     cosine = (px * qx + py * qy) / lengths if 0.0 < lengths < np.inf else 1.0
     angle = min(max(int(ANGLES * 0.5 * (1.0 - cosine)), 0), ANGLES - 1)
     return (radius * HEIGHTS + height) * ANGLES + angle
+
+
+@inlined
+def interval_of_radius(ghosts: GhostTables, squared: float) -> int:
+    """Return the interval of a squared distance from the axis, mm², in the plane at the lens."""
+    opening2, radius2 = ghosts.opening * ghosts.opening, ghosts.radius * ghosts.radius
+    if squared < opening2:
+        return int(WITHIN_OPENING * squared / opening2)
+    outside = RADII - WITHIN_OPENING
+    # Of rays that graze the plane the distance may be larger than any integer.
+    return WITHIN_OPENING + int(min(outside * (squared - opening2) / (radius2 - opening2), outside - 1.0))
 
 
 @inlined

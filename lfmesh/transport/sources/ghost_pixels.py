@@ -13,7 +13,7 @@ from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.aiming.lenslet_aim import CELL_U, CELL_V, DISCRETE, PIXEL_U, PIXEL_V
 from lfmesh.transport.packets.book import EMITTED
 from lfmesh.transport.packets.packet import CAMERA_FRAME, LENS, SAMPLE_SHIFT, SENSOR_FRAME, Flow, put
-from lfmesh.transport.sequential.ghosts import ANGLES, RADII, GhostTables, interval_of_height
+from lfmesh.transport.sequential.ghosts import ANGLES, GhostTables, interval_of_height
 from lfmesh.transport.sources.pixel_starts import STARTS, StartRoom, begin_launch, draw_numbers
 from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.tables.tables import SensorTables
@@ -84,10 +84,11 @@ def to_cell(
     # What is left of the number decides on which side of the meridian the point lies.
     side = 1.0 if choice - before < 0.5 * chance else -1.0
     radius, angle = cell // ANGLES, cell % ANGLES
-    r = ghosts.radius * np.sqrt((radius + u) / RADII)
+    least2, most2 = ghosts.rings[radius], ghosts.rings[radius + 1]
+    r = np.sqrt(least2 + u * (most2 - least2))
     least, most = np.arccos(1.0 - 2.0 * angle / ANGLES), np.arccos(max(1.0 - 2.0 * (angle + 1) / ANGLES, -1.0))
     phi = side * (least + v * (most - least)) + np.arctan2(y, x)
-    size = ghosts.radius * ghosts.radius / RADII * (most - least)
+    size = (most2 - least2) * (most - least)
     dx, dy, dz = r * np.cos(phi) - x, r * np.sin(phi) - y, ghosts.plane_z - z
     distance2 = dx * dx + dy * dy + dz * dz
     scale = 1.0 / np.sqrt(distance2)

@@ -67,6 +67,7 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     covers.cover_of_1_nm,
     covers.cover_of_10_m,
     covers.grazing_a_cover,
+    covers.sensor_that_detects_a_thousandth,
     meshes.target_100_m,
     meshes.target_1_mm,
     meshes.duplicate_faces,

@@ -44,8 +44,10 @@ where reflections are part of the picture."""
 IMAGE_PATHS_PER_OTHER_STRAY, IMAGE_PATHS_PER_GHOST = 16, 8
 """The same, without glass, where the lens's ghosts are a part of their own: for each other stray, and each ghost."""
 
-CUTOFF_OF_OTHER_STRAYS = 1.0 / 3.0
-"""Weight below which other strays play roulette, over `weight_cutoff`: few samples, each followed further."""
+CUTOFF_OF_OTHER_STRAYS, IN_SINGLE_ELEMENT = 1.0 / 3.0, 1.0 / 30.0
+"""Weight below which other strays play roulette, over `weight_cutoff`: few samples, each followed further. In a lens of
+two surfaces only one child of a packet stays in the lens, so that a path does not branch, and costs little however far
+it is followed; where total reflection leads it to a dark corner, each packet that roulette makes heavier is seen."""
 
 SCATTERED_PER_FOLLOWED = 25.0
 """Without glass in object space: number of scattered paths, not yet off the image path, for each one that is followed.
@@ -165,10 +167,8 @@ def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
     thinned = WITH_GLASS if _has_glass(tables) else IMAGE_PATHS_PER_OTHER_STRAY
     others = off_path._replace(paths=OTHER_STRAYS)
     if not _has_glass(tables):
-        others = others._replace(
-            cutoff=CUTOFF_OF_OTHER_STRAYS * others.cutoff,
-            unturned_cutoff=CUTOFF_OF_OTHER_STRAYS * others.unturned_cutoff,
-        )
+        lower = cutoff_of_other_strays(len(tables.lens.surfaces))
+        others = others._replace(cutoff=lower * others.cutoff, unturned_cutoff=lower * others.unturned_cutoff)
     of_ghosts = tables._replace(aim=tables.aim._replace(wide_share=WIDE_SHARE_OF_GHOSTS), ghosts=world.ghosts)
     return (
         image_path,
@@ -176,6 +176,11 @@ def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
         Part(4, along_path._replace(paths=LENS_GHOSTS), of_ghosts, IMAGE_PATHS_PER_GHOST, accounts=False),
         *lamps,
     )
+
+
+def cutoff_of_other_strays(surfaces: int) -> float:
+    """Return the weight below which other strays play roulette, over `weight_cutoff`, in a lens of so many surfaces."""
+    return IN_SINGLE_ELEMENT if surfaces == 2 else CUTOFF_OF_OTHER_STRAYS
 
 
 def _off_image_path(options: Options, tables: Tables) -> Options:

@@ -167,8 +167,10 @@ def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
     thinned = WITH_GLASS if _has_glass(tables) else IMAGE_PATHS_PER_OTHER_STRAY
     others = off_path._replace(paths=OTHER_STRAYS)
     if not _has_glass(tables):
-        lower = cutoff_of_other_strays(len(tables.lens.surfaces))
-        others = others._replace(cutoff=lower * others.cutoff, unturned_cutoff=lower * others.unturned_cutoff)
+        lower = IN_SINGLE_ELEMENT if len(tables.lens.surfaces) == 2 else CUTOFF_OF_OTHER_STRAYS
+        others = others._replace(
+            cutoff=lower * others.cutoff, unturned_cutoff=CUTOFF_OF_OTHER_STRAYS * others.unturned_cutoff
+        )
     of_ghosts = tables._replace(aim=tables.aim._replace(wide_share=WIDE_SHARE_OF_GHOSTS), ghosts=world.ghosts)
     return (
         image_path,
@@ -176,11 +178,6 @@ def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
         Part(4, along_path._replace(paths=LENS_GHOSTS), of_ghosts, IMAGE_PATHS_PER_GHOST, accounts=False),
         *lamps,
     )
-
-
-def cutoff_of_other_strays(surfaces: int) -> float:
-    """Return the weight below which other strays play roulette, over `weight_cutoff`, in a lens of so many surfaces."""
-    return IN_SINGLE_ELEMENT if surfaces == 2 else CUTOFF_OF_OTHER_STRAYS
 
 
 def _off_image_path(options: Options, tables: Tables) -> Options:

@@ -23,12 +23,12 @@ from lfmesh.transport.render.render import Renderer
 Array = NDArray[np.float64]
 
 LEVEL = 1e-3
-COMPARISONS = 10
+COMPARISONS = 12
 REPLICATES = 32
 STARTS, BATCHES = 100_000, 12
 SEMI, PIXELS, PIXEL = 8.0, 12, 1.0
 BLOCK = 3
-LIGHTEST = 1e-5
+LIGHTEST = 1e-7
 """Share of a ray's weight below which the tracer leaves a path."""
 
 TARGET, SIZE = (90.0, 0.0, -100.0), 120.0
@@ -153,8 +153,7 @@ def traced(element: Element, draw: np.random.Generator) -> Array:
         at = p + np.where(np.isinf(t), 0.0, t)[:, None] * d
         on = np.isfinite(t) & (np.hypot(at[:, 0], at[:, 1]) <= SEMI)
         p, d, k, space, weight, place, least, mirrors, again, last = (
-            each[on]
-            for each in (at, d, k, space, weight, place, least, mirrors, again, last)
+            each[on] for each in (at, d, k, space, weight, place, least, mirrors, again, last)
         )
         again = again | (last == k)
         radii, vertices = np.array(element.radii)[k], np.array(element.vertices)[k]
@@ -195,7 +194,7 @@ def light_of(world: Any, parts: tuple[Part, ...], dark: NDArray[np.bool_]) -> tu
 
 STEEP = {
     "hollow behind": Element((8.5, 9.0), 4.0, 1.8, 15.0),
-    "hollow before": Element((-9.0, -9.5), 3.0, 1.8, 12.0),
+    "hollow before": Element((-12.0, -9.0), 3.0, 1.8, 10.0),
 }
 ELEMENTS = {f"drawn {number}": drawn(number) for number in (0, 1, 4, 7)} | STEEP
 

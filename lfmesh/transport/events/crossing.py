@@ -154,12 +154,13 @@ def windowed(book: Array, weight: float, floor: float, key: np.uint64, dimension
 
 
 @inlined
-def thinned(options: Options, book: Array, packet: Any, weight: float, key: np.uint64) -> float:
+def thinned(cutoff: float, book: Array, packet: Any, weight: float, key: np.uint64) -> float:
     """Return the weight of a packet that brings nothing as it is, and of which few continue; 0: it ends.
 
     Parameters
     ----------
-    options : Options
+    cutoff : float
+        Weight, over the packet's starting weight, below which it plays roulette.
     book : (slots,) float64
     packet : PACKET
     weight : float
@@ -167,7 +168,7 @@ def thinned(options: Options, book: Array, packet: Any, weight: float, key: np.u
         Of its random numbers.
     """
     dimension = packet.events * DIMENSIONS_PER_EVENT + KEEP_REACHED
-    return windowed(book, weight, options.unturned_cutoff * packet.start, key, dimension)
+    return windowed(book, weight, cutoff * packet.start, key, dimension)
 
 
 @inlined

@@ -45,6 +45,10 @@ otherwise. `IN_NO_GHOST`: still on the image path, but it can become none of the
 STRAYS_OF = {OFF_IMAGE_PATH: (STRAY, REFLECTED_ONCE, REFLECTED_TWICE), OTHER_STRAYS: (STRAY,)}
 """`stray` of the packets that count, in the classes of which not all packets do that are traced."""
 
+THROWN_BACK_PER_FOLLOWED = 25.0
+"""Number of paths of ghosts, among other strays, for each that is followed from its second reflection on:
+the inverse of a polished surface's reflectance, some 4 %."""
+
 
 @inlined
 def stray_after(frame: int, refracts: bool, transmittance: float, stray: int) -> int:
@@ -114,6 +118,29 @@ def is_unturned(options: Options, packet: Any) -> bool:
 def is_other_ghost(options: Options, packet: Any) -> bool:
     """Tell whether a packet, of which only other strays count, is on the path of one of the ghosts so far."""
     return options.paths == OTHER_STRAYS and packet.stray == REFLECTED_TWICE
+
+
+@inlined
+def cutoff_at_child(options: Options, leaves: bool, refracts: bool, packet: Any) -> float:
+    """Return the weight, over a packet's starting weight, below which its child at a face plays another roulette.
+
+    The child brings nothing as it is, and only few such packets continue. 0 if it plays none.
+
+    Parameters
+    ----------
+    options : Options
+    leaves : bool
+        The child leaves the lens to object space for good.
+    refracts : bool
+        The child is the refracted one.
+    packet : PACKET
+        The parent, with `stray` of the child.
+    """
+    if leaves and is_unturned(options, packet):
+        return options.unturned_cutoff
+    if not refracts and is_other_ghost(options, packet):
+        return min(options.unturned_cutoff, THROWN_BACK_PER_FOLLOWED * options.cutoff)
+    return 0.0
 
 
 @inlined

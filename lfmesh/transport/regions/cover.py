@@ -30,7 +30,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.path_class import is_other_ghost
+from lfmesh.transport.packets.path_class import cutoff_at_child
 from lfmesh.transport.regions.sensor import onto_pixel
 from lfmesh.transport.tables.cover import FRONT_ROW, REAR_ROW, CoverTables
 from lfmesh.transport.tables.tables import AIR, SensorTables
@@ -91,8 +91,9 @@ def _send_from_face(
 ) -> None:  # fmt: skip
     """Queue a child of a packet at a face of the cover."""
     at_front, outside, lens_surfaces = place
-    if not refracts and is_other_ghost(options, packet):
-        weight = thinned(options, flow.book, packet, weight, key)
+    cutoff = cutoff_at_child(options, False, refracts, packet)
+    if cutoff > 0.0:
+        weight = thinned(cutoff, flow.book, packet, weight, key)
         if weight == 0.0:
             return
     if at_front and dz < 0.0:

@@ -56,7 +56,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.path_class import is_other_ghost, is_unturned, stray_at_same_surface, stray_before_lens
+from lfmesh.transport.packets.path_class import cutoff_at_child, stray_at_same_surface, stray_before_lens
 from lfmesh.transport.regions.lens_block import (
     ALONG_X,
     ALONG_Y,
@@ -579,8 +579,9 @@ def _send_child(
     block, i, k, space, lens, has_mla = place
     into = (k + 1 if k == space else k) if refracts else space
     leaves = _leaves_for_good(lens, into, dz)
-    if (leaves and into == 0 and is_unturned(options, packet)) or (not refracts and is_other_ghost(options, packet)):
-        weight = thinned(options, flow.book, packet, weight, key)
+    cutoff = cutoff_at_child(options, leaves and into == 0, refracts, packet)
+    if cutoff > 0.0:
+        weight = thinned(cutoff, flow.book, packet, weight, key)
         if weight == 0.0:
             return
     if leaves:

@@ -33,7 +33,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.path_class import is_other_ghost, stray_after_mirror
+from lfmesh.transport.packets.path_class import cutoff_at_child, stray_after_mirror
 from lfmesh.transport.packets.random import derived
 from lfmesh.transport.tables.tables import SensorTables
 
@@ -131,8 +131,9 @@ def onto_pixel(
         # It goes on as packets start at a pixel, but off the image path.
         packet.stray = stray_after_mirror(packet.stray)
         key = derived(packet.key, packet.events)
-        if is_other_ghost(options, packet):
-            reflected = thinned(options, flow.book, packet, reflected, key)
+        cutoff = cutoff_at_child(options, False, False, packet)
+        if cutoff > 0.0:
+            reflected = thinned(cutoff, flow.book, packet, reflected, key)
             if reflected == 0.0:
                 return
         child = put(

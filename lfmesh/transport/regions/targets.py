@@ -96,7 +96,7 @@ def meet_target(
         return
     if is_unturned(options, packet):
         # It gathers nothing here, and only few such packets continue: roulette comes before the work of scattering.
-        weight = thinned(options, flow.book, packet, weight, packet.key)
+        weight = thinned(options.unturned_cutoff, flow.book, packet, weight, packet.key)
         if weight == 0.0:
             return
         packet.weight = weight

@@ -45,8 +45,10 @@ where reflections are part of the picture."""
 IMAGE_PATHS_PER_OTHER_STRAY, IMAGE_PATHS_PER_GHOST = 16, 8
 """The same, without glass, where ghosts are a part of their own: for each other stray, and each ghost."""
 
-CUTOFF_OF_OTHER_STRAYS = 1.0 / 3.0
-"""Weight below which other strays play roulette, over `weight_cutoff`: few samples, each followed further."""
+CUTOFF_OF_OTHER_STRAYS, IN_SINGLE_ELEMENT = 1.0 / 3.0, 1.0 / 30.0
+"""Weight below which other strays play roulette, over `weight_cutoff`: few samples, each followed further. In a lens of
+two surfaces only one child of a packet stays in the lens, so that a path does not branch, and costs little however far
+it is followed; where total reflection leads it to a dark corner, each packet that roulette makes heavier is seen."""
 
 SCATTERED_PER_FOLLOWED = 25.0
 """Without glass in object space: number of scattered paths, not yet off the image path, for each one that is followed.
@@ -166,9 +168,10 @@ def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
     thinned = WITH_GLASS if _has_glass(tables) else IMAGE_PATHS_PER_OTHER_STRAY
     others = off_path._replace(paths=OTHER_STRAYS)
     if not _has_glass(tables):
+        single = len(tables.lens.surfaces) == 2 and tables.cover is None and tables.sensor.reflectance == 0.0
+        lower = IN_SINGLE_ELEMENT if single else CUTOFF_OF_OTHER_STRAYS
         others = others._replace(
-            cutoff=CUTOFF_OF_OTHER_STRAYS * others.cutoff,
-            unturned_cutoff=CUTOFF_OF_OTHER_STRAYS * others.unturned_cutoff,
+            cutoff=lower * others.cutoff, unturned_cutoff=CUTOFF_OF_OTHER_STRAYS * others.unturned_cutoff
         )
     of_ghosts = tables._replace(aim=aim_at_ghosts(tables, world.ghosts), ghosts=world.ghosts)
     return (

@@ -45,6 +45,9 @@ FAR = 1e9
 Shapes = tuple[tuple[Array, NDArray[np.intp]], ...]
 """Corners of surfaces and convex bodies, (n, 3) mm, and pairs of them that are joined, (m, 2)."""
 
+DISTANT, WIDE = 1e4, 10.0
+"""Depth of what is seen of a medium without bounds, in radii of the lens's front, and tangent of its field angle."""
+
 CORNERS = 8
 """Of a box."""
 
@@ -116,6 +119,19 @@ def shapes_in_camera(targets: list[TargetMesh], boxes: Array, moves: Array) -> S
         *((frame.points(to_camera, t.mesh.vertices), t.mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2))
           for t in targets),
         *((boxes[first : first + CORNERS], pairs) for first in range(0, len(boxes), CORNERS)),
+    )  # fmt: skip
+
+
+def all_before(lens: LensTables) -> Array:
+    """Return the corners of a body that stands for a medium without bounds before the lens, camera frame, (8, 3) mm.
+
+    Beyond its sides the lens is seen at angles at which none lets light through.
+    """
+    near = float(lens.surfaces[0]["aperture"])
+    far = DISTANT * near
+    return np.array(
+        [(x * WIDE * size, y * WIDE * size, lens.box_low[2] - z)
+         for x in (-1.0, 1.0) for y in (-1.0, 1.0) for size, z in ((near, 0.0), (far, far))]
     )  # fmt: skip
 
 

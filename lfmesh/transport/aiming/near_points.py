@@ -28,6 +28,9 @@ NEAREST = 1e-4
 VANISHING = 0.1
 """Share of the radius measured there below which it is taken to vanish in the plane itself."""
 
+CONTINUED = 4.0
+"""Factor on the errors of interpolation at nodes whose disks are continued from their neighbours'."""
+
 BEYOND = 1.0 + 2.0**-40
 """Factor on the greatest height of a table, which the outermost of its points must not exceed by rounding."""
 
@@ -130,15 +133,13 @@ def near_opening(seen: NearViewpoints, middle: Array, radius: Array) -> NearOpen
     vanishes = False
     if distance[0] < measured[0] and len(distance) > 1:
         vanishes = _continue_to_plane(middle[0], radius[0], height, measured[0])
-    is_open = radius >= 0.0
-    bend = [_bend(middle, is_open, axis) + _bend(radius, is_open, axis) for axis in (0, 1)]
-    allowed = np.full(len(distance), bend[0].max()) + bend[1].max(axis=1)
+    allowed = cover(middle, radius, measured)
     if vanishes:
-        # Between the first two rows an error of interpolation vanishes towards the plane as the disk does.
+        # Between the first two rows an error of interpolation vanishes towards the plane as the disk does, and is at
+        # most four times as large as in the middle.
+        allowed[1] = 4.0 * np.maximum(allowed[0], allowed[1])
         allowed[0] = 0.0
-        allowed[1] += 3.0 * bend[0].max()
-    _extend(middle, radius, measured)
-    radius = np.where(radius >= 0.0, radius + allowed[:, None], -1.0)
+    radius = np.where(radius >= 0.0, radius + allowed, -1.0)
     if len(distance) == 1:
         middle, radius = np.repeat(middle, 2, axis=0), np.repeat(radius, 2, axis=0)
     return NearOpening(
@@ -165,6 +166,30 @@ def _continue_to_plane(middle: Array, radius: Array, height: Array, measured: fl
     return vanishes
 
 
+def cover(middle: Array, radius: Array, distance: Array) -> Array:
+    """Give disks to the closed nodes next to open ones, as intervals may be open in part; return errors, (n, m) mm.
+
+    Parameters
+    ----------
+    middle, radius : (n, m) float64, mm
+        Disks by rows and columns that are evenly spaced; radius −1: closed. Those next to open ones are changed.
+    distance : (n,) float64, mm
+        Of the rows.
+
+    Returns
+    -------
+    allowed : (n, m) float64, mm
+        By how much disks that are interpolated linearly may be off.
+    """
+    is_open = radius >= 0.0
+    bend = sum(_bend(values, is_open, axis) for values in (middle, radius) for axis in (0, 1))
+    allowed = np.pad(np.asarray(bend), 1)
+    rows, columns = radius.shape
+    allowed = np.maximum.reduce([allowed[i : i + rows, j : j + columns] for i in range(3) for j in range(3)])
+    _extend(middle, radius, distance)
+    return np.where(is_open, allowed, CONTINUED * allowed)
+
+
 def _bend(values: Array, is_open: NDArray[np.bool_], axis: int) -> Array:
     """Return the error of linear interpolation along an axis, (n, m): an eighth of the second difference."""
     found = np.zeros(values.shape)
@@ -172,36 +197,29 @@ def _bend(values: Array, is_open: NDArray[np.bool_], axis: int) -> Array:
         values, known, there = (np.moveaxis(a, axis, 0) for a in (values, is_open, found))
         all_open = known[:-2] & known[1:-1] & known[2:]
         there[1:-1] = np.where(all_open, 0.125 * np.abs(np.diff(values, 2, axis=0)), 0.0)
-        there[0], there[-1] = there[1], there[-2]
     return found
 
 
 def _extend(middle: Array, radius: Array, distance: Array) -> None:
-    """Give disks to the closed nodes next to open ones, as intervals between them may be open in part.
+    """Give disks to the closed nodes next to open ones.
 
-    Along the heights centres go on evenly, and radii stay; along the distances both are those of the next node, the
-    radius grown with the distance.
+    Centres go on evenly along the columns or, where no neighbour there is open, along the rows. Radii stay, or grow
+    with the distance.
     """
-    is_open = radius >= 0.0
-    columns = radius.shape[1]
-    for column in range(columns):
-        for step in (-1, 1):
-            near, far = column + step, column + 2 * step
-            if not 0 <= near < columns:
-                continue
-            rows = (radius[:, column] < 0.0) & is_open[:, near]
-            middle[rows, column], radius[rows, column] = middle[rows, near], radius[rows, near]
-            if 0 <= far < columns:
-                rows &= is_open[:, far]
-                middle[rows, column] += middle[rows, near] - middle[rows, far]
-    is_open = radius >= 0.0
-    for row in range(len(radius)):
-        for near in (row + 1, row - 1):
-            if not 0 <= near < len(radius):
-                continue
-            some = (radius[row] < 0.0) & is_open[near]
-            middle[row, some] = middle[near, some]
-            radius[row, some] = radius[near, some] * max(1.0, distance[row] / distance[near])
+    for axis in (1, 0):
+        m, r = (np.moveaxis(a, axis, 0) for a in (middle, radius))
+        was_open = r >= 0.0
+        for here in range(len(r)):
+            for step in (1, -1):
+                near, far = here + step, here + 2 * step
+                if not 0 <= near < len(r):
+                    continue
+                some = (r[here] < 0.0) & was_open[near]
+                grown = max(1.0, distance[here] / distance[near]) if axis == 0 else 1.0
+                m[here, some], r[here, some] = m[near, some], grown * r[near, some]
+                if 0 <= far < len(r):
+                    some &= was_open[far]
+                    m[here, some] += m[near, some] - m[far, some]
 
 
 @kernel

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.aiming.near_points import (
     NearViewpoints,
+    cover,
     near_disk,
     near_opening,
     no_near_points,
@@ -426,17 +427,32 @@ def _opening(seen: Viewpoints, middle: Array, radius: Array) -> Opening:
     The radius of an interval is the largest of its corners, enlarged by the error of interpolation. Beyond the last
     field angle at which light gets through, the lens is closed.
     """
+    if len(seen.distance) == DISTANCES_TO_NEAR:
+        middle, radius = middle.copy(), radius.copy()
+        allowed = cover(middle, radius, seen.distance)
+        radius = np.where(radius >= 0.0, radius, -np.inf)
+        return _table(seen, middle, _largest_corner(radius) + _largest_corner(allowed))
     closed = radius <= 0.0
     for column in range(1, middle.shape[1]):
         # A closed point has no centre of its own; its neighbour's allows interpolation up to there.
         middle[:, column] = np.where(closed[:, column], middle[:, column - 1], middle[:, column])
     if len(seen.distance) == 1:
         middle, radius = np.repeat(middle, 2, axis=0), np.repeat(radius, 2, axis=0)
-    largest = np.maximum.reduce([radius[:-1, :-1], radius[1:, :-1], radius[:-1, 1:], radius[1:, 1:]])
+    largest = _largest_corner(radius)
     # The error of linear interpolation is at most an eighth of the second difference.
     bend = 0.125 * np.abs(np.diff(middle, 2, axis=1)).max(axis=1, initial=0.0)
     bend += 0.125 * np.abs(np.diff(middle, 2, axis=0)).max(initial=0.0)
     allowed = np.maximum(bend[:-1], bend[1:])[:, None]
+    return _table(seen, middle, np.where(largest > 0.0, largest + allowed, -1.0))
+
+
+def _largest_corner(nodes: Array) -> Array:
+    """Return the largest of the values at the corners of each interval between nodes (n, m), (n − 1, m − 1)."""
+    return np.asarray(np.maximum.reduce([nodes[:-1, :-1], nodes[1:, :-1], nodes[:-1, 1:], nodes[1:, 1:]]))
+
+
+def _table(seen: Viewpoints, middle: Array, radius: Array) -> Opening:
+    """Return centres at the viewpoints and radii between them as a table; a radius that is not positive: closed."""
     nearness = 1.0 / seen.distance
     step = (nearness[-1] - nearness[0]) / (len(nearness) - 1) if len(nearness) > 1 else 1.0
     return Opening(
@@ -447,7 +463,7 @@ def _opening(seen: Viewpoints, middle: Array, radius: Array) -> Opening:
         nearness=float(nearness[0]),
         nearness_step=float(step),
         middle=np.ascontiguousarray(middle),
-        radius=np.where(largest > 0.0, largest + allowed, -1.0),
+        radius=np.where(radius > 0.0, radius, -1.0),
         decentre=np.zeros((2, 2)),
         near=no_near_points(),
     )  # fmt: skip

@@ -52,7 +52,15 @@ from lfmesh.transport.sequential.lens_bundle import (
     pad,
     through_surface,
 )
-from lfmesh.transport.tables.tables import AimTables, LensTables, MlaTables, NearOpening, Opening, SensorTables, thin_lens_power
+from lfmesh.transport.tables.tables import (
+    AimTables,
+    LensTables,
+    MlaTables,
+    NearOpening,
+    Opening,
+    SensorTables,
+    thin_lens_power,
+)
 
 Array = NDArray[np.float64]
 

@@ -18,14 +18,14 @@ from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aiming.aim_proof import AimProof, CameraTables, decentred, proven
 from lfmesh.transport.aiming.lenslet_view import aim_through_lenslets, apex_z, grid, unmeasured_light
 from lfmesh.transport.aiming.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
-from lfmesh.transport.aiming.plate_view import NOTHING_SEEN
 from lfmesh.transport.aiming.near_points import NearViewpoints, near_viewpoints
+from lfmesh.transport.aiming.plate_view import NOTHING_SEEN
 from lfmesh.transport.aiming.pupil import (
+    Viewpoints,
     paraxial_near,
     paraxial_opening,
     real_near,
     real_opening,
-    Viewpoints,
     unknown_opening,
     viewpoints,
 )

@@ -58,8 +58,8 @@ class NearViewpoints(NamedTuple):
         return np.maximum(self.distance, NEAREST * self.depth)
 
     @property
-    def is_left(self) -> bool:
-        """Whether something reaches from near points to others."""
+    def extends_beyond(self) -> bool:
+        """Whether surfaces or bodies reach from near points to points farther away."""
         return bool(self.distance[-1] >= self.depth)
 
 
@@ -80,9 +80,9 @@ def wide_open(near: NearOpening, radius: float) -> NearOpening:
     )
 
 
-def near_viewpoints(plane_z: float, depth: float, shapes: Iterable[tuple[Array, NDArray[np.intp]]]) -> (
-    NearViewpoints | None
-):  # fmt: skip
+def near_viewpoints(
+    plane_z: float, depth: float, shapes: Iterable[tuple[Array, NDArray[np.intp]]]
+) -> NearViewpoints | None:
     """Return the grid of viewpoints that covers what of some shapes is close before the lens; None: nothing is.
 
     Parameters
@@ -113,9 +113,7 @@ def near_viewpoints(plane_z: float, depth: float, shapes: Iterable[tuple[Array, 
     low, high = float(distances.min()), float(distances.max())
     many = DISTANCES if high - low > 1e-9 * depth else 1
     # If all points lie on the axis, the table still needs a width.
-    return NearViewpoints(
-        depth, np.linspace(0.0, float(heights.max()) or depth, HEIGHTS), np.linspace(low, high, many)
-    )
+    return NearViewpoints(depth, np.linspace(0.0, float(heights.max()) or depth, HEIGHTS), np.linspace(low, high, many))
 
 
 def near_opening(seen: NearViewpoints, middle: Array, radius: Array) -> NearOpening:
@@ -194,7 +192,7 @@ def _bend(values: Array, is_open: NDArray[np.bool_], axis: int) -> Array:
     """Return the error of linear interpolation along an axis, (n, m): an eighth of the second difference."""
     found = np.zeros(values.shape)
     if values.shape[axis] > 2:
-        values, known, there = (np.moveaxis(a, axis, 0) for a in (values, is_open, found))
+        values, there, known = np.moveaxis(values, axis, 0), np.moveaxis(found, axis, 0), np.moveaxis(is_open, axis, 0)
         all_open = known[:-2] & known[1:-1] & known[2:]
         there[1:-1] = np.where(all_open, 0.125 * np.abs(np.diff(values, 2, axis=0)), 0.0)
     return found

@@ -127,7 +127,7 @@ def viewpoints(
     distance = distance[before]
     tangent = np.hypot(points[before, 0], points[before, 1]) / distance
     steps = DISTANCES
-    if near is not None and (near.is_left or not len(distance)):
+    if near is not None and (near.extends_beyond or not len(distance)):
         # What reaches up to the near points begins where they end.
         distance, tangent = np.append(distance, near.depth), np.append(tangent, near.height[-1] / near.depth)
         steps = DISTANCES_TO_NEAR
@@ -150,7 +150,8 @@ def unknown_opening(plane_z: float, *, to_sensor: bool, near_depth: float = 0.0)
     sense = 1.0 if to_sensor else -1.0
     return Opening(
         known=False, plane_z=plane_z, sense=sense, tangent_step=1.0, nearness=0.0, nearness_step=1.0,
-        middle=np.zeros((2, 2)), radius=np.full((1, 1), -1.0), decentre=np.zeros((2, 2)), near=no_near_points(near_depth),
+        middle=np.zeros((2, 2)), radius=np.full((1, 1), -1.0), decentre=np.zeros((2, 2)),
+        near=no_near_points(near_depth),
     )  # fmt: skip
 
 

@@ -26,7 +26,7 @@ from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.sections import AZIMUTHS
 from lfmesh.transport.aiming.aim_proof import AimProof
-from lfmesh.transport.aiming.aim_table import aim_table, targets_in_camera, unaimed
+from lfmesh.transport.aiming.aim_table import aim_table, all_before, shapes_in_camera, unaimed
 from lfmesh.transport.aiming.ghost_aim import ghost_tables
 from lfmesh.transport.collisions import refuse_collisions
 from lfmesh.transport.packets.book import Book
@@ -67,7 +67,7 @@ from lfmesh.transport.tables.tables import (
     SensorTables,
     Tables,
 )
-from lfmesh.transport.tables.volumes import corners_in_camera
+from lfmesh.transport.tables.volumes import corners_in_camera, reach_of
 
 if TYPE_CHECKING:
     import trimesh
@@ -358,9 +358,12 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
         if not aimed:
             return anywhere, None
         grains = frame.points(moves[WORLD_FRAME, CAMERA_FRAME], corners_round(particles))
-        seen = np.concatenate([targets_in_camera(targets, moves), corners_in_camera(objects.volumes, moves), grains])
+        boxes = [corners_in_camera(objects.volumes, moves), grains]
+        if reach_of(objects.volumes)[1]:
+            boxes.append(all_before(lens))
+        shapes = shapes_in_camera(targets, np.concatenate(boxes), moves)
         exact = bool(shape.analytic.all())
-        return aim_table(scene, report, clear(lens), clear(mla), sensor, seen, seen_moves, analytic=exact)
+        return aim_table(scene, report, clear(lens), clear(mla), sensor, shapes, seen_moves, analytic=exact)
 
     polarised = polarisation_tables(scene, wavelengths_nm, moves, book)
     tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=anywhere, polarised=polarised)

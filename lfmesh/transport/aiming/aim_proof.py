@@ -31,6 +31,7 @@ from lfmesh.transport.aiming.lenslet_aim import (
     spread_on_faces,
 )
 from lfmesh.transport.aiming.lenslet_view import RINGS, fitted_views, unmeasured_light, with_wider_cells
+from lfmesh.transport.aiming.near_points import NearViewpoints, near_disk, wide_open
 from lfmesh.transport.aiming.pupil import Viewpoints, opening_from, unknown_opening
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.sequential.image_path import through_mla
@@ -51,7 +52,15 @@ from lfmesh.transport.sequential.lens_bundle import (
     pad,
     through_surface,
 )
-from lfmesh.transport.tables.tables import AimTables, LensTables, MlaTables, Opening, SensorTables, thin_lens_power
+from lfmesh.transport.tables.tables import (
+    AimTables,
+    LensTables,
+    MlaTables,
+    NearOpening,
+    Opening,
+    SensorTables,
+    thin_lens_power,
+)
 
 Array = NDArray[np.float64]
 
@@ -170,7 +179,9 @@ class CameraTables(NamedTuple):
     frames: Array
 
 
-def proven(aim: AimTables, through: CameraTables, seen: Viewpoints | None) -> tuple[AimTables, AimProof | None]:
+def proven(
+    aim: AimTables, through: CameraTables, seen: Viewpoints | None, near: NearViewpoints | None = None
+) -> tuple[AimTables, AimProof | None]:
     """Return the aim, widened until it misses a negligible share of the light, and the proof by rays from the stop.
 
     The proof is None if no ray from the stop arrives at the sensor.
@@ -182,6 +193,8 @@ def proven(aim: AimTables, through: CameraTables, seen: Viewpoints | None) -> tu
         Every surface of the lens must be exact.
     seen : Viewpoints or None
         Viewpoints of the targets; None if no target lies before the lens.
+    near : NearViewpoints, optional
+        Those close before the lens.
     """
     random = np.random.default_rng(0x5106)
     reach = _reach(through, random)
@@ -196,9 +209,9 @@ def proven(aim: AimTables, through: CameraTables, seen: Viewpoints | None) -> tu
             aim = _fitted(aim, through, rays)
             continue
         behind, before = _beyond_sensor_aim(aim, through, rays), _beyond_object_aim(aim, seen, rays, random)
-        proof = AimProof(
-            len(rays.throughput), _missed(behind, rays.throughput), _missed(before, rays.throughput), attempt
-        )
+        close = _beyond_near_aim(aim, near, rays, random)
+        objects = max(_missed(before, rays.throughput), _missed(close, rays.throughput), key=lambda m: m.share)
+        proof = AimProof(len(rays.throughput), _missed(behind, rays.throughput), objects, attempt)
         if proof.holds or attempt == ATTEMPTS - 1:
             break
         if through.mla.present:
@@ -206,6 +219,7 @@ def proven(aim: AimTables, through: CameraTables, seen: Viewpoints | None) -> tu
         else:
             aim = aim._replace(exit=_widened(aim.exit, behind, rays.throughput))
         aim = aim._replace(entrance=_widened(aim.entrance, before, rays.throughput))
+        aim = aim._replace(entrance=_widened_near(aim.entrance, close, rays.throughput, aim.front_radius))
     if through.mla.present and len(rays.throughput) >= FEWEST:
         off, radius, _ = _seen_from_cells(aim, through, rays)
         aim = aim._replace(shown=_shown(off / radius, rays.throughput))
@@ -255,6 +269,7 @@ def decentred(entrance: Opening, exit_: Opening, through: CameraTables) -> tuple
     landing = np.column_stack([rays.sensor[:, :2], np.zeros(len(rays.sensor))])
     behind = points(to_camera, landing), -directions(to_camera, rays.sensor[:, 2:])
     before = rays.objects[:, :3], rays.objects[:, 3:]
+    entrance = entrance._replace(near=_near_moved_to_rays(entrance, *before, rays.throughput, random))
     return (
         _moved_to_rays(entrance, *before, rays.throughput, random),
         _moved_to_rays(exit_, *behind, rays.throughput, random),
@@ -289,6 +304,56 @@ def _moved_to_rays(opening: Opening, p: Array, d: Array, throughput: Array, rand
     shift = np.zeros((2, 2))
     shift[: terms.shape[1]] = np.linalg.lstsq(weight * terms, weight * off[known], rcond=None)[0]
     return opening._replace(decentre=shift)
+
+
+def _near_moved_to_rays(
+    opening: Opening, p: Array, d: Array, throughput: Array, random: np.random.Generator
+) -> NearOpening:
+    """Return the table of near points of an opening, moved likewise; parameters as for `_moved_to_rays`."""
+    near = opening.near
+    rows = len(near.radius) - 1
+    if not opening.known or not near.depth > 0.0 or not (near.radius > 0.0).any() or not len(throughput):
+        return near
+    row = rows * random.random(len(p))
+    distance = near.distance + row * near.distance_step
+    t = (opening.plane_z - distance - p[:, 2]) / d[:, 2]
+    seen_from = p + t[:, None] * d
+    height = np.hypot(seen_from[:, 0], seen_from[:, 1])
+    near = _near_open_out_to(near, int(height.max() / near.height_step) + 2)
+    off = np.full((len(p), 2), np.nan)
+    _off_near_centre(seen_from, d, near, distance, off)
+    known = np.isfinite(off[:, 0])
+    if not known.any():
+        return near
+    weight = np.sqrt(throughput[known])[:, None]
+    terms = np.column_stack([np.ones(known.sum()), row[known]])
+    # Disks that vanish towards the plane do not move there.
+    first = 1 if near.distance == 0.0 and not (near.radius[0] > 0.0).any() else 0
+    shift = np.zeros((2, 2))
+    shift[first:] = np.linalg.lstsq(weight * terms[:, first:], weight * off[known], rcond=None)[0]
+    return near._replace(decentre=shift)
+
+
+def _near_open_out_to(near: NearOpening, columns: int) -> NearOpening:
+    """Return a table of near points that is open at so many heights at least, as `_open_out_to` does."""
+    width = int(np.flatnonzero((near.radius >= 0.0).any(axis=0)).max(initial=-1))
+    if not 0 < width < columns:
+        return near
+    middle, radius = near.middle[:, : width + 1], near.radius[:, : width + 1]
+    further = np.arange(1, columns - width + 1)
+    middle = np.hstack([middle, middle[:, -1:] + further * (middle[:, -1:] - middle[:, -2:-1])])
+    radius = np.hstack([radius, np.repeat(radius.max(axis=1, keepdims=True), columns - width, axis=1)])
+    return near._replace(middle=np.ascontiguousarray(middle), radius=np.ascontiguousarray(radius))
+
+
+@kernel
+def _off_near_centre(p: Array, d: Array, near: NearOpening, distance: Array, off: Array) -> None:
+    """Write what `_off_centre` does, of near points at a distance."""
+    for i in range(len(off)):
+        cx, cy, radius = near_disk(near, p[i, 0], p[i, 1], distance[i])
+        if radius > 0.0:
+            over = distance[i] / abs(d[i, 2])
+            off[i, 0], off[i, 1] = p[i, 0] + over * d[i, 0] - cx, p[i, 1] + over * d[i, 1] - cy
 
 
 def _open_out_to(opening: Opening, columns: int) -> Opening:
@@ -350,9 +415,22 @@ def _widened(opening: Opening, beyond: Array, throughput: Array) -> Opening:
     throughput : (n,) float64
     """
     if throughput[np.isinf(beyond)].sum() > 0.5 * ALLOWED * throughput.sum():
-        return unknown_opening(opening.plane_z, to_sensor=opening.sense > 0.0)
+        return unknown_opening(
+            opening.plane_z, to_sensor=opening.sense > 0.0, near_depth=opening.near.depth
+        )  # fmt: skip
     by = max(1.0, MARGIN * _above(beyond, throughput))
     return opening._replace(radius=np.where(opening.radius > 0.0, by * opening.radius, opening.radius))
+
+
+def _widened_near(opening: Opening, beyond: Array, throughput: Array, wide_radius: float) -> Opening:
+    """Return an opening whose table of near points is widened likewise; if too much is closed, they see a wide disk."""
+    near = opening.near
+    if not opening.known or not (beyond > 1.0).any():
+        return opening
+    if throughput[np.isinf(beyond)].sum() > 0.5 * ALLOWED * throughput.sum():
+        return opening._replace(near=wide_open(near, wide_radius))
+    by = max(1.0, MARGIN * _above(beyond, throughput))
+    return opening._replace(near=near._replace(radius=np.where(near.radius > 0.0, by * near.radius, near.radius)))
 
 
 def _reach(through: CameraTables, random: np.random.Generator) -> float:
@@ -567,6 +645,31 @@ def _beyond_object_aim(aim: AimTables, seen: Viewpoints | None, rays: Rays, rand
     _beyond_opening(p[inside], -rays.objects[inside, 3:], aim.entrance, found)
     beyond[inside] = found
     return beyond
+
+
+def _beyond_near_aim(aim: AimTables, near: NearViewpoints | None, rays: Rays, random: np.random.Generator) -> Array:
+    """Return the same for near points; each ray is tested at a random distance among theirs."""
+    beyond = np.zeros(len(rays.throughput))
+    if near is None or not aim.entrance.known:
+        return beyond
+    lowest, highest = near.measured[0], near.distance[-1]
+    distance = lowest + (highest - lowest) * random.random(len(beyond))
+    t = (aim.entrance.plane_z - distance - rays.objects[:, 2]) / rays.objects[:, 5]
+    p = rays.objects[:, :3] + t[:, None] * rays.objects[:, 3:]
+    inside = np.hypot(p[:, 0], p[:, 1]) <= near.height[-1]
+    found = np.zeros(int(inside.sum()))
+    _beyond_near(p[inside], -rays.objects[inside, 3:], aim.entrance, distance[inside], found)
+    beyond[inside] = found
+    return beyond
+
+
+@kernel
+def _beyond_near(p: Array, d: Array, opening: Opening, distance: Array, beyond: Array) -> None:
+    """Write the factor of `_beyond_opening` for near points."""
+    for i in range(len(beyond)):
+        cx, cy, radius = near_disk(opening.near, p[i, 0], p[i, 1], distance[i])
+        x, y = p[i, 0] + distance[i] * d[i, 0] / abs(d[i, 2]), p[i, 1] + distance[i] * d[i, 1] / abs(d[i, 2])
+        beyond[i] = np.hypot(x - cx, y - cy) / radius if radius > 0.0 else np.inf
 
 
 @kernel

@@ -6,6 +6,7 @@ from collections import OrderedDict
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
@@ -17,19 +18,38 @@ from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aiming.aim_proof import AimProof, CameraTables, decentred, proven
 from lfmesh.transport.aiming.lenslet_view import aim_through_lenslets, apex_z, grid, unmeasured_light
 from lfmesh.transport.aiming.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
+from lfmesh.transport.aiming.near_points import NearViewpoints, near_viewpoints
 from lfmesh.transport.aiming.plate_view import NOTHING_SEEN
-from lfmesh.transport.aiming.pupil import paraxial_opening, real_opening, unknown_opening, viewpoints
+from lfmesh.transport.aiming.pupil import (
+    Viewpoints,
+    paraxial_near,
+    paraxial_opening,
+    real_near,
+    real_opening,
+    unknown_opening,
+    viewpoints,
+)
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.tables import (
     AimTables,
     LensTables,
     MlaTables,
+    NearOpening,
     Opening,
     SensorTables,
 )
 
 FAR = 1e9
 """Distance in mm that is used for infinity."""
+
+Shapes = tuple[tuple[Array, NDArray[np.intp]], ...]
+"""Corners of surfaces and convex bodies, (n, 3) mm, and pairs of them that are joined, (m, 2)."""
+
+DISTANT, WIDE = 1e4, 10.0
+"""Depth of what is seen of a medium without bounds, in radii of the lens's front, and tangent of its field angle."""
+
+CORNERS = 8
+"""Of a box."""
 
 KEPT = 8
 """Number of cameras whose aim tables are cached, for renders of the same camera with other lamps, or of a study."""
@@ -44,7 +64,7 @@ def aim_table(
     lens: LensTables,
     mla: MlaTables,
     sensor: SensorTables,
-    seen: Array,
+    shapes: Shapes,
     moves: Array,
     *,
     analytic: bool,
@@ -57,21 +77,23 @@ def aim_table(
     report : FirstOrder
     lens, mla, sensor
         Tables of the scene.
-    seen : (n, 3) float64, mm
-        From which light comes: corners of targets and media, and round particles, camera frame.
+    shapes : of (points (n, 3) float64, mm, camera frame; edges (m, 2) int)
+        From which light comes: corners of targets and media, and round particles, see `shapes_in_camera`.
     moves : (6, 6, 3, 4) float64
         Between frames, see `frame_table`.
     analytic : bool
         Every surface of the lens is exact, so that the opening is found by real rays; else by first-order optics.
     """
     if lens.interfaces.rough or mla.interfaces.rough:
-        return _anywhere(scene, lens, mla, seen, moves), None
-    key = digest(scene.camera, scene.transport.split, report, lens, mla, sensor, seen, moves, analytic)
+        return _anywhere(scene, lens, mla, shapes, moves), None
+    key = digest(
+        scene.camera, scene.transport.split, report, lens, mla, sensor, shapes, _has_glass(scene), moves, analytic
+    )
     with _access:
         if key in _kept:
             _kept.move_to_end(key)
             return _kept[key]
-    found = _found(scene, report, lens, mla, sensor, seen, moves, analytic)
+    found = _found(scene, report, lens, mla, sensor, shapes, moves, analytic)
     with _access:
         _kept[key] = found
         while len(_kept) > KEPT:
@@ -79,18 +101,43 @@ def aim_table(
     return found
 
 
-def targets_in_camera(targets: list[TargetMesh], moves: Array) -> Array:
-    """Return the corners of targets, given in the world frame, in the camera frame, (n, 3) mm.
+def shapes_in_camera(targets: list[TargetMesh], boxes: Array, moves: Array) -> Shapes:
+    """Return the corners of targets and of boxes, in the camera frame, and which of each shape's corners are joined.
 
     Parameters
     ----------
     targets : list of TargetMesh
+        In the world frame.
+    boxes : (8 n, 3) float64, mm, camera frame
+        Corners of boxes, all of which count as joined.
     moves : (6, 6, 3, 4) float64
         Between frames, see `frame_table`.
     """
-    return np.concatenate(
-        [frame.points(moves[WORLD_FRAME, CAMERA_FRAME], t.mesh.vertices) for t in targets] or [np.zeros((0, 3))]
-    )
+    to_camera = moves[WORLD_FRAME, CAMERA_FRAME]
+    pairs = np.stack(np.triu_indices(CORNERS, 1), axis=1)
+    return (
+        *((frame.points(to_camera, t.mesh.vertices), t.mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2))
+          for t in targets),
+        *((boxes[first : first + CORNERS], pairs) for first in range(0, len(boxes), CORNERS)),
+    )  # fmt: skip
+
+
+def all_before(lens: LensTables) -> Array:
+    """Return the corners of a body that stands for a medium without bounds before the lens, camera frame, (8, 3) mm.
+
+    Beyond its sides the lens is seen at angles at which none lets light through.
+    """
+    near = float(lens.surfaces[0]["aperture"])
+    far = DISTANT * near
+    return np.array(
+        [(x * WIDE * size, y * WIDE * size, lens.box_low[2] - z)
+         for x in (-1.0, 1.0) for y in (-1.0, 1.0) for size, z in ((near, 0.0), (far, far))]
+    )  # fmt: skip
+
+
+def _points_of(shapes: Shapes) -> Array:
+    """Return the corners of all shapes, (n, 3) mm."""
+    return np.concatenate([points for points, _ in shapes] or [np.zeros((0, 3))])
 
 
 def digest(*values: Any) -> bytes:
@@ -108,10 +155,11 @@ def digest(*values: Any) -> bytes:
 
 
 def _found(
-    scene: Scene, report: FirstOrder, lens: LensTables, mla: MlaTables, sensor: SensorTables, seen: Array,
+    scene: Scene, report: FirstOrder, lens: LensTables, mla: MlaTables, sensor: SensorTables, shapes: Shapes,
     moves: Array, analytic: bool,
 ) -> tuple[AimTables, AimProof | None]:  # fmt: skip
-    """Return the result of `aim_table`, for targets given by points (n, 3), camera frame."""
+    """Return the result of `aim_table`."""
+    seen = _points_of(shapes)
     width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
     behind = frame.points(moves[SENSOR_FRAME, CAMERA_FRAME], grid(width, height, 0.0))
     front_radius = widest_disk(lens, seen, front=True)
@@ -122,9 +170,15 @@ def _found(
         lattice = mla.lenslets.lattice
         apexes = grid(*lattice.half_extent, apex_z(mla, glass)[1])
         behind = frame.points(moves[MLA_FRAME, CAMERA_FRAME], apexes)
-    from_targets = viewpoints(float(lens.box_low[2]), front_radius, seen, to_sensor=True)
+    near, disks = _seen_close(report, lens, shapes, analytic)
+    if near is not None and not _has_glass(scene):
+        # Rays from near points go everywhere; from glass they are aimed at a disk alone.
+        front_radius = widest_disk(lens, seen, front=True, nearest=near.depth)
+    from_targets = viewpoints(float(lens.box_low[2]), front_radius, seen, to_sensor=True, near=near)
     posed = has_poses(lens) or not all(map(is_revolved, lens.surfaces))
-    entrance = opening_seen(report, lens, seen, front_radius, analytic, front=True)
+    entrance = opening_seen(report, lens, seen, front_radius, analytic, front=True, near=near)
+    if disks is not None:
+        entrance = entrance._replace(near=disks)
     exit_ = opening_seen(report, lens, behind, back_radius, analytic, front=False)
     through = CameraTables(lens, mla, sensor, moves)
     if posed:
@@ -134,17 +188,49 @@ def _found(
     aim = aim_through_lenslets(scene, report, mla, aim, moves, glass) if mla.present else aim
     if not analytic:
         # The surfaces that fit the meshes tell how much wider poses make the openings, but prove nothing.
-        return (proven(aim, through, from_targets)[0] if posed else aim), None
-    return proven(aim, through, from_targets)
+        return (proven(aim, through, from_targets, near)[0] if posed else aim), None
+    return proven(aim, through, from_targets, near)
 
 
-def _anywhere(scene: Scene, lens: LensTables, mla: MlaTables, seen: Array, moves: Array) -> AimTables:
+def _has_glass(scene: Scene) -> bool:
+    """Tell whether there are bodies of glass or liquid before the camera."""
+    return bool(scene.tanks) or any(target.refractor is not None for target in scene.targets)
+
+
+def _near_points(lens: LensTables, shapes: Shapes) -> NearViewpoints | None:
+    """Return the viewpoints of what is nearer to the lens than its front is high; None: nothing is."""
+    return near_viewpoints(float(lens.box_low[2]), float(lens.surfaces[0]["aperture"]), shapes)
+
+
+def _seen_close(
+    report: FirstOrder, lens: LensTables, shapes: Shapes, analytic: bool
+) -> tuple[NearViewpoints | None, NearOpening | None]:
+    """Return viewpoints close before the lens that see light through it, and the opening from them; None: none do."""
+    near = _near_points(lens, shapes)
+    if near is None:
+        return None, None
+    z, diameter = _pupil(report, lens, front=True)
+    seen = Viewpoints(float(lens.box_low[2]), near.depth, True, np.zeros(0), np.zeros(0))
+    if not analytic:
+        return near, paraxial_near(seen, near, z, 0.5 * diameter)
+    near, found = real_near(seen, near, _as_prescribed(lens), z, 0.5 * diameter)
+    return (near, found) if found is not None else (None, None)
+
+
+def _anywhere(scene: Scene, lens: LensTables, mla: MlaTables, shapes: Shapes, moves: Array) -> AimTables:
     """Return the aim tables of a camera in which light is scattered, so that it may come from anywhere on the lens."""
     width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
     behind = frame.points(moves[SENSOR_FRAME, CAMERA_FRAME], grid(width, height, 0.0))
-    radii = widest_disk(lens, seen, front=True), widest_disk(lens, behind, front=False)
+    near = _near_points(lens, shapes)
+    depth = near.depth if near is not None else 0.0
+    nearest = 0.0 if _has_glass(scene) else depth
+    radii = (
+        widest_disk(lens, _points_of(shapes), front=True, nearest=nearest), widest_disk(lens, behind, front=False)
+    )  # fmt: skip
     planes = float(lens.box_low[2]), float(lens.box_high[2])
-    openings = unknown_opening(planes[0], to_sensor=True), unknown_opening(planes[1], to_sensor=False)
+    openings = (
+        unknown_opening(planes[0], to_sensor=True, near_depth=depth), unknown_opening(planes[1], to_sensor=False)
+    )  # fmt: skip
     cells = mla.lenslets.lattice.columns * mla.lenslets.lattice.rows if mla.present else 1
     return before_array(scene, openings, radii)._replace(
         wide_share=1.0,
@@ -207,8 +293,9 @@ def without_poses(lens: LensTables) -> LensTables:
 
 
 def opening_seen(
-    report: FirstOrder, lens: LensTables, points: Array, wide_radius: float, analytic: bool, *, front: bool
-) -> Opening:
+    report: FirstOrder, lens: LensTables, points: Array, wide_radius: float, analytic: bool, *, front: bool,
+    near: NearViewpoints | None = None,
+) -> Opening:  # fmt: skip
     """Return the opening of one side of the lens, without the poses of its elements, as seen from points.
 
     The table of an opening is that of a lens of revolution; of others it has the section x–z.
@@ -224,24 +311,38 @@ def opening_seen(
         See `aim_table`.
     front : bool
         The object side of the lens; else the sensor side.
+    near : NearViewpoints, optional
+        Points close before the lens, which have a table of their own.
     """
     plane_z = float(lens.box_low[2] if front else lens.box_high[2])
-    seen = viewpoints(plane_z, wide_radius, points, to_sensor=front)
+    seen = viewpoints(plane_z, wide_radius, points, to_sensor=front, near=near)
     if seen is None:
         return unknown_opening(plane_z, to_sensor=front)
-    z = report.entrance_pupil_z_mm if front else report.exit_pupil_z_mm
-    diameter = report.entrance_pupil_diameter_mm if front else report.exit_pupil_diameter_mm
-    if not np.isfinite(z):
-        if front and not analytic:
-            return unknown_opening(plane_z, to_sensor=front)
-        # Telecentric: a pupil so far away that all points see it in the same direction.
-        z, diameter = (plane_z + FAR, FAR) if front else (plane_z - FAR, FAR / report.working_f_number)
+    if front and not analytic and not np.isfinite(report.entrance_pupil_z_mm):
+        return unknown_opening(plane_z, to_sensor=front)
+    z, diameter = _pupil(report, lens, front=front)
     if analytic:
-        return real_opening(seen, without_poses(lens) if has_poses(lens) else lens, z, 0.5 * diameter)
+        return real_opening(seen, _as_prescribed(lens), z, 0.5 * diameter)
     return paraxial_opening(seen, z, 0.5 * diameter)
 
 
-def widest_disk(lens: LensTables, p: Array, *, front: bool) -> float:
+def _pupil(report: FirstOrder, lens: LensTables, *, front: bool) -> tuple[float, float]:
+    """Return z and diameter of the paraxial pupil of one side, mm."""
+    z = report.entrance_pupil_z_mm if front else report.exit_pupil_z_mm
+    diameter = report.entrance_pupil_diameter_mm if front else report.exit_pupil_diameter_mm
+    if not np.isfinite(z):
+        # Telecentric: a pupil so far away that all points see it in the same direction.
+        plane_z = float(lens.box_low[2] if front else lens.box_high[2])
+        return (plane_z + FAR, FAR) if front else (plane_z - FAR, FAR / report.working_f_number)
+    return z, diameter
+
+
+def _as_prescribed(lens: LensTables) -> LensTables:
+    """Return the tables of a lens without the poses of its elements."""
+    return without_poses(lens) if has_poses(lens) else lens
+
+
+def widest_disk(lens: LensTables, p: Array, *, front: bool, nearest: float = 0.0) -> float:
     """Return the radius of a disk in the lens's outermost plane that every ray from points to the lens crosses, mm.
 
     Parameters
@@ -250,6 +351,8 @@ def widest_disk(lens: LensTables, p: Array, *, front: bool) -> float:
     p : (n, 3) float64, mm, camera frame
     front : bool
         The object side of the lens; else the sensor side.
+    nearest : float, mm
+        Rays from points that are nearer to the plane need not cross the disk.
     """
     surfaces = lens.surfaces
     plane = lens.box_low[2] if front else lens.box_high[2]
@@ -257,7 +360,7 @@ def widest_disk(lens: LensTables, p: Array, *, front: bool) -> float:
     rim = float(max(abs(lens.box_low[0]), abs(lens.box_high[0]), abs(lens.box_low[1]), abs(lens.box_high[1])))
     z = on_circles(outer, np.array([0.0, outer["aperture"]]))[..., 2]
     depth = abs(float(z.max() if front else z.min()) - plane)
-    distance = np.maximum((plane - p[:, 2]) if front else (p[:, 2] - plane), depth)
+    distance = np.maximum((plane - p[:, 2]) if front else (p[:, 2] - plane), max(depth, nearest))
     spread = (np.hypot(p[:, 0], p[:, 1]) + rim) * np.divide(
         depth, distance, out=np.zeros_like(distance), where=distance > 0
     )

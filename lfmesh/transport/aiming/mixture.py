@@ -4,11 +4,14 @@ Most rays go to the lens's opening as seen from the point, a few to a disk that 
 lens. A ray is weighted by the density of the whole mixture, whichever disk it was drawn from. So ghosts, and light
 outside the measured opening, are included, and no weight exceeds that of uniform sampling on the wide disk by more than
 the inverse of its share.
+
+Points close before the lens see the wide disk at grazing angles nearly everywhere. From them half of the rays of its
+share go evenly over half of the sphere instead.
 """
 
 import numpy as np
 
-from lfmesh.kernel import kernel
+from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.aiming.pupil import opening_from
 from lfmesh.transport.tables.tables import Opening
 
@@ -23,6 +26,15 @@ WIDE_SHARE_OF_GHOSTS = 0.1
 
 WIDE_SHARE_OF_IMAGE_PATH = 0.002
 """The same where no reflections are followed: it brings only light outside the measured opening."""
+
+EVERYWHERE = 0.5
+"""Share of rays from points close before the lens, of those to the wide disk, that go everywhere towards the lens."""
+
+OVER_HALF_SPHERE = 1.0 / (2.0 * np.pi)
+"""Density of directions that are even over half of the sphere, 1/sr."""
+
+WIDE_SHARE_WITHIN = 0.5
+"""Least share of rays to the wide disk from points so near before the opening that it fills a right angle."""
 
 
 @kernel
@@ -92,21 +104,18 @@ def aimed(
     choice, u, v : float
         Random numbers, uniform in [0, 1).
     """
-    cx, cy, radius = opening_from(opening, x, y, z)
-    narrow = opening.known and radius > 0.0
-    share = 1.0
-    if opening.known:
-        share = wide_share if narrow else share_without_aim
-    if choice < share:
+    cx, cy, radius, share, everywhere = _shares(x, y, z, opening, wide_share, share_without_aim)
+    if choice < everywhere:
+        dz, turn = 1.0 - u, 2.0 * np.pi * v
+        across = np.sqrt(1.0 - dz * dz)
+        dx, dy, dz = across * np.cos(turn), across * np.sin(turn), dz * opening.sense
+    elif choice < share:
         dx, dy, dz = toward_disk(x, y, z, 0.0, 0.0, opening.plane_z, wide_radius, u, v)
-    elif narrow:
+    elif radius > 0.0:
         dx, dy, dz = toward_disk(x, y, z, cx, cy, opening.plane_z, radius, u, v)
     else:
         return 0.0, 0.0, 1.0, 0.0
-    density = share * disk_density(x, y, z, dx, dy, dz, 0.0, 0.0, opening.plane_z, wide_radius)
-    if narrow:
-        density += (1.0 - share) * disk_density(x, y, z, dx, dy, dz, cx, cy, opening.plane_z, radius)
-    return dx, dy, dz, density
+    return dx, dy, dz, _density(x, y, z, dx, dy, dz, opening, wide_radius, cx, cy, radius, share, everywhere)
 
 
 @kernel
@@ -125,12 +134,49 @@ def aimed_density(
     opening, wide_radius, wide_share, share_without_aim
         As for `aimed`.
     """
+    cx, cy, radius, share, everywhere = _shares(x, y, z, opening, wide_share, share_without_aim)
+    return _density(x, y, z, dx, dy, dz, opening, wide_radius, cx, cy, radius, share, everywhere)
+
+
+@inlined
+def _shares(
+    x: float, y: float, z: float, opening: Opening, wide_share: float, share_without_aim: float
+) -> tuple[float, float, float, float, float]:
+    """Return the disk of the opening, and the shares of rays that are not aimed at it from a point.
+
+    Returns
+    -------
+    cx, cy, radius : float, mm
+        The disk; radius −1: it is not known, or the point sees none.
+    share : float
+        Of rays to the wide disk or everywhere.
+    everywhere : float
+        Of rays everywhere.
+    """
     cx, cy, radius = opening_from(opening, x, y, z)
-    narrow = opening.known and radius > 0.0
-    share = 1.0
-    if opening.known:
-        share = wide_share if narrow else share_without_aim
-    density = share * disk_density(x, y, z, dx, dy, dz, 0.0, 0.0, opening.plane_z, wide_radius)
-    if narrow:
+    share, everywhere = 1.0, 0.0
+    if not opening.known:
+        radius = -1.0
+    else:
+        share = wide_share if radius > 0.0 else share_without_aim
+    distance = (opening.plane_z - z) * opening.sense
+    if 0.0 < distance < opening.near.depth:
+        if radius * radius > (x - cx) ** 2 + (y - cy) ** 2 + distance * distance:
+            share = max(share, WIDE_SHARE_WITHIN)
+        everywhere = EVERYWHERE * share
+    return cx, cy, radius, share, everywhere
+
+
+@inlined
+def _density(
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, opening: Opening, wide_radius: float,
+    cx: float, cy: float, radius: float, share: float, everywhere: float,
+) -> float:  # fmt: skip
+    """Return the density, 1/sr, of a direction for the disk and the shares of `_shares`."""
+    wide = disk_density(x, y, z, dx, dy, dz, 0.0, 0.0, opening.plane_z, wide_radius)
+    density = (share - everywhere) * wide
+    if everywhere > 0.0 and dz * opening.sense > 0.0:
+        density += everywhere * OVER_HALF_SPHERE
+    if radius > 0.0:
         density += (1.0 - share) * disk_density(x, y, z, dx, dy, dz, cx, cy, opening.plane_z, radius)
     return density

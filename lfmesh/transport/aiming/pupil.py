@@ -3,7 +3,7 @@
 From each of a table of points, rays are traced through the exact surfaces of the lens. Those that get through at any
 wavelength of the scene are bounded by a disk in the lens's outermost plane, which includes vignetting and pupil
 aberrations. As the lens is rotationally symmetric, a point is given by its distance from that plane and the tangent of
-its field angle.
+its field angle, or if it is close before the plane by its height over the axis.
 """
 
 from typing import NamedTuple
@@ -12,6 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.aiming.near_points import (
+    NearViewpoints,
+    cover,
+    near_disk,
+    near_opening,
+    no_near_points,
+)
 from lfmesh.transport.sequential.lens_bundle import (
     BLOCK,
     DROPPED,
@@ -28,7 +35,7 @@ from lfmesh.transport.sequential.lens_bundle import (
     pad,
     through_surface,
 )
-from lfmesh.transport.tables.tables import LensTables, Opening
+from lfmesh.transport.tables.tables import LensTables, NearOpening, Opening
 
 Array = NDArray[np.float64]
 
@@ -40,6 +47,9 @@ ANGLES = 33
 
 DISTANCES = 6
 """Distances at which it is measured if the points do not all lie in one plane, evenly spaced in their inverse."""
+
+DISTANCES_TO_NEAR = 24
+"""The same where points lie close before the lens too."""
 
 BEYOND = 1.0 + 2.0**-40
 """Factor on the widest tangent of a table: beyond it the lens counts as closed, and the outermost of the points that it
@@ -53,6 +63,9 @@ CLOSE_UP = np.ldexp(1.0, -np.arange(4, 28))
 
 NARROWINGS = 44
 """Golden-section steps of the search for the clearest ray, which narrow its interval to a billionth."""
+
+SLOPES = np.tan(np.radians(np.linspace(-85.0, 85.0, 35)))
+"""Slopes of further trial rays from points close before the lens."""
 
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
@@ -96,7 +109,9 @@ class Viewpoints(NamedTuple):
     distance: Array
 
 
-def viewpoints(plane_z: float, wide_radius: float, points: Array, *, to_sensor: bool) -> Viewpoints | None:
+def viewpoints(
+    plane_z: float, wide_radius: float, points: Array, *, to_sensor: bool, near: NearViewpoints | None = None
+) -> Viewpoints | None:
     """Return the grid of viewpoints that covers some points; None if none of the points lies before the lens.
 
     Parameters
@@ -104,28 +119,39 @@ def viewpoints(plane_z: float, wide_radius: float, points: Array, *, to_sensor: 
     plane_z, wide_radius, to_sensor
         See `Viewpoints`.
     points : (n, 3) float64, mm, camera frame
+    near : NearViewpoints, optional
+        Points close before the lens, which have a table of their own.
     """
     distance = (plane_z - points[:, 2]) * (1.0 if to_sensor else -1.0)
-    before = distance > 1e-6 * wide_radius
-    if not before.any():
-        return None
+    before = distance > 1e-6 * wide_radius if near is None else distance >= near.depth
     distance = distance[before]
     tangent = np.hypot(points[before, 0], points[before, 1]) / distance
-    near, far = float(distance.min()), float(distance.max())
+    steps = DISTANCES
+    if near is not None and (near.extends_beyond or not len(distance)):
+        # What reaches up to the near points begins where they end.
+        distance, tangent = np.append(distance, near.depth), np.append(tangent, near.height[-1] / near.depth)
+        steps = DISTANCES_TO_NEAR
+    if not len(distance):
+        return None
+    nearest, farthest = float(distance.min()), float(distance.max())
     # One distance is enough if all points lie in one plane.
-    many = DISTANCES if far - near > 1e-9 * far else 1
-    inverse = np.linspace(1.0 / far, 1.0 / near, many)
+    many = steps if farthest - nearest > 1e-9 * farthest else 1
+    inverse = np.linspace(1.0 / farthest, 1.0 / nearest, many)
     # If all points lie on the axis, the table still needs a width.
     widest = float(tangent.max()) or 1.0
     return Viewpoints(plane_z, wide_radius, to_sensor, np.linspace(0.0, widest, ANGLES), 1.0 / inverse)
 
 
-def unknown_opening(plane_z: float, *, to_sensor: bool) -> Opening:
-    """Return the opening that stands for "not known": rays are sent to the whole wide disk."""
+def unknown_opening(plane_z: float, *, to_sensor: bool, near_depth: float = 0.0) -> Opening:
+    """Return the opening that stands for "not known": rays are sent to the whole wide disk.
+
+    From points nearer than `near_depth`, in mm, half of them go everywhere towards the lens.
+    """
     sense = 1.0 if to_sensor else -1.0
     return Opening(
         known=False, plane_z=plane_z, sense=sense, tangent_step=1.0, nearness=0.0, nearness_step=1.0,
         middle=np.zeros((2, 2)), radius=np.full((1, 1), -1.0), decentre=np.zeros((2, 2)),
+        near=no_near_points(near_depth),
     )  # fmt: skip
 
 
@@ -140,18 +166,29 @@ def paraxial_opening(seen: Viewpoints, pupil_z: float, pupil_radius: float) -> O
     pupil_z, pupil_radius : float, mm
         Camera frame.
     """
-    return _opening(seen, *_paraxial_disks(seen, pupil_z, pupil_radius))
+    return _opening(seen, *_paraxial_disks(seen, *_places(seen), pupil_z, pupil_radius))
 
 
-def _paraxial_disks(seen: Viewpoints, pupil_z: float, pupil_radius: float) -> tuple[Array, Array]:
-    """Return centre (along the meridian) and radius of the paraxial pupil seen from every viewpoint, (n, m) mm."""
-    tangent, distance = np.meshgrid(seen.tangent, seen.distance)
+def paraxial_near(seen: Viewpoints, near: NearViewpoints, pupil_z: float, pupil_radius: float) -> NearOpening:
+    """Return the same for points close before the lens; parameters as for `real_near`."""
+    return near_opening(near, *_paraxial_disks(seen, *np.meshgrid(near.height, near.measured), pupil_z, pupil_radius))
+
+
+def _places(seen: Viewpoints) -> tuple[Array, Array]:
+    """Return height and distance of every viewpoint, (n, m) mm."""
+    return np.outer(seen.distance, seen.tangent), np.repeat(seen.distance[:, None], len(seen.tangent), axis=1)
+
+
+def _paraxial_disks(
+    seen: Viewpoints, height: Array, distance: Array, pupil_z: float, pupil_radius: float
+) -> tuple[Array, Array]:
+    """Return centre (along the meridian) and radius of the paraxial pupil, mm, seen from heights and distances."""
     depth = (pupil_z - seen.plane_z) * (1.0 if seen.to_sensor else -1.0)
     with np.errstate(divide="ignore"):
         share = distance / (distance + depth)
     radius = np.abs(PARAXIAL_MARGIN * pupil_radius * share)
     fits = radius < seen.wide_radius
-    middle = np.where(fits, tangent * distance * (1.0 - np.where(fits, share, 0.0)), 0.0)
+    middle = np.where(fits, height * (1.0 - np.where(fits, share, 0.0)), 0.0)
     return middle, np.where(fits, radius, seen.wide_radius)
 
 
@@ -167,23 +204,61 @@ def real_opening(seen: Viewpoints, lens: LensTables, pupil_z: float, pupil_radiu
     pupil_z, pupil_radius : float, mm
         The paraxial pupil, near which the search begins, and which is used where real rays cannot decide.
     """
-    middle, radius = _measured(seen, lens, pupil_z, pupil_radius)
+    middle, radius = _measured(seen, lens, *_places(seen), pupil_z, pupil_radius)
     open_columns = np.flatnonzero((radius > 0.0).any(axis=0))
     if not len(open_columns):
         return paraxial_opening(seen, pupil_z, pupil_radius)
     last = min(int(open_columns[-1]) + 1, ANGLES - 1)
     if last < ANGLES - 1:
         seen = seen._replace(tangent=np.linspace(0.0, seen.tangent[last], ANGLES))
-        middle, radius = _measured(seen, lens, pupil_z, pupil_radius)
+        middle, radius = _measured(seen, lens, *_places(seen), pupil_z, pupil_radius)
     return _opening(seen, middle, radius)
 
 
-def _measured(seen: Viewpoints, lens: LensTables, pupil_z: float, pupil_radius: float) -> tuple[Array, Array]:
-    """Return centre (along the meridian) and radius of the opening from every viewpoint, (n, m) mm; −1: closed."""
-    height = np.outer(seen.distance, seen.tangent).ravel()
-    distance = np.repeat(seen.distance, len(seen.tangent))
-    paraxial_middle, paraxial_radius = (disks.ravel() for disks in _paraxial_disks(seen, pupil_z, pupil_radius))
-    start, obstruction, decided = _clearest_ray(seen, lens, height, distance, paraxial_middle)
+def real_near(
+    seen: Viewpoints, near: NearViewpoints, lens: LensTables, pupil_z: float, pupil_radius: float
+) -> tuple[NearViewpoints, NearOpening | None]:
+    """Return the opening of real rays from points close before the lens; None if it is closed to all of them.
+
+    Heights beyond which no light gets through are left out of the table, and of the viewpoints that are returned.
+
+    Parameters
+    ----------
+    seen : Viewpoints
+        Tells plane and side; its wide disk is where trial rays go.
+    near : NearViewpoints
+    lens, pupil_z, pupil_radius
+        As for `real_opening`.
+    """
+    while True:
+        places = np.meshgrid(near.height, near.measured)
+        middle, radius = _measured(seen, lens, *places, pupil_z, pupil_radius, SLOPES)
+        open_columns = np.flatnonzero((radius > 0.0).any(axis=0))
+        if not len(open_columns):
+            return near, None
+        last = int(open_columns[-1]) + 1
+        if last > len(near.height) // 2:
+            return near, near_opening(near, middle, radius)
+        near = near._replace(height=np.linspace(0.0, near.height[last], len(near.height)))
+
+
+def _measured(
+    seen: Viewpoints, lens: LensTables, heights: Array, distances: Array, pupil_z: float, pupil_radius: float,
+    slopes: Array | None = None,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return centre (along the meridian) and radius of the opening from every viewpoint, (n, m) mm; −1: closed.
+
+    Parameters
+    ----------
+    heights, distances : (n, m) float64, mm
+    slopes : (k,) float64, optional
+        Slopes of further trial rays from each viewpoint.
+    """
+    height, distance = heights.ravel(), distances.ravel()
+    paraxial = _paraxial_disks(seen, heights, distances, pupil_z, pupil_radius)
+    paraxial_middle, paraxial_radius = (disks.ravel() for disks in paraxial)
+    further = np.zeros((len(height), 0)) if slopes is None else height[:, None] + distance[:, None] * slopes
+    start, obstruction, decided = _clearest_ray(seen, lens, height, distance, paraxial_middle, further)
     is_open = obstruction < 1.0
     edge = np.zeros((len(height), SPOKES))
     edge[is_open] = _edge(seen, lens, height[is_open], distance[is_open], start[is_open])
@@ -199,12 +274,11 @@ def _measured(seen: Viewpoints, lens: LensTables, pupil_z: float, pupil_radius: 
     closed_radius = np.where(decided, -1.0, paraxial_radius)
     radius = np.where(is_open, MARGIN * reach[best, points], closed_radius)
     middle = np.where(is_open | decided, trial[best, points], paraxial_middle)
-    shape = len(seen.distance), len(seen.tangent)
-    return middle.reshape(shape), radius.reshape(shape)
+    return middle.reshape(heights.shape), radius.reshape(heights.shape)
 
 
 def _clearest_ray(
-    seen: Viewpoints, lens: LensTables, height: Array, distance: Array, expected: Array
+    seen: Viewpoints, lens: LensTables, height: Array, distance: Array, expected: Array, further: Array
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Find the ray from each point, in the meridional plane, that stays furthest from every aperture's edge.
 
@@ -216,6 +290,8 @@ def _clearest_ray(
     height, distance : (points,) float64, mm
     expected : (points,) float64, mm
         Centre of the opening by first-order optics.
+    further : (points, n) float64, mm
+        Places of further trial rays.
 
     Returns
     -------
@@ -227,7 +303,7 @@ def _clearest_ray(
     """
     steps = np.concatenate([-CLOSE_UP, [0.0], CLOSE_UP]) * seen.wide_radius
     across = np.broadcast_to(np.linspace(-1.0, 1.0, SEARCH) * seen.wide_radius, (len(height), SEARCH))
-    trial = np.sort(np.concatenate([across, expected[:, None] + steps], axis=1), axis=1)
+    trial = np.sort(np.concatenate([across, expected[:, None] + steps, further], axis=1), axis=1)
     found = _obstruction(seen, lens, height, distance, trial, np.zeros_like(trial))
     points, last = np.arange(len(height)), trial.shape[1] - 1
     best = found.argmin(axis=1)
@@ -352,17 +428,32 @@ def _opening(seen: Viewpoints, middle: Array, radius: Array) -> Opening:
     The radius of an interval is the largest of its corners, enlarged by the error of interpolation. Beyond the last
     field angle at which light gets through, the lens is closed.
     """
+    if len(seen.distance) == DISTANCES_TO_NEAR:
+        middle, radius = middle.copy(), radius.copy()
+        allowed = cover(middle, radius, seen.distance)
+        radius = np.where(radius >= 0.0, radius, -np.inf)
+        return _table(seen, middle, _largest_corner(radius) + _largest_corner(allowed))
     closed = radius <= 0.0
     for column in range(1, middle.shape[1]):
         # A closed point has no centre of its own; its neighbour's allows interpolation up to there.
         middle[:, column] = np.where(closed[:, column], middle[:, column - 1], middle[:, column])
     if len(seen.distance) == 1:
         middle, radius = np.repeat(middle, 2, axis=0), np.repeat(radius, 2, axis=0)
-    largest = np.maximum.reduce([radius[:-1, :-1], radius[1:, :-1], radius[:-1, 1:], radius[1:, 1:]])
+    largest = _largest_corner(radius)
     # The error of linear interpolation is at most an eighth of the second difference.
     bend = 0.125 * np.abs(np.diff(middle, 2, axis=1)).max(axis=1, initial=0.0)
     bend += 0.125 * np.abs(np.diff(middle, 2, axis=0)).max(initial=0.0)
     allowed = np.maximum(bend[:-1], bend[1:])[:, None]
+    return _table(seen, middle, np.where(largest > 0.0, largest + allowed, -1.0))
+
+
+def _largest_corner(nodes: Array) -> Array:
+    """Return the largest of the values at the corners of each interval between nodes (n, m), (n − 1, m − 1)."""
+    return np.asarray(np.maximum.reduce([nodes[:-1, :-1], nodes[1:, :-1], nodes[:-1, 1:], nodes[1:, 1:]]))
+
+
+def _table(seen: Viewpoints, middle: Array, radius: Array) -> Opening:
+    """Return centres at the viewpoints and radii between them as a table; a radius that is not positive: closed."""
     nearness = 1.0 / seen.distance
     step = (nearness[-1] - nearness[0]) / (len(nearness) - 1) if len(nearness) > 1 else 1.0
     return Opening(
@@ -373,8 +464,9 @@ def _opening(seen: Viewpoints, middle: Array, radius: Array) -> Opening:
         nearness=float(nearness[0]),
         nearness_step=float(step),
         middle=np.ascontiguousarray(middle),
-        radius=np.where(largest > 0.0, largest + allowed, -1.0),
+        radius=np.where(radius > 0.0, radius, -1.0),
         decentre=np.zeros((2, 2)),
+        near=no_near_points(),
     )  # fmt: skip
 
 
@@ -391,6 +483,8 @@ def opening_from(opening: Opening, x: float, y: float, z: float) -> tuple[float,
     distance = (opening.plane_z - z) * opening.sense
     if distance <= 0.0:
         return 0.0, 0.0, -1.0
+    if distance < opening.near.depth:
+        return near_disk(opening.near, x, y, distance)
     height = np.sqrt(x * x + y * y)
     a = height / (distance * opening.tangent_step)
     b = (1.0 / distance - opening.nearness) / opening.nearness_step

@@ -39,7 +39,7 @@ HITS = 80
 def without_aim(aim: AimTables) -> AimTables:
     """Return an aim by which rays go anywhere: into the hemisphere, or to all of the lens where there is no array."""
     return aim._replace(
-        entrance=unknown_opening(aim.entrance.plane_z, to_sensor=True),
+        entrance=unknown_opening(aim.entrance.plane_z, to_sensor=True, near_depth=aim.entrance.near.depth),
         exit=unknown_opening(aim.exit.plane_z, to_sensor=False),
         wide_share=1.0,
         share_without_aim=1.0,

@@ -185,6 +185,22 @@ class ObjectTables(NamedTuple):
 
 
 @by_address
+class NearOpening(NamedTuple):
+    """The disks of `Opening` for points close before its plane, by their height over the axis and their distance.
+
+    Columns are heights, rows are distances, both evenly spaced. The disks shrink towards the plane as the distance
+    does, so that centre and radius are interpolated between the nodes.
+    """
+
+    depth: float  # mm, distance below which points are near; 0: the scene has no such points
+    height_step: float  # mm
+    distance: float  # mm, of the first row
+    distance_step: float  # mm
+    middle: Array  # (n + 1, m + 1) mm, centre of the disk along the meridian, positive towards the point
+    radius: Array  # (n + 1, m + 1) mm; −1: no light gets through in the intervals round the node
+    decentre: Array  # (2, 2), as that of `Opening`
+
+
 class Opening(NamedTuple):
     """Effective pupil of one side of the lens: disks in a plane perpendicular to the axis, by field angle and distance.
 
@@ -201,6 +217,7 @@ class Opening(NamedTuple):
     radius: Array  # (n, m) mm, for the intervals between rows and columns; −1: no light gets through
     # (2, 2) mm, x and y of what poses of lens elements add to the centre: in the first row, and for each row further.
     decentre: Array
+    near: NearOpening
 
 
 @by_address

@@ -1,8 +1,9 @@
 """Reflections between lens, cover and sensor, in cameras drawn at random: the parts of an image find all of them.
 
-The image by parts is compared with that of the mesh engine, which follows every path packet by packet, by z-tests of the
-whole power and of halves and quarters of the picture. LEVEL is the chance that this file fails though all is right,
-shared by its comparisons (Bonferroni). A single plate that is not coated has a closed form.
+The image by parts is compared with that of the mesh engine, which follows every path packet by packet, by tests of the
+whole power, two halves and a quarter of the picture (Welch's test with the fewest degrees of freedom that it can have).
+LEVEL is the chance that this file fails though all is right, shared by its comparisons (Bonferroni). Without the ghosts
+by sequence the whole power is off by 7 to 89 standard errors. A plate, cover and sensor have a closed form.
 """
 
 from typing import Any

@@ -51,6 +51,7 @@ DIMENSIONLESS = {
     "transport/packets/ledger.py": {"LOST_LIMIT"},
     "transport/sequential/reflections.py": {"NEAR"},
     "transport/aiming/lenslet_aim.py": {"EXACT"},
+    "transport/aiming/near_points.py": {"BEYOND", "NEAREST"},
     "transport/aiming/pupil.py": {"BEYOND"},
     "transport/aiming/ray_aiming.py": {"ARRIVED", "TOLERANCE"},
     "transport/aiming/lenslet_view.py": {"ROUNDING"},

@@ -17,7 +17,8 @@ import lfmesh as lf
 LEVEL = 1e-3
 CAMERAS = range(8)
 AREAS = 4
-COMPARISONS = len(CAMERAS) * AREAS + 2
+SEEDS = range(6)
+COMPARISONS = len(CAMERAS) * AREAS + 2 + 2 * len(SEEDS)
 REPLICATES = 32
 
 
@@ -89,9 +90,10 @@ def test_plates_and_a_sensor_that_reflects_are_a_geometric_series() -> None:
 
     The sensor takes the share (1 - R) T' / (1 - (1 - T') R) of what falls on plate and cover with a joint
     transmittance T'. The plate is 20 mm before the sensor and the stop 2 m before it, so that no ray is more than
-    0.3 degrees off; shares differ by less than 1e-4 from those at normal incidence.
+    0.5 degrees off; shares differ by less than 1e-4 from those at normal incidence. What sensor and plate throw back is
+    at most 0.4 mm aside, of 10 mm of sensor, and sees the stop from 2 % farther away: 2e-3 of all that is detected.
     """
-    reflectance, plate, cover = 0.4, 1.5, 1.8
+    reflectance, plate, cover, pixel = 0.4, 1.5, 1.8, 5.0
     wide = {"semi_diameter_mm": 30.0}
     scene = lf.Scene(
         camera={
@@ -102,7 +104,7 @@ def test_plates_and_a_sensor_that_reflects_are_a_geometric_series() -> None:
                 {"radius_mm": np.inf, "thickness_mm": 0.0} | wide,
             ]},
             "sensor": {
-                "pixels": [2, 2], "pixel_mm": 0.5, "reflectance": reflectance, "distance_mm": 19.0,
+                "pixels": [2, 2], "pixel_mm": pixel, "reflectance": reflectance, "distance_mm": 19.0,
                 "cover": {"thickness_mm": 1.0, "gap_mm": 1.0, "index": cover},
             },
         },
@@ -118,10 +120,35 @@ def test_plates_and_a_sensor_that_reflects_are_a_geometric_series() -> None:
     share = (1.0 - reflectance) * joint / (1.0 - (1.0 - joint) * reflectance)
     # A pixel sees the stop behind 2 mm of glass, which brings it nearer by t (1 - 1 / n).
     away = 2000.0 - (1.0 - 1.0 / plate) - (1.0 - 1.0 / cover)
-    unreflected = 1000.0 * 1e-6 * 4 * 0.5**2 * np.pi * 10.0**2 / (away**2 + 10.0**2)
+    unreflected = 1000.0 * 1e-6 * 4 * pixel**2 * np.pi * 10.0**2 / (away**2 + 10.0**2)
     for changes in ({}, {"transport.engine": "mesh"}):
         image = lf.render(scene.changed(changes))
         error = float(np.sqrt(np.square(image.stderr).sum()))
         bound = float(stats.t.isf(0.5 * LEVEL / COMPARISONS, REPLICATES - 1))
-        assert abs(image.mean.sum() - share * unreflected) < bound * error + 1e-4 * unreflected
+        assert abs(image.mean.sum() - share * unreflected) < bound * error + 2e-3 * unreflected
         assert error < 0.01 * unreflected
+
+
+@pytest.mark.parametrize("distance", [60.0, 400.0])
+def test_a_small_opening_in_wide_glass_is_not_missed(distance: float) -> None:
+    """The pupil of a stop is a small part of the disk at the lens; images that miss what comes there err unseen."""
+    scene = lf.Scene(
+        camera={
+            "focus_mm": 1e4,
+            "lens": {"surfaces": [
+                {"stop": True, "semi_diameter_mm": 5.0, "thickness_mm": 0.1},
+                {"radius_mm": np.inf, "thickness_mm": 1.0, "index": 1.5, "semi_diameter_mm": 60.0},
+                {"radius_mm": np.inf, "thickness_mm": 0.0, "semi_diameter_mm": 60.0},
+            ]},
+            "sensor": {"pixels": [3, 3], "pixel_mm": 2.0, "reflectance": 0.5, "distance_mm": distance},
+        },
+        targets=[
+            {"shape": {"kind": "plane", "width_mm": 4e3, "height_mm": 4e3}, "position_mm": [0.0, 0.0, -100.0]}
+            | {"material": {"reflectance": 0.0, "radiance_w_m2_sr": 1000.0}}
+        ],
+        transport={"samples": 4096, "replicates": 16, "wavelengths_nm": [587.6], "threads": 2},
+    )  # fmt: skip
+    mesh = lf.render(scene.changed({"transport.engine": "mesh", "transport.samples": 65536}))
+    bound = float(stats.t.isf(0.5 * LEVEL / COMPARISONS, 15))
+    for seed in SEEDS:
+        assert abs(z_of(lf.render(scene.changed({"transport.seed": 1 + seed})), mesh)) < bound

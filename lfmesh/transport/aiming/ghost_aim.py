@@ -26,8 +26,9 @@ Array = NDArray[np.float64]
 RAYS_OF_A_KIND = 16
 """Rays of the coarse trace for each kind of ray that is told apart."""
 
-SHARE_OF_DISK = 0.1
-"""Share of the rays of a camera without an array that go anywhere on the disk at the lens."""
+SHARE_OF_DISK, SHARE_AROUND = 0.1, 0.2
+"""Of the rays of a camera without an array, the share that goes anywhere on the disk at the lens; and the share of the
+light in a cell that is taken to come from those around it, which the few rays of a kind may have missed."""
 
 SHARE_OF_ALL, SHARE_OF_EACH = 0.2, 0.1
 """Share of the chances that goes by the light that sequences bring over all kinds of rays, and the share that all have
@@ -193,6 +194,9 @@ def _cells(light: Array, area: Array) -> Array:
         Shares of the disk.
     """
     found = light.transpose(1, 0, 2)
+    padded = np.pad(found, ((0, 0), (1, 1), (1, 1)), mode="edge")
+    around = sum(padded[:, i : i + RADII, j : j + ANGLES] for i in range(3) for j in range(3)) / 9.0
+    found = (1.0 - SHARE_AROUND) * found + SHARE_AROUND * around
     total = found.sum(axis=(1, 2), keepdims=True)
     own = np.where(total > 0.0, found / np.where(total > 0.0, total, 1.0), area)
     until = np.cumsum(((1.0 - SHARE_OF_DISK) * own + SHARE_OF_DISK * area).reshape(HEIGHTS, -1), axis=1)

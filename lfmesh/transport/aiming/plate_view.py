@@ -50,7 +50,8 @@ def views_through_plate(
     low, high = np.full(slope.shape, np.inf), np.full(slope.shape, -np.inf)
     _through_all(mla, opening, moves, sensor_z, corners, low, high, slope_radius, False)
     seen = np.isfinite(low[:, 0])
-    slope[:] = np.where(seen[:, None], 0.5 * (low + high), 0.0)
+    slope[:] = 0.0
+    slope[seen] = 0.5 * (low[seen] + high[seen])
     slope_radius[:] = np.where(seen, 0.0, NOTHING_SEEN)
     _through_all(mla, opening, moves, sensor_z, corners, slope, slope, slope_radius, True)
 

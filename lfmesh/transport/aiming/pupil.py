@@ -145,7 +145,14 @@ def viewpoints(
 def unknown_opening(plane_z: float, *, to_sensor: bool, near_depth: float = 0.0) -> Opening:
     """Return the opening that stands for "not known": rays are sent to the whole wide disk.
 
-    From points nearer than `near_depth`, in mm, half of them go everywhere towards the lens.
+    Parameters
+    ----------
+    plane_z : float, mm, camera frame
+        The lens's outermost plane.
+    to_sensor : bool
+        It is seen from object space.
+    near_depth : float, mm
+        From points nearer than this half of the rays go everywhere towards the lens.
     """
     sense = 1.0 if to_sensor else -1.0
     return Opening(
@@ -170,7 +177,16 @@ def paraxial_opening(seen: Viewpoints, pupil_z: float, pupil_radius: float) -> O
 
 
 def paraxial_near(seen: Viewpoints, near: NearViewpoints, pupil_z: float, pupil_radius: float) -> NearOpening:
-    """Return the same for points close before the lens; parameters as for `real_near`."""
+    """Return the same for points close before the lens.
+
+    Parameters
+    ----------
+    seen : Viewpoints
+        Of the lens's outermost plane.
+    near : NearViewpoints
+    pupil_z, pupil_radius : float, mm
+        Camera frame.
+    """
     return near_opening(near, *_paraxial_disks(seen, *np.meshgrid(near.height, near.measured), pupil_z, pupil_radius))
 
 

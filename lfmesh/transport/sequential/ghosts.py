@@ -305,9 +305,7 @@ def kind_of_ray(ghosts: GhostTables, x: float, y: float, z: float, dx: float, dy
     p2, q2 = px * px + py * py, qx * qx + qy * qy
     radius = interval_of_radius(ghosts, p2)
     height = interval_of_height(ghosts, q2)
-    lengths = np.sqrt(p2 * q2)
-    cosine = (px * qx + py * qy) / lengths if 0.0 < lengths < np.inf else 1.0
-    angle = min(max(int(ANGLES * 0.5 * (1.0 - cosine)), 0), ANGLES - 1)
+    angle = interval_of_angle(px * qx + py * qy, np.sqrt(p2 * q2))
     return (radius * HEIGHTS + height) * ANGLES + angle
 
 
@@ -320,6 +318,13 @@ def interval_of_radius(ghosts: GhostTables, squared: float) -> int:
     outside = RADII - WITHIN_OPENING
     # Of rays that graze the plane the distance may be larger than any integer.
     return WITHIN_OPENING + int(min(outside * (squared - opening2) / (radius2 - opening2), outside - 1.0))
+
+
+@inlined
+def interval_of_angle(product: float, lengths: float) -> int:
+    """Return the interval of the angle between two points as seen from the axis, by their scalar product."""
+    cosine = product / lengths if 0.0 < lengths < np.inf else 1.0
+    return min(max(int(ANGLES * 0.5 * (1.0 - cosine)), 0), ANGLES - 1)
 
 
 @inlined

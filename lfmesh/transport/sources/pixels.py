@@ -129,7 +129,7 @@ class PixelSource(Source):
         if options.paths == GHOSTS and not tables.mla.present:
             launch_to_cells(
                 pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
-                tables.ghosts, seen, len(tables.lens.surfaces), work.flow(), room,
+                tables.aim.exit, tables.ghosts, seen, len(tables.lens.surfaces), work.flow(), room,
             )  # fmt: skip
             if tables.cover is not None:
                 work.move_waiting(LENS, SENSOR)

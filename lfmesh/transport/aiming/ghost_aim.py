@@ -14,7 +14,7 @@ from lfmesh.geometry.surface import CONIC_AND_EVEN
 from lfmesh.transport.aiming.lenslet_view import with_wider_views
 from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_GHOSTS
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
-from lfmesh.transport.sequential.ghosts import ANGLES, HEIGHTS, RADII, WITHIN_OPENING, GhostTables, weights_along
+from lfmesh.transport.sequential.ghosts import ANGLES, HEIGHTS, RADII, GhostTables, weights_along
 from lfmesh.transport.sequential.lens_bundle import empty_bundle
 from lfmesh.transport.sequential.plane_faces import count_faces
 from lfmesh.transport.sequential.reflections import BUNDLE_ROWS, book_for
@@ -25,6 +25,9 @@ Array = NDArray[np.float64]
 
 RAYS_OF_A_KIND = 16
 """Rays of the coarse trace for each kind of ray that is told apart."""
+
+WITHIN_OPENING = 4
+"""Number of the intervals of the distance at the lens that lie in its opening, which may be small."""
 
 SHARE_OF_DISK, SHARE_AROUND = 0.1, 0.2
 """Of the rays of a camera without an array, the share that goes anywhere on the disk at the lens; and the share of the
@@ -101,8 +104,6 @@ def _without_chances(tables: Tables, of: Faces, image_path: Itinerary, paths: li
             np.linspace(0.0, opening**2, WITHIN_OPENING, endpoint=False),
             np.linspace(opening**2, tables.aim.back_radius**2, RADII - WITHIN_OPENING + 1),
         ),
-        opening=opening,
-        radius=tables.aim.back_radius,
         height=height,
     )
 
@@ -220,7 +221,7 @@ def aim_at_ghosts(tables: Tables, ghosts: GhostTables) -> AimTables:
     reflects = tables.cover is not None or tables.sensor.reflectance > 0.0
     if not (tables.mla.present and reflects and known.any()):
         return aim
-    wider = ghosts.radius / float(np.median(aim.exit.radius[known]))
+    wider = aim.back_radius / float(np.median(aim.exit.radius[known]))
     if not wider > 1.0:
         return aim
     rings = len(aim.shown) - 1

@@ -61,9 +61,6 @@ SEQUENCE = 15
 RADII, HEIGHTS, ANGLES = 8, 8, 8
 """Intervals by which rays are told apart that come to the lens, see `GhostTables`."""
 
-WITHIN_OPENING = 4
-"""Number of the intervals of the distance at the lens that lie in its opening, which may be small."""
-
 _MET = 7
 """Row of `GhostRoom.rays` for the interfaces that a ray has met; the others are position, direction and weight."""
 
@@ -95,9 +92,7 @@ class GhostTables(NamedTuple):
     plane_z: float  # mm, camera frame: the plane at the lens
     from_z: float  # mm, the plane that they come from: of the array or, without one, of the sensor
     rings: Array  # (RADII + 1,) mm², squared distances at which the intervals of the distance begin and end at the lens
-    opening: float  # mm, distance from the axis that holds the lens's opening as seen from that plane
-    radius: float  # mm, at which the intervals of the distance end at the lens
-    height: float  # mm, the same where they come from
+    height: float  # mm, at which the intervals of the distance end where they come from
 
 
 class GhostRoom(NamedTuple):
@@ -312,12 +307,7 @@ def kind_of_ray(ghosts: GhostTables, x: float, y: float, z: float, dx: float, dy
 @inlined
 def interval_of_radius(ghosts: GhostTables, squared: float) -> int:
     """Return the interval of a squared distance from the axis, mm², in the plane at the lens."""
-    opening2, radius2 = ghosts.opening * ghosts.opening, ghosts.radius * ghosts.radius
-    if squared < opening2:
-        return int(WITHIN_OPENING * squared / opening2)
-    outside = RADII - WITHIN_OPENING
-    # Of rays that graze the plane the distance may be larger than any integer.
-    return WITHIN_OPENING + int(min(outside * (squared - opening2) / (radius2 - opening2), outside - 1.0))
+    return min(int(np.searchsorted(ghosts.rings, squared, side="right")), RADII) - 1
 
 
 @inlined
@@ -330,6 +320,7 @@ def interval_of_angle(product: float, lengths: float) -> int:
 @inlined
 def interval_of_height(ghosts: GhostTables, squared: float) -> int:
     """Return the interval of a squared distance from the axis, mm², in the plane that rays come from."""
+    # Of rays that graze the plane the distance may be larger than any integer.
     return int(min(HEIGHTS * squared / (ghosts.height * ghosts.height), HEIGHTS - 1.0))
 
 

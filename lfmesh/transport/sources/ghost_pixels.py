@@ -15,7 +15,13 @@ from lfmesh.transport.aiming.mixture import disk_density, toward_disk
 from lfmesh.transport.aiming.pupil import opening_from
 from lfmesh.transport.packets.book import EMITTED
 from lfmesh.transport.packets.packet import CAMERA_FRAME, LENS, SAMPLE_SHIFT, SENSOR_FRAME, Flow, put
-from lfmesh.transport.sequential.ghosts import ANGLES, GhostTables, interval_of_angle, interval_of_height
+from lfmesh.transport.sequential.ghosts import (
+    ANGLES,
+    GhostTables,
+    interval_of_angle,
+    interval_of_height,
+    interval_of_radius,
+)
 from lfmesh.transport.sources.pixel_starts import STARTS, StartRoom, begin_launch, draw_numbers
 from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.tables.tables import Opening, SensorTables
@@ -129,9 +135,9 @@ def _cell_density(
     t = (ghosts.plane_z - z) / dz
     px, py = x + t * dx, y + t * dy
     r2 = px * px + py * py
-    ring = int(np.searchsorted(ghosts.rings, r2, side="right")) - 1
-    if ring >= len(ghosts.rings) - 1:
+    if r2 > ghosts.rings[-1]:
         return 0.0
+    ring = interval_of_radius(ghosts, r2)
     angle = interval_of_angle(x * px + y * py, np.sqrt(r2 * (x * x + y * y)))
     until = ghosts.cells[interval_of_height(ghosts, x * x + y * y)]
     cell = ring * ANGLES + angle

@@ -126,27 +126,26 @@ class PixelSource(Source):
         begin = np.zeros(len(pixels), np.int64) if self.begin is None else self.begin[part.start : part.stop]
         room = work.kept(StartRoom, lambda: start_room(tables.aim, work.stacks.dtype))
         seen = tables.frames if tables.apparent is None else tables.apparent
-        if options.paths == GHOSTS and not tables.mla.present:
-            launch_to_cells(
-                pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
-                tables.aim.exit, tables.ghosts, seen, len(tables.lens.surfaces), work.flow(), room,
-            )  # fmt: skip
-            if tables.cover is not None:
-                work.move_waiting(LENS, SENSOR)
-        elif options.sequential and options.adjoint and tables.cover is None and options.paths != GHOSTS:
+        if options.sequential and options.adjoint and tables.cover is None and options.paths != GHOSTS:
             launch_along_image_path(
                 pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
                 tables.lens, tables.mla, tables.aim, tables.frames, work.bundle, work.numbers, options, work.flow(),
                 room,
+            )  # fmt: skip
+            return
+        if options.paths == GHOSTS and not tables.mla.present:
+            launch_to_cells(
+                pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
+                tables.aim.exit, tables.ghosts, seen, len(tables.lens.surfaces), work.flow(), room,
             )  # fmt: skip
         else:
             launch_adjoint(
                 pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
                 clear(tables.mla), tables.aim, seen, len(tables.lens.surfaces), work.bundle, work.flow(), room,
             )  # fmt: skip
-            if tables.cover is not None:
-                # Without a cover a pixel's light meets the array first, or the lens.
-                work.move_waiting(PLATE if tables.mla.present else LENS, SENSOR)
+        if tables.cover is not None:
+            # Without a cover a pixel's light meets the array first, or the lens.
+            work.move_waiting(PLATE if tables.mla.present else LENS, SENSOR)
 
 
 @kernel

@@ -201,6 +201,7 @@ class NearOpening(NamedTuple):
     decentre: Array  # (2, 2), as that of `Opening`
 
 
+@by_address
 class Opening(NamedTuple):
     """Effective pupil of one side of the lens: disks in a plane perpendicular to the axis, by field angle and distance.
 

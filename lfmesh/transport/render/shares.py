@@ -103,7 +103,8 @@ def shared(
 
 def _with_share(part: Part, path: Measured, own: Measured | None) -> Part:
     """Return a part with the power of two by which its samples should be fewer than those of the image path."""
-    if own is None or not own.variance > 0.0:
+    # Of an image path that few pixels see, chance may leave no variance to compare with.
+    if own is None or not (own.variance > 0.0 and path.variance > 0.0):
         return part
     fewer = math.sqrt(path.variance / path.cost * own.cost / own.variance)
     # Half of the powers of two round down.

@@ -50,6 +50,8 @@ def test_a_part_never_gets_fewer_samples_than_it_would_without_measuring() -> No
     usual = [part.thinned for part in parts()]
     assert given(Measured(1.0, 1.0), Measured(1e-12, 1.0)) == usual
     assert given(Measured(1.0, 1.0), Measured(0.0, 1.0)) == usual
+    # Nor more, where nothing is known of the image path.
+    assert given(Measured(0.0, 1.0), Measured(1.0, 1.0)) == usual
     assert given(Measured(1.0, 1.0), Measured(1e6, 1.0)) == [1, 1, 1]
 
 

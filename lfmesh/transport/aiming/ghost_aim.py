@@ -1,7 +1,7 @@
 """How ghosts are drawn: by the light that each sequence brings, as a coarse trace finds it.
 
 The trace decides only how often a sequence is followed, never what light there is: each is drawn by every ray with some
-chance, and weighted by its inverse.
+chance, and weighted by its inverse. So are the directions in which some leave their pixels anew.
 """
 
 import math
@@ -9,12 +9,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry import frame
 from lfmesh.geometry.levels import EXACT
 from lfmesh.geometry.surface import CONIC_AND_EVEN
 from lfmesh.transport.aiming.lenslet_view import with_wider_views
 from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_GHOSTS
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
-from lfmesh.transport.sequential.ghosts import ANGLES, HEIGHTS, RADII, GhostTables, weights_along
+from lfmesh.transport.sequential.ghosts import ANGLES, HEIGHTS, RADII, SINES, GhostTables, weights_along
 from lfmesh.transport.sequential.lens_bundle import empty_bundle
 from lfmesh.transport.sequential.plane_faces import count_faces
 from lfmesh.transport.sequential.reflections import BUNDLE_ROWS, book_for
@@ -23,8 +24,9 @@ from lfmesh.transport.tables.tables import AimTables, Tables
 
 Array = NDArray[np.float64]
 
-RAYS_OF_A_KIND = 16
-"""Rays of the coarse trace for each kind of ray that is told apart."""
+RAYS_OF_A_KIND, RAYS_OF_A_SINE = 16, 256
+"""Rays of the coarse trace for each kind of ray that is told apart, and in each interval of the sine of the angle at
+which they leave the sensor."""
 
 WITHIN_OPENING = 4
 """Number of the intervals of the distance at the lens that lie in its opening, which may be small."""
@@ -32,6 +34,10 @@ WITHIN_OPENING = 4
 SHARE_OF_DISK, SHARE_AROUND = 0.1, 0.2
 """Of the rays of a camera without an array, the share that goes anywhere on the disk at the lens; and the share of the
 light in a cell that is taken to come from those around it, which the few rays of a kind may have missed."""
+
+SHARE_OF_HALF_SPHERE, LEAST_ANEW, MOST_ANEW = 0.2, 0.02, 0.5
+"""Of the packets that leave their pixels in new directions, the share that goes evenly over half of the sphere; and the
+least and the largest share that they have of all packets."""
 
 SHARE_OF_ALL, SHARE_OF_EACH = 0.2, 0.1
 """Share of the chances that goes by the light that sequences bring over all kinds of rays, and the share that all have
@@ -57,20 +63,21 @@ def ghost_tables(tables: Tables, max_events: int) -> GhostTables | None:
         return None
     of = Faces(len(lens.surfaces), 2 * tables.mla.present, count_faces(tables), tables.sensor.reflectance > 0.0)
     image_path, *twice = of.paths()
-    # The array itself reflects nothing on them.
-    paths = [path.reverse for path in twice if all(of.part(face) != ARRAY_LEG for face in path.mirrors)]
-    paths = [path for path in paths if len(path.faces) <= max_events]
+    paths = [path.reverse for path in twice if len(path.faces) <= max_events]
     if not paths:
         return None
     ghosts = _without_chances(tables, of, image_path, paths)
-    light = _light(tables, ghosts)
-    if not light.any():
+    light, anew = _light(tables, ghosts), _light_anew(tables, ghosts)
+    if not (light.any() or anew.any()):
         return None
     area = _areas(ghosts)
     weighted = light.reshape(RADII, HEIGHTS, ANGLES, -1) * area[:, None, :, None]
-    of_all = weighted.sum(axis=(0, 1, 2)) / weighted.sum()
+    of_all = weighted.sum(axis=(0, 1, 2))
+    ghosts = _drawn_anew(ghosts, anew, _seen_by_sensor(tables, ghosts) * float(of_all.sum()) / HEIGHTS)
+    others = ~ghosts.anew
     return ghosts._replace(
-        until=_cumulative(light, of_all, ghosts.from_pixel), cells=_cells(weighted.sum(axis=3), area)
+        until=_cumulative(light, _shares(of_all, others), others, ghosts.from_pixel & others),
+        cells=_cells(weighted.sum(axis=3), area),
     )
 
 
@@ -78,12 +85,13 @@ def _without_chances(tables: Tables, of: Faces, image_path: Itinerary, paths: li
     """Return the tables of sequences, from the sensor, with no chances yet."""
     behind = [leg for leg in of.legs(image_path) if leg.part != LENS_LEG]
     to_lens = [leg for leg in of.legs(image_path.reverse) if leg.part != LENS_LEG]
-    legs, first, from_pixel = [*to_lens, *behind], [], []
+    legs, first, from_pixel, anew = [*to_lens, *behind], [], [], []
     for path in paths:
         own = of.legs(path)
         begins_in_lens = own[: len(to_lens)] == to_lens
         first.append(len(legs))
         from_pixel.append(not begins_in_lens)
+        anew.append(not begins_in_lens and any(of.part(face) == ARRAY_LEG for face in path.mirrors))
         legs += own[len(to_lens) if begins_in_lens else 0 :]
     steps = np.cumsum([0, *(len(leg.faces) for leg in legs)])
     from_z, height = _where_from(tables)
@@ -96,6 +104,10 @@ def _without_chances(tables: Tables, of: Faces, image_path: Itinerary, paths: li
         first=np.array([*first, len(legs)], np.int64),
         from_pixel=np.array(from_pixel, np.bool_),
         lengths=np.array([len(path.faces) for path in paths], np.int64),
+        anew=np.array(anew, np.bool_),
+        share_anew=0.0,
+        until_anew=np.zeros(len(paths)),
+        sines=np.zeros((len(paths), SINES)),
         until=np.zeros((0, len(paths))),
         cells=np.zeros((HEIGHTS, 0)),
         plane_z=tables.aim.exit.plane_z,
@@ -131,16 +143,37 @@ def _opening(aim: AimTables) -> float:
 
 
 def _light(tables: Tables, ghosts: GhostTables) -> Array:
-    """Return the root mean square of the weights of rays of each kind along each sequence, (kinds, sequences)."""
-    p, d = _rays(ghosts)
+    """Return the root mean square of the weights of rays of each kind along each sequence, (kinds, sequences).
+
+    It is 0 along those whose packets leave their pixels in new directions.
+    """
+    return _found(tables, ghosts, ~ghosts.anew, *_rays(ghosts), RAYS_OF_A_KIND).T
+
+
+def _light_anew(tables: Tables, ghosts: GhostTables) -> Array:
+    """Return the same along the other sequences, for rays from the sensor, (sequences, SINES)."""
+    return _found(tables, ghosts, ghosts.anew, *_rays_from_sensor(tables), RAYS_OF_A_SINE)
+
+
+def _found(tables: Tables, ghosts: GhostTables, those: NDArray[np.bool_], p: Array, d: Array, of_a_kind: int) -> Array:
+    """Return the root mean square of the weights of rays of each kind along some of the sequences, (sequences, kinds).
+
+    Parameters
+    ----------
+    those : (sequences,) bool
+        Whether a sequence is followed.
+    p, d : (kinds · of_a_kind, 3) float64
+        As for `weights_along`.
+    of_a_kind : int
+    """
     camera = tables.lens, tables.mla, tables.sensor, tables.cover
     media = [tables.lens.media, tables.mla.media, *([] if tables.cover is None else [tables.cover.media])]
     book, bundle = max((book_for(each) for each in media), key=len), empty_bundle(BUNDLE_ROWS)
     colour = tables.lens.media.indices.shape[1] // 2
     weights = np.zeros((len(ghosts.lengths), len(p)))
-    for sequence, row in enumerate(weights):
-        weights_along(sequence, p, d, camera, ghosts, tables.frames, colour, bundle, book, row)
-    return np.sqrt((weights.reshape(len(weights), -1, RAYS_OF_A_KIND) ** 2).mean(axis=2).T)
+    for sequence in np.flatnonzero(those):
+        weights_along(int(sequence), p, d, camera, ghosts, tables.frames, colour, bundle, book, weights[sequence])
+    return np.asarray(np.sqrt((weights.reshape(len(weights), -1, of_a_kind) ** 2).mean(axis=2)))
 
 
 def _rays(ghosts: GhostTables) -> tuple[Array, Array]:
@@ -158,8 +191,73 @@ def _rays(ghosts: GhostTables) -> tuple[Array, Array]:
     return p, d / np.linalg.norm(d, axis=1)[:, None]
 
 
-def _cumulative(light: Array, of_all: Array, from_pixel: NDArray[np.bool_]) -> Array:
-    """Return the cumulative chances of the sequences for each kind of ray from the light that they bring.
+def _rays_from_sensor(tables: Tables) -> tuple[Array, Array]:
+    """Return some rays of each sine from the sensor: positions and directions (SINES · RAYS_OF_A_SINE, 3)."""
+    draw, sensor = np.random.default_rng(1), tables.sensor
+    move, count = tables.frames[SENSOR_FRAME, CAMERA_FRAME], SINES * RAYS_OF_A_SINE
+    half = 0.5 * sensor.pixel * np.array([sensor.columns, sensor.rows, 0.0])
+    at = half * draw.uniform(-1.0, 1.0, (count, 3))
+    low = (np.repeat(np.arange(SINES), RAYS_OF_A_SINE) / SINES) ** 2
+    squared = low + draw.random(count) * np.repeat(_projected(), RAYS_OF_A_SINE)
+    sine, turn = np.sqrt(squared), 2.0 * np.pi * draw.random(count)
+    d = np.column_stack([sine * np.cos(turn), sine * np.sin(turn), -np.sqrt(1.0 - squared)])
+    return frame.points(move, at), frame.directions(move, d)
+
+
+def _projected() -> Array:
+    """Return the projected solid angles of the intervals of the sine, over π, (SINES,)."""
+    return np.diff((np.arange(SINES + 1) / SINES) ** 2)
+
+
+def _seen_by_sensor(tables: Tables, ghosts: GhostTables) -> float:
+    """Return about the projected solid angle, sr, in which the sensor sees the disk at the lens."""
+    return math.pi / (1.0 + ((ghosts.from_z - ghosts.plane_z) / tables.aim.back_radius) ** 2)
+
+
+def _drawn_anew(ghosts: GhostTables, light: Array, of_others: float) -> GhostTables:
+    """Return the tables with the chances of the sequences whose packets leave their pixels in new directions.
+
+    Parameters
+    ----------
+    ghosts : GhostTables
+    light : (sequences, SINES) float64
+        Root mean square of the weights of rays at each sine.
+    of_others : float, sr
+        The same over all directions, for all other sequences together.
+    """
+    if not ghosts.anew.any():
+        return ghosts
+    projected = _projected()
+    padded = np.pad(light, ((0, 0), (1, 1)), mode="edge")
+    found = projected * ((1.0 - SHARE_AROUND) * light + 0.5 * SHARE_AROUND * (padded[:, :-2] + padded[:, 2:]))
+    total = found.sum(axis=1, keepdims=True)
+    own = np.where(total > 0.0, found / np.where(total > 0.0, total, 1.0), projected)
+    chances = (1.0 - SHARE_OF_HALF_SPHERE) * own + SHARE_OF_HALF_SPHERE * projected
+    each = math.pi * np.sqrt(((projected * light) ** 2 / chances).sum(axis=1))
+    others = of_others > 0.0
+    share = float(np.clip(each.sum() / (each.sum() + of_others), LEAST_ANEW, MOST_ANEW)) if others else 1.0
+    chance = (1.0 - SHARE_OF_EACH) * _shares(each, ghosts.anew) + SHARE_OF_EACH * _evenly(ghosts.anew)
+    return ghosts._replace(
+        share_anew=share,
+        until_anew=_until(chance),
+        sines=_until(chances),
+    )
+
+
+def _shares(light: Array, those: NDArray[np.bool_]) -> Array:
+    """Return the share of some sequences in their light, (sequences,), and 0 of others."""
+    found = np.where(those, light, 0.0)
+    total = found.sum()
+    return np.asarray(found / total) if total > 0.0 else _evenly(those)
+
+
+def _evenly(those: NDArray[np.bool_]) -> Array:
+    """Return equal shares of some sequences, and 0 of others."""
+    return np.where(those, 1.0 / max(int(those.sum()), 1), 0.0)
+
+
+def _cumulative(light: Array, of_all: Array, those: NDArray[np.bool_], from_pixel: NDArray[np.bool_]) -> Array:
+    """Return the cumulative chances of some sequences for each kind of ray from the light that they bring.
 
     In the last row, for rays that do not come to the lens, those that begin at the pixel share all chances.
 
@@ -168,14 +266,23 @@ def _cumulative(light: Array, of_all: Array, from_pixel: NDArray[np.bool_]) -> A
     light : (kinds, sequences) float64
     of_all : (sequences,) float64
         Share of the light of all kinds.
+    those : (sequences,) bool
+        The sequences that have a chance.
     from_pixel : (sequences,) bool
+        Those of them that begin at the pixel.
     """
     of_kind = light.sum(axis=1, keepdims=True)
     own = np.where(of_kind > 0.0, light / np.where(of_kind > 0.0, of_kind, 1.0), of_all)
-    chances = (1.0 - SHARE_OF_ALL - SHARE_OF_EACH) * own + SHARE_OF_ALL * of_all + SHARE_OF_EACH / light.shape[1]
-    lost = np.where(from_pixel, of_all + SHARE_OF_EACH / light.shape[1], 0.0)
-    until = np.cumsum(np.vstack([chances, lost]), axis=1)
-    return np.ascontiguousarray(until / np.where(until[:, -1:] > 0.0, until[:, -1:], 1.0))
+    each = _evenly(those)
+    chances = (1.0 - SHARE_OF_ALL - SHARE_OF_EACH) * own + SHARE_OF_ALL * of_all + SHARE_OF_EACH * each
+    lost = np.where(from_pixel, of_all + SHARE_OF_EACH * each, 0.0)
+    return _until(np.vstack([chances, lost]))
+
+
+def _until(chances: Array) -> Array:
+    """Return the cumulative chances along the last axis, which are 1 in the end, or all 0."""
+    until = np.cumsum(chances, axis=-1)
+    return np.ascontiguousarray(until / np.where(until[..., -1:] > 0.0, until[..., -1:], 1.0))
 
 
 def _areas(ghosts: GhostTables) -> Array:
@@ -200,15 +307,14 @@ def _cells(light: Array, area: Array) -> Array:
     found = (1.0 - SHARE_AROUND) * found + SHARE_AROUND * around
     total = found.sum(axis=(1, 2), keepdims=True)
     own = np.where(total > 0.0, found / np.where(total > 0.0, total, 1.0), area)
-    until = np.cumsum(((1.0 - SHARE_OF_DISK) * own + SHARE_OF_DISK * area).reshape(HEIGHTS, -1), axis=1)
-    return np.ascontiguousarray(until / until[:, -1:])
+    return _until(((1.0 - SHARE_OF_DISK) * own + SHARE_OF_DISK * area).reshape(HEIGHTS, -1))
 
 
 def aim_at_ghosts(tables: Tables, ghosts: GhostTables) -> AimTables:
     """Return where the packets of ghosts are aimed.
 
-    What the sensor or its cover reflects comes through an array mostly from beside the lens's opening, often from the
-    whole lens: then lenslets are chosen by the light of ghosts, in rings about the middle of the lens's view.
+    What array, cover or sensor reflect comes through an array mostly from beside the lens's opening, often from the
+    whole lens: so lenslets are chosen by the light of ghosts, in rings about the middle of the lens's view.
 
     Parameters
     ----------
@@ -218,8 +324,7 @@ def aim_at_ghosts(tables: Tables, ghosts: GhostTables) -> AimTables:
     """
     aim = tables.aim._replace(wide_share=WIDE_SHARE_OF_GHOSTS)
     known = aim.exit.radius > 0.0
-    reflects = tables.cover is not None or tables.sensor.reflectance > 0.0
-    if not (tables.mla.present and reflects and known.any()):
+    if not (tables.mla.present and known.any()):
         return aim
     wider = aim.back_radius / float(np.median(aim.exit.radius[known]))
     if not wider > 1.0:

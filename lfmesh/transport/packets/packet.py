@@ -277,6 +277,7 @@ class Options(NamedTuple):
     first_source: int  # pixel in row 0 of the film
     stream: np.uint64 = np.uint64(0)  # adjoint: key of the replicate's random numbers at this wavelength
     each: int = 0  # adjoint: samples of a pixel, whose events share Sobol' sets; 0: random numbers
+    samples: int = 0  # adjoint: samples of a pixel, by whose number its light is divided
     channel: int = 0  # adjoint: column of the film that light is added to
     importance: bool = False  # weights are importance, which thin lenses change, and not power
     in_order: bool = False  # surfaces of lens and array are met in their order where that decides, else by their meshes

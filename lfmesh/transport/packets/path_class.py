@@ -14,16 +14,15 @@ in this order, give its class:
 3. Does the path leave the image path anywhere between the sensor and that end? Then its class is `OFF_IMAGE_PATH`;
    else it is on the image path, as the sequential engine follows it. A path leaves the image path by a reflection in
    lens or array, by a reflection at glass in object space where it could have been refracted (total reflection there
-   continues the image path), and where it meets curved faces of the array twice in one passage. Where on the path that
-   happens does not matter: targets and rough glass may scatter it before and after, which by itself changes nothing.
-   Rough surfaces of lens and array are traced by the mesh engine, which estimates `EVERY` path at once.
+   continues the image path), and where it meets the same curved side of the array twice running. Where on the path
+   that happens does not matter: targets and rough glass may scatter it before and after, which by itself changes
+   nothing. Rough surfaces of lens and array are traced by the mesh engine, which estimates `EVERY` path at once.
 
 Where ghosts are estimated by themselves, `OFF_IMAGE_PATH` is divided into `GHOSTS` and `OTHER_STRAYS`. A path is one of
 the ghosts if, seen from the sensor, it leaves the camera first after exactly two reflections, each at a refracting
-surface of the lens, at a face of the sensor's cover or at the sensor; if from each surface of the lens it leads to the
-next one on either side, and through the array, wherever it passes it, by one lenslet of each face; and if it leaves the
-image path nowhere else. (Straight after a surface a path may meet it again on its hollow side: those are other strays,
-as are paths that the array reflects.)
+surface of the lens, at a face of the array or of the sensor's cover, or at the sensor; if from each of these faces it
+leads to the next one on either side; and if it leaves the image path nowhere else. (Straight after a surface a path may
+meet it again on its hollow side, and straight after a lenslet the one beside it: those are other strays.)
 
 `EVERY` stands for all paths that a method can find: all but `LAMP_ON_CAMERA`, and in the adjoint method all but
 `LAMP_THROUGH_GLASS` too. Light that is in no class is named in transport/README.md, "Limits": light of a lamp that
@@ -33,7 +32,7 @@ reaches the sensor, or through the lens a target, before anything has scattered 
 from typing import Any
 
 from lfmesh.kernel import inlined
-from lfmesh.transport.packets.packet import CAMERA_FRAME, LAMP, OBJECT_FRAME, SENSOR_FRAME, Options
+from lfmesh.transport.packets.packet import LAMP, OBJECT_FRAME, Options
 
 EVERY, OFF_IMAGE_PATH, LAMP_THROUGH_GLASS, LAMP_ON_CAMERA, GHOSTS, OTHER_STRAYS = 0, 1, 2, 3, 4, 5
 """`Options.paths`."""
@@ -63,13 +62,12 @@ def stray_after(frame: int, refracts: bool, transmittance: float, stray: int) ->
     """
     if not turns_off_image_path(frame, refracts, transmittance):
         return stray
-    # In the camera's frame there are the surfaces of the lens alone, in the sensor's those of its cover.
-    return stray_after_mirror(stray) if frame in (CAMERA_FRAME, SENSOR_FRAME) else STRAY
+    return STRAY if frame == OBJECT_FRAME else stray_after_mirror(stray)
 
 
 @inlined
 def stray_after_mirror(stray: int) -> int:
-    """Return `stray` of a packet that lens, cover or sensor has reflected, from what it was before."""
+    """Return `stray` of a packet that a face of the camera has reflected, from what it was before."""
     if stray == ON_IMAGE_PATH:
         return REFLECTED_ONCE
     return REFLECTED_TWICE if stray == REFLECTED_ONCE else STRAY

@@ -252,6 +252,8 @@ def _reaches_flat_face(
         slot = MLA_EDGE if outward else MLA_MOUNT
         end(options, flow, frames, packet, MLA_FRAME, x, y, thickness, dx, dy, dz, packet.weight, slot, S_ABSORBED)
         return NO_SURFACE
+    if packet.last == LEFT_FACE:
+        packet.last = NO_SURFACE
     block[rows.DX + i], block[rows.DY + i], block[rows.DZ + i] = dx, dy, dz
     block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i] = x, y, thickness
     block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i] = 0.0, 0.0, 1.0 if dz > 0.0 else -1.0
@@ -610,7 +612,7 @@ def _through_face(
     """Divide a packet of a block where it meets the curved face of its cell."""
     inward = packet.space == BEFORE
     if packet.last == LEFT_FACE:
-        # The second curved face in one passage is off the image path.
+        # The second lenslet before the array's other face is off the image path, and that of every ghost.
         packet.stray = STRAY
     packet.last = LEFT_FACE
     cell = packet.row * mla.lenslets.lattice.columns + packet.column

@@ -42,6 +42,10 @@ def compare_ghosts(world: World, work: Workspace) -> OrderCheck | None:
     sequence = room.sequence[drawn]
     packets = packets[drawn]
     packets["weight"] /= room.chance[drawn]
+    anew = ghosts.anew[sequence]
+    for name, row in zip(("x", "y", "z", "dx", "dy", "dz", "weight"), room.rays, strict=False):
+        packets[name][anew] = row[drawn[anew]]
+    packets["frame"][anew] = CAMERA_FRAME
     found = work.stacks[work.rows[OBJECTS], : work.tops[OBJECTS]]
     move = work.tables.frames[OBJECT_FRAME, CAMERA_FRAME]
     of_block = np.searchsorted(drawn, found["source"])

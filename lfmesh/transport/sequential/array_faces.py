@@ -1,7 +1,7 @@
 """Many rays along a sequence of the two faces of the array, refracted at some and reflected at others.
 
-Faces are counted from the lens to the sensor. A ray leaves the sequence where it meets the curved faces of two lenslets
-in turn, or where it is reflected so steeply that it does not turn back; then it passes with weight 0.
+Faces are counted from the lens to the sensor. A ray leaves the sequence where it meets two lenslets of a face in turn,
+or where it is reflected so steeply that it does not turn back; then it passes with weight 0.
 """
 
 from typing import Any
@@ -14,6 +14,7 @@ from lfmesh.transport.events.crossing import reflected
 from lfmesh.transport.events.interface import shares
 from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME
 from lfmesh.transport.sequential.image_path import (
+    begin_array,
     bend,
     leave_layer,
     meet_curved_face,
@@ -27,12 +28,14 @@ from lfmesh.transport.sequential.lens_bundle import (
     DY,
     DZ,
     ENDED_ON,
+    LEFT_BEHIND,
     MET,
     WEIGHT,
     empty_bundle,
     move_bundle,
     normalise,
 )
+from lfmesh.transport.sequential.lenslet_bundle import PASSED
 from lfmesh.transport.sequential.reflections import Array, Arrived, book_for, load_rays, store
 from lfmesh.transport.tables.tables import FLAT_ROW, MlaTables
 
@@ -55,32 +58,70 @@ def follow_array_faces(
     colour : int
         Number of the wavelength.
     """
-    curved = np.array(faces) == (0 if mla.curved_to_lens else 1)
-    _follow(rays, mla, frames, curved, np.array(mirrors, np.bool_), colour, empty_bundle(), book_for(mla.media))
+    _follow(
+        rays, mla, frames, np.array(faces, np.int64), np.array(mirrors, np.bool_), colour, empty_bundle(),
+        book_for(mla.media),
+    )  # fmt: skip
 
 
 @kernel
 def _follow(
-    rays: Arrived, mla: MlaTables, frames: Array, curved: NDArray[np.bool_], mirrors: NDArray[np.bool_],
+    rays: Arrived, mla: MlaTables, frames: Array, faces: NDArray[np.int64], reflected: NDArray[np.bool_],
     colour: int, bundle: Array, book: Array,
 ) -> None:  # fmt: skip
-    """Take rays to the faces in turn, of which some are `curved` and the others the array's other face."""
     for first in range(0, len(rays.weight), BLOCK):
         count = load_rays(bundle, rays, first)
-        move_bundle(bundle, frames[CAMERA_FRAME, MLA_FRAME])
-        for step in range(len(curved)):
-            for i in range(count):
-                if bundle[ENDED_ON + i] != 0.0:
-                    continue
-                if curved[step]:
-                    goes_on = _at_curved_face(bundle, i, mla, mirrors[step], colour, book)
-                else:
-                    goes_on = _at_other_face(mla.back, bundle, i, mla, mirrors[step], colour, frames, book)
-                if not goes_on and bundle[ENDED_ON + i] == 0.0:
-                    bundle[ENDED_ON + i] = DROPPED
-        move_bundle(bundle, frames[MLA_FRAME, CAMERA_FRAME])
+        along_array(bundle, count, mla, faces, reflected, colour, frames, faces[0] == 0, book)
         normalise(bundle)
         store(bundle, rays, first, count)
+
+
+@kernel
+def along_array(
+    bundle: Array, count: int, mla: MlaTables, faces: NDArray[np.int64], reflected: NDArray[np.bool_], colour: int,
+    frames: Array, to_sensor: bool, book: Array,
+) -> None:  # fmt: skip
+    """Take a bundle (camera frame) along a sequence of faces of the array.
+
+    Parameters
+    ----------
+    bundle : (ROWS · BLOCK,) float64
+    count : int
+        Number of rays in it.
+    mla : MlaTables
+    faces : (n,) int64
+        The faces, in the order in which they are met.
+    reflected : (n,) bool
+        Whether the rays are reflected at each of them.
+    colour : int
+        Number of the wavelength.
+    frames : (6, 6, 3, 4) float64
+    to_sensor : bool
+        Direction of travel at the start.
+    book : (slots,) float64
+        For light that the array absorbs.
+    """
+    move_bundle(bundle, frames[CAMERA_FRAME, MLA_FRAME])
+    inward, curved_face = to_sensor == mla.curved_to_lens, 0 if mla.curved_to_lens else 1
+    turns = False
+    for step in range(len(faces)):
+        turns = turns or reflected[step]
+    begin_array(bundle, count, mla, colour, inward, frames, not turns)
+    for i in range(count):
+        if bundle[ENDED_ON + i] != 0.0 or bundle[PASSED + i] > 0.0:
+            continue
+        goes_on = (bundle[DZ + i] > 0.0) == inward
+        for step in range(len(faces)):
+            if not goes_on:
+                break
+            if faces[step] == curved_face:
+                goes_on = _at_curved_face(bundle, i, mla, reflected[step], colour, book)
+            else:
+                goes_on = _at_other_face(mla.back, bundle, i, mla, reflected[step], colour, frames, book)
+        if not goes_on and bundle[ENDED_ON + i] == 0.0:
+            bundle[LEFT_BEHIND + i] += bundle[WEIGHT + i]
+            bundle[ENDED_ON + i] = DROPPED
+    move_bundle(bundle, frames[MLA_FRAME, CAMERA_FRAME])
 
 
 @inlined

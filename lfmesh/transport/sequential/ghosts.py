@@ -6,6 +6,9 @@ its weight is divided by that probability. The packets of one sequence are follo
 lens, array, cover and sensor, each weighted by the reflectances and transmittances that it meets; where the sequence
 turns back before the lens, from the pixel on. Before the lens they are packets like all others.
 
+What the array reflects back towards the sensor comes to the lens from other lenslets than the image path. So the
+packets of these sequences leave their pixels in new directions, at angles at which a coarse trace has found light.
+
 Which paths these are is defined in `packets.path_class`; the sequences are all of them.
 """
 
@@ -15,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.by_address import by_address
+from lfmesh.geometry.frame import direction_through, point_through
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.crossing import draw_two, move_packet
 from lfmesh.transport.packets.book import UNFOLLOWED
@@ -25,12 +29,13 @@ from lfmesh.transport.packets.packet import (
     NO_SURFACE,
     OBJECT_FRAME,
     OBJECTS,
+    SENSOR_FRAME,
     Flow,
     Options,
     put,
 )
 from lfmesh.transport.packets.path_class import REFLECTED_TWICE
-from lfmesh.transport.sequential.image_path import through_mla
+from lfmesh.transport.sequential.array_faces import along_array
 from lfmesh.transport.sequential.lens_bundle import (
     BLOCK,
     DX,
@@ -51,15 +56,20 @@ from lfmesh.transport.sequential.lens_bundle import (
 from lfmesh.transport.sequential.plane_faces import along_planes
 from lfmesh.transport.sequential.reflections import BUNDLE_ROWS, along, drop_backward
 from lfmesh.transport.sequential.sequences import ARRAY_LEG, LENS_LEG
+from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.tables.tables import LensTables, MlaTables, SensorTables
 
 Array = NDArray[np.float64]
 
-SEQUENCE = 15
-"""Dimension of the random number that draws a sequence, among those of an event."""
+SEQUENCE, DIRECTION = 15, 17
+"""Dimensions of the random numbers that draw a sequence, and a new direction, among those of an event. What follows on
+the way out of the camera draws nothing."""
 
 RADII, HEIGHTS, ANGLES = 8, 8, 8
 """Intervals by which rays are told apart that come to the lens, see `GhostTables`."""
+
+SINES = 32
+"""Equal intervals of the sine of the angle between the sensor's normal and a new direction."""
 
 _MET = 7
 """Row of `GhostRoom.rays` for the interfaces that a ray has met; the others are position, direction and weight."""
@@ -84,8 +94,12 @@ class GhostTables(NamedTuple):
     first: NDArray[np.int64]  # (sequences + 1,) first leg of each that packets follow
     from_pixel: NDArray[np.bool_]  # (sequences,) whether that is from the pixel on; else it is from behind the lens on
     lengths: NDArray[np.int64]  # (sequences,) faces that it meets
-    # (RADII · HEIGHTS · ANGLES + 1, sequences) cumulative chance of each for rays of each kind; the last row: for those
-    # that do not come to the lens
+    anew: NDArray[np.bool_]  # (sequences,) whether its packets leave the pixel in a new direction
+    share_anew: float  # chance that one of these is drawn
+    until_anew: Array  # (sequences,) cumulative chance of each among these
+    sines: Array  # (sequences, SINES) cumulative chance of the intervals of the new direction's sine
+    # (RADII · HEIGHTS · ANGLES + 1, sequences) cumulative chance of each other one for rays of each kind; the last row:
+    # for those that do not come to the lens
     until: Array
     # (HEIGHTS, RADII · ANGLES) cumulative chance with which a ray from each height goes to each cell at the lens
     cells: Array
@@ -157,6 +171,12 @@ def _to_lens(
         if packet.frame == CAMERA_FRAME or packet.frame == OBJECT_FRAME or packet.space != surfaces:
             flow.book[UNFOLLOWED] += packet.weight
             continue
+        if ghosts.share_anew > 0.0 and draw_two(options, packet, SEQUENCE)[0] < ghosts.share_anew:
+            _start_anew(packet, i, camera[2], ghosts, frames, options, room)
+            continue
+        if packet.weight == 0.0:
+            # It has left its pixel for new directions alone.
+            continue
         move_packet(frames, packet, CAMERA_FRAME)
         if not packet.dz < 0.0:
             flow.book[UNFOLLOWED] += packet.weight
@@ -192,7 +212,8 @@ def _draw_sequences(
         if not ghosts.until[kind, -1] > 0.0:
             continue
         u, _ = draw_two(options, packet, SEQUENCE)
-        sequence, chance = _drawn(ghosts.until[kind], u)
+        sequence, chance = _drawn(ghosts.until[kind], (u - ghosts.share_anew) / (1.0 - ghosts.share_anew))
+        chance *= 1.0 - ghosts.share_anew
         if ghosts.from_pixel[sequence]:
             x, y, z = packet.x, packet.y, packet.z
             dx, dy, dz = packet.dx, packet.dy, packet.dz
@@ -202,6 +223,25 @@ def _draw_sequences(
         room.sequence[n], room.chance[n] = sequence, chance
         rays[0, n], rays[1, n], rays[2, n] = x, y, z
         rays[3, n], rays[4, n], rays[5, n] = dx, dy, dz
+
+
+@kernel
+def _start_anew(
+    packet: Any, n: int, sensor: SensorTables, ghosts: GhostTables, frames: Array, options: Options, room: GhostRoom
+) -> None:  # fmt: skip
+    """Draw one of the sequences whose packets leave the pixel in a new direction, and the direction."""
+    move_packet(frames, packet, CAMERA_FRAME)
+    u, _ = draw_two(options, packet, SEQUENCE)
+    sequence, chance = _drawn(ghosts.until_anew, u / ghosts.share_anew)
+    chance *= ghosts.share_anew
+    u, v = draw_two(options, packet, DIRECTION)
+    dx, dy, dz, importance = _new_direction(ghosts.sines[sequence], frames, u, v)
+    of_pixel = sensor.pixel * sensor.pixel * MM2 / options.samples * (1.0 - sensor.reflectance)
+    rays = room.rays
+    room.sequence[n], room.chance[n] = sequence, chance
+    rays[0, n], rays[1, n], rays[2, n] = packet.x, packet.y, packet.z
+    rays[3, n], rays[4, n], rays[5, n] = dx, dy, dz
+    rays[6, n], rays[_MET, n] = of_pixel * importance / chance, 0.0
 
 
 @kernel
@@ -234,7 +274,7 @@ def follow_legs(
             along(bundle, lens, faces, reflected, to_sensor != 0, colour, book)
         elif part == ARRAY_LEG:
             drop_backward(bundle, to_sensor != 0)
-            through_mla(bundle, count, mla, colour, frames, to_sensor != 0, book)
+            along_array(bundle, count, mla, faces, reflected, colour, frames, to_sensor != 0, book)
         else:
             along_planes(bundle, cover, sensor, faces, reflected, frames, colour)
 
@@ -244,13 +284,14 @@ def weights_along(
     sequence: int, p: Array, d: Array, camera: Any, ghosts: GhostTables, frames: Array, colour: int, bundle: Array,
     book: Array, weights: Array,
 ) -> None:  # fmt: skip
-    """Find with what weight rays that come to the lens on the image path pass along a sequence of theirs.
+    """Find with what weight rays pass along a sequence.
 
     Parameters
     ----------
     sequence : int
     p, d : (n, 3) float64
-        Position, mm, behind the lens, and unit direction towards it; camera frame.
+        Position, mm, and unit direction, camera frame: behind the lens and towards it, where they come on the image
+        path; from the sensor, where the sequence's packets leave it in new directions.
     camera, ghosts, frames, colour
         As for `follow_legs`.
     bundle : (BUNDLE_ROWS · BLOCK,) float64
@@ -259,7 +300,7 @@ def weights_along(
     weights : (n,) float64
         Filled; 0: the ray does not pass.
     """
-    from_pixel = ghosts.from_pixel[sequence]
+    from_pixel = ghosts.from_pixel[sequence] and not ghosts.anew[sequence]
     for first in range(0, len(p), BLOCK):
         count = min(BLOCK, len(p) - first)
         for i in range(count):
@@ -273,14 +314,25 @@ def weights_along(
         pad(bundle, count)
         if from_pixel:
             follow_legs(bundle, count, ghosts.to_lens, ghosts.first[0], camera, ghosts, frames, colour, book)
-            for i in range(BLOCK):
-                bundle[DX + i], bundle[DY + i], bundle[DZ + i] = -bundle[DX + i], -bundle[DY + i], -bundle[DZ + i]
-                bundle[WEIGHT + i] = 1.0
+            _turn_back_at_sensor(bundle, frames)
         follow_legs(
             bundle, count, ghosts.first[sequence], ghosts.first[sequence + 1], camera, ghosts, frames, colour, book
         )
         for i in range(count):
             weights[first + i] = bundle[WEIGHT + i] if bundle[ENDED_ON + i] == 0.0 else 0.0
+
+
+@kernel
+def _turn_back_at_sensor(bundle: Array, frames: Array) -> None:
+    """Take a bundle (camera frame) on to the plane of the sensor, and back the way that it came, with weight 1."""
+    to_sensor = frames[CAMERA_FRAME, SENSOR_FRAME]
+    for i in range(BLOCK):
+        x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        t = -point_through(to_sensor, x, y, z)[2] / direction_through(to_sensor, dx, dy, dz)[2]
+        bundle[X + i], bundle[Y + i], bundle[Z + i] = x + t * dx, y + t * dy, z + t * dz
+        bundle[DX + i], bundle[DY + i], bundle[DZ + i] = -dx, -dy, -dz
+        bundle[WEIGHT + i] = 1.0
 
 
 @inlined
@@ -322,6 +374,30 @@ def interval_of_height(ghosts: GhostTables, squared: float) -> int:
     """Return the interval of a squared distance from the axis, mm², in the plane that rays come from."""
     # Of rays that graze the plane the distance may be larger than any integer.
     return int(min(HEIGHTS * squared / (ghosts.height * ghosts.height), HEIGHTS - 1.0))
+
+
+@inlined
+def _new_direction(until: Array, frames: Array, u: float, v: float) -> tuple[float, float, float, float]:
+    """Return a direction (camera frame) from the sensor, and its cosine over its density, sr.
+
+    Parameters
+    ----------
+    until : (SINES,) float64
+        Cumulative chance of the intervals of its sine.
+    frames : (6, 6, 3, 4) float64
+    u, v : float
+        Random numbers.
+    """
+    interval, chance = _drawn(until, u)
+    before = until[interval] - chance
+    # Evenly over the projected solid angle of the interval.
+    low, high = (interval / SINES) ** 2, ((interval + 1) / SINES) ** 2
+    squared = low + (high - low) * min(max((u - before) / chance, 0.0), 1.0)
+    sine, turn = np.sqrt(squared), 2.0 * np.pi * v
+    dx, dy, dz = direction_through(
+        frames[SENSOR_FRAME, CAMERA_FRAME], sine * np.cos(turn), sine * np.sin(turn), -np.sqrt(1.0 - squared)
+    )
+    return dx, dy, dz, np.pi * (high - low) / chance
 
 
 @inlined

@@ -254,9 +254,6 @@ def through_mla(
 ) -> None:
     """Take a bundle (camera frame) through the array, curved or flat face first.
 
-    Rays that meet a single lenslet of a face are traced together; the others, and all in an array that is coated or
-    absorbs, or whose lenslets are no spheres, one by one, from cell to cell.
-
     Parameters
     ----------
     bundle : (ROWS · BLOCK,) float64
@@ -272,12 +269,7 @@ def through_mla(
         For light that the array absorbs.
     """
     move_bundle(bundle, frames[CAMERA_FRAME, MLA_FRAME])
-    inward = to_sensor == mla.curved_to_lens
-    if mla.interfaces.coated or _absorbs(mla.media.absorption) or not _of_spheres(mla.lenslets, mla.back):
-        for i in range(count):
-            bundle[PASSED + i] = 0.0
-    else:
-        through_single_lenslets(bundle, mla, colour, inward, frames)
+    begin_array(bundle, count, mla, colour, to_sensor == mla.curved_to_lens, frames, True)
     for i in range(count):
         if bundle[ENDED_ON + i] != 0.0 or bundle[PASSED + i] > 0.0:
             continue
@@ -291,6 +283,36 @@ def through_mla(
             bundle[LEFT_BEHIND + i] += bundle[WEIGHT + i]
             bundle[ENDED_ON + i] = DROPPED
     move_bundle(bundle, frames[MLA_FRAME, CAMERA_FRAME])
+
+
+@kernel
+def begin_array(
+    bundle: Array, count: int, mla: MlaTables, colour: int, inward: bool, frames: Array, together: bool
+) -> None:
+    """Take rays of a bundle that meet a single lenslet of a face through the array together; `PASSED` marks these rays.
+
+    The others are left for their callers, which take them one by one, from cell to cell. So are all in an array that is
+    coated or absorbs, or whose lenslets are no spheres.
+
+    Parameters
+    ----------
+    bundle, count, mla, colour, frames
+        As for `through_mla`, in the array frame.
+    inward : bool
+        The rays meet the curved face first.
+    together : bool
+        False leaves all rays.
+    """
+    if (
+        not together
+        or mla.interfaces.coated
+        or _absorbs(mla.media.absorption)
+        or not _of_spheres(mla.lenslets, mla.back)
+    ):
+        for i in range(count):
+            bundle[PASSED + i] = 0.0
+    else:
+        through_single_lenslets(bundle, mla, colour, inward, frames)
 
 
 @inlined

@@ -119,7 +119,8 @@ class PixelSource(Source):
 
     def launch(self, work: Workspace, part: range) -> None:
         """Start the samples of some of the pixels."""
-        work.options = work.options._replace(channel=self.colour if self.channel is None else self.channel)
+        channel = self.colour if self.channel is None else self.channel
+        work.options = work.options._replace(channel=channel, samples=self.samples)
         if self.stratified:
             work.options = work.options._replace(stream=self.key, each=self.samples)
         tables, options, pixels = work.tables, work.options, self.pixels[part.start : part.stop]
@@ -141,7 +142,8 @@ class PixelSource(Source):
         else:
             launch_adjoint(
                 pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
-                clear(tables.mla), tables.aim, seen, len(tables.lens.surfaces), work.bundle, work.flow(), room,
+                clear(tables.mla), tables.aim, seen, len(tables.lens.surfaces), options.paths == GHOSTS, work.bundle,
+                work.flow(), room,
             )  # fmt: skip
         if tables.cover is not None:
             # Without a cover a pixel's light meets the array first, or the lens.
@@ -152,7 +154,7 @@ class PixelSource(Source):
 def launch_adjoint(
     pixels: NDArray[np.int64], begin: NDArray[np.int64], taken: int, samples: int, stratified: bool,
     replicate_key: np.uint64, colour: int, sensor: SensorTables, mla: MlaTables, aim: AimTables, frames: Array,
-    lens_surfaces: int, bundle: Array, flow: Flow, room: StartRoom,
+    lens_surfaces: int, unaimed_too: bool, bundle: Array, flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
     """Start `taken` of the `samples` packets of each pixel.
 
@@ -171,6 +173,8 @@ def launch_adjoint(
         Number of the wavelength.
     lens_surfaces : int
         Number of refracting surfaces of the lens.
+    unaimed_too : bool
+        Also start samples, with weight 0, for which there is no direction towards the lens.
     bundle : (ROWS · BLOCK,) float64
         Working memory.
     """
@@ -185,7 +189,7 @@ def launch_adjoint(
             frames, flow.book,
         )  # fmt: skip
         for i in range(count):
-            if bundle[ENDED_ON + i] == 0.0:
+            if unaimed_too or bundle[ENDED_ON + i] == 0.0:
                 weight = behind_polariser(
                     flow.polarised, room.packets[i], bundle[WEIGHT + i], bundle[DX + i], bundle[DY + i], bundle[DZ + i],
                     frames, flow.book,
@@ -288,7 +292,7 @@ def _aim_rays(
         packet.source = pixel | (which * samples + sample) << SAMPLE_SHIFT
         # Blind rays weigh a hundred times as much as those through a lenslet that shows the opening. Their children are
         # followed until they weigh as little, so that a pixel's error is not that of the few that survive roulette.
-        packet.key, packet.start, packet.events = room.keys[i], min(weight, usual), 0
+        packet.key, packet.start, packet.events = room.keys[i], min(weight, usual) if weight > 0.0 else usual, 0
         place += 1
         if place == taken:
             which, place = which + 1, 0

@@ -13,11 +13,15 @@ import pytest
 from scipy import stats
 
 import lfmesh as lf
+from lfmesh.transport.engine import Workspace
+from lfmesh.transport.packets.packet import PIXEL_MASK, PLATE
 from lfmesh.transport.packets.path_class import EVERY, GHOSTS, OFF_IMAGE_PATH, OTHER_STRAYS
 from lfmesh.transport.render import ghost_check
 from lfmesh.transport.render.parts import Part, parts_of
 from lfmesh.transport.render.render import Renderer
+from lfmesh.transport.render.tally import Film
 from lfmesh.transport.sequential.ghosts import kind_of_ray
+from lfmesh.transport.sources.pixels import PixelSource
 
 LEVEL = 1e-3
 COMPARISONS = 34
@@ -68,6 +72,14 @@ CAMERAS: dict[str, dict[str, Any]] = {
         "lens": lens(11), "mla": MLA | {"curved_side": "sensor", "layout": "hexagonal"}, "reflectance": 0.3,
         "cover": {"thickness_mm": 0.1, "gap_mm": 0.05, "index": 1.7},
     },
+    "a coated array that absorbs, with crossed cylinders on its faces, tilted": {
+        "lens": lens(13), "absorption": True,
+        "mla": MLA | {
+            "focal_length_mm": None, "radius_mm": 0.5, "cylinder_axis": "y", "conic": -0.5, "index": None,
+            "glass": "N-SF66", "curved_coating": "ar", "back": {"radius_mm": 0.8, "cylinder_axis": "x"},
+            "pose": {"tilt_deg": [1.5, -1.0, 4.0]},
+        },
+    },
     "paths that end early": {"lens": lens(12), "reflectance": 0.2, "max_events": 12},
 }  # fmt: skip
 
@@ -80,8 +92,9 @@ def scene(camera: dict[str, Any], **transport: Any) -> lf.Scene:
     events = {key: camera[key] for key in ("max_events",) if key in camera}
     glow = {"reflectance": 0.5, "radiance_w_m2_sr": 1000.0}
     square = {"kind": "plane", "width_mm": 60.0, "height_mm": 60.0}
+    parts = {key: camera[key] for key in ("lens", "mla", "absorption") if key in camera}
     return lf.Scene(
-        camera={"focus_mm": 300.0, "sensor": sensor} | {key: camera[key] for key in ("lens", "mla") if key in camera},
+        camera={"focus_mm": 300.0, "sensor": sensor} | parts,
         coatings={"ar": {"reflectance": 0.01}},
         targets=[
             {"shape": square, "position_mm": [20.0, 0.0, -300.0], "material": glow},
@@ -219,29 +232,44 @@ def test_the_image_is_bitwise_the_same_for_any_number_of_threads() -> None:
 
 @pytest.mark.parametrize("name", ["two", "a cover alone", "array, cover, and a sensor that reflects"])
 def test_every_sequence_has_a_chance_with_every_ray(name: str) -> None:
-    """The chances of all paths with two reflections, but for those at the array, are positive and sum to one."""
+    """The chances of all paths with two reflections are positive and sum to one."""
     world = lf.build(scene(CAMERAS[name]))
     ghosts, tables = world.ghosts, world.tables
     assert ghosts is not None
     lens, array = len(tables.lens.surfaces), 2 if "mla" in CAMERAS[name] else 0
     planes = (2 if "cover" in CAMERAS[name] else 0) + (1 if "reflectance" in CAMERAS[name] else 0)
-    pairs = [
-        (first, second)
-        for first in range(lens + array + planes)
-        for second in range(first)
-        if not {first, second} & set(range(lens, lens + array))
-    ]
+    pairs = [(first, second) for first in range(lens + array + planes) for second in range(first)]
     assert len(ghosts.lengths) == len(pairs)
     # From the sensor, which every path leaves and none meets at its end.
     total = lens + array + planes - ("reflectance" in CAMERAS[name])
     assert sorted(ghosts.lengths.tolist()) == sorted(total + 2 * (first - second) for first, second in pairs)
-    chances = np.diff(ghosts.until, prepend=0.0, axis=1)
-    assert (chances[:-1] > 0.5 * 0.1 / len(pairs)).all()
-    assert (chances[-1] > 0.0).tolist() == ghosts.from_pixel.tolist()
-    assert ghosts.from_pixel.sum() == (0 if planes < 2 else planes * (planes - 1) // 2)
+    chances, anew = np.diff(ghosts.until, prepend=0.0, axis=1), ghosts.anew
+    assert (chances[:-1, ~anew] > 0.5 * 0.1 / len(pairs)).all()
+    assert not chances[:, anew].any()
+    assert (chances[-1] > 0.0).tolist() == (ghosts.from_pixel & ~anew).tolist()
+    # Those without a mirror in the lens; of these, those with one at the array start in a new direction.
+    assert ghosts.from_pixel.sum() == (array + planes) * (array + planes - 1) // 2
+    assert anew.sum() == ghosts.from_pixel.sum() - planes * (planes - 1) // 2
     np.testing.assert_allclose(ghosts.until[:-1, -1], 1.0, rtol=1e-15)
+    assert (ghosts.share_anew > 0.0) == anew.any()
+    assert (np.diff(ghosts.until_anew, prepend=0.0) > 0.0).tolist() == anew.tolist()
+    assert (np.diff(ghosts.sines[anew], prepend=0.0, axis=1) > 0.0).all()
+    np.testing.assert_allclose([*ghosts.sines[anew, -1], *ghosts.until_anew[anew][-1:]], 1.0, rtol=1e-15)
     assert (np.diff(ghosts.cells, prepend=0.0, axis=1) > 0.0).all()
     np.testing.assert_allclose(ghosts.cells[:, -1], 1.0, rtol=1e-15)
+
+
+def test_every_sample_may_leave_its_pixel_in_a_new_direction() -> None:
+    """Those too for which no lenslet shows the opening: here those of nearly all pixels, beside a small array."""
+    world = lf.build(scene(CAMERAS["two"] | {"mla": MLA | {"count": [2, 2]}}))
+    part = next(part for part in parts_of(world) if part.options.paths == GHOSTS)
+    work, samples = Workspace(world, part.options, 1 << 12, part.tables), 64
+    work.begin(Film.empty(36, 1), 36 * samples)
+    PixelSource(np.arange(36), samples, np.uint64(1)).launch(work, range(36))
+    waiting = work.stacks[work.rows[PLATE], : work.tops[PLATE]]
+    assert sorted(waiting["source"] & PIXEL_MASK) == sorted([*range(36)] * samples)
+    assert 0.0 < np.mean(waiting["weight"] == 0.0) < 1.0
+    assert (waiting["start"] > 0.0).all()
 
 
 @pytest.mark.parametrize("dz", [-1e-12, -1e-160, -5e-324])

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from lfmesh.accuracy.hard import (
     aim,
     arrays,
+    bright_sensors,
     covers,
     emitters,
     gloss,
@@ -67,7 +68,8 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     covers.cover_of_1_nm,
     covers.cover_of_10_m,
     covers.grazing_a_cover,
-    covers.sensor_that_detects_a_thousandth,
+    bright_sensors.sensor_that_detects_a_thousandth,
+    bright_sensors.array_before_a_bright_sensor,
     meshes.target_100_m,
     meshes.target_1_mm,
     meshes.duplicate_faces,

@@ -13,8 +13,6 @@ from lfmesh.accuracy.hard.outcome import (
     tilted,
 )
 from lfmesh.accuracy.hard.truth import Array, transmittance
-from lfmesh.scene import Material, Plane, Scene, Target
-from lfmesh.transport.render.render import render
 from lfmesh.transport.trace import trace
 from lfmesh.transport.world import build
 
@@ -80,47 +78,3 @@ def grazing_a_cover() -> Outcome:
     # cosine inside makes one of ε n² / θ; the landing is gap / θ away from where the ray leaves the plate.
     index, gap, rounding = 1.5, 1.0, np.finfo(np.float64).eps * 1.5**2
     return _through(2.0, gap, index, d, tolerance=gap * rounding / LEAST_RAD**3, relative=rounding / LEAST_RAD**2)
-
-
-CLOSE_MM = 1e-3
-"""Thickness of a cover and of its gap through which the pupil looks as large by every path."""
-
-REFLECTS, STOP_MM = 0.999, 0.5
-
-
-def _wall(index: float) -> Scene:
-    """Return an evenly bright wall before a lens that reflects nothing, and a mirror with pixels behind a cover."""
-    wall = Target(
-        shape=Plane(width_mm=2e3, height_mm=2e3), position_mm=(0.0, 0.0, -500.0),
-        material=Material(reflectance=0.0, radiance_w_m2_sr=1.0),
-    )  # fmt: skip
-    bare = [
-        surface.model_dump(exclude_unset=True) | {"coating": "clear", "semi_diameter_mm": STOP_MM}
-        for surface in SINGLET
-    ]
-    changes = {
-        "coatings": {"clear": {"reflectance": 0.0}},
-        "camera.lens.surfaces": bare,
-        "camera.sensor.cover": {"thickness_mm": CLOSE_MM, "gap_mm": CLOSE_MM, "index": index},
-        "camera.sensor.reflectance": REFLECTS,
-        "transport": {"samples": 256, "replicates": 16, "wavelengths_nm": [587.6]},
-    }
-    return lens_scene(SINGLET, sensor_mm=4.0, distance=45.0, targets=(wall,)).changed(changes)
-
-
-@case
-def sensor_that_detects_a_thousandth() -> Outcome:
-    """See a wall by a sensor that reflects 0.999 behind a cover of germanium's index, through a small stop."""
-    index = 4.0
-    scene = _wall(index)
-    image, path = render(scene), render(scene.changed({"transport.split": "transmit"}))
-    found = float(image.mean.sum() / path.mean.sum())
-    error = found * float(np.sqrt((image.stderr**2).sum()) / image.mean.sum())
-    # Incoherent plate: what all paths bring over the image path, that is refracted twice and detected at once.
-    once = ((index - 1.0) / (index + 1.0)) ** 2
-    through, back = (1.0 - once) / (1.0 + once), 2.0 * once / (1.0 + once)
-    expected = through / (1.0 - REFLECTS * back) / (1.0 - once) ** 2
-    return Outcome(
-        "", f"{expected:.4f} times the image path", f"{found:.4f} ± {error:.4f}",
-        abs(found - expected) < 4.0 * error and error < 0.02 * expected, 0.0, float(path.mean.sum()), 0,
-    )  # fmt: skip

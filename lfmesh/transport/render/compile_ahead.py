@@ -2,8 +2,8 @@
 
 On a fresh install nothing is compiled yet, and numba compiles one function at a time. So a second process compiles the
 kernels of the regions, which trace packets that wait at a station, while this one builds the world and compiles those
-that aim and launch packets. Both write to numba's cache on disk, where the render finds what the other has compiled.
-Where the second process fails, the render compiles everything itself.
+that aim and launch packets: each about half of all. Both write to numba's cache on disk, where the render finds what
+the other has compiled. Where the second process fails, the render compiles everything itself.
 """
 
 import os
@@ -19,6 +19,7 @@ from lfmesh.scene import Scene
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import CELLS, LENS, LENS_MESH, OBJECTS, PLATE, SENSOR
+from lfmesh.transport.packets.path_class import GHOSTS
 from lfmesh.transport.regions.lens import shade_lens
 from lfmesh.transport.regions.mla import shade_cells
 from lfmesh.transport.regions.objects import shade_objects
@@ -30,9 +31,10 @@ from lfmesh.transport.sources.particles import ParticleSource
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.world import World, build
 
-ON_IMAGE_PATH = (OBJECTS, LENS)
-EVERYWHERE = (OBJECTS, LENS, LENS_MESH, CELLS, PLATE, SENSOR)
-"""Stations whose kernels a render needs without and with paths off the image path."""
+ON_IMAGE_PATH = ((OBJECTS, False), (LENS, True))
+EVERYWHERE = (*ON_IMAGE_PATH, *((station, False) for station in (LENS, LENS_MESH, CELLS, PLATE, SENSOR)))
+"""Stations whose kernels a render needs without and with paths off the image path, and whether they take packets along
+the image path alone."""
 
 _CHILD = """
 import gc, os, sys
@@ -40,7 +42,7 @@ import gc, os, sys
 gc.disable()
 sys.path[:] = {path!r}
 from {module} import compile_stations
-compile_stations({stations!r}, sequential={alone!r})
+compile_stations({stations!r})
 os._exit(0)
 """
 
@@ -70,12 +72,12 @@ class Ahead:
 
     def __init__(self, scene: Scene) -> None:
         self._process: subprocess.Popen[bytes] | None = None
-        self._alone = alone = engine_of(scene)[0] == "sequential"
+        alone = engine_of(scene)[0] == "sequential"
         kernels = (shade_objects,) if alone else (shade_objects, shade_lens, shade_cells)
         # The kernels of polarised light are others, and few scenes have it.
         if processors() > 1 and not scene.transport.polarisation and not any(map(is_cached, kernels)):
             stations = ON_IMAGE_PATH if alone else EVERYWHERE
-            code = _CHILD.format(path=sys.path, module=__name__, stations=stations, alone=alone)
+            code = _CHILD.format(path=sys.path, module=__name__, stations=stations)
             try:
                 self._process = subprocess.Popen(
                     [sys.executable, "-c", code],
@@ -87,8 +89,7 @@ class Ahead:
     def join(self, world: World) -> None:
         """Compile the kernels that launch packets of a world, and wait until the other process has compiled its own."""
         if self._process is not None:
-            # Each of the two compiles for half of the time: the image path is for the one that has less to do.
-            compile_launches(world, image_path=not self._alone)
+            compile_launches(world)
             self._process.wait()
 
     def stop(self) -> None:
@@ -104,15 +105,8 @@ def processors() -> int:
     return len(available(0)) if available is not None else os.cpu_count() or 1
 
 
-def compile_launches(world: World, *, image_path: bool = True) -> None:
-    """Compile what launches the packets of a render by launching none, and what takes later ones along the image path.
-
-    Parameters
-    ----------
-    world : World
-    image_path : bool, optional
-        False leaves the second out.
-    """
+def compile_launches(world: World) -> None:
+    """Compile what launches the packets of a render, and what follows ghosts, by launching none."""
     for part in parts_of(world):
         work = Workspace(world, part.options, 1, part.tables)
         work.begin(Film.empty(0, 1), 0)
@@ -122,24 +116,23 @@ def compile_launches(world: World, *, image_path: bool = True) -> None:
             ParticleSource(part.particles, 0, 0, 1, np.uint64(0), 0).launch(work, range(0))
         else:
             LightSource(0, 0, 1, np.uint64(0), 0).launch(work, range(0))
-        if part.options.sequential and image_path:
+        if part.options.paths == GHOSTS:
             work.advance(LENS)
 
 
-def compile_stations(stations: tuple[int, ...], *, sequential: bool = False) -> None:
+def compile_stations(stations: tuple[tuple[int, bool], ...]) -> None:
     """Compile the kernels of stations by a wave without packets at each; the camera has nothing that is aimed at.
 
     Parameters
     ----------
-    stations : tuple of int
-    sequential : bool, optional
-        At the lens that of the image path.
+    stations : tuple of (int, bool)
+        As `EVERYWHERE`.
     """
     world = build(Scene.model_validate(BARE), aimed=False)
     options = options_of(world)
     work = Workspace(world, options, 1)
     work.begin(Film.empty(0, 1), 0)
-    for station in stations:
+    for station, sequential in stations:
         work.options = options._replace(in_order=station == LENS, sequential=sequential)
         work.advance(station)
 

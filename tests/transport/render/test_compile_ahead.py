@@ -21,18 +21,17 @@ from lfmesh.assets import asset_path
 from lfmesh.transport.regions import lens, mla, objects, sensor
 from lfmesh.transport.render.compile_ahead import EVERYWHERE, ON_IMAGE_PATH, compile_launches, compile_stations
 from lfmesh.transport.sources import pixels
-from lfmesh.transport.sequential import image_path
+from lfmesh.transport.sequential import ghosts, image_path
 from lfmesh.transport.world import build
 
 regions = [mla.admit_to_cells, mla.shade_cells, mla.through_plate, lens.admit_to_lens, lens.shade_lens,
     objects.admit_to_objects, objects.shade_objects, sensor.onto_sensor]
-launches = [pixels.launch_adjoint, pixels.launch_along_image_path, image_path.follow_image_path]
+launches = [pixels.launch_adjoint, ghosts.follow_ghosts, pixels.launch_along_image_path, image_path.follow_image_path]
 small = {{"camera.sensor.pixels": [8, 8], "transport.samples": 4, "transport.replicates": 2, "transport.threads": 1,
     "transport.split": "{split}"}}
 scene = lf.load(asset_path("scenes/{scene}.toml")).changed(small)
-alone = "{split}" == "transmit"
-compile_stations(ON_IMAGE_PATH if alone else EVERYWHERE, sequential=alone)
-compile_launches(build(scene), image_path=not alone)
+compile_stations(ON_IMAGE_PATH if "{split}" == "transmit" else EVERYWHERE)
+compile_launches(build(scene))
 before = [len(kernel.signatures) for kernel in regions + launches]
 lf.render(scene)
 print(json.dumps([before, [len(kernel.signatures) for kernel in regions + launches]]))
@@ -100,13 +99,13 @@ def test_the_process_ends_with_a_build_that_fails(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize(
-    ("split", "stations", "alone"), [("both", compile_ahead.EVERYWHERE, False), ("transmit", (2, 0), True)]
+    ("split", "stations"), [("both", compile_ahead.EVERYWHERE), ("transmit", ((2, False), (0, True)))]
 )
 def test_only_the_stations_of_the_scene_are_compiled(
-    split: str, stations: tuple[int, ...], alone: bool, monkeypatch: pytest.MonkeyPatch
+    split: str, stations: tuple[tuple[int, bool], ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     started = []
     monkeypatch.setattr(compile_ahead, "is_cached", lambda kernel: False)
     monkeypatch.setattr(compile_ahead.subprocess, "Popen", lambda command, **_: started.append(command))
     Ahead(scene_of(split=split))
-    assert f"compile_stations({stations!r}, sequential={alone})" in started[0][-1]
+    assert f"compile_stations({stations!r})" in started[0][-1]

@@ -39,9 +39,13 @@ SHARE_OF_HALF_SPHERE, LEAST_ANEW, MOST_ANEW = 0.2, 0.02, 0.5
 """Of the packets that leave their pixels in new directions, the share that goes evenly over half of the sphere; and the
 least and the largest share that they have of all packets."""
 
-SHARE_OF_ALL, SHARE_OF_EACH = 0.2, 0.1
-"""Share of the chances that goes by the light that sequences bring over all kinds of rays, and the share that all have
-alike: for what the few rays of a kind have missed."""
+SHARE_OF_EACH = 0.1
+"""Share of the chances that all sequences have alike: for what the few rays of a kind have missed."""
+
+SHARE_OF_RING, SHARE_OF_ALL = {True: 0.5, False: 0.0}, {True: 0.1, False: 0.2}
+"""By whether there is an array: share of the chances that goes by the light that sequences bring over all kinds of rays
+at the same distance from the axis at the lens, and over all kinds. Lenslets reflect light so widely that few rays of a
+kind come back to the lens; without an array a sequence may show a small pupil of its own, to few of the kinds."""
 
 
 def ghost_tables(tables: Tables, max_events: int) -> GhostTables | None:
@@ -76,7 +80,9 @@ def ghost_tables(tables: Tables, max_events: int) -> GhostTables | None:
     ghosts = _drawn_anew(ghosts, anew, _seen_by_sensor(tables, ghosts) * float(of_all.sum()) / HEIGHTS)
     others = ~ghosts.anew
     return ghosts._replace(
-        until=_cumulative(light, _shares(of_all, others), others, ghosts.from_pixel & others),
+        until=_cumulative(
+            light, _shares(of_all, others), others, ghosts.from_pixel & others, array=bool(tables.mla.present)
+        ),
         cells=_cells(weighted.sum(axis=3), area),
     )
 
@@ -256,7 +262,9 @@ def _evenly(those: NDArray[np.bool_]) -> Array:
     return np.where(those, 1.0 / max(int(those.sum()), 1), 0.0)
 
 
-def _cumulative(light: Array, of_all: Array, those: NDArray[np.bool_], from_pixel: NDArray[np.bool_]) -> Array:
+def _cumulative(
+    light: Array, of_all: Array, those: NDArray[np.bool_], from_pixel: NDArray[np.bool_], *, array: bool
+) -> Array:
     """Return the cumulative chances of some sequences for each kind of ray from the light that they bring.
 
     In the last row, for rays that do not come to the lens, those that begin at the pixel share all chances.
@@ -270,13 +278,21 @@ def _cumulative(light: Array, of_all: Array, those: NDArray[np.bool_], from_pixe
         The sequences that have a chance.
     from_pixel : (sequences,) bool
         Those of them that begin at the pixel.
+    array : bool
+        There is an array.
     """
-    of_kind = light.sum(axis=1, keepdims=True)
-    own = np.where(of_kind > 0.0, light / np.where(of_kind > 0.0, of_kind, 1.0), of_all)
-    each = _evenly(those)
-    chances = (1.0 - SHARE_OF_ALL - SHARE_OF_EACH) * own + SHARE_OF_ALL * of_all + SHARE_OF_EACH * each
-    lost = np.where(from_pixel, of_all + SHARE_OF_EACH * each, 0.0)
-    return _until(np.vstack([chances, lost]))
+    by_ring = light.reshape(RADII, HEIGHTS * ANGLES, -1)
+    of_ring = np.repeat(np.sqrt((by_ring**2).mean(axis=1)), by_ring.shape[1], axis=0)
+    chances = (1.0 - SHARE_OF_RING[array] - SHARE_OF_ALL[array] - SHARE_OF_EACH) * _of_kinds(light, of_all)
+    chances += SHARE_OF_RING[array] * _of_kinds(of_ring, of_all) + SHARE_OF_ALL[array] * of_all
+    each = SHARE_OF_EACH * _evenly(those)
+    return _until(np.vstack([chances + each, np.where(from_pixel, of_all + each, 0.0)]))
+
+
+def _of_kinds(light: Array, of_all: Array) -> Array:
+    """Return the shares of the sequences in the light of each kind (kinds, sequences); `of_all` where it has none."""
+    total = light.sum(axis=1, keepdims=True)
+    return np.where(total > 0.0, light / np.where(total > 0.0, total, 1.0), of_all)
 
 
 def _until(chances: Array) -> Array:

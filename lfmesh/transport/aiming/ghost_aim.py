@@ -240,14 +240,13 @@ def _drawn_anew(ghosts: GhostTables, light: Array, of_others: float) -> GhostTab
     own = np.where(total > 0.0, found / np.where(total > 0.0, total, 1.0), projected)
     chances = (1.0 - SHARE_OF_HALF_SPHERE) * own + SHARE_OF_HALF_SPHERE * projected
     each = math.pi * np.sqrt(((projected * light) ** 2 / chances).sum(axis=1))
-    others = of_others > 0.0
-    share = float(np.clip(each.sum() / (each.sum() + of_others), LEAST_ANEW, MOST_ANEW)) if others else 1.0
+    share = 1.0
+    if not ghosts.anew.all():
+        # Where the coarse trace has found nothing, there may be little.
+        both = float(each.sum()) + of_others
+        share = float(np.clip(each.sum() / both if both > 0.0 else MOST_ANEW, LEAST_ANEW, MOST_ANEW))
     chance = (1.0 - SHARE_OF_EACH) * _shares(each, ghosts.anew) + SHARE_OF_EACH * _evenly(ghosts.anew)
-    return ghosts._replace(
-        share_anew=share,
-        until_anew=_until(chance),
-        sines=_until(chances),
-    )
+    return ghosts._replace(share_anew=share, until_anew=_until(chance), sines=_until(chances))
 
 
 def _shares(light: Array, those: NDArray[np.bool_]) -> Array:

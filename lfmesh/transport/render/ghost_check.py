@@ -42,6 +42,7 @@ def compare_ghosts(world: World, work: Workspace) -> OrderCheck | None:
     sequence = room.sequence[drawn]
     packets = packets[drawn]
     packets["weight"] /= room.chance[drawn]
+    # Some have left their pixels in new directions, with weights that belong to these.
     anew = ghosts.anew[sequence]
     for name, row in zip(("x", "y", "z", "dx", "dy", "dz", "weight"), room.rays, strict=False):
         packets[name][anew] = row[drawn[anew]]

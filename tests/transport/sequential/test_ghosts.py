@@ -13,6 +13,7 @@ import pytest
 from scipy import stats
 
 import lfmesh as lf
+from lfmesh.transport.aiming import ghost_aim
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import PIXEL_MASK, PLATE
 from lfmesh.transport.packets.path_class import EVERY, GHOSTS, OFF_IMAGE_PATH, OTHER_STRAYS
@@ -270,6 +271,24 @@ def test_every_sample_may_leave_its_pixel_in_a_new_direction() -> None:
     assert sorted(waiting["source"] & PIXEL_MASK) == sorted([*range(36)] * samples)
     assert 0.0 < np.mean(waiting["weight"] == 0.0) < 1.0
     assert (waiting["start"] > 0.0).all()
+
+
+@pytest.mark.parametrize("from_pixel", [False, True], ids=["from behind the lens", "from the pixel"])
+def test_sequences_of_which_the_coarse_trace_finds_nothing_keep_a_chance(
+    from_pixel: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world, found = lf.build(scene(CAMERAS["two"])), ghost_aim._found
+
+    def missed(tables: Any, ghosts: Any, those: Any, *rays: Any) -> Any:
+        light = found(tables, ghosts, those, *rays)
+        return 0.0 * light if (those == ghosts.anew).all() == from_pixel else light
+
+    monkeypatch.setattr(ghost_aim, "_found", missed)
+    ghosts = ghost_aim.ghost_tables(world.aimed_tables, 64)
+    assert ghosts is not None
+    assert 0.0 < ghosts.share_anew < 1.0
+    assert (np.diff(ghosts.until[:-1], prepend=0.0, axis=1) > 0.0).all(axis=0).tolist() == (~ghosts.anew).tolist()
+    assert (np.diff(ghosts.until_anew, prepend=0.0) > 0.0).tolist() == ghosts.anew.tolist()
 
 
 @pytest.mark.parametrize("dz", [-1e-12, -1e-160, -5e-324])

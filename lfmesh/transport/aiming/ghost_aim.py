@@ -39,6 +39,9 @@ SHARE_OF_HALF_SPHERE, LEAST_ANEW, MOST_ANEW = 0.2, 0.02, 0.5
 """Of the packets that leave their pixels in new directions, the share that goes evenly over half of the sphere; and the
 least and the largest share that they have of all packets."""
 
+LEAST_TO_ARRAY = 0.1
+"""Least share of the new directions to anywhere on the array, and of the others."""
+
 SHARE_OF_EACH = 0.1
 """Share of the chances that all sequences have alike: for what the few rays of a kind have missed."""
 
@@ -72,12 +75,12 @@ def ghost_tables(tables: Tables, max_events: int) -> GhostTables | None:
         return None
     ghosts = _without_chances(tables, of, image_path, paths)
     light, anew = _light(tables, ghosts), _light_anew(tables, ghosts)
-    if not (light.any() or anew.any()):
+    if not (light.any() or anew[0].any() or anew[1].any()):
         return None
     area = _areas(ghosts)
     weighted = light.reshape(RADII, HEIGHTS, ANGLES, -1) * area[:, None, :, None]
     of_all = weighted.sum(axis=(0, 1, 2))
-    ghosts = _drawn_anew(ghosts, anew, _seen_by_sensor(tables, ghosts) * float(of_all.sum()) / HEIGHTS)
+    ghosts = _drawn_anew(ghosts, *anew, _seen_by_sensor(tables, ghosts) * float(of_all.sum()) / HEIGHTS)
     others = ~ghosts.anew
     return ghosts._replace(
         until=_cumulative(
@@ -102,6 +105,7 @@ def _without_chances(tables: Tables, of: Faces, image_path: Itinerary, paths: li
     steps = np.cumsum([0, *(len(leg.faces) for leg in legs)])
     from_z, height = _where_from(tables)
     opening = _opening(tables.aim)
+    half = tables.mla.lenslets.lattice.half_extent if tables.mla.present else (0.0, 0.0)
     return GhostTables(
         faces=np.array([face for leg in legs for face in leg.faces], np.int64),
         reflected=np.array([mirrors for leg in legs for mirrors in leg.reflected], np.bool_),
@@ -113,6 +117,9 @@ def _without_chances(tables: Tables, of: Faces, image_path: Itinerary, paths: li
         anew=np.array(anew, np.bool_),
         share_anew=0.0,
         until_anew=np.zeros(len(paths)),
+        to_array=0.0,
+        array_half_x=half[0],
+        array_half_y=half[1],
         sines=np.zeros((len(paths), SINES)),
         until=np.zeros((0, len(paths))),
         cells=np.zeros((HEIGHTS, 0)),
@@ -156,12 +163,26 @@ def _light(tables: Tables, ghosts: GhostTables) -> Array:
     return _found(tables, ghosts, ~ghosts.anew, *_rays(ghosts), RAYS_OF_A_KIND).T
 
 
-def _light_anew(tables: Tables, ghosts: GhostTables) -> Array:
-    """Return the same along the other sequences, for rays from the sensor, (sequences, SINES)."""
-    return _found(tables, ghosts, ghosts.anew, *_rays_from_sensor(tables), RAYS_OF_A_SINE)
+def _light_anew(tables: Tables, ghosts: GhostTables) -> tuple[Array, Array]:
+    """Return the same along the other sequences, for rays from the sensor.
+
+    Returns
+    -------
+    at_sines : (sequences, SINES) float64
+    to_array : (sequences,) float64, sr
+        For rays to anywhere on the array, of weight and inverse density in projected solid angle together.
+    """
+    at_sines = _found(tables, ghosts, ghosts.anew, *_rays_from_sensor(tables), RAYS_OF_A_SINE)
+    if not ghosts.anew.any():
+        return at_sines, np.zeros(len(ghosts.lengths))
+    p, d, solid_angles = _rays_to_array(tables)
+    return at_sines, _found(tables, ghosts, ghosts.anew, p, d, len(p), solid_angles)[:, 0]
 
 
-def _found(tables: Tables, ghosts: GhostTables, those: NDArray[np.bool_], p: Array, d: Array, of_a_kind: int) -> Array:
+def _found(
+    tables: Tables, ghosts: GhostTables, those: NDArray[np.bool_], p: Array, d: Array, of_a_kind: int,
+    factors: Array | float = 1.0,
+) -> Array:  # fmt: skip
     """Return the root mean square of the weights of rays of each kind along some of the sequences, (sequences, kinds).
 
     Parameters
@@ -171,6 +192,8 @@ def _found(tables: Tables, ghosts: GhostTables, those: NDArray[np.bool_], p: Arr
     p, d : (kinds · of_a_kind, 3) float64
         As for `weights_along`.
     of_a_kind : int
+    factors : (kinds · of_a_kind,) float64, optional
+        On the weights.
     """
     camera = tables.lens, tables.mla, tables.sensor, tables.cover
     media = [tables.lens.media, tables.mla.media, *([] if tables.cover is None else [tables.cover.media])]
@@ -179,7 +202,7 @@ def _found(tables: Tables, ghosts: GhostTables, those: NDArray[np.bool_], p: Arr
     weights = np.zeros((len(ghosts.lengths), len(p)))
     for sequence in np.flatnonzero(those):
         weights_along(int(sequence), p, d, camera, ghosts, tables.frames, colour, bundle, book, weights[sequence])
-    return np.asarray(np.sqrt((weights.reshape(len(weights), -1, of_a_kind) ** 2).mean(axis=2)))
+    return np.asarray(np.sqrt(((factors * weights).reshape(len(weights), -1, of_a_kind) ** 2).mean(axis=2)))
 
 
 def _rays(ghosts: GhostTables) -> tuple[Array, Array]:
@@ -199,15 +222,35 @@ def _rays(ghosts: GhostTables) -> tuple[Array, Array]:
 
 def _rays_from_sensor(tables: Tables) -> tuple[Array, Array]:
     """Return some rays of each sine from the sensor: positions and directions (SINES · RAYS_OF_A_SINE, 3)."""
-    draw, sensor = np.random.default_rng(1), tables.sensor
+    draw = np.random.default_rng(1)
     move, count = tables.frames[SENSOR_FRAME, CAMERA_FRAME], SINES * RAYS_OF_A_SINE
-    half = 0.5 * sensor.pixel * np.array([sensor.columns, sensor.rows, 0.0])
-    at = half * draw.uniform(-1.0, 1.0, (count, 3))
+    at = _on_sensor(tables, draw.uniform(-1.0, 1.0, (count, 2)))
     low = (np.repeat(np.arange(SINES), RAYS_OF_A_SINE) / SINES) ** 2
     squared = low + draw.random(count) * np.repeat(_projected(), RAYS_OF_A_SINE)
     sine, turn = np.sqrt(squared), 2.0 * np.pi * draw.random(count)
     d = np.column_stack([sine * np.cos(turn), sine * np.sin(turn), -np.sqrt(1.0 - squared)])
     return frame.points(move, at), frame.directions(move, d)
+
+
+def _rays_to_array(tables: Tables) -> tuple[Array, Array, Array]:
+    """Return some rays from the sensor to the array, as above, with their inverse densities (n,), sr, as projected."""
+    draw, lenslets, count = np.random.default_rng(2), tables.mla.lenslets, SINES * RAYS_OF_A_SINE
+    half = np.array(lenslets.lattice.half_extent)
+    at = _on_sensor(tables, draw.uniform(-1.0, 1.0, (count, 2)))
+    to = np.column_stack([half * draw.uniform(-1.0, 1.0, (count, 2)), np.full(count, 0.5 * lenslets.thickness)])
+    way = frame.points(tables.frames[MLA_FRAME, SENSOR_FRAME], to) - at
+    length = np.linalg.norm(way, axis=1)
+    d = way / length[:, None]
+    at_array = frame.directions(tables.frames[SENSOR_FRAME, MLA_FRAME], d)[:, 2]
+    projected = 4.0 * half.prod() * np.abs(at_array) * np.maximum(-d[:, 2], 0.0) / length**2
+    move = tables.frames[SENSOR_FRAME, CAMERA_FRAME]
+    return frame.points(move, at), frame.directions(move, d), projected
+
+
+def _on_sensor(tables: Tables, at: Array) -> Array:
+    """Return points of the sensor (n, 3), sensor frame, from places (n, 2) between −1 and 1."""
+    sensor = tables.sensor
+    return np.column_stack([0.5 * sensor.pixel * np.array([sensor.columns, sensor.rows]) * at, np.zeros(len(at))])
 
 
 def _projected() -> Array:
@@ -220,16 +263,17 @@ def _seen_by_sensor(tables: Tables, ghosts: GhostTables) -> float:
     return math.pi / (1.0 + ((ghosts.from_z - ghosts.plane_z) / tables.aim.back_radius) ** 2)
 
 
-def _drawn_anew(ghosts: GhostTables, light: Array, of_others: float) -> GhostTables:
+def _drawn_anew(ghosts: GhostTables, light: Array, to_array: Array, of_others: float) -> GhostTables:
     """Return the tables with the chances of the sequences whose packets leave their pixels in new directions.
 
     Parameters
     ----------
     ghosts : GhostTables
     light : (sequences, SINES) float64
-        Root mean square of the weights of rays at each sine.
+    to_array : (sequences,) float64, sr
+        See `_light_anew`.
     of_others : float, sr
-        The same over all directions, for all other sequences together.
+        As `to_array`, for all other sequences together and rays over all of the lens.
     """
     if not ghosts.anew.any():
         return ghosts
@@ -239,14 +283,24 @@ def _drawn_anew(ghosts: GhostTables, light: Array, of_others: float) -> GhostTab
     total = found.sum(axis=1, keepdims=True)
     own = np.where(total > 0.0, found / np.where(total > 0.0, total, 1.0), projected)
     chances = (1.0 - SHARE_OF_HALF_SPHERE) * own + SHARE_OF_HALF_SPHERE * projected
-    each = math.pi * np.sqrt(((projected * light) ** 2 / chances).sum(axis=1))
+    squares = math.pi**2 * ((projected * light) ** 2 / chances).sum(axis=1)
+    share_to_array = _share_to_array(squares.sum(), np.square(to_array).sum())
+    # Of the two ways to draw directions each counts by the inverse of its squares.
+    apart = share_to_array * squares + (1.0 - share_to_array) * to_array**2
+    each = np.sqrt(squares * to_array**2 / np.where(apart > 0.0, apart, 1.0))
     share = 1.0
     if not ghosts.anew.all():
         # Where the coarse trace has found nothing, there may be little.
         both = float(each.sum()) + of_others
         share = float(np.clip(each.sum() / both if both > 0.0 else MOST_ANEW, LEAST_ANEW, MOST_ANEW))
     chance = (1.0 - SHARE_OF_EACH) * _shares(each, ghosts.anew) + SHARE_OF_EACH * _evenly(ghosts.anew)
-    return ghosts._replace(share_anew=share, until_anew=_until(chance), sines=_until(chances))
+    return ghosts._replace(share_anew=share, until_anew=_until(chance), to_array=share_to_array, sines=_until(chances))
+
+
+def _share_to_array(at_sines: float, to_array: float) -> float:
+    """Return the share of new directions to anywhere on the array, from what squares of weights both ways bring."""
+    both = at_sines + to_array
+    return float(np.clip(at_sines / both if both > 0.0 else 0.5, LEAST_TO_ARRAY, 1.0 - LEAST_TO_ARRAY))
 
 
 def _shares(light: Array, those: NDArray[np.bool_]) -> Array:

@@ -7,7 +7,8 @@ lens, array, cover and sensor, each weighted by the reflectances and transmittan
 turns back before the lens, from the pixel on. Before the lens they are packets like all others.
 
 What the array reflects back towards the sensor comes to the lens from other lenslets than the image path. So the
-packets of these sequences leave their pixels in new directions, at angles at which a coarse trace has found light.
+packets of these sequences leave their pixels in new directions: some to anywhere on the array, the others at angles at
+which a coarse trace has found light.
 
 Which paths these are is defined in `packets.path_class`; the sequences are all of them.
 """
@@ -26,6 +27,7 @@ from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
     EVENTS,
     LEFT_LENS,
+    MLA_FRAME,
     NO_SURFACE,
     OBJECT_FRAME,
     OBJECTS,
@@ -97,6 +99,9 @@ class GhostTables(NamedTuple):
     anew: NDArray[np.bool_]  # (sequences,) whether its packets leave the pixel in a new direction
     share_anew: float  # chance that one of these is drawn
     until_anew: Array  # (sequences,) cumulative chance of each among these
+    to_array: float  # share of the new directions to anywhere on the array; for the others `sines` holds
+    array_half_x: float  # mm, half of the array's sides
+    array_half_y: float
     sines: Array  # (sequences, SINES) cumulative chance of the intervals of the new direction's sine
     # (RADII · HEIGHTS · ANGLES + 1, sequences) cumulative chance of each other one for rays of each kind; the last row:
     # for those that do not come to the lens
@@ -172,7 +177,7 @@ def _to_lens(
             flow.book[UNFOLLOWED] += packet.weight
             continue
         if ghosts.share_anew > 0.0 and draw_two(options, packet, SEQUENCE)[0] < ghosts.share_anew:
-            _start_anew(packet, i, camera[2], ghosts, frames, options, room)
+            _start_anew(packet, i, camera, ghosts, frames, options, room)
             continue
         if packet.weight == 0.0:
             # It has left its pixel for new directions alone.
@@ -227,21 +232,28 @@ def _draw_sequences(
 
 @kernel
 def _start_anew(
-    packet: Any, n: int, sensor: SensorTables, ghosts: GhostTables, frames: Array, options: Options, room: GhostRoom
+    packet: Any, n: int, camera: Any, ghosts: GhostTables, frames: Array, options: Options, room: GhostRoom
 ) -> None:  # fmt: skip
     """Draw one of the sequences whose packets leave the pixel in a new direction, and the direction."""
-    move_packet(frames, packet, CAMERA_FRAME)
+    _, mla, sensor, _ = camera
+    move_packet(frames, packet, SENSOR_FRAME)
     u, _ = draw_two(options, packet, SEQUENCE)
     sequence, chance = _drawn(ghosts.until_anew, u / ghosts.share_anew)
     chance *= ghosts.share_anew
     u, v = draw_two(options, packet, DIRECTION)
-    dx, dy, dz, importance = _new_direction(ghosts.sines[sequence], frames, u, v)
+    until, rays = ghosts.sines[sequence], room.rays
+    if u < ghosts.to_array:
+        dx, dy, dz = _to_array(mla, ghosts, frames, packet.x, packet.y, u / ghosts.to_array, v)
+    else:
+        dx, dy, dz = _at_sine(until, (u - ghosts.to_array) / (1.0 - ghosts.to_array), v)
+    density = _density(mla, ghosts, frames, until, packet.x, packet.y, dx, dy, dz)
     of_pixel = sensor.pixel * sensor.pixel * MM2 / options.samples * (1.0 - sensor.reflectance)
-    rays = room.rays
-    room.sequence[n], room.chance[n] = sequence, chance
-    rays[0, n], rays[1, n], rays[2, n] = packet.x, packet.y, packet.z
-    rays[3, n], rays[4, n], rays[5, n] = dx, dy, dz
-    rays[6, n], rays[_MET, n] = of_pixel * importance / chance, 0.0
+    if density > 0.0:
+        room.sequence[n], room.chance[n] = sequence, chance
+        move = frames[SENSOR_FRAME, CAMERA_FRAME]
+        rays[0, n], rays[1, n], rays[2, n] = point_through(move, packet.x, packet.y, 0.0)
+        rays[3, n], rays[4, n], rays[5, n] = direction_through(move, dx, dy, dz)
+        rays[6, n], rays[_MET, n] = of_pixel / (density * chance), 0.0
 
 
 @kernel
@@ -376,28 +388,78 @@ def interval_of_height(ghosts: GhostTables, squared: float) -> int:
     return int(min(HEIGHTS * squared / (ghosts.height * ghosts.height), HEIGHTS - 1.0))
 
 
-@inlined
-def _new_direction(until: Array, frames: Array, u: float, v: float) -> tuple[float, float, float, float]:
-    """Return a direction (camera frame) from the sensor, and its cosine over its density, sr.
+@kernel
+def _to_array(
+    mla: MlaTables, ghosts: GhostTables, frames: Array, x: float, y: float, u: float, v: float
+) -> tuple[float, float, float]:
+    """Return the direction (sensor frame) from a point of the sensor to one on the array.
+
+    Parameters
+    ----------
+    x, y : float, mm
+    u, v : float
+        Random numbers.
+    """
+    px, py, pz = point_through(frames[SENSOR_FRAME, MLA_FRAME], x, y, 0.0)
+    half_x, half_y = ghosts.array_half_x, ghosts.array_half_y
+    dx, dy, dz = (2.0 * u - 1.0) * half_x - px, (2.0 * v - 1.0) * half_y - py, 0.5 * mla.lenslets.thickness - pz
+    scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
+    return direction_through(frames[MLA_FRAME, SENSOR_FRAME], scale * dx, scale * dy, scale * dz)
+
+
+@kernel
+def _at_sine(until: Array, u: float, v: float) -> tuple[float, float, float]:
+    """Return a direction from the sensor (its frame), evenly over the projected solid angle of an interval of the sine.
+
+    Parameters
+    ----------
+    until : (SINES,) float64
+        Cumulative chance of the intervals.
+    u, v : float
+        Random numbers.
+    """
+    interval, chance = _drawn(until, u)
+    low, high = (interval / SINES) ** 2, ((interval + 1) / SINES) ** 2
+    squared = low + (high - low) * min(max((u - until[interval] + chance) / chance, 0.0), 1.0)
+    sine, turn = np.sqrt(squared), 2.0 * np.pi * v
+    return sine * np.cos(turn), sine * np.sin(turn), -np.sqrt(1.0 - squared)
+
+
+@kernel
+def _density(
+    mla: MlaTables,
+    ghosts: GhostTables,
+    frames: Array,
+    until: Array,
+    x: float,
+    y: float,
+    dx: float,
+    dy: float,
+    dz: float,
+) -> float:
+    """Return the density, in 1/sr of projected solid angle, with which a new direction is drawn; 0 along the sensor.
 
     Parameters
     ----------
     until : (SINES,) float64
         Cumulative chance of the intervals of its sine.
-    frames : (6, 6, 3, 4) float64
-    u, v : float
-        Random numbers.
+    x, y : float, mm
+        The point of the sensor.
+    dx, dy, dz : float
+        The direction, sensor frame.
     """
-    interval, chance = _drawn(until, u)
-    before = until[interval] - chance
-    # Evenly over the projected solid angle of the interval.
-    low, high = (interval / SINES) ** 2, ((interval + 1) / SINES) ** 2
-    squared = low + (high - low) * min(max((u - before) / chance, 0.0), 1.0)
-    sine, turn = np.sqrt(squared), 2.0 * np.pi * v
-    dx, dy, dz = direction_through(
-        frames[SENSOR_FRAME, CAMERA_FRAME], sine * np.cos(turn), sine * np.sin(turn), -np.sqrt(1.0 - squared)
-    )
-    return dx, dy, dz, np.pi * (high - low) / chance
+    if not dz < 0.0:
+        return 0.0
+    interval = min(int(SINES * np.sqrt(dx * dx + dy * dy)), SINES - 1)
+    chance = until[interval] - (until[interval - 1] if interval > 0 else 0.0)
+    density = (1.0 - ghosts.to_array) * chance * SINES * SINES / (np.pi * (2 * interval + 1))
+    px, py, pz = point_through(frames[SENSOR_FRAME, MLA_FRAME], x, y, 0.0)
+    ux, uy, uz = direction_through(frames[SENSOR_FRAME, MLA_FRAME], dx, dy, dz)
+    half_x, half_y = ghosts.array_half_x, ghosts.array_half_y
+    t = (0.5 * mla.lenslets.thickness - pz) / uz if uz != 0.0 else -1.0
+    if t > 0.0 and abs(px + t * ux) <= half_x and abs(py + t * uy) <= half_y:
+        density += ghosts.to_array * t * t / (4.0 * half_x * half_y * abs(uz * dz))
+    return density
 
 
 @inlined

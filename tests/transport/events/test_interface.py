@@ -221,27 +221,27 @@ def test_the_refracted_child_keeps_the_key_and_the_reflected_one_has_its_own():
     assert len(np.unique(made.packets["key"])) == 100
 
 
-AFTER_LENS = {
+IN_CAMERA = {
     IN_NO_GHOST: STRAY, ON_IMAGE_PATH: REFLECTED_ONCE, REFLECTED_ONCE: REFLECTED_TWICE, REFLECTED_TWICE: STRAY,
     STRAY: STRAY,
 }  # fmt: skip
-"""What a path becomes by a reflection at a surface of the lens."""
+"""What a path becomes by a reflection at a face of lens or array."""
 
 
-@pytest.mark.parametrize("stray", AFTER_LENS)
+@pytest.mark.parametrize("stray", IN_CAMERA)
 @pytest.mark.parametrize("frame", [CAMERA_FRAME, MLA_FRAME, OBJECT_FRAME])
 def test_a_reflection_turns_off_the_image_path_and_refraction_does_not(frame, stray):
     made = children(frame=frame, stray=stray)
-    assert made.reflected["stray"] == [AFTER_LENS[stray] if frame == CAMERA_FRAME else STRAY]
+    assert made.reflected["stray"] == [STRAY if frame == OBJECT_FRAME else IN_CAMERA[stray]]
     assert made.refracted["stray"] == [stray]
 
 
-@pytest.mark.parametrize("stray", AFTER_LENS)
+@pytest.mark.parametrize("stray", IN_CAMERA)
 @pytest.mark.parametrize("frame", [CAMERA_FRAME, MLA_FRAME, OBJECT_FRAME])
 def test_total_reflection_is_the_image_paths_own_way_in_object_space_only(frame, stray):
     made = children(frame=frame, stray=stray, reflectance=1.0, transmittance=0.0)
     assert len(made.packets) == 1
-    expected = {CAMERA_FRAME: AFTER_LENS[stray], MLA_FRAME: STRAY, OBJECT_FRAME: stray}
+    expected = {CAMERA_FRAME: IN_CAMERA[stray], MLA_FRAME: IN_CAMERA[stray], OBJECT_FRAME: stray}
     assert made.reflected["stray"] == [expected[frame]]
 
 

@@ -172,9 +172,9 @@ def _light_anew(tables: Tables, ghosts: GhostTables) -> tuple[Array, Array]:
     to_array : (sequences,) float64, sr
         For rays to anywhere on the array, of weight and inverse density in projected solid angle together.
     """
-    at_sines = _found(tables, ghosts, ghosts.anew, *_rays_from_sensor(tables), RAYS_OF_A_SINE)
     if not ghosts.anew.any():
-        return at_sines, np.zeros(len(ghosts.lengths))
+        return np.zeros((len(ghosts.lengths), SINES)), np.zeros(len(ghosts.lengths))
+    at_sines = _found(tables, ghosts, ghosts.anew, *_rays_from_sensor(tables), RAYS_OF_A_SINE)
     p, d, solid_angles = _rays_to_array(tables)
     return at_sines, _found(tables, ghosts, ghosts.anew, p, d, len(p), solid_angles)[:, 0]
 

@@ -36,7 +36,7 @@ from lfmesh.transport.sequential.lens_bundle import (
     normalise,
 )
 from lfmesh.transport.sequential.lenslet_bundle import PASSED
-from lfmesh.transport.sequential.reflections import Array, Arrived, book_for, load_rays, store
+from lfmesh.transport.sequential.reflections import Array, Arrived, book_for, drop_backward, load_rays, store
 from lfmesh.transport.tables.tables import FLAT_ROW, MlaTables
 
 
@@ -71,6 +71,7 @@ def _follow(
 ) -> None:  # fmt: skip
     for first in range(0, len(rays.weight), BLOCK):
         count = load_rays(bundle, rays, first)
+        drop_backward(bundle, faces[0] == 0)
         along_array(bundle, count, mla, faces, reflected, colour, frames, faces[0] == 0, book)
         normalise(bundle)
         store(bundle, rays, first, count)

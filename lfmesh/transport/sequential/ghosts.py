@@ -58,7 +58,7 @@ from lfmesh.transport.sequential.lens_bundle import (
 from lfmesh.transport.sequential.plane_faces import along_planes
 from lfmesh.transport.sequential.reflections import BUNDLE_ROWS, along, drop_backward
 from lfmesh.transport.sequential.sequences import ARRAY_LEG, LENS_LEG
-from lfmesh.transport.tables.lights import MM2
+from lfmesh.transport.tables.pixel import area_of_sample
 from lfmesh.transport.tables.tables import LensTables, MlaTables, SensorTables
 
 Array = NDArray[np.float64]
@@ -247,13 +247,12 @@ def _start_anew(
     else:
         dx, dy, dz = _at_sine(until, (u - ghosts.to_array) / (1.0 - ghosts.to_array), v)
     density = _density(mla, ghosts, frames, until, packet.x, packet.y, dx, dy, dz)
-    of_pixel = sensor.pixel * sensor.pixel * MM2 / options.samples * (1.0 - sensor.reflectance)
     if density > 0.0:
         room.sequence[n], room.chance[n] = sequence, chance
         move = frames[SENSOR_FRAME, CAMERA_FRAME]
         rays[0, n], rays[1, n], rays[2, n] = point_through(move, packet.x, packet.y, 0.0)
         rays[3, n], rays[4, n], rays[5, n] = direction_through(move, dx, dy, dz)
-        rays[6, n], rays[_MET, n] = of_pixel / (density * chance), 0.0
+        rays[6, n], rays[_MET, n] = area_of_sample(sensor, options.samples) / (density * chance), 0.0
 
 
 @kernel
@@ -427,16 +426,9 @@ def _at_sine(until: Array, u: float, v: float) -> tuple[float, float, float]:
 
 @kernel
 def _density(
-    mla: MlaTables,
-    ghosts: GhostTables,
-    frames: Array,
-    until: Array,
-    x: float,
-    y: float,
-    dx: float,
-    dy: float,
-    dz: float,
-) -> float:
+    mla: MlaTables, ghosts: GhostTables, frames: Array, until: Array, x: float, y: float,
+    dx: float, dy: float, dz: float,
+) -> float:  # fmt: skip
     """Return the density, in 1/sr of projected solid angle, with which a new direction is drawn; 0 along the sensor.
 
     Parameters

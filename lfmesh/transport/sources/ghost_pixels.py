@@ -23,7 +23,7 @@ from lfmesh.transport.sequential.ghosts import (
     interval_of_radius,
 )
 from lfmesh.transport.sources.pixel_starts import STARTS, StartRoom, begin_launch, draw_numbers
-from lfmesh.transport.tables.lights import MM2
+from lfmesh.transport.tables.pixel import area_of_sample
 from lfmesh.transport.tables.tables import Opening, SensorTables
 
 Array = NDArray[np.float64]
@@ -50,7 +50,7 @@ def launch_to_cells(
         With the sensor where it appears to be.
     """
     begin_launch(room, colour, lens_surfaces)
-    area = sensor.pixel * sensor.pixel * MM2 / samples * (1.0 - sensor.reflectance)
+    area = area_of_sample(sensor, samples)
     which, place = 0, 0
     for first in range(0, len(pixels) * taken, STARTS):
         count = min(STARTS, len(pixels) * taken - first)

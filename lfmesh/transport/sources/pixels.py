@@ -64,8 +64,8 @@ from lfmesh.transport.sequential.lens_bundle import (
 from lfmesh.transport.sources.ghost_pixels import launch_to_cells
 from lfmesh.transport.sources.pixel_starts import STARTS, StartRoom, begin_launch, draw_numbers, start_room
 from lfmesh.transport.sources.source import Source
-from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.tables.media import clear
+from lfmesh.transport.tables.pixel import area_of_sample
 from lfmesh.transport.tables.tables import AimTables, LensTables, MlaTables, SensorTables
 
 Array = NDArray[np.float64]
@@ -243,8 +243,7 @@ def _aim_rays(
     which, place : int
         Index in `pixels`, and place among the samples taken of that pixel, with which the next block begins.
     """
-    # Of what arrives, a pixel detects what it does not reflect.
-    area = sensor.pixel * sensor.pixel * MM2 / samples * (1.0 - sensor.reflectance)
+    area = area_of_sample(sensor, samples)
     # The sensor's normal towards the array.
     normal = move_direction(frames, SENSOR_FRAME, MLA_FRAME, 0.0, 0.0, -1.0)
     near, begun = 0, -1

@@ -26,7 +26,7 @@ from lfmesh.transport.sequential.plane_faces import (
     detected,
     follow_plane_faces,
 )
-from lfmesh.transport.sequential.reflections import Arrived, follow_sequence, follow_through_mla
+from lfmesh.transport.sequential.reflections import Arrived, follow_sequence
 from lfmesh.transport.sequential.sequences import ARRAY_LEG, LENS_LEG, Faces, Itinerary
 from lfmesh.transport.tables.interfaces import refused_in_order
 from lfmesh.transport.tables.tables import THIN_LENS, Tables
@@ -271,8 +271,6 @@ def _follow(tables: Tables, path: Itinerary, p: Floats, d: Floats) -> tuple[Arri
             along = Itinerary(leg.faces, leg.reflected, leg.to_sensor)
             through = follow_sequence(tables.lens, along, *rays[:2], ways=way)
             rays = through._replace(weight=np.where(rays.weight > 0.0, rays.weight * through.weight, 0.0))
-        elif leg.part == ARRAY_LEG and leg.reflected == (False, False) and leg.to_sensor:
-            follow_through_mla(rays, tables.mla, tables.frames)
         elif leg.part == ARRAY_LEG:
             follow_array_faces(rays, tables.mla, tables.frames, leg.faces, leg.reflected)
         else:

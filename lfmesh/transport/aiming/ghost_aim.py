@@ -286,8 +286,8 @@ def _drawn_anew(ghosts: GhostTables, light: Array, to_array: Array, of_others: f
     squares = math.pi**2 * ((projected * light) ** 2 / chances).sum(axis=1)
     share_to_array = _share_to_array(squares.sum(), np.square(to_array).sum())
     # Of the two ways to draw directions each counts by the inverse of its squares.
-    apart = share_to_array * squares + (1.0 - share_to_array) * to_array**2
-    each = np.sqrt(squares * to_array**2 / np.where(apart > 0.0, apart, 1.0))
+    inverse = share_to_array * _inverse(to_array**2) + (1.0 - share_to_array) * _inverse(squares)
+    each = np.sqrt(_inverse(inverse))
     share = 1.0
     if not ghosts.anew.all():
         # Where the coarse trace has found nothing, there may be little.
@@ -295,6 +295,11 @@ def _drawn_anew(ghosts: GhostTables, light: Array, to_array: Array, of_others: f
         share = float(np.clip(each.sum() / both if both > 0.0 else MOST_ANEW, LEAST_ANEW, MOST_ANEW))
     chance = (1.0 - SHARE_OF_EACH) * _shares(each, ghosts.anew) + SHARE_OF_EACH * _evenly(ghosts.anew)
     return ghosts._replace(share_anew=share, until_anew=_until(chance), to_array=share_to_array, sines=_until(chances))
+
+
+def _inverse(squares: Array) -> Array:
+    """Return the inverses of squares; 0 where the coarse trace has found nothing, so that it says nothing."""
+    return np.where(squares > 0.0, 1.0 / np.where(squares > 0.0, squares, 1.0), 0.0)
 
 
 def _share_to_array(at_sines: float, to_array: float) -> float:

@@ -291,6 +291,17 @@ def test_sequences_of_which_the_coarse_trace_finds_nothing_keep_a_chance(
     assert (np.diff(ghosts.until_anew, prepend=0.0) > 0.0).tolist() == ghosts.anew.tolist()
 
 
+@pytest.mark.parametrize("missed", [0, 1], ids=["by their angles", "to the array"])
+def test_light_that_one_way_of_drawing_directions_has_missed_counts_by_the_other(missed: int) -> None:
+    world = lf.build(scene(CAMERAS["two"]))
+    assert world.ghosts is not None
+    found = list(ghost_aim._light_anew(world.aimed_tables, world.ghosts))
+    found[missed] = 0.0 * found[missed]
+    one = ghost_aim._drawn_anew(world.ghosts, *found, 1e-4)
+    assert one.share_anew > ghost_aim.LEAST_ANEW
+    assert ghost_aim._drawn_anew(world.ghosts, *(0.0 * each for each in found), 1e-4).share_anew == ghost_aim.LEAST_ANEW
+
+
 @pytest.mark.parametrize("dz", [-1e-12, -1e-160, -5e-324])
 def test_rays_that_graze_the_lens_are_of_a_kind(dz: float) -> None:
     """Where they cross the planes is farther than any integer, or than any number."""

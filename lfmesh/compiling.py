@@ -44,10 +44,13 @@ class IntermediateLibrary(CodeLibrary):  # type: ignore[misc]
         """Libraries that its code calls, in order."""
 
     def add_ir_module(self, ir_module: Any) -> None:
-        """Add a module of intermediate code."""
+        """Add a module of intermediate code, with linkage that lets LLVM drop functions that are no longer called."""
         prefer_wide_registers(ir_module)
         module = llvm.parse_assembly(normalize_ir_text(str(ir_module)))
         module.verify()
+        for function in module.functions:
+            if not function.is_declaration:
+                function.linkage = "linkonce_odr"
         self.modules.append(module.as_bitcode())
 
     def add_linking_library(self, library: CodeLibrary) -> None:
@@ -82,24 +85,40 @@ class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
 
     def __init__(self, codegen: Any, name: str) -> None:
         super().__init__(codegen, name)
-        self.taken: set[CodeLibrary] = set()
+        self.linked: dict[CodeLibrary, None] = {}
+        """Libraries that its code calls, each before those that it calls itself."""
 
     def add_ir_module(self, ir_module: Any) -> None:
         """Add a module."""
         prefer_wide_registers(ir_module)
         super().add_ir_module(ir_module)
 
+    def add_linking_library(self, library: CodeLibrary) -> None:
+        """Note a library that the kernel calls, and the libraries that this one calls."""
+        if library not in self.linked:
+            self.linked[library] = None
+            for called in library.linked if isinstance(library, IntermediateLibrary) else ():
+                self.add_linking_library(called)
+
     def _optimize_functions(self, ll_module: Any) -> None:
         """Leave functions as they are, by numba's name for optimising them one by one: that is done with the whole."""
         ll_module.data_layout = self._codegen._data_layout
 
-    def add_linking_library(self, library: CodeLibrary) -> None:
-        """Link in a library that the kernel calls, and the libraries that this one calls."""
-        if library not in self.taken:
-            self.taken.add(library)
-            super().add_linking_library(library)
-            for called in library.linked if isinstance(library, IntermediateLibrary) else ():
-                self.add_linking_library(called)
+    def _optimize_final_module(self) -> None:
+        """Link all of it, and optimise it once, by numba's name for that.
+
+        By itself numba optimises twice, the first time to bring reference counts together, and kernels count none.
+        """
+        for library in self.linked:
+            if isinstance(library, IntermediateLibrary):
+                # Read from bitcode for this kernel alone, so that nothing has to be kept.
+                for module in library.modules:
+                    self._final_module.link_in(llvm.parse_bitcode(module))
+            else:
+                self._reload_init.update(library._reload_init)
+                self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        passes, settings = self._codegen._module_pass_manager()
+        passes.run(self._final_module, settings)
 
 
 def prefer_wide_registers(ir_module: Any) -> None:
@@ -117,13 +136,10 @@ def prefer_wide_registers(ir_module: Any) -> None:
 
 
 def merged(modules: list[bytes]) -> Any:
-    """Return LLVM modules linked into one, with linkage that lets LLVM drop functions that are no longer called."""
+    """Return LLVM modules, given as bitcode, linked into one."""
     first, *others = map(llvm.parse_bitcode, modules)
     for other in others:
         first.link_in(other)
-    for function in first.functions:
-        if not function.is_declaration:
-            function.linkage = "linkonce_odr"
     return first
 
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.ascending import count_up_to
 from lfmesh.kernel import kernel
 from lfmesh.optics.phase import PhaseTables, evaluate_phase
 from lfmesh.transport.tables.lights import DIRECTIONAL
@@ -191,4 +192,4 @@ def drawn_angle(halos: Halos, colour: int, u: float) -> float:
 @kernel
 def _piece(nodes: Any, value: float) -> int:
     """Return the piece between two of some increasing numbers that a value lies in."""
-    return min(max(int(np.searchsorted(nodes, value, side="right")) - 1, 0), len(nodes) - 2)
+    return min(max(count_up_to(nodes, value) - 1, 0), len(nodes) - 2)

@@ -13,7 +13,7 @@ import numpy as np
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.crossing import crosses
 from lfmesh.transport.packets.packet import NO_SURFACE
-from lfmesh.transport.tables.tables import AIR, ObjectTables
+from lfmesh.transport.tables.tables import AIR, GlassTables, ObjectTables
 
 BITS = 11
 RANK = (1 << BITS) - 1
@@ -131,7 +131,7 @@ def _is_above(facet: Any, x: float, y: float) -> bool:
 
 @kernel
 def beyond_facet(
-    objects: ObjectTables, inside: int, prim: int, enters: bool,
+    objects: ObjectTables, glass: GlassTables, inside: int, prim: int, enters: bool,
     x: float, y: float, z: float, dx: float, dy: float, dz: float,
 ) -> int:  # fmt: skip
     """Return the bodies that a ray is in after it crosses a facet; `TOO_MANY` if they cannot be represented.
@@ -152,14 +152,14 @@ def beyond_facet(
     """
     rank = objects.rank[objects.facets[prim].body]
     after = with_body(inside, rank) if enters else without_body(inside, rank)
-    if len(objects.contact_first) == 0 or after == TOO_MANY:
+    if len(glass.contact_first) == 0 or after == TOO_MANY:
         return after
     # Entries before exits, so that a corner that is entered and left at once has no effect.
     for entering in (True, False):
-        for number in range(objects.contact_first[prim], objects.contact_first[prim + 1]):
-            facet = objects.facets[objects.contacts[number]]
+        for number in range(glass.contact_first[prim], glass.contact_first[prim + 1]):
+            facet = objects.facets[glass.contacts[number]]
             t, along = crosses(facet, x, y, z, dx, dy, dz)
-            if t == np.inf or abs(t * along) > objects.contact_mm or (along < 0.0) != entering:
+            if t == np.inf or abs(t * along) > glass.contact_mm or (along < 0.0) != entering:
                 continue
             other = objects.rank[facet.body]
             if is_in(after, other) == entering:

@@ -153,7 +153,7 @@ def shade_objects(
             requery(options, flow, frames, OBJECTS, packet, packet.query_from, True, LOST_OUTSIDE)
             continue
         if packet.kind != SHADOW and packet.kind < TO_EMITTER and not _in_its_medium(objects, packet, prim, along):
-            if prim >= 0 and packet.tries < MAX_TRIES and _is_in_contact(objects, prim):
+            if prim >= 0 and packet.tries < MAX_TRIES and _is_in_contact(objects.glass, prim):
                 # To rounding, a face of a body that was already entered or left where it touches another body.
                 requery(options, flow, frames, OBJECTS, packet, next_query_from(facet, packet, t), False, LOST_OUTSIDE)
                 continue
@@ -226,7 +226,7 @@ def shade_objects(
         body = facet.body
         if body >= 0 and objects.medium[body] != OPAQUE:
             if not too_deep(options, flow, frames, packet):
-                _through_glass(options, flow, frames, objects, aim, packet, prim, t)
+                _through_glass(objects.glass, options, flow, frames, objects, aim, packet, prim, t)
             continue
         x, y, z = travel(flow, objects.media, packet, packet.medium, t)
         weight = packet.weight
@@ -295,9 +295,11 @@ def _in_its_medium(objects: ObjectTables, packet: Any, prim: int, along: float) 
 
 
 @inlined
-def _is_in_contact(objects: ObjectTables, prim: int) -> bool:
-    """Tell whether a facet may lie on one of another body."""
-    return len(objects.contact_first) > 0 and objects.contact_first[prim + 1] > objects.contact_first[prim]
+def _is_in_contact(glass: Any, prim: int) -> bool:
+    """Tell whether a facet may lie on one of another body of glass."""
+    if glass is None:
+        return False
+    return len(glass.contact_first) > 0 and glass.contact_first[prim + 1] > glass.contact_first[prim]
 
 
 @inlined
@@ -371,29 +373,37 @@ _send_from_rough_glass = scatterer(_send_from_glass)
 
 @kernel
 def _through_glass(
-    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any, prim: int, t: float
-) -> None:
+    glass: Any, options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any,
+    prim: int, t: float,
+) -> None:  # fmt: skip
     """Split a packet at a facet of a glass body, at distance t, by the media on both sides.
 
     A facet between equal indices, or inside another body of a higher rank, has no effect.
+
+    Parameters
+    ----------
+    glass : GlassTables or None
+        None: there is no glass, and numba compiles nothing but the first line.
     """
+    if glass is None:
+        return
     facet = objects.facets[prim]
     body = facet.body
     dx, dy, dz = packet.dx, packet.dy, packet.dz
     x, y, z = packet.x + t * dx, packet.y + t * dy, packet.z + t * dz
     inside = bodies_round(packet)
     entering = not is_in(inside, objects.rank[body])
-    after = beyond_facet(objects, inside, prim, entering, x, y, z, dx, dy, dz)
+    after = beyond_facet(objects, glass, inside, prim, entering, x, y, z, dx, dy, dz)
     if after == TOO_MANY:
         lose(options, flow, frames, packet, LOST_CONTRADICTION, objects.lost_slot[body])
         return
     beyond = medium_of(objects, after)
     media, own = len(objects.media.indices), objects.medium[body]
     number = body_row(body, beyond if packet.medium == own else packet.medium, media)
-    rough = is_rough(objects.interfaces, number)
-    level = objects.level[body]
+    rough = is_rough(glass.interfaces, number)
+    level = glass.level[body]
     if level == PATCH:
-        met, more, nx, ny, nz = meets_patch(flow, objects.patches, objects.across, facet, prim, x, y, z, dx, dy, dz)
+        met, more, nx, ny, nz = meets_patch(flow, glass.patches, glass.across, facet, prim, x, y, z, dx, dy, dz)
         if rough:
             # A ray that scatters along a curved patch would run between it and the facets, where no query finds a way
             # out: it starts on the facet, and only the normal is the patch's.
@@ -418,7 +428,7 @@ def _through_glass(
     x, y, z = arrive(flow, objects.media, packet, packet.medium, x, y, z)
     # A coating between equal indices counts, unless a body of a higher rank covers it.
     uncovered = (after if entering else inside) & RANK == objects.rank[body]
-    if n_i == n_t and inside != 0 and after != 0 and not (uncovered and is_coated(objects.interfaces, number)):
+    if n_i == n_t and inside != 0 and after != 0 and not (uncovered and is_coated(glass.interfaces, number)):
         packet.medium, packet.facet = beyond, NO_SURFACE
         if packet.kind == CAMERA and not (options.adjoint or options.tracing):
             # Its share is taken: from here on it is not the child that rough glass aims through air.
@@ -428,11 +438,11 @@ def _through_glass(
         put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, packet.key, clear)
         return
     if rough:
-        place = objects, prim, inside, after, beyond, number
+        place = objects, prim, inside, after, beyond, number, glass.interfaces
         _through_rough_glass(place, options, flow, frames, aim, packet, x, y, z, nx, ny, nz, n_i, n_t)
         return
     reflectance, transmittance, cos_t = divided(
-        objects.interfaces, number, packet.colour, n_i, n_t, cos_i, not entering, packet, flow.book
+        glass.interfaces, number, packet.colour, n_i, n_t, cos_i, not entering, packet, flow.book
     )
     reflectance, transmittance = shares_by_state(
         flow.polarised, IN_OBJECTS, number, not entering, n_i, n_t, cos_i, (nx, ny, nz), frames, OBJECT_FRAME, packet,
@@ -462,7 +472,7 @@ def _through_rough_glass(
     Parameters
     ----------
     place : tuple
-        Object tables, facet, bodies before and after it, medium beyond it, and row of the interface.
+        Object tables, facet, bodies before and after it, medium beyond it, and row of the interface in their table.
     x, y, z : float, mm
         Point on the interface.
     nx, ny, nz : float
@@ -470,7 +480,7 @@ def _through_rough_glass(
     n_i, n_t : float
         Refractive index before and after the interface.
     """
-    objects, prim, inside, after, beyond, number = place
+    objects, prim, inside, after, beyond, number, interfaces = place
     packet.facet, packet.last = NO_SURFACE, NO_SURFACE
     if packet.kind == LAMP and not is_estimated(options, packet):
         # Its path belongs to another class, which is estimated from the sensor.
@@ -479,7 +489,7 @@ def _through_rough_glass(
     if options.adjoint and is_estimated(options, packet):
         _ask_lights_at_glass(place, options, flow, packet, x, y, z, nx, ny, nz, n_i, n_t)
     passes, dx, dy, dz = scattered(
-        objects.interfaces, number, options, packet, n_i, n_t, packet.dx, packet.dy, packet.dz, nx, ny, nz
+        interfaces, number, options, packet, n_i, n_t, packet.dx, packet.dy, packet.dz, nx, ny, nz
     )
     fx, fy, fz = _along_facet(objects.facets[prim], nx, ny, nz)
     if (fx * dx + fy * dy + fz * dz > 0.0) != passes:
@@ -572,7 +582,7 @@ def _density_into_air(
     light : int
         See `scattered_density`.
     """
-    objects, prim, inside, after, _, number = place
+    objects, prim, inside, after, _, number, interfaces = place
     fx, fy, fz = _along_facet(objects.facets[prim], nx, ny, nz)
     passes = fx * ux + fy * uy + fz * uz > 0.0
     if (after if passes else inside) != 0:
@@ -582,7 +592,7 @@ def _density_into_air(
     for vx, vy, vz in ((ux, uy, uz), reflected(ux, uy, uz, fx, fy, fz)):
         if (nx * vx + ny * vy + nz * vz > 0.0) == passes:
             density += scattered_density(
-                objects.interfaces, number, packet, n_i, n_t, packet.dx, packet.dy, packet.dz, nx, ny, nz, vx, vy, vz,
+                interfaces, number, packet, n_i, n_t, packet.dx, packet.dy, packet.dz, nx, ny, nz, vx, vy, vz,
                 light,
             )  # fmt: skip
     return density

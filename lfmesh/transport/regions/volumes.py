@@ -117,7 +117,7 @@ def is_stopped_by_media(
     if volumes is None:
         return False
     place = bodies_round(packet) & RANK
-    t = _distance_to_glass(flow, objects, packet, prim, t)
+    t = _distance_to_glass(objects.glass, flow, objects, packet, prim, t)
     reach = t
     if packet.kind == SHADOW:
         reach = min(t, packet.limit)
@@ -134,14 +134,16 @@ def is_stopped_by_media(
 
 
 @inlined
-def _distance_to_glass(flow: Flow, objects: ObjectTables, packet: Any, prim: int, t: float) -> float:
+def _distance_to_glass(glass: Any, flow: Flow, objects: ObjectTables, packet: Any, prim: int, t: float) -> float:
     """Return the distance of what a packet meets: for a curved face of glass that of the face, not of its facet."""
+    if glass is None:
+        return t
     body = objects.facets[max(prim, 0)].body
-    if prim < 0 or body < 0 or objects.medium[body] == OPAQUE or objects.level[body] != PATCH:
+    if prim < 0 or body < 0 or objects.medium[body] == OPAQUE or glass.level[body] != PATCH:
         return t
     x, y, z = packet.x + t * packet.dx, packet.y + t * packet.dy, packet.z + t * packet.dz
     met, more, _, _, _ = meets_patch(
-        flow, objects.patches, objects.across, objects.facets[prim], prim, x, y, z, packet.dx, packet.dy, packet.dz
+        flow, glass.patches, glass.across, objects.facets[prim], prim, x, y, z, packet.dx, packet.dy, packet.dz
     )
     return max(t + more, 0.0) if met else t
 

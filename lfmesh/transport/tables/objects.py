@@ -36,6 +36,7 @@ from lfmesh.transport.tables.tables import (
     OPAQUE,
     ROUGH,
     SOURCE,
+    GlassTables,
     Interfaces,
     LensTables,
     ObjectTables,
@@ -217,15 +218,8 @@ def object_tables(
         glow=np.divide(radiance, largest, out=np.zeros_like(radiance), where=largest > 0.0),
         media=known.table(wavelengths_nm, book, medium.tolist()),
         medium=medium,
-        interfaces=interfaces,
         rank=ranks,
         by_rank=by_rank,
-        contact_first=first,
-        contacts=partners,
-        contact_mm=near,
-        level=level,
-        patches=patches,
-        across=across,
         texture=texture,
         texels=np.concatenate(texels) if texels else np.zeros((0, weights.shape[1]), np.float32),
         texel_weights=weights if lines.in_bands else np.zeros((0, 0)),
@@ -246,6 +240,7 @@ def object_tables(
         outer_radius=float(np.linalg.norm(mesh.vertices, axis=1).max()),
         lit_middle=np.zeros(3),
         lit_radius=radius,
+        glass=GlassTables(interfaces, level, patches, across, first, partners, near) if ranks.any() else None,
     )
     tables = with_volumes(tables, scene, targets, moves, book, lines)
     sources = _sources([*_lamps(tables), *_glowing_facets(tables, mesh), *_glowing_volumes(scene, tables.volumes)])
@@ -388,8 +383,10 @@ def _glass(objects: ObjectTables) -> tuple[NDArray[np.bool_], NDArray[np.bool_],
     """Tell which bodies are of glass and which of these are rough, and which facets are of smooth glass."""
     glass = objects.medium != OPAQUE
     # A body's row with air tells whether it is rough.
-    kinds = objects.interfaces.rows["kind"].reshape(len(glass), len(objects.media.indices))
-    rough = glass & (kinds[:, AIR] >= ROUGH)
+    rough = np.zeros(len(glass), np.bool_)
+    if objects.glass is not None:
+        kinds = objects.glass.interfaces.rows["kind"].reshape(len(glass), len(objects.media.indices))
+        rough = glass & (kinds[:, AIR] >= ROUGH)
     return glass, rough, np.append(glass & ~rough, False)[objects.facets["body"]]
 
 

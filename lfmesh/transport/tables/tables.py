@@ -139,6 +139,19 @@ class Emitters(NamedTuple):
 
 
 @by_address
+class GlassTables(NamedTuple):
+    """What only bodies of glass in object space have."""
+
+    interfaces: Interfaces  # for each target one row for each medium, see `body_row`
+    level: NDArray[np.int64]  # (targets,) surface level of a body of glass
+    patches: Array  # (m, 6, 3), or none
+    across: NDArray[np.int64]
+    contact_first: NDArray[np.int64]  # (m + 1,) where each facet's `contacts` begin; (0,) where no bodies touch
+    contacts: NDArray[np.int64]  # for each facet, facets of other bodies of glass that it may lie on
+    contact_mm: float  # distance within which facets are in contact
+
+
+@by_address
 class ObjectTables(NamedTuple):
     """Targets, lights and the camera's housing in the object frame: world axes about the targets' middle."""
 
@@ -152,17 +165,10 @@ class ObjectTables(NamedTuple):
     glow: Array  # (targets, wavelengths) radiance relative to the largest of its target
     media: Media
     medium: NDArray[np.int64]  # (targets,) medium of a body of glass; OPAQUE for all other targets
-    interfaces: Interfaces  # for each target one row for each medium, see `body_row`
     # (targets,) rank of a body of glass, from 1; 0 for all other targets. Where bodies overlap, the medium is that of
     # the highest rank.
     rank: NDArray[np.int64]
     by_rank: NDArray[np.int64]  # (bodies of glass + 1,) target of each rank
-    contact_first: NDArray[np.int64]  # (m + 1,) where each facet's `contacts` begin; (0,) where no bodies touch
-    contacts: NDArray[np.int64]  # for each facet, facets of other bodies of glass that it may lie on
-    contact_mm: float  # distance within which facets are in contact
-    level: NDArray[np.int64]  # (targets,) surface level of a body of glass
-    patches: Array  # (m, 6, 3), or none
-    across: NDArray[np.int64]
     texture: NDArray[np.int64]  # (targets, 3): first value, height, width; height 0: none
     texels: NDArray[np.float32]  # (values, wavelengths), or (values, primaries) where there are weights
     texel_weights: Array  # (wavelengths, primaries) of the values' primaries at each wavelength; (0, 0): none
@@ -180,7 +186,9 @@ class ObjectTables(NamedTuple):
     outer_radius: float  # mm, of a sphere about the origin that holds targets, camera and media; inf: not all media
     lit_middle: Array  # (3,) mm, centre of the sphere at which lamps' packets are aimed
     lit_radius: float  # mm, radius of that sphere
-    # Volumes of media that absorb, emit or scatter, else None: code for them is not even compiled.
+    # GlassTables where there are bodies of glass, else None: code for them is not even compiled.
+    glass: Any = None
+    # Volumes of media that absorb, emit or scatter, else None, likewise.
     volumes: Any = None
 
 

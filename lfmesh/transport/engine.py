@@ -247,9 +247,8 @@ class Workspace:
         wave = self._take(station, count)
         if options.paths == GHOSTS and station in (LENS, PLATE, SENSOR):
             room = self.kept(GhostRoom, lambda: ghost_room(self.chunk, len(tables.ghosts.lengths)))
-            follow_ghosts(
-                wave, lens, mla, tables.sensor, tables.cover, tables.ghosts, frames, self.numbers, options, flow, room
-            )
+            camera = lens, mla, tables.sensor, tables.cover
+            follow_ghosts(wave, camera, tables.ghosts, frames, options, flow, room)
         elif options.sequential and station in (LENS, PLATE):
             follow_image_path(wave, station, lens, mla, frames, self.bundle, self.numbers, options, flow)
         elif station == LENS and options.in_order:

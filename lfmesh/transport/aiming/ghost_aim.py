@@ -15,7 +15,7 @@ from lfmesh.geometry.surface import CONIC_AND_EVEN
 from lfmesh.transport.aiming.lenslet_view import with_wider_views
 from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_GHOSTS
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
-from lfmesh.transport.sequential.ghosts import ANGLES, HEIGHTS, RADII, SINES, GhostTables, weights_along
+from lfmesh.transport.sequential.ghosts import ANGLES, END_ROWS, HEIGHTS, RADII, SINES, GhostTables, follow_rays
 from lfmesh.transport.sequential.lens_bundle import empty_bundle
 from lfmesh.transport.sequential.plane_faces import count_faces
 from lfmesh.transport.sequential.reflections import BUNDLE_ROWS, book_for
@@ -190,19 +190,62 @@ def _found(
     those : (sequences,) bool
         Whether a sequence is followed.
     p, d : (kinds · of_a_kind, 3) float64
-        As for `weights_along`.
+        Position, mm, and unit direction, camera frame: behind the lens and towards it, where they come on the image
+        path; from the sensor, where the sequences' packets leave it in new directions.
     of_a_kind : int
     factors : (kinds · of_a_kind,) float64, optional
         On the weights.
     """
-    camera = tables.lens, tables.mla, tables.sensor, tables.cover
-    media = [tables.lens.media, tables.mla.media, *([] if tables.cover is None else [tables.cover.media])]
-    book, bundle = max((book_for(each) for each in media), key=len), empty_bundle(BUNDLE_ROWS)
-    colour = tables.lens.media.indices.shape[1] // 2
+    turning = ghosts.from_pixel & ~ghosts.anew & those
+    as_given = np.arange(len(p)), _starts(p, d)
+    turned = _turned_back_at_sensor(tables, ghosts, p, d) if turning.any() else as_given
     weights = np.zeros((len(ghosts.lengths), len(p)))
     for sequence in np.flatnonzero(those):
-        weights_along(int(sequence), p, d, camera, ghosts, tables.frames, colour, bundle, book, weights[sequence])
+        order, rays = turned if turning[sequence] else as_given
+        _, _, of_end, ended = _followed(tables, ghosts, rays, order, ghosts.first[sequence : sequence + 2])
+        weights[sequence, order] = np.where(ended, 0.0, of_end)
     return np.asarray(np.sqrt(((factors * weights).reshape(len(weights), -1, of_a_kind) ** 2).mean(axis=2)))
+
+
+def _turned_back_at_sensor(tables: Tables, ghosts: GhostTables, p: Array, d: Array) -> tuple[NDArray[np.int64], Array]:
+    """Take rays that come to the lens back to their pixels; return which get there, and all of them as they leave.
+
+    The others are filled with zeros.
+    """
+    t = (ghosts.plane_z - p[:, 2]) / d[:, 2]
+    legs = np.array([ghosts.to_lens, ghosts.first[0]])
+    x, along, _, ended = _followed(tables, ghosts, _starts(p + t[:, None] * d, -d), np.arange(len(p)), legs)
+    passing = np.flatnonzero(~ended)
+    x, along = x[passing], along[passing]
+    move = tables.frames[CAMERA_FRAME, SENSOR_FRAME]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = -frame.points(move, x)[:, 2] / frame.directions(move, along)[:, 2]
+        starts = _starts(x + t[:, None] * along, -along)
+    turned = np.zeros((len(starts), len(p)))
+    turned[:, passing] = starts
+    return passing, turned
+
+
+def _starts(p: Array, d: Array) -> Array:
+    """Return rays of weight 1 as `follow_rays` takes them."""
+    rays = np.ones((7, len(p)))
+    rays[:3], rays[3:6] = p.T, d.T
+    return rays
+
+
+def _followed(
+    tables: Tables, ghosts: GhostTables, rays: Array, order: NDArray[np.int64], legs: NDArray[np.int64]
+) -> tuple[Array, Array, Array, NDArray[np.bool_]]:  # fmt: skip
+    """Take some rays along legs; return their positions, directions, weights, and whether they have ended."""
+    camera = tables.lens, tables.mla, tables.sensor, tables.cover
+    media = [tables.lens.media, tables.mla.media, *([] if tables.cover is None else [tables.cover.media])]
+    book = max((book_for(each) for each in media), key=len)
+    colour = tables.lens.media.indices.shape[1] // 2
+    ends, group = np.zeros((END_ROWS, rays.shape[1])), np.array([0, len(order)])
+    bundle = empty_bundle(BUNDLE_ROWS)
+    follow_rays(rays, ends, order, group, legs, camera, ghosts, tables.frames, colour, book, bundle)
+    ends = ends[:, order]
+    return ends[:3].T, ends[3:6].T, ends[6], ends[8] != 0.0
 
 
 def _rays(ghosts: GhostTables) -> tuple[Array, Array]:

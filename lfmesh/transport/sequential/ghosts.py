@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.ascending import count_up_to
 from lfmesh.by_address import by_address
 from lfmesh.geometry.frame import direction_through, point_through
 from lfmesh.kernel import inlined, kernel
@@ -51,15 +52,13 @@ from lfmesh.transport.sequential.lens_bundle import (
     Z,
     empty_bundle,
     load,
-    move_bundle,
-    normalise,
     pad,
 )
 from lfmesh.transport.sequential.plane_faces import along_planes
 from lfmesh.transport.sequential.reflections import BUNDLE_ROWS, along, drop_backward
 from lfmesh.transport.sequential.sequences import ARRAY_LEG, LENS_LEG
 from lfmesh.transport.tables.pixel import area_of_sample
-from lfmesh.transport.tables.tables import LensTables, MlaTables, SensorTables
+from lfmesh.transport.tables.tables import MlaTables
 
 Array = NDArray[np.float64]
 
@@ -73,8 +72,8 @@ RADII, HEIGHTS, ANGLES = 8, 8, 8
 SINES = 32
 """Equal intervals of the sine of the angle between the sensor's normal and a new direction."""
 
-_MET = 7
-"""Row of `GhostRoom.rays` for the interfaces that a ray has met; the others are position, direction and weight."""
+_WEIGHT, _MET, _ENDED_ON, END_ROWS = 6, 7, 8, 9
+"""Rows of `GhostRoom.rays` and `ends`, after those of position and direction, and their number."""
 
 
 @by_address
@@ -118,6 +117,7 @@ class GhostRoom(NamedTuple):
     """Working memory for a wave of packets."""
 
     rays: Array  # (8, n) of each packet of the wave, where it begins to follow its sequence
+    ends: Array  # (9, n) see `follow_rays`
     chance: Array  # (n,) of the sequence drawn for it
     sequence: NDArray[np.int64]  # (n,) drawn for it; −1: it has ended
     order: NDArray[np.int64]  # (n,) packets of the wave by their sequences
@@ -129,6 +129,7 @@ def ghost_room(packets: int, sequences: int) -> GhostRoom:
     """Return working memory for waves of a number of packets."""
     return GhostRoom(
         np.zeros((_MET + 1, packets)),
+        np.zeros((END_ROWS, packets)),
         np.zeros(packets),
         np.zeros(packets, np.int64),
         np.zeros(packets, np.int64),
@@ -137,10 +138,9 @@ def ghost_room(packets: int, sequences: int) -> GhostRoom:
     )
 
 
-@kernel
 def follow_ghosts(
-    wave: NDArray[np.void], lens: LensTables, mla: MlaTables, sensor: SensorTables, cover: Any, ghosts: GhostTables,
-    frames: Array, numbers: NDArray[np.int64], options: Options, flow: Flow, room: GhostRoom,
+    wave: NDArray[np.void], camera: Any, ghosts: GhostTables, frames: Array, options: Options, flow: Flow,
+    room: GhostRoom,
 ) -> None:  # fmt: skip
     """Take a wave of packets that have left their pixels through the camera, each along a sequence of its own.
 
@@ -149,26 +149,30 @@ def follow_ghosts(
     Parameters
     ----------
     wave : (n,) PACKET
-    cover : CoverTables, or None
-    numbers : (BLOCK,) int64
-        Working memory.
+        Of one wavelength.
+    camera : (LensTables, MlaTables, SensorTables, CoverTables or None)
     """
-    camera = lens, mla, sensor, cover
-    _to_lens(wave, camera, ghosts, frames, numbers, options, flow, room)
+    colour = int(wave["colour"][0]) if len(wave) > 0 else 0
+    count = _leave_pixels(wave, camera, ghosts, frames, options, flow, room)
+    to_lens = np.array([0, count]), np.array([0, ghosts.to_lens])
+    follow_rays(room.rays, room.ends, room.order, *to_lens, camera, ghosts, frames, colour, flow.book, room.bundle)
+    _draw_sequences(wave, count, ghosts, options, room)
     _sort(len(wave), room)
-    for sequence in range(len(ghosts.lengths)):
-        for first in range(room.first[sequence], room.first[sequence + 1], BLOCK):
-            count = min(BLOCK, room.first[sequence + 1] - first)
-            _along_sequence(wave, room.order[first : first + count], sequence, camera, ghosts, frames, flow, room)
+    along = room.first, ghosts.first
+    follow_rays(room.rays, room.ends, room.order, *along, camera, ghosts, frames, colour, flow.book, room.bundle)
+    _hand_on(wave, frames, flow, room)
 
 
 @kernel
-def _to_lens(
-    wave: NDArray[np.void], camera: Any, ghosts: GhostTables, frames: Array, numbers: NDArray[np.int64],
-    options: Options, flow: Flow, room: GhostRoom,
-) -> None:  # fmt: skip
-    """Take packets from the sensor to the lens, along the image path, and draw a sequence for each."""
-    bundle, surfaces = room.bundle, len(camera[0].surfaces)
+def _leave_pixels(
+    wave: NDArray[np.void], camera: Any, ghosts: GhostTables, frames: Array, options: Options, flow: Flow,
+    room: GhostRoom,
+) -> int:  # fmt: skip
+    """Start the packets of a wave from the sensor: towards the lens, or in new directions; return how many to the lens.
+
+    The first ones of `GhostRoom.order` are these.
+    """
+    surfaces = len(camera[0].surfaces)
     count = 0
     for i in range(len(wave)):
         packet = wave[i]
@@ -186,48 +190,54 @@ def _to_lens(
         if not packet.dz < 0.0:
             flow.book[UNFOLLOWED] += packet.weight
             continue
-        load(bundle, count, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz, packet.weight)
-        numbers[count] = i
+        _start_ray(room, i, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz, packet.weight, 0.0)
+        room.order[count] = i
         count += 1
-        if count == BLOCK:
-            _draw_sequences(wave, count, camera, ghosts, frames, numbers, options, flow, room)
-            count = 0
-    if count > 0:
-        pad(bundle, count)
-        _draw_sequences(wave, count, camera, ghosts, frames, numbers, options, flow, room)
+    return count
+
+
+@inlined
+def _start_ray(
+    room: GhostRoom, n: int, x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, met: float
+) -> None:
+    """Write the ray of a packet, and how many interfaces it has met."""
+    rays = room.rays
+    rays[0, n], rays[1, n], rays[2, n] = x, y, z
+    rays[3, n], rays[4, n], rays[5, n] = dx, dy, dz
+    rays[_WEIGHT, n], rays[_MET, n] = weight, met
+
+
+@inlined
+def _direction_at_end(room: GhostRoom, n: int) -> tuple[float, float, float]:
+    """Return the unit direction in which the ray of a packet has come out."""
+    dx, dy, dz = room.ends[3, n], room.ends[4, n], room.ends[5, n]
+    # Every interface changes its length by a rounding error.
+    scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
+    return dx * scale, dy * scale, dz * scale
 
 
 @kernel
-def _draw_sequences(
-    wave: NDArray[np.void], count: int, camera: Any, ghosts: GhostTables, frames: Array, numbers: NDArray[np.int64],
-    options: Options, flow: Flow, room: GhostRoom,
-) -> None:  # fmt: skip
-    """Take a block of packets to the lens, and draw a sequence for each."""
-    bundle, rays = room.bundle, room.rays
-    follow_legs(bundle, count, 0, ghosts.to_lens, camera, ghosts, frames, wave[numbers[0]].colour, flow.book)
-    normalise(bundle)
+def _draw_sequences(wave: NDArray[np.void], count: int, ghosts: GhostTables, options: Options, room: GhostRoom) -> None:
+    """Draw a sequence for each of the packets that have gone to the lens, the first ones of `GhostRoom.order`."""
+    rays, ends = room.rays, room.ends
     lost = len(ghosts.until) - 1
     for i in range(count):
-        n = numbers[i]
+        n = room.order[i]
         packet = wave[n]
-        x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
-        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
-        comes = bundle[ENDED_ON + i] == 0.0 and bundle[DZ + i] < 0.0
+        x, y, z = ends[0, n], ends[1, n], ends[2, n]
+        dx, dy, dz = _direction_at_end(room, n)
+        comes = ends[_ENDED_ON, n] == 0.0 and dz < 0.0
         kind = kind_of_ray(ghosts, x, y, z, dx, dy, dz) if comes else lost
         if not ghosts.until[kind, -1] > 0.0:
             continue
         u, _ = draw_two(options, packet, SEQUENCE)
         sequence, chance = _drawn(ghosts.until[kind], (u - ghosts.share_anew) / (1.0 - ghosts.share_anew))
         chance *= 1.0 - ghosts.share_anew
-        if ghosts.from_pixel[sequence]:
-            x, y, z = packet.x, packet.y, packet.z
-            dx, dy, dz = packet.dx, packet.dy, packet.dz
-            rays[6, n], rays[_MET, n] = packet.weight / chance, 0.0
-        else:
-            rays[6, n], rays[_MET, n] = bundle[WEIGHT + i] / chance, bundle[MET + i]
         room.sequence[n], room.chance[n] = sequence, chance
-        rays[0, n], rays[1, n], rays[2, n] = x, y, z
-        rays[3, n], rays[4, n], rays[5, n] = dx, dy, dz
+        if ghosts.from_pixel[sequence]:
+            rays[_WEIGHT, n] /= chance
+        else:
+            _start_ray(room, n, x, y, z, dx, dy, dz, ends[_WEIGHT, n] / chance, ends[_MET, n])
 
 
 @kernel
@@ -241,7 +251,7 @@ def _start_anew(
     sequence, chance = _drawn(ghosts.until_anew, u / ghosts.share_anew)
     chance *= ghosts.share_anew
     u, v = draw_two(options, packet, DIRECTION)
-    until, rays = ghosts.sines[sequence], room.rays
+    until = ghosts.sines[sequence]
     if u < ghosts.to_array:
         dx, dy, dz = _to_array(mla, ghosts, frames, packet.x, packet.y, u / ghosts.to_array, v)
     else:
@@ -250,25 +260,32 @@ def _start_anew(
     if density > 0.0:
         room.sequence[n], room.chance[n] = sequence, chance
         move = frames[SENSOR_FRAME, CAMERA_FRAME]
-        rays[0, n], rays[1, n], rays[2, n] = point_through(move, packet.x, packet.y, 0.0)
-        rays[3, n], rays[4, n], rays[5, n] = direction_through(move, dx, dy, dz)
-        rays[6, n], rays[_MET, n] = area_of_sample(sensor, options.samples) / (density * chance), 0.0
+        x, y, z = point_through(move, packet.x, packet.y, 0.0)
+        dx, dy, dz = direction_through(move, dx, dy, dz)
+        weight = area_of_sample(sensor, options.samples) / (density * chance)
+        _start_ray(room, n, x, y, z, dx, dy, dz, weight, 0.0)
 
 
 @kernel
-def follow_legs(
-    bundle: Array, count: int, first: int, last: int, camera: Any, ghosts: GhostTables, frames: Array, colour: int,
-    book: Array,
+def follow_rays(
+    rays: Array, ends: Array, order: NDArray[np.int64], first: NDArray[np.int64], legs: NDArray[np.int64], camera: Any,
+    ghosts: GhostTables, frames: Array, colour: int, book: Array, bundle: Array,
 ) -> None:  # fmt: skip
-    """Take a bundle (camera frame) along some of the legs in turn.
+    """Take rays along legs, each group of them along its own, in blocks.
 
     Parameters
     ----------
-    bundle : (BUNDLE_ROWS · BLOCK,) float64
-    count : int
-        Rays in it.
-    first, last : int
-        Numbers of the legs; the last is not included.
+    rays : (7 or more, n) float64
+        Position, mm, unit direction and weight of each, camera frame.
+    ends : (END_ROWS, n) float64
+        Filled for the rays in `order`: as `rays`, but for the length of the direction, to rounding; then the number of
+        interfaces that the ray has met, and whether it has ended: 0 if not.
+    order : (m,) int64
+        Rays of one group after those of another.
+    first : (groups + 1,) int64
+        Where each group begins in `order`.
+    legs : (groups + 1,) int64
+        The first leg of each group; it ends before that of the next.
     camera : (LensTables, MlaTables, SensorTables, CoverTables or None)
     ghosts : GhostTables
     frames : (6, 6, 3, 4) float64
@@ -276,7 +293,33 @@ def follow_legs(
         Number of the wavelength.
     book : (slots,) float64
         For light that media absorb.
+    bundle : (BUNDLE_ROWS · BLOCK,) float64
+        Working memory.
     """
+    for group in range(len(first) - 1):
+        for begin in range(first[group], first[group + 1], BLOCK):
+            count = min(BLOCK, first[group + 1] - begin)
+            for i in range(count):
+                n = order[begin + i]
+                load(
+                    bundle, i, rays[0, n], rays[1, n], rays[2, n], rays[3, n], rays[4, n], rays[5, n], rays[_WEIGHT, n]
+                )
+            pad(bundle, count)
+            _follow_legs(bundle, count, legs[group], legs[group + 1], camera, ghosts, frames, colour, book)
+            for i in range(count):
+                n = order[begin + i]
+                ends[0, n], ends[1, n], ends[2, n] = bundle[X + i], bundle[Y + i], bundle[Z + i]
+                ends[3, n], ends[4, n], ends[5, n] = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+                ends[_WEIGHT, n], ends[_MET, n] = bundle[WEIGHT + i], bundle[MET + i]
+                ends[_ENDED_ON, n] = bundle[ENDED_ON + i]
+
+
+@kernel
+def _follow_legs(
+    bundle: Array, count: int, first: int, last: int, camera: Any, ghosts: GhostTables, frames: Array, colour: int,
+    book: Array,
+) -> None:  # fmt: skip
+    """Take a bundle (camera frame) of `count` rays along the legs from `first` on, up to but not including `last`."""
     lens, mla, sensor, cover = camera
     for leg in range(first, last):
         part, begin, end, to_sensor = ghosts.legs[leg]
@@ -288,62 +331,6 @@ def follow_legs(
             along_array(bundle, count, mla, faces, reflected, colour, frames, to_sensor != 0, book)
         else:
             along_planes(bundle, cover, sensor, faces, reflected, frames, colour)
-
-
-@kernel
-def weights_along(
-    sequence: int, p: Array, d: Array, camera: Any, ghosts: GhostTables, frames: Array, colour: int, bundle: Array,
-    book: Array, weights: Array,
-) -> None:  # fmt: skip
-    """Find with what weight rays pass along a sequence.
-
-    Parameters
-    ----------
-    sequence : int
-    p, d : (n, 3) float64
-        Position, mm, and unit direction, camera frame: behind the lens and towards it, where they come on the image
-        path; from the sensor, where the sequence's packets leave it in new directions.
-    camera, ghosts, frames, colour
-        As for `follow_legs`.
-    bundle : (BUNDLE_ROWS · BLOCK,) float64
-    book : (slots,) float64
-        Working memory.
-    weights : (n,) float64
-        Filled; 0: the ray does not pass.
-    """
-    from_pixel = ghosts.from_pixel[sequence] and not ghosts.anew[sequence]
-    for first in range(0, len(p), BLOCK):
-        count = min(BLOCK, len(p) - first)
-        for i in range(count):
-            at, to = p[first + i], d[first + i]
-            # Back to the pixel that it comes from, from the plane at the lens.
-            t, sense = ((ghosts.plane_z - at[2]) / to[2], -1.0) if from_pixel else (0.0, 1.0)
-            load(
-                bundle, i, at[0] + t * to[0], at[1] + t * to[1], at[2] + t * to[2],
-                sense * to[0], sense * to[1], sense * to[2], 1.0,
-            )  # fmt: skip
-        pad(bundle, count)
-        if from_pixel:
-            follow_legs(bundle, count, ghosts.to_lens, ghosts.first[0], camera, ghosts, frames, colour, book)
-            _turn_back_at_sensor(bundle, frames)
-        follow_legs(
-            bundle, count, ghosts.first[sequence], ghosts.first[sequence + 1], camera, ghosts, frames, colour, book
-        )
-        for i in range(count):
-            weights[first + i] = bundle[WEIGHT + i] if bundle[ENDED_ON + i] == 0.0 else 0.0
-
-
-@kernel
-def _turn_back_at_sensor(bundle: Array, frames: Array) -> None:
-    """Take a bundle (camera frame) on to the plane of the sensor, and back the way that it came, with weight 1."""
-    to_sensor = frames[CAMERA_FRAME, SENSOR_FRAME]
-    for i in range(BLOCK):
-        x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
-        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
-        t = -point_through(to_sensor, x, y, z)[2] / direction_through(to_sensor, dx, dy, dz)[2]
-        bundle[X + i], bundle[Y + i], bundle[Z + i] = x + t * dx, y + t * dy, z + t * dz
-        bundle[DX + i], bundle[DY + i], bundle[DZ + i] = -dx, -dy, -dz
-        bundle[WEIGHT + i] = 1.0
 
 
 @inlined
@@ -370,7 +357,7 @@ def kind_of_ray(ghosts: GhostTables, x: float, y: float, z: float, dx: float, dy
 @inlined
 def interval_of_radius(ghosts: GhostTables, squared: float) -> int:
     """Return the interval of a squared distance from the axis, mm², in the plane at the lens."""
-    return min(int(np.searchsorted(ghosts.rings, squared, side="right")), RADII) - 1
+    return min(count_up_to(ghosts.rings, squared), RADII) - 1
 
 
 @inlined
@@ -457,7 +444,7 @@ def _density(
 @inlined
 def _drawn(until: Array, u: float) -> tuple[int, float]:
     """Return which of several things a random number draws, and its chance."""
-    drawn = min(int(np.searchsorted(until, u, side="right")), len(until) - 1)
+    drawn = min(count_up_to(until, u), len(until) - 1)
     return drawn, until[drawn] - (until[drawn - 1] if drawn > 0 else 0.0)
 
 
@@ -485,31 +472,22 @@ def _sort(count: int, room: GhostRoom) -> None:
 
 
 @kernel
-def _along_sequence(
-    wave: NDArray[np.void], order: NDArray[np.int64], sequence: int, camera: Any, ghosts: GhostTables, frames: Array,
-    flow: Flow, room: GhostRoom,
-) -> None:  # fmt: skip
-    """Take a block of packets along a sequence, and queue those that pass for object space."""
-    bundle, rays, events = room.bundle, room.rays, 0
-    for i in range(len(order)):
-        n = order[i]
-        load(bundle, i, rays[0, n], rays[1, n], rays[2, n], rays[3, n], rays[4, n], rays[5, n], rays[6, n])
-    pad(bundle, len(order))
-    first, last = ghosts.first[sequence], ghosts.first[sequence + 1]
-    follow_legs(bundle, len(order), first, last, camera, ghosts, frames, wave[order[0]].colour, flow.book)
-    normalise(bundle)
-    move_bundle(bundle, frames[CAMERA_FRAME, OBJECT_FRAME])
-    for i in range(len(order)):
-        met = int(bundle[MET + i])
+def _hand_on(wave: NDArray[np.void], frames: Array, flow: Flow, room: GhostRoom) -> None:
+    """Queue the packets that have passed along their sequences for object space."""
+    ends, events = room.ends, 0
+    move = frames[CAMERA_FRAME, OBJECT_FRAME]
+    for i in range(room.first[-1]):
+        n = room.order[i]
+        met = int(ends[_MET, n])
         events += met
-        if bundle[ENDED_ON + i] != 0.0 or not bundle[WEIGHT + i] > 0.0:
+        if ends[_ENDED_ON, n] != 0.0 or not ends[_WEIGHT, n] > 0.0:
             continue
-        packet = wave[order[i]]
-        packet.events += met + int(rays[_MET, order[i]])
-        child = put(
-            flow, OBJECTS, packet, OBJECT_FRAME, bundle[X + i], bundle[Y + i], bundle[Z + i],
-            bundle[DX + i], bundle[DY + i], bundle[DZ + i], bundle[WEIGHT + i], packet.key, 0.0,
-        )  # fmt: skip
+        packet = wave[n]
+        packet.events += met + int(room.rays[_MET, n])
+        x, y, z = point_through(move, ends[0, n], ends[1, n], ends[2, n])
+        dx, dy, dz = _direction_at_end(room, n)
+        dx, dy, dz = direction_through(move, dx, dy, dz)
+        child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, ends[_WEIGHT, n], packet.key, 0.0)
         child.space, child.stray = 0, REFLECTED_TWICE
         child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
     flow.counts[EVENTS] += events

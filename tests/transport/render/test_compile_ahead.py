@@ -26,7 +26,8 @@ from lfmesh.transport.world import build
 
 regions = [mla.admit_to_cells, mla.shade_cells, mla.through_plate, lens.admit_to_lens, lens.shade_lens,
     objects.admit_to_objects, objects.shade_objects, sensor.onto_sensor]
-launches = [pixels.launch_adjoint, ghosts.follow_ghosts, pixels.launch_along_image_path, image_path.follow_image_path]
+launches = [pixels.launch_adjoint, ghosts._leave_pixels, ghosts._draw_sequences, ghosts._hand_on,
+    ghosts.follow_rays, pixels.launch_along_image_path, image_path.follow_image_path]
 small = {{"camera.sensor.pixels": [8, 8], "transport.samples": 4, "transport.replicates": 2, "transport.threads": 1,
     "transport.split": "{split}"}}
 scene = lf.load(asset_path("scenes/{scene}.toml")).changed(small)

@@ -2,8 +2,9 @@
 
 On a fresh install nothing is compiled yet, and numba compiles one function at a time. So a second process compiles the
 kernels of the regions, which trace packets that wait at a station, while this one builds the world and compiles those
-that aim and launch packets: each about half of all. Both write to numba's cache on disk, where the render finds what
-the other has compiled. Where the second process fails, the render compiles everything itself.
+that aim packets and take them along the image path and along ghosts: each about half of all. Both write to numba's
+cache on disk, where the render finds what the other has compiled. Where the second process fails, the render compiles
+everything itself.
 """
 
 import os
@@ -11,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
@@ -28,13 +30,13 @@ from lfmesh.transport.render.tally import Film
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.lights import LightSource
 from lfmesh.transport.sources.particles import ParticleSource
-from lfmesh.transport.sources.pixels import PixelSource
+from lfmesh.transport.sources.pixels import PixelSource, launch_adjoint, starting_kernel
 from lfmesh.transport.world import World, build
 
 ON_IMAGE_PATH = ((OBJECTS, False), (LENS, True))
-EVERYWHERE = (*ON_IMAGE_PATH, *((station, False) for station in (LENS, LENS_MESH, CELLS, PLATE, SENSOR)))
-"""Stations whose kernels a render needs without and with paths off the image path, and whether they take packets along
-the image path alone."""
+EVERYWHERE = tuple((station, False) for station in (OBJECTS, LENS, LENS_MESH, CELLS, PLATE, SENSOR))
+"""Stations whose kernels the second process compiles for a render without and with paths off the image path, and
+whether they take packets along the image path alone."""
 
 _CHILD = """
 import gc, os, sys
@@ -42,7 +44,7 @@ import gc, os, sys
 gc.disable()
 sys.path[:] = {path!r}
 from {module} import compile_stations
-compile_stations({stations!r})
+compile_stations({stations!r}, starts={starts!r}, glass={glass!r})
 os._exit(0)
 """
 
@@ -72,24 +74,28 @@ class Ahead:
 
     def __init__(self, scene: Scene) -> None:
         self._process: subprocess.Popen[bytes] | None = None
+        self._starts = False
         alone = engine_of(scene)[0] == "sequential"
         kernels = (shade_objects,) if alone else (shade_objects, shade_lens, shade_cells)
         # The kernels of polarised light are others, and few scenes have it.
         if processors() > 1 and not scene.transport.polarisation and not any(map(is_cached, kernels)):
             stations = ON_IMAGE_PATH if alone else EVERYWHERE
-            code = _CHILD.format(path=sys.path, module=__name__, stations=stations)
+            starts = scene.transport.method == "adjoint" and not alone
+            glass = any(target.refractor is not None for target in scene.targets)
+            code = _CHILD.format(path=sys.path, module=__name__, stations=stations, starts=starts, glass=glass)
             try:
                 self._process = subprocess.Popen(
                     [sys.executable, "-c", code],
                     stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
                 )  # fmt: skip
+                self._starts = starts
             except OSError:
                 self._process = None
 
     def join(self, world: World) -> None:
         """Compile the kernels that launch packets of a world, and wait until the other process has compiled its own."""
         if self._process is not None:
-            compile_launches(world)
+            compile_launches(world, starts=not self._starts)
             self._process.wait()
 
     def stop(self) -> None:
@@ -105,36 +111,52 @@ def processors() -> int:
     return len(available(0)) if available is not None else os.cpu_count() or 1
 
 
-def compile_launches(world: World) -> None:
-    """Compile what launches the packets of a render, and what follows ghosts, by launching none."""
+def compile_launches(world: World, *, starts: bool = True) -> None:
+    """Compile what launches the packets of a render, and what follows the image path and ghosts, by launching none.
+
+    Parameters
+    ----------
+    world : World
+    starts : bool
+        Whether to compile `launch_adjoint`, too.
+    """
+    alone = engine_of(world.scene)[0] == "sequential"
     for part in parts_of(world):
         work = Workspace(world, part.options, 1, part.tables)
         work.begin(Film.empty(0, 1), 0)
         if part.options.adjoint:
-            PixelSource(np.zeros(0, np.int64), 1, np.uint64(0)).launch(work, range(0))
+            if starts or starting_kernel(part.tables, part.options) is not launch_adjoint:
+                PixelSource(np.zeros(0, np.int64), 1, np.uint64(0)).launch(work, range(0))
         elif part.particles is not None:
             ParticleSource(part.particles, 0, 0, 1, np.uint64(0), 0).launch(work, range(0))
         else:
             LightSource(0, 0, 1, np.uint64(0), 0).launch(work, range(0))
-        if part.options.paths == GHOSTS:
+        if part.options.paths == GHOSTS or (part.options.sequential and not alone):
             work.advance(LENS)
 
 
-def compile_stations(stations: tuple[tuple[int, bool], ...]) -> None:
+def compile_stations(stations: tuple[tuple[int, bool], ...], *, starts: bool = False, glass: bool = False) -> None:
     """Compile the kernels of stations by a wave without packets at each; the camera has nothing that is aimed at.
 
     Parameters
     ----------
     stations : tuple of (int, bool)
         As `EVERYWHERE`.
+    starts : bool
+        Whether to compile `launch_adjoint`, too.
+    glass : bool
+        Whether the scene has bodies of glass.
     """
-    world = build(Scene.model_validate(BARE), aimed=False)
+    world = build(Scene.model_validate(BARE | {"targets": [GLASS if glass else WALL]}), aimed=False)
     options = options_of(world)
     work = Workspace(world, options, 1)
     work.begin(Film.empty(0, 1), 0)
     for station, sequential in stations:
         work.options = options._replace(in_order=station == LENS, sequential=sequential)
         work.advance(station)
+    if starts:
+        work.options = options._replace(sequential=False)
+        PixelSource(np.zeros(0, np.int64), 1, np.uint64(0)).launch(work, range(0))
 
 
 BARE = {
@@ -149,7 +171,12 @@ BARE = {
         },
         "sensor": {"pixels": [1, 1], "pixel_mm": 0.1},
     },
-    "targets": [{"shape": {"kind": "plane", "width_mm": 1.0, "height_mm": 1.0}, "position_mm": [0.0, 0.0, -500.0]}],
     "transport": {"samples": 1, "replicates": 1},
 }
 """A camera that compiles nothing when it is built without aim."""
+
+WALL: dict[str, Any] = {
+    "shape": {"kind": "plane", "width_mm": 1.0, "height_mm": 1.0},
+    "position_mm": [0.0, 0.0, -500.0],
+}
+GLASS: dict[str, Any] = {"refractor": {"box_mm": [1.0, 1.0, 1.0], "index": 1.5}, "position_mm": [0.0, 0.0, -500.0]}

@@ -6,6 +6,7 @@ importance would gain (n_i/n_t)² at every crossing. As pixel and light both lie
 left out; the radiance of a target that emits inside glass is divided by n² instead.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,7 +67,7 @@ from lfmesh.transport.sources.pixel_starts import STARTS, StartRoom, begin_launc
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.tables.media import clear
 from lfmesh.transport.tables.pixel import area_of_sample
-from lfmesh.transport.tables.tables import AimTables, LensTables, MlaTables, SensorTables
+from lfmesh.transport.tables.tables import AimTables, LensTables, MlaTables, SensorTables, Tables
 
 Array = NDArray[np.float64]
 
@@ -127,14 +128,15 @@ class PixelSource(Source):
         begin = np.zeros(len(pixels), np.int64) if self.begin is None else self.begin[part.start : part.stop]
         room = work.kept(StartRoom, lambda: start_room(tables.aim, work.stacks.dtype))
         seen = tables.frames if tables.apparent is None else tables.apparent
-        if options.sequential and options.adjoint and tables.cover is None and options.paths != GHOSTS:
+        starts = starting_kernel(tables, options)
+        if starts is launch_along_image_path:
             launch_along_image_path(
                 pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
                 tables.lens, tables.mla, tables.aim, tables.frames, work.bundle, work.numbers, options, work.flow(),
                 room,
             )  # fmt: skip
             return
-        if options.paths == GHOSTS and not tables.mla.present:
+        if starts is launch_to_cells:
             launch_to_cells(
                 pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
                 tables.aim.exit, tables.ghosts, seen, len(tables.lens.surfaces), work.flow(), room,
@@ -148,6 +150,15 @@ class PixelSource(Source):
         if tables.cover is not None:
             # Without a cover a pixel's light meets the array first, or the lens.
             work.move_waiting(PLATE if tables.mla.present else LENS, SENSOR)
+
+
+def starting_kernel(tables: Tables, options: Options) -> Callable[..., None]:
+    """Return the kernel that starts the packets of pixels."""
+    if options.sequential and options.adjoint and tables.cover is None and options.paths != GHOSTS:
+        return launch_along_image_path
+    if options.paths == GHOSTS and not tables.mla.present:
+        return launch_to_cells
+    return launch_adjoint
 
 
 @kernel

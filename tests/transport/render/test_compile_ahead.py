@@ -31,15 +31,17 @@ launches = [pixels.launch_adjoint, ghosts._leave_pixels, ghosts._draw_sequences,
 small = {{"camera.sensor.pixels": [8, 8], "transport.samples": 4, "transport.replicates": 2, "transport.threads": 1,
     "transport.split": "{split}"}}
 scene = lf.load(asset_path("scenes/{scene}.toml")).changed(small)
-compile_stations(ON_IMAGE_PATH if "{split}" == "transmit" else EVERYWHERE)
-compile_launches(build(scene))
+alone = "{split}" == "transmit"
+glass = any(target.refractor is not None for target in scene.targets)
+compile_stations(ON_IMAGE_PATH if alone else EVERYWHERE, starts=not alone, glass=glass)
+compile_launches(build(scene), starts=alone)
 before = [len(kernel.signatures) for kernel in regions + launches]
 lf.render(scene)
 print(json.dumps([before, [len(kernel.signatures) for kernel in regions + launches]]))
 """
 
 
-@pytest.mark.parametrize("scene", ["first_light", "lit_chart"])
+@pytest.mark.parametrize("scene", ["first_light", "lit_chart", "aquarium"])
 def test_all_that_a_render_needs_is_compiled_ahead(scene: str) -> None:
     code = SIGNATURES.format(scene=scene, split="both")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -100,13 +102,21 @@ def test_the_process_ends_with_a_build_that_fails(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize(
-    ("split", "stations"), [("both", compile_ahead.EVERYWHERE), ("transmit", ((2, False), (0, True)))]
+    ("changes", "asked"),
+    [
+        ({}, (compile_ahead.EVERYWHERE, True, False)),
+        ({"transport.method": "forward"}, (compile_ahead.EVERYWHERE, False, False)),
+        ({"transport.split": "transmit"}, (((2, False), (0, True)), False, False)),
+        ({"targets[0]": compile_ahead.GLASS}, (compile_ahead.EVERYWHERE, True, True)),
+    ],
+    ids=["adjoint", "forward", "image path", "glass"],
 )
-def test_only_the_stations_of_the_scene_are_compiled(
-    split: str, stations: tuple[tuple[int, bool], ...], monkeypatch: pytest.MonkeyPatch
+def test_only_what_the_scene_needs_is_compiled(
+    changes: dict[str, Any], asked: tuple[Any, bool, bool], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     started = []
     monkeypatch.setattr(compile_ahead, "is_cached", lambda kernel: False)
     monkeypatch.setattr(compile_ahead.subprocess, "Popen", lambda command, **_: started.append(command))
-    Ahead(scene_of(split=split))
-    assert f"compile_stations({stations!r})" in started[0][-1]
+    Ahead(scene_of().changed({"transport.split": "both"} | changes))
+    stations, starts, glass = asked
+    assert f"compile_stations({stations!r}, starts={starts}, glass={glass})" in started[0][-1]

@@ -380,7 +380,9 @@ def at_wavelength(world: World, wavelength_nm: float) -> Tables:
     cover = tables.cover
     if cover is not None:
         cover = cover._replace(media=media(cover.medium), interfaces=interfaces.cover)
-    objects = tables.objects._replace(media=media(tables.objects.medium), interfaces=interfaces.objects)
+    objects = tables.objects._replace(media=media(tables.objects.medium))
+    if objects.glass is not None:
+        objects = objects._replace(glass=objects.glass._replace(interfaces=interfaces.objects))
     if objects.volumes is not None:
         # What media emit has a width in wavelength; what they take, and how they scatter, is that of this wavelength.
         line = replace(world.lines, wavelengths_nm=(wavelength_nm,), weight_nm=np.ones(1))

@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "lfmesh"
 
 FOUNDATION = [
+    "ascending",
     "assets",
     "by_address",
     "cluster",

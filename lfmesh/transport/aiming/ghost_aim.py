@@ -15,7 +15,17 @@ from lfmesh.geometry.surface import CONIC_AND_EVEN
 from lfmesh.transport.aiming.lenslet_view import with_wider_views
 from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_GHOSTS
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
-from lfmesh.transport.sequential.ghosts import ANGLES, END_ROWS, HEIGHTS, RADII, SINES, GhostTables, follow_rays
+from lfmesh.transport.sequential.ghosts import (
+    ANGLES,
+    END_ROWS,
+    HEIGHTS,
+    RADII,
+    RAY_ENDED,
+    RAY_WEIGHT,
+    SINES,
+    GhostTables,
+    follow_rays,
+)
 from lfmesh.transport.sequential.lens_bundle import empty_bundle
 from lfmesh.transport.sequential.plane_faces import count_faces
 from lfmesh.transport.sequential.reflections import BUNDLE_ROWS, book_for
@@ -199,11 +209,11 @@ def _found(
     turning = ghosts.from_pixel & ~ghosts.anew & those
     as_given = np.arange(len(p)), _starts(p, d)
     turned = _turned_back_at_sensor(tables, ghosts, p, d) if turning.any() else as_given
-    weights = np.zeros((len(ghosts.lengths), len(p)))
+    ends, weights = np.empty((END_ROWS, len(p))), np.zeros((len(ghosts.lengths), len(p)))
     for sequence in np.flatnonzero(those):
         order, rays = turned if turning[sequence] else as_given
-        _, _, of_end, ended = _followed(tables, ghosts, rays, order, ghosts.first[sequence : sequence + 2])
-        weights[sequence, order] = np.where(ended, 0.0, of_end)
+        _follow(tables, ghosts, rays, order, ghosts.first[sequence : sequence + 2], ends)
+        weights[sequence, order] = np.where(ends[RAY_ENDED, order] == 0.0, ends[RAY_WEIGHT, order], 0.0)
     return np.asarray(np.sqrt(((factors * weights).reshape(len(weights), -1, of_a_kind) ** 2).mean(axis=2)))
 
 
@@ -214,9 +224,10 @@ def _turned_back_at_sensor(tables: Tables, ghosts: GhostTables, p: Array, d: Arr
     """
     t = (ghosts.plane_z - p[:, 2]) / d[:, 2]
     legs = np.array([ghosts.to_lens, ghosts.first[0]])
-    x, along, _, ended = _followed(tables, ghosts, _starts(p + t[:, None] * d, -d), np.arange(len(p)), legs)
-    passing = np.flatnonzero(~ended)
-    x, along = x[passing], along[passing]
+    ends = np.empty((END_ROWS, len(p)))
+    _follow(tables, ghosts, _starts(p + t[:, None] * d, -d), np.arange(len(p)), legs, ends)
+    passing = np.flatnonzero(ends[RAY_ENDED] == 0.0)
+    x, along = ends[:3, passing].T, ends[3:6, passing].T
     move = tables.frames[CAMERA_FRAME, SENSOR_FRAME]
     with np.errstate(divide="ignore", invalid="ignore"):
         t = -frame.points(move, x)[:, 2] / frame.directions(move, along)[:, 2]
@@ -233,19 +244,15 @@ def _starts(p: Array, d: Array) -> Array:
     return rays
 
 
-def _followed(
-    tables: Tables, ghosts: GhostTables, rays: Array, order: NDArray[np.int64], legs: NDArray[np.int64]
-) -> tuple[Array, Array, Array, NDArray[np.bool_]]:  # fmt: skip
-    """Take some rays along legs; return their positions, directions, weights, and whether they have ended."""
+def _follow(
+    tables: Tables, ghosts: GhostTables, rays: Array, order: NDArray[np.int64], legs: NDArray[np.int64], ends: Array
+) -> None:
+    """Take some rays along legs, as `follow_rays` does for a single group."""
     camera = tables.lens, tables.mla, tables.sensor, tables.cover
     media = [tables.lens.media, tables.mla.media, *([] if tables.cover is None else [tables.cover.media])]
-    book = max((book_for(each) for each in media), key=len)
-    colour = tables.lens.media.indices.shape[1] // 2
-    ends, group = np.zeros((END_ROWS, rays.shape[1])), np.array([0, len(order)])
-    bundle = empty_bundle(BUNDLE_ROWS)
+    book, bundle = max((book_for(each) for each in media), key=len), empty_bundle(BUNDLE_ROWS)
+    colour, group = tables.lens.media.indices.shape[1] // 2, np.array([0, len(order)])
     follow_rays(rays, ends, order, group, legs, camera, ghosts, tables.frames, colour, book, bundle)
-    ends = ends[:, order]
-    return ends[:3].T, ends[3:6].T, ends[6], ends[8] != 0.0
 
 
 def _rays(ghosts: GhostTables) -> tuple[Array, Array]:

@@ -72,7 +72,7 @@ RADII, HEIGHTS, ANGLES = 8, 8, 8
 SINES = 32
 """Equal intervals of the sine of the angle between the sensor's normal and a new direction."""
 
-_WEIGHT, _MET, _ENDED_ON, END_ROWS = 6, 7, 8, 9
+RAY_WEIGHT, RAY_MET, RAY_ENDED, END_ROWS = 6, 7, 8, 9
 """Rows of `GhostRoom.rays` and `ends`, after those of position and direction, and their number."""
 
 
@@ -128,7 +128,7 @@ class GhostRoom(NamedTuple):
 def ghost_room(packets: int, sequences: int) -> GhostRoom:
     """Return working memory for waves of a number of packets."""
     return GhostRoom(
-        np.zeros((_MET + 1, packets)),
+        np.zeros((RAY_MET + 1, packets)),
         np.zeros((END_ROWS, packets)),
         np.zeros(packets),
         np.zeros(packets, np.int64),
@@ -204,7 +204,7 @@ def _start_ray(
     rays = room.rays
     rays[0, n], rays[1, n], rays[2, n] = x, y, z
     rays[3, n], rays[4, n], rays[5, n] = dx, dy, dz
-    rays[_WEIGHT, n], rays[_MET, n] = weight, met
+    rays[RAY_WEIGHT, n], rays[RAY_MET, n] = weight, met
 
 
 @inlined
@@ -226,7 +226,7 @@ def _draw_sequences(wave: NDArray[np.void], count: int, ghosts: GhostTables, opt
         packet = wave[n]
         x, y, z = ends[0, n], ends[1, n], ends[2, n]
         dx, dy, dz = _direction_at_end(room, n)
-        comes = ends[_ENDED_ON, n] == 0.0 and dz < 0.0
+        comes = ends[RAY_ENDED, n] == 0.0 and dz < 0.0
         kind = kind_of_ray(ghosts, x, y, z, dx, dy, dz) if comes else lost
         if not ghosts.until[kind, -1] > 0.0:
             continue
@@ -235,9 +235,9 @@ def _draw_sequences(wave: NDArray[np.void], count: int, ghosts: GhostTables, opt
         chance *= 1.0 - ghosts.share_anew
         room.sequence[n], room.chance[n] = sequence, chance
         if ghosts.from_pixel[sequence]:
-            rays[_WEIGHT, n] /= chance
+            rays[RAY_WEIGHT, n] /= chance
         else:
-            _start_ray(room, n, x, y, z, dx, dy, dz, ends[_WEIGHT, n] / chance, ends[_MET, n])
+            _start_ray(room, n, x, y, z, dx, dy, dz, ends[RAY_WEIGHT, n] / chance, ends[RAY_MET, n])
 
 
 @kernel
@@ -302,16 +302,17 @@ def follow_rays(
             for i in range(count):
                 n = order[begin + i]
                 load(
-                    bundle, i, rays[0, n], rays[1, n], rays[2, n], rays[3, n], rays[4, n], rays[5, n], rays[_WEIGHT, n]
-                )
+                    bundle, i, rays[0, n], rays[1, n], rays[2, n], rays[3, n], rays[4, n], rays[5, n],
+                    rays[RAY_WEIGHT, n],
+                )  # fmt: skip
             pad(bundle, count)
             _follow_legs(bundle, count, legs[group], legs[group + 1], camera, ghosts, frames, colour, book)
             for i in range(count):
                 n = order[begin + i]
                 ends[0, n], ends[1, n], ends[2, n] = bundle[X + i], bundle[Y + i], bundle[Z + i]
                 ends[3, n], ends[4, n], ends[5, n] = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
-                ends[_WEIGHT, n], ends[_MET, n] = bundle[WEIGHT + i], bundle[MET + i]
-                ends[_ENDED_ON, n] = bundle[ENDED_ON + i]
+                ends[RAY_WEIGHT, n], ends[RAY_MET, n] = bundle[WEIGHT + i], bundle[MET + i]
+                ends[RAY_ENDED, n] = bundle[ENDED_ON + i]
 
 
 @kernel
@@ -478,16 +479,16 @@ def _hand_on(wave: NDArray[np.void], frames: Array, flow: Flow, room: GhostRoom)
     move = frames[CAMERA_FRAME, OBJECT_FRAME]
     for i in range(room.first[-1]):
         n = room.order[i]
-        met = int(ends[_MET, n])
+        met = int(ends[RAY_MET, n])
         events += met
-        if ends[_ENDED_ON, n] != 0.0 or not ends[_WEIGHT, n] > 0.0:
+        if ends[RAY_ENDED, n] != 0.0 or not ends[RAY_WEIGHT, n] > 0.0:
             continue
         packet = wave[n]
-        packet.events += met + int(room.rays[_MET, n])
+        packet.events += met + int(room.rays[RAY_MET, n])
         x, y, z = point_through(move, ends[0, n], ends[1, n], ends[2, n])
         dx, dy, dz = _direction_at_end(room, n)
         dx, dy, dz = direction_through(move, dx, dy, dz)
-        child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, ends[_WEIGHT, n], packet.key, 0.0)
+        child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, ends[RAY_WEIGHT, n], packet.key, 0.0)
         child.space, child.stray = 0, REFLECTED_TWICE
         child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
     flow.counts[EVENTS] += events

@@ -62,22 +62,22 @@ class IntermediateLibrary(CodeLibrary):  # type: ignore[misc]
 
     def get_function(self, name: str) -> Any:
         """Return a function by name."""
-        return self._merged().get_function(name)
+        return self._get_module_for_linking().get_function(name)
 
     def get_llvm_str(self) -> str:
         """Return the code as text."""
-        return str(self._merged())
+        return str(self._get_module_for_linking())
 
     def get_asm_str(self) -> str:
         """Return the machine code as text."""
         raise NotImplementedError(f"{self.name} is compiled in its callers only")
 
-    def _merged(self) -> Any:
-        return merged(self.modules)
-
     def _get_module_for_linking(self) -> Any:
-        """Return the code for linking into another library, by numba's name for that."""
-        return self._merged()
+        """Return the code, a copy of it for every caller, by numba's name for that."""
+        first, *others = map(llvm.parse_bitcode, self.modules)
+        for other in others:
+            first.link_in(other)
+        return first
 
 
 class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
@@ -110,13 +110,10 @@ class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
         By itself numba optimises twice, the first time to bring reference counts together, and kernels count none.
         """
         for library in self.linked:
-            if isinstance(library, IntermediateLibrary):
-                # Read from bitcode for this kernel alone, so that nothing has to be kept.
-                for module in library.modules:
-                    self._final_module.link_in(llvm.parse_bitcode(module))
-            else:
-                self._reload_init.update(library._reload_init)
-                self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+            self._reload_init.update(library._reload_init)
+            # Intermediate code is read anew for every kernel, so that there is none to preserve.
+            preserve = not isinstance(library, IntermediateLibrary)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=preserve)
         passes, settings = self._codegen._module_pass_manager()
         passes.run(self._final_module, settings)
 
@@ -133,14 +130,6 @@ def prefer_wide_registers(ir_module: Any) -> None:
                 set.add(function.attributes, '"prefer-vector-width"="512"')
     for function in ir_module.functions:
         promise_unchanged(function)
-
-
-def merged(modules: list[bytes]) -> Any:
-    """Return LLVM modules, given as bitcode, linked into one."""
-    first, *others = map(llvm.parse_bitcode, modules)
-    for other in others:
-        first.link_in(other)
-    return first
 
 
 class _CachedFunction(types.Function):  # type: ignore[misc]

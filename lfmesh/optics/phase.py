@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfmesh.ascending import count_up_to
+from lfmesh.ascending import piece_with
 from lfmesh.by_address import by_address
 from lfmesh.errors import FileError
 from lfmesh.kernel import kernel
@@ -193,7 +193,7 @@ def evaluate_phase(phases: PhaseTables, row: Any, cosine: float) -> float:
         square = (1.0 - g) * (1.0 - g) + 2.0 * g * off
         return 0.25 / np.pi * (1.0 - g) * (1.0 + g) / (square * np.sqrt(square))
     cosines = phases.cosines[row.first : row.first + row.count]
-    i = min(max(count_up_to(cosines, cosine) - 1, 0), row.count - 2)
+    i = piece_with(cosines, cosine)
     t = min(max((cosine - cosines[i]) / (cosines[i + 1] - cosines[i]), 0.0), 1.0)
     at = row.first + i
     return (1.0 - t) * phases.values[at] + t * phases.values[at + 1]
@@ -224,7 +224,7 @@ def sampled_cosine(phases: PhaseTables, row: Any, u: float) -> float:
         off = 2.0 * (1.0 - v) * (1.0 + g * v) * ((1.0 - g) / t) * ((1.0 - g) / t)
         return 1.0 - off if row.g >= 0.0 else off - 1.0
     until = phases.until[row.first : row.first + row.count]
-    i = min(max(count_up_to(until, u) - 1, 0), row.count - 2)
+    i = piece_with(until, u)
     at = row.first + i
     low, high = phases.values[at], phases.values[at + 1]
     share = (u - until[i]) / (until[i + 1] - until[i]) if until[i + 1] > until[i] else 0.0

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.ascending import count_up_to
+from lfmesh.ascending import drawn_by
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.volume import Ray, own_ray, slab
 from lfmesh.transport.packets.packet import NO_SURFACE, SCATTERED, Options
@@ -190,7 +190,7 @@ def drawn_point(
     density = 1.0 / (lx * ly * lz)
     if row.drawn > 0:
         until = volumes.until[row.first : row.first + row.drawn]
-        cell = min(count_up_to(until, choice), row.drawn - 1)
+        cell = drawn_by(until, choice)
         density *= (until[cell] - (until[cell - 1] if cell > 0 else 0.0)) * row.drawn
         ny, nz = row.cells[1], row.cells[2]
         lx, ly, lz = row.spacing[0], row.spacing[1], row.spacing[2]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lfmesh.ascending import count_up_to
+from lfmesh.ascending import drawn_by, piece_with
 from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.scattering import near, tangents
 from lfmesh.transport.events.crossing import LIGHT_U, clear_of, draw_two
@@ -280,8 +280,8 @@ def _profile_at(profiles: Profiles, light: Any, dx: float, dy: float, dz: float)
     if theta < vertical[0] or theta > vertical[-1]:
         return 0.0
     phi = horizontal[0] + (phi - horizontal[0]) % (2.0 * np.pi)
-    i = min(max(count_up_to(vertical, theta) - 1, 0), row[1] - 2)
-    j = min(max(count_up_to(horizontal, phi) - 1, 0), row[3] - 2)
+    i = piece_with(vertical, theta)
+    j = piece_with(horizontal, phi)
     s = (theta - vertical[i]) / (vertical[i + 1] - vertical[i])
     t = min((phi - horizontal[j]) / (horizontal[j + 1] - horizontal[j]), 1.0)
     first = row[4] + j * row[1] + i
@@ -365,7 +365,7 @@ def _drawn_by_intensity(profiles: Profiles, light: Any, u: float, v: float) -> t
     vertical = profiles.angles[row[0] : row[0] + row[1]]
     horizontal = profiles.angles[row[2] : row[2] + row[3]]
     until = profiles.until[row[4] : row[4] + (row[1] - 1) * (row[3] - 1)]
-    cell = min(count_up_to(until, u), len(until) - 1)
+    cell = drawn_by(until, u)
     below = until[cell - 1] if cell > 0 else 0.0
     # What is left of the first number is a random number of its own.
     u = min((u - below) / (until[cell] - below), 1.0)

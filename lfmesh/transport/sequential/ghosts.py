@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.ascending import count_up_to
+from lfmesh.ascending import count_up_to, drawn_by
 from lfmesh.by_address import by_address
 from lfmesh.geometry.frame import direction_through, point_through
 from lfmesh.kernel import inlined, kernel
@@ -445,7 +445,7 @@ def _density(
 @inlined
 def _drawn(until: Array, u: float) -> tuple[int, float]:
     """Return which of several things a random number draws, and its chance."""
-    drawn = min(count_up_to(until, u), len(until) - 1)
+    drawn = drawn_by(until, u)
     return drawn, until[drawn] - (until[drawn - 1] if drawn > 0 else 0.0)
 
 

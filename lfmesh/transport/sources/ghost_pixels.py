@@ -8,7 +8,7 @@ found ghosts to come from there, and to a uniform point of it. Other rays go to 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.ascending import count_up_to
+from lfmesh.ascending import drawn_by
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.aiming.lenslet_aim import CELL_U, CELL_V, DISCRETE, PIXEL_U, PIXEL_V
@@ -114,7 +114,7 @@ def _to_cell(
 ) -> tuple[float, float, float]:
     """Return a direction from a point to a uniform point of a cell at the lens, drawn by its chance."""
     until = ghosts.cells[interval_of_height(ghosts, x * x + y * y)]
-    cell = min(count_up_to(until, choice), len(until) - 1)
+    cell = drawn_by(until, choice)
     before = until[cell - 1] if cell > 0 else 0.0
     # What is left of the number decides on which side of the meridian the point lies.
     side = 1.0 if choice - before < 0.5 * (until[cell] - before) else -1.0

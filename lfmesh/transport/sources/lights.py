@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.ascending import count_up_to
+from lfmesh.ascending import drawn_by
 from lfmesh.kernel import kernel
 from lfmesh.optics.scattering import about
 from lfmesh.transport.engine import Workspace
@@ -107,7 +107,7 @@ def launch_forward(
         packet.kind = LAMP
         packet.facet = NO_SURFACE
         packet.node = NO_SURFACE
-        which = min(count_up_to(sources["until"], start(key, SOURCE_U)), len(sources) - 1)
+        which = drawn_by(sources["until"], start(key, SOURCE_U))
         source = sources[which]
         weight = source.power / (source.share * total)
         if source.facet <= FIRST_VOLUME:

@@ -7,12 +7,12 @@ steps of it the light that arrives is constant (equiangular sampling, Kulla & Fa
 integral and its integral over α, of the mean phase function of all media.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.ascending import count_up_to
+from lfmesh.ascending import piece_with
 from lfmesh.kernel import kernel
 from lfmesh.optics.phase import PhaseTables, evaluate_phase
 from lfmesh.transport.tables.lights import DIRECTIONAL
@@ -130,7 +130,7 @@ def light_beyond(halos: Halos, colour: int, angle: float) -> float:
     angle : float
         rad, 0 to π.
     """
-    k = _piece(halos.angles, angle)
+    k = piece_with(halos.angles, angle)
     return halos.beyond[colour, k + 1] + halos.phase[colour, k] * max(halos.angles[k + 1] - angle, 0.0)
 
 
@@ -143,7 +143,7 @@ def phase_at(halos: Halos, colour: int, angle: float) -> float:
     halos, colour, angle
         As for `light_beyond`.
     """
-    return halos.phase[colour, _piece(halos.angles, angle)]
+    return halos.phase[colour, piece_with(halos.angles, angle)]
 
 
 @kernel
@@ -182,14 +182,8 @@ def drawn_angle(halos: Halos, colour: int, u: float) -> float:
     """
     last = len(halos.angles) - 1
     wanted = u * halos.below[colour, last]
-    k = _piece(halos.below[colour], wanted)
+    k = piece_with(halos.below[colour], wanted)
     rest, at_begin = wanted - halos.below[colour, k], halos.beyond[colour, k]
     # The root of b x − p x² / 2 = rest, in the form that holds for any p.
     root = np.sqrt(max(at_begin * at_begin - 2.0 * halos.phase[colour, k] * rest, 0.0))
     return min(halos.angles[k] + 2.0 * rest / (at_begin + root), halos.angles[k + 1])
-
-
-@kernel
-def _piece(nodes: Any, value: float) -> int:
-    """Return the piece between two of some increasing numbers that a value lies in."""
-    return min(max(count_up_to(nodes, value) - 1, 0), len(nodes) - 2)

@@ -211,30 +211,25 @@ def _found(
     turned = _turned_back_at_sensor(tables, ghosts, p, d) if turning.any() else as_given
     ends, weights = np.empty((END_ROWS, len(p))), np.zeros((len(ghosts.lengths), len(p)))
     for sequence in np.flatnonzero(those):
-        order, rays = turned if turning[sequence] else as_given
-        _follow(tables, ghosts, rays, order, ghosts.first[sequence : sequence + 2], ends)
-        weights[sequence, order] = np.where(ends[RAY_ENDED, order] == 0.0, ends[RAY_WEIGHT, order], 0.0)
+        numbers, rays = turned if turning[sequence] else as_given
+        _follow(tables, ghosts, rays, ghosts.first[sequence : sequence + 2], ends)
+        found = ends[:, : len(numbers)]
+        weights[sequence, numbers] = np.where(found[RAY_ENDED] == 0.0, found[RAY_WEIGHT], 0.0)
     return np.asarray(np.sqrt(((factors * weights).reshape(len(weights), -1, of_a_kind) ** 2).mean(axis=2)))
 
 
 def _turned_back_at_sensor(tables: Tables, ghosts: GhostTables, p: Array, d: Array) -> tuple[NDArray[np.int64], Array]:
-    """Take rays that come to the lens back to their pixels; return which get there, and all of them as they leave.
-
-    The others are filled with zeros.
-    """
+    """Take rays that come to the lens back to their pixels; return which get there, and these as they leave again."""
     t = (ghosts.plane_z - p[:, 2]) / d[:, 2]
     legs = np.array([ghosts.to_lens, ghosts.first[0]])
     ends = np.empty((END_ROWS, len(p)))
-    _follow(tables, ghosts, _starts(p + t[:, None] * d, -d), np.arange(len(p)), legs, ends)
+    _follow(tables, ghosts, _starts(p + t[:, None] * d, -d), legs, ends)
     passing = np.flatnonzero(ends[RAY_ENDED] == 0.0)
     x, along = ends[:3, passing].T, ends[3:6, passing].T
     move = tables.frames[CAMERA_FRAME, SENSOR_FRAME]
     with np.errstate(divide="ignore", invalid="ignore"):
         t = -frame.points(move, x)[:, 2] / frame.directions(move, along)[:, 2]
-        starts = _starts(x + t[:, None] * along, -along)
-    turned = np.zeros((len(starts), len(p)))
-    turned[:, passing] = starts
-    return passing, turned
+        return passing, _starts(x + t[:, None] * along, -along)
 
 
 def _starts(p: Array, d: Array) -> Array:
@@ -244,14 +239,13 @@ def _starts(p: Array, d: Array) -> Array:
     return rays
 
 
-def _follow(
-    tables: Tables, ghosts: GhostTables, rays: Array, order: NDArray[np.int64], legs: NDArray[np.int64], ends: Array
-) -> None:
-    """Take some rays along legs, as `follow_rays` does for a single group."""
+def _follow(tables: Tables, ghosts: GhostTables, rays: Array, legs: NDArray[np.int64], ends: Array) -> None:
+    """Take rays along legs, as `follow_rays` does for a single group."""
     camera = tables.lens, tables.mla, tables.sensor, tables.cover
     media = [tables.lens.media, tables.mla.media, *([] if tables.cover is None else [tables.cover.media])]
     book, bundle = max((book_for(each) for each in media), key=len), empty_bundle(BUNDLE_ROWS)
-    colour, group = tables.lens.media.indices.shape[1] // 2, np.array([0, len(order)])
+    colour, order = tables.lens.media.indices.shape[1] // 2, np.arange(rays.shape[1])
+    group = np.array([0, len(order)])
     follow_rays(rays, ends, order, group, legs, camera, ghosts, tables.frames, colour, book, bundle)
 
 

@@ -81,7 +81,7 @@ class Ahead:
         if processors() > 1 and not scene.transport.polarisation and not any(map(is_cached, kernels)):
             stations = ON_IMAGE_PATH if alone else EVERYWHERE
             starts = scene.transport.method == "adjoint" and not alone
-            glass = any(target.refractor is not None for target in scene.targets)
+            glass = len(scene.bodies()) > 0
             code = _CHILD.format(path=sys.path, module=__name__, stations=stations, starts=starts, glass=glass)
             try:
                 self._process = subprocess.Popen(

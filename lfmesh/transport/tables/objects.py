@@ -201,6 +201,7 @@ def object_tables(
     radiance = np.array([radiance_at(scene, i, lines) for i in range(len(targets))]).reshape(-1, len(wavelengths_nm))
     largest = radiance.max(axis=1, keepdims=True, initial=0.0)
     lights, light_spectra, profiles = light_tables(scene, to_object, lines)
+    glass = GlassTables(interfaces, level, patches, across, first, partners, near)
     tables = ObjectTables(
         facets=facets,
         uv=uv,
@@ -240,7 +241,7 @@ def object_tables(
         outer_radius=float(np.linalg.norm(mesh.vertices, axis=1).max()),
         lit_middle=np.zeros(3),
         lit_radius=radius,
-        glass=GlassTables(interfaces, level, patches, across, first, partners, near) if ranks.any() else None,
+        glass=glass if (medium != OPAQUE).any() else None,
     )
     tables = with_volumes(tables, scene, targets, moves, book, lines)
     sources = _sources([*_lamps(tables), *_glowing_facets(tables, mesh), *_glowing_volumes(scene, tables.volumes)])

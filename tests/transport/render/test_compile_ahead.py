@@ -32,7 +32,7 @@ small = {{"camera.sensor.pixels": [8, 8], "transport.samples": 4, "transport.rep
     "transport.split": "{split}"}}
 scene = lf.load(asset_path("scenes/{scene}.toml")).changed(small)
 alone = "{split}" == "transmit"
-glass = any(target.refractor is not None for target in scene.targets)
+glass = len(scene.bodies()) > 0
 compile_stations(ON_IMAGE_PATH if alone else EVERYWHERE, starts=not alone, glass=glass)
 compile_launches(build(scene), starts=alone)
 before = [len(kernel.signatures) for kernel in regions + launches]
@@ -41,7 +41,7 @@ print(json.dumps([before, [len(kernel.signatures) for kernel in regions + launch
 """
 
 
-@pytest.mark.parametrize("scene", ["first_light", "lit_chart", "aquarium"])
+@pytest.mark.parametrize("scene", ["first_light", "lit_chart", "aquarium", "tank"])
 def test_all_that_a_render_needs_is_compiled_ahead(scene: str) -> None:
     code = SIGNATURES.format(scene=scene, split="both")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

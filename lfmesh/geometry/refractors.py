@@ -161,11 +161,22 @@ def _bounding_mesh(
 
 
 def _closed(path: Path, mesh: Mesh, keeps_normals: bool, what_it_is: str) -> Mesh:
-    """Return a mesh welded, without facets that have no area and with its outside outside; refuse an open one."""
+    """Return a mesh welded, without facets that have no area and with its outside outside.
+
+    Raises
+    ------
+    MeshError
+        The mesh is open, or encloses no volume.
+    """
     import trimesh
 
     mesh = welded(mesh)
     with_area = facet_normals(mesh)[1] > 0.0
+    if not with_area.any():
+        raise MeshError(
+            f"{path}: {what_it_is} must be a closed body; its facets have no area: "
+            "all vertices lie in one point or on one line"
+        )
     given = mesh.corner_normals[with_area] if mesh.corner_normals is not None and keeps_normals else None
     mesh = Mesh(mesh.vertices, mesh.faces[with_area], given)
     body = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
@@ -173,6 +184,9 @@ def _closed(path: Path, mesh: Mesh, keeps_normals: bool, what_it_is: str) -> Mes
         open_edges = 3 * len(mesh.faces) - 2 * len(body.face_adjacency)
         what = f"{open_edges} of its edges join no second facet" if open_edges else "its facets do not all face one way"
         raise MeshError(f"{path}: {what_it_is} must be a closed body; {what}; mend it and export again")
+    corners = mesh.vertices[np.unique(mesh.faces)]
+    if np.linalg.matrix_rank(corners - corners.mean(axis=0)) < 3:
+        raise MeshError(f"{path}: {what_it_is} must be a closed body; its facets all lie in one plane")
     return mesh.flipped() if body.volume < 0.0 else mesh
 
 

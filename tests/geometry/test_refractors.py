@@ -132,6 +132,23 @@ def test_an_open_mesh_is_refused_as_glass_in_one_line(tmp_path, ending):
     assert "\n" not in str(e.value)
 
 
+TETRAHEDRON = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
+
+WITHOUT_VOLUME = {
+    "a point": ([[1.0, 1.0, 1.0]] * 4, TETRAHEDRON, "its facets have no area"),
+    "a line": ([[x, x, 0.0] for x in (0.0, 1.0, 2.0, 3.0)], TETRAHEDRON, "its facets have no area"),
+    "a flat sheet": ([[0, 0, 0], [1, 0, 0.3], [0, 1, 0.7]], [[0, 1, 2], [0, 2, 1]], "all lie in one plane"),
+}
+
+
+@pytest.mark.parametrize("ending", ["stl", "obj", "ply", "off", "glb"])
+@pytest.mark.parametrize(("vertices", "facets", "why"), WITHOUT_VOLUME.values(), ids=WITHOUT_VOLUME)
+def test_glass_without_volume_is_refused_in_one_line(tmp_path, vertices, facets, why, ending):
+    saved(tmp_path / f"flat.{ending}", trimesh.Trimesh(vertices, facets, process=False))
+    with pytest.raises(MeshError, match=rf"flat\.{ending}: a refractor must be a closed body; .*{why}"):
+        load(tmp_path / f"flat.{ending}")
+
+
 def test_an_open_mesh_is_refused_by_the_scene_that_names_it(tmp_path):
     whole = ball(2)
     saved(tmp_path / "open.stl", trimesh.Trimesh(whole.vertices, whole.faces[1:], process=False))

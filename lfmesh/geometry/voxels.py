@@ -5,11 +5,13 @@ of voxel [0, 0, 0], in the medium's own frame. A grid ends with the outer faces 
 values are trilinear, and from the outer centres to the faces constant; or each voxel has one value throughout.
 """
 
-from collections.abc import Mapping
+import math
+import zipfile
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal
+from typing import IO, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +31,9 @@ ENDINGS = (".npz", ".npy", VTK)
 
 BEGINNINGS = {".npz": (b"PK\x03\x04", b"PK\x05\x06"), ".npy": (b"\x93NUMPY",)}
 """First bytes of numpy's files, by their ending: zip archives, and single arrays."""
+
+MOST_VOXELS = 1 << 27
+"""Largest number of voxels of a grid, 512³: each quantity of it takes 1 GiB of memory."""
 
 WRITERS = {".npz": "numpy.savez", ".npy": "numpy.save"}
 
@@ -168,12 +173,15 @@ def _numpy_arrays(path: Path, quantity: str | None) -> dict[str, Any]:
         with open_regular(path) as file:
             _check_beginning(path, file.read(max(len(first) for first in BEGINNINGS[".npy"])))
             file.seek(0)
-            content = np.load(file, allow_pickle=False)
             if ending == ".npy":
-                return {quantity or "": content}
+                return {quantity or "": _array(file, path, name)}
             arrays = {}
-            for name in content.files:
-                arrays[name] = content[name]
+            with zipfile.ZipFile(file) as archive:
+                members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+                _refuse_unknown(members, path)
+                for name, member in members.items():
+                    with archive.open(member) as packed:
+                        arrays[name] = _array(packed, path, name)
             return arrays
     except FileError:
         raise
@@ -184,9 +192,41 @@ def _numpy_arrays(path: Path, quantity: str | None) -> dict[str, Any]:
     except Exception as error:
         # Of a damaged file numpy's readers, and those of zip archives below them, may raise anything.
         why = " ".join(str(error).split()) or type(error).__name__
-        if "allow_pickle" in why:
-            raise FileError(f"{path}: {name} holds {_NO_NUMBERS['O']}; it must hold real numbers") from None
         raise FileError(f"{path}: cannot be read as numpy's {ending}: {why}") from None
+
+
+def _array(file: IO[bytes], path: Path, name: str) -> NDArray[Any]:
+    """Read an array in numpy's format, unless its header announces more than a grid may hold.
+
+    Parameters
+    ----------
+    file : binary stream
+        At the beginning of the array; of a zip archive nothing more is unpacked than is read.
+    path : Path
+    name : str
+        Of the array.
+    """
+    version = np.lib.format.read_magic(file)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, in_columns, kind = read_header(file)
+    if (count := math.prod(shape)) > MOST_VOXELS:
+        raise FileError(
+            f"{path}: {name} has {' × '.join(map(str, shape))} = {count} voxels; at most {MOST_VOXELS} are read: "
+            "crop the grid, or make its voxels larger"
+        )
+    _refuse_no_numbers(kind, name, str(path))
+    content = file.read(count * kind.itemsize)
+    if len(content) < count * kind.itemsize:
+        raise ValueError("it is cut short")
+    file.read(1)  # at its end an archive compares the checksum
+    return np.frombuffer(content, kind).reshape(shape, order="F" if in_columns else "C")
+
+
+def _refuse_unknown(names: Iterable[str], path: Path) -> None:
+    """Raise if a file has an array that no grid has."""
+    unknown = [name for name in names if name not in QUANTITIES + PLACE]
+    if unknown:
+        raise FileError(f"{path}: no array is called {unknown[0]!r}; there are {', '.join((*QUANTITIES, *PLACE))}")
 
 
 def _check_beginning(path: Path, beginning: bytes) -> None:
@@ -211,9 +251,7 @@ def _placed(
     origin = found.pop("origin_mm", origin_mm)
     if spacing is None:
         raise FileError(f"{path}: missing spacing_mm, the distance between its voxels")
-    unknown = [name for name in found if name not in QUANTITIES]
-    if unknown:
-        raise FileError(f"{path}: no array is called {unknown[0]!r}; there are {', '.join((*QUANTITIES, *PLACE))}")
+    _refuse_unknown(found, path)
     return voxel_grid(found, spacing, origin, interpolation, str(path))
 
 
@@ -235,10 +273,15 @@ def _real(array: ArrayLike, name: str, where: str) -> Array:
         given = np.asarray(array)
     except (TypeError, ValueError):
         raise FileError(f"{where}: {name} holds no regular array; it must hold real numbers") from None
-    if given.dtype.kind not in "buif":
-        what = _NO_NUMBERS.get(given.dtype.kind, str(given.dtype))
-        raise FileError(f"{where}: {name} holds {what}; it must hold real numbers")
+    _refuse_no_numbers(given.dtype, name, where)
     return given.astype(np.float64, copy=False)
+
+
+def _refuse_no_numbers(kind: np.dtype[Any], name: str, where: str) -> None:
+    """Raise unless an array holds real numbers."""
+    if kind.kind not in "buif":
+        what = _NO_NUMBERS.get(kind.kind, str(kind))
+        raise FileError(f"{where}: {name} holds {what}; it must hold real numbers")
 
 
 def _short(value: object) -> str:

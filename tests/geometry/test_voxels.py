@@ -1,6 +1,8 @@
 """Voxel grids are read with their names, places and faults."""
 
+import io
 import pickle
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -96,6 +98,38 @@ def test_an_array_of_objects_is_refused_in_one_line(tmp_path: Path) -> None:
         read_voxels(tmp_path / "g.npy", spacing_mm=1.0, quantity="absorption_per_mm")
     with pytest.raises(FileError, match="absorption_per_mm holds no regular array"):
         voxel_grid({"absorption_per_mm": [[[1.0, 2.0], [3.0]]]}, 1.0)
+
+
+@pytest.mark.parametrize("ending", ["npz", "npy"])
+def test_a_grid_of_too_many_voxels_is_refused_by_its_header_alone(ending: str, tmp_path: Path) -> None:
+    """Nothing follows the header, so a reader that goes on finds the file cut short."""
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (1024, 1024, 1024)})
+    path = tmp_path / f"g.{ending}"
+    if ending == "npy":
+        path.write_bytes(header.getvalue())
+    else:
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("absorption_per_mm.npy", header.getvalue())
+    with pytest.raises(FileError, match=r"1024 × 1024 × 1024 = 1073741824 voxels; at most 134217728 are read"):
+        read_voxels(path, quantity="absorption_per_mm" if ending == "npy" else None, spacing_mm=1.0)
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("kind", ["<f8", ">f4", "<u2", "?"])
+def test_an_array_is_read_in_any_order_and_type_of_numbers(kind: str, order: str, tmp_path: Path) -> None:
+    values = np.asarray(np.arange(24).reshape(2, 3, 4) % 2, kind, order=order)
+    np.savez_compressed(tmp_path / "g.npz", absorption_per_mm=values, spacing_mm=1.0)
+    assert (read_voxels(tmp_path / "g.npz").values["absorption_per_mm"] == values).all()
+
+
+def test_a_damaged_archive_is_refused_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "g.npz"
+    np.savez(path, absorption_per_mm=np.full((2, 2, 2), 0.25), spacing_mm=1.0)
+    content = path.read_bytes()
+    path.write_bytes(content.replace(np.float64(0.25).tobytes(), np.float64(0.5).tobytes(), 1))
+    with pytest.raises(FileError, match="cannot be read as numpy's .npz: Bad CRC-32"):
+        read_voxels(path)
 
 
 def vtk_image(kind: str, **arrays: np.ndarray) -> pyvista.ImageData:

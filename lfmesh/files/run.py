@@ -39,6 +39,7 @@ from lfmesh.files.inputs import within
 from lfmesh.files.json_values import plain_json
 from lfmesh.files.lenslets import lenslet_means, paint
 from lfmesh.files.preview import write_linear16, write_preview
+from lfmesh.files.scene_file import save_scene
 from lfmesh.geometry.lattice import Lattice
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.calibration import Calibration
@@ -106,9 +107,10 @@ def prepare(folder: str | os.PathLike[str]) -> Path:
     return path
 
 
-def save(image: Image, folder: str | os.PathLike[str]) -> Path:
-    """Write a run folder.
+def save(content: Image | Scene, place: str | os.PathLike[str]) -> Path:
+    """Write an image as a run folder, or a scene as a scene file.
 
+    A scene is written as TOML that loads to an equal scene; relative paths in it start from its new place. Of an image:
     ``raw.exr`` holds the mean and its standard error as float32, the samples that brought light as uint32 and, as
     JSON, everything else that `open_run` needs; ``report.json`` the numbers; ``scene.toml`` the scene as rendered;
     ``preview.png`` the raw image and, for a light-field camera, ``preview_view.png`` the picture it saw;
@@ -120,20 +122,24 @@ def save(image: Image, folder: str | os.PathLike[str]) -> Path:
 
     Parameters
     ----------
-    image : Image
-    folder : path
+    content : Image or Scene
+    place : path
+        A folder, or the name of a scene file, which ends in ``.toml``.
 
     Returns
     -------
     Path
-        The folder.
+        The folder or file.
 
     Raises
     ------
     FileError
-        As `prepare`, or the disk is full.
+        As `prepare`, or the disk is full, or a scene file has another ending.
     """
-    path = Path(folder)
+    path = Path(place)
+    if isinstance(content, Scene):
+        return save_scene(content, path)
+    image = content
     with _writable(path), staged(path) as staging:
         _write_all(image, staging, path)
 

@@ -64,6 +64,7 @@ from lfmesh.transport.sequential.image_path import follow_image_path
 from lfmesh.transport.sequential.lens_bundle import BLOCK, empty_bundle
 from lfmesh.transport.tables.media import clear
 from lfmesh.transport.tables.tables import Tables
+from lfmesh.transport.threads import stop_if_unwanted
 from lfmesh.transport.world import World
 
 CHUNK = 16_384
@@ -238,7 +239,14 @@ class Workspace:
             self.advance(station)
 
     def advance(self, station: int) -> None:
-        """Process the next wave of a station: the top of its stack, at most a chunk."""
+        """Process the next wave of a station: the top of its stack, at most a chunk.
+
+        Raises
+        ------
+        TracingStopped
+            Nobody waits for the packets any more.
+        """
+        stop_if_unwanted()
         tables, options = self.tables, self.options
         frames, lens, mla = tables.frames, tables.lens, tables.mla
         lens_surfaces = len(lens.surfaces)

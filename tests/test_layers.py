@@ -38,7 +38,7 @@ ROOMS = {
     "transport": [
         *["packets", "tables", "events", "sequential", "aiming", "regions"],
         *["choice", "collisions", "close_faces", "refused_glass", "world", "settings"],
-        *["engine", "sources"],  # packets through a world, and what starts them
+        *["threads", "engine", "sources"],  # packets through a world, and what starts them
         "render, trace",
     ],
     "view": [

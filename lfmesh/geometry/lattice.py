@@ -210,7 +210,9 @@ def stays_inside(lattice: Lattice, x: float, y: float, to_x: float, to_y: float)
         return True
     # The outline is a zigzag, which a line can leave and enter again.
     column, row = cell_of(lattice, x, y)
-    while column != to_column or row != to_row:
+    for _ in range(2 * (lattice.columns + lattice.rows)):
+        if column == to_column and row == to_row:
+            break
         cx, cy = centre(lattice, column, row)
         t, side = leaves_at(lattice, x - cx, y - cy, to_x - x, to_y - y)
         if t >= 1.0:

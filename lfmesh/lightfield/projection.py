@@ -8,7 +8,6 @@ chord times weight, divided by the square of the refractive index there, as radi
 import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -50,6 +49,7 @@ from lfmesh.transport.render.tracer import Tracer
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.lights import MM2
+from lfmesh.transport.threads import Threads
 from lfmesh.transport.world import World, build
 
 if TYPE_CHECKING:
@@ -443,7 +443,7 @@ def computed(projector: Projector, blocks: list[Numbers]) -> Iterator[Block]:
         rooms.append(room)
         return block
 
-    with ThreadPoolExecutor(threads, thread_name_prefix="lfmesh") as pool:
+    with Threads(threads) as pool:
         ahead = iter(blocks)
         waiting = [pool.submit(rows, pixels) for pixels in islice(ahead, threads + 1)]
         try:

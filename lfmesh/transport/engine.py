@@ -44,6 +44,7 @@ from lfmesh.transport.packets.packet import (
     POLARISED_END,
     SENSOR,
     STATIONS,
+    STUCK,
     TOPS,
     WORLD_FRAME,
     Flow,
@@ -57,11 +58,13 @@ from lfmesh.transport.regions.lens_block import empty_block
 from lfmesh.transport.regions.mla import admit_to_cells, shade_cells, through_plate
 from lfmesh.transport.regions.objects import admit_to_objects, shade_objects
 from lfmesh.transport.regions.sensor import onto_reflecting_sensor, onto_sensor
+from lfmesh.transport.regions.stuck import lose_stuck
 from lfmesh.transport.sequential.ghosts import GhostRoom, follow_ghosts, ghost_room
 from lfmesh.transport.sequential.image_path import follow_image_path
 from lfmesh.transport.sequential.lens_bundle import BLOCK, empty_bundle
 from lfmesh.transport.tables.media import clear
 from lfmesh.transport.tables.tables import Tables
+from lfmesh.transport.threads import stop_if_unwanted
 from lfmesh.transport.world import World
 
 CHUNK = 16_384
@@ -236,7 +239,14 @@ class Workspace:
             self.advance(station)
 
     def advance(self, station: int) -> None:
-        """Process the next wave of a station: the top of its stack, at most a chunk."""
+        """Process the next wave of a station: the top of its stack, at most a chunk.
+
+        Raises
+        ------
+        TracingStopped
+            Nobody waits for the packets any more.
+        """
+        stop_if_unwanted()
         tables, options = self.tables, self.options
         frames, lens, mla = tables.frames, tables.lens, tables.mla
         lens_surfaces = len(lens.surfaces)
@@ -280,8 +290,10 @@ class Workspace:
             ask_emitters(wave, tables.objects, options, flow)
         elif station == PLATE:
             through_plate(wave, self.mla_block, self.numbers, mla, frames, lens_surfaces, options, flow)
+        elif station == STUCK:
+            lose_stuck(wave, lens.lost_slot, frames, options, flow)
         elif tables.cover is not None:
-            through_cover(wave, tables.sensor, tables.cover, mla.present, lens_surfaces, frames, options, self.flow())
+            through_cover(wave, tables.sensor, tables.cover, mla.present, lens_surfaces, frames, options, flow)
         elif tables.sensor.reflectance > 0.0:
             onto_reflecting_sensor(wave, tables.sensor, mla.present, lens_surfaces, frames, options, flow)
         else:

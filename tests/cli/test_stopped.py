@@ -4,13 +4,19 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from lfmesh.cli import main
+from lfmesh.transport.engine import Workspace
+from lfmesh.transport.render.tally import Tally
 from tests.cameras import bench_camera
 
 SCENE = f"{bench_camera(8, 8)}[transport]\nsamples = 4\nreplicates = 4\n"
@@ -90,3 +96,35 @@ import lfmesh.cli
 def test_ctrl_c_while_the_program_starts_is_no_traceback() -> None:
     done = subprocess.run([sys.executable, "-c", AT_AN_IMPORT], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+@pytest.mark.usefixtures("_files")
+@pytest.mark.parametrize("number", SIGNALS)
+def test_one_signal_ends_a_render_whose_packets_have_no_end(
+    number: signal.Signals, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the second replicate on no packet moves on; what is finished is kept."""
+    usual, started = Workspace._take, Tally.restart
+    stuck, until = threading.Event(), time.monotonic() + 60.0
+
+    def restart(tally: Tally, replicate: int) -> None:
+        if replicate == 1:
+            stuck.set()
+        started(tally, replicate)
+
+    def take(work: Workspace, station: int, count: int) -> NDArray[np.void]:
+        if not stuck.is_set():
+            return usual(work, station, count)
+        if not sent:
+            sent.append(number)
+            os.kill(os.getpid(), number)
+        assert time.monotonic() < until, "the signal has not ended the render"
+        return usual(work, station, 0)
+
+    sent: list[int] = []
+    monkeypatch.setattr("lfmesh.transport.engine.MOST_EVENTS_EACH", 1 << 60)
+    monkeypatch.setattr(Workspace, "_take", take)
+    monkeypatch.setattr(Tally, "restart", restart)
+    assert main(["render", "scene.toml", "-o", "out"]) == SIGNALS[signal.SIGINT]
+    assert time.monotonic() < until
+    assert "1 of 4 replicates were finished" in capsys.readouterr().out

@@ -397,7 +397,7 @@ def next_query_from(facet: Any, packet: Any, t: float) -> float:
     along = abs(normal[0] * packet.dx + normal[1] * packet.dy + normal[2] * packet.dz)
     grain = FLOAT32_GRAIN * (abs(packet.x) + abs(packet.y) + abs(packet.z) + abs(t) + facet.size)
     step = min(grain / along, facet.size) if along > 0.0 else facet.size
-    return max(packet.query_from, t) + step * 2.0**packet.tries
+    return max(packet.query_from, t) + step * 2.0 ** abs(packet.tries)
 
 
 @kernel
@@ -470,7 +470,8 @@ def requery(
         Of the book, for a lost packet.
     """
     flow.counts[REQUERIES] += 1
-    if packet.tries >= MAX_TRIES:
+    tries = abs(packet.tries)
+    if tries >= MAX_TRIES:
         lose(options, flow, frames, packet, LOST_MISS if missed else LOST_CONTRADICTION, slot)
         return
     limit = packet.limit
@@ -479,9 +480,8 @@ def requery(
         packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz,
         packet.weight, packet.key, limit if missed and packet.kind == CAMERA else query_from,
     )  # fmt: skip
-    again.tries = packet.tries + 1
+    again.tries = -tries - 1 if missed else tries + 1
     again.limit = limit
-    again.slipped = 1 if missed else 0
 
 
 @inlined
@@ -602,7 +602,7 @@ def write_query(
     """
     t, dx, dy, dz = packet.query_from, packet.dx, packet.dy, packet.dz
     x, y, z = packet.x + t * dx - fold_x, packet.y + t * dy - fold_y, packet.z + t * dz
-    if packet.slipped != 0:
+    if packet.tries < 0:
         x, y, z = _jittered(packet, x, y, z)
     origins[i, 0], origins[i, 1], origins[i, 2] = np.float32(x), np.float32(y), np.float32(z)
     directions[i, 0], directions[i, 1], directions[i, 2] = np.float32(dx), np.float32(dy), np.float32(dz)
@@ -611,7 +611,7 @@ def write_query(
 @kernel
 def _jittered(packet: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return a query's origin shifted at random by up to a few rounding errors along each axis, doubled at each try."""
-    key, tries = packet.key, packet.tries
+    key, tries = packet.key, -packet.tries
     scale = abs(packet.x) + abs(packet.y) + abs(packet.z)
     aside = float(np.float32(4.0 * FLOAT32_GRAIN * scale * 2.0 ** (tries - 1)))
     x += aside * (uniform(key, -3 * tries - 2) - 0.5)

@@ -139,7 +139,9 @@ def _density_in(volumes: Volumes, number: int, ray: Ray) -> float:
     j, y_end, y_step, y_way = _at_voxel(row, 1, ray.y, ray.dy, first)
     k, z_end, z_step, z_way = _at_voxel(row, 2, ray.z, ray.dz, first)
     total, t = 0.0, first
-    while t < last:
+    for _ in range(row.cells[0] + row.cells[1] + row.cells[2]):
+        if not t < last:
+            break
         end = min(min(x_end, y_end), min(z_end, last))
         cell = row.first + (i * row.cells[1] + j) * row.cells[2] + k
         below = volumes.until[cell - 1] if cell > row.first else 0.0

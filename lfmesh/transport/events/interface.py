@@ -26,6 +26,7 @@ from lfmesh.transport.packets.packet import (
     OBJECT_FRAME,
     Flow,
     Options,
+    count_event,
 )
 from lfmesh.transport.packets.path_class import stray_after
 from lfmesh.transport.packets.random import derived
@@ -217,7 +218,7 @@ def scattered(
         Unit normal along the ray.
     """
     choice = draw(packet, CHOOSE)
-    packet.events += 1
+    count_event(packet)
     u, v = draw_two(options, packet, BOUNCE_U)
     row = interfaces.rows[number]
     if row.kind == DIFFUSE:
@@ -346,7 +347,7 @@ def splitter(send: Callable[..., None]) -> Callable[..., None]:
         """
         flow.counts[EVENTS] += 1
         to_reflected, to_refracted = split_shares(options, flow.book, packet, reflectance, transmittance)
-        packet.events += 1
+        count_event(packet)
         node, key, stray, medium = packet.node, packet.key, packet.stray, packet.medium
         for refracts in (False, True):
             weight = to_refracted if refracts else to_reflected

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import direction_through, point_through
 from lfmesh.geometry.shell_tree import next_crossing
 from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.packets.book import LOST_OUTSIDE, LOST_STUCK
 from lfmesh.transport.packets.random import uniform
 from lfmesh.transport.tables.volumes import (
     BOX,
@@ -40,6 +41,9 @@ THIN = 0.5
 
 OPAQUE_DEPTH = 700.0
 """Optical depth beyond which float64 has no light left."""
+
+MOST_STEPS = 1_000_000
+"""Largest number of steps on a line; light that needs more is lost."""
 
 PLACE, STEP, WHICH = 0, 1, 2
 """Dimensions of a scattering point's random numbers: its place in a step, the step, and the medium."""
@@ -335,7 +339,14 @@ def pass_through(
     choice = uniform(key, STEP) if volumes.scatters else 0.0
     # The ray in the frame of one of the media, mostly the only one, and where it is in it.
     known, ray, first, last, holds = -1, Ray(x, y, z, dx, dy, dz), 0.0, 0.0, np.inf
+    steps = 0
     while t < reach and left > 0.0:
+        steps += 1
+        if steps > MOST_STEPS:
+            book[LOST_STUCK] += weight * left
+            book[LOST_OUTSIDE] += weight * left
+            left = 0.0
+            break
         until, active, only, grids = reach, 0, -1, 0
         for number in range(len(rows)):
             if rows[number].inside != place:

@@ -59,7 +59,9 @@ LIT = _slot("lit", "lit")
 # Lost energy is entered twice: by reason, and by the body in which it was lost.
 LOST_MISS = _slot("miss", LOST)
 LOST_CONTRADICTION = _slot("contradiction", LOST)
+LOST_STUCK = _slot("stuck", LOST)
 LOST_IN_MLA = _slot("mla", LOST_IN)
+LOST_AT_SENSOR = _slot("sensor", LOST_IN)
 LOST_OUTSIDE = _slot("the open", LOST_IN)
 # Absorbers that every scene has.
 UNFOLLOWED = _slot("reflections not followed")

@@ -64,7 +64,7 @@ class Ledger(Shown):
     """Cut by `max_events`."""
     lost: dict[str, float] = field(default_factory=dict)
     """By reason: "miss", a ray that met nothing inside a closed space; "contradiction", a ray that met only facets that
-    cannot bound the space it is in."""
+    cannot bound the space it is in; "stuck", a packet that went on and on without an event."""
     lost_in: dict[str, float] = field(default_factory=dict)
     """The same energy by the body in which it was lost: "targets[1]", "lens[0]", "mla", ..."""
     packets: int = 0

@@ -24,7 +24,12 @@ EMITTERS = 6  # a point of a target or a medium that emitting targets or media m
 CELLS_MESH = 7  # the curved face in its cell, by its mesh where distances do not decide
 BACK_CELLS = 8  # the lenslets of the array's other face, where it has two curved ones, in their cell
 BACK_CELLS_MESH = 9  # the same by the mesh
-STATIONS = 10
+STUCK = 10  # its end, as it has moved `MOST_MOVES` times without an event
+STATIONS = 11
+
+MOST_MOVES = 4_096
+"""Moves from station to station without an event after which a packet is lost. No straight way takes as many: one along
+the layer of lenslets crosses a cell in each move, others need some ten."""
 
 # Frames. A packet says in which frame its ray is given; its station moves it into the station's own.
 CAMERA_FRAME, MLA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME = 0, 1, 2, 3, 4
@@ -135,13 +140,15 @@ _BASE_RECORD = np.dtype(
         ("space", "i2"),  # space between two surfaces it travels in; for object space see `regions.bodies`
         # What an event writes stands between fields that `put` does not copy: the compiler copies neighbours at once,
         # and the processor waits for a number that is read as part of a longer one just after it was written.
-        ("tries", "i1"),  # queries of this ray whose result was refused
+        # Queries of this ray whose result was refused; negative: it slipped between facets, and its query's origin is
+        # shifted.
+        ("tries", "i1"),
         ("frame", "i1"),
         ("medium", "i2"),  # medium at its start and in object space; in lens and array its space gives the medium
         ("kind", "i1"),
-        ("slipped", "i1"),  # 1: its ray slipped between facets, and its query's origin is shifted
-        ("events", "i2"),
         ("stray", "i1"),  # whether and how it has left the image path, see `path_class`
+        ("events", "i2"),
+        ("moves", "i2"),  # from station to station since its last event
     ],
     align=True,
 )  # fmt: skip
@@ -303,6 +310,18 @@ def keep_state(polarised: Any, packet: Any, kept: Any) -> None:
         kept.stokes[i], kept.reference[i] = packet.stokes[i], packet.reference[i]
 
 
+@inlined
+def count_event(packet: Any) -> None:
+    """Count an event of a packet, from which on its moves are counted anew.
+
+    Parameters
+    ----------
+    packet : PACKET
+    """
+    packet.events += 1
+    packet.moves = 0
+
+
 @pasted
 def put(
     flow: Flow, station: int, parent: Any, frame: int,
@@ -310,6 +329,8 @@ def put(
     weight: float, key: np.uint64, query_from: float,
 ) -> Any:  # fmt: skip
     """Queue a packet at a station and return its record; what is not given is inherited from `parent`.
+
+    All moves go through here: after `MOST_MOVES` without an event the packet waits at `STUCK` instead.
 
     Parameters
     ----------
@@ -327,6 +348,8 @@ def put(
     query_from : float, mm
         Distance along the ray at which Embree starts to look.
     """
+    moves = parent.moves + 1
+    station = station if moves < MOST_MOVES else STUCK
     row, top = flow.rows[station], flow.tops[station]
     # Copied field by field, and all read before anything is written: a copy of the whole record, half of which is
     # overwritten, compiles to sixty moves of odd sizes.
@@ -342,7 +365,7 @@ def put(
     packet.node = node
     packet.column, packet.row, packet.facet, packet.last = column, cell_row, facet, last
     packet.colour, packet.space, packet.events, packet.medium = colour, space, events, medium
-    packet.tries, packet.kind, packet.frame, packet.stray, packet.slipped = 0, kind, frame, stray, 0
+    packet.tries, packet.kind, packet.frame, packet.stray, packet.moves = 0, kind, frame, stray, moves
     keep_state(flow.polarised, parent, packet)
     flow.tops[station] = top + 1
     return packet

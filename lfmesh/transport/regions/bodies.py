@@ -49,7 +49,7 @@ def set_bodies(packet: Any, inside: int) -> None:
 @inlined
 def is_in(inside: int, rank: int) -> bool:
     """Tell whether the body of a rank is among those that a packet is in."""
-    while inside != 0:
+    while inside > 0:
         if inside & RANK == rank:
             return True
         inside >>= BITS
@@ -73,7 +73,7 @@ def with_body(inside: int, rank: int) -> int:
 def without_body(inside: int, rank: int) -> int:
     """Return the bodies with one removed, which must be among them."""
     above, shift = 0, 0
-    while inside & RANK != rank:
+    while inside > 0 and inside & RANK != rank:
         above |= (inside & RANK) << shift
         shift += BITS
         inside >>= BITS

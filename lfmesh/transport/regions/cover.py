@@ -28,6 +28,7 @@ from lfmesh.transport.packets.packet import (
     SENSOR_FRAME,
     Flow,
     Options,
+    count_event,
     put,
 )
 from lfmesh.transport.packets.path_class import cutoff_at_child
@@ -67,8 +68,8 @@ def through_cover(
         elif down and z >= cover.rear_z:
             onto_pixel(packet, sensor, SENSOR, lens_surfaces, frames, options, flow)
         elif not down and z <= cover.front_z:
-            _leave(flow, packet, outside, lens_surfaces, z, packet.x, packet.y, packet.dx, packet.dy, packet.dz,
-                   packet.weight, packet.key)  # fmt: skip
+            # It comes from the lens or the array and, as the sensor is tilted, runs past the cover's plane.
+            end_here(options, flow, frames, packet, HOUSING, S_ABSORBED)
         elif not too_deep(options, flow, frames, packet):
             at_front = z < cover.front_z if down else z <= cover.rear_z
             _meet_face(packet, at_front, cover, outside, lens_surfaces, frames, options, flow)
@@ -128,7 +129,7 @@ def _meet_face(
     if options.sequential:
         # Only what both faces transmit is on the image path.
         flow.counts[EVENTS] += 1
-        packet.events += 1
+        count_event(packet)
         flow.book[UNFOLLOWED] += packet.weight * reflectance
         if transmittance > 0.0:
             weight = packet.weight * transmittance

@@ -28,6 +28,7 @@ from lfmesh.transport.packets.packet import (
     TO_MEDIUM,
     Flow,
     Options,
+    count_event,
     put,
 )
 from lfmesh.transport.packets.random import derived, uniform
@@ -184,7 +185,7 @@ def _ask_halo_in_air(
     child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, weight, key, clear)
     child.kind, child.last, child.row = TO_HALO, NO_SURFACE, number
     # As of the packet that is scattered, whose line this might be.
-    child.events += 1
+    count_event(child)
 
 
 @inlined

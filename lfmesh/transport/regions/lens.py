@@ -487,7 +487,7 @@ def _decide(
     k, t, px, py, z, nx, ny, nz = NO_SURFACE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
     if prim >= 0:
         k, t, px, py, z, nx, ny, nz = _meets(flow, lens, packet, prim, 0.25 * packet.query_from)
-        if k == NO_SURFACE and abs(t) <= facets[prim].size and packet.tries < NEARBY_TRIES:
+        if k == NO_SURFACE and abs(t) <= facets[prim].size and abs(packet.tries) < NEARBY_TRIES:
             further = next_query_from(facets[prim], packet, t)
             requery(options, flow, frames, LENS_MESH, packet, further, False, lens.lost_slot[space])
             return NO_SURFACE

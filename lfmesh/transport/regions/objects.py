@@ -142,7 +142,7 @@ def shade_objects(
             t = -height / along if along != 0.0 else -np.inf
             # A hit nearer than the start of the query is on the facet that the packet left, or on one in its plane.
             if prim == packet.facet or t <= 0.25 * packet.query_from or t <= 0.0:
-                if packet.tries < MAX_TRIES:
+                if abs(packet.tries) < MAX_TRIES:
                     again = next_query_from(facet, packet, t if t > 0.0 else 0.0)
                     requery(options, flow, frames, OBJECTS, packet, again, False, LOST_OUTSIDE)
                     continue
@@ -153,7 +153,7 @@ def shade_objects(
             requery(options, flow, frames, OBJECTS, packet, packet.query_from, True, LOST_OUTSIDE)
             continue
         if packet.kind != SHADOW and packet.kind < TO_EMITTER and not _in_its_medium(objects, packet, prim, along):
-            if prim >= 0 and packet.tries < MAX_TRIES and _is_in_contact(objects.glass, prim):
+            if prim >= 0 and abs(packet.tries) < MAX_TRIES and _is_in_contact(objects.glass, prim):
                 # To rounding, a face of a body that was already entered or left where it touches another body.
                 requery(options, flow, frames, OBJECTS, packet, next_query_from(facet, packet, t), False, LOST_OUTSIDE)
                 continue
@@ -268,7 +268,7 @@ def _pass_on(
     )
     child.limit = limit
     # A ray that met nothing is queried again from its start, but once only, whatever it passes through.
-    child.tries, child.slipped = packet.tries, packet.slipped
+    child.tries = packet.tries
 
 
 @inlined

@@ -31,6 +31,7 @@ from lfmesh.transport.packets.packet import (
     SENSOR_FRAME,
     Flow,
     Options,
+    count_event,
     put,
 )
 from lfmesh.transport.packets.path_class import cutoff_at_child, stray_after_mirror
@@ -119,7 +120,7 @@ def onto_pixel(
         flow.book[UNFOLLOWED] += packet.weight * sensor.reflectance
     else:
         reflected, detected = split_shares(options, flow.book, packet, sensor.reflectance, 1.0 - sensor.reflectance)
-    packet.events += 1
+    count_event(packet)
     if detected > 0.0:
         _end_on(pixel, x, y, detected, packet, frames, options, flow)
     if reflected > 0.0:

@@ -52,6 +52,7 @@ from lfmesh.transport.packets.packet import (
     SCATTERED,
     Flow,
     Options,
+    count_event,
     put,
 )
 from lfmesh.transport.packets.path_class import is_estimated, is_unturned
@@ -115,7 +116,7 @@ def meet_target(
         # The lens reflected it back. Without bounces the adjoint method has no such paths, so they are left out here.
         flow.book[ESCAPED] += scattered
         return
-    packet.events += 1
+    count_event(packet)
     scatter(options, flow, frames, objects, aim, packet, point, weight, scattered)
 
 

@@ -71,6 +71,7 @@ from lfmesh.transport.packets.packet import (
     TO_MEDIUM,
     Flow,
     Options,
+    count_event,
     put,
 )
 from lfmesh.transport.packets.path_class import is_estimated, is_unturned
@@ -207,7 +208,7 @@ def cross_media(
         return
     # From here on the record stands for the child; its own weight is put back at the end.
     left, events, node, kind, last = packet.weight, packet.events, packet.node, packet.kind, packet.last
-    facet = packet.facet
+    facet, moves = packet.facet, packet.moves
     t, share, density, number = scattering_point(volumes, place, colour, passage, x, y, z, dx, dy, dz, key)
     packet.weight = weight * share
     flow.book[SAMPLING_ADDED] += packet.weight - lost
@@ -222,7 +223,7 @@ def cross_media(
             _ask_what_emits(options, flow, objects, packet, number, px, py, pz, key)
         scatter_in_medium(options, flow, frames, objects, aim, packet, number, px, py, pz, key)
     packet.weight, packet.events, packet.node, packet.kind, packet.last = left, events, node, kind, last
-    packet.facet = facet
+    packet.facet, packet.moves = facet, moves
 
 
 @inlined
@@ -424,7 +425,7 @@ def scatter_in_medium(
     packet.facet, packet.last = NO_SURFACE, NO_SURFACE
     phases, phase = volumes.phases, volumes.phases.rows[number, packet.colour]
     ix, iy, iz = packet.dx, packet.dy, packet.dz
-    packet.events += 1
+    count_event(packet)
     depolarise(flow.polarised, packet)
     if options.record:
         packet.node = record(

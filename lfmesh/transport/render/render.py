@@ -3,7 +3,6 @@
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -25,6 +24,7 @@ from lfmesh.transport.render.tally import RenderState, StageSum, Tally
 from lfmesh.transport.render.tracer import Tracer
 from lfmesh.transport.settings import ledger_of
 from lfmesh.transport.tables.interfaces import coating_errors
+from lfmesh.transport.threads import Threads
 from lfmesh.transport.world import build
 
 PROGRESS_SECONDS = 0.2
@@ -117,7 +117,7 @@ class Renderer(Tracer):
         with self.pool() as pool:
             return folded(self, state, lambda first, levels: self._tallies(pool, clock, first, levels), clock, keep)
 
-    def _tallies(self, pool: ThreadPoolExecutor, clock: "Clock", first: int, levels: Counts | None) -> Iterator[Tally]:
+    def _tallies(self, pool: Threads, clock: "Clock", first: int, levels: Counts | None) -> Iterator[Tally]:
         """Trace a stage's replicates one after the other, in the memory of a single tally."""
         replicates = self.world.scene.transport.replicates
         tally = (self.layout if levels is None else replace(self.layout, lamps=False)).tally()

@@ -4,7 +4,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Generator, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import repeat
@@ -30,6 +30,7 @@ from lfmesh.transport.sources.particles import ParticleSource
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher, Source
 from lfmesh.transport.tables.lines import Turn
+from lfmesh.transport.threads import Threads
 from lfmesh.transport.world import World
 
 ORDER_STREAM, SHARES_STREAM = 1 << 20, 1 << 21
@@ -113,9 +114,9 @@ class Tracer:
         part = blind_part(self.world)
         return part if self.order is None or self.order.holds else part.by_meshes()
 
-    def pool(self) -> ThreadPoolExecutor:
+    def pool(self) -> Threads:
         """Return the threads to trace in."""
-        return ThreadPoolExecutor(self.threads, thread_name_prefix="lfmesh")
+        return Threads(self.threads)
 
     def piece(self, replicate: int, block: Block, levels: Counts | None = None) -> Piece:
         """Trace a block of a replicate; the block of the first pixel also takes the replicate's samples without aim.
@@ -141,14 +142,12 @@ class Tracer:
         own = [tally for chunk, tally in zip(mine, done, strict=True) if block.owns(chunk)]
         return Piece(replicate, film.part(block.first, block.last), own, blind)
 
-    def traced(
-        self, pool: ThreadPoolExecutor, replicate: int, chunks: Iterator[Chunk], film: Film
-    ) -> Generator[ChunkTally]:
+    def traced(self, pool: Threads, replicate: int, chunks: Iterator[Chunk], film: Film) -> Generator[ChunkTally]:
         """Trace chunks; add the light of their pixels to an empty film, and yield their other results in order.
 
         Parameters
         ----------
-        pool : ThreadPoolExecutor
+        pool : Threads
         replicate : int
         chunks : iterator of Chunk
         film : Film
@@ -187,7 +186,7 @@ class Tracer:
         last = chunk.first + chunk.count if chunk.pixels is None else int(chunk.pixels[-1]) + 1
         return Film.empty(last - chunk.first, 1, chunk.first)
 
-    def blind_samples(self, pool: ThreadPoolExecutor, replicate: int) -> BlindSamples:
+    def blind_samples(self, pool: Threads, replicate: int) -> BlindSamples:
         """Trace a replicate's samples without aim, by which the image is checked."""
         found = BlindSamples(*self.shape)
         part = self._blind_part

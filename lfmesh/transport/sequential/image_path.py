@@ -517,6 +517,7 @@ def _next_in_layer(
     dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
     out = ((lenslets.valley if dz > 0.0 else lenslets.top) - z) / dz
     t = start
+    # Each step goes on in the ray's direction: the walk ends at the array's edge at the latest.
     while True:
         cx, cy = centre(lattice, column, row)
         curvature, ex, ey = shape_of(lenslets, column, row)

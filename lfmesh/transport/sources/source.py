@@ -8,10 +8,10 @@ import os
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 from lfmesh.transport.engine import CHUNK, FilmRows, Workspace
+from lfmesh.transport.threads import Threads
 
 T = TypeVar("T")
 
@@ -119,5 +119,5 @@ class Launcher:
         chunk : int
             Number of packets that are started together.
         """
-        with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        with Threads(threads or os.cpu_count() or 1) as pool:
             return list(pool.map(lambda part: keep(self.trace(source, part), part), source.parts(chunk)))

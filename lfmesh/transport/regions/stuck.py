@@ -1,0 +1,51 @@
+"""The end of packets that move from station to station without an event, which nothing else would ever stop."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernel import inlined, kernel
+from lfmesh.transport.events.crossing import lose
+from lfmesh.transport.packets.book import LOST_AT_SENSOR, LOST_IN_MLA, LOST_OUTSIDE, LOST_STUCK
+from lfmesh.transport.packets.packet import (
+    BACK_FRAME,
+    CAMERA_FRAME,
+    MLA_FRAME,
+    SENSOR_FRAME,
+    SHADOW,
+    TO_EMITTER,
+    Flow,
+    Options,
+)
+
+
+@kernel
+def lose_stuck(
+    wave: NDArray[np.void], lost_in_lens: NDArray[np.int64], frames: NDArray[np.float64], options: Options, flow: Flow
+) -> None:
+    """End the packets of a wave as lost; those that ask whether a light is seen carry no energy of their own.
+
+    Parameters
+    ----------
+    wave : (n,) PACKET
+    lost_in_lens : (K + 1,) int64
+        Slots of the book of energy lost in each space of the lens.
+    frames : (6, 6, 3, 4) float64
+    options : Options
+    flow : Flow
+    """
+    for i in range(len(wave)):
+        packet = wave[i]
+        if packet.kind != SHADOW and packet.kind < TO_EMITTER:
+            lose(options, flow, frames, packet, LOST_STUCK, _body_of(packet, lost_in_lens))
+
+
+@inlined
+def _body_of(packet: Any, lost_in_lens: NDArray[np.int64]) -> int:
+    """Return the slot of the body in which a packet is lost, by the frame of its ray."""
+    if packet.frame == CAMERA_FRAME:
+        return int(lost_in_lens[packet.space])
+    if packet.frame == MLA_FRAME or packet.frame == BACK_FRAME:
+        return LOST_IN_MLA
+    return LOST_AT_SENSOR if packet.frame == SENSOR_FRAME else LOST_OUTSIDE

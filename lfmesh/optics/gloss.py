@@ -248,6 +248,27 @@ def table_at(parameters: Array, first: int, colour: int, cosine: float) -> float
     return (i + 1.0 - t) * parameters[first + i, colour] + (t - i) * parameters[first + i + 1, colour]
 
 
+def mean_albedos(parameters: Array) -> tuple[Array, Array]:
+    """Return the hemispherical means of the albedo, each (wavelengths,), by the tables that `gloss_albedos` reads.
+
+    Parameters
+    ----------
+    parameters : (ROWS, wavelengths) float64
+
+    Returns
+    -------
+    facets, base : (wavelengths,) float64
+        Of what the facets reflect, and of what the base adds where the factor of its reflectance is 1.
+    """
+    columns = parameters.T
+    facets, base = np.zeros(len(columns)), np.zeros(len(columns))
+    for column, own in enumerate(columns):
+        several, through = own[SEVERAL] * own[TABLES : TABLES + NODES + 1], own[TABLES + NODES + 1 :]
+        facets[column] = _table_mean(np.maximum(0.0, 1.0 - MARGIN - through - several) + several)
+        base[column] = own[BASE] * _table_mean(through)
+    return facets, base
+
+
 @inlined
 def gloss_albedos(
     parameters: Array, first: int, colour: int, texel: float, cosine: float

@@ -118,11 +118,12 @@ class Material(Model):
     """How a number in `radiance_w_m2_sr` is spread by wavelength, in any unit: an illuminant's name such as "D65", a
     table, a CSV file or { blackbody_k = ... }. Needs bands."""
     temperature_k: Kelvin | None = None
-    """Temperature, in K, in place of a radiance: the surface emits by Planck's law with the emissivity
-    1 - reflectance. Needs bands."""
+    """Temperature, in K, in place of a radiance: the surface emits by Planck's law, with an emissivity of 1 less the
+    share that it scatters of light from that direction, gloss, metal and texture included. In a room of its own
+    temperature it looks like a black body. The black side of `sides = "front"` emits as a black body. Needs bands."""
     texture: FilePath | None = None
     """A picture, relative to the scene file; its linearised values multiply the reflectance (under `gloss` that of the
-    base alone) and the emission. It reads correctly from outside the body: on a shape its top lies towards +y (on faces
+    base alone) and the radiance. It reads correctly from outside the body: on a shape its top lies towards +y (on faces
     that look along ±y towards ∓z), so its right towards +x on the face towards the camera; mesh files bring their own
     coordinates."""
 
@@ -148,11 +149,8 @@ class Material(Model):
                 )
         elif self.spectrum is not None and not self.radiance_w_m2_sr:
             yield Fault(("spectrum",), None, "omit it: the surface has no radiance_w_m2_sr")
-        if self.temperature_k is not None:
-            if self.radiance_w_m2_sr != 0.0:
-                yield Fault(("temperature_k",), self.temperature_k, "radiance_w_m2_sr is given too; give one of them")
-            if self.texture is not None:
-                yield Fault(("texture",), self.texture, "omit it: a surface with temperature_k has one emissivity")
+        if self.temperature_k is not None and self.radiance_w_m2_sr != 0.0:
+            yield Fault(("temperature_k",), self.temperature_k, "radiance_w_m2_sr is given too; give one of them")
 
 
 class Target(BodyFile):
@@ -165,7 +163,7 @@ class Target(BodyFile):
     materials: Literal["file", "colours", "ignore"] | None = None
     """What is taken over of the mesh file's own materials. "file": those of a glTF file whole: base colour, metallic,
     roughness and alpha, facet by facet; then the target has no `material`. "colours": their base colours and pictures
-    alone, which multiply the reflectance and the emission of `material`; its own texture replaces them. "ignore":
+    alone, which multiply the reflectance and the radiance of `material`; its own texture replaces them. "ignore":
     nothing. Omitted, it is "file" for glTF files where no `material` is given, as programs that show such files do, and
     else "colours"."""
     normals: Literal["file", "facets"] = "file"

@@ -3,9 +3,10 @@
 Only this module depends on the kind of a model; Lambert's comes first, as most targets are matt. `evaluate` weights
 light from lamps and the child that is aimed at the camera; `sample` draws the direction of a child that is not aimed;
 `density` gives the weight between the two where both could have found the same path. A model has a branch in each of
-the four functions. All models are reciprocal, so that the two methods, which follow a path in opposite directions,
-agree. Interpolated normals are not: a point knows which of its two directions leads to the light, and the two methods
-evaluate the same number.
+the four functions. Emission by temperature is one of them: it is 1 less the albedo of the surface, so that in an
+isothermal room all looks like a black body (Kirchhoff). All others are reciprocal, so that the two methods, which
+follow a path in opposite directions, agree. Interpolated normals are not: a point knows which of its two directions
+leads to the light, and the two methods evaluate the same number.
 
 All functions have the parameters `scattering` (the tables), `point`, `colour` (number of the wavelength), and unit
 directions along which light travels: `ix, iy, iz` towards the point, `ox, oy, oz` away from it.
@@ -18,7 +19,7 @@ import numpy as np
 from lfmesh.kernel import inlined, kernel
 from lfmesh.optics.gloss import ROWS, gloss_albedos, gloss_brdf, gloss_density, gloss_direction
 from lfmesh.optics.scattering import lambertian, tangents
-from lfmesh.transport.tables.scattering import LAMBERTIAN, ScatteringTables
+from lfmesh.transport.tables.scattering import LAMBERTIAN, THERMAL, ScatteringTables
 
 OUTLINE = 0.1
 """Cosine at which a smooth surface is seen, over that of its facet, below which its normal is turned."""
@@ -41,6 +42,8 @@ class Point(NamedTuple):
     sy: float = 0.0
     sz: float = 0.0
     to_light: bool = False  # packets leave the point towards the light, else they come from it
+    u: float = 0.0  # random numbers, uniform in [0, 1), where a smooth point emits by temperature
+    v: float = 0.0
 
 
 @inlined
@@ -59,6 +62,8 @@ def albedo(scattering: ScatteringTables, point: Point, colour: int, ix: float, i
     model = scattering.models[point.model]
     if model.kind == LAMBERTIAN and not point.smooth:
         return scattering.parameters[model.first, colour] * point.texel
+    if model.kind == THERMAL:
+        return scattering.parameters[model.first, colour] - scattering.parameters[model.first + 1, colour] * point.texel
     return _other_albedo(scattering, point, colour, ix, iy, iz)
 
 
@@ -85,6 +90,8 @@ def evaluate(
     model = scattering.models[point.model]
     if model.kind == LAMBERTIAN and not point.smooth:
         return scattering.parameters[model.first, colour] * point.texel / np.pi
+    if model.kind == THERMAL:
+        return emissivity(scattering, point, colour, ox, oy, oz) / np.pi
     return _evaluate_other(scattering, point, colour, ix, iy, iz, ox, oy, oz)
 
 
@@ -106,6 +113,9 @@ def sample(
         if point.smooth:
             share = np.pi * _evaluate_other(scattering, point, colour, ix, iy, iz, ox, oy, oz)
         return ox, oy, oz, share
+    if model.kind == THERMAL:
+        ox, oy, oz = lambertian(point.nx, point.ny, point.nz, u, v)
+        return ox, oy, oz, emissivity(scattering, point, colour, ox, oy, oz)
     return _sample_gloss(scattering, point, colour, ix, iy, iz, u, v)
 
 
@@ -124,7 +134,7 @@ def density(
         Unit direction drawn.
     """
     model = scattering.models[point.model]
-    if model.kind == LAMBERTIAN:
+    if model.kind == LAMBERTIAN or model.kind == THERMAL:
         return max(0.0, point.nx * ox + point.ny * oy + point.nz * oz) / np.pi
     return _density_of_gloss(scattering, point, colour, ix, iy, iz, ox, oy, oz)
 
@@ -202,6 +212,44 @@ def _other_albedo(
         return light * scattering.parameters[model.first, colour] * point.texel
     dielectric, metal = _albedos(scattering, point, colour, -(nx * ix + ny * iy + nz * iz))
     return light * (dielectric + metal)
+
+
+@kernel
+def emissivity(
+    scattering: ScatteringTables, point: Point, colour: int, ox: float, oy: float, oz: float
+) -> float:  # fmt: skip
+    """Return the emissivity of a point with a temperature in a direction: 1 less the albedo for uniform light.
+
+    The albedo is that of the BRDF as it is traced. On a smooth point, where no table has what a facet's own horizon and
+    `_smooth_light` take away, that is estimated without bias from a single direction of light.
+
+    Parameters
+    ----------
+    scattering : ScatteringTables
+    point : Point
+        Of a `THERMAL` model.
+    colour : int
+        Number of the wavelength.
+    ox, oy, oz : float
+        Unit direction away from the surface.
+    """
+    model = scattering.models[point.model].emission
+    nx, ny, nz = _seen_normal(point, ox, oy, oz)
+    surface = Point(
+        point.prim, point.x, point.y, point.z, nx, ny, nz, model, point.texel, False, nx, ny, nz, True, 0.0, 0.0
+    )  # fmt: skip
+    value = 1.0 - albedo(scattering, surface, colour, -ox, -oy, -oz)
+    if not point.smooth:
+        return value
+    if scattering.models[model].kind == LAMBERTIAN:
+        lx, ly, lz = lambertian(nx, ny, nz, point.u, point.v)
+        share = scattering.parameters[scattering.models[model].first, colour] * point.texel
+    else:
+        lx, ly, lz, share = _sample_gloss(scattering, surface, colour, -ox, -oy, -oz, point.u, point.v)
+    if share <= 0.0:
+        return value
+    kept = _smooth_light(point, nx, ny, nz, lx, ly, lz) * (point.nx * lx + point.ny * ly + point.nz * lz)
+    return value + share * max(0.0, 1.0 - kept / (nx * lx + ny * ly + nz * lz))
 
 
 @kernel

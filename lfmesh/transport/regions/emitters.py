@@ -83,16 +83,18 @@ def _ask_facet(objects: ObjectTables, options: Options, flow: Flow, packet: Any)
         return
     distance = np.sqrt(distance2)
     ux, uy, uz = ux / distance, uy / distance, uz / distance
-    cos_facet = facet.normal[0] * ux + facet.normal[1] * uy + facet.normal[2] * uz
+    away = facet.normal[0] * ux + facet.normal[1] * uy + facet.normal[2] * uz
     # A facet in the point's own plane, to rounding, sends it no light.
-    if cos_facet == 0.0 or (objects.one_sided[facet.body] and cos_facet > 0.0):
+    if away == 0.0 or (objects.one_sided[facet.body] and away > 0.0):
         return
-    cos_facet = abs(cos_facet)
+    cos_facet = abs(away)
     scattered, by_chance, clear = _scattered_towards(objects.volumes, objects, options, packet, ux, uy, uz)
     if scattered <= 0.0:
         return
     # Over the sum of both densities: over its own one, and weighted by the balance heuristic.
-    radiance = emitted_radiance(objects, packet, prim, texture_at(objects, prim, packet.colour, ex, ey, ez))
+    side = -1.0 if away > 0.0 else 1.0
+    there = point_of(objects, prim, ex, ey, ez, side, texture_at(objects, prim, packet.colour, ex, ey, ez), True)
+    radiance = emitted_radiance(objects, packet, there, -ux, -uy, -uz)
     light = radiance * scattered * cos_facet / (per_area * distance2 + by_chance * cos_facet)
     if light <= 0.0:
         return
@@ -227,7 +229,7 @@ def _scattered_towards(
     if cosine <= EDGE:
         return 0.0, 0.0, 0.0
     texel = texture_at(objects, packet.facet, packet.colour, x, y, z)
-    point = point_of(objects, packet.facet, x, y, z, side, objects.model[packet.facet], texel, True)
+    point = point_of(objects, packet.facet, x, y, z, side, texel, True)
     by_chance = density(objects.scattering, point, packet.colour, ix, iy, iz, ux, uy, uz)
     brdf = evaluate(objects.scattering, point, packet.colour, ix, iy, iz, ux, uy, uz)
     if by_chance > 0.0:

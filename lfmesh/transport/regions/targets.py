@@ -35,7 +35,7 @@ from lfmesh.transport.events.glow import asks_media
 from lfmesh.transport.events.halo import asks_halos
 from lfmesh.transport.events.lighting import ask_lights
 from lfmesh.transport.events.polarisation import depolarise
-from lfmesh.transport.events.scattering import Point, albedo, density, evaluate, sample
+from lfmesh.transport.events.scattering import Point, albedo, density, emissivity, evaluate, sample
 from lfmesh.transport.packets.book import ESCAPED, LIT, REACHED, SAMPLING_ADDED, SAMPLING_REMOVED
 from lfmesh.transport.packets.packet import (
     CAMERA,
@@ -58,6 +58,7 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.packets.path_class import is_estimated, is_unturned
 from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived, uniform
 from lfmesh.transport.regions.bodies import RANK, bodies_round
+from lfmesh.transport.tables.scattering import THERMAL
 from lfmesh.transport.tables.tables import AIR, BY_ALPHA, AimTables, ObjectTables
 
 Array = NDArray[np.float64]
@@ -67,6 +68,9 @@ FACETS = 1 << 32
 
 KINDS = 8
 """More than there are kinds of packets."""
+
+EMITTED = 1 << 24
+"""Number of the random numbers of emission, among those that a packet's key has for its children."""
 
 AIMED_CHILD = 1 << 20
 """Number of the aimed child among a packet's children, larger than any number of events."""
@@ -103,7 +107,7 @@ def meet_target(
         packet.weight = weight
     texel = texture_at(objects, prim, packet.colour, x, y, z)
     side = -1.0 if along > 0.0 else 1.0
-    point = point_of(objects, prim, x, y, z, side, objects.model[prim], texel, options.adjoint)
+    point = point_of(objects, prim, x, y, z, side, texel, options.adjoint)
     share = albedo(objects.scattering, point, packet.colour, dx, dy, dz)
     if options.adjoint and is_estimated(options, packet):
         _gather(options, flow, objects, packet, point, share > 0.0)
@@ -128,7 +132,6 @@ def point_of(
     y: float,
     z: float,
     side: float,
-    model: int,
     texel: float,
     to_light: bool,
 ) -> Point:
@@ -141,8 +144,6 @@ def point_of(
     x, y, z : float, mm
     side : float
         1: the side that the normal points to, −1: the other.
-    model : int
-        Row of the scattering models.
     texel : float
         See `texture_at`.
     to_light : bool
@@ -151,10 +152,35 @@ def point_of(
     facet = objects.facets[prim]
     normal = facet.normal
     nx, ny, nz = side * normal[0], side * normal[1], side * normal[2]
-    if not objects.smooth[facet.body] or model != objects.model[prim]:
-        return Point(prim, x, y, z, nx, ny, nz, model, texel, False, nx, ny, nz, to_light)
+    model = objects.model[prim]
+    if side < 0.0:
+        model = objects.scattering.models[model].behind
+    if not objects.smooth[facet.body]:
+        return Point(prim, x, y, z, nx, ny, nz, model, texel, False, nx, ny, nz, to_light, 0.0, 0.0)
     sx, sy, sz = _interpolated_normal(facet, side, x, y, z)
-    return Point(prim, x, y, z, nx, ny, nz, model, texel, True, sx, sy, sz, to_light)
+    return Point(prim, x, y, z, nx, ny, nz, model, texel, True, sx, sy, sz, to_light, 0.0, 0.0)
+
+
+@inlined
+def emission_of(objects: ObjectTables, point: Point, key: np.uint64) -> Point:
+    """Return a point as it emits: with the model of its emission.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    point : Point
+    key : uint64
+        Of the packet.
+    """
+    row = objects.scattering.models[point.model].emission
+    smooth = point.smooth and objects.scattering.models[row].kind == THERMAL
+    u, v = 0.0, 0.0
+    if smooth:
+        u, v = uniform(derived(key, EMITTED), 0), uniform(derived(key, EMITTED), 1)
+    return Point(
+        point.prim, point.x, point.y, point.z, point.nx, point.ny, point.nz, row, point.texel,
+        smooth, point.sx, point.sy, point.sz, point.to_light, u, v,
+    )  # fmt: skip
 
 
 @kernel
@@ -278,7 +304,7 @@ def passes(objects: ObjectTables, packet: Any, prim: int, t: float) -> bool:
 def _gather(options: Options, flow: Flow, objects: ObjectTables, packet: Any, point: Point, scatters: bool) -> None:
     """Deposit the light that a target emits towards the packet, and send shadow packets for the light it scatters."""
     flow.book[REACHED] += packet.weight
-    radiance = emitted_radiance(objects, packet, point.prim, point.texel)
+    radiance = emitted_radiance(objects, packet, point, -packet.dx, -packet.dy, -packet.dz)
     if radiance > 0.0:
         share = share_by_chance(objects, packet, point.prim, point.x, point.y, point.z)
         deposit(options, flow, packet.source, packet.colour, packet.weight * share * radiance)
@@ -301,21 +327,28 @@ def _gather(options: Options, flow: Flow, objects: ObjectTables, packet: Any, po
 
 
 @inlined
-def emitted_radiance(objects: ObjectTables, packet: Any, prim: int, texel: float) -> float:
-    """Return the radiance that a facet emits into the packet's medium, as the packet's weight counts it, W/(m² sr).
+def emitted_radiance(
+    objects: ObjectTables, packet: Any, point: Point, ox: float, oy: float, oz: float
+) -> float:  # fmt: skip
+    """Return the radiance that a point emits into the packet's medium, as the packet's weight counts it, W/(m² sr).
 
     Parameters
     ----------
     objects : ObjectTables
     packet : PACKET
-    prim : int
-        Facet.
-    texel : float
-        Value of the texture at the point.
+    point : Point
+    ox, oy, oz : float
+        Unit direction away from the surface.
     """
-    radiance = objects.radiance[objects.facets[prim].body, packet.colour] * texel
-    if radiance > 0.0 and packet.medium != AIR:
-        # Inside glass: radiance over n² is conserved on the way out.
+    radiance = objects.radiance[objects.facets[point.prim].body, packet.colour]
+    if radiance <= 0.0:
+        return 0.0
+    source = emission_of(objects, point, derived(packet.key, packet.events))
+    if objects.scattering.models[source.model].kind == THERMAL:
+        # Radiance over n² is conserved on the way out of glass, in which a black body has n² times that in air.
+        return radiance * emissivity(objects.scattering, source, packet.colour, ox, oy, oz)
+    radiance *= point.texel
+    if packet.medium != AIR:
         radiance /= objects.media.indices[packet.medium, packet.colour] ** 2
     return radiance
 

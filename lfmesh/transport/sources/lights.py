@@ -1,8 +1,8 @@
 """Lamps and emitting targets, the sources of the forward method (the paper's).
 
 A lamp's packets go into the cone around the targets; the power that it sends elsewhere is booked as escaped at once.
-An emitting facet's packet is scattered where it starts, by Lambert's law. The adjoint method starts such packets as
-well, for light of lamps through glass (`render.parts`); those go into the cone around the glass.
+An emitting facet's packet is scattered where it starts, by the model of its emission. The adjoint method starts lamps'
+packets as well, for their light through glass (`render.parts`); those go into the cone around the glass.
 """
 
 from dataclasses import dataclass
@@ -19,12 +19,13 @@ from lfmesh.transport.events.crossing import record
 from lfmesh.transport.events.glow import drawn_point
 from lfmesh.transport.events.lighting import PLACE_U, PLACE_V, WAY_U, WAY_V, emitted
 from lfmesh.transport.events.polarisation import polarise_as_light
+from lfmesh.transport.events.scattering import albedo
 from lfmesh.transport.events.volume import coefficients, own_ray, span
 from lfmesh.transport.packets.book import EMITTED, ESCAPED
 from lfmesh.transport.packets.packet import E_START, LAMP, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, Options, put
 from lfmesh.transport.packets.random import derived, start
 from lfmesh.transport.regions.bodies import RANK, TOO_MANY, bodies_at, medium_of, set_bodies
-from lfmesh.transport.regions.targets import opacity_at, point_of, scatter, texture_at
+from lfmesh.transport.regions.targets import emission_of, opacity_at, point_of, scatter, texture_at
 from lfmesh.transport.regions.volumes import send_from_medium
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.tables.lights import MM2
@@ -214,11 +215,13 @@ def _from_facet(
     side = 1.0
     if not objects.one_sided[body] and start(key, SIDE) < 0.5:
         side = -1.0
-    weight *= texture_at(objects, prim, packet.colour, x, y, z) * objects.glow[body, packet.colour]
+    weight *= objects.glow[body, packet.colour]
     if objects.opacity[body] < 1.0:
         weight *= opacity_at(objects, prim, x, y, z)
-    flow.book[EMITTED] += weight
-    packet.start = weight
-    packet.weight = weight
-    point = point_of(objects, prim, x, y, z, side, len(objects.scattering.models) - 1, 1.0, False)
-    scatter(options, flow, frames, objects, aim, packet, point, weight, weight)
+    texel = texture_at(objects, prim, packet.colour, x, y, z)
+    point = emission_of(objects, point_of(objects, prim, x, y, z, side, texel, False), key)
+    emitted = weight * albedo(objects.scattering, point, packet.colour, 0.0, 0.0, 0.0)
+    flow.book[EMITTED] += emitted
+    packet.start = emitted
+    packet.weight = emitted
+    scatter(options, flow, frames, objects, aim, packet, point, weight, emitted)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.mesh import Array
+from lfmesh.transport.tables.scattering import mean_emission
 from lfmesh.transport.tables.tables import Emitters, ObjectTables
 
 MOST_PIECES = 1 << 14
@@ -33,15 +34,14 @@ def emitter_table(objects: ObjectTables) -> Emitters:
     facets = objects.facets
     edge = facets["corners"][:, 1:] - facets["corners"][:, :1]
     area = 0.5 * np.linalg.norm(np.cross(edge[:, 0], edge[:, 1]), axis=1)
-    glow = np.append(objects.radiance.mean(axis=1) if len(objects.radiance) else np.zeros(0), 0.0)[facets["body"]]
-    bright = np.flatnonzero(glow * area > 0.0)
+    emission = np.append(mean_emissions(objects).mean(axis=2), [[0.0, 0.0]], axis=0)[facets["body"]]
+    bright = np.flatnonzero(np.maximum(emission[:, 0], emission.sum(axis=1)) * area > 0.0)
     if not len(bright):
         return no_emitters()
     level = _levels(objects, bright)
     count = 4**level
     facet, piece_area = np.repeat(bright, count), np.repeat(area[bright] / count, count)
-    sides = np.where(np.append(objects.one_sided, True)[facets["body"]], 1.0, 2.0)
-    power = (sides * glow)[facet] * piece_area * _texture_means(objects, bright, level)
+    power = (emission[facet, 0] + emission[facet, 1] * _texture_means(objects, bright, level)) * piece_area
     if power.sum() <= 0.0:
         return no_emitters()
     first, levels = np.full(len(facets), -1, np.int64), np.zeros(len(facets), np.int64)
@@ -52,6 +52,24 @@ def emitter_table(objects: ObjectTables) -> Emitters:
     corners = np.concatenate([corner_weights(int(each)) for each in level])
     place = np.column_stack([corners[:, 0, 1:], corners[:, 1, 1] - corners[:, 0, 1]])
     return Emitters(facet, until, np.minimum(begin, len(until) - 1), place, share / piece_area, first, levels)
+
+
+def mean_emissions(objects: ObjectTables) -> Array:
+    """Return the mean radiance over all directions of each target, its sides added, (targets, 2, wavelengths).
+
+    The first of the two is that where the texture is 0; the second is what a texture of 1 adds.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    """
+    means = np.zeros((len(objects.radiance), 2, objects.radiance.shape[1]))
+    for body, radiance in enumerate(objects.radiance):
+        means[body] = radiance * mean_emission(objects.scattering, body)
+        if not objects.one_sided[body]:
+            behind = int(objects.scattering.models["behind"][body])
+            means[body] += radiance * mean_emission(objects.scattering, behind)
+    return means
 
 
 def no_emitters() -> Emitters:

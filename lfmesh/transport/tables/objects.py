@@ -19,7 +19,7 @@ from lfmesh.scene.coatings import UNCOATED
 from lfmesh.transport.packets.book import LOST_OUTSIDE, Book
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.contacts import contacts
-from lfmesh.transport.tables.emitters import emitter_table, no_emitters
+from lfmesh.transport.tables.emitters import emitter_table, mean_emissions, no_emitters
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.halos import halo_tables
 from lfmesh.transport.tables.hosts import hosts_of
@@ -207,7 +207,9 @@ def object_tables(
         uv=uv,
         one_sided=np.array(
             [
-                (t.closed and t.alpha is None and m.opacity == 1.0) or m.sides == "front"
+                (t.closed and t.alpha is None and m.opacity == 1.0)
+                # The black side of a hot sheet emits.
+                or (m.sides == "front" and m.temperature_k is None)
                 for t, m in zip(targets, materials, strict=True)
             ],
             dtype=np.bool_,
@@ -413,12 +415,14 @@ def _glowing_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:
     """Return the sources of emitting targets, one for each facet."""
     entries = []
     areas = facet_normals(mesh)[1]
-    glow = objects.radiance.max(axis=1) if len(objects.radiance) else np.zeros(0)
-    for facet in np.flatnonzero(np.append(glow > 0.0, False)[objects.facets["body"]]):
+    emission = mean_emissions(objects)
+    most = np.maximum(emission[:, 0], emission.sum(axis=1)).max(axis=1, initial=0.0)
+    glow = objects.radiance.max(axis=1, initial=0.0)
+    for facet in np.flatnonzero(np.append(most > 0.0, False)[objects.facets["body"]]):
         body = objects.facets["body"][facet]
         sides = 1.0 if objects.one_sided[body] else 2.0
-        power = np.pi * glow[body] * areas[facet] * MM2 * sides
-        entries.append((-1, int(facet), power, power))
+        area = np.pi * areas[facet] * MM2
+        entries.append((-1, int(facet), most[body] * area, glow[body] * area * sides))
     return entries
 
 

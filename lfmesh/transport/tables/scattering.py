@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.by_address import by_address
-from lfmesh.optics.gloss import gloss_parameters
+from lfmesh.optics.gloss import gloss_parameters, mean_albedos
 from lfmesh.optics.gltf_material import GltfMaterial, gltf_parameters
 from lfmesh.optics.metals import metal_index
 from lfmesh.scene.targets import Material
@@ -23,6 +23,8 @@ SCATTERING = np.dtype(
         ("kind", "i8"),
         ("first", "i8"),  # row of `ScatteringTables.parameters` with its first parameter
         ("metal", "f8"),  # share of the surface that is metal, of a `BLEND`
+        ("behind", "i8"),  # row of the model of the surface's other side
+        ("emission", "i8"),  # row of the model by which the surface emits; of `THERMAL` that of the surface
         ("black", "?"),  # scatters nothing, at any wavelength
     ]
 )
@@ -30,13 +32,15 @@ SCATTERING = np.dtype(
 LAMBERTIAN = 0  # parameter: reflectance
 GLOSSY = 1  # parameters: see `optics.gloss`
 BLEND = 2  # parameters: those of a dielectric gloss, then those of a metal, see `optics.gltf_material`
+THERMAL = 3  # emission by temperature; parameters: mean emissivity where the texture is 0, and what 1 takes from it
 
 
 @by_address
 class ScatteringTables(NamedTuple):
     """The scattering models of all targets, and of the materials that mesh files bring."""
 
-    # (targets + files' materials + 1,) SCATTERING; the last one is for light that targets emit
+    # (n,) SCATTERING: of targets, of files' materials, a black one where a hot sheet has a black side, of what each hot
+    # target emits, of what its black side emits, and of a given radiance, which is the same in all directions
     models: NDArray[np.void]
     parameters: Array  # (parameters of all models, wavelengths)
 
@@ -47,9 +51,10 @@ def scattering_tables(
     reflectances: Sequence[Array] | None = None,
     from_files: Sequence[GltfMaterial] = (),
 ) -> ScatteringTables:
-    """Return the scattering models of some materials, then those of mesh files' materials, then that of emission.
+    """Return the scattering models of some materials, then those of mesh files' materials, then those of emission.
 
-    Emission follows Lambert's law, whatever the target's scattering model.
+    A given radiance is emitted by Lambert's law, whatever the target's scattering model. What has a temperature emits
+    what is missing from its albedo, in each direction (Kirchhoff).
 
     Parameters
     ----------
@@ -59,20 +64,61 @@ def scattering_tables(
         Of the materials; may be left out if they are numbers.
     from_files : sequence of GltfMaterial
     """
-    models = np.zeros(len(materials) + len(from_files) + 1, SCATTERING)
-    rows: list[Array] = []
     if reflectances is None:
         reflectances = [np.full(len(wavelengths_nm), material.reflectance, np.float64) for material in materials]
     made = [_model_of(each, share, wavelengths_nm) for each, share in zip(materials, reflectances, strict=True)]
     made += [(BLEND, gltf_parameters(each, wavelengths_nm)) for each in from_files]
+    hot = [i for i, each in enumerate(materials) if each.temperature_k is not None]
+    one_sided = [i for i in hot if materials[i].sides == "front"]
+    black = len(made)
+    if one_sided:
+        made.append((LAMBERTIAN, np.zeros((1, len(wavelengths_nm)))))
+        hot.append(black)
+    thermal = len(made)
+    made += [(THERMAL, _mean_emissivity(*made[i])) for i in hot]
     made.append((LAMBERTIAN, np.ones((1, len(wavelengths_nm)))))
-    models["metal"][len(materials) : -1] = [each.metallic for each in from_files]
+    models = np.zeros(len(made), SCATTERING)
+    models["metal"][len(materials) : len(materials) + len(from_files)] = [each.metallic for each in from_files]
+    models["behind"], models["emission"] = np.arange(len(made)), len(made) - 1
+    models["behind"][one_sided] = black
+    models["emission"][hot] = thermal + np.arange(len(hot))
+    models["emission"][thermal : thermal + len(hot)] = hot
+    rows: list[Array] = []
     for model, (kind, parameters) in zip(models, made, strict=True):
         model["kind"] = kind
         model["first"] = len(rows)
         model["black"] = not parameters.any()
         rows += list(parameters)
     return ScatteringTables(models, np.array(rows))
+
+
+def _mean_emissivity(kind: int, parameters: Array) -> Array:
+    """Return the parameters of a `THERMAL` model, (2, wavelengths), from those of the surface that emits."""
+    if kind == LAMBERTIAN:
+        return np.concatenate([np.ones_like(parameters), parameters])
+    alone, base = mean_albedos(parameters)
+    return np.array([1.0 - alone, base])
+
+
+def mean_emission(tables: ScatteringTables, model: int) -> tuple[Array, Array]:
+    """Return the hemispherical mean of what a surface emits, relative to its radiance, each (wavelengths,).
+
+    Parameters
+    ----------
+    tables : ScatteringTables
+    model : int
+        Row of the surface's scattering model.
+
+    Returns
+    -------
+    untextured, by_texture : (wavelengths,) float64
+        Where the texture is 0, and what a texture of 1 adds.
+    """
+    row = tables.models[tables.models["emission"][model]]
+    first = tables.parameters[row["first"]]
+    if row["kind"] == THERMAL:
+        return first, -tables.parameters[row["first"] + 1]
+    return np.zeros_like(first), first
 
 
 def _model_of(material: Material, reflectance: Array, wavelengths_nm: tuple[float, ...]) -> tuple[int, Array]:

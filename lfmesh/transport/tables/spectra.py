@@ -41,6 +41,8 @@ def reflectance_at(scene: Scene, number: int, wavelengths_nm: tuple[float, ...])
 def radiance_at(scene: Scene, number: int, lines: Lines) -> Array:
     """Return the radiance of a target that each line stands for, (lines,), W/(m² sr).
 
+    Of a target with a temperature it is that of a black body, which its emissivity then lowers.
+
     Parameters
     ----------
     scene : Scene
@@ -56,8 +58,7 @@ def radiance_at(scene: Scene, number: int, lines: Lines) -> Array:
     material, where = scene.targets[number].material, f"targets[{number}].material"
     wavelengths_nm = np.array(lines.wavelengths_nm)
     if material.temperature_k is not None:
-        emissivity = 1.0 - reflectance_at(scene, number, lines.wavelengths_nm)
-        return np.asarray(emissivity * planck_radiance(wavelengths_nm, material.temperature_k) * lines.weight_nm)
+        return np.asarray(planck_radiance(wavelengths_nm, material.temperature_k) * lines.weight_nm)
     value = material.radiance_w_m2_sr
     if not isinstance(value, Spectrum):
         return spread(scene, value, material.spectrum, lines, f"{where}.spectrum")

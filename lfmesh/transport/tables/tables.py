@@ -157,11 +157,11 @@ class ObjectTables(NamedTuple):
 
     facets: Records  # (m,) FACET; body: target t ≥ 0, or −1 for the housing
     uv: Array  # (m, 3, 2)
-    one_sided: NDArray[np.bool_]  # (targets,) scatters and emits on the side of its normals only; the other is black
+    one_sided: NDArray[np.bool_]  # (targets,) scatters and emits on the side of its normals only; the other absorbs
     scattering: ScatteringTables
     model: NDArray[np.int64]  # (m,) row of the scattering model of each facet; of the housing 0
     smooth: NDArray[np.bool_]  # (targets,) shaded with normals interpolated between the facets' corners
-    radiance: Array  # (targets, wavelengths) W/(m² sr)
+    radiance: Array  # (targets, wavelengths) W/(m² sr), which the model of emission lowers
     glow: Array  # (targets, wavelengths) radiance relative to the largest of its target
     media: Media
     medium: NDArray[np.int64]  # (targets,) medium of a body of glass; OPAQUE for all other targets

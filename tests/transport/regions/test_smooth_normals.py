@@ -29,7 +29,7 @@ def cosines(objects: ObjectTables, facets: NDArray[np.int64], places: Array, lam
     """Write π BRDF · cos θ of points of white facets under lamps, seen along their normals, (n,)."""
     for i in range(len(found)):
         x, y, z = places[i, 0], places[i, 1], places[i, 2]
-        point = point_of(objects, facets[i], x, y, z, 1.0, objects.model[facets[i]], 1.0, True)
+        point = point_of(objects, facets[i], x, y, z, 1.0, 1.0, True)
         ux, uy, uz = lamps[i, 0], lamps[i, 1], lamps[i, 2]
         cosine = point.nx * ux + point.ny * uy + point.nz * uz
         found[i] = 0.0

@@ -17,7 +17,26 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lfmesh.analysis.analysis import LensAnalysis, analyse
-    from lfmesh.errors import FileError, GlassError, LfmeshError, MeshError, SceneError
+    from lfmesh.errors import (
+        BlindCheckWarning,
+        ClearAirWarning,
+        ClosedGapWarning,
+        CutPathsWarning,
+        DiffractionWarning,
+        FileError,
+        GlassError,
+        HiddenSceneWarning,
+        LfmeshError,
+        LightOutsideAimWarning,
+        LostEnergyWarning,
+        MeshError,
+        MissedLightWarning,
+        OpenLedgerWarning,
+        OrderCheckWarning,
+        PictureWarning,
+        SceneError,
+        TooFewSamplesWarning,
+    )
     from lfmesh.files.camera_model import write_camera_model
     from lfmesh.files.exports.export import export_field, export_raw
     from lfmesh.files.matrix import open_projection_matrix, write_projection_matrix
@@ -81,10 +100,10 @@ if TYPE_CHECKING:
     from lfmesh.study.dataset import Dataset
     from lfmesh.study.fit import Fit, fit
     from lfmesh.study.study import Study
-    from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
+    from lfmesh.transport.packets.ledger import Ledger
     from lfmesh.transport.render.image import Image
     from lfmesh.transport.render.progress import Progress
-    from lfmesh.transport.render.render import MissedLightWarning, render
+    from lfmesh.transport.render.render import render
     from lfmesh.transport.trace import Paths, Status, trace
     from lfmesh.transport.world import build
     from lfmesh.view.layout.figure import draw
@@ -95,6 +114,7 @@ __all__ = [
     "AllInFocus",
     "ArrayForm",
     "BackFace",
+    "BlindCheckWarning",
     "Board",
     "BoardCorners",
     "BoardFit",
@@ -102,11 +122,15 @@ __all__ = [
     "Calibration",
     "Camera",
     "CameraModel",
+    "ClearAirWarning",
+    "ClosedGapWarning",
+    "CutPathsWarning",
     "Cylinder",
     "Dataset",
     "DepthMap",
     "DepthTruth",
     "Detector",
+    "DiffractionWarning",
     "DirectionalLight",
     "Disk",
     "DiskLight",
@@ -117,21 +141,26 @@ __all__ = [
     "FocalStack",
     "GlassError",
     "Gloss",
+    "HiddenSceneWarning",
     "Image",
     "Ledger",
     "Lens",
     "LensAnalysis",
     "LfmeshError",
     "LightField",
+    "LightOutsideAimWarning",
     "Liquid",
     "LostEnergyWarning",
     "Material",
     "MeshError",
     "MicrolensArray",
     "MissedLightWarning",
+    "OpenLedgerWarning",
+    "OrderCheckWarning",
     "Particles",
     "Paths",
     "Photograph",
+    "PictureWarning",
     "Plane",
     "PointLight",
     "Pose",
@@ -151,6 +180,7 @@ __all__ = [
     "Tank",
     "Target",
     "Tessellation",
+    "TooFewSamplesWarning",
     "Transport",
     "VoxelBox",
     "Wall",
@@ -200,7 +230,22 @@ __all__ = [
 
 _HOMES = {
     "lfmesh.analysis.analysis": ["LensAnalysis", "analyse"],
-    "lfmesh.errors": ["FileError", "GlassError", "LfmeshError", "MeshError", "SceneError"],
+    "lfmesh.errors": [
+        *["FileError", "GlassError", "LfmeshError", "MeshError", "SceneError"],
+        "BlindCheckWarning",
+        "ClearAirWarning",
+        "ClosedGapWarning",
+        "CutPathsWarning",
+        "DiffractionWarning",
+        "HiddenSceneWarning",
+        "LightOutsideAimWarning",
+        "LostEnergyWarning",
+        "MissedLightWarning",
+        "OpenLedgerWarning",
+        "OrderCheckWarning",
+        "PictureWarning",
+        "TooFewSamplesWarning",
+    ],
     "lfmesh.files.camera_model": ["write_camera_model"],
     "lfmesh.files.exports.export": ["export_field", "export_raw"],
     "lfmesh.files.matrix": ["open_projection_matrix", "write_projection_matrix"],
@@ -251,9 +296,9 @@ _HOMES = {
     "lfmesh.study.fit": ["Fit", "fit"],
     "lfmesh.study.study": ["Study"],
     "lfmesh.transport.render.image": ["Image"],
-    "lfmesh.transport.packets.ledger": ["Ledger", "LostEnergyWarning"],
+    "lfmesh.transport.packets.ledger": ["Ledger"],
     "lfmesh.transport.render.progress": ["Progress"],
-    "lfmesh.transport.render.render": ["MissedLightWarning", "render"],
+    "lfmesh.transport.render.render": ["render"],
     "lfmesh.transport.trace": ["Paths", "Status", "trace"],
     "lfmesh.transport.world": ["build"],
     "lfmesh.view.layout.figure": ["draw"],

@@ -1,6 +1,17 @@
-"""The one exception family: everything a user can cause ends in an `LfmeshError` with one clear message."""
+"""The families of exceptions and warnings.
 
-from typing import ClassVar
+Everything a user can cause ends in an `LfmeshError` with one clear message. Everything by which a picture is or may be
+wrong is a `PictureWarning`: a warning of Python, a line on the command line and an entry in `report.json`.
+"""
+
+import os
+import sys
+import warnings
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+_INSIDE = f"{Path(__file__).parent}{os.sep}"
 
 
 class LfmeshError(Exception):
@@ -36,3 +47,96 @@ class FileError(LfmeshError):
 
 class LensFileWarning(UserWarning):
     """A lens file or glTF scene was read with approximations, or holds what the reader does not know."""
+
+
+class PictureWarning(UserWarning):
+    """A picture is or may be wrong. Two are equal if they are of one class and say the same.
+
+    The message is one line in plain English: what is wrong, the value, what to do. The order of the classes below is
+    that in which they are said, most important first.
+    """
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and str(self) == str(other)
+
+    def __hash__(self) -> int:
+        return hash((type(self), str(self)))
+
+    def as_dict(self) -> dict[str, str]:
+        """Return the warning for JSON."""
+        return {"kind": type(self).__name__, "text": str(self)}
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Self:
+        """Return the warning that `as_dict` was made from; of a class that this version does not know as one of `cls`.
+
+        Parameters
+        ----------
+        values : dict
+            With `kind` and `text`.
+        """
+        kind, text = str(values["kind"]), str(values["text"])
+        return next((each for each in cls.__subclasses__() if each.__name__ == kind), cls)(text)
+
+
+class BlindCheckWarning(PictureWarning):
+    """Samples that are not aimed found more or less light than the picture has: the picture is wrong."""
+
+
+class LostEnergyWarning(PictureWarning):
+    """The tracer lost more of the energy than rounding explains."""
+
+
+class OpenLedgerWarning(PictureWarning):
+    """The energy ledger does not close: energy is missing of which nothing is known."""
+
+
+class CutPathsWarning(PictureWarning):
+    """Paths that still carried light were cut by `transport.max_events`."""
+
+
+class HiddenSceneWarning(PictureWarning):
+    """A closed body stands round the camera and hides the scene."""
+
+
+class MissedLightWarning(PictureWarning):
+    """Light is left out, or found so seldom that the picture may be darker than its error says."""
+
+
+class LightOutsideAimWarning(PictureWarning):
+    """Rays are not aimed at all of the light that comes through the lens: the rest of it comes as noise."""
+
+
+class TooFewSamplesWarning(PictureWarning):
+    """Many pixels have so few samples with light that their errors are not known well."""
+
+
+class ClosedGapWarning(PictureWarning):
+    """Faces of glass are so close that they are taken to touch."""
+
+
+class ClearAirWarning(PictureWarning):
+    """A scene has media that take light away, and its projection matrix leaves them out."""
+
+
+class OrderCheckWarning(PictureWarning):
+    """Surfaces found by their order are not those found by their meshes, which were used instead."""
+
+
+class DiffractionWarning(PictureWarning):
+    """Diffraction, which is not traced, blurs a real camera's picture by more than a sample."""
+
+
+def in_order(found: Iterable[PictureWarning]) -> tuple[PictureWarning, ...]:
+    """Return warnings once each, the most important first."""
+    kinds = PictureWarning.__subclasses__()
+    return tuple(sorted(dict.fromkeys(found), key=lambda each: kinds.index(type(each)) if type(each) in kinds else -1))
+
+
+def warn_caller(found: Iterable[PictureWarning]) -> None:
+    """Warn of each, at the line outside this package from which it was called."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(_INSIDE):
+        level, frame = level + 1, frame.f_back
+    for each in found:
+        warnings.warn(each, stacklevel=level)

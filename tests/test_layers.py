@@ -39,7 +39,7 @@ ROOMS = {
         *["packets", "tables", "events", "sequential", "aiming", "regions"],
         *["choice", "collisions", "close_faces", "refused_glass", "world", "settings"],
         *["threads", "engine", "sources"],  # packets through a world, and what starts them
-        "render, trace",
+        "checks, render, trace",
     ],
     "view": [
         "figure_file, progress, pictures, results",

@@ -23,7 +23,7 @@ from lfmesh.accuracy.hard import (
     tanks,
 )
 from lfmesh.accuracy.hard.outcome import Outcome
-from lfmesh.transport.packets.ledger import LostEnergyWarning
+from lfmesh.errors import PictureWarning
 
 CASES: tuple[Callable[[], Outcome], ...] = (
     aim.vertices_and_edges,
@@ -130,9 +130,9 @@ def run_all() -> list[Outcome]:
 
 
 def judged(case: Callable[[], Outcome]) -> Outcome:
-    """Run one case without warnings of lost energy, which its outcome states."""
+    """Run one case without warnings: its outcome states what was lost."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", LostEnergyWarning)
+        warnings.simplefilter("ignore", PictureWarning)
         return case()
 
 

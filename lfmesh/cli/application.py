@@ -11,7 +11,7 @@ from cyclopts import App
 
 import lfmesh
 from lfmesh.cli.interrupts import Terminated, terminate_as_interrupt
-from lfmesh.cli.printing import lens_files_as_notes, wrapped
+from lfmesh.cli.printing import warnings_in_words, wrapped
 from lfmesh.errors import LfmeshError
 
 CASE_FAILED = 1
@@ -74,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     _open_streams()
     try:
-        with terminate_as_interrupt(), lens_files_as_notes():
+        with terminate_as_interrupt(), warnings_in_words():
             code = app(arguments, exit_on_error=False, print_error=False)
         sys.stdout.flush()
         return code if isinstance(code, int) else 0

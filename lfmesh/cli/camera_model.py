@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from lfmesh.cli.application import app
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import SceneFile, Whole
-from lfmesh.cli.printing import list_files, warnings_as_notes, wrapped
+from lfmesh.cli.printing import list_files, wrapped
 from lfmesh.cli.progress import status
 
 
@@ -38,7 +38,7 @@ def camera_model(
         from lfmesh.scene import load
     check_model_path(out)
     loaded = load(scene)
-    with status() as report, warnings_as_notes():
+    with status() as report:
         report("tracing pixels and views")
         model = models.camera_model(
             loaded, views=views, distances_mm=None if distances_mm is None else tuple(distances_mm)

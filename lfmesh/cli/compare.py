@@ -1,5 +1,6 @@
 """Kinds of camera side by side: `lfmesh compare`."""
 
+import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -8,7 +9,7 @@ from cyclopts import Parameter
 from lfmesh.cli.application import app
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Overrides, SceneFile, Whole, overridden
-from lfmesh.cli.printing import list_files, warnings_as_notes
+from lfmesh.cli.printing import list_files
 from lfmesh.cli.progress import status
 
 
@@ -41,11 +42,11 @@ def compare(
     with defer_interrupt():
         from lfmesh.accuracy.report import prepare
         from lfmesh.study import compare as comparing
-        from lfmesh.transport.packets.ledger import LostEnergyWarning
 
     prepare(out)
-    # That planes beyond the refocus range are blurred is what is measured.
-    with status() as say, warnings_as_notes(LostEnergyWarning):
+    with status() as say, warnings.catch_warnings():
+        # That planes beyond the refocus range are blurred is what is measured.
+        warnings.filterwarnings("ignore", ".*beyond the range of sharp refocusing", UserWarning)
         comparison = comparing.compare(loaded, reduction=reduction, steps=steps, progress=say)
     # Written first: it is not lost if nothing can be printed.
     paths = comparing.write(comparison, out)

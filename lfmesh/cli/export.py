@@ -9,7 +9,6 @@ from lfmesh.cli.application import app
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.lightfield import field_of
 from lfmesh.cli.options import RunFolder
-from lfmesh.cli.printing import warnings_as_notes
 from lfmesh.errors import LfmeshError
 
 
@@ -71,5 +70,4 @@ def _exported_raw(folder: Path, out: Path, kind: Literal["plenopticam", "plenpy"
     RayModel.of(image.scene)  # a conventional camera is refused before a white image is asked for
     if recorded is None:
         raise LfmeshError(f"--format {kind}: {folder} has no white.exr; make it with lfmesh white {folder}")
-    with warnings_as_notes():
-        return export_raw(image, recorded, read_calibration(folder / run.CALIBRATION), out, kind)
+    return export_raw(image, recorded, read_calibration(folder / run.CALIBRATION), out, kind)

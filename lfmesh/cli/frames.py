@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from lfmesh.cli.application import app
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Overrides, SceneFile, Whole, overridden
-from lfmesh.cli.printing import list_files, say_note, warnings_as_notes
+from lfmesh.cli.printing import list_files, say_note
 from lfmesh.view.progress import progress
 
 
@@ -50,7 +50,7 @@ def frames(
         run.prepare(folder)
     for number, (frame, folder) in enumerate(zip(scenes, folders, strict=True)):
         seeded = frame.changed({"transport.seed": frame.transport.seed + number})
-        with progress() as report, warnings_as_notes():
+        with progress() as report:
             image = render(pinned(seeded), progress=report)
         if not image.complete:
             say_note(f"stopped in frame {number}; the frames before it are complete")

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from lfmesh.cli.application import app
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import RunFolder, Whole
-from lfmesh.cli.printing import list_files, say_note, warnings_as_notes, wrapped
+from lfmesh.cli.printing import list_files, say_note, wrapped
 from lfmesh.errors import LfmeshError
 
 if TYPE_CHECKING:
@@ -99,11 +99,10 @@ def refocus(
     with defer_interrupt():
         from lfmesh.files import photographs as files
 
-    with warnings_as_notes():
-        if method == "patches":
-            single, series, sharpest = _patched(run, distance_mm or [], planes, all_in_focus)
-        else:
-            single, series, sharpest = _refocused(run, distance_mm or [], planes, all_in_focus, f_number, method)
+    if method == "patches":
+        single, series, sharpest = _patched(run, distance_mm or [], planes, all_in_focus)
+    else:
+        single, series, sharpest = _refocused(run, distance_mm or [], planes, all_in_focus, f_number, method)
     for photograph in single:
         list_files(files.save_photograph(photograph, run))
     if series is not None:

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 from lfmesh.cli.application import app, stopped
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Overrides, SceneFile, Whole, overridden
-from lfmesh.cli.printing import list_files, warnings_as_notes, wrapped
+from lfmesh.cli.printing import list_files, wrapped
 from lfmesh.cli.progress import status
 from lfmesh.errors import LfmeshError
 
@@ -71,7 +71,7 @@ def matrix(
     loaded = overridden(load(scene), overrides)
     box = _box(voxels or Voxels())
     try:
-        with status() as report, warnings_as_notes():
+        with status() as report:
             write_projection_matrix(
                 loaded, box, out, channel=channel, threshold=threshold, absorption=absorption,
                 inside=inside, say=lambda line: print(wrapped(line), flush=True),

@@ -1,4 +1,4 @@
-"""Printing: wrapped lines, notes on standard error, lists of the files written."""
+"""Printing: wrapped lines, warnings and notes on standard error, lists of the files written."""
 
 import sys
 import textwrap
@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from lfmesh.errors import LensFileWarning
+from lfmesh.errors import PictureWarning
 
 COLUMNS = 80
 """Width of what is printed, on a terminal or not."""
@@ -20,32 +20,23 @@ def wrapped(text: str) -> str:
 
 
 @contextmanager
-def warnings_as_notes(kind: type[UserWarning] = UserWarning) -> Iterator[None]:
-    """Print the library's warnings of one kind as notes, after the body; drop the others."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("ignore", UserWarning)
-        warnings.simplefilter("always", kind)
-        yield
-    for warning in caught:
-        say_note(warning.message)
-
-
-@contextmanager
-def lens_files_as_notes() -> Iterator[None]:
-    """Print what is doubtful in lens files as notes, when they are read; other warnings go their usual way."""
+def warnings_in_words() -> Iterator[None]:
+    """Print warnings on standard error as they come, each once: of pictures as warnings, others as notes."""
+    told: set[str] = set()
     usual = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *rest: Any, **options: Any) -> None:
-        if issubclass(category, LensFileWarning):
-            say_note(message)
-        else:
+        if not issubclass(category, UserWarning):
             usual(message, category, *rest, **options)
+        elif str(message) not in told:
+            told.add(str(message))
+            kind = "Warning" if issubclass(category, PictureWarning) else "Note"
+            print(wrapped(f"{kind}: {message}"), file=sys.stderr, flush=True)
 
-    warnings.showwarning = show
-    try:
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = show
         yield
-    finally:
-        warnings.showwarning = usual
 
 
 def say_note(note: object) -> None:

@@ -10,9 +10,9 @@ from cyclopts import Parameter
 from lfmesh.cli.application import INTERRUPTED, WRONG_INPUT, app
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Dask, Overrides, RunFolder, SceneFile, Shard, as_option, overridden, share_of
-from lfmesh.cli.printing import list_files, say_note, warnings_as_notes, wrapped
+from lfmesh.cli.printing import list_files, say_note, wrapped
 from lfmesh.cli.progress import status
-from lfmesh.errors import FileError, LfmeshError
+from lfmesh.errors import FileError, LfmeshError, warn_caller
 from lfmesh.view.progress import progress
 
 if TYPE_CHECKING:
@@ -48,6 +48,7 @@ def check(scene: SceneFile, /) -> int:
 
     loaded = load(scene)
     with defer_interrupt():
+        from lfmesh.transport.checks.foreseen import foreseen
         from lfmesh.transport.tables.lamp_lines import lamp_lines
         from lfmesh.transport.world import build
     lines = [*first_order(loaded).lines(), *mesh_lines(loaded), *glass_lines(solved_camera(loaded).scene)]
@@ -64,8 +65,9 @@ def check(scene: SceneFile, /) -> int:
     for placement in placements(loaded):
         lines += placement.lines()
     # What a render would refuse.
-    with warnings_as_notes():
-        world = build(loaded)
+    world = build(loaded)
+    known = first_order(loaded).warnings
+    warn_caller(each for each in foreseen(world) if str(each) not in known)
     lines += lamp_lines(loaded, world.targets)
     print("\n".join(lines))
     return 0
@@ -144,18 +146,16 @@ def white(run: RunFolder, /, *, overrides: Overrides | None = None) -> int:
 
 def _share(scene_file: Path, folder: Path, share: tuple[int, int], overrides: Overrides | None) -> int:
     """Trace a share of a render into a folder of pieces."""
-    from lfmesh.geometry.solved_camera import first_order
     from lfmesh.scene import load
 
     scene = overridden(load(scene_file), overrides)
-    for note in first_order(scene).warnings:
-        say_note(note)
+    _say_beforehand(scene)
     with defer_interrupt():
         from lfmesh.files.inputs import pinned
         from lfmesh.files.shares import trace_share
 
     number, shares = share
-    with status() as say, warnings_as_notes():
+    with status() as say:
         count = trace_share(pinned(scene), folder, number, shares, lambda done, total: say(f"{done} of {total} pieces"))
     print(f"{folder} holds the {count} pieces of share {number}/{shares}; when all shares are there:")
     print(f"  lfmesh render --merge {folder} ... -o run/")
@@ -176,31 +176,40 @@ def _merged(folders: list[Path], scene: Path | None, out: Path | None, overrides
         from lfmesh.files import run, shares
 
     run.prepare(out)
-    with warnings_as_notes():
-        image = shares.merged(folders)
+    image = shares.merged(folders)
     return _told(image, out)
 
 
 def _render(scene_file: Path, folder: Path, overrides: Overrides | None, dask: str | None = None) -> int:
-    from lfmesh.geometry.solved_camera import first_order
+    from lfmesh.geometry.solved_camera import solved_camera
     from lfmesh.scene import load
 
     scene = overridden(load(scene_file), overrides)
-    notes = first_order(scene).warnings
+    # What is wrong with the scene is said before what is wrong with the folder.
+    solved_camera(scene)
 
     # Whatever can be wrong with the folder is said before the seconds that importing the tracer takes.
     with defer_interrupt():
         from lfmesh.files import run
 
     run.prepare(folder)
+    _say_beforehand(scene)
     if run.has_checkpoint(folder):
-        notes = (
-            *notes,
-            f"a render into {folder} was cut short and begins anew; --resume {folder} would go on with it.",
-        )
-    for note in notes:
-        say_note(note)
+        say_note(f"a render into {folder} was cut short and begins anew; --resume {folder} would go on with it.")
     return _traced(scene, folder, None, dask)
+
+
+def _say_beforehand(scene: "Scene") -> None:
+    """Print what a scene and its first-order report tell, before the seconds that importing the tracer takes."""
+    from lfmesh.geometry.solved_camera import solved_camera
+    from lfmesh.scene.advice import doubtful
+
+    camera = solved_camera(scene)
+    wrong = doubtful(camera.scene, camera.report)
+    warn_caller(wrong)
+    for note in camera.report.warnings:
+        if note not in map(str, wrong):
+            say_note(note)
 
 
 def _resume(folder: Path, scene: Path | None, out: Path | None, overrides: Overrides | None) -> int:
@@ -235,14 +244,13 @@ def _traced(scene: "Scene", folder: Path, saved: "dict[str, Any] | None", dask: 
     """
     with defer_interrupt():
         from lfmesh.files import run
-        from lfmesh.files.checkpoint import Checkpoints, CheckpointWarning
+        from lfmesh.files.checkpoint import Checkpoints
         from lfmesh.files.inputs import pinned
         from lfmesh.transport.render.render import render as trace_image
 
     scene = pinned(scene)
     keep = Checkpoints(folder, run.scene_metadata(scene, folder))
-    # The summary says what light was lost.
-    with progress() as report, warnings_as_notes(CheckpointWarning):
+    with progress() as report:
         if dask is None:
             image = trace_image(scene, progress=report, saved=saved, keep=keep)
         else:
@@ -257,7 +265,8 @@ def _told(image: "Image", folder: Path) -> int:
     from lfmesh.files import words
 
     place = _saved(image, folder)
-    for line in words.summary(image):
+    # Warnings were printed as they came.
+    for line in words.account(image):
         print(wrapped(line))
     print(_whereabouts(image, place))
     if not image.complete:
@@ -300,7 +309,7 @@ def _white(folder: Path, overrides: Overrides | None) -> int:
     # An image that cannot be decoded needs no white one: calibrating says so before the render.
     scene = run.open_run(folder).scene
     calibration = calibrate(scene)
-    with progress() as report, warnings_as_notes():
+    with progress() as report:
         image = white_image(overridden(scene, overrides), progress=report)
     if not image.complete:
         raise KeyboardInterrupt

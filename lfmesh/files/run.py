@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lfmesh
-from lfmesh.errors import FileError, LfmeshError
+from lfmesh.errors import FileError, LfmeshError, PictureWarning, in_order
 from lfmesh.files import exr, words
 from lfmesh.files.calibration import write_calibration
 from lfmesh.files.checkpoint import CHECKPOINT
@@ -50,6 +50,7 @@ from lfmesh.scene.inputs import COPIES
 from lfmesh.scene.literals import shown_path
 from lfmesh.scene.transport import REPLICATES
 from lfmesh.transport.aiming.aim_proof import AimProof
+from lfmesh.transport.checks.found import found
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import Refinement
 from lfmesh.transport.render.blind_check import BlindCheck
@@ -382,7 +383,7 @@ def _refuse_impossible(image: Image) -> None:
 
 def _image_of(spectral: exr.SpectralImage, folder: Path) -> Image:
     metadata = spectral.metadata
-    return Image(
+    image = Image(
         mean=spectral.parts["raw"].astype(np.float64),
         stderr=spectral.parts["stderr"].astype(np.float64),
         scene=scene_from(metadata, folder),
@@ -398,6 +399,10 @@ def _image_of(spectral: exr.SpectralImage, folder: Path) -> Image:
         order=OrderCheck(**metadata["order"]) if metadata.get("order") else None,
         coatings=metadata.get("coatings") or {},
     )
+    # Runs of older versions hold no warnings, but the numbers that they follow from.
+    told = metadata.get("warnings")
+    image.warnings = in_order(found(image)) if told is None else tuple(PictureWarning.from_dict(each) for each in told)
+    return image
 
 
 @contextmanager
@@ -547,6 +552,7 @@ def _metadata(image: Image, pixels_sha256: str, home: Path) -> dict[str, Any]:
         "format": FORMAT,
         "lfmesh_version": lfmesh.__version__,
         "name": image.scene.name,
+        "warnings": [warning.as_dict() for warning in image.warnings],
         "unit": "W per pixel",
         "orientation": Upright.of(image.scene).raw_in_words,
         "wavelengths_nm": list(image.wavelengths_nm),

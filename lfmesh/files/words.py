@@ -1,6 +1,5 @@
 """The end of a run in words: how noisy the picture is, and where the light went when it is dark."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,19 +7,15 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.scene import FirstOrder, Scene
+from lfmesh.scene.literals import percent
+from lfmesh.transport.checks.found import few_hits_share, lit_pixels
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import Refinement
-from lfmesh.transport.render.certainty import FEW_HITS, neighbours, pooled_error, typical_over_rms
+from lfmesh.transport.render.certainty import neighbours, pooled_error, typical_over_rms
 from lfmesh.transport.render.image import Image
-
-LIT_SHARE_OF_BRIGHT = 0.05
-"""A pixel counts as lit above this share of the 99th percentile."""
 
 DARK_SHARE = 0.1
 """A picture is called dark when fewer pixels than this share got any light."""
-
-FEW_SHARE = 0.25
-"""Share of the lit pixels that may have so few before the run says so."""
 
 ROWS_AT_ONCE = 256
 """Rows whose error is pooled together, for the memory."""
@@ -59,10 +54,8 @@ def noise(image: Image) -> Noise:
     without = None if image.hits is None else int((~image.hits.any(axis=2)).sum())
     if not received.any():
         return Noise(0.0, 0.0, None, without, None)
-    # In place wherever it can be: a large sensor leaves no room for copies.
-    bright = float(np.percentile(image.mean[received], 99.0, overwrite_input=True))
-    lit = image.mean > LIT_SHARE_OF_BRIGHT * bright
-    few = None if image.hits is None else float((image.hits[lit] < FEW_HITS).mean())
+    lit = lit_pixels(image.mean)
+    few = few_hits_share(image, lit)
     return Noise(float(received.mean()), float(lit.mean()), _quartiles(image, lit), without, few)
 
 
@@ -88,7 +81,12 @@ def _quartiles(image: Image, lit: NDArray[np.bool_]) -> tuple[float, float, floa
 
 
 def summary(image: Image) -> list[str]:
-    """Say what a run gave, one plain sentence a line: work done, noise, and whatever is amiss."""
+    """Say what a run gave, one plain sentence a line: whatever is amiss, work done, noise."""
+    return [*(f"Warning: {warning}" for warning in image.warnings), *account(image)]
+
+
+def account(image: Image) -> list[str]:
+    """Say what a run gave without its warnings, which are printed as they come."""
     measured = noise(image)
     lines = [
         _work(image),
@@ -100,8 +98,6 @@ def summary(image: Image) -> list[str]:
     ]
     if measured.received_share < DARK_SHARE:
         lines += where_the_light_went(image)
-    for ledger in (image.ledger, image.ledger.lamps):
-        lines += _book_keeping(image, ledger) if ledger is not None else []
     return lines
 
 
@@ -113,46 +109,30 @@ def diffraction(scene: Scene) -> dict[str, float | None]:
 
 
 def _diffraction(facts: FirstOrder) -> list[str]:
-    """Return sentences on the Airy disks that geometric optics leaves out, with a warning where they decide."""
+    """Return a sentence on the Airy disks that geometric optics leaves out, where they do not decide."""
     mla = facts.microlens_airy_disk_px is not None
     widths = [f"the lens's Airy disk is {facts.airy_disk_samples:.2g} {'lenslets' if mla else 'pixels'} wide"]
     largest = facts.airy_disk_samples
     if facts.microlens_airy_disk_px is not None:
         widths.append(f"a lenslet's {facts.microlens_airy_disk_px:.2g} pixels")
         largest = max(largest, facts.microlens_airy_disk_px)
-    if not math.isfinite(largest):
-        return []
-    said = f"{', '.join(widths)} (at {facts.airy_wavelength_nm:g} nm)"
     if largest > 1.0:
-        return [f"Warning: diffraction is not traced, and a real camera's picture is blurred by it: {said}."]
-    return [f"Diffraction is not traced: {said}."]
+        return []
+    return [f"Diffraction is not traced: {', '.join(widths)} (at {facts.airy_wavelength_nm:g} nm)."]
 
 
 def _aim(image: Image) -> list[str]:
-    """Return sentences on what the aim may have missed, by rays from the stop and by samples that are not aimed."""
-    if image.blind is None:
+    """Return a sentence on what the aim may have missed, by rays from the stop and by samples that are not aimed."""
+    proof, blind = image.aim, image.blind
+    if blind is None or not blind.agrees:
         return []
-    lines, proof, blind = [], image.aim, image.blind
     if image.scene.rough_in_camera():
         said = "as surfaces of the camera scatter light, rays go anywhere on the lens"
     elif proof is None:
         said = "no ray from the stop could be traced to the sensor"
-    elif proof.holds:
+    else:
         said = f"of the light through the stop it misses {percent(proof.missed)}"
         said += f" ± {percent(max(proof.sensor.error, proof.objects.error))}"
-    else:
-        said = "it holds not all"
-        lines.append(
-            f"Warning: rays are not aimed at {percent(proof.missed)} of the light that comes through the stop. It is in"
-            " the picture, but comes by the few samples that go anywhere, as noise."
-        )
-    if not blind.agrees:
-        rows, columns = blind.blocks
-        lines.append(
-            f"Warning: samples that are not aimed found {'more' if blind.worst > 0.0 else 'less'} light in one of"
-            f" {rows} × {columns} blocks of pixels, by {abs(blind.worst):.1f} standard errors: the picture is wrong."
-        )
-        return lines
     told = (
         "are too few to tell"
         if blind.smallest_deficit is None
@@ -161,19 +141,14 @@ def _aim(image: Image) -> list[str]:
             f" {percent(blind.smallest_deficit)}"
         )
     )
-    return [*lines, f"Aim: {said}; samples that are not aimed {told}."]
+    return [f"Aim: {said}; samples that are not aimed {told}."]
 
 
 def _order(image: Image) -> list[str]:
     """Return a sentence on how surfaces of lens and array found by their order compare with those found by meshes."""
     order = image.order
-    if order is None or order.compared == 0:
+    if order is None or not order.holds:
         return []
-    if not order.holds:
-        return [
-            f"Warning: surfaces of lens and array are not found by their order as by their meshes: {order.words}. The"
-            " meshes alone were used, which takes longer."
-        ]
     return [f"Surfaces of lens and array were found by their order: {order.words}."]
 
 
@@ -204,15 +179,6 @@ def where_the_light_went(image: Image) -> list[str]:
     if adjoint and ledger.emitted > 0.0:
         lines.append(_reached(ledger, image.scene))
     return lines
-
-
-def percent(share: float) -> str:
-    """Write a share as a percentage of three digits, 0 % and 100 % only where it is exactly that."""
-    if 0.0 < share < 1e-6:
-        return "less than 0.0001 %"
-    if 0.9995 <= share < 1.0:
-        return "more than 99.9 %"
-    return f"{100.0 * share:.3g} %"
 
 
 def duration(seconds: float) -> str:
@@ -270,11 +236,6 @@ def _noise_lines(image: Image, measured: Noise) -> list[str]:
         f"Noise: a quarter of the lit pixels are known to {quarter} or better, half to {half}, three quarters to {most}"
         f" (one standard error); 4 times the samples, {4 * image.samples:g} a pixel, would halve that."
     )
-    if measured.few_hits_share is not None and measured.few_hits_share > FEW_SHARE:
-        lines.append(
-            f"Warning: too few samples to tell that well. In {percent(measured.few_hits_share)} of the lit pixels less"
-            f" than {FEW_HITS} found light; edges, and light that few paths find, may be missing in picture and error."
-        )
     if image.refinement is not None:
         lines.append(_refined(image.refinement))
     return lines
@@ -342,26 +303,3 @@ def _reached(ledger: Ledger, scene: Scene) -> str:
     if ledger.lit <= 0.0:
         return f"{reached}, but no light reaches it there, and it does not emit."
     return f"{reached}; {percent(ledger.lit / ledger.reached_target)} of those arrived where there is light."
-
-
-def _book_keeping(image: Image, ledger: Ledger) -> list[str]:
-    lines = []
-    lost = ledger.loss_in_words()
-    if lost is not None:
-        lines.append(f"Warning: {lost}. The picture lacks it{_remedy(image)}.")
-    if abs(ledger.imbalance) > 1e-9:
-        lines.append(f"Warning: the energy does not close; {ledger.imbalance:.1e} of what was emitted is missing.")
-    return lines
-
-
-def _remedy(image: Image) -> str:
-    """Return what helps where energy was lost in glass whose shape is a mesh file."""
-    scene = image.scene
-    bodies = {target.name or f"targets[{i}]" for i, target in enumerate(scene.targets) if target.refractor is not None}
-    in_lens = any(surface.refractor is not None or surface.mesh is not None for surface in scene.camera.lens.surfaces)
-    if not in_lens and not bodies & image.ledger.lost_in.keys():
-        return ""
-    return (
-        "; glass from a mesh file loses least where its facets are small, its normals fit them (crease_deg has them "
-        'estimated) and its bodies do not touch; surface = "flat" takes the facets as they are'
-    )

@@ -124,7 +124,7 @@ def _warnings(
         elif not told:
             yield "stands behind the first vertex of the lens, where the camera does not look"
         return
-    if _is_round(body, eye):
+    if is_round(body, eye):
         why = "its inside is black" if target.refractor is None else "the camera stands in its glass"
         yield f"is closed round the camera: {why}, and hides everything else"
         return
@@ -175,7 +175,7 @@ def _sensor_z_mm(scene: Scene) -> float:
     return z + ((camera.mla.distance_mm or 0.0) + camera.mla.thickness_mm if camera.mla is not None else 0.0)
 
 
-def _is_round(body: TargetMesh, eye: Array) -> bool:
+def is_round(body: TargetMesh, eye: Array) -> bool:
     """Tell whether a closed body that hides what is behind it holds the camera's first vertex."""
     if not body.closed or body.alpha is not None:
         return False

@@ -6,7 +6,6 @@ chord times weight, divided by the square of the refractive index there, as radi
 """
 
 import os
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfmesh.errors import LfmeshError, SceneError
+from lfmesh.errors import ClearAirWarning, LfmeshError, SceneError, warn_caller
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.voxels import read_voxels
 from lfmesh.lightfield.chords import Haze, Room, Rows, room_for, sum_rows
@@ -45,6 +44,7 @@ from lfmesh.transport.packets.random import descendant
 from lfmesh.transport.regions.bodies import RANK
 from lfmesh.transport.regions.objects import admit_to_objects
 from lfmesh.transport.render.parts import Part
+from lfmesh.transport.render.render import warn_beforehand
 from lfmesh.transport.render.tracer import Tracer
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher
@@ -72,10 +72,6 @@ ENTRY_BYTES = 16
 
 ENTRIES_AT_FIRST = 64
 """For each row of a block, before its memory grows."""
-
-
-class ClearAirWarning(UserWarning):
-    """A scene has media that take light away, and its projection matrix does not know them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,12 +195,11 @@ class Projector:
         _check(scene, channel, threshold)
         self.absorption, self.inside = bool(absorption), inside
         if not absorption and (dimming := _dimming(scene)):
-            warnings.warn(
+            clear = ClearAirWarning(
                 f"{', '.join(dimming)}: what media absorb and scatter is not in this projection matrix, whose voxels "
-                "are seen as through clear air; absorption = True puts it in",
-                ClearAirWarning,
-                stacklevel=3,
+                "are seen as through clear air; absorption = True puts it in"
             )
+            warn_caller([clear])
         self.channel, self.threshold = int(channel), float(threshold)
         # What lights, targets, media and particles of the scene send is no part of the matrix.
         alone: dict[str, Any] = {"transport.method": "adjoint", "lights": (), "particles": ()}
@@ -218,6 +213,7 @@ class Projector:
                 "vertex, where z is below 0"
             )
         self.tracer = Tracer(self.world, check=False)
+        warn_beforehand(self.tracer)
         self.parts = [_without_scattered(part) for part in self.tracer.parts if part.options.adjoint]
         self.replicates = self.world.scene.transport.replicates
         self.wavelength_nm = self.world.scene.wavelengths_nm[self.channel]

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
+from lfmesh.errors import DiffractionWarning, MissedLightWarning, PictureWarning, in_order
 from lfmesh.scene.distance import reach_in_words
 from lfmesh.scene.meridional import edge_of_stop_mm
 from lfmesh.scene.model import format_path
@@ -28,18 +29,16 @@ _FOCUS_TOLERANCE = 1e-3
 def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
     """Return the warnings of a solved scene, given its first-order facts."""
     return (
+        *(str(each) for each in doubtful(scene, facts)),
         *_focus(scene, facts),
         *_sections(facts),
         *_apertures(scene),
         *_beyond_norm(scene),
         *_micro_images(scene, facts),
-        *_diffraction(facts),
         *_coverage(scene),
         *_targets(scene, facts),
         *_light(scene),
         *_rough_camera(scene),
-        *too_dark(scene),
-        *_fog(scene),
         *_samples(scene),
     )
 
@@ -64,24 +63,31 @@ def _rough_camera(scene: Scene) -> Iterator[str]:
         yield f"{rough[0]} scatters light of lamps too: that is traced from the lamps on, and needs many samples"
 
 
-def too_dark(scene: Scene) -> Iterator[str]:
-    """Say what light a render finds so seldom that its picture is darker than the stated error allows."""
+def doubtful(scene: Scene, facts: "FirstOrder") -> tuple[PictureWarning, ...]:
+    """Return the warnings by which a picture of a solved scene is or may be wrong, most important first."""
+    return in_order([*_forward_in_fog(scene), *_particles_in_fog(scene), *_diffraction(facts)])
+
+
+def _forward_in_fog(scene: Scene) -> Iterator[PictureWarning]:
+    """Name media all around, of whose light the forward method finds too little."""
     for number, medium in enumerate(scene.media):
         everywhere = medium.scattering_per_mm != 0.0 and medium.bounds is None and medium.grid is None
         if everywhere and scene.transport.method == "forward":
-            yield (
+            yield MissedLightWarning(
                 f"{medium.name or f'media[{number}]'} scatters light right before the lens, where the forward method "
                 "finds it too seldom: the picture may be too dark by more than its error says; "
                 'method = "adjoint" has no such trouble'
             )
 
 
-def _fog(scene: Scene) -> Iterator[str]:
-    """Say what of the light of particles that media scatter is not found."""
+def _particles_in_fog(scene: Scene) -> Iterator[PictureWarning]:
+    """Name media that scatter the light of particles, of which only what was sent towards the lens is found."""
     for number, medium in enumerate(scene.media):
         if medium.scattering_per_mm != 0.0 and scene.particles:
             name = medium.name or f"media[{number}]"
-            yield f"{name} scatters light: what it scatters of the light of particles is in the picture only in part"
+            yield MissedLightWarning(
+                f"{name} scatters light: what it scatters of the light of particles is in the picture only in part"
+            )
 
 
 def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
@@ -217,7 +223,7 @@ def _micro_images(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
         yield f"micro-images are {pitch:.3g} pixels apart: too few to tell directions"
 
 
-def _diffraction(facts: "FirstOrder") -> Iterator[str]:
+def _diffraction(facts: "FirstOrder") -> Iterator[PictureWarning]:
     """Say where diffraction, which is not traced, blurs more than what samples the image."""
     mla = facts.microlens_f_number is not None
     disks = [("lens's", facts.working_f_number, facts.airy_disk_samples, "lenslets" if mla else "pixels")]
@@ -225,7 +231,7 @@ def _diffraction(facts: "FirstOrder") -> Iterator[str]:
         disks.append(("microlenses'", facts.microlens_f_number, facts.microlens_airy_disk_px, "pixels"))
     for whose, f_number, width, samples in disks:
         if 1.0 < width < math.inf:
-            yield (
+            yield DiffractionWarning(
                 f"the {whose} Airy disk is {width:.3g} {samples} wide (f/{f_number:.3g}, "
                 f"{facts.airy_wavelength_nm:g} nm): diffraction blurs, and is not traced"
             )

@@ -1,4 +1,4 @@
-"""Values as TOML writes them, for the messages about scene files."""
+"""Values in messages: as TOML writes them, and shares of the light."""
 
 import json
 import math
@@ -37,6 +37,15 @@ def literal(value: Any, depth: int = 0) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(literal(item, depth + 1) for item in value)}]"
     return repr(value)
+
+
+def percent(share: float) -> str:
+    """Write a share as a percentage of three digits, 0 % and 100 % only where it is exactly that."""
+    if 0.0 < share < 1e-6:
+        return "less than 0.0001 %"
+    if 0.9995 <= share < 1.0:
+        return "more than 99.9 %"
+    return f"{100.0 * share:.3g} %"
 
 
 def at_least(value: float) -> str:

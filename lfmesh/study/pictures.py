@@ -14,6 +14,7 @@ from lfmesh.study.compare import edge_plane, measuring
 from lfmesh.study.crosstalk import lenslet_light
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.image import Image
+from lfmesh.transport.render.render import warn_beforehand
 from lfmesh.transport.render.tracer import Tracer
 from lfmesh.transport.world import build
 
@@ -63,6 +64,7 @@ def _film_of(camera: Camera, name: str, replicates: Sequence[int]) -> Array:
 
 def _films(scene: Scene, replicates: Sequence[int]) -> Array:
     tracer = Tracer(build(scene), check=False)
+    warn_beforehand(tracer)
     films = []
     for replicate in replicates:
         tally = tracer.layout.tally()

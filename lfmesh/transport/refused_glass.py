@@ -45,10 +45,6 @@ DISK_RINGS, DISK_SPOKES = 4, 32
 """Points of a disk lamp that are tested for being in glass."""
 
 
-class ClosedGapWarning(UserWarning):
-    """Faces of glass are so close that they are taken to touch."""
-
-
 def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Array) -> Index:
     """Refuse glass that cuts itself, encloses the camera or a light, or overlaps without a rule; return the ranks.
 

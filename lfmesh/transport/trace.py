@@ -1,6 +1,5 @@
 """Tracing of given rays through a built scene, with every vertex recorded on request."""
 
-import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,7 +8,7 @@ from typing import Any, NamedTuple, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfmesh.errors import LfmeshError
+from lfmesh.errors import LfmeshError, LostEnergyWarning, warn_caller
 from lfmesh.geometry import frame
 from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.surface import in_place
@@ -22,7 +21,7 @@ from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.collisions import far_end_mm
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.events.polarisation import across
-from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
+from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
     COUNTERS,
@@ -247,7 +246,7 @@ def trace(
     paths = _in_blocks(call, p, d) if in_blocks else _as_packets(call, p, d)
     lost = paths.ledger.loss_in_words()
     if lost is not None:
-        warnings.warn(lost, LostEnergyWarning, stacklevel=2)
+        warn_caller([LostEnergyWarning(lost)])
     return paths
 
 

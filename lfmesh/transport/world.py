@@ -1,6 +1,5 @@
 """The built scene: meshes, Embree scenes, and the tables that kernels read."""
 
-import warnings
 from collections.abc import Callable
 from copy import copy
 from functools import cached_property
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from lfmesh.errors import LfmeshError, SceneError
+from lfmesh.errors import ClosedGapWarning, LfmeshError, PictureWarning, SceneError, warn_caller
 from lfmesh.geometry import frame
 from lfmesh.geometry.division import divided
 from lfmesh.geometry.element_poses import pose_of
@@ -42,7 +41,7 @@ from lfmesh.transport.packets.packet import (
     SENSOR_FRAME,
     WORLD_FRAME,
 )
-from lfmesh.transport.refused_glass import ClosedGapWarning, closed_gaps, refuse_untraceable_glass
+from lfmesh.transport.refused_glass import closed_gaps, refuse_untraceable_glass
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.regions.glass_round import places_round
 from lfmesh.transport.sequential.ghosts import GhostTables
@@ -90,12 +89,15 @@ class World(Shown):
     ----------
     tables : Tables
         As kernels read them, without an aim: rays are sent all over the lens.
+    warnings : tuple of PictureWarning
+        What may be wrong with every ray through it, of which `build` has warned.
     """
 
     def __init__(
         self, scene: Scene, report: FirstOrder, tables: Tables, finders: dict[int, Finder],
         book: Book, bodies: Bodies, particles: tuple[ParticleTables, ...],
         find_aim: Callable[[], tuple[AimTables, AimProof | None]], how: dict[str, Any],
+        warnings: tuple[PictureWarning, ...] = (),
     ) -> None:  # fmt: skip
         self.scene = scene
         self.first_order = report
@@ -110,6 +112,7 @@ class World(Shown):
         self._find_aim = find_aim
         self._how = how
         """How it was built from its scene: keywords of `build`."""
+        self.warnings = warnings
 
     def __repr__(self) -> str:
         bodies = len(self.scene.targets), len(self.scene.lights)
@@ -312,6 +315,11 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     -------
     World
 
+    Warns
+    -----
+    ClosedGapWarning
+        Faces of glass are so close that they are taken to touch.
+
     Raises
     ------
     SceneError, MeshError, FileError
@@ -344,8 +352,8 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     ranks = refuse_untraceable_glass(
         scene, targets, frame.points(moves[CAMERA_FRAME, WORLD_FRAME], shape.caps[0].vertices)
     )
-    for line in closed_gaps(scene, targets):
-        warnings.warn(line, ClosedGapWarning, stacklevel=2)
+    gaps = tuple(ClosedGapWarning(line) for line in closed_gaps(scene, targets))
+    warn_caller(gaps)
     object_mesh, objects = object_tables(scene, targets, housing, moves, book, lines, interfaces.objects, known, ranks)
     columns, rows = scene.camera.sensor.pixels
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
@@ -373,4 +381,5 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     finders = {LENS: Finder(lens_mesh), OBJECTS: Finder(*divided(object_mesh, objects.facets["body"]))}
     finders |= {station: Finder(mesh) for station, mesh in cells.items()}
     how = {"rings": rings, "aimed": aimed}
-    return World(scene, report, tables, finders, book, Bodies(shape, targets, housing), particles, find_aim, how)
+    bodies = Bodies(shape, targets, housing)
+    return World(scene, report, tables, finders, book, bodies, particles, find_aim, how, gaps)

@@ -19,7 +19,7 @@ from lfmesh.analysis.analysis import LensAnalysis
 from lfmesh.errors import LfmeshError
 from lfmesh.files.colour import srgb_encode, to_display
 from lfmesh.files.preview import well_known, white_point
-from lfmesh.files.words import count, duration, noise, percent
+from lfmesh.files.words import count, duration, noise
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.depth import DepthMap
 from lfmesh.lightfield.depth_truth import DepthTruth
@@ -29,6 +29,7 @@ from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph
 from lfmesh.lightfield.upright import Upright
 from lfmesh.notebook import in_notebook
 from lfmesh.scene import FirstOrder, Scene
+from lfmesh.scene.literals import percent
 from lfmesh.templates import filled
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.packets.packet import Status
@@ -208,6 +209,7 @@ def _(image: Image) -> Rows:
     elif (measured := noise(image).relative_error) is not None:
         known = f"{percent(measured[1])} of a lit pixel, the median"
     return [
+        *(("warning", str(warning)) for warning in image.warnings),
         ("pixels", f"{columns} × {rows}"),
         _channels(image.wavelengths_nm, image.channel_names),
         ("samples", f"{image.samples:g} a pixel"),

@@ -6,8 +6,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from lfmesh.errors import in_order
 from lfmesh.files import words
 from lfmesh.scene import Scene, first_order
+from lfmesh.scene.advice import doubtful
+from lfmesh.transport.checks.found import found
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.image import Image
 
@@ -15,6 +18,7 @@ Build = Callable[..., Image]
 
 
 def text(image: Image) -> str:
+    image.warnings = in_order([*found(image), *doubtful(image.scene, first_order(image.scene))])
     return "\n".join(words.summary(image))
 
 
@@ -66,7 +70,7 @@ def test_a_run_says_how_many_pixels_found_no_light_and_when_samples_are_too_few(
     assert "No path found light for 480 pixels, 10 %: they read 0 ± 0" in text(image)
     hits[6:26] = 9
     assert words.noise(image).few_hits_share == pytest.approx(20 / 54)
-    assert "In 37 % of the lit pixels less than 10 found light" in text(image)
+    assert "in 37 % of the lit pixels less than 10 found light" in text(image)
 
 
 def test_the_summary_says_noise_and_the_samples_that_halve_it(image_of: Build) -> None:
@@ -145,7 +149,7 @@ def test_leaks_are_reported(image_of: Build) -> None:
     lines = text(image_of(ledger=ledger))
     assert (
         "Warning: 5.0e-04 of the energy was lost by the tracer: 2.0e-04 in targets[3], 1.5e-04 in targets[2], 1.0e-04"
-        " in targets[1], 5.0e-05 in targets[0], the rest in 2 others. The picture lacks it." in lines
+        " in targets[1], 5.0e-05 in targets[0], the rest in 2 others; the picture lacks it" in lines
     )
     assert "the energy does not close" in lines
 
@@ -160,8 +164,9 @@ def test_the_airy_disks_are_said_and_warned_of_above_one_sample(image_of: Build,
     )
     infrared = scene.changed({"transport.wavelengths_nm": (facts.airy_wavelength_nm, 10_000.0)})
     lines = text(image_of(infrared))
-    assert "Warning: diffraction is not traced, and a real camera's picture is blurred by it: the lens's" in lines
-    assert "(at 10000 nm)" in lines
+    assert "Diffraction is not traced" not in lines
+    assert "Warning: the lens's Airy disk is 1.09 lenslets wide" in lines
+    assert "10000 nm): diffraction blurs, and is not traced" in lines
 
 
 @pytest.mark.parametrize(("lost", "said"), [(0.99e-7, False), (1.01e-7, True)])

@@ -13,8 +13,7 @@ import pytest
 import trimesh
 
 import lfmesh as lf
-from lfmesh.errors import SceneError
-from lfmesh.transport.packets.ledger import LostEnergyWarning
+from lfmesh.errors import LostEnergyWarning, SceneError
 from tests.cameras import camera_without_array
 
 CAMERA = camera_without_array()

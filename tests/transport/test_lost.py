@@ -9,8 +9,9 @@ import pytest
 import trimesh
 
 import lfmesh as lf
+from lfmesh.errors import LostEnergyWarning
 from lfmesh.files import words
-from lfmesh.transport.packets.ledger import LOST_LIMIT, LostEnergyWarning
+from lfmesh.transport.packets.ledger import LOST_LIMIT
 from lfmesh.view.rays.launch import from_pixels
 from lfmesh.view.rays.path_table import path_table
 

@@ -12,10 +12,6 @@ NAMED_BODIES = 4
 """Number of bodies that a warning about lost energy names."""
 
 
-class LostEnergyWarning(UserWarning):
-    """The tracer lost more of the energy than rounding explains."""
-
-
 def loss_in_words(lost: float, lost_in: dict[str, float], emitted: float) -> str | None:
     """Return the message of a warning about lost energy; None if the loss is within `LOST_LIMIT`.
 

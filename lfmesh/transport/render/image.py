@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.errors import LfmeshError
+from lfmesh.errors import LfmeshError, PictureWarning
 from lfmesh.notebook import Pictured
 from lfmesh.scene import Scene
 from lfmesh.transport.aiming.aim_proof import AimProof
@@ -58,6 +58,8 @@ class Image(Pictured):
         were used.
     coatings : dict of str to float
         For each coating in use, the largest error of the reflectance and transmittance that were interpolated.
+    warnings : tuple of PictureWarning
+        By what the picture is or may be wrong, most important first: what `lf.render` warned of.
 
     See Also
     --------
@@ -80,6 +82,7 @@ class Image(Pictured):
     blind: BlindCheck | None = None
     order: OrderCheck | None = None
     coatings: dict[str, float] = field(default_factory=dict)
+    warnings: tuple[PictureWarning, ...] = ()
 
     def __repr__(self) -> str:
         rows, columns, channels = self.mean.shape

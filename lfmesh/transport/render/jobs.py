@@ -14,7 +14,7 @@ from lfmesh.transport.render.adaptive import Counts
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.plan import Block
 from lfmesh.transport.render.progress import Progress
-from lfmesh.transport.render.render import Clock, Keeper, folded, number_of
+from lfmesh.transport.render.render import Clock, Keeper, folded, number_of, warned
 from lfmesh.transport.render.tally import Piece, Tally
 from lfmesh.transport.render.tracer import Tracer
 from lfmesh.transport.world import build
@@ -154,4 +154,4 @@ def reduced(
                 stage = "tracing" if levels is None else "refining"
                 progress(Progress(done * one, replicates * one, clock.seconds, done, replicates, stage))
 
-    return folded(tracer, state, tallies, clock, keep)
+    return warned(tracer, lambda: folded(tracer, state, tallies, clock, keep))

@@ -1,7 +1,6 @@
 """Rendering: from a scene by its plan, the tallies of replicates and their sum to an image."""
 
 import time
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -10,10 +9,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.errors import PictureWarning, in_order, warn_caller
 from lfmesh.notebook import watched
 from lfmesh.scene import Scene
-from lfmesh.scene.advice import too_dark
-from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
+from lfmesh.transport.checks.foreseen import foreseen
+from lfmesh.transport.checks.found import found, proofs
+from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.packets.packet import EVENTS
 from lfmesh.transport.render.adaptive import Counts, Refinement, combine, samples_of, second_stage, total_samples
 from lfmesh.transport.render.compile_ahead import compiled_ahead
@@ -31,10 +32,6 @@ PROGRESS_SECONDS = 0.2
 
 Tallies = Callable[[int, Counts | None], Iterator[Tally]]
 """Yields the tallies of a stage's replicates in order, given the first number and, for the second stage, `levels`."""
-
-
-class MissedLightWarning(UserWarning):
-    """Light is found so seldom that the picture may be darker than its error says; the message says what to change."""
 
 
 class Keeper(Protocol):
@@ -72,10 +69,9 @@ def render(
 
     Warns
     -----
-    LostEnergyWarning
-        More energy was lost than rounding explains; the warning names the bodies in which.
-    MissedLightWarning
-        The picture may be too dark by more than its standard error.
+    PictureWarning
+        The picture is or may be wrong; its classes say how, and `Image.warnings` keeps them. What is known beforehand
+        is warned of before the first ray.
 
     Raises
     ------
@@ -84,18 +80,41 @@ def render(
     LfmeshError
         The scene cannot be built, or `saved` is of another one.
     """
-    for line in too_dark(scene):
-        warnings.warn(line, MissedLightWarning, stacklevel=2)
     with compiled_ahead(scene) as ahead:
         world = build(scene)
         ahead.join(world)
     with watched(progress) as report:
-        image = Renderer(world, progress=report).image(saved, keep)
-    for ledger in (image.ledger, image.ledger.lamps):
-        lost = ledger.loss_in_words() if ledger is not None else None
-        if lost is not None:
-            warnings.warn(lost, LostEnergyWarning, stacklevel=2)
-    return image
+        renderer = Renderer(world, progress=report)
+        return warned(renderer, lambda: renderer.image(saved, keep))
+
+
+def warned(tracer: Tracer, image: Callable[[], Image]) -> Image:
+    """Make an image; warn of what may be wrong with it, before it is made as far as that is known.
+
+    Parameters
+    ----------
+    tracer : Tracer
+    image : callable
+        Makes the image, by `folded`.
+    """
+    before = warn_beforehand(tracer)
+    made = image()
+    warn_caller(each for each in made.warnings if each not in before)
+    return made
+
+
+def warn_beforehand(tracer: Tracer) -> tuple[PictureWarning, ...]:
+    """Warn of what may be wrong with a picture, as far as it is known before it is traced; return the warnings.
+
+    Parameters
+    ----------
+    tracer : Tracer
+    """
+    world = tracer.world
+    before = in_order([*foreseen(world), *proofs(world.scene, world.aim_proof, tracer.order)])
+    # Of those of the world `build` has warned.
+    warn_caller(each for each in before if each not in world.warnings)
+    return before
 
 
 @dataclass
@@ -265,7 +284,7 @@ def _image(tracer: Tracer, state: RenderState, refinement: Refinement | None) ->
     if state.second is not None:
         work.add(state.second.work)
     ledger.packets, ledger.events = work.packets, int(work.counts[EVENTS])
-    return Image(
+    image = Image(
         mean=mean.mean,
         stderr=np.sqrt(variance, out=variance),
         scene=tracer.world.scene,
@@ -288,6 +307,8 @@ def _image(tracer: Tracer, state: RenderState, refinement: Refinement | None) ->
         order=tracer.order,
         coatings=coating_errors(tracer.world.scene),
     )
+    image.warnings = in_order([*foreseen(tracer.world), *found(image)])
+    return image
 
 
 def _ledger(tracer: Tracer, first: StageSum) -> Ledger:

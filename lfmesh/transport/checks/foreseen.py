@@ -1,0 +1,38 @@
+"""What may be wrong with a picture, as its scene and the geometry of the built world tell before anything is traced."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from lfmesh.errors import HiddenSceneWarning, PictureWarning
+from lfmesh.geometry import frame
+from lfmesh.geometry.placement import is_round
+from lfmesh.geometry.targets import named_target
+from lfmesh.scene.advice import doubtful
+from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
+from lfmesh.transport.world import World
+
+
+def foreseen(world: World) -> list[PictureWarning]:
+    """Return the warnings of a world, most of them by its scene; a new cause is one more line here.
+
+    Parameters
+    ----------
+    world : World
+    """
+    return [
+        *world.warnings,
+        *_hidden(world),
+        *doubtful(world.scene, world.first_order),
+    ]
+
+
+def _hidden(world: World) -> Iterator[PictureWarning]:
+    """Name a closed body that stands round the camera; glass there is refused."""
+    (eye,) = frame.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], np.zeros((1, 3)))
+    for number, body in enumerate(world.targets):
+        if world.scene.targets[number].refractor is None and is_round(body, eye):
+            yield HiddenSceneWarning(
+                f"{named_target(world.scene, number)} is closed round the camera: its inside is black and hides "
+                "everything else; give it an opening, or move it away from the camera"
+            )

@@ -1,0 +1,170 @@
+"""What may be wrong with a picture, as the numbers of its own run tell.
+
+Everything that a run knows of itself comes to one list here. It is warned of in Python, printed by the command line and
+written into `report.json`, see `lfmesh.errors.PictureWarning`.
+"""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import (
+    BlindCheckWarning,
+    CutPathsWarning,
+    LightOutsideAimWarning,
+    LostEnergyWarning,
+    OpenLedgerWarning,
+    OrderCheckWarning,
+    PictureWarning,
+    TooFewSamplesWarning,
+)
+from lfmesh.scene import Scene
+from lfmesh.scene.literals import percent
+from lfmesh.transport.aiming.aim_proof import AimProof
+from lfmesh.transport.packets.ledger import Ledger
+from lfmesh.transport.render.blind_check import BlindCheck
+from lfmesh.transport.render.certainty import FEW_HITS
+from lfmesh.transport.render.order_check import OrderCheck
+
+if TYPE_CHECKING:
+    from lfmesh.transport.render.image import Image
+
+LIT_SHARE_OF_BRIGHT = 0.05
+"""A pixel counts as lit above this share of the 99th percentile."""
+
+FEW_SHARE = 0.25
+"""Share of the lit pixels that may have so few samples with light before the run says so."""
+
+OPEN_SHARE = 1e-9
+"""Share of the emitted energy by which the ledger may be open, from rounding."""
+
+CUT_SHARE = 1e-3
+"""Share of the emitted energy that `max_events` may cut without a warning."""
+
+
+def found(image: "Image") -> list[PictureWarning]:
+    """Return the warnings of a finished image by its numbers; a new cause is one more line here.
+
+    Parameters
+    ----------
+    image : Image
+    """
+    return [
+        *proofs(image.scene, image.aim, image.order),
+        *_blind(image.blind),
+        *books(image.scene, image.ledger),
+        *_few_samples(image),
+    ]
+
+
+def proofs(scene: Scene, aim: AimProof | None, order: OrderCheck | None) -> list[PictureWarning]:
+    """Return the warnings of the proofs that are made before a render starts.
+
+    Parameters
+    ----------
+    scene : Scene
+    aim : AimProof or None
+    order : OrderCheck or None
+    """
+    return [*_aim(scene, aim), *_order(order)]
+
+
+def books(scene: Scene, ledger: Ledger) -> list[PictureWarning]:
+    """Return the warnings of a ledger, and of that of lamps' own packets beside it."""
+    ledgers = [each for each in (ledger, ledger.lamps) if each is not None]
+    return [warning for each in ledgers for warning in (*_lost(scene, each), *_open(each), *_cut(scene, each))]
+
+
+def _aim(scene: Scene, proof: AimProof | None) -> Iterator[PictureWarning]:
+    if proof is None or proof.holds or scene.rough_in_camera():
+        return
+    yield LightOutsideAimWarning(
+        f"rays are not aimed at {percent(proof.missed)} of the light that comes through the stop: it comes by the few "
+        "samples that go anywhere, as noise that the error may not show; take many more samples, and compare with "
+        'method = "forward"'
+    )
+
+
+def _order(order: OrderCheck | None) -> Iterator[PictureWarning]:
+    if order is None or order.compared == 0 or order.holds:
+        return
+    yield OrderCheckWarning(
+        f"surfaces of lens and array found by their order are not those found by their meshes: {order.words}; the "
+        'meshes alone are used, which takes longer; engine = "mesh" does so from the start'
+    )
+
+
+def _blind(blind: BlindCheck | None) -> Iterator[PictureWarning]:
+    if blind is None or blind.agrees:
+        return
+    rows, columns = blind.blocks
+    yield BlindCheckWarning(
+        f"the picture is wrong: in one of {rows} × {columns} blocks of pixels, samples that are not aimed found "
+        f"{'more' if blind.worst > 0.0 else 'less'} light than it has, by {abs(blind.worst):.1f} standard errors; do "
+        "not use it, and compare with the other method and with more samples"
+    )
+
+
+def _lost(scene: Scene, ledger: Ledger) -> Iterator[PictureWarning]:
+    lost = ledger.loss_in_words()
+    if lost is not None:
+        yield LostEnergyWarning(f"{lost}; the picture lacks it{_remedy(scene, ledger)}")
+
+
+def _remedy(scene: Scene, ledger: Ledger) -> str:
+    """Return what helps where energy was lost in glass whose shape is a mesh file."""
+    bodies = {target.name or f"targets[{i}]" for i, target in enumerate(scene.targets) if target.refractor is not None}
+    in_lens = any(surface.refractor is not None or surface.mesh is not None for surface in scene.camera.lens.surfaces)
+    if not in_lens and not bodies & ledger.lost_in.keys():
+        return ""
+    return (
+        "; glass from a mesh file loses least where its facets are small, its normals fit them (crease_deg has them "
+        'estimated) and its bodies do not touch; surface = "flat" takes the facets as they are'
+    )
+
+
+def _open(ledger: Ledger) -> Iterator[PictureWarning]:
+    if abs(ledger.imbalance) > OPEN_SHARE:
+        yield OpenLedgerWarning(
+            f"the energy does not close: {ledger.imbalance:.1e} of what was emitted is missing, and the picture is "
+            "wrong by about as much; this is a fault of lfmesh: please report the scene"
+        )
+
+
+def _cut(scene: Scene, ledger: Ledger) -> Iterator[PictureWarning]:
+    nothing_came = ledger.sensor + ledger.reached_target <= 0.0 < ledger.depth
+    if not nothing_came and not ledger.depth > CUT_SHARE * ledger.emitted:
+        return
+    yield CutPathsWarning(
+        f"paths that carry {percent(ledger.depth / ledger.emitted)} of the light were cut after "
+        f"{scene.transport.max_events} events (max_events): the picture lacks what they would have brought; raise "
+        "transport.max_events"
+    )
+
+
+def lit_pixels(mean: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which pixels are lit: above 5 % of the bright ones, the 99th percentile of those with light."""
+    received = mean > 0.0
+    if not received.any():
+        return received
+    # In place wherever it can be: a large sensor leaves no room for copies.
+    bright = float(np.percentile(mean[received], 99.0, overwrite_input=True))
+    lit: NDArray[np.bool_] = mean > LIT_SHARE_OF_BRIGHT * bright
+    return lit
+
+
+def few_hits_share(image: "Image", lit: NDArray[np.bool_]) -> float | None:
+    """Return the share of the lit pixels with less than `FEW_HITS` hits; None where hits were not counted."""
+    return None if image.hits is None or not lit.any() else float((image.hits[lit] < FEW_HITS).mean())
+
+
+def _few_samples(image: "Image") -> Iterator[PictureWarning]:
+    share = few_hits_share(image, lit_pixels(image.mean))
+    if share is not None and share > FEW_SHARE:
+        yield TooFewSamplesWarning(
+            f"too few samples to tell the noise well: in {percent(share)} of the lit pixels less than {FEW_HITS} found "
+            "light, so that edges, and light that few paths find, may be missing in picture and error; take more "
+            f"samples than {image.samples:g} a pixel"
+        )

@@ -1,0 +1,284 @@
+"""What the command line says, Python says: each kind of warning in both, and in report.json; none of a clean scene.
+
+Kinds that tell of a scene are provoked by a scene, and kinds that tell of a fault of lfmesh by such a fault.
+"""
+
+import json
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+import lfmesh as lf
+from lfmesh.cli import main
+from lfmesh.errors import PictureWarning
+from lfmesh.files import words
+from lfmesh.transport import world as worlds
+from lfmesh.transport.aiming.aim_proof import Missed
+from lfmesh.transport.render import render as renders
+from lfmesh.transport.render.blind_check import BlindSamples
+from tests.transport.test_lost import ball_with_normals
+from tests.validation.test_order_of_surfaces import spoil_place
+
+Patch = pytest.MonkeyPatch
+
+
+def scene(**changes: Any) -> lf.Scene:
+    """A lens of f/2 that fills 8 × 8 pixels with a plane that shines."""
+    front = {"radius_mm": 30.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 7.0, "stop": True}
+    shine = {"reflectance": 0.0, "radiance_w_m2_sr": 1.0}
+    return lf.Scene(
+        camera={
+            "focus_mm": 100.0,
+            "lens": {"surfaces": [front, {"radius_mm": -30.0, "semi_diameter_mm": 7.0}]},
+            "sensor": {"pixels": [8, 8], "pixel_mm": 0.05},
+        },
+        targets=[plane(-100.0) | {"material": shine}],
+        transport={"samples": 64, "replicates": 4, "threads": 1, "split": "transmit"},
+    ).changed(changes)
+
+
+def plane(z_mm: float) -> dict[str, Any]:
+    return {"shape": {"kind": "plane", "width_mm": 80.0, "height_mm": 80.0}, "position_mm": (0.0, 0.0, z_mm)}
+
+
+def with_more(*targets: dict[str, Any]) -> lf.Scene:
+    return scene(targets=[*scene().targets, *targets])
+
+
+def blind(patch: Patch, _: Path) -> lf.Scene:
+    """Let samples that are not aimed find ten times the light."""
+    compared = BlindSamples.compared
+
+    def ten_times(own: BlindSamples, *image: Any) -> Any:
+        own.found = [10.0 * found for found in own.found]
+        return compared(own, *image)
+
+    patch.setattr(BlindSamples, "compared", ten_times)
+    return scene()
+
+
+def lost(_: Patch, folder: Path) -> lf.Scene:
+    ball = ball_with_normals(folder / "ball.obj", 0.07) | {"position_mm": (0.0, 0.0, -60.0)}
+    return with_more(ball).changed({"camera.sensor.pixel_mm": 0.5})
+
+
+def opened(patch: Patch, _: Path) -> lf.Scene:
+    ledger_of = renders.ledger_of
+
+    def with_more_emitted(*arguments: Any) -> lf.Ledger:
+        ledger = ledger_of(*arguments)
+        ledger.emitted *= 1.0 + 1e-6
+        return ledger
+
+    patch.setattr(renders, "ledger_of", with_more_emitted)
+    return scene()
+
+
+def cut(_: Patch, __: Path) -> lf.Scene:
+    return scene(**{"transport.max_events": 1, "transport.engine": "mesh", "transport.split": "both"})
+
+
+def hidden(_: Patch, __: Path) -> lf.Scene:
+    return with_more({"shape": {"kind": "sphere", "radius_mm": 300.0}, "position_mm": (0.0, 0.0, -50.0)})
+
+
+def fog(_: Patch, __: Path) -> lf.Scene:
+    return scene(**{"media": [{"scattering_per_mm": 1e-3}], "transport.method": "forward"})
+
+
+def spoiled(patch: Patch, spoil: Callable[[Any], None]) -> None:
+    """Build worlds with a fault."""
+    build = worlds.build
+
+    def faulty(*arguments: Any, **keywords: Any) -> Any:
+        world = build(*arguments, **keywords)
+        spoil(world)
+        return world
+
+    patch.setattr(renders, "build", faulty)
+
+
+def outside_aim(patch: Patch, _: Path) -> lf.Scene:
+    def spoil(world: Any) -> None:
+        aim, proof = world._aim_and_proof
+        world._aim_and_proof = aim, proof._replace(sensor=Missed(0.123, 0.001))
+
+    spoiled(patch, spoil)
+    return scene()
+
+
+def few(_: Patch, __: Path) -> lf.Scene:
+    return scene(**{"transport.samples": 8})
+
+
+def gap(_: Patch, folder: Path) -> lf.Scene:
+    trimesh.creation.box((60.0, 60.0, 10.0)).export(folder / "plate.stl")
+    plate = {"refractor": {"file": "plate.stl", "units": "mm", "index": 1.5}}
+    return with_more(*(plate | {"position_mm": (0.0, 0.0, z)} for z in (-60.0, -70.0 - 1e-4)))
+
+
+def disordered(patch: Patch, _: Path) -> lf.Scene:
+    def spoil(world: Any) -> None:
+        order = world.tables.lens.order.copy()
+        spoil_place(order)
+        world.tables = world.tables._replace(lens=world.tables.lens._replace(order=order))
+
+    spoiled(patch, spoil)
+    return scene(**{"transport.split": "both"})
+
+
+def diffraction(_: Patch, __: Path) -> lf.Scene:
+    return scene(**{"transport.wavelengths_nm": (20_000.0,)})
+
+
+CASES: dict[type[PictureWarning], Callable[[Patch, Path], lf.Scene]] = {
+    lf.BlindCheckWarning: blind,
+    lf.LostEnergyWarning: lost,
+    lf.OpenLedgerWarning: opened,
+    lf.CutPathsWarning: cut,
+    lf.HiddenSceneWarning: hidden,
+    lf.MissedLightWarning: fog,
+    lf.LightOutsideAimWarning: outside_aim,
+    lf.TooFewSamplesWarning: few,
+    lf.ClosedGapWarning: gap,
+    lf.OrderCheckWarning: disordered,
+    lf.DiffractionWarning: diffraction,
+}
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: Patch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def warned(make: Callable[[], lf.Image]) -> tuple[lf.Image, list[PictureWarning]]:
+    """Return an image, and every warning of the family that came of it."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        image = make()
+    return image, [each.message for each in caught if isinstance(each.message, PictureWarning)]
+
+
+def test_every_kind_of_warning_has_a_case() -> None:
+    """Of a matrix, which has no report, the case stands below."""
+    assert {*CASES, lf.ClearAirWarning} == set(PictureWarning.__subclasses__())
+    assert all(getattr(lf, kind.__name__) is kind for kind in (PictureWarning, *PictureWarning.__subclasses__()))
+
+
+@pytest.mark.parametrize("kind", CASES, ids=lambda kind: kind.__name__)
+def test_python_the_command_line_and_the_report_say_the_same(
+    kind: type[PictureWarning], home: Path, monkeypatch: Patch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = CASES[kind](monkeypatch, home)
+    image, said = warned(lambda: lf.render(given))
+    assert kind in map(type, image.warnings)
+    # Each once, and kept most important first, as it is written.
+    assert sorted(map(str, said)) == sorted(map(str, image.warnings))
+    ranks = [PictureWarning.__subclasses__().index(type(each)) for each in image.warnings]
+    assert ranks == sorted(ranks)
+    lf.save(image, home / "by_python")
+    assert lf.open_run(home / "by_python").warnings == image.warnings
+
+    (home / "scene.toml").write_text(given.dump_toml(), encoding="utf-8")
+    capsys.readouterr()
+    assert main(["render", "scene.toml", "-o", "run"]) == 0
+    shown = capsys.readouterr()
+    err = " ".join(shown.err.split())
+    assert "Warning: " not in shown.out
+    assert err.count("Warning: ") == len(image.warnings)
+    for name in ("by_python", "run"):
+        report = json.loads((home / name / "report.json").read_text(encoding="utf-8"))
+        assert report["warnings"] == [each.as_dict() for each in image.warnings]
+        assert report["summary"][: len(image.warnings)] == [f"Warning: {each}" for each in image.warnings]
+    assert all(err.count(f"Warning: {each}") == 1 for each in image.warnings)
+
+
+def test_a_clean_scene_says_nothing(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    image, said = warned(lambda: lf.render(scene()))
+    assert (said, image.warnings) == ([], ())
+    (home / "scene.toml").write_text(scene().dump_toml(), encoding="utf-8")
+    assert main(["render", "scene.toml", "-o", "run"]) == 0
+    assert "Warning" not in "".join(capsys.readouterr())
+    assert json.loads((home / "run" / "report.json").read_text(encoding="utf-8"))["warnings"] == []
+
+
+def test_what_is_known_beforehand_is_said_before_the_first_ray() -> None:
+    given, told = fog(None, None), []  # type: ignore[arg-type]
+
+    def keep(*_: Any, **__: Any) -> None:
+        told.append([type(each.message) for each in caught])
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        lf.render(given, keep=keep)
+    assert lf.MissedLightWarning in told[0]
+
+
+def test_the_line_that_is_named_is_the_callers() -> None:
+    with pytest.warns(lf.MissedLightWarning) as caught:
+        lf.render(fog(None, None))  # type: ignore[arg-type]
+    assert all(Path(each.filename) == Path(__file__) for each in caught)
+
+
+def test_a_white_image_and_a_study_say_what_a_render_says() -> None:
+    _, said = warned(lambda: lf.white_image(diffraction(None, None)))  # type: ignore[arg-type]
+    assert lf.DiffractionWarning in map(type, said)
+
+
+@pytest.mark.parametrize("way", ["jobs", "shares", "resumed"])
+def test_divided_and_resumed_renders_say_the_same(way: str, home: Path) -> None:
+    from lfmesh.files.inputs import pinned
+    from lfmesh.files.shares import merged, trace_share
+    from lfmesh.transport.render.jobs import render_in_jobs
+    from lfmesh.transport.render.tally import arrays_of
+
+    given = scene(**{"transport.samples": 8, "transport.wavelengths_nm": (20_000.0,)})
+    image, said = warned(lambda: lf.render(given))
+    assert {lf.TooFewSamplesWarning, lf.DiffractionWarning} == set(map(type, said))
+    kept: list[dict[str, Any]] = []
+
+    def divided() -> lf.Image:
+        if way == "jobs":
+            return render_in_jobs(given, map, blocks=2)
+        if way == "shares":
+            for share in (1, 2):
+                trace_share(pinned(given), home / str(share), share, 2)
+            return merged([home / "1", home / "2"])
+        lf.render(given, keep=lambda state, *, last: kept.append({k: np.copy(v) for k, v in arrays_of(state).items()}))
+        return lf.render(given, saved=kept[1])
+
+    other, said_too = warned(divided)
+    assert other.warnings == image.warnings
+    assert set(said_too) == set(said)
+
+
+def test_a_projection_matrix_warns_of_clear_air_and_of_what_its_camera_is_known_for(
+    home: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    smoke = {"absorption_per_mm": 1e-3, "bounds": {"kind": "sphere", "radius_mm": 5.0}, "position_mm": (0, 0, -50)}
+    given = scene(**{"media": [smoke], "transport.wavelengths_nm": (20_000.0,)})
+    (home / "scene.toml").write_text(given.dump_toml(), encoding="utf-8")
+    box = ["--counts", "2", "2", "2", "--size-mm", "4", "4", "4", "--position-mm", "0", "0", "-60"]
+    assert main(["matrix", "scene.toml", *box, "-o", "m.npz"]) == 0
+    err = " ".join(capsys.readouterr().err.split())
+    assert err.count("Warning: media[0]: what media absorb") == 1
+    assert err.count("Warning: the lens's Airy disk") == 1
+
+
+def test_runs_without_a_list_of_warnings_tell_them_by_their_numbers(home: Path) -> None:
+    image, _ = warned(lambda: lf.render(few(None, home)))  # type: ignore[arg-type]
+    from lfmesh.transport.checks.found import found
+
+    assert [type(each) for each in found(image)] == [lf.TooFewSamplesWarning]
+    assert words.summary(image)[0].startswith("Warning: too few samples")
+
+
+def test_a_warning_of_a_kind_that_this_version_does_not_know_is_kept() -> None:
+    warning = PictureWarning.from_dict({"kind": "OfTheFutureWarning", "text": "something is wrong"})
+    assert (type(warning), str(warning)) == (PictureWarning, "something is wrong")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.by_address import by_address
-from lfmesh.kernel import kernel, pasted
+from lfmesh.kernel import inlined, kernel, pasted
 
 ROW_SPACING = np.sqrt(0.75)
 """Distance of neighbouring rows of a hexagonal lattice over its pitch."""
@@ -107,6 +107,27 @@ def half_hexagon(x: float, y: float) -> float:
     """Return half the width along x of the hexagon round the origin, two sides along y, whose border meets a point."""
     a, b = 0.5 * x, ROW_SPACING * y
     return max(abs(x), abs(a + b), abs(a - b))
+
+
+@inlined
+def rows_near(lattice: Lattice, y: float, distance: float) -> tuple[int, int]:
+    """Return the first row, and the one behind the last, whose centres are no farther than a distance from y, mm."""
+    rows, spacing = lattice.rows, lattice.pitch * (ROW_SPACING if lattice.hexagonal else 1.0)
+    return _numbers_within(y / spacing + 0.5 * (rows - 1), distance / spacing, rows)
+
+
+@inlined
+def columns_near(lattice: Lattice, row: int, x: float, distance: float) -> tuple[int, int]:
+    """Return the first column, and the one behind the last, whose centres in a row are no farther than that from x."""
+    middle, _ = centre(lattice, 0, row)
+    return _numbers_within((x - middle) / lattice.pitch, distance / lattice.pitch, lattice.columns)
+
+
+@inlined
+def _numbers_within(middle: float, distance: float, count: int) -> tuple[int, int]:
+    """Return the first, and the one behind the last, of the numbers 0 ... count − 1 within a distance of a middle."""
+    last = min(max(middle + distance, -1.0), count - 1.0)
+    return int(np.ceil(min(max(middle - distance, 0.0), float(count)))), int(np.floor(last)) + 1
 
 
 @kernel

@@ -19,7 +19,6 @@ from lfmesh.geometry.lenslets import shape_of, type_of
 from lfmesh.geometry.tessellation import QUARTER, mesh_heights
 from lfmesh.kernel import kernel
 from lfmesh.transport.aiming.lenslet_aim import (
-    HALF_DIAGONAL,
     LISTED,
     cells_that_show,
     glass_before_faces,
@@ -28,6 +27,7 @@ from lfmesh.transport.aiming.lenslet_aim import (
     most_listed,
     on_lenslet,
     path_to_apexes,
+    pixel_extent,
     spread_on_faces,
 )
 from lfmesh.transport.aiming.lenslet_view import RINGS, fitted_views, unmeasured_light, with_wider_cells
@@ -99,8 +99,8 @@ DARK = 1e-3
 FEWEST = 3000
 """Least number of rays by which the light over the views is measured: of fewer, none may meet more than is dark."""
 
-FEW_CELLS = 6
-"""Number of cells to each side that may show the opening, above which the views are taken to be far too wide."""
+FEW_CELLS = 6.5
+"""Value of `AimTables.search`, in pitches, above which the views are taken to be far too wide."""
 
 
 class Missed(NamedTuple):
@@ -702,13 +702,14 @@ def _outside_cells(
     near: Array, cells: NDArray[np.int64], outside: Array,
 ) -> None:  # fmt: skip
     """Write inf for each ray (n, 5) along which no aimed path can start, from the pixel that it falls on."""
+    extent = pixel_extent(sensor, frames)
     for i in range(len(outside)):
         column = min(max(np.floor(rays[i, 0] / sensor.pixel + 0.5 * sensor.columns), 0), sensor.columns - 1)
         row = min(max(np.floor(rays[i, 1] / sensor.pixel + 0.5 * sensor.rows), 0), sensor.rows - 1)
         x, y = (column + 0.5 - 0.5 * sensor.columns) * sensor.pixel, (row + 0.5 - 0.5 * sensor.rows) * sensor.pixel
         px, py, pz = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
         glass = glass_before_faces(mla, colour[i])
-        listed = list_cells(mla, aim, glass, px, py, pz, HALF_DIAGONAL * sensor.pixel, near)
+        listed = list_cells(mla, aim, glass, px, py, pz, extent, near)
         x, y, z = move_point(frames, SENSOR_FRAME, MLA_FRAME, rays[i, 0], rays[i, 1], 0.0)
         dx, dy, dz = move_direction(frames, SENSOR_FRAME, MLA_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
         maybe, _, _, _ = cells_that_show(aim, near, listed, cells, x, y, z)

@@ -185,7 +185,7 @@ def _found(
         # Poses move the disks of the openings, and other sections open other field angles; the proof widens them.
         entrance, exit_ = decentred(entrance, exit_, through)
     aim = before_array(scene, (entrance, exit_), (front_radius, back_radius))
-    aim = aim_through_lenslets(scene, report, mla, aim, moves, glass) if mla.present else aim
+    aim = aim_through_lenslets(scene, report, mla, aim, moves, sensor, glass) if mla.present else aim
     if not analytic:
         # The surfaces that fit the meshes tell how much wider poses make the openings, but prove nothing.
         return (proven(aim, through, from_targets, near)[0] if posed else aim), None
@@ -268,7 +268,7 @@ def before_array(scene: Scene, openings: tuple[Opening, Opening], radii: tuple[f
         slope_radius2=np.zeros(1),
         shown=unmeasured_light(),
         cell_margin=0.0,
-        search=0,
+        search=0.0,
     )
 
 

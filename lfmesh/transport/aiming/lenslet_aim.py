@@ -17,13 +17,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.lattice import ROW_SPACING, Lattice, cell_of, centre, half_hexagon
+from lfmesh.geometry.frame import move_direction
+from lfmesh.geometry.lattice import ROW_SPACING, Lattice, centre, columns_near, half_hexagon, rows_near
 from lfmesh.geometry.lenslet_profile import is_steeper, next_fall, profile_shape
 from lfmesh.geometry.lenslets import Lenslets, is_spherical, shape_of, type_of
 from lfmesh.kernel import inlined, kernel, pasted
 from lfmesh.optics.scattering import lambertian
+from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.packets.random import derived, uniform
-from lfmesh.transport.tables.tables import AimTables, MlaTables
+from lfmesh.transport.tables.tables import AimTables, MlaTables, SensorTables
 
 Array = NDArray[np.float64]
 
@@ -50,8 +52,8 @@ lenslet."""
 KIND = 10
 """The last of them: the type of a lenslet that is no sphere."""
 
-ALIKE = 3
-"""Number of cells to each side of the chief ray's up to which all are taken to have the same solid angle."""
+ALIKE = 3.5
+"""Distance from the chief ray, in pitches, up to which all lenslets are taken to have the same solid angle."""
 
 NUMBERS_OF_ROLES = -1
 """Number of the child of a pixel's key from which the number of rays of each role is drawn; no sample has it."""
@@ -84,7 +86,19 @@ Numbers = tuple[float, float, float, float, float, float]
 
 def most_listed(aim: AimTables) -> int:
     """Return the largest number of lenslets that `list_cells` may list."""
-    return (2 * aim.search + 1) ** 2
+    most = (2.0 * aim.search + 1.0) * (2.0 * aim.search / ROW_SPACING + 1.0)
+    return int(min(most, len(aim.slope_radius2)))
+
+
+@inlined
+def pixel_extent(sensor: SensorTables, frames: Array) -> tuple[float, float]:
+    """Return the largest distance of a pixel's points from its centre, and their largest difference in z, mm.
+
+    The latter is in the array's frame, against which the sensor may be tilted.
+    """
+    nx, ny, _ = move_direction(frames, SENSOR_FRAME, MLA_FRAME, 0.0, 0.0, 1.0)
+    half = HALF_DIAGONAL * sensor.pixel
+    return half, half * np.sqrt(nx * nx + ny * ny)
 
 
 class Allotment(NamedTuple):
@@ -155,9 +169,13 @@ def role_of(sample: int, shares: Allotment, chance: float) -> int:
 
 @pasted
 def list_cells(
-    mla: MlaTables, aim: AimTables, glass: float, x: float, y: float, z: float, reach: float, near: Array
+    mla: MlaTables, aim: AimTables, glass: float, x: float, y: float, z: float, extent: tuple[float, float], near: Array
 ) -> int:  # fmt: skip
-    """List the lenslets that may show the lens's opening to points of the sensor near a given one.
+    """List the lenslets that may show the lens's opening to points of a pixel.
+
+    A lenslet at c shows it to the point x at a distance d where |c − x − s d| ≤ ρ d, s being the middle of its view and
+    ρ its radius. Over the pixel x and d change by `extent`, so both sides do by no more than that and (|s| + ρ) times
+    the latter.
 
     Parameters
     ----------
@@ -166,9 +184,9 @@ def list_cells(
     glass : float
         See `glass_before_faces`.
     x, y, z : float, mm
-        The point, array frame.
-    reach : float, mm
-        Largest distance of the other points from it.
+        Centre of the pixel, array frame.
+    extent : (2,) float, mm
+        See `pixel_extent`.
     near : (n, LISTED) float64
         Filled with a row for each lenslet: centre (0, 1), centre of the opening that it sees (2, 3) and the square of
         its radius (4), in slopes, curvature (5), decentre of the apex (6, 7), relative solid angle (8), a place for
@@ -182,21 +200,25 @@ def list_cells(
     lattice = mla.lenslets.lattice
     over = 1.0 / abs(z - aim.lenslet_z)
     kappa = aim.pupil_vergence
+    lateral, deep = extent
     # Where the chief ray meets the array.
-    column, row = cell_of(
-        lattice, (kappa * aim.pupil_x + over * x) / (kappa + over), (kappa * aim.pupil_y + over * y) / (kappa + over)
-    )
+    chief_x = (kappa * aim.pupil_x + over * x) / (kappa + over)
+    chief_y = (kappa * aim.pupil_y + over * y) / (kappa + over)
+    distance = aim.search * lattice.pitch
     count = 0
-    for r in range(max(row - aim.search, 0), min(row + aim.search + 1, lattice.rows)):
-        for c in range(max(column - aim.search, 0), min(column + aim.search + 1, lattice.columns)):
+    first_row, end_row = rows_near(lattice, chief_y, distance)
+    for r in range(first_row, end_row):
+        first, end = columns_near(lattice, r, chief_x, distance)
+        for c in range(first, end):
             cell = r * lattice.columns + c
-            radius2 = aim.slope_radius2[cell]
+            radius2, sx, sy = aim.slope_radius2[cell], aim.slope[cell, 0], aim.slope[cell, 1]
             cx, cy = centre(lattice, c, r)
-            a, b = (cx - x) * over - aim.slope[cell, 0], (cy - y) * over - aim.slope[cell, 1]
-            limit = np.sqrt(max(radius2, 0.0)) + reach * over
+            a, b = (cx - x) * over - sx, (cy - y) * over - sy
+            limit = np.sqrt(max(radius2, 0.0)) * (1.0 + deep * over)
+            limit += (lateral + deep * (abs(sx) + abs(sy))) * over
             # Without a branch, which the processor would mispredict half of the time.
             near[count, 0], near[count, 1] = cx, cy
-            near[count, 2], near[count, 3], near[count, 4] = aim.slope[cell, 0], aim.slope[cell, 1], radius2
+            near[count, 2], near[count, 3], near[count, 4] = sx, sy, radius2
             near[count, 5], near[count, 6] = c, r
             count += a * a + b * b <= limit * limit and radius2 >= 0.0
     for i in range(count):

@@ -10,11 +10,12 @@ import numpy as np
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
-from lfmesh.geometry.lattice import ROW_SPACING, centre
+from lfmesh.geometry.lattice import centre
 from lfmesh.geometry.lenslets import Lenslets, border_segments, face_normal, face_sag, shape_of
 from lfmesh.geometry.mesh import Array
 from lfmesh.kernel import inlined, kernel
 from lfmesh.scene import FirstOrder, Scene
+from lfmesh.transport.aiming.lenslet_aim import pixel_extent
 from lfmesh.transport.aiming.plate_view import refract_if_possible, views_through_plate
 from lfmesh.transport.aiming.pupil import opening_from
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
@@ -72,7 +73,7 @@ def apex_z(mla: MlaTables, glass: float) -> tuple[float, float]:
 
 
 def aim_through_lenslets(
-    scene: Scene, report: FirstOrder, mla: MlaTables, aim: AimTables, moves: Array, glass: float
+    scene: Scene, report: FirstOrder, mla: MlaTables, aim: AimTables, moves: Array, sensor: SensorTables, glass: float
 ) -> AimTables:
     """Return the aim tables with the view of the exit pupil through each lenslet.
 
@@ -88,6 +89,7 @@ def aim_through_lenslets(
     aim : AimTables
     moves : (6, 6, 3, 4) float64
         Between frames.
+    sensor : SensorTables
     glass : float
         Refractive index of the lenslets.
     """
@@ -103,9 +105,6 @@ def aim_through_lenslets(
     vergence = 1.0 / to_pupil if np.isfinite(to_pupil) else 0.0
     pupil = [0.0, 0.0, report.exit_pupil_z_mm if np.isfinite(to_pupil) else scene.camera.lens.vertices_mm[-1]]
     pupil_x, pupil_y, _ = frame.points(moves[CAMERA_FRAME, MLA_FRAME], [pupil])[0]
-    width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
-    corners = frame.points(moves[SENSOR_FRAME, MLA_FRAME], grid(width, height, 0.0))
-    distance = np.abs(corners[:, 2] - sensor_z)
     cells = lattice.columns * lattice.rows
     slope, slope_radius = np.zeros((cells, 2)), np.zeros(cells)
     few = _at_few_indices(mla)
@@ -126,7 +125,7 @@ def aim_through_lenslets(
         slope_radius2=np.where(seen, slope_radius**2, -1.0),
         cell_margin=_off_by_facets(mla),
     )
-    return aim._replace(search=_search(aim, mla, distance.max()))
+    return _searched(aim, mla, moves, sensor)
 
 
 def _at_few_indices(mla: MlaTables) -> MlaTables:
@@ -153,23 +152,34 @@ def _largest_curvature(lenslets: Lenslets) -> float:
     return float(np.abs(lenslets.curvature).max() if profile is None else profile.bend.max())
 
 
-def _search(aim: AimTables, mla: MlaTables, distance: float) -> int:
-    """Return the number of cells to each side of the chief ray's that may show the opening to a point of the sensor.
+def _searched(aim: AimTables, mla: MlaTables, moves: Array, sensor: SensorTables) -> AimTables:
+    """Return the aim with the largest distance of a lenslet that `list_cells` may list from a pixel's chief ray.
 
-    Rows of a hexagonal lattice are less than a pitch apart, and shifted by half a pitch.
-
-    Parameters
-    ----------
-    distance : float, mm
-        Largest distance of a point of the sensor from the lenslets.
+    With o = s + κ (c − p), where p is the pupil's centre and κ its vergence, the condition of `list_cells` is
+    (1 + κ d) |c − c₀| ≤ |o| d + ρ d + `extent`, c₀ being where the chief ray meets the array. The bound of |c − c₀|
+    has no maximum within a range of d, so it is largest at the sensor's nearest or farthest corner. Where it has a pole
+    there, as the pupil lies near the sensor, c₀ is straight ahead instead, which is the same with κ = 0.
     """
     lattice = mla.lenslets.lattice
-    seen, slope = aim.slope_radius2 > 0.0, aim.slope
-    off_chief = aim.pupil_vergence * (lattice.centres().reshape(-1, 2) - [aim.pupil_x, aim.pupil_y]) + slope
-    reach = np.hypot(off_chief[:, 0], off_chief[:, 1]) + np.sqrt(np.maximum(aim.slope_radius2, 0.0))
-    cells = np.where(seen, reach, 0.0).max() / ((aim.pupil_vergence + 1.0 / distance) * lattice.pitch)
-    cells = min(cells, float(max(lattice.columns, lattice.rows)))
-    return int(cells / ROW_SPACING + 1.0) if lattice.hexagonal else int(cells + 0.5)
+    width, height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
+    corners = frame.points(moves[SENSOR_FRAME, MLA_FRAME], grid(width, height, 0.0))
+    distance = np.abs(corners[:, 2] - aim.lenslet_z)
+    distance = np.array([distance.min(), distance.max()])
+    lateral, deep = pixel_extent(sensor, moves)
+    seen = aim.slope_radius2 >= 0.0
+    slope, radius = aim.slope[seen], np.sqrt(aim.slope_radius2[seen])
+    extent = lateral + deep * np.abs(slope).sum(axis=1).max(initial=0.0)
+
+    def farthest(vergence: float) -> float:
+        off_chief = vergence * (lattice.centres().reshape(-1, 2)[seen] - [aim.pupil_x, aim.pupil_y]) + slope
+        spread = (np.hypot(off_chief[:, 0], off_chief[:, 1]) + radius).max(initial=0.0)
+        nearer = 1.0 + vergence * distance
+        return float(((spread * (distance + deep) + extent) / nearer).max()) if nearer.min() > 0.0 else np.inf
+
+    by_vergence = {vergence: farthest(vergence) for vergence in (aim.pupil_vergence, 0.0)}
+    vergence = min(by_vergence, key=by_vergence.__getitem__)
+    search = by_vergence[vergence] / lattice.pitch + ROUNDING
+    return aim._replace(pupil_vergence=vergence, search=search)
 
 
 def fitted_views(
@@ -214,10 +224,7 @@ def with_wider_views(aim: AimTables, mla: MlaTables, moves: Array, sensor: Senso
 
 def _with_views(aim: AimTables, mla: MlaTables, moves: Array, sensor: SensorTables, slope_radius2: Array) -> AimTables:
     """Return the aim with lenslets' views of given squared radii."""
-    aim = aim._replace(slope_radius2=slope_radius2)
-    width, height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
-    corners = frame.points(moves[SENSOR_FRAME, MLA_FRAME], grid(width, height, 0.0))
-    return aim._replace(search=_search(aim, mla, np.abs(corners[:, 2] - aim.lenslet_z).max()))
+    return _searched(aim._replace(slope_radius2=slope_radius2), mla, moves, sensor)
 
 
 def with_wider_cells(aim: AimTables, mla: MlaTables, by: float) -> AimTables:

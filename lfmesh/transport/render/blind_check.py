@@ -44,7 +44,7 @@ def without_aim(aim: AimTables) -> AimTables:
         wide_share=1.0,
         share_without_aim=1.0,
         slope_radius2=np.full_like(aim.slope_radius2, NOTHING_SEEN),
-        search=0,
+        search=0.0,
     )
 
 

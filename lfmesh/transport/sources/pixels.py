@@ -18,7 +18,6 @@ from lfmesh.transport.aiming.lenslet_aim import (
     CELL_U,
     CELL_V,
     DISCRETE,
-    HALF_DIAGONAL,
     PIXEL_U,
     PIXEL_V,
     WHICH_CELL,
@@ -27,6 +26,7 @@ from lfmesh.transport.aiming.lenslet_aim import (
     glass_before_faces,
     lenslet_ahead,
     list_cells,
+    pixel_extent,
     through_a_lenslet,
 )
 from lfmesh.transport.aiming.mixture import aimed
@@ -260,8 +260,9 @@ def _aim_rays(
     near, begun = 0, -1
     column, row, glass, usual = 0.0, 0.0, 1.0, np.inf
     shares = Allotment(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    extent = 0.0, 0.0
     if mla.present:
-        glass = glass_before_faces(mla, colour)
+        glass, extent = glass_before_faces(mla, colour), pixel_extent(sensor, frames)
     for i in range(count):
         pixel, sample = pixels[which], begin[which] + place
         if which != begun:
@@ -270,7 +271,7 @@ def _aim_rays(
             if mla.present:
                 x, y = (column + 0.5) * sensor.pixel, (row + 0.5) * sensor.pixel
                 px, py, pz = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
-                near = list_cells(mla, aim, glass, px, py, pz, HALF_DIAGONAL * sensor.pixel, room.near)
+                near = list_cells(mla, aim, glass, px, py, pz, extent, room.near)
                 shares = allotted(aim, near, samples, derived(replicate_key, pixel))
                 usual = area * lenslet_ahead(mla, glass, pz) / (1.0 - aim.wide_share)
         numbers = (

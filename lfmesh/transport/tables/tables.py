@@ -254,7 +254,7 @@ class AimTables(NamedTuple):
         Array  # (rings + 1,) root mean square of the light in rings of a view, of equal area, from the centre; last 0
     )
     cell_margin: float  # mm by which aimed cells are larger than the lattice's, as meshes of their faces deviate
-    search: int  # number of cells to each side of the chief ray's that may show the opening
+    search: float  # pitches, largest distance of a lenslet that shows the opening from the pixel's chief ray
     # GlassAim where light starts inside glass or liquids, else None: code for it is not even compiled.
     through: Any = None
 

@@ -69,7 +69,7 @@ def uniform(aim: AimTables) -> AimTables:
         entrance=unknown_opening(aim.entrance.plane_z, to_sensor=True),
         exit=unknown_opening(aim.exit.plane_z, to_sensor=False),
         slope_radius2=np.full_like(aim.slope_radius2, np.inf),
-        search=2,
+        search=2.0,
         wide_share=0.1,
         share_without_aim=1.0,
     )
@@ -227,7 +227,7 @@ def test_no_path_through_a_lenslets_corner_goes_past_the_cells_aimed_at(name: st
     glass = float(array.media.indices[array.medium, 0]) if array.curved_to_lens else 1.0
     past = 0
     for i in out:
-        maybe = cells_that_show(aim, near, list_cells(array, aim, glass, *p[i], 0.0, near), cells, *p[i])[0]
+        maybe = cells_that_show(aim, near, list_cells(array, aim, glass, *p[i], (0.0, 0.0), near), cells, *p[i])[0]
         past += max(spread_on_faces(array, aim, glass, near, cells, maybe, *p[i], *d[i])) == 0.0
     assert len(out) > 500
     assert past == 0

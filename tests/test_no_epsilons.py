@@ -39,7 +39,7 @@ DIMENSIONLESS = {
     "geometry/targets.py": {"FLAT"},
     "geometry/tessellation.py": {"FLOAT32_MARGIN"},
     "geometry/vertex_normals.py": {"IN_ONE_PLANE", "NO_FIT"},
-    "transport/aiming/aim_proof.py": {"ALLOWED", "DARK", "NEAREST"},
+    "transport/aiming/aim_proof.py": {"ALLOWED", "NEAREST"},
     "transport/render/blind_check.py": {"LEVEL"},
     "transport/render/certainty.py": {"RARE"},
     "transport/render/order_check.py": {"LARGEST_MM"},

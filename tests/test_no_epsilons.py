@@ -39,7 +39,7 @@ DIMENSIONLESS = {
     "geometry/targets.py": {"FLAT"},
     "geometry/tessellation.py": {"FLOAT32_MARGIN"},
     "geometry/vertex_normals.py": {"IN_ONE_PLANE", "NO_FIT"},
-    "transport/aiming/aim_proof.py": {"ALLOWED", "DARK", "NEAREST"},
+    "transport/aiming/aim_proof.py": {"ALLOWED", "NEAREST"},
     "transport/checks/found.py": {"CUT_SHARE", "OPEN_SHARE"},
     "transport/render/blind_check.py": {"LEVEL"},
     "transport/render/certainty.py": {"RARE"},

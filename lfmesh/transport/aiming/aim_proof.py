@@ -93,11 +93,9 @@ ATTEMPTS = 5
 MARGIN = 1.02
 """Factor by which a fitted aim is wider than the rays need."""
 
-DARK = 1e-3
-"""Share of the light in the outermost rings of a view that count as dark, and that main rays do not go to."""
-
 FEWEST = 3000
-"""Least number of rays by which the light over the views is measured: of fewer, none may meet more than is dark."""
+"""Least number of rays by which the light over the views is measured. Rings that none of them meets hold less than 1e-3
+of the light (with 95 % confidence), and main rays do not go there."""
 
 FEW_CELLS = 6.5
 """Value of `AimTables.search`, in pitches, above which the views are taken to be far too wide."""
@@ -229,7 +227,8 @@ def proven(
 def _shown(off: Array, throughput: Array) -> Array:
     """Return the root mean square of the light in each ring of a lenslet's view, (RINGS + 1,); see `AimTables.shown`.
 
-    A ring counts as no darker than those further out, so that none is dark because few rays met it by chance.
+    A ring counts as no darker than those further out, so that none is dark because few rays met it by chance. Only
+    rings that no ray met are dark: whatever light main rays leave out comes by single margin rays of great weight.
 
     Parameters
     ----------
@@ -238,13 +237,12 @@ def _shown(off: Array, throughput: Array) -> Array:
     throughput : (n,) float64
     """
     light, _ = np.histogram(off * off, RINGS, (0.0, 1.0), weights=throughput)
-    brightest, total = light.max(), light.sum()
+    brightest = light.max()
     if not brightest > 0.0:
         return unmeasured_light()
-    beyond = np.cumsum(light[::-1])[::-1]
     light = np.maximum.accumulate(light[::-1])[::-1]
     # A direction leads through the opening or not, so its mean square is its mean.
-    return np.append(np.where(beyond > DARK * total, np.sqrt(light / brightest), 0.0), 0.0)
+    return np.append(np.sqrt(light / brightest), 0.0)
 
 
 def decentred(entrance: Opening, exit_: Opening, through: CameraTables) -> tuple[Opening, Opening]:

@@ -1,0 +1,297 @@
+"""What drawn cameras may have: lens, array, sensor and transport settings, one function a feature."""
+
+import math
+
+from tests.random_scenes.draft import Dice, Draft, Tables, feature, rounded
+
+GLASSES = ("SCHOTT/N-BK7", "SCHOTT/F2", "SCHOTT/N-SF6", "SCHOTT/N-LAK9")
+
+
+def array_of(draft: Draft) -> Tables | None:
+    """Return the table of the array, None without one."""
+    return draft.camera.get("mla")
+
+
+# Lens
+
+
+@feature(cameras=0.15, scenes=0.02)
+def conic_surface(draft: Draft, dice: Dice) -> bool | None:
+    if not draft.curved:
+        return False
+    dice.one_of(*draft.curved)["conic"] = dice.between(-2.0, 0.8)
+    return None
+
+
+@feature(cameras=0.2, scenes=0.02)
+def even_asphere(draft: Draft, dice: Dice) -> bool | None:
+    """Terms that move the surface at the marginal ray by up to 3 % of that ray's height, or by nearly nothing."""
+    if not draft.curved:
+        return False
+    h = draft.semi_mm
+    moved = [dice.both_signs(0.0, 0.03) * h, dice.both_signs(0.0, 0.01) * h]
+    if dice.chance(0.3):
+        moved = [1e-9 * h]
+    dice.one_of(*draft.curved)["asphere_mm"] = [rounded(s / h ** (4 + 2 * j)) for j, s in enumerate(moved)]
+    return None
+
+
+@feature(cameras=0.03, scenes=0.0, own_kernels=True)
+def odd_asphere(draft: Draft, dice: Dice) -> bool | None:
+    if not draft.curved:
+        return False
+    dice.one_of(*draft.curved)["odd_asphere_mm"] = [rounded(dice.both_signs(0.0, 0.01) / draft.semi_mm**2)]
+    return None
+
+
+@feature(cameras=0.04, scenes=0.0, own_kernels=True)
+def another_section_in_x(draft: Draft, dice: Dice) -> bool | None:
+    plain = [surface for surface in draft.curved if not {"asphere_mm", "odd_asphere_mm"} & surface.keys()]
+    if not plain:
+        return False
+    surface = dice.one_of(*plain)
+    radius = surface["radius_mm"]
+    other = rounded(radius * dice.between(0.8, 1.3)) if math.isfinite(radius) else draft.focal_mm
+    if dice.chance(0.5):
+        surface["toroid"] = {"radius_x_mm": dice.one_of(other, math.inf)}
+    else:
+        surface["biconic"] = {"radius_x_mm": other, "conic_x": dice.between(-1.0, 0.5)}
+    return None
+
+
+@feature(cameras=0.15, scenes=0.03)
+def posed_element(draft: Draft, dice: Dice) -> bool | None:
+    if not draft.curved:
+        return False
+    tilt = dice.vector(3.0, 3.0, 0.0)
+    shift = dice.vector(0.06 * draft.semi_mm, 0.06 * draft.semi_mm, 0.0)
+    draft.camera["lens"]["elements"] = [
+        {"surfaces": dice.one_of(*draft.groups), "pose": {"tilt_deg": tilt, "shift_mm": shift}}
+    ]
+    return None
+
+
+@feature(cameras=0.12, scenes=0.02)
+def vignetting_rim(draft: Draft, dice: Dice) -> bool | None:
+    """A clear aperture that cuts off part of the beam."""
+    rims = [surface for surface in draft.curved if not surface.get("stop")]
+    if not rims:
+        return False
+    dice.one_of(*rims)["semi_diameter_mm"] = rounded(draft.semi_mm * dice.between(0.6, 1.0))
+    return None
+
+
+@feature(cameras=0.08, scenes=0.03)
+def catalogue_glass(draft: Draft, dice: Dice) -> bool | None:
+    glasses = [surface for surface in draft.curved if "index" in surface]
+    if not glasses:
+        return False
+    for surface in glasses:
+        del surface["index"]
+        surface["glass"] = dice.one_of(*GLASSES)
+    return None
+
+
+@feature(cameras=0.04, scenes=0.02)
+def absorbing_glass(draft: Draft, dice: Dice) -> bool | None:
+    if not any("glass" in surface for surface in draft.surfaces):
+        return False
+    draft.camera["absorption"] = True
+    return None
+
+
+@feature(cameras=0.02, scenes=0.01, own_kernels=True)
+def ground_surface(draft: Draft, dice: Dice) -> bool | None:
+    if not draft.curved:
+        return False
+    dice.one_of(*draft.curved)["finish"] = {"kind": "ground", "roughness": dice.between(0.02, 0.3)}
+    return None
+
+
+COATINGS = {
+    "film": {"layers": [{"index": 1.38, "thickness_nm": 106.5}]},
+    "mirror": {"layers": [{"index": 2.3, "thickness_nm": 63.9}, {"index": 1.46, "thickness_nm": 100.7}]},
+    "even": {"reflectance": 0.08},
+}
+ABSORBING = {
+    "sun": {"layers": [{"index": 1.46, "thickness_nm": 60.0}, {"index": 1.8, "extinction": 0.4, "thickness_nm": 45.0}]}
+}
+
+
+def coat(draft: Draft, dice: Dice, coatings: dict[str, Tables]) -> bool | None:
+    """Coat some faces of lens, array and cover."""
+    faces = [(s, "coating") for s in draft.curved if "finish" not in s and "qbfs" not in s]
+    if (mla := array_of(draft)) is not None:
+        faces += [(mla, "curved_coating"), (mla, "flat_coating")]
+    if (cover := draft.camera["sensor"].get("cover")) is not None:
+        faces.append((cover, "coating"))
+    some = [face for face in faces if dice.chance(0.6)]
+    if not some:
+        return False
+    used = {}
+    for table, key in some:
+        table[key] = dice.one_of(*coatings)
+        used[table[key]] = coatings[table[key]]
+    draft.tables.setdefault("coatings", {}).update(used)
+    return None
+
+
+# Array
+
+
+@feature(cameras=0.4, scenes=0.2)
+def hexagonal_array(draft: Draft, dice: Dice) -> bool | None:
+    if (mla := array_of(draft)) is None:
+        return False
+    mla["layout"] = "hexagonal"
+    mla["count"][1] = math.ceil(mla["count"][1] * 2.0 / math.sqrt(3.0))
+    return None
+
+
+@feature(cameras=0.4, scenes=0.3)
+def curved_side_to_sensor(draft: Draft, dice: Dice) -> bool | None:
+    if (mla := array_of(draft)) is None:
+        return False
+    mla["curved_side"] = "sensor"
+    return None
+
+
+@feature(cameras=0.15, scenes=0.05)
+def focused_array(draft: Draft, dice: Dice) -> bool | None:
+    """The sensor before or behind the lenslets' focal plane."""
+    if array_of(draft) is None:
+        return False
+    draft.room_mm *= dice.one_of(dice.between(0.5, 0.85), dice.between(1.15, 1.8))
+    draft.camera["sensor"]["distance_mm"] = rounded(draft.room_mm)
+    return None
+
+
+@feature(cameras=0.12, scenes=0.02)
+def multi_focus_array(draft: Draft, dice: Dice) -> bool | None:
+    if (mla := array_of(draft)) is None:
+        return False
+    mla["radius_mm"] = [rounded(mla["radius_mm"] * k) for k in (1.0, dice.between(1.0, 1.4), dice.between(1.0, 1.4))]
+    return None
+
+
+@feature(cameras=0.15, scenes=0.02)
+def lenslet_form_errors(draft: Draft, dice: Dice) -> bool | None:
+    if (mla := array_of(draft)) is None:
+        return False
+    mla["form"] = {
+        "decenter_mm": rounded(dice.between(0.0, 0.02) * mla["pitch_mm"]),
+        "radius_error": dice.between(0.0, 0.02),
+        "pitch_error": dice.one_of(0.0, dice.both_signs(0.0, 0.01)),
+        "seed": int(dice.draw.integers(100)),
+    }
+    return None
+
+
+@feature(cameras=0.1, scenes=0.02)
+def aspheric_lenslets(draft: Draft, dice: Dice) -> bool | None:
+    if (mla := array_of(draft)) is None:
+        return False
+    mla["conic"] = dice.between(-2.5, 0.2)
+    if dice.chance(0.4):
+        mla["asphere_mm"] = [[rounded(dice.both_signs(0.0, 0.1) / mla["pitch_mm"] ** 3)]]
+    return None
+
+
+@feature(cameras=0.08, scenes=0.02)
+def cylindrical_lenslets(draft: Draft, dice: Dice) -> bool | None:
+    mla = array_of(draft)
+    if mla is None or "layout" in mla:
+        return False
+    mla["cylinder_axis"] = dice.one_of("x", "y")
+    return None
+
+
+@feature(cameras=0.06, scenes=0.02)
+def lenslets_on_both_faces(draft: Draft, dice: Dice) -> bool | None:
+    if (mla := array_of(draft)) is None:
+        return False
+    radius = mla["radius_mm"]
+    first = radius[0] if isinstance(radius, list) else radius
+    shift = dice.vector(0.2 * mla["pitch_mm"], 0.2 * mla["pitch_mm"])
+    mla["back"] = {"radius_mm": rounded(first * dice.both_signs(1.5, 4.0)), "decenter_mm": shift}
+    return None
+
+
+@feature(cameras=0.15, scenes=0.05)
+def posed_array(draft: Draft, dice: Dice) -> bool | None:
+    if (mla := array_of(draft)) is None:
+        return False
+    p = mla["pitch_mm"]
+    mla["pose"] = {"tilt_deg": dice.vector(1.5, 1.5, 5.0), "shift_mm": dice.vector(0.5 * p, 0.5 * p, 0.05 * p)}
+    return None
+
+
+# Sensor
+
+
+@feature(cameras=0.15, scenes=0.08)
+def cover(draft: Draft, dice: Dice) -> bool | None:
+    room = min(draft.room_mm, 1.0) if array_of(draft) is None else draft.room_mm
+    draft.camera["sensor"]["cover"] = {
+        "thickness_mm": rounded(room * dice.between(0.05, 0.4)),
+        "gap_mm": rounded(room * dice.between(0.05, 0.4)),
+        "index": dice.between(1.4, 1.8),
+    }
+    return None
+
+
+@feature(cameras=0.12, scenes=0.05)
+def reflecting_sensor(draft: Draft, dice: Dice) -> bool | None:
+    draft.camera["sensor"]["reflectance"] = dice.between(0.02, 0.6)
+    return None
+
+
+@feature(cameras=0.15, scenes=0.05)
+def tilted_sensor(draft: Draft, dice: Dice) -> bool | None:
+    """Up to 20 degrees, and so that the sensor stays clear of the array and of its cover."""
+    sensor = draft.camera["sensor"]
+    half = 0.5 * sensor["pixel_mm"] * math.hypot(*sensor["pixels"])
+    most = min(20.0, math.degrees(math.asin(min(0.35, 0.15 * draft.room_mm / half))))
+    sensor["pose"] = {"tilt_deg": [*dice.vector(most, most), dice.between(-10.0, 10.0)],
+                      "shift_mm": dice.vector(0.3 * half, 0.3 * half, 0.0)}  # fmt: skip
+    return None
+
+
+@feature(cameras=0.15, scenes=0.1)
+def coatings(draft: Draft, dice: Dice) -> bool | None:
+    return coat(draft, dice, COATINGS)
+
+
+@feature(cameras=0.04, scenes=0.02, own_kernels=True)
+def absorbing_coatings(draft: Draft, dice: Dice) -> bool | None:
+    return coat(draft, dice, ABSORBING | COATINGS)
+
+
+# How light is traced
+
+
+@feature(cameras=0.1, scenes=0.1)
+def two_wavelengths(draft: Draft, dice: Dice) -> bool | None:
+    draft.transport["wavelengths_nm"] = [486.1, 656.3]
+    return None
+
+
+@feature(cameras=0.3, scenes=0.3)
+def reflections(draft: Draft, dice: Dice) -> bool | None:
+    """Both children of every split are followed; otherwise the transmitted one alone."""
+    draft.transport["split"] = "both"
+    return None
+
+
+@feature(cameras=0.08, scenes=0.08)
+def reflections_by_chance(draft: Draft, dice: Dice) -> bool | None:
+    draft.transport["split"] = "roulette"
+    return None
+
+
+@feature(cameras=0.03, scenes=0.02, own_kernels=True)
+def polarisation(draft: Draft, dice: Dice) -> bool | None:
+    draft.transport["polarisation"] = True
+    if dice.chance(0.5):
+        draft.camera["polariser_deg"] = dice.between(0.0, 180.0)
+    return None

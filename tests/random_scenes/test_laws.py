@@ -1,0 +1,119 @@
+"""Laws of light that hold for random cameras and scenes: each compares an image with what another one says of it."""
+
+from collections.abc import Callable, Sequence
+from itertools import count, islice
+from typing import Any
+
+import pytest
+
+import lfmesh as lf
+from lfmesh.assets import asset_path
+from tests.random_scenes.examine import LONGEST_S
+from tests.random_scenes.generator import OWN_KERNELS, Drawn, Kind, draw
+from tests.random_scenes.judge import Estimate, Verdict, judge
+from tests.random_scenes.time_limit import within
+from tests.random_scenes.transforms import Tables, cut, isothermal, moved, scaled, split_sources
+
+SAMPLES, LONG_SAMPLES = 16, 96
+"""A pixel, in each of the judge's batches."""
+
+IN_SUITE, LONG = 2, 40
+"""Drawn scenes that each law is held against."""
+
+F_NUMBERS = (16.0, 32.0, 64.0)
+
+Law = Callable[[Drawn], list[Estimate] | None]
+
+
+def scene_of(tables: Tables) -> lf.Scene:
+    return lf.Scene(**tables).in_folder(asset_path("."))
+
+
+def stays_where_camera_and_world_are_moved(drawn: Drawn) -> list[Estimate] | None:
+    far = drawn.tables["camera"]["focus_mm"]
+    tables = moved(drawn.tables, [70.0, -40.0, 130.0], [0.7 * far, -0.2 * far, 0.4 * far])
+    return [Estimate("as drawn", (drawn.scene,)), Estimate("moved", (scene_of(tables),))]
+
+
+def has_the_square_of_the_scale_in_power(drawn: Drawn) -> list[Estimate] | None:
+    try:
+        tables = scaled(drawn.tables, 7.3)
+    except ValueError:  # files have lengths of their own
+        return None
+    return [Estimate("as drawn", (drawn.scene,)), Estimate("scaled", (scene_of(tables),), 7.3**-2)]
+
+
+def stays_where_a_target_is_cut_in_two(drawn: Drawn) -> list[Estimate] | None:
+    tables = cut(drawn.tables)
+    if tables is None:
+        return None
+    return [Estimate("as drawn", (drawn.scene,)), Estimate("cut", (scene_of(tables),))]
+
+
+def is_the_sum_of_those_of_its_sources(drawn: Drawn) -> list[Estimate] | None:
+    parts = split_sources(drawn.tables)
+    if parts is None:
+        return None
+    return [Estimate("as drawn", (drawn.scene,)), Estimate("sum", tuple(map(scene_of, parts)))]
+
+
+def is_black_in_an_isothermal_room(drawn: Drawn) -> list[Estimate] | None:
+    if "camera_pose" in drawn.features:
+        return None
+    room, black = isothermal(drawn.tables)
+    return [Estimate("black wall", (scene_of(black),)), Estimate("room", (scene_of(room),))]
+
+
+def falls_with_the_square_of_the_f_number(drawn: Drawn) -> list[Estimate] | None:
+    """On the axis of a camera without array, the stop changed alone; the law is paraxial, and may be off by 1 %."""
+    camera = drawn.tables["camera"]
+    if "mla" in camera or {"vignetting_rim", "edge_in_the_field", "sphere", "tilted_sensor"} & set(drawn.features):
+        return None
+    pixel = 1e-3 * abs(lf.first_order(drawn.scene).efl_mm)
+    small = drawn.scene.changed({"camera.sensor.pixels": (2, 2), "camera.sensor.pixel_mm": pixel})
+    scenes = [(n, small.changed({"camera.lens.f_number": n})) for n in (8.0, *F_NUMBERS)]
+    return [Estimate(f"f/{n:g}", (scene,), (n / 8.0) ** 2, slack=0.01) for n, scene in scenes]
+
+
+def applicable(law: Law, kind: Kind, number: int, without: frozenset[str]) -> list[Estimate]:
+    """Return the estimates of a law for the number-th drawn scene that it says something of."""
+    said = (law(draw(kind, n, without)) for n in count())
+    return next(islice((estimates for estimates in said if estimates is not None), number, None))
+
+
+def verdict_on(law: Law, kind: Kind, number: int, without: frozenset[str], samples: int) -> tuple[Verdict, str]:
+    estimates = applicable(law, kind, number, without)
+    texts = (f"# {e.name}\n{scene.dump_toml()}" for e in estimates for scene in e.scenes)
+    return judge(estimates, samples), "\n".join(texts)
+
+
+LAWS: Sequence[tuple[Law, Kind]] = [
+    (stays_where_camera_and_world_are_moved, "camera"),
+    (stays_where_camera_and_world_are_moved, "scene"),
+    (has_the_square_of_the_scale_in_power, "camera"),
+    (has_the_square_of_the_scale_in_power, "scene"),
+    (stays_where_a_target_is_cut_in_two, "scene"),
+    (is_the_sum_of_those_of_its_sources, "scene"),
+    (is_black_in_an_isothermal_room, "scene"),
+    (falls_with_the_square_of_the_f_number, "camera"),
+]
+
+
+def cases() -> list[Any]:
+    """Every law for a few drawn scenes in the suite, and for more of them in the long tests."""
+    numbers = [(number, ()) for number in range(IN_SUITE)]
+    numbers += [(number, (pytest.mark.long,)) for number in range(IN_SUITE, LONG)]
+    return [
+        pytest.param(law, kind, number, marks=marks, id=f"{law.__name__}-{kind}-{number}")
+        for law, kind in LAWS
+        for number, marks in numbers
+    ]
+
+
+@pytest.mark.parametrize(("law", "kind", "number"), cases())
+def test_the_image(law: Law, kind: Kind, number: int) -> None:
+    in_suite = number < IN_SUITE
+    without = OWN_KERNELS if in_suite else frozenset()
+    samples = SAMPLES if in_suite else LONG_SAMPLES
+    verdict, text = within(LONGEST_S, verdict_on, law, kind, number, without, samples)
+    assert not verdict.silent, f"{verdict}\n\n{text}"

@@ -11,7 +11,7 @@ from tests.random_scenes.generator import draw
 RandomCamera = Callable[[int], lf.Scene]
 
 LEFT_OUT = ("camera_pose", "ground_surface", "polarisation", "two_wavelengths")
-"""Features that tests of the aim do not take: they know the camera's frame and one wavelength; rough lenses have no aim."""
+"""Features that tests of the aim do not take: these know the camera's frame and one wavelength alone, and an aim."""
 
 TARGET = {"shape": {"kind": "plane", "width_mm": 120.0, "height_mm": 120.0}, "position_mm": [0, 0, -300.0],
           "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0}}  # fmt: skip

@@ -11,6 +11,7 @@ A pixel in which few packets found light has no spread that tells its error. Its
 the mean weight that come by chance (Poisson), as many as the other estimate has light for.
 """
 
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -146,7 +147,11 @@ class Verdict:
     def silent(self) -> list[Difference]:
         """Differences of which neither of the two estimates has warned."""
         first = next(iter(self.said), "")
-        return [d for d in self.differences if not (self.said.get(d.estimate) or self.said.get(first))]
+        return [
+            d
+            for d in self.differences
+            if not any(tells_of(line, d) for line in (*self.said.get(d.estimate, ()), *self.said.get(first, ())))
+        ]
 
     @property
     def outcome(self) -> str:
@@ -162,6 +167,12 @@ class Verdict:
         lines += [f"{name} refused: {why}" for name, why in self.refused.items()]
         lines += [f"{name} says: {line}" for name, of in self.said.items() for line in of]
         return "\n".join(lines)
+
+
+def tells_of(line: str, difference: Difference) -> bool:
+    """Return whether a warning may be of a difference: one of lost energy is not of more than it says was lost."""
+    share = re.match(r"LostEnergyWarning: ([0-9.e+-]+) of", line)
+    return share is None or float(share[1]) >= 0.1 * abs(difference.ratio - 1.0)
 
 
 def ways(scene: lf.Scene) -> list[Estimate]:

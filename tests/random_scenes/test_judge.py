@@ -13,11 +13,13 @@ from tests.random_scenes.judge import (
     SCREEN,
     SEEDS,
     Batches,
+    Difference,
     Estimate,
     compare,
     in_places,
     judge,
     places,
+    tells_of,
 )
 from tests.random_scenes.time_limit import TookTooLongError, within
 
@@ -92,6 +94,13 @@ def test_a_difference_is_silent_unless_one_of_the_runs_has_warned(monkeypatch: p
     verdict = judge([Estimate("one", (white(),)), Estimate("other", (white(1.2),))], 16)
     assert verdict.outcome == "warned"
     assert "too bright" in str(verdict)
+
+
+def test_a_warning_of_little_lost_energy_tells_of_no_large_difference() -> None:
+    difference = Difference("forward", "total", 0.4, -50.0)
+    assert not tells_of("LostEnergyWarning: 2.2e-07 of the energy was lost", difference)
+    assert tells_of("LostEnergyWarning: 0.3 of the energy was lost", difference)
+    assert tells_of("MissedLightWarning: fog is found too seldom", difference)
 
 
 def test_what_is_refused_is_no_disagreement() -> None:

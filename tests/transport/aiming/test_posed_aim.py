@@ -1,6 +1,5 @@
 """Tilted and decentred elements move the light's way through the lens, and the aim follows."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,41 +9,6 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.transport.aiming.aim_proof import ALLOWED
 from tests.transport.aiming.test_aim_proof import missed
-
-RandomCamera = Callable[[int], lf.Scene]
-
-
-def posed_at_random(scene: lf.Scene, seed: int) -> lf.Scene:
-    """Return a camera with poses of its elements: two degrees, and a tenth of their radius."""
-    draw = np.random.default_rng([31, seed])
-    lens = scene.camera.lens
-    elements: list[dict[str, Any]] = []
-    number = 0
-    while number < len(lens.surfaces):
-        size = 1 if lens.is_pure_stop(number) else 2
-        radius = min(s.semi_diameter_mm or 0.0 for s in lens.surfaces[number : number + size])
-        tilt = [*draw.uniform(-1.0, 1.0, 2), 0.0]
-        shift = [*(0.1 * radius * draw.uniform(-1.0, 1.0, 2)), 0.0]
-        elements.append({"surfaces": [*range(number, number + size)], "pose": {"tilt_deg": tilt, "shift_mm": shift}})
-        number += size
-    return scene.changed({"camera.lens.elements": elements})
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_the_aim_of_a_random_camera_with_poses_holds_all_light(seed: int, random_camera: RandomCamera) -> None:
-    world = lf.build(posed_at_random(random_camera(seed), seed))
-    assert world.aim_proof is not None
-    assert world.aim_proof.holds, world.aim_proof
-    assert max(missed(world, world.aim)) <= 2.0 * ALLOWED
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("seed", range(8, 150))
-def test_the_aim_of_many_random_cameras_with_poses_holds_all_light(seed: int, random_camera: RandomCamera) -> None:
-    world = lf.build(posed_at_random(random_camera(seed), seed))
-    assert world.aim_proof is not None
-    assert world.aim_proof.holds, world.aim_proof
-    assert max(missed(world, world.aim)) <= 2.0 * ALLOWED
 
 
 @pytest.mark.parametrize("scene", ["first_light", "conventional"])

@@ -1,0 +1,117 @@
+"""Stated errors of pixels, blocks and image sums are the scatter over independent seeds, for every kind of scene.
+
+Each scene of the assets is cut to a few pixels. The scatter of pixels and of 2 × 2 blocks is pooled over the picture,
+over PIXEL_SEEDS seeds; that of the whole image's sum is over SUM_SEEDS seeds. A ratio fails where it is surely outside
+WITHIN, by SIGMAS of its own error (jackknife over seeds).
+"""
+
+from itertools import islice
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import lfmesh as lf
+from lfmesh.accuracy.reported_error import CROPS, crop
+from lfmesh.assets import asset_path
+from tests.renders import by_seed
+
+Array = NDArray[np.float64]
+
+WITHIN = (0.8, 1.25)
+PIXEL_SEEDS, SUM_SEEDS = 24, 100
+SIGMAS = 3.5
+SIDE = 8
+"""Pixels along each side of a crop."""
+
+FORWARD = {"transport.method": "forward", "transport.samples": 1024}
+RGB = {"camera.sensor.bands": "rgb"}
+
+CASES: dict[str, tuple[str, dict[str, Any]]] = {
+    **{name: (name, {}) for name in CROPS},
+    "emitting plane in bands": ("emitting_plane", RGB),
+    "lit chart in bands": ("lit_chart", RGB),
+    "lit chart in bands, 64 replicates": ("lit_chart", RGB | {"transport.replicates": 64, "transport.samples": 256}),
+    "particles in bands": ("particles", RGB),
+    "a sensor that reflects": ("coated", {"camera.sensor.reflectance": 0.3}),
+    **{f"{name}, forward": (name, FORWARD) for name in (
+        "aquarium", "coated", "conventional", "emitting_plane", "fog", "glossy", "lit_chart", "particles", "tank",
+    )},
+}  # fmt: skip
+"""Scenes of the assets, and what is changed in them."""
+
+QUICK = ("lit_chart",)
+"""Cases that the suite runs."""
+
+
+def images(case: str) -> list[lf.Image]:
+    name, changes = CASES[case]
+    scene = crop(lf.load(asset_path(f"scenes/{name}.toml")), SIDE, CROPS[name])
+    settings = {"transport.samples": 64, "transport.replicates": 8, "transport.threads": 1}
+    return list(islice(by_seed(scene.changed(settings | changes), range(SUM_SEEDS)), SUM_SEEDS))
+
+
+def blocks(of: Array) -> Array:
+    """Sum 2 × 2 pixels of a stack (seeds, H, W, channels)."""
+    seeds, height, width, channels = of.shape
+    return of.reshape(seeds, height // 2, 2, width // 2, 2, channels).sum(axis=(2, 4))
+
+
+def scatter_over_stated(light: Array, variance: Array) -> tuple[float, float]:
+    """Return root mean square scatter over stated error, of stacks (seeds, ...), and the ratio's own error."""
+    seeds = len(light)
+    light, variance = light.reshape(seeds, -1), variance.reshape(seeds, -1)
+
+    def ratio(kept: Array) -> float:
+        return float(np.sqrt(light[kept].var(axis=0, ddof=1).sum() / variance[kept].mean(axis=0).sum()))
+
+    all_seeds = np.arange(seeds)
+    without = np.array([ratio(np.delete(all_seeds, one)) for one in all_seeds])
+    error = np.sqrt((seeds - 1) / seeds * ((without - without.mean()) ** 2).sum())
+    return ratio(all_seeds), float(error)
+
+
+def ratios(found: list[lf.Image]) -> dict[str, tuple[float, float]]:
+    """Return scatter over stated error, with its own error, of pixels, blocks and sums of each channel."""
+    light, variance = (np.stack([of(image) for image in found]) for of in (lambda i: i.mean, lambda i: i.stderr**2))
+    few, few_variances = light[:PIXEL_SEEDS], variance[:PIXEL_SEEDS]
+    pooled = np.stack([image.error**2 for image in found[:PIXEL_SEEDS]])
+    sums = {
+        f"sum of channel {c}": scatter_over_stated(light[..., c].sum(axis=(1, 2)), variance[..., c].sum(axis=(1, 2)))
+        for c in range(light.shape[-1])
+    }
+    return {
+        "pixels": scatter_over_stated(few, few_variances),
+        "pixels by their pool": scatter_over_stated(few, pooled),
+        "blocks": scatter_over_stated(blocks(few), blocks(few_variances)),
+        **sums,
+    }
+
+
+def off(found: dict[str, tuple[float, float]]) -> list[str]:
+    """Return the ratios that are surely outside what is allowed."""
+    low, high = WITHIN
+    return [
+        f"{name}: scatter {ratio:.2f} ± {error:.2f} of the stated error"
+        for name, (ratio, error) in found.items()
+        if ratio + SIGMAS * error < low or ratio - SIGMAS * error > high
+    ]
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=() if case in QUICK else pytest.mark.long) for case in CASES]
+)
+def test_stated_errors_are_the_scatter_over_seeds(case: str) -> None:
+    assert off(ratios(images(case))) == []
+
+
+def test_an_error_that_many_pixels_share_is_seen_in_blocks_and_sums() -> None:
+    """Pictures whose pixels go up and down together, by half of each pixel's spread: sums scatter more than stated."""
+    draw = np.random.default_rng(3)
+    own = draw.normal(0.0, 1.0, (SUM_SEEDS, SIDE, SIDE, 1))
+    together = own + 0.5 * draw.normal(0.0, 1.0, (SUM_SEEDS, 1, 1, 1))
+    for light, seen in ((own, False), (together, True)):
+        variance = np.full_like(light, light.var(axis=0).mean())
+        ratio, error = scatter_over_stated(light.sum(axis=(1, 2)), variance.sum(axis=(1, 2)))
+        assert (ratio - SIGMAS * error > WITHIN[1]) == seen

@@ -4,7 +4,7 @@ Aiming decides where samples go, never what light there is; light outside the ai
 go anywhere, with large weights. Rays drawn uniformly in the stop, over all directions, are independent of the search
 that made the aim. Traced to the sensor and to object space, each either is or is not a ray that the aim could draw. The
 throughput of those that are not, over the throughput of all, is the share that the aim misses. It is measured when a
-world is built, and the aim is widened until the share is negligible.
+world is built, and the aim is widened until the share is negligible. Where that does not succeed, rays go anywhere.
 """
 
 from typing import Any, NamedTuple
@@ -31,6 +31,7 @@ from lfmesh.transport.aiming.lenslet_aim import (
     spread_on_faces,
 )
 from lfmesh.transport.aiming.lenslet_view import RINGS, fitted_views, unmeasured_light, with_wider_cells
+from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_FALLBACK
 from lfmesh.transport.aiming.near_points import NearViewpoints, near_disk, wide_open
 from lfmesh.transport.aiming.pupil import Viewpoints, opening_from, unknown_opening
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
@@ -70,7 +71,7 @@ ALLOWED = 1e-4
 BATCH = 1 << 16
 """Rays that are drawn at once."""
 
-BATCHES = 10
+BATCHES = 40
 """Largest number of batches; fewer once `ENOUGH` rays have come through."""
 
 ENOUGH = 45_000
@@ -122,12 +123,15 @@ class AimProof(NamedTuple):
         Share missed by the aim from the sensor, and by the aim from the targets.
     fitted : int
         Number of times that the aim was fitted to rays.
+    fallback : bool
+        Whether the fitted aim still missed more than is allowed, so that more rays, or all, go anywhere.
     """
 
     rays: int
     sensor: Missed
     objects: Missed
     fitted: int
+    fallback: bool = False
 
     @property
     def holds(self) -> bool:
@@ -143,7 +147,7 @@ class AimProof(NamedTuple):
     def from_dict(cls, values: dict[str, Any]) -> "AimProof":
         """Return the proof whose `_asdict` was written as JSON."""
         sensor, objects = (Missed(*values[side]) for side in ("sensor", "objects"))
-        return cls(values["rays"], sensor, objects, values["fitted"])
+        return cls(values["rays"], sensor, objects, values["fitted"], values.get("fallback", False))
 
 
 class Rays(NamedTuple):
@@ -167,14 +171,23 @@ class Rays(NamedTuple):
     colour: NDArray[np.int64]
 
 
+class CoverPlate(NamedTuple):
+    """Plate before the sensor: thickness, how much nearer the sensor appears through it (mm), and indices by colour."""
+
+    thickness: float
+    nearer: float
+    indices: Array
+
+
 @by_address
 class CameraTables(NamedTuple):
-    """Tables of the camera that rays from the stop go through."""
+    """Tables of the camera that rays from the stop go through; the sensor is where it appears to be."""
 
     lens: LensTables
     mla: MlaTables
     sensor: SensorTables
     frames: Array
+    cover: CoverPlate | None = None
 
 
 def proven(
@@ -210,7 +223,10 @@ def proven(
         close = _beyond_near_aim(aim, near, rays, random)
         objects = max(_missed(before, rays.throughput), _missed(close, rays.throughput), key=lambda m: m.share)
         proof = AimProof(len(rays.throughput), _missed(behind, rays.throughput), objects, attempt)
-        if proof.holds or attempt == ATTEMPTS - 1:
+        if proof.holds:
+            break
+        if attempt == ATTEMPTS - 1:
+            aim, proof = _completed(aim, proof, through.mla.present)
             break
         if through.mla.present:
             aim = _fitted(aim, through, rays)
@@ -220,8 +236,37 @@ def proven(
         aim = aim._replace(entrance=_widened_near(aim.entrance, close, rays.throughput, aim.front_radius))
     if through.mla.present and len(rays.throughput) >= FEWEST:
         off, radius, _ = _seen_from_cells(aim, through, rays)
-        aim = aim._replace(shown=_shown(off / radius, rays.throughput))
+        aim = aim._replace(shown=_shown((off / radius)[radius > 0.0], rays.throughput[radius > 0.0]))
     return aim, proof
+
+
+def _completed(aim: AimTables, proof: AimProof, has_array: bool) -> tuple[AimTables, AimProof]:
+    """Return an aim that holds all light, whatever rays from the stop found outside, and its proof, which says so.
+
+    Rays to the lens go all over it. Behind an array half of the rays go into the whole hemisphere.
+
+    Parameters
+    ----------
+    aim : AimTables
+        Fitted as often as may be.
+    proof : AimProof
+        That it misses more than is allowed.
+    has_array : bool
+    """
+    if proof.objects.share > ALLOWED:
+        aim = aim._replace(entrance=_unknown(aim.entrance))
+    if proof.sensor.share > ALLOWED:
+        aim = (
+            aim._replace(wide_share=WIDE_SHARE_OF_FALLBACK, share_without_aim=1.0)
+            if has_array
+            else aim._replace(exit=_unknown(aim.exit))
+        )
+    return aim, proof._replace(fallback=True)
+
+
+def _unknown(opening: Opening) -> Opening:
+    """Return the opening that stands for "not known" on the same side of the lens."""
+    return unknown_opening(opening.plane_z, to_sensor=opening.sense > 0.0, near_depth=opening.near.depth)
 
 
 def _shown(off: Array, throughput: Array) -> Array:
@@ -383,8 +428,11 @@ def _fitted(aim: AimTables, through: CameraTables, rays: Rays) -> AimTables:
     """Return the aim with the lenslets' views and cell margins as wide as the rays need."""
     mla, weight = through.mla, rays.throughput
     off, radius, out = _seen_from_cells(aim, through, rays)
-    needed = MARGIN * _above(off / radius, weight)
-    aim = fitted_views(aim, mla, through.frames, through.sensor, needed, MARGIN * _above(off, weight))
+    seen = radius > 0.0
+    needed, furthest = MARGIN * _above((off / radius)[seen], weight[seen]), MARGIN * _above(off[seen], weight[seen])
+    closed = weight[~seen].sum() > 0.25 * ALLOWED * weight.sum()
+    opened = MARGIN * _above(off[~seen], weight[~seen]) if closed else 0.0
+    aim = fitted_views(aim, mla, through.frames, through.sensor, needed, furthest, opened)
     return with_wider_cells(aim, mla, max(1.0, MARGIN * _above(out, weight)))
 
 
@@ -413,9 +461,7 @@ def _widened(opening: Opening, beyond: Array, throughput: Array) -> Opening:
     throughput : (n,) float64
     """
     if throughput[np.isinf(beyond)].sum() > 0.5 * ALLOWED * throughput.sum():
-        return unknown_opening(
-            opening.plane_z, to_sensor=opening.sense > 0.0, near_depth=opening.near.depth
-        )  # fmt: skip
+        return _unknown(opening)
     by = max(1.0, MARGIN * _above(beyond, throughput))
     return opening._replace(radius=np.where(opening.radius > 0.0, by * opening.radius, opening.radius))
 
@@ -490,12 +536,25 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
             x_, y_, tx_, ty_, z, start, space, pose, colour, lens, through.mla, through.frames, empty_bundle(),
             one_way, other_way,
         )  # fmt: skip
+        if through.cover is not None:
+            _land_behind(one_way, through.cover, colour)
         to_sensor[mine], to_objects[mine], of_colour[mine] = one_way, other_way, colour
     half_width, half_height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
     throughput = to_sensor[:, 5] * to_objects[:, 6] * radius * radius / (1.0 + tx * tx + ty * ty) ** 2
     lands = (abs(to_sensor[:, 0]) < half_width) & (abs(to_sensor[:, 1]) < half_height)
     found = np.flatnonzero(lands & (throughput > 0.0))
     return Rays(to_sensor[found, :5], to_objects[found, :6], throughput[found], of_colour[found]), found
+
+
+def _land_behind(rays: Array, cover: CoverPlate, colour: int) -> None:
+    """Move rays (n, 6) from where they would meet the sensor as it appears to where they meet it behind its cover.
+
+    By first-order optics, with which the sensor's apparent place is found, these are the same.
+    """
+    slopes = rays[:, 2:4] / np.where(rays[:, 4:5] > 0.0, rays[:, 4:5], 1.0)
+    glass2 = cover.indices[colour] ** 2
+    in_glass = cover.thickness / np.sqrt(glass2 + (glass2 - 1.0) * (slopes**2).sum(axis=1, keepdims=True))
+    rays[:, :2] += (in_glass - (cover.thickness - cover.nearer)) * slopes
 
 
 def _to_plane(lens: LensTables, space: int, z: float, plane_z: float) -> tuple[float, float]:
@@ -617,7 +676,7 @@ def _seen_from_cells(aim: AimTables, through: CameraTables, rays: Rays) -> tuple
     Returns
     -------
     off, radius : (n,) float64
-        Distance, in slope, from the centre of the lenslet's view, and the radius of the view.
+        Distance, in slope, from the centre of the lenslet's view, and the radius of the view; −1: it shows nothing.
     out : (n,) float64
         Distance from the centre of the cell, relative to half the cell as it is aimed at.
     """
@@ -747,7 +806,8 @@ def _measure_in_cells(
                 )
                 a, b = (cx - x) * over - aim.slope[cell, 0], (cy - y) * over - aim.slope[cell, 1]
                 slope, place = np.sqrt(a * a + b * b), half_width_to(lattice, ax + ex, ay + ey) / half
-                if not met or aim.slope_radius2[cell] <= 0.0 or max(place, 1.0) > max(out[i], 1.0):
+                if not met or max(place, 1.0) > max(out[i], 1.0):
                     continue
                 if max(place, 1.0) < max(out[i], 1.0) or slope < off[i]:
-                    off[i], radius[i], out[i] = slope, np.sqrt(aim.slope_radius2[cell]), place
+                    off[i], out[i] = slope, place
+                    radius[i] = np.sqrt(aim.slope_radius2[cell]) if aim.slope_radius2[cell] > 0.0 else -1.0

@@ -15,7 +15,8 @@ from lfmesh.geometry.targets import TargetMesh
 from lfmesh.geometry.tessellation import on_circles
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
-from lfmesh.transport.aiming.aim_proof import AimProof, CameraTables, decentred, proven
+from lfmesh.scene.solve import cover_shift_mm
+from lfmesh.transport.aiming.aim_proof import AimProof, CameraTables, CoverPlate, decentred, proven
 from lfmesh.transport.aiming.lenslet_view import aim_through_lenslets, apex_z, grid, unmeasured_light
 from lfmesh.transport.aiming.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
 from lfmesh.transport.aiming.near_points import NearViewpoints, near_viewpoints
@@ -30,6 +31,7 @@ from lfmesh.transport.aiming.pupil import (
     viewpoints,
 )
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.tables import (
     AimTables,
     LensTables,
@@ -180,7 +182,7 @@ def _found(
     if disks is not None:
         entrance = entrance._replace(near=disks)
     exit_ = opening_seen(report, lens, behind, back_radius, analytic, front=False)
-    through = CameraTables(lens, mla, sensor, moves)
+    through = CameraTables(lens, mla, sensor, moves, _cover_of(scene))
     if posed:
         # Poses move the disks of the openings, and other sections open other field angles; the proof widens them.
         entrance, exit_ = decentred(entrance, exit_, through)
@@ -190,6 +192,15 @@ def _found(
         # The surfaces that fit the meshes tell how much wider poses make the openings, but prove nothing.
         return (proven(aim, through, from_targets, near)[0] if posed else aim), None
     return proven(aim, through, from_targets, near)
+
+
+def _cover_of(scene: Scene) -> CoverPlate | None:
+    """Return the plate before a scene's sensor; None without one."""
+    sensor = scene.camera.sensor
+    if sensor.cover is None:
+        return None
+    indices = [refractive_index(sensor.cover.medium, wavelength) for wavelength in Lines.of(scene).wavelengths_nm]
+    return CoverPlate(sensor.cover.thickness_mm, cover_shift_mm(sensor, scene.primary_nm), np.array(indices))
 
 
 def _has_glass(scene: Scene) -> bool:

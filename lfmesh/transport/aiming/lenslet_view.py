@@ -16,7 +16,7 @@ from lfmesh.geometry.mesh import Array
 from lfmesh.kernel import inlined, kernel
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aiming.lenslet_aim import pixel_extent
-from lfmesh.transport.aiming.plate_view import refract_if_possible, views_through_plate
+from lfmesh.transport.aiming.plate_view import NOTHING_SEEN, refract_if_possible, views_through_plate
 from lfmesh.transport.aiming.pupil import opening_from
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.media import with_media
@@ -116,13 +116,15 @@ def aim_through_lenslets(
             few, aim.exit, moves, lens_z, sensor_z, glass - 1.0, lattice.corners(), slope, slope_radius
         )  # fmt: skip
     seen = slope_radius > 0.0
+    # Lenslets that show nothing look along chief rays, should rays from the stop come through them all the same.
+    slope[~seen] = vergence * ([pupil_x, pupil_y] - lattice.centres().reshape(-1, 2)[~seen])
     aim = aim._replace(
         lenslet_z=sensor_z,
         pupil_x=pupil_x,
         pupil_y=pupil_y,
         pupil_vergence=vergence,
         slope=slope,
-        slope_radius2=np.where(seen, slope_radius**2, -1.0),
+        slope_radius2=np.where(seen, slope_radius**2, NOTHING_SEEN),
         cell_margin=_off_by_facets(mla),
     )
     return _searched(aim, mla, moves, sensor)
@@ -183,9 +185,9 @@ def _searched(aim: AimTables, mla: MlaTables, moves: Array, sensor: SensorTables
 
 
 def fitted_views(
-    aim: AimTables, mla: MlaTables, moves: Array, sensor: SensorTables, needed: float, furthest: float
+    aim: AimTables, mla: MlaTables, moves: Array, sensor: SensorTables, needed: float, furthest: float, opened: float
 ) -> AimTables:
-    """Return the aim with the lenslets' views as wide as the light needs.
+    """Return the aim with the lenslets' views as wide as the light needs, and with all lenslets that show them.
 
     Parameters
     ----------
@@ -193,16 +195,17 @@ def fitted_views(
         Factor by which the measured views would have to be wider.
     furthest : float
         Distance, in slope, from the centre of a view within which all light but a negligible share falls.
+    opened : float
+        The same for lenslets that were taken to show nothing; 0: they do not.
     """
-    seen = aim.slope_radius2 > 0.0
-    if TRUSTED <= needed <= 1.0:
-        return aim
+    seen, radius2 = aim.slope_radius2 > 0.0, aim.slope_radius2
     if 1.0 < needed <= WIDENED:
-        radius2 = needed * needed * aim.slope_radius2
-    else:
+        radius2 = needed * needed * radius2
+    elif not TRUSTED <= needed <= 1.0:
         # Rays at the lenslets' borders were reflected totally or left at grazing angles, so the views are not measured.
-        radius2 = np.full_like(aim.slope_radius2, furthest * furthest)
-    return _with_views(aim, mla, moves, sensor, np.where(seen, radius2, -1.0))
+        radius2 = np.full_like(radius2, furthest * furthest)
+    unseen = opened * opened if opened > 0.0 else NOTHING_SEEN
+    return _with_views(aim, mla, moves, sensor, np.where(seen, radius2, unseen))
 
 
 def with_wider_views(aim: AimTables, mla: MlaTables, moves: Array, sensor: SensorTables, by: float) -> AimTables:
@@ -219,7 +222,7 @@ def with_wider_views(aim: AimTables, mla: MlaTables, moves: Array, sensor: Senso
         Factor on the radius of the views.
     """
     seen = aim.slope_radius2 > 0.0
-    return _with_views(aim, mla, moves, sensor, np.where(seen, by * by * aim.slope_radius2, -1.0))
+    return _with_views(aim, mla, moves, sensor, np.where(seen, by * by * aim.slope_radius2, NOTHING_SEEN))
 
 
 def _with_views(aim: AimTables, mla: MlaTables, moves: Array, sensor: SensorTables, slope_radius2: Array) -> AimTables:

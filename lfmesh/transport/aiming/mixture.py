@@ -13,7 +13,7 @@ import numpy as np
 
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.aiming.pupil import opening_from
-from lfmesh.transport.tables.tables import Opening
+from lfmesh.transport.tables.tables import AimTables, Opening
 
 WIDE_SHARE = 0.1
 """Share of rays to the wide disk where reflections are followed: ghosts come from all over it."""
@@ -27,6 +27,9 @@ WIDE_SHARE_OF_GHOSTS = 0.1
 WIDE_SHARE_OF_IMAGE_PATH = 0.002
 """The same where no reflections are followed: it brings only light outside the measured opening."""
 
+WIDE_SHARE_OF_FALLBACK = 0.5
+"""The same, whatever is estimated, behind an array through which aimed rays do not hold all light, see `aim_proof`."""
+
 EVERYWHERE = 0.5
 """Share of rays from points close before the lens, of those to the wide disk, that go everywhere towards the lens."""
 
@@ -35,6 +38,23 @@ OVER_HALF_SPHERE = 1.0 / (2.0 * np.pi)
 
 WIDE_SHARE_WITHIN = 0.5
 """Least share of rays to the wide disk from points so near before the opening that it fills a right angle."""
+
+
+def with_wide_share(aim: AimTables, share: float, share_without_aim: float | None = None) -> AimTables:
+    """Return the aim with another share of rays that go anywhere, if aimed rays hold all light.
+
+    Parameters
+    ----------
+    aim : AimTables
+    share : float
+    share_without_aim : float, optional
+        The same from points that see no opening.
+    """
+    if aim.wide_share >= WIDE_SHARE_OF_FALLBACK:
+        return aim
+    return aim._replace(
+        wide_share=share, share_without_aim=aim.share_without_aim if share_without_aim is None else share_without_aim
+    )
 
 
 @kernel

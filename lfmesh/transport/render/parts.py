@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lfmesh.scene import Scene
 from lfmesh.transport.aiming.ghost_aim import aim_at_ghosts
-from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_STRAYS
+from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_STRAYS, with_wide_share
 from lfmesh.transport.aiming.through_glass import GlassAim
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.packets.book import LIT, REACHED
@@ -157,8 +157,8 @@ def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
         tables = _aimed_through(tables, through)
     if engine_of(world.scene)[0] != "both":
         return (Part(0, options, tables), *lamps)
-    path = tables.aim._replace(wide_share=WIDE_SHARE_OF_IMAGE_PATH, share_without_aim=WIDE_SHARE_OF_IMAGE_PATH)
-    strays = tables.aim._replace(wide_share=WIDE_SHARE_OF_STRAYS)
+    path = with_wide_share(tables.aim, WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_IMAGE_PATH)
+    strays = with_wide_share(tables.aim, WIDE_SHARE_OF_STRAYS)
     thinned = WITH_GLASS if _has_glass(tables) else IMAGE_PATHS_PER_STRAY
     along_path = options._replace(split=TRANSMIT, sequential=True)
     off_path = _off_image_path(options, tables)

@@ -5,12 +5,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import lfmesh as lf
 from lfmesh.accuracy.reported_error import crop
 from lfmesh.assets import asset_path
+from lfmesh.transport.aiming import aim_proof
 from lfmesh.transport.aiming.aim_proof import (
     ALLOWED,
+    AimProof,
     CameraTables,
     _beyond_object_aim,
     _beyond_sensor_aim,
@@ -22,6 +25,8 @@ from lfmesh.transport.aiming.aim_proof import (
 from lfmesh.transport.aiming.pupil import viewpoints
 from lfmesh.transport.tables.tables import AimTables
 from lfmesh.transport.world import World
+from tests.renders import of_world
+from tests.transport.conftest import TARGET
 
 RandomCamera = Callable[[int], lf.Scene]
 
@@ -111,6 +116,83 @@ def test_an_opening_that_is_taken_for_closed_is_opened_again(side: str, emitting
     assert proof.fitted > 0
     assert max(missed(world, closed)) == pytest.approx(1.0)
     assert max(missed(world, mended)) <= ALLOWED
+
+
+HOBBLED = {
+    "narrow views": lambda aim: aim._replace(slope_radius2=0.01 * aim.slope_radius2),
+    "views that look aside": lambda aim: aim._replace(slope=aim.slope + 0.1),
+    "narrow cells": lambda aim: aim._replace(cell_margin=-0.02),
+    "lenslets that show nothing": lambda aim: aim._replace(
+        slope_radius2=np.where(np.arange(64) % 3 == 0, -1.0, aim.slope_radius2)
+    ),
+    "a search that ends at the nearest lenslet": lambda aim: aim._replace(search=0.5),
+}  # fmt: skip
+
+
+def few_pixels(**changes: Any) -> lf.Scene:
+    """Return a camera with 1.5 pixels a lenslet before an evenly shining plane."""
+    return lf.load(asset_path("scenes/first_light.toml")).changed(
+        {"camera.mla.count": (8, 8), "camera.sensor.pixels": (12, 12), "camera.sensor.pixel_mm": 0.125 / 1.5,
+         "targets": [TARGET], "lights": [], "transport.split": "transmit", "transport.samples": 64,
+         "transport.replicates": 2, "transport.threads": 1} | changes
+    )  # fmt: skip
+
+
+def proof_of(world: World, aim: AimTables) -> tuple[AimTables, AimProof]:
+    tables = world.tables
+    seen = viewpoints(aim.entrance.plane_z, aim.front_radius, world.targets[0].mesh.vertices, to_sensor=True)
+    mended, proof = proven(aim, CameraTables(tables.lens, tables.mla, tables.sensor, tables.frames), seen)
+    assert proof is not None
+    return mended, proof
+
+
+@pytest.mark.parametrize("name", HOBBLED)
+def test_an_aim_that_misses_light_for_any_cause_is_widened_until_it_holds(name: str) -> None:
+    world = lf.build(few_pixels())
+    hobbled = HOBBLED[name](world.aim)
+    assert missed(world, hobbled)[0] > 5.0 * ALLOWED
+    mended, proof = proof_of(world, hobbled)
+    assert proof.holds
+    assert proof.fitted > 0
+    assert not proof.fallback
+    assert missed(world, mended)[0] <= 2.0 * ALLOWED
+
+
+def test_where_fitting_does_not_succeed_half_of_the_rays_go_anywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The image then has its light by rays that are not aimed; 0.002 of them would hardly ever find any."""
+    world = lf.build(few_pixels())
+    truth = [image.mean.sum() for image in of_world(world, range(16))]
+    monkeypatch.setattr(aim_proof, "ATTEMPTS", 1)
+    world.aim, proof = proof_of(world, HOBBLED["narrow views"](world.aim))
+    assert proof.fallback
+    assert not proof.holds
+    sums = np.array([image.mean.sum() for image in of_world(world, range(100, 116))])
+    assert sums.std() < 0.3 * sums.mean()
+    assert stats.ttest_ind(truth, sums, equal_var=False).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("side", ["exit", "entrance"])
+def test_where_fitting_does_not_succeed_rays_go_all_over_the_lens(
+    side: str, emitting_plane: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = lf.load(asset_path("scenes/conventional.toml")).changed({"targets": [emitting_plane], "lights": []})
+    world = lf.build(scene)
+    opening = getattr(world.aim, side)
+    monkeypatch.setattr(aim_proof, "ATTEMPTS", 1)
+    narrow = world.aim._replace(**{side: opening._replace(radius=0.5 * opening.radius)})
+    mended, proof = proof_of(world, narrow)
+    assert proof.fallback
+    assert not getattr(mended, side).known
+    assert max(missed(world, mended)) == 0.0
+
+
+def test_the_proof_sees_rays_where_they_meet_the_sensor_behind_its_cover() -> None:
+    """A thick plate moves steep rays aside by more than the views' margin; flat to first order, it would not."""
+    cover = {"thickness_mm": 0.3, "gap_mm": 0.02, "index": 1.5}
+    world = lf.build(few_pixels(**{"camera.sensor.cover": cover, "camera.lens.stop_semi_diameter_mm": 8.3}))
+    assert world.aim_proof is not None
+    assert world.aim_proof.holds
+    assert world.aim_proof.fitted > 0
 
 
 def test_a_small_piece_of_a_sensor_far_off_the_axis_has_its_aim_proven() -> None:

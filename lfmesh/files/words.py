@@ -133,6 +133,9 @@ def _aim(image: Image) -> list[str]:
     else:
         said = f"of the light through the stop it misses {percent(proof.missed)}"
         said += f" ± {percent(max(proof.sensor.error, proof.objects.error))}"
+    blind_ones = "samples that are not aimed"
+    if image.scene.transport.method == "forward":
+        blind_ones = "paths traced back from some pixels"
     told = (
         "are too few to tell"
         if blind.smallest_deficit is None
@@ -141,7 +144,7 @@ def _aim(image: Image) -> list[str]:
             f" {percent(blind.smallest_deficit)}"
         )
     )
-    return [f"Aim: {said}; samples that are not aimed {told}."]
+    return [f"Aim: {said}; {blind_ones} {told}."]
 
 
 def _order(image: Image) -> list[str]:

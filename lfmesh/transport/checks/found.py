@@ -53,7 +53,7 @@ def found(image: "Image") -> list[PictureWarning]:
     """
     return [
         *proofs(image.scene, image.aim, image.order),
-        *_blind(image.blind),
+        *_blind(image.scene, image.blind),
         *books(image.scene, image.ledger),
         *_few_samples(image),
     ]
@@ -96,14 +96,17 @@ def _order(order: OrderCheck | None) -> Iterator[PictureWarning]:
     )
 
 
-def _blind(blind: BlindCheck | None) -> Iterator[PictureWarning]:
+def _blind(scene: Scene, blind: BlindCheck | None) -> Iterator[PictureWarning]:
     if blind is None or blind.agrees:
         return
     rows, columns = blind.blocks
+    others, other = "samples that are not aimed", 'method = "forward"'
+    if scene.transport.method == "forward":
+        others, other = "paths traced back from some pixels", 'the default, method = "adjoint"'
     yield BlindCheckWarning(
-        f"the picture is wrong: in one of {rows} × {columns} blocks of pixels, samples that are not aimed found "
-        f"{'more' if blind.worst > 0.0 else 'less'} light than it has, by {abs(blind.worst):.1f} standard errors; do "
-        "not use it, and compare with the other method and with more samples"
+        f"the picture is wrong by more than its error says: in one of {rows} × {columns} blocks of pixels, {others} "
+        f"found {'more' if blind.worst > 0.0 else 'less'} light than it has, by {abs(blind.worst):.1f} standard "
+        f"errors; do not use it: take many more samples, or compare with {other}"
     )
 
 

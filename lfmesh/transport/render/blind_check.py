@@ -1,8 +1,9 @@
-"""A check of the aim within a run: a comparison with blind samples, which are not aimed, by blocks of pixels.
+"""A check of an image within its run: a comparison with blind samples by blocks of pixels.
 
-Blind samples estimate the same image. As few of them get through the lens, they reveal large deficits only, the larger
-the smaller the stop is; the detectable deficit is part of the result. Small deficits are found by `aim_proof`. But
-here everything is repeated without the aim, so that errors of any cause show.
+Blind samples estimate the same image in another way. In the adjoint method they are not aimed. As few of them get
+through the lens, they reveal large deficits only, the larger the smaller the stop is; the detectable deficit is part of
+the result. Small deficits are found by `aim_proof`. But here everything is repeated without the aim, so that errors of
+any cause show. A forward image is compared with paths from the pixels, of which few tell much.
 """
 
 from dataclasses import dataclass, field
@@ -116,7 +117,6 @@ class BlindSamples:
     values: list[NDArray[np.int64]] = field(default_factory=list)
     found: list[Array] = field(default_factory=list)
     looked_at: list[NDArray[np.int64]] = field(default_factory=list)
-    images: int = 0
 
     def add(self, pixels: NDArray[np.int64], colour: int, found: Array) -> None:
         """Add estimates of pixels.
@@ -134,30 +134,13 @@ class BlindSamples:
         self.found.append(found[lit])
         self.looked_at.append(pixels * self.colours + colour)
 
-    def add_image(self, pixels: NDArray[np.int64], colour: int, found: Array) -> None:
-        """Add the packets of an estimate of the whole image.
-
-        Parameters
-        ----------
-        pixels : (n,) int64
-            Pixels that they fell on.
-        colour : int
-            Number of the wavelength.
-        found : (n,) float64, W
-            Power of each.
-        """
-        self.values.append(pixels * self.colours + colour)
-        self.found.append(found)
-        self.images += colour == 0
-
     def join(self, other: "BlindSamples") -> None:
         """Add the light found in another replicate."""
         self.values += other.values
         self.found += other.found
         self.looked_at += other.looked_at
-        self.images += other.images
 
-    def compared(self, mean: Array, variance: Array) -> BlindCheck:
+    def compared(self, mean: Array, variance: Array, *, all_light: bool = True) -> BlindCheck:
         """Return the comparison with an image.
 
         Parameters
@@ -165,6 +148,8 @@ class BlindSamples:
         mean : (rows, columns, wavelengths) float64, W
         variance : (rows, columns, wavelengths) float64, W²
             NaN, where it is not known, counts as zero.
+        all_light : bool
+            Blind samples find all light of the image; if not, that they find less says nothing.
         """
         nothing = np.zeros(0)
         values = np.concatenate([*self.values, nothing.astype(np.int64)])
@@ -184,10 +169,6 @@ class BlindSamples:
         pixels, times = np.unique(looked_at, return_counts=True)
         noise = np.nan_to_num(variance.reshape(-1))
         expected, uncertain = summed(pixels, times * light[pixels]), summed(pixels, times**2 * noise[pixels])
-        if self.images:
-            everywhere = np.arange(light.size)
-            expected += self.images * summed(everywhere, light)
-            uncertain += self.images**2 * summed(everywhere, noise)
         # A block with few hits would underestimate its spread, which is at least that of the expected light.
         typical = squares.sum() / max(blind.sum(), np.finfo(np.float64).tiny)
         own = np.maximum(squares, expected * typical)
@@ -196,6 +177,7 @@ class BlindSamples:
         known = own > 0.0
         z = (blind - expected)[known] / spread[known]
         deficit = np.divide(limit * spread, expected, out=np.full_like(spread, np.inf), where=known & (expected > 0.0))
-        worst = float(z[np.abs(z).argmax()]) if z.size else 0.0
+        worst = float(z[(np.abs(z) if all_light else z).argmax()]) if z.size else 0.0
+        worst = worst if all_light else max(worst, 0.0)
         smallest = float(np.median(deficit))
         return BlindCheck(blocks, len(values), worst, limit, smallest if smallest < 1.0 else None)

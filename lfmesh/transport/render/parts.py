@@ -10,6 +10,7 @@ to one of them and counts once. Particles are points, which no ray from the sens
 them is a part, traced forward.
 """
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -277,8 +278,24 @@ def particle_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
 
 
 def blind_part(world: World) -> Part:
-    """Return a part that estimates all paths with rays that are not aimed, to check the other parts."""
+    """Return a part that estimates all paths in another way, to check the other parts.
+
+    The adjoint method is checked by rays that are not aimed. A forward image is checked by paths from the pixels, which
+    bring light many times as often as packets that are not aimed, and have none of the forward method's limits.
+    """
+    if world.scene.transport.method == "forward":
+        adjoint = copy(world)
+        adjoint.scene = world.scene.changed({"transport.method": "adjoint"})
+        return Part(3, options_of(adjoint), world.aimed_tables, accounts=False)
     return Part(3, options_of(world), world.tables._replace(aim=without_aim(world.aim)), accounts=False)
+
+
+def finds_all(world: World) -> bool:
+    """Tell whether the blind part finds all light that it is compared with.
+
+    Paths from the pixels that check a forward image do not find light of lamps through glass.
+    """
+    return world.scene.transport.method == "adjoint" or aimed_at_glass(world.tables.objects) is None
 
 
 def in_words(scene: Scene, parts: tuple[Part, ...]) -> str:

@@ -19,7 +19,7 @@ from lfmesh.transport.packets.packet import EVENTS
 from lfmesh.transport.render.adaptive import Counts, Refinement, combine, samples_of, second_stage, total_samples
 from lfmesh.transport.render.compile_ahead import compiled_ahead
 from lfmesh.transport.render.image import Image
-from lfmesh.transport.render.parts import LAMP_BOOK, OWN_BOOK, in_words
+from lfmesh.transport.render.parts import LAMP_BOOK, OWN_BOOK, finds_all, in_words
 from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.render.tally import RenderState, StageSum, Tally
 from lfmesh.transport.render.tracer import Tracer
@@ -272,7 +272,9 @@ def _image(tracer: Tracer, state: RenderState, refinement: Refinement | None) ->
     first, mean = state.first, state.first.mean
     variance = mean.variance()
     # Compared before the light of lamps' own packets is added, which samples from pixels cannot find.
-    blind = first.blind.compared(mean.mean, variance) if first.blind is not None else None
+    blind = None
+    if first.blind is not None:
+        blind = first.blind.compared(mean.mean, variance, all_light=finds_all(tracer.world))
     if first.lamps is not None:
         # These packets do not start from pixels, so the second stage has none: the first stage's are added.
         mean.mean += first.lamps.mean

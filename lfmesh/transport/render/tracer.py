@@ -40,9 +40,6 @@ parts' shares of the samples are found; replicates have others."""
 Waiting = deque[tuple[Chunk, Future[ChunkTally], Film | None]]
 """Chunks given to the pool, in order, with their future results and, where it is not that of the run, their film."""
 
-NO_FILM = Film.empty(0, 1)
-"""For packets that are not traced from pixels."""
-
 
 @dataclass
 class Tracer:
@@ -59,7 +56,7 @@ class Tracer:
     stratified : bool
         Adjoint: start paths from scrambled Sobol' points instead of random ones.
     check : bool
-        Compare the image with samples that are not aimed.
+        Compare the image with blind samples.
     """
 
     world: World
@@ -187,39 +184,26 @@ class Tracer:
         return Film.empty(last - chunk.first, 1, chunk.first)
 
     def blind_samples(self, pool: Threads, replicate: int) -> BlindSamples:
-        """Trace a replicate's samples without aim, by which the image is checked."""
+        """Trace a replicate's blind samples, by which the image is checked."""
         found = BlindSamples(*self.shape)
         part = self._blind_part
         key = descendant(self.seed, replicate)
         chunk = min(BLIND_CHUNK, self.chunk)
         samples = min(self.samples, chunk)
-        at_once = min(chunk // samples, self.pixels) if self.adjoint else chunk
-        total = self.pixels * (1 if self.adjoint else samples)
-        runs = first_of_runs(total, at_once, replicate)
+        at_once = min(chunk // samples, self.pixels)
+        runs = first_of_runs(self.pixels, at_once, replicate)
         for channel in range(self.channels):
             stream = descendant(key, part.number * self.channels + channel)
             turns = list(self.world.lines.turns(replicate, channel, few=True))
-            if self.adjoint:
-                jobs = [
-                    job
-                    for first in runs
-                    for job in self._blind_chunks(part, np.arange(first, first + at_once), channel, turns, samples)
-                ]
-                list(pool.map(self._trace, (chunk for chunk, _ in jobs), repeat(stream), (film for _, film in jobs)))
-                for first in runs:
-                    light = sum(film.power[:, 0] for _, film in jobs if film.origin == first)
-                    found.add(np.arange(first, first + at_once), channel, np.asarray(light))
-            else:
-                # Runs take the lines in turn.
-                chunks = [
-                    Chunk(k, part, first, at_once, channel, turns[(turns[0].offset + k) % len(turns)], at_once, samples)
-                    for k, first in enumerate(runs)
-                ]
-                fallen = np.concatenate(
-                    [future.deposits for future in pool.map(self._trace, chunks, repeat(stream), repeat(NO_FILM))]
-                )
-                part_of_all = at_once * len(runs) / total
-                found.add_image(fallen["pixel"], channel, fallen["weight"] / part_of_all)
+            jobs = [
+                job
+                for first in runs
+                for job in self._blind_chunks(part, np.arange(first, first + at_once), channel, turns, samples)
+            ]
+            list(pool.map(self._trace, (chunk for chunk, _ in jobs), repeat(stream), (film for _, film in jobs)))
+            for first in runs:
+                light = sum(film.power[:, 0] for _, film in jobs if film.origin == first)
+                found.add(np.arange(first, first + at_once), channel, np.asarray(light))
         return found
 
     @staticmethod

@@ -21,12 +21,12 @@ from lfmesh.scene import Scene
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
-SPACING = 0.01
+SPACING = 0.007
 """Distance between lines where a band's response is largest, over the wavelength.
 
-With it the integrals over the bands "rgb" and "xyz", and over Gaussians, of the spectra of the ColorChecker, of
-anti-reflection coatings and of mirrors of up to 15 layers, under the illuminants of the CIE, are right within 1e-3 of
-those of a white surface, and transmittances of catalogue glasses, too."""
+So integrals over the bands "rgb" and "xyz" and over Gaussians, under the illuminants of the CIE, are right within 1e-3
+of those of a white surface: of the spectra of the ColorChecker, of the transmittances of catalogue glasses, and of
+coatings, ghosts of coatings and mirrors of up to 15 layers."""
 
 LEAST_LINES, MOST_LINES = 8, 64
 """Numbers of lines of a band."""

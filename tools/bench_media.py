@@ -28,6 +28,7 @@ from lfmesh.transport.packets.packet import DEPOSITS
 from lfmesh.transport.packets.random import descendant, run_key
 from lfmesh.transport.render.tracer import Tracer
 from lfmesh.transport.sources.particles import ParticleSource
+from lfmesh.transport.tables.lines import FIRST
 
 Array = NDArray[np.float64]
 
@@ -149,7 +150,7 @@ def light(tracer: Tracer, number: int, packets: int, seed: int) -> float:
     found = []
     for replicate in range(replicates):
         key = descendant(descendant(run_key(seed), replicate), number)
-        work = tracer._launcher(part).trace(ParticleSource(one, 0, each, each, key, 0))
+        work = tracer._launcher(part).trace(ParticleSource(one, 0, each, each, key, FIRST))
         found.append(work.deposits["weight"][: work.tops[DEPOSITS]].sum())
     return float(np.mean(found))
 

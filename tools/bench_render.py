@@ -146,14 +146,13 @@ def measure_ways(chunks: int, rounds: int) -> list[dict[str, Any]]:
         name: Launcher(partial(Workspace, world, part.options, CHUNK, part.tables)) for name, part in ways.items()
     }
     count = CHUNK // ORDER_SAMPLES
-    turn = next(world.lines.turns(0, 0))
     firsts = np.linspace(0, tracer.pixels - count, chunks).astype(np.int64)
     seconds = {name: np.full(chunks, np.inf) for name in ways}
     embree, queries = ({name: np.zeros(chunks) for name in ways} for _ in range(2))
     for _ in range(rounds):
         for number, first in enumerate(firsts):
             for name, part in ways.items():
-                chunk = Chunk(0, part, int(first), count, 0, turn, CHUNK, ORDER_SAMPLES)
+                chunk = Chunk(0, part, int(first), count, 0, CHUNK, ORDER_SAMPLES)
                 source = tracer._source(chunk, descendant(tracer.seed, part.number), 0)
                 began = time.perf_counter()
                 work = launchers[name].trace(source, film=Film.empty(count, tracer.channels, int(first)))

@@ -298,17 +298,12 @@ class Projector:
         for part in self.parts:
             stream = descendant(key, part.number * lines.channels + self.channel)
             samples = part.samples(self.tracer.samples)
-            for turn in lines.turns(replicate, self.channel, few=part.thinned > 1):
-                mine = pixels[turn.takes(pixels, samples)]
-                source = PixelSource(
-                    mine, samples, stream, turn.column, True, 0, turn.begin(mine, samples),
-                    samples // turn.shares(samples),
-                )  # fmt: skip
-                for some in source.parts(CHUNK):
-                    work = self._launchers[part.number].launch(source, some)
-                    segments = _in_object_space(work, part)
-                    power = np.where(segments.place == self._place, self._power[turn.column], 0.0)
-                    yield segments._replace(weight=segments.weight * power)
+            source = PixelSource(pixels, samples, stream, lines.nodes[self.channel], channel=0)
+            for some in source.parts(CHUNK):
+                work = self._launchers[part.number].launch(source, some)
+                segments = _in_object_space(work, part)
+                power = np.where(segments.place == self._place, self._power[segments.colour], 0.0)
+                yield segments._replace(weight=segments.weight * power)
 
 
 def projection_matrix(

@@ -54,6 +54,28 @@ class Curve:
         nodes = np.concatenate([[first_nm], w[(w > first_nm) & (w < last_nm)], [last_nm]])
         return float(np.trapezoid(self.at(nodes), nodes))
 
+    def integrals(self, edges_nm: Array, other: "Curve | None" = None) -> Array:
+        """Return the integrals over intervals, (n,), of the curve or of its product with another.
+
+        Parameters
+        ----------
+        edges_nm : (n + 1,) float64, nm
+            Ends of the intervals, increasing, within the curve.
+        other : Curve, optional
+        """
+        curves = (self,) if other is None else (self, other)
+        knots = np.unique(np.concatenate([edges_nm, *(curve.wavelengths_nm for curve in curves)]))
+        knots = knots[(knots >= edges_nm[0]) & (knots <= edges_nm[-1])]
+        middle = 0.5 * (knots[1:] + knots[:-1])
+        # A product of two straight pieces is a parabola, which Simpson's rule integrates exactly.
+        first, half, last = (
+            np.prod([curve.at(w) for curve in curves], axis=0) for w in (knots[:-1], middle, knots[1:])
+        )
+        pieces = np.diff(knots) * (first + 4.0 * half + last) / 6.0
+        count = len(edges_nm) - 1
+        interval = np.clip(np.searchsorted(edges_nm, middle, side="right") - 1, 0, count - 1)
+        return np.bincount(interval, pieces, count).astype(np.float64)
+
     @cached_property
     def area_nm(self) -> float:
         """Integral of all of the curve, in nm times the unit of the values."""

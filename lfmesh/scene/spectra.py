@@ -138,9 +138,7 @@ def curve_of(spectrum: Spectrum, reach_nm: tuple[float, float], scene: Resolves,
     """
     first, last = reach_nm
     if spectrum.blackbody_k is not None:
-        # A black body far from its peak shines with next to nothing, which is no table of zeros.
-        w = np.linspace(first, last, PIECES + 1) if last > first else np.array([first, first * (1.0 + 1e-6)])
-        return Curve(w, planck_radiance(w, spectrum.blackbody_k))
+        return planck_curve(spectrum.blackbody_k, reach_nm)
     if spectrum.file is not None:
         path = scene.resolve(spectrum.file)
         curve = _read(path, file_stamp(path))
@@ -155,6 +153,14 @@ def curve_of(spectrum: Spectrum, reach_nm: tuple[float, float], scene: Resolves,
             f"{first:g} to {last:g} nm"
         )
     return curve
+
+
+def planck_curve(temperature_k: float, reach_nm: tuple[float, float]) -> Curve:
+    """Return the spectral radiance of a black body between two wavelengths, W/(m² sr nm)."""
+    first, last = reach_nm
+    # A black body far from its peak shines with next to nothing, which is no table of zeros.
+    w = np.linspace(first, last, PIECES + 1) if last > first else np.array([first, first * (1.0 + 1e-6)])
+    return Curve(w, planck_radiance(w, temperature_k))
 
 
 @lru_cache(maxsize=256)

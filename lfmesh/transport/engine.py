@@ -146,7 +146,7 @@ class Workspace:
         memory: T = self._kept[kind]
         return memory
 
-    def begin(self, film: FilmRows | None = None, packets: int = 0, numbered: int = 0) -> None:
+    def begin(self, film: FilmRows | None = None, packets: int = 0) -> None:
         """Clear the book and make room for the next chunk.
 
         Parameters
@@ -155,8 +155,6 @@ class Workspace:
             Adjoint: film that light is added to.
         packets : int
             Number of packets that the chunk starts.
-        numbered : int
-            How far they are numbered, if that is more.
         """
         self.tops[:] = 0
         self.options = self.options._replace(each=0)
@@ -165,10 +163,9 @@ class Workspace:
         if film is not None:
             self.film, self.hits = film.power, film.hits
             self.options = self.options._replace(first_source=film.origin)
-            numbered = max(numbered, packets)
-            if numbered > len(self.counted):
-                self.counted = np.zeros(numbered, np.uint8)
-            self.counted[:numbered] = 0
+            if packets > len(self.counted):
+                self.counted = np.zeros(packets, np.uint8)
+            self.counted[:packets] = 0
         self.embree_seconds = 0.0
         self.queries = 0
         # A pixel with more samples than a chunk is still started in one piece.
@@ -258,9 +255,11 @@ class Workspace:
         if options.paths == GHOSTS and station in (LENS, PLATE, SENSOR):
             room = self.kept(GhostRoom, lambda: ghost_room(self.chunk, len(tables.ghosts.lengths)))
             camera = lens, mla, tables.sensor, tables.cover
-            follow_ghosts(wave, camera, tables.ghosts, frames, options, flow, room)
+            for some in self._by_colour(wave):
+                follow_ghosts(some, camera, tables.ghosts, frames, options, flow, room)
         elif options.sequential and station in (LENS, PLATE):
-            follow_image_path(wave, station, lens, mla, frames, self.bundle, self.numbers, options, flow)
+            for some in self._by_colour(wave):
+                follow_image_path(some, station, lens, mla, frames, self.bundle, self.numbers, options, flow)
         elif station == LENS and options.in_order:
             count = admit_to_lens(wave, origins, directions, lens, frames, options, flow, False)
             wave = wave[:count]
@@ -298,6 +297,15 @@ class Workspace:
             onto_reflecting_sensor(wave, tables.sensor, mla.present, lens_surfaces, frames, options, flow)
         else:
             onto_sensor(wave, tables.sensor, frames, options, flow)
+
+    def _by_colour(self, wave: NDArray[np.void]) -> list[NDArray[np.void]]:
+        """Return the packets of a wave wavelength by wavelength: a block of rays has one."""
+        colours = wave["colour"]
+        if not self.world.lines.in_bands or not (colours != colours[:1]).any():
+            return [wave]
+        if (colours[1:] < colours[:-1]).any():
+            wave = wave[np.argsort(colours, kind="stable")]
+        return np.split(wave, np.flatnonzero(np.diff(wave["colour"])) + 1)
 
     def move_waiting(self, station: int, to: int) -> None:
         """Let the packets that wait at one station wait at another, where none does."""

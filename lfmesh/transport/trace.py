@@ -1,7 +1,7 @@
 """Tracing of given rays through a built scene, with every vertex recorded on request."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, TypedDict, Unpack
 
@@ -47,6 +47,7 @@ from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.hosts import hosts_of
 from lfmesh.transport.tables.interfaces import interface_tables
+from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import with_media
 from lfmesh.transport.tables.polarisation import polarisation_tables
 from lfmesh.transport.tables.tables import Media, Records, Tables
@@ -384,7 +385,7 @@ def at_wavelength(world: World, wavelength_nm: float) -> Tables:
         objects = objects._replace(glass=objects.glass._replace(interfaces=interfaces.objects))
     if objects.volumes is not None:
         # What media emit has a width in wavelength; what they take, and how they scatter, is that of this wavelength.
-        line = replace(world.lines, wavelengths_nm=(wavelength_nm,), weight_nm=np.ones(1))
+        line = Lines.single((wavelength_nm,))
         hosts = hosts_of(world.scene, world.targets, objects.rank, objects.medium, objects.media)
         volumes, own = volumes_at(objects.volumes, world.scene, tables.frames, line, hosts)
         objects = objects._replace(volumes=volumes, media=own)

@@ -155,13 +155,8 @@ class World(Shown):
         return self.tables._replace(aim=self.aim)
 
     def reseeded(self, seed: int) -> "World":
-        """Return the same world with another seed for renders; built again only where it has bands.
-
-        Their wavelengths are random, and part of the tables.
-        """
+        """Return the same world with another seed for renders."""
         scene = self.scene.changed({"transport.seed": seed})
-        if self.lines.in_bands:
-            return build(scene, **self._how)
         # The aim does not depend on the seed: found here, it is found once for all copies.
         _ = self._aim_and_proof
         world = copy(self)

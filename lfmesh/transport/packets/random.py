@@ -6,6 +6,7 @@ finaliser of SplitMix64 (Steele, Lea & Flood, OOPSLA 2014), applied once for the
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfmesh.kernel import kernel
 
@@ -19,6 +20,8 @@ _UNIT = 2.0**-53
 DIMENSIONS_PER_EVENT = 16
 """Numbers that one event of a packet may draw."""
 
+WAVELENGTHS = 1 << 62
+"""Number of a child of a key that no sample or packet has."""
 
 START_DIMENSION = -64
 """First of the dimensions of a packet's starting numbers, which lie before those of any event."""
@@ -48,6 +51,25 @@ def uniform(key: np.uint64, dimension: int) -> float:
 def start(key: np.uint64, dimension: int) -> float:
     """Return one of a packet's starting numbers, in [0, 1)."""
     return uniform(key, START_DIMENSION + dimension)
+
+
+@kernel
+def wavelength_number(key: np.uint64) -> float:
+    """Return the random number in [0, 1) by which what has a key takes its wavelengths in a band."""
+    return uniform(derived(key, WAVELENGTHS), 0)
+
+
+def wavelength_numbers(key: np.uint64, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the `wavelength_number` of children of a key, (n,)."""
+    found = np.empty(len(numbers))
+    _fill_wavelength_numbers(key, numbers, found)
+    return found
+
+
+@kernel
+def _fill_wavelength_numbers(key: np.uint64, numbers: NDArray[np.int64], found: NDArray[np.float64]) -> None:
+    for i in range(len(numbers)):
+        found[i] = wavelength_number(derived(key, numbers[i]))
 
 
 def descendant(key: int | np.uint64, *numbers: int) -> np.uint64:

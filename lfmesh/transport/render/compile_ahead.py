@@ -31,6 +31,7 @@ from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.lights import LightSource
 from lfmesh.transport.sources.particles import ParticleSource
 from lfmesh.transport.sources.pixels import PixelSource, launch_adjoint, starting_kernel
+from lfmesh.transport.tables.lines import FIRST
 from lfmesh.transport.world import World, build
 
 ON_IMAGE_PATH = ((OBJECTS, False), (LENS, True))
@@ -128,9 +129,9 @@ def compile_launches(world: World, *, starts: bool = True) -> None:
             if starts or starting_kernel(part.tables, part.options) is not launch_adjoint:
                 PixelSource(np.zeros(0, np.int64), 1, np.uint64(0)).launch(work, range(0))
         elif part.particles is not None:
-            ParticleSource(part.particles, 0, 0, 1, np.uint64(0), 0).launch(work, range(0))
+            ParticleSource(part.particles, 0, 0, 1, np.uint64(0), FIRST).launch(work, range(0))
         else:
-            LightSource(0, 0, 1, np.uint64(0), 0).launch(work, range(0))
+            LightSource(0, 0, 1, np.uint64(0), FIRST).launch(work, range(0))
         if part.options.paths == GHOSTS or (part.options.sequential and not alone):
             work.advance(LENS)
 

@@ -89,7 +89,7 @@ class Part:
     particles: ParticleTables | None = None
 
     def packets(self, pixels: int, of_image: int, replicates: int) -> int:
-        """Return the packets that a replicate of a part that is traced forward starts at each wavelength.
+        """Return the packets that a replicate of a part that is traced forward starts in each channel.
 
         Parameters
         ----------
@@ -103,7 +103,7 @@ class Part:
         return len(self.particles.points) * self.per_particle(replicates)
 
     def per_particle(self, replicates: int) -> int:
-        """Return the packets of each of its particles in one of the replicates, at each wavelength."""
+        """Return the packets of each of its particles in one of the replicates, in each channel."""
         return 1 if self.particles is None else max(1, self.particles.samples // replicates)
 
     def samples(self, of_image: int) -> int:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lfmesh.transport.render.adaptive import Counts, total_samples
 from lfmesh.transport.render.parts import Part
-from lfmesh.transport.tables.lines import Lines, Turn
+from lfmesh.transport.tables.lines import Lines
 
 PIXELS_SORTED = 1 << 20
 """Number of pixels of a second stage that are sorted by their samples together."""
@@ -24,7 +24,7 @@ Piece = tuple[int, int, int, NDArray[np.int64] | None]
 
 @dataclass(frozen=True)
 class Chunk:
-    """Consecutive pixels (adjoint) or packets (forward) of one replicate, part and wavelength.
+    """Consecutive pixels (adjoint) or packets (forward) of one replicate, part and channel.
 
     In a second stage, pixels that have the same number of samples.
 
@@ -37,8 +37,6 @@ class Chunk:
         Number of the first pixel or packet, and how many.
     channel : int
         Number of the image's channel.
-    turn : Turn
-        Wavelength of the channel, and which samples of a pixel take it.
     packets : int
         Number of packets that it starts.
     samples : int
@@ -54,7 +52,6 @@ class Chunk:
     first: int
     count: int
     channel: int
-    turn: Turn
     packets: int
     samples: int = 1
     pixels: NDArray[np.int64] | None = None
@@ -68,11 +65,6 @@ class Chunk:
     def pixel_numbers(self) -> NDArray[np.int64]:
         """Return the pixels that it starts from."""
         return np.arange(self.first, self.first + self.count) if self.pixels is None else self.pixels
-
-    @property
-    def taken(self) -> int:
-        """Samples of each pixel that take the chunk's wavelength."""
-        return self.samples // self.turn.shares(self.samples)
 
 
 @dataclass(frozen=True)
@@ -124,39 +116,29 @@ class Plan:
         number = 0
         for part in self.parts:
             for channel in range(self.lines.channels):
-                for turn in self.lines.turns(replicate, channel, few=part.thinned > 1):
-                    pieces = self._first(part, turn) if levels is None else self._second(part, turn, levels)
-                    for first, count, samples, pixels in pieces:
-                        chunk = Chunk(number, part, first, count, channel, turn, count, samples, pixels)
-                        if part.options.adjoint:
-                            yield replace(chunk, packets=count * chunk.taken, owner=first)
-                        else:
-                            yield replace(chunk, owner=first * self.pixels // self._packets(part))
-                        number += 1
+                for first, count, samples, pixels in (
+                    self._first(part) if levels is None else self._second(part, levels)
+                ):
+                    chunk = Chunk(number, part, first, count, channel, count, samples, pixels)
+                    if part.options.adjoint:
+                        yield replace(chunk, packets=count * samples, owner=first)
+                    else:
+                        yield replace(chunk, owner=first * self.pixels // self._packets(part))
+                    number += 1
 
-    def _first(self, part: Part, turn: Turn) -> Iterator[Piece]:
+    def _first(self, part: Part) -> Iterator[Piece]:
         samples = part.samples(self.samples)
         if not part.options.adjoint:
-            packets = turn.part(self._packets(part))
+            packets = self._packets(part)
             samples = samples if part.particles is None else part.per_particle(self.replicates)
-            for first in packets[:: self.chunk]:
-                yield first, min(self.chunk, packets.stop - first), samples, None
+            for first in range(0, packets, self.chunk):
+                yield first, min(self.chunk, packets - first), samples, None
             return
-        shares = turn.shares(samples)
-        per_chunk = max(1, self.chunk // (samples // shares))
-        if shares == turn.lines:
-            for first in range(0, self.pixels, per_chunk):
-                yield first, min(per_chunk, self.pixels - first), samples, None
-            return
-        # Of as many times the pixels, those that take this line.
-        step = per_chunk * (turn.lines // shares)
-        for first in range(0, self.pixels, step):
-            pixels = np.arange(first, min(first + step, self.pixels))
-            pixels = pixels[turn.takes(pixels, samples)]
-            if len(pixels):
-                yield int(pixels[0]), len(pixels), samples, pixels
+        per_chunk = max(1, self.chunk // samples)
+        for first in range(0, self.pixels, per_chunk):
+            yield first, min(per_chunk, self.pixels - first), samples, None
 
-    def _second(self, part: Part, turn: Turn, levels: Counts) -> Iterator[Piece]:
+    def _second(self, part: Part, levels: Counts) -> Iterator[Piece]:
         """Yield the chunks of a replicate of the second stage, which join pixels with the same number of samples."""
         if not part.options.adjoint:
             return
@@ -165,14 +147,13 @@ class Plan:
             for level in np.unique(sorted_here[sorted_here > 0]):
                 samples = part.samples(1 << (int(level) - 1))
                 pixels = block + np.flatnonzero(sorted_here == level)
-                pixels = pixels[turn.takes(pixels, samples)]
-                per_chunk = max(1, self.chunk // (samples // turn.shares(samples)))
+                per_chunk = max(1, self.chunk // samples)
                 for first in range(0, len(pixels), per_chunk):
                     some = pixels[first : first + per_chunk]
                     yield int(some[0]), len(some), samples, some
 
     def _packets(self, part: Part) -> int:
-        """Return the packets that a replicate of the first stage starts in a part at each wavelength."""
+        """Return the packets that a replicate of the first stage starts in a part in each channel."""
         return part.packets(self.pixels, self.samples, self.replicates)
 
     def packets(self, levels: Counts | None = None) -> int:

@@ -60,12 +60,6 @@ class Film:
         np.add.at(self.power, (fallen["pixel"], fallen["colour"]), fallen["weight"])
         np.add.at(self.hits, (fallen["pixel"], fallen["colour"]), np.uint32(1))
 
-    def add(self, other: "Film", channel: int) -> None:
-        """Add another film, of a single channel and of some of the pixels."""
-        rows = slice(other.origin - self.origin, other.origin - self.origin + len(other.power))
-        self.power[rows, channel] += other.power[:, 0]
-        self.hits[rows, channel] += other.hits[:, 0]
-
     def part(self, first: int, last: int) -> "Film":
         """Return a copy of the pixels from number `first` up to `last`, not included."""
         rows = slice(first - self.origin, last - self.origin)

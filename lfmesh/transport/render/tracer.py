@@ -5,7 +5,7 @@ import time
 from collections import deque
 from collections.abc import Generator, Iterator
 from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import repeat
 
@@ -29,7 +29,6 @@ from lfmesh.transport.sources.lights import LightSource
 from lfmesh.transport.sources.particles import ParticleSource
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher, Source
-from lfmesh.transport.tables.lines import Turn
 from lfmesh.transport.threads import Threads
 from lfmesh.transport.world import World
 
@@ -37,8 +36,8 @@ ORDER_STREAM, SHARES_STREAM = 1 << 20, 1 << 21
 """Numbers of the random numbers of the packets by which the order of the surfaces is checked, and of those by which the
 parts' shares of the samples are found; replicates have others."""
 
-Waiting = deque[tuple[Chunk, Future[ChunkTally], Film | None]]
-"""Chunks given to the pool, in order, with their future results and, where it is not that of the run, their film."""
+Waiting = deque[Future[ChunkTally]]
+"""Future results of chunks given to the pool, in order."""
 
 
 @dataclass
@@ -156,32 +155,21 @@ class Tracer:
             for chunk in chunks:
                 # The next part adds to the same pixels, so all chunks of the last one must be done.
                 while waiting and (len(waiting) > 2 * self.threads or chunk.part is not part):
-                    yield self._oldest(waiting, film)
+                    yield self._oldest(waiting)
                 part = chunk.part
                 stream = descendant(key, part.number * self.channels + chunk.channel)
-                own = self._own_film(chunk)
-                waiting.append((chunk, pool.submit(self._trace, chunk, stream, own or film), own))
+                waiting.append(pool.submit(self._trace, chunk, stream, film))
             while waiting:
-                yield self._oldest(waiting, film)
+                yield self._oldest(waiting)
         finally:
-            for _, future, _ in waiting:
+            for future in waiting:
                 future.cancel()
 
     @staticmethod
-    def _oldest(waiting: Waiting, film: Film) -> ChunkTally:
-        chunk, future, own = waiting[0]
-        tally = future.result()
-        if own is not None:
-            film.add(own, chunk.channel)
+    def _oldest(waiting: Waiting) -> ChunkTally:
+        tally = waiting[0].result()
         waiting.popleft()
         return tally
-
-    def _own_film(self, chunk: Chunk) -> Film | None:
-        """Return a film for a chunk's single channel, where other chunks add to the same pixels meanwhile."""
-        if not self.world.lines.in_bands or not chunk.part.options.adjoint:
-            return None
-        last = chunk.first + chunk.count if chunk.pixels is None else int(chunk.pixels[-1]) + 1
-        return Film.empty(last - chunk.first, 1, chunk.first)
 
     def blind_samples(self, pool: Threads, replicate: int) -> BlindSamples:
         """Trace a replicate's blind samples, by which the image is checked."""
@@ -194,29 +182,12 @@ class Tracer:
         runs = first_of_runs(self.pixels, at_once, replicate)
         for channel in range(self.channels):
             stream = descendant(key, part.number * self.channels + channel)
-            turns = list(self.world.lines.turns(replicate, channel, few=True))
-            jobs = [
-                job
-                for first in runs
-                for job in self._blind_chunks(part, np.arange(first, first + at_once), channel, turns, samples)
-            ]
-            list(pool.map(self._trace, (chunk for chunk, _ in jobs), repeat(stream), (film for _, film in jobs)))
-            for first in runs:
-                light = sum(film.power[:, 0] for _, film in jobs if film.origin == first)
-                found.add(np.arange(first, first + at_once), channel, np.asarray(light))
+            chunks = [Chunk(0, part, first, at_once, channel, at_once * samples, samples) for first in runs]
+            films = [Film.empty(at_once, 1, first) for first in runs]
+            list(pool.map(self._trace, chunks, repeat(stream), films))
+            for film in films:
+                found.add(np.arange(film.origin, film.origin + at_once), channel, film.power[:, 0])
         return found
-
-    @staticmethod
-    def _blind_chunks(
-        part: Part, pixels: NDArray[np.int64], channel: int, turns: list[Turn], samples: int
-    ) -> Iterator[tuple[Chunk, Film]]:
-        """Yield the chunks of neighbouring pixels in a channel, one for each wavelength, with a film for each."""
-        first = int(pixels[0])
-        for number, turn in enumerate(turns):
-            mine = pixels[turn.takes(pixels, samples)]
-            if len(mine):
-                chunk = Chunk(number, part, first, len(mine), channel, turn, len(mine), samples, mine)
-                yield replace(chunk, packets=len(mine) * chunk.taken), Film.empty(len(pixels), 1, first)
 
     def _trace(self, chunk: Chunk, key: np.uint64, film: Film) -> ChunkTally:
         """Trace one chunk in a thread of the pool."""
@@ -264,8 +235,7 @@ class Tracer:
         """Measure the variance and the cost of a part by some samples of some pixels."""
         key = descendant(self.seed, SHARES_STREAM)
         pixels = np.unique(np.random.default_rng(int(key)).integers(0, self.pixels, count))
-        turn = Turn(0, 1, 0, 0, np.uint64(0))
-        chunk = Chunk(0, part, 0, len(pixels), 0, turn, len(pixels) * samples, samples, pixels)
+        chunk = Chunk(0, part, 0, len(pixels), 0, len(pixels) * samples, samples, pixels)
         sets, counts, queries = np.zeros((2, len(pixels))), np.zeros(COUNTERS, np.int64), 0
         for number, light in enumerate(sets):
             film = Film.empty(self.pixels, 1, 0)
@@ -288,9 +258,8 @@ class Tracer:
         draw = np.random.default_rng(int(key))
         pixels = np.unique(draw.integers(0, self.pixels, STARTS)) if part.options.adjoint else None
         count = STARTS if pixels is None else len(pixels)
-        turn = Turn(0, 1, 0, 0, np.uint64(0))
         samples = max(1, STARTS // count) if many else 1
-        chunk = Chunk(0, part, 0, count, 0, turn, count * samples, samples, pixels)
+        chunk = Chunk(0, part, 0, count, 0, count * samples, samples, pixels)
         work = Workspace(self.world, part.options, STARTS, part.tables)
         work.begin(Film.empty(self.pixels if part.options.adjoint else 0, 1, 0), count * samples)
         self._source(chunk, key, 0).launch(work, range(count))
@@ -298,14 +267,12 @@ class Tracer:
 
     def _source(self, chunk: Chunk, key: np.uint64, channel: int) -> Source:
         """Return the source of a chunk's packets; `channel`: column of the film."""
-        turn = chunk.turn
+        nodes = self.world.lines.nodes[chunk.channel]
         if chunk.part.particles is not None:
-            return ParticleSource(chunk.part.particles, chunk.first, chunk.count, chunk.samples, key, turn.column)
+            return ParticleSource(chunk.part.particles, chunk.first, chunk.count, chunk.samples, key, nodes)
         if not chunk.part.options.adjoint:
-            return LightSource(chunk.first, chunk.count, self.pixels * chunk.samples, key, turn.column)
-        pixels = chunk.pixel_numbers()
-        begin = turn.begin(pixels, chunk.samples)
-        return PixelSource(pixels, chunk.samples, key, turn.column, self.stratified, channel, begin, chunk.taken)
+            return LightSource(chunk.first, chunk.count, self.pixels * chunk.samples, key, nodes)
+        return PixelSource(chunk.pixel_numbers(), chunk.samples, key, nodes, self.stratified, channel)
 
     def _launcher(self, part: Part) -> Launcher:
         """Return the launcher of a part, which the first call makes."""

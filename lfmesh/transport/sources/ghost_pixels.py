@@ -24,6 +24,7 @@ from lfmesh.transport.sequential.ghosts import (
     interval_of_radius,
 )
 from lfmesh.transport.sources.pixel_starts import STARTS, StartRoom, begin_launch, draw_numbers
+from lfmesh.transport.sources.wavelengths import Entries
 from lfmesh.transport.tables.pixel import area_of_sample
 from lfmesh.transport.tables.tables import Opening, SensorTables
 
@@ -35,15 +36,14 @@ SHARE_OF_OPENING = 0.5
 
 @kernel
 def launch_to_cells(
-    pixels: NDArray[np.int64], begin: NDArray[np.int64], taken: int, samples: int, stratified: bool,
-    replicate_key: np.uint64, colour: int, sensor: SensorTables, opening: Opening, ghosts: GhostTables,
-    frames: Array, lens_surfaces: int, flow: Flow, room: StartRoom,
+    entries: Entries, samples: int, stratified: bool, replicate_key: np.uint64, colour: int, sensor: SensorTables,
+    opening: Opening, ghosts: GhostTables, frames: Array, lens_surfaces: int, flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
-    """Start `taken` of the `samples` packets of each pixel.
+    """Start packets of pixels at one wavelength.
 
     Parameters
     ----------
-    pixels, begin, taken, samples, stratified, replicate_key, colour, lens_surfaces
+    entries, samples, stratified, replicate_key, colour, lens_surfaces
         As for `pixels.launch_adjoint`.
     opening : Opening
         As seen from the sensor.
@@ -53,11 +53,12 @@ def launch_to_cells(
     begin_launch(room, colour, lens_surfaces)
     area = area_of_sample(sensor, samples)
     which, place = 0, 0
-    for first in range(0, len(pixels) * taken, STARTS):
-        count = min(STARTS, len(pixels) * taken - first)
-        draw_numbers(room, stratified, replicate_key, pixels, begin, taken, which, place, count)
+    total = entries.taken.sum()
+    for first in range(0, total, STARTS):
+        count = min(STARTS, total - first)
+        draw_numbers(room, stratified, replicate_key, entries, which, place, count)
         for i in range(count):
-            pixel, sample, numbers = pixels[which], begin[which] + place, room.numbers
+            pixel, sample, numbers = entries.pixel[which], entries.begin[which] + place, room.numbers
             column, row = pixel % sensor.columns - 0.5 * sensor.columns, pixel // sensor.columns - 0.5 * sensor.rows
             x, y = (column + numbers[PIXEL_U, i]) * sensor.pixel, (row + numbers[PIXEL_V, i]) * sensor.pixel
             px, py, pz = move_point(frames, SENSOR_FRAME, CAMERA_FRAME, x, y, 0.0)
@@ -69,11 +70,11 @@ def launch_to_cells(
                 weight = -uz / density * area
                 flow.book[EMITTED] += weight
                 packet = room.packets[i]
-                packet.source = pixel | (which * samples + sample) << SAMPLE_SHIFT
+                packet.source = pixel | (entries.place[which] * samples + sample) << SAMPLE_SHIFT
                 packet.key, packet.start, packet.events = room.keys[i], weight, 0
                 put(flow, LENS, packet, SENSOR_FRAME, x, y, 0.0, ux, uy, uz, weight, room.keys[i], 0.0)
             place += 1
-            if place == taken:
+            if place == entries.taken[which]:
                 which, place = which + 1, 0
 
 

@@ -28,7 +28,9 @@ from lfmesh.transport.regions.bodies import RANK, TOO_MANY, bodies_at, medium_of
 from lfmesh.transport.regions.targets import emission_of, opacity_at, point_of, scatter, texture_at
 from lfmesh.transport.regions.volumes import send_from_medium
 from lfmesh.transport.sources.source import Source
+from lfmesh.transport.sources.wavelengths import order_of_packets
 from lfmesh.transport.tables.lights import MM2
+from lfmesh.transport.tables.lines import Nodes
 from lfmesh.transport.tables.tables import AIR, FIRST_VOLUME, AimTables, ObjectTables
 
 Array = NDArray[np.float64]
@@ -52,15 +54,15 @@ class LightSource(Source):
         Number of packets that share the whole power.
     key : uint64
         Key of the replicate's random numbers at this wavelength.
-    colour : int
-        Number of the wavelength.
+    nodes : Nodes
+        Wavelengths of the channel, of which each packet takes one.
     """
 
     first: int
     count: int
     total: int
     key: np.uint64
-    colour: int
+    nodes: Nodes
 
     def __len__(self) -> int:
         return self.count
@@ -69,37 +71,37 @@ class LightSource(Source):
         """Start some of the packets, if there is any light."""
         tables = work.tables
         if len(tables.objects.sources):
+            numbers = np.arange(self.first + part.start, self.first + part.stop)
             launch_forward(
-                self.first + part.start, len(part), self.total, self.key, self.colour,
-                tables.objects, tables.aim, tables.frames, work.options, work.flow(), work.template,
+                *order_of_packets(self.nodes, numbers, self.key), self.total, self.key, tables.objects, tables.aim,
+                tables.frames, work.options, work.flow(), work.template,
             )  # fmt: skip
 
 
 @kernel
 def launch_forward(
-    first: int, count: int, total: int, replicate_key: np.uint64, colour: int,
+    numbers: NDArray[np.int64], colours: NDArray[np.int64], total: int, replicate_key: np.uint64,
     objects: ObjectTables, aim: AimTables, frames: Array, options: Options, flow: Flow, template: NDArray[np.void],
 ) -> None:  # fmt: skip
     """Start packets of all lights and emitting facets.
 
     Parameters
     ----------
-    first, count : int
-        Number of the first packet in its replicate, and number of packets from there on.
+    numbers, colours : (n,) int64
+        Number of each packet in its replicate, and of its wavelength.
     total : int
         Number of packets that share the whole power.
     replicate_key : uint64
-    colour : int
-        Number of the wavelength.
     template : (1,) PACKET
         Working memory.
     """
     sources = objects.sources
     packet = template[0]
-    packet.colour = colour
     packet.last = NO_SURFACE
-    for number in range(first, first + count):
+    for k in range(len(numbers)):
+        number, colour = numbers[k], colours[k]
         key = derived(replicate_key, number)
+        packet.colour = colour
         packet.source = number
         packet.key = key
         packet.medium = AIR

@@ -31,6 +31,8 @@ from lfmesh.transport.packets.random import derived
 from lfmesh.transport.packets.sobol import owen_sobol
 from lfmesh.transport.regions.bodies import RANK, medium_of, set_bodies
 from lfmesh.transport.sources.source import Source
+from lfmesh.transport.sources.wavelengths import order_of_particles
+from lfmesh.transport.tables.lines import Nodes
 from lfmesh.transport.tables.particles import ParticleTables
 from lfmesh.transport.tables.tables import AIR, AimTables, ObjectTables
 
@@ -39,7 +41,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ParticleSource(Source):
-    """Packets of particles: packet number p · n + i is sample p of particle i, so that all take each line of a band.
+    """Packets of particles: packet number p · n + i is sample p of particle i.
 
     Attributes
     ----------
@@ -48,11 +50,11 @@ class ParticleSource(Source):
     first, count : int
         Number of the first packet in its replicate, and number of packets from there on.
     samples : int
-        Packets of each particle in the replicate, all lines of a band together.
+        Packets of each particle in the replicate.
     key : uint64
         Key of the replicate's random numbers at this wavelength.
-    colour : int
-        Number of the wavelength.
+    nodes : Nodes
+        Wavelengths of the channel, of which each packet takes one.
     """
 
     particles: ParticleTables
@@ -60,7 +62,7 @@ class ParticleSource(Source):
     count: int
     samples: int
     key: np.uint64
-    colour: int
+    nodes: Nodes
 
     def __len__(self) -> int:
         return self.count
@@ -68,15 +70,16 @@ class ParticleSource(Source):
     def launch(self, work: Workspace, part: range) -> None:
         """Start some of the packets."""
         tables = work.tables
+        numbers = np.arange(self.first + part.start, self.first + part.stop)
         launch_particles(
-            self.first + part.start, len(part), self.samples, self.key, self.colour,
-            self.particles, tables.objects, tables.aim, tables.frames, work.flow(), work.template,
+            *order_of_particles(self.nodes, numbers, len(self.particles.points), self.samples, self.key), self.samples,
+            self.key, self.particles, tables.objects, tables.aim, tables.frames, work.flow(), work.template,
         )  # fmt: skip
 
 
 @kernel
 def launch_particles(
-    first: int, count: int, samples: int, replicate_key: np.uint64, colour: int,
+    numbers: NDArray[np.int64], colours: NDArray[np.int64], samples: int, replicate_key: np.uint64,
     particles: ParticleTables, objects: ObjectTables, aim: AimTables, frames: Array, flow: Flow,
     template: NDArray[np.void],
 ) -> None:  # fmt: skip
@@ -84,13 +87,11 @@ def launch_particles(
 
     Parameters
     ----------
-    first, count : int
-        Number of the first packet in its replicate, and number of packets from there on.
+    numbers, colours : (n,) int64
+        Number of each packet in its replicate, and of its wavelength.
     samples : int
         Packets of each particle in the replicate.
     replicate_key : uint64
-    colour : int
-        Number of the wavelength.
     particles : ParticleTables
     objects : ObjectTables
     aim : AimTables
@@ -100,7 +101,6 @@ def launch_particles(
         Working memory.
     """
     packet = template[0]
-    packet.colour = colour
     packet.last, packet.column, packet.facet, packet.node = NO_SURFACE, NO_SURFACE, NO_SURFACE, NO_SURFACE
     packet.medium, packet.space, packet.events, packet.stray = AIR, 0, 0, 0
     in_glass = bool(particles.inside.any())
@@ -108,7 +108,9 @@ def launch_particles(
     packet.kind = SPECULAR
     depolarise(flow.polarised, packet)
     n = len(particles.points)
-    for number in range(first, first + count):
+    for k in range(len(numbers)):
+        number, colour = numbers[k], colours[k]
+        packet.colour = colour
         i, sample = number % n, number // n
         x, y, z = particles.points[i, 0], particles.points[i, 1], particles.points[i, 2]
         power = particles.strength[i] * particles.scale[colour] / samples

@@ -12,6 +12,7 @@ from lfmesh.transport.packets.packet import CAMERA, NO_SURFACE, PACKET
 from lfmesh.transport.packets.random import derived, start
 from lfmesh.transport.packets.sobol import scramble, scramble_seed, sobol, step
 from lfmesh.transport.sequential.lens_bundle import BLOCK
+from lfmesh.transport.sources.wavelengths import Entries
 from lfmesh.transport.tables.tables import AimTables
 
 Array = NDArray[np.float64]
@@ -54,8 +55,7 @@ def start_room(aim: AimTables, record: np.dtype[np.void] = PACKET) -> StartRoom:
 
 @kernel
 def draw_numbers(
-    room: StartRoom, stratified: bool, replicate_key: np.uint64, pixels: NDArray[np.int64], begin: NDArray[np.int64],
-    taken: int, which: int, place: int, count: int,
+    room: StartRoom, stratified: bool, replicate_key: np.uint64, entries: Entries, which: int, place: int, count: int,
 ) -> None:  # fmt: skip
     """Draw the starting numbers of `count` samples: from each pixel's own Sobol' set, or at random.
 
@@ -63,15 +63,13 @@ def draw_numbers(
     ----------
     stratified : bool
         From Sobol' sets.
-    pixels, begin : (n,) int64
-    taken : int
-        See `launch_adjoint`.
+    entries : Entries
     which, place : int
-        Index in `pixels`, and place among the samples taken of that pixel, of the first sample.
+        Number of the entry, and place among its samples, of the first sample.
     """
-    pixel_key = derived(replicate_key, pixels[which])
+    pixel_key = derived(replicate_key, entries.pixel[which])
     for i in range(count):
-        sample = begin[which] + place
+        sample = entries.begin[which] + place
         room.keys[i] = derived(pixel_key, sample)
         if stratified:
             if place == 0:
@@ -87,10 +85,10 @@ def draw_numbers(
             for dimension in range(len(room.seeds)):
                 room.numbers[dimension, i] = start(room.keys[i], dimension)
         place += 1
-        if place == taken:
+        if place == entries.taken[which]:
             which, place = which + 1, 0
-            # After the last pixel this key is not used; the modulus keeps the index valid.
-            pixel_key = derived(replicate_key, pixels[which % len(pixels)])
+            # After the last entry this key is not used; the modulus keeps the index valid.
+            pixel_key = derived(replicate_key, entries.pixel[which % len(entries.pixel)])
     if stratified:
         for dimension in range(len(room.seeds)):
             scramble(room.points[dimension], room.scrambling[dimension], room.numbers[dimension])

@@ -65,6 +65,8 @@ from lfmesh.transport.sequential.lens_bundle import (
 from lfmesh.transport.sources.ghost_pixels import launch_to_cells
 from lfmesh.transport.sources.pixel_starts import STARTS, StartRoom, begin_launch, draw_numbers, start_room
 from lfmesh.transport.sources.source import Source
+from lfmesh.transport.sources.wavelengths import Entries, entries_of_pixels
+from lfmesh.transport.tables.lines import FIRST, Nodes
 from lfmesh.transport.tables.media import clear
 from lfmesh.transport.tables.pixel import area_of_sample
 from lfmesh.transport.tables.tables import AimTables, LensTables, MlaTables, SensorTables, Tables
@@ -84,72 +86,63 @@ class PixelSource(Source):
         Samples of each pixel.
     key : uint64
         Key of the random numbers.
-    colour : int
-        Number of the wavelength.
+    nodes : Nodes
+        Wavelengths of the channel, of which each sample takes one; the first of all if left out.
     stratified : bool
         Start from scrambled Sobol' points in place of random ones.
     channel : int, optional
-        Column of the film that light is added to; the wavelength's number if left out.
-    begin : (n,) int64, optional
-        Number of the first sample of each pixel that is started; 0 if left out.
-    taken : int, optional
-        Number of samples of each pixel that are started, from `begin` on; all if left out.
+        Column of the film that light is added to; that of the first wavelength if left out.
     """
 
     pixels: NDArray[np.int64]
     samples: int
     key: np.uint64
-    colour: int = 0
+    nodes: Nodes = FIRST
     stratified: bool = True
     channel: int | None = None
-    begin: NDArray[np.int64] | None = None
-    taken: int | None = None
 
     def __len__(self) -> int:
         return len(self.pixels)
 
     @property
     def each(self) -> int:
-        """Samples of a pixel that are started."""
-        return self.samples if self.taken is None else self.taken
-
-    @property
-    def numbered(self) -> int:
         """Samples of a pixel."""
         return self.samples
 
     def launch(self, work: Workspace, part: range) -> None:
         """Start the samples of some of the pixels."""
-        channel = self.colour if self.channel is None else self.channel
+        channel = self.nodes.first if self.channel is None else self.channel
         work.options = work.options._replace(channel=channel, samples=self.samples)
         if self.stratified:
             work.options = work.options._replace(stream=self.key, each=self.samples)
-        tables, options, pixels = work.tables, work.options, self.pixels[part.start : part.stop]
-        begin = np.zeros(len(pixels), np.int64) if self.begin is None else self.begin[part.start : part.stop]
+        pixels = self.pixels[part.start : part.stop]
+        for colour, entries in entries_of_pixels(self.nodes, pixels, self.samples, self.key):
+            self._launch(work, entries, colour)
+        if work.tables.cover is not None and starting_kernel(work.tables, work.options) is not launch_along_image_path:
+            # Without a cover a pixel's light meets the array first, or the lens.
+            work.move_waiting(PLATE if work.tables.mla.present else LENS, SENSOR)
+
+    def _launch(self, work: Workspace, entries: Entries, colour: int) -> None:
+        """Start samples at one wavelength."""
+        tables, options = work.tables, work.options
         room = work.kept(StartRoom, lambda: start_room(tables.aim, work.stacks.dtype))
         seen = tables.frames if tables.apparent is None else tables.apparent
         starts = starting_kernel(tables, options)
         if starts is launch_along_image_path:
             launch_along_image_path(
-                pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
-                tables.lens, tables.mla, tables.aim, tables.frames, work.bundle, work.numbers, options, work.flow(),
-                room,
+                entries, self.samples, self.stratified, self.key, colour, tables.sensor, tables.lens, tables.mla,
+                tables.aim, tables.frames, work.bundle, work.numbers, options, work.flow(), room,
             )  # fmt: skip
-            return
-        if starts is launch_to_cells:
+        elif starts is launch_to_cells:
             launch_to_cells(
-                pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
-                tables.aim.exit, tables.ghosts, seen, len(tables.lens.surfaces), work.flow(), room,
+                entries, self.samples, self.stratified, self.key, colour, tables.sensor, tables.aim.exit,
+                tables.ghosts, seen, len(tables.lens.surfaces), work.flow(), room,
             )  # fmt: skip
         else:
             launch_adjoint(
-                pixels, begin, self.each, self.samples, self.stratified, self.key, self.colour, tables.sensor,
-                clear(tables.mla), tables.aim, seen, len(tables.lens.surfaces), options.paths == GHOSTS, work.bundle,
-                work.flow(), room,
+                entries, self.samples, self.stratified, self.key, colour, tables.sensor, clear(tables.mla),
+                tables.aim, seen, len(tables.lens.surfaces), options.paths == GHOSTS, work.bundle, work.flow(), room,
             )  # fmt: skip
-        if tables.cover is not None:
-            # Without a cover a pixel's light meets the array first, or the lens.
-            work.move_waiting(PLATE if tables.mla.present else LENS, SENSOR)
 
 
 def starting_kernel(tables: Tables, options: Options) -> Callable[..., None]:
@@ -163,20 +156,17 @@ def starting_kernel(tables: Tables, options: Options) -> Callable[..., None]:
 
 @kernel
 def launch_adjoint(
-    pixels: NDArray[np.int64], begin: NDArray[np.int64], taken: int, samples: int, stratified: bool,
-    replicate_key: np.uint64, colour: int, sensor: SensorTables, mla: MlaTables, aim: AimTables, frames: Array,
-    lens_surfaces: int, unaimed_too: bool, bundle: Array, flow: Flow, room: StartRoom,
+    entries: Entries, samples: int, stratified: bool, replicate_key: np.uint64, colour: int, sensor: SensorTables,
+    mla: MlaTables, aim: AimTables, frames: Array, lens_surfaces: int, unaimed_too: bool, bundle: Array, flow: Flow,
+    room: StartRoom,
 ) -> None:  # fmt: skip
-    """Start `taken` of the `samples` packets of each pixel.
+    """Start packets of pixels at one wavelength.
 
     Parameters
     ----------
-    pixels : (n,) int64
-        Pixel numbers, row by row.
-    begin : (n,) int64
-        Number of the first sample that is taken of each pixel.
-    taken, samples : int
-        Samples that are taken of each pixel, and all that its light is divided by.
+    entries : Entries
+    samples : int
+        Samples of a pixel that its light is divided by.
     stratified : bool
         Start from scrambled Sobol' points in place of random ones.
     replicate_key : uint64
@@ -192,12 +182,13 @@ def launch_adjoint(
     begin_launch(room, colour, lens_surfaces)
     station = PLATE if mla.present else LENS
     which, place = 0, 0
-    for first in range(0, len(pixels) * taken, STARTS):
-        count = min(STARTS, len(pixels) * taken - first)
-        draw_numbers(room, stratified, replicate_key, pixels, begin, taken, which, place, count)
+    total = entries.taken.sum()
+    for first in range(0, total, STARTS):
+        count = min(STARTS, total - first)
+        draw_numbers(room, stratified, replicate_key, entries, which, place, count)
         which, place = _aim_rays(
-            room, bundle, pixels, begin, taken, which, place, samples, count, replicate_key, colour, sensor, mla, aim,
-            frames, flow.book,
+            room, bundle, entries, which, place, samples, count, replicate_key, colour, sensor, mla, aim, frames,
+            flow.book,
         )  # fmt: skip
         for i in range(count):
             if unaimed_too or bundle[ENDED_ON + i] == 0.0:
@@ -213,9 +204,9 @@ def launch_adjoint(
 
 @kernel
 def launch_along_image_path(
-    pixels: NDArray[np.int64], begin: NDArray[np.int64], taken: int, samples: int, stratified: bool,
-    replicate_key: np.uint64, colour: int, sensor: SensorTables, lens: LensTables, mla: MlaTables, aim: AimTables,
-    frames: Array, bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow, room: StartRoom,
+    entries: Entries, samples: int, stratified: bool, replicate_key: np.uint64, colour: int, sensor: SensorTables,
+    lens: LensTables, mla: MlaTables, aim: AimTables, frames: Array, bundle: Array, numbers: NDArray[np.int64],
+    options: Options, flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
     """Start packets as `launch_adjoint` does, and take them through array and lens by the sequential engine at once.
 
@@ -229,12 +220,13 @@ def launch_along_image_path(
     for i in range(STARTS):
         numbers[i] = i
     which, place = 0, 0
-    for first in range(0, len(pixels) * taken, STARTS):
-        count = min(STARTS, len(pixels) * taken - first)
-        draw_numbers(room, stratified, replicate_key, pixels, begin, taken, which, place, count)
+    total = entries.taken.sum()
+    for first in range(0, total, STARTS):
+        count = min(STARTS, total - first)
+        draw_numbers(room, stratified, replicate_key, entries, which, place, count)
         which, place = _aim_rays(
-            room, bundle, pixels, begin, taken, which, place, samples, count, replicate_key, colour, sensor, mla, aim,
-            frames, flow.book,
+            room, bundle, entries, which, place, samples, count, replicate_key, colour, sensor, mla, aim, frames,
+            flow.book,
         )  # fmt: skip
         pad(bundle, count)
         move_bundle(bundle, frames[SENSOR_FRAME, CAMERA_FRAME])
@@ -243,16 +235,16 @@ def launch_along_image_path(
 
 @kernel
 def _aim_rays(
-    room: StartRoom, bundle: Array, pixels: NDArray[np.int64], begin: NDArray[np.int64], taken: int, which: int,
-    place: int, samples: int, count: int, replicate_key: np.uint64, colour: int, sensor: SensorTables, mla: MlaTables,
-    aim: AimTables, frames: Array, book: Array,
+    room: StartRoom, bundle: Array, entries: Entries, which: int, place: int, samples: int, count: int,
+    replicate_key: np.uint64, colour: int, sensor: SensorTables, mla: MlaTables, aim: AimTables, frames: Array,
+    book: Array,
 ) -> tuple[int, int]:  # fmt: skip
     """Write a block of rays (sensor frame) and their weights to the bundle, by the numbers that were drawn.
 
     Returns
     -------
     which, place : int
-        Index in `pixels`, and place among the samples taken of that pixel, with which the next block begins.
+        Number of the entry, and place among its samples, with which the next block begins.
     """
     area = area_of_sample(sensor, samples)
     # The sensor's normal towards the array.
@@ -264,7 +256,7 @@ def _aim_rays(
     if mla.present:
         glass, extent = glass_before_faces(mla, colour), pixel_extent(sensor, frames)
     for i in range(count):
-        pixel, sample = pixels[which], begin[which] + place
+        pixel, sample = entries.pixel[which], entries.begin[which] + place
         if which != begun:
             begun = which
             column, row = pixel % sensor.columns - 0.5 * sensor.columns, pixel // sensor.columns - 0.5 * sensor.rows
@@ -300,11 +292,11 @@ def _aim_rays(
             bundle[ENDED_ON + i] = DROPPED
         book[EMITTED] += weight
         packet = room.packets[i]
-        packet.source = pixel | (which * samples + sample) << SAMPLE_SHIFT
+        packet.source = pixel | (entries.place[which] * samples + sample) << SAMPLE_SHIFT
         # Blind rays weigh a hundred times as much as those through a lenslet that shows the opening. Their children are
         # followed until they weigh as little, so that a pixel's error is not that of the few that survive roulette.
         packet.key, packet.start, packet.events = room.keys[i], min(weight, usual) if weight > 0.0 else usual, 0
         place += 1
-        if place == taken:
+        if place == entries.taken[which]:
             which, place = which + 1, 0
     return which, place

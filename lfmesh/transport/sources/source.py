@@ -24,11 +24,6 @@ class Source(ABC):
         """Number of packets that start from one item."""
         return 1
 
-    @property
-    def numbered(self) -> int:
-        """Number of packets of one item by which its packets are numbered, of which this source may start a part."""
-        return self.each
-
     @abstractmethod
     def __len__(self) -> int:
         """Return the number of items."""
@@ -97,7 +92,7 @@ class Launcher:
             Adjoint: film that light is added to.
         """
         work, part = self.workspace, range(len(source)) if part is None else part
-        work.begin(film, len(part) * source.each, len(part) * source.numbered)
+        work.begin(film, len(part) * source.each)
         source.launch(work, part)
         if work.options.record:
             work.record_starts()

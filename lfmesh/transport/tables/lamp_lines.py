@@ -88,13 +88,5 @@ def _shares(scene: Scene, number: int) -> Iterator[tuple[str, float]]:
     shape = None if spectrum is None else curve_of(spectrum, scene.reach_nm, scene, f"lights[{number}].spectrum")
     whole = last - first if shape is None else shape.integral(first, last)
     for band in scene.passbands:
-        response = band.response
-        knots = response.wavelengths_nm if shape is None else np.union1d(response.wavelengths_nm, shape.wavelengths_nm)
-        begin, end = response.ends_nm
-        knots = knots[(knots >= begin) & (knots <= end)]
-        # A product of two straight pieces is a parabola, which Simpson's rule integrates exactly.
-        w = np.sort(np.concatenate([knots, 0.5 * (knots[:-1] + knots[1:])]))
-        values = response.at(w) * (1.0 if shape is None else shape.at(w))
-        steps = np.diff(knots) / 6.0
-        taken = (steps * (values[:-1:2] + 4.0 * values[1::2] + values[2::2])).sum()
+        (taken,) = band.response.integrals(np.array(band.response.ends_nm), shape)
         yield band.name, float(taken / whole)

@@ -1,122 +1,78 @@
-"""The single wavelengths, lines for short, at which a scene is traced: the columns of all tables by wavelength.
+"""The wavelengths, lines for short, at which a scene is traced: the columns of all tables by wavelength.
 
-Without bands each wavelength of the scene is a line and a channel of the image. A band is sampled by lines: every
-replicate has lines of its own in each band, drawn by the band's response. They come in pairs, one pair for each of
-several intervals with equal integrals of the response, and lie at random but symmetrically in it (antithetic
-stratified sampling), so that what is linear over an interval is integrated exactly. A path has one line. The samples
-of a pixel take the lines in turn. Where they are too few for all, as many neighbouring pixels of a row as it takes
-share them, in an order that is drawn anew for each such group and replicate: what one of them lacks of the band the
-next one has, and no pattern of pixels sees the same part of it. As the replicates' lines are independent, the spread of
-the replicates holds the noise of the wavelengths.
+Without bands each wavelength of the scene is a line and a channel of the image. A band is divided into strata, each
+with a line at the centroid of the response within it. Every sample takes one of a band's lines, each with the chance of
+its share of the response: samples of a pixel evenly over the band, with an offset of the pixel's own. So pixels are
+independent, and a pixel's error holds the noise of its wavelengths.
+
+The lines do not depend on the seed. What a scene has in place of the integral over a band is a sum over its lines: of
+light the mean over each stratum, of all else the value at its line. That sum is right to second order in the width of
+the strata; such a rule errs least if the density of lines goes as the cube root of the response.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from math import gcd
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.optics.curve import Curve
 from lfmesh.scene import Scene
-from lfmesh.transport.packets.random import GOLDEN, descendant, run_key, start
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
-MOST_IN_BAND = 32
-"""Largest number of lines of a replicate in a band; a power of two."""
+SPACING = 0.007
+"""Distance between lines where a band's response is largest, over the wavelength.
 
-MOST_LINES = 1024
-"""Number of lines in all above which a band gets fewer; with so many bands and replicates each has at least one."""
+So integrals over the bands "rgb" and "xyz" and over Gaussians, under the illuminants of the CIE, are right within 1e-3
+of those of a white surface: of the spectra of the ColorChecker, of the transmittances of catalogue glasses, and of
+coatings, ghosts of coatings and mirrors of up to 15 layers."""
 
-LEAST_AT_LINE = 2
-"""Samples of a pixel that take a line together, where it has so many: what the aim needs to know of a pixel is found
-anew for each line."""
-
-FEW = 4
-"""Number of lines of a replicate in a band that are enough for a small part of its light."""
-
-LINES_STREAM = 1 << 21
-"""Number of the random numbers by which lines are drawn; replicates have others."""
+LEAST_LINES, MOST_LINES = 8, 64
+"""Numbers of lines of a band."""
 
 
-@dataclass(frozen=True)
-class Turn:
-    """The samples of all pixels that take one line of a band, in one replicate.
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """The lines of a channel, and the chance of each.
 
     Attributes
     ----------
-    line, lines : int
-        Number of the line in its band, and number of lines.
-    column : int
-        Of the tables.
-    offset : int
-        Line with which the packets of lights begin.
-    key : uint64
-        Of the random numbers that decide which pixels take which lines.
+    first : int
+        Column of the first of them.
+    until : (lines,) float64
+        Cumulative chance, up to 1.
     """
 
-    line: int
-    lines: int
-    column: int
-    offset: int
-    key: np.uint64
+    first: int
+    until: Array
 
-    def shares(self, samples: int) -> int:
-        """Return the number of lines that a pixel takes for some samples, each for as many of them."""
-        return gcd(max(1, samples // LEAST_AT_LINE) if samples % LEAST_AT_LINE == 0 else samples, self.lines)
+    @classmethod
+    def single(cls, column: int) -> "Nodes":
+        """Return the only line of a channel."""
+        return cls(column, np.ones(1))
 
-    def takes(self, pixels: Numbers, samples: int) -> NDArray[np.bool_]:
-        """Whether pixels, (n,), with so many samples take the line."""
-        return (self.line - self._first_line(pixels, samples)) % (self.lines // self.shares(samples)) == 0
+    @property
+    def middle(self) -> int:
+        """Column of the line in the middle of the band."""
+        return int(self.columns(0.25))
 
-    def begin(self, pixels: Numbers, samples: int) -> Numbers:
-        """Return the number of the first sample of each pixel, (n,), that takes the line; as many follow for all."""
-        shares = self.shares(samples)
-        place = (self.line - self._first_line(pixels, samples)) % self.lines // (self.lines // shares)
-        return np.asarray(place * (samples // shares), np.int64)
+    def columns(self, places: ArrayLike) -> Numbers:
+        """Return the columns of lines that samples at some places in [0, 1) take.
 
-    def part(self, total: int) -> range:
-        """Return the packets of a light that take the line, of `total` in all; none of them if there are too few."""
-        shares = self.shares(total)
-        ahead = (self.line - self.offset) % self.lines
-        if ahead % (self.lines // shares):
-            return range(0)
-        first = ahead // (self.lines // shares) * (total // shares)
-        return range(first, first + total // shares)
+        Places up to one half go up through the band and the others down again, so that what samples at even distances
+        find does not jump where they begin anew.
 
-    def _first_line(self, pixels: Numbers, samples: int) -> Numbers:
-        """Return the line that the first samples of pixels take.
-
-        Pixels come in groups in which each takes other lines: the bits of its place, turned round so that neighbours
-        take lines far apart, and flipped at random for each group.
+        Parameters
+        ----------
+        places : (...) float64
         """
-        together = self.lines // self.shares(samples)
-        random = _hashed(self.key, pixels // together) % np.uint64(self.lines)
-        drawn = random.astype(np.int64)
-        return (_reversed(pixels % together, together) ^ (drawn % together)) + drawn // together * together
+        share = 1.0 - np.abs(2.0 * np.asarray(places) - 1.0)
+        return np.asarray(self.first + np.searchsorted(self.until[:-1], share, side="right"), np.int64)
 
 
-def _hashed(key: np.uint64, numbers: Numbers) -> NDArray[np.uint64]:
-    """Return hashes of numbers, (n,), as `random.derived` has them."""
-    with np.errstate(over="ignore"):
-        return _mixed(_mixed(np.asarray(key + GOLDEN)) ^ (numbers.astype(np.uint64) * GOLDEN))
-
-
-def _mixed(z: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Return `random.mix` of an array."""
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return z ^ (z >> np.uint64(31))
-
-
-def _reversed(numbers: Numbers, count: int) -> Numbers:
-    """Return whole numbers below a power of two with their bits in reverse order."""
-    turned, rest = np.zeros_like(numbers), numbers
-    while count > 1:
-        turned, rest, count = 2 * turned + rest % 2, rest // 2, count // 2
-    return turned
+FIRST = Nodes.single(0)
+"""The first line of all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,25 +82,22 @@ class Lines:
     Attributes
     ----------
     wavelengths_nm : tuple of float
-        Of each column; in bands, increasing.
+        Of each column; those of a band follow each other and increase.
     weight_nm : (columns,) float64, nm
         Integral of the band's response, by which a density per nm becomes a power; 1 without bands.
-    columns : (replicates, channels, lines) int64
-        Column of each line; without bands a single replicate stands for all.
-    offsets : (replicates, channels) int64
-        Line with which the packets of lights begin.
-    keys : (replicates, channels) uint64
-        Of the random numbers that decide which pixels take which lines.
+    nodes : tuple of Nodes
+        Of each channel.
     span_nm : (float, float) or None
         Ends of the range that the bands reach over; None without bands.
+    strata : tuple of (Curve, (lines + 1,) float64)
+        Response of each band, and ends of its strata, nm.
     """
 
     wavelengths_nm: tuple[float, ...]
     weight_nm: Array
-    columns: Numbers
-    offsets: Numbers
-    keys: NDArray[np.uint64]
+    nodes: tuple[Nodes, ...]
     span_nm: tuple[float, float] | None
+    strata: tuple[tuple[Curve, Array], ...] = ()
 
     @classmethod
     def of(cls, scene: Scene) -> "Lines":
@@ -155,40 +108,41 @@ class Lines:
         FileError
             The file of a response cannot be used.
         """
-        bands = scene.passbands
-        if not bands:
-            single = scene.transport.wavelengths_nm
-            alone = np.arange(len(single)).reshape(1, -1, 1)
-            none = np.zeros((1, len(single)), np.int64)
-            return cls(single, np.ones(len(single)), alone, none, none.astype(np.uint64), None)
-        transport = scene.transport
-        # A second stage has replicates of its own.
-        replicates = transport.replicates * (1 if transport.target_error is None else 2)
-        count = MOST_IN_BAND
-        while count > 1 and count * replicates * len(bands) > MOST_LINES:
-            count //= 2
-        drawn = np.empty((replicates, len(bands), count))
-        offsets = np.empty((replicates, len(bands)), np.int64)
-        keys = np.empty(offsets.shape, np.uint64)
-        for replicate in range(replicates):
-            for channel, band in enumerate(bands):
-                key = descendant(run_key(transport.seed), LINES_STREAM, replicate, channel)
-                drawn[replicate, channel] = band.response.quantile_nm(_shares(key, count))
-                offsets[replicate, channel] = int(count * start(key, count))
-                keys[replicate, channel] = descendant(key, count)
-        order = np.argsort(drawn, axis=None, kind="stable")
-        columns = np.empty(order.size, np.int64)
-        columns[order] = np.arange(order.size)
-        areas = np.broadcast_to(np.array([[[band.response.area_nm] for band in bands]]), drawn.shape)
-        return cls(
-            tuple(drawn.ravel()[order].tolist()), areas.ravel()[order], columns.reshape(drawn.shape), offsets, keys,
-            scene.reach_nm,
-        )  # fmt: skip
+        if not scene.passbands:
+            return cls.single(scene.transport.wavelengths_nm)
+        strata = tuple((band.response, _strata(band.response)) for band in scene.passbands)
+        areas = [response.integrals(edges) for response, edges in strata]
+        first = np.cumsum([0, *map(len, areas)])
+        nodes = tuple(Nodes(int(k), np.cumsum(area) / area.sum()) for k, area in zip(first, areas, strict=False))
+        weights = [np.full(len(area), area.sum()) for area in areas]
+        # No sample takes a gap in the response, whose middle stands for it.
+        centroids = [
+            _means(response, edges, Curve(edges, edges), 0.5 * (edges[1:] + edges[:-1])) for response, edges in strata
+        ]
+        wavelengths_nm = tuple(np.concatenate(centroids).tolist())
+        return cls(wavelengths_nm, np.concatenate(weights), nodes, scene.reach_nm, strata)
+
+    @classmethod
+    def single(cls, wavelengths_nm: tuple[float, ...]) -> "Lines":
+        """Return single wavelengths as lines, each a channel."""
+        nodes = tuple(map(Nodes.single, range(len(wavelengths_nm))))
+        return cls(wavelengths_nm, np.ones(len(wavelengths_nm)), nodes, None)
 
     @property
     def in_bands(self) -> bool:
-        """Whether channels are bands, each with lines that change from replicate to replicate."""
+        """Whether channels are bands."""
         return self.span_nm is not None
+
+    @property
+    def channels(self) -> int:
+        """Number of channels of the image."""
+        return len(self.nodes)
+
+    def mean(self, spectrum: Curve) -> Array:
+        """Return the mean of a spectrum over the stratum of each line, weighted with the response, (columns,)."""
+        if self.span_nm is None:
+            return spectrum.at(self.wavelengths_nm)
+        return np.concatenate([_means(*each, spectrum, np.zeros(len(each[1]) - 1)) for each in self.strata])
 
     def power(self, total: float, shape: Curve | None = None) -> Array:
         """Return the share of a light's power that each line stands for, (columns,).
@@ -208,40 +162,27 @@ class Lines:
         first, last = self.span_nm
         if shape is None:
             return total / (last - first) * self.weight_nm
-        return total / shape.integral(first, last) * shape.at(self.wavelengths_nm) * self.weight_nm
-
-    @property
-    def channels(self) -> int:
-        """Number of channels of the image."""
-        return self.columns.shape[1]
-
-    def turns(self, replicate: int, channel: int, *, few: bool = False) -> Iterator[Turn]:
-        """Yield the lines of a channel in a replicate.
-
-        Parameters
-        ----------
-        replicate, channel : int
-        few : bool
-            Only some of them, evenly spread, for a small part of the light: each line is traced by itself, and short
-            waves of packets take longer.
-        """
-        replicate %= len(self.columns)
-        columns, offset = self.columns[replicate, channel], int(self.offsets[replicate, channel])
-        key = self.keys[replicate, channel]
-        step = max(1, len(columns) // FEW) if few else 1
-        columns, offset = columns[offset % step :: step], offset // step
-        for line, column in enumerate(columns):
-            yield Turn(line, len(columns), int(column), offset, key)
+        return total / shape.integral(first, last) * self.mean(shape) * self.weight_nm
 
     def nearest(self, wavelength_nm: float) -> int:
         """Return the column whose wavelength is nearest to another."""
         return int(np.argmin(np.abs(np.array(self.wavelengths_nm) - wavelength_nm)))
 
 
-def _shares(key: np.uint64, count: int) -> Array:
-    """Return shares of a band's integral at which its lines lie, (count,): pairs, symmetric in equal intervals."""
-    if count == 1:
-        return np.array([start(key, 0)])
-    pairs = count // 2
-    random = np.array([start(key, pair) for pair in range(pairs)])
-    return (np.arange(pairs)[:, None] + np.stack([random, 1.0 - random], axis=1)).ravel() / pairs
+def _means(response: Curve, edges: Array, spectrum: Curve, dark: Array) -> Array:
+    """Return the means of a spectrum over strata, weighted with a response; `dark`: those where that is 0."""
+    area = response.integrals(edges)
+    return np.divide(response.integrals(edges, spectrum), area, out=dark, where=area > 0.0)
+
+
+def _strata(response: Curve) -> Array:
+    """Return the ends of the strata of a band, nm: with equal integrals of the cube root of its response.
+
+    No stratum reaches over a gap in the response.
+    """
+    knots, values = response.wavelengths_nm, response.values
+    root = Curve(knots, np.cbrt(values))
+    wide = root.area_nm / (root.values.max() * SPACING * response.centroid_nm)
+    count = int(np.clip(np.ceil(wide), LEAST_LINES, MOST_LINES))
+    lit = np.convolve(values > 0.0, (1, 1, 1), mode="same") > 0
+    return np.union1d(root.quantile_nm(np.linspace(0.0, 1.0, count + 1)), knots[lit & (values == 0.0)])

@@ -4,9 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
-from lfmesh.optics.cie import planck_radiance
 from lfmesh.scene import Scene
-from lfmesh.scene.spectra import Spectrum, curve_of
+from lfmesh.scene.spectra import Spectrum, curve_of, planck_curve
 from lfmesh.transport.tables.lines import Lines
 
 Array = NDArray[np.float64]
@@ -56,16 +55,14 @@ def radiance_at(scene: Scene, number: int, lines: Lines) -> Array:
         A spectrum does not reach over the scene's wavelengths, or its file cannot be used.
     """
     material, where = scene.targets[number].material, f"targets[{number}].material"
-    wavelengths_nm = np.array(lines.wavelengths_nm)
     if material.temperature_k is not None:
-        return np.asarray(planck_radiance(wavelengths_nm, material.temperature_k) * lines.weight_nm)
+        black = planck_curve(material.temperature_k, scene.reach_nm)
+        return np.asarray(lines.mean(black) * lines.weight_nm)
     value = material.radiance_w_m2_sr
     if not isinstance(value, Spectrum):
         return spread(scene, value, material.spectrum, lines, f"{where}.spectrum")
-    if value.blackbody_k is not None:
-        return np.asarray(planck_radiance(wavelengths_nm, value.blackbody_k) * lines.weight_nm)
     curve = curve_of(value, scene.reach_nm, scene, f"{where}.radiance_w_m2_sr")
-    return np.asarray(curve.at(wavelengths_nm) * lines.weight_nm)
+    return np.asarray(lines.mean(curve) * lines.weight_nm)
 
 
 def spread(scene: Scene, total: float, shape: Spectrum | None, lines: Lines, where: str) -> Array:

@@ -15,12 +15,12 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.refractors import bounding_mesh
 from lfmesh.geometry.shell_tree import tree_of
 from lfmesh.geometry.voxels import VoxelGrid, read_voxels
-from lfmesh.optics.cie import planck_constants, planck_radiance
+from lfmesh.optics.cie import planck_constants
 from lfmesh.optics.phase import PHASE, PhaseTables, phase_tables
 from lfmesh.scene import Box, Cylinder, Scene, Sphere
 from lfmesh.scene.media import Medium, MeshBounds
 from lfmesh.scene.phase import IsotropicPhase
-from lfmesh.scene.spectra import Spectrum, curve_of
+from lfmesh.scene.spectra import Spectrum, curve_of, planck_curve
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.hosts import Hosts
 from lfmesh.transport.tables.lines import Lines
@@ -174,7 +174,7 @@ def volume_tables(
             spectrum = np.ones(len(wavelengths_nm))
         elif medium.temperature_k is not None:
             row["emits"] = OF_BODY
-            spectrum = planck_radiance(np.array(wavelengths_nm), medium.temperature_k) * lines.weight_nm
+            spectrum = lines.mean(planck_curve(medium.temperature_k, scene.reach_nm)) * lines.weight_nm
         elif grid is not None and "emission_w_mm3_sr" in grid.values:
             row["emits"] = OF_VOXELS
             spectrum = W_MM3 * spread(scene, 1.0, medium.spectrum, lines, f"{where}.spectrum")
@@ -405,7 +405,7 @@ def _emission(scene: Scene, medium: Medium, lines: Lines, where: str) -> Array:
     if not isinstance(value, Spectrum):
         return spread(scene, value, medium.spectrum, lines, f"{where}.spectrum")
     curve = curve_of(value, scene.reach_nm, scene, f"{where}.emission_w_mm3_sr")
-    return np.asarray(curve.at(lines.wavelengths_nm) * lines.weight_nm)
+    return np.asarray(lines.mean(curve) * lines.weight_nm)
 
 
 def corners_of(row: np.void) -> Array | None:

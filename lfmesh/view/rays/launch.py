@@ -22,6 +22,7 @@ from lfmesh.transport.packets.random import descendant, run_key
 from lfmesh.transport.settings import SPLIT_MODE, options_of
 from lfmesh.transport.sources.lights import LightSource
 from lfmesh.transport.sources.pixels import PixelSource
+from lfmesh.transport.tables.lines import Nodes
 from lfmesh.transport.tables.tables import Records, Tables
 from lfmesh.transport.trace import at_wavelength, joined_records
 from lfmesh.transport.world import World
@@ -345,7 +346,7 @@ def _from_sources(world: World, tables: Tables, settings: Settings) -> Rays:
         total = settings.rays_of(place)
         for replicate, first in enumerate(range(0, total, one)):
             key = descendant(run_key(settings.seed), replicate, colour)
-            starts = LightSource(0, min(one, total - first), total, key, colour)
+            starts = LightSource(0, min(one, total - first), total, key, Nodes.single(colour))
             parts.append(traced(world, tables, options, starts, place))
     return _assembled(world, parts, settings)
 

@@ -16,6 +16,7 @@ from lfmesh.transport.sources.lights import LightSource
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher, Source
+from lfmesh.transport.tables.lines import FIRST
 from lfmesh.transport.world import World, build
 
 KEY = run_key(7)
@@ -40,7 +41,7 @@ def pixels() -> Source:
 
 
 def lights() -> Source:
-    return LightSource(40, 150, 1000, KEY, 0)
+    return LightSource(40, 150, 1000, KEY, FIRST)
 
 
 def rays() -> Source:

@@ -22,7 +22,7 @@ from lfmesh.transport.render.tally import RenderState, arrays_of
 
 CHECKPOINT = "lfmesh-checkpoint.npz"
 
-FORMAT = 1
+FORMAT = 2
 """Of the file; a reader refuses any other."""
 
 SECONDS = 10.0

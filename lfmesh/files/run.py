@@ -54,6 +54,7 @@ from lfmesh.transport.checks.found import found
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import Refinement
 from lfmesh.transport.render.blind_check import BlindCheck
+from lfmesh.transport.render.certainty import Certainty
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.order_check import OrderCheck
 
@@ -66,7 +67,7 @@ WHY_OTHERS_ARE_REFUSED = {1: "its pictures and light fields are mirror images of
 RAW, REPORT, SCENE = "raw.exr", "report.json", "scene.toml"
 PREVIEW, VIEW = "preview.png", "preview_view.png"
 WHITE, CALIBRATION, WHITE_PREVIEW = "white.exr", "calibration.json", "white.png"
-PARTS, HITS = ("raw", "stderr"), "hits"
+PARTS, HITS, ERROR, UPPER = ("raw", "stderr"), "hits", "error", "upper"
 
 EDITED_SECONDS = 2.0
 """A scene file of a run without manifest that is newer than the report by more was edited."""
@@ -175,7 +176,7 @@ def open_run(folder: str | os.PathLike[str]) -> Image:
     path = Path(folder)
     report = report_of(path)
     _refuse_change(path, RAW)
-    spectral = exr.read(path / RAW, PARTS, [HITS])
+    spectral = exr.read(path / RAW, PARTS, [HITS, ERROR, UPPER])
     metadata = spectral.metadata
     _refuse_damage(path / RAW, spectral)
     if metadata["pixels_sha256"] != report.get("pixels_sha256"):
@@ -225,7 +226,7 @@ def open_white(folder: str | os.PathLike[str]) -> Image | None:
     recover(path)
     if saved(path, WHITE) is None:
         return None
-    spectral = exr.read(path / WHITE, PARTS, [HITS])
+    spectral = exr.read(path / WHITE, PARTS, [HITS, ERROR, UPPER])
     _refuse_damage(path / WHITE, spectral)
     return _image_from(spectral, path / WHITE)
 
@@ -398,11 +399,19 @@ def _image_of(spectral: exr.SpectralImage, folder: Path) -> Image:
         blind=BlindCheck.from_dict(metadata["blind"]) if metadata.get("blind") else None,
         order=OrderCheck(**metadata["order"]) if metadata.get("order") else None,
         coatings=metadata.get("coatings") or {},
+        certainty=_certainty_of(spectral.parts),
     )
     # Runs of older versions hold no warnings, but the numbers that they follow from.
     told = metadata.get("warnings")
     image.warnings = in_order(found(image)) if told is None else tuple(PictureWarning.from_dict(each) for each in told)
     return image
+
+
+def _certainty_of(parts: dict[str, NDArray[Any]]) -> Certainty | None:
+    """Return errors and bounds that were saved; None of an image of a single part, which tells them itself."""
+    if ERROR not in parts or UPPER not in parts:
+        return None
+    return Certainty(parts[ERROR].astype(np.float64), parts[UPPER].astype(np.float64))
 
 
 @contextmanager
@@ -536,11 +545,13 @@ def _write_all(image: Image, folder: Path, home: Path) -> None:
 
 
 def _write_image(path: Path, image: Image, home: Path) -> dict[str, Any]:
-    """Write mean, standard error and hits for a run that will live in `home`; return the metadata."""
+    """Write the pixels of an image for a run that will live in `home`; return the metadata."""
     mean, stderr = (np.asarray(pixels, dtype=np.float32) for pixels in (image.mean, image.stderr))
     parts: dict[str, NDArray[Any]] = {"raw": mean, "stderr": stderr}
     if image.hits is not None:
         parts[HITS] = np.asarray(image.hits, np.uint32)
+    if image.certainty is not None:
+        parts |= {name: np.asarray(getattr(image.certainty, name), np.float32) for name in (ERROR, UPPER)}
     metadata = _metadata(image, _digest(*parts.values()), home)
     exr.write(path, exr.SpectralImage(parts, image.wavelengths_nm, metadata))
     return metadata

@@ -34,7 +34,7 @@ from lfmesh.transport.world import build
 
 FACTS, PIECES = "render.json", "pieces"
 
-FORMAT = 1
+FORMAT = 2
 """Of the folder; a reader refuses any other."""
 
 SECONDS = "tracing_seconds"
@@ -239,13 +239,14 @@ def _packed(piece: Piece) -> Arrays:
     chunks = piece.chunks
     arrays: Arrays = {
         "replicate": np.array(piece.replicate),
-        **arrays_of(piece.film, "film"),
+        "pixels": np.array((piece.first, piece.last)),
+        **arrays_of(piece.films, "films"),
         "number": np.array([chunk.number for chunk in chunks], np.int64),
         "book": np.array([chunk.book for chunk in chunks]),
         "counts": np.array([chunk.work.counts for chunk in chunks]),
         "packets": np.array([(chunk.work.packets, chunk.work.queries) for chunk in chunks], np.int64),
         "seconds": np.array([(chunk.work.embree_seconds, chunk.work.thread_seconds) for chunk in chunks]),
-        "from_lamps": np.array([chunk.from_lamps for chunk in chunks], np.bool_),
+        "part": np.array([chunk.part for chunk in chunks], np.int64),
         "fallen": np.array([len(chunk.deposits) for chunk in chunks], np.int64),
     }
     if chunks:
@@ -264,7 +265,8 @@ def _unpacked(path: Path, job: Job, tracer: Tracer) -> tuple[Piece, float]:
     pixels = job.block.last - job.block.first
     try:
         held = read_arrays(path)
-        film: Film = filled(Film.empty(pixels, tracer.channels), held, "film")
+        empty = tuple(Film.empty(pixels, tracer.channels) for _ in range(tracer.layout.from_pixels))
+        films: tuple[Film, ...] = filled(empty, held, "films")
         blind: BlindSamples | None = None
         if any(name.startswith("blind.") for name in held):
             blind = filled(BlindSamples(*tracer.shape), held, "blind")
@@ -281,13 +283,13 @@ def _unpacked(path: Path, job: Job, tracer: Tracer) -> tuple[Piece, float]:
                     float(held["seconds"][i, 1]),
                 ),
                 held["deposits"][ends[i] - held["fallen"][i] : ends[i]],
-                bool(held["from_lamps"][i]),
+                int(held["part"][i]),
             )
             for i, number in enumerate(held["number"])
         ]
-        if int(held["replicate"]) != job.replicate or film.origin != job.block.first:
+        if int(held["replicate"]) != job.replicate or held["pixels"].tolist() != [job.block.first, job.block.last]:
             raise ValueError("another piece")
         seconds = float(held[SECONDS])
     except (OSError, ValueError, KeyError, IndexError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
         raise FileError(f"{path} is damaged: delete it, and run its share again") from None
-    return Piece(job.replicate, film, chunks, blind), seconds
+    return Piece(job.replicate, job.block.first, job.block.last, films, chunks, blind), seconds

@@ -63,14 +63,14 @@ def _quartiles(image: Image, lit: NDArray[np.bool_]) -> tuple[float, float, floa
     """Return the quartiles of the lit pixels' relative error."""
     if image.replicates < 2:
         return None
-    steps = neighbours(image.scene)
+    steps, error = neighbours(image.scene), image.error
     relative = np.empty(int(lit.sum()), np.float32)
     first = 0
     for low in range(0, len(lit), ROWS_AT_ONCE):
         rows = slice(low, low + ROWS_AT_ONCE)
         here = lit[rows]
-        error, pooled = pooled_error(image.mean, image.stderr, steps, rows)
-        part = error[here] / (image.mean[rows][here] * typical_over_rms(pooled[here], image.replicates))
+        _, pooled = pooled_error(image.mean, image.stderr, steps, rows)
+        part = error[rows][here] / (image.mean[rows][here] * typical_over_rms(pooled[here], image.replicates))
         relative[first : first + len(part)] = part
         first += len(part)
     known = relative[np.isfinite(relative)]

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,8 +71,7 @@ def _films(scene: Scene, replicates: Sequence[int]) -> Array:
         tally = tracer.layout.tally()
         tally.restart(replicate)
         tally.merge([tracer.piece(replicate, tracer.plan.whole())])
-        power = tally.film.power if tally.lamps is None else tally.film.power + tally.lamps.power
-        films.append(power.reshape(tracer.shape))
+        films.append(reduce(np.add, [film.power for film in tally.films]).reshape(tracer.shape))
     return np.stack(films)
 
 

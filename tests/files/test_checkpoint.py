@@ -149,7 +149,7 @@ def test_a_damaged_checkpoint_is_refused_in_one_line(cut_short: Path, capsys: py
     path = cut_short / CHECKPOINT
     contents = path.read_bytes()
     with np.load(path) as arrays:
-        place = contents.index(arrays["first.mean.mean"].tobytes())
+        place = contents.index(arrays["first.means.0.mean"].tobytes())
     for damaged in (contents[: len(contents) // 2], b"", b"text", contents[:place] + b"\0\1" + contents[place + 2 :]):
         path.write_bytes(damaged)
         assert "is damaged; delete it" in refusal(capsys)
@@ -172,8 +172,8 @@ def test_a_state_that_does_not_fit_its_scene_is_refused_in_one_line(
 ) -> None:
     with np.load(cut_short / CHECKPOINT) as file:
         arrays = dict(file)
-    np.savez(cut_short / CHECKPOINT, **arrays | {"first.mean.mean": np.zeros((3, 3, 1))})
-    assert "is not that of this scene's render: first.mean.mean has another size" in refusal(capsys)
+    np.savez(cut_short / CHECKPOINT, **arrays | {"first.means.0.mean": np.zeros((3, 3, 1))})
+    assert "is not that of this scene's render: first.means.0.mean has another size" in refusal(capsys)
 
 
 def test_a_file_that_changed_or_went_since_is_named_in_one_line(

@@ -199,14 +199,14 @@ def test_a_checkpoint_killed_at_any_step_is_the_old_one_or_the_new(tmp_path: Pat
     folder, state = tmp_path / "run", Layout((4, 3, 1), (2, 5), 3, blind=True).state()
 
     def keep(replicates: int) -> None:
-        state.first.mean.count = replicates
+        state.first.means[0].count = replicates
         Checkpoints(folder, {"scene_toml": "", "scene_folder": "."})(state, last=True)
 
     def kept() -> int:
         recover(folder)
         assert files_in(folder) == {CHECKPOINT}
         with np.load(folder / CHECKPOINT) as arrays:
-            return int(arrays["first.mean.count"])
+            return int(arrays["first.means.0.count"])
 
     keep(1)
     # Moving it into its place is the last step.

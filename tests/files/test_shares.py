@@ -42,7 +42,7 @@ def scene_of() -> Callable[[str], lf.Scene]:
 
 
 def same_bits(one: lf.Image, other: lf.Image) -> None:
-    for name in ("mean", "stderr", "hits"):
+    for name in ("mean", "stderr", "hits", "error", "upper"):
         assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
     assert one.ledger == other.ledger
     assert one.blind == other.blind

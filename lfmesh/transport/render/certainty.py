@@ -1,5 +1,9 @@
 """The certainty of a pixel: its standard error, pooled with similar neighbours, and an upper bound.
 
+Parts of an image are estimated independently, some by many samples that nearly all bring light, some by a few heavy
+ones. Each part has an error and a margin of its own, and the squares of these are added. So a pixel of many direct hits
+is known no better than the rarest of its light.
+
 The spread over a few replicates is a poor estimate for a single pixel. With four replicates, a quarter of the pixels
 have by chance a third of their true error or less; and a pixel for which only rare samples differ has no spread until
 it meets one of them. Its neighbours have met them. So the variance reported for a pixel is the mean of its own and that
@@ -7,6 +11,9 @@ of a pool: pixels around it and at its place in the neighbouring micro-images th
 picture is as steep, since an edge is known less well than the areas beside it. Over any group of pixels that is not
 chosen by its noise, the mean of the variance stays unchanged.
 """
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,41 +126,109 @@ def typical_over_rms(pooled: NDArray[np.int64], replicates: int) -> Array:
     return np.sqrt(0.5 * (own + 1.0 - (1.0 - own) / pooled**2))
 
 
-def upper_bound(mean: Array, stderr: Array, hits: NDArray[np.uint32], replicates: int, samples: int) -> Array:
-    """Return an upper bound of each pixel, with a confidence of 95 % for each.
+class Estimate(NamedTuple):
+    """An independent estimate of some of the light of an image: a part of it, or an image of a single part.
 
-    With many hits the bound is the mean plus Student's one-sided quantile of standard errors. With fewer than
-    `FEW_HITS`, the share of the samples that bring light is bounded by the limit of Clopper & Pearson (1934): without a
-    hit in n samples 1 − 0.05^(1/n), about 3/n. Each such sample is taken to bring the mean of the pixel's own hits and
-    one further hit of the largest value: the average hit in that pixel of a thousand where hits bring the most. Heavier
-    paths, which are too rare to be bounded in one pixel, are added as their mean over all pixels. The larger of the two
-    bounds is returned.
+    Attributes
+    ----------
+    mean, stderr : (H, W, wavelengths) float64, W
+    hits : (H, W, wavelengths) uint32
+    samples : int
+        Least number of samples of a pixel; forward: number of packets in all.
+    """
+
+    mean: Array
+    stderr: Array
+    hits: NDArray[np.uint32]
+    samples: int
+
+
+class Certainty(NamedTuple):
+    """The certainty of every pixel of an image.
+
+    Attributes
+    ----------
+    error : (H, W, wavelengths) float64, W
+        Standard error, see `error_of`: the root of the sum of all parts' squares.
+    upper : (H, W, wavelengths) float64, W
+        Upper bound with a confidence of 95 %; see `upper_bound`.
+    """
+
+    error: Array
+    upper: Array
+
+    @classmethod
+    def of(cls, parts: Sequence[Estimate], scene: Scene, replicates: int) -> "Certainty":
+        """Return the certainty of an image that is the sum of some parts."""
+        steps = neighbours(scene)
+        errors = [error_of(part, steps) for part in parts]
+        upper = upper_bound(parts, errors, replicates)
+        for error in errors[1:]:
+            np.hypot(errors[0], error, out=errors[0])
+        return cls(errors[0], upper)
+
+
+def error_of(part: Estimate, steps: NDArray[np.int64]) -> Array:
+    """Return the standard error of each pixel of a part, (H, W, wavelengths) float64, W.
+
+    It is `pooled_error`, unless most of the part's hits fall on pixels with few. There neighbours may not have met the
+    paths that bring most of the light either, so the pool is all such pixels of the image, by their hits and one more.
+
+    Parameters
+    ----------
+    part : Estimate
+    steps : (n, 2) int64
+        See `neighbours`.
+    """
+    error, _ = pooled_error(part.mean, part.stderr, steps)
+    for colour in range(error.shape[2]):
+        hits, own = part.hits[:, :, colour], part.stderr[:, :, colour]
+        few = (hits < FEW_HITS) & (2 * hits < part.samples)
+        if 2 * hits.sum(where=few) > hits.sum():
+            each = (own[few] ** 2).sum() / (hits[few] + 1.0).sum()
+            error[few, colour] = np.sqrt(0.5 * (own[few] ** 2 + each * (hits[few] + 1.0)))
+    return error
+
+
+def upper_bound(parts: Sequence[Estimate], errors: Sequence[Array], replicates: int) -> Array:
+    """Return an upper bound of each pixel, (H, W, wavelengths) float64, W, with a confidence of 95 % for each.
+
+    Each part has a margin above its mean. Parts are independent, so the squares of the margins are added. With many
+    hits the margin is Student's one-sided quantile of errors. With fewer than `FEW_HITS`, the share of the samples that
+    bring light is bounded by the limit of Clopper & Pearson (1934): without a hit in n samples 1 − 0.05^(1/n), about
+    3/n. Each such sample is taken to bring the mean of the pixel's own hits and one further hit of the largest value:
+    the average hit in that pixel of a thousand where hits bring the most. Heavier paths, which are too rare to be
+    bounded in one pixel, are added as their mean over all pixels. The larger of the two margins counts.
 
     It does not bound light along paths of a kind that no sample of the whole image has found.
 
     Parameters
     ----------
-    mean, stderr : (H, W, wavelengths) float64, W
-    hits : (H, W, wavelengths) uint32
+    parts : sequence of Estimate
+        Their sum is the image.
+    errors : sequence of (H, W, wavelengths) float64, W
+        Of each part, see `error_of`.
     replicates : int
-    samples : int
-        Least number of samples of a pixel; forward: number of packets in all.
     """
     from scipy import special
 
-    bound = np.empty_like(mean)
     quantile = float(special.stdtrit(replicates - 1, CONFIDENCE)) if replicates > 1 else np.nan
-    # Without a spread, the bound rests on the hits alone.
-    few = np.arange(FEW_HITS if replicates > 1 else int(hits.max(initial=0)) + 1)
-    # With as many hits as samples, the limit of the share is 1.
-    limit = np.where(few < samples, special.betaincinv(few + 1.0, np.maximum(samples - few, 1.0), CONFIDENCE), 1.0)
-    most, beyond = _largest_hit(mean, hits)
-    for row in range(len(mean)):
-        bound[row] = mean[row] + quantile * stderr[row]
-        unsure = hits[row] < len(few)
-        count = np.minimum(hits[row], len(few) - 1)
-        one_path = samples * (mean[row] + most) / (count + 1.0)
-        bound[row] = np.where(unsure, np.fmax(bound[row], limit[count] * one_path + beyond), bound[row])
+    bound, squares = np.zeros((2, *parts[0].mean.shape))
+    for part, error in zip(parts, errors, strict=True):
+        # Without a spread, the bound rests on the hits alone.
+        few = np.arange(FEW_HITS if replicates > 1 else int(part.hits.max(initial=0)) + 1)
+        # With as many hits as samples, the limit of the share is 1.
+        missed = np.maximum(part.samples - few, 1.0)
+        limit = np.where(few < part.samples, special.betaincinv(few + 1.0, missed, CONFIDENCE), 1.0)
+        most, beyond = _largest_hit(part.mean, part.hits)
+        for row, hits in enumerate(part.hits):
+            own, margin = part.mean[row], quantile * error[row]
+            count = np.minimum(hits, len(few) - 1)
+            one_path = part.samples * (own + most) / (count + 1.0)
+            by_hits = limit[count] * one_path + beyond - own
+            bound[row] += own
+            squares[row] += np.where(hits < len(few), np.fmax(margin, by_hits), margin) ** 2
+    bound += np.sqrt(squares, out=squares)
     return bound
 
 

@@ -12,7 +12,7 @@ from lfmesh.transport.aiming.aim_proof import AimProof
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import Refinement
 from lfmesh.transport.render.blind_check import BlindCheck
-from lfmesh.transport.render.certainty import neighbours, pooled_error, upper_bound
+from lfmesh.transport.render.certainty import FEW_HITS, Certainty, Estimate, error_of, neighbours, upper_bound
 from lfmesh.transport.render.order_check import OrderCheck
 
 
@@ -60,6 +60,9 @@ class Image(Pictured):
         For each coating in use, the largest error of the reflectance and transmittance that were interpolated.
     warnings : tuple of PictureWarning
         By what the picture is or may be wrong, most important first: what `lf.render` warned of.
+    certainty : Certainty or None
+        `error` and `upper`, made by the parts of the image; None of an image of a single part, where they follow from
+        `mean`, `stderr` and `hits`.
 
     See Also
     --------
@@ -83,6 +86,7 @@ class Image(Pictured):
     order: OrderCheck | None = None
     coatings: dict[str, float] = field(default_factory=dict)
     warnings: tuple[PictureWarning, ...] = ()
+    certainty: Certainty | None = None
 
     def __repr__(self) -> str:
         rows, columns, channels = self.mean.shape
@@ -103,21 +107,25 @@ class Image(Pictured):
 
     @property
     def error(self) -> NDArray[np.float64]:
-        """Pooled standard error of each pixel, (H, W, wavelengths) float64, W; computed at each call.
+        """Pooled standard error of each pixel, (H, W, wavelengths) float64, W; of a single part computed at each call.
 
-        The variance is the mean of the pixel's own and that of a pool: the pixel, the eight around it and those at its
-        place in the adjacent micro-images, as far as they are as bright (within a factor of 1.5) and lie where the
-        picture is as steep (within a factor of 2). The pool makes up for the few replicates of one pixel. NaN with
-        fewer than two replicates.
+        Of each part of the image the variance is the mean of the pixel's own and that of a pool: the pixel, the eight
+        around it and those at its place in the adjacent micro-images, as far as they are as bright (within a factor of
+        1.5) and lie where the picture is as steep (within a factor of 2); of a part that few samples of nearly any
+        pixel found, all such pixels. The pool makes up for the few replicates of one pixel. NaN with fewer than two
+        replicates.
         """
-        return pooled_error(self.mean, self.stderr, neighbours(self.scene))[0]
+        if self.certainty is not None:
+            return self.certainty.error
+        return error_of(self._estimate(self.hits), neighbours(self.scene))
 
     @property
     def upper(self) -> NDArray[np.float64]:
         """Upper bound of each pixel, with a confidence of 95 % each, (H, W, wavelengths) float64, W.
 
         Mean plus Student's quantile of standard errors. With few hits or none, the bound on the share of samples that
-        bring light, times the light of one such sample in the brightest pixels. Computed at each call; see
+        bring light, times the light of one such sample in the brightest pixels. Of several parts the margins are added
+        by their squares; of a single part it is computed at each call. See
         `lfmesh.transport.render.certainty.upper_bound`.
 
         Raises
@@ -125,13 +133,21 @@ class Image(Pictured):
         LfmeshError
             The image has no count of hits.
         """
+        if self.certainty is not None:
+            return self.certainty.upper
         if self.hits is None:
             raise LfmeshError("an image without hits has no upper bound: it was not rendered, or by an older lfmesh")
+        return upper_bound([self._estimate(self.hits)], [self.error], self.replicates)
+
+    def _estimate(self, hits: NDArray[np.uint32] | None) -> Estimate:
+        """Return the image as an estimate of a single part; without hits, every pixel counts as one with enough."""
         transport = self.scene.transport
         samples = transport.samples_each * self.replicates
         if transport.method == "forward":
             samples *= self.mean.shape[0] * self.mean.shape[1]
-        return upper_bound(self.mean, self.stderr, self.hits, self.replicates, samples)
+        if hits is None:
+            hits = np.full(self.mean.shape, FEW_HITS, np.uint32)
+        return Estimate(self.mean, self.stderr, hits, samples)
 
     @property
     def channel_names(self) -> tuple[str, ...]:

@@ -143,7 +143,7 @@ def reduced(
     def tallies(first: int, levels: Counts | None) -> Iterator[Tally]:
         cut = tracer.plan.blocks(blocks, second=levels is not None)
         numbers = [number_of(number, replicates, levels) for number in range(first, replicates)]
-        tally = tracer.layout.tally()
+        tally = tracer.layout.tally(second=levels is not None)
         pieces = reduce(jobs_of(scene, numbers, cut, chunk, levels))
         for number, of_replicate in groupby(pieces, lambda piece: piece.replicate):
             tally.restart(number)

@@ -110,6 +110,16 @@ class Part:
         """Return the part's samples of a pixel, at least one, when the image has `of_image` samples."""
         return max(1, of_image // self.thinned)
 
+    def draws(self, pixels: int, of_image: int, replicates: int) -> int:
+        """Return how often a replicate draws what may bring light to a pixel: samples of it, or packets of all.
+
+        Parameters
+        ----------
+        pixels, of_image, replicates : int
+            See `packets`.
+        """
+        return self.samples(of_image) if self.options.adjoint else self.packets(pixels, of_image, replicates)
+
     @property
     def from_lamps(self) -> bool:
         """Whether its packets come from particles or lamps and are not the method's own."""

@@ -45,6 +45,8 @@ class Chunk:
         Pixel numbers; None for those from `first` on.
     owner : int
         Pixel whose block books it.
+    place : int
+        Place of its part among those of the image.
     """
 
     number: int
@@ -56,11 +58,7 @@ class Chunk:
     samples: int = 1
     pixels: NDArray[np.int64] | None = None
     owner: int = 0
-
-    @property
-    def from_lamps(self) -> bool:
-        """Whether its packets come from particles or, in the adjoint method, from lamps."""
-        return self.part.from_lamps
+    place: int = 0
 
     def pixel_numbers(self) -> NDArray[np.int64]:
         """Return the pixels that it starts from."""
@@ -114,12 +112,12 @@ class Plan:
     def chunks(self, replicate: int, levels: Counts | None = None) -> Iterator[Chunk]:
         """Yield a replicate's chunks in the order of folding; `levels` (pixels,): of the second stage."""
         number = 0
-        for part in self.parts:
+        for place, part in enumerate(self.parts):
             for channel in range(self.lines.channels):
                 for first, count, samples, pixels in (
                     self._first(part) if levels is None else self._second(part, levels)
                 ):
-                    chunk = Chunk(number, part, first, count, channel, count, samples, pixels)
+                    chunk = Chunk(number, part, first, count, channel, count, samples, pixels, place=place)
                     if part.options.adjoint:
                         yield replace(chunk, packets=count * samples, owner=first)
                     else:

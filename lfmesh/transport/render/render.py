@@ -3,7 +3,8 @@
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import reduce
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,6 +18,7 @@ from lfmesh.transport.checks.found import found, proofs
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.packets.packet import EVENTS
 from lfmesh.transport.render.adaptive import Counts, Refinement, combine, samples_of, second_stage, total_samples
+from lfmesh.transport.render.certainty import Certainty, Estimate
 from lfmesh.transport.render.compile_ahead import compiled_ahead
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.parts import LAMP_BOOK, OWN_BOOK, finds_all, in_words
@@ -139,12 +141,12 @@ class Renderer(Tracer):
     def _tallies(self, pool: Threads, clock: "Clock", first: int, levels: Counts | None) -> Iterator[Tally]:
         """Trace a stage's replicates one after the other, in the memory of a single tally."""
         replicates = self.world.scene.transport.replicates
-        tally = (self.layout if levels is None else replace(self.layout, lamps=False)).tally()
+        tally = self.layout.tally(second=levels is not None)
         one = self.plan.packets(levels)
         for number in range(first, replicates):
             tally.restart(number_of(number, replicates, levels))
             with closing(
-                self.traced(pool, tally.replicate, self.plan.chunks(tally.replicate, levels), tally.film)
+                self.traced(pool, tally.replicate, self.plan.chunks(tally.replicate, levels), tally.films)
             ) as chunks:
                 for chunk in chunks:
                     tally.add(chunk)
@@ -239,11 +241,11 @@ def folded(tracer: Tracer, state: RenderState, tallies: Tallies, clock: Clock, k
     add(state.first, None)
     refinement = None
     if transport.target_error is not None and state.first.count == transport.replicates:
-        seen = state.first.mean.mean
-        if state.first.lamps is not None:
-            seen = seen + state.first.lamps.mean
-        levels, capped = second_stage(seen, state.first.mean.variance(), tracer.world.scene)
-        state.second = state.second or tracer.layout.second()
+        layout, means = tracer.layout, state.first.means
+        seen = reduce(np.add, [mean.mean for mean in means])
+        noise = reduce(np.add, [mean.variance() for mean in means[: layout.from_pixels]])
+        levels, capped = second_stage(seen, noise, tracer.world.scene)
+        state.second = state.second or layout.stage(second=True)
         add(state.second, levels.ravel())
         refinement = _refined(tracer, state.first, state.second, levels, capped)
     state.seconds = clock.seconds
@@ -259,9 +261,10 @@ def _refined(tracer: Tracer, first: StageSum, second: StageSum, levels: Counts, 
     more = samples_of(np.arange(levels.max() + 1, dtype=np.uint8)) * replicates
     before = tracer.samples * first.count
     if replicates:
-        mean, variance = first.mean.mean, first.mean.variance()
-        combine(mean, variance, second.mean.mean, second.mean.variance(), levels, more / (before + more))
-        first.mean.hits += second.mean.hits
+        # Packets of lamps do not start from pixels, so the second stage has none: the first stage's are kept.
+        for mean, other in zip(first.means, second.means, strict=False):
+            combine(mean.mean, mean.variance(), other.mean, other.variance(), levels, more / (before + more))
+            mean.hits += other.hits
     spent = before + total_samples(levels) * replicates / tracer.pixels
     share = float((levels > 0).mean())
     return Refinement(transport.target_error, transport.max_samples, replicates, spent, share, capped)
@@ -269,17 +272,20 @@ def _refined(tracer: Tracer, first: StageSum, second: StageSum, levels: Counts, 
 
 def _image(tracer: Tracer, state: RenderState, refinement: Refinement | None) -> Image:
     """Make the image of a state, reusing the state's memory."""
-    first, mean = state.first, state.first.mean
-    variance = mean.variance()
-    # Compared before the light of lamps' own packets is added, which samples from pixels cannot find.
+    first = state.first
+    certainty = _certainty(tracer, first)
+    # Those that samples without aim cannot find come last.
+    own = sum(not part.from_lamps for part in tracer.parts)
+    total = first.means[0]
+    for mean in first.means[1:own]:
+        total.add_estimate(mean)
+    light, noise = (total.mean, total.variance()) if own else np.zeros((2, *tracer.shape))
     blind = None
     if first.blind is not None:
-        blind = first.blind.compared(mean.mean, variance, all_light=finds_all(tracer.world))
-    if first.lamps is not None:
-        # These packets do not start from pixels, so the second stage has none: the first stage's are added.
-        mean.mean += first.lamps.mean
-        variance += first.lamps.variance()
-        mean.hits += first.lamps.hits
+        blind = first.blind.compared(light, noise, all_light=finds_all(tracer.world))
+    for mean in first.means[max(own, 1) :]:
+        total.add_estimate(mean)
+    variance = total.variance()
     ledger = _ledger(tracer, first)
     # The energy is of the first stage, in which all pixels have the same samples; the work is of both stages.
     work = first.work
@@ -287,7 +293,7 @@ def _image(tracer: Tracer, state: RenderState, refinement: Refinement | None) ->
         work.add(state.second.work)
     ledger.packets, ledger.events = work.packets, int(work.counts[EVENTS])
     image = Image(
-        mean=mean.mean,
+        mean=total.mean,
         stderr=np.sqrt(variance, out=variance),
         scene=tracer.world.scene,
         ledger=ledger,
@@ -303,14 +309,32 @@ def _image(tracer: Tracer, state: RenderState, refinement: Refinement | None) ->
             "threads": tracer.threads,
         },
         refinement=refinement,
-        hits=mean.hits,
+        hits=total.hits,
         aim=tracer.world.aim_proof,
         blind=blind,
         order=tracer.order,
         coatings=coating_errors(tracer.world.scene),
+        certainty=certainty,
     )
     image.warnings = in_order([*foreseen(tracer.world), *found(image)])
     return image
+
+
+def _certainty(tracer: Tracer, first: StageSum) -> Certainty | None:
+    """Return the errors and bounds of an image of several parts; None of a single part, which tells them itself."""
+    if len(tracer.parts) == 1:
+        return None
+    scene = tracer.world.scene
+    estimates = [
+        Estimate(
+            mean.mean,
+            np.sqrt(mean.variance()),
+            mean.hits,
+            first.count * part.draws(tracer.pixels, tracer.samples, scene.transport.replicates),
+        )
+        for mean, part in zip(first.means, tracer.parts, strict=True)
+    ]
+    return Certainty.of(estimates, scene, first.count)
 
 
 def _ledger(tracer: Tracer, first: StageSum) -> Ledger:

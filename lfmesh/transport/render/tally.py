@@ -1,7 +1,8 @@
 """Tallies: the results of a render's replicates, and their running sum.
 
-The flow is chunk → tally of a replicate → sum of a stage → state of the render → image. All of it is numbers and numpy
-arrays, which can be pickled, and saved and loaded with `arrays_of` and `filled`. Every sum is folded in a fixed order,
+The flow is chunk → tally of a replicate → sum of a stage → state of the render → image. Each part of an image has films
+and means of its own, up to the image. All of it is numbers and numpy arrays, which can be pickled, and saved and loaded
+with `arrays_of` and `filled`. Every sum is folded in a fixed order,
 chunk by chunk and replicate by replicate, so that the result does not depend on which process traced what and when.
 """
 
@@ -22,7 +23,7 @@ Shape = tuple[int, int, int]
 
 @dataclass
 class Film:
-    """The light of one replicate, or of a block of its pixels.
+    """The light of a part in one replicate, or in a block of its pixels.
 
     Attributes
     ----------
@@ -110,15 +111,15 @@ class ChunkTally:
     work : Work
     deposits : (n,) DEPOSIT
         Packets traced forward that fell on pixels.
-    from_lamps : bool
-        Whether the deposits are packets of particles or, in the adjoint method, lamps' own.
+    part : int
+        Place of its part among those of the image.
     """
 
     number: int
     book: Array
     work: Work
     deposits: NDArray[np.void]
-    from_lamps: bool = False
+    part: int
 
 
 @dataclass
@@ -128,15 +129,19 @@ class Piece:
     Attributes
     ----------
     replicate : int
-    film : Film
-        The block's pixels, without deposits.
+    first, last : int
+        The block's pixels, from number `first` up to `last`, not included.
+    films : tuple of Film
+        Light of these pixels, by parts that start from pixels.
     chunks : list of ChunkTally
         Chunks that begin in the block.
     blind : BlindSamples or None
     """
 
     replicate: int
-    film: Film
+    first: int
+    last: int
+    films: tuple[Film, ...]
     chunks: list[ChunkTally]
     blind: BlindSamples | None = None
 
@@ -149,13 +154,13 @@ def joined(pieces: Sequence[Piece]) -> Piece:
     pieces : sequence of Piece
         In the order of their pixels.
     """
-    films = [piece.film for piece in pieces]
-    film = Film(
-        np.concatenate([film.power for film in films]), np.concatenate([film.hits for film in films]), films[0].origin
+    films = tuple(
+        Film(np.concatenate([film.power for film in row]), np.concatenate([film.hits for film in row]), row[0].origin)
+        for row in zip(*(piece.films for piece in pieces), strict=True)
     )
     chunks = [chunk for piece in pieces for chunk in piece.chunks]
     blind = next((piece.blind for piece in pieces if piece.blind is not None), None)
-    return Piece(pieces[0].replicate, film, chunks, blind)
+    return Piece(pieces[0].replicate, pieces[0].first, pieces[-1].last, films, chunks, blind)
 
 
 @dataclass
@@ -165,11 +170,8 @@ class Tally:
     Attributes
     ----------
     replicate : int
-    film : Film
-        Film of all pixels.
-    lamps : Film or None
-        Light of lamps' own packets and of particles, kept separate: it is not weighted with the pixels' number of
-        samples.
+    films : tuple of Film
+        Film of all pixels of each part, those that start from pixels first.
     book : (BOOKS, slots) float64
     work : Work
     blind : BlindSamples or None
@@ -177,8 +179,7 @@ class Tally:
     """
 
     replicate: int
-    film: Film
-    lamps: Film | None
+    films: tuple[Film, ...]
     book: Array
     work: Work
     blind: BlindSamples | None = None
@@ -186,9 +187,8 @@ class Tally:
     def restart(self, replicate: int) -> None:
         """Clear the tally for another replicate, in the same memory."""
         self.replicate = replicate
-        for film in (self.film, self.lamps):
-            if film is not None:
-                film.clear()
+        for film in self.films:
+            film.clear()
         self.book[:] = 0.0
         self.work = Work(np.zeros_like(self.work.counts))
         self.blind = None
@@ -197,8 +197,7 @@ class Tally:
         """Add the next chunk, whose light from pixels is already on the film."""
         self.book += chunk.book
         self.work.add(chunk.work)
-        film = self.lamps if chunk.from_lamps and self.lamps is not None else self.film
-        film.deposit(chunk.deposits)
+        self.films[chunk.part].deposit(chunk.deposits)
 
     def merge(self, pieces: Iterable[Piece]) -> None:
         """Fold the pieces of the tally's replicate, given in any order, to the same bits as in a single process.
@@ -209,14 +208,15 @@ class Tally:
             The pieces do not make up this replicate: a pixel or chunk is missing or given twice.
         """
         chunks: list[ChunkTally] = []
-        covered = np.zeros(len(self.film.power), np.uint8)
+        covered = np.zeros(len(self.films[0].power), np.uint8)
         for piece in pieces:
             if piece.replicate != self.replicate:
                 raise ValueError(f"a piece of replicate {piece.replicate} does not belong to {self.replicate}")
-            rows = slice(piece.film.origin, piece.film.origin + len(piece.film.power))
+            rows = slice(piece.first, piece.last)
             covered[rows] += 1
-            self.film.power[rows] = piece.film.power
-            self.film.hits[rows] = piece.film.hits
+            for film, block in zip(self.films, piece.films, strict=False):
+                film.power[rows] = block.power
+                film.hits[rows] = block.hits
             chunks += piece.chunks
             self.blind = piece.blind if piece.blind is not None else self.blind
         chunks.sort(key=lambda chunk: chunk.number)
@@ -253,6 +253,13 @@ class Mean:
             mean += change / self.count
             squares += change * (row - mean)
 
+    def add_estimate(self, other: "Mean") -> None:
+        """Add an independent estimate of other light: means, variances of the mean, and hits."""
+        variance = self.variance()
+        variance += other.variance()
+        self.mean += other.mean
+        self.hits += other.hits
+
     def variance(self) -> Array:
         """Return the variance of the mean, in place of `squares`; NaN from fewer than two replicates."""
         if not self.final:
@@ -267,16 +274,14 @@ class StageSum:
 
     Attributes
     ----------
-    mean : Mean
-    lamps : Mean or None
-        Mean of the light of lamps' own packets and of particles.
+    means : tuple of Mean
+        Of each part, those that start from pixels first.
     book : (BOOKS, slots) float64
     work : Work
     blind : BlindSamples or None
     """
 
-    mean: Mean
-    lamps: Mean | None
+    means: tuple[Mean, ...]
     book: Array
     work: Work
     blind: BlindSamples | None = None
@@ -284,13 +289,12 @@ class StageSum:
     @property
     def count(self) -> int:
         """Replicates summed."""
-        return self.mean.count
+        return self.means[0].count
 
     def add(self, tally: Tally) -> None:
         """Add the next replicate."""
-        self.mean.add(tally.film)
-        if self.lamps is not None and tally.lamps is not None:
-            self.lamps.add(tally.lamps)
+        for mean, film in zip(self.means, tally.films, strict=True):
+            mean.add(film)
         self.book += tally.book
         self.work.add(tally.work)
         if self.blind is not None and tally.blind is not None:
@@ -324,31 +328,34 @@ class Layout:
     shape : (rows, columns, wavelengths)
     book : (books, slots)
     counters : int
-    lamps, blind : bool
-        Whether lamps' own packets are kept separate, and whether the image is checked by samples without aim.
+    parts, from_pixels : int
+        Parts of the image, and number of those, the first ones, that start from pixels.
+    blind : bool
+        Whether the image is checked by samples without aim.
     """
 
     shape: Shape
     book: tuple[int, int]
     counters: int
-    lamps: bool = False
+    parts: int = 1
+    from_pixels: int = 1
     blind: bool = False
 
-    def tally(self) -> Tally:
-        """Return an empty tally."""
+    def tally(self, *, second: bool = False) -> Tally:
+        """Return an empty tally of a replicate of the first or the second stage."""
         pixels, colours = self.shape[0] * self.shape[1], self.shape[2]
-        lamps = Film.empty(pixels, colours) if self.lamps else None
-        return Tally(0, Film.empty(pixels, colours), lamps, np.zeros(self.book), self._work())
+        films = tuple(Film.empty(pixels, colours) for _ in range(self._parts(second)))
+        return Tally(0, films, np.zeros(self.book), self._work())
 
-    def first(self) -> StageSum:
-        """Return the sum of a first stage that has not begun."""
-        lamps = Mean.empty(self.shape) if self.lamps else None
-        blind = BlindSamples(*self.shape) if self.blind else None
-        return StageSum(Mean.empty(self.shape), lamps, np.zeros(self.book), self._work(), blind)
+    def stage(self, *, second: bool = False) -> StageSum:
+        """Return the sum of the first or the second stage that has not begun."""
+        means = tuple(Mean.empty(self.shape) for _ in range(self._parts(second)))
+        blind = BlindSamples(*self.shape) if self.blind and not second else None
+        return StageSum(means, np.zeros(self.book), self._work(), blind)
 
-    def second(self) -> StageSum:
-        """Return the sum of a second stage that has not begun; it has no packets of lamps."""
-        return StageSum(Mean.empty(self.shape), None, np.zeros(self.book), self._work())
+    def _parts(self, second: bool) -> int:
+        """Return the number of parts of a stage: a second one has samples of pixels alone."""
+        return self.from_pixels if second else self.parts
 
     def state(self, saved: Mapping[str, NDArray[Any]] | None = None) -> RenderState:
         """Return the state of a render that has not begun, or the state that was saved by `arrays_of`.
@@ -359,10 +366,10 @@ class Layout:
             The arrays belong to another render.
         """
         if saved is None:
-            return RenderState(self.first())
-        second = self.second() if any(name.startswith("second.") for name in saved) else None
+            return RenderState(self.stage())
+        second = self.stage(second=True) if any(name.startswith("second.") for name in saved) else None
         try:
-            state: RenderState = filled(RenderState(self.first(), second), saved)
+            state: RenderState = filled(RenderState(self.stage(), second), saved)
         except ValueError as error:
             raise LfmeshError(f"the state that was saved is not that of this scene's render: {error}") from None
         return state
@@ -372,11 +379,11 @@ class Layout:
 
 
 def arrays_of(value: Any, name: str = "") -> dict[str, NDArray[Any]]:
-    """Return a dataclass of this file as named arrays, as `np.savez` takes them; fields that are None are left out."""
-    if is_dataclass(value):
+    """Return dataclasses of this file as named arrays, as `np.savez` takes them; fields that are None are left out."""
+    if is_dataclass(value) or isinstance(value, tuple):
         found: dict[str, NDArray[Any]] = {}
-        for each in fields(value):
-            found |= arrays_of(getattr(value, each.name), f"{name}.{each.name}" if name else each.name)
+        for key, each in _items(value):
+            found |= arrays_of(each, f"{name}.{key}" if name else key)
         return found
     if value is None:
         return {}
@@ -384,11 +391,11 @@ def arrays_of(value: Any, name: str = "") -> dict[str, NDArray[Any]]:
 
 
 def filled(template: Any, arrays: Mapping[str, NDArray[Any]], name: str = "") -> Any:
-    """Fill an empty dataclass with arrays from `arrays_of`, and return it.
+    """Fill empty dataclasses with arrays from `arrays_of`, and return them.
 
     Parameters
     ----------
-    template : dataclass
+    template : dataclass, or tuple of them
         Has the shapes and types that the arrays must have.
     arrays : dict of arrays
     name : str
@@ -399,10 +406,11 @@ def filled(template: Any, arrays: Mapping[str, NDArray[Any]], name: str = "") ->
     ValueError
         The arrays do not fit the template.
     """
+    if isinstance(template, tuple):
+        return tuple(filled(each, arrays, f"{name}.{key}" if name else key) for key, each in _items(template))
     if is_dataclass(template):
-        for each in fields(template):
-            inner = f"{name}.{each.name}" if name else each.name
-            setattr(template, each.name, filled(getattr(template, each.name), arrays, inner))
+        for key, each in _items(template):
+            setattr(template, key, filled(each, arrays, f"{name}.{key}" if name else key))
         return template
     if template is None:
         return None
@@ -417,3 +425,10 @@ def filled(template: Any, arrays: Mapping[str, NDArray[Any]], name: str = "") ->
             raise ValueError(f"{name} has another size")
         return array
     return type(template)(array.item())
+
+
+def _items(value: Any) -> list[tuple[str, Any]]:
+    """Return the fields of a dataclass, or the members of a tuple, by name."""
+    if isinstance(value, tuple):
+        return [(str(number), each) for number, each in enumerate(value)]
+    return [(each.name, getattr(value, each.name)) for each in fields(value)]

@@ -3,7 +3,7 @@
 import os
 import time
 from collections import deque
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -38,6 +38,9 @@ parts' shares of the samples are found; replicates have others."""
 
 Waiting = deque[Future[ChunkTally]]
 """Future results of chunks given to the pool, in order."""
+
+NO_FILM = Film.empty(0, 1)
+"""For packets that are not traced from pixels."""
 
 
 @dataclass
@@ -101,9 +104,9 @@ class Tracer:
     @property
     def layout(self) -> Layout:
         """Sizes of all sums of the render."""
-        lamps = any(part.from_lamps for part in self.parts)
+        from_pixels = sum(part.options.adjoint for part in self.parts)
         books = BOOKS, len(self.world.slots)
-        return Layout(self.shape, books, COUNTERS, lamps, self.check and self.aimed)
+        return Layout(self.shape, books, COUNTERS, len(self.parts), from_pixels, self.check and self.aimed)
 
     @cached_property
     def _blind_part(self) -> Part:
@@ -129,35 +132,37 @@ class Tracer:
         # A chunk across the border also adds light to pixels of the neighbouring block, which are cut off at the end.
         low = min([block.first, *(int(pixels[0]) for pixels in started)])
         high = max([block.last, *(int(pixels[-1]) + 1 for pixels in started)])
-        film = Film.empty(high - low, self.channels, low)
+        films = tuple(Film.empty(high - low, self.channels, low) for _ in range(self.layout.from_pixels))
         with self.pool() as pool:
-            done = list(self.traced(pool, replicate, iter(mine), film))
+            done = list(self.traced(pool, replicate, iter(mine), films))
             blind = None
             if levels is None and block.first == 0 and self.layout.blind:
                 blind = self.blind_samples(pool, replicate)
         own = [tally for chunk, tally in zip(mine, done, strict=True) if block.owns(chunk)]
-        return Piece(replicate, film.part(block.first, block.last), own, blind)
+        cut = tuple(film.part(block.first, block.last) for film in films)
+        return Piece(replicate, block.first, block.last, cut, own, blind)
 
-    def traced(self, pool: Threads, replicate: int, chunks: Iterator[Chunk], film: Film) -> Generator[ChunkTally]:
-        """Trace chunks; add the light of their pixels to an empty film, and yield their other results in order.
+    def traced(
+        self, pool: Threads, replicate: int, chunks: Iterator[Chunk], films: Sequence[Film]
+    ) -> Generator[ChunkTally]:
+        """Trace chunks; add the light of their pixels to empty films, and yield their other results in order.
 
         Parameters
         ----------
         pool : Threads
         replicate : int
         chunks : iterator of Chunk
-        film : Film
+        films : sequence of Film
+            Of the parts that start from pixels.
         """
         key = descendant(self.seed, replicate)
         waiting: Waiting = deque()
-        part = None
         try:
             for chunk in chunks:
-                # The next part adds to the same pixels, so all chunks of the last one must be done.
-                while waiting and (len(waiting) > 2 * self.threads or chunk.part is not part):
+                while len(waiting) > 2 * self.threads:
                     yield self._oldest(waiting)
-                part = chunk.part
-                stream = descendant(key, part.number * self.channels + chunk.channel)
+                stream = descendant(key, chunk.part.number * self.channels + chunk.channel)
+                film = films[chunk.place] if chunk.part.options.adjoint else NO_FILM
                 waiting.append(pool.submit(self._trace, chunk, stream, film))
             while waiting:
                 yield self._oldest(waiting)
@@ -199,7 +204,7 @@ class Tracer:
         )
         deposits: NDArray[np.void] = space.deposits[: space.tops[DEPOSITS]].copy()
         deposits["colour"] = chunk.channel
-        return ChunkTally(chunk.number, chunk.part.booked(space.book), work, deposits, chunk.from_lamps)
+        return ChunkTally(chunk.number, chunk.part.booked(space.book), work, deposits, chunk.place)
 
     def _check_order(self) -> OrderCheck | None:
         """Compare some packets at the lens, and some ghosts, with the meshes; None if there are none."""

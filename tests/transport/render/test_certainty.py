@@ -11,6 +11,7 @@ import lfmesh as lf
 from lfmesh.errors import LfmeshError
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render import certainty
+from lfmesh.transport.render.certainty import Estimate
 
 AROUND = np.array([(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)])
 
@@ -96,7 +97,7 @@ def test_the_upper_bound_holds_in_95_of_100_pixels(chance: float, replicates: in
     truth = np.ones((60, 100, 1)) * chance
     mean, stderr, hits = replicated(truth, 64, replicates, chance)
     mean[0], stderr[0], hits[0] = 1.5, 0.01, 64
-    bound = certainty.upper_bound(mean, stderr, hits, replicates, 64)[1:]
+    bound = certainty.upper_bound([Estimate(mean, stderr, hits, 64)], [stderr], replicates)[1:]
     below = int((bound < truth[1:]).sum())
     if replicates > 1 and chance > 0.5:
         # Student's quantile of a binomial: its skewness leaves a little more outside.
@@ -110,9 +111,56 @@ def test_the_upper_bound_holds_in_95_of_100_pixels(chance: float, replicates: in
 def test_without_a_hit_the_bound_is_the_rule_of_three_times_what_the_brightest_pixel_brings() -> None:
     mean, stderr, hits = np.zeros((2, 3, 2)), np.zeros((2, 3, 2)), np.zeros((2, 3, 2), np.uint32)
     mean[0, 0], hits[0, 0] = (8.0, 2.0), (50, 100)
-    bound = certainty.upper_bound(mean, stderr, hits, 4, 100)
+    bound = certainty.upper_bound([Estimate(mean, stderr, hits, 100)], [stderr], 4)
     chance = 1.0 - 0.05 ** (1.0 / 100)
     np.testing.assert_allclose(bound[1], np.tile([16.0 * chance, 2.0 * chance], (3, 1)), rtol=1e-12)
+
+
+def of_parts(scene: lf.Scene, replicates: int, *parts: Estimate) -> certainty.Certainty:
+    return certainty.Certainty.of(parts, scene, replicates)
+
+
+def test_rare_light_is_bounded_beside_light_that_every_sample_finds() -> None:
+    """One of 40 samples brings a fifth of the light; hits of both parts together would leave every fifth pixel out."""
+    scene = lf.load("assets/scenes/conventional.toml")
+    common, rare = np.full((60, 100, 1), 0.8), np.full((60, 100, 1), 0.2)
+    one, other = replicated(common, 64, 4, 0.95), replicated(rare, 64, 4, 1 / 40, seed=1)
+    truth = common + rare
+    by_part = of_parts(scene, 4, *(Estimate(*each, 64) for each in (one, other))).upper
+    both = Estimate(one[0] + other[0], np.hypot(one[1], other[1]), one[2] + other[2], 128)
+    together = certainty.upper_bound([both], [both.stderr], 4)
+    assert (together < truth).mean() > 0.15
+    assert stats.binomtest(int((by_part < truth).sum()), truth.size, 0.05, "greater").pvalue > LEVEL
+
+
+def test_the_error_of_rare_light_is_right_on_average_and_not_zero_where_it_was_missed() -> None:
+    """One sample in 200 brings a tenth of the light: of 64 samples three pixels in four miss it."""
+    scene = lf.load("assets/scenes/conventional.toml")
+    common, rare = np.full((60, 100, 1), 0.9), np.full((60, 100, 1), 0.1)
+    one, other = replicated(common, 64, 8, 0.95), replicated(rare, 64, 8, 1 / 200, seed=1)
+    error = of_parts(scene, 8, *(Estimate(*each, 64) for each in (one, other))).error
+    off = one[0] + other[0] - 1.0
+    missed = other[2] == 0
+    for here in (missed, ~missed):
+        assert np.sqrt((error[here] ** 2).mean() / (off[here] ** 2).mean()) == pytest.approx(1.0, abs=0.35)
+    # Of 6000 pixels with a relative variance of 3 the mean square is known to 2 %.
+    assert (error**2).mean() == pytest.approx((off**2).mean(), rel=0.1)
+    within = abs(off) < stats.t.ppf(0.975, 7) * error
+    assert within.mean() > 0.92
+    own = np.hypot(one[1], other[1])
+    assert (abs(off) < stats.t.ppf(0.975, 7) * own)[missed].mean() < within[missed].mean() - 0.1
+
+
+def test_errors_of_parts_add_by_their_squares() -> None:
+    scene = lf.load("assets/scenes/conventional.toml")
+    one, other = (replicated(np.full((8, 8, 1), level), 640, 8, 0.5, seed=seed) for level, seed in ((1.0, 0), (0.3, 1)))
+    parts = [Estimate(*each, 640) for each in (one, other)]
+    alone = [certainty.pooled_error(part.mean, part.stderr, AROUND)[0] for part in parts]
+    np.testing.assert_allclose(of_parts(scene, 8, *parts).error, np.hypot(*alone), rtol=1e-12)
+    np.testing.assert_allclose(of_parts(scene, 8, parts[0]).error, alone[0], rtol=1e-12)
+    margins = [of_parts(scene, 8, part).upper - part.mean for part in parts]
+    upper = parts[0].mean + parts[1].mean + np.hypot(*margins)
+    np.testing.assert_allclose(of_parts(scene, 8, *parts).upper, upper, rtol=1e-12)
 
 
 def test_an_image_says_its_error_and_its_bound() -> None:

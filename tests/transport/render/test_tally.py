@@ -76,7 +76,7 @@ def whole(scene_of: Callable[[str], lf.Scene]) -> dict[str, lf.Image]:
 
 
 def assert_same_bits(one: lf.Image, other: lf.Image) -> None:
-    for name in ("mean", "stderr", "hits"):
+    for name in ("mean", "stderr", "hits", "error", "upper"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     assert one.ledger == other.ledger
     assert (one.refinement, one.blind, one.samples) == (other.refinement, other.blind, other.samples)

@@ -17,7 +17,14 @@ from lfmesh.optics.gltf_material import SMALLEST_ALPHA, GltfMaterial, metal_of_r
 from lfmesh.optics.scattering import tangents
 from lfmesh.scene.targets import SMALLEST_ROUGHNESS, Gloss, Material
 from lfmesh.transport.events.scattering import Point, albedo, density, evaluate, sample
-from lfmesh.transport.tables.scattering import GLOSSY, SCATTERING, ScatteringTables, scattering_tables
+from lfmesh.transport.tables.scattering import (
+    GLOSSY,
+    SCATTERING,
+    THERMAL,
+    ScatteringTables,
+    mean_emission,
+    scattering_tables,
+)
 
 Array = NDArray[np.float64]
 
@@ -307,6 +314,65 @@ def test_what_is_drawn_at_an_interpolated_normal_carries_the_brdf(name: str, to_
             assert share == pytest.approx(there, rel=1e-9, abs=1e-12)
             carried += share > 0.0
     assert carried > 50
+
+
+HOT = scattering_tables(
+    [each.model_copy(update={"temperature_k": 900.0}) for each in MATERIALS.values()], (500.0, 600.0)
+)
+TILTS = (0.0, 0.1, 0.5)
+"""Angles between the interpolated normal and the facet's, rad; 0: there is none."""
+
+
+@pytest.mark.parametrize("name", list(MATERIALS))
+def test_a_hot_surface_emits_what_it_does_not_scatter(name: str) -> None:
+    """In every direction emissivity and albedo add up to 1: z-tests of means over directions of light.
+
+    The albedo is the mean of what the BRDF's own samples carry. No sample of the emission is below 0.
+    """
+    row, emits = NAMES.index(name), int(HOT.models["emission"][NAMES.index(name)])
+    numbers = np.random.default_rng(7).random((2, 4000, 2))
+    z = []
+    for tilt in TILTS:
+        tilted = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
+        point = smooth_point(name, NORMALS[0], tilted, True)._replace(smooth=tilt > 0.0)
+        for azimuth, cosine in ((0.0, 1.0), (0.5, 0.4), (np.pi, 0.1)):
+            seen = direction(NORMALS[0], cosine, azimuth)
+            rows = np.empty((len(numbers[0]), 4))
+            draw(HOT, point._replace(model=row), -seen, numbers[0], rows)
+            emitted = np.array(
+                [
+                    np.pi * evaluate(HOT, point._replace(model=emits, u=u, v=v), WAVE, 0.0, 0.0, 1.0, *map(float, seen))
+                    for u, v in (numbers[1] if tilt > 0.0 else numbers[1, :1])
+                ]
+            )
+            assert emitted.min() >= 0.0
+            spread = stats.sem(rows[:, 3]) + (stats.sem(emitted) if tilt > 0.0 else 0.0)
+            off = abs(rows[:, 3].mean() + emitted.mean() - 1.0)
+            z.append(max(off - 2.0 * MARGIN, 0.0) / spread if spread > 0.0 else 0.0 if off < 1e-12 else np.inf)
+    assert max(z) < stats.norm.isf(LEVEL / 2.0 / len(z) / len(MATERIALS))
+
+
+@pytest.mark.parametrize("name", list(MATERIALS))
+def test_the_power_of_a_hot_surface_is_the_mean_of_its_emissivity(name: str) -> None:
+    """Over the hemisphere, weighted by the cosine; and the table of light sources has the same."""
+    model = NAMES.index(name)
+    point = point_of(name, NORMALS[1])._replace(model=int(HOT.models["emission"][model]))
+    rows = np.empty((4096, 4))
+    draw(HOT, point, -NORMALS[1], np.column_stack([(np.arange(4096) + 0.5) / 4096, np.full(4096, 0.3)]), rows)
+    assert rows[:, 3].mean() == pytest.approx(albedo(HOT, point, WAVE, 0.0, 0.0, 1.0), abs=2e-5)
+    alone, by_texture = mean_emission(HOT, model)
+    assert albedo(HOT, point, WAVE, 0.0, 0.0, 1.0) == pytest.approx(alone[WAVE] + TEXEL * by_texture[WAVE], rel=1e-12)
+
+
+def test_the_black_side_of_a_hot_sheet_is_a_black_body() -> None:
+    tables = scattering_tables([Material(reflectance=0.7, temperature_k=900.0, sides="front"), Material()], (500.0,))
+    behind = tables.models["behind"]
+    assert list(behind[1:]) == list(range(1, len(behind)))
+    assert tables.models["black"][behind[0]]
+    there = tables.models["emission"][behind[0]]
+    assert tables.models["kind"][there] == THERMAL
+    point = Point(0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, int(there), TEXEL)
+    assert evaluate(tables, point, 0, 0.0, 0.0, -1.0, 0.0, 0.6, 0.8) == pytest.approx(1.0 / np.pi, rel=1e-15)
 
 
 def test_the_smoothest_gloss_reflects_as_fresnel_says() -> None:

@@ -107,6 +107,10 @@ class LightOutsideAimWarning(PictureWarning):
     """Rays are not aimed at all of the light that comes through the lens: the rest of it comes as noise."""
 
 
+class HeavyPathsWarning(PictureWarning):
+    """Few paths bring much of the light of some pixels: their errors and upper bounds are too small."""
+
+
 class TooFewSamplesWarning(PictureWarning):
     """Many pixels have so few samples with light that their errors are not known well."""
 

@@ -4,11 +4,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lfmesh.errors import HiddenSceneWarning, PictureWarning
+from lfmesh.errors import HiddenSceneWarning, MissedLightWarning, PictureWarning
 from lfmesh.geometry import frame
 from lfmesh.geometry.placement import is_round
 from lfmesh.geometry.targets import named_target
 from lfmesh.scene.advice import doubtful
+from lfmesh.transport.checks.lamps import lamps_at_targets, lamps_in_field
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 
@@ -23,6 +24,10 @@ def foreseen(world: World) -> list[PictureWarning]:
     return [
         *world.warnings,
         *_hidden(world),
+        *lamps_in_field(world),
+        *lamps_at_targets(world),
+        *_particles_by_glass(world),
+        *_without_reflections(world),
         *doubtful(world.scene, world.first_order),
     ]
 
@@ -36,3 +41,23 @@ def _hidden(world: World) -> Iterator[PictureWarning]:
                 f"{named_target(world.scene, number)} is closed round the camera: its inside is black and hides "
                 "everything else; give it an opening, or move it away from the camera"
             )
+
+
+def _particles_by_glass(world: World) -> Iterator[PictureWarning]:
+    """Say what of the light of particles is left out where there is glass."""
+    glass = [i for i, target in enumerate(world.scene.targets) if target.refractor is not None]
+    if world.particles and glass:
+        yield MissedLightWarning(
+            f"light of particles is sent straight towards the lens, through {named_target(world.scene, glass[0])}: the "
+            "picture lacks what glass and liquids reflect into the lens, or bend farther aside than the lens is wide"
+        )
+
+
+def _without_reflections(world: World) -> Iterator[PictureWarning]:
+    """Say that the sequential engine leaves out reflections that the scene asks for."""
+    transport = world.scene.transport
+    if transport.engine == "sequential" and transport.split != "transmit":
+        yield MissedLightWarning(
+            f'engine = "sequential" follows the image path alone: the picture lacks the reflections that split = '
+            f'"{transport.split}" asks for; take engine = "auto", or split = "transmit"'
+        )

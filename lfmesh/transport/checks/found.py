@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import (
     BlindCheckWarning,
     CutPathsWarning,
+    HeavyPathsWarning,
     LightOutsideAimWarning,
     LostEnergyWarning,
     OpenLedgerWarning,
@@ -23,6 +24,7 @@ from lfmesh.errors import (
 from lfmesh.scene import Scene
 from lfmesh.scene.literals import percent
 from lfmesh.transport.aiming.aim_proof import AimProof
+from lfmesh.transport.checks.tails import SIDE, tails
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.blind_check import BlindCheck
 from lfmesh.transport.render.certainty import FEW_HITS
@@ -40,6 +42,9 @@ FEW_SHARE = 0.25
 OPEN_SHARE = 1e-9
 """Share of the emitted energy by which the ledger may be open, from rounding."""
 
+HEAVY_SHARE = 0.01
+"""Share of the blocks of pixels in which few paths may bring much of the light without a warning."""
+
 CUT_SHARE = 1e-3
 """Share of the emitted energy that `max_events` may cut without a warning."""
 
@@ -55,6 +60,7 @@ def found(image: "Image") -> list[PictureWarning]:
         *proofs(image.scene, image.aim, image.order),
         *_blind(image.scene, image.blind),
         *books(image.scene, image.ledger),
+        *_heavy_paths(image),
         *_few_samples(image),
     ]
 
@@ -144,6 +150,17 @@ def _cut(scene: Scene, ledger: Ledger) -> Iterator[PictureWarning]:
         f"paths that carry {percent(ledger.depth / ledger.emitted)} of the light were cut after "
         f"{scene.transport.max_events} events (max_events): the picture lacks what they would have brought; raise "
         "transport.max_events"
+    )
+
+
+def _heavy_paths(image: "Image") -> Iterator[PictureWarning]:
+    heavy = tails(image.mean, image.stderr, image.hits) if image.hits is not None and image.replicates > 1 else None
+    if heavy is None or heavy.share < HEAVY_SHARE:
+        return
+    yield HeavyPathsWarning(
+        f"few paths bring much of the light: in {percent(heavy.share)} of the blocks of {SIDE} × {SIDE} pixels one "
+        f"pixel holds much of it, up to {percent(heavy.held)}, by paths {heavy.heavier:.2g} times as heavy as the "
+        "others'; pixels that met none lack that light, and their errors are too small; take many more samples"
     )
 
 

@@ -54,9 +54,9 @@ def blind(patch: Patch, _: Path) -> lf.Scene:
     """Let samples that are not aimed find ten times the light."""
     compared = BlindSamples.compared
 
-    def ten_times(own: BlindSamples, *image: Any) -> Any:
+    def ten_times(own: BlindSamples, *image: Any, **keywords: Any) -> Any:
         own.found = [10.0 * found for found in own.found]
-        return compared(own, *image)
+        return compared(own, *image, **keywords)
 
     patch.setattr(BlindSamples, "compared", ten_times)
     return scene()
@@ -112,6 +112,12 @@ def outside_aim(patch: Patch, _: Path) -> lf.Scene:
     return scene()
 
 
+def heavy(_: Patch, __: Path) -> lf.Scene:
+    wall = plane(-100.0)
+    lamp = {"kind": "point", "position_mm": (0.0, 0.0, -99.99), "power_w": 1.0}
+    return scene(targets=[wall], lights=[lamp], **{"camera.sensor.pixel_mm": 0.5})
+
+
 def few(_: Patch, __: Path) -> lf.Scene:
     return scene(**{"transport.samples": 8})
 
@@ -144,6 +150,7 @@ CASES: dict[type[PictureWarning], Callable[[Patch, Path], lf.Scene]] = {
     lf.HiddenSceneWarning: hidden,
     lf.MissedLightWarning: fog,
     lf.LightOutsideAimWarning: outside_aim,
+    lf.HeavyPathsWarning: heavy,
     lf.TooFewSamplesWarning: few,
     lf.ClosedGapWarning: gap,
     lf.OrderCheckWarning: disordered,
@@ -226,7 +233,7 @@ def test_the_line_that_is_named_is_the_callers() -> None:
     assert all(Path(each.filename) == Path(__file__) for each in caught)
 
 
-def test_a_white_image_and_a_study_say_what_a_render_says() -> None:
+def test_a_white_image_says_what_a_render_says() -> None:
     _, said = warned(lambda: lf.white_image(diffraction(None, None)))  # type: ignore[arg-type]
     assert lf.DiffractionWarning in map(type, said)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lfmesh.geometry.lattice import Lattice, cell_of, centre, is_inside, leaves_at, neighbour
+from lfmesh.geometry.lattice import Lattice, cell_of, centre, columns_near, is_inside, leaves_at, neighbour, rows_near
 
 LATTICES = {
     "square": Lattice(False, 0.125, 7, 6),
@@ -35,6 +35,20 @@ def test_neighbouring_centres_are_one_pitch_apart(lattice):
             to = np.subtract(centre(lattice, *neighbour(lattice, 2, row, side)), centre(lattice, 2, row))
             turn = np.deg2rad(360 / sides * side)
             np.testing.assert_allclose(to, lattice.pitch * np.array([np.cos(turn), np.sin(turn)]), atol=1e-15)
+
+
+@pytest.mark.parametrize("distance", [0.0, 0.3, 0.5, 1.7, 20.0, np.inf])
+def test_rows_and_columns_near_a_place_are_those_of_the_centres_near_it(lattice, distance):
+    far = distance * lattice.pitch
+    centres = lattice.centres()
+    for x, y in np.random.default_rng(3).uniform(-6.0, 6.0, (50, 2)) * lattice.pitch:
+        first, end = rows_near(lattice, y, far)
+        near = np.flatnonzero(abs(centres[:, 0, 1] - y) <= far)
+        assert list(range(first, end)) == near.tolist()
+        for row in range(lattice.rows):
+            first, end = columns_near(lattice, row, x, far)
+            near = np.flatnonzero(abs(centres[row, :, 0] - x) <= far)
+            assert list(range(first, end)) == near.tolist()
 
 
 def test_cells_are_those_of_the_nearest_centre(lattice):

@@ -223,6 +223,14 @@ def test_errors_of_pixels_add_up_to_that_of_their_sum(bands: str, replicates: in
     assert 0.8 < np.sqrt((scatter / stated).mean()) < 1.25
 
 
+def test_ghosts_of_a_band_agree_with_the_meshes() -> None:
+    scene = lit_scene(samples=16, replicates=2, split="both").changed({"camera.sensor.bands": "rgb"})
+    order = lf.render(scene).order
+    assert order.reflected > 1000
+    assert order.differing == 0
+    assert order.deviation < 1e-9
+
+
 @pytest.mark.parametrize("method", ["adjoint", "forward"])
 def test_the_number_of_threads_changes_no_bit_of_a_band(method: str) -> None:
     scene = lit_scene(samples=16, replicates=2, method=method).changed({"camera.sensor.bands": "xyz"})

@@ -20,6 +20,7 @@ from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.tables.lights import MM2
+from lfmesh.transport.tables.lines import Nodes
 from lfmesh.transport.world import World
 from tests.cameras import bench_camera
 

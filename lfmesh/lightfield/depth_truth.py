@@ -119,7 +119,8 @@ def _of_pixels(world: World, samples: int) -> tuple[Samples, Samples, Samples]:
     sequential = image_path_engine(world.scene) == "sequential"
     options = options_of(world, tracing=True, split=TRANSMIT, sequential=sequential, importance=True)
     tables = world.aimed_tables
-    source = PixelSource(np.arange(pixels), samples, descendant(0x6465707468, world.scene.transport.seed))
+    key = descendant(0x6465707468, world.scene.transport.seed)
+    source = PixelSource(np.arange(pixels), samples, key, world.lines.middle)
 
     def keep(work: Workspace, part: range) -> None:
         some = slice(part.start, part.stop)

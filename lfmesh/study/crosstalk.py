@@ -78,7 +78,7 @@ def lenslet_light(scene: Scene, replicates: Sequence[int]) -> Array:
     for replicate in replicates:
         key = descendant(descendant(run_key(transport.seed), STREAM), replicate)
         some = _spread(pixels, key)
-        source = PixelSource(some, transport.samples_each, key)
+        source = PixelSource(some, transport.samples_each, key, world.lines.middle)
         # Added up in their order, whichever thread is done first.
         light = sum(launcher.traced(source, keep, transport.threads, CHUNK), np.zeros((2, len(cells.data))))
         found.append(pixels / len(some) * light)

@@ -30,7 +30,7 @@ PUBLISHED_XYY = [
 WHITE = 18
 """Number of the white patch."""
 
-MIDDLE_MM = 6.0
+MIDDLE_PIXELS = 8
 """Side of the part of a patch that is looked at."""
 
 
@@ -84,8 +84,8 @@ def patches(image: lf.Image) -> np.ndarray:
     found = []
     for target in image.scene.targets:
         x, y, _ = target.position_mm
-        column, row, half = (columns - 1) / 2 + x / pixel, (rows - 1) / 2 - y / pixel, 0.5 * MIDDLE_MM / pixel
-        part = np.s_[round(row - half) : round(row + half) + 1, round(column - half) : round(column + half) + 1]
+        column, row = (columns - MIDDLE_PIXELS + 1) / 2 + x / pixel, (rows - MIDDLE_PIXELS + 1) / 2 - y / pixel
+        part = np.s_[round(row) : round(row) + MIDDLE_PIXELS, round(column) : round(column) + MIDDLE_PIXELS]
         found.append(picture[part].mean(axis=(0, 1)))
     return np.array(found)
 
@@ -99,18 +99,18 @@ def render(seed: int, light: str, samples: int, **more: int) -> lf.Image:
 
 @pytest.mark.long
 def test_a_color_checker_comes_out_as_published() -> None:
-    """Under the illuminant of the published values, normalised to the white patch: below 1, with noise below 0.2.
+    """Under the illuminant of the published values, normalised to the white patch: below 0.5, with noise below 0.1.
 
-    The noise is the root mean square of what one render differs by, from two with independent seeds.
+    The noise is the root mean square of what one render differs by, from two with independent seeds. The published
+    values are those of the spectra, integrated by hand, within 0.21.
     """
     white = xyz_of(*D50_XY, 1.0)
     wanted = np.array([xyz_of(*each) for each in PUBLISHED_XYY])
-    # Every replicate has wavelengths of its own: theirs is most of the noise.
     seen = [patches(render(seed, "D50", 1024, **{"transport.replicates": 8})) for seed in (1, 2)]
     labs = [lab(found * (wanted[WHITE, 1] / found[WHITE, 1]), white) for found in seen]
     for found in labs:
-        assert ciede2000(found, lab(wanted, white)).max() < 1.0
-    assert np.sqrt((ciede2000(*labs) ** 2).mean() / 2.0) < 0.2
+        assert ciede2000(found, lab(wanted, white)).max() < 0.5
+    assert np.sqrt((ciede2000(*labs) ** 2).mean() / 2.0) < 0.1
 
 
 def test_under_d65_its_picture_has_the_colours_of_its_spectra(tmp_path: Path) -> None:
@@ -124,8 +124,8 @@ def test_under_d65_its_picture_has_the_colours_of_its_spectra(tmp_path: Path) ->
     found = patches(image)
     found *= by_hand[WHITE, 1] / found[WHITE, 1]
     off = ciede2000(lab(found, white), lab(by_hand, white))
-    assert off.max() < 2.5, "noise, mostly"
-    assert np.median(off) < 0.6
+    assert off.max() < 1.5, "noise, mostly"
+    assert np.median(off) < 0.4
     lf.save(image, tmp_path / "run")
     report = json.loads((tmp_path / "run" / "report.json").read_text())
     assert report["pictures"]["preview.png"]["white_point"] == "D65"

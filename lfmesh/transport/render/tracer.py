@@ -29,6 +29,7 @@ from lfmesh.transport.sources.lights import LightSource
 from lfmesh.transport.sources.particles import ParticleSource
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher, Source
+from lfmesh.transport.tables.lines import Nodes
 from lfmesh.transport.threads import Threads
 from lfmesh.transport.world import World
 
@@ -267,12 +268,13 @@ class Tracer:
         chunk = Chunk(0, part, 0, count, 0, count * samples, samples, pixels)
         work = Workspace(self.world, part.options, STARTS, part.tables)
         work.begin(Film.empty(self.pixels if part.options.adjoint else 0, 1, 0), count * samples)
-        self._source(chunk, key, 0).launch(work, range(count))
+        # Of one wavelength: what is compared is followed in one wave.
+        self._source(chunk, key, 0, self.world.lines.middle).launch(work, range(count))
         return work, draw
 
-    def _source(self, chunk: Chunk, key: np.uint64, channel: int) -> Source:
-        """Return the source of a chunk's packets; `channel`: column of the film."""
-        nodes = self.world.lines.nodes[chunk.channel]
+    def _source(self, chunk: Chunk, key: np.uint64, channel: int, nodes: Nodes | None = None) -> Source:
+        """Return the source of a chunk's packets; `channel`: column of the film; `nodes`: in place of the channel's."""
+        nodes = nodes or self.world.lines.nodes[chunk.channel]
         if chunk.part.particles is not None:
             return ParticleSource(chunk.part.particles, chunk.first, chunk.count, chunk.samples, key, nodes)
         if not chunk.part.options.adjoint:

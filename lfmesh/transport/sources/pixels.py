@@ -118,7 +118,7 @@ class PixelSource(Source):
         pixels = self.pixels[part.start : part.stop]
         for colour, entries in entries_of_pixels(self.nodes, pixels, self.samples, self.key):
             self._launch(work, entries, colour)
-        if work.tables.cover is not None and starting_kernel(work.tables, work.options) is not launch_along_image_path:
+        if work.tables.cover is not None:
             # Without a cover a pixel's light meets the array first, or the lens.
             work.move_waiting(PLATE if work.tables.mla.present else LENS, SENSOR)
 

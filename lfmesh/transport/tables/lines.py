@@ -52,11 +52,6 @@ class Nodes:
         """Return the only line of a channel."""
         return cls(column, np.ones(1))
 
-    @property
-    def middle(self) -> int:
-        """Column of the line in the middle of the band."""
-        return int(self.columns(0.25))
-
     def columns(self, places: ArrayLike) -> Numbers:
         """Return the columns of lines that samples at some places in [0, 1) take.
 
@@ -137,6 +132,11 @@ class Lines:
     def channels(self) -> int:
         """Number of channels of the image."""
         return len(self.nodes)
+
+    @property
+    def middle(self) -> Nodes:
+        """The line in the middle of the first channel alone, for what is found at one wavelength."""
+        return Nodes.single(int(self.nodes[0].columns(0.25)))
 
     def mean(self, spectrum: Curve) -> Array:
         """Return the mean of a spectrum over the stratum of each line, weighted with the response, (columns,)."""

@@ -20,6 +20,7 @@ from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.tables.lights import MM2
+from lfmesh.transport.tables.lines import Nodes
 from lfmesh.transport.world import World
 from tests.cameras import bench_camera
 
@@ -82,7 +83,9 @@ class Starts:
         tables, work = self._tables, self._work
         work.begin(packets=self.samples * times)
         for key in range(seed * times, (seed + 1) * times):
-            PixelSource(np.array([pixel]), self.samples, run_key(key), Nodes.single(1), stratified=False).launch(work, range(1))
+            PixelSource(np.array([pixel]), self.samples, run_key(key), Nodes.single(1), stratified=False).launch(
+                work, range(1)
+            )
         packets = work.stacks[work.rows[PLATE], : work.tops[PLATE]]
         area = tables.sensor.pixel**2 * MM2
         return np.column_stack([packets["dx"], packets["dy"]]), packets["weight"] / area / times

@@ -11,14 +11,11 @@ from lfmesh.scene.literals import percent
 from lfmesh.transport.checks.found import few_hits_share, lit_pixels
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import Refinement
-from lfmesh.transport.render.certainty import neighbours, pooled_error, typical_over_rms
+from lfmesh.transport.render.certainty import typical_over_rms
 from lfmesh.transport.render.image import Image
 
 DARK_SHARE = 0.1
 """A picture is called dark when fewer pixels than this share got any light."""
-
-ROWS_AT_ONCE = 256
-"""Rows whose error is pooled together, for the memory."""
 
 
 @dataclass(frozen=True)
@@ -63,14 +60,11 @@ def _quartiles(image: Image, lit: NDArray[np.bool_]) -> tuple[float, float, floa
     """Return the quartiles of the lit pixels' relative error."""
     if image.replicates < 2:
         return None
-    steps, error = neighbours(image.scene), image.error
     relative = np.empty(int(lit.sum()), np.float32)
     first = 0
-    for low in range(0, len(lit), ROWS_AT_ONCE):
-        rows = slice(low, low + ROWS_AT_ONCE)
+    for rows, error, pooled in image.errors_by_rows():
         here = lit[rows]
-        _, pooled = pooled_error(image.mean, image.stderr, steps, rows)
-        part = error[rows][here] / (image.mean[rows][here] * typical_over_rms(pooled[here], image.replicates))
+        part = error[here] / (image.mean[rows][here] * typical_over_rms(pooled[here], image.replicates))
         relative[first : first + len(part)] = part
         first += len(part)
     known = relative[np.isfinite(relative)]

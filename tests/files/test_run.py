@@ -17,6 +17,7 @@ from lfmesh.errors import FileError
 from lfmesh.files import run
 from lfmesh.scene import Scene, first_order, load
 from lfmesh.transport.packets.ledger import Ledger
+from lfmesh.transport.render.certainty import Certainty
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.order_check import OrderCheck
 from lfmesh.view.request import subject_of
@@ -49,6 +50,16 @@ def test_what_the_order_of_the_surfaces_was_compared_with_is_kept(image_of: Buil
     image.order = OrderCheck(900, 300, 100, 2, 3e-10, 1e-13)
     run.save(image, tmp_path)
     assert run.open_run(tmp_path).order == image.order
+
+
+def test_errors_and_bounds_made_by_part_are_kept(image_of: Build, tmp_path: Path) -> None:
+    image = image_of()
+    places = np.arange(image.mean.size, dtype=np.float64).reshape(image.mean.shape)
+    image.certainty = Certainty(1.0 + places, 2.0 + places)
+    run.save(image, tmp_path)
+    back = run.open_run(tmp_path)
+    np.testing.assert_array_equal(back.error, image.error)
+    np.testing.assert_array_equal(back.upper, image.upper)
 
 
 def test_hits_are_kept_as_whole_numbers_and_guarded_like_pixels(image_of: Build, tmp_path: Path) -> None:

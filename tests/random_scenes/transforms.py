@@ -144,7 +144,7 @@ STOPPED_DOWN = 16.0
 
 
 def isothermal(scene: Tables) -> tuple[Tables, Tables]:
-    """Return a scene's bodies and media in a closed room, all of one temperature, and a black wall in their place.
+    """Return a scene's bodies and media in a closed room, all of one temperature, and that room with a black plane.
 
     Both images are the same: in an isothermal enclosure everything looks like a black body, whatever it is made of.
     """
@@ -169,11 +169,13 @@ def isothermal(scene: Tables) -> tuple[Tables, Tables]:
         medium.pop("emission_w_mm3_sr", None)
         medium["temperature_k"] = KELVIN
     wall = scene["targets"][0]["shape"]["width_mm"]
-    scene["targets"] += _room(3.0 * wall, 1.1 * scene["camera"]["focus_mm"], 0.1 * wall)
+    room = list(_room(3.0 * wall, 1.1 * scene["camera"]["focus_mm"], 0.1 * wall))
+    scene["targets"] += room
     plane = black["targets"][0]
     for kind in ("tanks", "media"):
         black.pop(kind, None)
-    black["targets"] = [plane | {"material": {"reflectance": 0.0, "temperature_k": KELVIN}}]
+    # Reflections in the lens look past the plane: the walls are there, too.
+    black["targets"] = [plane | {"material": {"reflectance": 0.0, "temperature_k": KELVIN}}, *room]
     return scene, black
 
 

@@ -119,6 +119,10 @@ class ClosedGapWarning(PictureWarning):
     """Faces of glass are so close that they are taken to touch."""
 
 
+class CutBodiesWarning(PictureWarning):
+    """Curved bodies of glass cut each other: rays near the cut may take one for the other."""
+
+
 class ClearAirWarning(PictureWarning):
     """A scene has media that take light away, and its projection matrix leaves them out."""
 

@@ -41,6 +41,7 @@ DIMENSIONLESS = {
     "geometry/vertex_normals.py": {"IN_ONE_PLANE", "NO_FIT"},
     "transport/aiming/aim_proof.py": {"ALLOWED", "NEAREST"},
     "transport/checks/found.py": {"CUT_SHARE", "OPEN_SHARE"},
+    "transport/checks/tails.py": {"BRIGHT"},
     "transport/render/blind_check.py": {"LEVEL"},
     "transport/render/certainty.py": {"RARE"},
     "transport/render/order_check.py": {"LARGEST_MM"},

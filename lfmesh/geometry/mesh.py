@@ -119,3 +119,17 @@ def facet_table(mesh: Mesh, bodies: NDArray[np.int64]) -> NDArray[np.void]:
     table["corners"] = corner
     table["corner_normals"] = facet_corner_normals(mesh) if mesh.corner_normals is None else mesh.corner_normals
     return table
+
+
+def distance_mm(corners: Array, point: Array) -> float:
+    """Return the distance of a point from the nearest of some facets, in mm.
+
+    Parameters
+    ----------
+    corners : (n, 3, 3) float64, mm
+    point : (3,) float64, mm
+    """
+    from trimesh.triangles import closest_point
+
+    found = closest_point(corners, np.tile(point, (len(corners), 1)))
+    return float(np.linalg.norm(found - point, axis=1).min(initial=np.inf))

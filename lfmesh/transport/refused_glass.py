@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
-from lfmesh.geometry.mesh import Array, Mesh, facet_normals, joined
+from lfmesh.geometry.mesh import Array, Mesh, boxes_meet, facet_normals, joined
 from lfmesh.geometry.targets import TargetMesh, named_target
 from lfmesh.geometry.winding import shells, winding
 from lfmesh.optics.scattering import tangents
@@ -335,6 +335,36 @@ def closed_gaps(scene: Scene, targets: list[TargetMesh]) -> list[str]:
                     f"{named_target(scene, i)} and {named_target(scene, j)}: faces {gap:.2g} mm apart are taken to "
                     f"touch, without air between them, as all that are nearer than {near:.2g} mm "
                     f"({CUT:g} of the smaller body's size); leave more between them if there is air"
+                )
+    return lines
+
+
+def cut_bodies(scene: Scene, targets: list[TargetMesh]) -> list[str]:
+    """Describe the pairs of glass bodies that cut each other where facets stand for curved surfaces, a line a pair.
+
+    Parameters
+    ----------
+    scene : Scene
+    targets : list of TargetMesh
+        Of the scene, in order.
+    """
+    bodies = {i: target.refractor for i, target in enumerate(scene.targets) if target.refractor is not None}
+    lines = []
+    for i, one in bodies.items():
+        for j, other in bodies.items():
+            # Of the same priority they are refused.
+            if j <= i or one.priority == other.priority or one.level == other.level == "flat":
+                continue
+            if not boxes_meet(targets[i].mesh, targets[j].mesh, 0.0):
+                continue
+            meshes = targets[i].mesh, targets[j].mesh
+            parts = [[mesh.vertices[mesh.faces[facets]] for facets in shells(mesh)] for mesh in meshes]
+            shares = {_share_inside(*parts), _share_inside(*reversed(parts))}
+            if PART in shares and WHOLE not in shares:
+                lines.append(
+                    f"{named_target(scene, i)} and {named_target(scene, j)} cut each other, and their facets stand for "
+                    "curved surfaces: rays that pass the cut as near as facets stand off these may be lost, or take "
+                    "one body for the other; finer meshes have less of it"
                 )
     return lines
 

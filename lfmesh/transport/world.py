@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from lfmesh.errors import ClosedGapWarning, LfmeshError, PictureWarning, SceneError, warn_caller
+from lfmesh.errors import ClosedGapWarning, CutBodiesWarning, LfmeshError, PictureWarning, SceneError, warn_caller
 from lfmesh.geometry import frame
 from lfmesh.geometry.division import divided
 from lfmesh.geometry.element_poses import pose_of
@@ -41,7 +41,7 @@ from lfmesh.transport.packets.packet import (
     SENSOR_FRAME,
     WORLD_FRAME,
 )
-from lfmesh.transport.refused_glass import closed_gaps, refuse_untraceable_glass
+from lfmesh.transport.refused_glass import closed_gaps, cut_bodies, refuse_untraceable_glass
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.regions.glass_round import places_round
 from lfmesh.transport.sequential.ghosts import GhostTables
@@ -314,6 +314,8 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     -----
     ClosedGapWarning
         Faces of glass are so close that they are taken to touch.
+    CutBodiesWarning
+        Curved bodies of glass cut each other.
 
     Raises
     ------
@@ -347,8 +349,11 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     ranks = refuse_untraceable_glass(
         scene, targets, frame.points(moves[CAMERA_FRAME, WORLD_FRAME], shape.caps[0].vertices)
     )
-    gaps = tuple(ClosedGapWarning(line) for line in closed_gaps(scene, targets))
-    warn_caller(gaps)
+    doubtful = (
+        *(ClosedGapWarning(line) for line in closed_gaps(scene, targets)),
+        *(CutBodiesWarning(line) for line in cut_bodies(scene, targets)),
+    )
+    warn_caller(doubtful)
     object_mesh, objects = object_tables(scene, targets, housing, moves, book, lines, interfaces.objects, known, ranks)
     columns, rows = scene.camera.sensor.pixels
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
@@ -377,4 +382,4 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     finders |= {station: Finder(mesh) for station, mesh in cells.items()}
     how = {"rings": rings, "aimed": aimed}
     bodies = Bodies(shape, targets, housing)
-    return World(scene, report, tables, finders, book, bodies, particles, find_aim, how, gaps)
+    return World(scene, report, tables, finders, book, bodies, particles, find_aim, how, doubtful)

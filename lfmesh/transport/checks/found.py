@@ -87,8 +87,8 @@ def _aim(scene: Scene, proof: AimProof | None) -> Iterator[PictureWarning]:
     if proof is None or proof.holds or scene.rough_in_camera():
         return
     yield LightOutsideAimWarning(
-        f"rays are not aimed at {percent(proof.missed)} of the light that comes through the stop: it comes by the few "
-        "samples that go anywhere, as noise that the error may not show; take many more samples, and compare with "
+        f"rays are not aimed at {percent(proof.missed)} of the light that comes through the stop: it comes by samples "
+        "that go anywhere, as noise that the error may not show; take many more samples, and compare with "
         'method = "forward"'
     )
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from lfmesh.errors import HeavyPathsWarning, MissedLightWarning, PictureWarning
 from lfmesh.geometry import frame
-from lfmesh.geometry.mesh import Array
+from lfmesh.geometry.mesh import Array, distance_mm
 from lfmesh.geometry.targets import named_target
 from lfmesh.scene.advice import half_field_mm
 from lfmesh.scene.lights import DirectionalLight, DiskLight
@@ -95,10 +95,5 @@ def lamps_at_targets(world: World) -> Iterator[PictureWarning]:
 
 def _distance_mm(corners: Array, point: Array, reach: float) -> float:
     """Return the distance of a point from the nearest of some facets; inf beyond a reach of all their boxes."""
-    from trimesh.triangles import closest_point
-
     near = ((corners.min(axis=1) <= point + reach) & (corners.max(axis=1) >= point - reach)).all(axis=1)
-    if not near.any():
-        return np.inf
-    found = closest_point(corners[near], np.tile(point, (int(near.sum()), 1)))
-    return float(np.linalg.norm(found - point, axis=1).min())
+    return distance_mm(corners[near], point)

@@ -128,6 +128,20 @@ def gap(_: Patch, folder: Path) -> lf.Scene:
     return with_more(*(plate | {"position_mm": (0.0, 0.0, z)} for z in (-60.0, -70.0 - 1e-4)))
 
 
+def balls(apart_mm: float) -> lf.Scene:
+    """Two balls of glass of 320 facets and a radius of 8 mm, beside each other."""
+    trimesh.creation.icosphere(2, 8.0).export("ball.stl")
+    ball = {"file": "ball.stl", "units": "mm", "index": 1.5}
+    return with_more(
+        {"refractor": ball, "position_mm": (0.0, 0.0, -60.0)},
+        {"refractor": ball | {"priority": 1}, "position_mm": (apart_mm, 0.0, -60.0)},
+    )
+
+
+def cut_balls(_: Patch, __: Path) -> lf.Scene:
+    return balls(8.0)
+
+
 def disordered(patch: Patch, _: Path) -> lf.Scene:
     def spoil(world: Any) -> None:
         order = world.tables.lens.order.copy()
@@ -153,6 +167,7 @@ CASES: dict[type[PictureWarning], Callable[[Patch, Path], lf.Scene]] = {
     lf.HeavyPathsWarning: heavy,
     lf.TooFewSamplesWarning: few,
     lf.ClosedGapWarning: gap,
+    lf.CutBodiesWarning: cut_balls,
     lf.OrderCheckWarning: disordered,
     lf.DiffractionWarning: diffraction,
 }
@@ -213,6 +228,17 @@ def test_a_clean_scene_says_nothing(home: Path, capsys: pytest.CaptureFixture[st
     assert main(["render", "scene.toml", "-o", "run"]) == 0
     assert "Warning" not in "".join(capsys.readouterr())
     assert json.loads((home / "run" / "report.json").read_text(encoding="utf-8"))["warnings"] == []
+
+
+@pytest.mark.parametrize(
+    ("apart_mm", "surface", "told"), [(8.0, "patch", True), (8.0, "flat", False), (17.0, "patch", False)]
+)
+def test_only_curved_bodies_that_cut_each_other_are_named(
+    apart_mm: float, surface: str, told: bool, home: Path
+) -> None:
+    given = balls(apart_mm)
+    level = {f"targets[{i}].refractor.surface": surface for i in (1, 2)}
+    assert (lf.CutBodiesWarning in map(type, lf.build(given.changed(level)).warnings)) == told
 
 
 def test_what_is_known_beforehand_is_said_before_the_first_ray() -> None:

@@ -18,6 +18,7 @@ from lfmesh.geometry.tessellation import (
     end_where_they_touch,
     rim_radius,
     rings_for,
+    set_bends,
 )
 from lfmesh.optics.glass import Medium
 from lfmesh.scene import Scene
@@ -97,6 +98,7 @@ def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
         if mesh is None:
             surfaces[k]["level"] = level
             rims.append(rim_radius(surfaces[k], azimuths // 6))
+            set_bends(surfaces[k], rims[k])
             caps.append(cap(surfaces[k], rings, rims[k]) if circles[k].even else cap_on(surfaces[k], circles[k]))
         else:
             face = face_of(mesh, scene)

@@ -8,12 +8,13 @@ with both weights 1 for a surface of revolution, and one of them 0 for cylinders
 cannot miss a crossing, so that the first of several is found.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.by_address import by_address
+from lfmesh.geometry.first_crossing import crossing_finder
 from lfmesh.kernel import inlined, kernel
 
 Array = NDArray[np.float64]
@@ -30,13 +31,7 @@ BOUND = 1.05
 BEYOND_CELL = 1.05
 """How far a profile is defined, over the distance to the cell's corner: aimed cells are a little larger."""
 
-SETTLED = 2e-15
-"""Height over the face, relative to the size of the coordinates, that counts as rounding."""
-
 TINY = float(np.finfo(np.float64).tiny)
-
-MOST_STEPS = 1000
-"""Steps towards a crossing; a ray takes some five, but for one that all but touches the face."""
 
 
 @by_address
@@ -172,15 +167,20 @@ def is_steeper(profile: Profile, kind: int, dx: float, dy: float, dz: float) -> 
 
 
 @kernel
+def _shape(of: Any, x: float, y: float) -> tuple[float, float, float]:
+    """Do what `profile_shape` does for a profile, a type and a curvature."""
+    return profile_shape(of[0], of[1], of[2], x, y)
+
+
+_first_crossing = crossing_finder(_shape)
+
+
+@kernel
 def first_crossing(
     profile: Profile, kind: int, curvature: float, x: float, y: float, z: float, dx: float, dy: float, dz: float,
     side: float, begin: float, end: float,
 ) -> tuple[bool, float]:  # fmt: skip
-    """Return whether, and at which distance, a ray first crosses a lenslet's face.
-
-    The height u over the face falls along a ray at most as fast as u + u' t − m t² / 2 does, with a bound m of its
-    second derivative; a step to the root of that passes no crossing. Near one it is as fast as Newton's method. A ray
-    that starts on the face and leaves it does not meet it there.
+    """Return whether, and at which distance, a ray first crosses a lenslet's face; see `crossing_finder`.
 
     Parameters
     ----------
@@ -198,29 +198,9 @@ def first_crossing(
         Distances between which the ray is in the cell.
     """
     across2 = profile.weight_x * dx * dx + profile.weight_y * dy * dy
-    most = profile.bend[kind] * across2
-    size = abs(x) + abs(y) + abs(z)
-    t = begin
-    for _ in range(MOST_STEPS):
-        sag, gx, gy = profile_shape(profile, kind, curvature, x + t * dx, y + t * dy)
-        height = side * (sag - z - t * dz)
-        rate = side * (gx * dx + gy * dy - dz)
-        if height <= SETTLED * (size + abs(t)):
-            if rate < 0.0:
-                return True, t - height / min(rate, -np.sqrt(2.0 * most * abs(height)))
-            height = max(height, 0.0)
-        root = np.sqrt(rate * rate + 2.0 * most * height)
-        if rate > 0.0:
-            if most == 0.0:
-                return False, 0.0
-            t += (rate + root) / most
-        elif root > rate:
-            t += 2.0 * height / (root - rate)
-        else:
-            return False, 0.0
-        if not t <= end:
-            return False, 0.0
-    return False, 0.0
+    return _first_crossing(
+        (profile, kind, curvature), x, y, z, dx, dy, dz, side, profile.bend[kind] * across2, begin, end
+    )
 
 
 @kernel

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.geometry import frame
+from lfmesh.geometry.first_crossing import crossing_finder
 from lfmesh.kernel import inlined, kernel
 from lfmesh.scene.lens import Surface
 from lfmesh.scene.qcon import MOST_ASPHERE_TERMS
@@ -42,6 +43,10 @@ SURFACE = np.dtype(
         ("vertex_z", "f8"),
         ("aperture", "f8"),  # semi-diameter of the clear aperture
         ("end", "f8"),  # radius at which it touches a neighbour, or a toroid turns back, and ends
+        # Bounds of the second derivatives of z in any direction, up to the radius `domain`: 0 until they are asked for.
+        ("least_bend", "f8"),
+        ("most_bend", "f8"),
+        ("domain", "f8"),
         ("stop", "i8"),  # 1: outside the aperture is the stop, 0: the mount
         ("level", "i8"),  # what a facet of its mesh stands for; the tracer says what the number means
         ("posed", "i8"),  # 1: it stands off its place in the prescription
@@ -509,6 +514,49 @@ def _searcher(height_at: Any, rate_at: Any) -> Any:
         return False, 0.0
 
     return search
+
+
+_first_crossing = crossing_finder(form_at)
+
+
+@kernel
+def first_crossing(
+    s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float, begin: float, end: float,
+    from_it: bool,
+) -> tuple[bool, float]:  # fmt: skip
+    """Return whether and where a ray first crosses a surface inside its `domain`, however it grazes it.
+
+    Parameters
+    ----------
+    s : SURFACE record
+        That has its bends, see `tessellation.set_bends`.
+    x, y, z : float, mm
+        From the vertex.
+    dx, dy, dz : float
+        Unit.
+    sense : float
+        1 to cross along the normal, −1 against it.
+    begin, end : float, mm
+        Distances between which it is looked for.
+    from_it : bool
+        The ray starts on the surface, and does not meet it there.
+    """
+    a, b, c = dx * dx + dy * dy, x * dx + y * dy, x * x + y * y - s.domain * s.domain
+    if a > 0.0:
+        root = b * b - a * c
+        if not root >= 0.0:
+            return False, 0.0
+        begin, end = max(begin, (-b - np.sqrt(root)) / a), min(end, (np.sqrt(root) - b) / a)
+    elif c > 0.0:
+        return False, 0.0
+    if not begin < end:
+        return False, 0.0
+    sag, _, _ = form_at(s, x + begin * dx, y + begin * dy)
+    if not (from_it or sense * (sag - z - begin * dz) > 0.0):
+        # It comes from beside the surface, and not from the side that it would be crossed from.
+        return False, 0.0
+    most = a * max(-s.least_bend if sense > 0.0 else s.most_bend, 0.0)
+    return _first_crossing(s, x, y, z, dx, dy, dz, sense, most, begin, end)
 
 
 _asphere_distance = _searcher(_height, _rate)

@@ -37,6 +37,15 @@ equilateral one from a paraboloid, whose middle lies as far off as a circle's th
 HIGHER_ORDERS = 1.25
 """Factor on that for what a surface has beyond quadratic terms within a facet."""
 
+BEND_CIRCLES = 512
+"""Circles on which the second derivatives of a surface are sampled."""
+
+BEND_STEP = 1e-5
+"""Share of a surface's radius over which they are differences of its slopes."""
+
+BEND_BOUND = 1.05
+"""Factor on the largest values found, for what lies between the samples."""
+
 ANNULUS_LEAN = 0.05
 """Rise of a ring's annulus over the length of its cylinder."""
 
@@ -123,6 +132,31 @@ def steepness(surface: Any, r: ArrayLike) -> Array:
     phi = np.linspace(0.0, 0.5 * np.pi, QUARTER)
     by_x, by_y = gradients(surface, np.multiply.outer(r, np.cos(phi)), np.multiply.outer(r, np.sin(phi)))
     return np.asarray(np.hypot(by_x, by_y).max(axis=-1))
+
+
+def set_bends(surface: Any, rim: float) -> None:
+    """Enter in a SURFACE record how much it bends at least and at most, out to the rim of its mesh.
+
+    By differences of its slopes, on circles and azimuths of a quarter turn.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rim : float, mm
+    """
+    domain = min(rim, last_radius(surface)) * (1.0 - BEND_STEP)
+    if not domain < np.inf:
+        return
+    step = BEND_STEP * domain
+    # A whole step off the axis, where odd powers have a kink.
+    r, phi = np.linspace(step, domain - step, BEND_CIRCLES)[:, None], np.linspace(0.0, 0.5 * np.pi, QUARTER)
+    x, y = r * np.cos(phi), r * np.sin(phi)
+    xx, yx = (np.subtract(*pair) for pair in zip(*(gradients(surface, x + s, y) for s in (step, -step)), strict=True))
+    xy, yy = (np.subtract(*pair) for pair in zip(*(gradients(surface, x, y + s) for s in (step, -step)), strict=True))
+    mean, half = 0.5 * (xx + yy), 0.5 * np.hypot(xx - yy, xy + yx)
+    surface["least_bend"] = BEND_BOUND * (mean - half).min() / (2.0 * step)
+    surface["most_bend"] = BEND_BOUND * (mean + half).max() / (2.0 * step)
+    surface["domain"] = domain
 
 
 def ring_radii(surface: Any, rings: int, rim: float) -> Array:

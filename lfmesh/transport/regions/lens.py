@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import direction_through, point_through
 from lfmesh.geometry.levels import EXACT, PATCH
-from lfmesh.geometry.surface import conic_distance, distance_to, normal_at
+from lfmesh.geometry.surface import conic_distance, distance_to, first_crossing, normal_at
 from lfmesh.geometry.tessellation import OVERREACH
 from lfmesh.kernel import inlined, kernel
 from lfmesh.transport.events.crossing import (
@@ -112,6 +112,9 @@ RING = -2
 
 GRAZING = 1e-2
 """Cosine of incidence below which the order of aspheres and posed surfaces leaves a hit to the meshes."""
+
+SAME_HIT = 1e-9
+"""Share of a hit's distance within which another hit on the same surface is that hit, found in two ways."""
 
 NEARBY_TRIES = 4
 """Number of refused facets near the start (the packet's own facet and its neighbours) that are queried from behind."""
@@ -434,12 +437,18 @@ def _prepare(
     if k < 0 or not (forward or k == space - 1) or lens.surfaces[k].level != EXACT or lens.surfaces[k].posed:
         return NO_SURFACE
     outside = space == 0 or space == last_space
-    if not outside and packet.last != 2 * space - 1 - k:
-        # It may first graze the other surface of its space, where that one's mesh lies below the surface.
-        return NO_SURFACE
     x, y, z = packet.x, packet.y, packet.z
     dx, dy, dz = packet.dx, packet.dy, packet.dz
     sense = 1.0 if forward else -1.0
+    if not outside:
+        # It may first meet the other surface of its space, where that one's mesh lies below the surface, unless it
+        # leaves that for good.
+        other = 2 * space - 1 - k
+        if packet.last != other:
+            return NO_SURFACE
+        for_good = _bulges_everywhere(lens.surfaces[other], -sense)
+        if not for_good and not sense * dz > lens.order[space, 10 if forward else 11]:
+            return NO_SURFACE
     if lens.surfaces[k].terms > 0 and not sense * dz > lens.order[space, 11 if forward else 10]:
         return NO_SURFACE
     if lens.stop_space == space and packet.last != k and stop_cuts(lens, x, y, z, dx, dy, dz)[0]:
@@ -477,12 +486,10 @@ def _decide(
     space, last_space = packet.space, len(surfaces)
     outside = space == 0 or space == last_space
     missed_all = prim < 0 and outside
-    if missed_all and not _is_conic(surfaces[0 if space == 0 else last_space - 1]):
-        if packet.last == NO_SURFACE and packet.tries == 0:
-            # It was on its way in: Embree misses facets when a ray is aimed exactly at a vertex.
-            requery(options, flow, frames, LENS_MESH, packet, packet.query_from, True, lens.lost_slot[space])
-        else:
-            _leaves(options, flow, frames, lens, has_mla, packet)
+    by_mesh = missed_all and not _is_conic(surfaces[0 if space == 0 else last_space - 1])
+    if by_mesh and packet.last == NO_SURFACE and packet.tries == 0:
+        # It was on its way in: Embree misses facets when a ray is aimed exactly at a vertex.
+        requery(options, flow, frames, LENS_MESH, packet, packet.query_from, True, lens.lost_slot[space])
         return NO_SURFACE
     k, t, px, py, z, nx, ny, nz = NO_SURFACE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
     if prim >= 0:
@@ -491,13 +498,21 @@ def _decide(
             further = next_query_from(facets[prim], packet, t)
             requery(options, flow, frames, LENS_MESH, packet, further, False, lens.lost_slot[space])
             return NO_SURFACE
-    if k == RING or (k != NO_SURFACE and packet.last != 2 * space - 1 - k):
+    if k != NO_SURFACE:
         # The mesh of a surface that bulges into the space lies behind the surface, and a ray that grazes the surface
-        # may miss the mesh. A ray that comes from the other surface of the space need not be tested against that one.
+        # may miss the mesh.
         first, sooner, gx, gy, gz, mx, my, mz, _ = _first_conic(lens, packet)
         if first != NO_SURFACE and first != k and sooner < t:
             flow.counts[REQUERIES] += 1
             k, prim, t, px, py, z, nx, ny, nz = first, -1, sooner, gx, gy, gz, mx, my, mz
+    if k != NO_SURFACE or by_mesh:
+        first, sooner, gx, gy, gz, mx, my, mz = _first_bulge(lens, packet, k, t if k != NO_SURFACE else np.inf)
+        if first != NO_SURFACE:
+            flow.counts[REQUERIES] += 1
+            k, prim, t, px, py, z, nx, ny, nz = first, -1, sooner, gx, gy, gz, mx, my, mz
+        elif by_mesh:
+            _leaves(options, flow, frames, lens, has_mla, packet)
+            return NO_SURFACE
     if k == NO_SURFACE:
         # Rounding to float32 has put the start of the query, or the ray, past a facet; or a ray from outside grazes a
         # surface above the chords of all its facets.
@@ -783,6 +798,72 @@ def _first_conic(lens: LensTables, packet: Any) -> tuple[int, float, float, floa
 
 
 @kernel
+def _first_bulge(
+    lens: LensTables, packet: Any, found: int, until: float
+) -> tuple[int, float, float, float, float, float, float, float]:  # fmt: skip
+    """Return what `_first_conic` does for the other exact surfaces of a packet's space, where meshes may miss them.
+
+    The vertices of a mesh are on the surface: a ray that grazes a bulge may pass between surface and mesh, and one that
+    leaves a hollow may meet that again before it comes to the mesh. A surface that is hollow everywhere has its mesh in
+    the space, where a ray from elsewhere meets it first. By steps that miss no crossing.
+
+    Parameters
+    ----------
+    found : int
+        Surface that its mesh, or its roots, have found so far.
+    until : float, mm
+        Distance of that: what comes later is of no interest.
+    """
+    space = packet.space
+    first, nearest = NO_SURFACE, until
+    fx, fy, fz, nx, ny, nz = 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
+    ahead = packet.limit if packet.last == NO_SURFACE else 0.0
+    for k in range(max(space - 1, 0), min(space + 1, len(lens.surfaces))):
+        surface = lens.surfaces[k]
+        sense = 1.0 if k == space else -1.0
+        if surface.level != EXACT or surface.terms == 0:
+            continue
+        if k == packet.last:
+            if _bulges_everywhere(surface, sense):
+                continue
+        elif not _bulges(surface, sense) or (k == found and _meets_once(surface)):
+            continue
+        x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
+        if surface.posed:
+            x, y, z = point_through(surface.unpose, x, y, z)
+            dx, dy, dz = direction_through(surface.unpose, dx, dy, dz)
+        z -= surface.vertex_z
+        met, t = first_crossing(surface, x, y, z, dx, dy, dz, sense, ahead, nearest, k == packet.last)
+        if not met or (k == found and t > nearest * (1.0 - SAME_HIT)):
+            continue
+        first, nearest, fx, fy, fz = k, t, x + t * dx, y + t * dy, z + t * dz
+        nx, ny, nz = normal_at(surface, fx, fy, fz)
+        nx, ny, nz, fz = sense * nx, sense * ny, sense * nz, fz + surface.vertex_z
+        if surface.posed:
+            fx, fy, fz = point_through(surface.pose, fx, fy, fz)
+            nx, ny, nz = direction_through(surface.pose, nx, ny, nz)
+    return first, nearest, fx, fy, fz, nx, ny, nz
+
+
+@inlined
+def _bulges(surface: Any, sense: float) -> bool:
+    """Tell whether a surface bulges anywhere into the space from which it is crossed in a sense."""
+    return surface.most_bend > 0.0 if sense > 0.0 else surface.least_bend < 0.0
+
+
+@inlined
+def _bulges_everywhere(surface: Any, sense: float) -> bool:
+    """Tell whether a surface bulges everywhere into the space from which it is crossed in a sense."""
+    return surface.least_bend >= 0.0 if sense > 0.0 else surface.most_bend <= 0.0
+
+
+@inlined
+def _meets_once(surface: Any) -> bool:
+    """Tell whether a line crosses a surface once at most in either sense, as it is convex or hollow everywhere."""
+    return surface.least_bend >= 0.0 or surface.most_bend <= 0.0
+
+
+@kernel
 def _crosses_beside(lens: LensTables, packet: Any) -> bool:
     """Tell whether a packet outside the lens crosses the outermost conic anywhere, if only beside its mesh."""
     k = 0 if packet.space == 0 else len(lens.surfaces) - 1
@@ -800,8 +881,8 @@ def _first_of_all(
 ) -> tuple[int, int, float, float, float, float, float, float, float]:
     """Return the first surface that a packet meets, its facet (−1: none), and the other results of `_meets`.
 
-    Slow but certain: conics by their analytic roots, as a ray along a concave one may run between surface and mesh;
-    everything else by testing every facet in float64.
+    Slow but certain: conics by their analytic roots, as a ray along a concave one may run between surface and mesh, and
+    so other exact surfaces by steps; everything else by testing every facet in float64.
     """
     x, y, z = packet.x, packet.y, packet.z
     dx, dy, dz = packet.dx, packet.dy, packet.dz
@@ -811,6 +892,9 @@ def _first_of_all(
     if settled and (space == 0 or space == len(lens.surfaces)):
         # Outside the lens there is no ring.
         return first, first_prim, nearest, fx, fy, fz, nx, ny, nz
+    k, t, px, py, pz, mx, my, mz = _first_bulge(lens, packet, first, nearest)
+    if k != NO_SURFACE:
+        first, nearest, fx, fy, fz, nx, ny, nz = k, t, px, py, pz, mx, my, mz
     for prim in range(len(lens.facets)):
         body = lens.facets[prim].body
         if body != space and body != space - 1 and body != -1 - space:
@@ -826,10 +910,17 @@ def _first_of_all(
             if _on_mesh(surface, _radius2(surface, px, py, pz)):
                 continue
         first, first_prim, nearest, fx, fy, fz, nx, ny, nz = k, prim, t, px, py, pz, mx, my, mz
-    if first == NO_SURFACE and settled:
+    if first == NO_SURFACE and _is_between_exact(lens, space):
         # As neither surface is met, it is the ring, between the circle of a rim and the chords of its mesh.
         first, nearest = RING, packet.limit
     return first, first_prim, nearest, fx, fy, fz, nx, ny, nz
+
+
+@inlined
+def _is_between_exact(lens: LensTables, space: int) -> bool:
+    """Tell whether a space lies inside the lens, between two exact surfaces."""
+    inside = 0 < space < len(lens.surfaces)
+    return inside and lens.surfaces[space - 1].level == EXACT and lens.surfaces[space].level == EXACT
 
 
 @inlined

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.surface import CONIC_AND_EVEN, NEWTON_STEPS, SETTLED, distance_to, form_at
+from lfmesh.geometry.surface import CONIC_AND_EVEN, NEWTON_STEPS, SETTLED, distance_to, first_crossing, form_at
 from lfmesh.kernel import kernel, pasted
 from lfmesh.optics.fresnel import amplitude_sums
 from lfmesh.transport.events.interface import is_coated, is_thin_lens, shares, through_thin_lens, transmitted_share
@@ -499,25 +499,41 @@ def _meet_asphere(bundle: Array, surface: Any) -> None:
                 x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i] - surface.vertex_z
                 dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
                 sense = 1.0 if dz > 0.0 else -1.0
-                at = -z / dz
-                meets, t = distance_to(surface, x + at * dx, y + at * dy, 0.0, dx, dy, dz, sense)
-                bundle[_T + i] = at + t if meets else -1.0
+                meets, t = _search(surface, x, y, z, dx, dy, dz, sense)
+                bundle[_T + i] = t if meets else -1.0
 
 
 @kernel
 def _meet_by_form(bundle: Array, surface: Any, sense: float) -> None:
-    """Do what `_meet` does, ray by ray: by the search in a bracket from where a ray crosses the plane of the vertex."""
+    """Do what `_meet` does, ray by ray."""
     for i in range(BLOCK):
         bundle[_T + i], bundle[_GX + i], bundle[_GY + i] = -1.0, 0.0, 0.0
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
         if bundle[ENDED_ON + i] != 0.0 or dz == 0.0:
             continue
-        at = (surface.vertex_z - bundle[Z + i]) / dz
-        x, y = bundle[X + i] + at * dx, bundle[Y + i] + at * dy
-        meets, t = distance_to(surface, x, y, 0.0, dx, dy, dz, sense)
+        x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i] - surface.vertex_z
+        meets, t = _search(surface, x, y, z, dx, dy, dz, sense)
         if meets:
-            bundle[_T + i] = at + t
+            bundle[_T + i] = t
             _, bundle[_GX + i], bundle[_GY + i] = form_at(surface, x + t * dx, y + t * dy)
+
+
+@kernel
+def _search(
+    surface: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
+) -> tuple[bool, float]:
+    """Return whether and where a ray (from the vertex) crosses a surface, wherever that is.
+
+    Inside the mesh's reach by steps that miss no crossing, beyond it by the search in a bracket from where the ray
+    crosses the plane of the vertex.
+    """
+    at = -z / dz
+    # Counted from there, as fewer digits are lost than from a start that is far away.
+    x, y = x + at * dx, y + at * dy
+    meets, t = first_crossing(surface, x, y, 0.0, dx, dy, dz, sense, -at, np.inf, False)
+    if not meets:
+        meets, t = distance_to(surface, x, y, 0.0, dx, dy, dz, sense)
+    return meets, at + t
 
 
 @kernel

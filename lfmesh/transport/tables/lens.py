@@ -1,5 +1,7 @@
 """Tables of lens and array as kernels read them: surfaces, facets, media."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,7 +15,7 @@ from lfmesh.geometry.levels import EXACT, PATCH
 from lfmesh.geometry.mesh import Array, Mesh, facet_table, joined
 from lfmesh.geometry.patch import neighbours, patches
 from lfmesh.geometry.surface import CONIC_AND_EVEN
-from lfmesh.geometry.tessellation import FLOAT32_MARGIN, OVERREACH
+from lfmesh.geometry.tessellation import FLOAT32_MARGIN, OVERREACH, on_circles
 from lfmesh.scene import MicrolensArray, Scene
 from lfmesh.transport.packets.book import MOUNT, STOP, Book
 from lfmesh.transport.packets.packet import (
@@ -74,7 +76,7 @@ def lens_tables(
     ring_slot = np.full(count + 1, MOUNT)
     ring_slot[np.array(shape.elements, dtype=np.int64) + 1] = book.edges
     stop_space, stop_z, stop_radius, stop_pose = _pure_stop(scene, shape)
-    caps = np.concatenate([m.vertices for m in shape.caps])
+    caps = np.concatenate([*(m.vertices for m in shape.caps), *_bulges(shape)])
     # Larger by a rounding error, so that a flat surface, too, has a box that rays can enter.
     slack = 1e-9 * np.abs(caps).max()
     first, last = shape.surfaces[0], shape.surfaces[-1]
@@ -107,6 +109,13 @@ def lens_tables(
         ordered=ordered,
         by_roots=by_roots,
     )
+
+
+def _bulges(shape: LensShape) -> Iterator[Array]:
+    """Yield points, (n, 3) mm, of surfaces that are no conics, which may stand out between the vertices of a mesh."""
+    for surface, rim in zip(shape.surfaces, shape.rims, strict=True):
+        if surface["terms"] > 0 and surface["level"] == EXACT:
+            yield on_circles(surface, np.linspace(0.0, rim, SLOPE_INTERVALS + 1)).reshape(-1, 3)
 
 
 def surface_order(shape: LensShape) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:

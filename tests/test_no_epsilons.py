@@ -42,6 +42,7 @@ DIMENSIONLESS = {
     "transport/aiming/aim_proof.py": {"ALLOWED", "DARK", "NEAREST"},
     "transport/render/blind_check.py": {"LEVEL"},
     "transport/render/certainty.py": {"RARE"},
+    "transport/render/glass_aim.py": {"FEW", "FLATTEST"},
     "transport/render/order_check.py": {"LARGEST_MM"},
     "transport/events/crossing.py": {"EDGE", "FLOAT32_GRAIN"},
     "transport/events/ground.py": {"LOWEST"},

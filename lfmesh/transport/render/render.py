@@ -18,6 +18,7 @@ from lfmesh.transport.packets.ledger import Ledger, LostEnergyWarning
 from lfmesh.transport.packets.packet import EVENTS
 from lfmesh.transport.render.adaptive import Counts, Refinement, combine, samples_of, second_stage, total_samples
 from lfmesh.transport.render.compile_ahead import compiled_ahead
+from lfmesh.transport.render.glass_aim import hardly_aimed
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.parts import LAMP_BOOK, OWN_BOOK, in_words
 from lfmesh.transport.render.progress import Progress
@@ -90,7 +91,10 @@ def render(
         world = build(scene)
         ahead.join(world)
     with watched(progress) as report:
-        image = Renderer(world, progress=report).image(saved, keep)
+        renderer = Renderer(world, progress=report)
+        for line in hardly_aimed(world):
+            warnings.warn(line, MissedLightWarning, stacklevel=2)
+        image = renderer.image(saved, keep)
     for ledger in (image.ledger, image.ledger.lamps):
         lost = ledger.loss_in_words() if ledger is not None else None
         if lost is not None:

@@ -44,6 +44,7 @@ DIMENSIONLESS = {
     "transport/checks/tails.py": {"BRIGHT"},
     "transport/render/blind_check.py": {"LEVEL"},
     "transport/render/certainty.py": {"RARE"},
+    "transport/render/glass_aim.py": {"FEW", "FLATTEST"},
     "transport/render/order_check.py": {"LARGEST_MM"},
     "transport/events/crossing.py": {"EDGE", "FLOAT32_GRAIN"},
     "transport/events/ground.py": {"LOWEST"},

@@ -11,6 +11,7 @@ from lfmesh.geometry.targets import named_target
 from lfmesh.scene.advice import doubtful
 from lfmesh.transport.checks.lamps import lamps_at_targets, lamps_in_field
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
+from lfmesh.transport.render.glass_aim import hardly_aimed
 from lfmesh.transport.world import World
 
 
@@ -26,7 +27,7 @@ def foreseen(world: World) -> list[PictureWarning]:
         *_hidden(world),
         *lamps_in_field(world),
         *lamps_at_targets(world),
-        *_particles_by_glass(world),
+        *map(MissedLightWarning, hardly_aimed(world)),
         *_without_reflections(world),
         *doubtful(world.scene, world.first_order),
     ]
@@ -41,16 +42,6 @@ def _hidden(world: World) -> Iterator[PictureWarning]:
                 f"{named_target(world.scene, number)} is closed round the camera: its inside is black and hides "
                 "everything else; give it an opening, or move it away from the camera"
             )
-
-
-def _particles_by_glass(world: World) -> Iterator[PictureWarning]:
-    """Say what of the light of particles is left out where there is glass."""
-    glass = [i for i, target in enumerate(world.scene.targets) if target.refractor is not None]
-    if world.particles and glass:
-        yield MissedLightWarning(
-            f"light of particles is sent straight towards the lens, through {named_target(world.scene, glass[0])}: the "
-            "picture lacks what glass and liquids reflect into the lens, or bend farther aside than the lens is wide"
-        )
 
 
 def _without_reflections(world: World) -> Iterator[PictureWarning]:

@@ -57,7 +57,6 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.path_class import is_estimated, is_unturned
 from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived, uniform
-from lfmesh.transport.regions.bodies import RANK, bodies_round
 from lfmesh.transport.tables.scattering import THERMAL
 from lfmesh.transport.tables.tables import AIR, BY_ALPHA, AimTables, ObjectTables
 
@@ -422,7 +421,7 @@ def _aim_at_camera(
     ix, iy, iz = packet.dx, packet.dy, packet.dz
     px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
     ax, ay, az, at_lens = aimed_from(
-        aim.through, bodies_round(packet) & RANK, aim, px, py, pz,
+        aim.through, aim, px, py, pz,
         draw(packet, AIM_DISK), draw(packet, AIM_U), draw(packet, AIM_V),
     )  # fmt: skip
     dx, dy, dz = move_direction(frames, CAMERA_FRAME, OBJECT_FRAME, ax, ay, az)
@@ -457,7 +456,7 @@ def share_with_other(flow: Flow, frames: Array, aim: AimTables, packet: Any) -> 
     x, y, z = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, packet.x, packet.y, packet.z)
     dx, dy, dz = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, packet.dx, packet.dy, packet.dz)
     anywhere = packet.density
-    at_lens = aimed_density_from(aim.through, bodies_round(packet) & RANK, aim, x, y, z, dx, dy, dz)
+    at_lens = aimed_density_from(aim.through, aim, x, y, z, dx, dy, dz)
     weight = packet.weight
     if packet.kind == CAMERA:
         packet.weight *= at_lens / (at_lens + anywhere)

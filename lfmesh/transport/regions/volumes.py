@@ -459,7 +459,7 @@ def send_from_medium(
     if forward and options.aimed:
         px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
         ax, ay, az, at_lens = aimed_from(
-            aim.through, bodies_round(packet) & RANK, aim, px, py, pz,
+            aim.through, aim, px, py, pz,
             uniform(key, DISK), uniform(key, TO_U), uniform(key, TO_V),
         )  # fmt: skip
         if at_lens > 0.0:

@@ -1,204 +1,458 @@
-"""The aim from inside bodies of glass or liquid: rays are traced out of them to the lens's opening, before an image.
+"""The aim at the lens through glass, fitted to what probe rays tell before an image, and its proof by further ones.
 
-At each node of a lattice over a body the ray that meets the middle of the opening is found by Newton's method. Rays
-aimed by what lies between the nodes, at the middle and the rim of the opening, then tell how far they miss it.
+The points at which the probes would be scattered divide object space into cells. In each cell the directions of the
+probes that have come the same way make a bundle: a centre that moves linearly with the point, and the ellipse round it
+that holds them. Cells are as small as the number of probes allows, and are joined again where that loses little.
 """
 
+import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry import frame
-from lfmesh.geometry.mesh import Array
-from lfmesh.transport.aiming.through_glass import LATTICE, VALUES, GlassAim, Way, way_out
-from lfmesh.transport.engine import Workspace
-from lfmesh.transport.packets.book import HOUSING
-from lfmesh.transport.packets.packet import (
-    CAMERA_FRAME,
-    ENDED,
-    LENS,
-    OBJECT_FRAME,
-    OBJECTS,
-    S_ABSORBED,
-    S_ESCAPED,
-    TRANSMIT,
-    WORLD_FRAME,
-)
-from lfmesh.transport.regions.bodies import RANK
-from lfmesh.transport.regions.glass_round import glass_round
-from lfmesh.transport.settings import options_of
-from lfmesh.transport.sources.rays import RaySource
+from lfmesh.errors import SceneError
+from lfmesh.kernel import kernel
+from lfmesh.optics.scattering import tangents
+from lfmesh.transport.aiming.pupil import opening_from
+from lfmesh.transport.aiming.through_glass import BUNDLE, CELL, GlassAim, aimed_density_from, cell_at
+from lfmesh.transport.render.glass_probes import ON_ROUGH_GLASS, Sights, probe
+from lfmesh.transport.tables.tables import OPAQUE, AimTables
 from lfmesh.transport.world import World
 
+Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
-NODES = 9
-"""Of a lattice, along each axis."""
+PROBES, MOST_PROBES = 1 << 16, 1 << 17
+"""Number of probe rays to which the aim is fitted first, and largest number of them."""
 
-NEAR_FACES = 0.999
-"""Size of a lattice over that of its body: its outer nodes lie inside."""
+FEWEST = 24
+"""Sights of a way from which a bundle is fitted; one of fewer takes the bundle of a larger cell."""
 
-STEPS, NUDGE, HIT = 12, 0.002, 0.01
-"""Newton's method: steps, at most; difference of slopes by which derivatives are taken; and how near to the middle a
-ray is taken to meet it, over the radius of the wide disk."""
+FEWEST_IN_CELL = 2 * FEWEST
+"""Sights in each half of a cell that is divided."""
 
-SLACK = 1.5
-"""By what the largest miss that was seen is multiplied: rays are aimed so much wider than the opening."""
+LOSS = 1.15
+"""By how much the mean weight of packets may grow where two cells are joined."""
 
+IDLE = 3
+"""Divisions one after the other that do not lower it, after which a cell is not divided further."""
 
-class Landed(NamedTuple):
-    """Where rays from inside bodies meet the plane of the opening."""
+MARGIN = 1.1
+"""Size of a bundle over the ellipse that holds the directions of its probes."""
 
-    known: NDArray[np.bool_]  # (n,)
-    point: Array  # (n, 2) mm, camera frame
-    slope: Array  # (n, 2) in air
+AROUND, EVERY = 0.15, 3
+"""Share of a cell's rays that go to the bundles of the cells around it, of which every third counts, and the largest:
+they hold what the few probes in the cell itself did not show."""
 
+STRAIGHT = 0.05
+"""Least share of a cell's rays that is aimed as if there were no glass."""
 
-def bodies_with_light(world: World) -> list[int]:
-    """Return the bodies inside which light starts or is scattered, by their ranks."""
-    objects = world.tables.objects
-    ranks = {int(rank) for table in world.particles for rank in np.unique(table.inside & RANK)}
-    if objects.volumes is not None:
-        acts = (objects.volumes.scattering > 0.0).any(axis=1) | (objects.volumes.emission > 0.0).any(axis=1)
-        ranks |= set(objects.volumes.rows["inside"][acts].tolist())
-    return sorted(ranks - {0})
+FEW = 1e-3
+"""Share of light that may be hardly aimed at without more probes."""
 
+TOO_MUCH = 0.02
+"""Share that the forward method refuses."""
 
-def glass_aim(world: World) -> GlassAim | None:
-    """Return the aim from inside the bodies in which light starts or is scattered; None if there are none."""
-    ranks = bodies_with_light(world)
-    if not ranks or not world.aim.entrance.known:
-        return None
-    lattices, nodes = np.zeros(len(ranks), LATTICE), []
-    for number, rank in enumerate(ranks):
-        lattice = lattices[number]
-        places = _lattice(world, rank, lattice)
-        inside = glass_round(world.tables.objects, world.targets, _to_world(world, places))
-        nodes.append(_central_rays(world, places, inside, rank))
-        lattice["first"] = sum(map(len, nodes[:-1]))
-        alone = GlassAim(lattices[number : number + 1].copy(), nodes[-1])
-        alone.lattices["first"] = 0
-        nodes[-1][:, -1] = SLACK * _misses(world, alone, places, rank)
-    return GlassAim(lattices, np.concatenate(nodes))
+HARDLY = 100.0
+"""Weight of packets over that of others from which on their light is hardly aimed at."""
+
+FLATTEST = 1e-6
+"""Extent of a cell, and variance of a bundle's slopes, in one direction over that in others below which it is 0."""
+
+STEEPEST = 0.2
+"""Least cosine between the directions of a bundle and their mean."""
 
 
-def _lattice(world: World, rank: int, lattice: np.void) -> Array:
-    """Fill in the lattice over a body, along the axes of its target; return its nodes, (n, 3) mm, camera frame."""
-    body = int(world.tables.objects.by_rank[rank])
-    target = world.scene.targets[body]
-    own = frame.frame(target.rotation_deg, target.position_mm)
-    corners = frame.points(frame.inverse(own), world.targets[body].mesh.vertices)
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    margin = 0.5 * (1.0 - NEAR_FACES) * (high - low)
-    lattice["rank"], lattice["count"] = rank, NODES
-    lattice["low"], lattice["step"] = low + margin, (high - low - 2.0 * margin) / (NODES - 1)
-    to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
-    lattice["to_own"] = frame.compose(frame.inverse(own), to_world)
-    grid = np.stack(np.meshgrid(*[np.arange(NODES)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    return frame.points(frame.inverse(lattice["to_own"]), lattice["low"] + grid * lattice["step"])
+class Bundle(NamedTuple):
+    """Directions of light that comes one way to the lens from points of a cell."""
+
+    row: np.void  # BUNDLE
+    size: float  # area of its ellipse, in slopes
+    way: int = 0
+    chance: float = 0.0  # share of light that goes its way
 
 
-def _to_world(world: World, points: Array) -> Array:
-    return frame.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], points)
+_Known = dict[int, tuple[Bundle, int]]
+"""Bundles of a cell by their ways, and the number of sights of each."""
 
 
-def _central_rays(world: World, places: Array, inside: Numbers, rank: int) -> Array:
-    """Return the nodes at places of a body, (n, VALUES); those elsewhere, and those that no ray leaves, are unknown."""
-    plane_z, wide = world.aim.entrance.plane_z, world.aim.front_radius
-    nodes = np.zeros((len(places), VALUES))
-    some = np.flatnonzero((inside & RANK == rank) & (places[:, 2] < plane_z))
-    slope = -places[some, :2] / (plane_z - places[some, 2])[:, None]
-    for step in range(STEPS):
-        if not len(some):
-            break
-        landed = [
-            _landed(world, places[some], slope + np.array(nudge), inside[some])
-            for nudge in ((0.0, 0.0), (NUDGE, 0.0), (0.0, NUDGE))
-        ]
-        middle = landed[0]
-        # Columns: change of the point for a change of each slope.
-        change = np.stack([(each.point - middle.point) / NUDGE for each in landed[1:]], axis=-1)
-        known = np.all([each.known for each in landed], axis=0)
-        known[known] = np.abs(np.linalg.det(change[known])) > 0.0
-        some, slope, change = some[known], slope[known], change[known]
-        point, left = middle.point[known], middle.slope[known]
-        inverse = np.linalg.inv(change)
-        if step == STEPS - 1 or (np.linalg.norm(point, axis=1) < HIT * wide).all():
-            met = np.linalg.norm(point, axis=1) < HIT * wide
-            # To first order the ray through the very middle.
-            slope = slope - np.einsum("nij,nj->ni", inverse, point)
-            columns = [np.ones((len(some), 1)), slope, left, inverse.reshape(-1, 4), np.zeros((len(some), 1))]
-            rows = np.concatenate(columns, axis=1)
-            nodes[some[met]] = rows[met]
-            break
-        slope = slope - np.einsum("nij,nj->ni", inverse, point)
-    return nodes
+@dataclass(frozen=True)
+class Cell:
+    """Part of object space.
+
+    Attributes
+    ----------
+    axis : int
+        Along which it is divided; −1: not divided.
+    border : float, mm
+    halves : tuple of Cell
+    bundles : tuple of Bundle
+    straight : float
+        Share of rays that are aimed as if there were no glass.
+    count : int
+        Number of sights.
+    weight : float
+        Mean weight of packets that come to the lens from there.
+    """
+
+    axis: int
+    border: float
+    halves: tuple["Cell", ...]
+    bundles: tuple[Bundle, ...]
+    straight: float
+    count: int
+    weight: float
 
 
-def _misses(world: World, alone: GlassAim, places: Array, rank: int) -> Array:
-    """Return the largest distance by which rays from round each node miss the points they are aimed at, (n,) mm."""
-    cells = places.reshape(NODES, NODES, NODES, 3)
-    middles = 0.5 * (cells[:-1, :-1, :-1] + cells[1:, 1:, 1:]).reshape(-1, 3)
-    inside = glass_round(world.tables.objects, world.targets, _to_world(world, middles))
-    ways = [way_out(alone, rank, *point) for point in middles]
-    some = np.flatnonzero((inside & RANK == rank) & np.array([way.known for way in ways]))
-    missed = np.zeros(len(middles))
-    if not len(some):
-        return np.zeros(len(places))
-    way = Way(*np.array([ways[i] for i in some], dtype=np.float64).T)
-    start, change = np.stack([way.sx, way.sy], axis=-1), np.array([[way.xx, way.xy], [way.yx, way.yy]])
-    radius = 0.5 * world.aim.front_radius
-    for x, y in ((0.0, 0.0), (radius, 0.0), (-radius, 0.0), (0.0, radius), (0.0, -radius)):
-        goal = np.array([x, y])
-        landed = _landed(world, middles[some], start + np.einsum("ijn,j->ni", change, goal), inside[some])
-        miss = np.where(landed.known, np.linalg.norm(landed.point - goal, axis=1), world.aim.front_radius)
-        missed[some] = np.maximum(missed[some], miss)
-    # Each node has the largest of the cells round it.
-    padded = np.pad(missed.reshape(NODES - 1, NODES - 1, NODES - 1), 1)
-    shifted = [padded[i : i + NODES, j : j + NODES, k : k + NODES] for i, j, k in np.ndindex(2, 2, 2)]
-    return np.asarray(np.max(shifted, axis=0).ravel())
+@dataclass(frozen=True)
+class GlassProof:
+    """Measure of how well light that comes to the lens through glass, or off it, is aimed.
+
+    Attributes
+    ----------
+    missed : float
+        Share of the light that is hardly aimed at: packets that bring it have more than a hundred times the weight of
+        others. The largest share of the light of targets, of a medium or of an entry of particles.
+    probes : int
+        Number of probe rays by which they are measured.
+    """
+
+    missed: float
+    probes: int
 
 
-def _landed(world: World, places: Array, slope: Array, inside: Numbers) -> Landed:
-    """Trace rays from inside bodies, through all glass, to the plane of the opening.
+_STRAIGHT_ONLY = GlassAim(np.array([(-1, 0.0, 0, 0, 1.0, 0, 0)], CELL), np.zeros(0, BUNDLE), 0.0, 1.0)
+
+
+def has_glass(world: World) -> bool:
+    """Tell whether there are bodies of glass or liquid before the camera."""
+    return bool((world.tables.objects.medium != OPAQUE).any())
+
+
+class Fit(NamedTuple):
+    """Aim that is fitted to sights, with what its proof asks of its bundles.
+
+    Attributes
+    ----------
+    aim : GlassAim
+    way : (m,) uint64
+        Of each bundle.
+    chance : (m,) float64
+        Share of light that goes its way.
+    typical : (n,) float64
+        One over the mean weight of packets from each cell.
+    """
+
+    aim: GlassAim
+    way: NDArray[np.uint64]
+    chance: Array
+    typical: Array
+
+
+def glass_aim(world: World) -> tuple[GlassAim | None, GlassProof | None]:
+    """Return the aim through glass, None where no light comes to the sensor through glass, and its proof.
 
     Parameters
     ----------
     world : World
-    places : (n, 3) float64, mm, camera frame
-    slope : (n, 2) float64
-        dx/dz and dy/dz.
-    inside : (n,) int64
-        Bodies round each place, as packets hold them.
+        Which keeps them.
     """
-    direction = np.concatenate([slope, np.ones((len(slope), 1))], axis=1)
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    ones, zeros = np.ones(len(places)), np.zeros(len(places), np.int64)
-    source = RaySource(places, direction, zeros + OBJECTS, zeros, ones, np.uint64(0), inside=inside)
-    objects = world.tables.objects
-    clear = objects._replace(volumes=None, media=objects.media._replace(absorption=None))
-    options = options_of(world, tracing=True, split=TRANSMIT, cutoff=0.0)
-    work = Workspace(world, options, len(places), world.tables._replace(objects=clear))
-    work.begin(None, len(places))
-    source.launch(work, range(len(places)))
-    while work.tops[OBJECTS]:
-        work.advance(OBJECTS)
-    entered = work.stacks[work.rows[LENS], : work.tops[LENS]]
-    ended = work.ended[: work.tops[ENDED]]
-    beside = ended[(ended["status"] == S_ESCAPED) | ((ended["status"] == S_ABSORBED) & (ended["body"] == HOUSING))]
-    origin, way = np.full((2, len(places), 3), np.nan)
-    for name, into in (("xyz", origin), (("dx", "dy", "dz"), way)):
-        into[entered["source"]] = np.stack([entered[axis] for axis in name], axis=-1)
-    moves = world.tables.frames
-    origin, way = (
-        frame.points(moves[OBJECT_FRAME, CAMERA_FRAME], origin),
-        frame.directions(moves[OBJECT_FRAME, CAMERA_FRAME], way),
-    )
-    origin[beside["source"]] = frame.points(moves[WORLD_FRAME, CAMERA_FRAME], beside["position"])
-    way[beside["source"]] = frame.directions(moves[WORLD_FRAME, CAMERA_FRAME], beside["direction"])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        out = way[:, :2] / way[:, 2:]
-        point = origin[:, :2] + (world.aim.entrance.plane_z - origin[:, 2:]) * out
-    known = (way[:, 2] > 0.0) & np.isfinite(point).all(axis=1)
-    return Landed(known, point, out)
+    if not has_glass(world):
+        return None, None
+    if world.kept_aim is None:
+        world.kept_aim = _found(world)
+    found: tuple[GlassAim | None, GlassProof | None] = world.kept_aim
+    return found
+
+
+def _found(world: World) -> tuple[GlassAim | None, GlassProof | None]:
+    """Return the result of `glass_aim`."""
+    number = PROBES
+    sights, others = probe(world, number, 0), probe(world, number, 1)
+    if not (sights.way != 0).any():
+        return None, None
+    while True:
+        fit = fitted(world, sights)
+        proof = proof_of(fit, world.aim, others)
+        if not FEW < proof.missed <= TOO_MUCH or number >= MOST_PROBES:
+            return fit.aim, proof
+        # What the proof has found is part of the next fit, which others prove.
+        sights, number = sights.joined(others), 2 * number
+        others = probe(world, number, number)
+
+
+def refuse_unaimed(world: World) -> None:
+    """Refuse a forward render of light of which too much comes to the lens through glass as it is not aimed.
+
+    Parameters
+    ----------
+    world : World
+
+    Raises
+    ------
+    SceneError
+        The forward method is asked for.
+    """
+    proof = glass_aim(world)[1]
+    if proof is not None and proof.missed > TOO_MUCH and world.scene.transport.method == "forward":
+        raise SceneError(
+            f'transport.method = "forward" cannot aim {100.0 * proof.missed:.2g} % of the light at the lens, which '
+            'comes through glass, or off it, in too many ways: take "adjoint"'
+        )
+
+
+def hardly_aimed(world: World) -> list[str]:
+    """Say that light is found so seldom that the picture may be darker than its error says.
+
+    Parameters
+    ----------
+    world : World
+        For which a render has found the aim.
+    """
+    proof = None if world.kept_aim is None else world.kept_aim[1]
+    if proof is None or proof.missed <= FEW:
+        return []
+    forward = world.scene.transport.method == "forward"
+    light = "the light" if forward else "what is traced forward, of lamps through glass and of particles,"
+    return [
+        f"{100.0 * proof.missed:.2g} % of {light} comes to the lens through glass, or off it, in ways at which few "
+        "packets are aimed: the picture may be too dark by more than its error says, above all where glass has edges"
+        + ('; method = "adjoint" has no such trouble' if forward else "")
+    ]
+
+
+def fitted(world: World, sights: Sights) -> Fit:
+    """Return the aim that is fitted to sights.
+
+    Parameters
+    ----------
+    world : World
+    sights : Sights
+    """
+    sights = sights.some(sights.place != ON_ROUGH_GLASS)
+    ways, counts = np.unique(sights.way, return_counts=True)
+    sights = sights.some(np.isin(sights.way, ways[counts >= FEWEST]))
+    if not len(sights.way):
+        return Fit(_STRAIGHT_ONLY, np.zeros(0, np.uint64), np.zeros(0), np.zeros(1))
+    entrance, wide = world.aim.entrance, world.aim.front_radius
+    middle = sights.point.mean(axis=0)
+    radius = opening_from(entrance, *middle)[2] if entrance.known else -1.0
+    radius = radius if radius > 0.0 else wide
+    opening = np.pi * radius**2 / (entrance.plane_z - middle[2]) ** 2
+    root = _Division(_chances(sights), float(opening)).cell(sights)
+    cells, bundles = np.zeros(_number_of(root), CELL), list[Bundle]()
+    typical = np.zeros(len(cells))
+    _written(root, cells, 0, bundles, typical)
+    rows = np.array([bundle.row for bundle in bundles], BUNDLE)
+    share = world.aim.wide_share if entrance.known else 0.0
+    aim = GlassAim(cells, rows, share, max(wide / radius, 1.0))
+    way, chance = np.array([each.way for each in bundles], np.uint64), np.array([each.chance for each in bundles])
+    return Fit(aim, way, chance, typical)
+
+
+def _chances(sights: Sights) -> dict[int, float]:
+    """Return the share of light that comes each way from points from which it comes that way at all, at most.
+
+    Of a way that is refracted everywhere it is about 1; of a reflection it is the reflectance.
+    """
+    ways, number = np.unique(sights.way, return_inverse=True)
+    most = np.zeros(len(ways))
+    pieces = [np.arange(len(number))]
+    while pieces:
+        piece = pieces.pop()
+        if len(piece) >= 2 * FEWEST_IN_CELL:
+            point = sights.point[piece]
+            axis = int(np.argmax(np.ptp(point, axis=0)))
+            order = np.argsort(point[:, axis], kind="stable")
+            pieces += [piece[order[: len(order) // 2]], piece[order[len(order) // 2 :]]]
+        else:
+            most = np.maximum(most, np.bincount(number[piece], minlength=len(ways)) / len(piece))
+    return dict(zip(ways.tolist(), most.tolist(), strict=True))
+
+
+def _number_of(cell: Cell) -> int:
+    return 1 + sum(map(_number_of, cell.halves))
+
+
+def _written(cell: Cell, cells: NDArray[np.void], number: int, bundles: list[Bundle], typical: Array) -> int:
+    """Write a cell and its parts from a row on, and its bundles; return the number of the next row."""
+    row = cells[number]
+    row["axis"], row["border"], row["straight"] = cell.axis, cell.border, cell.straight
+    row["first"], row["bundles"] = len(bundles), 0
+    following = number + 1
+    if cell.halves:
+        row["below"] = following
+        following = _written(cell.halves[0], cells, following, bundles, typical)
+        row["above"] = following
+        return _written(cell.halves[1], cells, following, bundles, typical)
+    row["bundles"] = len(cell.bundles)
+    bundles += cell.bundles
+    typical[number] = 1.0 / cell.weight if cell.weight > 0.0 else 0.0
+    return following
+
+
+@dataclass(frozen=True)
+class _Division:
+    """Division of object space into cells.
+
+    A ray that goes a way with the chance p, into a bundle of the size s, brings a weight t s / p, t being the share of
+    light that follows the way. With the share f of the light it adds f t s / p to the mean weight, which the chances
+    p ~ √(f t s) make least: (Σ √(f t s))².
+
+    Attributes
+    ----------
+    chance : dict of float
+        t of each way.
+    opening : float
+        Size of the lens's opening as seen without glass, in slopes.
+    """
+
+    chance: dict[int, float]
+    opening: float
+
+    def cell(self, sights: Sights, around: tuple[_Known, ...] = (), before: float = np.inf, idle: int = 0) -> Cell:
+        """Return the cell of some sights, divided where that lowers the mean weight.
+
+        Parameters
+        ----------
+        sights : Sights
+        around : tuple of dict
+            Bundles of the cells around it by their ways, the largest cell first.
+        before : float
+            Mean weight in the last of them.
+        idle : int
+            Number of divisions that have not lowered it.
+        """
+        known = _known(sights, around[-1] if around else {})
+        straight = float((sights.way == 0).sum())
+        weight = (math.sqrt(straight * self.opening) + sum(self._rate(known, way) for way in known)) ** 2
+        weight /= len(sights.way)
+        whole = Cell(-1, 0.0, (), *self._mixed(straight, known, around), len(sights.way), weight)
+        idle = idle + 1 if LOSS * weight >= before else 0
+        if len(sights.way) < 2 * FEWEST_IN_CELL or not known or idle > IDLE:
+            return whole
+        axis = int(np.argmax(np.ptp(sights.point, axis=0)))
+        border = float(np.median(sights.point[:, axis]))
+        low = sights.point[:, axis] < border
+        if min(low.sum(), (~low).sum()) < FEWEST_IN_CELL:
+            return whole
+        halves = tuple(self.cell(sights.some(half), (*around, known), weight, idle) for half in (low, ~low))
+        mean = sum(half.count * half.weight for half in halves) / len(sights.way)
+        return whole if weight <= LOSS * mean else Cell(axis, border, halves, (), 1.0, whole.count, mean)
+
+    def _rate(self, known: _Known, way: int) -> float:
+        """Return √(f t s) of a way, f being a number of sights."""
+        bundle, count = known[way]
+        return math.sqrt(count * self.chance[way] * bundle.size)
+
+    def _mixed(self, straight: float, known: _Known, around: tuple[_Known, ...]) -> tuple[tuple[Bundle, ...], float]:
+        """Return all bundles to which a cell's rays go, with their shares, and the share of the straight aim."""
+        larger = list({id(each): each for each in (*around[:1], *around[-EVERY::-EVERY]) if each}.values())
+        levels = [(1.0 - AROUND if larger else 1.0, known)] if known else []
+        levels += [((AROUND if known else 1.0) / len(larger), each) for each in larger]
+        if not levels:
+            return (), 1.0
+        rates = [{way: self._rate(level, way) for way in level} for _, level in levels]
+        unbent = math.sqrt(straight * self.opening)
+        unbent = max(STRAIGHT, unbent / (unbent + sum(rates[0].values()))) if known or not straight else 1.0 - AROUND
+        found = []
+        for (share, level), rate in zip(levels, rates, strict=True):
+            for way, (bundle, _) in level.items():
+                row = bundle.row.copy()
+                row["share"] = (1.0 - unbent) * share * rate[way] / sum(rate.values())
+                found.append(Bundle(row, bundle.size, way, self.chance[way]))
+        return tuple(found), unbent
+
+
+def _known(sights: Sights, around: _Known) -> _Known:
+    """Return a cell's bundles by their ways, with the numbers of their sights."""
+    found = {}
+    for way, count in zip(*np.unique(sights.way[sights.way != 0], return_counts=True), strict=True):
+        bundle = around[int(way)][0] if int(way) in around else None
+        if count >= FEWEST:
+            mine = sights.way == way
+            bundle = _bundle(sights.point[mine], sights.direction[mine]) or bundle
+        if bundle is not None:
+            found[int(way)] = bundle, int(count)
+    return found
+
+
+def _bundle(point: Array, direction: Array) -> Bundle | None:
+    """Return the bundle of some directions from points of a cell; None if they differ too much, or not at all."""
+    axis = direction.mean(axis=0)
+    axis /= np.linalg.norm(axis)
+    along = direction @ axis
+    if along.min() < STEEPEST:
+        return None
+    sides = np.array(tangents(*axis)).reshape(2, 3)
+    slopes = direction @ sides.T / along[:, None]
+    middle = point.mean(axis=0)
+    columns = np.column_stack([np.ones(len(point)), point - middle])
+    change, *_ = np.linalg.lstsq(columns, slopes, rcond=FLATTEST)
+    off = slopes - columns @ change
+    spread = off.T @ off / len(point)
+    if not np.trace(spread) > 0.0:
+        return None
+    spread += FLATTEST * np.trace(spread) * np.eye(2)
+    root = np.linalg.cholesky(spread)
+    reach = MARGIN * np.sqrt((np.linalg.solve(root, off.T) ** 2).sum(axis=0).max())
+    row = np.zeros(1, BUNDLE)[0]
+    row["point"], row["axes"] = middle, [*sides, axis]
+    row["slope"], row["per_mm"] = change[0], change[1:].T
+    row["stretch"], row["squeeze"] = reach * root, np.linalg.inv(reach * root)
+    size = np.pi * abs(np.linalg.det(row["stretch"]))
+    row["density"] = 1.0 / size
+    return Bundle(row, size)
+
+
+def proof_of(fit: Fit, tables: AimTables, sights: Sights) -> GlassProof:
+    """Return the proof of an aim by sights that it was not fitted to.
+
+    Parameters
+    ----------
+    fit : Fit
+    tables : AimTables
+    sights : Sights
+    """
+    weight = np.zeros(len(sights.way))
+    through = sights.way != 0
+    _weigh(*fit, tables, sights.point, sights.direction, sights.way, weight)
+    missed = through & ((weight > HARDLY) | (sights.place == ON_ROUGH_GLASS))
+    shares = [float(missed[sights.place == place].mean()) for place in np.unique(sights.place)]
+    return GlassProof(max(shares), len(sights.way))
+
+
+@kernel
+def _weigh(
+    aim: GlassAim, ways: NDArray[np.uint64], chance: Array, typical: Array, tables: AimTables, point: Array,
+    direction: Array, way: NDArray[np.uint64], weight: Array,
+) -> None:  # fmt: skip
+    """Write the weight with which packets bring light from a point in a direction, over the weight of others there.
+
+    Parameters
+    ----------
+    aim, ways, chance, typical
+        As the attributes of `Fit`.
+    tables : AimTables
+    point, direction, way
+        As for `Sights`.
+    weight : (n,) float64
+        Written: inf where no packet goes.
+    """
+    for i in range(len(point)):
+        x, y, z = point[i, 0], point[i, 1], point[i, 2]
+        dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
+        number = cell_at(aim.cells, x, y, z)
+        cell = aim.cells[number]
+        light = 0.0
+        for j in range(cell.first, cell.first + cell.bundles):
+            if ways[j] == way[i]:
+                light = chance[j]
+                break
+        if light == 0.0:
+            weight[i] = np.inf
+            continue
+        density = aimed_density_from(aim, tables, x, y, z, dx, dy, dz)
+        weight[i] = light * typical[number] / density if density > 0.0 else np.inf

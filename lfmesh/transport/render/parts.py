@@ -31,12 +31,12 @@ from lfmesh.transport.packets.path_class import (
     OTHER_STRAYS,
 )
 from lfmesh.transport.render.blind_check import without_aim
-from lfmesh.transport.render.glass_aim import glass_aim
+from lfmesh.transport.render.glass_aim import glass_aim, has_glass, refuse_unaimed
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.tables.objects import aimed_at_camera, aimed_at_glass
 from lfmesh.transport.tables.particles import ParticleTables
 from lfmesh.transport.tables.scattering import LAMBERTIAN, ScatteringTables
-from lfmesh.transport.tables.tables import OPAQUE, ObjectTables, Tables
+from lfmesh.transport.tables.tables import ObjectTables, Tables
 from lfmesh.transport.world import World
 
 IMAGE_PATHS_PER_STRAY, WITH_GLASS = 4, 2
@@ -157,7 +157,10 @@ def parts_of(world: World, *, aimed: bool = True, by_meshes: bool = False) -> tu
 def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
     """Return the parts of an image; `ghosts`: with ghosts by themselves, where that can be."""
     options, tables = options_of(world, aimed=aimed), world.aimed_tables
-    through = glass_aim(world) if world.particles or world.scene.media else None
+    forward = not options.adjoint or bool(world.particles) or aimed_at_glass(tables.objects) is not None
+    through = glass_aim(world)[0] if aimed and forward else None
+    if aimed and not options.adjoint:
+        refuse_unaimed(world)
     particles = particle_parts(world, through)
     if particles and not (len(tables.objects.lights) or tables.objects.radiance.any() or world.scene.media):
         # Nothing else shines, so no packet need start anywhere else.
@@ -170,15 +173,15 @@ def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
         return (Part(0, options, tables), *lamps)
     path = with_wide_share(tables.aim, WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_IMAGE_PATH)
     strays = with_wide_share(tables.aim, WIDE_SHARE_OF_STRAYS)
-    thinned = WITH_GLASS if _has_glass(tables) else IMAGE_PATHS_PER_STRAY
+    thinned = WITH_GLASS if has_glass(world) else IMAGE_PATHS_PER_STRAY
     along_path = options._replace(split=TRANSMIT, sequential=True)
-    off_path = _off_image_path(options, tables)
+    off_path = _off_image_path(options, world)
     image_path = Part(0, along_path, tables._replace(aim=path), accounts=False)
     if not ghosts or world.ghosts is None:
         return (image_path, Part(1, off_path, tables._replace(aim=strays), thinned), *lamps)
-    thinned = WITH_GLASS if _has_glass(tables) else IMAGE_PATHS_PER_OTHER_STRAY
+    thinned = WITH_GLASS if has_glass(world) else IMAGE_PATHS_PER_OTHER_STRAY
     others = off_path._replace(paths=OTHER_STRAYS)
-    if not _has_glass(tables):
+    if not has_glass(world):
         single = len(tables.lens.surfaces) == 2 and tables.cover is None and tables.sensor.reflectance == 0.0
         lower = IN_SINGLE_ELEMENT if single else CUTOFF_OF_OTHER_STRAYS
         others = others._replace(
@@ -193,18 +196,13 @@ def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
     )
 
 
-def _off_image_path(options: Options, tables: Tables) -> Options:
+def _off_image_path(options: Options, world: World) -> Options:
     """Return the options of the part that estimates paths off the image path."""
     options = options._replace(paths=OFF_IMAGE_PATH)
-    if options.split == BOTH and not _has_glass(tables):
+    if options.split == BOTH and not has_glass(world):
         # Few scattered paths reach the lens, where alone they could leave the image path.
         return options._replace(unturned_cutoff=SCATTERED_PER_FOLLOWED * options.cutoff)
     return options
-
-
-def _has_glass(tables: Tables) -> bool:
-    """Tell whether there is glass in object space."""
-    return bool((tables.objects.medium != OPAQUE).any())
 
 
 def _aimed_through(tables: Tables, through: GlassAim | None) -> Tables:
@@ -251,9 +249,6 @@ def _from_lamps(number: int, world: World, objects: ObjectTables, through: Glass
     return Part(number, options, tables, book=LAMP_BOOK)
 
 
-THROUGH_GLASS, WIDENED = 0.5, 2.0
-"""Share of particles' packets to the wide disk, and how much wider it is, where glass may shift their light aside."""
-
 FIRST_OF_PARTICLES = 5
 """Number of the part of the first particles."""
 
@@ -278,9 +273,6 @@ def particle_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
     models["kind"], models["first"], models["black"] = LAMBERTIAN, 0, True
     black = ScatteringTables(models, np.zeros((1, objects.scattering.parameters.shape[1])))
     tables = _aimed_through(world.aimed_tables._replace(objects=objects._replace(scattering=black)), through)
-    if _has_glass(tables):
-        aim = tables.aim
-        tables = tables._replace(aim=aim._replace(wide_share=THROUGH_GLASS, front_radius=WIDENED * aim.front_radius))
     return tuple(
         Part(FIRST_OF_PARTICLES + number, options, tables, book=LAMP_BOOK, particles=particles)
         for number, particles in enumerate(world.particles)

@@ -29,7 +29,7 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.random import derived
 from lfmesh.transport.packets.sobol import owen_sobol
-from lfmesh.transport.regions.bodies import RANK, medium_of, set_bodies
+from lfmesh.transport.regions.bodies import medium_of, set_bodies
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.sources.wavelengths import order_of_particles
 from lfmesh.transport.tables.lines import Nodes
@@ -118,7 +118,7 @@ def launch_particles(
         own = derived(replicate_key, i)
         px, py, pz = move_point(frames, WORLD_FRAME, CAMERA_FRAME, x, y, z)
         ax, ay, az, at_lens = aimed_from(
-            aim.through, int(particles.inside[i]) & RANK, aim, px, py, pz,
+            aim.through, aim, px, py, pz,
             owen_sobol(own, sample, 2), owen_sobol(own, sample, 0), owen_sobol(own, sample, 1),
         )  # fmt: skip
         weight = 0.0

@@ -79,13 +79,3 @@ def test_reflections_that_the_sequential_engine_leaves_out_are_named() -> None:
     for split, told in (("both", True), ("transmit", False)):
         given = scene(**{"transport.engine": "sequential", "transport.split": split})
         assert (lf.MissedLightWarning in kinds(given)) == told
-
-
-def test_light_of_particles_that_glass_leads_aside_is_named() -> None:
-    seeds = {"count": 3, "seed": 1, "bounds": {"kind": "sphere", "radius_mm": 1.0}, "intensity_w_sr": 1e-3}
-    grains = [seeds | {"position_mm": (0.0, 0.0, -80.0)}]
-    block = {"refractor": {"box_mm": (20.0, 20.0, 5.0), "index": 1.5}, "position_mm": (0.0, 0.0, -50.0)}
-    plain = scene(particles=grains, targets=[])
-    assert lf.MissedLightWarning not in kinds(plain)
-    assert lf.MissedLightWarning in kinds(plain.changed({"targets": [block]}))
-    assert lf.MissedLightWarning not in kinds(scene(targets=[*scene().targets, block]))

@@ -1,0 +1,294 @@
+"""Probe rays from the pixels through lens and glass: they tell in which directions points of object space see the lens.
+
+They take the image path through the camera, and at glass are reflected or refracted by chance. Where they meet a
+target, and at a random point of their way through a medium or past particles, light that is scattered back along them
+comes to the sensor.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry import frame
+from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_IMAGE_PATH
+from lfmesh.transport.choice import obstacle_of
+from lfmesh.transport.engine import CHUNK, Workspace
+from lfmesh.transport.packets.packet import (
+    CAMERA_FRAME,
+    NO_SURFACE,
+    OBJECT_FRAME,
+    OBJECTS,
+    ON_GLASS,
+    ROULETTE,
+    S_ABSORBED,
+    S_ESCAPED,
+    S_TARGET,
+    STATIONS,
+    TRANSMIT,
+    WORLD_FRAME,
+    Event,
+)
+from lfmesh.transport.render.tally import Film
+from lfmesh.transport.settings import options_of
+from lfmesh.transport.sources.pixels import PixelSource
+from lfmesh.transport.tables.volumes import corners_of
+from lfmesh.transport.world import World
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+ON_ROUGH_GLASS, ON_TARGETS, FIRST_REGION = -2, -1, 0
+"""Of a sight: where it is. Media come first among the regions, then the entries of particles."""
+
+ROOM = 0.02
+"""By how much the box in which rays pass particles is larger than the particles', relative to its largest edge."""
+
+MOST_FACES, PLANE_DECIMALS = 64, 4
+"""Flat faces that a body may have for its faces to be told apart, and decimals by which their planes are."""
+
+MIX = np.uint64(0x9E3779B97F4A7C15)
+"""Odd number by which the events of a way are combined to one number."""
+
+
+class Sights(NamedTuple):
+    """Points that see the lens, each in one direction.
+
+    Attributes
+    ----------
+    point : (n, 3) float64, mm, camera frame
+    direction : (n, 3) float64, unit, camera frame
+        Towards the lens.
+    way : (n,) uint64
+        Tells apart the sequences of bodies at which the light is refracted and reflected; 0: straight to the lens.
+    place : (n,) int64
+        ON_TARGETS, ON_ROUGH_GLASS, or the number of the region.
+    """
+
+    point: Array
+    direction: Array
+    way: NDArray[np.uint64]
+    place: Numbers
+
+    def some(self, which: NDArray[np.generic]) -> "Sights":
+        """Return some of them, given by numbers or a mask."""
+        return Sights(*(values[which] for values in self))
+
+    def joined(self, other: "Sights") -> "Sights":
+        """Return these and others."""
+        return Sights(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
+
+
+class Region(NamedTuple):
+    """Box in which light starts or is scattered."""
+
+    to_own: Array  # (3, 4) from the world frame
+    low: Array  # (3,) mm
+    high: Array
+
+
+class _Stretches(NamedTuple):
+    """Straight parts of the probes' ways."""
+
+    start: Array  # (n, 3) mm, world frame
+    end: Array
+    way: NDArray[np.uint64]  # of the light from there to the lens
+    probe: Numbers
+
+
+def regions_of(world: World) -> list[Region]:
+    """Return boxes round all that sends light from within a volume: media, then entries of particles."""
+    objects, moves = world.tables.objects, world.tables.frames
+    found = []
+    if objects.volumes is not None:
+        acts = (objects.volumes.scattering > 0.0).any(axis=1) | (objects.volumes.emission > 0.0).any(axis=1)
+        for row in objects.volumes.rows[acts]:
+            corners = corners_of(row)
+            if corners is None:
+                corners = objects.outer_radius * np.array([[-1.0] * 3, [1.0] * 3])
+            to_own = frame.compose(row["to_own"], moves[WORLD_FRAME, OBJECT_FRAME])
+            found.append(Region(to_own, corners.min(axis=0), corners.max(axis=0)))
+    for table in world.particles:
+        low, high = table.points.min(axis=0), table.points.max(axis=0)
+        # Particles in a plane, or a single one, are passed by no ray.
+        room = ROOM * max(float((high - low).max()), float(np.linalg.norm(low)))
+        found.append(Region(np.eye(3, 4), low - room, high + room))
+    return found
+
+
+def probe(world: World, count: int, seed: int) -> Sights:
+    """Return what about as many probe rays as asked for tell.
+
+    Parameters
+    ----------
+    world : World
+    count : int
+    seed : int
+        Of their random numbers.
+    """
+    draw = np.random.default_rng(seed)
+    colours = world.tables.lens.media.indices.shape[1]
+    chosen = sorted({0, colours // 2, colours - 1})
+    packets = np.concatenate([_before_lens(world, count // len(chosen), colour, draw) for colour in chosen])
+    regions = regions_of(world)
+    found = [_traced(world, packets[k : k + CHUNK], regions, draw) for k in range(0, len(packets), CHUNK)]
+    nothing = np.zeros((0, 3))
+    sights = Sights(nothing, nothing, np.zeros(0, np.uint64), np.zeros(0, np.int64))
+    for each in found:
+        sights = sights.joined(each)
+    moves = world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
+    return sights._replace(point=frame.points(moves, sights.point), direction=frame.directions(moves, sights.direction))
+
+
+def _before_lens(world: World, count: int, colour: int, draw: np.random.Generator) -> NDArray[np.void]:
+    """Return packets that have left the lens along the image path, drawn by the light that they would bring."""
+    transport, sensor = world.scene.transport, world.tables.sensor
+    in_order = obstacle_of(world.scene, transport.surface, transport.max_events) is None
+    options = options_of(world)._replace(adjoint=True, importance=True, split=TRANSMIT, sequential=in_order)
+    tables = world.aimed_tables
+    if tables.aim.exit.known:
+        share = WIDE_SHARE_OF_IMAGE_PATH
+        tables = tables._replace(aim=tables.aim._replace(wide_share=share, share_without_aim=share))
+    of_sensor = sensor.rows * sensor.columns
+    pixels = np.sort(draw.permutation(of_sensor)[:count])
+    samples = -(-count // len(pixels))
+    work = Workspace(world, options, CHUNK, tables)
+    started = []
+    at_once = max(1, CHUNK // samples)
+    key = np.uint64(draw.integers(1 << 62))
+    for first in range(0, len(pixels), at_once):
+        some = pixels[first : first + at_once]
+        work.begin(Film.empty(of_sensor, 1, 0), len(some) * samples)
+        PixelSource(some, samples, key, colour, channel=0).launch(work, range(len(some)))
+        while True:
+            others = work.tops[:STATIONS].copy()
+            others[OBJECTS] = 0
+            if not others.any():
+                break
+            work.advance(int(np.argmax(others)))
+        started.append(work.stacks[work.rows[OBJECTS], : work.tops[OBJECTS]].copy())
+    packets = np.concatenate(started)
+    weight = packets["weight"]
+    if not weight.sum() > 0.0:
+        return packets[:0]
+    times = np.floor(weight / weight.mean() + draw.random(len(weight))).astype(np.int64)
+    return np.repeat(packets, times)
+
+
+def _traced(world: World, packets: NDArray[np.void], regions: list[Region], draw: np.random.Generator) -> Sights:
+    """Trace packets through object space; return what they tell, world frame."""
+    objects = world.tables.objects
+    clear = objects._replace(volumes=None, media=objects.media._replace(absorption=None))
+    split = TRANSMIT if world.scene.transport.split == "transmit" else ROULETTE
+    options = options_of(world, tracing=True, record=True, split=split, cutoff=0.0)
+    work = Workspace(world, options, max(1, len(packets)), world.tables._replace(objects=clear))
+    work.begin(None, len(packets))
+    waiting = work.stacks[work.rows[OBJECTS], : len(packets)]
+    waiting[:] = packets
+    waiting["source"], waiting["key"] = np.arange(len(packets)), draw.integers(1 << 62, size=len(packets))
+    waiting["weight"], waiting["start"], waiting["events"], waiting["node"] = 1.0, 1.0, 0, NO_SURFACE
+    work.tops[OBJECTS] = len(packets)
+    work.record_starts()
+    while work.tops[OBJECTS]:
+        work.advance(OBJECTS)
+    return _sights(world, work.vertices(), work.ends(), regions, draw)
+
+
+def _sights(
+    world: World, nodes: NDArray[np.void], ends: NDArray[np.void], regions: list[Region], draw: np.random.Generator
+) -> Sights:
+    """Return the sights along recorded ways, world frame."""
+    rough = np.array([t.refractor is not None and t.refractor.finish.is_rough for t in world.scene.targets] + [False])
+    parent, glass = nodes["parent"], nodes["surface"] == ON_GLASS
+    way, first, spoilt = np.zeros(len(nodes), np.uint64), np.arange(len(nodes)), np.zeros(len(nodes), np.bool_)
+    event = _events(world, nodes, glass)
+    on_rough = glass & rough[np.where(glass, nodes["part"], -1)]
+    depth = np.zeros(len(nodes), np.int64)
+    while True:
+        deeper = np.where(parent >= 0, depth[parent] + 1, 0)
+        if (deeper == depth).all():
+            break
+        depth = deeper
+    for k in range(1, int(depth.max(initial=0)) + 1):
+        level = np.flatnonzero(depth == k)
+        up = parent[level]
+        way[level] = np.where(glass[level], (way[up] + event[level]) * MIX + np.uint64(1), way[up])
+        first[level], spoilt[level] = first[up], spoilt[up] | on_rough[level]
+    probe_of = np.zeros(len(nodes), np.int64)
+    probe_of[np.flatnonzero(parent < 0)] = np.arange((parent < 0).sum())
+    probe_of = probe_of[first]
+    position, end = nodes["position"], ends["node"]
+    clean = ends[~spoilt[end]]
+    on_target = clean[clean["status"] == S_TARGET]
+    found = [
+        Sights(on_target["position"], -on_target["direction"], way[on_target["node"]], _all(on_target, ON_TARGETS))
+    ]
+    matt = np.flatnonzero(on_rough & ~spoilt[parent])
+    found.append(
+        Sights(position[matt], _unit(position[parent[matt]] - position[matt]), way[parent[matt]],
+               _all(matt, ON_ROUGH_GLASS))
+    )  # fmt: skip
+    if regions:
+        inner = np.flatnonzero(glass & ~spoilt[parent])
+        met = clean[np.isin(clean["status"], (S_TARGET, S_ABSORBED))]["node"]
+        inner = np.concatenate([inner, met])
+        out = clean[clean["status"] == S_ESCAPED]
+        far = 4.0 * world.tables.objects.outer_radius * out["direction"]
+        stretches = _Stretches(
+            np.concatenate([position[parent[inner]], out["position"]]),
+            np.concatenate([position[inner], out["position"] + far]),
+            np.concatenate([way[parent[inner]], way[out["node"]]]),
+            np.concatenate([probe_of[inner], probe_of[out["node"]]]),
+        )
+        found += [_within(stretches, region, number, draw) for number, region in enumerate(regions)]
+    sights = found[0]
+    for each in found[1:]:
+        sights = sights.joined(each)
+    return sights
+
+
+def _events(world: World, nodes: NDArray[np.void], glass: NDArray[np.bool_]) -> NDArray[np.uint64]:
+    """Return a number for the body, its face and the kind of each vertex on glass; 0 for others."""
+    face = np.zeros(len(nodes), np.int64)
+    for body in np.unique(nodes["part"][glass]):
+        mine = np.flatnonzero(glass & (nodes["part"] == body))
+        corners = world.targets[body].mesh.vertices[world.targets[body].mesh.faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals = _unit(normals)
+        planes = np.column_stack([normals, np.einsum("ij,ij->i", normals, corners[:, 0])])
+        planes = np.unique(np.round(planes, PLANE_DECIMALS), axis=0)
+        if len(planes) <= MOST_FACES:
+            off = np.abs(nodes["position"][mine] @ planes[:, :3].T - planes[:, 3])
+            face[mine] = np.argmin(off, axis=1)
+    number = (face * len(world.targets) + nodes["part"]) * len(Event) + nodes["event"] + 1
+    return np.where(glass, number, 0).astype(np.uint64)
+
+
+def _within(stretches: _Stretches, region: Region, number: int, draw: np.random.Generator) -> Sights:
+    """Return a random point of each probe's way through a region."""
+    start, end = frame.points(region.to_own, stretches.start), frame.points(region.to_own, stretches.end)
+    step = end - start
+    with np.errstate(divide="ignore", invalid="ignore"):
+        one, other = (region.low - start) / step, (region.high - start) / step
+    enters = np.nanmax(np.minimum(one, other), axis=1).clip(0.0)
+    leaves = np.nanmin(np.maximum(one, other), axis=1).clip(max=1.0)
+    length = (leaves - enters) * np.linalg.norm(step, axis=1)
+    some = np.flatnonzero(length > 0.0)
+    # Of the stretches of a way one by its length: the first of random times with these rates.
+    order = some[np.argsort(-np.log1p(-draw.random(len(some))) / length[some])]
+    _, chosen = np.unique(stretches.probe[order], return_index=True)
+    chosen = order[chosen]
+    t = enters[chosen] + draw.random(len(chosen)) * (leaves - enters)[chosen]
+    way = stretches.end[chosen] - stretches.start[chosen]
+    return Sights(
+        stretches.start[chosen] + t[:, None] * way, -_unit(way), stretches.way[chosen],
+        _all(chosen, FIRST_REGION + number),
+    )  # fmt: skip
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+def _all(of: NDArray[np.generic], value: int) -> Numbers:
+    return np.full(len(of), value, np.int64)

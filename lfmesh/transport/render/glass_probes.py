@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
-from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_IMAGE_PATH
+from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_IMAGE_PATH, with_wide_share
 from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.packet import (
@@ -32,6 +32,7 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.render.tally import Film
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.pixels import PixelSource
+from lfmesh.transport.tables.lines import Nodes
 from lfmesh.transport.tables.volumes import corners_of
 from lfmesh.transport.world import World
 
@@ -148,7 +149,7 @@ def _before_lens(world: World, count: int, colour: int, draw: np.random.Generato
     tables = world.aimed_tables
     if tables.aim.exit.known:
         share = WIDE_SHARE_OF_IMAGE_PATH
-        tables = tables._replace(aim=tables.aim._replace(wide_share=share, share_without_aim=share))
+        tables = tables._replace(aim=with_wide_share(tables.aim, share, share))
     of_sensor = sensor.rows * sensor.columns
     pixels = np.sort(draw.permutation(of_sensor)[:count])
     samples = -(-count // len(pixels))
@@ -159,7 +160,7 @@ def _before_lens(world: World, count: int, colour: int, draw: np.random.Generato
     for first in range(0, len(pixels), at_once):
         some = pixels[first : first + at_once]
         work.begin(Film.empty(of_sensor, 1, 0), len(some) * samples)
-        PixelSource(some, samples, key, colour, channel=0).launch(work, range(len(some)))
+        PixelSource(some, samples, key, Nodes.single(colour), channel=0).launch(work, range(len(some)))
         while True:
             others = work.tops[:STATIONS].copy()
             others[OBJECTS] = 0

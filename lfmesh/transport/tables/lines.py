@@ -110,10 +110,7 @@ class Lines:
         first = np.cumsum([0, *map(len, areas)])
         nodes = tuple(Nodes(int(k), np.cumsum(area) / area.sum()) for k, area in zip(first, areas, strict=False))
         weights = [np.full(len(area), area.sum()) for area in areas]
-        # No sample takes a gap in the response, whose middle stands for it.
-        centroids = [
-            _means(response, edges, Curve(edges, edges), 0.5 * (edges[1:] + edges[:-1])) for response, edges in strata
-        ]
+        centroids = [_means(response, edges, Curve(edges, edges)) for response, edges in strata]
         wavelengths_nm = tuple(np.concatenate(centroids).tolist())
         return cls(wavelengths_nm, np.concatenate(weights), nodes, scene.reach_nm, strata)
 
@@ -142,7 +139,7 @@ class Lines:
         """Return the mean of a spectrum over the stratum of each line, weighted with the response, (columns,)."""
         if self.span_nm is None:
             return spectrum.at(self.wavelengths_nm)
-        return np.concatenate([_means(*each, spectrum, np.zeros(len(each[1]) - 1)) for each in self.strata])
+        return np.concatenate([_means(response, edges, spectrum) for response, edges in self.strata])
 
     def power(self, total: float, shape: Curve | None = None) -> Array:
         """Return the share of a light's power that each line stands for, (columns,).
@@ -169,10 +166,10 @@ class Lines:
         return int(np.argmin(np.abs(np.array(self.wavelengths_nm) - wavelength_nm)))
 
 
-def _means(response: Curve, edges: Array, spectrum: Curve, dark: Array) -> Array:
-    """Return the means of a spectrum over strata, weighted with a response; `dark`: those where that is 0."""
-    area = response.integrals(edges)
-    return np.divide(response.integrals(edges, spectrum), area, out=dark, where=area > 0.0)
+def _means(response: Curve, edges: Array, spectrum: Curve) -> Array:
+    """Return the means of a spectrum over strata, weighted with a response; in a gap of it the value in the middle."""
+    area, middle = response.integrals(edges), spectrum.at(0.5 * (edges[1:] + edges[:-1]))
+    return np.divide(response.integrals(edges, spectrum), area, out=middle, where=area > 0.0)
 
 
 def _strata(response: Curve) -> Array:

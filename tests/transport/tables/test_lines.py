@@ -9,12 +9,13 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.optics.cie import NAMED, named_spectrum
+from lfmesh.optics.cie import NAMED, named_spectrum, planck_radiance
 from lfmesh.optics.curve import Curve
 from lfmesh.optics.glass import absorption_per_mm, refractive_index
 from lfmesh.transport.packets.random import descendant, wavelength_numbers
 from lfmesh.transport.sources.wavelengths import entries_of_pixels, order_of_packets, order_of_particles
 from lfmesh.transport.tables.lines import Lines, Nodes
+from lfmesh.transport.tables.volumes import _planck_constants as planck_of_lines
 from tests.cameras import camera_without_array
 
 Array = NDArray[np.float64]
@@ -200,3 +201,18 @@ def test_power_is_spread_over_the_bands() -> None:
             chance = np.diff(nodes.until, prepend=0.0)
             found = (power[nodes.first : nodes.first + len(chance)] * chance).sum()
             np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("temperature_k", [800.0, 1500.0, 3000.0])
+@pytest.mark.parametrize("bands", ["xyz", "rgb"])
+def test_flames_by_temperature_have_plancks_light_in_a_band(bands: str, temperature_k: float) -> None:
+    one = scene(bands)
+    lines = Lines.of(one)
+    first, second = planck_of_lines(lines)
+    found = first / np.expm1(second / temperature_k)
+    for nodes, band in zip(lines.nodes, one.passbands, strict=True):
+        w = np.linspace(*band.response.ends_nm, 20_001)
+        expected = np.trapezoid(band.response.at(w) * planck_radiance(w, temperature_k), w)
+        chance = np.diff(nodes.until, prepend=0.0)
+        of_band = found[nodes.first : nodes.first + len(chance)] @ chance
+        np.testing.assert_allclose(of_band, expected, rtol=1e-3)

@@ -66,7 +66,7 @@ def check(scene: SceneFile, /) -> int:
         lines += placement.lines()
     # What a render would refuse.
     world = build(loaded)
-    known = first_order(loaded).warnings
+    known = "\n".join(lines)
     warn_caller(each for each in foreseen(world) if str(each) not in known)
     lines += lamp_lines(loaded, world.targets)
     print("\n".join(lines))

@@ -27,6 +27,10 @@ MOST_SEEN = 4.0
 """Widths of the field that such a body is larger than."""
 
 
+HIDES = "is closed round the camera: its inside is black, and hides everything else"
+"""Of an opaque body."""
+
+
 @dataclass(frozen=True)
 class Placement:
     """Where a target stands.
@@ -125,8 +129,7 @@ def _warnings(
             yield "stands behind the first vertex of the lens, where the camera does not look"
         return
     if is_round(body, eye):
-        why = "its inside is black" if target.refractor is None else "the camera stands in its glass"
-        yield f"is closed round the camera: {why}, and hides everything else"
+        yield HIDES if target.refractor is None else "is closed round the camera, which stands in its glass"
         return
     if share == 0.0:
         if not told:

@@ -6,7 +6,7 @@ import numpy as np
 
 from lfmesh.errors import HiddenSceneWarning, MissedLightWarning, PictureWarning
 from lfmesh.geometry import frame
-from lfmesh.geometry.placement import is_round
+from lfmesh.geometry.placement import HIDES, is_round
 from lfmesh.geometry.targets import named_target
 from lfmesh.scene.advice import doubtful
 from lfmesh.transport.checks.lamps import lamps_at_targets, lamps_in_field
@@ -38,10 +38,7 @@ def _hidden(world: World) -> Iterator[PictureWarning]:
     (eye,) = frame.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], np.zeros((1, 3)))
     for number, body in enumerate(world.targets):
         if world.scene.targets[number].refractor is None and is_round(body, eye):
-            yield HiddenSceneWarning(
-                f"{named_target(world.scene, number)} is closed round the camera: its inside is black and hides "
-                "everything else; give it an opening, or move it away from the camera"
-            )
+            yield HiddenSceneWarning(f"{named_target(world.scene, number)} {HIDES}")
 
 
 def _without_reflections(world: World) -> Iterator[PictureWarning]:

@@ -67,7 +67,7 @@ def first_of_runs(count: int, at_once: int, replicate: int) -> list[int]:
 
 @dataclass(frozen=True)
 class BlindCheck:
-    """Comparison of aimed and blind estimates of the light in blocks of pixels.
+    """Comparison of an image with blind samples of the light in blocks of pixels.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class BlindCheck:
     hits : int
         Number of blind samples that found light.
     worst : float
-        Largest difference of any block, in standard errors of both estimates; positive where the aim misses light.
+        Largest difference of any block, in standard errors of both estimates; positive where the image lacks light.
     limit : float
         Difference that is exceeded by chance with a probability of 1e-3 in all.
     smallest_deficit : float or None

@@ -2,7 +2,7 @@
 
 Each particle starts the same number of packets, aimed at the lens's opening as it sees it, by scrambled Sobol' points
 of its own. The power that it sends elsewhere is booked as escaped at once. Targets hide particles and absorb what falls
-on them: particles do not light them. Particles inside liquids are aimed by where the lens appears to be from there.
+on them: particles do not light them. Where there is glass or liquid they are aimed through it.
 """
 
 from dataclasses import dataclass

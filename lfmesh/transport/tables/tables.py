@@ -255,7 +255,7 @@ class AimTables(NamedTuple):
     )
     cell_margin: float  # mm by which aimed cells are larger than the lattice's, as meshes of their faces deviate
     search: float  # pitches, largest distance of a lenslet that shows the opening from the pixel's chief ray
-    # GlassAim where light starts inside glass or liquids, else None: code for it is not even compiled.
+    # GlassAim where light is aimed through glass or liquids, else None: code for it is not even compiled.
     through: Any = None
 
 

@@ -221,6 +221,18 @@ def test_python_the_command_line_and_the_report_say_the_same(
     assert all(err.count(f"Warning: {each}") == 1 for each in image.warnings)
 
 
+@pytest.mark.parametrize("kind", [lf.HiddenSceneWarning, lf.ClosedGapWarning, lf.DiffractionWarning])
+def test_a_check_says_once_what_a_render_would_warn_of(
+    kind: type[PictureWarning], home: Path, monkeypatch: Patch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = CASES[kind](monkeypatch, home)
+    (warning,) = (each for each in warned(lambda: lf.render(given))[1] if isinstance(each, kind))
+    (home / "scene.toml").write_text(given.dump_toml(), encoding="utf-8")
+    assert main(["check", "scene.toml"]) == 0
+    said = " ".join("".join(capsys.readouterr()).split())
+    assert said.count(str(warning)) == 1
+
+
 def test_a_clean_scene_says_nothing(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     image, said = warned(lambda: lf.render(scene()))
     assert (said, image.warnings) == ([], ())

@@ -86,10 +86,16 @@ def books(scene: Scene, ledger: Ledger) -> list[PictureWarning]:
 def _aim(scene: Scene, proof: AimProof | None) -> Iterator[PictureWarning]:
     if proof is None or proof.holds or scene.rough_in_camera():
         return
+    missed = f"rays cannot be aimed at {percent(proof.missed)} of the light that comes through the stop"
+    if proof.fallback:
+        yield LightOutsideAimWarning(
+            f"{missed}: so most of them go anywhere, and the picture is noisier than that of other cameras; take more "
+            "samples"
+        )
+        return
     yield LightOutsideAimWarning(
-        f"rays are not aimed at {percent(proof.missed)} of the light that comes through the stop: it comes by samples "
-        "that go anywhere, as noise that the error may not show; take many more samples, and compare with "
-        'method = "forward"'
+        f"{missed}: it comes by samples that go anywhere, as noise that the error may not show; take many more samples, "
+        'and compare with method = "forward"'
     )
 
 

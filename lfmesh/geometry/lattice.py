@@ -111,14 +111,27 @@ def half_hexagon(x: float, y: float) -> float:
 
 @inlined
 def rows_near(lattice: Lattice, y: float, distance: float) -> tuple[int, int]:
-    """Return the first row, and the one behind the last, whose centres are no farther than a distance from y, mm."""
+    """Return the first row, and the one behind the last, whose centres are no farther than a distance from y.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    y, distance : float, mm
+    """
     rows, spacing = lattice.rows, lattice.pitch * (ROW_SPACING if lattice.hexagonal else 1.0)
     return _numbers_within(y / spacing + 0.5 * (rows - 1), distance / spacing, rows)
 
 
 @inlined
 def columns_near(lattice: Lattice, row: int, x: float, distance: float) -> tuple[int, int]:
-    """Return the first column, and the one behind the last, whose centres in a row are no farther than that from x."""
+    """Return the first column, and the one behind the last, whose centres in a row are no farther than that from x.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    row : int
+    x, distance : float, mm
+    """
     middle, _ = centre(lattice, 0, row)
     return _numbers_within((x - middle) / lattice.pitch, distance / lattice.pitch, lattice.columns)
 

@@ -97,7 +97,6 @@ class World(Shown):
         self, scene: Scene, report: FirstOrder, tables: Tables, finders: dict[int, Finder],
         book: Book, bodies: Bodies, particles: tuple[ParticleTables, ...],
         find_aim: Callable[[], tuple[AimTables, AimProof | None]], how: dict[str, Any],
-        warnings: tuple[PictureWarning, ...] = (),
     ) -> None:  # fmt: skip
         self.scene = scene
         self.first_order = report
@@ -114,7 +113,7 @@ class World(Shown):
         self._find_aim = find_aim
         self._how = how
         """How it was built from its scene: keywords of `build`."""
-        self.warnings = warnings
+        self.warnings: tuple[PictureWarning, ...] = ()
 
     def __repr__(self) -> str:
         bodies = len(self.scene.targets), len(self.scene.lights)
@@ -384,4 +383,6 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     finders |= {station: Finder(mesh) for station, mesh in cells.items()}
     how = {"rings": rings, "aimed": aimed}
     bodies = Bodies(shape, targets, housing)
-    return World(scene, report, tables, finders, book, bodies, particles, find_aim, how, doubtful)
+    world = World(scene, report, tables, finders, book, bodies, particles, find_aim, how)
+    world.warnings = doubtful
+    return world

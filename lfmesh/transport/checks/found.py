@@ -94,8 +94,8 @@ def _aim(scene: Scene, proof: AimProof | None) -> Iterator[PictureWarning]:
         )
         return
     yield LightOutsideAimWarning(
-        f"{missed}: it comes by samples that go anywhere, as noise that the error may not show; take many more samples, "
-        'and compare with method = "forward"'
+        f"{missed}: it comes by samples that go anywhere, as noise that the error may not show; take many more "
+        'samples, and compare with method = "forward"'
     )
 
 

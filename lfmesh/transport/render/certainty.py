@@ -159,7 +159,14 @@ class Certainty(NamedTuple):
 
     @classmethod
     def of(cls, parts: Sequence[Estimate], scene: Scene, replicates: int) -> "Certainty":
-        """Return the certainty of an image that is the sum of some parts."""
+        """Return the certainty of an image that is the sum of some parts.
+
+        Parameters
+        ----------
+        parts : sequence of Estimate
+        scene : Scene
+        replicates : int
+        """
         steps = neighbours(scene)
         errors = [error_of(part, steps) for part in parts]
         upper = upper_bound(parts, errors, replicates)

@@ -98,7 +98,7 @@ def test_water_between_glass_plates_bends_and_passes_light_as_by_hand(body: Body
     d = np.cos(angle)[:, None] * [1.0, 0.0, 0.0] + np.sin(angle)[:, None] * across
     met = np.column_stack([np.full(count, -8.0), draw.uniform(-3.0, 3.0, (count, 2))])
     paths = lf.trace(made, CENTRE + turn.apply(met - 20.0 * d), turn.apply(d), split="transmit")
-    assert paths.ledger.lost == {"miss": 0.0, "contradiction": 0.0}
+    assert not any(paths.ledger.lost.values())
     assert (paths.status == lf.Status.ESCAPED).all()
     assert (paths.source == np.arange(count)).all()
     aside, power = by_hand(angle, [3.0, 11.0, 4.0], [GLASS, WATER, GLASS])

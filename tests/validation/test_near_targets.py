@@ -83,10 +83,13 @@ def test_forward_equals_adjoint_for_a_target_close_to_the_lens(name: str) -> Non
 
 
 def test_light_that_the_lens_reflects_is_not_missed_with_a_single_target() -> None:
-    """The mean of seeds at 3.5 sigma. Rays to the lens's disk alone miss a per cent here."""
+    """The mean of seeds at 3.5 sigma. Rays to the lens's disk alone miss a per cent here.
+
+    What the lens reflects back to the target is 4.5 % of the light.
+    """
     of = scene("double_gauss_50mm", 9.0, plane(8.0, 4.0, 0.9, 10.0), split="both")
     found = np.array([parts(of, "forward", 4096, seed)[0][0] for seed in range(SEEDS)])
-    one, its = parts(of, "adjoint", 8192, 4)
+    one, its = parts(of, "adjoint", 32768, 4)
     assert abs(found.mean() - one[0]) < 3.5 * np.hypot(its[0], found.std(ddof=1) / np.sqrt(SEEDS))
     assert its[0] < 1e-3 * one[0]
 

@@ -12,8 +12,9 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.transport.aiming.lenslet_aim import LISTED, list_cells, most_listed, pixel_extent
 from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME
+from tests.random_scenes.generator import draw
 from tests.renders import by_seed
-from tests.transport.conftest import TARGET, drawn_camera
+from tests.transport.conftest import LEFT_OUT, TARGET
 
 Array = NDArray[np.float64]
 
@@ -99,7 +100,7 @@ def test_few_pixels_have_the_light_of_the_mesh_engine_and_errors_of_the_size_of_
 @pytest.mark.parametrize("seed", range(6))
 def test_every_lenslet_that_shows_the_opening_to_a_point_of_a_pixel_is_listed(seed: int, tilt_deg: float) -> None:
     """By the condition of a single point, for points all over a pixel, its corners among them."""
-    of = drawn_camera(seed)
+    of = draw("camera", seed, (*LEFT_OUT, "cover", "tilted_sensor")).scene
     assert of.camera.mla is not None
     pixel = of.camera.mla.pitch_mm / 1.7
     world = lf.build(

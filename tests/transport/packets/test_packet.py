@@ -25,7 +25,7 @@ from tests.cameras import camera_without_array
 
 GIVEN = {
     "x": 1.0, "y": 2.0, "z": 3.0, "dx": 0.0, "dy": 0.6, "dz": 0.8,
-    "weight": 0.25, "key": 77, "query_from": 1e-3, "limit": 1e-3, "slipped": 0, "tries": 0, "frame": 2,
+    "weight": 0.25, "key": 77, "query_from": 1e-3, "limit": 1e-3, "tries": 0, "frame": 2,
 }  # fmt: skip
 """What `put` is given, or sets: a child asks Embree for the first time."""
 
@@ -46,8 +46,9 @@ def test_a_child_inherits_all_that_it_is_not_given():
     )  # fmt: skip
     put_child(flow, parents)
     child = flow.stacks[PLATE, 0]
+    given = GIVEN | {"moves": parents["moves"][0] + 1}
     for name in PACKET.names:
-        assert child[name] == GIVEN.get(name, parents[name][0]), name
+        assert child[name] == given.get(name, parents[name][0]), name
     assert flow.tops[PLATE] == 1
     assert flow.tops[LENS] == 0
 

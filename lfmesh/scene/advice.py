@@ -151,9 +151,8 @@ def _apertures(scene: Scene) -> Iterator[str]:
     distance = lens.object_mm(image_plane_mm(camera, wavelength))
     radius = surfaces[lens.stop].semi_diameter_mm or math.nan
     marginal = lens.marginal_ray(distance, radius)
-    of_meshes = any(surface.mesh is not None or surface.refractor is not None for surface in surfaces)
     heights = lens.heights_mm(marginal)
-    if not of_meshes and math.isfinite(marginal.height_mm) and marginal.height_mm:
+    if not camera.lens.has_meshes and math.isfinite(marginal.height_mm) and marginal.height_mm:
         # Coefficients beyond all bounds leave no real ray to be followed.
         with suppress(OverflowError, ValueError):
             heights = edge_of_stop_mm(camera.lens, wavelength, distance, marginal.height_mm)

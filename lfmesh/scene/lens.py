@@ -580,6 +580,11 @@ class Lens(Model):
             )
 
     @property
+    def has_meshes(self) -> bool:
+        """Whether surfaces are given by mesh files, and have no exact form."""
+        return any(surface.mesh is not None or surface.refractor is not None for surface in self.surfaces)
+
+    @property
     def number_off_revolution(self) -> int | None:
         """The first surface with another section in x than in y; None where all are surfaces of revolution."""
         return next((i for i, surface in enumerate(self.surfaces) if surface.section_key is not None), None)

@@ -8,10 +8,11 @@ import pytest
 
 from lfmesh.errors import in_order
 from lfmesh.files import words
-from lfmesh.scene import Scene, first_order
+from lfmesh.scene import Lens, Scene, first_order
 from lfmesh.scene.advice import doubtful
 from lfmesh.transport.checks.found import found
 from lfmesh.transport.packets.ledger import Ledger
+from lfmesh.transport.render.blind_check import BlindCheck
 from lfmesh.transport.render.image import Image
 
 Build = Callable[..., Image]
@@ -196,3 +197,14 @@ def test_shares_are_never_rounded_to_all_or_nothing(share: float, shown: str) ->
 )
 def test_durations(seconds: float, shown: str) -> None:
     assert words.duration(seconds) == shown
+
+
+@pytest.mark.parametrize(
+    ("has_meshes", "said"),
+    [(True, "not proven, as the lens has surfaces of mesh files"), (False, "no ray from the stop could be traced")],
+)
+def test_an_aim_without_a_proof_says_why(
+    image_of: Build, monkeypatch: pytest.MonkeyPatch, has_meshes: bool, said: str
+) -> None:
+    monkeypatch.setattr(Lens, "has_meshes", property(lambda _: has_meshes))
+    assert said in text(image_of(blind=BlindCheck((4, 4), 100, 1.0, 4.0, 0.1)))

@@ -131,8 +131,7 @@ def _lost(scene: Scene, ledger: Ledger) -> Iterator[PictureWarning]:
 def _remedy(scene: Scene, ledger: Ledger) -> str:
     """Return what helps where energy was lost in glass whose shape is a mesh file."""
     bodies = {target.name or f"targets[{i}]" for i, target in enumerate(scene.targets) if target.refractor is not None}
-    in_lens = any(surface.refractor is not None or surface.mesh is not None for surface in scene.camera.lens.surfaces)
-    if not in_lens and not bodies & ledger.lost_in.keys():
+    if not scene.camera.lens.has_meshes and not bodies & ledger.lost_in.keys():
         return ""
     return (
         "; glass from a mesh file loses least where its facets are small, its normals fit them (crease_deg has them "

@@ -70,27 +70,35 @@ def pooled_error(
     low, high, _ = rows.indices(len(mean))
     error = np.empty((high - low, *mean.shape[1:]))
     pooled = np.empty(error.shape, np.int64)
-    _pool(mean, stderr, steps, low, error, pooled)
+    reach = int(np.abs(steps[:, 0]).max(initial=0))
+    first, last = max(low - reach, 0), min(high + reach, len(mean))
+    steepness = np.empty((last - first, *mean.shape[1:]))
+    _pool(mean, stderr, steps, low, first, steepness, error, pooled)
     return error, pooled
 
 
 @kernel
 def _pool(
-    mean: Array, stderr: Array, steps: NDArray[np.int64], low: int, error: Array, pooled: NDArray[np.int64]
-) -> None:
-    """Write `pooled_error` of the rows from `low` on."""
+    mean: Array, stderr: Array, steps: NDArray[np.int64], low: int, first: int, steepness: Array, error: Array,
+    pooled: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Write `pooled_error` of the rows from `low` on; `steepness` is working memory for those from `first` on."""
     rows, columns, colours = mean.shape
+    for row in range(len(steepness)):
+        for column in range(columns):
+            for colour in range(colours):
+                steepness[row, column, colour] = _steepness(mean, first + row, column, colour)
     for row in range(low, low + len(error)):
         for column in range(columns):
             for colour in range(colours):
                 level, own = mean[row, column, colour], stderr[row, column, colour] ** 2
-                total, count, steep = own, 1, _steepness(mean, row, column, colour)
+                total, count, steep = own, 1, steepness[row - first, column, colour]
                 for k in range(len(steps)):
                     r, c = row + steps[k, 0], column + steps[k, 1]
                     if 0 <= r < rows and 0 <= c < columns:
                         other = mean[r, c, colour]
                         if other <= AS_BRIGHT * level and level <= AS_BRIGHT * other:
-                            there = _steepness(mean, r, c, colour)
+                            there = steepness[r - first, c, colour]
                             if there <= AS_STEEP * steep and steep <= AS_STEEP * there:
                                 total += stderr[r, c, colour] ** 2
                                 count += 1

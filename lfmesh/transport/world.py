@@ -108,8 +108,8 @@ class World(Shown):
         self.media = MediumList.of(scene)
         self.lines = Lines.of(scene)
         self.particles = particles
-        self.kept_aim: Any = None
-        """Aim through glass and its proof, once they have been found; see `render.glass_aim`."""
+        self.kept: dict[str, Any] = {}
+        """What renders have found of it, and no seed changes, by name; shared with all `reseeded` copies."""
         self._find_aim = find_aim
         self._how = how
         """How it was built from its scene: keywords of `build`."""

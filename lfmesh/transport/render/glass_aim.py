@@ -58,6 +58,9 @@ TOO_MUCH = 0.02
 HARDLY = 100.0
 """Weight of packets over that of others from which on their light is hardly aimed at."""
 
+KEPT = "aim through glass"
+"""Name by which a world keeps the aim and its proof."""
+
 FLATTEST = 1e-6
 """Extent of a cell, and variance of a bundle's slopes, in one direction over that in others below which it is 0."""
 
@@ -161,9 +164,9 @@ def glass_aim(world: World) -> tuple[GlassAim | None, GlassProof | None]:
     """
     if not has_glass(world):
         return None, None
-    if world.kept_aim is None:
-        world.kept_aim = _found(world)
-    found: tuple[GlassAim | None, GlassProof | None] = world.kept_aim
+    if KEPT not in world.kept:
+        world.kept[KEPT] = _found(world)
+    found: tuple[GlassAim | None, GlassProof | None] = world.kept[KEPT]
     return found
 
 
@@ -211,7 +214,7 @@ def hardly_aimed(world: World) -> list[str]:
     world : World
         For which a render has found the aim.
     """
-    proof = None if world.kept_aim is None else world.kept_aim[1]
+    _, proof = world.kept.get(KEPT, (None, None))
     if proof is None or proof.missed <= FEW:
         return []
     forward = world.scene.transport.method == "forward"

@@ -165,3 +165,13 @@ def test_light_that_is_hardly_aimed_at_is_told() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error", lf.MissedLightWarning)
         lf.render(scene(WALL, glass(20.0, 20.0, 2.0), transport={"method": "forward", "samples": 1}))
+
+
+def test_worlds_that_differ_in_their_seed_share_one_aim_through_glass() -> None:
+    """Probe rays are traced once for all seeds, whichever world is rendered first."""
+    world = lf.build(scene(WALL, glass(20.0, 20.0, 2.0), transport={"method": "forward"}))
+    copies = [world.reseeded(seed) for seed in range(2)]
+    found, proof = glass_aim(copies[0])
+    assert found is not None
+    assert proof is not None
+    assert glass_aim(copies[1])[0] is found

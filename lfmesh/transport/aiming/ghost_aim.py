@@ -13,7 +13,7 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.levels import EXACT
 from lfmesh.geometry.surface import CONIC_AND_EVEN
 from lfmesh.transport.aiming.lenslet_view import with_wider_views
-from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_GHOSTS
+from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_GHOSTS, with_wide_share
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.sequential.ghosts import (
     ANGLES,
@@ -440,7 +440,7 @@ def aim_at_ghosts(tables: Tables, ghosts: GhostTables) -> AimTables:
         With the aim of the image path.
     ghosts : GhostTables
     """
-    aim = tables.aim._replace(wide_share=WIDE_SHARE_OF_GHOSTS)
+    aim = with_wide_share(tables.aim, WIDE_SHARE_OF_GHOSTS)
     known = aim.exit.radius > 0.0
     if not (tables.mla.present and known.any()):
         return aim

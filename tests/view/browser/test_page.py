@@ -99,7 +99,7 @@ class Server:
 
     def answer(self, path: str = "/index.html", **headers: str) -> http.client.HTTPResponse:
         """Ask for something as no browser would, with any headers."""
-        connection = http.client.HTTPConnection(self.host, self.port, timeout=10)
+        connection = http.client.HTTPConnection(self.host, self.port, timeout=60)
         connection.putrequest("GET", path, skip_host=True)
         for name, value in ({"Host": f"{self.host}:{self.port}", "Cookie": self.cookie} | headers).items():
             connection.putheader(name, value)
@@ -166,7 +166,7 @@ class Page:
 
     def wait(self, condition: str, argument: Any = None) -> None:
         """Wait until a condition in JavaScript holds; `old` is its argument."""
-        self.tab.wait_for_function(f"old => {condition}", arg=argument, timeout=20_000)
+        self.tab.wait_for_function(f"old => {condition}", arg=argument, timeout=120_000)
 
     def text(self, selector: str) -> str:
         return str(self.tab.inner_text(selector))

@@ -1,6 +1,7 @@
 """Pages that cannot be made are words, and the server goes on; pages that are left wait for their tab, a while."""
 
 import asyncio
+import selectors
 from typing import Any
 
 import pytest
@@ -56,14 +57,31 @@ class Shown:
         self.closed = True
 
 
+class Clock(asyncio.SelectorEventLoop):
+    """An event loop that does not wait: its clock goes on to the next timer, however busy the machine is."""
+
+    def __init__(self) -> None:
+        super().__init__(selector := selectors.DefaultSelector())
+        self._now, select = 0.0, selector.select
+
+        def at_once(timeout: float | None = None) -> list[Any]:
+            self._now += timeout or 0.0
+            return select(0.0)
+
+        selector.select = at_once  # type: ignore[method-assign, assignment]
+
+    def time(self) -> float:
+        return self._now
+
+
 def names(count: int) -> list[str]:
     return [f"{number:032x}" for number in range(count)]
 
 
-def test_pages_that_are_left_are_given_up_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pages_that_are_left_are_given_up_after_a_while() -> None:
     from lfmesh.view.browser import sessions
 
-    monkeypatch.setattr(sessions, "WAIT_SECONDS", 0.2)
+    half = sessions.WAIT_SECONDS / 2
 
     async def leave() -> tuple[bool, bool, bool, bool]:
         all_pages = sessions.Sessions(lambda _server: Shown(), lambda _server, _words: None)
@@ -71,16 +89,17 @@ def test_pages_that_are_left_are_given_up_after_a_while(monkeypatch: pytest.Monk
         for name, session in zip(names(2), (left, returned), strict=True):
             all_pages._keep(name, session)
         at_once = left.shown.closed  # type: ignore[union-attr]
-        await asyncio.sleep(0.1)
+        await asyncio.sleep(half)
         all_pages._left.pop(names(2)[1]).stay()
-        await asyncio.sleep(0.05)
+        await asyncio.sleep(half / 2)
         all_pages._keep(names(2)[1], returned)
-        await asyncio.sleep(0.1)
+        await asyncio.sleep(half)
         found = at_once, left.shown.closed, returned.shown.closed  # type: ignore[union-attr]
         await all_pages.close()
         return *found, returned.shown.closed  # type: ignore[union-attr]
 
-    assert asyncio.run(leave()) == (False, True, False, True)
+    with asyncio.Runner(loop_factory=Clock) as runner:
+        assert runner.run(leave()) == (False, True, False, True)
 
 
 def test_pages_that_are_left_make_room_the_oldest_first() -> None:

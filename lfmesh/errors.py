@@ -49,6 +49,10 @@ class LensFileWarning(UserWarning):
     """A lens file or glTF scene was read with approximations, or holds what the reader does not know."""
 
 
+class PlainNumbaWarning(UserWarning):
+    """Kernels are compiled by numba alone, which takes longer; pictures are the same."""
+
+
 class PictureWarning(UserWarning):
     """A picture is or may be wrong. Two are equal if they are of one class and say the same.
 

@@ -24,7 +24,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 COMPILE = """
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.kernel_cache import is_cached
+from lfmesh.kernels.cache import is_cached
 from lfmesh.transport.regions.objects import shade_objects
 small = {"camera.sensor.pixels": [8, 8], "transport.samples": 4, "transport.replicates": 2}
 if not is_cached(shade_objects):

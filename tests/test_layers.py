@@ -14,27 +14,14 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "lfmesh"
 
-FOUNDATION = [
-    "ascending",
-    "assets",
-    "by_address",
-    "cluster",
-    "compiling",
-    "errors",
-    "kernel",
-    "kernel_cache",
-    "notebook",
-    "regular_file",
-    "signatures",
-    "templates",
-    "vector",
-]
+FOUNDATION = ["assets", "cluster", "errors", "notebook", "regular_file", "signatures", "templates"]
 ORDER = [
-    *["optics", "scene", "geometry", "imports", "transport"],
+    *["kernels", "optics", "scene", "geometry", "imports", "transport"],
     *["lightfield", "analysis", "files", "view", "accuracy", "study", "cli", "__main__"],
 ]
 """Each may import those before it, and the foundation."""
 ROOMS = {
+    "kernels": ["private", "cache, accelerator", "decorators, by_address", "search, vector"],
     "transport": [
         *["packets", "tables", "events", "sequential", "aiming", "regions"],
         *["choice", "collisions", "close_faces", "refused_glass", "world", "settings"],
@@ -176,6 +163,14 @@ def test_embree_is_imported_in_one_module_of_transport() -> None:
 @pytest.mark.parametrize(("library", "parts"), [("pyvista", ("view/", "imports/")), ("OpenEXR", ("files/",))])
 def test_library_stays_in_its_parts(library: str, parts: tuple[str, ...]) -> None:
     assert all(importer.startswith(parts) for importer in importers(library)), importers(library)
+
+
+def test_numbas_private_classes_are_imported_behind_their_probe_alone() -> None:
+    """At the top of files: what a function imports, it can do without."""
+    private = {"numba.core", "numba.np", "numba.cpython", "llvmlite.binding"}
+    tops = {path: list(names_in(parsed(path).body, path)) for path in modules()}
+    found = {path for path, names in tops.items() if private & {".".join(name.split(".")[:2]) for name in names}}
+    assert {path.parent.relative_to(PACKAGE).as_posix() for path in found} == {"kernels/private"}
 
 
 @pytest.mark.parametrize("module", ["lfmesh", "lfmesh.cli", "lfmesh.scene"])

@@ -48,7 +48,7 @@ from lfmesh.accuracy.lens_accuracy import Bundle, bare, bundle, lens_alone
 from lfmesh.assets import asset_path
 from lfmesh.geometry.frame import points
 from lfmesh.geometry.levels import SURFACE_LEVEL
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.scene import Scene
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import LENS, SENSOR_FRAME, TRANSMIT, WORLD_FRAME

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.lattice import Lattice, cell_of, centre, is_inside
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 
 SETTLED = 2e-15
 """Height over the surface, relative to the size of the coordinates, that counts as rounding."""

@@ -8,7 +8,7 @@ geometrical optics tells left from right.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 
 Frame = NDArray[np.float64]
 

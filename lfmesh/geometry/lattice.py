@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.by_address import by_address
-from lfmesh.kernel import inlined, kernel, pasted
+from lfmesh.kernels.by_address import by_address
+from lfmesh.kernels.decorators import inlined, kernel, pasted
 
 ROW_SPACING = np.sqrt(0.75)
 """Distance of neighbouring rows of a hexagonal lattice over its pitch."""

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.by_address import by_address
 from lfmesh.geometry.first_crossing import crossing_finder
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.by_address import by_address
+from lfmesh.kernels.decorators import inlined, kernel
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.by_address import by_address
 from lfmesh.errors import SceneError
 from lfmesh.geometry.lattice import Lattice
 from lfmesh.geometry.lenslet_profile import (
@@ -24,7 +23,8 @@ from lfmesh.geometry.lenslet_profile import (
     sag_slope_bend,
 )
 from lfmesh.geometry.mesh import Array, Index, Mesh, joined
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.by_address import by_address
+from lfmesh.kernels.decorators import inlined, kernel
 
 if TYPE_CHECKING:
     import trimesh

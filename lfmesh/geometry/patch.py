@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.mesh import Index
 from lfmesh.geometry.vertex_normals import edge_partners
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.scattering import tangents
 
 Array = NDArray[np.float64]

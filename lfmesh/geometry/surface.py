@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.geometry import frame
 from lfmesh.geometry.first_crossing import crossing_finder
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.scene.lens import Surface
 from lfmesh.scene.qcon import MOST_ASPHERE_TERMS
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.mesh import Array, Mesh
 from lfmesh.geometry.vertex_normals import smooth_groups
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 
 
 def shells(mesh: Mesh) -> list[NDArray[np.int64]]:

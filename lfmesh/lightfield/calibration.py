@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice
 from lfmesh.geometry.lenslets import Lenslets, type_of
 from lfmesh.geometry.solved_camera import solved_camera
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.lightfield.chief_rays import ChiefRays, chief_rays, plate_of, polynomial_terms
 from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.scene import Scene

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice
 from lfmesh.geometry.solved_camera import solved_camera
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.lightfield.calibration import Calibration, calibration_of, continued
 from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.scene import Scene

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lattice import ROW_SPACING
 from lfmesh.geometry.solved_camera import solved_camera
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.lightfield.calibration import Calibration, calibrate
 from lfmesh.lightfield.field import LightField, Samples
 from lfmesh.lightfield.raw_image import between_pixels

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lfmesh.errors import LfmeshError
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.lightfield.field import LightField, Samples
 from lfmesh.lightfield.ray_model import ShiftMap
 from lfmesh.lightfield.view_rays import ViewRays, traced_shift

@@ -18,7 +18,7 @@ from scipy import ndimage
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.solved_camera import solved_camera
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.lightfield.calibration import Calibration
 from lfmesh.lightfield.chief_rays import plate_of
 from lfmesh.lightfield.decode import BRIGHT_PERCENTILE, DARK, view_count

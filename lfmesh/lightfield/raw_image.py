@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 
 Array = NDArray[np.float64]
 

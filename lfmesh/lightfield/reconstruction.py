@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.scene.literals import literal
 from lfmesh.transport.render.image import Image
 

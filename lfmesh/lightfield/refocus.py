@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.lightfield.field import LightField, Samples
 from lfmesh.lightfield.fourier_slice import ViewSpectra
 from lfmesh.lightfield.photograph import FocalStack, Photograph

@@ -7,8 +7,8 @@ are 0/0 at normal incidence. See Born & Wolf, Principles of Optics, 1.5.2.
 
 import numpy as np
 
-from lfmesh.kernel import inlined, pasted
-from lfmesh.vector import fused
+from lfmesh.kernels.decorators import inlined, pasted
+from lfmesh.kernels.vector import fused
 
 
 @pasted

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.microfacets import facet_density, projected_area, smith_g2, visible_normal
 
 Array = NDArray[np.float64]

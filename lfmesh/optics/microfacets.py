@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from lfmesh.kernel import inlined
+from lfmesh.kernels.decorators import inlined
 
 
 @inlined

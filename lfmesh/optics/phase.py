@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfmesh.ascending import piece_with
-from lfmesh.by_address import by_address
 from lfmesh.errors import FileError
-from lfmesh.kernel import kernel
+from lfmesh.kernels.by_address import by_address
+from lfmesh.kernels.decorators import kernel
+from lfmesh.kernels.search import piece_with
 from lfmesh.optics.number_table import read_table
 
 Array = NDArray[np.float64]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 
 
 @kernel

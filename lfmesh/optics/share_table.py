@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import inlined
+from lfmesh.kernels.decorators import inlined
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.lightfield.centres import find_centroids
 from lfmesh.scene import Scene
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.microfacets import (
     facet_density,
     projected_area,

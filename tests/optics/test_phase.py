@@ -7,7 +7,7 @@ import pytest
 from scipy import integrate, stats
 
 from lfmesh.errors import FileError
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.mie import mie_sphere
 from lfmesh.optics.phase import (
     evaluate_phase,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.share_table import ALLOWED, TERMS, TOLERANCE, TooManyPiecesError, coated_shares, constant, tabulated
 
 

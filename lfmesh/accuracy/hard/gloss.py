@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.accuracy.hard.outcome import Outcome, case
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.gloss import MARGIN
 from lfmesh.scene.targets import LARGEST_ROUGHNESS, SMALLEST_ROUGHNESS, Gloss, Material
 from lfmesh.transport.events.scattering import Point, sample

@@ -8,7 +8,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from lfmesh.accuracy.hard.outcome import SINGLET, Outcome, case, lens_scene, outcome
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.cie import planck_radiance
 from lfmesh.optics.coatings import Stack, coated
 from lfmesh.optics.fresnel import fresnel

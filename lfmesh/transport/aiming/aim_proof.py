@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.by_address import by_address
 from lfmesh.geometry.frame import directions, move_direction, move_point, points
 from lfmesh.geometry.lattice import cell_of, centre
 from lfmesh.geometry.lenslets import shape_of, type_of
 from lfmesh.geometry.tessellation import QUARTER, mesh_heights
-from lfmesh.kernel import kernel
+from lfmesh.kernels.by_address import by_address
+from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.aiming.lenslet_aim import (
     LISTED,
     cells_that_show,

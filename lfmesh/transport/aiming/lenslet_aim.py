@@ -21,7 +21,7 @@ from lfmesh.geometry.frame import move_direction
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice, centre, columns_near, half_hexagon, rows_near
 from lfmesh.geometry.lenslet_profile import is_steeper, next_fall, profile_shape
 from lfmesh.geometry.lenslets import Lenslets, is_spherical, shape_of, type_of
-from lfmesh.kernel import inlined, kernel, pasted
+from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.optics.scattering import lambertian
 from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.packets.random import derived, uniform

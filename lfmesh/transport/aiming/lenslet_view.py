@@ -13,7 +13,7 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.lattice import centre
 from lfmesh.geometry.lenslets import Lenslets, border_segments, face_normal, face_sag, shape_of
 from lfmesh.geometry.mesh import Array
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aiming.lenslet_aim import pixel_extent
 from lfmesh.transport.aiming.plate_view import NOTHING_SEEN, refract_if_possible, views_through_plate

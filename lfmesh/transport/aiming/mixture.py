@@ -11,7 +11,7 @@ share go evenly over half of the sphere instead.
 
 import numpy as np
 
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aiming.pupil import opening_from
 from lfmesh.transport.tables.tables import AimTables, Opening
 

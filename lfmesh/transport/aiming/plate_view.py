@@ -11,7 +11,7 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.lattice import cell_of, centre, is_inside
 from lfmesh.geometry.lenslets import face_normal, face_sag, shape_of, type_of
 from lfmesh.geometry.mesh import Array
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aiming.lenslet_aim import on_lenslet
 from lfmesh.transport.aiming.pupil import opening_from
 from lfmesh.transport.events.crossing import refracted

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.by_address import by_address
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.by_address import by_address
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aiming.mixture import aimed, aimed_density
 from lfmesh.transport.tables.tables import AimTables
 

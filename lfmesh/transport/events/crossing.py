@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.levels import FLAT
 from lfmesh.geometry.patch import hit_patch
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.packets.book import (
     DEPTH,
     LOST_CONTRADICTION,

@@ -10,7 +10,7 @@ through the lens are found by scattered packets alone and keep their full weight
 
 from typing import Any
 
-from lfmesh.kernel import inlined
+from lfmesh.kernels.decorators import inlined
 from lfmesh.transport.events.crossing import barycentric
 from lfmesh.transport.packets.packet import NO_SURFACE, SCATTERED, Options
 from lfmesh.transport.tables.tables import Emitters, ObjectTables

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.ascending import drawn_by
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.kernels.search import drawn_by
 from lfmesh.transport.events.volume import Ray, own_ray, slab
 from lfmesh.transport.packets.packet import NO_SURFACE, SCATTERED, Options
 from lfmesh.transport.tables.volumes import Volumes

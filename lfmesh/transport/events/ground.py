@@ -11,7 +11,7 @@ All in the local frame of the surface: +z is the mean normal on the side from wh
 
 import numpy as np
 
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.optics.microfacets import facet_density, projected_area, smith_lambda, visible_normal
 from lfmesh.transport.packets.random import uniform

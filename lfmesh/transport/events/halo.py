@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.lamps_on_line import NARROWEST
 from lfmesh.transport.packets.packet import NO_SURFACE, SCATTERED, Options
 from lfmesh.transport.packets.random import uniform

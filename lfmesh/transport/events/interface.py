@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import inlined, kernel, pasted
+from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.optics.fresnel import fresnel, transmittance
 from lfmesh.optics.scattering import lambertian, tangents
 from lfmesh.optics.share_table import coated_shares

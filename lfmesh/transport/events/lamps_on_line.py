@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.volume import Ray
 from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, SPOT
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from lfmesh.ascending import drawn_by, piece_with
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.kernels.search import drawn_by, piece_with
 from lfmesh.optics.scattering import near, tangents
 from lfmesh.transport.events.crossing import LIGHT_U, clear_of, draw_two
 from lfmesh.transport.events.scattering import Point, evaluate

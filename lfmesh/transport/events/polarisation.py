@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.geometry.frame import move_direction
-from lfmesh.kernel import inlined
+from lfmesh.kernels.decorators import inlined
 from lfmesh.optics.polarisation import after, bare_interface, coated_interface, turned
 from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.polarisation import IN_ARRAY, IN_LENS, IN_OBJECTS

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.gloss import ROWS, gloss_albedos, gloss_brdf, gloss_density, gloss_direction
 from lfmesh.optics.scattering import lambertian, tangents
 from lfmesh.transport.tables.scattering import LAMBERTIAN, THERMAL, ScatteringTables

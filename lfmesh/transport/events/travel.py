@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lfmesh.kernel import inlined
+from lfmesh.kernels.decorators import inlined
 from lfmesh.transport.packets.packet import Flow
 from lfmesh.transport.tables.tables import Media
 

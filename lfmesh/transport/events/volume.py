@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import direction_through, point_through
 from lfmesh.geometry.shell_tree import next_crossing
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.packets.book import LOST_OUTSIDE, LOST_STUCK
 from lfmesh.transport.packets.random import uniform
 from lfmesh.transport.tables.volumes import (

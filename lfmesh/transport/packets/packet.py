@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.by_address import by_address
-from lfmesh.kernel import inlined, pasted
+from lfmesh.kernels.by_address import by_address
+from lfmesh.kernels.decorators import inlined, pasted
 
 # Stations: what a packet waits for. Embree is asked at OBJECTS, at those with MESH in their name, and in a run that
 # finds no surface by its order at LENS, CELLS and BACK_CELLS too.

@@ -31,7 +31,7 @@ reaches the sensor, or through the lens a target, before anything has scattered 
 
 from typing import Any
 
-from lfmesh.kernel import inlined
+from lfmesh.kernels.decorators import inlined
 from lfmesh.transport.packets.packet import LAMP, OBJECT_FRAME, Options
 
 EVERY, OFF_IMAGE_PATH, LAMP_THROUGH_GLASS, LAMP_ON_CAMERA, GHOSTS, OTHER_STRAYS = 0, 1, 2, 3, 4, 5

@@ -8,7 +8,7 @@ finaliser of SplitMix64 (Steele, Lea & Flood, OOPSLA 2014), applied once for the
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _A = np.uint64(0xBF58476D1CE4E5B9)

@@ -9,7 +9,7 @@ scrambled sets gives a valid standard error. The hash is Laine & Karras's (EGSR 
 
 import numpy as np
 
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.packets.random import derived, mix
 
 COLUMNS = (0, 1, 2, 21, 3, 4)

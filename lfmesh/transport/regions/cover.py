@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.crossing import end_here, move_packet, refracted, thinned, too_deep
 from lfmesh.transport.events.interface import divided, splitter
 from lfmesh.transport.events.travel import travel

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.phase import evaluate_phase
 from lfmesh.optics.scattering import near
 from lfmesh.transport.events.crossing import EDGE, EMITTER_U, LIGHT_U, clear_of, draw_two

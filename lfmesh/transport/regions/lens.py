@@ -12,7 +12,7 @@ from lfmesh.geometry.frame import direction_through, point_through
 from lfmesh.geometry.levels import EXACT, PATCH
 from lfmesh.geometry.surface import conic_distance, distance_to, first_crossing, normal_at
 from lfmesh.geometry.tessellation import OVERREACH
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.crossing import (
     at_box,
     box_entry,

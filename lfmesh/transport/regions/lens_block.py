@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.surface import MAX_ASPHERE_TERMS
-from lfmesh.kernel import inlined, kernel, pasted
+from lfmesh.kernels.decorators import inlined, kernel, pasted
+from lfmesh.kernels.vector import both, select
 from lfmesh.transport.events.crossing import reflected, refracted, safely_behind
 from lfmesh.transport.events.interface import bare_shares
 from lfmesh.transport.sequential.lens_bundle import conic_distance
-from lfmesh.vector import both, select
 
 Array = NDArray[np.float64]
 

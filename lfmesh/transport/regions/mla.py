@@ -29,7 +29,7 @@ from lfmesh.geometry.lenslets import (
 )
 from lfmesh.geometry.levels import EXACT, PATCH
 from lfmesh.geometry.surface import conic_distance
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.crossing import (
     clear_of,
     end,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.levels import PATCH
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aiming.mixture import aimed
 from lfmesh.transport.events.crossing import (
     AIM_DISK,

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.crossing import lose
 from lfmesh.transport.packets.book import LOST_AT_SENSOR, LOST_IN_MLA, LOST_OUTSIDE, LOST_STUCK
 from lfmesh.transport.packets.packet import (

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aiming.through_glass import aimed_density_from, aimed_from
 from lfmesh.transport.events.crossing import (
     AIM_DISK,

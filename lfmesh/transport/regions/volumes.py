@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import direction_through, move_direction, move_point, point_through
 from lfmesh.geometry.levels import PATCH
 from lfmesh.geometry.surface import distance_to
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.phase import evaluate_phase, sampled_cosine
 from lfmesh.optics.scattering import about
 from lfmesh.transport.aiming.through_glass import aimed_from

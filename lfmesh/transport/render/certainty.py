@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.scene import Scene
 from lfmesh.transport.render.adaptive import RING, ROWS_AT_ONCE, same_place
 

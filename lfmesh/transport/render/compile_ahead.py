@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from lfmesh.kernel_cache import is_cached
+from lfmesh.kernels.cache import is_cached
 from lfmesh.scene import Scene
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.engine import Workspace

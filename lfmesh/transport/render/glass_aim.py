@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.scattering import tangents
 from lfmesh.transport.aiming.pupil import opening_from
 from lfmesh.transport.aiming.through_glass import BUNDLE, CELL, GlassAim, aimed_density_from, cell_at

@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.ascending import count_up_to, drawn_by
-from lfmesh.by_address import by_address
 from lfmesh.geometry.frame import direction_through, point_through
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.by_address import by_address
+from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.kernels.search import count_up_to, drawn_by
 from lfmesh.transport.events.crossing import draw_two, move_packet
 from lfmesh.transport.packets.book import UNFOLLOWED
 from lfmesh.transport.packets.packet import (

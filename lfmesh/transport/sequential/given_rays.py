@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernel import inlined, kernel, pasted
+from lfmesh.kernels.decorators import inlined, kernel, pasted
+from lfmesh.kernels.vector import both, select
 from lfmesh.transport.packets.book import BESIDE_SENSOR, EMITTED, ESCAPED, HOUSING, ON_SENSOR, UNFOLLOWED
 from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
@@ -47,7 +48,6 @@ from lfmesh.transport.sequential.lens_bundle import (
 )
 from lfmesh.transport.tables.surroundings import Surroundings
 from lfmesh.transport.tables.tables import Tables
-from lfmesh.vector import both, select
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from lfmesh.geometry.lenslets import (
 )
 from lfmesh.geometry.surface import conic_distance
 from lfmesh.geometry.tessellation import OVERREACH
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.crossing import at_box, box_entry, end, move_packet, refracted
 from lfmesh.transport.events.interface import shares
 from lfmesh.transport.events.travel import transmitted

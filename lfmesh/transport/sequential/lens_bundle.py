@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.surface import CONIC_AND_EVEN, NEWTON_STEPS, SETTLED, distance_to, first_crossing, form_at
-from lfmesh.kernel import kernel, pasted
+from lfmesh.kernels.decorators import kernel, pasted
+from lfmesh.kernels.vector import both, fused, select
 from lfmesh.optics.fresnel import amplitude_sums
 from lfmesh.transport.events.interface import is_coated, is_thin_lens, shares, through_thin_lens, transmitted_share
 from lfmesh.transport.packets.book import THIN_LENSES
 from lfmesh.transport.tables.tables import Interfaces, LensTables
-from lfmesh.vector import both, fused, select
 
 Array = NDArray[np.float64]
 

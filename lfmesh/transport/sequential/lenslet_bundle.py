@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.lattice import ROW_SPACING, Lattice, half_hexagon
 from lfmesh.geometry.lenslets import are_alike, shape_of
-from lfmesh.kernel import inlined, kernel, pasted
+from lfmesh.kernels.decorators import inlined, kernel, pasted
+from lfmesh.kernels.vector import both, select
 from lfmesh.transport.packets.packet import BACK_FRAME, MLA_FRAME
 from lfmesh.transport.sequential.lens_bundle import (
     BLOCK,
@@ -30,7 +31,6 @@ from lfmesh.transport.sequential.lens_bundle import (
     sphere_distance,
 )
 from lfmesh.transport.tables.tables import FLAT_ROW, Interfaces, MlaTables
-from lfmesh.vector import both, select
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import direction_through, point_through
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.kernels.vector import both, select
 from lfmesh.transport.events.crossing import refracted
 from lfmesh.transport.events.interface import shares_from
 from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME
@@ -32,7 +33,6 @@ from lfmesh.transport.sequential.lens_bundle import (
 from lfmesh.transport.sequential.reflections import NEAR, Array, Arrived, load_rays, store
 from lfmesh.transport.tables.cover import FRONT_ROW, CoverTables
 from lfmesh.transport.tables.tables import AIR, SensorTables, Tables
-from lfmesh.vector import both, select
 
 SENSOR_BEHIND_COVER = 2
 """Number of the sensor among the faces where there is a cover; without one it is the only face."""

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.tessellation import OVERREACH
-from lfmesh.kernel import kernel, pasted
+from lfmesh.kernels.decorators import kernel, pasted
+from lfmesh.kernels.vector import both, select
 from lfmesh.transport.packets.book import HOUSING, STOP
 from lfmesh.transport.sequential.image_path import through_mla
 from lfmesh.transport.sequential.lens_bundle import (
@@ -43,7 +44,6 @@ from lfmesh.transport.sequential.lens_bundle import (
 )
 from lfmesh.transport.sequential.sequences import Itinerary
 from lfmesh.transport.tables.tables import LensTables, Media, MlaTables
-from lfmesh.vector import both, select
 
 Array = NDArray[np.float64]
 

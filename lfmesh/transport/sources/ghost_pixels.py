@@ -8,9 +8,9 @@ found ghosts to come from there, and to a uniform point of it. Other rays go to 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.ascending import drawn_by
 from lfmesh.geometry.frame import move_direction, move_point
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.kernels.search import drawn_by
 from lfmesh.transport.aiming.lenslet_aim import CELL_U, CELL_V, DISCRETE, PIXEL_U, PIXEL_V
 from lfmesh.transport.aiming.mixture import disk_density, toward_disk
 from lfmesh.transport.aiming.pupil import opening_from

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.ascending import drawn_by
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
+from lfmesh.kernels.search import drawn_by
 from lfmesh.optics.scattering import about
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.events.crossing import record

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.phase import evaluate_phase
 from lfmesh.transport.aiming.through_glass import aimed_from
 from lfmesh.transport.engine import Workspace

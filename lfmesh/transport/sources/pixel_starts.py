@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.by_address import by_address
-from lfmesh.kernel import kernel
+from lfmesh.kernels.by_address import by_address
+from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.aiming.lenslet_aim import DISCRETE, LISTED, most_listed
 from lfmesh.transport.packets.packet import CAMERA, NO_SURFACE, PACKET
 from lfmesh.transport.packets.random import derived, start

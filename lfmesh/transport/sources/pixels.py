@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.aiming.lenslet_aim import (
     CELL_U,
     CELL_V,

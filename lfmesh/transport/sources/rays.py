@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.events.crossing import FLOAT32_GRAIN
 from lfmesh.transport.events.polarisation import across

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.by_address import by_address
+from lfmesh.kernels.by_address import by_address
 from lfmesh.transport.packets.random import GOLDEN, wavelength_number, wavelength_numbers
 from lfmesh.transport.tables.lines import Nodes
 

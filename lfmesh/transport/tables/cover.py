@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lfmesh.by_address import by_address
 from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
+from lfmesh.kernels.by_address import by_address
 from lfmesh.scene import Scene
 from lfmesh.scene.solve import cover_shift_mm
 from lfmesh.transport.packets.book import Book

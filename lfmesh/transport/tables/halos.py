@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.ascending import piece_with
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
+from lfmesh.kernels.search import piece_with
 from lfmesh.optics.phase import PhaseTables, evaluate_phase
 from lfmesh.transport.tables.lights import DIRECTIONAL
 from lfmesh.transport.tables.volumes import NOT_IN_GRID, Volumes, corners_of

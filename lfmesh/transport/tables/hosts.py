@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.by_address import by_address
 from lfmesh.geometry.mesh import Array
 from lfmesh.geometry.targets import TargetMesh
 from lfmesh.geometry.winding import winding
+from lfmesh.kernels.by_address import by_address
 from lfmesh.scene import Scene
 from lfmesh.transport.tables.tables import OPAQUE, Media
 

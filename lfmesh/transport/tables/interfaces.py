@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.by_address import by_address
+from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.optics.share_table import looked_up
 from lfmesh.optics.walsh import diffuse_reflectance

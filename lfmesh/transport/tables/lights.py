@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.by_address import by_address
 from lfmesh.geometry import frame
+from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.light_profile import LightProfile, read_profile
 from lfmesh.scene import Scene
 from lfmesh.scene.lights import DirectionalLight, DiskLight, Light, SpotLight

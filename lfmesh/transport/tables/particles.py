@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.by_address import by_address
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
+from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.phase import PhaseTables, phase_tables
 from lfmesh.scene import Scene
 from lfmesh.scene.particles import Particles, particle_places, unit

@@ -1,6 +1,6 @@
 """A pixel of the sensor, as the adjoint method samples it."""
 
-from lfmesh.kernel import inlined
+from lfmesh.kernels.decorators import inlined
 from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.tables.tables import SensorTables
 

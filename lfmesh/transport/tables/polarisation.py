@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.by_address import by_address
 from lfmesh.geometry import frame
 from lfmesh.geometry.mesh import Array
+from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.coatings import Stack
 from lfmesh.scene import Scene
 from lfmesh.scene.coatings import UNCOATED

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.by_address import by_address
+from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.gloss import gloss_parameters, mean_albedos
 from lfmesh.optics.gltf_material import GltfMaterial, gltf_parameters
 from lfmesh.optics.metals import metal_index

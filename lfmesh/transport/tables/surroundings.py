@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lfmesh.by_address import by_address
 from lfmesh.geometry.frame import points
 from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.mesh import Array, Mesh
 from lfmesh.geometry.tessellation import FLOAT32_MARGIN
+from lfmesh.kernels.by_address import by_address
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.tables import LensTables
 

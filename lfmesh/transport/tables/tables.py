@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.by_address import by_address
 from lfmesh.geometry.lenslets import Lenslets
-from lfmesh.kernel import inlined
+from lfmesh.kernels.by_address import by_address
+from lfmesh.kernels.decorators import inlined
 from lfmesh.transport.tables.lights import Profiles
 from lfmesh.transport.tables.scattering import ScatteringTables
 

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.by_address import by_address
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.refractors import bounding_mesh
 from lfmesh.geometry.shell_tree import tree_of
 from lfmesh.geometry.voxels import VoxelGrid, read_voxels
+from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.cie import planck_constants
 from lfmesh.optics.phase import PHASE, PhaseTables, phase_tables
 from lfmesh.scene import Box, Cylinder, Scene, Sphere

@@ -9,7 +9,7 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.transport import engine
 from lfmesh.transport.events.emission import density_at, emitting_point
 from lfmesh.transport.tables.emitters import MOST_PIECES, emitter_table

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.events.glow import density_to_media, point_of_media
 from lfmesh.transport.packets.random import derived, run_key, uniform
 from lfmesh.transport.tables.volumes import Volumes

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.optics.microfacets import smith_g1, smith_g2, visible_normal
 from lfmesh.transport.events.ground import ground_density, ground_direction

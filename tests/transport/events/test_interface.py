@@ -9,7 +9,7 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.errors import SceneError
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.coatings import Stack, coated
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.optics.reflectance_table import read_reflectance

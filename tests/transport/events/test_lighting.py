@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import lfmesh as lf
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.scattering import tangents
 from lfmesh.transport.events.lighting import _near_disk, emitted, illuminate, intensity
 from lfmesh.transport.packets.random import derived, run_key, uniform

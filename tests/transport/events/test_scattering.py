@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.optics.gloss import MARGIN, gloss_parameters, interface_reflectance
 from lfmesh.optics.gltf_material import SMALLEST_ALPHA, GltfMaterial, metal_of_reflectance

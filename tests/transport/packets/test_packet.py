@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import (
     DEPOSIT,

@@ -5,7 +5,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.packets.packet import NO_SURFACE, PACKET
 from lfmesh.transport.regions.bodies import (
     BITS,

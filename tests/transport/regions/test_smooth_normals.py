@@ -8,7 +8,7 @@ import trimesh
 from numpy.typing import NDArray
 
 import lfmesh as lf
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.events.scattering import evaluate
 from lfmesh.transport.regions.targets import point_of
 from lfmesh.transport.tables.tables import ObjectTables

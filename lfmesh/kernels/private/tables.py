@@ -1,19 +1,18 @@
-"""Named tuples that kernels receive as the address of a block of memory.
+"""Tables: named tuples of a class marked with `by_address`, as numba's types, and their memory.
 
-By itself numba passes every field of a named tuple as arguments of their own: a kernel that takes the tables of a scene
-has hundreds, which are packed and unpacked at every call within it, and each use of a field begins with all of them. Of
-a class marked with `by_address` the fields are written to memory once, where Python calls the kernel; all that it calls
-receives the address, and reads what it uses. No kernel changes that memory, which LLVM is told, so that nothing is read
-more often than it has to be. What a kernel itself makes of the class is a tuple as any other.
+The fields are written to memory once, where Python calls the kernel; all that it calls receives the address, and reads
+what it uses. No kernel changes that memory, which LLVM is told, so that nothing is read more often than it has to be.
+What a kernel itself makes of the class is a tuple as any other.
 """
 
 import hashlib
-from typing import Any, TypeVar
+from typing import Any
 
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.core.datamodel import models
+from numba.core.datamodel import default_manager, models
+from numba.core.pythonapi import PythonAPI
 from numba.core.typing.templates import AttributeTemplate
 from numba.core.typing.typeof import Purpose
 from numba.extending import (
@@ -25,12 +24,16 @@ from numba.extending import (
     unbox,
 )
 
-Class = TypeVar("Class", bound=type)
+from lfmesh.kernels.private.expected import require
+
+_ARGUMENT = Purpose.argument
 
 _WORD = 8
 # Of memory, in bytes; as a structure, so that LLVM's type of an address tells that it is a table's.
 _UNIT = ir.LiteralStructType([ir.IntType(8 * _WORD)])
 _INDEX = ir.IntType(32)
+_OF_ARRAY = ["meminfo", "parent", "nitems", "itemsize", "data", "shape", "strides"]
+"""Of an array in memory; a word each, the last two one for each dimension."""
 
 
 class Table(types.Type):  # type: ignore[misc]
@@ -52,21 +55,20 @@ class Table(types.Type):  # type: ignore[misc]
 
     @property
     def key(self) -> tuple[type, str]:
-        """What tells types apart."""
+        """Key that identifies the type."""
         return self.made_from, self.digest
 
 
-def by_address(made_from: Class) -> Class:
-    """Let kernels receive the named tuples of a class by their address, with those that are among their fields."""
+def type_of(value: Any, context: Any) -> "Table | None":
+    """Return the type of a named tuple that is passed by its address; None where it is a tuple as any other.
 
-    @typeof_impl.register(made_from)  # type: ignore[untyped-decorator]
-    def type_of(value: Any, context: Any) -> types.Type | None:
-        # A constant of a module has no address that is the same in every process.
-        if context.purpose is not Purpose.argument:
-            return typeof_impl.dispatch(tuple)(value, context)
-        return _table(value, context)
-
-    return made_from
+    Parameters
+    ----------
+    value : tuple
+    context : numba.core.typing.typeof._TypeofContext
+    """
+    # A constant of a module has no address that is the same in every process.
+    return _table(value, context) if context.purpose is _ARGUMENT else None
 
 
 def _table(value: Any, context: Any) -> Table | None:
@@ -82,7 +84,7 @@ def _size(member: types.Type) -> int:
     if isinstance(member, Table):
         return member.size
     if isinstance(member, types.Array):
-        return (5 + 2 * member.ndim) * _WORD
+        return (len(_OF_ARRAY) - 2 + 2 * member.ndim) * _WORD
     if isinstance(member, types.Boolean | types.Integer | types.Float):
         return _WORD
     raise TypeError(f"a field of a table that is passed by its address is {member}")
@@ -179,3 +181,12 @@ def promise_unchanged(function: Any) -> None:
 def _is_address(kind: ir.Type) -> bool:
     """Tell whether a type of LLVM is that of a table's address, which no other argument has."""
     return isinstance(kind, ir.PointerType) and isinstance(kind.pointee, ir.ArrayType) and kind.pointee.element == _UNIT
+
+
+def probe() -> None:
+    """Raise AttributeError where numba's arrays do not lie in memory as expected, or what writes tables is missing."""
+    require(cgutils, "alloca_once", "get_or_insert_function", "is_not_null", "false_bit")
+    require(PythonAPI, "tuple_getitem", "err_set_string")
+    fields = [*models.ArrayModel(default_manager, types.Array(types.float64, 1, "C"))._fields]
+    if fields != _OF_ARRAY:
+        raise AttributeError(f"an array in memory is {', '.join(fields)}")

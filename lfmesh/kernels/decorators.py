@@ -1,12 +1,13 @@
 """The decorators of every compiled kernel, so that all of them share one set of numba options."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Set
+from functools import cache
 from typing import Any, TypeVar, cast
 
 import numba
 
-from lfmesh.compiling import STEPS, KernelCompiler, StepCompiler
-from lfmesh.kernel_cache import named_by_sources, remove_older_versions
+from lfmesh.kernels.accelerator import KernelCompiler, private
+from lfmesh.kernels.cache import named_by_sources, remove_older_versions
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -16,6 +17,9 @@ _OPTIONS = {
     # IEEE division, no exception. Fast-math stays off, contraction too: the tracer promises float64 rounding, and what
     # LLVM contracts depends on what it inlined, so that a kernel from the cache would differ from one just compiled.
     "error_model": "numpy",
+}
+
+_UNDOCUMENTED = {
     # No reference counting: kernels allocate nothing, and counting the references of every array in every table at
     # every call took three quarters of the time.
     "_nrt": False,
@@ -23,21 +27,16 @@ _OPTIONS = {
     "no_cfunc_wrapper": True,
     # Set explicitly: numba would otherwise take the flag of whichever caller is compiled first.
     "forceinline": False,
-    "pipeline_class": KernelCompiler,
 }
+"""Options that change no result, and that numba may drop."""
 
-_CALLED_BY_KERNELS = {
-    **_OPTIONS,
-    "pipeline_class": StepCompiler,
-    # The code becomes part of the caller's, and that is cached.
-    "cache": False,
-    "no_cpython_wrapper": True,
-}
+# The code becomes part of the caller's, and that is cached.
+_CALLED_BY_KERNELS = {"cache": False, "no_cpython_wrapper": True}
 
 
 def kernel(function: F) -> F:
     """Compile with numba: cached on disk, without the GIL, without allocation."""
-    return _compiled(function, **_CALLED_BY_KERNELS)
+    return _compiled(function)
 
 
 def inlined(function: F) -> F:
@@ -45,7 +44,7 @@ def inlined(function: F) -> F:
 
     A real call would put every array of every table among its arguments on the stack.
     """
-    return _compiled(function, **_CALLED_BY_KERNELS | {"forceinline": True})
+    return _compiled(function, forceinline=True)
 
 
 def pasted(function: F) -> F:
@@ -53,7 +52,7 @@ def pasted(function: F) -> F:
 
     For functions that return a record, which a call would copy, and for the bodies of loops that must stay tight.
     """
-    return cast(F, _kept(function, inline="always"))
+    return cast(F, cached_njit(function, inline="always"))
 
 
 def _compiled(function: F, **called: Any) -> F:
@@ -63,15 +62,42 @@ def _compiled(function: F, **called: Any) -> F:
     called function again for every constant it is called with: each station, each slot of the book. LLVM propagates
     constants into inlined code anyway, and a fresh install starts in half the time.
     """
-    dispatcher = _kept(function)
-    STEPS[dispatcher] = numba.njit(**called)(function)
+    pipeline = private("pipeline")
+    if pipeline is None:
+        return cast(F, cached_njit(function, **called))
+    dispatcher = cached_njit(function)
+    pipeline.add_callee(dispatcher, function, **_known(_OPTIONS | _UNDOCUMENTED | _CALLED_BY_KERNELS | called))
     return cast(F, dispatcher)
 
 
-def _kept(function: Callable[..., Any], **options: Any) -> Any:
-    """Compile for Python, and cache the code on disk until one of its sources changes."""
+def cached_njit(function: Callable[..., Any], **options: Any) -> Any:
+    """Compile for Python, and cache the code on disk until one of its sources changes.
+
+    Parameters
+    ----------
+    function : callable
+    **options
+        Of `numba.njit`, beside those that all kernels share.
+    """
+    if private("pipeline") is not None:
+        options["pipeline_class"] = KernelCompiler
     with named_by_sources(function):
-        dispatcher = numba.njit(**_OPTIONS, **options)(function)
+        dispatcher = numba.njit(**_known(_OPTIONS | _UNDOCUMENTED | options))(function)
     dispatcher.__qualname__ = function.__qualname__
     remove_older_versions(dispatcher.stats.cache_path, function)
     return dispatcher
+
+
+def _known(options: dict[str, Any]) -> dict[str, Any]:
+    """Leave out the undocumented options that this numba does not have."""
+    return {name: each for name, each in options.items() if name not in _UNDOCUMENTED or name in _names_of_options()}
+
+
+@cache
+def _names_of_options() -> Set[str]:
+    try:
+        from numba.core.registry import cpu_target
+
+        return frozenset(dir(cpu_target.options))
+    except (ImportError, AttributeError):
+        return frozenset()

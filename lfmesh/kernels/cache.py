@@ -20,13 +20,15 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-HERE = f"{Path(__file__).parent}{os.sep}"
+HERE = f"{Path(__file__).parents[1]}{os.sep}"
 
 KEPT = 3
 """Number of older versions of a kernel that stay on disk, for checkouts that switch between branches."""
 
 _DIGITS = 12
 _WITHOUT_KERNELS = ("lfmesh.scene",)
+_COMPILES = f"{__package__}.accelerator"
+"""The module that imports the compilers, when they are first used."""
 _IMPORT = re.compile(rb"^(?:from ([\w.]+) import (\([^)]*\)|[^\n]*)|import ([\w.]+))", re.MULTILINE)
 _WORD = re.compile(rb"\w+")
 _FILE = re.compile(rf"(\w+)\.(?:([0-9a-f]{{{_DIGITS}}})\.)?([\w.]+)-\d+\.py\w+(?:\.\d+)?\.nb[ic]")
@@ -47,10 +49,14 @@ def named_by_sources(function: Callable[..., Any]) -> Iterator[None]:
 def digest(module: ModuleType) -> str:
     """Return the digest of a module's file and of the files that it imports.
 
-    Imports inside functions and for type checking do not count: kernels use nothing from them.
+    Imports inside functions and for type checking do not count: kernels use nothing from them. The compilers count,
+    whether they are in use or not: code from either kind is the same.
     """
     source = _source(module)
     found = hashlib.sha256(_constants(module) if module.__name__.startswith(_WITHOUT_KERNELS) else source)
+    if module.__name__ == _COMPILES:
+        for file in sorted(Path(__file__).with_name("private").glob("*.py")):
+            found.update(file.read_bytes())
     for name in sorted(_imported(source)):
         other = sys.modules.get(name)
         if other is not None and _is_followed(other, module):

@@ -12,18 +12,18 @@ import numba
 import pytest
 
 import lfmesh.geometry.surface
-import lfmesh.kernel
-from lfmesh.kernel_cache import KEPT, digest, remove_older_versions
+import lfmesh.kernels.decorators
+from lfmesh.kernels.cache import KEPT, digest, remove_older_versions
 from lfmesh.scene import lens, qcon
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 MODULE = """
 import json
 
 from numba.core import event
 
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 
 
 @kernel
@@ -83,7 +83,7 @@ def test_where_the_package_cannot_be_written_kernels_are_kept_with_the_user(prog
 
 
 CALLED = """
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 from numbers_of_ours import FACTOR
 
 
@@ -94,7 +94,7 @@ def scaled(x):
 
 CALLING = """
 from called import scaled
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 
 
 @kernel
@@ -149,10 +149,14 @@ def test_no_model_of_the_scene_defines_a_kernel_or_an_enumeration() -> None:
 
 
 def test_older_versions_do_not_pile_up(tmp_path: Path) -> None:
-    now = digest(lfmesh.kernel)
-    ours, versions = "kernel._kept-3.py311", [f"{number:012x}" for number in range(KEPT + 2)]
-    names = [f"kernel.{version}._kept-{line}.py311" for line, version in enumerate(versions)]
-    stay = {f"kernel.{now}._kept-3.py311.nbi", "kernel.000000000000.other-3.py311.nbi", "kernel.other-3.py311.nbi"}
+    now = digest(lfmesh.kernels.decorators)
+    ours, versions = "decorators.cached_njit-3.py311", [f"{number:012x}" for number in range(KEPT + 2)]
+    names = [f"decorators.{version}.cached_njit-{line}.py311" for line, version in enumerate(versions)]
+    stay = {
+        f"decorators.{now}.cached_njit-3.py311.nbi",
+        "decorators.000000000000.other-3.py311.nbi",
+        "decorators.other-3.py311.nbi",
+    }
     for age, name in enumerate(names):
         stay |= {f"{name}.nbi", f"{name}.1.nbc"} if age < KEPT else set()
         for file in (tmp_path / f"{name}.nbi", tmp_path / f"{name}.1.nbc"):
@@ -160,7 +164,7 @@ def test_older_versions_do_not_pile_up(tmp_path: Path) -> None:
             os.utime(file, (1e9 - age, 1e9 - age))
     for name in (*stay, f"{ours}.nbi", f"{ours}.1.nbc"):
         (tmp_path / name).touch(exist_ok=True)
-    remove_older_versions(str(tmp_path), lfmesh.kernel._kept)
+    remove_older_versions(str(tmp_path), lfmesh.kernels.decorators.cached_njit)
     assert {file.name for file in tmp_path.iterdir()} == stay
 
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lfmesh.by_address import Table, by_address
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.by_address import by_address
+from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.kernels.private.tables import Table
 
 RECORD = np.dtype([("x", "f8"), ("n", "i4"), ("v", "f8", (3,))])
 

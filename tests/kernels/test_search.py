@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lfmesh.ascending import count_up_to
+from lfmesh.kernels.search import count_up_to
 
 
 @pytest.mark.parametrize("length", [0, 1, 2, 3, 7, 64, 1000])

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 
 
 @kernel

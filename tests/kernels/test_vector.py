@@ -4,8 +4,8 @@ import llvmlite.binding as llvm
 import numpy as np
 import pytest
 
-from lfmesh.kernel import kernel
-from lfmesh.vector import both, fused, select
+from lfmesh.kernels.decorators import kernel
+from lfmesh.kernels.vector import both, fused, select
 
 
 @kernel

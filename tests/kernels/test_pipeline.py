@@ -15,9 +15,9 @@ from numba import types
 from numba.core.errors import TypingError
 from numba.core.registry import cpu_target
 
-from lfmesh.compiling import _KernelContext
+from lfmesh.kernels.private.typing_context import KernelContext
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 ARRAY = types.Array(types.float64, 2, "C")
 RECORD = numba.from_dtype(np.dtype([("x", float), ("n", np.int32)]))
@@ -46,7 +46,7 @@ def answer(context: Any, which: Any, args: tuple[types.Type, ...]) -> Any:
 @pytest.mark.parametrize("which", OPERATORS, ids=lambda which: which.__name__)
 def test_what_is_remembered_is_what_numba_answers_anew(which: Any) -> None:
     cpu_target.typing_context.refresh()
-    remembering = _KernelContext(cpu_target.typing_context)
+    remembering = KernelContext(cpu_target.typing_context)
     answers = {}
     for _ in range(2):
         for left in OPERANDS:
@@ -73,7 +73,7 @@ import operator
 import numba
 from numba import types
 from numba.extending import overload
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 
 assert kernel(lambda a, b: a + b)(1, 2) == 3
 try:
@@ -99,7 +99,7 @@ def test_what_numba_is_told_later_counts(tmp_path: Path) -> None:
 KERNELS = """
 from numba.core.registry import cpu_target
 
-from lfmesh.kernel import inlined, kernel
+from lfmesh.kernels.decorators import inlined, kernel
 
 
 @inlined
@@ -165,7 +165,7 @@ def is_wide(function):
 numba.njit(total)(np.ones(3))
 before = state()
 
-from lfmesh.kernel import kernel
+from lfmesh.kernels.decorators import kernel
 import lfmesh.transport.render.render
 
 print(is_wide(kernel(total)), is_wide(numba.njit(total)))
@@ -213,7 +213,7 @@ done:
 
 @pytest.mark.parametrize(("width", "wide"), [('"prefer-vector-width"="512"', True), ("", False)])
 def test_kernels_use_the_widest_registers(width: str, wide: bool) -> None:
-    """On a processor that LLVM by itself keeps to registers of 256 bits; the attribute is that of `compiling`."""
+    """On a processor that LLVM by itself keeps to registers of 256 bits; the attribute is that of `libraries`."""
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     machine = llvm.Target.from_triple("x86_64-unknown-linux-gnu").create_target_machine(cpu="skylake-avx512", opt=3)

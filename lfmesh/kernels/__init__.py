@@ -1,0 +1,1 @@
+"""Compiling and nothing else: decorators of kernels, their cache, tables passed by address, operations and search."""

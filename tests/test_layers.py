@@ -36,7 +36,7 @@ ORDER = [
 """Each may import those before it, and the foundation."""
 ROOMS = {
     "transport": [
-        *["packets", "tables", "events", "sequential", "aiming", "regions"],
+        *["packets", "paths", "tables", "events", "sequential", "aiming", "regions"],
         *["choice", "collisions", "close_faces", "refused_glass", "world", "settings"],
         *["threads", "engine", "sources"],  # packets through a world, and what starts them
         "checks, render, trace",

@@ -156,7 +156,7 @@ def waiting_packets(
     work.sampled = []
     work.run()
     packets = np.concatenate(work.sampled)
-    packets["stray"] = packets["events"] > 0
+    packets["path"] = packets["events"] > 0
     some = np.random.default_rng(seed).permutation(len(packets))[:count]
     return packets[some], options
 

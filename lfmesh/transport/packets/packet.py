@@ -146,7 +146,7 @@ _BASE_RECORD = np.dtype(
         ("frame", "i1"),
         ("medium", "i2"),  # medium at its start and in object space; in lens and array its space gives the medium
         ("kind", "i1"),
-        ("stray", "i1"),  # whether and how it has left the image path, see `path_class`
+        ("path", "i1"),  # its state, see `paths.automaton`
         ("events", "i2"),
         ("moves", "i2"),  # from station to station since its last event
     ],
@@ -279,7 +279,7 @@ class Options(NamedTuple):
     bounce: bool  # light may go from target to target
     aimed: bool  # scattered light is aimed at the lens; else it meets the lens by chance
     sequential: bool  # surfaces of lens and array are met in their order, without a mesh
-    paths: int  # class of paths that are estimated, see `path_class`
+    paths: int  # class of paths that are estimated, see `paths.automaton`
     unturned_cutoff: float  # replaces `cutoff` at targets, for paths outside the estimated class so far
     first_source: int  # pixel in row 0 of the film
     stream: np.uint64 = np.uint64(0)  # adjoint: key of the replicate's random numbers at this wavelength
@@ -355,7 +355,7 @@ def put(
     # overwritten, compiles to sixty moves of odd sizes.
     start, source, node, kind = parent.start, parent.source, parent.node, parent.kind
     column, cell_row, facet, last = parent.column, parent.row, parent.facet, parent.last
-    colour, space, events, medium, stray = parent.colour, parent.space, parent.events, parent.medium, parent.stray
+    colour, space, events, medium, path = parent.colour, parent.space, parent.events, parent.medium, parent.path
     packet = flow.stacks[row, top]
     packet.x, packet.y, packet.z = x, y, z
     packet.dx, packet.dy, packet.dz = dx, dy, dz
@@ -365,7 +365,7 @@ def put(
     packet.node = node
     packet.column, packet.row, packet.facet, packet.last = column, cell_row, facet, last
     packet.colour, packet.space, packet.events, packet.medium = colour, space, events, medium
-    packet.tries, packet.kind, packet.frame, packet.stray, packet.moves = 0, kind, frame, stray, moves
+    packet.tries, packet.kind, packet.frame, packet.path, packet.moves = 0, kind, frame, path, moves
     keep_state(flow.polarised, parent, packet)
     flow.tops[station] = top + 1
     return packet

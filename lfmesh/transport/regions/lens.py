@@ -56,7 +56,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.path_class import cutoff_at_child, stray_at_same_surface, stray_before_lens
+from lfmesh.transport.paths.automaton import FACE_AGAIN, OUT_OF_LENS, cutoff_at_child
 from lfmesh.transport.regions.lens_block import (
     ALONG_X,
     ALONG_Y,
@@ -214,7 +214,7 @@ def leave_lens(
     child.facet = NO_SURFACE
     if space == 0:
         child.column, child.medium = NO_SURFACE, AIR
-        child.stray = stray_before_lens(packet.stray)
+        child.path = OUT_OF_LENS[packet.path]
 
 
 @kernel
@@ -621,7 +621,7 @@ def _send_on(
     """Divide a packet of a block at surface `k`."""
     r, t = REFLECTED + i, REFRACTED + i
     if packet.last == k:
-        packet.stray = stray_at_same_surface(packet.stray)
+        packet.path = FACE_AGAIN[packet.path]
     x, y, z = arrive(flow, lens.media, packet, lens.medium[packet.space], block[PX + i], block[PY + i], block[PZ + i])
     reflectance, transmittance = block[REFLECTANCE + i], block[TRANSMITTANCE + i]
     if lens.interfaces.coated:

@@ -78,8 +78,8 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.path_class import LAMP_ON_CAMERA, is_estimated
 from lfmesh.transport.packets.random import derived
+from lfmesh.transport.paths.automaton import LAMP_ON_CAMERA, counts
 from lfmesh.transport.regions.bodies import (
     RANK,
     TOO_MANY,
@@ -235,7 +235,7 @@ def shade_objects(
             status = S_ABSORBED if body < 0 else S_TARGET
             end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, status)
             continue
-        if packet.kind == LAMP and not is_estimated(options, packet):
+        if packet.kind == LAMP and not counts(options, packet):
             # Its path belongs to another class, which is estimated from the sensor.
             flow.book[SAMPLING_REMOVED] += packet.weight
             continue
@@ -482,11 +482,11 @@ def _through_rough_glass(
     """
     objects, prim, inside, after, beyond, number, interfaces = place
     packet.facet, packet.last = NO_SURFACE, NO_SURFACE
-    if packet.kind == LAMP and not is_estimated(options, packet):
+    if packet.kind == LAMP and not counts(options, packet):
         # Its path belongs to another class, which is estimated from the sensor.
         flow.book[SAMPLING_REMOVED] += packet.weight
         return
-    if options.adjoint and is_estimated(options, packet):
+    if options.adjoint and counts(options, packet):
         _ask_lights_at_glass(place, options, flow, packet, x, y, z, nx, ny, nz, n_i, n_t)
     passes, dx, dy, dz = scattered(
         interfaces, number, options, packet, n_i, n_t, packet.dx, packet.dy, packet.dz, nx, ny, nz

@@ -74,8 +74,8 @@ from lfmesh.transport.packets.packet import (
     count_event,
     put,
 )
-from lfmesh.transport.packets.path_class import is_estimated, is_unturned
 from lfmesh.transport.packets.random import derived, uniform
+from lfmesh.transport.paths.automaton import counts, counts_not_yet
 from lfmesh.transport.regions.bodies import RANK, bodies_round
 from lfmesh.transport.tables.halos import Halos, angle_beyond, light_beyond, phase_at
 from lfmesh.transport.tables.tables import OPAQUE, AimTables, LensTables, ObjectTables
@@ -188,7 +188,7 @@ def cross_media(
     key = derived(packet.key, IN_MEDIUM + packet.events)
     passage = pass_through(volumes, place, colour, x, y, z, dx, dy, dz, reach, flow.book, 0.0 if asks else weight, key)
     packet.weight = weight * passage.transmittance if packet.kind < TO_MEDIUM else 0.0
-    estimated = is_estimated(options, packet)
+    estimated = counts(options, packet)
     if passage.light > 0.0 and options.adjoint and estimated and (not asks or packet.kind == TO_MEDIUM):
         # Radiance over n² is conserved on the way out of glass and liquids.
         index = objects.media.indices[packet.medium, colour]
@@ -472,7 +472,7 @@ def send_from_medium(
                 twin = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, to_camera, twin_key, 0.0)
                 twin.kind, twin.start, twin.facet, twin.medium = CAMERA, to_camera, LEFT_MEDIUM, packet.medium
                 twin.density = density
-    cutoff = options.unturned_cutoff if is_unturned(options, packet) else options.cutoff
+    cutoff = options.unturned_cutoff if counts_not_yet(options, packet) else options.cutoff
     kept = windowed(flow.book, weight, cutoff * packet.start, key, KEEP)
     if kept <= 0.0:
         return

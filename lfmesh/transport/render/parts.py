@@ -5,9 +5,9 @@ method estimates the two independently and adds them: the image path with the se
 for which fewer samples are enough, with the mesh engine. Most of those are ghosts of two reflections; where they can be
 followed by their sequences of surfaces (`sequential.ghosts`), they are a part of their own. How many fewer samples,
 `shares` measures. If the scene has lamps and glass, light of lamps through glass is a further part, traced forward; so
-is, in both methods, light of lamps on a camera with rough surfaces. `path_class` defines the classes; each path belongs
-to one of them and counts once. Particles are points, which no ray from the sensor meets: in both methods each entry of
-them is a part, traced forward.
+is, in both methods, light of lamps on a camera with rough surfaces. `paths.automaton` defines the classes; each path
+belongs to one of them and counts once. Particles are points, which no ray from the sensor meets: in both methods each
+entry of them is a part, traced forward.
 """
 
 from copy import copy
@@ -23,7 +23,7 @@ from lfmesh.transport.aiming.through_glass import GlassAim
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.packets.book import LIT, REACHED
 from lfmesh.transport.packets.packet import BOTH, TRANSMIT, Options
-from lfmesh.transport.packets.path_class import (
+from lfmesh.transport.paths.automaton import (
     GHOSTS,
     LAMP_ON_CAMERA,
     LAMP_THROUGH_GLASS,

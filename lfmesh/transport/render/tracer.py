@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.packet import COUNTERS, DEPOSITS
-from lfmesh.transport.packets.path_class import GHOSTS
 from lfmesh.transport.packets.random import descendant, run_key
+from lfmesh.transport.paths.automaton import GHOSTS
 from lfmesh.transport.render.adaptive import Counts
 from lfmesh.transport.render.blind_check import CHUNK as BLIND_CHUNK
 from lfmesh.transport.render.blind_check import BlindSamples, first_of_runs

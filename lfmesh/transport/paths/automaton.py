@@ -94,7 +94,7 @@ FACE_AGAIN = _step({ON_IMAGE_PATH: IN_NO_GHOST, REFLECTED_ONCE: STRAY, REFLECTED
 NEXT_LENSLET = _step(dict.fromkeys((ON_IMAGE_PATH, IN_NO_GHOST, REFLECTED_ONCE, REFLECTED_TWICE), STRAY))
 """It meets the same curved side of the array twice running."""
 
-OUT_OF_LENS = _step({ON_IMAGE_PATH: IN_NO_GHOST})
+OUT_OF_LENS = _step({ON_IMAGE_PATH: IN_NO_GHOST, REFLECTED_ONCE: STRAY})
 """It leaves the lens to object space."""
 
 AT_GLASS = _step({FROM_LAMP: LAMP_AT_GLASS})

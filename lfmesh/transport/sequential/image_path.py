@@ -243,7 +243,7 @@ def through_lens(bundle: Array, lens: LensTables, colour: int, to_sensor: bool, 
             beyond = BESIDE if to_sensor else HOUSING + 1.0
         through_surface(
             bundle, lens, k, colour, 1.0 if to_sensor else -1.0,
-            lens.surfaces[k].aperture * (1.0 + OVERREACH), lens.mount_slot[k] + 1.0, beyond,
+            lens.surfaces[k].semi_diameter * (1.0 + OVERREACH), lens.mount_slot[k] + 1.0, beyond,
         )  # fmt: skip
         absorb_since_start(absorption, bundle, lens.medium[space], colour, book)
 

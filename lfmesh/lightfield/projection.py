@@ -548,7 +548,7 @@ def _pieces(packets: NDArray[np.void], work: Workspace, frame: NDArray[Any], cou
     absorption = work.tables.objects.media.absorption
     per_mm = np.zeros(len(p)) if absorption is None else absorption.per_mm[packets["medium"], packets["colour"]]
     # Only packets in object space are in bodies, whose numbers have the place of a cell of the array.
-    place = np.where((frame == OBJECT_FRAME) & (packets["column"] >= 0), packets["column"] & RANK, 0)
+    place = np.where((frame == OBJECT_FRAME) & (packets["bodies"] >= 0), packets["bodies"] & RANK, 0)
     return Segments(p, d, np.full(len(p), np.inf), weight, pixel, colour, place.astype(np.int64), per_mm)
 
 

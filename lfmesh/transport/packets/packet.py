@@ -111,14 +111,15 @@ FACES = (
 CURVED_FACE, FLAT_FACE, ON_TARGET, ON_GLASS, COVER_FRONT, COVER_REAR, BACK_FACE = range(FACES_AT, FACES_AT + len(FACES))
 
 NO_SURFACE = -1
-LEFT_LENS = -2
-"""`last` of a packet in object space that left the lens: it cannot meet the lens again on a straight line."""
+"""In place of the number of a surface, facet, cell or vertex."""
 
-IN_FOG = -5
-"""`facet` of a packet, in the adjoint method, that a medium has scattered."""
+LEFT_LENS, LEFT_FACE = -2, -3
+"""`last` of a packet in object space that left the lens: it cannot meet the lens again on a straight line; and of one
+that left a curved face of the array and has not left the layer of faces."""
 
-LEFT_FACE = -3
-"""`last` of a packet that left a curved face of the array and has not left the layer of faces."""
+LEFT_MEDIUM, IN_FOG = -4, -5
+"""`facet` of a packet that a medium scattered or emitted: in the forward method, where it has an aimed twin or is one;
+in the adjoint method."""
 
 _BASE_RECORD = np.dtype(
     [
@@ -131,9 +132,7 @@ _BASE_RECORD = np.dtype(
         ("key", "u8"),
         ("source", "i8"),  # sample (adjoint, see `SAMPLE_SHIFT`), packet (forward) or ray (trace) that it began as
         ("node", "i4"),  # its last recorded vertex
-        # Cell of the array. For object space see `regions.bodies` and PACKET; `row` of a TO_EMITTER: the facet;
-        # of a TO_HALO: the lamp; of what waits at EMITTERS in a medium: the medium.
-        ("column", "i4"), ("row", "i4"),
+        ("column", "i4"), ("row", "i4"),  # cell of the array; elsewhere see SHARED
         ("facet", "i4"),  # target facet it left
         ("last", "i2"),  # lens surface it left
         ("colour", "i2"),  # number of the wavelength
@@ -154,10 +153,20 @@ _BASE_RECORD = np.dtype(
 )  # fmt: skip
 
 
-def _with_field(record: np.dtype[np.void], name: str, form: str, place: str) -> np.dtype[np.void]:
-    """Return a record type with one more field, which shares the memory of the field `place`."""
+SHARED = {
+    "density": ("row", "f4"),  # 1/sr, with which the target that a packet left draws its direction
+    "to_facet": ("row", "i4"),  # TO_EMITTER: the facet that it asks for
+    "to_lamp": ("row", "i4"),  # TO_HALO: the lamp
+    "in_medium": ("row", "i4"),  # at EMITTERS, of a point in a medium: the medium
+    "bodies": ("column", "i4"),  # in object space: ranks of the bodies round it, see `regions.bodies`
+}
+"""Fields of packets in object space, which are in no cell of the array: whose memory each shares, and its type."""
+
+
+def _with_shared(record: np.dtype[np.void], shared: dict[str, tuple[str, str]]) -> np.dtype[np.void]:
+    """Return a record type with more fields, each of which shares the memory of another."""
     own = dict(record.fields or {})
-    fields = own | {name: (np.dtype(form), own[place][1])}
+    fields = own | {name: (np.dtype(form), own[place][1]) for name, (place, form) in shared.items()}
     return np.dtype(
         {
             "names": list(fields),
@@ -189,9 +198,8 @@ def _with_vectors(record: np.dtype[np.void], *vectors: tuple[str, tuple[int, ...
     )
 
 
-PACKET = _with_field(_BASE_RECORD, "density", "f4", "row")
-"""The packet's record. In object space, where a packet is in no cell of the array, `density` takes the place of `row`:
-the density, 1/sr, with which the scattering model of the target that it left draws its direction."""
+PACKET = _with_shared(_BASE_RECORD, SHARED)
+"""The packet's record."""
 
 _STATE = (
     ("stokes", (3,)),  # Q, U and V over I; in the adjoint method of the light's course turned round

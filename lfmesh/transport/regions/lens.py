@@ -213,7 +213,7 @@ def leave_lens(
     child.last = LEFT_LENS
     child.facet = NO_SURFACE
     if space == 0:
-        child.column, child.medium = NO_SURFACE, AIR
+        child.bodies, child.medium = NO_SURFACE, AIR
         child.path = OUT_OF_LENS[packet.path]
 
 

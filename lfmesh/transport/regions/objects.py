@@ -61,6 +61,7 @@ from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
     LAMP,
     LEFT_LENS,
+    LEFT_MEDIUM,
     LENS,
     NO_SURFACE,
     OBJECT_FRAME,
@@ -90,7 +91,7 @@ from lfmesh.transport.regions.bodies import (
     set_bodies,
 )
 from lfmesh.transport.regions.targets import AIMED_CHILD, meet_target, passes, share_with_other
-from lfmesh.transport.regions.volumes import LEFT_MEDIUM, is_stopped_by_media
+from lfmesh.transport.regions.volumes import is_stopped_by_media
 from lfmesh.transport.tables.tables import AIR, OPAQUE, AimTables, LensTables, ObjectTables, body_row
 
 Array = NDArray[np.float64]
@@ -162,7 +163,7 @@ def shade_objects(
             inside = bodies_round(packet)
             body = objects.by_rank[inside & RANK] if inside != 0 else facet.body
             prim, t, along = _first_crossing(objects, packet, x, y, z, dx, dy, dz)
-            if prim < 0 and (packet.column >= 0 or _comes_out_ahead(objects, packet, x, y, z, dx, dy, dz)):
+            if prim < 0 and (packet.bodies >= 0 or _comes_out_ahead(objects, packet, x, y, z, dx, dy, dz)):
                 if packet.facet == LEFT_MEDIUM:
                     # Emitted from a point of a medium where glass is in its place.
                     flow.book[SAMPLING_REMOVED] += packet.weight
@@ -274,11 +275,11 @@ def _pass_on(
 @inlined
 def _arrives(objects: ObjectTables, packet: Any, prim: int) -> bool:
     """Tell whether a packet meets the emitting facet that it was sent to, when the query found the facet `prim`."""
-    if prim < 0 or prim == packet.row:
+    if prim < 0 or prim == packet.to_facet:
         return prim >= 0
     # Next to an edge, float32 may find the neighbour of the right facet.
     facet = objects.facets[prim]
-    if facet.body != objects.facets[packet.row].body:
+    if facet.body != objects.facets[packet.to_facet].body:
         return False
     return crosses(facet, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz)[0] == np.inf
 
@@ -287,7 +288,7 @@ def _arrives(objects: ObjectTables, packet: Any, prim: int) -> bool:
 def _in_its_medium(objects: ObjectTables, packet: Any, prim: int, along: float) -> bool:
     """Tell whether a packet can meet a facet from that side, by the bodies it is in; −1: whether it can meet none."""
     if prim < 0:
-        return packet.column < 0
+        return packet.bodies < 0
     body = objects.facets[prim].body
     if body >= 0 and objects.medium[body] != OPAQUE:
         return (along > 0.0) == is_in(bodies_round(packet), objects.rank[body])
@@ -307,7 +308,7 @@ def _might_have_met(
     objects: ObjectTables, packet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float
 ) -> bool:
     """Tell whether a packet outside all glass that met nothing comes from afar and passes near the targets."""
-    if packet.kind == SHADOW or packet.kind >= TO_EMITTER or packet.column >= 0:
+    if packet.kind == SHADOW or packet.kind >= TO_EMITTER or packet.bodies >= 0:
         return False
     toward = -(x * dx + y * dy + z * dz)
     distance2, radius2 = x * x + y * y + z * z, objects.radius * objects.radius

@@ -60,6 +60,7 @@ from lfmesh.transport.packets.packet import (
     IN_FOG,
     LAMP,
     LEFT_LENS,
+    LEFT_MEDIUM,
     NO_SURFACE,
     OBJECT_FRAME,
     OBJECTS,
@@ -81,9 +82,6 @@ from lfmesh.transport.tables.halos import Halos, angle_beyond, light_beyond, pha
 from lfmesh.transport.tables.tables import OPAQUE, AimTables, LensTables, ObjectTables
 
 Array = NDArray[np.float64]
-
-LEFT_MEDIUM = -4
-"""`facet` of a packet that was scattered or emitted in a medium, forward: it has an aimed twin or is one."""
 
 IN_MEDIUM = 1 << 21
 """Number of the random numbers, among those that a packet's key has for its children, for its way through media."""
@@ -351,7 +349,7 @@ def _gather_past_lamp(
     The point is drawn by the mean phase function over the angle of scattering or, with equal chance, by what is
     scattered there: the sum of both densities divides the light (balance heuristic).
     """
-    volumes, colour, number = objects.volumes, packet.colour, packet.row
+    volumes, colour, number = objects.volumes, packet.colour, packet.to_lamp
     light = objects.lights[number]
     x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
     px, py, pz = point_of_light(light, uniform(packet.key, LAMP_U), uniform(packet.key, LAMP_V))
@@ -403,7 +401,7 @@ def _ask_what_emits(
     if asks_emitters(options, objects, events) or asks_media(volumes, options) or asks_halos(volumes, options, events):
         dx, dy, dz = packet.dx, packet.dy, packet.dz
         asking = put(flow, EMITTERS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, key, 0.0)
-        asking.facet, asking.row = IN_FOG, number
+        asking.facet, asking.in_medium = IN_FOG, number
 
 
 @kernel

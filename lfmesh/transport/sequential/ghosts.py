@@ -490,5 +490,5 @@ def _hand_on(wave: NDArray[np.void], frames: Array, flow: Flow, room: GhostRoom)
         dx, dy, dz = direction_through(move, dx, dy, dz)
         child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, ends[RAY_WEIGHT, n], packet.key, 0.0)
         child.space, child.path = 0, REFLECTED_TWICE
-        child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
+        child.last, child.facet, child.bodies = LEFT_LENS, NO_SURFACE, NO_SURFACE
     flow.counts[EVENTS] += events

@@ -12,8 +12,11 @@ r"""Physical simulation of light-field cameras through triangle-mesh lenses.
 Names are imported when first used, so that ``import lfmesh`` does not wait for numba, Embree or OpenEXR.
 """
 
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+from lfmesh.notebook import show_by
 
 if TYPE_CHECKING:
     from lfmesh.analysis.analysis import LensAnalysis, analyse
@@ -312,6 +315,8 @@ _HOMES = {
     "lfmesh.view.show": ["show"],
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
+
+show_by(partial(import_module, "lfmesh.view.results"), partial(import_module, "lfmesh.view.progress"))
 
 
 def __getattr__(name: str) -> Any:

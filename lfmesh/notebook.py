@@ -1,13 +1,27 @@
 """What notebooks ask for: a result's key figures and picture, and the progress of a render.
 
-`lfmesh.view` makes them when they are asked for.
+What makes them stands above all results, and brings matplotlib; `show_by` registers it.
 """
 
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from typing import Any
+
+_shown_by: dict[str, Callable[[], Any]] = {}
+
+
+def show_by(results: Callable[[], Any], progress: Callable[[], Any]) -> None:
+    """Register what shows results and progress.
+
+    Parameters
+    ----------
+    results : callable
+        Returns, when the first result is shown, the module that makes tables and pictures of results.
+    progress : callable
+        Returns the module that shows the progress of a render.
+    """
+    _shown_by.update(results=results, progress=progress)
 
 
 def in_notebook() -> bool:
@@ -21,14 +35,14 @@ class Shown:
     """A result that notebooks show as a table of its key figures, with its picture if it has one."""
 
     def _repr_html_(self) -> str:
-        return _results().html_of(self)
+        return _shown_by["results"]().html_of(self)
 
 
 class Pictured(Shown):
     """A result that has a picture."""
 
     def _repr_png_(self) -> bytes:
-        return _results().png_of(self)
+        return _shown_by["results"]().png_of(self)
 
     def figure(self) -> Any:
         """Return its picture as a figure of matplotlib, upright, with axes, unit and scale.
@@ -38,11 +52,11 @@ class Pictured(Shown):
         matplotlib.figure.Figure
             `figure().savefig("picture.png")` writes it.
         """
-        return _results().figure_of(self)
+        return _shown_by["results"]().figure_of(self)
 
     def show(self) -> None:
         """Show the picture: in a notebook below the cell, else in a window of matplotlib, until that is closed."""
-        _results().show(self)
+        _shown_by["results"]().show(self)
 
 
 @contextmanager
@@ -57,12 +71,7 @@ def watched(progress: Callable[[Any], None] | bool | None) -> Iterator[Callable[
     if callable(progress):
         yield progress
     elif in_notebook() if progress is None else progress:
-        with import_module("lfmesh.view.progress").progress() as report:
+        with _shown_by["progress"]().progress() as report:
             yield report
     else:
         yield None
-
-
-def _results() -> Any:
-    """Import the module that makes pictures: it stands above all results, and brings matplotlib."""
-    return import_module("lfmesh.view.results")

@@ -68,21 +68,21 @@ def refuse_crossing_elements(lens: Lens) -> None:
     """
     records = []
     for number, s in enumerate(lens.surfaces):
-        record = surface_of(s, vertex_z=lens.vertices_mm[number], aperture=s.semi_diameter_mm or np.inf)
+        record = surface_of(s, vertex_z=lens.vertices_mm[number], semi_diameter=s.semi_diameter_mm or np.inf)
         put_in_pose(record, pose_of(lens, number))
         records.append(record)
     for number, (front, back) in enumerate(pairwise(records)):
         if stand_together(front, back):
             continue
         crossing = max(_crossing(front, back, 1.0), _crossing(back, front, -1.0))
-        if crossing > TOUCHING * float(back["aperture"] + back["vertex_z"]):
+        if crossing > TOUCHING * float(back["semi_diameter"] + back["vertex_z"]):
             raise SceneError(_refusal(lens, number, crossing))
 
 
 def _crossing(one: Any, other: Any, sense: float) -> float:
     """Return how far a surface reaches through the next one, along that one's axis, inside both clear apertures, mm."""
-    height, r = height_above(other, on_circles(one, np.linspace(0.0, min(one["aperture"], reach(one)), RADII)))
-    return float(np.max(sense * height, where=r <= other["aperture"], initial=0.0))
+    height, r = height_above(other, on_circles(one, np.linspace(0.0, min(one["semi_diameter"], reach(one)), RADII)))
+    return float(np.max(sense * height, where=r <= other["semi_diameter"], initial=0.0))
 
 
 def _refusal(lens: Lens, number: int, crossing: float) -> str:

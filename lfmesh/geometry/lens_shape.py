@@ -79,7 +79,7 @@ def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
         s = prescription.surfaces[i]
         media.append(s.medium)
         records.append(
-            surface_of(s, vertex_z=prescription.vertices_mm[i], aperture=s.semi_diameter_mm or np.inf, stop=s.stop)
+            surface_of(s, vertex_z=prescription.vertices_mm[i], semi_diameter=s.semi_diameter_mm or np.inf, stop=s.stop)
         )
         put_in_pose(records[-1], pose_of(prescription, i))
     surfaces = np.array(records)

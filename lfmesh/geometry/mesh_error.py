@@ -46,7 +46,7 @@ def facet_errors(surface: Any, cap: Mesh, level: int) -> tuple[float, float]:
             used = np.broadcast_to(facet_normals(cap)[0][:, None, :], used.shape)
         used = used / np.linalg.norm(used, axis=-1, keepdims=True)
     x, y = points[..., 0].ravel(), points[..., 1].ravel()
-    inside = x * x + y * y <= float(surface["aperture"]) ** 2
+    inside = x * x + y * y <= float(surface["semi_diameter"]) ** 2
     exact = normals(surface, x[inside], y[inside])
     tilt = np.linalg.norm(used.reshape(-1, 3)[inside] - exact, axis=1)
     height = points[..., 2].ravel()[inside] - surface["vertex_z"] - heights(surface, x[inside], y[inside])
@@ -89,7 +89,7 @@ def _landing_errors(
         tilt, height = facet_errors(surface, cap, level)
         n_i, n_t = paraxial.indices[number], paraxial.indices[number + 1]
         # A typical ray meets the surface half-way out, at the slope it has there.
-        incidence = float(steepness(surface, 0.5 * surface["aperture"]))
+        incidence = float(steepness(surface, 0.5 * surface["semi_diameter"]))
         sideways = height * incidence * abs(n_t - n_i) / n_t
         if level in (FLAT, SMOOTH):
             # The facet's point has the normal of a place further out by the way between facet and surface.

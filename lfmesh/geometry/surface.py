@@ -41,7 +41,7 @@ SURFACE = np.dtype(
         ("curvature_x", "f8"),  # of a biconic and a toroid, whose `curvature` and `conic` are those in y
         ("conic_x", "f8"),
         ("vertex_z", "f8"),
-        ("aperture", "f8"),  # semi-diameter of the clear aperture
+        ("semi_diameter", "f8"),  # of the clear aperture
         ("end", "f8"),  # radius at which it touches a neighbour, or a toroid turns back, and ends
         # Bounds of the second derivatives of z in any direction, up to the radius `domain`: 0 until they are asked for.
         ("least_bend", "f8"),
@@ -80,7 +80,7 @@ def surface(
     radius_x_mm: float = np.inf,
     conic_x: float = 0.0,
     vertex_z: float = 0.0,
-    aperture: float = np.inf,
+    semi_diameter: float = np.inf,
     stop: bool = False,
 ) -> np.void:
     """Return one `SURFACE` record.
@@ -99,8 +99,8 @@ def surface(
     radius_x_mm, conic_x : float
         Radius of a biconic or toroid in x, and conic constant of a biconic.
     vertex_z : float, mm
-    aperture : float, mm
-        Radius of the clear aperture.
+    semi_diameter : float, mm
+        Of the clear aperture.
     stop : bool
         Whether its aperture is the stop.
     """
@@ -115,7 +115,7 @@ def surface(
     record["terms"] = max(len(coefficients), 1 if record["kind"] != CONIC_AND_EVEN else 0)
     record["curvature_x"], record["conic_x"] = 0.0 if np.isinf(radius_x_mm) else 1.0 / radius_x_mm, conic_x
     record["vertex_z"] = vertex_z
-    record["aperture"] = aperture
+    record["semi_diameter"] = semi_diameter
     record["end"] = np.inf
     record["stop"] = stop
     record["pose"] = record["unpose"] = frame.IDENTITY
@@ -129,7 +129,7 @@ def surface_of(of: Surface, **where: Any) -> np.void:
     ----------
     of : Surface
     **where
-        `vertex_z`, `aperture` and `stop`, as for `surface`.
+        `vertex_z`, `semi_diameter` and `stop`, as for `surface`.
     """
     shape: dict[str, Any] = {}
     if of.biconic is not None:

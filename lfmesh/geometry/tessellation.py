@@ -91,7 +91,7 @@ def rim_radius(surface: Any, rings: int, overreach: float = OVERREACH) -> float:
     overreach : float
         Share of the aperture by which the mesh goes beyond it.
     """
-    inner = min(surface["aperture"] * (1.0 + overreach), last_radius(surface) * (1.0 + FLOAT32_MARGIN))
+    inner = min(surface["semi_diameter"] * (1.0 + overreach), last_radius(surface) * (1.0 + FLOAT32_MARGIN))
     return float(inner / np.cos(np.pi / (6 * rings)))
 
 
@@ -345,7 +345,7 @@ def end_where_they_touch(surfaces: NDArray[np.void], rings: int) -> None:
     Meshes of that many rings or more, which reach a little beyond the apertures, would cross there.
     """
     for front, back in pairwise(surfaces):
-        inner = float(min(front["aperture"], back["aperture"]))
+        inner = float(min(front["semi_diameter"], back["semi_diameter"]))
         if not np.isfinite(inner):
             continue
         outer = min(rim_radius(front, rings), rim_radius(back, rings), last_radius(front), last_radius(back))
@@ -355,7 +355,7 @@ def end_where_they_touch(surfaces: NDArray[np.void], rings: int) -> None:
         while (middle := 0.5 * (low + high)) not in (low, high):
             low, high = (middle, high) if _gap_at(front, back, middle) > 0.0 else (low, middle)
         for s in (front, back):
-            if s["aperture"] <= low:
+            if s["semi_diameter"] <= low:
                 s["end"] = min(float(s["end"]), low)
 
 

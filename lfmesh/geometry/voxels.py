@@ -75,11 +75,6 @@ class VoxelGrid:
         low = self.origin_mm - 0.5 * self.spacing_mm
         return low, low + self.spacing_mm * self.shape
 
-    @property
-    def voxel_mm3(self) -> float:
-        """Volume of a voxel."""
-        return float(np.prod(self.spacing_mm))
-
     def centres_mm(self) -> Array:
         """Return the centres of all voxels, (nx, ny, nz, 3)."""
         axes = [o + s * np.arange(n) for o, s, n in zip(self.origin_mm, self.spacing_mm, self.shape, strict=True)]

@@ -39,8 +39,8 @@ from lfmesh.transport.packets.packet import (
     WORLD_FRAME,
     Options,
 )
-from lfmesh.transport.packets.path_class import STRAYS_OF
 from lfmesh.transport.packets.random import descendant
+from lfmesh.transport.paths.automaton import COUNTS, STANDING
 from lfmesh.transport.regions.bodies import RANK
 from lfmesh.transport.regions.objects import admit_to_objects
 from lfmesh.transport.render.parts import Part
@@ -510,15 +510,15 @@ def _in_object_space(work: Workspace, part: Part) -> Segments:
     while (work.tops[:STATIONS] * elsewhere).any():
         work.advance(int(np.argmax(work.tops[:STATIONS] * elsewhere)))
     packets = work.stacks[work.rows[OBJECTS], : work.tops[OBJECTS]]
-    kept = STRAYS_OF.get(part.options.paths)
+    counts = STANDING[part.options.paths] == COUNTS
     if not work.world.targets:
-        segments = _pieces(packets, work, packets["frame"], kept)
+        segments = _pieces(packets, work, packets["frame"], counts)
         work.tops[OBJECTS] = 0
         return segments
     options = work.options
     work.options = _onward(options)
     try:
-        return _followed(work, kept)
+        return _followed(work, counts)
     finally:
         work.options = options
 
@@ -532,7 +532,7 @@ def _onward(options: Options) -> Options:
     return options._replace(tracing=True, adjoint=False, sequential=False, split=split, bounce=False)
 
 
-def _pieces(packets: NDArray[np.void], work: Workspace, frame: NDArray[Any], kept: tuple[int, ...] | None) -> Segments:
+def _pieces(packets: NDArray[np.void], work: Workspace, frame: NDArray[Any], counts: NDArray[np.bool_]) -> Segments:
     """Return rays without an end, one for each packet."""
     p = np.stack([packets[axis] for axis in ("x", "y", "z")], axis=-1)
     d = np.stack([packets[axis] for axis in ("dx", "dy", "dz")], axis=-1)
@@ -542,24 +542,23 @@ def _pieces(packets: NDArray[np.void], work: Workspace, frame: NDArray[Any], kep
         p[some], d[some] = frames.points(to_world, p[some]), frames.directions(to_world, d[some])
     index = work.tables.objects.media.indices[packets["medium"], packets["colour"]]
     weight = packets["weight"] / (index * index)
-    if kept is not None:
-        # The other paths belong to other parts.
-        weight = np.where(np.isin(packets["stray"], kept), weight, 0.0)
+    # The other paths belong to other parts.
+    weight = np.where(counts[packets["path"]], weight, 0.0)
     pixel, colour = packets["source"] & PIXEL_MASK, packets["colour"].astype(np.int64)
     absorption = work.tables.objects.media.absorption
     per_mm = np.zeros(len(p)) if absorption is None else absorption.per_mm[packets["medium"], packets["colour"]]
     # Only packets in object space are in bodies, whose numbers have the place of a cell of the array.
-    place = np.where((frame == OBJECT_FRAME) & (packets["column"] >= 0), packets["column"] & RANK, 0)
+    place = np.where((frame == OBJECT_FRAME) & (packets["bodies"] >= 0), packets["bodies"] & RANK, 0)
     return Segments(p, d, np.full(len(p), np.inf), weight, pixel, colour, place.astype(np.int64), per_mm)
 
 
-def _followed(work: Workspace, kept: tuple[int, ...] | None) -> Segments:
+def _followed(work: Workspace, counts: NDArray[np.bool_]) -> Segments:
     """Trace packets on from target to target until they have ended, and return the pieces of their paths.
 
     A packet's `node` holds the number of its piece. A packet that asks Embree again starts where it started before; a
     child starts where its parent's piece ends.
     """
-    found = _pieces(work.stacks[0, :0], work, np.zeros(0, np.int8), kept)
+    found = _pieces(work.stacks[0, :0], work, np.zeros(0, np.int8), counts)
     # Starts of the pieces in the object frame, as the packets hold them.
     starts = np.zeros((0, 3))
     known = 0
@@ -576,7 +575,7 @@ def _followed(work: Workspace, kept: tuple[int, ...] | None) -> Segments:
             found.length[parent[is_child]] = np.linalg.norm(way[is_child], axis=1)
         children = fresh[is_child]
         fresh["node"][is_child] = len(starts) + np.arange(len(children))
-        own = _pieces(children, work, children["frame"], kept)
+        own = _pieces(children, work, children["frame"], counts)
         found = Segments(*(np.concatenate(pair) for pair in zip(found, own, strict=True)))
         starts = np.concatenate([starts, p[is_child]])
         known = top - min(top, work.chunk)

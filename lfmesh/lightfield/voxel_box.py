@@ -120,11 +120,6 @@ class VoxelBox:
         x, y, z = (o + s * np.arange(n) for o, s, n in zip(self.origin_mm, self.spacing_mm, self.shape, strict=True))
         return x, y, z
 
-    @property
-    def voxel_mm3(self) -> float:
-        """Volume of a voxel."""
-        return float(np.prod(self.spacing_mm))
-
     def centres_mm(self) -> Array:
         """Return the centres of all voxels, (nx, ny, nz, 3), world frame."""
         own = np.stack(np.meshgrid(*self.axes_mm, indexing="ij"), axis=-1)

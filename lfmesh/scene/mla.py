@@ -40,11 +40,6 @@ class ArrayForm(Model):
     seed: Whole = 0
     """Which array of this quality: the random errors follow from it alone."""
 
-    @property
-    def is_perfect(self) -> bool:
-        """Whether every lenslet is as designed."""
-        return not (self.pitch_error or self.decenter_mm or self.radius_error)
-
 
 class MicrolensArray(Model):
     """A plate with one curved face and one that is flat, or curved too."""

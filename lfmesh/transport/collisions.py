@@ -72,10 +72,10 @@ def _refuse_in_lens(what: str, lens: LensTables, corners: Array) -> None:
     """Refuse a body whose corners (n, 3) (camera frame) reach back to the lens."""
     last = lens.surfaces[-1]
     # A body smaller than a concave last surface may reach into the hollow of that surface.
-    beyond_rim = np.hypot(corners[:, 0], corners[:, 1]).max() >= last["aperture"]
+    beyond_rim = np.hypot(corners[:, 0], corners[:, 1]).max() >= last["semi_diameter"]
     end = last["vertex_z"]
     if last["posed"] or not is_revolved(last):
-        circles = on_circles(last, np.linspace(0.0, float(last["aperture"]), CIRCLES)).reshape(-1, 3)
+        circles = on_circles(last, np.linspace(0.0, float(last["semi_diameter"]), CIRCLES)).reshape(-1, 3)
         across = np.hypot(circles[:, 0], circles[:, 1]) <= np.hypot(corners[:, 0], corners[:, 1]).max()
         end = circles[across, 2].max(initial=-np.inf)
     gap = corners[:, 2].min() - (lens.box_high[2] if beyond_rim else end)

@@ -50,7 +50,7 @@ from lfmesh.transport.packets.packet import (
     Flow,
     Options,
 )
-from lfmesh.transport.packets.path_class import GHOSTS
+from lfmesh.transport.paths.automaton import GHOSTS
 from lfmesh.transport.regions.cover import through_cover
 from lfmesh.transport.regions.emitters import ask_emitters
 from lfmesh.transport.regions.lens import admit_to_lens, shade_lens

@@ -21,7 +21,7 @@ from lfmesh.transport.packets.packet import (
     WORLD_FRAME,
     Options,
 )
-from lfmesh.transport.packets.path_class import EVERY
+from lfmesh.transport.paths.automaton import EVERY
 from lfmesh.transport.world import World
 
 NEAR_LENS = 10.0

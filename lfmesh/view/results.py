@@ -1,6 +1,6 @@
 """How results show in notebooks and figures: pictures upright, their scale in physical units, key figures in words.
 
-Results inherit from `lfmesh.notebook`, which asks here.
+Results inherit from `lfmesh.notebook`, where this module is registered.
 """
 
 import io

@@ -21,7 +21,7 @@ def pair(draw: np.random.Generator, where: str, gap: float, posed: bool = False)
     aperture = float(draw.uniform(4.0, 12.0))
     c = np.sort(draw.uniform(-0.6, 0.6, 2)) / aperture
     front_c, back_c = c if where == "centre" else c[::-1]
-    front, back = (surface(1.0 / k, draw.uniform(-1.0, 0.3), aperture=aperture) for k in (front_c, back_c))
+    front, back = (surface(1.0 / k, draw.uniform(-1.0, 0.3), semi_diameter=aperture) for k in (front_c, back_c))
     between = np.linspace(0.0, 1.0201 * aperture, 1001)
     back["vertex_z"] = gap + float(np.max(sag(front, between) - sag(back, between)))
     if posed:
@@ -49,14 +49,14 @@ def test_meshes_stay_on_their_side_of_the_middle_between_surfaces(where: str, po
                 at = frame.points(surfaces[own]["pose"], at)
             off, _ = height_above(surfaces[own], at)
             away, aside = height_above(surfaces[other], at)
-            near = aside < 1.02 * surfaces[other]["aperture"]
+            near = aside < 1.02 * surfaces[other]["semi_diameter"]
             assert near.sum() > 1000
             # The gap is the distance to the other surface, less the mesh's own deviation.
             assert (np.abs(off) < 0.5 * np.abs(away - off))[near].all()
 
 
 def test_meshes_are_not_fine_far_from_a_gap_that_closes_at_the_edge() -> None:
-    front, back = surface(25.0, aperture=10.0), surface(40.0, aperture=10.0)
+    front, back = surface(25.0, semi_diameter=10.0), surface(40.0, semi_diameter=10.0)
     back["vertex_z"] = 1e-3 + float(sag(front, 10.202) - sag(back, 10.202))
     surfaces = np.array([front, back])
     circles = circles_of(surfaces, 5)
@@ -67,7 +67,7 @@ def test_meshes_are_not_fine_far_from_a_gap_that_closes_at_the_edge() -> None:
 
 
 def test_far_neighbours_change_nothing() -> None:
-    surfaces = np.array([surface(50.0, aperture=10.0), surface(-50.0, vertex_z=8.0, aperture=10.0)])
+    surfaces = np.array([surface(50.0, semi_diameter=10.0), surface(-50.0, vertex_z=8.0, semi_diameter=10.0)])
     for s, c in zip(surfaces, circles_of(surfaces, 5), strict=True):
         assert c.even
         np.testing.assert_array_equal(c.counts, [1, 6, 12, 18, 24, 30])
@@ -77,7 +77,7 @@ def test_far_neighbours_change_nothing() -> None:
 
 @pytest.mark.parametrize("counts", [(1, 6), (1, 6, 30, 30, 12), (1, 7, 720, 5)])
 def test_circles_of_any_numbers_of_points_make_a_disk_that_faces_plus_z(counts: tuple[int, ...]) -> None:
-    mesh = cap_on(surface(np.inf, aperture=10.0), Circles(np.linspace(0.0, 10.0, len(counts)), np.array(counts)))
+    mesh = cap_on(surface(np.inf, semi_diameter=10.0), Circles(np.linspace(0.0, 10.0, len(counts)), np.array(counts)))
     rim = counts[-1]
     corners = mesh.vertices[mesh.faces][:, :, :2]
     ahead, aside = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]

@@ -62,7 +62,7 @@ def test_posed_elements_are_closed_solids_bounded_by_their_surfaces(name: str) -
     for k, cap in enumerate(shape.caps):
         motion = pose_of(lens, shape.numbers[k])
         p = (cap.vertices - motion[:, 3]) @ motion[:, :3]
-        inside = np.hypot(p[:, 0], p[:, 1]) <= shape.surfaces[k]["aperture"]
+        inside = np.hypot(p[:, 0], p[:, 1]) <= shape.surfaces[k]["semi_diameter"]
         expected = shape.surfaces[k]["vertex_z"] + sag(shape.surfaces[k], np.hypot(p[:, 0], p[:, 1]))
         assert np.abs(p[:, 2] - expected)[inside].max() < 1e-12
         # Each ring ends on the rims of the two surfaces that it joins.

@@ -9,7 +9,7 @@ from lfmesh.geometry.patch import edge_curvature, hit_patch, neighbours, patch_p
 from lfmesh.geometry.surface import surface
 from lfmesh.geometry.tessellation import cap
 
-ASPHERE = surface(45.0, -1.2, (3e-6, -2e-9), aperture=12.0)
+ASPHERE = surface(45.0, -1.2, (3e-6, -2e-9), semi_diameter=12.0)
 CORNERS = np.array([0.0, 1.0, 1.0]), np.array([0.0, 0.0, 1.0])
 """η and ζ of a patch's three corners."""
 

@@ -174,7 +174,7 @@ SINGLET = Lens(
 
 def biconvex(exact, rings=12):
     """The singlet as a closed trimesh; `exact`: with the spheres' own normals at the vertices of its faces."""
-    front, back = surface(50.0, aperture=10.0), surface(-50.0, vertex_z=4.0, aperture=10.0)
+    front, back = surface(50.0, semi_diameter=10.0), surface(-50.0, vertex_z=4.0, semi_diameter=10.0)
     rim = rim_radius(front, rings)
     edge = revolved(ring_profile(front, rim, back, rim), 6 * rings)
     body = element(cap(front, rings, rim), edge, cap(back, rings, rim))

@@ -102,7 +102,7 @@ def test_distance_from_a_point_near_the_surface(case, displacement):
 
 def test_of_several_crossings_the_one_next_to_the_start_is_returned():
     """A flat ray crosses the ring-shaped ridge of an asphere four times, in and out by turns."""
-    ridge = surface(-6.0, -1.0, (1.8e-3,), aperture=7.0)
+    ridge = surface(-6.0, -1.0, (1.8e-3,), semi_diameter=7.0)
     rng = np.random.default_rng(8)
     for _ in range(200):
         z, slope, aside = rng.uniform(-0.7, -0.4), rng.uniform(0.0, 0.02), rng.uniform(-2.0, 2.0)

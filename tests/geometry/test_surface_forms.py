@@ -60,7 +60,7 @@ def case(request):
 
 
 def record_of(keys: dict[str, Any]) -> np.void:
-    return surface_of(lf.Surface(**keys, semi_diameter_mm=SEMI_DIAMETER, index=1.5), aperture=SEMI_DIAMETER)
+    return surface_of(lf.Surface(**keys, semi_diameter_mm=SEMI_DIAMETER, index=1.5), semi_diameter=SEMI_DIAMETER)
 
 
 def test_height_and_gradient_are_those_of_the_definition(case):
@@ -112,7 +112,7 @@ def test_a_surface_exists_up_to_its_reach_and_ends_there(seed):
     keys = {"radius_mm": radius, "conic": conic}
     keys |= {"toroid": {"radius_x_mm": across}} if seed % 2 else {"biconic": {"radius_x_mm": across, "conic_x": 0.3}}
     prescribed = lf.Surface(**keys, semi_diameter_mm=1.0, index=1.5)
-    of, reach = surface_of(prescribed, aperture=1.0), prescribed.reach_mm
+    of, reach = surface_of(prescribed, semi_diameter=1.0), prescribed.reach_mm
     phi = np.linspace(0.0, 2.0 * np.pi, 7201)
     assert np.isfinite(heights(of, reach * (1 - 1e-9) * np.cos(phi), reach * (1 - 1e-9) * np.sin(phi))).all()
     assert np.isnan(heights(of, reach * (1 + 2e-4) * np.cos(phi), reach * (1 + 2e-4) * np.sin(phi))).any()
@@ -146,7 +146,10 @@ def test_meshes_of_close_toroids_stay_apart():
         {"semi_diameter_mm": 6.0},
     ]
     records = np.array(
-        [surface_of(lf.Surface(**s), vertex_z=z, aperture=6.0) for s, z in zip(lens, (0, 3, 3.002, 6.002), strict=True)]
+        [
+            surface_of(lf.Surface(**s), vertex_z=z, semi_diameter=6.0)
+            for s, z in zip(lens, (0, 3, 3.002, 6.002), strict=True)
+        ]
     )
     circles = circles_of(records, 5)
     assert circles[1].counts[-1] == circles[2].counts[-1]

@@ -23,10 +23,10 @@ from lfmesh.geometry.tessellation import (
 )
 
 CURVED = {
-    "sphere": surface(30.0, aperture=12.0),
-    "hyperboloid": surface(-35.0, -2.3, aperture=12.0),
-    "asphere": surface(45.0, -1.2, (3e-6, -2e-9), aperture=12.0),
-    "hemisphere": surface(10.0, aperture=10.0),
+    "sphere": surface(30.0, semi_diameter=12.0),
+    "hyperboloid": surface(-35.0, -2.3, semi_diameter=12.0),
+    "asphere": surface(45.0, -1.2, (3e-6, -2e-9), semi_diameter=12.0),
+    "hemisphere": surface(10.0, semi_diameter=10.0),
 }
 
 
@@ -56,7 +56,7 @@ def test_cap_lies_on_the_surface_with_its_normals(of):
     inside = np.minimum(1.0, np.divide(last_radius(of), r, out=np.ones_like(r), where=r > 0.0))
     x, y = inside * mesh.vertices[:, 0], inside * mesh.vertices[:, 1]
     beyond = r > last_radius(of)
-    assert beyond.sum() == (36 if of["aperture"] == 10.0 else 0)
+    assert beyond.sum() == (36 if of["semi_diameter"] == 10.0 else 0)
     np.testing.assert_allclose(mesh.vertices[:, 2], sag(of, r * inside), rtol=0, atol=1e-14)
     np.testing.assert_allclose(np.linalg.norm(mesh.corner_normals, axis=2), 1.0, atol=1e-15)
     # Where the slope is infinite the rounding of the radius tilts the normal by its root.
@@ -69,7 +69,7 @@ def test_cap_lies_on_the_surface_with_its_normals(of):
 def test_the_rims_chords_stay_outside_the_clear_aperture(rings):
     of = CURVED["sphere"]
     rim = rim_radius(of, rings)
-    assert rim * np.cos(np.pi / (6 * rings)) > of["aperture"]
+    assert rim * np.cos(np.pi / (6 * rings)) > of["semi_diameter"]
 
 
 @pytest.mark.parametrize("rings", [1, 5, 8, 40])
@@ -95,7 +95,7 @@ def test_rings_are_equally_spaced_along_the_meridian_of_a_hemisphere():
 def touching(aperture_mm):
     """Two spheres of 50 mm whose air gap closes 8 mm from the axis."""
     gap = 2.0 * (50.0 - np.sqrt(50.0**2 - 8.0**2))
-    front, back = surface(50.0, aperture=aperture_mm), surface(-50.0, vertex_z=gap, aperture=aperture_mm)
+    front, back = surface(50.0, semi_diameter=aperture_mm), surface(-50.0, vertex_z=gap, semi_diameter=aperture_mm)
     return np.array([front, back])
 
 
@@ -133,8 +133,8 @@ def test_chord_error_falls_with_the_square_of_the_facet_size_and_is_bounded(name
 
 
 def biconvex(rings):
-    front = surface(50.0, aperture=10.0)
-    back = surface(-40.0, vertex_z=6.0, aperture=8.0)
+    front = surface(50.0, semi_diameter=10.0)
+    back = surface(-40.0, vertex_z=6.0, semi_diameter=8.0)
     profile = ring_profile(front, 10.0, back, 8.0)
     ring = revolved(profile, 6 * rings)
     return element(cap(front, rings, 10.0), ring, cap(back, rings, 8.0)).solid()
@@ -164,22 +164,24 @@ def test_a_lens_is_a_closed_outward_solid_whose_volume_converges_to_the_closed_f
 
 
 def test_edges_are_turned_cylinders_with_an_annulus_that_leans_into_their_space():
-    front, back = surface(50.0, aperture=10.0), surface(-40.0, vertex_z=6.0, aperture=8.0)
+    front, back = surface(50.0, semi_diameter=10.0), surface(-40.0, vertex_z=6.0, semi_diameter=8.0)
     profile = ring_profile(front, 10.0, back, 8.0)
     z_front, z_back = sag(front, 10.0), 6.0 + sag(back, 8.0)
     corner = z_back - ANNULUS_LEAN * (z_back - z_front)
     np.testing.assert_allclose(profile, [(10.0, z_front), (10.0, corner), (8.0, z_back)])
     same = ring_profile(front, 8.0, back, 8.0)
     np.testing.assert_allclose(same, [(8.0, sag(front, 8.0)), (8.0, z_back)])
-    wider_back = ring_profile(surface(50.0, aperture=8.0), 8.0, surface(-40.0, vertex_z=6.0, aperture=10.0), 10.0)
+    wider_back = ring_profile(
+        surface(50.0, semi_diameter=8.0), 8.0, surface(-40.0, vertex_z=6.0, semi_diameter=10.0), 10.0
+    )
     (_, z_front), (_, corner), (_, z_back) = wider_back
     np.testing.assert_allclose(wider_back[:, 0], (8.0, 10.0, 10.0))
     np.testing.assert_allclose(corner - z_front, ANNULUS_LEAN * (z_back - z_front))
 
 
 def test_the_rings_on_both_sides_of_a_rim_never_lie_in_one_plane():
-    before, narrow = surface(np.inf, vertex_z=-3.0, aperture=10.0), surface(60.0, vertex_z=2.0, aperture=8.0)
-    after = surface(-40.0, vertex_z=6.0, aperture=10.0)
+    before, narrow = surface(np.inf, vertex_z=-3.0, semi_diameter=10.0), surface(60.0, vertex_z=2.0, semi_diameter=8.0)
+    after = surface(-40.0, vertex_z=6.0, semi_diameter=10.0)
     front, back = ring_profile(before, 10.0, narrow, 8.0), ring_profile(narrow, 8.0, after, 10.0)
     assert front[1, 0] == back[1, 0] == 10.0  # both have an annulus from the narrow rim outwards ...
     assert front[1, 1] < narrow["vertex_z"] + sag(narrow, 8.0) < back[1, 1]  # ... that leans to its own side
@@ -187,13 +189,13 @@ def test_the_rings_on_both_sides_of_a_rim_never_lie_in_one_plane():
 
 def test_an_annulus_that_would_cut_a_surface_becomes_a_cone():
     # A thin meniscus: the flat annulus at the smaller back rim's height would cross the front surface.
-    front, back = surface(20.0, aperture=12.0), surface(18.0, vertex_z=2.0, aperture=8.0)
+    front, back = surface(20.0, semi_diameter=12.0), surface(18.0, vertex_z=2.0, semi_diameter=8.0)
     profile = ring_profile(front, 12.0, back, 8.0)
     np.testing.assert_allclose(profile, [(12.0, sag(front, 12.0)), (8.0, 2.0 + sag(back, 8.0))])
 
 
 def test_rims_that_cross_are_refused_with_their_places():
-    front, back = surface(20.0, aperture=10.0), surface(-20.0, vertex_z=1.0, aperture=10.0)
+    front, back = surface(20.0, semi_diameter=10.0), surface(-20.0, vertex_z=1.0, semi_diameter=10.0)
     with pytest.raises(SceneError, match="rims of two neighbouring surfaces cross"):
         ring_profile(front, 10.0, back, 10.0)
 

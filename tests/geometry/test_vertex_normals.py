@@ -10,7 +10,7 @@ from lfmesh.geometry.tessellation import cap, element, revolved, ring_profile
 from lfmesh.geometry.vertex_normals import estimated_corner_normals, is_closed, smooth_edges, smooth_groups
 from lfmesh.geometry.weld import welded
 
-ASPHERE = surface(45.0, -1.2, (3e-6, -2e-9), aperture=12.0)
+ASPHERE = surface(45.0, -1.2, (3e-6, -2e-9), semi_diameter=12.0)
 
 
 def on_surface(flat):
@@ -119,7 +119,7 @@ def test_a_cylinder_keeps_its_wall_round_and_its_ends_flat():
 
 def plano_convex(rings=12):
     """A curved and a flat face, and the edge between them."""
-    front, back = surface(30.0, aperture=10.0), surface(np.inf, vertex_z=4.0, aperture=10.0)
+    front, back = surface(30.0, semi_diameter=10.0), surface(np.inf, vertex_z=4.0, semi_diameter=10.0)
     edge = revolved(ring_profile(front, 10.0, back, 10.0), 6 * rings)
     return solid(element(cap(front, rings, 10.0), edge, cap(back, rings, 10.0)))
 

@@ -84,7 +84,7 @@ def root_between(f: Callable[[mp.mpf], mp.mpf], low: mp.mpf, high: mp.mpf) -> mp
 def within(surface: Any, p: Vector, d: Vector) -> tuple[mp.mpf, mp.mpf] | None:
     """Return between which distances a line is inside the cylinder of a surface's clear aperture."""
     a, b = d[0] ** 2 + d[1] ** 2, p[0] * d[0] + p[1] * d[1]
-    c = p[0] ** 2 + p[1] ** 2 - mp.mpf(float(surface["aperture"])) ** 2
+    c = p[0] ** 2 + p[1] ** 2 - mp.mpf(float(surface["semi_diameter"])) ** 2
     if a == 0:
         return (mp.mpf(0), mp.mpf(10) ** 6) if c <= 0 else None
     root = b * b - a * c

@@ -16,7 +16,7 @@ import trimesh
 from scipy import stats
 
 import lfmesh as lf
-from lfmesh.transport.packets.path_class import EVERY
+from lfmesh.transport.paths.automaton import EVERY
 from lfmesh.transport.render.parts import Part, parts_of
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.world import World, build

@@ -138,7 +138,7 @@ def rays_from_both_sides(world: World, count: int, seed: int) -> RaySource:
     before = lens.box_low[2] - draw.uniform(0.1, 600.0, count)
     start[:, 2] = np.where(behind, lens.box_high[2] + draw.uniform(0.1, 60.0, count), before)
     k = draw.integers(0, len(lens.surfaces), count)
-    r, turn = lens.surfaces["aperture"][k] * np.sqrt(draw.random(count)), draw.uniform(0.0, 2.0 * np.pi, count)
+    r, turn = lens.surfaces["semi_diameter"][k] * np.sqrt(draw.random(count)), draw.uniform(0.0, 2.0 * np.pi, count)
     d = np.column_stack([r * np.cos(turn), r * np.sin(turn), lens.surfaces["vertex_z"][k]]) - start
     for _ in range(2):
         d /= np.linalg.norm(d, axis=1, keepdims=True)
@@ -156,7 +156,7 @@ def waiting_packets(
     work.sampled = []
     work.run()
     packets = np.concatenate(work.sampled)
-    packets["stray"] = packets["events"] > 0
+    packets["path"] = packets["events"] > 0
     some = np.random.default_rng(seed).permutation(len(packets))[:count]
     return packets[some], options
 
@@ -174,7 +174,7 @@ def hollow_again(world: World, packets: NDArray[np.void]) -> NDArray[np.bool_]:
         with np.errstate(divide="ignore", invalid="ignore"):
             chord = -2.0 * (c * np.sum(squash * start * d, axis=1) - d[:, 2]) / (c * np.sum(squash * d * d, axis=1))
             end = start + chord[:, None] * d
-            inside = (np.hypot(end[:, 0], end[:, 1]) <= surface["aperture"]) & (c * q * end[:, 2] < 1.0)
+            inside = (np.hypot(end[:, 0], end[:, 1]) <= surface["semi_diameter"]) & (c * q * end[:, 2] < 1.0)
         again |= (packets["last"] == k) & (sense * c < 0.0) & (chord > 0.0) & inside
     return again
 

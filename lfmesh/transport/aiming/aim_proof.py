@@ -579,7 +579,7 @@ def _stop_of(lens: LensTables) -> tuple[int, float, float, float, Array]:
         return lens.stop_space, lens.stop_z, lens.stop_radius, 0.0, lens.stop_pose
     surfaces = lens.surfaces
     k = int(np.argmax(surfaces["stop"] == 1))
-    aperture = float(surfaces[k]["aperture"])
+    aperture = float(surfaces[k]["semi_diameter"])
     phi = np.linspace(0.0, 0.5 * np.pi, QUARTER)
     depth = float(np.abs(mesh_heights(surfaces[k], aperture * np.cos(phi), aperture * np.sin(phi))).max())
     return k, float(surfaces[k]["vertex_z"]), aperture, depth, np.array(surfaces[k]["pose"])
@@ -623,7 +623,7 @@ def _follow_both_ways(
             while 0 <= here + (sense > 0.0) - 1 < last:
                 k = here if sense > 0.0 else here - 1
                 into = here + 1 if sense > 0.0 else here - 1
-                through_surface(bundle, lens, k, colour, sense, lens.surfaces[k].aperture, -1.0, -1.0)
+                through_surface(bundle, lens, k, colour, sense, lens.surfaces[k].semi_diameter, -1.0, -1.0)
                 here = into
             if sense < 0.0:
                 normalise(bundle)

@@ -129,7 +129,7 @@ def all_before(lens: LensTables) -> Array:
 
     Beyond its sides the lens is seen at angles at which none lets light through.
     """
-    near = float(lens.surfaces[0]["aperture"])
+    near = float(lens.surfaces[0]["semi_diameter"])
     far = DISTANT * near
     return np.array(
         [(x * WIDE * size, y * WIDE * size, lens.box_low[2] - z)
@@ -210,7 +210,7 @@ def _has_glass(scene: Scene) -> bool:
 
 def _near_points(lens: LensTables, shapes: Shapes) -> NearViewpoints | None:
     """Return the viewpoints of what is nearer to the lens than its front is high; None: nothing is."""
-    return near_viewpoints(float(lens.box_low[2]), float(lens.surfaces[0]["aperture"]), shapes)
+    return near_viewpoints(float(lens.box_low[2]), float(lens.surfaces[0]["semi_diameter"]), shapes)
 
 
 def _seen_close(
@@ -369,7 +369,7 @@ def widest_disk(lens: LensTables, p: Array, *, front: bool, nearest: float = 0.0
     plane = lens.box_low[2] if front else lens.box_high[2]
     outer = surfaces[0] if front else surfaces[-1]
     rim = float(max(abs(lens.box_low[0]), abs(lens.box_high[0]), abs(lens.box_low[1]), abs(lens.box_high[1])))
-    z = on_circles(outer, np.array([0.0, outer["aperture"]]))[..., 2]
+    z = on_circles(outer, np.array([0.0, outer["semi_diameter"]]))[..., 2]
     depth = abs(float(z.max() if front else z.min()) - plane)
     distance = np.maximum((plane - p[:, 2]) if front else (p[:, 2] - plane), max(depth, nearest))
     spread = (np.hypot(p[:, 0], p[:, 1]) + rim) * np.divide(

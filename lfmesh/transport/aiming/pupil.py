@@ -382,8 +382,8 @@ def _obstruction(seen: Viewpoints, lens: LensTables, height: Array, distance: Ar
     """
     heights, distances = (np.broadcast_to(a[:, None], x.shape).flatten() for a in (height, distance))
     unbounded = lens.surfaces.copy()
-    unbounded["aperture"] = np.inf
-    aperture = np.ascontiguousarray(lens.surfaces["aperture"])
+    unbounded["semi_diameter"] = np.inf
+    aperture = np.ascontiguousarray(lens.surfaces["semi_diameter"])
     room = empty_bundle()
     least = np.full(x.size, np.inf)
     colours = lens.media.indices.shape[1]

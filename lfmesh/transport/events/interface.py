@@ -28,8 +28,8 @@ from lfmesh.transport.packets.packet import (
     Options,
     count_event,
 )
-from lfmesh.transport.packets.path_class import stray_after
 from lfmesh.transport.packets.random import derived
+from lfmesh.transport.paths.automaton import ON_ROUGH_FACE, after_interface
 from lfmesh.transport.tables.tables import ABSORBING, BARE, DIFFUSE, ROUGH, THIN_LENS, Interfaces
 
 Array = NDArray[np.float64]
@@ -294,8 +294,8 @@ def scatterer(send: Callable[..., None]) -> Callable[..., None]:
         """
         flow.counts[EVENTS] += 1
         if packet.kind == LAMP:
-            # See `path_class.LAMP_ON_CAMERA`; rough glass in object space has already changed the kind.
-            packet.kind = CAMERA
+            # See `PathClass.LAMP_ON_CAMERA`; rough glass in object space has already changed the kind.
+            packet.kind, packet.path = CAMERA, ON_ROUGH_FACE[packet.path]
         if frame == OBJECT_FRAME and passes:
             packet.medium = beyond
         if options.record:
@@ -348,7 +348,7 @@ def splitter(send: Callable[..., None]) -> Callable[..., None]:
         flow.counts[EVENTS] += 1
         to_reflected, to_refracted = split_shares(options, flow.book, packet, reflectance, transmittance)
         count_event(packet)
-        node, key, stray, medium = packet.node, packet.key, packet.stray, packet.medium
+        node, key, path, medium = packet.node, packet.key, packet.path, packet.medium
         for refracts in (False, True):
             weight = to_refracted if refracts else to_reflected
             if weight <= 0.0:
@@ -357,7 +357,7 @@ def splitter(send: Callable[..., None]) -> Callable[..., None]:
             if frame == OBJECT_FRAME:
                 # In lens and array it follows from the space, and a field written just before it is read is slow.
                 packet.medium = beyond if refracts else medium
-            packet.stray = stray_after(frame, refracts, transmittance, stray)
+            packet.path = after_interface(frame, refracts, transmittance, path)
             if options.record:
                 event = E_TRANSMITTED if refracts else E_REFLECTED
                 packet.node = record_interface(flow, frames, frame, x, y, z, weight, surface, part, event, node, beyond)

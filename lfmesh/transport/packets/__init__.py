@@ -1,1 +1,1 @@
-"""The packet, its registries, its classes, the ledger, and random numbers."""
+"""The packet, its registries, the ledger, and random numbers."""

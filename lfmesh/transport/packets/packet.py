@@ -111,14 +111,15 @@ FACES = (
 CURVED_FACE, FLAT_FACE, ON_TARGET, ON_GLASS, COVER_FRONT, COVER_REAR, BACK_FACE = range(FACES_AT, FACES_AT + len(FACES))
 
 NO_SURFACE = -1
-LEFT_LENS = -2
-"""`last` of a packet in object space that left the lens: it cannot meet the lens again on a straight line."""
+"""In place of the number of a surface, facet, cell or vertex."""
 
-IN_FOG = -5
-"""`facet` of a packet, in the adjoint method, that a medium has scattered."""
+LEFT_LENS, LEFT_FACE = -2, -3
+"""`last` of a packet in object space that left the lens: it cannot meet the lens again on a straight line; and of one
+that left a curved face of the array and has not left the layer of faces."""
 
-LEFT_FACE = -3
-"""`last` of a packet that left a curved face of the array and has not left the layer of faces."""
+LEFT_MEDIUM, IN_FOG = -4, -5
+"""`facet` of a packet that a medium scattered or emitted: in the forward method, where it has an aimed twin or is one;
+in the adjoint method."""
 
 _BASE_RECORD = np.dtype(
     [
@@ -131,9 +132,7 @@ _BASE_RECORD = np.dtype(
         ("key", "u8"),
         ("source", "i8"),  # sample (adjoint, see `SAMPLE_SHIFT`), packet (forward) or ray (trace) that it began as
         ("node", "i4"),  # its last recorded vertex
-        # Cell of the array. For object space see `regions.bodies` and PACKET; `row` of a TO_EMITTER: the facet;
-        # of a TO_HALO: the lamp; of what waits at EMITTERS in a medium: the medium.
-        ("column", "i4"), ("row", "i4"),
+        ("column", "i4"), ("row", "i4"),  # cell of the array; elsewhere see SHARED
         ("facet", "i4"),  # target facet it left
         ("last", "i2"),  # lens surface it left
         ("colour", "i2"),  # number of the wavelength
@@ -146,7 +145,7 @@ _BASE_RECORD = np.dtype(
         ("frame", "i1"),
         ("medium", "i2"),  # medium at its start and in object space; in lens and array its space gives the medium
         ("kind", "i1"),
-        ("stray", "i1"),  # whether and how it has left the image path, see `path_class`
+        ("path", "i1"),  # its state, see `paths.automaton`
         ("events", "i2"),
         ("moves", "i2"),  # from station to station since its last event
     ],
@@ -154,10 +153,20 @@ _BASE_RECORD = np.dtype(
 )  # fmt: skip
 
 
-def _with_field(record: np.dtype[np.void], name: str, form: str, place: str) -> np.dtype[np.void]:
-    """Return a record type with one more field, which shares the memory of the field `place`."""
+SHARED = {
+    "density": ("row", "f4"),  # 1/sr, with which the target that a packet left draws its direction
+    "to_facet": ("row", "i4"),  # TO_EMITTER: the facet that it asks for
+    "to_lamp": ("row", "i4"),  # TO_HALO: the lamp
+    "in_medium": ("row", "i4"),  # at EMITTERS, of a point in a medium: the medium
+    "bodies": ("column", "i4"),  # in object space: ranks of the bodies round it, see `regions.bodies`
+}
+"""Fields of packets in object space, which are in no cell of the array: whose memory each shares, and its type."""
+
+
+def _with_shared(record: np.dtype[np.void], shared: dict[str, tuple[str, str]]) -> np.dtype[np.void]:
+    """Return a record type with more fields, each of which shares the memory of another."""
     own = dict(record.fields or {})
-    fields = own | {name: (np.dtype(form), own[place][1])}
+    fields = own | {name: (np.dtype(form), own[place][1]) for name, (place, form) in shared.items()}
     return np.dtype(
         {
             "names": list(fields),
@@ -189,9 +198,8 @@ def _with_vectors(record: np.dtype[np.void], *vectors: tuple[str, tuple[int, ...
     )
 
 
-PACKET = _with_field(_BASE_RECORD, "density", "f4", "row")
-"""The packet's record. In object space, where a packet is in no cell of the array, `density` takes the place of `row`:
-the density, 1/sr, with which the scattering model of the target that it left draws its direction."""
+PACKET = _with_shared(_BASE_RECORD, SHARED)
+"""The packet's record."""
 
 _STATE = (
     ("stokes", (3,)),  # Q, U and V over I; in the adjoint method of the light's course turned round
@@ -279,7 +287,7 @@ class Options(NamedTuple):
     bounce: bool  # light may go from target to target
     aimed: bool  # scattered light is aimed at the lens; else it meets the lens by chance
     sequential: bool  # surfaces of lens and array are met in their order, without a mesh
-    paths: int  # class of paths that are estimated, see `path_class`
+    paths: int  # class of paths that are estimated, see `paths.automaton`
     unturned_cutoff: float  # replaces `cutoff` at targets, for paths outside the estimated class so far
     first_source: int  # pixel in row 0 of the film
     stream: np.uint64 = np.uint64(0)  # adjoint: key of the replicate's random numbers at this wavelength
@@ -355,7 +363,7 @@ def put(
     # overwritten, compiles to sixty moves of odd sizes.
     start, source, node, kind = parent.start, parent.source, parent.node, parent.kind
     column, cell_row, facet, last = parent.column, parent.row, parent.facet, parent.last
-    colour, space, events, medium, stray = parent.colour, parent.space, parent.events, parent.medium, parent.stray
+    colour, space, events, medium, path = parent.colour, parent.space, parent.events, parent.medium, parent.path
     packet = flow.stacks[row, top]
     packet.x, packet.y, packet.z = x, y, z
     packet.dx, packet.dy, packet.dz = dx, dy, dz
@@ -365,7 +373,7 @@ def put(
     packet.node = node
     packet.column, packet.row, packet.facet, packet.last = column, cell_row, facet, last
     packet.colour, packet.space, packet.events, packet.medium = colour, space, events, medium
-    packet.tries, packet.kind, packet.frame, packet.stray, packet.moves = 0, kind, frame, stray, moves
+    packet.tries, packet.kind, packet.frame, packet.path, packet.moves = 0, kind, frame, path, moves
     keep_state(flow.polarised, parent, packet)
     flow.tops[station] = top + 1
     return packet

@@ -2,8 +2,8 @@
 
 Bodies may nest, touch and overlap. Each has a rank, by its priority and, among equals, by nesting; where bodies
 overlap, the medium is that of the highest rank. A packet holds the ranks of all bodies that it is in, the highest
-first, as one number with 11 bits for each rank, in the fields `column` and `space`, which only lens and array need
-otherwise. See Schmidt & Budge, Simple nested dielectrics in ray traced images, Journal of Graphics Tools 7(2), 2002.
+first, as one number with 11 bits for each rank, in the fields `bodies` and `space`. See Schmidt & Budge, Simple nested
+dielectrics in ray traced images, Journal of Graphics Tools 7(2), 2002.
 """
 
 from typing import Any
@@ -20,7 +20,7 @@ RANK = (1 << BITS) - 1
 
 LOW_BITS = 30
 LOW = (1 << LOW_BITS) - 1
-"""The bits of the number that `column` holds; `space` holds the others."""
+"""The bits of the number that `bodies` holds; `space` holds the others."""
 
 MOST_AT_ONCE = 4
 """Largest number of bodies that a packet can be in at once."""
@@ -34,15 +34,15 @@ TOO_MANY = -1
 @inlined
 def bodies_round(packet: Any) -> int:
     """Return the ranks, as one number, of the bodies that a packet in object space is in; 0: none."""
-    if packet.column < 0:
+    if packet.bodies < 0:
         return 0
-    return int(np.int64(packet.column) | (np.int64(packet.space) << LOW_BITS))
+    return int(np.int64(packet.bodies) | (np.int64(packet.space) << LOW_BITS))
 
 
 @inlined
 def set_bodies(packet: Any, inside: int) -> None:
     """Set the bodies that a packet is in."""
-    packet.column = inside & LOW if inside != 0 else NO_SURFACE
+    packet.bodies = inside & LOW if inside != 0 else NO_SURFACE
     packet.space = inside >> LOW_BITS
 
 

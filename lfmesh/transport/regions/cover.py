@@ -31,7 +31,7 @@ from lfmesh.transport.packets.packet import (
     count_event,
     put,
 )
-from lfmesh.transport.packets.path_class import cutoff_at_child
+from lfmesh.transport.paths.automaton import cutoff_at_child
 from lfmesh.transport.regions.sensor import onto_pixel
 from lfmesh.transport.tables.cover import FRONT_ROW, REAR_ROW, CoverTables
 from lfmesh.transport.tables.tables import AIR, SensorTables

@@ -101,7 +101,7 @@ def _ask_facet(objects: ObjectTables, options: Options, flow: Flow, packet: Any)
     child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, packet.weight * light, packet.key, clear)
     child.kind = TO_EMITTER
     child.last = NO_SURFACE
-    child.row = prim
+    child.to_facet = prim
 
 
 @inlined
@@ -185,7 +185,7 @@ def _ask_halo_in_air(
     chance = halo_chance(halos, lights, spectra, number, colour, all_halos(lights, spectra, colour, x, y, z), x, y, z)
     weight = packet.weight * scattered / (chance * halo_density(halos, colour, angle, sine) + by_chance)
     child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, weight, key, clear)
-    child.kind, child.last, child.row = TO_HALO, NO_SURFACE, number
+    child.kind, child.last, child.to_lamp = TO_HALO, NO_SURFACE, number
     # As of the packet that is scattered, whose line this might be.
     count_event(child)
 
@@ -217,7 +217,7 @@ def _scattered_towards(
     # Two conditions: numba leaves the code out where the first alone is known not to hold.
     if volumes is not None:  # noqa: SIM102
         if packet.facet == IN_FOG:
-            phase = volumes.phases.rows[packet.row, packet.colour]
+            phase = volumes.phases.rows[packet.in_medium, packet.colour]
             value = evaluate_phase(volumes.phases, phase, packet.dx * ux + packet.dy * uy + packet.dz * uz)
             return value, value * _kept(options, packet, packet.weight), 0.0
     x, y, z = packet.x, packet.y, packet.z

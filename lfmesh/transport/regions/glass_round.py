@@ -82,6 +82,6 @@ def start_inside(packets: NDArray[np.void], inside: NDArray[np.int64], objects: 
     objects : ObjectTables
     """
     some = np.flatnonzero(inside)
-    packets["column"][some] = inside[some] & LOW
+    packets["bodies"][some] = inside[some] & LOW
     packets["space"][some] = inside[some] >> LOW_BITS
     packets["medium"][some] = objects.medium[objects.by_rank[inside[some] & RANK]]

@@ -56,7 +56,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.path_class import cutoff_at_child, stray_at_same_surface, stray_before_lens
+from lfmesh.transport.paths.automaton import FACE_AGAIN, OUT_OF_LENS, cutoff_at_child
 from lfmesh.transport.regions.lens_block import (
     ALONG_X,
     ALONG_Y,
@@ -213,8 +213,8 @@ def leave_lens(
     child.last = LEFT_LENS
     child.facet = NO_SURFACE
     if space == 0:
-        child.column, child.medium = NO_SURFACE, AIR
-        child.stray = stray_before_lens(packet.stray)
+        child.bodies, child.medium = NO_SURFACE, AIR
+        child.path = OUT_OF_LENS[packet.path]
 
 
 @kernel
@@ -344,7 +344,7 @@ def _prepare_the_one_ahead(block: Array, i: int, packet: Any, lens: LensTables, 
             surface.unpose, packet.dx, packet.dy, packet.dz
         )  # fmt: skip
     # Beside the aperture the mesh of an asphere deviates from where the asphere ends.
-    reach = min(surface.aperture, surface.end)
+    reach = min(surface.semi_diameter, surface.end)
     set_only_conic(
         block, i, surface.curvature, 1.0 + surface.conic, surface.vertex_z, reach * reach,
         1.0 if packet.dz > 0.0 else -1.0,
@@ -564,7 +564,7 @@ def _is_cut(
             x, y, z = arrive(flow, lens.media, packet, lens.medium[packet.space], x + at * dx, y + at * dy, z + at * dz)
             end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, STOP, S_ABSORBED)
             return True
-    aperture = lens.surfaces[k].aperture
+    aperture = lens.surfaces[k].semi_diameter
     if _radius2(lens.surfaces[k], x, y, z) > aperture * aperture:
         slot = lens.mount_slot[k]
         x, y, z = arrive(flow, lens.media, packet, lens.medium[packet.space], x, y, z)
@@ -621,7 +621,7 @@ def _send_on(
     """Divide a packet of a block at surface `k`."""
     r, t = REFLECTED + i, REFRACTED + i
     if packet.last == k:
-        packet.stray = stray_at_same_surface(packet.stray)
+        packet.path = FACE_AGAIN[packet.path]
     x, y, z = arrive(flow, lens.media, packet, lens.medium[packet.space], block[PX + i], block[PY + i], block[PZ + i])
     reflectance, transmittance = block[REFLECTANCE + i], block[TRANSMITTANCE + i]
     if lens.interfaces.coated:
@@ -947,7 +947,7 @@ def _on_mesh(surface: Any, radius2: float) -> bool:
 @inlined
 def _reach(surface: Any) -> float:
     """Return the radius up to which the mesh of a surface reaches everywhere, mm."""
-    return min(surface.aperture * (1.0 + OVERREACH), surface.end)
+    return min(surface.semi_diameter * (1.0 + OVERREACH), surface.end)
 
 
 @kernel

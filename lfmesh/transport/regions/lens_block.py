@@ -111,7 +111,7 @@ def set_conic(block: Array, i: int, surface: Any, sense: float) -> None:
     block[CURVATURE + i], block[SQUASH + i], block[VERTEX_Z + i] = (
         surface.curvature, 1.0 + surface.conic, surface.vertex_z,
     )  # fmt: skip
-    block[APERTURE2 + i] = surface.aperture * surface.aperture
+    block[APERTURE2 + i] = surface.semi_diameter * surface.semi_diameter
     block[SENSE + i] = sense
 
 

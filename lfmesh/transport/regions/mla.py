@@ -60,7 +60,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.path_class import STRAY
+from lfmesh.transport.paths.automaton import NEXT_LENSLET
 from lfmesh.transport.regions import lens_block as rows
 from lfmesh.transport.regions.lens_block import BLOCK, incidence, meet_in_order, set_only_conic, set_ray, split_block
 from lfmesh.transport.tables.tables import AIR, FLAT_ROW, MlaTables
@@ -613,7 +613,7 @@ def _through_face(
     inward = packet.space == BEFORE
     if packet.last == LEFT_FACE:
         # The second lenslet before the array's other face is off the image path, and that of every ghost.
-        packet.stray = STRAY
+        packet.path = NEXT_LENSLET[packet.path]
     packet.last = LEFT_FACE
     cell = packet.row * mla.lenslets.lattice.columns + packet.column
     if mla.interfaces.rough and is_rough(mla.interfaces, mla.row):

@@ -61,6 +61,7 @@ from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
     LAMP,
     LEFT_LENS,
+    LEFT_MEDIUM,
     LENS,
     NO_SURFACE,
     OBJECT_FRAME,
@@ -78,8 +79,8 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.path_class import LAMP_ON_CAMERA, is_estimated
 from lfmesh.transport.packets.random import derived
+from lfmesh.transport.paths.automaton import LAMP_ON_CAMERA, counts
 from lfmesh.transport.regions.bodies import (
     RANK,
     TOO_MANY,
@@ -90,7 +91,7 @@ from lfmesh.transport.regions.bodies import (
     set_bodies,
 )
 from lfmesh.transport.regions.targets import AIMED_CHILD, meet_target, passes, share_with_other
-from lfmesh.transport.regions.volumes import LEFT_MEDIUM, is_stopped_by_media
+from lfmesh.transport.regions.volumes import is_stopped_by_media
 from lfmesh.transport.tables.tables import AIR, OPAQUE, AimTables, LensTables, ObjectTables, body_row
 
 Array = NDArray[np.float64]
@@ -162,7 +163,7 @@ def shade_objects(
             inside = bodies_round(packet)
             body = objects.by_rank[inside & RANK] if inside != 0 else facet.body
             prim, t, along = _first_crossing(objects, packet, x, y, z, dx, dy, dz)
-            if prim < 0 and (packet.column >= 0 or _comes_out_ahead(objects, packet, x, y, z, dx, dy, dz)):
+            if prim < 0 and (packet.bodies >= 0 or _comes_out_ahead(objects, packet, x, y, z, dx, dy, dz)):
                 if packet.facet == LEFT_MEDIUM:
                     # Emitted from a point of a medium where glass is in its place.
                     flow.book[SAMPLING_REMOVED] += packet.weight
@@ -235,7 +236,7 @@ def shade_objects(
             status = S_ABSORBED if body < 0 else S_TARGET
             end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, status)
             continue
-        if packet.kind == LAMP and not is_estimated(options, packet):
+        if packet.kind == LAMP and not counts(options, packet):
             # Its path belongs to another class, which is estimated from the sensor.
             flow.book[SAMPLING_REMOVED] += packet.weight
             continue
@@ -274,11 +275,11 @@ def _pass_on(
 @inlined
 def _arrives(objects: ObjectTables, packet: Any, prim: int) -> bool:
     """Tell whether a packet meets the emitting facet that it was sent to, when the query found the facet `prim`."""
-    if prim < 0 or prim == packet.row:
+    if prim < 0 or prim == packet.to_facet:
         return prim >= 0
     # Next to an edge, float32 may find the neighbour of the right facet.
     facet = objects.facets[prim]
-    if facet.body != objects.facets[packet.row].body:
+    if facet.body != objects.facets[packet.to_facet].body:
         return False
     return crosses(facet, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz)[0] == np.inf
 
@@ -287,7 +288,7 @@ def _arrives(objects: ObjectTables, packet: Any, prim: int) -> bool:
 def _in_its_medium(objects: ObjectTables, packet: Any, prim: int, along: float) -> bool:
     """Tell whether a packet can meet a facet from that side, by the bodies it is in; −1: whether it can meet none."""
     if prim < 0:
-        return packet.column < 0
+        return packet.bodies < 0
     body = objects.facets[prim].body
     if body >= 0 and objects.medium[body] != OPAQUE:
         return (along > 0.0) == is_in(bodies_round(packet), objects.rank[body])
@@ -307,7 +308,7 @@ def _might_have_met(
     objects: ObjectTables, packet: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float
 ) -> bool:
     """Tell whether a packet outside all glass that met nothing comes from afar and passes near the targets."""
-    if packet.kind == SHADOW or packet.kind >= TO_EMITTER or packet.column >= 0:
+    if packet.kind == SHADOW or packet.kind >= TO_EMITTER or packet.bodies >= 0:
         return False
     toward = -(x * dx + y * dy + z * dz)
     distance2, radius2 = x * x + y * y + z * z, objects.radius * objects.radius
@@ -482,11 +483,11 @@ def _through_rough_glass(
     """
     objects, prim, inside, after, beyond, number, interfaces = place
     packet.facet, packet.last = NO_SURFACE, NO_SURFACE
-    if packet.kind == LAMP and not is_estimated(options, packet):
+    if packet.kind == LAMP and not counts(options, packet):
         # Its path belongs to another class, which is estimated from the sensor.
         flow.book[SAMPLING_REMOVED] += packet.weight
         return
-    if options.adjoint and is_estimated(options, packet):
+    if options.adjoint and counts(options, packet):
         _ask_lights_at_glass(place, options, flow, packet, x, y, z, nx, ny, nz, n_i, n_t)
     passes, dx, dy, dz = scattered(
         interfaces, number, options, packet, n_i, n_t, packet.dx, packet.dy, packet.dz, nx, ny, nz

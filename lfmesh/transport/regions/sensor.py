@@ -34,8 +34,8 @@ from lfmesh.transport.packets.packet import (
     count_event,
     put,
 )
-from lfmesh.transport.packets.path_class import cutoff_at_child, stray_after_mirror
 from lfmesh.transport.packets.random import derived
+from lfmesh.transport.paths.automaton import OFF_FACE, cutoff_at_child
 from lfmesh.transport.tables.tables import SensorTables
 
 NO_PIXEL, NOWHERE = -1, -2
@@ -130,7 +130,7 @@ def onto_pixel(
                 packet.node,
             )  # fmt: skip
         # It goes on as packets start at a pixel, but off the image path.
-        packet.stray = stray_after_mirror(packet.stray)
+        packet.path = OFF_FACE[packet.path]
         key = derived(packet.key, packet.events)
         cutoff = cutoff_at_child(options, False, False, packet)
         if cutoff > 0.0:

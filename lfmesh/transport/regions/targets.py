@@ -55,8 +55,8 @@ from lfmesh.transport.packets.packet import (
     count_event,
     put,
 )
-from lfmesh.transport.packets.path_class import is_estimated, is_unturned
 from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived, uniform
+from lfmesh.transport.paths.automaton import counts, counts_not_yet
 from lfmesh.transport.tables.scattering import THERMAL
 from lfmesh.transport.tables.tables import AIR, BY_ALPHA, AimTables, ObjectTables
 
@@ -98,7 +98,7 @@ def meet_target(
     if objects.one_sided[body] and along > 0.0:
         end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, S_ABSORBED)
         return
-    if is_unturned(options, packet):
+    if counts_not_yet(options, packet):
         # It gathers nothing here, and only few such packets continue: roulette comes before the work of scattering.
         weight = thinned(options.unturned_cutoff, flow.book, packet, weight, packet.key)
         if weight == 0.0:
@@ -108,7 +108,7 @@ def meet_target(
     side = -1.0 if along > 0.0 else 1.0
     point = point_of(objects, prim, x, y, z, side, texel, options.adjoint)
     share = albedo(objects.scattering, point, packet.colour, dx, dy, dz)
-    if options.adjoint and is_estimated(options, packet):
+    if options.adjoint and counts(options, packet):
         _gather(options, flow, objects, packet, point, share > 0.0)
     scattered = weight * share
     if scattered <= 0.0:
@@ -398,7 +398,7 @@ def _bounce(
     dx, dy, dz, share = sample(objects.scattering, point, packet.colour, ix, iy, iz, u, v)
     # A sample carries the scattered weight on average only; the book takes the difference.
     flow.book[SAMPLING_ADDED] += weight * share - scattered
-    cutoff = options.unturned_cutoff if is_unturned(options, packet) else options.cutoff
+    cutoff = options.unturned_cutoff if counts_not_yet(options, packet) else options.cutoff
     dimension = packet.events * DIMENSIONS_PER_EVENT + KEEP_BOUNCE
     drawn = weight * share
     weight = windowed(flow.book, drawn, cutoff * packet.start, packet.key, dimension)

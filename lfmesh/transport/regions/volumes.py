@@ -60,6 +60,7 @@ from lfmesh.transport.packets.packet import (
     IN_FOG,
     LAMP,
     LEFT_LENS,
+    LEFT_MEDIUM,
     NO_SURFACE,
     OBJECT_FRAME,
     OBJECTS,
@@ -74,16 +75,13 @@ from lfmesh.transport.packets.packet import (
     count_event,
     put,
 )
-from lfmesh.transport.packets.path_class import is_estimated, is_unturned
 from lfmesh.transport.packets.random import derived, uniform
+from lfmesh.transport.paths.automaton import counts, counts_not_yet
 from lfmesh.transport.regions.bodies import RANK, bodies_round
 from lfmesh.transport.tables.halos import Halos, angle_beyond, light_beyond, phase_at
 from lfmesh.transport.tables.tables import OPAQUE, AimTables, LensTables, ObjectTables
 
 Array = NDArray[np.float64]
-
-LEFT_MEDIUM = -4
-"""`facet` of a packet that was scattered or emitted in a medium, forward: it has an aimed twin or is one."""
 
 IN_MEDIUM = 1 << 21
 """Number of the random numbers, among those that a packet's key has for its children, for its way through media."""
@@ -188,7 +186,7 @@ def cross_media(
     key = derived(packet.key, IN_MEDIUM + packet.events)
     passage = pass_through(volumes, place, colour, x, y, z, dx, dy, dz, reach, flow.book, 0.0 if asks else weight, key)
     packet.weight = weight * passage.transmittance if packet.kind < TO_MEDIUM else 0.0
-    estimated = is_estimated(options, packet)
+    estimated = counts(options, packet)
     if passage.light > 0.0 and options.adjoint and estimated and (not asks or packet.kind == TO_MEDIUM):
         # Radiance over n² is conserved on the way out of glass and liquids.
         index = objects.media.indices[packet.medium, colour]
@@ -351,7 +349,7 @@ def _gather_past_lamp(
     The point is drawn by the mean phase function over the angle of scattering or, with equal chance, by what is
     scattered there: the sum of both densities divides the light (balance heuristic).
     """
-    volumes, colour, number = objects.volumes, packet.colour, packet.row
+    volumes, colour, number = objects.volumes, packet.colour, packet.to_lamp
     light = objects.lights[number]
     x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
     px, py, pz = point_of_light(light, uniform(packet.key, LAMP_U), uniform(packet.key, LAMP_V))
@@ -403,7 +401,7 @@ def _ask_what_emits(
     if asks_emitters(options, objects, events) or asks_media(volumes, options) or asks_halos(volumes, options, events):
         dx, dy, dz = packet.dx, packet.dy, packet.dz
         asking = put(flow, EMITTERS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, packet.weight, key, 0.0)
-        asking.facet, asking.row = IN_FOG, number
+        asking.facet, asking.in_medium = IN_FOG, number
 
 
 @kernel
@@ -472,7 +470,7 @@ def send_from_medium(
                 twin = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, to_camera, twin_key, 0.0)
                 twin.kind, twin.start, twin.facet, twin.medium = CAMERA, to_camera, LEFT_MEDIUM, packet.medium
                 twin.density = density
-    cutoff = options.unturned_cutoff if is_unturned(options, packet) else options.cutoff
+    cutoff = options.unturned_cutoff if counts_not_yet(options, packet) else options.cutoff
     kept = windowed(flow.book, weight, cutoff * packet.start, key, KEEP)
     if kept <= 0.0:
         return

@@ -21,7 +21,7 @@ from lfmesh.scene import Scene
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import CELLS, LENS, LENS_MESH, OBJECTS, PLATE, SENSOR
-from lfmesh.transport.packets.path_class import GHOSTS
+from lfmesh.transport.paths.automaton import GHOSTS
 from lfmesh.transport.regions.lens import shade_lens
 from lfmesh.transport.regions.mla import shade_cells
 from lfmesh.transport.regions.objects import shade_objects

@@ -2,7 +2,7 @@
 
 The meshes are the model, and sequences in blocks (`sequential.ghosts`) a shortcut. Each packet is traced from its pixel
 through the meshes, face by face; of the two children at a face the one that its sequence asks for goes on. Which that
-is, `stray` tells: so this proves, too, that the classes of paths are what the sequences are.
+is, its state tells: so this proves, too, that the classes of paths are what the sequences are.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry import frame
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import BOTH, CAMERA_FRAME, OBJECT_FRAME, OBJECTS, STATIONS
-from lfmesh.transport.packets.path_class import EVERY, ON_IMAGE_PATH, REFLECTED_ONCE, REFLECTED_TWICE
+from lfmesh.transport.paths.automaton import EVERY, ON_IMAGE_PATH, REFLECTED_ONCE, REFLECTED_TWICE
 from lfmesh.transport.render.order_check import OrderCheck
 from lfmesh.transport.sequential.ghosts import GhostRoom, GhostTables, ghost_room
 from lfmesh.transport.world import World
@@ -111,7 +111,7 @@ def _reflections(ghosts: GhostTables) -> NDArray[np.int64]:
 def _on_sequence(packets: NDArray[np.void], turns: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return which packets have been reflected at the faces of their sequence, and at no other."""
     times = (packets["events"][:, None] >= turns[packets["source"]]).sum(axis=1)
-    return np.asarray(packets["stray"] == np.array([ON_IMAGE_PATH, REFLECTED_ONCE, REFLECTED_TWICE])[times])
+    return np.asarray(packets["path"] == np.array([ON_IMAGE_PATH, REFLECTED_ONCE, REFLECTED_TWICE])[times])
 
 
 def _vectors(packets: NDArray[np.void], kind: str) -> Array:

@@ -28,7 +28,7 @@ from lfmesh.transport.packets.packet import (
     STATIONS,
     Options,
 )
-from lfmesh.transport.packets.path_class import ON_IMAGE_PATH
+from lfmesh.transport.paths.automaton import COUNTS, OFF_IMAGE_PATH, STANDING
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.world import World
 
@@ -114,10 +114,10 @@ def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.
     """
     found = outcomes(world, options, tables, packets)
     before = packets["weight"][found.by_order["source"]]
-    turned = np.delete(packets["stray"], found.undecided)
+    turned = STANDING[OFF_IMAGE_PATH, np.delete(packets["path"], found.undecided)] == COUNTS
     return OrderCheck(
         compared=len(packets) - len(found.undecided),
-        reflected=int((turned > ON_IMAGE_PATH).sum()),
+        reflected=int(turned.sum()),
         undecided=len(found.undecided),
         differing=len(found.differing),
         deviation_mm=float(found.deviation_mm.max(initial=0.0)),

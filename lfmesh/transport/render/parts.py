@@ -4,10 +4,10 @@ Paths with reflections carry a few per cent of the light and cost ten times as m
 method estimates the two independently and adds them: the image path with the sequential engine, and all other paths,
 for which fewer samples are enough, with the mesh engine. Most of those are ghosts of two reflections; where they can be
 followed by their sequences of surfaces (`sequential.ghosts`), they are a part of their own. How many fewer samples,
-`shares` measures. If the scene has lamps and glass, light of lamps through glass is a further part, traced forward; so
-is, in both methods, light of lamps on a camera with rough surfaces. `path_class` defines the classes; each path belongs
-to one of them and counts once. Particles are points, which no ray from the sensor meets: in both methods each entry of
-them is a part, traced forward.
+`allocation` measures. If the scene has lamps and glass, light of lamps through glass is a further part, traced forward;
+so is, in both methods, light of lamps on a camera with rough surfaces. `paths.automaton` defines the classes; each path
+belongs to one of them and counts once. Particles are points, which no ray from the sensor meets: in both methods each
+entry of them is a part, traced forward.
 """
 
 from copy import copy
@@ -23,13 +23,14 @@ from lfmesh.transport.aiming.through_glass import GlassAim
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.packets.book import LIT, REACHED
 from lfmesh.transport.packets.packet import BOTH, TRANSMIT, Options
-from lfmesh.transport.packets.path_class import (
+from lfmesh.transport.paths.automaton import (
     GHOSTS,
     LAMP_ON_CAMERA,
     LAMP_THROUGH_GLASS,
     OFF_IMAGE_PATH,
     OTHER_STRAYS,
 )
+from lfmesh.transport.paths.estimators import Estimator, lamps_on_camera
 from lfmesh.transport.render.blind_check import without_aim
 from lfmesh.transport.render.glass_aim import glass_aim, has_glass, refuse_unaimed
 from lfmesh.transport.settings import options_of
@@ -66,6 +67,7 @@ class Part:
     Attributes
     ----------
     number : int
+        See `Estimator`.
     options : Options
         `adjoint` tells whether it is traced from pixels or, forward, from lamps.
     tables : Tables
@@ -170,15 +172,15 @@ def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
     if not options.adjoint:
         tables = _aimed_through(tables, through)
     if engine_of(world.scene)[0] != "both":
-        return (Part(0, options, tables), *lamps)
+        return (Part(Estimator.IMAGE_PATH, options, tables), *lamps)
     path = with_wide_share(tables.aim, WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_IMAGE_PATH)
     strays = with_wide_share(tables.aim, WIDE_SHARE_OF_STRAYS)
     thinned = WITH_GLASS if has_glass(world) else IMAGE_PATHS_PER_STRAY
     along_path = options._replace(split=TRANSMIT, sequential=True)
     off_path = _off_image_path(options, world)
-    image_path = Part(0, along_path, tables._replace(aim=path), accounts=False)
+    image_path = Part(Estimator.IMAGE_PATH, along_path, tables._replace(aim=path), accounts=False)
     if not ghosts or world.ghosts is None:
-        return (image_path, Part(1, off_path, tables._replace(aim=strays), thinned), *lamps)
+        return (image_path, Part(Estimator.STRAYS, off_path, tables._replace(aim=strays), thinned), *lamps)
     thinned = WITH_GLASS if has_glass(world) else IMAGE_PATHS_PER_OTHER_STRAY
     others = off_path._replace(paths=OTHER_STRAYS)
     if not has_glass(world):
@@ -190,8 +192,8 @@ def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
     of_ghosts = tables._replace(aim=aim_at_ghosts(tables, world.ghosts), ghosts=world.ghosts)
     return (
         image_path,
-        Part(1, others, tables._replace(aim=strays), thinned),
-        Part(4, along_path._replace(paths=GHOSTS), of_ghosts, IMAGE_PATHS_PER_GHOST, accounts=False),
+        Part(Estimator.STRAYS, others, tables._replace(aim=strays), thinned),
+        Part(Estimator.GHOSTS, along_path._replace(paths=GHOSTS), of_ghosts, IMAGE_PATHS_PER_GHOST, accounts=False),
         *lamps,
     )
 
@@ -222,7 +224,7 @@ def lamp_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
     objects = aimed_at_glass(world.tables.objects)
     if objects is None:
         return ()
-    return (_from_lamps(2, world, objects, through, LAMP_THROUGH_GLASS),)
+    return (_from_lamps(Estimator.LAMPS_THROUGH_GLASS, world, objects, through, LAMP_THROUGH_GLASS),)
 
 
 def camera_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
@@ -239,7 +241,7 @@ def camera_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
     objects = aimed_at_camera(world.tables.objects, world.tables.lens, world.tables.frames)
     if objects is None:
         return ()
-    return (_from_lamps(FIRST_OF_PARTICLES + len(world.particles), world, objects, through, LAMP_ON_CAMERA),)
+    return (_from_lamps(lamps_on_camera(len(world.particles)), world, objects, through, LAMP_ON_CAMERA),)
 
 
 def _from_lamps(number: int, world: World, objects: ObjectTables, through: GlassAim | None, paths: int) -> Part:
@@ -247,10 +249,6 @@ def _from_lamps(number: int, world: World, objects: ObjectTables, through: Glass
     options = options_of(world)._replace(adjoint=False, importance=False, paths=paths)
     tables = _aimed_through(world.aimed_tables._replace(objects=objects), through)
     return Part(number, options, tables, book=LAMP_BOOK)
-
-
-FIRST_OF_PARTICLES = 5
-"""Number of the part of the first particles."""
 
 
 def particle_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
@@ -274,7 +272,7 @@ def particle_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
     black = ScatteringTables(models, np.zeros((1, objects.scattering.parameters.shape[1])))
     tables = _aimed_through(world.aimed_tables._replace(objects=objects._replace(scattering=black)), through)
     return tuple(
-        Part(FIRST_OF_PARTICLES + number, options, tables, book=LAMP_BOOK, particles=particles)
+        Part(Estimator.PARTICLES + number, options, tables, book=LAMP_BOOK, particles=particles)
         for number, particles in enumerate(world.particles)
     )
 
@@ -288,8 +286,10 @@ def blind_part(world: World) -> Part:
     if world.scene.transport.method == "forward":
         adjoint = copy(world)
         adjoint.scene = world.scene.changed({"transport.method": "adjoint"})
-        return Part(3, options_of(adjoint), world.aimed_tables, accounts=False)
-    return Part(3, options_of(world), world.tables._replace(aim=without_aim(world.aim)), accounts=False)
+        return Part(Estimator.BLIND_CHECK, options_of(adjoint), world.aimed_tables, accounts=False)
+    return Part(
+        Estimator.BLIND_CHECK, options_of(world), world.tables._replace(aim=without_aim(world.aim)), accounts=False
+    )
 
 
 def finds_all(world: World) -> bool:

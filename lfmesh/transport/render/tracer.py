@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.packet import COUNTERS, DEPOSITS
-from lfmesh.transport.packets.path_class import GHOSTS
 from lfmesh.transport.packets.random import descendant, run_key
+from lfmesh.transport.paths.automaton import GHOSTS
 from lfmesh.transport.render.adaptive import Counts
+from lfmesh.transport.render.allocation import Measured, measured, shared
 from lfmesh.transport.render.blind_check import CHUNK as BLIND_CHUNK
 from lfmesh.transport.render.blind_check import BlindSamples, first_of_runs
 from lfmesh.transport.render.ghost_check import compare_ghosts
 from lfmesh.transport.render.order_check import SAMPLE, STARTS, OrderCheck, compare
 from lfmesh.transport.render.parts import BOOKS, Part, blind_part, parts_of
 from lfmesh.transport.render.plan import Block, Chunk, Plan
-from lfmesh.transport.render.shares import Measured, measured, shared
 from lfmesh.transport.render.tally import ChunkTally, Film, Layout, Piece, Work
 from lfmesh.transport.sources.lights import LightSource
 from lfmesh.transport.sources.particles import ParticleSource

@@ -10,7 +10,7 @@ What the array reflects back towards the sensor comes to the lens from other len
 packets of these sequences leave their pixels in new directions: some to anywhere on the array, the others at angles at
 which a coarse trace has found light.
 
-Which paths these are is defined in `packets.path_class`; the sequences are all of them.
+Which paths these are is defined in `paths.automaton`; the sequences are all of them.
 """
 
 from typing import Any, NamedTuple
@@ -37,7 +37,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.path_class import REFLECTED_TWICE
+from lfmesh.transport.paths.automaton import REFLECTED_TWICE
 from lfmesh.transport.sequential.array_faces import along_array
 from lfmesh.transport.sequential.lens_bundle import (
     BLOCK,
@@ -489,6 +489,6 @@ def _hand_on(wave: NDArray[np.void], frames: Array, flow: Flow, room: GhostRoom)
         dx, dy, dz = _direction_at_end(room, n)
         dx, dy, dz = direction_through(move, dx, dy, dz)
         child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, ends[RAY_WEIGHT, n], packet.key, 0.0)
-        child.space, child.stray = 0, REFLECTED_TWICE
-        child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
+        child.space, child.path = 0, REFLECTED_TWICE
+        child.last, child.facet, child.bodies = LEFT_LENS, NO_SURFACE, NO_SURFACE
     flow.counts[EVENTS] += events

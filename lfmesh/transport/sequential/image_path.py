@@ -180,7 +180,7 @@ def _hand_on(
         weight, ended = bundle[WEIGHT + i], bundle[ENDED_ON + i]
         if ended == 0.0:
             child = put(flow, station, packet, frame, x, y, z, dx, dy, dz, weight, packet.key, 0.0)
-            child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
+            child.last, child.facet, child.bodies = LEFT_LENS, NO_SURFACE, NO_SURFACE
         elif ended == BESIDE:
             _pass_beside(flow, packet, weight)
         elif ended != DROPPED:
@@ -206,7 +206,7 @@ def _pass_beside(flow: Flow, packet: Any, weight: float) -> None:
     child = put(
         flow, OBJECTS, packet, CAMERA_FRAME, x, y, z, packet.dx, packet.dy, packet.dz, weight, packet.key, 0.0
     )  # fmt: skip
-    child.last, child.facet, child.column = LEFT_LENS, NO_SURFACE, NO_SURFACE
+    child.last, child.facet, child.bodies = LEFT_LENS, NO_SURFACE, NO_SURFACE
 
 
 @kernel
@@ -243,7 +243,7 @@ def through_lens(bundle: Array, lens: LensTables, colour: int, to_sensor: bool, 
             beyond = BESIDE if to_sensor else HOUSING + 1.0
         through_surface(
             bundle, lens, k, colour, 1.0 if to_sensor else -1.0,
-            lens.surfaces[k].aperture * (1.0 + OVERREACH), lens.mount_slot[k] + 1.0, beyond,
+            lens.surfaces[k].semi_diameter * (1.0 + OVERREACH), lens.mount_slot[k] + 1.0, beyond,
         )  # fmt: skip
         absorb_since_start(absorption, bundle, lens.medium[space], colour, book)
 

@@ -218,7 +218,7 @@ def _through_in_place(
     """Take a bundle through a surface of the lens in the frame in which it stands as prescribed."""
     surface = lens.surfaces[k]
     c, conic, z = surface.curvature, surface.conic, surface.vertex_z
-    limit = surface.aperture * surface.aperture
+    limit = surface.semi_diameter * surface.semi_diameter
     into = 1 if sense > 0.0 else 0
     indices, medium = lens.media.indices, lens.medium
     n_i, n_t = indices[medium[k + 1 - into], colour], indices[medium[k + into], colour]
@@ -258,7 +258,7 @@ def mirror_at_surface(
     into = 1 if sense > 0.0 else 0
     indices, medium = lens.media.indices, lens.medium
     n_i, n_t = indices[medium[k + 1 - into], colour], indices[medium[k + into], colour]
-    limit = surface.aperture * surface.aperture
+    limit = surface.semi_diameter * surface.semi_diameter
     _meet(bundle, surface, sense)
     if surface.kind != CONIC_AND_EVEN:
         _turn_along_gradient(bundle, lens.interfaces, k, colour, limit, sense, n_i, n_t, rim, mount, beyond, True)

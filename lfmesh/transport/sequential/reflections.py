@@ -256,7 +256,7 @@ def along(
         if ends:
             break
         sense = 1.0 if space == k else -1.0
-        rim, mount, beyond = lens.surfaces[k].aperture * (1.0 + OVERREACH), lens.mount_slot[k] + 1.0, HOUSING + 1.0
+        rim, mount, beyond = lens.surfaces[k].semi_diameter * (1.0 + OVERREACH), lens.mount_slot[k] + 1.0, HOUSING + 1.0
         if reflected[step]:
             mirror_at_surface(bundle, lens, k, colour, sense, rim, mount, beyond)
         else:
@@ -293,7 +293,7 @@ def _find_return(bundle: Array, lens: LensTables, k: int, sense: float) -> None:
     if surface.posed:
         move_bundle(bundle, surface.unpose)
     distances_to(bundle, surface, sense, _AGAIN)
-    rim = surface.aperture * (1.0 + OVERREACH)
+    rim = surface.semi_diameter * (1.0 + OVERREACH)
     for i in range(BLOCK):
         t = bundle[_AGAIN + i]
         x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]

@@ -24,6 +24,7 @@ from lfmesh.transport.events.volume import coefficients, own_ray, span
 from lfmesh.transport.packets.book import EMITTED, ESCAPED
 from lfmesh.transport.packets.packet import E_START, LAMP, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, Options, put
 from lfmesh.transport.packets.random import derived, start
+from lfmesh.transport.paths.automaton import FROM_LAMP, ON_IMAGE_PATH
 from lfmesh.transport.regions.bodies import RANK, TOO_MANY, bodies_at, medium_of, set_bodies
 from lfmesh.transport.regions.targets import emission_of, opacity_at, point_of, scatter, texture_at
 from lfmesh.transport.regions.volumes import send_from_medium
@@ -107,7 +108,7 @@ def launch_forward(
         packet.medium = AIR
         set_bodies(packet, 0)
         packet.events = 0
-        packet.kind = LAMP
+        packet.kind, packet.path = LAMP, ON_IMAGE_PATH
         packet.facet = NO_SURFACE
         packet.node = NO_SURFACE
         which = drawn_by(sources["until"], start(key, SOURCE_U))
@@ -117,6 +118,7 @@ def launch_forward(
             share, medium = weight / source.power, FIRST_VOLUME - source.facet
             _from_medium(objects.volumes, objects, aim, frames, options, flow, packet, medium, share)
         elif source.light >= 0:
+            packet.path = FROM_LAMP
             weight *= objects.light_spectra[source.light, colour]
             _from_lamp(objects, flow, packet, source.light, weight)
         else:

@@ -29,6 +29,7 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.random import derived
 from lfmesh.transport.packets.sobol import owen_sobol
+from lfmesh.transport.paths.automaton import ON_IMAGE_PATH
 from lfmesh.transport.regions.bodies import medium_of, set_bodies
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.sources.wavelengths import order_of_particles
@@ -102,7 +103,7 @@ def launch_particles(
     """
     packet = template[0]
     packet.last, packet.column, packet.facet, packet.node = NO_SURFACE, NO_SURFACE, NO_SURFACE, NO_SURFACE
-    packet.medium, packet.space, packet.events, packet.stray = AIR, 0, 0, 0
+    packet.medium, packet.space, packet.events, packet.path = AIR, 0, 0, ON_IMAGE_PATH
     in_glass = bool(particles.inside.any())
     # Nothing else is aimed: glass may bend it into the lens, and what it meets is not lit by another packet.
     packet.kind = SPECULAR

@@ -45,8 +45,8 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.path_class import GHOSTS
 from lfmesh.transport.packets.random import derived
+from lfmesh.transport.paths.automaton import GHOSTS
 from lfmesh.transport.sequential.image_path import follow_block
 from lfmesh.transport.sequential.lens_bundle import (
     DROPPED,

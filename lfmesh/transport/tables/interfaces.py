@@ -1,8 +1,8 @@
 """The interface table: the kind of each surface between two media, with its parameters.
 
-A new kind is one line in `KINDS`, a branch of `_kind_of` and of `_finish_of` that gives the surfaces of that kind and
-their parameters, and its shares of the power in `transport.events.interface`. By this table the sequential engine
-refuses interfaces that it cannot trace.
+A new kind is one line in `KINDS`, a branch of `_kind_of` and of `_kind_and_parameters` that gives the surfaces of that
+kind and their parameters, and its shares of the power in `transport.events.interface`. By this table the sequential
+engine refuses interfaces that it cannot trace.
 """
 
 from collections.abc import Sequence
@@ -17,8 +17,7 @@ from lfmesh.optics.share_table import looked_up
 from lfmesh.optics.walsh import diffuse_reflectance
 from lfmesh.scene import Scene
 from lfmesh.scene.coatings import UNCOATED
-from lfmesh.scene.finishes import POLISHED
-from lfmesh.scene.finishes import Finish as Roughness
+from lfmesh.scene.finishes import POLISHED, Finish
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.tables.coatings import absorbs, coating_table
 from lfmesh.transport.tables.lines import Lines
@@ -84,7 +83,7 @@ class Face(NamedTuple):
         Name of its coating, or "none".
     outer, inner : Medium
         Media on the side that the layers of its coating begin with, and on the other.
-    roughness : Finish
+    finish : Finish
         Of the scene.
     begins_behind : bool
         Of a lens surface: the side that the layers begin with is the one towards the sensor.
@@ -97,12 +96,12 @@ class Face(NamedTuple):
     coating: str = UNCOATED
     outer: Medium = None
     inner: Medium = None
-    roughness: Roughness = POLISHED
+    finish: Finish = POLISHED
     begins_behind: bool = False
     thin_lens_power_per_mm: float | None = None
 
 
-class Finish(NamedTuple):
+class InterfaceKind(NamedTuple):
     """Kind and parameters of one interface of a scene.
 
     Attributes
@@ -280,7 +279,7 @@ def coating_lines(scene: Scene) -> list[str]:
     for face in (*lens_faces(scene), *mla, *body_faces(scene), *cover_faces(scene)):
         if face.coating == UNCOATED:
             continue
-        finish = _finish_of(scene, face, wavelengths_nm)
+        finish = _kind_and_parameters(scene, face, wavelengths_nm)
         used.add(face.coating)
         values = np.asarray(finish.parameters)
         shown = [looked_up(values, 0, finish.pieces, colour, np.sqrt(np.cos(np.radians(a)))) for a in _SHOWN_DEG]
@@ -304,14 +303,14 @@ def finish_lines(scene: Scene) -> list[str]:
     mla = array_faces(scene) if scene.camera.mla is not None else []
     lines = []
     for face in (*lens_faces(scene), *mla, *body_faces(scene)):
-        if face.roughness == POLISHED:
+        if face.finish == POLISHED:
             continue
         kind, name = _kind_of(scene, face, wavelengths_nm), face.body.removeprefix("coating of ")
-        said = face.roughness.in_words()
+        said = face.finish.in_words()
         if kind == BARE:
             said += "; traced as polished"
         elif kind == DIFFUSE:
-            thin, dense = (row[colour] for row in _finish_of(scene, face, wavelengths_nm).parameters)
+            thin, dense = (row[colour] for row in _kind_and_parameters(scene, face, wavelengths_nm).parameters)
             said += (
                 f": reflects {100.0 * thin:.3g} % of diffuse light from the thinner side, {100.0 * dense:.3g} % from "
             )
@@ -327,18 +326,18 @@ def faces_of_regions(scene: Scene) -> tuple[list[Face], list[Face], list[Face], 
     return lens_faces(scene), array_faces(scene), bodies, cover_faces(scene)
 
 
-def _finishes(scene: Scene, faces: list[Face], wavelengths_nm: tuple[float, ...]) -> list[Finish]:
-    return [_finish_of(scene, face, wavelengths_nm) for face in faces]
+def _finishes(scene: Scene, faces: list[Face], wavelengths_nm: tuple[float, ...]) -> list[InterfaceKind]:
+    return [_kind_and_parameters(scene, face, wavelengths_nm) for face in faces]
 
 
 def _kind_of(scene: Scene, face: Face, wavelengths_nm: Sequence[float]) -> int:
     """Return the number of a face's kind."""
     if face.thin_lens_power_per_mm is not None:
         return THIN_LENS
-    if face.roughness.is_rough:
+    if face.finish.is_rough:
         # Facets between equal indices do nothing; a diffuse face scatters what it transmits all the same.
         matched = all(n_outer == n_inner for n_outer, n_inner in _indices(face, wavelengths_nm))
-        return DIFFUSE if face.roughness.kind == "diffuse" else BARE if matched else GROUND
+        return DIFFUSE if face.finish.kind == "diffuse" else BARE if matched else GROUND
     if face.coating == UNCOATED:
         return BARE
     if scene.transport.polarisation:
@@ -347,21 +346,21 @@ def _kind_of(scene: Scene, face: Face, wavelengths_nm: Sequence[float]) -> int:
     return ABSORBING if absorbs(scene, face.coating, wavelengths_nm) else COATED
 
 
-def _finish_of(scene: Scene, face: Face, wavelengths_nm: tuple[float, ...]) -> Finish:
-    """Return the finish of a face."""
+def _kind_and_parameters(scene: Scene, face: Face, wavelengths_nm: tuple[float, ...]) -> InterfaceKind:
+    """Return kind and parameters of a face."""
     kind = _kind_of(scene, face, wavelengths_nm)
     if kind == BARE:
-        return Finish(face.where, kind)
+        return InterfaceKind(face.where, kind)
     if kind == THIN_LENS:
-        return Finish(face.where, kind, [[face.thin_lens_power_per_mm or 0.0] * len(wavelengths_nm)])
+        return InterfaceKind(face.where, kind, [[face.thin_lens_power_per_mm or 0.0] * len(wavelengths_nm)])
     if kind == DIFFUSE:
         sides = [sorted(pair) for pair in _indices(face, wavelengths_nm)]
         shares = [(diffuse_reflectance(thin, dense), diffuse_reflectance(dense, thin)) for thin, dense in sides]
-        return Finish(face.where, kind, np.transpose(shares))
+        return InterfaceKind(face.where, kind, np.transpose(shares))
     if kind == GROUND:
-        return Finish(face.where, kind, [[face.roughness.roughness or 0.0] * len(wavelengths_nm)])
+        return InterfaceKind(face.where, kind, [[face.finish.roughness or 0.0] * len(wavelengths_nm)])
     table = coating_table(scene, face.coating, face.outer, face.inner, wavelengths_nm)
-    return Finish(face.where, kind, table.values, table.pieces, table.error)
+    return InterfaceKind(face.where, kind, table.values, table.pieces, table.error)
 
 
 def _indices(face: Face, wavelengths_nm: Sequence[float]) -> list[tuple[float, float]]:
@@ -369,7 +368,7 @@ def _indices(face: Face, wavelengths_nm: Sequence[float]) -> list[tuple[float, f
     return [(refractive_index(face.outer, w), refractive_index(face.inner, w)) for w in wavelengths_nm]
 
 
-def _table(finishes: list[Finish], slots: list[int], colours: int) -> Interfaces:
+def _table(finishes: list[InterfaceKind], slots: list[int], colours: int) -> Interfaces:
     """Return interfaces as kernels read them."""
     rows = np.zeros(len(finishes), INTERFACE)
     rows["kind"] = [finish.kind for finish in finishes]

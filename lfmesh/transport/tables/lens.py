@@ -145,7 +145,7 @@ def surface_order(shape: LensShape) -> tuple[Array, NDArray[np.bool_], NDArray[n
     conic = (surfaces["level"] == EXACT) & (surfaces["terms"] == 0)
     order = np.full((count + 1, 12), np.nan)
     order[:, 8] = np.inf
-    each = (surfaces["curvature"], 1.0 + surfaces["conic"], surfaces["vertex_z"], surfaces["aperture"] ** 2)
+    each = (surfaces["curvature"], 1.0 + surfaces["conic"], surfaces["vertex_z"], surfaces["semi_diameter"] ** 2)
     order[1:, :4] = order[:-1, 4:8] = np.stack(each, axis=1)
     # The ring is in float32.
     smaller = np.minimum(shape.rims[:-1], shape.rims[1:])

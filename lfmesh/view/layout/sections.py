@@ -187,7 +187,7 @@ def thin_lenses(shape: LensShape, lens: Lens) -> list[ThinLens]:
         focal_length, record = lens.surfaces[number].focal_length_mm, shape.surfaces[k]
         if focal_length is None:
             continue
-        rim = float(record["aperture"])
+        rim = float(record["semi_diameter"])
         barb = ARROW * rim if focal_length > 0.0 else -ARROW * rim
         z = np.array([-abs(barb), 0.0, abs(barb)])
         heads = [np.array([side * (rim - barb), side * rim, side * (rim - barb)]) for side in (-1.0, 1.0)]
@@ -235,7 +235,7 @@ def _edge(shape: LensShape, k: int) -> Array:
 def sag_at_rim(shape: LensShape, k: int) -> float:
     """Return z of a surface at its clear aperture."""
     record = shape.surfaces[k]
-    return float(record["vertex_z"] + heights(record, 0.0, record["aperture"]))
+    return float(record["vertex_z"] + heights(record, 0.0, record["semi_diameter"]))
 
 
 def mesh_section(mesh: trimesh.Trimesh, x: float = 0.0) -> list[Array]:

@@ -40,7 +40,8 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.packets.path_class import (
+from lfmesh.transport.packets.random import derived, descendant
+from lfmesh.transport.paths.automaton import (
     EVERY,
     IN_NO_GHOST,
     ON_IMAGE_PATH,
@@ -48,7 +49,6 @@ from lfmesh.transport.packets.path_class import (
     REFLECTED_TWICE,
     STRAY,
 )
-from lfmesh.transport.packets.random import derived, descendant
 from lfmesh.transport.tables import interfaces as table
 from lfmesh.transport.tables.interfaces import coating_errors, interface_tables
 from lfmesh.transport.tables.tables import FLAT_ROW, INTERFACE, Interfaces
@@ -164,14 +164,14 @@ class Children:
         return self.flow.book[ROULETTE_ADDED] - self.flow.book[ROULETTE_REMOVED]
 
 
-def children(count=1, reflectance=0.3, transmittance=0.7, frame=CAMERA_FRAME, stray=0, record=False, **options):
+def children(count=1, reflectance=0.3, transmittance=0.7, frame=CAMERA_FRAME, path=0, record=False, **options):
     """Divide `count` packets of weight 2."""
     packets = np.zeros(count, PACKET)
-    packets["weight"], packets["start"], packets["frame"], packets["stray"], packets["events"] = (
+    packets["weight"], packets["start"], packets["frame"], packets["path"], packets["events"] = (
         2.0,
         2.0,
         frame,
-        stray,
+        path,
         3,
     )
     packets["medium"] = 4
@@ -228,21 +228,21 @@ IN_CAMERA = {
 """What a path becomes by a reflection at a face of lens or array."""
 
 
-@pytest.mark.parametrize("stray", IN_CAMERA)
+@pytest.mark.parametrize("path", IN_CAMERA)
 @pytest.mark.parametrize("frame", [CAMERA_FRAME, MLA_FRAME, OBJECT_FRAME])
-def test_a_reflection_turns_off_the_image_path_and_refraction_does_not(frame, stray):
-    made = children(frame=frame, stray=stray)
-    assert made.reflected["stray"] == [STRAY if frame == OBJECT_FRAME else IN_CAMERA[stray]]
-    assert made.refracted["stray"] == [stray]
+def test_a_reflection_turns_off_the_image_path_and_refraction_does_not(frame, path):
+    made = children(frame=frame, path=path)
+    assert made.reflected["path"] == [STRAY if frame == OBJECT_FRAME else IN_CAMERA[path]]
+    assert made.refracted["path"] == [path]
 
 
-@pytest.mark.parametrize("stray", IN_CAMERA)
+@pytest.mark.parametrize("path", IN_CAMERA)
 @pytest.mark.parametrize("frame", [CAMERA_FRAME, MLA_FRAME, OBJECT_FRAME])
-def test_total_reflection_is_the_image_paths_own_way_in_object_space_only(frame, stray):
-    made = children(frame=frame, stray=stray, reflectance=1.0, transmittance=0.0)
+def test_total_reflection_is_the_image_paths_own_way_in_object_space_only(frame, path):
+    made = children(frame=frame, path=path, reflectance=1.0, transmittance=0.0)
     assert len(made.packets) == 1
-    expected = {CAMERA_FRAME: IN_CAMERA[stray], MLA_FRAME: IN_CAMERA[stray], OBJECT_FRAME: stray}
-    assert made.reflected["stray"] == [expected[frame]]
+    expected = {CAMERA_FRAME: IN_CAMERA[path], MLA_FRAME: IN_CAMERA[path], OBJECT_FRAME: path}
+    assert made.reflected["path"] == [expected[frame]]
 
 
 def test_every_child_has_a_vertex_of_its_own_from_its_parents():

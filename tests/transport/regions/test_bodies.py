@@ -74,7 +74,7 @@ def kept(packets, inside):
 def test_a_packet_keeps_its_bodies_in_fields_that_lens_and_array_use(own: tuple[int, ...]) -> None:
     packets = np.zeros(1, PACKET)
     assert kept(packets, entered(*own)) == entered(*own)
-    assert (packets["column"][0] == NO_SURFACE) == (not own)
+    assert (packets["bodies"][0] == NO_SURFACE) == (not own)
 
 
 @kernel
@@ -84,7 +84,7 @@ def round_the_first(packets):
 
 def test_a_packet_outside_all_glass_is_in_no_body_whatever_space_it_came_from() -> None:
     packets = np.zeros(1, PACKET)
-    packets["column"], packets["space"] = NO_SURFACE, 123
+    packets["bodies"], packets["space"] = NO_SURFACE, 123
     assert round_the_first(packets) == 0
 
 

@@ -16,7 +16,7 @@ import lfmesh as lf
 from lfmesh.transport.aiming import ghost_aim
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import PIXEL_MASK, PLATE
-from lfmesh.transport.packets.path_class import EVERY, GHOSTS, OFF_IMAGE_PATH, OTHER_STRAYS
+from lfmesh.transport.paths.automaton import EVERY, GHOSTS, OFF_IMAGE_PATH, OTHER_STRAYS
 from lfmesh.transport.render import ghost_check
 from lfmesh.transport.render.parts import Part, parts_of
 from lfmesh.transport.render.render import Renderer

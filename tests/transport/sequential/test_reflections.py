@@ -167,7 +167,7 @@ def test_a_path_and_its_reverse_carry_the_same_share(name, change, point, least)
     world = world_of(name, change)
     lens = world.tables.lens
     draw = np.random.default_rng(3)
-    rim = float(lens.surfaces[0]["aperture"])
+    rim = float(lens.surfaces[0]["semi_diameter"])
     to = np.column_stack([draw.uniform(-rim, rim, (400, 2)), np.zeros(400)]) - point
     d = to / np.linalg.norm(to, axis=1)[:, None]
     passed = 0

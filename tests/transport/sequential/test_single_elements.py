@@ -16,7 +16,7 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.geometry.tessellation import OVERREACH
-from lfmesh.transport.packets.path_class import GHOSTS, OTHER_STRAYS
+from lfmesh.transport.paths.automaton import GHOSTS, OTHER_STRAYS
 from lfmesh.transport.render.parts import Part, parts_of
 from lfmesh.transport.render.render import Renderer
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.transport.packets.packet import EVENTS
-from lfmesh.transport.packets.path_class import GHOSTS
+from lfmesh.transport.paths.automaton import GHOSTS
 from lfmesh.transport.render.parts import Part
 
 LEAST_SAMPLES = 1 << 17

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 import lfmesh as lf
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import CURVED_FACE, ENDED, FLAT_FACE, NODES, ON_GLASS, ON_TARGET, ROULETTE, Event
-from lfmesh.transport.packets.path_class import EVERY, OFF_IMAGE_PATH
 from lfmesh.transport.packets.random import run_key
+from lfmesh.transport.paths.automaton import EVERY, OFF_IMAGE_PATH
 from lfmesh.transport.render.tally import Film
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.pixels import PixelSource

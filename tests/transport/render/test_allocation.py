@@ -10,10 +10,10 @@ from scipy import stats
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.transport.packets.packet import COUNTERS, EVENTS
-from lfmesh.transport.packets.path_class import GHOSTS
+from lfmesh.transport.paths.automaton import GHOSTS
+from lfmesh.transport.render.allocation import LEAST_SAMPLES, Measured, measured, shared
 from lfmesh.transport.render.parts import Part, parts_of
 from lfmesh.transport.render.render import Renderer
-from lfmesh.transport.render.shares import LEAST_SAMPLES, Measured, measured, shared
 
 LEVEL = 1e-3
 

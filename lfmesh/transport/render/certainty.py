@@ -10,6 +10,10 @@ it meets one of them. Its neighbours have met them. So the variance reported for
 of a pool: pixels around it and at its place in the neighbouring micro-images that are as bright and lie where the
 picture is as steep, since an edge is known less well than the areas beside it. Over any group of pixels that is not
 chosen by its noise, the mean of the variance stays unchanged.
+
+A pixel next to much brighter ones may see what they see by a corner that none of its samples has met. Its own spread
+does not tell of that, nor does that of pixels as dark. The weight of the paths that its neighbours have met does, and
+enters the upper bound (see `weight_around`).
 """
 
 from collections.abc import Iterator, Sequence
@@ -177,7 +181,7 @@ class Certainty(NamedTuple):
         """
         steps = neighbours(scene)
         errors = [error_of(part, steps) for part in parts]
-        upper = upper_bound(parts, errors, replicates)
+        upper = upper_bound(parts, errors, steps, replicates)
         for error in errors[1:]:
             np.hypot(errors[0], error, out=errors[0])
         return cls(errors[0], upper)
@@ -245,7 +249,49 @@ def _are_few(hits: NDArray[np.uint32], samples: int) -> NDArray[np.bool_]:
     return (hits < FEW_HITS) & (2 * hits < samples)
 
 
-def upper_bound(parts: Sequence[Estimate], errors: Sequence[Array], replicates: int) -> Array:
+def weight_around(mean: Array, error: Array, steps: NDArray[np.int64], rows: slice = slice(None)) -> Array:
+    """Return the light that one path brings to the neighbours of each pixel, the second largest of them.
+
+    Paths of equal weight w that are met by chance have a variance of w times their mean, so w is error² / mean: of the
+    heaviest paths, however many light ones are met beside them. It is at most the mean. The largest is left out: a
+    single pixel that has met what hardly any meets says nothing of those around it.
+
+    Parameters
+    ----------
+    mean, error : (H, W, wavelengths) float64, W
+        Without an error, which is NaN, there is no weight.
+    steps : (n, 2) int64
+        See `neighbours`.
+    rows : slice
+        Rows of the result.
+
+    Returns
+    -------
+    (rows, W, wavelengths) float64, W
+    """
+    low, high, _ = rows.indices(len(mean))
+    weight = np.empty((high - low, *mean.shape[1:]))
+    _weigh(np.ascontiguousarray(mean), np.ascontiguousarray(error), steps, low, weight)
+    return weight
+
+
+@kernel
+def _weigh(mean: Array, error: Array, steps: NDArray[np.int64], low: int, weight: Array) -> None:
+    """Write `weight_around` of the rows from `low` on."""
+    rows, columns, colours = mean.shape
+    for row in range(low, low + len(weight)):
+        for column in range(columns):
+            for colour in range(colours):
+                largest, second = 0.0, 0.0
+                for k in range(len(steps)):
+                    r, c = row + steps[k, 0], column + steps[k, 1]
+                    if 0 <= r < rows and 0 <= c < columns and error[r, c, colour] > 0.0 and mean[r, c, colour] > 0.0:
+                        there = mean[r, c, colour] * min(1.0, (error[r, c, colour] / mean[r, c, colour]) ** 2)
+                        largest, second = max(largest, there), max(second, min(largest, there))
+                weight[row - low, column, colour] = second
+
+
+def upper_bound(parts: Sequence[Estimate], errors: Sequence[Array], steps: NDArray[np.int64], replicates: int) -> Array:
     """Return an upper bound of each pixel, (H, W, wavelengths) float64, W, with a confidence of 95 % for each.
 
     Each part has a margin above its mean. Parts are independent, so the squares of the margins are added. With many
@@ -253,7 +299,8 @@ def upper_bound(parts: Sequence[Estimate], errors: Sequence[Array], replicates: 
     bring light is bounded by the limit of Clopper & Pearson (1934): without a hit in n samples 1 − 0.05^(1/n), about
     3/n. Each such sample is taken to bring the mean of the pixel's own hits and one further hit of the largest value:
     the average hit in that pixel of a thousand where hits bring the most. Heavier paths, which are too rare to be
-    bounded in one pixel, are added as their mean over all pixels. The larger of the two margins counts.
+    bounded in one pixel, are added as their mean over all pixels. However many hits it has, a pixel may have missed
+    paths that its neighbours have met: the limit without a hit, times their weight. The largest of the margins counts.
 
     It does not bound light along paths of a kind that no sample of the whole image has found.
 
@@ -263,6 +310,8 @@ def upper_bound(parts: Sequence[Estimate], errors: Sequence[Array], replicates: 
         Their sum is the image.
     errors : sequence of (H, W, wavelengths) float64, W
         Of each part, see `error_of`.
+    steps : (n, 2) int64
+        See `neighbours`.
     replicates : int
     """
     from scipy import special
@@ -278,6 +327,8 @@ def upper_bound(parts: Sequence[Estimate], errors: Sequence[Array], replicates: 
         most, beyond = _largest_hit(part.mean, part.hits)
         for row, hits in enumerate(part.hits):
             own, margin = part.mean[row], quantile * error[row]
+            unmet = part.samples * limit[0] * weight_around(part.mean, error, steps, slice(row, row + 1))[0]
+            margin = np.fmax(margin, unmet)
             count = np.minimum(hits, len(few) - 1)
             one_path = part.samples * (own + most) / (count + 1.0)
             by_hits = limit[count] * one_path + beyond - own

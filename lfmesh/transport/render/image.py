@@ -120,7 +120,8 @@ class Image(Pictured):
 
         Of each part of the image the variance is the mean of the pixel's own and that of a pool: the pixel, the eight
         around it and those at its place in the adjacent micro-images, as far as they are as bright (within a factor of
-        1.5) and lie where the picture is as steep (within a factor of 2); of a part that few samples of nearly any
+        1.5) and lie where the picture is as steep (within a factor of 2), or where both have few hits, as far as these
+        differ by no more than chance; of a part that few samples of nearly any
         pixel found, all such pixels. The pool makes up for the few replicates of one pixel. NaN with fewer than two
         replicates.
         """

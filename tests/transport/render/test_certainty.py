@@ -36,7 +36,8 @@ def test_the_error_is_half_a_pixels_own_and_half_that_of_neighbours_as_bright_an
     stderr[1, 1], stderr[0, 0] = 3.0, 1.0
     # Along the border between bright and dark, on either side.
     stderr[1, 2], stderr[1, 3] = 100.0, 50.0
-    error, pooled = certainty.pooled_error(mean, stderr, AROUND)
+    known = Estimate(mean, stderr, np.full(mean.shape, 100, np.uint32), 100)
+    error, pooled = certainty.pooled_error(known, AROUND)
     # The pixel and the five around it that do not touch the border.
     assert pooled[1, 1, 0] == 6
     assert error[1, 1, 0] == pytest.approx(np.sqrt(0.5 * (9.0 + 10.0 / 6.0)))
@@ -44,8 +45,21 @@ def test_the_error_is_half_a_pixels_own_and_half_that_of_neighbours_as_bright_an
     # On the border: the pixel and the two above and below it.
     assert pooled[1, 2, 0] == 3
     assert error[1, 2, 0] == pytest.approx(100.0 * np.sqrt(0.5 * (1.0 + 1.0 / 3.0)))
-    rows, _ = certainty.pooled_error(mean, stderr, AROUND, slice(1, 3))
+    rows, _ = certainty.pooled_error(known, AROUND, slice(1, 3))
     np.testing.assert_array_equal(rows, error[1:])
+
+
+def test_the_error_holds_the_truth_where_a_pixel_has_two_hits_on_average() -> None:
+    """One in seven has none, as have some of its neighbours: as dark as it, they would say that nothing was missed."""
+    lit = np.repeat([1.0, 1 / 8], 40)[:, None] * np.ones((60, 1, 1))
+    chance = lit / 32
+    mean, stderr, hits = replicated(lit, 512, 8, chance)
+    error, _ = certainty.pooled_error(Estimate(mean, stderr, hits, 512), AROUND)
+    for dim in (slice(0, 40), slice(40, 80)):
+        off, known = (mean - lit)[:, dim], error[:, dim]
+        within = abs(off) <= stats.t.ppf(0.975, 7) * known
+        assert stats.binomtest(int(within.sum()), within.size, 0.92, "less").pvalue > LEVEL, within.mean()
+        assert (known**2).mean() == pytest.approx((off**2).mean(), rel=0.1)
 
 
 def test_steps_go_to_the_same_place_in_the_next_micro_images() -> None:
@@ -63,8 +77,8 @@ def test_steps_go_to_the_same_place_in_the_next_micro_images() -> None:
 def test_the_pooled_error_is_the_scatter_in_every_quarter_of_itself(replicates: int) -> None:
     """Where a sample in twenty brings nothing, 16 samples leave 44 % of the pixels without any spread of their own."""
     truth = np.ones((100, 100, 1))
-    mean, stderr, _ = replicated(truth, 16, replicates, 0.95)
-    error, _ = certainty.pooled_error(mean, stderr, AROUND)
+    mean, stderr, hits = replicated(truth, 16, replicates, 0.95)
+    error, _ = certainty.pooled_error(Estimate(mean, stderr, hits, 16), AROUND)
     own, pooled = [], []
     for claimed, ratios in ((stderr, own), (error, pooled)):
         quarter = np.digitize(claimed, np.quantile(claimed, [0.25, 0.5, 0.75]))
@@ -155,7 +169,7 @@ def test_errors_of_parts_add_by_their_squares() -> None:
     scene = lf.load("assets/scenes/conventional.toml")
     one, other = (replicated(np.full((8, 8, 1), level), 640, 8, 0.5, seed=seed) for level, seed in ((1.0, 0), (0.3, 1)))
     parts = [Estimate(*each, 640) for each in (one, other)]
-    alone = [certainty.pooled_error(part.mean, part.stderr, AROUND)[0] for part in parts]
+    alone = [certainty.pooled_error(part, AROUND)[0] for part in parts]
     np.testing.assert_allclose(of_parts(scene, 8, *parts).error, np.hypot(*alone), rtol=1e-12)
     np.testing.assert_allclose(of_parts(scene, 8, parts[0]).error, alone[0], rtol=1e-12)
     margins = [of_parts(scene, 8, part).upper - part.mean for part in parts]

@@ -112,7 +112,10 @@ class LightOutsideAimWarning(PictureWarning):
 
 
 class HeavyPathsWarning(PictureWarning):
-    """Few paths bring much of the light of some pixels: their errors and upper bounds are too small."""
+    """Few paths bring much of the light of some pixels: their errors are too small.
+
+    So are their upper bounds, where no neighbours have met such paths.
+    """
 
 
 class TooFewSamplesWarning(PictureWarning):

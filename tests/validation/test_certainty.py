@@ -172,6 +172,38 @@ def test_bounds_and_errors_hold_ghosts_that_a_pixel_has_not_met(scene_of: Callab
         assert not found.is_less(found.within, WITHIN, tenth), found.report()
 
 
+BALL_OVER_BOARD: dict[str, Any] = {
+    "camera": {
+        "focus_mm": 2239.8,
+        "lens": {"surfaces": [{"stop": True, "paraxial": True, "focal_length_mm": 46.026}], "f_number": 2.0272},
+        "mla": {"layout": "hexagonal", "count": [5, 7], "pitch_mm": 0.19385, "radius_mm": 0.28242, "index": 1.7768,
+                "thickness_mm": 0.17759},
+        "sensor": {"pixels": [9, 14], "pixel_mm": 0.027705, "distance_mm": 0.44744},
+    },
+    "targets": [
+        plane(-2239.8, size=31.0, reflectance=0.7),
+        {"shape": {"kind": "sphere", "radius_mm": 2.2}, "position_mm": [-4.9, -3.3, -1893.6],
+         "material": {"reflectance": 0.9, "radiance_w_m2_sr": 1.5}},
+    ],
+}  # fmt: skip
+"""A ball of which some pixels see a little through the rims of lenslets' views, 10⁴ times as bright as a board."""
+
+
+def test_bounds_hold_light_through_rims_of_views_that_a_pixel_has_not_met_and_a_warning_says_so() -> None:
+    """A quarter of the samples of each pixel meet the board; of 768 hardly any meets the ball from the dim ones."""
+    scene = lf.Scene(**BALL_OVER_BOARD).changed(
+        {"transport": {"split": "transmit", "samples": 768, "replicates": REPLICATES, "threads": 1}}
+    )
+    truth = lf.render(scene.changed({"transport.method": "forward", "transport.samples": 8192})).mean
+    dim = truth < np.quantile(truth, 0.2)
+    held_ = []
+    for image in by_seed(scene, range(6)):
+        assert any("neighbours met" in str(said) for said in image.warnings), image.warnings
+        held_.append(image.upper[dim] >= truth[dim])
+    found = np.array(held_)
+    assert stats.binomtest(int(found.sum()), found.size, UPPER, "less").pvalue > LEVEL, found.mean()
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_errors_and_bounds_hold_as_often_as_they_promise(kind: str, scene_of: Callable[[str], lf.Scene]) -> None:

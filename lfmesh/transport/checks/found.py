@@ -26,8 +26,9 @@ from lfmesh.scene.literals import percent
 from lfmesh.transport.aiming.aim_proof import AimProof
 from lfmesh.transport.checks.tails import SIDE, tails
 from lfmesh.transport.packets.ledger import Ledger
+from lfmesh.transport.render.adaptive import ROWS_AT_ONCE
 from lfmesh.transport.render.blind_check import BlindCheck
-from lfmesh.transport.render.certainty import FEW_HITS
+from lfmesh.transport.render.certainty import FEW_HITS, neighbours, weight_around
 from lfmesh.transport.render.order_check import OrderCheck
 
 if TYPE_CHECKING:
@@ -45,6 +46,10 @@ OPEN_SHARE = 1e-9
 HEAVY_SHARE = 0.01
 """Share of the blocks of pixels in which few paths may bring much of the light without a warning."""
 
+UNMET, UNMET_SHARE = 10.0, 0.05
+"""Light of a path that a pixel of `FEW_HITS` hits or more may have missed, over all the light that it has; and share of
+the pixels with light that may be such pixels without a warning."""
+
 CUT_SHARE = 1e-3
 """Share of the emitted energy that `max_events` may cut without a warning."""
 
@@ -61,6 +66,7 @@ def found(image: "Image") -> list[PictureWarning]:
         *_blind(image.scene, image.blind),
         *books(image.scene, image.ledger),
         *_heavy_paths(image),
+        *_unmet_paths(image),
         *_few_samples(image),
     ]
 
@@ -167,6 +173,23 @@ def _heavy_paths(image: "Image") -> Iterator[PictureWarning]:
         f"pixel holds much of it, up to {percent(heavy.held)}, by paths {heavy.heavier:.2g} times as heavy as the "
         "others'; pixels that met none lack that light, and their errors are too small; take many more samples"
     )
+
+
+def _unmet_paths(image: "Image") -> Iterator[PictureWarning]:
+    if image.hits is None or image.replicates < 2:
+        return
+    steps, unmet = neighbours(image.scene), 0
+    for low in range(0, len(image.mean), ROWS_AT_ONCE):
+        rows = slice(low, low + ROWS_AT_ONCE)
+        heavy = weight_around(image.mean, image.stderr, steps, rows) > UNMET * image.mean[rows]
+        unmet += int((heavy & (image.hits[rows] >= FEW_HITS)).sum())
+    lit = np.count_nonzero(image.hits)
+    if unmet > UNMET_SHARE * lit:
+        yield HeavyPathsWarning(
+            f"few paths bring much of the light: in {percent(unmet / lit)} of the pixels with light, one such path as "
+            f"their neighbours met would bring more than {UNMET:g} times what all others have brought; pixels that met "
+            "none lack that light, which `upper` bounds and their errors do not tell; take many more samples"
+        )
 
 
 def lit_pixels(mean: NDArray[np.float64]) -> NDArray[np.bool_]:

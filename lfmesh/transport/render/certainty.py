@@ -9,7 +9,13 @@ have by chance a third of their true error or less; and a pixel for which only r
 it meets one of them. Its neighbours have met them. So the variance reported for a pixel is the mean of its own and that
 of a pool: pixels around it and at its place in the neighbouring micro-images that are as bright and lie where the
 picture is as steep, since an edge is known less well than the areas beside it. Over any group of pixels that is not
-chosen by its noise, the mean of the variance stays unchanged.
+chosen by its noise, the mean of the variance stays unchanged. Few hits tell no brightness: pixels that are as dark by
+chance would say of each other that nothing was missed. With few, the pool is the pixels whose hits differ by no more
+than chance.
+
+A pixel next to much brighter ones may see what they see by a corner that none of its samples has met. Its own spread
+does not tell of that, nor does that of pixels as dark. The weight of the paths that its neighbours have met does, and
+enters the upper bound (see `weight_around`).
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernels.decorators import kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.scene import Scene
 from lfmesh.transport.render.adaptive import RING, ROWS_AT_ONCE, same_place
 
@@ -39,6 +45,10 @@ RARE = 1e-3
 FEW_HITS = 10
 """Number of hits below which the spread of a pixel is not used alone."""
 
+BY_CHANCE = np.sqrt(2.0)
+"""Difference of the roots of two pixels' hits, each with 3/8 added (Anscombe 1948), that is within chance: two standard
+deviations, as each root has one of 1/2."""
+
 
 def neighbours(scene: Scene) -> NDArray[np.int64]:
     """Return the steps (n, 2) (rows, columns) to the pixels around, and to the same place in the next micro-images."""
@@ -47,13 +57,15 @@ def neighbours(scene: Scene) -> NDArray[np.int64]:
 
 
 def pooled_error(
-    mean: Array, stderr: Array, steps: NDArray[np.int64], rows: slice = slice(None)
+    part: "Estimate", steps: NDArray[np.int64], rows: slice = slice(None)
 ) -> tuple[Array, NDArray[np.int64]]:
     """Return the standard error of each pixel, its own variance pooled with that of neighbours as bright and as steep.
 
+    Where both have few hits, neighbours are alike whose hits are.
+
     Parameters
     ----------
-    mean, stderr : (H, W, wavelengths) float64, W
+    part : Estimate
     steps : (n, 2) int64
         See `neighbours`.
     rows : slice
@@ -66,23 +78,32 @@ def pooled_error(
     pooled : (rows, W, wavelengths) int64
         Number of pixels in each pool, the pixel itself included.
     """
-    mean, stderr = np.ascontiguousarray(mean), np.ascontiguousarray(stderr)
+    mean, stderr, hits = np.ascontiguousarray(part.mean), np.ascontiguousarray(part.stderr), part.hits
     low, high, _ = rows.indices(len(mean))
     error = np.empty((high - low, *mean.shape[1:]))
     pooled = np.empty(error.shape, np.int64)
     reach = int(np.abs(steps[:, 0]).max(initial=0))
     first, last = max(low - reach, 0), min(high + reach, len(mean))
     steepness = np.empty((last - first, *mean.shape[1:]))
-    _pool(mean, stderr, steps, low, first, steepness, error, pooled)
+    few = _are_few(hits[first:last], part.samples)
+    _pool(mean, stderr, np.ascontiguousarray(hits), few, steps, low, first, steepness, error, pooled)
     return error, pooled
 
 
 @kernel
 def _pool(
-    mean: Array, stderr: Array, steps: NDArray[np.int64], low: int, first: int, steepness: Array, error: Array,
-    pooled: NDArray[np.int64],
+    mean: Array, stderr: Array, hits: NDArray[np.uint32], few: NDArray[np.bool_], steps: NDArray[np.int64], low: int,
+    first: int, steepness: Array, error: Array, pooled: NDArray[np.int64],
 ) -> None:  # fmt: skip
-    """Write `pooled_error` of the rows from `low` on; `steepness` is working memory for those from `first` on."""
+    """Write `pooled_error` of the rows from `low` on.
+
+    Parameters
+    ----------
+    few : (some rows, W, wavelengths) bool
+        Pixels with few hits, from the row `first` on.
+    steepness : (some rows, W, wavelengths) float64
+        Working memory for the same rows.
+    """
     rows, columns, colours = mean.shape
     for row in range(len(steepness)):
         for column in range(columns):
@@ -93,17 +114,27 @@ def _pool(
             for colour in range(colours):
                 level, own = mean[row, column, colour], stderr[row, column, colour] ** 2
                 total, count, steep = own, 1, steepness[row - first, column, colour]
+                root = np.sqrt(hits[row, column, colour] + 0.375)
                 for k in range(len(steps)):
                     r, c = row + steps[k, 0], column + steps[k, 1]
                     if 0 <= r < rows and 0 <= c < columns:
-                        other = mean[r, c, colour]
-                        if other <= AS_BRIGHT * level and level <= AS_BRIGHT * other:
+                        if few[row - first, column, colour] and few[r - first, c, colour]:
+                            alike = abs(np.sqrt(hits[r, c, colour] + 0.375) - root) <= BY_CHANCE
+                        else:
                             there = steepness[r - first, c, colour]
-                            if there <= AS_STEEP * steep and steep <= AS_STEEP * there:
-                                total += stderr[r, c, colour] ** 2
-                                count += 1
+                            alike = _are_within(AS_BRIGHT, mean[r, c, colour], level)
+                            alike = alike and _are_within(AS_STEEP, there, steep)
+                        if alike:
+                            total += stderr[r, c, colour] ** 2
+                            count += 1
                 error[row - low, column, colour] = np.sqrt(0.5 * (own + total / count))
                 pooled[row - low, column, colour] = count
+
+
+@inlined
+def _are_within(factor: float, one: float, other: float) -> bool:
+    """Tell whether neither of two values is larger than the other by more than a factor."""
+    return one <= factor * other and other <= factor * one
 
 
 @kernel
@@ -177,7 +208,7 @@ class Certainty(NamedTuple):
         """
         steps = neighbours(scene)
         errors = [error_of(part, steps) for part in parts]
-        upper = upper_bound(parts, errors, replicates)
+        upper = upper_bound(parts, errors, steps, replicates)
         for error in errors[1:]:
             np.hypot(errors[0], error, out=errors[0])
         return cls(errors[0], upper)
@@ -213,7 +244,7 @@ def errors_by_rows(part: Estimate, steps: NDArray[np.int64]) -> Iterator[tuple[s
     rare, square = _square_of_rare_hits(part)
     for low in range(0, len(part.mean), ROWS_AT_ONCE):
         rows = slice(low, low + ROWS_AT_ONCE)
-        error, pooled = pooled_error(part.mean, part.stderr, steps, rows)
+        error, pooled = pooled_error(part, steps, rows)
         for colour in np.flatnonzero(rare):
             hits = part.hits[rows, :, colour]
             few = _are_few(hits, part.samples)
@@ -245,7 +276,49 @@ def _are_few(hits: NDArray[np.uint32], samples: int) -> NDArray[np.bool_]:
     return (hits < FEW_HITS) & (2 * hits < samples)
 
 
-def upper_bound(parts: Sequence[Estimate], errors: Sequence[Array], replicates: int) -> Array:
+def weight_around(mean: Array, error: Array, steps: NDArray[np.int64], rows: slice = slice(None)) -> Array:
+    """Return the light that one path brings to the neighbours of each pixel, the second largest of them.
+
+    Paths of equal weight w that are met by chance have a variance of w times their mean, so w is error² / mean: of the
+    heaviest paths, however many light ones are met beside them. It is at most the mean. The largest is left out: a
+    single pixel that has met what hardly any meets says nothing of those around it.
+
+    Parameters
+    ----------
+    mean, error : (H, W, wavelengths) float64, W
+        Without an error, which is NaN, there is no weight.
+    steps : (n, 2) int64
+        See `neighbours`.
+    rows : slice
+        Rows of the result.
+
+    Returns
+    -------
+    (rows, W, wavelengths) float64, W
+    """
+    low, high, _ = rows.indices(len(mean))
+    weight = np.empty((high - low, *mean.shape[1:]))
+    _weigh(np.ascontiguousarray(mean), np.ascontiguousarray(error), steps, low, weight)
+    return weight
+
+
+@kernel
+def _weigh(mean: Array, error: Array, steps: NDArray[np.int64], low: int, weight: Array) -> None:
+    """Write `weight_around` of the rows from `low` on."""
+    rows, columns, colours = mean.shape
+    for row in range(low, low + len(weight)):
+        for column in range(columns):
+            for colour in range(colours):
+                largest, second = 0.0, 0.0
+                for k in range(len(steps)):
+                    r, c = row + steps[k, 0], column + steps[k, 1]
+                    if 0 <= r < rows and 0 <= c < columns and error[r, c, colour] > 0.0 and mean[r, c, colour] > 0.0:
+                        there = mean[r, c, colour] * min(1.0, (error[r, c, colour] / mean[r, c, colour]) ** 2)
+                        largest, second = max(largest, there), max(second, min(largest, there))
+                weight[row - low, column, colour] = second
+
+
+def upper_bound(parts: Sequence[Estimate], errors: Sequence[Array], steps: NDArray[np.int64], replicates: int) -> Array:
     """Return an upper bound of each pixel, (H, W, wavelengths) float64, W, with a confidence of 95 % for each.
 
     Each part has a margin above its mean. Parts are independent, so the squares of the margins are added. With many
@@ -253,7 +326,8 @@ def upper_bound(parts: Sequence[Estimate], errors: Sequence[Array], replicates: 
     bring light is bounded by the limit of Clopper & Pearson (1934): without a hit in n samples 1 − 0.05^(1/n), about
     3/n. Each such sample is taken to bring the mean of the pixel's own hits and one further hit of the largest value:
     the average hit in that pixel of a thousand where hits bring the most. Heavier paths, which are too rare to be
-    bounded in one pixel, are added as their mean over all pixels. The larger of the two margins counts.
+    bounded in one pixel, are added as their mean over all pixels. However many hits it has, a pixel may have missed
+    paths that its neighbours have met: the limit without a hit, times their weight. The largest of the margins counts.
 
     It does not bound light along paths of a kind that no sample of the whole image has found.
 
@@ -263,6 +337,8 @@ def upper_bound(parts: Sequence[Estimate], errors: Sequence[Array], replicates: 
         Their sum is the image.
     errors : sequence of (H, W, wavelengths) float64, W
         Of each part, see `error_of`.
+    steps : (n, 2) int64
+        See `neighbours`.
     replicates : int
     """
     from scipy import special
@@ -278,6 +354,8 @@ def upper_bound(parts: Sequence[Estimate], errors: Sequence[Array], replicates: 
         most, beyond = _largest_hit(part.mean, part.hits)
         for row, hits in enumerate(part.hits):
             own, margin = part.mean[row], quantile * error[row]
+            unmet = part.samples * limit[0] * weight_around(part.mean, error, steps, slice(row, row + 1))[0]
+            margin = np.fmax(margin, unmet)
             count = np.minimum(hits, len(few) - 1)
             one_path = part.samples * (own + most) / (count + 1.0)
             by_hits = limit[count] * one_path + beyond - own

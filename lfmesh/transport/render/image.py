@@ -120,7 +120,8 @@ class Image(Pictured):
 
         Of each part of the image the variance is the mean of the pixel's own and that of a pool: the pixel, the eight
         around it and those at its place in the adjacent micro-images, as far as they are as bright (within a factor of
-        1.5) and lie where the picture is as steep (within a factor of 2); of a part that few samples of nearly any
+        1.5) and lie where the picture is as steep (within a factor of 2), or where both have few hits, as far as these
+        differ by no more than chance; of a part that few samples of nearly any
         pixel found, all such pixels. The pool makes up for the few replicates of one pixel. NaN with fewer than two
         replicates.
         """
@@ -138,7 +139,9 @@ class Image(Pictured):
         """Upper bound of each pixel, with a confidence of 95 % each, (H, W, wavelengths) float64, W.
 
         Mean plus Student's quantile of standard errors. With few hits or none, the bound on the share of samples that
-        bring light, times the light of one such sample in the brightest pixels. Of several parts the margins are added
+        bring light, times the light of one such sample in the brightest pixels. At least that without a hit, times the
+        light of such paths as the neighbours have met: heavy ones may have been missed among many light ones. Of
+        several parts the margins are added
         by their squares; of a single part it is computed at each call. See
         `lfmesh.transport.render.certainty.upper_bound`.
 
@@ -151,7 +154,7 @@ class Image(Pictured):
             return self.certainty.upper
         if self.hits is None:
             raise LfmeshError("an image without hits has no upper bound: it was not rendered, or by an older lfmesh")
-        return upper_bound([self._estimate(self.hits)], [self.error], self.replicates)
+        return upper_bound([self._estimate(self.hits)], [self.error], neighbours(self.scene), self.replicates)
 
     def _estimate(self, hits: NDArray[np.uint32] | None) -> Estimate:
         """Return the image as an estimate of a single part; without hits, every pixel counts as one with enough."""

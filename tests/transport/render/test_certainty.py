@@ -36,7 +36,8 @@ def test_the_error_is_half_a_pixels_own_and_half_that_of_neighbours_as_bright_an
     stderr[1, 1], stderr[0, 0] = 3.0, 1.0
     # Along the border between bright and dark, on either side.
     stderr[1, 2], stderr[1, 3] = 100.0, 50.0
-    error, pooled = certainty.pooled_error(mean, stderr, AROUND)
+    known = Estimate(mean, stderr, np.full(mean.shape, 100, np.uint32), 100)
+    error, pooled = certainty.pooled_error(known, AROUND)
     # The pixel and the five around it that do not touch the border.
     assert pooled[1, 1, 0] == 6
     assert error[1, 1, 0] == pytest.approx(np.sqrt(0.5 * (9.0 + 10.0 / 6.0)))
@@ -44,8 +45,21 @@ def test_the_error_is_half_a_pixels_own_and_half_that_of_neighbours_as_bright_an
     # On the border: the pixel and the two above and below it.
     assert pooled[1, 2, 0] == 3
     assert error[1, 2, 0] == pytest.approx(100.0 * np.sqrt(0.5 * (1.0 + 1.0 / 3.0)))
-    rows, _ = certainty.pooled_error(mean, stderr, AROUND, slice(1, 3))
+    rows, _ = certainty.pooled_error(known, AROUND, slice(1, 3))
     np.testing.assert_array_equal(rows, error[1:])
+
+
+def test_the_error_holds_the_truth_where_a_pixel_has_two_hits_on_average() -> None:
+    """One in seven has none, as have some of its neighbours: as dark as it, they would say that nothing was missed."""
+    lit = np.repeat([1.0, 1 / 8], 40)[:, None] * np.ones((60, 1, 1))
+    chance = lit / 32
+    mean, stderr, hits = replicated(lit, 512, 8, chance)
+    error, _ = certainty.pooled_error(Estimate(mean, stderr, hits, 512), AROUND)
+    for dim in (slice(0, 40), slice(40, 80)):
+        off, known = (mean - lit)[:, dim], error[:, dim]
+        within = abs(off) <= stats.t.ppf(0.975, 7) * known
+        assert stats.binomtest(int(within.sum()), within.size, 0.92, "less").pvalue > LEVEL, within.mean()
+        assert (known**2).mean() == pytest.approx((off**2).mean(), rel=0.1)
 
 
 def test_steps_go_to_the_same_place_in_the_next_micro_images() -> None:
@@ -63,8 +77,8 @@ def test_steps_go_to_the_same_place_in_the_next_micro_images() -> None:
 def test_the_pooled_error_is_the_scatter_in_every_quarter_of_itself(replicates: int) -> None:
     """Where a sample in twenty brings nothing, 16 samples leave 44 % of the pixels without any spread of their own."""
     truth = np.ones((100, 100, 1))
-    mean, stderr, _ = replicated(truth, 16, replicates, 0.95)
-    error, _ = certainty.pooled_error(mean, stderr, AROUND)
+    mean, stderr, hits = replicated(truth, 16, replicates, 0.95)
+    error, _ = certainty.pooled_error(Estimate(mean, stderr, hits, 16), AROUND)
     own, pooled = [], []
     for claimed, ratios in ((stderr, own), (error, pooled)):
         quarter = np.digitize(claimed, np.quantile(claimed, [0.25, 0.5, 0.75]))
@@ -97,7 +111,7 @@ def test_the_upper_bound_holds_in_95_of_100_pixels(chance: float, replicates: in
     truth = np.ones((60, 100, 1)) * chance
     mean, stderr, hits = replicated(truth, 64, replicates, chance)
     mean[0], stderr[0], hits[0] = 1.5, 0.01, 64
-    bound = certainty.upper_bound([Estimate(mean, stderr, hits, 64)], [stderr], replicates)[1:]
+    bound = certainty.upper_bound([Estimate(mean, stderr, hits, 64)], [stderr], AROUND, replicates)[1:]
     below = int((bound < truth[1:]).sum())
     if replicates > 1 and chance > 0.5:
         # Student's quantile of a binomial: its skewness leaves a little more outside.
@@ -111,7 +125,7 @@ def test_the_upper_bound_holds_in_95_of_100_pixels(chance: float, replicates: in
 def test_without_a_hit_the_bound_is_the_rule_of_three_times_what_the_brightest_pixel_brings() -> None:
     mean, stderr, hits = np.zeros((2, 3, 2)), np.zeros((2, 3, 2)), np.zeros((2, 3, 2), np.uint32)
     mean[0, 0], hits[0, 0] = (8.0, 2.0), (50, 100)
-    bound = certainty.upper_bound([Estimate(mean, stderr, hits, 100)], [stderr], 4)
+    bound = certainty.upper_bound([Estimate(mean, stderr, hits, 100)], [stderr], AROUND, 4)
     chance = 1.0 - 0.05 ** (1.0 / 100)
     np.testing.assert_allclose(bound[1], np.tile([16.0 * chance, 2.0 * chance], (3, 1)), rtol=1e-12)
 
@@ -128,7 +142,7 @@ def test_rare_light_is_bounded_beside_light_that_every_sample_finds() -> None:
     truth = common + rare
     by_part = of_parts(scene, 4, *(Estimate(*each, 64) for each in (one, other))).upper
     both = Estimate(one[0] + other[0], np.hypot(one[1], other[1]), one[2] + other[2], 128)
-    together = certainty.upper_bound([both], [both.stderr], 4)
+    together = certainty.upper_bound([both], [both.stderr], AROUND, 4)
     assert (together < truth).mean() > 0.15
     assert stats.binomtest(int((by_part < truth).sum()), truth.size, 0.05, "greater").pvalue > LEVEL
 
@@ -155,7 +169,7 @@ def test_errors_of_parts_add_by_their_squares() -> None:
     scene = lf.load("assets/scenes/conventional.toml")
     one, other = (replicated(np.full((8, 8, 1), level), 640, 8, 0.5, seed=seed) for level, seed in ((1.0, 0), (0.3, 1)))
     parts = [Estimate(*each, 640) for each in (one, other)]
-    alone = [certainty.pooled_error(part.mean, part.stderr, AROUND)[0] for part in parts]
+    alone = [certainty.pooled_error(part, AROUND)[0] for part in parts]
     np.testing.assert_allclose(of_parts(scene, 8, *parts).error, np.hypot(*alone), rtol=1e-12)
     np.testing.assert_allclose(of_parts(scene, 8, parts[0]).error, alone[0], rtol=1e-12)
     margins = [of_parts(scene, 8, part).upper - part.mean for part in parts]
@@ -173,3 +187,33 @@ def test_an_image_says_its_error_and_its_bound() -> None:
     image.hits = np.zeros(mean.shape, np.uint32)
     image.hits[1, 1], image.mean[1, 1] = 32, 1.0
     assert image.upper[0, 0, 0] == pytest.approx(1.0 - 0.05 ** (1.0 / 32))
+
+
+def test_the_weight_around_a_pixel_is_that_of_the_heaviest_paths_but_for_a_single_pixel() -> None:
+    mean, error = np.full((3, 5, 1), 8.0), np.full((3, 5, 1), 2.0)
+    weight = certainty.weight_around(mean, error, AROUND)
+    np.testing.assert_array_equal(weight, 0.5)
+    # Of one path that brings all the light, known no better than that; around it, one pixel is none.
+    mean[1, 1], error[1, 1] = 100.0, 200.0
+    np.testing.assert_array_equal(certainty.weight_around(mean, error, AROUND), weight)
+    mean[0, 1], error[0, 1] = 60.0, 60.0
+    np.testing.assert_array_equal(certainty.weight_around(mean, error, AROUND)[:, 0, 0], [60.0, 60.0, 0.5])
+    np.testing.assert_array_equal(certainty.weight_around(mean, error, AROUND, slice(1, 2))[0, :, 0],
+                                  [60.0, 0.5, 60.0, 0.5, 0.5])  # fmt: skip
+    assert not certainty.weight_around(mean, np.full_like(mean, np.nan), AROUND).any()
+
+
+def test_the_upper_bound_holds_heavy_light_that_a_pixel_missed_among_many_light_paths() -> None:
+    """Beside bright columns every tenth pixel of a dim one meets a path that brings a hundred times its other light."""
+    scene = lf.load("assets/scenes/conventional.toml")
+    light = replicated(np.full((600, 3, 1), 1e-3), 64, 8, 0.5)
+    heavy_truth = np.tile(np.array([0.4, 0.4, 0.01])[:, None], (600, 1, 1))
+    heavy = replicated(heavy_truth, 64, 8, heavy_truth / 6.4, seed=1)
+    both = Estimate(light[0] + heavy[0], np.hypot(light[1], heavy[1]), light[2] + heavy[2], 64)
+    below = of_parts(scene, 8, both).upper < 1e-3 + heavy_truth
+    assert stats.binomtest(int(below[:, 2].sum()), 600, 0.05, "greater").pvalue > LEVEL
+    # Where all paths are alike nothing is added to Student's quantile.
+    alike = replicated(np.full((60, 100, 1), 1.0), 64, 8, 0.5)
+    part = Estimate(*alike, 64)
+    error = of_parts(scene, 8, part).error
+    np.testing.assert_allclose(of_parts(scene, 8, part).upper, part.mean + stats.t.ppf(0.95, 7) * error, rtol=1e-9)

@@ -104,7 +104,7 @@ class MissedLightWarning(PictureWarning):
 
 
 class LightOutsideAimWarning(PictureWarning):
-    """Rays are not aimed at all of the light that comes through the lens: the rest of it comes as noise."""
+    """Rays are not aimed, or not proven to be, at all light that comes through the lens: the rest comes as noise."""
 
 
 class HeavyPathsWarning(PictureWarning):

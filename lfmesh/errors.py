@@ -123,6 +123,10 @@ class CutBodiesWarning(PictureWarning):
     """Curved bodies of glass cut each other: rays near the cut may take one for the other."""
 
 
+class FoldedPatchesWarning(PictureWarning):
+    """The normals of curved glass do not fit its facets: rays that graze it may pass it."""
+
+
 class ClearAirWarning(PictureWarning):
     """A scene has media that take light away, and its projection matrix leaves them out."""
 

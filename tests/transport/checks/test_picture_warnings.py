@@ -169,6 +169,7 @@ CASES: dict[type[PictureWarning], Callable[[Patch, Path], lf.Scene]] = {
     lf.TooFewSamplesWarning: few,
     lf.ClosedGapWarning: gap,
     lf.CutBodiesWarning: cut_balls,
+    lf.FoldedPatchesWarning: lost,
     lf.OrderCheckWarning: disordered,
     lf.DiffractionWarning: diffraction,
 }
